@@ -1,0 +1,21 @@
+//! Frames and poses, lenses, field lines. Pure: no images, no time, no I/O.
+//!
+//! Frames follow REP 103 and REP 105: `map` (field centre, x towards one goal, y left, z up),
+//! `base_footprint`, `base_link` (torso), `camera_link` (x forward, z up) and
+//! `camera_optical_frame` (z forward, x right, y down). Metres and radians throughout.
+
+pub mod field;
+pub mod lens;
+pub mod polynomial;
+pub mod pose;
+
+pub use field::{Field, FieldDimensions, FieldError, FieldPoint};
+pub use lens::{Lens, LensError, LensModel, LensParameters};
+pub use pose::{Euler, Isometry, Pose2};
+
+/// Wraps an angle to (-pi, pi].
+pub fn wrap_angle(angle: f64) -> f64 {
+    use core::f64::consts::{PI, TAU};
+    let wrapped = angle - TAU * libm::round(angle / TAU);
+    if wrapped <= -PI { wrapped + TAU } else { wrapped }
+}

@@ -1,0 +1,94 @@
+//! Where a polynomial first turns negative or zero: tells how far a lens polynomial is monotonic.
+
+/// `coefficients[i]` belongs to x^i.
+pub fn evaluate(coefficients: &[f64], x: f64) -> f64 {
+    coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
+}
+
+/// The smallest x in [0, `end`] with p(x) <= 0, or `None` if p stays positive there.
+///
+/// Between neighbouring roots of its derivative a polynomial is monotonic, so bisection between them finds
+/// every sign change; a dip that only touches zero shows at the root of the derivative itself.
+pub fn first_non_positive(coefficients: &[f64], end: f64) -> Option<f64> {
+    let mut stops = real_roots(&derivative(coefficients), end);
+    stops.push(end);
+    let mut start = 0.0;
+    if evaluate(coefficients, start) <= 0.0 {
+        return Some(start);
+    }
+    for stop in stops {
+        if evaluate(coefficients, stop) <= 0.0 {
+            return Some(bisect(coefficients, start, stop));
+        }
+        start = stop;
+    }
+    None
+}
+
+fn derivative(coefficients: &[f64]) -> Vec<f64> {
+    coefficients.iter().enumerate().skip(1).map(|(power, c)| power as f64 * c).collect()
+}
+
+/// The points of (0, end) where p changes sign, ascending.
+fn real_roots(coefficients: &[f64], end: f64) -> Vec<f64> {
+    if coefficients.len() < 2 {
+        return Vec::new();
+    }
+    let mut stops = real_roots(&derivative(coefficients), end);
+    stops.push(end);
+    let mut roots = Vec::new();
+    let mut start = 0.0;
+    for stop in stops {
+        if (evaluate(coefficients, start) > 0.0) != (evaluate(coefficients, stop) > 0.0) {
+            roots.push(bisect(coefficients, start, stop));
+        }
+        start = stop;
+    }
+    roots
+}
+
+/// The sign change between `low` and `high`, to the last bit; the end on the side of `high`.
+fn bisect(coefficients: &[f64], mut low: f64, mut high: f64) -> f64 {
+    let positive_at_low = evaluate(coefficients, low) > 0.0;
+    // 2^-1100 of the interval is below the smallest number: this limit is never what ends the loop.
+    for _ in 0..1100 {
+        let middle = low + (high - low) / 2.0;
+        if middle <= low || middle >= high {
+            break;
+        }
+        if (evaluate(coefficients, middle) > 0.0) == positive_at_low { low = middle } else { high = middle }
+    }
+    high
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_dip_between_the_ends_is_found() {
+        // (x - 1)(x - 1.001) + tiny offsets: positive at 0 and 2, negative only in between.
+        let p = [1.001, -2.001, 1.0];
+        let x = first_non_positive(&p, 2.0).expect("the dip");
+        assert!((x - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_positive_polynomial_has_none() {
+        assert_eq!(first_non_positive(&[1.0, 0.0, 0.0, 0.0, 1e-3], 10.0), None);
+    }
+
+    proptest! {
+        #[test]
+        fn agrees_with_a_dense_scan(c in proptest::collection::vec(-1.0..1.0f64, 4)) {
+            let p = [1.0, c[0], c[1], c[2], c[3]];
+            let scan = (0..=20000).map(|i| i as f64 * 1e-4).find(|x| evaluate(&p, *x) <= 0.0);
+            match (first_non_positive(&p, 2.0), scan) {
+                (Some(exact), Some(scanned)) => prop_assert!(exact <= scanned + 1e-12 && scanned - exact <= 1.1e-4),
+                (None, Some(_)) => prop_assert!(false, "missed a root"),
+                _ => {}
+            }
+        }
+    }
+}

@@ -1,0 +1,6 @@
+//! Reality Sim: real camera images for any pose on the field.
+//!
+//! The rooms, in the order in which data passes; a room may use those above it, not those below
+//! (docs/architecture.md has the map).
+
+pub mod geometry;
