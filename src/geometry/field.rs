@@ -265,7 +265,8 @@ pub(crate) mod tests {
             assert!(field.distance_to_centre_line(point.position) < 1e-12);
             assert!((point.normal.length() - 1.0).abs() < 1e-12);
             let off = point.position + point.normal * 0.004;
-            assert!((field.distance_to_centre_line(off) - 0.004).abs() < 1e-6);
+            // Another line may be nearer, where lines cross.
+            assert!(field.distance_to_centre_line(off) < 0.004 + 1e-12);
         }
     }
 
