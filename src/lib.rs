@@ -4,3 +4,5 @@
 //! (docs/architecture.md has the map).
 
 pub mod geometry;
+pub mod localization;
+pub mod vision;

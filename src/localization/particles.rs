@@ -1,0 +1,73 @@
+//! Samples of the robot's pose: x, y, yaw of `base_footprint` in `map`.
+
+use serde::{Deserialize, Serialize};
+
+use super::random::{Purpose, Stream};
+use crate::geometry::{Field, Pose2, wrap_angle};
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Particles {
+    pub poses: Vec<Pose2>,
+    /// Natural logarithm, not normalised: 0 for all means all alike.
+    pub log_weights: Vec<f64>,
+}
+
+/// Standard deviations along the robot's own axes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Spread {
+    pub xy_m: f64,
+    pub yaw_rad: f64,
+}
+
+impl Particles {
+    pub fn len(&self) -> usize {
+        self.poses.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.poses.is_empty()
+    }
+
+    pub fn around(pose: Pose2, spread: Spread, count: usize, seed: u64, step: u64) -> Self {
+        let mut particles = Self { poses: vec![pose; count], log_weights: vec![0.0; count] };
+        particles.scatter(spread, seed, Purpose::Start, step, 0);
+        particles
+    }
+
+    /// Evenly spread draws over the carpet, all directions.
+    pub fn over_field(field: &Field, count: usize, seed: u64, step: u64) -> Self {
+        let half = field.carpet_half_extent();
+        let poses = (0..count)
+            .map(|index| {
+                let mut draw = Stream::new(seed, Purpose::Start, step, 0, index as u32);
+                let mut within = |half: f64| (2.0 * draw.uniform() - 1.0) * half;
+                Pose2::new(within(half.x), within(half.y), within(core::f64::consts::PI))
+            })
+            .collect();
+        Self { poses, log_weights: vec![0.0; count] }
+    }
+
+    /// Adds normal noise to every pose, in its own frame.
+    pub fn scatter(&mut self, spread: Spread, seed: u64, purpose: Purpose, step: u64, iteration: u32) {
+        for (index, pose) in self.poses.iter_mut().enumerate() {
+            let mut draw = Stream::new(seed, purpose, step, iteration, index as u32);
+            let [dx, dy] = draw.normal_pair();
+            let [turn, _] = draw.normal_pair();
+            pose.x += dx * spread.xy_m;
+            pose.y += dy * spread.xy_m;
+            pose.yaw = wrap_angle(pose.yaw + turn * spread.yaw_rad);
+        }
+    }
+
+    /// Replaces the set by `counts[i]` copies of particle i, all of the same weight.
+    pub fn duplicate(&mut self, counts: &[u32]) {
+        self.poses = self
+            .poses
+            .iter()
+            .zip(counts)
+            .flat_map(|(pose, count)| core::iter::repeat_n(*pose, *count as usize))
+            .collect();
+        self.log_weights.clear();
+        self.log_weights.resize(self.poses.len(), 0.0);
+    }
+}

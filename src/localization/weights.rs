@@ -1,0 +1,95 @@
+//! Weights in the log domain: normalised without underflow, whatever comes in.
+
+/// What a set of log weights says, normalised.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Weights {
+    /// Sum is 1.
+    pub shares: Vec<f64>,
+    /// Index of the largest.
+    pub best: usize,
+    /// 1 / sum of squares: between 1 and N.
+    pub effective_sample_size: f64,
+    /// Log of the mean of the raw weights.
+    pub evidence: f64,
+    /// No weight was usable: all were taken as equal.
+    pub degenerate: bool,
+}
+
+/// NaN counts as impossible; +inf as the set of the best, alike.
+pub fn normalise(log_weights: &[f64]) -> Weights {
+    let count = log_weights.len();
+    let clean = |value: f64| if value.is_nan() { f64::NEG_INFINITY } else { value };
+    let highest = log_weights.iter().map(|value| clean(*value)).fold(f64::NEG_INFINITY, f64::max);
+    if highest == f64::NEG_INFINITY {
+        let share = 1.0 / count.max(1) as f64;
+        return Weights {
+            shares: vec![share; count],
+            best: 0,
+            effective_sample_size: count as f64,
+            evidence: f64::NEG_INFINITY,
+            degenerate: true,
+        };
+    }
+    let relative = |value: f64| {
+        let value = clean(value);
+        if value == highest { 1.0 } else { libm::exp(value - highest) }
+    };
+    let mut shares: Vec<f64> = log_weights.iter().map(|value| relative(*value)).collect();
+    let sum = pairwise_sum(&shares);
+    let evidence = if highest == f64::INFINITY { highest } else { highest + libm::log(sum / count as f64) };
+    for share in &mut shares {
+        *share /= sum;
+    }
+    let squares: Vec<f64> = shares.iter().map(|share| share * share).collect();
+    let best = log_weights.iter().position(|value| *value == highest).unwrap_or(0);
+    Weights { best, effective_sample_size: 1.0 / pairwise_sum(&squares), evidence, degenerate: false, shares }
+}
+
+/// Halves until 64 remain: the rounding error grows with log n instead of n.
+pub fn pairwise_sum(values: &[f64]) -> f64 {
+    if values.len() <= 64 {
+        return values.iter().sum();
+    }
+    let (left, right) = values.split_at(values.len() / 2);
+    pairwise_sum(left) + pairwise_sum(right)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn nothing_usable_means_all_alike() {
+        for bad in [f64::NEG_INFINITY, f64::NAN] {
+            let w = normalise(&[bad; 4]);
+            assert!(w.degenerate);
+            assert_eq!(w.shares, vec![0.25; 4]);
+        }
+        assert!(normalise(&[]).shares.is_empty());
+    }
+
+    #[test]
+    fn nan_is_impossible_and_infinity_is_best() {
+        assert_eq!(normalise(&[f64::NAN, 0.0]).shares, vec![0.0, 1.0]);
+        let w = normalise(&[f64::INFINITY, 0.0, f64::INFINITY]);
+        assert_eq!((w.shares, w.best), (vec![0.5, 0.0, 0.5], 0));
+    }
+
+    proptest! {
+        #[test]
+        fn an_offset_changes_nothing(logs in proptest::collection::vec(-2000.0..0.0f64, 1..50), offset in prop_oneof![Just(-1e6), Just(1e6)]) {
+            // Rounded to what survives the offset, so that both sides see the same numbers.
+            let logs: Vec<f64> = logs.iter().map(|x| (x * 1024.0).round() / 1024.0).collect();
+            let shifted: Vec<f64> = logs.iter().map(|x| x + offset).collect();
+            prop_assert_eq!(normalise(&logs).shares, normalise(&shifted).shares);
+        }
+
+        #[test]
+        fn shares_sum_to_one(logs in proptest::collection::vec(-1e4..1e4f64, 1..200)) {
+            let w = normalise(&logs);
+            prop_assert!((w.shares.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            prop_assert!(w.effective_sample_size >= 1.0 - 1e-12 && w.effective_sample_size <= logs.len() as f64 + 1e-9);
+        }
+    }
+}

@@ -1,0 +1,359 @@
+//! The ground table: a robot-centred square of the floor, each cell saying how much a line is seen there.
+//!
+//! For one frame the camera's height and tilt are the same for every particle, so lens and tilt are dealt with once,
+//! here. A particle then costs a planar rigid motion and a lookup per line point.
+
+use glam::{DVec2, DVec3};
+
+use super::border::CarpetBorder;
+use super::contrast::LineContrast;
+use super::mask::BodyMask;
+use super::{Reading, VisionSettings, WorkingScale, distance};
+use crate::geometry::{Isometry, Lens};
+
+/// Cells along each side of the table.
+pub const SIDE: usize = 400;
+/// The lens is asked at every fourth cell and interpolated between: facts on the error in docs/cost.md.
+const NODE_STEP: usize = 4;
+const NODES: usize = SIDE / NODE_STEP + 1;
+/// Darker places show nothing: the black surround of a fisheye's circle.
+const BLACK: f32 = 8.0;
+/// Levels of a packed cell that say "nothing known": neither for nor against a line.
+pub const NEUTRAL: u8 = 64;
+
+/// Which pixel shows each cell: full-size image coordinates, NaN where the camera does not see.
+#[derive(Clone, Debug)]
+pub struct GroundMap {
+    pixels: Vec<[f32; 2]>,
+    range_m: f64,
+    foot: DVec2,
+    height_m: f64,
+}
+
+/// One number per cell, packed so that one 32-bit load holds the four neighbours that bilinear
+/// interpolation needs.
+#[derive(Clone, Debug)]
+pub struct GroundTable {
+    /// SIDE x SIDE cells, each with (this, next x, next y, next x and y) from the low byte up.
+    quads: Vec<u32>,
+    /// How far a cell counts as seen, 0 to 255, same layout without packing.
+    seen: Vec<u8>,
+    cell_m: f64,
+    readings: Readings,
+}
+
+/// How the packed levels are to be read back.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Readings {
+    /// Value of one level.
+    pub scale: f64,
+    /// The level that stands for 0.
+    pub zero: u8,
+}
+
+impl GroundMap {
+    pub fn new(lens: &Lens, footprint_from_optical: &Isometry, range_m: f64) -> Self {
+        let optical_from_footprint = footprint_from_optical.inverse();
+        let cell = 2.0 * range_m / SIDE as f64;
+        let pixel_of = |x: f64, y: f64| -> Option<[f32; 2]> {
+            let ray = optical_from_footprint.transform_point(DVec3::new(x, y, 0.0));
+            let pixel = lens.project(ray)?;
+            lens.contains(pixel).then_some([pixel.x as f32, pixel.y as f32])
+        };
+        let place = |index: usize| (index as f64 + 0.5) * cell - range_m;
+        let looks_down = footprint_from_optical.translation.z > 0.0;
+        let nodes: Vec<Option<[f32; 2]>> = (0..NODES * NODES)
+            .map(|node| {
+                let (row, column) = (node / NODES, node % NODES);
+                if looks_down { pixel_of(place(column * NODE_STEP), place(row * NODE_STEP)) } else { None }
+            })
+            .collect();
+        let mut pixels = vec![[f32::NAN; 2]; SIDE * SIDE];
+        for block_row in 0..NODES - 1 {
+            for block_column in 0..NODES - 1 {
+                let node = block_row * NODES + block_column;
+                let corners = [nodes[node], nodes[node + 1], nodes[node + NODES], nodes[node + NODES + 1]];
+                let first = block_row * NODE_STEP * SIDE + block_column * NODE_STEP;
+                match corners {
+                    [None, None, None, None] => {}
+                    [Some(a), Some(b), Some(c), Some(d)] => {
+                        for dv in 0..NODE_STEP {
+                            let fv = dv as f32 / NODE_STEP as f32;
+                            for du in 0..NODE_STEP {
+                                let fu = du as f32 / NODE_STEP as f32;
+                                pixels[first + dv * SIDE + du] = [0, 1].map(|i| {
+                                    let upper = a[i] + (b[i] - a[i]) * fu;
+                                    let lower = c[i] + (d[i] - c[i]) * fu;
+                                    upper + (lower - upper) * fv
+                                });
+                            }
+                        }
+                    }
+                    // The image's edge runs through this block.
+                    _ => {
+                        for dv in 0..NODE_STEP {
+                            for du in 0..NODE_STEP {
+                                let (x, y) = (block_column * NODE_STEP + du, block_row * NODE_STEP + dv);
+                                if let Some(pixel) = pixel_of(place(x), place(y)) {
+                                    pixels[first + dv * SIDE + du] = pixel;
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        let foot = footprint_from_optical.translation.truncate();
+        Self { pixels, range_m, foot, height_m: footprint_from_optical.translation.z }
+    }
+
+    fn cell_m(&self) -> f64 {
+        2.0 * self.range_m / SIDE as f64
+    }
+
+    /// Metres from the robot of a row's or column's centre.
+    fn place(&self, index: usize) -> f64 {
+        (index as f64 + 0.5) * self.cell_m() - self.range_m
+    }
+
+    /// Sets what lies beyond the carpet or behind the robot's body to unseen.
+    pub fn hide(&mut self, border: Option<&CarpetBorder>, body: Option<&BodyMask>) {
+        const UNSEEN: [f32; 2] = [f32::NAN; 2];
+        let places: Vec<f64> = (0..SIDE).map(|index| self.place(index)).collect();
+        for (row, pixels) in self.pixels.chunks_exact_mut(SIDE).enumerate() {
+            if let Some(border) = border {
+                let (low, high) = border.row(places[row]).unwrap_or((f64::INFINITY, f64::NEG_INFINITY));
+                for (pixel, x) in pixels.iter_mut().zip(&places) {
+                    if !(low..=high).contains(x) {
+                        *pixel = UNSEEN;
+                    }
+                }
+            }
+            if let Some(body) = body {
+                for pixel in pixels.iter_mut() {
+                    if body.hides(DVec2::new(f64::from(pixel[0]), f64::from(pixel[1]))) {
+                        *pixel = UNSEEN;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Fills the table for the reading that the observation model wants.
+pub fn table(
+    contrast: &LineContrast,
+    map: &GroundMap,
+    to_working: WorkingScale,
+    settings: &VisionSettings,
+) -> GroundTable {
+    let cells = Cells::read(contrast, map, to_working);
+    let weights = range_weights(map, settings.tilt_sigma_rad);
+    let (levels, readings) = match settings.reading {
+        Reading::Contrast => (cells.contrast_levels(&weights), Readings { scale: 1.0 / 191.0, zero: NEUTRAL }),
+        Reading::Nearest => {
+            (cells.nearest_levels(&weights, map.cell_m(), settings), Readings { scale: 1.0 / 191.0, zero: NEUTRAL })
+        }
+        Reading::Gray => (cells.gray_levels(), Readings { scale: 1.0, zero: 0 }),
+        Reading::NearestPixel => {
+            (cells.nearest_pixel_levels(contrast, map, to_working), Readings { scale: 1.0, zero: 0 })
+        }
+    };
+    let seen = cells.seen.iter().zip(&weights).map(|(seen, weight)| if *seen { (weight * 255.0) as u8 } else { 0 });
+    GroundTable { quads: packed(&levels, readings.zero), seen: seen.collect(), cell_m: map.cell_m(), readings }
+}
+
+impl GroundTable {
+    /// A table from SIDE x SIDE levels, `NEUTRAL` meaning nothing known; everything counts as seen.
+    #[cfg(test)]
+    pub(crate) fn from_levels(levels: &[u8], cell_m: f64) -> Self {
+        let readings = Readings { scale: 1.0 / 191.0, zero: NEUTRAL };
+        Self { quads: packed(levels, NEUTRAL), seen: vec![255; SIDE * SIDE], cell_m, readings }
+    }
+
+    pub fn quads(&self) -> &[u32] {
+        &self.quads
+    }
+
+    pub fn readings(&self) -> Readings {
+        self.readings
+    }
+
+    pub fn cell_m(&self) -> f64 {
+        self.cell_m
+    }
+
+    /// Table coordinates (cells, the first cell's centre at 0) of a place on the ground of `base_footprint`.
+    pub fn to_cells(&self) -> (f64, f64) {
+        (1.0 / self.cell_m, SIDE as f64 / 2.0 - 0.5)
+    }
+
+    /// How far the place counts as seen: 0 (not at all) to 1.
+    pub fn seen(&self, ground: DVec2) -> f64 {
+        let (scale, offset) = self.to_cells();
+        let (u, v) = (libm::round(ground.x * scale + offset), libm::round(ground.y * scale + offset));
+        let inside = u >= 0.0 && v >= 0.0 && u < SIDE as f64 && v < SIDE as f64;
+        if inside { f64::from(self.seen[v as usize * SIDE + u as usize]) / 255.0 } else { 0.0 }
+    }
+
+    /// The unpacked level of a cell, for pictures and tests.
+    pub fn level(&self, column: usize, row: usize) -> u8 {
+        (self.quads[row * SIDE + column] & 255) as u8
+    }
+}
+
+/// Neighbours into one word. The rim, and with it everything outside, reads as `zero`.
+fn packed(levels: &[u8], zero: u8) -> Vec<u32> {
+    let level = |row: usize, column: usize| {
+        let rim = row == 0 || column == 0 || row >= SIDE - 1 || column >= SIDE - 1;
+        if rim { zero } else { levels[row * SIDE + column] }
+    };
+    let mut quads = Vec::with_capacity(SIDE * SIDE);
+    let mut this: Vec<u8> = (0..=SIDE).map(|column| level(0, column)).collect();
+    for row in 0..SIDE {
+        let next: Vec<u8> = (0..=SIDE).map(|column| level(row + 1, column)).collect();
+        quads.extend(this.windows(2).zip(next.windows(2)).map(|(a, b)| u32::from_le_bytes([a[0], a[1], b[0], b[1]])));
+        this = next;
+    }
+    quads
+}
+
+/// A place that the expected tilt error moves by more than a line's width says little: its weight falls with the
+/// shift (h^2 + r^2) / h x sigma, against 5 cm.
+fn range_weights(map: &GroundMap, tilt_sigma_rad: f64) -> Vec<f32> {
+    let height = map.height_m.max(0.01);
+    let per_square_metre = tilt_sigma_rad / height / 0.05;
+    let floor = height * height * per_square_metre;
+    let squares = |centre: f64| -> Vec<f64> {
+        (0..SIDE).map(|index| map.place(index) - centre).map(|d| d * d * per_square_metre).collect()
+    };
+    let (xs, ys) = (squares(map.foot.x), squares(map.foot.y));
+    let mut weights = Vec::with_capacity(SIDE * SIDE);
+    for y in &ys {
+        weights.extend(xs.iter().map(|x| {
+            let shift = (floor + x + y) as f32;
+            1.0 / (1.0 + shift * shift).sqrt()
+        }));
+    }
+    weights
+}
+
+/// What the image shows at each cell.
+struct Cells {
+    seen: Vec<bool>,
+    contrast: Vec<f32>,
+    gray: Vec<f32>,
+}
+
+impl Cells {
+    fn read(image: &LineContrast, map: &GroundMap, to_working: WorkingScale) -> Self {
+        let count = SIDE * SIDE;
+        let (mut seen, mut contrast, mut gray) = (vec![false; count], vec![0.0; count], vec![0.0; count]);
+        if image.width >= 2 && image.height >= 2 {
+            // Half-resolution coordinates: pixel i covers working pixels 2i and 2i + 1.
+            let scale = (to_working.factor * 0.5) as f32;
+            let offset = (to_working.offset * 0.5 - 0.25) as f32;
+            let (last_u, last_v) = ((image.width - 1) as f32, (image.height - 1) as f32);
+            for cell in 0..count {
+                let [u, v] = map.pixels[cell].map(|x| x * scale + offset);
+                // NaN fails both.
+                if !(u >= 0.0 && u <= last_u && v >= 0.0 && v <= last_v) {
+                    continue;
+                }
+                let (iu, iv) = ((u as usize).min(image.width - 2), (v as usize).min(image.height - 2));
+                let (fu, fv) = (u - iu as f32, v - iv as f32);
+                let at = iv * image.width + iu;
+                let blend = |values: &[f32]| {
+                    let upper = values[at] + (values[at + 1] - values[at]) * fu;
+                    let lower =
+                        values[at + image.width] + (values[at + image.width + 1] - values[at + image.width]) * fu;
+                    upper + (lower - upper) * fv
+                };
+                gray[cell] = blend(&image.narrow);
+                contrast[cell] = blend(&image.contrast);
+                seen[cell] = gray[cell] >= BLACK;
+            }
+        }
+        Self { seen, contrast, gray }
+    }
+
+    /// Gray levels of contrast that make a full line, from the frame itself: the brightest few per cent of what is
+    /// seen, but well above the noise of plain carpet.
+    fn full_contrast(&self) -> f32 {
+        let mut values: Vec<f32> = self
+            .contrast
+            .iter()
+            .zip(&self.seen)
+            .step_by(7)
+            .filter(|(_, seen)| **seen)
+            .map(|(value, _)| *value)
+            .collect();
+        if values.len() < 50 {
+            return f32::INFINITY;
+        }
+        let mut nth = |share: f64| {
+            let index = ((values.len() - 1) as f64 * share) as usize;
+            *values.select_nth_unstable_by(index, f32::total_cmp).1
+        };
+        let (low, middle, high) = (nth(0.16), nth(0.5), nth(0.98));
+        let noise = (middle - low).max(0.5);
+        high.max(5.0 * noise).max(5.0)
+    }
+
+    /// A full line is 255, plain carpet 0 before weighting; what is unseen, and everything beyond, `NEUTRAL`.
+    fn contrast_levels(&self, weights: &[f32]) -> Vec<u8> {
+        let per_level = 1.0 / self.full_contrast();
+        self.levels(weights, |cell| (self.contrast[cell] * per_level).clamp(0.0, 1.0))
+    }
+
+    /// `share` (0 plain carpet .. 1 line) as a level: below a quarter it speaks against a line, above it for one.
+    fn levels(&self, weights: &[f32], share: impl Fn(usize) -> f32) -> Vec<u8> {
+        let neutral = f32::from(NEUTRAL);
+        (0..self.seen.len())
+            .map(|cell| {
+                if !self.seen[cell] {
+                    return NEUTRAL;
+                }
+                let level = share(cell) * 255.0;
+                (neutral + (level - neutral) * weights[cell] + 0.5) as u8
+            })
+            .collect()
+    }
+
+    fn white(&self) -> Vec<bool> {
+        let half = 0.5 * self.full_contrast();
+        self.contrast.iter().zip(&self.seen).map(|(value, seen)| *seen && *value >= half).collect()
+    }
+
+    fn nearest_levels(&self, weights: &[f32], cell_m: f64, settings: &VisionSettings) -> Vec<u8> {
+        let reach = (libm::ceil(settings.nearest_reach_m / cell_m) as usize).clamp(1, 60);
+        let nearest = distance::nearest(&self.white(), SIDE, SIDE, reach);
+        let per_cell = 1.0 / reach as f32;
+        self.levels(weights, |cell| 1.0 - (nearest[cell] * per_cell).min(1.0))
+    }
+
+    fn gray_levels(&self) -> Vec<u8> {
+        self.gray.iter().zip(&self.seen).map(|(gray, seen)| if *seen { (gray + 0.5) as u8 } else { 0 }).collect()
+    }
+
+    /// Distances in image pixels, as printed: measured in the image, then read at each cell.
+    fn nearest_pixel_levels(&self, image: &LineContrast, map: &GroundMap, to_working: WorkingScale) -> Vec<u8> {
+        const REACH: usize = 127;
+        let half = 0.5 * self.full_contrast();
+        let white: Vec<bool> = image.contrast.iter().map(|value| *value >= half).collect();
+        let nearest = distance::nearest(&white, image.width, image.height, REACH);
+        let (scale, offset) = (to_working.factor * 0.5, to_working.offset * 0.5 - 0.25);
+        map.pixels
+            .iter()
+            .zip(&self.seen)
+            .map(|(pixel, seen)| {
+                if !seen {
+                    return 0;
+                }
+                let [u, v] = pixel.map(|x| libm::round(f64::from(x) * scale + offset) as usize);
+                let at = v.min(image.height - 1) * image.width + u.min(image.width - 1);
+                (2.0 * nearest[at]).min(255.0) as u8
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,123 @@
+//! From a picture to the ground table: which places around the robot look like a painted line.
+//!
+//! Pure, and ignorant of where the robot is: everything here is in image or robot (`base_footprint`)
+//! coordinates. The chain for one frame is [`Vision::look`].
+
+pub mod border;
+pub mod contrast;
+pub mod distance;
+pub mod ground;
+pub mod mask;
+pub mod picture;
+
+use glam::{DVec2, DVec3};
+
+use crate::geometry::{Isometry, Lens};
+pub use border::CarpetBorder;
+pub use contrast::LineContrast;
+pub use ground::{GroundMap, GroundTable, Readings};
+pub use mask::BodyMask;
+pub use picture::Picture;
+
+/// What the ground table is to hold; one per observation model and formula.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reading {
+    /// Line contrast, 0 where the carpet is plain (corrected Eq. 2).
+    Contrast,
+    /// Distance to the nearest white place, in metres on the ground (corrected Eq. 1).
+    Nearest,
+    /// Blurred gray (Eq. 2 as printed).
+    Gray,
+    /// Distance to the nearest white pixel, in pixels (Eq. 1 as printed).
+    NearestPixel,
+}
+
+/// Everything about seeing that does not change from frame to frame.
+#[derive(Clone, Debug)]
+pub struct Vision {
+    lens: Lens,
+    settings: VisionSettings,
+    body: Option<BodyMask>,
+    reduction: usize,
+    /// Rays through the coarse cells of the wide blur, row by row; `None` where the lens draws nothing.
+    coarse_rays: Vec<Option<DVec3>>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VisionSettings {
+    pub reading: Reading,
+    /// Half the side of the ground table.
+    pub range_m: f64,
+    /// Expected error of the camera's roll and pitch: places that it moves far count less.
+    pub tilt_sigma_rad: f64,
+    /// How far on the ground the nearest white place is looked for.
+    pub nearest_reach_m: f64,
+}
+
+impl Vision {
+    /// `body` hides the robot itself.
+    pub fn new(lens: Lens, settings: VisionSettings, body: Option<BodyMask>) -> Self {
+        // Cameras with more than about 200 pixels a radian are looked at in a smaller copy: lines a few pixels
+        // wide are what the contrast is made for.
+        let reduction = (libm::round(lens.focal() / 210.0) as usize).clamp(1, 8);
+        let (width, height) = (lens.width() as usize / reduction, lens.height() as usize / reduction);
+        let scale = WorkingScale::new(reduction);
+        let coarse_rays =
+            contrast::coarse_centres(width, height).map(|centre| lens.unproject(scale.undo(centre))).collect();
+        Self { lens, settings, body, reduction, coarse_rays }
+    }
+
+    pub fn lens(&self) -> &Lens {
+        &self.lens
+    }
+
+    pub fn settings(&self) -> &VisionSettings {
+        &self.settings
+    }
+
+    /// The ground table of one frame, `footprint_from_optical` being the camera's place above the robot's
+    /// footprint. A camera that sees no ground gives a table without any information.
+    pub fn look(&self, picture: &Picture, footprint_from_optical: &Isometry) -> GroundTable {
+        let working = picture.reduced(self.reduction);
+        let scale = WorkingScale::new(self.reduction);
+        let body = self.body.as_ref();
+        let border = CarpetBorder::find(&working, &self.lens, footprint_from_optical, scale, body);
+        let contrast = LineContrast::of(&working, &self.coarse_on_carpet(border.as_ref(), footprint_from_optical));
+        let mut map = GroundMap::new(&self.lens, footprint_from_optical, self.settings.range_m);
+        map.hide(border.as_ref(), body);
+        ground::table(&contrast, &map, scale, &self.settings)
+    }
+
+    fn coarse_on_carpet(&self, border: Option<&CarpetBorder>, footprint_from_optical: &Isometry) -> Vec<bool> {
+        let camera = footprint_from_optical.translation;
+        let on_carpet = |ray: DVec3| {
+            let ray = footprint_from_optical.transform_vector(ray);
+            let reach = -camera.z / ray.z;
+            reach > 0.0 && border.is_none_or(|border| border.holds((camera + ray * reach).truncate()))
+        };
+        self.coarse_rays.iter().map(|ray| ray.is_some_and(on_carpet)).collect()
+    }
+}
+
+/// From full-size pixels to pixels of the reduced picture.
+#[derive(Clone, Copy, Debug)]
+pub struct WorkingScale {
+    factor: f64,
+    offset: f64,
+}
+
+impl WorkingScale {
+    pub fn new(reduction: usize) -> Self {
+        let factor = 1.0 / reduction as f64;
+        // The centre of the first reduced pixel lies between the full-size pixels that it averages.
+        Self { factor, offset: 0.5 * factor - 0.5 }
+    }
+
+    pub fn undo(&self, pixel: DVec2) -> DVec2 {
+        (pixel - DVec2::splat(self.offset)) / self.factor
+    }
+
+    pub fn apply(&self, pixel: DVec2) -> DVec2 {
+        pixel * self.factor + DVec2::splat(self.offset)
+    }
+}
