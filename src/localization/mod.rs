@@ -1,15 +1,22 @@
 //! The particle filter of the paper: samples of the robot's pose, moved by odometry, weighed by the field lines,
-//! resampled. [`filter::Filter::step`] is the loop.
+//! resampled. [`Filter::step`] is the loop.
 //!
 //! Pure: time, measurements and the seed are arguments; no I/O, clock, thread or global randomness.
 
+pub mod estimate;
+pub mod filter;
+pub mod global;
 pub mod kernel;
 pub mod motion;
+pub mod observation;
 pub mod particles;
 pub mod random;
 pub mod resampling;
 pub mod weights;
 
+pub use estimate::Estimate;
+pub use filter::{Filter, FilterSettings, FilterState};
 pub use kernel::SimdPath;
 pub use motion::MotionModel;
-pub use particles::Particles;
+pub use observation::{Formula, Model, Observation, Support};
+pub use particles::{Particles, Spread};
