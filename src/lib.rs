@@ -4,3 +4,5 @@
 //! (docs/architecture.md has the map).
 
 pub mod geometry;
+
+pub mod config;
