@@ -4,5 +4,11 @@
 //! (docs/architecture.md has the map).
 
 pub mod geometry;
-pub mod localization;
+
+pub mod config;
+
 pub mod vision;
+
+pub mod localization;
+
+pub mod sensors;

@@ -1,1 +1,4 @@
+//! Tests of the crate from outside, room by room.
 
+mod config;
+mod real;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::estimate::{Estimate, estimate};
-use super::motion::MotionModel;
+use super::motion::{self, MotionModel};
 use super::observation::Observation;
 use super::particles::{Particles, Spread};
 use super::random::{Purpose, Stream};
@@ -67,12 +67,16 @@ impl Filter {
         self.state.particles.scatter(spread, self.settings.seed, Purpose::Start, self.state.steps, 0);
     }
 
-    /// One frame: `step` and `seconds` since the last one, then what the camera sees.
-    pub fn step(&mut self, step: Pose2, seconds: f64, table: &GroundTable) -> Estimate {
+    /// One frame: what odometry says of the `seconds` since the last one, then what the camera sees.
+    pub fn step(&mut self, step: Option<Pose2>, seconds: f64, table: &GroundTable) -> Estimate {
         let FilterSettings { motion, jitter, jitter_shrink, seed, .. } = self.settings;
         let last = self.settings.iterations.saturating_sub(1) as u32;
         self.state.steps += 1;
-        motion.predict(&mut self.state.particles, step, seconds, seed, self.state.steps);
+        let FilterState { particles, steps } = &mut self.state;
+        match step {
+            Some(step) => motion::predict(&motion, particles, step, seconds, seed, *steps),
+            None => motion::wander(&motion, particles, seconds, seed, *steps),
+        }
         let mut scale = 1.0;
         for iteration in 0..last {
             self.weigh(table);

@@ -74,9 +74,14 @@ pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate) -
         // Eight rounds cross the distance between two grid points several times.
         for _ in 0..8 {
             let before = best.log_likelihood;
-            for (dx, dy, dyaw) in
-                [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
-            {
+            for (dx, dy, dyaw) in [
+                (1.0, 0.0, 0.0),
+                (-1.0, 0.0, 0.0),
+                (0.0, 1.0, 0.0),
+                (0.0, -1.0, 0.0),
+                (0.0, 0.0, 1.0),
+                (0.0, 0.0, -1.0),
+            ] {
                 let pose = best.pose.compose(&Pose2::new(dx * step, dy * step, dyaw * turn));
                 let log_likelihood = observation.log_likelihood(table, &pose);
                 if log_likelihood > best.log_likelihood {

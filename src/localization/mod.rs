@@ -16,7 +16,5 @@ pub mod weights;
 
 pub use estimate::Estimate;
 pub use filter::{Filter, FilterSettings, FilterState};
-pub use kernel::SimdPath;
-pub use motion::MotionModel;
-pub use observation::{Formula, Model, Observation, Support};
+pub use observation::{Observation, Support};
 pub use particles::{Particles, Spread};

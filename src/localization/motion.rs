@@ -1,55 +1,34 @@
 //! Prediction from the previous frame: every particle makes the step that odometry reports, plus its own error.
 
-use serde::{Deserialize, Serialize};
-
-use super::particles::Particles;
+use super::particles::{Particles, Spread};
 use super::random::{Purpose, Stream};
+pub use crate::config::MotionModel;
 use crate::geometry::{Pose2, wrap_angle};
 
-/// How wrong a step of odometry can be. Walking robots slip: 10 to 30 % is normal.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MotionModel {
-    /// Error of the distance walked, as a share of it.
-    pub distance_share: f64,
-    /// Error of the turn, as a share of it.
-    pub turn_share: f64,
-    /// Error of the direction, radians for each metre walked.
-    pub turn_rad_per_m: f64,
-    /// What is added each second even when standing.
-    pub drift_m_per_sqrt_s: f64,
-    pub drift_rad_per_sqrt_s: f64,
+/// `step` is `footprint_then_from_footprint_now` as odometry has it, `seconds` the time it took.
+pub fn predict(model: &MotionModel, particles: &mut Particles, step: Pose2, seconds: f64, seed: u64, frame: u64) {
+    let distance = libm::hypot(step.x, step.y);
+    let root = libm::sqrt(seconds.max(0.0));
+    let xy = libm::hypot(model.distance_share * distance, model.drift_m_per_sqrt_s * root);
+    let turn = model.turn_share * step.yaw.abs() + model.turn_rad_per_m * distance;
+    let turn = libm::hypot(turn, model.drift_rad_per_sqrt_s * root);
+    diffuse(particles, step, Spread { xy_m: xy, yaw_rad: turn }, seed, frame);
 }
 
-impl Default for MotionModel {
-    fn default() -> Self {
-        Self {
-            distance_share: 0.25,
-            turn_share: 0.2,
-            turn_rad_per_m: 0.2,
-            drift_m_per_sqrt_s: 0.04,
-            drift_rad_per_sqrt_s: 0.035,
-        }
-    }
+/// Without odometry: each particle goes its own way, as far as the robot can get.
+pub fn wander(model: &MotionModel, particles: &mut Particles, seconds: f64, seed: u64, frame: u64) {
+    let seconds = seconds.max(0.0);
+    let spread = Spread { xy_m: model.walk_m_per_s * seconds, yaw_rad: model.turn_rad_per_s * seconds };
+    diffuse(particles, Pose2::default(), spread, seed, frame);
 }
 
-impl MotionModel {
-    /// `step` is `footprint_then_from_footprint_now` as odometry has it, `seconds` the time it took.
-    pub fn predict(&self, particles: &mut Particles, step: Pose2, seconds: f64, seed: u64, frame: u64) {
-        let distance = libm::hypot(step.x, step.y);
-        let root = libm::sqrt(seconds.max(0.0));
-        let along = self.distance_share * distance;
-        let rest = self.drift_m_per_sqrt_s * root;
-        let xy = libm::hypot(along, rest);
-        let turn = self.turn_share * step.yaw.abs() + self.turn_rad_per_m * distance;
-        let turn = libm::hypot(turn, self.drift_rad_per_sqrt_s * root);
-        for (index, pose) in particles.poses.iter_mut().enumerate() {
-            let mut draw = Stream::new(seed, Purpose::Motion, frame, 0, index as u32);
-            let [dx, dy] = draw.normal_pair();
-            let [dyaw, _] = draw.normal_pair();
-            let moved = Pose2::new(step.x + dx * xy, step.y + dy * xy, wrap_angle(step.yaw + dyaw * turn));
-            *pose = pose.compose(&moved);
-        }
+fn diffuse(particles: &mut Particles, step: Pose2, spread: Spread, seed: u64, frame: u64) {
+    for (index, pose) in particles.poses.iter_mut().enumerate() {
+        let mut draw = Stream::new(seed, Purpose::Motion, frame, 0, index as u32);
+        let [dx, dy] = draw.normal_pair();
+        let [turn, _] = draw.normal_pair();
+        let turned = wrap_angle(step.yaw + turn * spread.yaw_rad);
+        *pose = pose.compose(&Pose2::new(step.x + dx * spread.xy_m, step.y + dy * spread.xy_m, turned));
     }
 }
 
@@ -65,10 +44,11 @@ mod tests {
             turn_rad_per_m: 0.0,
             drift_m_per_sqrt_s: 0.0,
             drift_rad_per_sqrt_s: 0.0,
+            ..MotionModel::default()
         };
         let mut particles =
             Particles { poses: vec![Pose2::new(1.0, 2.0, core::f64::consts::FRAC_PI_2); 3], log_weights: vec![0.0; 3] };
-        quiet.predict(&mut particles, Pose2::new(0.5, 0.1, 0.2), 0.1, 1, 1);
+        predict(&quiet, &mut particles, Pose2::new(0.5, 0.1, 0.2), 0.1, 1, 1);
         for pose in &particles.poses {
             assert!((pose.x - 0.9).abs() < 1e-12 && (pose.y - 2.5).abs() < 1e-12);
         }
@@ -78,7 +58,7 @@ mod tests {
     fn standing_still_spreads_with_the_root_of_time() {
         let spread = |seconds| {
             let mut particles = Particles { poses: vec![Pose2::default(); 4000], log_weights: vec![0.0; 4000] };
-            MotionModel::default().predict(&mut particles, Pose2::default(), seconds, 1, 1);
+            predict(&MotionModel::default(), &mut particles, Pose2::default(), seconds, 1, 1);
             libm::sqrt(particles.poses.iter().map(|p| p.x * p.x).sum::<f64>() / 4000.0)
         };
         assert!((spread(1.0) - 0.04).abs() < 0.003);

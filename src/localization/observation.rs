@@ -11,27 +11,11 @@
 //! see (outside the image, beyond the carpet, behind the robot's body) as nothing.
 
 use glam::DVec2;
-use serde::{Deserialize, Serialize};
 
-use super::kernel::{self, Points, SimdPath};
+use super::kernel::{self, Points};
+pub use crate::config::{Formula, Model, SimdPath};
 use crate::geometry::{Field, Pose2};
 use crate::vision::{GroundTable, Reading};
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Model {
-    #[default]
-    Gauss,
-    Distance,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Formula {
-    #[default]
-    Corrected,
-    Paper,
-}
 
 /// What the ground table must hold for this model.
 pub fn reading(model: Model, formula: Formula) -> Reading {
@@ -75,7 +59,7 @@ impl Observation {
     /// `count` is about how many points stand for all lines of the field.
     pub fn new(field: &Field, count: usize, alpha: f64, path: SimdPath) -> Self {
         let positions: Vec<DVec2> = field.points(count).iter().map(|point| point.position).collect();
-        Self { points: Points::new(positions.iter().copied()), positions, alpha, path: path.available() }
+        Self { points: Points::new(positions.iter().copied()), positions, alpha, path: kernel::available(path) }
     }
 
     /// Points on all lines together.

@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use super::border::CarpetBorder;
 use super::contrast::LineContrast;
 use super::mask::BodyMask;
-use super::{Reading, VisionSettings, WorkingScale, distance};
+use super::{Reading, Seen, VisionSettings, WorkingScale, distance};
 use crate::geometry::{Isometry, Lens};
 
 /// Cells along each side of the table.
@@ -140,35 +140,34 @@ impl GroundMap {
     }
 }
 
-/// Fills the table for the reading that the observation model wants.
-pub fn table(
-    contrast: &LineContrast,
-    map: &GroundMap,
-    to_working: WorkingScale,
-    settings: &VisionSettings,
-) -> GroundTable {
+/// Fills the table that the observation model wants, and the one of line contrast.
+pub fn tables(contrast: &LineContrast, map: &GroundMap, to_working: WorkingScale, settings: &VisionSettings) -> Seen {
     let cells = Cells::read(contrast, map, to_working);
     let weights = range_weights(map, settings.tilt_sigma_rad);
-    let (levels, readings) = match settings.reading {
-        Reading::Contrast => (cells.contrast_levels(&weights), Readings { scale: 1.0 / 191.0, zero: NEUTRAL }),
-        Reading::Nearest => {
-            (cells.nearest_levels(&weights, map.cell_m(), settings), Readings { scale: 1.0 / 191.0, zero: NEUTRAL })
-        }
-        Reading::Gray => (cells.gray_levels(), Readings { scale: 1.0, zero: 0 }),
-        Reading::NearestPixel => {
-            (cells.nearest_pixel_levels(contrast, map, to_working), Readings { scale: 1.0, zero: 0 })
-        }
+    let seen: Vec<u8> =
+        cells.seen.iter().zip(&weights).map(|(seen, weight)| if *seen { (weight * 255.0) as u8 } else { 0 }).collect();
+    let table = |reading: Reading| {
+        let (levels, readings) = match reading {
+            Reading::Contrast => (cells.contrast_levels(&weights), SHARES),
+            Reading::Nearest => (cells.nearest_levels(&weights, map.cell_m(), settings.nearest_reach_m), SHARES),
+            Reading::Gray => (cells.gray_levels(), PLAIN),
+            Reading::NearestPixel => (cells.nearest_pixel_levels(contrast, map, to_working), PLAIN),
+        };
+        GroundTable { quads: packed(&levels, readings.zero), seen: seen.clone(), cell_m: map.cell_m(), readings }
     };
-    let seen = cells.seen.iter().zip(&weights).map(|(seen, weight)| if *seen { (weight * 255.0) as u8 } else { 0 });
-    GroundTable { quads: packed(&levels, readings.zero), seen: seen.collect(), cell_m: map.cell_m(), readings }
+    let lines = (settings.reading != Reading::Contrast).then(|| table(Reading::Contrast));
+    Seen { table: table(settings.reading), lines }
 }
+
+/// A full line is +1; plain carpet, where a line should be, -1/3.
+const SHARES: Readings = Readings { scale: 1.0 / (255 - NEUTRAL) as f64, zero: NEUTRAL };
+const PLAIN: Readings = Readings { scale: 1.0, zero: 0 };
 
 impl GroundTable {
     /// A table from SIDE x SIDE levels, `NEUTRAL` meaning nothing known; everything counts as seen.
     #[cfg(test)]
     pub(crate) fn from_levels(levels: &[u8], cell_m: f64) -> Self {
-        let readings = Readings { scale: 1.0 / 191.0, zero: NEUTRAL };
-        Self { quads: packed(levels, NEUTRAL), seen: vec![255; SIDE * SIDE], cell_m, readings }
+        Self { quads: packed(levels, NEUTRAL), seen: vec![255; SIDE * SIDE], cell_m, readings: SHARES }
     }
 
     pub fn quads(&self) -> &[u32] {
@@ -325,8 +324,8 @@ impl Cells {
         self.contrast.iter().zip(&self.seen).map(|(value, seen)| *seen && *value >= half).collect()
     }
 
-    fn nearest_levels(&self, weights: &[f32], cell_m: f64, settings: &VisionSettings) -> Vec<u8> {
-        let reach = (libm::ceil(settings.nearest_reach_m / cell_m) as usize).clamp(1, 60);
+    fn nearest_levels(&self, weights: &[f32], cell_m: f64, reach_m: f64) -> Vec<u8> {
+        let reach = (libm::ceil(reach_m / cell_m) as usize).clamp(1, 60);
         let nearest = distance::nearest(&self.white(), SIDE, SIDE, reach);
         let per_cell = 1.0 / reach as f32;
         self.levels(weights, |cell| 1.0 - (nearest[cell] * per_cell).min(1.0))

@@ -32,12 +32,29 @@ pub enum Reading {
     NearestPixel,
 }
 
+/// At a distance of seven heights a line of 5 cm is a third of a pixel wide for 200 pixels a radian.
+const RANGE_OF_HEIGHT: f64 = 7.3;
+
+/// What one frame shows.
+#[derive(Clone, Debug)]
+pub struct Seen {
+    /// What the observation model asked for.
+    pub table: GroundTable,
+    /// Line contrast, if that is something else: tells how much of what a pose predicts is there.
+    pub lines: Option<GroundTable>,
+}
+
+impl Seen {
+    pub fn lines(&self) -> &GroundTable {
+        self.lines.as_ref().unwrap_or(&self.table)
+    }
+}
+
 /// Everything about seeing that does not change from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Vision {
     lens: Lens,
     settings: VisionSettings,
-    body: Option<BodyMask>,
     reduction: usize,
     /// Rays through the coarse cells of the wide blur, row by row; `None` where the lens draws nothing.
     coarse_rays: Vec<Option<DVec3>>,
@@ -46,7 +63,7 @@ pub struct Vision {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisionSettings {
     pub reading: Reading,
-    /// Half the side of the ground table.
+    /// Half the side of the ground table; 0: by the camera's height.
     pub range_m: f64,
     /// Expected error of the camera's roll and pitch: places that it moves far count less.
     pub tilt_sigma_rad: f64,
@@ -55,8 +72,7 @@ pub struct VisionSettings {
 }
 
 impl Vision {
-    /// `body` hides the robot itself.
-    pub fn new(lens: Lens, settings: VisionSettings, body: Option<BodyMask>) -> Self {
+    pub fn new(lens: Lens, settings: VisionSettings) -> Self {
         // Cameras with more than about 200 pixels a radian are looked at in a smaller copy: lines a few pixels
         // wide are what the contrast is made for.
         let reduction = (libm::round(lens.focal() / 210.0) as usize).clamp(1, 8);
@@ -64,7 +80,7 @@ impl Vision {
         let scale = WorkingScale::new(reduction);
         let coarse_rays =
             contrast::coarse_centres(width, height).map(|centre| lens.unproject(scale.undo(centre))).collect();
-        Self { lens, settings, body, reduction, coarse_rays }
+        Self { lens, settings, reduction, coarse_rays }
     }
 
     pub fn lens(&self) -> &Lens {
@@ -75,17 +91,23 @@ impl Vision {
         &self.settings
     }
 
-    /// The ground table of one frame, `footprint_from_optical` being the camera's place above the robot's
-    /// footprint. A camera that sees no ground gives a table without any information.
-    pub fn look(&self, picture: &Picture, footprint_from_optical: &Isometry) -> GroundTable {
+    /// What one frame shows of the ground, `footprint_from_optical` being the camera's place above the robot's
+    /// footprint; `body` hides the robot itself. A camera that sees no ground gives tables without information.
+    pub fn look(&self, picture: &Picture, footprint_from_optical: &Isometry, body: Option<&BodyMask>) -> Seen {
         let working = picture.reduced(self.reduction);
         let scale = WorkingScale::new(self.reduction);
-        let body = self.body.as_ref();
         let border = CarpetBorder::find(&working, &self.lens, footprint_from_optical, scale, body);
         let contrast = LineContrast::of(&working, &self.coarse_on_carpet(border.as_ref(), footprint_from_optical));
-        let mut map = GroundMap::new(&self.lens, footprint_from_optical, self.settings.range_m);
+        let mut map = GroundMap::new(&self.lens, footprint_from_optical, self.range_m(footprint_from_optical));
         map.hide(border.as_ref(), body);
-        ground::table(&contrast, &map, scale, &self.settings)
+        ground::tables(&contrast, &map, scale, &self.settings)
+    }
+
+    fn range_m(&self, footprint_from_optical: &Isometry) -> f64 {
+        match self.settings.range_m {
+            0.0 => (RANGE_OF_HEIGHT * footprint_from_optical.translation.z).clamp(3.0, 8.0),
+            range => range,
+        }
     }
 
     fn coarse_on_carpet(&self, border: Option<&CarpetBorder>, footprint_from_optical: &Isometry) -> Vec<bool> {

@@ -8,38 +8,27 @@ mod scalar;
 mod x86;
 
 use glam::DVec2;
-use serde::{Deserialize, Serialize};
 
+pub use crate::config::SimdPath;
 use crate::geometry::Pose2;
 use crate::vision::GroundTable;
 use crate::vision::ground::SIDE;
 
 pub const LANES: usize = 8;
 
-/// Which instructions the kernel uses; the result is the same.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum SimdPath {
-    /// The fastest that this processor has.
-    #[default]
-    Auto,
-    Scalar,
-    Sse2,
-    Avx2,
-}
-
-impl SimdPath {
-    /// Itself if this processor has it, else the next best.
-    pub fn available(self) -> Self {
-        #[cfg(target_arch = "x86_64")]
-        {
-            match self {
-                SimdPath::Auto | SimdPath::Avx2 if std::arch::is_x86_feature_detected!("avx2") => SimdPath::Avx2,
-                SimdPath::Scalar => SimdPath::Scalar,
-                _ => SimdPath::Sse2,
-            }
+/// The wanted path if this processor has it, else the next best.
+pub fn available(wanted: SimdPath) -> SimdPath {
+    #[cfg(target_arch = "x86_64")]
+    {
+        match wanted {
+            SimdPath::Auto | SimdPath::Avx2 if std::arch::is_x86_feature_detected!("avx2") => SimdPath::Avx2,
+            SimdPath::Scalar => SimdPath::Scalar,
+            _ => SimdPath::Sse2,
         }
-        #[cfg(not(target_arch = "x86_64"))]
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        let _ = wanted;
         SimdPath::Scalar
     }
 }

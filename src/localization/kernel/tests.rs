@@ -49,7 +49,7 @@ proptest! {
         let points = Points::new(positions.iter().copied());
         let pose = Pose2::new(x, y, yaw);
         let plain = sum_levels(SimdPath::Scalar, &table, &points, &pose);
-        for path in [SimdPath::Sse2, SimdPath::Avx2, SimdPath::Auto.available()] {
+        for path in [SimdPath::Sse2, SimdPath::Avx2, available(SimdPath::Auto)] {
             prop_assert_eq!(sum_levels(path, &table, &points, &pose).to_bits(), plain.to_bits());
         }
         // f32 places a point to about 1e-4 cells; neighbouring random levels differ by up to 255.

@@ -1,0 +1,6 @@
+//! Settings files: what is shipped, what other tools write, what is refused and with which words.
+
+mod fields;
+mod lenses;
+mod other_formats;
+mod refused;
