@@ -30,8 +30,6 @@ struct Grid {
 /// The finest grid's cells have a side of this, or more on large fields.
 const FINEST_M: f64 = 0.08;
 const MOST_CELLS_PER_SIDE: f64 = 256.0;
-/// A tent reaches one pixel in any direction; the rest is for the change of footprint within it.
-const FOOTPRINTS: f32 = 1.5;
 
 impl LineMap {
     pub(super) fn new(field: &Field) -> Self {
@@ -51,10 +49,9 @@ impl LineMap {
         Self { shapes, half_extent: half.as_vec2().to_array(), grids }
     }
 
-    /// The part of the pixel that is painted. The pixel must be on or near the carpet.
+    /// The part of the pixel that is painted. The pixel must be on or near the carpet and see nothing beyond `reach`.
     #[inline]
-    pub(super) fn coverage(&self, p: &GroundPoint) -> f32 {
-        let reach = FOOTPRINTS * p.size2.sqrt();
+    pub(super) fn coverage(&self, p: &GroundPoint, reach: f32) -> f32 {
         let Some(grid) = self.grids.iter().find(|grid| reach <= grid.reach) else { return 0.0 };
         let mut bare = 1.0;
         for &which in grid.candidates(p.x + self.half_extent[0], p.y + self.half_extent[1]) {

@@ -3,6 +3,7 @@
 //! One ray per pixel, known from the lens once and for all; per frame the rays are turned and met with the ground.
 //! Everything is filtered by the pixel's footprint, so that nothing shimmers and lines stay exact below a pixel.
 
+mod fixed;
 mod footprint;
 mod hall;
 mod lines;
@@ -16,6 +17,7 @@ use glam::DMat3;
 
 use super::Scene;
 use crate::geometry::Isometry;
+use fixed::byte;
 use footprint::{GroundRow, Turned};
 use rays::RayTable;
 use surface::World;
@@ -81,9 +83,9 @@ impl Renderer {
             line[seen.end * 3..].fill(0);
             for (column, pixel) in seen.clone().zip(line[seen.start * 3..seen.end * 3].chunks_exact_mut(3)) {
                 let colour = self.world.colour(&camera, here.direction(column), &ground, column);
-                for (value, light) in pixel.iter_mut().zip(colour) {
-                    *value = (light + 0.5) as u8;
-                }
+                pixel[0] = byte(colour[0]);
+                pixel[1] = byte(colour[1]);
+                pixel[2] = byte(colour[2]);
             }
         }
     }

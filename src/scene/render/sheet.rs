@@ -1,6 +1,7 @@
 //! A coloured sheet that covers its surface once: the large-scale look.
 
 use super::super::stream::Stream;
+use super::fixed::{ONE, fixed};
 
 pub(super) type Colour = [f32; 3];
 
@@ -9,8 +10,8 @@ pub(super) struct Sheet {
     columns: usize,
     rows: usize,
     texels_per_metre: f32,
-    /// Four bytes each, so that a texel is one load.
-    texels: Vec<[u8; 4]>,
+    /// Red, green and blue in lanes of [`LANE`] bits, so that one multiplication weights all three.
+    texels: Vec<u64>,
 }
 
 /// A sheet being painted, in full precision.
@@ -22,6 +23,9 @@ pub(super) struct Canvas {
     colours: Vec<[f64; 3]>,
 }
 
+/// 8 bits of colour and two weights of [`FRACTION_BITS`] each fill 20.
+const LANE: u32 = 21;
+
 const MOST_TEXELS_PER_SIDE: f64 = 4096.0;
 
 impl Sheet {
@@ -29,23 +33,19 @@ impl Sheet {
     #[inline]
     pub(super) fn sample(&self, x: f32, y: f32) -> Colour {
         let place = |metres: f32, count: usize| {
-            let at = (metres * self.texels_per_metre - 0.5).clamp(0.0, (count - 1) as f32 - 1e-3);
-            let index = at as i32;
-            (index as usize, at - index as f32)
+            let (index, fraction) = fixed((metres * self.texels_per_metre - 0.5).clamp(0.0, (count - 2) as f32 + 0.98));
+            (index as usize, u64::from(fraction))
         };
         let (column, fx) = place(x, self.columns);
         let (row, fy) = place(y, self.rows);
         let at = row * self.columns + column;
         let upper = &self.texels[at..at + 2];
         let lower = &self.texels[at + self.columns..at + self.columns + 2];
-        let (w11, w10) = (fx * fy, (1.0 - fx) * fy);
-        let (w01, w00) = (fx - w11, 1.0 - fx - w10);
-        core::array::from_fn(|i| {
-            f32::from(upper[0][i]) * w00
-                + f32::from(upper[1][i]) * w01
-                + f32::from(lower[0][i]) * w10
-                + f32::from(lower[1][i]) * w11
-        })
+        let one = u64::from(ONE);
+        let sum = (one - fy) * ((one - fx) * upper[0] + fx * upper[1]) + fy * ((one - fx) * lower[0] + fx * lower[1]);
+        let lane =
+            |which: u32| ((sum >> (which * LANE)) as i32 & ((1 << LANE) - 1)) as f32 * (1.0 / (ONE * ONE) as f32);
+        [lane(0), lane(1), lane(2)]
     }
 }
 
@@ -114,8 +114,9 @@ impl Canvas {
     }
 
     pub(super) fn finish(self) -> Sheet {
-        let byte = |value: f64| libm::round(value).clamp(0.0, 255.0) as u8;
-        let texels = self.colours.iter().map(|c| [byte(c[0]), byte(c[1]), byte(c[2]), 0]).collect();
+        let byte = |value: f64| libm::round(value).clamp(0.0, 255.0) as u64;
+        let texel = |c: &[f64; 3]| byte(c[0]) | byte(c[1]) << LANE | byte(c[2]) << (2 * LANE);
+        let texels = self.colours.iter().map(texel).collect();
         Sheet { columns: self.columns, rows: self.rows, texels_per_metre: (1.0 / self.texel_m) as f32, texels }
     }
 }

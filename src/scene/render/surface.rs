@@ -21,6 +21,8 @@ pub(super) struct World {
 }
 
 const PAINT: Colour = [222.0, 226.0, 222.0];
+/// A tent reaches one pixel in any direction; the rest is for the change of footprint within it.
+const FOOTPRINTS: f32 = 1.5;
 /// Rays this close to the horizon do not reach the floor within any hall.
 const LEAST_DOWN: f32 = 1e-4;
 const TEXELS_PER_METRE: f32 = 256.0;
@@ -49,7 +51,7 @@ impl World {
             return self.hall.above_floor(camera, ray);
         }
         let p = ground.point(column, down);
-        let reach = 1.5 * p.size2.sqrt();
+        let reach = FOOTPRINTS * p.size2.sqrt();
         let on_floor = inside_rectangle(&p, self.hall.half[0], self.hall.half[1], reach);
         if on_floor == 0.0 {
             return self.hall.above_floor(camera, ray);
@@ -60,9 +62,14 @@ impl World {
         let mut colour = [0.0; 3];
         if on_carpet > 0.0 {
             let base = self.carpet.sample(p.x + self.carpet_half[0], p.y + self.carpet_half[1]);
-            let paint = self.lines.coverage(&p);
+            let paint = self.lines.coverage(&p, reach);
             let (gain, paint_gain) = (1.0 + CARPET_GAIN * fibre, paint * (1.0 + PAINT_GAIN * fibre));
-            colour = core::array::from_fn(|i| (1.0 - paint) * gain * base[i] + paint_gain * PAINT[i]);
+            let bare_gain = (1.0 - paint) * gain;
+            colour = [
+                bare_gain * base[0] + paint_gain * PAINT[0],
+                bare_gain * base[1] + paint_gain * PAINT[1],
+                bare_gain * base[2] + paint_gain * PAINT[2],
+            ];
         }
         if on_carpet < 1.0 {
             let gain = 1.0 + FLOOR_GAIN * fibre;
@@ -77,7 +84,7 @@ impl World {
 
 #[inline]
 fn mix(a: Colour, b: Colour, share: f32) -> Colour {
-    core::array::from_fn(|i| a[i] + (b[i] - a[i]) * share)
+    [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share]
 }
 
 /// Lanes of pile brushed to and fro, worn and stained in patches.

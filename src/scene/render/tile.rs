@@ -1,6 +1,7 @@
 //! Fine texture that repeats: value noise of many scales, with mip levels so that distance averages it away.
 
 use super::super::stream::{Purpose, Stream};
+use super::fixed::{ONE, fixed};
 
 #[derive(Clone, Debug)]
 pub(super) struct Tile {
@@ -18,8 +19,6 @@ struct Level {
 
 /// A power of two: coordinates wrap by masking.
 const SIDE: usize = 1024;
-/// Keeps coordinates positive up to this many tiles from the origin, because truncating is cheaper than flooring.
-const TILES_AWAY: f32 = 64.0;
 /// Of single values around 128.
 const AMPLITUDE: f64 = 46.0;
 
@@ -46,17 +45,15 @@ impl Tile {
 impl Level {
     #[inline]
     fn sample(&self, x: f32, y: f32) -> f32 {
-        let away = self.side as f32 * TILES_AWAY;
-        let (x, y) = (x * self.texels_per_metre + away, y * self.texels_per_metre + away);
-        let (column, row) = (x as i32, y as i32);
-        let (fx, fy) = (x - column as f32, y - row as f32);
         let mask = self.side - 1;
-        let (left, top) = (column as usize & mask, row as usize & mask);
-        let (right, bottom) = ((left + 1) & mask, (top + 1) & mask);
-        let at = |row: usize, column: usize| f32::from(self.values[row * self.side + column]);
-        let upper = at(top, left) + (at(top, right) - at(top, left)) * fx;
-        let lower = at(bottom, left) + (at(bottom, right) - at(bottom, left)) * fx;
-        upper + (lower - upper) * fy
+        let (column, fx) = fixed(x * self.texels_per_metre);
+        let (row, fy) = fixed(y * self.texels_per_metre);
+        let (left, top) = (column as usize & mask, (row as usize & mask) * self.side);
+        let (right, bottom) = ((left + 1) & mask, (top + self.side) & (self.side * self.side - 1));
+        let at = |row: usize, column: usize| u32::from(self.values[row + column]);
+        let sum = (ONE - fy) * ((ONE - fx) * at(top, left) + fx * at(top, right))
+            + fy * ((ONE - fx) * at(bottom, left) + fx * at(bottom, right));
+        sum as i32 as f32 * (1.0 / (ONE * ONE) as f32)
     }
 
     fn halved(&self) -> Level {
