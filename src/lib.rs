@@ -11,4 +11,16 @@ pub mod vision;
 
 pub mod localization;
 
+pub mod scene;
+
+pub mod ros2;
+
 pub mod sensors;
+
+pub mod recording;
+
+pub mod agent;
+
+pub mod evaluation;
+
+pub mod cli;

@@ -1,4 +1,2 @@
-//! Tests of the crate from outside, room by room.
-
 mod config;
-mod real;
+mod scene;

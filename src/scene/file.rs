@@ -1,0 +1,141 @@
+//! The scene file (`replay/scenes/*.toml`) as plain data. [`Scene::build`](super::Scene::build) checks it.
+
+use core::fmt;
+
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Error, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+
+use super::SceneError;
+use super::effects::Effect;
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneFile {
+    pub scene: SceneSection,
+    pub camera: CameraSection,
+    pub route: Route,
+    /// Without it no odometry is sent.
+    pub odometry: Option<RateSection>,
+    /// Without it no IMU data is sent.
+    pub imu: Option<RateSection>,
+    /// In physical order: what moves the robot before what a sensor adds.
+    #[serde(default, rename = "effect")]
+    pub effects: Vec<Effect>,
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneSection {
+    /// For people.
+    pub title: String,
+    /// Why the scene exists.
+    pub task: String,
+    pub seed: u64,
+    /// Name of the field; the caller finds its dimensions.
+    pub field: String,
+    #[serde(default)]
+    pub initial_pose: InitialPose,
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraSection {
+    /// Name of the lens; the caller finds its parameters.
+    pub lens: String,
+    pub rate_hz: f64,
+    /// Without it the images are handed over raw.
+    pub jpeg_quality: Option<u8>,
+    /// Height of `base_link` above `base_footprint`, robot upright.
+    pub torso_height_m: f64,
+    /// `camera_link` in `base_link`.
+    pub mount_xyz_m: [f64; 3],
+    /// Above 0 the camera looks down.
+    pub mount_pitch_deg: f64,
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Route {
+    Walk(Walk),
+    Still(Still),
+}
+
+/// From waypoint to waypoint; corners are rounded as far as `turn_deg_s` demands.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Walk {
+    /// [x, y] in `map`.
+    pub waypoints: Vec<[f64; 2]>,
+    pub speed_m_s: f64,
+    pub turn_deg_s: f64,
+    /// Without it the robot starts facing the second waypoint.
+    pub start_yaw_deg: Option<f64>,
+}
+
+/// Standing at one pose after the other; the robot is carried in between, which odometry does not notice.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Still {
+    /// [x in m, y in m, yaw in degrees] in `map`.
+    pub poses: Vec<[f64; 3]>,
+    pub hold_s: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RateSection {
+    pub rate_hz: f64,
+}
+
+/// What is announced as the robot's pose at the start: `"exact"`, `"none"` or the truth plus an error.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum InitialPose {
+    #[default]
+    Exact,
+    None,
+    Off(PoseError),
+}
+
+/// Added to the true pose: x and y in `map`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseError {
+    pub x_m: f64,
+    pub y_m: f64,
+    pub yaw_deg: f64,
+}
+
+impl SceneFile {
+    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
+        toml::from_str(text).map_err(|error| SceneError::Toml(error.to_string()))
+    }
+}
+
+/// By hand, because an untagged enum could not say which key of the table is wrong.
+impl<'de> Deserialize<'de> for InitialPose {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Forms;
+        const EXPECTED: &str = "initial_pose: \"exact\", \"none\" or { x_m = .., y_m = .., yaw_deg = .. }";
+        impl<'de> Visitor<'de> for Forms {
+            type Value = InitialPose;
+
+            fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+                formatter.write_str(EXPECTED)
+            }
+
+            fn visit_str<E: Error>(self, name: &str) -> Result<InitialPose, E> {
+                match name {
+                    "exact" => Ok(InitialPose::Exact),
+                    "none" => Ok(InitialPose::None),
+                    other => Err(E::custom(format_args!("initial_pose is \"{other}\", expected {EXPECTED}"))),
+                }
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<InitialPose, A::Error> {
+                PoseError::deserialize(MapAccessDeserializer::new(map)).map(InitialPose::Off)
+            }
+        }
+        deserializer.deserialize_any(Forms)
+    }
+}

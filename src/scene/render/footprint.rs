@@ -1,0 +1,144 @@
+//! Per row: the rays turned into `map`, where they meet the ground, and how that point moves from pixel to pixel.
+
+use super::rays::RayTable;
+
+/// One padded row of rays in `map`.
+pub(super) struct Turned {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+}
+
+/// Where a row's rays meet the plane z = 0. Meaningless for rays that do not look down.
+pub(super) struct GroundRow {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    /// Step from column to column: metres per pixel.
+    xu: Vec<f32>,
+    yu: Vec<f32>,
+    /// Step from row to row.
+    xv: Vec<f32>,
+    yv: Vec<f32>,
+    /// How the ray's downward component changes per pixel.
+    down_u: Vec<f32>,
+    down_v: Vec<f32>,
+}
+
+/// The ground under one pixel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GroundPoint {
+    pub(super) x: f32,
+    pub(super) y: f32,
+    pub(super) xu: f32,
+    pub(super) yu: f32,
+    pub(super) xv: f32,
+    pub(super) yv: f32,
+    /// Downward component of the unit ray, above 0.
+    pub(super) down: f32,
+    pub(super) down_u: f32,
+    pub(super) down_v: f32,
+    /// Square of the footprint's size in metres: the sum over both steps.
+    pub(super) size2: f32,
+}
+
+impl Turned {
+    pub(super) fn new(width: usize) -> Self {
+        let row = || vec![0.0; width + 2];
+        Self { x: row(), y: row(), z: row() }
+    }
+
+    /// `rotation` column by column.
+    pub(super) fn turn(&mut self, rays: &RayTable, padded_row: usize, rotation: &[f32; 9]) {
+        let [x, y, z] = rays.padded_row(padded_row);
+        let r = rotation;
+        let count = self.x.len();
+        let (x, y, z) = (&x[..count], &y[..count], &z[..count]);
+        let (to_x, to_y, to_z) = (&mut self.x[..count], &mut self.y[..count], &mut self.z[..count]);
+        for i in 0..count {
+            to_x[i] = r[0] * x[i] + r[3] * y[i] + r[6] * z[i];
+            to_y[i] = r[1] * x[i] + r[4] * y[i] + r[7] * z[i];
+            to_z[i] = r[2] * x[i] + r[5] * y[i] + r[8] * z[i];
+        }
+    }
+
+    #[inline]
+    pub(super) fn direction(&self, column: usize) -> [f32; 3] {
+        [self.x[column + 1], self.y[column + 1], self.z[column + 1]]
+    }
+}
+
+impl GroundRow {
+    pub(super) fn new(width: usize) -> Self {
+        let row = || vec![0.0; width];
+        Self { x: row(), y: row(), xu: row(), yu: row(), xv: row(), yv: row(), down_u: row(), down_v: row() }
+    }
+
+    /// With t = -c.z / d.z the point is c + t d, and its derivative t (d' - d d'.z / d.z).
+    pub(super) fn meet(&mut self, above: &Turned, here: &Turned, below: &Turned, camera: &[f32; 3]) {
+        let n = self.x.len();
+        let padded = n + 2;
+        let (dx, dy, dz) = (&here.x[..padded], &here.y[..padded], &here.z[..padded]);
+        let (ax, ay, az) = (&above.x[..padded], &above.y[..padded], &above.z[..padded]);
+        let (bx, by, bz) = (&below.x[..padded], &below.y[..padded], &below.z[..padded]);
+        let (x, y) = (&mut self.x[..n], &mut self.y[..n]);
+        let (xu, yu) = (&mut self.xu[..n], &mut self.yu[..n]);
+        let (xv, yv) = (&mut self.xv[..n], &mut self.yv[..n]);
+        let (down_u, down_v) = (&mut self.down_u[..n], &mut self.down_v[..n]);
+        for i in 0..n {
+            let inverse = 1.0 / dz[i + 1];
+            let t = -camera[2] * inverse;
+            let (rx, ry) = (dx[i + 1] * inverse, dy[i + 1] * inverse);
+            x[i] = camera[0] - camera[2] * rx;
+            y[i] = camera[1] - camera[2] * ry;
+            let half = 0.5 * t;
+            let zu = dz[i + 2] - dz[i];
+            xu[i] = half * ((dx[i + 2] - dx[i]) - rx * zu);
+            yu[i] = half * ((dy[i + 2] - dy[i]) - ry * zu);
+            let zv = bz[i + 1] - az[i + 1];
+            xv[i] = half * ((bx[i + 1] - ax[i + 1]) - rx * zv);
+            yv[i] = half * ((by[i + 1] - ay[i + 1]) - ry * zv);
+            down_u[i] = -0.5 * zu;
+            down_v[i] = -0.5 * zv;
+        }
+    }
+
+    #[inline]
+    pub(super) fn point(&self, column: usize, down: f32) -> GroundPoint {
+        let (xu, yu, xv, yv) = (self.xu[column], self.yu[column], self.xv[column], self.yv[column]);
+        GroundPoint {
+            x: self.x[column],
+            y: self.y[column],
+            xu,
+            yu,
+            xv,
+            yv,
+            down,
+            down_u: self.down_u[column],
+            down_v: self.down_v[column],
+            size2: xu * xu + yu * yu + xv * xv + yv * yv,
+        }
+    }
+}
+
+impl GroundPoint {
+    /// How many pixels lie between this pixel and the line at signed distance `s` on the ground, whose distance
+    /// grows along the unit vector (nx, ny); and how many pixels a metre is there.
+    ///
+    /// s times the ray's downward component is linear in the ray, because camera and line span a plane. So it is
+    /// nearly linear in pixels, which s itself is not: towards the horizon s runs away within a pixel.
+    #[inline]
+    pub(super) fn pixels_to(&self, s: f32, nx: f32, ny: f32) -> (f32, f32) {
+        let gu = s * self.down_u + self.down * (nx * self.xu + ny * self.yu);
+        let gv = s * self.down_v + self.down * (nx * self.xv + ny * self.yv);
+        let pixels_per_metre = self.down / (gu * gu + gv * gv).sqrt().max(1e-12);
+        (s * pixels_per_metre, pixels_per_metre)
+    }
+}
+
+/// What a pixel at this signed distance from an edge sees of the side towards +: the integral of a tent two pixels
+/// wide. Unlike a box, whose thin lines snap to whole pixels, the tent keeps their centre exact, as real optics do.
+#[inline]
+pub(super) fn tent_integral(pixels: f32) -> f32 {
+    let t = pixels.clamp(-1.0, 1.0);
+    0.5 + t - 0.5 * t * t.abs()
+}

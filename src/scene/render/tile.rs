@@ -1,0 +1,100 @@
+//! Fine texture that repeats: value noise of many scales, with mip levels so that distance averages it away.
+
+use super::super::stream::{Purpose, Stream};
+use super::fixed::{ONE, fixed};
+
+#[derive(Clone, Debug)]
+pub(super) struct Tile {
+    /// Each half the size of the one before, down to a single value.
+    levels: Vec<Level>,
+    texels_per_metre: f32,
+}
+
+#[derive(Clone, Debug)]
+struct Level {
+    side: usize,
+    texels_per_metre: f32,
+    values: Vec<u8>,
+}
+
+/// A power of two: coordinates wrap by masking.
+const SIDE: usize = 1024;
+/// Of single values around 128.
+const AMPLITUDE: f64 = 46.0;
+
+impl Tile {
+    pub(super) fn new(seed: u64, purpose: Purpose, texels_per_metre: f32) -> Self {
+        let mut levels = vec![Level { side: SIDE, texels_per_metre, values: noise(seed, purpose) }];
+        while let Some(finer) = levels.last().filter(|level| level.side > 1) {
+            let next = finer.halved();
+            levels.push(next);
+        }
+        Self { levels, texels_per_metre }
+    }
+
+    /// Around 128; `size2` is the square of the footprint in metres.
+    #[inline]
+    pub(super) fn sample(&self, x: f32, y: f32, size2: f32) -> f32 {
+        let texels2 = size2 * self.texels_per_metre * self.texels_per_metre;
+        // The exponent is twice the level; the half rounds to the nearest.
+        let level = ((texels2.to_bits() >> 23) as i32 - 127 + 1) >> 1;
+        self.levels[(level.max(0) as usize).min(self.levels.len() - 1)].sample(x, y)
+    }
+}
+
+impl Level {
+    #[inline]
+    fn sample(&self, x: f32, y: f32) -> f32 {
+        let mask = self.side - 1;
+        let (column, fx) = fixed(x * self.texels_per_metre);
+        let (row, fy) = fixed(y * self.texels_per_metre);
+        let (left, top) = (column as usize & mask, (row as usize & mask) * self.side);
+        let (right, bottom) = ((left + 1) & mask, (top + self.side) & (self.side * self.side - 1));
+        let at = |row: usize, column: usize| u32::from(self.values[row + column]);
+        let sum = (ONE - fy) * ((ONE - fx) * at(top, left) + fx * at(top, right))
+            + fy * ((ONE - fx) * at(bottom, left) + fx * at(bottom, right));
+        sum as i32 as f32 * (1.0 / (ONE * ONE) as f32)
+    }
+
+    fn halved(&self) -> Level {
+        let side = self.side / 2;
+        let at = |row: usize, column: usize| u32::from(self.values[row * self.side + column]);
+        let mean = |i: usize| {
+            let (row, column) = (2 * (i / side), 2 * (i % side));
+            let sum = at(row, column) + at(row, column + 1) + at(row + 1, column) + at(row + 1, column + 1);
+            ((sum + 2) / 4) as u8
+        };
+        Level { side, texels_per_metre: self.texels_per_metre / 2.0, values: (0..side * side).map(mean).collect() }
+    }
+}
+
+/// (cell side in texels, share of the amplitude): fibres, tufts, pile direction, soft patches.
+const OCTAVES: [(usize, f64); 5] = [(1, 0.42), (2, 0.30), (8, 0.16), (32, 0.18), (128, 0.16)];
+
+fn noise(seed: u64, purpose: Purpose) -> Vec<u8> {
+    let mut sum = vec![0.0; SIDE * SIDE];
+    for (octave, (cell, share)) in OCTAVES.into_iter().enumerate() {
+        add_octave(&mut sum, &mut Stream::new(seed, purpose, octave as u64), cell, share);
+    }
+    sum.into_iter().map(|value| libm::round(128.0 + 2.0 * AMPLITUDE * value).clamp(0.0, 255.0) as u8).collect()
+}
+
+fn add_octave(sum: &mut [f64], stream: &mut Stream, cell: usize, share: f64) {
+    let cells = SIDE / cell;
+    let lattice: Vec<f64> = (0..cells * cells).map(|_| stream.between(-share, share)).collect();
+    let smooth = |index: usize| {
+        let t = (index % cell) as f64 / cell as f64;
+        (index / cell, (index / cell + 1) % cells, t * t * (3.0 - 2.0 * t))
+    };
+    for (row, line) in sum.chunks_exact_mut(SIDE).enumerate() {
+        let (top, bottom, ty) = smooth(row);
+        for (column, value) in line.iter_mut().enumerate() {
+            let (left, right, tx) = smooth(column);
+            let mix = |row: usize| {
+                let (a, b) = (lattice[row * cells + left], lattice[row * cells + right]);
+                a + (b - a) * tx
+            };
+            *value += mix(top) + (mix(bottom) - mix(top)) * ty;
+        }
+    }
+}

@@ -1,0 +1,44 @@
+//! Fields, lenses and scenes for the tests.
+
+use realitysim::geometry::field::Area;
+use realitysim::geometry::{FieldDimensions, LensModel, LensParameters};
+use realitysim::scene::{Scene, SceneFile};
+
+pub const STRAIGHT: &str = include_str!("../../replay/scenes/straight.toml");
+pub const LOOP: &str = include_str!("../../replay/scenes/loop.toml");
+pub const DEMO: &str = include_str!("../../replay/scenes/demo.toml");
+
+pub fn kid_2009() -> FieldDimensions {
+    FieldDimensions {
+        title: "test".into(),
+        length_m: 6.0,
+        width_m: 4.0,
+        line_width_m: 0.05,
+        border_strip_m: 0.7,
+        centre_circle_diameter_m: 1.2,
+        goal_area: Some(Area { depth_m: 0.6, width_m: 2.2 }),
+        penalty_area: None,
+        penalty_mark_from_goal_line_m: Some(1.8),
+        mark_size_m: 0.1,
+        centre_mark: false,
+        goal: None,
+    }
+}
+
+pub fn fisheye_640() -> LensParameters {
+    LensParameters {
+        width: 640,
+        height: 480,
+        fx: 205.0,
+        fy: 205.0,
+        cx: 322.0,
+        cy: 236.0,
+        model: LensModel::KannalaBrandt { k: [-0.012, 0.003, -0.0008, 0.0] },
+        fov_deg: Some(200.0),
+    }
+}
+
+pub fn scene(toml: &str) -> Scene {
+    let file = SceneFile::from_toml(toml).expect("a readable scene");
+    Scene::build(file, kid_2009(), fisheye_640()).expect("a possible scene")
+}
