@@ -16,11 +16,3 @@ pub mod scene;
 pub mod ros2;
 
 pub mod sensors;
-
-pub mod recording;
-
-pub mod agent;
-
-pub mod evaluation;
-
-pub mod cli;

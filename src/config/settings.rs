@@ -45,6 +45,7 @@ pub struct Topics {
 #[serde(deny_unknown_fields, default)]
 pub struct FrameNames {
     pub map: String,
+    pub odom: String,
     pub base_footprint: String,
     pub base_link: String,
     pub camera_link: String,
@@ -302,6 +303,7 @@ impl Default for FrameNames {
     fn default() -> Self {
         Self {
             map: "map".into(),
+            odom: "odom".into(),
             base_footprint: "base_footprint".into(),
             base_link: "base_link".into(),
             camera_link: "camera_link".into(),

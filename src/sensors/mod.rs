@@ -1,4 +1,13 @@
 //! The rim towards the hardware and what stands in for it: logs and scenes.
+//!
+//! Whatever the source, the agent gets [`LogMessage`](crate::ros2::mcap_read::LogMessage)s: a scene and a recorded
+//! log take the same way.
 
+pub mod decode;
 pub mod history;
+pub mod intake;
+pub mod log;
+pub mod scene;
+pub mod synchroniser;
+pub mod topics;
 pub mod transforms;

@@ -103,6 +103,29 @@ impl TransformTree {
         self.edges.contains_key(frame)
     }
 
+    /// Rotation `a_from_b` between two frames joined by constants; none where they are not.
+    pub fn fixed_rotation(&self, a: &str, b: &str) -> DQuat {
+        match (self.root_from(a), self.root_from(b)) {
+            (Some((root_a, from_a)), Some((root_b, from_b))) if root_a == root_b => from_a.conjugate() * from_b,
+            _ => DQuat::IDENTITY,
+        }
+    }
+
+    /// The farthest ancestor that constants lead to, and the rotation from there.
+    fn root_from(&self, frame: &str) -> Option<(String, DQuat)> {
+        let (mut here, mut rotation) = (frame.to_owned(), DQuat::IDENTITY);
+        for _ in 0..MAX_LINKS {
+            match self.edges.get(&here) {
+                Some(Edge { parent, transform: Transform::Static(constant) }) => {
+                    rotation = constant.rotation * rotation;
+                    here = parent.clone();
+                }
+                _ => return Some((here, rotation)),
+            }
+        }
+        None
+    }
+
     /// Whether every moving transform of the chain has been heard of up to `stamp_ns`.
     pub fn is_known_until(&self, stamp_ns: i64, names: &FrameNames) -> bool {
         self.chain(&names.base_footprint, &names.camera_optical).map_or(true, |chain| {

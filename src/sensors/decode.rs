@@ -1,0 +1,212 @@
+//! Pixels of a frame's message into a picture.
+
+use thiserror::Error;
+use zune_core::bytestream::ZCursor;
+use zune_core::colorspace::ColorSpace;
+use zune_core::options::DecoderOptions;
+use zune_jpeg::JpegDecoder;
+
+use crate::geometry::lens::MAX_SIDE;
+use crate::ros2::cdr::CdrError;
+use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::{CompressedImageView, ImageView};
+use crate::vision::Picture;
+
+#[derive(Debug, Error)]
+pub enum DecodeError {
+    #[error("the message is not what its type says: {0}")]
+    Message(#[from] CdrError),
+    #[error("{type_name} holds no image: sensor_msgs/msg/CompressedImage or Image is needed")]
+    Type { type_name: String },
+    #[error("the JPEG does not decode: {0}")]
+    Jpeg(String),
+    #[error("the PNG does not decode: {0}")]
+    Png(image::ImageError),
+    #[error("the image is neither JPEG nor PNG: it starts with {start:02x?}")]
+    Format { start: Vec<u8> },
+    #[error("encoding {0:?}: supported are mono8, rgb8, bgr8, yuv422_yuy2 and bayer_rggb8")]
+    Encoding(String),
+    #[error("{width} x {height} pixels of {encoding} with step {step} do not fit {bytes} bytes")]
+    Size { width: u32, height: u32, encoding: String, step: u32, bytes: usize },
+}
+
+pub fn picture(message: &LogMessage) -> Result<Picture, DecodeError> {
+    match message.channel.type_name.as_str() {
+        "sensor_msgs/msg/CompressedImage" => compressed(CompressedImageView::decode(&message.data)?.data),
+        "sensor_msgs/msg/Image" => raw(&ImageView::decode(&message.data)?),
+        other => Err(DecodeError::Type { type_name: other.to_owned() }),
+    }
+}
+
+/// JPEG or PNG, told apart by their first bytes: `format` fields are not to be relied on.
+pub fn compressed(data: &[u8]) -> Result<Picture, DecodeError> {
+    if data.starts_with(&[0xff, 0xd8]) {
+        jpeg(data)
+    } else if data.starts_with(b"\x89PNG") {
+        png(data)
+    } else {
+        Err(DecodeError::Format { start: data[..data.len().min(8)].to_vec() })
+    }
+}
+
+/// Luma and chroma as the file holds them: the conversion to RGB and back is saved.
+fn jpeg(data: &[u8]) -> Result<Picture, DecodeError> {
+    let bad = |message: String| DecodeError::Jpeg(message);
+    let limits = DecoderOptions::default()
+        .set_max_width(MAX_SIDE as usize)
+        .set_max_height(MAX_SIDE as usize)
+        // A torn image must be refused, not filled up with gray.
+        .set_strict_mode(true);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), limits);
+    decoder.decode_headers().map_err(|error| bad(error.to_string()))?;
+    let gray = decoder.input_colorspace() == Some(ColorSpace::Luma);
+    let wanted = if gray { ColorSpace::Luma } else { ColorSpace::YCbCr };
+    decoder.set_options(decoder.options().jpeg_set_out_colorspace(wanted));
+    let pixels = decoder.decode().map_err(|error| bad(error.to_string()))?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| bad("no size".to_owned()))?;
+    let picture =
+        if gray { Picture::from_gray(width, height, pixels) } else { Picture::from_ycbcr(width, height, &pixels) };
+    picture.ok_or_else(|| bad("its pixels do not fit its size".to_owned()))
+}
+
+fn png(data: &[u8]) -> Result<Picture, DecodeError> {
+    let mut reader = image::ImageReader::with_format(std::io::Cursor::new(data), image::ImageFormat::Png);
+    let mut limits = image::Limits::default();
+    (limits.max_image_width, limits.max_image_height) = (Some(MAX_SIDE), Some(MAX_SIDE));
+    reader.limits(limits);
+    let image = reader.decode().map_err(DecodeError::Png)?;
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let picture = if image.color().has_color() {
+        Picture::from_rgb(width, height, image.to_rgb8().as_raw())
+    } else {
+        Picture::from_gray(width, height, image.into_luma8().into_raw())
+    };
+    picture.ok_or(DecodeError::Format { start: Vec::new() })
+}
+
+fn raw(image: &ImageView) -> Result<Picture, DecodeError> {
+    let size = || DecodeError::Size {
+        width: image.width,
+        height: image.height,
+        encoding: image.encoding.to_owned(),
+        step: image.step,
+        bytes: image.data.len(),
+    };
+    let (width, height, step) = (image.width as usize, image.height as usize, image.step as usize);
+    let bytes_per_pixel = match image.encoding {
+        "mono8" | "8UC1" | "bayer_rggb8" => 1,
+        "yuv422_yuy2" => 2,
+        "rgb8" | "bgr8" => 3,
+        other => return Err(DecodeError::Encoding(other.to_owned())),
+    };
+    let line = width.checked_mul(bytes_per_pixel).ok_or_else(size)?;
+    let fits = width > 0 && height > 0 && image.width <= MAX_SIDE && image.height <= MAX_SIDE && step >= line;
+    // The last row may lack the padding that `step` adds.
+    if !fits || image.data.len() < step * (height - 1) + line {
+        return Err(size());
+    }
+    let rows = || image.data.chunks(step).take(height).map(|row| &row[..line]);
+    let picture = match image.encoding {
+        "rgb8" => Picture::from_rgb(width, height, &rows().flatten().copied().collect::<Vec<u8>>()),
+        "bgr8" => {
+            let rgb: Vec<u8> = rows().flat_map(|row| row.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]])).collect();
+            Picture::from_rgb(width, height, &rgb)
+        }
+        "yuv422_yuy2" => yuy2(width, height, rows()),
+        "bayer_rggb8" => Picture::from_rgb(width, height, &demosaic_rggb(width, height, &rows().collect::<Vec<_>>())),
+        _ => Picture::from_gray(width, height, rows().flatten().copied().collect()),
+    };
+    picture.ok_or_else(size)
+}
+
+/// Y0 U Y1 V: two pixels share their chroma.
+fn yuy2<'a>(width: usize, height: usize, rows: impl Iterator<Item = &'a [u8]>) -> Option<Picture> {
+    let (mut luma, mut chroma) = (Vec::with_capacity(width * height), Vec::with_capacity(width * height));
+    for row in rows {
+        luma.extend(row.iter().step_by(2));
+        for quad in row.chunks(4) {
+            let pair = [quad.get(1).copied().unwrap_or(128), quad.get(3).copied().unwrap_or(128)];
+            chroma.extend(std::iter::repeat_n(pair, quad.len() / 2));
+        }
+    }
+    (luma.len() == width * height && chroma.len() == luma.len()).then_some(Picture { width, height, luma, chroma })
+}
+
+/// Bilinear: each missing colour is the mean of its nearest neighbours of that colour.
+fn demosaic_rggb(width: usize, height: usize, rows: &[&[u8]]) -> Vec<u8> {
+    let colour_at = |u: usize, v: usize| match (v % 2, u % 2) {
+        (0, 0) => 0,
+        (1, 1) => 2,
+        _ => 1,
+    };
+    let mut rgb = Vec::with_capacity(3 * width * height);
+    for v in 0..height {
+        for u in 0..width {
+            for colour in 0..3 {
+                if colour_at(u, v) == colour {
+                    rgb.push(rows[v][u]);
+                    continue;
+                }
+                let (mut sum, mut count) = (0u32, 0u32);
+                for nv in v.saturating_sub(1)..(v + 2).min(height) {
+                    for nu in u.saturating_sub(1)..(u + 2).min(width) {
+                        // Green lies beside, red and blue beside or diagonally: a green pixel's diagonals are green too.
+                        let beside = colour != 1 || nu == u || nv == v;
+                        if beside && colour_at(nu, nv) == colour {
+                            sum += u32::from(rows[nv][nu]);
+                            count += 1;
+                        }
+                    }
+                }
+                rgb.push(((sum + count / 2) / count.max(1)) as u8);
+            }
+        }
+    }
+    rgb
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros2::messages::Header;
+
+    fn view<'a>(encoding: &'a str, width: u32, height: u32, step: u32, data: &'a [u8]) -> ImageView<'a> {
+        ImageView { header: Header::default(), height, width, encoding, is_bigendian: 0, step, data }
+    }
+
+    #[test]
+    fn colours_of_every_raw_encoding() {
+        let rgb = raw(&view("rgb8", 1, 1, 3, &[0, 255, 0])).expect("green");
+        let bgr = raw(&view("bgr8", 1, 1, 3, &[0, 255, 0])).expect("green");
+        assert_eq!(rgb, bgr);
+        let yuv = raw(&view("yuv422_yuy2", 2, 1, 4, &[10, 44, 20, 21])).expect("two pixels");
+        assert_eq!((yuv.luma, yuv.chroma), (vec![10, 20], vec![[44, 21]; 2]));
+        let gray = raw(&view("mono8", 2, 2, 3, &[1, 2, 99, 3, 4])).expect("padded rows");
+        assert_eq!(gray.luma, vec![1, 2, 3, 4]);
+        let flat = raw(&view("bayer_rggb8", 4, 4, 4, &[80; 16])).expect("gray");
+        assert!(flat.luma.iter().all(|y| *y == 80) && flat.chroma.iter().all(|c| *c == [128, 128]));
+    }
+
+    #[test]
+    fn sizes_that_do_not_fit_are_refused() {
+        for (width, height, step, bytes) in
+            [(2, 2, 2, 3), (0, 2, 2, 4), (4, 1, 3, 12), (u32::MAX, u32::MAX, u32::MAX, 4)]
+        {
+            let data = vec![0; bytes];
+            assert!(matches!(raw(&view("mono8", width, height, step, &data)), Err(DecodeError::Size { .. })));
+        }
+        assert!(matches!(raw(&view("rgba16", 1, 1, 8, &[0; 8])), Err(DecodeError::Encoding(_))));
+    }
+
+    #[test]
+    fn a_torn_jpeg_is_an_error() {
+        let mut bytes = Vec::new();
+        let encoder = jpeg_encoder::Encoder::new(&mut bytes, 90);
+        let noise: Vec<u8> = (0..64 * 64 * 3).map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        encoder.encode(&noise, 64, 64, jpeg_encoder::ColorType::Rgb).expect("encoded");
+        assert_eq!(compressed(&bytes).expect("whole").width, 64);
+        for cut in [0, 1, 3, 20, bytes.len() / 2] {
+            assert!(compressed(&bytes[..cut]).is_err(), "{cut} bytes");
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! What each message of a log means to the agent, by topic and type.
+
+use glam::{DQuat, DVec3};
+
+use crate::config::{HeadSettings, Topics};
+use crate::geometry::{Isometry, Pose2};
+use crate::ros2::cdr::CdrError;
+use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::{
+    CameraInfo, CompressedImageView, ImageView, Imu, JointState, Message, Odometry, PoseWithCovarianceStamped,
+    Quaternion, TFMessage, Transform, Vector3,
+};
+
+/// A measurement, or a frame whose pixels stay in the message.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Input {
+    Frame {
+        stamp_ns: i64,
+        frame_id: String,
+    },
+    CameraInfo(Box<CameraInfo>),
+    /// `map`-independent pose of `base_footprint` as the robot counts its steps.
+    Odometry {
+        stamp_ns: i64,
+        odom_from_footprint: Pose2,
+    },
+    /// `orientation` of `frame_id` against gravity, if the sensor measures it.
+    Imu {
+        stamp_ns: i64,
+        frame_id: String,
+        orientation: Option<DQuat>,
+    },
+    Joints {
+        stamp_ns: i64,
+        pan: Option<f64>,
+        tilt: Option<f64>,
+    },
+    Transforms {
+        latched: bool,
+        transforms: Vec<StampedTransform>,
+    },
+    /// Standard deviations in metres and radians, where the message states them.
+    InitialPose {
+        stamp_ns: i64,
+        map_from_footprint: Pose2,
+        xy_m: Option<f64>,
+        yaw_rad: Option<f64>,
+    },
+    /// Recorded, but nothing to the filter.
+    Other,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct StampedTransform {
+    pub stamp_ns: i64,
+    pub parent: String,
+    pub child: String,
+    pub parent_from_child: Isometry,
+}
+
+/// Reads one message. An error means that its bytes are not what its type says.
+pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Result<Input, CdrError> {
+    let topic = message.channel.topic.as_str();
+    let data = message.data.as_slice();
+    if topic == topics.image {
+        let header = match message.channel.type_name.as_str() {
+            "sensor_msgs/msg/CompressedImage" => CompressedImageView::decode(data)?.header,
+            "sensor_msgs/msg/Image" => ImageView::decode(data)?.header,
+            _ => return Ok(Input::Other),
+        };
+        return Ok(Input::Frame { stamp_ns: header.stamp.to_nanoseconds(), frame_id: header.frame_id });
+    }
+    if topic == topics.odometry {
+        let odometry = Odometry::decode(data)?;
+        let odom_from_footprint =
+            Pose2::from_isometry(&isometry(&odometry.pose.pose.position, &odometry.pose.pose.orientation));
+        return Ok(Input::Odometry { stamp_ns: odometry.header.stamp.to_nanoseconds(), odom_from_footprint });
+    }
+    if topic == topics.imu {
+        let imu = Imu::decode(data)?;
+        let measured = imu.orientation_covariance[0] != -1.0;
+        let orientation = measured.then(|| quaternion(&imu.orientation));
+        return Ok(Input::Imu {
+            stamp_ns: imu.header.stamp.to_nanoseconds(),
+            frame_id: imu.header.frame_id,
+            orientation,
+        });
+    }
+    if topic == topics.joints {
+        let joints = JointState::decode(data)?;
+        let angle = |name: &str| {
+            let index = joints.name.iter().position(|joint| joint == name)?;
+            joints.position.get(index).copied()
+        };
+        let (pan, tilt) = (angle(&head.pan_joint), angle(&head.tilt_joint));
+        return Ok(Input::Joints { stamp_ns: joints.header.stamp.to_nanoseconds(), pan, tilt });
+    }
+    if topic == topics.tf || topic == topics.tf_static {
+        let transforms = TFMessage::decode(data)?.transforms;
+        let transforms = transforms
+            .into_iter()
+            .map(|t| StampedTransform {
+                stamp_ns: t.header.stamp.to_nanoseconds(),
+                parent: plain(t.header.frame_id),
+                child: plain(t.child_frame_id),
+                parent_from_child: transform(&t.transform),
+            })
+            .collect();
+        return Ok(Input::Transforms { latched: topic == topics.tf_static, transforms });
+    }
+    if topic == topics.initial_pose {
+        let initial = PoseWithCovarianceStamped::decode(data)?;
+        let pose = &initial.pose.pose;
+        let deviation = |variance: f64| (variance.is_finite() && variance > 0.0).then(|| libm::sqrt(variance));
+        let covariance = &initial.pose.covariance;
+        return Ok(Input::InitialPose {
+            stamp_ns: initial.header.stamp.to_nanoseconds(),
+            map_from_footprint: Pose2::from_isometry(&isometry(&pose.position, &pose.orientation)),
+            xy_m: deviation(covariance[0].max(covariance[7])),
+            yaw_rad: deviation(covariance[35]),
+        });
+    }
+    if topic == topics.camera_info {
+        return Ok(Input::CameraInfo(Box::new(CameraInfo::decode(data)?)));
+    }
+    Ok(Input::Other)
+}
+
+/// ROS 1 names start with a slash; ROS 2's do not.
+fn plain(frame: String) -> String {
+    frame.strip_prefix('/').map(str::to_owned).unwrap_or(frame)
+}
+
+pub fn quaternion(q: &Quaternion) -> DQuat {
+    DQuat::from_xyzw(q.x, q.y, q.z, q.w)
+}
+
+fn transform(t: &Transform) -> Isometry {
+    let Vector3 { x, y, z } = t.translation;
+    Isometry::new(quaternion(&t.rotation), DVec3::new(x, y, z))
+}
+
+pub fn isometry(position: &crate::ros2::messages::Point, orientation: &Quaternion) -> Isometry {
+    Isometry::new(quaternion(orientation), DVec3::new(position.x, position.y, position.z))
+}

@@ -1,0 +1,141 @@
+//! A recorded log as the source of everything: one MCAP file, or a folder of them (a ROS 2 bag, a capture).
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::topics::TopicTypes;
+use crate::ros2::mcap_read::{Damage, LogMessage, LogReader, ReadError, Selection, Survey, attachments, survey};
+
+#[derive(Debug, Error)]
+pub enum LogError {
+    #[error("{path}: {source}")]
+    Read { path: PathBuf, source: ReadError },
+    #[error("{path}: {source}")]
+    Open { path: PathBuf, source: std::io::Error },
+    #[error("{path}: the folder holds no .mcap file: name an MCAP file, a ROS 2 bag's folder or a capture's")]
+    NoFiles { path: PathBuf },
+}
+
+/// What the outputs of an earlier replay are called: never an input of the next one.
+pub const OUTPUT_TOPICS: [&str; 3] = ["/camera/pose", "/frame_tag", "/diagnostics"];
+/// The checkpoint's name among a segment's attachments.
+pub const CHECKPOINT_NAME: &str = "filter_state";
+
+/// Files in the order of their names, which is the order of time in bags and captures.
+pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
+    let failed = |source| LogError::Open { path: path.to_owned(), source };
+    if !std::fs::metadata(path).map_err(failed)?.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(failed)? {
+        let file = entry.map_err(failed)?.path();
+        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        if name.ends_with(".mcap") || name.ends_with(".mcap.active") {
+            files.push(file);
+        }
+    }
+    if files.is_empty() {
+        return Err(LogError::NoFiles { path: path.to_owned() });
+    }
+    // rosbag2 counts without leading zeros: ..._9.mcap comes before ..._10.mcap.
+    files.sort_by_key(|file| {
+        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default().to_owned();
+        let number = name.trim_end_matches(".active").trim_end_matches(".mcap");
+        let digits = number.len() - number.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+        (number[number.len() - digits..].parse::<u64>().unwrap_or(0), name)
+    });
+    Ok(files)
+}
+
+/// Messages of all files, one after the other.
+pub struct LogSource {
+    files: std::vec::IntoIter<PathBuf>,
+    open: Option<(PathBuf, LogReader<BufReader<File>>)>,
+    selection: Selection,
+    damage: Vec<(PathBuf, Damage)>,
+}
+
+impl LogSource {
+    pub fn new(files: Vec<PathBuf>, selection: Selection) -> Self {
+        Self { files: files.into_iter(), open: None, selection, damage: Vec::new() }
+    }
+
+    /// What was found wrong in the files read so far; complete at the end.
+    pub fn damage(&self) -> &[(PathBuf, Damage)] {
+        &self.damage
+    }
+
+    fn close(&mut self) {
+        if let Some((path, reader)) = self.open.take() {
+            if !reader.damage().is_none() {
+                self.damage.push((path, reader.damage().clone()));
+            }
+        }
+    }
+}
+
+impl Iterator for LogSource {
+    type Item = Result<LogMessage, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if self.open.is_none() {
+                let path = self.files.next()?;
+                match open(&path, self.selection.clone()) {
+                    Ok(reader) => self.open = Some((path, reader)),
+                    Err(error) => return Some(Err(error)),
+                }
+            }
+            let (path, reader) = self.open.as_mut()?;
+            match reader.next() {
+                Some(Ok(message)) if OUTPUT_TOPICS.contains(&message.channel.topic.as_str()) => {}
+                Some(Ok(message)) => return Some(Ok(message)),
+                Some(Err(source)) => {
+                    let error = LogError::Read { path: path.clone(), source };
+                    self.close();
+                    return Some(Err(error));
+                }
+                None => self.close(),
+            }
+        }
+    }
+}
+
+fn open(path: &Path, selection: Selection) -> Result<LogReader<BufReader<File>>, LogError> {
+    LogReader::open(buffered(path)?, selection).map_err(|source| LogError::Read { path: path.to_owned(), source })
+}
+
+fn buffered(path: &Path) -> Result<BufReader<File>, LogError> {
+    let file = File::open(path).map_err(|source| LogError::Open { path: path.to_owned(), source })?;
+    Ok(BufReader::with_capacity(1 << 18, file))
+}
+
+/// What each file holds.
+pub fn surveys(files: &[PathBuf]) -> Result<Vec<Survey>, LogError> {
+    files
+        .iter()
+        .map(|path| survey(buffered(path)?).map_err(|source| LogError::Read { path: path.clone(), source }))
+        .collect()
+}
+
+/// Topics with at least one message, and their types.
+pub fn topic_types(surveys: &[Survey]) -> TopicTypes {
+    let mut types = BTreeMap::new();
+    for topic in surveys.iter().flat_map(|survey| &survey.topics) {
+        if topic.messages > 0 {
+            types.entry(topic.topic.clone()).or_insert_with(|| topic.type_name.clone());
+        }
+    }
+    types
+}
+
+/// The filter's state at the start of a capture's segment.
+pub fn checkpoint(path: &Path) -> Result<Option<Vec<u8>>, LogError> {
+    let found = attachments(buffered(path)?).map_err(|source| LogError::Read { path: path.to_owned(), source })?;
+    Ok(found.list.into_iter().find(|attachment| attachment.name == CHECKPOINT_NAME).map(|found| found.data))
+}

@@ -1,0 +1,237 @@
+//! A scene in place of the hardware: its events as the messages that a robot would have logged.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use glam::{DQuat, DVec3};
+use thiserror::Error;
+
+use crate::config::{Topics, load_field, load_lens};
+use crate::geometry::{Isometry, LensModel, LensParameters};
+use crate::ros2::mcap_read::{Channel, LogMessage};
+use crate::ros2::messages::{
+    CameraInfo, CompressedImage, Header, Image, Imu, Message, Odometry, Point, Pose, PoseStamped,
+    PoseWithCovarianceStamped, Quaternion, Stamp, TFMessage, Transform, TransformStamped, Vector3,
+};
+use crate::scene::{Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile};
+
+#[derive(Debug, Error)]
+pub enum SceneSourceError {
+    #[error("{path}: {source}")]
+    Scene { path: String, source: SceneError },
+    #[error("{path}: {source}")]
+    Open { path: String, source: std::io::Error },
+    #[error("{path}: {source}")]
+    Config { path: String, source: crate::config::ConfigError },
+    #[error("the image does not encode: {0}")]
+    Encode(String),
+}
+
+/// A scene file with the field and lens that it names.
+pub fn load(path: &str) -> Result<Scene, SceneSourceError> {
+    let failed = |source| SceneSourceError::Open { path: path.to_owned(), source };
+    let config = |source| SceneSourceError::Config { path: path.to_owned(), source };
+    let scene = |source| SceneSourceError::Scene { path: path.to_owned(), source };
+    let text = std::fs::read_to_string(path).map_err(failed)?;
+    let file = SceneFile::from_toml(&text).map_err(scene)?;
+    let field = load_field(&file.scene.field).map_err(config)?;
+    let lens = load_lens(&file.camera.lens).map_err(config)?;
+    Scene::build(file, field, lens.lens.parameters().clone()).map_err(scene)
+}
+
+/// All messages of a scene in time order, on the default topics; the truth among them.
+pub struct SceneSource<'a> {
+    scene: &'a Scene,
+    renderer: Renderer,
+    events: Events<'a>,
+    topics: Topics,
+    channels: BTreeMap<String, Arc<Channel>>,
+    waiting: VecDeque<LogMessage>,
+    pixels: Vec<u8>,
+}
+
+impl<'a> SceneSource<'a> {
+    pub fn new(scene: &'a Scene) -> Self {
+        let topics = Topics::default();
+        let mut source = Self {
+            scene,
+            renderer: Renderer::new(scene),
+            events: scene.events(),
+            topics,
+            channels: BTreeMap::new(),
+            waiting: VecDeque::new(),
+            pixels: Vec::new(),
+        };
+        let constants = [
+            source.message(&source.topics.tf_static.clone(), START_STAMP_NS, &transforms(scene)),
+            source.message(&source.topics.camera_info.clone(), START_STAMP_NS, &camera_info(scene)),
+        ];
+        source.waiting.extend(constants);
+        source
+    }
+
+    fn message<M: Message>(&mut self, topic: &str, stamp_ns: i64, message: &M) -> LogMessage {
+        let next_id = self.channels.len() as u16 + 1;
+        let channel = self.channels.entry(topic.to_owned()).or_insert_with(|| {
+            Arc::new(Channel {
+                id: next_id,
+                topic: topic.to_owned(),
+                type_name: M::TYPE.to_owned(),
+                message_encoding: "cdr".to_owned(),
+                schema_encoding: "ros2msg".to_owned(),
+                definition: M::DEFINITION.as_bytes().into(),
+                metadata: BTreeMap::new(),
+            })
+        });
+        let (channel, data) = (Arc::clone(channel), message.encode());
+        LogMessage { channel, sequence: 0, log_time_ns: stamp_ns, publish_time_ns: stamp_ns, data }
+    }
+
+    fn event(&mut self, event: SceneEvent) -> Result<(), SceneSourceError> {
+        let stamp = event.stamp_ns;
+        let header = |frame: &str| header(stamp, frame);
+        let topics = self.topics.clone();
+        let message = match event.kind {
+            SceneEventKind::InitialPose(estimate) => {
+                let mut initial = PoseWithCovarianceStamped { header: header("map"), ..Default::default() };
+                initial.pose.pose = pose(&estimate.map_from_base_footprint.to_isometry());
+                for (index, variance) in [(0, 0.01), (7, 0.01), (35, 0.0025)] {
+                    initial.pose.covariance[index] = variance;
+                }
+                self.message(&topics.initial_pose, stamp, &initial)
+            }
+            SceneEventKind::Odometry(step) => {
+                let mut odometry = Odometry { header: header("odom"), ..Default::default() };
+                odometry.child_frame_id = "base_footprint".to_owned();
+                odometry.pose.pose = pose(&step.odom_from_base_footprint.to_isometry());
+                odometry.twist.twist.linear = Vector3 { x: step.twist.x, y: step.twist.y, z: 0.0 };
+                odometry.twist.twist.angular = Vector3 { x: 0.0, y: 0.0, z: step.twist.yaw };
+                self.message(&topics.odometry, stamp, &odometry)
+            }
+            SceneEventKind::Imu(measured) => {
+                let imu = Imu {
+                    header: header("base_link"),
+                    orientation: quaternion(measured.orientation),
+                    angular_velocity: vector(measured.angular_velocity),
+                    linear_acceleration: vector(measured.linear_acceleration),
+                    ..Default::default()
+                };
+                self.message(&topics.imu, stamp, &imu)
+            }
+            SceneEventKind::Frame { index, map_from_camera_link } => {
+                let truth = PoseStamped { header: header("map"), pose: pose(&map_from_camera_link) };
+                let truth = self.message(&topics.ground_truth, stamp, &truth);
+                self.waiting.push_back(truth);
+                self.frame(index, stamp)?
+            }
+        };
+        self.waiting.push_back(message);
+        Ok(())
+    }
+
+    fn frame(&mut self, index: u64, stamp_ns: i64) -> Result<LogMessage, SceneSourceError> {
+        let mut pixels = std::mem::take(&mut self.pixels);
+        self.renderer.render(index, &mut pixels);
+        let (width, height) = (self.renderer.width(), self.renderer.height());
+        let header = header(stamp_ns, OPTICAL);
+        let message = match self.scene.file().camera.jpeg_quality {
+            Some(quality) => {
+                let mut data = Vec::with_capacity(1 << 17);
+                let encoder = jpeg_encoder::Encoder::new(&mut data, quality);
+                encoder
+                    .encode(&pixels, width as u16, height as u16, jpeg_encoder::ColorType::Rgb)
+                    .map_err(|error| SceneSourceError::Encode(error.to_string()))?;
+                let image = CompressedImage { header, format: "jpeg".to_owned(), data };
+                self.message(&self.topics.image.clone(), stamp_ns, &image)
+            }
+            None => {
+                let step = 3 * width;
+                let encoding = "rgb8".to_owned();
+                let image = Image { header, height, width, encoding, is_bigendian: 0, step, data: pixels.clone() };
+                self.message(RAW_TOPIC, stamp_ns, &image)
+            }
+        };
+        self.pixels = pixels;
+        Ok(message)
+    }
+}
+
+const OPTICAL: &str = "camera_optical_frame";
+/// Where images go that were not compressed.
+const RAW_TOPIC: &str = "/camera/image_raw";
+
+impl Iterator for SceneSource<'_> {
+    type Item = Result<LogMessage, SceneSourceError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if let Some(message) = self.waiting.pop_front() {
+            return Some(Ok(message));
+        }
+        let event = self.events.next()?;
+        match self.event(event) {
+            Ok(()) => self.waiting.pop_front().map(Ok),
+            Err(error) => Some(Err(error)),
+        }
+    }
+}
+
+fn transforms(scene: &Scene) -> TFMessage {
+    let mount = scene.mount();
+    let step = |parent: &str, child: &str, parent_from_child: &Isometry| TransformStamped {
+        header: header(START_STAMP_NS, parent),
+        child_frame_id: child.to_owned(),
+        transform: Transform {
+            translation: vector(parent_from_child.translation),
+            rotation: quaternion(parent_from_child.rotation),
+        },
+    };
+    TFMessage {
+        transforms: vec![
+            step("base_footprint", "base_link", &mount.base_footprint_from_base_link),
+            step("base_link", "camera_link", &mount.base_link_from_camera_link),
+            step("camera_link", OPTICAL, &mount.camera_link_from_camera_optical_frame),
+        ],
+    }
+}
+
+fn camera_info(scene: &Scene) -> CameraInfo {
+    camera_info_of(scene.lens().parameters(), header(START_STAMP_NS, OPTICAL))
+}
+
+/// ROS knows no equisolid lens: it goes by its own name, which only this program reads.
+pub fn camera_info_of(lens: &LensParameters, header: Header) -> CameraInfo {
+    let (distortion_model, d) = match lens.model {
+        LensModel::KannalaBrandt { k } => ("equidistant", k.to_vec()),
+        LensModel::Equisolid => ("equisolid", Vec::new()),
+        LensModel::PlumbBob { d } => ("plumb_bob", d.to_vec()),
+    };
+    let LensParameters { width, height, fx, fy, cx, cy, .. } = *lens;
+    CameraInfo {
+        header,
+        height,
+        width,
+        distortion_model: distortion_model.to_owned(),
+        d,
+        k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p: [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        ..Default::default()
+    }
+}
+
+pub fn header(stamp_ns: i64, frame: &str) -> Header {
+    Header { stamp: Stamp::from_nanoseconds(stamp_ns), frame_id: frame.to_owned() }
+}
+
+pub fn pose(isometry: &Isometry) -> Pose {
+    let DVec3 { x, y, z } = isometry.translation;
+    Pose { position: Point { x, y, z }, orientation: quaternion(isometry.rotation) }
+}
+
+fn quaternion(q: DQuat) -> Quaternion {
+    Quaternion { x: q.x, y: q.y, z: q.z, w: q.w }
+}
+
+fn vector(v: DVec3) -> Vector3 {
+    Vector3 { x: v.x, y: v.y, z: v.z }
+}

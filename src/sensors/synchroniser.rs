@@ -1,0 +1,208 @@
+//! Brings frames and measurements together on the time of the exposure.
+//!
+//! Stamps of the headers count, not when a message was logged: a frame waits until odometry, attitude and joints
+//! have been heard of up to its exposure, or until waiting longer would be too late.
+
+use std::collections::VecDeque;
+
+use glam::DQuat;
+use serde::{Deserialize, Serialize};
+
+use super::history::History;
+use super::intake::{Input, StampedTransform};
+use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
+use crate::config::FrameNames;
+use crate::geometry::Pose2;
+use crate::ros2::mcap_read::LogMessage;
+
+/// A frame with what is known about the robot at its exposure.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    pub message: LogMessage,
+    pub stamp_ns: i64,
+    pub robot: RobotAt,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotAt {
+    pub odometry: Option<Pose2>,
+    /// The newest odometry that had arrived.
+    pub odometry_until_ns: Option<i64>,
+    pub place: Result<CameraPlace, ChainError>,
+    pub head: Option<Head>,
+    /// The newest of what was measured is older than [`STALE_NS`].
+    pub stale: bool,
+    /// Announced since the last frame.
+    pub initial_pose: Option<InitialPose>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InitialPose {
+    pub map_from_footprint: Pose2,
+    pub xy_m: Option<f64>,
+    pub yaw_rad: Option<f64>,
+}
+
+/// Measurements older than this do not describe a walking robot any more.
+pub const STALE_NS: i64 = 250_000_000;
+/// A frame waits for measurements until the log is this much further.
+const MAX_WAIT_NS: i64 = 300_000_000;
+/// More waiting frames than this are processed with what there is.
+const MAX_WAITING: usize = 64;
+const MAX_WAITING_BYTES: usize = 256 << 20;
+
+/// The part that a checkpoint keeps.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SynchroniserState {
+    tree: TransformTree,
+    odometry: History<Pose2>,
+    odometry_in_tf: History<Pose2>,
+    attitude: History<DQuat>,
+    pan: History<f64>,
+    tilt: History<f64>,
+    initial_pose: Option<InitialPose>,
+}
+
+#[derive(Clone, Debug)]
+pub struct Synchroniser {
+    names: FrameNames,
+    state: SynchroniserState,
+    waiting: VecDeque<(LogMessage, i64)>,
+    waiting_bytes: usize,
+    newest_log_ns: i64,
+    finished: bool,
+}
+
+impl Synchroniser {
+    pub fn new(names: FrameNames, state: SynchroniserState) -> Self {
+        Self { names, state, waiting: VecDeque::new(), waiting_bytes: 0, newest_log_ns: i64::MIN, finished: false }
+    }
+
+    pub fn state(&self) -> &SynchroniserState {
+        &self.state
+    }
+
+    pub fn tree(&self) -> &TransformTree {
+        &self.state.tree
+    }
+
+    /// No frame is waiting.
+    pub fn is_idle(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
+    pub fn push(&mut self, message: &LogMessage, input: Input) {
+        self.newest_log_ns = self.newest_log_ns.max(message.log_time_ns);
+        match input {
+            Input::Frame { stamp_ns, frame_id } => {
+                // A log that names its optical frame otherwise is believed.
+                if !self.state.tree.knows(&self.names.camera_optical) && self.state.tree.knows(&frame_id) {
+                    self.names.camera_optical = frame_id;
+                }
+                self.waiting_bytes += message.data.len();
+                self.waiting.push_back((message.clone(), stamp_ns));
+            }
+            Input::Odometry { stamp_ns, odom_from_footprint } => {
+                self.state.odometry.push(stamp_ns, odom_from_footprint)
+            }
+            Input::Imu { stamp_ns, orientation: Some(orientation), frame_id } => {
+                let imu_from_base = self.state.tree.fixed_rotation(&frame_id, &self.names.base_link);
+                self.state.attitude.push(stamp_ns, orientation * imu_from_base);
+            }
+            Input::Joints { stamp_ns, pan, tilt } => {
+                if let Some(pan) = pan {
+                    self.state.pan.push(stamp_ns, pan);
+                }
+                if let Some(tilt) = tilt {
+                    self.state.tilt.push(stamp_ns, tilt);
+                }
+            }
+            Input::Transforms { latched, transforms } => self.take_transforms(latched, transforms),
+            Input::InitialPose { map_from_footprint, xy_m, yaw_rad, .. } => {
+                if map_from_footprint.is_finite() {
+                    self.state.initial_pose = Some(InitialPose { map_from_footprint, xy_m, yaw_rad });
+                }
+            }
+            Input::Imu { orientation: None, .. } | Input::CameraInfo(_) | Input::Other => {}
+        }
+    }
+
+    /// The log has ended: nothing more will come that a frame could wait for.
+    pub fn finish(&mut self) {
+        self.finished = true;
+    }
+
+    /// The next frame of which all is known that will be known in time, in the order in which frames came.
+    pub fn pop(&mut self) -> Option<Frame> {
+        let (message, stamp_ns) = self.waiting.front()?;
+        let late = self.newest_log_ns.saturating_sub(message.log_time_ns) > MAX_WAIT_NS;
+        let crowded = self.waiting.len() > MAX_WAITING || self.waiting_bytes > MAX_WAITING_BYTES;
+        if !(self.finished || late || crowded || self.is_known_until(*stamp_ns)) {
+            return None;
+        }
+        let (message, stamp_ns) = self.waiting.pop_front()?;
+        self.waiting_bytes -= message.data.len();
+        Some(Frame { robot: self.robot_at(stamp_ns), message, stamp_ns })
+    }
+
+    /// What is known about the robot at a time; takes the initial pose that was announced since the last call.
+    fn robot_at(&mut self, stamp_ns: i64) -> RobotAt {
+        let initial_pose = self.state.initial_pose.take();
+        let state = &self.state;
+        let odometry = state.odometry();
+        let attitude = state.attitude.at(stamp_ns);
+        let head = match (state.pan.at(stamp_ns), state.tilt.at(stamp_ns)) {
+            (None, None) => None,
+            (pan, tilt) => Some(Head { pan: pan.map_or(0.0, |s| s.value), tilt: tilt.map_or(0.0, |s| s.value) }),
+        };
+        let posture = Posture { attitude: attitude.map(|sample| sample.value), head };
+        let place = state.tree.camera_place(stamp_ns, &self.names, posture);
+        let step = odometry.at(stamp_ns);
+        let ages = [
+            step.map(|s| s.age_ns),
+            attitude.map(|s| s.age_ns),
+            state.pan.at(stamp_ns).map(|s| s.age_ns),
+            state.tilt.at(stamp_ns).map(|s| s.age_ns),
+            place.as_ref().ok().map(|place| place.age_ns),
+        ];
+        RobotAt {
+            odometry: step.map(|sample| sample.value),
+            odometry_until_ns: odometry.newest_ns(),
+            place,
+            head,
+            stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
+            initial_pose,
+        }
+    }
+
+    fn is_known_until(&self, stamp_ns: i64) -> bool {
+        let state = &self.state;
+        let reaches = |newest: Option<i64>| newest.is_none_or(|newest| newest >= stamp_ns);
+        // What has never been heard of is waited for as long as the log allows: it may just start late.
+        let odometry = state.odometry().newest_ns().is_some_and(|newest| newest >= stamp_ns);
+        odometry
+            && reaches(state.attitude.newest_ns())
+            && reaches(state.pan.newest_ns())
+            && reaches(state.tilt.newest_ns())
+            && state.tree.is_known_until(stamp_ns, &self.names)
+    }
+
+    fn take_transforms(&mut self, latched: bool, transforms: Vec<StampedTransform>) {
+        for t in transforms {
+            if t.child == self.names.base_footprint && t.parent == self.names.odom {
+                self.state.odometry_in_tf.push(t.stamp_ns, Pose2::from_isometry(&t.parent_from_child));
+            } else if latched {
+                self.state.tree.set_static(&t.parent, &t.child, t.parent_from_child);
+            } else {
+                self.state.tree.push(t.stamp_ns, &t.parent, &t.child, t.parent_from_child);
+            }
+        }
+    }
+}
+
+impl SynchroniserState {
+    /// The odometry topic, or `/tf` where there is none.
+    fn odometry(&self) -> &History<Pose2> {
+        if self.odometry.is_empty() { &self.odometry_in_tf } else { &self.odometry }
+    }
+}

@@ -1,0 +1,139 @@
+//! Which topic of a log is which measurement.
+
+use std::collections::BTreeMap;
+
+use thiserror::Error;
+
+use crate::config::{MotionSource, Settings, Topics};
+
+/// Type of each topic that a log has messages of.
+pub type TopicTypes = BTreeMap<String, String>;
+
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum TopicError {
+    #[error("no {what} on {wanted}: {}", hint(types, candidates, key))]
+    Missing { what: &'static str, wanted: String, types: &'static str, candidates: Vec<String>, key: &'static str },
+    #[error(
+        "no odometry on {wanted} and none in /tf: record it (nav_msgs/msg/Odometry), name its topic with \
+         topics.odometry, or replay with filter.motion = \"random_walk\" (--motion random_walk)"
+    )]
+    NoOdometry { wanted: String },
+}
+
+fn hint(types: &str, candidates: &[String], key: &str) -> String {
+    match candidates {
+        [] => format!("the log has no topic of type {types}"),
+        _ => format!("choose one with topics.{key}: {}", candidates.join(", ")),
+    }
+}
+
+const TRANSFORMS: [&str; 1] = ["tf2_msgs/msg/TFMessage"];
+const IMAGES: [&str; 2] = ["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"];
+
+/// The configured topics; where the log lacks one but has exactly one other of the right type, that one.
+pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> Result<Topics, TopicError> {
+    let mut topics = settings.topics.clone();
+    let find = |wanted: &str, types: &[&str]| -> Result<String, Vec<String>> {
+        if log.get(wanted).is_some_and(|kind| types.contains(&kind.as_str())) {
+            return Ok(wanted.to_owned());
+        }
+        let fits = |(_, kind): &(&String, &String)| types.contains(&kind.as_str());
+        let mut candidates: Vec<String> = log.iter().filter(fits).map(|(topic, _)| topic.clone()).collect();
+        match candidates.len() {
+            1 => candidates.pop().ok_or_else(Vec::new),
+            _ => Err(candidates),
+        }
+    };
+    topics.image = find(&topics.image, &IMAGES).map_err(|candidates| TopicError::Missing {
+        what: "camera images",
+        wanted: settings.topics.image.clone(),
+        types: "sensor_msgs/msg/CompressedImage or Image",
+        candidates,
+        key: "image",
+    })?;
+    match find(&topics.camera_info, &["sensor_msgs/msg/CameraInfo"]) {
+        Ok(topic) => topics.camera_info = topic,
+        Err(_) if settings.camera.lens.is_some() => {}
+        Err(candidates) => {
+            return Err(TopicError::Missing {
+                what: "camera calibration",
+                wanted: settings.topics.camera_info.clone(),
+                types: "sensor_msgs/msg/CameraInfo (or give a lens file with camera.lens)",
+                candidates,
+                key: "camera_info",
+            });
+        }
+    }
+    // Some robots send constants on /tf as well: whether the chain is whole is checked where it is used.
+    match find(&topics.tf_static, &TRANSFORMS) {
+        Ok(topic) => topics.tf_static = topic,
+        Err(_) if log.contains_key(&topics.tf) => {}
+        Err(candidates) => {
+            return Err(TopicError::Missing {
+                what: "transforms",
+                wanted: settings.topics.tf_static.clone(),
+                types: TRANSFORMS[0],
+                candidates,
+                key: "tf_static",
+            });
+        }
+    }
+    if let Ok(topic) = find(&topics.imu, &["sensor_msgs/msg/Imu"]) {
+        topics.imu = topic;
+    }
+    match find(&topics.odometry, &["nav_msgs/msg/Odometry"]) {
+        Ok(topic) => topics.odometry = topic,
+        Err(_) if odometry_in_tf || settings.filter.motion == MotionSource::RandomWalk => {}
+        Err(candidates) if candidates.is_empty() => {
+            return Err(TopicError::NoOdometry { wanted: settings.topics.odometry.clone() });
+        }
+        Err(candidates) => {
+            return Err(TopicError::Missing {
+                what: "odometry",
+                wanted: settings.topics.odometry.clone(),
+                types: "nav_msgs/msg/Odometry",
+                candidates,
+                key: "odometry",
+            });
+        }
+    }
+    Ok(topics)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn log(topics: &[(&str, &str)]) -> TopicTypes {
+        topics.iter().map(|(topic, kind)| ((*topic).to_owned(), (*kind).to_owned())).collect()
+    }
+
+    const WHOLE: [(&str, &str); 4] = [
+        ("/cam/raw", "sensor_msgs/msg/Image"),
+        ("/cam/info", "sensor_msgs/msg/CameraInfo"),
+        ("/tf_static", "tf2_msgs/msg/TFMessage"),
+        ("/walk", "nav_msgs/msg/Odometry"),
+    ];
+
+    #[test]
+    fn the_only_topic_of_a_type_is_taken() {
+        let topics = resolve(&Settings::default(), &log(&WHOLE), false).expect("all there");
+        assert_eq!((topics.image.as_str(), topics.odometry.as_str()), ("/cam/raw", "/walk"));
+    }
+
+    #[test]
+    fn what_is_missing_or_unclear_is_said() {
+        let without = |topic: &str| {
+            let rest: Vec<_> = WHOLE.into_iter().filter(|(name, _)| *name != topic).collect();
+            resolve(&Settings::default(), &log(&rest), false).expect_err("missing").to_string()
+        };
+        assert!(without("/walk").contains("random_walk"));
+        assert!(without("/cam/raw").contains("no camera images on /camera/image/compressed"));
+        assert!(without("/cam/info").contains("camera.lens"));
+        assert!(without("/tf_static").contains("tf2_msgs/msg/TFMessage"));
+        let mut two = log(&WHOLE);
+        two.insert("/cam2".into(), "sensor_msgs/msg/Image".into());
+        let said = resolve(&Settings::default(), &two, false).expect_err("unclear").to_string();
+        assert!(said.contains("topics.image: /cam/raw, /cam2"), "{said}");
+    }
+}
