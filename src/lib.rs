@@ -16,3 +16,7 @@ pub mod scene;
 pub mod ros2;
 
 pub mod sensors;
+
+pub mod recording;
+
+pub mod agent;

@@ -25,7 +25,7 @@ pub struct FilterSettings {
 }
 
 /// All that the next frame depends on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FilterState {
     pub particles: Particles,
     /// Frames so far: part of the key of every random number.
@@ -69,14 +69,9 @@ impl Filter {
 
     /// One frame: what odometry says of the `seconds` since the last one, then what the camera sees.
     pub fn step(&mut self, step: Option<Pose2>, seconds: f64, table: &GroundTable) -> Estimate {
-        let FilterSettings { motion, jitter, jitter_shrink, seed, .. } = self.settings;
+        let FilterSettings { jitter, jitter_shrink, seed, .. } = self.settings;
         let last = self.settings.iterations.saturating_sub(1) as u32;
-        self.state.steps += 1;
-        let FilterState { particles, steps } = &mut self.state;
-        match step {
-            Some(step) => motion::predict(&motion, particles, step, seconds, seed, *steps),
-            None => motion::wander(&motion, particles, seconds, seed, *steps),
-        }
+        self.predict(step, seconds);
         let mut scale = 1.0;
         for iteration in 0..last {
             self.weigh(table);
@@ -86,9 +81,30 @@ impl Filter {
             scale *= jitter_shrink;
         }
         self.weigh(table);
-        let result = estimate(&self.state.particles, &weights::normalise(&self.state.particles.log_weights));
+        let result = self.estimate();
         self.resample(last);
         result
+    }
+
+    /// A frame that shows nothing: the particles only move.
+    pub fn coast(&mut self, step: Option<Pose2>, seconds: f64) -> Estimate {
+        self.predict(step, seconds);
+        self.estimate()
+    }
+
+    /// `step` as odometry has it; without odometry each particle goes its own way.
+    fn predict(&mut self, step: Option<Pose2>, seconds: f64) {
+        let FilterSettings { motion, seed, .. } = self.settings;
+        let FilterState { particles, steps } = &mut self.state;
+        *steps += 1;
+        match step {
+            Some(step) => motion::predict(&motion, particles, step, seconds, seed, *steps),
+            None => motion::wander(&motion, particles, seconds, seed, *steps),
+        }
+    }
+
+    fn estimate(&self) -> Estimate {
+        estimate(&self.state.particles, &weights::normalise(&self.state.particles.log_weights))
     }
 
     fn weigh(&mut self, table: &GroundTable) {

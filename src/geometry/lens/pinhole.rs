@@ -68,7 +68,7 @@ impl PlumbBob {
                 break;
             }
             let determinant = a * d - b * c;
-            if !(determinant > 0.0) {
+            if determinant.is_nan() || determinant <= 0.0 {
                 return None;
             }
             let step = DVec2::new(d * miss.x - b * miss.y, a * miss.y - c * miss.x) / determinant;
@@ -109,7 +109,7 @@ impl PlumbBob {
             let s = r * r;
             r * (1.0 + s * (k1 + s * (k2 + s * k3)))
         };
-        if !(distorted <= value(self.max_radius)) {
+        if distorted.is_nan() || distorted > value(self.max_radius) {
             return None;
         }
         let (mut low, mut high) = (0.0, self.max_radius);

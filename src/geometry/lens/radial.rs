@@ -66,7 +66,7 @@ impl Radial {
         let off_axis = libm::hypot(ray.x, ray.y);
         let angle = libm::atan2(off_axis, ray.z);
         // A NaN ray and the zero ray have no pixel; the margin forgives the rounding of a ray at the rim.
-        if !(angle <= self.max_angle + 1e-12) || ray == DVec3::ZERO {
+        if angle.is_nan() || angle > self.max_angle + 1e-12 || ray == DVec3::ZERO {
             return None;
         }
         if off_axis == 0.0 {
@@ -87,7 +87,7 @@ impl Radial {
 
     /// The angle that is drawn at radius `r`: Newton's method that never leaves its bracket.
     fn angle(&self, r: f64) -> Option<f64> {
-        if !(r <= self.max_radius * (1.0 + 1e-12)) {
+        if r.is_nan() || r > self.max_radius * (1.0 + 1e-12) {
             return None;
         }
         match &self.profile {

@@ -1,0 +1,12 @@
+//! The agent: what comes from the sensors goes through the filter into the capture.
+
+pub mod checkpoint;
+pub mod replay;
+mod setup;
+mod stages;
+pub mod tagger;
+
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use replay::{ReplayError, ReplayOptions, ReplayReport, replay};
+pub use setup::SetupError;
+pub use tagger::Tagger;

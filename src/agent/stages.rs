@@ -1,0 +1,121 @@
+//! The part of a frame's work that needs nothing of the frames before it, on as many threads as wanted.
+//!
+//! Frames go to a pool of workers and are taken back in their order, so that the number of threads changes no bit.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Instant;
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+
+use super::setup::Eyes;
+use crate::sensors::decode::{DecodeError, picture};
+use crate::sensors::synchroniser::Frame;
+use crate::vision::Seen;
+
+/// A frame after looking at it.
+pub struct Looked {
+    pub frame: Frame,
+    pub seen: Result<Seen, NotSeen>,
+    /// Milliseconds from the decoded image to the ground table.
+    pub look_ms: f64,
+}
+
+/// Why nothing could be seen.
+#[derive(Debug)]
+pub enum NotSeen {
+    Decode(DecodeError),
+    Size {
+        image: [usize; 2],
+        lens: [u32; 2],
+    },
+    /// The camera's place is not known: the message is in the frame.
+    NoPlace,
+}
+
+/// Frames under way for each worker: one being looked at, one waiting.
+const AHEAD: usize = 2;
+
+struct Job {
+    frame: Frame,
+    reply: Sender<Looked>,
+}
+
+/// Frames in, looked-at frames out, in the same order.
+pub struct Looking {
+    eyes: Arc<Eyes>,
+    jobs: Option<Sender<Job>>,
+    workers: Vec<std::thread::JoinHandle<()>>,
+    pending: VecDeque<Receiver<Looked>>,
+    limit: usize,
+}
+
+impl Looking {
+    /// With one thread everything happens in the caller's.
+    pub fn new(eyes: Arc<Eyes>, threads: usize) -> Self {
+        if threads <= 1 {
+            return Self { eyes, jobs: None, workers: Vec::new(), pending: VecDeque::new(), limit: 1 };
+        }
+        let limit = threads * AHEAD;
+        let (jobs, queue) = bounded::<Job>(limit);
+        let workers = (0..threads)
+            .map(|_| {
+                let (eyes, queue) = (Arc::clone(&eyes), queue.clone());
+                std::thread::spawn(move || {
+                    for job in queue {
+                        // Nobody waits any more when the replay has been given up.
+                        let _ = job.reply.send(look(&eyes, job.frame));
+                    }
+                })
+            })
+            .collect();
+        Self { eyes, jobs: Some(jobs), workers, pending: VecDeque::new(), limit }
+    }
+
+    /// Takes a frame and, once enough are under way, hands back the oldest.
+    pub fn push(&mut self, frame: Frame) -> Option<Looked> {
+        let Some(jobs) = &self.jobs else { return Some(look(&self.eyes, frame)) };
+        let (reply, result) = bounded(1);
+        // The workers live as long as this end of the channel.
+        let _ = jobs.send(Job { frame, reply });
+        self.pending.push_back(result);
+        if self.pending.len() >= self.limit { self.pop() } else { None }
+    }
+
+    /// The oldest frame under way.
+    pub fn pop(&mut self) -> Option<Looked> {
+        self.pending.pop_front().and_then(|result| result.recv().ok())
+    }
+
+    pub fn is_idle(&self) -> bool {
+        self.pending.is_empty()
+    }
+}
+
+impl Drop for Looking {
+    fn drop(&mut self) {
+        self.jobs = None;
+        for worker in self.workers.drain(..) {
+            // A worker that panicked has already said so.
+            let _ = worker.join();
+        }
+    }
+}
+
+fn look(eyes: &Eyes, frame: Frame) -> Looked {
+    let lens = eyes.vision.lens();
+    let Ok(place) = frame.robot.place.clone() else {
+        return Looked { frame, seen: Err(NotSeen::NoPlace), look_ms: 0.0 };
+    };
+    let picture = match picture(&frame.message) {
+        Ok(picture) => picture,
+        Err(error) => return Looked { frame, seen: Err(NotSeen::Decode(error)), look_ms: 0.0 },
+    };
+    if (picture.width, picture.height) != (lens.width() as usize, lens.height() as usize) {
+        let sizes = NotSeen::Size { image: [picture.width, picture.height], lens: [lens.width(), lens.height()] };
+        return Looked { frame, seen: Err(sizes), look_ms: 0.0 };
+    }
+    let start = Instant::now();
+    let seen = eyes.vision.look(&picture, &place.footprint_from_optical, eyes.body(frame.robot.head));
+    Looked { look_ms: start.elapsed().as_secs_f64() * 1e3, frame, seen: Ok(seen) }
+}

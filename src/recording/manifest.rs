@@ -1,0 +1,133 @@
+//! What a session says about itself: `session.json`, a line of `manifest.jsonl` per segment, `metadata.yaml`.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::Settings;
+use crate::geometry::{FieldDimensions, LensParameters};
+
+pub const FORMAT_VERSION: u32 = 1;
+
+/// `session.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SessionInfo {
+    pub format: u32,
+    pub software: String,
+    pub robot: String,
+    /// UTC of the first message, RFC 3339.
+    pub started: String,
+    /// The log or scene that was replayed.
+    pub source: Option<String>,
+    pub settings: Settings,
+    pub field: FieldDimensions,
+    pub lens: LensParameters,
+}
+
+/// Frames, by what became of them: captured = written + the sum of dropped.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Counts {
+    pub captured: u64,
+    pub written: u64,
+    pub tagged: u64,
+    pub valid: u64,
+    /// By cause.
+    pub dropped: BTreeMap<String, u64>,
+}
+
+impl Counts {
+    /// Every captured frame was either written or dropped.
+    pub fn is_conserved(&self) -> bool {
+        self.captured == self.written + self.dropped.values().sum::<u64>()
+    }
+}
+
+/// Smallest box around the valid tags: metres in `map`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PoseBox {
+    pub x: [f64; 2],
+    pub y: [f64; 2],
+}
+
+impl PoseBox {
+    pub fn around(known: Option<Self>, x: f64, y: f64) -> Self {
+        let PoseBox { x: [x0, x1], y: [y0, y1] } = known.unwrap_or(PoseBox { x: [x, x], y: [y, y] });
+        PoseBox { x: [x0.min(x), x1.max(x)], y: [y0.min(y), y1.max(y)] }
+    }
+}
+
+/// A finished segment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ManifestLine {
+    pub name: String,
+    pub bytes: u64,
+    pub blake3: String,
+    pub first_ns: i64,
+    pub last_ns: i64,
+    pub messages: u64,
+    pub frames: Counts,
+    pub poses: Option<PoseBox>,
+}
+
+/// Messages of one topic in all segments, for `metadata.yaml`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TopicCount {
+    pub type_name: String,
+    pub latched: bool,
+    pub messages: u64,
+}
+
+/// What `ros2 bag` wants beside the files (version 5: understood since Humble).
+pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<String, TopicCount>) -> String {
+    let first = lines.iter().map(|line| line.first_ns).min().unwrap_or(0);
+    let last = lines.iter().map(|line| line.last_ns).max().unwrap_or(first);
+    let messages: u64 = topics.values().map(|topic| topic.messages).sum();
+    let mut yaml = String::new();
+    // Writing to a String cannot fail.
+    let _ = write!(
+        yaml,
+        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  duration:\n    nanoseconds: {}\n  \
+         starting_time:\n    nanoseconds_since_epoch: {first}\n  message_count: {messages}\n  \
+         topics_with_message_count:\n",
+        last - first
+    );
+    for (name, topic) in topics {
+        let qos = crate::ros2::mcap_write::qos_profile(if topic.latched {
+            crate::ros2::mcap_write::Durability::TransientLocal
+        } else {
+            crate::ros2::mcap_write::Durability::Volatile
+        });
+        let _ = write!(
+            yaml,
+            "    - topic_metadata:\n        name: {}\n        type: {}\n        serialization_format: cdr\n        \
+             offered_qos_profiles: {}\n      message_count: {}\n",
+            quoted(name),
+            quoted(&topic.type_name),
+            quoted(&qos),
+            topic.messages
+        );
+    }
+    let _ = writeln!(yaml, "  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:");
+    for line in lines {
+        let _ = writeln!(yaml, "    - {}", quoted(&line.name));
+    }
+    let _ = writeln!(yaml, "  files:");
+    for line in lines {
+        let _ = write!(
+            yaml,
+            "    - path: {}\n      starting_time:\n        nanoseconds_since_epoch: {}\n      duration:\n        \
+             nanoseconds: {}\n      message_count: {}\n",
+            quoted(&line.name),
+            line.first_ns,
+            line.last_ns - line.first_ns,
+            line.messages
+        );
+    }
+    yaml
+}
+
+/// A JSON string is a YAML one.
+fn quoted(text: &str) -> String {
+    serde_json::Value::from(text).to_string()
+}

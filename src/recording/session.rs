@@ -1,0 +1,217 @@
+//! A session: one folder, from the first message to the last.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use thiserror::Error;
+
+use super::manifest::{Counts, ManifestLine, SessionInfo, TopicCount, metadata_yaml};
+use super::segment::{Segment, sync_folder};
+use super::topic;
+use crate::config::RecordingSettings;
+use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::mcap_write::WriteError;
+use crate::ros2::messages::{DiagnosticArray, FrameTag, Header, Message, PoseWithCovarianceStamped};
+
+#[derive(Debug, Error)]
+pub enum RecordingError {
+    #[error("{path}: {source}")]
+    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    Log(#[from] WriteError),
+    #[error("session.json: {0}")]
+    Json(#[from] serde_json::Error),
+}
+
+pub struct SessionWriter {
+    folder: PathBuf,
+    settings: RecordingSettings,
+    segment: Segment,
+    next_index: u32,
+    manifest: File,
+    lines: Vec<ManifestLine>,
+    topics: BTreeMap<String, TopicCount>,
+    /// Calibration and constants, written again at the start of each segment.
+    latched: Vec<LogMessage>,
+}
+
+/// More latched messages than this are not repeated in each segment.
+const MAX_LATCHED: usize = 256;
+/// Names tried before giving up: `name`, `name-2`, ...
+const MAX_SUFFIX: u32 = 10_000;
+
+impl SessionWriter {
+    /// Makes `captures/<name>/` (with a suffix if that is taken) and its first segment.
+    pub fn create(
+        captures: &Path,
+        name: &str,
+        info: &SessionInfo,
+        settings: RecordingSettings,
+    ) -> Result<Self, RecordingError> {
+        let failed = |source| RecordingError::Io { path: captures.to_owned(), source };
+        fs::create_dir_all(captures).map_err(failed)?;
+        let folder = new_folder(captures, name)?;
+        write_atomically(&folder.join("session.json"), &serde_json::to_vec_pretty(info)?)?;
+        let path = folder.join("manifest.jsonl");
+        let manifest = OpenOptions::new()
+            .append(true)
+            .create_new(true)
+            .open(&path)
+            .map_err(|source| RecordingError::Io { path, source })?;
+        sync_folder(captures)?;
+        let segment = Segment::create(&folder, 0)?;
+        Ok(Self {
+            folder,
+            settings,
+            segment,
+            next_index: 1,
+            manifest,
+            lines: Vec::new(),
+            topics: BTreeMap::new(),
+            latched: Vec::new(),
+        })
+    }
+
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Frames of the segment being written and of those finished.
+    pub fn counts(&self) -> Counts {
+        let mut total = self.segment.counts.clone();
+        for line in &self.lines {
+            total.captured += line.frames.captured;
+            total.written += line.frames.written;
+            total.tagged += line.frames.tagged;
+            total.valid += line.frames.valid;
+            for (cause, count) in &line.frames.dropped {
+                *total.dropped.entry(cause.clone()).or_default() += count;
+            }
+        }
+        total
+    }
+
+    /// Whether the segment has lasted or grown long enough.
+    pub fn is_segment_full(&self, log_time_ns: i64) -> bool {
+        let age_ns = self.segment.first_ns().map_or(0, |first| log_time_ns.saturating_sub(first));
+        let seconds = i64::try_from(self.settings.segment_s).unwrap_or(i64::MAX);
+        age_ns >= seconds.saturating_mul(1_000_000_000) || self.segment.bytes() >= self.settings.segment_mb << 20
+    }
+
+    /// Finishes the open segment and begins the next with the constants and the filter's state.
+    pub fn next_segment(&mut self, log_time_ns: i64, name: &str, checkpoint: &[u8]) -> Result<(), RecordingError> {
+        let segment = Segment::create(&self.folder, self.next_index)?;
+        self.next_index += 1;
+        let finished = std::mem::replace(&mut self.segment, segment).finish()?;
+        self.note(finished)?;
+        self.segment.attach(name, log_time_ns, checkpoint)?;
+        for mut message in self.latched.clone() {
+            message.log_time_ns = log_time_ns;
+            self.count(&message.channel.topic, &message.channel.type_name, true);
+            self.segment.pass(&message)?;
+        }
+        Ok(())
+    }
+
+    /// The filter's state at the start of the first segment.
+    pub fn attach(&mut self, log_time_ns: i64, name: &str, data: &[u8]) -> Result<(), RecordingError> {
+        self.segment.attach(name, log_time_ns, data)
+    }
+
+    /// A message of the source, untouched; `latched` ones open every later segment as well.
+    pub fn pass(&mut self, message: &LogMessage, is_frame: bool, latched: bool) -> Result<(), RecordingError> {
+        if latched && self.latched.len() < MAX_LATCHED {
+            self.latched.push(message.clone());
+        }
+        self.count(&message.channel.topic, &message.channel.type_name, latched);
+        self.segment.counts.captured += u64::from(is_frame);
+        self.segment.pass(message)?;
+        self.segment.counts.written += u64::from(is_frame);
+        self.segment.sync_if_due(Duration::from_millis(self.settings.sync_interval_ms))
+    }
+
+    /// One per frame; the pose topic gets the valid ones.
+    pub fn tag(&mut self, log_time_ns: i64, map_frame: &str, tag: &FrameTag) -> Result<(), RecordingError> {
+        self.write(topic::FRAME_TAG, log_time_ns, tag)?;
+        self.segment.counts.tagged += 1;
+        if tag.valid {
+            self.segment.counts.valid += 1;
+            let position = &tag.pose.pose.position;
+            self.segment.valid_pose(position.x, position.y);
+            let header = Header { stamp: tag.header.stamp, frame_id: map_frame.to_owned() };
+            let pose = PoseWithCovarianceStamped { header, pose: tag.pose.clone() };
+            self.write(topic::POSE, log_time_ns, &pose)?;
+        }
+        Ok(())
+    }
+
+    pub fn diagnostics(&mut self, log_time_ns: i64, report: &DiagnosticArray) -> Result<(), RecordingError> {
+        self.write(topic::DIAGNOSTICS, log_time_ns, report)
+    }
+
+    /// Finishes the last segment and writes `metadata.yaml`.
+    pub fn finish(mut self) -> Result<(PathBuf, Counts), RecordingError> {
+        let counts = self.counts();
+        let line = self.segment.finish()?;
+        append_line(&mut self.manifest, &self.folder, &line)?;
+        self.lines.push(line);
+        let yaml = metadata_yaml(&self.lines, &self.topics);
+        write_atomically(&self.folder.join("metadata.yaml"), yaml.as_bytes())?;
+        Ok((self.folder, counts))
+    }
+
+    fn note(&mut self, line: ManifestLine) -> Result<(), RecordingError> {
+        append_line(&mut self.manifest, &self.folder, &line)?;
+        self.lines.push(line);
+        Ok(())
+    }
+
+    fn write<M: Message>(&mut self, topic: &str, log_time_ns: i64, message: &M) -> Result<(), RecordingError> {
+        self.count(topic, M::TYPE, false);
+        self.segment.write(topic, log_time_ns, message)
+    }
+
+    fn count(&mut self, topic: &str, type_name: &str, latched: bool) {
+        match self.topics.get_mut(topic) {
+            Some(count) => count.messages += 1,
+            None => {
+                let count = TopicCount { type_name: type_name.to_owned(), latched, messages: 1 };
+                self.topics.insert(topic.to_owned(), count);
+            }
+        }
+    }
+}
+
+fn append_line(manifest: &mut File, folder: &Path, line: &ManifestLine) -> Result<(), RecordingError> {
+    let mut text = serde_json::to_string(line)?;
+    text.push('\n');
+    let failed = |source| RecordingError::Io { path: folder.join("manifest.jsonl"), source };
+    manifest.write_all(text.as_bytes()).map_err(failed)?;
+    manifest.sync_data().map_err(failed)
+}
+
+fn new_folder(captures: &Path, name: &str) -> Result<PathBuf, RecordingError> {
+    for suffix in 1..=MAX_SUFFIX {
+        let folder = captures.join(if suffix == 1 { name.to_owned() } else { format!("{name}-{suffix}") });
+        match fs::create_dir(&folder) {
+            Ok(()) => return Ok(folder),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(source) => return Err(RecordingError::Io { path: folder, source }),
+        }
+    }
+    let source = io::Error::from(io::ErrorKind::AlreadyExists);
+    Err(RecordingError::Io { path: captures.join(name), source })
+}
+
+/// The old content or the new, never a part: written beside, forced to disk, renamed.
+pub fn write_atomically(path: &Path, content: &[u8]) -> Result<(), RecordingError> {
+    let failed = |source| RecordingError::Io { path: path.to_owned(), source };
+    let beside = path.with_extension("new");
+    let mut file = File::create(&beside).map_err(failed)?;
+    file.write_all(content).and_then(|()| file.sync_all()).map_err(failed)?;
+    fs::rename(&beside, path).map_err(failed)?;
+    path.parent().map_or(Ok(()), sync_folder)
+}
