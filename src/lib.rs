@@ -20,3 +20,7 @@ pub mod sensors;
 pub mod recording;
 
 pub mod agent;
+
+pub mod evaluation;
+
+pub mod cli;

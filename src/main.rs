@@ -1,1 +1,7 @@
-fn main() {}
+//! See [`realitysim::cli`].
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    realitysim::cli::run()
+}

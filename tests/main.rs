@@ -1,2 +1,5 @@
+//! Tests of the crate from outside, room by room.
+
 mod config;
+mod real;
 mod scene;

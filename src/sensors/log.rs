@@ -57,12 +57,18 @@ pub struct LogSource {
     files: std::vec::IntoIter<PathBuf>,
     open: Option<(PathBuf, LogReader<BufReader<File>>)>,
     selection: Selection,
+    outputs: bool,
     damage: Vec<(PathBuf, Damage)>,
 }
 
 impl LogSource {
+    /// Inputs only: what an earlier replay added is passed over.
     pub fn new(files: Vec<PathBuf>, selection: Selection) -> Self {
-        Self { files: files.into_iter(), open: None, selection, damage: Vec::new() }
+        Self { files: files.into_iter(), open: None, selection, outputs: false, damage: Vec::new() }
+    }
+
+    pub fn with_outputs(files: Vec<PathBuf>, selection: Selection) -> Self {
+        Self { outputs: true, ..Self::new(files, selection) }
     }
 
     /// What was found wrong in the files read so far; complete at the end.
@@ -93,7 +99,7 @@ impl Iterator for LogSource {
             }
             let (path, reader) = self.open.as_mut()?;
             match reader.next() {
-                Some(Ok(message)) if OUTPUT_TOPICS.contains(&message.channel.topic.as_str()) => {}
+                Some(Ok(message)) if !self.outputs && OUTPUT_TOPICS.contains(&message.channel.topic.as_str()) => {}
                 Some(Ok(message)) => return Some(Ok(message)),
                 Some(Err(source)) => {
                     let error = LogError::Read { path: path.clone(), source };

@@ -38,6 +38,19 @@ impl Picture {
         Some(Self { width, height, luma, chroma })
     }
 
+    /// Interleaved R, G, B (JFIF's conversion).
+    pub fn to_rgb(&self) -> Vec<u8> {
+        let level = |value: f32| (value + 0.5).clamp(0.0, 255.0) as u8;
+        let neutral = [128u8; 2];
+        (self.luma.iter().enumerate())
+            .flat_map(|(i, y)| {
+                let [cb, cr] = self.chroma.get(i).unwrap_or(&neutral).map(|c| f32::from(c) - 128.0);
+                let y = f32::from(*y);
+                [level(y + 1.402 * cr), level(y - 0.344_136 * cb - 0.714_136 * cr), level(y + 1.772 * cb)]
+            })
+            .collect()
+    }
+
     /// Averages `factor` x `factor` blocks; what does not fill a block at the right and lower edge is left out.
     pub fn reduced(&self, factor: usize) -> std::borrow::Cow<'_, Picture> {
         if factor <= 1 || self.width < factor || self.height < factor {
@@ -83,6 +96,13 @@ mod tests {
         let p = Picture::from_rgb(2, 1, &[77, 77, 77, 0, 255, 0]).expect("two pixels");
         assert_eq!((p.luma[0], p.chroma[0]), (77, [128, 128]));
         assert_eq!((p.luma[1], p.chroma[1]), (150, [44, 21]));
+    }
+
+    #[test]
+    fn rgb_comes_back_within_rounding() {
+        let rgb = [200, 30, 90, 0, 255, 0, 17, 18, 19, 255, 255, 255];
+        let back = Picture::from_rgb(4, 1, &rgb).expect("four pixels").to_rgb();
+        assert!(rgb.iter().zip(&back).all(|(a, b)| a.abs_diff(*b) <= 2), "{back:?}");
     }
 
     #[test]

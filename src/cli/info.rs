@@ -1,0 +1,137 @@
+//! `realitysim info`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{Outcome, output};
+use crate::sensors::log;
+
+/// What a log, bag or capture holds: topics, types, rates, damage
+#[derive(Args)]
+pub struct InfoArguments {
+    /// An MCAP file or a folder of them
+    file: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Info {
+    files: Vec<FileInfo>,
+    duration_s: f64,
+    messages: u64,
+    topics: Vec<TopicInfo>,
+}
+
+#[derive(Serialize)]
+struct FileInfo {
+    file: PathBuf,
+    indexed: bool,
+    compression: Vec<String>,
+    attachments: Vec<String>,
+    torn: bool,
+    bad_chunks: u64,
+    bytes_skipped: u64,
+    first_error: Option<String>,
+}
+
+#[derive(Clone, Serialize)]
+struct TopicInfo {
+    topic: String,
+    #[serde(rename = "type")]
+    type_name: String,
+    messages: u64,
+    rate_hz: Option<f64>,
+    #[serde(skip)]
+    span_ns: Option<(i64, i64)>,
+}
+
+pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
+    let files = log::files_of(&arguments.file)?;
+    let surveys = log::surveys(&files)?;
+    let mut topics: Vec<TopicInfo> = Vec::new();
+    for topic in surveys.iter().flat_map(|survey| &survey.topics) {
+        let span = topic.first_log_time_ns.zip(topic.last_log_time_ns);
+        match topics.iter_mut().find(|known| known.topic == topic.topic) {
+            Some(known) => {
+                known.messages += topic.messages;
+                known.span_ns = joined(known.span_ns, span);
+            }
+            None => topics.push(TopicInfo {
+                topic: topic.topic.clone(),
+                type_name: topic.type_name.clone(),
+                messages: topic.messages,
+                rate_hz: None,
+                span_ns: span,
+            }),
+        }
+    }
+    topics.sort_by(|a, b| a.topic.cmp(&b.topic));
+    for topic in &mut topics {
+        topic.rate_hz = topic.span_ns.and_then(|(first, last)| {
+            let seconds = last.saturating_sub(first) as f64 * 1e-9;
+            (topic.messages > 1 && seconds > 0.0).then(|| (topic.messages - 1) as f64 / seconds)
+        });
+    }
+    let whole = topics.iter().fold(None, |span, topic| joined(span, topic.span_ns));
+    let damaged = surveys.iter().any(|survey| !survey.damage.is_none());
+    let info = Info {
+        files: files
+            .into_iter()
+            .zip(&surveys)
+            .map(|(file, survey)| FileInfo {
+                file,
+                indexed: survey.indexed,
+                compression: survey.compressions.iter().cloned().collect(),
+                attachments: survey.attachments.clone(),
+                torn: survey.damage.torn,
+                bad_chunks: survey.damage.bad_chunks,
+                bytes_skipped: survey.damage.bytes_skipped,
+                first_error: survey.damage.first_error.clone(),
+            })
+            .collect(),
+        duration_s: whole.map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 * 1e-9),
+        messages: topics.iter().map(|topic| topic.messages).sum(),
+        topics,
+    };
+    if json {
+        output::json(&info)?
+    } else {
+        output::lines(&for_people(&info))?
+    }
+    Ok(if damaged { Outcome::DataLost } else { Outcome::Whole })
+}
+
+fn joined(a: Option<(i64, i64)>, b: Option<(i64, i64)>) -> Option<(i64, i64)> {
+    match (a, b) {
+        (Some((a0, a1)), Some((b0, b1))) => Some((a0.min(b0), a1.max(b1))),
+        (a, b) => a.or(b),
+    }
+}
+
+fn for_people(info: &Info) -> String {
+    let mut text = String::new();
+    for file in &info.files {
+        let index = if file.indexed { "indexed" } else { "no index" };
+        let attached = match file.attachments.is_empty() {
+            true => String::new(),
+            false => format!(", attached: {}", file.attachments.join(", ")),
+        };
+        text.push_str(&format!(
+            "{}: {index}, chunks: {}{attached}\n",
+            file.file.display(),
+            file.compression.join(", ")
+        ));
+        if let Some(error) = &file.first_error {
+            text.push_str(&format!("  damaged: {error}; {} bytes cannot be used\n", file.bytes_skipped));
+        } else if file.torn {
+            text.push_str("  torn: its end is missing\n");
+        }
+    }
+    text.push_str(&format!("{:.1} s, {} messages\n\n", info.duration_s, info.messages));
+    for topic in &info.topics {
+        let rate = topic.rate_hz.map_or(String::new(), |rate| format!("{rate:.1} Hz"));
+        text.push_str(&format!("  {:<30} {:<44} {:>8} {rate:>10}\n", topic.topic, topic.type_name, topic.messages));
+    }
+    text.trim_end().to_owned()
+}

@@ -1,0 +1,75 @@
+//! Commands: arguments to plain data, errors to exit codes, results to people or programs.
+//!
+//! Exit codes: 0 done, 1 failed, 2 wrong usage or config, 3 done but data was lost.
+
+mod eval;
+mod export;
+mod info;
+mod output;
+mod replay;
+mod settings;
+mod sim;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::agent::{ReplayError, SetupError};
+use crate::config::ConfigError;
+
+/// Tags every camera frame of a soccer robot with the pose of its camera.
+#[derive(Parser)]
+#[command(name = "realitysim", version, max_term_width = 100)]
+struct Arguments {
+    /// One line of JSON on standard output; everything else goes to standard error.
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Replay(replay::ReplayArguments),
+    Sim(sim::SimArguments),
+    Eval(eval::EvalArguments),
+    Export(export::ExportArguments),
+    Info(info::InfoArguments),
+}
+
+/// Done, or done with losses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Outcome {
+    Whole,
+    DataLost,
+}
+
+pub fn run() -> ExitCode {
+    let arguments = Arguments::parse();
+    let json = arguments.json;
+    let outcome = match arguments.command {
+        Command::Replay(arguments) => replay::run(&arguments, json),
+        Command::Sim(arguments) => sim::run(&arguments, json),
+        Command::Eval(arguments) => eval::run(&arguments, json),
+        Command::Export(arguments) => export::run(&arguments, json),
+        Command::Info(arguments) => info::run(&arguments, json),
+    };
+    match outcome {
+        Ok(Outcome::Whole) => ExitCode::SUCCESS,
+        Ok(Outcome::DataLost) => ExitCode::from(3),
+        Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("realitysim: {error:#}");
+            ExitCode::from(if is_usage(&error) { 2 } else { 1 })
+        }
+    }
+}
+
+/// A config or an argument is wrong, rather than the world.
+fn is_usage(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        cause.is::<ConfigError>()
+            || cause.is::<settings::UsageError>()
+            || matches!(cause.downcast_ref::<ReplayError>(), Some(ReplayError::Setup(SetupError::Config(_))))
+    })
+}

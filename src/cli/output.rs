@@ -1,0 +1,73 @@
+//! What people see while they wait, and what programs read.
+
+use std::io::{self, IsTerminal, Write};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde::Serialize;
+
+use crate::evaluation::Summary;
+
+/// A bar on a terminal, a line now and then elsewhere; always on standard error.
+pub struct Progress {
+    bar: ProgressBar,
+    plain: bool,
+    told: std::time::Instant,
+}
+
+const TELL_EVERY: Duration = Duration::from_secs(5);
+
+impl Progress {
+    pub fn new(what: &'static str) -> Self {
+        let plain = !io::stderr().is_terminal();
+        let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
+        let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} frames {per_sec} {eta}");
+        if let Ok(style) = style {
+            bar.set_style(style);
+        }
+        bar.set_message(what);
+        Self { bar, plain, told: std::time::Instant::now() }
+    }
+
+    pub fn set(&mut self, done: u64, total: Option<u64>) {
+        self.bar.set_length(total.unwrap_or(done));
+        self.bar.set_position(done);
+        if self.plain && self.told.elapsed() > TELL_EVERY {
+            self.told = std::time::Instant::now();
+            let of = total.map_or(String::new(), |total| format!(" of {total}"));
+            eprintln!("{}: {done}{of} frames", self.bar.message());
+        }
+    }
+
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// One object on one line.
+pub fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
+    let mut stdout = io::stdout().lock();
+    serde_json::to_writer(&mut stdout, value)?;
+    writeln!(stdout)?;
+    Ok(())
+}
+
+/// Lines for people on standard output.
+pub fn lines(text: &str) -> anyhow::Result<()> {
+    writeln!(io::stdout().lock(), "{text}")?;
+    Ok(())
+}
+
+/// A row of a table of errors.
+pub fn row(name: &str, unit: &str, s: &Summary) -> String {
+    format!("  {name:<10} {:>8.2} {:>8.2} {:>8.2} {:>8.2}  {unit}", s.mean, s.median, s.p95, s.max)
+}
+
+/// The reader of our output has gone: no error of ours.
+pub fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        let io = cause.downcast_ref::<io::Error>().map(io::Error::kind);
+        let json = cause.downcast_ref::<serde_json::Error>().and_then(serde_json::Error::io_error_kind);
+        io.or(json) == Some(io::ErrorKind::BrokenPipe)
+    })
+}

@@ -1,0 +1,102 @@
+//! `realitysim replay`
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::settings::{SettingsArguments, planar_pose};
+use super::{Outcome, output};
+use crate::agent::{ReplayOptions, ReplayReport, replay};
+use crate::geometry::Pose2;
+
+/// Tag every frame of a log or scene and write a capture
+///
+/// LOG is a ROS 2 MCAP file, a folder of them (a bag or a capture) or one segment of a capture; SCENE is a scene file
+/// (replay/scenes/*.toml). Makes CAPTURES_DIR/<session>/ and prints its path. Camera bytes are passed through
+/// untouched; /camera/pose, /frame_tag and /diagnostics are added. Ground truth in the log is never read.
+///
+/// Older rosbag2 .db3 files: convert them first, `pip install rosbags && rosbags-convert --src BAG --dst NEW
+/// --dst-storage mcap`.
+#[derive(Args)]
+pub struct ReplayArguments {
+    /// A log or a scene
+    #[arg(value_name = "LOG|SCENE")]
+    source: PathBuf,
+    /// Where captures are kept
+    #[arg(short, long, value_name = "CAPTURES_DIR")]
+    output: PathBuf,
+    /// Threads for decoding and looking at frames; the tags do not depend on it
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Pose of base_footprint at the first frame, in place of what the log announces
+    #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
+    initial: Option<Pose2>,
+    /// Pace by the log's times
+    #[arg(long)]
+    realtime: bool,
+    /// Go on from where the last replay into CAPTURES_DIR ended; invalid until lines confirm it
+    #[arg(long)]
+    warm_start: bool,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let options = ReplayOptions {
+        source: arguments.source.clone(),
+        captures: arguments.output.clone(),
+        settings: arguments.settings.resolve()?,
+        initial: arguments.initial,
+        threads: arguments.threads.unwrap_or(cores).clamp(1, 64),
+        realtime: arguments.realtime,
+        warm_start: arguments.warm_start,
+    };
+    let mut progress = output::Progress::new("tagging");
+    let report = replay(&options, &mut |done, total| progress.set(done, total))?;
+    progress.finish();
+    report_losses(&report);
+    if json {
+        output::json(&report)?
+    } else {
+        output::lines(&for_people(&report))?
+    }
+    Ok(if report.data_was_lost() { Outcome::DataLost } else { Outcome::Whole })
+}
+
+pub fn for_people(report: &ReplayReport) -> String {
+    let ReplayReport { session, frames, tagged, valid, particles, iterations, threads, filter_ms, wall_s, .. } = report;
+    let mut text = format!(
+        "{frames} frames, {tagged} tagged, {valid} valid in {wall_s:.1} s\n\
+         {particles} particles x {iterations} iterations, image to tag: p50 {:.1} ms, p99 {:.1} ms, max {:.1} ms \
+         ({threads} threads)\n",
+        filter_ms.p50, filter_ms.p99, filter_ms.max
+    );
+    if !report.invalid.is_empty() {
+        let reasons: Vec<String> = report.invalid.iter().map(|(reason, count)| format!("{count} {reason}")).collect();
+        text.push_str(&format!("invalid: {}\n", reasons.join(", ")));
+    }
+    text.push_str(&session.display().to_string());
+    text
+}
+
+fn report_losses(report: &ReplayReport) {
+    for damage in &report.damage {
+        let what = damage.first_error.clone().unwrap_or_else(|| "its end is missing".to_owned());
+        eprintln!(
+            "realitysim: {} is damaged ({what}): {} bad chunks, {} bytes not used; the rest was replayed",
+            damage.file.display(),
+            damage.bad_chunks,
+            damage.bytes_skipped
+        );
+    }
+    if report.bad_messages > 0 {
+        eprintln!(
+            "realitysim: {} messages are not what their type says; they were recorded as they are",
+            report.bad_messages
+        );
+    }
+    if let Some(image) = &report.first_bad_image {
+        eprintln!("realitysim: {image} (first of its kind; such frames are tagged invalid)");
+    }
+}

@@ -1,0 +1,151 @@
+//! The config file and the same keys on the command line.
+
+use clap::Args;
+use thiserror::Error;
+
+use crate::config::{Formula, Model, MotionSource, Settings, SimdPath};
+use crate::geometry::Pose2;
+
+#[derive(Debug, Error)]
+#[error("{0}")]
+pub struct UsageError(pub String);
+
+#[derive(Args)]
+pub struct SettingsArguments {
+    /// Robot config (TOML); config/robot.toml shows every key.
+    #[arg(long, value_name = "FILE")]
+    config: Option<String>,
+    /// Any key of the config, for example --set filter.valid_share=0.4; can be given several times.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// A shipped field (config/fields) or the path of a field file.
+    #[arg(long, value_name = "NAME")]
+    field: Option<String>,
+    /// Seed of all random numbers: the same seed gives the same tags, bit for bit.
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Observation model: gauss (Eq. 2 of the paper) or distance (Eq. 1).
+    #[arg(long, value_name = "gauss|distance", value_parser = word::<Model>)]
+    model: Option<Model>,
+    /// corrected, or paper: as printed (docs/paper.md says what that does).
+    #[arg(long, value_name = "corrected|paper", value_parser = word::<Formula>)]
+    formula: Option<Formula>,
+    /// Number of particles (N of the paper).
+    #[arg(long, value_name = "N")]
+    particles: Option<usize>,
+    /// Weighting and resampling rounds per frame (T of the paper).
+    #[arg(long, value_name = "T")]
+    iterations: Option<usize>,
+    /// About how many points stand for all field lines.
+    #[arg(long, value_name = "N")]
+    line_points: Option<usize>,
+    /// Scale of the exponent in Eq. 1 and 2.
+    #[arg(long, value_name = "ALPHA", allow_negative_numbers = true)]
+    alpha: Option<f64>,
+    /// Where the step between frames comes from: odometry or random_walk.
+    #[arg(long, value_name = "odometry|random_walk", value_parser = word::<MotionSource>)]
+    motion: Option<MotionSource>,
+    /// Kernel: auto, scalar, sse2 or avx2; the tags are the same on each.
+    #[arg(long, value_name = "PATH", value_parser = word::<SimdPath>)]
+    simd: Option<SimdPath>,
+    /// A lens file in place of the log's camera_info.
+    #[arg(long, value_name = "FILE")]
+    lens: Option<String>,
+}
+
+impl SettingsArguments {
+    /// Defaults, then the file, then the command line; checked once.
+    pub fn resolve(&self) -> anyhow::Result<Settings> {
+        let mut settings = match &self.config {
+            Some(path) => Settings::load(path)?,
+            None => Settings::default(),
+        };
+        for assignment in &self.set {
+            settings = with_key(settings, assignment)?;
+        }
+        let filter = &mut settings.filter;
+        replace(&mut settings.field, &self.field);
+        replace(&mut filter.seed, &self.seed);
+        replace(&mut filter.model, &self.model);
+        replace(&mut filter.formula, &self.formula);
+        replace(&mut filter.particles, &self.particles);
+        replace(&mut filter.iterations, &self.iterations);
+        replace(&mut filter.line_points, &self.line_points);
+        replace(&mut filter.motion, &self.motion);
+        replace(&mut filter.simd, &self.simd);
+        filter.alpha = self.alpha.or(filter.alpha);
+        settings.camera.lens = self.lens.clone().or(settings.camera.lens);
+        settings.check().map_err(UsageError)?;
+        Ok(settings)
+    }
+}
+
+fn replace<T: Clone>(value: &mut T, given: &Option<T>) {
+    if let Some(given) = given {
+        *value = given.clone();
+    }
+}
+
+/// `a.b=value`, the value written as in TOML; a bare word is taken as a string.
+fn with_key(settings: Settings, assignment: &str) -> anyhow::Result<Settings> {
+    let (key, value) = assignment
+        .split_once('=')
+        .ok_or_else(|| UsageError(format!("--set {assignment}: expected KEY=VALUE, as in filter.particles=400")))?;
+    let value: toml::Value = toml::from_str::<toml::Table>(&format!("value = {value}"))
+        .ok()
+        .and_then(|mut table| table.remove("value"))
+        .unwrap_or_else(|| toml::Value::String(value.to_owned()));
+    let mut root = toml::Value::try_from(&settings)?;
+    let mut place = &mut root;
+    for part in key.trim().split('.') {
+        let table = place.as_table_mut().ok_or_else(|| UsageError(format!("--set {key}: there is no such key")))?;
+        place = table.entry(part).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+    }
+    *place = value;
+    root.try_into()
+        .map_err(|error: toml::de::Error| UsageError(format!("--set {assignment}: {}", error.message())).into())
+}
+
+fn word<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
+    let value = serde::de::value::StrDeserializer::<serde::de::value::Error>::new(text);
+    T::deserialize(value).map_err(|error| error.to_string())
+}
+
+/// `x,y,yaw_deg` in metres and degrees.
+pub fn planar_pose(text: &str) -> Result<Pose2, String> {
+    let [x, y, yaw_deg] = numbers::<3>(text, "x,y,yaw_deg")?;
+    Ok(Pose2::new(x, y, yaw_deg.to_radians()))
+}
+
+pub fn numbers<const N: usize>(text: &str, form: &str) -> Result<[f64; N], String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|part| part.trim().parse::<f64>().ok().filter(|number| number.is_finite()))
+        .collect::<Option<_>>()
+        .ok_or_else(|| format!("expected {form}"))?;
+    numbers.try_into().map_err(|_| format!("expected {form}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_set_as_in_the_file() {
+        let set = |text: &str| with_key(Settings::default(), text);
+        assert_eq!(set("filter.particles=42").expect("a number").filter.particles, 42);
+        assert_eq!(set("topics.image=/cam").expect("a bare word").topics.image, "/cam");
+        assert_eq!(set("filter.model=distance").expect("a name").filter.model, Model::Distance);
+        for wrong in ["filter.particels=4", "filter.model=x", "filter.particles=many", "robot.x=1", "nonsense"] {
+            assert!(set(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn poses_are_three_numbers() {
+        assert_eq!(planar_pose("1, -2,90").expect("a pose").yaw, core::f64::consts::FRAC_PI_2);
+        for wrong in ["1,2", "1,2,x", "1,2,nan", "1,2,3,4", ""] {
+            assert!(planar_pose(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! `realitysim sim`
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+use serde::Serialize;
+
+use super::{Outcome, output};
+use crate::ros2::mcap_write::{LogWriter, RawChannel};
+use crate::sensors::scene::{self, SceneSource};
+
+/// Render a scene into a log with ground truth
+///
+/// A scene file names field, lens, camera mount, route and effects (replay/scenes/*.toml are examples). The log is
+/// what a robot would have recorded, as ROS 2 MCAP, with the true poses on /ground_truth/camera_pose.
+#[derive(Args)]
+pub struct SimArguments {
+    /// A scene file
+    #[arg(value_name = "SCENE")]
+    scene: String,
+    /// The log to write
+    #[arg(short, long, value_name = "LOG")]
+    output: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Report {
+    log: PathBuf,
+    frames: u64,
+    duration_s: f64,
+    wall_s: f64,
+}
+
+pub fn run(arguments: &SimArguments, json: bool) -> anyhow::Result<Outcome> {
+    let started = std::time::Instant::now();
+    let scene = scene::load(&arguments.scene)?;
+    let path = || arguments.output.display().to_string();
+    let file = File::create(&arguments.output).with_context(path)?;
+    let mut writer = LogWriter::new(BufWriter::with_capacity(1 << 20, file)).with_context(path)?;
+    let mut channels = BTreeMap::new();
+    let mut progress = output::Progress::new("rendering");
+    let mut frames = 0;
+    for message in SceneSource::new(&scene) {
+        let message = message?;
+        let channel = &message.channel;
+        let id = match channels.get(&channel.id) {
+            Some(id) => *id,
+            None => {
+                let id = writer.add_raw_channel(&RawChannel {
+                    topic: &channel.topic,
+                    type_name: &channel.type_name,
+                    message_encoding: &channel.message_encoding,
+                    schema_encoding: &channel.schema_encoding,
+                    definition: &channel.definition,
+                    metadata: &channel.metadata,
+                })?;
+                channels.insert(channel.id, id);
+                id
+            }
+        };
+        writer
+            .write(id, message.sequence, message.log_time_ns, message.publish_time_ns, &message.data)
+            .with_context(path)?;
+        if channel.type_name.ends_with("Image") {
+            frames += 1;
+            progress.set(frames, Some(scene.frame_count()));
+        }
+    }
+    writer.finish().with_context(path)?;
+    progress.finish();
+    let report = Report {
+        log: arguments.output.clone(),
+        frames,
+        duration_s: scene.duration_s(),
+        wall_s: started.elapsed().as_secs_f64(),
+    };
+    if json {
+        output::json(&report)?;
+    } else {
+        let Report { frames, duration_s, wall_s, .. } = report;
+        output::lines(&format!(
+            "{frames} frames, {duration_s:.1} s of walking, rendered in {wall_s:.1} s\n{}",
+            path()
+        ))?;
+    }
+    Ok(Outcome::Whole)
+}

@@ -1,0 +1,8 @@
+//! Judging: tags against the truth, and pictures of both.
+
+pub mod capture;
+pub mod compare;
+pub mod statistics;
+
+pub use compare::{Comparison, Tagged, compare};
+pub use statistics::Summary;
