@@ -1,4 +1,8 @@
 //! Scenes: files, motion, sensor messages and images, from outside.
 
 mod common;
+mod geometry;
 mod look;
+mod motion;
+mod properties;
+mod refusals;
