@@ -26,6 +26,13 @@ fn frames_of_the_shelf() {
             let path = folder.join(format!("{name}-{frame:03}.png"));
             image::save_buffer(&path, &pixels, renderer.width(), renderer.height(), image::ColorType::Rgb8)
                 .expect("written");
+            let whole = image::RgbImage::from_raw(renderer.width(), renderer.height(), pixels.clone()).expect("fits");
+            for (part, left, top) in [("far", 240, 180), ("near", 240, 270)] {
+                let crop = image::imageops::crop_imm(&whole, left, top, 160, 120).to_image();
+                image::imageops::resize(&crop, 960, 720, image::imageops::FilterType::Nearest)
+                    .save(folder.join(format!("{name}-{frame:03}-{part}.png")))
+                    .expect("written");
+            }
         }
         for clean in [true, false] {
             let mut times: Vec<f64> = (0..60)
