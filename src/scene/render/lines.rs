@@ -49,14 +49,14 @@ impl LineMap {
         Self { shapes, half_extent: half.as_vec2().to_array(), grids }
     }
 
-    /// The part of the pixel that is painted. The pixel must be on or near the carpet and see nothing beyond `reach`.
+    /// The part of the pixel that is painted. The pixel must be on or near the carpet.
     #[inline]
-    pub(super) fn coverage(&self, p: &GroundPoint, reach: f32) -> f32 {
-        let Some(grid) = self.grids.iter().find(|grid| reach <= grid.reach) else { return 0.0 };
+    pub(super) fn coverage(&self, p: &GroundPoint) -> f32 {
+        let Some(grid) = self.grids.iter().find(|grid| p.reach <= grid.reach) else { return 0.0 };
         let mut bare = 1.0;
         for &which in grid.candidates(p.x + self.half_extent[0], p.y + self.half_extent[1]) {
             // Lines that cross do so at right angles: what one leaves bare the other covers in proportion.
-            bare *= 1.0 - self.shapes[usize::from(which)].coverage(p, reach);
+            bare *= 1.0 - self.shapes[usize::from(which)].coverage(p);
         }
         1.0 - bare
     }
