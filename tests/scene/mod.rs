@@ -1,6 +1,7 @@
 //! Scenes: files, motion, sensor messages and images, from outside.
 
 mod common;
+mod filtering;
 mod geometry;
 mod look;
 mod motion;

@@ -142,7 +142,7 @@ fn without_errors_the_sensors_tell_the_truth() {
 
 #[test]
 fn sensor_errors_have_their_stated_size() {
-    let scene = scene(STRAIGHT);
+    let scene = scene(&STRAIGHT.replace("yaw_drift_deg_per_m = 0.0", "yaw_drift_deg_per_m = 1.0"));
     let odometry = odometry(&scene);
     let (_, last) = odometry.last().expect("some");
     assert!((last.odom_from_base_footprint.yaw - f64::to_radians(5.8)).abs() < 0.01);
