@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 
+use super::fixed::fixed;
 use super::footprint::GroundPoint;
 use super::shape::Shape;
 use crate::geometry::Field;
@@ -81,8 +82,9 @@ impl Grid {
     /// Just outside the carpet the nearest cell's candidates serve as well.
     #[inline]
     fn candidates(&self, x: f32, y: f32) -> &[u8] {
-        let column = ((x * self.cells_per_metre) as usize).min(self.columns - 1);
-        let row = ((y * self.cells_per_metre) as usize).min(self.rows - 1);
+        let index =
+            |metres: f32, count: usize| (fixed((metres * self.cells_per_metre).max(0.0)).0 as usize).min(count - 1);
+        let (column, row) = (index(x, self.columns), index(y, self.rows));
         let cell = row * self.columns + column;
         &self.items[self.starts[cell] as usize..self.starts[cell + 1] as usize]
     }
