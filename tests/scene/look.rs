@@ -52,21 +52,3 @@ fn frames_of_the_shelf() {
         }
     }
 }
-#[test]
-#[ignore = "tmp"]
-fn split() {
-    use realitysim::geometry::{Euler, Isometry};
-    let scene = scene(STRAIGHT);
-    let renderer = Renderer::new(&scene);
-    let mut pixels = Vec::new();
-    for pitch in [-1.5, 0.3, 1.5] {
-        let pose = Isometry::from_euler(Euler { pitch, ..Euler::default() }, glam::DVec3::new(0.3, 0.2, 0.5));
-        let mut best = f64::INFINITY;
-        for _ in 0..200 {
-            let start = Instant::now();
-            renderer.render_clean(&pose, &mut pixels);
-            best = best.min(start.elapsed().as_secs_f64() * 1e3);
-        }
-        println!("pitch {pitch}: {best:.2} ms");
-    }
-}
