@@ -45,7 +45,7 @@ pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
         within("scene.initial_pose.yaw_deg", error.yaw_deg, -180.0..=180.0, "-180 to 180 degrees off")?;
     }
     effects::check(&file.effects)?;
-    needs_its_sensor(file)
+    has_something_to_act_on(file)
 }
 
 pub(super) fn within(
@@ -127,16 +127,22 @@ fn inside(key: impl Display, point: [f64; 2], field: &Field) -> Result<(), Scene
     Err(refuse(key, format_args!("{point:?}"), expected))
 }
 
-fn needs_its_sensor(file: &SceneFile) -> Result<(), SceneError> {
+/// An effect that could change nothing is a mistake in the file.
+fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
     for (index, effect) in file.effects.iter().enumerate() {
-        let (section, present) = match effect {
+        let (present, expected) = match effect {
+            Effect::GaitSway(_) => {
+                (matches!(file.route, Route::Walk(_)), "it needs a route that is walked, this one stands still")
+            }
             // The IMU's yaw is the odometry's, so the error shows there too.
-            Effect::OdometryError(_) => ("[odometry] or [imu]", file.odometry.is_some() || file.imu.is_some()),
-            Effect::ImuError(_) => ("[imu]", file.imu.is_some()),
-            Effect::GaitSway(_) | Effect::SensorNoise(_) => continue,
+            Effect::OdometryError(_) => (
+                file.odometry.is_some() || file.imu.is_some(),
+                "it needs the section [odometry] or [imu], both are absent",
+            ),
+            Effect::ImuError(_) => (file.imu.is_some(), "it needs the section [imu], which is absent"),
+            Effect::SensorNoise(_) => (true, ""),
         };
         if !present {
-            let expected = format_args!("it needs the section {section}, which is absent").to_string();
             return Err(refuse(format_args!("effect[{index}].kind"), effect.name(), expected));
         }
     }

@@ -55,10 +55,6 @@ impl Motion {
         self.duration
     }
 
-    pub(super) fn walks(&self) -> bool {
-        self.walks
-    }
-
     /// Before the start and after the end the robot stands.
     pub(super) fn at(&self, time: f64) -> Travel {
         let clamped = time.clamp(0.0, self.duration);

@@ -78,10 +78,7 @@ impl Scene {
     }
 
     fn sway_at(&self, time: f64) -> Sway {
-        match &self.sway {
-            Some(model) if self.motion.walks() => model.at(time),
-            _ => Sway::default(),
-        }
+        self.sway.as_ref().map_or(Sway::default(), |model| model.at(time))
     }
 
     /// First and second derivative.

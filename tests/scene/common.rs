@@ -42,3 +42,13 @@ pub fn scene(toml: &str) -> Scene {
     let file = SceneFile::from_toml(toml).expect("a readable scene");
     Scene::build(file, kid_2009(), fisheye_640()).expect("a possible scene")
 }
+
+/// The scene file without its effects.
+pub fn plain(toml: &str) -> String {
+    toml.split("[[effect]]").next().expect("a first part").to_owned()
+}
+
+/// The scene file with these effects in place of none.
+pub fn with_effects(plain: &str, effects: &[&str]) -> String {
+    effects.iter().fold(plain.to_owned(), |toml, effect| format!("{toml}\n[[effect]]\n{effect}\n"))
+}

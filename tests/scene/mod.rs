@@ -1,4 +1,9 @@
 //! Scenes: files, motion, sensor messages and images, from outside.
 
 mod common;
+mod filtering;
+mod geometry;
 mod look;
+mod motion;
+mod properties;
+mod refusals;

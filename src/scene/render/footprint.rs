@@ -22,6 +22,8 @@ pub(super) struct GroundRow {
     /// How the ray's downward component changes per pixel.
     down_u: Vec<f32>,
     down_v: Vec<f32>,
+    size2: Vec<f32>,
+    reach: Vec<f32>,
 }
 
 /// The ground under one pixel.
@@ -39,7 +41,12 @@ pub(super) struct GroundPoint {
     pub(super) down_v: f32,
     /// Square of the footprint's size in metres: the sum over both steps.
     pub(super) size2: f32,
+    /// The pixel sees nothing that is farther away than this, metres.
+    pub(super) reach: f32,
 }
+
+/// A tent reaches one pixel in any direction; the rest is for the change of footprint within it.
+const FOOTPRINTS: f32 = 1.5;
 
 impl Turned {
     pub(super) fn new(width: usize) -> Self {
@@ -70,7 +77,8 @@ impl Turned {
 impl GroundRow {
     pub(super) fn new(width: usize) -> Self {
         let row = || vec![0.0; width];
-        Self { x: row(), y: row(), xu: row(), yu: row(), xv: row(), yv: row(), down_u: row(), down_v: row() }
+        let [x, y, xu, yu, xv, yv] = core::array::from_fn(|_| row());
+        Self { x, y, xu, yu, xv, yv, down_u: row(), down_v: row(), size2: row(), reach: row() }
     }
 
     /// With t = -c.z / d.z the point is c + t d, and its derivative t (d' - d d'.z / d.z).
@@ -84,6 +92,7 @@ impl GroundRow {
         let (xu, yu) = (&mut self.xu[..n], &mut self.yu[..n]);
         let (xv, yv) = (&mut self.xv[..n], &mut self.yv[..n]);
         let (down_u, down_v) = (&mut self.down_u[..n], &mut self.down_v[..n]);
+        let (size2, reach) = (&mut self.size2[..n], &mut self.reach[..n]);
         for i in 0..n {
             let inverse = 1.0 / dz[i + 1];
             let t = -camera[2] * inverse;
@@ -100,22 +109,28 @@ impl GroundRow {
             down_u[i] = -0.5 * zu;
             down_v[i] = -0.5 * zv;
         }
+        // On its own: with more outputs the loop above would no longer become vector instructions.
+        for i in 0..n {
+            let s = xu[i] * xu[i] + yu[i] * yu[i] + xv[i] * xv[i] + yv[i] * yv[i];
+            size2[i] = s;
+            reach[i] = FOOTPRINTS * s.sqrt();
+        }
     }
 
     #[inline]
     pub(super) fn point(&self, column: usize, down: f32) -> GroundPoint {
-        let (xu, yu, xv, yv) = (self.xu[column], self.yu[column], self.xv[column], self.yv[column]);
         GroundPoint {
             x: self.x[column],
             y: self.y[column],
-            xu,
-            yu,
-            xv,
-            yv,
+            xu: self.xu[column],
+            yu: self.yu[column],
+            xv: self.xv[column],
+            yv: self.yv[column],
             down,
             down_u: self.down_u[column],
             down_v: self.down_v[column],
-            size2: xu * xu + yu * yu + xv * xv + yv * yv,
+            size2: self.size2[column],
+            reach: self.reach[column],
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 
+use super::fixed::fixed;
 use super::footprint::GroundPoint;
 use super::shape::Shape;
 use crate::geometry::Field;
@@ -49,14 +50,14 @@ impl LineMap {
         Self { shapes, half_extent: half.as_vec2().to_array(), grids }
     }
 
-    /// The part of the pixel that is painted. The pixel must be on or near the carpet and see nothing beyond `reach`.
+    /// The part of the pixel that is painted. The pixel must be on or near the carpet.
     #[inline]
-    pub(super) fn coverage(&self, p: &GroundPoint, reach: f32) -> f32 {
-        let Some(grid) = self.grids.iter().find(|grid| reach <= grid.reach) else { return 0.0 };
+    pub(super) fn coverage(&self, p: &GroundPoint) -> f32 {
+        let Some(grid) = self.grids.iter().find(|grid| p.reach <= grid.reach) else { return 0.0 };
         let mut bare = 1.0;
         for &which in grid.candidates(p.x + self.half_extent[0], p.y + self.half_extent[1]) {
             // Lines that cross do so at right angles: what one leaves bare the other covers in proportion.
-            bare *= 1.0 - self.shapes[usize::from(which)].coverage(p, reach);
+            bare *= 1.0 - self.shapes[usize::from(which)].coverage(p);
         }
         1.0 - bare
     }
@@ -81,8 +82,9 @@ impl Grid {
     /// Just outside the carpet the nearest cell's candidates serve as well.
     #[inline]
     fn candidates(&self, x: f32, y: f32) -> &[u8] {
-        let column = ((x * self.cells_per_metre) as usize).min(self.columns - 1);
-        let row = ((y * self.cells_per_metre) as usize).min(self.rows - 1);
+        let index =
+            |metres: f32, count: usize| (fixed((metres * self.cells_per_metre).max(0.0)).0 as usize).min(count - 1);
+        let (column, row) = (index(x, self.columns), index(y, self.rows));
         let cell = row * self.columns + column;
         &self.items[self.starts[cell] as usize..self.starts[cell + 1] as usize]
     }

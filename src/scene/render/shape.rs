@@ -69,9 +69,10 @@ impl Shape {
         }
     }
 
-    /// The part of the pixel that is painted, 0 to 1. `reach` in metres is beyond the pixel for certain.
+    /// The part of the pixel that is painted, 0 to 1.
     #[inline]
-    pub(super) fn coverage(&self, p: &GroundPoint, reach: f32) -> f32 {
+    pub(super) fn coverage(&self, p: &GroundPoint) -> f32 {
+        let reach = p.reach;
         match *self {
             Shape::Bar { centre, along, half_length, half_width } => {
                 let (x, y) = (p.x - centre[0], p.y - centre[1]);
@@ -112,7 +113,8 @@ fn band(p: &GroundPoint, s: f32, nx: f32, ny: f32, half: f32) -> f32 {
 
 /// The part of the pixel inside the rectangle around the origin.
 #[inline]
-pub(super) fn inside_rectangle(p: &GroundPoint, half_x: f32, half_y: f32, reach: f32) -> f32 {
+pub(super) fn inside_rectangle(p: &GroundPoint, half_x: f32, half_y: f32) -> f32 {
+    let reach = p.reach;
     let (x, y) = (half_x - p.x.abs(), half_y - p.y.abs());
     if x > reach && y > reach {
         return 1.0;

@@ -33,7 +33,8 @@ impl Sheet {
     #[inline]
     pub(super) fn sample(&self, x: f32, y: f32) -> Colour {
         let place = |metres: f32, count: usize| {
-            let (index, fraction) = fixed((metres * self.texels_per_metre - 0.5).clamp(0.0, (count - 2) as f32 + 0.98));
+            let (index, fraction) =
+                fixed((metres * self.texels_per_metre - 0.5).max(0.0).min((count - 2) as f32 + 0.98));
             (index as usize, u64::from(fraction))
         };
         let (column, fx) = place(x, self.columns);

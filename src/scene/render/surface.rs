@@ -21,8 +21,6 @@ pub(super) struct World {
 }
 
 const PAINT: Colour = [222.0, 226.0, 222.0];
-/// A tent reaches one pixel in any direction; the rest is for the change of footprint within it.
-const FOOTPRINTS: f32 = 1.5;
 /// Rays this close to the horizon do not reach the floor within any hall.
 const LEAST_DOWN: f32 = 1e-4;
 const TEXELS_PER_METRE: f32 = 256.0;
@@ -51,18 +49,17 @@ impl World {
             return self.hall.above_floor(camera, ray);
         }
         let p = ground.point(column, down);
-        let reach = FOOTPRINTS * p.size2.sqrt();
-        let on_floor = inside_rectangle(&p, self.hall.half[0], self.hall.half[1], reach);
+        let on_floor = inside_rectangle(&p, self.hall.half[0], self.hall.half[1]);
         if on_floor == 0.0 {
             return self.hall.above_floor(camera, ray);
         }
         // Half of the sum of squares is the mean of both axes' squares.
         let fibre = self.fibres.sample(p.x, p.y, 0.5 * p.size2) - 128.0;
-        let on_carpet = inside_rectangle(&p, self.carpet_half[0], self.carpet_half[1], reach);
+        let on_carpet = inside_rectangle(&p, self.carpet_half[0], self.carpet_half[1]);
         let mut colour = [0.0; 3];
         if on_carpet > 0.0 {
             let base = self.carpet.sample(p.x + self.carpet_half[0], p.y + self.carpet_half[1]);
-            let paint = self.lines.coverage(&p, reach);
+            let paint = self.lines.coverage(&p);
             let (gain, paint_gain) = (1.0 + CARPET_GAIN * fibre, paint * (1.0 + PAINT_GAIN * fibre));
             let bare_gain = (1.0 - paint) * gain;
             colour = [

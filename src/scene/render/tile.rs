@@ -19,6 +19,7 @@ struct Level {
 
 /// A power of two: coordinates wrap by masking.
 const SIDE: usize = 1024;
+const MANTISSA_BITS: u32 = 23;
 /// Of single values around 128.
 const AMPLITUDE: f64 = 46.0;
 
@@ -32,13 +33,21 @@ impl Tile {
         Self { levels, texels_per_metre }
     }
 
-    /// Around 128; `size2` is the square of the footprint in metres.
+    /// Around 128; `size2` is the square of the footprint in metres. Between two levels a mix of both, so that no
+    /// border between levels shows.
     #[inline]
     pub(super) fn sample(&self, x: f32, y: f32, size2: f32) -> f32 {
         let texels2 = size2 * self.texels_per_metre * self.texels_per_metre;
-        // The exponent is twice the level; the half rounds to the nearest.
-        let level = ((texels2.to_bits() >> 23) as i32 - 127 + 1) >> 1;
-        self.levels[(level.max(0) as usize).min(self.levels.len() - 1)].sample(x, y)
+        // A float's bits are its logarithm, linear between powers of two; half of it, because texels2 is a square.
+        let level = (texels2.to_bits() as i32 - 1f32.to_bits() as i32) >> 1;
+        let last = self.levels.len() - 1;
+        if level <= 0 {
+            return self.levels[0].sample(x, y);
+        }
+        let finer = (level as usize >> MANTISSA_BITS).min(last);
+        let share = (level % (1 << MANTISSA_BITS)) as f32 * (1.0 / (1 << MANTISSA_BITS) as f32);
+        let fine = self.levels[finer].sample(x, y);
+        fine + (self.levels[(finer + 1).min(last)].sample(x, y) - fine) * share
     }
 }
 
