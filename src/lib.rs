@@ -4,3 +4,4 @@
 //! (docs/architecture.md has the map).
 
 pub mod geometry;
+pub mod ros2;

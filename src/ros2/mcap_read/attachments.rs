@@ -1,0 +1,154 @@
+//! Attachments and metadata: small things beside the messages.
+
+use std::collections::BTreeMap;
+use std::io::{Read, Seek};
+
+use mcap::records::{Record as Parsed, op};
+
+use super::chunk::nanoseconds;
+use super::error::{Damage, MAGIC, ReadError};
+use super::fields::Fields;
+use super::source::{Record, Source};
+
+/// Larger attachments are left out.
+pub const MAX_ATTACHMENT_BYTES: u64 = 64 << 20;
+
+/// All attachments that are read together.
+const MAX_ATTACHMENTS_BYTES: u64 = 4 * MAX_ATTACHMENT_BYTES;
+
+/// Larger metadata records are left out; with more of them than this many bytes, the later ones.
+const MAX_METADATA_BYTES: u64 = 16 << 20;
+
+/// A file inside the log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Attachment {
+    pub name: String,
+    pub media_type: String,
+    pub log_time_ns: i64,
+    pub data: Vec<u8>,
+}
+
+/// The attachments of a log, as far as they are sound and not too large.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Attachments {
+    pub list: Vec<Attachment>,
+    pub damage: Damage,
+}
+
+/// Reads all attachments, whether the log was finished or not.
+pub fn attachments<R: Read + Seek>(reader: R) -> Result<Attachments, ReadError> {
+    let mut source = Source::open(reader)?;
+    let mut damage = Damage { torn: !source.ends_with_magic()?, ..Damage::default() };
+    let mut list = Vec::new();
+    let mut total = 0;
+    for record in side_records(&mut source, &mut damage)? {
+        if record.opcode != op::ATTACHMENT {
+            continue;
+        }
+        total += record.length;
+        let mut body = Vec::new();
+        let parsed = if record.length > MAX_ATTACHMENT_BYTES || total > MAX_ATTACHMENTS_BYTES {
+            total -= record.length;
+            Err(format!("attachment: expected at most {MAX_ATTACHMENT_BYTES} bytes, found {}", record.length))
+        } else if source.read_at(record.body(), record.length, &mut body)? {
+            parse(&body)
+        } else {
+            Err("attachment: found the end of the file".to_owned())
+        };
+        match parsed {
+            Ok(attachment) => list.push(attachment),
+            Err(error) => damage.bad_record(record.offset, record.bytes(), &error),
+        }
+    }
+    Ok(Attachments { list, damage })
+}
+
+/// Where attachments, metadata and chunks stand: a walk over the file that reads nothing but the heads of its records.
+pub(super) fn side_records<R: Read + Seek>(
+    source: &mut Source<R>,
+    damage: &mut Damage,
+) -> Result<Vec<Record>, ReadError> {
+    let mut found = Vec::new();
+    let mut position = MAGIC.len() as u64;
+    while position < source.length() {
+        match source.record_at(position)? {
+            Ok(record) if matches!(record.opcode, op::DATA_END | op::FOOTER) => break,
+            Ok(record) => {
+                if matches!(record.opcode, op::ATTACHMENT | op::METADATA | op::CHUNK) {
+                    found.push(record);
+                }
+                position = record.end();
+            }
+            Err(error) => {
+                damage.bytes_skipped += source.length() - position;
+                damage.note(|| format!("record at byte {position}: {error}"));
+                break;
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// The name of an attachment, its bytes not read.
+pub(super) fn attachment_name<R: Read + Seek>(
+    source: &mut Source<R>,
+    record: &Record,
+) -> Result<Option<String>, ReadError> {
+    /// Two times and two strings.
+    const MAX_HEAD_BYTES: u64 = 64 << 10;
+    let mut head = Vec::new();
+    source.read_at(record.body(), record.length.min(MAX_HEAD_BYTES), &mut head)?;
+    let mut fields = Fields::new(&head);
+    Ok((|| {
+        fields.u64()?;
+        fields.u64()?;
+        fields.string().map(str::to_owned)
+    })())
+}
+
+/// The metadata records of the log, by name; those of one name together.
+pub(super) fn metadata<R: Read + Seek>(
+    source: &mut Source<R>,
+    records: &[Record],
+    damage: &mut Damage,
+) -> Result<Vec<(String, BTreeMap<String, String>)>, ReadError> {
+    let mut found = Vec::new();
+    let mut total = 0;
+    for record in records.iter().filter(|record| record.opcode == op::METADATA) {
+        total += record.length;
+        let mut body = Vec::new();
+        if total > MAX_METADATA_BYTES || !source.read_at(record.body(), record.length, &mut body)? {
+            total -= record.length;
+            damage.bad_record(record.offset, record.bytes(), "metadata that is too large");
+            continue;
+        }
+        match mcap::parse_record(op::METADATA, &body) {
+            Ok(Parsed::Metadata(metadata)) => found.push((metadata.name, metadata.metadata)),
+            Ok(_) => {}
+            Err(error) => damage.bad_record(record.offset, record.bytes(), &format!("metadata: {error}")),
+        }
+    }
+    Ok(found)
+}
+
+fn parse(body: &[u8]) -> Result<Attachment, String> {
+    let mut fields = Fields::new(body);
+    let mut parse = || {
+        let log_time_ns = nanoseconds(fields.u64()?);
+        fields.u64()?;
+        let (name, media_type) = (fields.string()?.to_owned(), fields.string()?.to_owned());
+        let length = fields.length()?;
+        let data = fields.bytes(length)?.to_vec();
+        let checked = fields.taken();
+        Some((Attachment { name, media_type, log_time_ns, data }, checked, fields.u32()?))
+    };
+    let (attachment, checked, crc) = parse().ok_or("attachment: it is cut")?;
+    let calculated = crc32fast::hash(&body[..checked]);
+    if crc != 0 && crc != calculated {
+        return Err(format!(
+            "attachment {:?}: expected the checksum {crc:08x}, found {calculated:08x}",
+            attachment.name
+        ));
+    }
+    Ok(attachment)
+}

@@ -1,0 +1,220 @@
+//! One chunk: unpacked, checked, its messages listed. Nothing of it is released before all of it is sound.
+
+use std::sync::Arc;
+
+use mcap::records::op;
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use super::LogMessage;
+use super::channels::{Channel, Channels, Definition};
+use super::error::Damage;
+use super::fields::Fields;
+use super::source::RECORD_HEAD_BYTES;
+
+/// Larger chunks are refused, packed or unpacked: writers close theirs at about a megabyte, or behind one message.
+pub(super) const MAX_CHUNK_BYTES: u64 = 512 << 20;
+
+pub(super) struct Chunk {
+    /// Message records (without opcode and length) stand somewhere in here.
+    bytes: Vec<u8>,
+    entries: Vec<Entry>,
+    next: usize,
+}
+
+/// One message record.
+#[derive(Clone, Copy)]
+struct Entry {
+    log_time: u64,
+    start: u32,
+    length: u32,
+    channel: u16,
+}
+
+struct Header<'a> {
+    unpacked_bytes: u64,
+    /// 0 if the writer made none.
+    crc: u32,
+    compression: &'a str,
+    records: &'a [u8],
+    records_start: usize,
+    /// Bytes of the record that no field accounts for.
+    surplus: usize,
+}
+
+impl Chunk {
+    /// Takes the body of the chunk record that starts at `offset` of the file.
+    pub fn unpack(body: Vec<u8>, offset: u64, channels: &mut Channels, damage: &mut Damage) -> Option<Self> {
+        let bytes = RECORD_HEAD_BYTES + body.len() as u64;
+        let unpacked = header(&body).and_then(|header| {
+            let surplus = header.surplus;
+            let listing = if header.compression.is_empty() { list_plain(&header) } else { decompress(&header, &body) };
+            Ok((listing?, surplus))
+        });
+        let (listing, surplus) = match unpacked {
+            Ok(unpacked) => unpacked,
+            Err(error) => {
+                damage.bad_chunk(offset, bytes, &error);
+                return None;
+            }
+        };
+        if surplus > 0 {
+            damage.bad_record(offset, surplus as u64, &format!("{surplus} bytes behind the messages of a chunk"));
+        }
+        for definition in listing.definitions {
+            if let Err(error) = channels.define(definition) {
+                damage.bad_record(offset, 0, &error);
+            }
+        }
+        let mut entries = listing.entries;
+        entries.retain(|entry| match channels.wanted(entry.channel) {
+            Some(wanted) => wanted,
+            None => {
+                damage.orphan_messages += 1;
+                damage.bytes_skipped += u64::from(entry.length);
+                damage.note(|| format!("chunk at byte {offset}: channel {} was never defined", entry.channel));
+                false
+            }
+        });
+        Some(Self { bytes: listing.unpacked.unwrap_or(body), entries, next: 0 })
+    }
+
+    /// Puts the messages in the order of their log times; those of one time stay as they are.
+    pub fn sort(&mut self) {
+        self.entries.sort_by_key(|entry| entry.log_time);
+    }
+
+    /// Of the next message.
+    pub fn log_time(&self) -> Option<u64> {
+        self.entries.get(self.next).map(|entry| entry.log_time)
+    }
+
+    pub fn memory(&self) -> usize {
+        self.bytes.len() + self.entries.len() * size_of::<Entry>()
+    }
+
+    pub fn next(&mut self, channels: &Channels) -> Option<LogMessage> {
+        let entry = *self.entries.get(self.next)?;
+        self.next += 1;
+        let start = entry.start as usize;
+        message(self.bytes.get(start..start + entry.length as usize)?, channels.get(entry.channel)?)
+    }
+}
+
+/// The message in the body of a message record.
+pub(super) fn message(body: &[u8], channel: &Arc<Channel>) -> Option<LogMessage> {
+    let mut fields = Fields::new(body);
+    fields.u16()?;
+    Some(LogMessage {
+        channel: Arc::clone(channel),
+        sequence: fields.u32()?,
+        log_time_ns: nanoseconds(fields.u64()?),
+        publish_time_ns: nanoseconds(fields.u64()?),
+        data: fields.rest().to_vec(),
+    })
+}
+
+/// Times that no clock shows (after the year 2262) become the last that can be told.
+pub(super) fn nanoseconds(time: u64) -> i64 {
+    i64::try_from(time).unwrap_or(i64::MAX)
+}
+
+fn header(body: &[u8]) -> Result<Header<'_>, String> {
+    let mut fields = Fields::new(body);
+    let mut parse = || {
+        fields.u64()?;
+        fields.u64()?;
+        Some((fields.u64()?, fields.u32()?, fields.string()?, fields.length()?))
+    };
+    let (unpacked_bytes, crc, compression, packed) = parse().ok_or("its header makes no sense")?;
+    if unpacked_bytes > MAX_CHUNK_BYTES {
+        return Err(format!("expected at most {MAX_CHUNK_BYTES} bytes, found {unpacked_bytes}"));
+    }
+    let records_start = fields.taken();
+    let left = body.len() - records_start;
+    let Some(records) = fields.bytes(packed) else { return Err(format!("expected {packed} bytes, found {left}")) };
+    Ok(Header { unpacked_bytes, crc, compression, records, records_start, surplus: left - packed })
+}
+
+#[derive(Default)]
+struct Listing {
+    definitions: Vec<Definition>,
+    entries: Vec<Entry>,
+    /// Unless the messages are where the record has them.
+    unpacked: Option<Vec<u8>>,
+}
+
+impl Listing {
+    /// `start` is where `body` will be found later.
+    fn add(&mut self, opcode: u8, body: &[u8], start: usize) -> Result<(), String> {
+        if opcode != op::MESSAGE {
+            self.definitions.extend(Definition::parse(opcode, body)?);
+            return Ok(());
+        }
+        let mut fields = Fields::new(body);
+        let mut parse = || {
+            let channel = fields.u16()?;
+            fields.u32()?;
+            let log_time = fields.u64()?;
+            fields.u64()?;
+            // Chunks are smaller than 4 GiB.
+            Some(Entry { log_time, start: start.try_into().ok()?, length: body.len().try_into().ok()?, channel })
+        };
+        self.entries.push(parse().ok_or("one of its messages is too short")?);
+        Ok(())
+    }
+}
+
+fn list_plain(header: &Header<'_>) -> Result<Listing, String> {
+    let found = header.records.len() as u64;
+    if found != header.unpacked_bytes {
+        return Err(format!("expected {} bytes of records, found {found}", header.unpacked_bytes));
+    }
+    let calculated = crc32fast::hash(header.records);
+    if header.crc != 0 && header.crc != calculated {
+        return Err(format!("expected the checksum {:08x}, found {calculated:08x}", header.crc));
+    }
+    let mut listing = Listing::default();
+    let mut fields = Fields::new(header.records);
+    while fields.taken() < header.records.len() {
+        let mut next = || Some((fields.u8()?, fields.length()?));
+        let (opcode, length) = next().ok_or("its last record is cut")?;
+        let start = header.records_start + fields.taken();
+        let body = fields.bytes(length).ok_or("one of its records is cut")?;
+        listing.add(opcode, body, start)?;
+    }
+    Ok(listing)
+}
+
+fn decompress(header: &Header<'_>, body: &[u8]) -> Result<Listing, String> {
+    let limit = body.len().max(header.unpacked_bytes as usize);
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(limit);
+    let mut reader = LinearReader::new_with_options(options);
+    let mut head = [op::CHUNK; RECORD_HEAD_BYTES as usize];
+    head[1..].copy_from_slice(&(body.len() as u64).to_le_bytes());
+    let mut pending: [&[u8]; 2] = [&head, body];
+    let mut listing = Listing::default();
+    let mut unpacked = Vec::with_capacity(header.unpacked_bytes.min(4 * body.len() as u64) as usize);
+    while let Some(event) = reader.next_event() {
+        match event.map_err(|error| error.to_string())? {
+            LinearReadEvent::ReadRequest(wanted) => {
+                let from = usize::from(pending[0].is_empty());
+                let (given, rest) = pending[from].split_at(wanted.min(pending[from].len()));
+                reader.insert(given.len()).copy_from_slice(given);
+                reader.notify_read(given.len());
+                pending[from] = rest;
+            }
+            LinearReadEvent::Record { data, opcode } => {
+                listing.add(opcode, data, unpacked.len())?;
+                if opcode == op::MESSAGE {
+                    unpacked.extend_from_slice(data);
+                }
+            }
+        }
+    }
+    listing.unpacked = Some(unpacked);
+    Ok(listing)
+}

@@ -1,0 +1,104 @@
+//! What reading can find: a file that is no log, or a log that is damaged.
+
+use std::io;
+
+use thiserror::Error;
+
+/// The first bytes of every MCAP file, and its last.
+pub(super) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+
+/// Why a log cannot be read at all. Damage inside a log is no error: see [`Damage`].
+#[derive(Debug, Error)]
+pub enum ReadError {
+    #[error("expected an MCAP file, found {found}")]
+    NotMcap { found: String },
+    #[error("cannot read the log: {0}")]
+    Io(#[from] io::Error),
+}
+
+/// What a reader could not trust and left out.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Damage {
+    /// The file does not end as an MCAP file must: its writer was stopped, or its tail was lost.
+    pub torn: bool,
+    /// Chunks whose checksum or structure is wrong: none of their messages were delivered.
+    pub bad_chunks: u64,
+    /// Records outside of chunks, or messages in sound chunks, that make no sense.
+    pub bad_records: u64,
+    /// Messages of sound chunks whose channel was defined in a part that is lost.
+    pub orphan_messages: u64,
+    /// Messages delivered after one with a later log time, though the log has an index.
+    pub out_of_order: u64,
+    /// Bytes of the file that were not used because of all this.
+    pub bytes_skipped: u64,
+    /// The first thing that was found wrong.
+    pub first_error: Option<String>,
+}
+
+impl Damage {
+    /// Nothing was wrong.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    pub(super) fn note(&mut self, error: impl FnOnce() -> String) {
+        self.first_error.get_or_insert_with(error);
+    }
+
+    pub(super) fn bad_chunk(&mut self, offset: u64, bytes: u64, error: &str) {
+        self.bad_chunks += 1;
+        self.bytes_skipped += bytes;
+        self.note(|| format!("chunk at byte {offset}: {error}"));
+    }
+
+    pub(super) fn bad_record(&mut self, offset: u64, bytes: u64, error: &str) {
+        self.bad_records += 1;
+        self.bytes_skipped += bytes;
+        self.note(|| format!("record at byte {offset}: {error}"));
+    }
+}
+
+/// Checks the first bytes of a file (16 are enough). A file that was cut inside them is a torn MCAP.
+pub(super) fn check_magic(first: &[u8]) -> Result<(), ReadError> {
+    let compared = first.len().min(MAGIC.len());
+    if compared > 0 && first[..compared] == MAGIC[..compared] {
+        return Ok(());
+    }
+    Err(ReadError::NotMcap { found: describe(first) })
+}
+
+fn describe(first: &[u8]) -> String {
+    let known: [(&[u8], &str); 7] = [
+        (b"SQLite format 3", "a SQLite database (a rosbag2 .db3 file? rosbags-convert turns it into MCAP)"),
+        (b"#ROSBAG V", "a ROS 1 bag (rosbags-convert turns it into MCAP)"),
+        (b"\x1f\x8b", "gzip data (unpack it first)"),
+        (b"\x28\xb5\x2f\xfd", "zstd data (a rosbag2 file compressed as a whole? unpack it first)"),
+        (b"PK\x03\x04", "a zip archive (unpack it first)"),
+        (b"rosbag2_bagfile_information", "a rosbag2 metadata.yaml (name the .mcap file beside it)"),
+        (&[0; 8], "zeros (the recording never reached the disk)"),
+    ];
+    if first.is_empty() {
+        return "an empty file".to_owned();
+    }
+    match known.iter().find(|(start, _)| first.starts_with(start)) {
+        Some((_, what)) => (*what).to_owned(),
+        None => format!("a file that starts with {:02x?}", &first[..first.len().min(MAGIC.len())]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn says_what_the_file_looks_like() {
+        let said = |first: &[u8]| check_magic(first).unwrap_err().to_string();
+        assert!(said(b"SQLite format 3\0").contains("rosbags-convert"));
+        assert!(said(b"#ROSBAG V2.0\n").contains("ROS 1"));
+        assert!(said(b"\x1f\x8b\x08").contains("gzip"));
+        assert_eq!(said(b""), "expected an MCAP file, found an empty file");
+        assert_eq!(said(b"hi"), "expected an MCAP file, found a file that starts with [68, 69]");
+        check_magic(b"\x89MC").unwrap();
+        check_magic(b"\x89MCAP0\r\n\x01").unwrap();
+    }
+}

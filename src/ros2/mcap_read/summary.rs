@@ -1,0 +1,138 @@
+//! The summary at the end of a finished file: what is where.
+
+use std::io::{Read, Seek};
+
+use mcap::records::{AttachmentIndex, ChunkIndex, MetadataIndex, Record as Parsed, Statistics, op};
+
+use super::channels::{Channels, Definition};
+use super::error::{Damage, MAGIC, ReadError};
+use super::fields::Fields;
+use super::source::{RECORD_HEAD_BYTES, Source};
+
+/// A summary that is larger is not used: an hour of chunks takes about a megabyte.
+const MAX_SUMMARY_BYTES: u64 = 256 << 20;
+
+/// Footer record and final magic.
+const TAIL_BYTES: u64 = RECORD_HEAD_BYTES + 20 + MAGIC.len() as u64;
+
+#[derive(Default)]
+pub(super) struct Summary {
+    pub chunks: Vec<ChunkIndex>,
+    pub attachments: Vec<AttachmentIndex>,
+    pub metadata: Vec<MetadataIndex>,
+    pub statistics: Option<Statistics>,
+}
+
+impl Summary {
+    /// The summary, its definitions entered into `channels`; `None` if there is none or it is not sound.
+    pub fn read<R: Read + Seek>(
+        source: &mut Source<R>,
+        channels: &mut Channels,
+        damage: &mut Damage,
+    ) -> Result<Option<Self>, ReadError> {
+        let mut tail = Vec::new();
+        let Some(tail_start) = source.length().checked_sub(TAIL_BYTES) else { return Ok(None) };
+        if !source.read_at(tail_start, TAIL_BYTES, &mut tail)? || tail[0] != op::FOOTER || !tail.ends_with(MAGIC) {
+            return Ok(None);
+        }
+        let mut footer = Fields::new(&tail[RECORD_HEAD_BYTES as usize..]);
+        let parsed = (footer.u64(), footer.u64(), footer.u32());
+        let (Some(start), Some(_), Some(crc)) = parsed else { return Ok(None) };
+        if start == 0 {
+            return Ok(None);
+        }
+        let bytes = tail_start.checked_sub(start).filter(|&bytes| bytes <= MAX_SUMMARY_BYTES);
+        let mut section = Vec::new();
+        if bytes.is_none() || !source.read_at(start, bytes.unwrap_or(0), &mut section)? {
+            damage.bad_record(tail_start, 0, "the footer points to no summary");
+            return Ok(None);
+        }
+        let mut hasher = crc32fast::Hasher::new();
+        hasher.update(&section);
+        hasher.update(&tail[..RECORD_HEAD_BYTES as usize + 16]);
+        let calculated = hasher.finalize();
+        if crc != 0 && crc != calculated {
+            let error = format!("summary: expected the checksum {crc:08x}, found {calculated:08x}");
+            damage.bad_record(start, section.len() as u64, &error);
+            return Ok(None);
+        }
+        match Self::parse(&section, channels) {
+            Ok(summary) => Ok(Some(summary)),
+            Err(error) => {
+                damage.bad_record(start, section.len() as u64, &format!("summary: {error}"));
+                Ok(None)
+            }
+        }
+    }
+
+    fn parse(section: &[u8], channels: &mut Channels) -> Result<Self, String> {
+        let mut summary = Self::default();
+        let mut fields = Fields::new(section);
+        while fields.taken() < section.len() {
+            let mut next = || {
+                let (opcode, length) = (fields.u8()?, fields.length()?);
+                Some((opcode, fields.bytes(length)?))
+            };
+            let (opcode, body) = next().ok_or("a record is cut")?;
+            match opcode {
+                op::SCHEMA | op::CHANNEL => {
+                    if let Some(definition) = Definition::parse(opcode, body)? {
+                        channels.define(definition)?;
+                    }
+                }
+                op::CHUNK_INDEX | op::ATTACHMENT_INDEX | op::METADATA_INDEX | op::STATISTICS => {
+                    match mcap::parse_record(opcode, body).map_err(|error| error.to_string())? {
+                        Parsed::ChunkIndex(index) => summary.chunks.push(index),
+                        Parsed::AttachmentIndex(index) => summary.attachments.push(index),
+                        Parsed::MetadataIndex(index) => summary.metadata.push(index),
+                        Parsed::Statistics(statistics) => summary.statistics = Some(statistics),
+                        _ => {}
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok(summary)
+    }
+
+    /// Whether the index leads to every message. Writers may leave it out, put messages outside of chunks, or define
+    /// channels only in the chunk that comes first in the file, which need not come first in time.
+    pub fn leads_to_all_messages<R: Read + Seek>(
+        &self,
+        channels: &Channels,
+        source: &mut Source<R>,
+    ) -> Result<bool, ReadError> {
+        let counted = self.statistics.iter().flat_map(|statistics| statistics.channel_message_counts.keys());
+        let mut used = counted.chain(self.chunks.iter().flat_map(|chunk| chunk.message_index_offsets.keys()));
+        if used.any(|&id| channels.get(id).is_none()) {
+            return Ok(false);
+        }
+        match &self.statistics {
+            Some(statistics) if u64::from(statistics.chunk_count) != self.chunks.len() as u64 => return Ok(false),
+            Some(statistics) if statistics.message_count > 0 && self.chunks.is_empty() => return Ok(false),
+            _ => {}
+        }
+        let chunks =
+            self.chunks.iter().map(|c| (c.chunk_start_offset, c.chunk_length.saturating_add(c.message_index_length)));
+        let attachments = self.attachments.iter().map(|a| (a.offset, a.length));
+        let mut extents: Vec<(u64, u64)> =
+            chunks.chain(attachments).chain(self.metadata.iter().map(|m| (m.offset, m.length))).collect();
+        extents.push((source.length() - TAIL_BYTES, 0));
+        extents.sort_unstable();
+        let mut position = MAGIC.len() as u64;
+        for (start, length) in extents {
+            while position < start {
+                match source.record_at(position)? {
+                    Ok(record) if matches!(record.opcode, op::CHUNK | op::MESSAGE) => return Ok(false),
+                    // The definitions and indexes of the summary stand behind the end of the data.
+                    Ok(record) if record.opcode == op::DATA_END => return Ok(true),
+                    Ok(record) => position = record.end(),
+                    // A damaged record between sound ones: the index knows better.
+                    Err(_) => position = start,
+                }
+            }
+            position = position.max(start.saturating_add(length));
+        }
+        Ok(true)
+    }
+}

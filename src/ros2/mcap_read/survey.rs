@@ -1,0 +1,206 @@
+//! What a log holds: from its summary if that says enough, otherwise by reading all of it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{Read, Seek};
+use std::sync::Arc;
+
+use mcap::records::{ChunkIndex, Record as Parsed, op};
+
+use super::attachments::{attachment_name, metadata, side_records};
+use super::channels::{Channel, Channels, Selection};
+use super::chunk::nanoseconds;
+use super::error::{Damage, ReadError};
+use super::fields::Fields;
+use super::source::{Record, Source};
+use super::summary::Summary;
+use super::{LogReader, Order};
+
+/// What a log holds.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Survey {
+    /// By name.
+    pub topics: Vec<Topic>,
+    /// Names, in the order of the file.
+    pub attachments: Vec<String>,
+    /// Name and content, in the order of the file.
+    pub metadata: Vec<(String, BTreeMap<String, String>)>,
+    /// How chunks are compressed: `none`, `zstd`, `lz4` or what else the file says; empty without chunks.
+    pub compressions: BTreeSet<String>,
+    /// Whether messages can be read in the order of their log times.
+    pub indexed: bool,
+    /// If the log has an index, only of what was looked at: its chunks were not.
+    pub damage: Damage,
+}
+
+/// One topic of a log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Topic {
+    pub topic: String,
+    /// `package/msg/Name`; empty if the log does not say.
+    pub type_name: String,
+    pub message_encoding: String,
+    pub schema_encoding: String,
+    /// Whether late subscribers got the last message.
+    pub latched: bool,
+    pub messages: u64,
+    pub first_log_time_ns: Option<i64>,
+    pub last_log_time_ns: Option<i64>,
+}
+
+/// Messages of one channel, and the first and last of their log times.
+#[derive(Clone, Copy, Default)]
+struct Tally {
+    messages: u64,
+    times: Option<(i64, i64)>,
+}
+
+impl Tally {
+    fn span(&mut self, first: i64, last: i64) {
+        self.times = Some(self.times.map_or((first, last), |(from, to)| (from.min(first), to.max(last))));
+    }
+}
+
+/// Finds out what a log holds.
+pub fn survey<R: Read + Seek>(reader: R) -> Result<Survey, ReadError> {
+    let mut source = Source::open(reader)?;
+    let (mut channels, mut damage) = (Channels::new(Selection::All), Damage::default());
+    damage.torn = !source.ends_with_magic()?;
+    let summary = Summary::read(&mut source, &mut channels, &mut damage)?;
+    let index = match summary {
+        Some(summary) if summary.leads_to_all_messages(&channels, &mut source)? => Some(summary),
+        _ => None,
+    };
+    let mut survey = Survey { indexed: index.is_some(), ..Survey::default() };
+    // The walk below finds the same damage to the row of records as the reading does: counted once.
+    let records = side_records(&mut source, &mut Damage::default())?;
+    survey.metadata = metadata(&mut source, &records, &mut damage)?;
+    for record in records.iter().filter(|record| record.opcode == op::ATTACHMENT) {
+        survey.attachments.extend(attachment_name(&mut source, record)?);
+    }
+    let tallies = match &index {
+        Some(index) => tally_by_index(index, &mut source)?,
+        None => None,
+    };
+    match (tallies, index) {
+        (Some(tallies), Some(index)) => {
+            survey.compressions = index.chunks.iter().map(|chunk| compression_name(&chunk.compression)).collect();
+            survey.topics = topics(channels.iter(), &tallies);
+        }
+        (_, index) => {
+            for record in records.iter().filter(|record| record.opcode == op::CHUNK) {
+                survey.compressions.extend(compression_of(&mut source, record)?);
+            }
+            let order = index.map_or_else(Order::by_file, |index| Order::by_index(index.chunks, &channels));
+            let mut reader = LogReader { source, channels, damage, order };
+            let mut tallies: BTreeMap<u16, Tally> = BTreeMap::new();
+            for message in &mut reader {
+                let message = message?;
+                let tally = tallies.entry(message.channel.id).or_default();
+                tally.messages += 1;
+                tally.span(message.log_time_ns, message.log_time_ns);
+            }
+            survey.topics = topics(reader.channels(), &tallies);
+            damage = reader.damage;
+        }
+    }
+    survey.damage = damage;
+    Ok(survey)
+}
+
+/// Counts from the statistics, times from the message indexes of the chunks where they are decided; `None` if the
+/// file has not got those.
+fn tally_by_index<R: Read + Seek>(
+    summary: &Summary,
+    source: &mut Source<R>,
+) -> Result<Option<BTreeMap<u16, Tally>>, ReadError> {
+    let Some(statistics) = &summary.statistics else { return Ok(None) };
+    let mut tallies = BTreeMap::new();
+    for (&channel, &messages) in &statistics.channel_message_counts {
+        let mut tally = Tally { messages, times: None };
+        let mut chunks: Vec<(&ChunkIndex, u64)> = Vec::new();
+        chunks.extend(summary.chunks.iter().filter_map(|c| Some((c, *c.message_index_offsets.get(&channel)?))));
+        if messages > 0 {
+            chunks.sort_by_key(|(chunk, _)| chunk.message_start_time);
+            for (chunk, offset) in &chunks {
+                if tally.times.is_some_and(|(first, _)| nanoseconds(chunk.message_start_time) >= first) {
+                    break;
+                }
+                let Some((first, last)) = indexed_times(chunk, channel, *offset, source)? else { return Ok(None) };
+                tally.span(first, last);
+            }
+            chunks.sort_by_key(|(chunk, _)| std::cmp::Reverse(chunk.message_end_time));
+            for (chunk, offset) in &chunks {
+                if tally.times.is_some_and(|(_, last)| nanoseconds(chunk.message_end_time) <= last) {
+                    break;
+                }
+                let Some((first, last)) = indexed_times(chunk, channel, *offset, source)? else { return Ok(None) };
+                tally.span(first, last);
+            }
+            if tally.times.is_none() {
+                return Ok(None);
+            }
+        }
+        tallies.insert(channel, tally);
+    }
+    Ok(Some(tallies))
+}
+
+/// First and last log time of a channel in a chunk, if the message index is plausible.
+fn indexed_times<R: Read + Seek>(
+    chunk: &ChunkIndex,
+    channel: u16,
+    offset: u64,
+    source: &mut Source<R>,
+) -> Result<Option<(i64, i64)>, ReadError> {
+    let Ok(record) = source.record_at(offset)? else { return Ok(None) };
+    if record.opcode != op::MESSAGE_INDEX || record.length > chunk.message_index_length {
+        return Ok(None);
+    }
+    let mut body = Vec::new();
+    source.read_at(record.body(), record.length, &mut body)?;
+    let Ok(Parsed::MessageIndex(index)) = mcap::parse_record(op::MESSAGE_INDEX, &body) else { return Ok(None) };
+    let span = chunk.message_start_time..=chunk.message_end_time;
+    if index.channel_id != channel || index.records.iter().any(|entry| !span.contains(&entry.log_time)) {
+        return Ok(None);
+    }
+    let times = || index.records.iter().map(|entry| nanoseconds(entry.log_time));
+    Ok(times().min().zip(times().max()))
+}
+
+fn topics<'a>(channels: impl Iterator<Item = &'a Arc<Channel>>, tallies: &BTreeMap<u16, Tally>) -> Vec<Topic> {
+    let mut found: BTreeMap<(&str, &str, &str), Topic> = BTreeMap::new();
+    for channel in channels {
+        let key = (channel.topic.as_str(), channel.type_name.as_str(), channel.message_encoding.as_str());
+        let topic = found.entry(key).or_insert_with(|| Topic {
+            topic: channel.topic.clone(),
+            type_name: channel.type_name.clone(),
+            message_encoding: channel.message_encoding.clone(),
+            schema_encoding: channel.schema_encoding.clone(),
+            latched: false,
+            messages: 0,
+            first_log_time_ns: None,
+            last_log_time_ns: None,
+        });
+        topic.latched |= channel.is_latched();
+        let tally = tallies.get(&channel.id).copied().unwrap_or_default();
+        topic.messages += tally.messages;
+        if let Some((first, last)) = tally.times {
+            topic.first_log_time_ns = Some(topic.first_log_time_ns.map_or(first, |time| time.min(first)));
+            topic.last_log_time_ns = Some(topic.last_log_time_ns.map_or(last, |time| time.max(last)));
+        }
+    }
+    found.into_values().collect()
+}
+
+fn compression_name(name: &str) -> String {
+    if name.is_empty() { "none".to_owned() } else { name.to_owned() }
+}
+
+fn compression_of<R: Read + Seek>(source: &mut Source<R>, chunk: &Record) -> Result<Option<String>, ReadError> {
+    /// Two times, a size, a checksum, and the name.
+    const HEAD_BYTES: u64 = 8 + 8 + 8 + 4 + 4 + 32;
+    let mut head = Vec::new();
+    source.read_at(chunk.body(), chunk.length.min(HEAD_BYTES), &mut head)?;
+    let mut fields = Fields::new(&head);
+    Ok(fields.bytes(28).and_then(|_| fields.string()).map(compression_name))
+}

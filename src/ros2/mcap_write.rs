@@ -1,0 +1,206 @@
+//! Writing logs: append-only, so that whatever was flushed before a power loss can be read.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::{self, Seek, SeekFrom, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{McapError, WriteOptions, Writer};
+use thiserror::Error;
+
+use super::cdr::MAX_MESSAGE_BYTES;
+use super::mcap_read::{MAX_ATTACHMENT_BYTES, QOS_KEY};
+use super::messages::Message;
+
+/// A chunk is closed once it is larger than this. What is in an open chunk is lost with the power.
+const CHUNK_BYTES: u64 = 1 << 20;
+
+/// Why a log could not be written on.
+#[derive(Debug, Error)]
+pub enum WriteError {
+    #[error("cannot write the log: {0}")]
+    Io(io::Error),
+    #[error("cannot write the log: {0}")]
+    Mcap(McapError),
+    #[error("{what}: expected at most {limit} bytes, found {found}")]
+    TooLarge { what: &'static str, limit: u64, found: u64 },
+}
+
+impl From<McapError> for WriteError {
+    fn from(error: McapError) -> Self {
+        match error {
+            McapError::Io(error) => Self::Io(error),
+            error => Self::Mcap(error),
+        }
+    }
+}
+
+/// A channel of one [`LogWriter`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ChannelId(u16);
+
+/// Whether late subscribers shall get the last message: for `/tf_static` and the like.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Durability {
+    #[default]
+    Volatile,
+    TransientLocal,
+}
+
+/// Writes one log. Dropped without [`finish`](Self::finish), it closes the log as well as it can.
+pub struct LogWriter<W: Write> {
+    writer: Writer<Counted<W>>,
+    bytes: Arc<AtomicU64>,
+}
+
+impl<W: Write> LogWriter<W> {
+    /// Writes the head of the file.
+    pub fn new(writer: W) -> Result<Self, WriteError> {
+        let options = WriteOptions::new()
+            .profile("ros2")
+            .library("realitysim")
+            .compression(None)
+            .chunk_size(Some(CHUNK_BYTES))
+            .disable_seeking(true)
+            .calculate_chunk_crcs(true);
+        let bytes = Arc::new(AtomicU64::new(0));
+        Ok(Self { writer: options.create(Counted { writer, bytes: Arc::clone(&bytes) })?, bytes })
+    }
+
+    /// Adds a topic of one of our types; adding it again gives the same channel.
+    pub fn add_channel<M: Message>(&mut self, topic: &str, durability: Durability) -> Result<ChannelId, WriteError> {
+        let metadata = BTreeMap::from([(QOS_KEY.to_owned(), qos_profile(durability))]);
+        let schema = self.writer.add_schema(M::TYPE, "ros2msg", M::DEFINITION.as_bytes())?;
+        Ok(ChannelId(self.writer.add_channel(schema, topic, "cdr", &metadata)?))
+    }
+
+    /// Adds a topic of any type, to pass on messages that were read from elsewhere.
+    pub fn add_raw_channel(&mut self, channel: &RawChannel<'_>) -> Result<ChannelId, WriteError> {
+        // A type without a definition still has its name in a schema of no encoding.
+        let schema = match (channel.type_name, channel.schema_encoding) {
+            ("", "") => 0,
+            (name, encoding) => self.writer.add_schema(name, encoding, channel.definition)?,
+        };
+        let id = self.writer.add_channel(schema, channel.topic, channel.message_encoding, channel.metadata)?;
+        Ok(ChannelId(id))
+    }
+
+    /// Writes one encoded message. Times before 1970 become 0.
+    pub fn write(
+        &mut self,
+        channel: ChannelId,
+        sequence: u32,
+        log_time_ns: i64,
+        publish_time_ns: i64,
+        message: &[u8],
+    ) -> Result<(), WriteError> {
+        refuse_above(MAX_MESSAGE_BYTES as u64, "message", message)?;
+        let (log_time, publish_time) = (unsigned(log_time_ns), unsigned(publish_time_ns));
+        let header = MessageHeader { channel_id: channel.0, sequence, log_time, publish_time };
+        Ok(self.writer.write_to_known_channel(&header, message)?)
+    }
+
+    /// Closes the open chunk, then writes a file into the log. Attached before any message, it survives a torn tail.
+    pub fn attach(&mut self, name: &str, media_type: &str, log_time_ns: i64, data: &[u8]) -> Result<(), WriteError> {
+        // Names and lengths stand in the same record.
+        let head_bytes = (36 + name.len() + media_type.len()) as u64;
+        refuse_above(MAX_ATTACHMENT_BYTES.saturating_sub(head_bytes), "attachment", data)?;
+        let time = unsigned(log_time_ns);
+        Ok(self.writer.attach(&mcap::Attachment {
+            log_time: time,
+            create_time: time,
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            data: Cow::Borrowed(data),
+        })?)
+    }
+
+    /// Closes the open chunk, then writes a metadata record.
+    pub fn metadata(&mut self, name: &str, metadata: &BTreeMap<String, String>) -> Result<(), WriteError> {
+        Ok(self.writer.write_metadata(&Metadata { name: name.to_owned(), metadata: metadata.clone() })?)
+    }
+
+    /// Closes the open chunk: all that was written can be read once the bytes are on the disk.
+    pub fn flush_chunk(&mut self) -> Result<(), WriteError> {
+        Ok(self.writer.flush()?)
+    }
+
+    /// Bytes handed to the writer below so far; those of the open chunk are not among them.
+    pub fn bytes_written(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Writes index and footer.
+    pub fn finish(mut self) -> Result<W, WriteError> {
+        self.writer.finish()?;
+        let mut counted = self.writer.into_inner();
+        counted.flush().map_err(WriteError::Io)?;
+        Ok(counted.writer)
+    }
+}
+
+/// A topic to pass on. [`Channel`](super::mcap_read::Channel) has the same fields.
+#[derive(Clone, Copy, Debug)]
+pub struct RawChannel<'a> {
+    pub topic: &'a str,
+    pub type_name: &'a str,
+    pub message_encoding: &'a str,
+    pub schema_encoding: &'a str,
+    pub definition: &'a [u8],
+    pub metadata: &'a BTreeMap<String, String>,
+}
+
+fn unsigned(nanoseconds: i64) -> u64 {
+    u64::try_from(nanoseconds).unwrap_or(0)
+}
+
+fn refuse_above(limit: u64, what: &'static str, data: &[u8]) -> Result<(), WriteError> {
+    let found = data.len() as u64;
+    if found > limit { Err(WriteError::TooLarge { what, limit, found }) } else { Ok(()) }
+}
+
+/// Quality of service as rosbag2 writes it. The numbers are those of rmw: all versions read them, while the names
+/// that came later are read only from version 9 of its metadata on.
+fn qos_profile(durability: Durability) -> String {
+    const FOREVER: &str = "\n    sec: 9223372036\n    nsec: 854775807";
+    let (depth, durability) = match durability {
+        Durability::TransientLocal => (1, 1),
+        Durability::Volatile => (10, 2),
+    };
+    format!(
+        "- history: 1\n  depth: {depth}\n  reliability: 1\n  durability: {durability}\n  deadline:{FOREVER}\n  \
+         lifespan:{FOREVER}\n  liveliness: 1\n  liveliness_lease_duration:{FOREVER}\n  \
+         avoid_ros_namespace_conventions: false"
+    )
+}
+
+/// Tells where it is without seeking: the file below may be a pipe.
+struct Counted<W> {
+    writer: W,
+    /// Shared with the [`LogWriter`], which has no other way to look below the format.
+    bytes: Arc<AtomicU64>,
+}
+
+impl<W: Write> Write for Counted<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.writer.write(bytes)?;
+        self.bytes.fetch_add(written as u64, Ordering::Relaxed);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.writer.flush()
+    }
+}
+
+impl<W> Seek for Counted<W> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let position = self.bytes.load(Ordering::Relaxed);
+        if to == SeekFrom::Current(0) || to == SeekFrom::Start(position) {
+            return Ok(position);
+        }
+        Err(io::Error::new(io::ErrorKind::Unsupported, format!("expected to append only, found a seek to {to:?}")))
+    }
+}

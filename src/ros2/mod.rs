@@ -1,0 +1,14 @@
+//! ROS 2 logs: messages in CDR, files in MCAP. Pure: readers and writers are handed in, no clock is read.
+
+pub mod cdr;
+pub mod mcap_read;
+pub mod mcap_write;
+pub mod messages;
+
+pub use cdr::CdrError;
+pub use mcap_read::{
+    Attachment, Attachments, Channel, Damage, LogMessage, LogReader, ReadError, Selection, Survey, Topic, attachments,
+    survey,
+};
+pub use mcap_write::{ChannelId, Durability, LogWriter, RawChannel, WriteError};
+pub use messages::Message;
