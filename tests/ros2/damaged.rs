@@ -93,7 +93,7 @@ fn one_bit_flipped_anywhere() {
                 assert!(matches!(reader, Err(ReadError::NotMcap { .. })));
             } else {
                 let (found, damage) = read_all(&flipped, Selection::All);
-                assert!(is_part_of(&found, &whole), "{name}: byte {byte}");
+                assert!(is_part_of(&found, &whole), "{name}: byte {byte} bit {bit}: {damage:?}");
                 assert!(
                     found.len() == whole.len() || !damage.is_none(),
                     "{name}: byte {byte} bit {bit} lost messages in silence"
