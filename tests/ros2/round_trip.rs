@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Cursor, Write};
+use std::sync::{Arc, Mutex};
 
 use realitysim::ros2::messages::{CompressedImage, FrameTag};
 use realitysim::ros2::{Durability, LogReader, LogWriter, Message, RawChannel, Selection, attachments, survey};
@@ -47,7 +48,8 @@ fn a_survey_tells_what_is_there() {
     let found = survey(Cursor::new(&log)).unwrap();
     assert!(found.indexed && found.damage.is_none(), "{:?}", found.damage);
     assert_eq!(found.attachments, ["session.toml"]);
-    assert_eq!(found.metadata, [("session".to_owned(), BTreeMap::from([("field".to_owned(), "kid".to_owned())]))]);
+    let [session] = found.metadata.as_slice() else { panic!("{found:?}") };
+    assert_eq!((session.name.as_str(), session.values["field"].as_str()), ("session", "kid"));
     assert_eq!(found.compressions.iter().collect::<Vec<_>>(), ["none"]);
     assert_eq!(found.topics.iter().map(|topic| topic.messages).sum::<u64>(), written.len() as u64);
     let diagnostics = found.topics.iter().find(|topic| topic.topic == "/diagnostics").unwrap();
@@ -123,16 +125,23 @@ fn other_encodings_are_passed_on_and_named() {
     assert_eq!(messages[1].channel.type_name, "");
 }
 
-/// Takes so many bytes, then fails.
-struct Full(usize);
+/// Takes so many bytes, fails once, and would take more.
+#[derive(Clone)]
+struct Full {
+    taken: Arc<Mutex<Vec<u8>>>,
+    room: usize,
+}
 
 impl Write for Full {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.0 < bytes.len() {
+        if self.room == 0 {
+            self.room = usize::MAX;
             return Err(io::ErrorKind::StorageFull.into());
         }
-        self.0 -= bytes.len();
-        Ok(bytes.len())
+        let taken = bytes.len().min(self.room);
+        self.room -= taken;
+        self.taken.lock().unwrap().extend(&bytes[..taken]);
+        Ok(taken)
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -141,26 +150,38 @@ impl Write for Full {
 }
 
 #[test]
-fn a_full_disk_is_an_error_and_never_a_panic() {
+fn a_full_disk_is_an_error_and_what_is_there_can_be_read() {
     let image = compressed_image(3000).encode();
-    for room in (0..9000).step_by(37) {
-        let Ok(mut writer) = LogWriter::new(Full(room)) else { continue };
+    for room in (0..11_000).step_by(37) {
+        let disk = Full { taken: Arc::default(), room };
+        let Ok(mut writer) = LogWriter::new(disk.clone()) else { continue };
+        let mut written = 0;
         let mut run = || {
             writer.attach("a", "b", 0, &[1; 100])?;
             let channel = writer.add_channel::<CompressedImage>("/image", Durability::Volatile)?;
             writer.write(channel, 0, 0, 0, &image)?;
             writer.flush_chunk()?;
+            written = 1;
             writer.write(channel, 0, 0, 0, &image)?;
-            writer.metadata("m", &BTreeMap::new())
+            writer.metadata("m", &BTreeMap::new())?;
+            written = 2;
+            writer.flush_chunk()
         };
         let first = run();
         let second = writer.flush_chunk();
-        assert!(first.is_ok() || second.is_err());
+        assert_eq!(first.is_ok(), second.is_ok());
         if room % 2 == 0 {
             drop(writer);
         } else {
-            assert!(writer.finish().is_err() || room > 6000);
+            let finished = writer.finish();
+            assert!(first.is_ok() || finished.is_err());
         }
+        let log = disk.taken.lock().unwrap();
+        assert!(first.is_ok() || log.len() <= room);
+        let (messages, damage) = read_all(&log, Selection::All);
+        assert!(messages.len() >= written, "room for {room} bytes");
+        assert!(messages.iter().all(|message| message.data == image));
+        assert_eq!(damage.bad_chunks + damage.bad_records, 0, "room for {room} bytes: {damage:?}");
     }
 }
 
