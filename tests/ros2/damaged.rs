@@ -3,9 +3,13 @@
 use std::io::Cursor;
 
 use mcap::{Compression, WriteOptions};
-use realitysim::ros2::{LogMessage, LogReader, ReadError, Selection, attachments, survey};
+use proptest::prelude::*;
+use realitysim::ros2::messages::CompressedImage;
+use realitysim::ros2::{
+    Durability, LogMessage, LogReader, LogWriter, Message, ReadError, Selection, attachments, survey,
+};
 
-use super::samples::{read_all, small_log};
+use super::samples::{START_NS, compressed_image, read_all, small_log};
 
 /// The small log in another packing.
 fn repacked(options: WriteOptions) -> Vec<u8> {
@@ -118,6 +122,67 @@ fn a_damaged_chunk_costs_only_its_own_messages() {
         assert_eq!(damage.bad_chunks, 1, "{name}: {damage:?}");
         assert_eq!(found.len(), 4, "{name}: {damage:?}");
         assert!(damage.bytes_skipped > 50 && damage.first_error.unwrap().starts_with("chunk at byte"));
+    }
+}
+
+#[test]
+fn our_definitions_stand_apart_from_our_messages() {
+    let mut writer = LogWriter::new(Vec::new()).unwrap();
+    let channel = writer.add_channel::<CompressedImage>("/image", Durability::Volatile).unwrap();
+    let mut ends = Vec::new();
+    for sequence in 0..2 {
+        writer.write(channel, sequence, START_NS, START_NS, &compressed_image(500).encode()).unwrap();
+        writer.flush_chunk().unwrap();
+        ends.push(writer.bytes_written() as usize);
+    }
+    let mut log = writer.finish().unwrap();
+    log.truncate(ends[1]);
+    // In the middle of the first message.
+    log[ends[0] - 300] ^= 1;
+    let (found, damage) = read_all(&log, Selection::All);
+    assert_eq!(found.iter().map(|message| message.sequence).collect::<Vec<_>>(), [1]);
+    assert_eq!((damage.bad_chunks, damage.orphan_messages, damage.torn), (1, 0, true));
+}
+
+/// Without checksums a flipped bit can go unseen, but it must not do harm.
+fn unchecked_variants() -> Vec<(&'static str, Vec<u8>)> {
+    let options = || WriteOptions::new().calculate_chunk_crcs(false).calculate_summary_section_crc(false);
+    vec![
+        ("plain", repacked(options().compression(None))),
+        ("zstd", repacked(options().compression(Some(Compression::Zstd)).compression_threads(0))),
+        ("lz4", repacked(options().compression(Some(Compression::Lz4)))),
+        ("unindexed", repacked(options().compression(None).emit_chunk_indexes(false))),
+        ("no chunks", repacked(options().use_chunks(false))),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn damage_all_over(
+        which in 0usize..9,
+        cut in prop::option::of(any::<prop::sample::Index>()),
+        damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
+    ) {
+        let checked = variants();
+        let is_checked = which < checked.len();
+        let mut logs = checked.into_iter().chain(unchecked_variants());
+        let (name, mut log) = logs.nth(which).unwrap();
+        let (whole, _) = read_all(&log, Selection::All);
+        let attached = attachments(Cursor::new(&log)).unwrap().list;
+        for (place, value) in damage {
+            let place = 8 + place.index(log.len() - 8);
+            log[place] = value;
+        }
+        if let Some(cut) = cut {
+            log.truncate(8 + cut.index(log.len() - 8));
+        }
+        let (found, _) = read_all(&log, Selection::All);
+        prop_assert!(!is_checked || is_part_of(&found, &whole), "{name}");
+        survey(Cursor::new(&log)).unwrap();
+        let found = attachments(Cursor::new(&log)).unwrap();
+        prop_assert!(!is_checked || found.list.iter().all(|attachment| attached.contains(attachment)));
     }
 }
 

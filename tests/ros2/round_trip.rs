@@ -32,6 +32,43 @@ fn every_message_comes_back() {
 }
 
 #[test]
+fn golden_bytes_of_a_log() {
+    let log = LogWriter::new(Vec::new()).unwrap().finish().unwrap();
+    let head =
+        [&b"\x89MCAP0\r\n"[..], b"\x01\x16\0\0\0\0\0\0\0\x04\0\0\0ros2\x0a\0\0\0realitysim", b"\x0f\x04\0\0\0\0\0\0\0"]
+            .concat();
+    assert_eq!(log[..head.len()], head);
+    assert!(log.ends_with(b"\x89MCAP0\r\n"));
+    let (messages, damage) = read_all(&log, Selection::All);
+    assert!(messages.is_empty() && damage.is_none());
+}
+
+#[test]
+fn quality_of_service_as_rosbag2_writes_it() {
+    let mut writer = LogWriter::new(Vec::new()).unwrap();
+    let channel = writer.add_channel::<FrameTag>("/tag", Durability::TransientLocal).unwrap();
+    writer.write(channel, 0, 0, 0, &FrameTag::default().encode()).unwrap();
+    let (messages, _) = read_all(&writer.finish().unwrap(), Selection::All);
+    let expected = "\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false";
+    assert_eq!(messages[0].channel.metadata["offered_qos_profiles"], expected);
+}
+
+#[test]
 fn selected_topics_only() {
     let (log, _) = every_message();
     let (messages, damage) = read_all(&log, Selection::topics(["/diagnostics", "/absent"]));

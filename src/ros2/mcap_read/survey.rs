@@ -15,6 +15,9 @@ use super::source::{Record, Source};
 use super::summary::Summary;
 use super::{LogReader, Order};
 
+/// A larger message index is not used: the messages are counted instead.
+const MAX_MESSAGE_INDEX_BYTES: u64 = 64 << 20;
+
 /// What a log holds.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Survey {
@@ -153,7 +156,7 @@ fn indexed_times<R: Read + Seek>(
     source: &mut Source<R>,
 ) -> Result<Option<(i64, i64)>, ReadError> {
     let Ok(record) = source.record_at(offset)? else { return Ok(None) };
-    if record.opcode != op::MESSAGE_INDEX || record.length > chunk.message_index_length {
+    if record.opcode != op::MESSAGE_INDEX || record.length > chunk.message_index_length.min(MAX_MESSAGE_INDEX_BYTES) {
         return Ok(None);
     }
     let mut body = Vec::new();
@@ -183,7 +186,7 @@ fn topics<'a>(channels: impl Iterator<Item = &'a Arc<Channel>>, tallies: &BTreeM
         });
         topic.latched |= channel.is_latched();
         let tally = tallies.get(&channel.id).copied().unwrap_or_default();
-        topic.messages += tally.messages;
+        topic.messages = topic.messages.saturating_add(tally.messages);
         if let Some((first, last)) = tally.times {
             topic.first_log_time_ns = Some(topic.first_log_time_ns.map_or(first, |time| time.min(first)));
             topic.last_log_time_ns = Some(topic.last_log_time_ns.map_or(last, |time| time.max(last)));
