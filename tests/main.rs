@@ -1,5 +1,1 @@
-//! Tests of the crate from outside, room by room.
-
-mod config;
-mod real;
-mod scene;
+mod ros2;

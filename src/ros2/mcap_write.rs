@@ -1,7 +1,7 @@
 //! Writing logs: append-only, so that whatever was flushed before a power loss can be read.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,7 +11,7 @@ use mcap::{McapError, WriteOptions, Writer};
 use thiserror::Error;
 
 use super::cdr::MAX_MESSAGE_BYTES;
-use super::mcap_read::{MAX_ATTACHMENT_BYTES, QOS_KEY};
+use super::mcap_read::{Channel, MAX_ATTACHMENT_BYTES, QOS_KEY};
 use super::messages::Message;
 
 /// A chunk is closed once it is larger than this. What is in an open chunk is lost with the power.
@@ -49,10 +49,14 @@ pub enum Durability {
     TransientLocal,
 }
 
-/// Writes one log. Dropped without [`finish`](Self::finish), it closes the log as well as it can.
+/// Writes one log. Dropped without [`finish`](Self::finish), it closes the log as well as it can; after an I/O error it
+/// leaves the log as it is and refuses to write on.
 pub struct LogWriter<W: Write> {
     writer: Writer<Counted<W>>,
     bytes: Arc<AtomicU64>,
+    channels: HashSet<u16>,
+    /// Whether the open chunk starts with definitions and has nothing else yet.
+    definitions_open: bool,
 }
 
 impl<W: Write> LogWriter<W> {
@@ -66,14 +70,15 @@ impl<W: Write> LogWriter<W> {
             .disable_seeking(true)
             .calculate_chunk_crcs(true);
         let bytes = Arc::new(AtomicU64::new(0));
-        Ok(Self { writer: options.create(Counted { writer, bytes: Arc::clone(&bytes) })?, bytes })
+        let writer = options.create(Counted { writer, bytes: Arc::clone(&bytes), failed: false })?;
+        Ok(Self { writer, bytes, channels: HashSet::new(), definitions_open: false })
     }
 
     /// Adds a topic of one of our types; adding it again gives the same channel.
     pub fn add_channel<M: Message>(&mut self, topic: &str, durability: Durability) -> Result<ChannelId, WriteError> {
         let metadata = BTreeMap::from([(QOS_KEY.to_owned(), qos_profile(durability))]);
         let schema = self.writer.add_schema(M::TYPE, "ros2msg", M::DEFINITION.as_bytes())?;
-        Ok(ChannelId(self.writer.add_channel(schema, topic, "cdr", &metadata)?))
+        self.add(schema, topic, "cdr", &metadata)
     }
 
     /// Adds a topic of any type, to pass on messages that were read from elsewhere.
@@ -83,7 +88,18 @@ impl<W: Write> LogWriter<W> {
             ("", "") => 0,
             (name, encoding) => self.writer.add_schema(name, encoding, channel.definition)?,
         };
-        let id = self.writer.add_channel(schema, channel.topic, channel.message_encoding, channel.metadata)?;
+        self.add(schema, channel.topic, channel.message_encoding, channel.metadata)
+    }
+
+    fn add(
+        &mut self,
+        schema: u16,
+        topic: &str,
+        encoding: &str,
+        metadata: &BTreeMap<String, String>,
+    ) -> Result<ChannelId, WriteError> {
+        let id = self.writer.add_channel(schema, topic, encoding, metadata)?;
+        self.definitions_open |= self.channels.insert(id);
         Ok(ChannelId(id))
     }
 
@@ -97,6 +113,10 @@ impl<W: Write> LogWriter<W> {
         message: &[u8],
     ) -> Result<(), WriteError> {
         refuse_above(MAX_MESSAGE_BYTES as u64, "message", message)?;
+        if self.definitions_open {
+            // A small chunk of their own: without an index, nothing can be read of channels whose definition is lost.
+            self.flush_chunk()?;
+        }
         let (log_time, publish_time) = (unsigned(log_time_ns), unsigned(publish_time_ns));
         let header = MessageHeader { channel_id: channel.0, sequence, log_time, publish_time };
         Ok(self.writer.write_to_known_channel(&header, message)?)
@@ -124,6 +144,7 @@ impl<W: Write> LogWriter<W> {
 
     /// Closes the open chunk: all that was written can be read once the bytes are on the disk.
     pub fn flush_chunk(&mut self) -> Result<(), WriteError> {
+        self.definitions_open = false;
         Ok(self.writer.flush()?)
     }
 
@@ -141,7 +162,7 @@ impl<W: Write> LogWriter<W> {
     }
 }
 
-/// A topic to pass on. [`Channel`](super::mcap_read::Channel) has the same fields.
+/// A topic to pass on, for instance a [`Channel`] of another log.
 #[derive(Clone, Copy, Debug)]
 pub struct RawChannel<'a> {
     pub topic: &'a str,
@@ -150,6 +171,19 @@ pub struct RawChannel<'a> {
     pub schema_encoding: &'a str,
     pub definition: &'a [u8],
     pub metadata: &'a BTreeMap<String, String>,
+}
+
+impl<'a> From<&'a Channel> for RawChannel<'a> {
+    fn from(channel: &'a Channel) -> Self {
+        Self {
+            topic: &channel.topic,
+            type_name: &channel.type_name,
+            message_encoding: &channel.message_encoding,
+            schema_encoding: &channel.schema_encoding,
+            definition: &channel.definition,
+            metadata: &channel.metadata,
+        }
+    }
 }
 
 fn unsigned(nanoseconds: i64) -> u64 {
@@ -163,7 +197,7 @@ fn refuse_above(limit: u64, what: &'static str, data: &[u8]) -> Result<(), Write
 
 /// Quality of service as rosbag2 writes it. The numbers are those of rmw: all versions read them, while the names
 /// that came later are read only from version 9 of its metadata on.
-pub fn qos_profile(durability: Durability) -> String {
+fn qos_profile(durability: Durability) -> String {
     const FOREVER: &str = "\n    sec: 9223372036\n    nsec: 854775807";
     let (depth, durability) = match durability {
         Durability::TransientLocal => (1, 1),
@@ -176,22 +210,38 @@ pub fn qos_profile(durability: Durability) -> String {
     )
 }
 
-/// Tells where it is without seeking: the file below may be a pipe.
+/// Tells where it is without seeking: the file below may be a pipe. After a failure it takes nothing more, for what
+/// follows half a record could not be read.
 struct Counted<W> {
     writer: W,
     /// Shared with the [`LogWriter`], which has no other way to look below the format.
     bytes: Arc<AtomicU64>,
+    failed: bool,
+}
+
+impl<W> Counted<W> {
+    fn attempt<T>(&mut self, operation: impl FnOnce(&mut W) -> io::Result<T>) -> io::Result<T> {
+        if self.failed {
+            return Err(io::Error::other("an earlier write failed"));
+        }
+        let result = operation(&mut self.writer);
+        self.failed = matches!(&result, Err(error) if error.kind() != io::ErrorKind::Interrupted);
+        result
+    }
 }
 
 impl<W: Write> Write for Counted<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.writer.write(bytes)?;
+        let written = self.attempt(|writer| match writer.write(bytes)? {
+            0 if !bytes.is_empty() => Err(io::ErrorKind::WriteZero.into()),
+            written => Ok(written),
+        })?;
         self.bytes.fetch_add(written as u64, Ordering::Relaxed);
         Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.writer.flush()
+        self.attempt(Write::flush)
     }
 }
 

@@ -7,8 +7,8 @@ pub mod messages;
 
 pub use cdr::CdrError;
 pub use mcap_read::{
-    Attachment, Attachments, Channel, Damage, LogMessage, LogReader, ReadError, Selection, Survey, Topic, attachments,
-    survey,
+    Attachment, Attachments, Channel, Damage, LogMessage, LogReader, MetadataRecord, ReadError, Selection, Survey,
+    Topic, attachments, survey,
 };
 pub use mcap_write::{ChannelId, Durability, LogWriter, RawChannel, WriteError};
 pub use messages::Message;

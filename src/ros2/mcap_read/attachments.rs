@@ -5,10 +5,12 @@ use std::io::{Read, Seek};
 
 use mcap::records::{Record as Parsed, op};
 
+use super::channels::{Channels, Selection};
 use super::chunk::nanoseconds;
 use super::error::{Damage, MAGIC, ReadError};
 use super::fields::Fields;
 use super::source::{Record, Source};
+use super::summary::Summary;
 
 /// Larger attachments are left out.
 pub const MAX_ATTACHMENT_BYTES: u64 = 64 << 20;
@@ -19,6 +21,9 @@ const MAX_ATTACHMENTS_BYTES: u64 = 4 * MAX_ATTACHMENT_BYTES;
 /// Larger metadata records are left out; with more of them than this many bytes, the later ones.
 const MAX_METADATA_BYTES: u64 = 16 << 20;
 
+/// No more places are remembered: chunks of a megabyte make a terabyte.
+const MAX_WALKED_RECORDS: usize = 1 << 20;
+
 /// A file inside the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Attachment {
@@ -26,6 +31,13 @@ pub struct Attachment {
     pub media_type: String,
     pub log_time_ns: i64,
     pub data: Vec<u8>,
+}
+
+/// Key-value pairs about the log as a whole.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MetadataRecord {
+    pub name: String,
+    pub values: BTreeMap<String, String>,
 }
 
 /// The attachments of a log, as far as they are sound and not too large.
@@ -41,7 +53,9 @@ pub fn attachments<R: Read + Seek>(reader: R) -> Result<Attachments, ReadError> 
     let mut damage = Damage { torn: !source.ends_with_magic()?, ..Damage::default() };
     let mut list = Vec::new();
     let mut total = 0;
-    for record in side_records(&mut source, &mut damage)? {
+    // Damage of the summary hides no attachment: the walk finds them.
+    let summary = Summary::read(&mut source, &mut Channels::new(Selection::default()), &mut Damage::default())?;
+    for record in side_records(summary.as_ref(), &mut source, &mut damage)? {
         if record.opcode != op::ATTACHMENT {
             continue;
         }
@@ -63,9 +77,24 @@ pub fn attachments<R: Read + Seek>(reader: R) -> Result<Attachments, ReadError> 
     Ok(Attachments { list, damage })
 }
 
-/// Where attachments, metadata and chunks stand: a walk over the file that reads nothing but the heads of its records.
+/// Where attachments and metadata stand: where the summary says, or else by a walk over the heads of all records.
 pub(super) fn side_records<R: Read + Seek>(
+    summary: Option<&Summary>,
     source: &mut Source<R>,
+    damage: &mut Damage,
+) -> Result<Vec<Record>, ReadError> {
+    if let Some(summary) = summary
+        && let Some(records) = summary.side_records(source)?
+    {
+        return Ok(records);
+    }
+    walk(source, &[op::ATTACHMENT, op::METADATA], damage)
+}
+
+/// Where records of these kinds stand in the data; their bodies are not read.
+pub(super) fn walk<R: Read + Seek>(
+    source: &mut Source<R>,
+    opcodes: &[u8],
     damage: &mut Damage,
 ) -> Result<Vec<Record>, ReadError> {
     let mut found = Vec::new();
@@ -74,7 +103,11 @@ pub(super) fn side_records<R: Read + Seek>(
         match source.record_at(position)? {
             Ok(record) if matches!(record.opcode, op::DATA_END | op::FOOTER) => break,
             Ok(record) => {
-                if matches!(record.opcode, op::ATTACHMENT | op::METADATA | op::CHUNK) {
+                if opcodes.contains(&record.opcode) {
+                    if found.len() == MAX_WALKED_RECORDS {
+                        damage.note(|| format!("expected at most {MAX_WALKED_RECORDS} attachments or chunks"));
+                        break;
+                    }
                     found.push(record);
                 }
                 position = record.end();
@@ -106,12 +139,12 @@ pub(super) fn attachment_name<R: Read + Seek>(
     })())
 }
 
-/// The metadata records of the log, by name; those of one name together.
+/// The metadata among these records.
 pub(super) fn metadata<R: Read + Seek>(
     source: &mut Source<R>,
     records: &[Record],
     damage: &mut Damage,
-) -> Result<Vec<(String, BTreeMap<String, String>)>, ReadError> {
+) -> Result<Vec<MetadataRecord>, ReadError> {
     let mut found = Vec::new();
     let mut total = 0;
     for record in records.iter().filter(|record| record.opcode == op::METADATA) {
@@ -123,7 +156,7 @@ pub(super) fn metadata<R: Read + Seek>(
             continue;
         }
         match mcap::parse_record(op::METADATA, &body) {
-            Ok(Parsed::Metadata(metadata)) => found.push((metadata.name, metadata.metadata)),
+            Ok(Parsed::Metadata(record)) => found.push(MetadataRecord { name: record.name, values: record.metadata }),
             Ok(_) => {}
             Err(error) => damage.bad_record(record.offset, record.bytes(), &format!("metadata: {error}")),
         }

@@ -31,11 +31,13 @@ const DATA_END_BODY_BYTES: u64 = 4;
 pub(super) struct FileOrder {
     position: u64,
     chunk: Option<Chunk>,
+    /// Whether the file has chunks, and with them message indexes.
+    chunked: bool,
 }
 
 impl FileOrder {
     pub fn new() -> Self {
-        Self { position: MAGIC.len() as u64, chunk: None }
+        Self { position: MAGIC.len() as u64, chunk: None, chunked: false }
     }
 
     pub fn next<R: Read + Seek>(
@@ -63,8 +65,17 @@ impl FileOrder {
                     return Ok(None);
                 }
             };
+            let first = self.position == MAGIC.len() as u64;
             self.position = record.end();
-            if record.opcode == op::FOOTER && record.length == FOOTER_BODY_BYTES {
+            if first {
+                if record.opcode != op::HEADER {
+                    damage.bad_record(record.offset, record.bytes(), "expected the header of the file");
+                }
+                continue;
+            }
+            // What follows the data repeats it, or tells where it is.
+            let ends_data = (op::DATA_END, DATA_END_BODY_BYTES);
+            if [ends_data, (op::FOOTER, FOOTER_BODY_BYTES)].contains(&(record.opcode, record.length)) {
                 self.position = source.length();
                 return Ok(None);
             }
@@ -107,7 +118,13 @@ impl FileOrder {
             return Ok(None);
         }
         match record.opcode {
-            op::CHUNK => self.chunk = Chunk::unpack(body, record.offset, channels, damage),
+            op::CHUNK => {
+                self.chunked = true;
+                self.chunk = Chunk::unpack(body, record.offset, channels, damage);
+            }
+            op::MESSAGE if self.chunked && has_message_index_shape(&body) => {
+                damage.bad_record(record.offset, record.bytes(), "the opcode of a message index is damaged");
+            }
             op::MESSAGE => return Ok(loose_message(&body, record, channels, damage)),
             opcode => {
                 let defined =
@@ -151,11 +168,21 @@ fn implausible(record: &Record, head: &[u8]) -> Option<&'static str> {
         op::SUMMARY_OFFSET if record.length != SUMMARY_OFFSET_BODY_BYTES => {
             Some("a summary offset of the wrong length")
         }
-        op::DATA_END if record.length != DATA_END_BODY_BYTES => Some("an end of data of the wrong length"),
+        op::DATA_END => Some("an end of data of the wrong length"),
         0x10..0x80 => Some("an unknown opcode"),
         _ if has_chunk_shape(record, head) => Some("the opcode of a chunk is damaged"),
         _ => None,
     }
+}
+
+/// A message would have to have a sequence number that fits its length.
+fn has_message_index_shape(body: &[u8]) -> bool {
+    let mut fields = Fields::new(body);
+    let mut entries = || {
+        fields.u16()?;
+        fields.u32()
+    };
+    entries().is_some_and(|bytes| bytes % 16 == 0 && bytes as usize + fields.taken() == body.len())
 }
 
 fn has_chunk_shape(record: &Record, head: &[u8]) -> bool {

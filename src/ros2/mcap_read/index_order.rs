@@ -18,6 +18,7 @@ pub(super) struct IndexOrder {
     waiting: Vec<ChunkIndex>,
     open: Vec<(u64, Chunk)>,
     last_log_time: u64,
+    max_open_bytes: usize,
 }
 
 impl IndexOrder {
@@ -28,7 +29,7 @@ impl IndexOrder {
             chunk.message_index_offsets.is_empty() || ids.any(|&id| channels.wanted(id).unwrap_or(true))
         });
         chunks.sort_by_key(|chunk| std::cmp::Reverse((chunk.message_start_time, chunk.chunk_start_offset)));
-        Self { waiting: chunks, open: Vec::new(), last_log_time: 0 }
+        Self { waiting: chunks, open: Vec::new(), last_log_time: 0, max_open_bytes: MAX_OPEN_BYTES }
     }
 
     pub fn next<R: Read + Seek>(
@@ -43,7 +44,7 @@ impl IndexOrder {
             let load = self.waiting.pop_if(|next| match earliest {
                 None => true,
                 Some((time, offset, _)) => {
-                    held < MAX_OPEN_BYTES && (next.message_start_time, next.chunk_start_offset) < (time, offset)
+                    held < self.max_open_bytes && (next.message_start_time, next.chunk_start_offset) < (time, offset)
                 }
             });
             if let Some(index) = load {
@@ -112,4 +113,52 @@ fn load_chunk<R: Read + Seek>(
     let mut chunk = Chunk::unpack(body, offset, channels, damage);
     chunk.iter_mut().for_each(Chunk::sort);
     Ok(chunk)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::io::Cursor;
+
+    use mcap::WriteOptions;
+    use mcap::records::MessageHeader;
+
+    use super::super::{LogReader, Order, Selection};
+
+    /// Chunks of two messages each: one of its own time, one from the far future.
+    fn far_reaching_chunks() -> Vec<u8> {
+        let mut writer = WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
+        let channel = writer.add_channel(0, "/a", "cdr", &BTreeMap::new()).unwrap();
+        for i in 0..20 {
+            for log_time in [i, 1000 - i] {
+                let header = MessageHeader { channel_id: channel, sequence: 0, log_time, publish_time: 0 };
+                writer.write_to_known_channel(&header, &[0; 100]).unwrap();
+            }
+            writer.flush().unwrap();
+        }
+        writer.finish().unwrap();
+        writer.into_inner().into_inner()
+    }
+
+    #[test]
+    fn order_gives_way_before_memory_does() {
+        let log = far_reaching_chunks();
+        for (limit, ordered) in [(usize::MAX, true), (1000, false)] {
+            let mut reader = LogReader::open(Cursor::new(&log), Selection::All).unwrap();
+            let Order::LogTime(order) = &mut reader.order else { panic!("not indexed") };
+            order.max_open_bytes = limit;
+            let mut most = 0;
+            let mut times = Vec::new();
+            while let Some(message) = reader.next() {
+                times.push(message.unwrap().log_time_ns);
+                let Order::LogTime(order) = &reader.order else { panic!("not indexed") };
+                most = most.max(order.open.len());
+            }
+            assert_eq!(times.is_sorted(), ordered);
+            assert_eq!(reader.damage().out_of_order == 0, ordered);
+            assert!(ordered || most < 8, "{most}");
+            times.sort_unstable();
+            assert_eq!(times, (0..20).chain(981..1001).collect::<Vec<i64>>());
+        }
+    }
 }

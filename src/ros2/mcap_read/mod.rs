@@ -14,7 +14,7 @@ mod survey;
 use std::io::{Read, Seek};
 use std::sync::Arc;
 
-pub use attachments::{Attachment, Attachments, MAX_ATTACHMENT_BYTES, attachments};
+pub use attachments::{Attachment, Attachments, MAX_ATTACHMENT_BYTES, MetadataRecord, attachments};
 pub use channels::{Channel, Selection};
 pub use error::{Damage, ReadError};
 pub use survey::{Survey, Topic, survey};

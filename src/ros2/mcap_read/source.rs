@@ -4,8 +4,9 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
 use super::error::{MAGIC, ReadError, check_magic};
 
-/// Read ahead: small records come out of memory, large ones pass it by.
-const BUFFER_BYTES: usize = 128 << 10;
+/// Read ahead: small records come out of memory, large ones pass it by. A walk over the heads of large records reads
+/// this much at each.
+const BUFFER_BYTES: usize = 16 << 10;
 
 /// Opcode and length.
 pub(super) const RECORD_HEAD_BYTES: u64 = 9;

@@ -7,7 +7,7 @@ use mcap::records::{AttachmentIndex, ChunkIndex, MetadataIndex, Record as Parsed
 use super::channels::{Channels, Definition};
 use super::error::{Damage, MAGIC, ReadError};
 use super::fields::Fields;
-use super::source::{RECORD_HEAD_BYTES, Source};
+use super::source::{RECORD_HEAD_BYTES, Record, Source};
 
 /// A summary that is larger is not used: an hour of chunks takes about a megabyte.
 const MAX_SUMMARY_BYTES: u64 = 256 << 20;
@@ -95,6 +95,27 @@ impl Summary {
         Ok(summary)
     }
 
+    /// Where attachments and metadata stand, if the summary leads to all of them.
+    pub fn side_records<R: Read + Seek>(&self, source: &mut Source<R>) -> Result<Option<Vec<Record>>, ReadError> {
+        let listed = (self.attachments.len() as u64, self.metadata.len() as u64);
+        let counted = self.statistics.as_ref().map(|s| (u64::from(s.attachment_count), u64::from(s.metadata_count)));
+        if counted != Some(listed) {
+            return Ok(None);
+        }
+        let attachments = self.attachments.iter().map(|a| (a.offset, op::ATTACHMENT));
+        let mut places: Vec<(u64, u8)> =
+            attachments.chain(self.metadata.iter().map(|m| (m.offset, op::METADATA))).collect();
+        places.sort_unstable();
+        let mut records = Vec::with_capacity(places.len());
+        for (offset, opcode) in places {
+            match source.record_at(offset)? {
+                Ok(record) if record.opcode == opcode => records.push(record),
+                _ => return Ok(None),
+            }
+        }
+        Ok(Some(records))
+    }
+
     /// Whether the index leads to every message. Writers may leave it out, put messages outside of chunks, or define
     /// channels only in the chunk that comes first in the file, which need not come first in time.
     pub fn leads_to_all_messages<R: Read + Seek>(
@@ -121,6 +142,9 @@ impl Summary {
         extents.sort_unstable();
         let mut position = MAGIC.len() as u64;
         for (start, length) in extents {
+            if start < position {
+                return Ok(false);
+            }
             while position < start {
                 match source.record_at(position)? {
                     Ok(record) if matches!(record.opcode, op::CHUNK | op::MESSAGE) => return Ok(false),
@@ -131,7 +155,7 @@ impl Summary {
                     Err(_) => position = start,
                 }
             }
-            position = position.max(start.saturating_add(length));
+            position = start.saturating_add(length);
         }
         Ok(true)
     }

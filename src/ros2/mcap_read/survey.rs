@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use mcap::records::{ChunkIndex, Record as Parsed, op};
 
-use super::attachments::{attachment_name, metadata, side_records};
+use super::attachments::{MetadataRecord, attachment_name, metadata, side_records, walk};
 use super::channels::{Channel, Channels, Selection};
 use super::chunk::nanoseconds;
 use super::error::{Damage, ReadError};
@@ -15,6 +15,9 @@ use super::source::{Record, Source};
 use super::summary::Summary;
 use super::{LogReader, Order};
 
+/// A larger message index is not used: the messages are counted instead.
+const MAX_MESSAGE_INDEX_BYTES: u64 = 64 << 20;
+
 /// What a log holds.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Survey {
@@ -22,8 +25,8 @@ pub struct Survey {
     pub topics: Vec<Topic>,
     /// Names, in the order of the file.
     pub attachments: Vec<String>,
-    /// Name and content, in the order of the file.
-    pub metadata: Vec<(String, BTreeMap<String, String>)>,
+    /// In the order of the file.
+    pub metadata: Vec<MetadataRecord>,
     /// How chunks are compressed: `none`, `zstd`, `lz4` or what else the file says; empty without chunks.
     pub compressions: BTreeSet<String>,
     /// Whether messages can be read in the order of their log times.
@@ -66,13 +69,13 @@ pub fn survey<R: Read + Seek>(reader: R) -> Result<Survey, ReadError> {
     let (mut channels, mut damage) = (Channels::new(Selection::All), Damage::default());
     damage.torn = !source.ends_with_magic()?;
     let summary = Summary::read(&mut source, &mut channels, &mut damage)?;
+    // A walk finds the same damage to the row of records as the reading does: counted once.
+    let records = side_records(summary.as_ref(), &mut source, &mut Damage::default())?;
     let index = match summary {
         Some(summary) if summary.leads_to_all_messages(&channels, &mut source)? => Some(summary),
         _ => None,
     };
     let mut survey = Survey { indexed: index.is_some(), ..Survey::default() };
-    // The walk below finds the same damage to the row of records as the reading does: counted once.
-    let records = side_records(&mut source, &mut Damage::default())?;
     survey.metadata = metadata(&mut source, &records, &mut damage)?;
     for record in records.iter().filter(|record| record.opcode == op::ATTACHMENT) {
         survey.attachments.extend(attachment_name(&mut source, record)?);
@@ -87,8 +90,8 @@ pub fn survey<R: Read + Seek>(reader: R) -> Result<Survey, ReadError> {
             survey.topics = topics(channels.iter(), &tallies);
         }
         (_, index) => {
-            for record in records.iter().filter(|record| record.opcode == op::CHUNK) {
-                survey.compressions.extend(compression_of(&mut source, record)?);
+            for chunk in walk(&mut source, &[op::CHUNK], &mut Damage::default())? {
+                survey.compressions.extend(compression_of(&mut source, &chunk)?);
             }
             let order = index.map_or_else(Order::by_file, |index| Order::by_index(index.chunks, &channels));
             let mut reader = LogReader { source, channels, damage, order };
@@ -153,7 +156,7 @@ fn indexed_times<R: Read + Seek>(
     source: &mut Source<R>,
 ) -> Result<Option<(i64, i64)>, ReadError> {
     let Ok(record) = source.record_at(offset)? else { return Ok(None) };
-    if record.opcode != op::MESSAGE_INDEX || record.length > chunk.message_index_length {
+    if record.opcode != op::MESSAGE_INDEX || record.length > chunk.message_index_length.min(MAX_MESSAGE_INDEX_BYTES) {
         return Ok(None);
     }
     let mut body = Vec::new();
@@ -183,7 +186,7 @@ fn topics<'a>(channels: impl Iterator<Item = &'a Arc<Channel>>, tallies: &BTreeM
         });
         topic.latched |= channel.is_latched();
         let tally = tallies.get(&channel.id).copied().unwrap_or_default();
-        topic.messages += tally.messages;
+        topic.messages = topic.messages.saturating_add(tally.messages);
         if let Some((first, last)) = tally.times {
             topic.first_log_time_ns = Some(topic.first_log_time_ns.map_or(first, |time| time.min(first)));
             topic.last_log_time_ns = Some(topic.last_log_time_ns.map_or(last, |time| time.max(last)));

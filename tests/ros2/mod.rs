@@ -1,0 +1,5 @@
+mod damaged;
+mod foreign;
+mod python;
+mod round_trip;
+mod samples;
