@@ -4,4 +4,23 @@
 //! (docs/architecture.md has the map).
 
 pub mod geometry;
+
+pub mod config;
+
+pub mod vision;
+
+pub mod localization;
+
+pub mod scene;
+
 pub mod ros2;
+
+pub mod sensors;
+
+pub mod recording;
+
+pub mod agent;
+
+pub mod evaluation;
+
+pub mod cli;

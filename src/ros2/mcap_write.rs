@@ -197,7 +197,7 @@ fn refuse_above(limit: u64, what: &'static str, data: &[u8]) -> Result<(), Write
 
 /// Quality of service as rosbag2 writes it. The numbers are those of rmw: all versions read them, while the names
 /// that came later are read only from version 9 of its metadata on.
-fn qos_profile(durability: Durability) -> String {
+pub fn qos_profile(durability: Durability) -> String {
     const FOREVER: &str = "\n    sec: 9223372036\n    nsec: 854775807";
     let (depth, durability) = match durability {
         Durability::TransientLocal => (1, 1),
