@@ -129,7 +129,7 @@ fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
     let checkpoint = segment_checkpoint(&files)?;
     let mut source = LogSource::new(files, Selection::All);
     let mut agent = Agent::new(options, &prelude, checkpoint)?;
-    while let Some(message) = source.next() {
+    for message in source.by_ref() {
         agent.take(message?, &mut |done| progress(done, Some(total)))?;
     }
     let damage = source.damage().iter().map(|(file, damage)| file_damage(file, damage)).collect();
@@ -452,12 +452,12 @@ fn first_tagger(options: &ReplayOptions, field: Field, checkpoint: Option<&Check
     let state = checkpoint.map_or_else(TaggerState::default, |checkpoint| checkpoint.tagger.clone());
     let mut tagger = Tagger::new(settings, field.clone(), state);
     let path = options.captures.join(STATE_FILE);
-    if options.warm_start {
-        if let Ok(bytes) = std::fs::read(&path) {
-            let saved = Checkpoint::decode(&bytes).map_err(|source| ReplayError::Checkpoint { path, source })?;
-            tagger = Tagger::new(settings, field, saved.tagger);
-            tagger.resume();
-        }
+    // A first start has nothing to go on from.
+    let saved = if options.warm_start { std::fs::read(&path).ok() } else { None };
+    if let Some(bytes) = saved {
+        let saved = Checkpoint::decode(&bytes).map_err(|source| ReplayError::Checkpoint { path, source })?;
+        tagger = Tagger::new(settings, field, saved.tagger);
+        tagger.resume();
     }
     if let Some(map_from_footprint) = options.initial {
         tagger.start_at(&InitialPose { map_from_footprint, xy_m: None, yaw_rad: None });

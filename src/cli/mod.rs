@@ -30,7 +30,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    Replay(replay::ReplayArguments),
+    Replay(Box<replay::ReplayArguments>),
     Sim(sim::SimArguments),
     Eval(eval::EvalArguments),
     Export(export::ExportArguments),

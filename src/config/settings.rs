@@ -246,7 +246,7 @@ impl Settings {
         }
         for (index, mask) in self.camera.body_mask.iter().enumerate() {
             for (key, range) in [("pan_deg", mask.pan_deg), ("tilt_deg", mask.tilt_deg)] {
-                if range.is_some_and(|[low, high]| !(low <= high)) {
+                if range.is_some_and(|[low, high]| low.is_nan() || high.is_nan() || low > high) {
                     return Err(format!(
                         "camera.body_mask[{index}].{key}: the first number must not exceed the second"
                     ));

@@ -142,7 +142,7 @@ impl SessionWriter {
             let position = &tag.pose.pose.position;
             self.segment.valid_pose(position.x, position.y);
             let header = Header { stamp: tag.header.stamp, frame_id: map_frame.to_owned() };
-            let pose = PoseWithCovarianceStamped { header, pose: tag.pose.clone() };
+            let pose = PoseWithCovarianceStamped { header, pose: tag.pose };
             self.write(topic::POSE, log_time_ns, &pose)?;
         }
         Ok(())

@@ -148,12 +148,13 @@ fn demosaic_rggb(width: usize, height: usize, rows: &[&[u8]]) -> Vec<u8> {
                     continue;
                 }
                 let (mut sum, mut count) = (0u32, 0u32);
-                for nv in v.saturating_sub(1)..(v + 2).min(height) {
-                    for nu in u.saturating_sub(1)..(u + 2).min(width) {
+                let columns = u.saturating_sub(1)..(u + 2).min(width);
+                for (nv, row) in rows.iter().enumerate().take((v + 2).min(height)).skip(v.saturating_sub(1)) {
+                    for nu in columns.clone() {
                         // Green lies beside, red and blue beside or diagonally: a green pixel's diagonals are green too.
                         let beside = colour != 1 || nu == u || nv == v;
                         if beside && colour_at(nu, nv) == colour {
-                            sum += u32::from(rows[nv][nu]);
+                            sum += u32::from(row[nu]);
                             count += 1;
                         }
                     }

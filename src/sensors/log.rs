@@ -77,10 +77,9 @@ impl LogSource {
     }
 
     fn close(&mut self) {
-        if let Some((path, reader)) = self.open.take() {
-            if !reader.damage().is_none() {
-                self.damage.push((path, reader.damage().clone()));
-            }
+        let Some((path, reader)) = self.open.take() else { return };
+        if !reader.damage().is_none() {
+            self.damage.push((path, reader.damage().clone()));
         }
     }
 }

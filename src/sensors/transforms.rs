@@ -72,6 +72,8 @@ pub enum ChainError {
     LooksUp { optical: String, link: String, elevation_deg: f64 },
 }
 
+/// Lower than this no camera stands: the mount is missing.
+const MIN_HEIGHT_M: f64 = 0.02;
 /// A longer chain is a circle.
 const MAX_LINKS: usize = 64;
 /// More frames than any robot has; what comes beyond is left out.
@@ -172,7 +174,7 @@ impl TransformTree {
     pub fn check_mount(&self, stamp_ns: i64, names: &FrameNames) -> Result<(), ChainError> {
         let place = self.camera_place(stamp_ns, names, Posture::default())?.footprint_from_optical;
         let height_m = place.translation.z;
-        if !(height_m > 0.02) {
+        if height_m.is_nan() || height_m < MIN_HEIGHT_M {
             let (base, camera) = (names.base_footprint.clone(), names.camera_link.clone());
             return Err(ChainError::NoHeight { height_m, base, camera });
         }
