@@ -3,6 +3,7 @@
 pub mod checkpoint;
 pub mod replay;
 mod setup;
+pub mod single;
 mod stages;
 pub mod tagger;
 

@@ -9,6 +9,7 @@ use crate::geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
 use crate::localization::observation;
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::CameraInfo;
+use crate::sensors::body_mask;
 use crate::sensors::intake::{self, Input};
 use crate::sensors::log::LogError;
 use crate::sensors::synchroniser::{Synchroniser, SynchroniserState};
@@ -174,13 +175,4 @@ impl Eyes {
         let fits = |body: &&BodyRange| within(body.pan_rad, head.pan) && within(body.tilt_rad, head.tilt);
         self.bodies.iter().find(fits).map(|body| &body.mask)
     }
-}
-
-pub fn body_mask(png: &str, width: u32, height: u32) -> Result<BodyMask, String> {
-    let image = image::open(png).map_err(|error| error.to_string())?.into_luma8();
-    if image.dimensions() != (width, height) {
-        let (w, h) = image.dimensions();
-        return Err(format!("the mask has {w} x {h} pixels, the camera {width} x {height}"));
-    }
-    BodyMask::from_gray(width as usize, height as usize, image.as_raw()).ok_or_else(|| "not a gray image".to_owned())
 }

@@ -1,6 +1,6 @@
 //! `realitysim info`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
@@ -8,10 +8,13 @@ use serde::Serialize;
 use super::{Outcome, output};
 use crate::sensors::log;
 
-/// What a log, bag or capture holds: topics, types, rates, damage
+/// What a log, bag or capture holds, or what a camera offers
+///
+/// Of a log: topics, types, rates and damage (exit code 3 if there is any). Of a camera (/dev/video0): formats, sizes
+/// and rates.
 #[derive(Args)]
 pub struct InfoArguments {
-    /// An MCAP file or a folder of them
+    /// An MCAP file, a folder of them, or a camera's device
     file: PathBuf,
 }
 
@@ -47,6 +50,9 @@ struct TopicInfo {
 }
 
 pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
+    if is_device(&arguments.file) {
+        return camera(&arguments.file, json);
+    }
     let files = log::files_of(&arguments.file)?;
     let surveys = log::surveys(&files)?;
     let mut topics: Vec<TopicInfo> = Vec::new();
@@ -100,6 +106,35 @@ pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&for_people(&info))?
     }
     Ok(if damaged { Outcome::DataLost } else { Outcome::Whole })
+}
+
+fn is_device(path: &Path) -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    std::fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_char_device())
+}
+
+#[cfg(feature = "v4l2")]
+fn camera(path: &Path, json: bool) -> anyhow::Result<Outcome> {
+    let offer = crate::sensors::v4l2::offer(path)?;
+    if json {
+        output::json(&offer)?;
+        return Ok(Outcome::Whole);
+    }
+    let mut text = format!("{} ({}, {})\n", offer.card, offer.driver, offer.bus);
+    for format in &offer.formats {
+        text.push_str(&format!("\n  {}  {}\n", format.fourcc, format.description));
+        for size in &format.sizes {
+            let rates: Vec<String> = size.rates_hz.iter().map(|rate| format!("{rate:.0}")).collect();
+            text.push_str(&format!("    {:>4} x {:<4}  {} Hz\n", size.width, size.height, rates.join(", ")));
+        }
+    }
+    output::lines(text.trim_end())?;
+    Ok(Outcome::Whole)
+}
+
+#[cfg(not(feature = "v4l2"))]
+fn camera(path: &Path, _json: bool) -> anyhow::Result<Outcome> {
+    anyhow::bail!("{}: this program was built without the feature v4l2", path.display())
 }
 
 fn joined(a: Option<(i64, i64)>, b: Option<(i64, i64)>) -> Option<(i64, i64)> {

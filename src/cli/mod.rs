@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage or config, 3 done but data was lost.
 
+mod demo;
 mod eval;
 mod export;
 mod info;
@@ -9,6 +10,7 @@ mod output;
 mod replay;
 mod settings;
 mod sim;
+mod tag;
 
 use std::process::ExitCode;
 
@@ -35,6 +37,8 @@ enum Command {
     Eval(eval::EvalArguments),
     Export(export::ExportArguments),
     Info(info::InfoArguments),
+    Tag(tag::TagArguments),
+    Demo(demo::DemoArguments),
 }
 
 /// Done, or done with losses.
@@ -53,6 +57,8 @@ pub fn run() -> ExitCode {
         Command::Eval(arguments) => eval::run(&arguments, json),
         Command::Export(arguments) => export::run(&arguments, json),
         Command::Info(arguments) => info::run(&arguments, json),
+        Command::Tag(arguments) => tag::run(&arguments, json),
+        Command::Demo(arguments) => demo::run(&arguments, json),
     };
     match outcome {
         Ok(Outcome::Whole) => ExitCode::SUCCESS,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
@@ -28,7 +28,7 @@ pub struct SimArguments {
 }
 
 #[derive(Serialize)]
-struct Report {
+pub struct Report {
     log: PathBuf,
     frames: u64,
     duration_s: f64,
@@ -36,10 +36,24 @@ struct Report {
 }
 
 pub fn run(arguments: &SimArguments, json: bool) -> anyhow::Result<Outcome> {
+    let report = render(&arguments.scene, &arguments.output)?;
+    if json {
+        output::json(&report)?;
+    } else {
+        let Report { log, frames, duration_s, wall_s } = &report;
+        output::lines(&format!(
+            "{frames} frames, {duration_s:.1} s of walking, rendered in {wall_s:.1} s\n{}",
+            log.display()
+        ))?;
+    }
+    Ok(Outcome::Whole)
+}
+
+pub fn render(scene: &str, log: &Path) -> anyhow::Result<Report> {
     let started = std::time::Instant::now();
-    let scene = scene::load(&arguments.scene)?;
-    let path = || arguments.output.display().to_string();
-    let file = File::create(&arguments.output).with_context(path)?;
+    let scene = scene::load(scene)?;
+    let path = || log.display().to_string();
+    let file = File::create(log).with_context(path)?;
     let mut writer = LogWriter::new(BufWriter::with_capacity(1 << 20, file)).with_context(path)?;
     let mut channels = BTreeMap::new();
     let mut progress = output::Progress::new("rendering");
@@ -72,20 +86,5 @@ pub fn run(arguments: &SimArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     writer.finish().with_context(path)?;
     progress.finish();
-    let report = Report {
-        log: arguments.output.clone(),
-        frames,
-        duration_s: scene.duration_s(),
-        wall_s: started.elapsed().as_secs_f64(),
-    };
-    if json {
-        output::json(&report)?;
-    } else {
-        let Report { frames, duration_s, wall_s, .. } = report;
-        output::lines(&format!(
-            "{frames} frames, {duration_s:.1} s of walking, rendered in {wall_s:.1} s\n{}",
-            path()
-        ))?;
-    }
-    Ok(Outcome::Whole)
+    Ok(Report { log: log.to_owned(), frames, duration_s: scene.duration_s(), wall_s: started.elapsed().as_secs_f64() })
 }

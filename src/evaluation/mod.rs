@@ -2,6 +2,7 @@
 
 pub mod capture;
 pub mod compare;
+pub mod drawing;
 pub mod statistics;
 
 pub use compare::{Comparison, Tagged, compare};

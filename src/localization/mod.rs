@@ -16,5 +16,6 @@ pub mod weights;
 
 pub use estimate::Estimate;
 pub use filter::{Filter, FilterSettings, FilterState};
+pub use motion::MotionModel;
 pub use observation::{Observation, Support};
 pub use particles::{Particles, Spread};

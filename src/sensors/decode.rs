@@ -38,6 +38,16 @@ pub fn picture(message: &LogMessage) -> Result<Picture, DecodeError> {
     }
 }
 
+/// When the frame of this message was exposed.
+pub fn stamp_ns(message: &LogMessage) -> Result<i64, DecodeError> {
+    let header = match message.channel.type_name.as_str() {
+        "sensor_msgs/msg/CompressedImage" => CompressedImageView::decode(&message.data)?.header,
+        "sensor_msgs/msg/Image" => ImageView::decode(&message.data)?.header,
+        other => return Err(DecodeError::Type { type_name: other.to_owned() }),
+    };
+    Ok(header.stamp.to_nanoseconds())
+}
+
 /// JPEG or PNG, told apart by their first bytes: `format` fields are not to be relied on.
 pub fn compressed(data: &[u8]) -> Result<Picture, DecodeError> {
     if data.starts_with(&[0xff, 0xd8]) {

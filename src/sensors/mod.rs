@@ -3,6 +3,7 @@
 //! Whatever the source, the agent gets [`LogMessage`](crate::ros2::mcap_read::LogMessage)s: a scene and a recorded
 //! log take the same way.
 
+mod body_mask;
 pub mod decode;
 pub mod history;
 pub mod intake;
@@ -11,3 +12,7 @@ pub mod scene;
 pub mod synchroniser;
 pub mod topics;
 pub mod transforms;
+#[cfg(feature = "v4l2")]
+pub mod v4l2;
+
+pub use body_mask::body_mask;

@@ -9,6 +9,7 @@ use core::f64::consts::TAU;
 use glam::{DVec2, DVec3};
 
 use super::WorkingScale;
+use super::carpet::{Carpet, Sample, Surface};
 use super::mask::BodyMask;
 use super::picture::Picture;
 use crate::geometry::{Isometry, Lens};
@@ -25,36 +26,18 @@ const FARTHEST_M: f64 = 15.0;
 const STEPS: usize = 56;
 /// Samples whose colour is learnt from lie within this range of the robot.
 const LEARN_WITHIN_M: f64 = 2.5;
-/// Fewer green samples than this: no carpet is in view.
-const FEWEST_SAMPLES: usize = 40;
-/// Darker pixels have no colour worth reading.
-const DARKEST: f32 = 8.0;
 /// The strip at the edge that the narrow blur smears the surroundings into, in pixels.
 const BLUR_REACH_PX: f64 = 6.0;
 
-#[derive(Clone, Copy)]
-struct Sample {
-    luma: f32,
-    /// Cb and Cr over luma: what stays when the light changes.
-    hue: [f32; 2],
-}
-
-/// The carpet's colour, learnt in each frame anew.
-struct Carpet {
-    hue: [f32; 2],
-    tolerance: f32,
-    luma: f32,
-}
-
 impl CarpetBorder {
-    /// `None` when no edge can be told: a gray picture, or no carpet in view.
+    /// With the carpet's colour; `None` when no edge can be told: a gray picture, or no carpet in view.
     pub fn find(
         picture: &Picture,
         lens: &Lens,
         footprint_from_optical: &Isometry,
         to_working: WorkingScale,
         body: Option<&BodyMask>,
-    ) -> Option<Self> {
+    ) -> Option<(Self, Carpet)> {
         if picture.chroma.is_empty() {
             return None;
         }
@@ -87,7 +70,7 @@ impl CarpetBorder {
             .iter()
             .enumerate()
             .filter_map(|(azimuth, ray)| {
-                let last = carpet.last_step(ray)?;
+                let last = last_step(&carpet, ray)?;
                 let range = ranges[last];
                 let smear = BLUR_REACH_PX / pixels_per_radian * (height * height + range * range) / height.max(0.05);
                 let (sin, cos) = libm::sincos(TAU * azimuth as f64 / AZIMUTHS as f64);
@@ -95,7 +78,7 @@ impl CarpetBorder {
             })
             .collect();
         let corners = convex_hull(ends);
-        (corners.len() >= 3).then_some(Self { corners })
+        (corners.len() >= 3).then_some((Self { corners }, carpet))
     }
 
     pub fn corners(&self) -> &[DVec2] {
@@ -125,54 +108,22 @@ impl CarpetBorder {
     }
 }
 
-impl Carpet {
-    /// The median colour of what is greener than gray near the robot.
-    fn learn(samples: impl Iterator<Item = Sample>) -> Option<Self> {
-        let green: Vec<Sample> = samples
-            .filter(|s| s.luma >= DARKEST && s.hue[0] + s.hue[1] < -0.06 && s.hue[0] < 0.03 && s.hue[1] < 0.03)
-            .collect();
-        if green.len() < FEWEST_SAMPLES {
-            return None;
+/// The step up to which the ray is best explained as carpet: the highest running sum of +1 for carpet, -2 for anything
+/// that does not lie on it.
+fn last_step(carpet: &Carpet, ray: &[Option<Sample>]) -> Option<usize> {
+    let (mut sum, mut best, mut last) = (0, 0, None);
+    for (step, sample) in ray.iter().enumerate() {
+        let Some(sample) = sample else { continue };
+        match carpet.classify(*sample) {
+            Surface::Carpet => sum += 1,
+            Surface::Other => sum -= 2,
+            Surface::White | Surface::Dark => continue,
         }
-        let median_of = |value: &dyn Fn(&Sample) -> f32| {
-            let mut values: Vec<f32> = green.iter().map(value).collect();
-            let middle = values.len() / 2;
-            *values.select_nth_unstable_by(middle, f32::total_cmp).1
-        };
-        let hue = [median_of(&|s| s.hue[0]), median_of(&|s| s.hue[1])];
-        let spread = median_of(&|s| (s.hue[0] - hue[0]).abs().max((s.hue[1] - hue[1]).abs()));
-        Some(Self { hue, tolerance: (4.0 * spread).clamp(0.07, 0.3), luma: median_of(&|s| s.luma) })
-    }
-
-    /// +1 for carpet, 0 for what may lie on it (a white line, a shadow), -1 for anything else.
-    fn vote(&self, sample: Sample) -> i32 {
-        let off = (sample.hue[0] - self.hue[0]).abs().max((sample.hue[1] - self.hue[1]).abs());
-        // Far away the walls' colour bleeds into the carpet's, and a line's is between gray and carpet.
-        let between = [0, 1].iter().all(|c| {
-            let share = sample.hue[*c] / self.hue[*c];
-            self.hue[*c].abs() < 0.02 || (0.0..=1.1).contains(&share)
-        });
-        if off < self.tolerance {
-            1
-        } else if sample.luma < DARKEST || (between && sample.luma > 1.15 * self.luma) {
-            0
-        } else {
-            -1
+        if sum > best {
+            (best, last) = (sum, Some(step));
         }
     }
-
-    /// The step up to which the ray is best explained as carpet: the highest running sum of votes.
-    fn last_step(&self, ray: &[Option<Sample>]) -> Option<usize> {
-        let (mut sum, mut best, mut last) = (0, 0, None);
-        for (step, sample) in ray.iter().enumerate() {
-            let vote = sample.map_or(0, |sample| self.vote(sample));
-            sum += if vote < 0 { -2 } else { vote };
-            if vote > 0 && sum > best {
-                (best, last) = (sum, Some(step));
-            }
-        }
-        last
-    }
+    last
 }
 
 /// Mean of the four pixels around a place, `None` outside.
@@ -189,7 +140,7 @@ fn sample(picture: &Picture, at: DVec2) -> Option<Sample> {
             *sum += (f32::from(value) - 128.0) / 4.0;
         }
     }
-    Some(Sample { luma, hue: chroma.map(|value| value / luma.max(1.0)) })
+    Some(Sample::new(luma, chroma))
 }
 
 /// Andrew's monotone chain, counter-clockwise, without collinear points.

@@ -6,6 +6,7 @@
 
 use glam::DVec2;
 
+use super::carpet::Carpet;
 use super::picture::Picture;
 
 /// Half-resolution maps: pixel (i, j) averages the picture's pixels 2i, 2i+1 x 2j, 2j+1.
@@ -17,6 +18,8 @@ pub struct LineContrast {
     pub narrow: Vec<f32>,
     /// Narrow minus wide, gray levels; negative where darker than the surroundings.
     pub contrast: Vec<f32>,
+    /// Shows neither carpet nor a line.
+    pub occluded: Vec<bool>,
 }
 
 /// Side of a cell of the coarse image, in half-resolution pixels.
@@ -25,19 +28,22 @@ const COARSE: usize = 4;
 const BLACK: f32 = 6.0;
 
 impl LineContrast {
-    /// `on_carpet` has one entry per cell of [`coarse_centres`]. The wide blur averages only carpet, and of it only
-    /// what is not black, so that walls beyond the field or the black rim of a fisheye do not look like a change of
-    /// light.
-    pub fn of(picture: &Picture, on_carpet: &[bool]) -> Self {
+    /// `on_carpet` has one entry per cell of [`coarse_centres`]. The wide blur averages only carpet, so that walls
+    /// beyond the field, robots on it or the black rim of a fisheye do not look like a change of light.
+    pub fn of(picture: &Picture, on_carpet: &[bool], carpet: Option<&Carpet>) -> Self {
         let (width, height) = (picture.width / 2, picture.height / 2);
         if width < COARSE || height < COARSE {
-            return Self { width: 0, height: 0, narrow: Vec::new(), contrast: Vec::new() };
+            return Self { width: 0, height: 0, narrow: Vec::new(), contrast: Vec::new(), occluded: Vec::new() };
         }
         let half = halved(picture, width, height);
         let narrow = blurred(&half, width, height);
-        let wide = wide_blur(&half, width, height, on_carpet);
+        let occluded = match carpet {
+            Some(carpet) => carpet.occluded(picture),
+            None => half.iter().map(|value| *value < BLACK).collect(),
+        };
+        let wide = wide_blur(&half, &occluded, width, height, on_carpet);
         let contrast = subtract_upsampled(&narrow, width, height, &wide);
-        Self { width, height, narrow, contrast }
+        Self { width, height, narrow, contrast, occluded }
     }
 }
 
@@ -96,7 +102,7 @@ struct Coarse {
 }
 
 /// Mean of the carpet within about 12 pixels; `NaN`-free: where no carpet is near, the plain mean.
-fn wide_blur(half: &[f32], width: usize, height: usize, on_carpet: &[bool]) -> Coarse {
+fn wide_blur(half: &[f32], occluded: &[bool], width: usize, height: usize, on_carpet: &[bool]) -> Coarse {
     let (cw, ch) = (width / COARSE, height / COARSE);
     let mut sums = vec![0.0f32; cw * ch];
     let mut counts = vec![0.0f32; cw * ch];
@@ -105,9 +111,10 @@ fn wide_blur(half: &[f32], width: usize, height: usize, on_carpet: &[bool]) -> C
         for cu in 0..cw {
             let (mut sum, mut lit_sum, mut lit) = (0.0f32, 0.0f32, 0.0f32);
             for dv in 0..COARSE {
-                for value in &half[(cv * COARSE + dv) * width + cu * COARSE..][..COARSE] {
+                let first = (cv * COARSE + dv) * width + cu * COARSE;
+                for (value, occluded) in half[first..][..COARSE].iter().zip(&occluded[first..][..COARSE]) {
                     sum += value;
-                    if *value >= BLACK {
+                    if !occluded {
                         lit_sum += value;
                         lit += 1.0;
                     }
@@ -196,7 +203,7 @@ mod tests {
     fn plain_and_sloping_light_have_no_contrast() {
         for slope in [0.0, 0.3] {
             let p = picture(160, 120, |u, _| (60.0 + slope * u as f64) as u8);
-            let c = LineContrast::of(&p, &[]);
+            let c = LineContrast::of(&p, &[], None);
             let middle = &c.contrast[30 * c.width + 20..30 * c.width + 60];
             assert!(middle.iter().all(|value| value.abs() < 0.6), "{middle:?}");
         }
@@ -206,7 +213,7 @@ mod tests {
     fn a_line_stands_out_as_two_gaussians_say() {
         // A bright line 6 px wide, 100 gray levels above the carpet.
         let p = picture(320, 240, |u, _| if (157..163).contains(&u) { 160 } else { 60 });
-        let c = LineContrast::of(&p, &[]);
+        let c = LineContrast::of(&p, &[], None);
         let got = c.contrast[60 * c.width + 79].max(c.contrast[60 * c.width + 80]);
         // erf(3 / (sqrt 2 sigma)) x 100 for sigma 2.1 (narrow, with the halving) and 11.8 (wide).
         let share = |sigma: f64| 100.0 * libm::erf(3.0 / (core::f64::consts::SQRT_2 * sigma));
@@ -216,7 +223,7 @@ mod tests {
 
     #[test]
     fn a_picture_too_small_to_hold_a_line_gives_an_empty_map() {
-        assert!(LineContrast::of(&picture(1, 1, |_, _| 9), &[]).contrast.is_empty());
-        assert!(!LineContrast::of(&picture(8, 9, |_, _| 9), &[]).contrast.is_empty());
+        assert!(LineContrast::of(&picture(1, 1, |_, _| 9), &[], None).contrast.is_empty());
+        assert!(!LineContrast::of(&picture(8, 9, |_, _| 9), &[], None).contrast.is_empty());
     }
 }

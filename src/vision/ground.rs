@@ -270,7 +270,9 @@ impl Cells {
                 };
                 gray[cell] = blend(&image.narrow);
                 contrast[cell] = blend(&image.contrast);
-                seen[cell] = gray[cell] >= BLACK;
+                // Half-way to an occluder counts as hidden.
+                let nearest = at + usize::from(fu >= 0.5) + if fv >= 0.5 { image.width } else { 0 };
+                seen[cell] = gray[cell] >= BLACK && !image.occluded[nearest];
             }
         }
         Self { seen, contrast, gray }

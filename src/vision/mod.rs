@@ -4,6 +4,7 @@
 //! coordinates. The chain for one frame is [`Vision::look`].
 
 pub mod border;
+pub mod carpet;
 pub mod contrast;
 pub mod distance;
 pub mod ground;
@@ -96,8 +97,9 @@ impl Vision {
     pub fn look(&self, picture: &Picture, footprint_from_optical: &Isometry, body: Option<&BodyMask>) -> Seen {
         let working = picture.reduced(self.reduction);
         let scale = WorkingScale::new(self.reduction);
-        let border = CarpetBorder::find(&working, &self.lens, footprint_from_optical, scale, body);
-        let contrast = LineContrast::of(&working, &self.coarse_on_carpet(border.as_ref(), footprint_from_optical));
+        let (border, carpet) = CarpetBorder::find(&working, &self.lens, footprint_from_optical, scale, body).unzip();
+        let on_carpet = self.coarse_on_carpet(border.as_ref(), footprint_from_optical);
+        let contrast = LineContrast::of(&working, &on_carpet, carpet.as_ref());
         let mut map = GroundMap::new(&self.lens, footprint_from_optical, self.range_m(footprint_from_optical));
         map.hide(border.as_ref(), body);
         ground::tables(&contrast, &map, scale, &self.settings)

@@ -19,6 +19,9 @@ impl Keys {
             ("plumb_bob", &[k1, k2, p1, p2, k3]) => Ok(LensModel::PlumbBob { d: [k1, k2, p1, p2, k3] }),
             ("plumb_bob", _) => Err(self.count(d, "plumb_bob takes 4 (k1, k2, p1, p2), 5 (and k3) or none")),
             ("equidistant", d) => self.equidistant(d),
+            // No name of ROS: what this program writes for an ideal equisolid lens.
+            ("equisolid", []) => Ok(LensModel::Equisolid),
+            ("equisolid", _) => Err(self.count(d, "equisolid takes no coefficients")),
             ("rational_polynomial", []) => Ok(LensModel::PlumbBob { d: [0.0; 5] }),
             // With a denominator of 1 it is plumb_bob; what follows are thin prism and tilt terms.
             ("rational_polynomial", &[k1, k2, p1, p2, k3, ref rest @ ..]) if rest.iter().all(|c| *c == 0.0) => {

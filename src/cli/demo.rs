@@ -1,0 +1,145 @@
+//! `realitysim demo`
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+use glam::DVec2;
+
+use super::{Outcome, eval, output, sim};
+use crate::agent::{ReplayOptions, replay};
+use crate::config::Settings;
+use crate::evaluation::capture::{read_tags, read_truth, tagged};
+use crate::evaluation::drawing::{self, Route, RouteStyle};
+use crate::evaluation::{Comparison, Tagged, compare};
+use crate::geometry::{Field, Isometry, Lens};
+use crate::recording::SessionInfo;
+use crate::ros2::mcap_read::Selection;
+use crate::sensors::decode;
+use crate::sensors::log::{LogSource, files_of};
+use crate::sensors::scene;
+
+/// See a robot walk a field and every frame of its camera tagged
+///
+/// Renders a scene into a log, replays the log through the agent, judges the tags against the truth and draws a
+/// picture. Needs no hardware and no network.
+#[derive(Args)]
+pub struct DemoArguments {
+    /// The scene to walk
+    #[arg(long, default_value = "replay/scenes/demo.toml")]
+    scene: String,
+    /// Where log, capture and picture go
+    #[arg(short, long, default_value = "demo")]
+    output: PathBuf,
+}
+
+/// Which frame is drawn, as a share of the walk.
+const SHOWN_AT: f64 = 0.4;
+const MAP_PX: u32 = 620;
+const PALE: [u8; 3] = [255, 235, 120];
+const STRONG: [u8; 3] = [230, 30, 60];
+
+pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
+    let folder = &arguments.output;
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    let log = folder.join("walk.mcap");
+    eprintln!("1/3  rendering {} as a robot would have recorded it", arguments.scene);
+    sim::render(&arguments.scene, &log)?;
+    eprintln!("2/3  tagging every frame");
+    let scene = scene::load(&arguments.scene)?;
+    let options = ReplayOptions {
+        source: log.clone(),
+        captures: folder.join("captures"),
+        settings: Settings { field: scene.file().scene.field.clone(), ..Settings::default() },
+        initial: None,
+        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        realtime: false,
+        warm_start: false,
+    };
+    let mut progress = output::Progress::new("tagging");
+    let report = replay(&options, &mut |done, total| progress.set(done, total))?;
+    progress.finish();
+    eprintln!("3/3  judging the tags against the truth");
+    let tags: Vec<Tagged> = read_tags(&report.session)?.iter().map(tagged).collect();
+    let truth = read_truth(&log, &options.settings.topics.ground_truth)?;
+    let comparison = compare(&tags, &truth);
+    let picture = folder.join("demo.png");
+    draw(&report.session, &tags, &truth, &comparison, &picture)?;
+    if json {
+        output::json(&serde_json::json!({ "replay": report, "eval": comparison, "picture": picture }))?;
+    } else {
+        output::lines(&format!(
+            "\n{}\n\n  image to tag: p50 {:.1} ms, p99 {:.1} ms a frame, {} particles x {} iterations\n\n\
+             capture  {}\npicture  {}",
+            eval::table(&comparison),
+            report.filter_ms.p50,
+            report.filter_ms.p99,
+            report.particles,
+            report.iterations,
+            report.session.display(),
+            picture.display()
+        ))?;
+    }
+    Ok(Outcome::Whole)
+}
+
+/// The field from above with both routes, beside one frame with the projected lines.
+fn draw(
+    session: &Path,
+    tags: &[Tagged],
+    truth: &[(i64, Isometry)],
+    comparison: &Comparison,
+    path: &Path,
+) -> anyhow::Result<()> {
+    let info: SessionInfo = serde_json::from_slice(&std::fs::read(session.join("session.json"))?)?;
+    let field = Field::new(info.field)?;
+    let lens = Lens::new(info.lens)?;
+    let place = |pose: &Isometry| DVec2::new(pose.translation.x, pose.translation.y);
+    // A frame without a valid tag leaves a gap.
+    let tagged_route = tags.iter().map(|tag| if tag.valid { place(&tag.pose) } else { DVec2::NAN }).collect();
+    let routes = [
+        Route {
+            label: "true route of the camera".to_owned(),
+            colour: PALE,
+            points: truth.iter().map(|(_, pose)| place(pose)).collect(),
+            style: RouteStyle::Wide,
+            dots: false,
+        },
+        Route {
+            label: "tagged route".to_owned(),
+            colour: STRONG,
+            points: tagged_route,
+            style: RouteStyle::Thin,
+            dots: true,
+        },
+    ];
+    let error = &comparison.position_cm;
+    let caption = [format!(
+        "{} of {} frames valid, error mean {:.1} cm, p95 {:.1} cm",
+        comparison.valid, comparison.frames, error.mean, error.p95
+    )];
+    let map = drawing::field_map(&field, &routes, MAP_PX, &caption);
+    let shown = tags.iter().filter(|tag| tag.valid).nth((comparison.valid as f64 * SHOWN_AT) as usize);
+    let picture = match shown.map(|tag| frame(session, &info.settings.topics.image, tag)).transpose()?.flatten() {
+        Some((image, tag)) => {
+            let overlay = drawing::overlay(&image, &lens, &tag.pose, &field, STRONG);
+            drawing::side_by_side(&map, &overlay, "one frame, with the lines where its tag puts them")
+        }
+        None => map,
+    };
+    picture.save(path).with_context(|| path.display().to_string())
+}
+
+/// The image that a tag belongs to.
+fn frame<'a>(session: &Path, topic: &str, tag: &'a Tagged) -> anyhow::Result<Option<(image::RgbImage, &'a Tagged)>> {
+    let raw = "/camera/image_raw";
+    for message in LogSource::new(files_of(session)?, Selection::topics([topic, raw])) {
+        let message = message?;
+        if decode::stamp_ns(&message)? == tag.stamp_ns {
+            let picture = decode::picture(&message)?;
+            let image = image::RgbImage::from_raw(picture.width as u32, picture.height as u32, picture.to_rgb());
+            return Ok(image.map(|image| (image, tag)));
+        }
+    }
+    Ok(None)
+}

@@ -1,0 +1,188 @@
+//! tiny-skia behind the few strokes the pictures need. Positions are pixels with (0, 0) at the picture's corner.
+
+use glam::DVec2;
+use image::{Rgb, RgbImage};
+use tiny_skia::{Color, FillRule, LineCap, LineJoin, Mask, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, Transform};
+
+use super::text;
+
+pub(super) struct Canvas {
+    pixmap: Pixmap,
+    clip: Option<Mask>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Ink {
+    pub(super) colour: [u8; 3],
+    /// 0 to 1.
+    pub(super) alpha: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pen {
+    pub(super) ink: Ink,
+    pub(super) width: f64,
+    /// Ends reach half the width farther, round; without it they are cut square.
+    pub(super) round: bool,
+}
+
+/// The rasteriser counts in 16.16 fixed point; nothing that far outside could be seen anyway.
+const FARTHEST: f64 = 16_000.0;
+
+impl Ink {
+    pub(super) const fn solid(colour: [u8; 3]) -> Self {
+        Self { colour, alpha: 1.0 }
+    }
+
+    pub(super) fn pen(self, width: f64) -> Pen {
+        Pen { ink: self, width, round: true }
+    }
+
+    fn paint(self) -> Paint<'static> {
+        let [r, g, b] = self.colour;
+        let mut paint = Paint::default();
+        let mut colour = Color::from_rgba8(r, g, b, 255);
+        colour.apply_opacity(self.alpha as f32);
+        paint.set_color(colour);
+        paint
+    }
+}
+
+impl Pen {
+    pub(super) fn square(self) -> Self {
+        Self { round: false, ..self }
+    }
+}
+
+impl Canvas {
+    /// `None` for a size without pixels or beyond what memory could hold.
+    pub(super) fn filled(width: u32, height: u32, [r, g, b]: [u8; 3]) -> Option<Self> {
+        let mut pixmap = Pixmap::new(width, height)?;
+        pixmap.fill(Color::from_rgba8(r, g, b, 255));
+        Some(Self { pixmap, clip: None })
+    }
+
+    pub(super) fn on_top_of(image: &RgbImage) -> Option<Self> {
+        let mut pixmap = Pixmap::new(image.width(), image.height())?;
+        for (to, Rgb([r, g, b])) in pixmap.data_mut().chunks_exact_mut(4).zip(image.pixels()) {
+            to.copy_from_slice(&[*r, *g, *b, 255]);
+        }
+        Some(Self { pixmap, clip: None })
+    }
+
+    pub(super) fn into_image(self) -> RgbImage {
+        let mut image = RgbImage::new(self.pixmap.width(), self.pixmap.height());
+        // Everything started opaque and stayed so: premultiplied and plain colours are the same.
+        for (to, from) in image.pixels_mut().zip(self.pixmap.data().chunks_exact(4)) {
+            to.0.copy_from_slice(&from[..3]);
+        }
+        image
+    }
+
+    /// Strokes and shapes, but not text, stay within this rectangle until [`Canvas::unclip`].
+    pub(super) fn clip_to(&mut self, low: DVec2, high: DVec2) {
+        self.clip = Mask::new(self.pixmap.width(), self.pixmap.height());
+        if let Some((mask, rect)) = self.clip.as_mut().zip(rectangle(low, high)) {
+            mask.fill_path(&PathBuilder::from_rect(rect), FillRule::Winding, true, Transform::identity());
+        }
+    }
+
+    pub(super) fn unclip(&mut self) {
+        self.clip = None;
+    }
+
+    pub(super) fn fill_rectangle(&mut self, low: DVec2, high: DVec2, ink: Ink) {
+        if let Some(rect) = rectangle(low, high) {
+            self.fill(&PathBuilder::from_rect(rect), ink);
+        }
+    }
+
+    pub(super) fn stroke_rectangle(&mut self, low: DVec2, high: DVec2, pen: Pen) {
+        if let Some(rect) = rectangle(low, high) {
+            self.stroke_path(&PathBuilder::from_rect(rect), pen);
+        }
+    }
+
+    pub(super) fn fill_circle(&mut self, centre: DVec2, radius: f64, ink: Ink) {
+        if let Some(path) = circle(centre, radius) {
+            self.fill(&path, ink);
+        }
+    }
+
+    pub(super) fn stroke_circle(&mut self, centre: DVec2, radius: f64, pen: Pen) {
+        if let Some(path) = circle(centre, radius) {
+            self.stroke_path(&path, pen);
+        }
+    }
+
+    /// All lines in one go: where they overlap, a transparent pen does not darken twice.
+    pub(super) fn stroke(&mut self, lines: &[Vec<DVec2>], pen: Pen) {
+        if let Some(path) = polylines(lines) {
+            self.stroke_path(&path, pen);
+        }
+    }
+
+    /// `at` is the left end of the baseline.
+    pub(super) fn text(&mut self, at: DVec2, size: f64, colour: [u8; 3], words: &str) {
+        text::rasterise(at, size, words, |x, y, coverage| self.blend(x, y, colour, coverage));
+    }
+
+    /// Turned a quarter to the left; `at` is the lower end of the baseline.
+    pub(super) fn text_upwards(&mut self, at: DVec2, size: f64, colour: [u8; 3], words: &str) {
+        let turned = DVec2::new(-at.y, at.x);
+        // The pixel between -x - 1 and -x: its left top corner is meant.
+        text::rasterise(turned, size, words, |x, y, coverage| self.blend(y, -x - 1, colour, coverage));
+    }
+
+    fn blend(&mut self, x: i32, y: i32, colour: [u8; 3], coverage: f32) {
+        let (width, height) = (self.pixmap.width() as usize, self.pixmap.height() as usize);
+        let (Ok(x), Ok(y)) = (usize::try_from(x), usize::try_from(y)) else { return };
+        if x >= width || y >= height {
+            return;
+        }
+        let start = (y * width + x) * 4;
+        for (to, from) in self.pixmap.data_mut()[start..start + 3].iter_mut().zip(colour) {
+            let mixed = f32::from(*to) + (f32::from(from) - f32::from(*to)) * coverage;
+            *to = mixed.round() as u8;
+        }
+    }
+
+    fn fill(&mut self, path: &Path, ink: Ink) {
+        let clip = self.clip.as_ref();
+        self.pixmap.fill_path(path, &ink.paint(), FillRule::Winding, Transform::identity(), clip);
+    }
+
+    fn stroke_path(&mut self, path: &Path, pen: Pen) {
+        let (line_cap, line_join) =
+            if pen.round { (LineCap::Round, LineJoin::Round) } else { (LineCap::Butt, LineJoin::Miter) };
+        let stroke = Stroke { width: pen.width as f32, line_cap, line_join, ..Stroke::default() };
+        self.pixmap.stroke_path(path, &pen.ink.paint(), &stroke, Transform::identity(), self.clip.as_ref());
+    }
+}
+
+fn polylines(lines: &[Vec<DVec2>]) -> Option<Path> {
+    let mut builder = PathBuilder::new();
+    for line in lines {
+        let mut points = line.iter().map(|point| near(*point));
+        let Some(first) = points.next() else { continue };
+        builder.move_to(first.x as f32, first.y as f32);
+        for point in points {
+            builder.line_to(point.x as f32, point.y as f32);
+        }
+    }
+    builder.finish()
+}
+
+fn rectangle(low: DVec2, high: DVec2) -> Option<Rect> {
+    let (low, high) = (near(low), near(high));
+    Rect::from_ltrb(low.x as f32, low.y as f32, high.x as f32, high.y as f32)
+}
+
+fn circle(centre: DVec2, radius: f64) -> Option<Path> {
+    let centre = near(centre);
+    PathBuilder::from_circle(centre.x as f32, centre.y as f32, radius.min(FARTHEST) as f32)
+}
+
+fn near(point: DVec2) -> DVec2 {
+    point.clamp(DVec2::splat(-FARTHEST), DVec2::splat(FARTHEST))
+}

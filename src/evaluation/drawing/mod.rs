@@ -1,0 +1,45 @@
+//! Pictures for people: the field from above with routes, and painted lines drawn over camera images.
+//!
+//! [`field_map`] shows where the robot was, [`overlay`] whether a pose fits an image, [`side_by_side`] both.
+//! Pure: pictures in and out, no files. Odd input (nothing to draw, NaN, a lens that sees no line) makes a plainer
+//! picture, never an error.
+
+mod beside;
+mod canvas;
+mod field_map;
+mod overlay;
+mod paint;
+mod plot;
+mod routes;
+mod text;
+
+pub use beside::side_by_side;
+pub use field_map::field_map;
+pub use overlay::overlay;
+
+use glam::DVec2;
+
+/// A way over the field, as [`field_map`] draws it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Route {
+    /// For the legend.
+    pub label: String,
+    pub colour: [u8; 3],
+    /// In `map`. A point that is not finite is a gap: nothing joins its neighbours.
+    pub points: Vec<DVec2>,
+    pub style: RouteStyle,
+    /// A dot on every point.
+    pub dots: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RouteStyle {
+    /// Pale and beneath all others: what should have been found.
+    Wide,
+    /// Strong and on top: what was found.
+    #[default]
+    Thin,
+}
+
+#[cfg(test)]
+mod tests;

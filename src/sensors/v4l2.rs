@@ -1,0 +1,87 @@
+//! What a camera on Video4Linux offers.
+
+use std::path::Path;
+
+use serde::Serialize;
+use thiserror::Error;
+use v4l::Device;
+use v4l::frameinterval::FrameIntervalEnum;
+use v4l::video::Capture;
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CameraOffer {
+    pub card: String,
+    pub driver: String,
+    pub bus: String,
+    pub formats: Vec<FormatOffer>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FormatOffer {
+    /// `MJPG`, `YUYV`, ...
+    pub fourcc: String,
+    pub description: String,
+    pub sizes: Vec<SizeOffer>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SizeOffer {
+    pub width: u32,
+    pub height: u32,
+    pub rates_hz: Vec<f64>,
+}
+
+#[derive(Debug, Error)]
+pub enum CameraError {
+    #[error("{path}: {source}{}", if source.kind() == std::io::ErrorKind::PermissionDenied {
+        " (your user must be in the group video: sudo usermod -aG video $USER)"
+    } else {
+        ""
+    })]
+    Open { path: String, source: std::io::Error },
+    #[error("{path}: not a camera that this program can ask: {source}")]
+    Query { path: String, source: std::io::Error },
+}
+
+/// More sizes or rates than this are not listed: some drivers list every multiple of 8.
+const MOST: usize = 64;
+
+pub fn offer(path: &Path) -> Result<CameraOffer, CameraError> {
+    let shown = || path.display().to_string();
+    let device = Device::with_path(path).map_err(|source| CameraError::Open { path: shown(), source })?;
+    let query = |source| CameraError::Query { path: shown(), source };
+    let capabilities = device.query_caps().map_err(query)?;
+    let formats = Capture::enum_formats(&device).map_err(query)?;
+    let formats = formats
+        .into_iter()
+        .map(|format| {
+            let sizes = device.enum_framesizes(format.fourcc).unwrap_or_default();
+            let sizes = sizes.into_iter().flat_map(|size| size.size.to_discrete()).take(MOST);
+            FormatOffer {
+                fourcc: format.fourcc.to_string(),
+                description: format.description,
+                sizes: sizes
+                    .map(|size| {
+                        let (width, height) = (size.width, size.height);
+                        SizeOffer { width, height, rates_hz: rates(&device, format.fourcc, width, height) }
+                    })
+                    .collect(),
+            }
+        })
+        .collect();
+    Ok(CameraOffer { card: capabilities.card, driver: capabilities.driver, bus: capabilities.bus, formats })
+}
+
+fn rates(device: &Device, fourcc: v4l::FourCC, width: u32, height: u32) -> Vec<f64> {
+    let intervals = device.enum_frameintervals(fourcc, width, height).unwrap_or_default();
+    let rate = |f: v4l::Fraction| (f.numerator > 0).then(|| f64::from(f.denominator) / f64::from(f.numerator));
+    intervals
+        .into_iter()
+        .flat_map(|interval| match interval.interval {
+            FrameIntervalEnum::Discrete(fraction) => vec![rate(fraction)],
+            FrameIntervalEnum::Stepwise(steps) => vec![rate(steps.max), rate(steps.min)],
+        })
+        .flatten()
+        .take(MOST)
+        .collect()
+}
