@@ -27,6 +27,13 @@ pub enum Surface {
     Other,
 }
 
+impl Surface {
+    /// Neither carpet nor a line: robots, people, the robot's own body.
+    pub fn is_occluder(self) -> bool {
+        matches!(self, Self::Dark | Self::Other)
+    }
+}
+
 /// Fewer green samples than this: no carpet is in view.
 const FEWEST_SAMPLES: usize = 40;
 /// Darker pixels have no colour worth reading.
@@ -76,10 +83,10 @@ impl Carpet {
         if between && sample.luma > BRIGHTER * self.luma { Surface::White } else { Surface::Other }
     }
 
-    /// Which half-resolution pixels show neither carpet nor a line: robots, people, the robot's own body.
-    pub fn occluded(&self, picture: &Picture) -> Vec<bool> {
+    /// What each half-resolution pixel shows.
+    pub fn surfaces(&self, picture: &Picture) -> Vec<Surface> {
         let (width, height) = (picture.width / 2, picture.height / 2);
-        let mut occluded = Vec::with_capacity(width * height);
+        let mut surfaces = Vec::with_capacity(width * height);
         for v in 0..height {
             let (upper, lower) = (2 * v * picture.width, (2 * v + 1) * picture.width);
             for u in 0..width {
@@ -90,11 +97,10 @@ impl Carpet {
                     cr += u16::from(picture.chroma[index][1]);
                 }
                 let chroma = [cb, cr].map(|sum| f32::from(sum) * 0.25 - 128.0);
-                let surface = self.classify(Sample::new(f32::from(luma) * 0.25, chroma));
-                occluded.push(matches!(surface, Surface::Dark | Surface::Other));
+                surfaces.push(self.classify(Sample::new(f32::from(luma) * 0.25, chroma)));
             }
         }
-        occluded
+        surfaces
     }
 }
 

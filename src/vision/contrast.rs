@@ -6,7 +6,7 @@
 
 use glam::DVec2;
 
-use super::carpet::Carpet;
+use super::carpet::{Carpet, Surface};
 use super::picture::Picture;
 
 /// Half-resolution maps: pixel (i, j) averages the picture's pixels 2i, 2i+1 x 2j, 2j+1.
@@ -18,8 +18,8 @@ pub struct LineContrast {
     pub narrow: Vec<f32>,
     /// Narrow minus wide, gray levels; negative where darker than the surroundings.
     pub contrast: Vec<f32>,
-    /// Shows neither carpet nor a line.
-    pub occluded: Vec<bool>,
+    /// What each pixel shows, as far as its colour tells.
+    pub surfaces: Vec<Surface>,
 }
 
 /// Side of a cell of the coarse image, in half-resolution pixels.
@@ -27,23 +27,35 @@ const COARSE: usize = 4;
 /// Below this a pixel shows nothing: the black surround of a fisheye's circle (a sensor's own black is 0 to 3).
 const BLACK: f32 = 6.0;
 
+/// Standard deviations of the two blurs in pixels, halving and quartering included.
+const NARROW_SIGMA_PX: f64 = 2.1;
+const WIDE_SIGMA_PX: f64 = 11.8;
+/// The largest response, that of a line 8 px wide.
+const BEST_RESPONSE: f64 = 0.672;
+
+/// Contrast in the middle of a long line of this width, against that of a line of the best width: 0 to 1.
+pub fn line_response(width_px: f64) -> f64 {
+    let within = |sigma: f64| libm::erf(width_px / (2.0 * core::f64::consts::SQRT_2 * sigma));
+    ((within(NARROW_SIGMA_PX) - within(WIDE_SIGMA_PX)) / BEST_RESPONSE).clamp(1e-3, 1.0)
+}
+
 impl LineContrast {
     /// `on_carpet` has one entry per cell of [`coarse_centres`]. The wide blur averages only carpet, so that walls
     /// beyond the field, robots on it or the black rim of a fisheye do not look like a change of light.
     pub fn of(picture: &Picture, on_carpet: &[bool], carpet: Option<&Carpet>) -> Self {
         let (width, height) = (picture.width / 2, picture.height / 2);
         if width < COARSE || height < COARSE {
-            return Self { width: 0, height: 0, narrow: Vec::new(), contrast: Vec::new(), occluded: Vec::new() };
+            return Self { width: 0, height: 0, narrow: Vec::new(), contrast: Vec::new(), surfaces: Vec::new() };
         }
         let half = halved(picture, width, height);
         let narrow = blurred(&half, width, height);
-        let occluded = match carpet {
-            Some(carpet) => carpet.occluded(picture),
-            None => half.iter().map(|value| *value < BLACK).collect(),
+        let surfaces = match carpet {
+            Some(carpet) => carpet.surfaces(picture),
+            None => half.iter().map(|value| if *value < BLACK { Surface::Dark } else { Surface::Carpet }).collect(),
         };
-        let wide = wide_blur(&half, &occluded, width, height, on_carpet);
+        let wide = wide_blur(&half, &surfaces, width, height, on_carpet);
         let contrast = subtract_upsampled(&narrow, width, height, &wide);
-        Self { width, height, narrow, contrast, occluded }
+        Self { width, height, narrow, contrast, surfaces }
     }
 }
 
@@ -102,7 +114,7 @@ struct Coarse {
 }
 
 /// Mean of the carpet within about 12 pixels; `NaN`-free: where no carpet is near, the plain mean.
-fn wide_blur(half: &[f32], occluded: &[bool], width: usize, height: usize, on_carpet: &[bool]) -> Coarse {
+fn wide_blur(half: &[f32], surfaces: &[Surface], width: usize, height: usize, on_carpet: &[bool]) -> Coarse {
     let (cw, ch) = (width / COARSE, height / COARSE);
     let mut sums = vec![0.0f32; cw * ch];
     let mut counts = vec![0.0f32; cw * ch];
@@ -112,9 +124,9 @@ fn wide_blur(half: &[f32], occluded: &[bool], width: usize, height: usize, on_ca
             let (mut sum, mut lit_sum, mut lit) = (0.0f32, 0.0f32, 0.0f32);
             for dv in 0..COARSE {
                 let first = (cv * COARSE + dv) * width + cu * COARSE;
-                for (value, occluded) in half[first..][..COARSE].iter().zip(&occluded[first..][..COARSE]) {
+                for (value, surface) in half[first..][..COARSE].iter().zip(&surfaces[first..][..COARSE]) {
                     sum += value;
-                    if !occluded {
+                    if !surface.is_occluder() {
                         lit_sum += value;
                         lit += 1.0;
                     }
@@ -207,6 +219,13 @@ mod tests {
             let middle = &c.contrast[30 * c.width + 20..30 * c.width + 60];
             assert!(middle.iter().all(|value| value.abs() < 0.6), "{middle:?}");
         }
+    }
+
+    #[test]
+    fn the_best_line_has_response_1() {
+        let best = (1..400).map(|tenths| line_response(f64::from(tenths) / 10.0)).fold(0.0, f64::max);
+        assert!(best > 0.999, "{best}");
+        assert!(line_response(0.3) < 0.1 && line_response(25.0) < 0.7);
     }
 
     #[test]

@@ -102,7 +102,7 @@ impl Vision {
         let contrast = LineContrast::of(&working, &on_carpet, carpet.as_ref());
         let mut map = GroundMap::new(&self.lens, footprint_from_optical, self.range_m(footprint_from_optical));
         map.hide(border.as_ref(), body);
-        ground::tables(&contrast, &map, scale, &self.settings)
+        ground::tables(&contrast, &map, scale, self.lens.focal(), &self.settings)
     }
 
     fn range_m(&self, footprint_from_optical: &Isometry) -> f64 {

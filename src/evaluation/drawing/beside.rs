@@ -4,10 +4,9 @@ use glam::DVec2;
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
 
+use super::canvas::Canvas;
 use super::plot::TEXT;
 use super::text;
-
-use super::canvas::Canvas;
 
 /// Together at most this large: fits a README.
 const WIDTH_PX: u32 = 1_600;

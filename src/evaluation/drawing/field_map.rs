@@ -6,7 +6,7 @@ use image::RgbImage;
 use super::canvas::{Canvas, Ink, Pen};
 use super::paint::{Patch, patches};
 use super::plot::{Plot, TEXT};
-use super::routes::{self, draw_end, draw_sample, draw_start, mark_size};
+use super::routes::{self, START_RADIUS, draw_end, draw_sample, draw_start};
 use super::{Route, RouteStyle, text};
 use crate::geometry::Field;
 
@@ -15,7 +15,6 @@ const CARPET: Ink = Ink::solid([113, 158, 112]);
 const PAINT: Ink = Ink::solid([255, 255, 255]);
 const POST_BORDER: Ink = Ink::solid([45, 50, 45]);
 const NET: Ink = Ink { colour: [255, 255, 255], alpha: 0.45 };
-const MARKS: Ink = Ink::solid(TEXT);
 
 /// Narrower pictures could not be read, wider ones not be kept in memory.
 const WIDTHS_PX: [u32; 2] = [64, 8_192];
@@ -117,7 +116,7 @@ impl Entry<'_> {
     fn sign_width(&self, size: f64) -> f64 {
         match self {
             Entry::Line(_) => SAMPLE_LENGTH * size,
-            Entry::Start | Entry::End => 2.2 * mark_size(size, RouteStyle::Thin),
+            Entry::Start | Entry::End => 2.3 * START_RADIUS * size,
         }
     }
 
@@ -128,13 +127,16 @@ impl Entry<'_> {
 
     fn draw(&self, canvas: &mut Canvas, baseline: DVec2, size: f64) {
         let sign = self.sign_width(size);
-        let left = baseline - DVec2::new(0.0, 0.32 * size);
-        let middle = left + DVec2::new(sign / 2.0, 0.0);
-        let mark = mark_size(size, RouteStyle::Thin);
+        let middle = baseline + DVec2::new(sign / 2.0, -0.32 * size);
         match self {
-            Entry::Line(route) => draw_sample(canvas, left, sign, size, route),
-            Entry::Start => draw_start(canvas, middle, mark, MARKS),
-            Entry::End => draw_end(canvas, middle, mark, MARKS),
+            Entry::Line(route) => {
+                // Pale and white lines look on the page as they look on the carpet only with carpet beneath.
+                let half = DVec2::new(sign / 2.0, 0.5 * size);
+                canvas.fill_rectangle(middle - half, middle + half, CARPET);
+                draw_sample(canvas, middle, sign, size, route);
+            }
+            Entry::Start => draw_start(canvas, middle, size, RouteStyle::Thin, TEXT),
+            Entry::End => draw_end(canvas, middle, size, RouteStyle::Thin, TEXT),
         }
         canvas.text(baseline + DVec2::new(sign + 0.5 * size, 0.0), size, TEXT, self.label());
     }

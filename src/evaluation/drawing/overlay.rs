@@ -23,7 +23,7 @@ pub fn overlay(
     let lines = outline(size, lens, map_from_camera_link, field);
     // As thin as can be followed by eye, at the size at which an image of this size is looked at.
     let width = (size.x / 800.0).clamp(1.1, 3.0);
-    canvas.stroke(&lines, Ink { colour, alpha: 0.8 }.pen(width));
+    canvas.stroke(&lines, Ink { colour, alpha: 0.75 }.pen(width));
     canvas.into_image()
 }
 

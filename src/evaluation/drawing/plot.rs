@@ -9,7 +9,7 @@ use crate::geometry::Field;
 pub(super) const TEXT: [u8; 3] = [55, 60, 66];
 const FRAME: [u8; 3] = [120, 128, 120];
 /// Numbers at the border are at least this far apart, in units of the text's size.
-const NUMBER_SPACING: f64 = 4.0;
+const NUMBER_SPACING: f64 = 2.8;
 
 /// The carpet on the picture, to scale: x to the right, y up.
 #[derive(Clone, Copy, Debug, PartialEq)]

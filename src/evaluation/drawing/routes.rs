@@ -8,7 +8,9 @@ use super::{Route, RouteStyle};
 
 const WHITE: Ink = Ink::solid([255, 255, 255]);
 /// Of the pale line beneath the others.
-const PALE: f64 = 0.5;
+const PALE: f64 = 0.6;
+/// Of the circle at a start, in units of the text's size.
+pub(super) const START_RADIUS: f64 = 0.46;
 
 /// Wide ones beneath thin ones, otherwise the first beneath the last.
 pub(super) fn draw(canvas: &mut Canvas, plot: &Plot, routes: &[Route]) {
@@ -17,49 +19,57 @@ pub(super) fn draw(canvas: &mut Canvas, plot: &Plot, routes: &[Route]) {
             draw_line(canvas, plot, route);
         }
     }
-    // Marks last: a start must not vanish beneath a way that comes back to it.
+    // Marks last, crosses after circles: a way that comes back to its start must hide neither.
     for style in [RouteStyle::Wide, RouteStyle::Thin] {
         for route in routes.iter().filter(|route| route.style == style) {
+            if let Some(first) = route.points.iter().find(|point| point.is_finite()) {
+                draw_start(canvas, plot.pixel(*first), plot.text_size, style, route.colour);
+            }
+        }
+        for route in routes.iter().filter(|route| route.style == style) {
             let mut ends = route.points.iter().filter(|point| point.is_finite());
-            let Some(first) = ends.next() else { continue };
-            let size = mark_size(plot.text_size, style);
-            draw_start(canvas, plot.pixel(*first), size, route.ink());
-            if let Some(last) = ends.next_back() {
-                draw_end(canvas, plot.pixel(*last), size, route.ink());
+            if let (Some(_), Some(last)) = (ends.next(), ends.next_back()) {
+                draw_end(canvas, plot.pixel(*last), plot.text_size, style, route.colour);
             }
         }
     }
 }
 
-/// A short piece of the line, from `left` to the right.
-pub(super) fn draw_sample(canvas: &mut Canvas, left: DVec2, length: f64, text_size: f64, route: &Route) {
-    let right = left + DVec2::new(length, 0.0);
-    canvas.stroke(&[vec![left, right]], route.ink().pen(line_width(text_size, route.style)));
+/// A short piece of the line around `middle`.
+pub(super) fn draw_sample(canvas: &mut Canvas, middle: DVec2, length: f64, text_size: f64, route: &Route) {
+    let half = DVec2::new(length / 2.0, 0.0);
+    canvas.stroke(&[vec![middle - half, middle + half]], route.ink().pen(line_width(text_size, route)).square());
     if route.dots {
-        canvas.fill_circle((left + right) / 2.0, dot_radius(text_size, route.style), route.ink());
+        for at in [-0.5, 0.0, 0.5] {
+            canvas.fill_circle(middle + half * at, dot_radius(text_size, route.style), route.ink());
+        }
     }
 }
 
-pub(super) fn draw_start(canvas: &mut Canvas, at: DVec2, size: f64, ink: Ink) {
-    let width = 0.45 * size;
-    canvas.stroke_circle(at, size, WHITE.pen(2.2 * width));
-    canvas.fill_circle(at, size, WHITE);
-    canvas.stroke_circle(at, size, Ink { alpha: 1.0, ..ink }.pen(width));
-}
-
-pub(super) fn draw_end(canvas: &mut Canvas, at: DVec2, size: f64, ink: Ink) {
-    let width = 0.5 * size;
-    let (a, b) = (DVec2::splat(0.9 * size), DVec2::new(0.9 * size, -0.9 * size));
-    let cross = [vec![at - a, at + a], vec![at - b, at + b]];
-    canvas.stroke(&cross, WHITE.pen(2.2 * width));
-    canvas.stroke(&cross, Ink { alpha: 1.0, ..ink }.pen(width));
-}
-
-pub(super) fn mark_size(text_size: f64, style: RouteStyle) -> f64 {
+pub(super) fn draw_start(canvas: &mut Canvas, at: DVec2, text_size: f64, style: RouteStyle, colour: [u8; 3]) {
+    let radius = START_RADIUS * text_size;
+    let width = 0.14 * text_size;
     match style {
-        RouteStyle::Wide => 0.55 * text_size,
-        RouteStyle::Thin => 0.34 * text_size,
+        RouteStyle::Wide => canvas.fill_circle(at, 1.55 * radius, Ink::solid(colour)),
+        RouteStyle::Thin => {
+            canvas.fill_circle(at, radius + width, WHITE);
+            canvas.stroke_circle(at, radius, Ink::solid(colour).pen(width));
+        }
     }
+}
+
+pub(super) fn draw_end(canvas: &mut Canvas, at: DVec2, text_size: f64, style: RouteStyle, colour: [u8; 3]) {
+    // The thin one fits into the start's circle, the wide one shows around a thin one.
+    let (arm, width) = match style {
+        RouteStyle::Wide => (0.55 * text_size, 0.34 * text_size),
+        RouteStyle::Thin => (0.27 * text_size, 0.16 * text_size),
+    };
+    let (a, b) = (DVec2::splat(arm), DVec2::new(arm, -arm));
+    let cross = [vec![at - a, at + a], vec![at - b, at + b]];
+    if style == RouteStyle::Thin {
+        canvas.stroke(&cross, WHITE.pen(1.9 * width));
+    }
+    canvas.stroke(&cross, Ink::solid(colour).pen(width));
 }
 
 fn draw_line(canvas: &mut Canvas, plot: &Plot, route: &Route) {
@@ -68,7 +78,7 @@ fn draw_line(canvas: &mut Canvas, plot: &Plot, route: &Route) {
         .split(|point| !point.is_finite())
         .map(|run| run.iter().map(|point| plot.pixel(*point)).collect())
         .collect();
-    canvas.stroke(&runs, route.ink().pen(line_width(plot.text_size, route.style)));
+    canvas.stroke(&runs, route.ink().pen(line_width(plot.text_size, route)));
     let radius = dot_radius(plot.text_size, route.style);
     for run in &runs {
         // A lone point between two gaps would not show otherwise.
@@ -78,17 +88,20 @@ fn draw_line(canvas: &mut Canvas, plot: &Plot, route: &Route) {
     }
 }
 
-fn line_width(text_size: f64, style: RouteStyle) -> f64 {
-    match style {
-        RouteStyle::Wide => 0.55 * text_size,
-        RouteStyle::Thin => 0.13 * text_size,
-    }
+fn line_width(text_size: f64, route: &Route) -> f64 {
+    let share = match route.style {
+        RouteStyle::Wide => 0.55,
+        // The dots are what counts then.
+        RouteStyle::Thin if route.dots => 0.08,
+        RouteStyle::Thin => 0.13,
+    };
+    share * text_size
 }
 
 fn dot_radius(text_size: f64, style: RouteStyle) -> f64 {
     match style {
         RouteStyle::Wide => 0.4 * text_size,
-        RouteStyle::Thin => 0.17 * text_size,
+        RouteStyle::Thin => 0.12 * text_size,
     }
 }
 
