@@ -14,7 +14,7 @@ use super::tagger::{Tagger, TaggerState};
 use crate::config::Settings;
 use crate::geometry::{Field, FieldDimensions, Lens, Pose2};
 use crate::recording::{Counts, RecordingError, SessionInfo, SessionWriter, write_atomically};
-use crate::ros2::mcap_read::{Damage, LogMessage, Selection};
+use crate::ros2::mcap_read::{Damage, LogMessage, Selection, Survey};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use crate::sensors::intake;
 use crate::sensors::log::{self, CHECKPOINT_NAME, LogError, LogSource};
@@ -41,6 +41,9 @@ pub struct ReplayOptions {
 pub enum ReplayError {
     #[error(transparent)]
     Setup(#[from] SetupError),
+    /// What the log lacks or says wrongly; what the config says wrongly names its own file.
+    #[error("{path}: {source}")]
+    Source { path: PathBuf, source: SetupError },
     #[error(transparent)]
     Log(#[from] LogError),
     #[error(transparent)]
@@ -123,10 +126,11 @@ fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
     let types = log::topic_types(&surveys);
     let all = files.clone();
     let prelude =
-        Prelude::read(&options.settings, &types, move |selection| Box::new(LogSource::new(all.clone(), selection)))?;
+        Prelude::read(&options.settings, &types, move |selection| Box::new(LogSource::new(all.clone(), selection)))
+            .map_err(|error| setup_error(options, error))?;
     let frames = surveys.iter().flat_map(|survey| &survey.topics).filter(|topic| topic.topic == prelude.topics.image);
     let total = frames.map(|topic| topic.messages).sum();
-    let checkpoint = segment_checkpoint(&files)?;
+    let checkpoint = segment_checkpoint(&files, &surveys)?;
     let mut source = LogSource::new(files, Selection::All);
     let mut agent = Agent::new(options, &prelude, checkpoint)?;
     for message in source.by_ref() {
@@ -155,7 +159,8 @@ fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayRep
     }
     let known = first.clone();
     let prelude =
-        Prelude::read(&options.settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))?;
+        Prelude::read(&options.settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))
+            .map_err(|error| setup_error(&options, error))?;
     let total = Some(scene.frame_count());
     let mut agent = Agent::new(&options, &prelude, None)?;
     for message in first.into_iter().map(Ok).chain(source) {
@@ -164,10 +169,19 @@ fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayRep
     agent.finish(Vec::new(), &mut |done| progress(done, total))
 }
 
+/// Says in which log or scene something is wrong, if it is there.
+fn setup_error(options: &ReplayOptions, error: SetupError) -> ReplayError {
+    match error {
+        SetupError::Log(error) => ReplayError::Log(error),
+        SetupError::Config(_) | SetupError::BodyMask { .. } => ReplayError::Setup(error),
+        source => ReplayError::Source { path: options.source.clone(), source },
+    }
+}
+
 /// A segment of a capture brings the filter's state along.
-fn segment_checkpoint(files: &[PathBuf]) -> Result<Option<Checkpoint>, ReplayError> {
-    let Some(path) = files.first() else { return Ok(None) };
-    let Some(bytes) = log::checkpoint(path)? else { return Ok(None) };
+fn segment_checkpoint(files: &[PathBuf], surveys: &[Survey]) -> Result<Option<Checkpoint>, ReplayError> {
+    let (Some(path), Some(survey)) = (files.first(), surveys.first()) else { return Ok(None) };
+    let Some(bytes) = log::checkpoint(path, survey)? else { return Ok(None) };
     let decoded = Checkpoint::decode(&bytes);
     decoded.map(Some).map_err(|source| ReplayError::Checkpoint { path: path.clone(), source })
 }
@@ -209,7 +223,7 @@ impl<'a> Agent<'a> {
         checkpoint: Option<Checkpoint>,
     ) -> Result<Self, ReplayError> {
         let settings = &options.settings;
-        let lens = setup::lens(settings, prelude)?;
+        let lens = setup::lens(settings, prelude).map_err(|error| setup_error(options, error))?;
         let (field, dimensions) = setup::field(settings)?;
         let eyes = Arc::new(Eyes::new(settings, lens.clone())?);
         let tagger = first_tagger(options, field, checkpoint.as_ref())?;
@@ -353,10 +367,9 @@ impl<'a> Agent<'a> {
                 session.next_segment(log_time_ns, CHECKPOINT_NAME, &checkpoint)?;
             }
         }
-        if log_time_ns.saturating_sub(self.last_state_ns) >= STATE_EVERY_NS
-            && self.synchroniser.is_idle()
-            && self.looking.is_idle()
-        {
+        if log_time_ns.saturating_sub(self.last_state_ns) >= STATE_EVERY_NS && self.synchroniser.is_idle() {
+            // With several threads frames are always under way: waiting for a pause would be waiting for the end.
+            self.drain(progress)?;
             self.last_state_ns = log_time_ns;
             self.save_state()?;
         }
