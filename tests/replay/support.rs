@@ -190,6 +190,8 @@ impl Room {
 /// What a finished process left.
 #[derive(Debug)]
 pub struct Run {
+    /// For the messages of failing tests, like the rest.
+    #[allow(dead_code)]
     pub arguments: String,
     pub code: Option<i32>,
     pub stdout: String,
