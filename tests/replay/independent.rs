@@ -1,8 +1,10 @@
 //! Captures are read by programs that are not ours, and these find in them what we find.
 
 use std::process::Command;
+use std::sync::Arc;
 
 use realitysim::ros2::messages::FrameTag;
+use realitysim::ros2::{Channel, LogMessage};
 use serde_json::json;
 
 use super::support::{IMAGE, Replayed, Room, own_log, read_capture, segments, walk};
@@ -33,6 +35,11 @@ fn check(room: &Room, replayed: &Replayed, python: &std::ffi::OsStr) {
     println!("{said}");
 }
 
+fn without_metadata(mut message: LogMessage) -> LogMessage {
+    message.channel = Arc::new(Channel { metadata: Default::default(), ..message.channel.as_ref().clone() });
+    message
+}
+
 #[test]
 fn other_programs_read_captures() {
     let Some(python) = std::env::var_os(INTERPRETER) else {
@@ -59,4 +66,9 @@ fn other_programs_read_captures() {
     check(&room, &whole, &python);
     let parts = room.replay("log.mcap --set recording.segment_s=1");
     check(&room, &parts, &python);
+
+    // A log whose channels say nothing about quality of service: metadata.yaml must not either.
+    let bare: Vec<_> = messages.iter().cloned().map(without_metadata).collect();
+    room.write("log.mcap", own_log(&bare));
+    check(&room, &room.replay("log.mcap"), &python);
 }

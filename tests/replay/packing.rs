@@ -68,11 +68,14 @@ fn a_log_torn_before_its_first_frame_is_an_error_that_says_so() {
 
 #[test]
 fn a_flipped_bit_costs_its_chunk_and_is_reported() {
-    let log = fine_log();
+    let options = WriteOptions::new().profile("ros2").chunk_size(Some(1 << 15)).compression(None);
+    let log = foreign_log(options, &walk().messages);
     let whole = read_bytes(&log).len();
-    // In the middle of a compressed image.
+    // In the middle of an image in the middle.
+    let image = &on(&walk().messages, IMAGE).nth(walk().frames() / 2).unwrap().data;
+    let inside = &image[image.len() / 2..][..64];
     let mut flipped = log.clone();
-    flipped[log.len() / 2] ^= 0x10;
+    flipped[log.windows(64).position(|window| window == inside).unwrap()] ^= 0x10;
     let left = read_bytes(&flipped);
     assert!(left.len() < whole, "the bit matters");
     let room = Room::new();

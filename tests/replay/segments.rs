@@ -4,9 +4,9 @@ use std::fs;
 use std::path::Path;
 
 use realitysim::ros2::messages::FrameTag;
-use realitysim::ros2::{LogWriter, attachments};
+use realitysim::ros2::{LogMessage, LogWriter, attachments};
 
-use super::support::{CAMERA_INFO, Room, TAG, TF_STATIC, assert_same, decode_all, on, read_log, segments, walk};
+use super::support::{CAMERA_INFO, IMAGE, Room, TAG, TF_STATIC, assert_same, decode_all, on, read_log, segments, walk};
 
 const PARTS: &str = "log.mcap --set recording.segment_s=1";
 
@@ -47,6 +47,26 @@ fn a_part_replayed_alone_gives_its_tags_bit_for_bit() {
         assert_eq!(alone.run.code, Some(0), "{:?}", alone.run);
         assert_same(&alone.tags, &tags_of(file), &name(file));
         assert!(alone.tags.iter().all(|tag| tag.valid), "no warming up");
+    }
+}
+
+#[test]
+fn calibration_that_comes_with_every_frame_is_repeated_once_in_each_part() {
+    // As most camera drivers send it.
+    let info = on(&walk().messages, CAMERA_INFO).next().unwrap();
+    let mut messages = Vec::new();
+    for message in &walk().messages {
+        messages.push(message.clone());
+        if message.channel.topic == IMAGE {
+            messages.push(LogMessage { log_time_ns: message.log_time_ns, ..info.clone() });
+        }
+    }
+    let room = Room::with_log(&messages);
+    let whole = room.replay(PARTS);
+    assert_same(&whole.tags, &walk().tags, "calibrated again and again");
+    for file in &segments(&whole.session)[1..] {
+        let messages = read_log(file);
+        assert_eq!(on(&messages, CAMERA_INFO).count(), on(&messages, IMAGE).count() + 1, "{}", name(file));
     }
 }
 
