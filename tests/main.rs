@@ -2,5 +2,6 @@
 
 mod config;
 mod real;
+mod replay;
 mod ros2;
 mod scene;
