@@ -1,6 +1,7 @@
 //! Tests of the crate from outside, room by room.
 
 mod config;
+mod limits;
 mod real;
 mod ros2;
 mod scene;
