@@ -32,7 +32,7 @@ pub struct Found {
     pub pose: Pose2,
     /// Share of the expected line contrast that was found, 0 to 1.
     pub share: f64,
-    /// Line points in view, each counted by its certainty.
+    /// Painted line in view in units of 10 cm, counted by its certainty.
     pub weight: f64,
     pub log_likelihood: f64,
 }
@@ -80,7 +80,7 @@ impl Known {
 
     pub fn locate(&self, seen: &Seen, field: &Field, seed: u64) -> Located {
         let alpha = default_alpha(Formula::Corrected);
-        let observation = Observation::new(field, LINE_POINTS, alpha, SimdPath::Auto);
+        let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
         let candidates = match self.initial {
             None => global::search(&observation, &seen.table, field, SEARCH_MARGIN_M, true, KEPT),
             Some(initial) => vec![around(&observation, seen, initial, seed)],

@@ -72,7 +72,7 @@ impl Tagger {
     pub fn new(settings: &Settings, field: Field, state: TaggerState) -> Self {
         let f = &settings.filter;
         let alpha = f.alpha.unwrap_or_else(|| default_alpha(f.formula));
-        let observation = Observation::new(&field, f.line_points, alpha, f.simd);
+        let observation = Observation::new(&field, f.line_points, f.formula, alpha, f.simd);
         let filter_settings = FilterSettings {
             particles: f.particles,
             iterations: f.iterations,

@@ -151,7 +151,7 @@ fn for_people(report: &Report) -> String {
     let Report { best, mirror, .. } = report;
     let mut text = format!(
         "x {:.3} m, y {:.3} m, yaw {:.2} deg on {}, or its mirror x {:.3}, y {:.3}, yaw {:.2}\n\
-         {:.0} % of the expected line contrast found on {:.0} certain line points\n",
+         {:.0} % of the expected line contrast found on {:.1} m of certain line\n",
         best.pose.x,
         best.pose.y,
         best.pose.yaw.to_degrees(),
@@ -160,7 +160,7 @@ fn for_people(report: &Report) -> String {
         mirror.y,
         mirror.yaw_deg,
         100.0 * best.share,
-        best.weight
+        0.1 * best.weight
     );
     if let Some(next) = &report.next {
         text.push_str(&format!(

@@ -40,26 +40,46 @@ pub fn default_alpha(formula: Formula) -> f64 {
 pub struct Observation {
     points: Points,
     positions: Vec<DVec2>,
-    alpha: f64,
+    /// Of the exponent, for a sum over points.
+    scale: f64,
+    /// What one point counts: how many times 10 cm of line it stands for.
+    per_point: f64,
     path: SimdPath,
 }
+
+/// The corrected sums count line, not points: one for each 10 cm.
+const UNIT_M: f64 = 0.1;
 
 /// How much of what a pose predicts is there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Support {
     /// Share of the expected line contrast that was found, 0 to 1.
     pub share: f64,
-    /// Line points in view, each counted by its certainty.
+    /// Painted line in view in units of 10 cm, counted by its certainty.
     pub weight: f64,
     /// Line points in view.
     pub points: usize,
 }
 
 impl Observation {
-    /// `count` is about how many points stand for all lines of the field.
-    pub fn new(field: &Field, count: usize, alpha: f64, path: SimdPath) -> Self {
-        let positions: Vec<DVec2> = field.points(count).iter().map(|point| point.position).collect();
-        Self { points: Points::new(positions.iter().copied()), positions, alpha, path: kernel::available(path) }
+    /// `count` is about how many points stand for all lines of the field. The corrected formulas weigh each by the
+    /// line that it stands for, so that neither `count` nor the size of the field changes what a metre of line says.
+    pub fn new(field: &Field, count: usize, formula: Formula, alpha: f64, path: SimdPath) -> Self {
+        let points = field.points(count);
+        let length: f64 = points.iter().map(|point| point.length).sum();
+        let per_point = length / points.len().max(1) as f64 / UNIT_M;
+        let scale = match formula {
+            Formula::Corrected => per_point / alpha,
+            Formula::Paper => 1.0 / alpha,
+        };
+        let positions: Vec<DVec2> = points.iter().map(|point| point.position).collect();
+        Self {
+            points: Points::new(positions.iter().copied()),
+            positions,
+            scale,
+            per_point,
+            path: kernel::available(path),
+        }
     }
 
     /// Points on all lines together.
@@ -69,7 +89,7 @@ impl Observation {
 
     /// Up to a constant of the frame.
     pub fn log_likelihood(&self, table: &GroundTable, pose: &Pose2) -> f64 {
-        kernel::sum_levels(self.path, table, &self.points, pose) * table.readings().scale / self.alpha
+        kernel::sum_levels(self.path, table, &self.points, pose) * table.readings().scale * self.scale
     }
 
     /// `lines` must hold [`Reading::Contrast`].
@@ -88,6 +108,6 @@ impl Observation {
         }
         let sum = kernel::sum_levels(self.path, lines, &self.points, pose);
         let share = ((sum / weight + f64::from(readings.zero)) / 255.0).clamp(0.0, 1.0);
-        Support { share, weight, points }
+        Support { share, weight: weight * self.per_point, points }
     }
 }

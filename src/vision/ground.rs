@@ -348,9 +348,9 @@ fn box_counts(set: &[bool], reach: usize) -> Vec<u16> {
     let mut rows = vec![0u16; SIDE * SIDE];
     for (counts, set) in rows.chunks_exact_mut(SIDE).zip(set.chunks_exact(SIDE)) {
         let mut sum: u16 = set[..reach].iter().map(|s| u16::from(*s)).sum();
-        for column in 0..SIDE {
+        for (column, count) in counts.iter_mut().enumerate() {
             sum += u16::from(set.get(column + reach).copied().unwrap_or(false));
-            counts[column] = sum;
+            *count = sum;
             sum -= column.checked_sub(reach).map_or(0, |left| u16::from(set[left]));
         }
     }

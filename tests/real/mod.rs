@@ -1,6 +1,7 @@
 //! Real images of the same place, turned into each other through the lens files: the proof that files, lenses and
 //! rotations mean what they say, on pixels that this crate has not made.
 
+mod tag;
 mod warp;
 
 use std::fs;
