@@ -376,6 +376,15 @@ mod tests {
     }
 
     #[test]
+    fn the_shipped_config_states_every_default() {
+        let text = include_str!("../../config/robot.toml");
+        assert_eq!(Settings::parse(text, "robot.toml").expect("a good config"), Settings::default());
+        // Key by key, so that none is left out; only what has no default cannot stand there.
+        let stated: toml::Table = toml::from_str(text).expect("TOML");
+        assert_eq!(stated, toml::Table::try_from(Settings::default()).expect("a table"));
+    }
+
+    #[test]
     fn an_unknown_or_impossible_key_is_named() {
         let said = |text: &str| Settings::parse(text, "robot.toml").expect_err("refused").to_string();
         assert!(said("[filter]\nparticels = 5").contains("particels"));
