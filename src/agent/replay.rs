@@ -44,7 +44,7 @@ pub enum ReplayError {
     Setup(#[from] SetupError),
     /// What the log lacks or says wrongly; what the config says wrongly names its own file.
     #[error("{path}: {source}")]
-    Source { path: PathBuf, source: SetupError },
+    Source { path: PathBuf, source: Box<SetupError> },
     #[error(transparent)]
     Log(#[from] LogError),
     #[error(transparent)]
@@ -175,7 +175,7 @@ fn setup_error(options: &ReplayOptions, error: SetupError) -> ReplayError {
     match error {
         SetupError::Log(error) => ReplayError::Log(error),
         SetupError::Config(_) | SetupError::BodyMask { .. } => ReplayError::Setup(error),
-        source => ReplayError::Source { path: options.source.clone(), source },
+        error => ReplayError::Source { path: options.source.clone(), source: Box::new(error) },
     }
 }
 

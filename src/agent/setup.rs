@@ -110,11 +110,9 @@ fn check_mount(
 ) -> Result<(), SetupError> {
     // The first frame tells what its optical frame is called.
     for message in found.iter().chain(first_frame) {
-        match intake::read(message, topics, &settings.head) {
-            Ok(input @ (Input::Transforms { latched: false, .. } | Input::Frame { .. })) => {
-                synchroniser.push(message, input);
-            }
-            _ => {}
+        let input = intake::read(message, topics, &settings.head);
+        if let Ok(input @ (Input::Transforms { latched: false, .. } | Input::Frame { .. })) = input {
+            synchroniser.push(message, input);
         }
     }
     let moving = found.iter().filter(|message| message.channel.topic == topics.tf).count();

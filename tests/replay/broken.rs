@@ -99,7 +99,7 @@ fn numbers_that_are_none_do_no_harm() {
         count += 1;
         count % 7 == 3
     };
-    let mut then = now_and_then.clone();
+    let mut then = now_and_then;
     let odometry = changed::<Odometry>(&walk().messages, ODOMETRY, |odometry| {
         if now_and_then() {
             odometry.pose.pose.position.x = nan;

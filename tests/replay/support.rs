@@ -145,7 +145,7 @@ impl Room {
     /// With these messages as `log.mcap`.
     pub fn with_log(messages: &[LogMessage]) -> Self {
         let room = Self::new();
-        room.write("log.mcap", &own_log(messages));
+        room.write("log.mcap", own_log(messages));
         room
     }
 
