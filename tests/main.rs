@@ -3,5 +3,6 @@
 mod config;
 mod limits;
 mod real;
+mod replay;
 mod ros2;
 mod scene;

@@ -1,5 +1,6 @@
 //! A log or a scene through the agent: every frame tagged and written, as fast as the machine can or paced by stamps.
 
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,7 +15,7 @@ use super::tagger::{Tagger, TaggerState};
 use crate::config::Settings;
 use crate::geometry::{Field, FieldDimensions, Lens, Pose2};
 use crate::recording::{Counts, RecordingError, SessionInfo, SessionWriter, write_atomically};
-use crate::ros2::mcap_read::{Damage, LogMessage, Selection};
+use crate::ros2::mcap_read::{Damage, LogMessage, Selection, Survey};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use crate::sensors::intake;
 use crate::sensors::log::{self, CHECKPOINT_NAME, LogError, LogSource};
@@ -41,6 +42,9 @@ pub struct ReplayOptions {
 pub enum ReplayError {
     #[error(transparent)]
     Setup(#[from] SetupError),
+    /// What the log lacks or says wrongly; what the config says wrongly names its own file.
+    #[error("{path}: {source}")]
+    Source { path: PathBuf, source: SetupError },
     #[error(transparent)]
     Log(#[from] LogError),
     #[error(transparent)]
@@ -123,10 +127,11 @@ fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
     let types = log::topic_types(&surveys);
     let all = files.clone();
     let prelude =
-        Prelude::read(&options.settings, &types, move |selection| Box::new(LogSource::new(all.clone(), selection)))?;
+        Prelude::read(&options.settings, &types, move |selection| Box::new(LogSource::new(all.clone(), selection)))
+            .map_err(|error| setup_error(options, error))?;
     let frames = surveys.iter().flat_map(|survey| &survey.topics).filter(|topic| topic.topic == prelude.topics.image);
     let total = frames.map(|topic| topic.messages).sum();
-    let checkpoint = segment_checkpoint(&files)?;
+    let checkpoint = segment_checkpoint(&files, &surveys)?;
     let mut source = LogSource::new(files, Selection::All);
     let mut agent = Agent::new(options, &prelude, checkpoint)?;
     for message in source.by_ref() {
@@ -155,7 +160,8 @@ fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayRep
     }
     let known = first.clone();
     let prelude =
-        Prelude::read(&options.settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))?;
+        Prelude::read(&options.settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))
+            .map_err(|error| setup_error(&options, error))?;
     let total = Some(scene.frame_count());
     let mut agent = Agent::new(&options, &prelude, None)?;
     for message in first.into_iter().map(Ok).chain(source) {
@@ -164,10 +170,19 @@ fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayRep
     agent.finish(Vec::new(), &mut |done| progress(done, total))
 }
 
+/// Says in which log or scene something is wrong, if it is there.
+fn setup_error(options: &ReplayOptions, error: SetupError) -> ReplayError {
+    match error {
+        SetupError::Log(error) => ReplayError::Log(error),
+        SetupError::Config(_) | SetupError::BodyMask { .. } => ReplayError::Setup(error),
+        source => ReplayError::Source { path: options.source.clone(), source },
+    }
+}
+
 /// A segment of a capture brings the filter's state along.
-fn segment_checkpoint(files: &[PathBuf]) -> Result<Option<Checkpoint>, ReplayError> {
-    let Some(path) = files.first() else { return Ok(None) };
-    let Some(bytes) = log::checkpoint(path)? else { return Ok(None) };
+fn segment_checkpoint(files: &[PathBuf], surveys: &[Survey]) -> Result<Option<Checkpoint>, ReplayError> {
+    let (Some(path), Some(survey)) = (files.first(), surveys.first()) else { return Ok(None) };
+    let Some(bytes) = log::checkpoint(path, survey)? else { return Ok(None) };
     let decoded = Checkpoint::decode(&bytes);
     decoded.map(Some).map_err(|source| ReplayError::Checkpoint { path: path.clone(), source })
 }
@@ -200,6 +215,8 @@ struct Agent<'a> {
     first_log_ns: Option<i64>,
     last_state_ns: i64,
     last_diagnostics_ns: i64,
+    /// Frames that came while the agent waits for a pause between two frames.
+    held: VecDeque<LogMessage>,
 }
 
 impl<'a> Agent<'a> {
@@ -209,12 +226,14 @@ impl<'a> Agent<'a> {
         checkpoint: Option<Checkpoint>,
     ) -> Result<Self, ReplayError> {
         let settings = &options.settings;
-        let lens = setup::lens(settings, prelude)?;
+        let lens = setup::lens(settings, prelude).map_err(|error| setup_error(options, error))?;
         let (field, dimensions) = setup::field(settings)?;
         let eyes = Arc::new(Eyes::new(settings, lens.clone())?);
         let tagger = first_tagger(options, field, checkpoint.as_ref())?;
         let frames = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
         let state = checkpoint.map_or_else(|| prelude.synchroniser.clone(), |checkpoint| checkpoint.synchroniser);
+        let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);
+        synchroniser.expect(prelude.expected);
         let threads = options.threads.max(1);
         let report = ReplayReport {
             session: PathBuf::new(),
@@ -236,7 +255,7 @@ impl<'a> Agent<'a> {
             prelude,
             lens,
             dimensions,
-            synchroniser: Synchroniser::new(settings.frames.clone(), state),
+            synchroniser,
             looking: Looking::new(eyes, threads),
             tagger,
             session: None,
@@ -247,41 +266,59 @@ impl<'a> Agent<'a> {
             first_log_ns: None,
             last_state_ns: i64::MIN,
             last_diagnostics_ns: i64::MIN,
+            held: VecDeque::new(),
         })
     }
 
     fn take(&mut self, message: LogMessage, progress: &mut dyn FnMut(u64)) -> Result<(), ReplayError> {
-        let settings = &self.options.settings;
         let topics = &self.prelude.topics;
         if message.channel.topic == topics.ground_truth {
             return Ok(());
         }
-        self.pace(message.log_time_ns);
-        let is_frame = message.channel.topic == topics.image;
-        let latched = message.channel.topic == topics.tf_static || message.channel.topic == topics.camera_info;
+        let log_time_ns = message.log_time_ns;
+        self.pace(log_time_ns);
         if self.session.is_none() {
             self.session = Some(self.create_session(&message)?);
         }
-        self.rotate_if_due(message.log_time_ns, progress)?;
-        if let Some(session) = &mut self.session {
-            session.pass(&message, is_frame, latched)?;
+        self.pause_if_due(log_time_ns, progress)?;
+        let held_back = self.must_pause(log_time_ns) || !self.held.is_empty();
+        if held_back && message.channel.topic == topics.image {
+            self.synchroniser.advance(log_time_ns);
+            self.held.push_back(message);
+        } else {
+            self.record(message)?;
         }
-        match intake::read(&message, topics, &settings.head) {
-            Ok(intake::Input::InitialPose { .. }) if self.options.initial.is_some() => {}
-            Ok(input) => self.synchroniser.push(&message, input),
-            Err(_) => self.report.bad_messages += 1,
-        }
+        self.look_at_known(progress)
+    }
+
+    fn look_at_known(&mut self, progress: &mut dyn FnMut(u64)) -> Result<(), ReplayError> {
         while let Some(frame) = self.synchroniser.pop() {
             self.look(frame, progress)?;
         }
         Ok(())
     }
 
+    /// Writes a message and takes what it measures.
+    fn record(&mut self, message: LogMessage) -> Result<(), ReplayError> {
+        let topics = &self.prelude.topics;
+        let is_frame = message.channel.topic == topics.image;
+        let latched = message.channel.topic == topics.tf_static || message.channel.topic == topics.camera_info;
+        if let Some(session) = &mut self.session {
+            session.pass(&message, is_frame, latched)?;
+        }
+        match intake::read(&message, topics, &self.options.settings.head) {
+            Ok(intake::Input::InitialPose { .. }) if self.options.initial.is_some() => {}
+            Ok(input) => self.synchroniser.push(&message, input),
+            Err(_) => self.report.bad_messages += 1,
+        }
+        Ok(())
+    }
+
     fn finish(mut self, damage: Vec<FileDamage>, progress: &mut dyn FnMut(u64)) -> Result<ReplayReport, ReplayError> {
         self.synchroniser.finish();
-        while let Some(frame) = self.synchroniser.pop() {
-            self.look(frame, progress)?;
-        }
+        self.look_at_known(progress)?;
+        self.release_held()?;
+        self.look_at_known(progress)?;
         self.drain(progress)?;
         let Some(session) = self.session.take() else {
             return Err(ReplayError::NoFrame("the log has no message".to_owned()));
@@ -343,22 +380,42 @@ impl<'a> Agent<'a> {
         Ok(())
     }
 
-    /// A new segment begins only where no frame is under way, so that its checkpoint is exact.
-    fn rotate_if_due(&mut self, log_time_ns: i64, progress: &mut dyn FnMut(u64)) -> Result<(), ReplayError> {
-        let due = self.session.as_ref().is_some_and(|session| session.is_segment_full(log_time_ns));
-        if due && self.synchroniser.is_idle() {
-            self.drain(progress)?;
+    /// A segment is full, or the state is to be saved: both only where no frame is under way, so that they are exact.
+    fn must_pause(&self, log_time_ns: i64) -> bool {
+        self.is_segment_full(log_time_ns) || self.is_state_due(log_time_ns)
+    }
+
+    fn is_segment_full(&self, log_time_ns: i64) -> bool {
+        self.session.as_ref().is_some_and(|session| session.is_segment_full(log_time_ns))
+    }
+
+    fn is_state_due(&self, log_time_ns: i64) -> bool {
+        log_time_ns.saturating_sub(self.last_state_ns) >= STATE_EVERY_NS
+    }
+
+    /// Where measurements come later than the next frame there is always a frame waiting: further ones are held back
+    /// until there is none, which is a matter of milliseconds.
+    fn pause_if_due(&mut self, log_time_ns: i64, progress: &mut dyn FnMut(u64)) -> Result<(), ReplayError> {
+        if !self.must_pause(log_time_ns) || !self.synchroniser.is_idle() {
+            return Ok(());
+        }
+        self.drain(progress)?;
+        if self.is_segment_full(log_time_ns) {
             let checkpoint = self.checkpoint()?;
             if let Some(session) = &mut self.session {
                 session.next_segment(log_time_ns, CHECKPOINT_NAME, &checkpoint)?;
             }
         }
-        if log_time_ns.saturating_sub(self.last_state_ns) >= STATE_EVERY_NS
-            && self.synchroniser.is_idle()
-            && self.looking.is_idle()
-        {
+        if self.is_state_due(log_time_ns) {
             self.last_state_ns = log_time_ns;
             self.save_state()?;
+        }
+        self.release_held()
+    }
+
+    fn release_held(&mut self) -> Result<(), ReplayError> {
+        while let Some(message) = self.held.pop_front() {
+            self.record(message)?;
         }
         Ok(())
     }

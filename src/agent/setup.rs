@@ -12,7 +12,7 @@ use crate::ros2::messages::CameraInfo;
 use crate::sensors::body_mask;
 use crate::sensors::intake::{self, Input};
 use crate::sensors::log::LogError;
-use crate::sensors::synchroniser::{Synchroniser, SynchroniserState};
+use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use crate::sensors::topics::{TopicError, TopicTypes, resolve};
 use crate::sensors::transforms::{ChainError, Head};
 use crate::vision::{BodyMask, Vision, VisionSettings};
@@ -45,6 +45,7 @@ pub struct Prelude {
     pub camera_info: Option<CameraInfo>,
     /// Constants are known from the start, wherever in the log they stand.
     pub synchroniser: SynchroniserState,
+    pub expected: Expected,
 }
 
 /// Everything about seeing, ready for use.
@@ -87,8 +88,37 @@ impl Prelude {
                 _ => {}
             }
         }
-        Ok(Self { topics, camera_info, synchroniser: synchroniser.state().clone() })
+        let first_frame = messages(Selection::topics([topics.image.clone()]))
+            .find(|message| message.as_ref().map_or(true, |message| message.channel.topic == topics.image));
+        check_mount(synchroniser.clone(), &found, first_frame.transpose()?.as_ref(), &topics, settings)?;
+        let has = |topic: &String, kind: &str| types.get(topic).is_some_and(|found| found == kind);
+        let expected = Expected {
+            imu: has(&topics.imu, "sensor_msgs/msg/Imu"),
+            joints: has(&topics.joints, "sensor_msgs/msg/JointState"),
+        };
+        Ok(Self { topics, camera_info, synchroniser: synchroniser.state().clone(), expected })
     }
+}
+
+/// Whether the camera can be where the log says, before anything is written.
+fn check_mount(
+    mut synchroniser: Synchroniser,
+    found: &[LogMessage],
+    first_frame: Option<&LogMessage>,
+    topics: &Topics,
+    settings: &Settings,
+) -> Result<(), SetupError> {
+    // The first frame tells what its optical frame is called.
+    for message in found.iter().chain(first_frame) {
+        match intake::read(message, topics, &settings.head) {
+            Ok(input @ (Input::Transforms { latched: false, .. } | Input::Frame { .. })) => {
+                synchroniser.push(message, input);
+            }
+            _ => {}
+        }
+    }
+    let moving = found.iter().filter(|message| message.channel.topic == topics.tf).count();
+    Ok(synchroniser.check_mount(moving >= ENOUGH as usize)?)
 }
 
 /// More messages of one topic than this are not needed to know calibration and constants.

@@ -86,10 +86,6 @@ impl Looking {
     pub fn pop(&mut self) -> Option<Looked> {
         self.pending.pop_front().and_then(|result| result.recv().ok())
     }
-
-    pub fn is_idle(&self) -> bool {
-        self.pending.is_empty()
-    }
 }
 
 impl Drop for Looking {

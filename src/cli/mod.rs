@@ -65,10 +65,23 @@ pub fn run() -> ExitCode {
         Ok(Outcome::DataLost) => ExitCode::from(3),
         Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("realitysim: {error:#}");
+            eprintln!("realitysim: {}", told(&error));
             ExitCode::from(if is_usage(&error) { 2 } else { 1 })
         }
     }
+}
+
+/// The causes in a row; many errors say their cause themselves, which is not said again.
+fn told(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
 }
 
 /// A config or an argument is wrong, rather than the world.
@@ -76,6 +89,9 @@ fn is_usage(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| {
         cause.is::<ConfigError>()
             || cause.is::<settings::UsageError>()
-            || matches!(cause.downcast_ref::<ReplayError>(), Some(ReplayError::Setup(SetupError::Config(_))))
+            || matches!(
+                cause.downcast_ref::<ReplayError>(),
+                Some(ReplayError::Setup(SetupError::Config(_) | SetupError::BodyMask { .. }))
+            )
     })
 }

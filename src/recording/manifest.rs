@@ -74,7 +74,8 @@ pub struct ManifestLine {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TopicCount {
     pub type_name: String,
-    pub latched: bool,
+    /// As in the files' channel: readers take a topic whose profiles differ there for another one.
+    pub qos_profiles: String,
     pub messages: u64,
 }
 
@@ -93,18 +94,13 @@ pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<String, TopicCoun
         last - first
     );
     for (name, topic) in topics {
-        let qos = crate::ros2::mcap_write::qos_profile(if topic.latched {
-            crate::ros2::mcap_write::Durability::TransientLocal
-        } else {
-            crate::ros2::mcap_write::Durability::Volatile
-        });
         let _ = write!(
             yaml,
             "    - topic_metadata:\n        name: {}\n        type: {}\n        serialization_format: cdr\n        \
              offered_qos_profiles: {}\n      message_count: {}\n",
             quoted(name),
             quoted(&topic.type_name),
-            quoted(&qos),
+            quoted(&topic.qos_profiles),
             topic.messages
         );
     }

@@ -13,8 +13,8 @@ use super::segment::{Segment, sync_folder};
 use super::topic;
 use crate::config::RecordingSettings;
 use crate::ros2::mcap_read::LogMessage;
-use crate::ros2::mcap_write::WriteError;
-use crate::ros2::messages::{DiagnosticArray, FrameTag, Header, Message, PoseWithCovarianceStamped};
+use crate::ros2::mcap_write::{Durability, WriteError, qos_profile};
+use crate::ros2::messages::{CameraInfo, DiagnosticArray, FrameTag, Header, Message, PoseWithCovarianceStamped};
 
 #[derive(Debug, Error)]
 pub enum RecordingError {
@@ -110,7 +110,7 @@ impl SessionWriter {
         self.segment.attach(name, log_time_ns, checkpoint)?;
         for mut message in self.latched.clone() {
             message.log_time_ns = log_time_ns;
-            self.count(&message.channel.topic, &message.channel.type_name, true);
+            self.count_passed(&message);
             self.segment.pass(&message)?;
         }
         Ok(())
@@ -123,10 +123,10 @@ impl SessionWriter {
 
     /// A message of the source, untouched; `latched` ones open every later segment as well.
     pub fn pass(&mut self, message: &LogMessage, is_frame: bool, latched: bool) -> Result<(), RecordingError> {
-        if latched && self.latched.len() < MAX_LATCHED {
-            self.latched.push(message.clone());
+        if latched {
+            self.keep(message);
         }
-        self.count(&message.channel.topic, &message.channel.type_name, latched);
+        self.count_passed(message);
         self.segment.counts.captured += u64::from(is_frame);
         self.segment.pass(message)?;
         self.segment.counts.written += u64::from(is_frame);
@@ -170,15 +170,33 @@ impl SessionWriter {
     }
 
     fn write<M: Message>(&mut self, topic: &str, log_time_ns: i64, message: &M) -> Result<(), RecordingError> {
-        self.count(topic, M::TYPE, false);
+        self.count(topic, M::TYPE, || qos_profile(Durability::Volatile));
         self.segment.write(topic, log_time_ns, message)
     }
 
-    fn count(&mut self, topic: &str, type_name: &str, latched: bool) {
+    /// Many drivers send calibration with every frame, and constants again and again: once is enough.
+    fn keep(&mut self, message: &LogMessage) {
+        let newest_only = message.channel.type_name == CameraInfo::TYPE;
+        let is_known = |known: &LogMessage| {
+            known.channel.topic == message.channel.topic && (newest_only || known.data == message.data)
+        };
+        match self.latched.iter().position(is_known) {
+            Some(place) => self.latched[place] = message.clone(),
+            None if self.latched.len() < MAX_LATCHED => self.latched.push(message.clone()),
+            None => {}
+        }
+    }
+
+    fn count_passed(&mut self, message: &LogMessage) {
+        let channel = &message.channel;
+        self.count(&channel.topic, &channel.type_name, || channel.qos_profiles().to_owned());
+    }
+
+    fn count(&mut self, topic: &str, type_name: &str, qos_profiles: impl FnOnce() -> String) {
         match self.topics.get_mut(topic) {
             Some(count) => count.messages += 1,
             None => {
-                let count = TopicCount { type_name: type_name.to_owned(), latched, messages: 1 };
+                let count = TopicCount { type_name: type_name.to_owned(), qos_profiles: qos_profiles(), messages: 1 };
                 self.topics.insert(topic.to_owned(), count);
             }
         }

@@ -76,7 +76,7 @@ impl<W: Write> LogWriter<W> {
 
     /// Adds a topic of one of our types; adding it again gives the same channel.
     pub fn add_channel<M: Message>(&mut self, topic: &str, durability: Durability) -> Result<ChannelId, WriteError> {
-        let metadata = BTreeMap::from([(QOS_KEY.to_owned(), qos_profile(durability))]);
+        let metadata = channel_metadata(durability);
         let schema = self.writer.add_schema(M::TYPE, "ros2msg", M::DEFINITION.as_bytes())?;
         self.add(schema, topic, "cdr", &metadata)
     }
@@ -193,6 +193,11 @@ fn unsigned(nanoseconds: i64) -> u64 {
 fn refuse_above(limit: u64, what: &'static str, data: &[u8]) -> Result<(), WriteError> {
     let found = data.len() as u64;
     if found > limit { Err(WriteError::TooLarge { what, limit, found }) } else { Ok(()) }
+}
+
+/// What rosbag2 keeps about a channel.
+pub fn channel_metadata(durability: Durability) -> BTreeMap<String, String> {
+    BTreeMap::from([(QOS_KEY.to_owned(), qos_profile(durability))])
 }
 
 /// Quality of service as rosbag2 writes it. The numbers are those of rmw: all versions read them, while the names

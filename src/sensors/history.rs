@@ -77,6 +77,12 @@ impl<T: Interpolate> History<T> {
         self.refused
     }
 
+    /// The newest sample that [`at`](Self::at) this time looks at: the first that is not before it, else the last.
+    pub fn until(&self, stamp_ns: i64) -> Option<i64> {
+        let after = self.samples.partition_point(|(stamp, _)| *stamp < stamp_ns);
+        self.samples.get(after).map(|(stamp, _)| *stamp).or(self.newest_ns())
+    }
+
     /// The value at a time: interpolated, or the nearest sample's outside of what is known.
     pub fn at(&self, stamp_ns: i64) -> Option<Sample<T>> {
         let after = self.samples.partition_point(|(stamp, _)| *stamp < stamp_ns);
@@ -156,6 +162,7 @@ mod tests {
         assert_eq!(history.at(150), Some(Sample { value: 2.0, age_ns: 0 }));
         assert_eq!(history.at(250), Some(Sample { value: 3.0, age_ns: 50 }));
         assert_eq!(history.at(40), Some(Sample { value: 1.0, age_ns: 60 }));
+        assert_eq!([40, 100, 150, 250].map(|stamp| history.until(stamp)), [100, 100, 200, 200].map(Some));
     }
 
     #[test]

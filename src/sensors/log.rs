@@ -18,6 +18,10 @@ pub enum LogError {
     Open { path: PathBuf, source: std::io::Error },
     #[error("{path}: the folder holds no .mcap file: name an MCAP file, a ROS 2 bag's folder or a capture's")]
     NoFiles { path: PathBuf },
+    #[error(
+        "{path}: its attachment {CHECKPOINT_NAME} is damaged: replay the whole capture's folder, which does not need it"
+    )]
+    Checkpoint { path: PathBuf },
 }
 
 /// What the outputs of an earlier replay are called: never an input of the next one.
@@ -140,7 +144,12 @@ pub fn topic_types(surveys: &[Survey]) -> TopicTypes {
 }
 
 /// The filter's state at the start of a capture's segment.
-pub fn checkpoint(path: &Path) -> Result<Option<Vec<u8>>, LogError> {
+pub fn checkpoint(path: &Path, survey: &Survey) -> Result<Option<Vec<u8>>, LogError> {
+    if !survey.attachments.iter().any(|name| name == CHECKPOINT_NAME) {
+        return Ok(None);
+    }
     let found = attachments(buffered(path)?).map_err(|source| LogError::Read { path: path.to_owned(), source })?;
-    Ok(found.list.into_iter().find(|attachment| attachment.name == CHECKPOINT_NAME).map(|found| found.data))
+    let found = found.list.into_iter().find(|attachment| attachment.name == CHECKPOINT_NAME);
+    // Going on without it would look like a start from nothing: tags would differ, and nobody would know why.
+    found.map(|found| Some(found.data)).ok_or_else(|| LogError::Checkpoint { path: path.to_owned() })
 }

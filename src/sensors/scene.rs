@@ -9,6 +9,7 @@ use thiserror::Error;
 use crate::config::{Topics, load_field, load_lens};
 use crate::geometry::{Isometry, LensModel, LensParameters};
 use crate::ros2::mcap_read::{Channel, LogMessage};
+use crate::ros2::mcap_write::{Durability, channel_metadata};
 use crate::ros2::messages::{
     CameraInfo, CompressedImage, Header, Image, Imu, Message, Odometry, Point, Pose, PoseStamped,
     PoseWithCovarianceStamped, Quaternion, Stamp, TFMessage, Transform, TransformStamped, Vector3,
@@ -72,6 +73,8 @@ impl<'a> SceneSource<'a> {
 
     fn message<M: Message>(&mut self, topic: &str, stamp_ns: i64, message: &M) -> LogMessage {
         let next_id = self.channels.len() as u16 + 1;
+        let constant = topic == self.topics.tf_static || topic == self.topics.camera_info;
+        let durability = if constant { Durability::TransientLocal } else { Durability::Volatile };
         let channel = self.channels.entry(topic.to_owned()).or_insert_with(|| {
             Arc::new(Channel {
                 id: next_id,
@@ -80,7 +83,7 @@ impl<'a> SceneSource<'a> {
                 message_encoding: "cdr".to_owned(),
                 schema_encoding: "ros2msg".to_owned(),
                 definition: M::DEFINITION.as_bytes().into(),
-                metadata: BTreeMap::new(),
+                metadata: channel_metadata(durability),
             })
         });
         let (channel, data) = (Arc::clone(channel), message.encode());

@@ -26,7 +26,7 @@ pub struct Frame {
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotAt {
     pub odometry: Option<Pose2>,
-    /// The newest odometry that had arrived.
+    /// The newest odometry that was used: it does not depend on how much more had arrived.
     pub odometry_until_ns: Option<i64>,
     pub place: Result<CameraPlace, ChainError>,
     pub head: Option<Head>,
@@ -71,19 +71,45 @@ pub struct Synchroniser {
     waiting_bytes: usize,
     newest_log_ns: i64,
     finished: bool,
+    expected: Expected,
+}
+
+/// What the log has messages of. Until the first of them, a frame waits for them as for later ones.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Expected {
+    pub imu: bool,
+    pub joints: bool,
 }
 
 impl Synchroniser {
     pub fn new(names: FrameNames, state: SynchroniserState) -> Self {
-        Self { names, state, waiting: VecDeque::new(), waiting_bytes: 0, newest_log_ns: i64::MIN, finished: false }
+        Self {
+            names,
+            state,
+            waiting: VecDeque::new(),
+            waiting_bytes: 0,
+            newest_log_ns: i64::MIN,
+            finished: false,
+            expected: Expected::default(),
+        }
+    }
+
+    pub fn expect(&mut self, expected: Expected) {
+        self.expected = expected;
     }
 
     pub fn state(&self) -> &SynchroniserState {
         &self.state
     }
 
-    pub fn tree(&self) -> &TransformTree {
-        &self.state.tree
+    /// Refuses a mount that can never be right, by the names that the frames so far have taught.
+    pub fn check_mount(&self, more_may_come: bool) -> Result<(), ChainError> {
+        self.state.tree.check_constants(&self.names, more_may_come)
+    }
+
+    /// The log has come this far, with a frame that is being held back.
+    pub fn advance(&mut self, log_time_ns: i64) {
+        self.newest_log_ns = self.newest_log_ns.max(log_time_ns);
     }
 
     /// No frame is waiting.
@@ -92,7 +118,13 @@ impl Synchroniser {
     }
 
     pub fn push(&mut self, message: &LogMessage, input: Input) {
-        self.newest_log_ns = self.newest_log_ns.max(message.log_time_ns);
+        self.advance(message.log_time_ns);
+        match input {
+            // Heard of once, even without what is needed of them: they are there.
+            Input::Imu { .. } => self.expected.imu = false,
+            Input::Joints { .. } => self.expected.joints = false,
+            _ => {}
+        }
         match input {
             Input::Frame { stamp_ns, frame_id } => {
                 // A log that names its optical frame otherwise is believed.
@@ -167,7 +199,7 @@ impl Synchroniser {
         ];
         RobotAt {
             odometry: step.map(|sample| sample.value),
-            odometry_until_ns: odometry.newest_ns(),
+            odometry_until_ns: odometry.until(stamp_ns),
             place,
             head,
             stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
@@ -180,7 +212,10 @@ impl Synchroniser {
         let reaches = |newest: Option<i64>| newest.is_none_or(|newest| newest >= stamp_ns);
         // What has never been heard of is waited for as long as the log allows: it may just start late.
         let odometry = state.odometry().newest_ns().is_some_and(|newest| newest >= stamp_ns);
+        let unheard = (self.expected.imu && state.attitude.is_empty())
+            || (self.expected.joints && state.pan.is_empty() && state.tilt.is_empty());
         odometry
+            && !unheard
             && reaches(state.attitude.newest_ns())
             && reaches(state.pan.newest_ns())
             && reaches(state.tilt.newest_ns())

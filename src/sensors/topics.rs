@@ -66,7 +66,9 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
     }
     // Some robots send constants on /tf as well: whether the chain is whole is checked where it is used.
     match find(&topics.tf_static, &TRANSFORMS) {
-        Ok(topic) => topics.tf_static = topic,
+        // What moves must not be taken for constant because there is nothing else.
+        Ok(topic) if topic != topics.tf => topics.tf_static = topic,
+        Ok(_) => {}
         Err(_) if log.contains_key(&topics.tf) => {}
         Err(candidates) => {
             return Err(TopicError::Missing {

@@ -65,6 +65,8 @@ pub enum ChainError {
          ({base} to {camera} must give the camera's height)"
     )]
     NoHeight { height_m: f64, base: String, camera: String },
+    #[error("the transform to {frame} holds a number that is not finite: /tf_static must give its place in metres")]
+    NotFinite { frame: String },
     #[error(
         "{optical} does not look forward but {elevation_deg:.0} deg up: the rotation from {link} to {optical} is \
          missing (REP 103: z forward, x right, y down)"
@@ -184,6 +186,26 @@ impl TransformTree {
             return Err(ChainError::LooksUp { optical, link, elevation_deg: elevation.to_degrees() });
         }
         Ok(())
+    }
+
+    /// Refuses a chain that can never be right. One that moves, or that `/tf` may still complete (`more_may_come`), is
+    /// not judged: its frames are.
+    pub fn check_constants(&self, names: &FrameNames, more_may_come: bool) -> Result<(), ChainError> {
+        let chain = match self.chain(&names.base_footprint, &names.camera_optical) {
+            Err(ChainError::Broken { .. }) if more_may_come => return Ok(()),
+            chain => chain?,
+        };
+        let mut moving = false;
+        for (child, edge) in chain {
+            match &edge.transform {
+                Transform::Static(constant) if !constant.is_finite() => {
+                    return Err(ChainError::NotFinite { frame: child.to_owned() });
+                }
+                Transform::Static(_) => {}
+                Transform::Moving(_) => moving = true,
+            }
+        }
+        if moving { Ok(()) } else { self.check_mount(0, names) }
     }
 
     fn insert(&mut self, parent: &str, child: &str, transform: Transform) {

@@ -52,10 +52,14 @@ impl Channel {
         self.message_encoding == "cdr" && matches!(self.schema_encoding.as_str(), "ros2msg" | "ros2idl")
     }
 
+    /// The quality of service as rosbag2 writes it; empty if the log does not say.
+    pub fn qos_profiles(&self) -> &str {
+        self.metadata.get(super::QOS_KEY).map(String::as_str).unwrap_or_default()
+    }
+
     /// Whether late subscribers got the last message (durability transient_local), as on `/tf_static`.
     pub fn is_latched(&self) -> bool {
-        let profiles = self.metadata.get(super::QOS_KEY).map(String::as_str).unwrap_or_default();
-        profiles
+        self.qos_profiles()
             .lines()
             .filter_map(|line| line.trim_start_matches([' ', '-']).strip_prefix("durability:"))
             .any(|durability| matches!(durability.trim().trim_matches(['"', '\'']), "1" | "transient_local"))

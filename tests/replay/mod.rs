@@ -1,0 +1,20 @@
+//! The program from end to end: logs in, captures out, as a user runs it.
+
+mod broken;
+mod capture;
+mod chains;
+mod delays;
+mod determinism;
+mod export;
+mod independent;
+mod memory;
+mod packing;
+mod pictures;
+mod power_loss;
+mod refused;
+mod segments;
+mod support;
+mod topics;
+mod truth;
+mod usage;
+mod warm_start;

@@ -1,0 +1,69 @@
+//! Wrong config and wrong arguments: exit code 2, and a message that names the key and what would be right.
+
+use super::support::Room;
+
+#[test]
+fn an_unknown_key_of_a_config_file_is_named() {
+    let room = Room::with_walk();
+    room.write("robot.toml", "[filter]\nparticels = 5\n");
+    room.run("replay log.mcap -o captures --config robot.toml").fails(2, &["robot.toml", "particels", "particles"]);
+    room.run("replay log.mcap -o captures --config none.toml").fails(2, &["none.toml"]);
+    assert!(!room.path("captures").exists());
+}
+
+#[test]
+fn an_impossible_value_is_named_with_what_is_possible() {
+    let room = Room::with_walk();
+    room.write("robot.toml", "[filter]\nparticles = 0\n");
+    room.run("replay log.mcap -o captures --config robot.toml")
+        .fails(2, &["robot.toml", "filter.particles is 0", "1 to"]);
+    for (arguments, words) in [
+        ("--particles 0", ["filter.particles is 0", "1 to"]),
+        ("--set filter.valid_share=2", ["filter.valid_share is 2", "0 to 1"]),
+        ("--set recording.segment_s=0", ["recording.segment_s is 0", "1 to"]),
+        ("--set filter.jitter_shrink=nan", ["filter.jitter_shrink is NaN", "0 to 1"]),
+        ("--set robot=../x", ["robot is", "letters"]),
+    ] {
+        room.run(&format!("replay log.mcap -o captures {arguments}")).fails(2, &words);
+    }
+}
+
+#[test]
+fn an_argument_that_makes_no_sense_is_named() {
+    let room = Room::with_walk();
+    for (arguments, words) in [
+        ("--set nonsense", vec!["nonsense", "KEY=VALUE"]),
+        ("--set filter.particels=5", vec!["filter.particels", "particles"]),
+        ("--set filter.model=cubic", vec!["filter.model=cubic", "gauss", "distance"]),
+        ("--model cubic", vec!["cubic", "gauss", "distance"]),
+        ("--field moon", vec!["moon", "kid-2009", "spl-2020"]),
+        ("--lens moon", vec!["moon", "fisheye-640"]),
+        ("--initial 1,2", vec!["--initial", "x,y,yaw_deg"]),
+        ("--initial 1,2,north", vec!["--initial", "x,y,yaw_deg"]),
+        ("--initial 1,2,nan", vec!["--initial", "x,y,yaw_deg"]),
+        ("--threads many", vec!["--threads", "many"]),
+        ("--frobnicate", vec!["--frobnicate"]),
+    ] {
+        room.run(&format!("replay log.mcap -o captures {arguments}")).fails(2, &words);
+        assert!(!room.path("captures").exists(), "{arguments}");
+    }
+    room.run("replay log.mcap").fails(2, &["--output"]);
+}
+
+#[test]
+fn a_body_mask_that_cannot_be_used_is_named() {
+    let room = Room::with_walk();
+    room.write("robot.toml", "[[camera.body_mask]]\npng = \"mask.png\"\n");
+    room.run("replay log.mcap -o captures --config robot.toml").fails(2, &["mask.png"]);
+    image::GrayImage::new(640, 480).save(room.path("mask.png")).unwrap();
+    room.run("replay log.mcap -o captures --config robot.toml").fails(2, &["mask.png", "640 x 480", "320 x 240"]);
+}
+
+#[test]
+fn where_the_robot_starts_can_be_said_on_the_command_line() {
+    let room = Room::with_walk();
+    let replayed = room.replay("log.mcap --initial -2.0,0.1,12.5");
+    assert!(replayed.tags[2..].iter().all(|tag| tag.valid), "{}", replayed.report);
+    let far = room.replay("log.mcap --initial 2.5,-1.5,170").tags;
+    assert!((far[0].pose.pose.position.x - 2.5).abs() < 1.0, "it counts, and not what the log announces");
+}

@@ -1,0 +1,59 @@
+//! An agent that starts again goes on from where the last one ended, but believes it only after it has seen lines.
+
+use std::fs;
+
+use super::support::{CAPTURES, INITIAL, Room, farthest_apart, walk, without};
+
+#[test]
+fn a_warm_start_goes_on_unconfirmed_and_becomes_valid() {
+    let half = walk().messages.len() / 2;
+    let rest = without(&walk().messages, INITIAL).split_off(half);
+    let constants = walk().messages[..2].iter().cloned();
+    let rest: Vec<_> = constants.chain(rest).collect();
+
+    let room = Room::new();
+    room.write("first.mcap", super::support::own_log(&walk().messages[..half]));
+    room.write("rest.mcap", super::support::own_log(&rest));
+    let first = room.replay("first.mcap");
+    assert!(room.path(CAPTURES).join("last_state.bin").is_file());
+
+    let warm = room.replay("rest.mcap --warm-start");
+    let reasons: Vec<&str> = warm.tags.iter().map(|tag| tag.reason.as_str()).collect();
+    assert!(!warm.tags[0].valid && reasons[0] == "unconfirmed", "{reasons:?}");
+    let confirmed = warm.tags.iter().position(|tag| tag.valid).unwrap_or(usize::MAX);
+    assert!(confirmed <= 6, "{reasons:?}");
+    assert!(warm.tags[confirmed..].iter().filter(|tag| tag.valid).count() + confirmed + 2 >= warm.tags.len());
+    // Known, not found by search: the mirror pose does not come into question.
+    assert!(warm.tags.iter().all(|tag| !tag.ambiguous));
+    let expected = &walk().tags[first.tags.len()..];
+    let apart = farthest_apart(&warm.tags[confirmed..], &expected[confirmed..]);
+    assert!(apart < 0.3, "{apart} m from where an agent that never stopped is");
+}
+
+#[test]
+fn a_warm_start_without_a_state_is_a_cold_one() {
+    let room = Room::with_walk();
+    let warm = room.replay("log.mcap --warm-start");
+    super::support::assert_same(&warm.tags, &walk().tags, "first start");
+}
+
+#[test]
+fn a_damaged_last_state_is_an_error_that_names_the_file() {
+    let room = Room::with_walk();
+    room.replay("log.mcap");
+    let path = room.path(CAPTURES).join("last_state.bin");
+    let whole = fs::read(&path).unwrap();
+    let mut flipped = whole.clone();
+    flipped[whole.len() / 2] ^= 1;
+    for (damaged, word) in [
+        (flipped, "damaged"),
+        (whole[..whole.len() / 2].to_vec(), "damaged"),
+        (Vec::new(), "not a checkpoint"),
+        (b"a text".to_vec(), "not a checkpoint"),
+    ] {
+        fs::write(&path, damaged).unwrap();
+        room.run("replay log.mcap -o captures --warm-start").fails(1, &["last_state.bin", word]);
+    }
+    // Whoever does not ask for it is not troubled by it.
+    room.run("replay log.mcap -o captures").succeeds();
+}
