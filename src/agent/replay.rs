@@ -278,7 +278,9 @@ impl<'a> Agent<'a> {
         let log_time_ns = message.log_time_ns;
         self.pace(log_time_ns);
         if self.session.is_none() {
-            self.session = Some(self.create_session(&message)?);
+            let mut session = self.create_session(&message)?;
+            session.attach(message.log_time_ns, CHECKPOINT_NAME, &self.checkpoint()?)?;
+            self.session = Some(session);
         }
         self.pause_if_due(log_time_ns, progress)?;
         let held_back = self.must_pause(log_time_ns) || !self.held.is_empty();
@@ -469,7 +471,7 @@ impl<'a> Agent<'a> {
         let conserved = counts.is_conserved();
         let status = DiagnosticStatus {
             level: if conserved { DiagnosticStatus::OK } else { DiagnosticStatus::ERROR },
-            name: "realitysim: recorder".to_owned(),
+            name: format!("{}recorder", log::DIAGNOSTICS_NAME),
             message: if conserved { "captured = written + dropped" } else { "frames are unaccounted for" }.to_owned(),
             hardware_id: self.options.settings.robot.clone(),
             values,

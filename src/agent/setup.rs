@@ -151,9 +151,10 @@ pub fn lens(settings: &Settings, prelude: &Prelude) -> Result<Lens, SetupError> 
         (Some(file), _) => load_lens(file)?.lens.parameters().clone(),
         (None, Some(info)) => {
             let topic = || prelude.topics.camera_info.clone();
-            let part = info.binning_x > 1 || info.binning_y > 1 || info.roi.width > 0 || info.roi.height > 0;
-            let whole = info.roi.width == info.width && info.roi.height == info.height;
-            if part && !whole {
+            let binned = info.binning_x > 1 || info.binning_y > 1;
+            let roi = &info.roi;
+            let whole = (roi.width, roi.height) == (info.width, info.height) || (roi.width, roi.height) == (0, 0);
+            if binned || !whole {
                 return Err(SetupError::CameraInfoPart { topic: topic() });
             }
             lens_from_camera_info(info.width, info.height, &info.distortion_model, &info.d, &info.k)

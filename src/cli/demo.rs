@@ -80,7 +80,7 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
             picture.display()
         ))?;
     }
-    Ok(Outcome::Whole)
+    Ok(if report.data_was_lost() { Outcome::DataLost } else { Outcome::Whole })
 }
 
 /// The field from above with both routes, beside one frame with the projected lines.

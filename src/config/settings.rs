@@ -58,7 +58,7 @@ pub struct FrameNames {
 pub struct CameraSettings {
     /// A lens file (`config/cameras`) in place of the log's camera_info.
     pub lens: Option<String>,
-    /// Full angle of view, where the lens file or camera_info does not state one.
+    /// Full angle of view, in place of what the lens file states; camera_info states none.
     pub fov_deg: Option<f64>,
     /// Dark pixels of these PNGs hide the robot's own body.
     pub body_mask: Vec<BodyMaskFile>,

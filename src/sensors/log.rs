@@ -9,6 +9,7 @@ use thiserror::Error;
 
 use super::topics::TopicTypes;
 use crate::ros2::mcap_read::{Damage, LogMessage, LogReader, ReadError, Selection, Survey, attachments, survey};
+use crate::ros2::messages::{DiagnosticArray, Message};
 
 #[derive(Debug, Error)]
 pub enum LogError {
@@ -24,8 +25,11 @@ pub enum LogError {
     Checkpoint { path: PathBuf },
 }
 
-/// What the outputs of an earlier replay are called: never an input of the next one.
-pub const OUTPUT_TOPICS: [&str; 3] = ["/camera/pose", "/frame_tag", "/diagnostics"];
+/// What only an earlier replay writes: never an input of the next one.
+const OUTPUT_TOPICS: [&str; 2] = ["/camera/pose", "/frame_tag"];
+const DIAGNOSTICS: &str = "/diagnostics";
+/// What our own entries of that topic, which robots use as well, begin with.
+pub const DIAGNOSTICS_NAME: &str = "realitysim: ";
 /// The checkpoint's name among a segment's attachments.
 pub const CHECKPOINT_NAME: &str = "filter_state";
 
@@ -102,7 +106,7 @@ impl Iterator for LogSource {
             }
             let (path, reader) = self.open.as_mut()?;
             match reader.next() {
-                Some(Ok(message)) if !self.outputs && OUTPUT_TOPICS.contains(&message.channel.topic.as_str()) => {}
+                Some(Ok(message)) if !self.outputs && is_output(&message) => {}
                 Some(Ok(message)) => return Some(Ok(message)),
                 Some(Err(source)) => {
                     let error = LogError::Read { path: path.clone(), source };
@@ -113,6 +117,13 @@ impl Iterator for LogSource {
             }
         }
     }
+}
+
+/// Whether an earlier replay added this message.
+fn is_output(message: &LogMessage) -> bool {
+    let topic = message.channel.topic.as_str();
+    let ours = |report: DiagnosticArray| report.status.iter().any(|status| status.name.starts_with(DIAGNOSTICS_NAME));
+    OUTPUT_TOPICS.contains(&topic) || (topic == DIAGNOSTICS && DiagnosticArray::decode(&message.data).is_ok_and(ours))
 }
 
 fn open(path: &Path, selection: Selection) -> Result<LogReader<BufReader<File>>, LogError> {
