@@ -26,77 +26,9 @@ pub const POSE: &str = "/camera/pose";
 pub const CAPTURES: &str = "captures";
 
 /// The shipped `fisheye-640`, half as large: a quarter of the pixels to render and to read.
-pub const LENS: &str = "
-title = \"Half of fisheye-640\"
-width = 320
-height = 240
-fx = 102.5
-fy = 102.5
-cx = 160.75
-cy = 117.75
-model = \"kannala_brandt\"
-k = [-0.012, 0.003, -0.0008, 0.0]
-fov_deg = 200.0
-";
+pub const LENS: &str = include_str!("lens.toml");
 
-const SCENE: &str = "
-[scene]
-title = \"Short walk\"
-task = \"Test the program from end to end.\"
-seed = 7
-field = \"kid-2009\"
-initial_pose = { x_m = -0.06, y_m = 0.053, yaw_deg = 2.0 }
-
-[camera]
-lens = \"lens.toml\"
-rate_hz = 10.0
-jpeg_quality = 90
-torso_height_m = 0.38
-mount_xyz_m = [0.04, 0.0, 0.11]
-mount_pitch_deg = 17.0
-
-[route]
-kind = \"walk\"
-waypoints = [[-2.0, 0.1], [-1.1, 0.3]]
-speed_m_s = 0.25
-turn_deg_s = 30.0
-
-[odometry]
-rate_hz = 50.0
-
-[imu]
-rate_hz = 100.0
-
-[[effect]]
-kind = \"gait_sway\"
-role = \"base\"
-roll_deg = 2.0
-pitch_deg = 1.3
-lateral_m = 0.018
-vertical_m = 0.006
-step_hz = 2.4
-
-[[effect]]
-kind = \"odometry_error\"
-role = \"base\"
-scale_percent = 6.0
-yaw_drift_deg_per_m = 0.0
-noise_m_per_m = 0.05
-
-[[effect]]
-kind = \"imu_error\"
-role = \"base\"
-roll_bias_deg = 0.5
-pitch_bias_deg = -0.5
-noise_deg = 0.25
-gyro_noise_deg_s = 0.3
-
-[[effect]]
-kind = \"sensor_noise\"
-role = \"filler\"
-read_noise_dn = 1.5
-shot_noise_factor = 0.15
-";
+const SCENE: &str = include_str!("scene.toml");
 
 /// The walk's log, and what its replay gives.
 pub struct Walk {

@@ -45,16 +45,16 @@ fn tags_of_the_walk_are_near_the_truth() {
     assert_eq!(number("/without_truth"), 0.0);
     assert!(number("/valid") >= 0.9 * number("/frames"), "{judged}");
     for (path, bound) in [
-        ("/position_cm/mean", 15.0),
-        ("/position_cm/median", 15.0),
-        ("/position_cm/p95", 30.0),
-        ("/position_cm/max", 45.0),
+        ("/position_cm/mean", 10.0),
+        ("/position_cm/median", 10.0),
+        ("/position_cm/p95", 18.0),
+        ("/position_cm/max", 25.0),
         ("/yaw_deg/mean", 3.0),
-        ("/yaw_deg/max", 8.0),
+        ("/yaw_deg/max", 10.0),
         ("/tilt_deg/mean", 2.0),
         ("/roll_deg/mean", 2.0),
         ("/pitch_deg/mean", 2.0),
-        ("/nees", 20.0),
+        ("/nees", 6.0),
     ] {
         assert!(number(path) < bound, "{path} is {}, above {bound}: {judged}", number(path));
     }
