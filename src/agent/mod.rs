@@ -2,12 +2,14 @@
 
 pub mod checkpoint;
 pub mod replay;
+mod report;
 mod setup;
 pub mod single;
 mod stages;
 pub mod tagger;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use replay::{ReplayError, ReplayOptions, ReplayReport, replay};
+pub use replay::{ReplayError, ReplayOptions, replay};
+pub use report::ReplayReport;
 pub use setup::SetupError;
 pub use tagger::Tagger;

@@ -1,21 +1,21 @@
 //! A log or a scene through the agent: every frame tagged and written, as fast as the machine can or paced by stamps.
 
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use serde::Serialize;
 use thiserror::Error;
 
 use super::checkpoint::{Checkpoint, CheckpointError};
+use super::report::{FileDamage, Quantiles, ReplayReport, file_damage, quantiles};
 use super::setup::{self, Eyes, Prelude, SetupError};
 use super::stages::{Looked, Looking, NotSeen};
 use super::tagger::{Tagger, TaggerState};
 use crate::config::Settings;
 use crate::geometry::{Field, FieldDimensions, Lens, Pose2};
 use crate::recording::{Counts, RecordingError, SessionInfo, SessionWriter, write_atomically};
-use crate::ros2::mcap_read::{Damage, LogMessage, Selection, Survey};
+use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use crate::sensors::intake;
 use crate::sensors::log::{self, CHECKPOINT_NAME, LogError, LogSource};
@@ -55,53 +55,6 @@ pub enum ReplayError {
     Checkpoint { path: PathBuf, source: CheckpointError },
     #[error("no frame could be used: {0}")]
     NoFrame(String),
-}
-
-/// What `replay` prints.
-#[derive(Clone, Debug, Serialize)]
-pub struct ReplayReport {
-    pub session: PathBuf,
-    pub frames: u64,
-    pub tagged: u64,
-    pub valid: u64,
-    pub particles: usize,
-    pub iterations: usize,
-    pub threads: usize,
-    /// From the decoded image to the tag.
-    pub filter_ms: Quantiles,
-    pub wall_s: f64,
-    /// Why tags are invalid, and how many.
-    pub invalid: std::collections::BTreeMap<String, u64>,
-    /// Messages whose bytes are not what their type says.
-    pub bad_messages: u64,
-    /// First image that did not decode, if any.
-    pub first_bad_image: Option<String>,
-    /// Files of which parts were lost.
-    pub damage: Vec<FileDamage>,
-}
-
-#[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct Quantiles {
-    pub p50: f64,
-    pub p99: f64,
-    pub max: f64,
-}
-
-#[derive(Clone, Debug, Serialize)]
-pub struct FileDamage {
-    pub file: PathBuf,
-    pub torn: bool,
-    pub bad_chunks: u64,
-    pub bad_records: u64,
-    pub bytes_skipped: u64,
-    pub first_error: Option<String>,
-}
-
-impl ReplayReport {
-    /// Something of the source could not be replayed.
-    pub fn data_was_lost(&self) -> bool {
-        !self.damage.is_empty() || self.bad_messages > 0 || self.first_bad_image.is_some()
-    }
 }
 
 /// The state that an agent leaves behind for its next start.
@@ -185,17 +138,6 @@ fn segment_checkpoint(files: &[PathBuf], surveys: &[Survey]) -> Result<Option<Ch
     let Some(bytes) = log::checkpoint(path, survey)? else { return Ok(None) };
     let decoded = Checkpoint::decode(&bytes);
     decoded.map(Some).map_err(|source| ReplayError::Checkpoint { path: path.clone(), source })
-}
-
-fn file_damage(file: &Path, damage: &Damage) -> FileDamage {
-    FileDamage {
-        file: file.to_owned(),
-        torn: damage.torn,
-        bad_chunks: damage.bad_chunks,
-        bad_records: damage.bad_records,
-        bytes_skipped: damage.bytes_skipped,
-        first_error: damage.first_error.clone(),
-    }
 }
 
 /// Takes messages in the order of the log, writes them, and tags each frame as soon as all is known about it.
@@ -522,25 +464,4 @@ fn first_tagger(options: &ReplayOptions, field: Field, checkpoint: Option<&Check
         tagger.start_at(&InitialPose { map_from_footprint, xy_m: None, yaw_rad: None });
     }
     Ok(tagger)
-}
-
-fn quantiles(values: &mut [f32]) -> Quantiles {
-    values.sort_by(f32::total_cmp);
-    let at = |share: f64| {
-        let index = ((values.len().saturating_sub(1)) as f64 * share).round() as usize;
-        values.get(index).map_or(0.0, |value| f64::from(*value))
-    };
-    Quantiles { p50: at(0.5), p99: at(0.99), max: at(1.0) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn quantiles_of_few_values() {
-        assert_eq!(quantiles(&mut []).max, 0.0);
-        let q = quantiles(&mut [3.0, 1.0, 2.0]);
-        assert_eq!((q.p50, q.max), (2.0, 3.0));
-    }
 }

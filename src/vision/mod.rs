@@ -5,9 +5,11 @@
 
 pub mod border;
 pub mod carpet;
+mod cells;
 pub mod contrast;
 pub mod distance;
 pub mod ground;
+pub mod ground_map;
 pub mod mask;
 pub mod picture;
 
@@ -16,7 +18,8 @@ use glam::{DVec2, DVec3};
 use crate::geometry::{Isometry, Lens};
 pub use border::CarpetBorder;
 pub use contrast::LineContrast;
-pub use ground::{GroundMap, GroundTable, Readings};
+pub use ground::{GroundTable, Readings};
+pub use ground_map::GroundMap;
 pub use mask::BodyMask;
 pub use picture::Picture;
 
