@@ -18,6 +18,7 @@ use clap::{Parser, Subcommand};
 
 use crate::agent::{ReplayError, SetupError};
 use crate::config::ConfigError;
+use crate::scene::SceneError;
 
 /// Tags every camera frame of a soccer robot with the pose of its camera.
 #[derive(Parser)]
@@ -88,6 +89,7 @@ fn told(error: &anyhow::Error) -> String {
 fn is_usage(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| {
         cause.is::<ConfigError>()
+            || cause.is::<SceneError>()
             || cause.is::<settings::UsageError>()
             || matches!(
                 cause.downcast_ref::<ReplayError>(),
