@@ -64,14 +64,7 @@ pub fn render(scene: &str, log: &Path) -> anyhow::Result<Report> {
         let id = match channels.get(&channel.id) {
             Some(id) => *id,
             None => {
-                let id = writer.add_raw_channel(&RawChannel {
-                    topic: &channel.topic,
-                    type_name: &channel.type_name,
-                    message_encoding: &channel.message_encoding,
-                    schema_encoding: &channel.schema_encoding,
-                    definition: &channel.definition,
-                    metadata: &channel.metadata,
-                })?;
+                let id = writer.add_raw_channel(&RawChannel::from(channel.as_ref()))?;
                 channels.insert(channel.id, id);
                 id
             }

@@ -163,14 +163,7 @@ impl Segment {
         if let Some(id) = self.channels.get(&channel.topic) {
             return Ok(*id);
         }
-        let id = self.writer.add_raw_channel(&RawChannel {
-            topic: &channel.topic,
-            type_name: &channel.type_name,
-            message_encoding: &channel.message_encoding,
-            schema_encoding: &channel.schema_encoding,
-            definition: &channel.definition,
-            metadata: &channel.metadata,
-        })?;
+        let id = self.writer.add_raw_channel(&RawChannel::from(channel.as_ref()))?;
         self.channels.insert(channel.topic.clone(), id);
         Ok(id)
     }

@@ -7,7 +7,7 @@ use super::ground::SIDE;
 use super::mask::BodyMask;
 use crate::geometry::{Isometry, Lens};
 
-/// The lens is asked at every fourth cell and interpolated between: facts on the error in docs/cost.md.
+/// The lens is asked at every fourth cell and interpolated between.
 const NODE_STEP: usize = 4;
 const NODES: usize = SIDE / NODE_STEP + 1;
 
