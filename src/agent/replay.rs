@@ -11,9 +11,10 @@ use super::checkpoint::{Checkpoint, CheckpointError};
 use super::report::{FileDamage, Quantiles, ReplayReport, file_damage, quantiles};
 use super::setup::{self, Eyes, Prelude, SetupError};
 use super::stages::{Looked, Looking, NotSeen};
-use super::tagger::{Tagger, TaggerState};
+use super::tagger::Tagger;
 use crate::config::Settings;
 use crate::geometry::{Field, FieldDimensions, Lens, Pose2};
+use crate::localization::LocalizerState;
 use crate::recording::{Counts, RecordingError, SessionInfo, SessionWriter, write_atomically};
 use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, KeyValue};
@@ -171,7 +172,7 @@ impl<'a> Agent<'a> {
         let lens = setup::lens(settings, prelude).map_err(|error| setup_error(options, error))?;
         let (field, dimensions) = setup::field(settings)?;
         let eyes = Arc::new(Eyes::new(settings, lens.clone())?);
-        let tagger = first_tagger(options, field, checkpoint.as_ref())?;
+        let tagger = first_tagger(options, field, &lens, checkpoint.as_ref())?;
         let frames = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
         let state = checkpoint.map_or_else(|| prelude.synchroniser.clone(), |checkpoint| checkpoint.synchroniser);
         let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);
@@ -448,16 +449,21 @@ impl<'a> Agent<'a> {
 }
 
 /// The filter's start: a segment's checkpoint, the last agent's state, or nothing.
-fn first_tagger(options: &ReplayOptions, field: Field, checkpoint: Option<&Checkpoint>) -> Result<Tagger, ReplayError> {
+fn first_tagger(
+    options: &ReplayOptions,
+    field: Field,
+    lens: &Lens,
+    checkpoint: Option<&Checkpoint>,
+) -> Result<Tagger, ReplayError> {
     let settings = &options.settings;
-    let state = checkpoint.map_or_else(TaggerState::default, |checkpoint| checkpoint.tagger.clone());
-    let mut tagger = Tagger::new(settings, field.clone(), state);
+    let state = checkpoint.map_or_else(LocalizerState::default, |checkpoint| checkpoint.tagger.clone());
+    let mut tagger = Tagger::new(settings, field.clone(), lens.clone(), state);
     let path = options.captures.join(STATE_FILE);
     // A first start has nothing to go on from.
     let saved = if options.warm_start { std::fs::read(&path).ok() } else { None };
     if let Some(bytes) = saved {
         let saved = Checkpoint::decode(&bytes).map_err(|source| ReplayError::Checkpoint { path, source })?;
-        tagger = Tagger::new(settings, field, saved.tagger);
+        tagger = Tagger::new(settings, field, lens.clone(), saved.tagger);
         tagger.resume();
     }
     if let Some(map_from_footprint) = options.initial {
