@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::ros2::mcap_read::Damage;
 
 /// What `replay` prints.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct ReplayReport {
     pub session: PathBuf,
     pub frames: u64,

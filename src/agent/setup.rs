@@ -1,19 +1,18 @@
-//! What must be known before the first frame: topics, lens, field, the camera's mount, the robot's body.
+//! What must be known before the first frame, whatever it comes from: topics, lens, field, the robot's body.
 
-use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use thiserror::Error;
 
+use super::prelude::Prelude;
 use crate::config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens};
 use crate::geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
 use crate::localization::observation;
-use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::CameraInfo;
 use crate::sensors::body_mask;
-use crate::sensors::intake::{self, Input};
 use crate::sensors::log::LogError;
-use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
-use crate::sensors::topics::{TopicError, TopicTypes, resolve};
+use crate::sensors::synchroniser::{Expected, SynchroniserState};
+use crate::sensors::topics::TopicError;
 use crate::sensors::transforms::{ChainError, Head};
 use crate::vision::{BodyMask, Vision, VisionSettings};
 
@@ -39,13 +38,29 @@ pub enum SetupError {
     BodyMask { png: String, message: String },
 }
 
-/// Read from a first pass over the log, which touches calibration and transforms only.
-pub struct Prelude {
+/// All that the pipeline works with, checked.
+pub struct Setup {
+    pub settings: Settings,
+    /// Of the settings, or those found in their place.
     pub topics: Topics,
-    pub camera_info: Option<CameraInfo>,
-    /// Constants are known from the start, wherever in the log they stand.
-    pub synchroniser: SynchroniserState,
+    pub lens: LensParameters,
+    pub dimensions: FieldDimensions,
+    pub field: Field,
+    pub eyes: Arc<Eyes>,
     pub expected: Expected,
+    /// The transforms that are constant.
+    pub synchroniser: SynchroniserState,
+}
+
+impl Setup {
+    pub fn new(settings: Settings, prelude: Prelude) -> Result<Self, SetupError> {
+        let lens = lens(&settings, &prelude)?;
+        let (field, dimensions) = field(&settings)?;
+        let eyes = Arc::new(Eyes::new(&settings, lens.clone())?);
+        let Prelude { topics, expected, synchroniser, .. } = prelude;
+        let lens = lens.parameters().clone();
+        Ok(Self { settings, topics, lens, dimensions, field, eyes, expected, synchroniser })
+    }
 }
 
 /// Everything about seeing, ready for use.
@@ -60,113 +75,29 @@ struct BodyRange {
     tilt_rad: Option<[f64; 2]>,
 }
 
-impl Prelude {
-    pub fn read(
-        settings: &Settings,
-        types: &TopicTypes,
-        messages: impl Fn(Selection) -> Box<dyn Iterator<Item = Result<LogMessage, LogError>>>,
-    ) -> Result<Self, SetupError> {
-        let configured = &settings.topics;
-        let wanted = types
-            .iter()
-            .filter(|(topic, kind)| {
-                kind.as_str() == "sensor_msgs/msg/CameraInfo"
-                    || **topic == configured.tf
-                    || **topic == configured.tf_static
-                    || kind.as_str() == "tf2_msgs/msg/TFMessage"
-            })
-            .map(|(topic, _)| topic.clone());
-        let found: Vec<LogMessage> = first_of_each(messages(Selection::topics(wanted)))?;
-        let odometry_in_tf = found.iter().any(|message| moves_footprint(message, settings));
-        let topics = resolve(settings, types, odometry_in_tf)?;
-        let mut synchroniser = Synchroniser::new(settings.frames.clone(), SynchroniserState::default());
-        let mut camera_info = None;
-        for message in &found {
-            match intake::read(message, &topics, &settings.head) {
-                Ok(Input::CameraInfo(info)) => camera_info = camera_info.or(Some(*info)),
-                Ok(input @ Input::Transforms { latched: true, .. }) => synchroniser.push(message, input),
-                _ => {}
-            }
-        }
-        let first_frame = messages(Selection::topics([topics.image.clone()]))
-            .find(|message| message.as_ref().map_or(true, |message| message.channel.topic == topics.image));
-        check_mount(synchroniser.clone(), &found, first_frame.transpose()?.as_ref(), &topics, settings)?;
-        let has = |topic: &String, kind: &str| types.get(topic).is_some_and(|found| found == kind);
-        let expected = Expected {
-            imu: has(&topics.imu, "sensor_msgs/msg/Imu"),
-            joints: has(&topics.joints, "sensor_msgs/msg/JointState"),
-        };
-        Ok(Self { topics, camera_info, synchroniser: synchroniser.state().clone(), expected })
-    }
-}
-
-/// Whether the camera can be where the log says, before anything is written.
-fn check_mount(
-    mut synchroniser: Synchroniser,
-    found: &[LogMessage],
-    first_frame: Option<&LogMessage>,
-    topics: &Topics,
-    settings: &Settings,
-) -> Result<(), SetupError> {
-    // The first frame tells what its optical frame is called.
-    for message in found.iter().chain(first_frame) {
-        let input = intake::read(message, topics, &settings.head);
-        if let Ok(input @ (Input::Transforms { latched: false, .. } | Input::Frame { .. })) = input {
-            synchroniser.push(message, input);
-        }
-    }
-    let moving = found.iter().filter(|message| message.channel.topic == topics.tf).count();
-    Ok(synchroniser.check_mount(moving >= ENOUGH as usize)?)
-}
-
-/// More messages of one topic than this are not needed to know calibration and constants.
-const ENOUGH: u32 = 200;
-
-fn first_of_each(messages: impl Iterator<Item = Result<LogMessage, LogError>>) -> Result<Vec<LogMessage>, LogError> {
-    let mut counts: BTreeMap<u16, u32> = BTreeMap::new();
-    let mut kept = Vec::new();
-    for message in messages {
-        let message = message?;
-        let count = counts.entry(message.channel.id).or_default();
-        *count += 1;
-        if *count <= ENOUGH {
-            kept.push(message);
-        }
-    }
-    Ok(kept)
-}
-
-fn moves_footprint(message: &LogMessage, settings: &Settings) -> bool {
-    let names = &settings.frames;
-    let is_step = |t: &intake::StampedTransform| t.parent == names.odom && t.child == names.base_footprint;
-    matches!(
-        intake::read(message, &settings.topics, &settings.head),
-        Ok(Input::Transforms { transforms, .. }) if transforms.iter().any(is_step)
-    )
-}
-
 /// The configured lens file, else what the log says of its camera.
-pub fn lens(settings: &Settings, prelude: &Prelude) -> Result<Lens, SetupError> {
+fn lens(settings: &Settings, prelude: &Prelude) -> Result<Lens, SetupError> {
     let mut parameters: LensParameters = match (&settings.camera.lens, &prelude.camera_info) {
         (Some(file), _) => load_lens(file)?.lens.parameters().clone(),
-        (None, Some(info)) => {
-            let topic = || prelude.topics.camera_info.clone();
-            let binned = info.binning_x > 1 || info.binning_y > 1;
-            let roi = &info.roi;
-            let whole = (roi.width, roi.height) == (info.width, info.height) || (roi.width, roi.height) == (0, 0);
-            if binned || !whole {
-                return Err(SetupError::CameraInfoPart { topic: topic() });
-            }
-            lens_from_camera_info(info.width, info.height, &info.distortion_model, &info.d, &info.k)
-                .map_err(|source| SetupError::CameraInfo { topic: topic(), source })?
-        }
+        (None, Some(info)) => lens_of(info, &prelude.topics.camera_info)?,
         (None, None) => return Err(SetupError::NoMessage { topic: prelude.topics.camera_info.clone() }),
     };
     parameters.fov_deg = settings.camera.fov_deg.or(parameters.fov_deg);
     Ok(Lens::new(parameters)?)
 }
 
-pub fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {
+fn lens_of(info: &CameraInfo, topic: &str) -> Result<LensParameters, SetupError> {
+    let binned = info.binning_x > 1 || info.binning_y > 1;
+    let roi = &info.roi;
+    let whole = (roi.width, roi.height) == (info.width, info.height) || (roi.width, roi.height) == (0, 0);
+    if binned || !whole {
+        return Err(SetupError::CameraInfoPart { topic: topic.to_owned() });
+    }
+    lens_from_camera_info(info.width, info.height, &info.distortion_model, &info.d, &info.k)
+        .map_err(|source| SetupError::CameraInfo { topic: topic.to_owned(), source })
+}
+
+fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {
     let dimensions = load_field(&settings.field)?;
     let field =
         Field::new(dimensions.clone()).map_err(|source| ConfigError::Field { file: settings.field.clone(), source })?;

@@ -33,6 +33,17 @@ pub enum NotSeen {
     NoPlace,
 }
 
+impl NotSeen {
+    /// As in a tag's `reason`.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Decode(_) => "image_broken",
+            Self::Size { .. } => "image_size",
+            Self::NoPlace => "no_transform",
+        }
+    }
+}
+
 /// Frames under way for each worker: one being looked at, one waiting.
 const AHEAD: usize = 2;
 

@@ -9,6 +9,9 @@ use crate::config::Settings;
 use crate::geometry::{FieldDimensions, LensParameters};
 
 pub const FORMAT_VERSION: u32 = 1;
+/// What a session's folder is known by.
+pub(super) const SESSION_FILE: &str = "session.json";
+pub(super) const MANIFEST_FILE: &str = "manifest.jsonl";
 
 /// `session.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

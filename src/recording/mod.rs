@@ -1,9 +1,11 @@
 //! Captures on disk: a session's folder, its segments, its manifest. Layout and order of writes: docs/formats.md.
 
+mod folder;
 mod manifest;
 mod segment;
 mod session;
 
+pub use folder::{Loss, missing_parts, read_info, session_holding};
 pub use manifest::{Counts, FORMAT_VERSION, ManifestLine, PoseBox, SessionInfo};
 pub use session::{RecordingError, SessionWriter, write_atomically};
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use super::manifest::{Counts, ManifestLine, SessionInfo, TopicCount, metadata_yaml};
+use super::manifest::{Counts, MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicCount, metadata_yaml};
 use super::segment::{Segment, sync_folder};
 use super::topic;
 use crate::config::RecordingSettings;
@@ -24,6 +24,8 @@ pub enum RecordingError {
     Log(#[from] WriteError),
     #[error("session.json: {0}")]
     Json(#[from] serde_json::Error),
+    #[error("{path}: not what a session says about itself: {source}")]
+    Info { path: PathBuf, source: serde_json::Error },
 }
 
 pub struct SessionWriter {
@@ -54,8 +56,8 @@ impl SessionWriter {
         let failed = |source| RecordingError::Io { path: captures.to_owned(), source };
         fs::create_dir_all(captures).map_err(failed)?;
         let folder = new_folder(captures, name)?;
-        write_atomically(&folder.join("session.json"), &serde_json::to_vec_pretty(info)?)?;
-        let path = folder.join("manifest.jsonl");
+        write_atomically(&folder.join(SESSION_FILE), &serde_json::to_vec_pretty(info)?)?;
+        let path = folder.join(MANIFEST_FILE);
         let manifest = OpenOptions::new()
             .append(true)
             .create_new(true)
@@ -206,7 +208,7 @@ impl SessionWriter {
 fn append_line(manifest: &mut File, folder: &Path, line: &ManifestLine) -> Result<(), RecordingError> {
     let mut text = serde_json::to_string(line)?;
     text.push('\n');
-    let failed = |source| RecordingError::Io { path: folder.join("manifest.jsonl"), source };
+    let failed = |source| RecordingError::Io { path: folder.join(MANIFEST_FILE), source };
     manifest.write_all(text.as_bytes()).map_err(failed)?;
     manifest.sync_data().map_err(failed)
 }

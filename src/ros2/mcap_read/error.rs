@@ -1,5 +1,6 @@
 //! What reading can find: a file that is no log, or a log that is damaged.
 
+use std::fmt;
 use std::io;
 
 use thiserror::Error;
@@ -58,6 +59,35 @@ impl Damage {
     }
 }
 
+/// In words, most important first.
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut parts = Vec::new();
+        if self.torn {
+            parts.push("its end is missing".to_owned());
+        }
+        for (count, one, many) in [
+            (self.bad_chunks, "bad chunk", "bad chunks"),
+            (self.bad_records, "bad record", "bad records"),
+            (self.orphan_messages, "message of an unknown topic", "messages of unknown topics"),
+            (self.out_of_order, "message out of order", "messages out of order"),
+            (self.bytes_skipped, "byte not used", "bytes not used"),
+        ] {
+            match count {
+                0 => {}
+                1 => parts.push(format!("1 {one}")),
+                _ => parts.push(format!("{count} {many}")),
+            }
+        }
+        f.write_str(&parts.join(", "))?;
+        match &self.first_error {
+            Some(error) if parts.is_empty() => f.write_str(error),
+            Some(error) => write!(f, " ({error})"),
+            None => Ok(()),
+        }
+    }
+}
+
 /// Checks the first bytes of a file (16 are enough). A file that was cut inside them is a torn MCAP.
 pub(super) fn check_magic(first: &[u8]) -> Result<(), ReadError> {
     let compared = first.len().min(MAGIC.len());
@@ -89,6 +119,16 @@ fn describe(first: &[u8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn damage_is_told_in_words() {
+        let mut damage = Damage { torn: true, ..Damage::default() };
+        assert_eq!(damage.to_string(), "its end is missing");
+        damage.bad_chunk(40, 100, "it is cut");
+        damage.bad_chunk(140, 100, "it is cut as well");
+        let said = "its end is missing, 2 bad chunks, 200 bytes not used (chunk at byte 40: it is cut)";
+        assert_eq!(damage.to_string(), said);
+    }
 
     #[test]
     fn says_what_the_file_looks_like() {

@@ -1,0 +1,264 @@
+//! From messages to a capture: every message written, every frame tagged as soon as all is known about it.
+//!
+//! Whoever has messages feeds it, in the order in which they came: a replay from a log or a scene.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::checkpoint::Checkpoint;
+use super::error::AgentError;
+use super::setup::Setup;
+use super::stages::{Looked, Looking};
+use super::state::{STATE_FILE, Start, write_state};
+use super::tagger::Tagger;
+use super::tally::Tally;
+use crate::config::{Settings, Topics};
+use crate::geometry::{FieldDimensions, LensParameters};
+use crate::recording::{Counts, SessionInfo, SessionWriter};
+use crate::ros2::mcap_read::LogMessage;
+use crate::sensors::intake;
+use crate::sensors::log::CHECKPOINT_NAME;
+use crate::sensors::synchroniser::Synchroniser;
+
+/// Where a pipeline writes, and how it works.
+pub struct Recording {
+    pub captures: PathBuf,
+    /// What the messages come from, for `session.json`.
+    pub source: Option<String>,
+    pub threads: usize,
+}
+
+/// What a pipeline leaves behind.
+pub struct Recorded {
+    pub session: PathBuf,
+    pub counts: Counts,
+    pub tally: Tally,
+}
+
+pub struct Pipeline {
+    settings: Settings,
+    topics: Topics,
+    recording: Recording,
+    lens: LensParameters,
+    dimensions: FieldDimensions,
+    synchroniser: Synchroniser,
+    looking: Looking,
+    tagger: Tagger,
+    session: Option<SessionWriter>,
+    /// What the log announces does not count then.
+    initial_is_given: bool,
+    /// Tagged, those before the checkpoint included: the next tag's number.
+    sequence: u64,
+    tally: Tally,
+    last_state_ns: i64,
+    last_diagnostics_ns: i64,
+    /// Frames that came while the agent waits for a pause between two frames.
+    held: VecDeque<LogMessage>,
+}
+
+/// How often, in log time, the state is saved.
+const STATE_EVERY_NS: i64 = 1_000_000_000;
+const DIAGNOSTICS_EVERY_NS: i64 = 1_000_000_000;
+
+impl Pipeline {
+    pub fn new(setup: Setup, start: Start, recording: Recording) -> Self {
+        let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser } = setup;
+        let tagger = start.tagger(&settings, field, eyes.vision.lens().clone());
+        let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
+        let state = start.checkpoint.map_or(synchroniser, |checkpoint| checkpoint.synchroniser);
+        let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);
+        synchroniser.expect(expected);
+        Self {
+            topics,
+            lens,
+            dimensions,
+            synchroniser,
+            looking: Looking::new(Arc::clone(&eyes), recording.threads),
+            tagger,
+            session: None,
+            initial_is_given: start.initial.is_some(),
+            sequence,
+            tally: Tally::default(),
+            last_state_ns: i64::MIN,
+            last_diagnostics_ns: i64::MIN,
+            held: VecDeque::new(),
+            settings,
+            recording,
+        }
+    }
+
+    /// The number that the next frame's tag gets.
+    pub fn sequence(&self) -> u64 {
+        self.sequence
+    }
+
+    pub fn take(&mut self, message: LogMessage) -> Result<(), AgentError> {
+        if message.channel.topic == self.topics.ground_truth {
+            return Ok(());
+        }
+        let log_time_ns = message.log_time_ns;
+        if self.session.is_none() {
+            let mut session = self.create_session(&message)?;
+            session.attach(message.log_time_ns, CHECKPOINT_NAME, &self.checkpoint()?)?;
+            self.session = Some(session);
+        }
+        self.pause_if_due(log_time_ns)?;
+        let held_back = self.must_pause(log_time_ns) || !self.held.is_empty();
+        if held_back && message.channel.topic == self.topics.image {
+            self.synchroniser.advance(log_time_ns);
+            self.held.push_back(message);
+        } else {
+            self.record(message)?;
+        }
+        self.look_at_known()
+    }
+
+    /// Nothing more will come. `None` if nothing came at all.
+    pub fn finish(mut self) -> Result<Option<Recorded>, AgentError> {
+        self.synchroniser.finish();
+        self.look_at_known()?;
+        self.release_held()?;
+        self.look_at_known()?;
+        self.drain()?;
+        let Some(session) = self.session.take() else { return Ok(None) };
+        self.save_state()?;
+        let (session, counts) = session.finish()?;
+        Ok(Some(Recorded { session, counts, tally: self.tally }))
+    }
+
+    /// Writes a message and takes what it measures.
+    fn record(&mut self, message: LogMessage) -> Result<(), AgentError> {
+        let topics = &self.topics;
+        let is_frame = message.channel.topic == topics.image;
+        let latched = message.channel.topic == topics.tf_static || message.channel.topic == topics.camera_info;
+        if let Some(session) = &mut self.session {
+            session.pass(&message, is_frame, latched)?;
+        }
+        match intake::read(&message, topics, &self.settings.head) {
+            Ok(intake::Input::InitialPose { .. }) if self.initial_is_given => {}
+            Ok(input) => self.synchroniser.push(&message, input),
+            Err(_) => self.tally.bad_messages += 1,
+        }
+        Ok(())
+    }
+
+    fn look_at_known(&mut self) -> Result<(), AgentError> {
+        while let Some(frame) = self.synchroniser.pop() {
+            if let Some(looked) = self.looking.push(frame) {
+                self.tag(looked)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn drain(&mut self) -> Result<(), AgentError> {
+        while let Some(looked) = self.looking.pop() {
+            self.tag(looked)?;
+        }
+        Ok(())
+    }
+
+    fn tag(&mut self, looked: Looked) -> Result<(), AgentError> {
+        let Looked { frame, seen, look_ms } = looked;
+        let start = Instant::now();
+        let mut tag = match &seen {
+            Ok(seen) => self.tagger.tag(frame.stamp_ns, &frame.robot, seen),
+            Err(unseen) => {
+                self.tally.note_unseen(&frame, unseen, self.sequence);
+                self.tagger.tag_blind(frame.stamp_ns, &frame.robot, unseen.reason())
+            }
+        };
+        tag.sequence = self.sequence;
+        tag.elapsed_ms = look_ms + start.elapsed().as_secs_f64() * 1e3;
+        tag.kernel_stamp_ns = frame.stamp_ns;
+        self.sequence += 1;
+        self.tally.note_tag(&tag);
+        let log_time_ns = frame.message.log_time_ns;
+        if let Some(session) = &mut self.session {
+            session.tag(log_time_ns, &self.settings.frames.map, &tag)?;
+        }
+        self.report_diagnostics(log_time_ns)
+    }
+
+    /// A segment is full, or the state is to be saved: both only where no frame is under way, so that they are exact.
+    fn must_pause(&self, log_time_ns: i64) -> bool {
+        self.is_segment_full(log_time_ns) || self.is_state_due(log_time_ns)
+    }
+
+    fn is_segment_full(&self, log_time_ns: i64) -> bool {
+        self.session.as_ref().is_some_and(|session| session.is_segment_full(log_time_ns))
+    }
+
+    fn is_state_due(&self, log_time_ns: i64) -> bool {
+        log_time_ns.saturating_sub(self.last_state_ns) >= STATE_EVERY_NS
+    }
+
+    /// Where measurements come later than the next frame there is always a frame waiting: further ones are held back
+    /// until there is none, which is a matter of milliseconds.
+    fn pause_if_due(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
+        if !self.must_pause(log_time_ns) || !self.synchroniser.is_idle() {
+            return Ok(());
+        }
+        self.drain()?;
+        if self.is_segment_full(log_time_ns) {
+            let checkpoint = self.checkpoint()?;
+            if let Some(session) = &mut self.session {
+                session.next_segment(log_time_ns, CHECKPOINT_NAME, &checkpoint)?;
+            }
+        }
+        if self.is_state_due(log_time_ns) {
+            self.last_state_ns = log_time_ns;
+            self.save_state()?;
+        }
+        self.release_held()
+    }
+
+    fn release_held(&mut self) -> Result<(), AgentError> {
+        while let Some(message) = self.held.pop_front() {
+            self.record(message)?;
+        }
+        Ok(())
+    }
+
+    fn checkpoint(&self) -> Result<Vec<u8>, AgentError> {
+        let checkpoint = Checkpoint {
+            tagger: self.tagger.state(),
+            synchroniser: self.synchroniser.state().clone(),
+            frames: self.sequence,
+        };
+        checkpoint.encode().map_err(|source| AgentError::Checkpoint { path: STATE_FILE.into(), source })
+    }
+
+    fn save_state(&self) -> Result<(), AgentError> {
+        write_state(&self.recording.captures, &self.checkpoint()?)
+    }
+
+    fn create_session(&self, first: &LogMessage) -> Result<SessionWriter, AgentError> {
+        let settings = &self.settings;
+        let started = jiff::Timestamp::from_nanosecond(i128::from(first.log_time_ns)).unwrap_or_default();
+        let name = format!("{}-{}", started.strftime("%Y-%m-%dT%H-%M-%SZ"), settings.robot);
+        let info = SessionInfo {
+            format: crate::recording::FORMAT_VERSION,
+            software: concat!("realitysim ", env!("CARGO_PKG_VERSION")).to_owned(),
+            robot: settings.robot.clone(),
+            started: started.to_string(),
+            source: self.recording.source.clone(),
+            settings: settings.clone(),
+            field: self.dimensions.clone(),
+            lens: self.lens.clone(),
+        };
+        Ok(SessionWriter::create(&self.recording.captures, &name, &info, settings.recording.clone())?)
+    }
+
+    fn report_diagnostics(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
+        if log_time_ns.saturating_sub(self.last_diagnostics_ns) < DIAGNOSTICS_EVERY_NS {
+            return Ok(());
+        }
+        self.last_diagnostics_ns = log_time_ns;
+        let Some(session) = &mut self.session else { return Ok(()) };
+        let report = self.tally.diagnostics(log_time_ns, &self.settings.robot, &session.counts());
+        Ok(session.diagnostics(log_time_ns, &report)?)
+    }
+}

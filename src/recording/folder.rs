@@ -1,0 +1,166 @@
+//! A session's folder as a reader finds it: what its manifest promises against what is there.
+
+use std::fmt;
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::manifest::{MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo};
+use super::session::RecordingError;
+use crate::ros2::mcap_read::Damage;
+
+/// A manifest has some hundred bytes a segment; what is larger is none.
+const MAX_MANIFEST_BYTES: u64 = 64 << 20;
+
+/// Something of a recording that cannot be had any more.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Loss {
+    pub file: PathBuf,
+    pub what: String,
+}
+
+impl Loss {
+    pub fn new(file: &Path, what: impl Into<String>) -> Self {
+        Self { file: file.to_owned(), what: what.into() }
+    }
+
+    /// What a reader had to leave out of a file.
+    pub fn of_damage(file: &Path, damage: &Damage) -> Self {
+        Self::new(file, format!("damaged: {damage}"))
+    }
+}
+
+impl fmt::Display for Loss {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.file.display(), self.what)
+    }
+}
+
+/// Segments that the manifest lists and that are not there, or not as large as they were written; `capture` is a
+/// session's folder or one of its segments, which is then looked at alone. What has no manifest promises nothing.
+pub fn missing_parts(capture: &Path) -> Vec<Loss> {
+    let (folder, only) = match (capture.is_dir(), capture.parent(), capture.file_name()) {
+        (false, Some(folder), Some(name)) => (folder, Some(name)),
+        _ => (capture, None),
+    };
+    let path = folder.join(MANIFEST_FILE);
+    let text = match read_manifest(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Vec::new(),
+        Err(error) => return vec![Loss::new(&path, format!("cannot be read, so no segment was checked: {error}"))],
+    };
+    let mut losses = Vec::new();
+    let mut lines = text.split('\n').enumerate().peekable();
+    while let Some((index, line)) = lines.next() {
+        match serde_json::from_str::<ManifestLine>(line) {
+            Ok(line) if only.is_none_or(|name| *name == *line.name) => losses.extend(loss_of(folder, &line)),
+            Ok(_) => {}
+            // A line is appended behind its segment's final name: power may fail in between, and nothing is lost.
+            Err(_) if lines.peek().is_none() => {}
+            Err(error) => losses.push(Loss::new(&path, format!("line {} is damaged: {error}", index + 1))),
+        }
+    }
+    losses
+}
+
+fn read_manifest(path: &Path) -> io::Result<String> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(MAX_MANIFEST_BYTES).read_to_end(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+fn loss_of(folder: &Path, line: &ManifestLine) -> Option<Loss> {
+    let file = folder.join(&line.name);
+    let ManifestLine { bytes, messages, frames, .. } = line;
+    let what = match fs::metadata(&file) {
+        Ok(found) if found.len() == *bytes => return None,
+        Ok(found) => format!("has {} bytes, but {MANIFEST_FILE} says {bytes}: it was cut or changed", found.len()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            format!("missing: {MANIFEST_FILE} lists it with {} frames and {messages} messages", frames.written)
+        }
+        Err(error) => format!("cannot be read: {error}"),
+    };
+    Some(Loss { file, what })
+}
+
+/// The session's own account of itself.
+pub fn read_info(session: &Path) -> Result<SessionInfo, RecordingError> {
+    let path = session.join(SESSION_FILE);
+    let bytes = fs::read(&path).map_err(|source| RecordingError::Io { path: path.clone(), source })?;
+    serde_json::from_slice(&bytes).map_err(|source| RecordingError::Info { path, source })
+}
+
+/// The session in whose folder this path lies, or would lie if it existed: nothing else may be written there.
+pub fn session_holding(path: &Path) -> Option<PathBuf> {
+    let path = std::path::absolute(path).ok()?;
+    let existing = path.ancestors().find_map(|ancestor| ancestor.canonicalize().ok())?;
+    let is_session = |folder: &&Path| folder.join(SESSION_FILE).is_file() && folder.join(MANIFEST_FILE).is_file();
+    existing.ancestors().find(is_session).map(Path::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(name: &str, bytes: u64) -> String {
+        let frames = r#"{"captured":3,"written":3,"tagged":3,"valid":3,"dropped":{}}"#;
+        let times = r#""first_ns":0,"last_ns":1,"messages":7"#;
+        format!(r#"{{"name":"{name}","bytes":{bytes},"blake3":"",{times},"frames":{frames},"poses":null}}"#)
+    }
+
+    fn said(capture: &Path) -> Vec<String> {
+        let shown = |loss: Loss| format!("{}: {}", loss.file.file_name().unwrap().display(), loss.what);
+        missing_parts(capture).into_iter().map(shown).collect()
+    }
+
+    #[test]
+    fn what_the_manifest_lists_and_is_not_there_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        fs::write(folder.join("0000.mcap"), "12345").unwrap();
+        fs::write(folder.join("0001.mcap"), "1234").unwrap();
+        assert_eq!(said(folder), [""; 0], "no manifest");
+        let lines = [line("0000.mcap", 5), line("0001.mcap", 5), line("0002.mcap", 5)].map(|line| line + "\n");
+        fs::write(folder.join(MANIFEST_FILE), lines.concat()).unwrap();
+        let cut = "0001.mcap: has 4 bytes, but manifest.jsonl says 5: it was cut or changed";
+        let missing = "0002.mcap: missing: manifest.jsonl lists it with 3 frames and 7 messages";
+        assert_eq!(said(folder), [cut, missing]);
+        assert_eq!(said(&folder.join("0000.mcap")), [""; 0]);
+        assert_eq!(said(&folder.join("0001.mcap")), [cut]);
+    }
+
+    #[test]
+    fn a_torn_last_line_is_no_loss_and_a_damaged_one_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        fs::write(folder.join("0000.mcap"), "12345").unwrap();
+        let whole = line("0000.mcap", 5);
+        let path = folder.join(MANIFEST_FILE);
+        fs::write(&path, format!("{whole}\n{}", &whole[..40])).unwrap();
+        assert_eq!(said(folder), [""; 0]);
+        fs::write(&path, format!("{}\n{whole}\n", &whole[..40])).unwrap();
+        assert!(said(folder)[0].starts_with("manifest.jsonl: line 1 is damaged"), "{:?}", said(folder));
+        fs::write(&path, b"\xff\0\n\n").unwrap();
+        assert_eq!(said(folder).len(), 2);
+    }
+
+    #[test]
+    fn a_path_in_a_session_is_known_before_it_exists() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = folder.path().canonicalize().unwrap().join("captures/session");
+        fs::create_dir_all(&session).unwrap();
+        assert_eq!(session_holding(&session.join("x")), None, "only a folder yet");
+        for name in [SESSION_FILE, MANIFEST_FILE] {
+            fs::write(session.join(name), "").unwrap();
+        }
+        std::os::unix::fs::symlink(&session, folder.path().join("link")).unwrap();
+        let inside = [session.clone(), session.join("a/b.png"), folder.path().join("link/x")];
+        for path in inside {
+            assert_eq!(session_holding(&path), Some(session.clone()), "{path:?}");
+        }
+        assert_eq!(session_holding(&session.join("../x")), None);
+        assert_eq!(session_holding(folder.path()), None);
+    }
+}
