@@ -32,8 +32,8 @@ pub struct Rays {
     ranges: Vec<f64>,
 }
 
-impl Rays {
-    pub fn new() -> Self {
+impl Default for Rays {
+    fn default() -> Self {
         let directions = (0..AZIMUTHS).map(|azimuth| {
             let (sin, cos) = libm::sincos(TAU * azimuth as f64 / AZIMUTHS as f64);
             DVec2::new(cos, sin)

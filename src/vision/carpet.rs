@@ -1,6 +1,6 @@
 //! The carpet's colour, learnt in each frame anew.
 
-use super::picture::Chroma;
+use super::picture::{Chroma, Picture};
 use super::vectorised::vectorised;
 
 /// Hue is Cb and Cr over luma: what stays when the light changes.
@@ -106,17 +106,14 @@ impl Carpet {
     }
 
     /// What each half-resolution pixel shows; `half` holds the sums of each four pixels' luma.
-    pub fn surfaces(&self, half: &[u16], chroma: &Chroma, half_width: usize, surfaces: &mut Vec<Surface>) {
+    pub fn surfaces(&self, half: &[u16], picture: &Picture, surfaces: &mut Vec<Surface>) {
         surfaces.resize(half.len(), Surface::Carpet);
-        // A plane of an odd width has one column more.
-        let stride = if half_width == 0 { 1 } else { chroma.blue.len() / (half.len() / half_width).max(1) };
-        let stride = if stride >= half_width && stride <= half_width + 1 { stride } else { half_width };
+        // A chroma plane of an odd width has one column more.
+        let (width, stride) = ((picture.width / 2).max(1), picture.width.div_ceil(2));
+        let Chroma { blue, red } = &picture.chroma;
         vectorised(|| {
-            for (v, (row, half)) in
-                surfaces.chunks_exact_mut(half_width.max(1)).zip(half.chunks_exact(half_width.max(1))).enumerate()
-            {
-                let blue = &chroma.blue[v * stride..][..half_width];
-                let red = &chroma.red[v * stride..][..half_width];
+            for (v, (row, half)) in surfaces.chunks_exact_mut(width).zip(half.chunks_exact(width)).enumerate() {
+                let (blue, red) = (&blue[v * stride..][..width], &red[v * stride..][..width]);
                 for (((surface, half), cb), cr) in row.iter_mut().zip(half).zip(blue).zip(red) {
                     *surface = self.classify(f32::from(*half) * 0.25, [*cb, *cr].map(|c| f32::from(c) - 128.0));
                 }
@@ -136,7 +133,6 @@ pub fn lit_surfaces(half: &[u16], surfaces: &mut Vec<Surface>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vision::Picture;
 
     fn pixel(r: u8, g: u8, b: u8) -> (f32, [f32; 2]) {
         let p = Picture::from_rgb(1, 1, &[r, g, b]).expect("a pixel");

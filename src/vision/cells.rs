@@ -4,6 +4,7 @@ use super::carpet::Surface;
 use super::contrast::{self, UNITS};
 use super::ground::{NEUTRAL, SIDE};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
+use super::reading::{self, Reading};
 use super::vectorised::vectorised;
 use super::{WorkingScale, distance};
 
@@ -54,8 +55,7 @@ impl Cells {
         if width < 2 || height < 2 {
             return;
         }
-        let shown = &mut self.shown;
-        vectorised(|| read_blocks(image, width, height, map, to_working, shown));
+        reading::read(&Reading { image, width, height }, map, to_working, &mut self.shown);
         for (row, [from, to]) in self.shown.chunks_exact_mut(SIDE).zip(&map.columns) {
             row[..*from].fill(UNSEEN);
             row[*to..].fill(UNSEEN);
@@ -130,41 +130,54 @@ impl Cells {
     }
 
     /// Line contrast as levels: below a quarter of a full line's a place speaks against a line, above it for one; what is
-    /// unseen says nothing. `seen` gets how much each place counts.
+    /// unseen says nothing. `seen` gets how much each place counts, `spans` the columns of each row of blocks outside of
+    /// which nothing is seen.
     pub(super) fn levels(
         &self,
         full: f32,
         map: &GroundMap,
         by_range: &ByRange,
         levels: &mut Vec<u8>,
-        seen: &mut Vec<u8>,
+        (seen, spans): (&mut Vec<u8>, &mut Vec<[u16; 2]>),
     ) {
         levels.clear();
         levels.resize(SIDE * SIDE, NEUTRAL);
         seen.clear();
         seen.resize(SIDE * SIDE, 0);
-        vectorised(|| {
-            for block_row in 0..BLOCKS {
-                for block_column in 0..BLOCKS {
-                    let first = block_row * BLOCK * SIDE + block_column * BLOCK;
-                    let square = map.square_range(block_row, block_column);
-                    let (strength, weight) = (by_range.strength(square), by_range.weight(square));
-                    let gain = 255.0 / (full * strength * UNITS);
-                    let neutral = f32::from(NEUTRAL);
-                    for row in 0..BLOCK {
-                        let at = first + row * SIDE;
-                        let shown: &[i16; BLOCK] = self.shown[at..].first_chunk().unwrap_or(&[UNSEEN; BLOCK]);
-                        for (column, shown) in shown.iter().enumerate() {
-                            let hidden = shown & 2 != 0;
-                            let level = (f32::from(shown & !3) * gain).clamp(0.0, 255.0);
-                            let level = (neutral + (level - neutral) * weight + 0.5) as u8;
-                            levels[at + column] = if hidden { NEUTRAL } else { level };
-                            seen[at + column] = if hidden { 0 } else { (weight * 255.0) as u8 };
-                        }
+        spans.clear();
+        let (mut gains, mut weights) = ([0.0f32; SIDE], [0.0f32; SIDE]);
+        let neutral = f32::from(NEUTRAL);
+        for block_row in 0..BLOCKS {
+            let of_blocks = gains.as_chunks_mut::<BLOCK>().0.iter_mut().zip(weights.as_chunks_mut::<BLOCK>().0);
+            for (block_column, (gains, weights)) in of_blocks.enumerate() {
+                let square = map.square_range(block_row, block_column);
+                gains.fill(255.0 / (full * by_range.strength(square) * UNITS));
+                weights.fill(by_range.weight(square));
+            }
+            let rows = block_row * BLOCK * SIDE..(block_row + 1) * BLOCK * SIDE;
+            let rows = self.shown[rows.clone()]
+                .chunks_exact(SIDE)
+                .zip(levels[rows.clone()].chunks_exact_mut(SIDE))
+                .zip(seen[rows].chunks_exact_mut(SIDE));
+            let mut used = [0u8; SIDE];
+            vectorised(|| {
+                for ((shown, levels), seen) in rows {
+                    for column in 0..SIDE {
+                        let visible = shown[column] & 2 == 0;
+                        let level = (f32::from(shown[column] & !3) * gains[column]).clamp(0.0, 255.0);
+                        let level = neutral + (level - neutral) * weights[column] + 0.5;
+                        let weight = weights[column] * 255.0;
+                        // In range, so that this is no more than a conversion.
+                        levels[column] = if visible { level as i32 as u8 } else { NEUTRAL };
+                        seen[column] = if visible { weight as i32 as u8 } else { 0 };
+                        used[column] |= seen[column];
                     }
                 }
-            }
-        });
+            });
+            let first = used.iter().position(|seen| *seen > 0);
+            let last = used.iter().rposition(|seen| *seen > 0);
+            spans.push(first.zip(last).map_or([0, 0], |(first, last)| [first as u16, last as u16 + 1]));
+        }
     }
 
     /// The same with the distance to the nearest place that shows at least half a line in place of contrast.
@@ -187,48 +200,6 @@ impl Cells {
     pub(super) fn plain_levels(&self, seen: &Cells) -> Vec<u8> {
         let level = |cell: usize| (f32::from(self.shown[cell]) / UNITS + 0.5) as u8;
         (0..SIDE * SIDE).map(|cell| if seen.is_seen(cell) { level(cell) } else { 0 }).collect()
-    }
-}
-
-#[inline(always)]
-fn read_blocks(
-    image: &[i16],
-    width: usize,
-    height: usize,
-    map: &GroundMap,
-    to_working: WorkingScale,
-    shown: &mut [i16],
-) {
-    // Half-resolution coordinates: pixel i covers working pixels 2i and 2i + 1.
-    let scale = (to_working.factor * 0.5) as f32;
-    let offset = (to_working.offset * 0.5 - 0.25) as f32;
-    let (last_u, last_v) = ((width - 1) as f32, (height - 1) as f32);
-    let step = 1.0 / BLOCK as f32;
-    for block_row in 0..BLOCKS {
-        for block_column in 0..BLOCKS {
-            let Some(corners) = map.corners(block_row, block_column) else { continue };
-            let [a, b, c, d] = corners.map(|corner| corner.map(|x| x * scale + offset));
-            let first = block_row * BLOCK * SIDE + block_column * BLOCK;
-            for row in 0..BLOCK {
-                let down = row as f32 * step;
-                let left = [a[0] + (c[0] - a[0]) * down, a[1] + (c[1] - a[1]) * down];
-                let right = [b[0] + (d[0] - b[0]) * down, b[1] + (d[1] - b[1]) * down];
-                let across = [(right[0] - left[0]) * step, (right[1] - left[1]) * step];
-                for (column, cell) in shown[first + row * SIDE..][..BLOCK].iter_mut().enumerate() {
-                    let u = (left[0] + across[0] * column as f32).clamp(0.0, last_u);
-                    let v = (left[1] + across[1] * column as f32).clamp(0.0, last_v);
-                    let (iu, iv) = ((u as usize).min(width - 2), (v as usize).min(height - 2));
-                    let (fu, fv) = (u - iu as f32, v - iv as f32);
-                    let at = iv * width + iu;
-                    let (upper, lower) = (&image[at..at + 2], &image[at + width..at + width + 2]);
-                    let nearest = if fv >= 0.5 { lower } else { upper }[usize::from(fu >= 0.5)];
-                    // The surface bits of the four pixels are noise of less than a quarter of a gray level.
-                    let blend = |pair: &[i16]| f32::from(pair[0]) + (f32::from(pair[1]) - f32::from(pair[0])) * fu;
-                    let (upper, lower) = (blend(upper), blend(lower));
-                    *cell = ((upper + (lower - upper) * fv) as i16 & !3) | (nearest & 3);
-                }
-            }
-        }
     }
 }
 

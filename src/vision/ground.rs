@@ -7,7 +7,7 @@ use glam::DVec2;
 
 use super::cells::{ByRange, Cells};
 use super::contrast::{LineContrast, UNITS};
-use super::ground_map::GroundMap;
+use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 use super::vectorised::vectorised;
 use super::{Reading, VisionSettings, WorkingScale, distance};
 
@@ -25,6 +25,8 @@ pub struct GroundTable {
     quads: Vec<u32>,
     /// How far a cell counts as seen, 0 to 255, same layout without packing.
     seen: Vec<u8>,
+    /// Columns (from, to) of each row of blocks outside of which every cell reads neutral.
+    spans: Vec<[u16; 2]>,
     cell_m: f64,
     readings: Readings,
 }
@@ -78,7 +80,7 @@ impl Making {
         cells.hide_blobs(map.cell_m());
         by_range.fill(map, line_width_m, pixels_per_radian * to_working.factor, settings.tilt_sigma_rad);
         let full = cells.full_contrast(map, by_range);
-        cells.levels(full, map, by_range, levels, &mut table.seen);
+        cells.levels(full, map, by_range, levels, (&mut table.seen, &mut table.spans));
         if settings.reading == Reading::Contrast {
             *lines = None;
             table.pack(levels, map.cell_m(), SHARES);
@@ -86,6 +88,7 @@ impl Making {
         }
         let lines = lines.get_or_insert_default();
         lines.seen.clone_from(&table.seen);
+        lines.spans.clone_from(&table.spans);
         lines.pack(levels, map.cell_m(), SHARES);
         match settings.reading {
             Reading::Contrast => {}
@@ -122,7 +125,7 @@ impl GroundTable {
     /// A table from SIDE x SIDE levels, `NEUTRAL` meaning nothing known; everything counts as seen.
     #[cfg(test)]
     pub(crate) fn from_levels(levels: &[u8], cell_m: f64) -> Self {
-        let mut table = Self { seen: vec![255; SIDE * SIDE], ..Self::default() };
+        let mut table = Self { seen: vec![255; SIDE * SIDE], spans: vec![[0, SIDE as u16]; BLOCKS], ..Self::default() };
         table.pack(levels, cell_m, SHARES);
         table
     }
@@ -147,6 +150,18 @@ impl GroundTable {
     /// Table coordinates (cells, the first cell's centre at 0) of a place on the ground of `base_footprint`.
     pub fn to_cells(&self) -> (f64, f64) {
         (1.0 / self.cell_m, SIDE as f64 / 2.0 - 0.5)
+    }
+
+    /// Whether any cell within `reach_m` of a place of the ground may read other than neutral.
+    pub fn may_tell(&self, ground: DVec2, reach_m: f64) -> bool {
+        let (scale, offset) = self.to_cells();
+        // Interpolation reaches one cell further.
+        let (u, v, reach) = (ground.x * scale + offset, ground.y * scale + offset, reach_m * scale + 2.0);
+        let block = |cell: f64| (cell / BLOCK as f64).clamp(0.0, BLOCKS as f64) as usize;
+        let rows = block(v - reach)..block(v + reach + BLOCK as f64);
+        self.spans[rows]
+            .iter()
+            .any(|[from, to]| from < to && u + reach >= f64::from(*from) && u - reach <= f64::from(*to))
     }
 
     /// How far the place counts as seen: 0 (not at all) to 1.

@@ -13,6 +13,7 @@ pub mod ground_map;
 pub mod line_image;
 pub mod mask;
 pub mod picture;
+mod reading;
 mod vectorised;
 
 use glam::{DVec2, DVec3};
@@ -100,7 +101,7 @@ impl Vision {
         let scale = WorkingScale::new(reduction);
         let coarse_rays =
             contrast::coarse_centres(width, height).map(|centre| lens.unproject(scale.undo(centre))).collect();
-        Self { projector: Projector::new(lens), settings, reduction, coarse_rays, border_rays: border::Rays::new() }
+        Self { projector: Projector::new(lens), settings, reduction, coarse_rays, border_rays: border::Rays::default() }
     }
 
     pub fn lens(&self) -> &Lens {
@@ -135,7 +136,7 @@ impl Vision {
         let carpet = self.learn_carpet(working, contrast, floor);
         let surfaces = &mut image.surfaces;
         match &carpet {
-            Some(carpet) => carpet.surfaces(&contrast.half, &working.chroma, contrast.width, surfaces),
+            Some(carpet) => carpet.surfaces(&contrast.half, working, surfaces),
             None => carpet::lit_surfaces(&contrast.half, surfaces),
         }
         if let Some(body) = body {
