@@ -39,9 +39,29 @@ pub struct Found {
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Located {
-    /// Best first; none if the image shows no ground. Each pose's mirror image explains the image as well.
+    /// Best first; none if the image shows no line on the ground. Each pose's mirror image explains the image as well.
     pub found: Vec<Found>,
 }
+
+/// How far the best pose may be trusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fit {
+    /// It explains the lines, and no other pose does so nearly as well.
+    Good,
+    /// It explains the lines, and so does a pose elsewhere.
+    Doubtful,
+    /// The lines are not explained, or there are hardly any: what was found means nothing.
+    None,
+}
+
+/// A search of a whole field finds a third to a half of the expected contrast in an image of noise, and sometimes more:
+/// but then on little line, or at many places.
+pub const LEAST_SHARE: f64 = 0.5;
+/// Certain line in view, in units of 10 cm.
+pub const LEAST_WEIGHT: f64 = 8.0;
+/// Log likelihood by which the best must stand out.
+const CLEAR_BY: f64 = 2.0;
 
 /// How many explanations are kept.
 const KEPT: usize = 5;
@@ -93,6 +113,17 @@ impl Known {
     }
 }
 
+impl Located {
+    pub fn fit(&self) -> Fit {
+        match self.found[..] {
+            [best, ..] if best.share < LEAST_SHARE || best.weight < LEAST_WEIGHT => Fit::None,
+            [best, next, ..] if best.log_likelihood - next.log_likelihood < CLEAR_BY => Fit::Doubtful,
+            [_, ..] => Fit::Good,
+            [] => Fit::None,
+        }
+    }
+}
+
 fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> Candidate {
     let settings = FilterSettings {
         particles: INITIAL_PARTICLES,
@@ -117,4 +148,21 @@ fn planar<S: serde::Serializer>(pose: &Pose2, serializer: S) -> Result<S::Ok, S:
         yaw_deg: f64,
     }
     Planar { x: pose.x, y: pose.y, yaw_deg: pose.yaw.to_degrees() }.serialize(serializer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fit_needs_contrast_line_and_no_rival() {
+        let found = |share, weight, log_likelihood| Found { pose: Pose2::default(), share, weight, log_likelihood };
+        let fit = |found: &[Found]| Located { found: found.to_vec() }.fit();
+        assert_eq!(fit(&[]), Fit::None);
+        assert_eq!(fit(&[found(0.4, 50.0, 9.0)]), Fit::None);
+        assert_eq!(fit(&[found(0.9, 3.0, 9.0)]), Fit::None);
+        assert_eq!(fit(&[found(0.9, 30.0, 9.0)]), Fit::Good);
+        assert_eq!(fit(&[found(0.9, 30.0, 9.0), found(0.8, 30.0, 4.0)]), Fit::Good);
+        assert_eq!(fit(&[found(0.9, 30.0, 9.0), found(0.8, 30.0, 8.5)]), Fit::Doubtful);
+    }
 }
