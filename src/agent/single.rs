@@ -4,7 +4,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use crate::config::{Formula, Model, SimdPath};
-use crate::geometry::{Euler, Field, Isometry, Lens, Pose2};
+use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::global::{self, Candidate};
 use crate::localization::observation::default_alpha;
 use crate::localization::{
@@ -63,6 +63,10 @@ pub const LEAST_WEIGHT: f64 = 8.0;
 /// Log likelihood by which the best must stand out.
 const CLEAR_BY: f64 = 2.0;
 
+/// Poses closer than this are one.
+const SAME_M: f64 = 0.4;
+const SAME_RAD: f64 = 0.3;
+
 /// How many explanations are kept.
 const KEPT: usize = 5;
 /// The tilt is known: what is left is the lens file's own error.
@@ -109,8 +113,24 @@ impl Known {
             let Support { share, weight, .. } = observation.support(seen.lines(), &candidate.pose);
             Found { pose: candidate.pose, share, weight, log_likelihood: candidate.log_likelihood }
         });
-        Located { found: found.filter(|found| found.weight > 0.0).collect() }
+        Located { found: without_mirrors(found.filter(|found| found.weight > 0.0)) }
     }
+}
+
+/// Each pose stands for its mirror image too; near the halfway line a search finds both.
+fn without_mirrors(found: impl Iterator<Item = Found>) -> Vec<Found> {
+    let mut kept: Vec<Found> = Vec::new();
+    for candidate in found {
+        let mirror = candidate.pose.mirrored();
+        let is_known = |known: &Found| {
+            let turned = wrap_angle(known.pose.yaw - mirror.yaw).abs();
+            known.pose.distance(&mirror) < SAME_M && turned < SAME_RAD
+        };
+        if !kept.iter().any(is_known) {
+            kept.push(candidate);
+        }
+    }
+    kept
 }
 
 impl Located {
@@ -152,6 +172,8 @@ fn planar<S: serde::Serializer>(pose: &Pose2, serializer: S) -> Result<S::Ok, S:
 
 #[cfg(test)]
 mod tests {
+    use core::f64::consts::PI;
+
     use super::*;
 
     #[test]
@@ -159,6 +181,10 @@ mod tests {
         let found = |share, weight, log_likelihood| Found { pose: Pose2::default(), share, weight, log_likelihood };
         let fit = |found: &[Found]| Located { found: found.to_vec() }.fit();
         assert_eq!(fit(&[]), Fit::None);
+        let at = |x, yaw, log_likelihood| Found { pose: Pose2::new(x, 0.02, yaw), ..found(0.9, 30.0, log_likelihood) };
+        let both = [at(0.05, 1.0, 9.0), Found { pose: Pose2::new(-0.05, -0.02, 1.0 - PI), ..found(0.9, 30.0, 9.0) }];
+        assert_eq!(without_mirrors(both.into_iter()).len(), 1, "a pose and its mirror");
+        assert_eq!(without_mirrors([both[0], at(2.0, 1.0, 8.0)].into_iter()).len(), 2);
         assert_eq!(fit(&[found(0.4, 50.0, 9.0)]), Fit::None);
         assert_eq!(fit(&[found(0.9, 3.0, 9.0)]), Fit::None);
         assert_eq!(fit(&[found(0.9, 30.0, 9.0)]), Fit::Good);

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::{Outcome, output};
 use crate::recording::{Loss, missing_parts};
+use crate::ros2::mcap_read::Survey;
 use crate::sensors::log;
 
 /// What a log, bag or capture holds, or what a camera offers
@@ -99,23 +100,7 @@ pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
     let outcome = if damaged || !lost.is_empty() { Outcome::DataLost } else { Outcome::Whole };
     let info = Info {
         checked,
-        files: files
-            .into_iter()
-            .zip(&surveys)
-            .map(|(file, survey)| FileInfo {
-                file,
-                indexed: survey.indexed,
-                compression: survey.compressions.iter().cloned().collect(),
-                attachments: survey.attachments.clone(),
-                torn: survey.damage.torn,
-                bad_chunks: survey.damage.bad_chunks,
-                bad_records: survey.damage.bad_records,
-                bytes_skipped: survey.damage.bytes_skipped,
-                first_error: survey.damage.first_error.clone(),
-                chunks_without_checksum: checked.then_some(survey.unprotected_chunks),
-                damage: (!survey.damage.is_none()).then(|| survey.damage.to_string()),
-            })
-            .collect(),
+        files: files.iter().zip(&surveys).map(|(file, survey)| file_info(file, survey, checked)).collect(),
         lost,
         duration_s: whole.map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 * 1e-9),
         messages: topics.iter().map(|topic| topic.messages).sum(),
@@ -127,6 +112,23 @@ pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&for_people(&info))?
     }
     Ok(outcome)
+}
+
+fn file_info(file: &Path, survey: &Survey, checked: bool) -> FileInfo {
+    let damage = &survey.damage;
+    FileInfo {
+        file: file.to_owned(),
+        indexed: survey.indexed,
+        compression: survey.compressions.iter().cloned().collect(),
+        attachments: survey.attachments.clone(),
+        torn: damage.torn,
+        bad_chunks: damage.bad_chunks,
+        bad_records: damage.bad_records,
+        bytes_skipped: damage.bytes_skipped,
+        first_error: damage.first_error.clone(),
+        chunks_without_checksum: checked.then_some(survey.unprotected_chunks),
+        damage: (!damage.is_none()).then(|| Loss::of_damage(file, damage).what),
+    }
 }
 
 fn is_device(path: &Path) -> bool {
@@ -179,7 +181,7 @@ fn for_people(info: &Info) -> String {
         };
         text.push_str(&format!("{}: {index}, {chunks}{attached}\n", file.file.display()));
         if let Some(damage) = &file.damage {
-            text.push_str(&format!("  damaged: {damage}\n"));
+            text.push_str(&format!("  {damage}\n"));
         }
         if let Some(chunks @ 1..) = file.chunks_without_checksum {
             text.push_str(&format!(

@@ -85,8 +85,11 @@ mod tests {
         assert!(said.ends_with("none/x: cannot be written: its folder does not exist: make it first"), "{said}");
         let said = cannot_read(folder.path(), fs::read(folder.path()).unwrap_err()).to_string();
         assert!(said.ends_with("cannot be read: it is a folder, and a file is needed"), "{said}");
-        let said = save(&image::RgbImage::new(1, 1), &path).unwrap_err().to_string();
+        let picture = image::RgbImage::new(1, 1);
+        let said = save(&picture, &path.with_extension("png")).unwrap_err().to_string();
         assert!(said.ends_with("its folder does not exist: make it first"), "{said}");
+        let said = save(&picture, &path).unwrap_err().to_string();
+        assert!(said.ends_with("none/x: its name must end in .png or .jpg"), "{said}");
     }
 
     #[test]

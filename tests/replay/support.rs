@@ -168,6 +168,11 @@ impl Replayed {
     }
 }
 
+/// The session's folder as an argument of the next command.
+pub fn session_name(replayed: &Replayed) -> String {
+    format!("{CAPTURES}/{}", replayed.session.file_name().unwrap().to_str().unwrap())
+}
+
 /// Every message of one file, in the reader's order.
 pub fn read_log(path: &Path) -> Vec<LogMessage> {
     read_bytes(&fs::read(path).unwrap())

@@ -82,6 +82,9 @@ fn look<R: Read + Seek>(reader: R, everything: bool) -> Result<Survey, ReadError
     let summary = Summary::read(&mut source, &mut channels, &mut damage)?;
     // A walk finds the same damage to the row of records as the reading does: counted once.
     let records = side_records(summary.as_ref(), &mut source, &mut Damage::default())?;
+    if let (true, Some(summary)) = (everything, &summary) {
+        summary.check_side_places(&mut source, &mut damage)?;
+    }
     let index = match summary {
         Some(summary) if summary.leads_to_all_messages(&channels, &mut source)? => Some(summary),
         _ => None,
