@@ -158,13 +158,12 @@ fn one_lost_image_costs_its_own_row_only() {
 fn a_frame_that_does_not_decode_costs_its_own_row_only() {
     let room = Room::with_walk();
     let mut messages = read_capture(&room.replay("log.mcap").session);
-    let mut number = 0;
-    for old in messages.iter_mut().filter(|message| message.channel.topic == IMAGE) {
+    let frames = messages.iter_mut().filter(|message| message.channel.topic == IMAGE);
+    for (number, old) in frames.enumerate() {
         let header = CompressedImage::decode(&old.data).unwrap().header;
         let encoding = if number == 3 { "odd" } else { "mono8" }.to_owned();
         let image = Image { header, width: 2, height: 2, encoding, is_bigendian: 0, step: 2, data: vec![9; 4] };
         *old = message(900, "/camera/image_raw", old.log_time_ns, &image);
-        number += 1;
     }
     room.write("raw.mcap", own_log(&messages));
     let run = room.run("export raw.mcap --to images -o frames --json");
