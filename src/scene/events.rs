@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use super::effects::{ImuError, OdometryError};
+use super::effects::{HeadMotion, ImuError, Joints, OdometryError};
 use super::file::InitialPose;
 use super::motion::Travel;
 use super::truth::{Truth, Twist};
@@ -21,6 +21,8 @@ pub enum SceneEventKind {
     InitialPose(InitialPoseEstimate),
     Odometry(Odometry),
     Imu(Imu),
+    /// Only if the head moves.
+    Joints(Joints),
     /// The image itself comes from [`Renderer::render`](super::Renderer::render).
     Frame {
         index: u64,
@@ -53,20 +55,21 @@ pub struct Imu {
 }
 
 /// In the order in which events of the same stamp come: an estimate needs the state before the image.
-const ORDER: [Source; 4] = [Source::InitialPose, Source::Odometry, Source::Imu, Source::Frame];
+const ORDER: [Source; 5] = [Source::InitialPose, Source::Odometry, Source::Imu, Source::Joints, Source::Frame];
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Source {
     InitialPose,
     Odometry,
     Imu,
+    Joints,
     Frame,
 }
 
 #[derive(Clone, Debug)]
 pub struct Events<'a> {
     scene: &'a Scene,
-    clocks: [Option<Clock>; 4],
+    clocks: [Option<Clock>; 5],
     odometer: Odometer,
 }
 
@@ -82,9 +85,10 @@ impl<'a> Events<'a> {
                 announced,
                 file.odometry.map(|section| clock(section.rate_hz)),
                 file.imu.map(|section| clock(section.rate_hz)),
+                file.imu.filter(|_| scene.head.is_some()).map(|section| clock(section.rate_hz)),
                 Some(clock(file.camera.rate_hz)),
             ],
-            odometer: Odometer { pose: Pose2::default(), before: scene.motion.at(0.0) },
+            odometer: Odometer { pose: Pose2::default(), before: scene.travel(0.0) },
         }
     }
 }
@@ -105,6 +109,7 @@ impl Iterator for Events<'_> {
             Source::InitialPose => SceneEventKind::InitialPose(initial_pose(scene)),
             Source::Odometry => SceneEventKind::Odometry(self.odometer.sample(scene, time, index)),
             Source::Imu => SceneEventKind::Imu(imu(scene, time, index)),
+            Source::Joints => SceneEventKind::Joints(joints(scene, time, index)),
             Source::Frame => {
                 SceneEventKind::Frame { index, map_from_camera_link: scene.truth(time).map_from_camera_link }
             }
@@ -114,7 +119,7 @@ impl Iterator for Events<'_> {
 }
 
 fn initial_pose(scene: &Scene) -> InitialPoseEstimate {
-    let truth = scene.motion.at(0.0).map_from_base_footprint;
+    let truth = scene.travel(0.0).map_from_base_footprint;
     let map_from_base_footprint = match scene.file.scene.initial_pose {
         InitialPose::Exact | InitialPose::None => truth,
         InitialPose::Off(error) => Pose2 {
@@ -128,13 +133,18 @@ fn initial_pose(scene: &Scene) -> InitialPoseEstimate {
 
 fn imu(scene: &Scene, time: f64, index: u64) -> Imu {
     let Truth { map_from_base_link, angular_velocity, linear_acceleration, .. } = scene.truth(time);
-    let travel = scene.motion.at(time);
+    let travel = scene.travel(time);
     let drift = scene.odometry_error.as_ref().map_or(0.0, OdometryError::yaw_drift);
     let mut euler = map_from_base_link.euler();
     euler.yaw = wrap_angle(travel.turned + drift * travel.walked);
     let measured = |error: &ImuError| error.measured(euler, angular_velocity, scene.file.scene.seed, index);
     let (euler, angular_velocity) = scene.imu_error.as_ref().map_or((euler, angular_velocity), measured);
     Imu { orientation: euler.rotation(), angular_velocity, linear_acceleration }
+}
+
+fn joints(scene: &Scene, time: f64, index: u64) -> Joints {
+    let told = |head: &HeadMotion| head.measured(time, scene.file.scene.seed, index);
+    scene.head.as_ref().map_or_else(Joints::default, told)
 }
 
 /// Adds up steps, because every step has its own error.
@@ -146,7 +156,7 @@ struct Odometer {
 
 impl Odometer {
     fn sample(&mut self, scene: &Scene, time: f64, index: u64) -> Odometry {
-        let now = scene.motion.at(time);
+        let now = scene.travel(time);
         let mut twist = Twist { x: now.speed, y: 0.0, yaw: now.turn };
         match &scene.odometry_error {
             // Not added up: without an error the truth itself.

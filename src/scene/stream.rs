@@ -9,6 +9,8 @@ pub(super) enum Purpose {
     SensorNoise = 4,
     OdometryError = 5,
     ImuError = 6,
+    Obstacles = 7,
+    HeadMotion = 8,
 }
 
 /// Counter-based: the n-th number is a hash of key and n.

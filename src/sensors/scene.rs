@@ -11,7 +11,7 @@ use crate::geometry::{Isometry, LensModel, LensParameters};
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
 use crate::ros2::messages::{
-    CameraInfo, CompressedImage, Header, Image, Imu, Message, Odometry, Point, Pose, PoseStamped,
+    CameraInfo, CompressedImage, Header, Image, Imu, JointState, Message, Odometry, Point, Pose, PoseStamped,
     PoseWithCovarianceStamped, Quaternion, Stamp, TFMessage, Transform, TransformStamped, Vector3,
 };
 use crate::scene::{Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile};
@@ -120,6 +120,15 @@ impl<'a> SceneSource<'a> {
                     ..Default::default()
                 };
                 self.message(&topics.imu, stamp, &imu)
+            }
+            SceneEventKind::Joints(joints) => {
+                let joints = JointState {
+                    header: header(""),
+                    name: vec!["head_pan".to_owned(), "head_tilt".to_owned()],
+                    position: vec![joints.pan, joints.tilt],
+                    ..Default::default()
+                };
+                self.message(&topics.joints, stamp, &joints)
             }
             SceneEventKind::Frame { index, map_from_camera_link } => {
                 let truth = PoseStamped { header: header("map"), pose: pose(&map_from_camera_link) };

@@ -91,7 +91,7 @@ fn noise_on_the_sensor_is_the_same_whatever_the_other_effects() {
     assert_ne!(image(&quiet, 12), image(&noisy, 12));
     assert_eq!(image(&noisy, 12), image(&build(&[ODOMETRY, NOISE]), 12));
     let mut clean = Vec::new();
-    Renderer::new(&noisy).render_clean(&noisy.truth(1.2).map_from_camera_link, &mut clean);
+    Renderer::new(&noisy).render_clean(&noisy.truth(1.2).map_from_camera_link, 12, &mut clean);
     assert_eq!(clean, image(&quiet, 12));
 }
 
@@ -123,6 +123,7 @@ fn the_bits_are_the_same_on_every_machine() {
             SceneEventKind::Imu(imu) => {
                 [imu.orientation.to_array().as_slice(), &imu.angular_velocity.to_array()].concat()
             }
+            SceneEventKind::Joints(joints) => vec![joints.pan, joints.tilt],
             SceneEventKind::Frame { map_from_camera_link, .. } => {
                 let Isometry { rotation, translation } = map_from_camera_link;
                 [rotation.to_array().as_slice(), &translation.to_array()].concat()

@@ -17,7 +17,7 @@ pub(super) struct World {
     carpet: Sheet,
     fibres: Tile,
     lines: LineMap,
-    hall: Hall,
+    pub(super) hall: Hall,
 }
 
 const PAINT: Colour = [222.0, 226.0, 222.0];
