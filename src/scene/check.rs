@@ -143,7 +143,11 @@ fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
                 "it needs the section [odometry] or [imu], both are absent",
             ),
             Effect::ImuError(_) => (file.imu.is_some(), "it needs the section [imu], which is absent"),
-            Effect::SensorNoise(_) | Effect::Light(_) | Effect::Obstacles(_) => (true, ""),
+            Effect::SensorNoise(_)
+            | Effect::Light(_)
+            | Effect::Obstacles(_)
+            | Effect::WornLines(_)
+            | Effect::CalibrationError(_) => (true, ""),
         };
         if !present {
             return Err(refuse(format_args!("effect[{index}].kind"), effect.name(), expected));

@@ -88,7 +88,7 @@ impl<'a> Events<'a> {
                 file.imu.filter(|_| scene.head.is_some()).map(|section| clock(section.rate_hz)),
                 Some(clock(file.camera.rate_hz)),
             ],
-            odometer: Odometer { pose: Pose2::default(), before: scene.travel(0.0) },
+            odometer: Odometer { pose: Pose2::default(), time: 0.0, before: scene.travel(0.0) },
         }
     }
 }
@@ -97,24 +97,39 @@ impl Iterator for Events<'_> {
     type Item = SceneEvent;
 
     fn next(&mut self) -> Option<SceneEvent> {
-        let due = |clock: &Option<Clock>| clock.as_ref().and_then(Clock::due_ns);
-        // The first of equals wins.
-        let (which, offset_ns) = (0..ORDER.len())
-            .filter_map(|which| due(&self.clocks[which]).map(|offset| (which, offset)))
-            .min_by_key(|(_, offset)| *offset)?;
-        let index = self.clocks[which].as_mut()?.tick();
-        let time = seconds(offset_ns);
+        loop {
+            let due = |clock: &Option<Clock>| clock.as_ref().and_then(Clock::due_ns);
+            // The first of equals wins.
+            let (which, offset_ns) = (0..ORDER.len())
+                .filter_map(|which| due(&self.clocks[which]).map(|offset| (which, offset)))
+                .min_by_key(|(_, offset)| *offset)?;
+            let index = self.clocks[which].as_mut()?.tick();
+            if let Some(kind) = self.event(ORDER[which], seconds(offset_ns), index) {
+                return Some(SceneEvent { stamp_ns: START_STAMP_NS + offset_ns, kind });
+            }
+        }
+    }
+}
+
+impl Events<'_> {
+    /// None where a sensor says nothing.
+    fn event(&mut self, source: Source, time: f64, index: u64) -> Option<SceneEventKind> {
         let scene = self.scene;
-        let kind = match ORDER[which] {
+        Some(match source {
             Source::InitialPose => SceneEventKind::InitialPose(initial_pose(scene)),
-            Source::Odometry => SceneEventKind::Odometry(self.odometer.sample(scene, time, index)),
+            Source::Odometry => {
+                let odometry = self.odometer.sample(scene, time, index);
+                if scene.odometry_error.as_ref().is_some_and(|error| error.is_silent(time)) {
+                    return None;
+                }
+                SceneEventKind::Odometry(odometry)
+            }
             Source::Imu => SceneEventKind::Imu(imu(scene, time, index)),
             Source::Joints => SceneEventKind::Joints(joints(scene, time, index)),
             Source::Frame => {
                 SceneEventKind::Frame { index, map_from_camera_link: scene.truth(time).map_from_camera_link }
             }
-        };
-        Some(SceneEvent { stamp_ns: START_STAMP_NS + offset_ns, kind })
+        })
     }
 }
 
@@ -139,7 +154,8 @@ fn imu(scene: &Scene, time: f64, index: u64) -> Imu {
     euler.yaw = wrap_angle(travel.turned + drift * travel.walked);
     let measured = |error: &ImuError| error.measured(euler, angular_velocity, scene.file.scene.seed, index);
     let (euler, angular_velocity) = scene.imu_error.as_ref().map_or((euler, angular_velocity), measured);
-    Imu { orientation: euler.rotation(), angular_velocity, linear_acceleration }
+    let told = Imu { orientation: euler.rotation(), angular_velocity, linear_acceleration };
+    scene.imu_error.as_ref().map_or(told, |error| error.in_housing(told))
 }
 
 fn joints(scene: &Scene, time: f64, index: u64) -> Joints {
@@ -151,6 +167,7 @@ fn joints(scene: &Scene, time: f64, index: u64) -> Joints {
 #[derive(Clone, Debug)]
 struct Odometer {
     pose: Pose2,
+    time: f64,
     before: Travel,
 }
 
@@ -161,6 +178,7 @@ impl Odometer {
         match &scene.odometry_error {
             // Not added up: without an error the truth itself.
             None => self.pose = now.start_from_base_footprint,
+            Some(error) if error.is_frozen(time) => twist = Twist::default(),
             Some(error) => {
                 let step = self.before.start_from_base_footprint.inverse().compose(&now.start_from_base_footprint);
                 let walked = now.walked - self.before.walked;
@@ -168,6 +186,10 @@ impl Odometer {
                 twist = Twist { x: twist.x * error.scale(), yaw: twist.yaw + error.yaw_drift() * twist.x, ..twist };
             }
         }
+        if let Some(jump) = scene.odometry_error.as_ref().and_then(|error| error.jumped(self.time, time)) {
+            self.pose = self.pose.compose(&jump);
+        }
+        self.time = time;
         self.before = now;
         Odometry { odom_from_base_footprint: self.pose, twist }
     }

@@ -20,7 +20,10 @@ pub use render::Renderer;
 pub use truth::{Mount, Truth, Twist};
 
 use crate::geometry::{Field, FieldDimensions, Lens, LensParameters};
-use effects::{Carrying, Crowd, HeadMotion, ImuError, LightModel, NoiseModel, OdometryError, SwayModel};
+use effects::{
+    CalibrationError, Carrying, Crowd, HeadMotion, ImuError, LightModel, NoiseModel, OdometryError, SwayModel,
+    WornLines,
+};
 use glam::DVec2;
 use motion::Motion;
 
@@ -36,6 +39,7 @@ pub struct Scene {
     file: SceneFile,
     field: Field,
     lens: Lens,
+    announced_lens: LensParameters,
     motion: Motion,
     sway: Option<SwayModel>,
     head: Option<HeadMotion>,
@@ -44,6 +48,8 @@ pub struct Scene {
     crowd: Option<Crowd>,
     odometry_error: Option<OdometryError>,
     imu_error: Option<ImuError>,
+    worn_lines: Option<WornLines>,
+    calibration_error: Option<CalibrationError>,
     noise: Option<NoiseModel>,
 }
 
@@ -58,6 +64,7 @@ impl Scene {
         let mut scene = Self {
             file,
             field,
+            announced_lens: lens.parameters().clone(),
             lens,
             motion,
             sway: None,
@@ -67,6 +74,8 @@ impl Scene {
             crowd: None,
             odometry_error: None,
             imu_error: None,
+            worn_lines: None,
+            calibration_error: None,
             noise: None,
         };
         for (index, effect) in scene.file.effects.clone().iter().enumerate() {
@@ -87,6 +96,11 @@ impl Scene {
             Effect::Obstacles(effect) => self.crowd = Some(effect.model(seed, &self.field, &self.way())),
             Effect::OdometryError(effect) => self.odometry_error = Some(effect.clone()),
             Effect::ImuError(effect) => self.imu_error = Some(effect.clone()),
+            Effect::WornLines(effect) => self.worn_lines = Some(effect.clone()),
+            Effect::CalibrationError(effect) => {
+                self.announced_lens = effect.lens(key, self.lens.parameters())?;
+                self.calibration_error = Some(effect.clone());
+            }
             Effect::SensorNoise(effect) => {
                 let amplified = self.light.as_ref().map_or(1.0, |light| light.camera_gain());
                 self.noise = Some(effect.model(seed, amplified));
@@ -112,6 +126,17 @@ impl Scene {
 
     pub fn lens(&self) -> &Lens {
         &self.lens
+    }
+
+    /// What the robot is told about its lens.
+    pub fn announced_lens(&self) -> &LensParameters {
+        &self.announced_lens
+    }
+
+    /// What the robot is told about its mount.
+    pub fn announced_mount(&self) -> Mount {
+        let mount = self.mount();
+        self.calibration_error.as_ref().map_or(mount, |error| error.mount(&mount))
     }
 
     /// Seconds from the first event to the last pose.

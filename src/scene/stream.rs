@@ -11,6 +11,7 @@ pub(super) enum Purpose {
     ImuError = 6,
     Obstacles = 7,
     HeadMotion = 8,
+    WornLines = 9,
 }
 
 /// Counter-based: the n-th number is a hash of key and n.

@@ -188,7 +188,7 @@ impl Iterator for SceneSource<'_> {
 }
 
 fn transforms(scene: &Scene) -> TFMessage {
-    let mount = scene.mount();
+    let mount = scene.announced_mount();
     let step = |parent: &str, child: &str, parent_from_child: &Isometry| TransformStamped {
         header: header(START_STAMP_NS, parent),
         child_frame_id: child.to_owned(),
@@ -207,7 +207,7 @@ fn transforms(scene: &Scene) -> TFMessage {
 }
 
 fn camera_info(scene: &Scene) -> CameraInfo {
-    camera_info_of(scene.lens().parameters(), header(START_STAMP_NS, OPTICAL))
+    camera_info_of(scene.announced_lens(), header(START_STAMP_NS, OPTICAL))
 }
 
 /// ROS knows no equisolid lens: it goes by its own name, which only this program reads.

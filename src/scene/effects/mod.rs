@@ -2,6 +2,7 @@
 //!
 //! Every effect draws from its own stream, so that adding one never changes what another does.
 
+mod calibration_error;
 mod gait_sway;
 mod head_motion;
 mod imu_error;
@@ -10,15 +11,18 @@ mod light;
 mod obstacles;
 mod odometry_error;
 mod sensor_noise;
+mod worn_lines;
 
+pub use calibration_error::CalibrationError;
 pub use gait_sway::GaitSway;
 pub use head_motion::{HeadMotion, Joints};
 pub use imu_error::ImuError;
 pub use kidnapping::Kidnapping;
 pub use light::Light;
 pub use obstacles::{Figure, FigureShape, Obstacles};
-pub use odometry_error::OdometryError;
+pub use odometry_error::{Jump, OdometryError, Span};
 pub use sensor_noise::SensorNoise;
+pub use worn_lines::WornLines;
 
 pub(super) use gait_sway::{Sway, SwayModel};
 pub(super) use kidnapping::Carrying;
@@ -41,9 +45,11 @@ pub enum Effect {
     Kidnapping(Kidnapping),
     Light(Light),
     Obstacles(Obstacles),
+    WornLines(WornLines),
     SensorNoise(SensorNoise),
     OdometryError(OdometryError),
     ImuError(ImuError),
+    CalibrationError(CalibrationError),
 }
 
 /// Why an effect is in the scene: its task needs it, or it is there to keep the scene from being too clean.
@@ -69,9 +75,11 @@ impl Effect {
             Effect::Kidnapping(_) => "kidnapping",
             Effect::Light(_) => "light",
             Effect::Obstacles(_) => "obstacles",
+            Effect::WornLines(_) => "worn_lines",
             Effect::SensorNoise(_) => "sensor_noise",
             Effect::OdometryError(_) => "odometry_error",
             Effect::ImuError(_) => "imu_error",
+            Effect::CalibrationError(_) => "calibration_error",
         }
     }
 
@@ -82,17 +90,21 @@ impl Effect {
             Effect::Kidnapping(effect) => effect.role,
             Effect::Light(effect) => effect.role,
             Effect::Obstacles(effect) => effect.role,
+            Effect::WornLines(effect) => effect.role,
             Effect::SensorNoise(effect) => effect.role,
             Effect::OdometryError(effect) => effect.role,
             Effect::ImuError(effect) => effect.role,
+            Effect::CalibrationError(effect) => effect.role,
         }
     }
 
     fn stage(&self) -> Stage {
         match self {
             Effect::GaitSway(_) | Effect::HeadMotion(_) | Effect::Kidnapping(_) => Stage::Motion,
-            Effect::Light(_) | Effect::Obstacles(_) => Stage::World,
-            Effect::SensorNoise(_) | Effect::OdometryError(_) | Effect::ImuError(_) => Stage::Sensor,
+            Effect::Light(_) | Effect::Obstacles(_) | Effect::WornLines(_) => Stage::World,
+            Effect::SensorNoise(_) | Effect::OdometryError(_) | Effect::ImuError(_) | Effect::CalibrationError(_) => {
+                Stage::Sensor
+            }
         }
     }
 
@@ -103,9 +115,11 @@ impl Effect {
             Effect::Kidnapping(effect) => effect.check(key, field),
             Effect::Light(effect) => effect.check(key),
             Effect::Obstacles(effect) => effect.check(key, field),
+            Effect::WornLines(effect) => effect.check(key),
             Effect::SensorNoise(effect) => effect.check(key),
             Effect::OdometryError(effect) => effect.check(key),
             Effect::ImuError(effect) => effect.check(key),
+            Effect::CalibrationError(effect) => effect.check(key),
         }
     }
 }
@@ -121,7 +135,7 @@ pub(super) fn check(effects: &[Effect], field: &Field) -> Result<(), SceneError>
         }
         if before.iter().any(|other| other.stage() > effect.stage()) {
             let expected = "list effects in physical order: what moves the robot (gait_sway, head_motion, kidnapping), \
-                            then what it sees (light, obstacles), then what a sensor adds";
+                            then what it sees (light, obstacles, worn_lines), then what a sensor adds";
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }
     }

@@ -19,7 +19,7 @@ pub struct Obstacles {
     pub figures: Vec<Figure>,
     /// As many more robots and people, drawn from the seed; they keep out of the robot's way.
     #[serde(default)]
-    pub random: u32,
+    pub random: i64,
 }
 
 /// Stands at `position_m` or walks along `path`, to its end and back again and again.
@@ -94,6 +94,8 @@ const TROUSERS: [f64; 3] = [48.0, 48.0, 58.0];
 
 impl Obstacles {
     pub(super) fn check(&self, key: &str, field: &Field) -> Result<(), SceneError> {
+        let most = MAX_FIGURES as f64;
+        within(format_args!("{key}.random"), self.random as f64, 0.0..=most, &format!("0 to {MAX_FIGURES}"))?;
         let count = self.figures.len() + self.random as usize;
         if !(1..=MAX_FIGURES).contains(&count) {
             let expected = format!("figures and random add up to 1 to {MAX_FIGURES}");
@@ -106,7 +108,7 @@ impl Obstacles {
     /// `way` is where the robot comes by: whoever is drawn from the seed keeps clear of it.
     pub(crate) fn model(&self, seed: u64, field: &Field, way: &[DVec2]) -> Crowd {
         let mut members: Vec<Member> = self.figures.iter().map(Figure::member).collect();
-        for index in 0..u64::from(self.random) {
+        for index in 0..self.random as u64 {
             let mut stream = Stream::new(seed, Purpose::Obstacles, index);
             let member = passer_by(&mut stream, field, way, &members);
             members.push(member);

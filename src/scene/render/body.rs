@@ -60,12 +60,20 @@ impl Part {
         self.solid.hit([ahead, origin[1], origin[2]], [ray[0] + slope * ray[2], ray[1], ray[2]])
     }
 
-    /// Centre and radius of a sphere around the part, however it swings.
-    pub(super) fn bound(&self) -> ([f32; 3], f32) {
+    /// Centres and radii of balls around the part: one above the other, since legs are long and thin.
+    pub(super) fn balls(&self, swing: f32) -> Vec<([f32; 3], f32)> {
         let (centre, half) = self.solid.extent();
-        let radius = (half[0] * half[0] + half[1] * half[1] + half[2] * half[2]).sqrt();
-        let swing = self.limb.map_or(0.0, |limb| STRIDE * limb.share.abs() * limb.height);
-        (centre, radius + swing)
+        let count = (half[2] / half[0].max(half[1]).max(1e-3)).clamp(1.0, 8.0) as usize;
+        let slice = half[2] / count as f32;
+        let ball = |index: usize| {
+            let z = centre[2] - half[2] + (2 * index + 1) as f32 * slice;
+            let slope = self.limb.map_or(0.0, |limb| STRIDE * limb.share * swing);
+            let ahead = self.limb.map_or(0.0, |limb| slope * (limb.height - z));
+            let length = half[0] + slope.abs() * slice;
+            let radius = (length * length + half[1] * half[1] + slice * slice).sqrt();
+            ([centre[0] + ahead, centre[1], z], radius)
+        };
+        (0..count).map(ball).collect()
     }
 }
 

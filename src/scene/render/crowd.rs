@@ -7,7 +7,7 @@ use super::light::Lit;
 use super::rays::RayTable;
 use super::sheet::Colour;
 use super::solid::Hit;
-use super::tiles::{Tile, Tiles};
+use super::tiles::{Ball, Tile, Tiles};
 
 #[derive(Clone, Debug)]
 pub(super) struct CrowdView {
@@ -32,10 +32,10 @@ struct Placed<'a> {
     swing: f32,
     /// The camera, seen from the figure.
     camera: [f32; 3],
-    /// Around the body and its shadow, in `camera_link`.
-    bound: ([f32; 3], f32),
-    /// The same of every part.
-    part_bounds: Vec<([f32; 3], f32)>,
+    /// Around the body, around each of its parts, around its shadow.
+    ball: Ball,
+    parts: Vec<Vec<Ball>>,
+    shadow: Ball,
     shadow_m: f32,
 }
 
@@ -48,8 +48,15 @@ struct Front {
     colours: Vec<[u8; 3]>,
 }
 
-/// What a tile can show: figures and, of them, parts.
-type Candidates = Vec<(usize, Vec<usize>)>;
+/// What can be seen in some pixels: figures and, of them, parts.
+type Parts = Vec<(usize, Vec<usize>)>;
+
+struct Busy<'a> {
+    tile: &'a Tile,
+    parts: Parts,
+    /// Figures whose shadow may fall here.
+    shadows: Vec<usize>,
+}
 
 /// Ids are figure * this + part + 1.
 const PARTS: usize = 64;
@@ -74,34 +81,39 @@ impl CrowdView {
         let placed: Vec<Placed> =
             self.members.iter().map(|(member, body)| Placed::new(member, body, time, view)).collect();
         let mut front = Front::new(view.rays);
-        let mut busy = Vec::new();
-        for tile in self.tiles.iter() {
-            let candidates = candidates(tile, &placed);
-            if !candidates.is_empty() {
-                front.look(tile, &candidates, &placed, view, light);
-                busy.push((tile, candidates));
-            }
+        let busy: Vec<Busy> = self.tiles.iter().filter_map(|tile| Busy::new(tile, &placed)).collect();
+        for busy in &busy {
+            front.look(busy, &placed, view, light);
         }
-        for (tile, candidates) in busy {
-            for row in tile.rows.clone() {
-                let seen = view.rays.seen(row);
-                for column in tile.columns.start.max(seen.start)..tile.columns.end.min(seen.end) {
-                    let at = (row * front.width + column) * 3;
-                    let Some(pixel) = pixels.get_mut(at..at + 3) else { continue };
-                    front.put(column, row, &candidates, &placed, view, light, pixel);
-                }
-            }
+        for busy in &busy {
+            front.put(busy, &placed, view, light, pixels);
         }
     }
 }
 
-fn candidates(tile: &Tile, placed: &[Placed]) -> Candidates {
-    let figures = placed.iter().enumerate().filter(|(_, figure)| tile.may_see(figure.bound.0, figure.bound.1));
-    let parts = |figure: &Placed| {
-        let bounds = figure.part_bounds.iter().enumerate();
-        bounds.filter(|(_, bound)| tile.may_see(bound.0, bound.1)).map(|(part, _)| part).collect()
-    };
-    figures.map(|(which, figure)| (which, parts(figure))).collect()
+impl<'a> Busy<'a> {
+    fn new(tile: &'a Tile, placed: &[Placed]) -> Option<Self> {
+        let (mut parts, mut shadows) = (Parts::new(), Vec::new());
+        for (which, figure) in placed.iter().enumerate() {
+            if tile.may_see(&figure.shadow) {
+                shadows.push(which);
+            }
+            if tile.may_see(&figure.ball) {
+                let seen = |part: &usize| figure.parts[*part].iter().any(|ball| tile.may_see(ball));
+                let seen: Vec<usize> = (0..figure.parts.len()).filter(seen).collect();
+                if !seen.is_empty() {
+                    parts.push((which, seen));
+                }
+            }
+        }
+        (!parts.is_empty() || !shadows.is_empty()).then_some(Self { tile, parts, shadows })
+    }
+
+    /// Columns of a row that the lens draws on.
+    fn columns(&self, rays: &RayTable, row: usize) -> core::ops::Range<usize> {
+        let (seen, own) = (rays.seen(row), &self.tile.columns);
+        own.start.max(seen.start)..own.end.min(seen.end)
+    }
 }
 
 impl<'a> Placed<'a> {
@@ -118,18 +130,25 @@ impl<'a> Placed<'a> {
             let r = view.rotation;
             core::array::from_fn(|i| r[3 * i] * d[0] + r[3 * i + 1] * d[1] + r[3 * i + 2] * d[2])
         };
-        let part_bounds: Vec<_> = body.parts.iter().map(|part| part.bound()).collect();
-        // The shadow's disc and half the height; limbs that swing ahead are within.
-        let around = (height * height / 4.0 + shadow_m.max(0.4 * height) * shadow_m.max(0.4 * height)).sqrt();
+        let swing = standpoint.walked.map_or(0.0, swing);
+        let ball = |(centre, radius): &([f32; 3], f32)| Ball::new(in_camera(*centre), *radius);
+        let parts: Vec<Vec<_>> = body.parts.iter().map(|part| part.balls(swing)).collect();
+        let middle = [0.0, 0.0, height / 2.0];
+        let reach = |(centre, radius): &([f32; 3], f32)| {
+            let d: [f32; 3] = core::array::from_fn(|i| centre[i] - middle[i]);
+            radius + (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt()
+        };
+        let around = parts.iter().flatten().map(reach).fold(0.0, f32::max);
         let dx = [view.camera[0] - place[0], view.camera[1] - place[1]];
         Self {
             body,
             place,
             turn,
-            swing: standpoint.walked.map_or(0.0, swing),
+            swing,
             camera: [turn[0] * dx[0] + turn[1] * dx[1], turn[0] * dx[1] - turn[1] * dx[0], view.camera[2]],
-            bound: (in_camera([0.0, 0.0, height / 2.0]), around),
-            part_bounds: part_bounds.into_iter().map(|(centre, radius)| (in_camera(centre), radius)).collect(),
+            ball: ball(&(middle, around)),
+            parts: parts.iter().map(|balls| balls.iter().map(ball).collect()).collect(),
+            shadow: ball(&([0.0; 3], shadow_m)),
             shadow_m,
         }
     }
@@ -163,12 +182,14 @@ impl Front {
     }
 
     /// What the centres of a tile's pixels show.
-    fn look(&mut self, tile: &Tile, candidates: &Candidates, placed: &[Placed], view: &View, light: &impl Lit) {
-        for row in tile.rows.clone() {
-            let seen = view.rays.seen(row);
-            for column in tile.columns.start.max(seen.start)..tile.columns.end.min(seen.end) {
+    fn look(&mut self, busy: &Busy, placed: &[Placed], view: &View, light: &impl Lit) {
+        if busy.parts.is_empty() {
+            return;
+        }
+        for row in busy.tile.rows.clone() {
+            for column in busy.columns(view.rays, row) {
                 let ray = view.in_map(view.rays.at(column, row));
-                if let Some((id, colour)) = nearest(candidates, placed, ray, light) {
+                if let Some((id, colour)) = nearest(&busy.parts, placed, ray, light) {
                     self.ids[row * self.width + column] = id;
                     self.colours[row * self.width + column] = colour.map(byte);
                 }
@@ -176,47 +197,23 @@ impl Front {
         }
     }
 
-    /// A pixel of the final picture.
-    #[allow(clippy::too_many_arguments)]
-    fn put(
-        &self,
-        column: usize,
-        row: usize,
-        candidates: &Candidates,
-        placed: &[Placed],
-        view: &View,
-        light: &impl Lit,
-        pixel: &mut [u8],
-    ) {
-        let own = self.ids[row * self.width + column];
-        let around = self.around(column, row);
-        if around.iter().all(|id| *id == own) {
-            if own == 0 {
-                shade(pixel, candidates, placed, view, view.in_map(view.rays.at(column, row)));
-            } else {
-                pixel.copy_from_slice(&self.colours[row * self.width + column]);
+    /// A tile of the final picture.
+    fn put(&self, busy: &Busy, placed: &[Placed], view: &View, light: &impl Lit, pixels: &mut [u8]) {
+        for row in busy.tile.rows.clone() {
+            for column in busy.columns(view.rays, row) {
+                let at = row * self.width + column;
+                let Some(pixel) = pixels.get_mut(3 * at..3 * at + 3) else { continue };
+                let around = self.around(column, row);
+                let inside = around.iter().all(|id| *id == self.ids[at]);
+                if inside && self.ids[at] != 0 {
+                    pixel.copy_from_slice(&self.colours[at]);
+                    continue;
+                }
+                shade(pixel, &busy.shadows, placed, view, column, row);
+                if !inside {
+                    mix(pixel, &parts_of(&around), placed, view, light, column, row);
+                }
             }
-            return;
-        }
-        shade(pixel, candidates, placed, view, view.in_map(view.rays.at(column, row)));
-        let nearby = parts_of(&around);
-        let [left, right] = [column, column + 2].map(|c| view.rays.padded(c, row + 1));
-        let [above, below] = [row, row + 2].map(|r| view.rays.padded(column + 1, r));
-        let middle = view.rays.at(column, row);
-        let (mut sum, mut covered) = ([0.0; 3], 0.0);
-        for finer in 0..FINER * FINER {
-            let offset = |index: usize| (index as f32 + 0.5) / FINER as f32 - 0.5;
-            let (u, v) = (offset(finer % FINER), offset(finer / FINER));
-            let ray =
-                core::array::from_fn(|i| middle[i] + 0.5 * (u * (right[i] - left[i]) + v * (below[i] - above[i])));
-            if let Some((_, colour)) = nearest(&nearby, placed, view.in_map(ray), light) {
-                covered += 1.0;
-                sum = core::array::from_fn(|channel| sum[channel] + colour[channel].clamp(0.0, 255.0));
-            }
-        }
-        let rays = (FINER * FINER) as f32;
-        for (value, sum) in pixel.iter_mut().zip(sum) {
-            *value = byte((sum + (rays - covered) * f32::from(*value)) / rays);
         }
     }
 
@@ -230,10 +227,10 @@ impl Front {
 }
 
 /// Between neighbours nothing else than the neighbours is looked for.
-fn parts_of(ids: &[u16; 9]) -> Candidates {
+fn parts_of(ids: &[u16; 9]) -> Parts {
     let mut sorted = *ids;
     sorted.sort_unstable();
-    let mut found = Candidates::new();
+    let mut found = Parts::new();
     let mut before = 0;
     for id in sorted {
         if id == before {
@@ -249,9 +246,9 @@ fn parts_of(ids: &[u16; 9]) -> Candidates {
     found
 }
 
-fn nearest(candidates: &Candidates, placed: &[Placed], ray: [f32; 3], light: &impl Lit) -> Option<(u16, Colour)> {
+fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3], light: &impl Lit) -> Option<(u16, Colour)> {
     let mut first: Option<(usize, usize, Hit)> = None;
-    for (which, parts) in candidates {
+    for (which, parts) in parts {
         let figure = &placed[*which];
         let ray = figure.turned(ray);
         for &part in parts {
@@ -267,15 +264,40 @@ fn nearest(candidates: &Candidates, placed: &[Placed], ray: [f32; 3], light: &im
     Some(((which * PARTS + part + 1) as u16, figure.colour(part, &hit, figure.turned(ray), light)))
 }
 
+/// A pixel on an edge: figures over what it shows already.
+fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, light: &impl Lit, column: usize, row: usize) {
+    let [left, right] = [column, column + 2].map(|c| view.rays.padded(c, row + 1));
+    let [above, below] = [row, row + 2].map(|r| view.rays.padded(column + 1, r));
+    let middle = view.rays.at(column, row);
+    let (mut sum, mut covered) = ([0.0; 3], 0.0);
+    for finer in 0..FINER * FINER {
+        let offset = |index: usize| (index as f32 + 0.5) / FINER as f32 - 0.5;
+        let (u, v) = (offset(finer % FINER), offset(finer / FINER));
+        let ray = core::array::from_fn(|i| middle[i] + 0.5 * (u * (right[i] - left[i]) + v * (below[i] - above[i])));
+        if let Some((_, colour)) = nearest(parts, placed, view.in_map(ray), light) {
+            covered += 1.0;
+            sum = core::array::from_fn(|channel| sum[channel] + colour[channel].clamp(0.0, 255.0));
+        }
+    }
+    let rays = (FINER * FINER) as f32;
+    for (value, sum) in pixel.iter_mut().zip(sum) {
+        *value = byte((sum + (rays - covered) * f32::from(*value)) / rays);
+    }
+}
+
 /// Under a figure less light reaches the ground.
-fn shade(pixel: &mut [u8], candidates: &Candidates, placed: &[Placed], view: &View, ray: [f32; 3]) {
+fn shade(pixel: &mut [u8], shadows: &[usize], placed: &[Placed], view: &View, column: usize, row: usize) {
+    if shadows.is_empty() {
+        return;
+    }
+    let ray = view.in_map(view.rays.at(column, row));
     if ray[2] > -1e-3 {
         return;
     }
     let t = view.camera[2] / -ray[2];
     let ground = [view.camera[0] + t * ray[0], view.camera[1] + t * ray[1]];
     let mut gain = 1.0;
-    for (which, _) in candidates {
+    for which in shadows {
         let figure = &placed[*which];
         let (x, y) = (ground[0] - figure.place[0], ground[1] - figure.place[1]);
         let inside = 1.0 - (x * x + y * y) / (figure.shadow_m * figure.shadow_m);

@@ -18,6 +18,7 @@ mod solid;
 mod surface;
 mod tile;
 mod tiles;
+mod wear;
 
 use glam::DMat3;
 
@@ -29,6 +30,7 @@ use footprint::{GroundRow, Turned};
 use light::Lit;
 use rays::RayTable;
 use surface::World;
+use wear::Wear;
 
 /// Can be shared between threads: rendering changes nothing.
 #[derive(Clone, Debug)]
@@ -43,7 +45,9 @@ impl Renderer {
     /// Takes a moment: it prepares rays and textures.
     pub fn new(scene: &Scene) -> Self {
         let rays = RayTable::new(scene.lens());
-        let world = World::new(scene.field(), scene.file().scene.seed);
+        let seed = scene.file().scene.seed;
+        let wear = scene.worn_lines.as_ref().map(|effect| Wear::new(effect, seed));
+        let world = World::new(scene.field(), wear, seed);
         let crowd = scene.crowd.as_ref().map(|crowd| CrowdView::new(crowd, &rays));
         Self { scene: scene.clone(), rays, world, crowd }
     }
