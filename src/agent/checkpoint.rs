@@ -5,12 +5,12 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::tagger::TaggerState;
+use crate::localization::LocalizerState;
 use crate::sensors::synchroniser::SynchroniserState;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Checkpoint {
-    pub tagger: TaggerState,
+    pub tagger: LocalizerState,
     pub synchroniser: SynchroniserState,
     /// Frames of the session so far.
     pub frames: u64,
@@ -30,7 +30,7 @@ pub enum CheckpointError {
 
 const MAGIC: &[u8; 8] = b"RSIMCKPT";
 /// Counts up with every change of what is stored.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 const HEADER: usize = 8 + 4 + 4;
 /// A checkpoint of 2^20 particles is 40 MB.
 pub(super) const MAX_BYTES: usize = 256 << 20;
@@ -80,7 +80,7 @@ mod tests {
         let particles = Particles { poses, log_weights: vec![0.0, -1.5, f64::NEG_INFINITY] };
         let filter = FilterState { particles, steps: 77 };
         Checkpoint {
-            tagger: TaggerState { filter, ..TaggerState::default() },
+            tagger: LocalizerState { filter, ..LocalizerState::default() },
             synchroniser: SynchroniserState::default(),
             frames: 12,
         }

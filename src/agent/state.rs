@@ -6,9 +6,10 @@ use std::path::Path;
 
 use super::checkpoint::{Checkpoint, MAX_BYTES};
 use super::error::AgentError;
-use super::tagger::{Tagger, TaggerState};
+use super::tagger::Tagger;
 use crate::config::Settings;
-use crate::geometry::{Field, Pose2};
+use crate::geometry::{Field, Lens, Pose2};
+use crate::localization::LocalizerState;
 use crate::recording::write_atomically;
 use crate::sensors::synchroniser::InitialPose;
 
@@ -21,17 +22,17 @@ pub struct Start {
     /// Of the segment that is replayed: exact.
     pub checkpoint: Option<Checkpoint>,
     /// Of the last agent: the robot may have been carried since.
-    pub warm: Option<TaggerState>,
+    pub warm: Option<LocalizerState>,
     /// In place of what the log announces.
     pub initial: Option<Pose2>,
 }
 
 impl Start {
-    pub(super) fn tagger(&self, settings: &Settings, field: Field) -> Tagger {
+    pub(super) fn tagger(&self, settings: &Settings, field: Field, lens: Lens) -> Tagger {
         let exact = self.checkpoint.as_ref().map(|checkpoint| checkpoint.tagger.clone());
         let mut tagger = match &self.warm {
-            Some(warm) => Tagger::new(settings, field, warm.clone()),
-            None => Tagger::new(settings, field, exact.unwrap_or_default()),
+            Some(warm) => Tagger::new(settings, field, lens, warm.clone()),
+            None => Tagger::new(settings, field, lens, exact.unwrap_or_default()),
         };
         if self.warm.is_some() {
             tagger.resume();
@@ -44,7 +45,7 @@ impl Start {
 }
 
 /// The state that the last agent left in `captures`, or why there is none to go on from. A first start has none.
-pub fn last_state(captures: &Path) -> Result<Option<TaggerState>, String> {
+pub fn last_state(captures: &Path) -> Result<Option<LocalizerState>, String> {
     let path = captures.join(STATE_FILE);
     let why = |what: String| format!("{}: {what}", path.display());
     let file = match File::open(&path) {

@@ -153,6 +153,10 @@ pub struct FilterConfig {
     pub valid_points: f64,
     /// ... and the particles are this close together.
     pub valid_spread_m: f64,
+    /// Whether the pose is refined by least squares; without it the best particle is the tag.
+    pub refinement: bool,
+    /// A refined pose is valid up to this standard deviation along its longer axis.
+    pub valid_refined_m: f64,
 }
 
 /// How wrong a step of odometry can be. Walking robots slip: 10 to 30 % is normal.
@@ -229,6 +233,7 @@ impl Settings {
         within("filter.valid_share", f.valid_share, 0.0, 1.0)?;
         within("filter.valid_points", f.valid_points, 0.0, 1e6)?;
         within("filter.valid_spread_m", f.valid_spread_m, 0.0, 100.0)?;
+        within("filter.valid_refined_m", f.valid_refined_m, 0.0, 100.0)?;
         let m = &self.motion;
         for (key, value) in [
             ("motion.distance_share", m.distance_share),
@@ -341,6 +346,8 @@ impl Default for FilterConfig {
             valid_share: 0.35,
             valid_points: 8.0,
             valid_spread_m: 0.25,
+            refinement: true,
+            valid_refined_m: 0.04,
         }
     }
 }

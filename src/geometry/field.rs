@@ -141,7 +141,8 @@ impl Stroke {
     }
 
     /// Points in the middle of equal pieces, so that no point sits on a corner.
-    fn points(&self, spacing: f64) -> Vec<FieldPoint> {
+    /// Evenly spaced, at least two.
+    pub fn points(&self, spacing: f64) -> Vec<FieldPoint> {
         let pieces = libm::round(self.length() / spacing).max(2.0);
         let length = self.length() / pieces;
         (0..pieces as usize)

@@ -69,6 +69,12 @@ impl Isometry {
         Euler::from_rotation(self.rotation)
     }
 
+    /// The same pose seen from the other goal: turned by half a turn about the field's centre.
+    pub fn mirrored(&self) -> Self {
+        let half_turn = DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0);
+        Self { rotation: half_turn * self.rotation, translation: half_turn * self.translation }
+    }
+
     pub fn is_finite(&self) -> bool {
         self.rotation.is_finite() && self.translation.is_finite()
     }

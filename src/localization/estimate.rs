@@ -1,6 +1,6 @@
 //! What a weighted set of particles says about the pose.
 
-use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix6, SymmetricEigen, Vector3};
 
 use super::particles::Particles;
 use super::weights::Weights;
@@ -50,5 +50,36 @@ pub fn estimate(particles: &Particles, weights: &Weights) -> Estimate {
         effective_sample_size: weights.effective_sample_size,
         evidence: weights.evidence,
         degenerate: weights.degenerate,
+    }
+}
+
+/// Standard deviations of what the particles do not hold: height (m), roll and pitch (rad).
+const HEIGHT_SIGMA_M: f64 = 0.01;
+const TILT_SIGMA_RAD: f64 = 0.012;
+/// Floor of the covariance in x, y (m) and yaw (rad): what the unknown tilt does to a pose.
+const POSITION_FLOOR_M: f64 = 0.025;
+const YAW_FLOOR_RAD: f64 = 0.008;
+
+impl Estimate {
+    /// Order x, y, z, rotation about x, y, z; the fixed parts are what the particles do not estimate.
+    pub fn pose_covariance(&self) -> Matrix6<f64> {
+        let mut result = Matrix6::zeros();
+        let from = [0, 1, 5];
+        for (i, row) in from.into_iter().enumerate() {
+            for (j, column) in from.into_iter().enumerate() {
+                result[(row, column)] = self.covariance[(i, j)];
+            }
+        }
+        for (index, sigma) in [
+            (0, POSITION_FLOOR_M),
+            (1, POSITION_FLOOR_M),
+            (2, HEIGHT_SIGMA_M),
+            (3, TILT_SIGMA_RAD),
+            (4, TILT_SIGMA_RAD),
+            (5, YAW_FLOOR_RAD),
+        ] {
+            result[(index, index)] += sigma * sigma;
+        }
+        result
     }
 }

@@ -8,7 +8,7 @@ use glam::DVec2;
 use super::cells::{Cells, LinesSeen, full_contrast, line_strengths, range_weights};
 use super::contrast::LineContrast;
 use super::ground_map::GroundMap;
-use super::{Reading, Seen, VisionSettings, WorkingScale};
+use super::{Reading, VisionSettings, WorkingScale};
 
 /// Cells along each side of the table.
 pub const SIDE: usize = 400;
@@ -37,14 +37,15 @@ pub struct Readings {
     pub zero: u8,
 }
 
-/// Fills the table that the observation model wants, and the one of line contrast.
+/// Fills the table that the observation model wants, and the one of line contrast if that is another; with the gray
+/// levels of a full line.
 pub fn tables(
     image: &LineContrast,
     map: &GroundMap,
     to_working: WorkingScale,
     pixels_per_radian: f64,
     settings: &VisionSettings,
-) -> Seen {
+) -> (GroundTable, Option<GroundTable>, f32) {
     let mut cells = Cells::read(image, map, to_working);
     let strengths = line_strengths(map, pixels_per_radian * to_working.factor);
     let weights = range_weights(map, settings.tilt_sigma_rad);
@@ -66,7 +67,7 @@ pub fn tables(
         GroundTable { quads: packed(&levels, readings.zero), seen: seen.clone(), cell_m: map.cell_m(), readings }
     };
     let lines = (settings.reading != Reading::Contrast).then(|| table(Reading::Contrast));
-    Seen { table: table(settings.reading), lines }
+    (table(settings.reading), lines, full_contrast)
 }
 
 /// A full line is +1; plain carpet, where a line should be, -1/3.

@@ -10,6 +10,7 @@ pub mod contrast;
 pub mod distance;
 pub mod ground;
 pub mod ground_map;
+pub mod line_image;
 pub mod mask;
 pub mod picture;
 
@@ -20,6 +21,7 @@ pub use border::CarpetBorder;
 pub use contrast::LineContrast;
 pub use ground::{GroundTable, Readings};
 pub use ground_map::GroundMap;
+pub use line_image::LineImage;
 pub use mask::BodyMask;
 pub use picture::Picture;
 
@@ -46,6 +48,8 @@ pub struct Seen {
     pub table: GroundTable,
     /// Line contrast, if that is something else: tells how much of what a pose predicts is there.
     pub lines: Option<GroundTable>,
+    /// What refinement measures in.
+    pub image: LineImage,
 }
 
 impl Seen {
@@ -105,7 +109,9 @@ impl Vision {
         let contrast = LineContrast::of(&working, &on_carpet, carpet.as_ref());
         let mut map = GroundMap::new(&self.lens, footprint_from_optical, self.range_m(footprint_from_optical));
         map.hide(border.as_ref(), body);
-        ground::tables(&contrast, &map, scale, self.lens.focal(), &self.settings)
+        let (table, lines, full_contrast) = ground::tables(&contrast, &map, scale, self.lens.focal(), &self.settings);
+        let image = LineImage::new(&working, &contrast, scale, body, full_contrast);
+        Seen { table, lines, image }
     }
 
     fn range_m(&self, footprint_from_optical: &Isometry) -> f64 {
@@ -127,7 +133,7 @@ impl Vision {
 }
 
 /// From full-size pixels to pixels of the reduced picture.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WorkingScale {
     factor: f64,
     offset: f64,
@@ -138,6 +144,11 @@ impl WorkingScale {
         let factor = 1.0 / reduction as f64;
         // The centre of the first reduced pixel lies between the full-size pixels that it averages.
         Self { factor, offset: 0.5 * factor - 0.5 }
+    }
+
+    /// Working pixels per full-size pixel.
+    pub fn factor(&self) -> f64 {
+        self.factor
     }
 
     pub fn undo(&self, pixel: DVec2) -> DVec2 {

@@ -95,6 +95,6 @@ fn a_damaged_state_of_the_filter_is_an_error_that_says_so() {
     room.run("replay state.mcap -o captures").fails(1, &["state.mcap", "not a checkpoint of this program"]);
     with_state(&[&b"RSIMCKPT"[..], &9u32.to_le_bytes(), &[0; 20]].concat());
     room.run("replay state.mcap -o captures").fails(1, &["state.mcap", "version 9"]);
-    with_state(&[&b"RSIMCKPT"[..], &1u32.to_le_bytes(), &[0; 20]].concat());
+    with_state(&[&b"RSIMCKPT"[..], &3u32.to_le_bytes(), &[0; 20]].concat());
     room.run("replay state.mcap -o captures").fails(1, &["state.mcap", "damaged"]);
 }

@@ -48,8 +48,14 @@ wire_struct! {
         pub residual: f64,
         /// `camera_link` in `map`, as in the paper.
         pub best_particle: Pose,
-        /// Whether `pose` holds more than the best particle.
+        /// Whether `pose` holds more than the best particle: it was fitted to the lines of this frame.
         pub refined: bool,
+        /// Places where the refined pose expects a line and nothing hides it, ...
+        pub lines_expected: u32,
+        /// ... and where one was found that fits.
+        pub lines_fitting: u32,
+        /// Root of the mean squared distance between these and the refined pose's lines, pixels.
+        pub lines_rms_px: f64,
         /// `camera_link` in `map`.
         pub pose: PoseWithCovariance,
         /// Of `pose`, radians, R = Rz(yaw) Ry(pitch) Rx(roll).

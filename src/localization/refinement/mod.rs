@@ -1,0 +1,147 @@
+//! From the right basin to the pose: robust least squares over the camera's position and rotation.
+//!
+//! Each field line in view is looked for along its normal, in the image, to a fraction of a pixel
+//! ([`offsets`]). What odometry, IMU and mount say is a normal distribution about the predicted pose ([`Prior`]).
+//! The pose that fits both best, and how well it is known, come from [`solve`].
+//!
+//! Errors of a pose are six numbers: position (m) and rotation vector (rad), both along the axes of `map`, in
+//! the order of a ROS covariance: x, y, z, rotation about x, y, z.
+
+pub mod offsets;
+mod points;
+mod solve;
+mod triangular;
+
+use nalgebra::{Matrix6, Vector6};
+
+use crate::geometry::{Isometry, Lens};
+use crate::vision::LineImage;
+use offsets::{Counts, Sight};
+
+pub use points::LinePoints;
+
+/// What is believed of the camera's pose before looking.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prior {
+    pub map_from_optical: Isometry,
+    pub covariance: Matrix6<f64>,
+}
+
+/// What is believed after looking.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refined {
+    pub map_from_optical: Isometry,
+    /// Of the pose's error, given the prior: positive definite, never larger than the prior's.
+    pub covariance: Matrix6<f64>,
+    /// The pose's error vector relative to the prior's pose.
+    pub moved: Vector6<f64>,
+    /// Half the squared deviation from the prior plus the robust cost of the lines: lower is better.
+    pub cost: f64,
+    /// How well the lines were conditioned: largest over smallest singular value in units of the prior.
+    pub condition: f64,
+    pub lines: Agreement,
+}
+
+/// How far lines and pose agree.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Agreement {
+    /// Places where a line had to be seen, and nothing hid it.
+    pub expected: usize,
+    /// Of these, where one was found within reach, ...
+    pub found: usize,
+    /// ... and fits the refined pose.
+    pub fitting: usize,
+    /// Root of the mean squared deviation of those that fit, in pixels.
+    pub rms_px: f64,
+}
+
+impl Agreement {
+    /// Share of the expected line that fits.
+    pub fn share(&self) -> f64 {
+        self.fitting as f64 / self.expected.max(1) as f64
+    }
+}
+
+/// Scale of the robust loss, in standard deviations of one measurement, from the first round of measuring to the last.
+const SCALES: [f64; 2] = [12.0, 4.0];
+
+/// The usual noise weighs as much as this many measurements.
+const USUAL_COUNTS: f64 = 10.0;
+const LEAST_SIGMA_PX: f64 = 0.06;
+
+/// Refines from each start (error vectors relative to the prior's pose); the best result counts.
+pub fn refine(
+    points: &LinePoints,
+    image: &LineImage,
+    lens: &Lens,
+    prior: &Prior,
+    starts: &[Vector6<f64>],
+) -> Option<Refined> {
+    starts
+        .iter()
+        .filter_map(|start| from_start(points, image, lens, prior, start))
+        .min_by(|a, b| a.cost.total_cmp(&b.cost))
+}
+
+fn from_start(
+    points: &LinePoints,
+    image: &LineImage,
+    lens: &Lens,
+    prior: &Prior,
+    start: &Vector6<f64>,
+) -> Option<Refined> {
+    let mut sights: Vec<Sight> = Vec::new();
+    let mut moved = *start;
+    let mut covariance = prior.covariance;
+    let mut last: Option<(Counts, solve::Solution)> = None;
+    let mut sigma_px = offsets::SIGMA_PX;
+    for scale in SCALES {
+        let pose = moved_pose(&prior.map_from_optical, &moved);
+        let counts = offsets::measure(points, image, lens, &pose, &covariance, &mut sights);
+        let solution = solve::solve(prior, &sights, &moved, scale, sigma_px)?;
+        moved = solution.moved;
+        // The next round looks as far as this one leaves open, but never trusts it fully.
+        covariance = solution.covariance * 4.0;
+        sigma_px = pooled_sigma(solution.rms_px, solution.fitting);
+        last = Some((counts, solution));
+    }
+    let (counts, solution) = last?;
+    Some(Refined {
+        map_from_optical: moved_pose(&prior.map_from_optical, &solution.moved),
+        covariance: solution.covariance,
+        moved: solution.moved,
+        cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
+        condition: solution.condition,
+        lines: Agreement {
+            expected: counts.expected,
+            found: sights.len(),
+            fitting: solution.fitting,
+            rms_px: solution.rms_px,
+        },
+    })
+}
+
+/// What the frame itself says of its noise, held back by what is usual as long as few lines say it.
+fn pooled_sigma(rms_px: f64, count: usize) -> f64 {
+    let count = count as f64;
+    let usual = offsets::SIGMA_PX * offsets::SIGMA_PX;
+    libm::sqrt((count * rms_px * rms_px + USUAL_COUNTS * usual) / (count + USUAL_COUNTS)).max(LEAST_SIGMA_PX)
+}
+
+/// The pose whose error relative to `pose` is `moved`.
+pub fn moved_pose(pose: &Isometry, moved: &Vector6<f64>) -> Isometry {
+    let turn = glam::DVec3::new(moved[3], moved[4], moved[5]);
+    Isometry::new(
+        glam::DQuat::from_scaled_axis(turn) * pose.rotation,
+        pose.translation + glam::DVec3::new(moved[0], moved[1], moved[2]),
+    )
+}
+
+/// The error of `other` relative to `pose`.
+pub fn error_between(pose: &Isometry, other: &Isometry) -> Vector6<f64> {
+    let off = other.translation - pose.translation;
+    let turn = other.rotation * pose.rotation.conjugate();
+    let turn = if turn.w < 0.0 { -turn } else { turn };
+    let turn = turn.to_scaled_axis();
+    Vector6::new(off.x, off.y, off.z, turn.x, turn.y, turn.z)
+}

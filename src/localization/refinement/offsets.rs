@@ -1,0 +1,254 @@
+//! Where lines lie in the image, against where a pose puts them.
+
+use glam::{DVec2, DVec3};
+use nalgebra::Matrix6;
+
+use super::points::{LinePoint, LinePoints};
+use crate::geometry::{Isometry, Lens};
+use crate::vision::LineImage;
+
+/// A place of a line, found in the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sight {
+    /// Unit ray in `camera_optical_frame`.
+    pub ray: DVec3,
+    /// The place of the field's line, in `map`.
+    pub point: DVec3,
+    /// Unit vector along the line, in `map`.
+    pub tangent: DVec3,
+    /// Standard deviation in units of a thin line's.
+    pub sigmas: f64,
+    /// Across the line.
+    pub pixels_per_rad: f64,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Places where a line had to be seen, and nothing hid it.
+    pub expected: usize,
+    pub missed: usize,
+}
+
+/// Lines thinner than this are not looked for.
+const THINNEST_PX: f64 = 0.8;
+/// Neighbours along a line are at least this far apart.
+const APART_PX: f64 = 4.0;
+/// What is looked for lies within this many standard deviations, ...
+const REACH_SIGMAS: f64 = 2.5;
+/// ... within these limits.
+const LEAST_REACH_PX: f64 = 2.5;
+const MOST_REACH_PX: f64 = 24.0;
+/// Standard deviation of a thin line's place before the frame itself has told: pixels, JPEG, lens.
+pub(super) const SIGMA_PX: f64 = 0.25;
+/// A line this wide is found half as well in pixels: more of paint and carpet in its profile.
+const WIDE_PX: f64 = 12.0;
+/// Share of the expected contrast that makes a line.
+const LEAST_CONTRAST: f64 = 0.35;
+/// The narrow line contrast of vision shows this much of a line's own contrast.
+const SHOWN_CONTRAST: f64 = 0.672;
+
+/// Looks for every line in view of the pose; what it finds replaces `sights`. `covariance` says how wrong the pose may
+/// be.
+pub fn measure(
+    points: &LinePoints,
+    image: &LineImage,
+    lens: &Lens,
+    map_from_optical: &Isometry,
+    covariance: &Matrix6<f64>,
+    sights: &mut Vec<Sight>,
+) -> Counts {
+    sights.clear();
+    let mut counts = Counts::default();
+    let contrast = f64::from(image.full_contrast()) / SHOWN_CONTRAST;
+    if !contrast.is_finite() {
+        return counts;
+    }
+    let optical_from_map = map_from_optical.inverse();
+    let camera = map_from_optical.translation;
+    let least_cos = libm::cos(lens.max_angle().min(core::f64::consts::PI));
+    let height = camera.z.max(0.05);
+    // Beyond this a line is thinner than the thinnest whatever its direction.
+    let farthest = libm::sqrt(lens.focal() * points.line_width_m * image.scale().factor() / THINNEST_PX * height) * 2.0;
+    let farthest = farthest.max(farthest * farthest / (4.0 * height)).max(1.0);
+    for stroke in &points.strokes {
+        let mut last = DVec2::INFINITY;
+        for point in stroke {
+            let to = point.position - camera.truncate();
+            if to.length_squared() > farthest * farthest {
+                continue;
+            }
+            let centre = optical_from_map.transform_point(point.position.extend(0.0));
+            if centre.z < least_cos * centre.length() {
+                continue;
+            }
+            let Some(pixel) = lens.project(centre) else { continue };
+            if !lens.contains(pixel) || pixel.distance_squared(last) < APART_PX * APART_PX {
+                continue;
+            }
+            let Some(expected) = Expected::new(point, points.line_width_m, centre, image, lens, &optical_from_map)
+            else {
+                continue;
+            };
+            last = pixel;
+            let reach = expected.reach_px(point, camera, covariance);
+            match expected.find(image, reach, contrast) {
+                Outcome::Hidden => {}
+                Outcome::Missed => {
+                    counts.expected += 1;
+                    counts.missed += 1;
+                }
+                Outcome::Found(offset_px) => {
+                    counts.expected += 1;
+                    sights.push(expected.sight(point, offset_px));
+                }
+            }
+        }
+    }
+    counts
+}
+
+enum Outcome {
+    /// Out of the image, or something stands before it.
+    Hidden,
+    /// Plain carpet where the line should be.
+    Missed,
+    Found(f64),
+}
+
+/// A short piece of line as the pose would have it drawn.
+struct Expected {
+    /// Unit ray of the line's middle in `camera_optical_frame`.
+    ray: DVec3,
+    /// From the line's one edge to its other: difference of unit rays.
+    across: DVec3,
+    /// Middle between the drawn edges, pixels of the working image.
+    middle: DVec2,
+    /// Unit vector across the drawn line.
+    direction: DVec2,
+    width_px: f64,
+}
+
+impl Expected {
+    fn new(
+        point: &LinePoint,
+        line_width_m: f64,
+        centre: DVec3,
+        image: &LineImage,
+        lens: &Lens,
+        optical_from_map: &Isometry,
+    ) -> Option<Self> {
+        let half = optical_from_map.transform_vector((point.normal * (line_width_m / 2.0)).extend(0.0));
+        let (left, right) = (centre + half, centre - half);
+        let scale = image.scale();
+        let (from, to) = (scale.apply(lens.project(right)?), scale.apply(lens.project(left)?));
+        let width_px = from.distance(to);
+        if width_px < THINNEST_PX {
+            return None;
+        }
+        Some(Self {
+            ray: centre.normalize(),
+            across: left.normalize() - right.normalize(),
+            middle: (from + to) / 2.0,
+            direction: (to - from) / width_px,
+            width_px,
+        })
+    }
+
+    fn pixels_per_rad(&self) -> f64 {
+        self.width_px / self.across.length().max(1e-12)
+    }
+
+    /// How far off the line may be drawn if the pose is as wrong as its covariance says.
+    fn reach_px(&self, point: &LinePoint, camera: DVec3, covariance: &Matrix6<f64>) -> f64 {
+        let tangent = DVec3::new(-point.normal.y, point.normal.x, 0.0);
+        let off = point.position.extend(0.0) - camera;
+        let across = off.cross(tangent);
+        let length = across.length().max(1e-9);
+        let (normal, ray) = (across / length, off.normalize());
+        let turn = ray.cross(normal);
+        let shift = -tangent.cross(ray) / length;
+        let gradient = nalgebra::Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+        let sigma = libm::sqrt(gradient.dot(&(covariance * gradient)).max(0.0));
+        (REACH_SIGMAS * sigma * self.pixels_per_rad()).clamp(LEAST_REACH_PX, MOST_REACH_PX)
+    }
+
+    fn sight(&self, point: &LinePoint, offset_px: f64) -> Sight {
+        Sight {
+            ray: (self.ray + self.across * (offset_px / self.width_px)).normalize(),
+            point: point.position.extend(0.0),
+            tangent: DVec3::new(-point.normal.y, point.normal.x, 0.0),
+            sigmas: libm::hypot(1.0, self.width_px / WIDE_PX),
+            pixels_per_rad: self.pixels_per_rad(),
+        }
+    }
+
+    /// The line's middle along the normal, in pixels from where it was expected.
+    fn find(&self, image: &LineImage, reach_px: f64, contrast: f64) -> Outcome {
+        const MAX_SAMPLES: usize = 160;
+        let width = self.width_px as f32;
+        let step = (width / 6.0).clamp(0.5, 1.5);
+        let in_steps = |pixels: f32| libm::roundf(pixels / step) as usize;
+        // Half the line, the blur at its edge, the carpet beside it.
+        let (band, gap, flank) = (in_steps(0.5 * width - 0.25), in_steps(1.5), in_steps((width / 3.0).max(2.0)));
+        let margin = band + gap + flank;
+        let reach = (in_steps(reach_px as f32)).min((MAX_SAMPLES - 1) / 2 - margin.min((MAX_SAMPLES - 1) / 2 - 1));
+        let half = reach + margin;
+        let count = 2 * half + 1;
+        if count > MAX_SAMPLES {
+            return Outcome::Hidden;
+        }
+        let (u0, v0) = (self.middle.x as f32, self.middle.y as f32);
+        let (du, dv) = (self.direction.x as f32 * step, self.direction.y as f32 * step);
+        let mut profile = [0.0f32; MAX_SAMPLES];
+        let mut sums = [0.0f32; MAX_SAMPLES + 1];
+        for k in 0..count {
+            let at = k as f32 - half as f32;
+            let Some(value) = image.luma(u0 + at * du, v0 + at * dv) else { return Outcome::Hidden };
+            profile[k] = value;
+            sums[k + 1] = sums[k] + value;
+        }
+        let mean = |from: usize, to: usize| (sums[to] - sums[from]) / (to - from) as f32;
+        let flanks = |middle: usize| {
+            let left = mean(middle - margin, middle - margin + flank);
+            let right = mean(middle + margin + 1 - flank, middle + margin + 1);
+            (left, right)
+        };
+        let (mut best, mut at) = (f32::NEG_INFINITY, half);
+        for middle in margin..count - margin {
+            let (left, right) = flanks(middle);
+            let response = mean(middle - band, middle + band + 1) - left.max(right);
+            if response > best {
+                (best, at) = (response, middle);
+            }
+        }
+        let hidden = |steps: f32| image.hides(u0 + steps * du, v0 + steps * dv);
+        let beside = (band + gap + flank / 2) as f32;
+        let offset = at as f32 - half as f32;
+        if hidden(offset) || hidden(offset - beside) || hidden(offset + beside) {
+            return Outcome::Hidden;
+        }
+        // A line thinner than the pixels' own blur shows less.
+        let shown = contrast * (self.width_px / 2.0).min(1.0);
+        if f64::from(best) < LEAST_CONTRAST * shown {
+            // Carpet is darker than a line would be; brightness beyond the field or a robot's shell says nothing.
+            return if hidden(0.0) || hidden(-beside) || hidden(beside) { Outcome::Hidden } else { Outcome::Missed };
+        }
+        Outcome::Found(
+            f64::from(centroid(&profile[..count], at, band + gap, flanks(at)) - half as f32) * f64::from(step),
+        )
+    }
+}
+
+/// Centre of what stands out of the carpet within `reach` samples of the peak, the carpet's brightness going
+/// straight from the left flank's to the right one's.
+fn centroid(profile: &[f32], peak: usize, reach: usize, (left, right): (f32, f32)) -> f32 {
+    let (mut sum, mut moment) = (0.0f32, 0.0f32);
+    for (k, value) in profile[peak - reach..=peak + reach].iter().enumerate() {
+        let off = k as f32 - reach as f32;
+        let carpet = 0.5 * (left + right) + (right - left) * off / (2.0 * reach as f32 + 1.0);
+        let above = value - carpet;
+        sum += above;
+        moment += above * off;
+    }
+    if sum > 0.0 { peak as f32 + (moment / sum).clamp(-(reach as f32), reach as f32) } else { peak as f32 }
+}

@@ -1,0 +1,278 @@
+//! What is followed from frame to frame beside the particles: the robot's path and the slow errors of odometry,
+//! IMU and mount.
+//!
+//! A frame's camera pose scatters about what these say (the torso sways at every step, the IMU is noisy), so it
+//! is not part of the state: the state predicts it ([`Track::prior`]), the frame's refinement measures it, and
+//! what that says of the state follows by conditioning ([`Track::update`]), as in a Kalman filter.
+
+use glam::{DQuat, DVec3};
+use nalgebra::{Matrix6, SMatrix, SVector};
+use serde::{Deserialize, Serialize};
+
+use super::refinement::{Prior, Refined};
+use crate::geometry::{Isometry, Pose2, wrap_angle};
+
+/// x, y, yaw of `base_footprint`; roll and pitch error of the torso's attitude; of the camera's mount; the camera's height
+/// error; relative error of odometry's distance and of its turn.
+const STATES: usize = 10;
+const X: usize = 0;
+const Y: usize = 1;
+const YAW: usize = 2;
+const TORSO_ROLL: usize = 3;
+const TORSO_PITCH: usize = 4;
+const MOUNT_ROLL: usize = 5;
+const MOUNT_PITCH: usize = 6;
+const HEIGHT: usize = 7;
+const DISTANCE: usize = 8;
+const TURN: usize = 9;
+
+type Covariance = SMatrix<f64, STATES, STATES>;
+type State = SVector<f64, STATES>;
+
+/// Standard deviations of what the track does not follow, and of how fast what it follows changes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackModel {
+    /// Sideways, forwards and vertical sway of the camera at each step of the gait, metres.
+    pub sway_m: DVec3,
+    /// Error of one frame's attitude: IMU noise and time error.
+    pub tilt_noise_rad: f64,
+    pub yaw_noise_rad: f64,
+    /// At the start: errors of the torso's attitude, of the mount, of the camera's height, of odometry's scales.
+    pub torso_tilt_rad: f64,
+    pub mount_tilt_rad: f64,
+    pub height_m: f64,
+    pub distance_scale: f64,
+    pub turn_scale: f64,
+    /// Error of one step of odometry beyond its scale: share of the distance, radians per metre and share of the turn, and
+    /// what is added with time.
+    pub step_share: f64,
+    pub turn_share: f64,
+    pub turn_rad_per_m: f64,
+    pub drift_m_per_sqrt_s: f64,
+    pub drift_rad_per_sqrt_s: f64,
+}
+
+impl Default for TrackModel {
+    fn default() -> Self {
+        Self {
+            sway_m: DVec3::new(0.006, 0.014, 0.006),
+            tilt_noise_rad: 0.4f64.to_radians(),
+            yaw_noise_rad: 0.3f64.to_radians(),
+            torso_tilt_rad: 0.7f64.to_radians(),
+            mount_tilt_rad: 0.7f64.to_radians(),
+            height_m: 0.012,
+            distance_scale: 0.15,
+            turn_scale: 0.15,
+            step_share: 0.1,
+            turn_share: 0.05,
+            turn_rad_per_m: 0.08,
+            drift_m_per_sqrt_s: 0.005,
+            drift_rad_per_sqrt_s: 0.006,
+        }
+    }
+}
+
+/// How much the slow errors may change: per root of a second.
+const TILT_WALK_RAD: f64 = 0.0005;
+const HEIGHT_WALK_M: f64 = 0.0005;
+const SCALE_WALK: f64 = 0.01;
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Track {
+    mean: State,
+    covariance: Covariance,
+}
+
+/// Where the track puts the camera, and what is needed to learn from the difference.
+#[derive(Clone, Debug)]
+pub struct Prediction {
+    pub prior: Prior,
+    /// How the camera pose's error depends on the state's.
+    sensitivity: SMatrix<f64, 6, STATES>,
+}
+
+impl Prediction {
+    /// The same, less certain: covariance times `factor`.
+    pub fn doubted(&self, factor: f64) -> Self {
+        let Prior { map_from_optical, covariance } = &self.prior;
+        let prior = Prior { map_from_optical: *map_from_optical, covariance: covariance * factor };
+        Self { prior, sensitivity: self.sensitivity }
+    }
+}
+
+impl Track {
+    /// Around a pose, knowing nothing of the slow errors.
+    pub fn around(pose: Pose2, xy_m: f64, yaw_rad: f64, model: &TrackModel) -> Self {
+        let mut mean = State::zeros();
+        mean.fixed_rows_mut::<3>(0).copy_from_slice(&[pose.x, pose.y, pose.yaw]);
+        let sigmas = State::from([
+            xy_m,
+            xy_m,
+            yaw_rad,
+            model.torso_tilt_rad,
+            model.torso_tilt_rad,
+            model.mount_tilt_rad,
+            model.mount_tilt_rad,
+            model.height_m,
+            model.distance_scale,
+            model.turn_scale,
+        ]);
+        Self { mean, covariance: Covariance::from_diagonal(&sigmas.component_mul(&sigmas)) }
+    }
+
+    /// Elsewhere, but with what was learnt of the robot.
+    pub fn moved_to(&self, pose: Pose2, xy_m: f64, yaw_rad: f64) -> Self {
+        let mut moved = self.clone();
+        moved.mean.fixed_rows_mut::<3>(0).copy_from_slice(&[pose.x, pose.y, pose.yaw]);
+        for (index, sigma) in [(X, xy_m), (Y, xy_m), (YAW, yaw_rad)] {
+            moved.covariance.row_mut(index).fill(0.0);
+            moved.covariance.column_mut(index).fill(0.0);
+            moved.covariance[(index, index)] = sigma * sigma;
+        }
+        moved
+    }
+
+    pub fn pose(&self) -> Pose2 {
+        Pose2::new(self.mean[X], self.mean[Y], self.mean[YAW])
+    }
+
+    pub fn mirrored(&self) -> Self {
+        let pose = self.pose().mirrored();
+        let mut mirrored = self.clone();
+        mirrored.mean.fixed_rows_mut::<3>(0).copy_from_slice(&[pose.x, pose.y, pose.yaw]);
+        for index in [X, Y] {
+            mirrored.covariance.row_mut(index).neg_mut();
+            mirrored.covariance.column_mut(index).neg_mut();
+        }
+        mirrored
+    }
+
+    /// Standard deviation of the path's place (along its longer axis) and heading.
+    pub fn spread(&self) -> (f64, f64) {
+        let c = &self.covariance;
+        let (mean, half) = (0.5 * (c[(X, X)] + c[(Y, Y)]), 0.5 * (c[(X, X)] - c[(Y, Y)]));
+        let largest = mean + libm::hypot(half, c[(X, Y)]);
+        (libm::sqrt(largest.max(0.0)), libm::sqrt(c[(YAW, YAW)].max(0.0)))
+    }
+
+    /// `step` as odometry has it; without odometry the robot may have walked as far as `reach_m` and turned by
+    /// `reach_rad`.
+    pub fn predict(&mut self, step: Option<Pose2>, seconds: f64, model: &TrackModel, reach_m: f64, reach_rad: f64) {
+        let seconds = seconds.max(0.0);
+        let step = step.map_or((Pose2::default(), reach_m, reach_rad), |step| {
+            let distance = libm::hypot(step.x, step.y);
+            let root = libm::sqrt(seconds);
+            let xy = libm::hypot(model.step_share * distance, model.drift_m_per_sqrt_s * root);
+            let turn = model.turn_share * step.yaw.abs() + model.turn_rad_per_m * distance;
+            (step, xy, libm::hypot(turn, model.drift_rad_per_sqrt_s * root))
+        });
+        let (step, xy, turn) = step;
+        let (sin, cos) = libm::sincos(self.mean[YAW]);
+        let grown = 1.0 + self.mean[DISTANCE];
+        let walked = (cos * step.x - sin * step.y, sin * step.x + cos * step.y);
+        self.mean[X] += grown * walked.0;
+        self.mean[Y] += grown * walked.1;
+        self.mean[YAW] = wrap_angle(self.mean[YAW] + (1.0 + self.mean[TURN]) * step.yaw);
+        let mut transition = Covariance::identity();
+        transition[(X, YAW)] = -grown * walked.1;
+        transition[(Y, YAW)] = grown * walked.0;
+        transition[(X, DISTANCE)] = walked.0;
+        transition[(Y, DISTANCE)] = walked.1;
+        transition[(YAW, TURN)] = step.yaw;
+        self.covariance = transition * self.covariance * transition.transpose();
+        let mut add = |index: usize, variance: f64, most: f64| {
+            let grown = self.covariance[(index, index)] + variance;
+            // What was believed at the start is never doubted further.
+            self.covariance[(index, index)] = grown.min(most.max(self.covariance[(index, index)]));
+        };
+        add(X, xy * xy, f64::INFINITY);
+        add(Y, xy * xy, f64::INFINITY);
+        add(YAW, turn * turn, f64::INFINITY);
+        for index in [TORSO_ROLL, TORSO_PITCH] {
+            add(index, TILT_WALK_RAD * TILT_WALK_RAD * seconds, model.torso_tilt_rad * model.torso_tilt_rad);
+        }
+        for index in [MOUNT_ROLL, MOUNT_PITCH] {
+            add(index, TILT_WALK_RAD * TILT_WALK_RAD * seconds, model.mount_tilt_rad * model.mount_tilt_rad);
+        }
+        add(HEIGHT, HEIGHT_WALK_M * HEIGHT_WALK_M * seconds, model.height_m * model.height_m);
+        add(DISTANCE, SCALE_WALK * SCALE_WALK * seconds, model.distance_scale * model.distance_scale);
+        add(TURN, SCALE_WALK * SCALE_WALK * seconds, model.turn_scale * model.turn_scale);
+    }
+
+    /// Where the camera should be, `footprint_from_optical` being its place by IMU, joints and mount.
+    pub fn prior(&self, footprint_from_optical: &Isometry, model: &TrackModel) -> Prediction {
+        let footprint = self.pose();
+        let nominal = footprint.to_isometry() * *footprint_from_optical;
+        let torso = DQuat::from_rotation_z(footprint.yaw);
+        let ahead = nominal.rotation * DVec3::Z;
+        // A camera that looks straight down has no heading: the robot's will do.
+        let heading = if ahead.truncate().length() > 1e-3 { libm::atan2(ahead.y, ahead.x) } else { footprint.yaw };
+        let camera = DQuat::from_rotation_z(heading);
+        let axes = [
+            (TORSO_ROLL, torso * DVec3::X),
+            (TORSO_PITCH, torso * DVec3::Y),
+            (MOUNT_ROLL, camera * DVec3::X),
+            (MOUNT_PITCH, camera * DVec3::Y),
+        ];
+        let mut sensitivity = SMatrix::<f64, 6, STATES>::zeros();
+        sensitivity[(0, X)] = 1.0;
+        sensitivity[(1, Y)] = 1.0;
+        sensitivity[(2, HEIGHT)] = 1.0;
+        sensitivity[(5, YAW)] = 1.0;
+        let arm = nominal.translation - DVec3::new(footprint.x, footprint.y, 0.0);
+        sensitivity[(0, YAW)] = -arm.y;
+        sensitivity[(1, YAW)] = arm.x;
+        for (state, axis) in axes {
+            for (row, part) in [(3, axis.x), (4, axis.y), (5, axis.z)] {
+                sensitivity[(row, state)] = part;
+            }
+        }
+        let tilt: DVec3 = axes.iter().map(|(state, axis)| *axis * self.mean[*state]).sum();
+        let map_from_optical = Isometry::new(
+            DQuat::from_scaled_axis(tilt) * nominal.rotation,
+            nominal.translation + DVec3::new(0.0, 0.0, self.mean[HEIGHT]),
+        );
+        let mut covariance: Matrix6<f64> = sensitivity * self.covariance * sensitivity.transpose();
+        covariance += scatter(model, footprint.yaw);
+        covariance = (covariance + covariance.transpose()) * 0.5;
+        Prediction { prior: Prior { map_from_optical, covariance }, sensitivity }
+    }
+
+    /// What a refined pose says of the state.
+    pub fn update(&mut self, prediction: &Prediction, refined: &Refined) {
+        let Some(information) = prediction.prior.covariance.cholesky() else { return };
+        let gain = self.covariance * prediction.sensitivity.transpose() * information.inverse();
+        self.mean += gain * refined.moved;
+        self.mean[YAW] = wrap_angle(self.mean[YAW]);
+        let learnt = prediction.prior.covariance - refined.covariance;
+        let covariance = self.covariance - gain * learnt * gain.transpose();
+        self.covariance = (covariance + covariance.transpose()) * 0.5;
+    }
+
+    /// Everything is less certain than it was believed: covariance times `factor`.
+    pub fn doubt(&mut self, factor: f64) {
+        self.covariance *= factor;
+    }
+
+    /// Learnt so far: relative errors of odometry's distance and turn.
+    pub fn odometry_scales(&self) -> (f64, f64) {
+        (self.mean[DISTANCE], self.mean[TURN])
+    }
+}
+
+/// One frame's own error about the path, in `map`.
+fn scatter(model: &TrackModel, yaw: f64) -> Matrix6<f64> {
+    let (sin, cos) = libm::sincos(yaw);
+    let (ahead, aside) = (model.sway_m.x * model.sway_m.x, model.sway_m.y * model.sway_m.y);
+    let tilt = model.tilt_noise_rad * model.tilt_noise_rad;
+    let mut result = Matrix6::zeros();
+    result[(0, 0)] = cos * cos * ahead + sin * sin * aside;
+    result[(1, 1)] = sin * sin * ahead + cos * cos * aside;
+    result[(0, 1)] = sin * cos * (ahead - aside);
+    result[(1, 0)] = result[(0, 1)];
+    result[(2, 2)] = model.sway_m.z * model.sway_m.z;
+    result[(3, 3)] = tilt;
+    result[(4, 4)] = tilt;
+    result[(5, 5)] = model.yaw_noise_rad * model.yaw_noise_rad;
+    result
+}
