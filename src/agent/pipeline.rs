@@ -124,19 +124,20 @@ impl Pipeline {
         self.look_at_known()
     }
 
-    /// Nothing more will come. `None` if nothing came at all.
-    pub fn finish(mut self) -> Result<Option<Recorded>, AgentError> {
+    /// Nothing more will come: what is there becomes a whole capture, whatever went wrong, if it can. `None` if nothing
+    /// came at all or nothing more can be written.
+    pub fn finish(mut self) -> (Option<Recorded>, Result<(), AgentError>) {
         let ended = self.end();
-        let Some(session) = self.session.take() else { return ended.map(|()| None) };
-        // Whatever went wrong: what was written gets its final name.
-        let finished = session.finish();
-        ended?;
-        let (session, counts) = finished?;
+        let Some(session) = self.session.take() else { return (None, ended) };
+        let (session, counts) = match session.finish() {
+            Ok(finished) => finished,
+            Err(error) => return (None, ended.and(Err(error.into()))),
+        };
         let heard = self.synchroniser.knows_attitude();
         let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
         let late_measurements = self.synchroniser.too_late();
         let warnings = attitude.into_iter().collect();
-        Ok(Some(Recorded { session, counts, tally: self.tally, late_measurements, warnings }))
+        (Some(Recorded { session, counts, tally: self.tally, late_measurements, warnings }), ended)
     }
 
     fn end(&mut self) -> Result<(), AgentError> {

@@ -215,14 +215,15 @@ impl Run {
     ) -> Result<ReplayReport, ReplayError> {
         let started = Instant::now();
         let fed = self.feed(messages, progress);
-        let finished = self.pipeline.finish();
-        if let Err(error) = fed {
-            return Err(match finished {
-                Ok(Some(Recorded { session, .. })) => ReplayError::Broken { source: Box::new(error), session },
-                _ => error,
-            });
-        }
-        let recorded = finished?.ok_or_else(|| ReplayError::NoFrame("the log has no message".to_owned()))?;
+        let (recorded, ended) = self.pipeline.finish();
+        let recorded = match (fed.and(ended.map_err(ReplayError::from)), recorded) {
+            (Ok(()), Some(recorded)) => recorded,
+            (Ok(()), None) => return Err(ReplayError::NoFrame("the log has no message".to_owned())),
+            (Err(error), None) => return Err(error),
+            (Err(error), Some(Recorded { session, .. })) => {
+                return Err(ReplayError::Broken { source: Box::new(error), session });
+            }
+        };
         let Recorded { session, counts, tally, late_measurements, warnings } = recorded;
         let mut report = self.report;
         report.warnings.extend(warnings);
