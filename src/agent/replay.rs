@@ -53,6 +53,8 @@ pub enum ReplayError {
     Scene(#[from] SceneSourceError),
     #[error(transparent)]
     Agent(#[from] AgentError),
+    #[error("{path}: no segment of this capture is left{}", told(lost))]
+    NoSegment { path: PathBuf, lost: Vec<Loss> },
     #[error("no frame could be used: {0}")]
     NoFrame(String),
     #[error("{source}; what came before is recorded in {session}")]
@@ -62,8 +64,8 @@ pub enum ReplayError {
 fn told(lost: &[Loss]) -> String {
     match lost {
         [] => String::new(),
-        [loss] => format!("; the log is not whole, which may be why: {loss}"),
-        [first, rest @ ..] => format!("; the log is not whole, which may be why: {first}; and {} more", rest.len()),
+        [loss] => format!("; it is not whole, which may be why: {loss}"),
+        [first, rest @ ..] => format!("; it is not whole, which may be why: {first}; and {} more", rest.len()),
     }
 }
 
@@ -82,8 +84,11 @@ pub fn replay(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 }
 
 fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
-    let files = log::files_of(&options.source)?;
     let missing = missing_parts(&options.source);
+    let files = log::files_of(&options.source).map_err(|error| match error {
+        LogError::NoFiles { path } if !missing.is_empty() => ReplayError::NoSegment { path, lost: missing.clone() },
+        error => error.into(),
+    })?;
     let surveys = log::surveys(&files)?;
     let types = log::topic_types(&surveys);
     let lost = || {

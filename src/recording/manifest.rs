@@ -89,20 +89,20 @@ pub struct ManifestLine {
     pub poses: Option<PoseBox>,
 }
 
-/// Messages of one topic and type in all segments, for `metadata.yaml`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TopicCount {
-    /// As in the files' channel: readers take a topic whose profiles differ there for another one.
+/// What tells an entry of `metadata.yaml` from the others. Readers look for the files' channels by all three.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TopicEntry {
+    pub name: String,
+    pub type_name: String,
     pub qos_profiles: String,
-    pub messages: u64,
 }
 
 /// What `ros2 bag` wants beside the files (version 5: understood since Humble).
-/// `topics` by name and type.
-pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<(String, String), TopicCount>) -> String {
+/// `topics` with the number of their messages.
+pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<TopicEntry, u64>) -> String {
     let first = lines.iter().map(|line| line.first_ns).min().unwrap_or(0);
     let last = lines.iter().map(|line| line.last_ns).max().unwrap_or(first);
-    let messages: u64 = topics.values().map(|topic| topic.messages).sum();
+    let messages: u64 = topics.values().sum();
     let mut yaml = String::new();
     // Writing to a String cannot fail.
     let _ = write!(
@@ -112,15 +112,14 @@ pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<(String, String),
          topics_with_message_count:\n",
         last - first
     );
-    for ((name, type_name), topic) in topics {
+    for (TopicEntry { name, type_name, qos_profiles }, messages) in topics {
         let _ = write!(
             yaml,
             "    - topic_metadata:\n        name: {}\n        type: {}\n        serialization_format: cdr\n        \
-             offered_qos_profiles: {}\n      message_count: {}\n",
+             offered_qos_profiles: {}\n      message_count: {messages}\n",
             quoted(name),
             quoted(type_name),
-            quoted(&topic.qos_profiles),
-            topic.messages
+            quoted(qos_profiles)
         );
     }
     let _ = writeln!(yaml, "  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:");

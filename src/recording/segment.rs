@@ -184,13 +184,9 @@ impl Segment {
     }
 }
 
-/// Whether messages of both can be read in the same way. Quality of service may differ: the first one's is kept.
+/// Whether the file may take both for one.
 fn is_same(one: &Channel, other: &Channel) -> bool {
-    fn key(channel: &Channel) -> (&str, &str, &str, &str, &[u8]) {
-        let Channel { topic, type_name, message_encoding, schema_encoding, definition, .. } = channel;
-        (topic, type_name, message_encoding, schema_encoding, definition)
-    }
-    key(one) == key(other)
+    *one == Channel { id: one.id, ..other.clone() }
 }
 
 /// Makes a created or renamed name survive a power cut.

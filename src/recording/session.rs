@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use super::manifest::{Counts, MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicCount, metadata_yaml};
+use super::manifest::{Counts, MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml};
 use super::segment::{Segment, sync_folder};
 use super::topic;
 use crate::config::RecordingSettings;
@@ -37,8 +37,8 @@ pub struct SessionWriter {
     lines: Vec<ManifestLine>,
     /// Frames of the segments in `lines`.
     finished: Counts,
-    /// By name and type.
-    topics: BTreeMap<(String, String), TopicCount>,
+    /// Messages so far.
+    topics: BTreeMap<TopicEntry, u64>,
     /// Calibration and constants, written again at the start of each segment.
     latched: Vec<LogMessage>,
 }
@@ -174,7 +174,7 @@ impl SessionWriter {
     }
 
     fn write<M: Message>(&mut self, topic: &'static str, log_time_ns: i64, message: &M) -> Result<(), RecordingError> {
-        self.count(topic, M::TYPE, || qos_profile(Durability::Volatile));
+        self.count(topic, M::TYPE, &qos_profile(Durability::Volatile));
         self.segment.write(topic, log_time_ns, message)
     }
 
@@ -193,13 +193,12 @@ impl SessionWriter {
 
     fn count_passed(&mut self, message: &LogMessage) {
         let channel = &message.channel;
-        self.count(&channel.topic, &channel.type_name, || channel.qos_profiles().to_owned());
+        self.count(&channel.topic, &channel.type_name, channel.qos_profiles());
     }
 
-    fn count(&mut self, topic: &str, type_name: &str, qos_profiles: impl FnOnce() -> String) {
-        let key = (topic.to_owned(), type_name.to_owned());
-        let count = self.topics.entry(key);
-        count.or_insert_with(|| TopicCount { qos_profiles: qos_profiles(), messages: 0 }).messages += 1;
+    fn count(&mut self, name: &str, type_name: &str, qos_profiles: &str) {
+        let [name, type_name, qos_profiles] = [name, type_name, qos_profiles].map(str::to_owned);
+        *self.topics.entry(TopicEntry { name, type_name, qos_profiles }).or_default() += 1;
     }
 }
 

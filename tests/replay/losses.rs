@@ -44,7 +44,7 @@ fn a_segment_of_another_size_is_named() {
 }
 
 #[test]
-fn a_capture_without_any_segment_says_what_was_there() {
+fn a_capture_that_lost_its_images_says_what_was_there() {
     let room = Room::with_walk();
     let session = capture(&room);
     let files = segments(&session);
@@ -53,6 +53,9 @@ fn a_capture_without_any_segment_says_what_was_there() {
     let rest = super::support::without(&super::support::read_log(&files[0]), super::support::IMAGE);
     fs::write(&files[0], super::support::own_log(&rest)).unwrap();
     let words = ["parts/session: no camera images", "which may be why", "0000.mcap: has ", "more"];
+    room.run("replay parts/session -o captures").fails(1, &words);
+    fs::remove_file(&files[0]).unwrap();
+    let words = ["parts/session: no segment of this capture is left", "0000.mcap: missing", "more"];
     room.run("replay parts/session -o captures").fails(1, &words);
 }
 

@@ -62,7 +62,7 @@ fn the_agent_s_own_log_loses_little_at_a_tear() {
 fn a_log_torn_before_its_first_frame_is_an_error_that_says_so() {
     let room = Room::new();
     room.write("torn.mcap", &walk().log[..12]);
-    let words = ["torn.mcap: ", "no camera images", "the log is not whole, which may be why", "its end is missing"];
+    let words = ["torn.mcap: ", "no camera images", "it is not whole, which may be why", "its end is missing"];
     room.run("replay torn.mcap -o captures").fails(1, &words);
     assert!(!room.path("captures").exists(), "nothing is left behind");
 }
