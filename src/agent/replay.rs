@@ -108,7 +108,7 @@ fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
     let mut source = LogSource::new(files, Selection::All);
     let messages = source.by_ref().map(|message| message.map_err(ReplayError::from));
     let mut run = Run::new(options, setup, stored.checkpoint);
-    run.report.losses.extend(missing.into_iter().chain(stored.loss));
+    run.report.lost.extend(missing.into_iter().chain(stored.loss));
     run.report.warnings.extend(stored.warning);
     let mut report = run.through(messages, &mut |done| progress(done, Some(total)))?;
     report.damage = source.damage().iter().map(|(file, damage)| file_damage(file, damage)).collect();

@@ -34,7 +34,7 @@ pub struct ReplayReport {
     /// What makes tags worse than they need be, and what else a user will want to know.
     pub warnings: Vec<String>,
     /// Parts of a capture that are not there.
-    pub losses: Vec<Loss>,
+    pub lost: Vec<Loss>,
     /// Files of which parts were lost.
     pub damage: Vec<FileDamage>,
 }
@@ -59,7 +59,7 @@ pub struct FileDamage {
 impl ReplayReport {
     /// Something of the source could not be replayed.
     pub fn data_was_lost(&self) -> bool {
-        !(self.damage.is_empty() && self.losses.is_empty())
+        !(self.damage.is_empty() && self.lost.is_empty())
             || self.tagged < self.frames
             || self.bad_messages > 0
             || self.late_measurements > 0

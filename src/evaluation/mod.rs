@@ -5,5 +5,5 @@ pub mod compare;
 pub mod drawing;
 pub mod statistics;
 
-pub use compare::{Comparison, Tagged, compare};
+pub use compare::{Comparison, Tagged, compare, mirrored};
 pub use statistics::Summary;

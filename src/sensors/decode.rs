@@ -61,7 +61,8 @@ pub fn compressed(data: &[u8]) -> Result<Picture, DecodeError> {
 
 /// Luma and chroma as the file holds them: the conversion to RGB and back is saved.
 fn jpeg(data: &[u8]) -> Result<Picture, DecodeError> {
-    let bad = |message: String| DecodeError::Jpeg(message);
+    // Some of its messages end in a newline.
+    let bad = |message: String| DecodeError::Jpeg(message.trim_end().to_owned());
     let limits = DecoderOptions::default()
         .set_max_width(MAX_SIDE as usize)
         .set_max_height(MAX_SIDE as usize)
