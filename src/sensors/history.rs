@@ -244,7 +244,7 @@ mod tests {
         }
         let known = history.clone();
         // Each alone between others: of a second sender whose clock is wrong.
-        for stamp in [0, 5_030, 10, 5_040, 20] {
+        for stamp in [0, 5_030, 10, 5_040] {
             let pushed = history.push(stamp * 1_000_000, 2.0);
             assert_eq!(pushed, if stamp < 5_000 { Pushed::TooLate } else { Pushed::Taken }, "{stamp}");
         }

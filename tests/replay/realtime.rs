@@ -21,16 +21,16 @@ fn a_replay_in_real_time_takes_as_long_as_the_log_and_loses_nothing() {
         assert_same(&replayed.tags, &walk().tags, "in real time");
         assert!(took_s >= logged_s(), "{took_s} s");
         let wall_s = replayed.report["wall_s"].as_f64().unwrap();
-        assert!(wall_s >= logged_s() && wall_s < logged_s() + 5.0, "{wall_s} s for {} s of log", logged_s());
+        assert!(wall_s >= logged_s() && wall_s < logged_s() + 30.0, "{wall_s} s for {} s of log", logged_s());
     }
 }
 
 #[test]
 fn frames_are_written_as_they_come_and_a_pause_is_kept() {
-    // A pause of two seconds in the middle: until it is over only the first half is there.
+    // A pause of four seconds in the middle: until it is over only the first half is there.
     let half = walk().messages.len() / 2;
     let mut messages = walk().messages.clone();
-    messages[half..].iter_mut().for_each(|message| message.log_time_ns += 2_000_000_000);
+    messages[half..].iter_mut().for_each(|message| message.log_time_ns += 4_000_000_000);
     let first = on(&messages[..half], IMAGE).count();
     let room = Room::new();
     room.write("log.mcap", own_log(&messages));
@@ -44,7 +44,7 @@ fn frames_are_written_as_they_come_and_a_pause_is_kept() {
     while !room.path(CAPTURES).exists() {
         std::thread::sleep(Duration::from_millis(5));
     }
-    std::thread::sleep(Duration::from_secs_f64(logged_s() / 2.0 + 1.0));
+    std::thread::sleep(Duration::from_secs_f64(logged_s() / 2.0 + 2.0));
     let session = std::fs::read_dir(room.path(CAPTURES)).unwrap().map(|entry| entry.unwrap().path());
     let session = session.filter(|path| path.is_dir()).last().unwrap();
     let open = std::fs::read(session.join("0000.mcap.active")).unwrap();
