@@ -71,6 +71,8 @@ const SAME_RAD: f64 = 0.3;
 const KEPT: usize = 5;
 /// The tilt is known: what is left is the lens file's own error.
 const TILT_SIGMA_RAD: f64 = 0.005;
+/// On every field that is played on.
+const LINE_WIDTH_M: f64 = 0.05;
 const LINE_POINTS: usize = 700;
 const SEARCH_MARGIN_M: f64 = 0.5;
 /// Around an initial pose.
@@ -94,12 +96,13 @@ impl Known {
     pub fn look(&self, picture: &Picture) -> Seen {
         let settings = VisionSettings {
             reading: observation::reading(Model::Gauss, Formula::Corrected),
+            line_width_m: LINE_WIDTH_M,
             range_m: 0.0,
             tilt_sigma_rad: TILT_SIGMA_RAD,
             nearest_reach_m: 0.25,
         };
         let footprint_from_optical = self.footprint_from_link() * Isometry::link_from_optical();
-        Vision::new(self.lens.clone(), settings).look(picture, &footprint_from_optical, self.body.as_ref())
+        Vision::new(&self.lens, settings).look(picture, &footprint_from_optical, self.body.as_ref())
     }
 
     pub fn locate(&self, seen: &Seen, field: &Field, seed: u64) -> Located {
