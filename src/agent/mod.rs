@@ -1,6 +1,7 @@
 //! The agent: what comes from the sensors goes through the filter into the capture.
 
 pub mod checkpoint;
+mod durations;
 mod error;
 mod pipeline;
 mod prelude;
@@ -12,6 +13,7 @@ mod stages;
 mod state;
 pub mod tagger;
 mod tally;
+mod warnings;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::AgentError;
