@@ -1,9 +1,9 @@
 //! Figures in front of the hall: the nearest first, edges by finer rays, a soft shadow where they stand.
 
-use super::super::effects::{Crowd, Member};
+use super::super::effects::{Crowd, LightModel, Member};
 use super::body::Body;
 use super::fixed::byte;
-use super::light::Lit;
+use super::light::lit;
 use super::rays::RayTable;
 use super::sheet::Colour;
 use super::solid::Hit;
@@ -15,12 +15,13 @@ pub(super) struct CrowdView {
     tiles: Tiles,
 }
 
-/// The camera of one frame: its place in `map`, its rotation column by column.
+/// One frame: the camera's place in `map`, its rotation column by column, and the light.
 #[derive(Clone, Copy)]
 pub(super) struct View<'a> {
     pub(super) rays: &'a RayTable,
     pub(super) rotation: &'a [f32; 9],
     pub(super) camera: &'a [f32; 3],
+    pub(super) light: Option<&'a LightModel>,
 }
 
 /// A figure where it stands in this frame.
@@ -30,6 +31,8 @@ struct Placed<'a> {
     /// Cosine and sine of its yaw.
     turn: [f32; 2],
     swing: f32,
+    /// At its place.
+    light: Colour,
     /// The camera, seen from the figure.
     camera: [f32; 3],
     /// Around the body, around each of its parts, around its shadow.
@@ -77,16 +80,16 @@ impl CrowdView {
     }
 
     /// Over a picture of the empty hall.
-    pub(super) fn draw(&self, time: f64, view: &View, light: &impl Lit, pixels: &mut [u8]) {
+    pub(super) fn draw(&self, time: f64, view: &View, pixels: &mut [u8]) {
         let placed: Vec<Placed> =
             self.members.iter().map(|(member, body)| Placed::new(member, body, time, view)).collect();
         let mut front = Front::new(view.rays);
         let busy: Vec<Busy> = self.tiles.iter().filter_map(|tile| Busy::new(tile, &placed)).collect();
         for busy in &busy {
-            front.look(busy, &placed, view, light);
+            front.look(busy, &placed, view);
         }
         for busy in &busy {
-            front.put(busy, &placed, view, light, pixels);
+            front.put(busy, &placed, view, pixels);
         }
     }
 }
@@ -145,6 +148,7 @@ impl<'a> Placed<'a> {
             place,
             turn,
             swing,
+            light: lit(view.light, [1.0; 3], || place),
             camera: [turn[0] * dx[0] + turn[1] * dx[1], turn[0] * dx[1] - turn[1] * dx[0], view.camera[2]],
             ball: ball(&(middle, around)),
             parts: parts.iter().map(|balls| balls.iter().map(ball).collect()).collect(),
@@ -161,7 +165,7 @@ impl<'a> Placed<'a> {
     }
 
     /// `ray` as the figure sees it.
-    fn colour(&self, part: usize, hit: &Hit, ray: [f32; 3], light: &impl Lit) -> Colour {
+    fn colour(&self, part: usize, hit: &Hit, ray: [f32; 3]) -> Colour {
         let n = hit.normal;
         let scale = 1.0 / (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt().max(1e-9);
         let [cos, sin] = self.turn;
@@ -171,7 +175,8 @@ impl<'a> Placed<'a> {
         let height = self.camera[2] + hit.t * ray[2];
         // Lamps hang from the ceiling; near the ground the carpet shines back less than the hall.
         let gain = (0.70 + 0.25 * up + 0.16 * aside) * (0.8 + 0.2 * (2.0 * height).clamp(0.0, 1.0));
-        light.lit(self.body.parts[part].colour.map(|value| value * gain), || self.place)
+        let colour = self.body.parts[part].colour;
+        core::array::from_fn(|channel| colour[channel] * gain * self.light[channel])
     }
 }
 
@@ -182,14 +187,14 @@ impl Front {
     }
 
     /// What the centres of a tile's pixels show.
-    fn look(&mut self, busy: &Busy, placed: &[Placed], view: &View, light: &impl Lit) {
+    fn look(&mut self, busy: &Busy, placed: &[Placed], view: &View) {
         if busy.parts.is_empty() {
             return;
         }
         for row in busy.tile.rows.clone() {
             for column in busy.columns(view.rays, row) {
                 let ray = view.in_map(view.rays.at(column, row));
-                if let Some((id, colour)) = nearest(&busy.parts, placed, ray, light) {
+                if let Some((id, colour)) = nearest(&busy.parts, placed, ray) {
                     self.ids[row * self.width + column] = id;
                     self.colours[row * self.width + column] = colour.map(byte);
                 }
@@ -198,7 +203,7 @@ impl Front {
     }
 
     /// A tile of the final picture.
-    fn put(&self, busy: &Busy, placed: &[Placed], view: &View, light: &impl Lit, pixels: &mut [u8]) {
+    fn put(&self, busy: &Busy, placed: &[Placed], view: &View, pixels: &mut [u8]) {
         for row in busy.tile.rows.clone() {
             for column in busy.columns(view.rays, row) {
                 let at = row * self.width + column;
@@ -211,7 +216,7 @@ impl Front {
                 }
                 shade(pixel, &busy.shadows, placed, view, column, row);
                 if !inside {
-                    mix(pixel, &parts_of(&around), placed, view, light, column, row);
+                    mix(pixel, &parts_of(&around), placed, view, column, row);
                 }
             }
         }
@@ -246,7 +251,7 @@ fn parts_of(ids: &[u16; 9]) -> Parts {
     found
 }
 
-fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3], light: &impl Lit) -> Option<(u16, Colour)> {
+fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3]) -> Option<(u16, Colour)> {
     let mut first: Option<(usize, usize, Hit)> = None;
     for (which, parts) in parts {
         let figure = &placed[*which];
@@ -261,11 +266,11 @@ fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3], light: &impl Lit) ->
     }
     let (which, part, hit) = first?;
     let figure = &placed[which];
-    Some(((which * PARTS + part + 1) as u16, figure.colour(part, &hit, figure.turned(ray), light)))
+    Some(((which * PARTS + part + 1) as u16, figure.colour(part, &hit, figure.turned(ray))))
 }
 
 /// A pixel on an edge: figures over what it shows already.
-fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, light: &impl Lit, column: usize, row: usize) {
+fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, column: usize, row: usize) {
     let [left, right] = [column, column + 2].map(|c| view.rays.padded(c, row + 1));
     let [above, below] = [row, row + 2].map(|r| view.rays.padded(column + 1, r));
     let middle = view.rays.at(column, row);
@@ -274,7 +279,7 @@ fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, light: &
         let offset = |index: usize| (index as f32 + 0.5) / FINER as f32 - 0.5;
         let (u, v) = (offset(finer % FINER), offset(finer / FINER));
         let ray = core::array::from_fn(|i| middle[i] + 0.5 * (u * (right[i] - left[i]) + v * (below[i] - above[i])));
-        if let Some((_, colour)) = nearest(parts, placed, view.in_map(ray), light) {
+        if let Some((_, colour)) = nearest(parts, placed, view.in_map(ray)) {
             covered += 1.0;
             sum = core::array::from_fn(|channel| sum[channel] + colour[channel].clamp(0.0, 255.0));
         }
