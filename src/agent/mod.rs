@@ -2,6 +2,7 @@
 
 pub mod checkpoint;
 mod error;
+pub mod footage;
 mod pipeline;
 mod prelude;
 pub mod replay;
@@ -15,6 +16,7 @@ mod tally;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::AgentError;
+pub use footage::{Attempt, Footage, FootageOptions};
 pub use replay::{ReplayError, ReplayOptions, replay};
 pub use report::ReplayReport;
 pub use setup::SetupError;

@@ -16,6 +16,7 @@ use super::state::{Start, read_state};
 use crate::config::Settings;
 use crate::geometry::Pose2;
 use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
+use crate::scene::Scene;
 use crate::sensors::log::{self, LogError, LogSource};
 use crate::sensors::scene::{self, SceneSource, SceneSourceError};
 use crate::sensors::topics::TopicTypes;
@@ -87,11 +88,27 @@ fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
     let path = options.source.to_string_lossy();
     let scene = scene::load(&path)?;
-    let mut settings = options.settings.clone();
+    let settings = scene_settings(&scene, &options.settings);
+    let mut source = SceneSource::new(&scene);
+    let (first, types) = scene_beginning(&mut source)?;
+    let known = first.clone();
+    let prelude = Prelude::read(&settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))
+        .map_err(|error| setup_error(&options.source, error))?;
+    let total = Some(scene.frame_count());
+    let messages = first.into_iter().map(Ok).chain(source.map(|message| message.map_err(ReplayError::from)));
+    Run::new(options, settings, prelude, None)?.through(messages, &mut |done| progress(done, total))
+}
+
+/// A scene brings its field, and knows its lens's angle of view.
+pub(super) fn scene_settings(scene: &Scene, settings: &Settings) -> Settings {
+    let mut settings = settings.clone();
     settings.field = scene.file().scene.field.clone();
     settings.camera.fov_deg = settings.camera.fov_deg.or(scene.lens().parameters().fov_deg);
-    let mut source = SceneSource::new(&scene);
-    // Constants come first: they are all that the agent must know beforehand.
+    settings
+}
+
+/// Up to the first image. Constants come first: they are all that the agent must know beforehand.
+pub(super) fn scene_beginning(source: &mut SceneSource) -> Result<(Vec<LogMessage>, TopicTypes), SceneSourceError> {
     let mut first: Vec<LogMessage> = Vec::new();
     let (mut types, mut has_image) = (TopicTypes::new(), false);
     while !has_image {
@@ -101,16 +118,11 @@ fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayRep
         has_image = message.channel.type_name.ends_with("Image");
         first.push(message);
     }
-    let known = first.clone();
-    let prelude = Prelude::read(&settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))
-        .map_err(|error| setup_error(&options.source, error))?;
-    let total = Some(scene.frame_count());
-    let messages = first.into_iter().map(Ok).chain(source.map(|message| message.map_err(ReplayError::from)));
-    Run::new(options, settings, prelude, None)?.through(messages, &mut |done| progress(done, total))
+    Ok((first, types))
 }
 
 /// Says in which log or scene something is wrong, if it is there.
-fn setup_error(source: &Path, error: SetupError) -> ReplayError {
+pub(super) fn setup_error(source: &Path, error: SetupError) -> ReplayError {
     match error {
         SetupError::Log(error) => ReplayError::Log(error),
         SetupError::Config(_) | SetupError::BodyMask { .. } => ReplayError::Setup(error),
@@ -119,7 +131,7 @@ fn setup_error(source: &Path, error: SetupError) -> ReplayError {
 }
 
 /// A segment of a capture brings the filter's state along.
-fn segment_checkpoint(files: &[PathBuf], surveys: &[Survey]) -> Result<Option<Checkpoint>, ReplayError> {
+pub(super) fn segment_checkpoint(files: &[PathBuf], surveys: &[Survey]) -> Result<Option<Checkpoint>, ReplayError> {
     let (Some(path), Some(survey)) = (files.first(), surveys.first()) else { return Ok(None) };
     let Some(bytes) = log::checkpoint(path, survey)? else { return Ok(None) };
     let decoded = Checkpoint::decode(&bytes);
