@@ -1,7 +1,8 @@
-//! Judging: tags against the truth, and pictures of both.
+//! Judging: tags against the truth, what accuracy costs, the paper's experiments, and pictures of them.
 
 pub mod capture;
 pub mod compare;
+pub mod cost;
 pub mod drawing;
 pub mod statistics;
 
