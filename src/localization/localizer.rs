@@ -46,6 +46,8 @@ pub struct LocalizerState {
     /// Time and odometry of the last frame.
     pub last: Option<(i64, Option<Pose2>)>,
     pub confidence: Confidence,
+    /// When lines last agreed with the pose.
+    pub agreed_ns: Option<i64>,
     /// The pose was found without being told which half of the field it is in.
     pub ambiguous: bool,
 }
@@ -100,6 +102,8 @@ const SEARCH_EVERY: u64 = 3;
 /// A pose a little off the carpet is possible.
 const SEARCH_MARGIN_M: f64 = 0.3;
 const CANDIDATES: usize = 4;
+/// A pose as uncertain as this along its longer axis is none.
+const LOST_M: f64 = 0.6;
 /// A restarted robot may have been carried: the cloud is widened by this.
 const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
 /// Longer gaps say nothing more about where the robot went.
@@ -116,8 +120,13 @@ const SURPRISE: f64 = 3.0;
 /// Fewer line places than this say nothing for or against a pose.
 const FEWEST_EXPECTED: usize = 12;
 const FEWEST_FITTING: usize = 10;
+/// What a frame needs to confirm a pose that was found by search or announced.
+const FITTING_TO_CONFIRM: usize = 20;
+const SHARE_TO_CONFIRM: f64 = 0.7;
+/// A pose is believed for so long without lines that agree.
+const LONGEST_COAST_NS: i64 = 700_000_000;
 /// With less than this share of fitting places the lines contradict the pose.
-const CONTRADICTED: f64 = 0.4;
+const CONTRADICTED: f64 = 0.5;
 
 #[derive(Clone, Debug)]
 pub struct Localizer {
@@ -292,17 +301,20 @@ impl Localizer {
         };
         let mut prediction = prediction;
         let surprise = surprise(&prediction.prior, &refined.moved);
-        if surprise > SURPRISE && refined.lines.share() > CONTRADICTED {
+        if surprise > SURPRISE && agrees(&refined.lines) {
             // Lines agree with each other but not with the prediction: odometry or IMU were wronger than they claim.
-            let doubted = prediction.doubted(surprise);
+            let doubted = prediction.doubted(&refined.moved);
             if let Some(again) = refine(&doubted.prior) {
                 if let Some(track) = &mut self.state.track {
-                    track.doubt(surprise);
+                    track.doubt(&refined.moved);
                 }
                 (prediction, refined) = (doubted, again);
             }
         }
-        let agrees = refined.lines.fitting >= FEWEST_FITTING && refined.lines.share() > CONTRADICTED;
+        let agrees = agrees(&refined.lines);
+        if agrees {
+            self.state.agreed_ns = Some(moment.stamp_ns);
+        }
         if agrees && let Some(track) = &mut self.state.track {
             track.update(&prediction, &refined);
         }
@@ -367,17 +379,27 @@ impl Localizer {
         }
     }
 
+    fn agreed_lately(&self, moment: &Moment) -> bool {
+        self.state.agreed_ns.is_some_and(|then| moment.stamp_ns.saturating_sub(then) <= LONGEST_COAST_NS)
+    }
+
     fn is_contradicted(&self, lines: &Agreement) -> bool {
         lines.expected >= FEWEST_EXPECTED && lines.share() < CONTRADICTED
     }
 
     fn judge(&mut self, moment: &Moment, mut fix: Fix) -> Fix {
         fix.doubt = self.complaint(moment, &fix);
-        let contradicted = fix.doubt == Some("lines_disagree");
+        let contradicted = matches!(fix.doubt, Some("lines_disagree" | "off_field"));
+        let confirms = !self.settings.refinement
+            || (fix.agreement.fitting >= FITTING_TO_CONFIRM && fix.agreement.share() >= SHARE_TO_CONFIRM);
+        if self.settings.refinement && longest_axis(&fix.covariance) > LOST_M {
+            self.state.confidence = Confidence::Nowhere;
+        }
         self.state.confidence = match (self.state.confidence, fix.doubt) {
             (Confidence::Tracking(bad), Some(_)) if contradicted => Confidence::Tracking(bad.saturating_add(1)),
             (Confidence::Unconfirmed(_), Some(_)) if contradicted => Confidence::Nowhere,
             (other, Some(_)) => other,
+            (Confidence::Unconfirmed(needed), None) if !confirms => Confidence::Unconfirmed(needed),
             (Confidence::Unconfirmed(needed), None) if needed > 1 => Confidence::Unconfirmed(needed - 1),
             (_, None) => Confidence::Tracking(0),
         };
@@ -405,10 +427,15 @@ impl Localizer {
                 }
                 let sigma = longest_axis(&fix.covariance);
                 held(!self.is_contradicted(&fix.agreement), "lines_disagree")
-                    .or_else(|| held(fix.refined || sigma <= refined_m, "few_lines"))
+                    .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
                     .or_else(|| held(sigma <= refined_m, "spread"))
             })
     }
+}
+
+/// Enough lines are where the pose has them.
+fn agrees(lines: &Agreement) -> bool {
+    lines.fitting >= FEWEST_FITTING && lines.share() > CONTRADICTED
 }
 
 /// Standard deviation of x, y along the longer axis.

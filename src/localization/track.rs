@@ -6,7 +6,7 @@
 //! what that says of the state follows by conditioning ([`Track::update`]), as in a Kalman filter.
 
 use glam::{DQuat, DVec3};
-use nalgebra::{Matrix6, SMatrix, SVector};
+use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::refinement::{Prior, Refined};
@@ -76,6 +76,8 @@ impl Default for TrackModel {
 const TILT_WALK_RAD: f64 = 0.0005;
 const HEIGHT_WALK_M: f64 = 0.0005;
 const SCALE_WALK: f64 = 0.01;
+/// Odometry off by more than this is broken, not scaled.
+const MOST_SCALE: f64 = 0.5;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Track {
@@ -92,11 +94,11 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// The same, less certain: covariance times `factor`.
-    pub fn doubted(&self, factor: f64) -> Self {
+    /// The same, but as uncertain as the lines have shown it to be wrong.
+    pub fn doubted(&self, moved: &Vector6<f64>) -> Self {
         let Prior { map_from_optical, covariance } = &self.prior;
-        let prior = Prior { map_from_optical: *map_from_optical, covariance: covariance * factor };
-        Self { prior, sensitivity: self.sensitivity }
+        let covariance = covariance + Matrix6::from_diagonal(&moved.component_mul(moved));
+        Self { prior: Prior { map_from_optical: *map_from_optical, covariance }, sensitivity: self.sensitivity }
     }
 }
 
@@ -244,14 +246,19 @@ impl Track {
         let gain = self.covariance * prediction.sensitivity.transpose() * information.inverse();
         self.mean += gain * refined.moved;
         self.mean[YAW] = wrap_angle(self.mean[YAW]);
+        for scale in [DISTANCE, TURN] {
+            self.mean[scale] = self.mean[scale].clamp(-MOST_SCALE, MOST_SCALE);
+        }
         let learnt = prediction.prior.covariance - refined.covariance;
         let covariance = self.covariance - gain * learnt * gain.transpose();
         self.covariance = (covariance + covariance.transpose()) * 0.5;
     }
 
-    /// Everything is less certain than it was believed: covariance times `factor`.
-    pub fn doubt(&mut self, factor: f64) {
-        self.covariance *= factor;
+    /// Odometry was wronger than it claims: the path is as uncertain as the lines have shown it to be wrong.
+    pub fn doubt(&mut self, moved: &Vector6<f64>) {
+        for (index, off) in [(X, moved[0]), (Y, moved[1]), (YAW, moved[5])] {
+            self.covariance[(index, index)] += off * off;
+        }
     }
 
     /// Learnt so far: relative errors of odometry's distance and turn.

@@ -65,10 +65,6 @@ impl Agreement {
 /// Scale of the robust loss, in standard deviations of one measurement, from the first round of measuring to the last.
 const SCALES: [f64; 2] = [12.0, 4.0];
 
-/// The usual noise weighs as much as this many measurements.
-const USUAL_COUNTS: f64 = 10.0;
-const LEAST_SIGMA_PX: f64 = 0.06;
-
 /// Refines from each start (error vectors relative to the prior's pose); the best result counts.
 pub fn refine(
     points: &LinePoints,
@@ -94,38 +90,33 @@ fn from_start(
     let mut moved = *start;
     let mut covariance = prior.covariance;
     let mut last: Option<(Counts, solve::Solution)> = None;
-    let mut sigma_px = offsets::SIGMA_PX;
+    let mut noise = solve::Noise::USUAL;
     for scale in SCALES {
         let pose = moved_pose(&prior.map_from_optical, &moved);
         let counts = offsets::measure(points, image, lens, &pose, &covariance, &mut sights);
-        let solution = solve::solve(prior, &sights, &moved, scale, sigma_px)?;
+        let solution = solve::solve(prior, &sights, &moved, scale, noise)?;
         moved = solution.moved;
         // The next round looks as far as this one leaves open, but never trusts it fully.
         covariance = solution.covariance * 4.0;
-        sigma_px = pooled_sigma(solution.rms_px, solution.fitting);
+        noise = solution.residuals.noise();
         last = Some((counts, solution));
     }
     let (counts, solution) = last?;
+    let [.., scale] = SCALES;
+    let (covariance, condition) = solve::certainty(prior, &sights, &moved, scale, noise)?;
     Some(Refined {
         map_from_optical: moved_pose(&prior.map_from_optical, &solution.moved),
-        covariance: solution.covariance,
+        covariance,
         moved: solution.moved,
         cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
-        condition: solution.condition,
+        condition,
         lines: Agreement {
             expected: counts.expected,
             found: sights.len(),
-            fitting: solution.fitting,
-            rms_px: solution.rms_px,
+            fitting: solution.residuals.fitting,
+            rms_px: solution.residuals.rms_px(),
         },
     })
-}
-
-/// What the frame itself says of its noise, held back by what is usual as long as few lines say it.
-fn pooled_sigma(rms_px: f64, count: usize) -> f64 {
-    let count = count as f64;
-    let usual = offsets::SIGMA_PX * offsets::SIGMA_PX;
-    libm::sqrt((count * rms_px * rms_px + USUAL_COUNTS * usual) / (count + USUAL_COUNTS)).max(LEAST_SIGMA_PX)
 }
 
 /// The pose whose error relative to `pose` is `moved`.

@@ -20,6 +20,8 @@ pub struct Sight {
     pub sigmas: f64,
     /// Across the line.
     pub pixels_per_rad: f64,
+    /// The sight before is the neighbour along the same line.
+    pub follows: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -38,8 +40,6 @@ const REACH_SIGMAS: f64 = 2.5;
 /// ... within these limits.
 const LEAST_REACH_PX: f64 = 2.5;
 const MOST_REACH_PX: f64 = 24.0;
-/// Standard deviation of a thin line's place before the frame itself has told: pixels, JPEG, lens.
-pub(super) const SIGMA_PX: f64 = 0.25;
 /// A line this wide is found half as well in pixels: more of paint and carpet in its profile.
 const WIDE_PX: f64 = 12.0;
 /// Share of the expected contrast that makes a line.
@@ -72,6 +72,7 @@ pub fn measure(
     let farthest = farthest.max(farthest * farthest / (4.0 * height)).max(1.0);
     for stroke in &points.strokes {
         let mut last = DVec2::INFINITY;
+        let mut follows = false;
         for point in stroke {
             let to = point.position - camera.truncate();
             if to.length_squared() > farthest * farthest {
@@ -92,14 +93,16 @@ pub fn measure(
             last = pixel;
             let reach = expected.reach_px(point, camera, covariance);
             match expected.find(image, reach, contrast) {
-                Outcome::Hidden => {}
+                Outcome::Hidden => follows = false,
                 Outcome::Missed => {
+                    follows = false;
                     counts.expected += 1;
                     counts.missed += 1;
                 }
                 Outcome::Found(offset_px) => {
                     counts.expected += 1;
-                    sights.push(expected.sight(point, offset_px));
+                    sights.push(expected.sight(point, offset_px, follows));
+                    follows = true;
                 }
             }
         }
@@ -172,13 +175,14 @@ impl Expected {
         (REACH_SIGMAS * sigma * self.pixels_per_rad()).clamp(LEAST_REACH_PX, MOST_REACH_PX)
     }
 
-    fn sight(&self, point: &LinePoint, offset_px: f64) -> Sight {
+    fn sight(&self, point: &LinePoint, offset_px: f64, follows: bool) -> Sight {
         Sight {
             ray: (self.ray + self.across * (offset_px / self.width_px)).normalize(),
             point: point.position.extend(0.0),
             tangent: DVec3::new(-point.normal.y, point.normal.x, 0.0),
             sigmas: libm::hypot(1.0, self.width_px / WIDE_PX),
             pixels_per_rad: self.pixels_per_rad(),
+            follows,
         }
     }
 

@@ -15,10 +15,26 @@ pub(super) struct Solution {
     pub(super) moved: Vector6<f64>,
     pub(super) covariance: Matrix6<f64>,
     pub(super) cost: f64,
-    pub(super) condition: f64,
+    pub(super) residuals: Residuals,
+}
+
+/// How wrong a measured line place is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Noise {
+    /// Standard deviation of a thin line's place.
+    pub(super) sigma_px: f64,
+    /// So many neighbours along a line share one error, of lens, paint or texture.
+    pub(super) correlated: f64,
+}
+
+/// Of the measurements that fit, as if all were of thin lines.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Residuals {
     pub(super) fitting: usize,
-    /// Of those that fit, as if all were thin lines.
-    pub(super) rms_px: f64,
+    squared_px: f64,
+    /// Pairs of neighbours along a line, and the sum of their products.
+    pairs: usize,
+    products_px: f64,
 }
 
 const ITERATIONS: usize = 6;
@@ -26,24 +42,31 @@ const ITERATIONS: usize = 6;
 const SMALL_STEP: f64 = 1e-3;
 /// A measurement fits within this many standard deviations.
 const FITTING: f64 = 4.0;
-/// Neighbours share the errors of lens, paint and texture: so many measurements count as one in the covariance.
-const CORRELATED: f64 = 3.0;
+/// Standard deviation of a thin line's place before the frame itself has told: pixels, JPEG, lens.
+const SIGMA_PX: f64 = 0.25;
+const USUAL_CORRELATED: f64 = 3.0;
+/// What is usual weighs as much as this many measurements.
+const USUAL_COUNTS: f64 = 10.0;
+const LEAST_SIGMA_PX: f64 = 0.06;
+/// What different lines share (lens, light) does not show between neighbours.
+const SHARED: f64 = 2.4;
+const MOST_CORRELATION: f64 = 0.85;
 /// What a line that should be seen and is not costs, as much as one far off.
 pub(super) const MISS_COST: f64 = 0.5;
 
 /// `start` is an error vector relative to the prior's pose, `scale` that of the robust loss (Geman-McClure), in standard
-/// deviations of one measurement; `sigma_px` is that of a thin line. `None` if the prior is no covariance.
+/// deviations of one measurement. `None` if the prior is no covariance.
 pub(super) fn solve(
     prior: &Prior,
     sights: &[Sight],
     start: &Vector6<f64>,
     scale: f64,
-    sigma_px: f64,
+    noise: Noise,
 ) -> Option<Solution> {
     let spread = Cholesky::new(prior.covariance)?.unpack();
     let mut y = spread.solve_lower_triangular(start)?;
     let mut damping = 0.0;
-    let mut here = Linearised::at(prior, &spread, sights, &y, scale, sigma_px);
+    let mut here = Linearised::at(prior, &spread, sights, &y, scale, noise);
     for _ in 0..ITERATIONS {
         let mut triangle = here.triangle.clone();
         if damping > 0.0 {
@@ -54,7 +77,7 @@ pub(super) fn solve(
             }
         }
         let step = triangle.solve();
-        let next = Linearised::at(prior, &spread, sights, &(y + step), scale, sigma_px);
+        let next = Linearised::at(prior, &spread, sights, &(y + step), scale, noise);
         if next.cost > here.cost {
             damping = (10.0 * damping).max(0.1 * sights.len() as f64);
             continue;
@@ -66,44 +89,87 @@ pub(super) fn solve(
             break;
         }
     }
-    let inverse = spread * here.triangle.inverse();
-    let mut covariance = inverse * inverse.transpose();
-    covariance = (covariance + covariance.transpose()) * 0.5;
     Some(Solution {
         moved: spread * y,
-        covariance,
+        covariance: here.covariance(&spread),
         cost: here.cost,
-        condition: here.triangle.condition(),
-        fitting: here.fitting,
-        rms_px: libm::sqrt(here.squared_px / here.fitting.max(1) as f64),
+        residuals: here.residuals,
     })
+}
+
+/// What is known about a pose that has been solved for, once the noise is known: its covariance, and how well the lines
+/// determine it (largest over smallest singular value, in units of the prior).
+pub(super) fn certainty(
+    prior: &Prior,
+    sights: &[Sight],
+    moved: &Vector6<f64>,
+    scale: f64,
+    noise: Noise,
+) -> Option<(Matrix6<f64>, f64)> {
+    let spread = Cholesky::new(prior.covariance)?.unpack();
+    let y = spread.solve_lower_triangular(moved)?;
+    let here = Linearised::at(prior, &spread, sights, &y, scale, noise);
+    Some((here.covariance(&spread), here.triangle.condition()))
+}
+
+impl Residuals {
+    pub(super) fn rms_px(&self) -> f64 {
+        libm::sqrt(self.squared_px / self.fitting.max(1) as f64)
+    }
+
+    /// What the frame itself says of its noise, held back by what is usual as long as few lines say it.
+    pub(super) fn noise(&self) -> Noise {
+        let (count, usual) = (self.fitting as f64, SIGMA_PX * SIGMA_PX);
+        let squared = (self.squared_px + USUAL_COUNTS * usual) / (count + USUAL_COUNTS);
+        let variance = self.squared_px / count.max(1.0);
+        let products = self.products_px / self.pairs.max(1) as f64;
+        // Errors that fade like an autoregressive process along the line: of n, n (1 - rho) / (1 + rho) are independent.
+        let rho = (products / variance.max(1e-12)).clamp(0.0, MOST_CORRELATION);
+        let weight = self.pairs as f64 / (self.pairs as f64 + USUAL_COUNTS);
+        let correlated = weight * SHARED * (1.0 + rho) / (1.0 - rho) + (1.0 - weight) * USUAL_CORRELATED;
+        Noise { sigma_px: libm::sqrt(squared).max(LEAST_SIGMA_PX), correlated }
+    }
+}
+
+impl Noise {
+    /// Before the frame itself has told.
+    pub(super) const USUAL: Self = Self { sigma_px: SIGMA_PX, correlated: USUAL_CORRELATED };
 }
 
 /// The problem about one pose.
 struct Linearised {
     triangle: Triangular,
     cost: f64,
-    fitting: usize,
-    squared_px: f64,
+    residuals: Residuals,
 }
 
 impl Linearised {
-    fn at(prior: &Prior, spread: &Matrix6<f64>, sights: &[Sight], y: &Vector6<f64>, scale: f64, sigma_px: f64) -> Self {
+    fn at(prior: &Prior, spread: &Matrix6<f64>, sights: &[Sight], y: &Vector6<f64>, scale: f64, noise: Noise) -> Self {
         let pose = moved_pose(&prior.map_from_optical, &(spread * y));
         let mut triangle = Triangular::identity(&-y);
-        let (mut cost, mut fitting, mut squared_px) = (0.5 * y.norm_squared(), 0, 0.0);
+        let mut cost = 0.5 * y.norm_squared();
+        let mut residuals = Residuals::default();
         // Correlated neighbours share one vote.
-        let vote = 1.0 / CORRELATED;
+        let vote = 1.0 / noise.correlated;
+        let mut last_px = None;
         for sight in sights {
             let Some((residual, gradient)) = sight.residual(&pose.rotation, pose.translation) else { continue };
-            let sigma_rad = sigma_px * sight.sigmas / sight.pixels_per_rad;
+            let sigma_rad = noise.sigma_px * sight.sigmas / sight.pixels_per_rad;
             let deviation = residual / sigma_rad;
             let u = deviation / scale;
             let robust = 1.0 / (1.0 + u * u);
             cost += vote * 0.5 * deviation * deviation * robust;
             if deviation.abs() < FITTING {
-                fitting += 1;
-                squared_px += deviation * deviation * sigma_px * sigma_px;
+                let off_px = deviation * noise.sigma_px;
+                residuals.fitting += 1;
+                residuals.squared_px += off_px * off_px;
+                if let Some(last_px) = last_px.filter(|_| sight.follows) {
+                    residuals.pairs += 1;
+                    residuals.products_px += off_px * last_px;
+                }
+                last_px = Some(off_px);
+            } else {
+                last_px = None;
             }
             let weight = libm::sqrt(vote) * robust / sigma_rad;
             let mut row = [0.0; 6];
@@ -114,7 +180,13 @@ impl Linearised {
             }
             triangle.push(row, -weight * residual);
         }
-        Self { triangle, cost, fitting, squared_px }
+        Self { triangle, cost, residuals }
+    }
+
+    fn covariance(&self, spread: &Matrix6<f64>) -> Matrix6<f64> {
+        let inverse = spread * self.triangle.inverse();
+        let covariance = inverse * inverse.transpose();
+        (covariance + covariance.transpose()) * 0.5
     }
 }
 
