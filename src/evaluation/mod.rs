@@ -4,7 +4,9 @@ pub mod capture;
 pub mod compare;
 pub mod cost;
 pub mod drawing;
+pub mod paper;
 pub mod statistics;
+pub mod truth;
 
 pub use compare::{Comparison, Tagged, compare};
 pub use statistics::Summary;

@@ -64,10 +64,12 @@ impl Row {
         }
     }
 
-    /// Where it lies on the chart; rows that were not judged or evade judgement do not count.
+    /// What it is worth: errors to a tenth of a millimetre, as below that no row is better than another. Rows that were
+    /// not judged or evade judgement do not count.
     pub fn point(&self) -> Point {
         let counts = self.judged > 0 && !self.evasive;
-        Point { time_ms: self.p99_ms, error_cm: if counts { self.position_cm.mean } else { f64::INFINITY } }
+        let error_cm = libm::round(100.0 * self.position_cm.mean) / 100.0;
+        Point { time_ms: self.p99_ms, error_cm: if counts { error_cm } else { f64::INFINITY } }
     }
 }
 
@@ -137,7 +139,7 @@ mod tests {
         assert!((row.position_cm.mean - 2.0).abs() < 1e-9 && (row.scatter_cm - 1.0).abs() < 1e-9);
         assert_eq!((row.judged, row.valid_share), (6, 0.75));
         assert!((row.p50_ms - 2.5).abs() < 1e-9 && row.p99_ms < 4.0 + 1e-9, "{row:?}");
-        assert_eq!(row.point(), Point { time_ms: row.p99_ms, error_cm: row.position_cm.mean });
+        assert_eq!(row.point(), Point { time_ms: row.p99_ms, error_cm: 2.0 });
     }
 
     #[test]

@@ -85,7 +85,7 @@ impl Span {
         (first..=last).map(|count| Tick { value: count as f64 * step, number: number(count as f64 * step) }).collect()
     }
 
-    /// 1 to 9 of each decade as lines; 1, 2 and 5 bear numbers, over many decades only 1.
+    /// 1 to 9 of each decade as lines; 1, 2 and 5 bear numbers, within a decade all, over many decades only 1.
     fn logarithmic_ticks(&self) -> Vec<Tick> {
         let decades = libm::log10(self.high / self.low);
         let (first, last) = (libm::floor(libm::log10(self.low)) as i32, libm::ceil(libm::log10(self.high)) as i32);
@@ -93,7 +93,7 @@ impl Span {
         for decade in first..=last {
             for digit in 1..10 {
                 let value = f64::from(digit) * libm::pow(10.0, f64::from(decade));
-                let numbered = digit == 1 || (decades < 4.0 && matches!(digit, 2 | 5));
+                let numbered = digit == 1 || decades < 0.8 || (decades < 4.0 && matches!(digit, 2 | 5));
                 if (self.low..=self.high).contains(&value) && (decades < 6.0 || digit == 1) {
                     ticks.push(Tick { value, number: if numbered { number(value) } else { String::new() } });
                 }
@@ -127,7 +127,7 @@ mod tests {
         let span = Span::of(Scale::Logarithmic, [0.5, 20.0].into_iter());
         assert_eq!(numbers(&span), ["0.5", "1", "2", "5", "10", "20"]);
         let one = Span::of(Scale::Logarithmic, [3.0].into_iter());
-        assert_eq!(numbers(&one), ["2", "5"]);
+        assert_eq!(numbers(&one), ["2", "3", "4", "5"]);
         assert!((one.share(3.0).expect("on the axis") - 0.5).abs() < 1e-12);
         assert_eq!(span.share(0.0), None);
         assert_eq!(span.share(f64::NAN), None);

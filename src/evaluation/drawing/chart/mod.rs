@@ -152,22 +152,23 @@ impl Chart {
         let (mut at, mut any) = (DVec2::new(LEFT, 50.0), false);
         for layer in &self.layers {
             let Some(name) = &layer.name else { continue };
-            let width = SAMPLE + 8.0 + text::width(WORDS, name) + 22.0;
+            let sample = if layer.line.is_some() { SAMPLE } else { 4.0 * MARK_RADIUS };
+            let width = sample + 6.0 + text::width(WORDS, name) + 20.0;
             if any && at.x + width > WIDTH - RIGHT {
                 at = DVec2::new(LEFT, at.y + 20.0);
             }
             any = true;
-            let middle = at + DVec2::new(SAMPLE / 2.0, -4.5);
+            let middle = at + DVec2::new(sample / 2.0, -4.5);
             svg.fade(layer.opacity);
             if let Some(line) = layer.line {
-                let half = DVec2::new(SAMPLE / 2.0, 0.0);
+                let half = DVec2::new(sample / 2.0, 0.0);
                 svg.line(middle - half, middle + half, layer.colour, 2.0, dashes(line));
             }
             if let Some(mark) = layer.mark {
                 draw_mark(svg, middle, mark, layer.colour);
             }
             svg.unfade();
-            svg.words(at + DVec2::new(SAMPLE + 8.0, 0.0), WORDS, INK, name);
+            svg.words(at + DVec2::new(sample + 6.0, 0.0), WORDS, INK, name);
             at.x += width;
         }
         if any { at.y } else { 30.0 }
