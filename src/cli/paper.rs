@@ -150,7 +150,7 @@ fn markdown(report: &Report) -> String {
 
 fn row(run: &Run) -> String {
     let Run { method, position_cm: Summary { mean, median, p95, .. }, yaw_deg, p50_ms, .. } = run;
-    format!("| {} | {mean:.1} | {median:.1} | {p95:.1} | {:.2} | {p50_ms:.1} |\n", method.name, yaw_deg.mean)
+    format!("| {} | {mean:.2} | {median:.2} | {p95:.2} | {:.2} | {p50_ms:.1} |\n", method.name, yaw_deg.mean)
 }
 
 /// Mean error in cm, and the time, for each number of particles.
@@ -164,7 +164,7 @@ fn fig9(paper: &Paper) -> String {
     for method in METHODS.iter().filter(|method| method.in_fig9) {
         let cell = |count: usize| {
             let run = paper.still.iter().find(|run| run.method == *method && run.particles == count);
-            run.map_or(String::new(), |run| format!("{:.1} / {:.1}", run.position_cm.mean, run.p50_ms))
+            run.map_or(String::new(), |run| format!("{:.2} / {:.1}", run.position_cm.mean, run.p50_ms))
         };
         text.push_str(&format!("| {} |{}\n", method.name, cells(&cell)));
     }

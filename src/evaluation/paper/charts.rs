@@ -74,7 +74,7 @@ fn fig10(paper: &Paper) -> String {
             layer(
                 &run.method,
                 None,
-                points.map(|(frame, cm)| DVec2::new(frame as f64 * step_m, cm.max(1e-2))).collect(),
+                points.map(|(frame, cm)| DVec2::new(frame as f64 * step_m, cm.max(1e-3))).collect(),
             )
         })
         .collect();

@@ -136,10 +136,9 @@ impl Chart {
         }
         for note in &self.notes {
             let Some(at) = frame.place(note.at) else { continue };
-            let (corner, leader) = taken.find_room(at, DVec2::new(text::width(WORDS, &note.words), WORDS));
+            let (corner, leader) = taken.find_room(at, DVec2::new(width(&note.words), WORDS));
             if leader {
-                let end =
-                    corner + DVec2::new(if corner.x > at.x { -2.0 } else { text::width(WORDS, &note.words) }, -4.0);
+                let end = corner + DVec2::new(if corner.x > at.x { -2.0 } else { width(&note.words) }, -4.0);
                 svg.line(at, end, FRAME, 0.7, None);
             }
             svg.words(corner, WORDS, INK, &note.words);
@@ -153,7 +152,7 @@ impl Chart {
         for layer in &self.layers {
             let Some(name) = &layer.name else { continue };
             let sample = if layer.line.is_some() { SAMPLE } else { 4.0 * MARK_RADIUS };
-            let width = sample + 6.0 + text::width(WORDS, name) + 20.0;
+            let width = sample + 6.0 + width(name) + 20.0;
             if any && at.x + width > WIDTH - RIGHT {
                 at = DVec2::new(LEFT, at.y + 20.0);
             }
@@ -181,7 +180,7 @@ impl Chart {
             let Some(share) = frame.x.share(tick.value) else { continue };
             let x = left + share * frame.width();
             svg.line(DVec2::new(x, top), DVec2::new(x, bottom), GRID, 1.0, None);
-            let half = text::width(WORDS, &tick.number) / 2.0;
+            let half = width(&tick.number) / 2.0;
             if !tick.number.is_empty() && x - half > free_from {
                 svg.words(DVec2::new(x - half, bottom + 18.0), WORDS, INK, &tick.number);
                 free_from = x + half + 6.0;
@@ -193,16 +192,16 @@ impl Chart {
             let y = bottom - share * (bottom - top);
             svg.line(DVec2::new(left, y), DVec2::new(right, y), GRID, 1.0, None);
             if !tick.number.is_empty() && y + WORDS / 2.0 < free_below {
-                let width = text::width(WORDS, &tick.number);
+                let width = width(&tick.number);
                 svg.words(DVec2::new(left - 8.0 - width, y + 4.5), WORDS, INK, &tick.number);
                 free_below = y - WORDS / 2.0 - 2.0;
             }
         }
         svg.rectangle(DVec2::new(left, top), DVec2::new(right, bottom), FRAME);
         let middle = DVec2::new((left + right) / 2.0, (top + bottom) / 2.0);
-        let half = text::width(WORDS, &self.x.label) / 2.0;
+        let half = width(&self.x.label) / 2.0;
         svg.words(DVec2::new(middle.x - half, HEIGHT - 16.0), WORDS, INK, &self.x.label);
-        let half = text::width(WORDS, &self.y.label) / 2.0;
+        let half = width(&self.y.label) / 2.0;
         svg.words_upwards(DVec2::new(20.0, middle.y + half), WORDS, INK, &self.y.label);
     }
 }
@@ -210,7 +209,7 @@ impl Chart {
 fn draw_rule(svg: &mut Svg, frame: &Frame, rule: &Rule, taken: &mut Placed) {
     const RULE: &str = "#b3261e";
     let (right, bottom) = (LEFT + frame.width(), frame.bottom());
-    let width = text::width(WORDS, &rule.name);
+    let width = width(&rule.name);
     match rule.across {
         Across::X => {
             let Some(share) = frame.x.share(rule.at) else { return };
@@ -272,6 +271,12 @@ fn draw_mark(svg: &mut Svg, at: DVec2, mark: Mark, colour: &str) {
             svg.polygon(&[(0.0, -r), (r, 0.0), (0.0, r), (-r, 0.0)].map(|offset| at + DVec2::from(offset)), colour);
         }
     }
+}
+
+fn width(words: &str) -> f64 {
+    // What a picture's letters count as their size is the font's height; SVG counts in its em.
+    const HEIGHT_OF_EM: f64 = 1.164;
+    text::width(HEIGHT_OF_EM * WORDS, words)
 }
 
 fn dashes(line: Line) -> Option<&'static str> {
