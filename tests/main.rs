@@ -1,6 +1,7 @@
 //! Tests of the crate from outside, room by room.
 
 mod config;
+mod dev;
 mod limits;
 mod real;
 mod replay;

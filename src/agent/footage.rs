@@ -6,13 +6,13 @@ use std::time::Instant;
 use super::checkpoint::Checkpoint;
 use super::prelude::Prelude;
 use super::replay::{Progress, ReplayError, scene_beginning, scene_settings, segment_checkpoint, setup_error};
-use super::report::{FileDamage, file_damage};
 use super::setup::{Eyes, Setup, SetupError};
 use super::stages::{NotSeen, view};
 use super::tagger::Tagger;
 use crate::config::Settings;
 use crate::geometry::{Field, Lens, Pose2};
 use crate::localization::LocalizerState;
+use crate::recording::{Loss, missing_parts};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::FrameTag;
 use crate::scene::Scene;
@@ -20,7 +20,7 @@ use crate::sensors::intake;
 use crate::sensors::log::{self, LogError, LogSource};
 use crate::sensors::scene::{self, SceneSource};
 use crate::sensors::synchroniser::{Frame, InitialPose, RobotAt, Synchroniser};
-use crate::vision::Picture;
+use crate::vision::{Picture, Seen};
 
 /// A filter follows from frame to frame, so that frames in a row are needed, and that many are enough to compare settings.
 const MAX_FRAMES: usize = 300;
@@ -50,8 +50,7 @@ pub struct Footage {
     apart: bool,
     /// Frames had to be left out behind the last one.
     full: bool,
-    damage: Vec<FileDamage>,
-    bad_messages: u64,
+    losses: Vec<Loss>,
 }
 
 /// What is known of the robot's place before the first frame.
@@ -117,7 +116,10 @@ impl Footage {
         let messages = source.by_ref().map(|message| message.map_err(ReplayError::from));
         keeper.take_all(messages, &mut |done| progress(done, Some(total)))?;
         let mut footage = keeper.finish(&options.source)?;
-        footage.damage = source.damage().iter().map(|(file, damage)| file_damage(file, damage)).collect();
+        missing_parts(&options.source).into_iter().for_each(|loss| loss.join(&mut footage.losses));
+        for (file, damage) in source.damage() {
+            Loss::of_damage(file, damage).join(&mut footage.losses);
+        }
         Ok(footage)
     }
 
@@ -157,19 +159,16 @@ impl Footage {
         self.full
     }
 
-    pub fn damage(&self) -> &[FileDamage] {
-        &self.damage
-    }
-
-    /// Messages whose bytes are not what their type says.
-    pub fn bad_messages(&self) -> u64 {
-        self.bad_messages
+    /// What of the source could not be used.
+    pub fn losses(&self) -> &[Loss] {
+        &self.losses
     }
 
     /// Tags every frame with these settings, in one thread.
     pub fn try_out(&self, settings: &Settings, progress: &mut dyn FnMut(usize)) -> Result<Vec<Attempt>, SetupError> {
-        let eyes = Eyes::new(settings, self.lens.clone())?;
+        let eyes = Eyes::new(settings, &self.lens, self.field.line_width())?;
         let mut tracking = self.start.tagger(settings, &self.field, &self.lens);
+        let mut seen = Seen::default();
         let mut attempts = Vec::with_capacity(self.shots.len());
         for (index, shot) in self.shots.iter().enumerate() {
             if self.apart {
@@ -177,7 +176,7 @@ impl Footage {
                 own.filter.seed = settings.filter.seed.wrapping_add(index as u64);
                 tracking = self.start.tagger(&own, &self.field, &self.lens);
             }
-            attempts.push(shot.tag(&eyes, &mut tracking));
+            attempts.push(shot.tag(&eyes, &mut tracking, &mut seen));
             progress(index + 1);
         }
         Ok(attempts)
@@ -186,7 +185,7 @@ impl Footage {
 
 impl Start {
     fn tagger(&self, settings: &Settings, field: &Field, lens: &Lens) -> Tagger {
-        let mut tagger = Tagger::new(settings, field.clone(), lens.clone(), self.state.clone());
+        let mut tagger = Tagger::new(settings, field.clone(), lens, self.state.clone());
         if let Some(map_from_footprint) = self.initial {
             tagger.start_at(&InitialPose { map_from_footprint, xy_m: None, yaw_rad: None });
         }
@@ -201,21 +200,24 @@ impl Shot {
     }
 
     fn bytes(&self) -> usize {
-        self.picture.as_ref().map_or(0, |picture| picture.luma.len() + 2 * picture.chroma.len())
+        let of = |picture: &Picture| picture.luma.len() + picture.chroma.blue.len() + picture.chroma.red.len();
+        self.picture.as_ref().map_or(0, of)
     }
 
-    fn tag(&self, eyes: &Eyes, tagger: &mut Tagger) -> Attempt {
+    /// `seen` is only room to work in.
+    fn tag(&self, eyes: &Eyes, tagger: &mut Tagger, seen: &mut Seen) -> Attempt {
+        let Self { stamp_ns, robot, picture } = self;
         let start = Instant::now();
-        let seen = self.picture.as_ref().map_err(NotSeen::reason).and_then(|picture| {
-            let place = self.robot.place.as_ref().map_err(|_| NotSeen::NoPlace.reason())?;
-            Ok(eyes.vision.look(picture, &place.footprint_from_optical, eyes.body(self.robot.head)))
-        });
-        let mut tag = match &seen {
-            Ok(seen) => tagger.tag(self.stamp_ns, &self.robot, seen),
-            Err(reason) => tagger.tag_blind(self.stamp_ns, &self.robot, reason),
+        let (mut tag, is_seen) = match (picture, &robot.place) {
+            (Ok(picture), Ok(place)) => {
+                eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), seen);
+                (tagger.tag(*stamp_ns, robot, seen), true)
+            }
+            (Err(unseen), _) => (tagger.tag_blind(*stamp_ns, robot, unseen.reason()), false),
+            (_, Err(_)) => (tagger.tag_blind(*stamp_ns, robot, NotSeen::NoPlace.reason()), false),
         };
         tag.elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
-        Attempt { tag, seen: seen.is_ok() }
+        Attempt { tag, seen: is_seen }
     }
 }
 
@@ -226,6 +228,7 @@ struct Keeper {
     synchroniser: Synchroniser,
     start: Start,
     lead_in: Option<Tagger>,
+    seen: Seen,
     from_ns: i64,
     for_ns: Option<i64>,
     first_ns: Option<i64>,
@@ -259,6 +262,7 @@ impl Keeper {
             synchroniser,
             start,
             lead_in: None,
+            seen: Seen::default(),
             from_ns: nanoseconds(options.from_s),
             for_ns: options.for_s.map(nanoseconds),
             first_ns: None,
@@ -312,7 +316,7 @@ impl Keeper {
             let Setup { settings, field, eyes, .. } = &self.setup;
             let lens = eyes.vision.lens();
             let tagger = self.lead_in.get_or_insert_with(|| self.start.tagger(settings, field, lens));
-            Shot::new(frame, lens).tag(eyes, tagger);
+            Shot::new(frame, lens).tag(eyes, tagger, &mut self.seen);
             return;
         }
         self.past |= self.for_ns.is_some_and(|length_ns| since_ns - self.from_ns >= length_ns);
@@ -328,6 +332,19 @@ impl Keeper {
         self.shots.push(shot);
     }
 
+    fn losses(&self, source: &Path) -> Vec<Loss> {
+        let mut losses = Vec::new();
+        if self.bad_messages > 0 {
+            let what = format!("{} messages are not what their type says", self.bad_messages);
+            Loss::new(source, what).join(&mut losses);
+        }
+        let broken = || self.shots.iter().filter_map(|shot| shot.picture.as_ref().err());
+        if let Some(NotSeen::Decode(error)) = broken().find(|unseen| matches!(unseen, NotSeen::Decode(_))) {
+            Loss::new(source, format!("images do not decode, the first because {error}")).join(&mut losses);
+        }
+        losses
+    }
+
     fn finish(self, source: &Path) -> Result<Footage, ReplayError> {
         if self.shots.is_empty() {
             let told = match self.first_ns {
@@ -339,6 +356,7 @@ impl Keeper {
             };
             return Err(ReplayError::NoFrame(format!("{}: {told}", source.display())));
         }
+        let losses = self.losses(source);
         let start = match self.lead_in {
             Some(tagger) => Start { state: tagger.state(), initial: None },
             None => self.start,
@@ -352,8 +370,7 @@ impl Keeper {
             shots: self.shots,
             apart: false,
             full: self.full,
-            damage: Vec::new(),
-            bad_messages: self.bad_messages,
+            losses,
         })
     }
 }

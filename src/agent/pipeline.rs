@@ -65,7 +65,7 @@ const DIAGNOSTICS_EVERY_NS: i64 = 1_000_000_000;
 impl Pipeline {
     pub fn new(setup: Setup, start: Start, recording: Recording) -> Self {
         let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser } = setup;
-        let tagger = start.tagger(&settings, field, eyes.vision.lens().clone());
+        let tagger = start.tagger(&settings, field, eyes.vision.lens());
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
         let state = start.checkpoint.map_or(synchroniser, |checkpoint| checkpoint.synchroniser);
         let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);

@@ -56,7 +56,7 @@ impl Setup {
     pub fn new(settings: Settings, prelude: Prelude) -> Result<Self, SetupError> {
         let lens = lens(&settings, &prelude)?;
         let (field, dimensions) = field(&settings)?;
-        let eyes = Arc::new(Eyes::new(&settings, lens.clone())?);
+        let eyes = Arc::new(Eyes::new(&settings, &lens, field.line_width())?);
         let Prelude { topics, expected, synchroniser, .. } = prelude;
         let lens = lens.parameters().clone();
         Ok(Self { settings, topics, lens, dimensions, field, eyes, expected, synchroniser })
@@ -105,7 +105,7 @@ fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {
 }
 
 impl Eyes {
-    pub fn new(settings: &Settings, lens: Lens) -> Result<Self, SetupError> {
+    pub fn new(settings: &Settings, lens: &Lens, line_width_m: f64) -> Result<Self, SetupError> {
         let f = &settings.filter;
         let bodies = settings
             .camera
@@ -120,6 +120,7 @@ impl Eyes {
             .collect::<Result<_, SetupError>>()?;
         let vision = VisionSettings {
             reading: observation::reading(f.model, f.formula),
+            line_width_m,
             range_m: f.range_m,
             tilt_sigma_rad: f.tilt_sigma_deg.to_radians(),
             nearest_reach_m: f.nearest_reach_m,

@@ -4,7 +4,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use crate::config::{Formula, Model, SimdPath};
-use crate::geometry::{Euler, Field, Isometry, Lens, Pose2};
+use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::global::{self, Candidate};
 use crate::localization::observation::default_alpha;
 use crate::localization::{
@@ -39,14 +39,40 @@ pub struct Found {
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Located {
-    /// Best first; none if the image shows no ground. Each pose's mirror image explains the image as well.
+    /// Best first; none if the image shows no line on the ground. Each pose's mirror image explains the image as well.
     pub found: Vec<Found>,
 }
+
+/// How far the best pose may be trusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fit {
+    /// It explains the lines, and no other pose does so nearly as well.
+    Good,
+    /// It explains the lines, and so does a pose elsewhere.
+    Doubtful,
+    /// The lines are not explained, or there are hardly any: what was found means nothing.
+    None,
+}
+
+/// A search of a whole field finds a third to a half of the expected contrast in an image of noise, and sometimes more:
+/// but then on little line, or at many places.
+pub const LEAST_SHARE: f64 = 0.5;
+/// Certain line in view, in units of 10 cm.
+pub const LEAST_WEIGHT: f64 = 8.0;
+/// Log likelihood by which the best must stand out.
+const CLEAR_BY: f64 = 2.0;
+
+/// Poses closer than this are one.
+const SAME_M: f64 = 0.4;
+const SAME_RAD: f64 = 0.3;
 
 /// How many explanations are kept.
 const KEPT: usize = 5;
 /// The tilt is known: what is left is the lens file's own error.
 const TILT_SIGMA_RAD: f64 = 0.005;
+/// On every field that is played on.
+const LINE_WIDTH_M: f64 = 0.05;
 const LINE_POINTS: usize = 700;
 const SEARCH_MARGIN_M: f64 = 0.5;
 /// Around an initial pose.
@@ -70,13 +96,14 @@ impl Known {
     pub fn look(&self, picture: &Picture) -> Seen {
         let settings = VisionSettings {
             reading: observation::reading(Model::Gauss, Formula::Corrected),
+            line_width_m: LINE_WIDTH_M,
             range_m: 0.0,
             tilt_sigma_rad: TILT_SIGMA_RAD,
             nearest_reach_m: 0.25,
             reduction: 0,
         };
         let footprint_from_optical = self.footprint_from_link() * Isometry::link_from_optical();
-        Vision::new(self.lens.clone(), settings).look(picture, &footprint_from_optical, self.body.as_ref())
+        Vision::new(&self.lens, settings).look(picture, &footprint_from_optical, self.body.as_ref())
     }
 
     pub fn locate(&self, seen: &Seen, field: &Field, seed: u64) -> Located {
@@ -90,7 +117,34 @@ impl Known {
             let Support { share, weight, .. } = observation.support(seen.lines(), &candidate.pose);
             Found { pose: candidate.pose, share, weight, log_likelihood: candidate.log_likelihood }
         });
-        Located { found: found.filter(|found| found.weight > 0.0).collect() }
+        Located { found: without_mirrors(found.filter(|found| found.weight > 0.0)) }
+    }
+}
+
+/// Each pose stands for its mirror image too; near the halfway line a search finds both.
+fn without_mirrors(found: impl Iterator<Item = Found>) -> Vec<Found> {
+    let mut kept: Vec<Found> = Vec::new();
+    for candidate in found {
+        let mirror = candidate.pose.mirrored();
+        let is_known = |known: &Found| {
+            let turned = wrap_angle(known.pose.yaw - mirror.yaw).abs();
+            known.pose.distance(&mirror) < SAME_M && turned < SAME_RAD
+        };
+        if !kept.iter().any(is_known) {
+            kept.push(candidate);
+        }
+    }
+    kept
+}
+
+impl Located {
+    pub fn fit(&self) -> Fit {
+        match self.found[..] {
+            [best, ..] if best.share < LEAST_SHARE || best.weight < LEAST_WEIGHT => Fit::None,
+            [best, next, ..] if best.log_likelihood - next.log_likelihood < CLEAR_BY => Fit::Doubtful,
+            [_, ..] => Fit::Good,
+            [] => Fit::None,
+        }
     }
 }
 
@@ -118,4 +172,27 @@ fn planar<S: serde::Serializer>(pose: &Pose2, serializer: S) -> Result<S::Ok, S:
         yaw_deg: f64,
     }
     Planar { x: pose.x, y: pose.y, yaw_deg: pose.yaw.to_degrees() }.serialize(serializer)
+}
+
+#[cfg(test)]
+mod tests {
+    use core::f64::consts::PI;
+
+    use super::*;
+
+    #[test]
+    fn a_fit_needs_contrast_line_and_no_rival() {
+        let found = |share, weight, log_likelihood| Found { pose: Pose2::default(), share, weight, log_likelihood };
+        let fit = |found: &[Found]| Located { found: found.to_vec() }.fit();
+        assert_eq!(fit(&[]), Fit::None);
+        let at = |x, yaw, log_likelihood| Found { pose: Pose2::new(x, 0.02, yaw), ..found(0.9, 30.0, log_likelihood) };
+        let both = [at(0.05, 1.0, 9.0), Found { pose: Pose2::new(-0.05, -0.02, 1.0 - PI), ..found(0.9, 30.0, 9.0) }];
+        assert_eq!(without_mirrors(both.into_iter()).len(), 1, "a pose and its mirror");
+        assert_eq!(without_mirrors([both[0], at(2.0, 1.0, 8.0)].into_iter()).len(), 2);
+        assert_eq!(fit(&[found(0.4, 50.0, 9.0)]), Fit::None);
+        assert_eq!(fit(&[found(0.9, 3.0, 9.0)]), Fit::None);
+        assert_eq!(fit(&[found(0.9, 30.0, 9.0)]), Fit::Good);
+        assert_eq!(fit(&[found(0.9, 30.0, 9.0), found(0.8, 30.0, 4.0)]), Fit::Good);
+        assert_eq!(fit(&[found(0.9, 30.0, 9.0), found(0.8, 30.0, 8.5)]), Fit::Doubtful);
+    }
 }

@@ -26,7 +26,7 @@ pub struct Start {
 }
 
 impl Start {
-    pub(super) fn tagger(&self, settings: &Settings, field: Field, lens: Lens) -> Tagger {
+    pub(super) fn tagger(&self, settings: &Settings, field: Field, lens: &Lens) -> Tagger {
         let exact = self.checkpoint.as_ref().map(|checkpoint| checkpoint.tagger.clone());
         let mut tagger = match &self.warm {
             Some(warm) => Tagger::new(settings, field, lens, warm.clone()),

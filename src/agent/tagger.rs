@@ -23,7 +23,7 @@ pub struct Tagger {
 }
 
 impl Tagger {
-    pub fn new(settings: &Settings, field: Field, lens: Lens, state: LocalizerState) -> Self {
+    pub fn new(settings: &Settings, field: Field, lens: &Lens, state: LocalizerState) -> Self {
         let f = &settings.filter;
         let alpha = f.alpha.unwrap_or_else(|| default_alpha(f.formula));
         let observation = Observation::new(&field, f.line_points, f.formula, alpha, f.simd);

@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use clap::Args;
 use glam::DVec2;
 
+use super::paths::{cannot_write, check_output, save};
 use super::{Outcome, eval, output, sim};
 use crate::agent::{ReplayOptions, replay};
 use crate::config::Settings;
@@ -13,7 +13,7 @@ use crate::evaluation::capture::{read_tags, read_truth, tagged};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::evaluation::{Comparison, Tagged, compare};
 use crate::geometry::{Field, Isometry, Lens};
-use crate::recording::SessionInfo;
+use crate::recording::read_info;
 use crate::ros2::mcap_read::Selection;
 use crate::sensors::decode;
 use crate::sensors::log::{LogSource, files_of};
@@ -25,13 +25,15 @@ use crate::sensors::scene;
 /// picture. Needs no hardware and no network.
 #[derive(Args)]
 pub struct DemoArguments {
-    /// The scene to walk
-    #[arg(long, default_value = "replay/scenes/demo.toml")]
-    scene: String,
+    /// A scene file to walk in place of the built-in demo (replay/scenes/demo.toml)
+    #[arg(long)]
+    scene: Option<String>,
     /// Where log, capture and picture go
     #[arg(short, long, default_value = "demo")]
     output: PathBuf,
 }
+
+const SCENE: &str = include_str!("../../replay/scenes/demo.toml");
 
 /// Which frame is drawn, as a share of the walk.
 const SHOWN_AT: f64 = 0.4;
@@ -41,12 +43,16 @@ const STRONG: [u8; 3] = [230, 30, 60];
 
 pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
     let folder = &arguments.output;
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    check_output(folder, &[])?;
+    let scene = match &arguments.scene {
+        Some(path) => scene::load(path)?,
+        None => scene::parse(SCENE, "the built-in demo")?,
+    };
+    std::fs::create_dir_all(folder).map_err(|error| cannot_write(folder, error))?;
     let log = folder.join("walk.mcap");
-    eprintln!("1/3  rendering {} as a robot would have recorded it", arguments.scene);
-    sim::render(&arguments.scene, &log)?;
+    eprintln!("1/3  rendering a walk as a robot would have recorded it: {}", scene.file().scene.title);
+    sim::render(&scene, &log)?;
     eprintln!("2/3  tagging every frame");
-    let scene = scene::load(&arguments.scene)?;
     let options = ReplayOptions {
         source: log.clone(),
         captures: folder.join("captures"),
@@ -60,8 +66,8 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
     let report = replay(&options, &mut |done, total| progress.set(done, total))?;
     progress.finish();
     eprintln!("3/3  judging the tags against the truth");
-    let tags: Vec<Tagged> = read_tags(&report.session)?.iter().map(tagged).collect();
-    let truth = read_truth(&log, &options.settings.topics.ground_truth)?;
+    let tags: Vec<Tagged> = read_tags(&report.session)?.found.iter().map(tagged).collect();
+    let truth = read_truth(&log, &options.settings.topics.ground_truth)?.found;
     let comparison = compare(&tags, &truth);
     let picture = folder.join("demo.png");
     draw(&report.session, &tags, &truth, &comparison, &picture)?;
@@ -91,7 +97,7 @@ fn draw(
     comparison: &Comparison,
     path: &Path,
 ) -> anyhow::Result<()> {
-    let info: SessionInfo = serde_json::from_slice(&std::fs::read(session.join("session.json"))?)?;
+    let info = read_info(session)?;
     let field = Field::new(info.field)?;
     let lens = Lens::new(info.lens)?;
     let place = |pose: &Isometry| DVec2::new(pose.translation.x, pose.translation.y);
@@ -127,7 +133,7 @@ fn draw(
         }
         None => map,
     };
-    picture.save(path).with_context(|| path.display().to_string())
+    save(&picture, path)
 }
 
 /// The image that a tag belongs to.

@@ -2,18 +2,25 @@
 
 use std::path::PathBuf;
 
+use anyhow::bail;
 use clap::Args;
+use serde::Serialize;
 
 use super::{Outcome, output};
 use crate::config::Topics;
 use crate::evaluation::capture::{read_tags, read_truth, tagged};
-use crate::evaluation::{Comparison, Tagged, compare};
+use crate::evaluation::{Comparison, Tagged, compare, mirrored};
+use crate::geometry::Isometry;
+use crate::recording::Loss;
 
 /// Judge the tags of a capture against the truth
 ///
 /// Valid tags are compared with the true poses of camera_link at the same time: distance in x and y, yaw, tilt (the
 /// angle between the up axes), roll and pitch; how often the 95 % ellipse holds the truth, and the normalised error
 /// squared (NEES, 2 when the covariance is right).
+///
+/// A truth that has no time in common with the tags is an error; errors of metres come with a warning that it may be the
+/// truth of another walk. What a damaged or incomplete capture no longer holds is named (exit code 3).
 #[derive(Args)]
 pub struct EvalArguments {
     /// A capture's folder, or one of its segments
@@ -26,16 +33,73 @@ pub struct EvalArguments {
     truth_topic: String,
 }
 
+/// A median beyond this is no error of tagging: it is about another walk, or another half of the field.
+const NO_TAGGING_ERROR_CM: f64 = 100.0;
+
+#[derive(Serialize)]
+struct Report<'a> {
+    #[serde(flatten)]
+    comparison: &'a Comparison,
+    /// Why these errors may be of something else than the tags.
+    warning: Option<String>,
+    lost: Vec<Loss>,
+}
+
 pub fn run(arguments: &EvalArguments, json: bool) -> anyhow::Result<Outcome> {
-    let tags: Vec<Tagged> = read_tags(&arguments.capture)?.iter().map(tagged).collect();
+    let read = read_tags(&arguments.capture)?;
+    let tags: Vec<Tagged> = read.found.iter().map(tagged).collect();
     let truth = read_truth(&arguments.truth, &arguments.truth_topic)?;
+    let mut lost = read.losses;
+    lost.extend(truth.losses);
+    let truth = truth.found;
     let comparison = compare(&tags, &truth);
+    if comparison.valid > 0 && comparison.judged == 0 {
+        bail!(
+            "{}: none of its true poses is near the time of a valid tag: the tags are of {}, the truth is of {}: \
+             is it the truth of another walk?",
+            arguments.truth.display(),
+            span(tags.iter().filter(|tag| tag.valid).map(|tag| tag.stamp_ns)),
+            span(truth.iter().map(|(stamp_ns, _)| *stamp_ns))
+        );
+    }
+    let warning = doubt(&comparison, &tags, &truth);
+    output::losses(&lost);
+    if let Some(warning) = &warning {
+        eprintln!("realitysim: {}: {warning}", arguments.truth.display());
+    }
     if json {
-        output::json(&comparison)?
+        output::json(&Report { comparison: &comparison, warning, lost: lost.clone() })?
     } else {
         output::lines(&table(&comparison))?
     }
-    Ok(Outcome::Whole)
+    Ok(Outcome::of(&lost))
+}
+
+fn doubt(comparison: &Comparison, tags: &[Tagged], truth: &[(i64, Isometry)]) -> Option<String> {
+    let median = comparison.position_cm.median;
+    if median < NO_TAGGING_ERROR_CM {
+        return None;
+    }
+    if compare(&mirrored(tags), truth).position_cm.median < NO_TAGGING_ERROR_CM.min(median / 2.0) {
+        return Some(
+            "the tags are in the other half of the field, which looks the same: say where the robot starts, \
+             with --initial or on /initialpose"
+                .to_owned(),
+        );
+    }
+    Some(format!(
+        "errors of metres (median {:.1} m): is it the truth of another walk, or not of camera_link in map?",
+        median / 100.0
+    ))
+}
+
+/// From the first time to the last, in UTC.
+fn span(times: impl Iterator<Item = i64> + Clone) -> String {
+    let utc = |ns: Option<i64>| {
+        let time = jiff::Timestamp::from_nanosecond(i128::from(ns.unwrap_or(0))).unwrap_or_default();
+        time.strftime("%Y-%m-%d %H:%M:%S").to_string()
+    };
+    format!("{} to {} UTC", utc(times.clone().min()), utc(times.max()))
 }
 
 pub fn table(c: &Comparison) -> String {
@@ -43,6 +107,10 @@ pub fn table(c: &Comparison) -> String {
     let mut text = format!("{} frames, {} valid ({share:.1} %)", c.frames, c.valid);
     if c.without_truth > 0 {
         text.push_str(&format!(", {} of them without a truth near their time", c.without_truth));
+    }
+    if c.judged == 0 {
+        text.push_str(": nothing to judge");
+        return text;
     }
     text.push_str("\n\n  error          mean   median      p95      max\n");
     for (name, unit, summary) in [

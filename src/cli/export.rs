@@ -1,18 +1,20 @@
 //! `realitysim export`
 
+use std::collections::{HashMap, VecDeque};
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
+use super::paths::{cannot_write, check_output};
 use super::{Outcome, output};
-use crate::evaluation::capture::read_tags;
-use crate::recording::SessionInfo;
-use crate::ros2::mcap_read::Selection;
-use crate::ros2::messages::{CompressedImageView, FrameTag, ImageView};
+use crate::evaluation::capture::{Readout, losses, read_tags};
+use crate::recording::{Loss, read_info, topic};
+use crate::ros2::mcap_read::{LogMessage, Selection};
+use crate::ros2::messages::{CompressedImageView, FrameTag};
 use crate::sensors::decode;
 use crate::sensors::log::{self, LogSource};
 
@@ -20,7 +22,7 @@ use crate::sensors::log::{self, LogSource};
 ///
 /// tum: a text file, `stamp tx ty tz qx qy qz qw` of camera_link in map, valid tags only (evo reads it).
 /// images: a folder with one file per frame, tags.csv and tags.jsonl; JPEG and PNG are copied byte for byte, raw
-/// frames become PNG.
+/// frames become PNG. What a damaged or incomplete capture no longer holds is named, and the rest written (exit code 3).
 #[derive(Args)]
 pub struct ExportArguments {
     /// A capture's folder, or one of its segments
@@ -28,7 +30,7 @@ pub struct ExportArguments {
     /// What to write
     #[arg(long)]
     to: Format,
-    /// File (tum) or folder (images) to write
+    /// File (tum) or folder (images) to write, outside of any capture
     #[arg(short, long)]
     output: PathBuf,
 }
@@ -43,26 +45,30 @@ enum Format {
 struct Report {
     output: PathBuf,
     written: usize,
+    lost: Vec<Loss>,
 }
 
 pub fn run(arguments: &ExportArguments, json: bool) -> anyhow::Result<Outcome> {
-    let tags = read_tags(&arguments.capture)?;
-    let written = match arguments.to {
-        Format::Tum => tum(&tags, &arguments.output)?,
-        Format::Images => images(&arguments.capture, &tags, &arguments.output)?,
+    let ExportArguments { capture, output, to } = arguments;
+    check_output(output, &[capture])?;
+    let Readout { found: tags, losses } = read_tags(capture)?;
+    let (written, lost) = match to {
+        Format::Tum => (tum(&tags, output)?, losses),
+        Format::Images => images(capture, &tags, output)?,
     };
-    let report = Report { output: arguments.output.clone(), written };
+    output::losses(&lost);
+    let report = Report { output: output.clone(), written, lost };
     if json {
         output::json(&report)?;
     } else {
         output::lines(&format!("{written} written to {}", report.output.display()))?;
     }
-    Ok(Outcome::Whole)
+    Ok(Outcome::of(&report.lost))
 }
 
 fn tum(tags: &[FrameTag], path: &Path) -> anyhow::Result<usize> {
-    let shown = || path.display().to_string();
-    let mut file = BufWriter::new(File::create(path).with_context(shown)?);
+    let failed = |error| cannot_write(path, error);
+    let mut file = BufWriter::new(File::create(path).map_err(failed)?);
     let mut written = 0;
     for tag in tags.iter().filter(|tag| tag.valid) {
         let (p, q) = (&tag.pose.pose.position, &tag.pose.pose.orientation);
@@ -72,10 +78,10 @@ fn tum(tags: &[FrameTag], path: &Path) -> anyhow::Result<usize> {
             "{}.{:09} {:.6} {:.6} {:.6} {:.9} {:.9} {:.9} {:.9}",
             stamp.sec, stamp.nanosec, p.x, p.y, p.z, q.x, q.y, q.z, q.w
         )
-        .with_context(shown)?;
+        .map_err(failed)?;
         written += 1;
     }
-    file.flush().with_context(shown)?;
+    file.flush().map_err(failed)?;
     Ok(written)
 }
 
@@ -99,72 +105,96 @@ struct Row<'a> {
 
 const CSV_HEAD: &str = "file,stamp_ns,valid,reason,x,y,z,yaw_deg,pitch_deg,roll_deg,sigma_xy_m,sigma_yaw_deg,ambiguous";
 
-fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<usize> {
-    let shown = || folder.display().to_string();
-    fs::create_dir_all(folder).with_context(shown)?;
-    let mut csv = BufWriter::new(File::create(folder.join("tags.csv")).with_context(shown)?);
-    let mut jsonl = BufWriter::new(File::create(folder.join("tags.jsonl")).with_context(shown)?);
-    writeln!(csv, "{CSV_HEAD}").with_context(shown)?;
-    let topic = image_topic(capture)?;
-    let source = LogSource::new(log::files_of(capture)?, Selection::topics([topic.as_str()]));
+/// Returns how many frames were written, and what could not be.
+fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(usize, Vec<Loss>)> {
+    let image_topic = image_topic(capture)?;
+    let failed = |error| cannot_write(folder, error);
+    fs::create_dir_all(folder).map_err(failed)?;
+    let mut csv = BufWriter::new(File::create(folder.join("tags.csv")).map_err(failed)?);
+    let mut jsonl = BufWriter::new(File::create(folder.join("tags.jsonl")).map_err(failed)?);
+    writeln!(csv, "{CSV_HEAD}").map_err(failed)?;
+    // A frame or a tag may be lost: they find each other by their stamp, those of the same stamp in their order.
+    let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
+    for tag in tags {
+        waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
+    }
+    // The tags again, so that what is lost of them counts here as well.
+    let selection = Selection::topics([image_topic.as_str(), topic::FRAME_TAG]);
+    let mut source = LogSource::with_outputs(log::files_of(capture)?, selection);
     let mut progress = output::Progress::new("exporting");
-    let mut written = 0;
-    let mut left = tags.iter().peekable();
-    for message in source {
+    let (mut written, mut unreadable, mut first_error) = (0, 0, None);
+    for message in source.by_ref() {
         let message = message?;
-        let (stamp_ns, ending, bytes) = match message.channel.type_name.as_str() {
-            "sensor_msgs/msg/CompressedImage" => {
-                let image = CompressedImageView::decode(&message.data)?;
-                let ending = if image.data.starts_with(b"\x89PNG") { "png" } else { "jpg" };
-                (image.header.stamp.to_nanoseconds(), ending, image.data.to_vec())
-            }
-            _ => (ImageView::decode(&message.data)?.header.stamp.to_nanoseconds(), "png", png(&message)?),
+        if message.channel.topic != image_topic {
+            continue;
+        }
+        let tag = match decode::stamp_ns(&message) {
+            Ok(stamp_ns) => waiting.get_mut(&stamp_ns).and_then(VecDeque::pop_front),
+            // The agent could not tell when it was taken either: it has no tag.
+            Err(_) => None,
         };
-        // Tags stand in the order of the frames; a frame without one was written while the agent was stopped.
-        let Some(tag) = left.next_if(|tag| tag.header.stamp.to_nanoseconds() == stamp_ns) else { continue };
-        let row = row(format!("{:06}.{ending}", tag.sequence), stamp_ns, tag);
+        let Some(tag) = tag else { continue };
+        let (ending, bytes) = match file_of(&message) {
+            Ok(file) => file,
+            Err(error) => {
+                unreadable += 1;
+                first_error.get_or_insert_with(|| format!("frame {}: {error}", tag.sequence));
+                continue;
+            }
+        };
+        let row = row(format!("{:06}.{ending}", tag.sequence), tag);
         let path = folder.join(&row.file);
-        fs::write(&path, &bytes).with_context(|| path.display().to_string())?;
-        let Row {
-            file,
-            valid,
-            reason,
-            x,
-            y,
-            z,
-            yaw_deg,
-            pitch_deg,
-            roll_deg,
-            sigma_xy_m,
-            sigma_yaw_deg,
-            ambiguous,
-            ..
-        } = &row;
-        writeln!(
-            csv,
-            "{file},{stamp_ns},{valid},{reason},{x:.6},{y:.6},{z:.6},{yaw_deg:.6},{pitch_deg:.6},{roll_deg:.6},\
-             {sigma_xy_m:.6},{sigma_yaw_deg:.6},{ambiguous}"
-        )
-        .with_context(shown)?;
-        serde_json::to_writer(&mut jsonl, &row)?;
-        writeln!(jsonl).with_context(shown)?;
+        fs::write(&path, &bytes).map_err(|error| cannot_write(&path, error))?;
+        write_csv(&mut csv, &row).map_err(failed)?;
+        serde_json::to_writer(&mut jsonl, &row).map_err(|error| failed(error.into()))?;
+        writeln!(jsonl).map_err(failed)?;
         written += 1;
         progress.set(written as u64, Some(tags.len() as u64));
     }
     progress.finish();
-    csv.flush().with_context(shown)?;
-    jsonl.flush().with_context(shown)?;
-    if written < tags.len() {
-        bail!("{}: only {written} of {} tags have their image on {topic}", capture.display(), tags.len());
+    csv.flush().map_err(failed)?;
+    jsonl.flush().map_err(failed)?;
+    let mut lost = losses(capture, source.damage());
+    let mut lose = |what: String| Loss::new(capture, what).join(&mut lost);
+    if let Some(error) = first_error {
+        lose(format!("{unreadable} frames on {image_topic} do not decode ({error})"));
     }
-    Ok(written)
+    let without = tags.len() - written - unreadable;
+    if without > 0 {
+        lose(format!("{without} of {} tags have no image on {image_topic}", tags.len()));
+    }
+    if written == 0 {
+        let all: Vec<String> = lost.iter().map(ToString::to_string).collect();
+        bail!("nothing was written: {}", all.join("; "));
+    }
+    Ok((written, lost))
 }
 
-fn row(file: String, stamp_ns: i64, tag: &FrameTag) -> Row<'_> {
+/// How a frame's file name ends, and its bytes.
+fn file_of(message: &LogMessage) -> anyhow::Result<(&'static str, Vec<u8>)> {
+    if message.channel.type_name != "sensor_msgs/msg/CompressedImage" {
+        return Ok(("png", png(message)?));
+    }
+    let image = CompressedImageView::decode(&message.data)?;
+    let ending = if image.data.starts_with(b"\x89PNG") { "png" } else { "jpg" };
+    Ok((ending, image.data.to_vec()))
+}
+
+fn write_csv(csv: &mut impl Write, row: &Row) -> std::io::Result<()> {
+    let Row { file, stamp_ns, valid, reason, x, y, z, .. } = row;
+    let Row { yaw_deg, pitch_deg, roll_deg, sigma_xy_m, sigma_yaw_deg, ambiguous, .. } = row;
+    writeln!(
+        csv,
+        "{file},{stamp_ns},{valid},{reason},{x:.6},{y:.6},{z:.6},{yaw_deg:.6},{pitch_deg:.6},{roll_deg:.6},\
+         {sigma_xy_m:.6},{sigma_yaw_deg:.6},{ambiguous}"
+    )
+}
+
+fn row(file: String, tag: &FrameTag) -> Row<'_> {
     let (p, covariance) = (&tag.pose.pose.position, &tag.pose.covariance);
     Row {
         file,
-        stamp_ns,
+        stamp_ns: tag.header.stamp.to_nanoseconds(),
         valid: tag.valid,
         reason: &tag.reason,
         x: p.x,
@@ -182,8 +212,7 @@ fn row(file: String, stamp_ns: i64, tag: &FrameTag) -> Row<'_> {
 /// The session's own word for it, else the default.
 fn image_topic(capture: &Path) -> anyhow::Result<String> {
     let folder = if capture.is_dir() { Some(capture) } else { capture.parent() };
-    let session = folder.and_then(|folder| fs::read(folder.join("session.json")).ok());
-    let configured = session.and_then(|bytes| serde_json::from_slice::<SessionInfo>(&bytes).ok());
+    let configured = folder.and_then(|folder| read_info(folder).ok());
     let wanted = configured.map(|info| info.settings.topics.image).unwrap_or_default();
     let types = log::topic_types(&log::surveys(&log::files_of(capture)?)?);
     if types.contains_key(&wanted) {
@@ -197,7 +226,7 @@ fn image_topic(capture: &Path) -> anyhow::Result<String> {
     }
 }
 
-fn png(message: &crate::ros2::mcap_read::LogMessage) -> anyhow::Result<Vec<u8>> {
+fn png(message: &LogMessage) -> anyhow::Result<Vec<u8>> {
     let picture = decode::picture(message)?;
     let rgb = picture.to_rgb();
     let mut bytes = Vec::new();

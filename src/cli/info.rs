@@ -6,21 +6,30 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{Outcome, output};
+use crate::recording::{Loss, missing_parts};
+use crate::ros2::mcap_read::Survey;
 use crate::sensors::log;
 
 /// What a log, bag or capture holds, or what a camera offers
 ///
-/// Of a log: topics, types, rates and damage (exit code 3 if there is any). Of a camera (/dev/video0): formats, sizes
-/// and rates.
+/// Of a log: topics, types, rates and damage (exit code 3 if there is any); every byte is read and checked. Of a
+/// capture also whether all segments of its manifest are there. Of a camera (/dev/video0): formats, sizes and rates.
 #[derive(Args)]
 pub struct InfoArguments {
     /// An MCAP file, a folder of them, or a camera's device
     file: PathBuf,
+    /// Believe a log's index and do not check what it leads to: at once, even for a large log
+    #[arg(long)]
+    quick: bool,
 }
 
 #[derive(Serialize)]
 struct Info {
+    /// Every byte was read, not only the index.
+    checked: bool,
     files: Vec<FileInfo>,
+    /// What a capture's manifest lists and is not there as it was written.
+    lost: Vec<Loss>,
     duration_s: f64,
     messages: u64,
     topics: Vec<TopicInfo>,
@@ -34,8 +43,13 @@ struct FileInfo {
     attachments: Vec<String>,
     torn: bool,
     bad_chunks: u64,
+    bad_records: u64,
     bytes_skipped: u64,
     first_error: Option<String>,
+    /// Null if that was not checked.
+    chunks_without_checksum: Option<u64>,
+    #[serde(skip)]
+    damage: Option<String>,
 }
 
 #[derive(Clone, Serialize)]
@@ -54,7 +68,9 @@ pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
         return camera(&arguments.file, json);
     }
     let files = log::files_of(&arguments.file)?;
-    let surveys = log::surveys(&files)?;
+    let checked = !arguments.quick;
+    let surveys = if checked { log::examinations(&files)? } else { log::surveys(&files)? };
+    let lost = missing_parts(&arguments.file);
     let mut topics: Vec<TopicInfo> = Vec::new();
     for topic in surveys.iter().flat_map(|survey| &survey.topics) {
         let span = topic.first_log_time_ns.zip(topic.last_log_time_ns);
@@ -81,21 +97,11 @@ pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     let whole = topics.iter().fold(None, |span, topic| joined(span, topic.span_ns));
     let damaged = surveys.iter().any(|survey| !survey.damage.is_none());
+    let outcome = if damaged || !lost.is_empty() { Outcome::DataLost } else { Outcome::Whole };
     let info = Info {
-        files: files
-            .into_iter()
-            .zip(&surveys)
-            .map(|(file, survey)| FileInfo {
-                file,
-                indexed: survey.indexed,
-                compression: survey.compressions.iter().cloned().collect(),
-                attachments: survey.attachments.clone(),
-                torn: survey.damage.torn,
-                bad_chunks: survey.damage.bad_chunks,
-                bytes_skipped: survey.damage.bytes_skipped,
-                first_error: survey.damage.first_error.clone(),
-            })
-            .collect(),
+        checked,
+        files: files.iter().zip(&surveys).map(|(file, survey)| file_info(file, survey, checked)).collect(),
+        lost,
         duration_s: whole.map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 * 1e-9),
         messages: topics.iter().map(|topic| topic.messages).sum(),
         topics,
@@ -105,7 +111,24 @@ pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
     } else {
         output::lines(&for_people(&info))?
     }
-    Ok(if damaged { Outcome::DataLost } else { Outcome::Whole })
+    Ok(outcome)
+}
+
+fn file_info(file: &Path, survey: &Survey, checked: bool) -> FileInfo {
+    let damage = &survey.damage;
+    FileInfo {
+        file: file.to_owned(),
+        indexed: survey.indexed,
+        compression: survey.compressions.iter().cloned().collect(),
+        attachments: survey.attachments.clone(),
+        torn: damage.torn,
+        bad_chunks: damage.bad_chunks,
+        bad_records: damage.bad_records,
+        bytes_skipped: damage.bytes_skipped,
+        first_error: damage.first_error.clone(),
+        chunks_without_checksum: checked.then_some(survey.unprotected_chunks),
+        damage: (!damage.is_none()).then(|| Loss::of_damage(file, damage).what),
+    }
 }
 
 fn is_device(path: &Path) -> bool {
@@ -152,16 +175,25 @@ fn for_people(info: &Info) -> String {
             true => String::new(),
             false => format!(", attached: {}", file.attachments.join(", ")),
         };
-        text.push_str(&format!(
-            "{}: {index}, chunks: {}{attached}\n",
-            file.file.display(),
-            file.compression.join(", ")
-        ));
-        if let Some(error) = &file.first_error {
-            text.push_str(&format!("  damaged: {error}; {} bytes cannot be used\n", file.bytes_skipped));
-        } else if file.torn {
-            text.push_str("  torn: its end is missing\n");
+        let chunks = match file.compression.is_empty() {
+            true => "no chunks, and so no checksums".to_owned(),
+            false => format!("chunks: {}", file.compression.join(", ")),
+        };
+        text.push_str(&format!("{}: {index}, {chunks}{attached}\n", file.file.display()));
+        if let Some(damage) = &file.damage {
+            text.push_str(&format!("  {damage}\n"));
         }
+        if let Some(chunks @ 1..) = file.chunks_without_checksum {
+            text.push_str(&format!(
+                "  {chunks} of its chunks have no checksum: a wrong value in them cannot be seen\n"
+            ));
+        }
+    }
+    for loss in &info.lost {
+        text.push_str(&format!("{loss}\n"));
+    }
+    if !info.checked && info.files.iter().any(|file| file.indexed) {
+        text.push_str("by the index only: messages were not checked (leave out --quick)\n");
     }
     text.push_str(&format!("{:.1} s, {} messages\n\n", info.duration_s, info.messages));
     for topic in &info.topics {

@@ -10,6 +10,7 @@ mod info;
 mod machine;
 mod output;
 mod paper;
+mod paths;
 mod replay;
 mod section;
 mod settings;
@@ -22,6 +23,7 @@ use clap::{Parser, Subcommand};
 
 use crate::agent::{ReplayError, SetupError};
 use crate::config::ConfigError;
+use crate::recording::Loss;
 use crate::scene::SceneError;
 
 /// Tags every camera frame of a soccer robot with the pose of its camera.
@@ -56,6 +58,12 @@ enum Outcome {
     NotReached,
 }
 
+impl Outcome {
+    fn of(losses: &[Loss]) -> Self {
+        if losses.is_empty() { Self::Whole } else { Self::DataLost }
+    }
+}
+
 pub fn run() -> ExitCode {
     let arguments = Arguments::parse();
     let json = arguments.json;
@@ -85,7 +93,7 @@ pub fn run() -> ExitCode {
 /// The causes in a row; many errors say their cause themselves, which is not said again.
 fn told(error: &anyhow::Error) -> String {
     let mut text = String::new();
-    for cause in error.chain().map(ToString::to_string) {
+    for cause in error.chain().map(|cause| cause.to_string().trim_end().to_owned()) {
         if text.is_empty() {
             text = cause;
         } else if !text.contains(&cause) {

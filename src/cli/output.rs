@@ -3,10 +3,12 @@
 use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
+use anyhow::Context;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 
 use crate::evaluation::Summary;
+use crate::recording::Loss;
 
 /// A bar on a terminal, a line now and then elsewhere; always on standard error.
 pub struct Progress {
@@ -44,18 +46,26 @@ impl Progress {
     }
 }
 
+/// For messages, when what it leads to is full.
+const STDOUT: &str = "standard output cannot be written";
+
 /// One object on one line.
 pub fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
-    serde_json::to_writer(&mut stdout, value)?;
-    writeln!(stdout)?;
-    Ok(())
+    serde_json::to_writer(&mut stdout, value).context(STDOUT)?;
+    writeln!(stdout).context(STDOUT)
 }
 
 /// Lines for people on standard output.
 pub fn lines(text: &str) -> anyhow::Result<()> {
-    writeln!(io::stdout().lock(), "{text}")?;
-    Ok(())
+    writeln!(io::stdout().lock(), "{text}").context(STDOUT)
+}
+
+/// What could not be had, on standard error.
+pub fn losses(losses: &[Loss]) {
+    for loss in losses {
+        eprintln!("realitysim: {loss}");
+    }
 }
 
 /// A row of a table of errors.

@@ -1,13 +1,18 @@
 //! `realitysim replay`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::settings::{SettingsArguments, planar_pose};
+use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, output};
 use crate::agent::{ReplayOptions, ReplayReport, replay};
-use crate::geometry::Pose2;
+use crate::config::{Settings, load_field};
+use crate::geometry::{Field, Pose2};
+use crate::sensors::scene;
+
+/// More only wait for each other.
+const MAX_THREADS: usize = 64;
 
 /// Tag every frame of a log or scene and write a capture
 ///
@@ -25,10 +30,12 @@ pub struct ReplayArguments {
     /// Where captures are kept
     #[arg(short, long, value_name = "CAPTURES_DIR")]
     output: PathBuf,
-    /// Threads for decoding and looking at frames; the tags do not depend on it
-    #[arg(long, value_name = "N")]
+    /// Threads for decoding and looking at frames, 1 to 64; without it as many as there are cores. The tags do not
+    /// depend on it
+    #[arg(long, value_name = "N", value_parser = threads)]
     threads: Option<usize>,
-    /// Pose of base_footprint at the first frame, in place of what the log announces
+    /// Pose of base_footprint at the first frame, in place of what the log announces; on the field or at most 1 m off
+    /// its carpet
     #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
     initial: Option<Pose2>,
     /// Pace by the log's times
@@ -42,13 +49,18 @@ pub struct ReplayArguments {
 }
 
 pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let cores = std::thread::available_parallelism().map_or(1, usize::from).min(MAX_THREADS);
+    let settings = arguments.settings.resolve()?;
+    if let Some(initial) = &arguments.initial {
+        let name = field_of(&arguments.source, &settings)?;
+        check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
+    }
     let options = ReplayOptions {
         source: arguments.source.clone(),
         captures: arguments.output.clone(),
-        settings: arguments.settings.resolve()?,
+        settings,
         initial: arguments.initial,
-        threads: arguments.threads.unwrap_or(cores).clamp(1, 64),
+        threads: arguments.threads.unwrap_or(cores),
         realtime: arguments.realtime,
         warm_start: arguments.warm_start,
     };
@@ -62,6 +74,19 @@ pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&for_people(&report))?
     }
     Ok(if report.data_was_lost() { Outcome::DataLost } else { Outcome::Whole })
+}
+
+fn threads(text: &str) -> Result<usize, String> {
+    let threads = text.parse().ok().filter(|threads| (1..=MAX_THREADS).contains(threads));
+    threads.ok_or_else(|| format!("it must be 1 to {MAX_THREADS}"))
+}
+
+/// A scene brings its own.
+fn field_of(source: &Path, settings: &Settings) -> anyhow::Result<String> {
+    match source.to_str() {
+        Some(path) if path.ends_with(".toml") => Ok(scene::load(path)?.file().scene.field.clone()),
+        _ => Ok(settings.field.clone()),
+    }
 }
 
 pub fn for_people(report: &ReplayReport) -> String {

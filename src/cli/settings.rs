@@ -1,10 +1,11 @@
 //! The config file and the same keys on the command line.
 
 use clap::Args;
+use glam::DVec2;
 use thiserror::Error;
 
 use crate::config::{Formula, Model, MotionSource, Settings, SimdPath};
-use crate::geometry::Pose2;
+use crate::geometry::{Field, Pose2};
 
 #[derive(Debug, Error)]
 #[error("{0}")]
@@ -109,6 +110,23 @@ fn with_key(settings: Settings, assignment: &str) -> anyhow::Result<Settings> {
 fn word<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
     let value = serde::de::value::StrDeserializer::<serde::de::value::Error>::new(text);
     T::deserialize(value).map_err(|error| error.to_string())
+}
+
+/// How far off its carpet a robot may start.
+const START_OFF_CARPET_M: f64 = 1.0;
+
+/// Whether a robot or camera can stand there; the error says how far the field reaches.
+pub fn check_initial(initial: &Pose2, name: &str, field: &Field) -> Result<(), UsageError> {
+    let half = field.carpet_half_extent();
+    let reach = half + DVec2::splat(START_OFF_CARPET_M);
+    if initial.x.abs() <= reach.x && initial.y.abs() <= reach.y {
+        return Ok(());
+    }
+    Err(UsageError(format!(
+        "--initial is {},{}: the carpet of {name} reaches from -{:.2} to {:.2} m in x and from -{:.2} to {:.2} m in y, and \
+         a start may be {START_OFF_CARPET_M} m outside of it",
+        initial.x, initial.y, half.x, half.x, half.y, half.y
+    )))
 }
 
 /// `x,y,yaw_deg` in metres and degrees.

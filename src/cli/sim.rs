@@ -5,12 +5,13 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
 
+use super::paths::{cannot_write, check_output};
 use super::{Outcome, output};
-use crate::ros2::mcap_write::{LogWriter, RawChannel};
+use crate::ros2::mcap_write::{LogWriter, RawChannel, WriteError};
+use crate::scene::Scene;
 use crate::sensors::scene::{self, SceneSource};
 
 /// Render a scene into a log with ground truth
@@ -36,7 +37,8 @@ pub struct Report {
 }
 
 pub fn run(arguments: &SimArguments, json: bool) -> anyhow::Result<Outcome> {
-    let report = render(&arguments.scene, &arguments.output)?;
+    check_output(&arguments.output, &[Path::new(&arguments.scene)])?;
+    let report = render(&scene::load(&arguments.scene)?, &arguments.output)?;
     if json {
         output::json(&report)?;
     } else {
@@ -49,35 +51,37 @@ pub fn run(arguments: &SimArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::Whole)
 }
 
-pub fn render(scene: &str, log: &Path) -> anyhow::Result<Report> {
+pub fn render(scene: &Scene, log: &Path) -> anyhow::Result<Report> {
     let started = std::time::Instant::now();
-    let scene = scene::load(scene)?;
-    let path = || log.display().to_string();
-    let file = File::create(log).with_context(path)?;
-    let mut writer = LogWriter::new(BufWriter::with_capacity(1 << 20, file)).with_context(path)?;
+    let failed = |error| match error {
+        WriteError::Io(error) => cannot_write(log, error),
+        error => anyhow::Error::new(error).context(log.display().to_string()),
+    };
+    let file = File::create(log).map_err(|error| cannot_write(log, error))?;
+    let mut writer = LogWriter::new(BufWriter::with_capacity(1 << 20, file)).map_err(failed)?;
     let mut channels = BTreeMap::new();
     let mut progress = output::Progress::new("rendering");
     let mut frames = 0;
-    for message in SceneSource::new(&scene) {
+    for message in SceneSource::new(scene) {
         let message = message?;
         let channel = &message.channel;
         let id = match channels.get(&channel.id) {
             Some(id) => *id,
             None => {
-                let id = writer.add_raw_channel(&RawChannel::from(channel.as_ref()))?;
+                let id = writer.add_raw_channel(&RawChannel::from(channel.as_ref())).map_err(failed)?;
                 channels.insert(channel.id, id);
                 id
             }
         };
         writer
             .write(id, message.sequence, message.log_time_ns, message.publish_time_ns, &message.data)
-            .with_context(path)?;
+            .map_err(failed)?;
         if channel.type_name.ends_with("Image") {
             frames += 1;
             progress.set(frames, Some(scene.frame_count()));
         }
     }
-    writer.finish().with_context(path)?;
+    writer.finish().map_err(failed)?;
     progress.finish();
     Ok(Report { log: log.to_owned(), frames, duration_s: scene.duration_s(), wall_s: started.elapsed().as_secs_f64() })
 }

@@ -1,14 +1,15 @@
 //! `realitysim tag`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
 
-use super::settings::{UsageError, numbers, planar_pose};
+use super::paths::{cannot_read, check_output, save};
+use super::settings::{UsageError, check_initial, numbers, planar_pose};
 use super::{Outcome, output};
-use crate::agent::single::{Found, Known};
+use crate::agent::single::{Fit, Found, Known, LEAST_SHARE, LEAST_WEIGHT, Located};
 use crate::config::{field_names, load_field, load_lens_for_image};
 use crate::evaluation::drawing;
 use crate::geometry::{Euler, Field, Pose2};
@@ -19,6 +20,8 @@ use crate::sensors::{body_mask, decode};
 /// Lens, tilt and height are known; where the camera stood and which way it looked is found from the field lines: over
 /// the whole field, or near --initial. A field looks the same from both goals: the mirror pose (-x, -y, yaw + 180)
 /// explains the image as well. Without --field all shipped fields are tried.
+///
+/// The fit is good, doubtful (a pose elsewhere explains the image nearly as well) or none: no pose found, exit code 1.
 #[derive(Args)]
 pub struct TagArguments {
     /// A JPEG or PNG
@@ -26,16 +29,16 @@ pub struct TagArguments {
     /// Lens file: TOML (config/cameras), ROS camera_calibration, Kalibr camchain or VisualMesh YAML
     #[arg(long, value_name = "FILE")]
     lens: String,
-    /// Roll and pitch of camera_link, pitch > 0 looks down (a VisualMesh file has its own)
+    /// Roll (-180 to 180) and pitch (-90 to 90) of camera_link, pitch > 0 looks down (a VisualMesh file has its own)
     #[arg(long, value_name = "roll_deg,pitch_deg", value_parser = attitude, allow_hyphen_values = true)]
     attitude: Option<Euler>,
-    /// Height of camera_link above the carpet (a VisualMesh file has its own)
+    /// Height of camera_link above the carpet, 0.01 to 100 (a VisualMesh file has its own)
     #[arg(long, value_name = "M")]
     height: Option<f64>,
     /// A shipped field (config/fields) or the path of a field file
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
-    /// About where camera_link is
+    /// About where camera_link is: on the field or at most 1 m off its carpet
     #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
     initial: Option<Pose2>,
     /// PNG of the image's size whose dark pixels hide the robot's own body
@@ -55,9 +58,10 @@ const LINES: [u8; 3] = [230, 30, 60];
 #[derive(Serialize)]
 struct Report {
     field: String,
-    /// `camera_link` in `map`.
-    best: Found,
-    mirror: Pose,
+    fit: Fit,
+    /// `camera_link` in `map`; without any line in view null.
+    best: Option<Found>,
+    mirror: Option<Pose>,
     roll_deg: f64,
     pitch_deg: f64,
     z: f64,
@@ -83,7 +87,10 @@ struct FieldResult {
 
 pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     let shown = || arguments.image.display().to_string();
-    let bytes = std::fs::read(&arguments.image).with_context(shown)?;
+    if let Some(overlay) = &arguments.overlay {
+        check_output(overlay, &inputs(arguments))?;
+    }
+    let bytes = std::fs::read(&arguments.image).map_err(|error| cannot_read(&arguments.image, error))?;
     let picture = decode::compressed(&bytes).with_context(shown)?;
     let (width, height) = (picture.width as u32, picture.height as u32);
     let lens = load_lens_for_image(&arguments.lens, width, height)?;
@@ -91,64 +98,119 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     let attitude = arguments.attitude.or(stated.map(|pose| pose.euler())).ok_or_else(|| {
         UsageError(format!("--attitude is missing, and {} does not say how the camera was tilted", arguments.lens))
     })?;
-    let height_m = arguments.height.or(stated.map(|pose| pose.translation.z)).ok_or_else(|| {
-        UsageError(format!("--height is missing, and {} does not say how high the camera was", arguments.lens))
-    })?;
-    if !(0.01..=100.0).contains(&height_m) {
-        return Err(UsageError(format!("--height is {height_m}: it must be 0.01 to 100 m")).into());
-    }
+    let height_m = height_above_carpet(arguments, stated.map(|pose| pose.translation.z))?;
     let body = match &arguments.body_mask {
         Some(png) => Some(body_mask(png, width, height).map_err(|message| UsageError(format!("{png}: {message}")))?),
         None => None,
     };
     let known = Known { lens: lens.lens, attitude, height_m, initial: arguments.initial, body };
+    let fields = fields(arguments)?;
     let seen = known.look(&picture);
-    let names = arguments.field.clone().map_or_else(field_names, |name| vec![name]);
-    let mut results: Vec<(String, Field, Vec<Found>)> = Vec::new();
-    for name in names {
-        let field = Field::new(load_field(&name)?)?;
+    let locate = |(name, field): (String, Field)| {
         let located = known.locate(&seen, &field, arguments.seed);
-        results.push((name, field, located.found));
-    }
-    let score = |found: &[Found]| found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
-    results.sort_by(|a, b| score(&b.2).total_cmp(&score(&a.2)));
-    let Some((name, field, found)) = results.first() else { anyhow::bail!("{}: no field to try", shown()) };
-    let Some(best) = found.first() else {
-        anyhow::bail!("{}: no ground of the field is in view: check --attitude, --height and the lens", shown());
+        (name, field, located)
     };
-    if let Some(path) = &arguments.overlay {
+    let mut results: Vec<(String, Field, Located)> = fields.into_iter().map(locate).collect();
+    let score = |located: &Located| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
+    results.sort_by(|a, b| score(&b.2).total_cmp(&score(&a.2)));
+    let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", shown()) };
+    let best = located.found.first();
+    if let (Some(path), Some(best)) = (&arguments.overlay, best) {
         let rgb = image::RgbImage::from_raw(width, height, picture.to_rgb());
         let rgb = rgb.with_context(|| format!("{}: its pixels do not fit its size", shown()))?;
-        let drawn = drawing::overlay(&rgb, &known.lens, &known.map_from_link(&best.pose), field, LINES);
-        drawn.save(path).with_context(|| path.display().to_string())?;
+        save(&drawing::overlay(&rgb, &known.lens, &known.map_from_link(&best.pose), field, LINES), path)?;
     }
-    let mirror = best.pose.mirrored();
     let report = Report {
         field: name.clone(),
-        best: *best,
-        mirror: Pose { x: mirror.x, y: mirror.y, yaw_deg: mirror.yaw.to_degrees() },
+        fit: located.fit(),
+        best: best.copied(),
+        mirror: best.map(|best| {
+            let mirror = best.pose.mirrored();
+            Pose { x: mirror.x, y: mirror.y, yaw_deg: mirror.yaw.to_degrees() }
+        }),
         roll_deg: attitude.roll.to_degrees(),
         pitch_deg: attitude.pitch.to_degrees(),
         z: height_m,
-        next: found.get(1).copied(),
+        next: located.found.get(1).copied(),
         fields: results
             .iter()
-            .filter_map(|(field, _, found)| {
-                let Found { log_likelihood, share, .. } = *found.first()?;
+            .filter_map(|(field, _, located)| {
+                let Found { log_likelihood, share, .. } = *located.found.first()?;
                 Some(FieldResult { field: field.clone(), log_likelihood, share })
             })
             .collect(),
     };
     if json {
         output::json(&report)?
-    } else {
-        output::lines(&for_people(&report))?
+    } else if report.fit != Fit::None
+        && let Some(text) = for_people(&report)
+    {
+        output::lines(&text)?
     }
-    Ok(Outcome::Whole)
+    match (report.fit, &report.best) {
+        (Fit::None, best) => anyhow::bail!("{}: no pose found: {}", shown(), why_none(best.as_ref())),
+        _ => Ok(Outcome::Whole),
+    }
 }
 
-fn for_people(report: &Report) -> String {
-    let Report { best, mirror, .. } = report;
+/// Everything that is read, so that the overlay is not written over it.
+fn inputs(arguments: &TagArguments) -> Vec<&Path> {
+    let named = [Some(&arguments.lens), arguments.body_mask.as_ref(), arguments.field.as_ref()];
+    let named = named.into_iter().flatten().map(Path::new);
+    named.chain([arguments.image.as_path()]).collect()
+}
+
+fn height_above_carpet(arguments: &TagArguments, stated: Option<f64>) -> Result<f64, UsageError> {
+    let TagArguments { lens, height, .. } = arguments;
+    let (height_m, source) = match (height, stated) {
+        (Some(height_m), _) => (*height_m, "--height".to_owned()),
+        (None, Some(height_m)) => (height_m, format!("{lens}: the height in Hoc")),
+        (None, None) => {
+            return Err(UsageError(format!("--height is missing, and {lens} does not say how high the camera was")));
+        }
+    };
+    if (0.01..=100.0).contains(&height_m) {
+        return Ok(height_m);
+    }
+    Err(UsageError(format!("{source} is {height_m}: it must be 0.01 to 100 m")))
+}
+
+/// The fields to try: those on which --initial can be, if it is given.
+fn fields(arguments: &TagArguments) -> anyhow::Result<Vec<(String, Field)>> {
+    let names = arguments.field.clone().map_or_else(field_names, |name| vec![name]);
+    let mut fields = Vec::new();
+    let mut refused = None;
+    for name in names {
+        let field = Field::new(load_field(&name)?)?;
+        match arguments.initial.map_or(Ok(()), |initial| check_initial(&initial, &name, &field)) {
+            Ok(()) => fields.push((name, field)),
+            Err(error) => refused = Some(error),
+        }
+    }
+    match refused {
+        Some(error) if fields.is_empty() => Err(error.into()),
+        _ => Ok(fields),
+    }
+}
+
+fn why_none(best: Option<&Found>) -> String {
+    let found = match best {
+        None => "there is no line of a field where the ground is in view".to_owned(),
+        Some(best) => format!(
+            "the best explains {:.0} % of the expected line contrast on {:.1} m of certain line, and {:.0} % on {:.1} m are \
+             needed",
+            100.0 * best.share,
+            0.1 * best.weight,
+            100.0 * LEAST_SHARE,
+            0.1 * LEAST_WEIGHT
+        ),
+    };
+    format!("{found}: check the image, --lens, --attitude, --height and --field")
+}
+
+/// Nothing where there is no best.
+fn for_people(report: &Report) -> Option<String> {
+    let Report { best: Some(best), mirror: Some(mirror), .. } = report else { return None };
     let mut text = format!(
         "x {:.3} m, y {:.3} m, yaw {:.2} deg on {}, or its mirror x {:.3}, y {:.3}, yaw {:.2}\n\
          {:.0} % of the expected line contrast found on {:.1} m of certain line\n",
@@ -171,16 +233,24 @@ fn for_people(report: &Report) -> String {
             best.log_likelihood - next.log_likelihood
         ));
     }
+    if report.fit == Fit::Doubtful {
+        text.push_str("doubtful: that pose explains the image nearly as well\n");
+    }
     for field in &report.fields {
         text.push_str(&format!(
             "  {:<14} log likelihood {:6.1}, share {:.2}\n",
             field.field, field.log_likelihood, field.share
         ));
     }
-    text.trim_end().to_owned()
+    Some(text.trim_end().to_owned())
 }
 
 fn attitude(text: &str) -> Result<Euler, String> {
     let [roll_deg, pitch_deg] = numbers::<2>(text, "roll_deg,pitch_deg")?;
+    for (name, value, most) in [("roll_deg", roll_deg, 180.0), ("pitch_deg", pitch_deg, 90.0)] {
+        if value.abs() > most {
+            return Err(format!("{name} is {value}: it must be -{most} to {most}"));
+        }
+    }
     Ok(Euler { yaw: 0.0, pitch: pitch_deg.to_radians(), roll: roll_deg.to_radians() })
 }

@@ -22,7 +22,10 @@ pub fn load_field(path_or_name: &str) -> Result<FieldDimensions, ConfigError> {
 
 /// The same from text; `name` is for messages.
 pub fn parse_field(text: &str, name: &str) -> Result<FieldDimensions, ConfigError> {
-    let syntax = |error: toml::de::Error| ConfigError::Syntax { file: name.to_owned(), message: error.to_string() };
+    let syntax = |error: toml::de::Error| ConfigError::Syntax {
+        file: name.to_owned(),
+        message: error.to_string().trim_end().to_owned(),
+    };
     let dimensions: FieldDimensions = toml::from_str(text).map_err(syntax)?;
     match Field::new(dimensions) {
         Ok(field) => Ok(field.dimensions().clone()),

@@ -199,8 +199,8 @@ impl Settings {
     /// `name` is for messages.
     pub fn parse(text: &str, name: &str) -> Result<Self, ConfigError> {
         let file = || name.to_owned();
-        let settings: Self =
-            toml::from_str(text).map_err(|error| ConfigError::Syntax { file: file(), message: error.to_string() })?;
+        let settings: Self = toml::from_str(text)
+            .map_err(|error| ConfigError::Syntax { file: file(), message: error.to_string().trim_end().to_owned() })?;
         settings.check().map_err(|error| ConfigError::Value { file: file(), message: error })?;
         Ok(settings)
     }

@@ -1,14 +1,14 @@
 //! Tags and truth out of logs.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
 use super::compare::Tagged;
 use crate::geometry::Isometry;
-use crate::recording::topic;
+use crate::recording::{Loss, missing_parts, topic};
 use crate::ros2::cdr::CdrError;
-use crate::ros2::mcap_read::{LogMessage, Selection};
+use crate::ros2::mcap_read::{Damage, LogMessage, Selection};
 use crate::ros2::messages::{FrameTag, Header, Message, Odometry, Pose, PoseStamped, PoseWithCovarianceStamped};
 use crate::sensors::intake::isometry;
 use crate::sensors::log::{self, LogError, LogSource};
@@ -17,8 +17,8 @@ use crate::sensors::log::{self, LogError, LogSource};
 pub enum EvaluationError {
     #[error(transparent)]
     Log(#[from] LogError),
-    #[error("{path}: no message on {topic}: {hint}")]
-    NoMessages { path: String, topic: String, hint: &'static str },
+    #[error("{path}: no message on {topic}: {hint}{}", loss.as_ref().map(|l| format!(" ({l})")).unwrap_or_default())]
+    NoMessages { path: String, topic: String, hint: &'static str, loss: Option<Loss> },
     #[error("{path}: {topic}: {source}")]
     Message { path: String, topic: String, source: CdrError },
     #[error(
@@ -28,29 +28,41 @@ pub enum EvaluationError {
     Type { path: String, topic: String, type_name: String },
 }
 
+/// What could be read, and what is lost of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Readout<T> {
+    pub found: Vec<T>,
+    pub losses: Vec<Loss>,
+}
+
 /// All tags of a capture (a folder or one of its segments), in the order of the frames.
-pub fn read_tags(path: &Path) -> Result<Vec<FrameTag>, EvaluationError> {
-    let messages = read_topic(path, topic::FRAME_TAG, "is it a capture? `realitysim replay` makes one")?;
-    messages
-        .iter()
-        .map(|message| {
-            FrameTag::decode(&message.data).map_err(|source| EvaluationError::Message {
-                path: path.display().to_string(),
-                topic: topic::FRAME_TAG.to_owned(),
-                source,
-            })
+pub fn read_tags(path: &Path) -> Result<Readout<FrameTag>, EvaluationError> {
+    let read = read_topic(path, topic::FRAME_TAG, "is it a capture? `realitysim replay` makes one")?;
+    let tag = |message: &LogMessage| {
+        FrameTag::decode(&message.data).map_err(|source| EvaluationError::Message {
+            path: path.display().to_string(),
+            topic: topic::FRAME_TAG.to_owned(),
+            source,
         })
-        .collect()
+    };
+    let found = read.found.iter().map(tag).collect::<Result<_, _>>()?;
+    Ok(Readout { found, losses: read.losses })
 }
 
 /// The true poses of `camera_link` in time order.
-pub fn read_truth(path: &Path, name: &str) -> Result<Vec<(i64, Isometry)>, EvaluationError> {
-    let messages =
-        read_topic(path, name, "name the topic of the true poses with topics.ground_truth or --truth-topic")?;
-    let mut truth = messages.iter().map(|message| stamped_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
-    truth.sort_by_key(|(stamp, _)| *stamp);
-    truth.dedup_by_key(|(stamp, _)| *stamp);
-    Ok(truth)
+pub fn read_truth(path: &Path, name: &str) -> Result<Readout<(i64, Isometry)>, EvaluationError> {
+    let read = read_topic(path, name, "name the topic of the true poses with topics.ground_truth or --truth-topic")?;
+    let mut found = read.found.iter().map(|message| stamped_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
+    found.sort_by_key(|(stamp, _)| *stamp);
+    found.dedup_by_key(|(stamp, _)| *stamp);
+    Ok(Readout { found, losses: read.losses })
+}
+
+/// What is missing of a capture by its manifest, and what its readers met.
+pub fn losses(path: &Path, damage: &[(PathBuf, Damage)]) -> Vec<Loss> {
+    let mut losses = missing_parts(path);
+    damage.iter().for_each(|(file, damage)| Loss::of_damage(file, damage).join(&mut losses));
+    losses
 }
 
 pub fn tagged(tag: &FrameTag) -> Tagged {
@@ -63,14 +75,15 @@ pub fn tagged(tag: &FrameTag) -> Tagged {
     }
 }
 
-fn read_topic(path: &Path, name: &str, hint: &'static str) -> Result<Vec<LogMessage>, EvaluationError> {
-    let files = log::files_of(path)?;
-    let source = LogSource::with_outputs(files, Selection::topics([name]));
-    let messages = source.collect::<Result<Vec<_>, _>>()?;
-    if messages.is_empty() {
-        return Err(EvaluationError::NoMessages { path: path.display().to_string(), topic: name.to_owned(), hint });
+fn read_topic(path: &Path, name: &str, hint: &'static str) -> Result<Readout<LogMessage>, EvaluationError> {
+    let mut source = LogSource::with_outputs(log::files_of(path)?, Selection::topics([name]));
+    let found = source.by_ref().collect::<Result<Vec<_>, _>>()?;
+    let losses = losses(path, source.damage());
+    if !found.is_empty() {
+        return Ok(Readout { found, losses });
     }
-    Ok(messages)
+    let (path, topic) = (path.display().to_string(), name.to_owned());
+    Err(EvaluationError::NoMessages { path, topic, hint, loss: losses.into_iter().next() })
 }
 
 fn stamped_pose(path: &Path, message: &LogMessage) -> Result<(i64, Isometry), EvaluationError> {

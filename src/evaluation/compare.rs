@@ -1,11 +1,13 @@
 //! Tags against the truth.
 
+use core::f64::consts::PI;
+
 use glam::{DQuat, DVec3};
 use nalgebra::{Matrix2, Vector2};
 use serde::Serialize;
 
 use super::statistics::Summary;
-use crate::geometry::{Isometry, wrap_angle};
+use crate::geometry::{Euler, Isometry, wrap_angle};
 
 /// One judged pose of `camera_link` in `map`.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,8 +24,10 @@ pub struct Tagged {
 pub struct Comparison {
     pub frames: usize,
     pub valid: usize,
-    /// Valid tags without a truth near their time: not judged.
+    /// Valid tags without a truth near their time.
     pub without_truth: usize,
+    /// All other valid tags: what follows is about them, and 0 without any.
+    pub judged: usize,
     /// Distance in x and y.
     pub position_cm: Summary,
     pub yaw_deg: Summary,
@@ -69,6 +73,7 @@ pub fn compare(tags: &[Tagged], truth: &[(i64, Isometry)]) -> Comparison {
         held += usize::from(distance <= CHI_SQUARE_95);
         squared.push(distance);
     }
+    result.judged = position.len();
     result.position_cm = Summary::of(&position);
     result.yaw_deg = Summary::of(&yaw);
     result.tilt_deg = Summary::of(&tilt);
@@ -77,6 +82,12 @@ pub fn compare(tags: &[Tagged], truth: &[(i64, Isometry)]) -> Comparison {
     result.ellipse95_share = held as f64 / squared.len().max(1) as f64;
     result.nees = squared.iter().sum::<f64>() / squared.len().max(1) as f64;
     result
+}
+
+/// The same tags as if the robot had taken one goal for the other: the field looks the same from both.
+pub fn mirrored(tags: &[Tagged]) -> Vec<Tagged> {
+    let half_turn = Isometry::from_euler(Euler { yaw: PI, pitch: 0.0, roll: 0.0 }, DVec3::ZERO);
+    tags.iter().map(|tag| Tagged { pose: half_turn * tag.pose, ..tag.clone() }).collect()
 }
 
 /// Between the two nearest true poses.
@@ -102,7 +113,6 @@ fn angle_between_up(a: DQuat, b: DQuat) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Euler;
 
     fn at(x: f64, yaw: f64, pitch: f64) -> Isometry {
         Isometry::from_euler(Euler { yaw, pitch, roll: 0.0 }, DVec3::new(x, 0.0, 0.5))
@@ -120,7 +130,7 @@ mod tests {
             tag(5_000_000_000, at(0.0, 0.0, 0.0)),
         ];
         let c = compare(&tags, &truth);
-        assert_eq!((c.frames, c.valid, c.without_truth), (5, 4, 1));
+        assert_eq!((c.frames, c.valid, c.without_truth, c.judged), (5, 4, 1, 3));
         assert!((c.position_cm.max - 30.0).abs() < 1e-9 && (c.position_cm.mean - 11.0).abs() < 1e-9);
         assert!((c.yaw_deg.max - 0.1f64.to_degrees()).abs() < 1e-9);
         assert!((c.tilt_deg.max - 0.1f64.to_degrees()).abs() < 1e-9);
@@ -128,5 +138,15 @@ mod tests {
         // 0.3 m at a sigma of 0.1 m lies outside of 95 %.
         assert!((c.ellipse95_share - 2.0 / 3.0).abs() < 1e-12);
         assert!((c.nees - (0.09 + 9.0) / 3.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn tags_in_the_other_half_are_right_when_mirrored() {
+        let truth = vec![(0, at(1.0, 0.0, 0.3)), (100, at(1.5, 0.0, 0.3))];
+        let tag = |stamp_ns, x: f64| Tagged { stamp_ns, valid: true, pose: at(x, PI, 0.3), covariance: [1.0; 3] };
+        let tags = [tag(0, -1.0), tag(100, -1.5)];
+        assert!(compare(&tags, &truth).position_cm.median > 200.0);
+        let turned = compare(&mirrored(&tags), &truth);
+        assert!(turned.position_cm.max < 1e-9 && turned.yaw_deg.max < 1e-9 && turned.tilt_deg.max < 1e-9);
     }
 }

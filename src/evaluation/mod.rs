@@ -8,5 +8,5 @@ pub mod paper;
 pub mod statistics;
 pub mod truth;
 
-pub use compare::{Comparison, Tagged, compare};
+pub use compare::{Comparison, Tagged, compare, mirrored};
 pub use statistics::Summary;

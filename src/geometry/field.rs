@@ -93,6 +93,25 @@ impl Field {
         &self.strokes
     }
 
+    /// The strokes as they are painted: an end that meets another line reaches to that line's far edge, so that corners
+    /// are full. Ends are square.
+    pub fn painted(&self) -> Vec<Stroke> {
+        let half_width = self.line_width() / 2.0;
+        let meets = |which: usize, end: DVec2| {
+            let mut strokes = self.strokes.iter().enumerate();
+            strokes.any(|(other, stroke)| other != which && stroke.distance(end) < half_width / 2.0)
+        };
+        let painted = |(which, stroke): (usize, &Stroke)| match *stroke {
+            Stroke::Segment { from, to } => {
+                let along = (to - from).normalize_or(DVec2::X);
+                let reach = |end| if meets(which, end) { half_width } else { 0.0 };
+                Stroke::Segment { from: from - along * reach(from), to: to + along * reach(to) }
+            }
+            circle => circle,
+        };
+        self.strokes.iter().enumerate().map(painted).collect()
+    }
+
     pub fn line_width(&self) -> f64 {
         self.dimensions.line_width_m
     }
@@ -269,6 +288,21 @@ pub(crate) mod tests {
             // Another line may be nearer, where lines cross.
             assert!(field.distance_to_centre_line(off) < 0.004 + 1e-12);
         }
+    }
+
+    #[test]
+    fn corners_are_painted_full_and_free_ends_are_not_longer() {
+        let field = Field::new(kid_size_2013()).expect("a good field");
+        let ends: Vec<(DVec2, DVec2)> = field
+            .painted()
+            .iter()
+            .filter_map(|stroke| match *stroke {
+                Stroke::Segment { from, to } => Some((from, to)),
+                Stroke::Circle { .. } => None,
+            })
+            .collect();
+        assert!(ends.contains(&(DVec2::new(-3.025, 2.0), DVec2::new(3.025, 2.0))), "touchline: {ends:?}");
+        assert!(ends.contains(&(DVec2::new(-1.25, 0.0), DVec2::new(-1.15, 0.0))), "penalty mark: {ends:?}");
     }
 
     #[test]

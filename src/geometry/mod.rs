@@ -10,7 +10,7 @@ pub mod polynomial;
 pub mod pose;
 
 pub use field::{Field, FieldDimensions, FieldError, FieldPoint};
-pub use lens::{Lens, LensError, LensModel, LensParameters};
+pub use lens::{Lens, LensError, LensModel, LensParameters, Projector};
 pub use pose::{Euler, Isometry, Pose2};
 
 /// Wraps an angle to (-pi, pi].

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::estimate::{Estimate, estimate};
+use super::kernel::Points;
 use super::motion::{self, MotionModel};
 use super::observation::Observation;
 use super::particles::{Particles, Spread};
@@ -37,11 +38,13 @@ pub struct Filter {
     settings: FilterSettings,
     observation: Observation,
     state: FilterState,
+    /// The line points that are looked at.
+    scratch: Points,
 }
 
 impl Filter {
     pub fn new(settings: FilterSettings, observation: Observation, state: FilterState) -> Self {
-        Self { settings, observation, state }
+        Self { settings, observation, state, scratch: Points::default() }
     }
 
     pub fn settings(&self) -> &FilterSettings {
@@ -109,8 +112,7 @@ impl Filter {
 
     fn weigh(&mut self, table: &GroundTable) {
         let Particles { poses, log_weights } = &mut self.state.particles;
-        log_weights.clear();
-        log_weights.extend(poses.iter().map(|pose| self.observation.log_likelihood(table, pose)));
+        self.observation.log_likelihoods(table, poses, &mut self.scratch, log_weights);
     }
 
     fn resample(&mut self, iteration: u32) {

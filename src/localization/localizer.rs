@@ -11,7 +11,7 @@ use super::observation::{Observation, Support};
 use super::particles::Spread;
 use super::refinement::{self, Agreement, LinePoints, Prior, Refined};
 use super::track::{Prediction, Track, TrackModel};
-use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
+use crate::geometry::{Field, Isometry, Lens, Pose2, Projector, wrap_angle};
 use crate::vision::Seen;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -131,7 +131,7 @@ const CONTRADICTED: f64 = 0.5;
 #[derive(Clone, Debug)]
 pub struct Localizer {
     field: Field,
-    lens: Lens,
+    projector: Projector,
     points: LinePoints,
     filter: Filter,
     settings: LocalizerSettings,
@@ -142,12 +142,12 @@ impl Localizer {
     pub fn new(
         settings: LocalizerSettings,
         field: Field,
-        lens: Lens,
+        lens: &Lens,
         observation: Observation,
         state: LocalizerState,
     ) -> Self {
         let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
-        Self { points: LinePoints::new(&field), field, lens, filter, settings, state }
+        Self { points: LinePoints::new(&field), projector: Projector::new(lens), field, filter, settings, state }
     }
 
     /// What a checkpoint keeps.
@@ -278,7 +278,7 @@ impl Localizer {
             None => Track::around(*pose, xy_m, yaw_rad, model),
         };
         let prediction = track.prior(&moment.footprint_from_optical?, model);
-        refinement::refine(&self.points, &seen.image, &self.lens, &prediction.prior, &[Vector6::zeros()])
+        refinement::refine(&self.points, &seen.image, &self.projector, &prediction.prior, &[Vector6::zeros()])
     }
 
     fn refine(&mut self, moment: &Moment, seen: &Seen, estimate: Estimate, support: Support) -> Fix {
@@ -295,7 +295,7 @@ impl Localizer {
                 refinement::error_between(&prediction.prior.map_from_optical, &seen_from)
             }));
         }
-        let refine = |prior: &Prior| refinement::refine(&self.points, &seen.image, &self.lens, prior, &starts);
+        let refine = |prior: &Prior| refinement::refine(&self.points, &seen.image, &self.projector, prior, &starts);
         let Some(mut refined) = refine(&prediction.prior) else {
             return self.predicted(moment, estimate, support);
         };

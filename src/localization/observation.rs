@@ -14,7 +14,7 @@ use glam::DVec2;
 
 use super::kernel::{self, Points};
 pub use crate::config::{Formula, Model, SimdPath};
-use crate::geometry::{Field, Pose2};
+use crate::geometry::{Field, Pose2, wrap_angle};
 use crate::vision::{GroundTable, Reading};
 
 /// What the ground table must hold for this model.
@@ -39,6 +39,8 @@ pub fn default_alpha(formula: Formula) -> f64 {
 #[derive(Clone, Debug)]
 pub struct Observation {
     points: Points,
+    /// Where the points lie that the kernel takes together.
+    groups: Vec<Disc>,
     positions: Vec<DVec2>,
     /// Of the exponent, for a sum over points.
     scale: f64,
@@ -49,6 +51,51 @@ pub struct Observation {
 
 /// The corrected sums count line, not points: one for each 10 cm.
 const UNIT_M: f64 = 0.1;
+
+#[derive(Clone, Copy, Debug)]
+struct Disc {
+    centre: DVec2,
+    radius: f64,
+}
+
+impl Disc {
+    fn around(points: &[DVec2]) -> Self {
+        let centre = points.iter().sum::<DVec2>() / points.len().max(1) as f64;
+        Self { centre, radius: points.iter().map(|point| point.distance(centre)).fold(0.0, f64::max) }
+    }
+}
+
+/// All poses lie within these bounds of the middle one.
+#[derive(Clone, Copy, Debug)]
+struct Cloud {
+    middle: Pose2,
+    xy_m: f64,
+    yaw_rad: f64,
+}
+
+impl Cloud {
+    /// `None` if the poses are too far apart for the bounds to be of use.
+    fn around(poses: &[Pose2]) -> Option<Self> {
+        const WIDEST_RAD: f64 = 0.8;
+        let first = poses.first()?;
+        let count = poses.len() as f64;
+        let (mut x, mut y, mut turn) = (0.0, 0.0, 0.0);
+        for pose in poses {
+            x += pose.x;
+            y += pose.y;
+            turn += wrap_angle(pose.yaw - first.yaw);
+        }
+        let middle = Pose2::new(x / count, y / count, wrap_angle(first.yaw + turn / count));
+        let (mut square, mut yaw_rad) = (0.0f64, 0.0f64);
+        for pose in poses {
+            let (dx, dy) = (pose.x - middle.x, pose.y - middle.y);
+            square = square.max(dx * dx + dy * dy);
+            yaw_rad = yaw_rad.max(wrap_angle(pose.yaw - middle.yaw).abs());
+        }
+        // NaN fails.
+        (yaw_rad < WIDEST_RAD && square.is_finite()).then(|| Self { middle, xy_m: libm::sqrt(square), yaw_rad })
+    }
+}
 
 /// How much of what a pose predicts is there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -75,6 +122,7 @@ impl Observation {
         let positions: Vec<DVec2> = points.iter().map(|point| point.position).collect();
         Self {
             points: Points::new(positions.iter().copied()),
+            groups: positions.chunks(kernel::LANES).map(Disc::around).collect(),
             positions,
             scale,
             per_point,
@@ -85,6 +133,23 @@ impl Observation {
     /// Points on all lines together.
     pub fn point_count(&self) -> usize {
         self.points.len()
+    }
+
+    /// Of many poses. Line points that no pose of a narrow cloud can see are left out: they would count as nothing.
+    pub fn log_likelihoods(&self, table: &GroundTable, poses: &[Pose2], scratch: &mut Points, result: &mut Vec<f64>) {
+        let cloud = Cloud::around(poses);
+        let visible = |group: &Disc| {
+            cloud.is_none_or(|Cloud { middle, xy_m, yaw_rad }| {
+                let at = middle.inverse().compose(&Pose2::new(group.centre.x, group.centre.y, 0.0));
+                let at = DVec2::new(at.x, at.y);
+                table.may_tell(at, group.radius + xy_m + yaw_rad * (at.length() + xy_m))
+            })
+        };
+        let groups = self.groups.iter().enumerate().filter(|(_, group)| visible(group));
+        scratch.select(&self.points, groups.map(|(index, _)| index));
+        let scale = table.readings().scale * self.scale;
+        result.clear();
+        result.extend(poses.iter().map(|pose| kernel::sum_levels(self.path, table, scratch, pose) * scale));
     }
 
     /// Up to a constant of the frame.

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::manifest::{MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo};
+use super::segment::ACTIVE;
 use super::session::RecordingError;
 use crate::ros2::mcap_read::Damage;
 
@@ -28,7 +29,17 @@ impl Loss {
 
     /// What a reader had to leave out of a file.
     pub fn of_damage(file: &Path, damage: &Damage) -> Self {
-        Self::new(file, format!("damaged: {damage}"))
+        let open = file.extension().is_some_and(|ending| *ending == *ACTIVE.trim_start_matches('.'));
+        let state = if open && damage.torn { "never finished" } else { "damaged" };
+        Self::new(file, format!("{state}: {damage}"))
+    }
+
+    /// Beside what is known of other files; what is known of the same file is said together.
+    pub fn join(self, losses: &mut Vec<Self>) {
+        match losses.iter_mut().find(|known| known.file == self.file) {
+            Some(known) => known.what = format!("{}; {}", known.what, self.what),
+            None => losses.push(self),
+        }
     }
 }
 

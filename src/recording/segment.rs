@@ -14,7 +14,7 @@ use crate::ros2::mcap_write::{ChannelId, Durability, LogWriter, RawChannel};
 use crate::ros2::messages::Message;
 
 /// What the open file ends with until it is complete.
-const ACTIVE: &str = ".active";
+pub(super) const ACTIVE: &str = ".active";
 
 pub(super) struct Segment {
     folder: PathBuf,

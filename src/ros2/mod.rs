@@ -8,7 +8,7 @@ pub mod messages;
 pub use cdr::CdrError;
 pub use mcap_read::{
     Attachment, Attachments, Channel, Damage, LogMessage, LogReader, MetadataRecord, ReadError, Selection, Survey,
-    Topic, attachments, survey,
+    Topic, attachments, examine, survey,
 };
 pub use mcap_write::{ChannelId, Durability, LogWriter, RawChannel, WriteError};
 pub use messages::Message;

@@ -108,7 +108,7 @@ pub struct PoseError {
 
 impl SceneFile {
     pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        toml::from_str(text).map_err(|error| SceneError::Toml(error.to_string()))
+        toml::from_str(text).map_err(|error| SceneError::Toml(error.to_string().trim_end().to_owned()))
     }
 }
 

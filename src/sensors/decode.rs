@@ -61,7 +61,8 @@ pub fn compressed(data: &[u8]) -> Result<Picture, DecodeError> {
 
 /// Luma and chroma as the file holds them: the conversion to RGB and back is saved.
 fn jpeg(data: &[u8]) -> Result<Picture, DecodeError> {
-    let bad = |message: String| DecodeError::Jpeg(message);
+    // Some of its messages end in a newline.
+    let bad = |message: String| DecodeError::Jpeg(message.trim_end().to_owned());
     let limits = DecoderOptions::default()
         .set_max_width(MAX_SIDE as usize)
         .set_max_height(MAX_SIDE as usize)
@@ -131,15 +132,13 @@ fn raw(image: &ImageView) -> Result<Picture, DecodeError> {
 
 /// Y0 U Y1 V: two pixels share their chroma.
 fn yuy2<'a>(width: usize, height: usize, rows: impl Iterator<Item = &'a [u8]>) -> Option<Picture> {
-    let (mut luma, mut chroma) = (Vec::with_capacity(width * height), Vec::with_capacity(width * height));
-    for row in rows {
-        luma.extend(row.iter().step_by(2));
-        for quad in row.chunks(4) {
-            let pair = [quad.get(1).copied().unwrap_or(128), quad.get(3).copied().unwrap_or(128)];
-            chroma.extend(std::iter::repeat_n(pair, quad.len() / 2));
-        }
-    }
-    (luma.len() == width * height && chroma.len() == luma.len()).then_some(Picture { width, height, luma, chroma })
+    let pixels = rows.flat_map(|row| {
+        row.chunks(4).flat_map(|quad| {
+            let [u, v] = [1, 3].map(|at| quad.get(at).copied().unwrap_or(128));
+            quad.iter().step_by(2).flat_map(move |y| [*y, u, v])
+        })
+    });
+    Picture::from_ycbcr(width, height, &pixels.collect::<Vec<u8>>())
 }
 
 /// Bilinear: each missing colour is the mean of its nearest neighbours of that colour.
@@ -191,11 +190,11 @@ mod tests {
         let bgr = raw(&view("bgr8", 1, 1, 3, &[0, 255, 0])).expect("green");
         assert_eq!(rgb, bgr);
         let yuv = raw(&view("yuv422_yuy2", 2, 1, 4, &[10, 44, 20, 21])).expect("two pixels");
-        assert_eq!((yuv.luma, yuv.chroma), (vec![10, 20], vec![[44, 21]; 2]));
+        assert_eq!((yuv.luma, yuv.chroma.blue, yuv.chroma.red), (vec![10, 20], vec![44], vec![21]));
         let gray = raw(&view("mono8", 2, 2, 3, &[1, 2, 99, 3, 4])).expect("padded rows");
         assert_eq!(gray.luma, vec![1, 2, 3, 4]);
         let flat = raw(&view("bayer_rggb8", 4, 4, 4, &[80; 16])).expect("gray");
-        assert!(flat.luma.iter().all(|y| *y == 80) && flat.chroma.iter().all(|c| *c == [128, 128]));
+        assert!(flat.luma.iter().all(|y| *y == 80) && flat.chroma.blue.iter().all(|c| *c == 128));
     }
 
     #[test]

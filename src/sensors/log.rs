@@ -8,7 +8,9 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::topics::TopicTypes;
-use crate::ros2::mcap_read::{Damage, LogMessage, LogReader, ReadError, Selection, Survey, attachments, survey};
+use crate::ros2::mcap_read::{
+    Damage, LogMessage, LogReader, ReadError, Selection, Survey, attachments, examine, survey,
+};
 use crate::ros2::messages::{DiagnosticArray, Message};
 
 #[derive(Debug, Error)]
@@ -101,8 +103,12 @@ impl Iterator for LogSource {
                 let path = self.files.next()?;
                 match open(&path, self.selection.clone()) {
                     Ok(reader) => self.open = Some((path, reader)),
-                    Err(error) => return Some(Err(error)),
+                    Err(error) => match never_begun(&error) {
+                        Some(damage) => self.damage.push((path, damage)),
+                        None => return Some(Err(error)),
+                    },
                 }
+                continue;
             }
             let (path, reader) = self.open.as_mut()?;
             match reader.next() {
@@ -135,12 +141,35 @@ fn buffered(path: &Path) -> Result<BufReader<File>, LogError> {
     Ok(BufReader::with_capacity(1 << 18, file))
 }
 
-/// What each file holds.
+/// What each file holds, by its index if it has one.
 pub fn surveys(files: &[PathBuf]) -> Result<Vec<Survey>, LogError> {
-    files
-        .iter()
-        .map(|path| survey(buffered(path)?).map_err(|source| LogError::Read { path: path.clone(), source }))
-        .collect()
+    each(files, survey)
+}
+
+/// What each file holds, every byte of it read: all damage is found.
+pub fn examinations(files: &[PathBuf]) -> Result<Vec<Survey>, LogError> {
+    each(files, examine)
+}
+
+fn each(
+    files: &[PathBuf],
+    look: impl Fn(BufReader<File>) -> Result<Survey, ReadError>,
+) -> Result<Vec<Survey>, LogError> {
+    let looked = |path: &PathBuf| {
+        let looked = look(buffered(path)?).map_err(|source| LogError::Read { path: path.clone(), source });
+        looked.or_else(|error| match never_begun(&error) {
+            Some(damage) => Ok(Survey { damage, ..Survey::default() }),
+            None => Err(error),
+        })
+    };
+    files.iter().map(looked).collect()
+}
+
+/// A segment whose recorder was stopped before its first bytes were on disk is a torn one, not a foreign file.
+fn never_begun(error: &LogError) -> Option<Damage> {
+    let LogError::Read { path, source: ReadError::NotMcap { found } } = error else { return None };
+    let open = path.extension().is_some_and(|ending| ending == "active");
+    open.then(|| Damage { torn: true, first_error: Some(format!("found {found}")), ..Damage::default() })
 }
 
 /// Topics with at least one message, and their types.

@@ -31,10 +31,14 @@ pub enum SceneSourceError {
 /// A scene file with the field and lens that it names.
 pub fn load(path: &str) -> Result<Scene, SceneSourceError> {
     let failed = |source| SceneSourceError::Open { path: path.to_owned(), source };
-    let config = |source| SceneSourceError::Config { path: path.to_owned(), source };
-    let scene = |source| SceneSourceError::Scene { path: path.to_owned(), source };
-    let text = std::fs::read_to_string(path).map_err(failed)?;
-    let file = SceneFile::from_toml(&text).map_err(scene)?;
+    parse(&std::fs::read_to_string(path).map_err(failed)?, path)
+}
+
+/// The same from text; `name` is for messages.
+pub fn parse(text: &str, name: &str) -> Result<Scene, SceneSourceError> {
+    let config = |source| SceneSourceError::Config { path: name.to_owned(), source };
+    let scene = |source| SceneSourceError::Scene { path: name.to_owned(), source };
+    let file = SceneFile::from_toml(text).map_err(scene)?;
     let field = load_field(&file.scene.field).map_err(config)?;
     let lens = load_lens(&file.camera.lens).map_err(config)?;
     Scene::build(file, field, lens.lens.parameters().clone()).map_err(scene)

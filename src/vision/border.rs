@@ -6,13 +6,11 @@
 
 use core::f64::consts::TAU;
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 
 use super::WorkingScale;
-use super::carpet::{Carpet, Sample, Surface};
-use super::mask::BodyMask;
-use super::picture::Picture;
-use crate::geometry::{Isometry, Lens};
+use super::carpet::Surface;
+use crate::geometry::{Isometry, Projector};
 
 /// A convex polygon on the ground of `base_footprint`, counter-clockwise.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,62 +21,59 @@ pub struct CarpetBorder {
 const AZIMUTHS: usize = 120;
 const NEAREST_M: f64 = 0.25;
 const FARTHEST_M: f64 = 15.0;
-const STEPS: usize = 56;
-/// Samples whose colour is learnt from lie within this range of the robot.
-const LEARN_WITHIN_M: f64 = 2.5;
+const STEPS: usize = 44;
 /// The strip at the edge that the narrow blur smears the surroundings into, in pixels.
 const BLUR_REACH_PX: f64 = 6.0;
 
+/// Directions and ranges in which the edge is looked for: the same for every frame.
+#[derive(Clone, Debug)]
+pub struct Rays {
+    directions: Vec<DVec2>,
+    ranges: Vec<f64>,
+}
+
+impl Default for Rays {
+    fn default() -> Self {
+        let directions = (0..AZIMUTHS).map(|azimuth| {
+            let (sin, cos) = libm::sincos(TAU * azimuth as f64 / AZIMUTHS as f64);
+            DVec2::new(cos, sin)
+        });
+        let growth = libm::pow(FARTHEST_M / NEAREST_M, 1.0 / (STEPS - 1) as f64);
+        let ranges = (0..STEPS).map(|step| NEAREST_M * libm::pow(growth, step as f64));
+        Self { directions: directions.collect(), ranges: ranges.collect() }
+    }
+}
+
 impl CarpetBorder {
-    /// With the carpet's colour; `None` when no edge can be told: a gray picture, or no carpet in view.
+    /// `surfaces` says what each half-resolution pixel shows; `None` when no edge can be told.
     pub fn find(
-        picture: &Picture,
-        lens: &Lens,
+        rays: &Rays,
+        surfaces: &[Surface],
+        half_width: usize,
+        projector: &Projector,
         footprint_from_optical: &Isometry,
         to_working: WorkingScale,
-        body: Option<&BodyMask>,
-    ) -> Option<(Self, Carpet)> {
-        if picture.chroma.is_empty() {
-            return None;
-        }
+    ) -> Option<Self> {
         let optical_from_footprint = footprint_from_optical.inverse();
         let foot = footprint_from_optical.translation.truncate();
         let height = footprint_from_optical.translation.z;
-        let pixels_per_radian = lens.focal();
-        let growth = libm::pow(FARTHEST_M / NEAREST_M, 1.0 / (STEPS - 1) as f64);
-        let ranges: Vec<f64> = (0..STEPS).map(|step| NEAREST_M * libm::pow(growth, step as f64)).collect();
-        let rays: Vec<Vec<Option<Sample>>> = (0..AZIMUTHS)
-            .map(|azimuth| {
-                let (sin, cos) = libm::sincos(TAU * azimuth as f64 / AZIMUTHS as f64);
-                ranges
-                    .iter()
-                    .map(|range| {
-                        let ground = DVec3::new(foot.x + cos * range, foot.y + sin * range, 0.0);
-                        let pixel = lens.project(optical_from_footprint.transform_point(ground))?;
-                        if !lens.contains(pixel) || body.is_some_and(|body| body.hides(pixel)) {
-                            return None;
-                        }
-                        sample(picture, to_working.apply(pixel))
-                    })
-                    .collect()
-            })
-            .collect();
-        let carpet = Carpet::learn(rays.iter().flat_map(|ray| {
-            ray.iter().zip(&ranges).filter(|(_, range)| **range < LEARN_WITHIN_M).filter_map(|(sample, _)| *sample)
-        }))?;
-        let ends: Vec<DVec2> = rays
-            .iter()
-            .enumerate()
-            .filter_map(|(azimuth, ray)| {
-                let last = last_step(&carpet, ray)?;
-                let range = ranges[last];
-                let smear = BLUR_REACH_PX / pixels_per_radian * (height * height + range * range) / height.max(0.05);
-                let (sin, cos) = libm::sincos(TAU * azimuth as f64 / AZIMUTHS as f64);
-                Some(foot + DVec2::new(cos, sin) * (range - smear).max(0.0))
-            })
-            .collect();
-        let corners = convex_hull(ends);
-        (corners.len() >= 3).then_some((Self { corners }, carpet))
+        let below = optical_from_footprint.transform_point(foot.extend(0.0));
+        let pixels_per_radian = projector.lens().focal();
+        let ends = rays.directions.iter().filter_map(|direction| {
+            let along = optical_from_footprint.transform_vector(direction.extend(0.0));
+            let seen = rays.ranges.iter().map(|range| {
+                let pixel = projector.project_inside(below + along * *range)?;
+                let pixel = (to_working.apply(pixel) + DVec2::splat(0.5)) * 0.5;
+                surfaces
+                    .get((pixel.y.max(0.0) as usize) * half_width + (pixel.x.max(0.0) as usize).min(half_width - 1))
+                    .copied()
+            });
+            let range = rays.ranges[last_step(seen)?];
+            let smear = BLUR_REACH_PX / pixels_per_radian * (height * height + range * range) / height.max(0.05);
+            Some(foot + *direction * (range - smear).max(0.0))
+        });
+        let corners = convex_hull(ends.collect());
+        (corners.len() >= 3).then_some(Self { corners })
     }
 
     pub fn corners(&self) -> &[DVec2] {
@@ -110,37 +105,19 @@ impl CarpetBorder {
 
 /// The step up to which the ray is best explained as carpet: the highest running sum of +1 for carpet, -2 for anything
 /// that does not lie on it.
-fn last_step(carpet: &Carpet, ray: &[Option<Sample>]) -> Option<usize> {
+fn last_step(seen: impl Iterator<Item = Option<Surface>>) -> Option<usize> {
     let (mut sum, mut best, mut last) = (0, 0, None);
-    for (step, sample) in ray.iter().enumerate() {
-        let Some(sample) = sample else { continue };
-        match carpet.classify(*sample) {
-            Surface::Carpet => sum += 1,
-            Surface::Other => sum -= 2,
-            Surface::White | Surface::Dark => continue,
+    for (step, surface) in seen.enumerate() {
+        match surface {
+            Some(Surface::Carpet) => sum += 1,
+            Some(Surface::Other) => sum -= 2,
+            Some(Surface::White | Surface::Dark) | None => continue,
         }
         if sum > best {
             (best, last) = (sum, Some(step));
         }
     }
     last
-}
-
-/// Mean of the four pixels around a place, `None` outside.
-fn sample(picture: &Picture, at: DVec2) -> Option<Sample> {
-    let (u, v) = (libm::floor(at.x), libm::floor(at.y));
-    if u < 0.0 || v < 0.0 || u + 1.0 >= picture.width as f64 || v + 1.0 >= picture.height as f64 {
-        return None;
-    }
-    let corner = v as usize * picture.width + u as usize;
-    let (mut luma, mut chroma) = (0.0, [0.0; 2]);
-    for index in [corner, corner + 1, corner + picture.width, corner + picture.width + 1] {
-        luma += f32::from(picture.luma[index]) / 4.0;
-        for (sum, value) in chroma.iter_mut().zip(picture.chroma[index]) {
-            *sum += (f32::from(value) - 128.0) / 4.0;
-        }
-    }
-    Some(Sample::new(luma, chroma))
 }
 
 /// Andrew's monotone chain, counter-clockwise, without collinear points.

@@ -1,6 +1,7 @@
 //! The carpet's colour, learnt in each frame anew.
 
-use super::picture::Picture;
+use super::picture::{Chroma, Picture};
+use super::vectorised::vectorised;
 
 /// Hue is Cb and Cr over luma: what stays when the light changes.
 #[derive(Clone, Debug, PartialEq)]
@@ -8,6 +9,8 @@ pub struct Carpet {
     hue: [f32; 2],
     tolerance: f32,
     luma: f32,
+    /// Least and largest hue of what may be white.
+    white: [[f32; 2]; 2],
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,21 +19,35 @@ pub struct Sample {
     pub hue: [f32; 2],
 }
 
-/// What a pixel may show.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What a pixel may show. The upper bit of the two is set for what is neither carpet nor a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Surface {
-    Carpet,
+    #[default]
+    Carpet = 0,
     /// Something white, as the lines are.
-    White,
+    White = 1,
+    Other = 2,
     /// Too dark to tell.
-    Dark,
-    Other,
+    Dark = 3,
 }
 
 impl Surface {
     /// Neither carpet nor a line: robots, people, the robot's own body.
+    #[inline(always)]
     pub fn is_occluder(self) -> bool {
-        matches!(self, Self::Dark | Self::Other)
+        self as u8 & 2 != 0
+    }
+
+    /// From the two lowest bits.
+    #[inline(always)]
+    pub fn from_bits(bits: u8) -> Self {
+        match bits & 3 {
+            0 => Self::Carpet,
+            1 => Self::White,
+            2 => Self::Other,
+            _ => Self::Dark,
+        }
     }
 }
 
@@ -64,53 +81,67 @@ impl Carpet {
         };
         let hue = [median_of(&|s| s.hue[0]), median_of(&|s| s.hue[1])];
         let spread = median_of(&|s| (s.hue[0] - hue[0]).abs().max((s.hue[1] - hue[1]).abs()));
-        Some(Self { hue, tolerance: (4.0 * spread).clamp(0.07, 0.3), luma: median_of(&|s| s.luma) })
-    }
-
-    pub fn classify(&self, sample: Sample) -> Surface {
-        if sample.luma < DARKEST {
-            return Surface::Dark;
-        }
-        let off = (sample.hue[0] - self.hue[0]).abs().max((sample.hue[1] - self.hue[1]).abs());
-        if off < self.tolerance {
-            return Surface::Carpet;
-        }
-        // A thin line's colour lies between white's and the carpet's.
-        let between = [0, 1].iter().all(|c| {
-            let share = sample.hue[*c] / self.hue[*c];
-            self.hue[*c].abs() < 0.02 || (-0.25..=1.1).contains(&share)
-        });
-        if between && sample.luma > BRIGHTER * self.luma { Surface::White } else { Surface::Other }
-    }
-
-    /// What each half-resolution pixel shows.
-    pub fn surfaces(&self, picture: &Picture) -> Vec<Surface> {
-        let (width, height) = (picture.width / 2, picture.height / 2);
-        let mut surfaces = Vec::with_capacity(width * height);
-        for v in 0..height {
-            let (upper, lower) = (2 * v * picture.width, (2 * v + 1) * picture.width);
-            for u in 0..width {
-                let (mut luma, mut cb, mut cr) = (0u16, 0u16, 0u16);
-                for index in [upper + 2 * u, upper + 2 * u + 1, lower + 2 * u, lower + 2 * u + 1] {
-                    luma += u16::from(picture.luma[index]);
-                    cb += u16::from(picture.chroma[index][0]);
-                    cr += u16::from(picture.chroma[index][1]);
-                }
-                let chroma = [cb, cr].map(|sum| f32::from(sum) * 0.25 - 128.0);
-                surfaces.push(self.classify(Sample::new(f32::from(luma) * 0.25, chroma)));
+        let white = hue.map(|hue| {
+            if hue.abs() < 0.02 {
+                return [f32::NEG_INFINITY, f32::INFINITY];
             }
-        }
-        surfaces
+            let (a, b) = (-0.25 * hue, 1.1 * hue);
+            [a.min(b), a.max(b)]
+        });
+        Some(Self { hue, tolerance: (4.0 * spread).clamp(0.07, 0.3), luma: median_of(&|s| s.luma), white })
     }
+
+    /// `chroma` relative to neutral. Without branches or divisions: every pixel passes here.
+    #[inline(always)]
+    pub fn classify(&self, luma: f32, chroma: [f32; 2]) -> Surface {
+        let lit = luma.max(1.0);
+        let off = |c: usize| (chroma[c] - self.hue[c] * lit).abs();
+        let carpet = (off(0) < self.tolerance * lit) & (off(1) < self.tolerance * lit);
+        // A thin line's colour lies between white's and the carpet's.
+        let between = |c: usize| (chroma[c] >= self.white[c][0] * lit) & (chroma[c] <= self.white[c][1] * lit);
+        let white = between(0) & between(1) & (luma > BRIGHTER * self.luma);
+        let plain = if white { Surface::White } else { Surface::Other };
+        let surface = if carpet { Surface::Carpet } else { plain };
+        if luma < DARKEST { Surface::Dark } else { surface }
+    }
+
+    /// What each half-resolution pixel shows; `half` holds the sums of each four pixels' luma.
+    pub fn surfaces(&self, half: &[u16], picture: &Picture, surfaces: &mut Vec<Surface>) {
+        surfaces.resize(half.len(), Surface::Carpet);
+        // A chroma plane of an odd width has one column more.
+        let (width, stride) = ((picture.width / 2).max(1), picture.width.div_ceil(2));
+        let Chroma { blue, red } = &picture.chroma;
+        vectorised(|| {
+            for (v, (row, half)) in surfaces.chunks_exact_mut(width).zip(half.chunks_exact(width)).enumerate() {
+                let (blue, red) = (&blue[v * stride..][..width], &red[v * stride..][..width]);
+                for (((surface, half), cb), cr) in row.iter_mut().zip(half).zip(blue).zip(red) {
+                    *surface = self.classify(f32::from(*half) * 0.25, [*cb, *cr].map(|c| f32::from(c) - 128.0));
+                }
+            }
+        });
+    }
+}
+
+/// Without colours: whatever is lit may be carpet. Darker pixels show nothing: the black surround of a fisheye's
+/// circle (a sensor's own black is 0 to 3).
+pub fn lit_surfaces(half: &[u16], surfaces: &mut Vec<Surface>) {
+    const BLACK: u16 = 6;
+    surfaces.clear();
+    surfaces.extend(half.iter().map(|sum| if *sum < 4 * BLACK { Surface::Dark } else { Surface::Carpet }));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn sample(r: u8, g: u8, b: u8) -> Sample {
+    fn pixel(r: u8, g: u8, b: u8) -> (f32, [f32; 2]) {
         let p = Picture::from_rgb(1, 1, &[r, g, b]).expect("a pixel");
-        Sample::new(f32::from(p.luma[0]), p.chroma[0].map(|c| f32::from(c) - 128.0))
+        (f32::from(p.luma[0]), [p.chroma.blue[0], p.chroma.red[0]].map(|c| f32::from(c) - 128.0))
+    }
+
+    fn sample(r: u8, g: u8, b: u8) -> Sample {
+        let (luma, chroma) = pixel(r, g, b);
+        Sample::new(luma, chroma)
     }
 
     #[test]
@@ -118,14 +149,22 @@ mod tests {
         for light in [0.4, 1.0, 1.8] {
             let lit = |rgb: [f64; 3]| {
                 let [r, g, b] = rgb.map(|c| (c * light) as u8);
-                sample(r, g, b)
+                (r, g, b)
             };
-            let carpet = Carpet::learn((0..100).map(|i| lit([30.0, 90.0 + f64::from(i % 10), 35.0]))).expect("green");
-            assert_eq!(carpet.classify(lit([32.0, 95.0, 36.0])), Surface::Carpet);
-            assert_eq!(carpet.classify(lit([20.0, 62.0, 23.0])), Surface::Carpet, "a shadow");
-            assert_eq!(carpet.classify(lit([140.0, 140.0, 135.0])), Surface::White);
-            assert_eq!(carpet.classify(lit([35.0, 35.0, 40.0])), Surface::Other, "a robot");
-            assert_eq!(carpet.classify(lit([130.0, 60.0, 40.0])), Surface::Other, "a ball");
+            let classify = |carpet: &Carpet, (r, g, b)| {
+                let (luma, chroma) = pixel(r, g, b);
+                carpet.classify(luma, chroma)
+            };
+            let carpet = Carpet::learn((0..100).map(|i| {
+                let (r, g, b) = lit([30.0, 90.0 + f64::from(i % 10), 35.0]);
+                sample(r, g, b)
+            }))
+            .expect("green");
+            assert_eq!(classify(&carpet, lit([32.0, 95.0, 36.0])), Surface::Carpet);
+            assert_eq!(classify(&carpet, lit([20.0, 62.0, 23.0])), Surface::Carpet, "a shadow");
+            assert_eq!(classify(&carpet, lit([140.0, 140.0, 135.0])), Surface::White);
+            assert_eq!(classify(&carpet, lit([35.0, 35.0, 40.0])), Surface::Other, "a robot");
+            assert_eq!(classify(&carpet, lit([130.0, 60.0, 40.0])), Surface::Other, "a ball");
         }
         assert_eq!(Carpet::learn((0..100).map(|_| sample(90, 90, 90))), None);
     }

@@ -1,243 +1,258 @@
 //! What the image shows at each cell of the ground table, and how much that says about a painted line.
 
 use super::carpet::Surface;
-use super::contrast::LineContrast;
+use super::contrast::{self, UNITS};
 use super::ground::{NEUTRAL, SIDE};
-use super::ground_map::GroundMap;
-use super::{WorkingScale, contrast, distance};
+use super::ground_map::{BLOCK, BLOCKS, GroundMap};
+use super::reading::{self, Reading};
+use super::vectorised::vectorised;
+use super::{WorkingScale, distance};
 
-/// Painted lines are this wide on every field that is played on.
-const LINE_WIDTH_M: f64 = 0.05;
 /// The frame's full contrast is learnt where lines show at least this well, against the best place in view, ...
 const CLEAR: f32 = 0.5;
 /// ... on at least this many cells.
 const FEWEST_CELLS: usize = 50;
+/// Every so many cells are looked at for it.
+const LEARN_STEP: usize = 23;
 /// A square of this side is never mostly white where lines are: a crossing fills under half of it.
 const BLOB_M: f64 = 0.25;
 const BLOB_SHARE: f32 = 0.55;
-/// Darker places show nothing: the black surround of a fisheye's circle.
-const BLACK: f32 = 8.0;
 
-/// What the image shows at each cell.
+/// What the image shows at each cell: line contrast as [`contrast::LineContrast`] holds it, surface bits included. A cell
+/// outside of the view or of the carpet shows an occluder.
+#[derive(Clone, Debug, Default)]
 pub(super) struct Cells {
-    pub(super) seen: Vec<bool>,
-    /// Coloured as lines are.
-    pub(super) white: Vec<bool>,
-    pub(super) contrast: Vec<f32>,
-    pub(super) gray: Vec<f32>,
+    pub(super) shown: Vec<i16>,
+    blobs: Vec<u16>,
+    sums: Vec<u16>,
 }
 
-/// Contrast made comparable between frames and ranges.
-pub(super) struct LinesSeen<'a> {
-    pub(super) cells: &'a Cells,
-    pub(super) strengths: &'a [f32],
-    /// Gray levels that a line of the best width has in this frame.
-    pub(super) full_contrast: f32,
+/// How places at a distance are to be read; by the squared distance from the point below the camera.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ByRange {
+    /// How strongly a painted line shows, against one of the best width.
+    strengths: Vec<f32>,
+    /// How much such a place counts.
+    weights: Vec<f32>,
+    per_square_metre: f64,
 }
+
+const UNSEEN: i16 = Surface::Other as i16;
+const STEPS: usize = 512;
 
 impl Cells {
-    pub(super) fn read(image: &LineContrast, map: &GroundMap, to_working: WorkingScale) -> Self {
-        let count = SIDE * SIDE;
-        let (mut seen, mut white) = (vec![false; count], vec![false; count]);
-        let (mut contrast, mut gray) = (vec![0.0; count], vec![0.0; count]);
-        if image.width >= 2 && image.height >= 2 {
-            // Half-resolution coordinates: pixel i covers working pixels 2i and 2i + 1.
-            let scale = (to_working.factor * 0.5) as f32;
-            let offset = (to_working.offset * 0.5 - 0.25) as f32;
-            let (last_u, last_v) = ((image.width - 1) as f32, (image.height - 1) as f32);
-            for cell in 0..count {
-                let [u, v] = map.pixels[cell].map(|x| x * scale + offset);
-                // NaN fails both.
-                if !(u >= 0.0 && u <= last_u && v >= 0.0 && v <= last_v) {
-                    continue;
-                }
-                let (iu, iv) = ((u as usize).min(image.width - 2), (v as usize).min(image.height - 2));
-                let (fu, fv) = (u - iu as f32, v - iv as f32);
-                let at = iv * image.width + iu;
-                let blend = |values: &[f32]| {
-                    let upper = values[at] + (values[at + 1] - values[at]) * fu;
-                    let lower =
-                        values[at + image.width] + (values[at + image.width + 1] - values[at + image.width]) * fu;
-                    upper + (lower - upper) * fv
-                };
-                gray[cell] = blend(&image.narrow);
-                contrast[cell] = blend(&image.contrast);
-                // Half-way to an occluder counts as hidden.
-                let nearest = at + usize::from(fu >= 0.5) + if fv >= 0.5 { image.width } else { 0 };
-                seen[cell] = gray[cell] >= BLACK && !image.surfaces[nearest].is_occluder();
-                white[cell] = image.surfaces[nearest] == Surface::White;
-            }
+    /// Reads the half-resolution map at each cell: bilinearly, surface bits from the nearest pixel.
+    pub(super) fn read(
+        &mut self,
+        image: &[i16],
+        width: usize,
+        height: usize,
+        map: &GroundMap,
+        to_working: WorkingScale,
+    ) {
+        self.shown.clear();
+        self.shown.resize(SIDE * SIDE, UNSEEN);
+        if width < 2 || height < 2 {
+            return;
         }
-        Self { seen, white, contrast, gray }
+        reading::read(&Reading { image, width, height }, map, to_working, &mut self.shown);
+        for (row, [from, to]) in self.shown.chunks_exact_mut(SIDE).zip(&map.columns) {
+            row[..*from].fill(UNSEEN);
+            row[*to..].fill(UNSEEN);
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn is_seen(&self, cell: usize) -> bool {
+        !contrast::surface(self.shown[cell]).is_occluder()
+    }
+
+    /// Gray levels of line contrast.
+    #[inline(always)]
+    fn contrast(&self, cell: usize) -> f32 {
+        f32::from(self.shown[cell] & !3) * (1.0 / UNITS)
     }
 
     /// White areas wider than lines are (a ball, a robot, a sheet of paper) show no line, nor do their edges.
     pub(super) fn hide_blobs(&mut self, cell_m: f64) {
-        let reach = (libm::round(BLOB_M / 2.0 / cell_m) as usize).max(1);
-        let area = ((2 * reach + 1) * (2 * reach + 1)) as f32;
-        let near = box_counts(&self.white, reach);
-        let blob: Vec<bool> = near.iter().map(|count| *count as f32 > BLOB_SHARE * area).collect();
-        if blob.contains(&true) {
-            let around = box_counts(&blob, reach + 1);
-            for (seen, near) in self.seen.iter_mut().zip(&around) {
-                *seen &= *near == 0;
+        let reach = (libm::round(BLOB_M / 2.0 / cell_m / BLOCK as f64) as usize).max(1);
+        let side = (2 * reach + 1) * BLOCK;
+        self.blobs.clear();
+        self.blobs.resize(BLOCKS * BLOCKS, 0);
+        let mut white = 0u32;
+        for (row, cells) in self.shown.chunks_exact(SIDE).enumerate() {
+            let counts = &mut self.blobs[row / BLOCK * BLOCKS..][..BLOCKS];
+            for (count, cells) in counts.iter_mut().zip(cells.as_chunks::<BLOCK>().0) {
+                let whites: u16 = cells.iter().map(|cell| u16::from(cell & 3 == Surface::White as i16)).sum();
+                *count += whites;
+                white += u32::from(whites);
+            }
+        }
+        let most = BLOB_SHARE * (side * side) as f32;
+        if (white as f32) <= most {
+            return;
+        }
+        box_sums(&mut self.blobs, &mut self.sums, reach);
+        for count in &mut self.blobs {
+            *count = u16::from(f32::from(*count) > most);
+        }
+        box_sums(&mut self.blobs, &mut self.sums, reach + 1);
+        for (block, near) in self.blobs.iter().enumerate().filter(|(_, near)| **near > 0) {
+            let _ = near;
+            let first = block / BLOCKS * BLOCK * SIDE + block % BLOCKS * BLOCK;
+            for row in 0..BLOCK {
+                self.shown[first + row * SIDE..][..BLOCK].fill(UNSEEN);
             }
         }
     }
 
-    pub(super) fn gray_levels(&self) -> Vec<u8> {
-        self.gray.iter().zip(&self.seen).map(|(gray, seen)| if *seen { (gray + 0.5) as u8 } else { 0 }).collect()
+    /// Gray levels that a line of the best width has, from the frame itself: the brightest few per cent of
+    /// what is seen, but well above the noise of plain carpet.
+    pub(super) fn full_contrast(&self, map: &GroundMap, by_range: &ByRange) -> f32 {
+        let mut values: Vec<(f32, f32)> = Vec::with_capacity(SIDE * SIDE / LEARN_STEP + 1);
+        let mut clearest = 0.0f32;
+        for cell in (0..SIDE * SIDE).step_by(LEARN_STEP).filter(|cell| self.is_seen(*cell)) {
+            let strength = by_range.strength(map.square_range(cell / SIDE / BLOCK, cell % SIDE / BLOCK));
+            clearest = clearest.max(strength);
+            values.push((self.contrast(cell) / strength, strength));
+        }
+        values.retain(|(_, strength)| *strength > CLEAR * clearest);
+        if values.len() < FEWEST_CELLS {
+            return f32::INFINITY;
+        }
+        let mut nth = |share: f64| {
+            let index = ((values.len() - 1) as f64 * share) as usize;
+            values.select_nth_unstable_by(index, |a, b| a.0.total_cmp(&b.0)).1.0
+        };
+        let (low, middle, high) = (nth(0.16), nth(0.5), nth(0.98));
+        let noise = (middle - low).max(0.5);
+        high.max(5.0 * noise).max(5.0)
     }
 
-    /// Distances in image pixels, as printed: measured in the image, then read at each cell.
-    pub(super) fn nearest_pixel_levels(
+    /// Line contrast as levels: below a quarter of a full line's a place speaks against a line, above it for one; what is
+    /// unseen says nothing. `seen` gets how much each place counts, `spans` the columns of each row of blocks outside of
+    /// which nothing is seen.
+    pub(super) fn levels(
         &self,
-        image: &LineContrast,
+        full: f32,
         map: &GroundMap,
-        to_working: WorkingScale,
-        full_contrast: f32,
-    ) -> Vec<u8> {
-        const REACH: usize = 127;
-        let half = 0.5 * full_contrast;
-        let white: Vec<bool> = image.contrast.iter().map(|value| *value >= half).collect();
-        let nearest = distance::nearest(&white, image.width, image.height, REACH);
-        let (scale, offset) = (to_working.factor * 0.5, to_working.offset * 0.5 - 0.25);
-        map.pixels
-            .iter()
-            .zip(&self.seen)
-            .map(|(pixel, seen)| {
-                if !seen {
-                    return 0;
-                }
-                let [u, v] = pixel.map(|x| libm::round(f64::from(x) * scale + offset) as usize);
-                let at = v.min(image.height - 1) * image.width + u.min(image.width - 1);
-                (2.0 * nearest[at]).min(255.0) as u8
-            })
-            .collect()
-    }
-}
-
-impl LinesSeen<'_> {
-    /// 0 plain carpet .. 1 as bright as a line is here.
-    pub(super) fn share(&self, cell: usize) -> f32 {
-        (self.cells.contrast[cell] / (self.full_contrast * self.strengths[cell])).clamp(0.0, 1.0)
-    }
-
-    /// Shares as levels: below a quarter a place speaks against a line, above it for one; what is unseen says nothing.
-    pub(super) fn levels(&self, weights: &[f32], share: impl Fn(usize) -> f32) -> Vec<u8> {
+        by_range: &ByRange,
+        levels: &mut Vec<u8>,
+        (seen, spans): (&mut Vec<u8>, &mut Vec<[u16; 2]>),
+    ) {
+        levels.clear();
+        levels.resize(SIDE * SIDE, NEUTRAL);
+        seen.clear();
+        seen.resize(SIDE * SIDE, 0);
+        spans.clear();
+        let (mut gains, mut weights) = ([0.0f32; SIDE], [0.0f32; SIDE]);
         let neutral = f32::from(NEUTRAL);
-        (0..SIDE * SIDE)
-            .map(|cell| {
-                if !self.cells.seen[cell] {
-                    return NEUTRAL;
+        for block_row in 0..BLOCKS {
+            let of_blocks = gains.as_chunks_mut::<BLOCK>().0.iter_mut().zip(weights.as_chunks_mut::<BLOCK>().0);
+            for (block_column, (gains, weights)) in of_blocks.enumerate() {
+                let square = map.square_range(block_row, block_column);
+                gains.fill(255.0 / (full * by_range.strength(square) * UNITS));
+                weights.fill(by_range.weight(square));
+            }
+            let rows = block_row * BLOCK * SIDE..(block_row + 1) * BLOCK * SIDE;
+            let rows = self.shown[rows.clone()]
+                .chunks_exact(SIDE)
+                .zip(levels[rows.clone()].chunks_exact_mut(SIDE))
+                .zip(seen[rows].chunks_exact_mut(SIDE));
+            let mut used = [0u8; SIDE];
+            vectorised(|| {
+                for ((shown, levels), seen) in rows {
+                    for column in 0..SIDE {
+                        let visible = shown[column] & 2 == 0;
+                        let level = (f32::from(shown[column] & !3) * gains[column]).clamp(0.0, 255.0);
+                        let level = neutral + (level - neutral) * weights[column] + 0.5;
+                        let weight = weights[column] * 255.0;
+                        // In range, so that this is no more than a conversion.
+                        levels[column] = if visible { level as i32 as u8 } else { NEUTRAL };
+                        seen[column] = if visible { weight as i32 as u8 } else { 0 };
+                        used[column] |= seen[column];
+                    }
                 }
-                let level = share(cell) * 255.0;
-                (neutral + (level - neutral) * weights[cell] + 0.5) as u8
-            })
-            .collect()
+            });
+            let first = used.iter().position(|seen| *seen > 0);
+            let last = used.iter().rposition(|seen| *seen > 0);
+            spans.push(first.zip(last).map_or([0, 0], |(first, last)| [first as u16, last as u16 + 1]));
+        }
     }
 
-    pub(super) fn nearest_levels(&self, weights: &[f32], cell_m: f64, reach_m: f64) -> Vec<u8> {
-        let reach = (libm::ceil(reach_m / cell_m) as usize).clamp(1, 60);
-        let white: Vec<bool> = (0..SIDE * SIDE).map(|cell| self.cells.seen[cell] && self.share(cell) >= 0.5).collect();
+    /// The same with the distance to the nearest place that shows at least half a line in place of contrast.
+    pub(super) fn nearest_levels(&self, full: f32, map: &GroundMap, by_range: &ByRange, reach_m: f64) -> Vec<u8> {
+        let reach = (libm::ceil(reach_m / map.cell_m()) as usize).clamp(1, 60);
+        let square = |cell: usize| map.square_range(cell / SIDE / BLOCK, cell % SIDE / BLOCK);
+        let is_line =
+            |cell: usize| self.is_seen(cell) && self.contrast(cell) >= 0.5 * full * by_range.strength(square(cell));
+        let white: Vec<bool> = (0..SIDE * SIDE).map(is_line).collect();
         let nearest = distance::nearest(&white, SIDE, SIDE, reach);
-        let per_cell = 1.0 / reach as f32;
-        self.levels(weights, |cell| 1.0 - (nearest[cell] * per_cell).min(1.0))
+        let neutral = f32::from(NEUTRAL);
+        let level = |cell: usize| {
+            let share = 1.0 - (nearest[cell] / reach as f32).min(1.0);
+            (neutral + (share * 255.0 - neutral) * by_range.weight(square(cell)) + 0.5) as u8
+        };
+        (0..SIDE * SIDE).map(|cell| if self.is_seen(cell) { level(cell) } else { NEUTRAL }).collect()
+    }
+
+    /// Whatever was read, in whole units: blurred gray, or distances in the image. What is unseen is 0.
+    pub(super) fn plain_levels(&self, seen: &Cells) -> Vec<u8> {
+        let level = |cell: usize| (f32::from(self.shown[cell]) / UNITS + 0.5) as u8;
+        (0..SIDE * SIDE).map(|cell| if seen.is_seen(cell) { level(cell) } else { 0 }).collect()
     }
 }
 
-/// A place that the expected tilt error moves by more than a line's width says little: its weight falls with the
-/// shift (h^2 + r^2) / h x sigma, against 5 cm.
-pub(super) fn range_weights(map: &GroundMap, tilt_sigma_rad: f64) -> Vec<f32> {
-    let height = map.height_m.max(0.01);
-    let per_square_metre = tilt_sigma_rad / height / LINE_WIDTH_M;
-    let floor = height * height * per_square_metre;
-    let squares = |centre: f64| -> Vec<f64> {
-        (0..SIDE).map(|index| map.place(index) - centre).map(|d| d * d * per_square_metre).collect()
+/// Sums over the square of 2 `reach` + 1 blocks around each.
+fn box_sums(blocks: &mut [u16], scratch: &mut Vec<u16>, reach: usize) {
+    scratch.clear();
+    scratch.resize(blocks.len(), 0);
+    let pass = |source: &[u16], target: &mut [u16], step: usize, line: usize| {
+        for index in 0..BLOCKS {
+            let first = index * line;
+            let at = |k: usize| source[first + k * step];
+            let mut sum: u16 = (0..reach).map(at).sum();
+            for k in 0..BLOCKS {
+                sum += if k + reach < BLOCKS { at(k + reach) } else { 0 };
+                target[first + k * step] = sum;
+                sum -= k.checked_sub(reach).map_or(0, at);
+            }
+        }
     };
-    let (xs, ys) = (squares(map.foot.x), squares(map.foot.y));
-    let mut weights = Vec::with_capacity(SIDE * SIDE);
-    for y in &ys {
-        weights.extend(xs.iter().map(|x| {
-            let shift = (floor + x + y) as f32;
-            1.0 / (1.0 + shift * shift).sqrt()
-        }));
-    }
-    weights
+    pass(blocks, scratch, 1, BLOCKS);
+    pass(scratch, blocks, BLOCKS, 1);
 }
 
-/// How strongly a painted line shows at each cell, against one of the best width: a far line is thinner than a pixel, a
-/// near one wider than the wide blur. Of lines across and along the view the geometric mean is taken.
-pub(super) fn line_strengths(map: &GroundMap, pixels_per_radian: f64) -> Vec<f32> {
-    const STEPS: usize = 512;
-    let height = map.height_m.max(0.01);
-    let farthest = 2.0 * (2.0 * map.range_m) * (2.0 * map.range_m);
-    let by_square: Vec<f32> = (0..=STEPS)
-        .map(|step| {
-            let slant = libm::sqrt(farthest * step as f64 / STEPS as f64 + height * height);
-            let width_px = pixels_per_radian * LINE_WIDTH_M * libm::sqrt(height / (slant * slant * slant));
-            contrast::line_response(width_px) as f32
-        })
-        .collect();
-    let per_square_metre = STEPS as f64 / farthest;
-    let squares = |centre: f64| -> Vec<f32> {
-        (0..SIDE).map(|index| map.place(index) - centre).map(|d| (d * d * per_square_metre) as f32).collect()
-    };
-    let (xs, ys) = (squares(map.foot.x), squares(map.foot.y));
-    let mut strengths = Vec::with_capacity(SIDE * SIDE);
-    for y in &ys {
-        strengths.extend(xs.iter().map(|x| by_square[((x + y) as usize).min(STEPS)]));
-    }
-    strengths
-}
-
-/// Gray levels that a line of the best width has, from the frame itself: the brightest few per cent of
-/// what is seen, but well above the noise of plain carpet.
-pub(super) fn full_contrast(cells: &Cells, strengths: &[f32]) -> f32 {
-    let looked_at = || (0..SIDE * SIDE).step_by(7).filter(|cell| cells.seen[*cell]);
-    let clearest = looked_at().map(|cell| strengths[cell]).fold(0.0, f32::max);
-    let mut values: Vec<f32> = looked_at()
-        .filter(|cell| strengths[*cell] > CLEAR * clearest)
-        .map(|cell| cells.contrast[cell] / strengths[cell])
-        .collect();
-    if values.len() < FEWEST_CELLS {
-        return f32::INFINITY;
-    }
-    let mut nth = |share: f64| {
-        let index = ((values.len() - 1) as f64 * share) as usize;
-        *values.select_nth_unstable_by(index, f32::total_cmp).1
-    };
-    let (low, middle, high) = (nth(0.16), nth(0.5), nth(0.98));
-    let noise = (middle - low).max(0.5);
-    high.max(5.0 * noise).max(5.0)
-}
-
-/// How many cells are set in the square of 2 `reach` + 1 cells around each.
-fn box_counts(set: &[bool], reach: usize) -> Vec<u16> {
-    let mut rows = vec![0u16; SIDE * SIDE];
-    for (counts, set) in rows.chunks_exact_mut(SIDE).zip(set.chunks_exact(SIDE)) {
-        let mut sum: u16 = set[..reach].iter().map(|s| u16::from(*s)).sum();
-        for (column, count) in counts.iter_mut().enumerate() {
-            sum += u16::from(set.get(column + reach).copied().unwrap_or(false));
-            *count = sum;
-            sum -= column.checked_sub(reach).map_or(0, |left| u16::from(set[left]));
+impl ByRange {
+    /// Weights: a place that the expected tilt error moves by more than a line's width says little: its weight falls
+    /// with the shift (h^2 + r^2) / h x sigma. Strengths: a far line is thinner than a pixel, a near one wider than the
+    /// wide blur; of lines across and along the view the geometric mean is taken.
+    pub(super) fn fill(&mut self, map: &GroundMap, line_width_m: f64, pixels_per_radian: f64, tilt_sigma_rad: f64) {
+        let height = map.height_m.max(0.01);
+        let farthest = 2.0 * (2.0 * map.range_m) * (2.0 * map.range_m);
+        self.per_square_metre = STEPS as f64 / farthest;
+        self.strengths.clear();
+        self.weights.clear();
+        for step in 0..=STEPS {
+            let square = height * height + farthest * step as f64 / STEPS as f64;
+            let slant = libm::sqrt(square);
+            let width_px = pixels_per_radian * line_width_m * libm::sqrt(height / (slant * slant * slant));
+            let strength = contrast::line_response(width_px);
+            let shift = square / height * tilt_sigma_rad / line_width_m;
+            self.strengths.push(strength as f32);
+            self.weights.push((strength / libm::sqrt(1.0 + shift * shift)) as f32);
         }
     }
-    let mut counts = vec![0u16; SIDE * SIDE];
-    let mut sums = vec![0u16; SIDE];
-    let add =
-        |sums: &mut [u16], row: usize| sums.iter_mut().zip(&rows[row * SIDE..][..SIDE]).for_each(|(s, c)| *s += c);
-    (0..reach).for_each(|row| add(&mut sums, row));
-    for row in 0..SIDE {
-        if row + reach < SIDE {
-            add(&mut sums, row + reach);
-        }
-        counts[row * SIDE..][..SIDE].copy_from_slice(&sums);
-        if let Some(top) = row.checked_sub(reach) {
-            sums.iter_mut().zip(&rows[top * SIDE..][..SIDE]).for_each(|(s, c)| *s -= c);
-        }
+
+    #[inline(always)]
+    fn strength(&self, square_range: f64) -> f32 {
+        self.strengths[((square_range * self.per_square_metre) as usize).min(STEPS)]
     }
-    counts
+
+    #[inline(always)]
+    fn weight(&self, square_range: f64) -> f32 {
+        self.weights[((square_range * self.per_square_metre) as usize).min(STEPS)]
+    }
 }
 
 #[cfg(test)]
@@ -245,15 +260,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn box_counts_agree_with_counting() {
-        let set: Vec<bool> = (0..SIDE * SIDE).map(|i| (i * 2_654_435_761) % 97 < 9).collect();
-        for reach in [1, 4, 7] {
-            let counts = box_counts(&set, reach);
-            for (row, column) in [(0, 0), (3, 399), (200, 117), (399, 2), (399, 399)] {
-                let within = |centre: usize| centre.saturating_sub(reach)..(centre + reach + 1).min(SIDE);
-                let count =
-                    within(row).flat_map(|v| within(column).map(move |u| v * SIDE + u)).filter(|i| set[*i]).count();
-                assert_eq!(usize::from(counts[row * SIDE + column]), count);
+    fn box_sums_agree_with_adding() {
+        let values: Vec<u16> = (0..BLOCKS * BLOCKS).map(|i| ((i * 2_654_435_761) % 97 / 9) as u16).collect();
+        for reach in [1, 2, 4] {
+            let mut sums = values.clone();
+            box_sums(&mut sums, &mut Vec::new(), reach);
+            for (row, column) in [(0, 0), (3, 99), (50, 17), (99, 2), (99, 99)] {
+                let within = |centre: usize| centre.saturating_sub(reach)..(centre + reach + 1).min(BLOCKS);
+                let sum: u16 =
+                    within(row).flat_map(|v| within(column).map(move |u| v * BLOCKS + u)).map(|i| values[i]).sum();
+                assert_eq!(sums[row * BLOCKS + column], sum);
             }
         }
     }

@@ -1,37 +1,51 @@
 //! Line contrast: how much brighter a place is than its wider surroundings on the carpet.
 //!
-//! A narrow blur (sigma 2.5 px) minus a wide one (sigma 12 px). Plain carpet gives 0 whatever its brightness and
+//! A narrow blur (sigma 2.1 px) minus a wide one (sigma 12 px). Plain carpet gives 0 whatever its brightness and
 //! whatever the light's gradient, which is what makes a sum over points a fair measure (docs/paper.md, Eq. 2).
-//! The narrow blur runs at half, the wide one at an eighth of the resolution.
+//! The narrow blur runs at half, the wide one at an eighth of the resolution; all in integers, so that every
+//! processor finds the same.
 
 use glam::DVec2;
 
-use super::carpet::{Carpet, Surface};
+use super::carpet::Surface;
 use super::picture::Picture;
+use super::vectorised::vectorised;
 
 /// Half-resolution maps: pixel (i, j) averages the picture's pixels 2i, 2i+1 x 2j, 2j+1.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LineContrast {
     pub width: usize,
     pub height: usize,
-    /// Blurred gray, 0 to 255.
-    pub narrow: Vec<f32>,
-    /// Narrow minus wide, gray levels; negative where darker than the surroundings.
-    pub contrast: Vec<f32>,
-    /// What each pixel shows, as far as its colour tells.
-    pub surfaces: Vec<Surface>,
+    /// Sum of the four pixels.
+    pub half: Vec<u16>,
+    /// Blurred gray in [`UNITS`].
+    pub narrow: Vec<u16>,
+    /// Narrow minus wide in [`UNITS`], negative where darker than the surroundings; the two lowest bits hold what the
+    /// pixel shows ([`surface`]).
+    pub contrast: Vec<i16>,
+    scratch: Scratch,
 }
 
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Scratch {
+    rows: Vec<u16>,
+    sums: Vec<f32>,
+    counts: Vec<f32>,
+    blurred: Vec<f32>,
+    /// The wide blur, one row a coarse row, one value a half-resolution column.
+    expanded: Vec<u16>,
+}
+
+/// Parts of a gray level.
+pub const UNITS: f32 = 16.0;
 /// Side of a cell of the coarse image, in half-resolution pixels.
 const COARSE: usize = 4;
-/// Below this a pixel shows nothing: the black surround of a fisheye's circle (a sensor's own black is 0 to 3).
-const BLACK: f32 = 6.0;
 
 /// Standard deviations of the two blurs in pixels, halving and quartering included.
 const NARROW_SIGMA_PX: f64 = 2.1;
 const WIDE_SIGMA_PX: f64 = 11.8;
 /// The largest response, that of a line 8 px wide.
-const BEST_RESPONSE: f64 = 0.672;
+pub const BEST_RESPONSE: f64 = 0.672;
 
 /// Contrast in the middle of a long line of this width, against that of a line of the best width: 0 to 1.
 pub fn line_response(width_px: f64) -> f64 {
@@ -39,24 +53,9 @@ pub fn line_response(width_px: f64) -> f64 {
     ((within(NARROW_SIGMA_PX) - within(WIDE_SIGMA_PX)) / BEST_RESPONSE).clamp(1e-3, 1.0)
 }
 
-impl LineContrast {
-    /// `on_carpet` has one entry per cell of [`coarse_centres`]. The wide blur averages only carpet, so that walls
-    /// beyond the field, robots on it or the black rim of a fisheye do not look like a change of light.
-    pub fn of(picture: &Picture, on_carpet: &[bool], carpet: Option<&Carpet>) -> Self {
-        let (width, height) = (picture.width / 2, picture.height / 2);
-        if width < COARSE || height < COARSE {
-            return Self { width: 0, height: 0, narrow: Vec::new(), contrast: Vec::new(), surfaces: Vec::new() };
-        }
-        let half = halved(picture, width, height);
-        let narrow = blurred(&half, width, height);
-        let surfaces = match carpet {
-            Some(carpet) => carpet.surfaces(picture),
-            None => half.iter().map(|value| if *value < BLACK { Surface::Dark } else { Surface::Carpet }).collect(),
-        };
-        let wide = wide_blur(&half, &surfaces, width, height, on_carpet);
-        let contrast = subtract_upsampled(&narrow, width, height, &wide);
-        Self { width, height, narrow, contrast, surfaces }
-    }
+/// What a pixel of the contrast map shows.
+pub fn surface(contrast: i16) -> Surface {
+    Surface::from_bits(contrast as u8)
 }
 
 /// Where the wide blur's cells lie in a picture of this size, row by row, in its pixels.
@@ -66,158 +65,236 @@ pub fn coarse_centres(width: usize, height: usize) -> impl Iterator<Item = DVec2
     (0..rows).flat_map(move |row| (0..columns).map(move |column| DVec2::new(centre(column), centre(row))))
 }
 
-fn halved(picture: &Picture, width: usize, height: usize) -> Vec<f32> {
-    let mut half = Vec::with_capacity(width * height);
-    for v in 0..height {
-        let upper = &picture.luma[2 * v * picture.width..][..2 * width];
-        let lower = &picture.luma[(2 * v + 1) * picture.width..][..2 * width];
-        half.extend(upper.chunks_exact(2).zip(lower.chunks_exact(2)).map(|(a, b)| {
-            let sum = u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]);
-            f32::from(sum) * 0.25
-        }));
+impl LineContrast {
+    /// The part that needs nothing else: half resolution and narrow blur.
+    pub fn start(&mut self, picture: &Picture) {
+        (self.width, self.height) = (picture.width / 2, picture.height / 2);
+        if self.width < COARSE || self.height < COARSE {
+            (self.width, self.height) = (0, 0);
+        }
+        let count = self.width * self.height;
+        self.half.resize(count, 0);
+        self.narrow.resize(count, 0);
+        self.contrast.resize(count, 0);
+        self.scratch.rows.resize(count, 0);
+        if count == 0 {
+            return;
+        }
+        let Self { width, half, narrow, scratch, .. } = self;
+        vectorised(|| {
+            halved(picture, *width, half);
+            blurred_rows(half, *width, &mut scratch.rows);
+            blurred_columns(&scratch.rows, *width, narrow);
+        });
     }
-    half
+
+    /// `surfaces` says what each half-resolution pixel shows; `on_carpet` has one entry per cell of [`coarse_centres`].
+    /// The wide blur averages only carpet, so that walls beyond the field, robots on it or the black rim of a fisheye
+    /// do not look like a change of light.
+    pub fn finish(&mut self, surfaces: &[Surface], on_carpet: &[bool]) {
+        if self.width == 0 {
+            return;
+        }
+        let Self { width, height, half, narrow, contrast, scratch } = self;
+        vectorised(|| {
+            coarse_means(half, surfaces, *width, *height, on_carpet, scratch);
+            expand(*width, *height, scratch);
+            subtract(narrow, &scratch.expanded, surfaces, *width, contrast);
+        });
+    }
 }
 
-/// Binomial 1 4 6 4 1 in both directions: sigma 1 pixel. Edges repeat the last pixel.
-fn blurred(image: &[f32], width: usize, height: usize) -> Vec<f32> {
-    let tap = |a: f32, b: f32, c: f32, d: f32, e: f32| ((a + e) + 4.0 * (b + d) + 6.0 * c) * 0.0625;
-    let mut rows = vec![0.0f32; image.len()];
-    for (source, target) in image.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
+#[inline(always)]
+fn halved(picture: &Picture, width: usize, half: &mut [u16]) {
+    for (v, target) in half.chunks_exact_mut(width).enumerate() {
+        let upper = &picture.luma[2 * v * picture.width..][..2 * width];
+        let lower = &picture.luma[(2 * v + 1) * picture.width..][..2 * width];
+        let ((upper, _), (lower, _)) = (upper.as_chunks::<2>(), lower.as_chunks::<2>());
+        for ((t, a), b) in target.iter_mut().zip(upper).zip(lower) {
+            // Two bytes as one word: its halves are added side by side.
+            let (a, b) = (u16::from_le_bytes(*a), u16::from_le_bytes(*b));
+            *t = (a & 255) + (a >> 8) + (b & 255) + (b >> 8);
+        }
+    }
+}
+
+/// Binomial 1 4 6 4 1, sigma 1 pixel; edges repeat the last pixel. Sums of four in, quarters of gray levels x 16 out:
+/// at most 4 x 255 x 16 / 4.
+#[inline(always)]
+fn blurred_rows(half: &[u16], width: usize, rows: &mut [u16]) {
+    let tap = |a: u16, b: u16, c: u16, d: u16, e: u16| (a + e + 4 * (b + d) + 6 * c + 2) >> 2;
+    for (source, target) in half.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
         let at = |u: isize| source[u.clamp(0, width as isize - 1) as usize];
         for u in [0, 1, width - 2, width - 1] {
             let i = u as isize;
             target[u] = tap(at(i - 2), at(i - 1), at(i), at(i + 1), at(i + 2));
         }
-        for (t, w) in target[2..width - 2].iter_mut().zip(source.windows(5)) {
-            *t = tap(w[0], w[1], w[2], w[3], w[4]);
+        let inner = width - 4;
+        let (a, b, c, d, e) = (
+            &source[..inner],
+            &source[1..][..inner],
+            &source[2..][..inner],
+            &source[3..][..inner],
+            &source[4..][..inner],
+        );
+        for (u, t) in target[2..][..inner].iter_mut().enumerate() {
+            *t = tap(a[u], b[u], c[u], d[u], e[u]);
         }
     }
-    let mut result = vec![0.0f32; image.len()];
-    for (v, target) in result.chunks_exact_mut(width).enumerate() {
-        let row = |dv: isize| {
-            let v = (v as isize + dv).clamp(0, height as isize - 1) as usize;
-            &rows[v * width..][..width]
-        };
-        let (a, b, c, d, e) = (row(-2), row(-1), row(0), row(1), row(2));
-        for u in 0..width {
-            target[u] = tap(a[u], b[u], c[u], d[u], e[u]);
-        }
-    }
-    result
 }
 
-struct Coarse {
+/// At most 16 x 4080 + 8, which 16 bits hold; out come sixteenths of gray levels.
+#[inline(always)]
+fn blurred_columns(rows: &[u16], width: usize, narrow: &mut [u16]) {
+    let height = narrow.len() / width;
+    for (v, target) in narrow.chunks_exact_mut(width).enumerate() {
+        let row = |dv: isize| &rows[(v as isize + dv).clamp(0, height as isize - 1) as usize * width..][..width];
+        let (a, b, c, d, e) = (row(-2), row(-1), row(0), row(1), row(2));
+        for (u, t) in target.iter_mut().enumerate() {
+            *t = (a[u] + e[u] + 4 * (b[u] + d[u]) + 6 * c[u] + 8) >> 4;
+        }
+    }
+}
+
+/// Mean of the carpet within about 12 pixels; where none is near, that of the cell itself.
+#[inline(always)]
+fn coarse_means(
+    half: &[u16],
+    surfaces: &[Surface],
     width: usize,
     height: usize,
-    values: Vec<f32>,
-}
-
-/// Mean of the carpet within about 12 pixels; `NaN`-free: where no carpet is near, the plain mean.
-fn wide_blur(half: &[f32], surfaces: &[Surface], width: usize, height: usize, on_carpet: &[bool]) -> Coarse {
+    on_carpet: &[bool],
+    scratch: &mut Scratch,
+) {
     let (cw, ch) = (width / COARSE, height / COARSE);
-    let mut sums = vec![0.0f32; cw * ch];
-    let mut counts = vec![0.0f32; cw * ch];
-    let mut plain = vec![0.0f32; cw * ch];
+    let Scratch { sums, counts, blurred, rows, .. } = scratch;
+    sums.clear();
+    counts.clear();
+    blurred.resize(cw * ch, 0.0);
+    // Sums over the rows of a coarse row first: they run along memory.
+    let (columns, lit) = rows.split_at_mut(width);
+    let lit = &mut lit[..width];
     for cv in 0..ch {
+        columns.fill(0);
+        lit.fill(0);
+        for v in cv * COARSE..(cv + 1) * COARSE {
+            let (values, surfaces) = (&half[v * width..][..width], &surfaces[v * width..][..width]);
+            for u in 0..width {
+                let shows = u16::from(!surfaces[u].is_occluder());
+                columns[u] += values[u] * shows;
+                lit[u] += shows;
+            }
+        }
         for cu in 0..cw {
-            let (mut sum, mut lit_sum, mut lit) = (0.0f32, 0.0f32, 0.0f32);
-            for dv in 0..COARSE {
-                let first = (cv * COARSE + dv) * width + cu * COARSE;
-                for (value, surface) in half[first..][..COARSE].iter().zip(&surfaces[first..][..COARSE]) {
-                    sum += value;
-                    if !surface.is_occluder() {
-                        lit_sum += value;
-                        lit += 1.0;
-                    }
-                }
-            }
-            let cell = cv * cw + cu;
-            plain[cell] = sum / (COARSE * COARSE) as f32;
-            if on_carpet.get(cell).copied().unwrap_or(true) {
-                sums[cell] = lit_sum;
-                counts[cell] = lit;
-            }
+            let carpet = on_carpet.get(cv * cw + cu).copied().unwrap_or(true);
+            let of =
+                |values: &[u16]| values[cu * COARSE..][..COARSE].iter().map(|value| u32::from(*value)).sum::<u32>();
+            sums.push(if carpet { of(columns) as f32 } else { 0.0 });
+            counts.push(if carpet { of(lit) as f32 } else { 0.0 });
         }
     }
-    let twice = |image: &[f32]| small_blur(&small_blur(image, cw, ch), cw, ch);
-    let (sums, counts, plain) = (twice(&sums), twice(&counts), twice(&plain));
-    let values = sums
-        .iter()
-        .zip(&counts)
-        .zip(&plain)
-        .map(|((sum, count), plain)| if *count > 0.05 { sum / count } else { *plain })
-        .collect();
-    Coarse { width: cw, height: ch, values }
-}
-
-/// As [`blurred`], for images of any size.
-fn small_blur(image: &[f32], width: usize, height: usize) -> Vec<f32> {
-    let at = |u: isize, v: isize| {
-        let u = u.clamp(0, width as isize - 1) as usize;
-        let v = v.clamp(0, height as isize - 1) as usize;
-        (u, v)
-    };
-    let pass = |source: &[f32], du: isize, dv: isize| -> Vec<f32> {
-        let mut target = Vec::with_capacity(source.len());
-        for v in 0..height as isize {
-            for u in 0..width as isize {
-                let tap = |k: isize| {
-                    let (u, v) = at(u + k * du, v + k * dv);
-                    source[v * width + u]
-                };
-                target.push(((tap(-2) + tap(2)) + 4.0 * (tap(-1) + tap(1)) + 6.0 * tap(0)) * 0.0625);
-            }
+    for image in [&mut *sums, &mut *counts] {
+        for _ in 0..2 {
+            blur_coarse(image, blurred, cw);
         }
-        target
-    };
-    pass(&pass(image, 1, 0), 0, 1)
-}
-
-/// `narrow` minus the coarse image, interpolated bilinearly.
-fn subtract_upsampled(narrow: &[f32], width: usize, height: usize, coarse: &Coarse) -> Vec<f32> {
-    let axis = |i: usize, size: usize| {
-        let x = ((i as f32 + 0.5) / COARSE as f32 - 0.5).clamp(0.0, (size - 1) as f32);
-        let low = (x as usize).min(size.saturating_sub(2));
-        (low, (low + 1).min(size - 1), x - low as f32)
-    };
-    let columns: Vec<_> = (0..width).map(|u| axis(u, coarse.width)).collect();
-    let mut result = Vec::with_capacity(narrow.len());
-    let mut blended = vec![0.0f32; coarse.width];
-    for v in 0..height {
-        let (top, bottom, fv) = axis(v, coarse.height);
-        let upper = &coarse.values[top * coarse.width..][..coarse.width];
-        let lower = &coarse.values[bottom * coarse.width..][..coarse.width];
-        for ((blend, a), b) in blended.iter_mut().zip(upper).zip(lower) {
-            *blend = a + (b - a) * fv;
-        }
-        let row = &narrow[v * width..][..width];
-        result.extend(
-            columns
-                .iter()
-                .zip(row)
-                .map(|((left, right, fu), value)| value - (blended[*left] + (blended[*right] - blended[*left]) * fu)),
-        );
     }
-    result
+    for (cell, (sum, count)) in sums.iter_mut().zip(counts.iter()).enumerate() {
+        // Sums of four pixels over counts of half-resolution pixels, in units.
+        *sum = if *count > 0.05 {
+            *sum / *count * (UNITS / 4.0)
+        } else {
+            let (cv, cu) = (cell / cw, cell % cw);
+            f32::from(half[(cv * COARSE + COARSE / 2) * width + cu * COARSE + COARSE / 2]) * (UNITS / 4.0)
+        };
+    }
+}
+
+/// Binomial 1 4 6 4 1 both ways, for images of any size.
+#[inline(always)]
+fn blur_coarse(image: &mut [f32], scratch: &mut [f32], width: usize) {
+    let height = image.len() / width;
+    let tap = |a: f32, b: f32, c: f32, d: f32, e: f32| ((a + e) + 4.0 * (b + d) + 6.0 * c) * 0.0625;
+    for (source, target) in image.chunks_exact(width).zip(scratch.chunks_exact_mut(width)) {
+        let at = |u: isize| source[u.clamp(0, width as isize - 1) as usize];
+        for (u, t) in target.iter_mut().enumerate() {
+            let i = u as isize;
+            *t = if u >= 2 && u + 2 < width {
+                tap(source[u - 2], source[u - 1], source[u], source[u + 1], source[u + 2])
+            } else {
+                tap(at(i - 2), at(i - 1), at(i), at(i + 1), at(i + 2))
+            };
+        }
+    }
+    for (v, target) in image.chunks_exact_mut(width).enumerate() {
+        let row = |dv: isize| &scratch[(v as isize + dv).clamp(0, height as isize - 1) as usize * width..][..width];
+        let (a, b, c, d, e) = (row(-2), row(-1), row(0), row(1), row(2));
+        for (u, t) in target.iter_mut().enumerate() {
+            *t = tap(a[u], b[u], c[u], d[u], e[u]);
+        }
+    }
+}
+
+/// Between the coarse cells along rows, linearly: their centres lie 1/8, 3/8, 5/8 and 7/8 of a cell from the pixels'.
+#[inline(always)]
+fn expand(width: usize, height: usize, scratch: &mut Scratch) {
+    let (cw, ch) = (width / COARSE, height / COARSE);
+    let Scratch { sums, expanded, .. } = scratch;
+    expanded.resize(width * ch, 0);
+    for (source, target) in sums.chunks_exact(cw).zip(expanded.chunks_exact_mut(width)) {
+        let level = |value: f32| (value + 0.5) as u16;
+        for (u, t) in target.iter_mut().enumerate() {
+            let (low, share) = phase(u);
+            let (a, b) = (
+                level(source[low.clamp(0, cw as isize - 1) as usize]),
+                level(source[(low + 1).clamp(0, cw as isize - 1) as usize]),
+            );
+            *t = (a * (8 - share) + b * share) >> 3;
+        }
+    }
+}
+
+/// The coarse cell before a half-resolution pixel, and how far the pixel is on the way to the next, in eighths.
+#[inline(always)]
+fn phase(pixel: usize) -> (isize, u16) {
+    let eighths = 2 * pixel as isize + 1 - COARSE as isize;
+    (eighths.div_euclid(2 * COARSE as isize), eighths.rem_euclid(2 * COARSE as isize) as u16)
+}
+
+#[inline(always)]
+fn subtract(narrow: &[u16], expanded: &[u16], surfaces: &[Surface], width: usize, contrast: &mut [i16]) {
+    let last = (expanded.len() / width) as isize - 1;
+    for (v, target) in contrast.chunks_exact_mut(width).enumerate() {
+        let (low, share) = phase(v);
+        let row = |cv: isize| &expanded[cv.clamp(0, last) as usize * width..][..width];
+        let (upper, lower) = (row(low), row(low + 1));
+        let (narrow, surfaces) = (&narrow[v * width..][..width], &surfaces[v * width..][..width]);
+        for (u, t) in target.iter_mut().enumerate() {
+            let wide = (upper[u] * (8 - share) + lower[u] * share) >> 3;
+            *t = ((narrow[u] as i16 - wide as i16) & !3) | surfaces[u] as i16;
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn picture(width: usize, height: usize, value: impl Fn(usize, usize) -> u8) -> Picture {
+    fn contrast_of(width: usize, height: usize, value: impl Fn(usize, usize) -> u8) -> LineContrast {
         let luma = (0..height).flat_map(|v| (0..width).map(move |u| (u, v))).map(|(u, v)| value(u, v)).collect();
-        Picture::from_gray(width, height, luma).expect("a picture")
+        let picture = Picture::from_gray(width, height, luma).expect("a picture");
+        let mut contrast = LineContrast::default();
+        contrast.start(&picture);
+        let surfaces = vec![Surface::Carpet; contrast.width * contrast.height];
+        contrast.finish(&surfaces, &[]);
+        contrast
     }
 
     #[test]
     fn plain_and_sloping_light_have_no_contrast() {
         for slope in [0.0, 0.3] {
-            let p = picture(160, 120, |u, _| (60.0 + slope * u as f64) as u8);
-            let c = LineContrast::of(&p, &[], None);
+            let c = contrast_of(160, 120, |u, _| (60.0 + slope * u as f64) as u8);
             let middle = &c.contrast[30 * c.width + 20..30 * c.width + 60];
-            assert!(middle.iter().all(|value| value.abs() < 0.6), "{middle:?}");
+            assert!(middle.iter().all(|value| f32::from(*value).abs() < 0.7 * UNITS), "{middle:?}");
         }
     }
 
@@ -231,18 +308,24 @@ mod tests {
     #[test]
     fn a_line_stands_out_as_two_gaussians_say() {
         // A bright line 6 px wide, 100 gray levels above the carpet.
-        let p = picture(320, 240, |u, _| if (157..163).contains(&u) { 160 } else { 60 });
-        let c = LineContrast::of(&p, &[], None);
-        let got = c.contrast[60 * c.width + 79].max(c.contrast[60 * c.width + 80]);
+        let c = contrast_of(320, 240, |u, _| if (157..163).contains(&u) { 160 } else { 60 });
+        let got = f64::from(c.contrast[60 * c.width + 79].max(c.contrast[60 * c.width + 80])) / f64::from(UNITS);
         // erf(3 / (sqrt 2 sigma)) x 100 for sigma 2.1 (narrow, with the halving) and 11.8 (wide).
         let share = |sigma: f64| 100.0 * libm::erf(3.0 / (core::f64::consts::SQRT_2 * sigma));
         let expected = share(2.1) - share(11.8);
-        assert!((f64::from(got) - expected).abs() < 6.0, "{got} against {expected}");
+        assert!((got - expected).abs() < 6.0, "{got} against {expected}");
+    }
+
+    #[test]
+    fn the_brightest_picture_does_not_overflow() {
+        let c = contrast_of(64, 64, |_, _| 255);
+        assert!(c.contrast.iter().all(|value| value.abs() < 16), "{:?}", c.contrast);
+        assert!(c.narrow.iter().all(|value| *value == 4080));
     }
 
     #[test]
     fn a_picture_too_small_to_hold_a_line_gives_an_empty_map() {
-        assert!(LineContrast::of(&picture(1, 1, |_, _| 9), &[], None).contrast.is_empty());
-        assert!(!LineContrast::of(&picture(8, 9, |_, _| 9), &[], None).contrast.is_empty());
+        assert!(contrast_of(1, 1, |_, _| 9).contrast.is_empty());
+        assert!(!contrast_of(8, 9, |_, _| 9).contrast.is_empty());
     }
 }

@@ -5,10 +5,11 @@
 
 use glam::DVec2;
 
-use super::cells::{Cells, LinesSeen, full_contrast, line_strengths, range_weights};
-use super::contrast::LineContrast;
-use super::ground_map::GroundMap;
-use super::{Reading, VisionSettings, WorkingScale};
+use super::cells::{ByRange, Cells};
+use super::contrast::{LineContrast, UNITS};
+use super::ground_map::{BLOCK, BLOCKS, GroundMap};
+use super::vectorised::vectorised;
+use super::{Reading, VisionSettings, WorkingScale, distance};
 
 /// Cells along each side of the table.
 pub const SIDE: usize = 400;
@@ -18,18 +19,20 @@ pub const NEUTRAL: u8 = 64;
 
 /// One number per cell, packed so that one 32-bit load holds the four neighbours that bilinear
 /// interpolation needs.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct GroundTable {
     /// SIDE x SIDE cells, each with (this, next x, next y, next x and y) from the low byte up.
     quads: Vec<u32>,
     /// How far a cell counts as seen, 0 to 255, same layout without packing.
     seen: Vec<u8>,
+    /// Columns (from, to) of each row of blocks outside of which every cell reads neutral.
+    spans: Vec<[u16; 2]>,
     cell_m: f64,
     readings: Readings,
 }
 
 /// How the packed levels are to be read back.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Readings {
     /// Value of one level.
     pub scale: f64,
@@ -37,37 +40,81 @@ pub struct Readings {
     pub zero: u8,
 }
 
-/// Fills the table that the observation model wants, and the one of line contrast if that is another; with the gray
-/// levels of a full line.
-pub fn tables(
-    image: &LineContrast,
-    map: &GroundMap,
-    to_working: WorkingScale,
-    pixels_per_radian: f64,
-    settings: &VisionSettings,
-) -> (GroundTable, Option<GroundTable>, f32) {
-    let mut cells = Cells::read(image, map, to_working);
-    let strengths = line_strengths(map, pixels_per_radian * to_working.factor);
-    let weights = range_weights(map, settings.tilt_sigma_rad);
-    let weights: Vec<f32> = weights.iter().zip(&strengths).map(|(weight, strength)| weight * strength).collect();
-    cells.hide_blobs(map.cell_m());
-    let full_contrast = full_contrast(&cells, &strengths);
-    let lines_seen = LinesSeen { cells: &cells, strengths: &strengths, full_contrast };
-    let seen: Vec<u8> =
-        cells.seen.iter().zip(&weights).map(|(seen, weight)| if *seen { (weight * 255.0) as u8 } else { 0 }).collect();
-    let table = |reading: Reading| {
-        let (levels, readings) = match reading {
-            Reading::Contrast => (lines_seen.levels(&weights, |cell| lines_seen.share(cell)), SHARES),
-            Reading::Nearest => (lines_seen.nearest_levels(&weights, map.cell_m(), settings.nearest_reach_m), SHARES),
-            Reading::Gray => (cells.gray_levels(), PLAIN),
-            Reading::NearestPixel => {
-                (cells.nearest_pixel_levels(image, map, to_working, lines_seen.full_contrast), PLAIN)
+/// All that tables are made from; kept from frame to frame for its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct Making {
+    map: GroundMap,
+    cells: Cells,
+    plain: Cells,
+    by_range: ByRange,
+    levels: Vec<u8>,
+}
+
+/// What does not change from frame to frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Scale {
+    pub to_working: WorkingScale,
+    /// Of the full-size image.
+    pub pixels_per_radian: f64,
+    pub line_width_m: f64,
+}
+
+impl Making {
+    pub fn map(&mut self) -> &mut GroundMap {
+        &mut self.map
+    }
+
+    /// Fills the table that the observation model wants, and `lines` with line contrast if that is another. Returns
+    /// the gray levels by which a line of the best width stands out.
+    pub fn tables(
+        &mut self,
+        image: &LineContrast,
+        scale: Scale,
+        settings: &VisionSettings,
+        table: &mut GroundTable,
+        lines: &mut Option<GroundTable>,
+    ) -> f32 {
+        let Self { map, cells, plain, by_range, levels } = self;
+        let Scale { to_working, pixels_per_radian, line_width_m } = scale;
+        cells.read(&image.contrast, image.width, image.height, map, to_working);
+        cells.hide_blobs(map.cell_m());
+        by_range.fill(map, line_width_m, pixels_per_radian * to_working.factor, settings.tilt_sigma_rad);
+        let full = cells.full_contrast(map, by_range);
+        cells.levels(full, map, by_range, levels, (&mut table.seen, &mut table.spans));
+        if settings.reading == Reading::Contrast {
+            *lines = None;
+            table.pack(levels, map.cell_m(), SHARES);
+            return full;
+        }
+        let lines = lines.get_or_insert_default();
+        lines.seen.clone_from(&table.seen);
+        lines.spans.clone_from(&table.spans);
+        lines.pack(levels, map.cell_m(), SHARES);
+        match settings.reading {
+            Reading::Contrast => {}
+            Reading::Nearest => {
+                table.pack(&cells.nearest_levels(full, map, by_range, settings.nearest_reach_m), map.cell_m(), SHARES);
             }
-        };
-        GroundTable { quads: packed(&levels, readings.zero), seen: seen.clone(), cell_m: map.cell_m(), readings }
-    };
-    let lines = (settings.reading != Reading::Contrast).then(|| table(Reading::Contrast));
-    (table(settings.reading), lines, full_contrast)
+            Reading::Gray | Reading::NearestPixel => {
+                let source = match settings.reading {
+                    Reading::Gray => image.narrow.iter().map(|value| *value as i16).collect::<Vec<i16>>(),
+                    _ => nearest_pixel(image, full),
+                };
+                plain.read(&source, image.width, image.height, map, to_working);
+                table.pack(&plain.plain_levels(cells), map.cell_m(), PLAIN);
+            }
+        }
+        full
+    }
+}
+
+/// Distances in pixels of the working image to the nearest white one, as printed: measured in the image. In units.
+fn nearest_pixel(image: &LineContrast, full: f32) -> Vec<i16> {
+    const REACH: usize = 127;
+    let half = 0.5 * full * UNITS;
+    let white: Vec<bool> = image.contrast.iter().map(|value| f32::from(*value) >= half).collect();
+    let nearest = distance::nearest(&white, image.width, image.height, REACH);
+    nearest.iter().map(|pixels| (2.0 * UNITS * pixels).min(255.0 * UNITS) as i16).collect()
 }
 
 /// A full line is +1; plain carpet, where a line should be, -1/3.
@@ -78,7 +125,14 @@ impl GroundTable {
     /// A table from SIDE x SIDE levels, `NEUTRAL` meaning nothing known; everything counts as seen.
     #[cfg(test)]
     pub(crate) fn from_levels(levels: &[u8], cell_m: f64) -> Self {
-        Self { quads: packed(levels, NEUTRAL), seen: vec![255; SIDE * SIDE], cell_m, readings: SHARES }
+        let mut table = Self { seen: vec![255; SIDE * SIDE], spans: vec![[0, SIDE as u16]; BLOCKS], ..Self::default() };
+        table.pack(levels, cell_m, SHARES);
+        table
+    }
+
+    fn pack(&mut self, levels: &[u8], cell_m: f64, readings: Readings) {
+        pack(levels, readings.zero, &mut self.quads);
+        (self.cell_m, self.readings) = (cell_m, readings);
     }
 
     pub fn quads(&self) -> &[u32] {
@@ -98,6 +152,18 @@ impl GroundTable {
         (1.0 / self.cell_m, SIDE as f64 / 2.0 - 0.5)
     }
 
+    /// Whether any cell within `reach_m` of a place of the ground may read other than neutral.
+    pub fn may_tell(&self, ground: DVec2, reach_m: f64) -> bool {
+        let (scale, offset) = self.to_cells();
+        // Interpolation reaches one cell further.
+        let (u, v, reach) = (ground.x * scale + offset, ground.y * scale + offset, reach_m * scale + 2.0);
+        let block = |cell: f64| (cell / BLOCK as f64).clamp(0.0, BLOCKS as f64) as usize;
+        let rows = block(v - reach)..block(v + reach + BLOCK as f64);
+        self.spans[rows]
+            .iter()
+            .any(|[from, to]| from < to && u + reach >= f64::from(*from) && u - reach <= f64::from(*to))
+    }
+
     /// How far the place counts as seen: 0 (not at all) to 1.
     pub fn seen(&self, ground: DVec2) -> f64 {
         let (scale, offset) = self.to_cells();
@@ -113,17 +179,26 @@ impl GroundTable {
 }
 
 /// Neighbours into one word. The rim, and with it everything outside, reads as `zero`.
-fn packed(levels: &[u8], zero: u8) -> Vec<u32> {
-    let level = |row: usize, column: usize| {
-        let rim = row == 0 || column == 0 || row >= SIDE - 1 || column >= SIDE - 1;
-        if rim { zero } else { levels[row * SIDE + column] }
+fn pack(levels: &[u8], zero: u8, quads: &mut Vec<u32>) {
+    quads.resize(SIDE * SIDE, 0);
+    let (mut this, mut next) = ([zero; SIDE + 1], [zero; SIDE + 1]);
+    let inner = |row: usize, line: &mut [u8; SIDE + 1]| {
+        if row == 0 || row >= SIDE - 1 {
+            line.fill(zero);
+        } else {
+            line[1..SIDE - 1].copy_from_slice(&levels[row * SIDE + 1..][..SIDE - 2]);
+        }
     };
-    let mut quads = Vec::with_capacity(SIDE * SIDE);
-    let mut this: Vec<u8> = (0..=SIDE).map(|column| level(0, column)).collect();
-    for row in 0..SIDE {
-        let next: Vec<u8> = (0..=SIDE).map(|column| level(row + 1, column)).collect();
-        quads.extend(this.windows(2).zip(next.windows(2)).map(|(a, b)| u32::from_le_bytes([a[0], a[1], b[0], b[1]])));
-        this = next;
-    }
-    quads
+    vectorised(|| {
+        for (row, quads) in quads.chunks_exact_mut(SIDE).enumerate() {
+            inner(row + 1, &mut next);
+            for (column, quad) in quads.iter_mut().enumerate() {
+                *quad = u32::from(this[column])
+                    | u32::from(this[column + 1]) << 8
+                    | u32::from(next[column]) << 16
+                    | u32::from(next[column + 1]) << 24;
+            }
+            core::mem::swap(&mut this, &mut next);
+        }
+    });
 }

@@ -4,76 +4,71 @@ use glam::{DVec2, DVec3};
 
 use super::border::CarpetBorder;
 use super::ground::SIDE;
-use super::mask::BodyMask;
-use crate::geometry::{Isometry, Lens};
+use crate::geometry::{Isometry, Projector};
 
 /// The lens is asked at every fourth cell and interpolated between.
-const NODE_STEP: usize = 4;
-const NODES: usize = SIDE / NODE_STEP + 1;
+pub(super) const BLOCK: usize = 4;
+/// Blocks along each side.
+pub(super) const BLOCKS: usize = SIDE / BLOCK;
+const NODES: usize = BLOCKS + 1;
 
-/// Which pixel shows each cell: full-size image coordinates, NaN where the camera does not see.
-#[derive(Clone, Debug)]
+/// Full-size image coordinates at the nodes of a grid over the table, NaN where the camera does not see.
+#[derive(Clone, Debug, Default)]
 pub struct GroundMap {
-    pub(super) pixels: Vec<[f32; 2]>,
+    nodes: Vec<[f32; 2]>,
+    /// Columns of each row that lie on the carpet: from, to (exclusive).
+    pub(super) columns: Vec<[usize; 2]>,
     pub(super) range_m: f64,
     pub(super) foot: DVec2,
     pub(super) height_m: f64,
 }
 
 impl GroundMap {
-    pub fn new(lens: &Lens, footprint_from_optical: &Isometry, range_m: f64) -> Self {
+    pub fn fill(
+        &mut self,
+        projector: &Projector,
+        footprint_from_optical: &Isometry,
+        range_m: f64,
+        border: Option<&CarpetBorder>,
+    ) {
+        self.range_m = range_m;
+        self.foot = footprint_from_optical.translation.truncate();
+        self.height_m = footprint_from_optical.translation.z;
+        self.columns.clear();
+        for row in 0..SIDE {
+            let inside = match border {
+                Some(border) => border.row(self.place(row)).unwrap_or((f64::INFINITY, f64::NEG_INFINITY)),
+                None => (f64::NEG_INFINITY, f64::INFINITY),
+            };
+            let column = |x: f64| libm::ceil((x + range_m) / self.cell_m() - 0.5).clamp(0.0, SIDE as f64) as usize;
+            let (from, to) = (column(inside.0), column(inside.1));
+            self.columns.push([from, to.max(from)]);
+        }
         let optical_from_footprint = footprint_from_optical.inverse();
-        let cell = 2.0 * range_m / SIDE as f64;
-        let pixel_of = |x: f64, y: f64| -> Option<[f32; 2]> {
-            let ray = optical_from_footprint.transform_point(DVec3::new(x, y, 0.0));
-            let pixel = lens.project(ray)?;
-            lens.contains(pixel).then_some([pixel.x as f32, pixel.y as f32])
-        };
-        let place = |index: usize| (index as f64 + 0.5) * cell - range_m;
-        let looks_down = footprint_from_optical.translation.z > 0.0;
-        let nodes: Vec<Option<[f32; 2]>> = (0..NODES * NODES)
-            .map(|node| {
-                let (row, column) = (node / NODES, node % NODES);
-                if looks_down { pixel_of(place(column * NODE_STEP), place(row * NODE_STEP)) } else { None }
-            })
-            .collect();
-        let mut pixels = vec![[f32::NAN; 2]; SIDE * SIDE];
-        for block_row in 0..NODES - 1 {
-            for block_column in 0..NODES - 1 {
-                let node = block_row * NODES + block_column;
-                let corners = [nodes[node], nodes[node + 1], nodes[node + NODES], nodes[node + NODES + 1]];
-                let first = block_row * NODE_STEP * SIDE + block_column * NODE_STEP;
-                match corners {
-                    [None, None, None, None] => {}
-                    [Some(a), Some(b), Some(c), Some(d)] => {
-                        for dv in 0..NODE_STEP {
-                            let fv = dv as f32 / NODE_STEP as f32;
-                            for du in 0..NODE_STEP {
-                                let fu = du as f32 / NODE_STEP as f32;
-                                pixels[first + dv * SIDE + du] = [0, 1].map(|i| {
-                                    let upper = a[i] + (b[i] - a[i]) * fu;
-                                    let lower = c[i] + (d[i] - c[i]) * fu;
-                                    upper + (lower - upper) * fv
-                                });
-                            }
-                        }
-                    }
-                    // The image's edge runs through this block.
-                    _ => {
-                        for dv in 0..NODE_STEP {
-                            for du in 0..NODE_STEP {
-                                let (x, y) = (block_column * NODE_STEP + du, block_row * NODE_STEP + dv);
-                                if let Some(pixel) = pixel_of(place(x), place(y)) {
-                                    pixels[first + dv * SIDE + du] = pixel;
-                                }
-                            }
-                        }
-                    }
+        let axis = |x: f64, y: f64| optical_from_footprint.transform_vector(DVec3::new(x, y, 0.0));
+        let cell = self.cell_m();
+        let first = optical_from_footprint.transform_point(DVec3::new(self.place(0), self.place(0), 0.0));
+        let (along, up) = (axis(cell * BLOCK as f64, 0.0), axis(0.0, cell * BLOCK as f64));
+        self.nodes.clear();
+        self.nodes.resize(NODES * NODES, [f32::NAN; 2]);
+        if footprint_from_optical.translation.z <= 0.0 {
+            return;
+        }
+        for node_row in 0..NODES {
+            // Those that a block on the carpet has as a corner.
+            let rows = (node_row * BLOCK).saturating_sub(BLOCK)..((node_row + 1) * BLOCK).min(SIDE);
+            let from = self.columns[rows.clone()].iter().map(|c| c[0]).min().unwrap_or(0);
+            let to = self.columns[rows].iter().map(|c| c[1]).max().unwrap_or(0);
+            if from >= to {
+                continue;
+            }
+            for column in from / BLOCK..=to.div_ceil(BLOCK).min(NODES - 1) {
+                let ray = first + up * node_row as f64 + along * column as f64;
+                if let Some(pixel) = projector.project_inside(ray) {
+                    self.nodes[node_row * NODES + column] = [pixel.x as f32, pixel.y as f32];
                 }
             }
         }
-        let foot = footprint_from_optical.translation.truncate();
-        Self { pixels, range_m, foot, height_m: footprint_from_optical.translation.z }
     }
 
     pub(super) fn cell_m(&self) -> f64 {
@@ -85,26 +80,20 @@ impl GroundMap {
         (index as f64 + 0.5) * self.cell_m() - self.range_m
     }
 
-    /// Sets what lies beyond the carpet or behind the robot's body to unseen.
-    pub fn hide(&mut self, border: Option<&CarpetBorder>, body: Option<&BodyMask>) {
-        const UNSEEN: [f32; 2] = [f32::NAN; 2];
-        let places: Vec<f64> = (0..SIDE).map(|index| self.place(index)).collect();
-        for (row, pixels) in self.pixels.chunks_exact_mut(SIDE).enumerate() {
-            if let Some(border) = border {
-                let (low, high) = border.row(places[row]).unwrap_or((f64::INFINITY, f64::NEG_INFINITY));
-                for (pixel, x) in pixels.iter_mut().zip(&places) {
-                    if !(low..=high).contains(x) {
-                        *pixel = UNSEEN;
-                    }
-                }
-            }
-            if let Some(body) = body {
-                for pixel in pixels.iter_mut() {
-                    if body.hides(DVec2::new(f64::from(pixel[0]), f64::from(pixel[1]))) {
-                        *pixel = UNSEEN;
-                    }
-                }
-            }
-        }
+    /// Squared distance on the ground between a block's middle and the point below the camera.
+    pub(super) fn square_range(&self, block_row: usize, block_column: usize) -> f64 {
+        let middle =
+            |block: usize| (block * BLOCK) as f64 * self.cell_m() + 0.5 * BLOCK as f64 * self.cell_m() - self.range_m;
+        DVec2::new(middle(block_column), middle(block_row)).distance_squared(self.foot)
+    }
+
+    /// Pixels at a block's corners: first row, then second; `None` unless the camera sees all four.
+    #[inline(always)]
+    pub(super) fn corners(&self, block_row: usize, block_column: usize) -> Option<[[f32; 2]; 4]> {
+        let node = block_row * NODES + block_column;
+        let corners = [self.nodes[node], self.nodes[node + 1], self.nodes[node + NODES], self.nodes[node + NODES + 1]];
+        let sum = (corners[0][0] + corners[1][0]) + (corners[2][0] + corners[3][0]);
+        // One NaN makes the sum one.
+        (!sum.is_nan()).then_some(corners)
     }
 }

@@ -1,45 +1,26 @@
 //! What refinement measures lines in: the picture's luma at working resolution, and where it shows no floor.
 
-use glam::DVec2;
-
 use super::WorkingScale;
 use super::carpet::Surface;
-use super::contrast::LineContrast;
-use super::mask::BodyMask;
 use super::picture::Picture;
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LineImage {
     width: usize,
     height: usize,
     luma: Vec<u8>,
-    /// Half-resolution pixels that show a robot, a person, the own body, or nothing.
-    hidden: Vec<bool>,
+    /// Of half-resolution pixels.
+    pub(super) surfaces: Vec<Surface>,
     scale: WorkingScale,
     /// Gray levels by which a line of the best width stands out of the carpet; infinite if none does.
     full_contrast: f32,
 }
 
 impl LineImage {
-    pub(super) fn new(
-        working: &Picture,
-        contrast: &LineContrast,
-        scale: WorkingScale,
-        body: Option<&BodyMask>,
-        full_contrast: f32,
-    ) -> Self {
-        let (half_width, half_height) = (working.width / 2, working.height / 2);
-        let mut hidden: Vec<bool> = contrast.surfaces.iter().map(|surface| *surface == Surface::Other).collect();
-        hidden.resize(half_width * half_height, true);
-        if let Some(body) = body {
-            for (index, hidden) in hidden.iter_mut().enumerate() {
-                let (u, v) = (index % half_width, index / half_width);
-                let pixel = DVec2::new(2.0 * u as f64 + 0.5, 2.0 * v as f64 + 0.5);
-                *hidden |= body.hides(scale.undo(pixel));
-            }
-        }
-        let luma = working.luma.clone();
-        Self { width: working.width, height: working.height, luma, hidden, scale, full_contrast }
+    pub(super) fn fill(&mut self, working: &Picture, scale: WorkingScale, full_contrast: f32) {
+        (self.width, self.height) = (working.width, working.height);
+        self.luma.clone_from(&working.luma);
+        (self.scale, self.full_contrast) = (scale, full_contrast);
     }
 
     pub fn full_contrast(&self) -> f32 {
@@ -67,13 +48,13 @@ impl LineImage {
         Some(a + (b - a) * fv)
     }
 
-    /// Whether something stands between camera and floor there, or nothing is shown at all.
+    /// Whether something stands between camera and floor there (a robot, a person, the own body), or the place lies outside.
     pub fn hides(&self, u: f32, v: f32) -> bool {
         if !(u >= 0.0 && v >= 0.0) {
             return true;
         }
         let (column, row) = (u as usize / 2, v as usize / 2);
         let width = self.width / 2;
-        column >= width || self.hidden.get(row * width + column).copied().unwrap_or(true)
+        column >= width || self.surfaces.get(row * width + column).is_none_or(|surface| *surface == Surface::Other)
     }
 }

@@ -13,11 +13,14 @@ pub mod ground_map;
 pub mod line_image;
 pub mod mask;
 pub mod picture;
+mod reading;
+mod vectorised;
 
 use glam::{DVec2, DVec3};
 
-use crate::geometry::{Isometry, Lens};
+use crate::geometry::{Isometry, Lens, Projector};
 pub use border::CarpetBorder;
+use carpet::Carpet;
 pub use contrast::LineContrast;
 pub use ground::{GroundTable, Readings};
 pub use ground_map::GroundMap;
@@ -41,8 +44,8 @@ pub enum Reading {
 /// At a distance of seven heights a line of 5 cm is a third of a pixel wide for 200 pixels a radian.
 const RANGE_OF_HEIGHT: f64 = 7.3;
 
-/// What one frame shows.
-#[derive(Clone, Debug)]
+/// What one frame shows. Its buffers, and those that it was made with, can be used again for another frame.
+#[derive(Clone, Debug, Default)]
 pub struct Seen {
     /// What the observation model asked for.
     pub table: GroundTable,
@@ -50,6 +53,10 @@ pub struct Seen {
     pub lines: Option<GroundTable>,
     /// What refinement measures in.
     pub image: LineImage,
+    contrast: LineContrast,
+    making: ground::Making,
+    floor: Vec<Option<DVec2>>,
+    on_carpet: Vec<bool>,
 }
 
 impl Seen {
@@ -61,16 +68,19 @@ impl Seen {
 /// Everything about seeing that does not change from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Vision {
-    lens: Lens,
+    projector: Projector,
     settings: VisionSettings,
     reduction: usize,
     /// Rays through the coarse cells of the wide blur, row by row; `None` where the lens draws nothing.
     coarse_rays: Vec<Option<DVec3>>,
+    border_rays: border::Rays,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisionSettings {
     pub reading: Reading,
+    /// Of the field's painted lines.
+    pub line_width_m: f64,
     /// Half the side of the ground table; 0: by the camera's height.
     pub range_m: f64,
     /// Expected error of the camera's roll and pitch: places that it moves far count less.
@@ -87,18 +97,21 @@ pub fn automatic_reduction(lens: &Lens) -> usize {
     (libm::round(lens.focal() / 210.0) as usize).clamp(1, 8)
 }
 
+/// Samples whose colour is learnt from lie within this range of the robot.
+const LEARN_WITHIN_M: f64 = 2.5;
+
 impl Vision {
-    pub fn new(lens: Lens, settings: VisionSettings) -> Self {
-        let reduction = if settings.reduction == 0 { automatic_reduction(&lens) } else { settings.reduction };
+    pub fn new(lens: &Lens, settings: VisionSettings) -> Self {
+        let reduction = if settings.reduction == 0 { automatic_reduction(lens) } else { settings.reduction };
         let (width, height) = (lens.width() as usize / reduction, lens.height() as usize / reduction);
         let scale = WorkingScale::new(reduction);
         let coarse_rays =
             contrast::coarse_centres(width, height).map(|centre| lens.unproject(scale.undo(centre))).collect();
-        Self { lens, settings, reduction, coarse_rays }
+        Self { projector: Projector::new(lens), settings, reduction, coarse_rays, border_rays: border::Rays::default() }
     }
 
     pub fn lens(&self) -> &Lens {
-        &self.lens
+        self.projector.lens()
     }
 
     pub fn settings(&self) -> &VisionSettings {
@@ -108,16 +121,50 @@ impl Vision {
     /// What one frame shows of the ground, `footprint_from_optical` being the camera's place above the robot's
     /// footprint; `body` hides the robot itself. A camera that sees no ground gives tables without information.
     pub fn look(&self, picture: &Picture, footprint_from_optical: &Isometry, body: Option<&BodyMask>) -> Seen {
-        let working = picture.reduced(self.reduction);
+        let mut seen = Seen::default();
+        self.look_again(picture, footprint_from_optical, body, &mut seen);
+        seen
+    }
+
+    /// As [`Self::look`], into the buffers of a frame that is done with.
+    pub fn look_again(
+        &self,
+        picture: &Picture,
+        footprint_from_optical: &Isometry,
+        body: Option<&BodyMask>,
+        seen: &mut Seen,
+    ) {
+        let working = &*picture.reduced(self.reduction);
         let scale = WorkingScale::new(self.reduction);
-        let (border, carpet) = CarpetBorder::find(&working, &self.lens, footprint_from_optical, scale, body).unzip();
-        let on_carpet = self.coarse_on_carpet(border.as_ref(), footprint_from_optical);
-        let contrast = LineContrast::of(&working, &on_carpet, carpet.as_ref());
-        let mut map = GroundMap::new(&self.lens, footprint_from_optical, self.range_m(footprint_from_optical));
-        map.hide(border.as_ref(), body);
-        let (table, lines, full_contrast) = ground::tables(&contrast, &map, scale, self.lens.focal(), &self.settings);
-        let image = LineImage::new(&working, &contrast, scale, body, full_contrast);
-        Seen { table, lines, image }
+        let Seen { table, lines, image, contrast, making, floor, on_carpet } = seen;
+        contrast.start(working);
+        self.find_floor(footprint_from_optical, floor);
+        let carpet = self.learn_carpet(working, contrast, floor);
+        let surfaces = &mut image.surfaces;
+        match &carpet {
+            Some(carpet) => carpet.surfaces(&contrast.half, working, surfaces),
+            None => carpet::lit_surfaces(&contrast.half, surfaces),
+        }
+        if let Some(body) = body {
+            hide_body(body, surfaces, contrast.width, scale);
+        }
+        let border = carpet.as_ref().and_then(|_| {
+            let rays = &self.border_rays;
+            CarpetBorder::find(rays, surfaces, contrast.width, &self.projector, footprint_from_optical, scale)
+        });
+        on_carpet.clear();
+        let inside = |at: &Option<DVec2>| at.is_some_and(|at| border.as_ref().is_none_or(|border| border.holds(at)));
+        on_carpet.extend(floor.iter().map(inside));
+        contrast.finish(surfaces, on_carpet);
+        let range_m = self.range_m(footprint_from_optical);
+        making.map().fill(&self.projector, footprint_from_optical, range_m, border.as_ref());
+        let scales = ground::Scale {
+            to_working: scale,
+            pixels_per_radian: self.lens().focal(),
+            line_width_m: self.settings.line_width_m,
+        };
+        let full_contrast = making.tables(contrast, scales, &self.settings, table, lines);
+        image.fill(working, scale, full_contrast);
     }
 
     fn range_m(&self, footprint_from_optical: &Isometry) -> f64 {
@@ -127,19 +174,47 @@ impl Vision {
         }
     }
 
-    fn coarse_on_carpet(&self, border: Option<&CarpetBorder>, footprint_from_optical: &Isometry) -> Vec<bool> {
+    /// Where the ray of each coarse cell meets the floor.
+    fn find_floor(&self, footprint_from_optical: &Isometry, floor: &mut Vec<Option<DVec2>>) {
         let camera = footprint_from_optical.translation;
-        let on_carpet = |ray: DVec3| {
-            let ray = footprint_from_optical.transform_vector(ray);
+        let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| footprint_from_optical.transform_vector(axis));
+        floor.clear();
+        floor.extend(self.coarse_rays.iter().map(|ray| {
+            let ray = (*ray)?;
+            let ray = x * ray.x + y * ray.y + z * ray.z;
             let reach = -camera.z / ray.z;
-            reach > 0.0 && border.is_none_or(|border| border.holds((camera + ray * reach).truncate()))
-        };
-        self.coarse_rays.iter().map(|ray| ray.is_some_and(on_carpet)).collect()
+            (reach > 0.0 && reach.is_finite()).then(|| (camera + ray * reach).truncate())
+        }));
+    }
+
+    fn learn_carpet(&self, working: &Picture, contrast: &LineContrast, floor: &[Option<DVec2>]) -> Option<Carpet> {
+        if working.chroma.is_empty() || contrast.width == 0 {
+            return None;
+        }
+        let centres = contrast::coarse_centres(working.width, working.height);
+        let stride = working.width.div_ceil(2);
+        Carpet::learn(centres.zip(floor).filter_map(|(centre, floor)| {
+            (*floor)?;
+            floor.filter(|at| at.length_squared() < LEARN_WITHIN_M * LEARN_WITHIN_M)?;
+            let (u, v) = (centre.x as usize / 2, centre.y as usize / 2);
+            let chroma = [&working.chroma.blue, &working.chroma.red].map(|c| f32::from(c[v * stride + u]) - 128.0);
+            Some(carpet::Sample::new(f32::from(contrast.half[v * contrast.width + u]) * 0.25, chroma))
+        }))
+    }
+}
+
+/// The robot's own body stands before the floor.
+fn hide_body(body: &BodyMask, surfaces: &mut [carpet::Surface], half_width: usize, scale: WorkingScale) {
+    for (index, surface) in surfaces.iter_mut().enumerate() {
+        let (u, v) = (index % half_width, index / half_width);
+        if body.hides(scale.undo(DVec2::new(2.0 * u as f64 + 0.5, 2.0 * v as f64 + 0.5))) {
+            *surface = carpet::Surface::Other;
+        }
     }
 }
 
 /// From full-size pixels to pixels of the reduced picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WorkingScale {
     factor: f64,
     offset: f64,

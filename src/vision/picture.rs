@@ -1,50 +1,77 @@
-//! A decoded picture: luma, and chroma where there is colour.
+//! A decoded picture: luma, and chroma at half the resolution where there is colour.
 
-/// Row by row from the top left; chroma is empty for a gray picture, else one (Cb, Cr) per pixel, 128 is neutral.
+/// Row by row from the top left.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
     pub width: usize,
     pub height: usize,
     pub luma: Vec<u8>,
-    pub chroma: Vec<[u8; 2]>,
+    /// Empty for a gray picture.
+    pub chroma: Chroma,
+}
+
+/// Cb and Cr, 128 is neutral: one for each 2 x 2 pixels, as JPEG and cameras have them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Chroma {
+    pub blue: Vec<u8>,
+    pub red: Vec<u8>,
+}
+
+impl Chroma {
+    pub fn is_empty(&self) -> bool {
+        self.blue.is_empty()
+    }
 }
 
 impl Picture {
     /// `None` if the number of bytes does not fit the size.
     pub fn from_gray(width: usize, height: usize, luma: Vec<u8>) -> Option<Self> {
-        (luma.len() == width.checked_mul(height)? && !luma.is_empty()).then(|| Self {
-            width,
-            height,
-            luma,
-            chroma: Vec::new(),
-        })
+        let fits = luma.len() == width.checked_mul(height)? && !luma.is_empty();
+        fits.then(|| Self { width, height, luma, chroma: Chroma::default() })
     }
 
     /// From interleaved Y, Cb, Cr as a JPEG holds them.
     pub fn from_ycbcr(width: usize, height: usize, pixels: &[u8]) -> Option<Self> {
-        if pixels.is_empty() || pixels.len() != width.checked_mul(height)?.checked_mul(3)? {
-            return None;
-        }
-        let (luma, chroma) = pixels.chunks_exact(3).map(|p| (p[0], [p[1], p[2]])).unzip();
-        Some(Self { width, height, luma, chroma })
+        Self::from_triples(width, height, pixels, |p| *p)
     }
 
     /// From interleaved R, G, B (JFIF's conversion, in integers).
     pub fn from_rgb(width: usize, height: usize, pixels: &[u8]) -> Option<Self> {
+        Self::from_triples(width, height, pixels, |p| ycbcr(p[0], p[1], p[2]))
+    }
+
+    fn from_triples(width: usize, height: usize, pixels: &[u8], ycbcr: impl Fn(&[u8; 3]) -> [u8; 3]) -> Option<Self> {
         if pixels.is_empty() || pixels.len() != width.checked_mul(height)?.checked_mul(3)? {
             return None;
         }
-        let (luma, chroma) = pixels.chunks_exact(3).map(|p| ycbcr(p[0], p[1], p[2])).unzip();
+        let (triples, _) = pixels.as_chunks::<3>();
+        let luma = triples.iter().map(|p| ycbcr(p)[0]).collect();
+        let mut chroma = Chroma::default();
+        for pair in triples.chunks(2 * width) {
+            let (upper, lower) = pair.split_at(width);
+            // An odd last row or column is its own neighbour.
+            let lower = if lower.is_empty() { upper } else { lower };
+            for (a, b) in upper.chunks(2).zip(lower.chunks(2)) {
+                let [a0, a1, b0, b1] = [&a[0], &a[a.len() - 1], &b[0], &b[b.len() - 1]].map(&ycbcr);
+                let mean = |c: usize| {
+                    ((u16::from(a0[c]) + u16::from(a1[c]) + u16::from(b0[c]) + u16::from(b1[c]) + 2) / 4) as u8
+                };
+                chroma.blue.push(mean(1));
+                chroma.red.push(mean(2));
+            }
+        }
         Some(Self { width, height, luma, chroma })
     }
 
     /// Interleaved R, G, B (JFIF's conversion).
     pub fn to_rgb(&self) -> Vec<u8> {
         let level = |value: f32| (value + 0.5).clamp(0.0, 255.0) as u8;
-        let neutral = [128u8; 2];
+        let half = self.width.div_ceil(2);
         (self.luma.iter().enumerate())
             .flat_map(|(i, y)| {
-                let [cb, cr] = self.chroma.get(i).unwrap_or(&neutral).map(|c| f32::from(c) - 128.0);
+                let at = i / self.width / 2 * half + i % self.width / 2;
+                let centred = |plane: &[u8]| f32::from(plane.get(at).copied().unwrap_or(128)) - 128.0;
+                let (cb, cr) = (centred(&self.chroma.blue), centred(&self.chroma.red));
                 let y = f32::from(*y);
                 [level(y + 1.402 * cr), level(y - 0.344_136 * cb - 0.714_136 * cr), level(y + 1.772 * cb)]
             })
@@ -57,34 +84,48 @@ impl Picture {
             return std::borrow::Cow::Borrowed(self);
         }
         let (width, height) = (self.width / factor, self.height / factor);
-        let area = (factor * factor) as u32;
-        let block_mean = |value: &dyn Fn(usize) -> u8, u: usize, v: usize| {
-            let mut sum = area / 2;
-            for dv in 0..factor {
-                for du in 0..factor {
-                    sum += u32::from(value((v * factor + dv) * self.width + u * factor + du));
-                }
-            }
-            (sum / area) as u8
-        };
-        let pixels = || (0..height).flat_map(|v| (0..width).map(move |u| (u, v)));
-        let luma = pixels().map(|(u, v)| block_mean(&|i| self.luma[i], u, v)).collect();
+        let luma = reduced(&self.luma, [self.width, self.height], [width, height], factor);
         let chroma = if self.chroma.is_empty() {
-            Vec::new()
+            Chroma::default()
         } else {
-            pixels().map(|(u, v)| [0, 1].map(|channel| block_mean(&|i| self.chroma[i][channel], u, v))).collect()
+            let from = [self.width.div_ceil(2), self.height.div_ceil(2)];
+            let to = [width.div_ceil(2), height.div_ceil(2)];
+            Chroma {
+                blue: reduced(&self.chroma.blue, from, to, factor),
+                red: reduced(&self.chroma.red, from, to, factor),
+            }
         };
         std::borrow::Cow::Owned(Picture { width, height, luma, chroma })
     }
 }
 
-fn ycbcr(r: u8, g: u8, b: u8) -> (u8, [u8; 2]) {
+/// Means of blocks; those that reach over the edge average what there is.
+fn reduced(plane: &[u8], from: [usize; 2], to: [usize; 2], factor: usize) -> Vec<u8> {
+    let mut result = Vec::with_capacity(to[0] * to[1]);
+    for v in 0..to[1] {
+        for u in 0..to[0] {
+            let (mut sum, mut count) = (0u32, 0u32);
+            for row in v * factor..((v + 1) * factor).min(from[1]) {
+                for value in &plane
+                    [row * from[0] + (u * factor).min(from[0] - 1)..row * from[0] + ((u + 1) * factor).min(from[0])]
+                {
+                    sum += u32::from(*value);
+                    count += 1;
+                }
+            }
+            result.push(((sum + count / 2) / count.max(1)) as u8);
+        }
+    }
+    result
+}
+
+fn ycbcr(r: u8, g: u8, b: u8) -> [u8; 3] {
     let (r, g, b) = (i32::from(r), i32::from(g), i32::from(b));
     let half = 1 << 15;
     let y = (19595 * r + 38470 * g + 7471 * b + half) >> 16;
     let cb = (-11059 * r - 21709 * g + 32768 * b + (128 << 16) + half - 1) >> 16;
     let cr = (32768 * r - 27439 * g - 5329 * b + (128 << 16) + half - 1) >> 16;
-    (y as u8, [cb as u8, cr as u8])
+    [y as u8, cb as u8, cr as u8]
 }
 
 #[cfg(test)]
@@ -93,16 +134,25 @@ mod tests {
 
     #[test]
     fn gray_has_neutral_chroma_and_green_has_little_of_both() {
-        let p = Picture::from_rgb(2, 1, &[77, 77, 77, 0, 255, 0]).expect("two pixels");
-        assert_eq!((p.luma[0], p.chroma[0]), (77, [128, 128]));
-        assert_eq!((p.luma[1], p.chroma[1]), (150, [44, 21]));
+        let gray = Picture::from_rgb(1, 1, &[77, 77, 77]).expect("a pixel");
+        assert_eq!((gray.luma, gray.chroma), (vec![77], Chroma { blue: vec![128], red: vec![128] }));
+        let green = Picture::from_rgb(1, 1, &[0, 255, 0]).expect("a pixel");
+        assert_eq!((green.luma, green.chroma), (vec![150], Chroma { blue: vec![44], red: vec![21] }));
     }
 
     #[test]
-    fn rgb_comes_back_within_rounding() {
-        let rgb = [200, 30, 90, 0, 255, 0, 17, 18, 19, 255, 255, 255];
-        let back = Picture::from_rgb(4, 1, &rgb).expect("four pixels").to_rgb();
+    fn rgb_comes_back_within_rounding_where_neighbours_share_a_colour() {
+        let rows = [[[200, 30, 90], [200, 30, 90], [17, 18, 19]]; 3];
+        let rgb: Vec<u8> = rows.iter().flatten().flatten().copied().collect();
+        let back = Picture::from_rgb(3, 3, &rgb).expect("nine pixels").to_rgb();
         assert!(rgb.iter().zip(&back).all(|(a, b)| a.abs_diff(*b) <= 2), "{back:?}");
+    }
+
+    #[test]
+    fn chroma_is_that_of_two_by_two_pixels() {
+        let p = Picture::from_ycbcr(3, 2, &[0, 10, 0, 0, 20, 0, 0, 90, 5, 0, 30, 0, 0, 40, 0, 0, 70, 7])
+            .expect("six pixels");
+        assert_eq!(p.chroma, Chroma { blue: vec![25, 80], red: vec![0, 6] });
     }
 
     #[test]
@@ -118,5 +168,8 @@ mod tests {
         assert_eq!(p.reduced(2).luma, vec![4, 10]);
         assert_eq!(p.reduced(1).luma, p.luma);
         assert_eq!(p.reduced(3).luma, p.luma, "smaller than one block: left as it is");
+        let coloured = Picture::from_rgb(7, 5, &[90; 105]).expect("35 pixels");
+        let small = coloured.reduced(2);
+        assert_eq!((small.width, small.height, small.chroma.blue.len()), (3, 2, 2));
     }
 }

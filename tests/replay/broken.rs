@@ -50,7 +50,9 @@ fn an_image_that_does_not_decode_is_kept_and_its_tag_invalid() {
             (0..walk().frames()).map(|i| if (15..17).contains(&i) { "image_broken" } else { "" }).collect();
         assert_eq!(reasons(&replayed.tags), expected, "{name}");
         assert!(replayed.tags.iter().all(|tag| tag.valid == tag.reason.is_empty()));
-        replayed.run.fails(3, &[IMAGE, "frame 15"]);
+        let run = replayed.run.fails(3, &[IMAGE, "frame 15"]);
+        let told = run.stderr.lines().find(|line| line.contains("frame 15")).unwrap();
+        assert!(told.ends_with("such frames are tagged invalid)"), "{name}: torn in two: {told}");
         // Until then nothing is otherwise.
         assert_same(&replayed.tags[..15], &walk().tags[..15], name);
     }

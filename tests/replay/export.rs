@@ -5,10 +5,10 @@ use std::fs;
 use realitysim::ros2::messages::CompressedImage;
 use serde_json::Value;
 
-use super::support::{IMAGE, IMU, Room, decode_all, walk};
+use super::support::{IMAGE, IMU, Room, decode_all, session_name, walk};
 
 fn session_of(room: &Room, arguments: &str) -> String {
-    format!("captures/{}", room.replay(arguments).session.file_name().unwrap().to_str().unwrap())
+    session_name(&room.replay(arguments))
 }
 
 #[test]

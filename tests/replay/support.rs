@@ -122,8 +122,6 @@ impl Room {
 /// What a finished process left.
 #[derive(Debug)]
 pub struct Run {
-    /// For the messages of failing tests, like the rest.
-    #[allow(dead_code)]
     pub arguments: String,
     pub code: Option<i32>,
     pub stdout: String,
@@ -132,13 +130,17 @@ pub struct Run {
 
 impl Run {
     pub fn succeeds(self) -> Self {
-        assert_eq!(self.code, Some(0), "{self:?}");
+        self.ends_with(0);
         self
+    }
+
+    fn ends_with(&self, code: i32) {
+        assert_eq!(self.code, Some(code), "realitysim {}: {self:?}", self.arguments);
     }
 
     /// Ends with this exit code, and one line on standard error has all of these words.
     pub fn fails(self, code: i32, words: &[&str]) -> Self {
-        assert_eq!(self.code, Some(code), "{self:?}");
+        self.ends_with(code);
         for word in words {
             assert!(self.stderr.contains(word), "{word:?} is missing: {self:?}");
         }
@@ -164,6 +166,11 @@ impl Replayed {
     pub fn count(&self, key: &str) -> usize {
         self.report[key].as_u64().unwrap_or_else(|| panic!("{key}: {}", self.report)) as usize
     }
+}
+
+/// The session's folder as an argument of the next command.
+pub fn session_name(replayed: &Replayed) -> String {
+    format!("{CAPTURES}/{}", replayed.session.file_name().unwrap().to_str().unwrap())
 }
 
 /// Every message of one file, in the reader's order.

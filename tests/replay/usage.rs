@@ -41,13 +41,37 @@ fn an_argument_that_makes_no_sense_is_named() {
         ("--initial 1,2", vec!["--initial", "x,y,yaw_deg"]),
         ("--initial 1,2,north", vec!["--initial", "x,y,yaw_deg"]),
         ("--initial 1,2,nan", vec!["--initial", "x,y,yaw_deg"]),
-        ("--threads many", vec!["--threads", "many"]),
+        ("--initial 9,0,0", vec!["--initial is 9,0", "kid-2009 reaches from -3.70 to 3.70 m in x", "1 m"]),
+        ("--initial 0,-3.8,0", vec!["--initial is 0,-3.8", "from -2.70 to 2.70 m in y"]),
+        ("--field adult-2020 --initial 90,0,0", vec!["--initial is 90,0", "adult-2020 reaches"]),
+        ("--threads many", vec!["--threads", "many", "1 to 64"]),
+        ("--threads 0", vec!["--threads", "0", "1 to 64"]),
+        ("--threads 100000", vec!["--threads", "100000", "1 to 64"]),
         ("--frobnicate", vec!["--frobnicate"]),
     ] {
         room.run(&format!("replay log.mcap -o captures {arguments}")).fails(2, &words);
         assert!(!room.path("captures").exists(), "{arguments}");
     }
     room.run("replay log.mcap").fails(2, &["--output"]);
+}
+
+#[test]
+fn the_start_on_a_scene_is_held_to_the_scene_s_field() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| text);
+    let run = room.run("replay scene.toml -o captures --field adult-2020 --initial 6,0,0");
+    run.fails(2, &["--initial is 6,0", "kid-2009"]);
+}
+
+#[test]
+fn a_message_ends_where_its_words_end() {
+    let room = Room::with_walk();
+    room.write("robot.toml", "[filter]\nparticels = 5\n");
+    let run = room.run("replay log.mcap -o captures --config robot.toml").fails(2, &["particels"]);
+    assert!(!run.stderr.ends_with("\n\n"), "{run:?}");
+    room.write("field.toml", "lenth_m = 9\n");
+    let run = room.run("replay log.mcap -o captures --field ./field.toml").fails(2, &["lenth_m"]);
+    assert!(!run.stderr.ends_with("\n\n"), "{run:?}");
 }
 
 #[test]

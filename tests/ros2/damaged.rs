@@ -6,7 +6,7 @@ use mcap::{Compression, WriteOptions};
 use proptest::prelude::*;
 use realitysim::ros2::messages::CompressedImage;
 use realitysim::ros2::{
-    Durability, LogMessage, LogReader, LogWriter, Message, ReadError, Selection, attachments, survey,
+    Durability, LogMessage, LogReader, LogWriter, Message, ReadError, Selection, attachments, examine, survey,
 };
 
 use super::samples::{START_NS, compressed_image, read_all, small_log};
@@ -76,6 +76,7 @@ fn cut_at_every_byte() {
             assert_eq!(damage.bad_chunks + damage.bad_records + damage.orphan_messages, 0, "{name} cut at {cut}");
             assert!(damage.bytes_skipped < cut as u64);
             most = found.len();
+            assert!(examine(Cursor::new(part)).unwrap().damage.torn, "{name} cut at {cut}");
             let seen = survey(Cursor::new(part)).unwrap();
             assert_eq!(seen.topics.iter().map(|topic| topic.messages).sum::<u64>(), most as u64);
             assert!(attachments(Cursor::new(part)).unwrap().list.len() <= 1);
@@ -103,7 +104,13 @@ fn one_bit_flipped_anywhere() {
                     "{name}: byte {byte} bit {bit} lost messages in silence"
                 );
                 survey(Cursor::new(&flipped)).unwrap();
-                for attachment in attachments(Cursor::new(&flipped)).unwrap().list {
+                let whole_by_eye = examine(Cursor::new(&flipped)).unwrap().damage.is_none();
+                let attached = attachments(Cursor::new(&flipped)).unwrap().list;
+                assert!(
+                    !whole_by_eye || (found.len() == whole.len() && attached == whole_attachments),
+                    "{name}: byte {byte} bit {bit} is not noticed by an examination"
+                );
+                for attachment in attached {
                     assert!(whole_attachments.contains(&attachment), "{name}: byte {byte}");
                 }
             }
@@ -181,6 +188,7 @@ proptest! {
         let (found, _) = read_all(&log, Selection::All);
         prop_assert!(!is_checked || is_part_of(&found, &whole), "{name}");
         survey(Cursor::new(&log)).unwrap();
+        examine(Cursor::new(&log)).unwrap();
         let found = attachments(Cursor::new(&log)).unwrap();
         prop_assert!(!is_checked || found.list.iter().all(|attachment| attached.contains(attachment)));
     }
@@ -211,6 +219,7 @@ fn random_bytes_behind_a_magic() {
         let (found, _) = read_all(&bytes, Selection::All);
         assert!(found.is_empty());
         survey(Cursor::new(&bytes)).unwrap();
+        examine(Cursor::new(&bytes)).unwrap();
         attachments(Cursor::new(&bytes)).unwrap();
     }
 }

@@ -5,7 +5,9 @@ use std::io::{self, Cursor, Write};
 use std::sync::{Arc, Mutex};
 
 use realitysim::ros2::messages::{CompressedImage, FrameTag};
-use realitysim::ros2::{Durability, LogReader, LogWriter, Message, RawChannel, Selection, attachments, survey};
+use realitysim::ros2::{
+    Durability, LogReader, LogWriter, Message, RawChannel, Selection, attachments, examine, survey,
+};
 
 use super::samples::{START_NS, compressed_image, every_message, read_all};
 
@@ -95,6 +97,7 @@ fn a_survey_tells_what_is_there() {
     assert_eq!(diagnostics.first_log_time_ns, Some(START_NS + 10_000_000));
     assert_eq!(diagnostics.last_log_time_ns, Some(START_NS + 12_000_000));
     assert_eq!(found.topics.iter().filter(|topic| topic.latched).count(), 2);
+    assert_eq!(examine(Cursor::new(&log)).unwrap(), found, "the index tells the truth");
     // Without the summary, everything is found by reading all of it.
     let torn = survey(Cursor::new(&log[..log.len() - 1])).unwrap();
     assert!(torn.damage.torn && !torn.indexed);

@@ -124,6 +124,7 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
         machine: machine::described(configured.filter.simd),
         command: command(),
         warnings: busy.into_iter().collect(),
+        losses: footage.losses().to_vec(),
         wall_s: started.elapsed().as_secs_f64(),
         output: arguments.output.clone(),
     };
@@ -133,35 +134,28 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
         std::fs::write(&picture, report.chart()).with_context(|| picture.display().to_string())?;
         section.write(&report.markdown())?;
     }
+    output::losses(&report.losses);
     report.warnings.iter().for_each(|warning| eprintln!("realitysim: {warning}"));
     if json {
         output::json(&report.as_json())?;
     } else {
         output::lines(&report.for_people())?;
     }
-    for damage in footage.damage() {
-        eprintln!("realitysim: {} is damaged; the rest was used", damage.file.display());
-    }
-    let lost = !footage.damage().is_empty() || footage.bad_messages() > 0;
-    Ok(match (report.advice.fails(), lost) {
-        (true, _) => Outcome::NotReached,
-        (false, true) => Outcome::DataLost,
-        (false, false) => Outcome::Whole,
-    })
+    Ok(if report.advice.fails() { Outcome::NotReached } else { Outcome::of(&report.losses) })
 }
 
 /// The true poses that come with the source, or in the log named; none if there are none.
 fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result<Vec<(i64, Isometry)>> {
     let topic = &settings.topics.ground_truth;
     if let Some(log) = &arguments.truth {
-        return Ok(read_truth(log, topic)?);
+        return Ok(read_truth(log, topic)?.found);
     }
     if arguments.source.extension().is_some_and(|ending| ending == "toml") {
         return Ok(truth::of_scene(&scene::load(&arguments.source.to_string_lossy())?));
     }
     match read_truth(&arguments.source, topic) {
         Err(EvaluationError::NoMessages { .. }) => Ok(Vec::new()),
-        truth => Ok(truth?),
+        truth => Ok(truth?.found),
     }
 }
 

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::config::Model;
 use crate::evaluation::cost::{self, Advice, Knobs, Row, Wish};
+use crate::recording::Loss;
 
 pub struct Report {
     /// Name of the log or scene.
@@ -28,6 +29,8 @@ pub struct Report {
     pub machine: String,
     pub command: String,
     pub warnings: Vec<String>,
+    /// What of the log could not be used.
+    pub losses: Vec<Loss>,
     pub wall_s: f64,
     pub output: PathBuf,
 }
@@ -68,6 +71,7 @@ pub struct Json<'a> {
     recommended: Recommended<'a>,
     machine: &'a str,
     warnings: &'a [String],
+    lost: &'a [Loss],
     wall_s: f64,
     output: &'a PathBuf,
 }
@@ -124,6 +128,7 @@ impl Report {
             recommended: Recommended { row: self.recommended(), why, keeps_budget, reaches_accuracy },
             machine: &self.machine,
             warnings: &self.warnings,
+            lost: &self.losses,
             wall_s: self.wall_s,
             output: &self.output,
         }

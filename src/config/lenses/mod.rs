@@ -139,7 +139,7 @@ fn looks_like_toml(text: &str) -> bool {
 }
 
 fn yaml<T: DeserializeOwned>(text: &str) -> Result<T, LensFileError> {
-    serde_saphyr::from_str(text).map_err(|error| LensFileError::Syntax(error.to_string()))
+    serde_saphyr::from_str(text).map_err(|error| LensFileError::Syntax(error.to_string().trim_end().to_owned()))
 }
 
 /// `path#cam1`; any other `#` belongs to the path.

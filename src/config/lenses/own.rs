@@ -23,7 +23,8 @@ struct File {
 }
 
 pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
-    let file: File = toml::from_str(text).map_err(|error| LensFileError::Syntax(error.to_string()))?;
+    let file: File =
+        toml::from_str(text).map_err(|error| LensFileError::Syntax(error.to_string().trim_end().to_owned()))?;
     let parameters = LensParameters {
         width: file.width,
         height: file.height,

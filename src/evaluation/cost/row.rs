@@ -7,7 +7,7 @@ use super::knobs::Knobs;
 use crate::agent::Attempt;
 use crate::evaluation::Tagged;
 use crate::evaluation::capture::tagged;
-use crate::evaluation::compare::compare;
+use crate::evaluation::compare::{Comparison, compare, mirrored};
 use crate::evaluation::statistics::{Summary, quantile};
 use crate::geometry::Isometry;
 
@@ -38,14 +38,12 @@ impl Row {
         let (mut position, mut yaw) = (Vec::new(), Vec::new());
         let (mut frames, mut valid, mut judged) = (0, 0, 0);
         for run in runs {
-            let tags: Vec<Tagged> = run.iter().map(|attempt| tagged(&attempt.tag)).collect();
-            let comparison = compare(&tags, truth);
+            let comparison = judge(run, truth);
             frames += comparison.frames;
             valid += comparison.valid;
-            let with_truth = comparison.valid - comparison.without_truth;
-            judged += with_truth;
+            judged += comparison.judged;
             // A seed of which nothing could be judged says nothing.
-            if with_truth > 0 {
+            if comparison.judged > 0 {
                 position.push(comparison.position_cm);
                 yaw.push(comparison.yaw_deg);
             }
@@ -71,6 +69,19 @@ impl Row {
         let error_cm = libm::round(100.0 * self.position_cm.mean) / 100.0;
         Point { time_ms: self.p99_ms, error_cm: if counts { error_cm } else { f64::INFINITY } }
     }
+}
+
+/// A filter that had to find its place by itself cannot know in which half of the field it is: the half it chose counts.
+fn judge(run: &[Attempt], truth: &[(i64, Isometry)]) -> Comparison {
+    let tags: Vec<Tagged> = run.iter().map(|attempt| tagged(&attempt.tag)).collect();
+    let comparison = compare(&tags, truth);
+    if run.iter().any(|attempt| attempt.tag.ambiguous) {
+        let other = compare(&mirrored(&tags), truth);
+        if other.position_cm.median < comparison.position_cm.median {
+            return other;
+        }
+    }
+    comparison
 }
 
 /// Sorted: of each frame in which something was seen, the median over the runs.
@@ -140,6 +151,17 @@ mod tests {
         assert_eq!((row.judged, row.valid_share), (6, 0.75));
         assert!((row.p50_ms - 2.5).abs() < 1e-9 && row.p99_ms < 4.0 + 1e-9, "{row:?}");
         assert_eq!(row.point(), Point { time_ms: row.p99_ms, error_cm: 2.0 });
+    }
+
+    #[test]
+    fn who_found_his_place_alone_may_be_in_the_other_half() {
+        let at = Isometry::IDENTITY * Isometry::new(glam::DQuat::IDENTITY, glam::DVec3::new(-1.0, 0.0, 0.0));
+        let mut run = vec![attempt(0, 1.0, 1.0, true)];
+        let truth = [(0, at)];
+        let knobs = Knobs::of(&Settings::default());
+        assert!((Row::of(knobs, std::slice::from_ref(&run), &truth).position_cm.mean - 200.0).abs() < 1e-9);
+        run[0].tag.ambiguous = true;
+        assert!(Row::of(knobs, &[run], &truth).position_cm.mean < 1e-9);
     }
 
     #[test]

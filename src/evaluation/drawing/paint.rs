@@ -24,21 +24,13 @@ pub(super) enum Edge {
 /// Borders of two patches that coincide must count as borders, not as inside each other.
 const ON_BORDER_M: f64 = 1e-9;
 
-/// An end that meets another line reaches to that line's far edge, so that corners are full.
 pub(super) fn patches(field: &Field) -> Vec<Patch> {
-    let (strokes, half_width) = (field.strokes(), field.line_width() / 2.0);
-    let meets = |which: usize, end: DVec2| {
-        strokes.iter().enumerate().any(|(other, stroke)| other != which && stroke.distance(end) < half_width / 2.0)
-    };
-    let patch = |(which, stroke): (usize, &Stroke)| match *stroke {
-        Stroke::Segment { from, to } => {
-            let along = (to - from).normalize_or(DVec2::X);
-            let reach = |end| if meets(which, end) { half_width } else { 0.0 };
-            Patch::Bar { from: from - along * reach(from), to: to + along * reach(to), half_width }
-        }
+    let half_width = field.line_width() / 2.0;
+    let patch = |stroke| match stroke {
+        Stroke::Segment { from, to } => Patch::Bar { from, to, half_width },
         Stroke::Circle { centre, radius } => Patch::Ring { centre, radius, half_width },
     };
-    strokes.iter().enumerate().map(patch).collect()
+    field.painted().into_iter().map(patch).collect()
 }
 
 impl Patch {

@@ -3,6 +3,7 @@
 //! Pixels as in ROS and OpenCV: (0, 0) is the centre of the top left pixel, u to the right, v down.
 
 mod pinhole;
+mod projector;
 mod radial;
 
 use glam::{DVec2, DVec3};
@@ -10,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use pinhole::PlumbBob;
+pub use projector::Projector;
 use radial::Radial;
 
 /// What the files say about a lens: plain data, checked by [`Lens::new`].

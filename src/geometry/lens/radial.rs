@@ -62,6 +62,11 @@ impl Radial {
         self.max_angle
     }
 
+    /// Distance from the axis of a ray at this angle, in focal lengths.
+    pub(super) fn radius(&self, angle: f64) -> f64 {
+        radius(&self.profile, angle)
+    }
+
     pub(super) fn project(&self, ray: DVec3) -> Option<DVec2> {
         let off_axis = libm::hypot(ray.x, ray.y);
         let angle = libm::atan2(off_axis, ray.z);

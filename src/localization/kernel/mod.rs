@@ -34,7 +34,7 @@ pub fn available(wanted: SimdPath) -> SimdPath {
 }
 
 /// Line points in `map`, padded to whole groups of lanes.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Points {
     xs: Vec<f32>,
     ys: Vec<f32>,
@@ -45,6 +45,18 @@ pub struct Points {
 const PADDING_M: f32 = 1e6;
 
 impl Points {
+    /// Whole groups of `other`'s points that lie in the given groups of lanes; nothing is allocated twice.
+    pub fn select(&mut self, other: &Points, groups: impl Iterator<Item = usize>) {
+        self.xs.clear();
+        self.ys.clear();
+        for group in groups {
+            let lanes = group * LANES..(group + 1) * LANES;
+            self.xs.extend_from_slice(&other.xs[lanes.clone()]);
+            self.ys.extend_from_slice(&other.ys[lanes]);
+        }
+        self.count = self.xs.len();
+    }
+
     pub fn new(positions: impl IntoIterator<Item = DVec2>) -> Self {
         let (mut xs, mut ys): (Vec<f32>, Vec<f32>) =
             positions.into_iter().map(|point| (point.x as f32, point.y as f32)).unzip();

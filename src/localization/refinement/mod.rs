@@ -14,7 +14,7 @@ mod triangular;
 
 use nalgebra::{Matrix6, Vector6};
 
-use crate::geometry::{Isometry, Lens};
+use crate::geometry::{Isometry, Projector};
 use crate::vision::LineImage;
 use offsets::{Counts, Sight};
 
@@ -69,20 +69,20 @@ const SCALES: [f64; 2] = [12.0, 4.0];
 pub fn refine(
     points: &LinePoints,
     image: &LineImage,
-    lens: &Lens,
+    projector: &Projector,
     prior: &Prior,
     starts: &[Vector6<f64>],
 ) -> Option<Refined> {
     starts
         .iter()
-        .filter_map(|start| from_start(points, image, lens, prior, start))
+        .filter_map(|start| from_start(points, image, projector, prior, start))
         .min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
 fn from_start(
     points: &LinePoints,
     image: &LineImage,
-    lens: &Lens,
+    projector: &Projector,
     prior: &Prior,
     start: &Vector6<f64>,
 ) -> Option<Refined> {
@@ -93,7 +93,7 @@ fn from_start(
     let mut noise = solve::Noise::USUAL;
     for scale in SCALES {
         let pose = moved_pose(&prior.map_from_optical, &moved);
-        let counts = offsets::measure(points, image, lens, &pose, &covariance, &mut sights);
+        let counts = offsets::measure(points, image, projector, &pose, &covariance, &mut sights);
         let solution = solve::solve(prior, &sights, &moved, scale, noise)?;
         moved = solution.moved;
         // The next round looks as far as this one leaves open, but never trusts it fully.

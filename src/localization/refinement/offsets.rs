@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
 use super::points::{LinePoint, LinePoints};
-use crate::geometry::{Isometry, Lens};
+use crate::geometry::{Isometry, Projector};
 use crate::vision::LineImage;
 
 /// A place of a line, found in the image.
@@ -52,7 +52,7 @@ const SHOWN_CONTRAST: f64 = 0.672;
 pub fn measure(
     points: &LinePoints,
     image: &LineImage,
-    lens: &Lens,
+    projector: &Projector,
     map_from_optical: &Isometry,
     covariance: &Matrix6<f64>,
     sights: &mut Vec<Sight>,
@@ -65,10 +65,12 @@ pub fn measure(
     }
     let optical_from_map = map_from_optical.inverse();
     let camera = map_from_optical.translation;
-    let least_cos = libm::cos(lens.max_angle().min(core::f64::consts::PI));
+    let least_cos = libm::cos(projector.lens().max_angle().min(core::f64::consts::PI));
     let height = camera.z.max(0.05);
     // Beyond this a line is thinner than the thinnest whatever its direction.
-    let farthest = libm::sqrt(lens.focal() * points.line_width_m * image.scale().factor() / THINNEST_PX * height) * 2.0;
+    let farthest =
+        libm::sqrt(projector.lens().focal() * points.line_width_m * image.scale().factor() / THINNEST_PX * height)
+            * 2.0;
     let farthest = farthest.max(farthest * farthest / (4.0 * height)).max(1.0);
     for stroke in &points.strokes {
         let mut last = DVec2::INFINITY;
@@ -82,11 +84,11 @@ pub fn measure(
             if centre.z < least_cos * centre.length() {
                 continue;
             }
-            let Some(pixel) = lens.project(centre) else { continue };
-            if !lens.contains(pixel) || pixel.distance_squared(last) < APART_PX * APART_PX {
+            let Some(pixel) = projector.project(centre) else { continue };
+            if !projector.lens().contains(pixel) || pixel.distance_squared(last) < APART_PX * APART_PX {
                 continue;
             }
-            let Some(expected) = Expected::new(point, points.line_width_m, centre, image, lens, &optical_from_map)
+            let Some(expected) = Expected::new(point, points.line_width_m, centre, image, projector, &optical_from_map)
             else {
                 continue;
             };
@@ -137,13 +139,13 @@ impl Expected {
         line_width_m: f64,
         centre: DVec3,
         image: &LineImage,
-        lens: &Lens,
+        projector: &Projector,
         optical_from_map: &Isometry,
     ) -> Option<Self> {
         let half = optical_from_map.transform_vector((point.normal * (line_width_m / 2.0)).extend(0.0));
         let (left, right) = (centre + half, centre - half);
         let scale = image.scale();
-        let (from, to) = (scale.apply(lens.project(right)?), scale.apply(lens.project(left)?));
+        let (from, to) = (scale.apply(projector.project(right)?), scale.apply(projector.project(left)?));
         let width_px = from.distance(to);
         if width_px < THINNEST_PX {
             return None;

@@ -51,14 +51,22 @@ pub struct Attachments {
 pub fn attachments<R: Read + Seek>(reader: R) -> Result<Attachments, ReadError> {
     let mut source = Source::open(reader)?;
     let mut damage = Damage { torn: !source.ends_with_magic()?, ..Damage::default() };
-    let mut list = Vec::new();
-    let mut total = 0;
     // Damage of the summary hides no attachment: the walk finds them.
     let summary = Summary::read(&mut source, &mut Channels::new(Selection::default()), &mut Damage::default())?;
-    for record in side_records(summary.as_ref(), &mut source, &mut damage)? {
-        if record.opcode != op::ATTACHMENT {
-            continue;
-        }
+    let records = side_records(summary.as_ref(), &mut source, &mut damage)?;
+    let list = sound_attachments(&mut source, &records, &mut damage)?;
+    Ok(Attachments { list, damage })
+}
+
+/// The attachments among these records.
+pub(super) fn sound_attachments<R: Read + Seek>(
+    source: &mut Source<R>,
+    records: &[Record],
+    damage: &mut Damage,
+) -> Result<Vec<Attachment>, ReadError> {
+    let mut list = Vec::new();
+    let mut total = 0;
+    for record in records.iter().filter(|record| record.opcode == op::ATTACHMENT) {
         total += record.length;
         let mut body = Vec::new();
         let parsed = if record.length > MAX_ATTACHMENT_BYTES || total > MAX_ATTACHMENTS_BYTES {
@@ -74,7 +82,7 @@ pub fn attachments<R: Read + Seek>(reader: R) -> Result<Attachments, ReadError> 
             Err(error) => damage.bad_record(record.offset, record.bytes(), &error),
         }
     }
-    Ok(Attachments { list, damage })
+    Ok(list)
 }
 
 /// Where attachments and metadata stand: where the summary says, or else by a walk over the heads of all records.

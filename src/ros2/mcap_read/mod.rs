@@ -17,7 +17,7 @@ use std::sync::Arc;
 pub use attachments::{Attachment, Attachments, MAX_ATTACHMENT_BYTES, MetadataRecord, attachments};
 pub use channels::{Channel, Selection};
 pub use error::{Damage, ReadError};
-pub use survey::{Survey, Topic, survey};
+pub use survey::{Survey, Topic, examine, survey};
 
 use mcap::records::ChunkIndex;
 

@@ -102,10 +102,7 @@ impl Summary {
         if counted != Some(listed) {
             return Ok(None);
         }
-        let attachments = self.attachments.iter().map(|a| (a.offset, op::ATTACHMENT));
-        let mut places: Vec<(u64, u8)> =
-            attachments.chain(self.metadata.iter().map(|m| (m.offset, op::METADATA))).collect();
-        places.sort_unstable();
+        let places = self.side_places();
         let mut records = Vec::with_capacity(places.len());
         for (offset, opcode) in places {
             match source.record_at(offset)? {
@@ -114,6 +111,32 @@ impl Summary {
             }
         }
         Ok(Some(records))
+    }
+
+    /// Notes where an attachment or metadata is listed and is not.
+    pub fn check_side_places<R: Read + Seek>(
+        &self,
+        source: &mut Source<R>,
+        damage: &mut Damage,
+    ) -> Result<(), ReadError> {
+        for (offset, opcode) in self.side_places() {
+            match source.record_at(offset)? {
+                Ok(record) if record.opcode == opcode => {}
+                Ok(record) => {
+                    let error = format!("expected opcode {opcode:#04x}, found {:#04x}", record.opcode);
+                    damage.bad_record(offset, record.bytes(), &error);
+                }
+                Err(error) => damage.bad_record(offset, 0, &error),
+            }
+        }
+        Ok(())
+    }
+
+    fn side_places(&self) -> Vec<(u64, u8)> {
+        let attachments = self.attachments.iter().map(|a| (a.offset, op::ATTACHMENT));
+        let mut places: Vec<_> = attachments.chain(self.metadata.iter().map(|m| (m.offset, op::METADATA))).collect();
+        places.sort_unstable();
+        places
     }
 
     /// Whether the index leads to every message. Writers may leave it out, put messages outside of chunks, or define

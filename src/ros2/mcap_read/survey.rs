@@ -1,4 +1,4 @@
-//! What a log holds: from its summary if that says enough, otherwise by reading all of it.
+//! What a log holds: from its summary if that says enough, otherwise, or on demand, by reading all of it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek};
@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use mcap::records::{ChunkIndex, Record as Parsed, op};
 
-use super::attachments::{MetadataRecord, attachment_name, metadata, side_records, walk};
+use super::attachments::{MetadataRecord, attachment_name, metadata, side_records, sound_attachments, walk};
 use super::channels::{Channel, Channels, Selection};
 use super::chunk::nanoseconds;
 use super::error::{Damage, ReadError};
@@ -31,7 +31,9 @@ pub struct Survey {
     pub compressions: BTreeSet<String>,
     /// Whether messages can be read in the order of their log times.
     pub indexed: bool,
-    /// If the log has an index, only of what was looked at: its chunks were not.
+    /// Chunks that carry no checksum: [`examine`] cannot see a wrong value in them. Not counted by [`survey`].
+    pub unprotected_chunks: u64,
+    /// If the log has an index, [`survey`] finds only that of what it looks at, which chunks are not.
     pub damage: Damage,
 }
 
@@ -63,14 +65,26 @@ impl Tally {
     }
 }
 
-/// Finds out what a log holds.
+/// Finds out what a log holds, by its index if it has one.
 pub fn survey<R: Read + Seek>(reader: R) -> Result<Survey, ReadError> {
+    look(reader, false)
+}
+
+/// The same by reading every chunk and attachment: whatever a reader would have to leave out is found.
+pub fn examine<R: Read + Seek>(reader: R) -> Result<Survey, ReadError> {
+    look(reader, true)
+}
+
+fn look<R: Read + Seek>(reader: R, everything: bool) -> Result<Survey, ReadError> {
     let mut source = Source::open(reader)?;
     let (mut channels, mut damage) = (Channels::new(Selection::All), Damage::default());
     damage.torn = !source.ends_with_magic()?;
     let summary = Summary::read(&mut source, &mut channels, &mut damage)?;
     // A walk finds the same damage to the row of records as the reading does: counted once.
     let records = side_records(summary.as_ref(), &mut source, &mut Damage::default())?;
+    if let (true, Some(summary)) = (everything, &summary) {
+        summary.check_side_places(&mut source, &mut damage)?;
+    }
     let index = match summary {
         Some(summary) if summary.leads_to_all_messages(&channels, &mut source)? => Some(summary),
         _ => None,
@@ -81,8 +95,8 @@ pub fn survey<R: Read + Seek>(reader: R) -> Result<Survey, ReadError> {
         survey.attachments.extend(attachment_name(&mut source, record)?);
     }
     let tallies = match &index {
-        Some(index) => tally_by_index(index, &mut source)?,
-        None => None,
+        Some(index) if !everything => tally_by_index(index, &mut source)?,
+        _ => None,
     };
     match (tallies, index) {
         (Some(tallies), Some(index)) => {
@@ -90,8 +104,13 @@ pub fn survey<R: Read + Seek>(reader: R) -> Result<Survey, ReadError> {
             survey.topics = topics(channels.iter(), &tallies);
         }
         (_, index) => {
+            if everything {
+                sound_attachments(&mut source, &records, &mut damage)?;
+            }
             for chunk in walk(&mut source, &[op::CHUNK], &mut Damage::default())? {
-                survey.compressions.extend(compression_of(&mut source, &chunk)?);
+                let Some(ChunkHead { has_checksum, compression }) = chunk_head(&mut source, &chunk)? else { continue };
+                survey.unprotected_chunks += u64::from(everything && !has_checksum);
+                survey.compressions.insert(compression);
             }
             let order = index.map_or_else(Order::by_file, |index| Order::by_index(index.chunks, &channels));
             let mut reader = LogReader { source, channels, damage, order };
@@ -199,11 +218,20 @@ fn compression_name(name: &str) -> String {
     if name.is_empty() { "none".to_owned() } else { name.to_owned() }
 }
 
-fn compression_of<R: Read + Seek>(source: &mut Source<R>, chunk: &Record) -> Result<Option<String>, ReadError> {
-    /// Two times, a size, a checksum, and the name.
+struct ChunkHead {
+    has_checksum: bool,
+    compression: String,
+}
+
+fn chunk_head<R: Read + Seek>(source: &mut Source<R>, chunk: &Record) -> Result<Option<ChunkHead>, ReadError> {
+    /// Two times, a size, a checksum, and the name of the compression.
     const HEAD_BYTES: u64 = 8 + 8 + 8 + 4 + 4 + 32;
     let mut head = Vec::new();
     source.read_at(chunk.body(), chunk.length.min(HEAD_BYTES), &mut head)?;
     let mut fields = Fields::new(&head);
-    Ok(fields.bytes(28).and_then(|_| fields.string()).map(compression_name))
+    Ok((|| {
+        fields.bytes(24)?;
+        let has_checksum = fields.u32()? != 0;
+        Some(ChunkHead { has_checksum, compression: compression_name(fields.string()?) })
+    })())
 }

@@ -35,7 +35,7 @@ const MOST_CELLS_PER_SIDE: f64 = 256.0;
 impl LineMap {
     pub(super) fn new(field: &Field) -> Self {
         // u8 indices: fields have some 20 strokes.
-        let mut shapes = Shape::all(field.strokes(), field.line_width());
+        let mut shapes = Shape::all(field);
         shapes.truncate(256);
         let half = field.carpet_half_extent();
         let longest = 2.0 * half.max_element();

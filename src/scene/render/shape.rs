@@ -3,6 +3,7 @@
 use glam::DVec2;
 
 use super::footprint::{GroundPoint, tent_integral};
+use crate::geometry::Field;
 use crate::geometry::field::Stroke;
 
 /// A painted line of known width.
@@ -23,33 +24,20 @@ pub(super) enum Shape {
 }
 
 impl Shape {
-    /// An end that meets another line reaches to that line's far edge, so that corners are full.
-    pub(super) fn all(strokes: &[Stroke], width: f64) -> Vec<Shape> {
-        let meets = |which: usize, end: DVec2| {
-            strokes.iter().enumerate().any(|(other, stroke)| other != which && stroke.distance(end) < width / 4.0)
+    pub(super) fn all(field: &Field) -> Vec<Shape> {
+        let half_width = (field.line_width() / 2.0) as f32;
+        let shape = |stroke| match stroke {
+            Stroke::Segment { from, to } => Shape::Bar {
+                centre: ((from + to) / 2.0).as_vec2().to_array(),
+                along: (to - from).normalize_or(DVec2::X).as_vec2().to_array(),
+                half_length: (from.distance(to) / 2.0) as f32,
+                half_width,
+            },
+            Stroke::Circle { centre, radius } => {
+                Shape::Ring { centre: centre.as_vec2().to_array(), radius: radius as f32, half_width }
+            }
         };
-        strokes
-            .iter()
-            .enumerate()
-            .map(|(which, stroke)| match *stroke {
-                Stroke::Segment { from, to } => {
-                    let along = (to - from).normalize_or(DVec2::X);
-                    let reach = |end| if meets(which, end) { width / 2.0 } else { 0.0 };
-                    let (from, to) = (from - along * reach(from), to + along * reach(to));
-                    Shape::Bar {
-                        centre: ((from + to) / 2.0).as_vec2().to_array(),
-                        along: along.as_vec2().to_array(),
-                        half_length: (from.distance(to) / 2.0) as f32,
-                        half_width: (width / 2.0) as f32,
-                    }
-                }
-                Stroke::Circle { centre, radius } => Shape::Ring {
-                    centre: centre.as_vec2().to_array(),
-                    radius: radius as f32,
-                    half_width: (width / 2.0) as f32,
-                },
-            })
-            .collect()
+        field.painted().into_iter().map(shape).collect()
     }
 
     /// Whether any paint lies within `margin` of the square around `centre`.

@@ -1,0 +1,110 @@
+//! Where results may go, and the file system's errors in words that say what to do.
+
+use std::io::{Error, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use super::settings::UsageError;
+use crate::recording::session_holding;
+
+/// Refuses to write into a capture, which is never changed once it is there, or over what is being read.
+pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<(), UsageError> {
+    let refused = |why: String| Err(UsageError(format!("{}: {why}: choose another place", output.display())));
+    if let Some(session) = session_holding(output) {
+        return refused(format!("lies in the capture {}, into which nothing else is written", session.display()));
+    }
+    // What does not exist yet lies where its nearest existing folder lies.
+    let place = std::path::absolute(output).ok().and_then(|path| nearest_existing(&path));
+    for input in inputs {
+        let Ok(read) = input.canonicalize() else { continue };
+        let is_input = output.canonicalize().is_ok_and(|output| output == read);
+        let is_within = read.is_dir() && place.as_ref().is_some_and(|place| place.starts_with(&read));
+        if is_input || is_within {
+            return refused(format!("would be written over {}, which is read", input.display()));
+        }
+    }
+    Ok(())
+}
+
+fn nearest_existing(path: &Path) -> Option<PathBuf> {
+    path.ancestors().find_map(|ancestor| ancestor.canonicalize().ok())
+}
+
+pub fn cannot_read(path: &Path, error: Error) -> anyhow::Error {
+    let why = match error.kind() {
+        ErrorKind::NotFound => "there is no such file".to_owned(),
+        ErrorKind::PermissionDenied => "its permissions do not let you read it".to_owned(),
+        ErrorKind::IsADirectory => "it is a folder, and a file is needed".to_owned(),
+        ErrorKind::NotADirectory => "a part of its path is a file, not a folder".to_owned(),
+        _ => error.to_string(),
+    };
+    told(path, "cannot be read", why, error)
+}
+
+pub fn cannot_write(path: &Path, error: Error) -> anyhow::Error {
+    let why = match error.kind() {
+        ErrorKind::NotFound => "its folder does not exist: make it first".to_owned(),
+        ErrorKind::PermissionDenied => "you may not write there: choose another place".to_owned(),
+        ErrorKind::IsADirectory => "it is a folder: name a file".to_owned(),
+        ErrorKind::NotADirectory => "a part of its path is a file, not a folder".to_owned(),
+        ErrorKind::AlreadyExists => "it is a file: name a folder".to_owned(),
+        ErrorKind::StorageFull => "the disk is full".to_owned(),
+        ErrorKind::ReadOnlyFilesystem => "the disk can only be read".to_owned(),
+        _ => error.to_string(),
+    };
+    told(path, "cannot be written", why, error)
+}
+
+/// A picture, with the same words for the same errors.
+pub fn save(picture: &image::RgbImage, path: &Path) -> anyhow::Result<()> {
+    picture.save(path).map_err(|error| match error {
+        image::ImageError::IoError(error) => cannot_write(path, error),
+        image::ImageError::Unsupported(_) => {
+            UsageError(format!("{}: its name must end in .png or .jpg", path.display())).into()
+        }
+        error => anyhow::Error::new(error).context(path.display().to_string()),
+    })
+}
+
+/// The system's own words are left out where ours say the same.
+fn told(path: &Path, what: &str, why: String, error: Error) -> anyhow::Error {
+    let shown = format!("{}: {what}: {why}", path.display());
+    if why == error.to_string() { anyhow::Error::new(error).context(shown) } else { anyhow::Error::msg(shown) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn the_words_say_what_to_do() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("none/x");
+        let said = cannot_write(&path, fs::write(&path, "").unwrap_err()).to_string();
+        assert!(said.ends_with("none/x: cannot be written: its folder does not exist: make it first"), "{said}");
+        let said = cannot_read(folder.path(), fs::read(folder.path()).unwrap_err()).to_string();
+        assert!(said.ends_with("cannot be read: it is a folder, and a file is needed"), "{said}");
+        let picture = image::RgbImage::new(1, 1);
+        let said = save(&picture, &path.with_extension("png")).unwrap_err().to_string();
+        assert!(said.ends_with("its folder does not exist: make it first"), "{said}");
+        let said = save(&picture, &path).unwrap_err().to_string();
+        assert!(said.ends_with("none/x: its name must end in .png or .jpg"), "{said}");
+    }
+
+    #[test]
+    fn what_is_read_is_not_written_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let (bag, file) = (folder.path().join("bag"), folder.path().join("bag/0.mcap"));
+        fs::create_dir(&bag).unwrap();
+        fs::write(&file, "").unwrap();
+        for output in ["bag", "bag/x", "bag/new/x", "bag/../bag/x"] {
+            let refused = check_output(&folder.path().join(output), &[&bag]).unwrap_err().to_string();
+            assert!(refused.contains("bag, which is read: choose another place"), "{output}: {refused}");
+        }
+        check_output(&folder.path().join("bags"), &[&bag]).unwrap();
+        check_output(&bag.join("x"), &[&file]).unwrap();
+        check_output(&file, &[&file]).unwrap_err();
+        check_output(&folder.path().join("out"), &[&folder.path().join("missing")]).unwrap();
+    }
+}
