@@ -3,6 +3,7 @@
 mod broken;
 mod capture;
 mod chains;
+mod cost;
 mod delays;
 mod determinism;
 mod export;

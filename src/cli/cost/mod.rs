@@ -39,19 +39,19 @@ pub struct CostArguments {
     #[arg(value_name = "LOG|SCENE")]
     source: PathBuf,
     /// A frame may take this long (p99); 8 if neither this nor --accuracy-cm is given
-    #[arg(long, value_name = "MS", value_parser = above_zero)]
+    #[arg(long, value_name = "MS", value_parser = above_zero, allow_negative_numbers = true)]
     budget_ms: Option<f64>,
     /// The mean position error that is good enough
-    #[arg(long, value_name = "CM", value_parser = above_zero)]
+    #[arg(long, value_name = "CM", value_parser = above_zero, allow_negative_numbers = true)]
     accuracy_cm: Option<f64>,
     /// Where cost.csv, cost.svg and cost.toml go
     #[arg(short, long, value_name = "DIR", default_value = "cost")]
     output: PathBuf,
     /// Leave out this many seconds at the start; they are tracked, not measured
-    #[arg(long = "from", value_name = "S", default_value_t = 0.0, value_parser = not_below_zero)]
+    #[arg(long = "from", value_name = "S", default_value_t = 0.0, value_parser = not_below_zero, allow_negative_numbers = true)]
     from_s: f64,
     /// Use this many seconds; without it, and at most, 300 frames
-    #[arg(long = "for", value_name = "S", value_parser = above_zero)]
+    #[arg(long = "for", value_name = "S", value_parser = above_zero, allow_negative_numbers = true)]
     for_s: Option<f64>,
     /// Seeds that every setting is tried with
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=20))]

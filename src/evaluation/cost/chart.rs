@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::advice::{Advice, Wish};
 use super::front::front;
-use super::row::Row;
+use super::row::{FINEST_CM, Row};
 use crate::config::Model;
 use crate::evaluation::drawing::chart::{Across, Axis, Chart, Layer, Line, Mark, Note, Rule, Scale};
 
@@ -15,7 +15,8 @@ const CHOSEN: &str = "#b3261e";
 
 /// As SVG; `title` names the log.
 pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Wish, title: &str) -> String {
-    let place = |row: &Row| DVec2::new(row.p99_ms, row.position_cm.mean);
+    // Against a reference run an error can be 0, which has no place on a logarithmic axis.
+    let place = |row: &Row| DVec2::new(row.p99_ms, row.position_cm.mean.max(FINEST_CM));
     let on = front(&rows.iter().map(Row::point).collect::<Vec<_>>());
     let judged: Vec<(&Row, bool)> = rows.iter().zip(on).filter(|(row, _)| row.judged > 0).collect();
     let on_front: Vec<&Row> = judged.iter().filter(|(_, on)| *on).map(|(row, _)| *row).collect();

@@ -32,6 +32,9 @@ pub struct Row {
     pub evasive: bool,
 }
 
+/// Below a tenth of a millimetre no row is better than another.
+pub(super) const FINEST_CM: f64 = 0.01;
+
 impl Row {
     /// `runs` are one seed each, over the same frames.
     pub fn of(knobs: Knobs, runs: &[Vec<Attempt>], truth: &[(i64, Isometry)]) -> Self {
@@ -62,11 +65,10 @@ impl Row {
         }
     }
 
-    /// What it is worth: errors to a tenth of a millimetre, as below that no row is better than another. Rows that were
-    /// not judged or evade judgement do not count.
+    /// What it is worth, errors rounded to [`FINEST_CM`]. Rows that were not judged or evade judgement do not count.
     pub fn point(&self) -> Point {
         let counts = self.judged > 0 && !self.evasive;
-        let error_cm = libm::round(100.0 * self.position_cm.mean) / 100.0;
+        let error_cm = libm::round(self.position_cm.mean / FINEST_CM) * FINEST_CM;
         Point { time_ms: self.p99_ms, error_cm: if counts { error_cm } else { f64::INFINITY } }
     }
 }
@@ -98,9 +100,10 @@ fn frame_times(runs: &[Vec<Attempt>]) -> Vec<f64> {
     times
 }
 
+/// All zero of none.
 fn average(summaries: &[Summary]) -> Summary {
     let count = summaries.len().max(1) as f64;
-    let mean = |of: fn(&Summary) -> f64| summaries.iter().map(of).sum::<f64>() / count;
+    let mean = |of: fn(&Summary) -> f64| summaries.iter().map(of).fold(0.0, |sum, value| sum + value) / count;
     Summary {
         mean: mean(|summary| summary.mean),
         median: mean(|summary| summary.median),

@@ -127,7 +127,7 @@ mod tests {
         let span = Span::of(Scale::Logarithmic, [0.5, 20.0].into_iter());
         assert_eq!(numbers(&span), ["0.5", "1", "2", "5", "10", "20"]);
         let one = Span::of(Scale::Logarithmic, [3.0].into_iter());
-        assert_eq!(numbers(&one), ["2", "3", "4", "5"]);
+        assert_eq!(numbers(&one), ["2", "3", "4", "5", "6"]);
         assert!((one.share(3.0).expect("on the axis") - 0.5).abs() < 1e-12);
         assert_eq!(span.share(0.0), None);
         assert_eq!(span.share(f64::NAN), None);
