@@ -30,10 +30,10 @@ pub enum CheckpointError {
 
 const MAGIC: &[u8; 8] = b"RSIMCKPT";
 /// Counts up with every change of what is stored.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 const HEADER: usize = 8 + 4 + 4;
 /// A checkpoint of 2^20 particles is 40 MB.
-const MAX_BYTES: usize = 256 << 20;
+pub(super) const MAX_BYTES: usize = 256 << 20;
 
 impl Checkpoint {
     pub fn encode(&self) -> Result<Vec<u8>, CheckpointError> {

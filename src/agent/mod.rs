@@ -1,8 +1,10 @@
 //! The agent: what comes from the sensors goes through the filter into the capture.
 
 pub mod checkpoint;
+mod durations;
 mod error;
 pub mod footage;
+mod opened;
 mod pipeline;
 mod prelude;
 pub mod replay;
@@ -13,11 +15,12 @@ mod stages;
 mod state;
 pub mod tagger;
 mod tally;
+mod warnings;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use error::AgentError;
+pub use error::{AgentError, ReplayError};
 pub use footage::{Attempt, Footage, FootageOptions};
-pub use replay::{ReplayError, ReplayOptions, replay};
+pub use replay::{ReplayOptions, replay};
 pub use report::ReplayReport;
 pub use setup::SetupError;
 pub use tagger::Tagger;

@@ -14,6 +14,7 @@ use super::stages::{Looked, Looking};
 use super::state::{STATE_FILE, Start, write_state};
 use super::tagger::Tagger;
 use super::tally::Tally;
+use super::warnings::AttitudeSource;
 use crate::config::{Settings, Topics};
 use crate::geometry::{FieldDimensions, LensParameters};
 use crate::recording::{Counts, SessionInfo, SessionWriter};
@@ -35,6 +36,8 @@ pub struct Recorded {
     pub session: PathBuf,
     pub counts: Counts,
     pub tally: Tally,
+    pub late_measurements: u64,
+    pub warnings: Vec<String>,
 }
 
 pub struct Pipeline {
@@ -43,6 +46,7 @@ pub struct Pipeline {
     recording: Recording,
     lens: LensParameters,
     dimensions: FieldDimensions,
+    attitude: AttitudeSource,
     synchroniser: Synchroniser,
     looking: Looking,
     tagger: Tagger,
@@ -61,10 +65,12 @@ pub struct Pipeline {
 /// How often, in log time, the state is saved.
 const STATE_EVERY_NS: i64 = 1_000_000_000;
 const DIAGNOSTICS_EVERY_NS: i64 = 1_000_000_000;
+/// Why a frame has no tag: nobody can say when it was exposed.
+const NO_STAMP: &str = "no_stamp";
 
 impl Pipeline {
     pub fn new(setup: Setup, start: Start, recording: Recording) -> Self {
-        let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser } = setup;
+        let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude } = setup;
         let tagger = start.tagger(&settings, field, eyes.vision.lens());
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
         let state = start.checkpoint.map_or(synchroniser, |checkpoint| checkpoint.synchroniser);
@@ -74,6 +80,7 @@ impl Pipeline {
             topics,
             lens,
             dimensions,
+            attitude,
             synchroniser,
             looking: Looking::new(Arc::clone(&eyes), recording.threads),
             tagger,
@@ -101,12 +108,14 @@ impl Pipeline {
         let log_time_ns = message.log_time_ns;
         if self.session.is_none() {
             let mut session = self.create_session(&message)?;
-            session.attach(message.log_time_ns, CHECKPOINT_NAME, &self.checkpoint()?)?;
+            session.attach(log_time_ns, CHECKPOINT_NAME, &self.checkpoint()?)?;
             self.session = Some(session);
+            // Nothing is known yet: the last agent's state is worth more.
+            self.last_state_ns = log_time_ns;
         }
         self.pause_if_due(log_time_ns)?;
         let held_back = self.must_pause(log_time_ns) || !self.held.is_empty();
-        if held_back && message.channel.topic == self.topics.image {
+        if held_back && intake::is_frame(&message.channel, &self.topics) {
             self.synchroniser.advance(log_time_ns);
             self.held.push_back(message);
         } else {
@@ -115,23 +124,35 @@ impl Pipeline {
         self.look_at_known()
     }
 
-    /// Nothing more will come. `None` if nothing came at all.
-    pub fn finish(mut self) -> Result<Option<Recorded>, AgentError> {
+    /// Nothing more will come: what is there becomes a whole capture, whatever went wrong, if it can. `None` if nothing
+    /// came at all or nothing more can be written.
+    pub fn finish(mut self) -> (Option<Recorded>, Result<(), AgentError>) {
+        let ended = self.end();
+        let Some(session) = self.session.take() else { return (None, ended) };
+        let (session, counts) = match session.finish() {
+            Ok(finished) => finished,
+            Err(error) => return (None, ended.and(Err(error.into()))),
+        };
+        let heard = self.synchroniser.knows_attitude();
+        let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
+        let late_measurements = self.synchroniser.too_late();
+        let warnings = attitude.into_iter().collect();
+        (Some(Recorded { session, counts, tally: self.tally, late_measurements, warnings }), ended)
+    }
+
+    fn end(&mut self) -> Result<(), AgentError> {
         self.synchroniser.finish();
         self.look_at_known()?;
         self.release_held()?;
         self.look_at_known()?;
         self.drain()?;
-        let Some(session) = self.session.take() else { return Ok(None) };
-        self.save_state()?;
-        let (session, counts) = session.finish()?;
-        Ok(Some(Recorded { session, counts, tally: self.tally }))
+        if self.session.is_some() { self.save_state() } else { Ok(()) }
     }
 
     /// Writes a message and takes what it measures.
     fn record(&mut self, message: LogMessage) -> Result<(), AgentError> {
         let topics = &self.topics;
-        let is_frame = message.channel.topic == topics.image;
+        let is_frame = intake::is_frame(&message.channel, topics);
         let latched = message.channel.topic == topics.tf_static || message.channel.topic == topics.camera_info;
         if let Some(session) = &mut self.session {
             session.pass(&message, is_frame, latched)?;
@@ -139,6 +160,12 @@ impl Pipeline {
         match intake::read(&message, topics, &self.settings.head) {
             Ok(intake::Input::InitialPose { .. }) if self.initial_is_given => {}
             Ok(input) => self.synchroniser.push(&message, input),
+            Err(error) if is_frame => {
+                self.tally.note_bad_frame(&message, &error);
+                if let Some(session) = &mut self.session {
+                    session.leave_untagged(NO_STAMP);
+                }
+            }
             Err(_) => self.tally.bad_messages += 1,
         }
         Ok(())
@@ -174,7 +201,7 @@ impl Pipeline {
         tag.elapsed_ms = look_ms + start.elapsed().as_secs_f64() * 1e3;
         tag.kernel_stamp_ns = frame.stamp_ns;
         self.sequence += 1;
-        self.tally.note_tag(&tag);
+        self.tally.note_tag(&frame.robot, &tag);
         let log_time_ns = frame.message.log_time_ns;
         if let Some(session) = &mut self.session {
             session.tag(log_time_ns, &self.settings.frames.map, &tag)?;
@@ -258,7 +285,8 @@ impl Pipeline {
         }
         self.last_diagnostics_ns = log_time_ns;
         let Some(session) = &mut self.session else { return Ok(()) };
-        let report = self.tally.diagnostics(log_time_ns, &self.settings.robot, &session.counts());
+        let late = self.synchroniser.too_late();
+        let report = self.tally.diagnostics(log_time_ns, &self.settings.robot, &session.counts(), late);
         Ok(session.diagnostics(log_time_ns, &report)?)
     }
 }

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use super::setup::SetupError;
+use super::warnings::AttitudeSource;
 use crate::config::{Settings, Topics};
 use crate::ros2::mcap_read::{LogMessage, Selection};
-use crate::ros2::messages::CameraInfo;
+use crate::ros2::messages::{CameraInfo, Imu, JointState, Message, TFMessage};
 use crate::sensors::intake::{self, Input};
 use crate::sensors::log::LogError;
 use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
@@ -17,6 +18,7 @@ pub struct Prelude {
     /// Constants are known from the start, wherever in the log they stand.
     pub synchroniser: SynchroniserState,
     pub expected: Expected,
+    pub attitude: AttitudeSource,
 }
 
 /// More messages of one topic than this are not needed to know calibration and constants.
@@ -31,11 +33,11 @@ impl Prelude {
         let configured = &settings.topics;
         let wanted = types
             .iter()
-            .filter(|(topic, kind)| {
-                kind.as_str() == "sensor_msgs/msg/CameraInfo"
+            .filter(|(topic, kinds)| {
+                kinds.contains(CameraInfo::TYPE)
+                    || kinds.contains(TFMessage::TYPE)
                     || **topic == configured.tf
                     || **topic == configured.tf_static
-                    || kind.as_str() == "tf2_msgs/msg/TFMessage"
             })
             .map(|(topic, _)| topic.clone());
         let found: Vec<LogMessage> = first_of_each(messages(Selection::topics(wanted)))?;
@@ -51,14 +53,14 @@ impl Prelude {
             }
         }
         let first_frame = messages(Selection::topics([topics.image.clone()]))
-            .find(|message| message.as_ref().map_or(true, |message| message.channel.topic == topics.image));
+            .find(|message| message.as_ref().map_or(true, |message| intake::is_frame(&message.channel, &topics)));
         check_mount(synchroniser.clone(), &found, first_frame.transpose()?.as_ref(), &topics, settings)?;
-        let has = |topic: &String, kind: &str| types.get(topic).is_some_and(|found| found == kind);
-        let expected = Expected {
-            imu: has(&topics.imu, "sensor_msgs/msg/Imu"),
-            joints: has(&topics.joints, "sensor_msgs/msg/JointState"),
-        };
-        Ok(Self { topics, camera_info, synchroniser: synchroniser.state().clone(), expected })
+        let has = |topic: &String, kind: &str| types.get(topic).is_some_and(|kinds| kinds.contains(kind));
+        let expected = Expected { imu: has(&topics.imu, Imu::TYPE), joints: has(&topics.joints, JointState::TYPE) };
+        let imus =
+            types.iter().filter(|(_, kinds)| kinds.contains(Imu::TYPE)).map(|(topic, _)| topic.clone()).collect();
+        let attitude = AttitudeSource { topic: topics.imu.clone(), all: imus };
+        Ok(Self { topics, camera_info, synchroniser: synchroniser.state().clone(), expected, attitude })
     }
 }
 

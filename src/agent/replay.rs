@@ -1,25 +1,21 @@
 //! A log or a scene through the pipeline: every frame tagged and written, as fast as the machine can or at the log's
 //! own pace.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use thiserror::Error;
-
-use super::checkpoint::{Checkpoint, CheckpointError};
-use super::error::AgentError;
+use super::checkpoint::Checkpoint;
+use super::error::ReplayError;
+use super::opened::{self, BEGAN_ANEW, OpenLog};
 use super::pipeline::{Pipeline, Recorded, Recording};
-use super::prelude::Prelude;
 use super::report::{ReplayReport, file_damage};
-use super::setup::{Setup, SetupError};
-use super::state::{Start, read_state};
+use super::setup::Setup;
+use super::state::{Start, last_state};
 use crate::config::Settings;
 use crate::geometry::Pose2;
-use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
-use crate::scene::Scene;
-use crate::sensors::log::{self, LogError, LogSource};
-use crate::sensors::scene::{self, SceneSource, SceneSourceError};
-use crate::sensors::topics::TopicTypes;
+use crate::recording::session_holding;
+use crate::ros2::mcap_read::LogMessage;
+use crate::sensors::scene;
 
 #[derive(Clone, Debug)]
 pub struct ReplayOptions {
@@ -36,29 +32,13 @@ pub struct ReplayOptions {
     pub warm_start: bool,
 }
 
-#[derive(Debug, Error)]
-pub enum ReplayError {
-    #[error(transparent)]
-    Setup(#[from] SetupError),
-    /// What the log lacks or says wrongly; what the config says wrongly names its own file.
-    #[error("{path}: {source}")]
-    Source { path: PathBuf, source: Box<SetupError> },
-    #[error(transparent)]
-    Log(#[from] LogError),
-    #[error(transparent)]
-    Scene(#[from] SceneSourceError),
-    #[error(transparent)]
-    Agent(#[from] AgentError),
-    #[error("{path}: {source}")]
-    Checkpoint { path: PathBuf, source: CheckpointError },
-    #[error("no frame could be used: {0}")]
-    NoFrame(String),
-}
-
 /// Frames done so far, and how many there are if that is known.
 pub type Progress<'a> = &'a mut dyn FnMut(u64, Option<u64>);
 
 pub fn replay(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
+    if let Some(session) = session_holding(&options.captures) {
+        return Err(ReplayError::IntoCapture { captures: options.captures.clone(), session });
+    }
     if options.source.extension().is_some_and(|ending| ending == "toml") {
         replay_scene(options, progress)
     } else {
@@ -67,75 +47,22 @@ pub fn replay(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 }
 
 fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
-    let files = log::files_of(&options.source)?;
-    let surveys = log::surveys(&files)?;
-    let types = log::topic_types(&surveys);
-    let all = files.clone();
-    let prelude =
-        Prelude::read(&options.settings, &types, move |selection| Box::new(LogSource::new(all.clone(), selection)))
-            .map_err(|error| setup_error(&options.source, error))?;
-    let frames = surveys.iter().flat_map(|survey| &survey.topics).filter(|topic| topic.topic == prelude.topics.image);
-    let total = frames.map(|topic| topic.messages).sum();
-    let checkpoint = segment_checkpoint(&files, &surveys)?;
-    let mut source = LogSource::new(files, Selection::All);
-    let run = Run::new(options, options.settings.clone(), prelude, checkpoint)?;
-    let messages = source.by_ref().map(|message| message.map_err(ReplayError::from));
-    let mut report = run.through(messages, &mut |done| progress(done, Some(total)))?;
-    report.damage = source.damage().iter().map(|(file, damage)| file_damage(file, damage)).collect();
+    let OpenLog { setup, mut messages, checkpoint, frames, lost, warnings } =
+        opened::log(&options.source, &options.settings)?;
+    let mut run = Run::new(options, setup, checkpoint);
+    run.report.lost.extend(lost);
+    run.report.warnings.extend(warnings);
+    let read = messages.by_ref().map(|message| message.map_err(ReplayError::from));
+    let mut report = run.through(read, &mut |done| progress(done, Some(frames)))?;
+    report.damage = messages.damage().iter().map(|(file, damage)| file_damage(file, damage)).collect();
     Ok(report)
 }
 
 fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
-    let path = options.source.to_string_lossy();
-    let scene = scene::load(&path)?;
-    let settings = scene_settings(&scene, &options.settings);
-    let mut source = SceneSource::new(&scene);
-    let (first, types) = scene_beginning(&mut source)?;
-    let known = first.clone();
-    let prelude = Prelude::read(&settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))
-        .map_err(|error| setup_error(&options.source, error))?;
+    let scene = scene::load(&options.source.to_string_lossy())?;
+    let (setup, messages) = opened::scene(&scene, &options.source, &options.settings)?;
     let total = Some(scene.frame_count());
-    let messages = first.into_iter().map(Ok).chain(source.map(|message| message.map_err(ReplayError::from)));
-    Run::new(options, settings, prelude, None)?.through(messages, &mut |done| progress(done, total))
-}
-
-/// A scene brings its field, and knows its lens's angle of view.
-pub(super) fn scene_settings(scene: &Scene, settings: &Settings) -> Settings {
-    let mut settings = settings.clone();
-    settings.field = scene.file().scene.field.clone();
-    settings.camera.fov_deg = settings.camera.fov_deg.or(scene.lens().parameters().fov_deg);
-    settings
-}
-
-/// Up to the first image. Constants come first: they are all that the agent must know beforehand.
-pub(super) fn scene_beginning(source: &mut SceneSource) -> Result<(Vec<LogMessage>, TopicTypes), SceneSourceError> {
-    let mut first: Vec<LogMessage> = Vec::new();
-    let (mut types, mut has_image) = (TopicTypes::new(), false);
-    while !has_image {
-        let Some(message) = source.next() else { break };
-        let message = message?;
-        types.insert(message.channel.topic.clone(), message.channel.type_name.clone());
-        has_image = message.channel.type_name.ends_with("Image");
-        first.push(message);
-    }
-    Ok((first, types))
-}
-
-/// Says in which log or scene something is wrong, if it is there.
-pub(super) fn setup_error(source: &Path, error: SetupError) -> ReplayError {
-    match error {
-        SetupError::Log(error) => ReplayError::Log(error),
-        SetupError::Config(_) | SetupError::BodyMask { .. } => ReplayError::Setup(error),
-        error => ReplayError::Source { path: source.to_owned(), source: Box::new(error) },
-    }
-}
-
-/// A segment of a capture brings the filter's state along.
-pub(super) fn segment_checkpoint(files: &[PathBuf], surveys: &[Survey]) -> Result<Option<Checkpoint>, ReplayError> {
-    let (Some(path), Some(survey)) = (files.first(), surveys.first()) else { return Ok(None) };
-    let Some(bytes) = log::checkpoint(path, survey)? else { return Ok(None) };
-    let decoded = Checkpoint::decode(&bytes);
-    decoded.map(Some).map_err(|source| ReplayError::Checkpoint { path: path.clone(), source })
+    Run::new(options, setup, None).through(messages, &mut |done| progress(done, total))
 }
 
 /// A pipeline at the pace that was asked for, and what its report says from the start.
@@ -146,29 +73,28 @@ struct Run {
 }
 
 impl Run {
-    fn new(
-        options: &ReplayOptions,
-        settings: Settings,
-        prelude: Prelude,
-        checkpoint: Option<Checkpoint>,
-    ) -> Result<Self, ReplayError> {
-        let setup = Setup::new(settings, prelude).map_err(|error| setup_error(&options.source, error))?;
-        let warm = if options.warm_start { read_state(&options.captures)? } else { None };
+    fn new(options: &ReplayOptions, setup: Setup, checkpoint: Option<Checkpoint>) -> Self {
         let recording = Recording {
             captures: options.captures.clone(),
             source: options.source.file_name().map(|name| name.to_string_lossy().into_owned()),
             threads: options.threads.max(1),
         };
         let filter = &setup.settings.filter;
-        let report = ReplayReport {
+        let mut report = ReplayReport {
             particles: filter.particles,
             iterations: filter.iterations,
             threads: recording.threads,
             ..ReplayReport::default()
         };
+        let warm = if options.warm_start { last_state(&options.captures) } else { Ok(None) };
+        let warm = warm.unwrap_or_else(|error| {
+            // A robot that starts by itself must record, whatever its last end has left of the file.
+            report.warnings.push(format!("{error}; {BEGAN_ANEW}, and replaces it"));
+            None
+        });
         let start = Start { checkpoint, warm, initial: options.initial };
         let pace = options.realtime.then(Pace::default);
-        Ok(Self { pipeline: Pipeline::new(setup, start, recording), report, pace })
+        Self { pipeline: Pipeline::new(setup, start, recording), report, pace }
     }
 
     fn through(
@@ -177,6 +103,40 @@ impl Run {
         progress: &mut dyn FnMut(u64),
     ) -> Result<ReplayReport, ReplayError> {
         let started = Instant::now();
+        let fed = self.feed(messages, progress);
+        let (recorded, ended) = self.pipeline.finish();
+        let recorded = match (fed.and(ended.map_err(ReplayError::from)), recorded) {
+            (Ok(()), Some(recorded)) => recorded,
+            (Ok(()), None) => return Err(ReplayError::NoFrame("the log has no message".to_owned())),
+            (Err(error), None) => return Err(error),
+            (Err(error), Some(Recorded { session, .. })) => {
+                return Err(ReplayError::Broken { source: Box::new(error), session });
+            }
+        };
+        let Recorded { session, counts, tally, late_measurements, warnings } = recorded;
+        let mut report = self.report;
+        report.warnings.extend(warnings);
+        Ok(ReplayReport {
+            session,
+            frames: counts.written,
+            tagged: counts.tagged,
+            valid: counts.valid,
+            filter_ms: tally.durations.quantiles(),
+            wall_s: started.elapsed().as_secs_f64(),
+            invalid: tally.invalid,
+            untagged: counts.untagged,
+            bad_messages: tally.bad_messages,
+            late_measurements,
+            first_bad_image: tally.first_bad_image,
+            ..report
+        })
+    }
+
+    fn feed(
+        &mut self,
+        messages: impl Iterator<Item = Result<LogMessage, ReplayError>>,
+        progress: &mut dyn FnMut(u64),
+    ) -> Result<(), ReplayError> {
         for message in messages {
             let message = message?;
             if let Some(pace) = &mut self.pace {
@@ -188,20 +148,7 @@ impl Run {
                 progress(self.pipeline.sequence());
             }
         }
-        let Recorded { session, counts, mut tally } =
-            self.pipeline.finish()?.ok_or_else(|| ReplayError::NoFrame("the log has no message".to_owned()))?;
-        Ok(ReplayReport {
-            session,
-            frames: counts.written,
-            tagged: counts.tagged,
-            valid: counts.valid,
-            filter_ms: tally.filter_ms(),
-            wall_s: started.elapsed().as_secs_f64(),
-            invalid: tally.invalid,
-            bad_messages: tally.bad_messages,
-            first_bad_image: tally.first_bad_image,
-            ..self.report
-        })
+        Ok(())
     }
 }
 

@@ -1,9 +1,11 @@
 //! What a replay says when it is done.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use crate::recording::Loss;
 use crate::ros2::mcap_read::Damage;
 
 /// What `replay` prints.
@@ -20,11 +22,19 @@ pub struct ReplayReport {
     pub filter_ms: Quantiles,
     pub wall_s: f64,
     /// Why tags are invalid, and how many.
-    pub invalid: std::collections::BTreeMap<String, u64>,
-    /// Messages whose bytes are not what their type says.
+    pub invalid: BTreeMap<String, u64>,
+    /// Frames that could have no tag, by cause.
+    pub untagged: BTreeMap<String, u64>,
+    /// Messages, other than frames, whose bytes are not what their type says.
     pub bad_messages: u64,
+    /// Measurements that came too late to be sorted in.
+    pub late_measurements: u64,
     /// First image that did not decode, if any.
     pub first_bad_image: Option<String>,
+    /// What makes tags worse than they need be, and what else a user will want to know.
+    pub warnings: Vec<String>,
+    /// Parts of a capture that are not there.
+    pub lost: Vec<Loss>,
     /// Files of which parts were lost.
     pub damage: Vec<FileDamage>,
 }
@@ -49,7 +59,11 @@ pub struct FileDamage {
 impl ReplayReport {
     /// Something of the source could not be replayed.
     pub fn data_was_lost(&self) -> bool {
-        !self.damage.is_empty() || self.bad_messages > 0 || self.first_bad_image.is_some()
+        !(self.damage.is_empty() && self.lost.is_empty())
+            || self.tagged < self.frames
+            || self.bad_messages > 0
+            || self.late_measurements > 0
+            || self.first_bad_image.is_some()
     }
 }
 
@@ -61,26 +75,5 @@ pub(super) fn file_damage(file: &Path, damage: &Damage) -> FileDamage {
         bad_records: damage.bad_records,
         bytes_skipped: damage.bytes_skipped,
         first_error: damage.first_error.clone(),
-    }
-}
-
-pub(super) fn quantiles(values: &mut [f32]) -> Quantiles {
-    values.sort_by(f32::total_cmp);
-    let at = |share: f64| {
-        let index = ((values.len().saturating_sub(1)) as f64 * share).round() as usize;
-        values.get(index).map_or(0.0, |value| f64::from(*value))
-    };
-    Quantiles { p50: at(0.5), p99: at(0.99), max: at(1.0) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn quantiles_of_few_values() {
-        assert_eq!(quantiles(&mut []).max, 0.0);
-        let q = quantiles(&mut [3.0, 1.0, 2.0]);
-        assert_eq!((q.p50, q.max), (2.0, 3.0));
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use super::prelude::Prelude;
+use super::warnings::AttitudeSource;
 use crate::config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens};
 use crate::geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
 use crate::localization::observation;
@@ -50,6 +51,7 @@ pub struct Setup {
     pub expected: Expected,
     /// The transforms that are constant.
     pub synchroniser: SynchroniserState,
+    pub attitude: AttitudeSource,
 }
 
 impl Setup {
@@ -57,9 +59,9 @@ impl Setup {
         let lens = lens(&settings, &prelude)?;
         let (field, dimensions) = field(&settings)?;
         let eyes = Arc::new(Eyes::new(&settings, &lens, field.line_width())?);
-        let Prelude { topics, expected, synchroniser, .. } = prelude;
+        let Prelude { topics, expected, synchroniser, attitude, .. } = prelude;
         let lens = lens.parameters().clone();
-        Ok(Self { settings, topics, lens, dimensions, field, eyes, expected, synchroniser })
+        Ok(Self { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude })
     }
 }
 

@@ -1,8 +1,10 @@
 //! Where the filter goes on from, and what it leaves behind for the next start.
 
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 
-use super::checkpoint::Checkpoint;
+use super::checkpoint::{Checkpoint, MAX_BYTES};
 use super::error::AgentError;
 use super::tagger::Tagger;
 use crate::config::Settings;
@@ -42,14 +44,18 @@ impl Start {
     }
 }
 
-/// The state that the last agent left in `captures`. A first start has nothing to go on from.
-pub fn read_state(captures: &Path) -> Result<Option<LocalizerState>, AgentError> {
+/// The state that the last agent left in `captures`, or why there is none to go on from. A first start has none.
+pub fn last_state(captures: &Path) -> Result<Option<LocalizerState>, String> {
     let path = captures.join(STATE_FILE);
-    let Ok(bytes) = std::fs::read(&path) else { return Ok(None) };
-    match Checkpoint::decode(&bytes) {
-        Ok(saved) => Ok(Some(saved.tagger)),
-        Err(source) => Err(AgentError::Checkpoint { path, source }),
-    }
+    let why = |what: String| format!("{}: {what}", path.display());
+    let file = match File::open(&path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        file => file.map_err(|error| why(error.to_string()))?,
+    };
+    let mut bytes = Vec::new();
+    file.take(MAX_BYTES as u64).read_to_end(&mut bytes).map_err(|error| why(error.to_string()))?;
+    let saved = Checkpoint::decode(&bytes).map_err(|error| why(error.to_string()))?;
+    Ok(Some(saved.tagger))
 }
 
 pub(super) fn write_state(captures: &Path, checkpoint: &[u8]) -> Result<(), AgentError> {

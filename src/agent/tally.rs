@@ -2,28 +2,34 @@
 
 use std::collections::BTreeMap;
 
-use super::report::{Quantiles, quantiles};
+use super::durations::Durations;
 use super::stages::NotSeen;
 use crate::recording::Counts;
+use crate::ros2::cdr::CdrError;
+use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
 use crate::sensors::log::DIAGNOSTICS_NAME;
 use crate::sensors::scene::header;
-use crate::sensors::synchroniser::Frame;
+use crate::sensors::synchroniser::{Frame, RobotAt};
 
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     /// Why tags are invalid, and how many.
     pub invalid: BTreeMap<String, u64>,
-    /// Messages whose bytes are not what their type says.
+    /// Messages, other than frames, whose bytes are not what their type says.
     pub bad_messages: u64,
     /// First image of which nothing could be seen, and why.
     pub first_bad_image: Option<String>,
-    milliseconds: Vec<f32>,
+    /// From the decoded image to the tag.
+    pub durations: Durations,
+    /// Frames of which nobody said how the torso was tilted.
+    pub without_tilt: u64,
 }
 
 impl Tally {
-    pub fn note_tag(&mut self, tag: &FrameTag) {
-        self.milliseconds.push(tag.elapsed_ms as f32);
+    pub fn note_tag(&mut self, robot: &RobotAt, tag: &FrameTag) {
+        self.durations.note(tag.elapsed_ms);
+        self.without_tilt += u64::from(robot.place.as_ref().is_ok_and(|place| !place.tilt_is_measured));
         if !tag.valid {
             *self.invalid.entry(tag.reason.clone()).or_default() += 1;
         }
@@ -45,11 +51,14 @@ impl Tally {
         });
     }
 
-    pub fn filter_ms(&mut self) -> Quantiles {
-        quantiles(&mut self.milliseconds)
+    /// Of one whose stamp cannot be read.
+    pub fn note_bad_frame(&mut self, message: &LogMessage, error: &CdrError) {
+        let LogMessage { channel, log_time_ns, .. } = message;
+        self.first_bad_image
+            .get_or_insert_with(|| format!("{}, frame logged at {log_time_ns} ns: {error}", channel.topic));
     }
 
-    pub fn diagnostics(&self, log_time_ns: i64, robot: &str, counts: &Counts) -> DiagnosticArray {
+    pub fn diagnostics(&self, log_time_ns: i64, robot: &str, counts: &Counts, late: u64) -> DiagnosticArray {
         let value = |key: &str, value: u64| KeyValue { key: key.to_owned(), value: value.to_string() };
         let mut values = vec![
             value("frames_captured", counts.captured),
@@ -57,8 +66,11 @@ impl Tally {
             value("frames_tagged", counts.tagged),
             value("frames_valid", counts.valid),
             value("bad_messages", self.bad_messages),
+            value("late_measurements", late),
         ];
-        values.extend(counts.dropped.iter().map(|(cause, count)| value(&format!("dropped_{cause}"), *count)));
+        for (what, causes) in [("dropped", &counts.dropped), ("untagged", &counts.untagged)] {
+            values.extend(causes.iter().map(|(cause, count)| value(&format!("{what}_{cause}"), *count)));
+        }
         let conserved = counts.is_conserved();
         let status = DiagnosticStatus {
             level: if conserved { DiagnosticStatus::OK } else { DiagnosticStatus::ERROR },

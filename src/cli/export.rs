@@ -218,8 +218,11 @@ fn image_topic(capture: &Path) -> anyhow::Result<String> {
     if types.contains_key(&wanted) {
         return Ok(wanted);
     }
-    let images: Vec<&String> =
-        types.iter().filter(|(_, kind)| kind.ends_with("Image")).map(|(topic, _)| topic).collect();
+    let images: Vec<&String> = types
+        .iter()
+        .filter(|(_, kinds)| kinds.iter().any(|kind| kind.ends_with("Image")))
+        .map(|(topic, _)| topic)
+        .collect();
     match images[..] {
         [topic] => Ok(topic.clone()),
         _ => bail!("{}: no single topic of images; there are: {images:?}", capture.display()),

@@ -111,7 +111,10 @@ fn is_usage(error: &anyhow::Error) -> bool {
             || cause.is::<settings::UsageError>()
             || matches!(
                 cause.downcast_ref::<ReplayError>(),
-                Some(ReplayError::Setup(SetupError::Config(_) | SetupError::BodyMask { .. }))
+                Some(
+                    ReplayError::IntoCapture { .. }
+                        | ReplayError::Setup(SetupError::Config(_) | SetupError::BodyMask { .. })
+                )
             )
     })
 }

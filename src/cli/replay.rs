@@ -67,7 +67,7 @@ pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
     let mut progress = output::Progress::new("tagging");
     let report = replay(&options, &mut |done, total| progress.set(done, total))?;
     progress.finish();
-    report_losses(&report);
+    tell(&report);
     if json {
         output::json(&report)?
     } else {
@@ -101,11 +101,21 @@ pub fn for_people(report: &ReplayReport) -> String {
         let reasons: Vec<String> = report.invalid.iter().map(|(reason, count)| format!("{count} {reason}")).collect();
         text.push_str(&format!("invalid: {}\n", reasons.join(", ")));
     }
+    match report.warnings.len() {
+        0 => {}
+        1 => text.push_str("1 warning, on standard error\n"),
+        warnings => text.push_str(&format!("{warnings} warnings, on standard error\n")),
+    }
     text.push_str(&session.display().to_string());
     text
 }
 
-fn report_losses(report: &ReplayReport) {
+/// Warnings, then what was lost.
+fn tell(report: &ReplayReport) {
+    for warning in &report.warnings {
+        eprintln!("realitysim: warning: {warning}");
+    }
+    output::losses(&report.lost);
     for damage in &report.damage {
         let what = damage.first_error.clone().unwrap_or_else(|| "its end is missing".to_owned());
         eprintln!(
@@ -121,7 +131,18 @@ fn report_losses(report: &ReplayReport) {
             report.bad_messages
         );
     }
+    if report.late_measurements > 0 {
+        eprintln!(
+            "realitysim: {} measurements came more than a second after later ones: recorded, but not used",
+            report.late_measurements
+        );
+    }
     if let Some(image) = &report.first_bad_image {
         eprintln!("realitysim: {image} (first of its kind; such frames are tagged invalid)");
+    }
+    for (cause, count) in &report.untagged {
+        eprintln!(
+            "realitysim: {count} frames do not even say when they were exposed: recorded without a tag ({cause})"
+        );
     }
 }

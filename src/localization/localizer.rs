@@ -303,11 +303,12 @@ impl Localizer {
         let surprise = surprise(&prediction.prior, &refined.moved);
         if surprise > SURPRISE && agrees(&refined.lines) {
             // Lines agree with each other but not with the prediction: odometry or IMU were wronger than they claim.
-            let doubted = prediction.doubted(&refined.moved);
-            if let Some(again) = refine(&doubted.prior) {
-                if let Some(track) = &mut self.state.track {
-                    track.doubt(&refined.moved);
-                }
+            if let Some(track) = &mut self.state.track {
+                track.doubt(&refined.moved);
+            }
+            if let Some(doubted) = self.prediction(moment).map(|prediction| prediction.doubted(&refined.moved))
+                && let Some(again) = refine(&doubted.prior)
+            {
                 (prediction, refined) = (doubted, again);
             }
         }

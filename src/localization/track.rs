@@ -91,14 +91,19 @@ pub struct Prediction {
     pub prior: Prior,
     /// How the camera pose's error depends on the state's.
     sensitivity: SMatrix<f64, 6, STATES>,
+    /// What of the covariance is the frame's own.
+    scatter: Matrix6<f64>,
 }
 
 impl Prediction {
-    /// The same, but as uncertain as the lines have shown it to be wrong.
-    pub fn doubted(&self, moved: &Vector6<f64>) -> Self {
-        let Prior { map_from_optical, covariance } = &self.prior;
-        let covariance = covariance + Matrix6::from_diagonal(&moved.component_mul(moved));
-        Self { prior: Prior { map_from_optical: *map_from_optical, covariance }, sensitivity: self.sensitivity }
+    /// The same, the frame's own error in height and tilt being as large as the lines have shown.
+    pub fn doubted(mut self, moved: &Vector6<f64>) -> Self {
+        for index in [2, 3, 4] {
+            let variance = moved[index] * moved[index];
+            self.scatter[(index, index)] += variance;
+            self.prior.covariance[(index, index)] += variance;
+        }
+        self
     }
 }
 
@@ -235,9 +240,10 @@ impl Track {
             nominal.translation + DVec3::new(0.0, 0.0, self.mean[HEIGHT]),
         );
         let mut covariance: Matrix6<f64> = sensitivity * self.covariance * sensitivity.transpose();
-        covariance += scatter(model, footprint.yaw);
+        let scatter = scatter(model, footprint.yaw);
+        covariance += scatter;
         covariance = (covariance + covariance.transpose()) * 0.5;
-        Prediction { prior: Prior { map_from_optical, covariance }, sensitivity }
+        Prediction { prior: Prior { map_from_optical, covariance }, sensitivity, scatter }
     }
 
     /// What a refined pose says of the state.
@@ -249,8 +255,10 @@ impl Track {
         for scale in [DISTANCE, TURN] {
             self.mean[scale] = self.mean[scale].clamp(-MOST_SCALE, MOST_SCALE);
         }
-        let learnt = prediction.prior.covariance - refined.covariance;
-        let covariance = self.covariance - gain * learnt * gain.transpose();
+        // A sum of squares (Joseph's form): no rounding makes it anything but a covariance.
+        let kept = Covariance::identity() - gain * prediction.sensitivity;
+        let learnt = gain * (prediction.scatter + refined.covariance) * gain.transpose();
+        let covariance = kept * self.covariance * kept.transpose() + learnt;
         self.covariance = (covariance + covariance.transpose()) * 0.5;
     }
 

@@ -28,21 +28,37 @@ pub struct SessionInfo {
     pub lens: LensParameters,
 }
 
-/// Frames, by what became of them: captured = written + the sum of dropped.
+/// Frames, by what became of them: captured = written + the sum of dropped, and in the end written = tagged + the sum
+/// of untagged.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
     pub captured: u64,
     pub written: u64,
     pub tagged: u64,
     pub valid: u64,
-    /// By cause.
+    /// Not written, by cause.
     pub dropped: BTreeMap<String, u64>,
+    /// Written, but of which nobody can say when they were exposed; by cause.
+    #[serde(default)]
+    pub untagged: BTreeMap<String, u64>,
 }
 
 impl Counts {
     /// Every captured frame was either written or dropped.
     pub fn is_conserved(&self) -> bool {
         self.captured == self.written + self.dropped.values().sum::<u64>()
+    }
+
+    pub fn add(&mut self, other: &Self) {
+        self.captured += other.captured;
+        self.written += other.written;
+        self.tagged += other.tagged;
+        self.valid += other.valid;
+        for (sum, more) in [(&mut self.dropped, &other.dropped), (&mut self.untagged, &other.untagged)] {
+            for (cause, count) in more {
+                *sum.entry(cause.clone()).or_default() += count;
+            }
+        }
     }
 }
 
@@ -73,20 +89,20 @@ pub struct ManifestLine {
     pub poses: Option<PoseBox>,
 }
 
-/// Messages of one topic in all segments, for `metadata.yaml`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TopicCount {
+/// What tells an entry of `metadata.yaml` from the others. Readers look for the files' channels by all three.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TopicEntry {
+    pub name: String,
     pub type_name: String,
-    /// As in the files' channel: readers take a topic whose profiles differ there for another one.
     pub qos_profiles: String,
-    pub messages: u64,
 }
 
 /// What `ros2 bag` wants beside the files (version 5: understood since Humble).
-pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<String, TopicCount>) -> String {
+/// `topics` with the number of their messages.
+pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<TopicEntry, u64>) -> String {
     let first = lines.iter().map(|line| line.first_ns).min().unwrap_or(0);
     let last = lines.iter().map(|line| line.last_ns).max().unwrap_or(first);
-    let messages: u64 = topics.values().map(|topic| topic.messages).sum();
+    let messages: u64 = topics.values().sum();
     let mut yaml = String::new();
     // Writing to a String cannot fail.
     let _ = write!(
@@ -96,15 +112,14 @@ pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<String, TopicCoun
          topics_with_message_count:\n",
         last - first
     );
-    for (name, topic) in topics {
+    for (TopicEntry { name, type_name, qos_profiles }, messages) in topics {
         let _ = write!(
             yaml,
             "    - topic_metadata:\n        name: {}\n        type: {}\n        serialization_format: cdr\n        \
-             offered_qos_profiles: {}\n      message_count: {}\n",
+             offered_qos_profiles: {}\n      message_count: {messages}\n",
             quoted(name),
-            quoted(&topic.type_name),
-            quoted(&topic.qos_profiles),
-            topic.messages
+            quoted(type_name),
+            quoted(qos_profiles)
         );
     }
     let _ = writeln!(yaml, "  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:");

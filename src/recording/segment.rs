@@ -22,7 +22,9 @@ pub(super) struct Segment {
     writer: LogWriter<Hashing>,
     /// The same file, to force it to disk while the writer owns the other handle.
     file: File,
-    channels: BTreeMap<String, ChannelId>,
+    /// Of the source, and our own by topic.
+    passed: Vec<(Arc<Channel>, ChannelId)>,
+    own: BTreeMap<&'static str, ChannelId>,
     pub(super) counts: Counts,
     poses: Option<PoseBox>,
     first_ns: Option<i64>,
@@ -67,7 +69,8 @@ impl Segment {
             name,
             writer,
             file: handle,
-            channels: BTreeMap::new(),
+            passed: Vec::new(),
+            own: BTreeMap::new(),
             counts: Counts::default(),
             poses: None,
             first_ns: None,
@@ -94,15 +97,15 @@ impl Segment {
     /// A message of our own.
     pub(super) fn write<M: Message>(
         &mut self,
-        topic: &str,
+        topic: &'static str,
         log_time_ns: i64,
         message: &M,
     ) -> Result<(), RecordingError> {
-        let channel = match self.channels.get(topic) {
+        let channel = match self.own.get(topic) {
             Some(channel) => *channel,
             None => {
                 let channel = self.writer.add_channel::<M>(topic, Durability::Volatile)?;
-                self.channels.insert(topic.to_owned(), channel);
+                self.own.insert(topic, channel);
                 channel
             }
         };
@@ -159,12 +162,18 @@ impl Segment {
         })
     }
 
+    /// One channel for all of the source's that are the same but for their number.
     fn channel_of(&mut self, channel: &Arc<Channel>) -> Result<ChannelId, RecordingError> {
-        if let Some(id) = self.channels.get(&channel.topic) {
+        if let Some((_, id)) = self.passed.iter().find(|(known, _)| Arc::ptr_eq(known, channel)) {
             return Ok(*id);
         }
-        let id = self.writer.add_raw_channel(&RawChannel::from(channel.as_ref()))?;
-        self.channels.insert(channel.topic.clone(), id);
+        // The next file of the source has entries of its own, and so has each of several senders.
+        let known = self.passed.iter().find(|(known, _)| is_same(known, channel)).map(|(_, id)| *id);
+        let id = match known {
+            Some(id) => id,
+            None => self.writer.add_raw_channel(&RawChannel::from(channel.as_ref()))?,
+        };
+        self.passed.push((Arc::clone(channel), id));
         Ok(id)
     }
 
@@ -173,6 +182,11 @@ impl Segment {
         self.last_ns = self.last_ns.max(log_time_ns);
         self.messages += 1;
     }
+}
+
+/// Whether the file may take both for one.
+fn is_same(one: &Channel, other: &Channel) -> bool {
+    *one == Channel { id: one.id, ..other.clone() }
 }
 
 /// Makes a created or renamed name survive a power cut.

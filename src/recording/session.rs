@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use super::manifest::{Counts, MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicCount, metadata_yaml};
+use super::manifest::{Counts, MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml};
 use super::segment::{Segment, sync_folder};
 use super::topic;
 use crate::config::RecordingSettings;
@@ -35,7 +35,10 @@ pub struct SessionWriter {
     next_index: u32,
     manifest: File,
     lines: Vec<ManifestLine>,
-    topics: BTreeMap<String, TopicCount>,
+    /// Frames of the segments in `lines`.
+    finished: Counts,
+    /// Messages so far.
+    topics: BTreeMap<TopicEntry, u64>,
     /// Calibration and constants, written again at the start of each segment.
     latched: Vec<LogMessage>,
 }
@@ -72,6 +75,7 @@ impl SessionWriter {
             next_index: 1,
             manifest,
             lines: Vec::new(),
+            finished: Counts::default(),
             topics: BTreeMap::new(),
             latched: Vec::new(),
         })
@@ -83,16 +87,8 @@ impl SessionWriter {
 
     /// Frames of the segment being written and of those finished.
     pub fn counts(&self) -> Counts {
-        let mut total = self.segment.counts.clone();
-        for line in &self.lines {
-            total.captured += line.frames.captured;
-            total.written += line.frames.written;
-            total.tagged += line.frames.tagged;
-            total.valid += line.frames.valid;
-            for (cause, count) in &line.frames.dropped {
-                *total.dropped.entry(cause.clone()).or_default() += count;
-            }
-        }
+        let mut total = self.finished.clone();
+        total.add(&self.segment.counts);
         total
     }
 
@@ -107,8 +103,8 @@ impl SessionWriter {
     pub fn next_segment(&mut self, log_time_ns: i64, name: &str, checkpoint: &[u8]) -> Result<(), RecordingError> {
         let segment = Segment::create(&self.folder, self.next_index)?;
         self.next_index += 1;
-        let finished = std::mem::replace(&mut self.segment, segment).finish()?;
-        self.note(finished)?;
+        let line = std::mem::replace(&mut self.segment, segment).finish()?;
+        self.note(line)?;
         self.segment.attach(name, log_time_ns, checkpoint)?;
         for mut message in self.latched.clone() {
             message.log_time_ns = log_time_ns;
@@ -154,6 +150,11 @@ impl SessionWriter {
         self.write(topic::DIAGNOSTICS, log_time_ns, report)
     }
 
+    /// A frame that was written and can have no tag.
+    pub fn leave_untagged(&mut self, cause: &str) {
+        *self.segment.counts.untagged.entry(cause.to_owned()).or_default() += 1;
+    }
+
     /// Finishes the last segment and writes `metadata.yaml`.
     pub fn finish(mut self) -> Result<(PathBuf, Counts), RecordingError> {
         let counts = self.counts();
@@ -167,12 +168,13 @@ impl SessionWriter {
 
     fn note(&mut self, line: ManifestLine) -> Result<(), RecordingError> {
         append_line(&mut self.manifest, &self.folder, &line)?;
+        self.finished.add(&line.frames);
         self.lines.push(line);
         Ok(())
     }
 
-    fn write<M: Message>(&mut self, topic: &str, log_time_ns: i64, message: &M) -> Result<(), RecordingError> {
-        self.count(topic, M::TYPE, || qos_profile(Durability::Volatile));
+    fn write<M: Message>(&mut self, topic: &'static str, log_time_ns: i64, message: &M) -> Result<(), RecordingError> {
+        self.count(topic, M::TYPE, &qos_profile(Durability::Volatile));
         self.segment.write(topic, log_time_ns, message)
     }
 
@@ -191,17 +193,12 @@ impl SessionWriter {
 
     fn count_passed(&mut self, message: &LogMessage) {
         let channel = &message.channel;
-        self.count(&channel.topic, &channel.type_name, || channel.qos_profiles().to_owned());
+        self.count(&channel.topic, &channel.type_name, channel.qos_profiles());
     }
 
-    fn count(&mut self, topic: &str, type_name: &str, qos_profiles: impl FnOnce() -> String) {
-        match self.topics.get_mut(topic) {
-            Some(count) => count.messages += 1,
-            None => {
-                let count = TopicCount { type_name: type_name.to_owned(), qos_profiles: qos_profiles(), messages: 1 };
-                self.topics.insert(topic.to_owned(), count);
-            }
-        }
+    fn count(&mut self, name: &str, type_name: &str, qos_profiles: &str) {
+        let [name, type_name, qos_profiles] = [name, type_name, qos_profiles].map(str::to_owned);
+        *self.topics.entry(TopicEntry { name, type_name, qos_profiles }).or_default() += 1;
     }
 }
 

@@ -44,7 +44,7 @@ pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
         within("scene.initial_pose.y_m", error.y_m, -20.0..=20.0, "-20 to 20 m off")?;
         within("scene.initial_pose.yaw_deg", error.yaw_deg, -180.0..=180.0, "-180 to 180 degrees off")?;
     }
-    effects::check(&file.effects)?;
+    effects::check(&file.effects, field)?;
     has_something_to_act_on(file)
 }
 
@@ -118,7 +118,7 @@ fn check_still(still: &Still, field: &Field) -> Result<(), SceneError> {
     within("route.hold_s", still.hold_s, 0.001..=3600.0, "0.001 to 3600 s")
 }
 
-fn inside(key: impl Display, point: [f64; 2], field: &Field) -> Result<(), SceneError> {
+pub(super) fn inside(key: impl Display, point: [f64; 2], field: &Field) -> Result<(), SceneError> {
     let limit = field.carpet_half_extent() + DVec2::splat(MAX_OFF_CARPET_M);
     if DVec2::from(point).abs().cmple(limit).all() {
         return Ok(());
@@ -131,8 +131,11 @@ fn inside(key: impl Display, point: [f64; 2], field: &Field) -> Result<(), Scene
 fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
     for (index, effect) in file.effects.iter().enumerate() {
         let (present, expected) = match effect {
-            Effect::GaitSway(_) => {
+            Effect::GaitSway(_) | Effect::Kidnapping(_) => {
                 (matches!(file.route, Route::Walk(_)), "it needs a route that is walked, this one stands still")
+            }
+            Effect::HeadMotion(_) => {
+                (file.imu.is_some(), "joints are sent at the rate of the section [imu], which is absent")
             }
             // The IMU's yaw is the odometry's, so the error shows there too.
             Effect::OdometryError(_) => (
@@ -140,7 +143,11 @@ fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
                 "it needs the section [odometry] or [imu], both are absent",
             ),
             Effect::ImuError(_) => (file.imu.is_some(), "it needs the section [imu], which is absent"),
-            Effect::SensorNoise(_) => (true, ""),
+            Effect::SensorNoise(_)
+            | Effect::Light(_)
+            | Effect::Obstacles(_)
+            | Effect::WornLines(_)
+            | Effect::CalibrationError(_) => (true, ""),
         };
         if !present {
             return Err(refuse(format_args!("effect[{index}].kind"), effect.name(), expected));

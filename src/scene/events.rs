@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use super::effects::{ImuError, OdometryError};
+use super::effects::{HeadMotion, ImuError, Joints, OdometryError};
 use super::file::InitialPose;
 use super::motion::Travel;
 use super::truth::{Truth, Twist};
@@ -21,6 +21,8 @@ pub enum SceneEventKind {
     InitialPose(InitialPoseEstimate),
     Odometry(Odometry),
     Imu(Imu),
+    /// Only if the head moves.
+    Joints(Joints),
     /// The image itself comes from [`Renderer::render`](super::Renderer::render).
     Frame {
         index: u64,
@@ -53,20 +55,21 @@ pub struct Imu {
 }
 
 /// In the order in which events of the same stamp come: an estimate needs the state before the image.
-const ORDER: [Source; 4] = [Source::InitialPose, Source::Odometry, Source::Imu, Source::Frame];
+const ORDER: [Source; 5] = [Source::InitialPose, Source::Odometry, Source::Imu, Source::Joints, Source::Frame];
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Source {
     InitialPose,
     Odometry,
     Imu,
+    Joints,
     Frame,
 }
 
 #[derive(Clone, Debug)]
 pub struct Events<'a> {
     scene: &'a Scene,
-    clocks: [Option<Clock>; 4],
+    clocks: [Option<Clock>; 5],
     odometer: Odometer,
 }
 
@@ -82,9 +85,10 @@ impl<'a> Events<'a> {
                 announced,
                 file.odometry.map(|section| clock(section.rate_hz)),
                 file.imu.map(|section| clock(section.rate_hz)),
+                file.imu.filter(|_| scene.head.is_some()).map(|section| clock(section.rate_hz)),
                 Some(clock(file.camera.rate_hz)),
             ],
-            odometer: Odometer { pose: Pose2::default(), before: scene.motion.at(0.0) },
+            odometer: Odometer { pose: Pose2::default(), time: 0.0, before: scene.travel(0.0) },
         }
     }
 }
@@ -93,28 +97,44 @@ impl Iterator for Events<'_> {
     type Item = SceneEvent;
 
     fn next(&mut self) -> Option<SceneEvent> {
-        let due = |clock: &Option<Clock>| clock.as_ref().and_then(Clock::due_ns);
-        // The first of equals wins.
-        let (which, offset_ns) = (0..ORDER.len())
-            .filter_map(|which| due(&self.clocks[which]).map(|offset| (which, offset)))
-            .min_by_key(|(_, offset)| *offset)?;
-        let index = self.clocks[which].as_mut()?.tick();
-        let time = seconds(offset_ns);
+        loop {
+            let due = |clock: &Option<Clock>| clock.as_ref().and_then(Clock::due_ns);
+            // The first of equals wins.
+            let (which, offset_ns) = (0..ORDER.len())
+                .filter_map(|which| due(&self.clocks[which]).map(|offset| (which, offset)))
+                .min_by_key(|(_, offset)| *offset)?;
+            let index = self.clocks[which].as_mut()?.tick();
+            if let Some(kind) = self.event(ORDER[which], seconds(offset_ns), index) {
+                return Some(SceneEvent { stamp_ns: START_STAMP_NS + offset_ns, kind });
+            }
+        }
+    }
+}
+
+impl Events<'_> {
+    /// None where a sensor says nothing.
+    fn event(&mut self, source: Source, time: f64, index: u64) -> Option<SceneEventKind> {
         let scene = self.scene;
-        let kind = match ORDER[which] {
+        Some(match source {
             Source::InitialPose => SceneEventKind::InitialPose(initial_pose(scene)),
-            Source::Odometry => SceneEventKind::Odometry(self.odometer.sample(scene, time, index)),
+            Source::Odometry => {
+                let odometry = self.odometer.sample(scene, time, index);
+                if scene.odometry_error.as_ref().is_some_and(|error| error.is_silent(time)) {
+                    return None;
+                }
+                SceneEventKind::Odometry(odometry)
+            }
             Source::Imu => SceneEventKind::Imu(imu(scene, time, index)),
+            Source::Joints => SceneEventKind::Joints(joints(scene, time, index)),
             Source::Frame => {
                 SceneEventKind::Frame { index, map_from_camera_link: scene.truth(time).map_from_camera_link }
             }
-        };
-        Some(SceneEvent { stamp_ns: START_STAMP_NS + offset_ns, kind })
+        })
     }
 }
 
 fn initial_pose(scene: &Scene) -> InitialPoseEstimate {
-    let truth = scene.motion.at(0.0).map_from_base_footprint;
+    let truth = scene.travel(0.0).map_from_base_footprint;
     let map_from_base_footprint = match scene.file.scene.initial_pose {
         InitialPose::Exact | InitialPose::None => truth,
         InitialPose::Off(error) => Pose2 {
@@ -128,29 +148,37 @@ fn initial_pose(scene: &Scene) -> InitialPoseEstimate {
 
 fn imu(scene: &Scene, time: f64, index: u64) -> Imu {
     let Truth { map_from_base_link, angular_velocity, linear_acceleration, .. } = scene.truth(time);
-    let travel = scene.motion.at(time);
+    let travel = scene.travel(time);
     let drift = scene.odometry_error.as_ref().map_or(0.0, OdometryError::yaw_drift);
     let mut euler = map_from_base_link.euler();
     euler.yaw = wrap_angle(travel.turned + drift * travel.walked);
     let measured = |error: &ImuError| error.measured(euler, angular_velocity, scene.file.scene.seed, index);
     let (euler, angular_velocity) = scene.imu_error.as_ref().map_or((euler, angular_velocity), measured);
-    Imu { orientation: euler.rotation(), angular_velocity, linear_acceleration }
+    let told = Imu { orientation: euler.rotation(), angular_velocity, linear_acceleration };
+    scene.imu_error.as_ref().map_or(told, |error| error.in_housing(told))
+}
+
+fn joints(scene: &Scene, time: f64, index: u64) -> Joints {
+    let told = |head: &HeadMotion| head.measured(time, scene.file.scene.seed, index);
+    scene.head.as_ref().map_or_else(Joints::default, told)
 }
 
 /// Adds up steps, because every step has its own error.
 #[derive(Clone, Debug)]
 struct Odometer {
     pose: Pose2,
+    time: f64,
     before: Travel,
 }
 
 impl Odometer {
     fn sample(&mut self, scene: &Scene, time: f64, index: u64) -> Odometry {
-        let now = scene.motion.at(time);
+        let now = scene.travel(time);
         let mut twist = Twist { x: now.speed, y: 0.0, yaw: now.turn };
         match &scene.odometry_error {
             // Not added up: without an error the truth itself.
             None => self.pose = now.start_from_base_footprint,
+            Some(error) if error.is_frozen(time) => twist = Twist::default(),
             Some(error) => {
                 let step = self.before.start_from_base_footprint.inverse().compose(&now.start_from_base_footprint);
                 let walked = now.walked - self.before.walked;
@@ -158,6 +186,10 @@ impl Odometer {
                 twist = Twist { x: twist.x * error.scale(), yaw: twist.yaw + error.yaw_drift() * twist.x, ..twist };
             }
         }
+        if let Some(jump) = scene.odometry_error.as_ref().and_then(|error| error.jumped(self.time, time)) {
+            self.pose = self.pose.compose(&jump);
+        }
+        self.time = time;
         self.before = now;
         Odometry { odom_from_base_footprint: self.pose, twist }
     }

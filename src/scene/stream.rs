@@ -9,6 +9,9 @@ pub(super) enum Purpose {
     SensorNoise = 4,
     OdometryError = 5,
     ImuError = 6,
+    Obstacles = 7,
+    HeadMotion = 8,
+    WornLines = 9,
 }
 
 /// Counter-based: the n-th number is a hash of key and n.

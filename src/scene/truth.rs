@@ -4,6 +4,7 @@ use glam::{DQuat, DVec3};
 
 use super::Scene;
 use super::effects::Sway;
+use super::motion::Travel;
 use crate::geometry::{Euler, Isometry, Pose2};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,6 +40,8 @@ pub struct Mount {
 const GRAVITY_M_S2: f64 = 9.806_65;
 /// Sway is smooth: differences over this time are exact to 1e-7 of its rates.
 const DIFFERENCE_S: f64 = 1e-4;
+/// So is being carried, at a tenth of the pace.
+const CARRIED_DIFFERENCE_S: f64 = 1e-3;
 
 impl Scene {
     pub fn mount(&self) -> Mount {
@@ -53,31 +56,77 @@ impl Scene {
 
     /// At a time in seconds since the start; before it and after the end the robot stands.
     pub fn truth(&self, time: f64) -> Truth {
-        let travel = self.motion.at(time);
-        let mount = self.mount();
+        let travel = self.travel(time);
         let sway = self.sway_at(time);
-        let map_from_base_link = travel.map_from_base_footprint.to_isometry()
-            * sway.displacement()
-            * Isometry::new(sway.tilt().rotation(), mount.base_footprint_from_base_link.translation);
-        let (rate, acceleration) = self.sway_derivatives(time);
-        // The footprint goes round a circle; the torso moves sideways on this turntable.
-        let (v, w) = (travel.speed, travel.turn);
-        let in_footprint = DVec3::new(
-            -2.0 * w * rate.lateral,
-            v * w + acceleration.lateral - w * w * sway.lateral,
-            acceleration.vertical + GRAVITY_M_S2,
-        );
+        let map_from_base_link = self.base_link_at(time);
+        let (twist, linear_acceleration) = match &self.carrying {
+            Some(carrying) if carrying.is_under_way(time) => self.felt_in_the_air(time),
+            _ => {
+                let (rate, acceleration) = self.sway_derivatives(time);
+                // The footprint goes round a circle; the torso moves sideways on this turntable.
+                let (v, w) = (travel.speed, travel.turn);
+                let in_footprint = DVec3::new(
+                    -2.0 * w * rate.lateral,
+                    v * w + acceleration.lateral - w * w * sway.lateral,
+                    acceleration.vertical + GRAVITY_M_S2,
+                );
+                (Twist { x: v, y: 0.0, yaw: w }, sway.tilt().rotation().conjugate() * in_footprint)
+            }
+        };
+        let (rate, _) = self.sway_derivatives(time);
         Truth {
             map_from_base_footprint: travel.map_from_base_footprint,
             map_from_base_link,
-            map_from_camera_link: map_from_base_link * mount.base_link_from_camera_link,
-            twist: Twist { x: v, y: 0.0, yaw: w },
-            angular_velocity: body_rates(&sway, &rate, w),
-            linear_acceleration: sway.tilt().rotation().conjugate() * in_footprint,
+            map_from_camera_link: map_from_base_link * self.camera_at(time),
+            twist,
+            angular_velocity: body_rates(&sway, &rate, twist.yaw),
+            linear_acceleration,
         }
     }
 
+    pub(super) fn travel(&self, time: f64) -> Travel {
+        match &self.carrying {
+            None => self.motion.at(time),
+            Some(carrying) => carrying.travel(time, self.motion.at(carrying.route_time(time))),
+        }
+    }
+
+    fn base_link_at(&self, time: f64) -> Isometry {
+        let mut displacement = self.sway_at(time).displacement();
+        if let Some(carrying) = &self.carrying {
+            displacement.translation.z += carrying.lift_at(time);
+        }
+        self.travel(time).map_from_base_footprint.to_isometry()
+            * displacement
+            * Isometry::new(
+                self.sway_at(time).tilt().rotation(),
+                self.mount().base_footprint_from_base_link.translation,
+            )
+    }
+
+    /// `base_link_from_camera_link` as the head holds it.
+    fn camera_at(&self, time: f64) -> Isometry {
+        let mounted = self.mount().base_link_from_camera_link;
+        let Some(head) = &self.head else { return mounted };
+        let pitch = self.file.camera.mount_pitch_deg.to_radians();
+        Isometry::from_euler(head.at(time).camera(pitch), mounted.translation)
+    }
+
+    /// By differences: whoever carries the robot follows no formula of ours.
+    fn felt_in_the_air(&self, time: f64) -> (Twist, DVec3) {
+        let h = CARRIED_DIFFERENCE_S;
+        let [before, after] = [-h, h].map(|step| self.travel(time + step).map_from_base_footprint);
+        let moved = before.inverse().compose(&after);
+        let twist = Twist { x: moved.x / (2.0 * h), y: moved.y / (2.0 * h), yaw: moved.yaw / (2.0 * h) };
+        let [p0, p1, p2] = [-h, 0.0, h].map(|step| self.base_link_at(time + step));
+        let in_map = (p2.translation - 2.0 * p1.translation + p0.translation) / (h * h);
+        let with_gravity = in_map + DVec3::new(0.0, 0.0, GRAVITY_M_S2);
+        (twist, p1.rotation.conjugate() * with_gravity)
+    }
+
+    /// Whoever is carried does not walk: the gait stands still in its step.
     fn sway_at(&self, time: f64) -> Sway {
+        let time = self.carrying.as_ref().map_or(time, |carrying| carrying.route_time(time));
         self.sway.as_ref().map_or(Sway::default(), |model| model.at(time))
     }
 

@@ -13,22 +13,37 @@ pub trait Interpolate: Copy {
     fn is_finite(&self) -> bool;
 }
 
-/// Samples in time order, the oldest forgotten.
+/// Samples in the order of their stamps, whatever the order they came in; the oldest forgotten.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History<T> {
     samples: VecDeque<(i64, T)>,
-    /// Samples that were not taken: not finite, or not newer than the last.
-    refused: u64,
+    /// How far the latest of the late ones came behind the newest.
+    disorder_ns: i64,
+    /// From long before the newest: too late, unless the next one shows that the clock was set back.
+    stray: Option<(i64, T)>,
 }
 
 /// Older samples are forgotten: no frame waits this long.
 const KEEP_NS: i64 = 5_000_000_000;
 /// At most this many are kept, whatever their rate: five seconds at 4 kHz.
 const KEEP_SAMPLES: usize = 20_000;
-/// A clock that goes back by more than this has been set anew: what was before it means nothing any more.
+/// A sample that is older than the newest by no more than this is sorted in. Two in a row from before mean that the
+/// clock was set back: what was known means nothing any more.
 const RESET_NS: i64 = 1_000_000_000;
 /// Two samples farther apart than this are not connected by a straight line; the nearer one is taken.
 const BRIDGE_NS: i64 = 500_000_000;
+
+/// What became of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pushed {
+    Taken,
+    /// One of the same time is there already.
+    Known,
+    NotFinite,
+    TooLate,
+    /// The clock was set back: this one and the one before, which seemed too late, are the new beginning.
+    ClockSetBack,
+}
 
 /// A value and how old it is: 0 when it lies between two samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,42 +54,67 @@ pub struct Sample<T> {
 
 impl<T> Default for History<T> {
     fn default() -> Self {
-        Self { samples: VecDeque::new(), refused: 0 }
+        Self { samples: VecDeque::new(), disorder_ns: 0, stray: None }
     }
 }
 
 impl<T: Interpolate> History<T> {
-    pub fn push(&mut self, stamp_ns: i64, value: T) {
+    pub fn push(&mut self, stamp_ns: i64, value: T) -> Pushed {
         if !value.is_finite() {
-            self.refused += 1;
-            return;
+            return Pushed::NotFinite;
         }
-        if let Some(newest) = self.newest_ns() {
-            if stamp_ns < newest.saturating_sub(RESET_NS) {
-                self.samples.clear();
-            } else if stamp_ns <= newest {
-                self.refused += 1;
-                return;
+        let stray = self.stray.take();
+        let newest = self.newest_ns().unwrap_or(i64::MIN);
+        if stamp_ns > newest {
+            self.samples.push_back((stamp_ns, value));
+            self.forget();
+            return Pushed::Taken;
+        }
+        if stamp_ns >= newest.saturating_sub(RESET_NS) {
+            return self.sort_in(stamp_ns, value);
+        }
+        match stray {
+            Some(stray) if stamp_ns > stray.0 && stamp_ns - stray.0 <= RESET_NS => {
+                *self = Self { samples: [stray, (stamp_ns, value)].into(), ..Self::default() };
+                Pushed::ClockSetBack
+            }
+            _ => {
+                self.stray = Some((stamp_ns, value));
+                Pushed::TooLate
             }
         }
-        self.samples.push_back((stamp_ns, value));
-        let oldest_kept = stamp_ns.saturating_sub(KEEP_NS);
+    }
+
+    fn sort_in(&mut self, stamp_ns: i64, value: T) -> Pushed {
+        let place = self.samples.partition_point(|(stamp, _)| *stamp < stamp_ns);
+        if self.samples.get(place).is_some_and(|(stamp, _)| *stamp == stamp_ns) {
+            return Pushed::Known;
+        }
+        self.disorder_ns = self.newest_ns().map_or(0, |newest| self.disorder_ns.max(newest - stamp_ns));
+        self.samples.insert(place, (stamp_ns, value));
+        self.forget();
+        Pushed::Taken
+    }
+
+    fn forget(&mut self) {
+        let oldest_kept = self.newest_ns().map_or(i64::MIN, |newest| newest.saturating_sub(KEEP_NS));
         // The last sample before the kept span stays: a frame just inside it needs both neighbours.
         while self.samples.len() > KEEP_SAMPLES || self.samples.get(1).is_some_and(|(stamp, _)| *stamp < oldest_kept) {
             self.samples.pop_front();
         }
     }
 
-    pub fn newest_ns(&self) -> Option<i64> {
+    /// Until when nothing is missing any more, if samples come no later than they have come so far.
+    pub fn settled_ns(&self) -> Option<i64> {
+        self.newest_ns().map(|newest| newest - self.disorder_ns)
+    }
+
+    fn newest_ns(&self) -> Option<i64> {
         self.samples.back().map(|(stamp, _)| *stamp)
     }
 
     pub fn is_empty(&self) -> bool {
         self.samples.is_empty()
-    }
-
-    pub fn refused(&self) -> u64 {
-        self.refused
     }
 
     /// The newest sample that [`at`](Self::at) this time looks at: the first that is not before it, else the last.
@@ -177,20 +217,50 @@ mod tests {
     }
 
     #[test]
-    fn equal_earlier_and_broken_samples_are_refused() {
+    fn samples_are_sorted_in_whatever_their_order() {
         let mut history = History::default();
-        for (stamp, value) in [(100, 1.0), (100, 2.0), (90, 3.0), (110, f64::NAN)] {
-            history.push(stamp, value);
+        let pushed = [(0, 0.0), (200, 2.0), (100, 5.0), (100, 7.0), (300, f64::NAN), (50, 1.0)]
+            .map(|(stamp, value)| history.push(stamp, value));
+        let expected = [Pushed::Taken, Pushed::Taken, Pushed::Taken, Pushed::Known, Pushed::NotFinite, Pushed::Taken];
+        assert_eq!(pushed, expected);
+        assert_eq!([25, 50, 75, 150].map(|stamp| history.at(stamp).unwrap().value), [0.5, 1.0, 3.0, 3.5]);
+    }
+
+    #[test]
+    fn what_may_still_come_late_is_waited_for() {
+        let mut history = History::default();
+        assert_eq!(history.settled_ns(), None);
+        for (stamp, settled) in [(100, 100), (200, 200), (170, 170), (300, 270), (290, 270), (500, 470)] {
+            history.push(stamp, 0.0);
+            assert_eq!(history.settled_ns(), Some(settled), "after {stamp}");
         }
-        assert_eq!((history.refused(), history.newest_ns()), (3, Some(100)));
+    }
+
+    #[test]
+    fn one_sample_from_long_ago_is_too_late_and_forgets_nothing() {
+        let mut history = History::default();
+        for stamp in [5_000, 5_010, 5_020] {
+            history.push(stamp * 1_000_000, 1.0);
+        }
+        let known = history.clone();
+        // Each alone between others: of a second sender whose clock is wrong.
+        for stamp in [0, 5_030, 10, 5_040] {
+            let pushed = history.push(stamp * 1_000_000, 2.0);
+            assert_eq!(pushed, if stamp < 5_000 { Pushed::TooLate } else { Pushed::Taken }, "{stamp}");
+        }
+        assert_eq!(history.at(5_015_000_000), known.at(5_015_000_000));
+        // In a row, but not one clock's.
+        assert_eq!([900, 30].map(|ms| history.push(ms * 1_000_000, 2.0)), [Pushed::TooLate; 2]);
     }
 
     #[test]
     fn a_clock_set_back_starts_over() {
         let mut history = History::default();
         history.push(10_000_000_000, 1.0);
-        history.push(0, 2.0);
-        assert_eq!(history.at(0), Some(Sample { value: 2.0, age_ns: 0 }));
+        assert_eq!(history.push(0, 2.0), Pushed::TooLate);
+        assert_eq!(history.push(10, 3.0), Pushed::ClockSetBack);
+        assert_eq!(history.at(5), Some(Sample { value: 2.5, age_ns: 0 }));
+        assert_eq!(history.settled_ns(), Some(10));
     }
 
     #[test]
@@ -198,6 +268,10 @@ mod tests {
         let mut history = History::default();
         for stamp in 0..100_000 {
             history.push(stamp * 1000, 0.0);
+        }
+        assert!(history.samples.len() <= KEEP_SAMPLES);
+        for stamp in (0..100_000).rev() {
+            history.push(99_000_000 + stamp, 0.0);
         }
         assert!(history.samples.len() <= KEEP_SAMPLES);
         history.push(i64::MAX, 0.0);

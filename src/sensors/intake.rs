@@ -4,11 +4,11 @@ use glam::{DQuat, DVec3};
 
 use crate::config::{HeadSettings, Topics};
 use crate::geometry::{Isometry, Pose2};
-use crate::ros2::cdr::CdrError;
-use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::cdr::{CdrError, CdrReader, Wire};
+use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::messages::{
-    CameraInfo, CompressedImageView, ImageView, Imu, JointState, Message, Odometry, PoseWithCovarianceStamped,
-    Quaternion, TFMessage, Transform, Vector3,
+    CameraInfo, CompressedImage, CompressedImageView, Header, Image, ImageView, Imu, JointState, Message, Odometry,
+    PoseWithCovarianceStamped, Quaternion, Stamp, TFMessage, Transform, Vector3,
 };
 
 /// A measurement, or a frame whose pixels stay in the message.
@@ -58,25 +58,31 @@ pub struct StampedTransform {
     pub parent_from_child: Isometry,
 }
 
-/// Reads one message. An error means that its bytes are not what its type says.
+/// Whether a message is a camera's image: another type on the same topic is none.
+pub fn is_frame(channel: &Channel, topics: &Topics) -> bool {
+    channel.topic == topics.image && [CompressedImage::TYPE, Image::TYPE].contains(&channel.type_name.as_str())
+}
+
+/// Reads one message. An error means that its bytes are not what its type says; a frame is one as long as it says when
+/// it was exposed.
 pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Result<Input, CdrError> {
     let topic = message.channel.topic.as_str();
     let data = message.data.as_slice();
-    if topic == topics.image {
-        let header = match message.channel.type_name.as_str() {
-            "sensor_msgs/msg/CompressedImage" => CompressedImageView::decode(data)?.header,
-            "sensor_msgs/msg/Image" => ImageView::decode(data)?.header,
-            _ => return Ok(Input::Other),
-        };
+    // One topic may carry several types, of which one is meant. A log that names no types is believed.
+    let is = |wanted: &str, kind: &str| {
+        topic == wanted && (message.channel.type_name == kind || message.channel.type_name.is_empty())
+    };
+    if is_frame(&message.channel, topics) {
+        let header = frame_header(&message.channel.type_name, data)?;
         return Ok(Input::Frame { stamp_ns: header.stamp.to_nanoseconds(), frame_id: header.frame_id });
     }
-    if topic == topics.odometry {
+    if is(&topics.odometry, Odometry::TYPE) {
         let odometry = Odometry::decode(data)?;
         let odom_from_footprint =
             Pose2::from_isometry(&isometry(&odometry.pose.pose.position, &odometry.pose.pose.orientation));
         return Ok(Input::Odometry { stamp_ns: odometry.header.stamp.to_nanoseconds(), odom_from_footprint });
     }
-    if topic == topics.imu {
+    if is(&topics.imu, Imu::TYPE) {
         let imu = Imu::decode(data)?;
         let measured = imu.orientation_covariance[0] != -1.0;
         let orientation = measured.then(|| quaternion(&imu.orientation));
@@ -86,7 +92,7 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
             orientation,
         });
     }
-    if topic == topics.joints {
+    if is(&topics.joints, JointState::TYPE) {
         let joints = JointState::decode(data)?;
         let angle = |name: &str| {
             let index = joints.name.iter().position(|joint| joint == name)?;
@@ -95,7 +101,7 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
         let (pan, tilt) = (angle(&head.pan_joint), angle(&head.tilt_joint));
         return Ok(Input::Joints { stamp_ns: joints.header.stamp.to_nanoseconds(), pan, tilt });
     }
-    if topic == topics.tf || topic == topics.tf_static {
+    if is(&topics.tf, TFMessage::TYPE) || is(&topics.tf_static, TFMessage::TYPE) {
         let transforms = TFMessage::decode(data)?.transforms;
         let transforms = transforms
             .into_iter()
@@ -108,7 +114,7 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
             .collect();
         return Ok(Input::Transforms { latched: topic == topics.tf_static, transforms });
     }
-    if topic == topics.initial_pose {
+    if is(&topics.initial_pose, PoseWithCovarianceStamped::TYPE) {
         let initial = PoseWithCovarianceStamped::decode(data)?;
         let pose = &initial.pose.pose;
         let deviation = |variance: f64| (variance.is_finite() && variance > 0.0).then(|| libm::sqrt(variance));
@@ -120,10 +126,26 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
             yaw_rad: deviation(covariance[35]),
         });
     }
-    if topic == topics.camera_info {
+    if is(&topics.camera_info, CameraInfo::TYPE) {
         return Ok(Input::CameraInfo(Box::new(CameraInfo::decode(data)?)));
     }
     Ok(Input::Other)
+}
+
+fn frame_header(type_name: &str, data: &[u8]) -> Result<Header, CdrError> {
+    let header = if type_name == Image::TYPE {
+        ImageView::decode(data).map(|image| image.header)
+    } else {
+        CompressedImageView::decode(data).map(|image| image.header)
+    };
+    header.or_else(|error| stamp_of_torn(data).map(|stamp| Header { stamp, ..Header::default() }).ok_or(error))
+}
+
+/// The stamp is the first thing in a frame, and often whole where the rest is not.
+fn stamp_of_torn(data: &[u8]) -> Option<Stamp> {
+    let stamp = Stamp::read(&mut CdrReader::new(data).ok()?).ok()?;
+    // What is zero was never written.
+    (stamp.nanosec < 1_000_000_000 && stamp != Stamp::default()).then_some(stamp)
 }
 
 /// ROS 1 names start with a slash; ROS 2's do not.

@@ -1,6 +1,5 @@
 //! A recorded log as the source of everything: one MCAP file, or a folder of them (a ROS 2 bag, a capture).
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -21,10 +20,6 @@ pub enum LogError {
     Open { path: PathBuf, source: std::io::Error },
     #[error("{path}: the folder holds no .mcap file: name an MCAP file, a ROS 2 bag's folder or a capture's")]
     NoFiles { path: PathBuf },
-    #[error(
-        "{path}: its attachment {CHECKPOINT_NAME} is damaged: replay the whole capture's folder, which does not need it"
-    )]
-    Checkpoint { path: PathBuf },
 }
 
 /// What only an earlier replay writes: never an input of the next one.
@@ -174,22 +169,29 @@ fn never_begun(error: &LogError) -> Option<Damage> {
 
 /// Topics with at least one message, and their types.
 pub fn topic_types(surveys: &[Survey]) -> TopicTypes {
-    let mut types = BTreeMap::new();
+    let mut types = TopicTypes::new();
     for topic in surveys.iter().flat_map(|survey| &survey.topics) {
         if topic.messages > 0 {
-            types.entry(topic.topic.clone()).or_insert_with(|| topic.type_name.clone());
+            types.entry(topic.topic.clone()).or_default().insert(topic.type_name.clone());
         }
     }
     types
 }
 
 /// The filter's state at the start of a capture's segment.
-pub fn checkpoint(path: &Path, survey: &Survey) -> Result<Option<Vec<u8>>, LogError> {
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum StoredCheckpoint {
+    /// As in a log that is no capture.
+    None,
+    Damaged,
+    Bytes(Vec<u8>),
+}
+
+pub fn checkpoint(path: &Path, survey: &Survey) -> Result<StoredCheckpoint, LogError> {
     if !survey.attachments.iter().any(|name| name == CHECKPOINT_NAME) {
-        return Ok(None);
+        return Ok(StoredCheckpoint::None);
     }
     let found = attachments(buffered(path)?).map_err(|source| LogError::Read { path: path.to_owned(), source })?;
     let found = found.list.into_iter().find(|attachment| attachment.name == CHECKPOINT_NAME);
-    // Going on without it would look like a start from nothing: tags would differ, and nobody would know why.
-    found.map(|found| Some(found.data)).ok_or_else(|| LogError::Checkpoint { path: path.to_owned() })
+    Ok(found.map_or(StoredCheckpoint::Damaged, |found| StoredCheckpoint::Bytes(found.data)))
 }

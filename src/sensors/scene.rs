@@ -11,7 +11,7 @@ use crate::geometry::{Isometry, LensModel, LensParameters};
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
 use crate::ros2::messages::{
-    CameraInfo, CompressedImage, Header, Image, Imu, Message, Odometry, Point, Pose, PoseStamped,
+    CameraInfo, CompressedImage, Header, Image, Imu, JointState, Message, Odometry, Point, Pose, PoseStamped,
     PoseWithCovarianceStamped, Quaternion, Stamp, TFMessage, Transform, TransformStamped, Vector3,
 };
 use crate::scene::{Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile};
@@ -125,6 +125,15 @@ impl<'a> SceneSource<'a> {
                 };
                 self.message(&topics.imu, stamp, &imu)
             }
+            SceneEventKind::Joints(joints) => {
+                let joints = JointState {
+                    header: header(""),
+                    name: vec!["head_pan".to_owned(), "head_tilt".to_owned()],
+                    position: vec![joints.pan, joints.tilt],
+                    ..Default::default()
+                };
+                self.message(&topics.joints, stamp, &joints)
+            }
             SceneEventKind::Frame { index, map_from_camera_link } => {
                 let truth = PoseStamped { header: header("map"), pose: pose(&map_from_camera_link) };
                 let truth = self.message(&topics.ground_truth, stamp, &truth);
@@ -183,7 +192,7 @@ impl Iterator for SceneSource<'_> {
 }
 
 fn transforms(scene: &Scene) -> TFMessage {
-    let mount = scene.mount();
+    let mount = scene.announced_mount();
     let step = |parent: &str, child: &str, parent_from_child: &Isometry| TransformStamped {
         header: header(START_STAMP_NS, parent),
         child_frame_id: child.to_owned(),
@@ -202,7 +211,7 @@ fn transforms(scene: &Scene) -> TFMessage {
 }
 
 fn camera_info(scene: &Scene) -> CameraInfo {
-    camera_info_of(scene.lens().parameters(), header(START_STAMP_NS, OPTICAL))
+    camera_info_of(scene.announced_lens(), header(START_STAMP_NS, OPTICAL))
 }
 
 /// ROS knows no equisolid lens: it goes by its own name, which only this program reads.

@@ -1,14 +1,14 @@
 //! Brings frames and measurements together on the time of the exposure.
 //!
-//! Stamps of the headers count, not when a message was logged: a frame waits until odometry, attitude and joints
-//! have been heard of up to its exposure, or until waiting longer would be too late.
+//! Stamps of the headers count, not when a message was logged or in which order: a frame waits until odometry,
+//! attitude and joints have been heard of up to its exposure, or until waiting longer would be too late.
 
 use std::collections::VecDeque;
 
 use glam::DQuat;
 use serde::{Deserialize, Serialize};
 
-use super::history::History;
+use super::history::{History, Pushed};
 use super::intake::{Input, StampedTransform};
 use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
 use crate::config::FrameNames;
@@ -72,6 +72,7 @@ pub struct Synchroniser {
     newest_log_ns: i64,
     finished: bool,
     expected: Expected,
+    too_late: u64,
 }
 
 /// What the log has messages of. Until the first of them, a frame waits for them as for later ones.
@@ -91,6 +92,7 @@ impl Synchroniser {
             newest_log_ns: i64::MIN,
             finished: false,
             expected: Expected::default(),
+            too_late: 0,
         }
     }
 
@@ -100,6 +102,16 @@ impl Synchroniser {
 
     pub fn state(&self) -> &SynchroniserState {
         &self.state
+    }
+
+    /// Measurements that came so late that they could not be used.
+    pub fn too_late(&self) -> u64 {
+        self.too_late
+    }
+
+    /// Whether an attitude has ever been heard of.
+    pub fn knows_attitude(&self) -> bool {
+        !self.state.attitude.is_empty()
     }
 
     /// Refuses a mount that can never be right, by the names that the frames so far have taught.
@@ -135,18 +147,20 @@ impl Synchroniser {
                 self.waiting.push_back((message.clone(), stamp_ns));
             }
             Input::Odometry { stamp_ns, odom_from_footprint } => {
-                self.state.odometry.push(stamp_ns, odom_from_footprint)
+                let pushed = self.state.odometry.push(stamp_ns, odom_from_footprint);
+                self.count(pushed);
             }
             Input::Imu { stamp_ns, orientation: Some(orientation), frame_id } => {
                 let imu_from_base = self.state.tree.fixed_rotation(&frame_id, &self.names.base_link);
-                self.state.attitude.push(stamp_ns, orientation * imu_from_base);
+                let pushed = self.state.attitude.push(stamp_ns, orientation * imu_from_base);
+                self.count(pushed);
             }
             Input::Joints { stamp_ns, pan, tilt } => {
-                if let Some(pan) = pan {
-                    self.state.pan.push(stamp_ns, pan);
-                }
-                if let Some(tilt) = tilt {
-                    self.state.tilt.push(stamp_ns, tilt);
+                let pan = pan.map(|pan| self.state.pan.push(stamp_ns, pan));
+                let tilt = tilt.map(|tilt| self.state.tilt.push(stamp_ns, tilt));
+                // One message, whatever the number of its angles.
+                if let Some(pushed) = pan.or(tilt) {
+                    self.count(pushed);
                 }
             }
             Input::Transforms { latched, transforms } => self.take_transforms(latched, transforms),
@@ -209,28 +223,39 @@ impl Synchroniser {
 
     fn is_known_until(&self, stamp_ns: i64) -> bool {
         let state = &self.state;
-        let reaches = |newest: Option<i64>| newest.is_none_or(|newest| newest >= stamp_ns);
+        let reaches = |settled: Option<i64>| settled.is_none_or(|settled| settled >= stamp_ns);
         // What has never been heard of is waited for as long as the log allows: it may just start late.
-        let odometry = state.odometry().newest_ns().is_some_and(|newest| newest >= stamp_ns);
+        let odometry = state.odometry().settled_ns().is_some_and(|settled| settled >= stamp_ns);
         let unheard = (self.expected.imu && state.attitude.is_empty())
             || (self.expected.joints && state.pan.is_empty() && state.tilt.is_empty());
         odometry
             && !unheard
-            && reaches(state.attitude.newest_ns())
-            && reaches(state.pan.newest_ns())
-            && reaches(state.tilt.newest_ns())
+            && reaches(state.attitude.settled_ns())
+            && reaches(state.pan.settled_ns())
+            && reaches(state.tilt.settled_ns())
             && state.tree.is_known_until(stamp_ns, &self.names)
     }
 
     fn take_transforms(&mut self, latched: bool, transforms: Vec<StampedTransform>) {
         for t in transforms {
             if t.child == self.names.base_footprint && t.parent == self.names.odom {
-                self.state.odometry_in_tf.push(t.stamp_ns, Pose2::from_isometry(&t.parent_from_child));
+                let pushed = self.state.odometry_in_tf.push(t.stamp_ns, Pose2::from_isometry(&t.parent_from_child));
+                self.count(pushed);
             } else if latched {
                 self.state.tree.set_static(&t.parent, &t.child, t.parent_from_child);
             } else {
-                self.state.tree.push(t.stamp_ns, &t.parent, &t.child, t.parent_from_child);
+                let pushed = self.state.tree.push(t.stamp_ns, &t.parent, &t.child, t.parent_from_child);
+                self.count(pushed);
             }
+        }
+    }
+
+    fn count(&mut self, pushed: Pushed) {
+        match pushed {
+            Pushed::TooLate => self.too_late += 1,
+            // The one before was counted, and is good after all.
+            Pushed::ClockSetBack => self.too_late = self.too_late.saturating_sub(1),
+            Pushed::Taken | Pushed::Known | Pushed::NotFinite => {}
         }
     }
 }

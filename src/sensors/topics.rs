@@ -1,13 +1,13 @@
 //! Which topic of a log is which measurement.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use thiserror::Error;
 
 use crate::config::{MotionSource, Settings, Topics};
 
-/// Type of each topic that a log has messages of.
-pub type TopicTypes = BTreeMap<String, String>;
+/// Types of each topic that a log has messages of: mostly one.
+pub type TopicTypes = BTreeMap<String, BTreeSet<String>>;
 
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TopicError {
@@ -34,10 +34,10 @@ const IMAGES: [&str; 2] = ["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/I
 pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> Result<Topics, TopicError> {
     let mut topics = settings.topics.clone();
     let find = |wanted: &str, types: &[&str]| -> Result<String, Vec<String>> {
-        if log.get(wanted).is_some_and(|kind| types.contains(&kind.as_str())) {
+        let fits = |(_, kinds): &(&String, &BTreeSet<String>)| types.iter().any(|kind| kinds.contains(*kind));
+        if log.get_key_value(wanted).as_ref().is_some_and(fits) {
             return Ok(wanted.to_owned());
         }
-        let fits = |(_, kind): &(&String, &String)| types.contains(&kind.as_str());
         let mut candidates: Vec<String> = log.iter().filter(fits).map(|(topic, _)| topic.clone()).collect();
         match candidates.len() {
             1 => candidates.pop().ok_or_else(Vec::new),
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     fn log(topics: &[(&str, &str)]) -> TopicTypes {
-        topics.iter().map(|(topic, kind)| ((*topic).to_owned(), (*kind).to_owned())).collect()
+        topics.iter().map(|(topic, kind)| ((*topic).to_owned(), [(*kind).to_owned()].into())).collect()
     }
 
     const WHOLE: [(&str, &str); 4] = [
@@ -134,7 +134,7 @@ mod tests {
         assert!(without("/cam/info").contains("camera.lens"));
         assert!(without("/tf_static").contains("tf2_msgs/msg/TFMessage"));
         let mut two = log(&WHOLE);
-        two.insert("/cam2".into(), "sensor_msgs/msg/Image".into());
+        two.insert("/cam2".into(), ["sensor_msgs/msg/Image".to_owned()].into());
         let said = resolve(&Settings::default(), &two, false).expect_err("unclear").to_string();
         assert!(said.contains("topics.image: /cam/raw, /cam2"), "{said}");
     }

@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::history::History;
+use super::history::{History, Pushed};
 use crate::config::FrameNames;
 use crate::geometry::{Euler, Isometry};
 
@@ -50,6 +50,8 @@ pub struct CameraPlace {
     pub footprint_from_optical: Isometry,
     /// Age of the oldest moving transform that was used.
     pub age_ns: i64,
+    /// Something says how the torso is tilted: its attitude, or a moving transform on the way to it.
+    pub tilt_is_measured: bool,
 }
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -86,15 +88,16 @@ impl TransformTree {
         self.insert(parent, child, Transform::Static(parent_from_child));
     }
 
-    pub fn push(&mut self, stamp_ns: i64, parent: &str, child: &str, parent_from_child: Isometry) {
+    pub fn push(&mut self, stamp_ns: i64, parent: &str, child: &str, parent_from_child: Isometry) -> Pushed {
         match self.edges.get_mut(child) {
             Some(Edge { parent: known, transform: Transform::Moving(history) }) if known == parent => {
-                history.push(stamp_ns, parent_from_child);
+                history.push(stamp_ns, parent_from_child)
             }
             _ => {
                 let mut history = History::default();
-                history.push(stamp_ns, parent_from_child);
+                let pushed = history.push(stamp_ns, parent_from_child);
                 self.insert(parent, child, Transform::Moving(history));
+                pushed
             }
         }
     }
@@ -135,7 +138,7 @@ impl TransformTree {
         self.chain(&names.base_footprint, &names.camera_optical).map_or(true, |chain| {
             chain.iter().all(|(_, edge)| match &edge.transform {
                 Transform::Static(_) => true,
-                Transform::Moving(history) => history.newest_ns().is_some_and(|newest| newest >= stamp_ns),
+                Transform::Moving(history) => history.settled_ns().is_some_and(|settled| settled >= stamp_ns),
             })
         })
     }
@@ -146,22 +149,28 @@ impl TransformTree {
         let mut age_ns = 0;
         let mut footprint_from_here = Isometry::IDENTITY;
         let mut footprint_from_link = None;
+        let (mut tilt_is_measured, mut below_torso) = (false, false);
         for (child, edge) in self.chain(&names.base_footprint, &names.camera_optical)? {
             let step = match &edge.transform {
                 Transform::Moving(history) => {
+                    tilt_is_measured |= !below_torso;
                     let sample = history
                         .at(stamp_ns)
                         .unwrap_or(super::history::Sample { value: Isometry::IDENTITY, age_ns: i64::MAX });
                     age_ns = age_ns.max(sample.age_ns);
                     sample.value
                 }
-                Transform::Static(constant) if child == names.base_link => with_attitude(*constant, posture.attitude),
+                Transform::Static(constant) if child == names.base_link => {
+                    tilt_is_measured |= posture.attitude.is_some();
+                    with_attitude(*constant, posture.attitude)
+                }
                 Transform::Static(constant) if child == names.camera_link && edge.parent != names.base_footprint => {
                     with_head(*constant, posture.head)
                 }
                 Transform::Static(constant) => *constant,
             };
             footprint_from_here = footprint_from_here * step;
+            below_torso |= child == names.base_link;
             if child == names.camera_link {
                 footprint_from_link = Some(footprint_from_here);
             }
@@ -169,7 +178,7 @@ impl TransformTree {
         let footprint_from_optical = footprint_from_here;
         let footprint_from_link =
             footprint_from_link.unwrap_or_else(|| footprint_from_optical * Isometry::link_from_optical().inverse());
-        Ok(CameraPlace { footprint_from_link, footprint_from_optical, age_ns })
+        Ok(CameraPlace { footprint_from_link, footprint_from_optical, age_ns, tilt_is_measured })
     }
 
     /// A mount that can be right: the camera stands above the ground and does not stare at the ceiling.
@@ -309,6 +318,25 @@ mod tests {
         let attitude = Some(Euler { pitch: 0.5, ..Euler::default() }.rotation());
         let place = tree.camera_place(50, &names(), Posture { attitude, head: None }).expect("a whole chain");
         assert!((place.footprint_from_link.euler().pitch - 0.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_tilt_is_measured_by_an_attitude_or_by_what_moves_above_the_torso() {
+        let measured = |tree: &TransformTree, attitude: Option<DQuat>| {
+            let place = tree.camera_place(50, &names(), Posture { attitude, head: None });
+            place.expect("a whole chain").tilt_is_measured
+        };
+        assert_eq!([None, Some(DQuat::IDENTITY)].map(|attitude| measured(&robot(), attitude)), [false, true]);
+        let moving = |parent: &str, child: &str| {
+            let mut tree = robot();
+            tree.push(50, parent, child, Isometry::IDENTITY);
+            tree
+        };
+        assert!(measured(&moving("base_footprint", "base_link"), None));
+        assert!(!measured(&moving("base_link", "camera_link"), None), "only the head moves");
+        let mut without_torso = robot();
+        without_torso.set_static("base_footprint", "camera_link", Isometry::IDENTITY);
+        assert!(!measured(&without_torso, Some(DQuat::IDENTITY)), "the attitude has nothing to act on");
     }
 
     #[test]

@@ -4,3 +4,4 @@ mod fields;
 mod lenses;
 mod other_formats;
 mod refused;
+mod robot;

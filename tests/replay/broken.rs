@@ -1,7 +1,9 @@
 //! Broken images and impossible measurements: the replay goes on, and says what it met.
 
 use realitysim::ros2::LogMessage;
-use realitysim::ros2::messages::{CompressedImage, FrameTag, Imu, Odometry, PoseWithCovarianceStamped, TFMessage};
+use realitysim::ros2::messages::{
+    CompressedImage, DiagnosticArray, FrameTag, Imu, Odometry, PoseWithCovarianceStamped, TFMessage,
+};
 
 use super::support::{
     IMAGE, IMU, INITIAL, ODOMETRY, Replayed, Room, TF_STATIC, assert_finite, assert_same, changed, decode_all, on,
@@ -30,6 +32,14 @@ fn replayed(messages: &[LogMessage]) -> Replayed {
     replayed
 }
 
+/// The bytes of some frames' messages, their CDR included.
+fn with_frame_bytes(from: usize, to: usize, change: impl Fn(&mut Vec<u8>)) -> Vec<LogMessage> {
+    let mut messages = walk().messages.clone();
+    let frames = messages.iter_mut().filter(|message| message.channel.topic == IMAGE);
+    frames.skip(from).take(to - from).for_each(|message| change(&mut message.data));
+    messages
+}
+
 fn reasons(tags: &[FrameTag]) -> Vec<&str> {
     tags.iter().map(|tag| tag.reason.as_str()).collect()
 }
@@ -55,6 +65,57 @@ fn an_image_that_does_not_decode_is_kept_and_its_tag_invalid() {
         assert!(told.ends_with("such frames are tagged invalid)"), "{name}: torn in two: {told}");
         // Until then nothing is otherwise.
         assert_same(&replayed.tags[..15], &walk().tags[..15], name);
+    }
+}
+
+#[test]
+fn a_frame_that_is_broken_as_a_message_has_a_tag_as_long_as_its_stamp_is_whole() {
+    type Change = fn(&mut Vec<u8>);
+    let changes: [(&str, Change); 4] = [
+        ("cut behind its stamp", |data| data.truncate(12)),
+        ("cut in its pixels", |data| data.truncate(data.len() / 2)),
+        ("a name that is none", |data| data[12..16].fill(0xff)),
+        ("another message behind it", |data| data.extend_from_slice(&[7; 64])),
+    ];
+    for (name, change) in changes {
+        let room = Room::with_log(&with_frame_bytes(15, 17, change));
+        let replayed = room.replay("log.mcap");
+        let expected: Vec<&str> =
+            (0..walk().frames()).map(|i| if (15..17).contains(&i) { "image_broken" } else { "" }).collect();
+        assert_eq!(reasons(&replayed.tags), expected, "{name}");
+        for (tag, sound) in replayed.tags.iter().zip(&walk().tags) {
+            assert_eq!(tag.header.stamp, sound.header.stamp, "{name}");
+        }
+        assert_eq!((replayed.count("bad_messages"), replayed.count("tagged")), (0, walk().frames()), "{name}");
+        replayed.run.fails(3, &[IMAGE, "frame 15", "not what its type says"]);
+    }
+}
+
+#[test]
+fn a_frame_that_does_not_say_when_it_was_exposed_is_recorded_and_counted() {
+    type Change = fn(&mut Vec<u8>);
+    let changes: [(&str, Change); 4] = [
+        ("cut in its stamp", |data| data.truncate(11)),
+        ("empty", Vec::clear),
+        ("no CDR", |data| data.fill(0x55)),
+        ("zeros", |data| data.fill(0)),
+    ];
+    for (name, change) in changes {
+        let messages = with_frame_bytes(15, 17, change);
+        let room = Room::with_log(&messages);
+        let replayed = room.replay("log.mcap");
+        let frames = walk().frames();
+        assert_eq!((replayed.count("frames"), replayed.count("tagged")), (frames, frames - 2), "{name}");
+        assert_eq!(replayed.report["untagged"], serde_json::json!({ "no_stamp": 2 }), "{name}");
+        assert!(replayed.tags.iter().all(|tag| tag.valid), "{name}");
+        let manifest = std::fs::read_to_string(replayed.session.join("manifest.jsonl")).unwrap();
+        assert!(manifest.contains(r#""untagged":{"no_stamp":2}"#), "{manifest}");
+        let capture = read_capture(&replayed.session);
+        assert!(on(&capture, IMAGE).map(|m| &m.data).eq(on(&messages, IMAGE).map(|m| &m.data)), "{name}: kept");
+        let last = decode_all::<DiagnosticArray>(&capture, "/diagnostics").pop().unwrap();
+        let value = last.status[0].values.iter().find(|value| value.key == "untagged_no_stamp");
+        assert_eq!(value.map(|value| value.value.as_str()), Some("2"), "{last:?}");
+        replayed.run.fails(3, &[IMAGE, "2 frames do not even say when they were exposed"]);
     }
 }
 

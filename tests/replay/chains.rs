@@ -68,6 +68,7 @@ fn odometry_and_attitude_in_tf_give_tags_as_good() {
     let apart = farthest_apart(&replayed.tags, &walk().tags);
     assert!(apart < 0.02, "{apart} m");
     assert_eq!(replayed.count("valid"), walk().tags.iter().filter(|tag| tag.valid).count());
+    assert_eq!(replayed.report["warnings"], serde_json::json!([]), "/tf says how the torso is tilted");
 }
 
 #[test]

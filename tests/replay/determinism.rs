@@ -28,13 +28,31 @@ fn the_same_seed_gives_the_same_tags_on_every_kernel() {
     }
 }
 
-/// A scene's lens file says how wide it sees, which a log's camera_info cannot.
+/// A scene's lens file says how wide it sees, which a log's camera_info cannot: the scene does without as well.
 #[test]
-fn a_scene_gives_the_same_tags_as_its_log_with_the_same_angle_of_view() {
+fn a_scene_gives_the_same_tags_as_its_log() {
     let room = Room::with_walk();
     room.write_scene("scene.toml", |text| text);
-    let from_log = room.replay("log.mcap --set camera.fov_deg=200").tags;
-    assert_same(&room.replay("scene.toml").tags, &from_log, "without a log in between");
+    assert_same(&room.replay("scene.toml").tags, &walk().tags, "without a log in between");
+    // Both can be told.
+    let from_log = room.replay("log.mcap --set camera.fov_deg=120").tags;
+    assert_same(&room.replay("scene.toml --set camera.fov_deg=120").tags, &from_log, "told how wide it sees");
+    assert!(from_log.iter().zip(&walk().tags).any(|(a, b)| a.best_particle != b.best_particle), "it matters");
+}
+
+#[test]
+fn a_scene_of_another_lens_and_raw_images_gives_the_same_tags_as_its_log() {
+    let room = Room::new();
+    for (name, lens) in [("wide", "wide-640"), ("equisolid", "fisheye-1280")] {
+        let scene = |text: String| {
+            text.replace("\"lens.toml\"", &format!("\"{lens}\""))
+                .replace("jpeg_quality = 90\n", "")
+                .replace("rate_hz = 10.0", "rate_hz = 2.0")
+        };
+        room.write_scene("scene.toml", scene);
+        room.run("sim scene.toml -o log.mcap").succeeds();
+        assert_same(&room.replay("scene.toml").tags, &room.replay("log.mcap").tags, name);
+    }
 }
 
 #[test]

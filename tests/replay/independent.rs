@@ -3,11 +3,11 @@
 use std::process::Command;
 use std::sync::Arc;
 
-use realitysim::ros2::messages::FrameTag;
-use realitysim::ros2::{Channel, LogMessage};
+use realitysim::ros2::messages::{DiagnosticArray, FrameTag};
+use realitysim::ros2::{Channel, LogMessage, Message};
 use serde_json::json;
 
-use super::support::{IMAGE, Replayed, Room, own_log, read_capture, segments, walk};
+use super::support::{IMAGE, Replayed, Room, message, own_log, read_capture, segments, walk};
 
 /// Names a Python interpreter that has mcap, mcap-ros2-support and rosbags.
 const INTERPRETER: &str = "REALITYSIM_PYTHON";
@@ -67,8 +67,21 @@ fn other_programs_read_captures() {
     let parts = room.replay("log.mcap --set recording.segment_s=1");
     check(&room, &parts, &python);
 
+    // A robot's own diagnostics, their definition written otherwise than ours, beside which ours are written.
+    let mut with_own = messages.clone();
+    let mut report = message(77, "/diagnostics", messages[9].log_time_ns, &DiagnosticArray::default());
+    report.channel = Arc::new(Channel {
+        definition: format!("# of the robot\n{}", DiagnosticArray::DEFINITION).into_bytes().into(),
+        ..report.channel.as_ref().clone()
+    });
+    with_own.insert(10, report);
+    room.write("log.mcap", own_log(&with_own));
+    room.write("source.mcap", own_log(&with_own));
+    check(&room, &room.replay("log.mcap"), &python);
+
     // A log whose channels say nothing about quality of service: metadata.yaml must not either.
     let bare: Vec<_> = messages.iter().cloned().map(without_metadata).collect();
     room.write("log.mcap", own_log(&bare));
+    room.write("source.mcap", own_log(&bare));
     check(&room, &room.replay("log.mcap"), &python);
 }

@@ -5,9 +5,8 @@
 use std::process::{Command, Stdio};
 
 use realitysim::ros2::LogMessage;
-use realitysim::ros2::messages::{Header, Stamp};
 
-use super::support::{CAMERA_INFO, CAPTURES, INITIAL, Room, TF_STATIC, own_log, walk};
+use super::support::{CAPTURES, INITIAL, Room, own_log, stamp_later, walk};
 
 /// The walk again and again, one after the other, its constants at every start.
 fn repeated(times: usize) -> Vec<u8> {
@@ -17,17 +16,8 @@ fn repeated(times: usize) -> Vec<u8> {
     for round in 0..times {
         for message in walk().messages.iter().filter(|message| round == 0 || message.channel.topic != INITIAL) {
             let mut message = message.clone();
-            let later = round as i64 * period;
-            message.log_time_ns += later;
-            // Every type that moves begins with a header, and a header with its stamp.
-            if ![TF_STATIC, CAMERA_INFO].contains(&message.channel.topic.as_str()) {
-                let seconds = i32::from_le_bytes(message.data[4..8].try_into().unwrap());
-                let nanoseconds = u32::from_le_bytes(message.data[8..12].try_into().unwrap());
-                let old = Header { stamp: Stamp { sec: seconds, nanosec: nanoseconds }, ..Header::default() };
-                let stamp = Stamp::from_nanoseconds(old.stamp.to_nanoseconds() + later);
-                message.data[4..8].copy_from_slice(&stamp.sec.to_le_bytes());
-                message.data[8..12].copy_from_slice(&stamp.nanosec.to_le_bytes());
-            }
+            message.log_time_ns += round as i64 * period;
+            stamp_later(&mut message, round as i64 * period);
             messages.push(message);
         }
     }

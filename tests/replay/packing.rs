@@ -62,8 +62,30 @@ fn the_agent_s_own_log_loses_little_at_a_tear() {
 fn a_log_torn_before_its_first_frame_is_an_error_that_says_so() {
     let room = Room::new();
     room.write("torn.mcap", &walk().log[..12]);
-    room.run("replay torn.mcap -o captures").fails(1, &["torn.mcap", "no camera images"]);
+    let words = ["torn.mcap: ", "no camera images", "it is not whole, which may be why", "its end is missing"];
+    room.run("replay torn.mcap -o captures").fails(1, &words);
     assert!(!room.path("captures").exists(), "nothing is left behind");
+}
+
+#[test]
+fn a_log_that_lost_what_is_needed_says_that_it_is_damaged() {
+    // Calibration and transforms stand at the front; the camera only started later.
+    let log = fine_log();
+    let first = &on(&walk().messages, IMAGE).next().unwrap().data;
+    let before_images = log.windows(64).position(|window| window == &first[100..164]).unwrap();
+    let room = Room::new();
+    room.write("torn.mcap", &log[..before_images]);
+    let words = ["torn.mcap: no camera images on /camera/image/compressed", "which may be why", "its end is missing"];
+    room.run("replay torn.mcap -o captures").fails(1, &words);
+    assert!(!room.path("captures").exists(), "nothing is left behind");
+    // In a folder the file is named.
+    std::fs::create_dir(room.path("bag")).unwrap();
+    room.write("bag/bag_0.mcap", &log[..before_images]);
+    room.run("replay bag -o captures").fails(1, &["bag: no camera images", "bag/bag_0.mcap: damaged"]);
+    // What lacks them from the start is not torn.
+    let room = Room::with_log(&super::support::without(&walk().messages, IMAGE));
+    let run = room.run("replay log.mcap -o captures").fails(1, &["no camera images"]);
+    assert!(!run.stderr.contains("not whole"), "{run:?}");
 }
 
 #[test]

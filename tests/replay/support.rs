@@ -7,7 +7,7 @@ use std::process::Command;
 use std::sync::{Arc, OnceLock};
 
 use mcap::WriteOptions;
-use realitysim::ros2::messages::FrameTag;
+use realitysim::ros2::messages::{FrameTag, Stamp};
 use realitysim::ros2::{Channel, LogMessage, LogReader, LogWriter, Message, Selection};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -215,6 +215,18 @@ pub fn changed<M: Message>(messages: &[LogMessage], topic: &str, mut change: imp
         message.data = content.encode();
     }
     messages
+}
+
+/// Moves the stamp of a message that has one.
+pub fn stamp_later(message: &mut LogMessage, later_ns: i64) {
+    // Every type that moves begins with a header, and a header with its stamp.
+    if ![TF_STATIC, CAMERA_INFO].contains(&message.channel.topic.as_str()) {
+        let sec = i32::from_le_bytes(message.data[4..8].try_into().unwrap());
+        let nanosec = u32::from_le_bytes(message.data[8..12].try_into().unwrap());
+        let stamp = Stamp::from_nanoseconds(Stamp { sec, nanosec }.to_nanoseconds() + later_ns);
+        message.data[4..8].copy_from_slice(&stamp.sec.to_le_bytes());
+        message.data[8..12].copy_from_slice(&stamp.nanosec.to_le_bytes());
+    }
 }
 
 /// A message of a topic that the log does not have yet; `id` must be the topic's own.

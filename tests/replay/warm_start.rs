@@ -37,8 +37,24 @@ fn a_warm_start_without_a_state_is_a_cold_one() {
     super::support::assert_same(&warm.tags, &walk().tags, "first start");
 }
 
+/// The walk's own start, a warning that names the file, and a sound file in its place.
+fn assert_starts_anew(room: &Room, word: &str) {
+    let replayed = room.replay("log.mcap --warm-start");
+    let run = &replayed.run;
+    assert_eq!(run.code, Some(0), "nothing of the log is lost: {run:?}");
+    super::support::assert_same(&replayed.tags, &walk().tags, "a cold start");
+    let warnings = replayed.report["warnings"].as_array().unwrap();
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    for said in [warnings[0].as_str().unwrap(), &run.stderr] {
+        assert!(said.contains("captures/last_state.bin") && said.contains(word), "{word}: {said}");
+        assert!(said.contains("the filter began without it"), "{said}");
+    }
+    let again = room.replay("log.mcap --warm-start");
+    assert_eq!(again.report["warnings"], serde_json::json!([]), "the file is sound again");
+}
+
 #[test]
-fn a_damaged_last_state_is_an_error_that_names_the_file() {
+fn a_last_state_that_cannot_be_used_is_told_and_the_start_a_cold_one() {
     let room = Room::with_walk();
     room.replay("log.mcap");
     let path = room.path(CAPTURES).join("last_state.bin");
@@ -52,8 +68,24 @@ fn a_damaged_last_state_is_an_error_that_names_the_file() {
         (b"a text".to_vec(), "not a checkpoint"),
     ] {
         fs::write(&path, damaged).unwrap();
-        room.run("replay log.mcap -o captures --warm-start").fails(1, &["last_state.bin", word]);
+        assert_starts_anew(&room, word);
     }
+    // Of an older version of this program.
+    let mut older = whole.clone();
+    older[8..12].copy_from_slice(&1u32.to_le_bytes());
+    fs::write(&path, older).unwrap();
+    assert_starts_anew(&room, "version 1");
     // Whoever does not ask for it is not troubled by it.
-    room.run("replay log.mcap -o captures").succeeds();
+    fs::write(&path, "a text").unwrap();
+    assert_eq!(room.replay("log.mcap").report["warnings"], serde_json::json!([]));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_last_state_that_cannot_be_read_is_told_and_the_start_a_cold_one() {
+    let room = Room::with_walk();
+    fs::create_dir(room.path(CAPTURES)).unwrap();
+    // A link that leads in a circle: nobody can read that, not even root.
+    std::os::unix::fs::symlink("last_state.bin", room.path(CAPTURES).join("last_state.bin")).unwrap();
+    assert_starts_anew(&room, "symbolic links");
 }

@@ -52,3 +52,15 @@ pub fn plain(toml: &str) -> String {
 pub fn with_effects(plain: &str, effects: &[&str]) -> String {
     effects.iter().fold(plain.to_owned(), |toml, effect| format!("{toml}\n[[effect]]\n{effect}\n"))
 }
+
+/// Every scene of `replay/scenes` with the field and lens that it names.
+pub fn shelf() -> Vec<(String, Scene)> {
+    let entries = std::fs::read_dir("replay/scenes").expect("the shelf");
+    let mut paths: Vec<_> = entries.map(|entry| entry.expect("an entry").path()).collect();
+    paths.sort();
+    let named = |path: &std::path::PathBuf| {
+        let name = path.file_stem().expect("a name").to_string_lossy().into_owned();
+        (name, realitysim::sensors::scene::load(path.to_str().expect("a plain path")).expect("a possible scene"))
+    };
+    paths.iter().map(named).collect()
+}

@@ -51,8 +51,8 @@ fn a_frame_is_the_average_of_a_finer_one() {
     let [mut coarse_pixels, mut fine_pixels] = [Vec::new(), Vec::new()];
     for (x, yaw, roll) in [(-2.5, 0.0, 0.0), (-0.5, 0.5, 0.05), (1.5, 2.5, -0.1)] {
         let pose = Isometry::from_euler(Euler { yaw, pitch: 0.3, roll }, DVec3::new(x, 0.2, 0.49));
-        coarse.render_clean(&pose, &mut coarse_pixels);
-        fine.render_clean(&pose, &mut fine_pixels);
+        coarse.render_clean(&pose, 0, &mut coarse_pixels);
+        fine.render_clean(&pose, 0, &mut fine_pixels);
         let (mut bias, mut squares, mut worst, mut count) = (0.0, 0.0, 0f64, 0.0);
         // Well inside the view.
         for row in 8..HEIGHT - 8 {
@@ -88,7 +88,7 @@ fn no_pose_and_no_lens_can_harm() {
         for place in [DVec3::ZERO, DVec3::new(0.0, 0.0, -3.0), DVec3::splat(1e9), DVec3::splat(-70.0), DVec3::NAN] {
             for angle in [0.0, 1.57, 3.0, -1.6, f64::NAN] {
                 let pose = Isometry::from_euler(Euler { yaw: angle, pitch: angle, roll: -angle }, place);
-                renderer.render_clean(&pose, &mut pixels);
+                renderer.render_clean(&pose, 0, &mut pixels);
                 assert_eq!(pixels.len(), (renderer.width() * renderer.height() * 3) as usize);
             }
         }

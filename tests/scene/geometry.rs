@@ -62,8 +62,8 @@ impl Line {
     /// Columns at which the line runs rather flat.
     fn report(&self, pose: &Isometry) -> Report {
         let [mut with, mut without] = [Vec::new(), Vec::new()];
-        self.with.render_clean(pose, &mut with);
-        self.without.render_clean(pose, &mut without);
+        self.with.render_clean(pose, 0, &mut with);
+        self.without.render_clean(pose, 0, &mut without);
         let optical_from_map = (*pose * Isometry::link_from_optical()).inverse();
         let pixel = |t: f64, across: f64| {
             self.lens.project(optical_from_map.transform_point((self.at)(t, across).extend(0.0))).expect("in view")
@@ -168,7 +168,7 @@ fn nothing_is_black_but_the_corners_that_the_lens_does_not_see() {
     let lens = &line.lens;
     let mut pixels = Vec::new();
     for pose in [camera(-2.0, 0.0, 0.3, 0.3, 0.0), camera(3.0, 2.0, 2.0, -0.4, 0.3), camera(0.0, 0.0, 0.0, 1.5, 0.0)] {
-        line.with.render_clean(&pose, &mut pixels);
+        line.with.render_clean(&pose, 0, &mut pixels);
         for (at, pixel) in pixels.chunks_exact(3).enumerate() {
             let (column, row) = (at % 640, at / 640);
             let seen = lens.unproject(DVec2::new(column as f64, row as f64)).is_some();

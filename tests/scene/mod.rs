@@ -5,5 +5,8 @@ mod filtering;
 mod geometry;
 mod look;
 mod motion;
+mod moved;
 mod properties;
 mod refusals;
+mod told;
+mod world;

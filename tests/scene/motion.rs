@@ -94,7 +94,7 @@ fn camera_is_mounted_as_stated() {
 #[test]
 fn events_come_in_order_and_at_their_rates() {
     let scene = scene(STRAIGHT);
-    let (mut last, mut counts) = (START_STAMP_NS, [0; 4]);
+    let (mut last, mut counts) = (START_STAMP_NS, [0; 5]);
     for (position, event) in scene.events().enumerate() {
         assert!(event.stamp_ns >= last);
         last = event.stamp_ns;
@@ -114,10 +114,11 @@ fn events_come_in_order_and_at_their_rates() {
                 assert_eq!(map_from_camera_link, truth.map_from_camera_link);
                 3
             }
+            SceneEventKind::Joints(_) => 4,
         };
         counts[which] += 1;
     }
-    assert_eq!(counts, [1, 1161, 2321, 233]);
+    assert_eq!(counts, [1, 1161, 2321, 233, 0]);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use realitysim::geometry::FieldDimensions;
 use realitysim::scene::{Scene, SceneError, SceneFile};
 
-use super::common::{DEMO, LOOP, STRAIGHT, fisheye_640, kid_2009, plain, with_effects};
+use super::common::{STRAIGHT, fisheye_640, kid_2009, plain, shelf, with_effects};
 
 fn refusal(toml: &str) -> String {
     let built = SceneFile::from_toml(toml).and_then(|file| Scene::build(file, kid_2009(), fisheye_640()));
@@ -18,11 +18,82 @@ fn changed(from: &str, to: &str) -> String {
 
 #[test]
 fn the_shelf_is_right() {
-    for toml in [STRAIGHT, LOOP, DEMO] {
-        let file = SceneFile::from_toml(toml).expect("readable");
-        assert!(toml.starts_with('#') && !file.scene.task.is_empty());
-        Scene::build(file, kid_2009(), fisheye_640()).expect("possible");
+    let scenes = shelf();
+    assert!(scenes.len() >= 16);
+    for (name, scene) in scenes {
+        let text = std::fs::read_to_string(format!("replay/scenes/{name}.toml")).expect("readable");
+        let file = scene.file();
+        assert!(text.starts_with('#') && text.contains("# Why it exists:") && !file.scene.task.is_empty(), "{name}");
+        assert!((10.0..50.0).contains(&scene.duration_s()) && file.camera.rate_hz == 10.0, "{name}");
+        for effect in ["gait_sway", "odometry_error", "imu_error", "sensor_noise"] {
+            assert!(file.effects.iter().any(|listed| listed.name() == effect), "{name} lacks {effect}");
+        }
+        assert!(file.effects.iter().all(|effect| effect.role().is_some()), "{name}: what is an effect for?");
     }
+}
+
+/// On the straight walk.
+fn refused(effect: &str) -> String {
+    refusal(&with_effects(&plain(STRAIGHT), &[effect]))
+}
+
+#[test]
+fn effects_out_of_range_name_key_and_value() {
+    let dark = "kind = \"light\"\ngain = ";
+    let figures = |list: &str| format!("kind = \"obstacles\"\nfigures = [{list}]");
+    let robot = |rest: &str| figures(&format!("{{ shape = \"robot\", {rest} }}"));
+    let taken = "kind = \"kidnapping\"\nto_m = [0, 0]\nto_yaw_deg = 0\nat_s = ";
+    let head = "kind = \"head_motion\"\npan_amplitude_deg = 40\ntilt_amplitude_deg = 5\ntilt_period_s = 2\n";
+    let odometry = "kind = \"odometry_error\"\nscale_percent = 5\nyaw_drift_deg_per_m = 0\nnoise_m_per_m = 0\n";
+    let imu = "kind = \"imu_error\"\nroll_bias_deg = 0\npitch_bias_deg = 0\nnoise_deg = 0\ngyro_noise_deg_s = 0\n";
+    for (effect, words) in [
+        (format!("{dark}0.0"), vec!["effect[0].gain is 0", "0.01 to 3"]),
+        (format!("{dark}1.0\ngradient_per_m = [0.0, 7.0]"), vec!["effect[0].gradient_per_m (y) is 7"]),
+        (format!("{dark}1.0\ncolour = [1.0, 1.0, nan]"), vec!["effect[0].colour (blue) is NaN"]),
+        (format!("{dark}1.0\ncamera_gain = 0.5"), vec!["effect[0].camera_gain is 0.5", "1 to 16"]),
+        (figures(""), vec!["effect[0].figures is 0 in all", "1 to 48"]),
+        ("kind = \"obstacles\"\nrandom = 400".to_owned(), vec!["effect[0].random is 400", "0 to 48"]),
+        ("kind = \"obstacles\"\nrandom = -1".to_owned(), vec!["effect[0].random is -1"]),
+        (robot("position_m = [30.0, 0.0]"), vec!["effect[0].figures[0] is [30.0, 0.0]", "8.7 m in x"]),
+        (robot("yaw_deg = 3"), vec!["figures[0] is neither position_m nor path", "to stand"]),
+        (robot("position_m = [1, 1], path = [[0, 0], [1, 1]]"), vec!["both position_m and path"]),
+        (robot("position_m = [1, 1], speed_m_s = 1"), vec!["figures[0].speed_m_s is 1", "only a figure with a path"]),
+        (robot("path = [[0, 0], [1, 1]]"), vec!["speed_m_s is absent"]),
+        (robot("path = [[0, 0], [0, 0]], speed_m_s = 1"), vec!["figures[0].path is", "two or more points"]),
+        (robot("position_m = [1, 1], height_m = 9"), vec!["figures[0].height_m is 9"]),
+        (robot("position_m = [1, 1], accent = [0, 0, 256]"), vec!["figures[0].accent is 256"]),
+        (figures("{ shape = \"tree\", position_m = [1, 1] }"), vec!["unknown variant `tree`"]),
+        (format!("{taken}400"), vec!["effect[0].at_s is 400", "the route takes 23.20 s"]),
+        (format!("{taken}5\nlift_m = 1"), vec!["lift_m is 1", "duration_s"]),
+        (taken.replace("[0, 0]", "[9, 0]") + "5", vec!["effect[0].to_m is [9.0, 0.0]"]),
+        (taken.replace("[0, 0]", "[4, 0]") + "5", vec!["effect[0]: the route, which goes on from to_m", "4.7 m in x"]),
+        (format!("{head}pan_period_s = 0"), vec!["effect[0].pan_period_s is 0"]),
+        (format!("{odometry}freeze = {{ from_s = 3, for_s = 0 }}"), vec!["effect[0].freeze.for_s is 0"]),
+        (format!("{odometry}missing = {{ from_s = -3, for_s = 1 }}"), vec!["effect[0].missing.from_s is -3"]),
+        (format!("{odometry}freeze_from_s = 3"), vec!["unknown field `freeze_from_s`"]),
+        (format!("{imu}mount_roll_deg = 200"), vec!["effect[0].mount_roll_deg is 200"]),
+        ("kind = \"worn_lines\"\nshare = 2\npatch_m = 1".to_owned(), vec!["effect[0].share is 2"]),
+        ("kind = \"calibration_error\"".to_owned(), vec!["effect[0] is a calibration_error of nothing"]),
+        ("kind = \"calibration_error\"\nfocal_percent = 50".to_owned(), vec!["effect[0].focal_percent is 50"]),
+    ] {
+        let message = refused(&effect);
+        assert!(words.iter().all(|word| message.contains(word)), "{effect}: {message}");
+    }
+}
+
+#[test]
+fn a_head_needs_an_imu_and_a_kidnapping_a_walk() {
+    let head = "kind = \"head_motion\"\npan_amplitude_deg = 40\npan_period_s = 3\ntilt_amplitude_deg = 5\n\
+                tilt_period_s = 2";
+    let message = refusal(&with_effects(&plain(STRAIGHT).replace("[imu]\nrate_hz = 100.0", ""), &[head]));
+    assert!(message.starts_with("effect[0].kind is head_motion") && message.contains("[imu]"), "{message}");
+    let still = plain(STRAIGHT).replace(
+        "kind = \"walk\"\nwaypoints = [[-2.9, 0.1], [2.9, 0.1]]\nspeed_m_s = 0.25\nturn_deg_s = 30.0",
+        "kind = \"still\"\nposes = [[0, 0, 0]]\nhold_s = 1",
+    );
+    let taken = "kind = \"kidnapping\"\nto_m = [0, 0]\nto_yaw_deg = 0\nat_s = 0.5";
+    let message = refusal(&with_effects(&still, &[taken]));
+    assert!(message.starts_with("effect[0].kind is kidnapping") && message.contains("still"), "{message}");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use core::f64::consts::{PI, TAU};
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{Role, ease};
 use crate::scene::SceneError;
 use crate::scene::check::within;
 use crate::scene::stream::{Purpose, Stream};
@@ -83,10 +83,4 @@ impl SwayModel {
             vertical: strength * a.vertical * libm::cos(2.0 * stride),
         }
     }
-}
-
-/// From 0 to 1 without a jump in velocity or acceleration.
-fn ease(x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0);
-    x * x * x * (10.0 + x * (6.0 * x - 15.0))
 }

@@ -1,12 +1,14 @@
-//! An IMU mounted slightly askew, with noise on its angles and rates.
+//! An IMU mounted slightly askew, with noise on its angles and rates; or one that hangs in the torso otherwise than
+//! it says.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
 use super::Role;
 use crate::geometry::Euler;
 use crate::scene::SceneError;
 use crate::scene::check::within;
+use crate::scene::events::Imu;
 use crate::scene::stream::{Purpose, Stream};
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -19,6 +21,8 @@ pub struct ImuError {
     pub noise_deg: f64,
     /// Standard deviation of every rate, white.
     pub gyro_noise_deg_s: f64,
+    /// Its housing is rolled by this, and nobody tells: 180 is upside down.
+    pub mount_roll_deg: Option<f64>,
 }
 
 impl ImuError {
@@ -27,7 +31,21 @@ impl ImuError {
         within(format_args!("{key}.pitch_bias_deg"), self.pitch_bias_deg, -30.0..=30.0, "-30 to 30 degrees")?;
         within(format_args!("{key}.noise_deg"), self.noise_deg, 0.0..=30.0, "0 to 30 degrees")?;
         let gyro = self.gyro_noise_deg_s;
-        within(format_args!("{key}.gyro_noise_deg_s"), gyro, 0.0..=100.0, "0 to 100 degrees per second")
+        within(format_args!("{key}.gyro_noise_deg_s"), gyro, 0.0..=100.0, "0 to 100 degrees per second")?;
+        let roll = self.mount_roll_deg.unwrap_or(0.0);
+        within(format_args!("{key}.mount_roll_deg"), roll, -180.0..=180.0, "-180 to 180 degrees")
+    }
+
+    /// What is right in the torso's axes, in those of the housing.
+    pub(crate) fn in_housing(&self, measured: Imu) -> Imu {
+        let Some(roll) = self.mount_roll_deg else { return measured };
+        let torso_from_housing = DQuat::from_axis_angle(DVec3::X, roll.to_radians());
+        let housing_from_torso = torso_from_housing.conjugate();
+        Imu {
+            orientation: measured.orientation * torso_from_housing,
+            angular_velocity: housing_from_torso * measured.angular_velocity,
+            linear_acceleration: housing_from_torso * measured.linear_acceleration,
+        }
     }
 
     pub(crate) fn measured(&self, euler: Euler, rates: DVec3, seed: u64, index: u64) -> (Euler, DVec3) {

@@ -2,32 +2,54 @@
 //!
 //! Every effect draws from its own stream, so that adding one never changes what another does.
 
+mod calibration_error;
 mod gait_sway;
+mod head_motion;
 mod imu_error;
+mod kidnapping;
+mod light;
+mod obstacles;
 mod odometry_error;
 mod sensor_noise;
+mod worn_lines;
 
+pub use calibration_error::CalibrationError;
 pub use gait_sway::GaitSway;
+pub use head_motion::{HeadMotion, Joints};
 pub use imu_error::ImuError;
-pub use odometry_error::OdometryError;
+pub use kidnapping::Kidnapping;
+pub use light::Light;
+pub use obstacles::{Figure, FigureShape, Obstacles};
+pub use odometry_error::{Jump, OdometryError, Span};
 pub use sensor_noise::SensorNoise;
+pub use worn_lines::WornLines;
 
 pub(super) use gait_sway::{Sway, SwayModel};
+pub(super) use kidnapping::Carrying;
+pub(super) use light::LightModel;
+pub(super) use obstacles::{Crowd, Member};
 pub(super) use sensor_noise::NoiseModel;
 
 use serde::Deserialize;
 
 use super::SceneError;
 use super::check::refuse;
+use crate::geometry::Field;
 
 /// One `[[effect]]` of the scene file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Effect {
     GaitSway(GaitSway),
+    HeadMotion(HeadMotion),
+    Kidnapping(Kidnapping),
+    Light(Light),
+    Obstacles(Obstacles),
+    WornLines(WornLines),
     SensorNoise(SensorNoise),
     OdometryError(OdometryError),
     ImuError(ImuError),
+    CalibrationError(CalibrationError),
 }
 
 /// Why an effect is in the scene: its task needs it, or it is there to keep the scene from being too clean.
@@ -41,6 +63,7 @@ pub enum Role {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
     Motion,
+    World,
     Sensor,
 }
 
@@ -48,51 +71,79 @@ impl Effect {
     pub fn name(&self) -> &'static str {
         match self {
             Effect::GaitSway(_) => "gait_sway",
+            Effect::HeadMotion(_) => "head_motion",
+            Effect::Kidnapping(_) => "kidnapping",
+            Effect::Light(_) => "light",
+            Effect::Obstacles(_) => "obstacles",
+            Effect::WornLines(_) => "worn_lines",
             Effect::SensorNoise(_) => "sensor_noise",
             Effect::OdometryError(_) => "odometry_error",
             Effect::ImuError(_) => "imu_error",
+            Effect::CalibrationError(_) => "calibration_error",
         }
     }
 
     pub fn role(&self) -> Option<Role> {
         match self {
             Effect::GaitSway(effect) => effect.role,
+            Effect::HeadMotion(effect) => effect.role,
+            Effect::Kidnapping(effect) => effect.role,
+            Effect::Light(effect) => effect.role,
+            Effect::Obstacles(effect) => effect.role,
+            Effect::WornLines(effect) => effect.role,
             Effect::SensorNoise(effect) => effect.role,
             Effect::OdometryError(effect) => effect.role,
             Effect::ImuError(effect) => effect.role,
+            Effect::CalibrationError(effect) => effect.role,
         }
     }
 
     fn stage(&self) -> Stage {
         match self {
-            Effect::GaitSway(_) => Stage::Motion,
-            Effect::SensorNoise(_) | Effect::OdometryError(_) | Effect::ImuError(_) => Stage::Sensor,
+            Effect::GaitSway(_) | Effect::HeadMotion(_) | Effect::Kidnapping(_) => Stage::Motion,
+            Effect::Light(_) | Effect::Obstacles(_) | Effect::WornLines(_) => Stage::World,
+            Effect::SensorNoise(_) | Effect::OdometryError(_) | Effect::ImuError(_) | Effect::CalibrationError(_) => {
+                Stage::Sensor
+            }
         }
     }
 
-    fn check(&self, key: &str) -> Result<(), SceneError> {
+    fn check(&self, key: &str, field: &Field) -> Result<(), SceneError> {
         match self {
             Effect::GaitSway(effect) => effect.check(key),
+            Effect::HeadMotion(effect) => effect.check(key),
+            Effect::Kidnapping(effect) => effect.check(key, field),
+            Effect::Light(effect) => effect.check(key),
+            Effect::Obstacles(effect) => effect.check(key, field),
+            Effect::WornLines(effect) => effect.check(key),
             Effect::SensorNoise(effect) => effect.check(key),
             Effect::OdometryError(effect) => effect.check(key),
             Effect::ImuError(effect) => effect.check(key),
+            Effect::CalibrationError(effect) => effect.check(key),
         }
     }
 }
 
-pub(super) fn check(effects: &[Effect]) -> Result<(), SceneError> {
+pub(super) fn check(effects: &[Effect], field: &Field) -> Result<(), SceneError> {
     for (index, effect) in effects.iter().enumerate() {
         let key = format!("effect[{index}]");
-        effect.check(&key)?;
+        effect.check(&key, field)?;
         let before = &effects[..index];
         if before.iter().any(|other| other.name() == effect.name()) {
             let expected = "an effect of this kind is listed already; each kind acts once";
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }
         if before.iter().any(|other| other.stage() > effect.stage()) {
-            let expected = "list effects in physical order: what moves the robot (gait_sway) before what a sensor adds";
+            let expected = "list effects in physical order: what moves the robot (gait_sway, head_motion, kidnapping), \
+                            then what it sees (light, obstacles, worn_lines), then what a sensor adds";
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }
     }
     Ok(())
+}
+
+/// From 0 to 1 without a jump in velocity or acceleration.
+fn ease(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    x * x * x * (10.0 + x * (6.0 * x - 15.0))
 }

@@ -1,4 +1,5 @@
-//! Odometry that measures steps too long or too short, drifts in yaw and scatters.
+//! Odometry that measures steps too long or too short, drifts in yaw and scatters; and that stands still, jumps or
+//! falls silent.
 
 use serde::Deserialize;
 
@@ -18,6 +19,29 @@ pub struct OdometryError {
     pub yaw_drift_deg_per_m: f64,
     /// Standard deviation of every sample's step in x and in y, per metre of the step's length.
     pub noise_m_per_m: f64,
+    /// Meanwhile it repeats its last pose; what was walked meanwhile is lost.
+    pub freeze: Option<Span>,
+    /// Meanwhile no message comes; what was walked meanwhile is in the next one.
+    pub missing: Option<Span>,
+    pub jump: Option<Jump>,
+}
+
+/// Seconds since the scene's start.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Span {
+    pub from_s: f64,
+    pub for_s: f64,
+}
+
+/// Once the pose moves by this, as the robot sees it: x ahead, y to the left.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Jump {
+    pub at_s: f64,
+    pub x_m: f64,
+    pub y_m: f64,
+    pub yaw_deg: f64,
 }
 
 impl OdometryError {
@@ -25,7 +49,18 @@ impl OdometryError {
         within(format_args!("{key}.scale_percent"), self.scale_percent, -90.0..=100.0, "-90 to 100 percent")?;
         let drift = self.yaw_drift_deg_per_m;
         within(format_args!("{key}.yaw_drift_deg_per_m"), drift, -90.0..=90.0, "-90 to 90 degrees per metre")?;
-        within(format_args!("{key}.noise_m_per_m"), self.noise_m_per_m, 0.0..=2.0, "0 to 2 m per metre")
+        within(format_args!("{key}.noise_m_per_m"), self.noise_m_per_m, 0.0..=2.0, "0 to 2 m per metre")?;
+        for (name, span) in [("freeze", self.freeze), ("missing", self.missing)] {
+            if let Some(span) = span {
+                within(format_args!("{key}.{name}.from_s"), span.from_s, 0.0..=7200.0, "0 to 7200 s after the start")?;
+                within(format_args!("{key}.{name}.for_s"), span.for_s, 0.001..=7200.0, "0.001 to 7200 s")?;
+            }
+        }
+        let Some(jump) = self.jump else { return Ok(()) };
+        within(format_args!("{key}.jump.at_s"), jump.at_s, 0.0..=7200.0, "0 to 7200 s after the start")?;
+        within(format_args!("{key}.jump.x_m"), jump.x_m, -100.0..=100.0, "-100 to 100 m")?;
+        within(format_args!("{key}.jump.y_m"), jump.y_m, -100.0..=100.0, "-100 to 100 m")?;
+        within(format_args!("{key}.jump.yaw_deg"), jump.yaw_deg, -360.0..=360.0, "-360 to 360 degrees")
     }
 
     pub(crate) fn scale(&self) -> f64 {
@@ -46,5 +81,25 @@ impl OdometryError {
             y: step.y * self.scale() + deviation * stream.gaussian(),
             yaw: step.yaw + self.yaw_drift() * walked,
         }
+    }
+
+    pub(crate) fn is_frozen(&self, time: f64) -> bool {
+        self.freeze.is_some_and(|span| span.holds(time))
+    }
+
+    pub(crate) fn is_silent(&self, time: f64) -> bool {
+        self.missing.is_some_and(|span| span.holds(time))
+    }
+
+    /// Between one sample and the next.
+    pub(crate) fn jumped(&self, before: f64, now: f64) -> Option<Pose2> {
+        let jump = self.jump.filter(|jump| before < jump.at_s && jump.at_s <= now)?;
+        Some(Pose2::new(jump.x_m, jump.y_m, jump.yaw_deg.to_radians()))
+    }
+}
+
+impl Span {
+    fn holds(&self, time: f64) -> bool {
+        (self.from_s..self.from_s + self.for_s).contains(&time)
     }
 }

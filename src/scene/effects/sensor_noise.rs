@@ -29,6 +29,8 @@ pub(crate) struct NoiseModel {
 }
 
 const NORMALS: usize = 4096;
+/// All is noise then; and the products of the pixel loop stay within 32 bits.
+const MOST_DN: f64 = 500.0;
 /// As many 12 bit table indices as 64 bits hold.
 const DRAWS_PER_HASH: usize = 5;
 
@@ -38,13 +40,15 @@ impl SensorNoise {
         within(format_args!("{key}.shot_noise_factor"), self.shot_noise_factor, 0.0..=3.0, "0 to 3")
     }
 
-    pub(crate) fn model(&self, seed: u64) -> NoiseModel {
-        let variance = |value: usize| {
-            self.read_noise_dn * self.read_noise_dn + self.shot_noise_factor * self.shot_noise_factor * value as f64
-        };
+    /// `camera_gain` multiplies signal and noise alike: of the same image value it has made more noise.
+    pub(crate) fn model(&self, seed: u64, camera_gain: f64) -> NoiseModel {
+        let (read, shot) = (self.read_noise_dn * camera_gain, self.shot_noise_factor);
+        let variance = |value: usize| read * read + shot * shot * camera_gain * value as f64;
         NoiseModel {
             seed,
-            deviation: Box::new(core::array::from_fn(|value| (libm::sqrt(variance(value)) * 256.0 + 0.5) as i32)),
+            deviation: Box::new(core::array::from_fn(|value| {
+                (libm::sqrt(variance(value)).min(MOST_DN) * 256.0 + 0.5) as i32
+            })),
             normal: Box::new(core::array::from_fn(|index| {
                 libm::round(quantile((index as f64 + 0.5) / NORMALS as f64) * 4096.0) as i16
             })),
@@ -87,7 +91,7 @@ mod tests {
     #[test]
     fn has_the_stated_deviation() {
         let effect = SensorNoise { role: None, read_noise_dn: 1.5, shot_noise_factor: 0.2 };
-        let model = effect.model(3);
+        let model = effect.model(3, 1.0);
         for value in [40u8, 100, 180] {
             let mut pixels = vec![value; 60_000];
             model.apply(9, &mut pixels);

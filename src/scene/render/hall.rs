@@ -31,6 +31,17 @@ impl Hall {
         }
     }
 
+    /// x and y of where a ray ends on floor, walls or ceiling.
+    #[inline]
+    pub(super) fn end_of(&self, camera: &[f32; 3], direction: [f32; 3]) -> [f32; 2] {
+        let [dx, dy, dz] = direction;
+        let to_wall = |half: f32, from: f32, along: f32| (half - from * along.signum()) / along.abs().max(1e-9);
+        let up = if dz > 0.0 { HEIGHT_M as f32 - camera[2] } else { camera[2] };
+        let t = to_wall(self.half[0], camera[0], dx).min(to_wall(self.half[1], camera[1], dy));
+        let t = t.min(up / dz.abs().max(1e-9));
+        [camera[0] + t * dx, camera[1] + t * dy]
+    }
+
     #[inline]
     pub(super) fn floor(&self, x: f32, y: f32) -> Colour {
         self.floor.sample(x + self.half[0], y + self.half[1])

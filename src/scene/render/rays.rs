@@ -48,6 +48,19 @@ impl RayTable {
         self.seen[row].clone()
     }
 
+    /// The ray of one pixel.
+    #[inline]
+    pub(super) fn at(&self, column: usize, row: usize) -> [f32; 3] {
+        self.padded(column + 1, row + 1)
+    }
+
+    /// The same counted from the padding: (0, 0) is left of and above the image.
+    #[inline]
+    pub(super) fn padded(&self, column: usize, row: usize) -> [f32; 3] {
+        let at = row * (self.width + 2) + column;
+        [self.x[at], self.y[at], self.z[at]]
+    }
+
     /// x, y and z of the padded row (0 is above the image).
     pub(super) fn padded_row(&self, row: usize) -> [&[f32]; 3] {
         let stride = self.width + 2;

@@ -9,6 +9,7 @@ use super::lines::LineMap;
 use super::shape::inside_rectangle;
 use super::sheet::{Canvas, Colour, Sheet};
 use super::tile::Tile;
+use super::wear::Wear;
 use crate::geometry::Field;
 
 #[derive(Clone, Debug)]
@@ -17,7 +18,8 @@ pub(super) struct World {
     carpet: Sheet,
     fibres: Tile,
     lines: LineMap,
-    hall: Hall,
+    wear: Option<Wear>,
+    pub(super) hall: Hall,
 }
 
 const PAINT: Colour = [222.0, 226.0, 222.0];
@@ -30,13 +32,14 @@ const PAINT_GAIN: f32 = 0.18 / 128.0;
 const FLOOR_GAIN: f32 = 0.12 / 128.0;
 
 impl World {
-    pub(super) fn new(field: &Field, seed: u64) -> Self {
+    pub(super) fn new(field: &Field, wear: Option<Wear>, seed: u64) -> Self {
         let half = field.carpet_half_extent();
         Self {
             carpet_half: half.as_vec2().to_array(),
             carpet: carpet(half, seed),
             fibres: Tile::new(seed, Purpose::Carpet, TEXELS_PER_METRE),
             lines: LineMap::new(field),
+            wear,
             hall: Hall::new(half, seed),
         }
     }
@@ -59,7 +62,12 @@ impl World {
         let mut colour = [0.0; 3];
         if on_carpet > 0.0 {
             let base = self.carpet.sample(p.x + self.carpet_half[0], p.y + self.carpet_half[1]);
-            let paint = self.lines.coverage(&p);
+            let mut paint = self.lines.coverage(&p);
+            if let Some(wear) = &self.wear
+                && paint > 0.0
+            {
+                paint *= wear.left(&p);
+            }
             let (gain, paint_gain) = (1.0 + CARPET_GAIN * fibre, paint * (1.0 + PAINT_GAIN * fibre));
             let bare_gain = (1.0 - paint) * gain;
             colour = [

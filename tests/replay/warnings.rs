@@ -1,0 +1,101 @@
+//! What makes tags worse than they need be is told, once, and is no failure.
+
+use std::sync::Arc;
+
+use realitysim::ros2::messages::{Imu, Quaternion, TFMessage};
+use realitysim::ros2::{Channel, LogMessage};
+
+use super::support::{IMU, Room, TF_STATIC, changed, walk, without};
+
+/// One warning with these words: in the report, and once on standard error. The tags are whole all the same.
+fn assert_warned(messages: &[LogMessage], arguments: &str, words: &[&str]) {
+    let room = Room::with_log(messages);
+    let replayed = room.replay(&format!("log.mcap {arguments}"));
+    let run = &replayed.run;
+    assert_eq!(run.code, Some(0), "{run:?}");
+    let warnings = replayed.report["warnings"].as_array().unwrap();
+    assert_eq!(warnings.len(), 1, "{run:?}");
+    let warning = warnings[0].as_str().unwrap();
+    for word in words {
+        assert!(warning.contains(word), "{word:?} is missing: {warning}");
+    }
+    assert_eq!(run.stderr.matches(warning).count(), 1, "{run:?}");
+    assert!(replayed.tags.len() == walk().frames());
+    let spoken = room.run(&format!("replay log.mcap -o captures {arguments}")).succeeds();
+    assert!(spoken.stdout.contains("1 warning") && spoken.stderr.contains(warning), "{spoken:?}");
+}
+
+fn all_frames() -> String {
+    format!("{0} of {0} frames", walk().frames())
+}
+
+#[test]
+fn a_log_with_an_attitude_is_no_reason_to_warn() {
+    let room = Room::with_walk();
+    let replayed = room.replay("log.mcap");
+    assert_eq!(replayed.report["warnings"], serde_json::json!([]));
+    assert!(!replayed.run.stderr.contains("warning"), "{:?}", replayed.run);
+}
+
+#[test]
+fn a_log_without_an_imu_is_told() {
+    let words = [&all_frames(), "as if the torso stood upright", "no topic of type sensor_msgs/msg/Imu"];
+    assert_warned(&without(&walk().messages, IMU), "", &words);
+}
+
+#[test]
+fn an_imu_without_an_orientation_is_told() {
+    let unmeasured = changed::<Imu>(&walk().messages, IMU, |imu| imu.orientation_covariance[0] = -1.0);
+    let words = [&all_frames(), IMU, "states no orientation", "orientation_covariance[0] is -1"];
+    assert_warned(&unmeasured, "", &words);
+    let zero = changed::<Imu>(&walk().messages, IMU, |imu| {
+        imu.orientation = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.0 };
+    });
+    assert_warned(&zero, "", &words);
+}
+
+#[test]
+fn two_imus_of_other_names_are_to_be_chosen_from() {
+    let renamed = |topic: &str, more: u16| -> Vec<LogMessage> {
+        let imus = walk().messages.iter().filter(|message| message.channel.topic == IMU);
+        imus.map(|message| {
+            let mut channel = Channel::clone(&message.channel);
+            (channel.topic, channel.id) = (topic.to_owned(), channel.id + more);
+            LogMessage { channel: Arc::new(channel), ..message.clone() }
+        })
+        .collect()
+    };
+    let mut messages = without(&walk().messages, IMU);
+    messages.extend(renamed("/head/imu", 100));
+    messages.extend(renamed("/torso/imu", 200));
+    messages.sort_by_key(|message| message.log_time_ns);
+    assert_warned(&messages, "", &[&all_frames(), "topics.imu", "/head/imu, /torso/imu"]);
+    let room = Room::with_log(&messages);
+    let chosen = room.replay("log.mcap --set topics.imu=/torso/imu");
+    assert_eq!(chosen.report["warnings"], serde_json::json!([]));
+}
+
+#[test]
+fn an_imu_that_starts_late_is_told_with_the_frames_that_it_costs() {
+    let start = walk().messages[0].log_time_ns + 1_000_000_000;
+    let mut late = walk().messages.clone();
+    late.retain(|message| message.channel.topic != IMU || message.log_time_ns > start);
+    assert_warned(&late, "", &[&format!("of {} frames", walk().frames()), "before the first attitude on /imu/data"]);
+}
+
+#[test]
+fn a_chain_that_does_not_pass_the_torso_is_told() {
+    let messages = changed::<TFMessage>(&walk().messages, TF_STATIC, |constants| {
+        for transform in &mut constants.transforms {
+            for name in [&mut transform.header.frame_id, &mut transform.child_frame_id] {
+                if *name == "base_link" {
+                    *name = "trunk".to_owned();
+                }
+            }
+        }
+    });
+    assert_warned(&messages, "", &[&all_frames(), "base_link", "frames.base_link"]);
+    let room = Room::with_log(&messages);
+    let named = room.replay("log.mcap --set frames.base_link=trunk");
+    assert_eq!(named.report["warnings"], serde_json::json!([]));
+}
