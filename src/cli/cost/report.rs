@@ -12,7 +12,7 @@ pub struct Report {
     /// Name of the log or scene.
     pub source: String,
     pub frames: usize,
-    /// There were more frames than memory holds.
+    /// There were more frames than are held at once.
     pub is_cut: bool,
     pub yardstick: Yardstick,
     /// Frames with something to be judged by.
@@ -182,7 +182,7 @@ impl Report {
     /// One sentence on what errors mean here.
     fn judged_by(&self) -> String {
         let Self { source, frames, frames_judged, .. } = self;
-        let cut = if self.is_cut { " (more do not fit in memory; --from and --for choose others)" } else { "" };
+        let cut = if self.is_cut { " (there are more: --from and --for choose others)" } else { "" };
         let by = match self.yardstick {
             Yardstick::GroundTruth if frames_judged == frames => "judged by the ground truth".to_owned(),
             Yardstick::GroundTruth => {

@@ -7,7 +7,7 @@ use super::knobs::Knobs;
 use crate::agent::Attempt;
 use crate::evaluation::Tagged;
 use crate::evaluation::capture::tagged;
-use crate::evaluation::compare::{Comparison, compare, mirrored};
+use crate::evaluation::compare::{Comparison, compare, mirrored, truth_at};
 use crate::evaluation::statistics::{Summary, quantile};
 use crate::geometry::Isometry;
 
@@ -73,17 +73,17 @@ impl Row {
     }
 }
 
-/// A filter that had to find its place by itself cannot know in which half of the field it is: the half it chose counts.
+/// A filter that had to find its place by itself cannot know in which half of the field it is: of an ambiguous tag the
+/// nearer of both poses counts.
 fn judge(run: &[Attempt], truth: &[(i64, Isometry)]) -> Comparison {
-    let tags: Vec<Tagged> = run.iter().map(|attempt| tagged(&attempt.tag)).collect();
-    let comparison = compare(&tags, truth);
-    if run.iter().any(|attempt| attempt.tag.ambiguous) {
-        let other = compare(&mirrored(&tags), truth);
-        if other.position_cm.median < comparison.position_cm.median {
-            return other;
-        }
-    }
-    comparison
+    let known = |attempt: &Attempt| {
+        let tag = tagged(&attempt.tag);
+        let Some(wanted) = truth_at(truth, tag.stamp_ns).filter(|_| attempt.tag.ambiguous) else { return tag };
+        let off = |tag: &Tagged| (tag.pose.translation - wanted.translation).length();
+        let other = mirrored(std::slice::from_ref(&tag)).pop();
+        other.filter(|other| off(other) < off(&tag)).unwrap_or(tag)
+    };
+    compare(&run.iter().map(known).collect::<Vec<_>>(), truth)
 }
 
 /// Sorted: of each frame in which something was seen, the median over the runs.
