@@ -3,6 +3,8 @@
 pub mod checkpoint;
 mod durations;
 mod error;
+pub mod footage;
+mod opened;
 mod pipeline;
 mod prelude;
 pub mod replay;
@@ -16,8 +18,9 @@ mod tally;
 mod warnings;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use error::AgentError;
-pub use replay::{ReplayError, ReplayOptions, replay};
+pub use error::{AgentError, ReplayError};
+pub use footage::{Attempt, Footage, FootageOptions};
+pub use replay::{ReplayOptions, replay};
 pub use report::ReplayReport;
 pub use setup::SetupError;
 pub use tagger::Tagger;

@@ -1,25 +1,21 @@
 //! A log or a scene through the pipeline: every frame tagged and written, as fast as the machine can or at the log's
 //! own pace.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use thiserror::Error;
-
-use super::checkpoint::{Checkpoint, CheckpointError};
-use super::error::AgentError;
+use super::checkpoint::Checkpoint;
+use super::error::ReplayError;
+use super::opened::{self, BEGAN_ANEW, OpenLog};
 use super::pipeline::{Pipeline, Recorded, Recording};
-use super::prelude::Prelude;
 use super::report::{ReplayReport, file_damage};
-use super::setup::{Setup, SetupError};
+use super::setup::Setup;
 use super::state::{Start, last_state};
 use crate::config::Settings;
 use crate::geometry::Pose2;
-use crate::recording::{Loss, missing_parts, session_holding};
-use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
-use crate::sensors::log::{self, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
-use crate::sensors::scene::{self, SceneSource, SceneSourceError};
-use crate::sensors::topics::TopicTypes;
+use crate::recording::session_holding;
+use crate::ros2::mcap_read::LogMessage;
+use crate::sensors::scene;
 
 #[derive(Clone, Debug)]
 pub struct ReplayOptions {
@@ -34,39 +30,6 @@ pub struct ReplayOptions {
     pub realtime: bool,
     /// Go on from the state that the last replay into `captures` left behind.
     pub warm_start: bool,
-}
-
-#[derive(Debug, Error)]
-pub enum ReplayError {
-    #[error(transparent)]
-    Setup(#[from] SetupError),
-    /// What the log lacks or says wrongly; what the config says wrongly names its own file.
-    #[error("{path}: {source}{}", told(lost))]
-    Source { path: PathBuf, source: Box<SetupError>, lost: Vec<Loss> },
-    #[error(
-        "{captures}: the folder belongs to the capture {session}, to which nothing is added: name another with --output"
-    )]
-    IntoCapture { captures: PathBuf, session: PathBuf },
-    #[error(transparent)]
-    Log(#[from] LogError),
-    #[error(transparent)]
-    Scene(#[from] SceneSourceError),
-    #[error(transparent)]
-    Agent(#[from] AgentError),
-    #[error("{path}: no segment of this capture is left{}", told(lost))]
-    NoSegment { path: PathBuf, lost: Vec<Loss> },
-    #[error("no frame could be used: {0}")]
-    NoFrame(String),
-    #[error("{source}; what came before is recorded in {session}")]
-    Broken { source: Box<ReplayError>, session: PathBuf },
-}
-
-fn told(lost: &[Loss]) -> String {
-    match lost {
-        [] => String::new(),
-        [loss] => format!("; it is not whole, which may be why: {loss}"),
-        [first, rest @ ..] => format!("; it is not whole, which may be why: {first}; and {} more", rest.len()),
-    }
 }
 
 /// Frames done so far, and how many there are if that is known.
@@ -84,102 +47,23 @@ pub fn replay(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 }
 
 fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
-    let missing = missing_parts(&options.source);
-    let files = log::files_of(&options.source).map_err(|error| match error {
-        LogError::NoFiles { path } if !missing.is_empty() => ReplayError::NoSegment { path, lost: missing.clone() },
-        error => error.into(),
-    })?;
-    let surveys = log::surveys(&files)?;
-    let types = log::topic_types(&surveys);
-    let lost = || {
-        let damaged = files.iter().zip(&surveys).filter(|(_, survey)| !survey.damage.is_none());
-        let damaged = damaged.map(|(file, survey)| Loss::of_damage(file, &survey.damage));
-        missing.iter().cloned().chain(damaged).collect()
-    };
-    let all = files.clone();
-    let prelude =
-        Prelude::read(&options.settings, &types, move |selection| Box::new(LogSource::new(all.clone(), selection)))
-            .map_err(|error| setup_error(&options.source, error, lost()))?;
-    let frames = surveys.iter().flat_map(|survey| &survey.topics).filter(|topic| topic.topic == prelude.topics.image);
-    let total = frames.map(|topic| topic.messages).sum();
-    let stored = stored_state(&files, &surveys)?;
-    let setup =
-        Setup::new(options.settings.clone(), prelude).map_err(|error| setup_error(&options.source, error, lost()))?;
-    let mut source = LogSource::new(files, Selection::All);
-    let messages = source.by_ref().map(|message| message.map_err(ReplayError::from));
-    let mut run = Run::new(options, setup, stored.checkpoint);
-    run.report.lost.extend(missing.into_iter().chain(stored.loss));
-    run.report.warnings.extend(stored.warning);
-    let mut report = run.through(messages, &mut |done| progress(done, Some(total)))?;
-    report.damage = source.damage().iter().map(|(file, damage)| file_damage(file, damage)).collect();
+    let OpenLog { setup, mut messages, checkpoint, frames, lost, warnings } =
+        opened::log(&options.source, &options.settings)?;
+    let mut run = Run::new(options, setup, checkpoint);
+    run.report.lost.extend(lost);
+    run.report.warnings.extend(warnings);
+    let read = messages.by_ref().map(|message| message.map_err(ReplayError::from));
+    let mut report = run.through(read, &mut |done| progress(done, Some(frames)))?;
+    report.damage = messages.damage().iter().map(|(file, damage)| file_damage(file, damage)).collect();
     Ok(report)
 }
 
 fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
-    let path = options.source.to_string_lossy();
-    let scene = scene::load(&path)?;
-    let mut settings = options.settings.clone();
-    settings.field = scene.file().scene.field.clone();
-    let mut source = SceneSource::new(&scene);
-    // Constants come first: they are all that the agent must know beforehand.
-    let mut first: Vec<LogMessage> = Vec::new();
-    let (mut types, mut has_image) = (TopicTypes::new(), false);
-    while !has_image {
-        let Some(message) = source.next() else { break };
-        let message = message?;
-        let kinds = types.entry(message.channel.topic.clone()).or_default();
-        kinds.insert(message.channel.type_name.clone());
-        has_image = message.channel.type_name.ends_with("Image");
-        first.push(message);
-    }
-    let known = first.clone();
-    let setup = Prelude::read(&settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))
-        .and_then(|prelude| Setup::new(settings, prelude))
-        .map_err(|error| setup_error(&options.source, error, Vec::new()))?;
+    let scene = scene::load(&options.source.to_string_lossy())?;
+    let (setup, messages) = opened::scene(&scene, &options.source, &options.settings)?;
     let total = Some(scene.frame_count());
-    let messages = first.into_iter().map(Ok).chain(source.map(|message| message.map_err(ReplayError::from)));
     Run::new(options, setup, None).through(messages, &mut |done| progress(done, total))
 }
-
-/// Says in which log or scene something is wrong, if it is there, and what of it was lost.
-fn setup_error(source: &Path, error: SetupError, lost: Vec<Loss>) -> ReplayError {
-    match error {
-        SetupError::Log(error) => ReplayError::Log(error),
-        SetupError::Config(_) | SetupError::BodyMask { .. } => ReplayError::Setup(error),
-        error => ReplayError::Source { path: source.to_owned(), source: Box::new(error), lost },
-    }
-}
-
-/// What a segment of a capture brings along of the filter's state, or why that is of no use.
-#[derive(Default)]
-struct StoredState {
-    checkpoint: Option<Checkpoint>,
-    loss: Option<Loss>,
-    warning: Option<String>,
-}
-
-fn stored_state(files: &[PathBuf], surveys: &[Survey]) -> Result<StoredState, ReplayError> {
-    let (Some(path), Some(survey)) = (files.first(), surveys.first()) else { return Ok(StoredState::default()) };
-    let decoded = match log::checkpoint(path, survey)? {
-        StoredCheckpoint::None => return Ok(StoredState::default()),
-        StoredCheckpoint::Damaged => Err(CheckpointError::Damaged),
-        StoredCheckpoint::Bytes(bytes) => Checkpoint::decode(&bytes),
-    };
-    let error = match decoded {
-        Ok(checkpoint) => return Ok(StoredState { checkpoint: Some(checkpoint), ..StoredState::default() }),
-        Err(error) => error,
-    };
-    let what = format!("its attachment {CHECKPOINT_NAME}: {error}; {BEGAN_ANEW}");
-    Ok(match error {
-        // Not lost, only of another time.
-        CheckpointError::Version { .. } => {
-            StoredState { warning: Some(format!("{}: {what}", path.display())), ..StoredState::default() }
-        }
-        _ => StoredState { loss: Some(Loss::new(path, what)), ..StoredState::default() },
-    })
-}
-
-const BEGAN_ANEW: &str = "the filter began without it";
 
 /// A pipeline at the pace that was asked for, and what its report says from the start.
 struct Run {

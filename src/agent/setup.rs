@@ -126,6 +126,7 @@ impl Eyes {
             range_m: f.range_m,
             tilt_sigma_rad: f.tilt_sigma_deg.to_radians(),
             nearest_reach_m: f.nearest_reach_m,
+            reduction: f.image_reduction,
         };
         Ok(Self { vision: Vision::new(lens, vision), bodies })
     }

@@ -113,6 +113,7 @@ impl Known {
             range_m: 0.0,
             tilt_sigma_rad: TILT_SIGMA_RAD,
             nearest_reach_m: 0.25,
+            reduction: 0,
         };
         let footprint_from_optical = self.footprint_from_link() * Isometry::link_from_optical();
         Vision::new(&self.lens, settings).look(picture, &footprint_from_optical, self.body.as_ref())

@@ -9,9 +9,11 @@ use std::time::Instant;
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::setup::Eyes;
+use crate::geometry::Lens;
+use crate::ros2::mcap_read::LogMessage;
 use crate::sensors::decode::{DecodeError, picture};
 use crate::sensors::synchroniser::Frame;
-use crate::vision::Seen;
+use crate::vision::{Picture, Seen};
 
 /// A frame after looking at it.
 pub struct Looked {
@@ -110,19 +112,24 @@ impl Drop for Looking {
 }
 
 fn look(eyes: &Eyes, frame: Frame) -> Looked {
-    let lens = eyes.vision.lens();
     let Ok(place) = frame.robot.place.clone() else {
         return Looked { frame, seen: Err(NotSeen::NoPlace), look_ms: 0.0 };
     };
-    let picture = match picture(&frame.message) {
+    let picture = match view(&frame.message, eyes.vision.lens()) {
         Ok(picture) => picture,
-        Err(error) => return Looked { frame, seen: Err(NotSeen::Decode(error)), look_ms: 0.0 },
+        Err(unseen) => return Looked { frame, seen: Err(unseen), look_ms: 0.0 },
     };
-    if (picture.width, picture.height) != (lens.width() as usize, lens.height() as usize) {
-        let sizes = NotSeen::Size { image: [picture.width, picture.height], lens: [lens.width(), lens.height()] };
-        return Looked { frame, seen: Err(sizes), look_ms: 0.0 };
-    }
     let start = Instant::now();
     let seen = eyes.vision.look(&picture, &place.footprint_from_optical, eyes.body(frame.robot.head));
     Looked { look_ms: start.elapsed().as_secs_f64() * 1e3, frame, seen: Ok(seen) }
+}
+
+/// The picture of a frame's message, if it is one that the lens can have made.
+pub(super) fn view(message: &LogMessage, lens: &Lens) -> Result<Picture, NotSeen> {
+    let picture = picture(message).map_err(NotSeen::Decode)?;
+    if (picture.width, picture.height) != (lens.width() as usize, lens.height() as usize) {
+        let image = [picture.width, picture.height];
+        return Err(NotSeen::Size { image, lens: [lens.width(), lens.height()] });
+    }
+    Ok(picture)
 }

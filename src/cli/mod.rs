@@ -2,13 +2,17 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage or config, 3 done but data was lost.
 
+mod cost;
 mod demo;
 mod eval;
 mod export;
 mod info;
+mod machine;
 mod output;
+mod paper;
 mod paths;
 mod replay;
+mod section;
 mod settings;
 mod sim;
 mod tag;
@@ -41,14 +45,17 @@ enum Command {
     Export(export::ExportArguments),
     Info(info::InfoArguments),
     Tag(tag::TagArguments),
+    Cost(Box<cost::CostArguments>),
+    Paper(paper::PaperArguments),
     Demo(demo::DemoArguments),
 }
 
-/// Done, or done with losses.
+/// Done, done with losses, or done with a result that is not what was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
     Whole,
     DataLost,
+    NotReached,
 }
 
 impl Outcome {
@@ -67,11 +74,14 @@ pub fn run() -> ExitCode {
         Command::Export(arguments) => export::run(&arguments, json),
         Command::Info(arguments) => info::run(&arguments, json),
         Command::Tag(arguments) => tag::run(&arguments, json),
+        Command::Cost(arguments) => cost::run(&arguments, json),
+        Command::Paper(arguments) => paper::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),
     };
     match outcome {
         Ok(Outcome::Whole) => ExitCode::SUCCESS,
         Ok(Outcome::DataLost) => ExitCode::from(3),
+        Ok(Outcome::NotReached) => ExitCode::from(1),
         Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("realitysim: {}", told(&error));

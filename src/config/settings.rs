@@ -147,6 +147,8 @@ pub struct FilterConfig {
     pub tilt_sigma_deg: f64,
     /// How far the distance model looks for white.
     pub nearest_reach_m: f64,
+    /// Images are looked at in a copy that is this many times smaller; 0: as the lens demands.
+    pub image_reduction: usize,
     /// A tag is valid when at least this share of the expected line contrast is found ...
     pub valid_share: f64,
     /// ... on at least this much certain line, in units of 10 cm ...
@@ -230,6 +232,7 @@ impl Settings {
         }
         within("filter.tilt_sigma_deg", f.tilt_sigma_deg, 0.0, 45.0)?;
         within("filter.nearest_reach_m", f.nearest_reach_m, 0.02, 5.0)?;
+        within("filter.image_reduction", f.image_reduction as f64, 0.0, 8.0)?;
         within("filter.valid_share", f.valid_share, 0.0, 1.0)?;
         within("filter.valid_points", f.valid_points, 0.0, 1e6)?;
         within("filter.valid_spread_m", f.valid_spread_m, 0.0, 100.0)?;
@@ -343,6 +346,7 @@ impl Default for FilterConfig {
             range_m: 0.0,
             tilt_sigma_deg: 0.7,
             nearest_reach_m: 0.25,
+            image_reduction: 0,
             valid_share: 0.35,
             valid_points: 8.0,
             valid_spread_m: 0.25,

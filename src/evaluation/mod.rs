@@ -1,9 +1,12 @@
-//! Judging: tags against the truth, and pictures of both.
+//! Judging: tags against the truth, what accuracy costs, the paper's experiments, and pictures of them.
 
 pub mod capture;
 pub mod compare;
+pub mod cost;
 pub mod drawing;
+pub mod paper;
 pub mod statistics;
+pub mod truth;
 
 pub use compare::{Comparison, Tagged, compare, mirrored};
 pub use statistics::Summary;

@@ -27,11 +27,12 @@ impl Summary {
     }
 }
 
-/// Linear between the two nearest of the sorted values (type 7 of Hyndman and Fan 1996, as NumPy).
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let place = share * (sorted.len() - 1) as f64;
+/// Linear between the two nearest of the sorted values (type 7 of Hyndman and Fan 1996, as NumPy); 0 of none.
+pub fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return 0.0 };
+    let place = share * last as f64;
     let low = place.floor() as usize;
-    let high = (low + 1).min(sorted.len() - 1);
+    let high = (low + 1).min(last);
     sorted[low] + (sorted[high] - sorted[low]) * (place - low as f64)
 }
 

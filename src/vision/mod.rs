@@ -87,6 +87,14 @@ pub struct VisionSettings {
     pub tilt_sigma_rad: f64,
     /// How far on the ground the nearest white place is looked for.
     pub nearest_reach_m: f64,
+    /// Blocks of this many pixels by as many are averaged before looking; 0: [`automatic_reduction`].
+    pub reduction: usize,
+}
+
+/// Cameras with more than about 200 pixels a radian are looked at in a smaller copy: lines a few pixels wide are what
+/// the contrast is made for.
+pub fn automatic_reduction(lens: &Lens) -> usize {
+    (libm::round(lens.focal() / 210.0) as usize).clamp(1, 8)
 }
 
 /// Samples whose colour is learnt from lie within this range of the robot.
@@ -94,9 +102,7 @@ const LEARN_WITHIN_M: f64 = 2.5;
 
 impl Vision {
     pub fn new(lens: &Lens, settings: VisionSettings) -> Self {
-        // Cameras with more than about 200 pixels a radian are looked at in a smaller copy: lines a few pixels
-        // wide are what the contrast is made for.
-        let reduction = (libm::round(lens.focal() / 210.0) as usize).clamp(1, 8);
+        let reduction = if settings.reduction == 0 { automatic_reduction(lens) } else { settings.reduction };
         let (width, height) = (lens.width() as usize / reduction, lens.height() as usize / reduction);
         let scale = WorkingScale::new(reduction);
         let coarse_rays =

@@ -1,11 +1,12 @@
 //! Pictures for people: the field from above with routes, and painted lines drawn over camera images.
 //!
-//! [`field_map`] shows where the robot was, [`overlay`] whether a pose fits an image, [`side_by_side`] both.
-//! Pure: pictures in and out, no files. Odd input (nothing to draw, NaN, a lens that sees no line) makes a plainer
+//! [`field_map`] shows where the robot was, [`overlay`] whether a pose fits an image, [`side_by_side`] both;
+//! [`chart`] is numbers against numbers. Pure: pictures in and out, no files. Odd input (nothing to draw, NaN, a lens that sees no line) makes a plainer
 //! picture, never an error.
 
 mod beside;
 mod canvas;
+pub mod chart;
 mod field_map;
 mod overlay;
 mod paint;

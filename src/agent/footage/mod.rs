@@ -1,0 +1,202 @@
+//! Frames of a log or scene, decoded and held in memory, so that settings can be tried on the same frames again and again.
+
+mod keeper;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use super::error::ReplayError;
+use super::opened::{self, OpenLog};
+use super::replay::Progress;
+use super::setup::{Eyes, SetupError};
+use super::stages::{NotSeen, view};
+use super::tagger::Tagger;
+use crate::config::Settings;
+use crate::geometry::{Field, Lens, Pose2};
+use crate::localization::LocalizerState;
+use crate::recording::Loss;
+use crate::ros2::messages::FrameTag;
+use crate::scene::Scene;
+use crate::sensors::scene;
+use crate::sensors::synchroniser::{Frame, InitialPose, RobotAt};
+use crate::vision::{Picture, Seen};
+use keeper::Keeper;
+
+#[derive(Clone, Debug)]
+pub struct FootageOptions {
+    /// An MCAP file, a folder of them, or a scene file (`.toml`).
+    pub source: PathBuf,
+    /// Also those with which the way to the first kept frame is tracked.
+    pub settings: Settings,
+    /// In place of what the log announces.
+    pub initial: Option<Pose2>,
+    /// Seconds after the log's first frame.
+    pub from_s: f64,
+    /// As long as memory allows, if nothing is said.
+    pub for_s: Option<f64>,
+}
+
+pub struct Footage {
+    settings: Settings,
+    lens: Lens,
+    field: Field,
+    start: Start,
+    shots: Vec<Shot>,
+    /// Each shot starts at a pose of its own and knows nothing of the others.
+    apart: bool,
+    /// Frames had to be left out behind the last one.
+    full: bool,
+    losses: Vec<Loss>,
+}
+
+/// What is known of the robot's place before the first frame.
+#[derive(Clone, Default)]
+struct Start {
+    state: LocalizerState,
+    initial: Option<Pose2>,
+}
+
+/// One frame, ready to be looked at.
+struct Shot {
+    stamp_ns: i64,
+    robot: RobotAt,
+    picture: Result<Picture, NotSeen>,
+}
+
+/// What settings made of one frame.
+#[derive(Clone, Debug)]
+pub struct Attempt {
+    /// With the time from the decoded image to the tag, as a replay states it.
+    pub tag: FrameTag,
+    /// There was something to look at: the time means something.
+    pub seen: bool,
+}
+
+impl Footage {
+    pub fn load(options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
+        if options.source.extension().is_some_and(|ending| ending == "toml") {
+            Self::of_scene(&scene::load(&options.source.to_string_lossy())?, options, progress)
+        } else {
+            Self::of_log(options, progress)
+        }
+    }
+
+    /// `options.source` is only the scene's name.
+    pub fn of_scene(scene: &Scene, options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
+        let (setup, messages) = opened::scene(scene, &options.source, &options.settings)?;
+        let mut keeper = Keeper::new(options, setup, None);
+        keeper.take_all(messages, &mut |done| progress(done, Some(scene.frame_count())))?;
+        keeper.finish(&options.source)
+    }
+
+    fn of_log(options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
+        let OpenLog { setup, mut messages, checkpoint, frames, lost, .. } =
+            opened::log(&options.source, &options.settings)?;
+        let mut keeper = Keeper::new(options, setup, checkpoint);
+        let read = messages.by_ref().map(|message| message.map_err(ReplayError::from));
+        keeper.take_all(read, &mut |done| progress(done, Some(frames)))?;
+        let mut footage = keeper.finish(&options.source)?;
+        lost.into_iter().for_each(|loss| loss.join(&mut footage.losses));
+        for (file, damage) in messages.damage() {
+            Loss::of_damage(file, damage).join(&mut footage.losses);
+        }
+        Ok(footage)
+    }
+
+    /// The same frames, each on its own: tracking starts anew at each, at the pose given for it.
+    pub fn apart(mut self, starts: &[InitialPose]) -> Self {
+        for (shot, start) in self.shots.iter_mut().zip(starts) {
+            shot.robot.initial_pose = Some(*start);
+        }
+        self.start = Start::default();
+        self.apart = true;
+        self
+    }
+
+    /// As the source wants them: a scene names its own field.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    pub fn field(&self) -> &Field {
+        &self.field
+    }
+
+    pub fn lens(&self) -> &Lens {
+        &self.lens
+    }
+
+    pub fn stamps_ns(&self) -> impl Iterator<Item = i64> + '_ {
+        self.shots.iter().map(|shot| shot.stamp_ns)
+    }
+
+    pub fn frames(&self) -> usize {
+        self.shots.len()
+    }
+
+    /// Memory ended before the frames did.
+    pub fn is_cut(&self) -> bool {
+        self.full
+    }
+
+    /// What of the source could not be used.
+    pub fn losses(&self) -> &[Loss] {
+        &self.losses
+    }
+
+    /// Tags every frame with these settings, in one thread.
+    pub fn try_out(&self, settings: &Settings, progress: &mut dyn FnMut(usize)) -> Result<Vec<Attempt>, SetupError> {
+        let eyes = Eyes::new(settings, &self.lens, self.field.line_width())?;
+        let mut tracking = self.start.tagger(settings, &self.field, &self.lens);
+        let mut seen = Seen::default();
+        let mut attempts = Vec::with_capacity(self.shots.len());
+        for (index, shot) in self.shots.iter().enumerate() {
+            if self.apart {
+                let mut own = settings.clone();
+                own.filter.seed = settings.filter.seed.wrapping_add(index as u64);
+                tracking = self.start.tagger(&own, &self.field, &self.lens);
+            }
+            attempts.push(shot.tag(&eyes, &mut tracking, &mut seen));
+            progress(index + 1);
+        }
+        Ok(attempts)
+    }
+}
+
+impl Start {
+    fn tagger(&self, settings: &Settings, field: &Field, lens: &Lens) -> Tagger {
+        let mut tagger = Tagger::new(settings, field.clone(), lens, self.state.clone());
+        if let Some(map_from_footprint) = self.initial {
+            tagger.start_at(&InitialPose { map_from_footprint, xy_m: None, yaw_rad: None });
+        }
+        tagger
+    }
+}
+
+impl Shot {
+    fn new(frame: Frame, lens: &Lens) -> Self {
+        let picture = if frame.robot.place.is_ok() { view(&frame.message, lens) } else { Err(NotSeen::NoPlace) };
+        Self { stamp_ns: frame.stamp_ns, robot: frame.robot, picture }
+    }
+
+    fn bytes(&self) -> usize {
+        let of = |picture: &Picture| picture.luma.len() + picture.chroma.blue.len() + picture.chroma.red.len();
+        self.picture.as_ref().map_or(0, of)
+    }
+
+    /// `seen` is only room to work in.
+    fn tag(&self, eyes: &Eyes, tagger: &mut Tagger, seen: &mut Seen) -> Attempt {
+        let Self { stamp_ns, robot, picture } = self;
+        let start = Instant::now();
+        let (mut tag, is_seen) = match (picture, &robot.place) {
+            (Ok(picture), Ok(place)) => {
+                eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), seen);
+                (tagger.tag(*stamp_ns, robot, seen), true)
+            }
+            (Err(unseen), _) => (tagger.tag_blind(*stamp_ns, robot, unseen.reason()), false),
+            (_, Err(_)) => (tagger.tag_blind(*stamp_ns, robot, NotSeen::NoPlace.reason()), false),
+        };
+        tag.elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
+        Attempt { tag, seen: is_seen }
+    }
+}

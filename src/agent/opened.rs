@@ -1,0 +1,125 @@
+//! A log or a scene, opened: what must be known before its first frame, then its messages.
+
+use std::path::{Path, PathBuf};
+
+use super::checkpoint::{Checkpoint, CheckpointError};
+use super::error::ReplayError;
+use super::prelude::Prelude;
+use super::setup::{Setup, SetupError};
+use crate::config::Settings;
+use crate::recording::{Loss, missing_parts};
+use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
+use crate::scene::Scene;
+use crate::sensors::log::{self as logs, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
+use crate::sensors::scene::SceneSource;
+use crate::sensors::topics::TopicTypes;
+
+pub(super) struct OpenLog {
+    pub setup: Setup,
+    pub messages: LogSource,
+    /// Of a capture's segment.
+    pub checkpoint: Option<Checkpoint>,
+    /// How many there should be.
+    pub frames: u64,
+    /// What is known to be missing before anything is read.
+    pub lost: Vec<Loss>,
+    pub warnings: Vec<String>,
+}
+
+pub(super) fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
+    let missing = missing_parts(path);
+    let files = logs::files_of(path).map_err(|error| match error {
+        LogError::NoFiles { path } if !missing.is_empty() => ReplayError::NoSegment { path, lost: missing.clone() },
+        error => error.into(),
+    })?;
+    let surveys = logs::surveys(&files)?;
+    let types = logs::topic_types(&surveys);
+    let lost = || {
+        let damaged = files.iter().zip(&surveys).filter(|(_, survey)| !survey.damage.is_none());
+        let damaged = damaged.map(|(file, survey)| Loss::of_damage(file, &survey.damage));
+        missing.iter().cloned().chain(damaged).collect()
+    };
+    let all = files.clone();
+    let prelude = Prelude::read(settings, &types, move |selection| Box::new(LogSource::new(all.clone(), selection)))
+        .map_err(|error| setup_error(path, error, lost()))?;
+    let frames = surveys.iter().flat_map(|survey| &survey.topics).filter(|topic| topic.topic == prelude.topics.image);
+    let frames = frames.map(|topic| topic.messages).sum();
+    let stored = stored_state(&files, &surveys)?;
+    let setup = Setup::new(settings.clone(), prelude).map_err(|error| setup_error(path, error, lost()))?;
+    Ok(OpenLog {
+        setup,
+        checkpoint: stored.checkpoint,
+        frames,
+        lost: missing.into_iter().chain(stored.loss).collect(),
+        warnings: stored.warning.into_iter().collect(),
+        messages: LogSource::new(files, Selection::All),
+    })
+}
+
+/// With all messages of the scene; `name` is for messages to people.
+pub(super) fn scene<'a>(
+    scene: &'a Scene,
+    name: &Path,
+    settings: &Settings,
+) -> Result<(Setup, impl Iterator<Item = Result<LogMessage, ReplayError>> + use<'a>), ReplayError> {
+    let mut settings = settings.clone();
+    settings.field = scene.file().scene.field.clone();
+    let mut source = SceneSource::new(scene);
+    // Constants come first: they are all that the agent must know beforehand.
+    let mut first: Vec<LogMessage> = Vec::new();
+    let (mut types, mut has_image) = (TopicTypes::new(), false);
+    while !has_image {
+        let Some(message) = source.next() else { break };
+        let message = message?;
+        let kinds = types.entry(message.channel.topic.clone()).or_default();
+        kinds.insert(message.channel.type_name.clone());
+        has_image = message.channel.type_name.ends_with("Image");
+        first.push(message);
+    }
+    let known = first.clone();
+    let setup = Prelude::read(&settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))
+        .and_then(|prelude| Setup::new(settings, prelude))
+        .map_err(|error| setup_error(name, error, Vec::new()))?;
+    let messages = first.into_iter().map(Ok).chain(source.map(|message| message.map_err(ReplayError::from)));
+    Ok((setup, messages))
+}
+
+/// Says in which log or scene something is wrong, if it is there, and what of it was lost.
+fn setup_error(source: &Path, error: SetupError, lost: Vec<Loss>) -> ReplayError {
+    match error {
+        SetupError::Log(error) => ReplayError::Log(error),
+        SetupError::Config(_) | SetupError::BodyMask { .. } => ReplayError::Setup(error),
+        error => ReplayError::Source { path: source.to_owned(), source: Box::new(error), lost },
+    }
+}
+
+/// What a segment of a capture brings along of the filter's state, or why that is of no use.
+#[derive(Default)]
+struct StoredState {
+    checkpoint: Option<Checkpoint>,
+    loss: Option<Loss>,
+    warning: Option<String>,
+}
+
+fn stored_state(files: &[PathBuf], surveys: &[Survey]) -> Result<StoredState, ReplayError> {
+    let (Some(path), Some(survey)) = (files.first(), surveys.first()) else { return Ok(StoredState::default()) };
+    let decoded = match logs::checkpoint(path, survey)? {
+        StoredCheckpoint::None => return Ok(StoredState::default()),
+        StoredCheckpoint::Damaged => Err(CheckpointError::Damaged),
+        StoredCheckpoint::Bytes(bytes) => Checkpoint::decode(&bytes),
+    };
+    let error = match decoded {
+        Ok(checkpoint) => return Ok(StoredState { checkpoint: Some(checkpoint), ..StoredState::default() }),
+        Err(error) => error,
+    };
+    let what = format!("its attachment {CHECKPOINT_NAME}: {error}; {BEGAN_ANEW}");
+    Ok(match error {
+        // Not lost, only of another time.
+        CheckpointError::Version { .. } => {
+            StoredState { warning: Some(format!("{}: {what}", path.display())), ..StoredState::default() }
+        }
+        _ => StoredState { loss: Some(Loss::new(path, what)), ..StoredState::default() },
+    })
+}
+
+pub(super) const BEGAN_ANEW: &str = "the filter began without it";

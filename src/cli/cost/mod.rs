@@ -1,0 +1,261 @@
+//! `realitysim cost`
+
+mod files;
+mod report;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::Args;
+
+use super::section::Section;
+use super::settings::{SettingsArguments, planar_pose};
+use super::{Outcome, machine, output};
+use crate::agent::{Attempt, Footage, FootageOptions};
+use crate::config::Settings;
+use crate::evaluation::capture::{EvaluationError, read_truth};
+use crate::evaluation::compare::truth_at;
+use crate::evaluation::cost::{self, Knobs, Wish};
+use crate::evaluation::truth;
+use crate::geometry::{Isometry, Pose2};
+use crate::sensors::scene;
+use crate::vision::automatic_reduction;
+use report::{Report, Yardstick};
+
+/// Find out what accuracy costs in time, and which settings to use
+///
+/// Tries about 40 settings (model, particles, iterations, line points, image scale, refinement) on the same frames of a log
+/// or scene, with several seeds and in one thread, from the decoded image to the tag as in a replay. Times are p50 and p99,
+/// errors those of valid tags against the log's ground truth, or against a long reference run if it has none.
+///
+/// Recommends the cheapest settings within noise of the best under --budget-ms, or the cheapest that reach --accuracy-cm,
+/// and writes cost.csv, cost.svg and cost.toml, which --config of other commands takes. Exit code 1 when nothing that was
+/// asked for can be had. Measure on a machine that does nothing else.
+#[derive(Args)]
+pub struct CostArguments {
+    /// A log or a scene, as for replay
+    #[arg(value_name = "LOG|SCENE")]
+    source: PathBuf,
+    /// A frame may take this long (p99); 8 if neither this nor --accuracy-cm is given
+    #[arg(long, value_name = "MS", value_parser = above_zero, allow_negative_numbers = true)]
+    budget_ms: Option<f64>,
+    /// The mean position error that is good enough
+    #[arg(long, value_name = "CM", value_parser = above_zero, allow_negative_numbers = true)]
+    accuracy_cm: Option<f64>,
+    /// Where cost.csv, cost.svg and cost.toml go
+    #[arg(short, long, value_name = "DIR", default_value = "cost")]
+    output: PathBuf,
+    /// Leave out this many seconds at the start; they are tracked, not measured
+    #[arg(long = "from", value_name = "S", default_value_t = 0.0, value_parser = not_below_zero, allow_negative_numbers = true)]
+    from_s: f64,
+    /// Use this many seconds; without it, and at most, 300 frames
+    #[arg(long = "for", value_name = "S", value_parser = above_zero, allow_negative_numbers = true)]
+    for_s: Option<f64>,
+    /// Seeds that every setting is tried with
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=20))]
+    seeds: u64,
+    /// A log with the true poses, if they are not in LOG itself
+    #[arg(long, value_name = "LOG")]
+    truth: Option<PathBuf>,
+    /// Pose of base_footprint at the first frame, in place of what the log announces
+    #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
+    initial: Option<Pose2>,
+    /// Put the front into a document, between its marks <!-- begin: realitysim cost --> and <!-- end: realitysim cost -->
+    #[arg(long, value_name = "FILE")]
+    write_docs: Option<PathBuf>,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+const DEFAULT_BUDGET_MS: f64 = 8.0;
+
+pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
+    let started = Instant::now();
+    let configured = arguments.settings.resolve()?;
+    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "cost")).transpose()?;
+    std::fs::create_dir_all(&arguments.output).with_context(|| arguments.output.display().to_string())?;
+    let wish = match (arguments.budget_ms, arguments.accuracy_cm) {
+        (None, None) => Wish { budget_ms: Some(DEFAULT_BUDGET_MS), accuracy_cm: None },
+        (budget_ms, accuracy_cm) => Wish { budget_ms, accuracy_cm },
+    };
+    let options = FootageOptions {
+        source: arguments.source.clone(),
+        settings: configured.clone(),
+        initial: arguments.initial,
+        from_s: arguments.from_s,
+        for_s: arguments.for_s,
+    };
+    let mut progress = output::Progress::new("reading");
+    let footage = Footage::load(&options, &mut |done, total| progress.set(done, total))?;
+    progress.finish();
+    let known = known_truth(arguments, &configured)?;
+
+    let mut trials = Trials::new(&footage, arguments.seeds);
+    let (yardstick, truth) = trials.yardstick(known)?;
+    let rows = trials.sweep(&truth)?;
+    let busy = trials.finish();
+
+    let seeds = arguments.seeds as usize;
+    let noise_cm = cost::noise_cm(&rows, seeds);
+    let advice = cost::advise(&rows, noise_cm, &wish);
+    let Some(advice) = advice else {
+        anyhow::bail!(
+            "{}: no setting gave a valid tag that could be judged on these {} frames ({}): nothing to compare",
+            arguments.source.display(),
+            footage.frames(),
+            trials.reasons()
+        );
+    };
+    let report = Report {
+        source: name_of(&arguments.source),
+        frames: footage.frames(),
+        is_cut: footage.is_cut(),
+        yardstick,
+        frames_judged: footage.stamps_ns().filter(|stamp_ns| truth_at(&truth, *stamp_ns).is_some()).count(),
+        seeds,
+        automatic_reduction: trials.automatic,
+        configured: Knobs::of(&configured),
+        rows,
+        noise_cm,
+        wish,
+        advice,
+        machine: machine::described(configured.filter.simd),
+        command: command(),
+        warnings: busy.into_iter().collect(),
+        losses: footage.losses().to_vec(),
+        wall_s: started.elapsed().as_secs_f64(),
+        output: arguments.output.clone(),
+    };
+    files::write(&report, &configured)?;
+    if let Some(section) = &section {
+        let picture = section.beside("cost.svg");
+        std::fs::write(&picture, report.chart()).with_context(|| picture.display().to_string())?;
+        section.write(&report.markdown())?;
+    }
+    output::losses(&report.losses);
+    report.warnings.iter().for_each(|warning| eprintln!("realitysim: {warning}"));
+    if json {
+        output::json(&report.as_json())?;
+    } else {
+        output::lines(&report.for_people())?;
+    }
+    Ok(if report.advice.fails() { Outcome::NotReached } else { Outcome::of(&report.losses) })
+}
+
+/// The true poses that come with the source, or in the log named; none if there are none.
+fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result<Vec<(i64, Isometry)>> {
+    let topic = &settings.topics.ground_truth;
+    if let Some(log) = &arguments.truth {
+        return Ok(read_truth(log, topic)?.found);
+    }
+    if arguments.source.extension().is_some_and(|ending| ending == "toml") {
+        return Ok(truth::of_scene(&scene::load(&arguments.source.to_string_lossy())?));
+    }
+    match read_truth(&arguments.source, topic) {
+        Err(EvaluationError::NoMessages { .. }) => Ok(Vec::new()),
+        truth => Ok(truth?.found),
+    }
+}
+
+/// The frames, the settings to try on them, and how far that has come.
+struct Trials<'a> {
+    footage: &'a Footage,
+    plan: Vec<Knobs>,
+    seeds: Vec<u64>,
+    automatic: usize,
+    progress: output::Progress,
+    done: u64,
+    total: u64,
+    /// Why tags were invalid.
+    reasons: BTreeMap<String, u64>,
+    started: Instant,
+    waited_s: Option<f64>,
+}
+
+impl<'a> Trials<'a> {
+    fn new(footage: &'a Footage, seeds: u64) -> Self {
+        let settings = footage.settings();
+        let automatic = automatic_reduction(footage.lens());
+        let plan = cost::plan(Knobs::of(settings), automatic);
+        Self {
+            total: plan.len() as u64 * seeds * footage.frames() as u64,
+            seeds: (0..seeds).map(|index| settings.filter.seed.wrapping_add(index)).collect(),
+            footage,
+            plan,
+            automatic,
+            progress: output::Progress::new("sweeping"),
+            done: 0,
+            reasons: BTreeMap::new(),
+            started: Instant::now(),
+            waited_s: machine::waited_s(),
+        }
+    }
+
+    /// The truth if it says something of these frames, else a long run's tags.
+    fn yardstick(&mut self, known: Vec<(i64, Isometry)>) -> anyhow::Result<(Yardstick, Vec<(i64, Isometry)>)> {
+        if self.footage.stamps_ns().any(|stamp_ns| truth_at(&known, stamp_ns).is_some()) {
+            return Ok((Yardstick::GroundTruth, known));
+        }
+        let reference = cost::reference(Knobs::of(self.footage.settings()));
+        self.total += self.footage.frames() as u64;
+        let run = self.run(&reference, self.seeds.first().copied().unwrap_or_default())?;
+        let elsewhere = !known.is_empty();
+        Ok((Yardstick::Reference { settings: reference, elsewhere }, cost::as_truth(&run)))
+    }
+
+    fn sweep(&mut self, truth: &[(i64, Isometry)]) -> anyhow::Result<Vec<cost::Row>> {
+        // The first frames of a process pay for memory that later ones find.
+        let (plan, seeds) = (self.plan.clone(), self.seeds.clone());
+        cost::sweep(&plan, &seeds, truth, &mut |knobs, seed| self.run(knobs, seed))
+    }
+
+    fn run(&mut self, knobs: &Knobs, seed: u64) -> anyhow::Result<Vec<Attempt>> {
+        let settings = knobs.set(self.footage.settings(), seed);
+        let Self { progress, done, total, .. } = self;
+        let attempts = self.footage.try_out(&settings, &mut |_| {
+            *done += 1;
+            progress.set(*done, Some(*total));
+        })?;
+        for attempt in attempts.iter().filter(|attempt| !attempt.tag.valid) {
+            *self.reasons.entry(attempt.tag.reason.clone()).or_default() += 1;
+        }
+        Ok(attempts)
+    }
+
+    /// A warning if the times cannot be trusted.
+    fn finish(&mut self) -> Option<String> {
+        self.progress.finish();
+        let waited_s = machine::waited_s().zip(self.waited_s).map(|(now, before)| now - before);
+        machine::busy_warning(waited_s, self.started.elapsed().as_secs_f64())
+    }
+
+    /// Why tags were invalid, the most frequent first.
+    fn reasons(&self) -> String {
+        let mut reasons: Vec<(&String, &u64)> = self.reasons.iter().collect();
+        reasons.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
+        let told: Vec<String> = reasons.iter().take(3).map(|(reason, count)| format!("{count} x {reason}")).collect();
+        if told.is_empty() { "all are valid, but none has a truth".to_owned() } else { told.join(", ") }
+    }
+}
+
+/// As it was called, without where the program lies.
+fn command() -> String {
+    let arguments = std::env::args().skip(1);
+    std::iter::once("realitysim".to_owned()).chain(arguments).collect::<Vec<_>>().join(" ")
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+fn above_zero(text: &str) -> Result<f64, String> {
+    let value = text.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0);
+    value.ok_or_else(|| "expected a number above 0".to_owned())
+}
+
+fn not_below_zero(text: &str) -> Result<f64, String> {
+    let value = text.parse::<f64>().ok().filter(|value| value.is_finite() && *value >= 0.0);
+    value.ok_or_else(|| "expected 0 or a number above".to_owned())
+}

@@ -1,0 +1,251 @@
+//! What a sweep has found, for people, programs and documents.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::config::Model;
+use crate::evaluation::cost::{self, Advice, Knobs, Row, Wish};
+use crate::recording::Loss;
+
+pub struct Report {
+    /// Name of the log or scene.
+    pub source: String,
+    pub frames: usize,
+    /// There were more frames than are held at once.
+    pub is_cut: bool,
+    pub yardstick: Yardstick,
+    /// Frames with something to be judged by.
+    pub frames_judged: usize,
+    pub seeds: usize,
+    /// What `image_reduction = 0` means with this lens.
+    pub automatic_reduction: usize,
+    pub configured: Knobs,
+    /// The fastest first.
+    pub rows: Vec<Row>,
+    pub noise_cm: f64,
+    pub wish: Wish,
+    pub advice: Advice,
+    pub machine: String,
+    pub command: String,
+    pub warnings: Vec<String>,
+    /// What of the log could not be used.
+    pub losses: Vec<Loss>,
+    pub wall_s: f64,
+    pub output: PathBuf,
+}
+
+/// What errors are distances from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Yardstick {
+    GroundTruth,
+    /// The valid tags of a long run with these settings; `elsewhere`: there is a truth, but of other times.
+    Reference {
+        settings: Knobs,
+        elsewhere: bool,
+    },
+}
+
+/// A row and what it is among the others.
+#[derive(Serialize)]
+pub struct Line<'a> {
+    #[serde(flatten)]
+    pub row: &'a Row,
+    pub on_front: bool,
+    pub recommended: bool,
+    pub configured: bool,
+}
+
+#[derive(Serialize)]
+pub struct Json<'a> {
+    source: &'a str,
+    frames: usize,
+    frames_cut: bool,
+    judged_by: Yardstick,
+    frames_judged: usize,
+    seeds: usize,
+    rows: Vec<Line<'a>>,
+    noise_cm: f64,
+    wish: Wish,
+    recommended: Recommended<'a>,
+    machine: &'a str,
+    warnings: &'a [String],
+    lost: &'a [Loss],
+    wall_s: f64,
+    output: &'a PathBuf,
+}
+
+#[derive(Serialize)]
+struct Recommended<'a> {
+    #[serde(flatten)]
+    row: &'a Row,
+    why: &'a str,
+    keeps_budget: Option<bool>,
+    reaches_accuracy: Option<bool>,
+}
+
+impl Report {
+    pub fn recommended(&self) -> &Row {
+        &self.rows[self.advice.row]
+    }
+
+    pub fn lines(&self) -> Vec<Line<'_>> {
+        let on = cost::front(&self.rows.iter().map(Row::point).collect::<Vec<_>>());
+        let line = |(index, (row, on_front))| Line {
+            row,
+            on_front,
+            recommended: index == self.advice.row,
+            configured: row.knobs == self.configured,
+        };
+        self.rows.iter().zip(on).enumerate().map(line).collect()
+    }
+
+    pub fn chart(&self) -> String {
+        let title = format!(
+            "{}: {} frames, {} settings \u{d7} {} seeds",
+            self.source,
+            self.frames,
+            self.rows.len(),
+            self.seeds
+        );
+        cost::chart(&self.rows, Some(&self.advice), &self.wish, &title)
+    }
+
+    pub fn as_json(&self) -> Json<'_> {
+        let Advice { why, keeps_budget, reaches_accuracy, .. } = &self.advice;
+        let (keeps_budget, reaches_accuracy) = (*keeps_budget, *reaches_accuracy);
+        Json {
+            source: &self.source,
+            frames: self.frames,
+            frames_cut: self.is_cut,
+            judged_by: self.yardstick,
+            frames_judged: self.frames_judged,
+            seeds: self.seeds,
+            rows: self.lines(),
+            noise_cm: self.noise_cm,
+            wish: self.wish,
+            recommended: Recommended { row: self.recommended(), why, keeps_budget, reaches_accuracy },
+            machine: &self.machine,
+            warnings: &self.warnings,
+            lost: &self.losses,
+            wall_s: self.wall_s,
+            output: &self.output,
+        }
+    }
+
+    pub fn for_people(&self) -> String {
+        let mut text = format!("{}\n\n", self.judged_by());
+        text.push_str(
+            "      model     particles   T  points  image  refined    p50 ms  p99 ms   mean cm  p95 cm     +-   valid %\n",
+        );
+        for line in self.lines() {
+            text.push_str(&self.row_for_people(&line));
+        }
+        text.push_str(&format!(
+            "\n  * Pareto front   > recommended   = as configured   - tags too few frames to be compared\n  \
+             image: how much smaller a copy is looked at; +-: scatter of the mean over {} seeds\n\n\
+             {}\n\n{:.0} s on a {}\n",
+            self.seeds, self.advice.why, self.wall_s, self.machine
+        ));
+        let files = ["cost.csv", "cost.svg", "cost.toml"].map(|name| self.output.join(name).display().to_string());
+        text.push_str(&files.join("  "));
+        text
+    }
+
+    fn row_for_people(&self, line: &Line) -> String {
+        let Row { knobs, p50_ms, p99_ms, position_cm, scatter_cm, valid_share, judged, evasive, .. } = line.row;
+        let sign = |is: bool, sign: char| if is { sign } else { ' ' };
+        let errors = if *judged > 0 {
+            format!("{:>9.2} {:>7.2} {:>6.2}", position_cm.mean, position_cm.p95, scatter_cm)
+        } else {
+            format!("{:>9} {:>7} {:>6}", "?", "?", "?")
+        };
+        format!(
+            " {}{}{}{} {:<9} {:>9} {:>3} {:>7}  {:>5}  {:<7} {:>9.2} {:>7.2} {errors} {:>9.1}\n",
+            sign(line.recommended, '>'),
+            sign(line.on_front, '*'),
+            sign(line.configured, '='),
+            sign(*evasive, '-'),
+            model_name(knobs.model),
+            knobs.particles,
+            knobs.iterations,
+            knobs.line_points,
+            self.image(knobs),
+            if knobs.refinement { "yes" } else { "no" },
+            p50_ms,
+            p99_ms,
+            100.0 * valid_share,
+        )
+    }
+
+    /// One sentence on what errors mean here.
+    fn judged_by(&self) -> String {
+        let Self { source, frames, frames_judged, .. } = self;
+        let cut = if self.is_cut { " (there are more: --from and --for choose others)" } else { "" };
+        let by = match self.yardstick {
+            Yardstick::GroundTruth if frames_judged == frames => "judged by the ground truth".to_owned(),
+            Yardstick::GroundTruth => {
+                format!("judged by the ground truth, which covers {frames_judged} of them: only these count")
+            }
+            Yardstick::Reference { settings, elsewhere } => {
+                let why = if elsewhere { "the ground truth is of other times" } else { "there is no ground truth" };
+                format!(
+                    "judged by a long run of the filter itself ({settings}), valid on {frames_judged} of them, because {why}: \
+                     what both get wrong does not show"
+                )
+            }
+        };
+        format!("{frames} frames of {source}{cut}, {by}.")
+    }
+
+    fn image(&self, knobs: &Knobs) -> String {
+        let reduction = if knobs.image_reduction == 0 { self.automatic_reduction } else { knobs.image_reduction };
+        format!("1/{reduction}")
+    }
+
+    /// The front, the configured row and the recommendation, with where they come from.
+    pub fn markdown(&self) -> String {
+        let shown: Vec<Line> = self.lines().into_iter().filter(|line| line.on_front || line.configured).collect();
+        let mut text = format!("    {}\n\n{} {}.\n", self.command, self.judged_by(), self.measured());
+        for warning in &self.warnings {
+            text.push_str(&format!("**Careful:** {warning}.\n"));
+        }
+        text.push_str("\n![Error against time for each setting](cost.svg)\n\n");
+        text.push_str("| | model | particles x T | line points | image | refined | p50 ms | p99 ms | mean cm | p95 cm | valid |\n");
+        text.push_str("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n");
+        for line in &shown {
+            let Row { knobs, p50_ms, p99_ms, position_cm, valid_share, .. } = line.row;
+            let what =
+                [(line.recommended, "**recommended**"), (line.configured, "configured"), (line.on_front, "front")];
+            let what: Vec<&str> = what.iter().filter(|(is, _)| *is).map(|(_, name)| *name).collect();
+            text.push_str(&format!(
+                "| {} | {} | {} x {} | {} | {} | {} | {p50_ms:.2} | {p99_ms:.2} | {:.2} | {:.2} | {:.1} % |\n",
+                what.join(", "),
+                model_name(knobs.model),
+                knobs.particles,
+                knobs.iterations,
+                knobs.line_points,
+                self.image(knobs),
+                if knobs.refinement { "yes" } else { "no" },
+                position_cm.mean,
+                position_cm.p95,
+                100.0 * valid_share,
+            ));
+        }
+        let behind = self.rows.len() - shown.len();
+        text.push_str(&format!("\nThe other {behind} settings lie behind the front.\n\n> {}", self.advice.why));
+        text
+    }
+
+    fn measured(&self) -> String {
+        format!("{} settings x {} seeds in {:.0} s on a {}", self.rows.len(), self.seeds, self.wall_s, self.machine)
+    }
+}
+
+pub fn model_name(model: Model) -> &'static str {
+    match model {
+        Model::Gauss => "gauss",
+        Model::Distance => "distance",
+    }
+}

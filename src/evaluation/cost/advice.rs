@@ -1,0 +1,216 @@
+//! Which row to take, and why.
+
+use serde::Serialize;
+
+use super::front::Point;
+use super::row::Row;
+
+/// What the user can afford, or needs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Wish {
+    /// Of nearly every frame: held against p99.
+    pub budget_ms: Option<f64>,
+    /// Of the mean position error.
+    pub accuracy_cm: Option<f64>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Advice {
+    /// Index of the row.
+    pub row: usize,
+    pub why: String,
+    /// Whether the row keeps the budget and reaches the accuracy; none where nothing was asked.
+    pub keeps_budget: Option<bool>,
+    pub reaches_accuracy: Option<bool>,
+}
+
+impl Advice {
+    /// Nothing that was asked for can be had.
+    pub fn fails(&self) -> bool {
+        let asked = [self.keeps_budget, self.reaches_accuracy];
+        asked.iter().any(Option::is_some) && !asked.contains(&Some(true))
+    }
+}
+
+/// Differences below this are not worth a millisecond, whatever the seeds say.
+const LEAST_NOISE_CM: f64 = 0.05;
+
+/// How far apart the mean errors of two rows must be to be told apart: two standard errors of their difference, the scatter
+/// over the seeds being that of the more scattered one of the best row and the middle one.
+pub fn noise_cm(rows: &[Row], seeds: usize) -> f64 {
+    let mut counting: Vec<&Row> = rows.iter().filter(|row| row.point().counts()).collect();
+    counting.sort_by(|a, b| a.position_cm.mean.total_cmp(&b.position_cm.mean));
+    let best = counting.first().map_or(0.0, |row| row.scatter_cm);
+    let mut scatters: Vec<f64> = counting.iter().map(|row| row.scatter_cm).collect();
+    scatters.sort_by(f64::total_cmp);
+    let middle = scatters.get(scatters.len() / 2).copied().unwrap_or(0.0);
+    (2.0 * libm::sqrt(2.0 / seeds.max(1) as f64) * best.max(middle)).max(LEAST_NOISE_CM)
+}
+
+/// None if no row counts.
+pub fn advise(rows: &[Row], noise_cm: f64, wish: &Wish) -> Option<Advice> {
+    let points: Vec<Point> = rows.iter().map(Row::point).collect();
+    let (row, reason) = choose(&points, noise_cm, wish)?;
+    let point = points[row];
+    let keeps_budget = wish.budget_ms.map(|budget_ms| point.time_ms <= budget_ms);
+    let reaches_accuracy = wish.accuracy_cm.map(|accuracy_cm| point.error_cm <= accuracy_cm);
+    let why = format!("{}: {}.", rows[row].knobs, told(&points, row, reason, noise_cm, wish));
+    Some(Advice { row, why, keeps_budget, reaches_accuracy })
+}
+
+/// Why a row was chosen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Reason {
+    /// The cheapest that is as good as the best one, whose index this is, among those allowed.
+    AsGoodAs(usize),
+    /// The cheapest that reaches the accuracy.
+    Reaches,
+    /// The same, but over the budget, which nothing keeps.
+    ReachesLate,
+    /// Nothing keeps the budget: the fastest.
+    Fastest,
+}
+
+/// The chosen point lies on the front: every set it is the cheapest of holds whatever dominates one of its points.
+fn choose(points: &[Point], noise_cm: f64, wish: &Wish) -> Option<(usize, Reason)> {
+    let all: Vec<usize> = (0..points.len()).filter(|index| points[*index].counts()).collect();
+    let within = |of: &[usize], time_ms: f64, error_cm: f64| -> Vec<usize> {
+        let holds = |index: &&usize| points[**index].time_ms <= time_ms && points[**index].error_cm <= error_cm;
+        of.iter().filter(holds).copied().collect()
+    };
+    let affordable = within(&all, wish.budget_ms.unwrap_or(f64::INFINITY), f64::INFINITY);
+    if let Some(accuracy_cm) = wish.accuracy_cm {
+        let reaching = within(&affordable, f64::INFINITY, accuracy_cm);
+        if let Some(row) = cheapest(points, &reaching) {
+            return Some((row, Reason::Reaches));
+        }
+        if affordable.is_empty()
+            && let Some(row) = cheapest(points, &within(&all, f64::INFINITY, accuracy_cm))
+        {
+            return Some((row, Reason::ReachesLate));
+        }
+    }
+    let Some(best) = sharpest(points, &affordable) else {
+        return cheapest(points, &all).map(|row| (row, Reason::Fastest));
+    };
+    let as_good = within(&affordable, f64::INFINITY, points[best].error_cm + noise_cm);
+    cheapest(points, &as_good).map(|row| (row, Reason::AsGoodAs(best)))
+}
+
+fn cheapest(points: &[Point], of: &[usize]) -> Option<usize> {
+    let key = |index: &usize| (points[*index].time_ms, points[*index].error_cm);
+    of.iter().copied().min_by(|a, b| order(key(a), key(b)))
+}
+
+fn sharpest(points: &[Point], of: &[usize]) -> Option<usize> {
+    let key = |index: &usize| (points[*index].error_cm, points[*index].time_ms);
+    of.iter().copied().min_by(|a, b| order(key(a), key(b)))
+}
+
+fn order(a: (f64, f64), b: (f64, f64)) -> core::cmp::Ordering {
+    a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
+}
+
+fn told(points: &[Point], row: usize, reason: Reason, noise_cm: f64, wish: &Wish) -> String {
+    let Point { time_ms, error_cm } = points[row];
+    let (budget, accuracy) = (wish.budget_ms.unwrap_or(0.0), wish.accuracy_cm.unwrap_or(0.0));
+    let has = format!("{error_cm:.2} cm at {time_ms:.1} ms (p99)");
+    match reason {
+        Reason::Reaches => format!("the cheapest row that reaches {accuracy} cm, with {has}"),
+        Reason::ReachesLate => {
+            let fastest = points.iter().filter(|point| point.counts()).map(|point| point.time_ms);
+            let fastest = fastest.fold(f64::INFINITY, f64::min);
+            format!(
+                "no row keeps {budget} ms, the fastest takes {fastest:.1} ms (p99); this is the cheapest that reaches \
+                 {accuracy} cm, with {has}"
+            )
+        }
+        Reason::Fastest => {
+            let missed =
+                if wish.accuracy_cm.is_some() { format!(" and none reaches {accuracy} cm") } else { String::new() };
+            format!("no row keeps {budget} ms{missed}; this is the fastest, with {has}")
+        }
+        Reason::AsGoodAs(best) => {
+            let limit = wish.budget_ms.map_or(String::new(), |budget| format!(" under {budget} ms"));
+            let mut text = if best == row {
+                format!("the most accurate row{limit}, with {has}, and none cheaper is within noise ({noise_cm:.2} cm)")
+            } else {
+                let Point { time_ms, error_cm } = points[best];
+                format!(
+                    "with {has} the cheapest row within noise ({noise_cm:.2} cm) of the best{limit}, which has \
+                     {error_cm:.2} cm at {time_ms:.1} ms"
+                )
+            };
+            if wish.accuracy_cm.is_some() {
+                let reaching = points.iter().filter(|point| point.counts() && point.error_cm <= accuracy);
+                let late = reaching.map(|point| point.time_ms).fold(f64::INFINITY, f64::min);
+                text = match late.is_finite() {
+                    true => format!("{accuracy} cm cost {late:.1} ms; {text}"),
+                    false => format!("no row reaches {accuracy} cm; {text}"),
+                };
+            }
+            text
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::front::front;
+    use super::*;
+    use proptest::prelude::*;
+
+    fn point(time_ms: f64, error_cm: f64) -> Point {
+        Point { time_ms, error_cm }
+    }
+
+    const CURVE: [(f64, f64); 5] = [(1.0, 9.0), (2.0, 3.0), (4.0, 1.04), (6.0, 1.0), (12.0, 0.6)];
+
+    fn chosen(budget_ms: Option<f64>, accuracy_cm: Option<f64>) -> (usize, Reason) {
+        let points: Vec<Point> = CURVE.map(|(time, error)| point(time, error)).to_vec();
+        choose(&points, 0.05, &Wish { budget_ms, accuracy_cm }).expect("points that count")
+    }
+
+    #[test]
+    fn the_rules_in_their_order() {
+        assert_eq!(chosen(Some(8.0), None), (2, Reason::AsGoodAs(3)));
+        assert_eq!(chosen(Some(2.5), None), (1, Reason::AsGoodAs(1)));
+        assert_eq!(chosen(Some(0.5), None), (0, Reason::Fastest));
+        assert_eq!(chosen(None, Some(3.0)), (1, Reason::Reaches));
+        assert_eq!(chosen(None, Some(0.1)), (4, Reason::AsGoodAs(4)));
+        assert_eq!(chosen(Some(8.0), Some(3.0)), (1, Reason::Reaches));
+        assert_eq!(chosen(Some(8.0), Some(0.7)), (2, Reason::AsGoodAs(3)));
+        assert_eq!(chosen(Some(0.5), Some(0.7)), (4, Reason::ReachesLate));
+        assert_eq!(chosen(Some(0.5), Some(0.1)), (0, Reason::Fastest));
+        assert_eq!(choose(&[point(1.0, f64::INFINITY)], 0.05, &Wish::default()), None);
+    }
+
+    proptest! {
+        #[test]
+        fn the_recommendation_lies_on_the_front(
+            pairs in proptest::collection::vec((0.5..20.0f64, 0.1..30.0f64, any::<bool>()), 0..40),
+            noise in 0.0..3.0f64,
+            budget in proptest::option::of(0.1..25.0f64),
+            accuracy in proptest::option::of(0.05..40.0f64),
+        ) {
+            let points: Vec<Point> = pairs
+                .into_iter()
+                .map(|(time, error, counts)| point(time.round(), if counts { error.round() } else { f64::INFINITY }))
+                .collect();
+            let wish = Wish { budget_ms: budget, accuracy_cm: accuracy };
+            match choose(&points, noise, &wish) {
+                Some((row, reason)) => {
+                    prop_assert!(front(&points)[row]);
+                    // A sentence can be made of everything.
+                    let text = told(&points, row, reason, noise, &wish);
+                    prop_assert!(!text.contains("inf") && !text.contains("NaN"), "{}", text);
+                    let affordable = |p: &&Point| p.counts() && p.time_ms <= budget.unwrap_or(f64::INFINITY);
+                    if points.iter().filter(affordable).count() > 0 {
+                        prop_assert!(points[row].time_ms <= budget.unwrap_or(f64::INFINITY), "the budget is kept if it can be");
+                    }
+                }
+                None => prop_assert!(!points.iter().any(Point::counts)),
+            }
+        }
+    }
+}

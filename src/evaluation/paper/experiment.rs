@@ -1,0 +1,177 @@
+//! Every method on the same frames.
+
+use serde::Serialize;
+use thiserror::Error;
+
+use super::method::{METHODS, Method};
+use super::scenes::{self, START_XY_M, START_YAW_RAD, SceneFailure};
+use crate::agent::{Attempt, Footage, FootageOptions, ReplayError, SetupError};
+use crate::config::Settings;
+use crate::evaluation::capture::tagged;
+use crate::evaluation::compare::truth_at;
+use crate::evaluation::statistics::{Summary, quantile};
+use crate::evaluation::{Tagged, truth};
+use crate::geometry::{Isometry, Pose2, wrap_angle};
+use crate::localization::random::{Purpose, Stream};
+use crate::scene::Scene;
+use crate::sensors::synchroniser::InitialPose;
+
+/// How much is done.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    pub grid_m: f64,
+    pub walk_m: f64,
+    pub walk_hz: f64,
+    /// Of Fig. 9; Table 2 and Fig. 10 have those of the paper.
+    pub particles: Vec<usize>,
+}
+
+impl Plan {
+    /// As in the paper.
+    pub fn full() -> Self {
+        Self { grid_m: 0.3, walk_m: 5.8, walk_hz: 10.0, particles: vec![50, 100, 200, 400, 800, 1600] }
+    }
+
+    /// The same in a few seconds: shows that all works, says little.
+    pub fn quick() -> Self {
+        Self { grid_m: 1.2, walk_m: 1.0, walk_hz: 5.0, particles: vec![100, 800] }
+    }
+}
+
+/// One method over one set of frames. Every frame counts, whatever the filter thinks of it: the paper has no invalid tags.
+#[derive(Clone, Debug, Serialize)]
+pub struct Run {
+    #[serde(serialize_with = "name")]
+    pub method: Method,
+    pub particles: usize,
+    pub position_cm: Summary,
+    pub yaw_deg: Summary,
+    /// From the decoded image to the tag.
+    pub p50_ms: f64,
+    pub p99_ms: f64,
+    /// Of each frame, in cm.
+    #[serde(skip)]
+    pub errors_cm: Vec<f64>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Paper {
+    pub grid_m: f64,
+    /// Frames of the still truth set and of the walk.
+    pub still_frames: usize,
+    pub walk_frames: usize,
+    pub walk_hz: f64,
+    /// Fig. 9 and Table 2.
+    pub still: Vec<Run>,
+    /// Fig. 10.
+    pub walk: Vec<Run>,
+}
+
+#[derive(Debug, Error)]
+pub enum PaperError {
+    #[error(transparent)]
+    Scene(#[from] SceneFailure),
+    #[error(transparent)]
+    Footage(#[from] ReplayError),
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+}
+
+/// What is being done, how far it has come, and how far it goes.
+pub type Progress<'a> = &'a mut dyn FnMut(&'static str, u64, Option<u64>);
+
+pub fn reproduce(plan: &Plan, settings: &Settings, progress: Progress) -> Result<Paper, PaperError> {
+    let (still_frames, still) = still(plan, settings, progress)?;
+    let (walk_frames, walk) = walk(plan, settings, progress)?;
+    Ok(Paper { grid_m: plan.grid_m, still_frames, walk_frames, walk_hz: plan.walk_hz, still, walk })
+}
+
+fn still(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize, Vec<Run>), PaperError> {
+    let (scene, places) = scenes::still(plan.grid_m)?;
+    let mut settings = settings.clone();
+    settings.filter.initial_xy_m = START_XY_M;
+    settings.filter.initial_yaw_deg = START_YAW_RAD.to_degrees();
+    let starts: Vec<InitialPose> = (0..places).map(|index| start(&scene, index, settings.filter.seed)).collect();
+    // The last place is seen once more when the scene ends.
+    let footage = render(&scene, &settings, Some(places as f64 - 0.5), progress)?.apart(&starts);
+    let in_fig9 = plan.particles.iter().flat_map(|particles| METHODS.map(|method| (method, *particles)));
+    let wanted: Vec<(Method, usize)> =
+        in_fig9.filter(|(method, particles)| method.in_fig9 || *particles == super::PAPER_PARTICLES).collect();
+    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, "standing", progress)?;
+    Ok((footage.frames(), runs))
+}
+
+fn walk(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize, Vec<Run>), PaperError> {
+    let scene = scenes::walk(plan.walk_m, plan.walk_hz)?;
+    let footage = render(&scene, settings, None, progress)?;
+    let wanted = METHODS.map(|method| (method, super::PAPER_PARTICLES));
+    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, "walking", progress)?;
+    Ok((footage.frames(), runs))
+}
+
+fn render(scene: &Scene, settings: &Settings, for_s: Option<f64>, progress: Progress) -> Result<Footage, ReplayError> {
+    let source = scene.file().scene.title.clone().into();
+    let options = FootageOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s };
+    Footage::of_scene(scene, &options, &mut |done, total| progress("rendering", done, total))
+}
+
+fn runs(
+    footage: &Footage,
+    truth: &[(i64, Isometry)],
+    wanted: &[(Method, usize)],
+    what: &'static str,
+    progress: Progress,
+) -> Result<Vec<Run>, SetupError> {
+    let (mut done, total) = (0, (wanted.len() * footage.frames()) as u64);
+    let mut runs = Vec::new();
+    for (method, particles) in wanted {
+        let settings = method.settings(footage.settings(), *particles);
+        let attempts = footage.try_out(&settings, &mut |_| {
+            done += 1;
+            progress(what, done, Some(total));
+        })?;
+        runs.push(Run::of(*method, *particles, &attempts, truth));
+    }
+    Ok(runs)
+}
+
+/// Around the truth at a place of the grid: the same for every method.
+fn start(scene: &Scene, index: usize, seed: u64) -> InitialPose {
+    let mut draw = Stream::new(seed, Purpose::Start, index as u64, 0, 0);
+    let truth = scene.truth(index as f64).map_from_base_footprint;
+    let ([dx, dy], [turn, _]) = (draw.normal_pair(), draw.normal_pair());
+    let map_from_footprint =
+        Pose2::new(truth.x + START_XY_M * dx, truth.y + START_XY_M * dy, wrap_angle(truth.yaw + START_YAW_RAD * turn));
+    InitialPose { map_from_footprint, xy_m: None, yaw_rad: None }
+}
+
+impl Run {
+    fn of(method: Method, particles: usize, attempts: &[Attempt], truth: &[(i64, Isometry)]) -> Self {
+        let tags: Vec<Tagged> = attempts.iter().map(|attempt| tagged(&attempt.tag)).collect();
+        let judged: Vec<(f64, f64)> = tags
+            .iter()
+            .filter_map(|tag| {
+                let wanted = truth_at(truth, tag.stamp_ns)?;
+                let off = (tag.pose.translation - wanted.translation).truncate().length();
+                let turned = wrap_angle(tag.pose.euler().yaw - wanted.euler().yaw).abs();
+                Some((100.0 * off, turned.to_degrees()))
+            })
+            .collect();
+        let mut times: Vec<f64> = attempts.iter().map(|attempt| attempt.tag.elapsed_ms).collect();
+        times.sort_by(f64::total_cmp);
+        let (errors_cm, yaws_deg): (Vec<f64>, Vec<f64>) = judged.into_iter().unzip();
+        Self {
+            method,
+            particles,
+            position_cm: Summary::of(&errors_cm),
+            yaw_deg: Summary::of(&yaws_deg),
+            p50_ms: quantile(&times, 0.5),
+            p99_ms: quantile(&times, 0.99),
+            errors_cm,
+        }
+    }
+}
+
+fn name<S: serde::Serializer>(method: &Method, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(method.name)
+}
