@@ -29,7 +29,7 @@ impl Section {
 
     pub fn write(&self, content: &str) -> anyhow::Result<()> {
         let (before, after) = (&self.text[..self.inside.start], &self.text[self.inside.end..]);
-        let text = format!("{before}\n\n{}\n\n{after}", content.trim());
+        let text = format!("{before}\n\n{}\n\n{after}", content.trim_matches('\n'));
         std::fs::write(&self.path, text).with_context(|| self.path.display().to_string())
     }
 
