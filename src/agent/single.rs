@@ -1,12 +1,14 @@
 //! Where was a single image taken? Lens, tilt and height are known; x, y and yaw are looked for on a field.
 
 use glam::DVec3;
+use nalgebra::{Matrix6, Vector6};
 use serde::Serialize;
 
 use crate::config::{Formula, Model, SimdPath};
-use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
+use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, Projector, wrap_angle};
 use crate::localization::global::{self, Candidate};
 use crate::localization::observation::default_alpha;
+use crate::localization::refinement::{self, LinePoints, Prior};
 use crate::localization::{
     Filter, FilterSettings, FilterState, MotionModel, Observation, Spread, Support, observation,
 };
@@ -30,6 +32,8 @@ pub struct Known {
 pub struct Found {
     #[serde(serialize_with = "planar")]
     pub pose: Pose2,
+    /// Fitted to the lines to a fraction of a pixel; else as the search over the field found it.
+    pub refined: bool,
     /// Share of the expected line contrast that was found, 0 to 1.
     pub share: f64,
     /// Painted line in view in units of 10 cm, counted by its certainty.
@@ -75,6 +79,15 @@ const TILT_SIGMA_RAD: f64 = 0.005;
 const LINE_WIDTH_M: f64 = 0.05;
 const LINE_POINTS: usize = 700;
 const SEARCH_MARGIN_M: f64 = 0.5;
+/// How far off a pose that was found may be before it is refined, and how wrong the given height.
+const START_M: f64 = 0.15;
+const START_RAD: f64 = 0.05;
+const HEIGHT_M: f64 = 0.005;
+/// The tilt is given: it is not to make up for a field that is not quite as its file says.
+const TILT_RAD: f64 = 0.0005;
+/// What a refined pose needs: line places that fit, and their share of those expected.
+const FEWEST_FITTING: usize = 15;
+const LEAST_FITTING_SHARE: f64 = 0.4;
 /// Around an initial pose.
 const INITIAL: Spread = Spread { xy_m: 0.3, yaw_rad: 0.15 };
 const INITIAL_PARTICLES: usize = 2000;
@@ -113,11 +126,33 @@ impl Known {
             None => global::search(&observation, &seen.table, field, SEARCH_MARGIN_M, true, KEPT),
             Some(initial) => vec![around(&observation, seen, initial, seed)],
         };
+        let (points, projector) = (LinePoints::new(field), Projector::new(&self.lens));
         let found = candidates.iter().map(|candidate| {
-            let Support { share, weight, .. } = observation.support(seen.lines(), &candidate.pose);
-            Found { pose: candidate.pose, share, weight, log_likelihood: candidate.log_likelihood }
+            let refined = self.refined(&points, &projector, seen, &candidate.pose);
+            let pose = refined.unwrap_or(candidate.pose);
+            let Support { share, weight, .. } = observation.support(seen.lines(), &pose);
+            // What the search's grid took from a pose, refining gives back.
+            let log_likelihood = observation.log_likelihood(&seen.table, &pose).max(candidate.log_likelihood);
+            Found { pose, refined: refined.is_some(), share, weight, log_likelihood }
         });
+        let mut found: Vec<Found> = found.collect();
+        found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+        let found = found.into_iter();
         Located { found: without_mirrors(found.filter(|found| found.weight > 0.0)) }
+    }
+}
+
+impl Known {
+    /// The pose that the lines fit best, if enough of them do. Tilt and height may give way a little.
+    fn refined(&self, points: &LinePoints, projector: &Projector, seen: &Seen, start: &Pose2) -> Option<Pose2> {
+        let map_from_optical = self.map_from_link(start) * Isometry::link_from_optical();
+        let sigmas = Vector6::new(START_M, START_M, HEIGHT_M, TILT_RAD, TILT_RAD, START_RAD);
+        let covariance = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
+        let prior = Prior { map_from_optical, covariance };
+        let refined = refinement::refine(points, &seen.image, projector, &prior, &[Vector6::zeros()])?;
+        let lines = refined.lines;
+        let agrees = lines.fitting >= FEWEST_FITTING && lines.share() > LEAST_FITTING_SHARE;
+        agrees.then(|| Pose2::from_isometry(&(refined.map_from_optical * Isometry::link_from_optical().inverse())))
     }
 }
 
@@ -182,7 +217,13 @@ mod tests {
 
     #[test]
     fn a_fit_needs_contrast_line_and_no_rival() {
-        let found = |share, weight, log_likelihood| Found { pose: Pose2::default(), share, weight, log_likelihood };
+        let found = |share, weight, log_likelihood| Found {
+            pose: Pose2::default(),
+            refined: true,
+            share,
+            weight,
+            log_likelihood,
+        };
         let fit = |found: &[Found]| Located { found: found.to_vec() }.fit();
         assert_eq!(fit(&[]), Fit::None);
         let at = |x, yaw, log_likelihood| Found { pose: Pose2::new(x, 0.02, yaw), ..found(0.9, 30.0, log_likelihood) };

@@ -12,7 +12,8 @@ use super::{WorkingScale, distance};
 const CLEAR: f32 = 0.5;
 /// ... on at least this many cells.
 const FEWEST_CELLS: usize = 50;
-/// Every so many cells are looked at for it.
+/// Every so many cells are looked at for it, all where that leaves fewer than these.
+const ENOUGH_CELLS: usize = 500;
 const LEARN_STEP: usize = 23;
 /// A square of this side is never mostly white where lines are: a crossing fills under half of it.
 const BLOB_M: f64 = 0.25;
@@ -110,13 +111,19 @@ impl Cells {
     /// what is seen, but well above the noise of plain carpet.
     pub(super) fn full_contrast(&self, map: &GroundMap, by_range: &ByRange) -> f32 {
         let mut values: Vec<(f32, f32)> = Vec::with_capacity(SIDE * SIDE / LEARN_STEP + 1);
-        let mut clearest = 0.0f32;
-        for cell in (0..SIDE * SIDE).step_by(LEARN_STEP).filter(|cell| self.is_seen(*cell)) {
-            let strength = by_range.strength(map.square_range(cell / SIDE / BLOCK, cell % SIDE / BLOCK));
-            clearest = clearest.max(strength);
-            values.push((self.contrast(cell) / strength, strength));
+        for step in [LEARN_STEP, 1] {
+            values.clear();
+            values.extend((0..SIDE * SIDE).step_by(step).filter(|cell| self.is_seen(*cell)).map(|cell| {
+                let strength = by_range.strength(map.square_range(cell / SIDE / BLOCK, cell % SIDE / BLOCK));
+                (self.contrast(cell) / strength, strength)
+            }));
+            let clearest = values.iter().map(|(_, strength)| *strength).fold(0.0, f32::max);
+            values.retain(|(_, strength)| *strength > CLEAR * clearest);
+            // A view of a square metre needs every cell.
+            if values.len() >= ENOUGH_CELLS {
+                break;
+            }
         }
-        values.retain(|(_, strength)| *strength > CLEAR * clearest);
         if values.len() < FEWEST_CELLS {
             return f32::INFINITY;
         }

@@ -53,6 +53,6 @@ fn images_of_one_centre_are_found_at_one_place() {
     for (a, b) in [(20, 29), (2, 11), (4, 23)] {
         let (metres, degrees) = apart(&found(a), &found(b));
         println!("images {a} and {b}: {:.1} cm and {degrees:.2} deg apart", 100.0 * metres);
-        assert!(metres < 0.15 && degrees < 1.0, "images {a} and {b}: {metres:.3} m, {degrees:.2} deg");
+        assert!(metres < 0.05 && degrees < 0.5, "images {a} and {b}: {metres:.3} m, {degrees:.2} deg");
     }
 }

@@ -66,6 +66,7 @@ fn cost_of_each_effect() {
         ("light", vec!["kind = \"light\"\ngain = 0.12\ngradient_per_m = [0.1, 0.05]"]),
         ("obstacles, 6 far and near", vec!["kind = \"obstacles\"\nrandom = 6"]),
         ("obstacles, 24", vec!["kind = \"obstacles\"\nrandom = 24"]),
+        ("worn_lines", vec!["kind = \"worn_lines\"\nshare = 0.4\npatch_m = 0.3"]),
         (
             "obstacles, a person 0.5 m ahead",
             vec!["kind = \"obstacles\"\nfigures = [{ shape = \"person\", position_m = [-0.4, -0.9] }]"],

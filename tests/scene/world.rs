@@ -1,5 +1,7 @@
 //! What is seen: light, figures, worn lines.
 
+use std::sync::OnceLock;
+
 use glam::{DVec2, DVec3};
 use proptest::prelude::*;
 use realitysim::geometry::{Euler, Isometry, Lens};
@@ -44,7 +46,8 @@ proptest! {
     #[test]
     fn even_light_multiplies_every_value(gain in 0.05..1.0f64, green in 0.3..1.0f64) {
         let light = format!("kind = \"light\"\ngain = {gain}\ncolour = [1.0, {green}, 0.8]");
-        let (day, dusk) = (image(&build(&[]), 40), image(&build(&[&light]), 40));
+        static DAY: OnceLock<Vec<u8>> = OnceLock::new();
+        let (day, dusk) = (DAY.get_or_init(|| image(&build(&[]), 40)), image(&build(&[&light]), 40));
         for (at, (day, dusk)) in day.iter().zip(&dusk).enumerate() {
             let expected = f64::from(*day) * gain * [1.0, green, 0.8][at % 3];
             prop_assert!((expected - f64::from(*dusk)).abs() < 1.01, "{at}: {day} {dusk} {expected}");
@@ -148,10 +151,11 @@ fn what_nobody_stands_before_keeps_its_bits() {
     let behind = figures("{ shape = \"person\", position_m = [-6.5, 0.1] }");
     assert_eq!(image(&build(&[&behind]), 0), base);
     let ahead = image(&build(&[&figures("{ shape = \"person\", position_m = [0.0, -1.0] }")]), 0);
+    let body = [0.0, 0.9, 1.75].map(|z| pixel(DVec3::new(0.0, -1.0, z)));
     let (mut changed, mut kept) = (0, 0);
     for (at, (a, b)) in base.chunks_exact(3).zip(ahead.chunks_exact(3)).enumerate() {
         let here = DVec2::new((at % WIDTH) as f64, (at / WIDTH) as f64);
-        let near = [0.0, 0.9, 1.75].iter().any(|z| pixel(DVec3::new(0.0, -1.0, *z)).distance(here) < 60.0);
+        let near = body.iter().any(|part| part.distance(here) < 60.0);
         assert!(near || a == b, "{here}");
         if a == b { kept += 1 } else { changed += 1 }
     }

@@ -75,7 +75,6 @@ impl LightModel {
     }
 
     /// Red, green and blue above (x, y), as factors of the colour by daylight.
-    #[inline]
     pub(crate) fn at(&self, [x, y]: [f32; 2]) -> [f32; 3] {
         let [along_x, along_y] = self.gradient_per_m;
         let share = (1.0 + along_x * x + along_y * y).clamp(RANGE[0], RANGE[1]);

@@ -152,3 +152,50 @@ fn person(height: f32, width: f32, shirt: Colour, trousers: Colour) -> Vec<Part>
     b.part(Form::Ball, [[-0.065, 0.035], [-0.185, 0.185], [0.895, 1.0]], HAIR, None);
     b.parts
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::super::super::effects::Crowd;
+    use super::*;
+    use crate::scene::SceneFile;
+    use crate::scene::effects::Effect;
+
+    /// Of every shape one, with its body.
+    fn bodies() -> Vec<Body> {
+        let shapes = ["robot", "person", "cylinder", "box"];
+        let list = shapes.map(|shape| format!("{{ shape = \"{shape}\", position_m = [0, 0], height_m = 1.2 }}"));
+        let scene = include_str!("../../../replay/scenes/straight.toml");
+        let scene = scene.split("[[effect]]").next().expect("a first part");
+        let toml = format!("{scene}\n[[effect]]\nkind = \"obstacles\"\nfigures = [{}]", list.join(", "));
+        let file = SceneFile::from_toml(&toml).expect("readable");
+        let Some(Effect::Obstacles(effect)) = file.effects.first() else { panic!("no obstacles") };
+        let field = crate::config::load_field("kid-2009").expect("a shipped field");
+        let Crowd { members } = effect.model(1, &crate::geometry::Field::new(field).expect("good"), &[]);
+        members.iter().map(Body::new).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn balls_hold_all_of_their_part(
+            from in [-3f32..3.0, -3f32..3.0, 0f32..2.5],
+            towards in [-0.3f32..0.3, -0.3f32..0.3, 0f32..1.2],
+            swing in -1f32..1.0,
+        ) {
+            let way: [f32; 3] = core::array::from_fn(|i| towards[i] - from[i]);
+            let length = (way[0] * way[0] + way[1] * way[1] + way[2] * way[2]).sqrt();
+            prop_assume!(length > 0.1);
+            let ray = way.map(|v| v / length);
+            for part in bodies().iter().flat_map(|body| &body.parts) {
+                let Some(hit) = part.hit(from, ray, swing) else { continue };
+                let at: [f32; 3] = core::array::from_fn(|i| from[i] + hit.t * ray[i]);
+                let inside = |(centre, radius): &([f32; 3], f32)| {
+                    let d: [f32; 3] = core::array::from_fn(|i| at[i] - centre[i]);
+                    (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt() <= radius + 1e-3
+                };
+                prop_assert!(part.balls(swing).iter().any(inside), "{part:?} {at:?}");
+            }
+        }
+    }
+}

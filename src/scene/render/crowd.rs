@@ -3,40 +3,16 @@
 use super::super::effects::{Crowd, Member};
 use super::body::Body;
 use super::fixed::byte;
-use super::light::Lit;
+use super::placed::{Placed, View};
 use super::rays::RayTable;
 use super::sheet::Colour;
 use super::solid::Hit;
-use super::tiles::{Ball, Tile, Tiles};
+use super::tiles::{Tile, Tiles};
 
 #[derive(Clone, Debug)]
 pub(super) struct CrowdView {
     members: Vec<(Member, Body)>,
     tiles: Tiles,
-}
-
-/// The camera of one frame: its place in `map`, its rotation column by column.
-#[derive(Clone, Copy)]
-pub(super) struct View<'a> {
-    pub(super) rays: &'a RayTable,
-    pub(super) rotation: &'a [f32; 9],
-    pub(super) camera: &'a [f32; 3],
-}
-
-/// A figure where it stands in this frame.
-struct Placed<'a> {
-    body: &'a Body,
-    place: [f32; 2],
-    /// Cosine and sine of its yaw.
-    turn: [f32; 2],
-    swing: f32,
-    /// The camera, seen from the figure.
-    camera: [f32; 3],
-    /// Around the body, around each of its parts, around its shadow.
-    ball: Ball,
-    parts: Vec<Vec<Ball>>,
-    shadow: Ball,
-    shadow_m: f32,
 }
 
 /// Which part of which figure a pixel's centre shows, and its colour.
@@ -62,13 +38,8 @@ struct Busy<'a> {
 const PARTS: usize = 64;
 /// A pixel on an edge is looked at by this many rays squared.
 const FINER: usize = 4;
-/// How dark the shadow is in its middle, and how far it reaches beyond the body.
+/// How dark a shadow is in its middle.
 const SHADOW: f32 = 0.5;
-const SHADOW_BEYOND_M: f32 = 0.22;
-/// Two steps, as a share of the height.
-const TWO_STEPS: f32 = 0.75;
-/// Towards the brighter side of the hall.
-const SUN: [f32; 2] = [0.64, -0.77];
 
 impl CrowdView {
     pub(super) fn new(crowd: &Crowd, rays: &RayTable) -> Self {
@@ -77,16 +48,16 @@ impl CrowdView {
     }
 
     /// Over a picture of the empty hall.
-    pub(super) fn draw(&self, time: f64, view: &View, light: &impl Lit, pixels: &mut [u8]) {
+    pub(super) fn draw(&self, time: f64, view: &View, pixels: &mut [u8]) {
         let placed: Vec<Placed> =
             self.members.iter().map(|(member, body)| Placed::new(member, body, time, view)).collect();
         let mut front = Front::new(view.rays);
         let busy: Vec<Busy> = self.tiles.iter().filter_map(|tile| Busy::new(tile, &placed)).collect();
         for busy in &busy {
-            front.look(busy, &placed, view, light);
+            front.look(busy, &placed, view);
         }
         for busy in &busy {
-            front.put(busy, &placed, view, light, pixels);
+            front.put(busy, &placed, view, pixels);
         }
     }
 }
@@ -116,65 +87,6 @@ impl<'a> Busy<'a> {
     }
 }
 
-impl<'a> Placed<'a> {
-    fn new(member: &Member, body: &'a Body, time: f64, view: &View) -> Self {
-        let standpoint = member.at(time);
-        let (sin, cos) = libm::sincos(standpoint.pose.yaw);
-        let (place, turn) = ([standpoint.pose.x as f32, standpoint.pose.y as f32], [cos as f32, sin as f32]);
-        let height = member.height as f32;
-        let swing = |walked: f64| libm::sin(core::f64::consts::TAU * walked / f64::from(TWO_STEPS * height)) as f32;
-        let shadow_m = member.width as f32 / 2.0 + SHADOW_BEYOND_M;
-        let in_camera = |p: [f32; 3]| {
-            let map = [place[0] + turn[0] * p[0] - turn[1] * p[1], place[1] + turn[1] * p[0] + turn[0] * p[1], p[2]];
-            let d: [f32; 3] = core::array::from_fn(|i| map[i] - view.camera[i]);
-            let r = view.rotation;
-            core::array::from_fn(|i| r[3 * i] * d[0] + r[3 * i + 1] * d[1] + r[3 * i + 2] * d[2])
-        };
-        let swing = standpoint.walked.map_or(0.0, swing);
-        let ball = |(centre, radius): &([f32; 3], f32)| Ball::new(in_camera(*centre), *radius);
-        let parts: Vec<Vec<_>> = body.parts.iter().map(|part| part.balls(swing)).collect();
-        let middle = [0.0, 0.0, height / 2.0];
-        let reach = |(centre, radius): &([f32; 3], f32)| {
-            let d: [f32; 3] = core::array::from_fn(|i| centre[i] - middle[i]);
-            radius + (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt()
-        };
-        let around = parts.iter().flatten().map(reach).fold(0.0, f32::max);
-        let dx = [view.camera[0] - place[0], view.camera[1] - place[1]];
-        Self {
-            body,
-            place,
-            turn,
-            swing,
-            camera: [turn[0] * dx[0] + turn[1] * dx[1], turn[0] * dx[1] - turn[1] * dx[0], view.camera[2]],
-            ball: ball(&(middle, around)),
-            parts: parts.iter().map(|balls| balls.iter().map(ball).collect()).collect(),
-            shadow: ball(&([0.0; 3], shadow_m)),
-            shadow_m,
-        }
-    }
-
-    /// A ray in `map`, seen from the figure.
-    #[inline]
-    fn turned(&self, ray: [f32; 3]) -> [f32; 3] {
-        let [cos, sin] = self.turn;
-        [cos * ray[0] + sin * ray[1], cos * ray[1] - sin * ray[0], ray[2]]
-    }
-
-    /// `ray` as the figure sees it.
-    fn colour(&self, part: usize, hit: &Hit, ray: [f32; 3], light: &impl Lit) -> Colour {
-        let n = hit.normal;
-        let scale = 1.0 / (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt().max(1e-9);
-        let [cos, sin] = self.turn;
-        let sun = [cos * SUN[0] + sin * SUN[1], cos * SUN[1] - sin * SUN[0]];
-        let up = n[2] * scale;
-        let aside = (n[0] * sun[0] + n[1] * sun[1]) * scale;
-        let height = self.camera[2] + hit.t * ray[2];
-        // Lamps hang from the ceiling; near the ground the carpet shines back less than the hall.
-        let gain = (0.70 + 0.25 * up + 0.16 * aside) * (0.8 + 0.2 * (2.0 * height).clamp(0.0, 1.0));
-        light.lit(self.body.parts[part].colour.map(|value| value * gain), || self.place)
-    }
-}
-
 impl Front {
     fn new(rays: &RayTable) -> Self {
         let (width, height) = (rays.width(), rays.height());
@@ -182,14 +94,14 @@ impl Front {
     }
 
     /// What the centres of a tile's pixels show.
-    fn look(&mut self, busy: &Busy, placed: &[Placed], view: &View, light: &impl Lit) {
+    fn look(&mut self, busy: &Busy, placed: &[Placed], view: &View) {
         if busy.parts.is_empty() {
             return;
         }
         for row in busy.tile.rows.clone() {
             for column in busy.columns(view.rays, row) {
                 let ray = view.in_map(view.rays.at(column, row));
-                if let Some((id, colour)) = nearest(&busy.parts, placed, ray, light) {
+                if let Some((id, colour)) = nearest(&busy.parts, placed, ray) {
                     self.ids[row * self.width + column] = id;
                     self.colours[row * self.width + column] = colour.map(byte);
                 }
@@ -198,7 +110,7 @@ impl Front {
     }
 
     /// A tile of the final picture.
-    fn put(&self, busy: &Busy, placed: &[Placed], view: &View, light: &impl Lit, pixels: &mut [u8]) {
+    fn put(&self, busy: &Busy, placed: &[Placed], view: &View, pixels: &mut [u8]) {
         for row in busy.tile.rows.clone() {
             for column in busy.columns(view.rays, row) {
                 let at = row * self.width + column;
@@ -211,7 +123,7 @@ impl Front {
                 }
                 shade(pixel, &busy.shadows, placed, view, column, row);
                 if !inside {
-                    mix(pixel, &parts_of(&around), placed, view, light, column, row);
+                    mix(pixel, &parts_of(&around), placed, view, column, row);
                 }
             }
         }
@@ -246,7 +158,7 @@ fn parts_of(ids: &[u16; 9]) -> Parts {
     found
 }
 
-fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3], light: &impl Lit) -> Option<(u16, Colour)> {
+fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3]) -> Option<(u16, Colour)> {
     let mut first: Option<(usize, usize, Hit)> = None;
     for (which, parts) in parts {
         let figure = &placed[*which];
@@ -261,11 +173,11 @@ fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3], light: &impl Lit) ->
     }
     let (which, part, hit) = first?;
     let figure = &placed[which];
-    Some(((which * PARTS + part + 1) as u16, figure.colour(part, &hit, figure.turned(ray), light)))
+    Some(((which * PARTS + part + 1) as u16, figure.colour(part, &hit, figure.turned(ray))))
 }
 
 /// A pixel on an edge: figures over what it shows already.
-fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, light: &impl Lit, column: usize, row: usize) {
+fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, column: usize, row: usize) {
     let [left, right] = [column, column + 2].map(|c| view.rays.padded(c, row + 1));
     let [above, below] = [row, row + 2].map(|r| view.rays.padded(column + 1, r));
     let middle = view.rays.at(column, row);
@@ -274,7 +186,7 @@ fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, light: &
         let offset = |index: usize| (index as f32 + 0.5) / FINER as f32 - 0.5;
         let (u, v) = (offset(finer % FINER), offset(finer / FINER));
         let ray = core::array::from_fn(|i| middle[i] + 0.5 * (u * (right[i] - left[i]) + v * (below[i] - above[i])));
-        if let Some((_, colour)) = nearest(parts, placed, view.in_map(ray), light) {
+        if let Some((_, colour)) = nearest(parts, placed, view.in_map(ray)) {
             covered += 1.0;
             sum = core::array::from_fn(|channel| sum[channel] + colour[channel].clamp(0.0, 255.0));
         }
@@ -309,13 +221,5 @@ fn shade(pixel: &mut [u8], shadows: &[usize], placed: &[Placed], view: &View, co
         for value in pixel {
             *value = byte(f32::from(*value) * gain);
         }
-    }
-}
-
-impl View<'_> {
-    #[inline]
-    fn in_map(&self, ray: [f32; 3]) -> [f32; 3] {
-        let r = self.rotation;
-        core::array::from_fn(|i| r[i] * ray[0] + r[i + 3] * ray[1] + r[i + 6] * ray[2])
     }
 }

@@ -82,6 +82,8 @@ impl GroundRow {
     }
 
     /// With t = -c.z / d.z the point is c + t d, and its derivative t (d' - d d'.z / d.z).
+    // Never inlined: only on its own it becomes vector instructions.
+    #[inline(never)]
     pub(super) fn meet(&mut self, above: &Turned, here: &Turned, below: &Turned, camera: &[f32; 3]) {
         let n = self.x.len();
         let padded = n + 2;

@@ -11,6 +11,7 @@ mod footprint;
 mod hall;
 mod light;
 mod lines;
+mod placed;
 mod rays;
 mod shape;
 mod sheet;
@@ -24,10 +25,11 @@ use glam::DMat3;
 
 use super::Scene;
 use crate::geometry::Isometry;
-use crowd::{CrowdView, View};
+use crowd::CrowdView;
 use fixed::byte;
 use footprint::{GroundRow, Turned};
-use light::Lit;
+use light::lit;
+use placed::View;
 use rays::RayTable;
 use surface::World;
 use wear::Wear;
@@ -83,39 +85,37 @@ impl Renderer {
         let camera = map_from_camera_link.translation.as_vec3();
         // From inside the ground nothing could be seen; a pose there is nonsense, but must not harm.
         let camera = [camera.x, camera.y, camera.z.max(1e-3)];
-        let view = View { rays: &self.rays, rotation: &rotation, camera: &camera };
-        let time = self.scene.frame_time_s(index);
-        match &self.scene.light {
-            None => self.draw(&view, time, &(), pixels),
-            Some(light) => self.draw(&view, time, light, pixels),
+        let view = View { rays: &self.rays, rotation: &rotation, camera: &camera, light: self.scene.light.as_ref() };
+        self.draw_hall(&view, pixels);
+        if let Some(crowd) = &self.crowd {
+            crowd.draw(self.scene.frame_time_s(index), &view, pixels);
         }
     }
 
-    fn draw(&self, view: &View, time: f64, light: &impl Lit, pixels: &mut [u8]) {
-        let (width, View { rotation, camera, .. }) = (self.rays.width(), *view);
+    fn draw_hall(&self, view: &View, pixels: &mut [u8]) {
+        let width = self.rays.width();
+        // Copies: what stands elsewhere might change with every pixel written, for all that the compiler knows.
+        let (rotation, camera) = (*view.rotation, *view.camera);
         let [mut above, mut here, mut below] = core::array::from_fn(|_| Turned::new(width));
         let mut ground = GroundRow::new(width);
-        here.turn(&self.rays, 0, rotation);
-        below.turn(&self.rays, 1, rotation);
+        here.turn(&self.rays, 0, &rotation);
+        below.turn(&self.rays, 1, &rotation);
         for (row, line) in pixels.chunks_exact_mut(width * 3).enumerate() {
             core::mem::swap(&mut above, &mut here);
             core::mem::swap(&mut here, &mut below);
-            below.turn(&self.rays, row + 2, rotation);
-            ground.meet(&above, &here, &below, camera);
+            below.turn(&self.rays, row + 2, &rotation);
+            ground.meet(&above, &here, &below, &camera);
             let seen = self.rays.seen(row);
             line[..seen.start * 3].fill(0);
             line[seen.end * 3..].fill(0);
             for (column, pixel) in seen.clone().zip(line[seen.start * 3..seen.end * 3].chunks_exact_mut(3)) {
                 let ray = here.direction(column);
-                let colour = self.world.colour(camera, ray, &ground, column);
-                let colour = light.lit(colour, || self.world.hall.end_of(camera, ray));
+                let colour = self.world.colour(&camera, ray, &ground, column);
+                let colour = lit(view.light, colour, || self.world.hall.end_of(&camera, ray));
                 pixel[0] = byte(colour[0]);
                 pixel[1] = byte(colour[1]);
                 pixel[2] = byte(colour[2]);
             }
-        }
-        if let Some(crowd) = &self.crowd {
-            crowd.draw(time, view, light, pixels);
         }
     }
 }

@@ -35,7 +35,8 @@ impl Tile {
 
     /// Around 128; `size2` is the square of the footprint in metres. Between two levels a mix of both, so that no
     /// border between levels shows.
-    #[inline]
+    // Always, like the levels' own: the pixel loop is a tenth slower with calls here.
+    #[inline(always)]
     pub(super) fn sample(&self, x: f32, y: f32, size2: f32) -> f32 {
         let texels2 = size2 * self.texels_per_metre * self.texels_per_metre;
         // A float's bits are its logarithm, linear between powers of two; half of it, because texels2 is a square.
@@ -52,7 +53,7 @@ impl Tile {
 }
 
 impl Level {
-    #[inline]
+    #[inline(always)]
     fn sample(&self, x: f32, y: f32) -> f32 {
         let mask = self.side - 1;
         let (column, fx) = fixed(x * self.texels_per_metre);

@@ -23,7 +23,8 @@ impl Wear {
     }
 
     /// 1 where the paint is new. Linear in the noise between its bounds, so that the mean holds from afar too.
-    #[inline]
+    // Never: what few scenes have shall not crowd the pixel loop.
+    #[inline(never)]
     pub(super) fn left(&self, p: &GroundPoint) -> f32 {
         let noise = (self.patches.sample(p.x, p.y, 0.5 * p.size2) - 128.0) / SPREAD;
         (1.0 - self.share * (1.0 + noise)).clamp(0.0, 1.0)
