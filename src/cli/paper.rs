@@ -3,12 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
 
 use super::section::Section;
-use super::{Outcome, machine, output};
+use super::{Outcome, machine, output, paths};
 use crate::config::{Settings, SimdPath};
 use crate::evaluation::Summary;
 use crate::evaluation::paper::{METHODS, PAPER_PARTICLES, PAPER_WALK_CM, Paper, Plan, Run, charts, reproduce};
@@ -52,7 +51,8 @@ pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
     let (started, waited_s) = (Instant::now(), machine::waited_s());
     let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "paper")).transpose()?;
     let folder = &arguments.output;
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    paths::check_output(folder, &[])?;
+    paths::make_folder(folder)?;
     let plan = if arguments.quick { Plan::quick() } else { Plan::full() };
     let mut settings = Settings::default();
     settings.filter.seed = arguments.seed;
@@ -85,12 +85,12 @@ pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
     };
 
     let text = markdown(&report);
-    write(&folder.join("paper.md"), &text)?;
-    write(&folder.join("paper.csv"), &csv(&paper))?;
+    paths::write(&folder.join("paper.md"), &text)?;
+    paths::write(&folder.join("paper.csv"), &csv(&paper))?;
     for (name, picture) in charts::charts(&paper) {
-        write(&folder.join(name), &picture)?;
+        paths::write(&folder.join(name), &picture)?;
         if let Some(section) = &section {
-            write(&section.beside(name), &picture)?;
+            paths::write(&section.beside(name), &picture)?;
         }
     }
     if let Some(section) = &section {
@@ -105,10 +105,6 @@ pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&format!("{}\n{}", text.trim_end(), folder.display()))?;
     }
     Ok(Outcome::Whole)
-}
-
-fn write(path: &Path, content: &str) -> anyhow::Result<()> {
-    std::fs::write(path, content).with_context(|| path.display().to_string())
 }
 
 fn markdown(report: &Report) -> String {
