@@ -3,12 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
 
 use super::section::Section;
-use super::{Outcome, machine, output};
+use super::{Outcome, machine, output, paths};
 use crate::config::{Settings, SimdPath};
 use crate::evaluation::Summary;
 use crate::evaluation::paper::{METHODS, PAPER_PARTICLES, PAPER_WALK_CM, Paper, Plan, Run, charts, reproduce};
@@ -52,7 +51,8 @@ pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
     let (started, waited_s) = (Instant::now(), machine::waited_s());
     let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "paper")).transpose()?;
     let folder = &arguments.output;
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    paths::check_output(folder, &[])?;
+    paths::make_folder(folder)?;
     let plan = if arguments.quick { Plan::quick() } else { Plan::full() };
     let mut settings = Settings::default();
     settings.filter.seed = arguments.seed;
@@ -85,12 +85,12 @@ pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
     };
 
     let text = markdown(&report);
-    write(&folder.join("paper.md"), &text)?;
-    write(&folder.join("paper.csv"), &csv(&paper))?;
+    paths::write(&folder.join("paper.md"), &text)?;
+    paths::write(&folder.join("paper.csv"), &csv(&paper))?;
     for (name, picture) in charts::charts(&paper) {
-        write(&folder.join(name), &picture)?;
+        paths::write(&folder.join(name), &picture)?;
         if let Some(section) = &section {
-            write(&section.beside(name), &picture)?;
+            paths::write(&section.beside(name), &picture)?;
         }
     }
     if let Some(section) = &section {
@@ -105,10 +105,6 @@ pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&format!("{}\n{}", text.trim_end(), folder.display()))?;
     }
     Ok(Outcome::Whole)
-}
-
-fn write(path: &Path, content: &str) -> anyhow::Result<()> {
-    std::fs::write(path, content).with_context(|| path.display().to_string())
 }
 
 fn markdown(report: &Report) -> String {
@@ -141,10 +137,18 @@ fn markdown(report: &Report) -> String {
     text.push_str(&fig9(paper));
     text.push_str(&format!("\n### Fig. 10: straight walk, {PAPER_PARTICLES} particles\n\n"));
     text.push_str("![Error along the walk](paper-fig10.svg)\n\n");
-    text.push_str("| | mean cm | median cm | p95 cm | yaw, mean deg | ms a frame (p50) |\n");
-    text.push_str("| --- | --- | --- | --- | --- | --- |\n");
-    paper.walk.iter().for_each(|run| text.push_str(&row(run)));
-    text.push_str(&format!("| *the paper, on its robot* | {PAPER_WALK_CM} | | | | |\n"));
+    let seeds = paper.walk.first().map_or(0, |run| run.seed_means_cm.len());
+    text.push_str(&format!("Of {seeds} seeds; the picture shows the first.\n\n"));
+    text.push_str(
+        "| | mean cm | median cm | p95 cm | yaw, mean deg | ms a frame (p50) | best and worst seed, mean cm |\n",
+    );
+    text.push_str("| --- | --- | --- | --- | --- | --- | --- |\n");
+    for run in &paper.walk {
+        let best = run.seed_means_cm.iter().copied().fold(f64::INFINITY, f64::min);
+        let worst = run.seed_means_cm.iter().copied().fold(0.0, f64::max);
+        text.push_str(&format!("{} {best:.2}, {worst:.2} |\n", row(run).trim_end()));
+    }
+    text.push_str(&format!("| *the paper, on its robot* | {PAPER_WALK_CM} | | | | | |\n"));
     text
 }
 
@@ -173,13 +177,18 @@ fn fig9(paper: &Paper) -> String {
 
 fn csv(paper: &Paper) -> String {
     let mut text =
-        "experiment,method,particles,mean_cm,median_cm,p95_cm,max_cm,yaw_mean_deg,p50_ms,p99_ms\n".to_owned();
+        "experiment,method,particles,seeds,mean_cm,median_cm,p95_cm,max_cm,yaw_mean_deg,p50_ms,p99_ms\n".to_owned();
     for (experiment, runs) in [("still", &paper.still), ("walk", &paper.walk)] {
         for run in runs {
             let Summary { mean, median, p95, max } = run.position_cm;
             text.push_str(&format!(
-                "{experiment},\"{}\",{},{mean:.3},{median:.3},{p95:.3},{max:.3},{:.4},{:.3},{:.3}\n",
-                run.method.name, run.particles, run.yaw_deg.mean, run.p50_ms, run.p99_ms
+                "{experiment},\"{}\",{},{},{mean:.3},{median:.3},{p95:.3},{max:.3},{:.4},{:.3},{:.3}\n",
+                run.method.name,
+                run.particles,
+                run.seed_means_cm.len(),
+                run.yaw_deg.mean,
+                run.p50_ms,
+                run.p99_ms
             ));
         }
     }

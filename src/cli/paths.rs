@@ -54,6 +54,16 @@ pub fn cannot_write(path: &Path, error: Error) -> anyhow::Error {
     told(path, "cannot be written", why, error)
 }
 
+/// A text, with the same words for the same errors.
+pub fn write(path: &Path, content: &str) -> anyhow::Result<()> {
+    std::fs::write(path, content).map_err(|error| cannot_write(path, error))
+}
+
+/// A folder to write into, made if it is not there.
+pub fn make_folder(path: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(path).map_err(|error| cannot_write(path, error))
+}
+
 /// A picture, with the same words for the same errors.
 pub fn save(picture: &image::RgbImage, path: &Path) -> anyhow::Result<()> {
     picture.save(path).map_err(|error| match error {

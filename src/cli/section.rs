@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
-
+use super::paths;
 use super::settings::UsageError;
 
 /// A document with a place for what `realitysim NAME` has to say.
@@ -21,16 +20,14 @@ fn marks(name: &str) -> [String; 2] {
 impl Section {
     /// Before long work, so that a document without marks is refused at once.
     pub fn open(path: &Path, name: &str) -> anyhow::Result<Self> {
-        let shown = || path.display().to_string();
-        let text = std::fs::read_to_string(path).with_context(shown)?;
-        let inside = find(&text, name).map_err(|error| UsageError(format!("{}: {error}", shown())))?;
+        let text = std::fs::read_to_string(path).map_err(|error| paths::cannot_read(path, error))?;
+        let inside = find(&text, name).map_err(|error| UsageError(format!("{}: {error}", path.display())))?;
         Ok(Self { path: path.to_owned(), text, inside })
     }
 
     pub fn write(&self, content: &str) -> anyhow::Result<()> {
         let (before, after) = (&self.text[..self.inside.start], &self.text[self.inside.end..]);
-        let text = format!("{before}\n\n{}\n\n{after}", content.trim());
-        std::fs::write(&self.path, text).with_context(|| self.path.display().to_string())
+        paths::write(&self.path, &format!("{before}\n\n{}\n\n{after}", content.trim_matches('\n')))
     }
 
     /// A file that lies beside the document, for its pictures.

@@ -2,10 +2,12 @@
 
 use std::fs;
 
-use realitysim::ros2::messages::{CompressedImage, PoseStamped};
+use realitysim::agent::{Footage, FootageOptions};
+use realitysim::config::Settings;
+use realitysim::ros2::messages::{CompressedImage, FrameTag, PoseStamped};
 use serde_json::Value;
 
-use super::support::{IMAGE, Room, TRUTH, changed, on, walk, without};
+use super::support::{IMAGE, Room, TRUTH, assert_same, changed, on, walk, without};
 
 /// Few frames, one seed: what comes out is no measurement.
 const SHORT: &str = "--seeds 1 --for 1.2";
@@ -51,6 +53,26 @@ fn a_sweep_recommends_a_row_of_the_front_and_its_config_is_accepted() {
     let replayed = room.replay("log.mcap --config out/cost.toml");
     let particles = chosen[0]["particles"].as_u64().unwrap();
     assert!(replayed.tags.iter().all(|tag| u64::from(tag.particles) == particles && tag.model == chosen[0]["model"]));
+}
+
+#[test]
+fn frames_that_are_kept_get_the_tags_of_a_replay() {
+    let room = Room::with_walk();
+    let settings = Settings::default();
+    let source = room.path("log.mcap");
+    let options = FootageOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s: None };
+    let footage = Footage::load(&options, &mut |_, _| {}).unwrap();
+    for _ in 0..2 {
+        let attempts = footage.try_out(&settings, &mut |_| {}).unwrap();
+        let tags: Vec<FrameTag> = (attempts.into_iter().zip(&walk().tags))
+            .map(|(attempt, tag)| FrameTag {
+                sequence: tag.sequence,
+                kernel_stamp_ns: tag.kernel_stamp_ns,
+                ..attempt.tag
+            })
+            .collect();
+        assert_same(&tags, &walk().tags, "buffers that are used again change nothing");
+    }
 }
 
 #[test]
@@ -130,10 +152,12 @@ fn what_cannot_be_compared_is_an_error_that_says_why() {
         ("--for 0", vec!["--for", "above 0"]),
         ("--seeds 0", vec!["--seeds", "1..=20"]),
         ("--particles 0", vec!["filter.particles is 0"]),
+        ("--initial 90,0,0", vec!["--initial is 90,0", "kid-2009"]),
         ("--set filter.image_reduction=9", vec!["filter.image_reduction is 9", "0 to 8"]),
     ] {
         room.run(&format!("cost log.mcap -o out {arguments}")).fails(2, &words);
     }
+    room.run("cost log.mcap -o log.mcap").fails(2, &["log.mcap", "would be written over"]);
     room.write("plain.md", "no marks\n");
     room.run("cost log.mcap -o out --write-docs plain.md").fails(2, &["plain.md", "begin: realitysim cost"]);
 }

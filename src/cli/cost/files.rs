@@ -3,6 +3,7 @@
 use anyhow::Context;
 
 use super::report::{Report, model_name};
+use crate::cli::paths;
 use crate::config::Settings;
 use crate::evaluation::cost::Row;
 
@@ -10,8 +11,7 @@ pub fn write(report: &Report, configured: &Settings) -> anyhow::Result<()> {
     for (name, content) in
         [("cost.csv", csv(report)), ("cost.svg", report.chart()), ("cost.toml", fragment(report, configured)?)]
     {
-        let path = report.output.join(name);
-        std::fs::write(&path, content).with_context(|| path.display().to_string())?;
+        paths::write(&report.output.join(name), &content)?;
     }
     Ok(())
 }

@@ -7,12 +7,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::Context;
 use clap::Args;
 
 use super::section::Section;
-use super::settings::{SettingsArguments, planar_pose};
-use super::{Outcome, machine, output};
+use super::settings::{SettingsArguments, check_initial, planar_pose};
+use super::{Outcome, machine, output, paths};
 use crate::agent::{Attempt, Footage, FootageOptions};
 use crate::config::Settings;
 use crate::evaluation::capture::{EvaluationError, read_truth};
@@ -75,7 +74,8 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     let started = Instant::now();
     let configured = arguments.settings.resolve()?;
     let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "cost")).transpose()?;
-    std::fs::create_dir_all(&arguments.output).with_context(|| arguments.output.display().to_string())?;
+    paths::check_output(&arguments.output, &[&arguments.source])?;
+    paths::make_folder(&arguments.output)?;
     let wish = match (arguments.budget_ms, arguments.accuracy_cm) {
         (None, None) => Wish { budget_ms: Some(DEFAULT_BUDGET_MS), accuracy_cm: None },
         (budget_ms, accuracy_cm) => Wish { budget_ms, accuracy_cm },
@@ -90,6 +90,9 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     let mut progress = output::Progress::new("reading");
     let footage = Footage::load(&options, &mut |done, total| progress.set(done, total))?;
     progress.finish();
+    if let Some(initial) = &arguments.initial {
+        check_initial(initial, &footage.settings().field, footage.field())?;
+    }
     let known = known_truth(arguments, &configured)?;
 
     let mut trials = Trials::new(&footage, arguments.seeds);
@@ -130,8 +133,7 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     };
     files::write(&report, &configured)?;
     if let Some(section) = &section {
-        let picture = section.beside("cost.svg");
-        std::fs::write(&picture, report.chart()).with_context(|| picture.display().to_string())?;
+        paths::write(&section.beside("cost.svg"), &report.chart())?;
         section.write(&report.markdown())?;
     }
     output::losses(&report.losses);

@@ -79,7 +79,7 @@ fn fig10(paper: &Paper) -> String {
         })
         .collect();
     Chart {
-        title: format!("Fig. 10: straight walk, {PAPER_PARTICLES} particles"),
+        title: format!("Fig. 10: straight walk, {PAPER_PARTICLES} particles, first seed"),
         x: Axis { label: "walked, in m".to_owned(), scale: Scale::Even },
         y: Axis { label: "position error in cm".to_owned(), scale: Scale::Logarithmic },
         layers,

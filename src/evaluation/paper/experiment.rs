@@ -22,6 +22,8 @@ pub struct Plan {
     pub grid_m: f64,
     pub walk_m: f64,
     pub walk_hz: f64,
+    /// The walk is tracked this many times: a filter that loses itself does so now and then.
+    pub walk_seeds: u64,
     /// Of Fig. 9; Table 2 and Fig. 10 have those of the paper.
     pub particles: Vec<usize>,
 }
@@ -29,12 +31,12 @@ pub struct Plan {
 impl Plan {
     /// As in the paper.
     pub fn full() -> Self {
-        Self { grid_m: 0.3, walk_m: 5.8, walk_hz: 10.0, particles: vec![50, 100, 200, 400, 800, 1600] }
+        Self { grid_m: 0.3, walk_m: 5.8, walk_hz: 10.0, walk_seeds: 5, particles: vec![50, 100, 200, 400, 800, 1600] }
     }
 
     /// The same in a few seconds: shows that all works, says little.
     pub fn quick() -> Self {
-        Self { grid_m: 1.2, walk_m: 1.0, walk_hz: 5.0, particles: vec![100, 800] }
+        Self { grid_m: 1.2, walk_m: 1.0, walk_hz: 5.0, walk_seeds: 2, particles: vec![100, 800] }
     }
 }
 
@@ -49,7 +51,9 @@ pub struct Run {
     /// From the decoded image to the tag.
     pub p50_ms: f64,
     pub p99_ms: f64,
-    /// Of each frame, in cm.
+    /// Mean error with each seed.
+    pub seed_means_cm: Vec<f64>,
+    /// Of each frame with the first seed.
     #[serde(skip)]
     pub errors_cm: Vec<f64>,
 }
@@ -97,7 +101,7 @@ fn still(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize,
     let in_fig9 = plan.particles.iter().flat_map(|particles| METHODS.map(|method| (method, *particles)));
     let wanted: Vec<(Method, usize)> =
         in_fig9.filter(|(method, particles)| method.in_fig9 || *particles == super::PAPER_PARTICLES).collect();
-    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, "standing", progress)?;
+    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, 1, "standing", progress)?;
     Ok((footage.frames(), runs))
 }
 
@@ -105,7 +109,7 @@ fn walk(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize, 
     let scene = scenes::walk(plan.walk_m, plan.walk_hz)?;
     let footage = render(&scene, settings, None, progress)?;
     let wanted = METHODS.map(|method| (method, super::PAPER_PARTICLES));
-    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, "walking", progress)?;
+    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, plan.walk_seeds, "walking", progress)?;
     Ok((footage.frames(), runs))
 }
 
@@ -119,17 +123,22 @@ fn runs(
     footage: &Footage,
     truth: &[(i64, Isometry)],
     wanted: &[(Method, usize)],
+    seeds: u64,
     what: &'static str,
     progress: Progress,
 ) -> Result<Vec<Run>, SetupError> {
-    let (mut done, total) = (0, (wanted.len() * footage.frames()) as u64);
+    let (mut done, total) = (0, (wanted.len() * footage.frames()) as u64 * seeds);
     let mut runs = Vec::new();
     for (method, particles) in wanted {
-        let settings = method.settings(footage.settings(), *particles);
-        let attempts = footage.try_out(&settings, &mut |_| {
-            done += 1;
-            progress(what, done, Some(total));
-        })?;
+        let mut attempts = Vec::new();
+        for seed in 0..seeds {
+            let mut settings = method.settings(footage.settings(), *particles);
+            settings.filter.seed = settings.filter.seed.wrapping_add(seed);
+            attempts.push(footage.try_out(&settings, &mut |_| {
+                done += 1;
+                progress(what, done, Some(total));
+            })?);
+        }
         runs.push(Run::of(*method, *particles, &attempts, truth));
     }
     Ok(runs)
@@ -146,30 +155,33 @@ fn start(scene: &Scene, index: usize, seed: u64) -> InitialPose {
 }
 
 impl Run {
-    fn of(method: Method, particles: usize, attempts: &[Attempt], truth: &[(i64, Isometry)]) -> Self {
-        let tags: Vec<Tagged> = attempts.iter().map(|attempt| tagged(&attempt.tag)).collect();
-        let judged: Vec<(f64, f64)> = tags
-            .iter()
-            .filter_map(|tag| {
-                let wanted = truth_at(truth, tag.stamp_ns)?;
-                let off = (tag.pose.translation - wanted.translation).truncate().length();
-                let turned = wrap_angle(tag.pose.euler().yaw - wanted.euler().yaw).abs();
-                Some((100.0 * off, turned.to_degrees()))
-            })
-            .collect();
-        let mut times: Vec<f64> = attempts.iter().map(|attempt| attempt.tag.elapsed_ms).collect();
+    /// `attempts` are one seed each.
+    fn of(method: Method, particles: usize, attempts: &[Vec<Attempt>], truth: &[(i64, Isometry)]) -> Self {
+        let judged: Vec<Vec<(f64, f64)>> =
+            attempts.iter().map(|run| run.iter().filter_map(|attempt| errors(attempt, truth)).collect()).collect();
+        let (all_cm, all_deg): (Vec<f64>, Vec<f64>) = judged.iter().flatten().copied().unzip();
+        let errors_cm = |run: &Vec<(f64, f64)>| run.iter().map(|(cm, _)| *cm).collect::<Vec<f64>>();
+        let mut times: Vec<f64> = attempts.iter().flatten().map(|attempt| attempt.tag.elapsed_ms).collect();
         times.sort_by(f64::total_cmp);
-        let (errors_cm, yaws_deg): (Vec<f64>, Vec<f64>) = judged.into_iter().unzip();
         Self {
             method,
             particles,
-            position_cm: Summary::of(&errors_cm),
-            yaw_deg: Summary::of(&yaws_deg),
+            position_cm: Summary::of(&all_cm),
+            yaw_deg: Summary::of(&all_deg),
             p50_ms: quantile(&times, 0.5),
             p99_ms: quantile(&times, 0.99),
-            errors_cm,
+            seed_means_cm: judged.iter().map(|run| Summary::of(&errors_cm(run)).mean).collect(),
+            errors_cm: judged.first().map(errors_cm).unwrap_or_default(),
         }
     }
+}
+
+/// Of position in cm and of yaw in degrees, whether the filter calls the tag valid or not.
+fn errors(attempt: &Attempt, truth: &[(i64, Isometry)]) -> Option<(f64, f64)> {
+    let Tagged { stamp_ns, pose, .. } = tagged(&attempt.tag);
+    let wanted = truth_at(truth, stamp_ns)?;
+    let off = (pose.translation - wanted.translation).truncate().length();
+    Some((100.0 * off, wrap_angle(pose.euler().yaw - wanted.euler().yaw).abs().to_degrees()))
 }
 
 fn name<S: serde::Serializer>(method: &Method, serializer: S) -> Result<S::Ok, S::Error> {
