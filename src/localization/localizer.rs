@@ -71,6 +71,8 @@ pub struct Moment {
     pub odometry: Option<Pose2>,
     /// By IMU, joints and mount.
     pub footprint_from_optical: Option<Isometry>,
+    /// Something measures the torso's tilt; without it a walking torso sways unseen.
+    pub tilt_is_measured: bool,
     /// What was measured is too old to describe a moving robot.
     pub stale: bool,
 }
@@ -110,6 +112,8 @@ const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
 const LONGEST_STEP_S: f64 = 5.0;
 /// No humanoid walks this fast: odometry that says so has jumped.
 const FASTEST_M_PER_S: f64 = 3.0;
+/// How far a walking torso that nothing measures leans from upright: 2.5 degrees.
+const UNMEASURED_TILT_RAD: f64 = 0.044;
 /// A best particle farther than this from the predicted pose is refined from as well.
 const OTHER_BASIN_M: f64 = 0.12;
 const OTHER_BASIN_RAD: f64 = 0.06;
@@ -271,7 +275,7 @@ impl Localizer {
     }
 
     fn refine_candidate(&self, moment: &Moment, seen: &Seen, pose: &Pose2) -> Option<Refined> {
-        let model = &self.settings.track;
+        let model = &self.model(moment);
         let Spread { xy_m, yaw_rad } = self.settings.initial;
         let track = match &self.state.track {
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),
@@ -339,7 +343,12 @@ impl Localizer {
 
     fn prediction(&self, moment: &Moment) -> Option<Prediction> {
         let track = self.state.track.as_ref()?;
-        Some(track.prior(&moment.footprint_from_optical?, &self.settings.track))
+        Some(track.prior(&moment.footprint_from_optical?, &self.model(moment)))
+    }
+
+    fn model(&self, moment: &Moment) -> TrackModel {
+        let model = self.settings.track;
+        if moment.tilt_is_measured { model } else { TrackModel { tilt_noise_rad: UNMEASURED_TILT_RAD, ..model } }
     }
 
     /// Without refinement: the best particle's camera; or where the track puts it.
