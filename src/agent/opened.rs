@@ -88,7 +88,7 @@ pub(super) fn scene<'a>(
 fn setup_error(source: &Path, error: SetupError, lost: Vec<Loss>) -> ReplayError {
     match error {
         SetupError::Log(error) => ReplayError::Log(error),
-        SetupError::Config(_) | SetupError::BodyMask { .. } => ReplayError::Setup(error),
+        SetupError::Config(_) | SetupError::BodyMask { .. } | SetupError::Fov(_) => ReplayError::Setup(error),
         error => ReplayError::Source { path: source.to_owned(), source: Box::new(error), lost },
     }
 }

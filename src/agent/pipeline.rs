@@ -199,6 +199,9 @@ impl Pipeline {
         };
         tag.sequence = self.sequence;
         tag.elapsed_ms = look_ms + start.elapsed().as_secs_f64() * 1e3;
+        if let Ok(seen) = seen {
+            self.looking.give_back(seen);
+        }
         tag.kernel_stamp_ns = frame.stamp_ns;
         self.sequence += 1;
         self.tally.note_tag(&frame.robot, &tag);

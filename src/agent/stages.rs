@@ -51,6 +51,8 @@ const AHEAD: usize = 2;
 
 struct Job {
     frame: Frame,
+    /// Of a frame that is done with: its buffers are used again.
+    spare: Seen,
     reply: Sender<Looked>,
 }
 
@@ -61,13 +63,21 @@ pub struct Looking {
     workers: Vec<std::thread::JoinHandle<()>>,
     pending: VecDeque<Receiver<Looked>>,
     limit: usize,
+    spares: Vec<Seen>,
 }
 
 impl Looking {
     /// With one thread everything happens in the caller's.
     pub fn new(eyes: Arc<Eyes>, threads: usize) -> Self {
         if threads <= 1 {
-            return Self { eyes, jobs: None, workers: Vec::new(), pending: VecDeque::new(), limit: 1 };
+            return Self {
+                eyes,
+                jobs: None,
+                workers: Vec::new(),
+                pending: VecDeque::new(),
+                limit: 1,
+                spares: Vec::new(),
+            };
         }
         let limit = threads * AHEAD;
         let (jobs, queue) = bounded::<Job>(limit);
@@ -77,22 +87,30 @@ impl Looking {
                 std::thread::spawn(move || {
                     for job in queue {
                         // Nobody waits any more when the replay has been given up.
-                        let _ = job.reply.send(look(&eyes, job.frame));
+                        let _ = job.reply.send(look(&eyes, job.frame, job.spare));
                     }
                 })
             })
             .collect();
-        Self { eyes, jobs: Some(jobs), workers, pending: VecDeque::new(), limit }
+        Self { eyes, jobs: Some(jobs), workers, pending: VecDeque::new(), limit, spares: Vec::new() }
     }
 
     /// Takes a frame and, once enough are under way, hands back the oldest.
     pub fn push(&mut self, frame: Frame) -> Option<Looked> {
-        let Some(jobs) = &self.jobs else { return Some(look(&self.eyes, frame)) };
+        let spare = self.spares.pop().unwrap_or_default();
+        let Some(jobs) = &self.jobs else { return Some(look(&self.eyes, frame, spare)) };
         let (reply, result) = bounded(1);
         // The workers live as long as this end of the channel.
-        let _ = jobs.send(Job { frame, reply });
+        let _ = jobs.send(Job { frame, spare, reply });
         self.pending.push_back(result);
         if self.pending.len() >= self.limit { self.pop() } else { None }
+    }
+
+    /// What a frame has shown is not needed any more.
+    pub fn give_back(&mut self, seen: Seen) {
+        if self.spares.len() < self.limit {
+            self.spares.push(seen);
+        }
     }
 
     /// The oldest frame under way.
@@ -111,7 +129,7 @@ impl Drop for Looking {
     }
 }
 
-fn look(eyes: &Eyes, frame: Frame) -> Looked {
+fn look(eyes: &Eyes, frame: Frame, mut seen: Seen) -> Looked {
     let Ok(place) = frame.robot.place.clone() else {
         return Looked { frame, seen: Err(NotSeen::NoPlace), look_ms: 0.0 };
     };
@@ -120,7 +138,7 @@ fn look(eyes: &Eyes, frame: Frame) -> Looked {
         Err(unseen) => return Looked { frame, seen: Err(unseen), look_ms: 0.0 },
     };
     let start = Instant::now();
-    let seen = eyes.vision.look(&picture, &place.footprint_from_optical, eyes.body(frame.robot.head));
+    eyes.vision.look_again(&picture, &place.footprint_from_optical, eyes.body(frame.robot.head), &mut seen);
     Looked { look_ms: start.elapsed().as_secs_f64() * 1e3, frame, seen: Ok(seen) }
 }
 

@@ -121,7 +121,7 @@ fn draw(
     ];
     let error = &comparison.position_cm;
     let caption = [format!(
-        "{} of {} frames valid, error mean {:.1} cm, p95 {:.1} cm",
+        "{} of {} frames valid, error mean {:.2} cm, p95 {:.2} cm",
         comparison.valid, comparison.frames, error.mean, error.p95
     )];
     let map = drawing::field_map(&field, &routes, MAP_PX, &caption);

@@ -113,7 +113,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
                 cause.downcast_ref::<ReplayError>(),
                 Some(
                     ReplayError::IntoCapture { .. }
-                        | ReplayError::Setup(SetupError::Config(_) | SetupError::BodyMask { .. })
+                        | ReplayError::Setup(SetupError::Config(_) | SetupError::BodyMask { .. } | SetupError::Fov(_))
                 )
             )
     })

@@ -25,8 +25,7 @@ pub fn wander(model: &MotionModel, particles: &mut Particles, seconds: f64, seed
 fn diffuse(particles: &mut Particles, step: Pose2, spread: Spread, seed: u64, frame: u64) {
     for (index, pose) in particles.poses.iter_mut().enumerate() {
         let mut draw = Stream::new(seed, Purpose::Motion, frame, 0, index as u32);
-        let [dx, dy] = draw.normal_pair();
-        let [turn, _] = draw.normal_pair();
+        let [dx, dy, turn] = [draw.normal(), draw.normal(), draw.normal()];
         let turned = wrap_angle(step.yaw + turn * spread.yaw_rad);
         *pose = pose.compose(&Pose2::new(step.x + dx * spread.xy_m, step.y + dy * spread.xy_m, turned));
     }

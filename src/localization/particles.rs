@@ -51,8 +51,7 @@ impl Particles {
     pub fn scatter(&mut self, spread: Spread, seed: u64, purpose: Purpose, step: u64, iteration: u32) {
         for (index, pose) in self.poses.iter_mut().enumerate() {
             let mut draw = Stream::new(seed, purpose, step, iteration, index as u32);
-            let [dx, dy] = draw.normal_pair();
-            let [turn, _] = draw.normal_pair();
+            let [dx, dy, turn] = [draw.normal(), draw.normal(), draw.normal()];
             pose.x += dx * spread.xy_m;
             pose.y += dy * spread.xy_m;
             pose.yaw = wrap_angle(pose.yaw + turn * spread.yaw_rad);

@@ -148,7 +148,7 @@ fn runs(
 fn start(scene: &Scene, index: usize, seed: u64) -> InitialPose {
     let mut draw = Stream::new(seed, Purpose::Start, index as u64, 0, 0);
     let truth = scene.truth(index as f64).map_from_base_footprint;
-    let ([dx, dy], [turn, _]) = (draw.normal_pair(), draw.normal_pair());
+    let [dx, dy, turn] = [draw.normal(), draw.normal(), draw.normal()];
     let map_from_footprint =
         Pose2::new(truth.x + START_XY_M * dx, truth.y + START_XY_M * dy, wrap_angle(truth.yaw + START_YAW_RAD * turn));
     InitialPose { map_from_footprint, xy_m: None, yaw_rad: None }
