@@ -65,7 +65,7 @@ impl Row {
         }
     }
 
-    /// What it is worth, errors rounded to [`FINEST_CM`]. Rows that were not judged or evade judgement do not count.
+    /// What it is worth, errors rounded to a tenth of a millimetre. Rows that were not judged or evade judgement do not count.
     pub fn point(&self) -> Point {
         let counts = self.judged > 0 && !self.evasive;
         let error_cm = libm::round(self.position_cm.mean / FINEST_CM) * FINEST_CM;

@@ -93,7 +93,7 @@ impl Span {
         for decade in first..=last {
             for digit in 1..10 {
                 let value = f64::from(digit) * libm::pow(10.0, f64::from(decade));
-                let numbered = digit == 1 || decades < 0.8 || (decades < 4.0 && matches!(digit, 2 | 5));
+                let numbered = digit == 1 || decades < 1.1 || (decades < 4.0 && matches!(digit, 2 | 5));
                 if (self.low..=self.high).contains(&value) && (decades < 6.0 || digit == 1) {
                     ticks.push(Tick { value, number: if numbered { number(value) } else { String::new() } });
                 }
