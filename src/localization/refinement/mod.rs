@@ -2,7 +2,7 @@
 //!
 //! Each field line in view is looked for along its normal, in the image, to a fraction of a pixel
 //! ([`offsets`]). What odometry, IMU and mount say is a normal distribution about the predicted pose ([`Prior`]).
-//! The pose that fits both best, and how well it is known, come from [`solve`].
+//! The pose that fits both best, and how well it is known, come from `solve`.
 //!
 //! Errors of a pose are six numbers: position (m) and rotation vector (rad), both along the axes of `map`, in
 //! the order of a ROS covariance: x, y, z, rotation about x, y, z.
