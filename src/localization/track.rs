@@ -143,17 +143,6 @@ impl Track {
         Pose2::new(self.mean[X], self.mean[Y], self.mean[YAW])
     }
 
-    pub fn mirrored(&self) -> Self {
-        let pose = self.pose().mirrored();
-        let mut mirrored = self.clone();
-        mirrored.mean.fixed_rows_mut::<3>(0).copy_from_slice(&[pose.x, pose.y, pose.yaw]);
-        for index in [X, Y] {
-            mirrored.covariance.row_mut(index).neg_mut();
-            mirrored.covariance.column_mut(index).neg_mut();
-        }
-        mirrored
-    }
-
     /// Standard deviation of the path's place (along its longer axis) and heading.
     pub fn spread(&self) -> (f64, f64) {
         let c = &self.covariance;
@@ -267,11 +256,6 @@ impl Track {
         for (index, off) in [(X, moved[0]), (Y, moved[1]), (YAW, moved[5])] {
             self.covariance[(index, index)] += off * off;
         }
-    }
-
-    /// Learnt so far: relative errors of odometry's distance and turn.
-    pub fn odometry_scales(&self) -> (f64, f64) {
-        (self.mean[DISTANCE], self.mean[TURN])
     }
 }
 

@@ -98,8 +98,7 @@ impl Cells {
             *count = u16::from(f32::from(*count) > most);
         }
         box_sums(&mut self.blobs, &mut self.sums, reach + 1);
-        for (block, near) in self.blobs.iter().enumerate().filter(|(_, near)| **near > 0) {
-            let _ = near;
+        for (block, _) in self.blobs.iter().enumerate().filter(|(_, near)| **near > 0) {
             let first = block / BLOCKS * BLOCK * SIDE + block % BLOCKS * BLOCK;
             for row in 0..BLOCK {
                 self.shown[first + row * SIDE..][..BLOCK].fill(UNSEEN);

@@ -63,17 +63,7 @@ fn a_capture_out_of_order_is_split_without_a_trace() {
         IMU | ODOMETRY => jitter_ms(place),
         _ => 0,
     }));
-    let whole = room.replay("log.mcap");
-    let parts = room.replay("log.mcap --set recording.segment_s=1");
-    assert_same(&parts.tags, &whole.tags, "in parts");
-    let files = segments(&parts.session);
-    assert!(files.len() >= 3, "{files:?}");
-    let mut alone = Vec::new();
-    for file in &files {
-        room.write("part.mcap", std::fs::read(file).unwrap());
-        alone.extend(room.replay("part.mcap").tags);
-    }
-    assert_same(&alone, &whole.tags, "each part alone");
+    assert_split_without_a_trace(&room);
 }
 
 #[test]
@@ -116,6 +106,18 @@ fn a_capture_is_split_although_a_frame_is_waiting_at_every_moment() {
     // A frame every 100 ms waits 150 ms for its odometry.
     let late = delayed(|topic, _| if topic == ODOMETRY { 150 } else { 0 });
     let room = Room::with_log(&late);
+    assert_split_without_a_trace(&room);
+}
+
+#[test]
+fn a_capture_without_odometry_is_split_as_well() {
+    let room = Room::with_log(&super::support::without(&walk().messages, ODOMETRY));
+    let parts = room.replay("log.mcap --motion random_walk --set recording.segment_s=1");
+    assert!(segments(&parts.session).len() >= 3);
+}
+
+/// In segments of a second, together and each alone, the log gives the tags that it gives in one piece.
+fn assert_split_without_a_trace(room: &Room) {
     let whole = room.replay("log.mcap");
     let parts = room.replay("log.mcap --set recording.segment_s=1");
     assert_same(&parts.tags, &whole.tags, "in parts");
@@ -127,11 +129,4 @@ fn a_capture_is_split_although_a_frame_is_waiting_at_every_moment() {
         alone.extend(room.replay("part.mcap").tags);
     }
     assert_same(&alone, &whole.tags, "each part alone");
-}
-
-#[test]
-fn a_capture_without_odometry_is_split_as_well() {
-    let room = Room::with_log(&super::support::without(&walk().messages, ODOMETRY));
-    let parts = room.replay("log.mcap --motion random_walk --set recording.segment_s=1");
-    assert!(segments(&parts.session).len() >= 3);
 }

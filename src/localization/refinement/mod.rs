@@ -37,8 +37,6 @@ pub struct Refined {
     pub moved: Vector6<f64>,
     /// Half the squared deviation from the prior plus the robust cost of the lines: lower is better.
     pub cost: f64,
-    /// How well the lines were conditioned: largest over smallest singular value in units of the prior.
-    pub condition: f64,
     pub lines: Agreement,
 }
 
@@ -47,9 +45,7 @@ pub struct Refined {
 pub struct Agreement {
     /// Places where a line had to be seen, and nothing hid it.
     pub expected: usize,
-    /// Of these, where one was found within reach, ...
-    pub found: usize,
-    /// ... and fits the refined pose.
+    /// Of these, where one was found that fits the refined pose.
     pub fitting: usize,
     /// Root of the mean squared deviation of those that fit, in pixels.
     pub rms_px: f64,
@@ -103,16 +99,14 @@ fn from_start(
     }
     let (counts, solution) = last?;
     let [.., scale] = SCALES;
-    let (covariance, condition) = solve::certainty(prior, &sights, &moved, scale, noise)?;
+    let covariance = solve::covariance(prior, &sights, &moved, scale, noise)?;
     Some(Refined {
         map_from_optical: moved_pose(&prior.map_from_optical, &solution.moved),
         covariance,
         moved: solution.moved,
         cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
-        condition,
         lines: Agreement {
             expected: counts.expected,
-            found: sights.len(),
             fitting: solution.residuals.fitting,
             rms_px: solution.residuals.rms_px(),
         },

@@ -27,11 +27,11 @@ const CLEARANCE: f64 = 2.0;
 impl LinePoints {
     pub fn new(field: &Field) -> Self {
         let line_width_m = field.line_width();
-        let long = || field.strokes().iter().filter(|stroke| stroke.length() >= SHORTEST_M);
+        let long = field.strokes().iter().filter(|stroke| stroke.length() >= SHORTEST_M);
         let clear = |own: &Stroke, at: DVec2| {
             field.strokes().iter().all(|other| other == own || other.distance(at) > CLEARANCE * line_width_m)
         };
-        let strokes = long()
+        let strokes = long
             .map(|stroke| {
                 stroke
                     .points(SPACING_M)

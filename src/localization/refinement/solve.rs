@@ -97,19 +97,18 @@ pub(super) fn solve(
     })
 }
 
-/// What is known about a pose that has been solved for, once the noise is known: its covariance, and how well the lines
-/// determine it (largest over smallest singular value, in units of the prior).
-pub(super) fn certainty(
+/// Of a pose that has been solved for, once the noise is known.
+pub(super) fn covariance(
     prior: &Prior,
     sights: &[Sight],
     moved: &Vector6<f64>,
     scale: f64,
     noise: Noise,
-) -> Option<(Matrix6<f64>, f64)> {
+) -> Option<Matrix6<f64>> {
     let spread = Cholesky::new(prior.covariance)?.unpack();
     let y = spread.solve_lower_triangular(moved)?;
     let here = Linearised::at(prior, &spread, sights, &y, scale, noise);
-    Some((here.covariance(&spread), here.triangle.condition()))
+    Some(here.covariance(&spread))
 }
 
 impl Residuals {

@@ -58,11 +58,4 @@ impl Triangular {
         }
         inverse
     }
-
-    /// Largest over smallest singular value.
-    pub(super) fn condition(&self) -> f64 {
-        let matrix = Matrix6::from_fn(|i, j| self.r[i][j]);
-        let values = matrix.singular_values();
-        values.max() / values.min().max(f64::MIN_POSITIVE)
-    }
 }
