@@ -1,5 +1,6 @@
 //! The agent: what comes from the sensors goes through the filter into the capture.
 
+mod budget;
 pub mod checkpoint;
 mod durations;
 mod error;

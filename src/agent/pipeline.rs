@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::budget::Budget;
 use super::checkpoint::Checkpoint;
 use super::error::AgentError;
 use super::setup::Setup;
@@ -50,6 +51,7 @@ pub struct Pipeline {
     synchroniser: Synchroniser,
     looking: Looking,
     tagger: Tagger,
+    budget: Budget,
     session: Option<SessionWriter>,
     /// What the log announces does not count then.
     initial_is_given: bool,
@@ -72,6 +74,7 @@ impl Pipeline {
     pub fn new(setup: Setup, start: Start, recording: Recording) -> Self {
         let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude } = setup;
         let tagger = start.tagger(&settings, field, eyes.vision.lens());
+        let budget = Budget::new(settings.filter.budget_ms, start.decided);
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
         let state = start.checkpoint.map_or(synchroniser, |checkpoint| checkpoint.synchroniser);
         let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);
@@ -84,6 +87,7 @@ impl Pipeline {
             synchroniser,
             looking: Looking::new(Arc::clone(&eyes), recording.threads),
             tagger,
+            budget,
             session: None,
             initial_is_given: start.initial.is_some(),
             sequence,
@@ -190,8 +194,12 @@ impl Pipeline {
     fn tag(&mut self, looked: Looked) -> Result<(), AgentError> {
         let Looked { frame, seen, look_ms } = looked;
         let start = Instant::now();
+        let mut allowance = self.budget.frame(frame.stamp_ns, look_ms);
         let mut tag = match &seen {
-            Ok(seen) => self.tagger.tag(frame.stamp_ns, &frame.robot, seen),
+            Ok(seen) => {
+                let mut may_go_on = |weighed| allowance.may_go_on(weighed);
+                self.tagger.tag(frame.stamp_ns, &frame.robot, seen, &mut may_go_on)
+            }
             Err(unseen) => {
                 self.tally.note_unseen(&frame, unseen, self.sequence);
                 self.tagger.tag_blind(frame.stamp_ns, &frame.robot, unseen.reason())
@@ -199,6 +207,8 @@ impl Pipeline {
         };
         tag.sequence = self.sequence;
         tag.elapsed_ms = look_ms + start.elapsed().as_secs_f64() * 1e3;
+        tag.stopped_at = allowance.stopped_at().unwrap_or(0);
+        self.budget.learn(&allowance);
         if let Ok(seen) = seen {
             self.looking.give_back(seen);
         }
