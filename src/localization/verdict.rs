@@ -1,12 +1,13 @@
 //! Whether a pose is to be believed, and when the robot is to be looked for elsewhere.
 
+use glam::DVec3;
 use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
 use super::localizer::{Fix, Moment};
 use super::painted::Explained;
 use super::refinement::Agreement;
-use crate::geometry::Field;
+use crate::geometry::{Field, Isometry};
 
 /// What a pose needs to be believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,6 +58,10 @@ pub struct Rules<'a> {
 
 /// Frames with good lines that a pose found by search or kept over a restart needs.
 pub const CONFIRMATIONS: u32 = 3;
+/// Errors of height and tilt that no mount and no gait has: five standard deviations of what the track expects.
+const MOST_RISE_M: f64 = 0.07;
+const MOST_TILT_RAD: f64 = 0.095;
+const MOST_UNMEASURED_TILT_RAD: f64 = 0.25;
 /// Frames in a row whose lines contradict the pose, after which the field is searched: 0.3 s at 10 Hz.
 const LOST_AFTER: u32 = 3;
 /// A pose as uncertain as this along its longer axis is none.
@@ -75,6 +80,8 @@ const FITTING_TO_CONFIRM: usize = 20;
 const SHARE_TO_CONFIRM: f64 = 0.7;
 /// Half a metre of line: less says nothing of what is painted where.
 const LEAST_SHOWN_M2: f64 = 0.025;
+/// Over several frames so much of what one frame may leave unexplained may be.
+const LASTING: f64 = 0.3;
 /// What one frame says of the lines that are explained, against the frames before it.
 const NEWEST: f64 = 0.2;
 
@@ -103,7 +110,7 @@ impl Standing {
     pub fn judge(&mut self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
         self.note_explained(&fix.explained);
         let doubt = self.complaint(rules, moment, fix);
-        let contradicted = matches!(doubt, Some("lines_disagree" | "lines_unexplained" | "off_field"));
+        let contradicted = matches!(doubt, Some("lines_disagree" | "lines_unexplained" | "not_standing" | "off_field"));
         if rules.refinement && longest_axis(&fix.covariance) > LOST_M {
             self.confidence = Confidence::Nowhere;
         }
@@ -142,7 +149,8 @@ impl Standing {
                         .or_else(|| held(fix.support.share >= share, "lines_disagree"))
                         .or_else(|| held(fix.estimate.spread_m <= spread_m, "spread"));
                 }
-                held(!is_contradicted(&fix.agreement), "lines_disagree")
+                held(!fix.refined || stands(moment, fix), "not_standing")
+                    .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
                     .or_else(|| held(!self.is_unexplained(explained, &fix.explained), "lines_unexplained"))
                     .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
                     .or_else(|| held(longest_axis(&fix.covariance) <= refined_m, "spread"))
@@ -152,7 +160,7 @@ impl Standing {
     /// One frame may show much that is no line of the field (a crowd, sunlight on the carpet); many in a row do not.
     fn is_unexplained(&self, least: f64, explained: &Explained) -> bool {
         let shown = explained.shown_m2 >= LEAST_SHOWN_M2;
-        shown && (explained.share < least || self.explained < 0.5 * (1.0 + least))
+        shown && (explained.share < least || self.explained < lasting(least))
     }
 
     fn agreed_lately(&self, moment: &Moment) -> bool {
@@ -163,7 +171,22 @@ impl Standing {
 fn confirms(rules: &Rules, fix: &Fix) -> bool {
     let lines = &fix.agreement;
     let fits = lines.fitting >= FITTING_TO_CONFIRM && lines.share() >= SHARE_TO_CONFIRM;
-    !rules.refinement || (fits && fix.explained.share >= 0.5 * (1.0 + rules.valid.explained))
+    !rules.refinement || (fits && fix.explained.share >= lasting(rules.valid.explained))
+}
+
+/// The share that several frames have to explain, if one has to explain `least`.
+fn lasting(least: f64) -> f64 {
+    1.0 - LASTING * (1.0 - least)
+}
+
+/// The camera is where IMU, joints and mount put that of a robot that stands: by its height and tilt.
+fn stands(moment: &Moment, fix: &Fix) -> bool {
+    let Some(place) = moment.footprint_from_optical else { return true };
+    let down = |pose: &Isometry| pose.rotation.conjugate() * DVec3::NEG_Z;
+    let (nominal, found) = (down(&place), down(&fix.map_from_optical));
+    let most_rad = if moment.tilt_is_measured { MOST_TILT_RAD } else { MOST_UNMEASURED_TILT_RAD };
+    let rise = fix.map_from_optical.translation.z - place.translation.z;
+    rise.abs() <= MOST_RISE_M && nominal.cross(found).length() <= libm::sin(most_rad)
 }
 
 /// Enough lines are where the pose has them.
