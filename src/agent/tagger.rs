@@ -165,6 +165,7 @@ fn moment(stamp_ns: i64, robot: &RobotAt) -> Moment {
     Moment {
         stamp_ns,
         odometry: robot.odometry,
+        turned_rad: robot.turned_rad,
         footprint_from_optical: robot.place.as_ref().ok().map(|place| place.footprint_from_optical),
         tilt_is_measured: robot.place.as_ref().is_ok_and(|place| place.tilt_is_measured),
         stale: robot.stale,

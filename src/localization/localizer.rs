@@ -11,7 +11,7 @@ use super::observation::{Observation, Support};
 use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
 use super::refinement::{self, Agreement, LinePoints, Prior, Refined};
-use super::track::{Prediction, Track, TrackModel};
+use super::track::{Prediction, Step, Track, TrackModel};
 use super::verdict::{CONFIRMATIONS, CONTRADICTED, Confidence, Rules, Standing, Validity, agrees, is_contradicted};
 use crate::geometry::{Field, Isometry, Lens, Pose2, Projector, wrap_angle};
 use crate::vision::Seen;
@@ -47,6 +47,8 @@ pub struct LocalizerState {
 pub struct Moment {
     pub stamp_ns: i64,
     pub odometry: Option<Pose2>,
+    /// Since the frame before, by gyro.
+    pub turned_rad: Option<f64>,
     /// By IMU, joints and mount.
     pub footprint_from_optical: Option<Isometry>,
     /// Something measures the torso's tilt; without it a walking torso sways unseen.
@@ -86,6 +88,8 @@ const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
 const LONGEST_STEP_S: f64 = 5.0;
 /// No humanoid walks this fast: odometry that says so has jumped.
 const FASTEST_M_PER_S: f64 = 3.0;
+/// A gyro that says more is broken or counts in degrees.
+const FASTEST_RAD_PER_S: f64 = 10.0;
 /// How far a walking torso that nothing measures leans from upright: 2.5 degrees.
 const UNMEASURED_TILT_RAD: f64 = 0.044;
 /// A best particle farther than this from the predicted pose is refined from as well.
@@ -160,13 +164,14 @@ impl Localizer {
     /// One frame of which something was seen. `may_go_on` says when time is up: see [`MayGoOn`].
     pub fn look(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
         let mut effort = Effort::default();
-        let (step, seconds) = self.step_to(moment);
+        let step = self.step_to(moment);
         if self.must_search() {
             self.search(moment, seen, &mut effort, may_go_on);
         }
-        let estimate = self.filter.step(step, seconds, &seen.table, &mut effort, may_go_on);
+        let walked = self.walked(&step);
+        let estimate = self.filter.step(walked, step.seconds, &seen.table, &mut effort, may_go_on);
         let support = self.filter.observation().support(seen.lines(), &estimate.best);
-        self.predict(step, seconds);
+        self.predict(&step);
         let mut fix = self.refine(moment, seen, estimate, support);
         self.reconcile(seen, &fix);
         fix.effort = effort;
@@ -179,36 +184,43 @@ impl Localizer {
 
     /// One frame of which nothing could be seen: where odometry puts the robot.
     pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
-        let (step, seconds) = self.step_to(moment);
-        let estimate = self.filter.coast(step, seconds);
-        self.predict(step, seconds);
+        let step = self.step_to(moment);
+        let estimate = self.filter.coast(self.walked(&step), step.seconds);
+        self.predict(&step);
         let mut fix = self.predicted(moment, estimate, Support::default());
         fix.doubt = Some(reason);
         fix
     }
 
-    /// The robot's step since the last frame by odometry, and how long it took.
-    fn step_to(&mut self, moment: &Moment) -> (Option<Pose2>, f64) {
+    /// What the sensors say of the robot's step since the last frame.
+    fn step_to(&mut self, moment: &Moment) -> Step {
         let odometry = moment.odometry.filter(Pose2::is_finite);
         let last = self.state.last.replace((moment.stamp_ns, odometry));
         let Some((last_ns, last_odometry)) = last else {
-            return (Some(Pose2::default()), 0.0);
+            return Step { odometry: Some(Pose2::default()), turned_rad: None, seconds: 0.0 };
         };
         let seconds = (moment.stamp_ns.saturating_sub(last_ns) as f64 * 1e-9).clamp(0.0, LONGEST_STEP_S);
         if self.settings.random_walk {
-            return (None, seconds);
+            return Step { odometry: None, turned_rad: None, seconds };
         }
-        let step = last_odometry.zip(odometry).map(|(before, now)| before.inverse().compose(&now));
+        let odometry = last_odometry.zip(odometry).map(|(before, now)| before.inverse().compose(&now));
         let possible = |step: &Pose2| libm::hypot(step.x, step.y) <= FASTEST_M_PER_S * seconds.max(0.1);
-        (step.filter(possible), seconds)
+        let turned_rad = moment.turned_rad.filter(|turned| turned.abs() <= FASTEST_RAD_PER_S * seconds);
+        Step { odometry: odometry.filter(possible), turned_rad, seconds }
     }
 
-    fn predict(&mut self, step: Option<Pose2>, seconds: f64) {
+    /// The same for the particles, which follow no gyro of their own.
+    fn walked(&self, step: &Step) -> Option<Pose2> {
+        let turned = step.turned_rad.and_then(|turned| Some(self.state.track.as_ref()?.turned(turned, step.seconds)));
+        step.odometry.map(|odometry| Pose2 { yaw: turned.unwrap_or(odometry.yaw), ..odometry })
+    }
+
+    fn predict(&mut self, step: &Step) {
         let LocalizerSettings { track: model, filter, .. } = &self.settings;
-        let reach_m = filter.motion.walk_m_per_s * seconds;
-        let reach_rad = filter.motion.turn_rad_per_s * seconds;
+        let reach_m = filter.motion.walk_m_per_s * step.seconds;
+        let reach_rad = filter.motion.turn_rad_per_s * step.seconds;
         if let Some(track) = &mut self.state.track {
-            track.predict(step, seconds, model, reach_m, reach_rad);
+            track.predict(step, model, reach_m, reach_rad);
         }
     }
 
