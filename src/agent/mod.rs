@@ -3,6 +3,7 @@
 mod budget;
 pub mod checkpoint;
 mod durations;
+mod effort;
 mod error;
 pub mod footage;
 mod opened;

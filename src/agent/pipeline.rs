@@ -15,7 +15,7 @@ use super::stages::{Looked, Looking};
 use super::state::{STATE_FILE, Start, write_state};
 use super::tagger::Tagger;
 use super::tally::Tally;
-use super::warnings::AttitudeSource;
+use super::warnings::{self, AttitudeSource};
 use crate::config::{Settings, Topics};
 use crate::geometry::{FieldDimensions, LensParameters};
 use crate::recording::{Counts, SessionInfo, SessionWriter};
@@ -140,7 +140,10 @@ impl Pipeline {
         let heard = self.synchroniser.knows_attitude();
         let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
         let late_measurements = self.synchroniser.too_late();
-        let warnings = attitude.into_iter().collect();
+        let Settings { field, filter, .. } = &self.settings;
+        let strange = warnings::strange_field(field, &self.tally.invalid, counts.tagged);
+        let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
+        let warnings = attitude.into_iter().chain(strange).chain(small).collect();
         (Some(Recorded { session, counts, tally: self.tally, late_measurements, warnings }), ended)
     }
 
@@ -214,7 +217,7 @@ impl Pipeline {
         }
         tag.kernel_stamp_ns = frame.stamp_ns;
         self.sequence += 1;
-        self.tally.note_tag(&frame.robot, &tag);
+        self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
         if let Some(session) = &mut self.session {
             session.tag(log_time_ns, &self.settings.frames.map, &tag)?;
@@ -299,7 +302,8 @@ impl Pipeline {
         self.last_diagnostics_ns = log_time_ns;
         let Some(session) = &mut self.session else { return Ok(()) };
         let late = self.synchroniser.too_late();
-        let report = self.tally.diagnostics(log_time_ns, &self.settings.robot, &session.counts(), late);
+        let Settings { robot, filter, .. } = &self.settings;
+        let report = self.tally.diagnostics(log_time_ns, robot, &session.counts(), late, filter.budget_ms);
         Ok(session.diagnostics(log_time_ns, &report)?)
     }
 }

@@ -84,6 +84,7 @@ impl Run {
         let mut report = ReplayReport {
             particles: filter.particles,
             iterations: filter.iterations,
+            adaptive: filter.adaptive,
             threads: recording.threads,
             ..ReplayReport::default()
         };
@@ -122,7 +123,9 @@ impl Run {
             frames: counts.written,
             tagged: counts.tagged,
             valid: counts.valid,
-            filter_ms: tally.durations.quantiles(),
+            filter_ms: tally.effort.durations.quantiles(),
+            capped: tally.effort.capped,
+            over_budget: tally.effort.over_budget,
             wall_s: started.elapsed().as_secs_f64(),
             invalid: tally.invalid,
             untagged: counts.untagged,

@@ -97,12 +97,14 @@ fn from_start(
         moved = solution.moved;
         // The next round looks as far as this one leaves open, but never trusts it fully.
         covariance = solution.covariance * 4.0;
-        noise = solution.residuals.noise();
+        // A prior that is off makes whole lines look off: what they share widens the covariance, and is no reason to
+        // believe the prior instead.
+        noise = solve::Noise { correlated: noise.correlated, ..solution.residuals.noise() };
         last = Some((counts, solution));
     }
     let (counts, solution) = last?;
     let [.., scale] = SCALES;
-    let covariance = solve::covariance(prior, &sights, &moved, scale, noise)?;
+    let covariance = solve::covariance(prior, &sights, &moved, scale, solution.residuals.noise())?;
     Some(Refined {
         map_from_optical: moved_pose(&prior.map_from_optical, &solution.moved),
         covariance,
