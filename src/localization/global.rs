@@ -37,6 +37,8 @@ const CLIMBED: usize = 60;
 /// Candidates closer than this are one.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;
+/// Metres and radians of the first steps of climbing, and how often they are halved.
+const CLIMB: (f64, f64) = (0.05, 0.026);
 const HALVINGS: usize = 8;
 
 impl Search {
@@ -139,7 +141,7 @@ fn apart(candidates: &[Candidate], count: usize) -> Vec<Candidate> {
 /// Steps along each axis while that helps, then with half the step.
 pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate) -> Candidate {
     let mut best = start;
-    let (mut step, mut turn) = (STEP_M / 2.0, TAU / TURNS as f64 / 2.0);
+    let (mut step, mut turn) = CLIMB;
     for _ in 0..HALVINGS {
         // Eight rounds cross the distance between two grid points several times.
         for _ in 0..8 {

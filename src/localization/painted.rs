@@ -19,12 +19,20 @@ pub struct PaintedMap {
 }
 
 /// Of the places that show a line clearly.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Explained {
     /// Square metres, each counted by its certainty.
     pub shown_m2: f64,
-    /// Share of these that lie on or beside a painted line, 0 to 1; 1 if nothing is shown.
+    /// Share of these that lie on or beside a painted line, 0 to 1, as if a metre of line more had been explained: one
+    /// spot on the carpet says little where few lines are in view.
     pub share: f64,
+}
+
+impl Default for Explained {
+    /// Nothing is seen.
+    fn default() -> Self {
+        Self { shown_m2: 0.0, share: 1.0 }
+    }
 }
 
 const CELL_M: f64 = 0.04;
@@ -33,6 +41,8 @@ const MARGIN_M: f64 = 0.5;
 /// Farther is all the same.
 const FARTHEST_M: f64 = 2.5;
 const PER_METRE: f64 = 100.0;
+/// A metre of line.
+const BELIEVED_M2: f64 = 0.05;
 /// A place shows a line as long as it lies so close to one: half the paint's width and its blur, ...
 const BESIDE_WIDTHS: f64 = 1.2;
 /// ... and what the rest of the pose's error does to far places: metres for each metre of distance.
@@ -92,7 +102,7 @@ impl PaintedMap {
                 explained += weight;
             }
         }
-        let share = if shown > 0.0 { explained / shown } else { 1.0 };
-        Explained { shown_m2: shown * lines.clear_line_m2(), share }
+        let m2 = lines.clear_line_m2();
+        Explained { shown_m2: shown * m2, share: (explained * m2 + BELIEVED_M2) / (shown * m2 + BELIEVED_M2) }
     }
 }

@@ -78,8 +78,6 @@ pub const CONTRADICTED: f64 = 0.5;
 /// What a frame needs to confirm a pose that was found by search or announced.
 const FITTING_TO_CONFIRM: usize = 20;
 const SHARE_TO_CONFIRM: f64 = 0.7;
-/// Half a metre of line: less says nothing of what is painted where.
-const LEAST_SHOWN_M2: f64 = 0.025;
 /// Over several frames so much of what one frame may leave unexplained may be.
 const LASTING: f64 = 0.3;
 /// What one frame says of the lines that are explained, against the frames before it.
@@ -127,7 +125,7 @@ impl Standing {
     }
 
     fn note_explained(&mut self, explained: &Explained) {
-        if explained.shown_m2 >= LEAST_SHOWN_M2 {
+        if explained.shown_m2 > 0.0 {
             self.explained += NEWEST * (explained.share - self.explained);
         }
     }
@@ -159,8 +157,7 @@ impl Standing {
 
     /// One frame may show much that is no line of the field (a crowd, sunlight on the carpet); many in a row do not.
     fn is_unexplained(&self, least: f64, explained: &Explained) -> bool {
-        let shown = explained.shown_m2 >= LEAST_SHOWN_M2;
-        shown && (explained.share < least || self.explained < lasting(least))
+        explained.shown_m2 > 0.0 && (explained.share < least || self.explained < lasting(least))
     }
 
     fn agreed_lately(&self, moment: &Moment) -> bool {

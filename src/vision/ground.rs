@@ -12,7 +12,7 @@ use super::vectorised::vectorised;
 use super::{Reading, VisionSettings, WorkingScale, distance};
 
 /// Cells along each side of the table.
-pub const SIDE: usize = 400;
+pub const SIDE: usize = 320;
 
 /// Levels of a packed cell that say "nothing known": neither for nor against a line.
 pub const NEUTRAL: u8 = 64;
