@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::config::{Formula, Model, SimdPath};
 use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, Projector, wrap_angle};
 use crate::localization::filter::always;
-use crate::localization::global::{self, Candidate, Search};
+use crate::localization::global::{self, Candidate, Search, SearchState};
 use crate::localization::observation::default_alpha;
 use crate::localization::refinement::{self, LinePoints, Prior};
 use crate::localization::{
@@ -86,9 +86,10 @@ const START_RAD: f64 = 0.05;
 const HEIGHT_M: f64 = 0.005;
 /// The tilt is given: it is not to make up for a field that is not quite as its file says.
 const TILT_RAD: f64 = 0.0005;
-/// What a refined pose needs: line places that fit, and their share of those expected.
+/// What a refined pose needs: line places that fit, and their share of those expected. A field is hardly ever quite as its
+/// file says, and refining moves a pose no farther than its basin.
 const FEWEST_FITTING: usize = 15;
-const LEAST_FITTING_SHARE: f64 = 0.4;
+const LEAST_FITTING_SHARE: f64 = 0.25;
 /// Around an initial pose.
 const INITIAL: Spread = Spread { xy_m: 0.3, yaw_rad: 0.15 };
 const INITIAL_PARTICLES: usize = 2000;
@@ -126,7 +127,8 @@ impl Known {
         let candidates = match self.initial {
             None => {
                 let mut search = Search::new(field, SEARCH_MARGIN_M, &observation);
-                search.run(&observation, &seen.table, KEPT, &mut 0, &mut Effort::default(), &mut always)
+                let mut state = SearchState::default();
+                search.run(&observation, &seen.table, KEPT, &mut state, &mut Effort::default(), &mut always)
             }
             Some(initial) => vec![around(&observation, seen, initial, seed)],
         };
@@ -134,8 +136,11 @@ impl Known {
         let found = candidates.iter().map(|candidate| {
             let refined = self.refined(&points, &projector, seen, &candidate.pose);
             let pose = refined.unwrap_or(candidate.pose);
-            let Support { share, weight, .. } = observation.support(seen.lines(), &pose);
-            // What the search's grid took from a pose, refining gives back.
+            // On a field that is not quite as its file says a refined pose may show less of the contrast than the one it
+            // came from: whichever shows more says whether this is the place.
+            let support = |pose: &Pose2| observation.support(seen.lines(), pose);
+            let (own, start) = (support(&pose), support(&candidate.pose));
+            let Support { share, weight, .. } = if own.share >= start.share { own } else { start };
             let log_likelihood = observation.log_likelihood(&seen.table, &pose).max(candidate.log_likelihood);
             Found { pose, refined: refined.is_some(), share, weight, log_likelihood }
         });
@@ -189,12 +194,7 @@ impl Located {
 
 fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> Candidate {
     let settings = FilterSettings {
-        sampling: Sampling {
-            particles: INITIAL_PARTICLES,
-            iterations: INITIAL_ITERATIONS,
-            adaptive: false,
-            fewest: 0,
-        },
+        sampling: Sampling { particles: INITIAL_PARTICLES, iterations: INITIAL_ITERATIONS, adaptive: false, fewest: 0 },
         motion: MotionModel::default(),
         jitter: Spread { xy_m: 0.05, yaw_rad: 0.03 },
         jitter_shrink: 0.7,
@@ -205,7 +205,7 @@ fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> 
     let still = Some(Pose2::default());
     let best = filter.step(still, 0.0, &seen.table, &mut Effort::default(), &mut always).best;
     let start = Candidate { pose: best, log_likelihood: observation.log_likelihood(&seen.table, &best) };
-    global::climb(observation, &seen.table, start)
+    global::climb(observation, &seen.table, start, &mut Effort::default())
 }
 
 fn planar<S: serde::Serializer>(pose: &Pose2, serializer: S) -> Result<S::Ok, S::Error> {

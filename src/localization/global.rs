@@ -3,13 +3,15 @@
 
 use core::f64::consts::TAU;
 
+use serde::{Deserialize, Serialize};
+
 use super::filter::{Effort, MayGoOn};
 use super::observation::Observation;
 use crate::geometry::{Field, Pose2, wrap_angle};
 use crate::vision::GroundTable;
 
 /// A local best of the search.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
     pub pose: Pose2,
     pub log_likelihood: f64,
@@ -25,12 +27,29 @@ pub struct Search {
     widened: GroundTable,
 }
 
+/// A search that takes several frames.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SearchState {
+    /// Places of the grid.
+    tried: u32,
+    /// The best of these so far.
+    found: Vec<Candidate>,
+}
+
+impl SearchState {
+    pub fn is_under_way(&self) -> bool {
+        self.tried > 0
+    }
+}
+
 /// The grid. What half a step moves a line, [`WIDENED_M`] makes up for.
 const STEP_M: f64 = 0.15;
 const TURNS: usize = 80;
 const WIDENED_M: f64 = 0.07;
 /// One in so many line points is looked at on the grid.
 const SPARSE: usize = 3;
+/// Whatever the clock says, the grid is done with after so many frames: two seconds at 10 Hz.
+const MOST_FRAMES: usize = 20;
 /// Poses of the grid that are looked at on the table itself, and of these, how many are climbed from.
 const CLOSER: usize = 600;
 const CLIMBED: usize = 60;
@@ -49,49 +68,55 @@ impl Search {
         let steps = |half: f64| libm::ceil((half + margin_m) / STEP_M) as i32;
         let (columns, rows) = (steps(half.x), steps(half.y));
         let grid: Vec<[f64; 2]> = (0..=columns)
-            .flat_map(|column| {
-                (-rows..=rows).map(move |row| [f64::from(column) * STEP_M, f64::from(row) * STEP_M])
-            })
+            .flat_map(|column| (-rows..=rows).map(move |row| [f64::from(column) * STEP_M, f64::from(row) * STEP_M]))
             .collect();
         let stride = golden_stride(grid.len());
         let places = (0..grid.len()).map(|index| grid[index * stride % grid.len()]).collect();
         Self { places, sparse: observation.sparse(SPARSE), widened: GroundTable::default() }
     }
 
-    /// The `count` best poses, best first. If time is up before all places have been tried, the best of those that have;
-    /// `next` is the place to begin with, and afterwards that to go on with.
+    /// The `count` best poses, best first. If time is up before all places have been tried there are none yet, and `state`
+    /// knows where the next frame goes on.
     pub fn run(
         &mut self,
         observation: &Observation,
         table: &GroundTable,
         count: usize,
-        next: &mut u32,
+        state: &mut SearchState,
         effort: &mut Effort,
         may_go_on: &mut MayGoOn,
     ) -> Vec<Candidate> {
         table.widen(WIDENED_M, &mut self.widened);
-        let mut found: Vec<Candidate> = Vec::with_capacity(self.places.len());
-        for _ in 0..self.places.len() {
-            if !found.is_empty() && !may_go_on(effort.weighed) {
-                effort.capped = true;
-                break;
-            }
-            let [x, y] = self.places[*next as usize % self.places.len()];
-            *next = (*next + 1) % self.places.len() as u32;
-            let turns = (0..TURNS).map(|turn| Pose2::new(x, y, wrap_angle(TAU * turn as f64 / TURNS as f64)));
-            let tried = turns.map(|pose| Candidate::of(pose, &self.sparse, &self.widened));
-            found.extend(tried.max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood)));
+        let SearchState { tried, found } = state;
+        let (mut done, least) = (0, self.places.len().div_ceil(MOST_FRAMES));
+        for [x, y] in self.places.get(*tried as usize..).unwrap_or_default() {
+            let turns = (0..TURNS).map(|turn| Pose2::new(*x, *y, wrap_angle(TAU * turn as f64 / TURNS as f64)));
+            let candidates = turns.map(|pose| Candidate::of(pose, &self.sparse, &self.widened));
+            found.extend(candidates.max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood)));
             effort.weighed += TURNS as u32;
+            *tried += 1;
+            done += 1;
+            if done >= least && !may_go_on(effort.weighed) {
+                effort.capped = true;
+                best_of(found, CLOSER);
+                return Vec::new();
+            }
         }
+        let mut found = core::mem::take(state).found;
         best_of(&mut found, CLOSER);
         for candidate in &mut found {
             *candidate = Candidate::of(candidate.pose, observation, table);
         }
+        effort.weighed += found.len() as u32;
         best_of(&mut found, CLIMBED);
         for candidate in &mut found {
-            *candidate = climb(observation, table, *candidate);
+            // The best first: what there is no time for would hardly have won.
+            if !may_go_on(effort.weighed) {
+                effort.capped = true;
+                break;
+            }
+            *candidate = climb(observation, table, *candidate, effort);
         }
-        effort.weighed += (CLOSER + CLIMBED * HALVINGS * 6) as u32;
         best_of(&mut found, CLIMBED);
         apart(&found, count)
     }
@@ -139,7 +164,7 @@ fn apart(candidates: &[Candidate], count: usize) -> Vec<Candidate> {
 }
 
 /// Steps along each axis while that helps, then with half the step.
-pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate) -> Candidate {
+pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate, effort: &mut Effort) -> Candidate {
     let mut best = start;
     let (mut step, mut turn) = CLIMB;
     for _ in 0..HALVINGS {
@@ -156,6 +181,7 @@ pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate) -
             ] {
                 let pose = best.pose.compose(&Pose2::new(dx * step, dy * step, dyaw * turn));
                 let candidate = Candidate::of(pose, observation, table);
+                effort.weighed += 1;
                 if candidate.log_likelihood > best.log_likelihood {
                     best = candidate;
                 }

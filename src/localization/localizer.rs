@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::estimate::Estimate;
 use super::filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
-use super::global::{Candidate, Search};
+use super::global::{Candidate, Search, SearchState};
 use super::observation::{Observation, Support};
 use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
@@ -36,8 +36,7 @@ pub struct LocalizerState {
     /// Time and odometry of the last frame.
     pub last: Option<(i64, Option<Pose2>)>,
     pub standing: Standing,
-    /// Where the search of the field goes on.
-    pub search_next: u32,
+    pub search: SearchState,
     /// The pose was found without being told which half of the field it is in.
     pub ambiguous: bool,
 }
@@ -127,7 +126,16 @@ impl Localizer {
     ) -> Self {
         let search = Search::new(&field, SEARCH_MARGIN_M, &observation);
         let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
-        Self { points: LinePoints::new(&field), painted: PaintedMap::new(&field), projector: Projector::new(lens), field, filter, search, settings, state }
+        Self {
+            points: LinePoints::new(&field),
+            painted: PaintedMap::new(&field),
+            projector: Projector::new(lens),
+            field,
+            filter,
+            search,
+            settings,
+            state,
+        }
     }
 
     /// What a checkpoint keeps.
@@ -225,6 +233,7 @@ impl Localizer {
     }
 
     fn place(&mut self, pose: Pose2, spread: Spread) {
+        self.state.search = SearchState::default();
         self.filter.restart(pose, spread);
         let Spread { xy_m, yaw_rad } = spread;
         self.state.track = Some(match &self.state.track {
@@ -235,7 +244,9 @@ impl Localizer {
 
     fn must_search(&self) -> bool {
         match self.state.standing.confidence {
-            Confidence::Nowhere => self.filter.state().steps.is_multiple_of(SEARCH_EVERY),
+            Confidence::Nowhere => {
+                self.state.search.is_under_way() || self.filter.state().steps.is_multiple_of(SEARCH_EVERY)
+            }
             Confidence::Unconfirmed(_) => self.filter.state().particles.is_empty(),
             Confidence::Tracking(_) => self.state.standing.is_lost(),
         }
@@ -245,11 +256,10 @@ impl Localizer {
     fn search(&mut self, moment: &Moment, seen: &Seen, effort: &mut Effort, may_go_on: &mut MayGoOn) {
         self.state.standing.confidence = Confidence::Nowhere;
         let known = self.state.track.as_ref().map(Track::pose);
-        let next = &mut self.state.search_next;
-        let found = self.search.run(self.filter.observation(), &seen.table, CANDIDATES, next, effort, may_go_on);
+        let state = &mut self.state.search;
+        let found = self.search.run(self.filter.observation(), &seen.table, CANDIDATES, state, effort, may_go_on);
         let best = if self.settings.refinement {
-            let fits = found.iter().filter_map(|candidate| Some((candidate.pose, self.fit(moment, seen, candidate)?)));
-            fits.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(pose, _)| pose)
+            self.best_fit(moment, seen, &found, effort, may_go_on)
         } else {
             found.first().map(|candidate| candidate.pose)
         };
@@ -261,11 +271,30 @@ impl Localizer {
         self.state.ambiguous = true;
     }
 
-    /// How much better than not at all the lines fit a candidate, in line places; those that the field does not have
-    /// count against it.
-    fn fit(&self, moment: &Moment, seen: &Seen, candidate: &Candidate) -> Option<f64> {
-        let Agreement { expected, fitting, .. } = self.refine_candidate(moment, seen, &candidate.pose)?.lines;
-        Some(fitting as f64 - expected as f64 * CONTRADICTED)
+    /// The candidate whose lines fit best, once refined.
+    fn best_fit(
+        &self,
+        moment: &Moment,
+        seen: &Seen,
+        found: &[Candidate],
+        effort: &mut Effort,
+        may_go_on: &mut MayGoOn,
+    ) -> Option<Pose2> {
+        let mut best: Option<(f64, Pose2)> = None;
+        for Candidate { pose, .. } in found {
+            if best.is_some() && !may_go_on(effort.weighed) {
+                effort.capped = true;
+                break;
+            }
+            // Every question to the clock has a number of its own.
+            effort.weighed += 1;
+            let Some(Refined { lines, .. }) = self.refine_candidate(moment, seen, pose) else { continue };
+            let fit = lines.fitting as f64 - lines.expected as f64 * CONTRADICTED;
+            if best.is_none_or(|(before, _)| fit > before) {
+                best = Some((fit, *pose));
+            }
+        }
+        best.map(|(_, pose)| pose)
     }
 
     fn refine_candidate(&self, moment: &Moment, seen: &Seen, pose: &Pose2) -> Option<Refined> {

@@ -328,3 +328,95 @@ fn scatter(model: &TrackModel, yaw: f64) -> Matrix6<f64> {
     result[(5, 5)] = model.yaw_noise_rad * model.yaw_noise_rad;
     result
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::localization::refinement::{Agreement, error_between};
+
+    const MODEL: fn() -> TrackModel = TrackModel::default;
+
+    fn camera(pose: &Pose2) -> Isometry {
+        let place = Isometry::from_euler(crate::geometry::Euler { yaw: 0.0, pitch: 0.3, roll: 0.0 }, DVec3::Z * 0.5);
+        pose.to_isometry() * place * Isometry::link_from_optical()
+    }
+
+    /// Walks a circle; each frame's lines say exactly where the camera is.
+    fn walked(frames: usize, odometry: impl Fn(Pose2) -> Option<Pose2>, gyro: impl Fn(f64) -> Option<f64>) -> Track {
+        let step = Pose2::new(0.025, 0.0, 0.05);
+        let mut truth = Pose2::new(0.3, -0.2, 0.1);
+        let mut track = Track::around(truth, 0.05, 0.05, &MODEL());
+        let place = Pose2::default().to_isometry().inverse() * camera(&Pose2::default());
+        for _ in 0..frames {
+            truth = truth.compose(&step);
+            let told = Step { odometry: odometry(step), turned_rad: gyro(step.yaw), seconds: 0.1 };
+            track.predict(&told, &MODEL(), 0.04, 0.1);
+            let prediction = track.prior(&place, &MODEL());
+            let moved = error_between(&prediction.prior.map_from_optical, &camera(&truth));
+            let refined = Refined {
+                map_from_optical: camera(&truth),
+                covariance: Matrix6::identity() * 1e-8,
+                moved,
+                cost: 0.0,
+                lines: Agreement::default(),
+            };
+            track.update(&prediction, &refined);
+        }
+        track
+    }
+
+    #[test]
+    fn odometry_s_scales_are_learnt_while_walking() {
+        // It says 20 % too much of the way and 15 % too little of the turn.
+        let track = walked(150, |step| Some(Pose2::new(1.2 * step.x, 0.0, 0.85 * step.yaw)), |_| None);
+        assert!((track.mean[DISTANCE] - (1.0 / 1.2 - 1.0)).abs() < 0.02, "{}", track.mean[DISTANCE]);
+        assert!((track.mean[TURN] - (1.0 / 0.85 - 1.0)).abs() < 0.05, "{}", track.mean[TURN]);
+    }
+
+    #[test]
+    fn a_gyro_s_bias_is_learnt_and_odometry_s_turn_does_not_matter_then() {
+        let bias = 0.012;
+        for share in [0.7, 1.0, 1.3] {
+            let odometry = |step: Pose2| Some(Pose2 { yaw: share * step.yaw, ..step });
+            let track = walked(150, odometry, |turn| Some(turn + bias * 0.1));
+            assert!((track.mean[GYRO] - bias).abs() < 0.003, "{share}: {}", track.mean[GYRO]);
+            assert_eq!(track.mean[TURN], 0.0, "odometry's turn was not used");
+        }
+    }
+
+    #[test]
+    fn a_gyro_that_contradicts_odometry_leaves_both_possible() {
+        let mut track = Track::around(Pose2::default(), 0.01, 0.01, &MODEL());
+        let told = Step { odometry: Some(Pose2::default()), turned_rad: Some(0.4), seconds: 0.1 };
+        track.predict(&told, &MODEL(), 0.04, 0.1);
+        let (_, yaw_sigma) = track.spread();
+        assert!((track.pose().yaw - 0.4).abs() < 1e-12 && (0.39..0.5).contains(&yaw_sigma), "{yaw_sigma}");
+        let mut agreed = Track::around(Pose2::default(), 0.01, 0.01, &MODEL());
+        let turn = Pose2::new(0.0, 0.0, 0.39);
+        agreed.predict(&Step { odometry: Some(turn), ..told }, &MODEL(), 0.04, 0.1);
+        assert!(agreed.spread().1 < 0.02, "{}", agreed.spread().1);
+    }
+
+    #[test]
+    fn the_covariance_stays_one_whatever_is_doubted() {
+        let mut track = walked(30, Some, Some);
+        for round in 0..200 {
+            let off = Vector6::repeat(10f64.powi(round % 7 - 4));
+            track.doubt(&off);
+            let told = Step { odometry: None, turned_rad: None, seconds: 1e-9 };
+            track.predict(&told, &MODEL(), 0.04, 0.1);
+            let prediction = track.prior(&Isometry::IDENTITY, &MODEL()).doubted(&off);
+            let refined = Refined {
+                map_from_optical: prediction.prior.map_from_optical,
+                covariance: Matrix6::identity() * 1e-12,
+                moved: off,
+                cost: 0.0,
+                lines: Agreement::default(),
+            };
+            track.update(&prediction, &refined);
+            let least = nalgebra::SymmetricEigen::new(track.covariance).eigenvalues.min();
+            let most = nalgebra::SymmetricEigen::new(track.covariance).eigenvalues.max();
+            assert!(least > -1e-12 * most && most.is_finite(), "round {round}: {least} of {most}");
+        }
+    }
+}

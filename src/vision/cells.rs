@@ -271,7 +271,8 @@ mod tests {
         for reach in [1, 2, 4] {
             let mut sums = values.clone();
             box_sums(&mut sums, &mut Vec::new(), reach);
-            for (row, column) in [(0, 0), (3, 99), (50, 17), (99, 2), (99, 99)] {
+            let last = BLOCKS - 1;
+            for (row, column) in [(0, 0), (3, last), (50, 17), (last, 2), (last, last)] {
                 let within = |centre: usize| centre.saturating_sub(reach)..(centre + reach + 1).min(BLOCKS);
                 let sum: u16 =
                     within(row).flat_map(|v| within(column).map(move |u| v * BLOCKS + u)).map(|i| values[i]).sum();

@@ -1,5 +1,7 @@
 //! A decoded picture: luma, and chroma at half the resolution where there is colour.
 
+use super::vectorised::vectorised;
+
 /// Row by row from the top left.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
@@ -101,19 +103,44 @@ impl Picture {
 
 /// Means of blocks; those that reach over the edge average what there is.
 fn reduced(plane: &[u8], from: [usize; 2], to: [usize; 2], factor: usize) -> Vec<u8> {
-    let mut result = Vec::with_capacity(to[0] * to[1]);
-    for v in 0..to[1] {
-        for u in 0..to[0] {
-            let (mut sum, mut count) = (0u32, 0u32);
-            for row in v * factor..((v + 1) * factor).min(from[1]) {
-                for value in &plane
-                    [row * from[0] + (u * factor).min(from[0] - 1)..row * from[0] + ((u + 1) * factor).min(from[0])]
-                {
-                    sum += u32::from(*value);
-                    count += 1;
+    match factor {
+        2 => reduced_by::<2>(plane, from, to),
+        3 => reduced_by::<3>(plane, from, to),
+        4 => reduced_by::<4>(plane, from, to),
+        5 => reduced_by::<5>(plane, from, to),
+        6 => reduced_by::<6>(plane, from, to),
+        7 => reduced_by::<7>(plane, from, to),
+        _ => reduced_by::<8>(plane, from, to),
+    }
+}
+
+/// Division by a constant is a multiplication: worth a copy of the loop for each.
+fn reduced_by<const FACTOR: usize>(plane: &[u8], from: [usize; 2], to: [usize; 2]) -> Vec<u8> {
+    let mut result = vec![0; to[0] * to[1]];
+    let mut sums = vec![0u16; from[0]];
+    let mean = |sum: usize, count: usize| ((sum + count / 2) / count.max(1)) as u8;
+    for (v, target) in result.chunks_exact_mut(to[0]).enumerate() {
+        let rows = &plane[v * FACTOR * from[0]..((v + 1) * FACTOR).min(from[1]) * from[0]];
+        let height = rows.len() / from[0];
+        let (whole, rest) = target.split_at_mut(if height == FACTOR { (from[0] / FACTOR).min(to[0]) } else { 0 });
+        let first = whole.len();
+        vectorised(|| {
+            sums.fill(0);
+            for row in rows.chunks_exact(from[0]) {
+                for (sum, value) in sums.iter_mut().zip(row) {
+                    *sum += u16::from(*value);
                 }
             }
-            result.push(((sum + count / 2) / count.max(1)) as u8);
+            for (value, sums) in whole.iter_mut().zip(sums.as_chunks::<FACTOR>().0) {
+                let sum: u16 = sums.iter().sum();
+                let count = (FACTOR * FACTOR) as u16;
+                *value = ((sum + count / 2) / count) as u8;
+            }
+        });
+        for (u, value) in rest.iter_mut().enumerate() {
+            let columns = (first + u) * FACTOR..((first + u + 1) * FACTOR).min(from[0]);
+            let sum = sums[columns.clone()].iter().map(|sum| usize::from(*sum)).sum();
+            *value = mean(sum, columns.len() * height);
         }
     }
     result
@@ -160,6 +187,27 @@ mod tests {
         assert_eq!(Picture::from_rgb(2, 2, &[0; 11]), None);
         assert_eq!(Picture::from_gray(0, 0, vec![]), None);
         assert_eq!(Picture::from_gray(usize::MAX, 3, vec![1]), None);
+    }
+
+    #[test]
+    fn reduction_is_the_rounded_mean_of_each_block_for_every_factor_and_size() {
+        for factor in 2..=8usize {
+            for (width, height) in [(64usize, 48usize), (37, 29), (8, 9), (5, 17)] {
+                let luma: Vec<u8> = (0..width * height).map(|i| (i * 7919 % 256) as u8).collect();
+                let to = [width.div_ceil(factor), height.div_ceil(factor)];
+                let small = reduced(&luma, [width, height], to, factor);
+                let to_end = |at: usize, end: usize| at * factor..((at + 1) * factor).min(end);
+                for (i, value) in small.iter().enumerate() {
+                    let (u, v) = (i % to[0], i / to[0]);
+                    let block: Vec<u32> = to_end(v, height)
+                        .flat_map(|row| to_end(u, width).map(move |column| row * width + column))
+                        .map(|at| u32::from(luma[at]))
+                        .collect();
+                    let count = block.len() as u32;
+                    assert_eq!(u32::from(*value), (block.iter().sum::<u32>() + count / 2) / count, "{factor} {u} {v}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Adaptive sampling, and a budget of time for each frame.
 
-use super::support::{Room, Replayed, assert_same, session_name, walk};
+use super::support::{INITIAL, Replayed, Room, assert_same, session_name, walk, without};
 
 /// So much that any machine runs out of time, so little that some of it is left.
 const CAPPED: &str = "--set filter.adaptive=false --set filter.particles=60000 --set filter.budget_ms=12";
@@ -60,4 +60,16 @@ fn particles_and_rounds_are_as_many_as_needed() {
     // What is saved is not paid in accuracy: both are refined to the same pose.
     let apart = super::support::farthest_apart(adaptive, &all.tags);
     assert!(apart < 0.01, "{apart} m apart");
+}
+
+#[test]
+fn a_lost_robot_is_found_within_a_budget_as_well() {
+    let room = Room::with_log(&without(&walk().messages, INITIAL));
+    let hurried = room.replay("log.mcap --set filter.budget_ms=0.5");
+    let first = hurried.tags.iter().position(|tag| tag.valid).expect("found");
+    println!("valid from frame {first}; poses weighed: {:?}", hurried.tags.iter().map(|tag| tag.weighed).max());
+    assert!(hurried.tags[first].ambiguous && hurried.tags[first].sequence > 3, "the search took several frames");
+    // A twentieth of the grid and one block of particles at least are tried in each.
+    let again = room.replay(&format!("{} --set filter.budget_ms=10000 --threads 1", session_name(&hurried)));
+    assert_same(&again.tags, &hurried.tags, "again");
 }

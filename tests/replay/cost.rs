@@ -39,7 +39,7 @@ fn a_sweep_recommends_a_row_of_the_front_and_its_config_is_accepted() {
     }
     // With as few pixels as these, half of them are too few.
     let whole = rows.iter().filter(|row| row["image_reduction"] == 0);
-    assert!(whole.clone().count() > 25 && whole.clone().all(|row| number(row, "valid_share") > 0.5), "{report}");
+    assert!(whole.clone().count() > 25 && whole.clone().all(|row| number(row, "valid_share") > 0.4), "{report}");
     let best = rows.iter().map(|row| number(&row["position_cm"], "mean")).fold(f64::INFINITY, f64::min);
     assert!(best < 3.0, "{best}");
 

@@ -52,7 +52,7 @@ fn black_frames_are_coasted_through_and_then_invalid() {
 fn an_imu_upside_down_gives_no_wrong_tags() {
     let upside_down = changed::<Imu>(&walk().messages, IMU, |imu| {
         // Half a turn about x: (x, y, z, w) times (1, 0, 0, 0).
-        let q = imu.orientation.clone();
+        let q = imu.orientation;
         imu.orientation.x = q.w;
         imu.orientation.y = q.z;
         imu.orientation.z = -q.y;
@@ -87,7 +87,7 @@ fn odometry_that_freezes_jumps_or_falls_silent_gives_no_wrong_tags() {
     let frozen = changed::<Odometry>(messages, ODOMETRY, |odometry| {
         let stamp = odometry.header.stamp.to_nanoseconds();
         if (from..until).contains(&stamp) {
-            let pose = held.get_or_insert_with(|| odometry.clone()).pose.clone();
+            let pose = held.get_or_insert_with(|| odometry.clone()).pose;
             odometry.pose = pose;
         }
     });
@@ -133,7 +133,10 @@ fn a_truth_that_stops_half_way_is_told() {
     let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(&replayed))).json();
     let without_truth = judged["without_truth"].as_u64().expect("a count") as usize;
     assert_eq!(without_truth, walk().frames() - half, "{judged}");
-    assert!(judged["position_cm"]["mean"].as_f64().is_some_and(|mean| mean < 5.0), "the other half is judged: {judged}");
+    assert!(
+        judged["position_cm"]["mean"].as_f64().is_some_and(|mean| mean < 5.0),
+        "the other half is judged: {judged}"
+    );
     let none = Room::with_log(&without(&walk().messages, TRUTH));
     let replayed = none.replay("log.mcap");
     none.run(&format!("eval {} --truth log.mcap", session_name(&replayed))).fails(1, &["no message", TRUTH]);

@@ -95,11 +95,12 @@ fn from_start(
         let counts = offsets::measure(points, image, projector, &pose, &covariance, &mut sights);
         let solution = solve::solve(prior, &sights, &moved, *scale, noise)?;
         moved = solution.moved;
+        let measured = solution.residuals.noise();
         // The next round looks as far as this one leaves open, but never trusts it fully.
-        covariance = solution.covariance * 4.0;
+        covariance = solution.covariance * (4.0 * (measured.correlated / noise.correlated).max(1.0));
         // A prior that is off makes whole lines look off: what they share widens the covariance, and is no reason to
         // believe the prior instead.
-        noise = solve::Noise { correlated: noise.correlated, ..solution.residuals.noise() };
+        noise = solve::Noise { correlated: noise.correlated, ..measured };
         last = Some((counts, solution));
     }
     let (counts, solution) = last?;
