@@ -148,7 +148,7 @@ impl<T: Interpolate> History<T> {
 
 impl History<f64> {
     /// Integral of a rate over a stretch of time, in its unit times seconds; `None` where samples lie farther apart
-    /// than [`GAP_NS`], or where every one is exactly zero: nothing measures there.
+    /// than 0.1 s, or where every one is exactly zero: nothing measures there.
     pub fn integral(&self, from_ns: i64, to_ns: i64) -> Option<f64> {
         let first = self.samples.partition_point(|(stamp, _)| *stamp <= from_ns).checked_sub(1)?;
         let (mut sum, mut measured, mut reached) = (0.0, false, from_ns);

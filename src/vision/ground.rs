@@ -202,7 +202,7 @@ impl GroundTable {
     }
 
     /// Places (ground of `base_footprint`) that show a line clearly, each with how certain it is, 0 to 1. Of line contrast,
-    /// every [`CLEAR_STEP`]-th cell of each row and column.
+    /// every second cell of each row and column.
     pub fn clear_lines(&self) -> impl Iterator<Item = (DVec2, f64)> + '_ {
         let (scale, offset) = self.to_cells();
         let rows = (0..SIDE).step_by(CLEAR_STEP);
