@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 failed, 2 wrong usage or config, 3 done but data was lost.
 
 mod cost;
+mod db;
 mod demo;
 mod eval;
 mod export;
@@ -16,6 +17,8 @@ mod section;
 mod settings;
 mod sim;
 mod tag;
+mod view;
+mod view_quality;
 
 use std::process::ExitCode;
 
@@ -47,6 +50,9 @@ enum Command {
     Tag(tag::TagArguments),
     Cost(Box<cost::CostArguments>),
     Paper(paper::PaperArguments),
+    Db(db::DbArguments),
+    View(view::ViewArguments),
+    ViewQuality(view_quality::ViewQualityArguments),
     Demo(demo::DemoArguments),
 }
 
@@ -76,6 +82,9 @@ pub fn run() -> ExitCode {
         Command::Tag(arguments) => tag::run(&arguments, json),
         Command::Cost(arguments) => cost::run(&arguments, json),
         Command::Paper(arguments) => paper::run(&arguments, json),
+        Command::Db(arguments) => db::run(&arguments, json),
+        Command::View(arguments) => view::run(&arguments, json),
+        Command::ViewQuality(arguments) => view_quality::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),
     };
     match outcome {

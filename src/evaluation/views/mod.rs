@@ -1,0 +1,11 @@
+//! How good views are: rendered truth, real pairs of images, and the numbers.
+
+mod experiment;
+mod lawn;
+mod likeness;
+mod pairs;
+
+pub use experiment::{Displacement, Plan, Row, Scores, displacements};
+pub use lawn::Lawn;
+pub use likeness::{Likeness, likeness};
+pub use pairs::{Pair, PairError, pairs};
