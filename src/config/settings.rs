@@ -207,6 +207,8 @@ pub struct ViewsSettings {
     pub direction_counts: f64,
     /// ... and a radian of roll.
     pub roll_counts: f64,
+    /// Whether the goals of the field file stood there when the images were taken.
+    pub goals: bool,
     /// Memory for decoded images.
     pub cache_mb: u64,
 }
@@ -409,6 +411,7 @@ impl Default for ViewsSettings {
             metre_counts: 1.0,
             direction_counts: 0.5,
             roll_counts: 0.3,
+            goals: true,
             cache_mb: 512,
         }
     }

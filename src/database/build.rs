@@ -51,7 +51,7 @@ pub fn add(
             return Err(DatabaseError::Known { path: path.clone() });
         }
         let read = sources::read(path, progress)?;
-        take(&mut catalogue, &mut records, read, field, &mut added)?;
+        take(folder, &mut catalogue, &mut records, read, field, &mut added)?;
     }
     if let Some(catalogue) = catalogue {
         publish(folder, catalogue, records)?;
@@ -66,7 +66,7 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
     let (mut records, mut added) = (Vec::new(), Added { images: 0, left_out: 0, losses: Vec::new() });
     for source in &old.sources {
         match sources::read(&source.path, progress) {
-            Ok(read) => take(&mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
+            Ok(read) => take(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
             Err(error) => added.losses.push(Loss::new(&source.path, error.to_string())),
         }
     }
@@ -97,14 +97,16 @@ pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
 }
 
 fn take(
+    folder: &Path,
     catalogue: &mut Option<Catalogue>,
     records: &mut Vec<Record>,
     read: Read,
     field: Option<&FieldDimensions>,
     added: &mut Added,
 ) -> Result<(), DatabaseError> {
-    let Read { source, records: found, field: own, losses } = read;
-    let path = || source.path.clone();
+    let Read { mut source, records: found, field: own, losses, lit } = read;
+    let at = source.path.clone();
+    let path = || at.clone();
     let wanted = own.as_ref().or(field);
     let catalogue = match (catalogue, wanted) {
         (Some(known), Some(wanted)) if !known.sources.is_empty() && !same_field(wanted, &known.field) => {
@@ -112,11 +114,11 @@ fn take(
             return Err(DatabaseError::OtherField { path: path(), found, known });
         }
         (Some(known), Some(wanted)) if known.sources.is_empty() => {
-            known.field = checked(wanted, &source.path)?;
+            known.field = checked(wanted, &at)?;
             known
         }
         (Some(known), _) => known,
-        (none, Some(wanted)) => none.insert(Catalogue::new(checked(wanted, &source.path)?)),
+        (none, Some(wanted)) => none.insert(Catalogue::new(checked(wanted, &at)?)),
         (None, None) => {
             let what = "a folder of images does not say on which field it was taken: name it with --field".to_owned();
             return Err(DatabaseError::Source { path: path(), what });
@@ -127,8 +129,20 @@ fn take(
     added.left_out += source.left_out;
     added.losses.extend(losses);
     records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
+    source.dark = lit.mask().map(|mask| write_mask(folder, &source, mask)).transpose()?;
     catalogue.sources.push(source);
     Ok(())
+}
+
+/// Its name tells its content, so that an older catalogue's is never overwritten.
+fn write_mask(folder: &Path, source: &Source, mask: Vec<u8>) -> Result<String, DatabaseError> {
+    let name = format!("dark-{:08x}.png", crc32fast::hash(&mask));
+    let path = folder.join(&name);
+    let failed = |what: String| DatabaseError::Image { path: path.clone(), what };
+    let image = image::GrayImage::from_raw(source.lens.width, source.lens.height, mask);
+    let image = image.ok_or_else(|| failed("does not fit the lens".to_owned()))?;
+    image.save(&path).map_err(|error| failed(error.to_string()))?;
+    Ok(name)
 }
 
 fn checked(field: &FieldDimensions, path: &Path) -> Result<FieldDimensions, DatabaseError> {

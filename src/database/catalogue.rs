@@ -30,6 +30,8 @@ pub struct Source {
     pub files: Vec<PathBuf>,
     /// PNGs that hide the robot's own body, whatever its head does.
     pub body_masks: Vec<String>,
+    /// A PNG in the database's folder, black where no image was ever lit: outside of the lens's circle.
+    pub dark: Option<String>,
     pub images: u64,
     /// Frames without a valid tag, and those that do not decode.
     pub left_out: u64,

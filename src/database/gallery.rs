@@ -4,8 +4,10 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use glam::DVec2;
+
 use super::build::bytes_of;
-use super::catalogue::Catalogue;
+use super::catalogue::{Catalogue, Source};
 use super::error::DatabaseError;
 use super::index::{Index, Neighbour, path_of};
 use super::pixels::colours;
@@ -30,7 +32,8 @@ pub struct Gallery {
     world: World,
     /// One for each source, those of one lens the same.
     cameras: Vec<Arc<Camera>>,
-    masks: Vec<Vec<BodyMask>>,
+    /// By source: which pixels show the world.
+    shows: Vec<Vec<bool>>,
     decoded: Mutex<Decoded>,
 }
 
@@ -64,6 +67,8 @@ const LOOKED_AT: usize = 8;
 const APART: f64 = 0.5;
 /// Of two images about as near, the better one is taken: how much nearer a worse one may seem, at most.
 const QUALITY: f64 = 0.25;
+/// Pixels at the edge of the lens's circle that a codec and the lens itself have mixed with black.
+const RIM_PX: usize = 3;
 /// Images that cannot be read are passed over, but not for ever.
 const MAX_UNREADABLE: usize = 32;
 
@@ -74,7 +79,7 @@ impl Gallery {
         let field = Field::new(catalogue.field.clone())
             .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
         let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
-        let (mut cameras, mut masks) = (Vec::new(), Vec::new());
+        let (mut cameras, mut shows) = (Vec::new(), Vec::new());
         for source in &catalogue.sources {
             let known = by_lens.iter().find(|(lens, _)| **lens == source.lens).map(|(_, camera)| Arc::clone(camera));
             let camera = match known {
@@ -87,17 +92,13 @@ impl Gallery {
                     camera
                 }
             };
-            let (width, height) = (source.lens.width, source.lens.height);
-            let mask = |png: &String| {
-                body_mask(png, width, height).map_err(|what| DatabaseError::Image { path: png.into(), what })
-            };
-            masks.push(source.body_masks.iter().map(mask).collect::<Result<Vec<_>, _>>()?);
+            shows.push(shown_by(folder, source, &camera)?);
             cameras.push(camera);
         }
-        let world = World::new(&field);
+        let world = if settings.goals { World::new(&field) } else { World::without_goals(&field) };
         let decoded = Mutex::new(Decoded::new(settings.cache_mb << 20));
         let settings = settings.clone();
-        Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, masks, decoded })
+        Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, decoded })
     }
 
     /// The same database as it is now, if it has been changed since this gallery was opened.
@@ -270,17 +271,10 @@ impl Gallery {
     }
 
     fn decode(&self, record: &Record, bytes: &[u8]) -> Result<Pyramid, String> {
-        let of_source = self.cameras.get(record.source as usize).zip(self.masks.get(record.source as usize));
-        let (camera, masks) = of_source.ok_or("the index names a source that the catalogue does not know")?;
+        let shows = self.shows.get(record.source as usize);
+        let shows = shows.ok_or("the index names a source that the catalogue does not know")?;
         let colours = colours(bytes, record.form)?;
-        let mut shows = camera.shows().to_vec();
-        for mask in masks {
-            for (index, shows) in shows.iter_mut().enumerate() {
-                let pixel = glam::DVec2::new((index % colours.width) as f64, (index / colours.width) as f64);
-                *shows &= !mask.hides(pixel);
-            }
-        }
-        let raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, &shows);
+        let raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, shows);
         raster.map(Pyramid::new).ok_or_else(|| "its pixels do not fit its lens".to_owned())
     }
 
@@ -288,6 +282,32 @@ impl Gallery {
     fn decoded(&self) -> MutexGuard<'_, Decoded> {
         self.decoded.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Which pixels of a source's images show the world: those that the lens draws, that were ever lit, and that are not
+/// its robot's own body; the soft rim of the lens's circle left out.
+fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Result<Vec<bool>, DatabaseError> {
+    let (width, height) = (source.lens.width, source.lens.height);
+    let read =
+        |png: &str| body_mask(png, width, height).map_err(|what| DatabaseError::Image { path: png.into(), what });
+    let shown = |masks: &[BodyMask]| -> Vec<bool> {
+        let pixel = |index: usize| DVec2::new((index % width as usize) as f64, (index / width as usize) as f64);
+        let drawn = camera.shows().iter().enumerate();
+        drawn.map(|(index, drawn)| *drawn && !masks.iter().any(|mask| mask.hides(pixel(index)))).collect()
+    };
+    let dark = source.dark.as_ref().map(|name| read(&folder.join(name).display().to_string())).transpose()?;
+    let lit = without_rim(&shown(dark.as_slice()), width as usize);
+    let bodies = source.body_masks.iter().map(|png| read(png)).collect::<Result<Vec<_>, _>>()?;
+    Ok(lit.iter().zip(shown(&bodies)).map(|(lit, body)| *lit && body).collect())
+}
+
+/// Takes away what is within [`RIM_PX`] of a pixel that shows nothing; the image's border is no rim.
+fn without_rim(shows: &[bool], width: usize) -> Vec<bool> {
+    let height = shows.len() / width;
+    let near = |at: usize, end: usize| at.saturating_sub(RIM_PX)..(at + RIM_PX + 1).min(end);
+    let rows: Vec<bool> =
+        (0..shows.len()).map(|i| near(i % width, width).all(|u| shows[i / width * width + u])).collect();
+    (0..shows.len()).map(|i| near(i / width, height).all(|v| rows[v * width + i % width])).collect()
 }
 
 /// 0 for a good tag and a picture that is neither dark, nor blown out, nor blurred, up to 1.

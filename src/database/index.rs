@@ -52,7 +52,7 @@ pub fn write_index(path: &Path, mut records: Vec<Record>) -> Result<(), Database
     parts().for_each(|(bytes, length)| crc.update(&bytes[..length]));
     let file = File::create(path).map_err(io(path))?;
     let mut writer = BufWriter::with_capacity(1 << 20, file);
-    let mut write = || -> std::io::Result<()> {
+    let write = || -> std::io::Result<()> {
         writer.write_all(MAGIC)?;
         writer.write_all(&VERSION.to_le_bytes())?;
         writer.write_all(&crc.finalize().to_le_bytes())?;

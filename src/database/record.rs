@@ -41,6 +41,27 @@ pub enum Form {
 pub(super) const RECORD_BYTES: usize = 80;
 
 impl Record {
+    /// Of no image yet.
+    pub fn at(pose: &Isometry) -> Self {
+        let mut record = Self {
+            place: [0.0; 3],
+            rotation: [0.0; 4],
+            source: 0,
+            file: 0,
+            offset: 0,
+            length: 0,
+            crc: 0,
+            stamp_ns: 0,
+            sigma_m: 0.0,
+            sigma_rad: 0.0,
+            sharpness: 0.0,
+            brightness: 0.0,
+            form: Form::File,
+        };
+        record.set_pose(pose);
+        record
+    }
+
     pub fn pose(&self) -> Isometry {
         let [x, y, z] = self.place.map(f64::from);
         let [qx, qy, qz, qw] = self.rotation.map(f64::from);
@@ -106,9 +127,8 @@ pub(super) mod tests {
     use crate::geometry::Euler;
 
     pub(in crate::database) fn record_at(x: f64, y: f64, z: f64, yaw: f64) -> Record {
-        let mut record = Record {
-            place: [0.0; 3],
-            rotation: [0.0; 4],
+        let euler = Euler { yaw, pitch: 0.5, roll: 0.01 };
+        Record {
             source: 1,
             file: 2,
             offset: 1 << 40,
@@ -120,10 +140,8 @@ pub(super) mod tests {
             sharpness: 9.0,
             brightness: 10.0,
             form: Form::RosImage,
-        };
-        let euler = Euler { yaw, pitch: 0.5, roll: 0.01 };
-        record.set_pose(&Isometry::from_euler(euler, DVec3::new(x, y, z)));
-        record
+            ..Record::at(&Isometry::from_euler(euler, DVec3::new(x, y, z)))
+        }
     }
 
     #[test]

@@ -29,6 +29,39 @@ pub(super) struct Read {
     /// `None` if the source does not say.
     pub(super) field: Option<FieldDimensions>,
     pub(super) losses: Vec<Loss>,
+    /// The brightest that each pixel ever was.
+    pub(super) lit: Lit,
+}
+
+/// For each pixel the greatest of its three channels over all images.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Lit {
+    brightest: Vec<u8>,
+}
+
+/// Darker in every image: the lens draws nothing there.
+const DARK: u8 = 16;
+
+impl Lit {
+    fn add(&mut self, rgb: &[u8]) {
+        self.brightest.resize(rgb.len() / 3, 0);
+        let (triples, _) = rgb.as_chunks::<3>();
+        for (known, [r, g, b]) in self.brightest.iter_mut().zip(triples) {
+            *known = (*known).max(*r).max(*g).max(*b);
+        }
+    }
+
+    fn join(&mut self, other: &Self) {
+        self.brightest.resize(self.brightest.len().max(other.brightest.len()), 0);
+        self.brightest.iter_mut().zip(&other.brightest).for_each(|(known, more)| *known = (*known).max(*more));
+    }
+
+    /// Black where it was always dark, white elsewhere; `None` if that is everywhere or nowhere.
+    pub(super) fn mask(&self) -> Option<Vec<u8>> {
+        let dark = self.brightest.iter().filter(|value| **value < DARK).count();
+        let some = dark > 0 && dark < self.brightest.len();
+        some.then(|| self.brightest.iter().map(|value| if *value < DARK { 0 } else { 255 }).collect())
+    }
 }
 
 const POSES: &str = "poses.csv";
@@ -58,12 +91,12 @@ fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databa
     let files = log::files_of(&path)?;
     let topic = info.settings.topics.image.clone();
     let mut log = LogSource::with_outputs(files.clone(), Selection::topics([topic.as_str()]));
-    let (mut records, mut left_out, mut batch) = (Vec::new(), 0, Vec::new());
+    let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), Lit::default());
     let lens = [info.lens.width as usize, info.lens.height as usize];
     loop {
         let message = log.next().transpose()?;
         if message.is_none() || batch.len() == MAX_BATCH {
-            left_out += look_at(&mut batch, lens, &mut records);
+            left_out += look_at(&mut batch, lens, &mut records, &mut lit);
             done(records.len() as u64);
         }
         let Some(message) = message else { break };
@@ -90,12 +123,13 @@ fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databa
         kind: SourceKind::Capture,
         lens: info.lens,
         files: files.iter().map(relative).collect(),
+        dark: None,
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
         images: records.len() as u64,
         left_out,
         path,
     };
-    Ok(Read { source, records, field: Some(info.field), losses })
+    Ok(Read { source, records, field: Some(info.field), losses, lit })
 }
 
 /// Where in a message the stored bytes begin, these, and what they are.
@@ -110,10 +144,7 @@ fn stored(message: &LogMessage) -> Option<(u64, &[u8], Form)> {
 fn record_of(tag: &FrameTag, file: u32, offset: u64, bytes: &[u8], form: Form) -> Record {
     let covariance = &tag.pose.covariance;
     let sigma = |a: usize, b: usize| libm::sqrt(covariance[a].max(covariance[b]).max(0.0)) as f32;
-    let mut record = Record {
-        place: [0.0; 3],
-        rotation: [0.0; 4],
-        source: 0,
+    Record {
         file,
         offset,
         length: bytes.len() as u32,
@@ -121,39 +152,41 @@ fn record_of(tag: &FrameTag, file: u32, offset: u64, bytes: &[u8], form: Form) -
         stamp_ns: tag.header.stamp.to_nanoseconds(),
         sigma_m: sigma(0, 7),
         sigma_rad: sigma(21, 28).max(sigma(35, 35)),
-        sharpness: 0.0,
-        brightness: 0.0,
         form,
-    };
-    record.set_pose(&isometry(&tag.pose.pose.position, &tag.pose.pose.orientation));
-    record
+        ..Record::at(&isometry(&tag.pose.pose.position, &tag.pose.pose.orientation))
+    }
 }
 
 /// Decodes a batch with all processors; those that do not decode, or are of another size, are left out and counted.
-fn look_at(batch: &mut Vec<(Record, Vec<u8>)>, [width, height]: [usize; 2], records: &mut Vec<Record>) -> u64 {
+fn look_at(
+    batch: &mut Vec<(Record, Vec<u8>)>,
+    [width, height]: [usize; 2],
+    records: &mut Vec<Record>,
+    lit: &mut Lit,
+) -> u64 {
     let threads = thread::available_parallelism().map_or(1, usize::from);
     let share = batch.len().div_ceil(threads).max(1);
     let before = records.len();
     thread::scope(|scope| {
-        let look = |part: &[(Record, Vec<u8>)]| -> Vec<Record> {
-            part.iter()
-                .filter_map(|(record, bytes)| {
-                    let colours = colours(bytes, record.form).ok()?;
-                    let (sharpness, brightness) = quality(&colours);
-                    (colours.width == width && colours.height == height).then_some(Record {
-                        sharpness,
-                        brightness,
-                        ..*record
-                    })
+        let look = |part: &[(Record, Vec<u8>)]| -> (Vec<Record>, Lit) {
+            let mut lit = Lit::default();
+            let good = part.iter().filter_map(|(record, bytes)| {
+                let colours = colours(bytes, record.form).ok()?;
+                let (sharpness, brightness) = quality(&colours);
+                let fits = colours.width == width && colours.height == height;
+                fits.then(|| {
+                    lit.add(&colours.rgb);
+                    Record { sharpness, brightness, ..*record }
                 })
-                .collect()
+            });
+            (good.collect(), lit)
         };
         let workers: Vec<_> = batch.chunks(share).map(|part| scope.spawn(move || look(part))).collect();
         for worker in workers {
-            match worker.join() {
-                Ok(found) => records.extend(found),
-                // A decoder that panics costs its part of the batch, which counts as left out.
-                Err(_) => continue,
+            // A decoder that panics costs its part of the batch, which counts as left out.
+            if let Ok((found, more)) = worker.join() {
+                records.extend(found);
+                lit.join(&more);
             }
         }
     });
@@ -176,7 +209,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         }
     }
     let (mut files, mut records, mut losses, mut batch) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let (mut lens, mut left_out) = (None, 0);
+    let (mut lens, mut left_out, mut lit) = (None, 0, Lit::default());
     for (line, text) in lines.filter(|(_, text)| !text.is_empty()) {
         let (name, pose) = row(text).map_err(|what| wrong(line, what))?;
         let file = path.join(&name);
@@ -202,28 +235,29 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         files.push(name);
         batch.push((record, bytes));
         if batch.len() == MAX_BATCH {
-            left_out += finish(&mut batch, &lens, &mut records);
+            left_out += finish(&mut batch, &lens, &mut records, &mut lit);
             done(records.len() as u64);
         }
     }
-    left_out += finish(&mut batch, &lens, &mut records);
+    left_out += finish(&mut batch, &lens, &mut records, &mut lit);
     done(records.len() as u64);
     let lens = lens.ok_or_else(|| DatabaseError::Source {
         path: path.clone(),
         what: format!("{POSES} names no image that can be read"),
     })?;
     let (kind, images) = (SourceKind::Folder, records.len() as u64);
-    let source = Source { kind, path, lens, files, body_masks: Vec::new(), images, left_out };
-    Ok(Read { source, records, field: None, losses })
+    let source = Source { kind, path, lens, files, body_masks: Vec::new(), dark: None, images, left_out };
+    Ok(Read { source, records, field: None, losses, lit })
 }
 
 fn finish(
     batch: &mut Vec<(Record, Vec<u8>)>,
     lens: &Option<crate::geometry::LensParameters>,
     records: &mut Vec<Record>,
+    lit: &mut Lit,
 ) -> u64 {
     let Some(lens) = lens else { return 0 };
-    look_at(batch, [lens.width as usize, lens.height as usize], records)
+    look_at(batch, [lens.width as usize, lens.height as usize], records, lit)
 }
 
 /// `camera_info.yaml` beside the images, for images of this size.

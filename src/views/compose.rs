@@ -68,17 +68,21 @@ fn compose_cell(layers: &[Layer], weights: &Weights, target: &Target, cell: (usi
         (Some(_), Some(_)) => blend(layers, weights, cell, &at),
     };
     // Corners may see what a pixel does not, and the other way round.
-    for layer in layers {
-        if pixels.iter().enumerate().all(|(i, pixel)| pixel[3] != NOTHING || !target.shows(cell, i)) {
-            break;
-        }
-        if layer.warp.may_show(cell.0, cell.1) {
-            let more = layer.pixels(cell, &at);
-            pixels
-                .iter_mut()
-                .zip(more)
-                .filter(|(pixel, _)| pixel[3] == NOTHING)
-                .for_each(|(pixel, more)| *pixel = more);
+    let hole = |pixels: &Pixels| (0..CELL * CELL).any(|i| pixels[i][3] == NOTHING && target.shows(cell, i));
+    for through_goals in [false, true] {
+        for layer in layers.iter().filter(|layer| layer.warp.may_show(cell.0, cell.1)) {
+            if !hole(&pixels) {
+                return pixels;
+            }
+            if through_goals && !layer.warp.sees_goal_in(cell) {
+                continue;
+            }
+            let more = match through_goals {
+                false => layer.pixels(cell, &at),
+                true => layer.read(layer.warp.patch_through_goals(cell.0, cell.1), &at),
+            };
+            let holes = pixels.iter_mut().zip(more).filter(|(pixel, _)| pixel[3] == NOTHING);
+            holes.for_each(|(pixel, more)| *pixel = more);
         }
     }
     pixels
@@ -93,14 +97,18 @@ fn blend(layers: &[Layer], weights: &Weights, cell: (usize, usize), at: &[usize;
             continue;
         }
         let pixels = layer.pixels(cell, at);
-        for (i, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| pixel[3] != NOTHING) {
-            let (x, y) = ((i % CELL) as f32 / CELL as f32, (i / CELL) as f32 / CELL as f32);
+        for line in 0..CELL {
+            let y = line as f32 / CELL as f32;
             let (left, right) = (a + (c - a) * y, b + (d - b) * y);
-            let weight = left + (right - left) * x;
-            (0..3).for_each(|c| sums[i][c] += weight * f32::from(pixel[c]));
-            sums[i][3] += weight;
-            if weight > 0.0 {
-                sure[i] = sure[i].max(pixel[3]);
+            let step = (right - left) / CELL as f32;
+            for column in 0..CELL {
+                let i = line * CELL + column;
+                let [red, green, blue, shown] = pixels[i];
+                let weight = if shown == NOTHING { 0.0 } else { left + step * column as f32 };
+                let [r, g, b, sum] = sums[i];
+                let more = |sum: f32, value: u8| sum + weight * f32::from(value);
+                sums[i] = [more(r, red), more(g, green), more(b, blue), sum + weight];
+                sure[i] = sure[i].max(if weight > 0.0 { shown } else { NOTHING });
             }
         }
     }
@@ -113,7 +121,10 @@ fn blend(layers: &[Layer], weights: &Weights, cell: (usize, usize), at: &[usize;
 
 impl Layer<'_> {
     fn pixels(&self, cell: (usize, usize), at: &[usize; 4]) -> Pixels {
-        let mut patch = self.warp.patch(cell.0, cell.1);
+        self.read(self.warp.patch(cell.0, cell.1), at)
+    }
+
+    fn read(&self, mut patch: Patch, at: &[usize; 4]) -> Pixels {
         let (image, level) = self.source.image.level(self.level(at));
         if level > 0 {
             let scale = 1.0 / (1 << level) as f32;

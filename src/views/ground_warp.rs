@@ -12,7 +12,7 @@ use super::Candidate;
 use super::camera::{CELL, Camera};
 use super::optical;
 use super::raster::{NOTHING, SURE, UNSURE};
-use super::world::{Hit, Surface, World};
+use super::world::{Goals, Hit, Surface, World};
 use crate::geometry::Isometry;
 
 /// The wanted view: what its rays meet. One for all sources.
@@ -20,6 +20,7 @@ use crate::geometry::Isometry;
 pub struct Target<'a> {
     camera: &'a Camera,
     world: &'a World,
+    goals: Goals,
     /// Of the camera in `map`.
     place: DVec3,
     map_from_optical: DMat3,
@@ -44,7 +45,8 @@ pub struct Warp<'a> {
     /// By cell: to be calculated pixel by pixel.
     exact: Vec<bool>,
     /// By cell of the source: a goal can be seen in it. Empty without goals.
-    goals: Vec<bool>,
+    goal_cells: Vec<bool>,
+    goals: Goals,
 }
 
 /// Where the pixels of a cell lie in the source, row by row; NaN for those that it does not show.
@@ -58,6 +60,8 @@ pub(super) struct Patch {
 
 /// A cell whose centre is interpolated worse than this is calculated pixel by pixel.
 const TOLERANCE_PX: f64 = 0.1;
+/// By the second differences at one corner: less than this is not looked at more closely.
+const CERTAINLY_SMOOTH_PX: f64 = 0.04;
 /// How many pixels wider than they are goals are taken to be: their edges are soft.
 const SOFT_EDGE_PX: f64 = 1.2;
 
@@ -72,7 +76,9 @@ impl<'a> Target<'a> {
         let nodes: Vec<Option<(DVec3, Hit)>> = camera.node_rays().iter().map(node).collect();
         let (columns, rows) = camera.cells();
         let goals = goal_cells(camera, &map_from_optical, world);
-        let mut target = Self { camera, world, place, map_from_optical: rotation, nodes, mixed: Vec::new() };
+        let seen_goals = world.goals_from(place, SOFT_EDGE_PX / camera.lens().focal());
+        let mut target =
+            Self { camera, world, goals: seen_goals, place, map_from_optical: rotation, nodes, mixed: Vec::new() };
         let looks = |(index, cell): (usize, (usize, usize))| {
             let surfaces = corners(columns, cell).map(|corner| target.surface_at(corner));
             let goal = goals.get(index).is_some_and(|goal| *goal);
@@ -100,10 +106,6 @@ impl<'a> Target<'a> {
         self.nodes[node].map(|(_, hit)| hit.surface)
     }
 
-    fn soft_edge_rad(&self) -> f64 {
-        SOFT_EDGE_PX / self.camera.lens().focal()
-    }
-
     /// Whether the lens draws this pixel of a cell.
     pub(super) fn shows(&self, (column, row): (usize, usize), index: usize) -> bool {
         let (u, v) = (column * CELL + index % CELL, row * CELL + index / CELL);
@@ -120,10 +122,8 @@ impl<'a> Target<'a> {
     /// The unit ray of a pixel in `map`, and what it meets.
     fn look(&self, u: usize, v: usize, goal: bool) -> Option<(DVec3, Hit)> {
         let ray = self.map_from_optical * self.camera.ray(u, v)?;
-        let hit = match goal {
-            true => self.world.hit(self.place, ray, self.soft_edge_rad()),
-            false => self.world.behind_goals(self.place, ray),
-        };
+        let behind = self.world.behind_goals(self.place, ray);
+        let hit = if goal { self.goals.before(ray, behind) } else { behind };
         Some((ray, hit))
     }
 
@@ -138,8 +138,10 @@ impl<'a> Warp<'a> {
         let map_from_optical = optical(&source.map_from_link);
         let source_from_map = DMat3::from_quat(map_from_optical.rotation).transpose();
         let place = map_from_optical.translation;
-        let goals = goal_cells(source.camera, &map_from_optical, target.world);
-        let mut warp = Self { target, source, place, source_from_map, nodes: Vec::new(), exact: Vec::new(), goals };
+        let goal_cells = goal_cells(source.camera, &map_from_optical, target.world);
+        let goals = target.world.goals_from(place, SOFT_EDGE_PX / source.camera.lens().focal());
+        let mut warp =
+            Self { target, source, place, source_from_map, nodes: Vec::new(), exact: Vec::new(), goal_cells, goals };
         let nodes: Vec<DVec2> = target
             .nodes
             .iter()
@@ -148,7 +150,7 @@ impl<'a> Warp<'a> {
         let (columns, rows) = target.camera.cells();
         warp.exact = cells(columns, rows)
             .zip(&target.mixed)
-            .map(|(cell, mixed)| mixed.is_some() || !warp.is_smooth(cell, corners(columns, cell).map(|i| nodes[i])))
+            .map(|(cell, mixed)| mixed.is_some() || !warp.is_smooth(cell, &nodes))
             .collect();
         warp.nodes = nodes.iter().map(|node| [node.x as f32, node.y as f32]).collect();
         warp
@@ -163,6 +165,14 @@ impl<'a> Warp<'a> {
         self.nodes[node]
     }
 
+    /// Whether the source has a goal where it shows this cell.
+    pub(super) fn sees_goal_in(&self, cell: (usize, usize)) -> bool {
+        let at = corners(self.target.camera.cells().0, cell);
+        let corners = at.map(|corner| self.nodes[corner].map(f64::from)).map(|[u, v]| DVec2::new(u, v));
+        let [a, b, c, d] = corners;
+        self.has_goal(a.min(b).min(c).min(d), a.max(b).max(c).max(d))
+    }
+
     /// Metres between both cameras.
     pub(super) fn baseline_m(&self) -> f64 {
         self.place.distance(self.target.place)
@@ -174,33 +184,41 @@ impl<'a> Warp<'a> {
     }
 
     /// Whether interpolation between the corners is good enough, and nothing stands in the source's way.
-    fn is_smooth(&self, (column, row): (usize, usize), corners: [DVec2; 4]) -> bool {
-        let (u, v) = (column * CELL + CELL / 2, row * CELL + CELL / 2);
-        if corners.iter().any(|corner| corner.x.is_nan())
-            || u >= self.target.camera.width()
-            || v >= self.target.camera.height()
-        {
+    fn is_smooth(&self, cell: (usize, usize), nodes: &[DVec2]) -> bool {
+        let (columns, rows) = self.target.camera.cells();
+        let [a, b, c, d] = corners(columns, cell).map(|corner| nodes[corner]);
+        if self.has_goal(a.min(b).min(c).min(d), a.max(b).max(c).max(d)) {
             return false;
         }
-        let Some(ray) = self.target.camera.ray(u, v).map(|ray| self.target.map_from_optical * ray) else {
-            return false;
-        };
-        let hit = self.target.world.behind_goals(self.target.place, ray);
-        let Some(centre) = self.draw(ray, hit) else { return false };
-        let [a, b, c, d] = corners;
-        let interpolated = (a + b + c + d) / 4.0;
-        interpolated.distance(centre) <= TOLERANCE_PX && !self.has_goal(a.min(b).min(c).min(d), a.max(b).max(c).max(d))
+        // An eighth of the second differences is what interpolation gets wrong in the middle.
+        let bend = |before: usize, at: usize, after: usize| (nodes[before] - 2.0 * nodes[at] + nodes[after]).abs();
+        let (column, row) = (cell.0.clamp(1, columns - 1), cell.1.clamp(1, rows - 1));
+        let at = row * (columns + 1) + column;
+        let bends = bend(at - 1, at, at + 1) + bend(at - columns - 1, at, at + columns + 1);
+        bends.max_element() < CERTAINLY_SMOOTH_PX * 8.0
+            || self.centre_error(cell, (a + b + c + d) / 4.0) <= TOLERANCE_PX
+    }
+
+    /// How far interpolation is off in the middle of a cell; infinite where a corner is not drawn.
+    fn centre_error(&self, (column, row): (usize, usize), interpolated: DVec2) -> f64 {
+        let camera = self.target.camera;
+        let (u, v) = (column * CELL + CELL / 2, row * CELL + CELL / 2);
+        if interpolated.x.is_nan() || u >= camera.width() || v >= camera.height() {
+            return f64::INFINITY;
+        }
+        let centre = self.target.look(u, v, false).and_then(|(ray, hit)| self.draw(ray, hit));
+        centre.map_or(f64::INFINITY, |centre| centre.distance(interpolated))
     }
 
     /// Whether the source has a goal within this rectangle.
     fn has_goal(&self, low: DVec2, high: DVec2) -> bool {
-        if self.goals.is_empty() {
+        if self.goal_cells.is_empty() {
             return false;
         }
         let (columns, rows) = self.source.camera.cells();
         let place = |value: f64, count: usize| ((value.max(0.0) as usize) / CELL).min(count - 1);
         (place(low.y, rows)..=place(high.y, rows))
-            .any(|row| self.goals[row * columns..][place(low.x, columns)..=place(high.x, columns)].contains(&true))
+            .any(|row| self.goal_cells[row * columns..][place(low.x, columns)..=place(high.x, columns)].contains(&true))
     }
 
     /// Where the source shows what this pixel of the view shows, and what that is.
@@ -215,8 +233,7 @@ impl<'a> Warp<'a> {
         if hit.surface != Surface::Goal && self.has_goal(at, at) {
             let seen = ray + hit.inverse_distance * (self.target.place - self.place);
             let length = seen.length();
-            let margin = SOFT_EDGE_PX / self.source.camera.lens().focal();
-            if self.target.world.hides(self.place, seen / length, hit.inverse_distance / length, margin) {
+            if self.goals.hide(seen / length, hit.inverse_distance / length) {
                 return None;
             }
         }
@@ -287,6 +304,17 @@ impl<'a> Warp<'a> {
             if let Some((at, surface)) = look.and_then(|(ray, hit)| self.unhidden(ray, hit)) {
                 (patch.u[index], patch.v[index]) = (at.x as f32, at.y as f32);
                 patch.sure[index] = sureness(surface);
+            }
+        }
+        patch
+    }
+
+    /// The cell as if no goal stood in the source's way, and so unsure: better than black, where every source has one.
+    pub(super) fn patch_through_goals(&self, column: usize, row: usize) -> Patch {
+        let mut patch = Patch { u: [f32::NAN; CELL * CELL], v: [f32::NAN; CELL * CELL], sure: [UNSURE; CELL * CELL] };
+        for (index, look) in self.target.looks((column, row), false).iter().enumerate() {
+            if let Some(at) = look.and_then(|(ray, hit)| self.draw(ray, hit)) {
+                (patch.u[index], patch.v[index]) = (at.x as f32, at.y as f32);
             }
         }
         patch

@@ -70,8 +70,9 @@ fn gain_between(target: &Target, reference: (&Warp, &Candidate), other: (&Warp, 
         });
         count += 1;
     }
-    (count >= FEWEST)
-        .then(|| Gain { rgb: core::array::from_fn(|c| (wanted[c] / found[c]).clamp(1.0 / MOST_GAIN, MOST_GAIN)) })
+    let rgb: [f64; 3] = core::array::from_fn(|c| (wanted[c] / found[c]).clamp(1.0 / MOST_GAIN, MOST_GAIN));
+    let shows = rgb.iter().any(|gain| (gain - 1.0).abs() > LEAST_CHANGE);
+    (count >= FEWEST && shows).then_some(Gain { rgb })
 }
 
 /// What a source shows at a corner of the view's cells, as it would be without its lens's darkening.

@@ -79,23 +79,54 @@ impl World {
         if place.abs().cmple(self.ground_half).all() { Hit { inverse_distance, surface: Surface::Ground } } else { far }
     }
 
-    /// What it meets first; bars are `margin` radians wider to each side, so that their soft edges come along.
-    pub(super) fn hit(&self, camera: DVec3, ray: DVec3, margin: f64) -> Hit {
-        let mut hit = self.behind_goals(camera, ray);
-        for bar in &self.bars {
-            if let Some(distance) = bar.meets(camera, ray, margin)
-                && distance * hit.inverse_distance < 1.0
-            {
+    /// The goals as seen from a place; bars are `margin` radians wider to each side, so that their soft edges come along.
+    pub(super) fn goals_from(&self, camera: DVec3, margin: f64) -> Goals {
+        let seen = |bar: &Bar| {
+            let (from, to) = (bar.from - camera, bar.to - camera);
+            let nearest = bar.distance(camera).max(1e-3);
+            let sine = (bar.radius / nearest + margin).min(1.0);
+            SeenBar { bar: *bar, across: from.cross(to).normalize_or_zero(), sine }
+        };
+        Goals { camera, margin, bars: self.bars.iter().map(seen).collect() }
+    }
+}
+
+/// The goals from one camera's place.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Goals {
+    camera: DVec3,
+    margin: f64,
+    bars: Vec<SeenBar>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct SeenBar {
+    bar: Bar,
+    /// Perpendicular to the plane that holds camera and axis: a ray that is far from that plane passes by.
+    across: DVec3,
+    sine: f64,
+}
+
+impl Goals {
+    /// What a unit ray meets first, `behind` being what it meets if no goal stands there.
+    pub(super) fn before(&self, ray: DVec3, behind: Hit) -> Hit {
+        let mut hit = behind;
+        for distance in self.met(ray) {
+            if distance * hit.inverse_distance < 1.0 {
                 hit = Hit { inverse_distance: 1.0 / distance, surface: Surface::Goal };
             }
         }
         hit
     }
 
-    /// Whether a bar stands between the camera and what lies at this inverse distance along the unit ray.
-    pub(super) fn hides(&self, camera: DVec3, ray: DVec3, inverse_distance: f64, margin: f64) -> bool {
-        let nearer = |distance: f64| distance * inverse_distance < 1.0 - BEFORE;
-        self.bars.iter().any(|bar| bar.meets(camera, ray, margin).is_some_and(nearer))
+    /// Whether a bar stands before what lies at this inverse distance along the unit ray.
+    pub(super) fn hide(&self, ray: DVec3, inverse_distance: f64) -> bool {
+        self.met(ray).any(|distance| distance * inverse_distance < 1.0 - BEFORE)
+    }
+
+    fn met(&self, ray: DVec3) -> impl Iterator<Item = f64> + '_ {
+        let near = move |seen: &&SeenBar| ray.dot(seen.across).abs() <= seen.sine;
+        self.bars.iter().filter(near).filter_map(move |seen| seen.bar.meets(self.camera, ray, self.margin))
     }
 }
 
@@ -119,6 +150,12 @@ impl Bar {
         let distance = ray.dot(point - camera);
         let off = (camera + ray * distance - point).length();
         (distance > 0.0 && off <= self.radius + margin * distance).then_some(distance)
+    }
+
+    fn distance(&self, place: DVec3) -> f64 {
+        let axis = self.to - self.from;
+        let along = ((place - self.from).dot(axis) / axis.length_squared()).clamp(0.0, 1.0);
+        place.distance(self.from + axis * along)
     }
 
     /// Places along it, no farther apart than a few centimetres.
@@ -145,7 +182,11 @@ mod tests {
         let field = Field::new(FieldDimensions { goal, ..kid_size_2013() }).expect("a field");
         let world = World::new(&field);
         let camera = DVec3::new(1.0, 0.0, 0.5);
-        let look = |to: DVec3| world.hit(camera, (to - camera).normalize(), 0.0);
+        let goals = world.goals_from(camera, 0.0);
+        let look = |to: DVec3| {
+            let ray = (to - camera).normalize();
+            goals.before(ray, world.behind_goals(camera, ray))
+        };
         let ground = look(DVec3::new(2.0, 0.3, 0.0));
         assert_eq!(ground.surface, Surface::Ground);
         assert!((1.0 / ground.inverse_distance - DVec3::new(1.0, 0.3, -0.5).length()).abs() < 1e-12);
@@ -156,6 +197,6 @@ mod tests {
         assert_eq!(look(DVec3::new(3.0, 0.1, 0.6)).surface, Surface::Far, "through the goal, above the horizon");
         assert_eq!(look(DVec3::new(9.0, 0.0, 0.0)).surface, Surface::Far, "beyond the carpet");
         let behind = DVec3::new(3.3, 0.86, 0.0) - camera;
-        assert!(world.hides(camera, behind.normalize(), 1.0 / behind.length(), 0.0), "a post before the carpet");
+        assert!(goals.hide(behind.normalize(), 1.0 / behind.length()), "a post before the carpet");
     }
 }
