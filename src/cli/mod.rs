@@ -7,6 +7,7 @@ mod db;
 mod demo;
 mod eval;
 mod export;
+mod gap;
 mod info;
 mod machine;
 mod output;
@@ -19,6 +20,7 @@ mod sim;
 mod tag;
 mod view;
 mod view_quality;
+mod view_walk;
 
 use std::process::ExitCode;
 
@@ -52,6 +54,8 @@ enum Command {
     Paper(paper::PaperArguments),
     Db(db::DbArguments),
     View(view::ViewArguments),
+    ViewWalk(view_walk::ViewWalkArguments),
+    Gap(gap::GapArguments),
     ViewQuality(view_quality::ViewQualityArguments),
     Demo(demo::DemoArguments),
 }
@@ -84,6 +88,8 @@ pub fn run() -> ExitCode {
         Command::Paper(arguments) => paper::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),
         Command::View(arguments) => view::run(&arguments, json),
+        Command::ViewWalk(arguments) => view_walk::run(&arguments, json),
+        Command::Gap(arguments) => gap::run(&arguments, json),
         Command::ViewQuality(arguments) => view_quality::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),
     };

@@ -143,14 +143,13 @@ impl<F: Fn(usize) -> Split, G: Fn(usize) -> Pose> Search<'_, F, G> {
         let (place, rotation) = (self.pose)(index);
         let point = point(place, rotation);
         let mut square = 0.0;
-        for i in 0..DIMENSIONS {
-            let off = query.point[i] - f64::from(point[i]);
-            square += query.weights[i] * off * off;
+        for ((wanted, weight), own) in query.point.iter().zip(query.weights).zip(point) {
+            let off = wanted - f64::from(own);
+            square += weight * off * off;
         }
         let full = found.len() == self.wanted;
         let worst = if full { found[found.len() - 1].0 } else { f64::INFINITY };
-        // Not for NaN either.
-        if !(square < worst) {
+        if square.is_nan() || square >= worst {
             return;
         }
         let [x, y, z, w] = rotation.map(f64::from);

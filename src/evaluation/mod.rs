@@ -7,6 +7,7 @@ pub mod drawing;
 pub mod paper;
 pub mod statistics;
 pub mod truth;
+pub mod video;
 pub mod views;
 
 pub use compare::{Comparison, Tagged, compare, mirrored};

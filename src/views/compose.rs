@@ -70,7 +70,10 @@ fn compose_cell(layers: &[Layer], weights: &Weights, target: &Target, cell: (usi
     // Corners may see what a pixel does not, and the other way round.
     let hole = |pixels: &Pixels| (0..CELL * CELL).any(|i| pixels[i][3] == NOTHING && target.shows(cell, i));
     for through_goals in [false, true] {
-        for layer in layers.iter().filter(|layer| layer.warp.may_show(cell.0, cell.1)) {
+        for (index, layer) in layers.iter().enumerate() {
+            if !layer.warp.may_show(cell.0, cell.1) || (!through_goals && takes_part(&index)) {
+                continue;
+            }
             if !hole(&pixels) {
                 return pixels;
             }
@@ -219,8 +222,7 @@ fn scores(target: &Target, warp: &Warp) -> Vec<f32> {
     let score = |node: usize| {
         let [u, v] = warp.node(node);
         let border = u.min(v).min(width - u).min(height - v);
-        // Not for NaN either.
-        if !(border >= 0.0) || !shows(source, u, v) {
+        if border.is_nan() || border < 0.0 || !shows(source, u, v) {
             return 0.0;
         }
         let (column, row) = (node % (columns + 1), node / (columns + 1));

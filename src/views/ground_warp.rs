@@ -83,7 +83,8 @@ impl<'a> Target<'a> {
             let surfaces = corners(columns, cell).map(|corner| target.surface_at(corner));
             let goal = goals.get(index).is_some_and(|goal| *goal);
             let mixed = surfaces[0].is_none() || surfaces.iter().any(|surface| *surface != surfaces[0]);
-            (mixed || goal).then(|| Box::new(target.looks(cell, goal)))
+            let drawn = surfaces[0].is_some() || (0..CELL * CELL).any(|pixel| target.shows(cell, pixel));
+            (drawn && (mixed || goal)).then(|| Box::new(target.looks(cell, goal)))
         };
         target.mixed = cells(columns, rows).enumerate().map(looks).collect();
         target

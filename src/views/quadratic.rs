@@ -89,7 +89,7 @@ impl Quadratic {
         let triangle: Matrix6<f64> = qr.r().fixed_view::<TERMS, TERMS>(0, 0).into_owned();
         let singular = triangle.singular_values();
         let condition = singular.max() / singular.min().max(f64::MIN_POSITIVE);
-        if !(condition <= MOST_CONDITION) {
+        if condition.is_nan() || condition > MOST_CONDITION {
             return Err(FitError::Degenerate { condition });
         }
         let turned: SMatrix<f64, TERMS, 2> = (qr.q().transpose() * right).fixed_view::<TERMS, 2>(0, 0).into_owned();

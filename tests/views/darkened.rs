@@ -41,6 +41,7 @@ fn other_exposures_and_dark_corners_are_balanced() {
     };
     let (known, ignored) = (score(dark, 3), score(Vignetting::default(), 3));
     println!("lens known {known:?}, ignored {ignored:?}");
-    assert!(known.psnr_db > 34.0 && known.psnr_db > ignored.psnr_db + 3.0, "{known:?} {ignored:?}");
+    // Sources as bright as they are would give less than 20 dB.
+    assert!(known.psnr_db > 35.0 && known.psnr_db > ignored.psnr_db + 1.0, "{known:?} {ignored:?}");
     assert!(known.compared > 0.97, "{known:?}");
 }

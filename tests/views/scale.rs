@@ -10,7 +10,11 @@ fn poses(count: usize, salt: f64) -> impl Iterator<Item = Isometry> {
     (0..count).map(move |i| {
         let part = |step: f64| ((i as f64 + 0.5) * step + salt).fract();
         let place = glam::DVec3::new(6.0 * part(0.618_034) - 3.0, 4.0 * part(0.754_878) - 2.0, 0.5 + 0.05 * part(0.33));
-        let euler = Euler { yaw: 6.283 * part(0.569_84), pitch: 0.3 + 0.1 * part(0.27), roll: 0.1 * part(0.71) - 0.05 };
+        let euler = Euler {
+            yaw: core::f64::consts::TAU * part(0.569_84),
+            pitch: 0.3 + 0.1 * part(0.27),
+            roll: 0.1 * part(0.71) - 0.05,
+        };
         Isometry::from_euler(euler, place)
     })
 }

@@ -1,5 +1,7 @@
 //! Views against rendered truth, at known distances from their sources, with true poses and images without noise.
 
+use core::f64::consts::TAU;
+
 use glam::DVec3;
 use serde::Serialize;
 
@@ -106,10 +108,10 @@ impl Bench {
         let Displacement { metres, yaw_deg } = displacement;
         // Evenly spread, and the same on every machine.
         let part = |step: f64| ((index as f64 + 0.5) * step).fract();
-        let (x, y, yaw) = (4.0 * (part(0.618_034) - 0.5), 2.4 * (part(0.754_878) - 0.5), 6.283 * part(0.569_840));
+        let (x, y, yaw) = (4.0 * (part(0.618_034) - 0.5), 2.4 * (part(0.754_878) - 0.5), TAU * part(0.569_840));
         let wanted = pose(x, y, yaw);
         let (truth, ground) = self.lawn.render(&wanted);
-        let around = 6.283 * part(0.430_159);
+        let around = TAU * part(0.430_159);
         let sources: Vec<(Isometry, Pyramid)> = (0..4)
             .map(|which| {
                 let (sin, cos) = libm::sincos(around + f64::from(which) * core::f64::consts::FRAC_PI_2);
