@@ -21,7 +21,7 @@ pub struct Detector {
 pub struct Detection {
     /// Mean response on lines, 0 to 1.
     pub response: f64,
-    /// Places on lines that respond less than [`LEAST`].
+    /// Places on lines that respond less than three tenths of the largest response.
     pub missed: f64,
     /// Places away from lines that respond more.
     pub false_lines: f64,
