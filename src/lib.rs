@@ -9,6 +9,8 @@ pub mod config;
 
 pub mod vision;
 
+pub mod views;
+
 pub mod localization;
 
 pub mod scene;
@@ -22,5 +24,7 @@ pub mod recording;
 pub mod agent;
 
 pub mod evaluation;
+
+pub mod database;
 
 pub mod cli;

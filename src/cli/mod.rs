@@ -3,9 +3,11 @@
 //! Exit codes: 0 done, 1 failed, 2 wrong usage or config, 3 done but data was lost.
 
 mod cost;
+mod db;
 mod demo;
 mod eval;
 mod export;
+mod gap;
 mod info;
 mod machine;
 mod output;
@@ -16,6 +18,9 @@ mod section;
 mod settings;
 mod sim;
 mod tag;
+mod view;
+mod view_quality;
+mod view_walk;
 
 use std::process::ExitCode;
 
@@ -47,6 +52,11 @@ enum Command {
     Tag(tag::TagArguments),
     Cost(Box<cost::CostArguments>),
     Paper(paper::PaperArguments),
+    Db(db::DbArguments),
+    View(view::ViewArguments),
+    ViewWalk(view_walk::ViewWalkArguments),
+    Gap(gap::GapArguments),
+    ViewQuality(view_quality::ViewQualityArguments),
     Demo(demo::DemoArguments),
 }
 
@@ -76,6 +86,11 @@ pub fn run() -> ExitCode {
         Command::Tag(arguments) => tag::run(&arguments, json),
         Command::Cost(arguments) => cost::run(&arguments, json),
         Command::Paper(arguments) => paper::run(&arguments, json),
+        Command::Db(arguments) => db::run(&arguments, json),
+        Command::View(arguments) => view::run(&arguments, json),
+        Command::ViewWalk(arguments) => view_walk::run(&arguments, json),
+        Command::Gap(arguments) => gap::run(&arguments, json),
+        Command::ViewQuality(arguments) => view_quality::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),
     };
     match outcome {

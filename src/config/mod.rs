@@ -16,5 +16,5 @@ pub use lenses::{
 };
 pub use settings::{
     BodyMaskFile, CameraSettings, FilterConfig, Formula, FrameNames, HeadSettings, Model, MotionModel, MotionSource,
-    RecordingSettings, Settings, SimdPath, Topics,
+    RecordingSettings, Settings, SimdPath, Topics, ViewsSettings,
 };

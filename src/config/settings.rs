@@ -21,6 +21,7 @@ pub struct Settings {
     pub filter: FilterConfig,
     pub motion: MotionModel,
     pub recording: RecordingSettings,
+    pub views: ViewsSettings,
 }
 
 /// Where each measurement comes from, and where tags go.
@@ -198,6 +199,28 @@ pub struct RecordingSettings {
     pub sync_interval_ms: u64,
 }
 
+/// How images of a database are chosen for a view, and when one is the answer itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ViewsSettings {
+    /// At most so many images make a view.
+    pub sources: usize,
+    /// A stored image this near is given out as it is, if lens and size are those asked for ...
+    pub stored_within_m: f64,
+    /// ... and it looks the same way up to this angle.
+    pub stored_within_deg: f64,
+    /// What a metre counts when the nearest images are looked for ...
+    pub metre_counts: f64,
+    /// ... a radian between viewing directions ...
+    pub direction_counts: f64,
+    /// ... and a radian of roll.
+    pub roll_counts: f64,
+    /// Whether the goals of the field file stood there when the images were taken.
+    pub goals: bool,
+    /// Memory for decoded images.
+    pub cache_mb: u64,
+}
+
 impl Settings {
     pub fn load(path: &str) -> Result<Self, ConfigError> {
         let source = read(path)?;
@@ -284,7 +307,15 @@ impl Settings {
         }
         within("recording.segment_s", self.recording.segment_s as f64, 1.0, 86_400.0)?;
         within("recording.segment_mb", self.recording.segment_mb as f64, 1.0, 65_536.0)?;
-        within("recording.sync_interval_ms", self.recording.sync_interval_ms as f64, 10.0, 60_000.0)
+        within("recording.sync_interval_ms", self.recording.sync_interval_ms as f64, 10.0, 60_000.0)?;
+        let v = &self.views;
+        within("views.sources", v.sources as f64, 1.0, 16.0)?;
+        within("views.stored_within_m", v.stored_within_m, 0.0, 1.0)?;
+        within("views.stored_within_deg", v.stored_within_deg, 0.0, 10.0)?;
+        within("views.metre_counts", v.metre_counts, 0.001, 1000.0)?;
+        within("views.direction_counts", v.direction_counts, 0.0, 1000.0)?;
+        within("views.roll_counts", v.roll_counts, 0.0, 1000.0)?;
+        within("views.cache_mb", v.cache_mb as f64, 1.0, 65_536.0)
     }
 }
 
@@ -300,6 +331,7 @@ impl Default for Settings {
             filter: FilterConfig::default(),
             motion: MotionModel::default(),
             recording: RecordingSettings::default(),
+            views: ViewsSettings::default(),
         }
     }
 }
@@ -383,6 +415,21 @@ impl Default for MotionModel {
             drift_rad_per_sqrt_s: 0.035,
             walk_m_per_s: 0.4,
             turn_rad_per_s: 1.0,
+        }
+    }
+}
+
+impl Default for ViewsSettings {
+    fn default() -> Self {
+        Self {
+            sources: 4,
+            stored_within_m: 0.005,
+            stored_within_deg: 0.25,
+            metre_counts: 1.0,
+            direction_counts: 0.5,
+            roll_counts: 0.3,
+            goals: true,
+            cache_mb: 512,
         }
     }
 }

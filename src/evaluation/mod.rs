@@ -1,4 +1,4 @@
-//! Judging: tags against the truth, what accuracy costs, the paper's experiments, and pictures of them.
+//! Judging: tags against the truth, what accuracy costs, the paper's experiments, made-up views, and pictures of them.
 
 pub mod capture;
 pub mod compare;
@@ -7,6 +7,8 @@ pub mod drawing;
 pub mod paper;
 pub mod statistics;
 pub mod truth;
+pub mod video;
+pub mod views;
 
 pub use compare::{Comparison, Tagged, compare, mirrored};
 pub use statistics::Summary;

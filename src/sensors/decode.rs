@@ -95,7 +95,8 @@ fn png(data: &[u8]) -> Result<Picture, DecodeError> {
     picture.ok_or(DecodeError::Format { start: Vec::new() })
 }
 
-fn raw(image: &ImageView) -> Result<Picture, DecodeError> {
+/// Pixels that no codec has touched.
+pub fn raw(image: &ImageView) -> Result<Picture, DecodeError> {
     let size = || DecodeError::Size {
         width: image.width,
         height: image.height,

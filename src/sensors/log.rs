@@ -81,6 +81,12 @@ impl LogSource {
         &self.damage
     }
 
+    /// The file of the message given out last, and where in it the message's data begin unless they are compressed.
+    pub fn place(&self) -> Option<(&Path, u64)> {
+        let (path, reader) = self.open.as_ref()?;
+        Some((path, reader.place()?))
+    }
+
     fn close(&mut self) {
         let Some((path, reader)) = self.open.take() else { return };
         if !reader.damage().is_none() {

@@ -6,6 +6,7 @@ mod capture;
 mod chains;
 mod channels;
 mod cost;
+mod database;
 mod delays;
 mod determinism;
 mod export;

@@ -10,6 +10,7 @@ pub mod chart;
 mod field_map;
 mod overlay;
 mod paint;
+mod panels;
 mod plot;
 mod routes;
 mod text;
@@ -17,6 +18,7 @@ mod text;
 pub use beside::side_by_side;
 pub use field_map::field_map;
 pub use overlay::overlay;
+pub use panels::panels;
 
 use glam::DVec2;
 

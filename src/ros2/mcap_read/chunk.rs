@@ -19,7 +19,15 @@ pub(super) struct Chunk {
     bytes: Vec<u8>,
     entries: Vec<Entry>,
     next: usize,
+    /// Where `bytes` begin in the file, if they stand there as they are.
+    place: Option<u64>,
 }
+
+/// A message, and where its data begin in the file unless they are compressed.
+pub(super) type Placed = (LogMessage, Option<u64>);
+
+/// Channel, sequence number and two times.
+pub(super) const MESSAGE_HEAD_BYTES: u64 = 22;
 
 /// One message record.
 #[derive(Clone, Copy)]
@@ -75,7 +83,8 @@ impl Chunk {
                 false
             }
         });
-        Some(Self { bytes: listing.unpacked.unwrap_or(body), entries, next: 0 })
+        let place = listing.unpacked.is_none().then_some(offset + RECORD_HEAD_BYTES);
+        Some(Self { bytes: listing.unpacked.unwrap_or(body), entries, next: 0, place })
     }
 
     /// Puts the messages in the order of their log times; those of one time stay as they are.
@@ -92,11 +101,12 @@ impl Chunk {
         self.bytes.len() + self.entries.len() * size_of::<Entry>()
     }
 
-    pub fn next(&mut self, channels: &Channels) -> Option<LogMessage> {
+    pub fn next(&mut self, channels: &Channels) -> Option<Placed> {
         let entry = *self.entries.get(self.next)?;
         self.next += 1;
         let start = entry.start as usize;
-        message(self.bytes.get(start..start + entry.length as usize)?, channels.get(entry.channel)?)
+        let message = message(self.bytes.get(start..start + entry.length as usize)?, channels.get(entry.channel)?)?;
+        Some((message, self.place.map(|place| place + u64::from(entry.start) + MESSAGE_HEAD_BYTES)))
     }
 }
 

@@ -4,16 +4,12 @@ use std::io::{Read, Seek};
 
 use mcap::records::op;
 
-use super::LogMessage;
 use super::channels::{Channels, Definition};
-use super::chunk::{Chunk, MAX_CHUNK_BYTES, message};
+use super::chunk::{Chunk, MAX_CHUNK_BYTES, MESSAGE_HEAD_BYTES, Placed, message};
 use super::error::{Damage, MAGIC, ReadError};
 use super::fields::Fields;
 use super::source::{Record, Source};
 use crate::ros2::cdr::MAX_MESSAGE_BYTES;
-
-/// Channel, sequence number and two times.
-const MESSAGE_HEAD_BYTES: u64 = 22;
 
 /// A schema or channel that is larger is refused.
 const MAX_DEFINITION_BYTES: u64 = 4 << 20;
@@ -45,7 +41,7 @@ impl FileOrder {
         source: &mut Source<R>,
         channels: &mut Channels,
         damage: &mut Damage,
-    ) -> Result<Option<LogMessage>, ReadError> {
+    ) -> Result<Option<Placed>, ReadError> {
         loop {
             if let Some(chunk) = &mut self.chunk {
                 if let Some(message) = chunk.next(channels) {
@@ -92,7 +88,7 @@ impl FileOrder {
         source: &mut Source<R>,
         channels: &mut Channels,
         damage: &mut Damage,
-    ) -> Result<Option<LogMessage>, ReadError> {
+    ) -> Result<Option<Placed>, ReadError> {
         let limit = match record.opcode {
             op::CHUNK => MAX_CHUNK_BYTES,
             op::MESSAGE => MAX_MESSAGE_BYTES as u64 + MESSAGE_HEAD_BYTES,
@@ -139,7 +135,7 @@ impl FileOrder {
 }
 
 /// A message outside of any chunk.
-fn loose_message(body: &[u8], record: &Record, channels: &Channels, damage: &mut Damage) -> Option<LogMessage> {
+fn loose_message(body: &[u8], record: &Record, channels: &Channels, damage: &mut Damage) -> Option<Placed> {
     let id = Fields::new(body).u16();
     let channel = id.and_then(|id| channels.get(id));
     match (id.and_then(|id| channels.wanted(id)), channel) {
@@ -149,7 +145,7 @@ fn loose_message(body: &[u8], record: &Record, channels: &Channels, damage: &mut
             if message.is_none() {
                 damage.bad_record(record.offset, record.bytes(), "a message that is too short");
             }
-            message
+            message.map(|message| (message, Some(record.body() + MESSAGE_HEAD_BYTES)))
         }
         (_, None) => {
             damage.orphan_messages += 1;

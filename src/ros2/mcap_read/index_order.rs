@@ -4,9 +4,8 @@ use std::io::{Read, Seek};
 
 use mcap::records::{ChunkIndex, op};
 
-use super::LogMessage;
 use super::channels::Channels;
-use super::chunk::{Chunk, MAX_CHUNK_BYTES};
+use super::chunk::{Chunk, MAX_CHUNK_BYTES, Placed};
 use super::error::{Damage, ReadError};
 use super::source::{RECORD_HEAD_BYTES, Source};
 
@@ -37,7 +36,7 @@ impl IndexOrder {
         source: &mut Source<R>,
         channels: &mut Channels,
         damage: &mut Damage,
-    ) -> Result<Option<LogMessage>, ReadError> {
+    ) -> Result<Option<Placed>, ReadError> {
         loop {
             let earliest = self.earliest();
             let held: usize = self.open.iter().map(|(_, chunk)| chunk.memory()).sum();

@@ -52,6 +52,7 @@ pub struct LogReader<R> {
     channels: Channels,
     damage: Damage,
     order: Order,
+    place: Option<u64>,
 }
 
 enum Order {
@@ -82,12 +83,17 @@ impl<R: Read + Seek> LogReader<R> {
             }
             _ => Order::by_file(),
         };
-        Ok(Self { source, channels, damage, order })
+        Ok(Self { source, channels, damage, order, place: None })
     }
 
     /// What was found wrong so far; all there is once the log has ended.
     pub fn damage(&self) -> &Damage {
         &self.damage
+    }
+
+    /// Where in the file the data of the message given out last begin; `None` if they are compressed there.
+    pub fn place(&self) -> Option<u64> {
+        self.place
     }
 
     /// Whether messages come in the order of their log times.
@@ -114,6 +120,12 @@ impl<R: Read + Seek> Iterator for LogReader<R> {
         if !matches!(next, Ok(Some(_))) {
             self.order = Order::Ended;
         }
+        let next = next.map(|next| {
+            next.map(|(message, place)| {
+                self.place = place;
+                message
+            })
+        });
         next.transpose()
     }
 }

@@ -113,7 +113,7 @@ fn look<R: Read + Seek>(reader: R, everything: bool) -> Result<Survey, ReadError
                 survey.compressions.insert(compression);
             }
             let order = index.map_or_else(Order::by_file, |index| Order::by_index(index.chunks, &channels));
-            let mut reader = LogReader { source, channels, damage, order };
+            let mut reader = LogReader { source, channels, damage, order, place: None };
             let mut tallies: BTreeMap<u16, Tally> = BTreeMap::new();
             for message in &mut reader {
                 let message = message?;

@@ -1,0 +1,210 @@
+//! `realitysim db`
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use serde::Serialize;
+
+use super::paths::{check_output, save};
+use super::{Outcome, output};
+use crate::config::{Settings, load_field};
+use crate::database::{self, Added, Checked, Coverage, Gallery, Stats};
+
+/// Keep an image database: captures' images, found by the pose of their camera
+///
+/// Images stay where they were recorded; the database is an index that can be made anew from them at any time. It may be
+/// changed while it is being used.
+#[derive(Args)]
+pub struct DbArguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Add(AddArguments),
+    Remove(RemoveArguments),
+    Rebuild(FolderArguments),
+    Stats(FolderArguments),
+    Verify(FolderArguments),
+    Coverage(CoverageArguments),
+}
+
+/// Add captures and folders of images
+///
+/// Of a capture every image with a valid tag. A folder of images has poses.csv (file,x,y,z,yaw_deg,pitch_deg,roll_deg of
+/// camera_link in map) and camera_info.yaml as ROS camera_calibration writes it. Makes the database if there is none.
+#[derive(Args)]
+struct AddArguments {
+    /// Captures' folders, segments, or folders of images
+    #[arg(required = true)]
+    sources: Vec<PathBuf>,
+    /// The database's folder
+    #[arg(long, value_name = "DIR")]
+    db: PathBuf,
+    /// For folders of images: a shipped field (config/fields) or the path of a field file
+    #[arg(long, value_name = "NAME")]
+    field: Option<String>,
+}
+
+/// Take a capture or folder out of a database; its files are not touched
+#[derive(Args)]
+struct RemoveArguments {
+    /// As it was added
+    source: PathBuf,
+    /// The database's folder
+    #[arg(long, value_name = "DIR")]
+    db: PathBuf,
+}
+
+#[derive(Args)]
+struct FolderArguments {
+    /// The database's folder
+    #[arg(long, value_name = "DIR")]
+    db: PathBuf,
+}
+
+/// Show which poses a database has images of
+///
+/// Writes a picture of the field: cells of x and y, in each the headings as sectors, dark where there are images.
+#[derive(Args)]
+struct CoverageArguments {
+    /// The database's folder
+    #[arg(long, value_name = "DIR")]
+    db: PathBuf,
+    /// The picture
+    #[arg(short, long, value_name = "PNG")]
+    output: Option<PathBuf>,
+    /// Side of a cell, 0.02 to 5
+    #[arg(long, value_name = "M", default_value_t = 0.25, value_parser = side)]
+    cell: f64,
+    /// Headings told apart, 1 to 360
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u16).range(1..=360))]
+    headings: u16,
+}
+
+fn side(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if (0.02..=5.0).contains(&value) { Ok(value) } else { Err("0.02 to 5 metres".to_owned()) }
+}
+
+pub fn run(arguments: &DbArguments, json: bool) -> anyhow::Result<Outcome> {
+    match &arguments.command {
+        Command::Add(arguments) => add(arguments, json),
+        Command::Remove(arguments) => remove(arguments, json),
+        Command::Rebuild(arguments) => {
+            let mut progress = output::Progress::new("reading");
+            let added = database::rebuild(&arguments.db, &mut |done| progress.set(done, None))?;
+            progress.finish();
+            report_added(&added, &arguments.db, json)
+        }
+        Command::Stats(arguments) => stats(&database::stats(&arguments.db)?, json),
+        Command::Verify(arguments) => {
+            let mut progress = output::Progress::new("checking");
+            let checked = database::verify(&arguments.db, &mut |done| progress.set(done, None))?;
+            progress.finish();
+            report_checked(&checked, json)
+        }
+        Command::Coverage(arguments) => coverage(arguments, json),
+    }
+}
+
+fn add(arguments: &AddArguments, json: bool) -> anyhow::Result<Outcome> {
+    let AddArguments { sources, db, field } = arguments;
+    let inputs: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
+    check_output(db, &inputs)?;
+    let field = field.as_deref().map(load_field).transpose()?;
+    let mut progress = output::Progress::new("reading");
+    let added = database::add(db, sources, field.as_ref(), &mut |done| progress.set(done, None))?;
+    progress.finish();
+    report_added(&added, db, json)
+}
+
+fn report_added(added: &Added, db: &Path, json: bool) -> anyhow::Result<Outcome> {
+    output::losses(&added.losses);
+    if json {
+        output::json(added)?;
+    } else {
+        let left_out = match added.left_out {
+            0 => String::new(),
+            count => format!(", {count} left out (no valid tag, or not to be decoded)"),
+        };
+        output::lines(&format!("{} images in {}{left_out}", added.images, db.display()))?;
+    }
+    Ok(Outcome::of(&added.losses))
+}
+
+fn remove(arguments: &RemoveArguments, json: bool) -> anyhow::Result<Outcome> {
+    #[derive(Serialize)]
+    struct Report {
+        removed: u64,
+    }
+    let removed = database::remove(&arguments.db, &arguments.source)?;
+    if json {
+        output::json(&Report { removed })?;
+    } else {
+        output::lines(&format!("{removed} images taken out of {}", arguments.db.display()))?;
+    }
+    Ok(Outcome::Whole)
+}
+
+fn stats(stats: &Stats, json: bool) -> anyhow::Result<Outcome> {
+    if json {
+        output::json(stats)?;
+        return Ok(Outcome::Whole);
+    }
+    let mut text = format!(
+        "{} images, field \"{}\", index {:.1} MB\n",
+        stats.images,
+        stats.field,
+        stats.index_bytes as f64 * 1e-6
+    );
+    if let Some([low, high]) = stats.box_m {
+        text.push_str(&format!(
+            "x {:.2} to {:.2} m, y {:.2} to {:.2} m, z {:.2} to {:.2} m\n",
+            low[0], high[0], low[1], high[1], low[2], high[2]
+        ));
+        text.push_str(&format!("tags: median sigma {:.1} mm, {:.2} deg\n", 1e3 * stats.sigma_m, stats.sigma_deg));
+    }
+    for source in &stats.sources {
+        text.push_str(&format!(
+            "{:>8} images ({} left out)  {}\n",
+            source.images,
+            source.left_out,
+            source.path.display()
+        ));
+    }
+    output::lines(text.trim_end())?;
+    Ok(Outcome::Whole)
+}
+
+fn report_checked(checked: &Checked, json: bool) -> anyhow::Result<Outcome> {
+    output::losses(&checked.losses);
+    if json {
+        output::json(checked)?;
+    } else {
+        output::lines(&format!("{} of {} images are as they were indexed", checked.sound, checked.images))?;
+    }
+    Ok(Outcome::of(&checked.losses))
+}
+
+fn coverage(arguments: &CoverageArguments, json: bool) -> anyhow::Result<Outcome> {
+    let gallery = Gallery::open(&arguments.db, &Settings::default().views)?;
+    let found = database::coverage(gallery.index(), gallery.field(), arguments.cell, usize::from(arguments.headings));
+    if let Some(path) = &arguments.output {
+        check_output(path, &[&arguments.db])?;
+        save(&found.picture(gallery.field()), path)?;
+    }
+    if json {
+        output::json(&found)?;
+    } else {
+        let Coverage { filled, cells, cell_m, sectors, outside, .. } = found;
+        let share = 100.0 * filled as f64 / cells as f64;
+        let outside = if outside > 0 { format!("; {outside} images lie off the carpet") } else { String::new() };
+        output::lines(&format!(
+            "{filled} of {cells} poses filled ({share:.1} %): cells of {cell_m} m and {:.0} degrees{outside}",
+            360.0 / sectors as f64
+        ))?;
+    }
+    Ok(Outcome::Whole)
+}

@@ -1,0 +1,263 @@
+//! `realitysim view`
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+use image::RgbImage;
+use serde::Serialize;
+
+use super::paths::{cannot_write, check_output, save};
+use super::settings::UsageError;
+use super::{Outcome, output};
+use crate::config::{Settings, load_lens};
+use crate::database::{Gallery, Shown, Wanted};
+use crate::evaluation::drawing;
+use crate::geometry::{Euler, Isometry};
+use crate::views::{Camera, Made, Method, NOTHING, Raster, UNSURE};
+
+/// Show what the camera would see from a pose, from a database of recorded images
+///
+/// The stored image itself if one was taken there, byte for byte if the output's name has its ending; else a view made
+/// from its neighbours, with a statement of how it was made and how far it can be trusted.
+#[derive(Args)]
+pub struct ViewArguments {
+    /// The database's folder
+    #[arg(long, value_name = "DIR")]
+    db: PathBuf,
+    /// Of camera_link in map, metres
+    #[arg(long, allow_hyphen_values = true)]
+    x: f64,
+    #[arg(long, allow_hyphen_values = true)]
+    y: f64,
+    #[arg(long, allow_hyphen_values = true)]
+    z: f64,
+    /// Degrees
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
+    yaw: f64,
+    /// Degrees, above 0 looks down
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    pitch: f64,
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    roll: f64,
+    /// The picture to write, .png or .jpg
+    #[arg(short, long)]
+    output: PathBuf,
+    #[arg(long, default_value = "exact")]
+    method: Way,
+    /// Lens of the view: a shipped camera (config/cameras) or a lens file; without it, that of the nearest image
+    #[arg(long, value_name = "FILE")]
+    lens: Option<String>,
+    /// Refuse when the nearest image was taken farther away than this
+    #[arg(long, value_name = "M")]
+    max_distance: Option<f64>,
+    /// Nearest image, the paper's view and the exact one beside each other, with mask and numbers
+    #[arg(long)]
+    side_by_side: bool,
+    /// Write the mask: white is known geometry, gray right in direction only, black shows nothing
+    #[arg(long, value_name = "PNG")]
+    mask: Option<PathBuf>,
+    /// Robot config, for its section [views]
+    #[arg(long, value_name = "FILE")]
+    config: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Way {
+    Exact,
+    Paper,
+    Nearest,
+}
+
+impl From<Way> for Method {
+    fn from(way: Way) -> Self {
+        match way {
+            Way::Exact => Self::Exact,
+            Way::Paper => Self::Paper,
+            Way::Nearest => Self::Nearest,
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Report {
+    output: PathBuf,
+    made: &'static str,
+    sources: Vec<Source>,
+    valid_share: f64,
+    sure_share: f64,
+    expected_error_px: f64,
+    unreadable: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct Source {
+    file: PathBuf,
+    offset: u64,
+    stamp_ns: i64,
+    distance_m: f64,
+    angle_deg: f64,
+    share: f64,
+}
+
+pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
+    let settings = arguments.config.as_deref().map_or(Ok(Settings::default()), Settings::load)?;
+    for path in [Some(&arguments.output), arguments.mask.as_ref()].into_iter().flatten() {
+        check_output(path, &[&arguments.db])?;
+    }
+    let wanted = wanted(arguments)?;
+    let gallery = Gallery::open(&arguments.db, &settings.views)?;
+    let shown = gallery.view(&wanted)?;
+    if arguments.side_by_side {
+        save(&beside_each_other(&gallery, &wanted, &shown)?, &arguments.output)?;
+    } else {
+        write(&shown, &arguments.output)?;
+    }
+    if let Some(path) = &arguments.mask {
+        save(&mask(&shown.answer.image), path)?;
+    }
+    let report = report(&gallery, &shown, arguments);
+    if json {
+        output::json(&report)?;
+    } else {
+        output::lines(&told(&report))?;
+    }
+    for what in &report.unreadable {
+        eprintln!("realitysim: {what}");
+    }
+    Ok(if report.unreadable.is_empty() { Outcome::Whole } else { Outcome::DataLost })
+}
+
+fn wanted(arguments: &ViewArguments) -> anyhow::Result<Wanted> {
+    let ViewArguments { x, y, z, yaw, pitch, roll, max_distance, .. } = *arguments;
+    for (name, value) in [("x", x), ("y", y), ("z", z), ("yaw", yaw), ("pitch", pitch), ("roll", roll)] {
+        if !value.is_finite() {
+            return Err(UsageError(format!("--{name} is {value}: it must be a finite number")).into());
+        }
+    }
+    let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
+    let camera = arguments.lens.as_deref().map(load_lens).transpose()?;
+    Ok(Wanted {
+        map_from_link: Isometry::from_euler(euler, DVec3::new(x, y, z)),
+        method: arguments.method.into(),
+        camera: camera.map(|file| Arc::new(Camera::new(&file.lens))),
+        max_distance_m: max_distance.unwrap_or(f64::INFINITY),
+        without: Vec::new(),
+    })
+}
+
+/// A stored image keeps its bytes if the name asks for what it is.
+fn write(shown: &Shown, path: &std::path::Path) -> anyhow::Result<()> {
+    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match &shown.stored {
+        Some(bytes) if is_of(bytes, &ending) => std::fs::write(path, bytes).map_err(|error| cannot_write(path, error)),
+        _ => save(&picture(&shown.answer.image), path),
+    }
+}
+
+fn is_of(bytes: &[u8], ending: &str) -> bool {
+    match ending {
+        "png" => bytes.starts_with(b"\x89PNG"),
+        "jpg" | "jpeg" => bytes.starts_with(&[0xff, 0xd8]),
+        _ => false,
+    }
+}
+
+fn picture(raster: &Raster) -> RgbImage {
+    RgbImage::from_raw(raster.width as u32, raster.height as u32, raster.to_rgb()).unwrap_or_default()
+}
+
+fn mask(raster: &Raster) -> RgbImage {
+    let rgb = raster.mask().into_iter().flat_map(|sure| [sure; 3]).collect();
+    RgbImage::from_raw(raster.width as u32, raster.height as u32, rgb).unwrap_or_default()
+}
+
+/// Nearest, paper, exact and the exact view's mask.
+fn beside_each_other(gallery: &Gallery, wanted: &Wanted, exact: &Shown) -> anyhow::Result<RgbImage> {
+    let mut panels = Vec::new();
+    for (name, method) in
+        [("nearest image", Method::Nearest), ("paper (Eq. 3-4)", Method::Paper), ("exact", Method::Exact)]
+    {
+        let camera = Some(Arc::clone(&exact.camera));
+        let shown = gallery.view(&Wanted { method, camera, ..wanted.clone() });
+        let (image, caption) = match &shown {
+            Ok(shown) => {
+                let answer = &shown.answer;
+                let error = format!("expected error {:.1} px", answer.expected_error_px);
+                (picture(&answer.image), format!("{name}: {}; shows {:.0} %", error, 100.0 * answer.valid_share))
+            }
+            Err(error) => {
+                (RgbImage::new(exact.camera.width() as u32, exact.camera.height() as u32), format!("{name}: {error}"))
+            }
+        };
+        panels.push((image, caption));
+    }
+    let tint = |raster: &Raster| {
+        let mut image = picture(raster);
+        for (pixel, from) in image.pixels_mut().zip(&raster.pixels) {
+            match from[3] {
+                NOTHING => pixel.0 = [200, 40, 40],
+                UNSURE => pixel.0 = [pixel.0[0] / 2 + 40, pixel.0[1] / 2 + 40, pixel.0[2] / 2 + 110],
+                _ => {}
+            }
+        }
+        image
+    };
+    let caption =
+        format!("mask: {:.0} % known geometry, blue by direction only, red nothing", 100.0 * exact.answer.sure_share);
+    panels.push((tint(&exact.answer.image), caption));
+    Ok(drawing::panels(&panels, 2))
+}
+
+fn report(gallery: &Gallery, shown: &Shown, arguments: &ViewArguments) -> Report {
+    let answer = &shown.answer;
+    let source = |used: &crate::views::UsedSource| {
+        let record = gallery.index().record(used.id as usize);
+        let source = gallery.catalogue().sources.get(record.source as usize);
+        Source {
+            file: source.and_then(|source| source.file(record.file)).unwrap_or_default(),
+            offset: record.offset,
+            stamp_ns: record.stamp_ns,
+            distance_m: used.distance_m,
+            angle_deg: used.angle_rad.to_degrees(),
+            share: used.share,
+        }
+    };
+    Report {
+        output: arguments.output.clone(),
+        made: match answer.made {
+            Made::Stored => "stored",
+            Made::Nearest => "nearest",
+            Made::Warped => "warped",
+            Made::Composed => "composed",
+        },
+        sources: answer.sources.iter().map(source).collect(),
+        valid_share: answer.valid_share,
+        sure_share: answer.sure_share,
+        expected_error_px: answer.expected_error_px,
+        unreadable: shown.unreadable.clone(),
+    }
+}
+
+fn told(report: &Report) -> String {
+    let mut text = format!(
+        "{}: {}, shows {:.1} % ({:.1} % known geometry), expected error {:.1} px\n",
+        report.output.display(),
+        report.made,
+        100.0 * report.valid_share,
+        100.0 * report.sure_share,
+        report.expected_error_px
+    );
+    for source in &report.sources {
+        text.push_str(&format!(
+            "  {:5.1} % from {} at byte {}: {:.1} cm and {:.1} deg away\n",
+            100.0 * source.share,
+            source.file.display(),
+            source.offset,
+            100.0 * source.distance_m,
+            source.angle_deg
+        ));
+    }
+    text.trim_end().to_owned()
+}

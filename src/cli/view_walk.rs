@@ -1,0 +1,224 @@
+//! `realitysim view-walk`
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::Context;
+use clap::Args;
+use glam::{DQuat, DVec3};
+use image::RgbImage;
+use image::imageops::{self, FilterType};
+use jpeg_encoder::{ColorType, Encoder};
+use serde::Serialize;
+
+use super::paths::{cannot_write, check_output, make_folder, save, write};
+use super::settings::planar_pose;
+use super::{Outcome, output};
+use crate::agent::single::Known;
+use crate::config::Settings;
+use crate::database::{Gallery, Wanted};
+use crate::evaluation::video::avi;
+use crate::evaluation::{Summary, drawing};
+use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
+use crate::views::Method;
+use crate::vision::Picture;
+
+/// Walk through a database: views along a straight way, as in Fig. 11 and 12 of the paper
+///
+/// By default from the paper's (0, 3, 0) to (8, 6, 4), read as half metres from the field's corner and radians: that is our
+/// reading, the paper does not say. Writes sheet.png, walk.avi and walk.csv. How evenly the lines move is measured by finding the
+/// pose of every view from its lines and comparing it with the one asked for.
+#[derive(Args)]
+pub struct ViewWalkArguments {
+    /// The database's folder
+    #[arg(long, value_name = "DIR")]
+    db: PathBuf,
+    /// Of camera_link
+    #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
+    from: Option<Pose2>,
+    /// Of camera_link; the turn is as the numbers say, more than half a turn is not shortened
+    #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
+    to: Option<Pose2>,
+    /// Height of camera_link; without it the mean of the database's
+    #[arg(long, value_name = "M")]
+    z: Option<f64>,
+    /// Degrees, above 0 looks down; without it the mean of the database's
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
+    pitch: Option<f64>,
+    /// Views
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(2..=10_000))]
+    frames: u16,
+    /// Where the pictures go
+    #[arg(short, long, value_name = "DIR", default_value = "walk")]
+    output: PathBuf,
+    /// Robot config, for its section [views]
+    #[arg(long, value_name = "FILE")]
+    config: Option<String>,
+}
+
+#[derive(Serialize)]
+struct Report {
+    views: usize,
+    stored: usize,
+    /// Where the lines say that the view is, less where it was asked for.
+    position_cm: Summary,
+    yaw_deg: Summary,
+    /// Between neighbouring views: how much that difference changes, which is what the eye sees as a jump.
+    jump_cm: Summary,
+    /// Views whose lines do not tell where they are.
+    not_found: usize,
+    output: PathBuf,
+}
+
+struct Step {
+    asked: Pose2,
+    found: Option<Pose2>,
+    made: &'static str,
+    valid_share: f64,
+}
+
+const PER_SECOND: u32 = 15;
+const QUALITY: u8 = 90;
+/// Small pictures of the sheet, and how many.
+const THUMB_PX: u32 = 320;
+const THUMBS: usize = 15;
+const THUMB_COLUMNS: u32 = 5;
+
+pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome> {
+    let settings = arguments.config.as_deref().map_or(Ok(Settings::default()), Settings::load)?;
+    let folder = &arguments.output;
+    check_output(folder, &[&arguments.db])?;
+    make_folder(folder)?;
+    let gallery = Gallery::open(&arguments.db, &settings.views)?;
+    anyhow::ensure!(!gallery.index().is_empty(), crate::database::DatabaseError::Empty);
+    let (from, to) = way(arguments, &gallery);
+    let (mean_z, mean_pitch) = posture(&gallery);
+    let (z, pitch) = (arguments.z.unwrap_or(mean_z), arguments.pitch.map_or(mean_pitch, f64::to_radians));
+    let frames = usize::from(arguments.frames);
+    let (mut steps, mut jpegs, mut thumbs, mut camera) = (Vec::new(), Vec::new(), Vec::new(), None);
+    let mut progress = output::Progress::new("walking");
+    for frame in 0..frames {
+        let part = frame as f64 / (frames - 1) as f64;
+        let asked = Pose2 {
+            x: from.x + part * (to.x - from.x),
+            y: from.y + part * (to.y - from.y),
+            yaw: from.yaw + part * (to.yaw - from.yaw),
+        };
+        let attitude = Euler { yaw: asked.yaw, pitch, roll: 0.0 };
+        let map_from_link = Isometry::from_euler(attitude, DVec3::new(asked.x, asked.y, z));
+        let wanted = Wanted {
+            map_from_link,
+            method: Method::Exact,
+            camera: camera.clone(),
+            max_distance_m: f64::INFINITY,
+            without: Vec::new(),
+        };
+        let shown = gallery.view(&wanted)?;
+        let image = &shown.answer.image;
+        let (width, height, rgb) = (image.width, image.height, image.to_rgb());
+        let mut jpeg = Vec::new();
+        Encoder::new(&mut jpeg, QUALITY).encode(&rgb, width as u16, height as u16, ColorType::Rgb)?;
+        jpegs.push(jpeg);
+        let known = Known {
+            lens: shown.camera.lens().clone(),
+            attitude,
+            height_m: z,
+            initial: Some(Pose2 { yaw: wrap_angle(asked.yaw), ..asked }),
+            body: None,
+        };
+        let picture = Picture::from_rgb(width, height, &rgb).context("a view without pixels")?;
+        let located = known.locate(&known.look(&picture), gallery.field(), 1);
+        let found = located.found.first().filter(|found| found.refined).map(|found| found.pose);
+        let made = match shown.answer.made {
+            crate::views::Made::Stored => "stored",
+            _ => "made",
+        };
+        steps.push(Step { asked, found, made, valid_share: shown.answer.valid_share });
+        if thumbs.len() * frames <= frame * THUMBS {
+            let full = RgbImage::from_raw(width as u32, height as u32, rgb).context("a view without pixels")?;
+            let high = THUMB_PX * height as u32 / width as u32;
+            let words = format!("{:.2}, {:.2}, {:.0} deg", asked.x, asked.y, asked.yaw.to_degrees());
+            thumbs.push((imageops::resize(&full, THUMB_PX, high, FilterType::Triangle), words));
+        }
+        camera.get_or_insert_with(|| Arc::clone(&shown.camera));
+        progress.set(frame as u64 + 1, Some(frames as u64));
+    }
+    progress.finish();
+    save(&drawing::panels(&thumbs, THUMB_COLUMNS), &folder.join("sheet.png"))?;
+    let camera = camera.context("no view was made")?;
+    let video =
+        avi(&jpegs, camera.width() as u32, camera.height() as u32, PER_SECOND).context("too long for an AVI")?;
+    let path = folder.join("walk.avi");
+    std::fs::write(&path, video).map_err(|error| cannot_write(&path, error))?;
+    write(&folder.join("walk.csv"), &csv(&steps))?;
+    let report = report(&steps, folder.clone());
+    if json {
+        output::json(&report)?;
+    } else {
+        let Report { views, stored, not_found, position_cm, yaw_deg, jump_cm, .. } = &report;
+        let table = [
+            output::row("position", "cm", position_cm),
+            output::row("yaw", "deg", yaw_deg),
+            output::row("jump", "cm", jump_cm),
+        ];
+        output::lines(&format!(
+            "{views} views, {stored} of them stored images; {not_found} whose lines do not tell where they are\n  by their own \
+             lines     mean   median      p95      max\n{}\n{}",
+            table.join("\n"),
+            folder.display()
+        ))?;
+    }
+    Ok(Outcome::Whole)
+}
+
+fn way(arguments: &ViewWalkArguments, gallery: &Gallery) -> (Pose2, Pose2) {
+    let d = gallery.field().dimensions();
+    let paper = |x: f64, y: f64, yaw: f64| Pose2 { x: 0.5 * x - d.length_m / 2.0, y: 0.5 * y - d.width_m / 2.0, yaw };
+    (arguments.from.unwrap_or(paper(0.0, 3.0, 0.0)), arguments.to.unwrap_or(paper(8.0, 6.0, 4.0)))
+}
+
+/// Mean height and pitch of the database's images.
+fn posture(gallery: &Gallery) -> (f64, f64) {
+    let count = gallery.index().len() as f64;
+    let (mut z, mut pitch) = (0.0, 0.0);
+    for record in gallery.index().records() {
+        let [x, y, qz, w] = record.rotation.map(f64::from);
+        z += f64::from(record.place[2]) / count;
+        pitch += Euler::from_rotation(DQuat::from_xyzw(x, y, qz, w)).pitch / count;
+    }
+    (z, pitch)
+}
+
+fn report(steps: &[Step], output: PathBuf) -> Report {
+    let off = |step: &Step| {
+        let found = step.found?;
+        Some((found.x - step.asked.x, found.y - step.asked.y, wrap_angle(found.yaw - step.asked.yaw)))
+    };
+    let found: Vec<(f64, f64, f64)> = steps.iter().filter_map(off).collect();
+    let jumps = steps.windows(2).filter_map(|pair| {
+        let (a, b) = (off(&pair[0])?, off(&pair[1])?);
+        Some(100.0 * libm::hypot(b.0 - a.0, b.1 - a.1))
+    });
+    Report {
+        views: steps.len(),
+        stored: steps.iter().filter(|step| step.made == "stored").count(),
+        position_cm: Summary::of(&found.iter().map(|off| 100.0 * libm::hypot(off.0, off.1)).collect::<Vec<_>>()),
+        yaw_deg: Summary::of(&found.iter().map(|off| off.2.abs().to_degrees()).collect::<Vec<_>>()),
+        jump_cm: Summary::of(&jumps.collect::<Vec<_>>()),
+        not_found: steps.len() - found.len(),
+        output,
+    }
+}
+
+fn csv(steps: &[Step]) -> String {
+    let mut text = "x,y,yaw_deg,made,valid_share,found_x,found_y,found_yaw_deg\n".to_owned();
+    for Step { asked, found, made, valid_share } in steps {
+        let yaw_deg = asked.yaw.to_degrees();
+        text.push_str(&format!("{:.6},{:.6},{yaw_deg:.6},{made},{valid_share:.4},", asked.x, asked.y));
+        match found {
+            Some(found) => text.push_str(&format!("{:.6},{:.6},{:.6}\n", found.x, found.y, found.yaw.to_degrees())),
+            None => text.push_str(",,\n"),
+        }
+    }
+    text
+}

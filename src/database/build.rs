@@ -1,0 +1,258 @@
+//! Making and keeping a database. A change writes a new index beside the old one, and then the catalogue that names it:
+//! whoever reads meanwhile has all of the old or all of the new.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::catalogue::{Catalogue, Source};
+use super::error::{DatabaseError, io};
+use super::index::{Index, path_of, write_index};
+use super::pixels::read_bytes;
+use super::record::Record;
+use super::sources::{self, Read};
+use crate::geometry::{Field, FieldDimensions};
+use crate::recording::Loss;
+
+/// What came of adding.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Added {
+    pub images: u64,
+    pub left_out: u64,
+    pub losses: Vec<Loss>,
+}
+
+/// How many images have been read.
+pub type Progress<'a> = &'a mut dyn FnMut(u64);
+
+/// Adds captures and folders of images. `field` is for folders, which do not name theirs; a database has one field.
+pub fn add(
+    folder: &Path,
+    paths: &[PathBuf],
+    field: Option<&FieldDimensions>,
+    progress: Progress,
+) -> Result<Added, DatabaseError> {
+    fs::create_dir_all(folder).map_err(io(folder))?;
+    let known = match Catalogue::read(folder) {
+        Ok(catalogue) => Some(catalogue),
+        Err(DatabaseError::None { .. }) => None,
+        Err(error) => return Err(error),
+    };
+    let mut records = match &known {
+        Some(catalogue) => Index::open(&path_of(folder, catalogue.index))?.records().collect(),
+        None => Vec::new(),
+    };
+    let mut catalogue = known;
+    let mut added = Added { images: 0, left_out: 0, losses: Vec::new() };
+    for path in paths {
+        let known = path.canonicalize().ok().and_then(|path| catalogue.as_ref()?.position(&path));
+        if known.is_some() {
+            return Err(DatabaseError::Known { path: path.clone() });
+        }
+        let read = sources::read(path, progress)?;
+        take(folder, &mut catalogue, &mut records, read, field, &mut added)?;
+    }
+    if let Some(catalogue) = catalogue {
+        publish(folder, catalogue, records)?;
+    }
+    Ok(added)
+}
+
+/// Reads every source again: as if the database had just been made.
+pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError> {
+    let old = Catalogue::read(folder)?;
+    let mut catalogue = Some(Catalogue { sources: Vec::new(), ..old.clone() });
+    let (mut records, mut added) = (Vec::new(), Added { images: 0, left_out: 0, losses: Vec::new() });
+    for source in &old.sources {
+        match sources::read(&source.path, progress) {
+            Ok(read) => take(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
+            Err(error) => added.losses.push(Loss::new(&source.path, error.to_string())),
+        }
+    }
+    publish(folder, catalogue.unwrap_or(old), records)?;
+    Ok(added)
+}
+
+/// Takes a source out; its files are not touched.
+pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
+    let mut catalogue = Catalogue::read(folder)?;
+    let absolute = path.canonicalize().or_else(|_| std::path::absolute(path)).map_err(io(path))?;
+    let unknown = || {
+        let known: Vec<String> = catalogue.sources.iter().map(|source| source.path.display().to_string()).collect();
+        DatabaseError::Unknown { path: path.to_owned(), known: known.join(", ") }
+    };
+    let gone = catalogue.position(&absolute).ok_or_else(unknown)?;
+    let index = Index::open(&path_of(folder, catalogue.index))?;
+    let keep = |mut record: Record| {
+        let source = record.source as usize;
+        record.source -= u32::from(source > gone);
+        (source != gone).then_some(record)
+    };
+    let records: Vec<Record> = index.records().filter_map(keep).collect();
+    let removed = (index.len() - records.len()) as u64;
+    catalogue.sources.remove(gone);
+    publish(folder, catalogue, records)?;
+    Ok(removed)
+}
+
+fn take(
+    folder: &Path,
+    catalogue: &mut Option<Catalogue>,
+    records: &mut Vec<Record>,
+    read: Read,
+    field: Option<&FieldDimensions>,
+    added: &mut Added,
+) -> Result<(), DatabaseError> {
+    let Read { mut source, records: found, field: own, losses, lit } = read;
+    let at = source.path.clone();
+    let path = || at.clone();
+    let wanted = own.as_ref().or(field);
+    let catalogue = match (catalogue, wanted) {
+        (Some(known), Some(wanted)) if !known.sources.is_empty() && !same_field(wanted, &known.field) => {
+            let (found, known) = (wanted.title.clone(), known.field.title.clone());
+            return Err(DatabaseError::OtherField { path: path(), found, known });
+        }
+        (Some(known), Some(wanted)) if known.sources.is_empty() => {
+            known.field = checked(wanted, &at)?;
+            known
+        }
+        (Some(known), _) => known,
+        (none, Some(wanted)) => none.insert(Catalogue::new(checked(wanted, &at)?)),
+        (None, None) => {
+            let what = "a folder of images does not say on which field it was taken: name it with --field".to_owned();
+            return Err(DatabaseError::Source { path: path(), what });
+        }
+    };
+    let number = catalogue.sources.len() as u32;
+    added.images += source.images;
+    added.left_out += source.left_out;
+    added.losses.extend(losses);
+    records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
+    source.dark = lit.mask().map(|mask| write_mask(folder, &source, mask)).transpose()?;
+    catalogue.sources.push(source);
+    Ok(())
+}
+
+/// Its name tells its content, so that an older catalogue's is never overwritten.
+fn write_mask(folder: &Path, source: &Source, mask: Vec<u8>) -> Result<String, DatabaseError> {
+    let name = format!("dark-{:08x}.png", crc32fast::hash(&mask));
+    let path = folder.join(&name);
+    let failed = |what: String| DatabaseError::Image { path: path.clone(), what };
+    let image = image::GrayImage::from_raw(source.lens.width, source.lens.height, mask);
+    let image = image.ok_or_else(|| failed("does not fit the lens".to_owned()))?;
+    image.save(&path).map_err(|error| failed(error.to_string()))?;
+    Ok(name)
+}
+
+fn checked(field: &FieldDimensions, path: &Path) -> Result<FieldDimensions, DatabaseError> {
+    let failed = |source| DatabaseError::Field { path: path.to_owned(), source };
+    Field::new(field.clone()).map(|field| field.dimensions().clone()).map_err(failed)
+}
+
+/// Titles are for people.
+fn same_field(a: &FieldDimensions, b: &FieldDimensions) -> bool {
+    FieldDimensions { title: String::new(), ..a.clone() } == FieldDimensions { title: String::new(), ..b.clone() }
+}
+
+fn publish(folder: &Path, mut catalogue: Catalogue, records: Vec<Record>) -> Result<(), DatabaseError> {
+    let old = path_of(folder, catalogue.index);
+    catalogue.index += 1;
+    write_index(&path_of(folder, catalogue.index), records)?;
+    catalogue.write(folder)?;
+    // Who has mapped it keeps it; a name that stays behind does no harm.
+    let _ = fs::remove_file(old);
+    Ok(())
+}
+
+/// What a database holds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Stats {
+    pub images: usize,
+    pub field: String,
+    pub sources: Vec<Source>,
+    pub index_bytes: usize,
+    /// Least and greatest x, y, z of `camera_link`, metres; `null` without images.
+    pub box_m: Option<[[f32; 3]; 2]>,
+    /// Medians of the tags' standard deviations.
+    pub sigma_m: f32,
+    pub sigma_deg: f32,
+}
+
+pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
+    let catalogue = Catalogue::read(folder)?;
+    let index = Index::open(&path_of(folder, catalogue.index))?;
+    let mut extent: Option<[[f32; 3]; 2]> = None;
+    let (mut metres, mut radians) = (Vec::with_capacity(index.len()), Vec::with_capacity(index.len()));
+    for record in index.records() {
+        let [low, high] = extent.unwrap_or([record.place; 2]);
+        let side = |of: fn(f32, f32) -> f32, known: [f32; 3]| core::array::from_fn(|i| of(known[i], record.place[i]));
+        extent = Some([side(f32::min, low), side(f32::max, high)]);
+        metres.push(record.sigma_m);
+        radians.push(record.sigma_rad);
+    }
+    let median = |mut values: Vec<f32>| {
+        values.sort_by(f32::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    };
+    Ok(Stats {
+        images: index.len(),
+        field: catalogue.field.title.clone(),
+        sources: catalogue.sources,
+        index_bytes: index.bytes(),
+        box_m: extent,
+        sigma_m: median(metres),
+        sigma_deg: median(radians).to_degrees(),
+    })
+}
+
+/// What a look at every byte found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Checked {
+    pub images: usize,
+    pub sound: usize,
+    /// The index itself is as it was written.
+    pub index_sound: bool,
+    pub losses: Vec<Loss>,
+}
+
+/// Reads every image and compares it with what was indexed.
+pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseError> {
+    let catalogue = Catalogue::read(folder)?;
+    let path = path_of(folder, catalogue.index);
+    let index = Index::open(&path)?;
+    let mut checked = Checked { images: index.len(), sound: 0, index_sound: index.is_sound(), losses: Vec::new() };
+    if !checked.index_sound {
+        checked.losses.push(Loss::new(&path, "not as it was written: `realitysim db rebuild` makes it anew"));
+    }
+    let mut wrong: std::collections::BTreeMap<PathBuf, (u64, String)> = Default::default();
+    for (number, record) in index.records().enumerate() {
+        match bytes_of(&catalogue, &record) {
+            Ok(_) => checked.sound += 1,
+            Err((path, what)) => wrong.entry(path).or_insert((0, what)).0 += 1,
+        }
+        progress(number as u64 + 1);
+    }
+    let told = |(path, (count, what)): (PathBuf, (u64, String))| Loss::new(&path, format!("{count} images: {what}"));
+    checked.losses.extend(wrong.into_iter().map(told));
+    Ok(checked)
+}
+
+/// The bytes of an image, if they are what was indexed; else the file and what is wrong.
+pub(super) fn bytes_of(catalogue: &Catalogue, record: &Record) -> Result<Vec<u8>, (PathBuf, String)> {
+    let file = catalogue.sources.get(record.source as usize).and_then(|source| source.file(record.file));
+    let file =
+        file.ok_or_else(|| (PathBuf::from("index"), "names a file that the catalogue does not know".to_owned()))?;
+    let bytes = match read_bytes(&file, record.offset, record.length) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            return Err((file, "gone since it was indexed".to_owned()));
+        }
+        Err(error) => return Err((file, format!("cannot be read: {error}"))),
+    };
+    if crc32fast::hash(&bytes) == record.crc {
+        Ok(bytes)
+    } else {
+        Err((file, "changed since it was indexed".to_owned()))
+    }
+}

@@ -1,0 +1,89 @@
+//! `database.json`: what a database was made of, and which index belongs to it. Replacing this file is the moment at
+//! which a change takes effect.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::error::{DatabaseError, io};
+use crate::geometry::{FieldDimensions, LensParameters};
+use crate::recording::write_atomically;
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Catalogue {
+    pub format: u32,
+    /// Of the index file; counts up with every change.
+    pub index: u64,
+    pub field: FieldDimensions,
+    pub sources: Vec<Source>,
+}
+
+/// A capture or a folder of images.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Source {
+    pub kind: SourceKind,
+    /// Absolute.
+    pub path: PathBuf,
+    pub lens: LensParameters,
+    /// Relative to `path`; empty if `path` is the file itself.
+    pub files: Vec<PathBuf>,
+    /// PNGs that hide the robot's own body, whatever its head does.
+    pub body_masks: Vec<String>,
+    /// A PNG in the database's folder, black where no image was ever lit: outside of the lens's circle.
+    pub dark: Option<String>,
+    pub images: u64,
+    /// Frames without a valid tag, and those that do not decode.
+    pub left_out: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SourceKind {
+    Capture,
+    Folder,
+}
+
+const FORMAT: u32 = 1;
+const FILE: &str = "database.json";
+
+impl Catalogue {
+    pub fn new(field: FieldDimensions) -> Self {
+        Self { format: FORMAT, index: 0, field, sources: Vec::new() }
+    }
+
+    pub fn read(folder: &Path) -> Result<Self, DatabaseError> {
+        let path = folder.join(FILE);
+        let text = match fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Err(DatabaseError::None { path: folder.to_owned() });
+            }
+            Err(error) => return Err(io(&path)(error)),
+        };
+        let damaged = |what: String| DatabaseError::Damaged { path: path.clone(), what };
+        let catalogue: Self = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
+        if catalogue.format != FORMAT {
+            return Err(damaged(format!("of format {}, and this program reads format {FORMAT}", catalogue.format)));
+        }
+        Ok(catalogue)
+    }
+
+    /// The old content or the new, never a part.
+    pub fn write(&self, folder: &Path) -> Result<(), DatabaseError> {
+        let path = folder.join(FILE);
+        let text = serde_json::to_vec_pretty(self).map_err(|error| io(&path)(error.into()))?;
+        Ok(write_atomically(&path, &text)?)
+    }
+
+    pub fn position(&self, path: &Path) -> Option<usize> {
+        self.sources.iter().position(|source| source.path == path)
+    }
+}
+
+impl Source {
+    pub fn file(&self, number: u32) -> Option<PathBuf> {
+        let name = self.files.get(number as usize)?;
+        Some(if name.as_os_str().is_empty() { self.path.clone() } else { self.path.join(name) })
+    }
+}

@@ -1,0 +1,56 @@
+//! What can go wrong with a database, in words that say what to do.
+
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use crate::config::ConfigError;
+use crate::evaluation::capture::EvaluationError;
+use crate::geometry::{FieldError, LensError};
+use crate::recording::RecordingError;
+use crate::sensors::log::LogError;
+use crate::views::ViewError;
+
+#[derive(Debug, Error)]
+pub enum DatabaseError {
+    #[error("{}: {source}", path.display())]
+    Io { path: PathBuf, source: std::io::Error },
+    #[error("{}: there is no database here: `realitysim db add CAPTURE --db {}` makes one", path.display(), path.display())]
+    None { path: PathBuf },
+    #[error("{}: {what}: `realitysim db rebuild` makes it anew from its captures", path.display())]
+    Damaged { path: PathBuf, what: String },
+    #[error("{}: {source}", path.display())]
+    Lens { path: PathBuf, source: LensError },
+    #[error("{}: {source}", path.display())]
+    Field { path: PathBuf, source: FieldError },
+    #[error(
+        "{}: recorded on the field \"{found}\", but the database holds \"{known}\": a database is of one field; make \
+         another", path.display()
+    )]
+    OtherField { path: PathBuf, found: String, known: String },
+    #[error("{}: {what}", path.display())]
+    Source { path: PathBuf, what: String },
+    #[error("{}: there already; remove it first to read it again", path.display())]
+    Known { path: PathBuf },
+    #[error("{}: not in the database, which holds: {known}", path.display())]
+    Unknown { path: PathBuf, known: String },
+    #[error("{}: {what}", path.display())]
+    Image { path: PathBuf, what: String },
+    #[error("the database has no image")]
+    Empty,
+    #[error(transparent)]
+    View(#[from] ViewError),
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    #[error(transparent)]
+    Tags(#[from] EvaluationError),
+    #[error(transparent)]
+    Session(#[from] RecordingError),
+    #[error(transparent)]
+    Log(#[from] LogError),
+}
+
+pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> DatabaseError {
+    let path = path.to_owned();
+    move |source| DatabaseError::Io { path, source }
+}

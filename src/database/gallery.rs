@@ -1,0 +1,365 @@
+//! Answers to requests: the nearest images are found, decoded, kept in memory for the next request, and made into a view.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use glam::DVec2;
+
+use super::build::bytes_of;
+use super::catalogue::{Catalogue, Source};
+use super::error::DatabaseError;
+use super::index::{Index, Neighbour, path_of};
+use super::pixels::colours;
+use super::record::{Form, Record};
+use super::tree::Metric;
+use crate::config::ViewsSettings;
+use crate::geometry::{Field, Isometry, Lens, LensParameters};
+use crate::sensors::body_mask;
+use crate::views::{
+    Answer, Camera, Candidate, Made, Method, Pyramid, Raster, Request, ViewError, ViewSettings, Vignetting, World, view,
+};
+use crate::vision::BodyMask;
+
+/// A database that is open. Can be shared between threads.
+#[derive(Debug)]
+pub struct Gallery {
+    folder: PathBuf,
+    catalogue: Catalogue,
+    index: Index,
+    settings: ViewsSettings,
+    field: Field,
+    world: World,
+    /// One for each source, those of one lens the same.
+    cameras: Vec<Arc<Camera>>,
+    /// By source: which pixels show the world.
+    shows: Vec<Vec<bool>>,
+    decoded: Mutex<Decoded>,
+}
+
+/// What is asked for.
+#[derive(Clone, Debug)]
+pub struct Wanted {
+    /// `camera_link` in `map`.
+    pub map_from_link: Isometry,
+    pub method: Method,
+    /// Without it, that of the nearest image.
+    pub camera: Option<Arc<Camera>>,
+    pub max_distance_m: f64,
+    /// Records that are not to be used: for leaving one out.
+    pub without: Vec<usize>,
+}
+
+/// A view and where it came from.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    pub answer: Answer,
+    pub camera: Arc<Camera>,
+    /// The stored image as it was recorded, if that is the answer and it is a JPEG or PNG.
+    pub stored: Option<Vec<u8>>,
+    /// Images that should have been used and could not be read; the next ones took their place.
+    pub unreadable: Vec<String>,
+}
+
+/// Neighbours looked at for each source that is used.
+const LOOKED_AT: usize = 8;
+/// One nearer to another source than this share of its own distance shows little that the other does not.
+const APART: f64 = 0.5;
+/// Of two images about as near, the better one is taken: how much nearer a worse one may seem, at most.
+const QUALITY: f64 = 0.25;
+/// Pixels at the edge of the lens's circle that a codec and the lens itself have mixed with black.
+const RIM_PX: usize = 3;
+/// Images that cannot be read are passed over, but not for ever.
+const MAX_UNREADABLE: usize = 32;
+
+impl Gallery {
+    pub fn open(folder: &Path, settings: &ViewsSettings) -> Result<Self, DatabaseError> {
+        let catalogue = Catalogue::read(folder)?;
+        let index = Index::open(&path_of(folder, catalogue.index))?;
+        let field = Field::new(catalogue.field.clone())
+            .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
+        let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
+        let (mut cameras, mut shows) = (Vec::new(), Vec::new());
+        for source in &catalogue.sources {
+            let known = by_lens.iter().find(|(lens, _)| **lens == source.lens).map(|(_, camera)| Arc::clone(camera));
+            let camera = match known {
+                Some(camera) => camera,
+                None => {
+                    let lens = Lens::new(source.lens.clone())
+                        .map_err(|error| DatabaseError::Lens { path: source.path.clone(), source: error })?;
+                    let camera = Arc::new(Camera::new(&lens));
+                    by_lens.push((&source.lens, Arc::clone(&camera)));
+                    camera
+                }
+            };
+            shows.push(shown_by(folder, source, &camera)?);
+            cameras.push(camera);
+        }
+        let world = if settings.goals { World::new(&field) } else { World::without_goals(&field) };
+        let decoded = Mutex::new(Decoded::new(settings.cache_mb << 20));
+        let settings = settings.clone();
+        Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, decoded })
+    }
+
+    /// The same database as it is now, if it has been changed since this gallery was opened.
+    pub fn reopened(&self) -> Result<Option<Self>, DatabaseError> {
+        let now = Catalogue::read(&self.folder)?;
+        if now.index == self.catalogue.index { Ok(None) } else { Self::open(&self.folder, &self.settings).map(Some) }
+    }
+
+    pub fn index(&self) -> &Index {
+        &self.index
+    }
+
+    pub fn field(&self) -> &Field {
+        &self.field
+    }
+
+    pub fn catalogue(&self) -> &Catalogue {
+        &self.catalogue
+    }
+
+    /// The camera that an image was taken with.
+    pub fn camera(&self, record: &Record) -> Option<&Arc<Camera>> {
+        self.cameras.get(record.source as usize)
+    }
+
+    pub fn metric(&self) -> Metric {
+        let ViewsSettings { metre_counts, direction_counts, roll_counts, .. } = self.settings;
+        Metric { per_m: metre_counts, per_direction: direction_counts, per_roll: roll_counts }
+    }
+
+    /// The images that a view of this pose is made from, best first: near, good, and not all from one side.
+    pub fn choose(&self, pose: &Isometry, wanted: usize, without: &[usize]) -> Vec<Neighbour> {
+        let metric = self.metric();
+        let near = self.index.nearest(pose, LOOKED_AT * wanted + without.len(), &metric);
+        let mut ranked: Vec<(f64, Neighbour, Record)> = near
+            .into_iter()
+            .filter(|neighbour| !without.contains(&neighbour.number))
+            .map(|neighbour| (neighbour, self.index.record(neighbour.number)))
+            .map(|(neighbour, record)| (neighbour.distance * (1.0 + QUALITY * badness(&record)), neighbour, record))
+            .collect();
+        ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(badness(&a.2).total_cmp(&badness(&b.2))));
+        let mut chosen: Vec<(Neighbour, Isometry)> = Vec::new();
+        for apart in [APART, 0.0] {
+            for (_, neighbour, record) in &ranked {
+                let pose = record.pose();
+                let is_new = |(known, other): &(Neighbour, Isometry)| {
+                    known.number != neighbour.number && metric.distance(&pose, other) >= apart * neighbour.distance
+                };
+                if chosen.len() < wanted && chosen.iter().all(is_new) {
+                    chosen.push((*neighbour, pose));
+                }
+            }
+        }
+        chosen.sort_by(|a, b| a.0.distance.total_cmp(&b.0.distance));
+        chosen.into_iter().map(|(neighbour, _)| neighbour).collect()
+    }
+
+    pub fn view(&self, wanted: &Wanted) -> Result<Shown, DatabaseError> {
+        if self.index.is_empty() {
+            return Err(DatabaseError::Empty);
+        }
+        if !wanted.map_from_link.is_finite() {
+            return Err(ViewError::NotFinite.into());
+        }
+        let mut without = wanted.without.clone();
+        let mut unreadable = Vec::new();
+        loop {
+            let chosen = self.choose(&wanted.map_from_link, self.settings.sources, &without);
+            if let Some(shown) = self.stored(wanted, &chosen)? {
+                return Ok(shown);
+            }
+            let images: Vec<(usize, Result<Arc<Pyramid>, String>)> =
+                chosen.iter().map(|neighbour| (neighbour.number, self.image(neighbour.number))).collect();
+            let failed: Vec<(usize, &String)> =
+                images.iter().filter_map(|(number, image)| Some((*number, image.as_ref().err()?))).collect();
+            if failed.is_empty() || unreadable.len() >= MAX_UNREADABLE {
+                return self.make(wanted, images, unreadable);
+            }
+            without.extend(failed.iter().map(|(number, _)| number));
+            unreadable.extend(failed.into_iter().map(|(_, what)| what.clone()));
+        }
+    }
+
+    /// The nearest image itself, if it was taken where the request is with the camera asked for. Nothing is decoded but
+    /// what is handed out.
+    fn stored(&self, wanted: &Wanted, chosen: &[Neighbour]) -> Result<Option<Shown>, DatabaseError> {
+        for neighbour in chosen {
+            let record = self.index.record(neighbour.number);
+            let Some(own) = self.camera(&record) else { continue };
+            let camera = wanted.camera.as_ref().unwrap_or(own);
+            let request = self.request(wanted, camera);
+            let same = camera.lens().parameters() == own.lens().parameters();
+            if !same || !request.is_within(&record.pose()) || wanted.method == Method::Nearest {
+                continue;
+            }
+            let (Ok(bytes), Ok(image)) = (bytes_of(&self.catalogue, &record), self.image(neighbour.number)) else {
+                continue;
+            };
+            let candidate = self.candidate(neighbour.number, &record, own, &image);
+            let answer = view(&request, &[candidate])?;
+            let stored = (answer.made == Made::Stored && record.form == Form::File).then_some(bytes);
+            return Ok(Some(Shown { answer, camera: Arc::clone(camera), stored, unreadable: Vec::new() }));
+        }
+        Ok(None)
+    }
+
+    fn make(
+        &self,
+        wanted: &Wanted,
+        images: Vec<(usize, Result<Arc<Pyramid>, String>)>,
+        unreadable: Vec<String>,
+    ) -> Result<Shown, DatabaseError> {
+        let readable: Vec<(usize, Record, Arc<Pyramid>)> = images
+            .into_iter()
+            .filter_map(|(number, image)| Some((number, self.index.record(number), image.ok()?)))
+            .collect();
+        let candidates: Vec<Candidate> = readable
+            .iter()
+            .filter_map(|(number, record, image)| Some(self.candidate(*number, record, self.camera(record)?, image)))
+            .collect();
+        let nearest = readable.first().and_then(|(_, record, _)| self.camera(record));
+        let camera = match (&wanted.camera, nearest) {
+            (Some(camera), _) | (None, Some(camera)) => Arc::clone(camera),
+            (None, None) => {
+                let what = unreadable.first().cloned().unwrap_or_else(|| "no image can be read".to_owned());
+                return Err(DatabaseError::Image { path: self.folder.clone(), what });
+            }
+        };
+        let answer = view(&self.request(wanted, &camera), &candidates)?;
+        Ok(Shown { answer, camera, stored: None, unreadable })
+    }
+
+    fn request<'a>(&'a self, wanted: &Wanted, camera: &'a Camera) -> Request<'a> {
+        Request {
+            camera,
+            map_from_link: wanted.map_from_link,
+            method: wanted.method,
+            world: &self.world,
+            vignetting: Vignetting::default(),
+            settings: ViewSettings {
+                sources: self.settings.sources,
+                stored_within_m: self.settings.stored_within_m,
+                stored_within_rad: self.settings.stored_within_deg.to_radians(),
+                max_distance_m: wanted.max_distance_m,
+            },
+        }
+    }
+
+    fn candidate<'a>(&self, number: usize, record: &Record, camera: &'a Camera, image: &'a Pyramid) -> Candidate<'a> {
+        Candidate {
+            id: number as u64,
+            camera,
+            map_from_link: record.pose(),
+            image,
+            tag: record.tag(),
+            vignetting: Vignetting::default(),
+        }
+    }
+
+    /// An image, decoded; the error names its file.
+    pub fn image(&self, number: usize) -> Result<Arc<Pyramid>, String> {
+        if let Some(image) = self.decoded().get(number) {
+            return Ok(image);
+        }
+        let record = self.index.record(number);
+        let bytes = bytes_of(&self.catalogue, &record).map_err(|(path, what)| format!("{}: {what}", path.display()))?;
+        let image = Arc::new(self.decode(&record, &bytes)?);
+        self.decoded().put(number, &image);
+        Ok(image)
+    }
+
+    fn decode(&self, record: &Record, bytes: &[u8]) -> Result<Pyramid, String> {
+        let shows = self.shows.get(record.source as usize);
+        let shows = shows.ok_or("the index names a source that the catalogue does not know")?;
+        let colours = colours(bytes, record.form)?;
+        let raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, shows);
+        raster.map(Pyramid::new).ok_or_else(|| "its pixels do not fit its lens".to_owned())
+    }
+
+    /// A thread that panicked while it held the images has left them whole: they are only put in and taken out.
+    fn decoded(&self) -> MutexGuard<'_, Decoded> {
+        self.decoded.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Which pixels of a source's images show the world: those that the lens draws, that were ever lit, and that are not
+/// its robot's own body; the soft rim of the lens's circle left out.
+fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Result<Vec<bool>, DatabaseError> {
+    let (width, height) = (source.lens.width, source.lens.height);
+    let read =
+        |png: &str| body_mask(png, width, height).map_err(|what| DatabaseError::Image { path: png.into(), what });
+    let shown = |masks: &[BodyMask]| -> Vec<bool> {
+        let pixel = |index: usize| DVec2::new((index % width as usize) as f64, (index / width as usize) as f64);
+        let drawn = camera.shows().iter().enumerate();
+        drawn.map(|(index, drawn)| *drawn && !masks.iter().any(|mask| mask.hides(pixel(index)))).collect()
+    };
+    let dark = source.dark.as_ref().map(|name| read(&folder.join(name).display().to_string())).transpose()?;
+    let lit = without_rim(&shown(dark.as_slice()), width as usize);
+    let bodies = source.body_masks.iter().map(|png| read(png)).collect::<Result<Vec<_>, _>>()?;
+    Ok(lit.iter().zip(shown(&bodies)).map(|(lit, body)| *lit && body).collect())
+}
+
+/// Takes away what is within [`RIM_PX`] of a pixel that shows nothing; the image's border is no rim.
+fn without_rim(shows: &[bool], width: usize) -> Vec<bool> {
+    let height = shows.len() / width;
+    let near = |at: usize, end: usize| at.saturating_sub(RIM_PX)..(at + RIM_PX + 1).min(end);
+    let rows: Vec<bool> =
+        (0..shows.len()).map(|i| near(i % width, width).all(|u| shows[i / width * width + u])).collect();
+    (0..shows.len()).map(|i| near(i / width, height).all(|v| rows[v * width + i % width])).collect()
+}
+
+/// 0 for a good tag and a picture that is neither dark, nor blown out, nor blurred, up to 1.
+fn badness(record: &Record) -> f64 {
+    let tag = (f64::from(record.sigma_m) / 0.05).min(1.0);
+    let light = match record.brightness {
+        dark if dark < 40.0 => f64::from(40.0 - dark) / 40.0,
+        bright if bright > 200.0 => f64::from(bright - 200.0) / 55.0,
+        _ => 0.0,
+    };
+    let blur = (1.0 - f64::from(record.sharpness) / 0.05).clamp(0.0, 1.0);
+    (0.5 * tag + 0.25 * light.min(1.0) + 0.25 * blur).clamp(0.0, 1.0)
+}
+
+/// Decoded images, the longest unused ones given up first.
+#[derive(Debug)]
+struct Decoded {
+    images: HashMap<usize, (u64, Arc<Pyramid>)>,
+    by_use: BTreeMap<u64, usize>,
+    uses: u64,
+    bytes: usize,
+    most_bytes: u64,
+}
+
+impl Decoded {
+    fn new(most_bytes: u64) -> Self {
+        Self { images: HashMap::new(), by_use: BTreeMap::new(), uses: 0, bytes: 0, most_bytes }
+    }
+
+    fn get(&mut self, number: usize) -> Option<Arc<Pyramid>> {
+        let (used, image) = self.images.get_mut(&number)?;
+        self.by_use.remove(used);
+        self.uses += 1;
+        *used = self.uses;
+        self.by_use.insert(self.uses, number);
+        Some(Arc::clone(image))
+    }
+
+    fn put(&mut self, number: usize, image: &Arc<Pyramid>) {
+        self.uses += 1;
+        self.bytes += image.bytes();
+        if let Some((used, old)) = self.images.insert(number, (self.uses, Arc::clone(image))) {
+            self.by_use.remove(&used);
+            self.bytes -= old.bytes();
+        }
+        self.by_use.insert(self.uses, number);
+        while self.bytes as u64 > self.most_bytes
+            && let Some((_, oldest)) = self.by_use.pop_first()
+        {
+            if let Some((_, image)) = self.images.remove(&oldest) {
+                self.bytes -= image.bytes();
+            }
+        }
+    }
+}

@@ -1,0 +1,25 @@
+//! The image database: images that stay where they were recorded, found by the pose of their camera.
+//!
+//! The rim around [`crate::views`]: files, a memory map, decoded images. [`Gallery`] answers requests; [`add`],
+//! [`remove`], [`rebuild`] and [`verify`] keep the database, which a gallery may be reading meanwhile. Formats:
+//! docs/formats.md.
+
+mod build;
+mod catalogue;
+mod coverage;
+mod error;
+mod gallery;
+mod index;
+mod pixels;
+mod record;
+mod sources;
+mod tree;
+
+pub use build::{Added, Checked, Stats, add, rebuild, remove, stats, verify};
+pub use catalogue::{Catalogue, Source, SourceKind};
+pub use coverage::{Coverage, coverage};
+pub use error::DatabaseError;
+pub use gallery::{Gallery, Shown, Wanted};
+pub use index::{Index, Neighbour, write_index};
+pub use record::Record;
+pub use tree::Metric;

@@ -1,0 +1,288 @@
+//! Captures and folders of images, read into records.
+
+use std::collections::{HashMap, VecDeque};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::thread;
+
+use glam::DVec3;
+
+use super::catalogue::{Source, SourceKind};
+use super::error::{DatabaseError, io};
+use super::pixels::{colours, quality, read_bytes};
+use super::record::{Form, Record};
+use crate::config::load_lens_for_image;
+use crate::evaluation::capture::{Readout, losses, read_tags};
+use crate::geometry::{Euler, FieldDimensions, Isometry};
+use crate::recording::{Loss, read_info};
+use crate::ros2::mcap_read::{LogMessage, Selection};
+use crate::ros2::messages::{CompressedImageView, FrameTag};
+use crate::sensors::decode;
+use crate::sensors::intake::isometry;
+use crate::sensors::log::{self, LogSource};
+
+/// A source with its images.
+pub(super) struct Read {
+    pub(super) source: Source,
+    /// Their `source` is for the catalogue to say.
+    pub(super) records: Vec<Record>,
+    /// `None` if the source does not say.
+    pub(super) field: Option<FieldDimensions>,
+    pub(super) losses: Vec<Loss>,
+    /// The brightest that each pixel ever was.
+    pub(super) lit: Lit,
+}
+
+/// For each pixel the greatest of its three channels over all images.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Lit {
+    brightest: Vec<u8>,
+}
+
+/// Darker in every image: the lens draws nothing there.
+const DARK: u8 = 16;
+
+impl Lit {
+    fn add(&mut self, rgb: &[u8]) {
+        self.brightest.resize(rgb.len() / 3, 0);
+        let (triples, _) = rgb.as_chunks::<3>();
+        for (known, [r, g, b]) in self.brightest.iter_mut().zip(triples) {
+            *known = (*known).max(*r).max(*g).max(*b);
+        }
+    }
+
+    fn join(&mut self, other: &Self) {
+        self.brightest.resize(self.brightest.len().max(other.brightest.len()), 0);
+        self.brightest.iter_mut().zip(&other.brightest).for_each(|(known, more)| *known = (*known).max(*more));
+    }
+
+    /// Black where it was always dark, white elsewhere; `None` if that is everywhere or nowhere.
+    pub(super) fn mask(&self) -> Option<Vec<u8>> {
+        let dark = self.brightest.iter().filter(|value| **value < DARK).count();
+        let some = dark > 0 && dark < self.brightest.len();
+        some.then(|| self.brightest.iter().map(|value| if *value < DARK { 0 } else { 255 }).collect())
+    }
+}
+
+const POSES: &str = "poses.csv";
+const POSES_HEAD: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg";
+const CAMERA: &str = "camera_info.yaml";
+/// Better tags of a capture, written later, if they are there.
+const REFINED: &str = "refined";
+/// Images decoded at a time: bounds memory.
+const MAX_BATCH: usize = 64;
+
+/// A capture, one of its segments, or a folder with `poses.csv`. `done` hears of images.
+pub(super) fn read(path: &Path, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+    let path = path.canonicalize().map_err(io(path))?;
+    if path.join(POSES).is_file() { read_folder(path, done) } else { read_capture(path, done) }
+}
+
+fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+    let folder = if path.is_dir() { path.as_path() } else { path.parent().unwrap_or(&path) };
+    let info = read_info(folder)?;
+    let refined = folder.join(REFINED);
+    let tags_from = if path.is_dir() && refined.is_dir() { &refined } else { &path };
+    let Readout { found: tags, mut losses } = read_tags(tags_from)?;
+    let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
+    for tag in tags.iter().filter(|tag| tag.valid) {
+        waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
+    }
+    let files = log::files_of(&path)?;
+    let topic = info.settings.topics.image.clone();
+    let mut log = LogSource::with_outputs(files.clone(), Selection::topics([topic.as_str()]));
+    let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), Lit::default());
+    let lens = [info.lens.width as usize, info.lens.height as usize];
+    loop {
+        let message = log.next().transpose()?;
+        if message.is_none() || batch.len() == MAX_BATCH {
+            left_out += look_at(&mut batch, lens, &mut records, &mut lit);
+            done(records.len() as u64);
+        }
+        let Some(message) = message else { break };
+        let tag = decode::stamp_ns(&message).ok().and_then(|stamp| waiting.get_mut(&stamp)?.pop_front());
+        let place =
+            log.place().and_then(|(file, at)| Some((files.iter().position(|known| *known == *file)? as u32, at)));
+        match (tag, place, stored(&message)) {
+            (Some(tag), Some((file, at)), Some((within, bytes, form))) => {
+                batch.push((record_of(tag, file, at + within, bytes, form), bytes.to_vec()));
+            }
+            (Some(_), None, _) => {
+                let what = "its images are compressed once more and cannot be found by their place: record it anew with \
+                            `realitysim replay`";
+                return Err(DatabaseError::Source { path, what: what.to_owned() });
+            }
+            _ => left_out += 1,
+        }
+    }
+    losses.extend(
+        self::losses(&path, log.damage()).into_iter().filter(|loss| !losses.contains(loss)).collect::<Vec<_>>(),
+    );
+    let relative = |file: &PathBuf| file.strip_prefix(&path).map(Path::to_owned).unwrap_or_default();
+    let source = Source {
+        kind: SourceKind::Capture,
+        lens: info.lens,
+        files: files.iter().map(relative).collect(),
+        dark: None,
+        body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
+        images: records.len() as u64,
+        left_out,
+        path,
+    };
+    Ok(Read { source, records, field: Some(info.field), losses, lit })
+}
+
+/// Where in a message the stored bytes begin, these, and what they are.
+fn stored(message: &LogMessage) -> Option<(u64, &[u8], Form)> {
+    if message.channel.type_name != "sensor_msgs/msg/CompressedImage" {
+        return Some((0, &message.data, Form::RosImage));
+    }
+    let image = CompressedImageView::decode(&message.data).ok()?.data;
+    Some(((image.as_ptr() as usize - message.data.as_ptr() as usize) as u64, image, Form::File))
+}
+
+fn record_of(tag: &FrameTag, file: u32, offset: u64, bytes: &[u8], form: Form) -> Record {
+    let covariance = &tag.pose.covariance;
+    let sigma = |a: usize, b: usize| libm::sqrt(covariance[a].max(covariance[b]).max(0.0)) as f32;
+    Record {
+        file,
+        offset,
+        length: bytes.len() as u32,
+        crc: crc32fast::hash(bytes),
+        stamp_ns: tag.header.stamp.to_nanoseconds(),
+        sigma_m: sigma(0, 7),
+        sigma_rad: sigma(21, 28).max(sigma(35, 35)),
+        form,
+        ..Record::at(&isometry(&tag.pose.pose.position, &tag.pose.pose.orientation))
+    }
+}
+
+/// Decodes a batch with all processors; those that do not decode, or are of another size, are left out and counted.
+fn look_at(
+    batch: &mut Vec<(Record, Vec<u8>)>,
+    [width, height]: [usize; 2],
+    records: &mut Vec<Record>,
+    lit: &mut Lit,
+) -> u64 {
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    let share = batch.len().div_ceil(threads).max(1);
+    let before = records.len();
+    thread::scope(|scope| {
+        let look = |part: &[(Record, Vec<u8>)]| -> (Vec<Record>, Lit) {
+            let mut lit = Lit::default();
+            let good = part.iter().filter_map(|(record, bytes)| {
+                let colours = colours(bytes, record.form).ok()?;
+                let (sharpness, brightness) = quality(&colours);
+                let fits = colours.width == width && colours.height == height;
+                fits.then(|| {
+                    lit.add(&colours.rgb);
+                    Record { sharpness, brightness, ..*record }
+                })
+            });
+            (good.collect(), lit)
+        };
+        let workers: Vec<_> = batch.chunks(share).map(|part| scope.spawn(move || look(part))).collect();
+        for worker in workers {
+            // A decoder that panics costs its part of the batch, which counts as left out.
+            if let Ok((found, more)) = worker.join() {
+                records.extend(found);
+                lit.join(&more);
+            }
+        }
+    });
+    let left_out = batch.len() - (records.len() - before);
+    batch.clear();
+    left_out as u64
+}
+
+fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+    let table = path.join(POSES);
+    let text = fs::read_to_string(&table).map_err(io(&table))?;
+    let wrong =
+        |line: usize, what: String| DatabaseError::Source { path: table.clone(), what: format!("line {line}: {what}") };
+    let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
+    match lines.next() {
+        Some((_, head)) if head == POSES_HEAD => {}
+        found => {
+            let found = found.map_or("", |(_, head)| head).to_owned();
+            return Err(wrong(1, format!("the head is {found:?}, and {POSES_HEAD:?} is needed")));
+        }
+    }
+    let (mut files, mut records, mut losses, mut batch) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut lens, mut left_out, mut lit) = (None, 0, Lit::default());
+    for (line, text) in lines.filter(|(_, text)| !text.is_empty()) {
+        let (name, pose) = row(text).map_err(|what| wrong(line, what))?;
+        let file = path.join(&name);
+        let inside = name.components().all(|part| matches!(part, std::path::Component::Normal(_)));
+        if !inside {
+            return Err(wrong(line, format!("{} does not lie in this folder", name.display())));
+        }
+        let bytes = match fs::metadata(&file)
+            .and_then(|meta| read_bytes(&file, 0, meta.len().min(u64::from(u32::MAX)) as u32))
+        {
+            Ok(bytes) => bytes,
+            Err(error) => {
+                losses.push(Loss::new(&file, format!("cannot be read: {error}")));
+                left_out += 1;
+                continue;
+            }
+        };
+        if lens.is_none() {
+            lens = Some(camera_of(&path, &bytes)?);
+        }
+        let mut record = record_of(&FrameTag::default(), files.len() as u32, 0, &bytes, Form::File);
+        record.set_pose(&pose);
+        files.push(name);
+        batch.push((record, bytes));
+        if batch.len() == MAX_BATCH {
+            left_out += finish(&mut batch, &lens, &mut records, &mut lit);
+            done(records.len() as u64);
+        }
+    }
+    left_out += finish(&mut batch, &lens, &mut records, &mut lit);
+    done(records.len() as u64);
+    let lens = lens.ok_or_else(|| DatabaseError::Source {
+        path: path.clone(),
+        what: format!("{POSES} names no image that can be read"),
+    })?;
+    let (kind, images) = (SourceKind::Folder, records.len() as u64);
+    let source = Source { kind, path, lens, files, body_masks: Vec::new(), dark: None, images, left_out };
+    Ok(Read { source, records, field: None, losses, lit })
+}
+
+fn finish(
+    batch: &mut Vec<(Record, Vec<u8>)>,
+    lens: &Option<crate::geometry::LensParameters>,
+    records: &mut Vec<Record>,
+    lit: &mut Lit,
+) -> u64 {
+    let Some(lens) = lens else { return 0 };
+    look_at(batch, [lens.width as usize, lens.height as usize], records, lit)
+}
+
+/// `camera_info.yaml` beside the images, for images of this size.
+fn camera_of(folder: &Path, first: &[u8]) -> Result<crate::geometry::LensParameters, DatabaseError> {
+    let path = folder.join(CAMERA);
+    if !path.is_file() {
+        let what = format!("without {CAMERA}, as ROS camera_calibration writes it, nobody knows the lens");
+        return Err(DatabaseError::Source { path: folder.to_owned(), what });
+    }
+    let size = colours(first, Form::File).map_err(|what| DatabaseError::Image { path: folder.to_owned(), what })?;
+    let file = load_lens_for_image(&path.display().to_string(), size.width as u32, size.height as u32)?;
+    Ok(file.lens.parameters().clone())
+}
+
+/// A file's name and the pose of its `camera_link`.
+fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
+    let cells: Vec<&str> = text.split(',').map(str::trim).collect();
+    let [name, numbers @ ..] = cells.as_slice() else { return Err("empty".to_owned()) };
+    let numbers: Vec<f64> = numbers
+        .iter()
+        .map(|cell| cell.parse().ok().filter(|x: &f64| x.is_finite()).ok_or(format!("{cell:?} is no number")))
+        .collect::<Result<_, _>>()?;
+    let [x, y, z, yaw, pitch, roll] = numbers[..] else {
+        return Err(format!("{} cells, and 7 are needed: {POSES_HEAD}", cells.len()));
+    };
+    let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
+    Ok((PathBuf::from(name), Isometry::from_euler(euler, DVec3::new(x, y, z))))
+}

@@ -1,0 +1,263 @@
+//! What is asked for, what it is made from, and what the answer says of itself.
+
+use thiserror::Error;
+
+use super::ground_warp::{Target, Warp};
+use super::raster::{NOTHING, Pyramid, Raster, SURE};
+use super::world::Surface;
+use super::{Camera, Vignetting, World};
+use crate::geometry::Isometry;
+
+/// The camera asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Request<'a> {
+    pub camera: &'a Camera,
+    /// `camera_link` in `map`.
+    pub map_from_link: Isometry,
+    pub method: Method,
+    pub world: &'a World,
+    /// How the wanted lens darkens its image towards the border.
+    pub vignetting: Vignetting,
+    pub settings: ViewSettings,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// Ground plane and goals through both lenses, the best source for each pixel.
+    #[default]
+    Exact,
+    /// A quadratic map from the nearest image, Eq. 3-4 of the paper.
+    Paper,
+    /// The nearest image as it is.
+    Nearest,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewSettings {
+    /// At most so many images make a view.
+    pub sources: usize,
+    /// An image this near is the answer itself.
+    pub stored_within_m: f64,
+    pub stored_within_rad: f64,
+    /// Farther from the nearest image the request is refused.
+    pub max_distance_m: f64,
+}
+
+impl Default for ViewSettings {
+    fn default() -> Self {
+        Self {
+            sources: 4,
+            stored_within_m: 0.005,
+            stored_within_rad: 0.25f64.to_radians(),
+            max_distance_m: f64::INFINITY,
+        }
+    }
+}
+
+/// A recorded image that may serve.
+#[derive(Clone, Copy, Debug)]
+pub struct Candidate<'a> {
+    /// The caller's own.
+    pub id: u64,
+    pub camera: &'a Camera,
+    /// `camera_link` in `map`.
+    pub map_from_link: Isometry,
+    /// Of the camera's size.
+    pub image: &'a Pyramid,
+    pub tag: TagError,
+    pub vignetting: Vignetting,
+}
+
+/// Standard deviation of a tag.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TagError {
+    pub position_m: f64,
+    pub rotation_rad: f64,
+}
+
+/// How an answer came about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Made {
+    /// A recorded image, unchanged: it was taken where the request is.
+    Stored,
+    /// A recorded image, unchanged, though it was taken elsewhere.
+    Nearest,
+    /// From one image.
+    Warped,
+    /// From several.
+    Composed,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answer {
+    /// Its fourth channel is the mask of what is sure.
+    pub image: Raster,
+    pub made: Made,
+    /// Those that show in it, nearest first.
+    pub sources: Vec<UsedSource>,
+    /// Share of the pixels which the lens draws that show something.
+    pub valid_share: f64,
+    /// Share of them that show known geometry: ground or goal.
+    pub sure_share: f64,
+    /// How far from its right place, in pixels (root mean square), known geometry is expected to be shown; by the tags'
+    /// errors and the map's own.
+    pub expected_error_px: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UsedSource {
+    pub id: u64,
+    /// From the pose asked for.
+    pub distance_m: f64,
+    /// Between both orientations.
+    pub angle_rad: f64,
+    /// Of the view.
+    pub share: f64,
+}
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ViewError {
+    #[error("there is no image to make a view from")]
+    NoCandidates,
+    #[error("the pose asked for is not finite: give x, y, z in metres and yaw, pitch, roll in degrees")]
+    NotFinite,
+    #[error(
+        "the camera asked for is {z:.3} m above the ground: views are made from {LEAST_HEIGHT_M} to {MOST_HEIGHT_M} m"
+    )]
+    Height { z: f64 },
+    #[error(
+        "the nearest image was taken {distance_m:.2} m away, farther than the {max_m:.2} m that are allowed: record \
+         there, or allow more"
+    )]
+    TooFar { distance_m: f64, max_m: f64 },
+    #[error("no image shows anything of this view")]
+    NothingSeen,
+    #[error("the quadratic map cannot be fitted: {0}")]
+    Fit(#[from] super::quadratic::FitError),
+}
+
+/// Lower, rays graze the ground; higher than any hall.
+const LEAST_HEIGHT_M: f64 = 0.02;
+const MOST_HEIGHT_M: f64 = 20.0;
+/// Of a map that is interpolated on a grid, root mean square.
+const GRID_ERROR_PX: f64 = 0.04;
+
+impl Request<'_> {
+    pub(super) fn check(&self) -> Result<(), ViewError> {
+        if !self.map_from_link.is_finite() {
+            return Err(ViewError::NotFinite);
+        }
+        let z = self.map_from_link.translation.z;
+        if (LEAST_HEIGHT_M..=MOST_HEIGHT_M).contains(&z) { Ok(()) } else { Err(ViewError::Height { z }) }
+    }
+
+    pub(super) fn refuse_far(&self, nearest: &Candidate) -> Result<(), ViewError> {
+        let distance_m = self.distance_m(&nearest.map_from_link);
+        let max_m = self.settings.max_distance_m;
+        if distance_m <= max_m { Ok(()) } else { Err(ViewError::TooFar { distance_m, max_m }) }
+    }
+
+    fn distance_m(&self, map_from_link: &Isometry) -> f64 {
+        self.map_from_link.translation.distance(map_from_link.translation)
+    }
+
+    pub(super) fn is_stored_as(&self, candidate: &Candidate) -> bool {
+        self.is_within(&candidate.map_from_link)
+            && self.camera.lens().parameters() == candidate.camera.lens().parameters()
+    }
+
+    /// Whether an image taken there is the answer, if its lens is the one asked for.
+    pub fn is_within(&self, map_from_link: &Isometry) -> bool {
+        self.distance_m(map_from_link) <= self.settings.stored_within_m
+            && angle_between(&self.map_from_link, map_from_link) <= self.settings.stored_within_rad
+    }
+
+    pub(super) fn used(&self, candidate: &Candidate, share: f64) -> UsedSource {
+        UsedSource {
+            id: candidate.id,
+            distance_m: self.distance_m(&candidate.map_from_link),
+            angle_rad: angle_between(&self.map_from_link, &candidate.map_from_link),
+            share,
+        }
+    }
+}
+
+/// The angle of the rotation from one orientation to the other, radians.
+pub fn angle_between(a: &Isometry, b: &Isometry) -> f64 {
+    let turn = a.rotation.conjugate() * b.rotation;
+    2.0 * libm::atan2(turn.xyz().length(), turn.w.abs())
+}
+
+impl Answer {
+    pub(super) fn unchanged(made: Made, request: &Request, source: &Candidate) -> Self {
+        let image = source.image.full().clone();
+        let (valid_share, _) = shares(source.camera, &image);
+        let target = Target::new(request.camera, &request.map_from_link, request.world);
+        let error = match made {
+            // Each place is shown where the source's camera had it.
+            Made::Nearest => Warp::new(&target, source).rms_shift_px(),
+            _ => 0.0,
+        };
+        let expected_error_px = libm::hypot(error, tag_error_px(&target, &source.tag));
+        let sources = vec![request.used(source, 1.0)];
+        Self { image, made, sources, valid_share, sure_share: valid_share, expected_error_px }
+    }
+
+    pub(super) fn warped(request: &Request, source: &Candidate, image: Raster, map_error_px: f64) -> Self {
+        let (valid_share, sure_share) = shares(request.camera, &image);
+        let target = Target::new(request.camera, &request.map_from_link, request.world);
+        let expected_error_px = libm::hypot(map_error_px, tag_error_px(&target, &source.tag));
+        let sources = vec![request.used(source, 1.0)];
+        Self { image, made: Made::Warped, sources, valid_share, sure_share, expected_error_px }
+    }
+
+    pub(super) fn composed(
+        request: &Request,
+        candidates: &[Candidate],
+        target: &Target,
+        composed: super::compose::Composed,
+    ) -> Result<Self, ViewError> {
+        let super::compose::Composed { image, shares: used } = composed;
+        let (valid_share, sure_share) = shares(request.camera, &image);
+        if valid_share == 0.0 {
+            return Err(ViewError::NothingSeen);
+        }
+        let squares = candidates.iter().zip(&used).map(|(source, share)| {
+            let error = tag_error_px(target, &source.tag);
+            share * error * error
+        });
+        let expected_error_px = libm::sqrt(squares.sum::<f64>() + GRID_ERROR_PX * GRID_ERROR_PX);
+        let sources: Vec<UsedSource> = candidates
+            .iter()
+            .zip(&used)
+            .filter(|(_, share)| **share > 0.0)
+            .map(|(candidate, share)| request.used(candidate, *share))
+            .collect();
+        let made = if sources.len() > 1 { Made::Composed } else { Made::Warped };
+        Ok(Self { image, made, sources, valid_share, sure_share, expected_error_px })
+    }
+}
+
+/// Of the pixels that the lens draws: those that show something, and those that are sure.
+fn shares(camera: &Camera, image: &Raster) -> (f64, f64) {
+    let (mut drawn, mut valid, mut sure) = (0usize, 0usize, 0usize);
+    for (shows, pixel) in camera.shows().iter().zip(&image.pixels) {
+        drawn += usize::from(*shows);
+        valid += usize::from(*shows && pixel[3] != NOTHING);
+        sure += usize::from(*shows && pixel[3] == SURE);
+    }
+    let share = |count: usize| count as f64 / drawn.max(1) as f64;
+    (share(valid), share(sure))
+}
+
+/// How far a tag that is wrong by its standard deviation moves the ground, root mean square over the ground in view.
+fn tag_error_px(target: &Target, tag: &TagError) -> f64 {
+    let focal = target.camera().lens().focal();
+    let (mut sum, mut count) = (0.0, 0usize);
+    for hit in target.hits().filter(|hit| hit.surface == Surface::Ground) {
+        let shift = focal * libm::hypot(tag.rotation_rad, tag.position_m * hit.inverse_distance);
+        sum += shift * shift;
+        count += 1;
+    }
+    libm::sqrt(sum / count.max(1) as f64)
+}

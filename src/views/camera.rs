@@ -1,0 +1,73 @@
+//! A lens prepared for views: the rays of all its pixels, known once and for all.
+
+use glam::{DVec2, DVec3};
+
+use crate::geometry::{Lens, Projector};
+
+/// A lens with its rays. Making one takes some tens of milliseconds; it serves any number of views.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    projector: Projector,
+    /// Unit rays in `camera_optical_frame`, row by row; NaN where the lens draws nothing.
+    rays: Vec<[f32; 3]>,
+    /// The same at the corners of the cells.
+    nodes: Vec<DVec3>,
+    shows: Vec<bool>,
+}
+
+/// Side of a cell, pixels: maps are calculated at its corners and interpolated within.
+pub(super) const CELL: usize = 8;
+
+impl Camera {
+    pub fn new(lens: &Lens) -> Self {
+        let (width, height) = (lens.width() as usize, lens.height() as usize);
+        let ray = |u: usize, v: usize| lens.unproject(DVec2::new(u as f64, v as f64)).unwrap_or(DVec3::NAN);
+        let pixels = (0..height).flat_map(|v| (0..width).map(move |u| (u, v)));
+        let rays: Vec<[f32; 3]> = pixels.map(|(u, v)| ray(u, v).as_vec3().to_array()).collect();
+        let (columns, rows) = cells(width, height);
+        let corners = (0..=rows).flat_map(|row| (0..=columns).map(move |column| (column, row)));
+        let nodes = corners.map(|(column, row)| ray(column * CELL, row * CELL)).collect();
+        let shows = rays.iter().map(|ray| !ray[0].is_nan()).collect();
+        Self { projector: Projector::new(lens), rays, nodes, shows }
+    }
+
+    pub fn lens(&self) -> &Lens {
+        self.projector.lens()
+    }
+
+    pub fn width(&self) -> usize {
+        self.lens().width() as usize
+    }
+
+    pub fn height(&self) -> usize {
+        self.lens().height() as usize
+    }
+
+    /// Which pixels the lens draws, row by row.
+    pub fn shows(&self) -> &[bool] {
+        &self.shows
+    }
+
+    pub(super) fn projector(&self) -> &Projector {
+        &self.projector
+    }
+
+    /// Columns and rows of cells; the last ones may reach over the edge.
+    pub(super) fn cells(&self) -> (usize, usize) {
+        cells(self.width(), self.height())
+    }
+
+    /// Corners of the cells, row by row, one more each way than cells.
+    pub(super) fn node_rays(&self) -> &[DVec3] {
+        &self.nodes
+    }
+
+    pub(super) fn ray(&self, u: usize, v: usize) -> Option<DVec3> {
+        let [x, y, z] = self.rays[v * self.width() + u];
+        (!x.is_nan()).then(|| DVec3::new(f64::from(x), f64::from(y), f64::from(z)))
+    }
+}
+
+fn cells(width: usize, height: usize) -> (usize, usize) {
+    (width.div_ceil(CELL), height.div_ceil(CELL))
+}

@@ -1,0 +1,58 @@
+//! Views: what the camera would have seen from a pose that was never recorded, made from images that were.
+//!
+//! Pure: poses, lenses and pixels in, pixels out. [`view`] is the method; which images are offered to it is for
+//! [`crate::database`] to say. Every answer tells what it was made of and how far it can be trusted: [`Answer`].
+
+mod answer;
+mod camera;
+mod compose;
+mod ground_warp;
+pub mod paper;
+mod photometry;
+pub mod quadratic;
+mod raster;
+mod sample;
+mod world;
+
+pub use answer::{Answer, Candidate, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings};
+pub use camera::Camera;
+pub use ground_warp::{Target, Warp};
+pub use photometry::{Gain, Vignetting};
+pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
+pub use world::{Surface, World};
+
+use crate::geometry::Isometry;
+
+/// The view from `request.map_from_link`, made of the candidates, nearest first; images of another lens or size do.
+///
+/// ```text
+/// stored   : the first candidate is near enough to be the answer itself
+/// nearest  : the first candidate, unchanged
+/// paper    : the first candidate through a quadratic map (Eq. 3-4), its holes filled by the reverse map
+/// exact    : every candidate through ground, goals and both lenses; the best of them for each pixel
+/// ```
+pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewError> {
+    request.check()?;
+    let nearest = candidates.first().ok_or(ViewError::NoCandidates)?;
+    request.refuse_far(nearest)?;
+    if request.is_stored_as(nearest) {
+        return Ok(Answer::unchanged(Made::Stored, request, nearest));
+    }
+    match request.method {
+        Method::Nearest => Ok(Answer::unchanged(Made::Nearest, request, nearest)),
+        Method::Paper => paper::view(request, nearest),
+        Method::Exact => {
+            let chosen = &candidates[..candidates.len().min(request.settings.sources)];
+            let target = Target::new(request.camera, &request.map_from_link, request.world);
+            let warps: Vec<Warp> = chosen.iter().map(|source| Warp::new(&target, source)).collect();
+            let gains = photometry::balance(&target, &warps, chosen);
+            let composed = compose::compose(request, &target, &warps, chosen, &gains);
+            Answer::composed(request, chosen, &target, composed)
+        }
+    }
+}
+
+/// `map` from `camera_optical_frame` for a pose of `camera_link`.
+fn optical(map_from_link: &Isometry) -> Isometry {
+    *map_from_link * Isometry::link_from_optical()
+}

@@ -1,0 +1,202 @@
+//! What stands where: the ground as far as the field goes, and the goals as second planes. All else is far away.
+
+use glam::{DVec2, DVec3};
+
+use crate::geometry::Field;
+
+/// Known geometry, in `map`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct World {
+    /// Half extents of what counts as ground: beyond it are walls and people, not floor.
+    ground_half: DVec2,
+    bars: Vec<Bar>,
+}
+
+/// A post or crossbar of a goal: a round bar, drawn as the plane through its axis that faces the camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bar {
+    from: DVec3,
+    to: DVec3,
+    radius: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Surface {
+    Ground,
+    Goal,
+    /// Above the horizon or beyond the carpet: taken to be infinitely far, so that only rotation counts.
+    Far,
+}
+
+/// What a ray meets first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Hit {
+    /// 1/m along the unit ray; 0 is far.
+    pub(super) inverse_distance: f64,
+    pub(super) surface: Surface,
+}
+
+/// Floor around the carpet that still counts as ground.
+const APRON_M: f64 = 0.5;
+
+impl World {
+    pub fn new(field: &Field) -> Self {
+        let mut bars = Vec::new();
+        let dimensions = field.dimensions();
+        if let Some(goal) = dimensions.goal {
+            let (half, radius) = (goal.width_m / 2.0, goal.post_diameter_m / 2.0);
+            for x in [-dimensions.length_m / 2.0, dimensions.length_m / 2.0] {
+                let top = |y: f64| DVec3::new(x, y, goal.height_m);
+                let posts = [-half, half].map(|y| Bar { from: DVec3::new(x, y, 0.0), to: top(y), radius });
+                bars.extend(posts);
+                bars.push(Bar { from: top(-half), to: top(half), radius });
+            }
+        }
+        Self { ground_half: field.carpet_half_extent() + DVec2::splat(APRON_M), bars }
+    }
+
+    /// Without goals: as the field of the paper's experiments, or where they have been taken away.
+    pub fn without_goals(field: &Field) -> Self {
+        Self { bars: Vec::new(), ..Self::new(field) }
+    }
+
+    pub(super) fn ground_half(&self) -> DVec2 {
+        self.ground_half
+    }
+
+    pub(super) fn bars(&self) -> &[Bar] {
+        &self.bars
+    }
+
+    /// What a unit ray from a place above the ground meets, goals left out.
+    pub(super) fn behind_goals(&self, camera: DVec3, ray: DVec3) -> Hit {
+        let inverse_distance = -ray.z / camera.z;
+        let far = Hit { inverse_distance: 0.0, surface: Surface::Far };
+        if inverse_distance <= 0.0 || !inverse_distance.is_finite() {
+            return far;
+        }
+        let place = (camera + ray / inverse_distance).truncate();
+        if place.abs().cmple(self.ground_half).all() { Hit { inverse_distance, surface: Surface::Ground } } else { far }
+    }
+
+    /// The goals as seen from a place; bars are `margin` radians wider to each side, so that their soft edges come along.
+    pub(super) fn goals_from(&self, camera: DVec3, margin: f64) -> Goals {
+        let seen = |bar: &Bar| {
+            let (from, to) = (bar.from - camera, bar.to - camera);
+            let nearest = bar.distance(camera).max(1e-3);
+            let sine = (bar.radius / nearest + margin).min(1.0);
+            SeenBar { bar: *bar, across: from.cross(to).normalize_or_zero(), sine }
+        };
+        Goals { camera, margin, bars: self.bars.iter().map(seen).collect() }
+    }
+}
+
+/// The goals from one camera's place.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Goals {
+    camera: DVec3,
+    margin: f64,
+    bars: Vec<SeenBar>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct SeenBar {
+    bar: Bar,
+    /// Perpendicular to the plane that holds camera and axis: a ray that is far from that plane passes by.
+    across: DVec3,
+    sine: f64,
+}
+
+impl Goals {
+    /// What a unit ray meets first, `behind` being what it meets if no goal stands there.
+    pub(super) fn before(&self, ray: DVec3, behind: Hit) -> Hit {
+        let mut hit = behind;
+        for distance in self.met(ray) {
+            if distance * hit.inverse_distance < 1.0 {
+                hit = Hit { inverse_distance: 1.0 / distance, surface: Surface::Goal };
+            }
+        }
+        hit
+    }
+
+    /// Whether a bar stands before what lies at this inverse distance along the unit ray.
+    pub(super) fn hide(&self, ray: DVec3, inverse_distance: f64) -> bool {
+        self.met(ray).any(|distance| distance * inverse_distance < 1.0 - BEFORE)
+    }
+
+    fn met(&self, ray: DVec3) -> impl Iterator<Item = f64> + '_ {
+        let near = move |seen: &&SeenBar| ray.dot(seen.across).abs() <= seen.sine;
+        self.bars.iter().filter(near).filter_map(move |seen| seen.bar.meets(self.camera, ray, self.margin))
+    }
+}
+
+/// What is nearer than a place by less than this share of the distance belongs to it.
+const BEFORE: f64 = 0.02;
+
+impl Bar {
+    /// How far along the unit ray its axis is passed, if it is passed closely enough.
+    fn meets(&self, camera: DVec3, ray: DVec3, margin: f64) -> Option<f64> {
+        let axis = self.to - self.from;
+        let to_camera = camera - self.from;
+        let (ra, aa) = (ray.dot(axis), axis.length_squared());
+        let (rc, ac) = (ray.dot(to_camera), axis.dot(to_camera));
+        let determinant = aa - ra * ra;
+        if determinant < 1e-12 {
+            return None;
+        }
+        let along = ((ac - ra * rc) / determinant).clamp(0.0, 1.0);
+        // The ray's point nearest to that point of the axis.
+        let point = self.from + axis * along;
+        let distance = ray.dot(point - camera);
+        let off = (camera + ray * distance - point).length();
+        (distance > 0.0 && off <= self.radius + margin * distance).then_some(distance)
+    }
+
+    fn distance(&self, place: DVec3) -> f64 {
+        let axis = self.to - self.from;
+        let along = ((place - self.from).dot(axis) / axis.length_squared()).clamp(0.0, 1.0);
+        place.distance(self.from + axis * along)
+    }
+
+    /// Places along it, no farther apart than a few centimetres.
+    pub(super) fn places(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let count = libm::ceil(self.from.distance(self.to) / 0.04).max(1.0) as usize;
+        (0..=count).map(move |index| self.from.lerp(self.to, index as f64 / count as f64))
+    }
+
+    pub(super) fn radius(&self) -> f64 {
+        self.radius
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::FieldDimensions;
+    use crate::geometry::field::Goal;
+    use crate::geometry::field::tests::kid_size_2013;
+
+    #[test]
+    fn rays_meet_ground_goal_and_what_is_far() {
+        let goal = Some(Goal { width_m: 1.5, height_m: 0.9, depth_m: 0.5, post_diameter_m: 0.1 });
+        let field = Field::new(FieldDimensions { goal, ..kid_size_2013() }).expect("a field");
+        let world = World::new(&field);
+        let camera = DVec3::new(1.0, 0.0, 0.5);
+        let goals = world.goals_from(camera, 0.0);
+        let look = |to: DVec3| {
+            let ray = (to - camera).normalize();
+            goals.before(ray, world.behind_goals(camera, ray))
+        };
+        let ground = look(DVec3::new(2.0, 0.3, 0.0));
+        assert_eq!(ground.surface, Surface::Ground);
+        assert!((1.0 / ground.inverse_distance - DVec3::new(1.0, 0.3, -0.5).length()).abs() < 1e-12);
+        let post = look(DVec3::new(3.0, 0.77, 0.4));
+        assert_eq!(post.surface, Surface::Goal);
+        assert!((1.0 / post.inverse_distance - 2.14).abs() < 0.02, "{post:?}");
+        assert_eq!(look(DVec3::new(3.0, 0.1, 0.9)).surface, Surface::Goal, "crossbar");
+        assert_eq!(look(DVec3::new(3.0, 0.1, 0.6)).surface, Surface::Far, "through the goal, above the horizon");
+        assert_eq!(look(DVec3::new(9.0, 0.0, 0.0)).surface, Surface::Far, "beyond the carpet");
+        let behind = DVec3::new(3.3, 0.86, 0.0) - camera;
+        assert!(goals.hide(behind.normalize(), 1.0 / behind.length()), "a post before the carpet");
+    }
+}
