@@ -3,7 +3,9 @@
 mod config;
 mod dev;
 mod limits;
+mod numerics;
 mod real;
 mod replay;
 mod ros2;
 mod scene;
+mod stress;

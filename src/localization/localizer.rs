@@ -259,12 +259,18 @@ impl Localizer {
             global::search(self.filter.observation(), &seen.table, &self.field, SEARCH_MARGIN_M, true, CANDIDATES);
         let best = if self.settings.refinement {
             let refined = found.iter().filter_map(|candidate| {
+                // A picture without lines fits everywhere, best where none are to be seen: no reason to go there.
                 let refined = self.refine_candidate(moment, seen, &candidate.pose)?;
-                Some((candidate.pose, refined.lines.fitting as f64 - refined.lines.expected as f64 * CONTRADICTED))
+                let surplus = refined.lines.fitting as f64 - refined.lines.expected as f64 * CONTRADICTED;
+                agrees(&refined.lines).then_some((candidate.pose, surplus))
             });
             refined.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(pose, _)| pose)
         } else {
-            found.first().map(|candidate| candidate.pose)
+            let valid = &self.settings.valid;
+            found.first().map(|candidate| candidate.pose).filter(|pose| {
+                let support = self.filter.observation().support(seen.lines(), pose);
+                support.share >= valid.share && support.weight >= valid.points
+            })
         };
         let Some(pose) = best else { return };
         let mirrored = pose.mirrored();

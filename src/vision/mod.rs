@@ -240,3 +240,6 @@ impl WorkingScale {
         pixel * self.factor + DVec2::splat(self.offset)
     }
 }
+
+#[cfg(test)]
+mod tests;
