@@ -126,8 +126,11 @@ impl Euler {
         if cos_pitch < 1e-12 {
             return Self { yaw: libm::atan2(-m.y_axis.x, m.y_axis.y), pitch, roll: 0.0 };
         }
-        // Near there yaw is uncertain, but any will do: roll is what is left of the rotation after it.
         let yaw = libm::atan2(m.x_axis.y, m.x_axis.x);
+        if cos_pitch > 0.01 {
+            return Self { yaw, pitch, roll: libm::atan2(m.y_axis.z, m.z_axis.z) };
+        }
+        // Near there yaw is uncertain, but any will do: roll is what is left of the rotation after it.
         let (s, c) = libm::sincos(yaw);
         let roll = libm::atan2(s * m.z_axis.x - c * m.z_axis.y, c * m.y_axis.y - s * m.y_axis.x);
         Self { yaw, pitch, roll }

@@ -186,7 +186,13 @@ fn effects(draw: &mut Draw) -> Vec<String> {
             )
         },
     ];
-    effects.iter().filter_map(|effect| draw.chance(0.35).then(|| effect(draw))).collect()
+    let mut drawn = Vec::new();
+    for effect in effects {
+        if draw.chance(0.35) {
+            drawn.push(effect(draw));
+        }
+    }
+    drawn
 }
 
 fn settings(draw: &mut Draw) -> Vec<String> {
@@ -206,8 +212,11 @@ fn settings(draw: &mut Draw) -> Vec<String> {
         ("image_reduction", &["1", "2", "8"]),
         ("tilt_sigma_deg", &["0.0", "45.0"]),
     ];
-    let drawn = settings
-        .iter()
-        .filter_map(|(key, values)| draw.chance(0.25).then(|| format!("{key} = {}", draw.one_of(values))));
-    drawn.collect()
+    let mut drawn = Vec::new();
+    for (key, values) in settings {
+        if draw.chance(0.25) {
+            drawn.push(format!("{key} = {}", draw.one_of(values)));
+        }
+    }
+    drawn
 }

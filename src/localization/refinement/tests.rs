@@ -84,7 +84,7 @@ fn solved(prior: &Prior, sights: &[Sight]) -> (Solution, Matrix6<f64>, f64) {
 fn assert_sound(prior: &Prior, solution: &Solution, covariance: &Matrix6<f64>, condition: f64) {
     assert!(solution.moved.iter().all(|value| value.is_finite()) && solution.cost.is_finite());
     assert!(covariance == &covariance.transpose() && covariance.cholesky().is_some(), "{covariance}");
-    assert!(condition >= 1.0 - 1e-12 && condition < 1e12, "{condition}");
+    assert!((1.0 - 1e-12..1e12).contains(&condition), "{condition}");
     // Never more uncertain than before looking: the difference has no negative eigenvalue.
     let spread = prior.covariance.cholesky().expect("a prior").l();
     let inverse = spread.try_inverse().expect("regular");
@@ -210,11 +210,11 @@ impl<'a> Oracle<'a> {
             .collect();
         // Gauss without pivots: the matrix is positive definite.
         for i in 0..6 {
-            for below in i + 1..6 {
-                let factor = &rows[below][i] / &rows[i][i];
-                for k in i..7 {
-                    let change = &factor * &rows[i][k];
-                    rows[below][k] = &rows[below][k] - change;
+            let (above, below) = rows.split_at_mut(i + 1);
+            for row in below {
+                let factor = &row[i] / &above[i][i];
+                for (value, above) in row.iter_mut().zip(&above[i]) {
+                    *value = &*value - &factor * above;
                 }
             }
         }
