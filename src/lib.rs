@@ -28,3 +28,11 @@ pub mod evaluation;
 pub mod database;
 
 pub mod cli;
+
+// What integration tests and unit tests share.
+#[cfg(test)]
+#[path = "../tests/numerics/exact.rs"]
+mod exact;
+#[cfg(test)]
+#[path = "../tests/numerics/measured.rs"]
+mod measured;

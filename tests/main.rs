@@ -3,8 +3,10 @@
 mod config;
 mod dev;
 mod limits;
+mod numerics;
 mod real;
 mod replay;
 mod ros2;
 mod scene;
 mod views;
+mod stress;

@@ -123,10 +123,17 @@ impl Euler {
         let sin_pitch = -m.x_axis.z;
         let cos_pitch = libm::hypot(m.x_axis.x, m.x_axis.y);
         let pitch = libm::atan2(sin_pitch, cos_pitch).clamp(-FRAC_PI_2, FRAC_PI_2);
-        if cos_pitch < 1e-9 {
+        if cos_pitch < 1e-12 {
             return Self { yaw: libm::atan2(-m.y_axis.x, m.y_axis.y), pitch, roll: 0.0 };
         }
-        Self { yaw: libm::atan2(m.x_axis.y, m.x_axis.x), pitch, roll: libm::atan2(m.y_axis.z, m.z_axis.z) }
+        let yaw = libm::atan2(m.x_axis.y, m.x_axis.x);
+        if cos_pitch > 0.01 {
+            return Self { yaw, pitch, roll: libm::atan2(m.y_axis.z, m.z_axis.z) };
+        }
+        // Near there yaw is uncertain, but any will do: roll is what is left of the rotation after it.
+        let (s, c) = libm::sincos(yaw);
+        let roll = libm::atan2(s * m.z_axis.x - c * m.z_axis.y, c * m.y_axis.y - s * m.y_axis.x);
+        Self { yaw, pitch, roll }
     }
 }
 
@@ -207,7 +214,7 @@ mod tests {
         #[test]
         fn euler_angles_give_the_rotation_back(yaw in -3.2..3.2f64, pitch in -FRAC_PI_2 + 1e-7..FRAC_PI_2 - 1e-7, roll in -3.2..3.2f64) {
             let rotation = Euler { yaw, pitch, roll }.rotation();
-            prop_assert!(angle_between(rotation, Euler::from_rotation(rotation).rotation()) < 1e-8);
+            prop_assert!(angle_between(rotation, Euler::from_rotation(rotation).rotation()) < 1e-11);
         }
 
         #[test]
@@ -215,7 +222,7 @@ mod tests {
             let pitch = if down { FRAC_PI_2 } else { -FRAC_PI_2 };
             let rotation = Euler { yaw, pitch, roll }.rotation();
             let euler = Euler::from_rotation(rotation);
-            prop_assert!(angle_between(rotation, euler.rotation()) < 1e-7);
+            prop_assert!(angle_between(rotation, euler.rotation()) < 1e-11);
         }
 
         #[test]

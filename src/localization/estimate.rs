@@ -40,6 +40,8 @@ pub fn estimate(particles: &Particles, weights: &Weights) -> Estimate {
     if mass > 0.0 {
         covariance /= mass;
     }
+    // Products of three factors are not rounded alike on both sides of the diagonal.
+    covariance.fill_upper_triangle_with_lower_triangle();
     let plane: Matrix2<f64> = covariance.fixed_view::<2, 2>(0, 0).into();
     let longest = SymmetricEigen::new(plane).eigenvalues.max().max(0.0);
     Estimate {

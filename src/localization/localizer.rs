@@ -36,6 +36,8 @@ pub struct LocalizerState {
     /// Time and odometry of the last frame.
     pub last: Option<(i64, Option<Pose2>)>,
     pub standing: Standing,
+    /// Where the robot was when it last knew, carried on by odometry since.
+    pub known: Option<Pose2>,
     pub search: SearchState,
     /// The pose was found without being told which half of the field it is in.
     pub ambiguous: bool,
@@ -165,6 +167,7 @@ impl Localizer {
     /// Somebody says where the robot is.
     pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
         self.place(pose, spread);
+        self.state.known = Some(pose);
         self.state.standing.unconfirmed(1);
         self.state.ambiguous = false;
     }
@@ -177,6 +180,7 @@ impl Localizer {
             self.search(moment, seen, &mut effort, may_go_on);
         }
         let walked = self.walked(&step);
+        self.carry_on(walked);
         let estimate = self.filter.step(walked, step.seconds, &seen.table, &mut effort, may_go_on);
         let support = self.filter.observation().support(seen.lines(), &estimate.best);
         self.predict(&step);
@@ -187,13 +191,18 @@ impl Localizer {
             fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
         }
         fix.doubt = self.state.standing.judge(&self.settings.rules(&self.field), moment, &fix);
+        if fix.doubt.is_none() {
+            self.state.known = self.state.track.as_ref().map(Track::pose);
+        }
         fix
     }
 
     /// One frame of which nothing could be seen: where odometry puts the robot.
     pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
         let step = self.step_to(moment);
-        let estimate = self.filter.coast(self.walked(&step), step.seconds);
+        let walked = self.walked(&step);
+        self.carry_on(walked);
+        let estimate = self.filter.coast(walked, step.seconds);
         self.predict(&step);
         let mut fix = self.predicted(moment, estimate, Support::default());
         fix.doubt = Some(reason);
@@ -221,6 +230,10 @@ impl Localizer {
     fn walked(&self, step: &Step) -> Option<Pose2> {
         let turned = step.turned_rad.and_then(|turned| Some(self.state.track.as_ref()?.turned(turned, step.seconds)));
         step.odometry.map(|odometry| Pose2 { yaw: turned.unwrap_or(odometry.yaw), ..odometry })
+    }
+
+    fn carry_on(&mut self, walked: Option<Pose2>) {
+        self.state.known = self.state.known.map(|known| known.compose(&walked.unwrap_or_default()));
     }
 
     fn predict(&mut self, step: &Step) {
@@ -255,13 +268,17 @@ impl Localizer {
     /// Tries the whole field. Of the two mirror poses the one nearer to the last known pose is taken.
     fn search(&mut self, moment: &Moment, seen: &Seen, effort: &mut Effort, may_go_on: &mut MayGoOn) {
         self.state.standing.confidence = Confidence::Nowhere;
-        let known = self.state.track.as_ref().map(Track::pose);
+        let known = self.state.known;
         let state = &mut self.state.search;
         let found = self.search.run(self.filter.observation(), &seen.table, CANDIDATES, state, effort, may_go_on);
         let best = if self.settings.refinement {
             self.best_fit(moment, seen, &found, effort, may_go_on)
         } else {
-            found.first().map(|candidate| candidate.pose)
+            let valid = &self.settings.valid;
+            found.first().map(|candidate| candidate.pose).filter(|pose| {
+                let support = self.filter.observation().support(seen.lines(), pose);
+                support.share >= valid.share && support.weight >= valid.points
+            })
         };
         let Some(pose) = best else { return };
         let mirrored = pose.mirrored();
@@ -289,6 +306,10 @@ impl Localizer {
             // Every question to the clock has a number of its own.
             effort.weighed += 1;
             let Some(Refined { lines, .. }) = self.refine_candidate(moment, seen, pose) else { continue };
+            // A picture without lines fits everywhere, best where none are to be seen: no reason to go there.
+            if !agrees(&lines) {
+                continue;
+            }
             let fit = lines.fitting as f64 - lines.expected as f64 * CONTRADICTED;
             if best.is_none_or(|(before, _)| fit > before) {
                 best = Some((fit, *pose));

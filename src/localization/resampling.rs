@@ -18,16 +18,21 @@ pub fn residual(log_weights: &[f64], draws: usize, stream: &mut Stream) -> Vec<u
         return Vec::new();
     }
     let quanta = quantised(log_weights);
-    let total: u64 = quanta.iter().sum();
+    let total = quanta.iter().sum();
+    counts_from(&quanta, total, draws, stream.below(total))
+}
+
+/// `offset` is the first of the evenly spaced places, in 0..`total`.
+fn counts_from(quanta: &[u64], total: u64, draws: usize, offset: u64) -> Vec<u32> {
     let mut counts = Vec::with_capacity(quanta.len());
     let mut remainders = Vec::with_capacity(quanta.len());
-    for quantum in &quanta {
+    for quantum in quanta {
         let wanted = draws as u128 * u128::from(*quantum);
         counts.push((wanted / u128::from(total)) as u32);
         remainders.push((wanted % u128::from(total)) as u64);
     }
     // One more copy wherever the running sum of remainders passes offset, offset + S, offset + 2 S, ...
-    let mut next = u128::from(stream.below(total));
+    let mut next = u128::from(offset);
     let mut sum = 0u128;
     for (count, remainder) in counts.iter_mut().zip(&remainders) {
         sum += u128::from(*remainder);
@@ -84,6 +89,43 @@ mod tests {
             let mean = f64::from(*sum) / runs as f64;
             assert!((mean - 4.0 * share).abs() < 0.02, "{mean} against {}", 4.0 * share);
         }
+    }
+
+    /// Ten times 0.1 sum to less than 1: a draw beyond it finds no particle. Here no sum is rounded.
+    #[test]
+    fn the_first_and_the_last_place_find_their_particle() {
+        let tenths = (0..10).fold(0.0, |sum, _| sum + 0.1);
+        assert!(tenths < 1.0, "{tenths}");
+        for count in 1..200u64 {
+            let logs: Vec<f64> = (0..count).map(|i| -((i * 37 % 11) as f64) / 3.0).collect();
+            let quanta = quantised(&logs);
+            let total: u64 = quanta.iter().sum();
+            for draws in [1, 7, count as usize, 1000] {
+                for offset in [0, 1, total / 2, total - 1] {
+                    let counts = counts_from(&quanta, total, draws, offset);
+                    assert_eq!(counts.iter().sum::<u32>() as usize, draws, "{count} {draws} {offset}");
+                }
+            }
+        }
+    }
+
+    /// Over all places the mean number of copies is N q / S to the last bit; q is what a weight is rounded to.
+    #[test]
+    fn expected_counts_are_the_weights() {
+        use crate::exact::{exact, rounded};
+        const DRAWS: usize = 800;
+        let logs: Vec<f64> = (0..DRAWS).map(|i| -40.0 * stream(i as u64).uniform().powi(3)).collect();
+        let quanta = quantised(&logs);
+        let total: u64 = quanta.iter().sum();
+        let shares: Vec<_> = logs.iter().map(|log| exact(*log).exp()).collect();
+        let sum = shares.iter().fold(exact(0.0), |sum, share| sum + share);
+        let errors = quanta.iter().zip(&shares).map(|(quantum, share)| {
+            // Whole numbers of 40 bits.
+            let expected = exact(DRAWS as f64) * exact(*quantum as f64) / exact(total as f64);
+            rounded(&(expected - exact(DRAWS as f64) * share / &sum)).abs()
+        });
+        let largest = errors.fold(0.0, f64::max);
+        crate::measured::largest_error(largest, 2e-12, "copies");
     }
 
     #[test]

@@ -26,7 +26,8 @@ pub fn normalise(log_weights: &[f64]) -> Weights {
             shares: vec![share; count],
             best: 0,
             effective_sample_size: count as f64,
-            evidence: f64::NEG_INFINITY,
+            // No particles, no evidence for or against.
+            evidence: if count == 0 { 0.0 } else { f64::NEG_INFINITY },
             degenerate: true,
         };
     }

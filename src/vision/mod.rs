@@ -248,3 +248,6 @@ impl WorkingScale {
         pixel * self.factor + DVec2::splat(self.offset)
     }
 }
+
+#[cfg(test)]
+mod tests;

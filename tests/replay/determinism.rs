@@ -5,7 +5,7 @@ use super::support::{Room, assert_same, walk};
 #[test]
 fn the_same_seed_gives_the_same_tags_on_any_number_of_threads() {
     let room = Room::with_walk();
-    for threads in [1, 2, 4] {
+    for threads in [1, 2, 4, 7] {
         let again = room.replay(&format!("log.mcap --threads {threads}"));
         assert_eq!(again.count("threads"), threads);
         assert_same(&again.tags, &walk().tags, &format!("{threads} threads"));

@@ -49,7 +49,7 @@ impl PlumbBob {
 
     pub(super) fn project(&self, ray: DVec3) -> Option<DVec2> {
         let point = DVec2::new(ray.x / ray.z, ray.y / ray.z);
-        let inside = ray.z > 0.0 && point.length() <= self.max_radius * (1.0 + 1e-12);
+        let inside = ray.z > 0.0 && ray.z.is_finite() && point.length() <= self.max_radius * (1.0 + 1e-12);
         inside.then(|| self.distort(point).0)
     }
 

@@ -44,7 +44,11 @@ impl Projector {
 
     /// As [`Lens::project`].
     pub fn project(&self, ray: DVec3) -> Option<DVec2> {
-        let inverse = 1.0 / libm::sqrt(ray.length_squared());
+        let square = ray.length_squared();
+        if square == f64::INFINITY {
+            return self.lens.project(ray);
+        }
+        let inverse = 1.0 / libm::sqrt(square);
         let at = (ray.z * inverse - self.least_cos) * self.nodes_per_unit;
         // NaN, rays out of the table and lenses without one take the exact path.
         if !(at >= 0.0 && at < (NODES - 1) as f64) || self.factors.is_empty() {
@@ -104,7 +108,8 @@ mod tests {
                 }
             }
         }
-        assert!(worst < 1e-3 && count > 50_000, "{worst} px, {count} rays");
+        assert!(count > 50_000, "{count} rays");
+        crate::measured::largest_error(worst, 4e-5, "px at 1000 px a radian");
     }
 
     #[test]

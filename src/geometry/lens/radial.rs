@@ -70,8 +70,8 @@ impl Radial {
     pub(super) fn project(&self, ray: DVec3) -> Option<DVec2> {
         let off_axis = libm::hypot(ray.x, ray.y);
         let angle = libm::atan2(off_axis, ray.z);
-        // A NaN ray and the zero ray have no pixel; the margin forgives the rounding of a ray at the rim.
-        if angle.is_nan() || angle > self.max_angle + 1e-12 || ray == DVec3::ZERO {
+        // What is no number, infinite or zero has no direction; the margin forgives the rounding of a ray at the rim.
+        if !ray.is_finite() || angle > self.max_angle + 1e-12 || ray == DVec3::ZERO {
             return None;
         }
         if off_axis == 0.0 {

@@ -58,6 +58,23 @@ proptest! {
     }
 }
 
+/// f32 places a point to about 1e-4 cells, where neighbours may differ by all 255 levels. The log likelihood is this times
+/// points over some 570.
+#[test]
+fn the_f32_kernel_agrees_with_f64() {
+    let mut largest = 0.0f64;
+    for seed in 1..300u32 {
+        let part = |k: u32| f64::from(seed.wrapping_mul(k) % 2001) / 1000.0 - 1.0;
+        let table = random_table(seed);
+        let positions: Vec<DVec2> =
+            (1..=70).map(|i| DVec2::new(4.5 * part(7919 * i), 3.0 * part(104_729 * i))).collect();
+        let pose = Pose2::new(3.0 * part(31), 2.0 * part(37), 3.1 * part(41));
+        let found = sum_levels(available(SimdPath::Auto), &table, &Points::new(positions.iter().copied()), &pose);
+        largest = largest.max((found - oracle(&table, &positions, &pose)).abs() / positions.len() as f64);
+    }
+    crate::measured::largest_error(largest, 6e-4, "levels a point");
+}
+
 #[test]
 fn a_pose_that_is_no_number_reads_neutral() {
     let table = random_table(5);

@@ -35,6 +35,9 @@ pub struct Refined {
     pub covariance: Matrix6<f64>,
     /// The pose's error vector relative to the prior's pose.
     pub moved: Vector6<f64>,
+    /// Of the least squares in units of the prior: 1 if the lines say nothing, and the ratio between what is known worst
+    /// and best after looking.
+    pub condition: f64,
     /// Half the squared deviation from the prior plus the robust cost of the lines: lower is better.
     pub cost: f64,
     pub lines: Agreement,
@@ -105,10 +108,11 @@ fn from_start(
     }
     let (counts, solution) = last?;
     let [.., scale] = SCALES;
-    let covariance = solve::covariance(prior, &sights, &moved, scale, solution.residuals.noise())?;
+    let (covariance, condition) = solve::covariance(prior, &sights, &moved, scale, solution.residuals.noise())?;
     Some(Refined {
         map_from_optical: moved_pose(&prior.map_from_optical, &solution.moved),
         covariance,
+        condition,
         moved: solution.moved,
         cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
         lines: Agreement {
@@ -136,3 +140,6 @@ pub fn error_between(pose: &Isometry, other: &Isometry) -> Vector6<f64> {
     let turn = turn.to_scaled_axis();
     Vector6::new(off.x, off.y, off.z, turn.x, turn.y, turn.z)
 }
+
+#[cfg(test)]
+mod tests;

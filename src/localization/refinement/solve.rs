@@ -51,7 +51,7 @@ const USUAL_CORRELATED: f64 = 3.0;
 const USUAL_COUNTS: f64 = 10.0;
 const LEAST_SIGMA_PX: f64 = 0.06;
 /// What different lines share (lens, light) does not show between neighbours.
-const SHARED: f64 = 2.0;
+pub(super) const SHARED: f64 = 2.0;
 /// A line that is off as a whole counts as one measurement, and for what lines share: of the square of its sum.
 const WHOLE_LINES: f64 = 1.5;
 const MOST_CORRELATION: f64 = 0.85;
@@ -101,18 +101,32 @@ pub(super) fn solve(
     })
 }
 
-/// Of a pose that has been solved for, once the noise is known.
+/// The first step from `start`, in standard deviations of the prior, as [`solve`] takes it.
+#[cfg(test)]
+pub(super) fn step(
+    prior: &Prior,
+    sights: &[Sight],
+    start: &Vector6<f64>,
+    scale: f64,
+    noise: Noise,
+) -> Option<Vector6<f64>> {
+    let spread = Cholesky::new(prior.covariance)?.unpack();
+    let y = spread.solve_lower_triangular(start)?;
+    Some(Linearised::at(prior, &spread, sights, &y, scale, noise).triangle.solve())
+}
+
+/// Of a pose that has been solved for, once the noise is known; with the condition number of the problem.
 pub(super) fn covariance(
     prior: &Prior,
     sights: &[Sight],
     moved: &Vector6<f64>,
     scale: f64,
     noise: Noise,
-) -> Option<Matrix6<f64>> {
+) -> Option<(Matrix6<f64>, f64)> {
     let spread = Cholesky::new(prior.covariance)?.unpack();
     let y = spread.solve_lower_triangular(moved)?;
     let here = Linearised::at(prior, &spread, sights, &y, scale, noise);
-    Some(here.covariance(&spread))
+    Some((here.covariance(&spread), here.triangle.condition()))
 }
 
 impl Residuals {
@@ -213,7 +227,9 @@ impl Sight {
         }
         let normal = across / length;
         let turn = ray.cross(normal);
-        let shift = -self.tangent.cross(ray) / length;
-        Some((ray.dot(normal), [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z]))
+        let residual = ray.dot(normal);
+        // The plane turns with the camera's place: its normal keeps its length.
+        let shift = -self.tangent.cross(ray - normal * residual) / length;
+        Some((residual, [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z]))
     }
 }

@@ -46,6 +46,13 @@ impl Triangular {
         Vector6::from(y)
     }
 
+    /// Largest over smallest singular value of R: how many digits the solution can lose. At least 1.
+    pub(super) fn condition(&self) -> f64 {
+        let r = Matrix6::from_fn(|i, j| self.r[i][j]);
+        let values = r.singular_values();
+        values.max() / values.min()
+    }
+
     /// Inverse of R: the covariance is its product with its own transpose.
     pub(super) fn inverse(&self) -> Matrix6<f64> {
         let mut inverse = Matrix6::zeros();

@@ -1,0 +1,18 @@
+//! Hard cases of the numbers: each fails in a well-known library, or could fail here. One file, one kind of case;
+//! docs/numerics.md is their table, `table` holds it to the tests.
+
+mod circular;
+mod exact;
+mod images;
+mod laws;
+mod least_squares;
+mod lens;
+mod measured;
+mod oracles;
+mod parameters;
+mod poses;
+mod resampling;
+pub mod support;
+mod table;
+mod time;
+mod weights;
