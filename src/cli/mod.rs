@@ -2,11 +2,14 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage or config, 3 done but data was lost.
 
+mod check;
 mod cost;
 mod demo;
 mod eval;
 mod export;
+mod gate;
 mod info;
+mod junit;
 mod machine;
 mod output;
 mod paper;
@@ -23,6 +26,8 @@ use clap::{Parser, Subcommand};
 
 use crate::agent::{ReplayError, SetupError};
 use crate::config::ConfigError;
+use crate::evaluation::reference::ReferenceError;
+use crate::evaluation::suite::SuiteError;
 use crate::recording::Loss;
 use crate::scene::SceneError;
 
@@ -45,6 +50,7 @@ enum Command {
     Export(export::ExportArguments),
     Info(info::InfoArguments),
     Tag(tag::TagArguments),
+    Check(check::CheckArguments),
     Cost(Box<cost::CostArguments>),
     Paper(paper::PaperArguments),
     Demo(demo::DemoArguments),
@@ -74,6 +80,7 @@ pub fn run() -> ExitCode {
         Command::Export(arguments) => export::run(&arguments, json),
         Command::Info(arguments) => info::run(&arguments, json),
         Command::Tag(arguments) => tag::run(&arguments, json),
+        Command::Check(arguments) => check::run(&arguments, json),
         Command::Cost(arguments) => cost::run(&arguments, json),
         Command::Paper(arguments) => paper::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),
@@ -108,6 +115,8 @@ fn is_usage(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| {
         cause.is::<ConfigError>()
             || cause.is::<SceneError>()
+            || cause.is::<SuiteError>()
+            || matches!(cause.downcast_ref(), Some(ReferenceError::Tolerance { .. }))
             || cause.is::<settings::UsageError>()
             || matches!(
                 cause.downcast_ref::<ReplayError>(),
