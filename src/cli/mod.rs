@@ -15,6 +15,7 @@ mod output;
 mod paper;
 mod paths;
 mod replay;
+mod scene;
 mod section;
 mod settings;
 mod sim;
@@ -45,6 +46,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Replay(Box<replay::ReplayArguments>),
+    Scene(scene::SceneArguments),
     Sim(sim::SimArguments),
     Eval(eval::EvalArguments),
     Export(export::ExportArguments),
@@ -75,6 +77,7 @@ pub fn run() -> ExitCode {
     let json = arguments.json;
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, json),
+        Command::Scene(arguments) => scene::run(&arguments, json),
         Command::Sim(arguments) => sim::run(&arguments, json),
         Command::Eval(arguments) => eval::run(&arguments, json),
         Command::Export(arguments) => export::run(&arguments, json),

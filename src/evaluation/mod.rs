@@ -5,6 +5,7 @@ pub mod capture;
 pub mod compare;
 pub mod cost;
 pub mod drawing;
+pub mod effect_cost;
 pub mod paper;
 pub mod reference;
 pub mod statistics;
