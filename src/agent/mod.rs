@@ -1,6 +1,7 @@
 //! The agent: what comes from the sensors goes through the filter into the capture.
 
 pub mod checkpoint;
+pub mod cut;
 mod durations;
 mod error;
 pub mod footage;

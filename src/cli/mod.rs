@@ -4,6 +4,7 @@
 
 mod check;
 mod cost;
+mod cut;
 mod demo;
 mod eval;
 mod export;
@@ -54,6 +55,7 @@ enum Command {
     Tag(tag::TagArguments),
     Check(check::CheckArguments),
     Cost(Box<cost::CostArguments>),
+    Cut(Box<cut::CutArguments>),
     Paper(paper::PaperArguments),
     Demo(demo::DemoArguments),
 }
@@ -84,6 +86,7 @@ pub fn run() -> ExitCode {
         Command::Info(arguments) => info::run(&arguments, json),
         Command::Tag(arguments) => tag::run(&arguments, json),
         Command::Check(arguments) => check::run(&arguments, json),
+        Command::Cut(arguments) => cut::run(&arguments, json),
         Command::Cost(arguments) => cost::run(&arguments, json),
         Command::Paper(arguments) => paper::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),

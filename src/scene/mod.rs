@@ -190,6 +190,31 @@ impl Scene {
         (light, noise)
     }
 
+    /// Names of the effects that mean the same on any image, and of the others: those need to know where the camera
+    /// stood, or act on something else.
+    pub fn effects_on_images(&self) -> (Vec<&'static str>, Vec<&'static str>) {
+        let on_any = |effect: &&Effect| match effect {
+            Effect::Light(light) => light.gradient_per_m == [0.0; 2],
+            Effect::SensorNoise(_) => true,
+            _ => false,
+        };
+        let (on_any, others): (Vec<&Effect>, Vec<&Effect>) = self.file.effects.iter().partition(on_any);
+        let names = |effects: Vec<&Effect>| effects.into_iter().map(Effect::name).collect();
+        (names(on_any), names(others))
+    }
+
+    /// RGB of any size, as if it were this frame; without such an effect not a bit changes.
+    pub fn apply_to_image(&self, frame: u64, pixels: &mut [u8]) {
+        let (on_any, _) = self.effects_on_images();
+        let (light, noise) = self.changing(frame);
+        if let Some(light) = light.filter(|_| on_any.contains(&"light")) {
+            light.apply(pixels);
+        }
+        if let Some(noise) = noise {
+            noise.apply(frame, pixels);
+        }
+    }
+
     /// Where the robot comes by.
     fn way(&self) -> Vec<DVec2> {
         let count = (self.duration_s() / WAY_EVERY_S) as usize;

@@ -7,6 +7,7 @@ mod geometry;
 mod look;
 mod motion;
 mod moved;
+mod pictures;
 mod properties;
 mod ranges;
 mod refusals;

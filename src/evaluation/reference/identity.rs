@@ -64,9 +64,9 @@ impl Identity {
 fn hash(source: &Path, info: &SessionInfo) -> io::Result<String> {
     let mut hasher = blake3::Hasher::new();
     if source.extension().is_some_and(|ending| ending == "toml") {
-        hasher.update_reader(File::open(source)?)?;
-        // What its names stand for.
-        hasher.update(&serde_json::to_vec(&(&info.field, &info.lens))?);
+        // What it says, not how: comments change nothing. And what its names stand for.
+        let scene: toml::Table = toml::from_str(&std::fs::read_to_string(source)?).map_err(io::Error::other)?;
+        hasher.update(&serde_json::to_vec(&(scene, &info.field, &info.lens))?);
     } else {
         for file in files_of(source).map_err(io::Error::other)? {
             hasher.update_reader(File::open(file)?)?;

@@ -109,6 +109,16 @@ impl Renderer {
         window::veil(pixels, veil);
     }
 
+    /// The empty hall by daylight, whatever the scene lists: what everything else is measured against.
+    pub fn render_bare(&self, map_from_camera_link: &Isometry, pixels: &mut Vec<u8>) {
+        let (width, height) = (self.rays.width(), self.rays.height());
+        pixels.resize(width * height * 3, 0);
+        let rotation = DMat3::from_quat(map_from_camera_link.rotation).to_cols_array().map(|value| value as f32);
+        let camera = map_from_camera_link.translation.as_vec3().to_array();
+        let view = View { rays: &self.rays, rotation: &rotation, camera: &camera, light: None };
+        self.draw_hall(&view, 0..height, pixels);
+    }
+
     /// Some rows of the picture of one moment. Returns what the lens scatters over the whole picture.
     fn draw(&self, shot: &Shot, rows: Range<usize>, pixels: &mut [u8]) -> f32 {
         let rotation = DMat3::from_quat(shot.pose.rotation).to_cols_array().map(|value| value as f32);
