@@ -1,8 +1,10 @@
 //! The agent: what comes from the sensors goes through the filter into the capture.
 
+mod budget;
 pub mod checkpoint;
 pub mod cut;
 mod durations;
+mod effort;
 mod error;
 pub mod footage;
 mod opened;
