@@ -142,7 +142,7 @@ fn is_frame(message: &LogMessage) -> bool {
 
 /// Everything up to there, and the last message's time.
 fn copy_until(files: &[PathBuf], to_ns: i64, truth: &str, output: &Path) -> Result<i64, CutError> {
-    let mut copy = Copy::create(output)?;
+    let mut copy = LogCopy::create(output)?;
     if let Some(state) = files.first().map(|file| state_of(file)).transpose()?.flatten() {
         copy.attach(&state)?;
     }
@@ -174,8 +174,8 @@ fn truth_from(log: &Path, topic: &str, from_ns: i64) -> Result<Vec<LogMessage>, 
 }
 
 /// What the segments hold, and the truth among it.
-fn join(segments: &[PathBuf], truth: Vec<LogMessage>, output: &Path) -> Result<Copy, CutError> {
-    let mut copy = Copy::create(output)?;
+fn join(segments: &[PathBuf], truth: Vec<LogMessage>, output: &Path) -> Result<LogCopy, CutError> {
+    let mut copy = LogCopy::create(output)?;
     if let Some(state) = segments.first().map(|file| state_of(file)).transpose()?.flatten() {
         copy.attach(&state)?;
     }
@@ -202,7 +202,7 @@ fn join(segments: &[PathBuf], truth: Vec<LogMessage>, output: &Path) -> Result<C
 }
 
 /// A log being written.
-struct Copy {
+struct LogCopy {
     path: PathBuf,
     writer: Option<LogWriter<BufWriter<File>>>,
     /// By topic and type.
@@ -213,7 +213,7 @@ struct Copy {
     messages: u64,
 }
 
-impl Copy {
+impl LogCopy {
     fn create(path: &Path) -> Result<Self, CutError> {
         let file = File::create(path).map_err(|source| io(path, source))?;
         let writer = LogWriter::new(BufWriter::with_capacity(1 << 20, file))

@@ -23,8 +23,9 @@ pub enum SceneSourceError {
     Scene { path: String, source: SceneError },
     #[error("{path}: {source}")]
     Open { path: String, source: std::io::Error },
-    #[error("{path}: {}{source}", line.map(|line| format!("line {line}: ")).unwrap_or_default())]
-    Config { path: String, line: Option<usize>, source: crate::config::ConfigError },
+    /// `place` is the file, and the line if it is known.
+    #[error("{place}: {source}")]
+    Config { place: String, source: crate::config::ConfigError },
     #[error("the image does not encode: {0}")]
     Encode(String),
 }
@@ -40,8 +41,8 @@ pub fn parse(text: &str, name: &str) -> Result<Scene, SceneSourceError> {
     let scene = |source| SceneSourceError::Scene { path: name.to_owned(), source };
     let file = SceneFile::from_toml(text).map_err(scene)?;
     let refused = |key: &str, source| {
-        let line = file.line(key);
-        SceneSourceError::Config { path: name.to_owned(), line, source }
+        let place = file.line(key).map_or_else(|| name.to_owned(), |line| format!("{name}: line {line}"));
+        SceneSourceError::Config { place, source }
     };
     let field = load_field(&file.scene.field).map_err(|source| refused("scene.field", source))?;
     let lens = load_lens(&file.camera.lens).map_err(|source| refused("camera.lens", source))?;

@@ -60,7 +60,7 @@ fn the_imu_feels_the_fall() {
     let mut rotation = scene.truth(8.0).map_from_base_link.rotation;
     for index in 0..1000 {
         let rate = scene.truth(8.0 + (f64::from(index) + 0.5) * step).angular_velocity;
-        rotation = rotation * glam::DQuat::from_scaled_axis(rate * step);
+        rotation *= glam::DQuat::from_scaled_axis(rate * step);
     }
     let off = rotation.angle_between(scene.truth(9.0).map_from_base_link.rotation).to_degrees();
     assert!(off < 0.1, "{off} degrees");

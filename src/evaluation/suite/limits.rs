@@ -52,8 +52,7 @@ impl Limits {
 
     pub(super) fn check(&self, key: &str) -> Result<(), String> {
         for (name, bound) in self.upper() {
-            // Not of a NaN.
-            if bound.is_some_and(|bound| !(bound > 0.0)) {
+            if bound.is_some_and(|bound| bound.is_nan() || bound <= 0.0) {
                 return Err(format!("{key}.{name} is {}: it must be above 0 (inf: no limit)", bound.unwrap_or(0.0)));
             }
         }
