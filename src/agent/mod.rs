@@ -2,6 +2,7 @@
 
 mod budget;
 pub mod checkpoint;
+pub mod cut;
 mod durations;
 mod effort;
 mod error;

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{Outcome, output};
 use crate::config::Topics;
-use crate::evaluation::capture::{read_tags, read_truth, tagged};
+use crate::evaluation::capture::{Readout, read_poses, read_tags, read_truth, tagged};
 use crate::evaluation::{Comparison, Tagged, compare, mirrored};
 use crate::geometry::Isometry;
 use crate::recording::Loss;
@@ -23,8 +23,12 @@ use crate::recording::Loss;
 /// truth of another walk. What a damaged or incomplete capture no longer holds is named (exit code 3).
 #[derive(Args)]
 pub struct EvalArguments {
-    /// A capture's folder, or one of its segments
+    /// A capture's folder, or one of its segments; with --poses any log
     capture: PathBuf,
+    /// Judge the poses of this topic in place of tags: whatever program made them (PoseStamped,
+    /// PoseWithCovarianceStamped or Odometry; of camera_link in map)
+    #[arg(long, value_name = "TOPIC")]
+    poses: Option<String>,
     /// The log with the true poses
     #[arg(long, value_name = "LOG")]
     truth: PathBuf,
@@ -46,10 +50,8 @@ struct Report<'a> {
 }
 
 pub fn run(arguments: &EvalArguments, json: bool) -> anyhow::Result<Outcome> {
-    let read = read_tags(&arguments.capture)?;
-    let tags: Vec<Tagged> = read.found.iter().map(tagged).collect();
+    let Readout { found: tags, losses: mut lost } = judged_poses(arguments)?;
     let truth = read_truth(&arguments.truth, &arguments.truth_topic)?;
-    let mut lost = read.losses;
     lost.extend(truth.losses);
     let truth = truth.found;
     let comparison = compare(&tags, &truth);
@@ -73,6 +75,14 @@ pub fn run(arguments: &EvalArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&table(&comparison))?
     }
     Ok(Outcome::of(&lost))
+}
+
+fn judged_poses(arguments: &EvalArguments) -> anyhow::Result<Readout<Tagged>> {
+    if let Some(topic) = &arguments.poses {
+        return Ok(read_poses(&arguments.capture, topic)?);
+    }
+    let Readout { found, losses } = read_tags(&arguments.capture)?;
+    Ok(Readout { found: found.iter().map(tagged).collect(), losses })
 }
 
 fn doubt(comparison: &Comparison, tags: &[Tagged], truth: &[(i64, Isometry)]) -> Option<String> {
@@ -122,6 +132,10 @@ pub fn table(c: &Comparison) -> String {
     ] {
         text.push_str(&output::row(name, unit, summary));
         text.push('\n');
+    }
+    if c.nees.is_infinite() {
+        text.push_str("\n  the poses state no covariance");
+        return text;
     }
     text.push_str(&format!(
         "\n  the 95 % ellipse holds the truth in {:.1} % of the frames; NEES {:.2} (2 is right)",

@@ -2,18 +2,23 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage or config, 3 done but data was lost.
 
+mod check;
 mod cost;
+mod cut;
 mod db;
 mod demo;
 mod eval;
 mod export;
 mod gap;
+mod gate;
 mod info;
+mod junit;
 mod machine;
 mod output;
 mod paper;
 mod paths;
 mod replay;
+mod scene;
 mod section;
 mod settings;
 mod sim;
@@ -28,6 +33,8 @@ use clap::{Parser, Subcommand};
 
 use crate::agent::{ReplayError, SetupError};
 use crate::config::ConfigError;
+use crate::evaluation::reference::ReferenceError;
+use crate::evaluation::suite::SuiteError;
 use crate::recording::Loss;
 use crate::scene::SceneError;
 
@@ -45,12 +52,15 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Replay(Box<replay::ReplayArguments>),
+    Scene(scene::SceneArguments),
     Sim(sim::SimArguments),
     Eval(eval::EvalArguments),
     Export(export::ExportArguments),
     Info(info::InfoArguments),
     Tag(tag::TagArguments),
+    Check(check::CheckArguments),
     Cost(Box<cost::CostArguments>),
+    Cut(Box<cut::CutArguments>),
     Paper(paper::PaperArguments),
     Db(db::DbArguments),
     View(view::ViewArguments),
@@ -79,11 +89,14 @@ pub fn run() -> ExitCode {
     let json = arguments.json;
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, json),
+        Command::Scene(arguments) => scene::run(&arguments, json),
         Command::Sim(arguments) => sim::run(&arguments, json),
         Command::Eval(arguments) => eval::run(&arguments, json),
         Command::Export(arguments) => export::run(&arguments, json),
         Command::Info(arguments) => info::run(&arguments, json),
         Command::Tag(arguments) => tag::run(&arguments, json),
+        Command::Check(arguments) => check::run(&arguments, json),
+        Command::Cut(arguments) => cut::run(&arguments, json),
         Command::Cost(arguments) => cost::run(&arguments, json),
         Command::Paper(arguments) => paper::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),
@@ -123,6 +136,8 @@ fn is_usage(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| {
         cause.is::<ConfigError>()
             || cause.is::<SceneError>()
+            || cause.is::<SuiteError>()
+            || matches!(cause.downcast_ref(), Some(ReferenceError::Tolerance { .. }))
             || cause.is::<settings::UsageError>()
             || matches!(
                 cause.downcast_ref::<ReplayError>(),

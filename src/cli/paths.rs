@@ -64,6 +64,11 @@ pub fn make_folder(path: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(path).map_err(|error| cannot_write(path, error))
 }
 
+/// A folder for what nobody asked to keep: it goes when this goes out of scope.
+pub fn temporary() -> anyhow::Result<tempfile::TempDir> {
+    tempfile::tempdir().map_err(|error| cannot_write(&std::env::temp_dir(), error))
+}
+
 /// A picture, with the same words for the same errors.
 pub fn save(picture: &image::RgbImage, path: &Path) -> anyhow::Result<()> {
     picture.save(path).map_err(|error| match error {

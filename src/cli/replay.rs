@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
+use super::gate::GateArguments;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
-use super::{Outcome, output};
+use super::{Outcome, output, paths};
 use crate::agent::{ReplayOptions, ReplayReport, replay};
 use crate::config::{Settings, load_field};
 use crate::geometry::{Field, Pose2};
@@ -20,6 +21,9 @@ const MAX_THREADS: usize = 64;
 /// (replay/scenes/*.toml). Makes CAPTURES_DIR/<session>/ and prints its path. Camera bytes are passed through
 /// untouched; /camera/pose, /frame_tag and /diagnostics are added. Ground truth in the log is never read.
 ///
+/// With --check REFERENCE the tags are held to those of an earlier replay of the same log, which --bless wrote: a gate for
+/// continuous integration.
+///
 /// Older rosbag2 .db3 files: convert them first, `pip install rosbags && rosbags-convert --src BAG --dst NEW
 /// --dst-storage mcap`.
 #[derive(Args)]
@@ -27,9 +31,9 @@ pub struct ReplayArguments {
     /// A log or a scene
     #[arg(value_name = "LOG|SCENE")]
     source: PathBuf,
-    /// Where captures are kept
-    #[arg(short, long, value_name = "CAPTURES_DIR")]
-    output: PathBuf,
+    /// Where captures are kept; with --check none is without it
+    #[arg(short, long, value_name = "CAPTURES_DIR", required_unless_present = "reference")]
+    output: Option<PathBuf>,
     /// Threads for decoding and looking at frames, 1 to 64; without it as many as there are cores. The tags do not
     /// depend on it
     #[arg(long, value_name = "N", value_parser = threads)]
@@ -45,6 +49,8 @@ pub struct ReplayArguments {
     #[arg(long)]
     warm_start: bool,
     #[command(flatten)]
+    gate: GateArguments,
+    #[command(flatten)]
     settings: SettingsArguments,
 }
 
@@ -55,9 +61,16 @@ pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
         let name = field_of(&arguments.source, &settings)?;
         check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
     }
+    let gate = arguments.gate.open(&arguments.source)?;
+    // Removed when it goes out of scope.
+    let mut temporary = None;
+    let captures = match &arguments.output {
+        Some(folder) => folder.clone(),
+        None => temporary.insert(paths::temporary()?).path().to_owned(),
+    };
     let options = ReplayOptions {
         source: arguments.source.clone(),
-        captures: arguments.output.clone(),
+        captures,
         settings,
         initial: arguments.initial,
         threads: arguments.threads.unwrap_or(cores),
@@ -68,6 +81,10 @@ pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
     let report = replay(&options, &mut |done, total| progress.set(done, total))?;
     progress.finish();
     tell(&report);
+    if let Some(gate) = gate {
+        let judged = gate.judge(&arguments.source, &report, arguments.initial, json)?;
+        return Ok(if report.data_was_lost() && judged == Outcome::Whole { Outcome::DataLost } else { judged });
+    }
     if json {
         output::json(&report)?
     } else {

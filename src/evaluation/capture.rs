@@ -9,7 +9,9 @@ use crate::geometry::Isometry;
 use crate::recording::{Loss, missing_parts, topic};
 use crate::ros2::cdr::CdrError;
 use crate::ros2::mcap_read::{Damage, LogMessage, Selection};
-use crate::ros2::messages::{FrameTag, Header, Message, Odometry, Pose, PoseStamped, PoseWithCovarianceStamped};
+use crate::ros2::messages::{
+    FrameTag, Header, Message, Odometry, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
+};
 use crate::sensors::intake::isometry;
 use crate::sensors::log::{self, LogError, LogSource};
 
@@ -52,9 +54,18 @@ pub fn read_tags(path: &Path) -> Result<Readout<FrameTag>, EvaluationError> {
 /// The true poses of `camera_link` in time order.
 pub fn read_truth(path: &Path, name: &str) -> Result<Readout<(i64, Isometry)>, EvaluationError> {
     let read = read_topic(path, name, "name the topic of the true poses with topics.ground_truth or --truth-topic")?;
-    let mut found = read.found.iter().map(|message| stamped_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
+    let posed = |message: &LogMessage| stamped_pose(path, message).map(|tag| (tag.stamp_ns, tag.pose));
+    let mut found = read.found.iter().map(posed).collect::<Result<Vec<_>, _>>()?;
     found.sort_by_key(|(stamp, _)| *stamp);
     found.dedup_by_key(|(stamp, _)| *stamp);
+    Ok(Readout { found, losses: read.losses })
+}
+
+/// Poses of `camera_link` in `map` that somebody else computed, in time order: they say of none that it is not valid.
+pub fn read_poses(path: &Path, name: &str) -> Result<Readout<Tagged>, EvaluationError> {
+    let read = read_topic(path, name, "name the topic of the poses to judge")?;
+    let mut found = read.found.iter().map(|message| stamped_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
+    found.sort_by_key(|tag| tag.stamp_ns);
     Ok(Readout { found, losses: read.losses })
 }
 
@@ -66,12 +77,11 @@ pub fn losses(path: &Path, damage: &[(PathBuf, Damage)]) -> Vec<Loss> {
 }
 
 pub fn tagged(tag: &FrameTag) -> Tagged {
-    let covariance = &tag.pose.covariance;
     Tagged {
         stamp_ns: tag.header.stamp.to_nanoseconds(),
         valid: tag.valid,
         pose: isometry(&tag.pose.pose.position, &tag.pose.pose.orientation),
-        covariance: [covariance[0], covariance[1], covariance[7]],
+        covariance: in_plane(&tag.pose),
     }
 }
 
@@ -86,24 +96,25 @@ fn read_topic(path: &Path, name: &str, hint: &'static str) -> Result<Readout<Log
     Err(EvaluationError::NoMessages { path, topic, hint, loss: losses.into_iter().next() })
 }
 
-fn stamped_pose(path: &Path, message: &LogMessage) -> Result<(i64, Isometry), EvaluationError> {
+/// With the covariance of those types that have one; else it is zero.
+fn stamped_pose(path: &Path, message: &LogMessage) -> Result<Tagged, EvaluationError> {
     let failed = |source| EvaluationError::Message {
         path: path.display().to_string(),
         topic: message.channel.topic.clone(),
         source,
     };
-    let (header, pose): (Header, Pose) = match message.channel.type_name.as_str() {
+    let (header, pose): (Header, PoseWithCovariance) = match message.channel.type_name.as_str() {
         "geometry_msgs/msg/PoseStamped" => {
             let stamped = PoseStamped::decode(&message.data).map_err(failed)?;
-            (stamped.header, stamped.pose)
+            (stamped.header, PoseWithCovariance { pose: stamped.pose, covariance: [0.0; 36] })
         }
         "geometry_msgs/msg/PoseWithCovarianceStamped" => {
             let stamped = PoseWithCovarianceStamped::decode(&message.data).map_err(failed)?;
-            (stamped.header, stamped.pose.pose)
+            (stamped.header, stamped.pose)
         }
         "nav_msgs/msg/Odometry" => {
             let odometry = Odometry::decode(&message.data).map_err(failed)?;
-            (odometry.header, odometry.pose.pose)
+            (odometry.header, odometry.pose)
         }
         other => {
             return Err(EvaluationError::Type {
@@ -113,5 +124,15 @@ fn stamped_pose(path: &Path, message: &LogMessage) -> Result<(i64, Isometry), Ev
             });
         }
     };
-    Ok((header.stamp.to_nanoseconds(), isometry(&pose.position, &pose.orientation)))
+    Ok(Tagged {
+        stamp_ns: header.stamp.to_nanoseconds(),
+        valid: true,
+        pose: isometry(&pose.pose.position, &pose.pose.orientation),
+        covariance: in_plane(&pose),
+    })
+}
+
+/// xx, xy, yy.
+fn in_plane(pose: &PoseWithCovariance) -> [f64; 3] {
+    [pose.covariance[0], pose.covariance[1], pose.covariance[7]]
 }

@@ -1,11 +1,15 @@
-//! Judging: tags against the truth, what accuracy costs, the paper's experiments, made-up views, and pictures of them.
+//! Judging: tags against the truth and against earlier ones, suites with limits, what accuracy costs, the paper's
+//! experiments, made-up views, and pictures of them.
 
 pub mod capture;
 pub mod compare;
 pub mod cost;
 pub mod drawing;
+pub mod effect_cost;
 pub mod paper;
+pub mod reference;
 pub mod statistics;
+pub mod suite;
 pub mod truth;
 pub mod video;
 pub mod views;

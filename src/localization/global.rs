@@ -52,7 +52,7 @@ const SPARSE: usize = 3;
 const MOST_FRAMES: usize = 20;
 /// Poses of the grid that are looked at on the table itself, and of these, how many are climbed from.
 const CLOSER: usize = 600;
-const CLIMBED: usize = 60;
+const CLIMBED: usize = 100;
 /// Candidates closer than this are one.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;

@@ -82,7 +82,7 @@ pub struct Fix {
 const SEARCH_EVERY: u64 = 3;
 /// A pose a little off the carpet is possible.
 const SEARCH_MARGIN_M: f64 = 0.3;
-const CANDIDATES: usize = 4;
+const CANDIDATES: usize = 12;
 /// A restarted robot may have been carried: the cloud is widened by this.
 const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
 /// Longer gaps say nothing more about where the robot went.

@@ -8,6 +8,8 @@ use thiserror::Error;
 
 use super::effects::{self, Effect};
 use super::file::{CameraSection, InitialPose, Route, SceneFile, Still, Walk};
+use super::places::Places;
+use super::ranges::{Per, Range, Template};
 use crate::geometry::{Field, FieldError, LensError};
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -15,12 +17,24 @@ pub enum SceneError {
     /// Not TOML, an unknown key, a missing key or a wrong type.
     #[error("{0}")]
     Toml(String),
-    #[error("{key} is {value}: {expected}")]
-    Value { key: String, value: String, expected: String },
+    #[error("{}{key} is {value}: {expected}", line.map(|line| format!("line {line}: ")).unwrap_or_default())]
+    Value { line: Option<usize>, key: String, value: String, expected: String },
     #[error("field: {0}")]
     Field(#[from] FieldError),
     #[error("lens: {0}")]
     Lens(#[from] LensError),
+}
+
+impl SceneError {
+    /// Says in which line of the file the key stands, if it does.
+    pub(super) fn at(self, places: &Places) -> Self {
+        match self {
+            Self::Value { line: None, key, value, expected } => {
+                Self::Value { line: places.line(&key), key, value, expected }
+            }
+            other => other,
+        }
+    }
 }
 
 /// Longer scenes would not fit any recording; a mistyped speed is the likely cause.
@@ -45,7 +59,26 @@ pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
         within("scene.initial_pose.yaw_deg", error.yaw_deg, -180.0..=180.0, "-180 to 180 degrees off")?;
     }
     effects::check(&file.effects, field)?;
-    has_something_to_act_on(file)
+    has_something_to_act_on(file)?;
+    file.template.as_ref().map_or(Ok(()), |template| ranges(template, field))
+}
+
+/// What may be drawn must be possible from end to end: a scene that is right with one seed is right with all.
+fn ranges(template: &Template, field: &Field) -> Result<(), SceneError> {
+    for range in &template.ranges {
+        if range.per == Per::Frame && !effects::MAY_CHANGE.contains(&range.kind.as_str()) {
+            let expected = format!(
+                "only {} can change with every frame; say per = \"episode\"",
+                effects::MAY_CHANGE.join(" and ")
+            );
+            return Err(refuse(&range.key, "drawn per frame", expected));
+        }
+        for end in [range.low, range.high] {
+            let value = |other: &Range| if other == range { end } else { template.value(other, 0) };
+            effects::check(&SceneFile::effects_with(template, value)?, field)?;
+        }
+    }
+    Ok(())
 }
 
 pub(super) fn within(
@@ -59,7 +92,7 @@ pub(super) fn within(
 }
 
 pub(super) fn refuse(key: impl Display, value: impl Display, expected: impl Display) -> SceneError {
-    SceneError::Value { key: key.to_string(), value: value.to_string(), expected: expected.to_string() }
+    SceneError::Value { line: None, key: key.to_string(), value: value.to_string(), expected: expected.to_string() }
 }
 
 pub(super) fn duration(seconds: f64) -> Result<(), SceneError> {
@@ -129,11 +162,24 @@ pub(super) fn inside(key: impl Display, point: [f64; 2], field: &Field) -> Resul
 
 /// An effect that could change nothing is a mistake in the file.
 fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
+    let lists = |name: &str| file.effects.iter().any(|effect| effect.name() == name);
     for (index, effect) in file.effects.iter().enumerate() {
         let (present, expected) = match effect {
             Effect::GaitSway(_) | Effect::Kidnapping(_) => {
                 (matches!(file.route, Route::Walk(_)), "it needs a route that is walked, this one stands still")
             }
+            Effect::Fall(_) if lists("kidnapping") => {
+                (false, "a walk is interrupted once, and kidnapping does so already")
+            }
+            Effect::Fall(_) => (lists("gait_sway"), "it needs gait_sway: whoever does not walk is not pushed over"),
+            Effect::Shutter(_) => (
+                lists("gait_sway") || lists("head_motion"),
+                "it needs gait_sway or head_motion: without motion it shows nothing",
+            ),
+            Effect::SerialNoise(_) => (
+                file.odometry.is_some() || file.imu.is_some(),
+                "it needs the section [odometry] or [imu], both are absent",
+            ),
             Effect::HeadMotion(_) => {
                 (file.imu.is_some(), "joints are sent at the rate of the section [imu], which is absent")
             }
@@ -147,6 +193,8 @@ fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
             | Effect::Light(_)
             | Effect::Obstacles(_)
             | Effect::WornLines(_)
+            | Effect::BrightWindow(_)
+            | Effect::CameraFault(_)
             | Effect::CalibrationError(_) => (true, ""),
         };
         if !present {

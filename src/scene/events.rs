@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use super::effects::{HeadMotion, ImuError, Joints, OdometryError};
+use super::effects::{Fate, HeadMotion, ImuError, Joints, OdometryError};
 use super::file::InitialPose;
 use super::motion::Travel;
 use super::truth::{Truth, Twist};
@@ -14,6 +14,8 @@ pub struct SceneEvent {
     /// Nanoseconds since 1970.
     pub stamp_ns: i64,
     pub kind: SceneEventKind,
+    /// It arrives with one bit flipped; which one follows from this number.
+    pub corrupt: Option<u64>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -105,13 +107,30 @@ impl Iterator for Events<'_> {
                 .min_by_key(|(_, offset)| *offset)?;
             let index = self.clocks[which].as_mut()?.tick();
             if let Some(kind) = self.event(ORDER[which], seconds(offset_ns), index) {
-                return Some(SceneEvent { stamp_ns: START_STAMP_NS + offset_ns, kind });
+                let corrupt = match self.fate(ORDER[which], index) {
+                    Fate::Whole => None,
+                    Fate::Lost => continue,
+                    Fate::Corrupt(which) => Some(which),
+                };
+                return Some(SceneEvent { stamp_ns: START_STAMP_NS + offset_ns, kind, corrupt });
             }
         }
     }
 }
 
 impl Events<'_> {
+    /// What the wire makes of it.
+    fn fate(&self, source: Source, index: u64) -> Fate {
+        let line = match source {
+            Source::InitialPose | Source::Frame => return Fate::Whole,
+            Source::Odometry => 1,
+            Source::Imu => 2,
+            Source::Joints => 3,
+        };
+        let seed = self.scene.file.scene.seed;
+        self.scene.serial_noise.as_ref().map_or(Fate::Whole, |noise| noise.fate(seed, line, index))
+    }
+
     /// None where a sensor says nothing.
     fn event(&mut self, source: Source, time: f64, index: u64) -> Option<SceneEventKind> {
         let scene = self.scene;
@@ -127,6 +146,9 @@ impl Events<'_> {
             Source::Imu => SceneEventKind::Imu(imu(scene, time, index)),
             Source::Joints => SceneEventKind::Joints(joints(scene, time, index)),
             Source::Frame => {
+                if scene.camera_fault.as_ref().is_some_and(|fault| fault.is_unplugged(time)) {
+                    return None;
+                }
                 SceneEventKind::Frame { index, map_from_camera_link: scene.truth(time).map_from_camera_link }
             }
         })

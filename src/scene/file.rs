@@ -5,9 +5,12 @@ use core::fmt;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
+use toml::de::DeTable;
 
 use super::SceneError;
 use super::effects::Effect;
+use super::places::Places;
+use super::ranges::{Range, Template};
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -22,6 +25,12 @@ pub struct SceneFile {
     /// In physical order: what moves the robot before what a sensor adds.
     #[serde(default, rename = "effect")]
     pub effects: Vec<Effect>,
+    /// Of a file that was read from a text.
+    #[serde(skip)]
+    pub(super) places: Places,
+    /// Its text.
+    #[serde(skip)]
+    pub(super) template: Option<Template>,
 }
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -107,9 +116,38 @@ pub struct PoseError {
 }
 
 impl SceneFile {
+    /// Numbers that the text leaves open are drawn.
     pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        toml::from_str(text).map_err(|error| SceneError::Toml(error.to_string().trim_end().to_owned()))
+        let (places, template) = {
+            let table = DeTable::parse(text).map_err(told)?;
+            let places = Places::of(text, table.get_ref());
+            let template = Template::new(text, table.get_ref(), &places)?;
+            (places, template)
+        };
+        let file: Self = toml::from_str(&template.filled(|range| template.value(range, 0))).map_err(told)?;
+        Ok(Self { places, template: Some(template), ..file })
     }
+
+    /// The effects with other numbers in place of what the file leaves open.
+    pub(super) fn effects_with(template: &Template, value: impl Fn(&Range) -> f64) -> Result<Vec<Effect>, SceneError> {
+        Ok(toml::from_str::<Self>(&template.filled(value)).map_err(told)?.effects)
+    }
+
+    /// The text with every number that it leaves open as it was drawn (per frame: for the first). None of a file that
+    /// was not read from a text.
+    pub fn resolved(&self) -> Option<String> {
+        let template = self.template.as_ref()?;
+        Some(template.filled(|range| template.value(range, 0)))
+    }
+
+    /// In which line of its text a key stands, for example `camera.lens`.
+    pub fn line(&self, key: &str) -> Option<usize> {
+        self.places.line(key)
+    }
+}
+
+fn told(error: toml::de::Error) -> SceneError {
+    SceneError::Toml(error.to_string().trim_end().to_owned())
 }
 
 /// By hand, because an untagged enum could not say which key of the table is wrong.

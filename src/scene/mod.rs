@@ -8,6 +8,8 @@ pub mod effects;
 mod events;
 pub mod file;
 mod motion;
+mod places;
+mod ranges;
 mod render;
 mod stream;
 mod truth;
@@ -16,16 +18,19 @@ pub use check::SceneError;
 pub use effects::{Effect, Joints, Role};
 pub use events::{Events, Imu, InitialPoseEstimate, Odometry, SceneEvent, SceneEventKind};
 pub use file::{InitialPose, Route, SceneFile};
+pub use ranges::Drawn;
 pub use render::Renderer;
 pub use truth::{Mount, Truth, Twist};
 
 use crate::geometry::{Field, FieldDimensions, Lens, LensParameters};
 use effects::{
-    CalibrationError, Carrying, Crowd, HeadMotion, ImuError, LightModel, NoiseModel, OdometryError, SwayModel,
-    WornLines,
+    BrightWindow, CalibrationError, CameraFault, Carrying, Crowd, HeadMotion, ImuError, LightModel, NoiseModel,
+    OdometryError, SerialNoise, Shutter, SwayModel, WornLines,
 };
 use glam::DVec2;
 use motion::Motion;
+use ranges::{Per, Template};
+use std::borrow::Cow;
 
 /// The stamp of every scene's first event, in nanoseconds since 1970: a fixed day, so that recordings repeat.
 pub const START_STAMP_NS: i64 = 1_760_000_000_000_000_000;
@@ -51,11 +56,20 @@ pub struct Scene {
     worn_lines: Option<WornLines>,
     calibration_error: Option<CalibrationError>,
     noise: Option<NoiseModel>,
+    window: Option<BrightWindow>,
+    shutter: Option<Shutter>,
+    camera_fault: Option<CameraFault>,
+    serial_noise: Option<SerialNoise>,
 }
 
 impl Scene {
     /// `field` and `lens` are what the file's names `scene.field` and `camera.lens` stand for.
     pub fn build(file: SceneFile, field: FieldDimensions, lens: LensParameters) -> Result<Self, SceneError> {
+        let places = file.places.clone();
+        Self::checked(file, field, lens).map_err(|error| error.at(&places))
+    }
+
+    fn checked(file: SceneFile, field: FieldDimensions, lens: LensParameters) -> Result<Self, SceneError> {
         let field = Field::new(field)?;
         let lens = Lens::new(lens)?;
         check::check(&file, &field)?;
@@ -77,11 +91,42 @@ impl Scene {
             worn_lines: None,
             calibration_error: None,
             noise: None,
+            window: None,
+            shutter: None,
+            camera_fault: None,
+            serial_noise: None,
         };
         for (index, effect) in scene.file.effects.clone().iter().enumerate() {
             scene.add(&format!("effect[{index}]"), effect)?;
         }
         check::duration(scene.duration_s())?;
+        Ok(scene)
+    }
+
+    /// The same walk with only the first effects of its file: what each of them does and costs by itself.
+    pub fn with_first_effects(&self, count: usize) -> Result<Self, SceneError> {
+        let mut scene = Self {
+            announced_lens: self.lens.parameters().clone(),
+            sway: None,
+            head: None,
+            carrying: None,
+            light: None,
+            crowd: None,
+            odometry_error: None,
+            imu_error: None,
+            worn_lines: None,
+            calibration_error: None,
+            noise: None,
+            window: None,
+            shutter: None,
+            camera_fault: None,
+            serial_noise: None,
+            ..self.clone()
+        };
+        scene.file.effects.truncate(count);
+        for (index, effect) in scene.file.effects.clone().iter().enumerate() {
+            scene.add(&format!("effect[{index}]"), effect)?;
+        }
         Ok(scene)
     }
 
@@ -92,6 +137,11 @@ impl Scene {
             Effect::GaitSway(effect) => self.sway = Some(effect.model(seed, self.motion.duration())),
             Effect::HeadMotion(effect) => self.head = Some(effect.clone()),
             Effect::Kidnapping(effect) => self.carrying = Some(effect.model(key, &self.motion, &self.field)?),
+            Effect::Fall(effect) => self.carrying = Some(effect.model(key, &self.motion, &self.field)?),
+            Effect::BrightWindow(effect) => self.window = Some(effect.clone()),
+            Effect::Shutter(effect) => self.shutter = Some(effect.clone()),
+            Effect::CameraFault(effect) => self.camera_fault = Some(effect.clone()),
+            Effect::SerialNoise(effect) => self.serial_noise = Some(effect.clone()),
             Effect::Light(effect) => self.light = Some(effect.model()),
             Effect::Obstacles(effect) => self.crowd = Some(effect.model(seed, &self.field, &self.way())),
             Effect::OdometryError(effect) => self.odometry_error = Some(effect.clone()),
@@ -107,6 +157,62 @@ impl Scene {
             }
         }
         Ok(())
+    }
+
+    /// What was drawn once for the whole scene.
+    pub fn drawn(&self) -> Vec<Drawn> {
+        self.file.template.as_ref().map_or_else(Vec::new, |template| template.drawn(Per::Episode, 0))
+    }
+
+    /// What was drawn for one frame.
+    pub fn drawn_for(&self, frame: u64) -> Vec<Drawn> {
+        self.file.template.as_ref().map_or_else(Vec::new, |template| template.drawn(Per::Frame, frame))
+    }
+
+    /// Light and sensor of a frame.
+    fn changing(&self, frame: u64) -> (Option<LightModel>, Option<Cow<'_, NoiseModel>>) {
+        let mut light = self.light;
+        let mut noise = self.noise.as_ref().map(Cow::Borrowed);
+        let per_frame = |template: &&Template| template.ranges.iter().any(|range| range.per == Per::Frame);
+        let Some(template) = self.file.template.as_ref().filter(per_frame) else { return (light, noise) };
+        // Both ends were read when the scene was built, so what is between them can be.
+        let effects = SceneFile::effects_with(template, |range| template.value(range, frame)).unwrap_or_default();
+        for effect in effects.iter().take(self.file.effects.len()) {
+            match effect {
+                Effect::Light(effect) => light = Some(effect.model()),
+                Effect::SensorNoise(effect) => {
+                    let amplified = light.as_ref().map_or(1.0, LightModel::camera_gain);
+                    noise = self.noise.as_ref().map(|noise| Cow::Owned(noise.with(effect, amplified)));
+                }
+                _ => {}
+            }
+        }
+        (light, noise)
+    }
+
+    /// Names of the effects that mean the same on any image, and of the others: those need to know where the camera
+    /// stood, or act on something else.
+    pub fn effects_on_images(&self) -> (Vec<&'static str>, Vec<&'static str>) {
+        let on_any = |effect: &&Effect| match effect {
+            Effect::Light(light) => light.gradient_per_m == [0.0; 2],
+            Effect::SensorNoise(_) => true,
+            _ => false,
+        };
+        let (on_any, others): (Vec<&Effect>, Vec<&Effect>) = self.file.effects.iter().partition(on_any);
+        let names = |effects: Vec<&Effect>| effects.into_iter().map(Effect::name).collect();
+        (names(on_any), names(others))
+    }
+
+    /// RGB of any size, as if it were this frame; without such an effect not a bit changes.
+    pub fn apply_to_image(&self, frame: u64, pixels: &mut [u8]) {
+        let (on_any, _) = self.effects_on_images();
+        let (light, noise) = self.changing(frame);
+        if let Some(light) = light.filter(|_| on_any.contains(&"light")) {
+            light.apply(pixels);
+        }
+        if let Some(noise) = noise {
+            noise.apply(frame, pixels);
+        }
     }
 
     /// Where the robot comes by.
@@ -151,6 +257,12 @@ impl Scene {
     /// When the camera takes this frame, in seconds since the start.
     pub fn frame_time_s(&self, index: u64) -> f64 {
         events::Clock::new(self.file.camera.rate_hz, self.duration_s()).time(index)
+    }
+
+    /// How much of this frame arrives, if not all of it.
+    pub fn torn(&self, index: u64) -> Option<f64> {
+        let [time, next] = [index, index + 1].map(|index| self.frame_time_s(index));
+        self.camera_fault.as_ref()?.arrives(time, next, self.file.scene.seed, index)
     }
 
     /// Everything the robot receives, in time order.

@@ -12,6 +12,9 @@ pub(super) enum Purpose {
     Obstacles = 7,
     HeadMotion = 8,
     WornLines = 9,
+    Ranges = 10,
+    SerialNoise = 11,
+    CameraFault = 12,
 }
 
 /// Counter-based: the n-th number is a hash of key and n.

@@ -74,12 +74,16 @@ impl Scene {
             }
         };
         let (rate, _) = self.sway_derivatives(time);
+        let angular_velocity = match &self.carrying {
+            Some(carrying) if carrying.tumble_at(time).is_some() => self.turned_in_falling(time),
+            _ => body_rates(&sway, &rate, twist.yaw),
+        };
         Truth {
             map_from_base_footprint: travel.map_from_base_footprint,
             map_from_base_link,
             map_from_camera_link: map_from_base_link * self.camera_at(time),
             twist,
-            angular_velocity: body_rates(&sway, &rate, twist.yaw),
+            angular_velocity,
             linear_acceleration,
         }
     }
@@ -95,6 +99,9 @@ impl Scene {
         let mut displacement = self.sway_at(time).displacement();
         if let Some(carrying) = &self.carrying {
             displacement.translation.z += carrying.lift_at(time);
+            if let Some(tumble) = carrying.tumble_at(time) {
+                displacement = displacement * tumble;
+            }
         }
         self.travel(time).map_from_base_footprint.to_isometry()
             * displacement
@@ -122,6 +129,16 @@ impl Scene {
         let in_map = (p2.translation - 2.0 * p1.translation + p0.translation) / (h * h);
         let with_gravity = in_map + DVec3::new(0.0, 0.0, GRAVITY_M_S2);
         (twist, p1.rotation.conjugate() * with_gravity)
+    }
+
+    /// rad/s, in `base_link`, by differences.
+    fn turned_in_falling(&self, time: f64) -> DVec3 {
+        let h = CARRIED_DIFFERENCE_S;
+        let [before, after] = [-h, h].map(|step| self.base_link_at(time + step).rotation);
+        let turned = before.conjugate() * after;
+        // A small rotation: twice the vector part is the angle about each axis.
+        let side = if turned.w < 0.0 { -1.0 } else { 1.0 };
+        DVec3::new(turned.x, turned.y, turned.z) * (2.0 * side / (2.0 * h))
     }
 
     /// Whoever is carried does not walk: the gait stands still in its step.

@@ -11,10 +11,11 @@ use crate::geometry::{Isometry, LensModel, LensParameters};
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
 use crate::ros2::messages::{
-    CameraInfo, CompressedImage, Header, Image, Imu, JointState, Message, Odometry, Point, Pose, PoseStamped,
-    PoseWithCovarianceStamped, Quaternion, Stamp, TFMessage, Transform, TransformStamped, Vector3,
+    CameraInfo, CompressedImage, DiagnosticArray, DiagnosticStatus, Header, Image, Imu, JointState, KeyValue, Message,
+    Odometry, Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion, Stamp, TFMessage, Transform,
+    TransformStamped, Vector3,
 };
-use crate::scene::{Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile};
+use crate::scene::{Drawn, Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile};
 
 #[derive(Debug, Error)]
 pub enum SceneSourceError {
@@ -22,8 +23,9 @@ pub enum SceneSourceError {
     Scene { path: String, source: SceneError },
     #[error("{path}: {source}")]
     Open { path: String, source: std::io::Error },
-    #[error("{path}: {source}")]
-    Config { path: String, source: crate::config::ConfigError },
+    /// `place` is the file, and the line if it is known.
+    #[error("{place}: {source}")]
+    Config { place: String, source: crate::config::ConfigError },
     #[error("the image does not encode: {0}")]
     Encode(String),
 }
@@ -36,11 +38,14 @@ pub fn load(path: &str) -> Result<Scene, SceneSourceError> {
 
 /// The same from text; `name` is for messages.
 pub fn parse(text: &str, name: &str) -> Result<Scene, SceneSourceError> {
-    let config = |source| SceneSourceError::Config { path: name.to_owned(), source };
     let scene = |source| SceneSourceError::Scene { path: name.to_owned(), source };
     let file = SceneFile::from_toml(text).map_err(scene)?;
-    let field = load_field(&file.scene.field).map_err(config)?;
-    let lens = load_lens(&file.camera.lens).map_err(config)?;
+    let refused = |key: &str, source| {
+        let place = file.line(key).map_or_else(|| name.to_owned(), |line| format!("{name}: line {line}"));
+        SceneSourceError::Config { place, source }
+    };
+    let field = load_field(&file.scene.field).map_err(|source| refused("scene.field", source))?;
+    let lens = load_lens(&file.camera.lens).map_err(|source| refused("camera.lens", source))?;
     Scene::build(file, field, lens.lens.parameters().clone()).map_err(scene)
 }
 
@@ -72,7 +77,25 @@ impl<'a> SceneSource<'a> {
             source.message(&source.topics.camera_info.clone(), START_STAMP_NS, &camera_info(scene)),
         ];
         source.waiting.extend(constants);
+        source.tell_drawn(START_STAMP_NS, &scene.drawn());
         source
+    }
+
+    /// Of a scene that leaves nothing open there is no such message.
+    fn tell_drawn(&mut self, stamp_ns: i64, drawn: &[Drawn]) {
+        if drawn.is_empty() {
+            return;
+        }
+        let values = drawn.iter().map(|drawn| KeyValue { key: drawn.name.clone(), value: drawn.value.to_string() });
+        let status = DiagnosticStatus {
+            name: "realitysim: scene".to_owned(),
+            message: "drawn".to_owned(),
+            values: values.collect(),
+            ..Default::default()
+        };
+        let told = DiagnosticArray { header: header(stamp_ns, ""), status: vec![status] };
+        let message = self.message(DRAWN_TOPIC, stamp_ns, &told);
+        self.waiting.push_back(message);
     }
 
     fn message<M: Message>(&mut self, topic: &str, stamp_ns: i64, message: &M) -> LogMessage {
@@ -98,7 +121,7 @@ impl<'a> SceneSource<'a> {
         let stamp = event.stamp_ns;
         let header = |frame: &str| header(stamp, frame);
         let topics = self.topics.clone();
-        let message = match event.kind {
+        let mut message = match event.kind {
             SceneEventKind::InitialPose(estimate) => {
                 let mut initial = PoseWithCovarianceStamped { header: header("map"), ..Default::default() };
                 initial.pose.pose = pose(&estimate.map_from_base_footprint.to_isometry());
@@ -138,9 +161,13 @@ impl<'a> SceneSource<'a> {
                 let truth = PoseStamped { header: header("map"), pose: pose(&map_from_camera_link) };
                 let truth = self.message(&topics.ground_truth, stamp, &truth);
                 self.waiting.push_back(truth);
+                self.tell_drawn(stamp, &self.scene.drawn_for(index));
                 self.frame(index, stamp)?
             }
         };
+        if let Some(which) = event.corrupt {
+            flip_a_bit(&mut message.data, which);
+        }
         self.waiting.push_back(message);
         Ok(())
     }
@@ -157,13 +184,20 @@ impl<'a> SceneSource<'a> {
                 encoder
                     .encode(&pixels, width as u16, height as u16, jpeg_encoder::ColorType::Rgb)
                     .map_err(|error| SceneSourceError::Encode(error.to_string()))?;
+                if let Some(share) = self.scene.torn(index) {
+                    data.truncate((data.len() as f64 * share) as usize);
+                }
                 let image = CompressedImage { header, format: "jpeg".to_owned(), data };
                 self.message(&self.topics.image.clone(), stamp_ns, &image)
             }
             None => {
                 let step = 3 * width;
                 let encoding = "rgb8".to_owned();
-                let image = Image { header, height, width, encoding, is_bigendian: 0, step, data: pixels.clone() };
+                let mut data = pixels.clone();
+                if let Some(share) = self.scene.torn(index) {
+                    data.truncate((data.len() as f64 * share) as usize);
+                }
+                let image = Image { header, height, width, encoding, is_bigendian: 0, step, data };
                 self.message(RAW_TOPIC, stamp_ns, &image)
             }
         };
@@ -173,6 +207,8 @@ impl<'a> SceneSource<'a> {
 }
 
 const OPTICAL: &str = "camera_optical_frame";
+/// What the scene left open and was drawn: for the whole scene at its start, for a frame with the frame.
+const DRAWN_TOPIC: &str = "/scene/drawn";
 /// Where images go that were not compressed.
 const RAW_TOPIC: &str = "/camera/image_raw";
 
@@ -188,6 +224,15 @@ impl Iterator for SceneSource<'_> {
             Ok(()) => self.waiting.pop_front().map(Ok),
             Err(error) => Some(Err(error)),
         }
+    }
+}
+
+/// Anywhere behind the encapsulation's four bytes: a stamp, a name, a value.
+fn flip_a_bit(data: &mut [u8], which: u64) {
+    let bits = 8 * data.len().saturating_sub(4) as u64;
+    if bits > 0 {
+        let bit = which % bits;
+        data[4 + (bit / 8) as usize] ^= 1 << (bit % 8);
     }
 }
 

@@ -1,12 +1,15 @@
 //! Scenes: files, motion, sensor messages and images, from outside.
 
 mod common;
+mod faults;
 mod filtering;
 mod geometry;
 mod look;
 mod motion;
 mod moved;
+mod pictures;
 mod properties;
+mod ranges;
 mod refusals;
 mod told;
 mod world;

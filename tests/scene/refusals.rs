@@ -1,7 +1,7 @@
 //! A wrong scene file is told what is wrong where.
 
 use realitysim::geometry::FieldDimensions;
-use realitysim::scene::{Scene, SceneError, SceneFile};
+use realitysim::scene::{Role, Scene, SceneError, SceneFile};
 
 use super::common::{STRAIGHT, fisheye_640, kid_2009, plain, shelf, with_effects};
 
@@ -19,7 +19,7 @@ fn changed(from: &str, to: &str) -> String {
 #[test]
 fn the_shelf_is_right() {
     let scenes = shelf();
-    assert!(scenes.len() >= 16);
+    assert!(scenes.len() >= 22);
     for (name, scene) in scenes {
         let text = std::fs::read_to_string(format!("replay/scenes/{name}.toml")).expect("readable");
         let file = scene.file();
@@ -29,6 +29,14 @@ fn the_shelf_is_right() {
             assert!(file.effects.iter().any(|listed| listed.name() == effect), "{name} lacks {effect}");
         }
         assert!(file.effects.iter().all(|effect| effect.role().is_some()), "{name}: what is an effect for?");
+        // The header says in words what the roles say.
+        let header: Vec<&str> = text.lines().take_while(|line| line.starts_with('#')).collect();
+        for (role, word) in [(Role::Base, "# Base: "), (Role::Filler, "# Filler: ")] {
+            let of_role = file.effects.iter().filter(|effect| effect.role() == Some(role));
+            let names: Vec<&str> = of_role.map(|effect| effect.name()).collect();
+            let stated = header.iter().find_map(|line| line.strip_prefix(word)).unwrap_or_default();
+            assert_eq!(stated.trim_end_matches('.'), names.join(", "), "{name}: {word}");
+        }
     }
 }
 
@@ -86,14 +94,97 @@ fn a_head_needs_an_imu_and_a_kidnapping_a_walk() {
     let head = "kind = \"head_motion\"\npan_amplitude_deg = 40\npan_period_s = 3\ntilt_amplitude_deg = 5\n\
                 tilt_period_s = 2";
     let message = refusal(&with_effects(&plain(STRAIGHT).replace("[imu]\nrate_hz = 100.0", ""), &[head]));
-    assert!(message.starts_with("effect[0].kind is head_motion") && message.contains("[imu]"), "{message}");
+    assert!(message.contains("effect[0].kind is head_motion") && message.contains("[imu]"), "{message}");
     let still = plain(STRAIGHT).replace(
         "kind = \"walk\"\nwaypoints = [[-2.9, 0.1], [2.9, 0.1]]\nspeed_m_s = 0.25\nturn_deg_s = 30.0",
         "kind = \"still\"\nposes = [[0, 0, 0]]\nhold_s = 1",
     );
     let taken = "kind = \"kidnapping\"\nto_m = [0, 0]\nto_yaw_deg = 0\nat_s = 0.5";
     let message = refusal(&with_effects(&still, &[taken]));
-    assert!(message.starts_with("effect[0].kind is kidnapping") && message.contains("still"), "{message}");
+    assert!(message.contains("effect[0].kind is kidnapping") && message.contains("still"), "{message}");
+}
+
+const SWAY: &str = "kind = \"gait_sway\"\nroll_deg = 2\npitch_deg = 1\nlateral_m = 0.01\nvertical_m = 0.0\nstep_hz = 2";
+
+#[test]
+fn a_scene_that_contradicts_itself_is_refused_with_its_line() {
+    let shutter = "kind = \"shutter\"\nexposure_ms = 5\nreadout_ms = 15";
+    let fall = "kind = \"fall\"\nat_s = 5\ndirection = \"left\"";
+    let taken = "kind = \"kidnapping\"\nto_m = [0, 0]\nto_yaw_deg = 0\nat_s = 5";
+    let serial = "kind = \"serial_noise\"\nlost_share = 0.1";
+    let base = plain(STRAIGHT);
+    let silent = base.replace("[imu]\nrate_hz = 100.0", "").replace("[odometry]\nrate_hz = 50.0", "");
+    for (base, effects, words) in [
+        (&base, vec![shutter], ["kind is shutter", "without motion it shows nothing"]),
+        (&base, vec![fall], ["kind is fall", "needs gait_sway"]),
+        (&base, vec![SWAY, taken, fall], ["kind is fall", "interrupted once"]),
+        (&silent, vec![serial], ["kind is serial_noise", "both are absent"]),
+        (
+            &base,
+            vec![SWAY, "kind = \"sensor_noise\"\nread_noise_dn = 1\nshot_noise_factor = 0", shutter],
+            ["kind is shutter", "then the shutter, then what sensors add"],
+        ),
+        (
+            &base,
+            vec![serial, "kind = \"sensor_noise\"\nread_noise_dn = 1\nshot_noise_factor = 0"],
+            ["kind is sensor_noise", "then what the wires do"],
+        ),
+    ] {
+        let text = with_effects(base, &effects);
+        let message = refusal(&text);
+        assert!(words.iter().all(|word| message.contains(word)), "{message}");
+        let wanted = words[0].replace("kind is ", "kind = \"") + "\"";
+        let line = text.lines().position(|line| line == wanted).expect("its line") + 1;
+        assert!(message.starts_with(&format!("line {line}: ")), "{line}: {message}");
+    }
+}
+
+#[test]
+fn the_impossible_is_refused_with_its_line_and_what_is_possible() {
+    for (effect, words) in [
+        ("kind = \"sensor_noise\"\nread_noise_dn = -1\nshot_noise_factor = 0", ["read_noise_dn is -1", "0 to 50"]),
+        ("kind = \"light\"\ngain = 0", ["gain is 0", "0.01 to 3"]),
+        ("kind = \"shutter\"\nexposure_ms = 0\nreadout_ms = 15", ["exposure_ms is 0", "0.01 to 200 ms"]),
+        ("kind = \"fall\"\nat_s = 5\ndirection = \"left\"\nfall_s = 0", ["fall_s is 0", "0.2 to 10 s"]),
+        ("kind = \"camera_fault\"\nunplugged = { from_s = 3, for_s = 0 }", ["unplugged.for_s is 0", "0.001 to 7200 s"]),
+        ("kind = \"serial_noise\"\nlost_share = 1", ["lost_share is 1", "0 to 0.95"]),
+        ("kind = \"serial_noise\"\nlost_share = 0", ["a serial_noise of nothing", "above 0"]),
+        (
+            "kind = \"bright_window\"\nwall = \"+x\"\ncentre_m = 0\nwidth_m = 2\nsill_m = 1\nheight_m = 2\nbrightness = 0",
+            ["brightness is 0", "0.5 to 50"],
+        ),
+    ] {
+        let text = with_effects(&plain(STRAIGHT), &[SWAY, effect]);
+        let message = refusal(&text);
+        assert!(words.iter().all(|word| message.contains(word)), "{message}");
+        let line: usize = message.split(['e', ':']).nth(1).and_then(|line| line.trim().parse().ok()).expect(&message);
+        let key = words[0].split([' ', '.']).next().expect("a key");
+        let stands = text.lines().nth(line - 1).expect("a line");
+        assert!(stands.contains(key) || stands == "[[effect]]", "{line}, {stands}: {message}");
+    }
+    let far = "kind = \"fall\"\nat_s = 500\ndirection = \"left\"";
+    assert!(refusal(&with_effects(&plain(STRAIGHT), &[SWAY, far])).contains("the route takes 23.20 s"));
+}
+
+#[test]
+fn unknown_effects_fields_and_lenses_are_named_with_those_there_are() {
+    let load = |from: &str, to: &str| {
+        let refused = realitysim::sensors::scene::parse(&STRAIGHT.replacen(from, to, 1), "s.toml");
+        (refused.expect_err("must be refused").to_string(), STRAIGHT.lines().position(|line| line.contains(from)))
+    };
+    for (from, to, words) in [
+        ("field = \"kid-2009\"", "field = \"moon\"", ["\"moon\"", "adult-2020, kid-2009"]),
+        ("lens = \"fisheye-640\"", "lens = \"eye\"", ["\"eye\"", "fisheye-640"]),
+        ("kind = \"gait_sway\"", "kind = \"gait\"", ["unknown variant `gait`", "`gait_sway`, `head_motion`"]),
+    ] {
+        let (message, line) = load(from, to);
+        assert!(words.iter().all(|word| message.contains(word)), "{message}");
+        let line = line.expect("a line") + 1;
+        assert!(
+            message.starts_with("s.toml: ") && message.contains(&format!("line {line}")) || to.contains("gait"),
+            "{message}"
+        );
+    }
 }
 
 #[test]
@@ -146,18 +237,18 @@ fn effects_stand_once_and_in_physical_order() {
     let imu = "kind = \"imu_error\"\nroll_bias_deg = 0\npitch_bias_deg = 0\nnoise_deg = 0\ngyro_noise_deg_s = 0";
     let base = plain(STRAIGHT);
     let message = refusal(&with_effects(&base, &[noise, sway]));
-    assert!(message.starts_with("effect[1].kind is gait_sway") && message.contains("physical order"), "{message}");
+    assert!(message.contains("effect[1].kind is gait_sway") && message.contains("physical order"), "{message}");
     let message = refusal(&with_effects(&base, &[noise, noise]));
-    assert!(message.starts_with("effect[1].kind is sensor_noise") && message.contains("already"), "{message}");
+    assert!(message.contains("effect[1].kind is sensor_noise") && message.contains("already"), "{message}");
     let without_imu = base.replace("[imu]\nrate_hz = 100.0", "");
     let message = refusal(&with_effects(&without_imu, &[imu]));
-    assert!(message.starts_with("effect[0].kind is imu_error") && message.contains("[imu]"), "{message}");
+    assert!(message.contains("effect[0].kind is imu_error") && message.contains("[imu]"), "{message}");
     let still = base.replace(
         "kind = \"walk\"\nwaypoints = [[-2.9, 0.1], [2.9, 0.1]]\nspeed_m_s = 0.25\nturn_deg_s = 30.0",
         "kind = \"still\"\nposes = [[0, 0, 0]]\nhold_s = 1",
     );
     let message = refusal(&with_effects(&still, &[sway]));
-    assert!(message.starts_with("effect[0].kind is gait_sway") && message.contains("still"), "{message}");
+    assert!(message.contains("effect[0].kind is gait_sway") && message.contains("still"), "{message}");
 }
 
 #[test]

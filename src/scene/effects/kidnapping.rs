@@ -2,8 +2,8 @@
 
 use serde::Deserialize;
 
-use super::{Role, ease};
-use crate::geometry::{Field, Pose2, wrap_angle};
+use super::{Role, Tumble, ease};
+use crate::geometry::{Field, Isometry, Pose2, wrap_angle};
 use crate::scene::SceneError;
 use crate::scene::check::{inside, refuse, within};
 use crate::scene::motion::{Motion, Travel};
@@ -33,6 +33,8 @@ pub(crate) struct Carrying {
     from: Pose2,
     to: Pose2,
     lift: f64,
+    /// Of a robot that falls, in place of being carried.
+    tumble: Option<Tumble>,
 }
 
 /// How often the rest of the route is asked whether it is on the field.
@@ -61,19 +63,44 @@ impl Kidnapping {
             from: motion.at(self.at_s).map_from_base_footprint,
             to: Pose2::new(x, y, self.to_yaw_deg.to_radians()),
             lift: self.lift_m,
+            tumble: None,
         };
-        for step in 0..=((end - self.at_s) / CHECK_EVERY_S) as usize {
-            let time = self.at_s + step as f64 * CHECK_EVERY_S;
-            let pose = carrying.put_down(&motion.at(time).map_from_base_footprint);
-            let place =
-                format!("{key}: the route, which goes on from to_m, {:.2} s after the start", time + self.duration_s);
-            inside(place, [pose.x, pose.y], field)?;
-        }
+        carrying.stays_inside(key, motion, field)?;
         Ok(carrying)
     }
 }
 
 impl Carrying {
+    /// It falls where it is, and stands up at `to`.
+    pub(in crate::scene) fn tumbling(
+        key: &str,
+        at: f64,
+        duration: f64,
+        to: Pose2,
+        tumble: Tumble,
+        motion: &Motion,
+        field: &Field,
+    ) -> Result<Self, SceneError> {
+        let end = motion.duration();
+        within(format_args!("{key}.at_s"), at, 0.0..=end, &format!("the route takes {end:.2} s"))?;
+        let from = motion.at(at).map_from_base_footprint;
+        let carrying = Self { at, duration, from, to, lift: 0.0, tumble: Some(tumble) };
+        carrying.stays_inside(key, motion, field)?;
+        Ok(carrying)
+    }
+
+    fn stays_inside(&self, key: &str, motion: &Motion, field: &Field) -> Result<(), SceneError> {
+        let end = motion.duration();
+        for step in 0..=((end - self.at) / CHECK_EVERY_S) as usize {
+            let time = self.at + step as f64 * CHECK_EVERY_S;
+            let pose = self.put_down(&motion.at(time).map_from_base_footprint);
+            let place =
+                format!("{key}: the route, which goes on from to_m, {:.2} s after the start", time + self.duration);
+            inside(place, [pose.x, pose.y], field)?;
+        }
+        Ok(())
+    }
+
     pub(crate) fn duration(&self) -> f64 {
         self.duration
     }
@@ -114,6 +141,12 @@ impl Carrying {
         let share = self.share(time);
         // At most 1, and as smooth as the way itself.
         self.lift * 4.0 * share * (1.0 - share)
+    }
+
+    /// How the torso lies about its feet, if it falls.
+    pub(crate) fn tumble_at(&self, time: f64) -> Option<Isometry> {
+        let tumble = self.tumble.as_ref().filter(|_| self.is_under_way(time))?;
+        Some(tumble.at(time - self.at))
     }
 
     fn share(&self, time: f64) -> f64 {

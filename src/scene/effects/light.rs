@@ -74,6 +74,15 @@ impl LightModel {
         self.camera_gain
     }
 
+    /// To an image of which nobody knows where it was taken.
+    pub(crate) fn apply(&self, pixels: &mut [u8]) {
+        for pixel in pixels.chunks_exact_mut(3) {
+            for (value, gain) in pixel.iter_mut().zip(self.gain) {
+                *value = (f32::from(*value) * gain + 0.5).min(255.0) as u8;
+            }
+        }
+    }
+
     /// Red, green and blue above (x, y), as factors of the colour by daylight.
     pub(crate) fn at(&self, [x, y]: [f32; 2]) -> [f32; 3] {
         let [along_x, along_y] = self.gradient_per_m;

@@ -2,7 +2,10 @@
 //!
 //! Every effect draws from its own stream, so that adding one never changes what another does.
 
+mod bright_window;
 mod calibration_error;
+mod camera_fault;
+mod fall;
 mod gait_sway;
 mod head_motion;
 mod imu_error;
@@ -11,9 +14,14 @@ mod light;
 mod obstacles;
 mod odometry_error;
 mod sensor_noise;
+mod serial_noise;
+mod shutter;
 mod worn_lines;
 
+pub use bright_window::{BrightWindow, Wall};
 pub use calibration_error::CalibrationError;
+pub use camera_fault::CameraFault;
+pub use fall::{Direction, Fall};
 pub use gait_sway::GaitSway;
 pub use head_motion::{HeadMotion, Joints};
 pub use imu_error::ImuError;
@@ -22,13 +30,17 @@ pub use light::Light;
 pub use obstacles::{Figure, FigureShape, Obstacles};
 pub use odometry_error::{Jump, OdometryError, Span};
 pub use sensor_noise::SensorNoise;
+pub use serial_noise::SerialNoise;
+pub use shutter::Shutter;
 pub use worn_lines::WornLines;
 
+pub(super) use fall::Tumble;
 pub(super) use gait_sway::{Sway, SwayModel};
 pub(super) use kidnapping::Carrying;
 pub(super) use light::LightModel;
 pub(super) use obstacles::{Crowd, Member};
 pub(super) use sensor_noise::NoiseModel;
+pub(super) use serial_noise::Fate;
 
 use serde::Deserialize;
 
@@ -43,13 +55,18 @@ pub enum Effect {
     GaitSway(GaitSway),
     HeadMotion(HeadMotion),
     Kidnapping(Kidnapping),
+    Fall(Fall),
     Light(Light),
+    BrightWindow(BrightWindow),
     Obstacles(Obstacles),
     WornLines(WornLines),
+    Shutter(Shutter),
     SensorNoise(SensorNoise),
+    CameraFault(CameraFault),
     OdometryError(OdometryError),
     ImuError(ImuError),
     CalibrationError(CalibrationError),
+    SerialNoise(SerialNoise),
 }
 
 /// Why an effect is in the scene: its task needs it, or it is there to keep the scene from being too clean.
@@ -60,11 +77,16 @@ pub enum Role {
     Filler,
 }
 
+/// Effects whose numbers may differ from frame to frame: nothing else is built on them.
+pub(super) const MAY_CHANGE: [&str; 2] = ["light", "sensor_noise"];
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
     Motion,
     World,
+    Exposure,
     Sensor,
+    Wire,
 }
 
 impl Effect {
@@ -73,6 +95,11 @@ impl Effect {
             Effect::GaitSway(_) => "gait_sway",
             Effect::HeadMotion(_) => "head_motion",
             Effect::Kidnapping(_) => "kidnapping",
+            Effect::Fall(_) => "fall",
+            Effect::BrightWindow(_) => "bright_window",
+            Effect::Shutter(_) => "shutter",
+            Effect::CameraFault(_) => "camera_fault",
+            Effect::SerialNoise(_) => "serial_noise",
             Effect::Light(_) => "light",
             Effect::Obstacles(_) => "obstacles",
             Effect::WornLines(_) => "worn_lines",
@@ -88,6 +115,11 @@ impl Effect {
             Effect::GaitSway(effect) => effect.role,
             Effect::HeadMotion(effect) => effect.role,
             Effect::Kidnapping(effect) => effect.role,
+            Effect::Fall(effect) => effect.role,
+            Effect::BrightWindow(effect) => effect.role,
+            Effect::Shutter(effect) => effect.role,
+            Effect::CameraFault(effect) => effect.role,
+            Effect::SerialNoise(effect) => effect.role,
             Effect::Light(effect) => effect.role,
             Effect::Obstacles(effect) => effect.role,
             Effect::WornLines(effect) => effect.role,
@@ -98,13 +130,36 @@ impl Effect {
         }
     }
 
+    /// Whether it changes pixels of a frame whose camera stands where it stands. Others cost no time in a frame.
+    pub fn acts_on_image(&self) -> bool {
+        match self {
+            Effect::Light(_)
+            | Effect::BrightWindow(_)
+            | Effect::Obstacles(_)
+            | Effect::WornLines(_)
+            | Effect::Shutter(_)
+            | Effect::SensorNoise(_) => true,
+            Effect::GaitSway(_)
+            | Effect::HeadMotion(_)
+            | Effect::Kidnapping(_)
+            | Effect::Fall(_)
+            | Effect::CameraFault(_)
+            | Effect::OdometryError(_)
+            | Effect::ImuError(_)
+            | Effect::CalibrationError(_)
+            | Effect::SerialNoise(_) => false,
+        }
+    }
+
     fn stage(&self) -> Stage {
         match self {
-            Effect::GaitSway(_) | Effect::HeadMotion(_) | Effect::Kidnapping(_) => Stage::Motion,
-            Effect::Light(_) | Effect::Obstacles(_) | Effect::WornLines(_) => Stage::World,
+            Effect::GaitSway(_) | Effect::HeadMotion(_) | Effect::Kidnapping(_) | Effect::Fall(_) => Stage::Motion,
+            Effect::Light(_) | Effect::BrightWindow(_) | Effect::Obstacles(_) | Effect::WornLines(_) => Stage::World,
+            Effect::Shutter(_) => Stage::Exposure,
             Effect::SensorNoise(_) | Effect::OdometryError(_) | Effect::ImuError(_) | Effect::CalibrationError(_) => {
                 Stage::Sensor
             }
+            Effect::CameraFault(_) | Effect::SerialNoise(_) => Stage::Wire,
         }
     }
 
@@ -113,6 +168,11 @@ impl Effect {
             Effect::GaitSway(effect) => effect.check(key),
             Effect::HeadMotion(effect) => effect.check(key),
             Effect::Kidnapping(effect) => effect.check(key, field),
+            Effect::Fall(effect) => effect.check(key),
+            Effect::BrightWindow(effect) => effect.check(key),
+            Effect::Shutter(effect) => effect.check(key),
+            Effect::CameraFault(effect) => effect.check(key),
+            Effect::SerialNoise(effect) => effect.check(key),
             Effect::Light(effect) => effect.check(key),
             Effect::Obstacles(effect) => effect.check(key, field),
             Effect::WornLines(effect) => effect.check(key),
@@ -134,8 +194,10 @@ pub(super) fn check(effects: &[Effect], field: &Field) -> Result<(), SceneError>
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }
         if before.iter().any(|other| other.stage() > effect.stage()) {
-            let expected = "list effects in physical order: what moves the robot (gait_sway, head_motion, kidnapping), \
-                            then what it sees (light, obstacles, worn_lines), then what a sensor adds";
+            let expected = "list effects in physical order: what moves the robot (gait_sway, head_motion, kidnapping, \
+                            fall), then what it sees (light, bright_window, obstacles, worn_lines), then the shutter, \
+                            then what sensors add (sensor_noise, odometry_error, imu_error, calibration_error), then \
+                            what the wires do (camera_fault, serial_noise)";
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }
     }

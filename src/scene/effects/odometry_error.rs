@@ -99,7 +99,7 @@ impl OdometryError {
 }
 
 impl Span {
-    fn holds(&self, time: f64) -> bool {
+    pub(super) fn holds(&self, time: f64) -> bool {
         (self.from_s..self.from_s + self.for_s).contains(&time)
     }
 }

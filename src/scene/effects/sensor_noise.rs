@@ -1,5 +1,7 @@
 //! Noise of the image sensor: read noise everywhere, shot noise that grows with the root of the brightness.
 
+use std::sync::Arc;
+
 use serde::Deserialize;
 
 use super::Role;
@@ -25,7 +27,7 @@ pub(crate) struct NoiseModel {
     /// Standard deviation at each value, in 1/256 DN.
     deviation: Box<[i32; 256]>,
     /// Equally likely values of a standard normal distribution, in 1/4096.
-    normal: Box<[i16; NORMALS]>,
+    normal: Arc<[i16; NORMALS]>,
 }
 
 const NORMALS: usize = 4096;
@@ -42,21 +44,24 @@ impl SensorNoise {
 
     /// `camera_gain` multiplies signal and noise alike: of the same image value it has made more noise.
     pub(crate) fn model(&self, seed: u64, camera_gain: f64) -> NoiseModel {
+        let normal =
+            core::array::from_fn(|index| libm::round(quantile((index as f64 + 0.5) / NORMALS as f64) * 4096.0) as i16);
+        NoiseModel { seed, deviation: self.deviation(camera_gain), normal: Arc::new(normal) }
+    }
+
+    fn deviation(&self, camera_gain: f64) -> Box<[i32; 256]> {
         let (read, shot) = (self.read_noise_dn * camera_gain, self.shot_noise_factor);
         let variance = |value: usize| read * read + shot * shot * camera_gain * value as f64;
-        NoiseModel {
-            seed,
-            deviation: Box::new(core::array::from_fn(|value| {
-                (libm::sqrt(variance(value)).min(MOST_DN) * 256.0 + 0.5) as i32
-            })),
-            normal: Box::new(core::array::from_fn(|index| {
-                libm::round(quantile((index as f64 + 0.5) / NORMALS as f64) * 4096.0) as i16
-            })),
-        }
+        Box::new(core::array::from_fn(|value| (libm::sqrt(variance(value)).min(MOST_DN) * 256.0 + 0.5) as i32))
     }
 }
 
 impl NoiseModel {
+    /// The same noise with other figures.
+    pub(crate) fn with(&self, effect: &SensorNoise, camera_gain: f64) -> Self {
+        Self { deviation: effect.deviation(camera_gain), ..self.clone() }
+    }
+
     /// Depends on the frame and the pixels only.
     pub(crate) fn apply(&self, frame: u64, pixels: &mut [u8]) {
         let key = Stream::new(self.seed, Purpose::SensorNoise, frame).key();

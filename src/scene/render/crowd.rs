@@ -1,5 +1,7 @@
 //! Figures in front of the hall: the nearest first, edges by finer rays, a soft shadow where they stand.
 
+use core::ops::Range;
+
 use super::super::effects::{Crowd, Member};
 use super::body::Body;
 use super::fixed::byte;
@@ -47,12 +49,17 @@ impl CrowdView {
         Self { members, tiles: Tiles::new(rays) }
     }
 
-    /// Over a picture of the empty hall.
-    pub(super) fn draw(&self, time: f64, view: &View, pixels: &mut [u8]) {
+    /// Over a picture of the empty hall, in these rows of it.
+    pub(super) fn draw(&self, time: f64, view: &View, rows: &Range<usize>, pixels: &mut [u8]) {
         let placed: Vec<Placed> =
             self.members.iter().map(|(member, body)| Placed::new(member, body, time, view)).collect();
         let mut front = Front::new(view.rays);
-        let busy: Vec<Busy> = self.tiles.iter().filter_map(|tile| Busy::new(tile, &placed)).collect();
+        let busy: Vec<Busy> = self
+            .tiles
+            .iter()
+            .filter(|tile| rows.contains(&tile.rows.start))
+            .filter_map(|tile| Busy::new(tile, &placed))
+            .collect();
         for busy in &busy {
             front.look(busy, &placed, view);
         }

@@ -20,10 +20,14 @@ mod surface;
 mod tile;
 mod tiles;
 mod wear;
+mod window;
+
+use core::ops::Range;
 
 use glam::DMat3;
 
 use super::Scene;
+use super::effects::Shutter;
 use crate::geometry::Isometry;
 use crowd::CrowdView;
 use fixed::byte;
@@ -33,6 +37,18 @@ use placed::View;
 use rays::RayTable;
 use surface::World;
 use wear::Wear;
+use window::Window;
+
+/// The camera at one moment of a frame.
+struct Shot {
+    pose: Isometry,
+    /// Seconds since the scene's start.
+    time: f64,
+    index: u64,
+}
+
+/// Shorter than any exposure that shows something.
+const TURNING_S: f64 = 1e-3;
 
 /// Can be shared between threads: rendering changes nothing.
 #[derive(Clone, Debug)]
@@ -41,6 +57,7 @@ pub struct Renderer {
     rays: RayTable,
     world: World,
     crowd: Option<CrowdView>,
+    window: Option<Window>,
 }
 
 impl Renderer {
@@ -51,7 +68,8 @@ impl Renderer {
         let wear = scene.worn_lines.as_ref().map(|effect| Wear::new(effect, seed));
         let world = World::new(scene.field(), wear, seed);
         let crowd = scene.crowd.as_ref().map(|crowd| CrowdView::new(crowd, &rays));
-        Self { scene: scene.clone(), rays, world, crowd }
+        let window = scene.window.as_ref().map(|window| Window::new(window, world.hall.half));
+        Self { scene: scene.clone(), rays, world, crowd, window }
     }
 
     pub fn width(&self) -> u32 {
@@ -72,35 +90,99 @@ impl Renderer {
     /// As if the frame of this index had been taken from another pose.
     pub fn render_from(&self, map_from_camera_link: &Isometry, index: u64, pixels: &mut Vec<u8>) {
         self.render_clean(map_from_camera_link, index, pixels);
-        if let Some(noise) = &self.scene.noise {
+        if let Some(noise) = self.scene.changing(index).1 {
             noise.apply(index, pixels);
         }
     }
 
     /// What reaches the sensor, without the sensor's own effects.
     pub fn render_clean(&self, map_from_camera_link: &Isometry, index: u64, pixels: &mut Vec<u8>) {
-        let width = self.rays.width();
-        pixels.resize(width * self.rays.height() * 3, 0);
-        let rotation = DMat3::from_quat(map_from_camera_link.rotation).to_cols_array().map(|value| value as f32);
-        let camera = map_from_camera_link.translation.as_vec3();
-        // From inside the ground nothing could be seen; a pose there is nonsense, but must not harm.
-        let camera = [camera.x, camera.y, camera.z.max(1e-3)];
-        let view = View { rays: &self.rays, rotation: &rotation, camera: &camera, light: self.scene.light.as_ref() };
-        self.draw_hall(&view, pixels);
-        if let Some(crowd) = &self.crowd {
-            crowd.draw(self.scene.frame_time_s(index), &view, pixels);
-        }
+        let (width, height) = (self.rays.width(), self.rays.height());
+        pixels.resize(width * height * 3, 0);
+        let veil = match &self.scene.shutter {
+            None => {
+                let time = self.scene.frame_time_s(index);
+                self.draw(&Shot { pose: *map_from_camera_link, time, index }, 0..height, pixels)
+            }
+            Some(shutter) => self.expose(shutter, map_from_camera_link, index, pixels),
+        };
+        window::veil(pixels, veil);
     }
 
-    fn draw_hall(&self, view: &View, pixels: &mut [u8]) {
+    /// The empty hall by daylight, whatever the scene lists: what everything else is measured against.
+    pub fn render_bare(&self, map_from_camera_link: &Isometry, pixels: &mut Vec<u8>) {
+        let (width, height) = (self.rays.width(), self.rays.height());
+        pixels.resize(width * height * 3, 0);
+        let rotation = DMat3::from_quat(map_from_camera_link.rotation).to_cols_array().map(|value| value as f32);
+        let camera = map_from_camera_link.translation.as_vec3().to_array();
+        let view = View { rays: &self.rays, rotation: &rotation, camera: &camera, light: None };
+        self.draw_hall(&view, 0..height, pixels);
+    }
+
+    /// Some rows of the picture of one moment. Returns what the lens scatters over the whole picture.
+    fn draw(&self, shot: &Shot, rows: Range<usize>, pixels: &mut [u8]) -> f32 {
+        let rotation = DMat3::from_quat(shot.pose.rotation).to_cols_array().map(|value| value as f32);
+        let camera = shot.pose.translation.as_vec3();
+        // From inside the ground nothing could be seen; a pose there is nonsense, but must not harm.
+        let camera = [camera.x, camera.y, camera.z.max(1e-3)];
+        let (light, _) = self.scene.changing(shot.index);
+        let view = View { rays: &self.rays, rotation: &rotation, camera: &camera, light: light.as_ref() };
+        let stride = self.rays.width() * 3;
+        let own = &mut pixels[rows.start * stride..rows.end * stride];
+        self.draw_hall(&view, rows.clone(), own);
+        let veil = self.window.as_ref().map_or(0.0, |window| window.draw(&view, rows.clone(), own));
+        if let Some(crowd) = &self.crowd {
+            crowd.draw(shot.time, &view, &rows, pixels);
+        }
+        veil
+    }
+
+    /// Every band of rows is the mean of the pictures of its exposure.
+    fn expose(&self, shutter: &Shutter, map_from_camera_link: &Isometry, index: u64, pixels: &mut [u8]) -> f32 {
+        let (height, stride) = (self.rays.height(), self.rays.width() * 3);
+        let time = self.scene.frame_time_s(index);
+        let truth = self.scene.truth(time);
+        let asked_from_true = *map_from_camera_link * truth.map_from_camera_link.inverse();
+        let turning = self.turning(time) * self.scene.lens().parameters().fx;
+        let mut sums = vec![0u16; height * stride];
+        let (mut veil, mut bands) = (0.0, 0);
+        for band in shutter.bands(height) {
+            let sums = &mut sums[..band.len() * stride];
+            sums.fill(0);
+            let mut count = 0u16;
+            for offset in shutter.times(&band, height, turning) {
+                let at = time + offset;
+                let pose = asked_from_true * self.scene.truth(at).map_from_camera_link;
+                veil += self.draw(&Shot { pose, time: at, index }, band.clone(), pixels);
+                let drawn = &pixels[band.start * stride..band.end * stride];
+                sums.iter_mut().zip(drawn).for_each(|(sum, value)| *sum += u16::from(*value));
+                count += 1;
+                bands += 1;
+            }
+            let mean = &mut pixels[band.start * stride..band.end * stride];
+            mean.iter_mut().zip(&*sums).for_each(|(value, sum)| *value = ((*sum + count / 2) / count) as u8);
+        }
+        veil / bands.max(1) as f32
+    }
+
+    /// How fast the camera turns about this time, rad/s.
+    fn turning(&self, time: f64) -> f64 {
+        let [before, after] = [-TURNING_S, TURNING_S].map(|step| self.scene.truth(time + step).map_from_camera_link);
+        let turned = before.rotation.conjugate() * after.rotation;
+        // The vector part is the sine of half the angle, and exact for small ones.
+        let half = libm::asin(turned.xyz().length().min(1.0));
+        2.0 * half / (2.0 * TURNING_S)
+    }
+
+    fn draw_hall(&self, view: &View, rows: Range<usize>, pixels: &mut [u8]) {
         let width = self.rays.width();
         // Copies: what stands elsewhere might change with every pixel written, for all that the compiler knows.
         let (rotation, camera) = (*view.rotation, *view.camera);
         let [mut above, mut here, mut below] = core::array::from_fn(|_| Turned::new(width));
         let mut ground = GroundRow::new(width);
-        here.turn(&self.rays, 0, &rotation);
-        below.turn(&self.rays, 1, &rotation);
-        for (row, line) in pixels.chunks_exact_mut(width * 3).enumerate() {
+        here.turn(&self.rays, rows.start, &rotation);
+        below.turn(&self.rays, rows.start + 1, &rotation);
+        for (row, line) in rows.zip(pixels.chunks_exact_mut(width * 3)) {
             core::mem::swap(&mut above, &mut here);
             core::mem::swap(&mut here, &mut below);
             below.turn(&self.rays, row + 2, &rotation);

@@ -1,0 +1,154 @@
+//! `realitysim check`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::junit::{self, TestCase};
+use super::{Outcome, output, paths};
+use crate::evaluation::suite::{self, Broken, CaseReport, Options, Suite, Watcher};
+
+/// Run a suite of logs and scenes and hold their tags to limits
+///
+/// SUITE is a TOML file (replay/shelf.toml is one): cases, each a log or a scene, with limits for position, angles, share
+/// of valid tags, recovery, and time. Cases run side by side; those with a limit of time run once more afterwards, alone, and
+/// their time is stated as a ratio to a fixed loop, so that it holds on other machines.
+///
+/// Exit code 1 when a limit is broken or a case cannot be run; each is named.
+#[derive(Args)]
+pub struct CheckArguments {
+    /// A suite file
+    suite: PathBuf,
+    /// Cases at a time; without it as many as there are cores
+    #[arg(short, long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
+    jobs: Option<u16>,
+    /// Only cases whose name has this in it; can be given several times
+    #[arg(long, value_name = "TEXT")]
+    only: Vec<String>,
+    /// Keep the captures there, numbered as the cases; without it they are removed
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Write what CI servers show: a test for each case
+    #[arg(long, value_name = "FILE")]
+    junit: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Report {
+    passed: bool,
+    cases: Vec<CaseReport>,
+    wall_s: f64,
+}
+
+pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
+    let started = std::time::Instant::now();
+    let mut suite = Suite::load(&arguments.suite)?;
+    if !arguments.only.is_empty() {
+        suite.cases.retain(|case| arguments.only.iter().any(|text| case.name.contains(text)));
+        if suite.cases.is_empty() {
+            let wanted = arguments.only.join(", ");
+            let message = format!("--only {wanted}: no case of {} has that in its name", arguments.suite.display());
+            return Err(super::settings::UsageError(message).into());
+        }
+    }
+    if let Some(junit) = &arguments.junit {
+        paths::check_output(junit, &[&arguments.suite])?;
+    }
+    let sources: Vec<_> = suite.cases.iter().map(|case| case.source.as_path()).collect();
+    // Removed when it goes out of scope.
+    let mut temporary = None;
+    let captures = match &arguments.output {
+        Some(folder) => {
+            paths::check_output(folder, &sources)?;
+            paths::make_folder(folder)?;
+            folder.clone()
+        }
+        None => temporary.insert(paths::temporary()?).path().to_owned(),
+    };
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let options = Options { captures, jobs: arguments.jobs.map_or(cores, usize::from) };
+    let mut cases = suite::run(&suite, &options, &Told);
+    if temporary.is_some() {
+        cases.iter_mut().for_each(|case| case.capture = None);
+    }
+    let passed = cases.iter().all(|case| case.outcome == suite::Outcome::Kept);
+    if let Some(path) = &arguments.junit {
+        let tests: Vec<TestCase> = cases.iter().map(test_case).collect();
+        paths::write(path, &junit::document("realitysim check", &tests))?;
+    }
+    let report = Report { passed, cases, wall_s: started.elapsed().as_secs_f64() };
+    if json {
+        output::json(&report)?;
+    } else {
+        output::lines(&for_people(&report))?;
+    }
+    for case in &report.cases {
+        faults(case).iter().for_each(|fault| eprintln!("realitysim: {}: {fault}", case.name));
+    }
+    Ok(if passed { Outcome::Whole } else { Outcome::NotReached })
+}
+
+struct Told;
+
+impl Watcher for Told {
+    fn done(&self, done: usize, total: usize, report: &CaseReport) {
+        eprintln!("{done}/{total}  {}  {} ({:.1} s)", report.name, verdict(report), report.wall_s);
+    }
+
+    fn timing(&self, name: &str) {
+        eprintln!("timing alone: {name}");
+    }
+}
+
+fn verdict(case: &CaseReport) -> &'static str {
+    match case.outcome {
+        suite::Outcome::Kept => "ok",
+        suite::Outcome::Broken => "BROKEN",
+        suite::Outcome::Failed => "FAILED",
+    }
+}
+
+/// One line for each limit that was broken, or for what went wrong.
+fn faults(case: &CaseReport) -> Vec<String> {
+    let broken = case.broken.iter().map(|Broken { limit, value, allowed }| {
+        let value = value.map_or_else(|| "not there".to_owned(), |value| format!("{value:.4}"));
+        let bound = if *limit == "valid_share" { "at least" } else { "at most" };
+        format!("{limit} is {value}, allowed is {bound} {allowed}")
+    });
+    case.error.iter().cloned().chain(broken).collect()
+}
+
+fn test_case(case: &CaseReport) -> TestCase {
+    TestCase { name: case.name.clone(), seconds: case.wall_s, faults: faults(case) }
+}
+
+fn for_people(report: &Report) -> String {
+    let width = report.cases.iter().map(|case| case.name.chars().count()).max().unwrap_or(0).max(4);
+    let mut text =
+        format!("{:<width$}  frames  valid %  mean cm  median     p95     max  yaw deg  again s  p99 ratio\n", "case");
+    for case in &report.cases {
+        let (judged, c) = (&case.judged, &case.judged.comparison);
+        let recovered = match (judged.recoveries.is_empty(), judged.slowest_recovery_s()) {
+            (true, _) => "-".to_owned(),
+            (false, None) => "never".to_owned(),
+            (false, Some(seconds)) => format!("{seconds:.1}"),
+        };
+        let ratio = case.p99_ratio.map_or_else(|| "-".to_owned(), |ratio| format!("{ratio:.2}"));
+        text.push_str(&format!(
+            "{:<width$}  {:>6} {:>8.1} {:>8.2} {:>7.2} {:>7.2} {:>7.2} {:>8.3} {recovered:>8} {ratio:>10}  {}\n",
+            case.name,
+            c.frames,
+            100.0 * judged.valid_share,
+            c.position_cm.mean,
+            c.position_cm.median,
+            c.position_cm.p95,
+            c.position_cm.max,
+            c.yaw_deg.median,
+            verdict(case)
+        ));
+    }
+    let kept = report.cases.iter().filter(|case| case.outcome == suite::Outcome::Kept).count();
+    text.push_str(&format!("\n{kept} of {} cases keep their limits, {:.0} s", report.cases.len(), report.wall_s));
+    text
+}

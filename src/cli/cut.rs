@@ -1,0 +1,75 @@
+//! `realitysim cut`
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::settings::{SettingsArguments, UsageError};
+use super::{Outcome, output, paths};
+use crate::agent::cut::{self, CutOptions};
+use crate::recording::{read_info, session_holding};
+
+/// Cut a piece out of a long recording, as a log that replays to the same tags
+///
+/// Takes along what a replay needs: calibration, transforms, the filter's state at the start, and the true poses if there
+/// are any. The piece begins up to a second earlier than asked for. What was recorded with a config of its own is cut, and
+/// later replayed, with that config; a capture knows its own.
+#[derive(Args)]
+pub struct CutArguments {
+    /// A capture, a log or a folder of logs
+    #[arg(value_name = "CAPTURE|LOG")]
+    source: PathBuf,
+    /// Where the piece begins, in seconds after the first message
+    #[arg(long, value_name = "S")]
+    from: f64,
+    /// Where it ends
+    #[arg(long, value_name = "S")]
+    to: f64,
+    /// The log to write
+    #[arg(short, long, value_name = "LOG")]
+    output: PathBuf,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+pub fn run(arguments: &CutArguments, json: bool) -> anyhow::Result<Outcome> {
+    let CutArguments { source, from, to, .. } = arguments;
+    // Not for a NaN.
+    if !(*from >= 0.0 && to > from && to.is_finite()) {
+        return Err(UsageError(format!(
+            "--from {from} --to {to}: the piece must begin at 0 or later, and end after that"
+        ))
+        .into());
+    }
+    paths::check_output(&arguments.output, &[source])?;
+    let settings = match session_holding(source) {
+        Some(session) => read_info(&session)?.settings,
+        None => arguments.settings.resolve()?,
+    };
+    let temporary = paths::temporary()?;
+    let options = CutOptions {
+        source: source.clone(),
+        output: arguments.output.clone(),
+        temporary: temporary.path().to_owned(),
+        settings,
+        from_s: *from,
+        to_s: *to,
+        threads: std::thread::available_parallelism().map_or(1, usize::from),
+    };
+    let mut progress = output::Progress::new("tracking");
+    let report = cut::cut(&options, &mut |done, total| progress.set(done, total))?;
+    progress.finish();
+    if json {
+        output::json(&report)?;
+    } else {
+        output::lines(&format!(
+            "{} frames, {:.2} to {:.2} s, {:.1} MB\n{}",
+            report.frames,
+            report.from_s,
+            report.to_s,
+            report.bytes as f64 / 1e6,
+            report.log.display()
+        ))?;
+    }
+    Ok(Outcome::Whole)
+}

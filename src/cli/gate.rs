@@ -1,0 +1,178 @@
+//! What `realitysim replay --check` adds: the tags held to a reference.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::junit::{self, TestCase};
+use super::{Outcome, output, paths};
+use crate::agent::ReplayReport;
+use crate::evaluation::capture::read_tags;
+use crate::evaluation::reference::{Difference, Frames, Identity, Reference, Verdict, compare};
+use crate::geometry::Pose2;
+use crate::recording::read_info;
+
+#[derive(Args)]
+pub struct GateArguments {
+    /// Compare the tags with this reference, bit for bit; exit code 1 if they differ
+    #[arg(long = "check", value_name = "REFERENCE")]
+    pub reference: Option<PathBuf>,
+    /// Make the tags of this replay the reference, in place of comparing
+    #[arg(long, requires = "reference")]
+    bless: bool,
+    /// A field that later replays may have off by so much, for example pose.pose.position.x=0.001; with --bless, which
+    /// writes it into the reference; can be given several times
+    #[arg(long, value_name = "FIELD=VALUE", requires = "bless", value_parser = tolerance)]
+    tolerance: Vec<(String, f64)>,
+    /// Write what CI servers show: a test for each field
+    #[arg(long, value_name = "FILE", requires = "reference")]
+    junit: Option<PathBuf>,
+}
+
+/// Fields of a report; the rest is counted.
+const SHOWN: usize = 12;
+
+#[derive(Serialize)]
+struct Blessed<'a> {
+    reference: &'a Path,
+    frames: usize,
+    valid: usize,
+}
+
+#[derive(Serialize)]
+struct Checked<'a> {
+    reference: &'a Path,
+    #[serde(flatten)]
+    verdict: &'a Verdict,
+}
+
+impl GateArguments {
+    /// Before long work. What cannot be read then will not be later.
+    pub fn open(&self, source: &Path) -> anyhow::Result<Option<Gate<'_>>> {
+        let Some(path) = &self.reference else { return Ok(None) };
+        for output in self.junit.iter().chain(self.bless.then_some(path)) {
+            paths::check_output(output, &[source])?;
+        }
+        let reference = if self.bless {
+            None
+        } else {
+            let text = std::fs::read_to_string(path).map_err(|error| paths::cannot_read(path, error))?;
+            Some(Reference::parse(&text, &path.display().to_string())?)
+        };
+        Ok(Some(Gate { arguments: self, path, reference }))
+    }
+}
+
+/// An open reference, or where one is to be written.
+pub struct Gate<'a> {
+    arguments: &'a GateArguments,
+    path: &'a Path,
+    reference: Option<Reference>,
+}
+
+impl Gate<'_> {
+    pub fn judge(
+        &self,
+        source: &Path,
+        report: &ReplayReport,
+        initial: Option<Pose2>,
+        json: bool,
+    ) -> anyhow::Result<Outcome> {
+        let session = &report.session;
+        let identity = Identity::of(source, session, initial)?;
+        let settings = settings_that_matter(session)?;
+        let frames = Frames::of(&read_tags(session)?.found);
+        let Some(reference) = &self.reference else { return self.bless(identity, settings, frames, json) };
+        let shown = self.path.display().to_string();
+        let verdict = compare(reference, &shown, &identity, &settings, &frames)?;
+        if let Some(junit) = &self.arguments.junit {
+            let tests = tests(&verdict, report.wall_s);
+            paths::write(junit, &junit::document("realitysim replay --check", &tests))?;
+        }
+        if json {
+            output::json(&Checked { reference: self.path, verdict: &verdict })?;
+        } else {
+            output::lines(&for_people(&verdict, &shown))?;
+        }
+        Ok(if verdict.same { Outcome::Whole } else { Outcome::NotReached })
+    }
+
+    fn bless(&self, identity: Identity, settings: Value, frames: Frames, json: bool) -> anyhow::Result<Outcome> {
+        let tolerance: BTreeMap<String, f64> = self.arguments.tolerance.iter().cloned().collect();
+        let reference = Reference::new(identity, tolerance, settings, frames)?;
+        paths::write(self.path, &reference.to_text())?;
+        let blessed = Blessed { reference: self.path, frames: reference.frames.count, valid: reference.frames.valid() };
+        if json {
+            output::json(&blessed)?;
+        } else {
+            output::lines(&format!(
+                "{} frames, {} valid, are the reference now: {}",
+                blessed.frames,
+                blessed.valid,
+                self.path.display()
+            ))?;
+        }
+        Ok(Outcome::Whole)
+    }
+}
+
+/// How and under which name it is stored changes no tag.
+fn settings_that_matter(session: &Path) -> anyhow::Result<Value> {
+    let mut settings = serde_json::to_value(read_info(session)?.settings)?;
+    if let Some(settings) = settings.as_object_mut() {
+        settings.remove("recording");
+        settings.remove("robot");
+    }
+    Ok(settings)
+}
+
+fn for_people(verdict: &Verdict, reference: &str) -> String {
+    let mut text = String::new();
+    for setting in &verdict.settings {
+        text.push_str(&format!("other settings than the reference's: {setting}\n"));
+    }
+    if verdict.same {
+        let how = if verdict.tolerated == 0 { "bit for bit" } else { "within the tolerance that it states" };
+        text.push_str(&format!("{} frames are as in {reference}, {how}", verdict.frames));
+        return text;
+    }
+    if verdict.frames != verdict.frames_of_reference {
+        text.push_str(&format!("{} frames, the reference has {}\n", verdict.frames, verdict.frames_of_reference));
+    }
+    text.push_str(&format!("{} frames differ from {reference}\n\n", verdict.frames_differ));
+    text.push_str("  field                                    frames  first  largest difference\n");
+    for difference in verdict.differences.iter().take(SHOWN) {
+        let Difference { field, frames, largest, first_frame, first: [then, now], .. } = difference;
+        let by = largest.map_or_else(|| format!("{then} became {now}"), |largest| format!("{largest:.3e}"));
+        text.push_str(&format!("  {field:<40} {frames:>6} {first_frame:>6}  {by}\n"));
+    }
+    if verdict.differences.len() > SHOWN {
+        text.push_str(&format!("  and {} fields more\n", verdict.differences.len() - SHOWN));
+    }
+    text.push_str("\nif that is meant to be: the same command with --bless");
+    text
+}
+
+fn tests(verdict: &Verdict, wall_s: f64) -> Vec<TestCase> {
+    let of_count = (verdict.frames != verdict.frames_of_reference)
+        .then(|| format!("{} frames, the reference has {}", verdict.frames, verdict.frames_of_reference));
+    let frames = TestCase { name: "frames".to_owned(), seconds: wall_s, faults: of_count.into_iter().collect() };
+    let fields = verdict.compared.iter().map(|field| {
+        let found = verdict.differences.iter().find(|difference| difference.field == *field);
+        let fault = found.map(|difference| {
+            let Difference { frames, first_frame, first: [then, now], .. } = difference;
+            format!("{frames} frames differ, the first is {first_frame}: {then} became {now}")
+        });
+        TestCase { name: field.clone(), seconds: 0.0, faults: fault.into_iter().collect() }
+    });
+    core::iter::once(frames).chain(fields).collect()
+}
+
+fn tolerance(text: &str) -> Result<(String, f64), String> {
+    let (field, value) = text.split_once('=').ok_or("expected FIELD=VALUE")?;
+    let value = value.trim().parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
+    Ok((field.trim().to_owned(), value.ok_or("the tolerance must be a number above 0")?))
+}

@@ -1,0 +1,69 @@
+//! JUnit XML, as CI servers read it: the part of it that all of them understand.
+
+/// One test; it has passed if it has no fault.
+pub struct TestCase {
+    pub name: String,
+    pub seconds: f64,
+    /// One line each.
+    pub faults: Vec<String>,
+}
+
+pub fn document(suite: &str, tests: &[TestCase]) -> String {
+    let failures = tests.iter().filter(|test| !test.faults.is_empty()).count();
+    let seconds: f64 = tests.iter().map(|test| test.seconds).sum();
+    let suite = escaped(suite);
+    let mut text = format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites>\n\
+         <testsuite name=\"{suite}\" tests=\"{}\" failures=\"{failures}\" errors=\"0\" time=\"{seconds:.3}\">\n",
+        tests.len()
+    );
+    for TestCase { name, seconds, faults } in tests {
+        let head = format!("<testcase classname=\"{suite}\" name=\"{}\" time=\"{seconds:.3}\"", escaped(name));
+        match faults.first() {
+            None => text.push_str(&format!("{head}/>\n")),
+            Some(first) => text.push_str(&format!(
+                "{head}>\n<failure message=\"{}\">{}</failure>\n</testcase>\n",
+                escaped(first),
+                escaped(&faults.join("\n"))
+            )),
+        }
+    }
+    text.push_str("</testsuite>\n</testsuites>\n");
+    text
+}
+
+/// For text and attributes alike. XML knows no control characters but tab and line ends.
+fn escaped(text: &str) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => safe.push_str("&amp;"),
+            '<' => safe.push_str("&lt;"),
+            '>' => safe.push_str("&gt;"),
+            '"' => safe.push_str("&quot;"),
+            '\n' | '\t' => safe.push(letter),
+            letter if letter.is_control() || matches!(letter, '\u{fffe}' | '\u{ffff}') => safe.push('?'),
+            letter => safe.push(letter),
+        }
+    }
+    safe
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whatever_a_message_holds_the_document_is_xml() {
+        let test = |faults: &[&str]| TestCase {
+            name: "a<b>&\"c\"".to_owned(),
+            seconds: 0.5,
+            faults: faults.iter().map(|fault| (*fault).to_owned()).collect(),
+        };
+        let text = document("x & y", &[test(&[]), test(&["1 < 2\u{1b}[31m", "second"])]);
+        assert!(text.contains("tests=\"2\" failures=\"1\""), "{text}");
+        assert!(text.contains("message=\"1 &lt; 2?[31m\">1 &lt; 2?[31m\nsecond</failure>"), "{text}");
+        assert!(text.contains("name=\"a&lt;b&gt;&amp;&quot;c&quot;\""), "{text}");
+        assert_eq!(text.matches("<testcase").count(), text.matches("/>").count() + text.matches("</testcase>").count());
+    }
+}

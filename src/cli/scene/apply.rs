@@ -1,0 +1,95 @@
+//! `realitysim scene apply`
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+use serde::Serialize;
+
+use crate::cli::{Outcome, output, paths};
+use crate::scene::Scene;
+use crate::sensors::{decode, scene};
+
+/// Apply a scene's effects to a stored image, for tests of vision code
+///
+/// Only those that make sense on any image: light without a gradient, and sensor noise; the others are named and left out. If
+/// none is left the stored bytes are written as they are. The same scene, image and --frame give the same result.
+#[derive(Args)]
+pub struct ApplyArguments {
+    /// A scene file
+    #[arg(value_name = "SCENE")]
+    scene: String,
+    /// A JPEG or PNG
+    #[arg(long, value_name = "FILE")]
+    image: PathBuf,
+    /// The image to write: .png, or .jpg with the scene's camera.jpeg_quality
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// As which frame of the scene: its noise, and what is drawn per frame
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    frame: u64,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    output: &'a PathBuf,
+    applied: Vec<&'static str>,
+    left_out: Vec<&'static str>,
+}
+
+const USUAL_QUALITY: u8 = 90;
+
+pub fn run(arguments: &ApplyArguments, json: bool) -> anyhow::Result<Outcome> {
+    let ApplyArguments { image, output: path, frame, .. } = arguments;
+    paths::check_output(path, &[image])?;
+    let scene = scene::load(&arguments.scene)?;
+    let stored = std::fs::read(image).map_err(|error| paths::cannot_read(image, error))?;
+    let (applied, left_out) = scene.effects_on_images();
+    let written = if applied.is_empty() { stored } else { changed(&scene, &stored, arguments, *frame)? };
+    std::fs::write(path, written).map_err(|error| paths::cannot_write(path, error))?;
+    let report = Report { output: path, applied, left_out };
+    if json {
+        output::json(&report)?;
+    } else {
+        let list = |names: &[&str]| if names.is_empty() { "nothing".to_owned() } else { names.join(", ") };
+        output::lines(&format!(
+            "applied: {}; left out: {}\n{}",
+            list(&report.applied),
+            list(&report.left_out),
+            path.display()
+        ))?;
+    }
+    Ok(Outcome::Whole)
+}
+
+fn changed(scene: &Scene, stored: &[u8], arguments: &ApplyArguments, frame: u64) -> anyhow::Result<Vec<u8>> {
+    let shown = || arguments.image.display().to_string();
+    let picture = decode::compressed(stored).with_context(shown)?;
+    let (width, height) = (picture.width as u32, picture.height as u32);
+    let mut pixels = picture.to_rgb();
+    scene.apply_to_image(frame, &mut pixels);
+    let mut written = Vec::new();
+    let ending = arguments.output.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+    match ending.to_ascii_lowercase().as_str() {
+        "png" => {
+            let encoder = image::codecs::png::PngEncoder::new(&mut written);
+            image::ImageEncoder::write_image(encoder, &pixels, width, height, image::ExtendedColorType::Rgb8)?;
+        }
+        "jpg" | "jpeg" => {
+            let quality = scene.file().camera.jpeg_quality.unwrap_or(USUAL_QUALITY);
+            let side =
+                |pixels: u32| u16::try_from(pixels).with_context(|| format!("{}: too large for a JPEG", shown()));
+            jpeg_encoder::Encoder::new(&mut written, quality).encode(
+                &pixels,
+                side(width)?,
+                side(height)?,
+                jpeg_encoder::ColorType::Rgb,
+            )?;
+        }
+        _ => {
+            let message = format!("{}: its name must end in .png or .jpg", arguments.output.display());
+            return Err(crate::cli::settings::UsageError(message).into());
+        }
+    }
+    Ok(written)
+}

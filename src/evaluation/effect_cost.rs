@@ -1,0 +1,66 @@
+//! What each effect of a scene costs in every frame.
+
+use std::time::Instant;
+
+use serde::Serialize;
+
+use crate::scene::{Renderer, Scene, SceneError};
+
+#[derive(Clone, Debug, Serialize)]
+pub struct SceneCost {
+    /// Without any effect.
+    pub bare_ms: f64,
+    /// In the order of the file; what each adds to those before it.
+    pub effects: Vec<EffectCost>,
+    pub total_ms: f64,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct EffectCost {
+    pub kind: &'static str,
+    /// None of an effect that changes no pixel.
+    pub ms: Option<f64>,
+}
+
+/// Frames that are rendered, spread over the scene.
+const FRAMES: u64 = 6;
+/// The shortest time counts: what disturbs only ever adds.
+const ROUNDS: usize = 5;
+
+/// In one thread, from the same poses with and without each effect.
+pub fn measure(scene: &Scene) -> Result<SceneCost, SceneError> {
+    let effects = &scene.file().effects;
+    // Without any effect, then up to each that acts on images.
+    let acting = (0..effects.len()).filter(|index| effects[*index].acts_on_image());
+    let counts: Vec<usize> = core::iter::once(0).chain(acting.map(|index| index + 1)).collect();
+    let renderers: Vec<Renderer> = counts
+        .iter()
+        .map(|count| Ok(Renderer::new(&scene.with_first_effects(*count)?)))
+        .collect::<Result<_, SceneError>>()?;
+    let frames = scene.frame_count().clamp(1, FRAMES);
+    let mut best = vec![vec![f64::INFINITY; frames as usize]; renderers.len()];
+    let mut pixels = Vec::new();
+    for _ in 0..ROUNDS {
+        for frame in 0..frames {
+            let index = frame * scene.frame_count() / frames;
+            let pose = scene.truth(scene.frame_time_s(index)).map_from_camera_link;
+            for (renderer, best) in renderers.iter().zip(&mut best) {
+                let started = Instant::now();
+                renderer.render_from(&pose, index, &mut pixels);
+                let best = &mut best[frame as usize];
+                *best = best.min(started.elapsed().as_secs_f64() * 1e3);
+            }
+        }
+    }
+    let means: Vec<f64> = best.iter().map(|of_frames| of_frames.iter().sum::<f64>() / frames as f64).collect();
+    let mut added = means.windows(2).map(|pair| (pair[1] - pair[0]).max(0.0));
+    let cost = |effect: &crate::scene::Effect| EffectCost {
+        kind: effect.name(),
+        ms: if effect.acts_on_image() { added.next() } else { None },
+    };
+    Ok(SceneCost {
+        bare_ms: means[0],
+        effects: effects.iter().map(cost).collect(),
+        total_ms: means.last().copied().unwrap_or(0.0),
+    })
+}

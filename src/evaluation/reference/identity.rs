@@ -1,0 +1,76 @@
+//! What a reference is of. Only tags of the same are compared.
+
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::ReferenceError;
+use crate::geometry::Pose2;
+use crate::recording::{SessionInfo, read_info};
+use crate::sensors::log::files_of;
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Identity {
+    /// `realitysim` and its version.
+    pub software: String,
+    /// For people: the log's or scene's name.
+    pub source: String,
+    /// BLAKE3 of the log's files, or of the scene with its field and lens.
+    pub blake3: String,
+    pub seed: u64,
+    /// In place of what the log announces: x, y in m, yaw in rad.
+    pub initial: Option<[f64; 3]>,
+}
+
+impl Identity {
+    /// Of a replay and the session that it has made.
+    pub fn of(source: &Path, session: &Path, initial: Option<Pose2>) -> Result<Self, ReferenceError> {
+        let info = read_info(session).map_err(|error| ReferenceError::Session(error.to_string()))?;
+        let blake3 = hash(source, &info)
+            .map_err(|error| ReferenceError::Read { file: source.display().to_string(), message: error.to_string() })?;
+        Ok(Self {
+            software: info.software.clone(),
+            source: info.source.clone().unwrap_or_default(),
+            blake3,
+            seed: info.settings.filter.seed,
+            initial: initial.map(|pose| [pose.x, pose.y, pose.yaw]),
+        })
+    }
+
+    /// What makes it a reference of something else, if anything does.
+    pub fn differs(&self, replayed: &Self) -> Option<String> {
+        if self.software != replayed.software {
+            return Some(format!("it was made by {}, this is {}", self.software, replayed.software));
+        }
+        if self.blake3 != replayed.blake3 {
+            let of = |identity: &Self| format!("{} ({:.16})", identity.source, identity.blake3);
+            return Some(format!("it is of another log or scene, {}; this is {}", of(self), of(replayed)));
+        }
+        if self.seed != replayed.seed {
+            return Some(format!("it was made with seed {}, this is seed {}", self.seed, replayed.seed));
+        }
+        let started = |identity: &Self| {
+            identity.initial.map_or("where the log says".to_owned(), |[x, y, yaw]| {
+                format!("at {x},{y},{:.3} (--initial)", yaw.to_degrees())
+            })
+        };
+        (self.initial != replayed.initial)
+            .then(|| format!("it started {}, this started {}", started(self), started(replayed)))
+    }
+}
+
+fn hash(source: &Path, info: &SessionInfo) -> io::Result<String> {
+    let mut hasher = blake3::Hasher::new();
+    if source.extension().is_some_and(|ending| ending == "toml") {
+        // What it says, not how: comments change nothing. And what its names stand for.
+        let scene: toml::Table = toml::from_str(&std::fs::read_to_string(source)?).map_err(io::Error::other)?;
+        hasher.update(&serde_json::to_vec(&(scene, &info.field, &info.lens))?);
+    } else {
+        for file in files_of(source).map_err(io::Error::other)? {
+            hasher.update_reader(File::open(file)?)?;
+        }
+    }
+    Ok(hasher.finalize().to_hex().to_string())
+}

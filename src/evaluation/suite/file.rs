@@ -1,0 +1,186 @@
+//! The suite file: TOML, every key checked before anything runs.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use thiserror::Error;
+
+use super::limits::Limits;
+
+#[derive(Debug, Error)]
+#[error("{file}: {message}")]
+pub struct SuiteError {
+    pub file: String,
+    pub message: String,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Suite {
+    /// Robot config of all cases.
+    pub config: Option<PathBuf>,
+    /// What holds for every case that does not say otherwise.
+    #[serde(default)]
+    pub limits: Limits,
+    #[serde(rename = "case")]
+    pub cases: Vec<Case>,
+}
+
+/// One log or scene. Paths are relative to the suite's file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Case {
+    /// Without it the source's name without its ending.
+    #[serde(default)]
+    pub name: String,
+    pub source: PathBuf,
+    pub config: Option<PathBuf>,
+    /// A log with the true poses, if they are not in the source itself.
+    pub truth: Option<PathBuf>,
+    /// A topic of the source with poses of `camera_link` in `map`: they are judged, and nothing is replayed.
+    pub poses: Option<String>,
+    /// Tags that say that they are ambiguous are as right in the mirror.
+    #[serde(default)]
+    pub up_to_mirror: bool,
+    /// What comes earlier is not judged: seconds after the first frame.
+    #[serde(default)]
+    pub from_s: f64,
+    /// Nor is what comes within these: seconds after the first frame.
+    #[serde(default)]
+    pub except_s: Vec<[f64; 2]>,
+    /// When the pose is there to be found again: seconds after the first frame.
+    #[serde(default)]
+    pub recovery_from_s: Vec<f64>,
+    #[serde(default)]
+    pub limits: Limits,
+}
+
+/// As many fit into a table that somebody reads.
+const MAX_CASES: usize = 1000;
+
+impl Suite {
+    pub fn load(path: &Path) -> Result<Self, SuiteError> {
+        let text = std::fs::read_to_string(path).map_err(|error| refuse(path, error))?;
+        Self::parse(&text, path)
+    }
+
+    /// `path` is where the text stands: other paths start there.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, SuiteError> {
+        let mut suite: Self = toml::from_str(text).map_err(|error| refuse(path, error.to_string().trim_end()))?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        suite.complete(folder);
+        suite.check().map_err(|message| refuse(path, message))?;
+        Ok(suite)
+    }
+
+    fn complete(&mut self, folder: &Path) {
+        let near = |path: &mut Option<PathBuf>| *path = path.take().map(|path| folder.join(path));
+        near(&mut self.config);
+        for case in &mut self.cases {
+            if case.name.is_empty() {
+                case.name = case.source.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            }
+            case.source = folder.join(&case.source);
+            near(&mut case.config);
+            near(&mut case.truth);
+            case.config = case.config.take().or(self.config.clone());
+            case.limits = case.limits.or(&self.limits);
+            if case.recovery_from_s.is_empty() {
+                case.limits.recovered_within_s = None;
+            }
+            if case.poses.is_some() {
+                case.limits.p99_ratio = None;
+            }
+        }
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if !(1..=MAX_CASES).contains(&self.cases.len()) {
+            return Err(format!("{} cases: a suite has 1 to {MAX_CASES}", self.cases.len()));
+        }
+        self.limits.check("limits")?;
+        let mut names = BTreeSet::new();
+        for case in &self.cases {
+            if !names.insert(&case.name) {
+                return Err(format!("two cases are called {:?}: give one a name of its own", case.name));
+            }
+            case.check().map_err(|message| format!("case {:?}: {message}", case.name))?;
+        }
+        Ok(())
+    }
+}
+
+impl Case {
+    fn check(&self) -> Result<(), String> {
+        self.limits.check("limits")?;
+        let time = |key: &str, value: f64| {
+            if (0.0..=1e6).contains(&value) { Ok(()) } else { Err(format!("{key} is {value}: 0 or more seconds")) }
+        };
+        time("from_s", self.from_s)?;
+        for from_s in &self.recovery_from_s {
+            time("recovery_from_s", *from_s)?;
+        }
+        for [from, to] in &self.except_s {
+            time("except_s", *from)?;
+            time("except_s", *to)?;
+            if from >= to {
+                return Err(format!("except_s has [{from}, {to}]: the first must be below the second"));
+            }
+        }
+        if self.limits == Limits::default() {
+            return Err("no limit at all: what would it show?".to_owned());
+        }
+        if !self.recovery_from_s.is_empty() && self.limits.recovered_within_s.is_none() {
+            return Err("recovery_from_s without limits.recovered_within_s: say how fast it must be".to_owned());
+        }
+        Ok(())
+    }
+}
+
+fn refuse(path: &Path, message: impl ToString) -> SuiteError {
+    SuiteError { file: path.display().to_string(), message: message.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(text: &str) -> String {
+        Suite::parse(text, Path::new("s/suite.toml")).expect_err("refused").to_string()
+    }
+
+    #[test]
+    fn a_case_takes_what_it_does_not_say_from_the_suite() {
+        let text = "config = \"r.toml\"\nlimits = { mean_cm = 1.0, valid_share = 0.9 }\n\
+                    [[case]]\nsource = \"a/b.toml\"\n\
+                    [[case]]\nname = \"x\"\nsource = \"/b.mcap\"\nconfig = \"o.toml\"\nlimits = { mean_cm = inf }\n";
+        let suite = Suite::parse(text, Path::new("s/suite.toml")).expect("a suite");
+        let [a, x] = &suite.cases[..] else { panic!("{suite:?}") };
+        assert_eq!((a.name.as_str(), a.source.as_path()), ("b", Path::new("s/a/b.toml")));
+        assert_eq!(a.config.as_deref(), Some(Path::new("s/r.toml")));
+        assert_eq!((a.limits.mean_cm, a.limits.valid_share), (Some(1.0), Some(0.9)));
+        assert_eq!((x.source.as_path(), x.config.as_deref()), (Path::new("/b.mcap"), Some(Path::new("s/o.toml"))));
+        assert_eq!((x.limits.mean_cm, x.limits.valid_share), (Some(f64::INFINITY), Some(0.9)));
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_named() {
+        let case = |rest: &str| format!("[[case]]\nsource = \"a.mcap\"\n{rest}\n");
+        for (text, words) in [
+            ("", vec!["s/suite.toml", "case"]),
+            ("case = []", vec!["0 cases"]),
+            (&case(""), vec!["case \"a\"", "no limit at all"]),
+            (&case("limits = { mean = 3 }"), vec!["line 3", "unknown field `mean`", "mean_cm"]),
+            (&case("limits = { mean_cm = 0 }"), vec!["mean_cm is 0", "above 0"]),
+            (&case("limits = { valid_share = 1.5 }"), vec!["valid_share is 1.5", "0 to 1"]),
+            (&case("limits = { mean_cm = 1 }\nfrom_s = -1"), vec!["from_s is -1"]),
+            (&case("limits = { mean_cm = 1 }\nexcept_s = [[3, 2]]"), vec!["except_s has [3, 2]"]),
+            (&case("limits = { mean_cm = 1 }\nrecovery_from_s = [3]"), vec!["recovered_within_s"]),
+            (&(case("limits = { mean_cm = 1 }") + &case("limits = { mean_cm = 1 }")), vec!["two cases", "\"a\""]),
+        ] {
+            let message = refused(text);
+            assert!(words.iter().all(|word| message.contains(word)), "{text}: {message}");
+        }
+    }
+}

@@ -1,0 +1,199 @@
+//! All cases: side by side first, those with a limit of time alone afterwards.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use serde::Serialize;
+use thiserror::Error;
+
+use super::file::{Case, Suite};
+use super::judge::{Judged, judge};
+use super::limits::Broken;
+use super::timing::p99_ratio;
+use crate::agent::{FootageOptions, ReplayError, ReplayOptions, replay};
+use crate::config::{ConfigError, Settings};
+use crate::evaluation::capture::{EvaluationError, read_poses, read_tags, read_truth, tagged};
+use crate::evaluation::compare::Tagged;
+use crate::evaluation::truth;
+use crate::geometry::Isometry;
+use crate::sensors::scene::{self, SceneSourceError};
+
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Where captures go, a folder for each case.
+    pub captures: PathBuf,
+    /// Cases at a time.
+    pub jobs: usize,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct CaseReport {
+    pub name: String,
+    pub source: PathBuf,
+    pub outcome: Outcome,
+    #[serde(flatten)]
+    pub judged: Judged,
+    /// None without a limit of time.
+    pub p99_ratio: Option<f64>,
+    pub broken: Vec<Broken>,
+    /// Why there is nothing to judge.
+    pub error: Option<String>,
+    /// Its tags, if it was replayed.
+    pub capture: Option<PathBuf>,
+    pub wall_s: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    Kept,
+    Broken,
+    Failed,
+}
+
+/// Told whenever something is done: how many cases, of how many, and the one that is.
+pub trait Watcher: Sync {
+    fn done(&self, done: usize, total: usize, report: &CaseReport);
+
+    /// A case is about to run alone.
+    fn timing(&self, name: &str);
+}
+
+#[derive(Debug, Error)]
+enum CaseError {
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    #[error(transparent)]
+    Scene(#[from] SceneSourceError),
+    #[error(transparent)]
+    Replay(#[from] ReplayError),
+    #[error(transparent)]
+    Evaluation(#[from] EvaluationError),
+}
+
+/// In the order of the suite.
+pub fn run(suite: &Suite, options: &Options, watcher: &dyn Watcher) -> Vec<CaseReport> {
+    let cases = &suite.cases;
+    let next = AtomicUsize::new(0);
+    let finished: Mutex<Vec<(usize, CaseReport)>> = Mutex::new(Vec::new());
+    let work = || {
+        let take = || {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            cases.get(index).map(|case| (index, case))
+        };
+        while let Some((index, case)) = take() {
+            let report = run_case(case, &options.captures.join(format!("{index:03}")));
+            let mut finished = finished.lock().unwrap_or_else(PoisonError::into_inner);
+            watcher.done(finished.len() + 1, cases.len(), &report);
+            finished.push((index, report));
+        }
+    };
+    std::thread::scope(|scope| (0..options.jobs.clamp(1, cases.len())).for_each(|_| drop(scope.spawn(work))));
+    let mut finished = finished.into_inner().unwrap_or_else(PoisonError::into_inner);
+    finished.sort_by_key(|(index, _)| *index);
+    let mut reports: Vec<CaseReport> = finished.into_iter().map(|(_, report)| report).collect();
+    for (case, report) in cases.iter().zip(&mut reports) {
+        measure_time(case, report, watcher);
+    }
+    reports
+}
+
+fn run_case(case: &Case, captures: &Path) -> CaseReport {
+    let started = Instant::now();
+    let mut report = CaseReport {
+        name: case.name.clone(),
+        source: case.source.clone(),
+        outcome: Outcome::Kept,
+        judged: Judged::default(),
+        p99_ratio: None,
+        broken: Vec::new(),
+        error: None,
+        capture: None,
+        wall_s: 0.0,
+    };
+    match judge_case(case, captures, &mut report.capture) {
+        Ok(judged) => {
+            report.broken = case.limits.broken(&judged);
+            report.judged = judged;
+            if !report.broken.is_empty() {
+                report.outcome = Outcome::Broken;
+            }
+        }
+        Err(error) => report.fail(&error),
+    }
+    report.wall_s = started.elapsed().as_secs_f64();
+    report
+}
+
+impl CaseReport {
+    fn fail(&mut self, error: &dyn core::fmt::Display) {
+        self.outcome = Outcome::Failed;
+        self.error = Some(error.to_string());
+    }
+}
+
+fn judge_case(case: &Case, captures: &Path, capture: &mut Option<PathBuf>) -> Result<Judged, CaseError> {
+    let settings = settings(case)?;
+    let truth = truth_of(case, &settings)?;
+    if let Some(topic) = &case.poses {
+        let poses = read_poses(&case.source, topic)?.found;
+        return Ok(judge(case, &poses, &vec![false; poses.len()], &truth));
+    }
+    let options = ReplayOptions {
+        source: case.source.clone(),
+        captures: captures.to_owned(),
+        settings,
+        initial: None,
+        threads: 1,
+        realtime: false,
+        warm_start: false,
+    };
+    let replayed = replay(&options, &mut |_, _| ())?;
+    *capture = Some(replayed.session.clone());
+    let tags = read_tags(&replayed.session)?.found;
+    let ambiguous: Vec<bool> = tags.iter().map(|tag| tag.ambiguous).collect();
+    let tags: Vec<Tagged> = tags.iter().map(tagged).collect();
+    Ok(judge(case, &tags, &ambiguous, &truth))
+}
+
+fn settings(case: &Case) -> Result<Settings, ConfigError> {
+    case.config.as_ref().map_or_else(|| Ok(Settings::default()), |path| Settings::load(&path.to_string_lossy()))
+}
+
+fn truth_of(case: &Case, settings: &Settings) -> Result<Vec<(i64, Isometry)>, CaseError> {
+    if case.truth.is_none() && case.source.extension().is_some_and(|ending| ending == "toml") {
+        return Ok(truth::of_scene(&scene::load(&case.source.to_string_lossy())?));
+    }
+    let log = case.truth.as_ref().unwrap_or(&case.source);
+    Ok(read_truth(log, &settings.topics.ground_truth)?.found)
+}
+
+/// Nothing else runs meanwhile.
+fn measure_time(case: &Case, report: &mut CaseReport, watcher: &dyn Watcher) {
+    if case.limits.p99_ratio.is_none_or(f64::is_infinite) || report.outcome == Outcome::Failed {
+        return;
+    }
+    watcher.timing(&case.name);
+    let measured = settings(case).map_err(CaseError::from).and_then(|settings| {
+        let options = FootageOptions {
+            source: case.source.clone(),
+            settings: settings.clone(),
+            initial: None,
+            from_s: 0.0,
+            for_s: None,
+        };
+        Ok(p99_ratio(&options, &settings)?)
+    });
+    match measured {
+        Ok(ratio) => {
+            report.p99_ratio = Some(ratio);
+            if let Some(broken) = case.limits.too_slow(ratio) {
+                report.broken.push(broken);
+                report.outcome = Outcome::Broken;
+            }
+        }
+        Err(error) => report.fail(&error),
+    }
+}

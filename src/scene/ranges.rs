@@ -1,0 +1,165 @@
+//! Values that a scene leaves open: `{ uniform = [2, 12], per = "episode" }` in place of a number of an effect.
+//!
+//! Each has a stream of its own, by seed, effect, key and frame, so that no other value moves it. Drawn before the file
+//! is read as what it means: an effect never knows whether somebody wrote its number or it was drawn.
+
+use core::ops::Range as Span;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::SceneError;
+use super::check::refuse;
+use super::places::Places;
+use super::stream::{Purpose, Stream};
+
+/// The file's text with the places where numbers have to be filled in.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Template {
+    text: String,
+    seed: u64,
+    pub(super) ranges: Vec<Range>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Range {
+    /// `effect[1].gain`
+    pub(super) key: String,
+    /// `light`
+    pub(super) kind: String,
+    /// `gain`
+    pub(super) name: String,
+    pub(super) low: f64,
+    pub(super) high: f64,
+    pub(super) per: Per,
+    span: Span<usize>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Per {
+    Episode,
+    Frame,
+}
+
+/// One value that was drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drawn {
+    /// `light.gain`
+    pub name: String,
+    pub value: f64,
+}
+
+/// More than any scene has effects times keys.
+const MAX_RANGES: usize = 256;
+/// What makes a table a range.
+const UNIFORM: &str = "uniform";
+const FORM: &str = "a range is { uniform = [low, high], per = \"episode\" } (or per = \"frame\")";
+
+impl Template {
+    pub(super) fn new(text: &str, table: &DeTable, places: &Places) -> Result<Self, SceneError> {
+        let mut template = Self { text: text.to_owned(), seed: seed_of(table), ranges: Vec::new() };
+        let effects = table.get("effect").and_then(|effects| effects.get_ref().as_array());
+        for (index, effect) in effects.into_iter().flatten().enumerate() {
+            let kind = effect.get_ref().get("kind").and_then(|kind| kind.get_ref().as_str()).unwrap_or_default();
+            let key = format!("effect[{index}]");
+            template.find(&key, "", kind, effect).map_err(|error| error.at(places))?;
+        }
+        Ok(template)
+    }
+
+    fn find(&mut self, key: &str, name: &str, kind: &str, value: &Spanned<DeValue>) -> Result<(), SceneError> {
+        match value.get_ref() {
+            DeValue::Table(table) if table.contains_key(UNIFORM) => {
+                if self.ranges.len() == MAX_RANGES {
+                    return Err(refuse(key, "one range too many", format_args!("a scene has at most {MAX_RANGES}")));
+                }
+                let (low, high, per) = range_of(table).ok_or_else(|| refuse(key, "no range", FORM))?;
+                let owned = |text: &str| text.to_owned();
+                let (key, kind, name, span) = (owned(key), owned(kind), owned(name), value.span());
+                self.ranges.push(Range { key, kind, name, low, high, per, span });
+            }
+            DeValue::Table(table) => {
+                for (part, value) in table {
+                    let part = part.get_ref();
+                    let name = if name.is_empty() { part.to_string() } else { format!("{name}.{part}") };
+                    self.find(&format!("{key}.{part}"), &name, kind, value)?;
+                }
+            }
+            DeValue::Array(list) => {
+                for (index, value) in list.iter().enumerate() {
+                    self.find(&format!("{key}[{index}]"), &format!("{name}[{index}]"), kind, value)?;
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// What is drawn for a frame; for the episode where that is what a range says.
+    pub(super) fn value(&self, range: &Range, frame: u64) -> f64 {
+        let frame = match range.per {
+            Per::Episode => 0,
+            Per::Frame => frame + 1,
+        };
+        // Not the place in the file: what stands before it must not matter.
+        let what = format!("{}.{}", range.kind, range.name);
+        let hash = what.bytes().fold(0xCBF2_9CE4_8422_2325, |hash: u64, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3)
+        });
+        let index = hash.wrapping_add(frame.wrapping_mul(0xD134_2543_DE82_EF95));
+        Stream::new(self.seed, Purpose::Ranges, index).between(range.low, range.high)
+    }
+
+    pub(super) fn drawn(&self, per: Per, frame: u64) -> Vec<Drawn> {
+        let of = self.ranges.iter().filter(|range| range.per == per);
+        let drawn =
+            |range: &Range| Drawn { name: format!("{}.{}", range.kind, range.name), value: self.value(range, frame) };
+        of.map(drawn).collect()
+    }
+
+    /// The file with these numbers in place of its ranges; every line stays where it is.
+    pub(super) fn filled(&self, value: impl Fn(&Range) -> f64) -> String {
+        let mut text = String::with_capacity(self.text.len());
+        let mut done = 0;
+        let mut ranges: Vec<&Range> = self.ranges.iter().collect();
+        ranges.sort_by_key(|range| range.span.start);
+        for range in ranges {
+            text.push_str(&self.text[done..range.span.start]);
+            // With a point even if it is a whole number.
+            text.push_str(&format!("{:?}", value(range)));
+            done = range.span.end;
+        }
+        text.push_str(&self.text[done..]);
+        text
+    }
+}
+
+fn seed_of(table: &DeTable) -> u64 {
+    let scene = table.get("scene").map(Spanned::get_ref);
+    let seed = scene.and_then(|scene| scene.get("seed")).and_then(|seed| seed.get_ref().as_integer());
+    seed.and_then(|seed| u64::from_str_radix(seed.as_str(), seed.radix()).ok()).unwrap_or(0)
+}
+
+fn range_of(table: &DeTable) -> Option<(f64, f64, Per)> {
+    let known = ["uniform", "per"];
+    if table.len() != known.len() || !known.iter().all(|key| table.contains_key(*key)) {
+        return None;
+    }
+    let ends = table.get("uniform")?.get_ref().as_array()?;
+    let number = |index: usize| {
+        let value = ends.get(index)?.get_ref();
+        let text = match value {
+            DeValue::Integer(integer) if integer.radix() == 10 => integer.as_str(),
+            DeValue::Float(float) => float.as_str(),
+            _ => return None,
+        };
+        text.parse().ok().filter(|value: &f64| value.is_finite())
+    };
+    let (low, high) = (number(0)?, number(1)?);
+    let per = match table.get("per")?.get_ref().as_str()? {
+        "episode" => Per::Episode,
+        "frame" => Per::Frame,
+        _ => return None,
+    };
+    (ends.len() == 2 && low <= high).then_some((low, high, per))
+}

@@ -1,0 +1,126 @@
+//! Scenes on the command line: checked, told what they cost, and their effects on stored images.
+
+use std::fs;
+
+use realitysim::ros2::messages::DiagnosticArray;
+
+use super::support::{Room, decode_all, read_capture, read_log};
+
+const DRAWN: &str = "/scene/drawn";
+
+/// The walk's scene with one effect more, at the end.
+fn room_with(effect: &str) -> Room {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| {
+        let plain = text.split("[[effect]]").next().unwrap().to_owned();
+        if effect.is_empty() { plain } else { format!("{plain}\n[[effect]]\n{effect}\n") }
+    });
+    room
+}
+
+#[test]
+fn check_tells_effects_numbers_and_costs() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| {
+        text + "\n[[effect]]\nkind = \"serial_noise\"\nrole = \"filler\"\nlost_share = { uniform = [0.1, 0.2], per = \"episode\" }\n"
+    });
+    let report = room.run("scene check scene.toml --json").succeeds().json();
+    let effects = report["effects"].as_array().unwrap();
+    let last = effects.last().unwrap();
+    assert_eq!((&last["kind"], &last["role"], &last["ms"]), (&"serial_noise".into(), &"filler".into(), &().into()));
+    assert!((0.1..0.2).contains(&last["values"]["lost_share"].as_f64().unwrap()), "{last}");
+    assert!(report["bare_ms"].as_f64().unwrap() > 0.0 && report["total_ms"].as_f64().unwrap() > 0.0);
+    let run = room.run("scene check scene.toml --max-ms 100000").succeeds();
+    assert!(run.stdout.contains("serial_noise") && run.stdout.contains("lost_share = 0.1"), "{run:?}");
+    room.run("scene check scene.toml --max-ms 0.0001").fails(1, &["scene.toml: a frame takes", "allowed are 0.0001"]);
+}
+
+#[test]
+fn a_wrong_scene_is_refused_with_its_line_wherever_it_is_used() {
+    let room = room_with("kind = \"sensor_noise\"\nread_noise_dn = -3\nshot_noise_factor = 0.1");
+    for command in [
+        "scene check scene.toml",
+        "sim scene.toml -o log.mcap",
+        "replay scene.toml -o captures",
+        "scene apply scene.toml --image in.png -o out.png",
+    ] {
+        let line = fs::read_to_string(room.path("scene.toml")).unwrap();
+        let line = line.lines().position(|line| line.starts_with("read_noise_dn")).unwrap() + 1;
+        room.run(command).fails(2, &[&format!("scene.toml: line {line}: effect[0].read_noise_dn is -3: 0 to 50 DN")]);
+    }
+}
+
+#[test]
+fn what_was_drawn_is_in_the_log_and_in_its_capture() {
+    let room = room_with(
+        "kind = \"light\"\ngain = { uniform = [0.5, 0.9], per = \"frame\" }\n\
+         camera_gain = { uniform = [1, 1.5], per = \"episode\" }",
+    );
+    room.run("sim scene.toml -o log.mcap").succeeds();
+    let told: Vec<DiagnosticArray> = decode_all(&read_log(&room.path("log.mcap")), DRAWN);
+    let replayed = room.replay("log.mcap");
+    assert_eq!(told.len(), 1 + replayed.tags.len(), "once for all, and with each frame");
+    let value = |array: &DiagnosticArray, key: &str| -> f64 {
+        let values = &array.status[0].values;
+        values
+            .iter()
+            .find(|value| value.key == key)
+            .unwrap_or_else(|| panic!("{key}: {values:?}"))
+            .value
+            .parse()
+            .unwrap()
+    };
+    assert!((1.0..1.5).contains(&value(&told[0], "light.camera_gain")));
+    for (array, tag) in told[1..].iter().zip(&replayed.tags) {
+        assert_eq!(array.header.stamp, tag.header.stamp);
+        assert!((0.5..0.9).contains(&value(array, "light.gain")));
+    }
+    let kept: Vec<DiagnosticArray> = decode_all(&read_capture(&replayed.session), DRAWN);
+    assert_eq!(kept, told);
+    let plain = room_with("");
+    plain.run("sim scene.toml -o log.mcap").succeeds();
+    assert_eq!(decode_all::<DiagnosticArray>(&read_log(&plain.path("log.mcap")), DRAWN), []);
+}
+
+fn stored(room: &Room) -> Vec<u8> {
+    let picture = image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([x as u8 * 3, y as u8 * 4, 90]));
+    picture.save(room.path("in.png")).unwrap();
+    fs::read(room.path("in.png")).unwrap()
+}
+
+#[test]
+fn an_empty_chain_returns_the_stored_bytes() {
+    let sway = "kind = \"gait_sway\"\nroll_deg = 2\npitch_deg = 1\nlateral_m = 0.01\nvertical_m = 0\nstep_hz = 2";
+    for (effect, left_out) in [("", "left out: nothing"), (sway, "left out: gait_sway")] {
+        let room = room_with(effect);
+        let bytes = stored(&room);
+        let run = room.run("scene apply scene.toml --image in.png -o out.png").succeeds();
+        assert!(run.stdout.contains("applied: nothing") && run.stdout.contains(left_out), "{run:?}");
+        assert_eq!(fs::read(room.path("out.png")).unwrap(), bytes);
+    }
+}
+
+#[test]
+fn effects_on_a_stored_image_are_those_of_a_frame() {
+    let room = room_with(
+        "kind = \"light\"\ngain = 0.5\n[[effect]]\nkind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.5\n\
+         [[effect]]\nkind = \"sensor_noise\"\nread_noise_dn = 2\nshot_noise_factor = 0.1",
+    );
+    stored(&room);
+    let run = room.run("scene apply scene.toml --image in.png -o out.png --frame 5").succeeds();
+    assert!(run.stdout.contains("applied: light, sensor_noise; left out: worn_lines"), "{run:?}");
+    let open = |name: &str| image::open(room.path(name)).unwrap().to_rgb8();
+    let (before, after) = (open("in.png"), open("out.png"));
+    let errors: Vec<f64> = before.iter().zip(after.iter()).map(|(a, b)| f64::from(*b) - 0.5 * f64::from(*a)).collect();
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    assert!(mean.abs() < 0.6 && errors.iter().any(|error| error.abs() > 2.0), "{mean}");
+    room.run("scene apply scene.toml --image in.png -o again.png --frame 5").succeeds();
+    room.run("scene apply scene.toml --image in.png -o other.png --frame 6").succeeds();
+    assert_eq!(open("again.png"), after);
+    assert_ne!(open("other.png"), after);
+    room.run("scene apply scene.toml --image in.png -o out.jpg").succeeds();
+    assert_eq!(open("out.jpg").dimensions(), (64, 48));
+    room.run("scene apply scene.toml --image in.png -o out.gif").fails(2, &["out.gif", ".png or .jpg"]);
+    room.run("scene apply scene.toml --image none.png -o out.png").fails(1, &["none.png", "no such file"]);
+    room.run("scene apply scene.toml --image scene.toml -o x.png").fails(1, &["scene.toml"]);
+}

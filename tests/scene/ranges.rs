@@ -1,0 +1,114 @@
+//! Numbers that a scene leaves open.
+
+use realitysim::scene::{Drawn, Renderer, Scene, SceneFile};
+
+use super::common::{STRAIGHT, fisheye_640, kid_2009, plain, scene, with_effects};
+
+const LIGHT: &str = "kind = \"light\"\ngain = { uniform = [0.4, 0.9], per = \"episode\" }";
+const FLICKER: &str = "kind = \"light\"\ngain = { uniform = [0.4, 0.9], per = \"frame\" }";
+const NOISE: &str =
+    "kind = \"sensor_noise\"\nread_noise_dn = { uniform = [1, 5], per = \"frame\" }\nshot_noise_factor = 0.1";
+const WORN: &str = "kind = \"worn_lines\"\nshare = { uniform = [0.1, 0.6], per = \"episode\" }\npatch_m = 0.3";
+const ODOMETRY: &str = "kind = \"odometry_error\"\nscale_percent = { uniform = [-20, 20], per = \"episode\" }\n\
+                        yaw_drift_deg_per_m = 0\nnoise_m_per_m = 0.05";
+
+fn build(effects: &[&str]) -> Scene {
+    scene(&with_effects(&plain(STRAIGHT), effects))
+}
+
+fn image(scene: &Scene, index: u64) -> Vec<u8> {
+    let mut pixels = Vec::new();
+    Renderer::new(scene).render(index, &mut pixels);
+    pixels
+}
+
+fn value(drawn: &[Drawn], name: &str) -> f64 {
+    drawn.iter().find(|drawn| drawn.name == name).unwrap_or_else(|| panic!("{name}: {drawn:?}")).value
+}
+
+fn refusal(effect: &str) -> String {
+    let toml = with_effects(&plain(STRAIGHT), &[effect]);
+    let built = SceneFile::from_toml(&toml).and_then(|file| Scene::build(file, kid_2009(), fisheye_640()));
+    built.expect_err("must be refused").to_string()
+}
+
+/// What is drawn is as good as written, to the last bit.
+#[test]
+fn a_drawn_number_acts_as_if_it_stood_in_the_file() {
+    let open = build(&[LIGHT, ODOMETRY]);
+    let (gain, scale) = (value(&open.drawn(), "light.gain"), value(&open.drawn(), "odometry_error.scale_percent"));
+    assert!((0.4..0.9).contains(&gain) && (-20.0..20.0).contains(&scale));
+    let written = build(&[
+        &format!("kind = \"light\"\ngain = {gain:?}"),
+        &ODOMETRY.replace("{ uniform = [-20, 20], per = \"episode\" }", &format!("{scale:?}")),
+    ]);
+    assert!(open.events().eq(written.events()));
+    assert_eq!(image(&open, 9), image(&written, 9));
+    assert!(written.drawn().is_empty() && open.drawn_for(3).is_empty());
+}
+
+#[test]
+fn adding_an_effect_changes_nothing_that_another_draws() {
+    let alone = build(&[LIGHT]).drawn();
+    let beside = build(&[LIGHT, WORN, ODOMETRY]);
+    assert_eq!(value(&alone, "light.gain"), value(&beside.drawn(), "light.gain"));
+    let reordered = build(&[WORN, LIGHT, ODOMETRY]);
+    for name in ["light.gain", "worn_lines.share", "odometry_error.scale_percent"] {
+        assert_eq!(value(&beside.drawn(), name), value(&reordered.drawn(), name));
+    }
+    let other_seed = scene(&with_effects(&plain(STRAIGHT), &[LIGHT]).replace("seed = 20130601", "seed = 6"));
+    assert_ne!(value(&alone, "light.gain"), value(&other_seed.drawn(), "light.gain"));
+}
+
+#[test]
+fn per_frame_is_drawn_anew_for_each_frame_and_the_same_each_time() {
+    let scene = build(&[FLICKER, NOISE]);
+    let gains: Vec<f64> = (0..200).map(|frame| value(&scene.drawn_for(frame), "light.gain")).collect();
+    let noises: Vec<f64> = (0..200).map(|frame| value(&scene.drawn_for(frame), "sensor_noise.read_noise_dn")).collect();
+    assert!(gains.windows(2).all(|pair| pair[0] != pair[1]));
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    assert!((mean(&gains) - 0.65).abs() < 0.04 && (mean(&noises) - 3.0).abs() < 0.3, "the middle of the ranges");
+    let together: f64 = gains.iter().zip(&noises).map(|(a, b)| (a - 0.65) * (b - 3.0)).sum();
+    assert!((together / 200.0 / (0.144 * 1.155)).abs() < 0.25, "they have nothing to do with each other");
+    // The frame is as if its numbers stood in the file.
+    let written = build(&[
+        &format!("kind = \"light\"\ngain = {:?}", gains[7]),
+        &format!("kind = \"sensor_noise\"\nread_noise_dn = {:?}\nshot_noise_factor = 0.1", noises[7]),
+    ]);
+    assert_eq!(image(&scene, 7), image(&written, 7));
+    assert_ne!(image(&scene, 8), image(&written, 8));
+    assert!(scene.drawn().is_empty());
+}
+
+#[test]
+fn numbers_within_lists_and_tables_can_be_open() {
+    let scene = build(&[
+        "kind = \"light\"\ngain = 1.0\ncolour = [1.0, { uniform = [0.5, 1.0], per = \"episode\" }, 1.0]",
+        &format!("{ODOMETRY}\nfreeze = {{ from_s = {{ uniform = [2, 9], per = \"episode\" }}, for_s = 1.0 }}"),
+    ]);
+    assert!((0.5..1.0).contains(&value(&scene.drawn(), "light.colour[1]")));
+    assert!((2.0..9.0).contains(&value(&scene.drawn(), "odometry_error.freeze.from_s")));
+}
+
+#[test]
+fn a_range_that_could_draw_the_impossible_is_refused_with_its_line() {
+    let range = |range: &str| LIGHT.replace("{ uniform = [0.4, 0.9], per = \"episode\" }", range);
+    let first = plain(STRAIGHT).lines().count() + 3;
+    for (effect, words) in [
+        (range("{ uniform = [0.4, 9.0], per = \"episode\" }"), vec!["effect[0].gain is 9", "0.01 to 3"]),
+        (range("{ uniform = [0.0, 0.9], per = \"episode\" }"), vec!["effect[0].gain is 0", "0.01 to 3"]),
+        (range("{ uniform = [0.9, 0.4], per = \"episode\" }"), vec!["effect[0].gain is no range", "[low, high]"]),
+        (range("{ uniform = [0.4], per = \"episode\" }"), vec!["no range"]),
+        (range("{ uniform = [0.4, nan], per = \"episode\" }"), vec!["no range"]),
+        (range("{ uniform = [0.4, 0.9], per = \"day\" }"), vec!["no range", "per = \"frame\""]),
+        (range("{ uniform = [0.4, 0.9] }"), vec!["no range"]),
+        (range("{ uniform = [0.4, 0.9], per = \"frame\", mean = 1 }"), vec!["no range"]),
+        (range("{ normal = [0.4, 0.9] }"), vec!["invalid type: map", "line"]),
+        (WORN.replace("\"episode\"", "\"frame\""), vec!["drawn per frame", "only light and sensor_noise"]),
+    ] {
+        let message = refusal(&effect);
+        assert!(words.iter().all(|word| message.contains(word)), "{effect}: {message}");
+        let lines = [first - 1, first, first + 1, first + 2].map(|line| format!("line {line}"));
+        assert!(lines.iter().any(|line| message.contains(line)), "{lines:?}: {message}");
+    }
+}
