@@ -8,5 +8,5 @@ mod real;
 mod replay;
 mod ros2;
 mod scene;
-mod views;
 mod stress;
+mod views;

@@ -78,8 +78,10 @@ pub const CONTRADICTED: f64 = 0.5;
 /// What a frame needs to confirm a pose that was found by search or announced.
 const FITTING_TO_CONFIRM: usize = 20;
 const SHARE_TO_CONFIRM: f64 = 0.7;
-/// Over several frames so much of what one frame may leave unexplained may be.
-const LASTING: f64 = 0.3;
+/// So much of what one frame may leave unexplained may last over several frames, ...
+const LASTING: f64 = 0.6;
+/// ... and may be there when a pose is confirmed.
+const CONFIRMED_WITH: f64 = 0.3;
 /// What one frame says of the lines that are explained, against the frames before it.
 const NEWEST: f64 = 0.2;
 
@@ -157,7 +159,7 @@ impl Standing {
 
     /// One frame may show much that is no line of the field (a crowd, sunlight on the carpet); many in a row do not.
     fn is_unexplained(&self, least: f64, explained: &Explained) -> bool {
-        explained.shown_m2 > 0.0 && (explained.share < least || self.explained < lasting(least))
+        explained.shown_m2 > 0.0 && (explained.share < least || self.explained < share_of(LASTING, least))
     }
 
     fn agreed_lately(&self, moment: &Moment) -> bool {
@@ -168,12 +170,12 @@ impl Standing {
 fn confirms(rules: &Rules, fix: &Fix) -> bool {
     let lines = &fix.agreement;
     let fits = lines.fitting >= FITTING_TO_CONFIRM && lines.share() >= SHARE_TO_CONFIRM;
-    !rules.refinement || (fits && fix.explained.share >= lasting(rules.valid.explained))
+    !rules.refinement || (fits && fix.explained.share >= share_of(CONFIRMED_WITH, rules.valid.explained))
 }
 
-/// The share that several frames have to explain, if one has to explain `least`.
-fn lasting(least: f64) -> f64 {
-    1.0 - LASTING * (1.0 - least)
+/// The share that has to be explained where only `part` of what a single frame may leave over is allowed.
+fn share_of(part: f64, least: f64) -> f64 {
+    1.0 - part * (1.0 - least)
 }
 
 /// The camera is where IMU, joints and mount put that of a robot that stands: by its height and tilt.
