@@ -358,6 +358,7 @@ mod tests {
                 covariance: Matrix6::identity() * 1e-8,
                 moved,
                 cost: 0.0,
+                condition: 1.0,
                 lines: Agreement::default(),
             };
             track.update(&prediction, &refined);
@@ -411,6 +412,7 @@ mod tests {
                 covariance: Matrix6::identity() * 1e-12,
                 moved: off,
                 cost: 0.0,
+                condition: 1.0,
                 lines: Agreement::default(),
             };
             track.update(&prediction, &refined);

@@ -105,9 +105,10 @@ fn a_particle_s_likelihood_does_not_depend_on_the_others() {
             .step_by(2)
             .map(|pose| Pose2 { yaw: realitysim::geometry::wrap_angle(pose.yaw - 0.4 + yaw), ..pose })
             .collect();
-        let (mut scratch, mut found) = (Points::default(), Vec::new());
-        observation.log_likelihoods(table(), &cloud, &mut scratch, &mut found);
-        for (pose, found) in cloud.iter().zip(&found) {
+        let mut near = Points::default();
+        observation.look_near(table(), &cloud, &mut near);
+        for pose in &cloud {
+            let found = observation.log_likelihood_near(table(), pose, &near);
             largest = largest.max((observation.log_likelihood(table(), pose) - found).abs());
         }
     }

@@ -42,6 +42,7 @@ fn one_particle_and_a_million_are_sets_of_particles() {
     let one = tags(|settings| settings.filter.particles = 1);
     assert!(one.iter().all(|tag| tag.particles == 1 && tag.effective_sample_size == 1.0));
     let million = tags(|settings| {
+        settings.filter.adaptive = false;
         settings.filter.particles = 1 << 20;
         settings.filter.iterations = 1;
         settings.filter.line_points = 60;
@@ -54,6 +55,7 @@ fn one_particle_and_a_million_are_sets_of_particles() {
 fn one_iteration_and_a_thousand_end() {
     for iterations in [1, 1000] {
         let tags = tags(|settings| {
+            settings.filter.adaptive = false;
             settings.filter.iterations = iterations;
             settings.filter.particles = 50;
         });

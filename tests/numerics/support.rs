@@ -138,6 +138,7 @@ impl Robot {
                 tilt_is_measured: true,
             }),
             head: None,
+            turned_rad: None,
             stale: false,
             initial_pose: None,
         }
@@ -147,7 +148,7 @@ impl Robot {
     pub fn tag(&mut self, picture: &Picture) -> FrameTag {
         let told = self.told();
         let seen = self.vision.look(picture, &(self.told_place * Isometry::link_from_optical()), None);
-        let tag = self.tagger.tag(self.stamp_ns, &told, &seen);
+        let tag = self.tagger.tag(self.stamp_ns, &told, &seen, &mut |_| true);
         assert_sound(&tag);
         if tag.valid {
             let off = self.error_m(&tag);
