@@ -4,10 +4,12 @@
 //! log take the same way.
 
 mod body_mask;
+pub mod clock;
 pub mod decode;
 pub mod history;
 pub mod intake;
 pub mod log;
+pub mod mavlink;
 pub mod scene;
 pub mod synchroniser;
 pub mod topics;
