@@ -7,3 +7,4 @@ mod real;
 mod replay;
 mod ros2;
 mod scene;
+mod serial;

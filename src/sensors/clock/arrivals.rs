@@ -14,6 +14,8 @@ pub(super) struct Arrivals {
     /// The earliest of each stretch of time, by device time.
     points: VecDeque<Point>,
     line: Option<Line>,
+    /// Of the coarsest stamps: their rounding can keep its phase for long, and then looks like an offset.
+    resolution_ns: i64,
     /// In a row, arrivals that are too late for this clock.
     strange: u32,
 }
@@ -35,10 +37,13 @@ const SLOPE_FROM_NS: i64 = 5_000_000_000;
 const SET_NS: i64 = 1_000_000_000;
 /// Late ones can also have waited: this many in a row must be.
 const STRANGE: u32 = 20;
+/// What the quickest of all has waited at least for the host's scheduler.
+const SLACK_NS: f64 = 200_000.0;
 
 impl Arrivals {
     /// False if the clock has been set: nothing of before holds.
-    pub fn push(&mut self, device_ns: i64, host_ns: i64) -> bool {
+    pub fn push(&mut self, device_ns: i64, resolution_ns: i64, host_ns: i64) -> bool {
+        self.resolution_ns = self.resolution_ns.max(resolution_ns);
         let apparent_ns = host_ns.saturating_sub(device_ns);
         if let Some(line) = &self.line {
             let above = apparent_ns.saturating_sub(line.at(device_ns).offset_ns);
@@ -66,7 +71,7 @@ impl Arrivals {
         while self.points.len() > MAX_POINTS || self.points.front().is_some_and(|first| first.device_ns < oldest) {
             self.points.pop_front();
         }
-        self.line = fit(&self.points);
+        self.line = fit(&self.points, self.resolution_ns);
         true
     }
 
@@ -75,7 +80,7 @@ impl Arrivals {
     }
 }
 
-fn fit(points: &VecDeque<Point>) -> Option<Line> {
+fn fit(points: &VecDeque<Point>, resolution_ns: i64) -> Option<Line> {
     let (first, last) = (points.front()?, points.back()?);
     let x = |point: &Point| point.device_ns.saturating_sub(last.device_ns) as f64;
     let y = |point: &Point| point.apparent_ns.saturating_sub(last.apparent_ns) as f64;
@@ -91,7 +96,7 @@ fn fit(points: &VecDeque<Point>) -> Option<Line> {
         offset_ns: last.apparent_ns as f64 + offset,
         drift,
         // Where even the quickest of a stretch differ by so much, the quickest of all has waited for about as long.
-        uncertainty_ns: typical + 500_000.0,
+        uncertainty_ns: typical + resolution_ns as f64 + SLACK_NS,
         drift_uncertainty: if span_ns < SLOPE_FROM_NS {
             MAX_DRIFT
         } else {

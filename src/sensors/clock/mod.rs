@@ -82,14 +82,15 @@ const RESTART_NS: i64 = 1_000_000_000;
 
 impl DeviceClock {
     /// A message with the device's stamp (the earliest that it can mean) has arrived; `host_ns` is when its first byte can have
-    /// left at the latest, which is the arrival less the time on the wire.
-    pub fn arrived(&mut self, device_ns: i64, host_ns: i64) {
+    /// left at the latest, which is the arrival less the time on the wire. The stamp may have been rounded down by
+    /// `resolution_ns`.
+    pub fn arrived(&mut self, device_ns: i64, resolution_ns: i64, host_ns: i64) {
         if self.newest_device_ns.is_some_and(|newest| newest.saturating_sub(device_ns) > RESTART_NS) {
             self.restart();
         }
-        if !self.arrivals.push(device_ns, host_ns) {
+        if !self.arrivals.push(device_ns, resolution_ns, host_ns) {
             self.restart();
-            self.arrivals.push(device_ns, host_ns);
+            self.arrivals.push(device_ns, resolution_ns, host_ns);
         }
         self.note(device_ns);
     }
