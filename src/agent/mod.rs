@@ -1,7 +1,9 @@
 //! The agent: what comes from the sensors goes through the filter into the capture.
 
+mod budget;
 pub mod checkpoint;
 mod durations;
+mod effort;
 mod error;
 pub mod footage;
 mod opened;

@@ -2,13 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use super::budget::Decisions;
 use super::checkpoint::{Checkpoint, CheckpointError};
 use super::error::ReplayError;
 use super::prelude::Prelude;
 use super::setup::{Setup, SetupError};
 use crate::config::Settings;
-use crate::recording::{Loss, missing_parts};
+use crate::recording::{Loss, missing_parts, topic};
 use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
+use crate::ros2::messages::{FrameTag, Message};
 use crate::scene::Scene;
 use crate::sensors::log::{self as logs, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
 use crate::sensors::scene::SceneSource;
@@ -24,6 +26,8 @@ pub(super) struct OpenLog {
     /// What is known to be missing before anything is read.
     pub lost: Vec<Loss>,
     pub warnings: Vec<String>,
+    /// What the recording agent's clock decided, if a budget is set.
+    pub decided: Decisions,
 }
 
 pub(super) fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
@@ -52,6 +56,7 @@ pub(super) fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayErr
         frames,
         lost: missing.into_iter().chain(stored.loss).collect(),
         warnings: stored.warning.into_iter().collect(),
+        decided: if settings.filter.budget_ms > 0.0 { decisions(&files) } else { Decisions::new() },
         messages: LogSource::new(files, Selection::All),
     })
 }
@@ -91,6 +96,17 @@ fn setup_error(source: &Path, error: SetupError, lost: Vec<Loss>) -> ReplayError
         SetupError::Config(_) | SetupError::BodyMask { .. } | SetupError::Fov(_) => ReplayError::Setup(error),
         error => ReplayError::Source { path: source.to_owned(), source: Box::new(error), lost },
     }
+}
+
+/// Frames remembered: ten hours at 30 Hz, 40 MB. Later ones are decided by the clock.
+const MAX_DECISIONS: usize = 1 << 20;
+
+/// Of a log that is no capture, nothing. What cannot be read will be told when the log is replayed.
+fn decisions(files: &[PathBuf]) -> Decisions {
+    let tags = LogSource::with_outputs(files.to_vec(), Selection::topics([topic::FRAME_TAG]));
+    let tags = tags.flatten().filter_map(|message| FrameTag::decode(&message.data).ok());
+    let decided = tags.map(|tag| (tag.header.stamp.to_nanoseconds(), tag.capped.then_some(tag.stopped_at)));
+    decided.take(MAX_DECISIONS).collect()
 }
 
 /// What a segment of a capture brings along of the filter's state, or why that is of no use.

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::budget::Budget;
 use super::checkpoint::Checkpoint;
 use super::error::AgentError;
 use super::setup::Setup;
@@ -14,7 +15,7 @@ use super::stages::{Looked, Looking};
 use super::state::{STATE_FILE, Start, write_state};
 use super::tagger::Tagger;
 use super::tally::Tally;
-use super::warnings::AttitudeSource;
+use super::warnings::{self, AttitudeSource};
 use crate::config::{Settings, Topics};
 use crate::geometry::{FieldDimensions, LensParameters};
 use crate::recording::{Counts, SessionInfo, SessionWriter};
@@ -50,6 +51,7 @@ pub struct Pipeline {
     synchroniser: Synchroniser,
     looking: Looking,
     tagger: Tagger,
+    budget: Budget,
     session: Option<SessionWriter>,
     /// What the log announces does not count then.
     initial_is_given: bool,
@@ -72,6 +74,7 @@ impl Pipeline {
     pub fn new(setup: Setup, start: Start, recording: Recording) -> Self {
         let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude } = setup;
         let tagger = start.tagger(&settings, field, eyes.vision.lens());
+        let budget = Budget::new(settings.filter.budget_ms, start.decided);
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
         let state = start.checkpoint.map_or(synchroniser, |checkpoint| checkpoint.synchroniser);
         let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);
@@ -84,6 +87,7 @@ impl Pipeline {
             synchroniser,
             looking: Looking::new(Arc::clone(&eyes), recording.threads),
             tagger,
+            budget,
             session: None,
             initial_is_given: start.initial.is_some(),
             sequence,
@@ -136,7 +140,10 @@ impl Pipeline {
         let heard = self.synchroniser.knows_attitude();
         let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
         let late_measurements = self.synchroniser.too_late();
-        let warnings = attitude.into_iter().collect();
+        let Settings { field, filter, .. } = &self.settings;
+        let strange = warnings::strange_field(field, &self.tally.invalid, counts.tagged);
+        let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
+        let warnings = attitude.into_iter().chain(strange).chain(small).collect();
         (Some(Recorded { session, counts, tally: self.tally, late_measurements, warnings }), ended)
     }
 
@@ -190,8 +197,12 @@ impl Pipeline {
     fn tag(&mut self, looked: Looked) -> Result<(), AgentError> {
         let Looked { frame, seen, look_ms } = looked;
         let start = Instant::now();
+        let mut allowance = self.budget.frame(frame.stamp_ns, look_ms);
         let mut tag = match &seen {
-            Ok(seen) => self.tagger.tag(frame.stamp_ns, &frame.robot, seen),
+            Ok(seen) => {
+                let mut may_go_on = |weighed| allowance.may_go_on(weighed);
+                self.tagger.tag(frame.stamp_ns, &frame.robot, seen, &mut may_go_on)
+            }
             Err(unseen) => {
                 self.tally.note_unseen(&frame, unseen, self.sequence);
                 self.tagger.tag_blind(frame.stamp_ns, &frame.robot, unseen.reason())
@@ -199,12 +210,14 @@ impl Pipeline {
         };
         tag.sequence = self.sequence;
         tag.elapsed_ms = look_ms + start.elapsed().as_secs_f64() * 1e3;
+        tag.stopped_at = allowance.stopped_at().unwrap_or(0);
+        self.budget.learn(&allowance);
         if let Ok(seen) = seen {
             self.looking.give_back(seen);
         }
         tag.kernel_stamp_ns = frame.stamp_ns;
         self.sequence += 1;
-        self.tally.note_tag(&frame.robot, &tag);
+        self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
         if let Some(session) = &mut self.session {
             session.tag(log_time_ns, &self.settings.frames.map, &tag)?;
@@ -289,7 +302,8 @@ impl Pipeline {
         self.last_diagnostics_ns = log_time_ns;
         let Some(session) = &mut self.session else { return Ok(()) };
         let late = self.synchroniser.too_late();
-        let report = self.tally.diagnostics(log_time_ns, &self.settings.robot, &session.counts(), late);
+        let Settings { robot, filter, .. } = &self.settings;
+        let report = self.tally.diagnostics(log_time_ns, robot, &session.counts(), late, filter.budget_ms);
         Ok(session.diagnostics(log_time_ns, &report)?)
     }
 }

@@ -4,6 +4,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use super::budget::Decisions;
 use super::checkpoint::Checkpoint;
 use super::error::ReplayError;
 use super::opened::{self, BEGAN_ANEW, OpenLog};
@@ -47,9 +48,9 @@ pub fn replay(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 }
 
 fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
-    let OpenLog { setup, mut messages, checkpoint, frames, lost, warnings } =
+    let OpenLog { setup, mut messages, checkpoint, frames, lost, warnings, decided } =
         opened::log(&options.source, &options.settings)?;
-    let mut run = Run::new(options, setup, checkpoint);
+    let mut run = Run::new(options, setup, checkpoint, decided);
     run.report.lost.extend(lost);
     run.report.warnings.extend(warnings);
     let read = messages.by_ref().map(|message| message.map_err(ReplayError::from));
@@ -62,7 +63,7 @@ fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayRep
     let scene = scene::load(&options.source.to_string_lossy())?;
     let (setup, messages) = opened::scene(&scene, &options.source, &options.settings)?;
     let total = Some(scene.frame_count());
-    Run::new(options, setup, None).through(messages, &mut |done| progress(done, total))
+    Run::new(options, setup, None, Decisions::new()).through(messages, &mut |done| progress(done, total))
 }
 
 /// A pipeline at the pace that was asked for, and what its report says from the start.
@@ -73,7 +74,7 @@ struct Run {
 }
 
 impl Run {
-    fn new(options: &ReplayOptions, setup: Setup, checkpoint: Option<Checkpoint>) -> Self {
+    fn new(options: &ReplayOptions, setup: Setup, checkpoint: Option<Checkpoint>, decided: Decisions) -> Self {
         let recording = Recording {
             captures: options.captures.clone(),
             source: options.source.file_name().map(|name| name.to_string_lossy().into_owned()),
@@ -83,6 +84,7 @@ impl Run {
         let mut report = ReplayReport {
             particles: filter.particles,
             iterations: filter.iterations,
+            adaptive: filter.adaptive,
             threads: recording.threads,
             ..ReplayReport::default()
         };
@@ -92,7 +94,7 @@ impl Run {
             report.warnings.push(format!("{error}; {BEGAN_ANEW}, and replaces it"));
             None
         });
-        let start = Start { checkpoint, warm, initial: options.initial };
+        let start = Start { checkpoint, warm, initial: options.initial, decided };
         let pace = options.realtime.then(Pace::default);
         Self { pipeline: Pipeline::new(setup, start, recording), report, pace }
     }
@@ -121,7 +123,9 @@ impl Run {
             frames: counts.written,
             tagged: counts.tagged,
             valid: counts.valid,
-            filter_ms: tally.durations.quantiles(),
+            filter_ms: tally.effort.durations.quantiles(),
+            capped: tally.effort.capped,
+            over_budget: tally.effort.over_budget,
             wall_s: started.elapsed().as_secs_f64(),
             invalid: tally.invalid,
             untagged: counts.untagged,

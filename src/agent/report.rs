@@ -17,6 +17,12 @@ pub struct ReplayReport {
     pub valid: u64,
     pub particles: usize,
     pub iterations: usize,
+    /// Particles and iterations are the most, not what each frame had.
+    pub adaptive: bool,
+    /// Frames with fewer particles or rounds than wanted: time was up.
+    pub capped: u64,
+    /// Frames that took longer than the budget all the same.
+    pub over_budget: u64,
     pub threads: usize,
     /// From the decoded image to the tag.
     pub filter_ms: Quantiles,

@@ -6,11 +6,12 @@ use serde::Serialize;
 
 use crate::config::{Formula, Model, SimdPath};
 use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, Projector, wrap_angle};
-use crate::localization::global::{self, Candidate};
+use crate::localization::filter::always;
+use crate::localization::global::{self, Candidate, Search};
 use crate::localization::observation::default_alpha;
 use crate::localization::refinement::{self, LinePoints, Prior};
 use crate::localization::{
-    Filter, FilterSettings, FilterState, MotionModel, Observation, Spread, Support, observation,
+    Effort, Filter, FilterSettings, FilterState, MotionModel, Observation, Sampling, Spread, Support, observation,
 };
 use crate::vision::{BodyMask, Picture, Seen, Vision, VisionSettings};
 
@@ -123,7 +124,10 @@ impl Known {
         let alpha = default_alpha(Formula::Corrected);
         let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
         let candidates = match self.initial {
-            None => global::search(&observation, &seen.table, field, SEARCH_MARGIN_M, true, KEPT),
+            None => {
+                let mut search = Search::new(field, SEARCH_MARGIN_M, &observation);
+                search.run(&observation, &seen.table, KEPT, &mut 0, &mut Effort::default(), &mut always)
+            }
             Some(initial) => vec![around(&observation, seen, initial, seed)],
         };
         let (points, projector) = (LinePoints::new(field), Projector::new(&self.lens));
@@ -185,8 +189,12 @@ impl Located {
 
 fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> Candidate {
     let settings = FilterSettings {
-        particles: INITIAL_PARTICLES,
-        iterations: INITIAL_ITERATIONS,
+        sampling: Sampling {
+            particles: INITIAL_PARTICLES,
+            iterations: INITIAL_ITERATIONS,
+            adaptive: false,
+            fewest: 0,
+        },
         motion: MotionModel::default(),
         jitter: Spread { xy_m: 0.05, yaw_rad: 0.03 },
         jitter_shrink: 0.7,
@@ -194,7 +202,8 @@ fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> 
     };
     let mut filter = Filter::new(settings, observation.clone(), FilterState::default());
     filter.restart(initial, INITIAL);
-    let best = filter.step(Some(Pose2::default()), 0.0, &seen.table).best;
+    let still = Some(Pose2::default());
+    let best = filter.step(still, 0.0, &seen.table, &mut Effort::default(), &mut always).best;
     let start = Candidate { pose: best, log_likelihood: observation.log_likelihood(&seen.table, &best) };
     global::climb(observation, &seen.table, start)
 }

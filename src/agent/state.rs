@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
+use super::budget::Decisions;
 use super::checkpoint::{Checkpoint, MAX_BYTES};
 use super::error::AgentError;
 use super::tagger::Tagger;
@@ -25,6 +26,8 @@ pub struct Start {
     pub warm: Option<LocalizerState>,
     /// In place of what the log announces.
     pub initial: Option<Pose2>,
+    /// Of the agent that recorded what is replayed.
+    pub decided: Decisions,
 }
 
 impl Start {

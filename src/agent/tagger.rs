@@ -4,8 +4,8 @@ use crate::config::{Formula, Model, MotionSource, Settings};
 use crate::geometry::{Field, Isometry, Lens};
 use crate::localization::observation::default_alpha;
 use crate::localization::{
-    FilterSettings, Fix, Localizer, LocalizerSettings, LocalizerState, Moment, Observation, Spread, TrackModel,
-    Validity,
+    FilterSettings, Fix, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Moment, Observation, Sampling, Spread,
+    TrackModel, Validity,
 };
 use crate::ros2::messages::{FrameTag, Stamp};
 use crate::sensors::scene::{header, pose};
@@ -30,8 +30,12 @@ impl Tagger {
         let initial = Spread { xy_m: f.initial_xy_m, yaw_rad: f.initial_yaw_deg.to_radians() };
         let localizer_settings = LocalizerSettings {
             filter: FilterSettings {
-                particles: f.particles,
-                iterations: f.iterations,
+                sampling: Sampling {
+                    particles: f.particles,
+                    iterations: f.iterations,
+                    adaptive: f.adaptive,
+                    fewest: f.particles_min,
+                },
                 motion: settings.motion,
                 jitter: Spread { xy_m: f.jitter_xy_m, yaw_rad: f.jitter_yaw_deg.to_radians() },
                 jitter_shrink: f.jitter_shrink,
@@ -46,6 +50,7 @@ impl Tagger {
                 points: f.valid_points,
                 spread_m: f.valid_spread_m,
                 refined_m: f.valid_refined_m,
+                explained: f.valid_explained,
             },
         };
         Self {
@@ -78,9 +83,10 @@ impl Tagger {
     }
 
     /// The tag of a frame of which something was seen. `sequence`, clocks and times are the caller's to fill in.
-    pub fn tag(&mut self, stamp_ns: i64, robot: &RobotAt, seen: &Seen) -> FrameTag {
+    /// `may_go_on` says when time is up.
+    pub fn tag(&mut self, stamp_ns: i64, robot: &RobotAt, seen: &Seen, may_go_on: &mut MayGoOn) -> FrameTag {
         self.take_initial(robot);
-        let fix = self.localizer.look(&moment(stamp_ns, robot), seen);
+        let fix = self.localizer.look(&moment(stamp_ns, robot), seen, may_go_on);
         self.compose(stamp_ns, robot, &fix)
     }
 
@@ -106,7 +112,6 @@ impl Tagger {
         let map_from_camera = fix.map_from_optical * optical_from_camera;
         let best = estimate.best.to_isometry() * footprint_from_camera;
         let euler = map_from_camera.euler();
-        let settings = &self.localizer.settings().filter;
         let mut tag = FrameTag {
             header: header(stamp_ns, &self.map_frame),
             child_frame_id: self.camera_frame.clone(),
@@ -122,8 +127,10 @@ impl Tagger {
                 Formula::Paper => "paper",
             }
             .to_owned(),
-            particles: settings.particles as u32,
-            iterations: settings.iterations as u32,
+            particles: fix.effort.particles,
+            iterations: fix.effort.iterations,
+            weighed: fix.effort.weighed,
+            capped: fix.effort.capped,
             line_points: support.points as u32,
             effective_sample_size: estimate.effective_sample_size,
             evidence: estimate.evidence / self.localizer.observation().point_count().max(1) as f64,
@@ -137,6 +144,7 @@ impl Tagger {
             lines_expected: fix.agreement.expected as u32,
             lines_fitting: fix.agreement.fitting as u32,
             lines_rms_px: fix.agreement.rms_px,
+            lines_explained: fix.explained.share,
             yaw: euler.yaw,
             pitch: euler.pitch,
             roll: euler.roll,
@@ -157,6 +165,7 @@ fn moment(stamp_ns: i64, robot: &RobotAt) -> Moment {
     Moment {
         stamp_ns,
         odometry: robot.odometry,
+        turned_rad: robot.turned_rad,
         footprint_from_optical: robot.place.as_ref().ok().map(|place| place.footprint_from_optical),
         tilt_is_measured: robot.place.as_ref().is_ok_and(|place| place.tilt_is_measured),
         stale: robot.stale,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::durations::Durations;
+use super::effort::EffortTally;
 use super::stages::NotSeen;
 use crate::recording::Counts;
 use crate::ros2::cdr::CdrError;
@@ -20,15 +20,14 @@ pub struct Tally {
     pub bad_messages: u64,
     /// First image of which nothing could be seen, and why.
     pub first_bad_image: Option<String>,
-    /// From the decoded image to the tag.
-    pub durations: Durations,
+    pub effort: EffortTally,
     /// Frames of which nobody said how the torso was tilted.
     pub without_tilt: u64,
 }
 
 impl Tally {
-    pub fn note_tag(&mut self, robot: &RobotAt, tag: &FrameTag) {
-        self.durations.note(tag.elapsed_ms);
+    pub fn note_tag(&mut self, robot: &RobotAt, tag: &FrameTag, budget_ms: f64) {
+        self.effort.note(tag, budget_ms);
         self.without_tilt += u64::from(robot.place.as_ref().is_ok_and(|place| !place.tilt_is_measured));
         if !tag.valid {
             *self.invalid.entry(tag.reason.clone()).or_default() += 1;
@@ -58,7 +57,15 @@ impl Tally {
             .get_or_insert_with(|| format!("{}, frame logged at {log_time_ns} ns: {error}", channel.topic));
     }
 
-    pub fn diagnostics(&self, log_time_ns: i64, robot: &str, counts: &Counts, late: u64) -> DiagnosticArray {
+    /// Of the recorder; of localization since the last time this was asked.
+    pub fn diagnostics(
+        &mut self,
+        log_time_ns: i64,
+        robot: &str,
+        counts: &Counts,
+        late: u64,
+        budget_ms: f64,
+    ) -> DiagnosticArray {
         let value = |key: &str, value: u64| KeyValue { key: key.to_owned(), value: value.to_string() };
         let mut values = vec![
             value("frames_captured", counts.captured),
@@ -72,13 +79,14 @@ impl Tally {
             values.extend(causes.iter().map(|(cause, count)| value(&format!("{what}_{cause}"), *count)));
         }
         let conserved = counts.is_conserved();
-        let status = DiagnosticStatus {
+        let recorder = DiagnosticStatus {
             level: if conserved { DiagnosticStatus::OK } else { DiagnosticStatus::ERROR },
             name: format!("{DIAGNOSTICS_NAME}recorder"),
             message: if conserved { "captured = written + dropped" } else { "frames are unaccounted for" }.to_owned(),
             hardware_id: robot.to_owned(),
             values,
         };
-        DiagnosticArray { header: header(log_time_ns, ""), status: vec![status] }
+        let localization = self.effort.diagnostics(robot, budget_ms);
+        DiagnosticArray { header: header(log_time_ns, ""), status: vec![recorder, localization] }
     }
 }

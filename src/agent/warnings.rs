@@ -1,7 +1,40 @@
 //! What a user will want to know although nothing failed.
 
+use std::collections::BTreeMap;
+
+use super::effort::EffortTally;
+use super::report::Quantiles;
 use crate::config::FrameNames;
 use crate::ros2::messages::{Imu, Message};
+
+/// What a tag's reason is when lines are seen and fit nowhere.
+const LOST: [&str; 5] = ["pose_unknown", "unconfirmed", "lines_disagree", "lines_unexplained", "not_standing"];
+/// Share of the frames that may take longer than the budget before it is called too small: what a busy machine does.
+const OVER_BUDGET: f64 = 0.05;
+
+/// Most frames show lines, but none that a robot on this field could see.
+pub fn strange_field(field: &str, invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
+    let lost: u64 = LOST.iter().map(|reason| invalid.get(*reason).copied().unwrap_or(0)).sum();
+    (2 * lost > tagged).then(|| {
+        format!(
+            "{lost} of {tagged} frames could not be placed on the field {field}, though lines are seen: is it the right \
+             field (field = ...), the right lens and the right mount of the camera?"
+        )
+    })
+}
+
+/// The budget is too small for what cannot be left out.
+pub fn small_budget(budget_ms: f64, effort: &EffortTally, tagged: u64) -> Option<String> {
+    let over = effort.over_budget;
+    let Quantiles { p50, p99, .. } = effort.durations.quantiles();
+    (over as f64 > OVER_BUDGET * tagged as f64).then(|| {
+        format!(
+            "filter.budget_ms = {budget_ms}: {over} of {tagged} frames took longer (p50 {p50:.1}, p99 {p99:.1} ms), though \
+             {} had fewer particles for it: seeing and refining alone take that long here",
+            effort.capped
+        )
+    })
+}
 
 /// Where the attitude comes from, if it does.
 #[derive(Clone, Debug)]
@@ -51,6 +84,16 @@ mod tests {
         let all = all.iter().map(|topic| (*topic).to_owned()).collect();
         let source = AttitudeSource { topic: "/imu/data".to_owned(), all };
         source.warning(unknown, 9, was_heard, &FrameNames::default()).unwrap_or_default()
+    }
+
+    #[test]
+    fn a_field_is_doubted_when_lines_fit_nowhere() {
+        let invalid = |unexplained, few| {
+            BTreeMap::from([("lines_unexplained".to_owned(), unexplained), ("few_lines".to_owned(), few)])
+        };
+        let said = strange_field("kid-2009", &invalid(51, 40), 100).expect("told");
+        assert!(said.contains("51 of 100") && said.contains("kid-2009"), "{said}");
+        assert_eq!(strange_field("kid-2009", &invalid(6, 90), 100), None, "no lines are seen");
     }
 
     #[test]

@@ -91,10 +91,12 @@ fn field_of(source: &Path, settings: &Settings) -> anyhow::Result<String> {
 
 pub fn for_people(report: &ReplayReport) -> String {
     let ReplayReport { session, frames, tagged, valid, particles, iterations, threads, filter_ms, wall_s, .. } = report;
+    let up_to = if report.adaptive { "up to " } else { "" };
+    let capped = if report.capped > 0 { format!(", {} frames cut short", report.capped) } else { String::new() };
     let mut text = format!(
         "{frames} frames, {tagged} tagged, {valid} valid in {wall_s:.1} s\n\
-         {particles} particles x {iterations} iterations, image to tag: p50 {:.1} ms, p99 {:.1} ms, max {:.1} ms \
-         ({threads} threads)\n",
+         {up_to}{particles} particles x {iterations} iterations, image to tag: p50 {:.1} ms, p99 {:.1} ms, max {:.1} ms \
+         ({threads} threads{capped})\n",
         filter_ms.p50, filter_ms.p99, filter_ms.max
     );
     if !report.invalid.is_empty() {

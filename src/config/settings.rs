@@ -127,6 +127,12 @@ pub struct FilterConfig {
     pub particles: usize,
     /// T of the paper.
     pub iterations: usize,
+    /// Fewer particles and iterations where fewer do: [`Self::particles`] and [`Self::iterations`] are the most.
+    pub adaptive: bool,
+    /// The least, while adaptive.
+    pub particles_min: usize,
+    /// From the decoded image to the tag; what is over is saved by fewer particles. 0: no limit.
+    pub budget_ms: f64,
     /// About how many points stand for all lines of the field.
     pub line_points: usize,
     /// Scale of the exponent of Eq. 1 and 2; each formula has its own default.
@@ -159,6 +165,8 @@ pub struct FilterConfig {
     pub refinement: bool,
     /// A refined pose is valid up to this standard deviation along its longer axis.
     pub valid_refined_m: f64,
+    /// ... and with at least this share of the line seen where the field has one.
+    pub valid_explained: f64,
 }
 
 /// How wrong a step of odometry can be. Walking robots slip: 10 to 30 % is normal.
@@ -218,6 +226,10 @@ impl Settings {
         let f = &self.filter;
         within("filter.particles", f.particles as f64, 1.0, (1 << 20) as f64)?;
         within("filter.iterations", f.iterations as f64, 1.0, 1000.0)?;
+        within("filter.particles_min", f.particles_min as f64, 1.0, (1 << 20) as f64)?;
+        if f.budget_ms != 0.0 {
+            within("filter.budget_ms", f.budget_ms, 0.1, 10_000.0)?;
+        }
         within("filter.line_points", f.line_points as f64, 10.0, 100_000.0)?;
         if let Some(alpha) = f.alpha {
             within("filter.alpha (its size)", alpha.abs(), 1e-9, 1e12)?;
@@ -237,6 +249,7 @@ impl Settings {
         within("filter.valid_points", f.valid_points, 0.0, 1e6)?;
         within("filter.valid_spread_m", f.valid_spread_m, 0.0, 100.0)?;
         within("filter.valid_refined_m", f.valid_refined_m, 0.0, 100.0)?;
+        within("filter.valid_explained", f.valid_explained, 0.0, 1.0)?;
         let m = &self.motion;
         for (key, value) in [
             ("motion.distance_share", m.distance_share),
@@ -333,6 +346,9 @@ impl Default for FilterConfig {
             formula: Formula::Corrected,
             particles: 800,
             iterations: 5,
+            adaptive: true,
+            particles_min: 100,
+            budget_ms: 0.0,
             line_points: 350,
             alpha: None,
             seed: 1,
@@ -352,6 +368,7 @@ impl Default for FilterConfig {
             valid_spread_m: 0.25,
             refinement: true,
             valid_refined_m: 0.04,
+            valid_explained: 0.7,
         }
     }
 }

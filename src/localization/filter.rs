@@ -8,22 +8,44 @@ use super::motion::{self, MotionModel};
 use super::observation::Observation;
 use super::particles::{Particles, Spread};
 use super::random::{Purpose, Stream};
+use super::sampling::Sampling;
 use super::{resampling, weights};
 use crate::geometry::Pose2;
 use crate::vision::GroundTable;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilterSettings {
-    /// N of the paper.
-    pub particles: usize,
-    /// T of the paper.
-    pub iterations: usize,
+    pub sampling: Sampling,
     pub motion: MotionModel,
     /// Noise added after the first resampling of a frame; each further one adds `jitter_shrink` of the one before.
     pub jitter: Spread,
     pub jitter_shrink: f64,
     pub seed: u64,
 }
+
+/// What a frame has cost so far, in poses weighed: the same on every machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Effort {
+    /// Of the last round.
+    pub particles: u32,
+    pub iterations: u32,
+    /// In all rounds, and in searching the field.
+    pub weighed: u32,
+    /// Less was weighed than wanted, because time was up.
+    pub capped: bool,
+}
+
+/// Says whether a frame that has weighed so many poses may go on. Asked before every [`BLOCK`] poses, so that a
+/// clock can be behind it; a frame is the same again if it says the same again.
+pub type MayGoOn<'a> = dyn FnMut(u32) -> bool + 'a;
+
+/// No limit.
+pub fn always(_weighed: u32) -> bool {
+    true
+}
+
+/// Poses weighed between two looks at the clock: some ten microseconds.
+pub const BLOCK: usize = 64;
 
 /// All that the next frame depends on.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -61,8 +83,8 @@ impl Filter {
 
     /// Starts over around a pose.
     pub fn restart(&mut self, pose: Pose2, spread: Spread) {
-        let FilterSettings { particles, seed, .. } = self.settings;
-        self.state.particles = Particles::around(pose, spread, particles, seed, self.state.steps);
+        let FilterSettings { sampling, seed, .. } = self.settings;
+        self.state.particles = Particles::around(pose, spread, sampling.particles, seed, self.state.steps);
     }
 
     /// Widens the set where it stands.
@@ -71,22 +93,34 @@ impl Filter {
     }
 
     /// One frame: what odometry says of the `seconds` since the last one, then what the camera sees.
-    pub fn step(&mut self, step: Option<Pose2>, seconds: f64, table: &GroundTable) -> Estimate {
-        let FilterSettings { jitter, jitter_shrink, seed, .. } = self.settings;
-        let last = self.settings.iterations.saturating_sub(1) as u32;
+    pub fn step(
+        &mut self,
+        step: Option<Pose2>,
+        seconds: f64,
+        table: &GroundTable,
+        effort: &mut Effort,
+        may_go_on: &mut MayGoOn,
+    ) -> Estimate {
+        let FilterSettings { sampling, jitter, jitter_shrink, seed, .. } = self.settings;
         self.predict(step, seconds);
         let mut scale = 1.0;
-        for iteration in 0..last {
-            self.weigh(table);
-            self.resample(iteration);
+        for round in 0.. {
+            self.weigh(table, effort, may_go_on);
+            let weights = weights::normalise(&self.state.particles.log_weights);
+            let draws = sampling.needed(&self.state.particles, &weights);
+            let settled = sampling.is_settled(round + 1, &weights);
+            effort.capped |= !settled && !may_go_on(effort.weighed);
+            let last = effort.capped || settled;
+            let result = last.then(|| estimate(&self.state.particles, &weights));
+            self.resample(draws, round as u32);
+            if let Some(result) = result {
+                return result;
+            }
             let noise = Spread { xy_m: jitter.xy_m * scale, yaw_rad: jitter.yaw_rad * scale };
-            self.state.particles.scatter(noise, seed, Purpose::Jitter, self.state.steps, iteration);
+            self.state.particles.scatter(noise, seed, Purpose::Jitter, self.state.steps, round as u32);
             scale *= jitter_shrink;
         }
-        self.weigh(table);
-        let result = self.estimate();
-        self.resample(last);
-        result
+        unreachable!("a round is the last at some time")
     }
 
     /// A frame that shows nothing: the particles only move.
@@ -110,15 +144,44 @@ impl Filter {
         estimate(&self.state.particles, &weights::normalise(&self.state.particles.log_weights))
     }
 
-    fn weigh(&mut self, table: &GroundTable) {
+    /// Particles for which there is no time are dropped: every so many, so that what remains stands for the whole.
+    fn weigh(&mut self, table: &GroundTable, effort: &mut Effort, may_go_on: &mut MayGoOn) {
         let Particles { poses, log_weights } = &mut self.state.particles;
-        self.observation.log_likelihoods(table, poses, &mut self.scratch, log_weights);
+        self.observation.look_near(table, poses, &mut self.scratch);
+        let blocks = poses.len().div_ceil(BLOCK).max(1);
+        let mut weighed = 0;
+        for block in 0..blocks {
+            // The first block is what a frame costs at least.
+            if block > 0 && !may_go_on(effort.weighed) {
+                effort.capped = true;
+                break;
+            }
+            for index in (block..poses.len()).step_by(blocks) {
+                log_weights[index] = self.observation.log_likelihood_near(table, &poses[index], &self.scratch);
+            }
+            effort.weighed += (poses.len() - block).div_ceil(blocks) as u32;
+            weighed = block + 1;
+        }
+        if weighed < blocks {
+            keep_each(poses, blocks, weighed);
+            keep_each(log_weights, blocks, weighed);
+        }
+        effort.particles = poses.len() as u32;
+        effort.iterations += 1;
     }
 
-    fn resample(&mut self, iteration: u32) {
-        let FilterSettings { particles, seed, .. } = self.settings;
-        let mut draw = Stream::new(seed, Purpose::Resampling, self.state.steps, iteration, 0);
-        let counts = resampling::residual(&self.state.particles.log_weights, particles, &mut draw);
+    fn resample(&mut self, draws: usize, round: u32) {
+        let mut draw = Stream::new(self.settings.seed, Purpose::Resampling, self.state.steps, round, 0);
+        let counts = resampling::residual(&self.state.particles.log_weights, draws, &mut draw);
         self.state.particles.duplicate(&counts);
     }
+}
+
+/// Keeps the first `kept` of every `step` values.
+fn keep_each<T>(values: &mut Vec<T>, step: usize, kept: usize) {
+    let mut index = 0;
+    values.retain(|_| {
+        index += 1;
+        (index - 1) % step < kept
+    });
 }

@@ -1,7 +1,9 @@
-//! Where on the whole field could this frame have been taken? Every place of a grid is tried.
+//! Where on the whole field could this frame have been taken? From coarse to fine: a grid of poses on a table in which
+//! every line is widened to the grid's step, then the best of them on the table itself.
 
 use core::f64::consts::TAU;
 
+use super::filter::{Effort, MayGoOn};
 use super::observation::Observation;
 use crate::geometry::{Field, Pose2, wrap_angle};
 use crate::vision::GroundTable;
@@ -13,54 +15,124 @@ pub struct Candidate {
     pub log_likelihood: f64,
 }
 
-/// How finely the field is searched: coarse enough for a second, fine enough that refinement by halving finds the peak.
-const STEP_M: f64 = 0.1;
-const TURNS: usize = 120;
+/// Looks for a robot on one field.
+#[derive(Clone, Debug)]
+pub struct Search {
+    /// In an order in which any part of them covers the field evenly.
+    places: Vec<[f64; 2]>,
+    /// Fewer line points: enough to tell where it is worth looking closer.
+    sparse: Observation,
+    widened: GroundTable,
+}
+
+/// The grid. What half a step moves a line, [`WIDENED_M`] makes up for.
+const STEP_M: f64 = 0.15;
+const TURNS: usize = 80;
+const WIDENED_M: f64 = 0.07;
+/// One in so many line points is looked at on the grid.
+const SPARSE: usize = 3;
+/// Poses of the grid that are looked at on the table itself, and of these, how many are climbed from.
+const CLOSER: usize = 600;
+const CLIMBED: usize = 60;
 /// Candidates closer than this are one.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;
+/// Metres and radians of the first steps of climbing, and how often they are halved.
+const CLIMB: (f64, f64) = (0.05, 0.026);
 const HALVINGS: usize = 8;
 
-/// The `count` best poses over the carpet and `margin_m` around it, each refined, best first. A field looks the same
-/// from both goals, so each comes with its mirror pose unless `half_only` keeps to one of the two.
-pub fn search(
-    observation: &Observation,
-    table: &GroundTable,
-    field: &Field,
-    margin_m: f64,
-    half_only: bool,
-    count: usize,
-) -> Vec<Candidate> {
-    let half = field.carpet_half_extent();
-    let steps = |half: f64| libm::ceil((half + margin_m) / STEP_M) as i32;
-    let (columns, rows) = (steps(half.x), steps(half.y));
-    let first_column = if half_only { 0 } else { -columns };
-    let mut found: Vec<Candidate> = Vec::new();
-    for column in first_column..=columns {
-        for row in -rows..=rows {
-            let (x, y) = (f64::from(column) * STEP_M, f64::from(row) * STEP_M);
-            let best = (0..TURNS)
-                .map(|turn| {
-                    let pose = Pose2::new(x, y, wrap_angle(TAU * turn as f64 / TURNS as f64));
-                    Candidate { pose, log_likelihood: observation.log_likelihood(table, &pose) }
-                })
-                .max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood));
-            found.extend(best);
-        }
+impl Search {
+    /// Over the carpet and `margin_m` around it. A field looks the same from both goals: each pose stands for its
+    /// mirror pose as well.
+    pub fn new(field: &Field, margin_m: f64, observation: &Observation) -> Self {
+        let half = field.carpet_half_extent();
+        let steps = |half: f64| libm::ceil((half + margin_m) / STEP_M) as i32;
+        let (columns, rows) = (steps(half.x), steps(half.y));
+        let grid: Vec<[f64; 2]> = (0..=columns)
+            .flat_map(|column| {
+                (-rows..=rows).map(move |row| [f64::from(column) * STEP_M, f64::from(row) * STEP_M])
+            })
+            .collect();
+        let stride = golden_stride(grid.len());
+        let places = (0..grid.len()).map(|index| grid[index * stride % grid.len()]).collect();
+        Self { places, sparse: observation.sparse(SPARSE), widened: GroundTable::default() }
     }
-    // Refining is cheap beside the search, and peaks are narrower than the grid: many starts, few kept.
-    found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
-    found.truncate(20 * count.max(1));
-    let mut refined: Vec<Candidate> = found.iter().map(|c| climb(observation, table, *c)).collect();
-    refined.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+
+    /// The `count` best poses, best first. If time is up before all places have been tried, the best of those that have;
+    /// `next` is the place to begin with, and afterwards that to go on with.
+    pub fn run(
+        &mut self,
+        observation: &Observation,
+        table: &GroundTable,
+        count: usize,
+        next: &mut u32,
+        effort: &mut Effort,
+        may_go_on: &mut MayGoOn,
+    ) -> Vec<Candidate> {
+        table.widen(WIDENED_M, &mut self.widened);
+        let mut found: Vec<Candidate> = Vec::with_capacity(self.places.len());
+        for _ in 0..self.places.len() {
+            if !found.is_empty() && !may_go_on(effort.weighed) {
+                effort.capped = true;
+                break;
+            }
+            let [x, y] = self.places[*next as usize % self.places.len()];
+            *next = (*next + 1) % self.places.len() as u32;
+            let turns = (0..TURNS).map(|turn| Pose2::new(x, y, wrap_angle(TAU * turn as f64 / TURNS as f64)));
+            let tried = turns.map(|pose| Candidate::of(pose, &self.sparse, &self.widened));
+            found.extend(tried.max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood)));
+            effort.weighed += TURNS as u32;
+        }
+        best_of(&mut found, CLOSER);
+        for candidate in &mut found {
+            *candidate = Candidate::of(candidate.pose, observation, table);
+        }
+        best_of(&mut found, CLIMBED);
+        for candidate in &mut found {
+            *candidate = climb(observation, table, *candidate);
+        }
+        effort.weighed += (CLOSER + CLIMBED * HALVINGS * 6) as u32;
+        best_of(&mut found, CLIMBED);
+        apart(&found, count)
+    }
+}
+
+impl Candidate {
+    pub fn of(pose: Pose2, observation: &Observation, table: &GroundTable) -> Self {
+        Self { pose, log_likelihood: observation.log_likelihood(table, &pose) }
+    }
+}
+
+/// A step through `count` places that visits all of them and, at any time, has visited them evenly: about the golden
+/// section of their number, and without a divisor in common with it.
+fn golden_stride(count: usize) -> usize {
+    const GOLDEN: f64 = 0.618_033_988_749_895;
+    let coprime = |stride: &usize| {
+        let (mut a, mut b) = (count, *stride);
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a == 1
+    };
+    let start = (libm::round(count as f64 * GOLDEN) as usize).max(1);
+    (start..).find(coprime).unwrap_or(1)
+}
+
+fn best_of(candidates: &mut Vec<Candidate>, count: usize) {
+    candidates.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+    candidates.truncate(count);
+}
+
+/// Of candidates in their order, those that are no neighbours of one before them.
+fn apart(candidates: &[Candidate], count: usize) -> Vec<Candidate> {
     let mut kept: Vec<Candidate> = Vec::new();
-    for candidate in refined {
+    for candidate in candidates {
         let same = |other: &Candidate| {
             let turned = wrap_angle(other.pose.yaw - candidate.pose.yaw).abs();
             other.pose.distance(&candidate.pose) < SAME_M && turned < SAME_RAD
         };
         if kept.len() < count && !kept.iter().any(same) {
-            kept.push(candidate);
+            kept.push(*candidate);
         }
     }
     kept
@@ -69,7 +141,7 @@ pub fn search(
 /// Steps along each axis while that helps, then with half the step.
 pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate) -> Candidate {
     let mut best = start;
-    let (mut step, mut turn) = (STEP_M / 2.0, TAU / TURNS as f64 / 2.0);
+    let (mut step, mut turn) = CLIMB;
     for _ in 0..HALVINGS {
         // Eight rounds cross the distance between two grid points several times.
         for _ in 0..8 {
@@ -83,9 +155,9 @@ pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate) -
                 (0.0, 0.0, -1.0),
             ] {
                 let pose = best.pose.compose(&Pose2::new(dx * step, dy * step, dyaw * turn));
-                let log_likelihood = observation.log_likelihood(table, &pose);
-                if log_likelihood > best.log_likelihood {
-                    best = Candidate { pose, log_likelihood };
+                let candidate = Candidate::of(pose, observation, table);
+                if candidate.log_likelihood > best.log_likelihood {
+                    best = candidate;
                 }
             }
             if best.log_likelihood == before {
@@ -96,4 +168,25 @@ pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate) -
         turn /= 2.0;
     }
     best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_part_of_the_places_covers_the_field_and_the_whole_all_of_them() {
+        for count in [1, 2, 6, 7, 100, 840, 841] {
+            let stride = golden_stride(count);
+            let mut visited: Vec<usize> = (0..count).map(|index| index * stride % count).collect();
+            if count > 50 {
+                // No gap in the first tenth is wider than four times the mean one.
+                let mut first: Vec<usize> = visited[..count / 10].to_vec();
+                first.sort();
+                assert!(first.windows(2).all(|pair| pair[1] - pair[0] <= 40), "{count}");
+            }
+            visited.sort();
+            assert!(visited.into_iter().eq(0..count), "{count}");
+        }
+    }
 }

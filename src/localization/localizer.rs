@@ -5,12 +5,14 @@ use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::estimate::Estimate;
-use super::filter::{Filter, FilterSettings, FilterState};
-use super::global;
+use super::filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
+use super::global::{Candidate, Search};
 use super::observation::{Observation, Support};
+use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
 use super::refinement::{self, Agreement, LinePoints, Prior, Refined};
-use super::track::{Prediction, Track, TrackModel};
+use super::track::{Prediction, Step, Track, TrackModel};
+use super::verdict::{CONFIRMATIONS, CONTRADICTED, Confidence, Rules, Standing, Validity, agrees, is_contradicted};
 use crate::geometry::{Field, Isometry, Lens, Pose2, Projector, wrap_angle};
 use crate::vision::Seen;
 
@@ -27,41 +29,17 @@ pub struct LocalizerSettings {
     pub valid: Validity,
 }
 
-/// What a pose needs to be believed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Validity {
-    /// Share of the expected line contrast (particles) or of the expected line places (refinement) that is there.
-    pub share: f64,
-    /// Painted line in view in units of 10 cm, counted by its certainty.
-    pub points: f64,
-    /// Standard deviation of the position along its longer axis: of the particles, and of the refined pose.
-    pub spread_m: f64,
-    pub refined_m: f64,
-}
-
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LocalizerState {
     pub filter: FilterState,
     pub track: Option<Track>,
     /// Time and odometry of the last frame.
     pub last: Option<(i64, Option<Pose2>)>,
-    pub confidence: Confidence,
-    /// When lines last agreed with the pose.
-    pub agreed_ns: Option<i64>,
+    pub standing: Standing,
+    /// Where the search of the field goes on.
+    pub search_next: u32,
     /// The pose was found without being told which half of the field it is in.
     pub ambiguous: bool,
-}
-
-/// How far the lines have confirmed the pose.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Confidence {
-    /// Not known where the robot is: the whole field is searched.
-    #[default]
-    Nowhere,
-    /// A pose that still needs this many frames with good lines.
-    Unconfirmed(u32),
-    /// Confirmed; frames in a row whose lines contradicted it.
-    Tracking(u32),
 }
 
 /// What else than the image is known of a frame.
@@ -69,6 +47,8 @@ pub enum Confidence {
 pub struct Moment {
     pub stamp_ns: i64,
     pub odometry: Option<Pose2>,
+    /// Since the frame before, by gyro.
+    pub turned_rad: Option<f64>,
     /// By IMU, joints and mount.
     pub footprint_from_optical: Option<Isometry>,
     /// Something measures the torso's tilt; without it a walking torso sways unseen.
@@ -89,29 +69,27 @@ pub struct Fix {
     pub covariance: Matrix6<f64>,
     pub refined: bool,
     pub agreement: Agreement,
+    pub explained: Explained,
+    pub effort: Effort,
     /// The mirror pose is as likely.
     pub ambiguous: bool,
     /// Why the pose is not to be used; `None` when it is.
     pub doubt: Option<&'static str>,
 }
 
-/// Frames with good lines that a pose found by search or kept over a restart needs.
-const CONFIRMATIONS: u32 = 3;
-/// Frames in a row whose lines contradict the pose, after which the field is searched: 0.3 s at 10 Hz.
-const LOST_AFTER: u32 = 3;
 /// While lost, only every so many frames pay for a search.
 const SEARCH_EVERY: u64 = 3;
 /// A pose a little off the carpet is possible.
 const SEARCH_MARGIN_M: f64 = 0.3;
 const CANDIDATES: usize = 4;
-/// A pose as uncertain as this along its longer axis is none.
-const LOST_M: f64 = 0.6;
 /// A restarted robot may have been carried: the cloud is widened by this.
 const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
 /// Longer gaps say nothing more about where the robot went.
 const LONGEST_STEP_S: f64 = 5.0;
 /// No humanoid walks this fast: odometry that says so has jumped.
 const FASTEST_M_PER_S: f64 = 3.0;
+/// A gyro that says more is broken or counts in degrees.
+const FASTEST_RAD_PER_S: f64 = 10.0;
 /// How far a walking torso that nothing measures leans from upright: 2.5 degrees.
 const UNMEASURED_TILT_RAD: f64 = 0.044;
 /// A best particle farther than this from the predicted pose is refined from as well.
@@ -121,23 +99,20 @@ const OTHER_BASIN_RAD: f64 = 0.06;
 const APART_M: f64 = 0.4;
 /// Squared deviation from the prediction, per unknown, above which the prediction is doubted.
 const SURPRISE: f64 = 3.0;
-/// Fewer line places than this say nothing for or against a pose.
-const FEWEST_EXPECTED: usize = 12;
-const FEWEST_FITTING: usize = 10;
-/// What a frame needs to confirm a pose that was found by search or announced.
-const FITTING_TO_CONFIRM: usize = 20;
-const SHARE_TO_CONFIRM: f64 = 0.7;
-/// A pose is believed for so long without lines that agree.
-const LONGEST_COAST_NS: i64 = 700_000_000;
-/// With less than this share of fitting places the lines contradict the pose.
-const CONTRADICTED: f64 = 0.5;
+impl LocalizerSettings {
+    fn rules<'a>(&'a self, field: &'a Field) -> Rules<'a> {
+        Rules { valid: &self.valid, field, refinement: self.refinement, random_walk: self.random_walk }
+    }
+}
 
 #[derive(Clone, Debug)]
 pub struct Localizer {
     field: Field,
     projector: Projector,
     points: LinePoints,
+    painted: PaintedMap,
     filter: Filter,
+    search: Search,
     settings: LocalizerSettings,
     state: LocalizerState,
 }
@@ -150,8 +125,9 @@ impl Localizer {
         observation: Observation,
         state: LocalizerState,
     ) -> Self {
+        let search = Search::new(&field, SEARCH_MARGIN_M, &observation);
         let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
-        Self { points: LinePoints::new(&field), projector: Projector::new(lens), field, filter, settings, state }
+        Self { points: LinePoints::new(&field), painted: PaintedMap::new(&field), projector: Projector::new(lens), field, filter, search, settings, state }
     }
 
     /// What a checkpoint keeps.
@@ -169,11 +145,11 @@ impl Localizer {
 
     /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
     pub fn resume(&mut self) {
-        if self.state.confidence != Confidence::Nowhere {
+        if self.state.standing.confidence != Confidence::Nowhere {
             self.filter.widen(RESTART);
             self.state.track =
                 self.state.track.as_ref().map(|track| track.moved_to(track.pose(), RESTART.xy_m, RESTART.yaw_rad));
-            self.state.confidence = Confidence::Unconfirmed(CONFIRMATIONS);
+            self.state.standing.unconfirmed(CONFIRMATIONS);
         }
         self.state.last = None;
     }
@@ -181,56 +157,70 @@ impl Localizer {
     /// Somebody says where the robot is.
     pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
         self.place(pose, spread);
-        self.state.confidence = Confidence::Unconfirmed(1);
+        self.state.standing.unconfirmed(1);
         self.state.ambiguous = false;
     }
 
-    /// One frame of which something was seen.
-    pub fn look(&mut self, moment: &Moment, seen: &Seen) -> Fix {
-        let (step, seconds) = self.step_to(moment);
+    /// One frame of which something was seen. `may_go_on` says when time is up: see [`MayGoOn`].
+    pub fn look(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
+        let mut effort = Effort::default();
+        let step = self.step_to(moment);
         if self.must_search() {
-            self.search(moment, seen);
+            self.search(moment, seen, &mut effort, may_go_on);
         }
-        let estimate = self.filter.step(step, seconds, &seen.table);
+        let walked = self.walked(&step);
+        let estimate = self.filter.step(walked, step.seconds, &seen.table, &mut effort, may_go_on);
         let support = self.filter.observation().support(seen.lines(), &estimate.best);
-        self.predict(step, seconds);
-        let fix = self.refine(moment, seen, estimate, support);
+        self.predict(&step);
+        let mut fix = self.refine(moment, seen, estimate, support);
         self.reconcile(seen, &fix);
-        self.judge(moment, fix)
+        fix.effort = effort;
+        if let Some(place) = &moment.footprint_from_optical {
+            fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
+        }
+        fix.doubt = self.state.standing.judge(&self.settings.rules(&self.field), moment, &fix);
+        fix
     }
 
     /// One frame of which nothing could be seen: where odometry puts the robot.
     pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
-        let (step, seconds) = self.step_to(moment);
-        let estimate = self.filter.coast(step, seconds);
-        self.predict(step, seconds);
+        let step = self.step_to(moment);
+        let estimate = self.filter.coast(self.walked(&step), step.seconds);
+        self.predict(&step);
         let mut fix = self.predicted(moment, estimate, Support::default());
         fix.doubt = Some(reason);
         fix
     }
 
-    /// The robot's step since the last frame by odometry, and how long it took.
-    fn step_to(&mut self, moment: &Moment) -> (Option<Pose2>, f64) {
+    /// What the sensors say of the robot's step since the last frame.
+    fn step_to(&mut self, moment: &Moment) -> Step {
         let odometry = moment.odometry.filter(Pose2::is_finite);
         let last = self.state.last.replace((moment.stamp_ns, odometry));
         let Some((last_ns, last_odometry)) = last else {
-            return (Some(Pose2::default()), 0.0);
+            return Step { odometry: Some(Pose2::default()), turned_rad: None, seconds: 0.0 };
         };
         let seconds = (moment.stamp_ns.saturating_sub(last_ns) as f64 * 1e-9).clamp(0.0, LONGEST_STEP_S);
         if self.settings.random_walk {
-            return (None, seconds);
+            return Step { odometry: None, turned_rad: None, seconds };
         }
-        let step = last_odometry.zip(odometry).map(|(before, now)| before.inverse().compose(&now));
+        let odometry = last_odometry.zip(odometry).map(|(before, now)| before.inverse().compose(&now));
         let possible = |step: &Pose2| libm::hypot(step.x, step.y) <= FASTEST_M_PER_S * seconds.max(0.1);
-        (step.filter(possible), seconds)
+        let turned_rad = moment.turned_rad.filter(|turned| turned.abs() <= FASTEST_RAD_PER_S * seconds);
+        Step { odometry: odometry.filter(possible), turned_rad, seconds }
     }
 
-    fn predict(&mut self, step: Option<Pose2>, seconds: f64) {
+    /// The same for the particles, which follow no gyro of their own.
+    fn walked(&self, step: &Step) -> Option<Pose2> {
+        let turned = step.turned_rad.and_then(|turned| Some(self.state.track.as_ref()?.turned(turned, step.seconds)));
+        step.odometry.map(|odometry| Pose2 { yaw: turned.unwrap_or(odometry.yaw), ..odometry })
+    }
+
+    fn predict(&mut self, step: &Step) {
         let LocalizerSettings { track: model, filter, .. } = &self.settings;
-        let reach_m = filter.motion.walk_m_per_s * seconds;
-        let reach_rad = filter.motion.turn_rad_per_s * seconds;
+        let reach_m = filter.motion.walk_m_per_s * step.seconds;
+        let reach_rad = filter.motion.turn_rad_per_s * step.seconds;
         if let Some(track) = &mut self.state.track {
-            track.predict(step, seconds, model, reach_m, reach_rad);
+            track.predict(step, model, reach_m, reach_rad);
         }
     }
 
@@ -244,25 +234,22 @@ impl Localizer {
     }
 
     fn must_search(&self) -> bool {
-        match self.state.confidence {
+        match self.state.standing.confidence {
             Confidence::Nowhere => self.filter.state().steps.is_multiple_of(SEARCH_EVERY),
             Confidence::Unconfirmed(_) => self.filter.state().particles.is_empty(),
-            Confidence::Tracking(contradicted) => contradicted >= LOST_AFTER,
+            Confidence::Tracking(_) => self.state.standing.is_lost(),
         }
     }
 
     /// Tries the whole field. Of the two mirror poses the one nearer to the last known pose is taken.
-    fn search(&mut self, moment: &Moment, seen: &Seen) {
-        self.state.confidence = Confidence::Nowhere;
+    fn search(&mut self, moment: &Moment, seen: &Seen, effort: &mut Effort, may_go_on: &mut MayGoOn) {
+        self.state.standing.confidence = Confidence::Nowhere;
         let known = self.state.track.as_ref().map(Track::pose);
-        let found =
-            global::search(self.filter.observation(), &seen.table, &self.field, SEARCH_MARGIN_M, true, CANDIDATES);
+        let next = &mut self.state.search_next;
+        let found = self.search.run(self.filter.observation(), &seen.table, CANDIDATES, next, effort, may_go_on);
         let best = if self.settings.refinement {
-            let refined = found.iter().filter_map(|candidate| {
-                let refined = self.refine_candidate(moment, seen, &candidate.pose)?;
-                Some((candidate.pose, refined.lines.fitting as f64 - refined.lines.expected as f64 * CONTRADICTED))
-            });
-            refined.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(pose, _)| pose)
+            let fits = found.iter().filter_map(|candidate| Some((candidate.pose, self.fit(moment, seen, candidate)?)));
+            fits.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(pose, _)| pose)
         } else {
             found.first().map(|candidate| candidate.pose)
         };
@@ -270,8 +257,15 @@ impl Localizer {
         let mirrored = pose.mirrored();
         let nearer = known.is_some_and(|known| mirrored.distance(&known) < pose.distance(&known));
         self.place(if nearer { mirrored } else { pose }, self.settings.initial);
-        self.state.confidence = Confidence::Unconfirmed(CONFIRMATIONS);
+        self.state.standing.unconfirmed(CONFIRMATIONS);
         self.state.ambiguous = true;
+    }
+
+    /// How much better than not at all the lines fit a candidate, in line places; those that the field does not have
+    /// count against it.
+    fn fit(&self, moment: &Moment, seen: &Seen, candidate: &Candidate) -> Option<f64> {
+        let Agreement { expected, fitting, .. } = self.refine_candidate(moment, seen, &candidate.pose)?.lines;
+        Some(fitting as f64 - expected as f64 * CONTRADICTED)
     }
 
     fn refine_candidate(&self, moment: &Moment, seen: &Seen, pose: &Pose2) -> Option<Refined> {
@@ -318,12 +312,12 @@ impl Localizer {
         }
         let agrees = agrees(&refined.lines);
         if agrees {
-            self.state.agreed_ns = Some(moment.stamp_ns);
+            self.state.standing.agreed(moment.stamp_ns);
         }
         if agrees && let Some(track) = &mut self.state.track {
             track.update(&prediction, &refined);
         }
-        if !agrees && !self.is_contradicted(&refined.lines) {
+        if !agrees && !is_contradicted(&refined.lines) {
             // Too little in view to move the pose.
             let mut fix = self.predicted(moment, estimate, support);
             fix.agreement = refined.lines;
@@ -336,6 +330,8 @@ impl Localizer {
             covariance: refined.covariance,
             refined: true,
             agreement: refined.lines,
+            explained: Explained::default(),
+            effort: Effort::default(),
             ambiguous: self.state.ambiguous,
             doubt: None,
         }
@@ -365,6 +361,8 @@ impl Localizer {
             covariance,
             refined: false,
             agreement: Agreement::default(),
+            explained: Explained::default(),
+            effort: Effort::default(),
             ambiguous: self.state.ambiguous,
             doubt: None,
         }
@@ -384,74 +382,10 @@ impl Localizer {
             let (xy_m, yaw_rad) = track.spread();
             let spread = Spread { xy_m: xy_m.max(spread.xy_m / 2.0), yaw_rad: yaw_rad.max(spread.yaw_rad / 2.0) };
             self.filter.restart(pose, spread);
-        } else if !fix.refined || self.is_contradicted(&fix.agreement) {
+        } else if !fix.refined || is_contradicted(&fix.agreement) {
             self.state.track = Some(track.moved_to(best, spread.xy_m, spread.yaw_rad));
         }
     }
-
-    fn agreed_lately(&self, moment: &Moment) -> bool {
-        self.state.agreed_ns.is_some_and(|then| moment.stamp_ns.saturating_sub(then) <= LONGEST_COAST_NS)
-    }
-
-    fn is_contradicted(&self, lines: &Agreement) -> bool {
-        lines.expected >= FEWEST_EXPECTED && lines.share() < CONTRADICTED
-    }
-
-    fn judge(&mut self, moment: &Moment, mut fix: Fix) -> Fix {
-        fix.doubt = self.complaint(moment, &fix);
-        let contradicted = matches!(fix.doubt, Some("lines_disagree" | "off_field"));
-        let confirms = !self.settings.refinement
-            || (fix.agreement.fitting >= FITTING_TO_CONFIRM && fix.agreement.share() >= SHARE_TO_CONFIRM);
-        if self.settings.refinement && longest_axis(&fix.covariance) > LOST_M {
-            self.state.confidence = Confidence::Nowhere;
-        }
-        self.state.confidence = match (self.state.confidence, fix.doubt) {
-            (Confidence::Tracking(bad), Some(_)) if contradicted => Confidence::Tracking(bad.saturating_add(1)),
-            (Confidence::Unconfirmed(_), Some(_)) if contradicted => Confidence::Nowhere,
-            (other, Some(_)) => other,
-            (Confidence::Unconfirmed(needed), None) if !confirms => Confidence::Unconfirmed(needed),
-            (Confidence::Unconfirmed(needed), None) if needed > 1 => Confidence::Unconfirmed(needed - 1),
-            (_, None) => Confidence::Tracking(0),
-        };
-        let confirmed = matches!(self.state.confidence, Confidence::Tracking(_));
-        fix.doubt = fix.doubt.or((!confirmed).then_some("unconfirmed"));
-        fix
-    }
-
-    fn complaint(&self, moment: &Moment, fix: &Fix) -> Option<&'static str> {
-        let Validity { share, points, spread_m, refined_m } = self.settings.valid;
-        let half = self.field.carpet_half_extent();
-        let at = fix.map_from_optical.translation;
-        let off_field = at.x.abs() > half.x + 1.0 || at.y.abs() > half.y + 1.0;
-        let held = |wanted: bool, complaint: &'static str| (!wanted).then_some(complaint);
-        held(self.state.confidence != Confidence::Nowhere, "pose_unknown")
-            .or_else(|| held(!moment.stale || self.settings.random_walk, "sensors_stale"))
-            .or_else(|| held(moment.odometry.is_some() || self.settings.random_walk, "no_odometry"))
-            .or_else(|| held(!fix.estimate.degenerate, "degenerate_weights"))
-            .or_else(|| held(!off_field, "off_field"))
-            .or_else(|| {
-                if !self.settings.refinement {
-                    return held(fix.support.weight >= points, "few_lines")
-                        .or_else(|| held(fix.support.share >= share, "lines_disagree"))
-                        .or_else(|| held(fix.estimate.spread_m <= spread_m, "spread"));
-                }
-                let sigma = longest_axis(&fix.covariance);
-                held(!self.is_contradicted(&fix.agreement), "lines_disagree")
-                    .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
-                    .or_else(|| held(sigma <= refined_m, "spread"))
-            })
-    }
-}
-
-/// Enough lines are where the pose has them.
-fn agrees(lines: &Agreement) -> bool {
-    lines.fitting >= FEWEST_FITTING && lines.share() > CONTRADICTED
-}
-
-/// Standard deviation of x, y along the longer axis.
-fn longest_axis(covariance: &Matrix6<f64>) -> f64 {
-    let (xx, xy, yy) = (covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]);
-    libm::sqrt((0.5 * (xx + yy) + libm::hypot(0.5 * (xx - yy), xy)).max(0.0))
 }
 
 /// Squared deviation from the prior per unknown, in its own units: 1 is expected.

@@ -42,6 +42,8 @@ pub struct Observation {
     /// Where the points lie that the kernel takes together.
     groups: Vec<Disc>,
     positions: Vec<DVec2>,
+    formula: Formula,
+    alpha: f64,
     /// Of the exponent, for a sum over points.
     scale: f64,
     /// What one point counts: how many times 10 cm of line it stands for.
@@ -115,18 +117,31 @@ impl Observation {
         let points = field.points(count);
         let length: f64 = points.iter().map(|point| point.length).sum();
         let per_point = length / points.len().max(1) as f64 / UNIT_M;
+        let positions = points.iter().map(|point| point.position).collect();
+        Self::of(positions, formula, alpha, per_point, kernel::available(path))
+    }
+
+    /// With every `step`-th point, each of which counts for as many.
+    pub fn sparse(&self, step: usize) -> Self {
+        let positions: Vec<DVec2> = self.positions.iter().copied().step_by(step.max(1)).collect();
+        let per_point = self.per_point * self.positions.len() as f64 / positions.len().max(1) as f64;
+        Self::of(positions, self.formula, self.alpha, per_point, self.path)
+    }
+
+    fn of(positions: Vec<DVec2>, formula: Formula, alpha: f64, per_point: f64, path: SimdPath) -> Self {
         let scale = match formula {
             Formula::Corrected => per_point / alpha,
             Formula::Paper => 1.0 / alpha,
         };
-        let positions: Vec<DVec2> = points.iter().map(|point| point.position).collect();
         Self {
             points: Points::new(positions.iter().copied()),
             groups: positions.chunks(kernel::LANES).map(Disc::around).collect(),
             positions,
+            formula,
+            alpha,
             scale,
             per_point,
-            path: kernel::available(path),
+            path,
         }
     }
 
@@ -135,8 +150,8 @@ impl Observation {
         self.points.len()
     }
 
-    /// Of many poses. Line points that no pose of a narrow cloud can see are left out: they would count as nothing.
-    pub fn log_likelihoods(&self, table: &GroundTable, poses: &[Pose2], scratch: &mut Points, result: &mut Vec<f64>) {
+    /// The line points that some of these poses may see: the others count as nothing.
+    pub fn look_near(&self, table: &GroundTable, poses: &[Pose2], near: &mut Points) {
         let cloud = Cloud::around(poses);
         let visible = |group: &Disc| {
             cloud.is_none_or(|Cloud { middle, xy_m, yaw_rad }| {
@@ -146,15 +161,17 @@ impl Observation {
             })
         };
         let groups = self.groups.iter().enumerate().filter(|(_, group)| visible(group));
-        scratch.select(&self.points, groups.map(|(index, _)| index));
-        let scale = table.readings().scale * self.scale;
-        result.clear();
-        result.extend(poses.iter().map(|pose| kernel::sum_levels(self.path, table, scratch, pose) * scale));
+        near.select(&self.points, groups.map(|(index, _)| index));
+    }
+
+    /// As [`Self::log_likelihood`], of one of the poses that [`Self::look_near`] was told of.
+    pub fn log_likelihood_near(&self, table: &GroundTable, pose: &Pose2, near: &Points) -> f64 {
+        kernel::sum_levels(self.path, table, near, pose) * (table.readings().scale * self.scale)
     }
 
     /// Up to a constant of the frame.
     pub fn log_likelihood(&self, table: &GroundTable, pose: &Pose2) -> f64 {
-        kernel::sum_levels(self.path, table, &self.points, pose) * table.readings().scale * self.scale
+        kernel::sum_levels(self.path, table, &self.points, pose) * (table.readings().scale * self.scale)
     }
 
     /// `lines` must hold [`Reading::Contrast`].

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::random::{Purpose, Stream};
-use crate::geometry::{Field, Pose2, wrap_angle};
+use crate::geometry::{Pose2, wrap_angle};
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Particles {
@@ -32,19 +32,6 @@ impl Particles {
         let mut particles = Self { poses: vec![pose; count], log_weights: vec![0.0; count] };
         particles.scatter(spread, seed, Purpose::Start, step, 0);
         particles
-    }
-
-    /// Evenly spread draws over the carpet, all directions.
-    pub fn over_field(field: &Field, count: usize, seed: u64, step: u64) -> Self {
-        let half = field.carpet_half_extent();
-        let poses = (0..count)
-            .map(|index| {
-                let mut draw = Stream::new(seed, Purpose::Start, step, 0, index as u32);
-                let mut within = |half: f64| (2.0 * draw.uniform() - 1.0) * half;
-                Pose2::new(within(half.x), within(half.y), within(core::f64::consts::PI))
-            })
-            .collect();
-        Self { poses, log_weights: vec![0.0; count] }
     }
 
     /// Adds normal noise to every pose, in its own frame.

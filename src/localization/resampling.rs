@@ -46,7 +46,7 @@ fn quantised(log_weights: &[f64]) -> Vec<u64> {
         .iter()
         .map(|value| {
             let value = clean(*value);
-            if value == highest { ONE as u64 } else { libm::round(ONE * libm::exp(value - highest)) as u64 }
+            if value == highest { ONE as u64 } else { (ONE * libm::exp(value - highest) + 0.5) as u64 }
         })
         .collect()
 }

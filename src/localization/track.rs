@@ -13,8 +13,8 @@ use super::refinement::{Prior, Refined};
 use crate::geometry::{Isometry, Pose2, wrap_angle};
 
 /// x, y, yaw of `base_footprint`; roll and pitch error of the torso's attitude; of the camera's mount; the camera's height
-/// error; relative error of odometry's distance and of its turn.
-const STATES: usize = 10;
+/// error; relative error of odometry's distance and of its turn; the gyro's bias.
+const STATES: usize = 11;
 const X: usize = 0;
 const Y: usize = 1;
 const YAW: usize = 2;
@@ -25,6 +25,7 @@ const MOUNT_PITCH: usize = 6;
 const HEIGHT: usize = 7;
 const DISTANCE: usize = 8;
 const TURN: usize = 9;
+const GYRO: usize = 10;
 
 type Covariance = SMatrix<f64, STATES, STATES>;
 type State = SVector<f64, STATES>;
@@ -37,12 +38,14 @@ pub struct TrackModel {
     /// Error of one frame's attitude: IMU noise and time error.
     pub tilt_noise_rad: f64,
     pub yaw_noise_rad: f64,
-    /// At the start: errors of the torso's attitude, of the mount, of the camera's height, of odometry's scales.
+    /// At the start: errors of the torso's attitude, of the mount, of the camera's height, of odometry's scales, of the
+    /// gyro.
     pub torso_tilt_rad: f64,
     pub mount_tilt_rad: f64,
     pub height_m: f64,
     pub distance_scale: f64,
     pub turn_scale: f64,
+    pub gyro_bias_rad_per_s: f64,
     /// Error of one step of odometry beyond its scale: share of the distance, radians per metre and share of the turn, and
     /// what is added with time.
     pub step_share: f64,
@@ -50,6 +53,9 @@ pub struct TrackModel {
     pub turn_rad_per_m: f64,
     pub drift_m_per_sqrt_s: f64,
     pub drift_rad_per_sqrt_s: f64,
+    /// Error of a turn by gyro beyond its bias: share of the turn, and what is added with time.
+    pub gyro_share: f64,
+    pub gyro_rad_per_sqrt_s: f64,
 }
 
 impl Default for TrackModel {
@@ -63,11 +69,14 @@ impl Default for TrackModel {
             height_m: 0.012,
             distance_scale: 0.15,
             turn_scale: 0.15,
+            gyro_bias_rad_per_s: 0.02,
             step_share: 0.1,
             turn_share: 0.05,
             turn_rad_per_m: 0.08,
             drift_m_per_sqrt_s: 0.005,
             drift_rad_per_sqrt_s: 0.006,
+            gyro_share: 0.01,
+            gyro_rad_per_sqrt_s: 0.002,
         }
     }
 }
@@ -76,8 +85,27 @@ impl Default for TrackModel {
 const TILT_WALK_RAD: f64 = 0.0005;
 const HEIGHT_WALK_M: f64 = 0.0005;
 const SCALE_WALK: f64 = 0.01;
+const GYRO_WALK: f64 = 0.001;
+/// Gyro and odometry farther apart than this, in the latter's standard deviations, contradict each other.
+const APART_SIGMAS: f64 = 4.0;
 /// Odometry off by more than this is broken, not scaled.
 const MOST_SCALE: f64 = 0.5;
+
+/// What the sensors say of the robot's step since the last frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// `footprint_then_from_footprint_now`, if odometry knows.
+    pub odometry: Option<Pose2>,
+    /// About the vertical, by gyro.
+    pub turned_rad: Option<f64>,
+    pub seconds: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Turn {
+    turn_rad: f64,
+    sigma_rad: f64,
+}
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Track {
@@ -123,6 +151,7 @@ impl Track {
             model.height_m,
             model.distance_scale,
             model.turn_scale,
+            model.gyro_bias_rad_per_s,
         ]);
         Self { mean, covariance: Covariance::from_diagonal(&sigmas.component_mul(&sigmas)) }
     }
@@ -151,30 +180,38 @@ impl Track {
         (libm::sqrt(largest.max(0.0)), libm::sqrt(c[(YAW, YAW)].max(0.0)))
     }
 
-    /// `step` as odometry has it; without odometry the robot may have walked as far as `reach_m` and turned by
-    /// `reach_rad`.
-    pub fn predict(&mut self, step: Option<Pose2>, seconds: f64, model: &TrackModel, reach_m: f64, reach_rad: f64) {
-        let seconds = seconds.max(0.0);
-        let step = step.map_or((Pose2::default(), reach_m, reach_rad), |step| {
-            let distance = libm::hypot(step.x, step.y);
-            let root = libm::sqrt(seconds);
-            let xy = libm::hypot(model.step_share * distance, model.drift_m_per_sqrt_s * root);
-            let turn = model.turn_share * step.yaw.abs() + model.turn_rad_per_m * distance;
-            (step, xy, libm::hypot(turn, model.drift_rad_per_sqrt_s * root))
-        });
-        let (step, xy, turn) = step;
+    /// Where the step has no odometry the robot may have walked as far as `reach_m` and turned by `reach_rad`.
+    pub fn predict(&mut self, step: &Step, model: &TrackModel, reach_m: f64, reach_rad: f64) {
+        let seconds = step.seconds.max(0.0);
+        let root = libm::sqrt(seconds);
+        let (walked, xy, by_odometry) = match step.odometry {
+            Some(walked) => {
+                let distance = libm::hypot(walked.x, walked.y);
+                let slip = model.turn_share * walked.yaw.abs() + model.turn_rad_per_m * distance;
+                let sigma_rad = libm::hypot(slip, model.drift_rad_per_sqrt_s * root);
+                let xy = libm::hypot(model.step_share * distance, model.drift_m_per_sqrt_s * root);
+                (walked, xy, Turn { turn_rad: (1.0 + self.mean[TURN]) * walked.yaw, sigma_rad })
+            }
+            None => (Pose2::default(), reach_m, Turn { turn_rad: 0.0, sigma_rad: reach_rad }),
+        };
+        let by_gyro = step.turned_rad.map(|turned| self.by_gyro(turned, seconds, &by_odometry, model));
+        let turn = by_gyro.unwrap_or(by_odometry);
+        let step = walked;
         let (sin, cos) = libm::sincos(self.mean[YAW]);
         let grown = 1.0 + self.mean[DISTANCE];
         let walked = (cos * step.x - sin * step.y, sin * step.x + cos * step.y);
         self.mean[X] += grown * walked.0;
         self.mean[Y] += grown * walked.1;
-        self.mean[YAW] = wrap_angle(self.mean[YAW] + (1.0 + self.mean[TURN]) * step.yaw);
+        self.mean[YAW] = wrap_angle(self.mean[YAW] + turn.turn_rad);
         let mut transition = Covariance::identity();
         transition[(X, YAW)] = -grown * walked.1;
         transition[(Y, YAW)] = grown * walked.0;
         transition[(X, DISTANCE)] = walked.0;
         transition[(Y, DISTANCE)] = walked.1;
-        transition[(YAW, TURN)] = step.yaw;
+        match by_gyro {
+            Some(_) => transition[(YAW, GYRO)] = -seconds,
+            None => transition[(YAW, TURN)] = step.yaw,
+        }
         self.covariance = transition * self.covariance * transition.transpose();
         let mut add = |index: usize, variance: f64, most: f64| {
             let grown = self.covariance[(index, index)] + variance;
@@ -183,7 +220,7 @@ impl Track {
         };
         add(X, xy * xy, f64::INFINITY);
         add(Y, xy * xy, f64::INFINITY);
-        add(YAW, turn * turn, f64::INFINITY);
+        add(YAW, turn.sigma_rad * turn.sigma_rad, f64::INFINITY);
         for index in [TORSO_ROLL, TORSO_PITCH] {
             add(index, TILT_WALK_RAD * TILT_WALK_RAD * seconds, model.torso_tilt_rad * model.torso_tilt_rad);
         }
@@ -193,6 +230,22 @@ impl Track {
         add(HEIGHT, HEIGHT_WALK_M * HEIGHT_WALK_M * seconds, model.height_m * model.height_m);
         add(DISTANCE, SCALE_WALK * SCALE_WALK * seconds, model.distance_scale * model.distance_scale);
         add(TURN, SCALE_WALK * SCALE_WALK * seconds, model.turn_scale * model.turn_scale);
+        add(GYRO, GYRO_WALK * GYRO_WALK * seconds, model.gyro_bias_rad_per_s * model.gyro_bias_rad_per_s);
+    }
+
+    /// What a gyro says, less its bias, radians.
+    pub fn turned(&self, turned_rad: f64, seconds: f64) -> f64 {
+        turned_rad - self.mean[GYRO] * seconds
+    }
+
+    /// A gyro knows better than feet that slip, unless the two speak of different robots: then either may be right.
+    fn by_gyro(&self, turned_rad: f64, seconds: f64, by_odometry: &Turn, model: &TrackModel) -> Turn {
+        let turn_rad = self.turned(turned_rad, seconds);
+        let apart = (turn_rad - by_odometry.turn_rad).abs();
+        let usual = APART_SIGMAS * by_odometry.sigma_rad + model.turn_scale * by_odometry.turn_rad.abs();
+        let doubt = if apart > usual { apart } else { 0.0 };
+        let own = libm::hypot(model.gyro_share * turn_rad, model.gyro_rad_per_sqrt_s * libm::sqrt(seconds));
+        Turn { turn_rad, sigma_rad: libm::hypot(own, doubt) }
     }
 
     /// Where the camera should be, `footprint_from_optical` being its place by IMU, joints and mount.

@@ -33,6 +33,9 @@ const RESET_NS: i64 = 1_000_000_000;
 /// Two samples farther apart than this are not connected by a straight line; the nearer one is taken.
 const BRIDGE_NS: i64 = 500_000_000;
 
+/// A rate is not integrated over gaps longer than this.
+const GAP_NS: i64 = 100_000_000;
+
 /// What became of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pushed {
@@ -143,6 +146,29 @@ impl<T: Interpolate> History<T> {
     }
 }
 
+impl History<f64> {
+    /// Integral of a rate over a stretch of time, in its unit times seconds; `None` where samples lie farther apart
+    /// than [`GAP_NS`], or where every one is exactly zero: nothing measures there.
+    pub fn integral(&self, from_ns: i64, to_ns: i64) -> Option<f64> {
+        let first = self.samples.partition_point(|(stamp, _)| *stamp <= from_ns).checked_sub(1)?;
+        let (mut sum, mut measured, mut reached) = (0.0, false, from_ns);
+        for ((t0, a), (t1, b)) in self.samples.range(first..).zip(self.samples.range(first + 1..)) {
+            if t1 - t0 > GAP_NS {
+                return None;
+            }
+            let until = (*t1).min(to_ns);
+            let middle = ((reached - t0) + (until - t0)) as f64 / (2 * (t1 - t0)) as f64;
+            sum += a.interpolate(b, middle) * (until - reached) as f64 * 1e-9;
+            measured |= *a != 0.0 || *b != 0.0;
+            reached = until;
+            if reached == to_ns {
+                return measured.then_some(sum);
+            }
+        }
+        None
+    }
+}
+
 impl Interpolate for Pose2 {
     fn interpolate(&self, other: &Self, fraction: f64) -> Self {
         Self {
@@ -192,6 +218,32 @@ impl Interpolate for f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_rate_is_integrated_between_any_two_times() {
+        // A rate that falls linearly: the trapezoids are exact.
+        let mut rates = History::default();
+        let rate = |t: f64| 3.0 - 4.0 * t;
+        for t in (0..=50).rev() {
+            rates.push(t * 10_000_000, rate(t as f64 * 0.01));
+        }
+        let exact = |t: f64| 3.0 * t - 2.0 * t * t;
+        for (from, to) in [(0.0, 0.5), (0.013, 0.4999), (0.2, 0.2031), (0.111, 0.112)] {
+            let found = rates.integral((from * 1e9) as i64, (to * 1e9) as i64).expect("known");
+            assert!((found - (exact(to) - exact(from))).abs() < 1e-12, "{from} to {to}");
+        }
+        assert_eq!(rates.integral(400_000_000, 510_000_000), None, "not known yet");
+        assert_eq!(rates.integral(-1, 100_000_000), None, "not known any more");
+        rates.push(700_000_000, 1.0);
+        assert_eq!(rates.integral(450_000_000, 650_000_000), None, "a gap");
+    }
+
+    #[test]
+    fn a_sensor_that_only_ever_says_zero_measures_nothing() {
+        let mut rates = History::default();
+        (0..10).for_each(|t| assert_eq!(rates.push(t * 10_000_000, 0.0), Pushed::Taken));
+        assert_eq!(rates.integral(5_000_000, 80_000_000), None);
+    }
 
     #[test]
     fn reads_between_samples_and_holds_outside() {

@@ -29,6 +29,8 @@ pub enum Input {
         stamp_ns: i64,
         frame_id: String,
         orientation: Option<DQuat>,
+        /// Radians per second about the axes of `frame_id`, if the sensor measures it.
+        turn_rate: Option<DVec3>,
     },
     Joints {
         stamp_ns: i64,
@@ -90,6 +92,7 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
             stamp_ns: imu.header.stamp.to_nanoseconds(),
             frame_id: imu.header.frame_id,
             orientation,
+            turn_rate: (imu.angular_velocity_covariance[0] != -1.0).then(|| vector(&imu.angular_velocity)),
         });
     }
     if is(&topics.joints, JointState::TYPE) {
@@ -158,8 +161,11 @@ pub fn quaternion(q: &Quaternion) -> DQuat {
 }
 
 fn transform(t: &Transform) -> Isometry {
-    let Vector3 { x, y, z } = t.translation;
-    Isometry::new(quaternion(&t.rotation), DVec3::new(x, y, z))
+    Isometry::new(quaternion(&t.rotation), vector(&t.translation))
+}
+
+fn vector(v: &Vector3) -> DVec3 {
+    DVec3::new(v.x, v.y, v.z)
 }
 
 pub fn isometry(position: &crate::ros2::messages::Point, orientation: &Quaternion) -> Isometry {

@@ -30,6 +30,8 @@ pub struct RobotAt {
     pub odometry_until_ns: Option<i64>,
     pub place: Result<CameraPlace, ChainError>,
     pub head: Option<Head>,
+    /// How far the robot has turned since the frame before by gyro, radians about the vertical, if that is known.
+    pub turned_rad: Option<f64>,
     /// The newest of what was measured is older than [`STALE_NS`].
     pub stale: bool,
     /// Announced since the last frame.
@@ -58,6 +60,9 @@ pub struct SynchroniserState {
     odometry: History<Pose2>,
     odometry_in_tf: History<Pose2>,
     attitude: History<DQuat>,
+    /// About the vertical, radians per second.
+    turn_rate: History<f64>,
+    last_frame_ns: Option<i64>,
     pan: History<f64>,
     tilt: History<f64>,
     initial_pose: Option<InitialPose>,
@@ -150,10 +155,16 @@ impl Synchroniser {
                 let pushed = self.state.odometry.push(stamp_ns, odom_from_footprint);
                 self.count(pushed);
             }
-            Input::Imu { stamp_ns, orientation: Some(orientation), frame_id } => {
+            Input::Imu { stamp_ns, orientation, turn_rate, frame_id } => {
                 let imu_from_base = self.state.tree.fixed_rotation(&frame_id, &self.names.base_link);
-                let pushed = self.state.attitude.push(stamp_ns, orientation * imu_from_base);
-                self.count(pushed);
+                // Without an attitude the torso is taken as upright.
+                let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
+                let turn = turn_rate.map(|rate| self.state.turn_rate.push(stamp_ns, (upright * rate).z));
+                let tilt = orientation.map(|orientation| self.state.attitude.push(stamp_ns, orientation * imu_from_base));
+                // One message, whatever it holds.
+                if let Some(pushed) = tilt.or(turn) {
+                    self.count(pushed);
+                }
             }
             Input::Joints { stamp_ns, pan, tilt } => {
                 let pan = pan.map(|pan| self.state.pan.push(stamp_ns, pan));
@@ -169,7 +180,7 @@ impl Synchroniser {
                     self.state.initial_pose = Some(InitialPose { map_from_footprint, xy_m, yaw_rad });
                 }
             }
-            Input::Imu { orientation: None, .. } | Input::CameraInfo(_) | Input::Other => {}
+            Input::CameraInfo(_) | Input::Other => {}
         }
     }
 
@@ -194,6 +205,7 @@ impl Synchroniser {
     /// What is known about the robot at a time; takes the initial pose that was announced since the last call.
     fn robot_at(&mut self, stamp_ns: i64) -> RobotAt {
         let initial_pose = self.state.initial_pose.take();
+        let last_frame_ns = self.state.last_frame_ns.replace(stamp_ns);
         let state = &self.state;
         let odometry = state.odometry();
         let attitude = state.attitude.at(stamp_ns);
@@ -216,6 +228,7 @@ impl Synchroniser {
             odometry_until_ns: odometry.until(stamp_ns),
             place,
             head,
+            turned_rad: last_frame_ns.and_then(|last_ns| state.turn_rate.integral(last_ns, stamp_ns)),
             stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
             initial_pose,
         }

@@ -10,6 +10,7 @@ use glam::DVec2;
 
 use super::WorkingScale;
 use super::carpet::Surface;
+use super::vectorised::vectorised;
 use crate::geometry::{Isometry, Projector};
 
 /// A convex polygon on the ground of `base_footprint`, counter-clockwise.
@@ -80,8 +81,19 @@ impl CarpetBorder {
         &self.corners
     }
 
-    pub fn holds(&self, ground: DVec2) -> bool {
-        self.edges().all(|(a, b)| (b - a).perp_dot(ground - a) >= 0.0)
+    /// Of each place whether it lies inside; one that is no number does not.
+    pub fn holds(&self, ground: &[DVec2], inside: &mut Vec<bool>) {
+        inside.clear();
+        inside.extend(ground.iter().map(|at| !at.is_nan()));
+        vectorised(|| {
+            for (a, b) in self.edges() {
+                let along = b - a;
+                // As perp_dot of the edge and the way from its start.
+                for (inside, at) in inside.iter_mut().zip(ground) {
+                    *inside &= along.x * (at.y - a.y) - along.y * (at.x - a.x) >= 0.0;
+                }
+            }
+        });
     }
 
     /// The part of the line y = `y` inside the polygon, as an interval of x.
@@ -156,7 +168,9 @@ mod tests {
         let square = vec![DVec2::new(1.0, 1.0), DVec2::new(-1.0, 1.0), DVec2::new(-1.0, -1.0), DVec2::new(1.0, -1.0)];
         let border = CarpetBorder { corners: convex_hull(square) };
         assert_eq!(border.corners().len(), 4);
-        assert!(border.holds(DVec2::new(0.9, -0.9)) && !border.holds(DVec2::new(1.1, 0.0)));
+        let mut inside = Vec::new();
+        border.holds(&[DVec2::new(0.9, -0.9), DVec2::new(1.1, 0.0), DVec2::NAN], &mut inside);
+        assert_eq!(inside, [true, false, false]);
         assert_eq!(border.row(0.5), Some((-1.0, 1.0)));
         assert_eq!(border.row(1.5), None);
     }

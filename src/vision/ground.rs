@@ -12,7 +12,7 @@ use super::vectorised::vectorised;
 use super::{Reading, VisionSettings, WorkingScale, distance};
 
 /// Cells along each side of the table.
-pub const SIDE: usize = 400;
+pub const SIDE: usize = 320;
 
 /// Levels of a packed cell that say "nothing known": neither for nor against a line.
 pub const NEUTRAL: u8 = 64;
@@ -121,6 +121,11 @@ fn nearest_pixel(image: &LineContrast, full: f32) -> Vec<i16> {
 const SHARES: Readings = Readings { scale: 1.0 / (255 - NEUTRAL) as f64, zero: NEUTRAL };
 const PLAIN: Readings = Readings { scale: 1.0, zero: 0 };
 
+/// Lines are wider than this many cells.
+const CLEAR_STEP: usize = 2;
+/// Places that the tilt's error moves far do not tell on which line they lie.
+const LEAST_CLEAR: u32 = 96;
+
 impl GroundTable {
     /// A table from SIDE x SIDE levels, `NEUTRAL` meaning nothing known; everything counts as seen.
     #[cfg(test)]
@@ -172,9 +177,65 @@ impl GroundTable {
         if inside { f64::from(self.seen[v as usize * SIDE + u as usize]) / 255.0 } else { 0.0 }
     }
 
+    /// The same with every line (or whatever reads highest) wider by `by_m` on each side.
+    pub fn widen(&self, by_m: f64, widened: &mut Self) {
+        let reach = (libm::round(by_m / self.cell_m) as usize).clamp(1, SIDE / 4);
+        let mut levels: Vec<u8> = self.quads.iter().map(|quad| (quad & 255) as u8).collect();
+        let mut along = levels.clone();
+        vectorised(|| {
+            for (source, target) in levels.chunks_exact(SIDE).zip(along.chunks_exact_mut(SIDE)) {
+                for step in 1..=reach {
+                    raise(&mut target[step..], &source[..SIDE - step]);
+                    raise(&mut target[..SIDE - step], &source[step..]);
+                }
+            }
+            levels.copy_from_slice(&along);
+            for step in (1..=reach).map(|rows| rows * SIDE) {
+                raise(&mut levels[step..], &along[..SIDE * SIDE - step]);
+                raise(&mut levels[..SIDE * SIDE - step], &along[step..]);
+            }
+        });
+        widened.seen.clone_from(&self.seen);
+        widened.spans.clear();
+        widened.spans.resize(BLOCKS, [0, SIDE as u16]);
+        widened.pack(&levels, self.cell_m, self.readings);
+    }
+
+    /// Places (ground of `base_footprint`) that show a line clearly, each with how certain it is, 0 to 1. Of line contrast,
+    /// every [`CLEAR_STEP`]-th cell of each row and column.
+    pub fn clear_lines(&self) -> impl Iterator<Item = (DVec2, f64)> + '_ {
+        let (scale, offset) = self.to_cells();
+        let rows = (0..SIDE).step_by(CLEAR_STEP);
+        rows.flat_map(move |row| {
+            let [from, to] = self.spans[row / BLOCK].map(usize::from);
+            let y = (row as f64 - offset) / scale;
+            (from..to).step_by(CLEAR_STEP).filter_map(move |column| {
+                let cell = row * SIDE + column;
+                let (level, seen) = (self.quads[cell] & 255, u32::from(self.seen[cell]));
+                // The level is drawn towards neutral as far as the place does not count.
+                let shows = seen >= LEAST_CLEAR && level >= NEUTRAL.into() && (level - u32::from(NEUTRAL)) * 255 >= 64 * seen;
+                shows.then(|| (DVec2::new((column as f64 - offset) / scale, y), f64::from(seen) / 255.0))
+            })
+        })
+    }
+
+    /// Square metres that each of [`Self::clear_lines`] stands for.
+    pub fn clear_line_m2(&self) -> f64 {
+        let side = CLEAR_STEP as f64 * self.cell_m;
+        side * side
+    }
+
     /// The unpacked level of a cell, for pictures and tests.
     pub fn level(&self, column: usize, row: usize) -> u8 {
         (self.quads[row * SIDE + column] & 255) as u8
+    }
+}
+
+/// Each value to the other's, if that is higher.
+#[inline(always)]
+fn raise(values: &mut [u8], others: &[u8]) {
+    for (value, other) in values.iter_mut().zip(others) {
+        *value = (*value).max(*other);
     }
 }
 

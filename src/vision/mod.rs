@@ -55,7 +55,8 @@ pub struct Seen {
     pub image: LineImage,
     contrast: LineContrast,
     making: ground::Making,
-    floor: Vec<Option<DVec2>>,
+    /// NaN where no floor is.
+    floor: Vec<DVec2>,
     on_carpet: Vec<bool>,
 }
 
@@ -152,9 +153,13 @@ impl Vision {
             let rays = &self.border_rays;
             CarpetBorder::find(rays, surfaces, contrast.width, &self.projector, footprint_from_optical, scale)
         });
-        on_carpet.clear();
-        let inside = |at: &Option<DVec2>| at.is_some_and(|at| border.as_ref().is_none_or(|border| border.holds(at)));
-        on_carpet.extend(floor.iter().map(inside));
+        match &border {
+            Some(border) => border.holds(floor, on_carpet),
+            None => {
+                on_carpet.clear();
+                on_carpet.extend(floor.iter().map(|at| !at.is_nan()));
+            }
+        }
         contrast.finish(surfaces, on_carpet);
         let range_m = self.range_m(footprint_from_optical);
         making.map().fill(&self.projector, footprint_from_optical, range_m, border.as_ref());
@@ -175,27 +180,30 @@ impl Vision {
     }
 
     /// Where the ray of each coarse cell meets the floor.
-    fn find_floor(&self, footprint_from_optical: &Isometry, floor: &mut Vec<Option<DVec2>>) {
+    fn find_floor(&self, footprint_from_optical: &Isometry, floor: &mut Vec<DVec2>) {
         let camera = footprint_from_optical.translation;
         let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| footprint_from_optical.transform_vector(axis));
         floor.clear();
         floor.extend(self.coarse_rays.iter().map(|ray| {
-            let ray = (*ray)?;
+            let Some(ray) = *ray else { return DVec2::NAN };
             let ray = x * ray.x + y * ray.y + z * ray.z;
             let reach = -camera.z / ray.z;
-            (reach > 0.0 && reach.is_finite()).then(|| (camera + ray * reach).truncate())
+            if reach > 0.0 && reach.is_finite() { (camera + ray * reach).truncate() } else { DVec2::NAN }
         }));
     }
 
-    fn learn_carpet(&self, working: &Picture, contrast: &LineContrast, floor: &[Option<DVec2>]) -> Option<Carpet> {
+    fn learn_carpet(&self, working: &Picture, contrast: &LineContrast, floor: &[DVec2]) -> Option<Carpet> {
         if working.chroma.is_empty() || contrast.width == 0 {
             return None;
         }
         let centres = contrast::coarse_centres(working.width, working.height);
         let stride = working.width.div_ceil(2);
         Carpet::learn(centres.zip(floor).filter_map(|(centre, floor)| {
-            (*floor)?;
-            floor.filter(|at| at.length_squared() < LEARN_WITHIN_M * LEARN_WITHIN_M)?;
+            // NaN fails.
+            let near = floor.length_squared() < LEARN_WITHIN_M * LEARN_WITHIN_M;
+            if !near {
+                return None;
+            }
             let (u, v) = (centre.x as usize / 2, centre.y as usize / 2);
             let chroma = [&working.chroma.blue, &working.chroma.red].map(|c| f32::from(c[v * stride + u]) - 128.0);
             Some(carpet::Sample::new(f32::from(contrast.half[v * contrast.width + u]) * 0.25, chroma))

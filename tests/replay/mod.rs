@@ -1,6 +1,7 @@
 //! The program from end to end: logs in, captures out, as a user runs it.
 
 mod broken;
+mod budget;
 mod capture;
 mod chains;
 mod channels;
@@ -8,6 +9,7 @@ mod cost;
 mod delays;
 mod determinism;
 mod export;
+mod hard;
 mod independent;
 mod interrupted;
 mod losses;

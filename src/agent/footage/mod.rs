@@ -5,6 +5,7 @@ mod keeper;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use super::budget::{Budget, Decisions};
 use super::error::ReplayError;
 use super::opened::{self, OpenLog};
 use super::replay::Progress;
@@ -149,6 +150,7 @@ impl Footage {
         let eyes = Eyes::new(settings, &self.lens, self.field.line_width())?;
         let mut tracking = self.start.tagger(settings, &self.field, &self.lens);
         let mut seen = Seen::default();
+        let mut budget = Budget::new(settings.filter.budget_ms, Decisions::new());
         let mut attempts = Vec::with_capacity(self.shots.len());
         for (index, shot) in self.shots.iter().enumerate() {
             if self.apart {
@@ -156,7 +158,7 @@ impl Footage {
                 own.filter.seed = settings.filter.seed.wrapping_add(index as u64);
                 tracking = self.start.tagger(&own, &self.field, &self.lens);
             }
-            attempts.push(shot.tag(&eyes, &mut tracking, &mut seen));
+            attempts.push(shot.tag(&eyes, &mut tracking, &mut budget, &mut seen));
             progress(index + 1);
         }
         Ok(attempts)
@@ -185,13 +187,17 @@ impl Shot {
     }
 
     /// `seen` is only room to work in.
-    fn tag(&self, eyes: &Eyes, tagger: &mut Tagger, seen: &mut Seen) -> Attempt {
+    fn tag(&self, eyes: &Eyes, tagger: &mut Tagger, budget: &mut Budget, seen: &mut Seen) -> Attempt {
         let Self { stamp_ns, robot, picture } = self;
         let start = Instant::now();
         let (mut tag, is_seen) = match (picture, &robot.place) {
             (Ok(picture), Ok(place)) => {
                 eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), seen);
-                (tagger.tag(*stamp_ns, robot, seen), true)
+                let looked_ms = start.elapsed().as_secs_f64() * 1e3;
+                let mut allowance = budget.frame(*stamp_ns, looked_ms);
+                let tag = tagger.tag(*stamp_ns, robot, seen, &mut |weighed| allowance.may_go_on(weighed));
+                budget.learn(&allowance);
+                (tag, true)
             }
             (Err(unseen), _) => (tagger.tag_blind(*stamp_ns, robot, unseen.reason()), false),
             (_, Err(_)) => (tagger.tag_blind(*stamp_ns, robot, NotSeen::NoPlace.reason()), false),

@@ -16,7 +16,7 @@ pub fn write(report: &Report, configured: &Settings) -> anyhow::Result<()> {
     Ok(())
 }
 
-const COLUMNS: &str = "model,particles,iterations,line_points,image_reduction,refinement,p50_ms,p99_ms,mean_cm,median_cm,\
+const COLUMNS: &str = "model,particles,iterations,adaptive,line_points,image_reduction,refinement,p50_ms,p99_ms,mean_cm,median_cm,\
                        p95_cm,max_cm,scatter_cm,yaw_mean_deg,valid_share,tags_judged,evasive,on_front,recommended,configured\n";
 
 /// Rows that could not be judged have empty errors.
@@ -30,10 +30,11 @@ fn csv(report: &Report) -> String {
             ",,,,,".to_owned()
         };
         text.push_str(&format!(
-            "{},{},{},{},{},{},{p50_ms:.4},{p99_ms:.4},{errors},{valid_share:.4},{judged},{evasive},{},{},{}\n",
+            "{},{},{},{},{},{},{},{p50_ms:.4},{p99_ms:.4},{errors},{valid_share:.4},{judged},{evasive},{},{},{}\n",
             model_name(knobs.model),
             knobs.particles,
             knobs.iterations,
+            knobs.adaptive,
             knobs.line_points,
             knobs.image_reduction,
             knobs.refinement,
@@ -67,10 +68,11 @@ fn fragment(report: &Report, configured: &Settings) -> anyhow::Result<String> {
 }
 
 /// Stated even where they are the defaults: they are the answer.
-const KNOBS: [&str; 6] = [
+const KNOBS: [&str; 7] = [
     "filter.model",
     "filter.particles",
     "filter.iterations",
+    "filter.adaptive",
     "filter.line_points",
     "filter.image_reduction",
     "filter.refinement",

@@ -168,7 +168,7 @@ impl Report {
             sign(line.configured, '='),
             sign(*evasive, '-'),
             model_name(knobs.model),
-            knobs.particles,
+            particles(knobs),
             knobs.iterations,
             knobs.line_points,
             self.image(knobs),
@@ -223,7 +223,7 @@ impl Report {
                 "| {} | {} | {} x {} | {} | {} | {} | {p50_ms:.2} | {p99_ms:.2} | {:.2} | {:.2} | {:.1} % |\n",
                 what.join(", "),
                 model_name(knobs.model),
-                knobs.particles,
+                particles(knobs),
                 knobs.iterations,
                 knobs.line_points,
                 self.image(knobs),
@@ -248,4 +248,9 @@ pub fn model_name(model: Model) -> &'static str {
         Model::Gauss => "gauss",
         Model::Distance => "distance",
     }
+}
+
+/// With a sign where it is the most.
+fn particles(knobs: &Knobs) -> String {
+    format!("{}{}", if knobs.adaptive { "\u{2264}" } else { "" }, knobs.particles)
 }

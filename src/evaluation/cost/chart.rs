@@ -70,7 +70,8 @@ pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Wish, title: &str) ->
 /// What colour and mark do not say.
 fn words(row: &Row) -> String {
     let knobs = &row.knobs;
-    let mut words = format!("{} \u{d7} {}", knobs.particles, knobs.iterations);
+    let most = if knobs.adaptive { "\u{2264} " } else { "" };
+    let mut words = format!("{most}{} \u{d7} {}", knobs.particles, knobs.iterations);
     if knobs.line_points != 350 {
         words.push_str(&format!(", {} points", knobs.line_points));
     }

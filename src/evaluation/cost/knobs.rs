@@ -12,6 +12,8 @@ pub struct Knobs {
     pub model: Model,
     pub particles: usize,
     pub iterations: usize,
+    /// Particles and iterations are the most.
+    pub adaptive: bool,
     pub line_points: usize,
     /// As in the config: 0 is automatic.
     pub image_reduction: usize,
@@ -25,6 +27,7 @@ impl Knobs {
             model: f.model,
             particles: f.particles,
             iterations: f.iterations,
+            adaptive: f.adaptive,
             line_points: f.line_points,
             image_reduction: f.image_reduction,
             refinement: f.refinement,
@@ -38,6 +41,7 @@ impl Knobs {
         f.model = self.model;
         f.particles = self.particles;
         f.iterations = self.iterations;
+        f.adaptive = self.adaptive;
         f.line_points = self.line_points;
         f.image_reduction = self.image_reduction;
         f.refinement = self.refinement;
@@ -52,7 +56,8 @@ impl fmt::Display for Knobs {
             Model::Gauss => "gauss",
             Model::Distance => "distance",
         };
-        write!(formatter, "{model}, {} particles x {}, {} points", self.particles, self.iterations, self.line_points)?;
+        let up_to = if self.adaptive { "up to " } else { "" };
+        write!(formatter, "{model}, {up_to}{} particles x {}, {} points", self.particles, self.iterations, self.line_points)?;
         if self.image_reduction > 0 {
             write!(formatter, ", image 1/{}", self.image_reduction)?;
         }
@@ -66,7 +71,8 @@ const COARSEST: usize = 8;
 /// The configured settings first, then about forty others: the number of particles through its whole range, every other
 /// knob at a few places, and some settings that save everywhere. `automatic` is the reduction that the lens gets by itself.
 pub fn plan(configured: Knobs, automatic: usize) -> Vec<Knobs> {
-    let base = Knobs { model: Model::Gauss, particles: 200, iterations: 5, line_points: 350, ..configured };
+    let base =
+        Knobs { model: Model::Gauss, particles: 200, iterations: 5, adaptive: false, line_points: 350, ..configured };
     let refined = Knobs { refinement: true, ..base };
     let plain = Knobs { refinement: false, particles: 800, ..base };
     let distance = |knobs: Knobs| Knobs { model: Model::Distance, ..knobs };
@@ -75,6 +81,8 @@ pub fn plan(configured: Knobs, automatic: usize) -> Vec<Knobs> {
 
     let mut rows = vec![configured];
     rows.extend([25, 50, 100, 200, 400, 800, 1600].map(|particles| Knobs { particles, ..refined }));
+    let adaptive = Knobs { particles: 800, adaptive: true, ..refined };
+    rows.extend([adaptive, Knobs { line_points: 200, ..adaptive }, Knobs { refinement: false, ..adaptive }]);
     rows.extend([50, 100, 200, 400, 800, 1600, 3200].map(|particles| Knobs { particles, ..plain }));
     rows.extend([100, 400, 800].map(|particles| distance(Knobs { particles, ..refined })));
     rows.extend([200, 800].map(|particles| distance(Knobs { particles, ..plain })));
@@ -104,6 +112,7 @@ pub fn reference(configured: Knobs) -> Knobs {
         model: Model::Gauss,
         particles: 4000,
         iterations: 10,
+        adaptive: false,
         line_points: 700,
         image_reduction: configured.image_reduction,
         refinement: true,
@@ -123,7 +132,7 @@ mod tests {
                 let configured = Knobs::of(&settings);
                 let rows = plan(configured, automatic);
                 assert_eq!(rows[0], configured);
-                assert!((32..=45).contains(&rows.len()), "{}", rows.len());
+                assert!((32..=48).contains(&rows.len()), "{}", rows.len());
                 for (index, row) in rows.iter().enumerate() {
                     assert!(!rows[..index].contains(row), "{row}");
                     let set = row.set(&settings, 3);

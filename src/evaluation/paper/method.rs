@@ -84,6 +84,7 @@ impl Method {
         f.alpha = self.alpha;
         f.refinement = self.refinement;
         f.particles = particles;
+        f.adaptive = false;
         if self.formula == Formula::Paper {
             // The paper has no rules of validity; with them a filter that is lost would be set back onto its way.
             f.valid_share = 0.0;

@@ -58,8 +58,10 @@ impl Agreement {
     }
 }
 
-/// Scale of the robust loss, in standard deviations of one measurement, from the first round of measuring to the last.
-const SCALES: [f64; 2] = [12.0, 4.0];
+/// Scale of the robust loss, in standard deviations of one measurement, from the first round of measuring to the last. The
+/// first is for a prior whose tilt is wider than [`WIDE_RAD`]: lines lie far from where it puts them.
+const SCALES: [f64; 3] = [60.0, 12.0, 4.0];
+const WIDE_RAD: f64 = 0.02;
 
 /// Refines from each start (error vectors relative to the prior's pose); the best result counts.
 pub fn refine(
@@ -87,19 +89,22 @@ fn from_start(
     let mut covariance = prior.covariance;
     let mut last: Option<(Counts, solve::Solution)> = None;
     let mut noise = solve::Noise::USUAL;
-    for scale in SCALES {
+    let wide = prior.covariance[(3, 3)].max(prior.covariance[(4, 4)]) > WIDE_RAD * WIDE_RAD;
+    for scale in &SCALES[usize::from(!wide)..] {
         let pose = moved_pose(&prior.map_from_optical, &moved);
         let counts = offsets::measure(points, image, projector, &pose, &covariance, &mut sights);
-        let solution = solve::solve(prior, &sights, &moved, scale, noise)?;
+        let solution = solve::solve(prior, &sights, &moved, *scale, noise)?;
         moved = solution.moved;
         // The next round looks as far as this one leaves open, but never trusts it fully.
         covariance = solution.covariance * 4.0;
-        noise = solution.residuals.noise();
+        // A prior that is off makes whole lines look off: what they share widens the covariance, and is no reason to
+        // believe the prior instead.
+        noise = solve::Noise { correlated: noise.correlated, ..solution.residuals.noise() };
         last = Some((counts, solution));
     }
     let (counts, solution) = last?;
     let [.., scale] = SCALES;
-    let covariance = solve::covariance(prior, &sights, &moved, scale, noise)?;
+    let covariance = solve::covariance(prior, &sights, &moved, scale, solution.residuals.noise())?;
     Some(Refined {
         map_from_optical: moved_pose(&prior.map_from_optical, &solution.moved),
         covariance,

@@ -20,6 +20,8 @@ pub struct Sight {
     pub sigmas: f64,
     /// Across the line.
     pub pixels_per_rad: f64,
+    /// Which of the field's lines it is.
+    pub line: usize,
     /// The sight before is the neighbour along the same line.
     pub follows: bool,
 }
@@ -72,7 +74,7 @@ pub fn measure(
         libm::sqrt(projector.lens().focal() * points.line_width_m * image.scale().factor() / THINNEST_PX * height)
             * 2.0;
     let farthest = farthest.max(farthest * farthest / (4.0 * height)).max(1.0);
-    for stroke in &points.strokes {
+    for (line, stroke) in points.strokes.iter().enumerate() {
         let mut last = DVec2::INFINITY;
         let mut follows = false;
         for point in stroke {
@@ -103,7 +105,7 @@ pub fn measure(
                 }
                 Outcome::Found(offset_px) => {
                     counts.expected += 1;
-                    sights.push(expected.sight(point, offset_px, follows));
+                    sights.push(expected.sight(line, point, offset_px, follows));
                     follows = true;
                 }
             }
@@ -177,13 +179,14 @@ impl Expected {
         (REACH_SIGMAS * sigma * self.pixels_per_rad()).clamp(LEAST_REACH_PX, MOST_REACH_PX)
     }
 
-    fn sight(&self, point: &LinePoint, offset_px: f64, follows: bool) -> Sight {
+    fn sight(&self, line: usize, point: &LinePoint, offset_px: f64, follows: bool) -> Sight {
         Sight {
             ray: (self.ray + self.across * (offset_px / self.width_px)).normalize(),
             point: point.position.extend(0.0),
             tangent: DVec3::new(-point.normal.y, point.normal.x, 0.0),
             sigmas: libm::hypot(1.0, self.width_px / WIDE_PX),
             pixels_per_rad: self.pixels_per_rad(),
+            line,
             follows,
         }
     }

@@ -35,6 +35,8 @@ pub(super) struct Residuals {
     /// Pairs of neighbours along a line, and the sum of their products.
     pairs: usize,
     products_px: f64,
+    /// Of each line's deviations, added up: the sum of the squares of these sums.
+    line_sums_px: f64,
 }
 
 const ITERATIONS: usize = 6;
@@ -49,7 +51,9 @@ const USUAL_CORRELATED: f64 = 3.0;
 const USUAL_COUNTS: f64 = 10.0;
 const LEAST_SIGMA_PX: f64 = 0.06;
 /// What different lines share (lens, light) does not show between neighbours.
-const SHARED: f64 = 2.4;
+const SHARED: f64 = 2.0;
+/// A line that is off as a whole counts as one measurement, and for what lines share: of the square of its sum.
+const WHOLE_LINES: f64 = 1.5;
 const MOST_CORRELATION: f64 = 0.85;
 /// What a line that should be seen and is not costs, as much as one far off.
 pub(super) const MISS_COST: f64 = 0.5;
@@ -125,7 +129,8 @@ impl Residuals {
         // Errors that fade like an autoregressive process along the line: of n, n (1 - rho) / (1 + rho) are independent.
         let rho = (products / variance.max(1e-12)).clamp(0.0, MOST_CORRELATION);
         let weight = self.pairs as f64 / (self.pairs as f64 + USUAL_COUNTS);
-        let correlated = weight * SHARED * (1.0 + rho) / (1.0 - rho) + (1.0 - weight) * USUAL_CORRELATED;
+        let whole = self.line_sums_px / self.squared_px.max(1e-12);
+        let correlated = weight * (WHOLE_LINES * whole).max(SHARED * (1.0 + rho) / (1.0 - rho)) + (1.0 - weight) * USUAL_CORRELATED;
         Noise { sigma_px: libm::sqrt(squared).max(LEAST_SIGMA_PX), correlated }
     }
 }
@@ -151,6 +156,7 @@ impl Linearised {
         // Correlated neighbours share one vote.
         let vote = 1.0 / noise.correlated;
         let mut last_px = None;
+        let (mut line, mut line_sum_px) = (usize::MAX, 0.0);
         for sight in sights {
             let Some((residual, gradient)) = sight.residual(&pose.rotation, pose.translation) else { continue };
             let sigma_rad = noise.sigma_px * sight.sigmas / sight.pixels_per_rad;
@@ -160,6 +166,11 @@ impl Linearised {
             cost += vote * 0.5 * deviation * deviation * robust;
             if deviation.abs() < FITTING {
                 let off_px = deviation * noise.sigma_px;
+                if sight.line != line {
+                    residuals.line_sums_px += line_sum_px * line_sum_px;
+                    (line, line_sum_px) = (sight.line, 0.0);
+                }
+                line_sum_px += off_px;
                 residuals.fitting += 1;
                 residuals.squared_px += off_px * off_px;
                 if let Some(last_px) = last_px.filter(|_| sight.follows) {
@@ -179,6 +190,7 @@ impl Linearised {
             }
             triangle.push(row, -weight * residual);
         }
+        residuals.line_sums_px += line_sum_px * line_sum_px;
         Self { triangle, cost, residuals }
     }
 

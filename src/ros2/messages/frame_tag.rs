@@ -33,6 +33,8 @@ wire_struct! {
         pub elapsed_ms: f64,
         /// Whether time ran out before the last iteration.
         pub capped: bool,
+        pub weighed: u32,
+        pub stopped_at: u32,
         pub effective_sample_size: f64,
         /// Log mean weight of the last iteration, per point.
         pub evidence: f64,
@@ -56,6 +58,7 @@ wire_struct! {
         pub lines_fitting: u32,
         /// Root of the mean squared distance between these and the refined pose's lines, pixels.
         pub lines_rms_px: f64,
+        pub lines_explained: f64,
         /// `camera_link` in `map`.
         pub pose: PoseWithCovariance,
         /// Of `pose`, radians, R = Rz(yaw) Ry(pitch) Rx(roll).

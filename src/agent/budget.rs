@@ -1,0 +1,118 @@
+//! How long a frame may take. A frame that runs out of time weighs fewer poses; where it stopped is stored with its tag,
+//! so that a replay stops at the same place on any machine.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+/// By a frame's exposure: after how many poses the clock stopped it, if it did.
+pub type Decisions = BTreeMap<i64, Option<u32>>;
+
+#[derive(Clone, Debug, Default)]
+pub struct Budget {
+    limit: Option<Duration>,
+    /// Of the agent that recorded what is replayed.
+    decided: Decisions,
+    /// What still has to be done when the last pose has been weighed: refinement, above all.
+    reserve: Duration,
+}
+
+/// One frame's part of the budget.
+#[derive(Clone, Debug)]
+pub struct Allowance {
+    until: Until,
+    stopped_at: Option<u32>,
+    last_asked: Instant,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Until {
+    Forever,
+    Time(Instant),
+    Weighed(u32),
+}
+
+/// Of what the rest of a frame took at most, so much is forgotten with each frame: half in five seconds at 10 Hz.
+const FORGET: f64 = 0.986;
+
+impl Budget {
+    /// Milliseconds from the decoded image to the tag; 0 is no limit. What `decided` knows of a frame holds, else the
+    /// clock.
+    pub fn new(limit_ms: f64, decided: Decisions) -> Self {
+        let limit = (limit_ms > 0.0).then(|| Duration::from_secs_f64(limit_ms * 1e-3));
+        Self { limit, decided, reserve: Duration::ZERO }
+    }
+
+    /// A frame of which `looked_ms` have been spent.
+    pub fn frame(&mut self, stamp_ns: i64, looked_ms: f64) -> Allowance {
+        let now = Instant::now();
+        let until = match (self.limit, self.decided.remove(&stamp_ns)) {
+            (None, _) | (_, Some(None)) => Until::Forever,
+            (_, Some(Some(weighed))) => Until::Weighed(weighed),
+            (Some(limit), None) => {
+                let looked = Duration::from_secs_f64(looked_ms.max(0.0) * 1e-3);
+                Until::Time(now + limit.saturating_sub(looked + self.reserve))
+            }
+        };
+        Allowance { until, stopped_at: None, last_asked: now }
+    }
+
+    /// The frame is done.
+    pub fn learn(&mut self, allowance: &Allowance) {
+        self.reserve = self.reserve.mul_f64(FORGET).max(allowance.last_asked.elapsed());
+    }
+}
+
+impl Allowance {
+    pub fn may_go_on(&mut self, weighed: u32) -> bool {
+        if self.stopped_at.is_some() {
+            return false;
+        }
+        let go_on = match self.until {
+            Until::Forever => true,
+            Until::Time(deadline) => {
+                self.last_asked = Instant::now();
+                self.last_asked < deadline
+            }
+            Until::Weighed(stop) => weighed < stop,
+        };
+        self.stopped_at = (!go_on).then_some(weighed);
+        go_on
+    }
+
+    /// After how many poses the frame was stopped.
+    pub fn stopped_at(&self) -> Option<u32> {
+        self.stopped_at
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_a_limit_nothing_is_stopped() {
+        let mut allowance = Budget::new(0.0, Decisions::from([(7, Some(64))])).frame(7, 1e9);
+        assert!((0..100).all(|round| allowance.may_go_on(1 << round.min(31))));
+        assert_eq!(allowance.stopped_at(), None);
+    }
+
+    #[test]
+    fn a_recorded_decision_holds_whatever_the_clock_says() {
+        let mut budget = Budget::new(1e-3, Decisions::from([(7, Some(192)), (8, None)]));
+        let mut stopped = budget.frame(7, 1e9);
+        assert_eq!([64, 128, 192, 256].map(|weighed| stopped.may_go_on(weighed)), [true, true, false, false]);
+        assert_eq!(stopped.stopped_at(), Some(192));
+        assert!(budget.frame(8, 1e9).may_go_on(u32::MAX), "it was not stopped");
+        assert!(!budget.frame(9, 1e9).may_go_on(64), "nothing was recorded: the clock counts");
+    }
+
+    #[test]
+    fn what_a_frame_needs_at_its_end_is_kept_back() {
+        let mut budget = Budget::new(50.0, Decisions::new());
+        let mut first = budget.frame(1, 0.0);
+        assert!(first.may_go_on(64));
+        std::thread::sleep(Duration::from_millis(60));
+        budget.learn(&first);
+        assert!(!budget.frame(2, 0.0).may_go_on(64), "the rest alone takes longer than the whole");
+    }
+}

@@ -1,0 +1,203 @@
+//! Whether a pose is to be believed, and when the robot is to be looked for elsewhere.
+
+use glam::DVec3;
+use nalgebra::Matrix6;
+use serde::{Deserialize, Serialize};
+
+use super::localizer::{Fix, Moment};
+use super::painted::Explained;
+use super::refinement::Agreement;
+use crate::geometry::{Field, Isometry};
+
+/// What a pose needs to be believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Validity {
+    /// Share of the expected line contrast (particles) or of the expected line places (refinement) that is there.
+    pub share: f64,
+    /// Painted line in view in units of 10 cm, counted by its certainty.
+    pub points: f64,
+    /// Standard deviation of the position along its longer axis: of the particles, and of the refined pose.
+    pub spread_m: f64,
+    pub refined_m: f64,
+    /// Share of the line seen that the field has where the pose puts it.
+    pub explained: f64,
+}
+
+/// How far the lines have confirmed the pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Confidence {
+    /// Not known where the robot is: the whole field is searched.
+    #[default]
+    Nowhere,
+    /// A pose that still needs this many frames with good lines.
+    Unconfirmed(u32),
+    /// Confirmed; frames in a row whose lines contradicted it.
+    Tracking(u32),
+}
+
+/// What the frames so far say of the pose.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Standing {
+    pub confidence: Confidence,
+    /// When lines last agreed with the pose.
+    agreed_ns: Option<i64>,
+    /// Share of the line seen that the pose explains, over the last frames.
+    explained: f64,
+}
+
+/// What does not change from frame to frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Rules<'a> {
+    pub valid: &'a Validity,
+    pub field: &'a Field,
+    /// Poses are refined.
+    pub refinement: bool,
+    /// There is no odometry, on purpose.
+    pub random_walk: bool,
+}
+
+/// Frames with good lines that a pose found by search or kept over a restart needs.
+pub const CONFIRMATIONS: u32 = 3;
+/// Errors of height and tilt that no mount and no gait has: five standard deviations of what the track expects.
+const MOST_RISE_M: f64 = 0.07;
+const MOST_TILT_RAD: f64 = 0.095;
+const MOST_UNMEASURED_TILT_RAD: f64 = 0.25;
+/// Frames in a row whose lines contradict the pose, after which the field is searched: 0.3 s at 10 Hz.
+const LOST_AFTER: u32 = 3;
+/// A pose as uncertain as this along its longer axis is none.
+const LOST_M: f64 = 0.6;
+/// How far from the carpet a camera may stand.
+const OFF_FIELD_M: f64 = 1.0;
+/// A pose is believed for so long without lines that agree.
+const LONGEST_COAST_NS: i64 = 700_000_000;
+/// Fewer line places than this say nothing for or against a pose.
+const FEWEST_EXPECTED: usize = 12;
+const FEWEST_FITTING: usize = 10;
+/// With less than this share of fitting places the lines contradict the pose.
+pub const CONTRADICTED: f64 = 0.5;
+/// What a frame needs to confirm a pose that was found by search or announced.
+const FITTING_TO_CONFIRM: usize = 20;
+const SHARE_TO_CONFIRM: f64 = 0.7;
+/// Over several frames so much of what one frame may leave unexplained may be.
+const LASTING: f64 = 0.3;
+/// What one frame says of the lines that are explained, against the frames before it.
+const NEWEST: f64 = 0.2;
+
+impl Default for Standing {
+    fn default() -> Self {
+        Self { confidence: Confidence::Nowhere, agreed_ns: None, explained: 1.0 }
+    }
+}
+
+impl Standing {
+    /// A pose that nothing is known of but that somebody or something put it there.
+    pub fn unconfirmed(&mut self, frames: u32) {
+        (self.confidence, self.explained) = (Confidence::Unconfirmed(frames), 1.0);
+    }
+
+    /// The pose has been contradicted too often.
+    pub fn is_lost(&self) -> bool {
+        matches!(self.confidence, Confidence::Tracking(contradicted) if contradicted >= LOST_AFTER)
+    }
+
+    pub fn agreed(&mut self, stamp_ns: i64) {
+        self.agreed_ns = Some(stamp_ns);
+    }
+
+    /// Why the pose is not to be used, and what that means for the next frames.
+    pub fn judge(&mut self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
+        self.note_explained(&fix.explained);
+        let doubt = self.complaint(rules, moment, fix);
+        let contradicted = matches!(doubt, Some("lines_disagree" | "lines_unexplained" | "not_standing" | "off_field"));
+        if rules.refinement && longest_axis(&fix.covariance) > LOST_M {
+            self.confidence = Confidence::Nowhere;
+        }
+        self.confidence = match (self.confidence, doubt) {
+            (Confidence::Tracking(bad), Some(_)) if contradicted => Confidence::Tracking(bad.saturating_add(1)),
+            (Confidence::Unconfirmed(_), Some(_)) if contradicted => Confidence::Nowhere,
+            (other, Some(_)) => other,
+            (Confidence::Unconfirmed(needed), None) if !confirms(rules, fix) => Confidence::Unconfirmed(needed),
+            (Confidence::Unconfirmed(needed), None) if needed > 1 => Confidence::Unconfirmed(needed - 1),
+            (_, None) => Confidence::Tracking(0),
+        };
+        let confirmed = matches!(self.confidence, Confidence::Tracking(_));
+        doubt.or((!confirmed).then_some("unconfirmed"))
+    }
+
+    fn note_explained(&mut self, explained: &Explained) {
+        if explained.shown_m2 > 0.0 {
+            self.explained += NEWEST * (explained.share - self.explained);
+        }
+    }
+
+    fn complaint(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
+        let Validity { share, points, spread_m, refined_m, explained } = *rules.valid;
+        let half = rules.field.carpet_half_extent();
+        let at = fix.map_from_optical.translation;
+        let off_field = at.x.abs() > half.x + OFF_FIELD_M || at.y.abs() > half.y + OFF_FIELD_M;
+        let held = |wanted: bool, complaint: &'static str| (!wanted).then_some(complaint);
+        held(self.confidence != Confidence::Nowhere, "pose_unknown")
+            .or_else(|| held(!moment.stale || rules.random_walk, "sensors_stale"))
+            .or_else(|| held(moment.odometry.is_some() || rules.random_walk, "no_odometry"))
+            .or_else(|| held(!fix.estimate.degenerate, "degenerate_weights"))
+            .or_else(|| held(!off_field, "off_field"))
+            .or_else(|| {
+                if !rules.refinement {
+                    return held(fix.support.weight >= points, "few_lines")
+                        .or_else(|| held(fix.support.share >= share, "lines_disagree"))
+                        .or_else(|| held(fix.estimate.spread_m <= spread_m, "spread"));
+                }
+                held(!fix.refined || stands(moment, fix), "not_standing")
+                    .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
+                    .or_else(|| held(!self.is_unexplained(explained, &fix.explained), "lines_unexplained"))
+                    .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
+                    .or_else(|| held(longest_axis(&fix.covariance) <= refined_m, "spread"))
+            })
+    }
+
+    /// One frame may show much that is no line of the field (a crowd, sunlight on the carpet); many in a row do not.
+    fn is_unexplained(&self, least: f64, explained: &Explained) -> bool {
+        explained.shown_m2 > 0.0 && (explained.share < least || self.explained < lasting(least))
+    }
+
+    fn agreed_lately(&self, moment: &Moment) -> bool {
+        self.agreed_ns.is_some_and(|then| moment.stamp_ns.saturating_sub(then) <= LONGEST_COAST_NS)
+    }
+}
+
+fn confirms(rules: &Rules, fix: &Fix) -> bool {
+    let lines = &fix.agreement;
+    let fits = lines.fitting >= FITTING_TO_CONFIRM && lines.share() >= SHARE_TO_CONFIRM;
+    !rules.refinement || (fits && fix.explained.share >= lasting(rules.valid.explained))
+}
+
+/// The share that several frames have to explain, if one has to explain `least`.
+fn lasting(least: f64) -> f64 {
+    1.0 - LASTING * (1.0 - least)
+}
+
+/// The camera is where IMU, joints and mount put that of a robot that stands: by its height and tilt.
+fn stands(moment: &Moment, fix: &Fix) -> bool {
+    let Some(place) = moment.footprint_from_optical else { return true };
+    let down = |pose: &Isometry| pose.rotation.conjugate() * DVec3::NEG_Z;
+    let (nominal, found) = (down(&place), down(&fix.map_from_optical));
+    let most_rad = if moment.tilt_is_measured { MOST_TILT_RAD } else { MOST_UNMEASURED_TILT_RAD };
+    let rise = fix.map_from_optical.translation.z - place.translation.z;
+    rise.abs() <= MOST_RISE_M && nominal.cross(found).length() <= libm::sin(most_rad)
+}
+
+/// Enough lines are where the pose has them.
+pub fn agrees(lines: &Agreement) -> bool {
+    lines.fitting >= FEWEST_FITTING && lines.share() > CONTRADICTED
+}
+
+/// Too many lines are not.
+pub fn is_contradicted(lines: &Agreement) -> bool {
+    lines.expected >= FEWEST_EXPECTED && lines.share() < CONTRADICTED
+}
+
+/// Standard deviation of x, y along the longer axis.
+fn longest_axis(covariance: &Matrix6<f64>) -> f64 {
+    let (xx, xy, yy) = (covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]);
+    libm::sqrt((0.5 * (xx + yy) + libm::hypot(0.5 * (xx - yy), xy)).max(0.0))
+}

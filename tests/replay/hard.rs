@@ -1,0 +1,148 @@
+//! Bad input that is no fault of a file: black frames, sensors that lie. A tag turns invalid or wide and says why; it is
+//! never wrong and confident.
+
+use realitysim::ros2::messages::{CompressedImage, Imu, Odometry};
+use serde_json::Value;
+
+use super::support::{IMAGE, IMU, ODOMETRY, Replayed, Room, TRUTH, changed, on, session_name, walk, without};
+
+/// No valid tag is off by more than 10 cm, every invalid one says why, and at least this share is valid.
+fn assert_never_wrong(room: &Room, replayed: &Replayed, least_valid: f64, what: &str) {
+    let valid = replayed.tags.iter().filter(|tag| tag.valid).count() as f64 / replayed.tags.len() as f64;
+    println!("{what}: {:.0} % valid: {}", 100.0 * valid, replayed.report["invalid"]);
+    assert!(replayed.tags.iter().all(|tag| tag.valid == tag.reason.is_empty()), "{what}");
+    assert!(valid >= least_valid, "{what}: {valid}");
+    if valid > 0.0 {
+        let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(replayed))).json();
+        let worst = judged.pointer("/position_cm/max").and_then(Value::as_f64).expect("judged");
+        assert!(worst < 10.0, "{what}: {worst} cm");
+    }
+}
+
+fn black(image: &mut CompressedImage) {
+    let black = image::GrayImage::new(320, 240);
+    image.data.clear();
+    image::DynamicImage::ImageLuma8(black)
+        .write_to(&mut std::io::Cursor::new(&mut image.data), image::ImageFormat::Jpeg)
+        .expect("encodes");
+}
+
+#[test]
+fn black_frames_are_coasted_through_and_then_invalid() {
+    let frames = walk().frames();
+    let mut index = 0;
+    let some = changed::<CompressedImage>(&walk().messages, IMAGE, |image| {
+        index += 1;
+        if (10..25).contains(&index) {
+            black(image);
+        }
+    });
+    let room = Room::with_log(&some);
+    let replayed = room.replay("log.mcap");
+    assert_never_wrong(&room, &replayed, (frames as f64 - 15.0) / frames as f64, "black for 1.5 s");
+    assert!(!replayed.tags[22].valid, "a second without lines is too long");
+    assert!(replayed.tags.last().expect("some").valid, "and it goes on afterwards");
+
+    let room = Room::with_log(&changed::<CompressedImage>(&walk().messages, IMAGE, black));
+    let replayed = room.replay("log.mcap");
+    assert!(replayed.tags.iter().all(|tag| !tag.valid && !tag.reason.is_empty()), "nothing is ever seen");
+}
+
+#[test]
+fn an_imu_upside_down_gives_no_wrong_tags() {
+    let upside_down = changed::<Imu>(&walk().messages, IMU, |imu| {
+        // Half a turn about x: (x, y, z, w) times (1, 0, 0, 0).
+        let q = imu.orientation.clone();
+        imu.orientation.x = q.w;
+        imu.orientation.y = q.z;
+        imu.orientation.z = -q.y;
+        imu.orientation.w = -q.x;
+        imu.angular_velocity.y *= -1.0;
+        imu.angular_velocity.z *= -1.0;
+    });
+    let room = Room::with_log(&upside_down);
+    assert_never_wrong(&room, &room.replay("log.mcap"), 0.0, "upside down");
+}
+
+#[test]
+fn a_gyro_in_degrees_or_one_that_is_stuck_gives_no_wrong_tags() {
+    type Lie = fn(&mut Imu);
+    let lies: [(&str, Lie); 3] = [
+        ("degrees", |imu| imu.angular_velocity.z = imu.angular_velocity.z.to_degrees()),
+        ("stuck", |imu| imu.angular_velocity.z = 2.0),
+        ("not a number", |imu| imu.angular_velocity.z = f64::NAN),
+    ];
+    for (what, lie) in lies {
+        let room = Room::with_log(&changed::<Imu>(&walk().messages, IMU, lie));
+        assert_never_wrong(&room, &room.replay("log.mcap"), 0.9, what);
+    }
+}
+
+#[test]
+fn odometry_that_freezes_jumps_or_falls_silent_gives_no_wrong_tags() {
+    let messages = &walk().messages;
+    let stamps: Vec<i64> = on(messages, ODOMETRY).map(|message| message.log_time_ns).collect();
+    let (from, until) = (stamps[stamps.len() / 3], stamps[2 * stamps.len() / 3]);
+    let mut held: Option<Odometry> = None;
+    let frozen = changed::<Odometry>(messages, ODOMETRY, |odometry| {
+        let stamp = odometry.header.stamp.to_nanoseconds();
+        if (from..until).contains(&stamp) {
+            let pose = held.get_or_insert_with(|| odometry.clone()).pose.clone();
+            odometry.pose = pose;
+        }
+    });
+    let jumped = changed::<Odometry>(messages, ODOMETRY, |odometry| {
+        if odometry.header.stamp.to_nanoseconds() > from {
+            odometry.pose.pose.position.x += 100.0;
+        }
+    });
+    let silent: Vec<_> = messages
+        .iter()
+        .filter(|message| message.channel.topic != ODOMETRY || !(from..until).contains(&message.log_time_ns))
+        .cloned()
+        .collect();
+    let nan = changed::<Odometry>(messages, ODOMETRY, |odometry| odometry.pose.pose.position.y = f64::NAN);
+    for (what, log, least_valid) in
+        [("frozen", frozen, 0.9), ("jumped 100 m", jumped, 0.9), ("silent", silent, 0.6), ("not a number", nan, 0.0)]
+    {
+        let room = Room::with_log(&log);
+        assert_never_wrong(&room, &room.replay("log.mcap"), least_valid, what);
+    }
+}
+
+#[test]
+fn without_an_imu_tags_stay_right() {
+    let room = Room::with_log(&without(&walk().messages, IMU));
+    assert_never_wrong(&room, &room.replay("log.mcap"), 0.9, "no IMU");
+}
+
+#[test]
+fn a_truth_that_stops_half_way_is_told() {
+    let (mut count, half) = (0, walk().frames() / 2);
+    let stops: Vec<_> = walk()
+        .messages
+        .iter()
+        .filter(|message| {
+            count += usize::from(message.channel.topic == TRUTH);
+            message.channel.topic != TRUTH || count <= half
+        })
+        .cloned()
+        .collect();
+    let room = Room::with_log(&stops);
+    let replayed = room.replay("log.mcap");
+    let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(&replayed))).json();
+    let without_truth = judged["without_truth"].as_u64().expect("a count") as usize;
+    assert_eq!(without_truth, walk().frames() - half, "{judged}");
+    assert!(judged["position_cm"]["mean"].as_f64().is_some_and(|mean| mean < 5.0), "the other half is judged: {judged}");
+    let none = Room::with_log(&without(&walk().messages, TRUTH));
+    let replayed = none.replay("log.mcap");
+    none.run(&format!("eval {} --truth log.mcap", session_name(&replayed))).fails(1, &["no message", TRUTH]);
+}
+
+#[test]
+fn the_wrong_field_is_told() {
+    let room = Room::with_walk();
+    let replayed = room.replay("log.mcap --set field=kid-2020");
+    println!("{}", replayed.run.stderr);
+    assert!(replayed.run.stderr.contains("is it the right field"), "{}", replayed.report["invalid"]);
+}
