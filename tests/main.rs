@@ -2,9 +2,12 @@
 
 mod config;
 mod dev;
+mod hardware;
 mod limits;
+mod live;
 mod real;
 mod replay;
 mod ros2;
 mod scene;
 mod serial;
+mod systemd;

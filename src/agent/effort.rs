@@ -45,7 +45,9 @@ impl EffortTally {
         let late = share(over_budget) > 0.5;
         let message = match (budget_ms > 0.0, late, capped) {
             (false, ..) => "no budget".to_owned(),
-            (_, true, _) => format!("the budget of {budget_ms} ms cannot be kept: seeing and refining alone take longer"),
+            (_, true, _) => {
+                format!("the budget of {budget_ms} ms cannot be kept: seeing and refining alone take longer")
+            }
             (_, _, 0) => "within the budget".to_owned(),
             (_, _, _) => "within the budget, with fewer particles".to_owned(),
         };

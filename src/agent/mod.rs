@@ -2,10 +2,12 @@
 
 mod budget;
 pub mod checkpoint;
+pub mod doctor;
 mod durations;
 mod effort;
 mod error;
 pub mod footage;
+pub mod live;
 mod opened;
 mod pipeline;
 mod prelude;

@@ -189,12 +189,7 @@ impl Located {
 
 fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> Candidate {
     let settings = FilterSettings {
-        sampling: Sampling {
-            particles: INITIAL_PARTICLES,
-            iterations: INITIAL_ITERATIONS,
-            adaptive: false,
-            fewest: 0,
-        },
+        sampling: Sampling { particles: INITIAL_PARTICLES, iterations: INITIAL_ITERATIONS, adaptive: false, fewest: 0 },
         motion: MotionModel::default(),
         jitter: Spread { xy_m: 0.05, yaw_rad: 0.03 },
         jitter_shrink: 0.7,

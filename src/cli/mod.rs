@@ -4,13 +4,16 @@
 
 mod cost;
 mod demo;
+mod doctor;
 mod eval;
 mod export;
 mod info;
+mod install;
 mod machine;
 mod output;
 mod paper;
 mod paths;
+mod record;
 mod replay;
 mod section;
 mod settings;
@@ -21,6 +24,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::agent::live::RecordError;
 use crate::agent::{ReplayError, SetupError};
 use crate::config::ConfigError;
 use crate::recording::Loss;
@@ -40,6 +44,11 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Replay(Box<replay::ReplayArguments>),
+    Record(Box<record::RecordArguments>),
+    #[command(flatten)]
+    Order(record::Order),
+    Doctor(Box<doctor::DoctorArguments>),
+    Install(install::InstallArguments),
     Sim(sim::SimArguments),
     Eval(eval::EvalArguments),
     Export(export::ExportArguments),
@@ -69,6 +78,10 @@ pub fn run() -> ExitCode {
     let json = arguments.json;
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, json),
+        Command::Record(arguments) => record::run(&arguments, json),
+        Command::Install(arguments) => install::run(&arguments),
+        Command::Doctor(arguments) => doctor::run(&arguments, json),
+        Command::Order(order) => record::order(&order, json),
         Command::Sim(arguments) => sim::run(&arguments, json),
         Command::Eval(arguments) => eval::run(&arguments, json),
         Command::Export(arguments) => export::run(&arguments, json),
@@ -109,6 +122,16 @@ fn is_usage(error: &anyhow::Error) -> bool {
         cause.is::<ConfigError>()
             || cause.is::<SceneError>()
             || cause.is::<settings::UsageError>()
+            || matches!(
+                cause.downcast_ref::<RecordError>(),
+                Some(
+                    RecordError::NoMount
+                        | RecordError::NoLens
+                        | RecordError::IntoCapture { .. }
+                        | RecordError::Fov(_)
+                        | RecordError::Setup(_)
+                )
+            )
             || matches!(
                 cause.downcast_ref::<ReplayError>(),
                 Some(

@@ -49,9 +49,7 @@ impl Search {
         let steps = |half: f64| libm::ceil((half + margin_m) / STEP_M) as i32;
         let (columns, rows) = (steps(half.x), steps(half.y));
         let grid: Vec<[f64; 2]> = (0..=columns)
-            .flat_map(|column| {
-                (-rows..=rows).map(move |row| [f64::from(column) * STEP_M, f64::from(row) * STEP_M])
-            })
+            .flat_map(|column| (-rows..=rows).map(move |row| [f64::from(column) * STEP_M, f64::from(row) * STEP_M]))
             .collect();
         let stride = golden_stride(grid.len());
         let places = (0..grid.len()).map(|index| grid[index * stride % grid.len()]).collect();

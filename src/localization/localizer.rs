@@ -127,7 +127,16 @@ impl Localizer {
     ) -> Self {
         let search = Search::new(&field, SEARCH_MARGIN_M, &observation);
         let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
-        Self { points: LinePoints::new(&field), painted: PaintedMap::new(&field), projector: Projector::new(lens), field, filter, search, settings, state }
+        Self {
+            points: LinePoints::new(&field),
+            painted: PaintedMap::new(&field),
+            projector: Projector::new(lens),
+            field,
+            filter,
+            search,
+            settings,
+            state,
+        }
     }
 
     /// What a checkpoint keeps.

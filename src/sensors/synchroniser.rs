@@ -160,7 +160,8 @@ impl Synchroniser {
                 // Without an attitude the torso is taken as upright.
                 let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
                 let turn = turn_rate.map(|rate| self.state.turn_rate.push(stamp_ns, (upright * rate).z));
-                let tilt = orientation.map(|orientation| self.state.attitude.push(stamp_ns, orientation * imu_from_base));
+                let tilt =
+                    orientation.map(|orientation| self.state.attitude.push(stamp_ns, orientation * imu_from_base));
                 // One message, whatever it holds.
                 if let Some(pushed) = tilt.or(turn) {
                     self.count(pushed);

@@ -213,7 +213,8 @@ impl GroundTable {
                 let cell = row * SIDE + column;
                 let (level, seen) = (self.quads[cell] & 255, u32::from(self.seen[cell]));
                 // The level is drawn towards neutral as far as the place does not count.
-                let shows = seen >= LEAST_CLEAR && level >= NEUTRAL.into() && (level - u32::from(NEUTRAL)) * 255 >= 64 * seen;
+                let shows =
+                    seen >= LEAST_CLEAR && level >= NEUTRAL.into() && (level - u32::from(NEUTRAL)) * 255 >= 64 * seen;
                 shows.then(|| (DVec2::new((column as f64 - offset) / scale, y), f64::from(seen) / 255.0))
             })
         })

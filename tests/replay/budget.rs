@@ -1,6 +1,6 @@
 //! Adaptive sampling, and a budget of time for each frame.
 
-use super::support::{Room, Replayed, assert_same, session_name, walk};
+use super::support::{Replayed, Room, assert_same, session_name, walk};
 
 /// So much that any machine runs out of time, so little that some of it is left.
 const CAPPED: &str = "--set filter.adaptive=false --set filter.particles=60000 --set filter.budget_ms=12";

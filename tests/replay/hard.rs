@@ -133,7 +133,10 @@ fn a_truth_that_stops_half_way_is_told() {
     let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(&replayed))).json();
     let without_truth = judged["without_truth"].as_u64().expect("a count") as usize;
     assert_eq!(without_truth, walk().frames() - half, "{judged}");
-    assert!(judged["position_cm"]["mean"].as_f64().is_some_and(|mean| mean < 5.0), "the other half is judged: {judged}");
+    assert!(
+        judged["position_cm"]["mean"].as_f64().is_some_and(|mean| mean < 5.0),
+        "the other half is judged: {judged}"
+    );
     let none = Room::with_log(&without(&walk().messages, TRUTH));
     let replayed = none.replay("log.mcap");
     none.run(&format!("eval {} --truth log.mcap", session_name(&replayed))).fails(1, &["no message", TRUTH]);

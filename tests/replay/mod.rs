@@ -23,7 +23,7 @@ mod power_loss;
 mod realtime;
 mod refused;
 mod segments;
-mod support;
+pub mod support;
 mod tag;
 mod topics;
 mod truth;

@@ -47,7 +47,12 @@ fn assert_as_good(messages: &[LogMessage], what: &str, bound_m: f64) -> Replayed
     let replayed = room.replay("log.mcap");
     assert_eq!(replayed.run.code, Some(0), "{what}: {:?}", replayed.run);
     let valid = replayed.count("valid");
-    assert!(10 * valid >= 9 * walk().frames(), "{what}: {valid} of {} valid: {}", walk().frames(), replayed.report["invalid"]);
+    assert!(
+        10 * valid >= 9 * walk().frames(),
+        "{what}: {valid} of {} valid: {}",
+        walk().frames(),
+        replayed.report["invalid"]
+    );
     let apart = farthest_apart(&replayed.tags, &walk().tags);
     println!("{what}: at most {apart:.3} m apart");
     assert!(apart < bound_m, "{what}: {apart} m");

@@ -11,14 +11,14 @@ use realitysim::sensors::serial::{LineStatus, Measured, PortEvent, PortOptions, 
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
 /// Two ptys joined back to back: a null-modem cable, each of whose ends is a name.
-struct Cable {
-    ends: [String; 2],
+pub struct Cable {
+    pub ends: [String; 2],
     stop: std::sync::Arc<AtomicBool>,
     pump: Option<std::thread::JoinHandle<()>>,
 }
 
 impl Cable {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let masters = [0, 1].map(|_| {
             let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pty");
             grantpt(&master).and_then(|()| unlockpt(&master)).expect("unlocked");

@@ -57,7 +57,11 @@ impl fmt::Display for Knobs {
             Model::Distance => "distance",
         };
         let up_to = if self.adaptive { "up to " } else { "" };
-        write!(formatter, "{model}, {up_to}{} particles x {}, {} points", self.particles, self.iterations, self.line_points)?;
+        write!(
+            formatter,
+            "{model}, {up_to}{} particles x {}, {} points",
+            self.particles, self.iterations, self.line_points
+        )?;
         if self.image_reduction > 0 {
             write!(formatter, ", image 1/{}", self.image_reduction)?;
         }

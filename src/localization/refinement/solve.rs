@@ -130,7 +130,8 @@ impl Residuals {
         let rho = (products / variance.max(1e-12)).clamp(0.0, MOST_CORRELATION);
         let weight = self.pairs as f64 / (self.pairs as f64 + USUAL_COUNTS);
         let whole = self.line_sums_px / self.squared_px.max(1e-12);
-        let correlated = weight * (WHOLE_LINES * whole).max(SHARED * (1.0 + rho) / (1.0 - rho)) + (1.0 - weight) * USUAL_CORRELATED;
+        let correlated =
+            weight * (WHOLE_LINES * whole).max(SHARED * (1.0 + rho) / (1.0 - rho)) + (1.0 - weight) * USUAL_CORRELATED;
         Noise { sigma_px: libm::sqrt(squared).max(LEAST_SIGMA_PX), correlated }
     }
 }

@@ -117,6 +117,8 @@ pub enum CameraError {
     Format { device: String, wanted: String, offers: String },
     #[error("{device} is no camera that streams")]
     NoCapture { device: String },
+    #[error("{device}: this program was built without the feature v4l2")]
+    NotBuilt { device: String },
     #[error("{device} went away")]
     Unplugged { device: String },
     #[error("{device} is open and sends nothing")]
@@ -134,6 +136,7 @@ impl CameraError {
             Self::Busy { .. } => "busy",
             Self::Format { .. } => "format",
             Self::NoCapture { .. } => "no_capture",
+            Self::NotBuilt { .. } => "not_built",
             Self::Unplugged { .. } => "unplugged",
             Self::Stalled { .. } => "stalled",
             Self::Io { .. } => "io",
@@ -165,4 +168,22 @@ pub trait Driver {
     fn take(&mut self, into: &mut Vec<u8>) -> io::Result<BufferInfo>;
     /// Never fails: there may be nothing left to close.
     fn close(&mut self);
+}
+
+impl<D: Driver + ?Sized> Driver for Box<D> {
+    fn open(&mut self, wanted: &CameraOptions) -> Result<Negotiated, CameraError> {
+        (**self).open(wanted)
+    }
+
+    fn wait(&mut self, timeout: Duration) -> io::Result<bool> {
+        (**self).wait(timeout)
+    }
+
+    fn take(&mut self, into: &mut Vec<u8>) -> io::Result<BufferInfo> {
+        (**self).take(into)
+    }
+
+    fn close(&mut self) {
+        (**self).close();
+    }
 }
