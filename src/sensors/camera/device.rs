@@ -74,7 +74,7 @@ impl Driver for V4l2 {
         let (bytes, meta) = stream.next()?;
         into.clear();
         into.extend_from_slice(&bytes[..bytes.len().min(meta.bytesused as usize)]);
-        let stamp_ns = (meta.timestamp.sec as i64) * 1_000_000_000 + (meta.timestamp.usec as i64) * 1_000;
+        let stamp_ns = meta.timestamp.sec * 1_000_000_000 + meta.timestamp.usec * 1_000;
         Ok(BufferInfo {
             sequence: meta.sequence,
             stamp_ns,

@@ -225,10 +225,10 @@ fn every_frame_that_the_camera_made_is_delivered_or_counted() {
     for _ in 0..2_000 {
         noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let dice = noise >> 40;
-        sequence += 1 + u32::from(dice % 7 == 0) * (dice % 5) as u32;
-        let bytes = if dice % 11 == 0 { 31 } else { 32 };
-        let change: fn(&mut BufferInfo) = if dice % 13 == 0 { |info| info.is_damaged = true } else { |_| {} };
-        let after_ms = if dice % 3 == 0 { 0 } else { 33 };
+        sequence += 1 + u32::from(dice.is_multiple_of(7)) * (dice % 5) as u32;
+        let bytes = if dice.is_multiple_of(11) { 31 } else { 32 };
+        let change: fn(&mut BufferInfo) = if dice.is_multiple_of(13) { |info| info.is_damaged = true } else { |_| {} };
+        let after_ms = if dice.is_multiple_of(3) { 0 } else { 33 };
         acts.push(Act::Frame { sequence, after_ms, data: vec![0; bytes], change });
     }
     let run = run(acts, Some(10.0), None);

@@ -24,12 +24,10 @@ pub fn enu_from_ned(v: DVec3) -> DVec3 {
 /// A 6 x 6 covariance (x, y, z, rotations about x, y, z), given as its upper triangle row by row, in turned axes: row by row.
 pub fn turned_covariance(triangle: &[f32; 21], turn: impl Fn(DVec3) -> DVec3) -> [f64; 36] {
     let mut full = [[0.0; 6]; 6];
-    let mut values = triangle.iter();
-    for row in 0..6 {
-        for column in row..6 {
-            let value = values.next().map_or(0.0, |value| f64::from(*value));
-            (full[row][column], full[column][row]) = (value, value);
-        }
+    let places = (0..6).flat_map(|row| (row..6).map(move |column| (row, column)));
+    for ((row, column), value) in places.zip(triangle) {
+        full[row][column] = f64::from(*value);
+        full[column][row] = f64::from(*value);
     }
     let turn = DMat3::from_cols(turn(DVec3::X), turn(DVec3::Y), turn(DVec3::Z));
     let mut turned = [0.0; 36];
