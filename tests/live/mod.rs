@@ -168,3 +168,27 @@ fn what_a_recording_needs_is_asked_for() {
     assert!(!room.path(CAPTURES).exists(), "nothing was begun");
     room.run("status --socket control.sock").fails(1, &["no recorder is running there"]);
 }
+
+#[test]
+fn the_doctor_names_what_is_wrong_and_what_to_do() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| text);
+    let cable = crate::serial::Cable::new();
+    let ports = format!("[serial]\nports = [{{ device = \"{}\", baud = 115200 }}]\n", cable.ends[1]);
+    room.write("robot.toml", format!("{CONFIG}{ports}"));
+    let examined = room.run("doctor -o captures --config robot.toml --json");
+    assert_eq!(examined.code, Some(1), "{examined:?}");
+    let findings = examined.json();
+    let findings = findings.as_array().expect("findings");
+    let said = |what: &str| {
+        let finding =
+            findings.iter().find(|finding| finding["what"].as_str().is_some_and(|name| name.starts_with(what)));
+        let finding = finding.unwrap_or_else(|| panic!("{what}: {findings:?}"));
+        (finding["good"] == true, finding["said"].as_str().expect("text").to_owned())
+    };
+    assert_eq!(said("lens"), (true, "320 x 240".to_owned()));
+    assert!(said("mount").0 && said("field").0);
+    assert_eq!(said("serial"), (false, "silent".to_owned()));
+    assert!(said("disk").1.contains("the worst of 40"));
+    room.run("doctor -o captures").fails(1, &[]);
+}

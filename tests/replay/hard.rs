@@ -52,7 +52,7 @@ fn black_frames_are_coasted_through_and_then_invalid() {
 fn an_imu_upside_down_gives_no_wrong_tags() {
     let upside_down = changed::<Imu>(&walk().messages, IMU, |imu| {
         // Half a turn about x: (x, y, z, w) times (1, 0, 0, 0).
-        let q = imu.orientation.clone();
+        let q = imu.orientation;
         imu.orientation.x = q.w;
         imu.orientation.y = q.z;
         imu.orientation.z = -q.y;
@@ -87,7 +87,7 @@ fn odometry_that_freezes_jumps_or_falls_silent_gives_no_wrong_tags() {
     let frozen = changed::<Odometry>(messages, ODOMETRY, |odometry| {
         let stamp = odometry.header.stamp.to_nanoseconds();
         if (from..until).contains(&stamp) {
-            let pose = held.get_or_insert_with(|| odometry.clone()).pose.clone();
+            let pose = held.get_or_insert_with(|| odometry.clone()).pose;
             odometry.pose = pose;
         }
     });

@@ -177,7 +177,7 @@ def attempt(machine):
     machine.ok(f"echo vivid.0 > {bus}/bind")
     machine.until("and recovers without a restart", 30, lambda s: not s["camera_lost"] and written(s) > before + 2)
 
-    machine.ok("v4l2-ctl -d /dev/robot-camera -c inject_fatal_streaming_error=1 || true")
+    machine.ok("v4l2-ctl -d /dev/robot-camera -c inject_fatal_streaming_error=1")
     before = written(machine.status())
     machine.until("an error of the stream is survived", 30, lambda s: written(s) > before + 2)
 
@@ -193,6 +193,9 @@ def attempt(machine):
     restarts = machine.ok("systemctl show -p NRestarts realitysim")
     assert restarts == "NRestarts=0", restarts
 
+    said = machine.ok("journalctl -u realitysim --no-pager -o cat")
+    for cause in ("went away", "Input/output error", "is open and sends nothing"):
+        assert cause in said, f"{cause}: the fault was not seen:\n{said}"
     session = machine.status()["session"]
     machine.ok("systemctl kill -s KILL realitysim")
     machine.until("killed, it is there again", 40, lambda s: s["session"] != session and written(s) >= 2)
