@@ -82,6 +82,8 @@ const STALL_NS: i64 = 1_000_000_000;
 const MAX_BUFFERS: usize = 32;
 /// A stamp farther from its arrival is of another clock.
 const MAX_AGE_NS: i64 = 10_000_000_000;
+/// Drivers that compute the end of a frame from its start may deliver it before: by less than a frame.
+const MAX_AHEAD_NS: i64 = 100_000_000;
 
 pub struct Capture<D> {
     driver: D,
@@ -207,7 +209,7 @@ fn newest(
             continue;
         }
         let age_ns = arrived_ns.saturating_sub(info.stamp_ns);
-        let (stamp_ns, clock) = match info.is_monotonic && (0..MAX_AGE_NS).contains(&age_ns) {
+        let (stamp_ns, clock) = match info.is_monotonic && (-MAX_AHEAD_NS..MAX_AGE_NS).contains(&age_ns) {
             true if info.is_start_of_exposure => (info.stamp_ns, StampClock::StartOfExposure),
             true => (info.stamp_ns, StampClock::EndOfFrame),
             false => (arrived_ns, StampClock::Arrival),

@@ -260,6 +260,9 @@ fn stamps_say_whose_they_are() {
     assert_eq!(clocks(|info| info.is_monotonic = false), (StampClock::Arrival, arrived_ns));
     assert_eq!(clocks(|info| info.stamp_ns += 3_000_000_000), (StampClock::Arrival, arrived_ns));
     assert_eq!(clocks(|info| info.stamp_ns = 0), (StampClock::Arrival, arrived_ns));
+    // As the kernel's vivid does: the end of the frame is yet to come.
+    let ahead = clocks(|info| (info.stamp_ns, info.is_start_of_exposure) = (info.stamp_ns + 30_000_000, false));
+    assert_eq!(ahead, (StampClock::EndOfFrame, arrived_ns + 28_000_000));
 }
 
 fn jpeg() -> Vec<u8> {
