@@ -2,11 +2,15 @@
 
 mod config;
 mod dev;
+mod hardware;
 mod limits;
+mod live;
 mod numerics;
 mod real;
 mod replay;
 mod ros2;
 mod scene;
+mod serial;
 mod stress;
+mod systemd;
 mod views;

@@ -3,10 +3,12 @@
 mod budget;
 pub mod checkpoint;
 pub mod cut;
+pub mod doctor;
 mod durations;
 mod effort;
 mod error;
 pub mod footage;
+pub mod live;
 mod opened;
 mod pipeline;
 mod prelude;

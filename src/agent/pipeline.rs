@@ -3,9 +3,11 @@
 //! Whoever has messages feeds it, in the order in which they came: a replay from a log or a scene.
 
 use std::collections::VecDeque;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
+
+use crossbeam_channel::Sender;
 
 use super::budget::Budget;
 use super::checkpoint::Checkpoint;
@@ -18,8 +20,9 @@ use super::tally::Tally;
 use super::warnings::{self, AttitudeSource};
 use crate::config::{Settings, Topics};
 use crate::geometry::{FieldDimensions, LensParameters};
-use crate::recording::{Counts, SessionInfo, SessionWriter};
+use crate::recording::{Counts, LiveInfo, SessionInfo, SessionWriter};
 use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::{DiagnosticArray, FrameTag};
 use crate::sensors::intake;
 use crate::sensors::log::CHECKPOINT_NAME;
 use crate::sensors::synchroniser::Synchroniser;
@@ -30,6 +33,10 @@ pub struct Recording {
     /// What the messages come from, for `session.json`.
     pub source: Option<String>,
     pub threads: usize,
+    /// Of a live recording.
+    pub live: Option<LiveInfo>,
+    /// Who wants each tag as it is made; one that does not keep up misses some.
+    pub tags: Option<Sender<FrameTag>>,
 }
 
 /// What a pipeline leaves behind.
@@ -128,6 +135,24 @@ impl Pipeline {
         self.look_at_known()
     }
 
+    /// Frames that never became messages.
+    pub fn drop_frames(&mut self, cause: &str, count: u64) {
+        if let Some(session) = &mut self.session {
+            session.drop_frames(cause, count);
+        }
+    }
+
+    /// What a live recording has to say beside its messages; nothing before the first of them.
+    pub fn note(&mut self, log_time_ns: i64, report: &DiagnosticArray) -> Result<(), AgentError> {
+        let Some(session) = &mut self.session else { return Ok(()) };
+        Ok(session.diagnostics(log_time_ns, report)?)
+    }
+
+    /// Where it is recorded, once it has begun.
+    pub fn session(&self) -> Option<(&Path, Counts)> {
+        self.session.as_ref().map(|session| (session.folder(), session.counts()))
+    }
+
     /// Nothing more will come: what is there becomes a whole capture, whatever went wrong, if it can. `None` if nothing
     /// came at all or nothing more can be written.
     pub fn finish(mut self) -> (Option<Recorded>, Result<(), AgentError>) {
@@ -215,7 +240,12 @@ impl Pipeline {
         if let Ok(seen) = seen {
             self.looking.give_back(seen);
         }
-        tag.kernel_stamp_ns = frame.stamp_ns;
+        let live = self.recording.live.as_ref();
+        tag.utc_offset_ns = live.map_or(0, |live| live.utc_offset_ns);
+        tag.kernel_stamp_ns = frame.stamp_ns + live.map_or(0, |live| live.camera_delay_ns - live.utc_offset_ns);
+        if let Some(tags) = &self.recording.tags {
+            let _ = tags.try_send(tag.clone());
+        }
         self.sequence += 1;
         self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
@@ -291,6 +321,7 @@ impl Pipeline {
             settings: settings.clone(),
             field: self.dimensions.clone(),
             lens: self.lens.clone(),
+            live: self.recording.live.clone(),
         };
         Ok(SessionWriter::create(&self.recording.captures, &name, &info, settings.recording.clone())?)
     }

@@ -79,6 +79,8 @@ impl Run {
             captures: options.captures.clone(),
             source: options.source.file_name().map(|name| name.to_string_lossy().into_owned()),
             threads: options.threads.max(1),
+            live: None,
+            tags: None,
         };
         let filter = &setup.settings.filter;
         let mut report = ReplayReport {

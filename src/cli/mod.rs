@@ -7,16 +7,19 @@ mod cost;
 mod cut;
 mod db;
 mod demo;
+mod doctor;
 mod eval;
 mod export;
 mod gap;
 mod gate;
 mod info;
+mod install;
 mod junit;
 mod machine;
 mod output;
 mod paper;
 mod paths;
+mod record;
 mod replay;
 mod scene;
 mod section;
@@ -31,6 +34,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::agent::live::RecordError;
 use crate::agent::{ReplayError, SetupError};
 use crate::config::ConfigError;
 use crate::evaluation::reference::ReferenceError;
@@ -53,6 +57,11 @@ struct Arguments {
 enum Command {
     Replay(Box<replay::ReplayArguments>),
     Scene(scene::SceneArguments),
+    Record(Box<record::RecordArguments>),
+    #[command(flatten)]
+    Order(record::Order),
+    Doctor(Box<doctor::DoctorArguments>),
+    Install(install::InstallArguments),
     Sim(sim::SimArguments),
     Eval(eval::EvalArguments),
     Export(export::ExportArguments),
@@ -90,6 +99,10 @@ pub fn run() -> ExitCode {
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, json),
         Command::Scene(arguments) => scene::run(&arguments, json),
+        Command::Record(arguments) => record::run(&arguments, json),
+        Command::Install(arguments) => install::run(&arguments),
+        Command::Doctor(arguments) => doctor::run(&arguments, json),
+        Command::Order(order) => record::order(&order, json),
         Command::Sim(arguments) => sim::run(&arguments, json),
         Command::Eval(arguments) => eval::run(&arguments, json),
         Command::Export(arguments) => export::run(&arguments, json),
@@ -139,6 +152,16 @@ fn is_usage(error: &anyhow::Error) -> bool {
             || cause.is::<SuiteError>()
             || matches!(cause.downcast_ref(), Some(ReferenceError::Tolerance { .. }))
             || cause.is::<settings::UsageError>()
+            || matches!(
+                cause.downcast_ref::<RecordError>(),
+                Some(
+                    RecordError::NoMount
+                        | RecordError::NoLens
+                        | RecordError::IntoCapture { .. }
+                        | RecordError::Fov(_)
+                        | RecordError::Setup(_)
+                )
+            )
             || matches!(
                 cause.downcast_ref::<ReplayError>(),
                 Some(

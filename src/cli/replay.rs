@@ -13,7 +13,7 @@ use crate::geometry::{Field, Pose2};
 use crate::sensors::scene;
 
 /// More only wait for each other.
-const MAX_THREADS: usize = 64;
+pub(super) const MAX_THREADS: usize = 64;
 
 /// Tag every frame of a log or scene and write a capture
 ///

@@ -5,6 +5,7 @@
 mod error;
 pub mod fields;
 pub mod lenses;
+mod live;
 pub mod settings;
 mod source;
 
@@ -14,6 +15,7 @@ pub use lenses::{
     LensFile, LensFormat, LensWanted, VisualMeshPose, lens_from_camera_info, lens_names, load_lens,
     load_lens_for_image, parse_lens,
 };
+pub use live::{CaptureSettings, MountSettings, SerialPortSettings, SerialSettings};
 pub use settings::{
     BodyMaskFile, CameraSettings, FilterConfig, Formula, FrameNames, HeadSettings, Model, MotionModel, MotionSource,
     RecordingSettings, Settings, SimdPath, Topics, ViewsSettings,

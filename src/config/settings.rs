@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::ConfigError;
+use super::live::{CaptureSettings, MountSettings, SerialSettings};
 use super::source::read;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -17,6 +18,9 @@ pub struct Settings {
     pub topics: Topics,
     pub frames: FrameNames,
     pub camera: CameraSettings,
+    pub capture: CaptureSettings,
+    pub serial: SerialSettings,
+    pub mount: MountSettings,
     pub head: HeadSettings,
     pub filter: FilterConfig,
     pub motion: MotionModel,
@@ -305,6 +309,9 @@ impl Settings {
                 self.robot
             ));
         }
+        self.capture.check()?;
+        self.serial.check()?;
+        self.mount.check()?;
         within("recording.segment_s", self.recording.segment_s as f64, 1.0, 86_400.0)?;
         within("recording.segment_mb", self.recording.segment_mb as f64, 1.0, 65_536.0)?;
         within("recording.sync_interval_ms", self.recording.sync_interval_ms as f64, 10.0, 60_000.0)?;
@@ -327,6 +334,9 @@ impl Default for Settings {
             topics: Topics::default(),
             frames: FrameNames::default(),
             camera: CameraSettings::default(),
+            capture: CaptureSettings::default(),
+            serial: SerialSettings::default(),
+            mount: MountSettings::default(),
             head: HeadSettings::default(),
             filter: FilterConfig::default(),
             motion: MotionModel::default(),

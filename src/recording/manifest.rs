@@ -26,6 +26,20 @@ pub struct SessionInfo {
     pub settings: Settings,
     pub field: FieldDimensions,
     pub lens: LensParameters,
+    /// Of a live recording.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub live: Option<LiveInfo>,
+}
+
+/// What a live camera agreed to, and how its clock stands to UTC.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LiveInfo {
+    /// UTC minus CLOCK_MONOTONIC, frozen at the start.
+    pub utc_offset_ns: i64,
+    /// Subtracted from the camera's stamps.
+    pub camera_delay_ns: i64,
+    /// Format, size, rate and controls as read back; null if there was no camera yet.
+    pub camera: serde_json::Value,
 }
 
 /// Frames, by what became of them: captured = written + the sum of dropped, and in the end written = tagged + the sum

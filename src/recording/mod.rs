@@ -6,7 +6,7 @@ mod segment;
 mod session;
 
 pub use folder::{Loss, missing_parts, read_info, session_holding};
-pub use manifest::{Counts, FORMAT_VERSION, ManifestLine, PoseBox, SessionInfo};
+pub use manifest::{Counts, FORMAT_VERSION, LiveInfo, ManifestLine, PoseBox, SessionInfo};
 pub use session::{RecordingError, SessionWriter, write_atomically};
 
 /// Topics that a capture adds to what was recorded.

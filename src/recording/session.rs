@@ -150,6 +150,12 @@ impl SessionWriter {
         self.write(topic::DIAGNOSTICS, log_time_ns, report)
     }
 
+    /// Frames that the camera made and that are not written.
+    pub fn drop_frames(&mut self, cause: &str, count: u64) {
+        self.segment.counts.captured += count;
+        *self.segment.counts.dropped.entry(cause.to_owned()).or_default() += count;
+    }
+
     /// A frame that was written and can have no tag.
     pub fn leave_untagged(&mut self, cause: &str) {
         *self.segment.counts.untagged.entry(cause.to_owned()).or_default() += 1;

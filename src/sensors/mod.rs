@@ -4,11 +4,16 @@
 //! log take the same way.
 
 mod body_mask;
+pub mod camera;
+pub mod clock;
 pub mod decode;
 pub mod history;
+pub mod host_clock;
 pub mod intake;
 pub mod log;
+pub mod mavlink;
 pub mod scene;
+pub mod serial;
 pub mod synchroniser;
 pub mod topics;
 pub mod transforms;

@@ -289,7 +289,7 @@ pub fn pose(isometry: &Isometry) -> Pose {
     Pose { position: Point { x, y, z }, orientation: quaternion(isometry.rotation) }
 }
 
-fn quaternion(q: DQuat) -> Quaternion {
+pub fn quaternion(q: DQuat) -> Quaternion {
     Quaternion { x: q.x, y: q.y, z: q.z, w: q.w }
 }
 

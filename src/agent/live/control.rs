@@ -1,0 +1,177 @@
+//! Questions and orders to a running agent, over a Unix socket: a line in, a line of JSON out.
+//!
+//! `status`, `mark TEXT`, `start`, `stop`; `poses` answers with a line for each tag until the asker hangs up.
+
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+use parking::Listeners;
+use serde_json::{Value, json};
+
+use crate::ros2::messages::FrameTag;
+
+/// What the agent is to do, and where its answer goes.
+pub struct Order {
+    pub what: Ask,
+    pub answer: Sender<Value>,
+}
+
+pub enum Ask {
+    Status,
+    Mark(String),
+    Start,
+    Stop,
+}
+
+/// Askers at one time.
+const MAX_ASKERS: usize = 16;
+/// A longer line is no order.
+const MAX_ORDER_BYTES: u64 = 4096;
+/// So long the agent may take to answer.
+const ANSWER_WITHIN: Duration = Duration::from_secs(5);
+/// Tags that a slow reader of poses may be behind; it misses those beyond.
+const MAX_TAGS_BEHIND: usize = 64;
+
+/// Where orders come in. The socket goes away with it.
+pub struct Control {
+    path: PathBuf,
+    pub orders: Receiver<Order>,
+    listeners: Arc<Listeners>,
+}
+
+impl Control {
+    pub fn listen(path: &Path) -> io::Result<Self> {
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        if UnixStream::connect(path).is_ok() {
+            return Err(io::Error::new(io::ErrorKind::AddrInUse, "another recorder is running"));
+        }
+        // Of one that was killed.
+        let _ = std::fs::remove_file(path);
+        let listener = UnixListener::bind(path)?;
+        let (send, orders) = bounded(MAX_ASKERS);
+        let listeners = Arc::<Listeners>::default();
+        let (shared, askers) = (Arc::clone(&listeners), Arc::new(AtomicUsize::new(0)));
+        std::thread::spawn(move || {
+            for asker in listener.incoming().map_while(Result::ok) {
+                if askers.fetch_add(1, Ordering::Relaxed) >= MAX_ASKERS {
+                    askers.fetch_sub(1, Ordering::Relaxed);
+                    continue;
+                }
+                let (send, shared, askers) = (send.clone(), Arc::clone(&shared), Arc::clone(&askers));
+                std::thread::spawn(move || {
+                    // Whoever hangs up has had enough.
+                    let _ = converse(asker, &send, &shared);
+                    askers.fetch_sub(1, Ordering::Relaxed);
+                });
+            }
+        });
+        Ok(Self { path: path.to_owned(), orders, listeners })
+    }
+
+    /// To everybody who wants poses.
+    pub fn tell(&self, tag: &FrameTag) {
+        self.listeners.tell(tag);
+    }
+}
+
+impl Drop for Control {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners) -> io::Result<()> {
+    asker.set_write_timeout(Some(ANSWER_WITHIN))?;
+    let mut reader = BufReader::new(asker.try_clone()?);
+    loop {
+        let mut line = String::new();
+        if reader.by_ref().take(MAX_ORDER_BYTES).read_line(&mut line)? == 0 {
+            return Ok(());
+        }
+        let (word, text) = line.trim().split_once(' ').unwrap_or((line.trim(), ""));
+        let what = match word {
+            "status" => Ask::Status,
+            "mark" => Ask::Mark(text.to_owned()),
+            "start" => Ask::Start,
+            "stop" => Ask::Stop,
+            "poses" => return stream(&mut asker, listeners),
+            _ => {
+                writeln!(asker, "{}", json!({ "error": "expected status, mark TEXT, start, stop or poses" }))?;
+                continue;
+            }
+        };
+        let (answer, answered) = bounded(1);
+        let sent = orders.send_timeout(Order { what, answer }, ANSWER_WITHIN).is_ok();
+        let value = if sent { answered.recv_timeout(ANSWER_WITHIN).ok() } else { None };
+        writeln!(asker, "{}", value.unwrap_or_else(|| json!({ "error": "the recorder does not answer" })))?;
+    }
+}
+
+fn stream(asker: &mut UnixStream, listeners: &Listeners) -> io::Result<()> {
+    let tags = listeners.add();
+    for tag in tags {
+        let mut line = serde_json::to_vec(&tag)?;
+        line.push(b'\n');
+        asker.write_all(&line)?;
+    }
+    Ok(())
+}
+
+/// One question to the recorder behind a socket, and its answer.
+pub fn ask(path: &Path, line: &str) -> io::Result<Value> {
+    let mut stream = UnixStream::connect(path)?;
+    stream.set_read_timeout(Some(2 * ANSWER_WITHIN))?;
+    writeln!(stream, "{}", line.replace('\n', " "))?;
+    let mut answer = String::new();
+    BufReader::new(stream).read_line(&mut answer)?;
+    Ok(serde_json::from_str(&answer)?)
+}
+
+/// Every tag from now on, a line of JSON each.
+pub fn poses(path: &Path, stop: &AtomicBool, mut take: impl FnMut(&str) -> io::Result<()>) -> io::Result<()> {
+    let mut stream = UnixStream::connect(path)?;
+    writeln!(stream, "poses")?;
+    for line in BufReader::new(stream).lines() {
+        take(&line?)?;
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+    }
+    Ok(())
+}
+
+mod parking {
+    //! Who wants poses.
+
+    use std::sync::Mutex;
+
+    use super::{FrameTag, MAX_TAGS_BEHIND, Receiver, Sender, bounded};
+
+    #[derive(Default)]
+    pub struct Listeners(Mutex<Vec<Sender<FrameTag>>>);
+
+    impl Listeners {
+        pub fn add(&self) -> Receiver<FrameTag> {
+            let (send, receive) = bounded(MAX_TAGS_BEHIND);
+            if let Ok(mut all) = self.0.lock() {
+                all.push(send);
+            }
+            receive
+        }
+
+        pub fn tell(&self, tag: &FrameTag) {
+            let Ok(mut all) = self.0.lock() else { return };
+            all.retain(|listener| match listener.try_send(tag.clone()) {
+                Ok(()) => true,
+                Err(error) => error.is_full(),
+            });
+        }
+    }
+}

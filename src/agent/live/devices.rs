@@ -1,0 +1,201 @@
+//! The threads at the devices: one for the camera, one for each serial port.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+
+use crossbeam_channel::{Sender, TrySendError};
+
+use super::messages::Messages;
+use crate::config::Settings;
+use crate::ros2::mcap_read::LogMessage;
+use crate::sensors::camera::{
+    CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Frame, ImageMessage, Negotiated,
+    PixelFormat, StampClock, driver_of, image_message,
+};
+use crate::sensors::host_clock::monotonic_ns;
+use crate::sensors::scene::header;
+use crate::sensors::serial::{PortEvent, PortOptions, run};
+
+/// What a device has to say.
+pub enum DeviceEvent {
+    CameraOpened(Negotiated),
+    CameraLost {
+        cause: &'static str,
+        said: String,
+    },
+    /// Frames that the camera made and that do not come.
+    Dropped {
+        cause: &'static str,
+        count: u64,
+    },
+    Frame {
+        message: LogMessage,
+        clock: StampClock,
+    },
+    Port {
+        device: String,
+        event: PortEvent,
+    },
+}
+
+/// Events between the devices and the agent: at 1 kHz of measurements, a second.
+const MAX_EVENTS: usize = 1024;
+/// Frames among them: with more, the agent is behind and the newest are dropped.
+const MAX_FRAMES: u64 = 16;
+
+pub fn channel() -> (Sender<DeviceEvent>, crossbeam_channel::Receiver<DeviceEvent>) {
+    crossbeam_channel::bounded(MAX_EVENTS)
+}
+
+pub struct Devices {
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+    /// Counts the rounds of the camera's thread: it stands still if the thread does.
+    pub rounds: Arc<AtomicU64>,
+    /// Frames sent and not yet taken.
+    pub waiting: Arc<AtomicU64>,
+}
+
+impl Devices {
+    /// `size` is the lens's.
+    pub fn start(settings: &Settings, size: (u32, u32), clock_ns: i64, events: &Sender<DeviceEvent>) -> Self {
+        let (stop, rounds, waiting) = (Arc::new(AtomicBool::new(false)), Arc::default(), Arc::default());
+        let mut threads = Vec::new();
+        for port in &settings.serial.ports {
+            let options =
+                PortOptions { device: port.device.clone(), baud: port.baud, system: settings.serial.system_id };
+            let (stop, events) = (Arc::clone(&stop), events.clone());
+            threads.push(std::thread::spawn(move || {
+                run(&options, &stop, |event| {
+                    // Measurements are small and must not be lost: the port's thread waits.
+                    let _ = events.send(DeviceEvent::Port { device: options.device.clone(), event });
+                });
+            }));
+        }
+        let camera = CameraThread {
+            settings: settings.clone(),
+            clock_ns,
+            stop: Arc::clone(&stop),
+            rounds: Arc::clone(&rounds),
+            waiting: Arc::clone(&waiting),
+            events: events.clone(),
+        };
+        threads.push(std::thread::spawn(move || camera.start(size)));
+        Self { stop, threads, rounds, waiting }
+    }
+
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// After [`stop`](Self::stop), while the events are still being taken or nobody takes them any more.
+    pub fn join(self) {
+        for thread in self.threads {
+            // One that panicked has already said so.
+            let _ = thread.join();
+        }
+    }
+}
+
+struct CameraThread {
+    settings: Settings,
+    /// UTC minus monotonic clock.
+    clock_ns: i64,
+    stop: Arc<AtomicBool>,
+    rounds: Arc<AtomicU64>,
+    waiting: Arc<AtomicU64>,
+    events: Sender<DeviceEvent>,
+}
+
+impl CameraThread {
+    fn start(self, (width, height): (u32, u32)) {
+        let capture = &self.settings.capture;
+        let options = CameraOptions {
+            device: capture.device.clone(),
+            width,
+            height,
+            format: capture.format.as_deref().and_then(PixelFormat::of_fourcc),
+            rate_hz: capture.rate_hz,
+            controls: capture.controls.clone(),
+        };
+        let max_rate_hz = (capture.max_rate_hz > 0.0).then_some(capture.max_rate_hz);
+        let rules = CaptureRules { options, max_rate_hz };
+        match driver_of(&rules.options.device) {
+            Ok(driver) => self.run(Capture::new(driver, rules)),
+            Err(error) => self.lost(&error),
+        }
+    }
+
+    fn run(self, mut capture: Capture<Box<dyn Driver>>) {
+        let (mut messages, mut negotiated) = (Messages::default(), None);
+        let mut last: Option<&'static str> = None;
+        while !self.stop.load(Ordering::Relaxed) {
+            self.rounds.fetch_add(1, Ordering::Relaxed);
+            std::thread::sleep(capture.idle(monotonic_ns()));
+            capture.step(monotonic_ns, |event| match event {
+                CaptureEvent::Opened(camera) => {
+                    if negotiated.as_ref() != Some(&camera) {
+                        self.tell(DeviceEvent::CameraOpened(camera.clone()));
+                    }
+                    negotiated = Some(camera);
+                }
+                CaptureEvent::Lost { error, .. } => {
+                    // Once for each cause, not with every try.
+                    if last.replace(error.cause()) != Some(error.cause()) {
+                        self.lost(&error);
+                    }
+                }
+                CaptureEvent::Dropped(drop, count) => {
+                    self.tell(DeviceEvent::Dropped { cause: drop.cause(), count });
+                }
+                CaptureEvent::Frame(frame) => {
+                    last = None;
+                    if let Some(camera) = &negotiated {
+                        self.deliver(frame, camera, &mut messages);
+                    }
+                }
+            });
+        }
+    }
+
+    fn lost(&self, error: &CameraError) {
+        self.tell(DeviceEvent::CameraLost { cause: error.cause(), said: error.to_string() });
+    }
+
+    fn deliver(&self, frame: Frame, camera: &Negotiated, messages: &mut Messages) {
+        if self.waiting.load(Ordering::Relaxed) >= MAX_FRAMES {
+            self.tell(DeviceEvent::Dropped { cause: "queue", count: 1 });
+            return;
+        }
+        let capture = &self.settings.capture;
+        let delay_ns = (capture.delay_ms * 1e6) as i64;
+        let clock = frame.clock;
+        let stamp_ns = frame.stamp_ns.saturating_add(self.clock_ns).saturating_sub(delay_ns);
+        let header = header(stamp_ns, &self.settings.frames.camera_optical);
+        let quality = (capture.jpeg_quality > 0).then_some(capture.jpeg_quality);
+        let topic = self.settings.topics.image.as_str();
+        let message = match image_message(frame, camera, quality, header) {
+            Ok(ImageMessage::Compressed(image)) => messages.message(topic, false, &image),
+            Ok(ImageMessage::Raw(image)) => messages.message(topic, false, &image),
+            Err(_) => {
+                self.tell(DeviceEvent::Dropped { cause: "encode", count: 1 });
+                return;
+            }
+        };
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        self.tell(DeviceEvent::Frame { message, clock });
+    }
+
+    fn tell(&self, event: DeviceEvent) {
+        // A full channel means that the agent is behind by a second: waiting here makes the camera count its drops.
+        let mut event = event;
+        while let Err(TrySendError::Full(back)) = self.events.try_send(event) {
+            if self.stop.load(Ordering::Relaxed) {
+                return;
+            }
+            event = back;
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! How a running agent is: for `realitysim status` and for the log.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::recording::Counts;
+use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
+use crate::sensors::camera::StampClock;
+use crate::sensors::log::DIAGNOSTICS_NAME;
+use crate::sensors::scene::header;
+use crate::sensors::serial::LineStatus;
+
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Status {
+    /// `listening`, `recording`, `stopped` or `ended`.
+    pub state: &'static str,
+    pub session: Option<PathBuf>,
+    pub counts: Counts,
+    /// What the camera agreed to.
+    pub camera: Value,
+    /// Why there is none at the moment.
+    pub camera_lost: Option<&'static str>,
+    pub stamp_clock: Option<StampClock>,
+    /// Between camera and agent.
+    pub frames_waiting: u64,
+    pub ports: BTreeMap<String, Port>,
+    pub last_tag: Option<LastTag>,
+}
+
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Port {
+    /// Why it is not open.
+    pub lost: Option<String>,
+    #[serde(flatten)]
+    pub line: Option<LineStatus>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct LastTag {
+    pub sequence: u64,
+    pub valid: bool,
+    pub reason: String,
+    pub x_m: f64,
+    pub y_m: f64,
+    pub yaw_rad: f64,
+    pub elapsed_ms: f64,
+}
+
+impl Status {
+    pub fn tagged(&mut self, tag: &FrameTag) {
+        let position = &tag.pose.pose.position;
+        self.last_tag = Some(LastTag {
+            sequence: tag.sequence,
+            valid: tag.valid,
+            reason: tag.reason.clone(),
+            x_m: position.x,
+            y_m: position.y,
+            yaw_rad: tag.yaw,
+            elapsed_ms: tag.elapsed_ms,
+        });
+    }
+
+    /// Whether this is news.
+    pub fn port_is(&mut self, device: &str, lost: Option<String>) -> bool {
+        let port = self.ports.entry(device.to_owned()).or_default();
+        let news = port.lost != lost;
+        port.lost = lost;
+        news
+    }
+
+    pub fn line_is(&mut self, device: &str, line: LineStatus) {
+        self.ports.entry(device.to_owned()).or_default().line = Some(line);
+    }
+
+    /// Clocks and counts of the ports, once a second.
+    pub fn diagnostics(&self, now_ns: i64, robot: &str) -> DiagnosticArray {
+        let status = self.ports.iter().map(|(device, port)| {
+            let mut values = Vec::new();
+            if let Some(LineStatus { counts, clocks }) = &port.line {
+                let frames = &counts.frames;
+                let numbers = [
+                    ("messages", frames.frames),
+                    ("lost", counts.lost),
+                    ("crc_failures", frames.crc_failures),
+                    ("bytes_skipped", frames.bytes_skipped),
+                    ("unusable", counts.unusable.values().sum()),
+                    ("estimate_resets", counts.resets),
+                ];
+                values.extend(numbers.map(|(key, number)| value(key, number)));
+                for clock in clocks {
+                    let (system, component) = (clock.sender.system, clock.sender.component);
+                    let of = |what: &str| format!("{system}.{component}.{what}");
+                    values.push(value(&of("offset_ns"), clock.clock.offset_ns));
+                    values.push(value(&of("uncertainty_ns"), clock.clock.uncertainty_ns));
+                    values.push(value(&of("drift_ppm"), format!("{:.2}", clock.clock.drift_ppm)));
+                    values.push(value(&of("restarts"), clock.clock.restarts));
+                }
+            }
+            DiagnosticStatus {
+                level: if port.lost.is_some() { DiagnosticStatus::WARN } else { DiagnosticStatus::OK },
+                name: format!("{DIAGNOSTICS_NAME}port {device}"),
+                message: port.lost.clone().unwrap_or_else(|| "open".to_owned()),
+                hardware_id: robot.to_owned(),
+                values,
+            }
+        });
+        DiagnosticArray { header: header(now_ns, ""), status: status.collect() }
+    }
+}
+
+/// One thing that happened.
+pub fn note(now_ns: i64, robot: &str, about: &str, what: &str, said: &str) -> DiagnosticArray {
+    let status = DiagnosticStatus {
+        level: if matches!(what, "mark" | "recovered") { DiagnosticStatus::OK } else { DiagnosticStatus::WARN },
+        name: format!("{DIAGNOSTICS_NAME}{about}"),
+        message: said.to_owned(),
+        hardware_id: robot.to_owned(),
+        values: vec![value("event", what)],
+    };
+    DiagnosticArray { header: header(now_ns, ""), status: vec![status] }
+}
+
+fn value(key: &str, value: impl ToString) -> KeyValue {
+    KeyValue { key: key.to_owned(), value: value.to_string() }
+}

@@ -1,0 +1,80 @@
+//! `realitysim install`
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, bail};
+use clap::Args;
+
+use super::{Outcome, output, paths};
+
+/// Put the recorder in place as a service of this machine (as root)
+///
+/// Copies the program to /usr/bin, the unit, udev rules and user to their places, and a config to /etc/realitysim if there is none.
+/// Starts nothing: edit the config, then `systemctl enable --now realitysim`. A second run replaces all but the config.
+#[derive(Args)]
+pub struct InstallArguments {
+    /// Only write the files, below this folder: for an image or a package
+    #[arg(long, value_name = "DIR")]
+    root: Option<PathBuf>,
+}
+
+const FILES: [(&str, &str); 4] = [
+    ("usr/lib/systemd/system/realitysim.service", include_str!("../../systemd/realitysim.service")),
+    ("usr/lib/udev/rules.d/99-realitysim.rules", include_str!("../../systemd/99-realitysim.rules")),
+    ("usr/lib/sysusers.d/realitysim.conf", include_str!("../../systemd/realitysim.sysusers")),
+    ("usr/lib/tmpfiles.d/realitysim.conf", include_str!("../../systemd/realitysim.tmpfiles")),
+];
+const CONFIG: (&str, &str) = ("etc/realitysim/robot.toml", include_str!("../../config/robot.toml"));
+const PROGRAM: &str = "usr/bin/realitysim";
+
+/// What makes them known, in this order.
+const COMMANDS: [&[&str]; 5] = [
+    &["systemd-sysusers", "/usr/lib/sysusers.d/realitysim.conf"],
+    &["systemd-tmpfiles", "--create", "/usr/lib/tmpfiles.d/realitysim.conf"],
+    &["systemctl", "daemon-reload"],
+    &["udevadm", "control", "--reload"],
+    &["udevadm", "trigger", "--subsystem-match=video4linux", "--subsystem-match=tty"],
+];
+
+pub fn run(arguments: &InstallArguments) -> anyhow::Result<Outcome> {
+    let root = arguments.root.as_deref().unwrap_or(Path::new("/"));
+    for (name, content) in FILES {
+        write(&root.join(name), content.as_bytes(), 0o644)?;
+    }
+    if !root.join(CONFIG.0).exists() {
+        write(&root.join(CONFIG.0), CONFIG.1.as_bytes(), 0o644)?;
+    }
+    let program = std::env::current_exe().context("this program's own file")?;
+    let content = std::fs::read(&program).map_err(|error| paths::cannot_read(&program, error))?;
+    write(&root.join(PROGRAM), &content, 0o755)?;
+    if arguments.root.is_none() {
+        for command in COMMANDS {
+            run_command(command)?;
+        }
+        output::lines("installed; edit /etc/realitysim/robot.toml, then: systemctl enable --now realitysim")?;
+    }
+    Ok(Outcome::Whole)
+}
+
+/// Beside first, then renamed: a program that runs is not written over.
+fn write(path: &Path, content: &[u8], mode: u32) -> anyhow::Result<()> {
+    let failed = |error| paths::cannot_write(path, error);
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(failed)?;
+    }
+    let beside = path.with_extension("new");
+    std::fs::write(&beside, content).map_err(failed)?;
+    std::fs::set_permissions(&beside, std::fs::Permissions::from_mode(mode)).map_err(failed)?;
+    std::fs::rename(&beside, path).map_err(failed)
+}
+
+fn run_command(command: &[&str]) -> anyhow::Result<()> {
+    let said = command.join(" ");
+    let status = Command::new(command[0]).args(&command[1..]).status().with_context(|| said.clone())?;
+    if !status.success() {
+        bail!("{said} ended with {status}; the files are in place");
+    }
+    Ok(())
+}

@@ -1,0 +1,189 @@
+//! `realitysim record`, and questions and orders to one that runs.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use serde_json::Value;
+
+use super::settings::{SettingsArguments, check_initial, planar_pose};
+use super::{Outcome, output};
+use crate::agent::live::{RecordOptions, ask, poses, record, stop_flag};
+use crate::config::load_field;
+use crate::geometry::{Field, Pose2};
+
+/// Where a service's runtime files are; a user's own recorder may be elsewhere.
+const SOCKET: &str = "/run/realitysim/control.sock";
+
+/// Record a live camera and tag every frame, on the robot
+///
+/// Camera, serial ports, lens and mount come from the config. Ends with SIGINT or SIGTERM, with a whole capture. Devices that go
+/// away are waited for.
+#[derive(Args)]
+pub struct RecordArguments {
+    /// Where captures are kept
+    #[arg(short, long, value_name = "CAPTURES_DIR")]
+    output: PathBuf,
+    /// Threads for decoding and looking at frames; each more makes tags come a frame or two later
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    threads: usize,
+    /// Pose of base_footprint at the start
+    #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
+    initial: Option<Pose2>,
+    /// Go on from where the last recording into CAPTURES_DIR ended; invalid until lines confirm it
+    #[arg(long)]
+    warm_start: bool,
+    /// Where `status`, `mark` and the others find this recorder
+    #[arg(long, value_name = "PATH", default_value = SOCKET)]
+    socket: PathBuf,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
+    let settings = arguments.settings.resolve()?;
+    if let Some(initial) = &arguments.initial {
+        check_initial(initial, &settings.field, &Field::new(load_field(&settings.field)?)?)?;
+    }
+    let options = RecordOptions {
+        captures: arguments.output.clone(),
+        settings,
+        initial: arguments.initial,
+        threads: arguments.threads.clamp(1, super::replay::MAX_THREADS),
+        warm_start: arguments.warm_start,
+        socket: arguments.socket.clone(),
+    };
+    let stop = stop_flag()?;
+    let status = record(&options, &stop, &mut |said| eprintln!("realitysim: {said}"))?;
+    if json {
+        output::json(&status)?;
+    } else {
+        output::lines(&for_people(&status))?;
+    }
+    Ok(Outcome::Whole)
+}
+
+/// How is it, what happened, begin, end, where am I.
+#[derive(Subcommand)]
+pub enum Order {
+    /// How a running recorder is: rates, drops, ports and clocks, the last pose
+    Status(At),
+    /// Put a note into the running log
+    Mark {
+        /// What happened
+        text: String,
+        #[command(flatten)]
+        at: At,
+    },
+    /// Begin a session in a recorder that runs
+    Start(At),
+    /// End its session; the recorder goes on running
+    Stop(At),
+    /// Every tag as it is made, a line of JSON each
+    Poses(At),
+}
+
+#[derive(Args)]
+pub struct At {
+    /// The recorder's socket
+    #[arg(long, value_name = "PATH", default_value = SOCKET)]
+    socket: PathBuf,
+}
+
+pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
+    let (line, at) = match order {
+        Order::Status(at) => ("status".to_owned(), at),
+        Order::Mark { text, at } => (format!("mark {text}"), at),
+        Order::Start(at) => ("start".to_owned(), at),
+        Order::Stop(at) => ("stop".to_owned(), at),
+        Order::Poses(at) => {
+            let stop = std::sync::atomic::AtomicBool::new(false);
+            let mut stdout = std::io::stdout().lock();
+            poses(&at.socket, &stop, |line| writeln!(stdout, "{line}").and_then(|()| stdout.flush()))
+                .map_err(|error| unreachable_recorder(at, &error))?;
+            return Ok(Outcome::Whole);
+        }
+    };
+    let answer = ask(&at.socket, &line).map_err(|error| unreachable_recorder(at, &error))?;
+    if let Some(error) = answer["error"].as_str() {
+        anyhow::bail!("{error}");
+    }
+    if json {
+        output::json(&answer)?;
+    } else if matches!(order, Order::Status(_)) {
+        output::lines(&for_people(&answer))?;
+    } else if let Some(session) = answer["session"].as_str() {
+        output::lines(session)?;
+    }
+    Ok(Outcome::Whole)
+}
+
+fn unreachable_recorder(at: &At, error: &std::io::Error) -> anyhow::Error {
+    let socket = at.socket.display();
+    match error.kind() {
+        std::io::ErrorKind::NotFound | std::io::ErrorKind::ConnectionRefused => {
+            anyhow::anyhow!("{socket}: no recorder is running there (systemctl status realitysim)")
+        }
+        std::io::ErrorKind::PermissionDenied => {
+            anyhow::anyhow!("{socket}: no permission: your user must be in the group realitysim")
+        }
+        _ => anyhow::anyhow!("{socket}: {error}"),
+    }
+}
+
+fn for_people(status: &Value) -> String {
+    let text = |key: &str| status[key].as_str().unwrap_or("-").to_owned();
+    let counts = &status["counts"];
+    let number = |key: &str| counts[key].as_u64().unwrap_or(0);
+    let mut lines = vec![
+        format!("{}  {}", text("state"), text("session")),
+        format!(
+            "{} captured, {} written, {} tagged, {} valid",
+            number("captured"),
+            number("written"),
+            number("tagged"),
+            number("valid")
+        ),
+    ];
+    let dropped = counts["dropped"].as_object().into_iter().flatten();
+    let dropped: Vec<String> = dropped.map(|(cause, count)| format!("{count} {cause}")).collect();
+    if !dropped.is_empty() {
+        lines.push(format!("dropped: {}", dropped.join(", ")));
+    }
+    match status["camera_lost"].as_str() {
+        Some(cause) => lines.push(format!("camera: away ({cause})")),
+        None => lines.push(format!("camera: {}", status["camera"]["card"].as_str().unwrap_or("none yet"))),
+    }
+    for (device, port) in status["ports"].as_object().into_iter().flatten() {
+        if let Some(lost) = port["lost"].as_str() {
+            lines.push(format!("{device}: {lost}"));
+            continue;
+        }
+        lines.push(format!(
+            "{device}: {} messages, {} lost, {} checksums wrong, {} bytes skipped",
+            port["frames"], port["lost"], port["crc_failures"], port["bytes_skipped"]
+        ));
+        for clock in port["clocks"].as_array().into_iter().flatten() {
+            lines.push(format!(
+                "  {}.{}: clock to {:.2} ms by {}, drift {:.1} ppm",
+                clock["system"],
+                clock["component"],
+                clock["uncertainty_ns"].as_f64().unwrap_or(0.0) * 1e-6,
+                clock["source"].as_str().unwrap_or("-"),
+                clock["drift_ppm"].as_f64().unwrap_or(0.0)
+            ));
+        }
+    }
+    if let Some(tag) = status["last_tag"].as_object() {
+        let float = |key: &str| tag[key].as_f64().unwrap_or(f64::NAN);
+        let valid = if tag["valid"] == true { "valid" } else { tag["reason"].as_str().unwrap_or("invalid") };
+        lines.push(format!(
+            "x {:.2} m, y {:.2} m, yaw {:.1} deg: {valid}, {:.1} ms",
+            float("x_m"),
+            float("y_m"),
+            float("yaw_rad").to_degrees(),
+            float("elapsed_ms")
+        ));
+    }
+    lines.join("\n")
+}

@@ -1,0 +1,126 @@
+//! The offset from arrival times alone.
+//!
+//! A message never arrives before it was sent: host minus device at arrival is the offset plus a delay, never less. So the
+//! offset is the line that lies below all of these points and nearest to them: an edge of their lower convex hull, the one over
+//! the middle of the time (S. B. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay
+//! measurements", INFOCOM 1999). A delay that every message has is in it and cannot be told from an offset.
+
+use std::collections::VecDeque;
+
+use super::{Line, MAX_DRIFT};
+
+#[derive(Clone, Debug, Default)]
+pub(super) struct Arrivals {
+    /// The earliest of each stretch of time, by device time.
+    points: VecDeque<Point>,
+    line: Option<Line>,
+    /// Of the coarsest stamps: their rounding can keep its phase for long, and then looks like an offset.
+    resolution_ns: i64,
+    /// In a row, arrivals that are too late for this clock.
+    strange: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    device_ns: i64,
+    /// Host minus device.
+    apparent_ns: i64,
+}
+
+/// One point is kept of each such stretch.
+const STRETCH_NS: i64 = 250_000_000;
+const MEMORY_NS: i64 = 60_000_000_000;
+const MAX_POINTS: usize = 241;
+/// Below this much time nothing can be said of the drift.
+const SLOPE_FROM_NS: i64 = 5_000_000_000;
+/// A message that is this much too early or too late for the clock is one of a clock that was set.
+const SET_NS: i64 = 1_000_000_000;
+/// Late ones can also have waited: this many in a row must be.
+const STRANGE: u32 = 20;
+/// What the quickest of all has waited at least for the host's scheduler.
+const SLACK_NS: f64 = 200_000.0;
+
+impl Arrivals {
+    /// False if the clock has been set: nothing of before holds.
+    pub fn push(&mut self, device_ns: i64, resolution_ns: i64, host_ns: i64) -> bool {
+        self.resolution_ns = self.resolution_ns.max(resolution_ns);
+        let apparent_ns = host_ns.saturating_sub(device_ns);
+        if let Some(line) = &self.line {
+            let above = apparent_ns.saturating_sub(line.at(device_ns).offset_ns);
+            if above < -SET_NS {
+                return false;
+            }
+            self.strange = if above > SET_NS { self.strange + 1 } else { 0 };
+            if self.strange >= STRANGE {
+                return false;
+            }
+        }
+        let point = Point { device_ns, apparent_ns };
+        match self.points.back_mut() {
+            Some(last) if device_ns.div_euclid(STRETCH_NS) <= last.device_ns.div_euclid(STRETCH_NS) => {
+                if apparent_ns >= last.apparent_ns {
+                    return true;
+                }
+                // Its place in the order of times stays.
+                let device_ns = last.device_ns.max(device_ns);
+                *last = Point { device_ns, apparent_ns };
+            }
+            _ => self.points.push_back(point),
+        }
+        let oldest = device_ns.saturating_sub(MEMORY_NS);
+        while self.points.len() > MAX_POINTS || self.points.front().is_some_and(|first| first.device_ns < oldest) {
+            self.points.pop_front();
+        }
+        self.line = fit(&self.points, self.resolution_ns);
+        true
+    }
+
+    pub fn line(&self) -> Option<Line> {
+        self.line
+    }
+}
+
+fn fit(points: &VecDeque<Point>, resolution_ns: i64) -> Option<Line> {
+    let (first, last) = (points.front()?, points.back()?);
+    let x = |point: &Point| point.device_ns.saturating_sub(last.device_ns) as f64;
+    let y = |point: &Point| point.apparent_ns.saturating_sub(last.apparent_ns) as f64;
+    let span_ns = last.device_ns.saturating_sub(first.device_ns);
+    let drift = if span_ns < SLOPE_FROM_NS { 0.0 } else { slope_of_middle_edge(points, x, y) };
+    // Below all points, whatever the slope was limited to.
+    let offset = points.iter().map(|point| y(point) - drift * x(point)).fold(f64::INFINITY, f64::min);
+    let mut delays: Vec<f64> = points.iter().map(|point| y(point) - drift * x(point) - offset).collect();
+    delays.sort_by(f64::total_cmp);
+    let typical = delays[delays.len() / 2];
+    Some(Line {
+        at_device_ns: last.device_ns,
+        offset_ns: last.apparent_ns as f64 + offset,
+        drift,
+        // Where even the quickest of a stretch differ by so much, the quickest of all has waited for about as long.
+        uncertainty_ns: typical + resolution_ns as f64 + SLACK_NS,
+        drift_uncertainty: if span_ns < SLOPE_FROM_NS {
+            MAX_DRIFT
+        } else {
+            typical.max(100_000.0) / span_ns as f64 * 2.0
+        },
+    })
+}
+
+/// Of the lower hull's edge over the middle of the times.
+fn slope_of_middle_edge(points: &VecDeque<Point>, x: impl Fn(&Point) -> f64, y: impl Fn(&Point) -> f64) -> f64 {
+    let mut hull: Vec<(f64, f64)> = Vec::with_capacity(points.len());
+    for point in points {
+        let next = (x(point), y(point));
+        while let [.., a, b] = hull[..] {
+            let turns_left = (b.0 - a.0) * (next.1 - a.1) - (b.1 - a.1) * (next.0 - a.0) > 0.0;
+            if turns_left {
+                break;
+            }
+            hull.pop();
+        }
+        hull.push(next);
+    }
+    let middle = points.iter().map(&x).sum::<f64>() / points.len() as f64;
+    let edge = hull.windows(2).find(|edge| edge[1].0 >= middle);
+    let slope = edge.map_or(0.0, |edge| (edge[1].1 - edge[0].1) / (edge[1].0 - edge[0].0));
+    if slope.is_finite() { slope.clamp(-MAX_DRIFT, MAX_DRIFT) } else { 0.0 }
+}

@@ -1,0 +1,197 @@
+//! Simulated devices: the true offset is known and must lie within what the clock claims.
+
+use super::*;
+use proptest::prelude::*;
+
+/// A device whose clock began at some host time and runs a little too fast or slow.
+struct Simulated {
+    began_ns: i64,
+    ppm: f64,
+    noise: u64,
+}
+
+impl Simulated {
+    fn device_ns(&self, host_ns: i64) -> i64 {
+        let up = host_ns - self.began_ns;
+        up + (up as f64 * self.ppm * 1e-6) as i64
+    }
+
+    fn true_offset(&self, host_ns: i64) -> i64 {
+        host_ns - self.device_ns(host_ns)
+    }
+
+    /// In 0..1, by SplitMix64.
+    fn random(&mut self) -> f64 {
+        self.noise = self.noise.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.noise ^ (self.noise >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// A delay of at least `least`, mostly little more, now and then much more.
+    fn delay_ns(&mut self, least_ms: f64, jitter_ms: f64) -> i64 {
+        let tail = -libm::log(1.0 - self.random());
+        let burst = if self.random() < 0.05 { 8.0 } else { 1.0 };
+        ((least_ms + jitter_ms * tail * burst) * 1e6) as i64
+    }
+}
+
+const SECOND: i64 = 1_000_000_000;
+const START: i64 = 1_000 * SECOND;
+
+/// Four questions a second; every answer comes with chance `answered`.
+fn question(clock: &mut DeviceClock, device: &mut Simulated, host_ns: i64, jitter_ms: f64, answered: f64) {
+    if device.random() > answered {
+        return;
+    }
+    let there = device.delay_ns(0.4, jitter_ms);
+    let back = device.delay_ns(0.4, jitter_ms);
+    let asked = device.device_ns(host_ns + there);
+    clock.exchanged(host_ns, asked, host_ns + there + back);
+}
+
+fn error_ns(clock: &DeviceClock, device: &Simulated, host_ns: i64) -> (i64, i64) {
+    let offset = clock.offset(device.device_ns(host_ns)).expect("heard of");
+    (offset.offset_ns - device.true_offset(host_ns), offset.uncertainty_ns)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn exchanges_find_the_offset_in_jitter_drift_and_loss(
+        ppm in -100.0..100.0f64, jitter_ms in 0.05..3.0f64, answered in 0.2..1.0f64, noise in any::<u64>()
+    ) {
+        let mut device = Simulated { began_ns: START - 77 * SECOND, ppm, noise };
+        let mut clock = DeviceClock::default();
+        for step in 0..1200 {
+            let host_ns = START + step * SECOND / 4;
+            question(&mut clock, &mut device, host_ns, jitter_ms, answered);
+            if step > 120 {
+                let (error, uncertainty) = error_ns(&clock, &device, host_ns);
+                prop_assert!(error.abs() <= uncertainty, "{step}: {error} of {uncertainty} ns");
+                // Quicker than the mean delay by far.
+                prop_assert!(error.abs() < (1e6 * (0.3 + 0.5 * jitter_ms)) as i64, "{step}: {error} ns");
+            }
+        }
+        let status = clock.status().expect("heard of");
+        prop_assert_eq!((status.source, status.restarts), (Source::Timesync, 0));
+        prop_assert!((status.drift_ppm + ppm).abs() < 5.0 + 15.0 * jitter_ms, "{} for {ppm}", status.drift_ppm);
+    }
+
+    #[test]
+    fn arrivals_find_the_offset_but_for_the_least_delay(
+        ppm in -100.0..100.0f64, jitter_ms in 0.05..3.0f64, least_ms in 0.1..2.0f64, noise in any::<u64>()
+    ) {
+        let mut device = Simulated { began_ns: START - 5 * SECOND, ppm, noise };
+        let mut clock = DeviceClock::default();
+        for step in 0..12_000 {
+            let host_ns = START + step * SECOND / 100;
+            let delay = device.delay_ns(least_ms, jitter_ms);
+            // Stamped in whole milliseconds, as time_boot_ms is.
+            let stamp = device.device_ns(host_ns).div_euclid(1_000_000) * 1_000_000;
+            clock.arrived(stamp, 1_000_000, host_ns + delay);
+            if step > 1_000 && step % 50 == 0 {
+                let (error, uncertainty) = error_ns(&clock, &device, host_ns);
+                let beyond = error - (least_ms * 1e6) as i64;
+                prop_assert!(beyond.abs() <= uncertainty, "{step}: {beyond} ns, {uncertainty}");
+                prop_assert!(beyond.abs() < (1e6 * (1.2 + 0.5 * jitter_ms)) as i64, "{step}: {beyond} ns");
+            }
+        }
+        let status = clock.status().expect("heard of");
+        prop_assert_eq!((status.source, status.restarts), (Source::Arrivals, 0));
+        prop_assert!((status.drift_ppm + ppm).abs() < 60.0, "{} for {ppm}", status.drift_ppm);
+    }
+
+    /// Whatever a device and its line say.
+    #[test]
+    fn no_times_make_a_clock_panic(times in prop::collection::vec((any::<i64>(), any::<i64>(), any::<i64>()), 0..60)) {
+        let mut clock = DeviceClock::default();
+        for (sent, device, received) in times {
+            clock.exchanged(sent, device, received);
+            clock.arrived(device, 1_000, received);
+            clock.arrived(device.wrapping_add(1), 1_000, received);
+            let _ = (clock.offset(device), clock.status());
+        }
+    }
+}
+
+#[test]
+fn a_device_that_starts_anew_is_followed_at_once() {
+    for with_exchanges in [true, false] {
+        let mut device = Simulated { began_ns: START - 300 * SECOND, ppm: 40.0, noise: 3 };
+        let mut clock = DeviceClock::default();
+        for step in 0..12_000 {
+            let host_ns = START + step * SECOND / 100;
+            if step == 6_000 {
+                device.began_ns = host_ns;
+            }
+            let delay = device.delay_ns(0.3, 0.2);
+            clock.arrived(device.device_ns(host_ns), 1_000, host_ns + delay);
+            if with_exchanges && step % 25 == 0 {
+                question(&mut clock, &mut device, host_ns, 0.2, 1.0);
+            }
+            let (error, _) = error_ns(&clock, &device, host_ns);
+            assert!(step < 10 || error.abs() < 5_000_000, "{step}: {error}");
+        }
+        assert_eq!(clock.status().expect("heard of").restarts, 1);
+    }
+}
+
+#[test]
+fn a_clock_that_is_set_forward_is_followed() {
+    for with_exchanges in [true, false] {
+        let mut device = Simulated { began_ns: START - 300 * SECOND, ppm: 0.0, noise: 4 };
+        let mut clock = DeviceClock::default();
+        for step in 0..12_000 {
+            let host_ns = START + step * SECOND / 100;
+            if step == 6_000 {
+                device.began_ns -= 3_600 * SECOND;
+            }
+            let delay = device.delay_ns(0.3, 0.2);
+            clock.arrived(device.device_ns(host_ns), 1_000, host_ns + delay);
+            if with_exchanges && step % 25 == 0 {
+                question(&mut clock, &mut device, host_ns, 0.2, 1.0);
+            }
+        }
+        let (error, _) = error_ns(&clock, &device, START + 120 * SECOND);
+        assert!(error.abs() < 2_000_000, "{error}");
+        assert_eq!(clock.status().expect("heard of").restarts, 1);
+    }
+}
+
+#[test]
+fn without_answers_the_arrivals_go_on() {
+    let mut device = Simulated { began_ns: START - 300 * SECOND, ppm: 90.0, noise: 5 };
+    let mut clock = DeviceClock::default();
+    for step in 0..12_000 {
+        let host_ns = START + step * SECOND / 100;
+        let delay = device.delay_ns(0.3, 0.2);
+        clock.arrived(device.device_ns(host_ns), 1_000, host_ns + delay);
+        if step < 3_000 && step % 25 == 0 {
+            question(&mut clock, &mut device, host_ns, 0.2, 1.0);
+        }
+        if step > 100 {
+            let (error, uncertainty) = error_ns(&clock, &device, host_ns);
+            assert!(error.abs() < 1_000_000, "{step}: {error} of {uncertainty}");
+        }
+    }
+    assert_eq!(clock.status().expect("heard of").source, Source::Arrivals);
+}
+
+#[test]
+fn one_wild_answer_changes_nothing() {
+    let mut device = Simulated { began_ns: START - 300 * SECOND, ppm: 10.0, noise: 6 };
+    let mut clock = DeviceClock::default();
+    for step in 0..400 {
+        let host_ns = START + step * SECOND / 4;
+        question(&mut clock, &mut device, host_ns, 0.2, 1.0);
+        if step % 50 == 25 {
+            // A checksum that was right by chance.
+            clock.exchanged(host_ns, device.device_ns(host_ns) + 900_000_000, host_ns + 1_000_000);
+        }
+    }
+    let (error, _) = error_ns(&clock, &device, START + 100 * SECOND);
+    assert!(error.abs() < 300_000, "{error}");
+    assert_eq!(clock.status().expect("heard of").restarts, 0);
+}

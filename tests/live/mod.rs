@@ -1,0 +1,194 @@
+//! The agent as on a robot: a simulated walk comes in real time over a socket (frames) and a serial line (MAVLink).
+
+mod robot;
+
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::replay::support::{CAPTURES, IMAGE, Room, TAG, TRUTH, decode_all, on, read_capture, walk};
+use realitysim::ros2::messages::{DiagnosticArray, FrameTag, PoseStamped};
+use robot::Robot;
+
+const CONFIG: &str = r#"
+robot = "r1"
+[camera]
+lens = "lens.toml"
+[capture]
+device = "unix:camera.sock"
+delay_ms = 4.0
+[mount]
+torso_height_m = 0.38
+camera_xyz_m = [0.04, 0.0, 0.11]
+camera_rpy_deg = [0.0, 17.0, 0.0]
+"#;
+
+struct Recorder {
+    room: Room,
+    process: Option<std::process::Child>,
+}
+
+impl Recorder {
+    fn start(tty: Option<&str>) -> Self {
+        let room = Room::new();
+        room.write_scene("scene.toml", |text| text);
+        let ports =
+            tty.map_or(String::new(), |tty| format!("[serial]\nports = [{{ device = \"{tty}\", baud = 921600 }}]\n"));
+        room.write("robot.toml", format!("{CONFIG}{ports}"));
+        let process = Command::new(env!("CARGO_BIN_EXE_realitysim"))
+            .args(["record", "-o", CAPTURES, "--config", "robot.toml", "--socket", "control.sock"])
+            .args(["--initial", "-2.06,0.153,14.5", "--json"])
+            .current_dir(room.path(""))
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("started");
+        Self { room, process: Some(process) }
+    }
+
+    fn asks(&self, order: &str) -> serde_json::Value {
+        self.room.run(&format!("{order} --socket control.sock --json")).succeeds().json()
+    }
+
+    fn waits_for(&self, what: &str, seconds: u64, is: impl Fn(&serde_json::Value) -> bool) {
+        let began = Instant::now();
+        loop {
+            let run = self.room.run("status --socket control.sock --json");
+            if run.code == Some(0) && is(&run.json()) {
+                return;
+            }
+            assert!(began.elapsed() < Duration::from_secs(seconds), "{what}: {run:?}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// As systemd does it.
+    fn ends(&mut self) -> Output {
+        let process = self.process.take().expect("running");
+        let id = rustix::process::Pid::from_raw(process.id() as i32).expect("a process");
+        rustix::process::kill_process(id, rustix::process::Signal::TERM).expect("alive");
+        let asked = Instant::now();
+        let output = process.wait_with_output().expect("ended");
+        assert!(asked.elapsed() < Duration::from_secs(5), "{:?}", asked.elapsed());
+        output
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        if let Some(process) = &mut self.process {
+            let _ = process.kill();
+            let _ = process.wait();
+        }
+    }
+}
+
+#[test]
+fn a_walk_is_tagged_live_and_its_capture_gives_the_same_tags() {
+    let robot = Robot::of(&walk().messages);
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    let frames = robot.frames();
+    let socket = recorder.room.path("camera.sock");
+    let walking = std::thread::spawn(move || robot.walk(&socket));
+    recorder.waits_for("the walk begins", 30, |status| status["counts"]["written"].as_u64() > Some(5));
+    assert_eq!(recorder.asks("mark goal!")["marked"], "goal!");
+    let stamps = walking.join().expect("walked");
+    recorder.waits_for("all frames", 20, |status| status["counts"]["written"].as_u64() == Some(frames as u64));
+    let status = recorder.asks("status");
+    let port = &status["ports"].as_object().expect("ports").values().next().expect("one").clone();
+    assert_eq!((port["lost"].as_u64(), port["crc_failures"].as_u64()), (Some(0), Some(0)), "{status}");
+    let output = recorder.ends();
+    assert!(output.status.success(), "{output:?}");
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let session = recorder.room.path(report["session"].as_str().expect("a session"));
+
+    let recorded = read_capture(&session);
+    let tags: Vec<FrameTag> = decode_all(&recorded, TAG);
+    assert_eq!(tags.len(), frames);
+    assert_eq!(on(&recorded, IMAGE).count(), frames);
+    // Byte for byte what the camera sent.
+    for (one, sent) in on(&recorded, IMAGE).zip(on(&walk().messages, IMAGE)) {
+        let data =
+            |bytes: &[u8]| realitysim::ros2::messages::CompressedImageView::decode(bytes).map(|v| v.data.to_vec());
+        assert!(data(&one.data).expect("an image") == data(&sent.data).expect("an image"));
+    }
+    for (tag, stamp_ns) in tags.iter().zip(&stamps) {
+        assert_eq!(tag.kernel_stamp_ns, *stamp_ns, "the kernel's own stamp");
+        assert_eq!(tag.header.stamp.to_nanoseconds(), stamp_ns + tag.utc_offset_ns - 4_000_000, "less the delay");
+    }
+    let marks: Vec<DiagnosticArray> = decode_all(&recorded, "/diagnostics");
+    assert!(marks.iter().flat_map(|report| &report.status).any(|status| status.message == "goal!"));
+
+    let truth: Vec<PoseStamped> = decode_all(&walk().messages, TRUTH);
+    let valid: Vec<f64> = tags
+        .iter()
+        .zip(&truth)
+        .filter(|(tag, _)| tag.valid)
+        .map(|(tag, truth)| {
+            let (p, q) = (&tag.pose.pose.position, &truth.pose.position);
+            (p.x - q.x).hypot(p.y - q.y)
+        })
+        .collect();
+    assert!(valid.len() * 10 >= frames * 8, "{} of {frames} valid", valid.len());
+    let mean = valid.iter().sum::<f64>() / valid.len() as f64;
+    assert!(mean < 0.03, "{mean} m");
+
+    let name = format!("{CAPTURES}/{}", session.file_name().expect("a name").to_string_lossy());
+    let replayed = recorder.room.replay(&format!("{name} --config robot.toml"));
+    assert_eq!(replayed.tags.len(), tags.len());
+    for (again, tag) in replayed.tags.iter().zip(&tags) {
+        let live = (tag.sequence, tag.valid, &tag.reason, &tag.pose, &tag.best_particle, tag.odometry_until);
+        let later =
+            (again.sequence, again.valid, &again.reason, &again.pose, &again.best_particle, again.odometry_until);
+        assert_eq!(later, live);
+    }
+}
+
+#[test]
+fn a_session_can_be_stopped_and_another_begun() {
+    let mut recorder = Recorder::start(None);
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    let stopped = recorder.asks("stop");
+    assert_eq!(stopped["state"], "stopped");
+    let first = stopped["session"].as_str().expect("a session").to_owned();
+    assert!(recorder.room.path(&first).join("0000.mcap").is_file(), "whole, while the recorder runs");
+    assert_eq!(recorder.asks("start")["state"], "recording");
+    recorder.waits_for("another session", 5, |status| status["session"].as_str() != Some(&first));
+    assert!(recorder.ends().status.success());
+    assert!(recorder.room.run("status --socket control.sock").code == Some(1), "nobody answers any more");
+}
+
+#[test]
+fn what_a_recording_needs_is_asked_for() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| text);
+    let record = |arguments: &str| room.run(&format!("record -o {CAPTURES} --socket control.sock {arguments}"));
+    record("").fails(2, &["camera.lens is not set"]);
+    record("--lens lens.toml").fails(2, &["mount.torso_height_m is not set"]);
+    record("--lens lens.toml --set mount.torso_height_m=0.4 --set mount.camera_rpy_deg=[0,-90,0]").fails(2, &["up"]);
+    assert!(!room.path(CAPTURES).exists(), "nothing was begun");
+    room.run("status --socket control.sock").fails(1, &["no recorder is running there"]);
+}
+
+#[test]
+fn the_doctor_names_what_is_wrong_and_what_to_do() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| text);
+    let cable = crate::serial::Cable::new();
+    let ports = format!("[serial]\nports = [{{ device = \"{}\", baud = 115200 }}]\n", cable.ends[1]);
+    room.write("robot.toml", format!("{CONFIG}{ports}"));
+    let examined = room.run("doctor -o captures --config robot.toml --json");
+    assert_eq!(examined.code, Some(1), "{examined:?}");
+    let findings = examined.json();
+    let findings = findings.as_array().expect("findings");
+    let said = |what: &str| {
+        let finding =
+            findings.iter().find(|finding| finding["what"].as_str().is_some_and(|name| name.starts_with(what)));
+        let finding = finding.unwrap_or_else(|| panic!("{what}: {findings:?}"));
+        (finding["good"] == true, finding["said"].as_str().expect("text").to_owned())
+    };
+    assert_eq!(said("lens"), (true, "320 x 240".to_owned()));
+    assert!(said("mount").0 && said("field").0);
+    assert_eq!(said("serial"), (false, "silent".to_owned()));
+    assert!(said("disk").1.contains("the worst of 40"));
+    room.run("doctor -o captures").fails(1, &[]);
+}

@@ -1,0 +1,148 @@
+//! A robot that walks as a log says: its camera at a socket, its microcontroller at the end of a serial line.
+
+use std::io::Write;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use glam::{DMat3, DQuat, DVec3};
+use mavlink::dialects::common::{ATTITUDE_QUATERNION_DATA, MavFrame, MavMessage, ODOMETRY_DATA};
+use mavlink::{MAVLinkV2MessageRaw, MavHeader};
+use realitysim::ros2::LogMessage;
+use realitysim::ros2::messages::{CompressedImageView, Imu, Message, Odometry};
+use realitysim::sensors::host_clock::monotonic_ns;
+
+use crate::replay::support::{IMAGE, IMU, ODOMETRY};
+use crate::serial::Cable;
+
+pub struct Robot {
+    cable: Cable,
+    /// With their times since the first.
+    events: Vec<(i64, Event)>,
+}
+
+enum Event {
+    Frame(Vec<u8>),
+    Measured(Box<MavMessage>),
+}
+
+/// The robot stands for so long before it walks: clocks settle.
+const STANDS_NS: i64 = 4_000_000_000;
+/// What its clock shows when it begins.
+const UP_NS: i64 = 10_000_000_000;
+
+impl Robot {
+    pub fn of(messages: &[LogMessage]) -> Self {
+        let stamp = |message: &LogMessage| message.log_time_ns;
+        let first = messages.iter().filter(|m| m.channel.topic == ODOMETRY).map(stamp).min().expect("odometry");
+        let mut events = Vec::new();
+        for message in messages {
+            let at_ns = STANDS_NS + message.log_time_ns - first;
+            let event = match message.channel.topic.as_str() {
+                IMAGE => Event::Frame(CompressedImageView::decode(&message.data).expect("an image").data.to_vec()),
+                ODOMETRY => {
+                    Event::Measured(Box::new(odometry(at_ns, &Odometry::decode(&message.data).expect("odometry"))))
+                }
+                IMU => Event::Measured(Box::new(attitude(at_ns, &Imu::decode(&message.data).expect("an IMU")))),
+                _ => continue,
+            };
+            events.push((at_ns, event));
+        }
+        // Standing: the first measurements again and again.
+        for kind in [ODOMETRY, IMU] {
+            let message = messages.iter().find(|message| message.channel.topic == kind).expect("one");
+            for at_ns in (0..STANDS_NS).step_by(20_000_000) {
+                let measured = match kind {
+                    ODOMETRY => odometry(at_ns, &Odometry::decode(&message.data).expect("odometry")),
+                    _ => attitude(at_ns, &Imu::decode(&message.data).expect("an IMU")),
+                };
+                events.push((at_ns, Event::Measured(Box::new(measured))));
+            }
+        }
+        events.sort_by_key(|(at_ns, _)| *at_ns);
+        Self { cable: Cable::new(), events }
+    }
+
+    pub fn tty(&self) -> &str {
+        &self.cable.ends[1]
+    }
+
+    pub fn frames(&self) -> usize {
+        self.events.iter().filter(|(_, event)| matches!(event, Event::Frame(_))).count()
+    }
+
+    /// In real time, to the end; the frames' stamps.
+    pub fn walk(self, camera: &Path) -> Vec<i64> {
+        let mut line = std::fs::OpenOptions::new().write(true).open(&self.cable.ends[0]).expect("the line");
+        let (began, began_ns) = (Instant::now(), monotonic_ns());
+        let (mut socket, mut stamps) = (None, Vec::new());
+        let mut header = MavHeader { system_id: 1, component_id: 1, sequence: 0 };
+        for (at_ns, event) in &self.events {
+            let due = Duration::from_nanos(*at_ns as u64);
+            std::thread::sleep(due.saturating_sub(began.elapsed()));
+            match event {
+                Event::Measured(message) => {
+                    let mut raw = MAVLinkV2MessageRaw::new();
+                    raw.serialize_message(header, message.as_ref());
+                    header.sequence = header.sequence.wrapping_add(1);
+                    line.write_all(raw.raw_bytes()).expect("sent");
+                }
+                Event::Frame(jpeg) => {
+                    let socket = socket.get_or_insert_with(|| UnixStream::connect(camera).expect("a recorder"));
+                    let stamp_ns = began_ns + at_ns;
+                    let mut bytes = b"RSF1".to_vec();
+                    bytes.extend((jpeg.len() as u32).to_le_bytes());
+                    bytes.extend((stamps.len() as u32).to_le_bytes());
+                    bytes.extend(stamp_ns.to_le_bytes());
+                    bytes.extend(jpeg);
+                    socket.write_all(&bytes).expect("sent");
+                    stamps.push(stamp_ns);
+                }
+            }
+        }
+        // The last frame waits for what is measured after it.
+        std::thread::sleep(Duration::from_millis(500));
+        stamps
+    }
+}
+
+fn odometry(at_ns: i64, odometry: &Odometry) -> MavMessage {
+    let (p, q) = (&odometry.pose.pose.position, &odometry.pose.pose.orientation);
+    let twist = &odometry.twist.twist;
+    MavMessage::ODOMETRY(ODOMETRY_DATA {
+        time_usec: ((UP_NS + at_ns) / 1_000) as u64,
+        frame_id: MavFrame::MAV_FRAME_LOCAL_FLU,
+        child_frame_id: MavFrame::MAV_FRAME_LOCAL_FLU,
+        x: p.x as f32,
+        y: p.y as f32,
+        z: p.z as f32,
+        q: [q.w, q.x, q.y, q.z].map(|part| part as f32),
+        vx: twist.linear.x as f32,
+        vy: twist.linear.y as f32,
+        yawspeed: twist.angular.z as f32,
+        pose_covariance: [f32::NAN; 21],
+        velocity_covariance: [f32::NAN; 21],
+        ..ODOMETRY_DATA::DEFAULT
+    })
+}
+
+/// As an aircraft would say it: FRD in NED. By matrices, unlike the program.
+fn attitude(at_ns: i64, imu: &Imu) -> MavMessage {
+    let q = &imu.orientation;
+    let enu_from_flu = DMat3::from_quat(DQuat::from_xyzw(q.x, q.y, q.z, q.w));
+    let ned_from_enu = DMat3::from_cols(DVec3::Y, DVec3::X, -DVec3::Z);
+    let flu_from_frd = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let q = DQuat::from_mat3(&(ned_from_enu * enu_from_flu * flu_from_frd));
+    let rate = &imu.angular_velocity;
+    MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
+        time_boot_ms: ((UP_NS + at_ns) / 1_000_000) as u32,
+        q1: q.w as f32,
+        q2: q.x as f32,
+        q3: q.y as f32,
+        q4: q.z as f32,
+        rollspeed: rate.x as f32,
+        pitchspeed: -rate.y as f32,
+        yawspeed: -rate.z as f32,
+        ..ATTITUDE_QUATERNION_DATA::DEFAULT
+    })
+}

@@ -1,0 +1,186 @@
+//! The serial path end to end over a pty: at the other end pymavlink, which shares no code with this program.
+
+use std::os::fd::OwnedFd;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use realitysim::sensors::clock::Source;
+use realitysim::sensors::mavlink::Content;
+use realitysim::sensors::serial::{LineStatus, Measured, PortEvent, PortOptions, SerialError, run};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+/// Two ptys joined back to back: a null-modem cable, each of whose ends is a name.
+pub struct Cable {
+    pub ends: [String; 2],
+    stop: std::sync::Arc<AtomicBool>,
+    pump: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Cable {
+    pub fn new() -> Self {
+        let masters = [0, 1].map(|_| {
+            let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pty");
+            grantpt(&master).and_then(|()| unlockpt(&master)).expect("unlocked");
+            master
+        });
+        let ends = masters.each_ref().map(|master| {
+            let name = ptsname(master, Vec::new()).expect("a name").into_string().expect("ASCII");
+            // Raw from the start: an echo would answer for the device.
+            let end =
+                rustix::fs::open(name.as_str(), rustix::fs::OFlags::RDWR, rustix::fs::Mode::empty()).expect("end");
+            let mut modes = rustix::termios::tcgetattr(&end).expect("modes");
+            modes.make_raw();
+            rustix::termios::tcsetattr(&end, rustix::termios::OptionalActions::Now, &modes).expect("raw");
+            // Held open, so that a reader may come and go.
+            std::mem::forget(end);
+            name
+        });
+        let stop = std::sync::Arc::new(AtomicBool::new(false));
+        let stopped = std::sync::Arc::clone(&stop);
+        let pump = std::thread::spawn(move || carry(&masters, &stopped));
+        Self { ends, stop, pump: Some(pump) }
+    }
+}
+
+fn carry(masters: &[OwnedFd; 2], stop: &AtomicBool) {
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    let mut buffer = [0u8; 4096];
+    while !stop.load(Ordering::Relaxed) {
+        let mut waiting = [PollFd::new(&masters[0], PollFlags::IN), PollFd::new(&masters[1], PollFlags::IN)];
+        let patience = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
+        if poll(&mut waiting, Some(&patience)).is_err() {
+            return;
+        }
+        let ready = waiting.each_ref().map(|fd| fd.revents().contains(PollFlags::IN));
+        for (from, to) in [(0, 1), (1, 0)] {
+            if ready[from] {
+                let count = rustix::io::read(&masters[from], &mut buffer).unwrap_or(0);
+                let mut rest = &buffer[..count];
+                while let (false, Ok(written)) = (rest.is_empty(), rustix::io::write(&masters[to], rest)) {
+                    rest = &rest[written..];
+                }
+            }
+        }
+    }
+}
+
+impl Drop for Cable {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        let _ = self.pump.take().map(std::thread::JoinHandle::join);
+    }
+}
+
+fn microcontroller(tty: &str, seconds: f64, corrupt_percent: f64) -> Option<Child> {
+    let python = std::env::var("REALITYSIM_PYTHON").ok();
+    if python.is_none() {
+        assert!(std::env::var("CI").is_err(), "REALITYSIM_PYTHON is not set: `./dev test` sets it");
+        eprintln!("skipped: REALITYSIM_PYTHON is not set (`./dev test` sets it)");
+    }
+    let mut command = Command::new(python?);
+    command.args(["tests/serial/microcontroller.py", tty, &seconds.to_string(), &corrupt_percent.to_string()]);
+    Some(command.stdout(Stdio::piped()).spawn().expect("Python"))
+}
+
+struct Heard {
+    measured: Vec<Measured>,
+    status: LineStatus,
+    losses: Vec<SerialError>,
+}
+
+/// For as long as `going_on`.
+fn listen(device: &str, baud: u32, mut going_on: impl FnMut() -> bool + Send) -> Heard {
+    let options = PortOptions { device: device.to_owned(), baud, system: 1 };
+    let stop = AtomicBool::new(false);
+    let (mut measured, mut status, mut losses) = (Vec::new(), None, Vec::new());
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while going_on() {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            stop.store(true, Ordering::Relaxed);
+        });
+        run(&options, &stop, |event| match event {
+            PortEvent::Opened { .. } => {}
+            PortEvent::Lost(error) => losses.push(error),
+            PortEvent::Measured(one) => measured.push(one),
+            PortEvent::Status(now) => status = Some(now),
+        });
+    });
+    Heard { measured, status: status.expect("told at the end"), losses }
+}
+
+/// What the sender says it did, after all of it was heard.
+fn conversation(baud: u32, seconds: f64, corrupt_percent: f64) -> Option<(Heard, serde_json::Value)> {
+    let cable = Cable::new();
+    let mut child = microcontroller(&cable.ends[0], seconds, corrupt_percent)?;
+    let mut after = None;
+    let heard = listen(&cable.ends[1], baud, || {
+        if child.try_wait().expect("a child").is_some() {
+            after.get_or_insert_with(Instant::now);
+        }
+        after.is_none_or(|since: Instant| since.elapsed() < Duration::from_millis(300))
+    });
+    let output = child.wait_with_output().expect("ended");
+    assert!(output.status.success());
+    Some((heard, serde_json::from_slice(&output.stdout).expect("JSON")))
+}
+
+#[test]
+fn what_pymavlink_sends_is_measured_on_the_host_s_clock() {
+    let Some((heard, said)) = conversation(921_600, 4.0, 0.0) else { return };
+    let counts = &heard.status.counts;
+    let sent: std::collections::BTreeMap<String, u64> = serde_json::from_value(said["sent"].clone()).expect("counts");
+    let used: std::collections::BTreeMap<String, u64> =
+        counts.used.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect();
+    assert_eq!(used, sent);
+    assert_eq!((counts.lost, counts.frames.crc_failures, counts.frames.bytes_skipped), (0, 0, 0));
+    assert!(heard.losses.is_empty(), "{:?}", heard.losses);
+    let clock = heard.status.clocks.iter().find(|clock| clock.clock.exchanges > 5).expect("asked and answered");
+    assert_eq!(clock.clock.source, Source::Timesync);
+    // Both read the same clock of the machine: what is left is the way through two ptys.
+    let error_ns = clock.clock.offset_ns - said["offset_ns"].as_i64().expect("a number");
+    assert!(error_ns.abs() < 10_000_000, "{error_ns} ns");
+    assert!(error_ns.abs() <= clock.clock.uncertainty_ns + 500_000, "{error_ns} ns of {}", clock.clock.uncertainty_ns);
+    let pan = heard.measured.iter().find_map(|one| match one.content {
+        Content::Head(head) => Some(head.pan),
+        _ => None,
+    });
+    assert!((pan.expect("a head") + 0.2).abs() < 1e-4, "to the right is negative");
+    let x = heard.measured.iter().rev().find_map(|one| match &one.content {
+        Content::Odometry(step) => Some(step.odom_from_body.translation.x),
+        _ => None,
+    });
+    assert!((0.8..1.0).contains(&x.expect("odometry")), "{x:?}");
+}
+
+#[test]
+fn a_line_that_corrupts_is_survived_and_counted() {
+    for percent in [0.5, 2.0, 10.0] {
+        let Some((heard, said)) = conversation(3_000_000, 1.5, percent) else { return };
+        let counts = &heard.status.counts;
+        let sent: u64 = said["sent"].as_object().expect("counts").values().filter_map(serde_json::Value::as_u64).sum();
+        let used: u64 = counts.used.values().sum();
+        assert!(used > 0 && used < sent, "{percent} %: {used} of {sent}");
+        assert!(counts.lost > 0 && counts.frames.crc_failures > 0 && counts.frames.bytes_skipped > 0, "{counts:?}");
+    }
+}
+
+#[test]
+fn a_port_that_is_not_there_is_waited_for() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let link = folder.path().join("robot-imu");
+    let cable = Cable::new();
+    let Some(mut child) = microcontroller(&cable.ends[0], 2.0, 0.0) else { return };
+    let began = Instant::now();
+    let heard = listen(link.to_str().expect("a name"), 115_200, || {
+        if began.elapsed() > Duration::from_millis(500) && !link.exists() {
+            std::os::unix::fs::symlink(&cable.ends[1], &link).expect("a link, as udev makes it");
+        }
+        child.try_wait().expect("a child").is_none()
+    });
+    assert!(matches!(heard.losses[0], SerialError::Missing { .. }), "{:?}", heard.losses);
+    assert!(heard.losses.len() < 10, "tried less and less often: {}", heard.losses.len());
+    assert!(heard.measured.len() > 50, "{}", heard.measured.len());
+}
