@@ -145,7 +145,7 @@ fn a_truth_that_stops_half_way_is_told() {
 #[test]
 fn the_wrong_field_is_told() {
     let room = Room::with_walk();
-    let replayed = room.replay("log.mcap --set field=kid-2020");
+    let replayed = room.replay("log.mcap --set field=kid-2014");
     println!("{}", replayed.run.stderr);
     assert!(replayed.run.stderr.contains("is it the right field"), "{}", replayed.report["invalid"]);
 }
