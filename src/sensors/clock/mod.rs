@@ -1,7 +1,7 @@
 //! What time it is by the host's clock when a device's clock says something else.
 //!
 //! Pure: the host's time is an argument. Two sources, the better one counts: questions and answers (TIMESYNC), and, for a
-//! device that does not answer, the times at which its messages arrive. Both follow a drift of up to [`MAX_DRIFT`], forget
+//! device that does not answer, the times at which its messages arrive. Both follow a drift of up to `MAX_DRIFT`, forget
 //! what is old, and begin anew when the device's clock was set or the device has started again.
 
 mod arrivals;
