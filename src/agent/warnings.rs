@@ -30,8 +30,9 @@ pub fn small_budget(budget_ms: f64, effort: &EffortTally, tagged: u64) -> Option
     (over as f64 > OVER_BUDGET * tagged as f64).then(|| {
         format!(
             "filter.budget_ms = {budget_ms}: {over} of {tagged} frames took longer (p50 {p50:.1}, p99 {p99:.1} ms), though \
-             {} had fewer particles for it: seeing and refining alone take that long here",
-            effort.capped
+             {} had fewer particles for it: {}",
+            effort.capped,
+            if p50 > budget_ms { "seeing and refining alone take that long here" } else { "a busy machine, or searches" }
         )
     })
 }

@@ -81,7 +81,7 @@ const SHARE_TO_CONFIRM: f64 = 0.7;
 /// So much of what one frame may leave unexplained may last over several frames, ...
 const LASTING: f64 = 0.6;
 /// ... and may be there when a pose is confirmed.
-const CONFIRMED_WITH: f64 = 0.3;
+const CONFIRMED_WITH: f64 = 0.18;
 /// What one frame says of the lines that are explained, against the frames before it.
 const NEWEST: f64 = 0.2;
 
