@@ -410,7 +410,7 @@ impl Default for FilterConfig {
             valid_spread_m: 0.25,
             refinement: true,
             valid_refined_m: 0.04,
-            valid_explained: 0.5,
+            valid_explained: 0.7,
         }
     }
 }

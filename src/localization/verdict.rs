@@ -5,7 +5,6 @@ use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
 use super::localizer::{Fix, Moment};
-use super::painted::Explained;
 use super::refinement::Agreement;
 use crate::geometry::{Field, Isometry};
 
@@ -36,13 +35,11 @@ pub enum Confidence {
 }
 
 /// What the frames so far say of the pose.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Standing {
     pub confidence: Confidence,
     /// When lines last agreed with the pose.
     agreed_ns: Option<i64>,
-    /// Share of the line seen that the pose explains, over the last frames.
-    explained: f64,
 }
 
 /// What does not change from frame to frame.
@@ -78,23 +75,13 @@ pub const CONTRADICTED: f64 = 0.5;
 /// What a frame needs to confirm a pose that was found by search or announced.
 const FITTING_TO_CONFIRM: usize = 20;
 const SHARE_TO_CONFIRM: f64 = 0.7;
-/// So much of what one frame may leave unexplained may last over several frames, ...
-const LASTING: f64 = 0.6;
-/// ... and may be there when a pose is confirmed.
-const CONFIRMED_WITH: f64 = 0.18;
-/// What one frame says of the lines that are explained, against the frames before it.
-const NEWEST: f64 = 0.2;
-
-impl Default for Standing {
-    fn default() -> Self {
-        Self { confidence: Confidence::Nowhere, agreed_ns: None, explained: 1.0 }
-    }
-}
+/// So much of what a frame may leave unexplained may be there when a pose is confirmed.
+const CONFIRMED_WITH: f64 = 0.3;
 
 impl Standing {
     /// A pose that nothing is known of but that somebody or something put it there.
     pub fn unconfirmed(&mut self, frames: u32) {
-        (self.confidence, self.explained) = (Confidence::Unconfirmed(frames), 1.0);
+        self.confidence = Confidence::Unconfirmed(frames);
     }
 
     /// The pose has been contradicted too often.
@@ -108,7 +95,6 @@ impl Standing {
 
     /// Why the pose is not to be used, and what that means for the next frames.
     pub fn judge(&mut self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
-        self.note_explained(&fix.explained);
         let doubt = self.complaint(rules, moment, fix);
         let contradicted = matches!(doubt, Some("lines_disagree" | "lines_unexplained" | "not_standing" | "off_field"));
         if rules.refinement && longest_axis(&fix.covariance) > LOST_M {
@@ -124,12 +110,6 @@ impl Standing {
         };
         let confirmed = matches!(self.confidence, Confidence::Tracking(_));
         doubt.or((!confirmed).then_some("unconfirmed"))
-    }
-
-    fn note_explained(&mut self, explained: &Explained) {
-        if explained.shown_m2 > 0.0 {
-            self.explained += NEWEST * (explained.share - self.explained);
-        }
     }
 
     fn complaint(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
@@ -151,15 +131,10 @@ impl Standing {
                 }
                 held(!fix.refined || stands(moment, fix), "not_standing")
                     .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
-                    .or_else(|| held(!self.is_unexplained(explained, &fix.explained), "lines_unexplained"))
+                    .or_else(|| held(fix.explained.share >= explained, "lines_unexplained"))
                     .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
                     .or_else(|| held(longest_axis(&fix.covariance) <= refined_m, "spread"))
             })
-    }
-
-    /// One frame may show much that is no line of the field (a crowd, sunlight on the carpet); many in a row do not.
-    fn is_unexplained(&self, least: f64, explained: &Explained) -> bool {
-        explained.shown_m2 > 0.0 && (explained.share < least || self.explained < share_of(LASTING, least))
     }
 
     fn agreed_lately(&self, moment: &Moment) -> bool {
