@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::config::{Settings, load_field, load_lens};
 use crate::sensors::camera::{
-    CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Negotiated, PixelFormat, SCHEME, driver_of,
+    CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Negotiated, SCHEME, driver_of,
 };
 use crate::sensors::host_clock::monotonic_ns;
 use crate::sensors::serial::{LineStatus, PortEvent, PortOptions, SerialError, run};
@@ -82,16 +82,9 @@ fn size(settings: &Settings) -> Option<(u32, u32)> {
     Some((lens.width(), lens.height()))
 }
 
-fn camera(settings: &Settings, (width, height): (u32, u32)) -> Finding {
+fn camera(settings: &Settings, size: (u32, u32)) -> Finding {
     let capture = &settings.capture;
-    let options = CameraOptions {
-        device: capture.device.clone(),
-        width,
-        height,
-        format: capture.format.as_deref().and_then(PixelFormat::of_fourcc),
-        rate_hz: capture.rate_hz,
-        controls: capture.controls.clone(),
-    };
+    let options = CameraOptions::new(capture, size);
     let what = format!("camera {}", capture.device);
     if capture.device.starts_with(SCHEME) {
         return good(what, "frames come from another process: not tried");

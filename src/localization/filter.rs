@@ -104,23 +104,24 @@ impl Filter {
         let FilterSettings { sampling, jitter, jitter_shrink, seed, .. } = self.settings;
         self.predict(step, seconds);
         let mut scale = 1.0;
-        for round in 0.. {
+        let mut round = 0;
+        loop {
             self.weigh(table, effort, may_go_on);
             let weights = weights::normalise(&self.state.particles.log_weights);
             let draws = sampling.needed(&self.state.particles, &weights);
-            let settled = sampling.is_settled(round + 1, &weights);
+            let settled = sampling.is_settled(round as usize + 1, &weights);
             effort.capped |= !settled && !may_go_on(effort.weighed);
             let last = effort.capped || settled;
             let result = last.then(|| estimate(&self.state.particles, &weights));
-            self.resample(draws, round as u32);
+            self.resample(draws, round);
             if let Some(result) = result {
                 return result;
             }
             let noise = Spread { xy_m: jitter.xy_m * scale, yaw_rad: jitter.yaw_rad * scale };
-            self.state.particles.scatter(noise, seed, Purpose::Jitter, self.state.steps, round as u32);
+            self.state.particles.scatter(noise, seed, Purpose::Jitter, self.state.steps, round);
             scale *= jitter_shrink;
+            round += 1;
         }
-        unreachable!("a round is the last at some time")
     }
 
     /// A frame that shows nothing: the particles only move.

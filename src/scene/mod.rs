@@ -105,29 +105,9 @@ impl Scene {
 
     /// The same walk with only the first effects of its file: what each of them does and costs by itself.
     pub fn with_first_effects(&self, count: usize) -> Result<Self, SceneError> {
-        let mut scene = Self {
-            announced_lens: self.lens.parameters().clone(),
-            sway: None,
-            head: None,
-            carrying: None,
-            light: None,
-            crowd: None,
-            odometry_error: None,
-            imu_error: None,
-            worn_lines: None,
-            calibration_error: None,
-            noise: None,
-            window: None,
-            shutter: None,
-            camera_fault: None,
-            serial_noise: None,
-            ..self.clone()
-        };
-        scene.file.effects.truncate(count);
-        for (index, effect) in scene.file.effects.clone().iter().enumerate() {
-            scene.add(&format!("effect[{index}]"), effect)?;
-        }
-        Ok(scene)
+        let mut file = self.file.clone();
+        file.effects.truncate(count);
+        Self::build(file, self.field.dimensions().clone(), self.lens.parameters().clone())
     }
 
     /// Effects come in physical order, so that each finds what it builds on.

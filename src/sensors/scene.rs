@@ -102,17 +102,10 @@ impl<'a> SceneSource<'a> {
         let next_id = self.channels.len() as u16 + 1;
         let constant = topic == self.topics.tf_static || topic == self.topics.camera_info;
         let durability = if constant { Durability::TransientLocal } else { Durability::Volatile };
-        let channel = self.channels.entry(topic.to_owned()).or_insert_with(|| {
-            Arc::new(Channel {
-                id: next_id,
-                topic: topic.to_owned(),
-                type_name: M::TYPE.to_owned(),
-                message_encoding: "cdr".to_owned(),
-                schema_encoding: "ros2msg".to_owned(),
-                definition: M::DEFINITION.as_bytes().into(),
-                metadata: channel_metadata(durability),
-            })
-        });
+        let channel = self
+            .channels
+            .entry(topic.to_owned())
+            .or_insert_with(|| Arc::new(Channel::of::<M>(next_id, topic, channel_metadata(durability))));
         let (channel, data) = (Arc::clone(channel), message.encode());
         LogMessage { channel, sequence: 0, log_time_ns: stamp_ns, publish_time_ns: stamp_ns, data }
     }

@@ -231,15 +231,7 @@ pub fn stamp_later(message: &mut LogMessage, later_ns: i64) {
 
 /// A message of a topic that the log does not have yet; `id` must be the topic's own.
 pub fn message<M: Message>(id: u16, topic: &str, log_time_ns: i64, content: &M) -> LogMessage {
-    let channel = Channel {
-        id,
-        topic: topic.to_owned(),
-        type_name: M::TYPE.to_owned(),
-        message_encoding: "cdr".to_owned(),
-        schema_encoding: "ros2msg".to_owned(),
-        definition: M::DEFINITION.as_bytes().into(),
-        metadata: Default::default(),
-    };
+    let channel = Channel::of::<M>(id, topic, Default::default());
     let data = content.encode();
     LogMessage { channel: Arc::new(channel), sequence: 0, log_time_ns, publish_time_ns: log_time_ns, data }
 }

@@ -2,7 +2,7 @@
 
 use realitysim::geometry::field::Area;
 use realitysim::geometry::{FieldDimensions, LensModel, LensParameters};
-use realitysim::scene::{Scene, SceneFile};
+use realitysim::scene::{Renderer, Scene, SceneFile};
 
 pub const STRAIGHT: &str = include_str!("../../replay/scenes/straight.toml");
 pub const LOOP: &str = include_str!("../../replay/scenes/loop.toml");
@@ -51,6 +51,18 @@ pub fn plain(toml: &str) -> String {
 /// The scene file with these effects in place of none.
 pub fn with_effects(plain: &str, effects: &[&str]) -> String {
     effects.iter().fold(plain.to_owned(), |toml, effect| format!("{toml}\n[[effect]]\n{effect}\n"))
+}
+
+/// The straight walk with these effects in place of its own.
+pub fn straight_with(effects: &[&str]) -> Scene {
+    scene(&with_effects(&plain(STRAIGHT), effects))
+}
+
+/// The pixels of one frame.
+pub fn image(scene: &Scene, index: u64) -> Vec<u8> {
+    let mut pixels = Vec::new();
+    Renderer::new(scene).render(index, &mut pixels);
+    pixels
 }
 
 /// Every scene of `replay/scenes` with the field and lens that it names.

@@ -3,7 +3,7 @@
 use realitysim::geometry::Isometry;
 use realitysim::scene::{Renderer, START_STAMP_NS, Scene, SceneEvent, SceneEventKind};
 
-use super::common::{STRAIGHT, fisheye_640, plain, scene, with_effects};
+use super::common::{fisheye_640, image, straight_with as build};
 
 const SWAY: &str = "kind = \"gait_sway\"\nroll_deg = 2.0\npitch_deg = 1.3\nlateral_m = 0.018\nvertical_m = 0.006\n\
                     step_hz = 2.4";
@@ -14,16 +14,6 @@ const UNPLUGGED: &str = "kind = \"camera_fault\"\nunplugged = { from_s = 5.0, fo
 const SERIAL: &str = "kind = \"serial_noise\"\nlost_share = 0.2\ncorrupt_share = 0.1";
 const WINDOW: &str = "kind = \"bright_window\"\nwall = \"+x\"\ncentre_m = 0.5\nwidth_m = 3\nsill_m = 1\nheight_m = 2.5\n\
                       brightness = 8\nglare = 0.1\nsun_elevation_deg = 20\nsun_gain = 1.7";
-
-fn build(effects: &[&str]) -> Scene {
-    scene(&with_effects(&plain(STRAIGHT), effects))
-}
-
-fn image(scene: &Scene, index: u64) -> Vec<u8> {
-    let mut pixels = Vec::new();
-    Renderer::new(scene).render(index, &mut pixels);
-    pixels
-}
 
 fn seconds(event: &SceneEvent) -> f64 {
     (event.stamp_ns - START_STAMP_NS) as f64 / 1e9

@@ -4,7 +4,6 @@ mod common;
 mod faults;
 mod filtering;
 mod geometry;
-mod look;
 mod motion;
 mod moved;
 mod pictures;

@@ -4,7 +4,7 @@ use glam::DVec3;
 use realitysim::geometry::{Euler, Isometry, Pose2, wrap_angle};
 use realitysim::scene::{Joints, Odometry, START_STAMP_NS, Scene, SceneEventKind};
 
-use super::common::{LOOP, STRAIGHT, plain, scene, with_effects};
+use super::common::{LOOP, plain, scene, straight_with as build, with_effects};
 
 const HEAD: &str = "kind = \"head_motion\"\npan_amplitude_deg = 60\npan_period_s = 4\ntilt_amplitude_deg = 10\n\
                     tilt_period_s = 3";
@@ -12,10 +12,6 @@ const CARRIED: &str = "kind = \"kidnapping\"\nat_s = 10.0\nduration_s = 2.0\nto_
                        lift_m = 0.3";
 const SWAY: &str = "kind = \"gait_sway\"\nroll_deg = 2.0\npitch_deg = 1.3\nlateral_m = 0.018\nvertical_m = 0.006\n\
                     step_hz = 2.4";
-
-fn build(effects: &[&str]) -> Scene {
-    scene(&with_effects(&plain(STRAIGHT), effects))
-}
 
 fn seconds(stamp_ns: i64) -> f64 {
     (stamp_ns - START_STAMP_NS) as f64 / 1e9

@@ -3,7 +3,7 @@
 use realitysim::geometry::Isometry;
 use realitysim::scene::{Renderer, Scene, SceneEvent, SceneEventKind};
 
-use super::common::{STRAIGHT, plain, scene, with_effects};
+use super::common::{STRAIGHT, image, plain, scene, straight_with as build, with_effects};
 
 const SWAY: &str = "kind = \"gait_sway\"\nroll_deg = 2.0\npitch_deg = 1.3\nlateral_m = 0.018\nvertical_m = 0.006\n\
                     step_hz = 2.4";
@@ -11,16 +11,6 @@ const ODOMETRY: &str = "kind = \"odometry_error\"\nscale_percent = 6.0\nyaw_drif
 const IMU: &str = "kind = \"imu_error\"\nroll_bias_deg = 0.5\npitch_bias_deg = 0.5\nnoise_deg = 0.25\n\
                    gyro_noise_deg_s = 0.3";
 const NOISE: &str = "kind = \"sensor_noise\"\nrole = \"filler\"\nread_noise_dn = 1.5\nshot_noise_factor = 0.15";
-
-fn build(effects: &[&str]) -> Scene {
-    scene(&with_effects(&plain(STRAIGHT), effects))
-}
-
-fn image(scene: &Scene, index: u64) -> Vec<u8> {
-    let mut pixels = Vec::new();
-    Renderer::new(scene).render(index, &mut pixels);
-    pixels
-}
 
 fn events(scene: &Scene, pick: fn(&SceneEventKind) -> bool) -> Vec<SceneEvent> {
     scene.events().filter(|event| pick(&event.kind)).collect()

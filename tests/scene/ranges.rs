@@ -1,8 +1,8 @@
 //! Numbers that a scene leaves open.
 
-use realitysim::scene::{Drawn, Renderer, Scene, SceneFile};
+use realitysim::scene::{Drawn, Scene, SceneFile};
 
-use super::common::{STRAIGHT, fisheye_640, kid_2009, plain, scene, with_effects};
+use super::common::{STRAIGHT, fisheye_640, image, kid_2009, plain, scene, straight_with as build, with_effects};
 
 const LIGHT: &str = "kind = \"light\"\ngain = { uniform = [0.4, 0.9], per = \"episode\" }";
 const FLICKER: &str = "kind = \"light\"\ngain = { uniform = [0.4, 0.9], per = \"frame\" }";
@@ -11,16 +11,6 @@ const NOISE: &str =
 const WORN: &str = "kind = \"worn_lines\"\nshare = { uniform = [0.1, 0.6], per = \"episode\" }\npatch_m = 0.3";
 const ODOMETRY: &str = "kind = \"odometry_error\"\nscale_percent = { uniform = [-20, 20], per = \"episode\" }\n\
                         yaw_drift_deg_per_m = 0\nnoise_m_per_m = 0.05";
-
-fn build(effects: &[&str]) -> Scene {
-    scene(&with_effects(&plain(STRAIGHT), effects))
-}
-
-fn image(scene: &Scene, index: u64) -> Vec<u8> {
-    let mut pixels = Vec::new();
-    Renderer::new(scene).render(index, &mut pixels);
-    pixels
-}
 
 fn value(drawn: &[Drawn], name: &str) -> f64 {
     drawn.iter().find(|drawn| drawn.name == name).unwrap_or_else(|| panic!("{name}: {drawn:?}")).value

@@ -4,13 +4,9 @@ use glam::DVec3;
 use realitysim::geometry::{LensParameters, wrap_angle};
 use realitysim::scene::{Imu, Odometry, Renderer, START_STAMP_NS, Scene, SceneEventKind};
 
-use super::common::{STRAIGHT, plain, scene, with_effects};
+use super::common::straight_with as build;
 
 const ODOMETRY: &str = "kind = \"odometry_error\"\nscale_percent = 10\nyaw_drift_deg_per_m = 1.0\nnoise_m_per_m = 0.1";
-
-fn build(effects: &[&str]) -> Scene {
-    scene(&with_effects(&plain(STRAIGHT), effects))
-}
 
 fn odometry(extra: &str) -> Vec<(f64, Odometry)> {
     let pick = |event: realitysim::scene::SceneEvent| match event.kind {

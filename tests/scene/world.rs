@@ -5,21 +5,11 @@ use std::sync::OnceLock;
 use glam::{DVec2, DVec3};
 use proptest::prelude::*;
 use realitysim::geometry::{Euler, Isometry, Lens};
-use realitysim::scene::{Renderer, Scene};
+use realitysim::scene::Renderer;
 
-use super::common::{STRAIGHT, fisheye_640, plain, scene, with_effects};
+use super::common::{STRAIGHT, fisheye_640, image, plain, scene, straight_with as build, with_effects};
 
 const WIDTH: usize = 640;
-
-fn build(effects: &[&str]) -> Scene {
-    scene(&with_effects(&plain(STRAIGHT), effects))
-}
-
-fn image(scene: &Scene, index: u64) -> Vec<u8> {
-    let mut pixels = Vec::new();
-    Renderer::new(scene).render(index, &mut pixels);
-    pixels
-}
 
 fn figures(list: &str) -> String {
     format!("kind = \"obstacles\"\nfigures = [{list}]")

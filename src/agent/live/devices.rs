@@ -11,7 +11,7 @@ use crate::config::Settings;
 use crate::ros2::mcap_read::LogMessage;
 use crate::sensors::camera::{
     CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Frame, ImageMessage, Negotiated,
-    PixelFormat, StampClock, driver_of, image_message,
+    StampClock, driver_of, image_message,
 };
 use crate::sensors::host_clock::monotonic_ns;
 use crate::sensors::scene::header;
@@ -109,16 +109,9 @@ struct CameraThread {
 }
 
 impl CameraThread {
-    fn start(self, (width, height): (u32, u32)) {
+    fn start(self, size: (u32, u32)) {
         let capture = &self.settings.capture;
-        let options = CameraOptions {
-            device: capture.device.clone(),
-            width,
-            height,
-            format: capture.format.as_deref().and_then(PixelFormat::of_fourcc),
-            rate_hz: capture.rate_hz,
-            controls: capture.controls.clone(),
-        };
+        let options = CameraOptions::new(capture, size);
         let max_rate_hz = (capture.max_rate_hz > 0.0).then_some(capture.max_rate_hz);
         let rules = CaptureRules { options, max_rate_hz };
         match driver_of(&rules.options.device) {

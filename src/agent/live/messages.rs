@@ -26,17 +26,10 @@ impl Messages {
     pub fn message<M: Message>(&mut self, topic: &str, latched: bool, message: &M) -> LogMessage {
         let id = u16::try_from(self.channels.len() + 1).unwrap_or(u16::MAX);
         let durability = if latched { Durability::TransientLocal } else { Durability::Volatile };
-        let channel = self.channels.entry((topic.to_owned(), M::TYPE)).or_insert_with(|| {
-            Arc::new(Channel {
-                id,
-                topic: topic.to_owned(),
-                type_name: M::TYPE.to_owned(),
-                message_encoding: "cdr".to_owned(),
-                schema_encoding: "ros2msg".to_owned(),
-                definition: M::DEFINITION.as_bytes().into(),
-                metadata: channel_metadata(durability),
-            })
-        });
+        let channel = self
+            .channels
+            .entry((topic.to_owned(), M::TYPE))
+            .or_insert_with(|| Arc::new(Channel::of::<M>(id, topic, channel_metadata(durability))));
         let (channel, data) = (Arc::clone(channel), message.encode());
         LogMessage { channel, sequence: 0, log_time_ns: 0, publish_time_ns: 0, data }
     }

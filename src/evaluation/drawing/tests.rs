@@ -2,11 +2,10 @@ use super::overlay::outline;
 use super::plot::Plot;
 use super::*;
 use crate::config::{load_field, load_lens};
-use crate::geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensModel, LensParameters, Pose2};
+use crate::geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensModel, LensParameters};
 use glam::DVec3;
 use image::{Rgb, RgbImage};
 
-mod look;
 mod robust;
 
 const BLACK: [u8; 3] = [0; 3];

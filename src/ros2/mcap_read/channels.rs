@@ -5,6 +5,8 @@ use std::sync::Arc;
 
 use mcap::records::{self, Record, op};
 
+use crate::ros2::messages::Message;
+
 /// All definitions of a log together: real ones take some kilobytes.
 const MAX_DEFINITIONS_BYTES: usize = 64 << 20;
 
@@ -44,6 +46,21 @@ pub struct Channel {
     pub definition: Arc<[u8]>,
     /// rosbag2 keeps the quality of service here.
     pub metadata: BTreeMap<String, String>,
+}
+
+impl Channel {
+    /// Of messages that this program writes.
+    pub fn of<M: Message>(id: u16, topic: &str, metadata: BTreeMap<String, String>) -> Self {
+        Self {
+            id,
+            topic: topic.to_owned(),
+            type_name: M::TYPE.to_owned(),
+            message_encoding: "cdr".to_owned(),
+            schema_encoding: "ros2msg".to_owned(),
+            definition: M::DEFINITION.as_bytes().into(),
+            metadata,
+        }
+    }
 }
 
 impl Channel {

@@ -7,6 +7,8 @@ use std::time::Duration;
 use serde::Serialize;
 use thiserror::Error;
 
+use crate::config::CaptureSettings;
+
 /// Formats that can be recorded, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -73,6 +75,20 @@ pub struct CameraOptions {
     pub rate_hz: f64,
     /// By their names as `v4l2-ctl --list-ctrls` shows them.
     pub controls: BTreeMap<String, i64>,
+}
+
+impl CameraOptions {
+    /// As configured, for a lens of this size.
+    pub fn new(capture: &CaptureSettings, (width, height): (u32, u32)) -> Self {
+        Self {
+            device: capture.device.clone(),
+            width,
+            height,
+            format: capture.format.as_deref().and_then(PixelFormat::of_fourcc),
+            rate_hz: capture.rate_hz,
+            controls: capture.controls.clone(),
+        }
+    }
 }
 
 /// What the camera agreed to, read back.

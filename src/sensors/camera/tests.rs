@@ -46,9 +46,10 @@ const SIZE: (u32, u32) = (8, 4);
 impl Driver for Scripted {
     fn open(&mut self, wanted: &CameraOptions) -> Result<Negotiated, CameraError> {
         let mut script = self.script.borrow_mut();
-        if matches!(script.acts.front(), Some(Act::Refuse(_))) {
-            let Some(Act::Refuse(error)) = script.acts.pop_front() else { unreachable!() };
-            return Err(error);
+        match script.acts.pop_front() {
+            Some(Act::Refuse(error)) => return Err(error),
+            Some(other) => script.acts.push_front(other),
+            None => {}
         }
         script.opened += 1;
         Ok(Negotiated {
