@@ -26,7 +26,7 @@ pub struct FilterSettings {
 /// What a frame has cost so far, in poses weighed: the same on every machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Effort {
-    /// Of the last round.
+    /// That the estimate is made of: those of the last round.
     pub particles: u32,
     pub iterations: u32,
     /// In all rounds, and in searching the field.

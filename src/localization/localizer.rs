@@ -205,6 +205,7 @@ impl Localizer {
         let estimate = self.filter.coast(walked, step.seconds);
         self.predict(&step);
         let mut fix = self.predicted(moment, estimate, Support::default());
+        fix.effort.particles = self.filter.state().particles.len() as u32;
         fix.doubt = Some(reason);
         fix
     }

@@ -5,9 +5,10 @@ use realitysim::ros2::messages::{
     CompressedImage, DiagnosticArray, FrameTag, Imu, Odometry, PoseWithCovarianceStamped, TFMessage,
 };
 
+use crate::numerics::support::assert_sound;
+
 use super::support::{
-    IMAGE, IMU, INITIAL, ODOMETRY, Replayed, Room, TF_STATIC, assert_finite, assert_same, changed, decode_all, on,
-    read_capture, walk,
+    IMAGE, IMU, INITIAL, ODOMETRY, Replayed, Room, TF_STATIC, assert_same, changed, decode_all, on, read_capture, walk,
 };
 
 /// Frames `from` to `to` get other bytes.
@@ -25,7 +26,7 @@ fn replayed(messages: &[LogMessage]) -> Replayed {
     let room = Room::with_log(messages);
     let replayed = room.replay("log.mcap");
     assert_eq!(replayed.tags.len(), walk().frames(), "every frame is tagged");
-    assert_finite(&replayed.tags);
+    replayed.tags.iter().for_each(assert_sound);
     let written: Vec<CompressedImage> = decode_all(&read_capture(&replayed.session), IMAGE);
     let source: Vec<CompressedImage> = decode_all(messages, IMAGE);
     assert!(written == source, "every frame is kept as it was");

@@ -283,11 +283,3 @@ pub fn farthest_apart(found: &[FrameTag], expected: &[FrameTag]) -> f64 {
     };
     found.iter().zip(expected).map(apart).fold(0.0, f64::max)
 }
-
-/// No number of a tag is NaN or infinite: nobody downstream could do anything with it.
-pub fn assert_finite(tags: &[FrameTag]) {
-    for tag in tags {
-        let text = serde_json::to_string(tag).unwrap();
-        assert!(!text.contains("null"), "a number is not finite: {text}");
-    }
-}
