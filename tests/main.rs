@@ -7,6 +7,7 @@ mod limits;
 mod live;
 mod numerics;
 mod real;
+mod recording;
 mod replay;
 mod ros2;
 mod scene;

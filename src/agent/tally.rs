@@ -63,6 +63,7 @@ impl Tally {
         log_time_ns: i64,
         robot: &str,
         counts: &Counts,
+        conserved: bool,
         late: u64,
         budget_ms: f64,
     ) -> DiagnosticArray {
@@ -75,10 +76,10 @@ impl Tally {
             value("bad_messages", self.bad_messages),
             value("late_measurements", late),
         ];
-        for (what, causes) in [("dropped", &counts.dropped), ("untagged", &counts.untagged)] {
+        let causes = [("dropped", &counts.dropped), ("untagged", &counts.untagged), ("lost", &counts.lost)];
+        for (what, causes) in causes {
             values.extend(causes.iter().map(|(cause, count)| value(&format!("{what}_{cause}"), *count)));
         }
-        let conserved = counts.is_conserved();
         let recorder = DiagnosticStatus {
             level: if conserved { DiagnosticStatus::OK } else { DiagnosticStatus::ERROR },
             name: format!("{DIAGNOSTICS_NAME}recorder"),

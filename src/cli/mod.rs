@@ -23,8 +23,10 @@ mod record;
 mod replay;
 mod scene;
 mod section;
+mod sessions;
 mod settings;
 mod sim;
+mod soak;
 mod tag;
 mod view;
 mod view_quality;
@@ -62,6 +64,8 @@ enum Command {
     Order(record::Order),
     Doctor(Box<doctor::DoctorArguments>),
     Install(install::InstallArguments),
+    Sessions(sessions::SessionsArguments),
+    Soak(Box<soak::SoakArguments>),
     Sim(sim::SimArguments),
     Eval(eval::EvalArguments),
     Export(export::ExportArguments),
@@ -101,6 +105,8 @@ pub fn run() -> ExitCode {
         Command::Scene(arguments) => scene::run(&arguments, json),
         Command::Record(arguments) => record::run(&arguments, json),
         Command::Install(arguments) => install::run(&arguments),
+        Command::Sessions(arguments) => sessions::run(&arguments, json),
+        Command::Soak(arguments) => soak::run(&arguments, json),
         Command::Doctor(arguments) => doctor::run(&arguments, json),
         Command::Order(order) => record::order(&order, json),
         Command::Sim(arguments) => sim::run(&arguments, json),

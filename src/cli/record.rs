@@ -60,7 +60,17 @@ pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
     } else {
         output::lines(&for_people(&status))?;
     }
-    Ok(Outcome::Whole)
+    Ok(if recorder_lost_data(&status) { Outcome::DataLost } else { Outcome::Whole })
+}
+
+/// Not what the camera dropped, but what was there and could not be written.
+fn recorder_lost_data(status: &Value) -> bool {
+    let causes = |of: &Value| of.as_object().into_iter().flatten().map(|(cause, _)| cause.clone()).collect::<Vec<_>>();
+    let by_disk = [vec!["queue_full".to_owned()], causes(&status["recorder"]["faults"])].concat();
+    let dropped = causes(&status["counts"]["dropped"]);
+    !status["unfinished"].is_null()
+        || !causes(&status["counts"]["lost"]).is_empty()
+        || dropped.iter().any(|cause| by_disk.contains(cause))
 }
 
 /// How is it, what happened, begin, end, where am I.
@@ -150,6 +160,7 @@ fn for_people(status: &Value) -> String {
     if !dropped.is_empty() {
         lines.push(format!("dropped: {}", dropped.join(", ")));
     }
+    lines.extend(recorder_for_people(&status["recorder"]));
     match status["camera_lost"].as_str() {
         Some(cause) => lines.push(format!("camera: away ({cause})")),
         None => lines.push(format!("camera: {}", status["camera"]["card"].as_str().unwrap_or("none yet"))),
@@ -186,4 +197,46 @@ fn for_people(status: &Value) -> String {
         ));
     }
     lines.join("\n")
+}
+
+/// What is in memory, what a power cut would cost, and what the disk does.
+fn recorder_for_people(recorder: &Value) -> Vec<String> {
+    let ms = |key: &str| recorder[key].as_f64().unwrap_or(0.0);
+    let mebibytes = |key: &str| recorder[key].as_f64().unwrap_or(0.0) / f64::from(1 << 20);
+    let conserved = if recorder["conserved"] == true {
+        "captured = written + dropped + waiting"
+    } else {
+        "FRAMES ARE UNACCOUNTED FOR"
+    };
+    let mut lines = vec![
+        format!(
+            "recorder: {} frames waiting, {:.1} of {:.0} MiB; {conserved}",
+            recorder["frames_waiting"],
+            mebibytes("queue_bytes"),
+            mebibytes("queue_limit_bytes")
+        ),
+        format!(
+            "a power cut costs at most {:.2} s (worst stall {:.0} ms; worst so far {:.2} s)",
+            ms("loss_bound_ms") / 1e3,
+            ms("worst_stall_ms"),
+            ms("worst_unsynced_ms") / 1e3
+        ),
+    ];
+    if let Some(cause) = recorder["stopped"]["cause"].as_str() {
+        let what = if recorder["stopped"]["frames_only"] == true { "frames are not" } else { "nothing is" };
+        lines.push(format!("DISK: {cause}: {what} recorded, {:.0} MiB free", mebibytes("free_bytes")));
+    }
+    if let Some(fault) = recorder["fault"].as_object() {
+        lines.push(format!(
+            "DISK: {}: {}",
+            fault["cause"].as_str().unwrap_or("-"),
+            fault["said"].as_str().unwrap_or("-")
+        ));
+    }
+    let faults = recorder["faults"].as_object().into_iter().flatten();
+    let faults: Vec<String> = faults.map(|(cause, count)| format!("{count} {cause}")).collect();
+    if !faults.is_empty() {
+        lines.push(format!("disk errors: {}; {} segments given up", faults.join(", "), recorder["segments_given_up"]));
+    }
+    lines
 }

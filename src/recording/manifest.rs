@@ -7,11 +7,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::Settings;
 use crate::geometry::{FieldDimensions, LensParameters};
+use crate::ros2::mcap_read::Channel;
 
 pub const FORMAT_VERSION: u32 = 1;
 /// What a session's folder is known by.
 pub(super) const SESSION_FILE: &str = "session.json";
 pub(super) const MANIFEST_FILE: &str = "manifest.jsonl";
+/// Its presence keeps a session longer than others.
+pub const PINNED_FILE: &str = "pinned";
+/// Segments that were removed because a dev machine has them.
+pub(super) const EVICTED_FILE: &str = "evicted.jsonl";
 
 /// `session.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,8 +47,8 @@ pub struct LiveInfo {
     pub camera: serde_json::Value,
 }
 
-/// Frames, by what became of them: captured = written + the sum of dropped, and in the end written = tagged + the sum
-/// of untagged.
+/// Frames, by what became of them: captured = written + the sum of dropped. In the end each frame that reached the
+/// recorder, whether it could be written or not, is tagged or untagged.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
     pub captured: u64,
@@ -55,6 +60,9 @@ pub struct Counts {
     /// Written, but of which nobody can say when they were exposed; by cause.
     #[serde(default)]
     pub untagged: BTreeMap<String, u64>,
+    /// Other messages that were taken and not written, by cause.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub lost: BTreeMap<String, u64>,
 }
 
 impl Counts {
@@ -68,7 +76,8 @@ impl Counts {
         self.written += other.written;
         self.tagged += other.tagged;
         self.valid += other.valid;
-        for (sum, more) in [(&mut self.dropped, &other.dropped), (&mut self.untagged, &other.untagged)] {
+        let sums = [&mut self.dropped, &mut self.untagged, &mut self.lost];
+        for (sum, more) in sums.into_iter().zip([&other.dropped, &other.untagged, &other.lost]) {
             for (cause, count) in more {
                 *sum.entry(cause.clone()).or_default() += count;
             }
@@ -101,6 +110,9 @@ pub struct ManifestLine {
     pub messages: u64,
     pub frames: Counts,
     pub poses: Option<PoseBox>,
+    /// Of a segment that was never finished: so much of its file made no sense and was cut off.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cut_bytes: Option<u64>,
 }
 
 /// What tells an entry of `metadata.yaml` from the others. Readers look for the files' channels by all three.
@@ -109,6 +121,14 @@ pub struct TopicEntry {
     pub name: String,
     pub type_name: String,
     pub qos_profiles: String,
+}
+
+impl TopicEntry {
+    pub fn of(channel: &Channel) -> Self {
+        let [name, type_name, qos_profiles] =
+            [&channel.topic, &channel.type_name, channel.qos_profiles()].map(str::to_owned);
+        Self { name, type_name, qos_profiles }
+    }
 }
 
 /// What `ros2 bag` wants beside the files (version 5: understood since Humble).

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::recording::Counts;
+use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
 use crate::sensors::camera::StampClock;
 use crate::sensors::log::DIAGNOSTICS_NAME;
@@ -19,6 +19,11 @@ pub struct Status {
     pub state: &'static str,
     pub session: Option<PathBuf>,
     pub counts: Counts,
+    pub recorder: RecorderStatus,
+    /// Why the last session is not whole.
+    pub unfinished: Option<String>,
+    /// What was left of earlier sessions.
+    pub repaired: Vec<String>,
     /// What the camera agreed to.
     pub camera: Value,
     /// Why there is none at the moment.
