@@ -20,6 +20,9 @@ delay_ms = 4.0
 torso_height_m = 0.38
 camera_xyz_m = [0.04, 0.0, 0.11]
 camera_rpy_deg = [0.0, 17.0, 0.0]
+[recording]
+floor_mb = 1
+floor_percent = 0.0
 "#;
 
 struct Recorder {

@@ -14,6 +14,9 @@ use crate::replay::support::{CAPTURES, IMAGE, Room};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
+/// Whatever is left on the disk of whoever tests.
+const ROOM_ENOUGH: &str = "--set recording.floor_mb=1 --set recording.floor_percent=0";
+
 /// A recorder with a stream of its own.
 struct Soak {
     process: Child,
@@ -25,6 +28,7 @@ impl Soak {
         let mut process = Command::new(env!("CARGO_BIN_EXE_realitysim"))
             .args(["soak", "-o", CAPTURES, "--states", "--json"])
             .args(arguments.split_whitespace())
+            .args(ROOM_ENOUGH.split_whitespace())
             .current_dir(room.path(""))
             .stdout(Stdio::piped())
             .spawn()
@@ -171,7 +175,7 @@ fn a_session_that_is_being_recorded_is_left_alone() {
 #[test]
 fn the_recorder_keeps_up_with_sixty_frames_and_five_hundred_measurements_a_second() {
     let room = Room::new();
-    let run = room.run(&format!("soak -o {CAPTURES} --seconds 4 --json")).succeeds();
+    let run = room.run(&format!("soak -o {CAPTURES} --seconds 4 --json {ROOM_ENOUGH}")).succeeds();
     let report = run.json();
     assert_eq!(report["counts"]["dropped"], serde_json::json!({}), "{report}");
     assert!(report["counts"]["written"].as_u64() > Some(200), "{report}");
@@ -182,7 +186,7 @@ fn the_recorder_keeps_up_with_sixty_frames_and_five_hundred_measurements_a_secon
 #[test]
 fn what_is_no_session_is_neither_touched_nor_followed() {
     let room = Room::new();
-    room.run(&format!("soak -o {CAPTURES} --seconds 1")).succeeds();
+    room.run(&format!("soak -o {CAPTURES} --seconds 1 {ROOM_ENOUGH}")).succeeds();
     let session = only_session(&room);
     fs::write(session.join("notes.txt"), "mine").unwrap();
     fs::write(session.join("x.mcap.active"), "not ours").unwrap();
