@@ -12,7 +12,7 @@ use crate::recording::repair::repair;
 use crate::recording::session::{SegmentState, SessionWriter, Writing};
 use crate::recording::verify::verify;
 use crate::ros2::mcap_read::{Channel, LogMessage};
-use crate::ros2::messages::{CompressedImage, Imu, Message};
+use crate::ros2::messages::{CompressedImage, Imu};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Of a made-up frame: a hundred fill the queue.
