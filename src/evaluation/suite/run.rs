@@ -139,7 +139,7 @@ fn judge_case(case: &Case, captures: &Path, capture: &mut Option<PathBuf>) -> Re
     let truth = truth_of(case, &settings)?;
     if let Some(topic) = &case.poses {
         let poses = read_poses(&case.source, topic)?.found;
-        return Ok(judge(case, &poses, &vec![false; poses.len()], &truth));
+        return Ok(judge(case, &poses, &truth));
     }
     let options = ReplayOptions {
         source: case.source.clone(),
@@ -153,9 +153,8 @@ fn judge_case(case: &Case, captures: &Path, capture: &mut Option<PathBuf>) -> Re
     let replayed = replay(&options, &mut |_, _| ())?;
     *capture = Some(replayed.session.clone());
     let tags = read_tags(&replayed.session)?.found;
-    let ambiguous: Vec<bool> = tags.iter().map(|tag| tag.ambiguous).collect();
     let tags: Vec<Tagged> = tags.iter().map(tagged).collect();
-    Ok(judge(case, &tags, &ambiguous, &truth))
+    Ok(judge(case, &tags, &truth))
 }
 
 fn settings(case: &Case) -> Result<Settings, ConfigError> {
