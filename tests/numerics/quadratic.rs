@@ -52,8 +52,7 @@ fn oracle(pairs: &[Pair], at: &[DVec2]) -> Vec<[Exact; 2]> {
 fn eliminated(mut rows: Vec<Vec<Exact>>) -> Vec<[Exact; 2]> {
     for pivot in 0..6 {
         let head = rows[pivot].clone();
-        for (index, row) in rows.iter_mut().enumerate().filter(|(index, _)| *index != pivot) {
-            assert!(index < 6);
+        for (_, row) in rows.iter_mut().enumerate().filter(|(index, _)| *index != pivot) {
             let factor = &row[pivot] / &head[pivot];
             row.iter_mut().zip(&head).for_each(|(value, of_head)| *value = &*value - &factor * of_head);
         }
