@@ -2,6 +2,7 @@
 
 mod config;
 mod dev;
+mod fuzz;
 mod hardware;
 mod limits;
 mod live;

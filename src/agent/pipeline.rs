@@ -168,7 +168,8 @@ impl Pipeline {
         let Settings { field, filter, .. } = &self.settings;
         let strange = warnings::strange_field(field, &self.tally.invalid, counts.tagged);
         let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
-        let warnings = attitude.into_iter().chain(strange).chain(small).collect();
+        let unusable = warnings::unusable_weights(self.tally.unusable_weights);
+        let warnings = attitude.into_iter().chain(strange).chain(small).chain(unusable).collect();
         (Some(Recorded { session, counts, tally: self.tally, late_measurements, warnings }), ended)
     }
 
@@ -247,6 +248,7 @@ impl Pipeline {
             let _ = tags.try_send(tag.clone());
         }
         self.sequence += 1;
+        self.tally.unusable_weights = self.tagger.unusable_weights();
         self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
         if let Some(session) = &mut self.session {

@@ -23,6 +23,8 @@ pub struct Tally {
     pub effort: EffortTally,
     /// Frames of which nobody said how the torso was tilted.
     pub without_tilt: u64,
+    /// Particles' weights that were NaN or +inf.
+    pub unusable_weights: u64,
 }
 
 impl Tally {
@@ -74,6 +76,7 @@ impl Tally {
             value("frames_valid", counts.valid),
             value("bad_messages", self.bad_messages),
             value("late_measurements", late),
+            value("unusable_weights", self.unusable_weights),
         ];
         for (what, causes) in [("dropped", &counts.dropped), ("untagged", &counts.untagged)] {
             values.extend(causes.iter().map(|(cause, count)| value(&format!("{what}_{cause}"), *count)));

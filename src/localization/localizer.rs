@@ -159,6 +159,11 @@ impl Localizer {
         self.filter.observation()
     }
 
+    /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
+    pub fn unusable_weights(&self) -> u64 {
+        self.filter.unusable_weights()
+    }
+
     /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
     pub fn resume(&mut self) {
         if self.state.standing.confidence != Confidence::Nowhere {
