@@ -54,9 +54,9 @@ pub fn run(rounds: usize, text: &mut String) {
         let _ = writeln!(text, "| {what} | {:.2} | {:.2} |", times.at(0.5), times.at(0.99));
     };
     let warm = open();
-    for i in 0..poses.len() {
+    for (i, pose) in poses.iter().enumerate() {
         timed(&warm, between(i), false);
-        timed(&warm, poses[i], false);
+        timed(&warm, *pose, false);
     }
     row("a stored image", (0..rounds).map(|i| timed(&warm, poses[i % poses.len()], false)).collect());
     row("an exact view of 4 sources, decoded before", (0..rounds).map(|i| timed(&warm, between(i), false)).collect());
@@ -68,7 +68,7 @@ pub fn run(rounds: usize, text: &mut String) {
         for thread in 0..2 {
             let (warm, timed, between) = (&warm, &timed, &between);
             scope.spawn(move || {
-                (0..rounds / 2).for_each(|i| drop(black_box(timed(warm, between(2 * i + thread), false))))
+                (0..rounds / 2).for_each(|i| _ = black_box(timed(warm, between(2 * i + thread), false)))
             });
         }
     });

@@ -36,7 +36,7 @@ pub fn wanted() -> Isometry {
 
 pub fn place(number: usize) -> Isometry {
     let (sin, cos) = libm::sincos(0.3 + number as f64 * core::f64::consts::FRAC_PI_2);
-    pose(0.3 + 0.25 * cos, -0.5 + 0.25 * sin, if number % 2 == 0 { 30.0 } else { 10.0 })
+    pose(0.3 + 0.25 * cos, -0.5 + 0.25 * sin, if number.is_multiple_of(2) { 30.0 } else { 10.0 })
 }
 
 pub fn source<'a>(camera: &'a Camera, image: &'a Pyramid, number: usize) -> Candidate<'a> {

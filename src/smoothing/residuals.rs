@@ -33,9 +33,9 @@ pub struct Model {
 impl Default for Model {
     fn default() -> Self {
         Self {
-            line_px: 0.5,
-            tag_m: 0.05,
-            tag_rad: 0.02,
+            line_px: 0.16,
+            tag_m: 0.1,
+            tag_rad: 0.04,
             tilt_rad: 0.4f64.to_radians(),
             height_m: 0.006,
             sway_m: 0.02,

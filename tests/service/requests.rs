@@ -227,3 +227,23 @@ fn only_one_at_a_time_changes_a_database() {
     lock.unlock().expect("free");
     room.run("db remove images --db db").succeeds();
 }
+
+#[test]
+fn a_lens_that_sees_nothing_of_the_ground_gets_a_clear_answer() {
+    let room = crate::replay::support::Room::new();
+    add_images(&room, "images", &super::PLACES);
+    let narrow = "title = \"narrow\"\nwidth = 160\nheight = 120\nfx = 300.0\nfy = 300.0\ncx = 79.5\ncy = 59.5\nmodel = \"plumb_bob\"\n\
+                  d = [0.0, 0.0, 0.0, 0.0, 0.0]\n";
+    room.write("narrow.toml", narrow);
+    let mut served = Served::of(room, "--lens narrow=narrow.toml");
+    // The images look 20 degrees down with 80 degrees to each side: straight up there is nothing, a little up the far wall.
+    let up = "/v1/view?x=0.22&y=0.2&z=0.5&yaw_deg=11&lens=narrow";
+    let paper = get(served.address, &format!("{up}&pitch_deg=-40&method=paper"));
+    assert!(paper.status == 404 && paper.text().contains("the quadratic map cannot be fitted"), "{}", paper.text());
+    let wall = get(served.address, &format!("{up}&pitch_deg=-25"));
+    assert_eq!((wall.status, wall.header("realitysim-sure-share")), (200, "0.0000"), "{}", wall.text());
+    let nothing = get(served.address, &format!("{up}&pitch_deg=-90&roll_deg=180"));
+    let told = nothing.status == 404 && nothing.text().contains("no image shows anything of this view");
+    assert!(told || nothing.status == 200, "{}", nothing.text());
+    assert!(served.is_running());
+}
