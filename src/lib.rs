@@ -13,6 +13,8 @@ pub mod views;
 
 pub mod localization;
 
+pub mod smoothing;
+
 pub mod scene;
 
 pub mod ros2;
@@ -26,6 +28,8 @@ pub mod agent;
 pub mod evaluation;
 
 pub mod database;
+
+pub mod service;
 
 pub mod cli;
 

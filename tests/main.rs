@@ -12,6 +12,7 @@ mod replay;
 mod ros2;
 mod scene;
 mod serial;
+mod service;
 mod stress;
 mod systemd;
 mod views;

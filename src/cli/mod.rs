@@ -19,10 +19,13 @@ mod machine;
 mod output;
 mod paper;
 mod paths;
+mod play;
 mod record;
+mod refine;
 mod replay;
 mod scene;
 mod section;
+mod serve;
 mod settings;
 mod sim;
 mod tag;
@@ -41,6 +44,7 @@ use crate::evaluation::reference::ReferenceError;
 use crate::evaluation::suite::SuiteError;
 use crate::recording::Loss;
 use crate::scene::SceneError;
+use crate::service::ServeError;
 
 /// Tags every camera frame of a soccer robot with the pose of its camera.
 #[derive(Parser)]
@@ -74,6 +78,9 @@ enum Command {
     Db(db::DbArguments),
     View(view::ViewArguments),
     ViewWalk(view_walk::ViewWalkArguments),
+    Refine(refine::RefineArguments),
+    Play(play::PlayArguments),
+    Serve(serve::ServeArguments),
     Gap(gap::GapArguments),
     ViewQuality(view_quality::ViewQualityArguments),
     Demo(demo::DemoArguments),
@@ -115,6 +122,9 @@ pub fn run() -> ExitCode {
         Command::Db(arguments) => db::run(&arguments, json),
         Command::View(arguments) => view::run(&arguments, json),
         Command::ViewWalk(arguments) => view_walk::run(&arguments, json),
+        Command::Play(arguments) => play::run(&arguments, json),
+        Command::Refine(arguments) => refine::run(&arguments, json),
+        Command::Serve(arguments) => serve::run(&arguments, json),
         Command::Gap(arguments) => gap::run(&arguments, json),
         Command::ViewQuality(arguments) => view_quality::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),
@@ -152,6 +162,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
             || cause.is::<SuiteError>()
             || matches!(cause.downcast_ref(), Some(ReferenceError::Tolerance { .. }))
             || cause.is::<settings::UsageError>()
+            || matches!(cause.downcast_ref(), Some(ServeError::NoToken(_) | ServeError::ShortToken(_)))
             || matches!(
                 cause.downcast_ref::<RecordError>(),
                 Some(

@@ -94,11 +94,6 @@ impl<'a> Target<'a> {
         self.camera
     }
 
-    /// What is met at the corners of the cells, goals left out.
-    pub(super) fn hits(&self) -> impl Iterator<Item = Hit> + '_ {
-        self.nodes.iter().flatten().map(|(_, hit)| *hit)
-    }
-
     pub(super) fn node_count(&self) -> usize {
         self.nodes.len()
     }

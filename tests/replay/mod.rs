@@ -26,6 +26,7 @@ mod places;
 mod power_loss;
 mod realtime;
 mod reference;
+mod refine;
 mod refused;
 mod scenes;
 mod segments;
