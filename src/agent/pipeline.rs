@@ -20,7 +20,7 @@ use super::tally::Tally;
 use super::warnings::{self, AttitudeSource};
 use crate::config::{Settings, Topics};
 use crate::geometry::{FieldDimensions, LensParameters};
-use crate::recording::{Counts, LiveInfo, SessionInfo, SessionWriter};
+use crate::recording::{Counts, LiveInfo, SessionId, SessionInfo, SessionWriter};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{DiagnosticArray, FrameTag};
 use crate::sensors::intake;
@@ -314,6 +314,7 @@ impl Pipeline {
         let name = format!("{}-{}", started.strftime("%Y-%m-%dT%H-%M-%SZ"), settings.robot);
         let info = SessionInfo {
             format: crate::recording::FORMAT_VERSION,
+            id: Some(SessionId::new().as_str().to_owned()),
             software: concat!("realitysim ", env!("CARGO_PKG_VERSION")).to_owned(),
             robot: settings.robot.clone(),
             started: started.to_string(),
