@@ -12,5 +12,6 @@ mod ros2;
 mod scene;
 mod serial;
 mod stress;
+mod sync;
 mod systemd;
 mod views;

@@ -117,7 +117,7 @@ fn one(options: &Options, store: &Store, stop: &AtomicBool) -> Result<Report, Sy
         Event::Planned { sessions, plan } => {
             if plan.bytes() > 0 {
                 progress.say(&format!(
-                    "{sessions} sessions there; {} segments to come, {}",
+                    "sessions there: {sessions}; segments to come: {}, {}",
                     plan.items.len(),
                     output::size(plan.bytes())
                 ));
@@ -143,7 +143,7 @@ fn check_places(source: &Source, output: &std::path::Path) -> Result<(), UsageEr
 }
 
 fn outcome(report: &Report, stopped: bool) -> Outcome {
-    if report.failed.is_some() || report.no_room_bytes > 0 || (stopped && report.missing > 0) {
+    if report.failed.is_some() || report.no_room_bytes > 0 || stopped {
         Outcome::NotReached
     } else if report.lost.is_empty() {
         Outcome::Whole

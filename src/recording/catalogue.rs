@@ -109,7 +109,8 @@ pub fn session_at(folder: &Path) -> Result<Session, SetAside> {
     let lines = match read_plain(&path, MAX_MANIFEST_BYTES) {
         Ok(bytes) => parse_manifest(&path, &bytes, &mut set_aside),
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            set_aside.push(SetAside::new(&path, "missing: nobody can say which segments are whole (`sessions repair`)"));
+            set_aside
+                .push(SetAside::new(&path, "missing: nobody can say which segments are whole (`sessions repair`)"));
             Vec::new()
         }
         Err(error) => {

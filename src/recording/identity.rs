@@ -117,7 +117,9 @@ fn robot_id_under(root: &Path) -> String {
         let comes_and_goes = std::fs::read(disk.join("removable")).is_ok_and(|text| text.starts_with(b"1"))
             || disk.canonicalize().is_ok_and(|path| path.to_string_lossy().contains("/usb"));
         if !comes_and_goes {
-            disks.extend(["device/cid", "wwid", "device/wwid"].iter().filter_map(|file| std::fs::read(disk.join(file)).ok()));
+            disks.extend(
+                ["device/cid", "wwid", "device/wwid"].iter().filter_map(|file| std::fs::read(disk.join(file)).ok()),
+            );
         }
     }
     disks.sort();

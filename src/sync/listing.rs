@@ -43,12 +43,17 @@ mod tests {
     fn lines_are_read_as_rsync_writes_them() {
         let entry = |line: &str| parse_line(line).map(|entry| (entry.path, entry.kind));
         let some = |path: &str, kind| Some((path.to_owned(), kind));
-        assert_eq!(entry("-rw-r--r--      1,234,567 2026/11/21 20:53:20 a b/0000.mcap"), some("a b/0000.mcap", Kind::File(1_234_567)));
+        assert_eq!(
+            entry("-rw-r--r--      1,234,567 2026/11/21 20:53:20 a b/0000.mcap"),
+            some("a b/0000.mcap", Kind::File(1_234_567))
+        );
         assert_eq!(entry("-rw-rw-r--+           12 2026/11/21 20:53:20 x"), some("x", Kind::File(12)));
         assert_eq!(entry("drwxr-xr-x           4096 1970/01/01 00:00:00 s"), some("s", Kind::Folder));
         assert_eq!(entry("lrwxrwxrwx             11 2026/11/21 20:53:20 s/l -> /etc/passwd"), some("s/l", Kind::Link));
         assert_eq!(entry("prw-r--r--              0 2026/11/21 20:53:20 s/p"), some("s/p", Kind::Other));
-        for line in ["", "drwxr-xr-x           4096 2026/11/21 20:53:20 .", "sending incremental file list", "ä", "- 1 2 3 4"] {
+        for line in
+            ["", "drwxr-xr-x           4096 2026/11/21 20:53:20 .", "sending incremental file list", "ä", "- 1 2 3 4"]
+        {
             assert_eq!(entry(line), None, "{line}");
         }
     }

@@ -15,7 +15,7 @@ pub use error::SyncError;
 pub use plan::{Item, Plan, Why, plan};
 pub use prune::{Decision, Goal, decide};
 pub use round::{Event, Options, Report, SessionReport, round};
-pub use selection::{Selection, Within, valid_share};
 pub use rsync::SSH;
+pub use selection::{Selection, Within, valid_share};
 pub use source::{SERVICE_CAPTURES, Source};
 pub use store::{Known, Pruned, Store, is_as_recorded, known_sources, receiver_of};

@@ -89,7 +89,8 @@ pub fn plan(there: &[Session], here: &[Session], receiver: &str, pruned: &[Sessi
             plan_segment(&mut plan, session, ours, &folder, line, receiver);
         }
     }
-    plan.items.sort_by(|a, b| (a.line.first_ns, &a.there, &a.line.name).cmp(&(b.line.first_ns, &b.there, &b.line.name)));
+    plan.items
+        .sort_by(|a, b| (a.line.first_ns, &a.there, &a.line.name).cmp(&(b.line.first_ns, &b.there, &b.line.name)));
     plan.namesakes = namesakes(there.iter().chain(here));
     plan
 }
@@ -168,4 +169,121 @@ fn namesakes<'a>(sessions: impl Iterator<Item = &'a Session>) -> BTreeMap<String
             (robot.to_owned(), ids.iter().map(|(id, folder)| format!("{} ({folder})", &id[..6])).collect())
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::recording::{Counts, Head};
+
+    const OWN: &str = "own";
+
+    /// A segment at the source and here.
+    #[derive(Clone, Debug)]
+    struct Case {
+        /// Bytes that lie there and here; the manifest says 10.
+        there: Option<u64>,
+        here: Option<u64>,
+        acknowledged: bool,
+        elsewhere: bool,
+    }
+
+    fn case() -> impl Strategy<Value = Case> {
+        let bytes = || prop_oneof![Just(None), Just(Some(10)), Just(Some(7))];
+        let cases = (bytes(), bytes(), any::<bool>(), any::<bool>());
+        cases.prop_map(|(there, here, acknowledged, elsewhere)| Case { there, here, acknowledged, elsewhere })
+    }
+
+    fn session(name: &str, number: u8) -> Session {
+        let head = format!(r#"{{"format":1,"robot":"r","started":"t","id":"{number:032x}"}}"#).into_bytes();
+        let parsed = Head::parse(&head).unwrap();
+        Session {
+            folder: name.into(),
+            name: name.into(),
+            id: parsed.id(&head),
+            head: parsed,
+            head_bytes: head,
+            lines: Vec::new(),
+            segments: BTreeMap::new(),
+            open: false,
+            pinned: false,
+            acknowledged: BTreeMap::new(),
+            set_aside: Vec::new(),
+        }
+    }
+
+    fn both(cases: &[Case]) -> [Session; 2] {
+        let (mut there, mut here) = (session("there", 1), session("here", 1));
+        for (index, case) in cases.iter().enumerate() {
+            let line = ManifestLine {
+                name: format!("{index:04}.mcap"),
+                bytes: 10,
+                blake3: "a".repeat(64),
+                first_ns: index as i64,
+                last_ns: index as i64,
+                messages: 1,
+                frames: Counts::default(),
+                poses: None,
+            };
+            there.segments.extend(case.there.map(|bytes| (line.name.clone(), bytes)));
+            here.segments.extend(case.here.map(|bytes| (line.name.clone(), bytes)));
+            if case.here.is_some() || case.acknowledged {
+                here.lines.push(line.clone());
+            }
+            if case.acknowledged {
+                here.acknowledged.entry(OWN.into()).or_default().push(Acknowledgement::of(&line));
+            }
+            if case.elsewhere {
+                there.acknowledged.entry("other".into()).or_default().push(Acknowledgement::of(&line));
+            }
+            there.lines.push(line);
+        }
+        [there, here]
+    }
+
+    proptest! {
+        #[test]
+        fn every_segment_has_one_fate_and_what_is_planned_is_done_once(cases in prop::collection::vec(case(), 0..12)) {
+            let [there, mut here] = both(&cases);
+            let plan = plan(std::slice::from_ref(&there), std::slice::from_ref(&here), OWN, &[], &Selection::default());
+            let fates = plan.items.len() + plan.done.len() + plan.lost.len() + plan.elsewhere.len();
+            prop_assert_eq!(fates, cases.len());
+            for item in &plan.items {
+                prop_assert!(item.why == Why::Verify || there.segments.get(&item.line.name) == Some(&10));
+            }
+            let gone = cases.iter().filter(|case| case.acknowledged && case.here != Some(10)).count();
+            prop_assert_eq!(plan.withdrawn.len(), gone, "what is acknowledged is here or taken back");
+            for (_, ack) in &plan.withdrawn {
+                here.acknowledged.get_mut(OWN).unwrap().retain(|known| known != ack);
+            }
+            for item in &plan.items {
+                here.segments.insert(item.line.name.clone(), 10);
+                if !here.lines.contains(&item.line) {
+                    here.lines.push(item.line.clone());
+                }
+                here.acknowledged.entry(OWN.into()).or_default().push(Acknowledgement::of(&item.line));
+            }
+            let again = super::plan(&[there], &[here], OWN, &[], &Selection::default());
+            prop_assert_eq!((again.items, again.withdrawn), (Vec::new(), Vec::new()));
+        }
+    }
+
+    #[test]
+    fn a_name_that_another_session_has_here_gets_a_piece_of_the_number() {
+        let (there, here) = (session("s", 0x2a), session("s", 7));
+        let plan = plan(&[there.clone()], &[here], OWN, &[], &Selection::default());
+        assert_eq!(plan.folders[&there.id], "s-000000");
+    }
+
+    #[test]
+    fn what_was_pruned_here_comes_only_when_it_is_named() {
+        let [there, _] = both(&[Case { there: Some(10), here: None, acknowledged: false, elsewhere: false }]);
+        let planned = |selection: &Selection| {
+            plan(std::slice::from_ref(&there), &[], OWN, std::slice::from_ref(&there.id), selection).items.len()
+        };
+        assert_eq!(planned(&Selection::default()), 0);
+        assert_eq!(planned(&Selection { sessions: vec!["the".into()], ..Selection::default() }), 1);
+    }
 }

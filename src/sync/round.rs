@@ -103,7 +103,12 @@ pub fn round(
     let mut report =
         Report { source: options.source.shown(), receiver: store.receiver().to_owned(), ..Report::default() };
     let there = look(&rsync, &desk, &mut report)?;
-    if let Some(asked) = options.selection.sessions.iter().find(|name| !there.iter().any(|s| s.name.starts_with(*name))) {
+    // What a listing that was broken off does not name is not lost.
+    if stop.load(Ordering::Relaxed) {
+        return Ok(report);
+    }
+    if let Some(asked) = options.selection.sessions.iter().find(|name| !there.iter().any(|s| s.name.starts_with(*name)))
+    {
         let there: Vec<&str> = there.iter().map(|session| session.name.as_str()).collect();
         let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
         return Err(SyncError::NoSuchSession { source_name: options.source.shown(), asked: asked.clone(), there });
@@ -150,7 +155,8 @@ fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Vec<Session>,
         report.set_aside.push(SetAside::new(rsync.source.shown(), said));
     }
     let shown = PathBuf::from(rsync.source.shown());
-    let as_there = |path: &Path| path.strip_prefix(&desk.known).map_or_else(|_| path.to_owned(), |rest| shown.join(rest));
+    let as_there =
+        |path: &Path| path.strip_prefix(&desk.known).map_or_else(|_| path.to_owned(), |rest| shown.join(rest));
     let (mut sessions, strange) =
         sessions_in(&desk.known).map_err(|source| SyncError::Io { path: desk.known.clone(), source })?;
     report.set_aside.extend(strange.into_iter().map(|it| SetAside::new(as_there(&it.path), it.why)));
@@ -229,16 +235,15 @@ impl Work<'_> {
             }
             self.make_folders(&paths)?;
             let ended = self.carry(&paths, &mut waiting, total, tell);
-            let ended = match ended {
-                Err(error) if !error.is_link() => break Err(error),
-                ended => ended,
-            };
-            self.settle(&mut waiting, &ended)?;
+            let settled = self.settle(&mut waiting, &ended);
             let error = match ended {
+                Err(error) if !error.is_link() => break Err(error),
+                Err(error) => error,
+                Ok(_) if settled.is_err() => break settled,
                 Ok(Ended::Stopped) => break Ok(()),
                 Ok(_) => continue,
-                Err(error) => error,
             };
+            settled?;
             let come = total - staging(&waiting, self.desk, total);
             (fruitless, most) = if come > most { (0, come) } else { (fruitless + 1, most) };
             if fruitless >= MAX_FRUITLESS || self.rsync.stop.load(Ordering::Relaxed) {
@@ -264,6 +269,8 @@ impl Work<'_> {
         let waiting = std::cell::RefCell::new(waiting);
         let mut arrived = |path: &str| {
             let item = waiting.borrow().get(path).copied();
+            // Between two folders of one machine it is told by who sends it: it may not have been received yet.
+            let item = item.filter(|item| is_long_enough(&item.staged(desk), item));
             if let (Some(item), None) = (item, &trouble) {
                 match self.store.place(&item.staged(desk), item, self.head_of(item)) {
                     Ok(Placed::Verified) => {
@@ -290,17 +297,18 @@ impl Work<'_> {
         waiting: &mut BTreeMap<String, &Item>,
         ended: &Result<Ended, SyncError>,
     ) -> Result<(), SyncError> {
+        // A run that broke may leave old and new blocks side by side: the next one sorts them out.
+        let ended_well = matches!(ended, Ok(Ended::Whole | Ended::Partly(_)));
         for (path, item) in waiting.clone() {
             let staged = item.staged(self.desk);
-            let whole = fs::metadata(&staged).is_ok_and(|metadata| metadata.len() >= item.line.bytes);
-            if whole {
+            if is_long_enough(&staged, item) {
                 match self.store.place(&staged, item, self.head_of(item))? {
                     Placed::Verified => {
                         self.count(item);
                         waiting.remove(&path);
                         continue;
                     }
-                    Placed::Damaged if ended.is_ok() => {
+                    Placed::Damaged if ended_well => {
                         fs::remove_file(&staged).map_err(|source| SyncError::Io { path: staged.clone(), source })?;
                         let times = self.damaged.entry(path.clone()).or_default();
                         *times += 1;
@@ -312,11 +320,10 @@ impl Work<'_> {
                         waiting.remove(&path);
                         continue;
                     }
-                    // A broken run may leave old and new blocks side by side: the next one sorts them out.
                     Placed::Damaged => continue,
                 }
             }
-            if let Ok(Ended::Whole | Ended::Partly(_)) = ended {
+            if ended_well {
                 let said = match ended {
                     Ok(Ended::Partly(said)) => said.as_str(),
                     _ => "shorter than its manifest says",
@@ -349,6 +356,10 @@ impl Work<'_> {
         }
         Ok(())
     }
+}
+
+fn is_long_enough(staged: &Path, item: &Item) -> bool {
+    fs::metadata(staged).is_ok_and(|metadata| metadata.len() >= item.line.bytes)
 }
 
 /// Bytes that still have to come.

@@ -123,7 +123,9 @@ impl Rsync<'_> {
             // One that has gone does not read it: how it ended says why.
             scope.spawn(move || stdin.map(|mut stdin| stdin.write_all(input)));
             scope.spawn(move || {
-                for line in stdout.into_iter().flat_map(|stdout| BufReader::new(stdout).split(b'\n')).map_while(Result::ok) {
+                for line in
+                    stdout.into_iter().flat_map(|stdout| BufReader::new(stdout).split(b'\n')).map_while(Result::ok)
+                {
                     if send.send(String::from_utf8_lossy(&line).into_owned()).is_err() {
                         break;
                     }
@@ -178,7 +180,8 @@ impl Rsync<'_> {
 
 /// The first line that says something; what follows mostly says that something was said.
 fn told(complaints: &str) -> String {
-    let line = complaints.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with("Warning: Permanently"));
+    let line =
+        complaints.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with("Warning: Permanently"));
     line.unwrap_or("rsync was ended").to_owned()
 }
 

@@ -84,12 +84,16 @@ mod tests {
         assert!(disc(4.0, 4.0, 5.0) && !disc(4.0, 4.0, 4.99), "3 and 4 m from the corner");
         assert!(takes(&|s| s.valid_share = Some(0.75)) && !takes(&|s| s.valid_share = Some(0.76)));
         let unknown = ManifestLine { poses: None, ..line() };
-        assert!(!Selection { within: Some(Within { x: 0.0, y: 0.0, radius: 9.0 }), ..Selection::default() }.takes(&unknown));
+        assert!(
+            !Selection { within: Some(Within { x: 0.0, y: 0.0, radius: 9.0 }), ..Selection::default() }.takes(&unknown)
+        );
     }
 
     #[test]
     fn a_session_is_called_by_the_beginning_of_its_name() {
         let selection = Selection { sessions: vec!["2026-11-21".into()], ..Selection::default() };
-        assert!(selection.takes_session("2026-11-21T10-00-00Z-r1") && !selection.takes_session("2026-11-20T10-00-00Z-r1"));
+        assert!(
+            selection.takes_session("2026-11-21T10-00-00Z-r1") && !selection.takes_session("2026-11-20T10-00-00Z-r1")
+        );
     }
 }

@@ -62,11 +62,16 @@ impl Source {
     pub fn key(&self) -> String {
         let full = match &self.host {
             Some(_) => self.shown(),
-            None => Path::new(&self.folder).canonicalize().map_or_else(|_| self.shown(), |path| path.display().to_string()),
+            None => {
+                Path::new(&self.folder).canonicalize().map_or_else(|_| self.shown(), |path| path.display().to_string())
+            }
         };
         let name = self.host.as_deref().or_else(|| Path::new(&self.folder).file_name()?.to_str()).unwrap_or("folder");
-        let plain: String =
-            name.chars().map(|c| if c.is_ascii_alphanumeric() || "-_@".contains(c) { c } else { '_' }).take(40).collect();
+        let plain: String = name
+            .chars()
+            .map(|c| if c.is_ascii_alphanumeric() || "-_@".contains(c) { c } else { '_' })
+            .take(40)
+            .collect();
         format!("{plain}-{}", &blake3::hash(full.as_bytes()).to_hex()[..12])
     }
 }

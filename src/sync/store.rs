@@ -7,6 +7,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, OFlags};
 use serde::{Deserialize, Serialize};
@@ -16,8 +17,8 @@ use super::plan::{Item, Why};
 use super::source::Source;
 use crate::recording::catalogue::{open_plain, read_plain, session_at, sessions_in};
 use crate::recording::{
-    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, ManifestLine, SESSION_FILE, Session, SessionId,
-    SetAside, catalogue::METADATA_FILE, is_receiver, session_holding, sync_folder, write_atomically,
+    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, ManifestLine, SESSION_FILE, Session,
+    SessionId, SetAside, catalogue::METADATA_FILE, is_receiver, session_holding, sync_folder, write_atomically,
 };
 
 /// Hidden, so that `captures/*` are sessions.
@@ -29,6 +30,8 @@ const SOURCE_FILE: &str = "source.json";
 const MAX_SMALL_BYTES: u64 = 64 << 20;
 /// A line with a name.
 const MAX_RECEIVER_FILE_BYTES: u64 = 1024;
+/// For what a sync that was killed left running.
+const MAX_WAIT: Duration = Duration::from_secs(5);
 /// Names tried for what is moved aside.
 const MAX_ASIDE: u32 = 10_000;
 
@@ -82,8 +85,11 @@ impl Store {
         let state = captures.join(STATE_FOLDER);
         fs::create_dir_all(&state).map_err(io(&state))?;
         real_folder(&state)?;
-        let receiver = receiver(&state)?;
-        Ok(Self { captures: captures.to_owned(), state, receiver })
+        let mut store = Self { captures: captures.to_owned(), state, receiver: String::new() };
+        let turn = store.turn()?;
+        store.receiver = receiver(&store.state)?;
+        drop(turn);
+        Ok(store)
     }
 
     pub fn receiver(&self) -> &str {
@@ -119,9 +125,15 @@ impl Store {
         }
         let path = place.join("lock");
         let lock = own_file(&path).map_err(io(&path))?;
-        if rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
-            return Err(SyncError::Busy(source.shown()));
+        let began = Instant::now();
+        while rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+            if began.elapsed() > MAX_WAIT {
+                return Err(SyncError::Busy(source.shown()));
+            }
+            std::thread::sleep(MAX_WAIT / 50);
         }
+        // rsync inherits it: if we are killed and it is not, nobody touches the files that it still writes.
+        rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()).map_err(|error| io(&path)(error.into()))?;
         let note = serde_json::to_vec(&SourceNote { source: source.shown() }).unwrap_or_default();
         write_atomically(&place.join(SOURCE_FILE), &note)?;
         Ok(Desk { known, incoming, _lock: lock })
@@ -143,6 +155,13 @@ impl Store {
         let folder = self.session_folder(&item.here, &item.session, head)?;
         let path = folder.join(&item.line.name);
         if fs::symlink_metadata(&path).is_ok() {
+            // Another sync, of another source, was faster: it is never away under its name.
+            if is_as_recorded(&path, &item.line).is_ok_and(|whole| whole) {
+                sync_folder(&folder)?;
+                self.vouch(&folder, &item.line)?;
+                fs::remove_file(staged).map_err(io(staged))?;
+                return Ok(Placed::Verified);
+            }
             move_aside(&path)?;
         }
         fs::rename(staged, &path).map_err(io(&path))?;

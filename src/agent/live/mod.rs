@@ -37,6 +37,7 @@ use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use control::{Ask, Control, Order};
 use devices::{DeviceEvent, Devices, channel};
 use messages::{Messages, Names, initial_pose, transforms};
+use status::CoverageStatus;
 
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
@@ -326,6 +327,8 @@ impl<'a> Agent<'a> {
         let done = match order.what {
             Ask::Status => {
                 self.refresh();
+                let grid = self.session.as_ref().map(|session| session.coverage().clone());
+                self.status.coverage = grid.map(|grid| CoverageStatus { map: grid.text(), grid });
                 Ok(json!(self.status))
             }
             Ask::Mark(text) => self.note("mark", "mark", &text).map(|()| json!({ "marked": text })),

@@ -67,7 +67,7 @@ pub(super) fn row(session: &Session, own: Option<&str>) -> Row {
         robot: session.head.robot.clone(),
         robot_id: session.head.robot_id().map(str::to_owned),
         started: session.head.started.clone(),
-        duration_s: first.zip(last).map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 * 1e-9),
+        duration_s: first.zip(last).map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 / 1e9),
         valid_share: (tagged > 0).then(|| frames.valid as f64 / tagged as f64),
         frames,
         segments: session.segments.len() as u64,
@@ -124,7 +124,13 @@ fn rows(folder: &Path) -> anyhow::Result<(Vec<Row>, Vec<String>)> {
                     }
                 }
                 None => {
-                    let row = Row { segments: 0, bytes: 0, missing: 0, at_source: Some(finished), ..row(there, own.as_deref()) };
+                    let row = Row {
+                        segments: 0,
+                        bytes: 0,
+                        missing: 0,
+                        at_source: Some(finished),
+                        ..row(there, own.as_deref())
+                    };
                     rows.push(row);
                 }
             }
