@@ -150,10 +150,12 @@ fn fail(report: &mut Report, result: Result<(), SyncError>) {
 
 /// Sessions at the source: what they say of themselves, and what lies in their folders.
 fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Vec<Session>, SyncError> {
-    let entries = rsync.list()?;
+    // In this order: a recorder gives a segment its name before its line, so that what the manifest lists is there when the
+    // folder is looked at.
     if let Ended::Partly(said) = rsync.heads(&desk.known)? {
         report.set_aside.push(SetAside::new(rsync.source.shown(), said));
     }
+    let entries = rsync.list()?;
     let shown = PathBuf::from(rsync.source.shown());
     let as_there =
         |path: &Path| path.strip_prefix(&desk.known).map_or_else(|_| path.to_owned(), |rest| shown.join(rest));
@@ -388,10 +390,10 @@ fn finish(
         if let Some(folder) = plan.folders.get(&session.id) {
             let verified = session.lines.iter().filter(|line| acks.iter().any(|ack| ack.is_of(line))).count() as u64;
             let of = session.lines.len() as u64;
-            if ours.is_some() && verified == of && !session.open {
-                store.complete(folder, &desk.known.join(&session.name))?;
+            if let Some(ours) = ours.filter(|_| verified == of && !session.open) {
+                store.complete(&ours.name, &desk.known.join(&session.name))?;
             }
-            let (session, id) = (folder.clone(), session.id.clone());
+            let (session, id) = (ours.map_or(folder, |ours| &ours.name).clone(), session.id.clone());
             report.sessions.push(SessionReport { session, id, segments: verified, of });
         }
         let told = session.acknowledged.get(store.receiver()).map_or(&[][..], Vec::as_slice);

@@ -214,19 +214,21 @@ impl Store {
         Ok(write_atomically(&path, text.as_bytes())?)
     }
 
-    /// The session's folder, made if it is not there; never another session's, never through a link.
+    /// The session's folder, made if it is not there; never another session's, never through a link. Another name than was
+    /// planned if another sync was faster.
     fn session_folder(&self, name: &str, id: &SessionId, head: &[u8]) -> Result<PathBuf, SyncError> {
-        let folder = self.captures.join(name);
-        match fs::symlink_metadata(&folder) {
-            Ok(_) => {
-                real_folder(&folder)?;
-                match session_at(&folder) {
-                    Ok(session) if session.id == *id => return Ok(folder),
-                    _ => return Err(io(&folder)(io::Error::other("is another session's: move it away"))),
-                }
+        let mut folder = self.captures.join(name);
+        if fs::symlink_metadata(&folder).is_ok() {
+            real_folder(&folder)?;
+            if session_at(&folder).is_ok_and(|session| session.id == *id) {
+                return Ok(folder);
             }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => return Err(io(&folder)(error)),
+        }
+        if let Some(ours) = self.sessions()?.0.into_iter().find(|session| session.id == *id) {
+            return Ok(ours.folder);
+        }
+        if fs::symlink_metadata(&folder).is_ok() {
+            folder = self.captures.join(format!("{name}-{}", id.as_str()));
         }
         // Whole under its name or not at all: a cut in between leaves no folder that is nobody's.
         let beside = self.state.join(format!("new-{}", id.as_str()));
