@@ -23,6 +23,8 @@ pub mod sensors;
 
 pub mod recording;
 
+pub mod sync;
+
 pub mod agent;
 
 pub mod evaluation;

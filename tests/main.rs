@@ -14,5 +14,6 @@ mod scene;
 mod serial;
 mod service;
 mod stress;
+mod sync;
 mod systemd;
 mod views;

@@ -74,6 +74,7 @@ impl Tally {
             value("frames_written", counts.written),
             value("frames_tagged", counts.tagged),
             value("frames_valid", counts.valid),
+            value("frames_thinned", counts.thinned),
             value("bad_messages", self.bad_messages),
             value("late_measurements", late),
             value("unusable_weights", self.unusable_weights),
@@ -85,7 +86,8 @@ impl Tally {
         let recorder = DiagnosticStatus {
             level: if conserved { DiagnosticStatus::OK } else { DiagnosticStatus::ERROR },
             name: format!("{DIAGNOSTICS_NAME}recorder"),
-            message: if conserved { "captured = written + dropped" } else { "frames are unaccounted for" }.to_owned(),
+            message: if conserved { "captured = written + thinned + dropped" } else { "frames are unaccounted for" }
+                .to_owned(),
             hardware_id: robot.to_owned(),
             values,
         };

@@ -26,8 +26,10 @@ mod replay;
 mod scene;
 mod section;
 mod serve;
+mod sessions;
 mod settings;
 mod sim;
+mod sync;
 mod tag;
 mod view;
 mod view_quality;
@@ -45,6 +47,7 @@ use crate::evaluation::suite::SuiteError;
 use crate::recording::Loss;
 use crate::scene::SceneError;
 use crate::service::ServeError;
+use crate::sync::SyncError;
 
 /// Tags every camera frame of a soccer robot with the pose of its camera.
 #[derive(Parser)]
@@ -64,6 +67,8 @@ enum Command {
     Record(Box<record::RecordArguments>),
     #[command(flatten)]
     Order(record::Order),
+    Sync(Box<sync::SyncArguments>),
+    Sessions(sessions::SessionsArguments),
     Doctor(Box<doctor::DoctorArguments>),
     Install(install::InstallArguments),
     Sim(sim::SimArguments),
@@ -107,6 +112,8 @@ pub fn run() -> ExitCode {
         Command::Replay(arguments) => replay::run(&arguments, json),
         Command::Scene(arguments) => scene::run(&arguments, json),
         Command::Record(arguments) => record::run(&arguments, json),
+        Command::Sync(arguments) => sync::run(&arguments, json),
+        Command::Sessions(arguments) => sessions::run(&arguments, json),
         Command::Install(arguments) => install::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments, json),
         Command::Order(order) => record::order(&order, json),
@@ -163,6 +170,10 @@ fn is_usage(error: &anyhow::Error) -> bool {
             || matches!(cause.downcast_ref(), Some(ReferenceError::Tolerance { .. }))
             || cause.is::<settings::UsageError>()
             || matches!(cause.downcast_ref(), Some(ServeError::NoToken(_) | ServeError::ShortToken(_)))
+            || matches!(
+                cause.downcast_ref(),
+                Some(SyncError::Source(_) | SyncError::IntoCapture { .. } | SyncError::NoSuchSession { .. })
+            )
             || matches!(
                 cause.downcast_ref::<RecordError>(),
                 Some(

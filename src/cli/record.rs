@@ -174,6 +174,21 @@ fn for_people(status: &Value) -> String {
             ));
         }
     }
+    if let Some(thinned @ 1..) = counts["thinned"].as_u64() {
+        lines.push(format!("{thinned} thinned out, as recording.thinning asks"));
+    }
+    let coverage = &status["coverage"];
+    if let Some(map) = coverage["map"].as_array() {
+        let number = |key: &str| coverage[key].as_u64().unwrap_or(0);
+        lines.push(format!(
+            "images of {} of {} poses (cells of {} m, {} headings: a digit says of how many, # of all, . of none)",
+            number("filled"),
+            number("cells"),
+            coverage["cell_m"],
+            number("sectors")
+        ));
+        lines.extend(map.iter().filter_map(Value::as_str).map(|row| format!("  {row}")));
+    }
     if let Some(tag) = status["last_tag"].as_object() {
         let float = |key: &str| tag[key].as_f64().unwrap_or(f64::NAN);
         let valid = if tag["valid"] == true { "valid" } else { tag["reason"].as_str().unwrap_or("invalid") };

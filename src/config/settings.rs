@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::ConfigError;
 use super::live::{CaptureSettings, MountSettings, SerialSettings};
 use super::source::read;
+use super::thinning::ThinningSettings;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -192,7 +193,7 @@ pub struct MotionModel {
     pub turn_rad_per_s: f64,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RecordingSettings {
     /// A segment ends after this time ...
@@ -201,6 +202,7 @@ pub struct RecordingSettings {
     pub segment_mb: u64,
     /// How often what was written is forced onto the disk.
     pub sync_interval_ms: u64,
+    pub thinning: ThinningSettings,
 }
 
 /// How images of a database are chosen for a view, and when one is the answer itself.
@@ -315,6 +317,7 @@ impl Settings {
         within("recording.segment_s", self.recording.segment_s as f64, 1.0, 86_400.0)?;
         within("recording.segment_mb", self.recording.segment_mb as f64, 1.0, 65_536.0)?;
         within("recording.sync_interval_ms", self.recording.sync_interval_ms as f64, 10.0, 60_000.0)?;
+        self.recording.thinning.check()?;
         let v = &self.views;
         within("views.sources", v.sources as f64, 1.0, 16.0)?;
         within("views.stored_within_m", v.stored_within_m, 0.0, 1.0)?;
@@ -446,7 +449,7 @@ impl Default for ViewsSettings {
 
 impl Default for RecordingSettings {
     fn default() -> Self {
-        Self { segment_s: 60, segment_mb: 256, sync_interval_ms: 500 }
+        Self { segment_s: 60, segment_mb: 256, sync_interval_ms: 500, thinning: ThinningSettings::default() }
     }
 }
 

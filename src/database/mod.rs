@@ -18,7 +18,7 @@ mod tree;
 
 pub use build::{Added, Checked, Stats, add, rebuild, remove, stats, verify};
 pub use catalogue::{Catalogue, Source, SourceKind};
-pub use coverage::{Coverage, coverage};
+pub use coverage::{coverage, coverage_picture};
 pub use error::DatabaseError;
 pub use gallery::{Gallery, Shown, Wanted};
 pub use index::{Index, Neighbour, write_index};

@@ -10,13 +10,16 @@ use crate::geometry::{FieldDimensions, LensParameters};
 
 pub const FORMAT_VERSION: u32 = 1;
 /// What a session's folder is known by.
-pub(super) const SESSION_FILE: &str = "session.json";
-pub(super) const MANIFEST_FILE: &str = "manifest.jsonl";
+pub const SESSION_FILE: &str = "session.json";
+pub const MANIFEST_FILE: &str = "manifest.jsonl";
 
 /// `session.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionInfo {
     pub format: u32,
+    /// Of this session alone, whatever its folder is called: 32 hexadecimal digits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub id: Option<String>,
     pub software: String,
     pub robot: String,
     /// UTC of the first message, RFC 3339.
@@ -34,6 +37,9 @@ pub struct SessionInfo {
 /// What a live camera agreed to, and how its clock stands to UTC.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LiveInfo {
+    /// Of the machine: two robots of one name are told apart by it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot_id: Option<String>,
     /// UTC minus CLOCK_MONOTONIC, frozen at the start.
     pub utc_offset_ns: i64,
     /// Subtracted from the camera's stamps.
@@ -42,14 +48,17 @@ pub struct LiveInfo {
     pub camera: serde_json::Value,
 }
 
-/// Frames, by what became of them: captured = written + the sum of dropped, and in the end written = tagged + the sum
-/// of untagged.
+/// Frames, by what became of them: captured = written + thinned + the sum of dropped, and in the end written + thinned =
+/// tagged + the sum of untagged.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
     pub captured: u64,
     pub written: u64,
     pub tagged: u64,
     pub valid: u64,
+    /// Tagged and not written, as `recording.thinning` asks.
+    #[serde(default)]
+    pub thinned: u64,
     /// Not written, by cause.
     pub dropped: BTreeMap<String, u64>,
     /// Written, but of which nobody can say when they were exposed; by cause.
@@ -58,9 +67,9 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Every captured frame was either written or dropped.
+    /// Every captured frame was written, thinned out or dropped.
     pub fn is_conserved(&self) -> bool {
-        self.captured == self.written + self.dropped.values().sum::<u64>()
+        self.captured == self.written + self.thinned + self.dropped.values().sum::<u64>()
     }
 
     pub fn add(&mut self, other: &Self) {
@@ -68,6 +77,7 @@ impl Counts {
         self.written += other.written;
         self.tagged += other.tagged;
         self.valid += other.valid;
+        self.thinned += other.thinned;
         for (sum, more) in [(&mut self.dropped, &other.dropped), (&mut self.untagged, &other.untagged)] {
             for (cause, count) in more {
                 *sum.entry(cause.clone()).or_default() += count;

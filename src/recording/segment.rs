@@ -190,7 +190,7 @@ fn is_same(one: &Channel, other: &Channel) -> bool {
 }
 
 /// Makes a created or renamed name survive a power cut.
-pub(super) fn sync_folder(folder: &Path) -> Result<(), RecordingError> {
+pub fn sync_folder(folder: &Path) -> Result<(), RecordingError> {
     let failed = |source| RecordingError::Io { path: folder.to_owned(), source };
     File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed)
 }

@@ -156,6 +156,12 @@ impl SessionWriter {
         *self.segment.counts.dropped.entry(cause.to_owned()).or_default() += count;
     }
 
+    /// A frame that is tagged and not written, as asked.
+    pub fn thin_frame(&mut self) {
+        self.segment.counts.captured += 1;
+        self.segment.counts.thinned += 1;
+    }
+
     /// A frame that was written and can have no tag.
     pub fn leave_untagged(&mut self, cause: &str) {
         *self.segment.counts.untagged.entry(cause.to_owned()).or_default() += 1;

@@ -32,6 +32,7 @@ mod scenes;
 mod segments;
 pub mod support;
 mod tag;
+mod thinning;
 mod topics;
 mod truth;
 mod usage;
