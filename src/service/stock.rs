@@ -12,7 +12,7 @@ use super::Refusal;
 use super::encode::{self, Form};
 use super::parameters::{Asked, MaskWanted, Parameters, named};
 use crate::config::ViewsSettings;
-use crate::database::{Coverage, DatabaseError, Gallery, Shown, Wanted, coverage};
+use crate::database::{DatabaseError, Gallery, Shown, Wanted, coverage, coverage_picture};
 use crate::geometry::{Lens, LensParameters};
 use crate::scene::Scene;
 use crate::views::{Camera, Made, ViewError};
@@ -184,16 +184,16 @@ impl Stock {
             let what = format!("cell_m and headings make {cells:.0} cells: at most {MAX_CELLS:.0} are counted");
             return Err(Refusal::wrong(what));
         }
-        let found: Coverage = coverage(gallery.index(), gallery.field(), cell_m, headings as usize);
+        let found = coverage(gallery.index(), gallery.field(), cell_m, headings as usize);
         if picture {
-            let image = found.picture(gallery.field());
+            let image = coverage_picture(&found, gallery.field());
             let (width, height) = image.dimensions();
             let pixels = image.into_raw().as_chunks::<3>().0.iter().map(|[r, g, b]| [*r, *g, *b, 255]).collect();
             let raster = crate::views::Raster { width: width as usize, height: height as usize, pixels };
             return Ok((encode::encode(&raster, Form::Png, MaskWanted::None, 0)?.0, Form::Png.media_type()));
         }
         let mut value = serde_json::to_value(&found).unwrap_or_default();
-        value["counts"] = json!(found.counts);
+        value["counts"] = json!(found.counts());
         Ok((value.to_string().into_bytes(), "application/json"))
     }
 }

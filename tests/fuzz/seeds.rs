@@ -197,6 +197,7 @@ fn descriptions() {
     let lens = load_lens("fisheye-640").unwrap().lens.parameters().clone();
     let info = SessionInfo {
         format: 1,
+        id: Some("0123456789abcdef0123456789abcdef".to_owned()),
         software: "realitysim 0.1.0".to_owned(),
         robot: "a".to_owned(),
         started: "2026-01-01T00:00:00Z".to_owned(),
