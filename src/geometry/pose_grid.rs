@@ -134,7 +134,7 @@ mod tests {
     fn no_pose_is_beyond_the_last_cell() {
         let mut grid = PoseGrid::new(DVec2::new(0.7, 0.7), 0.5, 3);
         for x in [-0.7, 0.0, 0.69, 0.7, 0.75, f64::NAN, f64::INFINITY] {
-            for yaw in [-core::f64::consts::PI, core::f64::consts::PI, -1e-18, 6.2831853] {
+            for yaw in [-core::f64::consts::PI, core::f64::consts::PI, -1e-18, TAU] {
                 grid.add(&Pose2::new(x, 0.1, yaw).to_isometry());
             }
         }

@@ -159,7 +159,7 @@ mod tests {
             let (mut x, mut yaw, mut last) = (0.0, 0.0, None::<(f64, f64)>);
             for (dx, dyaw) in steps {
                 (x, yaw) = (x + dx, yaw + dyaw);
-                let turned = last.map_or(0.0, |(_, old)| crate::geometry::wrap_angle((yaw - old as f64).to_radians()).abs().to_degrees());
+                let turned = last.map_or(0.0, |(_, old)| crate::geometry::wrap_angle((yaw - old).to_radians()).abs().to_degrees());
                 let new = last.is_none_or(|(old, _)| (x - old).abs() >= 0.1) || turned >= 10.0;
                 prop_assert_eq!(thinning.keeps(0, Some(&pose(x, yaw))), new);
                 if new {

@@ -273,7 +273,7 @@ mod tests {
     #[test]
     fn a_name_that_another_session_has_here_gets_a_piece_of_the_number() {
         let (there, here) = (session("s", 0x2a), session("s", 7));
-        let plan = plan(&[there.clone()], &[here], OWN, &[], &Selection::default());
+        let plan = plan(std::slice::from_ref(&there), &[here], OWN, &[], &Selection::default());
         assert_eq!(plan.folders[&there.id], "s-000000");
     }
 
