@@ -280,6 +280,10 @@ impl<'a> Warp<'a> {
             for i in 0..CELL {
                 patch.u[line * CELL + i] = u + du * i as f32;
                 patch.v[line * CELL + i] = v + dv * i as f32;
+                // A corner that the source does not draw says nothing of the places near it.
+                if (patch.u[line * CELL + i] + patch.v[line * CELL + i]).is_nan() {
+                    patch.sure[line * CELL + i] = NOTHING;
+                }
             }
         }
         patch

@@ -23,10 +23,6 @@ const AZIMUTHS: usize = 120;
 const NEAREST_M: f64 = 0.25;
 const FARTHEST_M: f64 = 15.0;
 const STEPS: usize = 44;
-/// Steps that tell whether a ray comes into view at all.
-const PROBES: [usize; 6] = [0, 8, 17, 26, 35, STEPS - 1];
-/// Places that are held against an edge side by side.
-const AT_ONCE: usize = 32;
 /// The strip at the edge that the narrow blur smears the surroundings into, in pixels.
 const BLUR_REACH_PX: f64 = 6.0;
 
@@ -66,12 +62,8 @@ impl CarpetBorder {
         let pixels_per_radian = projector.lens().focal();
         let ends = rays.directions.iter().filter_map(|direction| {
             let along = optical_from_footprint.transform_vector(direction.extend(0.0));
-            let project = |range: f64| projector.project_inside(below + along * range);
-            if PROBES.iter().all(|step| project(rays.ranges[*step]).is_none()) {
-                return None;
-            }
             let seen = rays.ranges.iter().map(|range| {
-                let pixel = project(*range)?;
+                let pixel = projector.project_inside(below + along * *range)?;
                 let pixel = (to_working.apply(pixel) + DVec2::splat(0.5)) * 0.5;
                 surfaces
                     .get((pixel.y.max(0.0) as usize) * half_width + (pixel.x.max(0.0) as usize).min(half_width - 1))
@@ -91,30 +83,15 @@ impl CarpetBorder {
 
     /// Of each place whether it lies inside; one that is no number does not.
     pub fn holds(&self, ground: &[DVec2], inside: &mut Vec<bool>) {
-        let edges: Vec<[f32; 3]> = self
-            .edges()
-            .map(|(a, b)| {
-                let along = b - a;
-                // Of the perpendicular product of the edge and the way from its start.
-                [-along.y, along.x, along.y * a.x - along.x * a.y].map(|part| part as f32)
-            })
-            .collect();
         inside.clear();
+        inside.extend(ground.iter().map(|at| !at.is_nan()));
         vectorised(|| {
-            for ground in ground.chunks(AT_ONCE) {
-                let mut worst = [f32::INFINITY; AT_ONCE];
-                let (mut xs, mut ys) = ([f32::NAN; AT_ONCE], [f32::NAN; AT_ONCE]);
-                for ((x, y), at) in xs.iter_mut().zip(&mut ys).zip(ground) {
-                    (*x, *y) = (at.x as f32, at.y as f32);
+            for (a, b) in self.edges() {
+                let along = b - a;
+                // As perp_dot of the edge and the way from its start.
+                for (inside, at) in inside.iter_mut().zip(ground) {
+                    *inside &= along.x * (at.y - a.y) - along.y * (at.x - a.x) >= 0.0;
                 }
-                for [to_x, to_y, first] in &edges {
-                    for ((worst, x), y) in worst.iter_mut().zip(&xs).zip(&ys) {
-                        let side = to_x * x + to_y * y + first;
-                        *worst = if side < *worst { side } else { *worst };
-                    }
-                }
-                let of_each = worst.iter().zip(&xs).map(|(worst, x)| *worst >= 0.0 && !x.is_nan());
-                inside.extend(of_each.take(ground.len()));
             }
         });
     }
