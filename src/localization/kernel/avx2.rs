@@ -45,7 +45,7 @@ pub(super) unsafe fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placeme
     lanes.iter().map(|lane| u64::from(*lane)).sum()
 }
 
-/// One load a lane: faster than the gather instruction on AMD, and on Intel since its gathers are guarded against Downfall.
+/// One load a lane in place of the gather instruction, whose speed differs much from one processor to the next.
 ///
 /// # Safety
 /// The processor must have AVX2 and every lane of `index` lie in `quads`.
