@@ -52,7 +52,7 @@ pub struct Played {
     pub attitudes: u64,
     /// Could not be written: the device was away.
     pub lost: u64,
-    /// Came more than [`LATE`] after their time.
+    /// Came more than `LATE` after their time.
     pub late: u64,
     pub seconds: f64,
 }

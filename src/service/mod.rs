@@ -1,6 +1,6 @@
 //! Views over HTTP: `realitysim serve`. docs/service.md is for its users.
 //!
-//! [`Service`] holds the database and answers requests; [`serve`] listens, with limits on everything a client can do.
+//! `Service` holds the database and answers requests; [`serve`] listens, with limits on everything a client can do.
 //! Views are made by a few threads behind a bounded queue: over load some requests are refused, and the others are as fast as ever.
 
 mod answer;
