@@ -2,6 +2,7 @@
 
 mod config;
 mod dev;
+mod fuzz;
 mod hardware;
 mod limits;
 mod live;
@@ -12,6 +13,8 @@ mod replay;
 mod ros2;
 mod scene;
 mod serial;
+mod service;
 mod stress;
+mod sync;
 mod systemd;
 mod views;

@@ -19,9 +19,12 @@ use super::tagger::Tagger;
 use super::tally::Tally;
 use super::warnings::{self, AttitudeSource};
 use crate::config::{Settings, Topics};
-use crate::geometry::{FieldDimensions, LensParameters};
+use crate::geometry::{FieldDimensions, LensParameters, PoseGrid};
 use crate::recording::storage::Disk;
-use crate::recording::{Counts, LiveInfo, RecorderStatus, SegmentState, SessionInfo, SessionWriter, Writing};
+use crate::recording::{
+    Counts, LiveInfo, RecorderStatus, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning, Writing,
+    write_coverage,
+};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{DiagnosticArray, FrameTag};
 use crate::sensors::intake;
@@ -63,6 +66,7 @@ pub struct Pipeline {
     tagger: Tagger,
     budget: Budget,
     session: Option<SessionWriter>,
+    thinning: Thinning,
     /// What the log announces does not count then.
     initial_is_given: bool,
     /// Tagged, those before the checkpoint included: the next tag's number.
@@ -83,6 +87,8 @@ const NO_STAMP: &str = "no_stamp";
 impl Pipeline {
     pub fn new(setup: Setup, start: Start, recording: Recording) -> Self {
         let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude } = setup;
+        let thinning = settings.recording.thinning.clone();
+        let grid = PoseGrid::new(field.carpet_half_extent(), thinning.cell_m, usize::from(thinning.headings));
         let tagger = start.tagger(&settings, field, eyes.vision.lens());
         let budget = Budget::new(settings.filter.budget_ms, start.decided);
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
@@ -99,6 +105,7 @@ impl Pipeline {
             tagger,
             budget,
             session: None,
+            thinning: Thinning::new(thinning, grid),
             initial_is_given: start.initial.is_some(),
             sequence,
             tally: Tally::default(),
@@ -153,6 +160,11 @@ impl Pipeline {
         self.session.as_ref().map(|session| (session.counts(), session.status()))
     }
 
+    /// Of which poses there are images.
+    pub fn coverage(&self) -> &PoseGrid {
+        self.thinning.coverage()
+    }
+
     /// Nothing more will come: what is there becomes a whole capture, whatever went wrong, if it can. `None` if nothing
     /// came at all or nothing more can be written.
     pub fn finish(mut self) -> (Option<Recorded>, Result<(), AgentError>) {
@@ -162,13 +174,16 @@ impl Pipeline {
             Ok(finished) => finished,
             Err(error) => return (None, ended.and(Err(error.into()))),
         };
+        // Without it the same is read from the tags.
+        let _ = write_coverage(&session, self.thinning.coverage(), counts.valid);
         let heard = self.synchroniser.knows_attitude();
         let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
         let late_measurements = self.synchroniser.too_late();
         let Settings { field, filter, .. } = &self.settings;
         let strange = warnings::strange_field(field, &self.tally.invalid, counts.tagged);
         let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
-        let warnings = attitude.into_iter().chain(strange).chain(small).collect();
+        let unusable = warnings::unusable_weights(self.tally.unusable_weights);
+        let warnings = attitude.into_iter().chain(strange).chain(small).chain(unusable).collect();
         (Some(Recorded { session, counts, recorder, tally: self.tally, late_measurements, warnings }), ended)
     }
 
@@ -186,10 +201,13 @@ impl Pipeline {
         let topics = &self.topics;
         let is_frame = intake::is_frame(&message.channel, topics);
         let latched = message.channel.topic == topics.tf_static || message.channel.topic == topics.camera_info;
-        if let Some(session) = &mut self.session {
+        let input = intake::read(&message, topics, &self.settings.head);
+        // Whether a frame is worth its bytes is known with its tag; one that can have none is written as it comes.
+        let waits = is_frame && input.is_ok() && self.thinning.thins();
+        if let (Some(session), false) = (&mut self.session, waits) {
             session.pass(&message, is_frame, latched)?;
         }
-        match intake::read(&message, topics, &self.settings.head) {
+        match input {
             Ok(intake::Input::InitialPose { .. }) if self.initial_is_given => {}
             Ok(input) => self.synchroniser.push(&message, input),
             Err(error) if is_frame => {
@@ -247,9 +265,17 @@ impl Pipeline {
             let _ = tags.try_send(tag.clone());
         }
         self.sequence += 1;
+        self.tally.unusable_weights = self.tagger.unusable_weights();
         self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
+        let pose = tag.valid.then(|| intake::isometry(&tag.pose.pose.position, &tag.pose.pose.orientation));
+        let keeps = self.thinning.keeps(frame.stamp_ns, pose.as_ref());
         if let Some(session) = &mut self.session {
+            match (self.thinning.thins(), keeps) {
+                (true, true) => session.pass(&frame.message, true, false)?,
+                (true, false) => session.thin_frame()?,
+                (false, _) => {}
+            }
             session.tag(log_time_ns, &self.settings.frames.map, &tag)?;
         }
         self.report_diagnostics(log_time_ns)
@@ -320,6 +346,7 @@ impl Pipeline {
         let name = format!("{}-{}", started.strftime("%Y-%m-%dT%H-%M-%SZ"), settings.robot);
         let info = SessionInfo {
             format: crate::recording::FORMAT_VERSION,
+            id: Some(SessionId::new().as_str().to_owned()),
             software: concat!("realitysim ", env!("CARGO_PKG_VERSION")).to_owned(),
             robot: settings.robot.clone(),
             started: started.to_string(),

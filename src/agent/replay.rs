@@ -126,6 +126,7 @@ impl Run {
             frames: counts.written,
             tagged: counts.tagged,
             valid: counts.valid,
+            thinned: counts.thinned,
             filter_ms: tally.effort.durations.quantiles(),
             capped: tally.effort.capped,
             over_budget: tally.effort.over_budget,

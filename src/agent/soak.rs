@@ -4,14 +4,17 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use glam::DVec2;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
 use super::error::AgentError;
 use crate::config::{Settings, load_field, load_lens};
+use crate::geometry::{FieldDimensions, Pose2, PoseGrid};
 use crate::recording::storage::Disk;
 use crate::recording::{
-    Counts, FORMAT_VERSION, RecorderStatus, RecordingError, SegmentState, SessionInfo, SessionWriter, Writing,
+    Counts, FORMAT_VERSION, RecorderStatus, RecordingError, SegmentState, SessionId, SessionInfo, SessionWriter,
+    Thinning, Writing,
 };
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
@@ -48,11 +51,11 @@ const TELL_EVERY: Duration = Duration::from_millis(100);
 
 /// Records made-up frames, measurements and tags in real time.
 pub fn soak(options: &SoakOptions, each: &mut dyn FnMut(&RecorderStatus)) -> Result<SoakReport, AgentError> {
-    let mut stream = Stream::new(options);
+    let start_ns = utc_offset_ns() + crate::sensors::host_clock::monotonic_ns();
+    let (name, info) = info(options, start_ns)?;
+    let mut stream = Stream::new(options, start_ns, &info.field);
     let bytes_per_s = u64::from(options.frames_per_s) * options.frame_bytes as u64;
     let writing = Writing::Behind { bytes_per_s };
-    let start_ns = stream.start_ns;
-    let (name, info) = info(options, start_ns)?;
     let mut session = SessionWriter::create(Arc::new(Disk), &options.captures, &name, &info, state(start_ns), writing)?;
     let (began, used) = (Instant::now(), processor_time());
     let mut told = began;
@@ -92,6 +95,7 @@ fn info(options: &SoakOptions, start_ns: i64) -> Result<(String, SessionInfo), A
     let started = jiff::Timestamp::from_nanosecond(i128::from(start_ns)).unwrap_or_default();
     let info = SessionInfo {
         format: FORMAT_VERSION,
+        id: Some(SessionId::new().as_str().to_owned()),
         software: concat!("realitysim ", env!("CARGO_PKG_VERSION")).to_owned(),
         robot: settings.robot.clone(),
         started: started.to_string(),
@@ -104,6 +108,12 @@ fn info(options: &SoakOptions, start_ns: i64) -> Result<(String, SessionInfo), A
     Ok((format!("{}-soak", started.strftime("%Y-%m-%dT%H-%M-%SZ")), info))
 }
 
+/// A robot that walks in circles, one in half a minute.
+fn on_a_circle(time: Duration) -> Pose2 {
+    let angle = time.as_secs_f64() * std::f64::consts::TAU / 30.0;
+    Pose2::new(2.0 * angle.cos(), 2.0 * angle.sin(), angle + std::f64::consts::FRAC_PI_2)
+}
+
 /// What comes when.
 struct Stream {
     start_ns: i64,
@@ -114,14 +124,17 @@ struct Stream {
     image: CompressedImage,
     topics: [Arc<Channel>; 2],
     map: String,
+    thinning: Thinning,
     bytes: u64,
 }
 
 impl Stream {
-    fn new(options: &SoakOptions) -> Self {
+    fn new(options: &SoakOptions, start_ns: i64, field: &FieldDimensions) -> Self {
         let topics = &options.settings.topics;
         let volatile = || channel_metadata(Durability::Volatile);
-        let start_ns = utc_offset_ns() + crate::sensors::host_clock::monotonic_ns();
+        let thinning = options.settings.recording.thinning.clone();
+        let half = DVec2::new(field.length_m, field.width_m) / 2.0;
+        let grid = PoseGrid::new(half, thinning.cell_m, usize::from(thinning.headings));
         // As little to be packed as a JPEG is.
         let data =
             (0..options.frame_bytes as u64).map(|i| (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 56) as u8).collect();
@@ -138,6 +151,7 @@ impl Stream {
                 Arc::new(Channel::of::<Imu>(2, &topics.imu, volatile())),
             ],
             map: options.settings.frames.map.clone(),
+            thinning: Thinning::new(thinning, grid),
             bytes: 0,
         }
     }
@@ -158,8 +172,15 @@ impl Stream {
             let at_ns = self.start_ns + (self.frame_every * self.frames).as_nanos() as i64;
             let stamp = header(at_ns, "");
             self.image.header.stamp = stamp.stamp;
-            self.pass(0, at_ns, self.image.encode(), session)?;
-            let tag = FrameTag { header: stamp, sequence: u64::from(self.frames), valid: true, ..FrameTag::default() };
+            let pose = on_a_circle(self.frame_every * self.frames);
+            if self.thinning.keeps(at_ns, Some(&pose.to_isometry())) {
+                self.pass(0, at_ns, self.image.encode(), session)?;
+            } else {
+                session.thin_frame()?;
+            }
+            let mut tag =
+                FrameTag { header: stamp, sequence: u64::from(self.frames), valid: true, ..FrameTag::default() };
+            (tag.pose.pose.position.x, tag.pose.pose.position.y) = (pose.x, pose.y);
             session.tag(at_ns, &self.map, &tag)?;
             self.frames += 1;
         }

@@ -23,6 +23,8 @@ pub struct Tally {
     pub effort: EffortTally,
     /// Frames of which nobody said how the torso was tilted.
     pub without_tilt: u64,
+    /// Particles' weights that were NaN or +inf.
+    pub unusable_weights: u64,
 }
 
 impl Tally {
@@ -73,8 +75,10 @@ impl Tally {
             value("frames_written", counts.written),
             value("frames_tagged", counts.tagged),
             value("frames_valid", counts.valid),
+            value("frames_thinned", counts.thinned),
             value("bad_messages", self.bad_messages),
             value("late_measurements", late),
+            value("unusable_weights", self.unusable_weights),
         ];
         let causes = [("dropped", &counts.dropped), ("untagged", &counts.untagged), ("lost", &counts.lost)];
         for (what, causes) in causes {
@@ -83,7 +87,8 @@ impl Tally {
         let recorder = DiagnosticStatus {
             level: if conserved { DiagnosticStatus::OK } else { DiagnosticStatus::ERROR },
             name: format!("{DIAGNOSTICS_NAME}recorder"),
-            message: if conserved { "captured = written + dropped" } else { "frames are unaccounted for" }.to_owned(),
+            message: if conserved { "captured = written + thinned + dropped" } else { "frames are unaccounted for" }
+                .to_owned(),
             hardware_id: robot.to_owned(),
             values,
         };

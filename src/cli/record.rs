@@ -65,12 +65,10 @@ pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
 
 /// Not what the camera dropped, but what was there and could not be written.
 fn recorder_lost_data(status: &Value) -> bool {
-    let causes = |of: &Value| of.as_object().into_iter().flatten().map(|(cause, _)| cause.clone()).collect::<Vec<_>>();
-    let by_disk = [vec!["queue_full".to_owned()], causes(&status["recorder"]["faults"])].concat();
-    let dropped = causes(&status["counts"]["dropped"]);
+    let lost = status["counts"]["lost"].as_object();
     !status["unfinished"].is_null()
-        || !causes(&status["counts"]["lost"]).is_empty()
-        || dropped.iter().any(|cause| by_disk.contains(cause))
+        || lost.is_some_and(|causes| !causes.is_empty())
+        || status["recorder"]["frames_refused"].as_u64() > Some(0)
 }
 
 /// How is it, what happened, begin, end, where am I.
@@ -185,6 +183,21 @@ fn for_people(status: &Value) -> String {
             ));
         }
     }
+    if let Some(thinned @ 1..) = counts["thinned"].as_u64() {
+        lines.push(format!("{thinned} thinned out, as recording.thinning asks"));
+    }
+    let coverage = &status["coverage"];
+    if let Some(map) = coverage["map"].as_array() {
+        let number = |key: &str| coverage[key].as_u64().unwrap_or(0);
+        lines.push(format!(
+            "images of {} of {} poses (cells of {} m, {} headings: a digit says of how many, # of all, . of none)",
+            number("filled"),
+            number("cells"),
+            coverage["cell_m"],
+            number("sectors")
+        ));
+        lines.extend(map.iter().filter_map(Value::as_str).map(|row| format!("  {row}")));
+    }
     if let Some(tag) = status["last_tag"].as_object() {
         let float = |key: &str| tag[key].as_f64().unwrap_or(f64::NAN);
         let valid = if tag["valid"] == true { "valid" } else { tag["reason"].as_str().unwrap_or("invalid") };
@@ -204,7 +217,7 @@ fn recorder_for_people(recorder: &Value) -> Vec<String> {
     let ms = |key: &str| recorder[key].as_f64().unwrap_or(0.0);
     let mebibytes = |key: &str| recorder[key].as_f64().unwrap_or(0.0) / f64::from(1 << 20);
     let conserved = if recorder["conserved"] == true {
-        "captured = written + dropped + waiting"
+        "captured = written + thinned + dropped + waiting"
     } else {
         "FRAMES ARE UNACCOUNTED FOR"
     };

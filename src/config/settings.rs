@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::ConfigError;
 use super::live::{CaptureSettings, MountSettings, SerialSettings};
 use super::source::read;
+use super::thinning::ThinningSettings;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -213,6 +214,7 @@ pub struct RecordingSettings {
     pub session_mb: u64,
     /// The most that all sessions may take; 0: no limit.
     pub total_mb: u64,
+    pub thinning: ThinningSettings,
 }
 
 /// How images of a database are chosen for a view, and when one is the answer itself.
@@ -333,6 +335,7 @@ impl Settings {
         within("recording.session_mb", self.recording.session_mb as f64, 0.0, 1e9)?;
         within("recording.total_mb", self.recording.total_mb as f64, 0.0, 1e9)?;
         within("recording.sync_interval_ms", self.recording.sync_interval_ms as f64, 10.0, 60_000.0)?;
+        self.recording.thinning.check()?;
         let v = &self.views;
         within("views.sources", v.sources as f64, 1.0, 16.0)?;
         within("views.stored_within_m", v.stored_within_m, 0.0, 1.0)?;
@@ -474,6 +477,7 @@ impl Default for RecordingSettings {
             floor_percent: 5.0,
             session_mb: 0,
             total_mb: 0,
+            thinning: ThinningSettings::default(),
         }
     }
 }

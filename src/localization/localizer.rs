@@ -1,6 +1,7 @@
 //! From frame to frame: particles find the basin, refinement finds the pose, and both must agree with the lines before
 //! a pose is believed.
 
+use glam::DVec2;
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
@@ -83,6 +84,11 @@ const SEARCH_EVERY: u64 = 3;
 /// A pose a little off the carpet is possible.
 const SEARCH_MARGIN_M: f64 = 0.3;
 const CANDIDATES: usize = 12;
+/// Of these, how many are refined whatever the clock says: the first that fits is not always the right one.
+const FEWEST_FITTED: usize = 4;
+/// A place so far from the best one that explains so much of what that does: the frame does not say which it is.
+const ELSEWHERE_M: f64 = 0.5;
+const RIVALS: f64 = 0.9;
 /// A restarted robot may have been carried: the cloud is widened by this.
 const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
 /// Longer gaps say nothing more about where the robot went.
@@ -151,6 +157,11 @@ impl Localizer {
 
     pub fn observation(&self) -> &Observation {
         self.filter.observation()
+    }
+
+    /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
+    pub fn unusable_weights(&self) -> u64 {
+        self.filter.unusable_weights()
     }
 
     /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
@@ -289,7 +300,7 @@ impl Localizer {
         self.state.ambiguous = true;
     }
 
-    /// The candidate whose lines fit best, once refined.
+    /// The candidate whose lines fit best, once refined; none if another place explains the frame nearly as well.
     fn best_fit(
         &self,
         moment: &Moment,
@@ -298,25 +309,33 @@ impl Localizer {
         effort: &mut Effort,
         may_go_on: &mut MayGoOn,
     ) -> Option<Pose2> {
-        let mut best: Option<(f64, Pose2)> = None;
-        for Candidate { pose, .. } in found {
-            if best.is_some() && !may_go_on(effort.weighed) {
+        struct Fit {
+            worth: f64,
+            camera: DVec2,
+            pose: Pose2,
+        }
+        let mut fits: Vec<Fit> = Vec::new();
+        for (index, Candidate { pose, .. }) in found.iter().enumerate() {
+            if index >= FEWEST_FITTED && !may_go_on(effort.weighed) {
                 effort.capped = true;
                 break;
             }
             // Every question to the clock has a number of its own.
             effort.weighed += 1;
-            let Some(Refined { lines, .. }) = self.refine_candidate(moment, seen, pose) else { continue };
-            // A picture without lines fits everywhere, best where none are to be seen: no reason to go there.
-            if !agrees(&lines) {
+            let Some(Refined { lines, map_from_optical, .. }) = self.refine_candidate(moment, seen, pose) else {
                 continue;
-            }
-            let fit = lines.fitting as f64 - lines.expected as f64 * CONTRADICTED;
-            if best.is_none_or(|(before, _)| fit > before) {
-                best = Some((fit, *pose));
+            };
+            // A picture without lines fits everywhere, best where none are to be seen: no reason to go there.
+            if agrees(&lines) {
+                let worth = lines.fitting as f64 - lines.expected as f64 * CONTRADICTED;
+                fits.push(Fit { worth, camera: map_from_optical.translation.truncate(), pose: *pose });
             }
         }
-        best.map(|(_, pose)| pose)
+        fits.sort_by(|a, b| b.worth.total_cmp(&a.worth));
+        let best = fits.first()?;
+        let rivals =
+            |other: &Fit| other.worth > RIVALS * best.worth && other.camera.distance(best.camera) > ELSEWHERE_M;
+        (!fits.iter().any(rivals)).then_some(best.pose)
     }
 
     fn refine_candidate(&self, moment: &Moment, seen: &Seen, pose: &Pose2) -> Option<Refined> {

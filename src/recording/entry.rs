@@ -12,6 +12,8 @@ pub(super) enum Entry {
     Gap(Gap),
     /// The frame before it can have no tag.
     Untagged(String),
+    /// A frame that is tagged and not wanted.
+    Thinned,
     /// A small file beside the sessions.
     State(PathBuf, Vec<u8>),
 }
@@ -59,7 +61,7 @@ impl Entry {
                 Self::Begin(beginning) => beginning.state.capacity(),
                 Self::Message(message, _) => message.data.capacity(),
                 Self::State(_, data) => data.capacity(),
-                Self::Gap(_) | Self::Untagged(_) => 0,
+                Self::Gap(_) | Self::Untagged(_) | Self::Thinned => 0,
             }
     }
 }

@@ -10,10 +10,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::acknowledgement::ACK_FOLDER;
 use super::entry::{Beginning, Entry, Gap, Kind};
 use super::error::RecordingError;
 use super::gap::GapMessages;
-use super::manifest::{Counts, MANIFEST_FILE, ManifestLine, SESSION_FILE, TopicEntry, metadata_yaml};
+use super::manifest::{Counts, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, TopicEntry, metadata_yaml};
 use super::segment::{Cut, Finished, Segment, Unfinished};
 use super::shared::{Shared, Waiting};
 use super::storage::{Appending, Storage, StoredFile, write_atomically};
@@ -30,6 +31,8 @@ pub(super) struct Plan {
     pub info: Vec<u8>,
     pub robot: String,
     pub sync_interval: Duration,
+    /// Others may fetch it, and say what they have.
+    pub is_synced_from: bool,
 }
 
 pub(super) struct Recorder {
@@ -148,7 +151,7 @@ impl Recorder {
         self.rest()?;
         let folder = self.open_session()?;
         let yaml = metadata_yaml(&self.lines, &self.topics);
-        write_atomically(self.storage.as_ref(), &folder.join("metadata.yaml"), yaml.as_bytes())?;
+        write_atomically(self.storage.as_ref(), &folder.join(METADATA_FILE), yaml.as_bytes())?;
         self.lock = None;
         Ok(folder)
     }
@@ -208,6 +211,9 @@ impl Recorder {
             }
         };
         if !self.is_ready {
+            if self.plan.is_synced_from {
+                create_shared_folder(storage, &folder.join(ACK_FOLDER))?;
+            }
             write_atomically(storage, &folder.join(SESSION_FILE), &self.plan.info)?;
             storage.sync_folder(captures).map_err(failed)?;
             // The folder of all captures may be as new.
@@ -294,6 +300,10 @@ impl Recorder {
                 note_gap(&mut segment.counts, gap);
             }
             Entry::Untagged(cause) => *segment.counts.untagged.entry(cause.clone()).or_default() += 1,
+            Entry::Thinned => {
+                segment.counts.captured += 1;
+                segment.counts.thinned += 1;
+            }
             Entry::Begin(_) | Entry::State(..) => {}
         }
         if !kept.is_counted {
@@ -392,6 +402,14 @@ fn new_folder(storage: &dyn Storage, captures: &Path, name: &str) -> Result<Path
     }
     let source = io::Error::from(io::ErrorKind::AlreadyExists);
     Err(RecordingError::Io { path: captures.join(name), source })
+}
+
+/// One that is there already is as good.
+fn create_shared_folder(storage: &dyn Storage, path: &Path) -> Result<(), RecordingError> {
+    match storage.create_shared_folder(path) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(RecordingError::io(path, error)),
+        _ => Ok(()),
+    }
 }
 
 /// Many drivers send calibration with every frame, and constants again and again: once is enough.

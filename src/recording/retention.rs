@@ -1,19 +1,20 @@
 //! What may stay on the robot's disk: nothing goes that a dev machine has not acknowledged.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::acknowledged::acknowledged;
+use super::acknowledgement::receiver_on;
+use super::catalogue::{Session, sessions_on};
 use super::error::RecordingError;
-use super::folder::manifest_lines;
-use super::manifest::{EVICTED_FILE, MANIFEST_FILE, ManifestLine, PINNED_FILE, SESSION_FILE};
-use super::segment::segment_index;
+use super::manifest::{EVICTED_FILE, ManifestLine};
+use super::release::releasable;
 use super::shared::Allowed;
 use super::status::{RecorderStatus, Stopped};
-use super::storage::{Appending, Listed, ListedKind, Space, Storage, read_small};
+use super::storage::{Appending, Kind, Listed, Space, Storage, read_small};
 use crate::config::RecordingSettings;
 
 /// Of the config, in bytes.
@@ -41,8 +42,10 @@ const HARD_SHARE: f64 = 0.25;
 const FEWEST_INODES: u64 = 16;
 /// Segments removed at one look, so that the recorder is not kept waiting.
 const MAX_EVICTED_AT_ONCE: usize = 8;
-/// Sessions that are looked through.
+/// Sessions whose sizes are summed up.
 const MAX_SESSIONS: usize = 100_000;
+/// Where nothing may go, all sessions are looked through no more often than this.
+const SEARCH_EVERY: Duration = Duration::from_secs(10);
 
 impl Limits {
     pub fn new(captures: &Path, settings: &RecordingSettings) -> Self {
@@ -84,26 +87,28 @@ impl Seen {
 pub(super) struct Retention {
     storage: Arc<dyn Storage>,
     limits: Limits,
+    searched_in_vain: Option<Duration>,
 }
 
 impl Retention {
     pub fn new(storage: Arc<dyn Storage>, limits: Limits) -> Self {
-        Self { storage, limits }
+        Self { storage, limits, searched_in_vain: None }
     }
 
     /// Makes room if there is too little, as far as that is allowed. A disk that does not answer stops nothing here: the
     /// recorder's own writes tell what is wrong.
-    pub fn look(&self, session: Option<&Path>) -> Seen {
+    pub fn look(&mut self, session: Option<&Path>) -> Seen {
         let mut seen = Seen::default();
-        for _ in 0..MAX_EVICTED_AT_ONCE {
-            let (allowed, free_bytes) = self.judge(session);
-            (seen.allowed, seen.free_bytes) = (allowed, free_bytes);
-            if allowed == Allowed::All || !frees_by_eviction(allowed) {
+        (seen.allowed, seen.free_bytes) = self.judge(session);
+        if seen.allowed == Allowed::All || !frees_by_eviction(seen.allowed) {
+            return seen;
+        }
+        for going in self.going() {
+            let Ok(evicted) = going.evict(self.storage.as_ref()) else { continue };
+            seen.evicted.push(evicted);
+            (seen.allowed, seen.free_bytes) = self.judge(session);
+            if seen.allowed == Allowed::All || seen.evicted.len() >= MAX_EVICTED_AT_ONCE {
                 break;
-            }
-            match self.evict_one() {
-                Some(evicted) => seen.evicted.push(evicted),
-                None => break,
             }
         }
         seen
@@ -132,27 +137,31 @@ impl Retention {
     }
 
     fn used(&self) -> u64 {
-        self.sessions().iter().map(|session| self.used_by(session)).sum()
+        let folders = self.storage.list(&self.limits.captures).unwrap_or_default().into_iter();
+        let folders = folders.filter(|entry| entry.kind == Kind::Folder).take(MAX_SESSIONS);
+        folders.map(|entry| self.used_by(&self.limits.captures.join(entry.name))).sum()
     }
 
     fn used_by(&self, session: &Path) -> u64 {
-        let files = self.storage.list(session).unwrap_or_default();
-        files.iter().filter(|file| file.kind == ListedKind::File).map(|file| file.bytes).sum()
+        self.storage.list(session).unwrap_or_default().iter().filter_map(Listed::bytes).sum()
     }
 
-    /// Oldest first: a session's name begins with its time.
-    fn sessions(&self) -> Vec<PathBuf> {
+    /// Segments that may go, in the order in which they do.
+    fn going(&mut self) -> VecDeque<Going> {
+        let now = self.storage.now();
+        if self.searched_in_vain.is_some_and(|searched| now.saturating_sub(searched) < SEARCH_EVERY) {
+            return VecDeque::new();
+        }
         let captures = &self.limits.captures;
-        let folders = self.storage.list(captures).unwrap_or_default().into_iter();
-        let folders = folders.filter(|entry| entry.kind == ListedKind::Folder).take(MAX_SESSIONS);
-        folders.map(|entry| captures.join(entry.name)).collect()
-    }
-
-    /// The oldest segment that may go: of a session that is pinned only if no other is left.
-    fn evict_one(&self) -> Option<Evicted> {
-        let sessions: Vec<_> = self.sessions().into_iter().map(|path| Candidates::of(&self.storage, path)).collect();
-        let (pinned, others): (Vec<_>, Vec<_>) = sessions.into_iter().flatten().partition(|session| session.pinned);
-        others.iter().chain(&pinned).find_map(|session| session.evict_oldest(&self.storage))
+        let sessions = sessions_on(self.storage.as_ref(), captures).map(|(sessions, _)| sessions).unwrap_or_default();
+        let own = receiver_on(self.storage.as_ref(), captures);
+        let going = releasable(&sessions, own.as_deref()).into_iter().flat_map(|of| {
+            let going = |(line, receiver)| Going::new(of.session, line, receiver);
+            of.segments.into_iter().map(going).collect::<Vec<_>>()
+        });
+        let going: VecDeque<Going> = going.take(2 * MAX_EVICTED_AT_ONCE).collect();
+        self.searched_in_vain = going.is_empty().then_some(now);
+        going
     }
 }
 
@@ -164,63 +173,37 @@ fn frees_by_eviction(allowed: Allowed) -> bool {
     allowed != Allowed::NoFrames(SESSION_QUOTA)
 }
 
-/// Segments of one session that a dev machine has.
-struct Candidates {
+/// A segment that may go.
+struct Going {
     session: PathBuf,
-    pinned: bool,
-    segments: Vec<(ManifestLine, String)>,
+    evicted: Evicted,
 }
 
-impl Candidates {
-    fn of(storage: &Arc<dyn Storage>, session: PathBuf) -> Option<Self> {
-        let files = storage.list(&session).ok()?;
-        let is_file = |name: &str| find(&files, name).is_some();
-        if !is_file(SESSION_FILE) || !is_file(MANIFEST_FILE) {
-            return None;
-        }
-        let receivers = acknowledged(storage.as_ref(), &session);
-        if receivers.is_empty() {
-            return None;
-        }
-        let lines = manifest_lines(storage.as_ref(), &session).ok()?;
-        let mut segments = Vec::new();
-        for line in lines {
-            // Only what this program has written and still stands there as it was.
-            let there = find(&files, &line.name).is_some_and(|file| file.bytes == line.bytes);
-            let receiver = receivers.get(&(line.name.clone(), line.blake3.clone(), line.bytes));
-            if let (true, Some(receiver), Some(_)) = (there, receiver, segment_index(&line.name)) {
-                segments.push((line, receiver.clone()));
-            }
-        }
-        segments.sort_by_key(|(line, _)| segment_index(&line.name));
-        Some(Self { pinned: is_file(PINNED_FILE), session, segments })
+impl Going {
+    fn new(session: &Session, line: &ManifestLine, receiver: &str) -> Self {
+        let evicted = Evicted {
+            file: line.name.clone(),
+            bytes: line.bytes,
+            blake3: line.blake3.clone(),
+            receiver: receiver.to_owned(),
+        };
+        Self { session: session.folder.clone(), evicted }
     }
 
-    fn evict_oldest(&self, storage: &Arc<dyn Storage>) -> Option<Evicted> {
-        self.segments.iter().find_map(|(line, receiver)| {
-            let evicted = Evicted {
-                file: line.name.clone(),
-                bytes: line.bytes,
-                blake3: line.blake3.clone(),
-                receiver: receiver.clone(),
-            };
-            // Whatever fails, nothing is lost: it is noted first, and a file that is still there is not gone.
-            note(storage, &self.session, &evicted).ok()?;
-            storage.remove(&self.session.join(&line.name)).ok()?;
-            storage.sync_folder(&self.session).ok()?;
-            Some(evicted)
-        })
+    /// Whatever fails, nothing is lost: it is noted first, and a file that is still there is not gone.
+    fn evict(self, storage: &dyn Storage) -> Result<Evicted, RecordingError> {
+        note(storage, &self.session, &self.evicted)?;
+        let path = self.session.join(&self.evicted.file);
+        let removed = storage.remove(&path).and_then(|()| storage.sync_folder(&self.session));
+        removed.map_err(|source| RecordingError::io(&path, source))?;
+        Ok(self.evicted)
     }
 }
 
-fn find<'a>(files: &'a [Listed], name: &str) -> Option<&'a Listed> {
-    files.iter().find(|file| file.name == name && file.kind == ListedKind::File)
-}
-
-fn note(storage: &Arc<dyn Storage>, session: &Path, evicted: &Evicted) -> Result<(), RecordingError> {
+fn note(storage: &dyn Storage, session: &Path, evicted: &Evicted) -> Result<(), RecordingError> {
     let path = session.join(EVICTED_FILE);
     let failed = |source| RecordingError::io(&path, source);
-    if evicted_segments(storage.as_ref(), session).contains_key(&evicted.file) {
+    if evicted_segments(storage, session).get(&evicted.file) == Some(evicted) {
         return Ok(());
     }
     let mut text = serde_json::to_vec(evicted)?;

@@ -27,8 +27,13 @@ pub(super) fn segment_name(index: u32) -> String {
 /// The number of a segment's file, finished or not; `None` if the name is not one of ours.
 pub(super) fn segment_index(name: &str) -> Option<u32> {
     let digits = name.strip_suffix(ACTIVE).unwrap_or(name).strip_suffix(".mcap")?;
-    let plain = digits.len() >= 4 && digits.bytes().all(|byte| byte.is_ascii_digit());
+    let plain = (4..=9).contains(&digits.len()) && digits.bytes().all(|byte| byte.is_ascii_digit());
     if plain { digits.parse().ok() } else { None }
+}
+
+/// `0000.mcap`: what the recorder calls a finished segment, and nothing else.
+pub(super) fn is_segment_name(name: &str) -> bool {
+    !name.ends_with(ACTIVE) && segment_index(name).is_some()
 }
 
 /// A segment that was given up: what lies behind these bytes may or may not be on the disk.

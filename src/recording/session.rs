@@ -68,6 +68,7 @@ impl SessionWriter {
             info: serde_json::to_vec_pretty(info)?,
             robot: info.robot.clone(),
             sync_interval: Duration::from_millis(settings.sync_interval_ms),
+            is_synced_from: matches!(writing, Writing::Behind { .. }),
         };
         let bytes_per_s = if let Writing::Behind { bytes_per_s } = writing { bytes_per_s } else { 0 };
         let room = Room {
@@ -163,7 +164,12 @@ impl SessionWriter {
         Ok(())
     }
 
-    /// A frame that was written and can have no tag.
+    /// A frame that is tagged and not written, as asked.
+    pub fn thin_frame(&mut self) -> Result<(), RecordingError> {
+        self.put(Entry::Thinned)
+    }
+
+    /// A frame that can have no tag.
     pub fn leave_untagged(&mut self, cause: &str) -> Result<(), RecordingError> {
         self.put(Entry::Untagged(cause.to_owned()))
     }

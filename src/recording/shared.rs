@@ -86,6 +86,7 @@ impl Shared {
     /// Takes it if there is room, or counts it and leaves a gap.
     pub fn offer(&self, entry: Entry, taken: Duration) {
         let mut state = self.lock();
+        state.note_thinned(&entry);
         let log_time_ns = entry.log_time_ns();
         if let Some(cause) = self.refusal(&state, &entry) {
             state.refuse(&entry, cause, log_time_ns);
@@ -200,6 +201,7 @@ impl Shared {
                 } else {
                     state.frames_in_hand = state.frames_in_hand.saturating_sub(1);
                 }
+                state.status.frames_refused += 1;
                 state.drop_frames(cause, 1);
             }
             Entry::Message(_, kind) => {
@@ -223,6 +225,7 @@ impl Shared {
     /// For a recorder that is called by the agent itself.
     pub fn take_at_once(&self, entry: &Entry) {
         let mut state = self.lock();
+        state.note_thinned(entry);
         state.hold(entry);
         let frame = u64::from(entry.is_frame());
         state.counts.captured += frame;
@@ -262,7 +265,7 @@ impl Shared {
         state.status.fault = fault;
     }
 
-    /// `captured = written + dropped + still in memory`, each counted in a place of its own.
+    /// `captured = written + thinned + dropped + still in memory`, each counted in a place of its own.
     pub fn status(&self) -> RecorderStatus {
         let state = self.lock();
         let frames_waiting = state.frames_queued + state.frames_in_hand;
@@ -270,7 +273,7 @@ impl Shared {
         RecorderStatus {
             frames_waiting,
             queue_bytes: state.frames_bytes + state.others_bytes,
-            conserved: state.counts.captured == state.counts.written + dropped + frames_waiting,
+            conserved: state.counts.captured == state.counts.written + state.counts.thinned + dropped + frames_waiting,
             ..state.status.clone()
         }
     }
@@ -288,6 +291,13 @@ impl State {
         self.queue.push_back(waiting);
     }
 
+    /// Nothing can become of it any more: it counts at once, whether a segment hears of it or not.
+    fn note_thinned(&mut self, entry: &Entry) {
+        let thinned = u64::from(matches!(entry, Entry::Thinned));
+        self.counts.captured += thinned;
+        self.counts.thinned += thinned;
+    }
+
     fn hold(&mut self, entry: &Entry) {
         let held = if entry.is_frame() { &mut self.frames_bytes } else { &mut self.others_bytes };
         *held += entry.bytes();
@@ -297,6 +307,7 @@ impl State {
         match entry {
             Entry::Message(LogMessage { log_time_ns, .. }, Kind::Frame) => {
                 self.counts.captured += 1;
+                self.status.frames_refused += 1;
                 self.drop_frames(cause, 1);
                 self.open_gap(cause, 1, 0, *log_time_ns, Duration::ZERO);
             }
@@ -305,7 +316,7 @@ impl State {
                 self.open_gap(cause, 0, 1, log_time_ns.unwrap_or_default(), Duration::ZERO);
             }
             Entry::Untagged(cause) => *self.counts.untagged.entry(cause.clone()).or_default() += 1,
-            Entry::Begin(_) | Entry::Gap(_) | Entry::State(..) => {}
+            Entry::Begin(_) | Entry::Gap(_) | Entry::State(..) | Entry::Thinned => {}
         }
     }
 

@@ -11,12 +11,14 @@ pub struct RecorderStatus {
     pub session: Option<PathBuf>,
     /// In memory: taken, and neither written nor dropped yet.
     pub frames_waiting: u64,
+    /// They came here and could not be written: dropped by the recorder, not by the camera.
+    pub frames_refused: u64,
     /// The disk has said that it has them.
     pub frames_synced: u64,
     /// Held by what waits and by what is written and not yet synced.
     pub queue_bytes: usize,
     pub queue_limit_bytes: usize,
-    /// captured = written + dropped + waiting.
+    /// captured = written + thinned + dropped + waiting.
     pub conserved: bool,
     /// The longest that the disk took to sync.
     pub worst_stall_ms: f64,

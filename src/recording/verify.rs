@@ -8,10 +8,10 @@ use serde::Serialize;
 use super::error::RecordingError;
 use super::folder::{Loss, manifest_lines};
 use super::manifest::MANIFEST_FILE;
-use super::repair::{read_session, sessions_of};
+use super::repair::read_session;
 use super::retention::evicted_segments;
-use super::segment::{ACTIVE, segment_index};
-use super::storage::{ListedKind, Storage};
+use super::segment::{ACTIVE, is_segment_name, segment_index};
+use super::storage::{Kind, Storage};
 
 /// What was found of one session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -26,12 +26,8 @@ pub struct Verified {
     pub wrong: Vec<Loss>,
 }
 
-/// Every session in a folder of captures, or the one that is given.
-pub fn verify(storage: &dyn Storage, captures: &Path) -> Vec<Result<Verified, RecordingError>> {
-    sessions_of(storage, captures).iter().map(|session| verify_session(storage, session)).collect()
-}
-
-fn verify_session(storage: &dyn Storage, session: &Path) -> Result<Verified, RecordingError> {
+/// Every segment is read; nothing is changed.
+pub fn verify(storage: &dyn Storage, session: &Path) -> Result<Verified, RecordingError> {
     read_session(storage, session)?;
     let mut verified = Verified { session: session.to_owned(), ..Verified::default() };
     let path = session.join(MANIFEST_FILE);
@@ -40,7 +36,7 @@ fn verify_session(storage: &dyn Storage, session: &Path) -> Result<Verified, Rec
     let evicted = evicted_segments(storage, session);
     for line in &lines {
         let file = session.join(&line.name);
-        if segment_index(&line.name).is_none() || line.name.ends_with(ACTIVE) {
+        if !is_segment_name(&line.name) {
             verified.wrong.push(Loss::new(&path, format!("lists {:?}, which is no name of a segment", line.name)));
             continue;
         }
@@ -51,23 +47,25 @@ fn verify_session(storage: &dyn Storage, session: &Path) -> Result<Verified, Rec
                 continue;
             }
             None => format!("missing: {MANIFEST_FILE} lists it with {} messages", line.messages),
-            Some(there) if there.kind != ListedKind::File => "is no plain file".to_owned(),
-            Some(there) if there.bytes != line.bytes => {
-                format!("has {} bytes, but {MANIFEST_FILE} says {}: it was cut or changed", there.bytes, line.bytes)
-            }
-            Some(_) => match hash(storage, &file) {
-                Ok(hash) if hash == line.blake3 => {
-                    verified.sound += 1;
-                    verified.bytes += line.bytes;
-                    continue;
+            Some(there) => match there.kind {
+                Kind::File(bytes) if bytes != line.bytes => {
+                    format!("has {bytes} bytes, but {MANIFEST_FILE} says {}: it was cut or changed", line.bytes)
                 }
-                Ok(_) => "its bytes are not those that were written: the hash differs".to_owned(),
-                Err(error) => format!("cannot be read: {error}"),
+                Kind::File(_) => match hash(storage, &file) {
+                    Ok(hash) if hash.eq_ignore_ascii_case(&line.blake3) => {
+                        verified.sound += 1;
+                        verified.bytes += line.bytes;
+                        continue;
+                    }
+                    Ok(_) => "its bytes are not those that were written: the hash differs".to_owned(),
+                    Err(error) => format!("cannot be read: {error}"),
+                },
+                Kind::Folder | Kind::Link | Kind::Other => "is no plain file".to_owned(),
             },
         };
         verified.wrong.push(Loss::new(&file, said));
     }
-    for file in files.iter().filter(|file| file.kind == ListedKind::File && segment_index(&file.name).is_some()) {
+    for file in files.iter().filter(|file| file.bytes().is_some() && segment_index(&file.name).is_some()) {
         if file.name.ends_with(ACTIVE) {
             let said = "was never finished, or is being recorded: `realitysim sessions repair`";
             verified.wrong.push(Loss::new(&session.join(&file.name), said));

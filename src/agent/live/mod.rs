@@ -26,7 +26,7 @@ use super::warnings::AttitudeSource;
 use crate::config::{ConfigError, Settings, load_lens};
 use crate::geometry::{LensError, LensParameters, Pose2};
 use crate::recording::storage::Disk;
-use crate::recording::{LiveInfo, Stopped, Writing, repair, session_holding, sessions_of};
+use crate::recording::{LiveInfo, Stopped, Writing, repair, robot_id, session_holding, sessions_of};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CameraInfo, FrameTag, TFMessage};
 use crate::sensors::host_clock::{monotonic_ns, utc_offset_ns};
@@ -38,6 +38,7 @@ use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use control::{Ask, Control, Order};
 use devices::{DeviceEvent, Devices, channel};
 use messages::{Messages, Names, initial_pose, transforms};
+use status::CoverageStatus;
 
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
@@ -298,6 +299,7 @@ impl<'a> Agent<'a> {
             source: None,
             threads: self.options.threads,
             live: Some(LiveInfo {
+                robot_id: Some(robot_id()),
                 utc_offset_ns: self.clock_ns,
                 camera_delay_ns: (self.options.settings.capture.delay_ms * 1e6) as i64,
                 camera: self.status.camera.clone(),
@@ -375,6 +377,8 @@ impl<'a> Agent<'a> {
         let done = match order.what {
             Ask::Status => {
                 self.refresh();
+                let grid = self.session.as_ref().map(|session| session.coverage().clone());
+                self.status.coverage = grid.map(|grid| CoverageStatus { map: grid.text(), grid });
                 Ok(json!(self.status))
             }
             Ask::Mark(text) => self.note("mark", "mark", &text).map(|()| json!({ "marked": text })),

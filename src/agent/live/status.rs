@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::geometry::PoseGrid;
 use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
 use crate::sensors::camera::StampClock;
@@ -33,6 +34,16 @@ pub struct Status {
     pub frames_waiting: u64,
     pub ports: BTreeMap<String, Port>,
     pub last_tag: Option<LastTag>,
+    /// Which cells of the pose grid the session has images of.
+    pub coverage: Option<CoverageStatus>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct CoverageStatus {
+    #[serde(flatten)]
+    pub grid: PoseGrid,
+    /// The field from above, a letter for each cell: `PoseGrid::text`.
+    pub map: Vec<String>,
 }
 
 #[derive(Clone, Debug, Default, Serialize)]

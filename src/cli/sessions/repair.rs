@@ -1,12 +1,11 @@
-//! What a crash has left becomes a whole capture.
-
-use std::path::PathBuf;
+//! `realitysim sessions repair`
 
 use clap::Args;
 use serde_json::json;
 
+use super::CapturesArguments;
 use crate::cli::{Outcome, output};
-use crate::recording::repair_all;
+use crate::recording::repair;
 use crate::recording::storage::Disk;
 
 /// Finish what a crash or a power cut has left unfinished; a second run changes nothing
@@ -15,16 +14,17 @@ use crate::recording::storage::Disk;
 /// and metadata.yaml list them. A session that is being recorded is left alone.
 #[derive(Args)]
 pub struct RepairArguments {
-    /// A folder of captures, or one session
-    #[arg(value_name = "DIR", default_value = "captures")]
-    captures: PathBuf,
+    /// Names or folders; none: all
+    #[arg(value_name = "SESSION")]
+    sessions: Vec<String>,
+    #[command(flatten)]
+    captures: CapturesArguments,
 }
 
 pub fn run(arguments: &RepairArguments, json: bool) -> anyhow::Result<Outcome> {
-    anyhow::ensure!(arguments.captures.is_dir(), "{}: no such folder", arguments.captures.display());
     let (mut repaired, mut failed) = (Vec::new(), Vec::new());
-    for session in repair_all(&Disk, &arguments.captures) {
-        match session {
+    for session in arguments.captures.paths(&arguments.sessions)? {
+        match repair(&Disk, &session) {
             Ok(session) => repaired.push(session),
             Err(error) => failed.push(error.to_string()),
         }

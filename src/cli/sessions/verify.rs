@@ -1,10 +1,9 @@
-//! Whether sessions are what their manifests say.
-
-use std::path::PathBuf;
+//! `realitysim sessions verify`
 
 use clap::Args;
 use serde_json::json;
 
+use super::CapturesArguments;
 use crate::cli::{Outcome, output};
 use crate::recording::storage::Disk;
 use crate::recording::{Loss, verify};
@@ -12,21 +11,22 @@ use crate::recording::{Loss, verify};
 /// Compare every segment's bytes with the manifest's hash; changes nothing
 #[derive(Args)]
 pub struct VerifyArguments {
-    /// A folder of captures, or one session
-    #[arg(value_name = "DIR", default_value = "captures")]
-    captures: PathBuf,
+    /// Names or folders; none: all
+    #[arg(value_name = "SESSION")]
+    sessions: Vec<String>,
+    #[command(flatten)]
+    captures: CapturesArguments,
 }
 
 pub fn run(arguments: &VerifyArguments, json: bool) -> anyhow::Result<Outcome> {
-    anyhow::ensure!(arguments.captures.is_dir(), "{}: no such folder", arguments.captures.display());
     let (mut verified, mut wrong) = (Vec::new(), Vec::<Loss>::new());
-    for session in verify(&Disk, &arguments.captures) {
-        match session {
+    for path in arguments.captures.paths(&arguments.sessions)? {
+        match verify(&Disk, &path) {
             Ok(session) => {
                 wrong.extend(session.wrong.iter().cloned());
                 verified.push(session);
             }
-            Err(error) => wrong.push(Loss::new(&arguments.captures, error.to_string())),
+            Err(error) => wrong.push(Loss::new(&path, error.to_string())),
         }
     }
     if json {

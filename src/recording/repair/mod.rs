@@ -11,15 +11,16 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+pub(super) use self::segment::{COPY, DAMAGED};
 use self::segment::{Ended, describe, finish};
 use super::error::RecordingError;
 use super::folder::{Loss, manifest_lines};
 use super::manifest::{
-    FORMAT_VERSION, MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
+    FORMAT_VERSION, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
 };
 use super::retention::evicted_segments;
 use super::segment::{ACTIVE, CUT_BYTES, CUT_RECORD, CUT_SEGMENT, segment_index};
-use super::storage::{ListedKind, Storage, read_small, write_atomically};
+use super::storage::{Kind, Listed, Storage, read_small, write_atomically};
 use crate::ros2::mcap_read::{metadata_records, survey};
 
 /// What was done to one session.
@@ -69,21 +70,16 @@ impl fmt::Display for Repaired {
 const MAX_SESSION_FILE_BYTES: u64 = 4 << 20;
 /// A segment takes some hundred bytes of it.
 const MAX_METADATA_FILE_BYTES: u64 = 64 << 20;
-const METADATA_FILE: &str = "metadata.yaml";
 
-/// Every session in a folder of captures, or the one that is given. What is no session is left alone.
-pub fn repair_all(storage: &dyn Storage, captures: &Path) -> Vec<Result<Repaired, RecordingError>> {
-    sessions_of(storage, captures).iter().map(|session| repair(storage, session)).collect()
-}
-
-/// Sessions in a folder of captures, oldest first; the folder itself if it is one.
+/// Folders of sessions, oldest first, whether they can be read or not; the folder itself if it is one. What is no session is
+/// left alone.
 pub fn sessions_of(storage: &dyn Storage, captures: &Path) -> Vec<PathBuf> {
     let is_session = |folder: &Path| storage.read(&folder.join(SESSION_FILE)).is_ok();
     if is_session(captures) {
         return vec![captures.to_owned()];
     }
     let entries = storage.list(captures).unwrap_or_default().into_iter();
-    let folders = entries.filter(|entry| entry.kind == ListedKind::Folder).map(|entry| captures.join(entry.name));
+    let folders = entries.filter(|entry| entry.kind == Kind::Folder).map(|entry| captures.join(entry.name));
     folders.filter(|folder| is_session(folder)).collect()
 }
 
@@ -133,7 +129,7 @@ impl Work<'_> {
         for active in names {
             let name = active.trim_end_matches(ACTIVE).to_owned();
             let path = self.session.join(&active);
-            match finish(self.storage, &path, &name, cuts.get(&name).copied(), &self.info.settings.topics)? {
+            match finish(self.storage, &path, &name, cuts.get(&name).copied(), &self.info.settings)? {
                 Ended::Empty => {
                     let removed = self.storage.remove(&path).and_then(|()| self.storage.sync_folder(self.session));
                     removed.map_err(|source| RecordingError::io(&path, source))?;
@@ -188,7 +184,7 @@ impl Work<'_> {
                 Some(line) => line,
                 None => {
                     let file = self.session.join(&name);
-                    let (line, topics) = describe(self.storage, &file, &name, &self.info.settings.topics)?;
+                    let (line, topics) = describe(self.storage, &file, &name, &self.info.settings)?;
                     self.topics.insert(name.clone(), topics);
                     line
                 }
@@ -245,9 +241,8 @@ impl Work<'_> {
     /// Segments, finished or not, that are plain files of this folder.
     fn files(&self, wanted: impl Fn(&str) -> bool) -> Result<Vec<String>, RecordingError> {
         let listed = self.storage.list(self.session).map_err(|source| RecordingError::io(self.session, source))?;
-        let ours =
-            listed.into_iter().filter(|file| file.kind == ListedKind::File && segment_index(&file.name).is_some());
-        Ok(ours.map(|file| file.name).filter(|name| wanted(name)).collect())
+        let is_ours = |file: &Listed| file.bytes().is_some() && segment_index(&file.name).is_some();
+        Ok(listed.into_iter().filter(is_ours).map(|file| file.name).filter(|name| wanted(name)).collect())
     }
 }
 

@@ -13,7 +13,7 @@ use super::super::error::RecordingError;
 use super::super::manifest::{ManifestLine, TopicEntry};
 use super::super::storage::{Appending, Readable, Storage};
 use super::account::Account;
-use crate::config::Topics;
+use crate::config::Settings;
 use crate::ros2::mcap_read::{LogReader, Part, Piece, ReadError, Selection, sound_pieces};
 use crate::ros2::mcap_write::{LogWriter, WriteError};
 
@@ -31,7 +31,7 @@ pub(super) enum Ended {
 /// What the file should end with is at most index and footer: some hundred bytes a chunk.
 const MAX_END_BYTES: usize = 32 << 20;
 /// Of the copy, until it is whole.
-const COPY: &str = ".repair";
+pub(in crate::recording) const COPY: &str = ".repair";
 
 /// Finishes `active` as `NAME`; `limit` is where what was given up begins.
 pub(super) fn finish(
@@ -39,11 +39,11 @@ pub(super) fn finish(
     active: &Path,
     name: &str,
     limit: Option<u64>,
-    topics: &Topics,
+    settings: &Settings,
 ) -> Result<Ended, RecordingError> {
     let length = length(storage, active)?.min(limit.unwrap_or(u64::MAX));
     let open = || open_until(storage, active, length);
-    let mut account = Account::new(topics);
+    let mut account = Account::new(settings);
     let sink =
         Compared { there: BufReader::new(open()?), same: 0, differs: false, end: Vec::new(), hash: Default::default() };
     let (sink, sound) = through_writer(open()?, sink, &mut account).map_err(|error| error.at(active))?;
@@ -55,7 +55,7 @@ pub(super) fn finish(
     let path = active.with_file_name(name);
     let is_prefix = sink.same >= sound.end && sink.end.len() < MAX_END_BYTES;
     if !is_prefix || others > account.messages() {
-        return copy(storage, active, &path, open()?, topics, sound.damage);
+        return copy(storage, active, &path, open()?, settings, sound.damage);
     }
     let Compared { same, end, hash, .. } = sink;
     let file = storage.append(active).map_err(fails)?;
@@ -73,12 +73,12 @@ pub(super) fn describe(
     storage: &dyn Storage,
     path: &Path,
     name: &str,
-    topics: &Topics,
+    settings: &Settings,
 ) -> Result<(ManifestLine, BTreeMap<TopicEntry, u64>), RecordingError> {
     let fails = |source| RecordingError::io(path, source);
     let mut hash = blake3::Hasher::new();
     io::copy(&mut storage.read(path).map_err(fails)?, &mut hash).map_err(fails)?;
-    let mut account = Account::new(topics);
+    let mut account = Account::new(settings);
     let mut read = || -> Result<(), Trouble> {
         for message in LogReader::open(storage.read(path).map_err(ReadError::from)?, Selection::All)? {
             account.note(&message?);
@@ -95,13 +95,13 @@ fn copy(
     active: &Path,
     path: &Path,
     reader: impl Read + Seek,
-    topics: &Topics,
+    settings: &Settings,
     damage: Option<String>,
 ) -> Result<Ended, RecordingError> {
     let beside = path.with_extension(format!("mcap{COPY}"));
     let fails = |source| RecordingError::io(&beside, source);
     let file = storage.create_over(&beside).map_err(fails)?;
-    let mut account = Account::new(topics);
+    let mut account = Account::new(settings);
     let hashed = Hashed { file: io::BufWriter::new(Appending(Arc::clone(&file))), hash: blake3::Hasher::new() };
     let written = || -> Result<Hashed, Trouble> {
         let mut writer = LogWriter::new(hashed)?;
@@ -119,16 +119,18 @@ fn copy(
     let Hashed { file: buffered, hash } = written().map_err(|error| error.at(&beside))?;
     drop(buffered.into_inner().map_err(|error| fails(error.into_error()))?);
     file.sync().map_err(fails)?;
-    storage.rename(active, &path.with_extension(format!("mcap{DAMAGED}"))).map_err(fails)?;
+    let damaged = path.with_extension(format!("mcap{DAMAGED}"));
+    // In this order: cut off in between, the next run does the same again.
     put(storage, &beside, path)?;
+    put(storage, active, &damaged)?;
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let cut = length(storage, &path.with_extension(format!("mcap{DAMAGED}")))?.saturating_sub(hash.count()).max(1);
+    let cut = length(storage, &damaged)?.saturating_sub(hash.count()).max(1);
     let (line, topics) = account.line(&name, hash.count(), hash.finalize().to_hex().to_string(), cut);
     Ok(Ended::Whole { line: Box::new(line), topics, damage })
 }
 
 /// What was copied from, kept for people to look at.
-const DAMAGED: &str = ".damaged";
+pub(in crate::recording) const DAMAGED: &str = ".damaged";
 
 fn put(storage: &dyn Storage, from: &Path, to: &Path) -> Result<(), RecordingError> {
     let folder = to.parent().unwrap_or(Path::new("."));

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-use super::super::storage::{Listed, ListedKind, Readable, Space, Storage, StoredFile};
+use super::super::storage::{Kind, Listed, Readable, Space, Storage, StoredFile};
 use super::dice::Dice;
 
 const SECTOR: usize = 512;
@@ -298,6 +298,10 @@ impl Storage for SimulatedDisk {
         self.make(path, |_| Node::Folder).map(drop)
     }
 
+    fn create_shared_folder(&self, path: &Path) -> io::Result<()> {
+        self.create_folder(path)
+    }
+
     fn create_folders(&self, path: &Path) -> io::Result<()> {
         if self.world().names.get(path) == Some(&Node::Folder) { Ok(()) } else { self.create_folder(path) }
     }
@@ -339,11 +343,11 @@ impl Storage for SimulatedDisk {
         world.find(folder)?;
         let inside = world.names.iter().filter(|(path, _)| path.parent() == Some(folder));
         let listed = inside.map(|(path, node)| {
-            let (kind, bytes) = match node {
-                Node::Folder => (ListedKind::Folder, 0),
-                Node::File(id) => (ListedKind::File, world.files[*id].now.len() as u64),
+            let kind = match node {
+                Node::Folder => Kind::Folder,
+                Node::File(id) => Kind::File(world.files[*id].now.len() as u64),
             };
-            Listed { name: path.file_name().unwrap().to_str().unwrap().to_owned(), kind, bytes }
+            Listed { name: path.file_name().unwrap().to_str().unwrap().to_owned(), kind }
         });
         Ok(listed.collect())
     }

@@ -14,7 +14,7 @@ use super::repair::repair;
 use super::verify::verify;
 use dice::Dice;
 use disk::{Failure, SimulatedDisk, Trouble};
-use run::{CAPTURES, Run, script, session};
+use run::{CAPTURES, Run, Scripted, script, session};
 
 /// What holds for every disk that works again: the capture is whole, and holds what was confirmed.
 fn assert_promises(run: &Run, seed: u64) {
@@ -44,11 +44,10 @@ fn assert_promises(run: &Run, seed: u64) {
         let there = messages.iter().any(|message| message.sequence == sequence);
         assert!(there, "seed {seed}: message {sequence} was confirmed, and repair has lost it");
     }
-    let verified = verify(disk, &session);
-    let [Ok(verified)] = verified.as_slice() else { panic!("seed {seed}: {verified:?}") };
+    let verified = verify(disk, &session).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
     assert!(verified.wrong.is_empty(), "seed {seed}: {verified:?}");
     let frames = messages.iter().filter(|message| run::is_frame(message)).count() as u64;
-    assert_eq!(run::frames_of_manifest(disk, &session), frames, "seed {seed}");
+    assert_eq!(run::counts_of_manifest(disk, &session).written, frames, "seed {seed}");
     let before = disk.snapshot();
     let again = repair(disk, &session).unwrap();
     assert!(again.changed_nothing(), "seed {seed}: {again:?}");
@@ -67,8 +66,13 @@ fn assert_nothing_missing(run: &Run, seed: u64) {
     assert!(frames >= counts.written, "seed {seed}: {frames}, {counts:?}");
     assert!(counts.is_conserved(), "seed {seed}: {counts:?}");
     if run.is_finished {
-        let written = (counts.written, counts.lost.len());
-        assert_eq!((written, frames), ((counts.captured, 0), counts.captured), "seed {seed}: {counts:?}");
+        let frames = |is: fn(&Scripted) -> bool| run.script.iter().filter(|entry| is(entry)).count() as u64;
+        let (wanted, thinned) = (frames(Scripted::is_frame), frames(|entry| matches!(entry, Scripted::Thinned)));
+        assert_eq!(
+            (counts.written, counts.thinned, counts.lost.len()),
+            (wanted, thinned, 0),
+            "seed {seed}: {counts:?}"
+        );
     }
 }
 
@@ -85,6 +89,8 @@ fn a_sound_disk_keeps_everything() {
         assert_eq!(run.confirmed, run.script.len());
         assert!(repair(&run.disk, &session(&run.disk).unwrap()).unwrap().changed_nothing());
         assert_nothing_missing(&run, seed);
+        let of_segments = run::counts_of_manifest(&run.disk, &session(&run.disk).unwrap());
+        assert_eq!(of_segments.thinned, run.shared.counts().thinned, "each in the segment in which it was");
     }
 }
 
@@ -215,7 +221,7 @@ fn a_session_cut_at_every_byte_is_repaired() {
         if length % 7 != 0 {
             continue;
         }
-        let [Ok(verified)] = &verify(&disk, &session)[..] else { panic!("{length} bytes") };
+        let verified = verify(&disk, &session).unwrap();
         assert!(verified.wrong.is_empty(), "{length} bytes: {verified:?}");
         assert!(repair(&disk, &session).unwrap().changed_nothing(), "{length} bytes");
     }

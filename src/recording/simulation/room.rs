@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use super::disk::{SimulatedDisk, Trouble};
 use crate::config::RecordingSettings;
-use crate::recording::acknowledged::ACKNOWLEDGEMENTS;
-use crate::recording::manifest::{Counts, MANIFEST_FILE, ManifestLine, PINNED_FILE, SESSION_FILE};
+use crate::recording::acknowledgement::{ACK_FOLDER, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER};
+use crate::recording::manifest::{Counts, MANIFEST_FILE, ManifestLine, PIN_FILE, SESSION_FILE};
 use crate::recording::retention::{Limits, Retention, Seen};
 use crate::recording::shared::Allowed;
 use crate::recording::storage::{Storage, write_atomically};
@@ -28,22 +28,25 @@ fn put(disk: &SimulatedDisk, path: &Path, content: &[u8]) {
     write_atomically(disk, path, content).unwrap();
 }
 
-/// A session of two segments of a mebibyte each; the receivers have what they acknowledge.
-fn add(disk: &SimulatedDisk, name: &str, acknowledged: &[&str], is_pinned: bool) -> PathBuf {
-    let session = Path::new(CAPTURES).join(name);
-    disk.create_folder(&session).unwrap();
-    put(disk, &session.join(SESSION_FILE), b"{}");
-    let line = |name: &str| ManifestLine {
+fn line(name: &str) -> ManifestLine {
+    ManifestLine {
         name: name.to_owned(),
         bytes: MEBIBYTE as u64,
-        blake3: format!("hash of {name}"),
+        blake3: blake3::hash(name.as_bytes()).to_hex().to_string(),
         first_ns: 0,
         last_ns: 0,
         messages: 1,
         frames: Counts::default(),
         poses: None,
         cut_bytes: None,
-    };
+    }
+}
+
+/// A session of two segments of a mebibyte each; the receivers have what they acknowledge.
+fn add(disk: &SimulatedDisk, name: &str, acknowledged: &[&str], is_pinned: bool) -> PathBuf {
+    let session = Path::new(CAPTURES).join(name);
+    disk.create_folder(&session).unwrap();
+    put(disk, &session.join(SESSION_FILE), br#"{"format":1,"robot":"r","started":"2026-01-01T00:00:00Z"}"#);
     let names = ["0000.mcap", "0001.mcap"];
     let text: Vec<String> = names.iter().map(|name| serde_json::to_string(&line(name)).unwrap() + "\n").collect();
     put(disk, &session.join(MANIFEST_FILE), text.concat().as_bytes());
@@ -51,14 +54,13 @@ fn add(disk: &SimulatedDisk, name: &str, acknowledged: &[&str], is_pinned: bool)
         put(disk, &session.join(name), &vec![0; MEBIBYTE]);
     }
     if !acknowledged.is_empty() {
-        let folder = session.join(ACKNOWLEDGEMENTS);
+        let folder = session.join(ACK_FOLDER);
         disk.create_folder(&folder).unwrap();
-        let line =
-            |name: &&str| format!("{{\"file\":\"{name}\",\"blake3\":\"hash of {name}\",\"bytes\":{MEBIBYTE}}}\n");
-        put(disk, &folder.join("laptop.jsonl"), acknowledged.iter().map(line).collect::<String>().as_bytes());
+        let acks = acknowledged.iter().map(|name| Acknowledgement::of(&line(name)).to_line());
+        put(disk, &folder.join("laptop.jsonl"), acks.collect::<String>().as_bytes());
     }
     if is_pinned {
-        put(disk, &session.join(PINNED_FILE), b"");
+        put(disk, &session.join(PIN_FILE), b"");
     }
     session
 }
@@ -114,13 +116,14 @@ fn only_what_is_verified_as_it_stands_may_go() {
     let (disk, other, third) = (disk(), disk(), disk());
     // Another hash, another size, a name that leads out, a line that was cut.
     let session = add(&disk, "a", &["0000.mcap"], false);
+    let [first, second] = ["0000.mcap", "0001.mcap"].map(|name| Acknowledgement::of(&line(name)));
     let lines = [
-        format!("{{\"file\":\"0000.mcap\",\"blake3\":\"other\",\"bytes\":{MEBIBYTE}}}"),
-        "{\"file\":\"0001.mcap\",\"blake3\":\"hash of 0001.mcap\",\"bytes\":5}".to_owned(),
-        format!("{{\"file\":\"../session.json\",\"blake3\":\"\",\"bytes\":{MEBIBYTE}}}"),
-        "{\"file\":\"0001.mcap\",\"blake3\":\"hash of 00".to_owned(),
+        Acknowledgement { blake3: second.blake3.clone(), ..first.clone() },
+        Acknowledgement { bytes: 5, ..second.clone() },
+        Acknowledgement { file: "../session.json".to_owned(), ..first },
     ];
-    put(&disk, &session.join("ack/laptop.jsonl"), lines.join("\n").as_bytes());
+    let text: String = lines.iter().map(Acknowledgement::to_line).collect();
+    put(&disk, &session.join("ack/laptop.jsonl"), (text + &second.to_line()[..60]).as_bytes());
     // A file that changed after it was acknowledged.
     let changed = add(&other, "a", &["0000.mcap"], false);
     put(&other, &changed.join("0000.mcap"), b"short");
@@ -132,6 +135,19 @@ fn only_what_is_verified_as_it_stands_may_go() {
         assert_eq!(look(&disk, &settings(), 3.5, None).allowed, Allowed::NoFrames("disk_full"));
         assert!(disk.snapshot() == before);
     }
+}
+
+/// On a dev machine that records into the folder that it syncs into.
+#[test]
+fn the_folders_own_word_as_a_receiver_frees_nothing() {
+    let disk = disk();
+    add(&disk, "a", &["0000.mcap"], false);
+    disk.create_folder(&Path::new(CAPTURES).join(SYNC_FOLDER)).unwrap();
+    put(&disk, &Path::new(CAPTURES).join(SYNC_FOLDER).join(RECEIVER_FILE), b"laptop\n");
+    assert_eq!(look(&disk, &settings(), 3.5, None).allowed, Allowed::NoFrames("disk_full"));
+    assert_eq!(evicted(&disk), [""; 0]);
+    put(&disk, &Path::new(CAPTURES).join(SYNC_FOLDER).join(RECEIVER_FILE), b"another\n");
+    assert_eq!(look(&disk, &settings(), 3.5, None).evicted.len(), 1);
 }
 
 #[test]

@@ -9,11 +9,11 @@ use super::disk::{SimulatedDisk, Trouble};
 use crate::config::{Settings, load_field, load_lens};
 use crate::recording::entry::{Beginning, Entry, Kind};
 use crate::recording::folder::manifest_lines;
-use crate::recording::manifest::{FORMAT_VERSION, SESSION_FILE, SessionInfo};
+use crate::recording::manifest::{Counts, FORMAT_VERSION, SESSION_FILE, SessionInfo};
 use crate::recording::recorder::{Plan, Recorder};
 use crate::recording::segment::segment_index;
 use crate::recording::shared::{Room, Shared, Waiting};
-use crate::recording::storage::{ListedKind, Storage, write_atomically};
+use crate::recording::storage::{Kind as Listed, Storage, write_atomically};
 use crate::recording::topic;
 use crate::ros2::mcap_read::{Channel, LogMessage, LogReader, Selection};
 use crate::ros2::messages::{CompressedImage, FrameTag, Imu, Message, TFMessage};
@@ -43,11 +43,16 @@ pub struct Run {
 pub enum Scripted {
     Begin(Vec<u8>),
     Message(Kind, Vec<u8>),
+    Thinned,
 }
 
 impl Scripted {
     pub fn is_beginning(&self) -> bool {
         matches!(self, Self::Begin(_))
+    }
+
+    pub fn is_message(&self) -> bool {
+        matches!(self, Self::Message(..))
     }
 
     pub fn is_frame(&self) -> bool {
@@ -57,11 +62,12 @@ impl Scripted {
     pub fn data(&self) -> &[u8] {
         match self {
             Self::Begin(data) | Self::Message(_, data) => data,
+            Self::Thinned => &[],
         }
     }
 }
 
-/// A walk: constants, measurements, frames with their tags, a segment now and then.
+/// A walk: constants, measurements, frames with their tags, some of them thinned out, a segment now and then.
 pub fn script(seed: u64) -> Vec<Scripted> {
     let mut dice = Dice::new(seed);
     let mut bytes = |least: u64, most: u64| {
@@ -77,7 +83,10 @@ pub fn script(seed: u64) -> Vec<Scripted> {
         for _ in 0..bytes(0, 3).len() {
             all.push(Scripted::Message(Kind::Other, bytes(20, 80)));
         }
-        all.push(Scripted::Message(Kind::Frame, bytes(200, 3000)));
+        all.push(match frame % 3 {
+            2 => Scripted::Thinned,
+            _ => Scripted::Message(Kind::Frame, bytes(200, 3000)),
+        });
         all.push(Scripted::Message(Kind::Tag(None), bytes(100, 100)));
     }
     all
@@ -93,6 +102,7 @@ impl Run {
             info: info().to_vec(),
             robot: "robot".to_owned(),
             sync_interval: SYNC_INTERVAL,
+            is_synced_from: true,
         };
         let recorder = Recorder::new(Arc::new(disk.clone()), Arc::clone(&shared), plan);
         Self {
@@ -120,7 +130,7 @@ impl Run {
     /// Messages that the disk has confirmed.
     pub fn confirmed_sequences(&self) -> impl Iterator<Item = u32> {
         let confirmed = self.script[..self.confirmed].iter().enumerate();
-        confirmed.filter(|(_, entry)| !entry.is_beginning()).map(|(place, _)| place as u32)
+        confirmed.filter(|(_, entry)| entry.is_message()).map(|(place, _)| place as u32)
     }
 
     fn feed(&mut self, until: usize) {
@@ -177,6 +187,7 @@ fn entry(place: usize, scripted: &Scripted) -> Entry {
         Scripted::Begin(state) => {
             Entry::Begin(Beginning { log_time_ns, name: "filter_state".to_owned(), state: state.clone() })
         }
+        Scripted::Thinned => Entry::Thinned,
         Scripted::Message(kind, data) => {
             let channel = Arc::clone(
                 &channels()[match kind {
@@ -216,6 +227,7 @@ fn info() -> &'static [u8] {
 pub fn session_info() -> SessionInfo {
     SessionInfo {
         format: FORMAT_VERSION,
+        id: None,
         software: "test".to_owned(),
         robot: "robot".to_owned(),
         started: String::new(),
@@ -238,7 +250,7 @@ pub fn is_frame(message: &LogMessage) -> bool {
 /// The only session, if it has begun.
 pub fn session(disk: &SimulatedDisk) -> Option<PathBuf> {
     let folders = disk.list(Path::new(CAPTURES)).ok()?;
-    let mut sessions = folders.into_iter().filter(|entry| entry.kind == ListedKind::Folder);
+    let mut sessions = folders.into_iter().filter(|entry| entry.kind == Listed::Folder);
     let session = Path::new(CAPTURES).join(sessions.next()?.name);
     assert!(sessions.next().is_none(), "one session");
     disk.read(&session.join(SESSION_FILE)).is_ok().then_some(session)
@@ -260,8 +272,14 @@ pub fn read_file(disk: &SimulatedDisk, path: &Path) -> Vec<LogMessage> {
     }
 }
 
-pub fn frames_of_manifest(disk: &SimulatedDisk, session: &Path) -> u64 {
-    manifest_lines(disk, session).unwrap().iter().map(|line| line.frames.written).sum()
+/// Of all segments.
+pub fn counts_of_manifest(disk: &SimulatedDisk, session: &Path) -> Counts {
+    let mut sum = Counts::default();
+    for line in manifest_lines(disk, session).unwrap() {
+        assert!(line.frames.is_conserved(), "{line:?}");
+        sum.add(&line.frames);
+    }
+    sum
 }
 
 /// The session of `from`, with only this of its first segment, as if it had never been finished.

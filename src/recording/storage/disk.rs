@@ -3,23 +3,37 @@
 use std::any::Any;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
 
-use rustix::fs::{FlockOperation, flock, statvfs};
+use rustix::fs::{FlockOperation, Mode, OFlags, flock, statvfs};
 
-use super::{Listed, ListedKind, Readable, Space, Storage, StoredFile};
+use super::{Kind, Listed, Readable, Space, Storage, StoredFile};
 
 /// The file system of this process.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Disk;
+
+/// Read, write and enter, for the group.
+const GROUP_WRITES: u32 = 0o070;
 
 static BEGAN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
 impl Storage for Disk {
     fn create_folder(&self, path: &Path) -> io::Result<()> {
         fs::create_dir(path)
+    }
+
+    fn create_shared_folder(&self, path: &Path) -> io::Result<()> {
+        fs::create_dir(path)?;
+        let mode = fs::metadata(path)?.permissions().mode();
+        if mode & GROUP_WRITES != GROUP_WRITES {
+            // A stick has no groups, and is no worse without.
+            let _ = fs::set_permissions(path, fs::Permissions::from_mode(mode | GROUP_WRITES));
+        }
+        Ok(())
     }
 
     fn create_folders(&self, path: &Path) -> io::Result<()> {
@@ -39,21 +53,22 @@ impl Storage for Disk {
     }
 
     fn read(&self, path: &Path) -> io::Result<Box<dyn Readable>> {
-        Ok(Box::new(File::open(path)?))
+        Ok(Box::new(open_plain(path)?))
     }
 
     fn list(&self, folder: &Path) -> io::Result<Vec<Listed>> {
         let mut all = Vec::new();
         for entry in fs::read_dir(folder)? {
             let entry = entry?;
-            // One that vanished since is not there; a name that is no text is not ours.
-            let (Ok(metadata), Ok(name)) = (entry.metadata(), entry.file_name().into_string()) else { continue };
-            let kind = match metadata.file_type() {
-                kind if kind.is_file() => ListedKind::File,
-                kind if kind.is_dir() => ListedKind::Folder,
-                _ => ListedKind::Other,
+            let kind = match entry.metadata() {
+                Ok(metadata) if metadata.is_file() => Kind::File(metadata.len()),
+                Ok(metadata) if metadata.is_dir() => Kind::Folder,
+                Ok(metadata) if metadata.is_symlink() => Kind::Link,
+                // It vanished since.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+                _ => Kind::Other,
             };
-            all.push(Listed { name, kind, bytes: metadata.len() });
+            all.push(Listed { name: entry.file_name().to_string_lossy().into_owned(), kind });
         }
         all.sort_by(|one, other| one.name.cmp(&other.name));
         Ok(all)
@@ -94,6 +109,20 @@ impl Storage for Disk {
     fn now(&self) -> Duration {
         BEGAN.elapsed()
     }
+}
+
+/// For reading; a link, a device, a pipe is refused, not followed and not waited for.
+pub fn open_plain(path: &Path) -> io::Result<File> {
+    let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| match error {
+        rustix::io::Errno::LOOP => io::Error::other("a link: not followed"),
+        error => error.into(),
+    })?;
+    let file = File::from(file);
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("not a plain file"));
+    }
+    Ok(file)
 }
 
 impl StoredFile for File {

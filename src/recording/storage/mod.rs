@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-pub use disk::Disk;
+pub use disk::{Disk, open_plain};
 
 use super::error::RecordingError;
 
@@ -16,6 +16,8 @@ use super::error::RecordingError;
 pub trait Storage: Send + Sync {
     /// Fails if it exists.
     fn create_folder(&self, path: &Path) -> io::Result<()>;
+    /// One that the folder's group may write into, where the file system knows groups; fails if it exists.
+    fn create_shared_folder(&self, path: &Path) -> io::Result<()>;
     /// With its parents; one that exists is as good.
     fn create_folders(&self, path: &Path) -> io::Result<()>;
     /// A new file to append to; fails if it exists.
@@ -24,8 +26,9 @@ pub trait Storage: Send + Sync {
     fn create_over(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>>;
     /// An existing file to append to.
     fn append(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>>;
+    /// A plain file; a link is not followed.
     fn read(&self, path: &Path) -> io::Result<Box<dyn Readable>>;
-    /// What stands in a folder, links not followed.
+    /// What stands in a folder, by name, links not followed. A name that is no text is shown as well as it can be.
     fn list(&self, folder: &Path) -> io::Result<Vec<Listed>>;
     /// Replaces a file that is there.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
@@ -53,16 +56,25 @@ impl<T: Read + Seek + Send> Readable for T {}
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Listed {
     pub name: String,
-    pub kind: ListedKind,
-    pub bytes: u64,
+    pub kind: Kind,
 }
 
+/// What something in a folder is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ListedKind {
-    File,
+pub enum Kind {
+    /// A plain one, of so many bytes.
+    File(u64),
     Folder,
-    /// Links, sockets and the like: never ours.
+    Link,
+    /// Sockets, devices, pipes.
     Other,
+}
+
+impl Listed {
+    /// Of a plain file.
+    pub fn bytes(&self) -> Option<u64> {
+        if let Kind::File(bytes) = self.kind { Some(bytes) } else { None }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,15 +96,27 @@ pub fn write_atomically(storage: &dyn Storage, path: &Path, content: &[u8]) -> R
     path.parent().map_or(Ok(()), |folder| storage.sync_folder(folder)).map_err(failed)
 }
 
-/// All of a small file; `None` if there is none.
-pub fn read_small(storage: &dyn Storage, path: &Path, max_bytes: u64) -> io::Result<Option<Vec<u8>>> {
-    let file = match storage.read(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        file => file?,
-    };
+/// All of a small file; one that is larger is refused.
+pub fn read_whole(storage: &dyn Storage, path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    file.take(max_bytes).read_to_end(&mut bytes)?;
-    Ok(Some(bytes))
+    storage.read(path)?.take(max_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > max_bytes {
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("larger than {max_bytes} bytes")));
+    }
+    Ok(bytes)
+}
+
+/// The same; `None` if there is none.
+pub fn read_small(storage: &dyn Storage, path: &Path, max_bytes: u64) -> io::Result<Option<Vec<u8>>> {
+    match read_whole(storage, path, max_bytes) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        read => read.map(Some),
+    }
+}
+
+/// The same of the real disk.
+pub fn read_plain(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+    read_whole(&Disk, path, max_bytes)
 }
 
 /// A stored file for whoever wants `Write`.

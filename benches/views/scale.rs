@@ -1,9 +1,12 @@
-//! The index at its full size: `cargo test --release --test integration views::scale -- --ignored --nocapture`
+//! The index from a thousand images to a million.
 
+use std::fmt::Write;
 use std::time::Instant;
 
 use realitysim::database::{Index, Metric, Record, write_index};
 use realitysim::geometry::{Euler, Isometry};
+
+use super::Times;
 
 /// Evenly spread poses, the same everywhere.
 fn poses(count: usize, salt: f64) -> impl Iterator<Item = Isometry> {
@@ -19,14 +22,13 @@ fn poses(count: usize, salt: f64) -> impl Iterator<Item = Isometry> {
     })
 }
 
-#[test]
-#[ignore = "a benchmark: prints a table"]
-fn the_index_grows_as_it_should() {
+pub fn run(quick: bool, text: &mut String) {
     let folder = tempfile::tempdir().expect("a folder");
     let metric = Metric { per_m: 1.0, per_direction: 0.5, per_roll: 0.3 };
-    println!("| images | built s | opened ms | nearest 8: p50 us, p99 us | bytes an image |");
-    println!("| --- | --- | --- | --- | --- |");
-    for count in [1_000, 10_000, 100_000, 720_000, 1_000_000] {
+    let _ = writeln!(text, "| images | built s | opened ms | nearest 8: p50 us | p99 us | bytes an image |");
+    let _ = writeln!(text, "| --- | --- | --- | --- | --- | --- |");
+    let counts: &[usize] = if quick { &[1_000, 10_000] } else { &[1_000, 10_000, 100_000, 720_000, 1_000_000] };
+    for count in counts.iter().copied() {
         let path = folder.path().join("index.bin");
         let records: Vec<Record> = poses(count, 0.0).map(|pose| Record::at(&pose)).collect();
         let started = Instant::now();
@@ -35,20 +37,16 @@ fn the_index_grows_as_it_should() {
         let started = Instant::now();
         let index = Index::open(&path).expect("open");
         let opened = started.elapsed().as_secs_f64();
-        let mut times: Vec<f64> = poses(2_000, 0.123)
+        let times: Vec<f64> = poses(2_000, 0.123)
             .map(|pose| {
                 let started = Instant::now();
                 assert_eq!(index.nearest(&pose, 8, &metric).len(), 8);
                 1e6 * started.elapsed().as_secs_f64()
             })
             .collect();
-        times.sort_by(f64::total_cmp);
-        println!(
-            "| {count} | {built:.2} | {:.2} | {:.1}, {:.1} | {:.1} |",
-            1e3 * opened,
-            times[times.len() / 2],
-            times[times.len() * 99 / 100],
-            index.bytes() as f64 / count as f64
-        );
+        let times = Times::of(times);
+        let bytes = index.bytes() as f64 / count as f64;
+        let (p50, p99) = (times.at(0.5), times.at(0.99));
+        let _ = writeln!(text, "| {count} | {built:.2} | {:.2} | {p50:.1} | {p99:.1} | {bytes:.1} |", 1e3 * opened);
     }
 }
