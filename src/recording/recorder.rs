@@ -49,7 +49,12 @@ pub(super) struct Recorder {
     /// Taken and not yet confirmed by the disk, oldest first; so many of them are written to the segment.
     kept: VecDeque<Kept>,
     written: usize,
-    kept_bytes: usize,
+    /// Of the written ones.
+    written_bytes: usize,
+    /// The disk is asked after so many of them. Little after a failure: a disk that takes a little keeps that little.
+    batch_bytes: usize,
+    /// Entries that the disk has confirmed so far.
+    confirmed: u64,
     /// Ends of earlier segments that no confirmed segment tells yet.
     cuts: Vec<Cut>,
     manifest: Option<Arc<dyn StoredFile>>,
@@ -74,6 +79,8 @@ const MAX_LATCHED: usize = 256;
 const MAX_SUFFIX: u32 = 10_000;
 /// With more than this not confirmed, the disk is asked before its time.
 const MAX_UNSYNCED_BYTES: usize = 32 << 20;
+/// After a failure it is asked with more than this, and then with twice as much each time that all goes well.
+const LEAST_UNSYNCED_BYTES: usize = 4 << 10;
 
 impl Recorder {
     pub fn new(storage: Arc<dyn Storage>, shared: Arc<Shared>, plan: Plan) -> Self {
@@ -90,7 +97,9 @@ impl Recorder {
             next_index: 0,
             kept: VecDeque::new(),
             written: 0,
-            kept_bytes: 0,
+            written_bytes: 0,
+            batch_bytes: MAX_UNSYNCED_BYTES,
+            confirmed: 0,
             cuts: Vec::new(),
             manifest: None,
             lines: Vec::new(),
@@ -108,7 +117,6 @@ impl Recorder {
             self.shared.release(&waiting.entry);
             return written;
         }
-        self.kept_bytes += waiting.entry.bytes();
         self.kept.push_back(Kept { waiting, is_counted: false });
         self.go_on()
     }
@@ -121,7 +129,7 @@ impl Recorder {
 
     pub fn sync_if_due(&mut self) -> Result<(), RecordingError> {
         let age = self.storage.now().saturating_sub(self.synced);
-        if self.written == 0 || (age < self.plan.sync_interval && self.kept_bytes < MAX_UNSYNCED_BYTES) {
+        if self.written == 0 || age < self.plan.sync_interval {
             return Ok(());
         }
         let done = self.sync();
@@ -169,6 +177,11 @@ impl Recorder {
         self.folder.as_deref()
     }
 
+    /// Entries that the disk has confirmed: a try that fails with more of them was worth it.
+    pub fn confirmed(&self) -> u64 {
+        self.confirmed
+    }
+
     /// Entries that the disk has not confirmed.
     #[cfg(test)]
     pub fn kept(&self) -> usize {
@@ -191,7 +204,12 @@ impl Recorder {
                 }
                 self.write()?;
             }
+            self.written_bytes += self.kept.get(self.written).map_or(0, |kept| kept.waiting.entry.bytes());
             self.written += 1;
+            if self.written_bytes >= self.batch_bytes {
+                self.sync()?;
+                self.batch_bytes = (2 * self.batch_bytes).min(MAX_UNSYNCED_BYTES);
+            }
         }
         Ok(())
     }
@@ -325,10 +343,10 @@ impl Recorder {
         let mut frames = 0;
         for Kept { waiting, .. } in self.kept.drain(..self.written) {
             frames += u64::from(waiting.entry.is_frame());
-            self.kept_bytes = self.kept_bytes.saturating_sub(waiting.entry.bytes());
             self.shared.release(&waiting.entry);
         }
-        self.written = 0;
+        self.confirmed += self.written as u64;
+        (self.written, self.written_bytes) = (0, 0);
         let interval_ms = self.plan.sync_interval.as_secs_f64() * 1e3;
         self.shared.update(|status| {
             status.frames_synced += frames;
@@ -376,7 +394,8 @@ impl Recorder {
 
     fn give_up_after<T>(&mut self, done: Result<T, RecordingError>) -> Result<T, RecordingError> {
         if done.is_err() {
-            self.written = 0;
+            (self.written, self.written_bytes) = (0, 0);
+            self.batch_bytes = LEAST_UNSYNCED_BYTES;
             if let Some(segment) = self.segment.take() {
                 let cut = segment.give_up();
                 self.note_cut(cut);

@@ -84,12 +84,26 @@ impl Run {
             self.shared.pause(self.retry);
             self.retry = (2 * self.retry).min(MAX_RETRY);
             self.look_at_the_room();
-            match self.recorder.go_on() {
+            match self.while_it_helps(Recorder::go_on) {
                 Ok(()) => break,
                 Err(error) => self.note_fault(&error),
             }
         }
         self.recover();
+    }
+
+    /// Again and again, as long as each try gets some more onto the disk: a file that may not grow, little room.
+    fn while_it_helps<T>(
+        &mut self,
+        go_on: impl Fn(&mut Recorder) -> Result<T, RecordingError>,
+    ) -> Result<T, RecordingError> {
+        loop {
+            let before = self.recorder.confirmed();
+            let done = go_on(&mut self.recorder);
+            if done.is_ok() || self.recorder.confirmed() == before {
+                return done;
+            }
+        }
     }
 
     fn note_fault(&self, error: &RecordingError) {
@@ -133,7 +147,7 @@ impl Run {
     fn finish(mut self) -> Result<PathBuf, RecordingError> {
         let began = self.storage.now();
         loop {
-            match self.recorder.finish() {
+            match self.while_it_helps(Recorder::finish) {
                 Ok(folder) => return Ok(folder),
                 Err(error) if self.storage.now().saturating_sub(began) >= MAX_FINISH => {
                     self.note_fault(&error);

@@ -203,6 +203,25 @@ fn a_disk_that_is_full_and_emptied_again_loses_nothing_that_fits() {
     }
 }
 
+/// It comes back with little room, and with more to write than fits.
+#[test]
+fn a_disk_that_stays_full_has_as_much_as_fits() {
+    for seed in 0..seeds(100) {
+        let refuses = vec![(0..u64::MAX, Failure::Any(ErrorKind::Other))];
+        let mut run = Run::new(seed, Trouble { fails: refuses, ..Trouble::default() });
+        run.feed_half();
+        let capacity = 24_000 + Dice::new(seed ^ 0xca9).below(8_000);
+        run.disk.trouble(Trouble { capacity_bytes: Some(capacity), ..Trouble::default() });
+        let run = run.to_the_end();
+        assert!(!run.is_finished, "seed {seed}: it has far more");
+        let there: usize = run.script[..run.confirmed].iter().map(|entry| entry.data().len()).sum();
+        // The rest: what describes session and segments, and less than the next try would have written.
+        assert!(there as u64 + 20_000 > capacity, "seed {seed}: {there} of {capacity} bytes");
+        run.disk.heal();
+        assert_nothing_missing(&run, seed);
+    }
+}
+
 #[test]
 fn a_session_cut_at_every_byte_is_repaired() {
     let whole = Run::new(3, Trouble::default()).to_the_end();
