@@ -34,7 +34,7 @@ impl Writer {
         let retention = Retention::new(Arc::clone(&storage), limits);
         let run = Run { recorder, shared: Arc::clone(&shared), storage, retention, looked: None, retry: RETRY };
         std::thread::spawn(move || {
-            let _ = send.send(run.to_the_end());
+            let _ = send.send(run.until_the_end());
         });
         Self { shared, ended }
     }
@@ -62,7 +62,7 @@ struct Run {
 }
 
 impl Run {
-    fn to_the_end(mut self) -> Result<PathBuf, RecordingError> {
+    fn until_the_end(mut self) -> Result<PathBuf, RecordingError> {
         loop {
             self.look_at_the_room();
             let done = match self.shared.next(self.recorder.idle().min(LOOK_EVERY)) {

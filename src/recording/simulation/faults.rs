@@ -61,7 +61,7 @@ impl Feeder {
             self.session.pass(&imu, false, false).unwrap();
         }
         self.frames += 1;
-        if self.frames % 3 == 0 {
+        if self.frames.is_multiple_of(3) {
             self.session.thin_frame().unwrap();
             self.thinned += 1;
         }

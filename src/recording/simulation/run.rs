@@ -121,7 +121,7 @@ impl Run {
         self.feed(self.script.len() / 2);
     }
 
-    pub fn to_the_end(mut self) -> Self {
+    pub fn until_the_end(mut self) -> Self {
         self.feed(self.script.len());
         self.finish();
         self
