@@ -18,6 +18,9 @@ pub use pose_grid::PoseGrid;
 /// Wraps an angle to (-pi, pi].
 pub fn wrap_angle(angle: f64) -> f64 {
     use core::f64::consts::{PI, TAU};
+    if angle > -PI && angle <= PI {
+        return angle;
+    }
     let wrapped = angle - TAU * libm::round(angle / TAU);
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }

@@ -7,6 +7,7 @@
 mod avx2;
 mod plain;
 mod points;
+mod rotation;
 #[cfg(target_arch = "x86_64")]
 mod sse2;
 
@@ -64,7 +65,7 @@ impl Placement {
     /// `None` where none of the points can lie on the table, or the pose is no number.
     fn new(table: &GroundTable, points: &Points, pose: &Pose2) -> Option<Self> {
         let (scale, offset) = table.to_cells();
-        let (sin, cos) = libm::sincos(pose.yaw);
+        let (sin, cos) = rotation::sin_cos(pose.yaw);
         let (x, y) = (points.centre.x - pose.x, points.centre.y - pose.y);
         let (u, v) = (offset + (cos * x + sin * y) * scale, offset + (cos * y - sin * x) * scale);
         let unit = points.unit_m * scale;
@@ -77,12 +78,12 @@ impl Placement {
         let finest = (f64::from(i16::MAX) / unit).min(4_294_967_296.0 / (2.0 * reach + SIDE as f64 + 2.0));
         let bits = (finest as u32).max(1).ilog2().clamp(CELL_BIT + 1, 30);
         let one = f64::from(1u32 << bits);
-        let round = |value: f64| libm::round(value * one);
+        let round = |value: f64| rotation::round(value * one);
         Some(Self {
             cos: round(cos * unit) as i16,
             sin: round(sin * unit) as i16,
-            u0: round(u) as i64 as i32,
-            v0: round(v) as i64 as i32,
+            u0: round(u),
+            v0: round(v),
             shift: bits - CELL_BIT,
         })
     }
@@ -115,9 +116,9 @@ pub fn sum_levels(path: SimdPath, table: &GroundTable, points: &Points, pose: &P
                 // SAFETY: every x86-64 processor has SSE2, and `quads` holds SIDE x SIDE words.
                 unsafe { sse2::sum(quads, groups, placement) }
             }
-            _ => plain::sum(quads, groups.as_flattened(), placement),
+            _ => plain::sum(quads, groups, placement),
         };
-        of_groups + plain::sum(quads, rest, placement)
+        of_groups + plain::sum_rest(quads, rest, placement)
     };
     let sum: u64 = points.places.chunks(MOST_AT_ONCE).map(sum).sum();
     sum as f64 / PER_LEVEL - points.len() as f64 * f64::from(table.readings().zero)
