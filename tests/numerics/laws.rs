@@ -156,4 +156,26 @@ proptest! {
         prop_assert_eq!(counts.iter().sum::<u32>() as usize, draws);
         prop_assert_eq!(draw(&logs.iter().map(|log| log + shift).collect::<Vec<_>>()), counts);
     }
+
+    #[test]
+    fn the_order_of_weights_changes_no_share(
+        (logs, order) in proptest::collection::vec(-60.0..0.0f64, 1..200)
+            .prop_flat_map(|logs| (Just(logs.clone()), Just((0..logs.len()).collect::<Vec<_>>()).prop_shuffle())),
+    ) {
+        let shuffled: Vec<f64> = order.iter().map(|index| logs[*index]).collect();
+        let (plain, other) = (normalise(&logs), normalise(&shuffled));
+        for (place, index) in order.iter().enumerate() {
+            prop_assert!((plain.shares[*index] - other.shares[place]).abs() < 1e-15);
+        }
+        prop_assert!((plain.evidence - other.evidence).abs() < 1e-13);
+        prop_assert!((plain.effective_sample_size / other.effective_sample_size - 1.0).abs() < 1e-13);
+    }
+
+    #[test]
+    fn a_pose_and_its_mirror_image_are_alike_wherever_they_are(x in -6.0..6.0f64, y in -5.0..5.0f64, yaw in -3.2..3.2f64) {
+        let observation = Observation::new(&field(), 350, Formula::Corrected, 3.0, SimdPath::Auto);
+        let pose = Pose2::new(x, y, yaw);
+        let off = observation.log_likelihood(table(), &pose) - observation.log_likelihood(table(), &pose.mirrored());
+        prop_assert_eq!(off, 0.0);
+    }
 }

@@ -2,7 +2,9 @@
 
 use realitysim::config::{Formula, Model, Settings};
 use realitysim::geometry::Pose2;
+use realitysim::localization::observation::reading;
 use realitysim::ros2::messages::FrameTag;
+use realitysim::vision::Reading;
 
 use super::support::{Robot, small_lens};
 
@@ -35,6 +37,27 @@ fn every_alpha_from_a_millionth_to_a_billion_gives_weights() {
             }
         }
     }
+}
+
+/// A library's filter takes the resampling method for that of the residuals, and the other way round; its own defaults do
+/// not pass its check. Here each choice is a word of its own, and reaches the place that it names.
+#[test]
+fn no_two_choices_of_a_config_can_be_mixed_up() {
+    let parsed = |lines: &str| Settings::parse(&format!("[filter]\n{lines}"), "robot.toml");
+    for (model, formula, expected) in [
+        ("gauss", "corrected", Reading::Contrast),
+        ("distance", "corrected", Reading::Nearest),
+        ("gauss", "paper", Reading::Gray),
+        ("distance", "paper", Reading::NearestPixel),
+    ] {
+        let settings = parsed(&format!("formula = \"{formula}\"\nmodel = \"{model}\"")).expect("possible");
+        assert_eq!(reading(settings.filter.model, settings.filter.formula), expected, "{model} {formula}");
+        let swapped =
+            parsed(&format!("model = \"{formula}\"\nformula = \"{model}\"")).expect_err("not each other's words");
+        assert!(swapped.to_string().contains(formula), "{swapped}");
+    }
+    let defaults = parsed("").expect("what is left out has a default, and that is possible");
+    assert_eq!(defaults.filter, Settings::default().filter);
 }
 
 #[test]

@@ -192,7 +192,9 @@ pub fn unsound(tag: &FrameTag) -> Option<String> {
     let q = &tag.pose.pose.orientation;
     let length = (q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w).sqrt();
     let covariance = nalgebra::Matrix6::from_row_slice(&tag.pose.covariance);
-    let particles = 0.0..=f64::from(tag.particles) * (1.0 + 1e-9);
+    // Of no particles it is 0: weights that add up to 1 have at least one particle's worth.
+    let fewest = if tag.particles == 0 { 0.0 } else { 1.0 - 1e-9 };
+    let particles = fewest..=f64::from(tag.particles) * (1.0 + 1e-9);
     let checks = [
         (text.contains("null"), format!("a number is not finite: {text}")),
         ((length - 1.0).abs() > 1e-9, format!("no rotation: {q:?}")),

@@ -2,13 +2,24 @@
 
 use std::fmt;
 
+use realitysim::config::field_names;
 use realitysim::localization::random::{Purpose, Stream};
 
 use super::fault::Fault;
+use crate::replay::support::LENS;
+
+/// A fisheye of 200 deg, and a narrow lens with a square picture.
+const LENSES: [&str; 2] = [
+    LENS,
+    "title = \"narrow\"\nwidth = 200\nheight = 200\nfx = 110.0\nfy = 111.0\ncx = 97.0\ncy = 104.5\nmodel = \"plumb_bob\"\n\
+     d = [-0.2, 0.03, 0.001, -0.001, 0.0]\n",
+];
 
 #[derive(Clone, Debug)]
 pub struct Case {
     pub seed: u64,
+    field: String,
+    pub lens: &'static str,
     route: Vec<[f64; 2]>,
     speed_m_s: f64,
     initial_pose: bool,
@@ -56,6 +67,8 @@ impl Case {
         }
         Self {
             seed,
+            field: draw.one_of(&field_names()).clone(),
+            lens: LENSES[draw.below(LENSES.len())],
             speed_m_s: draw.between(0.15, 0.5),
             initial_pose: draw.chance(0.8),
             effects: effects(&mut Draw::new(seed, 1)),
@@ -98,12 +111,13 @@ impl Case {
         let route: Vec<String> = self.route.iter().map(|[x, y]| format!("[{x:.3}, {y:.3}]")).collect();
         let effects: Vec<String> = self.effects.iter().map(|effect| format!("\n[[effect]]\n{effect}\n")).collect();
         format!(
-            "[scene]\ntitle = \"Stress\"\ntask = \"Break something.\"\nseed = {}\nfield = \"kid-2009\"\n{pose}\n\
+            "[scene]\ntitle = \"Stress\"\ntask = \"Break something.\"\nseed = {}\nfield = \"{}\"\n{pose}\n\
              [camera]\nlens = \"{lens}\"\nrate_hz = 10.0\njpeg_quality = 80\ntorso_height_m = 0.38\n\
              mount_xyz_m = [0.04, 0.0, 0.11]\nmount_pitch_deg = 17.0\n\n\
              [route]\nkind = \"walk\"\nwaypoints = [{}]\nspeed_m_s = {}\nturn_deg_s = 90.0\n\n\
              [odometry]\nrate_hz = 50.0\n\n[imu]\nrate_hz = 100.0\n{}",
             self.seed,
+            self.field,
             route.join(", "),
             self.speed_m_s,
             effects.concat()
@@ -123,7 +137,7 @@ impl fmt::Display for Case {
 }
 
 fn effects(draw: &mut Draw) -> Vec<String> {
-    let effects: [fn(&mut Draw) -> String; 9] = [
+    let effects: [fn(&mut Draw) -> String; 15] = [
         |d| {
             format!(
                 "kind = \"gait_sway\"\nroll_deg = {}\npitch_deg = {}\nlateral_m = {}\nvertical_m = {}\nstep_hz = {}",
@@ -154,9 +168,40 @@ fn effects(draw: &mut Draw) -> Vec<String> {
                 d.between(-180.0, 180.0)
             )
         },
-        |d| format!("kind = \"light\"\ngain = {}\ncamera_gain = {}", d.between(0.01, 3.0), d.between(1.0, 16.0)),
+        |d| {
+            format!(
+                "kind = \"fall\"\nat_s = {}\ndirection = \"{}\"\nfall_s = {}\nlie_s = {}\nrise_s = 0.5\nmoved_m = [{}, 0.2]",
+                d.between(0.1, 0.6),
+                d.one_of(&["forwards", "backwards", "left", "right"]),
+                d.between(0.2, 1.0),
+                d.between(0.1, 1.0),
+                d.between(-0.5, 0.5)
+            )
+        },
+        |d| {
+            format!(
+                "kind = \"bright_window\"\nwall = \"{}\"\ncentre_m = {}\nwidth_m = 3.0\nsill_m = 0.5\nheight_m = 2.0\n\
+                 brightness = {}\nglare = {}\nsun_elevation_deg = {}",
+                d.one_of(&["+x", "-x", "+y", "-y"]),
+                d.between(-2.0, 2.0),
+                d.between(1.0, 30.0),
+                d.between(0.0, 0.5),
+                d.between(5.0, 60.0)
+            )
+        },
+        |d| {
+            let gain = match d.below(3) {
+                0 => "{ uniform = [0.3, 2.0], per = \"frame\" }".to_owned(),
+                1 => "{ uniform = [0.05, 2.0], per = \"episode\" }".to_owned(),
+                _ => d.between(0.01, 3.0).to_string(),
+            };
+            format!("kind = \"light\"\ngain = {gain}\ncamera_gain = {}", d.between(1.0, 16.0))
+        },
         |d| format!("kind = \"obstacles\"\nrandom = {}", 1 + d.below(12)),
         |d| format!("kind = \"worn_lines\"\nshare = {}\npatch_m = 0.5", d.between(0.0, 1.0)),
+        |d| {
+            format!("kind = \"shutter\"\nexposure_ms = {}\nreadout_ms = {}", d.between(0.1, 40.0), d.between(0.1, 50.0))
+        },
         |d| {
             format!(
                 "kind = \"odometry_error\"\nscale_percent = {}\nyaw_drift_deg_per_m = {}\nnoise_m_per_m = {}\n\
@@ -180,17 +225,42 @@ fn effects(draw: &mut Draw) -> Vec<String> {
         },
         |d| {
             format!(
+                "kind = \"calibration_error\"\nfocal_percent = {}\ncentre_px = [{}, 3.0]\nmount_pitch_deg = {}\nheight_m = {}",
+                d.between(-5.0, 5.0),
+                d.between(-10.0, 10.0),
+                d.between(-10.0, 10.0),
+                d.between(-0.1, 0.1)
+            )
+        },
+        |d| {
+            format!(
                 "kind = \"sensor_noise\"\nread_noise_dn = {}\nshot_noise_factor = {}",
                 d.between(0.0, 50.0),
                 d.between(0.0, 3.0)
             )
         },
+        |d| {
+            let (from, lasts) = (d.between(0.1, 0.8), d.between(0.1, 1.0));
+            format!("kind = \"camera_fault\"\nunplugged = {{ from_s = {from}, for_s = {lasts} }}")
+        },
+        |d| {
+            format!(
+                "kind = \"serial_noise\"\nlost_share = {}\ncorrupt_share = {}",
+                d.between(0.01, 0.9),
+                d.between(0.001, 0.05)
+            )
+        },
     ];
     let mut drawn = Vec::new();
     for effect in effects {
-        if draw.chance(0.35) {
+        if draw.chance(0.25) {
             drawn.push(effect(draw));
         }
+    }
+    let has = |kind: &str| drawn.iter().any(|effect: &String| effect.contains(kind));
+    if !has("gait_sway") && !has("head_motion") {
+        // A scene that calls for it then is refused.
+        drawn.retain(|effect| !effect.contains("\"shutter\""));
     }
     drawn
 }

@@ -32,7 +32,8 @@ fn random_scenes_faults_and_settings_break_nothing() {
             Ok(Outcome::Replayed(tags)) => frames += tags,
             Ok(Outcome::Refused) => refused += 1,
             Err(fault) => {
-                let (case, fault) = shortest(case, fault);
+                let breaks = |case: &Case| outcome(case).err();
+                let (case, fault) = shortest(case, fault, breaks);
                 panic!("seed {}: {fault}\n\nthe shortest case that fails:\n{case}", case.seed);
             }
         }
@@ -43,12 +44,12 @@ fn random_scenes_faults_and_settings_break_nothing() {
 }
 
 /// Leaves out one thing after the other as long as something still breaks.
-fn shortest(mut case: Case, mut fault: String) -> (Case, String) {
+fn shortest(mut case: Case, mut fault: String, breaks: impl Fn(&Case) -> Option<String>) -> (Case, String) {
     let mut attempts = 0;
     'again: while attempts < MOST_ATTEMPTS {
         for shorter in case.shorter() {
             attempts += 1;
-            if let Err(found) = outcome(&shorter) {
+            if let Some(found) = breaks(&shorter) {
                 (case, fault) = (shorter, found);
                 continue 'again;
             }
@@ -56,4 +57,18 @@ fn shortest(mut case: Case, mut fault: String) -> (Case, String) {
         break;
     }
     (case, fault)
+}
+
+/// A case breaks whenever it has `both` of two lines: these are all that is left of it.
+#[test]
+fn the_shortest_case_holds_what_breaks_and_nothing_else() {
+    let cases = (0..400).map(Case::drawn);
+    let both = ["kind = \"obstacles\"", "particles = 1\n"];
+    let text = |case: &Case| format!("{}{}", case.scene("lens.toml"), case.config());
+    let breaks = |case: &Case| both.iter().all(|line| text(case).contains(line)).then(|| "breaks".to_owned());
+    let found = cases.into_iter().filter(|case| breaks(case).is_some()).max_by_key(|case| text(case).len());
+    let (short, fault) = shortest(found.expect("one of 400"), String::new(), breaks);
+    assert_eq!(fault, "breaks");
+    assert_eq!((text(&short).matches("[[effect]]").count(), short.config().lines().count()), (1, 2), "{short}");
+    assert!(short.faults.is_empty() && short.threads == 1, "{short}");
 }

@@ -11,7 +11,7 @@ use realitysim::sensors::scene::{SceneSource, parse};
 
 use super::case::Case;
 use crate::numerics::support::unsound;
-use crate::replay::support::{LENS, POSE, TAG, decode_all, on, own_log, read_capture};
+use crate::replay::support::{POSE, TAG, decode_all, on, own_log, read_capture};
 
 pub enum Outcome {
     /// So many frames have a tag.
@@ -29,12 +29,23 @@ pub fn outcome(case: &Case) -> Result<Outcome, String> {
     })
 }
 
+fn refused(why: &impl ToString) -> Result<Outcome, String> {
+    if why.to_string().len() > 10 {
+        Ok(Outcome::Refused)
+    } else {
+        Err(format!("refused without a reason: {}", why.to_string()))
+    }
+}
+
 fn replayed(case: &Case) -> Result<Outcome, String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
     let path = |name: &str| folder.path().join(name);
     let lens = path("lens.toml");
-    fs::write(&lens, LENS).map_err(|error| error.to_string())?;
-    let Ok(scene) = parse(&case.scene(&lens.to_string_lossy()), "scene.toml") else { return Ok(Outcome::Refused) };
+    fs::write(&lens, case.lens).map_err(|error| error.to_string())?;
+    let scene = match parse(&case.scene(&lens.to_string_lossy()), "scene.toml") {
+        Ok(scene) => scene,
+        Err(refusal) => return refused(&refusal),
+    };
     let messages: Result<Vec<LogMessage>, _> = SceneSource::new(&scene).collect();
     let messages = messages.map_err(|error| format!("the scene does not render: {error}"))?;
     let messages = case.faults.iter().fold(messages, |messages, fault| fault.apply(messages));
@@ -49,7 +60,10 @@ fn replayed(case: &Case) -> Result<Outcome, String> {
         realtime: false,
         warm_start: false,
     };
-    let Ok(report) = replay(&options, &mut |_, _| ()) else { return Ok(Outcome::Refused) };
+    let report = match replay(&options, &mut |_, _| ()) {
+        Ok(report) => report,
+        Err(refusal) => return refused(&refusal),
+    };
     let session = [report.session.clone(), path("captures").join(&report.session)];
     let session = session.iter().find(|path| path.is_dir()).ok_or("the capture is not where the report says")?;
     let capture = read_capture(session);
