@@ -35,6 +35,8 @@ pub mod service;
 
 pub mod cli;
 
+mod vectorised;
+
 // What integration tests and unit tests share.
 #[cfg(test)]
 #[path = "../tests/numerics/exact.rs"]

@@ -62,6 +62,18 @@ impl Camera {
         &self.nodes
     }
 
+    /// Those of a cell's pixels, x, y and z apart; what lies beyond the image's edge stays as it is.
+    pub(super) fn cell_rays(&self, column: usize, row: usize, [xs, ys, zs]: &mut [[f32; CELL * CELL]; 3]) {
+        let (left, top) = (column * CELL, row * CELL);
+        let (width, count) = (self.width(), CELL.min(self.width() - left));
+        for line in 0..CELL.min(self.height() - top) {
+            let rays = &self.rays[(top + line) * width + left..][..count];
+            for (i, [x, y, z]) in rays.iter().enumerate() {
+                (xs[line * CELL + i], ys[line * CELL + i], zs[line * CELL + i]) = (*x, *y, *z);
+            }
+        }
+    }
+
     pub(super) fn ray(&self, u: usize, v: usize) -> Option<DVec3> {
         let [x, y, z] = self.rays[v * self.width() + u];
         (!x.is_nan()).then(|| DVec3::new(f64::from(x), f64::from(y), f64::from(z)))

@@ -14,6 +14,7 @@ use super::optical;
 use super::raster::{NOTHING, SURE, UNSURE};
 use super::world::{Goals, Hit, Surface, World};
 use crate::geometry::Isometry;
+use crate::vectorised::vectorised;
 
 /// The wanted view: what its rays meet. One for all sources.
 #[derive(Clone, Debug)]
@@ -30,8 +31,20 @@ pub struct Target<'a> {
     mixed: Vec<Option<Box<Looks>>>,
 }
 
-/// What the pixels of a cell meet, row by row, along which ray; `None` where the lens draws nothing.
-type Looks = [Option<(DVec3, Hit)>; CELL * CELL];
+const AREA: usize = CELL * CELL;
+
+/// What the pixels of a cell meet, row by row.
+#[derive(Clone, Debug)]
+struct Looks {
+    /// Unit rays in `map`, x, y and z apart; NaN where the lens draws nothing.
+    rays: [[f32; AREA]; 3],
+    /// 1/m along the ray.
+    inverse_distances: [f32; AREA],
+    /// [`SURE`], [`UNSURE`] or [`NOTHING`].
+    sure: [u8; AREA],
+    /// A goal's, which nothing hides.
+    goal: [bool; AREA],
+}
 
 /// The map into one source.
 #[derive(Clone, Debug)]
@@ -52,10 +65,10 @@ pub struct Warp<'a> {
 /// Where the pixels of a cell lie in the source, row by row; NaN for those that it does not show.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Patch {
-    pub(super) u: [f32; CELL * CELL],
-    pub(super) v: [f32; CELL * CELL],
+    pub(super) u: [f32; AREA],
+    pub(super) v: [f32; AREA],
     /// [`SURE`], [`UNSURE`] or [`NOTHING`].
-    pub(super) sure: [u8; CELL * CELL],
+    pub(super) sure: [u8; AREA],
 }
 
 /// A cell whose centre is interpolated worse than this is calculated pixel by pixel.
@@ -83,7 +96,7 @@ impl<'a> Target<'a> {
             let surfaces = corners(columns, cell).map(|corner| target.surface_at(corner));
             let goal = goals.get(index).is_some_and(|goal| *goal);
             let mixed = surfaces[0].is_none() || surfaces.iter().any(|surface| *surface != surfaces[0]);
-            let drawn = surfaces[0].is_some() || (0..CELL * CELL).any(|pixel| target.shows(cell, pixel));
+            let drawn = surfaces[0].is_some() || (0..AREA).any(|pixel| target.shows(cell, pixel));
             (drawn && (mixed || goal)).then(|| Box::new(target.looks(cell, goal)))
         };
         target.mixed = cells(columns, rows).enumerate().map(looks).collect();
@@ -109,10 +122,52 @@ impl<'a> Target<'a> {
     }
 
     fn looks(&self, (column, row): (usize, usize), goal: bool) -> Looks {
-        core::array::from_fn(|index| {
-            let (u, v) = (column * CELL + index % CELL, row * CELL + index / CELL);
-            (u < self.camera.width() && v < self.camera.height()).then(|| self.look(u, v, goal)).flatten()
-        })
+        let mut looks = Looks {
+            rays: [[f32::NAN; AREA]; 3],
+            inverse_distances: [0.0; AREA],
+            sure: [NOTHING; AREA],
+            goal: [false; AREA],
+        };
+        self.camera.cell_rays(column, row, &mut looks.rays);
+        vectorised(|| self.meet(&mut looks));
+        if goal {
+            self.meet_goals(&mut looks);
+        }
+        looks
+    }
+
+    /// Turns the camera's rays into those of `map`, and finds what they meet, goals left out: as [`World::behind_goals`].
+    #[inline(always)]
+    fn meet(&self, looks: &mut Looks) {
+        let [x, y, z] = turned(&self.map_from_optical, &looks.rays);
+        let (place, half) = (self.place.as_vec3(), self.world.ground_half().as_vec2());
+        for i in 0..AREA {
+            let nearness = -z[i] / place.z;
+            let distance = 1.0 / nearness;
+            let on_carpet =
+                ((place.x + x[i] * distance).abs() <= half.x) & ((place.y + y[i] * distance).abs() <= half.y);
+            let ground = (nearness > 0.0) & on_carpet;
+            looks.inverse_distances[i] = if ground { nearness } else { 0.0 };
+            let far = if x[i].is_nan() { NOTHING } else { UNSURE };
+            looks.sure[i] = if ground { SURE } else { far };
+        }
+        looks.rays = [x, y, z];
+    }
+
+    fn meet_goals(&self, looks: &mut Looks) {
+        for i in 0..AREA {
+            let behind = match looks.sure[i] {
+                NOTHING => continue,
+                SURE => Surface::Ground,
+                _ => Surface::Far,
+            };
+            let ray = DVec3::from_array(looks.rays.map(|part| part[i].into()));
+            let behind = Hit { inverse_distance: looks.inverse_distances[i].into(), surface: behind };
+            let hit = self.goals.before(ray, behind);
+            looks.inverse_distances[i] = hit.inverse_distance as f32;
+            looks.sure[i] = sureness(hit.surface);
+            looks.goal[i] = hit.surface == Surface::Goal;
+        }
     }
 
     /// The unit ray of a pixel in `map`, and what it meets.
@@ -226,14 +281,15 @@ impl<'a> Warp<'a> {
     /// Where the source draws what a ray of the view meets, unless a goal hides it there.
     fn unhidden(&self, ray: DVec3, hit: Hit) -> Option<(DVec2, Surface)> {
         let at = self.draw(ray, hit)?;
-        if hit.surface != Surface::Goal && self.has_goal(at, at) {
-            let seen = ray + hit.inverse_distance * (self.target.place - self.place);
-            let length = seen.length();
-            if self.goals.hide(seen / length, hit.inverse_distance / length) {
-                return None;
-            }
-        }
-        Some((at, hit.surface))
+        let hidden = hit.surface != Surface::Goal && self.has_goal(at, at) && self.is_hidden(ray, hit.inverse_distance);
+        (!hidden).then_some((at, hit.surface))
+    }
+
+    /// Whether a goal stands before what lies at this inverse distance along a ray of the view.
+    fn is_hidden(&self, ray: DVec3, inverse_distance: f64) -> bool {
+        let seen = ray + inverse_distance * (self.target.place - self.place);
+        let length = seen.length();
+        self.goals.hide(seen / length, inverse_distance / length)
     }
 
     /// The same by interpolation where that is good enough: what views are made with.
@@ -268,7 +324,7 @@ impl<'a> Warp<'a> {
         let at = corners(columns, (column, row));
         let [a, b, c, d] = at.map(|corner| self.nodes[corner]);
         let sure = self.target.surface_at(at[0]).map_or(NOTHING, sureness);
-        let mut patch = Patch { u: [0.0; CELL * CELL], v: [0.0; CELL * CELL], sure: [sure; CELL * CELL] };
+        let mut patch = Patch { u: [0.0; AREA], v: [0.0; AREA], sure: [sure; AREA] };
         const STEP: f32 = 1.0 / CELL as f32;
         for line in 0..CELL {
             let down = line as f32 * STEP;
@@ -280,9 +336,13 @@ impl<'a> Warp<'a> {
             for i in 0..CELL {
                 patch.u[line * CELL + i] = u + du * i as f32;
                 patch.v[line * CELL + i] = v + dv * i as f32;
-                // A corner that the source does not draw says nothing of the places near it.
-                if (patch.u[line * CELL + i] + patch.v[line * CELL + i]).is_nan() {
-                    patch.sure[line * CELL + i] = NOTHING;
+            }
+        }
+        // A corner that the source does not draw says nothing of the places near it.
+        if [a, b, c, d].iter().any(|[u, v]| (u + v).is_nan()) {
+            for i in 0..AREA {
+                if (patch.u[i] + patch.v[i]).is_nan() {
+                    patch.sure[i] = NOTHING;
                 }
             }
         }
@@ -290,34 +350,51 @@ impl<'a> Warp<'a> {
     }
 
     fn patch_by_pixel(&self, column: usize, row: usize) -> Patch {
-        let mut patch = Patch { u: [f32::NAN; CELL * CELL], v: [f32::NAN; CELL * CELL], sure: [NOTHING; CELL * CELL] };
         let (columns, _) = self.target.camera.cells();
-        let by_pixel;
-        let looks = match &self.target.mixed[row * columns + column] {
-            Some(looks) => looks.as_ref(),
-            None => {
-                by_pixel = self.target.looks((column, row), false);
-                &by_pixel
+        match &self.target.mixed[row * columns + column] {
+            Some(looks) => self.draw_all(looks),
+            None => self.draw_all(&self.target.looks((column, row), false)),
+        }
+    }
+
+    /// The cell as if no goal stood in the source's way, and so unsure: better than black, where every source has one.
+    pub(super) fn patch_through_goals(&self, column: usize, row: usize) -> Patch {
+        let looks = self.target.looks((column, row), false);
+        Patch { sure: [UNSURE; AREA], ..vectorised(|| self.drawn(&looks)) }
+    }
+
+    /// Where the source draws what the view's rays meet, unless a goal hides it there.
+    fn draw_all(&self, looks: &Looks) -> Patch {
+        let mut patch = vectorised(|| self.drawn(looks));
+        if self.goal_cells.is_empty() {
+            return patch;
+        }
+        for i in 0..AREA {
+            if patch.sure[i] == NOTHING || looks.goal[i] {
+                continue;
             }
-        };
-        for (index, look) in looks.iter().enumerate() {
-            if let Some((at, surface)) = look.and_then(|(ray, hit)| self.unhidden(ray, hit)) {
-                (patch.u[index], patch.v[index]) = (at.x as f32, at.y as f32);
-                patch.sure[index] = sureness(surface);
+            let at = DVec2::new(patch.u[i].into(), patch.v[i].into());
+            let ray = DVec3::from_array(looks.rays.map(|part| part[i].into()));
+            if self.has_goal(at, at) && self.is_hidden(ray, looks.inverse_distances[i].into()) {
+                (patch.u[i], patch.v[i], patch.sure[i]) = (f32::NAN, f32::NAN, NOTHING);
             }
         }
         patch
     }
 
-    /// The cell as if no goal stood in the source's way, and so unsure: better than black, where every source has one.
-    pub(super) fn patch_through_goals(&self, column: usize, row: usize) -> Patch {
-        let mut patch = Patch { u: [f32::NAN; CELL * CELL], v: [f32::NAN; CELL * CELL], sure: [UNSURE; CELL * CELL] };
-        for (index, look) in self.target.looks((column, row), false).iter().enumerate() {
-            if let Some(at) = look.and_then(|(ray, hit)| self.draw(ray, hit)) {
-                (patch.u[index], patch.v[index]) = (at.x as f32, at.y as f32);
-            }
+    #[inline(always)]
+    fn drawn(&self, looks: &Looks) -> Patch {
+        let apart = (self.target.place - self.place).as_vec3();
+        let [mut x, mut y, mut z] = looks.rays;
+        for (i, nearness) in looks.inverse_distances.iter().enumerate() {
+            x[i] += nearness * apart.x;
+            y[i] += nearness * apart.y;
+            z[i] += nearness * apart.z;
         }
-        patch
+        let seen = turned(&self.source_from_map, &[x, y, z]);
+        let [u, v] = self.source.camera.projector().project_all(&seen);
+        let sure = core::array::from_fn(|i| if u[i].is_nan() { NOTHING } else { looks.sure[i] });
+        Patch { u, v, sure }
     }
 
     /// How far apart view and source draw the same ground, root mean square.
@@ -335,6 +412,19 @@ impl<'a> Warp<'a> {
         }
         libm::sqrt(sum / count.max(1) as f64)
     }
+}
+
+#[inline(always)]
+fn turned(by: &DMat3, [xs, ys, zs]: &[[f32; AREA]; 3]) -> [[f32; AREA]; 3] {
+    let [a, b, c] = [by.x_axis, by.y_axis, by.z_axis].map(|axis| axis.as_vec3());
+    let mut to = [[0.0; AREA]; 3];
+    for i in 0..AREA {
+        let (x, y, z) = (xs[i], ys[i], zs[i]);
+        to[0][i] = a.x * x + b.x * y + c.x * z;
+        to[1][i] = a.y * x + b.y * y + c.y * z;
+        to[2][i] = a.z * x + b.z * y + c.z * z;
+    }
+    to
 }
 
 pub(super) fn sureness(surface: Surface) -> u8 {

@@ -10,8 +10,8 @@ use glam::{DVec2, DVec3};
 
 use super::WorkingScale;
 use super::carpet::Surface;
-use super::vectorised::vectorised;
 use crate::geometry::{Isometry, Projector};
+use crate::vectorised::vectorised;
 
 /// A convex polygon on the ground of `base_footprint`, counter-clockwise.
 #[derive(Clone, Debug, PartialEq)]

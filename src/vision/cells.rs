@@ -5,8 +5,8 @@ use super::contrast::{self, UNITS};
 use super::ground::{NEUTRAL, SIDE};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 use super::reading::{self, Reading};
-use super::vectorised::vectorised;
 use super::{WorkingScale, distance};
+use crate::vectorised::vectorised;
 
 /// The frame's full contrast is learnt where lines show at least this well, against the best place in view, ...
 const CLEAR: f32 = 0.5;

@@ -8,8 +8,8 @@ use glam::DVec2;
 use super::cells::{ByRange, Cells};
 use super::contrast::{LineContrast, UNITS};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
-use super::vectorised::vectorised;
 use super::{Reading, VisionSettings, WorkingScale, distance};
+use crate::vectorised::vectorised;
 
 /// Cells along each side of the table.
 pub const SIDE: usize = 320;

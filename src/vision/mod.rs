@@ -14,7 +14,6 @@ pub mod line_image;
 pub mod mask;
 pub mod picture;
 mod reading;
-mod vectorised;
 
 use glam::{DVec2, DVec3};
 

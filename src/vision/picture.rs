@@ -1,6 +1,6 @@
 //! A decoded picture: luma, and chroma at half the resolution where there is colour.
 
-use super::vectorised::vectorised;
+use crate::vectorised::vectorised;
 
 /// Row by row from the top left.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -61,6 +61,45 @@ impl Projector {
         Some(DVec2::new(p.cx + p.fx * ray.x * factor, p.cy + p.fy * ray.y * factor))
     }
 
+    /// As [`Self::project`], many rays at a time, to the precision of f32: x, y and z apart, of any length; NaN where the lens
+    /// draws nothing.
+    #[inline(always)]
+    pub fn project_all<const N: usize>(&self, [xs, ys, zs]: &[[f32; N]; 3]) -> [[f32; N]; 2] {
+        let mut pixels = [[f32::NAN; N]; 2];
+        if self.factors.is_empty() {
+            for i in 0..N {
+                if let Some(pixel) = self.lens.project(DVec3::new(xs[i].into(), ys[i].into(), zs[i].into())) {
+                    (pixels[0][i], pixels[1][i]) = (pixel.x as f32, pixel.y as f32);
+                }
+            }
+            return pixels;
+        }
+        // Plain loops, which a compiler turns into vectors, around the one that looks up.
+        let (least_cos, nodes_per_unit) = (self.least_cos as f32, self.nodes_per_unit as f32);
+        let (mut inverses, mut ats) = ([0f32; N], [0f32; N]);
+        for i in 0..N {
+            inverses[i] = 1.0 / (xs[i] * xs[i] + ys[i] * ys[i] + zs[i] * zs[i]).sqrt();
+            ats[i] = (zs[i] * inverses[i] - least_cos) * nodes_per_unit;
+        }
+        let mut factors = [f32::NAN; N];
+        for (factor, at) in factors.iter_mut().zip(&ats) {
+            // Not for NaN.
+            if *at >= 0.0 {
+                let node = (*at as usize).min(NODES - 2);
+                let (low, high) = (self.factors[node] as f32, self.factors[node + 1] as f32);
+                *factor = low + (high - low) * (at - node as f32);
+            }
+        }
+        let p = &self.lens.parameters;
+        let (cx, cy, fx, fy) = (p.cx as f32, p.cy as f32, p.fx as f32, p.fy as f32);
+        for i in 0..N {
+            let factor = factors[i] * inverses[i];
+            pixels[0][i] = cx + fx * xs[i] * factor;
+            pixels[1][i] = cy + fy * ys[i] * factor;
+        }
+        pixels
+    }
+
     /// The pixel if it lies in the image.
     pub fn project_inside(&self, ray: DVec3) -> Option<DVec2> {
         self.project(ray).filter(|pixel| self.lens.contains(*pixel))
@@ -99,6 +138,14 @@ mod tests {
                     let (sin, cos) = libm::sincos(angle);
                     let ray = DVec3::new(sin * libm::cos(around), sin * libm::sin(around), cos) * 1.7;
                     let (exact, fast) = (lens.project(ray), projector.project(ray));
+                    let [[u], [v]] = projector.project_all(&ray.as_vec3().to_array().map(|part| [part]));
+                    match exact {
+                        // Pixels of thousands, in 24 bits.
+                        Some(exact) => {
+                            assert!(exact.distance(DVec2::new(u.into(), v.into())) < 2e-2, "{exact} {u} {v}")
+                        }
+                        None => assert!(u.is_nan() && v.is_nan()),
+                    }
                     if let (Some(exact), Some(fast)) = (exact, fast) {
                         worst = worst.max(exact.distance(fast));
                         count += 1;

@@ -4,7 +4,7 @@
 /// Calls `body`, compiled for the best instructions that this processor has. `body` must be small or
 /// `#[inline(always)]` to be compiled along.
 #[inline]
-pub(super) fn vectorised<R>(body: impl FnOnce() -> R) -> R {
+pub(crate) fn vectorised<R>(body: impl FnOnce() -> R) -> R {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
