@@ -154,9 +154,9 @@ fn effects(draw: &mut Draw) -> Vec<String> {
                 d.between(-180.0, 180.0)
             )
         },
+        |d| format!("kind = \"worn_lines\"\nshare = {}\npatch_m = 0.5", d.between(0.0, 1.0)),
         |d| format!("kind = \"light\"\ngain = {}\ncamera_gain = {}", d.between(0.01, 3.0), d.between(1.0, 16.0)),
         |d| format!("kind = \"obstacles\"\nrandom = {}", 1 + d.below(12)),
-        |d| format!("kind = \"worn_lines\"\nshare = {}\npatch_m = 0.5", d.between(0.0, 1.0)),
         |d| {
             format!(
                 "kind = \"odometry_error\"\nscale_percent = {}\nyaw_drift_deg_per_m = {}\nnoise_m_per_m = {}\n\
