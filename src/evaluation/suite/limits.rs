@@ -18,7 +18,7 @@ pub struct Limits {
     pub pitch_median_deg: Option<f64>,
     /// At least this share of the judged frames has a valid tag.
     pub valid_share: Option<f64>,
-    /// At least this share of the valid tags has a truth to be judged by; without it [`MOST_OF_THEM`].
+    /// At least this share of the valid tags has a truth to be judged by; without it 0.9.
     pub judged_share: Option<f64>,
     /// The slowest, of all times that the case names in `recovery_from_s`.
     pub recovered_within_s: Option<f64>,
@@ -64,7 +64,8 @@ impl Limits {
 
     /// These over those of the suite; what nothing can break is gone.
     pub(super) fn over(mut self, suite: &Self) -> Self {
-        for ((name, own), (_, suite)) in self.each_mut().into_iter().zip(suite.clone().each_mut()) {
+        let mut suite = *suite;
+        for ((name, own), (_, suite)) in self.each_mut().into_iter().zip(suite.each_mut()) {
             *own = own.or(*suite).filter(|value| !is_endless(name, *value));
         }
         self
