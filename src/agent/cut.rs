@@ -18,6 +18,7 @@ use crate::recording::topic;
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::mcap_write::{ChannelId, LogWriter, RawChannel, WriteError};
 use crate::sensors::log::{self as logs, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
+use crate::sensors::scene::{DRAWN_TOPIC, is_drawn_for_episode};
 
 #[derive(Clone, Debug)]
 pub struct CutOptions {
@@ -70,6 +71,7 @@ pub fn cut(options: &CutOptions, progress: Progress) -> Result<CutReport, CutErr
     let first_ns = starts.iter().copied().flatten().min().unwrap_or(0);
     let time = |seconds: f64| first_ns.saturating_add((seconds * 1e9) as i64);
     let (from_ns, to_ns) = (time(options.from_s), time(options.to_s));
+    let drawn = drawn_for_episode(&files)?;
     // What the last state before the piece knows need not be replayed again.
     let known = (0..files.len()).rev().find(|which| {
         starts[*which].is_some_and(|start| start <= from_ns) && matches!(state_of(&files[*which]), Ok(Some(_)))
@@ -107,7 +109,9 @@ pub fn cut(options: &CutOptions, progress: Progress) -> Result<CutReport, CutErr
     let begins = begins.unwrap_or(0);
     let begin_ns = starts.get(begins).copied().flatten().unwrap_or(from_ns);
     let truth = truth_from(&needed, truth_topic, begin_ns)?;
-    let written = join(&segments[begins..], truth, &options.output)?;
+    // It stood at the scene's start; here it stands at the piece's.
+    let drawn = drawn.map(|drawn| LogMessage { log_time_ns: begin_ns, publish_time_ns: begin_ns, ..drawn });
+    let written = join(&segments[begins..], truth, drawn, &options.output)?;
     if written.frames == 0 {
         fs::remove_file(&options.output).map_err(|source| io(&options.output, source))?;
         return Err(nothing());
@@ -175,11 +179,25 @@ fn truth_from(log: &Path, topic: &str, from_ns: i64) -> Result<Vec<LogMessage>, 
     Ok(truth)
 }
 
-/// What the segments hold, and the truth among it.
-fn join(segments: &[PathBuf], truth: Vec<LogMessage>, output: &Path) -> Result<LogCopy, CutError> {
+/// What a scene's log says once at its start.
+fn drawn_for_episode(files: &[PathBuf]) -> Result<Option<LogMessage>, LogError> {
+    let mut told = LogSource::new(files.to_vec(), Selection::topics([DRAWN_TOPIC]));
+    told.find(|message| message.as_ref().map_or(true, is_drawn_for_episode)).transpose()
+}
+
+/// What the segments hold, the truth among it, and what was drawn once before all.
+fn join(
+    segments: &[PathBuf],
+    truth: Vec<LogMessage>,
+    drawn: Option<LogMessage>,
+    output: &Path,
+) -> Result<LogCopy, CutError> {
     let mut copy = LogCopy::create(output)?;
     if let Some(state) = segments.first().map(|file| state_of(file)).transpose()?.flatten() {
         copy.attach(&state)?;
+    }
+    if let Some(drawn) = &drawn {
+        copy.take(drawn)?;
     }
     let mut truth = truth.into_iter().peekable();
     // Each segment begins with the constants again; once is enough.
@@ -188,7 +206,7 @@ fn join(segments: &[PathBuf], truth: Vec<LogMessage>, output: &Path) -> Result<L
         for message in LogSource::with_outputs(vec![segment.clone()], Selection::All) {
             let message = message?;
             let repeated = which > 0 && Some(message.log_time_ns) == start && copy.has(&message);
-            if repeated {
+            if repeated || is_drawn_for_episode(&message) {
                 continue;
             }
             while let Some(true_pose) = truth.next_if(|pose| pose.log_time_ns <= message.log_time_ns) {

@@ -14,7 +14,6 @@ use crate::ros2::messages::{FrameTag, Message};
 use crate::scene::Scene;
 use crate::sensors::log::{self as logs, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
 use crate::sensors::scene::SceneSource;
-use crate::sensors::topics::TopicTypes;
 
 pub(super) struct OpenLog {
     pub setup: Setup,
@@ -72,12 +71,11 @@ pub(super) fn scene<'a>(
     let mut source = SceneSource::new(scene);
     // Constants come first: they are all that the agent must know beforehand.
     let mut first: Vec<LogMessage> = Vec::new();
-    let (mut types, mut has_image) = (TopicTypes::new(), false);
+    let types = SceneSource::topic_types(scene);
+    let mut has_image = false;
     while !has_image {
         let Some(message) = source.next() else { break };
         let message = message?;
-        let kinds = types.entry(message.channel.topic.clone()).or_default();
-        kinds.insert(message.channel.type_name.clone());
         has_image = message.channel.type_name.ends_with("Image");
         first.push(message);
     }

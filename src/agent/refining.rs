@@ -105,7 +105,7 @@ pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64))
         return Err(RefineError::NotACapture(capture.to_owned()));
     }
     let info = read_info(capture)?;
-    let Readout { found: tags, mut losses } = read_tags(capture)?;
+    let Readout { found: tags, mut losses, .. } = read_tags(capture)?;
     let optical_from_link = Isometry::link_from_optical().inverse();
     let valid = tags.iter().filter(|tag| tag.valid);
     let mut poses: HashMap<i64, Isometry> = valid

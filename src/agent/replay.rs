@@ -60,7 +60,7 @@ fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 }
 
 fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
-    let scene = scene::load(&options.source.to_string_lossy())?;
+    let scene = scene::load(&options.source)?;
     let (setup, messages) = opened::scene(&scene, &options.source, &options.settings)?;
     let total = Some(scene.frame_count());
     Run::new(options, setup, None, Decisions::new()).through(messages, &mut |done| progress(done, total))

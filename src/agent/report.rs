@@ -65,6 +65,12 @@ pub struct FileDamage {
 }
 
 impl ReplayReport {
+    /// What of the source's files could not be read.
+    pub fn unread(&self) -> Vec<Loss> {
+        let damaged = self.damage.iter().map(|damage| Loss::new(&damage.file, damage.to_string()));
+        self.lost.iter().cloned().chain(damaged).collect()
+    }
+
     /// Something of the source could not be replayed.
     pub fn data_was_lost(&self) -> bool {
         !(self.damage.is_empty() && self.lost.is_empty())
@@ -72,6 +78,13 @@ impl ReplayReport {
             || self.bad_messages > 0
             || self.late_measurements > 0
             || self.first_bad_image.is_some()
+    }
+}
+
+impl core::fmt::Display for FileDamage {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let what = self.first_error.as_deref().unwrap_or("its end is missing");
+        write!(f, "damaged ({what}): {} bad chunks, {} bytes not used", self.bad_chunks, self.bytes_skipped)
     }
 }
 

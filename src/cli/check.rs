@@ -7,8 +7,9 @@ use serde::Serialize;
 
 use super::junit::{self, TestCase};
 use super::{Outcome, output, paths};
+use crate::evaluation::Summary;
 use crate::evaluation::reference::Difference;
-use crate::evaluation::suite::{self, Broken, CaseReport, Options, Suite, Watcher};
+use crate::evaluation::suite::{self, Broken, CaseReport, LEAST, Options, Suite, Watcher};
 
 /// Run a suite of logs and scenes and hold their tags to limits
 ///
@@ -16,7 +17,8 @@ use crate::evaluation::suite::{self, Broken, CaseReport, Options, Suite, Watcher
 /// of valid tags, recovery, and time. Cases run side by side; those with a limit of time run once more afterwards, alone, and
 /// their time is stated as a ratio to a fixed loop, so that it holds on other machines.
 ///
-/// Exit code 1 when a limit is broken or a case cannot be run; each is named.
+/// Exit code 1 when a limit is broken or a case cannot be run; each is named. Exit code 3 when all limits are kept, but a log
+/// is damaged or incomplete.
 #[derive(Args)]
 pub struct CheckArguments {
     /// A suite file
@@ -43,8 +45,26 @@ struct Report {
 }
 
 pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
+    let suite = Suite::load(&arguments.suite);
+    let mut read = vec![arguments.suite.as_path()];
+    suite.iter().for_each(|suite| read.extend(suite.files()));
+    for output in arguments.junit.iter().chain(&arguments.output) {
+        paths::check_output(output, &read)?;
+    }
+    let is_known = suite.is_ok();
+    let outcome = suite.map_err(anyhow::Error::from).and_then(|suite| judged(arguments, suite, json));
+    if let (Some(junit), Err(error)) = (&arguments.junit, &outcome)
+        && (is_known || junit::is_free_or_a_result(junit))
+    {
+        junit::write_failure(junit, JUNIT_NAME, error);
+    }
+    outcome
+}
+
+const JUNIT_NAME: &str = "realitysim check";
+
+fn judged(arguments: &CheckArguments, mut suite: Suite, json: bool) -> anyhow::Result<Outcome> {
     let started = std::time::Instant::now();
-    let mut suite = Suite::load(&arguments.suite)?;
     if !arguments.only.is_empty() {
         suite.cases.retain(|case| arguments.only.iter().any(|text| case.name.contains(text)));
         if suite.cases.is_empty() {
@@ -53,15 +73,10 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
             return Err(super::settings::UsageError(message).into());
         }
     }
-    if let Some(junit) = &arguments.junit {
-        paths::check_output(junit, &[&arguments.suite])?;
-    }
-    let sources: Vec<_> = suite.cases.iter().map(|case| case.source.as_path()).collect();
     // Removed when it goes out of scope.
     let mut temporary = None;
     let captures = match &arguments.output {
         Some(folder) => {
-            paths::check_output(folder, &sources)?;
             paths::make_folder(folder)?;
             folder.clone()
         }
@@ -73,10 +88,11 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
     if temporary.is_some() {
         cases.iter_mut().for_each(|case| case.capture = None);
     }
-    let passed = cases.iter().all(|case| case.outcome == suite::Outcome::Kept);
+    let passed = cases.iter().all(CaseReport::passed);
+    let kept = cases.iter().all(|case| case.outcome == suite::Outcome::Kept);
     if let Some(path) = &arguments.junit {
         let tests: Vec<TestCase> = cases.iter().map(test_case).collect();
-        paths::write(path, &junit::document("realitysim check", &tests))?;
+        paths::write(path, &junit::document(JUNIT_NAME, &tests))?;
     }
     let report = Report { passed, cases, wall_s: started.elapsed().as_secs_f64() };
     if json {
@@ -85,9 +101,14 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&for_people(&report))?;
     }
     for case in &report.cases {
+        case.warnings.iter().for_each(|warning| eprintln!("realitysim: warning: {}: {warning}", case.name));
         faults(case).iter().for_each(|fault| eprintln!("realitysim: {}: {fault}", case.name));
     }
-    Ok(if passed { Outcome::Whole } else { Outcome::NotReached })
+    Ok(match (passed, kept) {
+        (true, _) => Outcome::Whole,
+        (false, true) => Outcome::DataLost,
+        (false, false) => Outcome::NotReached,
+    })
 }
 
 struct Told;
@@ -104,6 +125,7 @@ impl Watcher for Told {
 
 fn verdict(case: &CaseReport) -> &'static str {
     match case.outcome {
+        suite::Outcome::Kept if !case.lost.is_empty() => "ok, DATA LOST",
         suite::Outcome::Kept => "ok",
         suite::Outcome::Broken => "BROKEN",
         suite::Outcome::Failed => "FAILED",
@@ -114,10 +136,18 @@ fn verdict(case: &CaseReport) -> &'static str {
 fn faults(case: &CaseReport) -> Vec<String> {
     let broken = case.broken.iter().map(|Broken { limit, value, allowed }| {
         let value = value.map_or_else(|| "not there".to_owned(), |value| format!("{value:.4}"));
-        let bound = if *limit == "valid_share" { "at least" } else { "at most" };
-        format!("{limit} is {value}, allowed is {bound} {allowed}")
+        let bound = if LEAST.contains(limit) { "at least" } else { "at most" };
+        let c = &case.judged.comparison;
+        let why = match *limit {
+            "judged_share" => {
+                format!(": {} of {} valid tags have no truth near their time", c.without_truth, c.valid)
+            }
+            _ => String::new(),
+        };
+        format!("{limit} is {value}, allowed is {bound} {allowed}{why}")
     });
-    case.error.iter().cloned().chain(broken).chain(unlike_reference(case)).collect()
+    let lost = case.lost.iter().map(ToString::to_string);
+    case.error.iter().cloned().chain(broken).chain(unlike_reference(case)).chain(lost).collect()
 }
 
 fn unlike_reference(case: &CaseReport) -> Option<String> {
@@ -139,8 +169,10 @@ fn test_case(case: &CaseReport) -> TestCase {
 
 fn for_people(report: &Report) -> String {
     let width = report.cases.iter().map(|case| case.name.chars().count()).max().unwrap_or(0).max(4);
-    let mut text =
-        format!("{:<width$}  frames  valid %  mean cm  median     p95     max  yaw deg  again s  p99 ratio\n", "case");
+    let mut text = format!(
+        "{:<width$}  frames  valid %  mean cm  median     p95     max  yaw deg  no truth  again s  p99 ratio\n",
+        "case"
+    );
     for case in &report.cases {
         let (judged, c) = (&case.judged, &case.judged.comparison);
         let recovered = match (judged.recoveries.is_empty(), judged.slowest_recovery_s()) {
@@ -148,17 +180,23 @@ fn for_people(report: &Report) -> String {
             (false, None) => "never".to_owned(),
             (false, Some(seconds)) => format!("{seconds:.1}"),
         };
-        let ratio = case.p99_ratio.map_or_else(|| "-".to_owned(), |ratio| format!("{ratio:.2}"));
+        let or_none = |value: Option<f64>, digits: usize| {
+            value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
+        };
+        let error = |value: f64, digits: usize| or_none((c.judged > 0).then_some(value), digits);
+        let Summary { mean, median, p95, max } = c.position_cm;
         text.push_str(&format!(
-            "{:<width$}  {:>6} {:>8.1} {:>8.2} {:>7.2} {:>7.2} {:>7.2} {:>8.3} {recovered:>8} {ratio:>10}  {}\n",
+            "{:<width$}  {:>6} {:>8} {:>8} {:>7} {:>7} {:>7} {:>8} {:>9} {recovered:>8} {:>10}  {}\n",
             case.name,
             c.frames,
-            100.0 * judged.valid_share,
-            c.position_cm.mean,
-            c.position_cm.median,
-            c.position_cm.p95,
-            c.position_cm.max,
-            c.yaw_deg.median,
+            or_none(judged.valid_share.map(|share| 100.0 * share), 1),
+            error(mean, 2),
+            error(median, 2),
+            error(p95, 2),
+            error(max, 2),
+            error(c.yaw_deg.median, 3),
+            c.without_truth,
+            or_none(case.p99_ratio, 2),
             verdict(case)
         ));
     }

@@ -55,7 +55,7 @@ struct Report<'a> {
 }
 
 pub fn run(arguments: &EvalArguments, json: bool) -> anyhow::Result<Outcome> {
-    let Readout { found: tags, losses: mut lost } = judged_poses(arguments)?;
+    let Readout { found: tags, losses: mut lost, warnings } = judged_poses(arguments)?;
     let truth = read_truth(&arguments.truth, &arguments.truth_topic)?;
     lost.extend(truth.losses);
     let truth = truth.found;
@@ -72,11 +72,11 @@ pub fn run(arguments: &EvalArguments, json: bool) -> anyhow::Result<Outcome> {
             span(truth.iter().map(|(stamp_ns, _)| *stamp_ns))
         );
     }
-    let warning = doubt(&comparison, &tags, &truth);
+    let doubt = doubt(&comparison, &tags, &truth).map(|doubt| format!("{}: {doubt}", arguments.truth.display()));
+    let warnings: Vec<String> = warnings.into_iter().chain(doubt).collect();
     output::losses(&lost);
-    if let Some(warning) = &warning {
-        eprintln!("realitysim: {}: {warning}", arguments.truth.display());
-    }
+    warnings.iter().for_each(|warning| eprintln!("realitysim: warning: {warning}"));
+    let warning = (!warnings.is_empty()).then(|| warnings.join("; "));
     if json {
         output::json(&Report { comparison: &comparison, in_the_other_half, warning, lost: lost.clone() })?
     } else {
@@ -89,8 +89,8 @@ fn judged_poses(arguments: &EvalArguments) -> anyhow::Result<Readout<Tagged>> {
     if let Some(topic) = &arguments.poses {
         return Ok(read_poses(&arguments.capture, topic)?);
     }
-    let Readout { found, losses } = read_tags(&arguments.capture)?;
-    Ok(Readout { found: found.iter().map(tagged).collect(), losses })
+    let Readout { found, losses, warnings } = read_tags(&arguments.capture)?;
+    Ok(Readout { found: found.iter().map(tagged).collect(), losses, warnings })
 }
 
 fn doubt(comparison: &Comparison, tags: &[Tagged], truth: &[(i64, Isometry)]) -> Option<String> {

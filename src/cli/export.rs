@@ -51,7 +51,7 @@ struct Report {
 pub fn run(arguments: &ExportArguments, json: bool) -> anyhow::Result<Outcome> {
     let ExportArguments { capture, output, to } = arguments;
     check_output(output, &[capture])?;
-    let Readout { found: tags, losses } = read_tags(capture)?;
+    let Readout { found: tags, losses, .. } = read_tags(capture)?;
     let (written, lost) = match to {
         Format::Tum => (tum(&tags, output)?, losses),
         Format::Images => images(capture, &tags, output)?,

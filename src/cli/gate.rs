@@ -27,7 +27,7 @@ pub struct GateArguments {
     #[arg(long, value_name = "FIELD=VALUE", requires = "bless", value_parser = tolerance)]
     tolerance: Vec<(String, f64)>,
     /// Write what CI servers show: a test for each field
-    #[arg(long, value_name = "FILE", requires = "reference")]
+    #[arg(long, value_name = "FILE", requires = "reference", conflicts_with = "bless")]
     junit: Option<PathBuf>,
 }
 
@@ -48,13 +48,31 @@ struct Checked<'a> {
     verdict: &'a Verdict,
 }
 
+const JUNIT_NAME: &str = "realitysim replay --check";
+
 impl GateArguments {
-    /// Before long work. What cannot be read then will not be later.
-    pub fn open(&self, source: &Path) -> anyhow::Result<Option<Gate<'_>>> {
-        let Some(path) = &self.reference else { return Ok(None) };
-        for output in self.junit.iter().chain(self.bless.then_some(path)) {
-            paths::check_output(output, &[source])?;
+    /// Before anything is written: `inputs` are what the replay reads.
+    pub fn check_outputs(&self, inputs: &[&Path]) -> anyhow::Result<()> {
+        let Some(path) = &self.reference else { return Ok(()) };
+        if self.bless {
+            paths::check_output(path, inputs)?;
         }
+        if let Some(junit) = &self.junit {
+            paths::check_output(junit, &[inputs, &[path.as_path()]].concat())?;
+        }
+        Ok(())
+    }
+
+    /// Of a replay that never came to be judged.
+    pub fn tell_failure(&self, error: &anyhow::Error) {
+        if let Some(junit) = &self.junit {
+            junit::write_failure(junit, JUNIT_NAME, error);
+        }
+    }
+
+    /// Before long work. What cannot be read then will not be later.
+    pub fn open(&self) -> anyhow::Result<Option<Gate<'_>>> {
+        let Some(path) = &self.reference else { return Ok(None) };
         let reference = if self.bless {
             None
         } else {
@@ -88,8 +106,8 @@ impl Gate<'_> {
         let shown = self.path.display().to_string();
         let verdict = compare(reference, &shown, &identity, &settings, &frames)?;
         if let Some(junit) = &self.arguments.junit {
-            let tests = tests(&verdict, report.wall_s);
-            paths::write(junit, &junit::document("realitysim replay --check", &tests))?;
+            let tests = tests(&verdict, report);
+            paths::write(junit, &junit::document(JUNIT_NAME, &tests))?;
         }
         if json {
             output::json(&Checked { reference: self.path, verdict: &verdict })?;
@@ -145,10 +163,13 @@ fn for_people(verdict: &Verdict, reference: &str) -> String {
     text
 }
 
-fn tests(verdict: &Verdict, wall_s: f64) -> Vec<TestCase> {
+fn tests(verdict: &Verdict, report: &ReplayReport) -> Vec<TestCase> {
     let of_count = (verdict.frames != verdict.frames_of_reference)
         .then(|| format!("{} frames, the reference has {}", verdict.frames, verdict.frames_of_reference));
-    let frames = TestCase { name: "frames".to_owned(), seconds: wall_s, faults: of_count.into_iter().collect() };
+    let lost = report.data_was_lost().then(|| "data was lost: not all of the log could be replayed".to_owned());
+    let unread = report.unread().into_iter().map(|loss| loss.to_string());
+    let faults = of_count.into_iter().chain(lost).chain(unread).collect();
+    let frames = TestCase { name: "frames".to_owned(), seconds: report.wall_s, faults };
     let fields = verdict.compared.iter().map(|field| {
         let found = verdict.differences.iter().find(|difference| difference.field == *field);
         let fault = found.map(|difference| {

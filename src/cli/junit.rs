@@ -1,5 +1,9 @@
 //! JUnit XML, as CI servers read it: the part of it that all of them understand.
 
+use std::path::Path;
+
+use super::{output, paths};
+
 /// One test; it has passed if it has no fault.
 pub struct TestCase {
     pub name: String,
@@ -30,6 +34,23 @@ pub fn document(suite: &str, tests: &[TestCase]) -> String {
     }
     text.push_str("</testsuite>\n</testsuites>\n");
     text
+}
+
+/// A run that did not come to its tests has failed: a file of an earlier run must not stand for it.
+pub fn write_failure(path: &Path, suite: &str, error: &anyhow::Error) {
+    // Written already: only whoever read our output has gone.
+    if output::is_broken_pipe(error) {
+        return;
+    }
+    let test = TestCase { name: "run".to_owned(), seconds: 0.0, faults: vec![format!("{error:#}")] };
+    if let Err(also) = paths::write(path, &document(suite, &[test])) {
+        eprintln!("realitysim: {also:#}");
+    }
+}
+
+/// Whether nothing is lost if a result is written there, even where nobody knows what a run reads.
+pub fn is_free_or_a_result(path: &Path) -> bool {
+    !path.exists() || std::fs::read(path).is_ok_and(|bytes| bytes.starts_with(b"<?xml"))
 }
 
 /// For text and attributes alike. XML knows no control characters but tab and line ends.

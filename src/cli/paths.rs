@@ -15,7 +15,13 @@ pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<(), UsageError> {
     // What does not exist yet lies where its nearest existing folder lies.
     let place = std::path::absolute(output).ok().and_then(|path| nearest_existing(&path));
     for input in inputs {
-        let Ok(read) = input.canonicalize() else { continue };
+        let Ok(read) = input.canonicalize() else {
+            // What is not there yet would be read once it is written.
+            if is_same_place(output, input) {
+                return refused(format!("is {}, which is to be read", input.display()));
+            }
+            continue;
+        };
         let is_input = output.canonicalize().is_ok_and(|output| output == read);
         let is_within = read.is_dir() && place.as_ref().is_some_and(|place| place.starts_with(&read));
         if is_input || is_within {
@@ -23,6 +29,15 @@ pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<(), UsageError> {
         }
     }
     Ok(())
+}
+
+/// Of files that need not be there.
+fn is_same_place(a: &Path, b: &Path) -> bool {
+    let place = |path: &Path| {
+        let path = std::path::absolute(path).ok()?;
+        Some((path.parent()?.canonicalize().ok()?, path.file_name()?.to_owned()))
+    };
+    place(a).is_some_and(|a| place(b) == Some(a))
 }
 
 fn nearest_existing(path: &Path) -> Option<PathBuf> {
@@ -121,5 +136,6 @@ mod tests {
         check_output(&bag.join("x"), &[&file]).unwrap();
         check_output(&file, &[&file]).unwrap_err();
         check_output(&folder.path().join("out"), &[&folder.path().join("missing")]).unwrap();
+        check_output(&folder.path().join("bag/../missing"), &[&folder.path().join("missing")]).unwrap_err();
     }
 }

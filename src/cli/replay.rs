@@ -45,8 +45,9 @@ pub struct ReplayArguments {
     /// Pace by the log's times
     #[arg(long)]
     realtime: bool,
-    /// Go on from where the last replay into CAPTURES_DIR ended; invalid until lines confirm it
-    #[arg(long)]
+    /// Go on from where the last replay into CAPTURES_DIR ended; invalid until lines confirm it. Not with --check: a
+    /// reference is of a log alone, not of what a folder happens to hold
+    #[arg(long, conflicts_with = "reference")]
     warm_start: bool,
     #[command(flatten)]
     gate: GateArguments,
@@ -55,13 +56,21 @@ pub struct ReplayArguments {
 }
 
 pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
+    let mut inputs = vec![arguments.source.as_path()];
+    inputs.extend(arguments.settings.files());
+    arguments.gate.check_outputs(&inputs)?;
+    let outcome = replayed(arguments, json);
+    outcome.inspect_err(|error| arguments.gate.tell_failure(error))
+}
+
+fn replayed(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from).min(MAX_THREADS);
     let settings = arguments.settings.resolve()?;
     if let Some(initial) = &arguments.initial {
         let name = field_of(&arguments.source, &settings)?;
         check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
     }
-    let gate = arguments.gate.open(&arguments.source)?;
+    let gate = arguments.gate.open()?;
     // Removed when it goes out of scope.
     let mut temporary = None;
     let captures = match &arguments.output {
@@ -100,8 +109,8 @@ fn threads(text: &str) -> Result<usize, String> {
 
 /// A scene brings its own.
 fn field_of(source: &Path, settings: &Settings) -> anyhow::Result<String> {
-    match source.to_str() {
-        Some(path) if path.ends_with(".toml") => Ok(scene::load(path)?.file().scene.field.clone()),
+    match source.extension() {
+        Some(ending) if ending == "toml" => Ok(scene::load(source)?.file().scene.field.clone()),
         _ => Ok(settings.field.clone()),
     }
 }
@@ -139,13 +148,7 @@ fn tell(report: &ReplayReport) {
     }
     output::losses(&report.lost);
     for damage in &report.damage {
-        let what = damage.first_error.clone().unwrap_or_else(|| "its end is missing".to_owned());
-        eprintln!(
-            "realitysim: {} is damaged ({what}): {} bad chunks, {} bytes not used; the rest was replayed",
-            damage.file.display(),
-            damage.bad_chunks,
-            damage.bytes_skipped
-        );
+        eprintln!("realitysim: {} is {damage}; the rest was replayed", damage.file.display());
     }
     if report.bad_messages > 0 {
         eprintln!(

@@ -1,5 +1,7 @@
 //! The config file and the same keys on the command line.
 
+use std::path::Path;
+
 use clap::Args;
 use glam::DVec2;
 use thiserror::Error;
@@ -55,6 +57,11 @@ pub struct SettingsArguments {
 }
 
 impl SettingsArguments {
+    /// Those that are named as files.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        [&self.config, &self.lens, &self.field].into_iter().flatten().map(Path::new).filter(|path| path.is_file())
+    }
+
     /// Defaults, then the file, then the command line; checked once.
     pub fn resolve(&self) -> anyhow::Result<Settings> {
         let mut settings = match &self.config {

@@ -82,7 +82,7 @@ fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databa
     let info = read_info(folder)?;
     let refined = folder.join(REFINED_FOLDER);
     let tags_from = if path.is_dir() && refined.join(REFINED_INFO).is_file() { &refined } else { &path };
-    let Readout { found: tags, mut losses } = read_tags(tags_from)?;
+    let Readout { found: tags, mut losses, .. } = read_tags(tags_from)?;
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
     for tag in tags.iter().filter(|tag| tag.valid) {
         waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);

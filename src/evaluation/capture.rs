@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::compare::Tagged;
+use crate::config::{HeadSettings, Topics};
 use crate::geometry::Isometry;
 use crate::recording::{Loss, missing_parts, topic};
 use crate::ros2::cdr::CdrError;
@@ -12,8 +13,9 @@ use crate::ros2::mcap_read::{Damage, LogMessage, Selection};
 use crate::ros2::messages::{
     FrameTag, Header, Message, Odometry, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
 };
-use crate::sensors::intake::isometry;
+use crate::sensors::intake::{self, Input, isometry};
 use crate::sensors::log::{self, LogError, LogSource};
+use crate::sensors::topics::{self, TopicError};
 
 #[derive(Debug, Error)]
 pub enum EvaluationError {
@@ -28,6 +30,8 @@ pub enum EvaluationError {
          PoseWithCovarianceStamped or nav_msgs/msg/Odometry"
     )]
     Type { path: String, topic: String, type_name: String },
+    #[error("{path}: {source}")]
+    Topic { path: String, source: TopicError },
 }
 
 /// What could be read, and what is lost of it.
@@ -35,6 +39,8 @@ pub enum EvaluationError {
 pub struct Readout<T> {
     pub found: Vec<T>,
     pub losses: Vec<Loss>,
+    /// Why what was found may not be what it is taken for.
+    pub warnings: Vec<String>,
 }
 
 /// All tags of a capture (a folder or one of its segments), in the order of the frames.
@@ -48,25 +54,68 @@ pub fn read_tags(path: &Path) -> Result<Readout<FrameTag>, EvaluationError> {
         })
     };
     let found = read.found.iter().map(tag).collect::<Result<_, _>>()?;
-    Ok(Readout { found, losses: read.losses })
+    Ok(Readout { found, losses: read.losses, warnings: read.warnings })
 }
 
 /// The true poses of `camera_link` in time order.
 pub fn read_truth(path: &Path, name: &str) -> Result<Readout<(i64, Isometry)>, EvaluationError> {
     let read = read_topic(path, name, "name the topic of the true poses with topics.ground_truth or --truth-topic")?;
-    let posed = |message: &LogMessage| stamped_pose(path, message).map(|tag| (tag.stamp_ns, tag.pose));
+    let posed = |message: &LogMessage| stamped_pose(path, message).map(|(tag, _)| (tag.stamp_ns, tag.pose));
     let mut found = read.found.iter().map(posed).collect::<Result<Vec<_>, _>>()?;
     found.sort_by_key(|(stamp, _)| *stamp);
     found.dedup_by_key(|(stamp, _)| *stamp);
-    Ok(Readout { found, losses: read.losses })
+    Ok(Readout { found, losses: read.losses, warnings: read.warnings })
 }
 
 /// Poses of `camera_link` in `map` that somebody else computed, in time order: they say of none that it is not valid.
 pub fn read_poses(path: &Path, name: &str) -> Result<Readout<Tagged>, EvaluationError> {
     let read = read_topic(path, name, "name the topic of the poses to judge")?;
-    let mut found = read.found.iter().map(|message| stamped_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
+    let posed = read.found.iter().map(|message| stamped_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
+    let mut warnings: Vec<String> = Vec::new();
+    for (_, [parent, child]) in &posed {
+        // Many programs leave them empty, which says nothing.
+        let is = |said: &str, meant: &str| said.is_empty() || said.trim_start_matches('/') == meant;
+        if is(parent, MAP) && is(child, CAMERA) {
+            continue;
+        }
+        let child = if child.is_empty() { String::new() } else { format!(" of {child:?}") };
+        let warning = format!(
+            "{}: {name}: it says that its poses are{child} in {parent:?}; they are judged as poses of \"{CAMERA}\" in \"{MAP}\"",
+            path.display()
+        );
+        if !warnings.contains(&warning) && warnings.len() < MAX_WARNINGS {
+            warnings.push(warning);
+        }
+    }
+    let mut found: Vec<Tagged> = posed.into_iter().map(|(tag, _)| tag).collect();
     found.sort_by_key(|tag| tag.stamp_ns);
-    Ok(Readout { found, losses: read.losses })
+    Ok(Readout { found, losses: read.losses, warnings })
+}
+
+/// What poses to be judged are of, and in.
+const CAMERA: &str = "camera_link";
+const MAP: &str = "map";
+/// Of one topic: more say the same.
+const MAX_WARNINGS: usize = 8;
+
+/// When the camera took the frames of a log, in time order.
+pub fn read_frame_times(path: &Path, wanted: &Topics) -> Result<Readout<i64>, EvaluationError> {
+    let files = log::files_of(path)?;
+    let types = log::topic_types(&log::surveys(&files)?);
+    let image = topics::image(&wanted.image, &types)
+        .map_err(|source| EvaluationError::Topic { path: path.display().to_string(), source })?;
+    let topics = Topics { image, ..wanted.clone() };
+    let mut source = LogSource::new(files, Selection::topics([topics.image.clone()]));
+    let mut found = Vec::new();
+    for message in source.by_ref() {
+        // One that does not say when it was taken is none for anybody.
+        if let Ok(Input::Frame { stamp_ns, .. }) = intake::read(&message?, &topics, &HeadSettings::default()) {
+            found.push(stamp_ns);
+        }
+    }
+    found.sort_unstable();
+    found.dedup();
+    Ok(Readout { found, losses: losses(path, source.damage()), warnings: Vec::new() })
 }
 
 /// What is missing of a capture by its manifest, and what its readers met.
@@ -91,31 +140,31 @@ fn read_topic(path: &Path, name: &str, hint: &'static str) -> Result<Readout<Log
     let found = source.by_ref().collect::<Result<Vec<_>, _>>()?;
     let losses = losses(path, source.damage());
     if !found.is_empty() {
-        return Ok(Readout { found, losses });
+        return Ok(Readout { found, losses, warnings: Vec::new() });
     }
     let (path, topic) = (path.display().to_string(), name.to_owned());
     Err(EvaluationError::NoMessages { path, topic, hint, loss: losses.into_iter().next() })
 }
 
-/// With the covariance of those types that have one; else it is zero.
-fn stamped_pose(path: &Path, message: &LogMessage) -> Result<Tagged, EvaluationError> {
+/// With the covariance of those types that have one; else it is zero. And in which frame it says that it is, and of which.
+fn stamped_pose(path: &Path, message: &LogMessage) -> Result<(Tagged, [String; 2]), EvaluationError> {
     let failed = |source| EvaluationError::Message {
         path: path.display().to_string(),
         topic: message.channel.topic.clone(),
         source,
     };
-    let (header, pose): (Header, PoseWithCovariance) = match message.channel.type_name.as_str() {
+    let (header, child, pose): (Header, String, PoseWithCovariance) = match message.channel.type_name.as_str() {
         "geometry_msgs/msg/PoseStamped" => {
             let stamped = PoseStamped::decode(&message.data).map_err(failed)?;
-            (stamped.header, PoseWithCovariance { pose: stamped.pose, covariance: [0.0; 36] })
+            (stamped.header, String::new(), PoseWithCovariance { pose: stamped.pose, covariance: [0.0; 36] })
         }
         "geometry_msgs/msg/PoseWithCovarianceStamped" => {
             let stamped = PoseWithCovarianceStamped::decode(&message.data).map_err(failed)?;
-            (stamped.header, stamped.pose)
+            (stamped.header, String::new(), stamped.pose)
         }
         "nav_msgs/msg/Odometry" => {
             let odometry = Odometry::decode(&message.data).map_err(failed)?;
-            (odometry.header, odometry.pose)
+            (odometry.header, odometry.child_frame_id, odometry.pose)
         }
         other => {
             return Err(EvaluationError::Type {
@@ -125,13 +174,14 @@ fn stamped_pose(path: &Path, message: &LogMessage) -> Result<Tagged, EvaluationE
             });
         }
     };
-    Ok(Tagged {
+    let tagged = Tagged {
         stamp_ns: header.stamp.to_nanoseconds(),
         valid: true,
         pose: isometry(&pose.pose.position, &pose.pose.orientation),
         covariance: in_plane(&pose),
         ambiguous: false,
-    })
+    };
+    Ok((tagged, [header.frame_id, child]))
 }
 
 /// xx, xy, yy.

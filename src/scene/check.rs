@@ -6,10 +6,11 @@ use core::ops::RangeInclusive;
 use glam::DVec2;
 use thiserror::Error;
 
-use super::effects::{self, Effect};
+use super::contradictions;
+use super::effects;
 use super::file::{CameraSection, InitialPose, Route, SceneFile, Still, Walk};
 use super::places::Places;
-use super::ranges::{Per, Range, Template};
+use super::ranges::{Per, Range};
 use crate::geometry::{Field, FieldError, LensError};
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -59,19 +60,27 @@ pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
         within("scene.initial_pose.yaw_deg", error.yaw_deg, -180.0..=180.0, "-180 to 180 degrees off")?;
     }
     effects::check(&file.effects, field)?;
-    has_something_to_act_on(file)?;
-    file.template.as_ref().map_or(Ok(()), |template| ranges(template, field))
+    contradictions::check(file)
 }
 
-/// What may be drawn must be possible from end to end: a scene that is right with one seed is right with all.
-fn ranges(template: &Template, field: &Field) -> Result<(), SceneError> {
+/// What may be drawn must be possible from end to end, whatever else is drawn: a scene that is right with one seed is
+/// right with all. `possible` is asked about the file with ends of its ranges in place of these.
+pub(super) fn ranges(
+    file: &SceneFile,
+    possible: impl Fn(SceneFile) -> Result<(), SceneError>,
+) -> Result<(), SceneError> {
+    let Some(template) = &file.template else { return Ok(()) };
+    for range in template.ranges.iter().filter(|range| range.per == Per::Frame) {
+        effects::check_may_change(range)?;
+    }
+    let ends = |range: &Range| [range.low, range.high];
     for range in &template.ranges {
-        if range.per == Per::Frame {
-            effects::check_may_change(range)?;
-        }
-        for end in [range.low, range.high] {
-            let value = |other: &Range| if other == range { end } else { template.value(other, 0) };
-            effects::check(&SceneFile::effects_with(template, value)?, field)?;
+        for (own, others) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            let value = |other: &Range| ends(other)[if other == range { own } else { others }];
+            let mut effects = SceneFile::effects_with(template, value)?;
+            // A scene with its first effects alone has the text of all.
+            effects.truncate(file.effects.len());
+            possible(SceneFile { effects, template: None, ..file.clone() })?;
         }
     }
     Ok(())
@@ -154,48 +163,4 @@ pub(super) fn inside(key: impl Display, point: [f64; 2], field: &Field) -> Resul
     }
     let expected = format!("at most {} m in x and {} m in y from the centre of this field", limit.x, limit.y);
     Err(refuse(key, format_args!("{point:?}"), expected))
-}
-
-/// An effect that could change nothing is a mistake in the file.
-fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
-    let lists = |name: &str| file.effects.iter().any(|effect| effect.name() == name);
-    for (index, effect) in file.effects.iter().enumerate() {
-        let (present, expected) = match effect {
-            Effect::GaitSway(_) | Effect::Kidnapping(_) => {
-                (matches!(file.route, Route::Walk(_)), "it needs a route that is walked, this one stands still")
-            }
-            Effect::Fall(_) if lists("kidnapping") => {
-                (false, "a walk is interrupted once, and kidnapping does so already")
-            }
-            Effect::Fall(_) => (lists("gait_sway"), "it needs gait_sway: whoever does not walk is not pushed over"),
-            Effect::Shutter(_) => (
-                lists("gait_sway") || lists("head_motion"),
-                "it needs gait_sway or head_motion: without motion it shows nothing",
-            ),
-            Effect::SerialNoise(_) => (
-                file.odometry.is_some() || file.imu.is_some(),
-                "it needs the section [odometry] or [imu], both are absent",
-            ),
-            Effect::HeadMotion(_) => {
-                (file.imu.is_some(), "joints are sent at the rate of the section [imu], which is absent")
-            }
-            // The IMU's yaw is the odometry's, so the error shows there too.
-            Effect::OdometryError(_) => (
-                file.odometry.is_some() || file.imu.is_some(),
-                "it needs the section [odometry] or [imu], both are absent",
-            ),
-            Effect::ImuError(_) => (file.imu.is_some(), "it needs the section [imu], which is absent"),
-            Effect::SensorNoise(_)
-            | Effect::Light(_)
-            | Effect::Obstacles(_)
-            | Effect::WornLines(_)
-            | Effect::BrightWindow(_)
-            | Effect::CameraFault(_)
-            | Effect::CalibrationError(_) => (true, ""),
-        };
-        if !present {
-            return Err(refuse(format_args!("effect[{index}].kind"), effect.name(), expected));
-        }
-    }
-    Ok(())
 }

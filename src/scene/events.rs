@@ -93,7 +93,7 @@ impl<'a> Events<'a> {
                 announced,
                 file.odometry.map(|section| clock(section.rate_hz)),
                 file.imu.map(|section| clock(section.rate_hz)),
-                file.imu.filter(|_| scene.changing.head.is_some()).map(|section| clock(section.rate_hz)),
+                file.imu.filter(|_| scene.has_joints()).map(|section| clock(section.rate_hz)),
                 Some(clock(file.camera.rate_hz)),
             ],
             odometer: Odometer { pose: Pose2::default(), time: 0.0, before: scene.travel(0.0) },

@@ -133,11 +133,10 @@ impl SceneFile {
         Ok(toml::from_str::<Self>(&template.filled(value)).map_err(told)?.effects)
     }
 
-    /// The text with every number that it leaves open as it was drawn (per frame: for the first). None of a file that
+    /// The text with every number that was drawn once; ranges that are drawn for each frame stay. None of a file that
     /// was not read from a text.
     pub fn resolved(&self) -> Option<String> {
-        let template = self.template.as_ref()?;
-        Some(template.filled(|range| template.value(range, 0)))
+        Some(self.template.as_ref()?.filled_for_the_episode())
     }
 
     /// In which line of its text a key stands, for example `camera.lens`.

@@ -5,6 +5,7 @@
 
 mod changing;
 mod check;
+mod contradictions;
 pub mod effects;
 mod events;
 pub mod file;
@@ -64,6 +65,13 @@ impl Scene {
     fn checked(file: SceneFile, field: FieldDimensions, lens: LensParameters) -> Result<Self, SceneError> {
         let field = Field::new(field)?;
         let lens = Lens::new(lens)?;
+        // Before what was drawn: a message has the number that stands in the file.
+        check::ranges(&file, |file| Self::assemble(file, field.clone(), lens.clone()).map(drop))?;
+        contradictions::do_something(&file.effects)?;
+        Self::assemble(file, field, lens)
+    }
+
+    fn assemble(file: SceneFile, field: Field, lens: Lens) -> Result<Self, SceneError> {
         check::check(&file, &field)?;
         let motion = Motion::new(&file.route);
         check::duration(motion.duration())?;
@@ -85,6 +93,7 @@ impl Scene {
             scene.add(&format!("effect[{index}]"), effect)?;
         }
         check::duration(scene.duration_s())?;
+        contradictions::times(&scene.file, scene.duration_s())?;
         Ok(scene)
     }
 
@@ -202,6 +211,11 @@ impl Scene {
     pub fn torn(&self, index: u64) -> Option<f64> {
         let [time, next] = [index, index + 1].map(|index| self.frame_time_s(index));
         self.camera_fault.as_ref()?.arrives(time, next, self.file.scene.seed, index)
+    }
+
+    /// Whether it tells how its head is turned.
+    pub fn has_joints(&self) -> bool {
+        self.file.imu.is_some() && self.changing.head.is_some()
     }
 
     /// Everything the robot receives, in time order.

@@ -32,6 +32,8 @@ pub(super) struct Range {
     pub(super) low: f64,
     pub(super) high: f64,
     pub(super) per: Per,
+    /// Only whole numbers are drawn, both ends among them.
+    whole: bool,
     span: Span<usize>,
 }
 
@@ -51,6 +53,8 @@ pub struct Drawn {
 
 /// More than any scene has effects times keys.
 const MAX_RANGES: usize = 256;
+/// Numbers that count something.
+const WHOLE: [(&str, &str); 1] = [("obstacles", "random")];
 /// What makes a table a range.
 const UNIFORM: &str = "uniform";
 const FORM: &str = "a range is { uniform = [low, high], per = \"episode\" } (or per = \"frame\")";
@@ -74,9 +78,14 @@ impl Template {
                     return Err(refuse(key, "one range too many", format_args!("a scene has at most {MAX_RANGES}")));
                 }
                 let (low, high, per) = range_of(table).ok_or_else(|| refuse(key, "no range", FORM))?;
+                let whole = WHOLE.contains(&(kind, name));
+                if whole && (low.fract() != 0.0 || high.fract() != 0.0) {
+                    let expected = format!("both ends of {name} are whole numbers, and such are drawn");
+                    return Err(refuse(key, format_args!("from {low} to {high}"), expected));
+                }
                 let owned = |text: &str| text.to_owned();
                 let (key, kind, name, span) = (owned(key), owned(kind), owned(name), value.span());
-                self.ranges.push(Range { key, kind, name, low, high, per, span });
+                self.ranges.push(Range { key, kind, name, low, high, per, whole, span });
             }
             DeValue::Table(table) => {
                 for (part, value) in table {
@@ -107,7 +116,11 @@ impl Template {
             (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3)
         });
         let index = hash.wrapping_add(frame.wrapping_mul(0xD134_2543_DE82_EF95));
-        Stream::new(self.seed, Purpose::Ranges, index).between(range.low, range.high)
+        let mut stream = Stream::new(self.seed, Purpose::Ranges, index);
+        if range.whole {
+            return libm::floor(stream.between(range.low, range.high + 1.0)).min(range.high);
+        }
+        stream.between(range.low, range.high)
     }
 
     /// Whether anything is drawn so often.
@@ -124,14 +137,24 @@ impl Template {
 
     /// The file with these numbers in place of its ranges; every line stays where it is.
     pub(super) fn filled(&self, value: impl Fn(&Range) -> f64) -> String {
+        self.with(self.ranges.iter().collect(), value)
+    }
+
+    /// What was drawn once is filled in; what is drawn for each frame stays a range.
+    pub(super) fn filled_for_the_episode(&self) -> String {
+        let ranges = self.ranges.iter().filter(|range| range.per == Per::Episode);
+        self.with(ranges.collect(), |range| self.value(range, 0))
+    }
+
+    fn with(&self, mut ranges: Vec<&Range>, value: impl Fn(&Range) -> f64) -> String {
         let mut text = String::with_capacity(self.text.len());
         let mut done = 0;
-        let mut ranges: Vec<&Range> = self.ranges.iter().collect();
         ranges.sort_by_key(|range| range.span.start);
         for range in ranges {
             text.push_str(&self.text[done..range.span.start]);
-            // With a point even if it is a whole number.
-            text.push_str(&format!("{:?}", value(range)));
+            let value = value(range);
+            // With a point even if it is a whole number by chance.
+            text.push_str(&if range.whole { format!("{value:.0}") } else { format!("{value:?}") });
             done = range.span.end;
         }
         text.push_str(&self.text[done..]);

@@ -1,6 +1,8 @@
 //! A scene in place of the hardware: its events as the messages that a robot would have logged.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::io::ErrorKind;
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
@@ -16,12 +18,13 @@ use crate::ros2::messages::{
     TransformStamped, Vector3,
 };
 use crate::scene::{Drawn, Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile};
+use crate::sensors::topics::TopicTypes;
 
 #[derive(Debug, Error)]
 pub enum SceneSourceError {
     #[error("{path}: {source}")]
     Scene { path: String, source: SceneError },
-    #[error("{path}: {source}")]
+    #[error("{path}: {}", unreadable(source))]
     Open { path: String, source: std::io::Error },
     /// `place` is the file, and the line if it is known.
     #[error("{place}: {source}")]
@@ -30,10 +33,22 @@ pub enum SceneSourceError {
     Encode(String),
 }
 
+fn unreadable(error: &std::io::Error) -> String {
+    match error.kind() {
+        ErrorKind::IsADirectory => "it is a folder, and a scene is a file (replay/scenes has some)".to_owned(),
+        ErrorKind::InvalidData => "it is not UTF-8 text: is it a scene file?".to_owned(),
+        _ => error.to_string(),
+    }
+}
+
 /// A scene file with the field and lens that it names.
-pub fn load(path: &str) -> Result<Scene, SceneSourceError> {
-    let failed = |source| SceneSourceError::Open { path: path.to_owned(), source };
-    parse(&std::fs::read_to_string(path).map_err(failed)?, path)
+pub fn load(path: impl AsRef<Path>) -> Result<Scene, SceneSourceError> {
+    let path = path.as_ref();
+    let name = path.display().to_string();
+    match std::fs::read_to_string(path) {
+        Ok(text) => parse(&text, &name),
+        Err(source) => Err(SceneSourceError::Open { path: name, source }),
+    }
 }
 
 /// The same from text; `name` is for messages.
@@ -77,19 +92,50 @@ impl<'a> SceneSource<'a> {
             source.message(&source.topics.camera_info.clone(), START_STAMP_NS, &camera_info(scene)),
         ];
         source.waiting.extend(constants);
-        source.tell_drawn(START_STAMP_NS, &scene.drawn());
+        source.tell_drawn(START_STAMP_NS, DRAWN_FOR_EPISODE, &scene.drawn());
         source
     }
 
+    /// What the log of this scene would have on its topics, without rendering it.
+    pub fn topic_types(scene: &Scene) -> TopicTypes {
+        let (topics, file) = (Topics::default(), scene.file());
+        let mut types = TopicTypes::new();
+        let mut there = |topic: &str, kind: &str| types.entry(topic.to_owned()).or_default().insert(kind.to_owned());
+        there(&topics.tf_static, TFMessage::TYPE);
+        there(&topics.camera_info, CameraInfo::TYPE);
+        let image = match file.camera.jpeg_quality {
+            Some(_) => (topics.image.as_str(), CompressedImage::TYPE),
+            None => (RAW_TOPIC, Image::TYPE),
+        };
+        let senders = 1 + usize::from(file.odometry.is_some()) + usize::from(file.imu.is_some());
+        let mut heard: BTreeSet<&str> = BTreeSet::new();
+        // What the wires lose may be the first messages, or all.
+        for event in scene.events() {
+            let (topic, kind) = match event.kind {
+                SceneEventKind::InitialPose(_) => continue,
+                SceneEventKind::Odometry(_) => (topics.odometry.as_str(), Odometry::TYPE),
+                SceneEventKind::Imu(_) => (topics.imu.as_str(), Imu::TYPE),
+                SceneEventKind::Joints(_) => (topics.joints.as_str(), JointState::TYPE),
+                SceneEventKind::Frame { .. } => image,
+            };
+            there(topic, kind);
+            heard.insert(topic);
+            if heard.len() == senders + usize::from(scene.has_joints()) {
+                break;
+            }
+        }
+        types
+    }
+
     /// Of a scene that leaves nothing open there is no such message.
-    fn tell_drawn(&mut self, stamp_ns: i64, drawn: &[Drawn]) {
+    fn tell_drawn(&mut self, stamp_ns: i64, what_for: &str, drawn: &[Drawn]) {
         if drawn.is_empty() {
             return;
         }
         let values = drawn.iter().map(|drawn| KeyValue { key: drawn.name.clone(), value: drawn.value.to_string() });
         let status = DiagnosticStatus {
             name: "realitysim: scene".to_owned(),
-            message: "drawn".to_owned(),
+            message: what_for.to_owned(),
             values: values.collect(),
             ..Default::default()
         };
@@ -154,7 +200,7 @@ impl<'a> SceneSource<'a> {
                 let truth = PoseStamped { header: header("map"), pose: pose(&map_from_camera_link) };
                 let truth = self.message(&topics.ground_truth, stamp, &truth);
                 self.waiting.push_back(truth);
-                self.tell_drawn(stamp, &self.scene.drawn_for(index));
+                self.tell_drawn(stamp, "drawn for this frame", &self.scene.drawn_for(index));
                 self.frame(index, stamp)?
             }
         };
@@ -201,7 +247,8 @@ impl<'a> SceneSource<'a> {
 
 const OPTICAL: &str = "camera_optical_frame";
 /// What the scene left open and was drawn: for the whole scene at its start, for a frame with the frame.
-const DRAWN_TOPIC: &str = "/scene/drawn";
+pub const DRAWN_TOPIC: &str = "/scene/drawn";
+const DRAWN_FOR_EPISODE: &str = "drawn for the episode";
 /// Where images go that were not compressed.
 const RAW_TOPIC: &str = "/camera/image_raw";
 
@@ -218,6 +265,13 @@ impl Iterator for SceneSource<'_> {
             Err(error) => Some(Err(error)),
         }
     }
+}
+
+/// Whether a message of [`DRAWN_TOPIC`] holds for the whole scene.
+pub fn is_drawn_for_episode(message: &LogMessage) -> bool {
+    message.channel.topic == DRAWN_TOPIC
+        && DiagnosticArray::decode(&message.data)
+            .is_ok_and(|told| told.status.iter().any(|status| status.message == DRAWN_FOR_EPISODE))
 }
 
 /// Anywhere behind the encapsulation's four bytes: a stamp, a name, a value.

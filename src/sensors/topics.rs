@@ -33,24 +33,8 @@ const IMAGES: [&str; 2] = ["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/I
 /// The configured topics; where the log lacks one but has exactly one other of the right type, that one.
 pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> Result<Topics, TopicError> {
     let mut topics = settings.topics.clone();
-    let find = |wanted: &str, types: &[&str]| -> Result<String, Vec<String>> {
-        let fits = |(_, kinds): &(&String, &BTreeSet<String>)| types.iter().any(|kind| kinds.contains(*kind));
-        if log.get_key_value(wanted).as_ref().is_some_and(fits) {
-            return Ok(wanted.to_owned());
-        }
-        let mut candidates: Vec<String> = log.iter().filter(fits).map(|(topic, _)| topic.clone()).collect();
-        match candidates.len() {
-            1 => candidates.pop().ok_or_else(Vec::new),
-            _ => Err(candidates),
-        }
-    };
-    topics.image = find(&topics.image, &IMAGES).map_err(|candidates| TopicError::Missing {
-        what: "camera images",
-        wanted: settings.topics.image.clone(),
-        types: "sensor_msgs/msg/CompressedImage or Image",
-        candidates,
-        key: "image",
-    })?;
+    let find = |wanted: &str, types: &[&str]| find(log, wanted, types);
+    topics.image = image(&topics.image, log)?;
     match find(&topics.camera_info, &["sensor_msgs/msg/CameraInfo"]) {
         Ok(topic) => topics.camera_info = topic,
         Err(_) if settings.camera.lens.is_some() => {}
@@ -100,6 +84,30 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
         }
     }
     Ok(topics)
+}
+
+/// The camera's topic: the configured one, or the only one with images.
+pub fn image(wanted: &str, log: &TopicTypes) -> Result<String, TopicError> {
+    find(log, wanted, &IMAGES).map_err(|candidates| TopicError::Missing {
+        what: "camera images",
+        wanted: wanted.to_owned(),
+        types: "sensor_msgs/msg/CompressedImage or Image",
+        candidates,
+        key: "image",
+    })
+}
+
+/// The topic that is wanted, or the only one of these types; else all of these types.
+fn find(log: &TopicTypes, wanted: &str, types: &[&str]) -> Result<String, Vec<String>> {
+    let fits = |(_, kinds): &(&String, &BTreeSet<String>)| types.iter().any(|kind| kinds.contains(*kind));
+    if log.get_key_value(wanted).as_ref().is_some_and(fits) {
+        return Ok(wanted.to_owned());
+    }
+    let mut candidates: Vec<String> = log.iter().filter(fits).map(|(topic, _)| topic.clone()).collect();
+    match candidates.len() {
+        1 => candidates.pop().ok_or_else(Vec::new),
+        _ => Err(candidates),
+    }
 }
 
 #[cfg(test)]

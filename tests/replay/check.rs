@@ -1,9 +1,10 @@
 //! A suite of logs and scenes, held to its limits.
 
+use mcap::WriteOptions;
 use realitysim::ros2::messages::PoseStamped;
 use realitysim::ros2::messages::{Odometry, PoseWithCovarianceStamped};
 
-use super::support::{Room, TRUTH, changed, decode_all, message, on, walk};
+use super::support::{IMAGE, Room, TRUTH, changed, decode_all, foreign_log, message, on, own_log, walk, without};
 
 /// Limits that the walk keeps with ease.
 const EASY: &str = "mean_cm = 5.0, max_cm = 20.0, valid_share = 0.9";
@@ -178,4 +179,137 @@ fn a_case_s_reference_of_another_log_seed_or_version_is_named_and_not_compared()
     let software = concat!("realitysim ", env!("CARGO_PKG_VERSION"));
     room.write("tags.jsonl", text.replacen(software, "realitysim 0.0.1", 1));
     room.run("check suite.toml").fails(1, &["log: tags.jsonl: not compared", "made by realitysim 0.0.1"]);
+}
+
+#[test]
+fn errors_of_the_frames_that_have_a_truth_do_not_pass_for_those_of_all() {
+    let messages = &walk().messages;
+    let middle = on(messages, TRUTH).nth(walk().frames() / 2).unwrap().log_time_ns;
+    let half: Vec<_> = messages
+        .iter()
+        .filter(|message| message.channel.topic != TRUTH || message.log_time_ns < middle)
+        .cloned()
+        .collect();
+    let room = Room::with_log(&half);
+    room.write("suite.toml", case("log.mcap", &format!("limits = {{ {EASY} }}")));
+    let run = room.run("check suite.toml --junit out.xml");
+    let run = run.fails(1, &["log: judged_share is 0.", "at least 0.9", "have no truth near their time"]);
+    assert!(run.stdout.contains("no truth") && run.stdout.contains("BROKEN"), "{run:?}");
+    assert!(std::fs::read_to_string(room.path("out.xml")).unwrap().contains("judged_share"));
+    room.write("suite.toml", case("log.mcap", &format!("limits = {{ {EASY}, judged_share = 0.4 }}")));
+    let report = room.run("check suite.toml --json").succeeds().json();
+    assert!(report["cases"][0]["without_truth"].as_u64().unwrap() > 5, "{report}");
+}
+
+/// On `/p`: the true poses of every other frame.
+fn every_other_pose() -> Vec<realitysim::ros2::LogMessage> {
+    let mut messages = walk().messages.clone();
+    let truth: Vec<PoseStamped> = decode_all(&messages, TRUTH);
+    let times: Vec<i64> = on(&messages, TRUTH).map(|message| message.log_time_ns).collect();
+    for (pose, time) in truth.iter().zip(&times).step_by(2) {
+        messages.push(message(77, "/p", *time, pose));
+    }
+    messages
+}
+
+#[test]
+fn the_valid_share_of_poses_is_of_the_camera_s_frames() {
+    let room = Room::with_log(&every_other_pose());
+    let rest = "poses = \"/p\"\nlimits = { max_cm = 1, valid_share = 0.9 }";
+    room.write("suite.toml", case("log.mcap", rest));
+    room.run("check suite.toml").fails(1, &["log: valid_share is 0.5", "at least 0.9"]);
+    room.write("suite.toml", case("log.mcap", &rest.replace("0.9", "0.45")));
+    let report = room.run("check suite.toml --json").succeeds().json();
+    assert_eq!(report["cases"][0]["frames"].as_u64().unwrap(), walk().frames() as u64);
+    // The output alone has no images; the log that it was made from has.
+    room.write("out.mcap", own_log(&without(&every_other_pose(), IMAGE)));
+    room.write("suite.toml", case("out.mcap", &format!("truth = \"log.mcap\"\n{rest}")));
+    room.run("check suite.toml").fails(1, &["out: valid_share is 0.5"]);
+    room.write("suite.toml", case("out.mcap", rest));
+    room.run("check suite.toml").fails(1, &["out: limits.valid_share is of the camera's frames", "out.mcap", "images"]);
+    room.write("suite.toml", case("out.mcap", "poses = \"/p\"\nlimits = { max_cm = 1 }"));
+    assert!(room.run("check suite.toml --json").succeeds().json()["cases"][0]["valid_share"].is_null());
+}
+
+#[test]
+fn a_truncated_log_is_told_and_does_not_pass_for_whole() {
+    let room = Room::new();
+    let whole = foreign_log(WriteOptions::new().profile("ros2").chunk_size(Some(1 << 15)), &walk().messages);
+    room.write("log.mcap", &whole[..whole.len() * 2 / 3]);
+    room.write("suite.toml", case("log.mcap", &format!("limits = {{ {EASY} }}")));
+    let run = room.run("check suite.toml --junit out.xml").fails(3, &["log: log.mcap", "damaged"]);
+    assert!(run.stdout.contains("ok, DATA LOST"), "{run:?}");
+    assert!(std::fs::read_to_string(room.path("out.xml")).unwrap().contains("failures=\"1\""));
+    let report = room.run("check suite.toml --json");
+    assert_eq!((&report.json()["passed"], report.code), (&false.into(), Some(3)));
+}
+
+#[test]
+fn a_result_is_not_written_over_what_a_suite_reads() {
+    let room = room_with(&format!(
+        "config = \"robot.toml\"\n{}",
+        case("log.mcap", "truth = \"truth.mcap\"\nreference = \"tags.jsonl\"\nlimits = { max_cm = 20 }")
+    ));
+    room.write("truth.mcap", &walk().log);
+    room.write("robot.toml", "robot = \"r\"\n");
+    let files = ["log.mcap", "truth.mcap", "robot.toml", "suite.toml"];
+    let before = files.map(|file| std::fs::read(room.path(file)).unwrap());
+    for file in files.into_iter().chain(["tags.jsonl", "./tags.jsonl"]) {
+        let name = file.trim_start_matches("./");
+        room.run(&format!("check suite.toml --junit {file}")).fails(2, &[name, "choose another place"]);
+    }
+    assert_eq!(files.map(|file| std::fs::read(room.path(file)).unwrap()), before);
+    assert!(!room.path("tags.jsonl").exists());
+    // Nobody knows what a suite reads that cannot be read.
+    room.write("suite.toml", "nonsense");
+    room.run("check suite.toml --junit log.mcap").fails(2, &["suite.toml"]);
+    assert_eq!(std::fs::read(room.path("log.mcap")).unwrap(), before[0]);
+}
+
+#[test]
+fn a_suite_that_cannot_run_leaves_no_passing_result() {
+    let room = room_with(&case("log.mcap", &format!("limits = {{ {EASY} }}")));
+    room.run("check suite.toml --junit out.xml").succeeds();
+    let failed = || std::fs::read_to_string(room.path("out.xml")).unwrap().contains("failures=\"1\"");
+    assert!(!failed());
+    room.run("check suite.toml --only zebra --junit out.xml").fails(2, &["zebra"]);
+    assert!(failed());
+    room.run("check suite.toml --junit out.xml").succeeds();
+    room.write("suite.toml", "nonsense");
+    room.run("check suite.toml --junit out.xml").fails(2, &["suite.toml"]);
+    assert!(failed());
+}
+
+#[test]
+fn poses_of_another_frame_are_judged_with_a_warning() {
+    let mut messages = walk().messages.clone();
+    let truth: Vec<PoseStamped> = decode_all(&messages, TRUTH);
+    let times: Vec<i64> = on(&messages, TRUTH).map(|message| message.log_time_ns).collect();
+    for (pose, time) in truth.iter().zip(&times) {
+        let mut odometry = Odometry { header: pose.header.clone(), ..Odometry::default() };
+        odometry.header.frame_id = "odom".to_owned();
+        odometry.child_frame_id = "base_footprint".to_owned();
+        odometry.pose.pose = pose.pose;
+        messages.push(message(77, "/walk", *time, &odometry));
+        odometry.header.frame_id = "map".to_owned();
+        odometry.child_frame_id = "camera_link".to_owned();
+        messages.push(message(78, "/right", *time, &odometry));
+    }
+    let room = Room::with_log(&messages);
+    let words = ["warning", "/walk", "\"odom\"", "\"base_footprint\"", "\"camera_link\" in \"map\""];
+    let run = room.run("eval log.mcap --poses /walk --truth log.mcap --json").fails(0, &words);
+    assert!(run.json()["warning"].as_str().unwrap().contains("base_footprint"), "{run:?}");
+    let run = room.run("eval log.mcap --poses /right --truth log.mcap").succeeds();
+    assert!(!run.stderr.contains("warning"), "{run:?}");
+    room.write("suite.toml", case("log.mcap", "poses = \"/walk\"\nlimits = { max_cm = 1 }"));
+    room.run("check suite.toml").fails(0, &words);
+}
+
+#[test]
+fn where_nothing_was_judged_no_error_is_shown() {
+    let room = room_with(&case("log.mcap", "reference = \"tags.jsonl\""));
+    room.run("replay log.mcap --check tags.jsonl --bless").succeeds();
+    let run = room.run("check suite.toml").succeeds();
+    let row = run.stdout.lines().find(|line| line.starts_with("log ")).unwrap();
+    assert!(row.matches(" - ").count() >= 5 && !row.contains("0.00"), "{row}");
 }

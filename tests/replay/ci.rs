@@ -24,7 +24,9 @@ impl Repository {
         for file in ["robot.toml", "vision", "ci/suite.toml"] {
             fs::copy(sample.join(file), repository.path(file)).unwrap();
         }
-        fs::write(repository.path("logs/kickoff.mcap"), &walk().log).unwrap();
+        fs::write(repository.path("recorded.mcap"), &walk().log).unwrap();
+        repository.run(&line_of("realitysim cut")).unwrap();
+        fs::remove_file(repository.path("recorded.mcap")).unwrap();
         repository
     }
 
@@ -77,10 +79,15 @@ fn steps() -> Vec<(String, String)> {
     steps
 }
 
-/// The guide's own line for it.
+/// The guide's own line that begins so.
+fn line_of(command: &str) -> String {
+    GUIDE.split('`').find(|code| code.starts_with(command)).unwrap().to_owned()
+}
+
 fn bless() -> String {
-    let line = GUIDE.split('`').find(|code| code.ends_with("--bless") && code.starts_with("realitysim replay"));
-    line.unwrap().to_owned()
+    let line = line_of("realitysim replay");
+    assert!(line.ends_with("--bless"), "{line}");
+    line
 }
 
 #[test]
@@ -107,9 +114,9 @@ fn a_change_that_is_meant_to_be_is_blessed() {
     let repository = Repository::new();
     repository.run(&bless()).unwrap();
     let config = fs::read_to_string(repository.path("robot.toml")).unwrap();
-    fs::write(repository.path("robot.toml"), config.replace("particles = 800", "particles = 700")).unwrap();
+    fs::write(repository.path("robot.toml"), config + "line_points = 300\n").unwrap();
     let told = repository.workflow().unwrap_err();
-    for word in ["filter.particles is 700, was 800", "frames differ", "--bless"] {
+    for word in ["filter.line_points is 300, was 350", "frames differ", "--bless"] {
         assert!(told.contains(word), "{word}: {told}");
     }
     repository.run(&bless()).unwrap();

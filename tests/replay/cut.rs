@@ -2,10 +2,11 @@
 
 use std::fs;
 
-use realitysim::ros2::messages::FrameTag;
+use realitysim::ros2::messages::{DiagnosticArray, FrameTag};
 
 use super::support::{
-    CAMERA_INFO, IMAGE, ODOMETRY, Room, TF_STATIC, TRUTH, assert_same, on, read_log, session_name, stamp_later, walk,
+    CAMERA_INFO, IMAGE, ODOMETRY, Room, TF_STATIC, TRUTH, assert_same, decode_all, on, read_log, session_name,
+    stamp_later, walk,
 };
 
 fn frames_of(path: &std::path::Path) -> usize {
@@ -105,4 +106,27 @@ fn what_is_not_there_cannot_be_cut() {
     }
     assert_eq!(fs::read(room.path("log.mcap")).unwrap(), walk().log);
     room.run("cut none.mcap --from 1 --to 2 -o x.mcap").fails(1, &["none.mcap"]);
+}
+
+#[test]
+fn a_piece_says_what_was_drawn_for_the_whole_scene() {
+    const DRAWN: &str = "/scene/drawn";
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| {
+        let plain = text.split("[[effect]]").next().unwrap().to_owned();
+        plain + "\n[[effect]]\nkind = \"light\"\ngain = { uniform = [0.7, 0.9], per = \"episode\" }\n"
+    });
+    room.run("sim scene.toml -o log.mcap").succeeds();
+    let told: Vec<DiagnosticArray> = decode_all(&read_log(&room.path("log.mcap")), DRAWN);
+    assert_eq!(told.len(), 1);
+    let session = session_name(&room.replay("log.mcap --set recording.segment_s=1"));
+    for (source, piece) in [("log.mcap", "a.mcap"), (&session, "b.mcap"), ("a.mcap", "c.mcap")] {
+        let (from, to) = if source == "a.mcap" { (0.5, 1.0) } else { (2.2, 3.8) };
+        let report = room.run(&format!("cut {source} --from {from} --to {to} -o {piece} --json")).succeeds().json();
+        let messages = read_log(&room.path(piece));
+        assert_eq!(decode_all::<DiagnosticArray>(&messages, DRAWN), told, "{source}");
+        let spans = messages.last().unwrap().log_time_ns - messages[0].log_time_ns;
+        assert!(spans < 3_500_000_000, "it begins where the piece does: {report}");
+        room.run(&format!("replay {piece} -o captures")).succeeds();
+    }
 }

@@ -117,3 +117,70 @@ fn the_demo_gives_the_tags_of_the_committed_reference() {
     let arguments = format!("replay {here}/replay/scenes/demo.toml --check {here}/replay/references/demo.jsonl");
     room.run(&arguments).succeeds();
 }
+
+#[test]
+fn a_result_is_not_written_over_what_a_gate_reads() {
+    let room = blessed();
+    room.write("robot.toml", "robot = \"r\"\n");
+    let files = ["log.mcap", "tags.jsonl", "robot.toml"];
+    let before = files.map(|file| fs::read(room.path(file)).unwrap());
+    for file in files {
+        let run = room.run(&format!("replay log.mcap --check tags.jsonl --config robot.toml --junit {file}"));
+        run.fails(2, &[file, "is read"]);
+    }
+    room.run("replay log.mcap --check none.jsonl --junit none.jsonl").fails(2, &["none.jsonl", "to be read"]);
+    assert_eq!(files.map(|file| fs::read(room.path(file)).unwrap()), before);
+    room.run("replay log.mcap --check tags.jsonl --bless --junit out.xml").fails(2, &["--junit", "--bless"]);
+}
+
+#[test]
+fn a_gate_that_cannot_judge_leaves_no_passing_result() {
+    let room = blessed();
+    let text = fs::read_to_string(room.path("tags.jsonl")).unwrap();
+    room.write("cut.jsonl", text.lines().take(3).collect::<Vec<_>>().join("\n"));
+    for (arguments, code, word) in [
+        ("log.mcap --check none.jsonl", 1, "none.jsonl"),
+        ("log.mcap --check cut.jsonl", 1, "is it whole?"),
+        ("log.mcap --seed 77 --check tags.jsonl", 1, "seed 77"),
+        ("none.mcap --check tags.jsonl", 1, "none.mcap"),
+        ("log.mcap --check tags.jsonl --set filter.particles=0", 2, "particles"),
+    ] {
+        room.run("replay log.mcap --check tags.jsonl --junit out.xml").succeeds();
+        assert!(fs::read_to_string(room.path("out.xml")).unwrap().contains("failures=\"0\""));
+        room.run(&format!("replay {arguments} --junit out.xml")).fails(code, &[word]);
+        let junit = fs::read_to_string(room.path("out.xml")).unwrap();
+        assert!(junit.contains("failures=\"1\"") && junit.contains(word), "{arguments}: {junit}");
+    }
+}
+
+#[test]
+fn a_reference_of_another_start_or_field_is_named() {
+    let room = blessed();
+    room.run("replay log.mcap --check tags.jsonl --warm-start -o captures").fails(2, &["--warm-start", "--check"]);
+    let field = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/config/fields/kid-2009.toml")).unwrap();
+    room.write("field.toml", &field);
+    room.run("replay log.mcap --field field.toml --check own.jsonl --bless").succeeds();
+    room.run("replay log.mcap --field field.toml --check own.jsonl").succeeds();
+    let line = field.lines().find(|line| line.starts_with("mark_size_m")).expect("a key of the field").to_owned();
+    room.write("field.toml", field.replace(&line, "mark_size_m = 0.11"));
+    let run = room.run("replay log.mcap --field field.toml --check own.jsonl");
+    assert!(run.stdout.contains("field_content.mark_size_m is 0.11, was 0.1"), "{run:?}");
+}
+
+#[test]
+fn a_reference_that_somebody_has_edited_is_checked() {
+    let room = blessed();
+    let text = fs::read_to_string(room.path("tags.jsonl")).unwrap();
+    for (tolerance, words) in [
+        ("{\"yew\":0.1}", ["line 1", "tolerance.yew", "yaw"]),
+        ("{\"reason\":0.1}", ["line 1", "tolerance.reason", "yaw"]),
+        ("{\"yaw\":-0.1}", ["line 1", "tolerance.yaw is -0.1", "0 or more"]),
+    ] {
+        let edited = text.replacen("\"tolerance\":{}", &format!("\"tolerance\":{tolerance}"), 1);
+        assert_ne!(edited, text);
+        room.write("edited.jsonl", edited);
+        room.run("replay log.mcap --check edited.jsonl").fails(1, &words);
+    }
+    room.write("edited.jsonl", text + "\n\n");
+    room.run("replay log.mcap --check edited.jsonl").succeeds();
+}

@@ -4,7 +4,7 @@ use std::fs;
 
 use realitysim::ros2::messages::DiagnosticArray;
 
-use super::support::{Room, decode_all, read_capture, read_log};
+use super::support::{IMAGE, ODOMETRY, Room, assert_same, decode_all, on, read_capture, read_log};
 
 const DRAWN: &str = "/scene/drawn";
 
@@ -103,7 +103,7 @@ fn an_empty_chain_returns_the_stored_bytes() {
 #[test]
 fn effects_on_a_stored_image_are_those_of_a_frame() {
     let room = room_with(
-        "kind = \"light\"\ngain = 0.5\n[[effect]]\nkind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.5\n\
+        "kind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.5\n[[effect]]\nkind = \"light\"\ngain = 0.5\n\
          [[effect]]\nkind = \"sensor_noise\"\nread_noise_dn = 2\nshot_noise_factor = 0.1",
     );
     stored(&room);
@@ -123,4 +123,51 @@ fn effects_on_a_stored_image_are_those_of_a_frame() {
     room.run("scene apply scene.toml --image in.png -o out.gif").fails(2, &["out.gif", ".png or .jpg"]);
     room.run("scene apply scene.toml --image none.png -o out.png").fails(1, &["none.png", "no such file"]);
     room.run("scene apply scene.toml --image scene.toml -o x.png").fails(1, &["scene.toml"]);
+}
+
+#[test]
+fn a_scene_that_loses_its_first_odometry_gives_the_tags_of_its_log() {
+    let room = room_with("kind = \"serial_noise\"\nlost_share = 0.6");
+    for seed in 1..20 {
+        let text = fs::read_to_string(room.path("scene.toml")).unwrap();
+        let line = text.lines().find(|line| line.starts_with("seed = ")).unwrap().to_owned();
+        room.write("scene.toml", text.replace(&line, &format!("seed = {seed}")));
+        room.run("sim scene.toml -o log.mcap").succeeds();
+        let messages = read_log(&room.path("log.mcap"));
+        let first = |topic: &str| on(&messages, topic).next().unwrap().log_time_ns;
+        if first(ODOMETRY) > first(IMAGE) {
+            let [scene, log] = ["scene.toml", "log.mcap"].map(|source| room.replay(source));
+            return assert_same(&scene.tags, &log.tags, "the scene");
+        }
+    }
+    panic!("no seed loses it");
+}
+
+#[test]
+fn check_shows_what_changes_with_every_frame_as_a_range() {
+    let room = room_with(
+        "kind = \"light\"\ngain = { uniform = [0.8, 1.2], per = \"frame\" }\n\
+         colour = [1.0, { uniform = [0.5, 1.0], per = \"frame\" }, 1.0]\n\
+         camera_gain = { uniform = [1.5, 1.75], per = \"episode\" }",
+    );
+    let run = room.run("scene check scene.toml").succeeds();
+    for words in ["gain = 0.8 to 1.2 each frame", "0.5 to 1.0 each frame", "camera_gain = 1."] {
+        assert!(run.stdout.contains(words), "{words}: {run:?}");
+    }
+    let report = room.run("scene check scene.toml --json").succeeds().json();
+    assert_eq!(report["effects"][0]["values"]["gain"]["per"], "frame", "{report}");
+    for wrong in ["nan", "0", "-1", "inf", "x"] {
+        room.run(&format!("scene check scene.toml --max-ms={wrong}")).fails(2, &["--max-ms", "above 0"]);
+    }
+}
+
+#[test]
+fn what_is_no_scene_file_is_told_as_such() {
+    let room = Room::new();
+    fs::create_dir(room.path("folder.toml")).unwrap();
+    room.write("latin.toml", b"[scene]\ntitle = \"\xe9\"\n");
+    for command in ["scene check", "sim -o log.mcap", "replay -o captures"] {
+        room.run(&format!("{command} folder.toml")).fails(1, &["folder.toml: it is a folder"]);
+        room.run(&format!("{command} latin.toml")).fails(1, &["latin.toml: it is not UTF-8"]);
+    }
 }

@@ -40,9 +40,10 @@ fn a_drawn_number_acts_as_if_it_stood_in_the_file() {
 #[test]
 fn adding_an_effect_changes_nothing_that_another_draws() {
     let alone = build(&[LIGHT]).drawn();
-    let beside = build(&[LIGHT, WORN, ODOMETRY]);
+    let beside = build(&[WORN, LIGHT, ODOMETRY]);
     assert_eq!(value(&alone, "light.gain"), value(&beside.drawn(), "light.gain"));
-    let reordered = build(&[WORN, LIGHT, ODOMETRY]);
+    let noise = "kind = \"sensor_noise\"\nread_noise_dn = 1\nshot_noise_factor = 0";
+    let reordered = build(&[SWAY, WORN, LIGHT, noise, ODOMETRY]);
     for name in ["light.gain", "worn_lines.share", "odometry_error.scale_percent"] {
         assert_eq!(value(&beside.drawn(), name), value(&reordered.drawn(), name));
     }
@@ -121,7 +122,7 @@ fn window_and_shutter_may_change_with_every_frame() {
         ("bright_window", "brightness", [0.5, 1.1], WINDOW),
         ("bright_window", "glare", [0.0, 0.5], &format!("{WINDOW}\nbrightness = 8")),
         ("bright_window", "sun_gain", [1.0, 3.0], &format!("{WINDOW}\nbrightness = 8")),
-        ("shutter", "exposure_ms", [5.0, 150.0], "readout_ms = 0"),
+        ("shutter", "exposure_ms", [5.0, 95.0], "readout_ms = 0"),
         ("sensor_noise", "shot_noise_factor", [0.0, 3.0], "read_noise_dn = 0"),
         ("light", "camera_gain", [1.0, 4.0], "gain = 0.3"),
     ] {
@@ -194,4 +195,54 @@ fn what_cannot_change_with_every_frame_is_refused_by_name() {
         let message = built.expect_err("must be refused").to_string();
         assert!(message.contains(words) && message.contains("line ") && message.contains("effect[1]."), "{message}");
     }
+}
+
+#[test]
+fn both_ends_of_a_range_are_held_to_the_route_whatever_is_drawn() {
+    let taken =
+        "kind = \"kidnapping\"\nto_m = [0, 0]\nto_yaw_deg = 0\nat_s = { uniform = [5, 400], per = \"episode\" }";
+    let far = "kind = \"kidnapping\"\nto_m = [{ uniform = [-2, 4], per = \"episode\" }, 0]\nto_yaw_deg = 0\nat_s = 5";
+    let late = "kind = \"camera_fault\"\nunplugged = { from_s = { uniform = [3, 60], per = \"episode\" }, for_s = 1 }";
+    let jump = "jump = { at_s = { uniform = [3, 23.5], per = \"episode\" }, x_m = 1, y_m = 0, yaw_deg = 0 }";
+    let jump = format!("{ODOMETRY}\n{jump}");
+    let slow = "kind = \"shutter\"\nexposure_ms = { uniform = [5, 60], per = \"frame\" }\n\
+                readout_ms = { uniform = [10, 41], per = \"episode\" }";
+    for seed in 0..12 {
+        for (effects, words) in [
+            (vec![taken], ["effect[0].at_s is 400", "the route takes 23.20 s"]),
+            (vec![far], ["effect[0]: the route", "4.7 m in x"]),
+            (vec![late], ["effect[0].unplugged.from_s is 60", "below 23.20 s"]),
+            (vec![jump.as_str()], ["effect[0].jump.at_s is 23.5", "below 23.20 s"]),
+            (vec![SWAY, slow], ["effect[1].exposure_ms, with readout_ms, is 101", "at most 100.00 ms"]),
+        ] {
+            let toml = with_effects(&plain(STRAIGHT), &effects).replace("seed = 20130601", &format!("seed = {seed}"));
+            let built = SceneFile::from_toml(&toml).and_then(|file| Scene::build(file, kid_2009(), fisheye_640()));
+            let message = built.expect_err("must be refused").to_string();
+            assert!(words.iter().all(|word| message.contains(word)), "{effects:?}: {message}");
+            assert!(message.starts_with("line "), "{message}");
+        }
+    }
+}
+
+#[test]
+fn of_a_count_whole_numbers_are_drawn_both_ends_among_them() {
+    let crowd = |ends: &str| format!("kind = \"obstacles\"\nrandom = {{ uniform = {ends}, per = \"episode\" }}");
+    let mut seen = [0; 3];
+    for seed in 0..60 {
+        let toml = with_effects(&plain(STRAIGHT), &[&crowd("[2, 4]")]);
+        let drawn = scene(&toml.replace("seed = 20130601", &format!("seed = {seed}"))).drawn();
+        let count = value(&drawn, "obstacles.random");
+        assert!(count.fract() == 0.0 && (2.0..=4.0).contains(&count), "{count}");
+        seen[count as usize - 2] += 1;
+    }
+    assert!(seen.iter().all(|count| *count > 8), "{seen:?}");
+    let message = refusal(&crowd("[2.5, 4]"));
+    assert!(message.contains("effect[0].random is from 2.5 to 4") && message.contains("whole numbers"), "{message}");
+}
+
+/// Nothing may be an end of a range; only what was drawn must do something.
+#[test]
+fn a_range_may_begin_at_nothing() {
+    build(&["kind = \"worn_lines\"\nshare = { uniform = [0, 0.5], per = \"episode\" }\npatch_m = 0.3"]);
+    build(&["kind = \"serial_noise\"\nlost_share = { uniform = [0, 0.5], per = \"frame\" }"]);
 }

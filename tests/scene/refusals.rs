@@ -35,6 +35,7 @@ fn the_shelf_is_right() {
             let of_role = file.effects.iter().filter(|effect| effect.role() == Some(role));
             let names: Vec<&str> = of_role.map(|effect| effect.name()).collect();
             let stated = header.iter().find_map(|line| line.strip_prefix(word)).unwrap_or_default();
+            assert!(!names.is_empty(), "{name}: {word}: which are they?");
             assert_eq!(stated.trim_end_matches('.'), names.join(", "), "{name}: {word}");
         }
     }
@@ -234,7 +235,7 @@ fn unknown_and_missing_keys_are_named() {
 fn effects_stand_once_and_in_physical_order() {
     let sway = "kind = \"gait_sway\"\nroll_deg = 2\npitch_deg = 1\nlateral_m = 0.01\nvertical_m = 0.0\nstep_hz = 2";
     let noise = "kind = \"sensor_noise\"\nread_noise_dn = 1\nshot_noise_factor = 0";
-    let imu = "kind = \"imu_error\"\nroll_bias_deg = 0\npitch_bias_deg = 0\nnoise_deg = 0\ngyro_noise_deg_s = 0";
+    let imu = "kind = \"imu_error\"\nroll_bias_deg = 1\npitch_bias_deg = 0\nnoise_deg = 0\ngyro_noise_deg_s = 0";
     let base = plain(STRAIGHT);
     let message = refusal(&with_effects(&base, &[noise, sway]));
     assert!(message.contains("effect[1].kind is gait_sway") && message.contains("physical order"), "{message}");
@@ -263,4 +264,114 @@ fn field_and_lens_are_checked_too() {
     lens.fx = -1.0;
     let error = build(kid_2009(), lens);
     assert!(matches!(error, SceneError::Lens(_)) && error.to_string().contains("fx is -1"));
+}
+
+/// With the line of the effect or of its key.
+fn refused_with_its_line(effects: &[&str], words: &[&str]) {
+    let text = with_effects(&plain(STRAIGHT), effects);
+    let message = refusal(&text);
+    assert!(words.iter().all(|word| message.contains(word)), "{effects:?}: {message}");
+    let line: usize = message.split(['e', ':']).nth(1).and_then(|line| line.trim().parse().ok()).expect(&message);
+    assert!(line > plain(STRAIGHT).lines().count(), "{message}");
+}
+
+#[test]
+fn what_would_never_come_about_is_refused() {
+    let odometry = |rest: &str| {
+        format!("kind = \"odometry_error\"\nscale_percent = 5\nyaw_drift_deg_per_m = 0\nnoise_m_per_m = 0\n{rest}")
+    };
+    let unplugged = |from: &str| format!("kind = \"camera_fault\"\nunplugged = {{ from_s = {from}, for_s = 100 }}");
+    for (effect, words) in [
+        (unplugged("23.5"), ["effect[0].unplugged.from_s is 23.5", "below 23.20 s, where the scene ends"]),
+        (odometry("freeze = { from_s = 30, for_s = 1 }"), ["effect[0].freeze.from_s is 30", "below 23.20 s"]),
+        (odometry("missing = { from_s = 30, for_s = 1 }"), ["effect[0].missing.from_s is 30", "below 23.20 s"]),
+        (
+            odometry("jump = { at_s = 30, x_m = 1, y_m = 0, yaw_deg = 0 }"),
+            ["effect[0].jump.at_s is 30", "below 23.20 s"],
+        ),
+        (odometry("jump = { at_s = 0, x_m = 1, y_m = 0, yaw_deg = 0 }"), ["effect[0].jump.at_s is 0", "0.001 to"]),
+        (
+            odometry("freeze = { from_s = 3, for_s = 2 }\nmissing = { from_s = 4.5, for_s = 3 }"),
+            ["effect[0].missing.from_s is 4.5 s", "frozen from 3 to 5 s"],
+        ),
+    ] {
+        refused_with_its_line(&[&effect], &words);
+    }
+    let build = |effect: &str| super::common::straight_with(&[effect]);
+    build(&unplugged("23"));
+    build(&unplugged("0"));
+    build(&odometry("freeze = { from_s = 3, for_s = 2 }\nmissing = { from_s = 5, for_s = 3 }"));
+}
+
+#[test]
+fn a_shutter_that_is_open_longer_than_a_frame_or_sees_no_motion_is_refused() {
+    let shutter = |exposure: f64, readout: f64| {
+        format!("kind = \"shutter\"\nexposure_ms = {exposure:?}\nreadout_ms = {readout:?}")
+    };
+    for (exposure, readout) in [(150.0, 0.0), (60.0, 41.0), (0.5, 100.0)] {
+        let words = ["effect[1].exposure_ms, with readout_ms, is", "at most 100.00 ms together, at 10 images"];
+        refused_with_its_line(&[SWAY, &shutter(exposure, readout)], &words);
+    }
+    super::common::straight_with(&[SWAY, &shutter(60.0, 40.0)]);
+    let still = "kind = \"head_motion\"\npan_amplitude_deg = 0\npan_period_s = 3\ntilt_amplitude_deg = 0\n\
+                 tilt_period_s = 2\nencoder_noise_deg = 1";
+    refused_with_its_line(&[still, &shutter(5.0, 15.0)], &["effect[1].kind is shutter", "amplitude above 0"]);
+}
+
+#[test]
+fn an_effect_that_does_nothing_is_refused() {
+    for (effect, needed) in [
+        ("kind = \"sensor_noise\"\nread_noise_dn = 0\nshot_noise_factor = 0", "read_noise_dn"),
+        ("kind = \"worn_lines\"\nshare = 0\npatch_m = 0.3", "a share above 0"),
+        ("kind = \"light\"\ngain = 1", "a gain"),
+        ("kind = \"light\"\ngain = 1.0\ncolour = [1, 1, 1]\ngradient_per_m = [0, -0.0]\ncamera_gain = 1", "a gain"),
+        (
+            "kind = \"gait_sway\"\nroll_deg = 0\npitch_deg = 0\nlateral_m = 0\nvertical_m = 0\nstep_hz = 2",
+            "an amplitude above 0",
+        ),
+        (
+            "kind = \"head_motion\"\npan_amplitude_deg = 0\npan_period_s = 3\ntilt_amplitude_deg = 0\ntilt_period_s = 2",
+            "encoder_noise_deg",
+        ),
+        (
+            "kind = \"imu_error\"\nroll_bias_deg = 0\npitch_bias_deg = 0\nnoise_deg = 0\ngyro_noise_deg_s = 0\n\
+             mount_roll_deg = 0",
+            "other than 0",
+        ),
+        (
+            "kind = \"odometry_error\"\nscale_percent = 0\nyaw_drift_deg_per_m = 0\nnoise_m_per_m = 0\n\
+             jump = { at_s = 3, x_m = 0, y_m = 0, yaw_deg = 0 }",
+            "freeze, missing or jump",
+        ),
+        ("kind = \"calibration_error\"\nfocal_percent = 0", "other than 0"),
+        ("kind = \"serial_noise\"\nlost_share = 0", "lost_share or corrupt_share above 0"),
+    ] {
+        refused_with_its_line(&[effect], &["of nothing: it does nothing: leave the entry out", needed]);
+    }
+}
+
+/// The file's order is the order in which effects apply, where they act on the same thing.
+#[test]
+fn what_acts_on_the_same_thing_stands_in_the_order_in_which_it_applies() {
+    let light = "kind = \"light\"\ngain = 0.5";
+    let worn = "kind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.3";
+    let crowd = "kind = \"obstacles\"\nrandom = 2";
+    let window = "kind = \"bright_window\"\nwall = \"+x\"\ncentre_m = 0\nwidth_m = 2\nsill_m = 1\nheight_m = 2\n\
+                  brightness = 5";
+    let noise = "kind = \"sensor_noise\"\nread_noise_dn = 1\nshot_noise_factor = 0";
+    let taken = "kind = \"kidnapping\"\nto_m = [0, 0]\nto_yaw_deg = 0\nat_s = 5";
+    let odometry = "kind = \"odometry_error\"\nscale_percent = 5\nyaw_drift_deg_per_m = 0\nnoise_m_per_m = 0";
+    let imu = "kind = \"imu_error\"\nroll_bias_deg = 1\npitch_bias_deg = 0\nnoise_deg = 0\ngyro_noise_deg_s = 0";
+    super::common::straight_with(&[SWAY, taken, worn, light, window, crowd, odometry, noise, imu]);
+    for (effects, first, then) in [
+        ([light, worn], "worn_lines", "light"),
+        ([crowd, light], "light", "obstacles"),
+        ([crowd, window], "bright_window", "obstacles"),
+        ([window, light], "light", "bright_window"),
+        ([taken, SWAY], "gait_sway", "kidnapping"),
+        ([imu, odometry], "odometry_error", "imu_error"),
+    ] {
+        let words = [format!("effect[1].kind is {first}"), format!("it applies before {then}")];
+        refused_with_its_line(&effects, &words.each_ref().map(String::as_str));
+    }
 }

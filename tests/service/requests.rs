@@ -56,7 +56,7 @@ fn size_lens_method_and_scene_are_as_asked() {
     add_images(&room, "images", &super::PLACES);
     room.write_scene("evening.toml", |text| {
         let plain = text.split("[[effect]]").next().expect("a scene").to_owned();
-        plain + "[[effect]]\nkind = \"light\"\ngain = 0.5\n[[effect]]\nkind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.5\n"
+        plain + "[[effect]]\nkind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.5\n[[effect]]\nkind = \"light\"\ngain = 0.5\n"
     });
     let served = Served::of(room, "--scene evening.toml");
     let raw = "Accept: application/octet-stream\r\n";

@@ -178,6 +178,15 @@ fn effects(draw: &mut Draw) -> Vec<String> {
                 d.between(-0.5, 0.5)
             )
         },
+        |d| format!("kind = \"worn_lines\"\nshare = {}\npatch_m = 0.5", d.between(0.0, 1.0)),
+        |d| {
+            let gain = match d.below(3) {
+                0 => "{ uniform = [0.3, 2.0], per = \"frame\" }".to_owned(),
+                1 => "{ uniform = [0.05, 2.0], per = \"episode\" }".to_owned(),
+                _ => d.between(0.01, 3.0).to_string(),
+            };
+            format!("kind = \"light\"\ngain = {gain}\ncamera_gain = {}", d.between(1.0, 16.0))
+        },
         |d| {
             format!(
                 "kind = \"bright_window\"\nwall = \"{}\"\ncentre_m = {}\nwidth_m = 3.0\nsill_m = 0.5\nheight_m = 2.0\n\
@@ -189,16 +198,7 @@ fn effects(draw: &mut Draw) -> Vec<String> {
                 d.between(5.0, 60.0)
             )
         },
-        |d| {
-            let gain = match d.below(3) {
-                0 => "{ uniform = [0.3, 2.0], per = \"frame\" }".to_owned(),
-                1 => "{ uniform = [0.05, 2.0], per = \"episode\" }".to_owned(),
-                _ => d.between(0.01, 3.0).to_string(),
-            };
-            format!("kind = \"light\"\ngain = {gain}\ncamera_gain = {}", d.between(1.0, 16.0))
-        },
         |d| format!("kind = \"obstacles\"\nrandom = {}", 1 + d.below(12)),
-        |d| format!("kind = \"worn_lines\"\nshare = {}\npatch_m = 0.5", d.between(0.0, 1.0)),
         |d| {
             format!("kind = \"shutter\"\nexposure_ms = {}\nreadout_ms = {}", d.between(0.1, 40.0), d.between(0.1, 50.0))
         },

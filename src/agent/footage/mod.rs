@@ -76,7 +76,7 @@ pub struct Attempt {
 impl Footage {
     pub fn load(options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
         if options.source.extension().is_some_and(|ending| ending == "toml") {
-            Self::of_scene(&scene::load(&options.source.to_string_lossy())?, options, progress)
+            Self::of_scene(&scene::load(&options.source)?, options, progress)
         } else {
             Self::of_log(options, progress)
         }

@@ -153,7 +153,7 @@ fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result
         return Ok(read_truth(log, topic)?.found);
     }
     if arguments.source.extension().is_some_and(|ending| ending == "toml") {
-        return Ok(truth::of_scene(&scene::load(&arguments.source.to_string_lossy())?));
+        return Ok(truth::of_scene(&scene::load(&arguments.source)?));
     }
     match read_truth(&arguments.source, topic) {
         Err(EvaluationError::NoMessages { .. }) => Ok(Vec::new()),

@@ -22,7 +22,7 @@ pub struct CheckArguments {
     #[arg(value_name = "SCENE")]
     scene: String,
     /// Exit code 1 if a frame takes longer to render
-    #[arg(long, value_name = "MS")]
+    #[arg(long, value_name = "MS", value_parser = milliseconds)]
     max_ms: Option<f64>,
 }
 
@@ -45,7 +45,7 @@ struct Report<'a> {
 struct EffectReport {
     kind: &'static str,
     role: Option<&'static str>,
-    /// As drawn; per frame: for the first.
+    /// As drawn; what is drawn for each frame as its range.
     values: BTreeMap<String, toml::Value>,
     /// None: it changes no pixel.
     ms: Option<f64>,
@@ -90,6 +90,11 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
     }
 }
 
+fn milliseconds(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number > 0.0);
+    number.ok_or_else(|| "it must be a number of milliseconds above 0".to_owned())
+}
+
 /// What each effect's entry says, but for its kind and role.
 fn values(scene: &Scene) -> anyhow::Result<Vec<BTreeMap<String, toml::Value>>> {
     let text = scene.file().resolved().unwrap_or_default();
@@ -126,9 +131,17 @@ fn for_people(report: &Report) -> String {
     text
 }
 
-/// A list of figures would fill the screen.
+/// A list of figures would fill the screen; a range says between what its numbers are.
 fn shortened(value: &toml::Value) -> String {
     match value {
+        toml::Value::Table(range) if range.contains_key("uniform") => {
+            let ends = range["uniform"].as_array().map(Vec::as_slice).unwrap_or_default();
+            let ends: Vec<String> = ends.iter().map(shortened).collect();
+            format!("{} each frame", ends.join(" to "))
+        }
+        toml::Value::Array(list) if list.iter().any(|value| value.get("uniform").is_some()) => {
+            format!("[{}]", list.iter().map(shortened).collect::<Vec<_>>().join(", "))
+        }
         toml::Value::Array(list) if list.iter().any(toml::Value::is_table) => format!("[{} of them]", list.len()),
         value => value.to_string(),
     }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::file::{Frames, Reference, ReferenceError};
-use super::identity::Identity;
+use super::identity::{CONTENTS, Identity};
 
 #[derive(Clone, Debug, Serialize)]
 pub struct Verdict {
@@ -47,7 +47,12 @@ pub fn compare(
     settings: &Value,
     frames: &Frames,
 ) -> Result<Verdict, ReferenceError> {
-    if let Some(why) = reference.identity.differs(identity) {
+    if let Some(mut why) = reference.identity.differs(identity) {
+        let mut contents = changed_settings(&reference.settings, settings);
+        contents.retain(|change| CONTENTS.iter().any(|name| change.starts_with(name)));
+        if reference.identity.source == identity.source && !contents.is_empty() {
+            why = format!("{why}, and {}", contents.join(", "));
+        }
         return Err(ReferenceError::Other { file: file.to_owned(), why });
     }
     let fields = |frames: &Frames| frames.fields.keys().cloned().collect::<BTreeSet<String>>();
@@ -119,6 +124,9 @@ fn changed_settings(then: &Value, now: &Value) -> Vec<String> {
     let (mut before, mut after) = (BTreeMap::new(), BTreeMap::new());
     leaves(String::new(), then, &mut before);
     leaves(String::new(), now, &mut after);
+    for name in CONTENTS.iter().filter(|name| then.get(**name).is_none()) {
+        after.retain(|key, _| !key.starts_with(name));
+    }
     let keys: BTreeSet<&String> = before.keys().chain(after.keys()).collect();
     let changed = keys.into_iter().filter(|key| before.get(*key) != after.get(*key));
     let shown = |value: Option<&&Value>| value.map_or("not there".to_owned(), ToString::to_string);

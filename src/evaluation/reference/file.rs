@@ -101,13 +101,8 @@ impl Reference {
         frames: Frames,
     ) -> Result<Self, ReferenceError> {
         exercised(&frames)?;
-        for field in tolerance.keys() {
-            let is_number = |values: &Vec<Value>| values.iter().all(Value::is_number);
-            if !frames.fields.get(field).is_some_and(is_number) {
-                let numbers = frames.fields.iter().filter(|(_, values)| is_number(values));
-                let known: Vec<&str> = numbers.map(|(name, _)| name.as_str()).collect();
-                return Err(ReferenceError::Tolerance { field: field.clone(), known: known.join(", ") });
-            }
+        if let Some((field, known)) = without_numbers(&tolerance, &frames) {
+            return Err(ReferenceError::Tolerance { field, known });
         }
         Ok(Self { identity, tolerance, settings, frames })
     }
@@ -143,7 +138,8 @@ impl Reference {
     /// `file` is for messages.
     pub fn parse(text: &str, file: &str) -> Result<Self, ReferenceError> {
         let refuse = |message: String| ReferenceError::Format { file: file.to_owned(), message };
-        let mut lines = text.lines();
+        // An editor may leave empty lines at the end.
+        let mut lines = text.trim_end().lines();
         let first: Value = lines.next().and_then(|line| serde_json::from_str(line).ok()).unwrap_or_default();
         match first.get("realitysim_reference").and_then(Value::as_u64) {
             None => return Err(refuse("no reference: `realitysim replay --check FILE --bless` makes one".to_owned())),
@@ -175,8 +171,24 @@ impl Reference {
         fields.extend(head.columns.into_iter().zip(columns));
         let frames = Frames { count, fields };
         exercised(&frames)?;
+        if let Some((field, known)) = without_numbers(&head.tolerance, &frames) {
+            let message = format!("line 1: tolerance.{field}: there is no such field with numbers; there are {known}");
+            return Err(refuse(message));
+        }
+        if let Some((field, value)) = head.tolerance.iter().find(|(_, value)| **value < 0.0) {
+            return Err(refuse(format!("line 1: tolerance.{field} is {value}: it must be 0 or more")));
+        }
         Ok(Self { identity: head.identity, tolerance: head.tolerance, settings: head.settings, frames })
     }
+}
+
+/// The first field with a tolerance that has no numbers, and those that have.
+fn without_numbers(tolerance: &BTreeMap<String, f64>, frames: &Frames) -> Option<(String, String)> {
+    let is_number = |values: &Vec<Value>| values.iter().all(Value::is_number);
+    let field = tolerance.keys().find(|field| !frames.fields.get(*field).is_some_and(is_number))?;
+    let numbers = frames.fields.iter().filter(|(_, values)| is_number(values));
+    let known: Vec<&str> = numbers.map(|(name, _)| name.as_str()).collect();
+    Some((field.clone(), known.join(", ")))
 }
 
 /// A log without frames, or without a single valid tag, passes every gate.

@@ -62,12 +62,19 @@ impl Identity {
     }
 }
 
+/// What the names of field and lens stand for. Not in references that were made before these were kept.
+pub(super) const CONTENTS: [&str; 2] = ["field_content", "lens_content"];
+
 /// Of the session. How and under which name it is stored changes no tag.
 pub fn settings_that_matter(session: &Path) -> Result<Value, ReferenceError> {
     let told = |message: String| ReferenceError::Session(message);
     let info = read_info(session).map_err(|error| told(error.to_string()))?;
-    let mut settings = serde_json::to_value(info.settings).map_err(|error| told(error.to_string()))?;
+    let json = |value: serde_json::Result<Value>| value.map_err(|error| told(error.to_string()));
+    let mut settings = json(serde_json::to_value(info.settings))?;
+    let contents = [json(serde_json::to_value(info.field))?, json(serde_json::to_value(info.lens))?];
     if let Some(settings) = settings.as_object_mut() {
+        // A name stays the same when what it stands for changes.
+        settings.extend(CONTENTS.map(str::to_owned).into_iter().zip(contents));
         settings.remove("recording");
         settings.remove("robot");
     }

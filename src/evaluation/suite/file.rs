@@ -72,8 +72,13 @@ impl Suite {
         let mut suite: Self = toml::from_str(text).map_err(|error| refuse(path, error.to_string().trim_end()))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         suite.complete(folder);
-        suite.check().map_err(|message| refuse(path, message))?;
+        suite.settle_limits().and_then(|()| suite.check()).map_err(|message| refuse(path, message))?;
         Ok(suite)
+    }
+
+    /// All that a run reads.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.cases.iter().flat_map(Case::files)
     }
 
     fn complete(&mut self, folder: &Path) {
@@ -88,21 +93,32 @@ impl Suite {
             near(&mut case.truth);
             near(&mut case.reference);
             case.config = case.config.take().or(self.config.clone());
-            case.limits = case.limits.or(&self.limits);
-            if case.recovery_from_s.is_empty() {
-                case.limits.recovered_within_s = None;
-            }
-            if case.poses.is_some() {
-                case.limits.p99_ratio = None;
-            }
         }
+    }
+
+    /// Limits of the suite hold where they can be broken; one that no case could break is refused.
+    fn settle_limits(&mut self) -> Result<(), String> {
+        let suite = self.limits;
+        suite.check()?;
+        if let Some(message) = suite.endless(&Limits::default()) {
+            return Err(message);
+        }
+        if suite.recovered_within_s.is_some() && self.cases.iter().all(|case| case.recovery_from_s.is_empty()) {
+            return Err(format!("limits.{RECOVERY_FROM_NOTHING}"));
+        }
+        if suite.p99_ratio.is_some() && self.cases.iter().all(|case| case.poses.is_some()) {
+            return Err(format!("limits.{TIME_OF_NOTHING}"));
+        }
+        for case in &mut self.cases {
+            case.settle_limits(&suite).map_err(|message| format!("case {:?}: {message}", case.name))?;
+        }
+        Ok(())
     }
 
     fn check(&self) -> Result<(), String> {
         if !(1..=MAX_CASES).contains(&self.cases.len()) {
             return Err(format!("{} cases: a suite has 1 to {MAX_CASES}", self.cases.len()));
         }
-        self.limits.check("limits")?;
         let mut names = BTreeSet::new();
         for case in &self.cases {
             if !names.insert(&case.name) {
@@ -114,9 +130,34 @@ impl Suite {
     }
 }
 
+const RECOVERY_FROM_NOTHING: &str =
+    "recovered_within_s without recovery_from_s: say from when on the pose is there to be found again, or leave it out";
+const TIME_OF_NOTHING: &str = "p99_ratio with poses: nothing is replayed whose time could be taken, so leave it out";
+
 impl Case {
+    fn files(&self) -> impl Iterator<Item = &Path> {
+        let Self { source, config, truth, reference, .. } = self;
+        let named = [Some(source), config.as_ref(), truth.as_ref(), reference.as_ref()];
+        named.into_iter().flatten().map(PathBuf::as_path)
+    }
+
+    fn settle_limits(&mut self, suite: &Limits) -> Result<(), String> {
+        let own = self.limits;
+        own.check()?;
+        if let Some(message) = own.endless(suite) {
+            return Err(message);
+        }
+        self.limits = own.over(suite);
+        if self.recovery_from_s.is_empty() && self.limits.recovered_within_s.take().is_some() {
+            own.recovered_within_s.map_or(Ok(()), |_| Err(format!("limits.{RECOVERY_FROM_NOTHING}")))?;
+        }
+        if self.poses.is_some() && self.limits.p99_ratio.take().is_some() {
+            own.p99_ratio.map_or(Ok(()), |_| Err(format!("limits.{TIME_OF_NOTHING}")))?;
+        }
+        Ok(())
+    }
+
     fn check(&self) -> Result<(), String> {
-        self.limits.check("limits")?;
         let time = |key: &str, value: f64| {
             if (0.0..=1e6).contains(&value) { Ok(()) } else { Err(format!("{key} is {value}: 0 or more seconds")) }
         };
@@ -131,7 +172,7 @@ impl Case {
                 return Err(format!("except_s has [{from}, {to}]: the first must be below the second"));
             }
         }
-        if self.limits == Limits::default() && self.reference.is_none() {
+        if !self.limits.ask_for_something() && self.reference.is_none() {
             return Err("no limit at all, and no reference: what would it show?".to_owned());
         }
         if self.reference.is_some() && self.poses.is_some() {
@@ -167,7 +208,7 @@ mod tests {
         assert_eq!(a.config.as_deref(), Some(Path::new("s/r.toml")));
         assert_eq!((a.limits.mean_cm, a.limits.valid_share), (Some(1.0), Some(0.9)));
         assert_eq!((x.source.as_path(), x.config.as_deref()), (Path::new("/b.mcap"), Some(Path::new("s/o.toml"))));
-        assert_eq!((x.limits.mean_cm, x.limits.valid_share), (Some(f64::INFINITY), Some(0.9)));
+        assert_eq!((x.limits.mean_cm, x.limits.valid_share), (None, Some(0.9)));
     }
 
     #[test]
@@ -187,6 +228,36 @@ mod tests {
             (&(case("limits = { mean_cm = 1 }") + &case("limits = { mean_cm = 1 }")), vec!["two cases", "\"a\""]),
         ] {
             let message = refused(text);
+            assert!(words.iter().all(|word| message.contains(word)), "{text}: {message}");
+        }
+    }
+
+    #[test]
+    fn a_limit_that_nothing_can_break_is_refused_by_name() {
+        let case = |rest: &str| format!("[[case]]\nsource = \"a.mcap\"\n{rest}\n");
+        let with = |limits: &str, rest: &str| format!("limits = {{ {limits} }}\n{}", case(rest));
+        for (text, words) in [
+            (case("limits = { mean_cm = inf }"), vec!["case \"a\"", "limits.mean_cm is inf", "nothing can break"]),
+            (case("limits = { mean_cm = nan }"), vec!["limits.mean_cm is NaN", "above 0"]),
+            (case("limits = { mean_cm = 1, max_cm = inf }"), vec!["limits.max_cm is inf"]),
+            (case("limits = { valid_share = 0 }"), vec!["limits.valid_share is 0", "nothing can break"]),
+            (case("limits = { valid_share = nan }"), vec!["limits.valid_share is NaN"]),
+            (case("limits = { judged_share = 0.5 }"), vec!["no limit at all"]),
+            (with("mean_cm = inf", ""), vec!["limits.mean_cm is inf"]),
+            (with("mean_cm = 1", "limits = { mean_cm = inf }"), vec!["no limit at all"]),
+            (case("limits = { mean_cm = 1, recovered_within_s = 1 }"), vec!["recovered_within_s", "recovery_from_s"]),
+            (with("recovered_within_s = 1, mean_cm = 1", "recovery_from_s = []"), vec!["recovered_within_s"]),
+            (
+                with(
+                    "mean_cm = 1, recovered_within_s = 2",
+                    "recovery_from_s = [1]\nlimits = { recovered_within_s = inf }",
+                ),
+                vec!["say how fast"],
+            ),
+            (case("poses = \"/p\"\nlimits = { mean_cm = 1, p99_ratio = 3 }"), vec!["p99_ratio", "poses"]),
+            (with("mean_cm = 1, p99_ratio = 3", "poses = \"/p\""), vec!["p99_ratio", "poses"]),
+        ] {
+            let message = refused(&text);
             assert!(words.iter().all(|word| message.contains(word)), "{text}: {message}");
         }
     }

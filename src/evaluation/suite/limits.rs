@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::judge::Judged;
 
-/// Infinite: no limit, also where the suite has one for all.
+/// In a case, what nothing can break (`inf`, a `valid_share` of 0) takes away the suite's limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Limits {
@@ -18,11 +18,18 @@ pub struct Limits {
     pub pitch_median_deg: Option<f64>,
     /// At least this share of the judged frames has a valid tag.
     pub valid_share: Option<f64>,
+    /// At least this share of the valid tags has a truth to be judged by; without it 0.9.
+    pub judged_share: Option<f64>,
     /// The slowest, of all times that the case names in `recovery_from_s`.
     pub recovered_within_s: Option<f64>,
     /// 99 of 100 frames take no longer than this many times the calibration loop.
     pub p99_ratio: Option<f64>,
 }
+
+/// Errors of a few tags say nothing about all.
+const MOST_OF_THEM: f64 = 0.9;
+/// Limits from below; all others are from above.
+pub const LEAST: [&str; 2] = ["valid_share", "judged_share"];
 
 /// A limit that was not kept.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -34,47 +41,63 @@ pub struct Broken {
 }
 
 impl Limits {
-    pub fn or(&self, other: &Self) -> Self {
-        let of = |pick: fn(&Self) -> Option<f64>| pick(self).or(pick(other));
-        Self {
-            mean_cm: of(|l| l.mean_cm),
-            median_cm: of(|l| l.median_cm),
-            p95_cm: of(|l| l.p95_cm),
-            max_cm: of(|l| l.max_cm),
-            yaw_median_deg: of(|l| l.yaw_median_deg),
-            roll_median_deg: of(|l| l.roll_median_deg),
-            pitch_median_deg: of(|l| l.pitch_median_deg),
-            valid_share: of(|l| l.valid_share),
-            recovered_within_s: of(|l| l.recovered_within_s),
-            p99_ratio: of(|l| l.p99_ratio),
-        }
+    /// By name.
+    fn each_mut(&mut self) -> [(&'static str, &mut Option<f64>); 11] {
+        [
+            ("mean_cm", &mut self.mean_cm),
+            ("median_cm", &mut self.median_cm),
+            ("p95_cm", &mut self.p95_cm),
+            ("max_cm", &mut self.max_cm),
+            ("yaw_median_deg", &mut self.yaw_median_deg),
+            ("roll_median_deg", &mut self.roll_median_deg),
+            ("pitch_median_deg", &mut self.pitch_median_deg),
+            ("valid_share", &mut self.valid_share),
+            ("judged_share", &mut self.judged_share),
+            ("recovered_within_s", &mut self.recovered_within_s),
+            ("p99_ratio", &mut self.p99_ratio),
+        ]
     }
 
-    pub(super) fn check(&self, key: &str) -> Result<(), String> {
-        for (name, bound) in self.upper() {
-            if bound.is_some_and(|bound| bound.is_nan() || bound <= 0.0) {
-                return Err(format!("{key}.{name} is {}: it must be above 0 (inf: no limit)", bound.unwrap_or(0.0)));
+    fn named(mut self) -> impl Iterator<Item = (&'static str, f64)> {
+        self.each_mut().map(|(name, value)| (name, *value)).into_iter().filter_map(|(name, value)| Some((name, value?)))
+    }
+
+    /// These over those of the suite; what nothing can break is gone.
+    pub(super) fn over(mut self, suite: &Self) -> Self {
+        let mut suite = *suite;
+        for ((name, own), (_, suite)) in self.each_mut().into_iter().zip(suite.each_mut()) {
+            *own = own.or(*suite).filter(|value| !is_endless(name, *value));
+        }
+        self
+    }
+
+    pub(super) fn check(&self) -> Result<(), String> {
+        for (name, value) in self.named() {
+            if LEAST.contains(&name) && !(0.0..=1.0).contains(&value) {
+                return Err(format!("limits.{name} is {value}: it is 0 to 1"));
+            }
+            if !LEAST.contains(&name) && (value.is_nan() || value <= 0.0) {
+                return Err(format!("limits.{name} is {value}: it must be above 0"));
             }
         }
-        match self.valid_share {
-            Some(share) if !(0.0..=1.0).contains(&share) => Err(format!("{key}.valid_share is {share}: it is 0 to 1")),
-            _ => Ok(()),
-        }
+        Ok(())
     }
 
-    /// By name; all but `valid_share` are limits from above.
-    fn upper(&self) -> [(&'static str, Option<f64>); 9] {
-        [
-            ("mean_cm", self.mean_cm),
-            ("median_cm", self.median_cm),
-            ("p95_cm", self.p95_cm),
-            ("max_cm", self.max_cm),
-            ("yaw_median_deg", self.yaw_median_deg),
-            ("roll_median_deg", self.roll_median_deg),
-            ("pitch_median_deg", self.pitch_median_deg),
-            ("recovered_within_s", self.recovered_within_s),
-            ("p99_ratio", self.p99_ratio),
-        ]
+    /// A limit that nothing can break, unless it takes one away that `suite` sets.
+    pub(super) fn endless(&self, suite: &Self) -> Option<String> {
+        let sets = |wanted: &str| suite.named().any(|(name, _)| name == wanted);
+        let (name, value) = self.named().find(|(name, value)| is_endless(name, *value) && !sets(name))?;
+        Some(format!("limits.{name} is {value}, which nothing can break: leave it out"))
+    }
+
+    /// Whether anything but the truth itself is asked for.
+    pub fn ask_for_something(&self) -> bool {
+        Self { judged_share: None, ..*self } != Self::default()
+    }
+
+    /// Whether the true poses are needed to tell.
+    pub fn ask_for_truth(&self) -> bool {
+        Self { valid_share: None, p99_ratio: None, ..*self }.ask_for_something()
     }
 
     /// All but the time, which is measured later.
@@ -91,13 +114,13 @@ impl Limits {
             "pitch_median_deg" => error(c.pitch_deg.median),
             _ => judged.slowest_recovery_s(),
         };
-        let of_errors = self.upper().into_iter().filter(|(name, _)| *name != "p99_ratio");
+        let of_errors = self.named().filter(|(name, _)| *name != "p99_ratio" && !LEAST.contains(name));
         let mut broken: Vec<Broken> =
-            of_errors.filter_map(|(name, allowed)| above(name, measured(name), allowed?)).collect();
-        if let Some(allowed) = self.valid_share
-            && judged.valid_share < allowed
-        {
-            broken.push(Broken { limit: "valid_share", value: Some(judged.valid_share), allowed });
+            of_errors.filter_map(|(name, allowed)| above(name, measured(name), allowed)).collect();
+        broken.extend(self.valid_share.and_then(|allowed| below("valid_share", judged.valid_share, allowed)));
+        if self.ask_for_truth() && c.valid > 0 {
+            let share = c.judged as f64 / c.valid as f64;
+            broken.extend(below("judged_share", Some(share), self.judged_share.unwrap_or(MOST_OF_THEM)));
         }
         broken
     }
@@ -108,6 +131,16 @@ impl Limits {
 }
 
 fn above(limit: &'static str, value: Option<f64>, allowed: f64) -> Option<Broken> {
-    let kept = allowed.is_infinite() || value.is_some_and(|value| value <= allowed);
+    let kept = value.is_some_and(|value| value <= allowed);
     (!kept).then_some(Broken { limit, value, allowed })
+}
+
+fn below(limit: &'static str, value: Option<f64>, allowed: f64) -> Option<Broken> {
+    let kept = value.is_some_and(|value| value >= allowed);
+    (!kept).then_some(Broken { limit, value, allowed })
+}
+
+fn is_endless(name: &str, value: f64) -> bool {
+    // A judged_share of 0 takes away what holds without it.
+    value.is_infinite() || name == "valid_share" && value == 0.0
 }

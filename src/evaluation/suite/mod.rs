@@ -7,6 +7,6 @@ mod run;
 mod timing;
 
 pub use file::{Case, Suite, SuiteError};
-pub use judge::{Judged, Recovery, judge};
-pub use limits::{Broken, Limits};
+pub use judge::{Judged, Recovery, judge, judge_poses};
+pub use limits::{Broken, LEAST, Limits};
 pub use run::{CaseReport, Options, Outcome, Watcher, run};

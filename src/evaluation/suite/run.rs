@@ -9,16 +9,19 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::file::{Case, Suite};
-use super::judge::{Judged, judge};
-use super::limits::{Broken, Limits};
+use super::judge::{Judged, judge, judge_poses};
+use super::limits::Broken;
 use super::timing::p99_ratio;
 use crate::agent::{FootageOptions, ReplayError, ReplayOptions, replay};
 use crate::config::{ConfigError, Settings};
-use crate::evaluation::capture::{EvaluationError, read_poses, read_tags, read_truth, tagged};
+use crate::evaluation::capture::{
+    EvaluationError, Readout, read_frame_times, read_poses, read_tags, read_truth, tagged,
+};
 use crate::evaluation::compare::Tagged;
 use crate::evaluation::reference::{self, Frames, Identity, Reference, ReferenceError, Verdict, settings_that_matter};
 use crate::evaluation::truth;
 use crate::geometry::Isometry;
+use crate::recording::Loss;
 use crate::sensors::scene::{self, SceneSourceError};
 
 #[derive(Clone, Debug)]
@@ -43,6 +46,10 @@ pub struct CaseReport {
     pub reference: Option<Verdict>,
     /// Why there is nothing to judge.
     pub error: Option<String>,
+    /// What of the logs could not be read: it was not judged.
+    pub lost: Vec<Loss>,
+    /// Why what was judged may not be what it is taken for.
+    pub warnings: Vec<String>,
     /// Its tags, if it was replayed.
     pub capture: Option<PathBuf>,
     pub wall_s: f64,
@@ -74,6 +81,8 @@ enum CaseError {
     Replay(#[from] ReplayError),
     #[error(transparent)]
     Evaluation(#[from] EvaluationError),
+    #[error("limits.valid_share is of the camera's frames: {0}; let source or truth be a log that has them")]
+    NoFrames(EvaluationError),
     #[error(transparent)]
     Reference(#[from] ReferenceError),
 }
@@ -116,6 +125,8 @@ fn run_case(case: &Case, captures: &Path) -> CaseReport {
         broken: Vec::new(),
         reference: None,
         error: None,
+        lost: Vec::new(),
+        warnings: Vec::new(),
         capture: None,
         wall_s: 0.0,
     };
@@ -134,6 +145,26 @@ fn run_case(case: &Case, captures: &Path) -> CaseReport {
 }
 
 impl CaseReport {
+    /// Nothing stands against it.
+    pub fn passed(&self) -> bool {
+        self.outcome == Outcome::Kept && self.lost.is_empty()
+    }
+
+    fn found<T>(&mut self, read: Readout<T>) -> Vec<T> {
+        self.lose(read.losses);
+        self.warnings.extend(read.warnings);
+        read.found
+    }
+
+    /// A file may be read more than once.
+    fn lose(&mut self, losses: Vec<Loss>) {
+        for loss in losses {
+            if !self.lost.iter().any(|known| known.file == loss.file) {
+                self.lost.push(loss);
+            }
+        }
+    }
+
     fn fail(&mut self, error: &dyn core::fmt::Display) {
         self.outcome = Outcome::Failed;
         self.error = Some(error.to_string());
@@ -145,10 +176,11 @@ fn judge_case(case: &Case, captures: &Path, report: &mut CaseReport) -> Result<J
     // Before long work. What cannot be read then will not be later.
     let reference = case.reference.as_deref().map(Reference::load).transpose()?;
     // A log that is only held to a reference need not know the truth.
-    let truth = if case.limits == Limits::default() { Vec::new() } else { truth_of(case, &settings)? };
+    let truth = if case.limits.ask_for_truth() { truth_of(case, &settings, report)? } else { Vec::new() };
     if let Some(topic) = &case.poses {
-        let poses = read_poses(&case.source, topic)?.found;
-        return Ok(judge(case, &poses, &truth));
+        let poses = report.found(read_poses(&case.source, topic)?);
+        let frames = frame_times(case, &settings, report)?;
+        return Ok(judge_poses(case, &poses, &frames, &truth));
     }
     let options = ReplayOptions {
         source: case.source.clone(),
@@ -161,6 +193,7 @@ fn judge_case(case: &Case, captures: &Path, report: &mut CaseReport) -> Result<J
     };
     let replayed = replay(&options, &mut |_, _| ())?;
     report.capture = Some(replayed.session.clone());
+    report.lose(replayed.unread());
     let tags = read_tags(&replayed.session)?.found;
     if let (Some(reference), Some(path)) = (reference, &case.reference) {
         let identity = Identity::of(&case.source, &replayed.session, None)?;
@@ -176,17 +209,34 @@ fn settings(case: &Case) -> Result<Settings, ConfigError> {
     case.config.as_ref().map_or_else(|| Ok(Settings::default()), |path| Settings::load(&path.to_string_lossy()))
 }
 
-fn truth_of(case: &Case, settings: &Settings) -> Result<Vec<(i64, Isometry)>, CaseError> {
+/// Of the log that the judged process was given: the one with the truth, as a rule; else of its output. Where neither has
+/// images that matters only if there is a limit on them.
+fn frame_times(case: &Case, settings: &Settings, report: &mut CaseReport) -> Result<Vec<i64>, CaseError> {
+    let logs = case.truth.iter().chain([&case.source]);
+    let mut refused = None;
+    for log in logs {
+        match read_frame_times(log, &settings.topics) {
+            Ok(read) => return Ok(report.found(read)),
+            Err(error) => refused = refused.or(Some(error)),
+        }
+    }
+    match refused {
+        Some(error) if case.limits.valid_share.is_some() => Err(CaseError::NoFrames(error)),
+        _ => Ok(Vec::new()),
+    }
+}
+
+fn truth_of(case: &Case, settings: &Settings, report: &mut CaseReport) -> Result<Vec<(i64, Isometry)>, CaseError> {
     if case.truth.is_none() && case.source.extension().is_some_and(|ending| ending == "toml") {
-        return Ok(truth::of_scene(&scene::load(&case.source.to_string_lossy())?));
+        return Ok(truth::of_scene(&scene::load(&case.source)?));
     }
     let log = case.truth.as_ref().unwrap_or(&case.source);
-    Ok(read_truth(log, &settings.topics.ground_truth)?.found)
+    Ok(report.found(read_truth(log, &settings.topics.ground_truth)?))
 }
 
 /// Nothing else runs meanwhile.
 fn measure_time(case: &Case, report: &mut CaseReport, watcher: &dyn Watcher) {
-    if case.limits.p99_ratio.is_none_or(f64::is_infinite) || report.outcome == Outcome::Failed {
+    if case.limits.p99_ratio.is_none() || report.outcome == Outcome::Failed {
         return;
     }
     watcher.timing(&case.name);

@@ -55,6 +55,10 @@ impl GaitSway {
         within(format_args!("{key}.step_hz"), self.step_hz, 0.1..=10.0, "0.1 to 10 steps per second")
     }
 
+    pub(super) fn is_still(&self) -> bool {
+        [self.roll_deg, self.pitch_deg, self.lateral_m, self.vertical_m] == [0.0; 4]
+    }
+
     pub(crate) fn model(&self, seed: u64, end: f64) -> SwayModel {
         SwayModel {
             amplitude: Sway {

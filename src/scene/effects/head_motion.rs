@@ -44,6 +44,10 @@ impl HeadMotion {
         within(format_args!("{key}.encoder_noise_deg"), noise, 0.0..=30.0, "0 to 30 degrees")
     }
 
+    pub(super) fn is_still(&self) -> bool {
+        self.pan_amplitude_deg == 0.0 && self.tilt_amplitude_deg == 0.0
+    }
+
     pub(crate) fn at(&self, time: f64) -> Joints {
         let swing = |amplitude: f64, period: f64| amplitude.to_radians() * libm::sin(TAU * time / period);
         Joints {

@@ -36,6 +36,12 @@ impl ImuError {
         within(format_args!("{key}.mount_roll_deg"), roll, -180.0..=180.0, "-180 to 180 degrees")
     }
 
+    pub(super) fn is_none(&self) -> bool {
+        let Self { role: _, roll_bias_deg, pitch_bias_deg, noise_deg, gyro_noise_deg_s, mount_roll_deg } = self;
+        let mount_roll_deg = mount_roll_deg.unwrap_or(0.0);
+        [*roll_bias_deg, *pitch_bias_deg, *noise_deg, *gyro_noise_deg_s, mount_roll_deg] == [0.0; 5]
+    }
+
     /// What is right in the torso's axes, in those of the housing.
     pub(crate) fn in_housing(&self, measured: Imu) -> Imu {
         let Some(roll) = self.mount_roll_deg else { return measured };

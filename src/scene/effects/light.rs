@@ -60,6 +60,11 @@ impl Light {
         within(format_args!("{key}.camera_gain"), self.camera_gain, 1.0..=16.0, "an amplification of 1 to 16")
     }
 
+    pub(super) fn is_daylight(&self) -> bool {
+        let Self { role: _, gain, gradient_per_m, colour, camera_gain } = self;
+        (*gain, *camera_gain) == (1.0, 1.0) && *gradient_per_m == [0.0; 2] && *colour == white()
+    }
+
     pub(crate) fn model(&self) -> LightModel {
         LightModel {
             gain: self.colour.map(|channel| (self.gain * self.camera_gain * channel) as f32),

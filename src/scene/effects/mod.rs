@@ -104,6 +104,15 @@ pub(super) fn check_may_change(range: &Range) -> Result<(), SceneError> {
     Err(refuse(&range.key, "drawn per frame", expected))
 }
 
+/// What acts on the same thing, in the order in which it applies: the gait, the head upon it, and what interrupts both;
+/// paint, the light on it, the window and its sunlight, who stands before all that, the shutter, and the sensor; the yaw
+/// that odometry makes, and the IMU that tells it. All others have a thing of their own.
+const CHAINS: [&[&str]; 3] = [
+    &["gait_sway", "head_motion", "kidnapping", "fall"],
+    &["worn_lines", "light", "bright_window", "obstacles", "shutter", "sensor_noise"],
+    &["odometry_error", "imu_error"],
+];
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
     Motion,
@@ -175,6 +184,48 @@ impl Effect {
         }
     }
 
+    /// What it would need in order to do anything, if it does nothing.
+    pub(super) fn lacks(&self) -> Option<&'static str> {
+        let (does_nothing, needed) = match self {
+            Effect::GaitSway(effect) => (effect.is_still(), "an amplitude above 0"),
+            Effect::HeadMotion(effect) => {
+                (effect.is_still() && effect.encoder_noise_deg == 0.0, "an amplitude or encoder_noise_deg above 0")
+            }
+            Effect::Light(effect) => {
+                (effect.is_daylight(), "a gain or camera_gain other than 1, a gradient or a colour other than white")
+            }
+            Effect::WornLines(effect) => (effect.share == 0.0, "a share above 0"),
+            Effect::SensorNoise(effect) => (
+                effect.read_noise_dn == 0.0 && effect.shot_noise_factor == 0.0,
+                "read_noise_dn or shot_noise_factor above 0",
+            ),
+            Effect::OdometryError(effect) => {
+                (effect.is_none(), "at least one of its keys other than 0, or freeze, missing or jump")
+            }
+            Effect::ImuError(effect) => (effect.is_none(), "at least one of its keys other than 0"),
+            Effect::CalibrationError(effect) => (effect.is_none(), "at least one of its keys other than 0"),
+            Effect::SerialNoise(effect) => {
+                (effect.lost_share == 0.0 && effect.corrupt_share == 0.0, "lost_share or corrupt_share above 0")
+            }
+            Effect::Kidnapping(_)
+            | Effect::Fall(_)
+            | Effect::BrightWindow(_)
+            | Effect::Obstacles(_)
+            | Effect::Shutter(_)
+            | Effect::CameraFault(_) => (false, ""),
+        };
+        does_nothing.then_some(needed)
+    }
+
+    /// Whether the camera moves while it exposes a frame.
+    pub(super) fn moves_camera(&self) -> bool {
+        match self {
+            Effect::GaitSway(effect) => !effect.is_still(),
+            Effect::HeadMotion(effect) => !effect.is_still(),
+            _ => false,
+        }
+    }
+
     fn stage(&self) -> Stage {
         match self {
             Effect::GaitSway(_) | Effect::HeadMotion(_) | Effect::Kidnapping(_) | Effect::Fall(_) => Stage::Motion,
@@ -217,9 +268,18 @@ pub(super) fn check(effects: &[Effect], field: &Field) -> Result<(), SceneError>
             let expected = "an effect of this kind is listed already; each kind acts once";
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }
+        for chain in CHAINS {
+            let place = |effect: &Effect| chain.iter().position(|name| *name == effect.name());
+            let Some(own) = place(effect) else { continue };
+            if let Some(later) = before.iter().find(|other| place(other) > Some(own) && other.stage() == effect.stage())
+            {
+                let expected = format!("it applies before {}: list {}, in this order", later.name(), chain.join(", "));
+                return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
+            }
+        }
         if before.iter().any(|other| other.stage() > effect.stage()) {
             let expected = "list effects in physical order: what moves the robot (gait_sway, head_motion, kidnapping, \
-                            fall), then what it sees (light, bright_window, obstacles, worn_lines), then the shutter, \
+                            fall), then what it sees (worn_lines, light, bright_window, obstacles), then the shutter, \
                             then what sensors add (sensor_noise, odometry_error, imu_error, calibration_error), then \
                             what the wires do (camera_fault, serial_noise)";
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));

@@ -57,10 +57,20 @@ impl OdometryError {
             }
         }
         let Some(jump) = self.jump else { return Ok(()) };
-        within(format_args!("{key}.jump.at_s"), jump.at_s, 0.0..=7200.0, "0 to 7200 s after the start")?;
+        // At the very start there is nothing that it could jump from.
+        within(format_args!("{key}.jump.at_s"), jump.at_s, 0.001..=7200.0, "0.001 to 7200 s after the start")?;
         within(format_args!("{key}.jump.x_m"), jump.x_m, -100.0..=100.0, "-100 to 100 m")?;
         within(format_args!("{key}.jump.y_m"), jump.y_m, -100.0..=100.0, "-100 to 100 m")?;
         within(format_args!("{key}.jump.yaw_deg"), jump.yaw_deg, -360.0..=360.0, "-360 to 360 degrees")
+    }
+
+    pub(super) fn is_none(&self) -> bool {
+        let Self { role: _, scale_percent, yaw_drift_deg_per_m, noise_m_per_m, freeze, missing, jump } = self;
+        let is_no_jump = |jump: &Jump| [jump.x_m, jump.y_m, jump.yaw_deg] == [0.0; 3];
+        [*scale_percent, *yaw_drift_deg_per_m, *noise_m_per_m] == [0.0; 3]
+            && freeze.is_none()
+            && missing.is_none()
+            && jump.as_ref().is_none_or(is_no_jump)
     }
 
     pub(crate) fn scale(&self) -> f64 {
@@ -99,6 +109,10 @@ impl OdometryError {
 }
 
 impl Span {
+    pub(in crate::scene) fn overlaps(&self, other: &Self) -> bool {
+        self.from_s < other.from_s + other.for_s && other.from_s < self.from_s + self.for_s
+    }
+
     pub(super) fn holds(&self, time: f64) -> bool {
         (self.from_s..self.from_s + self.for_s).contains(&time)
     }
