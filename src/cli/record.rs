@@ -154,6 +154,29 @@ fn for_people(status: &Value) -> String {
         Some(cause) => lines.push(format!("camera: away ({cause})")),
         None => lines.push(format!("camera: {}", status["camera"]["card"].as_str().unwrap_or("none yet"))),
     }
+    let rate = |key: &str| status["rates"][key].as_f64().unwrap_or(0.0);
+    let budget = |key: &str| status["budget"][key].as_f64().unwrap_or(0.0);
+    let allowed = match budget("budget_ms") {
+        0.0 => String::new(),
+        allowed => format!(" of {allowed} ms"),
+    };
+    lines.push(format!(
+        "last second: {:.1} captured, {:.1} written, {:.1} tagged; {} of 16 frames waiting",
+        rate("captured_hz"),
+        rate("written_hz"),
+        rate("tagged_hz"),
+        status["frames_waiting"]
+    ));
+    lines.push(format!("tags: {:.1} ms each, 1 % over {:.1} ms{allowed}", budget("p50_ms"), budget("p99_ms")));
+    lines.push(format!("valid: {} of the last {}", status["validity"]["valid"], status["validity"]["frames"]));
+    if let Some(free) = status["disk_free_bytes"].as_u64() {
+        lines.push(format!("disk: {:.1} GB free", free as f64 * 1e-9));
+    }
+    if let Some(passed_on) = status["republished"].as_object() {
+        let lost = passed_on["lost"].as_str().map_or(String::new(), |why| format!(" ({why})"));
+        let device = passed_on["device"].as_str().unwrap_or("-");
+        lines.push(format!("{device}: {} passed on, {} missed{lost}", passed_on["passed"], passed_on["missed"]));
+    }
     for (device, port) in status["ports"].as_object().into_iter().flatten() {
         if let Some(lost) = port["lost"].as_str() {
             lines.push(format!("{device}: {lost}"));

@@ -21,6 +21,8 @@ pub struct CaptureSettings {
     pub delay_ms: f64,
     /// By the names that `v4l2-ctl --list-ctrls` shows.
     pub controls: BTreeMap<String, i64>,
+    /// A V4L2 device to which every frame is passed on, for other programs.
+    pub republish: Option<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,6 +38,9 @@ pub struct SerialSettings {
 pub struct SerialPortSettings {
     pub device: String,
     pub baud: u32,
+    /// Every valid tag is sent there as ODOMETRY.
+    #[serde(default)]
+    pub poses: bool,
 }
 
 /// Where the camera is while the robot stands, head straight ahead: what `/tf_static` says in a log.
@@ -110,6 +115,7 @@ impl Default for CaptureSettings {
             jpeg_quality: 90,
             delay_ms: 0.0,
             controls: BTreeMap::new(),
+            republish: None,
         }
     }
 }

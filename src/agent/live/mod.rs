@@ -3,9 +3,10 @@
 mod control;
 mod devices;
 mod messages;
+mod meters;
 mod status;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -15,6 +16,7 @@ use serde_json::{Value, json};
 use thiserror::Error;
 
 pub use control::{ask, poses};
+pub use devices::MAX_FRAMES;
 pub use status::Status;
 
 use super::error::AgentError;
@@ -37,6 +39,8 @@ use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use control::{Ask, Control, Order};
 use devices::{DeviceEvent, Devices, channel};
 use messages::{Messages, Names, initial_pose, transforms};
+use meters::Meters;
+use status::PassedOn;
 
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
@@ -118,6 +122,7 @@ struct Agent<'a> {
     tags: Option<Receiver<FrameTag>>,
     heard: Expected,
     status: Status,
+    meters: Meters,
     last_log_ns: i64,
     noted_ns: i64,
     fed_rounds: u64,
@@ -144,6 +149,7 @@ impl<'a> Agent<'a> {
             tags: None,
             heard: Expected::default(),
             status: Status::default(),
+            meters: Meters::default(),
             last_log_ns: i64::MIN,
             noted_ns: i64::MIN,
             fed_rounds: 0,
@@ -189,6 +195,8 @@ impl<'a> Agent<'a> {
             for tag in tags.try_iter() {
                 self.control.tell(&tag);
                 self.status.tagged(&tag);
+                self.meters.tagged(&tag);
+                self.devices.send(&tag, self.clock_ns);
             }
         }
         self.note_status()
@@ -360,6 +368,7 @@ impl<'a> Agent<'a> {
         }
         self.noted_ns = now_ns;
         self.refresh();
+        self.meters.counted(now_ns, &self.status.counts);
         let report = self.status.diagnostics(now_ns, &self.options.settings.robot);
         self.write_report(&report)
     }
@@ -378,7 +387,19 @@ impl<'a> Agent<'a> {
             self.status.session = Some(folder.to_owned());
             self.status.counts = counts;
         }
-        self.status.frames_waiting = self.devices.waiting.load(Ordering::Relaxed);
+        let status = &mut self.status;
+        status.frames_waiting = self.devices.waiting.load(Ordering::Relaxed);
+        status.rates = self.meters.rates();
+        status.budget = self.meters.budget(self.options.settings.filter.budget_ms);
+        status.validity = self.meters.validity();
+        status.disk_free_bytes = free_bytes(&self.options.captures);
+        let republished = &self.devices.republished;
+        status.republished = self.options.settings.capture.republish.as_ref().map(|device| PassedOn {
+            device: device.clone(),
+            passed: republished.passed(),
+            missed: republished.missed(),
+            lost: republished.lost(),
+        });
     }
 
     /// The camera's thread goes round, and this one, which writes, does too.
@@ -393,6 +414,12 @@ impl<'a> Agent<'a> {
     fn now_ns(&self) -> i64 {
         self.clock_ns.saturating_add(monotonic_ns())
     }
+}
+
+/// What an ordinary user may still fill.
+fn free_bytes(folder: &Path) -> Option<u64> {
+    let disk = rustix::fs::statvfs(folder).ok()?;
+    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
 fn lens(settings: &Settings) -> Result<LensParameters, RecordError> {

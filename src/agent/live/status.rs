@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use serde_json::Value;
 
+use super::meters::{BudgetUse, Rates, Validity};
 use crate::recording::Counts;
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
 use crate::sensors::camera::StampClock;
@@ -24,10 +25,27 @@ pub struct Status {
     /// Why there is none at the moment.
     pub camera_lost: Option<&'static str>,
     pub stamp_clock: Option<StampClock>,
-    /// Between camera and agent.
+    /// Of the last second.
+    pub rates: Rates,
+    /// Between camera and agent, of at most 16.
     pub frames_waiting: u64,
+    /// Of the frames that are passed on to other programs, if they are.
+    pub republished: Option<PassedOn>,
+    /// Of the disk that holds the captures.
+    pub disk_free_bytes: Option<u64>,
+    pub budget: BudgetUse,
+    pub validity: Validity,
     pub ports: BTreeMap<String, Port>,
     pub last_tag: Option<LastTag>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct PassedOn {
+    pub device: String,
+    pub passed: u64,
+    /// Nobody read them, or the device was not there.
+    pub missed: u64,
+    pub lost: Option<String>,
 }
 
 #[derive(Clone, Debug, Default, Serialize)]

@@ -43,7 +43,7 @@ impl Outgoing {
         self.frame(&MavMessage::TIMESYNC(TIMESYNC_DATA { tc1: host_ns, ts1: its_ns, ..TIMESYNC_DATA::DEFAULT }))
     }
 
-    /// A valid tag: `camera_link` in `map`, its covariance row by row; stamped by the host's UTC.
+    /// A valid tag: `camera_link` in `map`, its covariance row by row; stamped by the clock that TIMESYNC answers tell.
     pub fn pose(&mut self, stamp_ns: i64, map_from_camera_link: &Isometry, covariance: &[f64; 36]) -> Vec<u8> {
         let DVec3 { x, y, z } = map_from_camera_link.translation;
         let q = map_from_camera_link.rotation;

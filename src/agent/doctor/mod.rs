@@ -1,5 +1,8 @@
 //! Is this robot ready to record? Every part tried for a moment, with what to do about what is wrong.
 
+mod cpu;
+mod delay;
+
 use std::fs::File;
 use std::io::Write;
 use std::path::Path;
@@ -8,12 +11,15 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
+use super::live::MAX_FRAMES;
 use crate::config::{Settings, load_field, load_lens};
 use crate::sensors::camera::{
     CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Negotiated, SCHEME, driver_of,
 };
 use crate::sensors::host_clock::monotonic_ns;
 use crate::sensors::serial::{LineStatus, PortEvent, PortOptions, SerialError, run};
+
+pub use delay::{DelayReport, DelayReportError, estimate_delay};
 
 /// One line of the report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -30,8 +36,6 @@ const LISTEN: Duration = Duration::from_secs(3);
 /// As much as a second of camera frames, as often as tells the worst from the usual.
 const DISK_BLOCK_BYTES: usize = 512 << 10;
 const DISK_BLOCKS: usize = 40;
-/// A disk that stops for longer makes the recorder drop frames.
-const WORST_DISK_MS: f64 = 400.0;
 
 pub fn examine(settings: &Settings, captures: &Path) -> Vec<Finding> {
     let mut findings = config(settings);
@@ -42,10 +46,16 @@ pub fn examine(settings: &Settings, captures: &Path) -> Vec<Finding> {
         findings.push(bad("serial", "no port is named", "name the microcontrollers' ports in serial.ports"));
     }
     findings.extend(settings.serial.ports.iter().map(|port| {
-        let options = PortOptions { device: port.device.clone(), baud: port.baud, system: settings.serial.system_id };
+        let options = PortOptions {
+            device: port.device.clone(),
+            baud: port.baud,
+            system: settings.serial.system_id,
+            poses: None,
+        };
         serial(&options)
     }));
-    findings.push(disk(captures));
+    findings.extend(cpu::headroom(settings));
+    findings.push(disk(captures, settings.capture.rate_hz));
     findings
 }
 
@@ -89,7 +99,7 @@ fn camera(settings: &Settings, size: (u32, u32)) -> Finding {
     if capture.device.starts_with(SCHEME) {
         return good(what, "frames come from another process: not tried");
     }
-    match driver_of(&capture.device) {
+    match driver_of(&capture.device, None) {
         Ok(driver) => watch(what, driver, options),
         Err(error) => bad(what, error.to_string(), "build it with the feature v4l2, which is on by default"),
     }
@@ -186,13 +196,17 @@ fn serial(options: &PortOptions) -> Finding {
 }
 
 /// The worst of many writes that reach the disk, which is what the frames must wait for.
-fn disk(captures: &Path) -> Finding {
+fn disk(captures: &Path, rate_hz: f64) -> Finding {
     let what = format!("disk {}", captures.display());
     match slowest_write_ms(captures) {
         Err(error) => bad(what, error.to_string(), "the recorder's user must be able to write there"),
         Ok([typical, worst]) => {
-            let said = format!("512 KiB to the disk: {typical:.1} ms, the worst of {DISK_BLOCKS} {worst:.1} ms");
-            if worst <= WORST_DISK_MS {
+            let said = format!(
+                "512 KiB to the disk: {typical:.1} ms, the worst of {DISK_BLOCKS} {worst:.1} ms: {:.0} frames wait meanwhile, \
+                 of {MAX_FRAMES} that can",
+                (worst * 1e-3 * rate_hz).ceil()
+            );
+            if worst * 1e-3 * rate_hz <= MAX_FRAMES as f64 {
                 good(what, said)
             } else {
                 bad(what, said, "use a faster disk: frames are dropped while it stands still")
