@@ -15,8 +15,14 @@ const BASE: &str = include_str!("../replay/scenes/straight.toml");
 const FRAMES: u64 = 3;
 const ALLOWED: f64 = 1.02;
 
-const EFFECTS: [(&str, &str); 13] = [
+const EFFECTS: [(&str, &str); 18] = [
     ("gait_sway", SWAY),
+    (
+        "head_motion",
+        "kind = \"head_motion\"\npan_amplitude_deg = 30\npan_period_s = 4\ntilt_amplitude_deg = 5\ntilt_period_s = 3",
+    ),
+    ("kidnapping", "kind = \"kidnapping\"\nat_s = 9\nto_m = [1.0, 0.5]\nto_yaw_deg = 30"),
+    ("fall", "kind = \"fall\"\nat_s = 9\ndirection = \"left\""),
     ("light", "kind = \"light\"\ngain = 0.4\ngradient_per_m = [0.1, 0.05]"),
     ("light, drawn per frame", "kind = \"light\"\ngain = { uniform = [0.4, 0.9], per = \"frame\" }"),
     (
@@ -29,6 +35,11 @@ const EFFECTS: [(&str, &str); 13] = [
     ("worn_lines", "kind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.3"),
     ("shutter, rolling", "kind = \"shutter\"\nexposure_ms = 0.01\nreadout_ms = 16"),
     ("shutter, open for 8 ms", "kind = \"shutter\"\nexposure_ms = 8\nreadout_ms = 0"),
+    ("odometry_error", "kind = \"odometry_error\"\nscale_percent = 5\nyaw_drift_deg_per_m = 1\nnoise_m_per_m = 0.1"),
+    (
+        "imu_error",
+        "kind = \"imu_error\"\nroll_bias_deg = 0.5\npitch_bias_deg = 0.3\nnoise_deg = 0.2\ngyro_noise_deg_s = 1",
+    ),
     ("sensor_noise", "kind = \"sensor_noise\"\nread_noise_dn = 1.5\nshot_noise_factor = 0.15"),
     ("calibration_error", "kind = \"calibration_error\"\nfocal_percent = 0.6"),
     ("camera_fault", "kind = \"camera_fault\"\nunplugged = { from_s = 1, for_s = 1 }"),
@@ -86,8 +97,8 @@ fn render(what: &str) {
     let (which, frames) = what.split_once('/').expect("which/frames");
     let plain = BASE.split("[[effect]]").next().expect("a first part");
     let text = match which.parse::<usize>() {
-        // The shutter needs something that moves.
-        Ok(index) if EFFECTS[index].0.starts_with("shutter") => {
+        // The shutter needs something that moves, and who falls has walked.
+        Ok(index) if EFFECTS[index].0.starts_with("shutter") || EFFECTS[index].0 == "fall" => {
             format!("{plain}\n[[effect]]\n{SWAY}\n[[effect]]\n{}\n", EFFECTS[index].1)
         }
         Ok(index) => format!("{plain}\n[[effect]]\n{}\n", EFFECTS[index].1),

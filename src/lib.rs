@@ -13,6 +13,8 @@ pub mod views;
 
 pub mod localization;
 
+pub mod smoothing;
+
 pub mod scene;
 
 pub mod ros2;
@@ -21,11 +23,15 @@ pub mod sensors;
 
 pub mod recording;
 
+pub mod sync;
+
 pub mod agent;
 
 pub mod evaluation;
 
 pub mod database;
+
+pub mod service;
 
 pub mod cli;
 

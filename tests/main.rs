@@ -2,15 +2,19 @@
 
 mod config;
 mod dev;
+mod fuzz;
 mod hardware;
 mod limits;
 mod live;
 mod numerics;
 mod real;
+mod recording;
 mod replay;
 mod ros2;
 mod scene;
 mod serial;
+mod service;
 mod stress;
+mod sync;
 mod systemd;
 mod views;

@@ -89,6 +89,8 @@ pub fn cut(options: &CutOptions, progress: Progress) -> Result<CutReport, CutErr
     }
     let mut settings = options.settings.clone();
     settings.recording.segment_s = SEGMENT_S;
+    // A piece is cut out whole.
+    settings.recording.thinning = Default::default();
     let replayed = ReplayOptions {
         source: needed.clone(),
         captures: options.temporary.join("captures"),

@@ -3,7 +3,7 @@
 //! Whoever has messages feeds it, in the order in which they came: a replay from a log or a scene.
 
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -14,13 +14,17 @@ use super::checkpoint::Checkpoint;
 use super::error::AgentError;
 use super::setup::Setup;
 use super::stages::{Looked, Looking};
-use super::state::{STATE_FILE, Start, write_state};
+use super::state::{STATE_FILE, Start};
 use super::tagger::Tagger;
 use super::tally::Tally;
 use super::warnings::{self, AttitudeSource};
 use crate::config::{Settings, Topics};
-use crate::geometry::{FieldDimensions, LensParameters};
-use crate::recording::{Counts, LiveInfo, SessionInfo, SessionWriter};
+use crate::geometry::{FieldDimensions, LensParameters, PoseGrid};
+use crate::recording::storage::Disk;
+use crate::recording::{
+    Counts, LiveInfo, RecorderStatus, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning, Writing,
+    write_coverage,
+};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{DiagnosticArray, FrameTag};
 use crate::sensors::intake;
@@ -37,12 +41,14 @@ pub struct Recording {
     pub live: Option<LiveInfo>,
     /// Who wants each tag as it is made; one that does not keep up misses some.
     pub tags: Option<Sender<FrameTag>>,
+    pub writing: Writing,
 }
 
 /// What a pipeline leaves behind.
 pub struct Recorded {
     pub session: PathBuf,
     pub counts: Counts,
+    pub recorder: RecorderStatus,
     pub tally: Tally,
     pub late_measurements: u64,
     pub warnings: Vec<String>,
@@ -60,6 +66,7 @@ pub struct Pipeline {
     tagger: Tagger,
     budget: Budget,
     session: Option<SessionWriter>,
+    thinning: Thinning,
     /// What the log announces does not count then.
     initial_is_given: bool,
     /// Tagged, those before the checkpoint included: the next tag's number.
@@ -80,6 +87,8 @@ const NO_STAMP: &str = "no_stamp";
 impl Pipeline {
     pub fn new(setup: Setup, start: Start, recording: Recording) -> Self {
         let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude } = setup;
+        let thinning = settings.recording.thinning.clone();
+        let grid = PoseGrid::new(field.carpet_half_extent(), thinning.cell_m, usize::from(thinning.headings));
         let tagger = start.tagger(&settings, field, eyes.vision.lens());
         let budget = Budget::new(settings.filter.budget_ms, start.decided);
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
@@ -96,6 +105,7 @@ impl Pipeline {
             tagger,
             budget,
             session: None,
+            thinning: Thinning::new(thinning, grid),
             initial_is_given: start.initial.is_some(),
             sequence,
             tally: Tally::default(),
@@ -118,9 +128,7 @@ impl Pipeline {
         }
         let log_time_ns = message.log_time_ns;
         if self.session.is_none() {
-            let mut session = self.create_session(&message)?;
-            session.attach(log_time_ns, CHECKPOINT_NAME, &self.checkpoint()?)?;
-            self.session = Some(session);
+            self.session = Some(self.create_session(&message)?);
             // Nothing is known yet: the last agent's state is worth more.
             self.last_state_ns = log_time_ns;
         }
@@ -136,10 +144,9 @@ impl Pipeline {
     }
 
     /// Frames that never became messages.
-    pub fn drop_frames(&mut self, cause: &str, count: u64) {
-        if let Some(session) = &mut self.session {
-            session.drop_frames(cause, count);
-        }
+    pub fn drop_frames(&mut self, cause: &str, count: u64) -> Result<(), AgentError> {
+        let Some(session) = &mut self.session else { return Ok(()) };
+        Ok(session.drop_frames(cause, count)?)
     }
 
     /// What a live recording has to say beside its messages; nothing before the first of them.
@@ -148,9 +155,14 @@ impl Pipeline {
         Ok(session.diagnostics(log_time_ns, report)?)
     }
 
-    /// Where it is recorded, once it has begun.
-    pub fn session(&self) -> Option<(&Path, Counts)> {
-        self.session.as_ref().map(|session| (session.folder(), session.counts()))
+    /// What became of the frames so far, and how the recorder is, once it has begun.
+    pub fn recorder(&self) -> Option<(Counts, RecorderStatus)> {
+        self.session.as_ref().map(SessionWriter::account)
+    }
+
+    /// Of which poses there are images.
+    pub fn coverage(&self) -> &PoseGrid {
+        self.thinning.coverage()
     }
 
     /// Nothing more will come: what is there becomes a whole capture, whatever went wrong, if it can. `None` if nothing
@@ -158,18 +170,21 @@ impl Pipeline {
     pub fn finish(mut self) -> (Option<Recorded>, Result<(), AgentError>) {
         let ended = self.end();
         let Some(session) = self.session.take() else { return (None, ended) };
-        let (session, counts) = match session.finish() {
+        let (session, counts, recorder) = match session.finish() {
             Ok(finished) => finished,
             Err(error) => return (None, ended.and(Err(error.into()))),
         };
+        // Without it the same is read from the tags.
+        let _ = write_coverage(&session, self.thinning.coverage(), counts.valid);
         let heard = self.synchroniser.knows_attitude();
         let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
         let late_measurements = self.synchroniser.too_late();
         let Settings { field, filter, .. } = &self.settings;
         let strange = warnings::strange_field(field, &self.tally.invalid, counts.tagged);
         let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
-        let warnings = attitude.into_iter().chain(strange).chain(small).collect();
-        (Some(Recorded { session, counts, tally: self.tally, late_measurements, warnings }), ended)
+        let unusable = warnings::unusable_weights(self.tally.unusable_weights);
+        let warnings = attitude.into_iter().chain(strange).chain(small).chain(unusable).collect();
+        (Some(Recorded { session, counts, recorder, tally: self.tally, late_measurements, warnings }), ended)
     }
 
     fn end(&mut self) -> Result<(), AgentError> {
@@ -186,16 +201,19 @@ impl Pipeline {
         let topics = &self.topics;
         let is_frame = intake::is_frame(&message.channel, topics);
         let latched = message.channel.topic == topics.tf_static || message.channel.topic == topics.camera_info;
-        if let Some(session) = &mut self.session {
+        let input = intake::read(&message, topics, &self.settings.head);
+        // Whether a frame is worth its bytes is known with its tag; one that can have none is written as it comes.
+        let waits = is_frame && input.is_ok() && self.thinning.thins();
+        if let (Some(session), false) = (&mut self.session, waits) {
             session.pass(&message, is_frame, latched)?;
         }
-        match intake::read(&message, topics, &self.settings.head) {
+        match input {
             Ok(intake::Input::InitialPose { .. }) if self.initial_is_given => {}
             Ok(input) => self.synchroniser.push(&message, input),
             Err(error) if is_frame => {
                 self.tally.note_bad_frame(&message, &error);
                 if let Some(session) = &mut self.session {
-                    session.leave_untagged(NO_STAMP);
+                    session.leave_untagged(NO_STAMP)?;
                 }
             }
             Err(_) => self.tally.bad_messages += 1,
@@ -247,9 +265,17 @@ impl Pipeline {
             let _ = tags.try_send(tag.clone());
         }
         self.sequence += 1;
+        self.tally.unusable_weights = self.tagger.unusable_weights();
         self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
+        let pose = tag.valid.then(|| intake::isometry(&tag.pose.pose.position, &tag.pose.pose.orientation));
+        let keeps = self.thinning.keeps(frame.stamp_ns, pose.as_ref());
         if let Some(session) = &mut self.session {
+            match (self.thinning.thins(), keeps) {
+                (true, true) => session.pass(&frame.message, true, false)?,
+                (true, false) => session.thin_frame()?,
+                (false, _) => {}
+            }
             session.tag(log_time_ns, &self.settings.frames.map, &tag)?;
         }
         self.report_diagnostics(log_time_ns)
@@ -276,9 +302,9 @@ impl Pipeline {
         }
         self.drain()?;
         if self.is_segment_full(log_time_ns) {
-            let checkpoint = self.checkpoint()?;
+            let state = self.segment_state(log_time_ns)?;
             if let Some(session) = &mut self.session {
-                session.next_segment(log_time_ns, CHECKPOINT_NAME, &checkpoint)?;
+                session.next_segment(state)?;
             }
         }
         if self.is_state_due(log_time_ns) {
@@ -295,6 +321,10 @@ impl Pipeline {
         Ok(())
     }
 
+    fn segment_state(&self, log_time_ns: i64) -> Result<SegmentState, AgentError> {
+        Ok(SegmentState { log_time_ns, name: CHECKPOINT_NAME, state: self.checkpoint()? })
+    }
+
     fn checkpoint(&self) -> Result<Vec<u8>, AgentError> {
         let checkpoint = Checkpoint {
             tagger: self.tagger.state(),
@@ -304,8 +334,10 @@ impl Pipeline {
         checkpoint.encode().map_err(|source| AgentError::Checkpoint { path: STATE_FILE.into(), source })
     }
 
-    fn save_state(&self) -> Result<(), AgentError> {
-        write_state(&self.recording.captures, &self.checkpoint()?)
+    fn save_state(&mut self) -> Result<(), AgentError> {
+        let state = self.checkpoint()?;
+        let Some(session) = &mut self.session else { return Ok(()) };
+        Ok(session.replace(self.recording.captures.join(STATE_FILE), state)?)
     }
 
     fn create_session(&self, first: &LogMessage) -> Result<SessionWriter, AgentError> {
@@ -314,6 +346,7 @@ impl Pipeline {
         let name = format!("{}-{}", started.strftime("%Y-%m-%dT%H-%M-%SZ"), settings.robot);
         let info = SessionInfo {
             format: crate::recording::FORMAT_VERSION,
+            id: Some(SessionId::new().as_str().to_owned()),
             software: concat!("realitysim ", env!("CARGO_PKG_VERSION")).to_owned(),
             robot: settings.robot.clone(),
             started: started.to_string(),
@@ -323,7 +356,9 @@ impl Pipeline {
             lens: self.lens.clone(),
             live: self.recording.live.clone(),
         };
-        Ok(SessionWriter::create(&self.recording.captures, &name, &info, settings.recording.clone())?)
+        let Recording { captures, writing, .. } = &self.recording;
+        let state = self.segment_state(first.log_time_ns)?;
+        Ok(SessionWriter::create(Arc::new(Disk), captures, &name, &info, state, *writing)?)
     }
 
     fn report_diagnostics(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
@@ -334,7 +369,14 @@ impl Pipeline {
         let Some(session) = &mut self.session else { return Ok(()) };
         let late = self.synchroniser.too_late();
         let Settings { robot, filter, .. } = &self.settings;
-        let report = self.tally.diagnostics(log_time_ns, robot, &session.counts(), late, filter.budget_ms);
+        let report = self.tally.diagnostics(
+            log_time_ns,
+            robot,
+            &session.counts(),
+            session.status().conserved,
+            late,
+            filter.budget_ms,
+        );
         Ok(session.diagnostics(log_time_ns, &report)?)
     }
 }

@@ -14,7 +14,7 @@ use super::setup::Setup;
 use super::state::{Start, last_state};
 use crate::config::Settings;
 use crate::geometry::Pose2;
-use crate::recording::session_holding;
+use crate::recording::{Writing, session_holding};
 use crate::ros2::mcap_read::LogMessage;
 use crate::sensors::scene;
 
@@ -81,6 +81,7 @@ impl Run {
             threads: options.threads.max(1),
             live: None,
             tags: None,
+            writing: Writing::Here,
         };
         let filter = &setup.settings.filter;
         let mut report = ReplayReport {
@@ -117,7 +118,7 @@ impl Run {
                 return Err(ReplayError::Broken { source: Box::new(error), session });
             }
         };
-        let Recorded { session, counts, tally, late_measurements, warnings } = recorded;
+        let Recorded { session, counts, tally, late_measurements, warnings, .. } = recorded;
         let mut report = self.report;
         report.warnings.extend(warnings);
         Ok(ReplayReport {
@@ -125,6 +126,7 @@ impl Run {
             frames: counts.written,
             tagged: counts.tagged,
             valid: counts.valid,
+            thinned: counts.thinned,
             filter_ms: tally.effort.durations.quantiles(),
             capped: tally.effort.capped,
             over_budget: tally.effort.over_budget,

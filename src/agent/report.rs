@@ -15,6 +15,8 @@ pub struct ReplayReport {
     pub frames: u64,
     pub tagged: u64,
     pub valid: u64,
+    /// Tagged and not written, as `recording.thinning` asks.
+    pub thinned: u64,
     pub particles: usize,
     pub iterations: usize,
     /// Particles and iterations are the most, not what each frame had.
@@ -66,7 +68,7 @@ impl ReplayReport {
     /// Something of the source could not be replayed.
     pub fn data_was_lost(&self) -> bool {
         !(self.damage.is_empty() && self.lost.is_empty())
-            || self.tagged < self.frames
+            || self.tagged < self.frames + self.thinned
             || self.bad_messages > 0
             || self.late_measurements > 0
             || self.first_bad_image.is_some()

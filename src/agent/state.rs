@@ -6,12 +6,10 @@ use std::path::Path;
 
 use super::budget::Decisions;
 use super::checkpoint::{Checkpoint, MAX_BYTES};
-use super::error::AgentError;
 use super::tagger::Tagger;
 use crate::config::Settings;
 use crate::geometry::{Field, Lens, Pose2};
 use crate::localization::LocalizerState;
-use crate::recording::write_atomically;
 use crate::sensors::synchroniser::InitialPose;
 
 /// The state that an agent leaves behind, in the folder of all captures.
@@ -59,8 +57,4 @@ pub fn last_state(captures: &Path) -> Result<Option<LocalizerState>, String> {
     file.take(MAX_BYTES as u64).read_to_end(&mut bytes).map_err(|error| why(error.to_string()))?;
     let saved = Checkpoint::decode(&bytes).map_err(|error| why(error.to_string()))?;
     Ok(Some(saved.tagger))
-}
-
-pub(super) fn write_state(captures: &Path, checkpoint: &[u8]) -> Result<(), AgentError> {
-    Ok(write_atomically(&captures.join(STATE_FILE), checkpoint)?)
 }

@@ -68,6 +68,11 @@ impl Tagger {
         self.localizer.state()
     }
 
+    /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
+    pub fn unusable_weights(&self) -> u64 {
+        self.localizer.unusable_weights()
+    }
+
     /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
     pub fn resume(&mut self) {
         self.localizer.resume();

@@ -23,6 +23,8 @@ pub struct Tally {
     pub effort: EffortTally,
     /// Frames of which nobody said how the torso was tilted.
     pub without_tilt: u64,
+    /// Particles' weights that were NaN or +inf.
+    pub unusable_weights: u64,
 }
 
 impl Tally {
@@ -63,6 +65,7 @@ impl Tally {
         log_time_ns: i64,
         robot: &str,
         counts: &Counts,
+        conserved: bool,
         late: u64,
         budget_ms: f64,
     ) -> DiagnosticArray {
@@ -72,17 +75,20 @@ impl Tally {
             value("frames_written", counts.written),
             value("frames_tagged", counts.tagged),
             value("frames_valid", counts.valid),
+            value("frames_thinned", counts.thinned),
             value("bad_messages", self.bad_messages),
             value("late_measurements", late),
+            value("unusable_weights", self.unusable_weights),
         ];
-        for (what, causes) in [("dropped", &counts.dropped), ("untagged", &counts.untagged)] {
+        let causes = [("dropped", &counts.dropped), ("untagged", &counts.untagged), ("lost", &counts.lost)];
+        for (what, causes) in causes {
             values.extend(causes.iter().map(|(cause, count)| value(&format!("{what}_{cause}"), *count)));
         }
-        let conserved = counts.is_conserved();
         let recorder = DiagnosticStatus {
             level: if conserved { DiagnosticStatus::OK } else { DiagnosticStatus::ERROR },
             name: format!("{DIAGNOSTICS_NAME}recorder"),
-            message: if conserved { "captured = written + dropped" } else { "frames are unaccounted for" }.to_owned(),
+            message: if conserved { "captured = written + thinned + dropped" } else { "frames are unaccounted for" }
+                .to_owned(),
             hardware_id: robot.to_owned(),
             values,
         };

@@ -37,6 +37,13 @@ pub fn small_budget(budget_ms: f64, effort: &EffortTally, tagged: u64) -> Option
     })
 }
 
+/// Likelihoods are finite, or minus infinity: the rest is a fault of this program, which tags have survived.
+pub fn unusable_weights(count: u64) -> Option<String> {
+    (count > 0).then(|| {
+        format!("{count} weights of particles were no numbers or infinite, and were left out: please report this log")
+    })
+}
+
 /// Where the attitude comes from, if it does.
 #[derive(Clone, Debug)]
 pub struct AttitudeSource {
@@ -95,6 +102,12 @@ mod tests {
         let said = strange_field("kid-2009", &invalid(51, 40), 100).expect("told");
         assert!(said.contains("51 of 100") && said.contains("kid-2009"), "{said}");
         assert_eq!(strange_field("kid-2009", &invalid(6, 90), 100), None, "no lines are seen");
+    }
+
+    #[test]
+    fn unusable_weights_are_told_and_counted() {
+        assert_eq!(unusable_weights(0), None);
+        assert!(unusable_weights(7).expect("told").starts_with("7 weights"));
     }
 
     #[test]

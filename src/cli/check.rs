@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::junit::{self, TestCase};
 use super::{Outcome, output, paths};
+use crate::evaluation::reference::Difference;
 use crate::evaluation::suite::{self, Broken, CaseReport, Options, Suite, Watcher};
 
 /// Run a suite of logs and scenes and hold their tags to limits
@@ -116,7 +117,20 @@ fn faults(case: &CaseReport) -> Vec<String> {
         let bound = if *limit == "valid_share" { "at least" } else { "at most" };
         format!("{limit} is {value}, allowed is {bound} {allowed}")
     });
-    case.error.iter().cloned().chain(broken).collect()
+    case.error.iter().cloned().chain(broken).chain(unlike_reference(case)).collect()
+}
+
+fn unlike_reference(case: &CaseReport) -> Option<String> {
+    let verdict = case.reference.as_ref().filter(|verdict| !verdict.same)?;
+    if verdict.frames != verdict.frames_of_reference {
+        return Some(format!("reference: {} frames, it has {}", verdict.frames, verdict.frames_of_reference));
+    }
+    let Difference { field, first_frame, first: [then, now], .. } = verdict.differences.first()?;
+    let more = verdict.differences.len() - 1;
+    Some(format!(
+        "reference: {} frames differ, the first is {first_frame}: {field} was {then}, is {now} ({more} fields more differ)",
+        verdict.frames_differ
+    ))
 }
 
 fn test_case(case: &CaseReport) -> TestCase {

@@ -8,7 +8,8 @@ use serde::Serialize;
 use super::paths::{check_output, save};
 use super::{Outcome, output};
 use crate::config::{Settings, load_field};
-use crate::database::{self, Added, Checked, Coverage, Gallery, Stats};
+use crate::database::{self, Added, Checked, Gallery, Stats};
+use crate::geometry::PoseGrid;
 
 /// Keep an image database: captures' images, found by the pose of their camera
 ///
@@ -193,12 +194,12 @@ fn coverage(arguments: &CoverageArguments, json: bool) -> anyhow::Result<Outcome
     let found = database::coverage(gallery.index(), gallery.field(), arguments.cell, usize::from(arguments.headings));
     if let Some(path) = &arguments.output {
         check_output(path, &[&arguments.db])?;
-        save(&found.picture(gallery.field()), path)?;
+        save(&database::coverage_picture(&found, gallery.field()), path)?;
     }
     if json {
         output::json(&found)?;
     } else {
-        let Coverage { filled, cells, cell_m, sectors, outside, .. } = found;
+        let PoseGrid { filled, cells, cell_m, sectors, outside, .. } = found;
         let share = 100.0 * filled as f64 / cells as f64;
         let outside = if outside > 0 { format!("; {outside} images lie off the carpet") } else { String::new() };
         output::lines(&format!(

@@ -77,7 +77,7 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&format!(
             "\n{}\n\n  image to tag: p50 {:.1} ms, p99 {:.1} ms a frame, {} particles x {} iterations\n\n\
              capture  {}\npicture  {}",
-            eval::table(&comparison),
+            eval::table(&comparison, 0),
             report.filter_ms.p50,
             report.filter_ms.p99,
             report.particles,

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::{Outcome, output};
 use crate::config::Topics;
 use crate::evaluation::capture::{Readout, read_poses, read_tags, read_truth, tagged};
-use crate::evaluation::{Comparison, Tagged, compare, mirrored};
+use crate::evaluation::{Comparison, Tagged, compare, mirrored, up_to_mirror};
 use crate::geometry::Isometry;
 use crate::recording::Loss;
 
@@ -18,6 +18,9 @@ use crate::recording::Loss;
 /// Valid tags are compared with the true poses of camera_link at the same time: distance in x and y, yaw, tilt (the
 /// angle between the up axes), roll and pitch; how often the 95 % ellipse holds the truth, and the normalised error
 /// squared (NEES, 2 when the covariance is right).
+///
+/// An ambiguous tag holds two poses, its own and the mirror pose, and cannot know which: the one nearer to the truth is
+/// judged, and how many there are is told.
 ///
 /// A truth that has no time in common with the tags is an error; errors of metres come with a warning that it may be the
 /// truth of another walk. What a damaged or incomplete capture no longer holds is named (exit code 3).
@@ -44,6 +47,8 @@ const NO_TAGGING_ERROR_CM: f64 = 100.0;
 struct Report<'a> {
     #[serde(flatten)]
     comparison: &'a Comparison,
+    /// Of the ambiguous tags, those that hold the true pose as their mirror pose.
+    in_the_other_half: usize,
     /// Why these errors may be of something else than the tags.
     warning: Option<String>,
     lost: Vec<Loss>,
@@ -54,7 +59,10 @@ pub fn run(arguments: &EvalArguments, json: bool) -> anyhow::Result<Outcome> {
     let truth = read_truth(&arguments.truth, &arguments.truth_topic)?;
     lost.extend(truth.losses);
     let truth = truth.found;
-    let comparison = compare(&tags, &truth);
+    let nearer = up_to_mirror(&tags, &truth);
+    let turned = |(tag, nearer): &(&Tagged, &Tagged)| tag.valid && tag.pose != nearer.pose;
+    let in_the_other_half = tags.iter().zip(&nearer).filter(turned).count();
+    let comparison = compare(&nearer, &truth);
     if comparison.valid > 0 && comparison.judged == 0 {
         bail!(
             "{}: none of its true poses is near the time of a valid tag: the tags are of {}, the truth is of {}: \
@@ -70,9 +78,9 @@ pub fn run(arguments: &EvalArguments, json: bool) -> anyhow::Result<Outcome> {
         eprintln!("realitysim: {}: {warning}", arguments.truth.display());
     }
     if json {
-        output::json(&Report { comparison: &comparison, warning, lost: lost.clone() })?
+        output::json(&Report { comparison: &comparison, in_the_other_half, warning, lost: lost.clone() })?
     } else {
-        output::lines(&table(&comparison))?
+        output::lines(&table(&comparison, in_the_other_half))?
     }
     Ok(Outcome::of(&lost))
 }
@@ -112,7 +120,7 @@ fn span(times: impl Iterator<Item = i64> + Clone) -> String {
     format!("{} to {} UTC", utc(times.clone().min()), utc(times.max()))
 }
 
-pub fn table(c: &Comparison) -> String {
+pub fn table(c: &Comparison, in_the_other_half: usize) -> String {
     let share = 100.0 * c.valid as f64 / c.frames.max(1) as f64;
     let mut text = format!("{} frames, {} valid ({share:.1} %)", c.frames, c.valid);
     if c.without_truth > 0 {
@@ -121,6 +129,13 @@ pub fn table(c: &Comparison) -> String {
     if c.judged == 0 {
         text.push_str(": nothing to judge");
         return text;
+    }
+    if c.ambiguous > 0 {
+        text.push_str(&format!(
+            "\n{} of them may as well be in the other half of the field: judged by the nearer of both poses, {} of them by \
+             the mirror pose",
+            c.ambiguous, in_the_other_half
+        ));
     }
     text.push_str("\n\n  error          mean   median      p95      max\n");
     for (name, unit, summary) in [

@@ -11,9 +11,8 @@ use super::junit::{self, TestCase};
 use super::{Outcome, output, paths};
 use crate::agent::ReplayReport;
 use crate::evaluation::capture::read_tags;
-use crate::evaluation::reference::{Difference, Frames, Identity, Reference, Verdict, compare};
+use crate::evaluation::reference::{Difference, Frames, Identity, Reference, Verdict, compare, settings_that_matter};
 use crate::geometry::Pose2;
-use crate::recording::read_info;
 
 #[derive(Args)]
 pub struct GateArguments {
@@ -117,16 +116,6 @@ impl Gate<'_> {
         }
         Ok(Outcome::Whole)
     }
-}
-
-/// How and under which name it is stored changes no tag.
-fn settings_that_matter(session: &Path) -> anyhow::Result<Value> {
-    let mut settings = serde_json::to_value(read_info(session)?.settings)?;
-    if let Some(settings) = settings.as_object_mut() {
-        settings.remove("recording");
-        settings.remove("robot");
-    }
-    Ok(settings)
 }
 
 fn for_people(verdict: &Verdict, reference: &str) -> String {

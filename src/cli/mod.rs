@@ -19,12 +19,18 @@ mod machine;
 mod output;
 mod paper;
 mod paths;
+mod play;
 mod record;
+mod refine;
 mod replay;
 mod scene;
 mod section;
+mod serve;
+mod sessions;
 mod settings;
 mod sim;
+mod soak;
+mod sync;
 mod tag;
 mod view;
 mod view_quality;
@@ -41,6 +47,8 @@ use crate::evaluation::reference::ReferenceError;
 use crate::evaluation::suite::SuiteError;
 use crate::recording::Loss;
 use crate::scene::SceneError;
+use crate::service::ServeError;
+use crate::sync::SyncError;
 
 /// Tags every camera frame of a soccer robot with the pose of its camera.
 #[derive(Parser)]
@@ -60,8 +68,11 @@ enum Command {
     Record(Box<record::RecordArguments>),
     #[command(flatten)]
     Order(record::Order),
+    Sync(Box<sync::SyncArguments>),
+    Sessions(sessions::SessionsArguments),
     Doctor(Box<doctor::DoctorArguments>),
     Install(install::InstallArguments),
+    Soak(Box<soak::SoakArguments>),
     Sim(sim::SimArguments),
     Eval(eval::EvalArguments),
     Export(export::ExportArguments),
@@ -74,6 +85,9 @@ enum Command {
     Db(db::DbArguments),
     View(view::ViewArguments),
     ViewWalk(view_walk::ViewWalkArguments),
+    Refine(refine::RefineArguments),
+    Play(play::PlayArguments),
+    Serve(serve::ServeArguments),
     Gap(gap::GapArguments),
     ViewQuality(view_quality::ViewQualityArguments),
     Demo(demo::DemoArguments),
@@ -100,7 +114,10 @@ pub fn run() -> ExitCode {
         Command::Replay(arguments) => replay::run(&arguments, json),
         Command::Scene(arguments) => scene::run(&arguments, json),
         Command::Record(arguments) => record::run(&arguments, json),
+        Command::Sync(arguments) => sync::run(&arguments, json),
+        Command::Sessions(arguments) => sessions::run(&arguments, json),
         Command::Install(arguments) => install::run(&arguments),
+        Command::Soak(arguments) => soak::run(&arguments, json),
         Command::Doctor(arguments) => doctor::run(&arguments, json),
         Command::Order(order) => record::order(&order, json),
         Command::Sim(arguments) => sim::run(&arguments, json),
@@ -115,6 +132,9 @@ pub fn run() -> ExitCode {
         Command::Db(arguments) => db::run(&arguments, json),
         Command::View(arguments) => view::run(&arguments, json),
         Command::ViewWalk(arguments) => view_walk::run(&arguments, json),
+        Command::Play(arguments) => play::run(&arguments, json),
+        Command::Refine(arguments) => refine::run(&arguments, json),
+        Command::Serve(arguments) => serve::run(&arguments, json),
         Command::Gap(arguments) => gap::run(&arguments, json),
         Command::ViewQuality(arguments) => view_quality::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),
@@ -152,6 +172,11 @@ fn is_usage(error: &anyhow::Error) -> bool {
             || cause.is::<SuiteError>()
             || matches!(cause.downcast_ref(), Some(ReferenceError::Tolerance { .. }))
             || cause.is::<settings::UsageError>()
+            || matches!(cause.downcast_ref(), Some(ServeError::NoToken(_) | ServeError::ShortToken(_)))
+            || matches!(
+                cause.downcast_ref(),
+                Some(SyncError::Source(_) | SyncError::IntoCapture { .. } | SyncError::NoSuchSession { .. })
+            )
             || matches!(
                 cause.downcast_ref::<RecordError>(),
                 Some(

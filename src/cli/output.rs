@@ -46,6 +46,55 @@ impl Progress {
     }
 }
 
+/// Bytes, their rate and the time left: a bar on a terminal, a line now and then elsewhere; on standard error.
+pub struct Transfer {
+    bar: ProgressBar,
+    plain: bool,
+    told: std::time::Instant,
+    /// Where it was when it began: what was there before is no rate.
+    began: Option<(std::time::Instant, u64)>,
+}
+
+impl Transfer {
+    pub fn new() -> Self {
+        let plain = !io::stderr().is_terminal();
+        let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
+        if let Ok(style) = ProgressStyle::with_template("{wide_bar} {bytes}/{total_bytes} {bytes_per_sec} {eta} left") {
+            bar.set_style(style);
+        }
+        Self { bar, plain, told: std::time::Instant::now(), began: None }
+    }
+
+    pub fn say(&self, what: &str) {
+        self.bar.suspend(|| eprintln!("realitysim: {what}"));
+    }
+
+    pub fn set(&mut self, done: u64, total: u64) {
+        let (began, before) = *self.began.get_or_insert_with(|| (std::time::Instant::now(), done));
+        self.bar.set_length(total);
+        self.bar.set_position(done);
+        if self.plain && self.told.elapsed() > TELL_EVERY {
+            self.told = std::time::Instant::now();
+            let rate = done.saturating_sub(before) as f64 / began.elapsed().as_secs_f64().max(1e-3);
+            let left = (total.saturating_sub(done)) as f64 / rate.max(1.0);
+            eprintln!("{} of {}, {}/s, {left:.0} s left", size(done), size(total), size(rate as u64));
+        }
+    }
+
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// Bytes for people.
+pub fn size(bytes: u64) -> String {
+    match bytes {
+        0..1_000_000 => format!("{:.1} kB", bytes as f64 * 1e-3),
+        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 * 1e-6),
+        _ => format!("{:.2} GB", bytes as f64 * 1e-9),
+    }
+}
+
 /// For messages, when what it leads to is full.
 const STDOUT: &str = "standard output cannot be written";
 

@@ -60,7 +60,15 @@ pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
     } else {
         output::lines(&for_people(&status))?;
     }
-    Ok(Outcome::Whole)
+    Ok(if recorder_lost_data(&status) { Outcome::DataLost } else { Outcome::Whole })
+}
+
+/// Not what the camera dropped, but what was there and could not be written.
+fn recorder_lost_data(status: &Value) -> bool {
+    let lost = status["counts"]["lost"].as_object();
+    !status["unfinished"].is_null()
+        || lost.is_some_and(|causes| !causes.is_empty())
+        || status["recorder"]["frames_refused"].as_u64() > Some(0)
 }
 
 /// How is it, what happened, begin, end, where am I.
@@ -150,6 +158,7 @@ fn for_people(status: &Value) -> String {
     if !dropped.is_empty() {
         lines.push(format!("dropped: {}", dropped.join(", ")));
     }
+    lines.extend(recorder_for_people(&status["recorder"]));
     match status["camera_lost"].as_str() {
         Some(cause) => lines.push(format!("camera: away ({cause})")),
         None => lines.push(format!("camera: {}", status["camera"]["card"].as_str().unwrap_or("none yet"))),
@@ -161,17 +170,14 @@ fn for_people(status: &Value) -> String {
         allowed => format!(" of {allowed} ms"),
     };
     lines.push(format!(
-        "last second: {:.1} captured, {:.1} written, {:.1} tagged; {} of 16 frames waiting",
+        "last second: {:.1} captured, {:.1} written, {:.1} tagged; {} of 16 frames wait for the agent",
         rate("captured_hz"),
         rate("written_hz"),
         rate("tagged_hz"),
-        status["frames_waiting"]
+        status["camera_waiting"]
     ));
     lines.push(format!("tags: {:.1} ms each, 1 % over {:.1} ms{allowed}", budget("p50_ms"), budget("p99_ms")));
     lines.push(format!("valid: {} of the last {}", status["validity"]["valid"], status["validity"]["frames"]));
-    if let Some(free) = status["disk_free_bytes"].as_u64() {
-        lines.push(format!("disk: {:.1} GB free", free as f64 * 1e-9));
-    }
     if let Some(passed_on) = status["republished"].as_object() {
         let lost = passed_on["lost"].as_str().map_or(String::new(), |why| format!(" ({why})"));
         let device = passed_on["device"].as_str().unwrap_or("-");
@@ -197,6 +203,21 @@ fn for_people(status: &Value) -> String {
             ));
         }
     }
+    if let Some(thinned @ 1..) = counts["thinned"].as_u64() {
+        lines.push(format!("{thinned} thinned out, as recording.thinning asks"));
+    }
+    let coverage = &status["coverage"];
+    if let Some(map) = coverage["map"].as_array() {
+        let number = |key: &str| coverage[key].as_u64().unwrap_or(0);
+        lines.push(format!(
+            "images of {} of {} poses (cells of {} m, {} headings: a digit says of how many, # of all, . of none)",
+            number("filled"),
+            number("cells"),
+            coverage["cell_m"],
+            number("sectors")
+        ));
+        lines.extend(map.iter().filter_map(Value::as_str).map(|row| format!("  {row}")));
+    }
     if let Some(tag) = status["last_tag"].as_object() {
         let float = |key: &str| tag[key].as_f64().unwrap_or(f64::NAN);
         let valid = if tag["valid"] == true { "valid" } else { tag["reason"].as_str().unwrap_or("invalid") };
@@ -209,4 +230,47 @@ fn for_people(status: &Value) -> String {
         ));
     }
     lines.join("\n")
+}
+
+/// What is in memory, what a power cut would cost, and what the disk does.
+fn recorder_for_people(recorder: &Value) -> Vec<String> {
+    let ms = |key: &str| recorder[key].as_f64().unwrap_or(0.0);
+    let mebibytes = |key: &str| recorder[key].as_f64().unwrap_or(0.0) / f64::from(1 << 20);
+    let conserved = if recorder["conserved"] == true {
+        "captured = written + thinned + dropped + waiting"
+    } else {
+        "FRAMES ARE UNACCOUNTED FOR"
+    };
+    let mut lines = vec![
+        format!(
+            "recorder: {} frames wait for the disk, {:.1} of {:.0} MiB; {:.0} MiB of the disk free; {conserved}",
+            recorder["frames_waiting"],
+            mebibytes("queue_bytes"),
+            mebibytes("queue_limit_bytes"),
+            mebibytes("free_bytes")
+        ),
+        format!(
+            "a power cut costs at most {:.2} s (worst stall {:.0} ms; worst so far {:.2} s)",
+            ms("loss_bound_ms") / 1e3,
+            ms("worst_stall_ms"),
+            ms("worst_unsynced_ms") / 1e3
+        ),
+    ];
+    if let Some(cause) = recorder["stopped"]["cause"].as_str() {
+        let what = if recorder["stopped"]["frames_only"] == true { "frames are not" } else { "nothing is" };
+        lines.push(format!("DISK: {cause}: {what} recorded"));
+    }
+    if let Some(fault) = recorder["fault"].as_object() {
+        lines.push(format!(
+            "DISK: {}: {}",
+            fault["cause"].as_str().unwrap_or("-"),
+            fault["said"].as_str().unwrap_or("-")
+        ));
+    }
+    let faults = recorder["faults"].as_object().into_iter().flatten();
+    let faults: Vec<String> = faults.map(|(cause, count)| format!("{count} {cause}")).collect();
+    if !faults.is_empty() {
+        lines.push(format!("disk errors: {}; {} segments given up", faults.join(", "), recorder["segments_given_up"]));
+    }
+    lines
 }

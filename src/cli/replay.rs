@@ -116,6 +116,9 @@ pub fn for_people(report: &ReplayReport) -> String {
          ({threads} threads{capped})\n",
         filter_ms.p50, filter_ms.p99, filter_ms.max
     );
+    if report.thinned > 0 {
+        text.push_str(&format!("{} more frames tagged and not written, as recording.thinning asks\n", report.thinned));
+    }
     if !report.invalid.is_empty() {
         let reasons: Vec<String> = report.invalid.iter().map(|(reason, count)| format!("{count} {reason}")).collect();
         text.push_str(&format!("invalid: {}\n", reasons.join(", ")));

@@ -46,7 +46,7 @@ pub struct SettingsArguments {
     /// Where the step between frames comes from: odometry or random_walk.
     #[arg(long, value_name = "odometry|random_walk", value_parser = word::<MotionSource>)]
     motion: Option<MotionSource>,
-    /// Kernel: auto, avx2 or scalar (on x86-64 compiled to SSE2: sse2 is the same); the tags are the same on each.
+    /// Kernel: auto, avx2, sse2 or scalar; the tags are the same on each.
     #[arg(long, value_name = "PATH", value_parser = word::<SimdPath>)]
     simd: Option<SimdPath>,
     /// A lens file in place of the log's camera_info.

@@ -14,7 +14,9 @@ use super::{Outcome, output};
 use crate::config::{Settings, load_lens};
 use crate::database::{Gallery, Shown, Wanted};
 use crate::evaluation::drawing;
-use crate::geometry::{Euler, Isometry};
+use crate::geometry::{Euler, Isometry, Lens};
+use crate::scene::Scene;
+use crate::sensors::scene;
 use crate::views::{Camera, Made, Method, NOTHING, Raster, UNSURE};
 
 /// Show what the camera would see from a pose, from a database of recorded images
@@ -49,6 +51,17 @@ pub struct ViewArguments {
     /// Lens of the view: a shipped camera (config/cameras) or a lens file; without it, that of the nearest image
     #[arg(long, value_name = "FILE")]
     lens: Option<String>,
+    /// Pixels of the view, 16 to 4096; one alone keeps the lens's proportions
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=4096))]
+    width: Option<u32>,
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=4096))]
+    height: Option<u32>,
+    /// Apply the scene's effects that make sense on any image: light without a gradient, and sensor noise
+    #[arg(long, value_name = "SCENE")]
+    scene: Option<String>,
+    /// As which frame of the scene
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "scene")]
+    frame: u64,
     /// Refuse when the nearest image was taken farther away than this
     #[arg(long, value_name = "M")]
     max_distance: Option<f64>,
@@ -88,6 +101,8 @@ struct Report {
     valid_share: f64,
     sure_share: f64,
     expected_error_px: f64,
+    /// Of the scene, those that were applied.
+    effects: Vec<&'static str>,
     unreadable: Vec<String>,
 }
 
@@ -106,9 +121,12 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     for path in [Some(&arguments.output), arguments.mask.as_ref()].into_iter().flatten() {
         check_output(path, &[&arguments.db])?;
     }
-    let wanted = wanted(arguments)?;
+    let mut wanted = wanted(arguments)?;
+    let scene = arguments.scene.as_deref().map(scene::load).transpose()?;
     let gallery = Gallery::open(&arguments.db, &settings.views)?;
-    let shown = gallery.view(&wanted)?;
+    wanted.camera = camera(arguments, &gallery, &wanted)?;
+    let mut shown = gallery.view(&wanted)?;
+    let effects = scene.map_or_else(Vec::new, |scene| apply(&scene, arguments.frame, &mut shown));
     if arguments.side_by_side {
         save(&beside_each_other(&gallery, &wanted, &shown)?, &arguments.output)?;
     } else {
@@ -117,7 +135,7 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     if let Some(path) = &arguments.mask {
         save(&mask(&shown.answer.image), path)?;
     }
-    let report = report(&gallery, &shown, arguments);
+    let report = Report { effects, ..report(&gallery, &shown, arguments) };
     if json {
         output::json(&report)?;
     } else {
@@ -137,14 +155,45 @@ fn wanted(arguments: &ViewArguments) -> anyhow::Result<Wanted> {
         }
     }
     let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
-    let camera = arguments.lens.as_deref().map(load_lens).transpose()?;
     Ok(Wanted {
         map_from_link: Isometry::from_euler(euler, DVec3::new(x, y, z)),
         method: arguments.method.into(),
-        camera: camera.map(|file| Arc::new(Camera::new(&file.lens))),
+        camera: None,
         max_distance_m: max_distance.unwrap_or(f64::INFINITY),
         without: Vec::new(),
     })
+}
+
+/// The lens asked for, in the size asked for; `None` is that of the nearest image as it is.
+fn camera(arguments: &ViewArguments, gallery: &Gallery, wanted: &Wanted) -> anyhow::Result<Option<Arc<Camera>>> {
+    let size = [arguments.width, arguments.height];
+    let given = arguments.lens.as_deref().map(load_lens).transpose()?.map(|file| file.lens.parameters().clone());
+    let nearest = || {
+        let nearest = gallery.choose(&wanted.map_from_link, 1, &[]);
+        let record = nearest.first().map(|nearest| gallery.index().record(nearest.number));
+        let camera = record.and_then(|record| gallery.camera(&record).cloned());
+        camera.map(|camera| camera.lens().parameters().clone())
+    };
+    let lens = match (given, size) {
+        (None, [None, None]) => return Ok(None),
+        (Some(lens), _) => lens,
+        (None, _) => nearest().ok_or(crate::database::DatabaseError::Empty)?,
+    };
+    Ok(Some(Arc::new(Camera::new(&Lens::new(lens.resized(size))?))))
+}
+
+/// Which effects were applied. A view that is changed is no stored image any more.
+fn apply(scene: &Scene, frame: u64, shown: &mut Shown) -> Vec<&'static str> {
+    let (applied, _) = scene.effects_on_images();
+    if !applied.is_empty() {
+        shown.stored = None;
+        let mut rgb = shown.answer.image.to_rgb();
+        scene.apply_to_image(frame, &mut rgb);
+        for (pixel, rgb) in shown.answer.image.pixels.iter_mut().zip(rgb.as_chunks::<3>().0) {
+            pixel[..3].copy_from_slice(rgb);
+        }
+    }
+    applied
 }
 
 /// A stored image keeps its bytes if the name asks for what it is.
@@ -236,6 +285,7 @@ fn report(gallery: &Gallery, shown: &Shown, arguments: &ViewArguments) -> Report
         valid_share: answer.valid_share,
         sure_share: answer.sure_share,
         expected_error_px: answer.expected_error_px,
+        effects: Vec::new(),
         unreadable: shown.unreadable.clone(),
     }
 }

@@ -71,6 +71,13 @@ impl CaptureSettings {
             }
         }
     }
+
+    /// About what frames of this size will take: JPEGs a quarter of a byte a pixel, raw ones two.
+    pub fn bytes_per_s(&self, (width, height): (u32, u32)) -> u64 {
+        let is_raw = self.jpeg_quality == 0 && self.format.as_deref() != Some("MJPG");
+        let bytes_per_pixel = if is_raw { 2.0 } else { 0.25 };
+        (f64::from(width) * f64::from(height) * bytes_per_pixel * self.rate_hz) as u64
+    }
 }
 
 impl SerialSettings {

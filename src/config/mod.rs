@@ -8,6 +8,7 @@ pub mod lenses;
 mod live;
 pub mod settings;
 mod source;
+mod thinning;
 
 pub use error::{ConfigError, LensFileError};
 pub use fields::{field_names, load_field, parse_field};
@@ -20,3 +21,4 @@ pub use settings::{
     BodyMaskFile, CameraSettings, FilterConfig, Formula, FrameNames, HeadSettings, Model, MotionModel, MotionSource,
     RecordingSettings, Settings, SimdPath, Topics, ViewsSettings,
 };
+pub use thinning::{ThinningMode, ThinningSettings};

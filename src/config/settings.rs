@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::ConfigError;
 use super::live::{CaptureSettings, MountSettings, SerialSettings};
 use super::source::read;
+use super::thinning::ThinningSettings;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -192,7 +193,7 @@ pub struct MotionModel {
     pub turn_rad_per_s: f64,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RecordingSettings {
     /// A segment ends after this time ...
@@ -201,6 +202,19 @@ pub struct RecordingSettings {
     pub segment_mb: u64,
     /// How often what was written is forced onto the disk.
     pub sync_interval_ms: u64,
+    /// Memory for frames that wait for the disk; 0: twice what comes in `doctor`'s worst stall.
+    pub queue_mb: u64,
+    /// Beside it, for odometry, attitude and tags alone.
+    pub reserve_mb: u64,
+    /// Frames are no longer recorded with less than this free on the disk ...
+    pub floor_mb: u64,
+    /// ... or less than this share of it.
+    pub floor_percent: f64,
+    /// The most that a session may take; 0: no limit.
+    pub session_mb: u64,
+    /// The most that all sessions may take; 0: no limit.
+    pub total_mb: u64,
+    pub thinning: ThinningSettings,
 }
 
 /// How images of a database are chosen for a view, and when one is the answer itself.
@@ -314,7 +328,14 @@ impl Settings {
         self.mount.check()?;
         within("recording.segment_s", self.recording.segment_s as f64, 1.0, 86_400.0)?;
         within("recording.segment_mb", self.recording.segment_mb as f64, 1.0, 65_536.0)?;
+        within("recording.queue_mb", self.recording.queue_mb as f64, 0.0, 16_384.0)?;
+        within("recording.reserve_mb", self.recording.reserve_mb as f64, 1.0, 4096.0)?;
+        within("recording.floor_mb", self.recording.floor_mb as f64, 0.0, 1e9)?;
+        within("recording.floor_percent", self.recording.floor_percent, 0.0, 100.0)?;
+        within("recording.session_mb", self.recording.session_mb as f64, 0.0, 1e9)?;
+        within("recording.total_mb", self.recording.total_mb as f64, 0.0, 1e9)?;
         within("recording.sync_interval_ms", self.recording.sync_interval_ms as f64, 10.0, 60_000.0)?;
+        self.recording.thinning.check()?;
         let v = &self.views;
         within("views.sources", v.sources as f64, 1.0, 16.0)?;
         within("views.stored_within_m", v.stored_within_m, 0.0, 1.0)?;
@@ -446,7 +467,18 @@ impl Default for ViewsSettings {
 
 impl Default for RecordingSettings {
     fn default() -> Self {
-        Self { segment_s: 60, segment_mb: 256, sync_interval_ms: 500 }
+        Self {
+            segment_s: 60,
+            segment_mb: 256,
+            sync_interval_ms: 500,
+            queue_mb: 0,
+            reserve_mb: 64,
+            floor_mb: 512,
+            floor_percent: 5.0,
+            session_mb: 0,
+            total_mb: 0,
+            thinning: ThinningSettings::default(),
+        }
     }
 }
 

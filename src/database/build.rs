@@ -34,6 +34,7 @@ pub fn add(
     progress: Progress,
 ) -> Result<Added, DatabaseError> {
     fs::create_dir_all(folder).map_err(io(folder))?;
+    let _alone = alone(folder)?;
     let known = match Catalogue::read(folder) {
         Ok(catalogue) => Some(catalogue),
         Err(DatabaseError::None { .. }) => None,
@@ -61,6 +62,7 @@ pub fn add(
 
 /// Reads every source again: as if the database had just been made.
 pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError> {
+    let _alone = alone(folder)?;
     let old = Catalogue::read(folder)?;
     let mut catalogue = Some(Catalogue { sources: Vec::new(), ..old.clone() });
     let (mut records, mut added) = (Vec::new(), Added { images: 0, left_out: 0, losses: Vec::new() });
@@ -76,6 +78,7 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
 
 /// Takes a source out; its files are not touched.
 pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
+    let _alone = alone(folder)?;
     let mut catalogue = Catalogue::read(folder)?;
     let absolute = path.canonicalize().or_else(|_| std::path::absolute(path)).map_err(io(path))?;
     let unknown = || {
@@ -95,6 +98,26 @@ pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
     publish(folder, catalogue, records)?;
     Ok(removed)
 }
+
+/// Two changes at a time would lose one of them: whoever changes a database holds this file's lock, which goes with the process.
+/// Readers need none.
+fn alone(folder: &Path) -> Result<fs::File, DatabaseError> {
+    let path = folder.join(LOCK);
+    match fs::metadata(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            return Err(DatabaseError::None { path: folder.to_owned() });
+        }
+        _ => {}
+    }
+    let file = fs::File::create(&path).map_err(io(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(fs::TryLockError::WouldBlock) => Err(DatabaseError::Busy { path: folder.to_owned() }),
+        Err(fs::TryLockError::Error(error)) => Err(io(&path)(error)),
+    }
+}
+
+const LOCK: &str = "database.lock";
 
 fn take(
     folder: &Path,

@@ -36,6 +36,8 @@ pub enum DatabaseError {
     Unknown { path: PathBuf, known: String },
     #[error("{}: {what}", path.display())]
     Image { path: PathBuf, what: String },
+    #[error("{}: another process is changing this database: wait until it is done", path.display())]
+    Busy { path: PathBuf },
     #[error("the database has no image")]
     Empty,
     #[error(transparent)]

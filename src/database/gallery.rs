@@ -124,6 +124,11 @@ impl Gallery {
         self.cameras.get(record.source as usize)
     }
 
+    /// Memory of decoded images.
+    pub fn decoded_bytes(&self) -> usize {
+        self.decoded().bytes
+    }
+
     pub fn metric(&self) -> Metric {
         let ViewsSettings { metre_counts, direction_counts, roll_counts, .. } = self.settings;
         Metric { per_m: metre_counts, per_direction: direction_counts, per_roll: roll_counts }

@@ -11,6 +11,7 @@ use super::catalogue::{Source, SourceKind};
 use super::error::{DatabaseError, io};
 use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
+use crate::agent::refining::{REFINED_FOLDER, REFINED_INFO, refined_info};
 use crate::config::load_lens_for_image;
 use crate::evaluation::capture::{Readout, losses, read_tags};
 use crate::geometry::{Euler, FieldDimensions, Isometry};
@@ -67,8 +68,6 @@ impl Lit {
 const POSES: &str = "poses.csv";
 const POSES_HEAD: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg";
 const CAMERA: &str = "camera_info.yaml";
-/// Better tags of a capture, written later, if they are there.
-const REFINED: &str = "refined";
 /// Images decoded at a time: bounds memory.
 const MAX_BATCH: usize = 64;
 
@@ -81,22 +80,29 @@ pub(super) fn read(path: &Path, done: &mut dyn FnMut(u64)) -> Result<Read, Datab
 fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let folder = if path.is_dir() { path.as_path() } else { path.parent().unwrap_or(&path) };
     let info = read_info(folder)?;
-    let refined = folder.join(REFINED);
-    let tags_from = if path.is_dir() && refined.is_dir() { &refined } else { &path };
+    let refined = folder.join(REFINED_FOLDER);
+    let tags_from = if path.is_dir() && refined.join(REFINED_INFO).is_file() { &refined } else { &path };
     let Readout { found: tags, mut losses } = read_tags(tags_from)?;
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
     for tag in tags.iter().filter(|tag| tag.valid) {
         waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
     }
     let files = log::files_of(&path)?;
+    // Refined tags belong to the lens that was found with them.
+    let lens = match refined_info(&path)
+        .map_err(|error| DatabaseError::Source { path: path.clone(), what: error.to_string() })?
+    {
+        Some(refined) => refined.lens,
+        None => info.lens,
+    };
     let topic = info.settings.topics.image.clone();
     let mut log = LogSource::with_outputs(files.clone(), Selection::topics([topic.as_str()]));
     let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), Lit::default());
-    let lens = [info.lens.width as usize, info.lens.height as usize];
+    let size = [lens.width as usize, lens.height as usize];
     loop {
         let message = log.next().transpose()?;
         if message.is_none() || batch.len() == MAX_BATCH {
-            left_out += look_at(&mut batch, lens, &mut records, &mut lit);
+            left_out += look_at(&mut batch, size, &mut records, &mut lit);
             done(records.len() as u64);
         }
         let Some(message) = message else { break };
@@ -121,7 +127,7 @@ fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databa
     let relative = |file: &PathBuf| file.strip_prefix(&path).map(Path::to_owned).unwrap_or_default();
     let source = Source {
         kind: SourceKind::Capture,
-        lens: info.lens,
+        lens,
         files: files.iter().map(relative).collect(),
         dark: None,
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),

@@ -82,6 +82,7 @@ pub fn tagged(tag: &FrameTag) -> Tagged {
         valid: tag.valid,
         pose: isometry(&tag.pose.pose.position, &tag.pose.pose.orientation),
         covariance: in_plane(&tag.pose),
+        ambiguous: tag.ambiguous,
     }
 }
 
@@ -129,6 +130,7 @@ fn stamped_pose(path: &Path, message: &LogMessage) -> Result<Tagged, EvaluationE
         valid: true,
         pose: isometry(&pose.pose.position, &pose.pose.orientation),
         covariance: in_plane(&pose),
+        ambiguous: false,
     })
 }
 

@@ -17,6 +17,8 @@ pub struct Tagged {
     pub pose: Isometry,
     /// Of x and y, metres squared: xx, xy, yy.
     pub covariance: [f64; 3],
+    /// It may as well be the mirror pose.
+    pub ambiguous: bool,
 }
 
 /// What `eval` prints.
@@ -28,6 +30,8 @@ pub struct Comparison {
     pub without_truth: usize,
     /// All other valid tags: what follows is about them, and 0 without any.
     pub judged: usize,
+    /// Of these, tags that say that they may as well be in the other half of the field.
+    pub ambiguous: usize,
     /// Distance in x and y.
     pub position_cm: Summary,
     pub yaw_deg: Summary,
@@ -57,6 +61,7 @@ pub fn compare(tags: &[Tagged], truth: &[(i64, Isometry)]) -> Comparison {
             result.without_truth += 1;
             continue;
         };
+        result.ambiguous += usize::from(tag.ambiguous);
         let off = (tag.pose.translation - true_pose.translation).truncate();
         position.push(100.0 * off.length());
         let (got, wanted) = (tag.pose.euler(), true_pose.euler());
@@ -90,6 +95,16 @@ pub fn mirrored(tags: &[Tagged]) -> Vec<Tagged> {
     tags.iter().map(|tag| Tagged { pose: half_turn * tag.pose, ..tag.clone() }).collect()
 }
 
+/// An ambiguous tag holds two poses: the one nearer to the truth. All others as they are.
+pub fn up_to_mirror(tags: &[Tagged], truth: &[(i64, Isometry)]) -> Vec<Tagged> {
+    let off = |tag: &Tagged| Some((tag.pose.translation - truth_at(truth, tag.stamp_ns)?.translation).length());
+    let nearer = |(tag, turned): (&Tagged, Tagged)| if off(&turned) < off(tag) { turned } else { tag.clone() };
+    tags.iter()
+        .zip(mirrored(tags))
+        .map(|(tag, turned)| if tag.ambiguous { nearer((tag, turned)) } else { tag.clone() })
+        .collect()
+}
+
 /// Between the two nearest true poses.
 pub fn truth_at(truth: &[(i64, Isometry)], stamp_ns: i64) -> Option<Isometry> {
     let after = truth.partition_point(|(stamp, _)| *stamp < stamp_ns);
@@ -121,7 +136,8 @@ mod tests {
     #[test]
     fn errors_are_what_they_were_made_to_be() {
         let truth = vec![(0, at(0.0, 0.0, 0.3)), (100, at(1.0, 0.0, 0.3))];
-        let tag = |stamp_ns, pose| Tagged { stamp_ns, valid: true, pose, covariance: [0.01, 0.0, 0.01] };
+        let tag =
+            |stamp_ns, pose| Tagged { stamp_ns, valid: true, pose, covariance: [0.01, 0.0, 0.01], ambiguous: false };
         let tags = [
             tag(0, at(0.03, 0.0, 0.3)),
             tag(50, at(0.5, 0.1, 0.3)),
@@ -143,9 +159,16 @@ mod tests {
     #[test]
     fn tags_in_the_other_half_are_right_when_mirrored() {
         let truth = vec![(0, at(1.0, 0.0, 0.3)), (100, at(1.5, 0.0, 0.3))];
-        let tag = |stamp_ns, x: f64| Tagged { stamp_ns, valid: true, pose: at(x, PI, 0.3), covariance: [1.0; 3] };
-        let tags = [tag(0, -1.0), tag(100, -1.5)];
+        let tag = |stamp_ns, x: f64, ambiguous| {
+            let pose = at(x, PI, 0.3);
+            Tagged { stamp_ns, valid: true, pose, covariance: [1.0; 3], ambiguous }
+        };
+        let tags = [tag(0, -1.0, true), tag(100, -1.5, false)];
         assert!(compare(&tags, &truth).position_cm.median > 200.0);
+        // Only one that says so may be there.
+        let folded = compare(&up_to_mirror(&tags, &truth), &truth);
+        assert!((folded.position_cm.max - 300.0).abs() < 1e-9 && (folded.position_cm.mean - 150.0).abs() < 1e-9);
+        assert_eq!(folded.ambiguous, 1);
         let turned = compare(&mirrored(&tags), &truth);
         assert!(turned.position_cm.max < 1e-9 && turned.yaw_deg.max < 1e-9 && turned.tilt_deg.max < 1e-9);
     }

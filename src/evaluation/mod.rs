@@ -14,5 +14,5 @@ pub mod truth;
 pub mod video;
 pub mod views;
 
-pub use compare::{Comparison, Tagged, compare, mirrored};
+pub use compare::{Comparison, Tagged, compare, mirrored, up_to_mirror};
 pub use statistics::Summary;

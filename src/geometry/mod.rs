@@ -8,14 +8,19 @@ pub mod field;
 pub mod lens;
 pub mod polynomial;
 pub mod pose;
+mod pose_grid;
 
 pub use field::{Field, FieldDimensions, FieldError, FieldPoint};
 pub use lens::{Lens, LensError, LensModel, LensParameters, Projector};
 pub use pose::{Euler, Isometry, Pose2};
+pub use pose_grid::PoseGrid;
 
 /// Wraps an angle to (-pi, pi].
 pub fn wrap_angle(angle: f64) -> f64 {
     use core::f64::consts::{PI, TAU};
+    if angle > -PI && angle <= PI {
+        return angle;
+    }
     let wrapped = angle - TAU * libm::round(angle / TAU);
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }

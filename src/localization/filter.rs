@@ -62,11 +62,13 @@ pub struct Filter {
     state: FilterState,
     /// The line points that are looked at.
     scratch: Points,
+    /// Weights so far that were NaN or +inf.
+    unusable_weights: u64,
 }
 
 impl Filter {
     pub fn new(settings: FilterSettings, observation: Observation, state: FilterState) -> Self {
-        Self { settings, observation, state, scratch: Points::default() }
+        Self { settings, observation, state, scratch: Points::default(), unusable_weights: 0 }
     }
 
     pub fn settings(&self) -> &FilterSettings {
@@ -79,6 +81,11 @@ impl Filter {
 
     pub fn state(&self) -> &FilterState {
         &self.state
+    }
+
+    /// Weights since it was made that were NaN or +inf, which no likelihood is.
+    pub fn unusable_weights(&self) -> u64 {
+        self.unusable_weights
     }
 
     /// Starts over around a pose.
@@ -108,6 +115,7 @@ impl Filter {
         loop {
             self.weigh(table, effort, may_go_on);
             let weights = weights::normalise(&self.state.particles.log_weights);
+            self.unusable_weights += weights.unusable as u64;
             let draws = sampling.needed(&self.state.particles, &weights);
             let settled = sampling.is_settled(round as usize + 1, &weights);
             effort.capped |= !settled && !may_go_on(effort.weighed);

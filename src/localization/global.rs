@@ -53,6 +53,8 @@ const MOST_FRAMES: usize = 20;
 /// Poses of the grid that are looked at on the table itself, and of these, how many are climbed from.
 const CLOSER: usize = 600;
 const CLIMBED: usize = 100;
+/// Climbed from whatever the clock says.
+const FEWEST_CLIMBED: usize = 25;
 /// Candidates closer than this are one.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;
@@ -109,9 +111,9 @@ impl Search {
         }
         effort.weighed += found.len() as u32;
         best_of(&mut found, CLIMBED);
-        for candidate in &mut found {
+        for (index, candidate) in found.iter_mut().enumerate() {
             // The best first: what there is no time for would hardly have won.
-            if !may_go_on(effort.weighed) {
+            if index >= FEWEST_CLIMBED && !may_go_on(effort.weighed) {
                 effort.capped = true;
                 break;
             }

@@ -47,12 +47,11 @@ impl Particles {
 
     /// Replaces the set by `counts[i]` copies of particle i, all of the same weight.
     pub fn duplicate(&mut self, counts: &[u32]) {
-        self.poses = self
-            .poses
-            .iter()
-            .zip(counts)
-            .flat_map(|(pose, count)| core::iter::repeat_n(*pose, *count as usize))
-            .collect();
+        let mut copies = Vec::with_capacity(counts.iter().sum::<u32>() as usize);
+        for (pose, count) in self.poses.iter().zip(counts) {
+            copies.extend(core::iter::repeat_n(*pose, *count as usize));
+        }
+        self.poses = copies;
         self.log_weights.clear();
         self.log_weights.resize(self.poses.len(), 0.0);
     }

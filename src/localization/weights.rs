@@ -13,11 +13,14 @@ pub struct Weights {
     pub evidence: f64,
     /// No weight was usable: all were taken as equal.
     pub degenerate: bool,
+    /// Weights that are NaN or +inf: what no likelihood is.
+    pub unusable: usize,
 }
 
 /// NaN counts as impossible; +inf as the set of the best, alike.
 pub fn normalise(log_weights: &[f64]) -> Weights {
     let count = log_weights.len();
+    let unusable = log_weights.iter().filter(|value| value.is_nan() || **value == f64::INFINITY).count();
     let clean = |value: f64| if value.is_nan() { f64::NEG_INFINITY } else { value };
     let highest = log_weights.iter().map(|value| clean(*value)).fold(f64::NEG_INFINITY, f64::max);
     if highest == f64::NEG_INFINITY {
@@ -29,6 +32,7 @@ pub fn normalise(log_weights: &[f64]) -> Weights {
             // No particles, no evidence for or against.
             evidence: if count == 0 { 0.0 } else { f64::NEG_INFINITY },
             degenerate: true,
+            unusable,
         };
     }
     let relative = |value: f64| {
@@ -43,7 +47,7 @@ pub fn normalise(log_weights: &[f64]) -> Weights {
     }
     let squares: Vec<f64> = shares.iter().map(|share| share * share).collect();
     let best = log_weights.iter().position(|value| *value == highest).unwrap_or(0);
-    Weights { best, effective_sample_size: 1.0 / pairwise_sum(&squares), evidence, degenerate: false, shares }
+    Weights { best, effective_sample_size: 1.0 / pairwise_sum(&squares), evidence, degenerate: false, unusable, shares }
 }
 
 /// Halves until 64 remain: the rounding error grows with log n instead of n.
@@ -75,6 +79,20 @@ mod tests {
         assert_eq!(normalise(&[f64::NAN, 0.0]).shares, vec![0.0, 1.0]);
         let w = normalise(&[f64::INFINITY, 0.0, f64::INFINITY]);
         assert_eq!((w.shares, w.best), (vec![0.5, 0.0, 0.5], 0));
+    }
+
+    #[test]
+    fn each_weight_that_is_no_likelihood_is_counted() {
+        let (nan, inf) = (f64::NAN, f64::INFINITY);
+        for (logs, unusable) in [
+            (&[nan, 0.0, inf, -3.0][..], 2),
+            (&[nan, nan][..], 2),
+            (&[-inf, 0.0, -1e300, 1e300][..], 0),
+            (&[-inf; 3][..], 0),
+            (&[][..], 0),
+        ] {
+            assert_eq!(normalise(logs).unusable, unusable, "{logs:?}");
+        }
     }
 
     proptest! {

@@ -7,9 +7,11 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::error::RecordingError;
 use super::manifest::{MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo};
+use super::retention::evicted_segments;
 use super::segment::ACTIVE;
-use super::session::RecordingError;
+use super::storage::{Disk, Storage, read_small};
 use crate::ros2::mcap_read::Damage;
 
 /// A manifest has some hundred bytes a segment; what is larger is none.
@@ -62,10 +64,13 @@ pub fn missing_parts(capture: &Path) -> Vec<Loss> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Vec::new(),
         Err(error) => return vec![Loss::new(&path, format!("cannot be read, so no segment was checked: {error}"))],
     };
+    let evicted = evicted_segments(&Disk, folder);
     let mut losses = Vec::new();
     let mut lines = text.split('\n').enumerate().peekable();
     while let Some((index, line)) = lines.next() {
         match serde_json::from_str::<ManifestLine>(line) {
+            // What was removed on purpose is elsewhere.
+            Ok(line) if evicted.contains_key(&line.name) && !folder.join(&line.name).exists() => {}
             Ok(line) if only.is_none_or(|name| *name == *line.name) => losses.extend(loss_of(folder, &line)),
             Ok(_) => {}
             // A line is appended behind its segment's final name: power may fail in between, and nothing is lost.
@@ -74,6 +79,13 @@ pub fn missing_parts(capture: &Path) -> Vec<Loss> {
         }
     }
     losses
+}
+
+/// The lines of a manifest that make sense, in their order.
+pub(super) fn manifest_lines(storage: &dyn Storage, session: &Path) -> io::Result<Vec<ManifestLine>> {
+    let text = read_small(storage, &session.join(MANIFEST_FILE), MAX_MANIFEST_BYTES)?.unwrap_or_default();
+    let lines = text.split(|byte| *byte == b'\n');
+    Ok(lines.filter_map(|line| serde_json::from_slice(line).ok()).collect())
 }
 
 fn read_manifest(path: &Path) -> io::Result<String> {

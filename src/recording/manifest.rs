@@ -7,16 +7,26 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::Settings;
 use crate::geometry::{FieldDimensions, LensParameters};
+use crate::ros2::mcap_read::Channel;
 
 pub const FORMAT_VERSION: u32 = 1;
 /// What a session's folder is known by.
-pub(super) const SESSION_FILE: &str = "session.json";
-pub(super) const MANIFEST_FILE: &str = "manifest.jsonl";
+pub const SESSION_FILE: &str = "session.json";
+pub const MANIFEST_FILE: &str = "manifest.jsonl";
+/// For `ros2 bag`; written last.
+pub const METADATA_FILE: &str = "metadata.yaml";
+/// A file of this name in a session's folder: nobody deletes the session unasked.
+pub const PIN_FILE: &str = "pinned";
+/// Segments that were removed because another store has them.
+pub const EVICTED_FILE: &str = "evicted.jsonl";
 
 /// `session.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionInfo {
     pub format: u32,
+    /// Of this session alone, whatever its folder is called: 32 hexadecimal digits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub id: Option<String>,
     pub software: String,
     pub robot: String,
     /// UTC of the first message, RFC 3339.
@@ -34,6 +44,9 @@ pub struct SessionInfo {
 /// What a live camera agreed to, and how its clock stands to UTC.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LiveInfo {
+    /// Of the machine: two robots of one name are told apart by it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot_id: Option<String>,
     /// UTC minus CLOCK_MONOTONIC, frozen at the start.
     pub utc_offset_ns: i64,
     /// Subtracted from the camera's stamps.
@@ -42,25 +55,31 @@ pub struct LiveInfo {
     pub camera: serde_json::Value,
 }
 
-/// Frames, by what became of them: captured = written + the sum of dropped, and in the end written = tagged + the sum
-/// of untagged.
+/// Frames, by what became of them: captured = written + thinned + the sum of dropped. In the end each frame that reached the
+/// recorder, whether it was written or not, is tagged or untagged.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
     pub captured: u64,
     pub written: u64,
     pub tagged: u64,
     pub valid: u64,
+    /// Tagged and not written, as `recording.thinning` asks.
+    #[serde(default)]
+    pub thinned: u64,
     /// Not written, by cause.
     pub dropped: BTreeMap<String, u64>,
     /// Written, but of which nobody can say when they were exposed; by cause.
     #[serde(default)]
     pub untagged: BTreeMap<String, u64>,
+    /// Other messages that were taken and not written, by cause.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub lost: BTreeMap<String, u64>,
 }
 
 impl Counts {
-    /// Every captured frame was either written or dropped.
+    /// Every captured frame was written, thinned out or dropped.
     pub fn is_conserved(&self) -> bool {
-        self.captured == self.written + self.dropped.values().sum::<u64>()
+        self.captured == self.written + self.thinned + self.dropped.values().sum::<u64>()
     }
 
     pub fn add(&mut self, other: &Self) {
@@ -68,7 +87,9 @@ impl Counts {
         self.written += other.written;
         self.tagged += other.tagged;
         self.valid += other.valid;
-        for (sum, more) in [(&mut self.dropped, &other.dropped), (&mut self.untagged, &other.untagged)] {
+        self.thinned += other.thinned;
+        let sums = [&mut self.dropped, &mut self.untagged, &mut self.lost];
+        for (sum, more) in sums.into_iter().zip([&other.dropped, &other.untagged, &other.lost]) {
             for (cause, count) in more {
                 *sum.entry(cause.clone()).or_default() += count;
             }
@@ -101,6 +122,9 @@ pub struct ManifestLine {
     pub messages: u64,
     pub frames: Counts,
     pub poses: Option<PoseBox>,
+    /// Of a segment that was never finished: so much of its file made no sense and was cut off.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cut_bytes: Option<u64>,
 }
 
 /// What tells an entry of `metadata.yaml` from the others. Readers look for the files' channels by all three.
@@ -109,6 +133,14 @@ pub struct TopicEntry {
     pub name: String,
     pub type_name: String,
     pub qos_profiles: String,
+}
+
+impl TopicEntry {
+    pub fn of(channel: &Channel) -> Self {
+        let [name, type_name, qos_profiles] =
+            [&channel.topic, &channel.type_name, channel.qos_profiles()].map(str::to_owned);
+        Self { name, type_name, qos_profiles }
+    }
 }
 
 /// What `ros2 bag` wants beside the files (version 5: understood since Humble).

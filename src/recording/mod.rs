@@ -1,13 +1,65 @@
-//! Captures on disk: a session's folder, its segments, its manifest. Layout and order of writes: docs/formats.md.
+//! Captures on disk: a session's folder, its segments, its manifest. Layout and order of writes: docs/formats.md; what is
+//! promised of them, and how it is tested: docs/recording.md.
 
+mod acknowledgement;
+pub mod catalogue;
+mod coverage;
+mod entry;
+mod error;
 mod folder;
+mod gap;
+mod identity;
 mod manifest;
+mod recorder;
+mod release;
+mod repair;
+mod retention;
 mod segment;
 mod session;
+mod shared;
+#[cfg(test)]
+mod simulation;
+mod status;
+pub mod storage;
+mod thinning;
+mod verify;
+mod worst_stall;
+mod writer;
 
+use std::path::Path;
+
+pub use acknowledgement::{
+    ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER, is_receiver, receiver_of,
+    receivers_of,
+};
+pub use catalogue::{Session, SetAside};
+pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
+pub use error::RecordingError;
 pub use folder::{Loss, missing_parts, read_info, session_holding};
-pub use manifest::{Counts, FORMAT_VERSION, LiveInfo, ManifestLine, PoseBox, SessionInfo};
-pub use session::{RecordingError, SessionWriter, write_atomically};
+pub use identity::{Head, SessionId, robot_id};
+pub use manifest::{
+    Counts, EVICTED_FILE, FORMAT_VERSION, LiveInfo, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, PoseBox,
+    SESSION_FILE, SessionInfo,
+};
+pub use release::{Releasable, releasable};
+pub use repair::{Repaired, repair, sessions_of};
+pub use retention::Evicted;
+pub use session::{SegmentState, SessionWriter, Writing};
+pub use status::{Fault, RecorderStatus, Stopped, loss_bound_ms};
+pub use thinning::Thinning;
+pub use verify::{Verified, verify};
+pub use worst_stall::DiskMeasured;
+
+/// The old content or the new, never a part.
+pub fn write_atomically(path: &Path, content: &[u8]) -> Result<(), RecordingError> {
+    storage::write_atomically(&storage::Disk, path, content)
+}
+
+/// Makes created, renamed and removed names survive a power cut.
+pub fn sync_folder(folder: &Path) -> Result<(), RecordingError> {
+    use storage::Storage;
+    storage::Disk.sync_folder(folder).map_err(|source| RecordingError::io(folder, source))
+}
 
 /// Topics that a capture adds to what was recorded.
 pub mod topic {
@@ -15,6 +67,6 @@ pub mod topic {
     pub const POSE: &str = "/camera/pose";
     /// `realitysim_msgs/FrameTag`, one per frame.
     pub const FRAME_TAG: &str = "/frame_tag";
-    /// `diagnostic_msgs/DiagnosticArray`, one per second.
+    /// `diagnostic_msgs/DiagnosticArray`, one per second, and one for each gap.
     pub const DIAGNOSTICS: &str = "/diagnostics";
 }

@@ -38,7 +38,7 @@ impl From<McapError> for WriteError {
 }
 
 /// A channel of one [`LogWriter`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ChannelId(u16);
 
 /// Whether late subscribers shall get the last message: for `/tf_static` and the like.

@@ -66,12 +66,8 @@ pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
 /// What may be drawn must be possible from end to end: a scene that is right with one seed is right with all.
 fn ranges(template: &Template, field: &Field) -> Result<(), SceneError> {
     for range in &template.ranges {
-        if range.per == Per::Frame && !effects::MAY_CHANGE.contains(&range.kind.as_str()) {
-            let expected = format!(
-                "only {} can change with every frame; say per = \"episode\"",
-                effects::MAY_CHANGE.join(" and ")
-            );
-            return Err(refuse(&range.key, "drawn per frame", expected));
+        if range.per == Per::Frame {
+            effects::check_may_change(range)?;
         }
         for end in [range.low, range.high] {
             let value = |other: &Range| if other == range { end } else { template.value(other, 0) };

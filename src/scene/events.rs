@@ -1,7 +1,10 @@
 //! What the robot's sensors send, in time order.
 
+use std::borrow::Cow;
+
 use glam::{DQuat, DVec3};
 
+use super::changing::Changing;
 use super::effects::{Fate, HeadMotion, ImuError, Joints, OdometryError};
 use super::file::InitialPose;
 use super::motion::Travel;
@@ -73,6 +76,9 @@ pub struct Events<'a> {
     scene: &'a Scene,
     clocks: [Option<Clock>; 5],
     odometer: Odometer,
+    /// Of the frame that was last due: what sensors other than the camera draw for it, too.
+    frame: u64,
+    now: Cow<'a, Changing>,
 }
 
 impl<'a> Events<'a> {
@@ -87,10 +93,12 @@ impl<'a> Events<'a> {
                 announced,
                 file.odometry.map(|section| clock(section.rate_hz)),
                 file.imu.map(|section| clock(section.rate_hz)),
-                file.imu.filter(|_| scene.head.is_some()).map(|section| clock(section.rate_hz)),
+                file.imu.filter(|_| scene.changing.head.is_some()).map(|section| clock(section.rate_hz)),
                 Some(clock(file.camera.rate_hz)),
             ],
             odometer: Odometer { pose: Pose2::default(), time: 0.0, before: scene.travel(0.0) },
+            frame: 0,
+            now: scene.at_frame(0),
         }
     }
 }
@@ -106,6 +114,7 @@ impl Iterator for Events<'_> {
                 .filter_map(|which| due(&self.clocks[which]).map(|offset| (which, offset)))
                 .min_by_key(|(_, offset)| *offset)?;
             let index = self.clocks[which].as_mut()?.tick();
+            self.advance(seconds(offset_ns));
             if let Some(kind) = self.event(ORDER[which], seconds(offset_ns), index) {
                 let corrupt = match self.fate(ORDER[which], index) {
                     Fate::Whole => None,
@@ -119,6 +128,16 @@ impl Iterator for Events<'_> {
 }
 
 impl Events<'_> {
+    fn advance(&mut self, time: f64) {
+        // Where nothing is drawn per frame there is nothing to ask for.
+        if let Cow::Owned(_) = self.now {
+            let frame = self.scene.frame_at(time);
+            if frame != self.frame {
+                (self.frame, self.now) = (frame, self.scene.at_frame(frame));
+            }
+        }
+    }
+
     /// What the wire makes of it.
     fn fate(&self, source: Source, index: u64) -> Fate {
         let line = match source {
@@ -128,7 +147,7 @@ impl Events<'_> {
             Source::Joints => 3,
         };
         let seed = self.scene.file.scene.seed;
-        self.scene.serial_noise.as_ref().map_or(Fate::Whole, |noise| noise.fate(seed, line, index))
+        self.now.serial_noise.as_ref().map_or(Fate::Whole, |noise| noise.fate(seed, line, index))
     }
 
     /// None where a sensor says nothing.
@@ -137,14 +156,14 @@ impl Events<'_> {
         Some(match source {
             Source::InitialPose => SceneEventKind::InitialPose(initial_pose(scene)),
             Source::Odometry => {
-                let odometry = self.odometer.sample(scene, time, index);
-                if scene.odometry_error.as_ref().is_some_and(|error| error.is_silent(time)) {
+                let odometry = self.odometer.sample(scene, self.now.odometry_error.as_ref(), time, index);
+                if self.now.odometry_error.as_ref().is_some_and(|error| error.is_silent(time)) {
                     return None;
                 }
                 SceneEventKind::Odometry(odometry)
             }
-            Source::Imu => SceneEventKind::Imu(imu(scene, time, index)),
-            Source::Joints => SceneEventKind::Joints(joints(scene, time, index)),
+            Source::Imu => SceneEventKind::Imu(imu(scene, &self.now, time, index)),
+            Source::Joints => SceneEventKind::Joints(joints(scene, &self.now, time, index)),
             Source::Frame => {
                 if scene.camera_fault.as_ref().is_some_and(|fault| fault.is_unplugged(time)) {
                     return None;
@@ -168,21 +187,21 @@ fn initial_pose(scene: &Scene) -> InitialPoseEstimate {
     InitialPoseEstimate { map_from_base_footprint }
 }
 
-fn imu(scene: &Scene, time: f64, index: u64) -> Imu {
+fn imu(scene: &Scene, now: &Changing, time: f64, index: u64) -> Imu {
     let Truth { map_from_base_link, angular_velocity, linear_acceleration, .. } = scene.truth(time);
     let travel = scene.travel(time);
-    let drift = scene.odometry_error.as_ref().map_or(0.0, OdometryError::yaw_drift);
+    let drift = now.odometry_error.as_ref().map_or(0.0, OdometryError::yaw_drift);
     let mut euler = map_from_base_link.euler();
     euler.yaw = wrap_angle(travel.turned + drift * travel.walked);
     let measured = |error: &ImuError| error.measured(euler, angular_velocity, scene.file.scene.seed, index);
-    let (euler, angular_velocity) = scene.imu_error.as_ref().map_or((euler, angular_velocity), measured);
+    let (euler, angular_velocity) = now.imu_error.as_ref().map_or((euler, angular_velocity), measured);
     let told = Imu { orientation: euler.rotation(), angular_velocity, linear_acceleration };
-    scene.imu_error.as_ref().map_or(told, |error| error.in_housing(told))
+    now.imu_error.as_ref().map_or(told, |error| error.in_housing(told))
 }
 
-fn joints(scene: &Scene, time: f64, index: u64) -> Joints {
+fn joints(scene: &Scene, now: &Changing, time: f64, index: u64) -> Joints {
     let told = |head: &HeadMotion| head.measured(time, scene.file.scene.seed, index);
-    scene.head.as_ref().map_or_else(Joints::default, told)
+    now.head.as_ref().map_or_else(Joints::default, told)
 }
 
 /// Adds up steps, because every step has its own error.
@@ -194,10 +213,10 @@ struct Odometer {
 }
 
 impl Odometer {
-    fn sample(&mut self, scene: &Scene, time: f64, index: u64) -> Odometry {
+    fn sample(&mut self, scene: &Scene, error: Option<&OdometryError>, time: f64, index: u64) -> Odometry {
         let now = scene.travel(time);
         let mut twist = Twist { x: now.speed, y: 0.0, yaw: now.turn };
-        match &scene.odometry_error {
+        match error {
             // Not added up: without an error the truth itself.
             None => self.pose = now.start_from_base_footprint,
             Some(error) if error.is_frozen(time) => twist = Twist::default(),
@@ -208,7 +227,7 @@ impl Odometer {
                 twist = Twist { x: twist.x * error.scale(), yaw: twist.yaw + error.yaw_drift() * twist.x, ..twist };
             }
         }
-        if let Some(jump) = scene.odometry_error.as_ref().and_then(|error| error.jumped(self.time, time)) {
+        if let Some(jump) = error.and_then(|error| error.jumped(self.time, time)) {
             self.pose = self.pose.compose(&jump);
         }
         self.time = time;
@@ -240,6 +259,15 @@ impl Clock {
 
     pub(super) fn time(&self, index: u64) -> f64 {
         seconds(self.offset_ns(index))
+    }
+
+    /// The last tick by this time, or the first.
+    pub(super) fn last_by(&self, time: f64) -> u64 {
+        let mut index = (time * self.rate_hz).max(0.0) as u64 + 1;
+        while index > 0 && self.time(index) > time {
+            index -= 1;
+        }
+        index
     }
 
     pub(super) fn count(&self) -> u64 {

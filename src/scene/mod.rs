@@ -3,6 +3,7 @@
 //! Pure: everything is a function of file, field and lens. [`Scene::truth`] is the robot's pose at any time,
 //! [`Scene::events`] what its sensors send, [`Renderer`] what its camera sees.
 
+mod changing;
 mod check;
 pub mod effects;
 mod events;
@@ -23,14 +24,11 @@ pub use render::Renderer;
 pub use truth::{Mount, Truth, Twist};
 
 use crate::geometry::{Field, FieldDimensions, Lens, LensParameters};
-use effects::{
-    BrightWindow, CalibrationError, CameraFault, Carrying, Crowd, HeadMotion, ImuError, LightModel, NoiseModel,
-    OdometryError, SerialNoise, Shutter, SwayModel, WornLines,
-};
+use changing::Changing;
+use effects::{CalibrationError, CameraFault, Carrying, Crowd, SwayModel, WornLines};
 use glam::DVec2;
 use motion::Motion;
-use ranges::{Per, Template};
-use std::borrow::Cow;
+use ranges::Per;
 
 /// The stamp of every scene's first event, in nanoseconds since 1970: a fixed day, so that recordings repeat.
 pub const START_STAMP_NS: i64 = 1_760_000_000_000_000_000;
@@ -47,19 +45,13 @@ pub struct Scene {
     announced_lens: LensParameters,
     motion: Motion,
     sway: Option<SwayModel>,
-    head: Option<HeadMotion>,
     carrying: Option<Carrying>,
-    light: Option<LightModel>,
     crowd: Option<Crowd>,
-    odometry_error: Option<OdometryError>,
-    imu_error: Option<ImuError>,
     worn_lines: Option<WornLines>,
     calibration_error: Option<CalibrationError>,
-    noise: Option<NoiseModel>,
-    window: Option<BrightWindow>,
-    shutter: Option<Shutter>,
     camera_fault: Option<CameraFault>,
-    serial_noise: Option<SerialNoise>,
+    /// As it is in the first frame; [`Scene::at_frame`] for the others.
+    changing: Changing,
 }
 
 impl Scene {
@@ -82,19 +74,12 @@ impl Scene {
             lens,
             motion,
             sway: None,
-            head: None,
             carrying: None,
-            light: None,
             crowd: None,
-            odometry_error: None,
-            imu_error: None,
             worn_lines: None,
             calibration_error: None,
-            noise: None,
-            window: None,
-            shutter: None,
             camera_fault: None,
-            serial_noise: None,
+            changing: Changing::default(),
         };
         for (index, effect) in scene.file.effects.clone().iter().enumerate() {
             scene.add(&format!("effect[{index}]"), effect)?;
@@ -115,26 +100,16 @@ impl Scene {
         let seed = self.file.scene.seed;
         match effect {
             Effect::GaitSway(effect) => self.sway = Some(effect.model(seed, self.motion.duration())),
-            Effect::HeadMotion(effect) => self.head = Some(effect.clone()),
             Effect::Kidnapping(effect) => self.carrying = Some(effect.model(key, &self.motion, &self.field)?),
             Effect::Fall(effect) => self.carrying = Some(effect.model(key, &self.motion, &self.field)?),
-            Effect::BrightWindow(effect) => self.window = Some(effect.clone()),
-            Effect::Shutter(effect) => self.shutter = Some(effect.clone()),
             Effect::CameraFault(effect) => self.camera_fault = Some(effect.clone()),
-            Effect::SerialNoise(effect) => self.serial_noise = Some(effect.clone()),
-            Effect::Light(effect) => self.light = Some(effect.model()),
             Effect::Obstacles(effect) => self.crowd = Some(effect.model(seed, &self.field, &self.way())),
-            Effect::OdometryError(effect) => self.odometry_error = Some(effect.clone()),
-            Effect::ImuError(effect) => self.imu_error = Some(effect.clone()),
             Effect::WornLines(effect) => self.worn_lines = Some(effect.clone()),
             Effect::CalibrationError(effect) => {
                 self.announced_lens = effect.lens(key, self.lens.parameters())?;
                 self.calibration_error = Some(effect.clone());
             }
-            Effect::SensorNoise(effect) => {
-                let amplified = self.light.as_ref().map_or(1.0, |light| light.camera_gain());
-                self.noise = Some(effect.model(seed, amplified));
-            }
+            other => self.changing.add(other, seed),
         }
         Ok(())
     }
@@ -147,27 +122,6 @@ impl Scene {
     /// What was drawn for one frame.
     pub fn drawn_for(&self, frame: u64) -> Vec<Drawn> {
         self.file.template.as_ref().map_or_else(Vec::new, |template| template.drawn(Per::Frame, frame))
-    }
-
-    /// Light and sensor of a frame.
-    fn changing(&self, frame: u64) -> (Option<LightModel>, Option<Cow<'_, NoiseModel>>) {
-        let mut light = self.light;
-        let mut noise = self.noise.as_ref().map(Cow::Borrowed);
-        let per_frame = |template: &&Template| template.ranges.iter().any(|range| range.per == Per::Frame);
-        let Some(template) = self.file.template.as_ref().filter(per_frame) else { return (light, noise) };
-        // Both ends were read when the scene was built, so what is between them can be.
-        let effects = SceneFile::effects_with(template, |range| template.value(range, frame)).unwrap_or_default();
-        for effect in effects.iter().take(self.file.effects.len()) {
-            match effect {
-                Effect::Light(effect) => light = Some(effect.model()),
-                Effect::SensorNoise(effect) => {
-                    let amplified = light.as_ref().map_or(1.0, LightModel::camera_gain);
-                    noise = self.noise.as_ref().map(|noise| Cow::Owned(noise.with(effect, amplified)));
-                }
-                _ => {}
-            }
-        }
-        (light, noise)
     }
 
     /// Names of the effects that mean the same on any image, and of the others: those need to know where the camera
@@ -186,11 +140,11 @@ impl Scene {
     /// RGB of any size, as if it were this frame; without such an effect not a bit changes.
     pub fn apply_to_image(&self, frame: u64, pixels: &mut [u8]) {
         let (on_any, _) = self.effects_on_images();
-        let (light, noise) = self.changing(frame);
-        if let Some(light) = light.filter(|_| on_any.contains(&"light")) {
+        let now = self.at_frame(frame);
+        if let Some(light) = now.light.filter(|_| on_any.contains(&"light")) {
             light.apply(pixels);
         }
-        if let Some(noise) = noise {
+        if let Some(noise) = &now.noise {
             noise.apply(frame, pixels);
         }
     }
@@ -237,6 +191,11 @@ impl Scene {
     /// When the camera takes this frame, in seconds since the start.
     pub fn frame_time_s(&self, index: u64) -> f64 {
         events::Clock::new(self.file.camera.rate_hz, self.duration_s()).time(index)
+    }
+
+    /// The last frame that is due by this time; before the first one, that.
+    fn frame_at(&self, time: f64) -> u64 {
+        events::Clock::new(self.file.camera.rate_hz, self.duration_s()).last_by(time)
     }
 
     /// How much of this frame arrives, if not all of it.

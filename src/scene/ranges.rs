@@ -110,6 +110,11 @@ impl Template {
         Stream::new(self.seed, Purpose::Ranges, index).between(range.low, range.high)
     }
 
+    /// Whether anything is drawn so often.
+    pub(super) fn has(&self, per: Per) -> bool {
+        self.ranges.iter().any(|range| range.per == per)
+    }
+
     pub(super) fn drawn(&self, per: Per, frame: u64) -> Vec<Drawn> {
         let of = self.ranges.iter().filter(|range| range.per == per);
         let drawn =

@@ -114,7 +114,7 @@ impl Scene {
     /// `base_link_from_camera_link` as the head holds it.
     fn camera_at(&self, time: f64) -> Isometry {
         let mounted = self.mount().base_link_from_camera_link;
-        let Some(head) = &self.head else { return mounted };
+        let Some(head) = &self.changing.head else { return mounted };
         let pitch = self.file.camera.mount_pitch_deg.to_radians();
         Isometry::from_euler(head.at(time).camera(pitch), mounted.translation)
     }

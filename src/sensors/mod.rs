@@ -19,5 +19,6 @@ pub mod topics;
 pub mod transforms;
 #[cfg(feature = "v4l2")]
 pub mod v4l2;
+pub mod video_out;
 
 pub use body_mask::body_mask;

@@ -192,21 +192,22 @@ impl Answer {
     pub(super) fn unchanged(made: Made, request: &Request, source: &Candidate) -> Self {
         let image = source.image.full().clone();
         let (valid_share, _) = shares(source.camera, &image);
-        let target = Target::new(request.camera, &request.map_from_link, request.world);
         let error = match made {
             // Each place is shown where the source's camera had it.
-            Made::Nearest => Warp::new(&target, source).rms_shift_px(),
+            Made::Nearest => {
+                let target = Target::new(request.camera, &request.map_from_link, request.world);
+                Warp::new(&target, source).rms_shift_px()
+            }
             _ => 0.0,
         };
-        let expected_error_px = libm::hypot(error, tag_error_px(&target, &source.tag));
+        let expected_error_px = libm::hypot(error, Nearness::of(request).tag_error_px(&source.tag));
         let sources = vec![request.used(source, 1.0)];
         Self { image, made, sources, valid_share, sure_share: valid_share, expected_error_px }
     }
 
     pub(super) fn warped(request: &Request, source: &Candidate, image: Raster, map_error_px: f64) -> Self {
         let (valid_share, sure_share) = shares(request.camera, &image);
-        let target = Target::new(request.camera, &request.map_from_link, request.world);
-        let expected_error_px = libm::hypot(map_error_px, tag_error_px(&target, &source.tag));
+        let expected_error_px = libm::hypot(map_error_px, Nearness::of(request).tag_error_px(&source.tag));
         let sources = vec![request.used(source, 1.0)];
         Self { image, made: Made::Warped, sources, valid_share, sure_share, expected_error_px }
     }
@@ -214,7 +215,6 @@ impl Answer {
     pub(super) fn composed(
         request: &Request,
         candidates: &[Candidate],
-        target: &Target,
         composed: super::compose::Composed,
     ) -> Result<Self, ViewError> {
         let super::compose::Composed { image, shares: used } = composed;
@@ -222,8 +222,9 @@ impl Answer {
         if valid_share == 0.0 {
             return Err(ViewError::NothingSeen);
         }
+        let nearness = Nearness::of(request);
         let squares = candidates.iter().zip(&used).map(|(source, share)| {
-            let error = tag_error_px(target, &source.tag);
+            let error = nearness.tag_error_px(&source.tag);
             share * error * error
         });
         let expected_error_px = libm::sqrt(squares.sum::<f64>() + GRID_ERROR_PX * GRID_ERROR_PX);
@@ -250,14 +251,32 @@ fn shares(camera: &Camera, image: &Raster) -> (f64, f64) {
     (share(valid), share(sure))
 }
 
-/// How far a tag that is wrong by its standard deviation moves the ground, root mean square over the ground in view.
-fn tag_error_px(target: &Target, tag: &TagError) -> f64 {
-    let focal = target.camera().lens().focal();
-    let (mut sum, mut count) = (0.0, 0usize);
-    for hit in target.hits().filter(|hit| hit.surface == Surface::Ground) {
-        let shift = focal * libm::hypot(tag.rotation_rad, tag.position_m * hit.inverse_distance);
-        sum += shift * shift;
-        count += 1;
+/// How near the ground in view is: what a tag's error means in pixels.
+struct Nearness {
+    focal: f64,
+    /// 1/m^2, over the ground in view.
+    mean_square: f64,
+}
+
+impl Nearness {
+    fn of(request: &Request) -> Self {
+        let map_from_optical = super::optical(&request.map_from_link);
+        let place = map_from_optical.translation;
+        let turn = glam::DMat3::from_quat(map_from_optical.rotation);
+        let (mut sum, mut count) = (0.0, 0usize);
+        for ray in request.camera.node_rays().iter().filter(|ray| !ray.x.is_nan()) {
+            let hit = request.world.behind_goals(place, turn * *ray);
+            if hit.surface == Surface::Ground {
+                sum += hit.inverse_distance * hit.inverse_distance;
+                count += 1;
+            }
+        }
+        Self { focal: request.camera.lens().focal(), mean_square: sum / count.max(1) as f64 }
     }
-    libm::sqrt(sum / count.max(1) as f64)
+
+    /// How far a tag that is wrong by its standard deviation moves the ground, root mean square.
+    fn tag_error_px(&self, tag: &TagError) -> f64 {
+        let square = tag.rotation_rad * tag.rotation_rad + tag.position_m * tag.position_m * self.mean_square;
+        self.focal * libm::sqrt(square)
+    }
 }

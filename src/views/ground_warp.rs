@@ -94,11 +94,6 @@ impl<'a> Target<'a> {
         self.camera
     }
 
-    /// What is met at the corners of the cells, goals left out.
-    pub(super) fn hits(&self) -> impl Iterator<Item = Hit> + '_ {
-        self.nodes.iter().flatten().map(|(_, hit)| *hit)
-    }
-
     pub(super) fn node_count(&self) -> usize {
         self.nodes.len()
     }
@@ -285,6 +280,10 @@ impl<'a> Warp<'a> {
             for i in 0..CELL {
                 patch.u[line * CELL + i] = u + du * i as f32;
                 patch.v[line * CELL + i] = v + dv * i as f32;
+                // A corner that the source does not draw says nothing of the places near it.
+                if (patch.u[line * CELL + i] + patch.v[line * CELL + i]).is_nan() {
+                    patch.sure[line * CELL + i] = NOTHING;
+                }
             }
         }
         patch

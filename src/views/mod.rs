@@ -14,7 +14,9 @@ mod raster;
 mod sample;
 mod world;
 
-pub use answer::{Answer, Candidate, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings};
+pub use answer::{
+    Answer, Candidate, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings, angle_between,
+};
 pub use camera::Camera;
 pub use ground_warp::{Target, Warp};
 pub use photometry::{Gain, Vignetting};
@@ -47,7 +49,7 @@ pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewE
             let warps: Vec<Warp> = chosen.iter().map(|source| Warp::new(&target, source)).collect();
             let gains = photometry::balance(&target, &warps, chosen);
             let composed = compose::compose(request, &target, &warps, chosen, &gains);
-            Answer::composed(request, chosen, &target, composed)
+            Answer::composed(request, chosen, composed)
         }
     }
 }

@@ -6,7 +6,7 @@
 
 use core::f64::consts::TAU;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 use super::WorkingScale;
 use super::carpet::Surface;
@@ -23,6 +23,8 @@ const AZIMUTHS: usize = 120;
 const NEAREST_M: f64 = 0.25;
 const FARTHEST_M: f64 = 15.0;
 const STEPS: usize = 44;
+/// Places that are held against an edge side by side.
+const AT_ONCE: usize = 32;
 /// The strip at the edge that the narrow blur smears the surroundings into, in pixels.
 const BLUR_REACH_PX: f64 = 6.0;
 
@@ -60,8 +62,12 @@ impl CarpetBorder {
         let height = footprint_from_optical.translation.z;
         let below = optical_from_footprint.transform_point(foot.extend(0.0));
         let pixels_per_radian = projector.lens().focal();
+        let least_cos = libm::cos(projector.lens().max_angle());
         let ends = rays.directions.iter().filter_map(|direction| {
             let along = optical_from_footprint.transform_vector(direction.extend(0.0));
+            if most_cos(below, along) < least_cos {
+                return None;
+            }
             let seen = rays.ranges.iter().map(|range| {
                 let pixel = projector.project_inside(below + along * *range)?;
                 let pixel = (to_working.apply(pixel) + DVec2::splat(0.5)) * 0.5;
@@ -83,15 +89,30 @@ impl CarpetBorder {
 
     /// Of each place whether it lies inside; one that is no number does not.
     pub fn holds(&self, ground: &[DVec2], inside: &mut Vec<bool>) {
-        inside.clear();
-        inside.extend(ground.iter().map(|at| !at.is_nan()));
-        vectorised(|| {
-            for (a, b) in self.edges() {
+        let edges: Vec<[f32; 3]> = self
+            .edges()
+            .map(|(a, b)| {
                 let along = b - a;
-                // As perp_dot of the edge and the way from its start.
-                for (inside, at) in inside.iter_mut().zip(ground) {
-                    *inside &= along.x * (at.y - a.y) - along.y * (at.x - a.x) >= 0.0;
+                // Of the perpendicular product of the edge and the way from its start.
+                [-along.y, along.x, along.y * a.x - along.x * a.y].map(|part| part as f32)
+            })
+            .collect();
+        inside.clear();
+        vectorised(|| {
+            for ground in ground.chunks(AT_ONCE) {
+                let mut worst = [f32::INFINITY; AT_ONCE];
+                let (mut xs, mut ys) = ([f32::NAN; AT_ONCE], [f32::NAN; AT_ONCE]);
+                for ((x, y), at) in xs.iter_mut().zip(&mut ys).zip(ground) {
+                    (*x, *y) = (at.x as f32, at.y as f32);
                 }
+                for [to_x, to_y, first] in &edges {
+                    for ((worst, x), y) in worst.iter_mut().zip(&xs).zip(&ys) {
+                        let side = to_x * x + to_y * y + first;
+                        *worst = if side < *worst { side } else { *worst };
+                    }
+                }
+                let of_each = worst.iter().zip(&xs).map(|(worst, x)| *worst >= 0.0 && !x.is_nan());
+                inside.extend(of_each.take(ground.len()));
             }
         });
     }
@@ -113,6 +134,15 @@ impl CarpetBorder {
         let next = self.corners.iter().cycle().skip(1);
         self.corners.iter().copied().zip(next.copied())
     }
+}
+
+/// The cosine of the least angle off the axis under which the camera could see a way along the floor, `below` being at its
+/// foot. Behind the camera there is nothing to project.
+fn most_cos(below: DVec3, along: DVec3) -> f64 {
+    let turn = along.z * below.length_squared() / below.z;
+    let cos = |range: f64| (below + along * range).normalize_or_zero().z;
+    let inner = if turn > NEAREST_M && turn < FARTHEST_M { cos(turn) } else { -1.0 };
+    cos(NEAREST_M).max(cos(FARTHEST_M)).max(inner)
 }
 
 /// The step up to which the ray is best explained as carpet: the highest running sum of +1 for carpet, -2 for anything
@@ -161,7 +191,22 @@ fn convex_hull(mut points: Vec<DVec2>) -> Vec<DVec2> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DMat3;
     use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn what_is_left_out_as_behind_the_camera_is_never_in_view(
+            height in 0.05..2.0f64, roll in -1.5..1.5f64, pitch in -3.0..3.0f64, azimuth in 0.0..TAU,
+        ) {
+            let optical = DMat3::from_rotation_x(roll) * DMat3::from_rotation_y(pitch);
+            let (below, along) = (optical * DVec3::NEG_Z * height, optical * DVec3::new(azimuth.cos(), azimuth.sin(), 0.0));
+            let most = most_cos(below, along);
+            for range in Rays::default().ranges {
+                prop_assert!((below + along * range).normalize().z <= most + 1e-12);
+            }
+        }
+    }
 
     #[test]
     fn a_square_holds_its_middle_and_its_rows() {

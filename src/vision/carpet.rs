@@ -3,14 +3,23 @@
 use super::picture::{Chroma, Picture};
 use super::vectorised::vectorised;
 
-/// Hue is Cb and Cr over luma: what stays when the light changes.
+/// Hue is Cb and Cr over luma: what stays when the light changes. Here in parts of 2^14.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Carpet {
-    hue: [f32; 2],
-    tolerance: f32,
-    luma: f32,
+    hue: [i16; 2],
+    tolerance: i16,
     /// Least and largest hue of what may be white.
-    white: [[f32; 2]; 2],
+    white: [[i16; 2]; 2],
+    /// Four times the luma above which something may be white.
+    bright: u16,
+}
+
+const HUE_UNITS: f32 = 16384.0;
+
+/// Hues beyond 2 are those of what is too dark to have one.
+fn hue_units(hue: f32) -> i16 {
+    // Saturates.
+    (hue * HUE_UNITS) as i16
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,7 +61,7 @@ impl Surface {
 }
 
 /// Fewer green samples than this: no carpet is in view.
-const FEWEST_SAMPLES: usize = 40;
+const FEWEST_SAMPLES: usize = 20;
 /// Darker pixels have no colour worth reading.
 const DARKEST: f32 = 8.0;
 /// White is brighter than the carpet by this factor.
@@ -83,26 +92,36 @@ impl Carpet {
         let spread = median_of(&|s| (s.hue[0] - hue[0]).abs().max((s.hue[1] - hue[1]).abs()));
         let white = hue.map(|hue| {
             if hue.abs() < 0.02 {
-                return [f32::NEG_INFINITY, f32::INFINITY];
+                return [i16::MIN, i16::MAX];
             }
             let (a, b) = (-0.25 * hue, 1.1 * hue);
-            [a.min(b), a.max(b)]
+            [a.min(b), a.max(b)].map(hue_units)
         });
-        Some(Self { hue, tolerance: (4.0 * spread).clamp(0.07, 0.3), luma: median_of(&|s| s.luma), white })
+        Some(Self {
+            hue: hue.map(hue_units),
+            tolerance: hue_units((4.0 * spread).clamp(0.07, 0.3)),
+            white,
+            bright: (4.0 * BRIGHTER * median_of(&|s| s.luma)) as u16,
+        })
     }
 
-    /// `chroma` relative to neutral. Without branches or divisions: every pixel passes here.
+    /// Of four pixels with this sum of luma and this Cb and Cr (neutral: 128). In 16 bits, without branches or divisions:
+    /// every pixel passes here.
     #[inline(always)]
-    pub fn classify(&self, luma: f32, chroma: [f32; 2]) -> Surface {
-        let lit = luma.max(1.0);
-        let off = |c: usize| (chroma[c] - self.hue[c] * lit).abs();
-        let carpet = (off(0) < self.tolerance * lit) & (off(1) < self.tolerance * lit);
+    pub fn classify(&self, four: u16, chroma: [u8; 2]) -> Surface {
+        // Luma and chroma in eighths of a level, after a hue of 2^14 parts has taken its 16 bits.
+        let lit = 8 * four as i16;
+        let of_luma = |hue: i16| ((i32::from(lit) * i32::from(hue)) >> 16) as i16;
+        let chroma = chroma.map(|value| 8 * (i16::from(value) - 128));
+        let tolerance = of_luma(self.tolerance);
+        let near = |c: usize| (chroma[c] - of_luma(self.hue[c])).abs() < tolerance;
+        let carpet = near(0) & near(1);
         // A thin line's colour lies between white's and the carpet's.
-        let between = |c: usize| (chroma[c] >= self.white[c][0] * lit) & (chroma[c] <= self.white[c][1] * lit);
-        let white = between(0) & between(1) & (luma > BRIGHTER * self.luma);
+        let between = |c: usize| (chroma[c] >= of_luma(self.white[c][0])) & (chroma[c] <= of_luma(self.white[c][1]));
+        let white = between(0) & between(1) & (four > self.bright);
         let plain = if white { Surface::White } else { Surface::Other };
         let surface = if carpet { Surface::Carpet } else { plain };
-        if luma < DARKEST { Surface::Dark } else { surface }
+        if four < 4 * DARKEST as u16 { Surface::Dark } else { surface }
     }
 
     /// What each half-resolution pixel shows; `half` holds the sums of each four pixels' luma.
@@ -115,7 +134,7 @@ impl Carpet {
             for (v, (row, half)) in surfaces.chunks_exact_mut(width).zip(half.chunks_exact(width)).enumerate() {
                 let (blue, red) = (&blue[v * stride..][..width], &red[v * stride..][..width]);
                 for (((surface, half), cb), cr) in row.iter_mut().zip(half).zip(blue).zip(red) {
-                    *surface = self.classify(f32::from(*half) * 0.25, [*cb, *cr].map(|c| f32::from(c) - 128.0));
+                    *surface = self.classify(*half, [*cb, *cr]);
                 }
             }
         });
@@ -134,14 +153,15 @@ pub fn lit_surfaces(half: &[u16], surfaces: &mut Vec<Surface>) {
 mod tests {
     use super::*;
 
-    fn pixel(r: u8, g: u8, b: u8) -> (f32, [f32; 2]) {
+    /// Luma, Cb and Cr.
+    fn pixel(r: u8, g: u8, b: u8) -> (u8, [u8; 2]) {
         let p = Picture::from_rgb(1, 1, &[r, g, b]).expect("a pixel");
-        (f32::from(p.luma[0]), [p.chroma.blue[0], p.chroma.red[0]].map(|c| f32::from(c) - 128.0))
+        (p.luma[0], [p.chroma.blue[0], p.chroma.red[0]])
     }
 
     fn sample(r: u8, g: u8, b: u8) -> Sample {
         let (luma, chroma) = pixel(r, g, b);
-        Sample::new(luma, chroma)
+        Sample::new(f32::from(luma), chroma.map(|c| f32::from(c) - 128.0))
     }
 
     #[test]
@@ -153,7 +173,7 @@ mod tests {
             };
             let classify = |carpet: &Carpet, (r, g, b)| {
                 let (luma, chroma) = pixel(r, g, b);
-                carpet.classify(luma, chroma)
+                carpet.classify(4 * u16::from(luma), chroma)
             };
             let carpet = Carpet::learn((0..100).map(|i| {
                 let (r, g, b) = lit([30.0, 90.0 + f64::from(i % 10), 35.0]);

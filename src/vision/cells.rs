@@ -154,35 +154,40 @@ impl Cells {
         let (mut gains, mut weights) = ([0.0f32; SIDE], [0.0f32; SIDE]);
         let neutral = f32::from(NEUTRAL);
         for block_row in 0..BLOCKS {
+            let rows = block_row * BLOCK..(block_row + 1) * BLOCK;
+            let blocks = map.blocks(rows.clone());
+            let used = blocks.start * BLOCK..blocks.end * BLOCK;
+            let (gains, weights) = (&mut gains[used.clone()], &mut weights[used.clone()]);
             let of_blocks = gains.as_chunks_mut::<BLOCK>().0.iter_mut().zip(weights.as_chunks_mut::<BLOCK>().0);
-            for (block_column, (gains, weights)) in of_blocks.enumerate() {
+            for ((gains, weights), block_column) in of_blocks.zip(blocks) {
                 let square = map.square_range(block_row, block_column);
                 gains.fill(255.0 / (full * by_range.strength(square) * UNITS));
                 weights.fill(by_range.weight(square));
             }
-            let rows = block_row * BLOCK * SIDE..(block_row + 1) * BLOCK * SIDE;
-            let rows = self.shown[rows.clone()]
-                .chunks_exact(SIDE)
-                .zip(levels[rows.clone()].chunks_exact_mut(SIDE))
-                .zip(seen[rows].chunks_exact_mut(SIDE));
-            let mut used = [0u8; SIDE];
-            vectorised(|| {
-                for ((shown, levels), seen) in rows {
-                    for column in 0..SIDE {
-                        let visible = shown[column] & 2 == 0;
-                        let level = (f32::from(shown[column] & !3) * gains[column]).clamp(0.0, 255.0);
+            let mut any = [0u8; SIDE];
+            let any = &mut any[..used.len()];
+            for row in rows {
+                let cells = row * SIDE + used.start..row * SIDE + used.end;
+                let (shown, levels, seen) =
+                    (&self.shown[cells.clone()], &mut levels[cells.clone()], &mut seen[cells.clone()]);
+                let (gains, weights) = (&gains[..shown.len()], &weights[..shown.len()]);
+                vectorised(|| {
+                    for (column, shown) in shown.iter().enumerate() {
+                        let visible = shown & 2 == 0;
+                        let level = (f32::from(shown & !3) * gains[column]).clamp(0.0, 255.0);
                         let level = neutral + (level - neutral) * weights[column] + 0.5;
                         let weight = weights[column] * 255.0;
                         // In range, so that this is no more than a conversion.
                         levels[column] = if visible { level as i32 as u8 } else { NEUTRAL };
                         seen[column] = if visible { weight as i32 as u8 } else { 0 };
-                        used[column] |= seen[column];
+                        any[column] |= seen[column];
                     }
-                }
-            });
-            let first = used.iter().position(|seen| *seen > 0);
-            let last = used.iter().rposition(|seen| *seen > 0);
-            spans.push(first.zip(last).map_or([0, 0], |(first, last)| [first as u16, last as u16 + 1]));
+                });
+            }
+            let first = any.iter().position(|seen| *seen > 0);
+            let last = any.iter().rposition(|seen| *seen > 0);
+            let column = |index: usize| (used.start + index) as u16;
+            spans.push(first.zip(last).map_or([0, 0], |(first, last)| [column(first), column(last) + 1]));
         }
     }
 
@@ -213,20 +218,28 @@ impl Cells {
 fn box_sums(blocks: &mut [u16], scratch: &mut Vec<u16>, reach: usize) {
     scratch.clear();
     scratch.resize(blocks.len(), 0);
-    let pass = |source: &[u16], target: &mut [u16], step: usize, line: usize| {
-        for index in 0..BLOCKS {
-            let first = index * line;
-            let at = |k: usize| source[first + k * step];
-            let mut sum: u16 = (0..reach).map(at).sum();
-            for k in 0..BLOCKS {
-                sum += if k + reach < BLOCKS { at(k + reach) } else { 0 };
-                target[first + k * step] = sum;
-                sum -= k.checked_sub(reach).map_or(0, at);
-            }
+    for (source, target) in blocks.as_chunks::<BLOCKS>().0.iter().zip(scratch.as_chunks_mut::<BLOCKS>().0) {
+        let mut sum: u16 = source[..reach].iter().sum();
+        for (column, target) in target.iter_mut().enumerate() {
+            sum += source.get(column + reach).unwrap_or(&0);
+            *target = sum;
+            sum -= column.checked_sub(reach).map_or(0, |column| source[column]);
         }
-    };
-    pass(blocks, scratch, 1, BLOCKS);
-    pass(scratch, blocks, BLOCKS, 1);
+    }
+    let rows = scratch.as_chunks::<BLOCKS>().0;
+    let mut sums = [0u16; BLOCKS];
+    let add =
+        |sums: &mut [u16; BLOCKS], row: &[u16; BLOCKS]| sums.iter_mut().zip(row).for_each(|(sum, add)| *sum += add);
+    rows[..reach].iter().for_each(|row| add(&mut sums, row));
+    for (row, target) in blocks.as_chunks_mut::<BLOCKS>().0.iter_mut().enumerate() {
+        if let Some(next) = rows.get(row + reach) {
+            add(&mut sums, next);
+        }
+        *target = sums;
+        if let Some(row) = row.checked_sub(reach) {
+            sums.iter_mut().zip(&rows[row]).for_each(|(sum, less)| *sum -= less);
+        }
+    }
 }
 
 impl ByRange {

@@ -32,6 +32,7 @@ struct Scratch {
     sums: Vec<f32>,
     counts: Vec<f32>,
     blurred: Vec<f32>,
+    levels: Vec<u16>,
     /// The wide blur, one row a coarse row, one value a half-resolution column.
     expanded: Vec<u16>,
 }
@@ -58,9 +59,19 @@ pub fn surface(contrast: i16) -> Surface {
     Surface::from_bits(contrast as u8)
 }
 
-/// Where the wide blur's cells lie in a picture of this size, row by row, in its pixels.
+/// Columns and rows of the wide blur's cells in a picture of this size.
+pub fn coarse_size(width: usize, height: usize) -> (usize, usize) {
+    (width / 2 / COARSE, height / 2 / COARSE)
+}
+
+/// The half-resolution pixel in the middle of a cell.
+pub fn coarse_middle(cell: usize) -> usize {
+    cell * COARSE + (COARSE - 1) / 2
+}
+
+/// Where the cells lie, row by row, in the picture's pixels.
 pub fn coarse_centres(width: usize, height: usize) -> impl Iterator<Item = DVec2> {
-    let (columns, rows) = (width / 2 / COARSE, height / 2 / COARSE);
+    let (columns, rows) = coarse_size(width, height);
     let centre = |cell: usize| (cell * 2 * COARSE) as f64 + COARSE as f64 - 0.5;
     (0..rows).flat_map(move |row| (0..columns).map(move |column| DVec2::new(centre(column), centre(row))))
 }
@@ -238,17 +249,19 @@ fn blur_coarse(image: &mut [f32], scratch: &mut [f32], width: usize) {
 #[inline(always)]
 fn expand(width: usize, height: usize, scratch: &mut Scratch) {
     let (cw, ch) = (width / COARSE, height / COARSE);
-    let Scratch { sums, expanded, .. } = scratch;
+    let Scratch { sums, levels, expanded, .. } = scratch;
     expanded.resize(width * ch, 0);
-    for (source, target) in sums.chunks_exact(cw).zip(expanded.chunks_exact_mut(width)) {
-        let level = |value: f32| (value + 0.5) as u16;
-        for (u, t) in target.iter_mut().enumerate() {
-            let (low, share) = phase(u);
-            let (a, b) = (
-                level(source[low.clamp(0, cw as isize - 1) as usize]),
-                level(source[(low + 1).clamp(0, cw as isize - 1) as usize]),
-            );
-            *t = (a * (8 - share) + b * share) >> 3;
+    levels.clear();
+    levels.extend(sums.iter().map(|value| (value + 0.5) as u16));
+    for (source, target) in levels.chunks_exact(cw).zip(expanded.chunks_exact_mut(width)) {
+        // Half a cell at either end has a neighbour on one side only.
+        let (start, inner) = target.split_at_mut(COARSE / 2);
+        let (cells, end) = inner.split_at_mut((cw - 1) * COARSE);
+        start.fill(source[0]);
+        end.fill(source[cw - 1]);
+        for (cells, pair) in cells.as_chunks_mut::<COARSE>().0.iter_mut().zip(source.windows(2)) {
+            let (a, b) = (pair[0], pair[1]);
+            *cells = [7 * a + b, 5 * a + 3 * b, 3 * a + 5 * b, a + 7 * b].map(|sum| sum >> 3);
         }
     }
 }

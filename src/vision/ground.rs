@@ -135,8 +135,9 @@ impl GroundTable {
         table
     }
 
+    /// `spans` must be there already.
     fn pack(&mut self, levels: &[u8], cell_m: f64, readings: Readings) {
-        pack(levels, readings.zero, &mut self.quads);
+        pack(levels, readings.zero, &self.spans, &mut self.quads);
         (self.cell_m, self.readings) = (cell_m, readings);
     }
 
@@ -240,27 +241,34 @@ fn raise(values: &mut [u8], others: &[u8]) {
     }
 }
 
-/// Neighbours into one word. The rim, and with it everything outside, reads as `zero`.
-fn pack(levels: &[u8], zero: u8, quads: &mut Vec<u32>) {
+/// Neighbours into one word. What lies outside of the spans, the rim, and with it everything outside, reads as `zero`.
+fn pack(levels: &[u8], zero: u8, spans: &[[u16; 2]], quads: &mut Vec<u32>) {
     quads.resize(SIDE * SIDE, 0);
     let (mut this, mut next) = ([zero; SIDE + 1], [zero; SIDE + 1]);
-    let inner = |row: usize, line: &mut [u8; SIDE + 1]| {
-        if row == 0 || row >= SIDE - 1 {
-            line.fill(zero);
-        } else {
-            line[1..SIDE - 1].copy_from_slice(&levels[row * SIDE + 1..][..SIDE - 2]);
+    let nothing = u32::from(zero) * 0x0101_0101;
+    let span = |row: usize| spans[row.min(SIDE - 1) / BLOCK].map(usize::from);
+    for (row, quads) in quads.chunks_exact_mut(SIDE).enumerate() {
+        let below = row + 1;
+        let [from, to] = span(below);
+        next.fill(zero);
+        if below < SIDE - 1 && from < to {
+            let inner = from.max(1)..to.min(SIDE - 1);
+            next[inner.clone()].copy_from_slice(&levels[below * SIDE + inner.start..below * SIDE + inner.end]);
         }
-    };
-    vectorised(|| {
-        for (row, quads) in quads.chunks_exact_mut(SIDE).enumerate() {
-            inner(row + 1, &mut next);
+        let ([a, b], [c, d]) = (span(row), [from, to]);
+        let from = if a < b { if c < d { a.min(c) } else { a } } else { c }.saturating_sub(1);
+        let to = b.max(d).max(from);
+        quads[..from].fill(nothing);
+        quads[to..].fill(nothing);
+        let (quads, this_row, next_row) = (&mut quads[from..to], &this[from..=to], &next[from..=to]);
+        vectorised(|| {
             for (column, quad) in quads.iter_mut().enumerate() {
-                *quad = u32::from(this[column])
-                    | u32::from(this[column + 1]) << 8
-                    | u32::from(next[column]) << 16
-                    | u32::from(next[column + 1]) << 24;
+                *quad = u32::from(this_row[column])
+                    | u32::from(this_row[column + 1]) << 8
+                    | u32::from(next_row[column]) << 16
+                    | u32::from(next_row[column + 1]) << 24;
             }
-            core::mem::swap(&mut this, &mut next);
-        }
-    });
+        });
+        core::mem::swap(&mut this, &mut next);
+    }
 }

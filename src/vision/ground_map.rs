@@ -1,5 +1,7 @@
 //! Which pixel shows each cell of the ground table.
 
+use core::ops::Range;
+
 use glam::{DVec2, DVec3};
 
 use super::border::CarpetBorder;
@@ -69,6 +71,14 @@ impl GroundMap {
                 }
             }
         }
+    }
+
+    /// Blocks of a row of them that may show anything, given the rows of cells, in pairs.
+    pub(super) fn blocks(&self, rows: Range<usize>) -> Range<usize> {
+        let from = self.columns[rows.clone()].iter().map(|columns| columns[0]).min().unwrap_or(0);
+        let to = self.columns[rows].iter().map(|columns| columns[1]).max().unwrap_or(0);
+        let pair = 2 * BLOCK;
+        if from < to { from / pair * 2..to.div_ceil(pair) * 2 } else { 0..0 }
     }
 
     pub(super) fn cell_m(&self) -> f64 {

@@ -198,18 +198,18 @@ impl Vision {
         if working.chroma.is_empty() || contrast.width == 0 {
             return None;
         }
-        let centres = contrast::coarse_centres(working.width, working.height);
         let stride = working.width.div_ceil(2);
-        Carpet::learn(centres.zip(floor).filter_map(|(centre, floor)| {
+        let (columns, rows) = contrast::coarse_size(working.width, working.height);
+        let sample = |row: usize, column: usize| {
             // NaN fails.
-            let near = floor.length_squared() < LEARN_WITHIN_M * LEARN_WITHIN_M;
-            if !near {
-                return None;
-            }
-            let (u, v) = (centre.x as usize / 2, centre.y as usize / 2);
-            let chroma = [&working.chroma.blue, &working.chroma.red].map(|c| f32::from(c[v * stride + u]) - 128.0);
-            Some(carpet::Sample::new(f32::from(contrast.half[v * contrast.width + u]) * 0.25, chroma))
-        }))
+            let near = floor[row * columns + column].length_squared() < LEARN_WITHIN_M * LEARN_WITHIN_M;
+            let (u, v) = (contrast::coarse_middle(column), contrast::coarse_middle(row));
+            near.then(|| {
+                let chroma = [&working.chroma.blue, &working.chroma.red].map(|c| f32::from(c[v * stride + u]) - 128.0);
+                carpet::Sample::new(f32::from(contrast.half[v * contrast.width + u]) * 0.25, chroma)
+            })
+        };
+        Carpet::learn((0..rows).flat_map(|row| (0..columns).step_by(2).filter_map(move |column| sample(row, column))))
     }
 }
 

@@ -18,6 +18,21 @@ const LANES: usize = 8;
 /// Cells that the camera does not see keep what they hold.
 pub(super) fn read(reading: &Reading, map: &GroundMap, to_working: WorkingScale, shown: &mut [i16]) {
     assert_eq!(reading.image.len(), reading.width * reading.height, "the vector path reads without further checks");
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2, and the image has the size that it says.
+        return unsafe { x86::read(reading, map, to_working, shown) };
+    }
+    each_eight(map, to_working, shown, |us, vs| plain(reading, us, vs));
+}
+
+#[inline(always)]
+fn each_eight(
+    map: &GroundMap,
+    to_working: WorkingScale,
+    shown: &mut [i16],
+    eight: impl Fn(&[f32; LANES], &[f32; LANES]) -> [i16; LANES],
+) {
     // Half-resolution coordinates: pixel i covers working pixels 2i and 2i + 1.
     let scale = (to_working.factor * 0.5) as f32;
     let offset = (to_working.offset * 0.5 - 0.25) as f32;
@@ -45,26 +60,16 @@ pub(super) fn read(reading: &Reading, map: &GroundMap, to_working: WorkingScale,
                         vs[half * BLOCK + column] = v + dv * column as f32;
                     }
                 }
-                let values = eight(reading, &us, &vs);
+                let values = eight(&us, &vs);
                 let cells = &mut shown[first + row * SIDE..][..LANES];
-                for (half, corners) in pair.iter().enumerate() {
-                    if corners.is_some() {
-                        cells[half * BLOCK..][..BLOCK].copy_from_slice(&values[half * BLOCK..][..BLOCK]);
-                    }
+                match pair {
+                    [Some(_), Some(_)] => cells.copy_from_slice(&values),
+                    [Some(_), None] => cells[..BLOCK].copy_from_slice(&values[..BLOCK]),
+                    _ => cells[BLOCK..].copy_from_slice(&values[BLOCK..]),
                 }
             }
         }
     }
-}
-
-#[inline(always)]
-fn eight(reading: &Reading, us: &[f32; LANES], vs: &[f32; LANES]) -> [i16; LANES] {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2, and `read` has checked the size of the image.
-        return unsafe { x86::eight(reading, us, vs) };
-    }
-    plain(reading, us, vs)
 }
 
 fn plain(reading: &Reading, us: &[f32; LANES], vs: &[f32; LANES]) -> [i16; LANES] {
@@ -93,7 +98,15 @@ fn clamped(value: f32, last: f32) -> f32 {
 mod x86 {
     use core::arch::x86_64::*;
 
-    use super::{LANES, Reading};
+    use super::{GroundMap, LANES, Reading, WorkingScale, each_eight};
+
+    /// # Safety
+    /// The processor must have AVX2, and the image `width` x `height` pixels, at least 2 x 2.
+    #[target_feature(enable = "avx2")]
+    pub(super) unsafe fn read(reading: &Reading, map: &GroundMap, to_working: WorkingScale, shown: &mut [i16]) {
+        // SAFETY: as the caller says.
+        each_eight(map, to_working, shown, |us, vs| unsafe { eight(reading, us, vs) });
+    }
 
     /// # Safety
     /// The processor must have AVX2, and the image `width` x `height` pixels, at least 2 x 2.
@@ -155,7 +168,11 @@ mod tests {
                 .map(|i| (((i as u32).wrapping_mul(2_654_435_761) ^ seed) >> 16) as i16 / 8)
                 .collect();
             let reading = Reading { image: &image, width, height };
-            prop_assert_eq!(eight(&reading, &us, &vs), plain(&reading, &us, &vs));
+            #[cfg(target_arch = "x86_64")]
+            if std::arch::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has AVX2, and the image has the size that it says.
+                prop_assert_eq!(unsafe { x86::eight(&reading, &us, &vs) }, plain(&reading, &us, &vs));
+            }
         }
     }
 }

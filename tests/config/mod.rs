@@ -2,6 +2,6 @@
 
 mod fields;
 mod lenses;
-mod other_formats;
+pub mod other_formats;
 mod refused;
 mod robot;

@@ -1,6 +1,7 @@
 //! The agent as on a robot: a simulated walk comes in real time over a socket (frames) and a serial line (MAVLink).
 
 mod delay;
+mod play;
 mod robot;
 mod sender;
 
@@ -23,6 +24,9 @@ delay_ms = 4.0
 torso_height_m = 0.38
 camera_xyz_m = [0.04, 0.0, 0.11]
 camera_rpy_deg = [0.0, 17.0, 0.0]
+[recording]
+floor_mb = 1
+floor_percent = 0.0
 "#;
 
 struct Recorder {
@@ -103,9 +107,25 @@ fn a_walk_is_tagged_live_and_its_capture_gives_the_same_tags() {
     assert_eq!((port["lost"].as_u64(), port["crc_failures"].as_u64()), (Some(0), Some(0)), "{status}");
     assert!(status["budget"]["p50_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{status}");
     assert!(status["validity"]["valid"].as_u64().is_some_and(|valid| valid as usize * 10 >= frames * 8), "{status}");
-    assert!(status["disk_free_bytes"].as_u64().is_some_and(|bytes| bytes > 0), "{status}");
+    let counted = |key: &str| status["counts"][key].as_u64().expect("a count");
+    let dropped: u64 =
+        status["counts"]["dropped"].as_object().expect("causes").values().filter_map(|n| n.as_u64()).sum();
+    let recorder = &status["recorder"];
+    let waiting = recorder["frames_waiting"].as_u64().expect("a count");
+    assert_eq!(counted("captured"), counted("written") + counted("thinned") + dropped + waiting, "{status}");
+    assert_eq!(recorder["conserved"], true);
+    assert!(recorder["free_bytes"].as_u64().is_some_and(|bytes| bytes > 0), "{status}");
+    assert!(recorder["loss_bound_ms"].as_f64() >= recorder["worst_stall_ms"].as_f64(), "{status}");
     let said = recorder.room.run("status --socket control.sock");
-    for part in ["last second:", "frames waiting", "ms each", "of the last", "GB free", "clock to"] {
+    for part in [
+        "last second:",
+        "wait for the agent",
+        "wait for the disk",
+        "ms each",
+        "of the last",
+        "of the disk free",
+        "clock to",
+    ] {
         assert!(said.stdout.contains(part), "{part}: {said:?}");
     }
     let output = recorder.ends();

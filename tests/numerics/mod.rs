@@ -11,6 +11,7 @@ mod measured;
 mod oracles;
 mod parameters;
 mod poses;
+mod quadratic;
 mod resampling;
 pub mod support;
 mod table;

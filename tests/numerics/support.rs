@@ -60,6 +60,8 @@ pub struct Robot {
     /// Where it really is.
     pub pose: Pose2,
     pub odometry: Option<Pose2>,
+    /// Since the frame before, by gyro.
+    pub turned_rad: Option<f64>,
     pub stamp_ns: i64,
 }
 
@@ -99,6 +101,7 @@ impl Robot {
             told_place: usual_place(),
             pose,
             odometry: Some(Pose2::default()),
+            turned_rad: None,
             stamp_ns: 1_700_000_000_000_000_000,
         }
     }
@@ -138,7 +141,7 @@ impl Robot {
                 tilt_is_measured: true,
             }),
             head: None,
-            turned_rad: None,
+            turned_rad: self.turned_rad,
             stale: false,
             initial_pose: None,
         }

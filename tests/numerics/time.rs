@@ -111,6 +111,33 @@ fn odometry_that_is_no_number_counts_as_none() {
     }
 }
 
+/// It cannot say more than 250 degrees a second, and the robot turns faster; then it hangs at an end of its range.
+#[test]
+fn a_gyro_at_its_limit_misleads_nobody() {
+    let limit = |rate_deg_s: f64| Some((rate_deg_s * FRAME_NS as f64 * 1e-9).to_radians());
+    for way in [1.0, -1.0] {
+        let mut robot = robot();
+        for _ in 0..8 {
+            let step = Pose2::new(0.0, 0.0, way * 30f64.to_radians());
+            robot.pose = robot.pose.compose(&step);
+            robot.odometry = robot.odometry.map(|odometry| odometry.compose(&step));
+            robot.turned_rad = limit(way * 250.0);
+            robot.step();
+        }
+        robot.turned_rad = Some(0.0);
+        valid_within(&mut robot, 30);
+        for hanging in [limit(way * 250.0), limit(way * 2000.0), Some(f64::NAN), Some(way * f64::INFINITY)] {
+            robot.turned_rad = hanging;
+            for _ in 0..6 {
+                walk(&mut robot);
+                robot.step();
+            }
+            robot.turned_rad = None;
+            valid_within(&mut robot, 30);
+        }
+    }
+}
+
 #[test]
 fn odometry_that_freezes_while_the_robot_walks_misleads_nobody() {
     let mut robot = robot();

@@ -92,7 +92,7 @@ fn a_second_session_at_the_same_time_gets_a_suffix_and_nothing_unfinished_remain
         let mut files: Vec<_> =
             fs::read_dir(session).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
         files.sort();
-        assert_eq!(files, ["0000.mcap", "manifest.jsonl", "metadata.yaml", "session.json"]);
+        assert_eq!(files, ["0000.mcap", "coverage.json", "manifest.jsonl", "metadata.yaml", "session.json"]);
     }
 }
 

@@ -136,3 +136,46 @@ fn what_comes_late_or_in_between_can_be_left_out() {
     room.write("suite.toml", case("log.mcap", &format!("limits = {{ {EASY} }}")));
     room.run("check suite.toml").fails(1, &["max_cm is"]);
 }
+
+#[test]
+fn a_case_is_held_to_its_reference() {
+    let room = room_with(&case("log.mcap", "reference = \"tags.jsonl\""));
+    room.run("check suite.toml").fails(1, &["log: tags.jsonl: cannot be read"]);
+    room.run("replay log.mcap --check tags.jsonl --bless").succeeds();
+    let report = room.run("check suite.toml --json").succeeds().json();
+    assert_eq!(
+        (&report["cases"][0]["outcome"], &report["cases"][0]["reference"]["same"]),
+        (&"kept".into(), &true.into())
+    );
+
+    // One tag more is no longer valid.
+    let blessed = std::fs::read_to_string(room.path("tags.jsonl")).unwrap();
+    let lines: Vec<&str> = blessed.lines().collect();
+    let columns: serde_json::Value = serde_json::from_str(lines[0]).unwrap();
+    let yaw = columns["columns"].as_array().unwrap().iter().position(|name| name == "yaw").unwrap();
+    let mut frame: Vec<serde_json::Value> = serde_json::from_str(lines[5]).unwrap();
+    frame[yaw] = 3.25.into();
+    let frame = serde_json::to_string(&frame).unwrap();
+    room.write("tags.jsonl", blessed.replace(lines[5], &frame));
+    let run = room.run("check suite.toml --junit out.xml");
+    let run = run.fails(1, &["log: reference: 1 frames differ, the first is 4: yaw was 3.25"]);
+    assert!(run.stdout.contains("BROKEN"), "{run:?}");
+    assert!(std::fs::read_to_string(room.path("out.xml")).unwrap().contains("reference: 1 frames differ"));
+    room.write("tags.jsonl", lines[..lines.len() - 1].join("\n"));
+    room.run("check suite.toml").fails(1, &["log: tags.jsonl: ", "is it whole?"]);
+}
+
+#[test]
+fn a_case_s_reference_of_another_log_seed_or_version_is_named_and_not_compared() {
+    let room = room_with(&case("log.mcap", "reference = \"tags.jsonl\""));
+    room.write_scene("scene.toml", |text| text);
+    room.run("replay scene.toml --check tags.jsonl --bless").succeeds();
+    room.run("check suite.toml").fails(1, &["log: tags.jsonl: not compared", "another log or scene"]);
+    room.run("replay log.mcap --seed 77 --check tags.jsonl --bless").succeeds();
+    room.run("check suite.toml").fails(1, &["log: tags.jsonl: not compared", "seed 77"]);
+    room.run("replay log.mcap --check tags.jsonl --bless").succeeds();
+    let text = std::fs::read_to_string(room.path("tags.jsonl")).unwrap();
+    let software = concat!("realitysim ", env!("CARGO_PKG_VERSION"));
+    room.write("tags.jsonl", text.replacen(software, "realitysim 0.0.1", 1));
+    room.run("check suite.toml").fails(1, &["log: tags.jsonl: not compared", "made by realitysim 0.0.1"]);
+}

@@ -80,6 +80,88 @@ fn a_view_says_what_it_is_made_of() {
 }
 
 #[test]
+fn size_and_scene_of_a_view_are_as_asked() {
+    let (room, _) = walked();
+    let here = "view --db db --x -1.5 --y 0.25 --z 0.5 --yaw 14 --pitch 17";
+    room.run(&format!("{here} --width 160 -o small.png")).succeeds();
+    room.run(&format!("{here} --width 200 --height 100 -o both.png")).succeeds();
+    let size = |name: &str| image::open(room.path(name)).expect("a picture").to_rgb8().dimensions();
+    assert_eq!((size("small.png"), size("both.png")), ((160, 120), (200, 100)));
+    room.write_scene("evening.toml", |text| {
+        let plain = text.split("[[effect]]").next().expect("a scene").to_owned();
+        plain + "[[effect]]\nkind = \"light\"\ngain = 0.5\n"
+    });
+    let run = room.run(&format!("{here} --scene evening.toml -o dark.png --json")).succeeds();
+    assert_eq!(run.json()["effects"], serde_json::json!(["light"]));
+    room.run(&format!("{here} -o bright.png")).succeeds();
+    let sum = |name: &str| {
+        let picture = image::open(room.path(name)).expect("a picture").to_rgb8();
+        picture.iter().map(|value| f64::from(*value)).sum::<f64>()
+    };
+    let ratio = sum("dark.png") / sum("bright.png");
+    assert!((0.47..0.53).contains(&ratio), "{ratio}");
+    room.run(&format!("{here} --width 9 -o x.png")).fails(2, &["16..=4096"]);
+    room.run(&format!("{here} --scene none.toml -o x.png")).fails(1, &["none.toml"]);
+    // A half-size view is the stored image's half: the lens is resized, not cut.
+    let (pose, _) = at(&open(&room), 2);
+    room.run(&format!("view --db db {pose} -o whole.png")).succeeds();
+    room.run(&format!("view --db db {pose} --width 160 -o half.png")).succeeds();
+    let (whole, half) = (image::open(room.path("whole.png")), image::open(room.path("half.png")));
+    let whole =
+        image::imageops::resize(&whole.expect("there").to_rgb8(), 160, 120, image::imageops::FilterType::Triangle);
+    let half = half.expect("there").to_rgb8();
+    let off: Vec<f64> = (20..100)
+        .flat_map(|v| (30..130).map(move |u| (u, v)))
+        .map(|(u, v)| (f64::from(whole.get_pixel(u, v)[1]) - f64::from(half.get_pixel(u, v)[1])).abs())
+        .collect();
+    let mean = off.iter().sum::<f64>() / off.len() as f64;
+    assert!(mean < 6.0, "{mean}");
+}
+
+#[test]
+fn the_gap_is_least_for_the_exact_view_and_any_detector_can_judge() {
+    let (room, _) = walked();
+    let script = "#!/bin/sh\n[ -f \"$1\" ] && echo found 3.5\n";
+    room.write("detector.sh", script);
+    std::process::Command::new("chmod").arg("+x").arg(room.path("detector.sh")).status().expect("chmod");
+    let detector = room.path("detector.sh").display().to_string();
+    let run =
+        room.run(&format!("gap --db db --frames 3 --apart 0.03 --detector {detector} -o gap.png --json")).succeeds();
+    let rows = run.json();
+    let row = |form: &str| {
+        let rows = rows.as_array().expect("rows");
+        rows.iter().find(|row| row["form"] == form).unwrap_or_else(|| panic!("{form}: {rows:?}")).clone()
+    };
+    let of = |form: &str, key: &str| row(form)[key].as_f64().expect("a number");
+    assert!(of("exact view", "psnr_db") > of("paper's view", "psnr_db"), "{rows}");
+    assert!(of("exact view", "psnr_db") > of("nearest image", "psnr_db"), "{rows}");
+    let response = |form: &str| row(form)["detection"]["response"].as_f64().expect("a number");
+    assert!((response("exact view") - response("recorded")).abs() < 0.15, "{rows}");
+    for form in ["recorded", "exact view", "paper's view", "nearest image", "rendered"] {
+        assert_eq!(of(form, "detector"), 3.5);
+        assert!((0.0..=1.0).contains(&of(form, "histogram")));
+    }
+    assert!(of("recorded", "histogram") == 0.0 && image::open(room.path("gap.png")).is_ok());
+    room.run("gap --db db --frames 1 --detector /bin/false").fails(1, &["a number is needed"]);
+    room.run("gap --db db --apart 100").fails(1, &["no image has others around it"]);
+}
+
+#[test]
+fn a_walk_through_a_database_is_smooth_and_leaves_its_pictures() {
+    let (room, _) = walked();
+    let run = room.run("view-walk --db db --from=-1.9,0.12,12 --to=-1.2,0.27,14 --frames 12 -o walk --json").succeeds();
+    let report = run.json();
+    assert_eq!(report["views"], 12);
+    assert!(report["not_found"].as_u64() < Some(4), "{report}");
+    assert!(report["jump_cm"]["median"].as_f64() < Some(2.5), "{report}");
+    let table = fs::read_to_string(room.path("walk/walk.csv")).expect("written");
+    assert_eq!(table.lines().count(), 13);
+    assert!(fs::read(room.path("walk/walk.avi")).expect("written").starts_with(b"RIFF"));
+    assert!(image::open(room.path("walk/sheet.png")).is_ok());
+    room.run("view-walk --db none -o other").fails(1, &["there is no database here"]);
+}
+
+#[test]
 fn what_changed_or_vanished_after_indexing_is_told_and_the_rest_is_used() {
     let (room, _) = walked();
     let gallery = open(&room);

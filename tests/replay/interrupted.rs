@@ -19,7 +19,7 @@ fn assert_whole(session: &Path) {
     let mut names: Vec<String> =
         fs::read_dir(session).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
-    assert_eq!(names, ["0000.mcap", "manifest.jsonl", "metadata.yaml", "session.json"]);
+    assert_eq!(names, ["0000.mcap", "coverage.json", "manifest.jsonl", "metadata.yaml", "session.json"]);
     assert!(fs::read_to_string(session.join("manifest.jsonl")).unwrap().contains("0000.mcap"));
 }
 

@@ -34,7 +34,7 @@ fn repacked(options: WriteOptions) -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
-fn variants() -> Vec<(&'static str, Vec<u8>)> {
+pub fn variants() -> Vec<(&'static str, Vec<u8>)> {
     let options = WriteOptions::new;
     vec![
         ("own", small_log()),

@@ -1,5 +1,5 @@
-mod damaged;
+pub mod damaged;
 mod foreign;
 mod python;
 mod round_trip;
-mod samples;
+pub mod samples;

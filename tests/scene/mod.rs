@@ -10,5 +10,6 @@ mod pictures;
 mod properties;
 mod ranges;
 mod refusals;
+mod shelf;
 mod told;
 mod world;

@@ -56,6 +56,25 @@ fn odometry_route(scene: &Scene) -> RgbImage {
     field_map(scene.field(), &routes, 560, &[])
 }
 
+/// The messages of odometry that arrive and those that arrive changed, as dots where the robot was; every tenth.
+fn arriving(scene: &Scene) -> RgbImage {
+    let (mut whole, mut corrupt) = (Vec::new(), Vec::new());
+    for event in scene.events() {
+        let stamp_ns = event.stamp_ns - realitysim::scene::START_STAMP_NS;
+        if matches!(event.kind, SceneEventKind::Odometry(_)) && stamp_ns / 10_000_000 % 10 == 0 {
+            let pose = scene.truth(stamp_ns as f64 * 1e-9).map_from_base_footprint;
+            let dots = if event.corrupt.is_some() { &mut corrupt } else { &mut whole };
+            dots.push(DVec2::new(pose.x, pose.y));
+        }
+    }
+    // Apart from each other: no line between them.
+    let dots = |label: &str, colour, points: Vec<DVec2>| {
+        let points = points.into_iter().flat_map(|point| [point, DVec2::NAN]).collect();
+        Route { label: label.to_owned(), colour, points, style: RouteStyle::Wide, dots: true }
+    };
+    field_map(scene.field(), &[dots("sound", [255, 235, 120], whole), dots("corrupt", LINES, corrupt)], 560, &[])
+}
+
 /// With the lines where lens, mount and IMU put them.
 fn told_lines(scene: &Scene, index: u64) -> RgbImage {
     let time = scene.frame_time_s(index);
@@ -128,6 +147,8 @@ fn of_each_effect() {
     let walk = odometry_route(&build(LOOP, &[]));
     let odometry = "kind = \"odometry_error\"\nscale_percent = 15\nyaw_drift_deg_per_m = 3\nnoise_m_per_m = 0.2";
     save("odometry_error", &walk, &odometry_route(&build(LOOP, &[odometry])));
+    let serial = "kind = \"serial_noise\"\nlost_share = 0.8\ncorrupt_share = 0.3";
+    save("serial_noise", &arriving(&build(LOOP, &[])), &arriving(&build(LOOP, &[serial])));
     let imu = "kind = \"imu_error\"\nroll_bias_deg = 3\npitch_bias_deg = 2\nnoise_deg = 0.5\ngyro_noise_deg_s = 1";
     let calibration = "kind = \"calibration_error\"\nfocal_percent = 4\ncentre_px = [8, -6]\nmount_pitch_deg = 2";
     for (name, effect) in [("imu_error", imu), ("calibration_error", calibration)] {

@@ -1,6 +1,6 @@
 //! Numbers that a scene leaves open.
 
-use realitysim::scene::{Drawn, Scene, SceneFile};
+use realitysim::scene::{Drawn, START_STAMP_NS, Scene, SceneEvent, SceneEventKind, SceneFile};
 
 use super::common::{STRAIGHT, fisheye_640, image, kid_2009, plain, scene, straight_with as build, with_effects};
 
@@ -94,11 +94,104 @@ fn a_range_that_could_draw_the_impossible_is_refused_with_its_line() {
         (range("{ uniform = [0.4, 0.9] }"), vec!["no range"]),
         (range("{ uniform = [0.4, 0.9], per = \"frame\", mean = 1 }"), vec!["no range"]),
         (range("{ normal = [0.4, 0.9] }"), vec!["invalid type: map", "line"]),
-        (WORN.replace("\"episode\"", "\"frame\""), vec!["drawn per frame", "only light and sensor_noise"]),
+        (WORN.replace("\"episode\"", "\"frame\""), vec!["drawn per frame", "of worn_lines nothing can change"]),
     ] {
         let message = refusal(&effect);
         assert!(words.iter().all(|word| message.contains(word)), "{effect}: {message}");
         let lines = [first - 1, first, first + 1, first + 2].map(|line| format!("line {line}"));
         assert!(lines.iter().any(|line| message.contains(line)), "{lines:?}: {message}");
+    }
+}
+
+const SWAY: &str =
+    "kind = \"gait_sway\"\nroll_deg = 2\npitch_deg = 1.3\nlateral_m = 0.018\nvertical_m = 0.006\nstep_hz = 2.4";
+
+/// An effect with one number for every frame, and the same with the number that a frame has drawn.
+fn per_frame_and_written(kind: &str, key: &str, ends: [f64; 2], rest: &str) -> (String, impl Fn(f64) -> String) {
+    let (kind, rest) = (kind.to_owned(), rest.to_owned());
+    let open = format!("kind = \"{kind}\"\n{key} = {{ uniform = {ends:?}, per = \"frame\" }}\n{rest}");
+    let key = key.to_owned();
+    (open, move |value| format!("kind = \"{kind}\"\n{key} = {value:?}\n{rest}"))
+}
+
+#[test]
+fn window_and_shutter_may_change_with_every_frame() {
+    const WINDOW: &str = "wall = \"+x\"\ncentre_m = 0\nwidth_m = 3\nsill_m = 1\nheight_m = 2.5\nsun_elevation_deg = 20";
+    for (kind, key, ends, rest) in [
+        ("bright_window", "brightness", [0.5, 1.1], WINDOW),
+        ("bright_window", "glare", [0.0, 0.5], &format!("{WINDOW}\nbrightness = 8")),
+        ("bright_window", "sun_gain", [1.0, 3.0], &format!("{WINDOW}\nbrightness = 8")),
+        ("shutter", "exposure_ms", [5.0, 150.0], "readout_ms = 0"),
+        ("sensor_noise", "shot_noise_factor", [0.0, 3.0], "read_noise_dn = 0"),
+        ("light", "camera_gain", [1.0, 4.0], "gain = 0.3"),
+    ] {
+        let (open, written) = per_frame_and_written(kind, key, ends, rest);
+        let scene = build(&[SWAY, &open]);
+        let drawn = |frame| value(&scene.drawn_for(frame), &format!("{kind}.{key}"));
+        for frame in [13, 14] {
+            let written = build(&[SWAY, &written(drawn(frame))]);
+            assert!(image(&scene, frame) == image(&written, frame), "{kind}.{key}");
+        }
+        let other = build(&[SWAY, &written(drawn(14))]);
+        assert!(image(&scene, 13) != image(&other, 13), "{kind}.{key} changes nothing");
+    }
+}
+
+/// Messages have the numbers of the frame before them, until the next one is due.
+#[test]
+fn messages_have_the_numbers_of_the_last_frame() {
+    let imu = |scene: &Scene, frame: u64| -> Vec<SceneEventKind> {
+        let [from, until] = [frame, frame + 1].map(|frame| scene.frame_time_s(frame));
+        let time = |event: &SceneEvent| (event.stamp_ns - START_STAMP_NS) as f64 * 1e-9;
+        let within = scene.events().filter(|event| time(event) > from + 1e-6 && time(event) < until - 1e-6);
+        within.map(|event| event.kind).filter(|kind| matches!(kind, SceneEventKind::Imu(_))).collect()
+    };
+    let rest = "pitch_bias_deg = 0.5\nnoise_deg = 0.2\ngyro_noise_deg_s = 1.0";
+    let (open, written) = per_frame_and_written("imu_error", "roll_bias_deg", [-20.0, 20.0], rest);
+    let scene = build(&[&open]);
+    for frame in [0, 1, 8] {
+        let bias = value(&scene.drawn_for(frame), "imu_error.roll_bias_deg");
+        let expected = imu(&build(&[&written(bias)]), frame);
+        assert!(expected.len() > 2 && imu(&scene, frame) == expected, "frame {frame}");
+        assert_ne!(imu(&scene, frame + 1), imu(&build(&[&written(bias)]), frame + 1));
+    }
+    let rest = "yaw_drift_deg_per_m = 0\nnoise_m_per_m = 0";
+    let (open, _) = per_frame_and_written("odometry_error", "scale_percent", [-50.0, 50.0], rest);
+    let scene = build(&[&open]);
+    let odometry: Vec<(f64, f64)> = scene
+        .events()
+        .filter_map(|event| match event.kind {
+            SceneEventKind::Odometry(odometry) => {
+                Some(((event.stamp_ns - START_STAMP_NS) as f64 * 1e-9, odometry.odom_from_base_footprint.x))
+            }
+            _ => None,
+        })
+        .collect();
+    for pair in odometry.windows(2).skip(50).take(100) {
+        let [(before, from), (time, to)] = pair else { unreachable!() };
+        let frame = (0..).take_while(|frame| scene.frame_time_s(*frame) <= time + 1e-9).last().unwrap_or(0);
+        let scale = 1.0 + value(&scene.drawn_for(frame), "odometry_error.scale_percent") / 100.0;
+        let walked = scene.truth(*time).map_from_base_footprint.x - scene.truth(*before).map_from_base_footprint.x;
+        assert!(((to - from).abs() - walked.abs() * scale).abs() < 1e-9, "at {time}: {}", to - from);
+    }
+}
+
+#[test]
+fn what_cannot_change_with_every_frame_is_refused_by_name() {
+    for (effect, words) in [
+        ("kind = \"worn_lines\"\nshare = OPEN\npatch_m = 0.3", "of worn_lines nothing can change"),
+        ("kind = \"shutter\"\nexposure_ms = 1\nreadout_ms = OPEN", "of shutter only exposure_ms can change"),
+        ("kind = \"calibration_error\"\nfocal_percent = OPEN", "of calibration_error nothing can change"),
+        ("kind = \"camera_fault\"\nunplugged = { from_s = OPEN, for_s = 1 }", "of camera_fault nothing can change"),
+        (
+            "kind = \"odometry_error\"\nscale_percent = 0\nyaw_drift_deg_per_m = OPEN\nnoise_m_per_m = 0",
+            "of odometry_error only scale_percent, noise_m_per_m can change",
+        ),
+    ] {
+        let open = effect.replace("OPEN", "{ uniform = [0.1, 0.9], per = \"frame\" }");
+        let toml = with_effects(&plain(STRAIGHT), &[SWAY, &open]);
+        let built = SceneFile::from_toml(&toml).and_then(|file| Scene::build(file, kid_2009(), fisheye_640()));
+        let message = built.expect_err("must be refused").to_string();
+        assert!(message.contains(words) && message.contains("line ") && message.contains("effect[1]."), "{message}");
     }
 }

@@ -1,11 +1,9 @@
-//! Views against rendered truth and real images, and the database at its full size.
+//! Views against rendered truth and real images.
 
 mod darkened;
 mod exactness;
 mod goals;
 mod real;
-mod scale;
-mod speed;
 
 use glam::DVec3;
 use realitysim::config::load_field;

@@ -11,8 +11,9 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use super::live::MAX_FRAMES;
 use crate::config::{Settings, load_field, load_lens};
+use crate::recording::storage::Disk;
+use crate::recording::{DiskMeasured, loss_bound_ms};
 use crate::sensors::camera::{
     CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Negotiated, SCHEME, driver_of,
 };
@@ -36,6 +37,8 @@ const LISTEN: Duration = Duration::from_secs(3);
 /// As much as a second of camera frames, as often as tells the worst from the usual.
 const DISK_BLOCK_BYTES: usize = 512 << 10;
 const DISK_BLOCKS: usize = 40;
+/// Of a recording, in a power cut.
+const MOST_LOST_MS: f64 = 1000.0;
 
 pub fn examine(settings: &Settings, captures: &Path) -> Vec<Finding> {
     let mut findings = config(settings);
@@ -55,7 +58,7 @@ pub fn examine(settings: &Settings, captures: &Path) -> Vec<Finding> {
         serial(&options)
     }));
     findings.extend(cpu::headroom(settings));
-    findings.push(disk(captures, settings.capture.rate_hz));
+    findings.push(disk(settings, captures));
     findings
 }
 
@@ -195,23 +198,34 @@ fn serial(options: &PortOptions) -> Finding {
     }
 }
 
-/// The worst of many writes that reach the disk, which is what the frames must wait for.
-fn disk(captures: &Path, rate_hz: f64) -> Finding {
+/// The worst of many writes that reach the disk, and what follows from it: memory for frames, and what a power cut costs.
+fn disk(settings: &Settings, captures: &Path) -> Finding {
     let what = format!("disk {}", captures.display());
-    match slowest_write_ms(captures) {
-        Err(error) => bad(what, error.to_string(), "the recorder's user must be able to write there"),
-        Ok([typical, worst]) => {
-            let said = format!(
-                "512 KiB to the disk: {typical:.1} ms, the worst of {DISK_BLOCKS} {worst:.1} ms: {:.0} frames wait meanwhile, \
-                 of {MAX_FRAMES} that can",
-                (worst * 1e-3 * rate_hz).ceil()
-            );
-            if worst * 1e-3 * rate_hz <= MAX_FRAMES as f64 {
-                good(what, said)
-            } else {
-                bad(what, said, "use a faster disk: frames are dropped while it stands still")
-            }
-        }
+    let [typical_ms, worst_ms] = match slowest_write_ms(captures) {
+        Err(error) => return bad(what, error.to_string(), "the recorder's user must be able to write there"),
+        Ok(measured) => measured,
+    };
+    let measured = DiskMeasured { block_bytes: DISK_BLOCK_BYTES as u64, typical_ms, worst_ms };
+    // The recorder makes its queue of it; without it, it takes a usual one.
+    let noted = measured.save(&Disk, captures).map_or_else(|error| format!(" ({error})"), |()| String::new());
+    let bytes_per_s = size(settings).map_or(0, |size| settings.capture.bytes_per_s(size));
+    let queue_mb = measured.queue_mb(&settings.recording, bytes_per_s);
+    let cut_ms = loss_bound_ms(settings.recording.sync_interval_ms as f64, worst_ms);
+    let said = format!(
+        "512 KiB to the disk: {typical_ms:.1} ms, the worst of {DISK_BLOCKS} {worst_ms:.1} ms: {queue_mb} MiB for frames that wait, \
+         and a power cut costs at most {:.1} s{noted}",
+        cut_ms * 1e-3
+    );
+    if !measured.fits(queue_mb, bytes_per_s) {
+        bad(
+            what,
+            said,
+            "a faster disk, a larger recording.queue_mb or fewer frames: they are dropped while it stands still",
+        )
+    } else if cut_ms > MOST_LOST_MS {
+        bad(what, said, "a faster disk: with this one, a power cut costs more than a second")
+    } else {
+        good(what, said)
     }
 }
 

@@ -45,7 +45,7 @@ pub enum DeviceEvent {
 /// Events between the devices and the agent: at 1 kHz of measurements, a second.
 const MAX_EVENTS: usize = 1024;
 /// Frames among them: with more, the agent is behind and the newest are dropped.
-pub const MAX_FRAMES: u64 = 16;
+const MAX_FRAMES: u64 = 16;
 
 /// Poses that wait for a port: a slower one misses some.
 const MAX_POSES: usize = 4;

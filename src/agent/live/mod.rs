@@ -16,7 +16,6 @@ use serde_json::{Value, json};
 use thiserror::Error;
 
 pub use control::{ask, poses};
-pub use devices::MAX_FRAMES;
 pub use status::Status;
 
 use super::error::AgentError;
@@ -27,7 +26,8 @@ use super::state::{Start, last_state};
 use super::warnings::AttitudeSource;
 use crate::config::{ConfigError, Settings, load_lens};
 use crate::geometry::{LensError, LensParameters, Pose2};
-use crate::recording::{LiveInfo, session_holding};
+use crate::recording::storage::Disk;
+use crate::recording::{LiveInfo, RecorderStatus, Stopped, Writing, repair, robot_id, session_holding, sessions_of};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CameraInfo, FrameTag, TFMessage};
 use crate::sensors::host_clock::{monotonic_ns, utc_offset_ns};
@@ -40,7 +40,7 @@ use control::{Ask, Control, Order};
 use devices::{DeviceEvent, Devices, channel};
 use messages::{Messages, Names, initial_pose, transforms};
 use meters::Meters;
-use status::PassedOn;
+use status::{CoverageStatus, PassedOn};
 
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
@@ -80,6 +80,8 @@ const LISTEN: Duration = Duration::from_millis(1500);
 /// The longest that nothing is done.
 const TICK: Duration = Duration::from_millis(50);
 const STATUS_EVERY_NS: i64 = 1_000_000_000;
+/// Repaired sessions that are told of.
+const MAX_REPAIRS_TOLD: usize = 64;
 /// Tags between the pipeline and whoever wants poses.
 const MAX_TAGS: usize = 256;
 
@@ -95,9 +97,10 @@ pub fn record(options: &RecordOptions, stop: &AtomicBool, say: &mut dyn FnMut(&s
         .map_err(|source| RecordError::Socket { path: options.socket.clone(), source })?;
     // What cannot be right is refused before a device is touched.
     setup(options, &lens, clock_ns + monotonic_ns(), Expected::default())?;
+    let repairs = repair_in_the_background(&options.captures);
     let devices = Devices::start(&options.settings, (lens.width, lens.height), clock_ns, &send);
     drop(send);
-    let mut agent = Agent::new(options, lens, clock_ns, devices, control);
+    let mut agent = Agent::new(options, lens, clock_ns, devices, control, repairs);
     let recorded = agent.run(&events, stop, say);
     let Agent { devices, mut status, .. } = agent;
     devices.stop();
@@ -126,6 +129,16 @@ struct Agent<'a> {
     last_log_ns: i64,
     noted_ns: i64,
     fed_rounds: u64,
+    told: Told,
+    /// What was left of earlier sessions, as it is found.
+    repairs: Receiver<String>,
+}
+
+/// What people have heard of the recorder, and when.
+#[derive(Default)]
+struct Told {
+    at: Option<Instant>,
+    recorder: RecorderStatus,
 }
 
 impl<'a> Agent<'a> {
@@ -135,6 +148,7 @@ impl<'a> Agent<'a> {
         clock_ns: i64,
         devices: Devices,
         control: Control,
+        repairs: Receiver<String>,
     ) -> Self {
         let Settings { topics, frames, head, .. } = options.settings.clone();
         Self {
@@ -153,6 +167,8 @@ impl<'a> Agent<'a> {
             last_log_ns: i64::MIN,
             noted_ns: i64::MIN,
             fed_rounds: 0,
+            told: Told::default(),
+            repairs,
         }
     }
 
@@ -177,8 +193,8 @@ impl<'a> Agent<'a> {
             Ok(())
         });
         let _ = sd_notify::notify(&[sd_notify::NotifyState::Stopping]);
-        let ended = self.end(say);
-        went_on.and(ended)
+        self.end(say);
+        went_on
     }
 
     /// Whatever comes next, or the tick.
@@ -198,6 +214,11 @@ impl<'a> Agent<'a> {
                 self.meters.tagged(&tag);
                 self.devices.send(&tag, self.clock_ns);
             }
+        }
+        self.tell_of_the_recorder(say);
+        for said in self.repairs.try_iter() {
+            say(&said);
+            self.status.repaired.push(said);
         }
         self.note_status()
     }
@@ -225,7 +246,7 @@ impl<'a> Agent<'a> {
             }
             DeviceEvent::Dropped { cause, count } => {
                 if let Some(session) = &mut self.session {
-                    session.drop_frames(cause, count);
+                    session.drop_frames(cause, count)?;
                 }
             }
             DeviceEvent::Frame { message, clock } => {
@@ -285,16 +306,19 @@ impl<'a> Agent<'a> {
             None
         });
         let (send, tags) = bounded(MAX_TAGS);
+        let bytes_per_s = self.options.settings.capture.bytes_per_s((self.lens.width, self.lens.height));
         let recording = Recording {
             captures: self.options.captures.clone(),
             source: None,
             threads: self.options.threads,
             live: Some(LiveInfo {
+                robot_id: Some(robot_id()),
                 utc_offset_ns: self.clock_ns,
                 camera_delay_ns: (self.options.settings.capture.delay_ms * 1e6) as i64,
                 camera: self.status.camera.clone(),
             }),
             tags: Some(send),
+            writing: Writing::Behind { bytes_per_s },
         };
         self.session = Some(Pipeline::new(setup, Start { warm, ..Start::default() }, recording));
         self.tags = Some(tags);
@@ -307,37 +331,78 @@ impl<'a> Agent<'a> {
             let message = self.messages.message(&self.names.topics.initial_pose.clone(), false, &message);
             self.log(message)?;
         }
-        if let Some((folder, _)) = self.session.as_ref().and_then(Pipeline::session) {
-            say(&format!("recording {}", folder.display()));
-        }
+        self.told = Told::default();
         Ok(())
     }
 
-    /// The session becomes a whole capture.
-    fn end(&mut self, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
-        let Some(session) = self.session.take() else { return Ok(()) };
+    /// Where it is recorded, and what the disk does, as soon as it is known.
+    fn tell_of_the_recorder(&mut self, say: &mut dyn FnMut(&str)) {
+        if self.told.at.is_some_and(|at| at.elapsed() < TICK) {
+            return;
+        }
+        let Some((_, recorder)) = self.session.as_ref().and_then(Pipeline::recorder) else { return };
+        if let (None, Some(folder)) = (&self.told.recorder.session, &recorder.session) {
+            say(&format!("recording {}", folder.display()));
+        }
+        let before = &self.told.recorder;
+        if recorder.fault != before.fault {
+            match &recorder.fault {
+                Some(fault) => say(&format!("the disk: {}: {}; it is tried again", fault.cause, fault.said)),
+                None => say("the disk: all is written again"),
+            }
+        }
+        if recorder.stopped != before.stopped {
+            match &recorder.stopped {
+                Some(Stopped { cause, frames_only: true }) => say(&format!("{cause}: frames are not recorded")),
+                Some(Stopped { cause, .. }) => say(&format!("{cause}: nothing is recorded")),
+                None => say("there is room again: frames are recorded"),
+            }
+        }
+        if recorder.evicted_segments > before.evicted_segments {
+            let segments = recorder.evicted_segments - before.evicted_segments;
+            say(&format!("{segments} segments that a dev machine has were removed to make room"));
+        }
+        self.told = Told { at: Some(Instant::now()), recorder };
+    }
+
+    /// The session becomes a whole capture, as far as the disk lets it: what it does not, `repair` does later.
+    fn end(&mut self, say: &mut dyn FnMut(&str)) {
+        self.refresh();
+        let Some(session) = self.session.take() else { return };
         let (recorded, ended) = session.finish();
-        if let Some(Recorded { session, counts, warnings, .. }) = recorded {
+        if let Some(Recorded { session, counts, recorder, warnings, .. }) = recorded {
             for warning in warnings {
                 say(&format!("warning: {warning}"));
             }
             say(&format!("recorded {}", session.display()));
             self.status.session = Some(session);
             self.status.counts = counts;
+            self.status.recorder = recorder;
+        }
+        if let Err(error) = ended {
+            say(&format!(
+                "the session is not whole: {error}; the next start or `realitysim sessions repair` finishes it"
+            ));
+            self.status.unfinished = Some(error.to_string());
         }
         self.status.state = "stopped";
-        Ok(ended?)
     }
 
     fn obey(&mut self, order: Order, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
         let done = match order.what {
             Ask::Status => {
                 self.refresh();
+                let grid = self.session.as_ref().map(|session| session.coverage().clone());
+                self.status.coverage = grid.map(|grid| CoverageStatus { map: grid.text(), grid });
                 Ok(json!(self.status))
             }
             Ask::Mark(text) => self.note("mark", "mark", &text).map(|()| json!({ "marked": text })),
             Ask::Start => self.begin(say).map(|()| json!({ "state": self.status.state })),
-            Ask::Stop => self.end(say).map(|()| json!({ "state": self.status.state, "session": self.status.session })),
+            Ask::Stop => {
+                self.end(say);
+                let Status { state, session, unfinished, .. } = &self.status;
+                Ok(json!({ "state": state, "session": session, "unfinished": unfinished }))
+            }
         };
         let answer = match &done {
             Ok(value) => value.clone(),
@@ -383,16 +448,15 @@ impl<'a> Agent<'a> {
     }
 
     fn refresh(&mut self) {
-        if let Some((folder, counts)) = self.session.as_ref().and_then(Pipeline::session) {
-            self.status.session = Some(folder.to_owned());
-            self.status.counts = counts;
+        if let Some((counts, recorder)) = self.session.as_ref().and_then(Pipeline::recorder) {
+            self.status.session.clone_from(&recorder.session);
+            (self.status.counts, self.status.recorder) = (counts, recorder);
         }
         let status = &mut self.status;
-        status.frames_waiting = self.devices.waiting.load(Ordering::Relaxed);
+        status.camera_waiting = self.devices.waiting.load(Ordering::Relaxed);
         status.rates = self.meters.rates();
         status.budget = self.meters.budget(self.options.settings.filter.budget_ms);
         status.validity = self.meters.validity();
-        status.disk_free_bytes = free_bytes(&self.options.captures);
         let republished = &self.devices.republished;
         status.republished = self.options.settings.capture.republish.as_ref().map(|device| PassedOn {
             device: device.clone(),
@@ -416,15 +480,28 @@ impl<'a> Agent<'a> {
     }
 }
 
-/// What an ordinary user may still fill.
-fn free_bytes(folder: &Path) -> Option<u64> {
-    let disk = rustix::fs::statvfs(folder).ok()?;
-    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
-}
-
 fn lens(settings: &Settings) -> Result<LensParameters, RecordError> {
     let file = settings.camera.lens.as_ref().ok_or(RecordError::NoLens)?;
     Ok(load_lens(file)?.lens.parameters().clone())
+}
+
+/// What a crash has left of earlier sessions is finished beside the recording, which does not wait for it.
+fn repair_in_the_background(captures: &Path) -> Receiver<String> {
+    let (send, repairs) = bounded(MAX_REPAIRS_TOLD);
+    // Those that are there before this one begins.
+    let sessions = sessions_of(&Disk, captures);
+    std::thread::spawn(move || {
+        for session in sessions {
+            let said = match repair(&Disk, &session) {
+                Ok(repaired) if repaired.in_use || repaired.changed_nothing() => continue,
+                Ok(repaired) => repaired.to_string(),
+                Err(error) => format!("an earlier session is not whole, and cannot be repaired: {error}"),
+            };
+            // Who has no time to hear it can ask `sessions repair`.
+            let _ = send.try_send(said);
+        }
+    });
+    repairs
 }
 
 /// As the prelude of a log that begins with these constants, which come along.

@@ -7,7 +7,8 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::meters::{BudgetUse, Rates, Validity};
-use crate::recording::Counts;
+use crate::geometry::PoseGrid;
+use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
 use crate::sensors::camera::StampClock;
 use crate::sensors::log::DIAGNOSTICS_NAME;
@@ -20,6 +21,11 @@ pub struct Status {
     pub state: &'static str,
     pub session: Option<PathBuf>,
     pub counts: Counts,
+    pub recorder: RecorderStatus,
+    /// Why the last session is not whole.
+    pub unfinished: Option<String>,
+    /// What was left of earlier sessions.
+    pub repaired: Vec<String>,
     /// What the camera agreed to.
     pub camera: Value,
     /// Why there is none at the moment.
@@ -27,16 +33,24 @@ pub struct Status {
     pub stamp_clock: Option<StampClock>,
     /// Of the last second.
     pub rates: Rates,
-    /// Between camera and agent, of at most 16.
-    pub frames_waiting: u64,
+    /// Frames between camera and agent, of at most 16; between agent and disk: `recorder`.
+    pub camera_waiting: u64,
     /// Of the frames that are passed on to other programs, if they are.
     pub republished: Option<PassedOn>,
-    /// Of the disk that holds the captures.
-    pub disk_free_bytes: Option<u64>,
     pub budget: BudgetUse,
     pub validity: Validity,
     pub ports: BTreeMap<String, Port>,
     pub last_tag: Option<LastTag>,
+    /// Which cells of the pose grid the session has images of.
+    pub coverage: Option<CoverageStatus>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct CoverageStatus {
+    #[serde(flatten)]
+    pub grid: PoseGrid,
+    /// The field from above, a letter for each cell: `PoseGrid::text`.
+    pub map: Vec<String>,
 }
 
 #[derive(Clone, Debug, Serialize)]

@@ -7,7 +7,7 @@ use super::knobs::Knobs;
 use crate::agent::Attempt;
 use crate::evaluation::Tagged;
 use crate::evaluation::capture::tagged;
-use crate::evaluation::compare::{Comparison, compare, mirrored, truth_at};
+use crate::evaluation::compare::{Comparison, compare, up_to_mirror};
 use crate::evaluation::statistics::{Summary, quantile};
 use crate::geometry::Isometry;
 
@@ -76,14 +76,8 @@ impl Row {
 /// A filter that had to find its place by itself cannot know in which half of the field it is: of an ambiguous tag the
 /// nearer of both poses counts.
 fn judge(run: &[Attempt], truth: &[(i64, Isometry)]) -> Comparison {
-    let known = |attempt: &Attempt| {
-        let tag = tagged(&attempt.tag);
-        let Some(wanted) = truth_at(truth, tag.stamp_ns).filter(|_| attempt.tag.ambiguous) else { return tag };
-        let off = |tag: &Tagged| (tag.pose.translation - wanted.translation).length();
-        let other = mirrored(std::slice::from_ref(&tag)).pop();
-        other.filter(|other| off(other) < off(&tag)).unwrap_or(tag)
-    };
-    compare(&run.iter().map(known).collect::<Vec<_>>(), truth)
+    let tags: Vec<Tagged> = run.iter().map(|attempt| tagged(&attempt.tag)).collect();
+    compare(&up_to_mirror(&tags, truth), truth)
 }
 
 /// Sorted: of each frame in which something was seen, the least of the runs.

@@ -7,7 +7,7 @@ use crate::evaluation::capture::tagged;
 use crate::geometry::Isometry;
 
 /// One of the best tags this much fewer frames than another evades: its errors are those of easier frames.
-const EVASION: f64 = 0.05;
+const EVASION: f64 = 0.02;
 
 /// Tries one setting with one seed: the caller has frames and a clock.
 pub type Measure<'a, E> = &'a mut dyn FnMut(&Knobs, u64) -> Result<Vec<Attempt>, E>;

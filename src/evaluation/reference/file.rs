@@ -1,6 +1,7 @@
 //! The file: JSON Lines. First what it is of, then a line per frame.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -132,6 +133,13 @@ impl Reference {
         text
     }
 
+    pub fn load(path: &Path) -> Result<Self, ReferenceError> {
+        let file = path.display().to_string();
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| ReferenceError::Read { file: file.clone(), message: error.to_string() })?;
+        Self::parse(&text, &file)
+    }
+
     /// `file` is for messages.
     pub fn parse(text: &str, file: &str) -> Result<Self, ReferenceError> {
         let refuse = |message: String| ReferenceError::Format { file: file.to_owned(), message };
@@ -146,8 +154,6 @@ impl Reference {
             Some(_) => {}
         }
         let head: Head = serde_json::from_value(first).map_err(|error| refuse(format!("line 1: {error}")))?;
-        let constant = head.constant.into_iter().map(|(name, value)| (name, vec![value; head.frames]));
-        let mut fields: BTreeMap<String, Vec<Value>> = constant.collect();
         let mut columns = vec![Vec::new(); head.columns.len()];
         let mut count = 0;
         for (index, line) in lines.enumerate() {
@@ -163,6 +169,9 @@ impl Reference {
         if count != head.frames {
             return Err(refuse(format!("{count} frames, and its first line says {}: is it whole?", head.frames)));
         }
+        // Only now: its first line may say any number.
+        let constant = head.constant.into_iter().map(|(name, value)| (name, vec![value; count]));
+        let mut fields: BTreeMap<String, Vec<Value>> = constant.collect();
         fields.extend(head.columns.into_iter().zip(columns));
         let frames = Frames { count, fields };
         exercised(&frames)?;

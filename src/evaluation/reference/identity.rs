@@ -5,6 +5,7 @@ use std::io;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::ReferenceError;
 use crate::geometry::Pose2;
@@ -59,6 +60,18 @@ impl Identity {
         (self.initial != replayed.initial)
             .then(|| format!("it started {}, this started {}", started(self), started(replayed)))
     }
+}
+
+/// Of the session. How and under which name it is stored changes no tag.
+pub fn settings_that_matter(session: &Path) -> Result<Value, ReferenceError> {
+    let told = |message: String| ReferenceError::Session(message);
+    let info = read_info(session).map_err(|error| told(error.to_string()))?;
+    let mut settings = serde_json::to_value(info.settings).map_err(|error| told(error.to_string()))?;
+    if let Some(settings) = settings.as_object_mut() {
+        settings.remove("recording");
+        settings.remove("robot");
+    }
+    Ok(settings)
 }
 
 fn hash(source: &Path, info: &SessionInfo) -> io::Result<String> {

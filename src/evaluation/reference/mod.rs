@@ -7,4 +7,4 @@ mod identity;
 
 pub use compare::{Difference, Verdict, compare};
 pub use file::{Frames, Reference, ReferenceError};
-pub use identity::Identity;
+pub use identity::{Identity, settings_that_matter};

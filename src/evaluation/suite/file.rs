@@ -40,6 +40,8 @@ pub struct Case {
     pub truth: Option<PathBuf>,
     /// A topic of the source with poses of `camera_link` in `map`: they are judged, and nothing is replayed.
     pub poses: Option<String>,
+    /// Tags of an earlier replay (`replay --check FILE --bless`), which these must be, bit for bit.
+    pub reference: Option<PathBuf>,
     /// Tags that say that they are ambiguous are as right in the mirror.
     #[serde(default)]
     pub up_to_mirror: bool,
@@ -84,6 +86,7 @@ impl Suite {
             case.source = folder.join(&case.source);
             near(&mut case.config);
             near(&mut case.truth);
+            near(&mut case.reference);
             case.config = case.config.take().or(self.config.clone());
             case.limits = case.limits.or(&self.limits);
             if case.recovery_from_s.is_empty() {
@@ -128,8 +131,11 @@ impl Case {
                 return Err(format!("except_s has [{from}, {to}]: the first must be below the second"));
             }
         }
-        if self.limits == Limits::default() {
-            return Err("no limit at all: what would it show?".to_owned());
+        if self.limits == Limits::default() && self.reference.is_none() {
+            return Err("no limit at all, and no reference: what would it show?".to_owned());
+        }
+        if self.reference.is_some() && self.poses.is_some() {
+            return Err("a reference is of replayed tags, and with poses nothing is replayed: leave one out".to_owned());
         }
         if !self.recovery_from_s.is_empty() && self.limits.recovered_within_s.is_none() {
             return Err("recovery_from_s without limits.recovered_within_s: say how fast it must be".to_owned());
@@ -171,6 +177,7 @@ mod tests {
             ("", vec!["s/suite.toml", "case"]),
             ("case = []", vec!["0 cases"]),
             (&case(""), vec!["case \"a\"", "no limit at all"]),
+            (&case("reference = \"r.jsonl\"\nposes = \"/p\""), vec!["case \"a\"", "reference", "poses"]),
             (&case("limits = { mean = 3 }"), vec!["line 3", "unknown field `mean`", "mean_cm"]),
             (&case("limits = { mean_cm = 0 }"), vec!["mean_cm is 0", "above 0"]),
             (&case("limits = { valid_share = 1.5 }"), vec!["valid_share is 1.5", "0 to 1"]),

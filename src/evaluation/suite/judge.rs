@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::file::Case;
-use crate::evaluation::compare::{Comparison, Tagged, compare, mirrored, truth_at};
+use crate::evaluation::compare::{Comparison, Tagged, compare, truth_at, up_to_mirror};
 use crate::geometry::Isometry;
 
 #[derive(Clone, Debug, Default, Serialize)]
@@ -38,11 +38,11 @@ impl Judged {
     }
 }
 
-/// `ambiguous` says of each tag whether it may as well be in the other half; `truth` is in time order.
-pub fn judge(case: &Case, tags: &[Tagged], ambiguous: &[bool], truth: &[(i64, Isometry)]) -> Judged {
+/// `truth` is in time order.
+pub fn judge(case: &Case, tags: &[Tagged], truth: &[(i64, Isometry)]) -> Judged {
     let first_ns = tags.iter().map(|tag| tag.stamp_ns).min().unwrap_or(0);
     let seconds = |tag: &Tagged| (tag.stamp_ns - first_ns) as f64 * 1e-9;
-    let tags = if case.up_to_mirror { nearer_half(tags, ambiguous, truth) } else { tags.to_vec() };
+    let tags = if case.up_to_mirror { up_to_mirror(tags, truth) } else { tags.to_vec() };
     let is_excepted = |time: f64| case.except_s.iter().any(|[from, to]| (*from..*to).contains(&time));
     let is_judged = |tag: &&Tagged| seconds(tag) >= case.from_s && !is_excepted(seconds(tag));
     let judged: Vec<Tagged> = tags.iter().filter(is_judged).cloned().collect();
@@ -67,15 +67,6 @@ fn is_right(tag: &Tagged, truth: &[(i64, Isometry)]) -> bool {
 fn distance_cm(tag: &Tagged, truth: &[(i64, Isometry)]) -> Option<f64> {
     let off = tag.pose.translation - truth_at(truth, tag.stamp_ns)?.translation;
     Some(100.0 * off.truncate().length())
-}
-
-fn nearer_half(tags: &[Tagged], ambiguous: &[bool], truth: &[(i64, Isometry)]) -> Vec<Tagged> {
-    let turned = mirrored(tags);
-    let nearer = |((tag, turned), ambiguous): ((&Tagged, &Tagged), &bool)| {
-        let is_nearer = || distance_cm(turned, truth) < distance_cm(tag, truth);
-        if *ambiguous && is_nearer() { turned.clone() } else { tag.clone() }
-    };
-    tags.iter().zip(&turned).zip(ambiguous).map(nearer).collect()
 }
 
 #[cfg(test)]
@@ -107,9 +98,10 @@ mod tests {
                 valid: *off >= 0.0,
                 pose: at(1.0 + off.abs()),
                 covariance: [1.0, 0.0, 1.0],
+                ambiguous: false,
             })
             .collect();
-        judge(case, &tags, &vec![false; tags.len()], &truth)
+        judge(case, &tags, &truth)
     }
 
     #[test]
@@ -134,9 +126,10 @@ mod tests {
     fn only_a_tag_that_says_so_may_be_in_the_other_half() {
         let case = case("up_to_mirror = true");
         let truth = [(0, at(1.0))];
-        let tag = Tagged { stamp_ns: 0, valid: true, pose: at(-1.0), covariance: [1.0, 0.0, 1.0] };
-        let max =
-            |ambiguous| judge(&case, core::slice::from_ref(&tag), &[ambiguous], &truth).comparison.position_cm.max;
+        let max = |ambiguous| {
+            let tag = Tagged { stamp_ns: 0, valid: true, pose: at(-1.0), covariance: [1.0, 0.0, 1.0], ambiguous };
+            judge(&case, &[tag], &truth).comparison.position_cm.max
+        };
         assert!(max(true) < 1e-9);
         assert!(max(false) > 199.0);
     }

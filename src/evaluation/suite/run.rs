@@ -10,12 +10,13 @@ use thiserror::Error;
 
 use super::file::{Case, Suite};
 use super::judge::{Judged, judge};
-use super::limits::Broken;
+use super::limits::{Broken, Limits};
 use super::timing::p99_ratio;
 use crate::agent::{FootageOptions, ReplayError, ReplayOptions, replay};
 use crate::config::{ConfigError, Settings};
 use crate::evaluation::capture::{EvaluationError, read_poses, read_tags, read_truth, tagged};
 use crate::evaluation::compare::Tagged;
+use crate::evaluation::reference::{self, Frames, Identity, Reference, ReferenceError, Verdict, settings_that_matter};
 use crate::evaluation::truth;
 use crate::geometry::Isometry;
 use crate::sensors::scene::{self, SceneSourceError};
@@ -38,6 +39,8 @@ pub struct CaseReport {
     /// None without a limit of time.
     pub p99_ratio: Option<f64>,
     pub broken: Vec<Broken>,
+    /// Against the case's reference, if it has one.
+    pub reference: Option<Verdict>,
     /// Why there is nothing to judge.
     pub error: Option<String>,
     /// Its tags, if it was replayed.
@@ -71,6 +74,8 @@ enum CaseError {
     Replay(#[from] ReplayError),
     #[error(transparent)]
     Evaluation(#[from] EvaluationError),
+    #[error(transparent)]
+    Reference(#[from] ReferenceError),
 }
 
 /// In the order of the suite.
@@ -109,15 +114,16 @@ fn run_case(case: &Case, captures: &Path) -> CaseReport {
         judged: Judged::default(),
         p99_ratio: None,
         broken: Vec::new(),
+        reference: None,
         error: None,
         capture: None,
         wall_s: 0.0,
     };
-    match judge_case(case, captures, &mut report.capture) {
+    match judge_case(case, captures, &mut report) {
         Ok(judged) => {
             report.broken = case.limits.broken(&judged);
             report.judged = judged;
-            if !report.broken.is_empty() {
+            if !report.broken.is_empty() || report.reference.as_ref().is_some_and(|verdict| !verdict.same) {
                 report.outcome = Outcome::Broken;
             }
         }
@@ -134,12 +140,15 @@ impl CaseReport {
     }
 }
 
-fn judge_case(case: &Case, captures: &Path, capture: &mut Option<PathBuf>) -> Result<Judged, CaseError> {
+fn judge_case(case: &Case, captures: &Path, report: &mut CaseReport) -> Result<Judged, CaseError> {
     let settings = settings(case)?;
-    let truth = truth_of(case, &settings)?;
+    // Before long work. What cannot be read then will not be later.
+    let reference = case.reference.as_deref().map(Reference::load).transpose()?;
+    // A log that is only held to a reference need not know the truth.
+    let truth = if case.limits == Limits::default() { Vec::new() } else { truth_of(case, &settings)? };
     if let Some(topic) = &case.poses {
         let poses = read_poses(&case.source, topic)?.found;
-        return Ok(judge(case, &poses, &vec![false; poses.len()], &truth));
+        return Ok(judge(case, &poses, &truth));
     }
     let options = ReplayOptions {
         source: case.source.clone(),
@@ -151,11 +160,16 @@ fn judge_case(case: &Case, captures: &Path, capture: &mut Option<PathBuf>) -> Re
         warm_start: false,
     };
     let replayed = replay(&options, &mut |_, _| ())?;
-    *capture = Some(replayed.session.clone());
+    report.capture = Some(replayed.session.clone());
     let tags = read_tags(&replayed.session)?.found;
-    let ambiguous: Vec<bool> = tags.iter().map(|tag| tag.ambiguous).collect();
+    if let (Some(reference), Some(path)) = (reference, &case.reference) {
+        let identity = Identity::of(&case.source, &replayed.session, None)?;
+        let settings = settings_that_matter(&replayed.session)?;
+        let file = path.display().to_string();
+        report.reference = Some(reference::compare(&reference, &file, &identity, &settings, &Frames::of(&tags))?);
+    }
     let tags: Vec<Tagged> = tags.iter().map(tagged).collect();
-    Ok(judge(case, &tags, &ambiguous, &truth))
+    Ok(judge(case, &tags, &truth))
 }
 
 fn settings(case: &Case) -> Result<Settings, ConfigError> {

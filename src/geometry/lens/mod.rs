@@ -44,6 +44,34 @@ pub enum LensModel {
     PlumbBob { d: [f64; 5] },
 }
 
+impl LensParameters {
+    /// The same lens on a sensor with other pixels: width and height as given; where one is `None`, in the proportions that
+    /// there were.
+    pub fn resized(&self, size: [Option<u32>; 2]) -> Self {
+        let (own, in_proportion) = ([self.width, self.height], |pixels: u32, to: u32, from: u32| {
+            ((f64::from(pixels) * f64::from(to) / f64::from(from)).round() as u32).max(1)
+        });
+        let [width, height] = match size {
+            [None, None] => own,
+            [Some(width), None] => [width, in_proportion(own[1], width, own[0])],
+            [None, Some(height)] => [in_proportion(own[0], height, own[1]), height],
+            [Some(width), Some(height)] => [width, height],
+        };
+        let [x, y] = [f64::from(width) / f64::from(own[0]), f64::from(height) / f64::from(own[1])];
+        // Half a pixel lies before the first pixel's centre.
+        let centre = |centre: f64, scale: f64| (centre + 0.5) * scale - 0.5;
+        Self {
+            width,
+            height,
+            fx: self.fx * x,
+            fy: self.fy * y,
+            cx: centre(self.cx, x),
+            cy: centre(self.cy, y),
+            ..self.clone()
+        }
+    }
+}
+
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum LensError {
     #[error("image size {width} x {height}: both must be between 1 and {MAX_SIDE}")]

@@ -1,23 +1,26 @@
 //! The hot loop: the sum over line points of the bilinearly interpolated ground table, for one pose.
 //!
-//! Eight lanes, each summing every eighth point, added up in one fixed order, without fused multiply-add: all paths
-//! give the same bits.
+//! In whole numbers throughout: places as 16-bit multiples of a unit, rotated by one multiply-add, a 64th of a cell as the
+//! finest step of interpolation. Sums of whole numbers are the same in any order, so all paths give the same bits.
 
-mod scalar;
 #[cfg(target_arch = "x86_64")]
-mod x86;
-
-use glam::DVec2;
+mod avx2;
+mod plain;
+mod points;
+mod rotation;
+#[cfg(target_arch = "x86_64")]
+mod sse2;
 
 pub use crate::config::SimdPath;
 use crate::geometry::Pose2;
 use crate::vision::GroundTable;
 use crate::vision::ground::SIDE;
+pub use points::Points;
 
+/// Points that a look-up leaves out or takes together.
 pub const LANES: usize = 8;
 
-/// The wanted path if this processor has it, else the next best. Every x86-64 processor has SSE2, and the plain path is
-/// compiled for it: hand-written, it was slower (four words loaded one by one for want of a gather).
+/// The wanted path if this processor has it, else the next best. Every x86-64 processor has SSE2.
 pub fn available(wanted: SimdPath) -> SimdPath {
     #[cfg(target_arch = "x86_64")]
     {
@@ -34,83 +37,91 @@ pub fn available(wanted: SimdPath) -> SimdPath {
     }
 }
 
-/// Line points in `map`, padded to whole groups of lanes.
-#[derive(Clone, Debug, Default)]
-pub struct Points {
-    xs: Vec<f32>,
-    ys: Vec<f32>,
-    count: usize,
-}
-
-/// Far outside any table: reads as neutral.
-const PADDING_M: f32 = 1e6;
-
-impl Points {
-    /// Whole groups of `other`'s points that lie in the given groups of lanes; nothing is allocated twice.
-    pub fn select(&mut self, other: &Points, groups: impl Iterator<Item = usize>) {
-        self.xs.clear();
-        self.ys.clear();
-        for group in groups {
-            let lanes = group * LANES..(group + 1) * LANES;
-            self.xs.extend_from_slice(&other.xs[lanes.clone()]);
-            self.ys.extend_from_slice(&other.ys[lanes]);
-        }
-        self.count = self.xs.len();
-    }
-
-    pub fn new(positions: impl IntoIterator<Item = DVec2>) -> Self {
-        let (mut xs, mut ys): (Vec<f32>, Vec<f32>) =
-            positions.into_iter().map(|point| (point.x as f32, point.y as f32)).unzip();
-        let count = xs.len();
-        let padded = count.next_multiple_of(LANES);
-        xs.resize(padded, PADDING_M);
-        ys.resize(padded, PADDING_M);
-        Self { xs, ys, count }
-    }
-
-    pub fn len(&self) -> usize {
-        self.count
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.count == 0
-    }
-}
-
-/// From `map` to table cells for one pose: u = cos x + sin y + u0, v = cos y - sin x + v0.
+/// From places to table cells for one pose: u = cos x + sin y + u0, v = cos y - sin x + v0, all in cells x 2^(14 + `shift`),
+/// modulo 2^32. Whatever lies outside of the table comes out beyond its far rim, which reads neutral.
 #[derive(Clone, Copy)]
 struct Placement {
-    cos: f32,
-    sin: f32,
-    u0: f32,
-    v0: f32,
+    cos: i16,
+    sin: i16,
+    u0: i32,
+    v0: i32,
+    /// At least 1, so that what is shifted is no negative number to anybody.
+    shift: u32,
 }
 
-const LAST: f32 = (SIDE - 1) as f32;
+/// After shifting, a table coordinate has the cell from this bit up.
+const CELL_BIT: u32 = 14;
+/// The far rim.
+const LAST: i32 = (SIDE as i32 - 1) << CELL_BIT;
+/// Interpolation takes 6 bits of the place within a cell; the weights of two neighbours are `FULL` less that, and that.
+const FRACTION_BIT: u32 = CELL_BIT - 6;
+const FULL: i32 = 63;
+/// What a sum is a multiple of.
+const PER_LEVEL: f64 = (FULL * FULL) as f64;
+/// Points summed up in 32 bits, four sums side by side.
+const MOST_AT_ONCE: usize = 8192;
+
+impl Placement {
+    /// `None` where none of the points can lie on the table, or the pose is no number.
+    fn new(table: &GroundTable, points: &Points, pose: &Pose2) -> Option<Self> {
+        let (scale, offset) = table.to_cells();
+        let (sin, cos) = rotation::sin_cos(pose.yaw);
+        let (x, y) = (points.centre.x - pose.x, points.centre.y - pose.y);
+        let (u, v) = (offset + (cos * x + sin * y) * scale, offset + (cos * y - sin * x) * scale);
+        let unit = points.unit_m * scale;
+        let reach = core::f64::consts::SQRT_2 * f64::from(i16::MAX) * unit;
+        let near = -reach..SIDE as f64 + reach;
+        if !(near.contains(&u) && near.contains(&v)) {
+            return None;
+        }
+        // As fine as 16 bits hold the rotation, and 32 bits the places on both sides of the table without overlap.
+        let finest = (f64::from(i16::MAX) / unit).min(4_294_967_296.0 / (2.0 * reach + SIDE as f64 + 2.0));
+        let bits = (finest as u32).max(1).ilog2().clamp(CELL_BIT + 1, 30);
+        let one = f64::from(1u32 << bits);
+        let round = |value: f64| rotation::round(value * one);
+        Some(Self {
+            cos: round(cos * unit) as i16,
+            sin: round(sin * unit) as i16,
+            u0: round(u),
+            v0: round(v),
+            shift: bits - CELL_BIT,
+        })
+    }
+}
+
+/// # Safety
+/// The lower half of `index` must lie in `quads`.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+unsafe fn word(quads: &[u32], index: u64) -> i32 {
+    // SAFETY: as the caller says.
+    unsafe { *quads.get_unchecked((index & 0xffff_ffff) as usize) as i32 }
+}
 
 /// Sum over the points of the table's level less its neutral one, for the robot standing at `pose`.
 pub fn sum_levels(path: SimdPath, table: &GroundTable, points: &Points, pose: &Pose2) -> f64 {
-    let (scale, offset) = table.to_cells();
-    let (sin, cos) = libm::sincos(pose.yaw);
-    let placement = Placement {
-        cos: (cos * scale) as f32,
-        sin: (sin * scale) as f32,
-        u0: (offset - (cos * pose.x + sin * pose.y) * scale) as f32,
-        v0: (offset - (cos * pose.y - sin * pose.x) * scale) as f32,
-    };
     let quads = table.quads();
     assert_eq!(quads.len(), SIDE * SIDE, "the kernel reads without further checks");
-    let lanes = match path {
-        #[cfg(target_arch = "x86_64")]
-        SimdPath::Avx2 if std::arch::is_x86_feature_detected!("avx2") => {
-            // SAFETY: the processor has AVX2, and `quads` holds SIDE x SIDE words.
-            unsafe { x86::avx2(quads, &points.xs, &points.ys, placement) }
-        }
-        _ => scalar::sum(quads, &points.xs, &points.ys, placement),
+    let Some(placement) = Placement::new(table, points, pose) else { return 0.0 };
+    let sum = |places: &[[i16; 2]]| {
+        let (groups, rest) = places.as_chunks::<LANES>();
+        let of_groups = match path {
+            #[cfg(target_arch = "x86_64")]
+            SimdPath::Avx2 if std::arch::is_x86_feature_detected!("avx2") => {
+                // SAFETY: the processor has AVX2, and `quads` holds SIDE x SIDE words.
+                unsafe { avx2::sum(quads, groups, placement) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            SimdPath::Sse2 => {
+                // SAFETY: every x86-64 processor has SSE2, and `quads` holds SIDE x SIDE words.
+                unsafe { sse2::sum(quads, groups, placement) }
+            }
+            _ => plain::sum(quads, groups, placement),
+        };
+        of_groups + plain::sum_rest(quads, rest, placement)
     };
-    let [a, b, c, d, e, f, g, h] = lanes;
-    let sum = ((a + e) + (c + g)) + ((b + f) + (d + h));
-    f64::from(sum) - points.xs.len() as f64 * f64::from(table.readings().zero)
+    let sum: u64 = points.places.chunks(MOST_AT_ONCE).map(sum).sum();
+    sum as f64 / PER_LEVEL - points.len() as f64 * f64::from(table.readings().zero)
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
 use super::*;
+use glam::DVec2;
 use proptest::prelude::*;
 
 fn random_table(seed: u32) -> GroundTable {
@@ -52,16 +53,16 @@ proptest! {
         for path in [SimdPath::Sse2, SimdPath::Avx2, available(SimdPath::Auto)] {
             prop_assert_eq!(sum_levels(path, &table, &points, &pose).to_bits(), plain.to_bits());
         }
-        // f32 places a point to about 1e-4 cells; neighbouring random levels differ by up to 255.
+        // A point lies within a 64th of a cell of its place; neighbouring random levels differ by up to 255.
         let exact = oracle(&table, &positions, &pose);
-        prop_assert!((plain - exact).abs() < 0.1 * (1.0 + positions.len() as f64), "{} {}", plain, exact);
+        prop_assert!((plain - exact).abs() <= 2.0 * 255.0 / 63.0 * positions.len() as f64, "{} {}", plain, exact);
     }
 }
 
-/// f32 places a point to about 1e-4 cells, where neighbours may differ by all 255 levels. The log likelihood is this times
-/// points over some 570.
+/// A point lies within a 64th of a cell of its place, and here neighbours differ by up to 255 levels; in a picture they
+/// differ by a tenth of that. The log likelihood is this times points over some 570.
 #[test]
-fn the_f32_kernel_agrees_with_f64() {
+fn the_kernel_in_whole_numbers_agrees_with_f64() {
     let mut largest = 0.0f64;
     for seed in 1..300u32 {
         let part = |k: u32| f64::from(seed.wrapping_mul(k) % 2001) / 1000.0 - 1.0;
@@ -72,7 +73,7 @@ fn the_f32_kernel_agrees_with_f64() {
         let found = sum_levels(available(SimdPath::Auto), &table, &Points::new(positions.iter().copied()), &pose);
         largest = largest.max((found - oracle(&table, &positions, &pose)).abs() / positions.len() as f64);
     }
-    crate::measured::largest_error(largest, 6e-4, "levels a point");
+    crate::measured::largest_error(largest, 0.3, "levels a point");
 }
 
 #[test]
@@ -82,6 +83,33 @@ fn a_pose_that_is_no_number_reads_neutral() {
     for pose in [Pose2::new(f64::NAN, 0.0, 0.0), Pose2::new(0.0, f64::INFINITY, 1.0), Pose2::new(0.0, 0.0, f64::NAN)] {
         for path in [SimdPath::Scalar, SimdPath::Sse2, SimdPath::Avx2] {
             assert_eq!(sum_levels(path, &table, &points, &pose), 0.0);
+        }
+    }
+}
+
+/// The largest sums, more of them than 32 bits hold at once, and a rest that fills no group.
+#[test]
+fn many_points_on_the_brightest_table_do_not_overflow() {
+    let table = GroundTable::from_levels(&[255; SIDE * SIDE], 0.02);
+    for count in [1, LANES - 1, LANES + 3, MOST_AT_ONCE, 3 * MOST_AT_ONCE + 5] {
+        let points = Points::new((0..count).map(|i| DVec2::new((i % 100) as f64 * 0.01, (i / 100) as f64 * 0.001)));
+        for path in [SimdPath::Scalar, SimdPath::Sse2, SimdPath::Avx2] {
+            let sum = sum_levels(path, &table, &points, &Pose2::default());
+            assert_eq!(sum, count as f64 * (255.0 - f64::from(table.readings().zero)), "{path:?}, {count} points");
+        }
+    }
+}
+
+/// A pose in another town must not come round the corner of 32 bits.
+#[test]
+fn far_away_nothing_is_read() {
+    let table = GroundTable::from_levels(&[255; SIDE * SIDE], 0.02);
+    let points = Points::new([DVec2::new(-4.5, -3.0), DVec2::new(4.5, 3.0), DVec2::ZERO]);
+    for step in 1..4000 {
+        let far = 12.0 + f64::from(step) * 0.37;
+        for (x, y) in [(far, 0.0), (-far, 0.0), (0.0, far), (0.0, -far), (far, far), (far * 1e7, -far)] {
+            let pose = Pose2::new(x, y, f64::from(step));
+            assert_eq!(sum_levels(SimdPath::Scalar, &table, &points, &pose), 0.0, "{pose:?}");
         }
     }
 }

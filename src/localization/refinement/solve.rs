@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3};
 use nalgebra::{Cholesky, Matrix6, Vector6};
 
 use super::offsets::Sight;
-use super::triangular::Triangular;
+use super::triangular::{Rows, Triangular};
 use super::{Prior, moved_pose};
 
 pub(super) struct Solution {
@@ -72,15 +72,7 @@ pub(super) fn solve(
     let mut damping = 0.0;
     let mut here = Linearised::at(prior, &spread, sights, &y, scale, noise);
     for _ in 0..ITERATIONS {
-        let mut triangle = here.triangle.clone();
-        if damping > 0.0 {
-            for i in 0..6 {
-                let mut row = [0.0; 6];
-                row[i] = libm::sqrt(damping);
-                triangle.push(row, 0.0);
-            }
-        }
-        let step = triangle.solve();
+        let step = here.triangle.damped(libm::sqrt(damping)).solve();
         let next = Linearised::at(prior, &spread, sights, &(y + step), scale, noise);
         if next.cost > here.cost {
             damping = (10.0 * damping).max(0.1 * sights.len() as f64);
@@ -165,7 +157,7 @@ struct Linearised {
 impl Linearised {
     fn at(prior: &Prior, spread: &Matrix6<f64>, sights: &[Sight], y: &Vector6<f64>, scale: f64, noise: Noise) -> Self {
         let pose = moved_pose(&prior.map_from_optical, &(spread * y));
-        let mut triangle = Triangular::identity(&-y);
+        let mut rows = Rows::identity(&-y);
         let mut cost = 0.5 * y.norm_squared();
         let mut residuals = Residuals::default();
         // Correlated neighbours share one vote.
@@ -203,10 +195,10 @@ impl Linearised {
                 // The spread's factor is lower triangular.
                 *value = weight * (j..6).map(|i| gradient[i] * column[i]).sum::<f64>();
             }
-            triangle.push(row, -weight * residual);
+            rows.push(row, -weight * residual);
         }
         residuals.line_sums_px += line_sum_px * line_sum_px;
-        Self { triangle, cost, residuals }
+        Self { triangle: rows.finish(), cost, residuals }
     }
 
     fn covariance(&self, spread: &Matrix6<f64>) -> Matrix6<f64> {

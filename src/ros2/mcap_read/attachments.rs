@@ -19,7 +19,7 @@ pub const MAX_ATTACHMENT_BYTES: u64 = 64 << 20;
 const MAX_ATTACHMENTS_BYTES: u64 = 4 * MAX_ATTACHMENT_BYTES;
 
 /// Larger metadata records are left out; with more of them than this many bytes, the later ones.
-const MAX_METADATA_BYTES: u64 = 16 << 20;
+pub(super) const MAX_METADATA_BYTES: u64 = 16 << 20;
 
 /// No more places are remembered: chunks of a megabyte make a terabyte.
 const MAX_WALKED_RECORDS: usize = 1 << 20;
@@ -172,7 +172,7 @@ pub(super) fn metadata<R: Read + Seek>(
     Ok(found)
 }
 
-fn parse(body: &[u8]) -> Result<Attachment, String> {
+pub(super) fn parse(body: &[u8]) -> Result<Attachment, String> {
     let mut fields = Fields::new(body);
     let mut parse = || {
         let log_time_ns = nanoseconds(fields.u64()?);

@@ -97,6 +97,14 @@ pub(super) struct Schema {
 }
 
 impl Definition {
+    /// `None` of a schema.
+    pub fn channel_id(&self) -> Option<u16> {
+        match self {
+            Self::Schema { .. } => None,
+            Self::Channel(channel) => Some(channel.id),
+        }
+    }
+
     /// `None` if the record is neither.
     pub fn parse(opcode: u8, body: &[u8]) -> Result<Option<Self>, String> {
         if !matches!(opcode, op::SCHEMA | op::CHANNEL) {

@@ -38,11 +38,11 @@ struct Entry {
     channel: u16,
 }
 
-struct Header<'a> {
+pub(super) struct Header<'a> {
     unpacked_bytes: u64,
     /// 0 if the writer made none.
     crc: u32,
-    compression: &'a str,
+    pub compression: &'a str,
     records: &'a [u8],
     records_start: usize,
     /// Bytes of the record that no field accounts for.
@@ -128,7 +128,22 @@ pub(super) fn nanoseconds(time: u64) -> i64 {
     i64::try_from(time).unwrap_or(i64::MAX)
 }
 
-fn header(body: &[u8]) -> Result<Header<'_>, String> {
+impl<'a> Header<'a> {
+    /// Of an uncompressed chunk.
+    pub fn checked_records(&self) -> Result<&'a [u8], String> {
+        let found = self.records.len() as u64;
+        if found != self.unpacked_bytes {
+            return Err(format!("expected {} bytes of records, found {found}", self.unpacked_bytes));
+        }
+        let calculated = crc32fast::hash(self.records);
+        if self.crc != 0 && self.crc != calculated {
+            return Err(format!("expected the checksum {:08x}, found {calculated:08x}", self.crc));
+        }
+        Ok(self.records)
+    }
+}
+
+pub(super) fn header(body: &[u8]) -> Result<Header<'_>, String> {
     let mut fields = Fields::new(body);
     let mut parse = || {
         fields.u64()?;
@@ -175,17 +190,10 @@ impl Listing {
 }
 
 fn list_plain(header: &Header<'_>) -> Result<Listing, String> {
-    let found = header.records.len() as u64;
-    if found != header.unpacked_bytes {
-        return Err(format!("expected {} bytes of records, found {found}", header.unpacked_bytes));
-    }
-    let calculated = crc32fast::hash(header.records);
-    if header.crc != 0 && header.crc != calculated {
-        return Err(format!("expected the checksum {:08x}, found {calculated:08x}", header.crc));
-    }
+    let records = header.checked_records()?;
     let mut listing = Listing::default();
-    let mut fields = Fields::new(header.records);
-    while fields.taken() < header.records.len() {
+    let mut fields = Fields::new(records);
+    while fields.taken() < records.len() {
         let mut next = || Some((fields.u8()?, fields.length()?));
         let (opcode, length) = next().ok_or("its last record is cut")?;
         let start = header.records_start + fields.taken();

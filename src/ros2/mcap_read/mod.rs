@@ -7,6 +7,7 @@ mod error;
 mod fields;
 mod file_order;
 mod index_order;
+mod sound;
 mod source;
 mod summary;
 mod survey;
@@ -17,10 +18,12 @@ use std::sync::Arc;
 pub use attachments::{Attachment, Attachments, MAX_ATTACHMENT_BYTES, MetadataRecord, attachments};
 pub use channels::{Channel, Selection};
 pub use error::{Damage, ReadError};
-pub use survey::{Survey, Topic, examine, survey};
+pub use sound::{Part, Piece, Sound, sound_pieces};
+pub use survey::{Survey, Topic, examine, metadata_records, survey};
 
 use mcap::records::ChunkIndex;
 
+use attachments::MAX_METADATA_BYTES;
 use channels::Channels;
 use file_order::FileOrder;
 use index_order::IndexOrder;

@@ -47,6 +47,8 @@ pub struct Topic {
     pub schema_encoding: String,
     /// Whether late subscribers got the last message.
     pub latched: bool,
+    /// Of its first channel; empty if the log does not say.
+    pub qos_profiles: String,
     pub messages: u64,
     pub first_log_time_ns: Option<i64>,
     pub last_log_time_ns: Option<i64>,
@@ -129,6 +131,14 @@ fn look<R: Read + Seek>(reader: R, everything: bool) -> Result<Survey, ReadError
     Ok(survey)
 }
 
+/// The metadata records of a log, finished or not, as far as they are sound.
+pub fn metadata_records<R: Read + Seek>(reader: R) -> Result<Vec<MetadataRecord>, ReadError> {
+    let mut source = Source::open(reader)?;
+    let summary = Summary::read(&mut source, &mut Channels::new(Selection::default()), &mut Damage::default())?;
+    let records = side_records(summary.as_ref(), &mut source, &mut Damage::default())?;
+    metadata(&mut source, &records, &mut Damage::default())
+}
+
 /// Counts from the statistics, times from the message indexes of the chunks where they are decided; `None` if the
 /// file has not got those.
 fn tally_by_index<R: Read + Seek>(
@@ -199,6 +209,7 @@ fn topics<'a>(channels: impl Iterator<Item = &'a Arc<Channel>>, tallies: &BTreeM
             message_encoding: channel.message_encoding.clone(),
             schema_encoding: channel.schema_encoding.clone(),
             latched: false,
+            qos_profiles: channel.qos_profiles().to_owned(),
             messages: 0,
             first_log_time_ns: None,
             last_log_time_ns: None,

@@ -46,6 +46,7 @@ use serde::Deserialize;
 
 use super::SceneError;
 use super::check::refuse;
+use super::ranges::Range;
 use crate::geometry::Field;
 
 /// One `[[effect]]` of the scene file.
@@ -77,8 +78,31 @@ pub enum Role {
     Filler,
 }
 
-/// Effects whose numbers may differ from frame to frame: nothing else is built on them.
-pub(super) const MAY_CHANGE: [&str; 2] = ["light", "sensor_noise"];
+/// What may differ from frame to frame: what nothing else is built on, and no clock counts on. The way of a camera or a
+/// figure is one piece, paint stays as it is, a lens is announced once, and a fault begins once.
+const MAY_CHANGE: [(&str, &[&str]); 8] = [
+    ("head_motion", &["encoder_noise_deg"]),
+    ("light", &["gain", "gradient_per_m", "colour", "camera_gain"]),
+    ("bright_window", &["brightness", "glare", "sun_gain"]),
+    ("shutter", &["exposure_ms"]),
+    ("sensor_noise", &["read_noise_dn", "shot_noise_factor"]),
+    ("odometry_error", &["scale_percent", "noise_m_per_m"]),
+    ("imu_error", &["roll_bias_deg", "pitch_bias_deg", "noise_deg", "gyro_noise_deg_s"]),
+    ("serial_noise", &["lost_share", "corrupt_share"]),
+];
+
+/// Refuses a number that cannot be drawn for each frame, and names those that can.
+pub(super) fn check_may_change(range: &Range) -> Result<(), SceneError> {
+    let allowed = MAY_CHANGE.iter().find(|(kind, _)| *kind == range.kind).map_or(&[][..], |(_, keys)| keys);
+    // Of a list each element for itself.
+    let key = range.name.split('[').next().unwrap_or_default();
+    if allowed.contains(&key) {
+        return Ok(());
+    }
+    let can = if allowed.is_empty() { "nothing".to_owned() } else { format!("only {}", allowed.join(", ")) };
+    let expected = format!("of {} {can} can change with every frame; say per = \"episode\"", range.kind);
+    Err(refuse(&range.key, "drawn per frame", expected))
+}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {

@@ -27,7 +27,8 @@ use core::ops::Range;
 use glam::DMat3;
 
 use super::Scene;
-use super::effects::Shutter;
+use super::changing::Changing;
+use super::effects::{LightModel, Shutter};
 use crate::geometry::Isometry;
 use crowd::CrowdView;
 use fixed::byte;
@@ -40,11 +41,12 @@ use wear::Wear;
 use window::Window;
 
 /// The camera at one moment of a frame.
-struct Shot {
+struct Shot<'a> {
     pose: Isometry,
     /// Seconds since the scene's start.
     time: f64,
-    index: u64,
+    light: Option<&'a LightModel>,
+    window: Option<&'a Window>,
 }
 
 /// Shorter than any exposure that shows something.
@@ -57,7 +59,6 @@ pub struct Renderer {
     rays: RayTable,
     world: World,
     crowd: Option<CrowdView>,
-    window: Option<Window>,
 }
 
 impl Renderer {
@@ -68,8 +69,7 @@ impl Renderer {
         let wear = scene.worn_lines.as_ref().map(|effect| Wear::new(effect, seed));
         let world = World::new(scene.field(), wear, seed);
         let crowd = scene.crowd.as_ref().map(|crowd| CrowdView::new(crowd, &rays));
-        let window = scene.window.as_ref().map(|window| Window::new(window, world.hall.half));
-        Self { scene: scene.clone(), rays, world, crowd, window }
+        Self { scene: scene.clone(), rays, world, crowd }
     }
 
     pub fn width(&self) -> u32 {
@@ -89,22 +89,27 @@ impl Renderer {
 
     /// As if the frame of this index had been taken from another pose.
     pub fn render_from(&self, map_from_camera_link: &Isometry, index: u64, pixels: &mut Vec<u8>) {
-        self.render_clean(map_from_camera_link, index, pixels);
-        if let Some(noise) = self.scene.changing(index).1 {
+        let now = self.scene.at_frame(index);
+        self.expose(&now, map_from_camera_link, index, pixels);
+        if let Some(noise) = &now.noise {
             noise.apply(index, pixels);
         }
     }
 
     /// What reaches the sensor, without the sensor's own effects.
     pub fn render_clean(&self, map_from_camera_link: &Isometry, index: u64, pixels: &mut Vec<u8>) {
+        self.expose(&self.scene.at_frame(index), map_from_camera_link, index, pixels);
+    }
+
+    fn expose(&self, now: &Changing, map_from_camera_link: &Isometry, index: u64, pixels: &mut Vec<u8>) {
         let (width, height) = (self.rays.width(), self.rays.height());
         pixels.resize(width * height * 3, 0);
-        let veil = match &self.scene.shutter {
-            None => {
-                let time = self.scene.frame_time_s(index);
-                self.draw(&Shot { pose: *map_from_camera_link, time, index }, 0..height, pixels)
-            }
-            Some(shutter) => self.expose(shutter, map_from_camera_link, index, pixels),
+        let window = now.window.as_ref().map(|window| Window::new(window, self.world.hall.half));
+        let time = self.scene.frame_time_s(index);
+        let shot = Shot { pose: *map_from_camera_link, time, light: now.light.as_ref(), window: window.as_ref() };
+        let veil = match &now.shutter {
+            None => self.draw(&shot, 0..height, pixels),
+            Some(shutter) => self.expose_bands(shutter, &shot, pixels),
         };
         window::veil(pixels, veil);
     }
@@ -125,12 +130,11 @@ impl Renderer {
         let camera = shot.pose.translation.as_vec3();
         // From inside the ground nothing could be seen; a pose there is nonsense, but must not harm.
         let camera = [camera.x, camera.y, camera.z.max(1e-3)];
-        let (light, _) = self.scene.changing(shot.index);
-        let view = View { rays: &self.rays, rotation: &rotation, camera: &camera, light: light.as_ref() };
+        let view = View { rays: &self.rays, rotation: &rotation, camera: &camera, light: shot.light };
         let stride = self.rays.width() * 3;
         let own = &mut pixels[rows.start * stride..rows.end * stride];
         self.draw_hall(&view, rows.clone(), own);
-        let veil = self.window.as_ref().map_or(0.0, |window| window.draw(&view, rows.clone(), own));
+        let veil = shot.window.map_or(0.0, |window| window.draw(&view, rows.clone(), own));
         if let Some(crowd) = &self.crowd {
             crowd.draw(shot.time, &view, &rows, pixels);
         }
@@ -138,11 +142,11 @@ impl Renderer {
     }
 
     /// Every band of rows is the mean of the pictures of its exposure.
-    fn expose(&self, shutter: &Shutter, map_from_camera_link: &Isometry, index: u64, pixels: &mut [u8]) -> f32 {
+    fn expose_bands(&self, shutter: &Shutter, shot: &Shot, pixels: &mut [u8]) -> f32 {
         let (height, stride) = (self.rays.height(), self.rays.width() * 3);
-        let time = self.scene.frame_time_s(index);
+        let time = shot.time;
         let truth = self.scene.truth(time);
-        let asked_from_true = *map_from_camera_link * truth.map_from_camera_link.inverse();
+        let asked_from_true = shot.pose * truth.map_from_camera_link.inverse();
         let turning = self.turning(time) * self.scene.lens().parameters().fx;
         let mut sums = vec![0u16; height * stride];
         let (mut veil, mut bands) = (0.0, 0);
@@ -153,7 +157,7 @@ impl Renderer {
             for offset in shutter.times(&band, height, turning) {
                 let at = time + offset;
                 let pose = asked_from_true * self.scene.truth(at).map_from_camera_link;
-                veil += self.draw(&Shot { pose, time: at, index }, band.clone(), pixels);
+                veil += self.draw(&Shot { pose, time: at, ..*shot }, band.clone(), pixels);
                 let drawn = &pixels[band.start * stride..band.end * stride];
                 sums.iter_mut().zip(drawn).for_each(|(sum, value)| *sum += u16::from(*value));
                 count += 1;

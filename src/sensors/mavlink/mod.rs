@@ -8,6 +8,7 @@ mod framing;
 mod measurement;
 mod outgoing;
 mod resets;
+mod robot;
 #[cfg(test)]
 mod tests;
 
@@ -18,6 +19,7 @@ use serde::Serialize;
 pub use framing::{FRAME_OVERHEAD_BYTES, FrameCounts};
 pub use measurement::{Attitude, Content, DeviceTime, Head, Inertial, Step, TimeBase};
 pub use outgoing::Outgoing;
+pub use robot::RobotSide;
 
 use framing::{Frame, Framer};
 use measurement::Unusable;

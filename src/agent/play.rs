@@ -1,0 +1,337 @@
+//! A recording played back in its own time, to where a robot's devices are: software that runs on a robot runs on it unchanged.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use serialport::SerialPort;
+use thiserror::Error;
+
+use crate::database::{DatabaseError, Gallery, Wanted};
+use crate::geometry::{Isometry, Pose2};
+use crate::recording::{RecordingError, read_info};
+use crate::ros2::mcap_read::Selection;
+use crate::ros2::messages::CompressedImageView;
+use crate::sensors::decode;
+use crate::sensors::intake::{self, Input};
+use crate::sensors::log::{self, LogError, LogSource};
+use crate::sensors::mavlink::RobotSide;
+use crate::sensors::video_out::{OutputForm, VideoOut, VideoOutError, yuyv};
+use crate::views::Method;
+
+#[derive(Clone, Debug)]
+pub struct PlayOptions {
+    pub source: PlaySource,
+    pub video: Option<PathBuf>,
+    /// Device and baud rate.
+    pub serial: Option<(String, u32)>,
+    /// How much faster than it was recorded.
+    pub speed: f64,
+    /// MAVLink's number of the robot.
+    pub system: u8,
+}
+
+#[derive(Clone, Debug)]
+pub enum PlaySource {
+    Capture(PathBuf),
+    /// Seconds and poses of `camera_link`: images come from a database.
+    Trajectory {
+        poses: Vec<(f64, Isometry)>,
+        database: PathBuf,
+        settings: crate::config::ViewsSettings,
+    },
+}
+
+/// What was played.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Played {
+    pub images: u64,
+    pub odometry: u64,
+    pub attitudes: u64,
+    /// Could not be written: the device was away.
+    pub lost: u64,
+    /// Came more than `LATE` after their time.
+    pub late: u64,
+    pub seconds: f64,
+}
+
+#[derive(Debug, Error)]
+pub enum PlayError {
+    #[error(transparent)]
+    Session(#[from] RecordingError),
+    #[error(transparent)]
+    Log(#[from] LogError),
+    #[error(transparent)]
+    Database(#[from] DatabaseError),
+    #[error(transparent)]
+    Video(#[from] VideoOutError),
+    #[error("{device}: {source}")]
+    Serial { device: String, source: serialport::Error },
+    #[error("{}: nothing in it can be played", .0.display())]
+    Nothing(PathBuf),
+}
+
+/// Something that happens at a time.
+enum Event {
+    Image(Vec<u8>),
+    Odometry(Pose2),
+    Attitude(glam::DQuat, Option<glam::DVec3>),
+}
+
+const LATE: Duration = Duration::from_millis(100);
+/// The longest sleep: so late a stop is noticed.
+const NAP: Duration = Duration::from_millis(20);
+/// A gap in a recording is not waited for longer.
+const MAX_GAP: Duration = Duration::from_secs(2);
+/// A device that went away is looked for this often.
+const AGAIN_AFTER: Duration = Duration::from_millis(500);
+const HEARTBEAT_EVERY: Duration = Duration::from_secs(1);
+const SERIAL_TIMEOUT: Duration = Duration::from_millis(200);
+/// Device times count from here: 0 means that there is none.
+const BOOT_NS: i64 = 1_000_000_000;
+const QUALITY: u8 = 90;
+
+/// Plays until the end or `stop`.
+pub fn play(options: &PlayOptions, stop: &AtomicBool) -> Result<Played, PlayError> {
+    match &options.source {
+        PlaySource::Capture(path) => capture(options, path, stop),
+        PlaySource::Trajectory { poses, database, settings } => {
+            let gallery = Gallery::open(database, settings)?;
+            trajectory(options, poses, &gallery, stop)
+        }
+    }
+}
+
+fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Played, PlayError> {
+    let info = read_info(if path.is_dir() { path } else { path.parent().unwrap_or(path) })?;
+    let topics = &info.settings.topics;
+    let wanted = [topics.image.as_str(), topics.odometry.as_str(), topics.imu.as_str()];
+    let messages = LogSource::new(log::files_of(path)?, Selection::topics(wanted));
+    let mut stage = Stage::new(options, info.lens.width, info.lens.height)?;
+    let mut first_ns = None;
+    for message in messages {
+        let message = message?;
+        let since_ns = message.log_time_ns - *first_ns.get_or_insert(message.log_time_ns);
+        let event = match intake::read(&message, topics, &info.settings.head) {
+            Ok(Input::Frame { .. }) => image_of(&message).map(Event::Image),
+            Ok(Input::Odometry { odom_from_footprint, .. }) => Some(Event::Odometry(odom_from_footprint)),
+            Ok(Input::Imu { orientation: Some(q), turn_rate, .. }) => Some(Event::Attitude(q, turn_rate)),
+            _ => None,
+        };
+        if let Some(event) = event
+            && !stage.play(since_ns, &event, stop)
+        {
+            break;
+        }
+    }
+    if first_ns.is_none() { Err(PlayError::Nothing(path.to_owned())) } else { Ok(stage.played()) }
+}
+
+/// The stored JPEG itself, or one made of raw pixels.
+fn image_of(message: &crate::ros2::mcap_read::LogMessage) -> Option<Vec<u8>> {
+    if message.channel.type_name == "sensor_msgs/msg/CompressedImage" {
+        let image = CompressedImageView::decode(&message.data).ok()?;
+        if image.data.starts_with(&[0xff, 0xd8]) {
+            return Some(image.data.to_vec());
+        }
+    }
+    let picture = decode::picture(message).ok()?;
+    jpeg(&picture.to_rgb(), picture.width, picture.height)
+}
+
+fn jpeg(rgb: &[u8], width: usize, height: usize) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let encoder = jpeg_encoder::Encoder::new(&mut bytes, QUALITY);
+    let (width, height) = (u16::try_from(width).ok()?, u16::try_from(height).ok()?);
+    encoder.encode(rgb, width, height, jpeg_encoder::ColorType::Rgb).ok()?;
+    Some(bytes)
+}
+
+/// Odometry is the camera's own way over the ground: nothing says where its feet are.
+fn trajectory(
+    options: &PlayOptions,
+    poses: &[(f64, Isometry)],
+    gallery: &Gallery,
+    stop: &AtomicBool,
+) -> Result<Played, PlayError> {
+    let mut stage: Option<Stage> = None;
+    let mut camera = None;
+    for (seconds, pose) in poses {
+        let wanted = Wanted {
+            map_from_link: *pose,
+            method: Method::Exact,
+            camera: camera.clone(),
+            max_distance_m: f64::INFINITY,
+            without: Vec::new(),
+        };
+        let shown = gallery.view(&wanted)?;
+        let image = &shown.answer.image;
+        let (width, height) = (image.width, image.height);
+        camera.get_or_insert_with(|| shown.camera.clone());
+        let stored = shown.stored.filter(|bytes| bytes.starts_with(&[0xff, 0xd8]));
+        let bytes = stored.or_else(|| jpeg(&image.to_rgb(), width, height));
+        let stage = match &mut stage {
+            Some(stage) => stage,
+            none => none.insert(Stage::new(options, width as u32, height as u32)?),
+        };
+        let since_ns = (seconds * 1e9) as i64;
+        let events = [Some(Event::Odometry(Pose2::from_isometry(pose))), bytes.map(Event::Image)];
+        if !events.iter().flatten().all(|event| stage.play(since_ns, event, stop)) {
+            break;
+        }
+    }
+    Ok(stage.map(|stage| stage.played()).unwrap_or_default())
+}
+
+/// Both devices, and the clock.
+struct Stage<'a> {
+    options: &'a PlayOptions,
+    size: (u32, u32),
+    video: Away<VideoOut>,
+    serial: Away<Box<dyn SerialPort>>,
+    robot: RobotSide,
+    started: Instant,
+    /// Time of the recording that was passed over.
+    skipped: Duration,
+    last: Duration,
+    beat: Option<Instant>,
+    played: Played,
+}
+
+impl<'a> Stage<'a> {
+    /// What is not there at the start is an error: it may be a wrong name.
+    fn new(options: &'a PlayOptions, width: u32, height: u32) -> Result<Self, PlayError> {
+        let video = options.video.as_ref().map(|path| VideoOut::open(path, width, height)).transpose()?;
+        let serial = options.serial.as_ref().map(port).transpose()?;
+        Ok(Self {
+            options,
+            size: (width, height),
+            video: Away::new(video),
+            serial: Away::new(serial),
+            robot: RobotSide::new(options.system),
+            started: Instant::now(),
+            skipped: Duration::ZERO,
+            last: Duration::ZERO,
+            beat: None,
+            played: Played::default(),
+        })
+    }
+
+    /// Waits for the event's time; whether it goes on.
+    fn play(&mut self, since_ns: i64, event: &Event, stop: &AtomicBool) -> bool {
+        let recorded = Duration::from_nanos(since_ns.max(0) as u64);
+        let gap = recorded.saturating_sub(self.last);
+        self.skipped += gap.saturating_sub(MAX_GAP);
+        self.last = self.last.max(recorded);
+        let due = self.started + recorded.saturating_sub(self.skipped).div_f64(self.options.speed);
+        loop {
+            let wait = due.saturating_duration_since(Instant::now());
+            if stop.load(Ordering::Relaxed) {
+                return false;
+            }
+            if wait.is_zero() {
+                break;
+            }
+            std::thread::sleep(wait.min(NAP));
+        }
+        self.played.late += u64::from(due.elapsed() > LATE);
+        self.write(since_ns + BOOT_NS, event);
+        !stop.load(Ordering::Relaxed)
+    }
+
+    fn write(&mut self, boot_ns: i64, event: &Event) {
+        if self.beat.is_none_or(|beat| beat.elapsed() >= HEARTBEAT_EVERY) {
+            self.beat = Some(Instant::now());
+            let bytes = self.robot.heartbeat();
+            self.send(&bytes);
+        }
+        match event {
+            Event::Image(jpeg) => {
+                let (options, (width, height)) = (self.options, self.size);
+                let open = || VideoOut::open(options.video.as_ref()?, width, height).ok();
+                let done = self.video.with(open, |video| match video.form {
+                    OutputForm::Mjpeg => video.show(jpeg),
+                    OutputForm::Yuyv => match decode::compressed(jpeg) {
+                        Ok(picture) => video.show(&yuyv(&picture.to_rgb(), picture.width)),
+                        Err(_) => Ok(()),
+                    },
+                });
+                self.count(done, |played| &mut played.images);
+            }
+            Event::Odometry(pose) => {
+                let bytes = self.robot.odometry(boot_ns, &pose.to_isometry());
+                let done = self.send(&bytes);
+                self.count(done, |played| &mut played.odometry);
+            }
+            Event::Attitude(orientation, rate) => {
+                let bytes = self.robot.attitude(boot_ns, *orientation, rate.unwrap_or_default());
+                let mut done = self.send(&bytes);
+                if let Some(rate) = rate {
+                    let bytes = self.robot.turn_rate(boot_ns, *rate);
+                    done = done.and(self.send(&bytes));
+                }
+                self.count(done, |played| &mut played.attitudes);
+            }
+        }
+    }
+
+    /// `None`: there is no such device, on purpose.
+    fn send(&mut self, bytes: &[u8]) -> Option<bool> {
+        let options = self.options;
+        let open = || port(options.serial.as_ref()?).ok();
+        self.serial.with(open, |serial| serial.write_all(bytes))
+    }
+
+    fn count(&mut self, done: Option<bool>, of: impl Fn(&mut Played) -> &mut u64) {
+        match done {
+            Some(true) => *of(&mut self.played) += 1,
+            Some(false) => self.played.lost += 1,
+            None => {}
+        }
+    }
+
+    fn played(&self) -> Played {
+        Played { seconds: self.started.elapsed().as_secs_f64(), ..self.played }
+    }
+}
+
+fn port((device, baud): &(String, u32)) -> Result<Box<dyn SerialPort>, PlayError> {
+    let opened = serialport::new(device, *baud).timeout(SERIAL_TIMEOUT).open();
+    opened.map_err(|source| PlayError::Serial { device: device.clone(), source })
+}
+
+/// A device that may go away and come back.
+struct Away<T> {
+    device: Option<T>,
+    /// It was there once.
+    wanted: bool,
+    tried: Instant,
+}
+
+impl<T> Away<T> {
+    fn new(device: Option<T>) -> Self {
+        Self { wanted: device.is_some(), device, tried: Instant::now() }
+    }
+
+    /// Whether it was done; `None` if nobody wants the device.
+    fn with(
+        &mut self,
+        open: impl FnOnce() -> Option<T>,
+        work: impl FnOnce(&mut T) -> std::io::Result<()>,
+    ) -> Option<bool> {
+        if !self.wanted {
+            return None;
+        }
+        if self.device.is_none() && self.tried.elapsed() >= AGAIN_AFTER {
+            self.tried = Instant::now();
+            self.device = open();
+        }
+        let done = self.device.as_mut().is_some_and(|device| work(device).is_ok());
+        if !done && self.device.take().is_some() {
+            self.tried = Instant::now();
+        }
+        Some(done)
+    }
+}

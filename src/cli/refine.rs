@@ -1,0 +1,219 @@
+//! `realitysim refine`
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+
+use super::paths::{check_output, temporary, write};
+use super::settings::UsageError;
+use super::{Outcome, output};
+use crate::agent::refining::{Found, REFINED_FOLDER, RefinedInfo, Refining, refine};
+use crate::config::Settings;
+use crate::database::{Gallery, add, leave_one_out};
+use crate::evaluation::Summary;
+use crate::evaluation::capture::read_truth;
+use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
+use crate::ros2::messages::FrameTag;
+use crate::sensors::intake::isometry;
+use crate::smoothing::{Constants, Model};
+
+/// Improve a capture's tags afterwards, from all frames together
+///
+/// Lines, odometry, IMU and mount of all frames are fitted at once, and with them what is constant: focal length and centre of the lens, the
+/// mount's tilt, the camera's height. Writes CAPTURE/refined, which `db add` prefers; what was recorded is not touched. Tells how good the tags
+/// are before and after: by --truth, and by views of every so many images made from the others.
+#[derive(Args)]
+pub struct RefineArguments {
+    /// A capture's folder
+    capture: PathBuf,
+    /// A log with the true poses, to judge by
+    #[arg(long, value_name = "LOG")]
+    truth: Option<PathBuf>,
+    /// Topic of the true poses
+    #[arg(long, value_name = "TOPIC", default_value_t = crate::config::Topics::default().ground_truth)]
+    truth_topic: String,
+    /// Images that are left out and made from the others, for judging; 0 for none
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(0..=1000))]
+    views: u16,
+    /// Write what was found of lens and mount as a robot config, its lens file beside it
+    #[arg(long, value_name = "TOML")]
+    write_calibration: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Report {
+    frames: usize,
+    tags: usize,
+    before: Judged,
+    after: Judged,
+    constants: Vec<Found>,
+    output: PathBuf,
+}
+
+/// Medians say it; the rest is for those who want to know.
+#[derive(Default, Serialize)]
+struct Judged {
+    /// Of the line places that fit.
+    rms_px: f64,
+    position_cm: Option<Summary>,
+    angle_deg: Option<Summary>,
+    /// Left out and made of the others.
+    view_psnr_db: Option<Summary>,
+}
+
+pub fn run(arguments: &RefineArguments, json: bool) -> anyhow::Result<Outcome> {
+    let RefineArguments { capture, truth, truth_topic, views, write_calibration } = arguments;
+    if let Some(path) = write_calibration {
+        check_output(path, &[capture])?;
+        if path.extension().is_none_or(|ending| ending != "toml") {
+            return Err(UsageError(format!("{}: its name must end in .toml", path.display())).into());
+        }
+    }
+    let truth = truth.as_deref().map(|log| read_truth(log, truth_topic)).transpose()?;
+    let mut progress = output::Progress::new("looking");
+    let refining = refine(capture, &Model::default(), &mut |done, all| progress.set(done, Some(all)))?;
+    progress.finish();
+    let RefinedInfo { constants, frames, rms_px, .. } = refining.info();
+    let views = usize::from(*views);
+    let judged = |tags: &[FrameTag], rms_px: f64| -> anyhow::Result<Judged> {
+        let truth = truth.as_ref().map(|truth| errors(tags, &refining.stamps_ns, &truth.found));
+        let (position_cm, angle_deg) = truth.flatten().unzip();
+        let view_psnr_db = if views > 0 { psnr(capture, views)? } else { None };
+        Ok(Judged { rms_px, position_cm, angle_deg, view_psnr_db })
+    };
+    // Earlier refined tags would be taken for those that were recorded.
+    let earlier = capture.join(REFINED_FOLDER);
+    if earlier.is_dir() {
+        std::fs::remove_dir_all(&earlier).map_err(|error| super::paths::cannot_write(&earlier, error))?;
+    }
+    let before = judged(&refining.tags, rms_px[0])?;
+    let folder = refining.write(capture)?;
+    let after = judged(&refining.refined, rms_px[1])?;
+    if let Some(path) = write_calibration {
+        calibration(&refining, path)?;
+    }
+    output::losses(&refining.losses);
+    let report = Report { frames, tags: refining.tags.len(), before, after, constants, output: folder };
+    if json {
+        output::json(&report)?;
+    } else {
+        output::lines(told(&report).trim_end())?;
+    }
+    Ok(Outcome::of(&refining.losses))
+}
+
+/// Position in cm and angle in degrees of the tags that took part, by truths of the same time.
+fn errors(tags: &[FrameTag], stamps_ns: &[i64], truth: &[(i64, Isometry)]) -> Option<(Summary, Summary)> {
+    let (mut centimetres, mut degrees) = (Vec::new(), Vec::new());
+    for tag in tags.iter().filter(|tag| tag.valid) {
+        let stamp = tag.header.stamp.to_nanoseconds();
+        let at = truth.binary_search_by_key(&stamp, |(stamp, _)| *stamp);
+        if let (Ok(at), Ok(_)) = (at, stamps_ns.binary_search(&stamp)) {
+            let pose = isometry(&tag.pose.pose.position, &tag.pose.pose.orientation);
+            centimetres.push(100.0 * pose.translation.distance(truth[at].1.translation));
+            degrees.push(crate::views::angle_between(&pose, &truth[at].1).to_degrees());
+        }
+    }
+    (!centimetres.is_empty()).then(|| (Summary::of(&centimetres), Summary::of(&degrees)))
+}
+
+/// With the capture's tags as they are now. Rendered captures have no goals, and real ones are judged by their ground alone.
+fn psnr(capture: &Path, views: usize) -> anyhow::Result<Option<Summary>> {
+    let folder = temporary()?;
+    let db = folder.path().join("db");
+    add(&db, &[capture.to_owned()], None, &mut |_| ())?;
+    let settings = crate::config::ViewsSettings { goals: false, ..Settings::default().views };
+    let gallery = Gallery::open(&db, &settings)?;
+    let found = leave_one_out(&gallery, views, &mut |_| ())?;
+    Ok((!found.is_empty()).then(|| Summary::of(&found)))
+}
+
+fn calibration(refining: &Refining, path: &Path) -> anyhow::Result<()> {
+    let lens_path = path.with_file_name(format!(
+        "{}-lens.toml",
+        path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
+    ));
+    write(&lens_path, &lens_file(&refining.lens))?;
+    write(path, &robot_file(refining, &lens_path))
+}
+
+fn lens_file(lens: &LensParameters) -> String {
+    let LensParameters { width, height, fx, fy, cx, cy, model, fov_deg } = lens;
+    let list = |values: &[f64]| values.iter().map(|value| format!("{value:?}")).collect::<Vec<_>>().join(", ");
+    let model = match model {
+        LensModel::KannalaBrandt { k } => format!("model = \"kannala_brandt\"\nk = [{}]\n", list(k)),
+        LensModel::Equisolid => "model = \"equisolid\"\n".to_owned(),
+        LensModel::PlumbBob { d } => format!("model = \"plumb_bob\"\nd = [{}]\n", list(d)),
+    };
+    let fov = fov_deg.map_or(String::new(), |fov| format!("fov_deg = {fov:?}\n"));
+    format!(
+        "# Found by `realitysim refine`\ntitle = \"Refined\"\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\n\
+         cx = {cx:?}\ncy = {cy:?}\n{model}{fov}"
+    )
+}
+
+fn robot_file(refining: &Refining, lens: &Path) -> String {
+    let mount = &refining.info.settings.mount;
+    let constants = refining.smoothed.constants;
+    let mut text =
+        "# Found by `realitysim refine` from one walk. What the walk does not show stays as it was believed:\n"
+            .to_owned();
+    for found in refining.info().constants {
+        let says = if found.observable { "observed" } else { "not observable in this walk" };
+        text.push_str(&format!(
+            "#   {}: {:+.5} {} (sigma {:.5}, before {:.5}): {says}\n",
+            found.name, found.value, found.unit, found.known, found.believed
+        ));
+    }
+    let name = lens.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let place = lens.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let lens = place.map_or(name.clone(), |folder| folder.join(&name).display().to_string());
+    text.push_str(&format!("[camera]\nlens = {lens:?}\n\n[mount]\n"));
+    let [roll, pitch, yaw] = corrected(mount.camera_rpy_deg, &constants);
+    match mount.torso_height_m {
+        Some(height) => text.push_str(&format!("torso_height_m = {:.4}\n", height + constants.height_m)),
+        None => text.push_str(&format!(
+            "# The mount of this capture stood in its transforms: the camera is {:+.4} m higher than they say, and turned\n# by \
+             these angles against them.\n",
+            constants.height_m
+        )),
+    }
+    let [x, y, z] = mount.camera_xyz_m;
+    text.push_str(&format!(
+        "camera_xyz_m = [{x:?}, {y:?}, {z:?}]\ncamera_rpy_deg = [{roll:.4}, {pitch:.4}, {yaw:.4}]\n"
+    ));
+    text
+}
+
+/// Roll, pitch, yaw of `camera_link` with the tilt that was found; the tilt is about the camera's optical axes.
+fn corrected([roll, pitch, yaw]: [f64; 3], constants: &Constants) -> [f64; 3] {
+    let believed = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
+    let link_from_optical = Isometry::link_from_optical().rotation;
+    // The mount's up is the tilt's inverse away from the camera's.
+    let tilt = glam::DQuat::from_scaled_axis(glam::DVec3::new(constants.tilt_x, 0.0, constants.tilt_z)).conjugate();
+    let turned = believed.rotation() * link_from_optical * tilt * link_from_optical.conjugate();
+    let found = Euler::from_rotation(turned);
+    [found.roll, found.pitch, found.yaw].map(f64::to_degrees)
+}
+
+fn told(report: &Report) -> String {
+    let mut text = format!("{} of {} tags refined\n", report.frames, report.tags);
+    let median =
+        |summary: &Option<Summary>| summary.as_ref().map_or("-".to_owned(), |summary| format!("{:.2}", summary.median));
+    let mut row = |name: &str, of: &dyn Fn(&Judged) -> String| {
+        text.push_str(&format!("  {name:<34} {:>8} before {:>8} after\n", of(&report.before), of(&report.after)));
+    };
+    row("lines, rms px", &|judged| format!("{:.2}", judged.rms_px));
+    row("position, median cm", &|judged| median(&judged.position_cm));
+    row("angle, median deg", &|judged| {
+        judged.angle_deg.as_ref().map_or("-".to_owned(), |s| format!("{:.3}", s.median))
+    });
+    row("views of the ground, median dB", &|judged| median(&judged.view_psnr_db));
+    for Found { name, unit, value, known, observable, .. } in &report.constants {
+        let doubt = if *observable { "" } else { "  (not observable in this walk)" };
+        text.push_str(&format!("  {name:<26} {value:+.5} +- {known:.5} {unit}{doubt}\n"));
+    }
+    text.push_str(&report.output.display().to_string());
+    text
+}

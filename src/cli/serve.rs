@@ -1,0 +1,112 @@
+//! `realitysim serve`
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+
+use super::paths::cannot_read;
+use super::settings::UsageError;
+use super::{Outcome, output};
+use crate::agent::live::stop_flag;
+use crate::config::{Settings, lens_names, load_lens};
+use crate::geometry::LensParameters;
+use crate::sensors::scene;
+use crate::service::{ServeOptions, serve};
+
+/// Serve views of a database over HTTP, for simulators and vision code
+///
+/// GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/service.md). The database may be
+/// changed meanwhile. Ends with SIGINT or SIGTERM.
+#[derive(Args)]
+pub struct ServeArguments {
+    /// The database's folder
+    #[arg(long, value_name = "DIR")]
+    db: PathBuf,
+    /// Address and port; port 0 takes a free one, which is told. Beyond loopback a token is needed
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8765")]
+    listen: SocketAddr,
+    /// A file with the token that clients must send
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// Threads that make views; without it one for each processor
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
+    threads: Option<u16>,
+    /// A lens that clients may name beside the shipped ones
+    #[arg(long, value_name = "NAME=FILE")]
+    lens: Vec<String>,
+    /// A scene whose effects clients may ask for; its name is the file's without .toml
+    #[arg(long, value_name = "FILE")]
+    scene: Vec<String>,
+    /// Refuse when the nearest image was taken farther away than this, if the client does not say
+    #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = distance)]
+    max_distance: f64,
+    /// Robot config, for its section [views]
+    #[arg(long, value_name = "FILE")]
+    config: Option<String>,
+}
+
+fn distance(text: &str) -> Result<f64, String> {
+    let value: Option<f64> = text.parse().ok().filter(|value| (0.0..=1000.0).contains(value));
+    value.ok_or_else(|| "0 to 1000 metres".to_owned())
+}
+
+pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
+    let settings = arguments.config.as_deref().map_or(Ok(Settings::default()), Settings::load)?;
+    let mut scenes = BTreeMap::new();
+    for path in &arguments.scene {
+        let name = Path::new(path).file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        if scenes.insert(name.clone(), scene::load(path)?).is_some() {
+            return Err(UsageError(format!("--scene {path}: there is another scene named {name}")).into());
+        }
+    }
+    let options = ServeOptions {
+        database: arguments.db.clone(),
+        listen: arguments.listen,
+        token: arguments.token_file.as_deref().map(token).transpose()?,
+        threads: arguments
+            .threads
+            .map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from),
+        settings: settings.views,
+        lenses: lenses(&arguments.lens)?,
+        scenes,
+        max_distance_m: arguments.max_distance,
+    };
+    let stop = stop_flag()?;
+    let ready = |address: SocketAddr, images: usize| {
+        #[derive(Serialize)]
+        struct Ready {
+            listening: SocketAddr,
+            images: usize,
+        }
+        // Who does not read it is served all the same.
+        let _ = if json {
+            output::json(&Ready { listening: address, images })
+        } else {
+            output::lines(&format!("{images} images on http://{address}"))
+        };
+    };
+    serve(options, &stop, ready, |said| eprintln!("realitysim: {said}"))?;
+    Ok(Outcome::Whole)
+}
+
+fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> {
+    let mut lenses = BTreeMap::new();
+    for name in lens_names() {
+        let lens = load_lens(&name)?.lens.parameters().clone();
+        lenses.insert(name, lens);
+    }
+    for pair in given {
+        let wrong = || UsageError(format!("--lens {pair}: NAME=FILE is needed"));
+        let (name, file) = pair.split_once('=').ok_or_else(wrong)?;
+        lenses.insert(name.to_owned(), load_lens(file)?.lens.parameters().clone());
+    }
+    Ok(lenses)
+}
+
+fn token(path: &Path) -> anyhow::Result<String> {
+    let text = std::fs::read_to_string(path).map_err(|error| cannot_read(path, error))?;
+    Ok(text.trim().to_owned())
+}

@@ -1,0 +1,126 @@
+//! `realitysim sessions prune`
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+
+use super::CapturesArguments;
+use crate::cli::settings::UsageError;
+use crate::cli::{Outcome, output, paths};
+use crate::recording::catalogue::sessions_in;
+use crate::recording::{Session, receiver_of, sync_folder};
+use crate::sync::{Decision, Goal, Store, decide, is_as_recorded};
+
+/// Delete sessions that another store has, whole and verified
+///
+/// Says what it would do; `--yes` does it. Oldest first, pinned ones only with --pinned and then last. Nothing goes that is open, or
+/// that holds files which are not the session's; nothing of which no other store is known to have every segment, unless
+/// forced.
+#[derive(Args)]
+pub struct PruneArguments {
+    /// Names; none: all
+    #[arg(value_name = "SESSION")]
+    sessions: Vec<String>,
+    #[command(flatten)]
+    captures: CapturesArguments,
+    /// Do it
+    #[arg(long)]
+    yes: bool,
+    /// Only sessions that began more than so many days ago, by this machine's clock
+    #[arg(long, value_name = "DAYS")]
+    older_than: Option<u32>,
+    /// Stop when so much is freed
+    #[arg(long, value_name = "GB")]
+    free: Option<f64>,
+    /// Another folder of captures: what is found there whole, by its hash, may go here
+    #[arg(long, value_name = "CAPTURES_DIR")]
+    copy: Vec<PathBuf>,
+    /// Pinned ones too
+    #[arg(long)]
+    pinned: bool,
+    /// Also what is nowhere else: it is gone then
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    done: bool,
+    freed_bytes: u64,
+    sessions: Vec<Decision>,
+}
+
+pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
+    let folder = arguments.captures.folder()?;
+    let (sessions, strange) = sessions_in(&folder).map_err(|error| paths::cannot_read(&folder, error))?;
+    if let Some(name) = arguments.sessions.iter().find(|name| !sessions.iter().any(|session| session.name == **name)) {
+        let why = strange.iter().find(|it| it.path == folder.join(name)).map(|it| it.why.as_str());
+        return Err(UsageError(format!("{}: {}", folder.join(name).display(), why.unwrap_or("no such session"))).into());
+    }
+    for copy in &arguments.copy {
+        paths::check_output(copy, &[&folder])?;
+    }
+    let before = arguments.older_than.map(|days| {
+        let then = jiff::Timestamp::now().as_second().saturating_sub(86_400 * i64::from(days));
+        jiff::Timestamp::from_second(then).unwrap_or_default().to_string()
+    });
+    let goal = Goal {
+        sessions: arguments.sessions.clone(),
+        before,
+        bytes: arguments.free.map(|gb| (gb.max(0.0) * 1e9) as u64),
+        pinned: arguments.pinned,
+        force: arguments.force,
+    };
+    let has_copy = |session: &Session| arguments.copy.iter().any(|copy| is_whole_in(session, copy));
+    let decisions = decide(&sessions, receiver_of(&folder).as_deref(), &has_copy, &goal);
+    if arguments.yes {
+        for decision in decisions.iter().filter(|decision| decision.goes) {
+            if let Some(session) = sessions.iter().find(|session| session.name == decision.session) {
+                delete(session, &folder)?;
+            }
+        }
+    }
+    report(decisions, arguments.yes, json)
+}
+
+/// Gone from sight in one step, then file by file; a sync does not fetch it again unasked.
+fn delete(session: &Session, captures: &Path) -> anyhow::Result<()> {
+    if receiver_of(captures).is_some() {
+        Store::open(captures)?.note_pruned(session)?;
+    }
+    let hidden = captures.join(format!(".pruned-{}", session.id.as_str()));
+    fs::rename(&session.folder, &hidden).map_err(|error| paths::cannot_write(&session.folder, error))?;
+    sync_folder(captures)?;
+    fs::remove_dir_all(&hidden).map_err(|error| paths::cannot_write(&hidden, error))
+}
+
+/// Whether every segment that is here lies in the other folder as it was recorded.
+fn is_whole_in(session: &Session, copy: &Path) -> bool {
+    let Ok((others, _)) = sessions_in(copy) else { return false };
+    let Some(other) = others.iter().find(|other| other.id == session.id) else { return false };
+    let here = session.lines.iter().filter(|line| session.segments.contains_key(&line.name));
+    here.into_iter().all(|line| is_as_recorded(&other.folder.join(&line.name), line).is_ok_and(|whole| whole))
+}
+
+fn report(decisions: Vec<Decision>, done: bool, json: bool) -> anyhow::Result<Outcome> {
+    let freed_bytes = decisions.iter().filter(|decision| decision.goes).map(|decision| decision.bytes).sum();
+    if json {
+        output::json(&Report { done, freed_bytes, sessions: decisions })?;
+        return Ok(Outcome::Whole);
+    }
+    let mut text = String::new();
+    for Decision { session, bytes, goes, why } in &decisions {
+        let what = match (goes, done) {
+            (true, true) => "gone",
+            (true, false) => "would go",
+            (false, _) => "stays",
+        };
+        text.push_str(&format!("{what:<9} {session:<34} {:>10}  {why}\n", output::size(*bytes)));
+    }
+    let end = if done { "freed" } else { "would be freed; --yes does it" };
+    text.push_str(&format!("{} {end}", output::size(freed_bytes)));
+    output::lines(&text)?;
+    Ok(Outcome::Whole)
+}

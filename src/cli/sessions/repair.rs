@@ -1,0 +1,45 @@
+//! `realitysim sessions repair`
+
+use clap::Args;
+use serde_json::json;
+
+use super::CapturesArguments;
+use crate::cli::{Outcome, output};
+use crate::recording::repair;
+use crate::recording::storage::Disk;
+
+/// Finish what a crash or a power cut has left unfinished; a second run changes nothing
+///
+/// Torn segments are cut behind the last chunk that is sound, get index and footer and their final name; the manifest
+/// and metadata.yaml list them. A session that is being recorded is left alone.
+#[derive(Args)]
+pub struct RepairArguments {
+    /// Names or folders; none: all
+    #[arg(value_name = "SESSION")]
+    sessions: Vec<String>,
+    #[command(flatten)]
+    captures: CapturesArguments,
+}
+
+pub fn run(arguments: &RepairArguments, json: bool) -> anyhow::Result<Outcome> {
+    let (mut repaired, mut failed) = (Vec::new(), Vec::new());
+    for session in arguments.captures.paths(&arguments.sessions)? {
+        match repair(&Disk, &session) {
+            Ok(session) => repaired.push(session),
+            Err(error) => failed.push(error.to_string()),
+        }
+    }
+    if json {
+        output::json(&json!({ "sessions": repaired, "failed": failed }))?;
+    } else {
+        output::lines(&repaired.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))?;
+    }
+    let lost: Vec<_> = repaired.iter().flat_map(|session| session.lost.clone()).collect();
+    if let [first, ..] = failed.as_slice() {
+        anyhow::bail!(
+            "{first}{}",
+            if failed.len() > 1 { format!("; and {} more", failed.len() - 1) } else { String::new() }
+        );
+    }
+    Ok(Outcome::of(&lost))
+}

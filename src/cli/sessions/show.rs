@@ -1,0 +1,135 @@
+//! `realitysim sessions show`
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::CapturesArguments;
+use super::list::{Row, line, row};
+use crate::cli::paths::{check_output, save};
+use crate::cli::{Outcome, output};
+use crate::database::coverage_picture;
+use crate::geometry::{Field, PoseGrid};
+use crate::recording::{ManifestLine, Session, SessionInfo, read_coverage, read_info, receiver_of, topic};
+use crate::ros2::mcap_read::Selection;
+use crate::ros2::messages::{FrameTag, Message};
+use crate::sensors::decode;
+use crate::sensors::intake::isometry;
+use crate::sensors::log::LogSource;
+
+/// One session: its segments, what became of its frames, who has it
+#[derive(Args)]
+pub struct ShowArguments {
+    /// Name or folder
+    session: String,
+    #[command(flatten)]
+    captures: CapturesArguments,
+    /// A picture of the field: which places and headings there are images of, and where to walk next
+    #[arg(short, long, value_name = "PNG")]
+    output: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Shown {
+    #[serde(flatten)]
+    row: Row,
+    manifest: Vec<ManifestLine>,
+    coverage: Option<Shape>,
+}
+
+#[derive(Serialize)]
+struct Shape {
+    #[serde(flatten)]
+    grid: PoseGrid,
+    map: Vec<String>,
+}
+
+pub fn run(arguments: &ShowArguments, json: bool) -> anyhow::Result<Outcome> {
+    let session = arguments.captures.session(&arguments.session)?;
+    let own = session.folder.parent().and_then(receiver_of);
+    let row = row(&session, own.as_deref());
+    // A session's own account may be of a version that this program cannot read: the rest is shown all the same.
+    let info = read_info(&session.folder).ok();
+    let grid = info
+        .as_ref()
+        .and_then(|info| read_coverage(&session.folder, row.frames.valid).or_else(|| coverage_of(&session, info)));
+    if let Some(path) = &arguments.output {
+        check_output(path, &[])?;
+        let (Some(info), Some(grid)) = (&info, &grid) else {
+            anyhow::bail!("{}: nothing says which poses it has images of", session.folder.display());
+        };
+        save(&coverage_picture(grid, &Field::new(info.field.clone())?), path)?;
+    }
+    let coverage = grid.map(|grid| Shape { map: grid.text(), grid });
+    let shown = Shown { row, manifest: session.lines.clone(), coverage };
+    if json {
+        output::json(&shown)?;
+    } else {
+        output::lines(&for_people(&shown))?;
+    }
+    Ok(if shown.row.missing > 0 { Outcome::DataLost } else { Outcome::Whole })
+}
+
+/// From the segments that are here: tags whose image is there too.
+fn coverage_of(session: &Session, info: &SessionInfo) -> Option<PoseGrid> {
+    let field = Field::new(info.field.clone()).ok()?;
+    let thinning = &info.settings.recording.thinning;
+    let mut grid = PoseGrid::new(field.carpet_half_extent(), thinning.cell_m, usize::from(thinning.headings));
+    let files = session.segments.keys().map(|name| session.folder.join(name)).collect();
+    let image = info.settings.topics.image.as_str();
+    let (mut images, mut tags) = (BTreeSet::new(), Vec::new());
+    for message in LogSource::with_outputs(files, Selection::topics([image, topic::FRAME_TAG])).map_while(Result::ok) {
+        if message.channel.topic == image {
+            images.extend(decode::stamp_ns(&message));
+        } else {
+            tags.extend(FrameTag::decode(&message.data));
+        }
+    }
+    for tag in tags.iter().filter(|tag| tag.valid && images.contains(&tag.header.stamp.to_nanoseconds())) {
+        grid.add(&isometry(&tag.pose.pose.position, &tag.pose.pose.orientation));
+    }
+    Some(grid)
+}
+
+fn for_people(shown: &Shown) -> String {
+    let Shown { row, manifest, coverage } = shown;
+    let mut text = line(row);
+    let robot = row.robot_id.as_deref().map_or_else(String::new, |id| format!(" ({id})"));
+    text.push_str(&format!("  id {}, robot {}{robot}\n", row.id.as_str(), row.robot));
+    for (receiver, segments) in &row.receivers {
+        text.push_str(&format!("  {segments} segments are with {receiver}\n"));
+    }
+    for (what, causes) in [("dropped", &row.frames.dropped), ("untagged", &row.frames.untagged)] {
+        for (cause, count) in causes {
+            text.push_str(&format!("  {count} frames {what}: {cause}\n"));
+        }
+    }
+    for (cause, count) in &row.frames.lost {
+        text.push_str(&format!("  {count} other messages lost: {cause}\n"));
+    }
+    for why in &row.set_aside {
+        text.push_str(&format!("  set aside: {why}\n"));
+    }
+    for line in manifest {
+        let place = line.poses.map_or_else(String::new, |p| {
+            format!("  x {:.1} to {:.1} m, y {:.1} to {:.1} m", p.x[0], p.x[1], p.y[0], p.y[1])
+        });
+        text.push_str(&format!(
+            "  {}  {:>10}  {:>6} frames, {:>6} valid{place}\n",
+            line.name,
+            output::size(line.bytes),
+            line.frames.written,
+            line.frames.valid
+        ));
+    }
+    if let Some(Shape { grid, map }) = coverage {
+        text.push_str(&format!(
+            "  images of {} of {} poses (cells of {} m, {} headings: a digit says of how many, # of all, . of none)\n",
+            grid.filled, grid.cells, grid.cell_m, grid.sectors
+        ));
+        map.iter().for_each(|row| text.push_str(&format!("  {row}\n")));
+    }
+    text.trim_end().to_owned()
+}

@@ -1,0 +1,374 @@
+//! From frame to frame: particles find the basin, refinement finds the pose, and both must agree with the lines before
+//! a pose is believed.
+
+mod lost;
+
+use nalgebra::{Matrix6, Vector6};
+use serde::{Deserialize, Serialize};
+
+use super::estimate::Estimate;
+use super::filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
+use super::global::{Search, SearchState};
+use super::observation::{Observation, Support};
+use super::painted::{Explained, PaintedMap};
+use super::particles::Spread;
+use super::refinement::{self, Agreement, LinePoints, Prior};
+use super::track::{Prediction, Step, Track, TrackModel};
+use super::verdict::{CONFIRMATIONS, Confidence, Rules, Standing, Validity, agrees, is_contradicted};
+use crate::geometry::{Field, Isometry, Lens, Pose2, Projector, wrap_angle};
+use crate::vision::Seen;
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct LocalizerSettings {
+    pub filter: FilterSettings,
+    pub track: TrackModel,
+    /// Whether poses are refined; without it the best particle is the answer.
+    pub refinement: bool,
+    /// There is no odometry, on purpose.
+    pub random_walk: bool,
+    /// Around a pose that was announced or found.
+    pub initial: Spread,
+    pub valid: Validity,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LocalizerState {
+    pub filter: FilterState,
+    pub track: Option<Track>,
+    /// Time and odometry of the last frame.
+    pub last: Option<(i64, Option<Pose2>)>,
+    pub standing: Standing,
+    /// Where the robot was when it last knew, carried on by odometry since.
+    pub known: Option<Pose2>,
+    pub search: SearchState,
+    /// The pose was found without being told which half of the field it is in.
+    pub ambiguous: bool,
+}
+
+/// What else than the image is known of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moment {
+    pub stamp_ns: i64,
+    pub odometry: Option<Pose2>,
+    /// Since the frame before, by gyro.
+    pub turned_rad: Option<f64>,
+    /// By IMU, joints and mount.
+    pub footprint_from_optical: Option<Isometry>,
+    /// Something measures the torso's tilt; without it a walking torso sways unseen.
+    pub tilt_is_measured: bool,
+    /// What was measured is too old to describe a moving robot.
+    pub stale: bool,
+}
+
+/// The answer for one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fix {
+    /// Of the particles; poses of `base_footprint`.
+    pub estimate: Estimate,
+    pub support: Support,
+    /// The refined pose, or where the track puts the camera when nothing could be refined.
+    pub map_from_optical: Isometry,
+    /// x, y, z, rotation about x, y, z of `map`.
+    pub covariance: Matrix6<f64>,
+    pub refined: bool,
+    pub agreement: Agreement,
+    pub explained: Explained,
+    pub effort: Effort,
+    /// The mirror pose is as likely.
+    pub ambiguous: bool,
+    /// Why the pose is not to be used; `None` when it is.
+    pub doubt: Option<&'static str>,
+}
+
+/// A restarted robot may have been carried: the cloud is widened by this.
+const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
+/// Longer gaps say nothing more about where the robot went.
+const LONGEST_STEP_S: f64 = 5.0;
+/// No humanoid walks this fast: odometry that says so has jumped.
+const FASTEST_M_PER_S: f64 = 3.0;
+/// A gyro that says more is broken or counts in degrees.
+const FASTEST_RAD_PER_S: f64 = 10.0;
+/// How far a walking torso that nothing measures leans from upright: 2.5 degrees.
+const UNMEASURED_TILT_RAD: f64 = 0.044;
+/// A best particle farther than this from the predicted pose is refined from as well.
+const OTHER_BASIN_M: f64 = 0.12;
+const OTHER_BASIN_RAD: f64 = 0.06;
+/// Track and particles that differ by more are not about the same place: the one that fits better wins.
+const APART_M: f64 = 0.4;
+/// Squared deviation from the prediction, per unknown, above which the prediction is doubted.
+const SURPRISE: f64 = 3.0;
+
+impl LocalizerSettings {
+    fn rules<'a>(&'a self, field: &'a Field) -> Rules<'a> {
+        Rules { valid: &self.valid, field, refinement: self.refinement, random_walk: self.random_walk }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub struct Localizer {
+    field: Field,
+    projector: Projector,
+    points: LinePoints,
+    painted: PaintedMap,
+    filter: Filter,
+    search: Search,
+    settings: LocalizerSettings,
+    state: LocalizerState,
+}
+
+impl Localizer {
+    pub fn new(
+        settings: LocalizerSettings,
+        field: Field,
+        lens: &Lens,
+        observation: Observation,
+        state: LocalizerState,
+    ) -> Self {
+        let search = Search::new(&field, lost::SEARCH_MARGIN_M, &observation);
+        let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
+        Self {
+            points: LinePoints::new(&field),
+            painted: PaintedMap::new(&field),
+            projector: Projector::new(lens),
+            field,
+            filter,
+            search,
+            settings,
+            state,
+        }
+    }
+
+    /// What a checkpoint keeps.
+    pub fn state(&self) -> LocalizerState {
+        LocalizerState { filter: self.filter.state().clone(), ..self.state.clone() }
+    }
+
+    pub fn settings(&self) -> &LocalizerSettings {
+        &self.settings
+    }
+
+    pub fn observation(&self) -> &Observation {
+        self.filter.observation()
+    }
+
+    /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
+    pub fn unusable_weights(&self) -> u64 {
+        self.filter.unusable_weights()
+    }
+
+    /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
+    pub fn resume(&mut self) {
+        if self.state.standing.confidence != Confidence::Nowhere {
+            self.filter.widen(RESTART);
+            self.state.track =
+                self.state.track.as_ref().map(|track| track.moved_to(track.pose(), RESTART.xy_m, RESTART.yaw_rad));
+            self.state.standing.unconfirmed(CONFIRMATIONS);
+        }
+        self.state.last = None;
+    }
+
+    /// Somebody says where the robot is.
+    pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
+        self.place(pose, spread);
+        self.state.known = Some(pose);
+        self.state.standing.unconfirmed(1);
+        self.state.ambiguous = false;
+    }
+
+    /// One frame of which something was seen. `may_go_on` says when time is up: see [`MayGoOn`].
+    pub fn look(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
+        let mut effort = Effort::default();
+        let step = self.step_to(moment);
+        if self.must_search() {
+            self.search(moment, seen, &mut effort, may_go_on);
+        }
+        let walked = self.walked(&step);
+        self.carry_on(walked);
+        let estimate = self.filter.step(walked, step.seconds, &seen.table, &mut effort, may_go_on);
+        let support = self.filter.observation().support(seen.lines(), &estimate.best);
+        self.predict(&step);
+        let mut fix = self.refine(moment, seen, estimate, support);
+        self.reconcile(seen, &fix);
+        fix.effort = effort;
+        if let Some(place) = &moment.footprint_from_optical {
+            fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
+        }
+        fix.doubt = self.state.standing.judge(&self.settings.rules(&self.field), moment, &fix);
+        if fix.doubt.is_none() {
+            self.state.known = self.state.track.as_ref().map(Track::pose);
+        }
+        fix
+    }
+
+    /// One frame of which nothing could be seen: where odometry puts the robot.
+    pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
+        let step = self.step_to(moment);
+        let walked = self.walked(&step);
+        self.carry_on(walked);
+        let estimate = self.filter.coast(walked, step.seconds);
+        self.predict(&step);
+        let mut fix = self.predicted(moment, estimate, Support::default());
+        fix.effort.particles = self.filter.state().particles.len() as u32;
+        fix.doubt = Some(reason);
+        fix
+    }
+
+    /// What the sensors say of the robot's step since the last frame.
+    fn step_to(&mut self, moment: &Moment) -> Step {
+        let odometry = moment.odometry.filter(Pose2::is_finite);
+        let last = self.state.last.replace((moment.stamp_ns, odometry));
+        let Some((last_ns, last_odometry)) = last else {
+            return Step { odometry: Some(Pose2::default()), turned_rad: None, seconds: 0.0 };
+        };
+        let seconds = (moment.stamp_ns.saturating_sub(last_ns) as f64 * 1e-9).clamp(0.0, LONGEST_STEP_S);
+        if self.settings.random_walk {
+            return Step { odometry: None, turned_rad: None, seconds };
+        }
+        let odometry = last_odometry.zip(odometry).map(|(before, now)| before.inverse().compose(&now));
+        let possible = |step: &Pose2| libm::hypot(step.x, step.y) <= FASTEST_M_PER_S * seconds.max(0.1);
+        let turned_rad = moment.turned_rad.filter(|turned| turned.abs() <= FASTEST_RAD_PER_S * seconds);
+        Step { odometry: odometry.filter(possible), turned_rad, seconds }
+    }
+
+    /// The same for the particles, which follow no gyro of their own.
+    fn walked(&self, step: &Step) -> Option<Pose2> {
+        let turned = step.turned_rad.and_then(|turned| Some(self.state.track.as_ref()?.turned(turned, step.seconds)));
+        step.odometry.map(|odometry| Pose2 { yaw: turned.unwrap_or(odometry.yaw), ..odometry })
+    }
+
+    fn carry_on(&mut self, walked: Option<Pose2>) {
+        self.state.known = self.state.known.map(|known| known.compose(&walked.unwrap_or_default()));
+    }
+
+    fn predict(&mut self, step: &Step) {
+        let LocalizerSettings { track: model, filter, .. } = &self.settings;
+        let reach_m = filter.motion.walk_m_per_s * step.seconds;
+        let reach_rad = filter.motion.turn_rad_per_s * step.seconds;
+        if let Some(track) = &mut self.state.track {
+            track.predict(step, model, reach_m, reach_rad);
+        }
+    }
+
+    fn place(&mut self, pose: Pose2, spread: Spread) {
+        self.state.search = SearchState::default();
+        self.filter.restart(pose, spread);
+        let Spread { xy_m, yaw_rad } = spread;
+        self.state.track = Some(match &self.state.track {
+            Some(track) => track.moved_to(pose, xy_m, yaw_rad),
+            None => Track::around(pose, xy_m, yaw_rad, &self.settings.track),
+        });
+    }
+
+    fn refine(&mut self, moment: &Moment, seen: &Seen, estimate: Estimate, support: Support) -> Fix {
+        let prediction = self.prediction(moment);
+        let (Some(prediction), true) = (prediction, self.settings.refinement) else {
+            return self.predicted(moment, estimate, support);
+        };
+        let mut starts = vec![Vector6::zeros()];
+        let track_pose = self.state.track.as_ref().map_or(estimate.best, Track::pose);
+        let turned = wrap_angle(estimate.best.yaw - track_pose.yaw).abs();
+        if estimate.best.distance(&track_pose) > OTHER_BASIN_M || turned > OTHER_BASIN_RAD {
+            starts.extend(moment.footprint_from_optical.map(|place| {
+                let seen_from = estimate.best.to_isometry() * place;
+                refinement::error_between(&prediction.prior.map_from_optical, &seen_from)
+            }));
+        }
+        let refine = |prior: &Prior| refinement::refine(&self.points, &seen.image, &self.projector, prior, &starts);
+        let Some(mut refined) = refine(&prediction.prior) else {
+            return self.predicted(moment, estimate, support);
+        };
+        let mut prediction = prediction;
+        let surprise = surprise(&prediction.prior, &refined.moved);
+        if surprise > SURPRISE && agrees(&refined.lines) {
+            // Lines agree with each other but not with the prediction: odometry or IMU were wronger than they claim.
+            if let Some(track) = &mut self.state.track {
+                track.doubt(&refined.moved);
+            }
+            if let Some(doubted) = self.prediction(moment).map(|prediction| prediction.doubted(&refined.moved))
+                && let Some(again) = refine(&doubted.prior)
+            {
+                (prediction, refined) = (doubted, again);
+            }
+        }
+        let agrees = agrees(&refined.lines);
+        if agrees {
+            self.state.standing.agreed(moment.stamp_ns);
+        }
+        if agrees && let Some(track) = &mut self.state.track {
+            track.update(&prediction, &refined);
+        }
+        if !agrees && !is_contradicted(&refined.lines) {
+            // Too little in view to move the pose.
+            let mut fix = self.predicted(moment, estimate, support);
+            fix.agreement = refined.lines;
+            return fix;
+        }
+        Fix {
+            estimate,
+            support,
+            map_from_optical: refined.map_from_optical,
+            covariance: refined.covariance,
+            refined: true,
+            agreement: refined.lines,
+            explained: Explained::default(),
+            effort: Effort::default(),
+            ambiguous: self.state.ambiguous,
+            doubt: None,
+        }
+    }
+
+    fn prediction(&self, moment: &Moment) -> Option<Prediction> {
+        let track = self.state.track.as_ref()?;
+        Some(track.prior(&moment.footprint_from_optical?, &self.model(moment)))
+    }
+
+    fn model(&self, moment: &Moment) -> TrackModel {
+        let model = self.settings.track;
+        if moment.tilt_is_measured { model } else { TrackModel { tilt_noise_rad: UNMEASURED_TILT_RAD, ..model } }
+    }
+
+    /// Without refinement: the best particle's camera; or where the track puts it.
+    fn predicted(&self, moment: &Moment, estimate: Estimate, support: Support) -> Fix {
+        let place = moment.footprint_from_optical.unwrap_or(Isometry::IDENTITY);
+        let (map_from_optical, covariance) = match self.prediction(moment).filter(|_| self.settings.refinement) {
+            Some(prediction) => (prediction.prior.map_from_optical, prediction.prior.covariance),
+            None => (estimate.best.to_isometry() * place, estimate.pose_covariance()),
+        };
+        Fix {
+            estimate,
+            support,
+            map_from_optical,
+            covariance,
+            refined: false,
+            agreement: Agreement::default(),
+            explained: Explained::default(),
+            effort: Effort::default(),
+            ambiguous: self.state.ambiguous,
+            doubt: None,
+        }
+    }
+
+    /// Particles and track follow one robot: where they part, the one that the lines support less starts over around
+    /// the other.
+    fn reconcile(&mut self, seen: &Seen, fix: &Fix) {
+        let Some(track) = self.state.track.as_ref().filter(|_| self.settings.refinement) else { return };
+        let (pose, best) = (track.pose(), fix.estimate.best);
+        if pose.distance(&best) < APART_M && wrap_angle(pose.yaw - best.yaw).abs() < APART_M {
+            return;
+        }
+        let own = self.filter.observation().support(seen.lines(), &pose);
+        let spread = self.settings.initial;
+        if own.share * own.weight >= fix.support.share * fix.support.weight {
+            let (xy_m, yaw_rad) = track.spread();
+            let spread = Spread { xy_m: xy_m.max(spread.xy_m / 2.0), yaw_rad: yaw_rad.max(spread.yaw_rad / 2.0) };
+            self.filter.restart(pose, spread);
+        } else if !fix.refined || is_contradicted(&fix.agreement) {
+            self.state.track = Some(track.moved_to(best, spread.xy_m, spread.yaw_rad));
+        }
+    }
+}
+
+/// Squared deviation from the prior per unknown, in its own units: 1 is expected.
+fn surprise(prior: &Prior, moved: &Vector6<f64>) -> f64 {
+    prior.covariance.cholesky().map_or(0.0, |factor| moved.dot(&factor.solve(moved)) / 6.0)
+}

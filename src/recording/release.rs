@@ -1,0 +1,27 @@
+//! What may go to make room, and in which order: the one policy of the recorder and of `sessions prune`. Pure.
+
+use super::acknowledgement::receivers_of;
+use super::catalogue::Session;
+use super::manifest::ManifestLine;
+
+/// A session, and its segments that lie here as they were written and that another store has, each with its name.
+#[derive(Clone, Debug)]
+pub struct Releasable<'a> {
+    pub session: &'a Session,
+    pub segments: Vec<(&'a ManifestLine, &'a str)>,
+}
+
+/// Oldest first, pinned last. `own` is this folder's own name as a receiver, whose word does not count: it is what would go.
+pub fn releasable<'a>(sessions: impl IntoIterator<Item = &'a Session>, own: Option<&'a str>) -> Vec<Releasable<'a>> {
+    let mut order: Vec<&Session> = sessions.into_iter().collect();
+    order.sort_by(|a, b| (a.pinned, &a.head.started, &a.name).cmp(&(b.pinned, &b.head.started, &b.name)));
+    let of = |session: &'a Session| {
+        let here = session.lines.iter().filter(|line| session.has(line));
+        let with_holder = here.filter_map(|line| {
+            let mut holders = receivers_of(line, &session.acknowledged);
+            Some((line, holders.find(|holder| Some(*holder) != own)?))
+        });
+        Releasable { session, segments: with_holder.collect() }
+    };
+    order.into_iter().map(of).collect()
+}

@@ -1,0 +1,259 @@
+//! What a crash, a power cut or a failing disk has left of a session becomes a whole capture.
+//!
+//! Every step leaves something that the next run can go on from; a second run changes nothing.
+
+mod account;
+mod segment;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+pub(super) use self::segment::{COPY, DAMAGED};
+use self::segment::{Ended, describe, finish};
+use super::error::RecordingError;
+use super::folder::{Loss, manifest_lines};
+use super::manifest::{
+    FORMAT_VERSION, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
+};
+use super::retention::evicted_segments;
+use super::segment::{ACTIVE, CUT_BYTES, CUT_RECORD, CUT_SEGMENT, segment_index};
+use super::storage::{Kind, Listed, Storage, read_small, write_atomically};
+use crate::ros2::mcap_read::{metadata_records, survey};
+
+/// What was done to one session.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Repaired {
+    pub session: PathBuf,
+    /// It is being recorded: nothing was touched.
+    pub in_use: bool,
+    /// Segments that got their end.
+    pub finished: Vec<String>,
+    /// Files without a message that were removed.
+    pub removed: Vec<String>,
+    /// Segments that the manifest did not list.
+    pub listed: Vec<String>,
+    /// The manifest was written anew.
+    pub manifest_rewritten: bool,
+    pub metadata_rewritten: bool,
+    /// What could not be kept.
+    pub lost: Vec<Loss>,
+}
+
+impl Repaired {
+    pub fn changed_nothing(&self) -> bool {
+        *self == Self { session: self.session.clone(), in_use: self.in_use, ..Self::default() }
+    }
+}
+
+/// In words, over several lines.
+impl fmt::Display for Repaired {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { session, in_use, finished, removed, listed, lost, .. } = self;
+        let state = match (in_use, self.changed_nothing()) {
+            (true, _) => "is being recorded",
+            (false, true) => "whole",
+            (false, false) => "repaired",
+        };
+        write!(f, "{}: {state}", session.display())?;
+        let parts = [("finished", finished), ("without a message, removed", removed), ("now in the manifest", listed)];
+        for (what, names) in parts.into_iter().filter(|(_, names)| !names.is_empty()) {
+            write!(f, "\n  {what}: {}", names.join(", "))?;
+        }
+        lost.iter().try_for_each(|loss| write!(f, "\n  lost: {loss}"))
+    }
+}
+
+/// A larger session file is none.
+const MAX_SESSION_FILE_BYTES: u64 = 4 << 20;
+/// A segment takes some hundred bytes of it.
+const MAX_METADATA_FILE_BYTES: u64 = 64 << 20;
+
+/// Folders of sessions, oldest first, whether they can be read or not; the folder itself if it is one. What is no session is
+/// left alone.
+pub fn sessions_of(storage: &dyn Storage, captures: &Path) -> Vec<PathBuf> {
+    let is_session = |folder: &Path| storage.read(&folder.join(SESSION_FILE)).is_ok();
+    if is_session(captures) {
+        return vec![captures.to_owned()];
+    }
+    let entries = storage.list(captures).unwrap_or_default().into_iter();
+    let folders = entries.filter(|entry| entry.kind == Kind::Folder).map(|entry| captures.join(entry.name));
+    folders.filter(|folder| is_session(folder)).collect()
+}
+
+/// Finishes what was never finished, lists what is not listed. Files that are not of this program stay as they are.
+pub fn repair(storage: &dyn Storage, session: &Path) -> Result<Repaired, RecordingError> {
+    let mut repaired = Repaired { session: session.to_owned(), ..Repaired::default() };
+    let info = read_session(storage, session)?;
+    let path = session.join(SESSION_FILE);
+    let Some(_lock) = storage.lock(&path).map_err(|source| RecordingError::Io { path, source })? else {
+        return Ok(Repaired { in_use: true, ..repaired });
+    };
+    let mut work =
+        Work { storage, session, info, repaired: &mut repaired, lines: BTreeMap::new(), topics: BTreeMap::new() };
+    work.finish_segments()?;
+    work.complete_manifest()?;
+    work.complete_metadata()?;
+    Ok(repaired)
+}
+
+pub(super) fn read_session(storage: &dyn Storage, session: &Path) -> Result<SessionInfo, RecordingError> {
+    let path = session.join(SESSION_FILE);
+    let read =
+        read_small(storage, &path, MAX_SESSION_FILE_BYTES).map_err(|source| RecordingError::io(&path, source))?;
+    let bytes = read.ok_or_else(|| RecordingError::io(&path, std::io::ErrorKind::NotFound.into()))?;
+    let info: SessionInfo =
+        serde_json::from_slice(&bytes).map_err(|source| RecordingError::Info { path: path.clone(), source })?;
+    match info.format {
+        FORMAT_VERSION => Ok(info),
+        format => Err(RecordingError::Newer { path, format, known: FORMAT_VERSION }),
+    }
+}
+
+struct Work<'a> {
+    storage: &'a dyn Storage,
+    session: &'a Path,
+    info: SessionInfo,
+    repaired: &'a mut Repaired,
+    /// Of segments that were looked through.
+    lines: BTreeMap<String, ManifestLine>,
+    topics: BTreeMap<String, BTreeMap<TopicEntry, u64>>,
+}
+
+impl Work<'_> {
+    fn finish_segments(&mut self) -> Result<(), RecordingError> {
+        let names = self.files(|name| name.ends_with(ACTIVE))?;
+        let cuts = if names.is_empty() { BTreeMap::new() } else { self.cuts()? };
+        for active in names {
+            let name = active.trim_end_matches(ACTIVE).to_owned();
+            let path = self.session.join(&active);
+            match finish(self.storage, &path, &name, cuts.get(&name).copied(), &self.info.settings)? {
+                Ended::Empty => {
+                    let removed = self.storage.remove(&path).and_then(|()| self.storage.sync_folder(self.session));
+                    removed.map_err(|source| RecordingError::io(&path, source))?;
+                    self.repaired.removed.push(active);
+                }
+                Ended::Whole { line, topics, damage } => {
+                    if let Some(bytes) = line.cut_bytes {
+                        let what = damage.map_or(String::new(), |damage| format!(" ({damage})"));
+                        let said = format!("the last {bytes} bytes could not be kept{what}");
+                        self.repaired.lost.push(Loss::new(&self.session.join(&name), said));
+                    }
+                    self.lines.insert(name.clone(), *line);
+                    self.topics.insert(name.clone(), topics);
+                    self.repaired.finished.push(name);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Where segments end that were given up, as those behind them say.
+    fn cuts(&self) -> Result<BTreeMap<String, u64>, RecordingError> {
+        let mut cuts = BTreeMap::new();
+        for name in self.files(|_| true)? {
+            let path = self.session.join(&name);
+            let file = self.storage.read(&path).map_err(|source| RecordingError::io(&path, source))?;
+            // One that has not even a head says nothing.
+            let Ok(found) = metadata_records(file) else { continue };
+            for record in found.into_iter().filter(|record| record.name == CUT_RECORD) {
+                let value = |key: &str| record.values.get(key).cloned();
+                if let (Some(segment), Some(Ok(bytes))) =
+                    (value(CUT_SEGMENT), value(CUT_BYTES).map(|text| text.parse()))
+                {
+                    cuts.insert(segment, bytes);
+                }
+            }
+        }
+        Ok(cuts)
+    }
+
+    fn complete_manifest(&mut self) -> Result<(), RecordingError> {
+        let path = self.session.join(MANIFEST_FILE);
+        let fails = |source| RecordingError::io(&path, source);
+        let mut lines = manifest_lines(self.storage, self.session).map_err(fails)?;
+        let mut seen = BTreeSet::new();
+        lines.retain(|line| seen.insert(line.name.clone()));
+        for name in self.files(|name| !name.ends_with(ACTIVE))? {
+            if lines.iter().any(|line| line.name == name) {
+                continue;
+            }
+            let line = match self.lines.remove(&name) {
+                Some(line) => line,
+                None => {
+                    let file = self.session.join(&name);
+                    let (line, topics) = describe(self.storage, &file, &name, &self.info.settings)?;
+                    self.topics.insert(name.clone(), topics);
+                    line
+                }
+            };
+            lines.push(line);
+            self.repaired.listed.push(name);
+        }
+        lines.sort_by_key(|line| segment_index(&line.name));
+        let mut text = Vec::new();
+        for line in &lines {
+            serde_json::to_writer(&mut text, line)?;
+            text.push(b'\n');
+        }
+        let old = read_small(self.storage, &path, u64::MAX).map_err(fails)?;
+        if old.as_ref() != Some(&text) {
+            write_atomically(self.storage, &path, &text)?;
+            self.repaired.manifest_rewritten = true;
+        }
+        Ok(())
+    }
+
+    fn complete_metadata(&mut self) -> Result<(), RecordingError> {
+        let path = self.session.join(METADATA_FILE);
+        let fails = |source| RecordingError::io(&path, source);
+        let there = read_small(self.storage, &path, MAX_METADATA_FILE_BYTES).map_err(fails)?;
+        let files = self.files(|name| !name.ends_with(ACTIVE))?;
+        // Readers that go by it stumble over segments that were removed.
+        let lists_what_is_gone = |text: &[u8]| {
+            let text = String::from_utf8_lossy(text);
+            let gone = evicted_segments(self.storage, self.session).into_keys().filter(|name| !files.contains(name));
+            gone.into_iter().any(|name| text.contains(&format!("path: \"{name}\"")))
+        };
+        if there.is_some_and(|text| !lists_what_is_gone(&text)) && self.repaired.changed_nothing() {
+            return Ok(());
+        }
+        let mut lines = manifest_lines(self.storage, self.session).map_err(fails)?;
+        lines.retain(|line| files.contains(&line.name));
+        let mut topics = BTreeMap::new();
+        for line in &lines {
+            let file = self.session.join(&line.name);
+            let of_file = match self.topics.remove(&line.name) {
+                Some(topics) => topics,
+                None => topics_of(self.storage, &file)?,
+            };
+            for (topic, messages) in of_file {
+                *topics.entry(topic).or_default() += messages;
+            }
+        }
+        write_atomically(self.storage, &path, metadata_yaml(&lines, &topics).as_bytes())?;
+        self.repaired.metadata_rewritten = true;
+        Ok(())
+    }
+
+    /// Segments, finished or not, that are plain files of this folder.
+    fn files(&self, wanted: impl Fn(&str) -> bool) -> Result<Vec<String>, RecordingError> {
+        let listed = self.storage.list(self.session).map_err(|source| RecordingError::io(self.session, source))?;
+        let is_ours = |file: &Listed| file.bytes().is_some() && segment_index(&file.name).is_some();
+        Ok(listed.into_iter().filter(is_ours).map(|file| file.name).filter(|name| wanted(name)).collect())
+    }
+}
+
+/// By the index.
+fn topics_of(storage: &dyn Storage, path: &Path) -> Result<BTreeMap<TopicEntry, u64>, RecordingError> {
+    let file = storage.read(path).map_err(|source| RecordingError::io(path, source))?;
+    let survey = survey(file).map_err(|source| RecordingError::Read { path: path.to_owned(), source })?;
+    let mut topics = BTreeMap::new();
+    for topic in survey.topics.into_iter().filter(|topic| topic.messages > 0) {
+        let entry = TopicEntry { name: topic.topic, type_name: topic.type_name, qos_profiles: topic.qos_profiles };
+        *topics.entry(entry).or_default() += topic.messages;
+    }
+    Ok(topics)
+}

@@ -1,0 +1,140 @@
+//! The real thing.
+
+use std::any::Any;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::sync::{Arc, LazyLock};
+use std::time::{Duration, Instant};
+
+use rustix::fs::{FlockOperation, Mode, OFlags, flock, statvfs};
+
+use super::{Kind, Listed, Readable, Space, Storage, StoredFile};
+
+/// The file system of this process.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Disk;
+
+/// Read, write and enter, for the group.
+const GROUP_WRITES: u32 = 0o070;
+
+static BEGAN: LazyLock<Instant> = LazyLock::new(Instant::now);
+
+impl Storage for Disk {
+    fn create_folder(&self, path: &Path) -> io::Result<()> {
+        fs::create_dir(path)
+    }
+
+    fn create_shared_folder(&self, path: &Path) -> io::Result<()> {
+        fs::create_dir(path)?;
+        let mode = fs::metadata(path)?.permissions().mode();
+        if mode & GROUP_WRITES != GROUP_WRITES {
+            // A stick has no groups, and is no worse without.
+            let _ = fs::set_permissions(path, fs::Permissions::from_mode(mode | GROUP_WRITES));
+        }
+        Ok(())
+    }
+
+    fn create_folders(&self, path: &Path) -> io::Result<()> {
+        fs::create_dir_all(path)
+    }
+
+    fn create(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>> {
+        Ok(Arc::new(OpenOptions::new().append(true).create_new(true).open(path)?))
+    }
+
+    fn create_over(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>> {
+        Ok(Arc::new(OpenOptions::new().write(true).create(true).truncate(true).open(path)?))
+    }
+
+    fn append(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>> {
+        Ok(Arc::new(OpenOptions::new().append(true).open(path)?))
+    }
+
+    fn read(&self, path: &Path) -> io::Result<Box<dyn Readable>> {
+        Ok(Box::new(open_plain(path)?))
+    }
+
+    fn list(&self, folder: &Path) -> io::Result<Vec<Listed>> {
+        let mut all = Vec::new();
+        for entry in fs::read_dir(folder)? {
+            let entry = entry?;
+            let kind = match entry.metadata() {
+                Ok(metadata) if metadata.is_file() => Kind::File(metadata.len()),
+                Ok(metadata) if metadata.is_dir() => Kind::Folder,
+                Ok(metadata) if metadata.is_symlink() => Kind::Link,
+                // It vanished since.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+                _ => Kind::Other,
+            };
+            all.push(Listed { name: entry.file_name().to_string_lossy().into_owned(), kind });
+        }
+        all.sort_by(|one, other| one.name.cmp(&other.name));
+        Ok(all)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        fs::remove_file(path)
+    }
+
+    fn sync_folder(&self, folder: &Path) -> io::Result<()> {
+        // The parent of a plain name is the empty path.
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        File::open(folder)?.sync_all()
+    }
+
+    fn space(&self, path: &Path) -> io::Result<Space> {
+        let found = statvfs(path)?;
+        Ok(Space {
+            total_bytes: found.f_blocks.saturating_mul(found.f_frsize),
+            free_bytes: found.f_bavail.saturating_mul(found.f_frsize),
+            free_inodes: if found.f_files == 0 { u64::MAX } else { found.f_favail },
+        })
+    }
+
+    fn lock(&self, path: &Path) -> io::Result<Option<Box<dyn Any + Send>>> {
+        let file = File::open(path)?;
+        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => Ok(Some(Box::new(file))),
+            Err(rustix::io::Errno::WOULDBLOCK) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn now(&self) -> Duration {
+        BEGAN.elapsed()
+    }
+}
+
+/// For reading; a link, a device, a pipe is refused, not followed and not waited for.
+pub fn open_plain(path: &Path) -> io::Result<File> {
+    let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| match error {
+        rustix::io::Errno::LOOP => io::Error::other("a link: not followed"),
+        error => error.into(),
+    })?;
+    let file = File::from(file);
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("not a plain file"));
+    }
+    Ok(file)
+}
+
+impl StoredFile for File {
+    fn write(&self, bytes: &[u8]) -> io::Result<usize> {
+        Write::write(&mut &*self, bytes)
+    }
+
+    fn sync(&self) -> io::Result<()> {
+        self.sync_data()
+    }
+
+    fn set_len(&self, bytes: u64) -> io::Result<()> {
+        File::set_len(self, bytes)
+    }
+}

@@ -1,0 +1,84 @@
+//! Whether a session is what its manifest says, byte for byte.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::error::RecordingError;
+use super::folder::{Loss, manifest_lines};
+use super::manifest::MANIFEST_FILE;
+use super::repair::read_session;
+use super::retention::evicted_segments;
+use super::segment::{ACTIVE, is_segment_name, segment_index};
+use super::storage::{Kind, Storage};
+
+/// What was found of one session.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Verified {
+    pub session: PathBuf,
+    /// Segments whose bytes have the hash of the manifest.
+    pub sound: u64,
+    pub bytes: u64,
+    /// Removed because a dev machine has them.
+    pub evicted: u64,
+    /// What is wrong, and of what.
+    pub wrong: Vec<Loss>,
+}
+
+/// Every segment is read; nothing is changed.
+pub fn verify(storage: &dyn Storage, session: &Path) -> Result<Verified, RecordingError> {
+    read_session(storage, session)?;
+    let mut verified = Verified { session: session.to_owned(), ..Verified::default() };
+    let path = session.join(MANIFEST_FILE);
+    let lines = manifest_lines(storage, session).map_err(|source| RecordingError::io(&path, source))?;
+    let files = storage.list(session).map_err(|source| RecordingError::io(session, source))?;
+    let evicted = evicted_segments(storage, session);
+    for line in &lines {
+        let file = session.join(&line.name);
+        if !is_segment_name(&line.name) {
+            verified.wrong.push(Loss::new(&path, format!("lists {:?}, which is no name of a segment", line.name)));
+            continue;
+        }
+        let there = files.iter().find(|file| file.name == line.name);
+        let said = match there {
+            None if evicted.contains_key(&line.name) => {
+                verified.evicted += 1;
+                continue;
+            }
+            None => format!("missing: {MANIFEST_FILE} lists it with {} messages", line.messages),
+            Some(there) => match there.kind {
+                Kind::File(bytes) if bytes != line.bytes => {
+                    format!("has {bytes} bytes, but {MANIFEST_FILE} says {}: it was cut or changed", line.bytes)
+                }
+                Kind::File(_) => match hash(storage, &file) {
+                    Ok(hash) if hash.eq_ignore_ascii_case(&line.blake3) => {
+                        verified.sound += 1;
+                        verified.bytes += line.bytes;
+                        continue;
+                    }
+                    Ok(_) => "its bytes are not those that were written: the hash differs".to_owned(),
+                    Err(error) => format!("cannot be read: {error}"),
+                },
+                Kind::Folder | Kind::Link | Kind::Other => "is no plain file".to_owned(),
+            },
+        };
+        verified.wrong.push(Loss::new(&file, said));
+    }
+    for file in files.iter().filter(|file| file.bytes().is_some() && segment_index(&file.name).is_some()) {
+        if file.name.ends_with(ACTIVE) {
+            let said = "was never finished, or is being recorded: `realitysim sessions repair`";
+            verified.wrong.push(Loss::new(&session.join(&file.name), said));
+        } else if !lines.iter().any(|line| line.name == file.name) {
+            let said = format!("{MANIFEST_FILE} does not list it: `realitysim sessions repair`");
+            verified.wrong.push(Loss::new(&session.join(&file.name), said));
+        }
+    }
+    Ok(verified)
+}
+
+fn hash(storage: &dyn Storage, path: &Path) -> io::Result<String> {
+    let mut hash = blake3::Hasher::new();
+    io::copy(&mut storage.read(path)?, &mut hash)?;
+    Ok(hash.finalize().to_hex().to_string())
+}

@@ -1,0 +1,133 @@
+//! What of a torn log can be trusted, record by record from its beginning: for finishing it.
+
+use std::io::{Read, Seek};
+use std::sync::Arc;
+
+use mcap::records::{Record as Parsed, op};
+
+use super::attachments::{Attachment, MAX_ATTACHMENT_BYTES, MetadataRecord, parse};
+use super::channels::{Channel, Channels, Definition, Selection};
+use super::chunk::{MAX_CHUNK_BYTES, header, message};
+use super::error::{MAGIC, ReadError};
+use super::fields::Fields;
+use super::source::{Record, Source};
+use super::{LogMessage, MAX_METADATA_BYTES};
+
+/// A part of a log, in the order of the file.
+pub enum Piece {
+    Attachment(Attachment),
+    Metadata(MetadataRecord),
+    /// Of an uncompressed chunk whose checksum is right.
+    Chunk(Vec<Part>),
+}
+
+pub enum Part {
+    /// Defined here.
+    Channel(Arc<Channel>),
+    Message(LogMessage),
+}
+
+/// How far a log can be trusted.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Sound {
+    /// Where the last piece ends.
+    pub end: u64,
+    /// What is wrong behind it; `None` if the data end there as they should.
+    pub damage: Option<String>,
+}
+
+/// Hands out everything up to the first record that makes no sense.
+pub fn sound_pieces<R, E>(reader: R, take: &mut dyn FnMut(Piece) -> Result<(), E>) -> Result<Sound, E>
+where
+    R: Read + Seek,
+    E: From<ReadError>,
+{
+    let mut source = match Source::open(reader) {
+        Err(ReadError::NotMcap { found }) => return Ok(Sound { end: 0, damage: Some(format!("found {found}")) }),
+        source => source?,
+    };
+    let mut channels = Channels::new(Selection::All);
+    let mut sound = Sound::default();
+    let mut position = MAGIC.len() as u64;
+    while position < source.length() {
+        let record = match source.record_at(position).map_err(ReadError::from)? {
+            Ok(record) => record,
+            Err(error) => return Ok(Sound { damage: Some(error), ..sound }),
+        };
+        let is_first = position == MAGIC.len() as u64;
+        position = record.end();
+        match record.opcode {
+            op::HEADER if is_first => {}
+            _ if is_first => return Ok(Sound { damage: Some("expected the header of the file".to_owned()), ..sound }),
+            op::MESSAGE_INDEX => {}
+            op::DATA_END | op::FOOTER => return Ok(sound),
+            _ => match piece(&record, &mut source, &mut channels)? {
+                Ok(piece) => {
+                    take(piece)?;
+                    sound.end = position;
+                }
+                Err(error) => return Ok(Sound { damage: Some(error), ..sound }),
+            },
+        }
+    }
+    Ok(Sound { damage: Some("it was never finished".to_owned()), ..sound })
+}
+
+fn piece<R: Read + Seek>(
+    record: &Record,
+    source: &mut Source<R>,
+    channels: &mut Channels,
+) -> Result<Result<Piece, String>, ReadError> {
+    let limit = match record.opcode {
+        op::CHUNK => MAX_CHUNK_BYTES,
+        op::ATTACHMENT => MAX_ATTACHMENT_BYTES,
+        op::METADATA => MAX_METADATA_BYTES,
+        opcode => return Ok(Err(format!("record at byte {}: opcode {opcode:#04x}", record.offset))),
+    };
+    if record.length > limit {
+        return Ok(Err(format!("record at byte {}: {} bytes", record.offset, record.length)));
+    }
+    let mut body = Vec::new();
+    if !source.read_at(record.body(), record.length, &mut body)? {
+        return Ok(Err("found the end of the file".to_owned()));
+    }
+    let read = match record.opcode {
+        op::CHUNK => parts(&body, channels).map(Piece::Chunk),
+        op::ATTACHMENT => parse(&body).map(Piece::Attachment),
+        _ => match mcap::parse_record(op::METADATA, &body) {
+            Ok(Parsed::Metadata(found)) => {
+                Ok(Piece::Metadata(MetadataRecord { name: found.name, values: found.metadata }))
+            }
+            Ok(_) => Err("expected metadata".to_owned()),
+            Err(error) => Err(error.to_string()),
+        },
+    };
+    Ok(read.map_err(|error| format!("record at byte {}: {error}", record.offset)))
+}
+
+fn parts(body: &[u8], channels: &mut Channels) -> Result<Vec<Part>, String> {
+    let header = header(body)?;
+    if !header.compression.is_empty() {
+        return Err("it is compressed".to_owned());
+    }
+    let records = header.checked_records()?;
+    let mut fields = Fields::new(records);
+    let mut parts = Vec::new();
+    while fields.taken() < records.len() {
+        let mut next = || {
+            let (opcode, length) = (fields.u8()?, fields.length()?);
+            Some((opcode, fields.bytes(length)?))
+        };
+        let (opcode, body) = next().ok_or("one of its records is cut")?;
+        if opcode == op::MESSAGE {
+            let id = Fields::new(body).u16().ok_or("one of its messages is too short")?;
+            let channel = channels.get(id).ok_or("one of its messages is of an unknown topic")?;
+            parts.push(Part::Message(message(body, channel).ok_or("one of its messages is too short")?));
+        } else if let Some(definition) = Definition::parse(opcode, body)? {
+            let id = definition.channel_id();
+            channels.define(definition)?;
+            parts.extend(id.and_then(|id| channels.get(id)).map(|channel| Part::Channel(Arc::clone(channel))));
+        }
+    }
+    Ok(parts)
+}

@@ -1,0 +1,127 @@
+//! Pictures to where a camera's would come from: a V4L2 output (v4l2loopback, vivid), or any file or pipe.
+
+use std::fs::OpenOptions;
+use std::io::{self, Write};
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+/// What is written of each picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputForm {
+    /// The JPEG as it is.
+    Mjpeg,
+    /// Two pixels in four bytes: Y U Y V.
+    Yuyv,
+}
+
+pub struct VideoOut {
+    writer: Box<dyn Write + Send>,
+    pub form: OutputForm,
+}
+
+#[derive(Debug, Error)]
+pub enum VideoOutError {
+    #[error("{}: {source}{}", path.display(), if source.kind() == io::ErrorKind::PermissionDenied {
+        " (your user must be in the group video: sudo usermod -aG video $USER)"
+    } else {
+        ""
+    })]
+    Open { path: PathBuf, source: io::Error },
+    #[error("{}: takes neither MJPG nor YUYV of {width} x {height}: is it a v4l2loopback device, and free?", path.display())]
+    Format { path: PathBuf, width: u32, height: u32 },
+    #[error("{}: this build knows no V4L2 devices: build it with the feature v4l2", .0.display())]
+    NoV4l2(PathBuf),
+}
+
+impl VideoOut {
+    pub fn open(path: &Path, width: u32, height: u32) -> Result<Self, VideoOutError> {
+        let opened = |source| VideoOutError::Open { path: path.to_owned(), source };
+        let is_device = path.metadata().is_ok_and(|meta| meta.file_type().is_char_device());
+        if is_device {
+            return device(path, width, height);
+        }
+        let is_pipe = path.metadata().is_ok_and(|meta| meta.file_type().is_fifo());
+        let file = OpenOptions::new().write(true).create(!is_pipe).truncate(!is_pipe).open(path).map_err(opened)?;
+        Ok(Self { writer: Box::new(file), form: OutputForm::Mjpeg })
+    }
+
+    /// One picture in [`Self::form`], whole: a device takes each write for one.
+    pub fn show(&mut self, picture: &[u8]) -> io::Result<()> {
+        self.writer.write_all(picture)
+    }
+}
+
+#[cfg(feature = "v4l2")]
+fn device(path: &Path, width: u32, height: u32) -> Result<VideoOut, VideoOutError> {
+    use v4l::video::Output;
+    use v4l::{Device, Format, FourCC};
+    let opened = |source| VideoOutError::Open { path: path.to_owned(), source };
+    let device = Device::with_path(path).map_err(opened)?;
+    for (code, form) in [(b"MJPG", OutputForm::Mjpeg), (b"YUYV", OutputForm::Yuyv)] {
+        let mut format = Format::new(width, height, FourCC::new(code));
+        // As much as any JPEG of this size has; raw pictures have their own size.
+        format.size = width * height * 2;
+        let given = Output::set_format(&device, &format);
+        if given.is_ok_and(|given| given.fourcc == format.fourcc && (given.width, given.height) == (width, height)) {
+            return Ok(VideoOut { writer: Box::new(device), form });
+        }
+    }
+    Err(VideoOutError::Format { path: path.to_owned(), width, height })
+}
+
+#[cfg(not(feature = "v4l2"))]
+fn device(path: &Path, _width: u32, _height: u32) -> Result<VideoOut, VideoOutError> {
+    Err(VideoOutError::NoV4l2(path.to_owned()))
+}
+
+/// R G B to Y U Y V, BT.601, chroma of each pair from its mean; an odd last column is left out.
+pub fn yuyv(rgb: &[u8], width: usize) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(rgb.len() / 3 * 2);
+    for row in rgb.chunks_exact(3 * width) {
+        for pair in row.chunks_exact(6) {
+            let channel = |i: usize| i32::from(pair[i]);
+            let luma = |i: usize| ((77 * channel(i) + 150 * channel(i + 1) + 29 * channel(i + 2) + 128) >> 8) as u8;
+            let mean = |i: usize| (channel(i) + channel(i + 3) + 1) / 2;
+            let (r, g, b) = (mean(0), mean(1), mean(2));
+            let chroma = |sum: i32| ((sum + 32_768 + 128) >> 8).clamp(0, 255) as u8;
+            let (u, v) = (chroma(-43 * r - 85 * g + 128 * b), chroma(128 * r - 107 * g - 21 * b));
+            bytes.extend([luma(0), u, luma(3), v]);
+        }
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_are_where_the_standard_puts_them() {
+        for (rgb, [y, u, v]) in [
+            ([255, 255, 255], [255, 128, 128]),
+            ([0, 0, 0], [0, 128, 128]),
+            ([255, 0, 0], [76, 85, 255]),
+            ([0, 0, 255], [29, 255, 107]),
+        ] {
+            let found = yuyv(&[rgb, rgb].concat(), 2);
+            let near = |a: u8, b: u8| a.abs_diff(b) <= 1;
+            assert!(
+                near(found[0], y) && near(found[1], u) && near(found[2], y) && near(found[3], v),
+                "{rgb:?}: {found:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_file_gets_the_pictures_one_after_the_other() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("video.mjpeg");
+        let mut out = VideoOut::open(&path, 4, 4).expect("opened");
+        out.show(b"one").and_then(|()| out.show(b"two")).expect("written");
+        assert_eq!(std::fs::read(&path).expect("there"), b"onetwo");
+        let said = VideoOut::open(Path::new("/dev/null"), 4, 4).err().expect("no camera").to_string();
+        assert!(said.contains("/dev/null"), "{said}");
+    }
+}

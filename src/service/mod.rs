@@ -1,0 +1,32 @@
+//! Views over HTTP: `realitysim serve`. docs/service.md is for its users.
+//!
+//! `Service` holds the database and answers requests; [`serve`] listens, with limits on everything a client can do.
+//! Views are made by a few threads behind a bounded queue: over load some requests are refused, and the others are as fast as ever.
+
+mod answer;
+mod batch;
+mod door;
+mod encode;
+mod metrics;
+mod parameters;
+mod patient;
+mod routes;
+mod server;
+mod stock;
+
+pub use parameters::PARAMETERS;
+pub use server::{ServeError, ServeOptions, serve};
+
+/// The OpenAPI document, as it is served.
+pub const OPENAPI: &str = include_str!("openapi.json");
+
+use answer::{Refusal, Reply};
+use metrics::Metrics;
+use stock::Stock;
+
+/// What all connections share.
+struct Service {
+    stock: Stock,
+    metrics: Metrics,
+    door: door::Door,
+}

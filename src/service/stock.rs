@@ -1,0 +1,260 @@
+//! What views are made from: the database as it is now, lenses and scenes given at the start. No file is opened by a name that a
+//! client sends.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+
+use hyper::StatusCode;
+use serde_json::{Value, json};
+
+use super::Refusal;
+use super::encode::{self, Form};
+use super::parameters::{Asked, MaskWanted, Parameters, named};
+use crate::config::ViewsSettings;
+use crate::database::{DatabaseError, Gallery, Shown, Wanted, coverage, coverage_picture};
+use crate::geometry::{Lens, LensParameters};
+use crate::scene::Scene;
+use crate::views::{Camera, Made, ViewError};
+
+pub(super) struct Stock {
+    gallery: RwLock<Arc<Gallery>>,
+    lenses: BTreeMap<String, LensParameters>,
+    scenes: BTreeMap<String, Scene>,
+    /// Lenses with their rays, the longest unused first.
+    cameras: Mutex<Vec<Arc<Camera>>>,
+    max_distance_m: f64,
+}
+
+/// A picture and what it says of itself.
+pub(super) struct Picture {
+    pub(super) bytes: Vec<u8>,
+    pub(super) form: Form,
+    pub(super) made: &'static str,
+    pub(super) headers: Vec<(&'static str, String)>,
+}
+
+/// Lenses prepared for views, beside those of the database: one of 640 x 480 has 4 MB.
+const MAX_CAMERAS: usize = 16;
+/// Pixels of one view.
+const MAX_PIXELS: u64 = 1 << 22;
+/// Cells of a coverage: the paper's grid has 720,000 poses.
+const MAX_CELLS: f64 = 1e6;
+
+impl Stock {
+    pub(super) fn open(
+        folder: &Path,
+        settings: &ViewsSettings,
+        lenses: BTreeMap<String, LensParameters>,
+        scenes: BTreeMap<String, Scene>,
+        max_distance_m: f64,
+    ) -> Result<Self, DatabaseError> {
+        let gallery = RwLock::new(Arc::new(Gallery::open(folder, settings)?));
+        Ok(Self { gallery, lenses, scenes, cameras: Mutex::default(), max_distance_m })
+    }
+
+    /// As it is now; who has it keeps it while it is replaced.
+    pub(super) fn gallery(&self) -> Arc<Gallery> {
+        Arc::clone(&self.gallery.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Whether the database had been changed.
+    pub(super) fn refresh(&self) -> Result<bool, DatabaseError> {
+        let Some(new) = self.gallery().reopened()? else { return Ok(false) };
+        *self.gallery.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(new);
+        Ok(true)
+    }
+
+    pub(super) fn picture(&self, asked: &Asked, forms: &[Form]) -> Result<Picture, Refusal> {
+        let gallery = self.gallery();
+        let camera = self.camera(&gallery, asked)?;
+        let scene = asked.scene.as_deref().map(|name| named("scene", name, &self.scenes)).transpose()?;
+        let max_distance_m = asked.max_distance_m.unwrap_or(self.max_distance_m);
+        let wanted = Wanted {
+            map_from_link: asked.map_from_link,
+            method: asked.method,
+            camera,
+            max_distance_m: if asked.refuses { max_distance_m } else { f64::INFINITY },
+            without: Vec::new(),
+        };
+        let mut shown = gallery.view(&wanted).map_err(|error| refusal(&error))?;
+        let applied =
+            scene.map(|scene| (scene, scene.effects_on_images().0)).filter(|(_, applied)| !applied.is_empty());
+        if let Some((scene, _)) = &applied {
+            let mut rgb = shown.answer.image.to_rgb();
+            scene.apply_to_image(asked.frame, &mut rgb);
+            for (pixel, rgb) in shown.answer.image.pixels.iter_mut().zip(rgb.as_chunks::<3>().0) {
+                pixel[..3].copy_from_slice(rgb);
+            }
+        }
+        let untouched = applied.is_none() && asked.mask == MaskWanted::None;
+        let stored = shown.stored.take().filter(|bytes| untouched && forms.contains(&Form::of(bytes)));
+        let (form, (bytes, channels)) = match stored {
+            Some(bytes) => (Form::of(&bytes), (bytes, 3)),
+            None => (forms[0], encode::encode(&shown.answer.image, forms[0], asked.mask, asked.quality)?),
+        };
+        let mut headers = provenance(&gallery, &shown, channels);
+        if let Some((_, applied)) = applied {
+            headers.push(("realitysim-effects", applied.join(", ")));
+        }
+        let nearest_m = shown.answer.sources.iter().map(|source| source.distance_m).fold(f64::INFINITY, f64::min);
+        if nearest_m > max_distance_m {
+            let words =
+                format!("the nearest image was taken {nearest_m:.2} m away, farther than {max_distance_m:.2} m");
+            headers.push(("realitysim-warning", words));
+        }
+        Ok(Picture { bytes, form, made: made(shown.answer.made), headers })
+    }
+
+    /// `None`: that of the nearest image.
+    fn camera(&self, gallery: &Gallery, asked: &Asked) -> Result<Option<Arc<Camera>>, Refusal> {
+        if asked.lens.is_none() && asked.size == [None; 2] {
+            return Ok(None);
+        }
+        let own = || {
+            let nearest = gallery.choose(&asked.map_from_link, 1, &[]);
+            let nearest = nearest.first().ok_or_else(|| refusal(&DatabaseError::Empty))?;
+            let camera = gallery.camera(&gallery.index().record(nearest.number));
+            camera.map(|camera| camera.lens().parameters().clone()).ok_or_else(|| refusal(&DatabaseError::Empty))
+        };
+        let lens = match &asked.lens {
+            Some(name) => named("lens", name, &self.lenses)?.clone(),
+            None => own()?,
+        };
+        let lens = lens.resized(asked.size);
+        let pixels = u64::from(lens.width) * u64::from(lens.height);
+        if pixels > MAX_PIXELS {
+            let (width, height) = (lens.width, lens.height);
+            let what = format!("width x height is {width} x {height}: at most {MAX_PIXELS} pixels are made");
+            return Err(Refusal::wrong(what));
+        }
+        let known = |cameras: &[Arc<Camera>]| cameras.iter().position(|camera| *camera.lens().parameters() == lens);
+        let mut cameras = self.cameras();
+        if let Some(at) = known(&cameras) {
+            let camera = cameras.remove(at);
+            cameras.push(Arc::clone(&camera));
+            return Ok(Some(camera));
+        }
+        // Not while others wait.
+        drop(cameras);
+        let checked = Lens::new(lens.clone()).map_err(|error| Refusal::wrong(format!("lens: {error}")))?;
+        let camera = Arc::new(Camera::new(&checked));
+        let mut cameras = self.cameras();
+        if known(&cameras).is_none() {
+            cameras.push(Arc::clone(&camera));
+        }
+        if cameras.len() > MAX_CAMERAS {
+            cameras.remove(0);
+        }
+        Ok(Some(camera))
+    }
+
+    fn cameras(&self) -> MutexGuard<'_, Vec<Arc<Camera>>> {
+        self.cameras.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn info(&self) -> Value {
+        let gallery = self.gallery();
+        let names = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+        let sources = gallery.catalogue().sources.iter().enumerate().map(|(number, source)| {
+            json!({ "number": number, "name": names(&source.path), "images": source.images, "lens": source.lens })
+        });
+        json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "images": gallery.index().len(),
+            "index": gallery.catalogue().index,
+            "field": gallery.field().dimensions(),
+            "sources": sources.collect::<Vec<Value>>(),
+            "lenses": self.lenses,
+            "scenes": self.scenes.iter().map(|(name, scene)| (name.clone(), json!(scene.effects_on_images().0)))
+                .collect::<serde_json::Map<String, Value>>(),
+            "max_distance_m": self.max_distance_m,
+        })
+    }
+
+    /// Cells of x, y and yaw, and how many images each has.
+    pub(super) fn coverage(&self, parameters: &Parameters, picture: bool) -> Result<(Vec<u8>, &'static str), Refusal> {
+        parameters.only(&["cell_m", "headings"])?;
+        let cell_m = parameters.number("cell_m", 0.02, 5.0)?.unwrap_or(0.25);
+        let headings = parameters.whole("headings", 1, 360)?.unwrap_or(24);
+        let gallery = self.gallery();
+        let half = gallery.field().carpet_half_extent();
+        let cells = (2.0 * half.x / cell_m).ceil() * (2.0 * half.y / cell_m).ceil() * f64::from(headings);
+        if cells > MAX_CELLS {
+            let what = format!("cell_m and headings make {cells:.0} cells: at most {MAX_CELLS:.0} are counted");
+            return Err(Refusal::wrong(what));
+        }
+        let found = coverage(gallery.index(), gallery.field(), cell_m, headings as usize);
+        if picture {
+            let image = coverage_picture(&found, gallery.field());
+            let (width, height) = image.dimensions();
+            let pixels = image.into_raw().as_chunks::<3>().0.iter().map(|[r, g, b]| [*r, *g, *b, 255]).collect();
+            let raster = crate::views::Raster { width: width as usize, height: height as usize, pixels };
+            return Ok((encode::encode(&raster, Form::Png, MaskWanted::None, 0)?.0, Form::Png.media_type()));
+        }
+        let mut value = serde_json::to_value(&found).unwrap_or_default();
+        value["counts"] = json!(found.counts());
+        Ok((value.to_string().into_bytes(), "application/json"))
+    }
+}
+
+pub(super) fn made(made: Made) -> &'static str {
+    match made {
+        Made::Stored => "stored",
+        Made::Nearest => "nearest",
+        Made::Warped => "warped",
+        Made::Composed => "composed",
+    }
+}
+
+fn provenance(gallery: &Gallery, shown: &Shown, channels: usize) -> Vec<(&'static str, String)> {
+    let answer = &shown.answer;
+    let source = |used: &crate::views::UsedSource| {
+        let record = gallery.index().record(used.id as usize);
+        json!({
+            "source": record.source,
+            "stamp_ns": record.stamp_ns,
+            "distance_m": rounded(used.distance_m),
+            "angle_deg": rounded(used.angle_rad.to_degrees()),
+            "share": rounded(used.share),
+        })
+    };
+    let sources: Vec<Value> = answer.sources.iter().map(source).collect();
+    let mut headers = vec![
+        ("realitysim-made", made(answer.made).to_owned()),
+        ("realitysim-sources", Value::from(sources).to_string()),
+        ("realitysim-valid-share", format!("{:.4}", answer.valid_share)),
+        ("realitysim-sure-share", format!("{:.4}", answer.sure_share)),
+        ("realitysim-expected-error-px", format!("{:.3}", answer.expected_error_px)),
+        ("realitysim-width", answer.image.width.to_string()),
+        ("realitysim-height", answer.image.height.to_string()),
+        ("realitysim-channels", channels.to_string()),
+        ("realitysim-index", gallery.catalogue().index.to_string()),
+    ];
+    if !shown.unreadable.is_empty() {
+        headers.push(("realitysim-unreadable", shown.unreadable.len().to_string()));
+    }
+    headers
+}
+
+/// A tenth of a millimetre, of a millidegree, of a permille.
+fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}
+
+/// What went wrong, without the names of this machine's folders.
+fn refusal(error: &DatabaseError) -> Refusal {
+    let none = |what: String| Refusal::new(StatusCode::NOT_FOUND, what);
+    match error {
+        DatabaseError::Empty => none("the database has no image: add some with `realitysim db add`".to_owned()),
+        DatabaseError::View(wrong @ (ViewError::NotFinite | ViewError::Height { .. })) => {
+            Refusal::wrong(wrong.to_string())
+        }
+        DatabaseError::View(error) => none(error.to_string()),
+        _ => Refusal::new(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            "none of the images near this pose can be read: they vanished or changed since they were indexed; `realitysim db \
+             verify` names them, `realitysim db rebuild` mends the database",
+        ),
+    }
+}

@@ -1,0 +1,202 @@
+//! Tags made better after the walk: every frame's pose and what is constant about the camera, from all frames together.
+//!
+//! Pure. A frame's unknowns are the six of its pose's error, as in [`crate::localization::refinement`]; those of the whole walk are the
+//! lens's focal length, centre and curve, the mount's tilt and the camera's height ([`Constants`]). Lines say where a ray lies, IMU and mount how
+//! the camera leans, odometry how far apart two frames are. Gauss-Newton on all of them: the system is block tridiagonal with a border
+//! ([`chain`]), so that its solution is one pass forward and one back, as of a smoother.
+
+pub mod chain;
+mod residuals;
+
+use glam::{DVec2, DVec3};
+use nalgebra::{Matrix6, Vector6};
+
+use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2};
+use crate::localization::refinement::moved_pose;
+use crate::localization::refinement::offsets::Sight;
+use chain::{Border, Chain, Solution};
+
+pub use residuals::Model;
+
+/// A frame of the walk.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    pub stamp_ns: i64,
+    /// As tagged.
+    pub map_from_optical: Isometry,
+    /// By IMU, joints and mount; its heading means nothing.
+    pub footprint_from_optical: Option<Isometry>,
+    /// `odom` from `base_footprint`.
+    pub odometry: Option<Pose2>,
+    /// Since the frame before, by gyro.
+    pub turned_rad: Option<f64>,
+    /// Places of lines that were found in its image.
+    pub places: Vec<Place>,
+}
+
+/// A place of a line, found in an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    pub pixel: DVec2,
+    /// Of the field's line, in `map`.
+    pub point: DVec3,
+    /// Unit vector along the line.
+    pub tangent: DVec3,
+    /// Standard deviation in units of a thin line's.
+    pub sigmas: f64,
+    /// Across the line.
+    pub pixels_per_rad: f64,
+}
+
+/// Unknowns of the whole walk.
+pub const CONSTANTS: usize = 7;
+
+/// What is the same in every frame, as a correction of what was believed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Constants {
+    /// Share by which the focal lengths are longer.
+    pub focal_share: f64,
+    /// Pixels.
+    pub centre: DVec2,
+    /// Added to k1 of a Kannala-Brandt lens; of other lenses 0.
+    pub k1: f64,
+    /// Turn of the camera about its own x (right) and z (forward) that the mount does not know of, radians.
+    pub tilt_x: f64,
+    pub tilt_z: f64,
+    /// The camera's height above what was believed, metres.
+    pub height_m: f64,
+}
+
+/// Names and units of [`Constants::values`], for people.
+pub const NAMES: [(&str, &str); CONSTANTS] = [
+    ("focal length", "share"),
+    ("centre u", "px"),
+    ("centre v", "px"),
+    ("k1", "1"),
+    ("tilt about the camera's x", "rad"),
+    ("tilt about the camera's z", "rad"),
+    ("height", "m"),
+];
+
+/// The walk after smoothing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Smoothed {
+    /// By frame.
+    pub map_from_optical: Vec<Isometry>,
+    /// Of their errors.
+    pub covariances: Vec<Matrix6<f64>>,
+    pub constants: Constants,
+    /// Standard deviations: before looking, and after.
+    pub believed: [f64; CONSTANTS],
+    pub known: [f64; CONSTANTS],
+    /// Root mean square of the line places that fit, pixels.
+    pub rms_px: [f64; 2],
+    pub rounds: usize,
+}
+
+/// No step changes more than a tenth of a millimetre or of a milliradian any more.
+const DONE: f64 = 1e-4;
+const MAX_ROUNDS: usize = 12;
+
+impl Constants {
+    pub fn values(&self) -> [f64; CONSTANTS] {
+        [self.focal_share, self.centre.x, self.centre.y, self.k1, self.tilt_x, self.tilt_z, self.height_m]
+    }
+
+    fn plus(&self, step: &Border) -> Self {
+        Self {
+            focal_share: self.focal_share + step[0],
+            centre: self.centre + DVec2::new(step[1], step[2]),
+            k1: self.k1 + step[3],
+            tilt_x: self.tilt_x + step[4],
+            tilt_z: self.tilt_z + step[5],
+            height_m: self.height_m + step[6],
+        }
+    }
+
+    /// The lens as it is found to be.
+    pub fn lens(&self, believed: &LensParameters) -> LensParameters {
+        let longer = 1.0 + self.focal_share;
+        let model = match believed.model {
+            LensModel::KannalaBrandt { k: [k1, k2, k3, k4] } => {
+                LensModel::KannalaBrandt { k: [k1 + self.k1, k2, k3, k4] }
+            }
+            other => other,
+        };
+        LensParameters {
+            fx: believed.fx * longer,
+            fy: believed.fy * longer,
+            cx: believed.cx + self.centre.x,
+            cy: believed.cy + self.centre.y,
+            model,
+            ..believed.clone()
+        }
+    }
+}
+
+impl Place {
+    /// What was measured with this lens; `None` where it draws nothing.
+    pub fn new(sight: &Sight, lens: &Lens) -> Option<Self> {
+        let Sight { ray, point, tangent, sigmas, pixels_per_rad, .. } = *sight;
+        Some(Self { pixel: lens.project(ray)?, point, tangent, sigmas, pixels_per_rad })
+    }
+}
+
+/// The poses and constants that fit everything best. Frames come in the order of time.
+pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Result<Smoothed, LensError> {
+    let mut poses: Vec<Isometry> = frames.iter().map(|frame| frame.map_from_optical).collect();
+    let mut constants = Constants::default();
+    let mut here = residuals::linearise(frames, &poses, &constants, believed, model)?;
+    let first_rms_px = here.rms_px;
+    let mut rounds = 0;
+    while rounds < MAX_ROUNDS {
+        rounds += 1;
+        let Some(solution) = here.chain.solve() else { break };
+        let mut share = 1.0;
+        let (next_poses, next_constants, next) = loop {
+            let moved = stepped(&poses, &constants, &solution, share);
+            let next = residuals::linearise(frames, &moved.0, &moved.1, believed, model);
+            match next {
+                Ok(next) if next.cost <= here.cost || share < 0.1 => break (moved.0, moved.1, next),
+                Err(error) if share < 0.1 => return Err(error),
+                _ => share *= 0.5,
+            }
+        };
+        let better = here.cost - next.cost;
+        if better >= 0.0 {
+            (poses, constants, here) = (next_poses, next_constants, next);
+        }
+        let longest = solution.steps.iter().map(Vector6::norm).fold(0.0, f64::max);
+        if better <= 0.0 || longest < DONE {
+            break;
+        }
+    }
+    let (covariances, known) = match here.chain.solve() {
+        Some(solution) => (solution.covariances.clone(), solution.border_sigmas()),
+        None => (vec![Matrix6::identity(); frames.len()], model.constants),
+    };
+    Ok(Smoothed {
+        map_from_optical: poses,
+        covariances,
+        constants,
+        believed: model.constants,
+        known,
+        rms_px: [first_rms_px, here.rms_px],
+        rounds,
+    })
+}
+
+fn stepped(poses: &[Isometry], constants: &Constants, solution: &Solution, share: f64) -> (Vec<Isometry>, Constants) {
+    let moved = poses.iter().zip(&solution.steps).map(|(pose, step)| moved_pose(pose, &(step * share)));
+    (moved.collect(), constants.plus(&(solution.border * share)))
+}
+
+/// What is needed of a linearised walk.
+struct Linearised {
+    chain: Chain,
+    cost: f64,
+    rms_px: f64,
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,237 @@
+//! What the poses of a walk get wrong, and how that changes with them.
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+use nalgebra::Vector6;
+
+use super::chain::{Border, Chain};
+use super::{CONSTANTS, Constants, Frame, Linearised, Place};
+use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, wrap_angle};
+use crate::localization::refinement::moved_pose;
+
+/// Standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Model {
+    /// Of one place of a thin line, neighbours' common error included: pixels.
+    pub line_px: f64,
+    /// Of a tag, held loosely: what nothing else determines stays where it was.
+    pub tag_m: f64,
+    pub tag_rad: f64,
+    /// Of one frame's lean by IMU and mount, and of its height, beyond what is constant.
+    pub tilt_rad: f64,
+    pub height_m: f64,
+    /// Of a step between frames: sway of the camera over the feet, share of the distance and of the turn, and what is added with time.
+    pub sway_m: f64,
+    pub step_share: f64,
+    pub turn_share: f64,
+    pub gyro_share: f64,
+    pub drift_m_per_s: f64,
+    pub drift_rad_per_s: f64,
+    /// Of what is constant, as in [`Constants`].
+    pub constants: [f64; CONSTANTS],
+}
+
+impl Default for Model {
+    fn default() -> Self {
+        Self {
+            line_px: 0.16,
+            tag_m: 0.1,
+            tag_rad: 0.04,
+            tilt_rad: 0.4f64.to_radians(),
+            height_m: 0.006,
+            sway_m: 0.02,
+            step_share: 0.15,
+            turn_share: 0.15,
+            gyro_share: 0.02,
+            drift_m_per_s: 0.01,
+            drift_rad_per_s: 0.02,
+            constants: [0.01, 3.0, 3.0, 0.01, 0.012, 0.012, 0.015],
+        }
+    }
+}
+
+/// Scale of the robust loss (Geman-McClure), in standard deviations.
+const ROBUST: f64 = 4.0;
+/// Frames farther apart than this do not know each other's odometry.
+const LONGEST_STEP_NS: i64 = 1_000_000_000;
+/// For derivatives by differences.
+const SMALL: f64 = 1e-6;
+/// Changes of the lens small enough to be straight, large enough to be exact: share, px, px, 1.
+const LENS_STEPS: [f64; 4] = [1e-5, 1e-3, 1e-3, 1e-5];
+
+pub(super) fn linearise(
+    frames: &[Frame],
+    poses: &[Isometry],
+    constants: &Constants,
+    believed: &LensParameters,
+    model: &Model,
+) -> Result<Linearised, LensError> {
+    let lenses = Lenses::new(constants, believed)?;
+    let mut chain = Chain::new(frames.len());
+    let (mut cost, mut squares, mut fitting) = (0.0, 0.0, 0usize);
+    for (i, (frame, pose)) in frames.iter().zip(poses).enumerate() {
+        for place in &frame.places {
+            let Some(line) = lenses.line(place, pose) else { continue };
+            let sigma_px = model.line_px * place.sigmas;
+            let off = line.off_rad * place.pixels_per_rad / sigma_px;
+            let square = off * off / (ROBUST * ROBUST);
+            cost += 0.5 * off * off / (1.0 + square);
+            let weight = 1.0 / (1.0 + square);
+            let scale = weight * place.pixels_per_rad / sigma_px;
+            chain.add(i, weight * off, &(line.by_pose * scale), &(line.by_lens * scale));
+            if off.abs() < ROBUST {
+                squares += (off * model.line_px) * (off * model.line_px);
+                fitting += 1;
+            }
+        }
+        cost += hold_to_tag(&mut chain, i, frame, pose, model);
+        cost += lean(&mut chain, i, frame, pose, constants, model);
+        if let (Some(next), Some(next_pose)) = (frames.get(i + 1), poses.get(i + 1)) {
+            cost += step(&mut chain, i, [frame, next], [pose, next_pose], model);
+        }
+    }
+    for (i, (value, sigma)) in constants.values().iter().zip(model.constants).enumerate() {
+        let mut row = Border::zeros();
+        row[i] = 1.0 / sigma;
+        chain.add_common(value / sigma, &row);
+        cost += 0.5 * (value / sigma) * (value / sigma);
+    }
+    let rms_px = libm::sqrt(squares / fitting.max(1) as f64);
+    Ok(Linearised { chain, cost, rms_px })
+}
+
+/// The lens as it is, and changed a little each way.
+struct Lenses {
+    lens: Lens,
+    changed: Vec<(f64, Lens)>,
+}
+
+/// The angle between a line's plane and the ray on which it was seen, and how that changes.
+struct Line {
+    off_rad: f64,
+    by_pose: Vector6<f64>,
+    by_lens: Border,
+}
+
+impl Lenses {
+    fn new(constants: &Constants, believed: &LensParameters) -> Result<Self, LensError> {
+        let lens = Lens::new(constants.lens(believed))?;
+        let has_k1 = matches!(believed.model, LensModel::KannalaBrandt { .. });
+        let changed = |(i, step): (usize, &f64)| {
+            let mut border = Border::zeros();
+            border[i] = *step;
+            Ok((*step, Lens::new(constants.plus(&border).lens(believed))?))
+        };
+        let steps = &LENS_STEPS[..if has_k1 { 4 } else { 3 }];
+        Ok(Self { lens, changed: steps.iter().enumerate().map(changed).collect::<Result<_, LensError>>()? })
+    }
+
+    fn line(&self, place: &Place, pose: &Isometry) -> Option<Line> {
+        let own = self.lens.unproject(place.pixel)?;
+        let ray = pose.transform_vector(own);
+        let across = (place.point - pose.translation).cross(place.tangent);
+        let length = across.length();
+        if length < 1e-6 {
+            return None;
+        }
+        let normal = across / length;
+        let off_rad = ray.dot(normal);
+        let turned = ray.cross(normal);
+        let moved = -place.tangent.cross(ray - normal * off_rad) / length;
+        let mut by_lens = Border::zeros();
+        for (i, (step, lens)) in self.changed.iter().enumerate() {
+            let other = lens.unproject(place.pixel)?;
+            by_lens[i] = pose.transform_vector(other - own).dot(normal) / step;
+        }
+        Some(Line { off_rad, by_pose: Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z), by_lens })
+    }
+}
+
+fn hold_to_tag(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, model: &Model) -> f64 {
+    let off = crate::localization::refinement::error_between(&frame.map_from_optical, pose);
+    let mut cost = 0.0;
+    for k in 0..6 {
+        let sigma = if k < 3 { model.tag_m } else { model.tag_rad };
+        let mut row = Vector6::zeros();
+        row[k] = 1.0 / sigma;
+        chain.add(i, off[k] / sigma, &row, &Border::zeros());
+        cost += 0.5 * (off[k] / sigma) * (off[k] / sigma);
+    }
+    cost
+}
+
+/// Up as IMU and mount have it in the camera, and the camera's height.
+fn lean(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, constants: &Constants, model: &Model) -> f64 {
+    let Some(place) = &frame.footprint_from_optical else { return 0.0 };
+    let tilt = DQuat::from_scaled_axis(DVec3::new(constants.tilt_x, 0.0, constants.tilt_z));
+    // What the mount calls up, seen from the camera as it is really mounted.
+    let believed = place.rotation.conjugate() * DVec3::Z;
+    let turn = DMat3::from_quat(pose.rotation * tilt);
+    let up = turn * believed;
+    let by_tilt = |axis: DVec3| turn * axis.cross(believed);
+    let (by_x, by_z) = (by_tilt(DVec3::X), by_tilt(DVec3::Z));
+    let mut cost = 0.0;
+    for (off, by_turn, by_tilts) in
+        [(up.x, DVec3::new(0.0, up.z, -up.y), [by_x.x, by_z.x]), (up.y, DVec3::new(-up.z, 0.0, up.x), [by_x.y, by_z.y])]
+    {
+        let row = Vector6::new(0.0, 0.0, 0.0, by_turn.x, by_turn.y, by_turn.z) / model.tilt_rad;
+        let mut border = Border::zeros();
+        (border[4], border[5]) = (by_tilts[0] / model.tilt_rad, by_tilts[1] / model.tilt_rad);
+        chain.add(i, off / model.tilt_rad, &row, &border);
+        cost += 0.5 * (off / model.tilt_rad) * (off / model.tilt_rad);
+    }
+    let off = (pose.translation.z - place.translation.z - constants.height_m) / model.height_m;
+    let mut row = Vector6::zeros();
+    row[2] = 1.0 / model.height_m;
+    let mut border = Border::zeros();
+    border[6] = -1.0 / model.height_m;
+    chain.add(i, off, &row, &border);
+    cost + 0.5 * off * off
+}
+
+/// From one frame's feet to the next one's, against odometry and gyro.
+fn step(chain: &mut Chain, i: usize, frames: [&Frame; 2], poses: [&Isometry; 2], model: &Model) -> f64 {
+    let [from, to] = frames;
+    let elapsed_ns = to.stamp_ns - from.stamp_ns;
+    let odometry = from.odometry.zip(to.odometry);
+    let (Some((before, after)), Some(place_from), Some(place_to)) =
+        (odometry, &from.footprint_from_optical, &to.footprint_from_optical)
+    else {
+        return 0.0;
+    };
+    if !(0..=LONGEST_STEP_NS).contains(&elapsed_ns) {
+        return 0.0;
+    }
+    let seconds = elapsed_ns as f64 * 1e-9;
+    let said = before.inverse().compose(&after);
+    let turned = to.turned_rad.unwrap_or(said.yaw);
+    let feet = |pose: &Isometry, place: &Isometry| Pose2::from_isometry(&(*pose * place.inverse()));
+    let off = |a: &Isometry, b: &Isometry| {
+        let step = feet(a, place_from).inverse().compose(&feet(b, place_to));
+        [step.x - said.x, step.y - said.y, wrap_angle(step.yaw - turned)]
+    };
+    let here = off(poses[0], poses[1]);
+    let distance = libm::hypot(said.x, said.y);
+    let sigma_m = DVec2::new(model.sway_m, model.step_share * distance).length() + model.drift_m_per_s * seconds;
+    let turn_share = if to.turned_rad.is_some() { model.gyro_share } else { model.turn_share };
+    let sigma_rad = turn_share * turned.abs() + model.drift_rad_per_s * seconds + model.tilt_rad;
+    let sigmas = [sigma_m, sigma_m, sigma_rad];
+    let mut rows = [[Vector6::zeros(); 2]; 3];
+    for k in 0..6 {
+        let mut small = Vector6::zeros();
+        small[k] = SMALL;
+        let moved = [off(&moved_pose(poses[0], &small), poses[1]), off(poses[0], &moved_pose(poses[1], &small))];
+        for (row, sigma) in (0..3).zip(sigmas) {
+            (0..2).for_each(|which| rows[row][which][k] = wrap_angle(moved[which][row] - here[row]) / (SMALL * sigma));
+        }
+    }
+    let mut cost = 0.0;
+    for (row, (off, sigma)) in rows.iter().zip(here.iter().zip(sigmas)) {
+        let off = off / sigma;
+        // Feet slip: what is far off counts little.
+        let square = off * off / (ROBUST * ROBUST);
+        let weight = 1.0 / (1.0 + square);
+        chain.add_between(i, weight * off, &(row[0] * weight), &(row[1] * weight));
+        cost += 0.5 * off * off / (1.0 + square);
+    }
+    cost
+}

@@ -1,0 +1,175 @@
+//! A walk with known poses and constants, found again.
+
+use super::*;
+use crate::geometry::Euler;
+use crate::localization::refinement::error_between;
+
+const COUNT: usize = 30;
+
+fn lens() -> LensParameters {
+    LensParameters {
+        width: 640,
+        height: 480,
+        fx: 210.0,
+        fy: 210.0,
+        cx: 322.0,
+        cy: 236.0,
+        model: LensModel::KannalaBrandt { k: [-0.01, 0.002, 0.0, 0.0] },
+        fov_deg: Some(170.0),
+    }
+}
+
+/// Even, of mean 0, the same everywhere.
+fn noise(number: usize) -> f64 {
+    2.0 * ((number as f64 + 0.5) * 0.618_033_988_75).fract() - 1.0
+}
+
+/// A walk along a curve: what is true, and what was tagged and measured of it.
+fn walk(truth: &Constants, noise_px: f64) -> (Vec<Isometry>, Vec<Frame>) {
+    let real = Lens::new(truth.lens(&lens())).expect("a lens");
+    let lines: Vec<(DVec3, DVec3)> = (0..9)
+        .map(|i| f64::from(i) - 4.0)
+        .flat_map(|at| [(DVec3::new(at, 0.0, 0.0), DVec3::Y), (DVec3::new(0.0, 0.75 * at, 0.0), DVec3::X)])
+        .collect();
+    let mut truths = Vec::new();
+    let mut frames = Vec::new();
+    for i in 0..COUNT {
+        let (part, wave) = (i as f64 / COUNT as f64, libm::sin(i as f64));
+        let feet = Pose2::new(-1.5 + 2.0 * part, 0.5 * libm::sin(3.0 * part), 1.0 * part);
+        let euler = Euler { yaw: 0.02 * wave, pitch: 0.5 + 0.01 * wave, roll: 0.01 * wave };
+        let believed = Isometry::from_euler(euler, DVec3::new(0.05, 0.0, 0.52)) * Isometry::link_from_optical();
+        let tilt = glam::DQuat::from_scaled_axis(DVec3::new(truth.tilt_x, 0.0, truth.tilt_z));
+        let mounted =
+            Isometry::new(believed.rotation * tilt.conjugate(), believed.translation + DVec3::Z * truth.height_m);
+        let pose = feet.to_isometry() * mounted;
+        let mut places = Vec::new();
+        for (origin, tangent) in &lines {
+            for k in -20..=20 {
+                let point = *origin + *tangent * (0.2 * f64::from(k));
+                let seen = pose.inverse().transform_point(point);
+                let far = point.distance(pose.translation);
+                if let Some(pixel) =
+                    real.project(seen).filter(|pixel| far < 3.0 && seen.z > 0.2 && real.contains(*pixel))
+                {
+                    let number = frames.len() * 1000 + places.len();
+                    let pixel = pixel + DVec2::new(noise(number), noise(number + 77_777)) * noise_px;
+                    let pixels_per_rad = real.focal();
+                    places.push(Place { pixel, point, tangent: *tangent, sigmas: 1.0, pixels_per_rad });
+                }
+            }
+        }
+        let off = Vector6::from_fn(|k, _| noise(7 * i + k) * if k < 3 { 0.012 } else { 0.006 });
+        frames.push(Frame {
+            stamp_ns: i as i64 * 100_000_000,
+            map_from_optical: moved_pose(&pose, &off),
+            footprint_from_optical: Some(believed),
+            odometry: Some(Pose2::new(3.0, 1.0, 0.4).compose(&feet)),
+            turned_rad: None,
+            places,
+        });
+        truths.push(pose);
+    }
+    (truths, frames)
+}
+
+fn errors(found: &[Isometry], truth: &[Isometry]) -> (f64, f64) {
+    let off = |(a, b): (&Isometry, &Isometry)| {
+        let off = error_between(b, a);
+        (off.fixed_rows::<3>(0).norm(), off.fixed_rows::<3>(3).norm())
+    };
+    let all: Vec<(f64, f64)> = found.iter().zip(truth).map(off).collect();
+    let median = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    (median(all.iter().map(|x| x.0).collect()), median(all.iter().map(|x| x.1).collect()))
+}
+
+#[test]
+fn a_walk_without_noise_is_found_exactly_with_its_constants() {
+    let truth = Constants {
+        focal_share: 0.004,
+        centre: DVec2::new(1.0, -0.8),
+        k1: 0.002,
+        tilt_x: 0.008,
+        tilt_z: -0.006,
+        height_m: 0.01,
+    };
+    let (truths, frames) = walk(&truth, 0.0);
+    // Nothing else than the lines is to count.
+    let model = Model { line_px: 0.001, ..Model::default() };
+    let found = smooth(&frames, &lens(), &model).expect("a lens");
+    let (metres, radians) = errors(&found.map_from_optical, &truths);
+    assert!(metres < 1e-4 && radians < 1e-4, "{metres} m, {radians} rad; {:?}", found.constants);
+    let off = |value: f64, wanted: f64, most: f64| assert!((value - wanted).abs() < most, "{:?}", found.constants);
+    off(found.constants.focal_share, truth.focal_share, 1e-4);
+    off(found.constants.centre.x, truth.centre.x, 0.05);
+    off(found.constants.centre.y, truth.centre.y, 0.05);
+    off(found.constants.k1, truth.k1, 3e-4);
+    off(found.constants.tilt_x, truth.tilt_x, 5e-4);
+    off(found.constants.tilt_z, truth.tilt_z, 5e-4);
+    off(found.constants.height_m, truth.height_m, 5e-4);
+}
+
+#[test]
+fn tags_come_ten_times_nearer_to_the_truth_and_their_covariance_is_honest() {
+    let truth = Constants { focal_share: 0.003, tilt_x: 0.007, height_m: 0.008, ..Constants::default() };
+    let (truths, frames) = walk(&truth, 0.5);
+    let before: Vec<Isometry> = frames.iter().map(|frame| frame.map_from_optical).collect();
+    let found = smooth(&frames, &lens(), &Model { line_px: 0.3, ..Model::default() }).expect("a lens");
+    let ((m_before, rad_before), (m_after, rad_after)) =
+        (errors(&before, &truths), errors(&found.map_from_optical, &truths));
+    assert!(
+        m_after < 0.1 * m_before && rad_after < 0.1 * rad_before,
+        "{m_before} to {m_after} m, {rad_before} to {rad_after} rad"
+    );
+    // Six unknowns: their squared deviation is 6 on average.
+    let deviation = |i: usize| {
+        let off = error_between(&found.map_from_optical[i], &truths[i]);
+        let inverse = found.covariances[i].try_inverse().expect("a covariance");
+        (off.transpose() * inverse * off)[0]
+    };
+    let mean = (0..COUNT).map(deviation).sum::<f64>() / COUNT as f64;
+    assert!((0.5..18.0).contains(&mean), "{mean}");
+    assert!(found.rms_px[1] < found.rms_px[0], "{:?}", found.rms_px);
+    assert!(
+        found.known.iter().zip(found.believed).all(|(known, believed)| *known <= believed * 1.000_001),
+        "{:?}",
+        found.known
+    );
+}
+
+#[test]
+fn frames_without_lines_are_carried_by_their_neighbours() {
+    let (truths, mut frames) = walk(&Constants::default(), 0.2);
+    for frame in &mut frames[12..15] {
+        frame.places.clear();
+        frame.map_from_optical = moved_pose(&frame.map_from_optical, &Vector6::new(0.03, -0.03, 0.0, 0.0, 0.0, 0.01));
+    }
+    let found = smooth(&frames, &lens(), &Model::default()).expect("a lens");
+    for i in 12..15 {
+        let (before, after) = (frames[i].map_from_optical, found.map_from_optical[i]);
+        let off = |pose: &Isometry| pose.translation.distance(truths[i].translation);
+        assert!(off(&after) < 0.6 * off(&before), "{} to {} m", off(&before), off(&after));
+        assert!(found.covariances[i][(0, 0)] > 4.0 * found.covariances[5][(0, 0)]);
+    }
+}
+
+#[test]
+fn places_that_are_nowhere_near_a_line_pull_at_nothing() {
+    let (truths, mut frames) = walk(&Constants::default(), 0.2);
+    for frame in &mut frames {
+        let wrong = frame.places.len() / 10;
+        frame.places.iter_mut().take(wrong).for_each(|place| place.pixel += DVec2::new(15.0, -12.0));
+    }
+    let found = smooth(&frames, &lens(), &Model::default()).expect("a lens");
+    let (metres, _) = errors(&found.map_from_optical, &truths);
+    assert!(metres < 0.002, "{metres} m");
+}
+
+#[test]
+fn a_single_frame_and_none_are_walks_too() {
+    let (_, frames) = walk(&Constants::default(), 0.2);
+    assert_eq!(smooth(&frames[..1], &lens(), &Model::default()).expect("a lens").map_from_optical.len(), 1);
+    assert_eq!(smooth(&[], &lens(), &Model::default()).expect("a lens").map_from_optical.len(), 0);
+}

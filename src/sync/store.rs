@@ -1,0 +1,381 @@
+//! The folder of captures that recordings come into. What bears its final name here was verified, on the disk, before.
+//!
+//! Of its own it has `.sync/`: the receiver's name, what was pruned, and of each source what is known of it (`known/`) and
+//! what is not whole yet (`incoming/`).
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use rustix::fs::{FlockOperation, OFlags};
+use serde::{Deserialize, Serialize};
+
+use super::error::{SyncError, io};
+use super::plan::{Item, Why};
+use super::source::Source;
+use crate::recording::catalogue::{session_at, sessions_in};
+use crate::recording::storage::{open_plain, read_plain};
+use crate::recording::{
+    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, RECEIVER_FILE,
+    SESSION_FILE, SYNC_FOLDER, Session, SessionId, SetAside, receiver_of, session_holding, sync_folder,
+    write_atomically,
+};
+
+const PRUNED_FILE: &str = "pruned.jsonl";
+const SOURCE_FILE: &str = "source.json";
+/// What is copied beside segments.
+const MAX_SMALL_BYTES: u64 = 64 << 20;
+/// For what a sync that was killed left running.
+const MAX_WAIT: Duration = Duration::from_secs(5);
+/// Names tried for what is moved aside.
+const MAX_ASIDE: u32 = 10_000;
+
+#[derive(Debug)]
+pub struct Store {
+    captures: PathBuf,
+    state: PathBuf,
+    receiver: String,
+}
+
+/// One source's place; nobody else has it as long as this lives.
+#[derive(Debug)]
+pub struct Desk {
+    pub known: PathBuf,
+    pub incoming: PathBuf,
+    _lock: File,
+}
+
+/// What became of a file that came.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Placed {
+    Verified,
+    /// Its hash is another; it is not put in place.
+    Damaged,
+}
+
+/// A source that was synced from before.
+#[derive(Debug)]
+pub struct Known {
+    pub source: String,
+    pub sessions: Vec<Session>,
+}
+
+/// A session that was thrown away here.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pruned {
+    pub id: String,
+    pub name: String,
+}
+
+#[derive(Serialize, Deserialize)]
+struct SourceNote {
+    source: String,
+}
+
+impl Store {
+    pub fn open(captures: &Path) -> Result<Self, SyncError> {
+        if let Some(session) = session_holding(captures) {
+            return Err(SyncError::IntoCapture { captures: captures.to_owned(), session });
+        }
+        let state = captures.join(SYNC_FOLDER);
+        fs::create_dir_all(&state).map_err(io(&state))?;
+        real_folder(&state)?;
+        let mut store = Self { captures: captures.to_owned(), state, receiver: String::new() };
+        let turn = store.turn()?;
+        store.receiver = receiver(&store.state)?;
+        drop(turn);
+        Ok(store)
+    }
+
+    pub fn receiver(&self) -> &str {
+        &self.receiver
+    }
+
+    pub fn captures(&self) -> &Path {
+        &self.captures
+    }
+
+    pub fn sessions(&self) -> Result<(Vec<Session>, Vec<SetAside>), SyncError> {
+        sessions_in(&self.captures).map_err(io(&self.captures))
+    }
+
+    /// What was thrown away here is not fetched again unasked.
+    pub fn pruned(&self) -> Vec<Pruned> {
+        pruned_in(&self.state)
+    }
+
+    pub fn note_pruned(&self, session: &Session) -> Result<(), SyncError> {
+        let note = Pruned { id: session.id.as_str().to_owned(), name: session.name.clone() };
+        let line = serde_json::to_string(&note).map_err(crate::recording::RecordingError::from)?;
+        let path = self.state.join(PRUNED_FILE);
+        append(&path, &(line + "\n")).map_err(io(&path))
+    }
+
+    pub fn desk(&self, source: &Source) -> Result<Desk, SyncError> {
+        let place = self.state.join(source.key());
+        let (known, incoming) = (place.join("known"), place.join("incoming"));
+        for folder in [&place, &known, &incoming] {
+            fs::create_dir_all(folder).map_err(io(folder))?;
+            real_folder(folder)?;
+        }
+        let path = place.join("lock");
+        let lock = own_file(&path).map_err(io(&path))?;
+        let began = Instant::now();
+        while rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+            if began.elapsed() > MAX_WAIT {
+                return Err(SyncError::Busy(source.shown()));
+            }
+            std::thread::sleep(MAX_WAIT / 50);
+        }
+        // rsync inherits it: if we are killed and it is not, nobody touches the files that it still writes.
+        rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()).map_err(|error| io(&path)(error.into()))?;
+        let note = serde_json::to_vec(&SourceNote { source: source.shown() }).unwrap_or_default();
+        write_atomically(&place.join(SOURCE_FILE), &note)?;
+        Ok(Desk { known, incoming, _lock: lock })
+    }
+
+    /// Bytes free for us on the disk.
+    pub fn free_bytes(&self) -> Option<u64> {
+        let stat = rustix::fs::statvfs(&self.captures).ok()?;
+        Some(stat.f_bavail.saturating_mul(stat.f_frsize))
+    }
+
+    /// Forces the file onto the disk, reads it back, compares, and only then gives it its name, a line in the manifest, and
+    /// an acknowledgement: whatever stops us in between, nothing is acknowledged that is not there.
+    pub fn place(&self, staged: &Path, item: &Item, head: &[u8]) -> Result<Placed, SyncError> {
+        if !is_as_recorded(staged, &item.line).map_err(io(staged))? {
+            return Ok(Placed::Damaged);
+        }
+        let _turn = self.turn()?;
+        let folder = self.session_folder(&item.here, &item.session, head)?;
+        let path = folder.join(&item.line.name);
+        if fs::symlink_metadata(&path).is_ok() {
+            // Another sync, of another source, was faster: it is never away under its name.
+            if is_as_recorded(&path, &item.line).is_ok_and(|whole| whole) {
+                sync_folder(&folder)?;
+                self.vouch(&folder, &item.line)?;
+                fs::remove_file(staged).map_err(io(staged))?;
+                return Ok(Placed::Verified);
+            }
+            move_aside(&path)?;
+        }
+        fs::rename(staged, &path).map_err(io(&path))?;
+        sync_folder(&folder)?;
+        self.vouch(&folder, &item.line)?;
+        Ok(Placed::Verified)
+    }
+
+    /// Of a file that is in its place already.
+    pub fn verify(&self, item: &Item, head: &[u8]) -> Result<Placed, SyncError> {
+        let _turn = self.turn()?;
+        let folder = self.session_folder(&item.here, &item.session, head)?;
+        let path = folder.join(&item.line.name);
+        if !is_as_recorded(&path, &item.line).map_err(io(&path))? {
+            return Ok(Placed::Damaged);
+        }
+        sync_folder(&folder)?;
+        self.vouch(&folder, &item.line)?;
+        Ok(Placed::Verified)
+    }
+
+    /// What describes a session whose segments are all here.
+    pub fn complete(&self, here: &str, known: &Path) -> Result<(), SyncError> {
+        let _turn = self.turn()?;
+        let folder = self.captures.join(here);
+        real_folder(&folder)?;
+        for name in [METADATA_FILE, COVERAGE_FILE] {
+            let Ok(bytes) = read_plain(&known.join(name), MAX_SMALL_BYTES) else { continue };
+            if read_plain(&folder.join(name), MAX_SMALL_BYTES).is_ok_and(|old| old == bytes) {
+                continue;
+            }
+            write_atomically(&folder.join(name), &bytes)?;
+        }
+        Ok(())
+    }
+
+    /// Where our acknowledgements of a session stand; the same text goes back to the source.
+    pub fn acknowledgements(&self, here: &str) -> PathBuf {
+        self.captures.join(here).join(ACK_FOLDER).join(format!("{}{ACK_ENDING}", self.receiver))
+    }
+
+    /// Takes acknowledgements back.
+    pub fn withdraw(&self, here: &str, which: &[Acknowledgement]) -> Result<(), SyncError> {
+        let _turn = self.turn()?;
+        let path = self.acknowledgements(here);
+        let text = read_plain(&path, MAX_SMALL_BYTES).map_err(io(&path))?;
+        let mut kept = Acknowledgement::parse_all(&String::from_utf8_lossy(&text));
+        kept.retain(|ack| !which.contains(ack));
+        let text: String = kept.iter().map(Acknowledgement::to_line).collect();
+        Ok(write_atomically(&path, text.as_bytes())?)
+    }
+
+    /// The session's folder, made if it is not there; never another session's, never through a link. Another name than was
+    /// planned if another sync was faster.
+    fn session_folder(&self, name: &str, id: &SessionId, head: &[u8]) -> Result<PathBuf, SyncError> {
+        let mut folder = self.captures.join(name);
+        if fs::symlink_metadata(&folder).is_ok() {
+            real_folder(&folder)?;
+            if session_at(&folder).is_ok_and(|session| session.id == *id) {
+                return Ok(folder);
+            }
+        }
+        if let Some(ours) = self.sessions()?.0.into_iter().find(|session| session.id == *id) {
+            return Ok(ours.folder);
+        }
+        if fs::symlink_metadata(&folder).is_ok() {
+            folder = self.captures.join(format!("{name}-{}", id.as_str()));
+        }
+        // Whole under its name or not at all: a cut in between leaves no folder that is nobody's.
+        let beside = self.state.join(format!("new-{}", id.as_str()));
+        fs::create_dir_all(&beside).map_err(io(&beside))?;
+        write_atomically(&beside.join(SESSION_FILE), head)?;
+        write_atomically(&beside.join(MANIFEST_FILE), b"")?;
+        fs::rename(&beside, &folder).map_err(io(&folder))?;
+        sync_folder(&self.captures)?;
+        Ok(folder)
+    }
+
+    fn vouch(&self, folder: &Path, line: &ManifestLine) -> Result<(), SyncError> {
+        let found = session_at(folder).map_err(|why| io(folder)(io::Error::other(why.why)))?;
+        if !found.lines.contains(line) {
+            let path = folder.join(MANIFEST_FILE);
+            let text = |line: &ManifestLine| serde_json::to_string(line).map(|text| text + "\n");
+            let failed = crate::recording::RecordingError::from;
+            if found.lines.iter().any(|known| known.name == line.name) {
+                // Of the same bytes: `sessions repair` has made a line of its own. The recorder knows more than that.
+                let lines = found.lines.iter().map(|known| if known.name == line.name { line } else { known });
+                let all: Result<String, _> = lines.map(text).collect();
+                write_atomically(&path, all.map_err(failed)?.as_bytes())?;
+            } else {
+                append(&path, &text(line).map_err(failed)?).map_err(io(&path))?;
+            }
+        }
+        let ack = Acknowledgement::of(line);
+        if found.acknowledged.get(&self.receiver).is_some_and(|acks| acks.contains(&ack)) {
+            return Ok(());
+        }
+        let acks = folder.join(ACK_FOLDER);
+        if fs::symlink_metadata(&acks).is_err() {
+            fs::create_dir(&acks).map_err(io(&acks))?;
+            sync_folder(folder)?;
+        }
+        real_folder(&acks)?;
+        let path = acks.join(format!("{}{ACK_ENDING}", self.receiver));
+        append(&path, &ack.to_line()).map_err(io(&path))?;
+        Ok(sync_folder(&acks)?)
+    }
+
+    /// Several syncs into one folder take turns at changing it.
+    fn turn(&self) -> Result<File, SyncError> {
+        let path = self.state.join("lock");
+        let lock = own_file(&path).map_err(io(&path))?;
+        rustix::fs::flock(&lock, FlockOperation::LockExclusive).map_err(|error| io(&path)(error.into()))?;
+        Ok(lock)
+    }
+}
+
+/// What was known at the last sync of each source that this folder was filled from; nothing of a folder that was not.
+pub fn known_sources(captures: &Path) -> Vec<Known> {
+    let mut all = Vec::new();
+    for place in fs::read_dir(captures.join(SYNC_FOLDER)).into_iter().flatten().flatten() {
+        let Ok(bytes) = read_plain(&place.path().join(SOURCE_FILE), MAX_SMALL_BYTES) else { continue };
+        let Ok(SourceNote { source }) = serde_json::from_slice(&bytes) else { continue };
+        if let Ok((sessions, _)) = sessions_in(&place.path().join("known")) {
+            all.push(Known { source, sessions });
+        }
+    }
+    all.sort_by(|a, b| a.source.cmp(&b.source));
+    all
+}
+
+fn pruned_in(state: &Path) -> Vec<Pruned> {
+    let bytes = read_plain(&state.join(PRUNED_FILE), MAX_SMALL_BYTES).unwrap_or_default();
+    String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+}
+
+/// This folder's name to robots: the machine's, with a number of its own, since a machine may have several such folders.
+fn receiver(state: &Path) -> Result<String, SyncError> {
+    let path = state.join(RECEIVER_FILE);
+    if let Some(name) = state.parent().and_then(receiver_of) {
+        return Ok(name);
+    }
+    let host = rustix::system::uname().nodename().to_string_lossy().into_owned();
+    let host: String = host.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(64).collect();
+    let host = if host.is_empty() { "machine" } else { &host };
+    let name = format!("{host}-{}", SessionId::new().short());
+    write_atomically(&path, format!("{name}\n").as_bytes())?;
+    Ok(name)
+}
+
+/// Size and hash as the manifest says, of what is on the disk and not only in memory.
+pub fn is_as_recorded(path: &Path, line: &ManifestLine) -> io::Result<bool> {
+    let file = open_plain(path)?;
+    if file.metadata()?.len() != line.bytes {
+        return Ok(false);
+    }
+    file.sync_all()?;
+    // Where the file system does not know it, memory is what is compared.
+    let _ = rustix::fs::fadvise(&file, 0, None, rustix::fs::Advice::DontNeed);
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(&file)?;
+    Ok(hasher.finalize().to_hex().as_str() == line.blake3.to_ascii_lowercase())
+}
+
+/// `0000.mcap` becomes `0000.mcap.aside-1`: what somebody changed is theirs.
+fn move_aside(path: &Path) -> Result<(), SyncError> {
+    for number in 1..=MAX_ASIDE {
+        let mut aside = path.as_os_str().to_owned();
+        aside.push(format!(".aside-{number}"));
+        if fs::symlink_metadata(&aside).is_err() {
+            return fs::rename(path, &aside).map_err(io(path));
+        }
+    }
+    Err(io(path)(io::Error::from(io::ErrorKind::AlreadyExists)))
+}
+
+/// Behind a whole last line, and onto the disk.
+fn append(path: &Path, text: &str) -> io::Result<()> {
+    let mut file = own_file(path)?;
+    let length = file.seek(SeekFrom::End(0))?;
+    let mut text = text.to_owned();
+    if length > 0 {
+        file.seek(SeekFrom::End(-1))?;
+        let mut last = [0];
+        file.read_exact(&mut last)?;
+        if last != *b"\n" {
+            text.insert(0, '\n');
+        }
+    }
+    file.write_all(text.as_bytes())?;
+    file.sync_all()
+}
+
+fn own_file(path: &Path) -> io::Result<File> {
+    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits();
+    OpenOptions::new().read(true).append(true).create(true).custom_flags(flags as i32).open(path)
+}
+
+fn real_folder(path: &Path) -> Result<(), SyncError> {
+    let metadata = fs::symlink_metadata(path).map_err(io(path))?;
+    if metadata.is_dir() { Ok(()) } else { Err(io(path)(io::Error::other("a link or a file, not a folder: not used"))) }
+}
+
+impl Desk {
+    /// An empty file of the name of our acknowledgements.
+    pub(super) fn nothing(&self, receiver: &str) -> PathBuf {
+        self.known.with_file_name(format!("{receiver}{ACK_ENDING}"))
+    }
+}
+
+impl Item {
+    /// Where it is while it is not whole.
+    pub(super) fn staged(&self, desk: &Desk) -> PathBuf {
+        desk.incoming.join(&self.there).join(&self.line.name)
+    }
+
+    pub(super) fn is_fetched(&self) -> bool {
+        self.why != Why::Verify
+    }
+}

@@ -1,0 +1,237 @@
+//! Sound inputs of every format, small, for the fuzzer to begin from.
+
+use std::fs;
+use std::path::Path;
+
+use mavlink::dialects::common::*;
+use mavlink::{MAVLinkV2MessageRaw, MavHeader};
+use realitysim::agent::{Checkpoint, Tagger};
+use realitysim::config::{Settings, field_names, lens_names, load_field, load_lens};
+use realitysim::database::{Catalogue, Record, Source, SourceKind, write_index};
+use realitysim::geometry::{Euler, Field, Isometry, Pose2};
+use realitysim::recording::{Counts, ManifestLine, PoseBox, SessionInfo};
+use realitysim::ros2::Selection;
+use realitysim::sensors::synchroniser::InitialPose;
+
+use super::KEPT;
+use crate::config::other_formats::{KALIBR, ROS, VISUAL_MESH};
+use crate::ros2::damaged::variants;
+use crate::ros2::samples::{every_message, read_all};
+
+fn keep(target: &str, name: &str, bytes: impl AsRef<[u8]>) {
+    let folder = Path::new(KEPT).join(target);
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join(name), bytes).unwrap();
+}
+
+/// What only explains the rest is noise to a fuzzer.
+fn without_comments(text: &str) -> String {
+    let lines = text.lines().map(|line| line.split('#').next().unwrap_or("").trim_end());
+    lines.filter(|line| !line.is_empty()).map(|line| format!("{line}\n")).collect()
+}
+
+#[test]
+#[ignore = "writes the inputs that the fuzzer begins from: only after a format has changed"]
+fn the_inputs_to_begin_from_are_written_anew() {
+    logs();
+    texts();
+    images();
+    keep("mavlink", "sound-stream", mavlink_stream(50));
+    keep("mavlink", "sound-one-byte-reads", mavlink_stream(1));
+    keep("mavlink", "sound-interrupted", [&mavlink_stream(7)[..200], &mavlink_stream(7)[215..]].concat());
+    checkpoints();
+    indices();
+    descriptions();
+}
+
+fn logs() {
+    for (name, log) in variants() {
+        keep("mcap", &format!("sound-{name}"), log);
+    }
+    let (messages, _) = read_all(&every_message().0, Selection::All);
+    let types = [
+        "sensor_msgs/msg/CompressedImage",
+        "sensor_msgs/msg/Image",
+        "sensor_msgs/msg/CameraInfo",
+        "sensor_msgs/msg/Imu",
+        "sensor_msgs/msg/JointState",
+        "nav_msgs/msg/Odometry",
+        "tf2_msgs/msg/TFMessage",
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "geometry_msgs/msg/PoseStamped",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "realitysim_msgs/msg/FrameTag",
+    ];
+    for (which, name) in types.iter().enumerate() {
+        let message = messages.iter().find(|message| message.channel.type_name == *name).expect("one of every type");
+        let bytes = [&[which as u8][..], &message.data].concat();
+        keep("cdr", &format!("sound-{}", name.rsplit('/').next().unwrap_or(name)), bytes);
+    }
+}
+
+fn texts() {
+    for name in field_names() {
+        let text = fs::read_to_string(format!("config/fields/{name}.toml")).unwrap();
+        keep("field", &format!("sound-{name}"), without_comments(&text));
+    }
+    for name in lens_names() {
+        let text = fs::read_to_string(format!("config/cameras/{name}.toml")).unwrap();
+        keep("lens", &format!("sound-{name}"), without_comments(&text));
+    }
+    for (name, text) in [("ros", ROS), ("kalibr", KALIBR), ("visualmesh", VISUAL_MESH)] {
+        keep("lens", &format!("sound-{name}"), text);
+    }
+    keep("settings", "sound-every-default", without_comments(&fs::read_to_string("config/robot.toml").unwrap()));
+    keep("settings", "sound-filter", "[filter]\nparticles = 300\nalpha = -3.5\nmodel = \"distance\"\nseed = 5\n");
+    keep("settings", "sound-serial", "[serial]\nports = [{ device = \"/dev/ttyACM0\", baud = 115200 }]\n");
+    for scene in ["crowded", "bright-window", "push-and-fall", "bad-odometry", "dusk", "serial-noise", "head-scan"] {
+        let text = fs::read_to_string(format!("replay/scenes/{scene}.toml")).unwrap();
+        keep("scene", &format!("sound-{scene}"), without_comments(&text));
+    }
+    keep("gate", "sound-shelf", without_comments(&fs::read_to_string("replay/shelf.toml").unwrap()));
+    let reference = fs::read_to_string("replay/references/demo.jsonl").unwrap();
+    let frames = reference.lines().count() - 1;
+    let few: Vec<&str> = reference.lines().take(4).collect();
+    keep("gate", "sound-reference", few.join("\n").replace(&format!("\"frames\":{frames}"), "\"frames\":3"));
+    keep("gate", "sound-case", "[[case]]\nsource = \"a.mcap\"\nlimits = { mean_cm = 1 }\nexcept_s = [[1, 2]]\n");
+}
+
+fn images() {
+    let rgb: Vec<u8> = (0..24 * 16 * 3).map(|i: u32| (i * i / 7) as u8).collect();
+    let gray: Vec<u8> = rgb.iter().step_by(3).copied().collect();
+    for (name, sampling, progressive) in [
+        ("420", jpeg_encoder::SamplingFactor::F_2_2, false),
+        ("422", jpeg_encoder::SamplingFactor::F_2_1, false),
+        ("444-progressive", jpeg_encoder::SamplingFactor::F_1_1, true),
+    ] {
+        let mut bytes = Vec::new();
+        let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, 60);
+        encoder.set_sampling_factor(sampling);
+        encoder.set_progressive(progressive);
+        encoder.encode(&rgb, 24, 16, jpeg_encoder::ColorType::Rgb).unwrap();
+        keep("image", &format!("sound-jpeg-{name}"), bytes);
+    }
+    let mut bytes = Vec::new();
+    jpeg_encoder::Encoder::new(&mut bytes, 60).encode(&gray, 24, 16, jpeg_encoder::ColorType::Luma).unwrap();
+    keep("image", "sound-jpeg-gray", bytes);
+    for (name, data, colour) in
+        [("rgb", &rgb, image::ExtendedColorType::Rgb8), ("gray", &gray, image::ExtendedColorType::L8)]
+    {
+        let mut bytes = Vec::new();
+        let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+        image::ImageEncoder::write_image(encoder, data, 24, 16, colour).unwrap();
+        keep("image", &format!("sound-png-{name}"), bytes);
+    }
+    for encoding in 0..5 {
+        keep("image", &format!("sound-raw-{encoding}"), [&[encoding, 5, 4, 15][..], &rgb[..60]].concat());
+    }
+}
+
+fn mavlink_stream(read: u8) -> Vec<u8> {
+    let q = [1.0, 0.0, 0.0, 0.0];
+    let odometry = ODOMETRY_DATA {
+        time_usec: 1_020_000,
+        frame_id: MavFrame::MAV_FRAME_LOCAL_FRD,
+        child_frame_id: MavFrame::MAV_FRAME_BODY_FRD,
+        q,
+        ..ODOMETRY_DATA::DEFAULT
+    };
+    let messages = [
+        MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT),
+        MavMessage::TIMESYNC(TIMESYNC_DATA { tc1: 5_000_000_000, ts1: 4_000_000_000, ..TIMESYNC_DATA::DEFAULT }),
+        MavMessage::HIGHRES_IMU(HIGHRES_IMU_DATA {
+            time_usec: 1_000_000,
+            zacc: -9.81,
+            fields_updated: HighresImuUpdatedFlags::from_bits_truncate(63),
+            ..HIGHRES_IMU_DATA::DEFAULT
+        }),
+        MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
+            time_boot_ms: 1_010,
+            q1: 1.0,
+            ..ATTITUDE_QUATERNION_DATA::DEFAULT
+        }),
+        MavMessage::ODOMETRY(odometry.clone()),
+        MavMessage::ODOMETRY(ODOMETRY_DATA { time_usec: 1_040_000, x: 7.0, reset_counter: 1, ..odometry }),
+    ];
+    let mut stream = vec![read];
+    for (sequence, message) in messages.iter().enumerate() {
+        let header = MavHeader { system_id: 1, component_id: 1, sequence: sequence as u8 };
+        let mut raw = MAVLinkV2MessageRaw::new();
+        raw.serialize_message(header, message);
+        stream.extend_from_slice(raw.raw_bytes());
+    }
+    stream
+}
+
+/// Without its header, which the fuzzer's entry makes.
+fn checkpoints() {
+    let body = |checkpoint: &Checkpoint| checkpoint.encode().unwrap()[16..].to_vec();
+    let empty = Checkpoint { tagger: Default::default(), synchroniser: Default::default(), frames: 0 };
+    keep("checkpoint", "sound-empty", body(&empty));
+    for (name, particles) in [("one-particle", 1), ("twenty-particles", 20)] {
+        let mut settings = Settings::default();
+        settings.filter.particles = particles;
+        let field = Field::new(load_field("kid-2009").unwrap()).unwrap();
+        let mut tagger = Tagger::new(&settings, field, &load_lens("fisheye-640").unwrap().lens, Default::default());
+        tagger.start_at(&InitialPose { map_from_footprint: Pose2::new(1.0, 0.5, 2.0), xy_m: None, yaw_rad: None });
+        let whole = Checkpoint { tagger: tagger.state(), frames: 7, ..empty.clone() };
+        keep("checkpoint", &format!("sound-{name}"), body(&whole));
+    }
+}
+
+fn indices() {
+    let folder = tempfile::tempdir().unwrap();
+    for count in [0, 3, 60] {
+        let pose = |i: i32| {
+            let euler = Euler { yaw: f64::from(i) * 0.3, pitch: 0.2, roll: 0.0 };
+            Isometry::from_euler(euler, glam::DVec3::new(f64::from(i % 8) * 0.4, f64::from(i / 8) * 0.3, 0.5))
+        };
+        let path = folder.path().join("index");
+        write_index(&path, (0..count).map(|i| Record::at(&pose(i))).collect()).unwrap();
+        keep("index", &format!("sound-{count}-images"), fs::read(&path).unwrap());
+    }
+}
+
+fn descriptions() {
+    let field = load_field("kid-2009").unwrap();
+    let lens = load_lens("fisheye-640").unwrap().lens.parameters().clone();
+    let info = SessionInfo {
+        format: 1,
+        id: Some("0123456789abcdef0123456789abcdef".to_owned()),
+        software: "realitysim 0.1.0".to_owned(),
+        robot: "a".to_owned(),
+        started: "2026-01-01T00:00:00Z".to_owned(),
+        source: None,
+        settings: Settings::default(),
+        field: field.clone(),
+        lens: lens.clone(),
+        live: None,
+    };
+    keep("capture", "sound-session", serde_json::to_vec(&info).unwrap());
+    let line = ManifestLine {
+        name: "0000.mcap".to_owned(),
+        bytes: 5,
+        blake3: String::new(),
+        first_ns: 0,
+        last_ns: 1,
+        messages: 7,
+        frames: Counts::default(),
+        poses: Some(PoseBox::around(None, 1.0, 2.0)),
+        cut_bytes: None,
+    };
+    let line = serde_json::to_string(&line).unwrap();
+    keep("capture", "sound-manifest", format!("{line}\n{line}\n"));
+    let mut catalogue = Catalogue::new(field);
+    catalogue.index = 1;
+    catalogue.sources.push(Source {
+        kind: SourceKind::Folder,
+        path: "nowhere".into(),
+        lens,
+        files: vec!["a.jpg".into()],
+        body_masks: Vec::new(),
+        dark: None,
+        images: 1,
+        left_out: 0,
+    });
+    keep("capture", "sound-database", serde_json::to_vec(&catalogue).unwrap());
+}

@@ -1,0 +1,89 @@
+//! A capture played back: its pictures into a file, its odometry over a pty, read by what reads a robot.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+use realitysim::ros2::Message;
+use realitysim::ros2::messages::CompressedImage;
+use realitysim::sensors::mavlink::Content;
+use realitysim::sensors::serial::{PortEvent, PortOptions, run};
+
+use crate::replay::support::{IMAGE, ODOMETRY, Room, on, read_capture, session_name};
+use crate::serial::Cable;
+
+#[test]
+fn a_capture_is_played_to_a_file_and_a_serial_line() {
+    let room = Room::with_walk();
+    let replayed = room.replay("log.mcap");
+    let session = session_name(&replayed);
+    let cable = Cable::new();
+    let (stop, steps) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new((0u64, 0u64, 0u64))));
+    let (reader_stop, counted, device) = (Arc::clone(&stop), Arc::clone(&steps), cable.ends[1].clone());
+    let reader = std::thread::spawn(move || {
+        run(&PortOptions { device, baud: 115_200, system: 1 }, &reader_stop, |event| {
+            if let PortEvent::Measured(measured) = event {
+                let mut counted = counted.lock().expect("whole");
+                match measured.content {
+                    Content::Odometry(_) => counted.0 += 1,
+                    Content::Attitude(_) => counted.1 += 1,
+                    Content::Inertial(_) => counted.2 += 1,
+                    _ => {}
+                }
+            }
+        });
+    });
+    let run =
+        room.run(&format!("play {session} --video video.mjpeg --serial {} --speed 2 --json", cable.ends[0])).succeeds();
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    stop.store(true, Ordering::Relaxed);
+    reader.join().expect("a reader");
+    let played = run.json();
+    let messages = read_capture(&replayed.session);
+    let images: Vec<u8> = on(&messages, IMAGE)
+        .flat_map(|message| CompressedImage::decode(&message.data).expect("an image").data)
+        .collect();
+    assert_eq!(std::fs::read(room.path("video.mjpeg")).expect("written"), images, "byte for byte");
+    let odometry = on(&messages, ODOMETRY).count() as u64;
+    assert_eq!(played["odometry"].as_u64(), Some(odometry), "{played}");
+    let (steps, attitudes, rates) = *steps.lock().expect("whole");
+    // The line's reader may have opened a moment late.
+    assert!(
+        steps + 5 >= odometry && attitudes > odometry && rates > odometry,
+        "{steps} {attitudes} {rates} of {odometry}"
+    );
+    let (first, last) = (messages[0].log_time_ns, messages[messages.len() - 1].log_time_ns);
+    let seconds = played["seconds"].as_f64().expect("seconds");
+    let wanted = (last - first) as f64 * 1e-9 / 2.0;
+    assert!(seconds > 0.8 * wanted, "{seconds} s in place of {wanted} s");
+}
+
+#[test]
+fn a_way_through_a_database_is_played() {
+    let room = Room::new();
+    crate::service::add_images(&room, "images", &crate::service::PLACES);
+    room.write(
+        "way.csv",
+        "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n0,0.1,0.2,0.5,10,20,0\n0.1,0.2,0.2,0.5,10,20,0\n0.2,0.3,0.2,0.5,10,20,0\n",
+    );
+    let played = room.run("play way.csv --db db --video video.mjpeg --json").succeeds().json();
+    assert_eq!(played["images"], 3);
+    let bytes = std::fs::read(room.path("video.mjpeg")).expect("written");
+    assert_eq!(bytes.windows(3).filter(|three| *three == [0xff, 0xd8, 0xff]).count(), 3);
+}
+
+#[test]
+fn what_cannot_be_played_is_told() {
+    let room = Room::new();
+    room.run("play none").fails(2, &["--video"]);
+    room.run("play none --video out").fails(1, &["session.json"]);
+    room.write("way.csv", "t,x\n");
+    room.run("play way.csv --video out").fails(2, &["--db"]);
+    room.run("play way.csv --db db --video out").fails(2, &["line 1: the head is \"t,x\""]);
+    room.write("way.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n1,0,0,0.5,0,0,0\n0.5,0,0,0.5,0,0,0\n");
+    room.run("play way.csv --db db --video out").fails(2, &["line 3", "go up"]);
+    room.write("way.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n1,0,nan,0.5,0,0,0\n");
+    room.run("play way.csv --db db --video out").fails(2, &["line 2: seven finite numbers"]);
+    room.write("way.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n1,0,0,0.5,0,0,0\n");
+    room.run("play way.csv --db db --video out").fails(1, &["there is no database here"]);
+    room.run("play way.csv --db db --video out --speed 0").fails(2, &["0.01 to 100"]);
+}

@@ -1,0 +1,88 @@
+//! Tags made better afterwards, from a capture to its refined tags, its calibration and its views.
+
+use std::fs;
+
+use realitysim::config::{Settings, load_lens};
+
+use super::support::{Room, session_name};
+
+#[test]
+fn refined_tags_are_nearer_to_the_truth_and_nothing_recorded_is_touched() {
+    let room = Room::with_walk();
+    let replayed = room.replay("log.mcap");
+    let session = session_name(&replayed);
+    let content = || -> Vec<Vec<u8>> {
+        super::support::segments(&replayed.session).iter().map(|path| fs::read(path).expect("a segment")).collect()
+    };
+    let before = content();
+    let run = room
+        .run(&format!("refine {session} --truth log.mcap --views 6 --write-calibration robot.toml --json"))
+        .succeeds();
+    assert_eq!(content(), before);
+    let report = run.json();
+    let median = |when: &str, what: &str| report[when][what]["median"].as_f64().expect("judged");
+    println!("{report:#}");
+    // Calibrated, the tags are good already: they must not become worse than the aim.
+    assert!(median("after", "position_cm") < 0.2 && median("after", "angle_deg") < 0.08, "{report:#}");
+    assert!(median("after", "view_psnr_db") >= 30.0, "{report:#}");
+    assert_eq!(report["constants"].as_array().map(Vec::len), Some(7));
+
+    // A robot config that can be read, with a lens that can be read.
+    let settings = Settings::load(&room.path("robot.toml").display().to_string()).expect("a robot config");
+    assert!(settings.mount.camera_rpy_deg.iter().all(|angle| angle.abs() < 5.0));
+    let lens = load_lens(&room.path("robot-lens.toml").display().to_string()).expect("a lens file");
+    assert_eq!((lens.lens.width(), lens.lens.height()), (320, 240));
+    let words = fs::read_to_string(room.path("robot.toml")).expect("written");
+    assert!(words.contains("focal length") && words.contains("sigma"), "{words}");
+
+    // Again: from the recorded tags, not from the refined ones.
+    let again = room.run(&format!("refine {session} --truth log.mcap --views 0 --json")).succeeds().json();
+    assert_eq!(again["before"]["position_cm"], report["before"]["position_cm"]);
+    assert_eq!(again["after"]["position_cm"], report["after"]["position_cm"]);
+    // The database takes the refined ones.
+    room.run(&format!("db add {session} --db db")).succeeds();
+    let gallery = realitysim::database::Gallery::open(&room.path("db"), &settings.views).expect("a database");
+    let info = fs::read(replayed.session.join("refined/refined.json")).expect("written");
+    let info: serde_json::Value = serde_json::from_slice(&info).expect("JSON");
+    assert_eq!(serde_json::to_value(&gallery.catalogue().sources[0].lens).expect("JSON"), info["lens"]);
+}
+
+#[test]
+fn one_walk_shows_a_wrong_lens_and_a_wrong_mount() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| {
+        format!(
+            "{text}\n[[effect]]\nkind = \"calibration_error\"\nrole = \"base\"\nfocal_percent = 0.6\ncentre_px = [1.5, -1.5]\n\
+             mount_pitch_deg = 1.0\nmount_roll_deg = 0.5\nheight_m = 0.015\n"
+        )
+    });
+    room.run("sim scene.toml -o log.mcap").succeeds();
+    let session = session_name(&room.replay("log.mcap"));
+    let report = room.run(&format!("refine {session} --truth log.mcap --views 6 --json")).succeeds().json();
+    let median = |when: &str, what: &str| report[when][what]["median"].as_f64().expect("judged");
+    assert!(median("after", "position_cm") < 0.1 * median("before", "position_cm"), "{report:#}");
+    assert!(median("after", "position_cm") < 0.25 && median("after", "angle_deg") < 0.12, "{report:#}");
+    assert!(median("after", "view_psnr_db") >= 30.0, "{report:#}");
+    let found = |name: &str| {
+        let constants = report["constants"].as_array().expect("constants");
+        let found = constants.iter().find(|found| found["name"] == name).expect("there");
+        assert_eq!(found["observable"], true, "{found}");
+        found["value"].as_f64().expect("a number")
+    };
+    // What the announced calibration has too much must come off.
+    assert!((found("focal length") + 0.006).abs() < 0.0015, "{report:#}");
+    assert!((found("centre u") + 1.5).abs() < 0.3 && (found("centre v") - 1.5).abs() < 0.3, "{report:#}");
+    assert!((found("height") + 0.015).abs() < 0.002, "{report:#}");
+}
+
+#[test]
+fn what_cannot_be_refined_is_told() {
+    let room = Room::with_walk();
+    room.run("refine log.mcap").fails(1, &["a capture's folder is needed"]);
+    fs::create_dir(room.path("empty")).expect("a folder");
+    room.run("refine empty").fails(1, &["session.json"]);
+    let session = session_name(&room.replay("log.mcap"));
+    room.run(&format!("refine {session} --write-calibration {session}/robot.toml"))
+        .fails(2, &["into which nothing else is written"]);
+    room.run(&format!("refine {session} --write-calibration robot.yaml")).fails(2, &[".toml"]);
+}

@@ -1,0 +1,69 @@
+"""The client against a served database of four images: check_client.py URL FIRST_IMAGE"""
+
+import math
+import sys
+import zlib
+
+import numpy as np
+
+from realitysim_client import Client, RealitySimError, pose_of_camera
+
+
+def png(path):
+    """8-bit R G B pixels of a PNG, with numpy alone."""
+    data, at, idat = open(path, "rb").read(), 8, b""
+    while at < len(data):
+        length, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        if kind == b"IHDR":
+            width, height = (int.from_bytes(data[at + 8 + i : at + 12 + i], "big") for i in (0, 4))
+        if kind == b"IDAT":
+            idat += data[at + 8 : at + 8 + length]
+        at += 12 + length
+    rows = np.frombuffer(zlib.decompress(idat), np.uint8).reshape(height, 1 + 3 * width)
+    out = np.zeros((height, 3 * width), np.uint8)
+    for y, row in enumerate(rows):
+        above = out[y - 1] if y else np.zeros(3 * width, np.uint8)
+        for x in range(3 * width):
+            a, b = int(out[y, x - 3]) if x > 2 else 0, int(above[x])
+            c = int(above[x - 3]) if x > 2 else 0
+            nearest = min((abs(b - c), 0, a), (abs(a - c), 1, b), (abs(a + b - 2 * c), 2, c))[2]
+            out[y, x] = (int(row[x + 1]) + [0, a, b, (a + b) // 2, nearest][row[0]]) % 256
+    return out.reshape(height, width, 3)
+
+
+url, first = sys.argv[1:]
+client = Client(url)
+view = client.view(x=0.1, y=0.2, z=0.5, yaw_deg=10, pitch_deg=20)
+assert view.made == "stored" and view.image.shape == (240, 320, 3) and view.image.dtype == np.uint8, view
+assert (view.image == png(first)).all(), "the stored image's own pixels"
+view = client.view(x=0.22, y=0.2, z=0.5, yaw_deg=11, pitch_deg=20, mask="alpha", width=160)
+assert view.image.shape == (120, 160, 3) and view.mask.shape == (120, 160), view
+assert view.made == "composed" and len(view.sources) > 1 and view.valid_share > 0.9, view
+try:
+    client.view(x=9, y=9, z=0.5, yaw_deg=0)
+    raise AssertionError("nothing is there")
+except RealitySimError as error:
+    assert error.status == 404 and "farther than" in error.detail, error
+assert client.view(x=3, y=0.2, z=0.5, yaw_deg=10, pitch_deg=20, outside="warn").warning
+
+# A pose survives its matrix, in both conventions.
+yaw, pitch, roll = 0.4, 0.3, -0.1
+cy, sy, cp, sp, cr, sr = (f(a) for a in (yaw, pitch, roll) for f in (math.cos, math.sin))
+turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+turn = turn @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+matrix = np.eye(4)
+matrix[:3, :3], matrix[:3, 3] = turn, [0.2, 0.2, 0.5]
+optical = matrix.copy()
+optical[:3, :3] = np.stack([-turn[:, 1], -turn[:, 2], turn[:, 0]], axis=1)
+for pose in (pose_of_camera(matrix), pose_of_camera(optical, z_forward=True)):
+    for name, value in {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}.items():
+        assert abs(pose[name] - math.degrees(value)) < 1e-9, pose
+assert client.view_of_matrix(matrix).image.shape == (240, 320, 3)
+
+pose = {"x": 0.2, "y": 0.2, "z": 0.5, "yaw_deg": 10, "pitch_deg": 20}
+views = list(client.views([pose, {**pose, "x": 50}, pose], width=64))
+assert [type(view).__name__ for view in views] == ["View", "RealitySimError", "View"], views
+assert views[0].image.shape == (48, 64, 3) and (views[0].image == views[2].image).all()
+assert len(list(client.trajectory(pose, {**pose, "x": 0.3}, count=7))) == 7
+assert client.info()["images"] == 4 and int(client.coverage().sum()) == 4
+print("the client agrees")

@@ -1,0 +1,153 @@
+//! Clients that are slow, many, or talk nonsense.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use super::Served;
+use super::client::{Answer, connect, exchange, get, get_with};
+
+const HERE: &str = "/v1/view?x=0.22&y=0.2&z=0.5&yaw_deg=11&pitch_deg=20";
+
+#[test]
+fn garbage_is_refused_and_the_next_client_served() {
+    let mut served = Served::new("");
+    let long = format!("GET /v1/view?{} HTTP/1.1\r\nHost: localhost\r\n\r\n", "x".repeat(100_000));
+    let many = format!("GET / HTTP/1.1\r\n{}\r\n", "a: b\r\n".repeat(5_000));
+    let mut seed = 1u64;
+    let noise: Vec<u8> = (0..4096)
+        .map(|_| {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (seed >> 56) as u8
+        })
+        .collect();
+    for request in [
+        b"\r\n\r\n\r\n".as_slice(),
+        b"GET\r\n\r\n",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+        b"GET /v1/view?x=%ff%fe&y=%00 HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n",
+        b"POST /v1/views HTTP/1.1\r\nHost: localhost\r\nContent-Length: -5\r\n\r\n",
+        b"POST /v1/views HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\nzzz\r\n",
+        long.as_bytes(),
+        many.as_bytes(),
+        &noise,
+    ] {
+        let mut stream = connect(served.address);
+        let _ = stream.write_all(request);
+        let _ = stream.shutdown(std::net::Shutdown::Write);
+        let mut bytes = Vec::new();
+        let _ = stream.read_to_end(&mut bytes);
+        if let Some(answer) = Answer::parse(&bytes) {
+            assert!((400..500).contains(&answer.status), "{:?}: {answer:?}", String::from_utf8_lossy(request));
+        }
+        assert_eq!(get(served.address, HERE).status, 200);
+    }
+    assert!(served.is_running());
+}
+
+#[test]
+fn a_client_that_never_finishes_its_request_is_hung_up_on() {
+    let served = Served::new("");
+    let started = Instant::now();
+    let mut slow = connect(served.address);
+    slow.write_all(b"GET /v1/vi").expect("sent");
+    let mut idle = connect(served.address);
+    // Others are served meanwhile.
+    assert_eq!(get(served.address, HERE).status, 200);
+    let mut bytes = Vec::new();
+    let _ = slow.read_to_end(&mut bytes);
+    let _ = idle.read_to_end(&mut bytes);
+    assert!((5.0..40.0).contains(&started.elapsed().as_secs_f64()), "{:?}", started.elapsed());
+}
+
+#[test]
+fn a_client_that_does_not_read_holds_no_thread_for_ever() {
+    let served = Served::new("--threads 1");
+    let poses: Vec<String> = (0..200).map(|i| format!("{{\"x\": 0.2, \"y\": 0.2, \"yaw_deg\": {}}}", i % 20)).collect();
+    let body = format!("{{\"z\": 0.5, \"pitch_deg\": 20, \"width\": 640, \"poses\": [{}]}}", poses.join(","));
+    let mut deaf = connect(served.address);
+    let head = format!(
+        "POST /v1/views HTTP/1.1\r\nHost: localhost\r\nAccept: application/octet-stream\r\nContent-Length: {}\r\n\r\n",
+        body.len()
+    );
+    deaf.write_all(head.as_bytes()).and_then(|()| deaf.write_all(body.as_bytes())).expect("sent");
+    let started = Instant::now();
+    loop {
+        // The only thread is taken: 503 after a while, until the deaf one is given up.
+        let answer = get(served.address, HERE);
+        if answer.status == 200 {
+            break;
+        }
+        assert!(answer.status == 503 && started.elapsed() < Duration::from_secs(90), "{answer:?}");
+    }
+    drop(deaf);
+}
+
+#[test]
+fn many_at_once_are_served_or_told_to_come_back() {
+    let mut served = Served::new("--threads 2");
+    let (good, busy) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let address = served.address;
+    std::thread::scope(|scope| {
+        for client in 0..100 {
+            let (good, busy) = (&good, &busy);
+            scope.spawn(move || {
+                let yaw = client % 20;
+                let path = format!("/v1/view?x=0.22&y=0.2&z=0.5&yaw_deg={yaw}&pitch_deg=20&width=640");
+                let answer = get(address, &path);
+                match answer.status {
+                    200 => good.fetch_add(1, Ordering::Relaxed),
+                    503 => {
+                        assert_eq!(answer.header("retry-after"), "1");
+                        busy.fetch_add(1, Ordering::Relaxed)
+                    }
+                    _ => panic!("{}", answer.text()),
+                };
+            });
+        }
+    });
+    let (good, busy) = (good.into_inner(), busy.into_inner());
+    assert!(good >= 34 && good + busy == 100, "{good} served, {busy} told to come back");
+    assert_eq!(get(served.address, HERE).status, 200, "and it goes on");
+    assert!(get(served.address, "/metrics").text().contains("realitysim_requests_inside 0"));
+    assert!(served.is_running());
+}
+
+#[test]
+fn more_connections_than_there_are_places_wait_and_come_through() {
+    let served = Served::new("");
+    let idle: Vec<TcpStream> = (0..300).filter_map(|_| TcpStream::connect(served.address).ok()).collect();
+    // The idle ones are hung up on after their time.
+    assert_eq!(get(served.address, HERE).status, 200);
+    drop(idle);
+}
+
+#[test]
+fn beyond_loopback_a_token_is_needed() {
+    let room = crate::replay::support::Room::new();
+    super::add_images(&room, "images", &super::PLACES);
+    room.write("token", "sixteen-letters-or-more\n");
+    room.write("short", "abc");
+    room.run("serve --db db --listen 0.0.0.0:0").fails(2, &["give a token with --token-file"]);
+    room.run("serve --db db --token-file short").fails(2, &["at least 16 are needed"]);
+    room.run("serve --db none").fails(1, &["there is no database here"]);
+    let served = Served::of(room, "--listen 0.0.0.0:0 --token-file token");
+    let address = std::net::SocketAddr::from(([127, 0, 0, 1], served.address.port()));
+    for headers in
+        ["", "Authorization: Bearer wrong-wrong-wrong-wrong\r\n", "Authorization: Basic sixteen-letters-or-more\r\n"]
+    {
+        let answer = get_with(address, HERE, headers);
+        assert_eq!((answer.status, answer.header("www-authenticate")), (401, "Bearer"));
+    }
+    assert_eq!(get_with(address, HERE, "Authorization: Bearer sixteen-letters-or-more\r\n").status, 200);
+}
+
+#[test]
+fn a_page_in_a_browser_that_names_this_machine_is_not_answered() {
+    let served = Served::new("");
+    let request = format!("GET {HERE} HTTP/1.1\r\nHost: rebound.example.org\r\nConnection: close\r\n\r\n");
+    let answer = Answer::parse(&exchange(served.address, request.as_bytes())).expect("an answer");
+    assert!(answer.status == 403 && answer.text().contains("only localhost"), "{}", answer.text());
+}

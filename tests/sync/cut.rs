@@ -1,0 +1,154 @@
+//! Over real ssh: cut, corrupted, killed, and a disk that is full.
+
+use std::fs;
+use std::process::Command;
+use std::time::Duration;
+
+use super::site::{Site, Synced, contents, finish_segment, noise};
+
+/// Different with every N, the same in every run.
+fn draws(seed: u64, count: usize, below: u64) -> Vec<u64> {
+    let bytes = noise(seed, 8 * count);
+    let (numbers, _) = bytes.as_chunks::<8>();
+    numbers.iter().map(|number| u64::from_le_bytes(*number) % below).collect()
+}
+
+const SEGMENT: usize = 300_000;
+
+fn robot_with_two_sessions(site: &Site) {
+    for (which, name) in ["2026-11-21T10-00-00Z-r1", "2026-11-21T11-00-00Z-r1"].into_iter().enumerate() {
+        let segments: Vec<_> = (0..3).map(|index| noise((10 * which + index) as u64, SEGMENT + index)).collect();
+        site.session("robot", name, &segments);
+    }
+}
+
+#[test]
+fn everything_comes_over_ssh_is_acknowledged_and_comes_once() {
+    let Some(site) = Site::with_ssh() else { return };
+    robot_with_two_sessions(&site);
+    let report = site.sync("robot", "dev", &["--json"]).ends(0).json();
+    assert_eq!((report["fetched"].as_u64(), report["acknowledged"].as_bool()), (Some(6), Some(true)), "{report}");
+    assert_eq!(site.holds("robot", &["dev"]), 6);
+    assert_eq!(contents(&site.path("dev")), contents(&site.path("robot")));
+    let again = site.sync("robot", "dev", &["--json"]).ends(0).json();
+    assert_eq!((again["fetched"].as_u64(), again["already"].as_u64()), (Some(0), Some(6)), "{again}");
+}
+
+#[test]
+fn a_link_that_is_cut_at_random_bytes_loses_nothing_and_acknowledges_nothing_that_is_not_here() {
+    let Some(site) = Site::with_ssh() else { return };
+    robot_with_two_sessions(&site);
+    // Each round has up to nine calls of ssh; they are cut anywhere, some in the greeting, most in the middle of a segment.
+    for round in 0..12 {
+        let cuts = draws(round, 9, if round % 3 == 0 { 2_000 } else { 900_000 });
+        site.mangles(&cuts.iter().map(|at| format!("cut {at}")).collect::<Vec<_>>());
+        let synced = site.sync("robot", "dev", &[]);
+        assert!(matches!(synced.code, Some(0 | 1)) && !synced.stderr.contains("panicked"), "{synced:?}");
+        site.holds("robot", &["dev"]);
+    }
+    site.mangles(&[]);
+    site.sync("robot", "dev", &[]).ends(0);
+    assert_eq!(site.holds("robot", &["dev"]), 6);
+    assert_eq!(contents(&site.path("dev")), contents(&site.path("robot")));
+}
+
+#[test]
+fn a_cut_transfer_goes_on_where_it_broke() {
+    let Some(site) = Site::with_ssh() else { return };
+    site.session("robot", "s", &[noise(1, 4_000_000)]);
+    // Listing, manifest, then three tries of the segment, each with a third of it.
+    let cuts = ["pass", "pass", "cut 1500000", "cut 1500000", "cut 1500000"];
+    site.mangles(&cuts.map(str::to_owned));
+    site.sync("robot", "dev", &[]).ends(0).says("it is tried again");
+    assert_eq!(site.holds("robot", &["dev"]), 1);
+}
+
+#[test]
+fn bytes_flipped_on_the_way_are_never_believed() {
+    let Some(site) = Site::with_ssh() else { return };
+    robot_with_two_sessions(&site);
+    for round in 0..8 {
+        let flips = draws(100 + round, 9, if round % 2 == 0 { 3_000 } else { 900_000 });
+        site.mangles(&flips.iter().map(|at| format!("flip {at}")).collect::<Vec<_>>());
+        let synced = site.sync("robot", "dev", &[]);
+        assert!(synced.code.is_some() && !synced.stderr.contains("panicked"), "{synced:?}");
+        site.holds("robot", &["dev"]);
+    }
+    site.mangles(&[]);
+    site.sync("robot", "dev", &[]);
+    assert_eq!(site.holds("robot", &["dev"]), 6);
+    assert_eq!(contents(&site.path("dev")), contents(&site.path("robot")));
+}
+
+#[test]
+fn a_sync_that_is_killed_anywhere_leaves_what_is_true_and_the_next_ends_it() {
+    let Some(site) = Site::with_ssh() else { return };
+    robot_with_two_sessions(&site);
+    for delay_ms in draws(7, 10, 1_500) {
+        let mut sync = site.command("robot", "dev", &[]).spawn().expect("started");
+        std::thread::sleep(Duration::from_millis(delay_ms));
+        let _ = sync.kill();
+        let _ = sync.wait();
+        site.holds("robot", &["dev"]);
+    }
+    site.sync("robot", "dev", &[]).ends(0);
+    assert_eq!(site.holds("robot", &["dev"]), 6);
+}
+
+#[test]
+fn a_robot_that_records_meanwhile_is_followed() {
+    let Some(site) = Site::with_ssh() else { return };
+    let folder = site.session("robot", "2026-11-21T10-00-00Z-r1", &[noise(1, SEGMENT)]);
+    let mut watch = site.command("robot", "dev", &["--watch", "--every", "1"]).spawn().expect("started");
+    for index in 1..6 {
+        // An open segment has another name and no line, and is not touched.
+        fs::write(folder.join(format!("{index:04}.mcap.active")), noise(99, 1000)).expect("written");
+        std::thread::sleep(Duration::from_millis(400));
+        finish_segment(&folder, index, &noise(index as u64, SEGMENT));
+        site.holds("robot", &["dev"]);
+    }
+    let began = std::time::Instant::now();
+    while site.holds("robot", &["dev"]) < 6 {
+        assert!(began.elapsed() < Duration::from_secs(60), "never came");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    let id = rustix::process::Pid::from_raw(watch.id() as i32).expect("a process");
+    rustix::process::kill_process(id, rustix::process::Signal::INT).expect("alive");
+    assert!(watch.wait().expect("ended").success());
+    assert!(!site.path("dev/2026-11-21T10-00-00Z-r1/0001.mcap.active").exists());
+}
+
+#[test]
+fn a_disk_that_is_full_acknowledges_nothing_more_and_the_rest_comes_when_there_is_room() {
+    let Some(site) = Site::with_ssh() else { return };
+    site.session("robot", "small", &[noise(1, 200_000)]);
+    site.session("robot", "z-large", &[noise(2, 3_000_000)]);
+    // No file may grow beyond a megabyte: an error in the middle of a write, as of a full disk.
+    let sync = site.command("robot", "dev", &[]);
+    let mut limited = Command::new("bash");
+    limited.current_dir(site.path("")).args(["-c", "trap '' XFSZ; ulimit -f 1024; exec \"$@\"", "bash"]);
+    limited.arg(sync.get_program()).args(sync.get_args());
+    Synced::of(limited.output().expect("ran")).ends(1).says("so large");
+    assert_eq!(site.holds("robot", &["dev"]), 1, "what fits is here and acknowledged");
+    site.sync("robot", "dev", &[]).ends(0);
+    assert_eq!(site.holds("robot", &["dev"]), 2);
+}
+
+#[test]
+fn what_has_no_room_is_not_begun() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "s", &(0..4).map(|index| noise(index, 2_000_000)).collect::<Vec<_>>());
+    let disk = site.path("disk");
+    fs::create_dir(&disk).expect("made");
+    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=70m", "tmpfs"]).arg(&disk).output();
+    if !mounted.is_ok_and(|mounted| mounted.status.success()) {
+        println!("skipped: only root may mount a small disk");
+        return;
+    }
+    let synced = site.sync("robot", "disk/dev", &["--json"]);
+    let held = site.holds("robot", &["disk/dev"]);
+    let _ = Command::new("umount").arg(&disk).status();
+    let report = synced.ends(1).says("no room here").json();
+    assert!(report["no_room_bytes"].as_u64() > Some(0), "{report}");
+    assert!((1..4).contains(&held), "{held}");
+}

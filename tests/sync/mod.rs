@@ -1,0 +1,8 @@
+//! Recordings from robots to dev machines, over real ssh and over a plain folder, whatever happens on the way.
+
+mod bad;
+mod cut;
+mod folder;
+mod recorder;
+mod sessions;
+mod site;

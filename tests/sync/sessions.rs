@@ -1,0 +1,86 @@
+//! `sessions` on both sides.
+
+use std::fs;
+
+use super::site::{Site, noise};
+
+fn names(decisions: &serde_json::Value) -> Vec<&str> {
+    let all = decisions["sessions"].as_array().expect("decisions").iter();
+    all.filter(|one| one["goes"] == true).map(|one| one["session"].as_str().expect("a name")).collect()
+}
+
+#[test]
+fn a_list_says_what_is_there_and_who_has_it() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "a", &[noise(1, 1_000), noise(2, 500)]);
+    site.session("robot", "b", &[noise(3, 100)]);
+    site.sync("robot", "dev", &["a"]).ends(0);
+    site.run("sessions pin b --captures robot").ends(0);
+    let listed = site.run("sessions list --captures robot --json").ends(0).json();
+    let (a, b) = (&listed[0], &listed[1]);
+    assert_eq!(
+        (a["segments"].as_u64(), a["synced"].as_u64(), a["bytes"].as_u64()),
+        (Some(2), Some(2), Some(1_500)),
+        "{listed}"
+    );
+    assert_eq!((a["frames"]["captured"].as_u64(), a["duration_s"].as_f64()), (Some(8), Some(119.0)), "{listed}");
+    assert_eq!((b["synced"].as_u64(), b["pinned"].as_bool()), (Some(0), Some(true)), "{listed}");
+    let text = site.run("sessions list --captures robot").ends(0).stdout;
+    assert!(text.contains("synced") && text.contains("pinned"), "{text}");
+    site.run("sessions unpin b --captures robot").ends(0);
+    let shown = site.run("sessions show robot/b --json").ends(0).json();
+    assert_eq!(shown["pinned"], false, "{shown}");
+    site.run("sessions show c --captures robot").ends(2);
+    site.run("sessions pin a c --captures robot").ends(2);
+    assert!(!site.path("robot/a/pinned").exists(), "all or none");
+}
+
+#[test]
+fn only_what_another_store_has_is_pruned_and_a_dry_run_changes_nothing() {
+    let Some(site) = Site::new() else { return };
+    for name in ["a", "b", "c"] {
+        site.session("robot", name, &[noise(1, 1_000)]);
+    }
+    site.sync("robot", "dev", &["a"]).ends(0);
+    site.sync("robot", "dev", &["b"]).ends(0);
+    site.run("sessions pin b --captures robot").ends(0);
+    let decided = site.run("sessions prune --captures robot --json").ends(0).json();
+    assert_eq!((names(&decided), decided["done"].as_bool()), (vec!["a"], Some(false)), "{decided}");
+    assert!(site.path("robot/a").is_dir());
+    site.run("sessions prune --captures robot --yes").ends(0);
+    assert!(!site.path("robot/a").exists() && site.path("robot/b").is_dir() && site.path("robot/c").is_dir());
+    // Acknowledgements of others count, one's own do not.
+    let here = site.run("sessions prune --captures dev --json").ends(0).json();
+    assert_eq!(names(&here), [""; 0], "{here}");
+    fs::write(site.path("robot/c/mine.txt"), "").expect("written");
+    let forced = site.run("sessions prune --captures robot --force --json").ends(0).json();
+    assert_eq!(names(&forced), [""; 0], "a foreign file keeps its session: {forced}");
+}
+
+#[test]
+fn what_is_pruned_here_is_no_longer_acknowledged_and_not_fetched_again_unasked() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "a", &[noise(1, 1_000)]);
+    site.sync("robot", "dev", &[]).ends(0);
+    site.sync("dev", "archive", &[]).ends(0);
+    let decided = site.run("sessions prune --captures dev --yes --json").ends(0).json();
+    assert_eq!(names(&decided), ["a"], "the archive has acknowledged it: {decided}");
+    let report = site.sync("robot", "dev", &["--json"]).ends(0).json();
+    assert_eq!(report["fetched"], 0, "{report}");
+    assert_eq!(site.holds("robot", &["dev"]), 0, "taken back");
+    site.sync("robot", "dev", &["a"]).ends(0);
+    assert_eq!(site.holds("robot", &["dev"]), 1, "named, it comes again");
+}
+
+#[test]
+fn a_copy_that_is_verified_now_is_as_good_as_an_acknowledgement() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "a", &[noise(1, 1_000)]);
+    site.sync("robot", "dev", &["--no-acknowledge"]).ends(0);
+    let pruned = |copy: &str| site.run(&format!("sessions prune --captures robot --copy {copy} --json")).ends(0).json();
+    assert_eq!(names(&pruned("dev")), ["a"]);
+    let mut bytes = noise(1, 1_000);
+    bytes[7] ^= 4;
+    fs::write(site.path("dev/a/0000.mcap"), bytes).expect("written");
+    assert_eq!(names(&pruned("dev")), [""; 0], "one bit is enough");
+}
