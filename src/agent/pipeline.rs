@@ -160,6 +160,11 @@ impl Pipeline {
         self.session.as_ref().map(SessionWriter::account)
     }
 
+    /// Counts the rounds of the recorder's thread, if there is one.
+    pub fn recorder_rounds(&self) -> Option<u64> {
+        self.session.as_ref().and_then(SessionWriter::rounds)
+    }
+
     /// Of which poses there are images.
     pub fn coverage(&self) -> &PoseGrid {
         self.thinning.coverage()

@@ -112,6 +112,11 @@ impl SessionWriter {
         self.shared.status()
     }
 
+    /// Counts the rounds of the recorder's thread, if it has one of its own.
+    pub fn rounds(&self) -> Option<u64> {
+        matches!(self.recorder, Where::Behind(_)).then(|| self.shared.rounds())
+    }
+
     /// Both, of one moment.
     pub fn account(&self) -> (Counts, RecorderStatus) {
         self.shared.account()

@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -33,6 +34,7 @@ pub(super) struct Shared {
     state: Mutex<State>,
     filled: Condvar,
     room: Room,
+    rounds: AtomicU64,
 }
 
 /// An entry, and when it came.
@@ -80,7 +82,12 @@ pub(super) enum Next {
 impl Shared {
     pub fn new(room: Room) -> Self {
         let status = RecorderStatus { queue_limit_bytes: room.frames_bytes + room.reserve_bytes, ..Default::default() };
-        Self { state: Mutex::new(State { status, ..State::default() }), filled: Condvar::new(), room }
+        Self {
+            state: Mutex::new(State { status, ..State::default() }),
+            filled: Condvar::new(),
+            room,
+            rounds: AtomicU64::new(0),
+        }
     }
 
     /// Takes it if there is room, or counts it and leaves a gap.
@@ -168,6 +175,16 @@ impl Shared {
         state.closed = true;
         drop(state);
         self.filled.notify_all();
+    }
+
+    /// The recorder's thread has got round once more.
+    pub fn go_round(&self) {
+        self.rounds.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// It stands still if that thread does, be it at the disk.
+    pub fn rounds(&self) -> u64 {
+        self.rounds.load(Ordering::Relaxed)
     }
 
     pub fn is_closed(&self) -> bool {

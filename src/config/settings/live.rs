@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::within;
+
 /// Of a live camera; its size is that of `camera.lens`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -105,11 +107,6 @@ impl MountSettings {
         }
         Ok(())
     }
-}
-
-fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), String> {
-    // NaN fails both comparisons.
-    if value >= low && value <= high { Ok(()) } else { Err(format!("{key} is {value}: it must be {low} to {high}")) }
 }
 
 impl Default for CaptureSettings {
