@@ -120,7 +120,12 @@ class Microcontroller(threading.Thread):
         self.going = True
 
     def write(self, data):
-        self.link.sendall(data)
+        """As a UART: what nobody takes is lost. Before the service opens its port, the line fills within a second."""
+        self.link.settimeout(0.05)
+        try:
+            self.link.sendall(data)
+        except TimeoutError:
+            pass
 
     def device_ns(self):
         return int((time.monotonic() - self.began + 100) * 1e9)
@@ -129,7 +134,6 @@ class Microcontroller(threading.Thread):
         tick = 0
         try:
             while self.going:
-                self.link.settimeout(2)
                 self.send(tick)
                 tick += 1
                 while (left := self.began + tick * self.period - time.monotonic()) > 0:
