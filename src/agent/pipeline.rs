@@ -157,7 +157,12 @@ impl Pipeline {
 
     /// What became of the frames so far, and how the recorder is, once it has begun.
     pub fn recorder(&self) -> Option<(Counts, RecorderStatus)> {
-        self.session.as_ref().map(|session| (session.counts(), session.status()))
+        self.session.as_ref().map(SessionWriter::account)
+    }
+
+    /// Counts the rounds of the recorder's thread, if there is one.
+    pub fn recorder_rounds(&self) -> Option<u64> {
+        self.session.as_ref().and_then(SessionWriter::rounds)
     }
 
     /// Of which poses there are images.

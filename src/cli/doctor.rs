@@ -6,7 +6,7 @@ use clap::Args;
 
 use super::settings::SettingsArguments;
 use super::{Outcome, output};
-use crate::agent::doctor::{Finding, examine};
+use crate::agent::doctor::{Finding, estimate_delay, examine};
 
 /// Try every part that a recording needs: config, camera, serial ports, clocks, disk
 ///
@@ -16,11 +16,32 @@ pub struct DoctorArguments {
     /// Where captures will be kept
     #[arg(short, long, value_name = "CAPTURES_DIR", default_value = "/var/lib/realitysim/captures")]
     output: PathBuf,
+    /// Only find out how late the camera's stamps are, from a recording in which head or body turns left and right for ten
+    /// seconds: LOG, or the newest capture
+    #[arg(long, value_name = "LOG", num_args = 0..=1)]
+    estimate_delay: Option<Option<PathBuf>>,
     #[command(flatten)]
     settings: SettingsArguments,
 }
 
 pub fn run(arguments: &DoctorArguments, json: bool) -> anyhow::Result<Outcome> {
+    if let Some(log) = &arguments.estimate_delay {
+        let report = estimate_delay(log.as_ref().unwrap_or(&arguments.output), &arguments.settings.resolve()?)?;
+        if json {
+            output::json(&report)?;
+        } else {
+            output::lines(&format!(
+                "{}: capture.delay_ms = {:.1} (to {:.1} ms, from {} turns, correlation {:.2}; recorded with {:.1})",
+                report.log.display(),
+                report.delay_ms,
+                report.uncertainty_ms,
+                report.turns,
+                report.correlation,
+                report.configured_ms
+            ))?;
+        }
+        return Ok(Outcome::Whole);
+    }
     let findings = examine(&arguments.settings.resolve()?, &arguments.output);
     if json {
         output::json(&findings)?;

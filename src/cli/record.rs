@@ -163,6 +163,26 @@ fn for_people(status: &Value) -> String {
         Some(cause) => lines.push(format!("camera: away ({cause})")),
         None => lines.push(format!("camera: {}", status["camera"]["card"].as_str().unwrap_or("none yet"))),
     }
+    let rate = |key: &str| status["rates"][key].as_f64().unwrap_or(0.0);
+    let budget = |key: &str| status["budget"][key].as_f64().unwrap_or(0.0);
+    let allowed = match budget("budget_ms") {
+        0.0 => String::new(),
+        allowed => format!(" of {allowed} ms"),
+    };
+    lines.push(format!(
+        "last second: {:.1} captured, {:.1} written, {:.1} tagged; {} of 16 frames wait for the agent",
+        rate("captured_hz"),
+        rate("written_hz"),
+        rate("tagged_hz"),
+        status["camera_waiting"]
+    ));
+    lines.push(format!("tags: {:.1} ms each, 1 % over {:.1} ms{allowed}", budget("p50_ms"), budget("p99_ms")));
+    lines.push(format!("valid: {} of the last {}", status["validity"]["valid"], status["validity"]["frames"]));
+    if let Some(passed_on) = status["republished"].as_object() {
+        let lost = passed_on["lost"].as_str().map_or(String::new(), |why| format!(" ({why})"));
+        let device = passed_on["device"].as_str().unwrap_or("-");
+        lines.push(format!("{device}: {} passed on, {} missed{lost}", passed_on["passed"], passed_on["missed"]));
+    }
     for (device, port) in status["ports"].as_object().into_iter().flatten() {
         if let Some(lost) = port["lost"].as_str() {
             lines.push(format!("{device}: {lost}"));
@@ -223,10 +243,11 @@ fn recorder_for_people(recorder: &Value) -> Vec<String> {
     };
     let mut lines = vec![
         format!(
-            "recorder: {} frames waiting, {:.1} of {:.0} MiB; {conserved}",
+            "recorder: {} frames wait for the disk, {:.1} of {:.0} MiB; {:.0} MiB of the disk free; {conserved}",
             recorder["frames_waiting"],
             mebibytes("queue_bytes"),
-            mebibytes("queue_limit_bytes")
+            mebibytes("queue_limit_bytes"),
+            mebibytes("free_bytes")
         ),
         format!(
             "a power cut costs at most {:.2} s (worst stall {:.0} ms; worst so far {:.2} s)",
@@ -237,7 +258,7 @@ fn recorder_for_people(recorder: &Value) -> Vec<String> {
     ];
     if let Some(cause) = recorder["stopped"]["cause"].as_str() {
         let what = if recorder["stopped"]["frames_only"] == true { "frames are not" } else { "nothing is" };
-        lines.push(format!("DISK: {cause}: {what} recorded, {:.0} MiB free", mebibytes("free_bytes")));
+        lines.push(format!("DISK: {cause}: {what} recorded"));
     }
     if let Some(fault) = recorder["fault"].as_object() {
         lines.push(format!(

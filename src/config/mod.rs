@@ -5,10 +5,8 @@
 mod error;
 pub mod fields;
 pub mod lenses;
-mod live;
 pub mod settings;
 mod source;
-mod thinning;
 
 pub use error::{ConfigError, LensFileError};
 pub use fields::{field_names, load_field, parse_field};
@@ -16,9 +14,8 @@ pub use lenses::{
     LensFile, LensFormat, LensWanted, VisualMeshPose, lens_from_camera_info, lens_names, load_lens,
     load_lens_for_image, parse_lens,
 };
-pub use live::{CaptureSettings, MountSettings, SerialPortSettings, SerialSettings};
 pub use settings::{
-    BodyMaskFile, CameraSettings, FilterConfig, Formula, FrameNames, HeadSettings, Model, MotionModel, MotionSource,
-    RecordingSettings, Settings, SimdPath, Topics, ViewsSettings,
+    BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, Formula, FrameNames, HeadSettings, Model, MotionModel,
+    MotionSource, MountSettings, RecordingSettings, SerialPortSettings, SerialSettings, Settings, SimdPath,
+    ThinningMode, ThinningSettings, Topics, ViewsSettings,
 };
-pub use thinning::{ThinningMode, ThinningSettings};

@@ -45,7 +45,7 @@ pub use release::{Releasable, releasable};
 pub use repair::{Repaired, repair, sessions_of};
 pub use retention::Evicted;
 pub use session::{SegmentState, SessionWriter, Writing};
-pub use status::{Fault, RecorderStatus, Stopped};
+pub use status::{Fault, RecorderStatus, Stopped, loss_bound_ms};
 pub use thinning::Thinning;
 pub use verify::{Verified, verify};
 pub use worst_stall::DiskMeasured;

@@ -112,6 +112,16 @@ impl SessionWriter {
         self.shared.status()
     }
 
+    /// Counts the rounds of the recorder's thread, if it has one of its own.
+    pub fn rounds(&self) -> Option<u64> {
+        matches!(self.recorder, Where::Behind(_)).then(|| self.shared.rounds())
+    }
+
+    /// Both, of one moment.
+    pub fn account(&self) -> (Counts, RecorderStatus) {
+        self.shared.account()
+    }
+
     /// Whether the segment has lasted or grown long enough.
     pub fn is_segment_full(&self, log_time_ns: i64) -> bool {
         let age_ns = log_time_ns.saturating_sub(self.first_ns);

@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -33,6 +34,7 @@ pub(super) struct Shared {
     state: Mutex<State>,
     filled: Condvar,
     room: Room,
+    rounds: AtomicU64,
 }
 
 /// An entry, and when it came.
@@ -80,7 +82,12 @@ pub(super) enum Next {
 impl Shared {
     pub fn new(room: Room) -> Self {
         let status = RecorderStatus { queue_limit_bytes: room.frames_bytes + room.reserve_bytes, ..Default::default() };
-        Self { state: Mutex::new(State { status, ..State::default() }), filled: Condvar::new(), room }
+        Self {
+            state: Mutex::new(State { status, ..State::default() }),
+            filled: Condvar::new(),
+            room,
+            rounds: AtomicU64::new(0),
+        }
     }
 
     /// Takes it if there is room, or counts it and leaves a gap.
@@ -168,6 +175,16 @@ impl Shared {
         state.closed = true;
         drop(state);
         self.filled.notify_all();
+    }
+
+    /// The recorder's thread has got round once more.
+    pub fn go_round(&self) {
+        self.rounds.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// It stands still if that thread does, be it at the disk.
+    pub fn rounds(&self) -> u64 {
+        self.rounds.load(Ordering::Relaxed)
     }
 
     pub fn is_closed(&self) -> bool {
@@ -265,17 +282,14 @@ impl Shared {
         state.status.fault = fault;
     }
 
-    /// `captured = written + thinned + dropped + still in memory`, each counted in a place of its own.
     pub fn status(&self) -> RecorderStatus {
+        self.lock().status()
+    }
+
+    /// Of one moment.
+    pub fn account(&self) -> (Counts, RecorderStatus) {
         let state = self.lock();
-        let frames_waiting = state.frames_queued + state.frames_in_hand;
-        let dropped: u64 = state.counts.dropped.values().sum();
-        RecorderStatus {
-            frames_waiting,
-            queue_bytes: state.frames_bytes + state.others_bytes,
-            conserved: state.counts.captured == state.counts.written + state.counts.thinned + dropped + frames_waiting,
-            ..state.status.clone()
-        }
+        (state.counts.clone(), state.status())
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -285,6 +299,18 @@ impl Shared {
 }
 
 impl State {
+    /// `captured = written + thinned + dropped + still in memory`, each counted in a place of its own.
+    fn status(&self) -> RecorderStatus {
+        let frames_waiting = self.frames_queued + self.frames_in_hand;
+        let dropped: u64 = self.counts.dropped.values().sum();
+        RecorderStatus {
+            frames_waiting,
+            queue_bytes: self.frames_bytes + self.others_bytes,
+            conserved: self.counts.captured == self.counts.written + self.counts.thinned + dropped + frames_waiting,
+            ..self.status.clone()
+        }
+    }
+
     fn push(&mut self, waiting: Waiting) {
         self.hold(&waiting.entry);
         self.frames_queued += u64::from(waiting.entry.is_frame());

@@ -8,6 +8,8 @@ use serde::Serialize;
 /// For `realitysim status`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RecorderStatus {
+    /// Named by whoever shows this, beside it.
+    #[serde(skip)]
     pub session: Option<PathBuf>,
     /// In memory: taken, and neither written nor dropped yet.
     pub frames_waiting: u64,
@@ -53,8 +55,12 @@ pub struct Stopped {
 }
 
 impl RecorderStatus {
-    /// Data that just missed a sync waits for the next one to begin, and then until it is through.
     pub(super) fn bound_loss(&mut self, sync_interval_ms: f64) {
-        self.loss_bound_ms = sync_interval_ms.max(self.worst_stall_ms) + self.worst_stall_ms;
+        self.loss_bound_ms = loss_bound_ms(sync_interval_ms, self.worst_stall_ms);
     }
+}
+
+/// Data that just missed a sync waits for the next one to begin, and then until it is through.
+pub fn loss_bound_ms(sync_interval_ms: f64, worst_stall_ms: f64) -> f64 {
+    sync_interval_ms.max(worst_stall_ms) + worst_stall_ms
 }

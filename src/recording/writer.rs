@@ -64,6 +64,7 @@ struct Run {
 impl Run {
     fn until_the_end(mut self) -> Result<PathBuf, RecordingError> {
         loop {
+            self.shared.go_round();
             self.look_at_the_room();
             let done = match self.shared.next(self.recorder.idle().min(LOOK_EVERY)) {
                 Next::Write(waiting) => self.recorder.take(waiting),
@@ -98,6 +99,7 @@ impl Run {
         go_on: impl Fn(&mut Recorder) -> Result<T, RecordingError>,
     ) -> Result<T, RecordingError> {
         loop {
+            self.shared.go_round();
             let before = self.recorder.confirmed();
             let done = go_on(&mut self.recorder);
             if done.is_ok() || self.recorder.confirmed() == before {

@@ -24,7 +24,7 @@ pub enum DecodeError {
     Png(image::ImageError),
     #[error("the image is neither JPEG nor PNG: it starts with {start:02x?}")]
     Format { start: Vec<u8> },
-    #[error("encoding {0:?}: supported are mono8, rgb8, bgr8, yuv422_yuy2 and bayer_rggb8")]
+    #[error("encoding {0:?}: supported are mono8, rgb8, bgr8, yuv422_yuy2 and bayer_rggb8, bggr8, gbrg8, grbg8")]
     Encoding(String),
     #[error("{width} x {height} pixels of {encoding} with step {step} do not fit {bytes} bytes")]
     Size { width: u32, height: u32, encoding: String, step: u32, bytes: usize },
@@ -106,7 +106,7 @@ pub fn raw(image: &ImageView) -> Result<Picture, DecodeError> {
     };
     let (width, height, step) = (image.width as usize, image.height as usize, image.step as usize);
     let bytes_per_pixel = match image.encoding {
-        "mono8" | "8UC1" | "bayer_rggb8" => 1,
+        "mono8" | "8UC1" | "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => 1,
         "yuv422_yuy2" => 2,
         "rgb8" | "bgr8" => 3,
         other => return Err(DecodeError::Encoding(other.to_owned())),
@@ -125,7 +125,10 @@ pub fn raw(image: &ImageView) -> Result<Picture, DecodeError> {
             Picture::from_rgb(width, height, &rgb)
         }
         "yuv422_yuy2" => yuy2(width, height, rows()),
-        "bayer_rggb8" => Picture::from_rgb(width, height, &demosaic_rggb(width, height, &rows().collect::<Vec<_>>())),
+        "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => {
+            let rgb = demosaic(width, height, &rows().collect::<Vec<_>>(), first_red(image.encoding));
+            Picture::from_rgb(width, height, &rgb)
+        }
         _ => Picture::from_gray(width, height, rows().flatten().copied().collect()),
     };
     picture.ok_or_else(size)
@@ -142,9 +145,19 @@ fn yuy2<'a>(width: usize, height: usize, rows: impl Iterator<Item = &'a [u8]>) -
     Picture::from_ycbcr(width, height, &pixels.collect::<Vec<u8>>())
 }
 
+/// Column and row of the first red pixel: the names read the first two rows from left to right.
+fn first_red(encoding: &str) -> [usize; 2] {
+    match encoding {
+        "bayer_bggr8" => [1, 1],
+        "bayer_gbrg8" => [0, 1],
+        "bayer_grbg8" => [1, 0],
+        _ => [0, 0],
+    }
+}
+
 /// Bilinear: each missing colour is the mean of its nearest neighbours of that colour.
-fn demosaic_rggb(width: usize, height: usize, rows: &[&[u8]]) -> Vec<u8> {
-    let colour_at = |u: usize, v: usize| match (v % 2, u % 2) {
+fn demosaic(width: usize, height: usize, rows: &[&[u8]], [red_u, red_v]: [usize; 2]) -> Vec<u8> {
+    let colour_at = |u: usize, v: usize| match ((v + red_v) % 2, (u + red_u) % 2) {
         (0, 0) => 0,
         (1, 1) => 2,
         _ => 1,
@@ -183,6 +196,27 @@ mod tests {
 
     fn view<'a>(encoding: &'a str, width: u32, height: u32, step: u32, data: &'a [u8]) -> ImageView<'a> {
         ImageView { header: Header::default(), height, width, encoding, is_bigendian: 0, step, data }
+    }
+
+    #[test]
+    fn every_bayer_pattern_gives_the_same_colours() {
+        let (width, height) = (16, 12);
+        let colour = [200u8, 90, 30];
+        for (encoding, first_rows) in [
+            ("bayer_rggb8", [0, 1, 1, 2]),
+            ("bayer_bggr8", [2, 1, 1, 0]),
+            ("bayer_gbrg8", [1, 2, 0, 1]),
+            ("bayer_grbg8", [1, 0, 2, 1]),
+        ] {
+            let data: Vec<u8> =
+                (0..width * height).map(|i| colour[first_rows[i / width % 2 * 2 + i % width % 2]]).collect();
+            let picture = raw(&view(encoding, width as u32, height as u32, width as u32, &data)).expect("decodes");
+            for pixel in picture.to_rgb().as_chunks::<3>().0 {
+                for (found, expected) in pixel.iter().zip(colour) {
+                    assert!(found.abs_diff(expected) <= 2, "{encoding}: {pixel:?}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -14,6 +14,7 @@ pub mod line_image;
 pub mod mask;
 pub mod picture;
 mod reading;
+mod rotation;
 
 use glam::{DVec2, DVec3};
 
@@ -26,6 +27,7 @@ pub use ground_map::GroundMap;
 pub use line_image::LineImage;
 pub use mask::BodyMask;
 pub use picture::Picture;
+pub use rotation::{Small, Turning};
 
 /// What the ground table is to hold; one per observation model and formula.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,12 +1,15 @@
 //! The agent as on a robot: a simulated walk comes in real time over a socket (frames) and a serial line (MAVLink).
 
+mod delay;
 mod play;
 mod robot;
+mod sender;
 
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::replay::support::{CAPTURES, IMAGE, Room, TAG, TRUTH, decode_all, on, read_capture, walk};
+use mavlink::dialects::common::{MavFrame, ODOMETRY_DATA};
 use realitysim::ros2::messages::{DiagnosticArray, FrameTag, PoseStamped};
 use robot::Robot;
 
@@ -35,8 +38,9 @@ impl Recorder {
     fn start(tty: Option<&str>) -> Self {
         let room = Room::new();
         room.write_scene("scene.toml", |text| text);
-        let ports =
-            tty.map_or(String::new(), |tty| format!("[serial]\nports = [{{ device = \"{tty}\", baud = 921600 }}]\n"));
+        let ports = tty.map_or(String::new(), |tty| {
+            format!("[serial]\nports = [{{ device = \"{tty}\", baud = 921600, poses = true }}]\n")
+        });
         room.write("robot.toml", format!("{CONFIG}{ports}"));
         let process = Command::new(env!("CARGO_BIN_EXE_realitysim"))
             .args(["record", "-o", CAPTURES, "--config", "robot.toml", "--socket", "control.sock"])
@@ -92,14 +96,38 @@ fn a_walk_is_tagged_live_and_its_capture_gives_the_same_tags() {
     let mut recorder = Recorder::start(Some(robot.tty()));
     let frames = robot.frames();
     let socket = recorder.room.path("camera.sock");
+    let line = robot.listens();
     let walking = std::thread::spawn(move || robot.walk(&socket));
     recorder.waits_for("the walk begins", 30, |status| status["counts"]["written"].as_u64() > Some(5));
     assert_eq!(recorder.asks("mark goal!")["marked"], "goal!");
-    let stamps = walking.join().expect("walked");
+    let (stamps, robot) = walking.join().expect("walked");
     recorder.waits_for("all frames", 20, |status| status["counts"]["written"].as_u64() == Some(frames as u64));
     let status = recorder.asks("status");
     let port = &status["ports"].as_object().expect("ports").values().next().expect("one").clone();
     assert_eq!((port["lost"].as_u64(), port["crc_failures"].as_u64()), (Some(0), Some(0)), "{status}");
+    assert!(status["budget"]["p50_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{status}");
+    assert!(status["validity"]["valid"].as_u64().is_some_and(|valid| valid as usize * 10 >= frames * 8), "{status}");
+    let counted = |key: &str| status["counts"][key].as_u64().expect("a count");
+    let dropped: u64 =
+        status["counts"]["dropped"].as_object().expect("causes").values().filter_map(|n| n.as_u64()).sum();
+    let disk = &status["recorder"];
+    let waiting = disk["frames_waiting"].as_u64().expect("a count");
+    assert_eq!(counted("captured"), counted("written") + counted("thinned") + dropped + waiting, "{status}");
+    assert_eq!(disk["conserved"], true);
+    assert!(disk["free_bytes"].as_u64().is_some_and(|bytes| bytes > 0), "{status}");
+    assert!(disk["loss_bound_ms"].as_f64() >= disk["worst_stall_ms"].as_f64(), "{status}");
+    let said = recorder.room.run("status --socket control.sock");
+    for part in [
+        "last second:",
+        "wait for the agent",
+        "wait for the disk",
+        "ms each",
+        "of the last",
+        "of the disk free",
+        "clock to",
+    ] {
+        assert!(said.stdout.contains(part), "{part}: {said:?}");
+    }
     let output = recorder.ends();
     assert!(output.status.success(), "{output:?}");
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
@@ -115,6 +143,8 @@ fn a_walk_is_tagged_live_and_its_capture_gives_the_same_tags() {
             |bytes: &[u8]| realitysim::ros2::messages::CompressedImageView::decode(bytes).map(|v| v.data.to_vec());
         assert!(data(&one.data).expect("an image") == data(&sent.data).expect("an image"));
     }
+    the_robot_was_told_its_poses(&line.join().expect("listened"), &tags);
+    drop(robot);
     for (tag, stamp_ns) in tags.iter().zip(&stamps) {
         assert_eq!(tag.kernel_stamp_ns, *stamp_ns, "the kernel's own stamp");
         assert_eq!(tag.header.stamp.to_nanoseconds(), stamp_ns + tag.utc_offset_ns - 4_000_000, "less the delay");
@@ -144,6 +174,20 @@ fn a_walk_is_tagged_live_and_its_capture_gives_the_same_tags() {
         let later =
             (again.sequence, again.valid, &again.reason, &again.pose, &again.best_particle, again.odometry_until);
         assert_eq!(later, live);
+    }
+}
+
+/// Every valid tag, as ODOMETRY on the line, by the clock that its time questions were answered with.
+fn the_robot_was_told_its_poses(told: &[ODOMETRY_DATA], tags: &[FrameTag]) {
+    let valid: Vec<&FrameTag> = tags.iter().filter(|tag| tag.valid).collect();
+    assert_eq!(told.len(), valid.len());
+    for (said, tag) in told.iter().zip(valid) {
+        let exposed_ns = tag.header.stamp.to_nanoseconds() - tag.utc_offset_ns;
+        assert_eq!(said.time_usec as i64, exposed_ns / 1_000);
+        let p = &tag.pose.pose.position;
+        assert_eq!([said.x, said.y, said.z], [p.x, p.y, p.z].map(|part| part as f32));
+        assert_eq!(said.pose_covariance[0], tag.pose.covariance[0] as f32);
+        assert_eq!(said.frame_id, MavFrame::MAV_FRAME_LOCAL_FLU);
     }
 }
 
@@ -193,6 +237,8 @@ fn the_doctor_names_what_is_wrong_and_what_to_do() {
     assert_eq!(said("lens"), (true, "320 x 240".to_owned()));
     assert!(said("mount").0 && said("field").0);
     assert_eq!(said("serial"), (false, "silent".to_owned()));
-    assert!(said("disk").1.contains("the worst of 40"));
+    for part in ["the worst of 40", "MiB for frames that wait", "a power cut costs at most"] {
+        assert!(said("disk").1.contains(part), "{part}: {findings:?}");
+    }
     room.run("doctor -o captures").fails(1, &[]);
 }

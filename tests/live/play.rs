@@ -20,7 +20,7 @@ fn a_capture_is_played_to_a_file_and_a_serial_line() {
     let (stop, steps) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new((0u64, 0u64, 0u64))));
     let (reader_stop, counted, device) = (Arc::clone(&stop), Arc::clone(&steps), cable.ends[1].clone());
     let reader = std::thread::spawn(move || {
-        run(&PortOptions { device, baud: 115_200, system: 1 }, &reader_stop, |event| {
+        run(&PortOptions { device, baud: 115_200, system: 1, poses: None }, &reader_stop, |event| {
             if let PortEvent::Measured(measured) = event {
                 let mut counted = counted.lock().expect("whole");
                 match measured.content {

@@ -1,13 +1,16 @@
 //! A robot that walks as a log says: its camera at a socket, its microcontroller at the end of a serial line.
 
-use std::io::Write;
+use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use glam::{DMat3, DQuat, DVec3};
 use mavlink::dialects::common::{ATTITUDE_QUATERNION_DATA, MavFrame, MavMessage, ODOMETRY_DATA};
-use mavlink::{MAVLinkV2MessageRaw, MavHeader};
+use mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkReader, MavlinkVersion};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::{CompressedImageView, Imu, Message, Odometry};
 use realitysim::sensors::host_clock::monotonic_ns;
@@ -71,8 +74,35 @@ impl Robot {
         self.events.iter().filter(|(_, event)| matches!(event, Event::Frame(_))).count()
     }
 
-    /// In real time, to the end; the frames' stamps.
-    pub fn walk(self, camera: &Path) -> Vec<i64> {
+    /// Poses that come back on its line, until it hangs up for half a second after some.
+    pub fn listens(&self) -> JoinHandle<Vec<ODOMETRY_DATA>> {
+        let line = std::fs::OpenOptions::new().read(true).open(&self.cable.ends[0]).expect("the line");
+        std::thread::spawn(move || {
+            let (mut bytes, mut quiet_since) = (Vec::new(), Instant::now());
+            let mut buffer = [0; 4096];
+            // The recorder asks for the time four times a second: silence is its end.
+            while quiet_since.elapsed() < Duration::from_secs(if bytes.is_empty() { 60 } else { 2 }) {
+                let patience = Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
+                if poll(&mut [PollFd::new(&line, PollFlags::IN)], Some(&patience)).is_ok_and(|ready| ready > 0) {
+                    let count = (&line).read(&mut buffer).unwrap_or(0);
+                    bytes.extend(&buffer[..count]);
+                    quiet_since = Instant::now();
+                }
+            }
+            let mut reader = MavlinkReader::new(std::io::Cursor::new(bytes));
+            let mut poses = Vec::new();
+            while let Ok((header, message)) = reader.read_message::<MavMessage>(MavlinkVersion::V2) {
+                assert_eq!((header.system_id, header.component_id), (1, 197));
+                if let MavMessage::ODOMETRY(pose) = message {
+                    poses.push(pose);
+                }
+            }
+            poses
+        })
+    }
+
+    /// In real time, to the end; the frames' stamps, and itself: its line stays open.
+    pub fn walk(self, camera: &Path) -> (Vec<i64>, Self) {
         let mut line = std::fs::OpenOptions::new().write(true).open(&self.cable.ends[0]).expect("the line");
         let (began, began_ns) = (Instant::now(), monotonic_ns());
         let (mut socket, mut stamps) = (None, Vec::new());
@@ -102,7 +132,7 @@ impl Robot {
         }
         // The last frame waits for what is measured after it.
         std::thread::sleep(Duration::from_millis(500));
-        stamps
+        (stamps, self)
     }
 }
 

@@ -10,11 +10,19 @@ cd "$folder"
 
 kernel="$(apt-cache depends linux-image-amd64 | awk '/Depends:/{print $2; exit}')"
 version="${kernel#linux-image-}"
-if [ ! -e vmlinuz ]; then
-    (cd dl && apt-get download -qq "$kernel" 2>/dev/null)
+if [ ! -e v4l2loopback.ko ]; then
+    common="linux-headers-${version%-amd64}-common"
+    kbuild="$(apt-cache depends "linux-headers-$version" | awk '/Depends: linux-kbuild/{print $2; exit}')"
+    (cd dl && apt-get download -qq "$kernel" "linux-headers-$version" "$common" "$kbuild" v4l2loopback-dkms 2>/dev/null)
     dpkg -x dl/"${kernel}"_*.deb kernel
     depmod -b kernel "$version"
     cp "kernel/boot/vmlinuz-$version" vmlinuz
+    # Debian has this driver as source only. Nothing of it touches the machine that builds.
+    for package in dl/linux-headers* dl/linux-kbuild* dl/v4l2loopback*; do dpkg -x "$package" headers; done
+    sed -i "s# /usr/src# $folder/headers/usr/src#" "headers/usr/src/linux-headers-$version/Makefile"
+    source="$(echo "$folder"/headers/usr/src/v4l2loopback-*)"
+    make -s -C "headers/usr/src/linux-headers-$version" M="$source" modules >make.log 2>&1 || (cat make.log; false)
+    cp "$source/v4l2loopback.ko" .
 fi
 modules() {
     local module
@@ -55,14 +63,18 @@ units="$root/etc/systemd/system"
 target="$root/usr/lib/modules/$version"
 mkdir -p "$target"
 cp kernel/lib/modules/"$version"/modules.{builtin,order,builtin.modinfo} "$target/"
-modules vivid virtio_blk ext4 virtio_pci uhci_hcd ftdi_sio virtio_rng | while read -r module; do
+modules vivid videodev virtio_blk ext4 virtio_pci uhci_hcd ftdi_sio virtio_rng | while read -r module; do
     relative="${module##*/$version/}"
     mkdir -p "$target/$(dirname "$relative")"
     cp "$module" "$target/$relative"
 done
+mkdir -p "$target/extra"
+cp v4l2loopback.ko "$target/extra/"
 depmod -b "$root" "$version"
-echo vivid >"$root/etc/modules-load.d/camera.conf"
-echo 'options vivid n_devs=1 node_types=0x1 num_inputs=1 input_types=0x0' >"$root/etc/modprobe.d/camera.conf"
+printf '%s\n' vivid v4l2loopback >"$root/etc/modules-load.d/camera.conf"
+# A webcam, and beside it an input to which the output's frames come (docs/hardware.md, virtual machine).
+printf '%s\n' 'options vivid n_devs=1 node_types=0x101 num_inputs=2 input_types=0xc num_outputs=1 output_types=1' \
+    'options v4l2loopback video_nr=10 exclusive_caps=1' >"$root/etc/modprobe.d/camera.conf"
 
 # A root shell on the third serial line, for the test.
 printf '%s\n' '[Unit]' DefaultDependencies=no After=systemd-udevd.service '[Service]' ExecStart=/bin/sh \
@@ -77,13 +89,15 @@ for unit in getty@tty1.service apt-daily.timer apt-daily-upgrade.timer e2scrub_a
     ln -sf /dev/null "$units/$unit"
 done
 ln -sf /lib/systemd/system/multi-user.target "$units/default.target"
-: >"$root/etc/fstab"
+# The captures have a disk of their own: it is looked at after the power was cut, and it can be filled.
+echo '/dev/vdb /var/lib/realitysim ext4 noatime,nofail 0 0' >"$root/etc/fstab"
 echo testvm >"$root/etc/hostname"
 echo 0123456789abcdef0123456789abcdef >"$root/etc/machine-id"
 
 # As on a robot.
 "$program" install --root "$root"
 cp "$here/robot.toml" "$root/etc/realitysim/robot.toml"
+install -m755 "$here"/guest/* "$root/usr/local/bin/"
 # vivid is no USB camera, and the 16550 has no udev name: the rules get two lines for them.
 cat >>"$root/usr/lib/udev/rules.d/99-realitysim.rules" <<'RULES'
 SUBSYSTEM=="video4linux", ATTR{name}=="vivid-*-vid-cap", SYMLINK+="robot-camera"

@@ -1,175 +1,99 @@
-"""Boots the virtual machine of build.sh and tries the service in it: `run.py FOLDER`. Exit code 0 only if all of it ran.
+"""Boots the virtual machine of build.sh and tries the service in it: `run.py PROGRAM FOLDER [--short]`.
 
-On the host pymavlink plays the microcontroller at the machine's second serial line.
+Exit code 0 only if all of it ran. On the host pymavlink plays the microcontrollers; the machine's own video output shows the walk.
 """
 import json
 import os
-import re
-import socket
+import random
 import subprocess
 import sys
-import threading
 import time
 
-os.environ["MAVLINK20"] = "1"
-from pymavlink.dialects.v20 import common as mavlink  # noqa: E402
+from machine import Machine, captures, connect, new_data_disk
+from walk import Microcontroller, Walk, ns, recorded
 
-FOLDER = sys.argv[1]
-SOCKET = "--socket /run/realitysim/control.sock"
-
-
-def connect(name, patience=30):
-    until = time.monotonic() + patience
-    while True:
-        try:
-            link = socket.socket(socket.AF_UNIX)
-            link.connect(os.path.join(FOLDER, name))
-            return link
-        except OSError:
-            link.close()
-            if time.monotonic() > until:
-                raise
-            time.sleep(0.1)
-
-
-class Machine:
-    def __init__(self):
-        for name in ("s1.sock", "s2.sock"):
-            if os.path.exists(os.path.join(FOLDER, name)):
-                os.remove(os.path.join(FOLDER, name))
-        self.qemu = subprocess.Popen(
-            ["qemu-system-x86_64", "-M", "pc", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "768",
-             "-nodefaults", "-no-reboot", "-display", "none", "-kernel", "vmlinuz", "-initrd", "initrd.gz",
-             "-append", "console=ttyS0 quiet panic=-1 mitigations=off", "-serial", "file:console.log",
-             "-chardev", "socket,id=s1,path=s1.sock,server=on,wait=off", "-serial", "chardev:s1",
-             "-chardev", "socket,id=s2,path=s2.sock,server=on,wait=off", "-serial", "chardev:s2",
-             "-drive", "file=root.qcow2,format=qcow2,if=virtio", "-device", "virtio-rng-pci"], cwd=FOLDER)
-        self.shell = connect("s2.sock")
-        self.text = ""
-        self.count = 0
-
-    def boot(self):
-        until = time.monotonic() + 180
-        while time.monotonic() < until:
-            self.shell.sendall(b"true\n")
-            if self.wait(r"# ?$", 2):
-                break
-        self.shell.sendall(b"stty -echo; PS1=\n")
-        time.sleep(1)
-        self.run("true", 60)
-
-    def wait(self, pattern, seconds):
-        until = time.monotonic() + seconds
-        self.shell.settimeout(0.2)
-        while time.monotonic() < until:
-            found = re.search(pattern, self.text, re.MULTILINE)
-            if found:
-                before, self.text = self.text[:found.start()], self.text[found.end():]
-                return before, found
-            try:
-                data = self.shell.recv(65536)
-                self.text += data.decode(errors="replace").replace("\r", "")
-            except TimeoutError:
-                pass
-        return None
-
-    def run(self, command, seconds=60):
-        """Exit code and output."""
-        self.count += 1
-        mark = f"__M{self.count}_"
-        self.text = ""
-        self.shell.sendall(f"{command}; echo {mark[:3]}''{mark[3:]}$?_\n".encode())
-        answer = self.wait(mark + r"(\d+)_\n", seconds)
-        if not answer:
-            raise SystemExit(f"no answer within {seconds} s to: {command}\n{self.text[-2000:]}")
-        before, found = answer
-        return int(found.group(1)), before.strip()
-
-    def ok(self, command, seconds=60):
-        code, text = self.run(command, seconds)
-        assert code == 0, f"{command}: {code}\n{text}"
-        return text
-
-    def status(self):
-        code, text = self.run(f"realitysim status --json {SOCKET}", 60)
-        return json.loads(text.splitlines()[-1]) if code == 0 else None
-
-    def until(self, what, seconds, holds):
-        began = time.monotonic()
-        status = None
-        while time.monotonic() - began < seconds:
-            status = self.status()
-            if status and holds(status):
-                print(f"+ {what}: {time.monotonic() - began:.1f} s", flush=True)
-                return status
-            time.sleep(0.3)
-        raise SystemExit(f"- {what}: not within {seconds} s; {json.dumps(status)}\n"
-                         + self.run("journalctl -u realitysim -n 40 --no-pager -o cat")[1])
-
-
-class Microcontroller(threading.Thread):
-    """At the machine's ttyS1: nothing paces that line but we."""
-
-    def __init__(self):
-        super().__init__(daemon=True)
-        self.link = connect("s1.sock")
-        self.mavlink = mavlink.MAVLink(self, srcSystem=1, srcComponent=1)
-        self.began = time.monotonic()
-
-    def write(self, data):
-        self.link.sendall(data)
-
-    def device_ns(self):
-        return int((time.monotonic() - self.began + 100) * 1e9)
-
-    def run(self):
-        self.link.setblocking(False)
-        nan = [float("nan")] * 21
-        flu = mavlink.MAV_FRAME_LOCAL_FLU
-        tick = 0
-        while True:
-            now = self.device_ns()
-            try:
-                if tick % 20 == 0:
-                    self.mavlink.heartbeat_send(mavlink.MAV_TYPE_GENERIC, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0)
-                self.mavlink.attitude_quaternion_send(now // 1_000_000, 1, 0, 0, 0, 0, 0, 0)
-                self.mavlink.odometry_send(now // 1_000, flu, flu, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0, 0, 0, 0, nan, nan)
-                try:
-                    for message in self.mavlink.parse_buffer(self.link.recv(4096)) or []:
-                        if message.get_type() == "TIMESYNC" and message.tc1 == 0:
-                            self.mavlink.timesync_send(self.device_ns(), message.ts1)
-                except mavlink.MAVError:
-                    pass
-            except BlockingIOError:
-                pass
-            tick += 1
-            time.sleep(0.05)
+PROGRAM, FOLDER = os.path.realpath(sys.argv[1]), os.path.realpath(sys.argv[2])
+SHORT = "--short" in sys.argv[3:]
+BEGAN = time.monotonic()
 
 
 def main():
-    machine = Machine()
+    scene = os.path.join(os.path.dirname(os.path.realpath(__file__)), "scene.toml")
+    log = os.path.join(FOLDER, "walk.mcap")
+    subprocess.run([PROGRAM, "sim", scene, "-o", log], check=True, stdout=subprocess.DEVNULL)
+    walk = Walk(log)
+    walk.write_disk(os.path.join(FOLDER, "frames.raw"))
+    new_data_disk(FOLDER)
+
+    robot = Robot(walk)
     try:
-        attempt(machine)
+        starts_with_the_machine(robot)
+        survives_its_camera(robot)
+        survives_a_usb_port(robot)
+        session = tags_a_walk(robot)
+        survives_a_hang_and_a_kill(robot)
+        survives_a_full_disk(robot)
+        robot.machine.ok("sync")
+        robot.switch_off()
+        judge_the_walk(walk, session)
+        for _ in range(1 if SHORT else 5):
+            robot.switch_on()
+            loses_a_second_with_the_power(robot)
     finally:
-        machine.qemu.kill()
-        machine.qemu.wait()
+        robot.switch_off()
+    print(f"all of it: {time.monotonic() - BEGAN:.0f} s")
 
 
-def attempt(machine):
-    began = time.monotonic()
-    machine.boot()
-    print(f"+ booted: {time.monotonic() - began:.1f} s", flush=True)
-    Microcontroller().start()
-    written = lambda status: status["counts"]["written"]
-    status = machine.until("the service records frames of a real driver", 120,
-                           lambda s: s["state"] == "recording" and written(s) >= 5 and not s["camera_lost"])
-    print(json.dumps(status["camera"]), status["stamp_clock"], flush=True)
+class Robot:
+    """The machine and what is plugged into it."""
+
+    def __init__(self, walk):
+        self.walk = walk
+        self.machine = self.board = None
+        self.switch_on()
+
+    def switch_on(self):
+        began = time.monotonic()
+        self.machine = Machine(FOLDER)
+        self.board = self.plug("s1.sock")
+        print(f"+ booted: {time.monotonic() - began:.1f} s", flush=True)
+
+    def plug(self, name):
+        board = Microcontroller(connect(os.path.join(FOLDER, name)), self.walk)
+        board.start()
+        return board
+
+    def switch_off(self):
+        if self.machine:
+            self.machine.cut_power()
+            self.board.stop()
+            self.machine = None
+
+
+def written(status):
+    return status["counts"]["written"]
+
+
+def is_recording(status):
+    return status["state"] == "recording" and written(status) >= 3 and not status["camera_lost"]
+
+
+# ---------------------------------------------------------------- what is tried
+
+
+def starts_with_the_machine(robot):
+    machine = robot.machine
+    status = machine.until("the service records frames of a real driver", 120, is_recording)
+    print(" ", json.dumps(status["camera"]), status["stamp_clock"], flush=True)
     assert status["camera"]["format"] == "yuyv" and status["camera"]["width"] == 640, status["camera"]
     assert status["camera"]["controls"] == {"brightness": 100} and not status["camera"]["refused"], status["camera"]
     assert status["stamp_clock"] in ("start_of_exposure", "end_of_frame"), "the kernel's own stamps"
-    status = machine.until("the microcontroller is heard and its clock followed", 30, lambda s: any(
+    machine.until("the microcontroller is heard and its clock followed", 30, lambda s: any(
         clock["source"] == "timesync" for port in s["ports"].values() for clock in port.get("clocks", [])))
 
+
+def survives_its_camera(robot):
+    machine = robot.machine
     bus = "/sys/bus/platform/drivers/vivid"
     machine.ok(f"echo vivid.0 > {bus}/unbind")
     machine.until("a camera that is unplugged is named", 20, lambda s: s["camera_lost"] is not None)
@@ -184,31 +108,135 @@ def attempt(machine):
     machine.ok("v4l2-ctl -d /dev/robot-camera -c percentage_of_dropped_buffers=100")
     machine.until("a stall is noticed", 20, lambda s: s["camera_lost"] == "stalled")
     machine.ok("v4l2-ctl -d /dev/robot-camera -c percentage_of_dropped_buffers=30")
-    before = machine.status()
-    status = machine.until("drops are counted", 40, lambda s: s["counts"]["dropped"].get("camera", 0)
-                           > before["counts"]["dropped"].get("camera", 0) + 3)
+    dropped = lambda status: status["counts"]["dropped"].get("camera", 0)
+    before = dropped(machine.status())
+    status = machine.until("drops are counted", 40, lambda s: dropped(s) > before + 3)
     machine.ok("v4l2-ctl -d /dev/robot-camera -c percentage_of_dropped_buffers=0")
     counts = status["counts"]
-    assert counts["captured"] == counts["written"] + sum(counts["dropped"].values()), counts
+    accounted = counts["written"] + counts["thinned"] + sum(counts["dropped"].values())
+    assert counts["captured"] == accounted + status["recorder"]["frames_waiting"], status
     restarts = machine.ok("systemctl show -p NRestarts realitysim")
     assert restarts == "NRestarts=0", restarts
-
-    said = machine.ok("journalctl -u realitysim --no-pager -o cat")
+    said = machine.journal()
     for cause in ("went away", "Input/output error", "is open and sends nothing"):
         assert cause in said, f"{cause}: the fault was not seen:\n{said}"
+
+
+def survives_a_usb_port(robot):
+    machine = robot.machine
+    port = lambda status: status["ports"].get("/dev/ttyUSB0", {})
+    for what in ("a microcontroller is plugged into USB", "and again"):
+        board = robot.plug("usb.sock")
+        machine.until(what, 30, lambda s: not port(s).get("lost") and port(s).get("used", {}).get("ODOMETRY", 0) > 5)
+        board.stop()
+        status = machine.until("unplugged, it is named", 20, lambda s: port(s).get("lost"))
+        print(" ", port(status)["lost"], flush=True)
+
+
+def tags_a_walk(robot):
+    """The session's name. The frames of the walk come over vivid's output and a second input of its capture side."""
+    machine, board = robot.machine, robot.board
     session = machine.status()["session"]
-    machine.ok("systemctl kill -s KILL realitysim")
-    machine.until("killed, it is there again", 40, lambda s: s["session"] != session and written(s) >= 2)
-    session = machine.status()["session"]
-    asked = time.monotonic()
     machine.ok("systemctl stop realitysim", 30)
-    print(f"+ stopped: {time.monotonic() - asked:.1f} s", flush=True)
     names = machine.ok(f"ls {session}")
     assert "metadata.yaml" in names and ".active" not in names, names
-    code, text = machine.run(f"realitysim info {session}", 60)
+    code, text = machine.run(f"realitysim info {session}", 120)
     assert code == 0 and "/odom" in text and "/imu/data" in text, text
-    print("+ the session is whole", flush=True)
-    print(f"all of it: {time.monotonic() - began:.0f} s")
+    print("+ a stopped session is whole", flush=True)
+
+    machine.ok("v4l2-ctl -d /dev/robot-camera -i 1")
+    for node in ("/dev/robot-camera", "/dev/video1"):
+        machine.ok(f"v4l2-ctl -d {node} --set-dv-bt-timings index=0")
+    machine.ok("v4l2-ctl -d /dev/robot-camera -c loop_video=1,osd_text_mode=2")
+    machine.ok("mkdir -p /run/systemd/system/realitysim.service.d; "
+               "sed -n 's/^ExecStart=.*/[Service]\\nExecStart=\\n& --initial=-2.0,0.1,9.5/p' "
+               "/usr/lib/systemd/system/realitysim.service > /run/systemd/system/realitysim.service.d/initial.conf; "
+               "systemctl daemon-reload")
+    last = len(robot.walk.frames) - 1
+
+    def watch(line):
+        if line.startswith("frame "):
+            board.number = int(line.split()[1])
+
+    machine.ok(f"rm -f /run/walk; push-frames {last} 30 > /run/steps 2>&1 & echo $! > /run/pusher; sleep 1")
+    machine.ok("systemctl start realitysim", 60)
+    machine.until("the walk's first frame is recorded", 60, is_recording)
+    machine.ok("compare-frames /dev/video10 15 > /run/compared 2>&1 & touch /run/walk")
+    machine.ok("tail -n +1 -f --pid=$(cat /run/pusher) /run/steps", 200, watch)
+    status = machine.status()
+    print("+ walked:", json.dumps(status["counts"]), json.dumps(status["last_tag"]), flush=True)
+    compared = machine.ok("cat /run/compared")
+    print("  passed on to /dev/video10:", compared, flush=True)
+    came, foreign, _ = (int(word) for word in compared.split() if word.isdigit())
+    # The device gives out the last picture of before first.
+    assert came > 30 and foreign <= 2, "frames are passed on bit by bit"
+    assert status["counts"]["valid"] >= 10, machine.journal(30)
+    machine.ok("rm /run/systemd/system/realitysim.service.d/initial.conf; systemctl daemon-reload")
+    return os.path.basename(status["session"])
 
 
-main()
+def survives_a_hang_and_a_kill(robot):
+    machine = robot.machine
+    machine.ok("v4l2-ctl -d /dev/robot-camera -i 0")
+    for what, order in (("killed, it is there again", "systemctl kill -s KILL realitysim"),
+                        ("hung, the watchdog restarts it", "kill -STOP $(systemctl show -P MainPID realitysim)")):
+        session = machine.status()["session"]
+        machine.ok(order)
+        machine.until(what, 60, lambda s: s["session"] != session and is_recording(s))
+    assert "watchdog" in machine.ok("journalctl -u realitysim --no-pager -o cat").lower()
+
+
+def survives_a_full_disk(robot):
+    machine = robot.machine
+    folder = "/var/lib/realitysim"
+    before = machine.status()["session"]
+    machine.ok(f"fallocate -l $(($(df --output=avail -B1 {folder} | tail -1) - 6000000)) {folder}/filler")
+    stopped = machine.until("a full disk is told", 60, lambda s: (s["recorder"]["stopped"] or {}).get("cause") == "disk_full")
+    assert "disk_full" in machine.journal(60), machine.journal(60)
+    machine.ok(f"rm {folder}/filler")
+    status = machine.until("with room again, it records", 60, lambda s: written(s) > written(stopped) + 2)
+    assert status["session"] == before and status["recorder"]["conserved"], status
+    code, text = machine.run(f"realitysim info {before}", 120)
+    assert code in (0, 3) and "/odom" in text, f"what was recorded before can be read: {code}\n{text}"
+
+
+def loses_a_second_with_the_power(robot):
+    """What was sent up to a second before the cut can be read."""
+    machine, board = robot.machine, robot.board
+    session = os.path.basename(machine.until("recording", 120, lambda s: is_recording(s) and any(
+        port.get("used", {}).get("ODOMETRY", 0) > 20 for port in s["ports"].values()))["session"])
+    time.sleep(random.uniform(2, 6))
+    cut = time.monotonic()
+    robot.switch_off()
+    folder = os.path.join(captures(FOLDER, "cut"), session)
+    counted = [round(message.twist.twist.linear.z) for _, message in recorded(folder, ["/odom"])]
+    assert counted, "nothing of the session can be read"
+    lost_s = cut - board.sent[max(counted)]
+    whole = counted == list(range(counted[0], counted[0] + len(counted)))
+    code = subprocess.run([PROGRAM, "info", folder], stdout=subprocess.DEVNULL).returncode
+    print(f"+ power cut: the last {lost_s:.2f} s are lost, {len(counted)} measurements before can be read", flush=True)
+    assert whole, "there are holes before the cut"
+    assert code in (0, 3), code
+    assert lost_s <= 1.0, f"{lost_s} s are lost"
+
+
+def judge_the_walk(walk, session):
+    folder = os.path.join(captures(FOLDER, "walked"), session)
+    frames = [(ns(message.header.stamp), bytes(message.data))
+              for _, message in recorded(folder, ["/camera/image/compressed"])]
+    truth = os.path.join(FOLDER, "truth.mcap")
+    known = walk.write_truth(truth, frames)
+    seen = {walk.number.get(data) for _, data in frames} - {None}
+    print(f"+ recorded: {len(frames)} frames, {known} of them identical to rendered ones, {len(seen)} of {len(walk.frames)}"
+          " different ones", flush=True)
+    assert len(seen) >= 0.9 * len(walk.frames), "most frames of the walk are there, bit by bit"
+    answer = subprocess.run([PROGRAM, "eval", folder, "--truth", truth, "--json"], stdout=subprocess.PIPE)
+    assert answer.returncode in (0, 3), answer
+    judged = json.loads(answer.stdout)
+    error = judged["position_cm"]
+    print(f"  tags: {judged['judged']} judged, {error['mean']:.2f} cm off on average, {error['max']:.2f} cm at most", flush=True)
+    assert judged["judged"] >= 20 and error["mean"] < 3 and error["max"] < 15, judged
+
+
+if __name__ == "__main__":
+    main()

@@ -5,17 +5,20 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 
 use crossbeam_channel::{Sender, TrySendError};
+use glam::{DQuat, DVec3};
 
 use super::messages::Messages;
 use crate::config::Settings;
+use crate::geometry::Isometry;
 use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::FrameTag;
 use crate::sensors::camera::{
     CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Frame, ImageMessage, Negotiated,
-    StampClock, driver_of, image_message,
+    Republished, StampClock, driver_of, image_message,
 };
 use crate::sensors::host_clock::monotonic_ns;
 use crate::sensors::scene::header;
-use crate::sensors::serial::{PortEvent, PortOptions, run};
+use crate::sensors::serial::{PortEvent, PortOptions, Pose, run};
 
 /// What a device has to say.
 pub enum DeviceEvent {
@@ -44,6 +47,9 @@ const MAX_EVENTS: usize = 1024;
 /// Frames among them: with more, the agent is behind and the newest are dropped.
 const MAX_FRAMES: u64 = 16;
 
+/// Poses that wait for a port: a slower one misses some.
+const MAX_POSES: usize = 4;
+
 pub fn channel() -> (Sender<DeviceEvent>, crossbeam_channel::Receiver<DeviceEvent>) {
     crossbeam_channel::bounded(MAX_EVENTS)
 }
@@ -55,16 +61,27 @@ pub struct Devices {
     pub rounds: Arc<AtomicU64>,
     /// Frames sent and not yet taken.
     pub waiting: Arc<AtomicU64>,
+    /// What became of the frames that are passed on to others.
+    pub republished: Arc<Republished>,
+    /// To the ports that want poses.
+    poses: Vec<Sender<Pose>>,
 }
 
 impl Devices {
     /// `size` is the lens's.
     pub fn start(settings: &Settings, size: (u32, u32), clock_ns: i64, events: &Sender<DeviceEvent>) -> Self {
         let (stop, rounds, waiting) = (Arc::new(AtomicBool::new(false)), Arc::default(), Arc::default());
-        let mut threads = Vec::new();
+        let (mut threads, mut poses) = (Vec::new(), Vec::new());
         for port in &settings.serial.ports {
-            let options =
-                PortOptions { device: port.device.clone(), baud: port.baud, system: settings.serial.system_id };
+            let wanted = port.poses.then(|| crossbeam_channel::bounded(MAX_POSES));
+            let (send, receive) = wanted.map_or((None, None), |(send, receive)| (Some(send), Some(receive)));
+            poses.extend(send);
+            let options = PortOptions {
+                device: port.device.clone(),
+                baud: port.baud,
+                system: settings.serial.system_id,
+                poses: receive,
+            };
             let (stop, events) = (Arc::clone(&stop), events.clone());
             threads.push(std::thread::spawn(move || {
                 run(&options, &stop, |event| {
@@ -80,9 +97,27 @@ impl Devices {
             rounds: Arc::clone(&rounds),
             waiting: Arc::clone(&waiting),
             events: events.clone(),
+            republished: Arc::default(),
         };
+        let republished = Arc::clone(&camera.republished);
         threads.push(std::thread::spawn(move || camera.start(size)));
-        Self { stop, threads, rounds, waiting }
+        Self { stop, threads, rounds, waiting, republished, poses }
+    }
+
+    /// To the devices that want it; one that is not there misses it.
+    pub fn send(&self, tag: &FrameTag, utc_offset_ns: i64) {
+        if self.poses.is_empty() || !tag.valid {
+            return;
+        }
+        let (p, q) = (&tag.pose.pose.position, &tag.pose.pose.orientation);
+        let pose = Pose {
+            stamp_ns: tag.header.stamp.to_nanoseconds().saturating_sub(utc_offset_ns),
+            map_from_camera_link: Isometry::new(DQuat::from_xyzw(q.x, q.y, q.z, q.w), DVec3::new(p.x, p.y, p.z)),
+            covariance: tag.pose.covariance,
+        };
+        for port in &self.poses {
+            let _ = port.try_send(pose.clone());
+        }
     }
 
     pub fn stop(&self) {
@@ -106,6 +141,7 @@ struct CameraThread {
     rounds: Arc<AtomicU64>,
     waiting: Arc<AtomicU64>,
     events: Sender<DeviceEvent>,
+    republished: Arc<Republished>,
 }
 
 impl CameraThread {
@@ -114,14 +150,15 @@ impl CameraThread {
         let options = CameraOptions::new(capture, size);
         let max_rate_hz = (capture.max_rate_hz > 0.0).then_some(capture.max_rate_hz);
         let rules = CaptureRules { options, max_rate_hz };
-        match driver_of(&rules.options.device) {
+        let republish = capture.republish.as_deref().map(|device| (device, Arc::clone(&self.republished)));
+        match driver_of(&rules.options.device, republish) {
             Ok(driver) => self.run(Capture::new(driver, rules)),
             Err(error) => self.lost(&error),
         }
     }
 
     fn run(self, mut capture: Capture<Box<dyn Driver>>) {
-        let (mut messages, mut negotiated) = (Messages::default(), None);
+        let (mut messages, mut negotiated, mut done) = (Messages::default(), None, Vec::new());
         let mut last: Option<&'static str> = None;
         while !self.stop.load(Ordering::Relaxed) {
             self.rounds.fetch_add(1, Ordering::Relaxed);
@@ -145,10 +182,11 @@ impl CameraThread {
                 CaptureEvent::Frame(frame) => {
                     last = None;
                     if let Some(camera) = &negotiated {
-                        self.deliver(frame, camera, &mut messages);
+                        done.extend(self.deliver(frame, camera, &mut messages));
                     }
                 }
             });
+            done.drain(..).for_each(|data| capture.give_back(data));
         }
     }
 
@@ -156,10 +194,11 @@ impl CameraThread {
         self.tell(DeviceEvent::CameraLost { cause: error.cause(), said: error.to_string() });
     }
 
-    fn deliver(&self, frame: Frame, camera: &Negotiated, messages: &mut Messages) {
+    /// The frame's room, when it is not needed any more.
+    fn deliver(&self, frame: Frame, camera: &Negotiated, messages: &mut Messages) -> Option<Vec<u8>> {
         if self.waiting.load(Ordering::Relaxed) >= MAX_FRAMES {
             self.tell(DeviceEvent::Dropped { cause: "queue", count: 1 });
-            return;
+            return Some(frame.data);
         }
         let capture = &self.settings.capture;
         let delay_ns = (capture.delay_ms * 1e6) as i64;
@@ -168,16 +207,17 @@ impl CameraThread {
         let header = header(stamp_ns, &self.settings.frames.camera_optical);
         let quality = (capture.jpeg_quality > 0).then_some(capture.jpeg_quality);
         let topic = self.settings.topics.image.as_str();
-        let message = match image_message(frame, camera, quality, header) {
-            Ok(ImageMessage::Compressed(image)) => messages.message(topic, false, &image),
-            Ok(ImageMessage::Raw(image)) => messages.message(topic, false, &image),
+        let (message, room) = match image_message(frame, camera, quality, header) {
+            Ok(ImageMessage::Compressed(image)) => (messages.message(topic, false, &image), image.data),
+            Ok(ImageMessage::Raw(image)) => (messages.message(topic, false, &image), image.data),
             Err(_) => {
                 self.tell(DeviceEvent::Dropped { cause: "encode", count: 1 });
-                return;
+                return None;
             }
         };
         self.waiting.fetch_add(1, Ordering::Relaxed);
         self.tell(DeviceEvent::Frame { message, clock });
+        Some(room)
     }
 
     fn tell(&self, event: DeviceEvent) {

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use serde_json::Value;
 
+use super::meters::{BudgetUse, Rates, Validity};
 use crate::geometry::PoseGrid;
 use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
@@ -30,8 +31,14 @@ pub struct Status {
     /// Why there is none at the moment.
     pub camera_lost: Option<&'static str>,
     pub stamp_clock: Option<StampClock>,
-    /// Between camera and agent.
-    pub frames_waiting: u64,
+    /// Of the last second.
+    pub rates: Rates,
+    /// Frames between camera and agent, of at most 16; between agent and disk: `recorder`.
+    pub camera_waiting: u64,
+    /// Of the frames that are passed on to other programs, if they are.
+    pub republished: Option<PassedOn>,
+    pub budget: BudgetUse,
+    pub validity: Validity,
     pub ports: BTreeMap<String, Port>,
     pub last_tag: Option<LastTag>,
     /// Which cells of the pose grid the session has images of.
@@ -44,6 +51,15 @@ pub struct CoverageStatus {
     pub grid: PoseGrid,
     /// The field from above, a letter for each cell: `PoseGrid::text`.
     pub map: Vec<String>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct PassedOn {
+    pub device: String,
+    pub passed: u64,
+    /// Nobody read them, or the device was not there.
+    pub missed: u64,
+    pub lost: Option<String>,
 }
 
 #[derive(Clone, Debug, Default, Serialize)]

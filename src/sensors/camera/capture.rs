@@ -80,6 +80,8 @@ const WAIT: Duration = Duration::from_millis(100);
 const STALL_NS: i64 = 1_000_000_000;
 /// Buffers that can be full at once: no driver has more.
 const MAX_BUFFERS: usize = 32;
+/// Room kept for frames to come.
+const MAX_SPARE: usize = 4;
 /// A stamp farther from its arrival is of another clock.
 const MAX_AGE_NS: i64 = 10_000_000_000;
 /// Drivers that compute the end of a frame from its start may deliver it before: by less than a frame.
@@ -94,7 +96,12 @@ pub struct Capture<D> {
     retry_at_ns: i64,
     /// Of the last frame that was delivered: `max_rate_hz` holds over a new beginning.
     delivered_ns: Option<i64>,
+    spare: Spare,
 }
+
+/// Room for frames: a steady stream needs no new memory.
+#[derive(Default)]
+struct Spare(Vec<Vec<u8>>);
 
 struct Open {
     negotiated: Negotiated,
@@ -104,7 +111,20 @@ struct Open {
 
 impl<D: Driver> Capture<D> {
     pub fn new(driver: D, rules: CaptureRules) -> Self {
-        Self { driver, rules, open: None, retry: FIRST_RETRY, retry_at_ns: i64::MIN, delivered_ns: None }
+        Self {
+            driver,
+            rules,
+            open: None,
+            retry: FIRST_RETRY,
+            retry_at_ns: i64::MIN,
+            delivered_ns: None,
+            spare: Spare::default(),
+        }
+    }
+
+    /// The room of a frame that is not needed any more.
+    pub fn give_back(&mut self, data: Vec<u8>) {
+        self.spare.put(data);
     }
 
     /// Waits a little for what comes next. `now_ns` reads the monotonic clock.
@@ -115,7 +135,7 @@ impl<D: Driver> Capture<D> {
         };
         let period_ns = open.negotiated.rate_hz.filter(|rate| *rate > 0.0).map_or(0, |rate| (5e9 / rate) as i64);
         let patience_ns = STALL_NS.max(period_ns);
-        let (frame, failed) = newest(&mut self.driver, open, &now_ns, &mut tell);
+        let (frame, failed) = newest(&mut self.driver, open, &mut self.spare, &now_ns, &mut tell);
         let silent_ns = now_ns().saturating_sub(open.heard_ns);
         let device = self.rules.options.device.as_str();
         let error = match failed {
@@ -170,6 +190,7 @@ impl<D: Driver> Capture<D> {
             let least_ns = (0.9e9 / rate) as i64;
             if (0..least_ns).contains(&frame.stamp_ns.saturating_sub(last_ns)) {
                 tell(CaptureEvent::Dropped(Drop::Rate, 1));
+                self.spare.put(frame.data);
                 return;
             }
         }
@@ -178,21 +199,37 @@ impl<D: Driver> Capture<D> {
     }
 }
 
+impl Spare {
+    fn put(&mut self, data: Vec<u8>) {
+        if self.0.len() < MAX_SPARE {
+            self.0.push(data);
+        }
+    }
+
+    fn take(&mut self) -> Vec<u8> {
+        self.0.pop().unwrap_or_default()
+    }
+}
+
 /// The newest whole frame of those that are there, the others being counted; and the error that came behind it, if one did.
 fn newest(
     driver: &mut impl Driver,
     open: &mut Open,
+    spare: &mut Spare,
     now_ns: impl Fn() -> i64,
     tell: &mut impl FnMut(CaptureEvent),
 ) -> (Option<Frame>, Option<io::Error>) {
     let mut best: Option<Frame> = None;
     let mut wait = WAIT;
     for _ in 0..MAX_BUFFERS {
-        let mut data = Vec::new();
+        let mut data = spare.take();
         let taken = driver.wait(wait).and_then(|ready| ready.then(|| driver.take(&mut data)).transpose());
         let info = match taken {
             Ok(Some(info)) => info,
-            Ok(None) => break,
+            Ok(None) => {
+                spare.put(data);
+                break;
+            }
             Err(error) => return (best, Some(error)),
         };
         wait = Duration::ZERO;
@@ -206,6 +243,7 @@ fn newest(
         open.last_sequence = Some(info.sequence);
         if info.is_damaged || !is_complete(&data, &open.negotiated) {
             tell(CaptureEvent::Dropped(Drop::Torn, 1));
+            spare.put(data);
             continue;
         }
         let age_ns = arrived_ns.saturating_sub(info.stamp_ns);
@@ -214,8 +252,9 @@ fn newest(
             true => (info.stamp_ns, StampClock::EndOfFrame),
             false => (arrived_ns, StampClock::Arrival),
         };
-        if best.replace(Frame { data, stamp_ns, clock, sequence: info.sequence }).is_some() {
+        if let Some(older) = best.replace(Frame { data, stamp_ns, clock, sequence: info.sequence }) {
             tell(CaptureEvent::Dropped(Drop::Skipped, 1));
+            spare.put(older.data);
         }
     }
     (best, None)

@@ -8,9 +8,14 @@ mod device;
 mod driver;
 mod jpeg;
 mod message;
+#[cfg(feature = "v4l2")]
+mod output;
+mod republish;
 mod socket;
 #[cfg(test)]
 mod tests;
+
+use std::sync::Arc;
 
 pub use capture::{Capture, CaptureEvent, CaptureRules, Drop, Frame, StampClock};
 #[cfg(feature = "v4l2")]
@@ -18,10 +23,25 @@ pub use device::V4l2;
 pub use driver::{BufferInfo, CameraError, CameraOptions, Driver, Negotiated, PixelFormat};
 pub use jpeg::is_whole;
 pub use message::{EncodeError, ImageMessage, image_message};
+#[cfg(feature = "v4l2")]
+pub use output::OutputDevice;
+pub use republish::{Republished, Republishing, Sink};
 pub use socket::{SCHEME, SocketCamera};
 
-/// What speaks to this device: a V4L2 node, or `unix:PATH` for frames from another process.
-pub fn driver_of(device: &str) -> Result<Box<dyn Driver>, CameraError> {
+/// What speaks to this device: a V4L2 node, or `unix:PATH` for frames from another process. With a device to which every frame
+/// is passed on, and a report of that.
+pub fn driver_of(device: &str, republish: Option<(&str, Arc<Republished>)>) -> Result<Box<dyn Driver>, CameraError> {
+    let camera = camera_of(device)?;
+    match republish {
+        None => Ok(camera),
+        #[cfg(feature = "v4l2")]
+        Some((to, report)) => Ok(Box::new(Republishing::new(camera, OutputDevice::new(to), report))),
+        #[cfg(not(feature = "v4l2"))]
+        Some((to, _)) => Err(CameraError::NotBuilt { device: to.to_owned() }),
+    }
+}
+
+fn camera_of(device: &str) -> Result<Box<dyn Driver>, CameraError> {
     if device.starts_with(SCHEME) {
         return Ok(Box::new(SocketCamera::default()));
     }

@@ -354,3 +354,93 @@ fn raw_formats_become_the_same_picture() {
     let ImageMessage::Raw(raw) = message(PixelFormat::Grey, stride, grey, None) else { panic!("raw") };
     assert_eq!((raw.encoding.as_str(), raw.step, raw.width), ("mono8", stride, width));
 }
+
+/// What was passed on, and what the sink does: fails to open, is full, breaks.
+#[derive(Default)]
+struct Sunk {
+    frames: Vec<(u32, i64, Vec<u8>)>,
+    opened: u32,
+    closed: u32,
+    missing: bool,
+    full: bool,
+    broken: bool,
+}
+
+struct ScriptedSink(Rc<RefCell<Sunk>>);
+
+impl Sink for ScriptedSink {
+    fn open(&mut self, _: &Negotiated) -> io::Result<()> {
+        let mut sunk = self.0.borrow_mut();
+        if sunk.missing {
+            return Err(io::ErrorKind::NotFound.into());
+        }
+        sunk.opened += 1;
+        Ok(())
+    }
+
+    fn write(&mut self, data: &[u8], info: &BufferInfo) -> io::Result<bool> {
+        let mut sunk = self.0.borrow_mut();
+        if sunk.broken {
+            return Err(Errno::IO.into());
+        }
+        if !sunk.full {
+            sunk.frames.push((info.sequence, info.stamp_ns, data.to_vec()));
+        }
+        Ok(!sunk.full)
+    }
+
+    fn close(&mut self) {
+        self.0.borrow_mut().closed += 1;
+    }
+}
+
+/// A camera of that many frames, passed on; `change` is called before each.
+fn pass_on(count: u32, change: impl Fn(u32, &mut Sunk)) -> (Rc<RefCell<Sunk>>, std::sync::Arc<Republished>, u32) {
+    let now_ns = Rc::new(Cell::new(1_000_000_000_000));
+    let acts = (0..count).map(|sequence| Act::Frame {
+        sequence,
+        after_ms: 33,
+        data: vec![sequence as u8; if sequence == 3 { 31 } else { 32 }],
+        change: |_| {},
+    });
+    let script = Rc::new(RefCell::new(Script { acts: acts.collect(), ..Script::default() }));
+    let sunk = Rc::new(RefCell::new(Sunk::default()));
+    let report = std::sync::Arc::new(Republished::default());
+    let camera = Scripted { script: Rc::clone(&script), now_ns: Rc::clone(&now_ns) };
+    let driver = Republishing::new(camera, ScriptedSink(Rc::clone(&sunk)), std::sync::Arc::clone(&report));
+    let mut capture = Capture::new(driver, CaptureRules { options: options(None), max_rate_hz: Some(5.0) });
+    let mut delivered = 0;
+    while !script.borrow().acts.is_empty() {
+        change(count - script.borrow().acts.len() as u32, &mut sunk.borrow_mut());
+        capture.step(|| now_ns.get(), |event| delivered += u32::from(matches!(event, CaptureEvent::Frame(_))));
+    }
+    (sunk, report, delivered)
+}
+
+#[test]
+fn every_frame_is_passed_on_untouched_whatever_is_recorded_of_it() {
+    let (sunk, report, delivered) = pass_on(30, |_, _| {});
+    assert!(delivered < 10, "{delivered}: most are over the rate");
+    let sunk = sunk.borrow();
+    let sequences: Vec<u32> = sunk.frames.iter().map(|(sequence, ..)| *sequence).collect();
+    assert_eq!(sequences, (0..30).collect::<Vec<u32>>(), "torn ones and those over the rate too");
+    for (sequence, stamp_ns, data) in &sunk.frames {
+        assert_eq!(*stamp_ns, 1_000_000_000_000 + (i64::from(*sequence) + 1) * 33_000_000 - 2_000_000);
+        assert!(data.iter().all(|value| *value == *sequence as u8));
+    }
+    assert_eq!((report.passed(), report.missed(), report.lost()), (30, 0, None));
+}
+
+#[test]
+fn a_device_for_others_that_is_missing_full_or_broken_costs_the_recording_nothing() {
+    let recorded = pass_on(100, |_, _| {}).2;
+    let (sunk, report, delivered) = pass_on(100, |frame, sunk| sunk.missing = frame < 50);
+    assert_eq!((delivered, sunk.borrow().opened), (recorded, 1));
+    assert_eq!(report.passed() + report.missed(), 100);
+    assert!(report.passed() >= 20 && report.lost().is_none(), "tried again: {report:?}");
+    let (_, report, delivered) = pass_on(100, |_, sunk| sunk.full = true);
+    assert_eq!((delivered, report.passed(), report.missed(), report.lost()), (recorded, 0, 100, None));
+    let (sunk, report, delivered) = pass_on(100, |frame, sunk| sunk.broken = frame >= 50);
+    assert_eq!((delivered, report.passed()), (recorded, 50));
+    assert!(report.lost().is_some() && sunk.borrow().closed >= 1, "{report:?}");
+}

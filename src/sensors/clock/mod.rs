@@ -5,11 +5,14 @@
 //! what is old, and begin anew when the device's clock was set or the device has started again.
 
 mod arrivals;
+mod delay;
 mod exchanges;
 #[cfg(test)]
 mod tests;
 
 use serde::Serialize;
+
+pub use delay::{Delay, DelayError, Turn, estimate};
 
 use arrivals::Arrivals;
 use exchanges::Exchanges;

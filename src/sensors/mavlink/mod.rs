@@ -6,6 +6,7 @@
 mod axes;
 mod framing;
 mod measurement;
+mod numbered;
 mod outgoing;
 mod resets;
 mod robot;

@@ -2,48 +2,41 @@
 
 use glam::{DQuat, DVec3};
 use mavlink::dialects::common::{
-    ATTITUDE_QUATERNION_DATA, HEARTBEAT_DATA, HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavAutopilot, MavFrame,
-    MavMessage, MavState, MavType, ODOMETRY_DATA,
+    ATTITUDE_QUATERNION_DATA, HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavFrame, MavMessage, MavType, ODOMETRY_DATA,
 };
-use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 
 use super::axes::{ENU_FROM_NED, FLU_FROM_FRD, flu_from_frd};
+use super::numbered::{Numbered, w_first};
 use crate::geometry::Isometry;
 
 /// Frames in the name of a robot's autopilot, numbered. Times count from its start, and are never 0.
 #[derive(Debug)]
 pub struct RobotSide {
-    header: MavHeader,
+    sender: Numbered,
 }
 
 const AUTOPILOT: u8 = 1;
 
 impl RobotSide {
     pub fn new(system: u8) -> Self {
-        Self { header: MavHeader { system_id: system.into(), component_id: AUTOPILOT, sequence: 0 } }
+        Self { sender: Numbered::new(system, AUTOPILOT, MavType::MAV_TYPE_GENERIC) }
     }
 
     pub fn heartbeat(&mut self) -> Vec<u8> {
-        self.frame(&MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            mavtype: MavType::MAV_TYPE_GENERIC,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-            system_status: MavState::MAV_STATE_ACTIVE,
-            mavlink_version: 3,
-            ..HEARTBEAT_DATA::DEFAULT
-        }))
+        self.sender.heartbeat()
     }
 
     /// Body (FLU) in the world (ENU); radians per second in the body's axes.
     pub fn attitude(&mut self, boot_ns: i64, world_from_body: DQuat, angular_velocity: DVec3) -> Vec<u8> {
-        let q = ENU_FROM_NED.conjugate() * world_from_body * FLU_FROM_FRD.conjugate();
+        let [q1, q2, q3, q4] = w_first(ENU_FROM_NED.conjugate() * world_from_body * FLU_FROM_FRD.conjugate());
         // The turn from FLU to FRD is its own inverse.
         let rate = flu_from_frd(angular_velocity).as_vec3();
-        self.frame(&MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
+        self.sender.frame(&MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
             time_boot_ms: (boot_ns / 1_000_000).clamp(0, i64::from(u32::MAX)) as u32,
-            q1: q.w as f32,
-            q2: q.x as f32,
-            q3: q.y as f32,
-            q4: q.z as f32,
+            q1,
+            q2,
+            q3,
+            q4,
             rollspeed: rate.x,
             pitchspeed: rate.y,
             yawspeed: rate.z,
@@ -55,7 +48,7 @@ impl RobotSide {
     pub fn turn_rate(&mut self, boot_ns: i64, angular_velocity: DVec3) -> Vec<u8> {
         let rate = flu_from_frd(angular_velocity).as_vec3();
         type F = HighresImuUpdatedFlags;
-        self.frame(&MavMessage::HIGHRES_IMU(HIGHRES_IMU_DATA {
+        self.sender.frame(&MavMessage::HIGHRES_IMU(HIGHRES_IMU_DATA {
             time_usec: micros(boot_ns),
             xgyro: rate.x,
             ygyro: rate.y,
@@ -68,26 +61,18 @@ impl RobotSide {
     /// `base_footprint` in `odom`.
     pub fn odometry(&mut self, boot_ns: i64, odom_from_body: &Isometry) -> Vec<u8> {
         let place = odom_from_body.translation.as_vec3();
-        let q = odom_from_body.rotation;
-        self.frame(&MavMessage::ODOMETRY(ODOMETRY_DATA {
+        self.sender.frame(&MavMessage::ODOMETRY(ODOMETRY_DATA {
             time_usec: micros(boot_ns),
             frame_id: MavFrame::MAV_FRAME_LOCAL_FLU,
             child_frame_id: MavFrame::MAV_FRAME_LOCAL_FLU,
             x: place.x,
             y: place.y,
             z: place.z,
-            q: [q.w, q.x, q.y, q.z].map(|part| part as f32),
+            q: w_first(odom_from_body.rotation),
             pose_covariance: [f32::NAN; 21],
             velocity_covariance: [f32::NAN; 21],
             ..ODOMETRY_DATA::DEFAULT
         }))
-    }
-
-    fn frame(&mut self, message: &MavMessage) -> Vec<u8> {
-        let mut raw = MAVLinkV2MessageRaw::new();
-        raw.serialize_message(self.header, message);
-        self.header.sequence = self.header.sequence.wrapping_add(1);
-        raw.raw_bytes().to_vec()
     }
 }
 

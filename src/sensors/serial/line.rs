@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use crate::geometry::Isometry;
 use crate::sensors::clock::{ClockStatus, DeviceClock};
 use crate::sensors::mavlink::{Content, Decoder, Outgoing, PortCounts, Sender, TimeBase};
 
@@ -13,6 +14,16 @@ pub struct Measured {
     pub sender: Sender,
     pub stamp_ns: i64,
     pub content: Content,
+}
+
+/// A valid tag that is to be sent: `camera_link` in `map`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pose {
+    /// Of the exposure, monotonic.
+    pub stamp_ns: i64,
+    pub map_from_camera_link: Isometry,
+    /// Row by row over x, y, z and rotations about x, y, z.
+    pub covariance: [f64; 36],
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -99,6 +110,11 @@ impl Line {
             bytes.extend(self.outgoing.time_request(host_ns));
         }
         bytes
+    }
+
+    /// As a message; the devices know its clock from our answers to their TIMESYNC.
+    pub fn pose(&mut self, pose: &Pose) -> Vec<u8> {
+        self.outgoing.pose(pose.stamp_ns, &pose.map_from_camera_link, &pose.covariance)
     }
 
     /// The port was closed: what follows is another beginning.

@@ -5,10 +5,12 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use serialport::{ErrorKind, SerialPort};
+use crossbeam_channel::Receiver;
+use serialport::{ErrorKind, TTYPort};
 use thiserror::Error;
 
-use super::line::{Line, LineStatus, Measured};
+use super::latency::lower_latency;
+use super::line::{Line, LineStatus, Measured, Pose};
 use crate::sensors::host_clock::monotonic_ns;
 
 #[derive(Clone, Debug)]
@@ -17,6 +19,8 @@ pub struct PortOptions {
     pub baud: u32,
     /// MAVLink's number of the robot.
     pub system: u8,
+    /// Poses that are to be sent on this port; what comes while it is not open is left out.
+    pub poses: Option<Receiver<Pose>>,
 }
 
 #[derive(Debug, Error)]
@@ -59,9 +63,9 @@ pub fn run(options: &PortOptions, stop: &AtomicBool, mut tell: impl FnMut(PortEv
     while !stop.load(Ordering::Relaxed) {
         match open(options) {
             Ok(port) => {
-                tell(PortEvent::Opened { low_latency: lower_latency(&options.device) });
+                tell(PortEvent::Opened { low_latency: lower_latency(&port, &options.device) });
                 retry = FIRST_RETRY;
-                let ended = read(port, &mut line, stop, &mut tell);
+                let ended = read(port, &mut line, options.poses.as_ref(), stop, &mut tell);
                 line.interrupted();
                 if let Err(source) = ended {
                     tell(PortEvent::Lost(SerialError::Gone { device: options.device.clone(), source }));
@@ -76,13 +80,16 @@ pub fn run(options: &PortOptions, stop: &AtomicBool, mut tell: impl FnMut(PortEv
 }
 
 fn read(
-    mut port: Box<dyn SerialPort>,
+    mut port: TTYPort,
     line: &mut Line,
+    poses: Option<&Receiver<Pose>>,
     stop: &AtomicBool,
     tell: &mut impl FnMut(PortEvent),
 ) -> io::Result<()> {
     let mut buffer = [0; 4096];
     let mut told = Instant::now();
+    // Of a time when nobody could be told.
+    poses.into_iter().flat_map(Receiver::try_iter).for_each(drop);
     while !stop.load(Ordering::Relaxed) {
         match port.read(&mut buffer) {
             Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
@@ -90,7 +97,10 @@ fn read(
             Err(error) if matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::Interrupted) => {}
             Err(error) => return Err(error),
         }
-        let due = line.due(monotonic_ns());
+        let mut due = line.due(monotonic_ns());
+        for pose in poses.into_iter().flat_map(Receiver::try_iter) {
+            due.extend(line.pose(&pose));
+        }
         if !due.is_empty() {
             match port.write_all(&due) {
                 // Nobody takes our questions: the arrivals must do.
@@ -106,9 +116,9 @@ fn read(
     Ok(())
 }
 
-fn open(options: &PortOptions) -> Result<Box<dyn SerialPort>, SerialError> {
+fn open(options: &PortOptions) -> Result<TTYPort, SerialError> {
     let device = options.device.clone();
-    serialport::new(device.as_str(), options.baud).timeout(READ_TIMEOUT).open().map_err(|source| {
+    serialport::new(device.as_str(), options.baud).timeout(READ_TIMEOUT).open_native().map_err(|source| {
         let exists = Path::new(&device).exists();
         match source.kind() {
             ErrorKind::Io(io::ErrorKind::PermissionDenied) => SerialError::Permission { device },
@@ -133,14 +143,6 @@ fn byte_ns(options: &PortOptions) -> i64 {
         return 0;
     }
     10_000_000_000 / i64::from(options.baud.max(1))
-}
-
-/// FTDI chips keep bytes back for 16 ms by default. The file is the group's if the udev rules are in place.
-fn lower_latency(device: &str) -> Option<bool> {
-    let real = std::fs::canonicalize(device).ok()?;
-    let timer = Path::new("/sys/bus/usb-serial/devices").join(real.file_name()?).join("latency_timer");
-    let now = std::fs::read_to_string(&timer).ok()?;
-    Some(now.trim() == "1" || std::fs::write(&timer, "1").is_ok())
 }
 
 fn pause(time: Duration, stop: &AtomicBool) {

@@ -1,5 +1,8 @@
 //! Is this robot ready to record? Every part tried for a moment, with what to do about what is wrong.
 
+mod cpu;
+mod delay;
+
 use std::fs::File;
 use std::io::Write;
 use std::path::Path;
@@ -9,13 +12,15 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 
 use crate::config::{Settings, load_field, load_lens};
-use crate::recording::DiskMeasured;
 use crate::recording::storage::Disk;
+use crate::recording::{DiskMeasured, loss_bound_ms};
 use crate::sensors::camera::{
     CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Negotiated, SCHEME, driver_of,
 };
 use crate::sensors::host_clock::monotonic_ns;
 use crate::sensors::serial::{LineStatus, PortEvent, PortOptions, SerialError, run};
+
+pub use delay::{DelayReport, DelayReportError, estimate_delay};
 
 /// One line of the report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -32,8 +37,8 @@ const LISTEN: Duration = Duration::from_secs(3);
 /// As much as a second of camera frames, as often as tells the worst from the usual.
 const DISK_BLOCK_BYTES: usize = 512 << 10;
 const DISK_BLOCKS: usize = 40;
-/// A disk that stops for longer makes the recorder drop frames.
-const WORST_DISK_MS: f64 = 400.0;
+/// Of a recording, in a power cut.
+const MOST_LOST_MS: f64 = 1000.0;
 
 pub fn examine(settings: &Settings, captures: &Path) -> Vec<Finding> {
     let mut findings = config(settings);
@@ -44,10 +49,16 @@ pub fn examine(settings: &Settings, captures: &Path) -> Vec<Finding> {
         findings.push(bad("serial", "no port is named", "name the microcontrollers' ports in serial.ports"));
     }
     findings.extend(settings.serial.ports.iter().map(|port| {
-        let options = PortOptions { device: port.device.clone(), baud: port.baud, system: settings.serial.system_id };
+        let options = PortOptions {
+            device: port.device.clone(),
+            baud: port.baud,
+            system: settings.serial.system_id,
+            poses: None,
+        };
         serial(&options)
     }));
-    findings.push(disk(captures));
+    findings.extend(cpu::headroom(settings));
+    findings.push(disk(settings, captures));
     findings
 }
 
@@ -91,7 +102,7 @@ fn camera(settings: &Settings, size: (u32, u32)) -> Finding {
     if capture.device.starts_with(SCHEME) {
         return good(what, "frames come from another process: not tried");
     }
-    match driver_of(&capture.device) {
+    match driver_of(&capture.device, None) {
         Ok(driver) => watch(what, driver, options),
         Err(error) => bad(what, error.to_string(), "build it with the feature v4l2, which is on by default"),
     }
@@ -187,23 +198,34 @@ fn serial(options: &PortOptions) -> Finding {
     }
 }
 
-/// The worst of many writes that reach the disk, which is what the frames must wait for.
-fn disk(captures: &Path) -> Finding {
+/// The worst of many writes that reach the disk, and what follows from it: memory for frames, and what a power cut costs.
+fn disk(settings: &Settings, captures: &Path) -> Finding {
     let what = format!("disk {}", captures.display());
-    match slowest_write_ms(captures) {
-        Err(error) => bad(what, error.to_string(), "the recorder's user must be able to write there"),
-        Ok([typical, worst]) => {
-            let block_bytes = DISK_BLOCK_BYTES as u64;
-            let measured = DiskMeasured { block_bytes, typical_ms: typical, worst_ms: worst };
-            // The recorder makes its queue of it; without it, it takes a usual one.
-            let noted = measured.save(&Disk, captures).map_or_else(|error| format!(" ({error})"), |()| String::new());
-            let said = format!("512 KiB to the disk: {typical:.1} ms, the worst of {DISK_BLOCKS} {worst:.1} ms{noted}");
-            if worst <= WORST_DISK_MS {
-                good(what, said)
-            } else {
-                bad(what, said, "use a faster disk: frames are dropped while it stands still")
-            }
-        }
+    let [typical_ms, worst_ms] = match slowest_write_ms(captures) {
+        Err(error) => return bad(what, error.to_string(), "the recorder's user must be able to write there"),
+        Ok(measured) => measured,
+    };
+    let measured = DiskMeasured { block_bytes: DISK_BLOCK_BYTES as u64, typical_ms, worst_ms };
+    // The recorder makes its queue of it; without it, it takes a usual one.
+    let noted = measured.save(&Disk, captures).map_or_else(|error| format!(" ({error})"), |()| String::new());
+    let bytes_per_s = size(settings).map_or(0, |size| settings.capture.bytes_per_s(size));
+    let queue_mb = measured.queue_mb(&settings.recording, bytes_per_s);
+    let cut_ms = loss_bound_ms(settings.recording.sync_interval_ms as f64, worst_ms);
+    let said = format!(
+        "512 KiB to the disk: {typical_ms:.1} ms, the worst of {DISK_BLOCKS} {worst_ms:.1} ms: {queue_mb} MiB for frames that wait, \
+         and a power cut costs at most {:.1} s{noted}",
+        cut_ms * 1e-3
+    );
+    if !measured.fits(queue_mb, bytes_per_s) {
+        bad(
+            what,
+            said,
+            "a faster disk, a larger recording.queue_mb or fewer frames: they are dropped while it stands still",
+        )
+    } else if cut_ms > MOST_LOST_MS {
+        bad(what, said, "a faster disk: with this one, a power cut costs more than a second")
+    } else {
+        good(what, said)
     }
 }
 

@@ -52,14 +52,7 @@ impl Default for ThinningSettings {
 
 impl ThinningSettings {
     pub(super) fn check(&self) -> Result<(), String> {
-        let within = |key: &str, value: f64, low: f64, high: f64| {
-            // NaN fails both comparisons.
-            if value >= low && value <= high {
-                Ok(())
-            } else {
-                Err(format!("recording.thinning.{key} is {value}: it must be {low} to {high}"))
-            }
-        };
+        let within = |key, value, low, high| super::within(&format!("recording.thinning.{key}"), value, low, high);
         within("rate_hz", self.rate_hz, 0.001, 1000.0)?;
         within("novelty_cm", self.novelty_cm, 0.1, 1000.0)?;
         within("novelty_deg", self.novelty_deg, 0.1, 180.0)?;

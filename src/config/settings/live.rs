@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::within;
+
 /// Of a live camera; its size is that of `camera.lens`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -21,6 +23,8 @@ pub struct CaptureSettings {
     pub delay_ms: f64,
     /// By the names that `v4l2-ctl --list-ctrls` shows.
     pub controls: BTreeMap<String, i64>,
+    /// A V4L2 device to which every frame is passed on, for other programs.
+    pub republish: Option<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,6 +40,9 @@ pub struct SerialSettings {
 pub struct SerialPortSettings {
     pub device: String,
     pub baud: u32,
+    /// Every valid tag is sent there as ODOMETRY.
+    #[serde(default)]
+    pub poses: bool,
 }
 
 /// Where the camera is while the robot stands, head straight ahead: what `/tf_static` says in a log.
@@ -66,6 +73,13 @@ impl CaptureSettings {
             }
         }
     }
+
+    /// About what frames of this size will take: JPEGs a quarter of a byte a pixel, raw ones two.
+    pub fn bytes_per_s(&self, (width, height): (u32, u32)) -> u64 {
+        let is_raw = self.jpeg_quality == 0 && self.format.as_deref() != Some("MJPG");
+        let bytes_per_pixel = if is_raw { 2.0 } else { 0.25 };
+        (f64::from(width) * f64::from(height) * bytes_per_pixel * self.rate_hz) as u64
+    }
 }
 
 impl SerialSettings {
@@ -95,11 +109,6 @@ impl MountSettings {
     }
 }
 
-fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), String> {
-    // NaN fails both comparisons.
-    if value >= low && value <= high { Ok(()) } else { Err(format!("{key} is {value}: it must be {low} to {high}")) }
-}
-
 impl Default for CaptureSettings {
     fn default() -> Self {
         Self {
@@ -110,6 +119,7 @@ impl Default for CaptureSettings {
             jpeg_quality: 90,
             delay_ms: 0.0,
             controls: BTreeMap::new(),
+            republish: None,
         }
     }
 }

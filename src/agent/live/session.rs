@@ -1,0 +1,116 @@
+//! How a session begins and ends while the agent runs.
+
+use crossbeam_channel::bounded;
+
+use super::agent::Agent;
+use super::messages::{Messages, initial_pose, transforms};
+use super::telling::Told;
+use super::{RecordError, RecordOptions};
+use crate::agent::pipeline::{Pipeline, Recorded, Recording};
+use crate::agent::prelude::Prelude;
+use crate::agent::setup::{Setup, SetupError};
+use crate::agent::state::{Start, last_state};
+use crate::agent::warnings::AttitudeSource;
+use crate::geometry::LensParameters;
+use crate::recording::{LiveInfo, Writing, robot_id};
+use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::{CameraInfo, TFMessage};
+use crate::sensors::intake::{self, Input};
+use crate::sensors::scene::{camera_info_of, header};
+use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
+
+/// Tags between the pipeline and whoever wants poses.
+const MAX_TAGS: usize = 256;
+
+impl Agent<'_> {
+    /// A session begins: what does not change comes first.
+    pub(super) fn begin(&mut self, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+        if self.session.is_some() {
+            return Ok(());
+        }
+        let now_ns = self.now_ns();
+        let (setup, constants) = setup(self.options, &self.lens, now_ns, self.heard)?;
+        let warm = if self.options.warm_start { last_state(&self.options.captures) } else { Ok(None) };
+        let warm = warm.unwrap_or_else(|error| {
+            say(&format!("{error}; the filter begins without it"));
+            None
+        });
+        let (send, tags) = bounded(MAX_TAGS);
+        let bytes_per_s = self.options.settings.capture.bytes_per_s((self.lens.width, self.lens.height));
+        let recording = Recording {
+            captures: self.options.captures.clone(),
+            source: None,
+            threads: self.options.threads,
+            live: Some(LiveInfo {
+                robot_id: Some(robot_id()),
+                utc_offset_ns: self.clock_ns,
+                camera_delay_ns: (self.options.settings.capture.delay_ms * 1e6) as i64,
+                camera: self.status.camera.clone(),
+            }),
+            tags: Some(send),
+            writing: Writing::Behind { bytes_per_s },
+        };
+        self.session = Some(Pipeline::new(setup, Start { warm, ..Start::default() }, recording));
+        self.tags = Some(tags);
+        self.status.state = "recording";
+        let [transforms, info] = constants;
+        self.log(transforms)?;
+        self.log(info)?;
+        if let Some(initial) = &self.options.initial {
+            let message = initial_pose(now_ns, initial, &self.names.frames);
+            let message = self.messages.message(&self.names.topics.initial_pose.clone(), false, &message);
+            self.log(message)?;
+        }
+        self.told = Told::default();
+        Ok(())
+    }
+
+    /// The session becomes a whole capture, as far as the disk lets it: what it does not, `repair` does later.
+    pub(super) fn end(&mut self, say: &mut dyn FnMut(&str)) {
+        self.refresh();
+        let Some(session) = self.session.take() else { return };
+        let (recorded, ended) = session.finish();
+        if let Some(Recorded { session, counts, recorder, warnings, .. }) = recorded {
+            for warning in warnings {
+                say(&format!("warning: {warning}"));
+            }
+            say(&format!("recorded {}", session.display()));
+            self.status.session = Some(session);
+            self.status.counts = counts;
+            self.status.recorder = recorder;
+        }
+        if let Err(error) = ended {
+            say(&format!(
+                "the session is not whole: {error}; the next start or `realitysim sessions repair` finishes it"
+            ));
+            self.status.unfinished = Some(error.to_string());
+        }
+        self.status.state = "stopped";
+    }
+}
+
+/// As the prelude of a log that begins with these constants, which come along.
+pub(super) fn setup(
+    options: &RecordOptions,
+    lens: &LensParameters,
+    now_ns: i64,
+    expected: Expected,
+) -> Result<(Setup, [LogMessage; 2]), RecordError> {
+    let settings = &options.settings;
+    let height = settings.mount.torso_height_m.ok_or(RecordError::NoMount)?;
+    let topics = settings.topics.clone();
+    let constants: TFMessage = transforms(now_ns, height, &settings.mount, &settings.frames);
+    let info: CameraInfo = camera_info_of(lens, header(now_ns, &settings.frames.camera_optical));
+    let mut messages = Messages::default();
+    let constants = messages.message(&topics.tf_static, true, &constants);
+    let calibration = messages.message(&topics.camera_info, true, &info);
+    let mut synchroniser = Synchroniser::new(settings.frames.clone(), SynchroniserState::default());
+    if let Ok(input @ Input::Transforms { .. }) = intake::read(&constants, &topics, &settings.head) {
+        synchroniser.push(&constants, input);
+    }
+    synchroniser.check_mount(false).map_err(SetupError::from)?;
+    let attitude = AttitudeSource { topic: topics.imu.clone(), all: vec![topics.imu.clone()] };
+    let prelude =
+        Prelude { topics, camera_info: Some(info), synchroniser: synchroniser.state().clone(), expected, attitude };
+    Ok((Setup::new(settings.clone(), prelude)?, [constants, calibration]))
+}

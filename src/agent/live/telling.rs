@@ -1,0 +1,97 @@
+//! What the agent tells: people, the log, and whoever asks for its status.
+
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use super::RecordError;
+use super::agent::{Agent, TICK};
+use super::status::{self, PassedOn};
+use crate::agent::pipeline::Pipeline;
+use crate::recording::{RecorderStatus, Stopped};
+use crate::ros2::messages::DiagnosticArray;
+
+const STATUS_EVERY_NS: i64 = 1_000_000_000;
+
+/// What people have heard of the recorder, and when.
+#[derive(Default)]
+pub(super) struct Told {
+    at: Option<Instant>,
+    recorder: RecorderStatus,
+}
+
+impl Agent<'_> {
+    /// Where it is recorded, and what the disk does, as soon as it is known.
+    pub(super) fn tell_of_the_recorder(&mut self, say: &mut dyn FnMut(&str)) {
+        if self.told.at.is_some_and(|at| at.elapsed() < TICK) {
+            return;
+        }
+        let Some((_, recorder)) = self.session.as_ref().and_then(Pipeline::recorder) else { return };
+        if let (None, Some(folder)) = (&self.told.recorder.session, &recorder.session) {
+            say(&format!("recording {}", folder.display()));
+        }
+        let before = &self.told.recorder;
+        if recorder.fault != before.fault {
+            match &recorder.fault {
+                Some(fault) => say(&format!("the disk: {}: {}; it is tried again", fault.cause, fault.said)),
+                None => say("the disk: all is written again"),
+            }
+        }
+        if recorder.stopped != before.stopped {
+            match &recorder.stopped {
+                Some(Stopped { cause, frames_only: true }) => say(&format!("{cause}: frames are not recorded")),
+                Some(Stopped { cause, .. }) => say(&format!("{cause}: nothing is recorded")),
+                None => say("there is room again: frames are recorded"),
+            }
+        }
+        if recorder.evicted_segments > before.evicted_segments {
+            let segments = recorder.evicted_segments - before.evicted_segments;
+            say(&format!("{segments} segments that a dev machine has were removed to make room"));
+        }
+        self.told = Told { at: Some(Instant::now()), recorder };
+    }
+
+    pub(super) fn note(&mut self, about: &str, what: &str, said: &str) -> Result<(), RecordError> {
+        let report = status::note(self.now_ns(), &self.options.settings.robot, about, what, said);
+        self.write_report(&report)
+    }
+
+    pub(super) fn note_status(&mut self) -> Result<(), RecordError> {
+        let now_ns = self.now_ns();
+        if now_ns.saturating_sub(self.noted_ns) < STATUS_EVERY_NS {
+            return Ok(());
+        }
+        self.noted_ns = now_ns;
+        self.refresh();
+        self.meters.counted(now_ns, &self.status.counts);
+        let report = self.status.diagnostics(now_ns, &self.options.settings.robot);
+        self.write_report(&report)
+    }
+
+    fn write_report(&mut self, report: &DiagnosticArray) -> Result<(), RecordError> {
+        let log_time_ns = self.now_ns().max(self.last_log_ns);
+        self.last_log_ns = log_time_ns;
+        match &mut self.session {
+            Some(session) => Ok(session.note(log_time_ns, report)?),
+            None => Ok(()),
+        }
+    }
+
+    pub(super) fn refresh(&mut self) {
+        if let Some((counts, recorder)) = self.session.as_ref().and_then(Pipeline::recorder) {
+            self.status.session.clone_from(&recorder.session);
+            (self.status.counts, self.status.recorder) = (counts, recorder);
+        }
+        let status = &mut self.status;
+        status.camera_waiting = self.devices.waiting.load(Ordering::Relaxed);
+        status.rates = self.meters.rates();
+        status.budget = self.meters.budget(self.options.settings.filter.budget_ms);
+        status.validity = self.meters.validity();
+        let republished = &self.devices.republished;
+        status.republished = self.options.settings.capture.republish.as_ref().map(|device| PassedOn {
+            device: device.clone(),
+            passed: republished.passed(),
+            missed: republished.missed(),
+            lost: republished.lost(),
+        });
+    }
+}
