@@ -184,8 +184,8 @@ fn for_people(status: &Value) -> String {
         lines.push(format!("{device}: {} passed on, {} missed{lost}", passed_on["passed"], passed_on["missed"]));
     }
     for (device, port) in status["ports"].as_object().into_iter().flatten() {
-        if let Some(lost) = port["lost"].as_str() {
-            lines.push(format!("{device}: {lost}"));
+        if let Some(why) = port["closed"].as_str() {
+            lines.push(format!("{device}: {why}"));
             continue;
         }
         lines.push(format!(

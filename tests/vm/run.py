@@ -127,10 +127,10 @@ def survives_a_usb_port(robot):
     port = lambda status: status["ports"].get("/dev/ttyUSB0", {})
     for what in ("a microcontroller is plugged into USB", "and again"):
         board = robot.plug("usb.sock")
-        machine.until(what, 30, lambda s: not port(s).get("lost") and port(s).get("used", {}).get("ODOMETRY", 0) > 5)
+        machine.until(what, 30, lambda s: not port(s).get("closed") and port(s).get("used", {}).get("ODOMETRY", 0) > 5)
         board.stop()
-        status = machine.until("unplugged, it is named", 20, lambda s: port(s).get("lost"))
-        print(" ", port(status)["lost"], flush=True)
+        status = machine.until("unplugged, it is named", 20, lambda s: port(s).get("closed"))
+        print(" ", port(status)["closed"], flush=True)
 
 
 def tags_a_walk(robot):

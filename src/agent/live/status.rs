@@ -64,8 +64,8 @@ pub struct PassedOn {
 
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Port {
-    /// Why it is not open.
-    pub lost: Option<String>,
+    /// Why it is not open; `lost` counts messages.
+    pub closed: Option<String>,
     #[serde(flatten)]
     pub line: Option<LineStatus>,
 }
@@ -96,10 +96,10 @@ impl Status {
     }
 
     /// Whether this is news.
-    pub fn port_is(&mut self, device: &str, lost: Option<String>) -> bool {
+    pub fn port_is(&mut self, device: &str, closed: Option<String>) -> bool {
         let port = self.ports.entry(device.to_owned()).or_default();
-        let news = port.lost != lost;
-        port.lost = lost;
+        let news = port.closed != closed;
+        port.closed = closed;
         news
     }
 
@@ -132,9 +132,9 @@ impl Status {
                 }
             }
             DiagnosticStatus {
-                level: if port.lost.is_some() { DiagnosticStatus::WARN } else { DiagnosticStatus::OK },
+                level: if port.closed.is_some() { DiagnosticStatus::WARN } else { DiagnosticStatus::OK },
                 name: format!("{DIAGNOSTICS_NAME}port {device}"),
-                message: port.lost.clone().unwrap_or_else(|| "open".to_owned()),
+                message: port.closed.clone().unwrap_or_else(|| "open".to_owned()),
                 hardware_id: robot.to_owned(),
                 values,
             }
