@@ -8,6 +8,7 @@ mod entry;
 mod error;
 mod folder;
 mod gap;
+mod hashing;
 mod identity;
 mod manifest;
 mod recorder;

@@ -1,12 +1,13 @@
 //! One file of a capture while it is being written.
 
 use std::collections::BTreeMap;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::error::RecordingError;
+use super::hashing::Hashing;
 use super::manifest::{Counts, ManifestLine, PoseBox, TopicEntry};
 use super::storage::{Storage, StoredFile};
 use crate::ros2::mcap_read::{Channel, LogMessage};
@@ -67,7 +68,7 @@ pub(super) struct Segment {
     storage: Arc<dyn Storage>,
     folder: PathBuf,
     name: String,
-    writer: LogWriter<Hashing>,
+    writer: LogWriter<Hashing<Gate>>,
     /// The same file, to force it to disk while the writer owns the other handle.
     file: Arc<dyn StoredFile>,
     open: Arc<AtomicBool>,
@@ -90,7 +91,7 @@ impl Segment {
         let file = storage.create(&path).map_err(|source| RecordingError::io(&path, source))?;
         let open = Arc::new(AtomicBool::new(true));
         let gate = Gate { file: Arc::clone(&file), open: Arc::clone(&open) };
-        let hashing = Hashing { file: BufWriter::with_capacity(1 << 16, gate), hash: blake3::Hasher::new() };
+        let hashing = Hashing::new(gate);
         let created = storage
             .sync_folder(folder)
             .map_err(|source| RecordingError::io(folder, source))
@@ -231,32 +232,6 @@ impl Segment {
 /// Whether the file may take both for one.
 fn is_same(one: &Channel, other: &Channel) -> bool {
     *one == Channel { id: one.id, ..other.clone() }
-}
-
-/// Hashes what goes to the file, so that the manifest's checksum is of what was meant to be written.
-struct Hashing {
-    file: BufWriter<Gate>,
-    hash: blake3::Hasher,
-}
-
-impl Hashing {
-    /// Everything handed on; length and hash.
-    fn end(mut self) -> io::Result<(u64, String)> {
-        self.file.flush()?;
-        Ok((self.hash.count(), self.hash.finalize().to_hex().to_string()))
-    }
-}
-
-impl Write for Hashing {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let taken = self.file.write(bytes)?;
-        self.hash.update(&bytes[..taken]);
-        Ok(taken)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
-    }
 }
 
 /// The file until the segment is given up: what the writers above still hold must not reach it then.

@@ -10,6 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::super::error::RecordingError;
+use super::super::hashing::Hashing;
 use super::super::manifest::{ManifestLine, TopicEntry};
 use super::super::storage::{Appending, Readable, Storage};
 use super::account::Account;
@@ -102,9 +103,9 @@ fn copy(
     let fails = |source| RecordingError::io(&beside, source);
     let file = storage.create_over(&beside).map_err(fails)?;
     let mut account = Account::new(settings);
-    let hashed = Hashed { file: io::BufWriter::new(Appending(Arc::clone(&file))), hash: blake3::Hasher::new() };
-    let written = || -> Result<Hashed, Trouble> {
-        let mut writer = LogWriter::new(hashed)?;
+    let hashing = Hashing::new(Appending(Arc::clone(&file)));
+    let written = || -> Result<Hashing<Appending>, Trouble> {
+        let mut writer = LogWriter::new(hashing)?;
         for attachment in crate::ros2::mcap_read::attachments(storage.read(active).map_err(ReadError::from)?)?.list {
             writer.attach(&attachment.name, &attachment.media_type, attachment.log_time_ns, &attachment.data)?;
         }
@@ -116,16 +117,15 @@ fn copy(
         }
         Ok(writer.finish()?)
     };
-    let Hashed { file: buffered, hash } = written().map_err(|error| error.at(&beside))?;
-    drop(buffered.into_inner().map_err(|error| fails(error.into_error()))?);
+    let (bytes, hash) = written().map_err(|error| error.at(&beside))?.end().map_err(fails)?;
     file.sync().map_err(fails)?;
     let damaged = path.with_extension(format!("mcap{DAMAGED}"));
     // In this order: cut off in between, the next run does the same again.
     put(storage, &beside, path)?;
     put(storage, active, &damaged)?;
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let cut = length(storage, &damaged)?.saturating_sub(hash.count()).max(1);
-    let (line, topics) = account.line(&name, hash.count(), hash.finalize().to_hex().to_string(), cut);
+    let cut = length(storage, &damaged)?.saturating_sub(bytes).max(1);
+    let (line, topics) = account.line(&name, bytes, hash, cut);
     Ok(Ended::Whole { line: Box::new(line), topics, damage })
 }
 
@@ -227,23 +227,6 @@ fn read_up_to(reader: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
         }
     }
     Ok(done)
-}
-
-struct Hashed {
-    file: io::BufWriter<Appending>,
-    hash: blake3::Hasher,
-}
-
-impl Write for Hashed {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let taken = self.file.write(bytes)?;
-        self.hash.update(&bytes[..taken]);
-        Ok(taken)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
-    }
 }
 
 /// A file as if it ended there.
