@@ -168,8 +168,7 @@ fn messages_have_the_numbers_of_the_last_frame() {
             _ => None,
         })
         .collect();
-    for pair in odometry.windows(2).skip(50).take(100) {
-        let [(before, from), (time, to)] = pair else { unreachable!() };
+    for ((before, from), (time, to)) in odometry.iter().zip(&odometry[1..]).skip(50).take(100) {
         let frame = (0..).take_while(|frame| scene.frame_time_s(*frame) <= time + 1e-9).last().unwrap_or(0);
         let scale = 1.0 + value(&scene.drawn_for(frame), "odometry_error.scale_percent") / 100.0;
         let walked = scene.truth(*time).map_from_base_footprint.x - scene.truth(*before).map_from_base_footprint.x;
