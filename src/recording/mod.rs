@@ -11,6 +11,7 @@ mod gap;
 mod hashing;
 mod identity;
 mod manifest;
+mod pace;
 mod recorder;
 mod release;
 mod repair;
@@ -42,11 +43,12 @@ pub use manifest::{
     Counts, EVICTED_FILE, FORMAT_VERSION, LiveInfo, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, PoseBox,
     SESSION_FILE, SessionInfo,
 };
+pub use pace::loss_bound_ms;
 pub use release::{Releasable, releasable};
 pub use repair::{Repaired, repair, sessions_of};
 pub use retention::Evicted;
 pub use session::{SegmentState, SessionWriter, Writing};
-pub use status::{Fault, RecorderStatus, Stopped, loss_bound_ms};
+pub use status::{Fault, RecorderStatus, Stopped};
 pub use thinning::Thinning;
 pub use verify::{Verified, verify};
 pub use worst_stall::DiskMeasured;

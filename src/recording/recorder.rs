@@ -15,6 +15,7 @@ use super::entry::{Beginning, Entry, Gap, Kind};
 use super::error::RecordingError;
 use super::gap::GapMessages;
 use super::manifest::{Counts, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, TopicEntry, metadata_yaml};
+use super::pace::Pace;
 use super::segment::{Cut, Finished, Segment, Unfinished};
 use super::shared::{Shared, Waiting};
 use super::storage::{Appending, Storage, StoredFile, write_atomically};
@@ -64,7 +65,7 @@ pub(super) struct Recorder {
     /// Calibration and constants, written again at the start of each segment.
     latched: Vec<LogMessage>,
     gaps: GapMessages,
-    synced: Duration,
+    pace: Pace,
 }
 
 struct Kept {
@@ -85,7 +86,7 @@ const LEAST_UNSYNCED_BYTES: usize = 4 << 10;
 impl Recorder {
     pub fn new(storage: Arc<dyn Storage>, shared: Arc<Shared>, plan: Plan) -> Self {
         let gaps = GapMessages::new(&plan.robot);
-        let synced = storage.now();
+        let pace = Pace::new(plan.sync_interval);
         Self {
             storage,
             shared,
@@ -106,7 +107,7 @@ impl Recorder {
             topics: BTreeMap::new(),
             latched: Vec::new(),
             gaps,
-            synced,
+            pace,
         }
     }
 
@@ -128,8 +129,7 @@ impl Recorder {
     }
 
     pub fn sync_if_due(&mut self) -> Result<(), RecordingError> {
-        let age = self.storage.now().saturating_sub(self.synced);
-        if self.written == 0 || age < self.plan.sync_interval {
+        if !self.pace.is_due(self.oldest(), self.shared.next_taken(), self.storage.now()) {
             return Ok(());
         }
         let done = self.sync();
@@ -138,10 +138,7 @@ impl Recorder {
 
     /// So long until the next sync is due.
     pub fn idle(&self) -> Duration {
-        if self.written == 0 {
-            return self.plan.sync_interval;
-        }
-        (self.synced + self.plan.sync_interval).saturating_sub(self.storage.now())
+        self.pace.wait(self.oldest(), self.storage.now())
     }
 
     /// Everything confirmed, the segment whole. The next entry begins another.
@@ -180,6 +177,11 @@ impl Recorder {
     /// Entries that the disk has confirmed: a try that fails with more of them was worth it.
     pub fn confirmed(&self) -> u64 {
         self.confirmed
+    }
+
+    /// When the oldest entry came that the disk has not confirmed.
+    fn oldest(&self) -> Option<Duration> {
+        self.kept.front().map(|kept| kept.waiting.taken)
     }
 
     /// Entries that the disk has not confirmed.
@@ -268,7 +270,6 @@ impl Recorder {
         for cut in &self.cuts {
             segment.continues(cut)?;
         }
-        self.synced = self.storage.now();
         let begins_ns = beginning.map(|beginning| beginning.log_time_ns);
         let next_ns = || self.kept.iter().skip(self.written).find_map(|kept| kept.waiting.entry.log_time_ns());
         let log_time_ns = begins_ns.or_else(next_ns);
@@ -334,12 +335,10 @@ impl Recorder {
     /// What is written becomes what is confirmed.
     fn sync(&mut self) -> Result<(), RecordingError> {
         let Some(segment) = &mut self.segment else { return Ok(()) };
-        let began = self.storage.now();
         segment.sync()?;
         let ended = self.storage.now();
-        self.synced = began;
         self.cuts.clear();
-        let oldest = self.kept.front().map_or(ended, |kept| kept.waiting.taken);
+        self.pace.confirmed(self.oldest().unwrap_or(ended), ended);
         let mut frames = 0;
         for Kept { waiting, .. } in self.kept.drain(..self.written) {
             frames += u64::from(waiting.entry.is_frame());
@@ -347,13 +346,12 @@ impl Recorder {
         }
         self.confirmed += self.written as u64;
         (self.written, self.written_bytes) = (0, 0);
-        let interval_ms = self.plan.sync_interval.as_secs_f64() * 1e3;
+        let pace = &self.pace;
         self.shared.update(|status| {
             status.frames_synced += frames;
-            let ms = |from: Duration| ended.saturating_sub(from).as_secs_f64() * 1e3;
-            status.worst_stall_ms = status.worst_stall_ms.max(ms(began));
-            status.worst_unsynced_ms = status.worst_unsynced_ms.max(ms(oldest));
-            status.bound_loss(interval_ms);
+            status.worst_stall_ms = pace.worst_stall_ms();
+            status.worst_unsynced_ms = pace.worst_unsynced_ms();
+            status.loss_bound_ms = pace.loss_bound_ms();
         });
         Ok(())
     }
@@ -394,6 +392,7 @@ impl Recorder {
 
     fn give_up_after<T>(&mut self, done: Result<T, RecordingError>) -> Result<T, RecordingError> {
         if done.is_err() {
+            self.pace.failed();
             (self.written, self.written_bytes) = (0, 0);
             self.batch_bytes = LEAST_UNSYNCED_BYTES;
             if let Some(segment) = self.segment.take() {

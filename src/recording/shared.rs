@@ -160,6 +160,11 @@ impl Shared {
         }
     }
 
+    /// When that came which waits longest.
+    pub fn next_taken(&self) -> Option<Duration> {
+        self.lock().queue.front().map(|waiting| waiting.taken)
+    }
+
     /// Waits, unless nothing will come any more.
     pub fn pause(&self, time: Duration) {
         let state = self.lock();

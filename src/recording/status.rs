@@ -22,11 +22,11 @@ pub struct RecorderStatus {
     pub queue_limit_bytes: usize,
     /// captured = written + thinned + dropped + waiting.
     pub conserved: bool,
-    /// The longest that the disk took to sync.
+    /// The longest from when a sync was due until the disk had everything, whatever held it up.
     pub worst_stall_ms: f64,
     /// The oldest that anything was when the disk said that it had it: the most that a power cut would have cost so far.
     pub worst_unsynced_ms: f64,
-    /// The bound that the sync interval and the worst stall give.
+    /// The bound that the sync interval and the worst stall give, but while there is a `fault`.
     pub loss_bound_ms: f64,
     pub fault: Option<Fault>,
     /// What went wrong so far, by cause.
@@ -52,15 +52,4 @@ pub struct Stopped {
     pub cause: &'static str,
     /// Only frames: tags and measurements are still recorded.
     pub frames_only: bool,
-}
-
-impl RecorderStatus {
-    pub(super) fn bound_loss(&mut self, sync_interval_ms: f64) {
-        self.loss_bound_ms = loss_bound_ms(sync_interval_ms, self.worst_stall_ms);
-    }
-}
-
-/// Data that just missed a sync waits for the next one to begin, and then until it is through.
-pub fn loss_bound_ms(sync_interval_ms: f64, worst_stall_ms: f64) -> f64 {
-    sync_interval_ms.max(worst_stall_ms) + worst_stall_ms
 }

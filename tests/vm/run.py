@@ -177,7 +177,9 @@ def tags_a_walk(robot):
 
 def survives_a_hang_and_a_kill(robot):
     machine = robot.machine
-    machine.ok("v4l2-ctl -d /dev/robot-camera -i 0")
+    # The driver does not change its input while somebody streams.
+    machine.ok("systemctl stop realitysim && v4l2-ctl -d /dev/robot-camera -i 0 && systemctl start realitysim", 60)
+    machine.until("the webcam again", 60, is_recording)
     for what, order in (("killed, it is there again", "systemctl kill -s KILL realitysim"),
                         ("hung, the watchdog restarts it", "kill -STOP $(systemctl show -P MainPID realitysim)")):
         session = machine.status()["session"]
