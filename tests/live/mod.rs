@@ -1,6 +1,7 @@
 //! The agent as on a robot: a simulated walk comes in real time over a socket (frames) and a serial line (MAVLink).
 
 mod delay;
+mod load;
 mod play;
 mod robot;
 mod sender;
@@ -36,15 +37,19 @@ struct Recorder {
 
 impl Recorder {
     fn start(tty: Option<&str>) -> Self {
+        Self::start_at(tty, CONFIG, "-2.06,0.153,14.5")
+    }
+
+    fn start_at(tty: Option<&str>, config: &str, initial: &str) -> Self {
         let room = Room::new();
         room.write_scene("scene.toml", |text| text);
         let ports = tty.map_or(String::new(), |tty| {
             format!("[serial]\nports = [{{ device = \"{tty}\", baud = 921600, poses = true }}]\n")
         });
-        room.write("robot.toml", format!("{CONFIG}{ports}"));
+        room.write("robot.toml", format!("{config}{ports}"));
         let process = Command::new(env!("CARGO_BIN_EXE_realitysim"))
             .args(["record", "-o", CAPTURES, "--config", "robot.toml", "--socket", "control.sock"])
-            .args(["--initial", "-2.06,0.153,14.5", "--json"])
+            .args(["--initial", initial, "--json"])
             .current_dir(room.path(""))
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -223,7 +228,7 @@ fn the_doctor_names_what_is_wrong_and_what_to_do() {
     room.write_scene("scene.toml", |text| text);
     let cable = crate::serial::Cable::new();
     let ports = format!("[serial]\nports = [{{ device = \"{}\", baud = 115200 }}]\n", cable.ends[1]);
-    room.write("robot.toml", format!("{CONFIG}{ports}"));
+    room.write("robot.toml", format!("{config}{ports}"));
     let examined = room.run("doctor -o captures --config robot.toml --json");
     assert_eq!(examined.code, Some(1), "{examined:?}");
     let findings = examined.json();

@@ -55,7 +55,8 @@ class Machine:
              "-chardev", "socket,id=s2,path=s2.sock,server=on,wait=off", "-serial", "chardev:s2",
              "-device", "piix3-usb-uhci,id=usb", "-chardev", "socket,id=u1,path=usb.sock,server=on,wait=off",
              "-device", "usb-serial,chardev=u1,bus=usb.0", "-device", "virtio-rng-pci",
-             *disk("now.qcow2", "qcow2"), *disk("data.img", "raw"), *disk("frames.raw", "raw", ",readonly=on")],
+             *disk("now.qcow2", "qcow2", ",cache=unsafe"), *disk("data.img", "raw", ",cache=unsafe"),
+             *disk("frames.raw", "raw", ",readonly=on")],
             cwd=folder)
         self.shell = connect(os.path.join(folder, "s2.sock"))
         self.text = ""
@@ -130,7 +131,8 @@ class Machine:
         return self.run(f"journalctl -u realitysim -n {lines} --no-pager -o cat")[1]
 
     def cut_power(self):
-        """Nothing that the machine has not sent to its disk is on it."""
+        """Nothing that the machine has not sent to its disk is on it. (What it has sent outlives it, whether the host's disk has it
+        or not: so that disk is not waited for.)"""
         self.qemu.kill()
         self.qemu.wait()
 

@@ -6,6 +6,7 @@ known true pose, whenever it was taken.
 """
 import os
 import pathlib
+import socket
 import threading
 import time
 
@@ -112,20 +113,24 @@ class Microcontroller(threading.Thread):
     def __init__(self, link, walk, rate_hz=20):
         super().__init__(daemon=True)
         self.link, self.walk, self.period = link, walk, 1 / rate_hz
+        # A wire holds no more than a few messages: what is in it when it is cut was not received.
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
         self.mavlink = mavlink.MAVLink(self, srcSystem=1, srcComponent=1)
         self.began = time.monotonic()
         self.number = 0
-        # When which odometry was sent: its vz counts.
+        # When which odometry was taken: its vz counts.
         self.sent = []
+        self.is_taken = False
         self.going = True
 
     def write(self, data):
-        """As a UART: what nobody takes is lost. Before the service opens its port, the line fills within a second."""
-        self.link.settimeout(0.05)
+        """As a UART: what nobody takes is lost. Before the service opens its port, the line is full."""
+        self.link.settimeout(0.02)
         try:
             self.link.sendall(data)
+            self.is_taken = True
         except TimeoutError:
-            pass
+            self.is_taken = False
 
     def device_ns(self):
         return int((time.monotonic() - self.began + 100) * 1e9)
@@ -151,7 +156,8 @@ class Microcontroller(threading.Thread):
         p, q = odometry.pose.pose.position, odometry.pose.pose.orientation
         count = len(self.sent)
         self.mavlink.odometry_send(now // 1_000, FLU, FLU, p.x, p.y, p.z, [q.w, q.x, q.y, q.z], 0, 0, count, 0, 0, 0, NAN, NAN)
-        self.sent.append(time.monotonic())
+        if self.is_taken:
+            self.sent.append(time.monotonic())
 
     def answer(self, seconds):
         """To questions for the time, at once."""
@@ -167,6 +173,28 @@ class Microcontroller(threading.Thread):
         self.going = False
         self.join(5)
         self.link.close()
+
+
+class Relay(threading.Thread):
+    """A wire from one line to the other."""
+
+    def __init__(self, source, target):
+        super().__init__(daemon=True)
+        self.source, self.target = source, target
+
+    def run(self):
+        try:
+            while data := self.source.recv(4096):
+                self.target.sendall(data)
+        except OSError:
+            # Unplugged.
+            pass
+
+    def stop(self):
+        self.source.shutdown(socket.SHUT_RDWR)
+        self.join(5)
+        self.source.close()
+        self.target.close()
 
 
 def ned_from_frd(q):

@@ -44,8 +44,9 @@ impl Sink for OutputDevice {
     }
 }
 
-/// Some drivers begin with two only.
-const BUFFERS: u32 = 4;
+/// Some drivers begin with two only. A loopback device writes on around its readers, whether they have done with a buffer or not:
+/// the more there are, the later it comes to theirs. As many as v4l2loopback has.
+const BUFFERS: u32 = 8;
 
 struct Output {
     device: Device,

@@ -1,0 +1,61 @@
+//! What the whole agent costs at a camera's full rate: `./dev load`.
+
+use std::fs;
+
+use serde_json::json;
+
+use super::robot::Robot;
+use super::{CONFIG, Recorder};
+use crate::replay::support::{Room, read_log};
+
+/// Of Linux on every machine this is built for.
+const USER_HZ: f64 = 100.0;
+
+/// Asked of it: 25 % of a core and 150 MB.
+#[test]
+#[ignore = "a measurement, for a machine that does nothing else: `./dev load`"]
+fn thirty_frames_a_second_of_640_by_480() {
+    let room = Room::new();
+    let scene = fs::read_to_string("replay/scenes/straight.toml").expect("a scene");
+    assert!(scene.contains("rate_hz = 10.0\njpeg_quality"), "{scene}");
+    room.write("scene.toml", scene.replace("rate_hz = 10.0\njpeg_quality", "rate_hz = 30.0\njpeg_quality"));
+    room.run("sim scene.toml -o log.mcap").succeeds();
+    let robot = Robot::of(&read_log(&room.path("log.mcap")));
+    let frames = robot.frames() as u64;
+
+    let config = CONFIG.replace("lens.toml", "fisheye-640");
+    let mut recorder = Recorder::start_at(Some(robot.tty()), &config, "-2.96,0.153,2");
+    let socket = recorder.room.path("camera.sock");
+    let walking = std::thread::spawn(move || robot.walk(&socket));
+    recorder.waits_for("the walk begins", 30, |status| status["counts"]["tagged"].as_u64() > Some(30));
+    let process = recorder.process.as_ref().expect("running").id();
+    let (began, cpu_s) = (std::time::Instant::now(), cpu_s(process));
+    let (_, _robot) = walking.join().expect("walked");
+    let share = (self::cpu_s(process) - cpu_s) / began.elapsed().as_secs_f64();
+    recorder.waits_for("all frames", 20, |status| status["counts"]["tagged"].as_u64() == Some(frames));
+    let status = recorder.asks("status");
+    let counts = &status["counts"];
+    println!(
+        "{}",
+        json!({
+            "frames": frames, "seconds": began.elapsed().as_secs_f64(), "dropped": counts["dropped"], "valid": counts["valid"],
+            "of_a_core": share, "peak_mb": peak_mb(process), "tagging": status["budget"],
+        })
+    );
+    assert!(counts["valid"].as_u64() > Some(frames * 9 / 10), "{status}");
+    assert!(recorder.ends().status.success());
+}
+
+/// Of all threads so far.
+fn cpu_s(process: u32) -> f64 {
+    let stat = fs::read_to_string(format!("/proc/{process}/stat")).expect("a process");
+    let (_, fields) = stat.rsplit_once(')').expect("its name");
+    let ticks: u64 = fields.split_whitespace().skip(11).take(2).map(|field| field.parse::<u64>().expect("ticks")).sum();
+    ticks as f64 / USER_HZ
+}
+
+fn peak_mb(process: u32) -> f64 {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).expect("a process");
+    let line = status.lines().find(|line| line.starts_with("VmHWM")).expect("a peak");
+    line.split_whitespace().nth(1).and_then(|kb| kb.parse::<f64>().ok()).expect("kB") / 1e3
+}
