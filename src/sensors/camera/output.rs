@@ -53,6 +53,8 @@ struct Output {
     mapped: Vec<&'static mut [u8]>,
     /// Buffers that were never queued so far.
     fresh: usize,
+    /// The buffer that was queued last.
+    newest: u32,
     streams: bool,
 }
 
@@ -70,7 +72,7 @@ impl Output {
                 got.fourcc, got.width, got.height, wanted.fourcc, wanted.width, wanted.height
             )));
         }
-        let mut output = Self { device, mapped: Vec::new(), fresh: 0, streams: false };
+        let mut output = Self { device, mapped: Vec::new(), fresh: 0, newest: 0, streams: false };
         output.map()?;
         Ok(output)
     }
@@ -103,17 +105,7 @@ impl Output {
 
     /// False if no buffer is free: nobody reads as fast as the camera sends.
     fn write(&mut self, data: &[u8], info: &BufferInfo) -> io::Result<bool> {
-        let mut buffer = if self.fresh < self.mapped.len() {
-            self.fresh += 1;
-            buffer(self.fresh as u32 - 1)
-        } else {
-            let mut done = buffer(0);
-            match self.ask(vidioc::VIDIOC_DQBUF, &mut done) {
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
-                asked => asked?,
-            }
-            buffer(done.index)
-        };
+        let Some(mut buffer) = self.free()? else { return Ok(false) };
         let place = self.mapped.get_mut(buffer.index as usize).ok_or(io::ErrorKind::InvalidData)?;
         let length = data.len().min(place.len());
         place[..length].copy_from_slice(&data[..length]);
@@ -122,11 +114,33 @@ impl Output {
         buffer.timestamp =
             timeval { tv_sec: info.stamp_ns / 1_000_000_000, tv_usec: info.stamp_ns % 1_000_000_000 / 1_000 };
         self.ask(vidioc::VIDIOC_QBUF, &mut buffer)?;
+        self.newest = buffer.index;
         if !self.streams {
             self.ask(vidioc::VIDIOC_STREAMON, &mut (Type::VideoOutput as u32))?;
             self.streams = true;
         }
         Ok(true)
+    }
+
+    /// The one that was written longest ago.
+    fn free(&mut self) -> io::Result<Option<v4l2_buffer>> {
+        if self.fresh < self.mapped.len() {
+            self.fresh += 1;
+            return Ok(Some(buffer(self.fresh as u32 - 1)));
+        }
+        let mut done = buffer(0);
+        match self.ask(vidioc::VIDIOC_DQBUF, &mut done) {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
+            asked => asked?,
+        }
+        if done.index != self.newest {
+            return Ok(Some(buffer(done.index)));
+        }
+        // v4l2loopback up to 0.12 gives back the newest, which its readers are reading. It takes any other, though, and knows by itself
+        // which of them it still has: a reader may have asked it for fewer.
+        let mut next = buffer((self.newest + 1) % self.mapped.len() as u32);
+        self.ask(vidioc::VIDIOC_QUERYBUF, &mut next)?;
+        Ok(Some(buffer(next.index)))
     }
 
     fn ask<T>(&self, request: vidioc::_IOC_TYPE, what: &mut T) -> io::Result<()> {
