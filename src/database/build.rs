@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::catalogue::{Catalogue, Source};
+use super::darkening;
 use super::error::{DatabaseError, io};
 use super::index::{Index, path_of, write_index};
 use super::pixels::read_bytes;
@@ -132,7 +133,7 @@ fn take(
     let path = || at.clone();
     let wanted = own.as_ref().or(field);
     let catalogue = match (catalogue, wanted) {
-        (Some(known), Some(wanted)) if !known.sources.is_empty() && !same_field(wanted, &known.field) => {
+        (Some(known), Some(wanted)) if !known.sources.is_empty() && !wanted.is_same_as(&known.field) => {
             let (found, known) = (wanted.title.clone(), known.field.title.clone());
             return Err(DatabaseError::OtherField { path: path(), found, known });
         }
@@ -151,8 +152,9 @@ fn take(
     added.images += source.images;
     added.left_out += source.left_out;
     added.losses.extend(losses);
-    records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
     source.dark = lit.mask().map(|mask| write_mask(folder, &source, mask)).transpose()?;
+    source.darkening = darkening::measured(folder, &source, &found, &catalogue.field)?;
+    records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
     catalogue.sources.push(source);
     Ok(())
 }
@@ -171,11 +173,6 @@ fn write_mask(folder: &Path, source: &Source, mask: Vec<u8>) -> Result<String, D
 fn checked(field: &FieldDimensions, path: &Path) -> Result<FieldDimensions, DatabaseError> {
     let failed = |source| DatabaseError::Field { path: path.to_owned(), source };
     Field::new(field.clone()).map(|field| field.dimensions().clone()).map_err(failed)
-}
-
-/// Titles are for people.
-fn same_field(a: &FieldDimensions, b: &FieldDimensions) -> bool {
-    FieldDimensions { title: String::new(), ..a.clone() } == FieldDimensions { title: String::new(), ..b.clone() }
 }
 
 fn publish(folder: &Path, mut catalogue: Catalogue, records: Vec<Record>) -> Result<(), DatabaseError> {

@@ -32,6 +32,10 @@ pub struct Source {
     pub body_masks: Vec<String>,
     /// A PNG in the database's folder, black where no image was ever lit: outside of the lens's circle.
     pub dark: Option<String>,
+    /// How the lens darkens its images towards their border, if that shows in them: k1 to k3 of
+    /// [`crate::views::Vignetting`].
+    #[serde(default)]
+    pub darkening: Option<[f64; 3]>,
     pub images: u64,
     /// Frames without a valid tag, and those that do not decode.
     pub left_out: u64,

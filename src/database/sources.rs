@@ -130,6 +130,7 @@ fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databa
         lens,
         files: files.iter().map(relative).collect(),
         dark: None,
+        darkening: None,
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
         images: records.len() as u64,
         left_out,
@@ -252,7 +253,8 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         what: format!("{POSES} names no image that can be read"),
     })?;
     let (kind, images) = (SourceKind::Folder, records.len() as u64);
-    let source = Source { kind, path, lens, files, body_masks: Vec::new(), dark: None, images, left_out };
+    let source =
+        Source { kind, path, lens, files, body_masks: Vec::new(), dark: None, darkening: None, images, left_out };
     Ok(Read { source, records, field: None, losses, lit })
 }
 

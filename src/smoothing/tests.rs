@@ -66,6 +66,7 @@ fn walk(truth: &Constants, noise_px: f64) -> (Vec<Isometry>, Vec<Frame>) {
             odometry: Some(Pose2::new(3.0, 1.0, 0.4).compose(&feet)),
             turned_rad: None,
             places,
+            overlap: None,
         });
         truths.push(pose);
     }

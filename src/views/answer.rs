@@ -93,6 +93,8 @@ pub struct Answer {
     /// Its fourth channel is the mask of what is sure.
     pub image: Raster,
     pub made: Made,
+    /// Where its camera stands: as asked, or where the image was taken if it is unchanged.
+    pub map_from_link: Isometry,
     /// Those that show in it, nearest first.
     pub sources: Vec<UsedSource>,
     /// Share of the pixels which the lens draws that show something.
@@ -191,7 +193,7 @@ pub fn angle_between(a: &Isometry, b: &Isometry) -> f64 {
 impl Answer {
     pub(super) fn unchanged(made: Made, request: &Request, source: &Candidate) -> Self {
         let image = source.image.full().clone();
-        let (valid_share, _) = shares(source.camera, &image);
+        let (valid_share, sure_share) = shares(source.camera, &image);
         let error = match made {
             // Each place is shown where the source's camera had it.
             Made::Nearest => {
@@ -201,15 +203,20 @@ impl Answer {
             _ => 0.0,
         };
         let expected_error_px = libm::hypot(error, Nearness::of(request).tag_error_px(&source.tag));
-        let sources = vec![request.used(source, 1.0)];
-        Self { image, made, sources, valid_share, sure_share: valid_share, expected_error_px }
+        let (map_from_link, sources) = (source.map_from_link, vec![request.used(source, 1.0)]);
+        Self { image, made, map_from_link, sources, valid_share, sure_share, expected_error_px }
     }
 
     pub(super) fn warped(request: &Request, source: &Candidate, image: Raster, map_error_px: f64) -> Self {
         let (valid_share, sure_share) = shares(request.camera, &image);
         let expected_error_px = libm::hypot(map_error_px, Nearness::of(request).tag_error_px(&source.tag));
-        let sources = vec![request.used(source, 1.0)];
-        Self { image, made: Made::Warped, sources, valid_share, sure_share, expected_error_px }
+        let (map_from_link, sources) = (request.map_from_link, vec![request.used(source, 1.0)]);
+        Self { image, made: Made::Warped, map_from_link, sources, valid_share, sure_share, expected_error_px }
+    }
+
+    /// Counts anew what is shown, after something was drawn over it. `camera` is the picture's.
+    pub fn recount(&mut self, camera: &Camera) {
+        (self.valid_share, self.sure_share) = shares(camera, &self.image);
     }
 
     pub(super) fn composed(
@@ -235,7 +242,8 @@ impl Answer {
             .map(|(candidate, share)| request.used(candidate, *share))
             .collect();
         let made = if sources.len() > 1 { Made::Composed } else { Made::Warped };
-        Ok(Self { image, made, sources, valid_share, sure_share, expected_error_px })
+        let map_from_link = request.map_from_link;
+        Ok(Self { image, made, map_from_link, sources, valid_share, sure_share, expected_error_px })
     }
 }
 
