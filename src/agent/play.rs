@@ -50,7 +50,7 @@ pub struct Played {
     pub images: u64,
     pub odometry: u64,
     pub attitudes: u64,
-    /// Could not be written: the device was away.
+    /// Could not be written, since the device was away; or no view could be made there.
     pub lost: u64,
     /// Came more than `LATE` after their time.
     pub late: u64,
@@ -113,7 +113,7 @@ fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Play
     let mut first_ns = None;
     for message in messages {
         let message = message?;
-        let since_ns = message.log_time_ns - *first_ns.get_or_insert(message.log_time_ns);
+        let since_ns = message.log_time_ns.saturating_sub(*first_ns.get_or_insert(message.log_time_ns));
         let event = match intake::read(&message, topics, &info.settings.head) {
             Ok(Input::Frame { .. }) => image_of(&message).map(Event::Image),
             Ok(Input::Odometry { odom_from_footprint, .. }) => Some(Event::Odometry(odom_from_footprint)),
@@ -166,7 +166,15 @@ fn trajectory(
             max_distance_m: f64::INFINITY,
             without: Vec::new(),
         };
-        let shown = gallery.view(&wanted)?;
+        let shown = match (gallery.view(&wanted), &mut stage) {
+            (Ok(shown), _) => shown,
+            // As when a camera drops a frame: the robot goes on.
+            (Err(DatabaseError::View(_) | DatabaseError::Image { .. }), Some(stage)) => {
+                stage.played.lost += 1;
+                continue;
+            }
+            (Err(error), _) => return Err(error.into()),
+        };
         let image = &shown.answer.image;
         let (width, height) = (image.width, image.height);
         camera.get_or_insert_with(|| shown.camera.clone());
@@ -237,7 +245,7 @@ impl<'a> Stage<'a> {
             std::thread::sleep(wait.min(NAP));
         }
         self.played.late += u64::from(due.elapsed() > LATE);
-        self.write(since_ns + BOOT_NS, event);
+        self.write(since_ns.saturating_add(BOOT_NS), event);
         !stop.load(Ordering::Relaxed)
     }
 

@@ -48,7 +48,7 @@ pub struct ServeArguments {
     config: Option<String>,
 }
 
-fn distance(text: &str) -> Result<f64, String> {
+pub(super) fn distance(text: &str) -> Result<f64, String> {
     let value: Option<f64> = text.parse().ok().filter(|value| (0.0..=1000.0).contains(value));
     value.ok_or_else(|| "0 to 1000 metres".to_owned())
 }

@@ -66,7 +66,7 @@ pub struct ViewArguments {
     #[arg(long, value_name = "N", default_value_t = 0, requires = "scene")]
     frame: u64,
     /// Refuse when the nearest image was taken farther away than this
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", value_parser = super::serve::distance)]
     max_distance: Option<f64>,
     /// Nearest image, the paper's view and the exact one beside each other, with mask and numbers
     #[arg(long)]

@@ -63,6 +63,7 @@ pub fn add(
 
 /// Reads every source again: as if the database had just been made.
 pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError> {
+    is_database(folder)?;
     let _alone = alone(folder)?;
     let old = Catalogue::read(folder)?;
     let mut catalogue = Some(Catalogue { sources: Vec::new(), ..old.clone() });
@@ -79,6 +80,7 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
 
 /// Takes a source out; its files are not touched.
 pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
+    is_database(folder)?;
     let _alone = alone(folder)?;
     let mut catalogue = Catalogue::read(folder)?;
     let absolute = path.canonicalize().or_else(|_| std::path::absolute(path)).map_err(io(path))?;
@@ -98,6 +100,11 @@ pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
     catalogue.sources.remove(gone);
     publish(folder, catalogue, records)?;
     Ok(removed)
+}
+
+/// Nothing is put into a folder that is none.
+fn is_database(folder: &Path) -> Result<(), DatabaseError> {
+    Catalogue::read(folder).map(drop)
 }
 
 /// Two changes at a time would lose one of them: whoever changes a database holds this file's lock, which goes with the process.
@@ -200,8 +207,7 @@ pub struct Stats {
 }
 
 pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
-    let catalogue = Catalogue::read(folder)?;
-    let index = Index::open(&path_of(folder, catalogue.index))?;
+    let (catalogue, index) = Catalogue::with_index(folder)?;
     let mut extent: Option<[[f32; 3]; 2]> = None;
     let (mut metres, mut radians) = (Vec::with_capacity(index.len()), Vec::with_capacity(index.len()));
     for record in index.records() {
@@ -238,9 +244,8 @@ pub struct Checked {
 
 /// Reads every image and compares it with what was indexed.
 pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseError> {
-    let catalogue = Catalogue::read(folder)?;
+    let (catalogue, index) = Catalogue::with_index(folder)?;
     let path = path_of(folder, catalogue.index);
-    let index = Index::open(&path)?;
     let mut checked = Checked { images: index.len(), sound: 0, index_sound: index.is_sound(), losses: Vec::new() };
     if !checked.index_sound {
         checked.losses.push(Loss::new(&path, "not as it was written: `realitysim db rebuild` makes it anew"));

@@ -9,7 +9,7 @@ use glam::DVec2;
 use super::build::bytes_of;
 use super::catalogue::{Catalogue, Source};
 use super::error::DatabaseError;
-use super::index::{Index, Neighbour, path_of};
+use super::index::{Index, Neighbour};
 use super::pixels::colours;
 use super::record::{Form, Record};
 use super::tree::Metric;
@@ -76,8 +76,7 @@ const MAX_UNREADABLE: usize = 32;
 
 impl Gallery {
     pub fn open(folder: &Path, settings: &ViewsSettings) -> Result<Self, DatabaseError> {
-        let catalogue = Catalogue::read(folder)?;
-        let index = Index::open(&path_of(folder, catalogue.index))?;
+        let (catalogue, index) = Catalogue::with_index(folder)?;
         let field = Field::new(catalogue.field.clone())
             .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
         let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();

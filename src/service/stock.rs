@@ -39,10 +39,12 @@ pub(super) struct Picture {
     pub(super) headers: Vec<(&'static str, String)>,
 }
 
-/// Lenses prepared for views, beside those of the database: one of 640 x 480 has 4 MB.
+/// Lenses prepared for views, beside those of the database.
 const MAX_CAMERAS: usize = 16;
-/// Scenes prepared for a lens: one of 640 x 480 has 5 MB.
+/// Scenes prepared for a lens.
 const MAX_STAGES: usize = 8;
+/// Pixels of all of either together, as long as there are two: each takes some 14 bytes.
+const MAX_KEPT_PIXELS: u64 = 1 << 23;
 /// Pixels of one view.
 const MAX_PIXELS: u64 = 1 << 22;
 /// Cells of a coverage: the paper's grid has 720,000 poses.
@@ -126,8 +128,7 @@ impl Stock {
             None => own()?,
         };
         let lens = lens.resized(asked.size);
-        let pixels = u64::from(lens.width) * u64::from(lens.height);
-        if pixels > MAX_PIXELS {
+        if pixels_of(&lens) > MAX_PIXELS {
             let (width, height) = (lens.width, lens.height);
             let what = format!("width x height is {width} x {height}: at most {MAX_PIXELS} pixels are made");
             return Err(Refusal::wrong(what));
@@ -147,9 +148,8 @@ impl Stock {
         if known(&cameras).is_none() {
             cameras.push(Arc::clone(&camera));
         }
-        if cameras.len() > MAX_CAMERAS {
-            cameras.remove(0);
-        }
+        let pixels = |camera: &Arc<Camera>| pixels_of(camera.lens().parameters());
+        give_up(&mut cameras, MAX_CAMERAS, pixels);
         Ok(Some(camera))
     }
 
@@ -183,9 +183,7 @@ impl Stock {
         if stages.iter().all(|(known, _)| *known != of) {
             stages.push((of, Arc::clone(&stage)));
         }
-        if stages.len() > MAX_STAGES {
-            stages.remove(0);
-        }
+        give_up(&mut stages, MAX_STAGES, |((_, _, lens), _)| pixels_of(lens));
         stage
     }
 
@@ -239,6 +237,17 @@ impl Stock {
         let mut value = serde_json::to_value(&found).unwrap_or_default();
         value["counts"] = json!(found.counts());
         Ok((value.to_string().into_bytes(), "application/json"))
+    }
+}
+
+fn pixels_of(lens: &LensParameters) -> u64 {
+    u64::from(lens.width) * u64::from(lens.height)
+}
+
+/// The longest unused, until what is left is few and small enough.
+fn give_up<T>(kept: &mut Vec<T>, most: usize, pixels: impl Fn(&T) -> u64) {
+    while kept.len() > most || (kept.len() > 1 && kept.iter().map(&pixels).sum::<u64>() > MAX_KEPT_PIXELS) {
+        kept.remove(0);
     }
 }
 
@@ -300,5 +309,22 @@ fn refusal(error: &DatabaseError) -> Refusal {
             "none of the images near this pose can be read: they vanished or changed since they were indexed; `realitysim db \
              verify` names them, `realitysim db rebuild` mends the database",
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_not_used_for_longest_is_given_up_until_the_rest_is_few_and_small() {
+        let left = |mut kept: Vec<u64>, most: usize| {
+            give_up(&mut kept, most, |pixels| *pixels);
+            kept
+        };
+        assert_eq!(left(vec![1, 2, 3], 3), [1, 2, 3]);
+        assert_eq!(left(vec![1, 2, 3], 2), [2, 3]);
+        assert_eq!(left(vec![MAX_PIXELS, MAX_PIXELS, MAX_PIXELS], 16), [MAX_PIXELS; 2]);
+        assert_eq!(left(vec![7, MAX_KEPT_PIXELS + 1], 16), [MAX_KEPT_PIXELS + 1], "the one in use stays");
     }
 }

@@ -191,3 +191,93 @@ fn gray(picture: &Picture, at: DVec2) -> Option<f64> {
     let (upper, lower) = (row(v), row(v + 1));
     Some(upper + (lower - upper) * fv)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Euler, Lens, LensModel, LensParameters};
+
+    fn projector() -> Projector {
+        let model = LensModel::KannalaBrandt { k: [-0.01, 0.002, 0.0, 0.0] };
+        let parameters = LensParameters {
+            width: 320,
+            height: 240,
+            fx: 105.0,
+            fy: 105.0,
+            cx: 161.0,
+            cy: 118.0,
+            model,
+            fov_deg: Some(170.0),
+        };
+        Projector::new(&Lens::new(parameters).expect("a lens"))
+    }
+
+    fn pose(x: f64, y: f64, yaw_deg: f64) -> Isometry {
+        let euler = Euler { yaw: yaw_deg.to_radians(), pitch: 0.6, roll: 0.01 };
+        Isometry::from_euler(euler, DVec3::new(x, y, 0.5)) * Isometry::link_from_optical()
+    }
+
+    /// Smooth blots of some centimetres.
+    fn lawn(place: DVec2) -> f64 {
+        let corner = |x: f64, y: f64| {
+            let number = (x as i64).wrapping_mul(73_856_093) ^ (y as i64).wrapping_mul(19_349_663);
+            f64::from((number as u32).wrapping_mul(2_654_435_761) >> 16) / 65_536.0
+        };
+        let cell = (place / 0.05).floor();
+        let part = place / 0.05 - cell;
+        let part = part * part * (DVec2::splat(3.0) - 2.0 * part);
+        let row = |y: f64| corner(cell.x, y) + (corner(cell.x + 1.0, y) - corner(cell.x, y)) * part.x;
+        60.0 + 120.0 * (row(cell.y) + (row(cell.y + 1.0) - row(cell.y)) * part.y)
+    }
+
+    fn picture(projector: &Projector, pose: &Isometry, ground: impl Fn(DVec2) -> f64) -> Picture {
+        let gray = |u: usize, v: usize| {
+            let Some(ray) = projector.lens().unproject(DVec2::new(u as f64, v as f64)) else { return 0 };
+            let ray = pose.transform_vector(ray);
+            let distance = -pose.translation.z / ray.z;
+            if distance > 0.0 { ground((pose.translation + ray * distance).truncate()) as u8 } else { 90 }
+        };
+        Picture::from_gray(320, 240, (0..320 * 240).map(|i| gray(i % 320, i / 320)).collect()).expect("fits")
+    }
+
+    #[test]
+    fn ground_is_found_again_though_both_tags_are_off() {
+        let projector = projector();
+        let (before, here) = (pose(0.0, 0.0, 0.0), pose(0.06, 0.02, 6.0));
+        let pictures = [before, here].map(|pose| picture(&projector, &pose, lawn));
+        // As tags are: a centimetre and half a degree.
+        let tagged = pose(0.07, 0.02, 6.5);
+        let look = |which: usize, map_from_optical| Look { picture: &pictures[which], map_from_optical };
+        let found = matches(&projector, &look(0, before), &look(1, tagged), |_| false);
+        assert!(found.len() > 30, "{}", found.len());
+        let mut off: Vec<f64> = (found.iter())
+            .map(|shared| {
+                let ray = before.transform_vector(projector.lens().unproject(shared.before).expect("seen"));
+                let place = before.translation - ray * (before.translation.z / ray.z);
+                let truth = projector.project(here.inverse().transform_point(place)).expect("seen");
+                truth.distance(shared.here)
+            })
+            .collect();
+        off.sort_by(f64::total_cmp);
+        assert!(off[off.len() / 2] < 0.1 && off[off.len() * 9 / 10] < 0.3, "{off:?}");
+        let hidden = matches(&projector, &look(0, before), &look(1, tagged), |pixel| pixel.y > 120.0);
+        assert!(hidden.iter().all(|shared| shared.here.y < 126.0 && shared.before.y <= 120.0));
+    }
+
+    #[test]
+    fn what_has_no_texture_or_is_of_something_else_matches_nothing() {
+        let projector = projector();
+        let (before, here) = (pose(0.0, 0.0, 0.0), pose(0.06, 0.02, 6.0));
+        let plain = picture(&projector, &before, |_| 90.0);
+        let elsewhere = picture(&projector, &before, |place| lawn(place + DVec2::new(3.0, 7.0)));
+        let real = picture(&projector, &here, lawn);
+        let small = Picture::from_gray(8, 8, vec![0; 64]).expect("fits");
+        for other in [&plain, &elsewhere, &small] {
+            let look = Look { picture: other, map_from_optical: before };
+            let found = matches(&projector, &look, &Look { picture: &real, map_from_optical: here }, |_| false);
+            assert!(found.len() <= 2, "{}", found.len());
+        }
+        let nan = Look { picture: &plain, map_from_optical: Isometry { translation: DVec3::NAN, ..before } };
+        assert!(matches(&projector, &nan, &Look { picture: &real, map_from_optical: here }, |_| false).is_empty());
+    }
+}

@@ -1,8 +1,7 @@
 //! What stands on the carpet in a recorded image and was not painted there: robots, people, balls, hands.
 //!
 //! Nobody says where such things are, but the image does: its pose tells which pixels look at the carpet and where lines are
-//! painted, and what is neither carpet-coloured nor white on a line stands in the way. Found on a copy of half the size;
-//! what has been found is [`UNSURE`] from then on, and views take other images there.
+//! painted, and what is neither carpet-coloured nor white on a line stands in the way. Found on a small copy; what has been found is [`UNSURE`] from then on, and views take other images there.
 
 use glam::{DMat3, DVec2, DVec3};
 
@@ -23,13 +22,17 @@ pub struct Scenery<'a> {
     pub world: &'a World,
 }
 
+/// Columns of the small copy: a degree each of a wide fisheye.
+const COLUMNS: usize = 160;
+/// Pixels of the image that one of the small copy stands for, each way, at least.
+const LEAST_SIDE: usize = 2;
 /// The carpet's colour is learnt within this range.
 const LEARN_WITHIN_M: f64 = 2.5;
 /// Every so many of its places are enough for that.
 const LEARN_EVERY: usize = 3;
 /// How far paint and carpet's end may be from where they should be, beside the tag's error and the pixel's size.
 const PLAY_M: f64 = 0.03;
-/// Of the size of two pixels: how soft an edge is.
+/// Of the size of a pixel of the small copy: how soft an edge is.
 const SOFT_EDGE: f64 = 1.5;
 /// Of the nine around it, so many make a place one of a thing's: specks are noise.
 const ENOUGH_AROUND: usize = 5;
@@ -72,10 +75,12 @@ pub fn mark_moving(image: &mut Raster, scenery: &Scenery) -> bool {
     any
 }
 
-/// The image at half its size: directions, places and colours.
+/// A small copy of the image: directions, places and colours.
 struct Small {
     width: usize,
     height: usize,
+    /// Of the image's pixels that one stands for.
+    side: usize,
     full_width: usize,
     /// Of the camera.
     from: DVec3,
@@ -89,14 +94,16 @@ struct Small {
 
 impl Small {
     fn of(image: &Raster, scenery: &Scenery) -> Self {
-        let (width, height) = (image.width / 2, image.height / 2);
+        let side = (image.width / COLUMNS).max(LEAST_SIDE);
+        let (width, height) = (image.width / side, image.height / side);
         let pose = optical(&scenery.map_from_link);
         let (from, turn) = (pose.translation, DMat3::from_quat(pose.rotation));
-        let step_rad = 2.0 / scenery.camera.lens().focal();
+        let step_rad = side as f64 / scenery.camera.lens().focal();
         let half = scenery.field.carpet_half_extent();
         let mut small = Self {
             width,
             height,
+            side,
             full_width: image.width,
             from,
             step_rad,
@@ -105,24 +112,41 @@ impl Small {
             colours: Vec::with_capacity(width * height),
         };
         for index in 0..width * height {
-            let four = small.pixels(index);
-            let ray = scenery.camera.ray(four[0] % image.width, four[0] / image.width).map(|ray| turn * ray);
-            let shown = four.iter().all(|pixel| image.pixels[*pixel][3] == SURE);
+            let (left, top) = (index % width * side, index / width * side);
+            let ray = scenery.camera.ray(left + side / 2, top + side / 2).map(|ray| turn * ray);
+            let colour = small.colour(image, index);
             let place = match ray {
-                Some(ray) if shown => small.place(ray, half, &scenery.tag),
+                Some(ray) if colour.is_some() => small.place(ray, half, &scenery.tag),
                 _ => Place::Nothing,
             };
             small.rays.push(ray.unwrap_or(DVec3::NAN));
             small.places.push(place);
-            small.colours.push(colour(four.map(|pixel| image.pixels[pixel])));
+            small.colours.push(colour.unwrap_or_default());
         }
         small
     }
 
-    /// The four of the image.
-    fn pixels(&self, index: usize) -> [usize; 4] {
-        let first = 2 * (index / self.width) * self.full_width + 2 * (index % self.width);
-        [first, first + 1, first + self.full_width, first + self.full_width + 1]
+    /// Those of the image.
+    fn pixels(&self, index: usize) -> impl Iterator<Item = usize> + use<> {
+        let (side, width) = (self.side, self.full_width);
+        let first = index / self.width * side * width + index % self.width * side;
+        (0..side).flat_map(move |row| first + row * width..first + row * width + side)
+    }
+
+    /// Four times the mean luma, and mean chroma (JFIF's conversion); `None` if not all of it is shown.
+    fn colour(&self, image: &Raster, index: usize) -> Option<(u16, [u8; 2])> {
+        let (mut sum, mut shown) = ([0u32; 3], true);
+        for [r, g, b, sure] in self.pixels(index).map(|pixel| image.pixels[pixel]) {
+            sum = [sum[0] + u32::from(r), sum[1] + u32::from(g), sum[2] + u32::from(b)];
+            shown &= sure == SURE;
+        }
+        let count = (self.side * self.side) as u32;
+        // Four times the means: 10 bits.
+        let [r, g, b] = sum.map(|sum| (4 * sum / count) as i32);
+        let luma = (19595 * r + 38470 * g + 7471 * b + (1 << 15)) >> 16;
+        let chroma = |sum: i32| (128 + (sum >> 18)).clamp(0, 255) as u8;
+        let chroma = [chroma(-11059 * r - 21709 * g + 32768 * b), chroma(32768 * r - 27439 * g - 5329 * b)];
+        shown.then_some((luma as u16, chroma))
     }
 
     fn place(&self, ray: DVec3, half: DVec2, tag: &TagError) -> Place {
@@ -241,12 +265,4 @@ fn heading(ray: DVec3) -> usize {
 
 fn slope(ray: DVec3) -> f64 {
     ray.z / ray.truncate().length().max(1e-9)
-}
-
-/// Four times the luma, and chroma, of four pixels (JFIF's conversion).
-fn colour(four: [[u8; 4]; 4]) -> (u16, [u8; 2]) {
-    let [r, g, b] = core::array::from_fn(|c| four.iter().map(|pixel| i32::from(pixel[c])).sum::<i32>());
-    let luma = (19595 * r + 38470 * g + 7471 * b + (1 << 15)) >> 16;
-    let chroma = |sum: i32| (128 + (sum >> 18)).clamp(0, 255) as u8;
-    (luma as u16, [chroma(-11059 * r - 21709 * g + 32768 * b), chroma(32768 * r - 27439 * g - 5329 * b)])
 }
