@@ -11,7 +11,7 @@ use thiserror::Error;
 
 use crate::database::{DatabaseError, Gallery, Wanted};
 use crate::geometry::{Isometry, Pose2};
-use crate::recording::{RecordingError, read_info};
+use crate::recording::{RecordingError, SESSION_FILE, read_info};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::CompressedImageView;
 use crate::sensors::decode;
@@ -69,6 +69,10 @@ pub enum PlayError {
     Video(#[from] VideoOutError),
     #[error("{device}: {source}")]
     Serial { device: String, source: serialport::Error },
+    #[error(
+        "{}: no capture, for there is no session.json with it; `realitysim replay LOG -o DIR` makes one of a log", .0.display()
+    )]
+    NotACapture(PathBuf),
     #[error("{}: nothing in it can be played", .0.display())]
     Nothing(PathBuf),
 }
@@ -105,7 +109,11 @@ pub fn play(options: &PlayOptions, stop: &AtomicBool) -> Result<Played, PlayErro
 }
 
 fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Played, PlayError> {
-    let info = read_info(if path.is_dir() { path } else { path.parent().unwrap_or(path) })?;
+    let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
+    if !folder.join(SESSION_FILE).is_file() {
+        return Err(PlayError::NotACapture(path.to_owned()));
+    }
+    let info = read_info(folder)?;
     let topics = &info.settings.topics;
     let wanted = [topics.image.as_str(), topics.odometry.as_str(), topics.imu.as_str()];
     let messages = LogSource::new(log::files_of(path)?, Selection::topics(wanted));

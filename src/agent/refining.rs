@@ -17,7 +17,7 @@ use crate::evaluation::capture::{EvaluationError, Readout, read_tags};
 use crate::geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use crate::localization::refinement::LinePoints;
 use crate::localization::refinement::offsets::{Sight, measure};
-use crate::recording::{Loss, RecordingError, SessionInfo, read_info, topic, write_atomically};
+use crate::recording::{Loss, RecordingError, SESSION_FILE, SessionInfo, read_info, topic, write_atomically};
 use crate::ros2::messages::{FrameTag, Message, PoseWithCovarianceStamped};
 use crate::ros2::{Durability, LogWriter, WriteError};
 use crate::sensors::intake::{self, isometry};
@@ -44,7 +44,7 @@ pub struct Refining {
 
 #[derive(Debug, Error)]
 pub enum RefineError {
-    #[error("{}: a capture's folder is needed", .0.display())]
+    #[error("{}: a capture's folder is needed, and there is no session.json", .0.display())]
     NotACapture(PathBuf),
     #[error("{}: it has no valid tag with lines: nothing can be refined", .0.display())]
     NoFrames(PathBuf),
@@ -102,7 +102,7 @@ const OBSERVED: f64 = 0.5;
 
 /// `progress` hears of frames looked at, and of how many there are.
 pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64)) -> Result<Refining, RefineError> {
-    if !capture.is_dir() {
+    if !capture.join(SESSION_FILE).is_file() {
         return Err(RefineError::NotACapture(capture.to_owned()));
     }
     let info = read_info(capture)?;

@@ -17,8 +17,8 @@ use crate::config::ViewsSettings;
 use crate::geometry::{Field, Isometry, Lens, LensParameters};
 use crate::sensors::body_mask;
 use crate::views::{
-    Answer, Camera, Candidate, Made, Method, Pyramid, Raster, Request, Scenery, ViewError, ViewSettings, Vignetting,
-    World, mark_moving, view,
+    Answer, Camera, Candidate, Made, Method, Pyramid, Raster, Request, Scenery, ViewSettings, Vignetting, World,
+    check_pose, mark_moving, view,
 };
 use crate::vision::BodyMask;
 
@@ -171,9 +171,7 @@ impl Gallery {
         if self.index.is_empty() {
             return Err(DatabaseError::Empty);
         }
-        if !wanted.map_from_link.is_finite() {
-            return Err(ViewError::NotFinite.into());
-        }
+        check_pose(&wanted.map_from_link)?;
         let mut without = wanted.without.clone();
         let mut unreadable = Vec::new();
         loop {

@@ -16,7 +16,7 @@ use crate::agent::refining::{REFINED_FOLDER, REFINED_INFO, refined_info};
 use crate::config::load_lens_for_image;
 use crate::evaluation::capture::{Readout, losses, read_tags};
 use crate::geometry::{Euler, FieldDimensions, Isometry};
-use crate::recording::{Loss, read_info};
+use crate::recording::{Loss, SESSION_FILE, read_info};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
 use crate::sensors::decode;
@@ -84,6 +84,11 @@ pub(super) fn read(path: &Path, done: &mut dyn FnMut(u64)) -> Result<Read, Datab
 
 fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let folder = if path.is_dir() { path.as_path() } else { path.parent().unwrap_or(&path) };
+    if !folder.join(SESSION_FILE).is_file() {
+        let what = "neither a capture (with session.json) nor a folder of images (with poses.csv); `realitysim replay LOG -o DIR` \
+                    makes a capture of a log";
+        return Err(DatabaseError::Source { path, what: what.to_owned() });
+    }
     let info = read_info(folder)?;
     let refined = folder.join(REFINED_FOLDER);
     let tags_from = if path.is_dir() && refined.join(REFINED_INFO).is_file() { &refined } else { &path };

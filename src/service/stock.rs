@@ -300,7 +300,7 @@ fn refusal(error: &DatabaseError) -> Refusal {
     let none = |what: String| Refusal::new(StatusCode::NOT_FOUND, what);
     match error {
         DatabaseError::Empty => none("the database has no image: add some with `realitysim db add`".to_owned()),
-        DatabaseError::View(wrong @ (ViewError::NotFinite | ViewError::Height { .. })) => {
+        DatabaseError::View(wrong @ (ViewError::NotFinite | ViewError::Place { .. } | ViewError::Height { .. })) => {
             Refusal::wrong(wrong.to_string())
         }
         DatabaseError::View(error) => none(error.to_string()),

@@ -128,6 +128,10 @@ pub enum ViewError {
     )]
     Height { z: f64 },
     #[error(
+        "the camera asked for is at ({x:.3e}, {y:.3e}) m: views are made within {MAX_PLACE_M} m of the field's centre"
+    )]
+    Place { x: f64, y: f64 },
+    #[error(
         "the nearest image was taken {distance_m:.2} m away, farther than the {max_m:.2} m that are allowed: record \
          there, or allow more"
     )]
@@ -141,18 +145,24 @@ pub enum ViewError {
 /// Lower, rays graze the ground; higher than any hall.
 const LEAST_HEIGHT_M: f64 = 0.02;
 const MOST_HEIGHT_M: f64 = 20.0;
+/// No hall is larger.
+const MAX_PLACE_M: f64 = 1000.0;
 /// Of a map that is interpolated on a grid, root mean square.
 const GRID_ERROR_PX: f64 = 0.04;
 
-impl Request<'_> {
-    pub(super) fn check(&self) -> Result<(), ViewError> {
-        if !self.map_from_link.is_finite() {
-            return Err(ViewError::NotFinite);
-        }
-        let z = self.map_from_link.translation.z;
-        if (LEAST_HEIGHT_M..=MOST_HEIGHT_M).contains(&z) { Ok(()) } else { Err(ViewError::Height { z }) }
+/// Whether a view can be asked for from this pose of `camera_link` at all.
+pub fn check_pose(map_from_link: &Isometry) -> Result<(), ViewError> {
+    if !map_from_link.is_finite() {
+        return Err(ViewError::NotFinite);
     }
+    let glam::DVec3 { x, y, z } = map_from_link.translation;
+    if x.abs().max(y.abs()) > MAX_PLACE_M {
+        return Err(ViewError::Place { x, y });
+    }
+    if (LEAST_HEIGHT_M..=MOST_HEIGHT_M).contains(&z) { Ok(()) } else { Err(ViewError::Height { z }) }
+}
 
+impl Request<'_> {
     pub(super) fn refuse_far(&self, nearest: &Candidate) -> Result<(), ViewError> {
         let distance_m = self.distance_m(&nearest.map_from_link);
         let max_m = self.settings.max_distance_m;

@@ -18,7 +18,7 @@ mod sample;
 mod world;
 
 pub use answer::{
-    Answer, Candidate, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings, angle_between,
+    Answer, Candidate, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings, angle_between, check_pose,
 };
 pub use camera::Camera;
 pub use darkening::{Overlap, darkening, overlap};
@@ -39,7 +39,7 @@ use crate::geometry::Isometry;
 /// exact    : every candidate through ground, goals and both lenses; the best of them for each pixel
 /// ```
 pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewError> {
-    request.check()?;
+    check_pose(&request.map_from_link)?;
     let nearest = candidates.first().ok_or(ViewError::NoCandidates)?;
     request.refuse_far(nearest)?;
     if request.is_stored_as(nearest) {

@@ -26,11 +26,11 @@ fn what_stands_in_a_recorded_image_is_marked_unless_the_config_says_no() {
         let marked = stored.answer.image.pixels.iter().filter(|pixel| pixel[3] == UNSURE).count();
         (marked, stored.stored.is_some(), stored.answer.sure_share)
     };
-    let (marked, stored, share) = seen(&settings);
-    assert!(marked > 300 && stored && share < 0.99, "{marked} pixels, {share}");
+    let (marked, stored, masked_share) = seen(&settings);
+    assert!(marked > 300 && stored, "{marked} pixels");
     settings.mask_moving = false;
     let (marked, stored, share) = seen(&settings);
-    assert!(marked == 0 && stored && share == 1.0, "{marked} pixels, {share}");
+    assert!(marked == 0 && stored && share > masked_share, "{marked} pixels, {share} and {masked_share}");
 }
 
 #[test]

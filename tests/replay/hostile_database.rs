@@ -57,10 +57,14 @@ fn opening_never_meets_a_database_between_two_of_its_states() {
         let mut opened = 0;
         while !done.load(Ordering::Relaxed) {
             let images = Gallery::open(&db, &Settings::default().views).expect("whole").index().len();
-            assert!((1..=2).contains(&images) && (1..=2).contains(&stats(&db).expect("whole").images));
+            assert!((1..=2).contains(&images));
+            // Faster, and so more often between two states.
+            for _ in 0..50 {
+                assert!((1..=2).contains(&stats(&db).expect("whole").images));
+            }
             opened += 1;
         }
-        assert!(opened > 20, "{opened}");
+        assert!(opened > 2, "{opened}");
     });
 }
 
@@ -134,7 +138,7 @@ fn sizes_that_no_machine_has_are_refused() {
     let here = "view --db db --x -1.5 --y 0.25 --z 0.5 --yaw 14 -o out.png";
     for (wrong, words) in [
         ("--max-distance nan", "0 to 1000 metres"),
-        ("--max-distance -1", "0 to 1000 metres"),
+        ("--max-distance=-1", "0 to 1000 metres"),
         ("--width 99999", "16..=4096"),
         ("--frame 3", "--scene"),
         ("--figures omit", "--scene"),
@@ -142,4 +146,9 @@ fn sizes_that_no_machine_has_are_refused() {
         let run = room.run(&format!("{here} {wrong}"));
         assert!(run.code == Some(2) && run.stderr.contains(words), "{wrong}: {run:?}");
     }
+    room.run("view --db db --x 1e308 --y 0 --z 0.5 --yaw 0 -o out.png")
+        .fails(1, &["within 1000 m of the field's centre"]);
+    room.run("gap --db db --apart nan").fails(2, &["0 to 1000 metres"]);
+    room.run("db add log.mcap --db other").fails(1, &["neither a capture (with session.json) nor a folder of images"]);
+    room.run("serve --db db --token-file /dev/zero").fails(2, &["a token is made of letters"]);
 }
