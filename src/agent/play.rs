@@ -11,7 +11,7 @@ use thiserror::Error;
 
 use crate::database::{DatabaseError, Gallery, Wanted};
 use crate::geometry::{Isometry, Pose2};
-use crate::recording::{RecordingError, read_info};
+use crate::recording::{RecordingError, SESSION_FILE, read_info};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::CompressedImageView;
 use crate::sensors::decode;
@@ -50,7 +50,7 @@ pub struct Played {
     pub images: u64,
     pub odometry: u64,
     pub attitudes: u64,
-    /// Could not be written: the device was away.
+    /// Could not be written, since the device was away; or no view could be made there.
     pub lost: u64,
     /// Came more than `LATE` after their time.
     pub late: u64,
@@ -69,6 +69,10 @@ pub enum PlayError {
     Video(#[from] VideoOutError),
     #[error("{device}: {source}")]
     Serial { device: String, source: serialport::Error },
+    #[error(
+        "{}: no capture, for there is no session.json with it; `realitysim replay LOG -o DIR` makes one of a log", .0.display()
+    )]
+    NotACapture(PathBuf),
     #[error("{}: nothing in it can be played", .0.display())]
     Nothing(PathBuf),
 }
@@ -105,7 +109,11 @@ pub fn play(options: &PlayOptions, stop: &AtomicBool) -> Result<Played, PlayErro
 }
 
 fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Played, PlayError> {
-    let info = read_info(if path.is_dir() { path } else { path.parent().unwrap_or(path) })?;
+    let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
+    if !folder.join(SESSION_FILE).is_file() {
+        return Err(PlayError::NotACapture(path.to_owned()));
+    }
+    let info = read_info(folder)?;
     let topics = &info.settings.topics;
     let wanted = [topics.image.as_str(), topics.odometry.as_str(), topics.imu.as_str()];
     let messages = LogSource::new(log::files_of(path)?, Selection::topics(wanted));
@@ -113,7 +121,7 @@ fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Play
     let mut first_ns = None;
     for message in messages {
         let message = message?;
-        let since_ns = message.log_time_ns - *first_ns.get_or_insert(message.log_time_ns);
+        let since_ns = message.log_time_ns.saturating_sub(*first_ns.get_or_insert(message.log_time_ns));
         let event = match intake::read(&message, topics, &info.settings.head) {
             Ok(Input::Frame { .. }) => image_of(&message).map(Event::Image),
             Ok(Input::Odometry { odom_from_footprint, .. }) => Some(Event::Odometry(odom_from_footprint)),
@@ -166,7 +174,15 @@ fn trajectory(
             max_distance_m: f64::INFINITY,
             without: Vec::new(),
         };
-        let shown = gallery.view(&wanted)?;
+        let shown = match (gallery.view(&wanted), &mut stage) {
+            (Ok(shown), _) => shown,
+            // As when a camera drops a frame: the robot goes on.
+            (Err(DatabaseError::View(_) | DatabaseError::Image { .. }), Some(stage)) => {
+                stage.played.lost += 1;
+                continue;
+            }
+            (Err(error), _) => return Err(error.into()),
+        };
         let image = &shown.answer.image;
         let (width, height) = (image.width, image.height);
         camera.get_or_insert_with(|| shown.camera.clone());
@@ -237,7 +253,7 @@ impl<'a> Stage<'a> {
             std::thread::sleep(wait.min(NAP));
         }
         self.played.late += u64::from(due.elapsed() > LATE);
-        self.write(since_ns + BOOT_NS, event);
+        self.write(since_ns.saturating_add(BOOT_NS), event);
         !stop.load(Ordering::Relaxed)
     }
 

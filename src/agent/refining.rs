@@ -17,14 +17,15 @@ use crate::evaluation::capture::{EvaluationError, Readout, read_tags};
 use crate::geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use crate::localization::refinement::LinePoints;
 use crate::localization::refinement::offsets::{Sight, measure};
-use crate::recording::{Loss, RecordingError, SessionInfo, read_info, topic, write_atomically};
+use crate::recording::{Loss, RecordingError, SESSION_FILE, SessionInfo, read_info, topic, write_atomically};
 use crate::ros2::messages::{FrameTag, Message, PoseWithCovarianceStamped};
 use crate::ros2::{Durability, LogWriter, WriteError};
 use crate::sensors::intake::{self, isometry};
 use crate::sensors::scene::{header, pose};
 use crate::sensors::synchroniser::{Frame as SensorFrame, Synchroniser};
-use crate::smoothing::{CONSTANTS, Constants, Frame, Model, NAMES, Place, Smoothed, smooth};
-use crate::vision::Seen;
+use crate::smoothing::alignment::{Look, matches};
+use crate::smoothing::{CONSTANTS, Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, smooth};
+use crate::vision::{Picture, Seen};
 
 /// A capture and what became of its tags.
 pub struct Refining {
@@ -43,7 +44,7 @@ pub struct Refining {
 
 #[derive(Debug, Error)]
 pub enum RefineError {
-    #[error("{}: a capture's folder is needed", .0.display())]
+    #[error("{}: a capture's folder is needed, and there is no session.json", .0.display())]
     NotACapture(PathBuf),
     #[error("{}: it has no valid tag with lines: nothing can be refined", .0.display())]
     NoFrames(PathBuf),
@@ -101,7 +102,7 @@ const OBSERVED: f64 = 0.5;
 
 /// `progress` hears of frames looked at, and of how many there are.
 pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64)) -> Result<Refining, RefineError> {
-    if !capture.is_dir() {
+    if !capture.join(SESSION_FILE).is_file() {
         return Err(RefineError::NotACapture(capture.to_owned()));
     }
     let info = read_info(capture)?;
@@ -174,17 +175,25 @@ fn look(
     let [m, r] = [metres, radians].map(square);
     let covariance = Matrix6::from_diagonal(&Vector6::new(m, m, m, r, r, r));
     let (mut seen, mut sights, mut frames, mut number): (Seen, Vec<Sight>, Vec<Frame>, u64) = Default::default();
+    let mut before: Option<(i64, Isometry, Picture)> = None;
     let mut take = |frame: SensorFrame, frames: &mut Vec<Frame>| {
         number += 1;
         progress(number, count);
         let Some(pose) = poses.get(&frame.stamp_ns).filter(|_| frames.len() < MAX_FRAMES) else { return };
-        let mut places = Vec::new();
+        let (mut places, mut overlap) = (Vec::new(), None);
         if let (Ok(place), Ok(picture)) = (&frame.robot.place, view(&frame.message, setup.eyes.vision.lens())) {
             let body = setup.eyes.body(frame.robot.head);
             setup.eyes.vision.look_again(&picture, &place.footprint_from_optical, body, &mut seen);
             measure(&points, &seen.image, &projector, pose, &covariance, &mut sights);
             let every = sights.len().div_ceil(MAX_PLACES).max(1);
             places.extend(sights.iter().step_by(every).filter_map(|sight| Place::new(sight, lens)));
+            let here = Look { picture: &picture, map_from_optical: *pose };
+            overlap = before.as_ref().map(|(before_ns, before_pose, before_picture)| {
+                let earlier = Look { picture: before_picture, map_from_optical: *before_pose };
+                let hides = |pixel| body.is_some_and(|body| body.hides(pixel));
+                Overlap { before_ns: *before_ns, matches: matches(&projector, &earlier, &here, hides) }
+            });
+            before = Some((frame.stamp_ns, *pose, picture));
         }
         frames.push(Frame {
             stamp_ns: frame.stamp_ns,
@@ -193,6 +202,7 @@ fn look(
             odometry: frame.robot.odometry,
             turned_rad: frame.robot.turned_rad,
             places,
+            overlap,
         });
     };
     for message in messages.by_ref() {

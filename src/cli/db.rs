@@ -6,6 +6,7 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 
 use super::paths::{check_output, save};
+use super::settings::UsageError;
 use super::{Outcome, output};
 use crate::config::{Settings, load_field};
 use crate::database::{self, Added, Checked, Gallery, Stats};
@@ -83,6 +84,9 @@ struct CoverageArguments {
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u16).range(1..=360))]
     headings: u16,
 }
+
+/// Of a coverage: thirty times the paper's grid, 80 MB.
+const MAX_CELLS: f64 = 20e6;
 
 fn side(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
@@ -191,6 +195,12 @@ fn report_checked(checked: &Checked, json: bool) -> anyhow::Result<Outcome> {
 
 fn coverage(arguments: &CoverageArguments, json: bool) -> anyhow::Result<Outcome> {
     let gallery = Gallery::open(&arguments.db, &Settings::default().views)?;
+    let half = gallery.field().carpet_half_extent() / arguments.cell;
+    let cells = 4.0 * half.x * half.y * f64::from(arguments.headings);
+    if cells > MAX_CELLS {
+        let what = format!("--cell and --headings make {cells:.0} cells: at most {MAX_CELLS:.0} are counted");
+        return Err(UsageError(what).into());
+    }
     let found = database::coverage(gallery.index(), gallery.field(), arguments.cell, usize::from(arguments.headings));
     if let Some(path) = &arguments.output {
         check_output(path, &[&arguments.db])?;

@@ -34,7 +34,7 @@ pub struct GapArguments {
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=1000))]
     frames: u16,
     /// Images nearer than this are held out as well
-    #[arg(long, value_name = "M", default_value_t = 0.1)]
+    #[arg(long, value_name = "M", default_value_t = 0.1, value_parser = super::serve::distance)]
     apart: f64,
     /// One of the images, in all its forms
     #[arg(short, long, value_name = "PNG")]

@@ -43,6 +43,8 @@ pub struct PlayArguments {
     config: Option<String>,
 }
 
+/// A day.
+const MAX_S: f64 = 86_400.0;
 const HEAD: &str = "t,x,y,z,yaw_deg,pitch_deg,roll_deg";
 
 fn times(text: &str) -> Result<f64, String> {
@@ -95,11 +97,16 @@ fn trajectory(path: &Path) -> anyhow::Result<Vec<(f64, Isometry)>> {
     }
     let mut poses: Vec<(f64, Isometry)> = Vec::new();
     for (line, text) in lines.filter(|(_, text)| !text.is_empty()) {
-        let numbers: Vec<f64> =
-            text.split(',').filter_map(|cell| cell.trim().parse().ok()).filter(|x: &f64| x.is_finite()).collect();
-        let [t, x, y, z, yaw, pitch, roll] = numbers[..] else {
+        let number = |cell: &str| cell.trim().parse().ok().filter(|x: &f64| x.is_finite());
+        let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
+        let Some([t, x, y, z, yaw, pitch, roll]) =
+            numbers.as_deref().and_then(|numbers| <[f64; 7]>::try_from(numbers).ok())
+        else {
             return Err(wrong(line, format!("seven finite numbers are needed: {HEAD}")).into());
         };
+        if t > MAX_S {
+            return Err(wrong(line, format!("t is {t}: a way lasts {MAX_S} s at most")).into());
+        }
         if t < poses.last().map_or(0.0, |(before, _)| *before) {
             return Err(wrong(line, format!("t is {t}: times begin at 0 or later and go up")).into());
         }

@@ -1,6 +1,7 @@
 //! `realitysim serve`
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
@@ -48,7 +49,7 @@ pub struct ServeArguments {
     config: Option<String>,
 }
 
-fn distance(text: &str) -> Result<f64, String> {
+pub(super) fn distance(text: &str) -> Result<f64, String> {
     let value: Option<f64> = text.parse().ok().filter(|value| (0.0..=1000.0).contains(value));
     value.ok_or_else(|| "0 to 1000 metres".to_owned())
 }
@@ -106,7 +107,17 @@ fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> 
     Ok(lenses)
 }
 
+/// Longer ones fit no header.
+const MAX_TOKEN_BYTES: u64 = 4096;
+
 fn token(path: &Path) -> anyhow::Result<String> {
-    let text = std::fs::read_to_string(path).map_err(|error| cannot_read(path, error))?;
-    Ok(text.trim().to_owned())
+    let mut text = String::new();
+    let file = std::fs::File::open(path).map_err(|error| cannot_read(path, error))?;
+    file.take(MAX_TOKEN_BYTES).read_to_string(&mut text).map_err(|error| cannot_read(path, error))?;
+    let token = text.trim();
+    if !token.chars().all(|letter| letter.is_ascii_graphic()) {
+        let what = "a token is made of letters, digits and signs, without blanks between them";
+        return Err(UsageError(format!("--token-file {}: {what}", path.display())).into());
+    }
+    Ok(token.to_owned())
 }

@@ -15,9 +15,9 @@ use crate::config::{Settings, load_lens};
 use crate::database::{Gallery, Shown, Wanted};
 use crate::evaluation::drawing;
 use crate::geometry::{Euler, Isometry, Lens};
-use crate::scene::Scene;
+use crate::scene::Stage;
 use crate::sensors::scene;
-use crate::views::{Camera, Made, Method, NOTHING, Raster, UNSURE};
+use crate::views::{Camera, Made, Method, NOTHING, Raster, UNSURE, World};
 
 /// Show what the camera would see from a pose, from a database of recorded images
 ///
@@ -56,14 +56,17 @@ pub struct ViewArguments {
     width: Option<u32>,
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=4096))]
     height: Option<u32>,
-    /// Apply the scene's effects that make sense on any image: light without a gradient, and sensor noise
+    /// Put the scene upon the view: its robots, people and balls (obstacles), light without a gradient, sensor noise
     #[arg(long, value_name = "SCENE")]
     scene: Option<String>,
+    /// Whether the figures that the scene places are drawn
+    #[arg(long, default_value = "draw", requires = "scene")]
+    figures: Figures,
     /// As which frame of the scene
     #[arg(long, value_name = "N", default_value_t = 0, requires = "scene")]
     frame: u64,
     /// Refuse when the nearest image was taken farther away than this
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", value_parser = super::serve::distance)]
     max_distance: Option<f64>,
     /// Nearest image, the paper's view and the exact one beside each other, with mask and numbers
     #[arg(long)]
@@ -74,6 +77,12 @@ pub struct ViewArguments {
     /// Robot config, for its section [views]
     #[arg(long, value_name = "FILE")]
     config: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum Figures {
+    Draw,
+    Omit,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -126,7 +135,14 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     let gallery = Gallery::open(&arguments.db, &settings.views)?;
     wanted.camera = camera(arguments, &gallery, &wanted)?;
     let mut shown = gallery.view(&wanted)?;
-    let effects = scene.map_or_else(Vec::new, |scene| apply(&scene, arguments.frame, &mut shown));
+    let effects = match &scene {
+        None => Vec::new(),
+        Some(scene) => {
+            let stage = Stage::new(scene, shown.camera.lens(), arguments.figures == Figures::Draw);
+            stage.check(gallery.field())?;
+            apply(&stage, arguments.frame, gallery.world(), &mut shown)
+        }
+    };
     if arguments.side_by_side {
         save(&beside_each_other(&gallery, &wanted, &shown)?, &arguments.output)?;
     } else {
@@ -183,17 +199,13 @@ fn camera(arguments: &ViewArguments, gallery: &Gallery, wanted: &Wanted) -> anyh
 }
 
 /// Which effects were applied. A view that is changed is no stored image any more.
-fn apply(scene: &Scene, frame: u64, shown: &mut Shown) -> Vec<&'static str> {
-    let (applied, _) = scene.effects_on_images();
-    if !applied.is_empty() {
+fn apply(stage: &Stage, frame: u64, world: &World, shown: &mut Shown) -> Vec<&'static str> {
+    let effects = stage.effects();
+    if !effects.is_empty() {
         shown.stored = None;
-        let mut rgb = shown.answer.image.to_rgb();
-        scene.apply_to_image(frame, &mut rgb);
-        for (pixel, rgb) in shown.answer.image.pixels.iter_mut().zip(rgb.as_chunks::<3>().0) {
-            pixel[..3].copy_from_slice(rgb);
-        }
+        stage.apply(frame, &shown.camera, world, &mut shown.answer);
     }
-    applied
+    effects
 }
 
 /// A stored image keeps its bytes if the name asks for what it is.

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::catalogue::{Catalogue, Source};
+use super::darkening;
 use super::error::{DatabaseError, io};
 use super::index::{Index, path_of, write_index};
 use super::pixels::read_bytes;
@@ -62,6 +63,7 @@ pub fn add(
 
 /// Reads every source again: as if the database had just been made.
 pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError> {
+    is_database(folder)?;
     let _alone = alone(folder)?;
     let old = Catalogue::read(folder)?;
     let mut catalogue = Some(Catalogue { sources: Vec::new(), ..old.clone() });
@@ -78,6 +80,7 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
 
 /// Takes a source out; its files are not touched.
 pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
+    is_database(folder)?;
     let _alone = alone(folder)?;
     let mut catalogue = Catalogue::read(folder)?;
     let absolute = path.canonicalize().or_else(|_| std::path::absolute(path)).map_err(io(path))?;
@@ -97,6 +100,11 @@ pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
     catalogue.sources.remove(gone);
     publish(folder, catalogue, records)?;
     Ok(removed)
+}
+
+/// Nothing is put into a folder that is none.
+fn is_database(folder: &Path) -> Result<(), DatabaseError> {
+    Catalogue::read(folder).map(drop)
 }
 
 /// Two changes at a time would lose one of them: whoever changes a database holds this file's lock, which goes with the process.
@@ -132,7 +140,7 @@ fn take(
     let path = || at.clone();
     let wanted = own.as_ref().or(field);
     let catalogue = match (catalogue, wanted) {
-        (Some(known), Some(wanted)) if !known.sources.is_empty() && !same_field(wanted, &known.field) => {
+        (Some(known), Some(wanted)) if !known.sources.is_empty() && !wanted.is_same_as(&known.field) => {
             let (found, known) = (wanted.title.clone(), known.field.title.clone());
             return Err(DatabaseError::OtherField { path: path(), found, known });
         }
@@ -151,8 +159,9 @@ fn take(
     added.images += source.images;
     added.left_out += source.left_out;
     added.losses.extend(losses);
-    records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
     source.dark = lit.mask().map(|mask| write_mask(folder, &source, mask)).transpose()?;
+    source.darkening = darkening::measured(folder, &source, &found, &catalogue.field)?;
+    records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
     catalogue.sources.push(source);
     Ok(())
 }
@@ -171,11 +180,6 @@ fn write_mask(folder: &Path, source: &Source, mask: Vec<u8>) -> Result<String, D
 fn checked(field: &FieldDimensions, path: &Path) -> Result<FieldDimensions, DatabaseError> {
     let failed = |source| DatabaseError::Field { path: path.to_owned(), source };
     Field::new(field.clone()).map(|field| field.dimensions().clone()).map_err(failed)
-}
-
-/// Titles are for people.
-fn same_field(a: &FieldDimensions, b: &FieldDimensions) -> bool {
-    FieldDimensions { title: String::new(), ..a.clone() } == FieldDimensions { title: String::new(), ..b.clone() }
 }
 
 fn publish(folder: &Path, mut catalogue: Catalogue, records: Vec<Record>) -> Result<(), DatabaseError> {
@@ -203,8 +207,7 @@ pub struct Stats {
 }
 
 pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
-    let catalogue = Catalogue::read(folder)?;
-    let index = Index::open(&path_of(folder, catalogue.index))?;
+    let (catalogue, index) = Catalogue::with_index(folder)?;
     let mut extent: Option<[[f32; 3]; 2]> = None;
     let (mut metres, mut radians) = (Vec::with_capacity(index.len()), Vec::with_capacity(index.len()));
     for record in index.records() {
@@ -241,9 +244,8 @@ pub struct Checked {
 
 /// Reads every image and compares it with what was indexed.
 pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseError> {
-    let catalogue = Catalogue::read(folder)?;
+    let (catalogue, index) = Catalogue::with_index(folder)?;
     let path = path_of(folder, catalogue.index);
-    let index = Index::open(&path)?;
     let mut checked = Checked { images: index.len(), sound: 0, index_sound: index.is_sound(), losses: Vec::new() };
     if !checked.index_sound {
         checked.losses.push(Loss::new(&path, "not as it was written: `realitysim db rebuild` makes it anew"));

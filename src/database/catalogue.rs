@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::error::{DatabaseError, io};
+use super::index::{Index, path_of};
 use crate::geometry::{FieldDimensions, LensParameters};
 use crate::recording::write_atomically;
 
@@ -32,6 +33,10 @@ pub struct Source {
     pub body_masks: Vec<String>,
     /// A PNG in the database's folder, black where no image was ever lit: outside of the lens's circle.
     pub dark: Option<String>,
+    /// How the lens darkens its images towards their border, if that shows in them: k1 to k3 of
+    /// [`crate::views::Vignetting`].
+    #[serde(default)]
+    pub darkening: Option<[f64; 3]>,
     pub images: u64,
     /// Frames without a valid tag, and those that do not decode.
     pub left_out: u64,
@@ -44,6 +49,8 @@ pub enum SourceKind {
     Folder,
 }
 
+/// A database that changes faster than it can be opened is not opened.
+const MAX_TRIES: usize = 100;
 const FORMAT: u32 = 1;
 const FILE: &str = "database.json";
 
@@ -67,6 +74,19 @@ impl Catalogue {
             return Err(damaged(format!("of format {}, and this program reads format {FORMAT}", catalogue.format)));
         }
         Ok(catalogue)
+    }
+
+    /// With its index, as both are now: who changes the database takes the old index away after the new catalogue is there.
+    pub fn with_index(folder: &Path) -> Result<(Self, Index), DatabaseError> {
+        let mut tries = 0;
+        loop {
+            let catalogue = Self::read(folder)?;
+            match Index::open(&path_of(folder, catalogue.index)) {
+                Ok(index) => return Ok((catalogue, index)),
+                Err(error) if tries == MAX_TRIES || Self::read(folder)?.index == catalogue.index => return Err(error),
+                Err(_) => tries += 1,
+            }
+        }
     }
 
     /// The old content or the new, never a part.

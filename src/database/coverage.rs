@@ -6,7 +6,9 @@ use image::{Rgb, RgbImage};
 use super::index::Index;
 use crate::geometry::{Field, PoseGrid};
 
+/// Side of a cell in the picture; less where the picture would become larger than [`MAX_SIDE_PX`].
 const CELL_PX: usize = 26;
+const MAX_SIDE_PX: usize = 4096;
 const MISSING: [u8; 3] = [222, 226, 222];
 const CARPET: [u8; 3] = [246, 248, 246];
 const LINE: [u8; 3] = [120, 150, 120];
@@ -24,21 +26,22 @@ pub fn coverage(index: &Index, field: &Field, cell_m: f64, sectors: usize) -> Po
 
 /// The field from above, y up; each cell a disc whose sectors are the headings, dark where there are images.
 pub fn coverage_picture(grid: &PoseGrid, field: &Field) -> RgbImage {
-    let (width, height) = (grid.columns * CELL_PX, grid.rows * CELL_PX);
+    let cell_px = (MAX_SIDE_PX / grid.columns.max(grid.rows)).clamp(1, CELL_PX);
+    let (width, height) = (grid.columns * cell_px, grid.rows * cell_px);
     let most = grid.counts().iter().copied().max().unwrap_or(0).max(2);
     let pixel = |u: u32, v: u32| {
         let (u, v) = (u as usize, height - 1 - v as usize);
-        let place = DVec2::new(u as f64 + 0.5, v as f64 + 0.5) / CELL_PX as f64 * grid.cell_m - grid.half_extent();
-        let half_pixel = 0.7 * grid.cell_m / CELL_PX as f64;
+        let place = DVec2::new(u as f64 + 0.5, v as f64 + 0.5) / cell_px as f64 * grid.cell_m - grid.half_extent();
+        let half_pixel = 0.7 * grid.cell_m / cell_px as f64;
         let off =
-            DVec2::new((u % CELL_PX) as f64 + 0.5, (v % CELL_PX) as f64 + 0.5) - DVec2::splat(CELL_PX as f64 / 2.0);
+            DVec2::new((u % cell_px) as f64 + 0.5, (v % cell_px) as f64 + 0.5) - DVec2::splat(cell_px as f64 / 2.0);
         if field.distance_to_centre_line(place) <= (field.line_width() / 4.0).max(half_pixel) {
             return Rgb(LINE);
         }
-        if off.length() > CELL_PX as f64 / 2.0 - 1.5 {
+        if off.length() > cell_px as f64 / 2.0 - 1.5 {
             return Rgb(CARPET);
         }
-        match grid.count(u / CELL_PX, v / CELL_PX, libm::atan2(off.y, off.x)) {
+        match grid.count(u / cell_px, v / cell_px, libm::atan2(off.y, off.x)) {
             0 => Rgb(MISSING),
             count => {
                 let share = libm::log(f64::from(count)) / libm::log(f64::from(most));

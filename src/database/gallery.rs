@@ -9,7 +9,7 @@ use glam::DVec2;
 use super::build::bytes_of;
 use super::catalogue::{Catalogue, Source};
 use super::error::DatabaseError;
-use super::index::{Index, Neighbour, path_of};
+use super::index::{Index, Neighbour};
 use super::pixels::colours;
 use super::record::{Form, Record};
 use super::tree::Metric;
@@ -17,7 +17,8 @@ use crate::config::ViewsSettings;
 use crate::geometry::{Field, Isometry, Lens, LensParameters};
 use crate::sensors::body_mask;
 use crate::views::{
-    Answer, Camera, Candidate, Made, Method, Pyramid, Raster, Request, ViewError, ViewSettings, Vignetting, World, view,
+    Answer, Camera, Candidate, Made, Method, Pyramid, Raster, Request, Scenery, ViewSettings, Vignetting, World,
+    check_pose, mark_moving, view,
 };
 use crate::vision::BodyMask;
 
@@ -54,6 +55,7 @@ pub struct Wanted {
 #[derive(Clone, Debug)]
 pub struct Shown {
     pub answer: Answer,
+    /// The picture's.
     pub camera: Arc<Camera>,
     /// The stored image as it was recorded, if that is the answer and it is a JPEG or PNG.
     pub stored: Option<Vec<u8>>,
@@ -74,8 +76,7 @@ const MAX_UNREADABLE: usize = 32;
 
 impl Gallery {
     pub fn open(folder: &Path, settings: &ViewsSettings) -> Result<Self, DatabaseError> {
-        let catalogue = Catalogue::read(folder)?;
-        let index = Index::open(&path_of(folder, catalogue.index))?;
+        let (catalogue, index) = Catalogue::with_index(folder)?;
         let field = Field::new(catalogue.field.clone())
             .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
         let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
@@ -113,6 +114,11 @@ impl Gallery {
 
     pub fn field(&self) -> &Field {
         &self.field
+    }
+
+    /// What stands where, for views.
+    pub fn world(&self) -> &World {
+        &self.world
     }
 
     pub fn catalogue(&self) -> &Catalogue {
@@ -165,9 +171,7 @@ impl Gallery {
         if self.index.is_empty() {
             return Err(DatabaseError::Empty);
         }
-        if !wanted.map_from_link.is_finite() {
-            return Err(ViewError::NotFinite.into());
-        }
+        check_pose(&wanted.map_from_link)?;
         let mut without = wanted.without.clone();
         let mut unreadable = Vec::new();
         loop {
@@ -233,6 +237,11 @@ impl Gallery {
             }
         };
         let answer = view(&self.request(wanted, &camera), &candidates)?;
+        let camera = match (answer.made, nearest) {
+            // Unchanged, whatever was asked for.
+            (Made::Nearest, Some(own)) => Arc::clone(own),
+            _ => camera,
+        };
         Ok(Shown { answer, camera, stored: None, unreadable })
     }
 
@@ -242,7 +251,7 @@ impl Gallery {
             map_from_link: wanted.map_from_link,
             method: wanted.method,
             world: &self.world,
-            vignetting: Vignetting::default(),
+            vignetting: self.darkening_of(camera.lens().parameters()),
             settings: ViewSettings {
                 sources: self.settings.sources,
                 stored_within_m: self.settings.stored_within_m,
@@ -259,8 +268,22 @@ impl Gallery {
             map_from_link: record.pose(),
             image,
             tag: record.tag(),
-            vignetting: Vignetting::default(),
+            vignetting: self.darkening(record.source as usize),
         }
+    }
+
+    /// As it was measured when the source was added.
+    fn darkening(&self, source: usize) -> Vignetting {
+        let measured = self.catalogue.sources.get(source).and_then(|source| source.darkening);
+        measured.map_or_else(Vignetting::default, |k| Vignetting { k })
+    }
+
+    /// That of the first source with this lens, at whatever size; a lens that took no image darkens nothing.
+    fn darkening_of(&self, lens: &LensParameters) -> Vignetting {
+        let size = [Some(lens.width), Some(lens.height)];
+        let is_same = |source: &Source| source.lens == *lens || source.lens.resized(size) == *lens;
+        let source = self.catalogue.sources.iter().position(|source| source.darkening.is_some() && is_same(source));
+        source.map_or_else(Vignetting::default, |source| self.darkening(source))
     }
 
     /// An image, decoded; the error names its file.
@@ -280,7 +303,13 @@ impl Gallery {
         let shows = shows.ok_or("the index names a source that the catalogue does not know")?;
         let colours = colours(bytes, record.form)?;
         let raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, shows);
-        raster.map(Pyramid::new).ok_or_else(|| "its pixels do not fit its lens".to_owned())
+        let mut raster = raster.ok_or("its pixels do not fit its lens")?;
+        if let Some(camera) = self.camera(record).filter(|_| self.settings.mask_moving) {
+            let (map_from_link, tag) = (record.pose(), record.tag());
+            let (field, world) = (&self.field, &self.world);
+            mark_moving(&mut raster, &Scenery { camera, map_from_link, tag, field, world });
+        }
+        Ok(Pyramid::new(raster))
     }
 
     /// A thread that panicked while it held the images has left them whole: they are only put in and taken out.
@@ -291,7 +320,7 @@ impl Gallery {
 
 /// Which pixels of a source's images show the world: those that the lens draws, that were ever lit, and that are not
 /// its robot's own body; the soft rim of the lens's circle left out.
-fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Result<Vec<bool>, DatabaseError> {
+pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Result<Vec<bool>, DatabaseError> {
     let (width, height) = (source.lens.width, source.lens.height);
     let read =
         |png: &str| body_mask(png, width, height).map_err(|what| DatabaseError::Image { path: png.into(), what });

@@ -7,6 +7,7 @@
 mod build;
 mod catalogue;
 mod coverage;
+mod darkening;
 mod error;
 mod gallery;
 mod index;

@@ -30,6 +30,10 @@ pub(super) fn read_bytes(path: &Path, offset: u64, length: u32) -> io::Result<Ve
     if length > MAX_STORED_BYTES {
         return Err(io::Error::new(io::ErrorKind::InvalidData, format!("{length} bytes are no image")));
     }
+    // To open a pipe would wait for ever.
+    if !std::fs::metadata(path)?.is_file() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a plain file"));
+    }
     let mut file = File::open(path)?;
     file.seek(SeekFrom::Start(offset))?;
     let mut bytes = Vec::new();

@@ -2,6 +2,7 @@
 
 use std::collections::{HashMap, VecDeque};
 use std::fs;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::thread;
 
@@ -15,7 +16,7 @@ use crate::agent::refining::{REFINED_FOLDER, REFINED_INFO, refined_info};
 use crate::config::load_lens_for_image;
 use crate::evaluation::capture::{Readout, losses, read_tags};
 use crate::geometry::{Euler, FieldDimensions, Isometry};
-use crate::recording::{Loss, read_info};
+use crate::recording::{Loss, SESSION_FILE, read_info};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
 use crate::sensors::decode;
@@ -68,6 +69,10 @@ impl Lit {
 const POSES: &str = "poses.csv";
 const POSES_HEAD: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg";
 const CAMERA: &str = "camera_info.yaml";
+/// Of a pose in a table, as of one that is asked for: no hall is larger, and no camera hangs higher.
+const MAX_PLACE_M: f64 = 100.0;
+const HEIGHTS_M: RangeInclusive<f64> = 0.02..=20.0;
+const MAX_TURN_DEG: f64 = 3600.0;
 /// Images decoded at a time: bounds memory.
 const MAX_BATCH: usize = 64;
 
@@ -79,12 +84,18 @@ pub(super) fn read(path: &Path, done: &mut dyn FnMut(u64)) -> Result<Read, Datab
 
 fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let folder = if path.is_dir() { path.as_path() } else { path.parent().unwrap_or(&path) };
+    if !folder.join(SESSION_FILE).is_file() {
+        let what = "neither a capture (with session.json) nor a folder of images (with poses.csv); `realitysim replay LOG -o DIR` \
+                    makes a capture of a log";
+        return Err(DatabaseError::Source { path, what: what.to_owned() });
+    }
     let info = read_info(folder)?;
     let refined = folder.join(REFINED_FOLDER);
     let tags_from = if path.is_dir() && refined.join(REFINED_INFO).is_file() { &refined } else { &path };
     let Readout { found: tags, mut losses, .. } = read_tags(tags_from)?;
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
-    for tag in tags.iter().filter(|tag| tag.valid) {
+    let is_somewhere = |tag: &&FrameTag| isometry(&tag.pose.pose.position, &tag.pose.pose.orientation).is_finite();
+    for tag in tags.iter().filter(|tag| tag.valid).filter(is_somewhere) {
         waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
     }
     let files = log::files_of(&path)?;
@@ -130,6 +141,7 @@ fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databa
         lens,
         files: files.iter().map(relative).collect(),
         dark: None,
+        darkening: None,
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
         images: records.len() as u64,
         left_out,
@@ -223,9 +235,8 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         if !inside {
             return Err(wrong(line, format!("{} does not lie in this folder", name.display())));
         }
-        let bytes = match fs::metadata(&file)
-            .and_then(|meta| read_bytes(&file, 0, meta.len().min(u64::from(u32::MAX)) as u32))
-        {
+        let read = |meta: fs::Metadata| read_bytes(&file, 0, meta.len().min(u64::from(u32::MAX)) as u32);
+        let bytes = match fs::metadata(&file).and_then(read) {
             Ok(bytes) => bytes,
             Err(error) => {
                 losses.push(Loss::new(&file, format!("cannot be read: {error}")));
@@ -252,7 +263,8 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         what: format!("{POSES} names no image that can be read"),
     })?;
     let (kind, images) = (SourceKind::Folder, records.len() as u64);
-    let source = Source { kind, path, lens, files, body_masks: Vec::new(), dark: None, images, left_out };
+    let source =
+        Source { kind, path, lens, files, body_masks: Vec::new(), dark: None, darkening: None, images, left_out };
     Ok(Read { source, records, field: None, losses, lit })
 }
 
@@ -289,6 +301,16 @@ fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
     let [x, y, z, yaw, pitch, roll] = numbers[..] else {
         return Err(format!("{} cells, and 7 are needed: {POSES_HEAD}", cells.len()));
     };
+    let within = |name: &str, value: f64, range: RangeInclusive<f64>| {
+        let (low, high) = (range.start(), range.end());
+        if range.contains(&value) { Ok(()) } else { Err(format!("{name} is {value}: {low} to {high} is possible")) }
+    };
+    within("x", x, -MAX_PLACE_M..=MAX_PLACE_M)?;
+    within("y", y, -MAX_PLACE_M..=MAX_PLACE_M)?;
+    within("z", z, HEIGHTS_M)?;
+    for (name, angle) in [("yaw_deg", yaw), ("pitch_deg", pitch), ("roll_deg", roll)] {
+        within(name, angle, -MAX_TURN_DEG..=MAX_TURN_DEG)?;
+    }
     let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
     Ok((PathBuf::from(name), Isometry::from_euler(euler, DVec3::new(x, y, z))))
 }

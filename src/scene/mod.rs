@@ -13,6 +13,7 @@ mod motion;
 mod places;
 mod ranges;
 mod render;
+mod stage;
 mod stream;
 mod truth;
 
@@ -21,7 +22,8 @@ pub use effects::{Effect, Joints, Role};
 pub use events::{Events, Imu, InitialPoseEstimate, Odometry, SceneEvent, SceneEventKind};
 pub use file::{InitialPose, Route, SceneFile};
 pub use ranges::Drawn;
-pub use render::Renderer;
+pub use render::{Figures, Renderer};
+pub use stage::{Stage, StageError};
 pub use truth::{Mount, Truth, Twist};
 
 use crate::geometry::{Field, FieldDimensions, Lens, LensParameters};
@@ -144,6 +146,12 @@ impl Scene {
         let (on_any, others): (Vec<&Effect>, Vec<&Effect>) = self.file.effects.iter().partition(on_any);
         let names = |effects: Vec<&Effect>| effects.into_iter().map(Effect::name).collect();
         (names(on_any), names(others))
+    }
+
+    /// Those that a view made of recorded images can have: [`Stage`].
+    pub fn effects_on_views(&self) -> Vec<&'static str> {
+        let figures = self.crowd.is_some().then_some("obstacles");
+        figures.into_iter().chain(self.effects_on_images().0).collect()
     }
 
     /// RGB of any size, as if it were this frame; without such an effect not a bit changes.

@@ -97,7 +97,8 @@ fn between(from: &Asked, to: &Asked, count: usize) -> Vec<Asked> {
         let part = number as f64 / (count.max(2) - 1) as f64;
         Isometry { translation: a.translation.lerp(b.translation, part), rotation: a.rotation.slerp(b.rotation, part) }
     };
-    (0..count).map(|number| Asked { map_from_link: pose(number), ..from.clone() }).collect()
+    let one = |number: usize| Asked { map_from_link: pose(number), frame: from.frame + number as u64, ..from.clone() };
+    (0..count).map(one).collect()
 }
 
 fn make(service: &Service, asked: &[Asked], forms: &[Form], send: &Sender<Bytes>) {

@@ -10,7 +10,7 @@ use crate::geometry::{Euler, Isometry};
 use crate::views::Method;
 
 /// Every parameter of a view, and what is right for it.
-pub const PARAMETERS: [(&str, &str); 16] = [
+pub const PARAMETERS: [(&str, &str); 17] = [
     ("x", "metres, -100 to 100: camera_link in map"),
     ("y", "metres, -100 to 100"),
     ("z", "metres above the ground, 0.02 to 20"),
@@ -21,7 +21,8 @@ pub const PARAMETERS: [(&str, &str); 16] = [
     ("width", "pixels, 16 to 4096; without height the lens's proportions stay"),
     ("height", "pixels, 16 to 4096"),
     ("lens", "one of `lenses` of /v1/info; without it that of the nearest image"),
-    ("scene", "one of `scenes` of /v1/info: its effects on any image are applied"),
+    ("scene", "one of `scenes` of /v1/info: its figures are drawn, its effects on any image applied"),
+    ("figures", "draw or omit: whether the robots, people and balls that the scene places are drawn"),
     ("frame", "as which frame of the scene, 0 to 4294967295"),
     ("max_distance_m", "metres, 0 to 1000: how far away the nearest image may have been taken"),
     ("outside", "refuse (404) or warn (the best there is, with a warning), when the nearest image is farther away"),
@@ -37,6 +38,7 @@ pub(super) struct Asked {
     pub(super) size: [Option<u32>; 2],
     pub(super) lens: Option<String>,
     pub(super) scene: Option<String>,
+    pub(super) figures: bool,
     pub(super) frame: u64,
     pub(super) max_distance_m: Option<f64>,
     pub(super) refuses: bool,
@@ -149,6 +151,7 @@ impl Parameters {
             size: [self.whole("width", LEAST_SIDE, MAX_SIDE)?, self.whole("height", LEAST_SIDE, MAX_SIDE)?],
             lens: self.0.get("lens").cloned(),
             scene: self.0.get("scene").cloned(),
+            figures: self.choice("figures", &[("draw", true), ("omit", false)])?,
             frame: self.whole("frame", 0, u32::MAX)?.unwrap_or(0).into(),
             max_distance_m: self.number("max_distance_m", 0.0, 1000.0)?,
             refuses: self.choice("outside", &[("refuse", true), ("warn", false)])?,

@@ -14,7 +14,7 @@ use super::parameters::{Asked, MaskWanted, Parameters, named};
 use crate::config::ViewsSettings;
 use crate::database::{DatabaseError, Gallery, Shown, Wanted, coverage, coverage_picture};
 use crate::geometry::{Lens, LensParameters};
-use crate::scene::Scene;
+use crate::scene::{Scene, Stage};
 use crate::views::{Camera, Made, ViewError};
 
 pub(super) struct Stock {
@@ -23,8 +23,13 @@ pub(super) struct Stock {
     scenes: BTreeMap<String, Scene>,
     /// Lenses with their rays, the longest unused first.
     cameras: Mutex<Vec<Arc<Camera>>>,
+    /// Scenes by name, prepared for a lens and with figures or without; the longest unused first.
+    stages: Mutex<Vec<(StageOf, Arc<Stage>)>>,
     max_distance_m: f64,
 }
+
+/// Which scene, with its figures?, for which lens.
+type StageOf = (String, bool, LensParameters);
 
 /// A picture and what it says of itself.
 pub(super) struct Picture {
@@ -34,8 +39,12 @@ pub(super) struct Picture {
     pub(super) headers: Vec<(&'static str, String)>,
 }
 
-/// Lenses prepared for views, beside those of the database: one of 640 x 480 has 4 MB.
+/// Lenses prepared for views, beside those of the database.
 const MAX_CAMERAS: usize = 16;
+/// Scenes prepared for a lens.
+const MAX_STAGES: usize = 8;
+/// Pixels of all of either together, as long as there are two: each takes some 14 bytes.
+const MAX_KEPT_PIXELS: u64 = 1 << 23;
 /// Pixels of one view.
 const MAX_PIXELS: u64 = 1 << 22;
 /// Cells of a coverage: the paper's grid has 720,000 poses.
@@ -50,7 +59,7 @@ impl Stock {
         max_distance_m: f64,
     ) -> Result<Self, DatabaseError> {
         let gallery = RwLock::new(Arc::new(Gallery::open(folder, settings)?));
-        Ok(Self { gallery, lenses, scenes, cameras: Mutex::default(), max_distance_m })
+        Ok(Self { gallery, lenses, scenes, cameras: Mutex::default(), stages: Mutex::default(), max_distance_m })
     }
 
     /// As it is now; who has it keeps it while it is replaced.
@@ -68,7 +77,9 @@ impl Stock {
     pub(super) fn picture(&self, asked: &Asked, forms: &[Form]) -> Result<Picture, Refusal> {
         let gallery = self.gallery();
         let camera = self.camera(&gallery, asked)?;
-        let scene = asked.scene.as_deref().map(|name| named("scene", name, &self.scenes)).transpose()?;
+        if let Some(name) = &asked.scene {
+            named("scene", name, &self.scenes)?;
+        }
         let max_distance_m = asked.max_distance_m.unwrap_or(self.max_distance_m);
         let wanted = Wanted {
             map_from_link: asked.map_from_link,
@@ -78,24 +89,19 @@ impl Stock {
             without: Vec::new(),
         };
         let mut shown = gallery.view(&wanted).map_err(|error| refusal(&error))?;
-        let applied =
-            scene.map(|scene| (scene, scene.effects_on_images().0)).filter(|(_, applied)| !applied.is_empty());
-        if let Some((scene, _)) = &applied {
-            let mut rgb = shown.answer.image.to_rgb();
-            scene.apply_to_image(asked.frame, &mut rgb);
-            for (pixel, rgb) in shown.answer.image.pixels.iter_mut().zip(rgb.as_chunks::<3>().0) {
-                pixel[..3].copy_from_slice(rgb);
-            }
-        }
-        let untouched = applied.is_none() && asked.mask == MaskWanted::None;
+        let effects = match &asked.scene {
+            Some(name) => self.apply(&gallery, name, asked, &mut shown)?,
+            None => Vec::new(),
+        };
+        let untouched = effects.is_empty() && asked.mask == MaskWanted::None;
         let stored = shown.stored.take().filter(|bytes| untouched && forms.contains(&Form::of(bytes)));
         let (form, (bytes, channels)) = match stored {
             Some(bytes) => (Form::of(&bytes), (bytes, 3)),
             None => (forms[0], encode::encode(&shown.answer.image, forms[0], asked.mask, asked.quality)?),
         };
         let mut headers = provenance(&gallery, &shown, channels);
-        if let Some((_, applied)) = applied {
-            headers.push(("realitysim-effects", applied.join(", ")));
+        if !effects.is_empty() {
+            headers.push(("realitysim-effects", effects.join(", ")));
         }
         let nearest_m = shown.answer.sources.iter().map(|source| source.distance_m).fold(f64::INFINITY, f64::min);
         if nearest_m > max_distance_m {
@@ -122,8 +128,7 @@ impl Stock {
             None => own()?,
         };
         let lens = lens.resized(asked.size);
-        let pixels = u64::from(lens.width) * u64::from(lens.height);
-        if pixels > MAX_PIXELS {
+        if pixels_of(&lens) > MAX_PIXELS {
             let (width, height) = (lens.width, lens.height);
             let what = format!("width x height is {width} x {height}: at most {MAX_PIXELS} pixels are made");
             return Err(Refusal::wrong(what));
@@ -143,10 +148,47 @@ impl Stock {
         if known(&cameras).is_none() {
             cameras.push(Arc::clone(&camera));
         }
-        if cameras.len() > MAX_CAMERAS {
-            cameras.remove(0);
-        }
+        let pixels = |camera: &Arc<Camera>| pixels_of(camera.lens().parameters());
+        give_up(&mut cameras, MAX_CAMERAS, pixels);
         Ok(Some(camera))
+    }
+
+    /// Which effects were applied.
+    fn apply(
+        &self,
+        gallery: &Gallery,
+        name: &str,
+        asked: &Asked,
+        shown: &mut Shown,
+    ) -> Result<Vec<&'static str>, Refusal> {
+        let scene = named("scene", name, &self.scenes)?;
+        let stage = self.stage(name, scene, asked.figures, shown.camera.lens());
+        stage.check(gallery.field()).map_err(|error| Refusal::wrong(format!("scene is {name:?}: {error}")))?;
+        stage.apply(asked.frame, &shown.camera, gallery.world(), &mut shown.answer);
+        Ok(stage.effects())
+    }
+
+    fn stage(&self, name: &str, scene: &Scene, figures: bool, lens: &Lens) -> Arc<Stage> {
+        let of = (name.to_owned(), figures, lens.parameters().clone());
+        let mut stages = self.stages();
+        if let Some(at) = stages.iter().position(|(known, _)| *known == of) {
+            let stage = stages.remove(at);
+            stages.push(stage.clone());
+            return stage.1;
+        }
+        // Not while others wait.
+        drop(stages);
+        let stage = Arc::new(Stage::new(scene, lens, figures));
+        let mut stages = self.stages();
+        if stages.iter().all(|(known, _)| *known != of) {
+            stages.push((of, Arc::clone(&stage)));
+        }
+        give_up(&mut stages, MAX_STAGES, |((_, _, lens), _)| pixels_of(lens));
+        stage
+    }
+
+    fn stages(&self) -> MutexGuard<'_, Vec<(StageOf, Arc<Stage>)>> {
+        self.stages.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn cameras(&self) -> MutexGuard<'_, Vec<Arc<Camera>>> {
@@ -166,7 +208,7 @@ impl Stock {
             "field": gallery.field().dimensions(),
             "sources": sources.collect::<Vec<Value>>(),
             "lenses": self.lenses,
-            "scenes": self.scenes.iter().map(|(name, scene)| (name.clone(), json!(scene.effects_on_images().0)))
+            "scenes": self.scenes.iter().map(|(name, scene)| (name.clone(), json!(scene.effects_on_views())))
                 .collect::<serde_json::Map<String, Value>>(),
             "max_distance_m": self.max_distance_m,
         })
@@ -195,6 +237,17 @@ impl Stock {
         let mut value = serde_json::to_value(&found).unwrap_or_default();
         value["counts"] = json!(found.counts());
         Ok((value.to_string().into_bytes(), "application/json"))
+    }
+}
+
+fn pixels_of(lens: &LensParameters) -> u64 {
+    u64::from(lens.width) * u64::from(lens.height)
+}
+
+/// The longest unused, until what is left is few and small enough.
+fn give_up<T>(kept: &mut Vec<T>, most: usize, pixels: impl Fn(&T) -> u64) {
+    while kept.len() > most || (kept.len() > 1 && kept.iter().map(&pixels).sum::<u64>() > MAX_KEPT_PIXELS) {
+        kept.remove(0);
     }
 }
 
@@ -247,7 +300,7 @@ fn refusal(error: &DatabaseError) -> Refusal {
     let none = |what: String| Refusal::new(StatusCode::NOT_FOUND, what);
     match error {
         DatabaseError::Empty => none("the database has no image: add some with `realitysim db add`".to_owned()),
-        DatabaseError::View(wrong @ (ViewError::NotFinite | ViewError::Height { .. })) => {
+        DatabaseError::View(wrong @ (ViewError::NotFinite | ViewError::Place { .. } | ViewError::Height { .. })) => {
             Refusal::wrong(wrong.to_string())
         }
         DatabaseError::View(error) => none(error.to_string()),
@@ -256,5 +309,22 @@ fn refusal(error: &DatabaseError) -> Refusal {
             "none of the images near this pose can be read: they vanished or changed since they were indexed; `realitysim db \
              verify` names them, `realitysim db rebuild` mends the database",
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_not_used_for_longest_is_given_up_until_the_rest_is_few_and_small() {
+        let left = |mut kept: Vec<u64>, most: usize| {
+            give_up(&mut kept, most, |pixels| *pixels);
+            kept
+        };
+        assert_eq!(left(vec![1, 2, 3], 3), [1, 2, 3]);
+        assert_eq!(left(vec![1, 2, 3], 2), [2, 3]);
+        assert_eq!(left(vec![MAX_PIXELS, MAX_PIXELS, MAX_PIXELS], 16), [MAX_PIXELS; 2]);
+        assert_eq!(left(vec![7, MAX_KEPT_PIXELS + 1], 16), [MAX_KEPT_PIXELS + 1], "the one in use stays");
     }
 }

@@ -55,7 +55,17 @@ impl Chain {
     }
 
     /// One residual between a frame and the next.
-    pub fn add_between(&mut self, frame: usize, residual: f64, own: &Vector6<f64>, next: &Vector6<f64>) {
+    pub fn add_between(
+        &mut self,
+        frame: usize,
+        residual: f64,
+        own: &Vector6<f64>,
+        next: &Vector6<f64>,
+        common: &Border,
+    ) {
+        self.aside[frame] += own * common.transpose();
+        self.aside[frame + 1] += next * common.transpose();
+        self.add_common(residual, common);
         self.own[frame] += own * own.transpose();
         self.own[frame + 1] += next * next.transpose();
         self.next[frame] += own * next.transpose();
@@ -156,11 +166,13 @@ mod tests {
                 }
                 if frame + 1 < count {
                     let (own, next) = (Vector6::from_fn(|_, _| take()), Vector6::from_fn(|_, _| take()));
+                    let common = Border::from_fn(|_, _| 0.3 * take());
                     let residual = take();
-                    chain.add_between(frame, residual, &own, &next);
+                    chain.add_between(frame, residual, &own, &next, &common);
                     let mut row = DVector::zeros(size);
                     row.rows_mut(6 * frame, 6).copy_from(&own);
                     row.rows_mut(6 * frame + 6, 6).copy_from(&next);
+                    row.rows_mut(6 * count, CONSTANTS).copy_from(&common);
                     rows.push((row, residual));
                 }
             }

@@ -2,11 +2,13 @@
 //!
 //! Pure. A frame's unknowns are the six of its pose's error, as in [`crate::localization::refinement`]; those of the whole walk are the
 //! lens's focal length, centre and curve, the mount's tilt and the camera's height ([`Constants`]). Lines say where a ray lies, IMU and mount how
-//! the camera leans, odometry how far apart two frames are. Gauss-Newton on all of them: the system is block tridiagonal with a border
+//! the camera leans, odometry how far apart two frames are, and the ground's texture how one lies to the next ([`alignment`]). Gauss-Newton on all of them: the system is block tridiagonal with a border
 //! ([`chain`]), so that its solution is one pass forward and one back, as of a smoother.
 
+pub mod alignment;
 pub mod chain;
 mod residuals;
+mod same_ground;
 
 use glam::{DVec2, DVec3};
 use nalgebra::{Matrix6, Vector6};
@@ -32,6 +34,23 @@ pub struct Frame {
     pub turned_rad: Option<f64>,
     /// Places of lines that were found in its image.
     pub places: Vec<Place>,
+    /// Ground that it shares with the frame before.
+    pub overlap: Option<Overlap>,
+}
+
+/// What two neighbouring images show both.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Overlap {
+    /// Stamp of the earlier one.
+    pub before_ns: i64,
+    pub matches: Vec<Match>,
+}
+
+/// A place of the ground, pixel by pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Match {
+    pub before: DVec2,
+    pub here: DVec2,
 }
 
 /// A place of a line, found in an image.

@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use nalgebra::Vector6;
 
 use super::chain::{Border, Chain};
-use super::{CONSTANTS, Constants, Frame, Linearised, Place};
+use super::{CONSTANTS, Constants, Frame, Linearised, Place, same_ground};
 use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, wrap_angle};
 use crate::localization::refinement::moved_pose;
 
@@ -13,6 +13,8 @@ use crate::localization::refinement::moved_pose;
 pub struct Model {
     /// Of one place of a thin line, neighbours' common error included: pixels.
     pub line_px: f64,
+    /// Of one patch of ground that two neighbouring images show, what all of a pair have in common included: pixels.
+    pub match_px: f64,
     /// Of a tag, held loosely: what nothing else determines stays where it was.
     pub tag_m: f64,
     pub tag_rad: f64,
@@ -34,6 +36,7 @@ impl Default for Model {
     fn default() -> Self {
         Self {
             line_px: 0.16,
+            match_px: 0.4,
             tag_m: 0.1,
             tag_rad: 0.04,
             tilt_rad: 0.4f64.to_radians(),
@@ -50,11 +53,11 @@ impl Default for Model {
 }
 
 /// Scale of the robust loss (Geman-McClure), in standard deviations.
-const ROBUST: f64 = 4.0;
+pub(super) const ROBUST: f64 = 4.0;
 /// Frames farther apart than this do not know each other's odometry.
 const LONGEST_STEP_NS: i64 = 1_000_000_000;
 /// For derivatives by differences.
-const SMALL: f64 = 1e-6;
+pub(super) const SMALL: f64 = 1e-6;
 /// Changes of the lens small enough to be straight, large enough to be exact: share, px, px, 1.
 const LENS_STEPS: [f64; 4] = [1e-5, 1e-3, 1e-3, 1e-5];
 
@@ -87,6 +90,7 @@ pub(super) fn linearise(
         cost += lean(&mut chain, i, frame, pose, constants, model);
         if let (Some(next), Some(next_pose)) = (frames.get(i + 1), poses.get(i + 1)) {
             cost += step(&mut chain, i, [frame, next], [pose, next_pose], model);
+            cost += same_ground::add(&mut chain, i, [frame, next], [pose, next_pose], &lenses, model);
         }
     }
     for (i, (value, sigma)) in constants.values().iter().zip(model.constants).enumerate() {
@@ -100,9 +104,9 @@ pub(super) fn linearise(
 }
 
 /// The lens as it is, and changed a little each way.
-struct Lenses {
-    lens: Lens,
-    changed: Vec<(f64, Lens)>,
+pub(super) struct Lenses {
+    pub(super) lens: Lens,
+    pub(super) changed: Vec<(f64, Lens)>,
 }
 
 /// The angle between a line's plane and the ray on which it was seen, and how that changes.
@@ -230,7 +234,7 @@ fn step(chain: &mut Chain, i: usize, frames: [&Frame; 2], poses: [&Isometry; 2],
         // Feet slip: what is far off counts little.
         let square = off * off / (ROBUST * ROBUST);
         let weight = 1.0 / (1.0 + square);
-        chain.add_between(i, weight * off, &(row[0] * weight), &(row[1] * weight));
+        chain.add_between(i, weight * off, &(row[0] * weight), &(row[1] * weight), &Border::zeros());
         cost += 0.5 * off * off / (1.0 + square);
     }
     cost

@@ -66,6 +66,7 @@ fn walk(truth: &Constants, noise_px: f64) -> (Vec<Isometry>, Vec<Frame>) {
             odometry: Some(Pose2::new(3.0, 1.0, 0.4).compose(&feet)),
             turned_rad: None,
             places,
+            overlap: None,
         });
         truths.push(pose);
     }
@@ -172,4 +173,60 @@ fn a_single_frame_and_none_are_walks_too() {
     let (_, frames) = walk(&Constants::default(), 0.2);
     assert_eq!(smooth(&frames[..1], &lens(), &Model::default()).expect("a lens").map_from_optical.len(), 1);
     assert_eq!(smooth(&[], &lens(), &Model::default()).expect("a lens").map_from_optical.len(), 0);
+}
+
+/// Ground that neighbours both show, pixel by pixel.
+fn with_overlaps(truths: &[Isometry], frames: &mut [Frame], noise_px: f64) {
+    let lens = Lens::new(lens()).expect("a lens");
+    for i in 1..frames.len() {
+        let pixel = |pose: &Isometry, place: DVec3| {
+            let seen = pose.inverse().transform_point(place);
+            lens.project(seen).filter(|pixel| seen.z > 0.2 && lens.contains(*pixel))
+        };
+        let places = (0..40).map(|k| {
+            let ahead = DVec2::new(0.4 + 1.6 * (0.5 + 0.5 * noise(k)), 1.2 * noise(k + 5000));
+            let feet = Pose2::from_isometry(&(truths[i] * Isometry::link_from_optical().inverse()));
+            feet.to_isometry().transform_point(ahead.extend(0.0)).with_z(0.0)
+        });
+        let pair = |(k, place): (usize, DVec3)| {
+            let off =
+                |which: usize| DVec2::new(noise(91 * i + 2 * k + which), noise(57 * i + 3 * k + which)) * noise_px;
+            let (before, here) = (pixel(&truths[i - 1], place)?, pixel(&truths[i], place)?);
+            // One in ten is something that walks.
+            let walked = if k % 10 == 3 { DVec2::new(25.0, -20.0) } else { DVec2::ZERO };
+            Some(Match { before: before + off(0), here: here + off(1) + walked })
+        };
+        let matches: Vec<Match> = places.enumerate().filter_map(pair).collect();
+        assert!(matches.len() > 20, "{}", matches.len());
+        frames[i].overlap = Some(Overlap { before_ns: frames[i - 1].stamp_ns, matches });
+    }
+}
+
+#[test]
+fn overlapping_images_carry_frames_whose_lines_say_little() {
+    let (truths, mut frames) = walk(&Constants::default(), 0.5);
+    for (i, frame) in frames.iter_mut().enumerate() {
+        // Lines in every fifth frame only, and feet that slip.
+        if i % 5 != 0 {
+            frame.places.clear();
+        }
+        frame.odometry = None;
+    }
+    let alone = smooth(&frames, &lens(), &Model::default()).expect("a lens");
+    with_overlaps(&truths, &mut frames, 0.3);
+    let together = smooth(&frames, &lens(), &Model::default()).expect("a lens");
+    let ((m_alone, rad_alone), (m, rad)) =
+        (errors(&alone.map_from_optical, &truths), errors(&together.map_from_optical, &truths));
+    // How two frames lie to each other says little of how both lean.
+    assert!(m < 0.3 * m_alone && rad < rad_alone, "{m_alone} to {m} m, {rad_alone} to {rad} rad");
+    assert!(m < 0.003, "{m} m");
+}
+
+#[test]
+fn an_overlap_with_a_frame_that_is_not_there_says_nothing() {
+    let (truths, mut frames) = walk(&Constants::default(), 0.2);
+    let without = smooth(&frames, &lens(), &Model::default()).expect("a lens");
+    with_overlaps(&truths, &mut frames, 0.3);
+    frames.iter_mut().filter_map(|frame| frame.overlap.as_mut()).for_each(|overlap| overlap.before_ns += 1);
+    assert_eq!(smooth(&frames, &lens(), &Model::default()).expect("a lens"), without);
 }

@@ -93,6 +93,8 @@ pub struct Answer {
     /// Its fourth channel is the mask of what is sure.
     pub image: Raster,
     pub made: Made,
+    /// Where its camera stands: as asked, or where the image was taken if it is unchanged.
+    pub map_from_link: Isometry,
     /// Those that show in it, nearest first.
     pub sources: Vec<UsedSource>,
     /// Share of the pixels which the lens draws that show something.
@@ -126,6 +128,10 @@ pub enum ViewError {
     )]
     Height { z: f64 },
     #[error(
+        "the camera asked for is at ({x:.3e}, {y:.3e}) m: views are made within {MAX_PLACE_M} m of the field's centre"
+    )]
+    Place { x: f64, y: f64 },
+    #[error(
         "the nearest image was taken {distance_m:.2} m away, farther than the {max_m:.2} m that are allowed: record \
          there, or allow more"
     )]
@@ -139,18 +145,24 @@ pub enum ViewError {
 /// Lower, rays graze the ground; higher than any hall.
 const LEAST_HEIGHT_M: f64 = 0.02;
 const MOST_HEIGHT_M: f64 = 20.0;
+/// No hall is larger.
+const MAX_PLACE_M: f64 = 1000.0;
 /// Of a map that is interpolated on a grid, root mean square.
 const GRID_ERROR_PX: f64 = 0.04;
 
-impl Request<'_> {
-    pub(super) fn check(&self) -> Result<(), ViewError> {
-        if !self.map_from_link.is_finite() {
-            return Err(ViewError::NotFinite);
-        }
-        let z = self.map_from_link.translation.z;
-        if (LEAST_HEIGHT_M..=MOST_HEIGHT_M).contains(&z) { Ok(()) } else { Err(ViewError::Height { z }) }
+/// Whether a view can be asked for from this pose of `camera_link` at all.
+pub fn check_pose(map_from_link: &Isometry) -> Result<(), ViewError> {
+    if !map_from_link.is_finite() {
+        return Err(ViewError::NotFinite);
     }
+    let glam::DVec3 { x, y, z } = map_from_link.translation;
+    if x.abs().max(y.abs()) > MAX_PLACE_M {
+        return Err(ViewError::Place { x, y });
+    }
+    if (LEAST_HEIGHT_M..=MOST_HEIGHT_M).contains(&z) { Ok(()) } else { Err(ViewError::Height { z }) }
+}
 
+impl Request<'_> {
     pub(super) fn refuse_far(&self, nearest: &Candidate) -> Result<(), ViewError> {
         let distance_m = self.distance_m(&nearest.map_from_link);
         let max_m = self.settings.max_distance_m;
@@ -191,7 +203,7 @@ pub fn angle_between(a: &Isometry, b: &Isometry) -> f64 {
 impl Answer {
     pub(super) fn unchanged(made: Made, request: &Request, source: &Candidate) -> Self {
         let image = source.image.full().clone();
-        let (valid_share, _) = shares(source.camera, &image);
+        let (valid_share, sure_share) = shares(source.camera, &image);
         let error = match made {
             // Each place is shown where the source's camera had it.
             Made::Nearest => {
@@ -201,15 +213,20 @@ impl Answer {
             _ => 0.0,
         };
         let expected_error_px = libm::hypot(error, Nearness::of(request).tag_error_px(&source.tag));
-        let sources = vec![request.used(source, 1.0)];
-        Self { image, made, sources, valid_share, sure_share: valid_share, expected_error_px }
+        let (map_from_link, sources) = (source.map_from_link, vec![request.used(source, 1.0)]);
+        Self { image, made, map_from_link, sources, valid_share, sure_share, expected_error_px }
     }
 
     pub(super) fn warped(request: &Request, source: &Candidate, image: Raster, map_error_px: f64) -> Self {
         let (valid_share, sure_share) = shares(request.camera, &image);
         let expected_error_px = libm::hypot(map_error_px, Nearness::of(request).tag_error_px(&source.tag));
-        let sources = vec![request.used(source, 1.0)];
-        Self { image, made: Made::Warped, sources, valid_share, sure_share, expected_error_px }
+        let (map_from_link, sources) = (request.map_from_link, vec![request.used(source, 1.0)]);
+        Self { image, made: Made::Warped, map_from_link, sources, valid_share, sure_share, expected_error_px }
+    }
+
+    /// Counts anew what is shown, after something was drawn over it. `camera` is the picture's.
+    pub fn recount(&mut self, camera: &Camera) {
+        (self.valid_share, self.sure_share) = shares(camera, &self.image);
     }
 
     pub(super) fn composed(
@@ -235,7 +252,8 @@ impl Answer {
             .map(|(candidate, share)| request.used(candidate, *share))
             .collect();
         let made = if sources.len() > 1 { Made::Composed } else { Made::Warped };
-        Ok(Self { image, made, sources, valid_share, sure_share, expected_error_px })
+        let map_from_link = request.map_from_link;
+        Ok(Self { image, made, map_from_link, sources, valid_share, sure_share, expected_error_px })
     }
 }
 

@@ -74,7 +74,8 @@ impl Camera {
         }
     }
 
-    pub(super) fn ray(&self, u: usize, v: usize) -> Option<DVec3> {
+    /// The unit ray of a pixel in `camera_optical_frame`; `None` where the lens draws nothing.
+    pub fn ray(&self, u: usize, v: usize) -> Option<DVec3> {
         let [x, y, z] = self.rays[v * self.width() + u];
         (!x.is_nan()).then(|| DVec3::new(f64::from(x), f64::from(y), f64::from(z)))
     }

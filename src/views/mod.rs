@@ -4,9 +4,12 @@
 //! [`crate::database`] to say. Every answer tells what it was made of and how far it can be trusted: [`Answer`].
 
 mod answer;
+mod beneath;
 mod camera;
 mod compose;
+mod darkening;
 mod ground_warp;
+mod moving;
 pub mod paper;
 mod photometry;
 pub mod quadratic;
@@ -15,10 +18,12 @@ mod sample;
 mod world;
 
 pub use answer::{
-    Answer, Candidate, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings, angle_between,
+    Answer, Candidate, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings, angle_between, check_pose,
 };
 pub use camera::Camera;
+pub use darkening::{Overlap, darkening, overlap};
 pub use ground_warp::{Target, Warp};
+pub use moving::{Scenery, mark_moving};
 pub use photometry::{Gain, Vignetting};
 pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
 pub use world::{Surface, World};
@@ -34,7 +39,7 @@ use crate::geometry::Isometry;
 /// exact    : every candidate through ground, goals and both lenses; the best of them for each pixel
 /// ```
 pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewError> {
-    request.check()?;
+    check_pose(&request.map_from_link)?;
     let nearest = candidates.first().ok_or(ViewError::NoCandidates)?;
     request.refuse_far(nearest)?;
     if request.is_stored_as(nearest) {
@@ -48,7 +53,10 @@ pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewE
             let target = Target::new(request.camera, &request.map_from_link, request.world);
             let warps: Vec<Warp> = chosen.iter().map(|source| Warp::new(&target, source)).collect();
             let gains = photometry::balance(&target, &warps, chosen);
-            let composed = compose::compose(request, &target, &warps, chosen, &gains);
+            let mut composed = compose::compose(request, &target, &warps, chosen, &gains);
+            if chosen.iter().any(|source| source.image.has_moving()) {
+                beneath::fill(&mut composed.image, request, &target, &warps, chosen, &gains);
+            }
             Answer::composed(request, chosen, composed)
         }
     }

@@ -37,15 +37,23 @@ const LEAST_CHANGE: f64 = 0.002;
 const LEVEL: usize = 2;
 
 impl Vignetting {
-    pub fn is_none(&self) -> bool {
+    fn is_none(&self) -> bool {
         self.k == [0.0; 3]
     }
 
     /// At a pixel; never so dark that dividing by it would make noise of everything.
     pub fn at(&self, lens: &Lens, u: f64, v: f64) -> f64 {
+        self.illumination(Self::r2(lens, u, v))
+    }
+
+    /// Squared distance from the image's centre, as a share of half the diagonal's.
+    pub(super) fn r2(lens: &Lens, u: f64, v: f64) -> f64 {
         let (half_width, half_height) = (f64::from(lens.width()) / 2.0, f64::from(lens.height()) / 2.0);
         let (x, y) = (u + 0.5 - half_width, v + 0.5 - half_height);
-        let r2 = (x * x + y * y) / (half_width * half_width + half_height * half_height);
+        (x * x + y * y) / (half_width * half_width + half_height * half_height)
+    }
+
+    pub(super) fn illumination(&self, r2: f64) -> f64 {
         let [k1, k2, k3] = self.k;
         (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))).max(0.1)
     }
@@ -76,7 +84,7 @@ fn gain_between(target: &Target, reference: (&Warp, &Candidate), other: (&Warp, 
 }
 
 /// What a source shows at a corner of the view's cells, as it would be without its lens's darkening.
-fn reading((warp, source): (&Warp, &Candidate), node: usize) -> Option<[f64; 3]> {
+pub(super) fn reading((warp, source): (&Warp, &Candidate), node: usize) -> Option<[f64; 3]> {
     let [u, v] = warp.node(node);
     let (image, level) = source.image.level(LEVEL);
     let scale = 1.0 / (1 << level) as f32;

@@ -10,7 +10,8 @@ pub struct Raster {
 
 /// The fourth value of a pixel that shows what it should: on known geometry, or recorded.
 pub const SURE: u8 = 255;
-/// Right in direction, but what it shows is not where the warp takes it to be: above the horizon, beyond the carpet.
+/// Right in direction, but what it shows is not where the warp takes it to be: above the horizon, beyond the carpet; of a
+/// recorded image what stands on the carpet ([`super::mark_moving`]).
 pub const UNSURE: u8 = 128;
 /// Black, because no source shows it or the lens draws nothing there.
 pub const NOTHING: u8 = 0;
@@ -71,6 +72,7 @@ impl Raster {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Pyramid {
     levels: Vec<Raster>,
+    has_moving: bool,
 }
 
 pub(super) const LEVELS: usize = 4;
@@ -79,6 +81,7 @@ const LEAST_SIDE: usize = 2;
 
 impl Pyramid {
     pub fn new(full: Raster) -> Self {
+        let has_moving = full.pixels.iter().any(|pixel| pixel[3] == UNSURE);
         let mut levels = vec![full];
         while levels.len() < LEVELS
             && let Some(finer) = levels.last().filter(|l| l.width >= 2 * LEAST_SIDE && l.height >= 2 * LEAST_SIDE)
@@ -86,7 +89,12 @@ impl Pyramid {
             let next = finer.halved();
             levels.push(next);
         }
-        Self { levels }
+        Self { levels, has_moving }
+    }
+
+    /// Whether something in it is marked as [`UNSURE`].
+    pub(super) fn has_moving(&self) -> bool {
+        self.has_moving
     }
 
     pub fn full(&self) -> &Raster {

@@ -79,6 +79,12 @@ impl World {
         if place.abs().cmple(self.ground_half).all() { Hit { inverse_distance, surface: Surface::Ground } } else { far }
     }
 
+    /// How far along a unit ray from this place a post or crossbar stands, metres.
+    pub fn goals_seen_from(&self, camera: DVec3) -> impl Fn(DVec3) -> Option<f64> + use<> {
+        let goals = self.goals_from(camera, 0.0);
+        move |ray| goals.met(ray).min_by(f64::total_cmp)
+    }
+
     /// The goals as seen from a place; bars are `margin` radians wider to each side, so that their soft edges come along.
     pub(super) fn goals_from(&self, camera: DVec3, margin: f64) -> Goals {
         let seen = |bar: &Bar| {
@@ -117,6 +123,11 @@ impl Goals {
             }
         }
         hit
+    }
+
+    /// Whether a bar is met anywhere along the unit ray.
+    pub(super) fn are_met_by(&self, ray: DVec3) -> bool {
+        self.met(ray).next().is_some()
     }
 
     /// Whether a bar stands before what lies at this inverse distance along the unit ray.

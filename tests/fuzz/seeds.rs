@@ -230,6 +230,7 @@ fn descriptions() {
         files: vec!["a.jpg".into()],
         body_masks: Vec::new(),
         dark: None,
+        darkening: None,
         images: 1,
         left_out: 0,
     });

@@ -83,6 +83,11 @@ fn what_cannot_be_played_is_told() {
     room.run("play way.csv --db db --video out").fails(2, &["line 3", "go up"]);
     room.write("way.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n1,0,nan,0.5,0,0,0\n");
     room.run("play way.csv --db db --video out").fails(2, &["line 2: seven finite numbers"]);
+    for (way, words) in [("1,0,x,0,0.5,0,0,0", "seven finite numbers"), ("1e12,0,0,0.5,0,0,0", "lasts 86400 s at most")]
+    {
+        room.write("way.csv", format!("t,x,y,z,yaw_deg,pitch_deg,roll_deg\n{way}\n"));
+        room.run("play way.csv --db db --video out").fails(2, &["line 2", words]);
+    }
     room.write("way.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n1,0,0,0.5,0,0,0\n");
     room.run("play way.csv --db db --video out").fails(1, &["there is no database here"]);
     room.run("play way.csv --db db --video out --speed 0").fails(2, &["0.01 to 100"]);

@@ -9,13 +9,13 @@ use realitysim::ros2::{LogMessage, Message};
 
 use super::support::{IMAGE, Room, read_capture};
 
-const POSES: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg\n";
-const CAMERA_INFO: &str = "image_width: 320\nimage_height: 240\ncamera_name: test\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: \
+pub const POSES: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg\n";
+pub const CAMERA_INFO: &str = "image_width: 320\nimage_height: 240\ncamera_name: test\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: \
     [102.5, 0, 160.75, 0, 102.5, 117.75, 0, 0, 1]\ndistortion_model: equidistant\ndistortion_coefficients:\n  rows: 1\n  cols: \
     4\n  data: [-0.012, 0.003, -0.0008, 0.0]\n";
 
 /// A database `db` of the short walk; the capture's images in its order.
-fn walked() -> (Room, Vec<LogMessage>) {
+pub fn walked() -> (Room, Vec<LogMessage>) {
     let room = Room::with_walk();
     let replayed = room.replay("log.mcap");
     let session = replayed.session.strip_prefix(room.path("")).expect("inside").display().to_string();
@@ -34,7 +34,7 @@ fn at(gallery: &Gallery, number: usize) -> (String, i64) {
     (format!("--x {} --y {} --z {} --yaw {yaw} --pitch {pitch} --roll {roll}", p.x, p.y, p.z), record.stamp_ns)
 }
 
-fn open(room: &Room) -> Gallery {
+pub fn open(room: &Room) -> Gallery {
     Gallery::open(&room.path("db"), &Settings::default().views).expect("a database")
 }
 

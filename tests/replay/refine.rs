@@ -22,8 +22,10 @@ fn refined_tags_are_nearer_to_the_truth_and_nothing_recorded_is_touched() {
     let report = run.json();
     let median = |when: &str, what: &str| report[when][what]["median"].as_f64().expect("judged");
     println!("{report:#}");
-    // Calibrated, the tags are good already: they must not become worse than the aim.
-    assert!(median("after", "position_cm") < 0.2 && median("after", "angle_deg") < 0.08, "{report:#}");
+    // Calibrated, the tags are good already, and become better by the ground that neighbouring images share.
+    for (what, aim) in [("position_cm", 0.2), ("angle_deg", 0.04)] {
+        assert!(median("after", what) < aim && median("after", what) < median("before", what), "{report:#}");
+    }
     assert!(median("after", "view_psnr_db") >= 30.0, "{report:#}");
     assert_eq!(report["constants"].as_array().map(Vec::len), Some(7));
 

@@ -12,4 +12,5 @@ mod ranges;
 mod refusals;
 mod shelf;
 mod told;
+mod upon_views;
 mod world;

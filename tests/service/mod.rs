@@ -1,6 +1,7 @@
 //! `realitysim serve`, asked by real clients over real sockets: what is right, what is wrong, and those who mean no good.
 
 mod client;
+mod figures;
 mod hostile;
 mod openapi;
 mod python;

@@ -3,6 +3,7 @@
 mod darkened;
 mod exactness;
 mod goals;
+mod moving;
 mod real;
 
 use glam::DVec3;

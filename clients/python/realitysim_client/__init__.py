@@ -70,7 +70,7 @@ class Client:
             self._headers["Authorization"] = f"Bearer {token}"
 
     def view(self, x: float, y: float, z: float, yaw_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0, **parameters: Any) -> View:
-        """The view from a pose. ``parameters`` are those of /v1/view: method, width, height, lens, scene, frame,
+        """The view from a pose. ``parameters`` are those of /v1/view: method, width, height, lens, scene, figures, frame,
         max_distance_m, outside, mask."""
         pose = {"x": x, "y": y, "z": z, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "roll_deg": roll_deg}
         query = urllib.parse.urlencode({**pose, **parameters})

@@ -22,6 +22,8 @@ pub struct ViewsSettings {
     pub roll_counts: f64,
     /// Whether the goals of the field file stood there when the images were taken.
     pub goals: bool,
+    /// Whether robots, people and balls on the carpet of a recorded image are left out of views.
+    pub mask_moving: bool,
     /// Memory for decoded images.
     pub cache_mb: u64,
 }
@@ -48,6 +50,7 @@ impl Default for ViewsSettings {
             direction_counts: 0.5,
             roll_counts: 0.3,
             goals: true,
+            mask_moving: true,
             cache_mb: 512,
         }
     }

@@ -34,9 +34,9 @@ pub struct Figure {
     /// [x, y] in `map`, two or more.
     pub path: Option<Vec<[f64; 2]>>,
     pub speed_m_s: Option<f64>,
-    /// Without it 0.6 m, a person 1.75 m.
+    /// Without it 0.6 m, a person 1.75 m, a ball 0.14 m.
     pub height_m: Option<f64>,
-    /// Over the shoulders. Without it what suits the height; for cylinders and boxes 0.3 m.
+    /// Over the shoulders. Without it what suits the height; for cylinders and boxes 0.3 m, for balls their height.
     pub width_m: Option<f64>,
     /// Of the shell, the shirt or the whole body: red, green, blue, 0 to 255.
     pub colour: Option<[f64; 3]>,
@@ -51,6 +51,8 @@ pub enum FigureShape {
     Person,
     Cylinder,
     Box,
+    /// Lies on the ground; its height is its diameter.
+    Ball,
 }
 
 /// Everybody who is there, checked and complete.
@@ -89,6 +91,7 @@ const MAX_FIGURES: usize = 48;
 const MAX_ASIDE_M: f64 = 5.0;
 
 const DARK: [f64; 3] = [44.0, 44.0, 48.0];
+const BALL: [f64; 3] = [226.0, 224.0, 218.0];
 const SHIRT: [f64; 3] = [70.0, 84.0, 112.0];
 const TROUSERS: [f64; 3] = [48.0, 48.0, 58.0];
 
@@ -171,6 +174,7 @@ impl Figure {
         };
         let (height, colour, accent) = match self.shape {
             FigureShape::Person => (1.75, SHIRT, TROUSERS),
+            FigureShape::Ball => (0.14, BALL, BALL),
             _ => (0.6, DARK, self.colour.unwrap_or(DARK)),
         };
         let height = self.height_m.unwrap_or(height);
@@ -203,6 +207,7 @@ fn usual_width(shape: FigureShape, height: f64) -> f64 {
         FigureShape::Robot => 0.46 * height,
         FigureShape::Person => 0.26 * height,
         FigureShape::Cylinder | FigureShape::Box => 0.3,
+        FigureShape::Ball => height,
     }
 }
 

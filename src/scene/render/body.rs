@@ -44,6 +44,7 @@ impl Body {
             FigureShape::Person => person(height, width, colour, accent),
             FigureShape::Cylinder => plain(Solid::Pillar { centre, half }),
             FigureShape::Box => plain(Solid::Box { centre, half }),
+            FigureShape::Ball => plain(Solid::Ball { centre, half }),
         };
         Self { parts }
     }

@@ -49,8 +49,16 @@ impl CrowdView {
         Self { members, tiles: Tiles::new(rays) }
     }
 
-    /// Over a picture of the empty hall, in these rows of it.
-    pub(super) fn draw(&self, time: f64, view: &View, rows: &Range<usize>, pixels: &mut [u8]) {
+    /// Over a picture of the empty hall, in these rows of it. What lies farther along a pixel's ray than `limit` says is
+    /// hidden by something that the picture shows. Returns which pixels show somebody.
+    pub(super) fn draw(
+        &self,
+        time: f64,
+        view: &View,
+        rows: &Range<usize>,
+        limit: impl Fn(usize, usize) -> f32,
+        pixels: &mut [u8],
+    ) -> Vec<bool> {
         let placed: Vec<Placed> =
             self.members.iter().map(|(member, body)| Placed::new(member, body, time, view)).collect();
         let mut front = Front::new(view.rays);
@@ -61,11 +69,12 @@ impl CrowdView {
             .filter_map(|tile| Busy::new(tile, &placed))
             .collect();
         for busy in &busy {
-            front.look(busy, &placed, view);
+            front.look(busy, &placed, view, &limit);
         }
         for busy in &busy {
-            front.put(busy, &placed, view, pixels);
+            front.put(busy, &placed, view, &limit, pixels);
         }
+        front.ids.iter().map(|id| *id != 0).collect()
     }
 }
 
@@ -101,14 +110,14 @@ impl Front {
     }
 
     /// What the centres of a tile's pixels show.
-    fn look(&mut self, busy: &Busy, placed: &[Placed], view: &View) {
+    fn look(&mut self, busy: &Busy, placed: &[Placed], view: &View, limit: &impl Fn(usize, usize) -> f32) {
         if busy.parts.is_empty() {
             return;
         }
         for row in busy.tile.rows.clone() {
             for column in busy.columns(view.rays, row) {
                 let ray = view.in_map(view.rays.at(column, row));
-                if let Some((id, colour)) = nearest(&busy.parts, placed, ray) {
+                if let Some((id, colour)) = nearest(&busy.parts, placed, ray, limit(column, row)) {
                     self.ids[row * self.width + column] = id;
                     self.colours[row * self.width + column] = colour.map(byte);
                 }
@@ -117,7 +126,14 @@ impl Front {
     }
 
     /// A tile of the final picture.
-    fn put(&self, busy: &Busy, placed: &[Placed], view: &View, pixels: &mut [u8]) {
+    fn put(
+        &self,
+        busy: &Busy,
+        placed: &[Placed],
+        view: &View,
+        limit: &impl Fn(usize, usize) -> f32,
+        pixels: &mut [u8],
+    ) {
         for row in busy.tile.rows.clone() {
             for column in busy.columns(view.rays, row) {
                 let at = row * self.width + column;
@@ -128,9 +144,13 @@ impl Front {
                     pixel.copy_from_slice(&self.colours[at]);
                     continue;
                 }
-                shade(pixel, &busy.shadows, placed, view, column, row);
+                let limit = limit(column, row);
+                // What ends before the ground has no shadow of the ground.
+                if limit == f32::INFINITY {
+                    shade(pixel, &busy.shadows, placed, view, column, row);
+                }
                 if !inside {
-                    mix(pixel, &parts_of(&around), placed, view, column, row);
+                    mix(pixel, &parts_of(&around), placed, view, (column, row), limit);
                 }
             }
         }
@@ -165,14 +185,14 @@ fn parts_of(ids: &[u16; 9]) -> Parts {
     found
 }
 
-fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3]) -> Option<(u16, Colour)> {
+fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3], limit: f32) -> Option<(u16, Colour)> {
     let mut first: Option<(usize, usize, Hit)> = None;
     for (which, parts) in parts {
         let figure = &placed[*which];
         let ray = figure.turned(ray);
         for &part in parts {
             if let Some(hit) = figure.body.parts[part].hit(figure.camera, ray, figure.swing)
-                && first.as_ref().is_none_or(|(_, _, nearest)| hit.t < nearest.t)
+                && hit.t < first.as_ref().map_or(limit, |(_, _, nearest)| nearest.t)
             {
                 first = Some((*which, part, hit));
             }
@@ -184,7 +204,7 @@ fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3]) -> Option<(u16, Colo
 }
 
 /// A pixel on an edge: figures over what it shows already.
-fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, column: usize, row: usize) {
+fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, (column, row): (usize, usize), limit: f32) {
     let [left, right] = [column, column + 2].map(|c| view.rays.padded(c, row + 1));
     let [above, below] = [row, row + 2].map(|r| view.rays.padded(column + 1, r));
     let middle = view.rays.at(column, row);
@@ -193,7 +213,7 @@ fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, column: 
         let offset = |index: usize| (index as f32 + 0.5) / FINER as f32 - 0.5;
         let (u, v) = (offset(finer % FINER), offset(finer / FINER));
         let ray = core::array::from_fn(|i| middle[i] + 0.5 * (u * (right[i] - left[i]) + v * (below[i] - above[i])));
-        if let Some((_, colour)) = nearest(parts, placed, view.in_map(ray)) {
+        if let Some((_, colour)) = nearest(parts, placed, view.in_map(ray), limit) {
             covered += 1.0;
             sum = core::array::from_fn(|channel| sum[channel] + colour[channel].clamp(0.0, 255.0));
         }

@@ -6,6 +6,7 @@
 
 mod body;
 mod crowd;
+mod figures;
 mod fixed;
 mod footprint;
 mod hall;
@@ -31,6 +32,7 @@ use super::changing::Changing;
 use super::effects::{LightModel, Shutter};
 use crate::geometry::Isometry;
 use crowd::CrowdView;
+pub use figures::Figures;
 use fixed::byte;
 use footprint::{GroundRow, Turned};
 use light::lit;
@@ -136,7 +138,7 @@ impl Renderer {
         self.draw_hall(&view, rows.clone(), own);
         let veil = shot.window.map_or(0.0, |window| window.draw(&view, rows.clone(), own));
         if let Some(crowd) = &self.crowd {
-            crowd.draw(shot.time, &view, &rows, pixels);
+            crowd.draw(shot.time, &view, &rows, |_, _| f32::INFINITY, pixels);
         }
         veil
     }
