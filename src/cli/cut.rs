@@ -1,6 +1,6 @@
 //! `realitysim cut`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -41,7 +41,9 @@ pub fn run(arguments: &CutArguments, json: bool) -> anyhow::Result<Outcome> {
         ))
         .into());
     }
-    paths::check_output(&arguments.output, &[source])?;
+    let named = arguments.settings.files();
+    let inputs: Vec<&Path> = named.iter().map(PathBuf::as_path).chain([source.as_path()]).collect();
+    paths::check_output(&arguments.output, &inputs)?;
     let settings = match session_holding(source) {
         Some(session) => read_info(&session)?.settings,
         None => arguments.settings.resolve()?,

@@ -9,9 +9,9 @@ pub mod settings;
 mod source;
 
 pub use error::{ConfigError, LensFileError};
-pub use fields::{field_names, load_field, parse_field};
+pub use fields::{field_file, field_names, load_field, parse_field};
 pub use lenses::{
-    LensFile, LensFormat, LensWanted, VisualMeshPose, lens_from_camera_info, lens_names, load_lens,
+    LensFile, LensFormat, LensWanted, VisualMeshPose, lens_file, lens_from_camera_info, lens_names, load_lens,
     load_lens_for_image, parse_lens,
 };
 pub use settings::{

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use include_dir::Dir;
 
@@ -34,15 +34,19 @@ impl Shipped {
 
     /// What exists as a file, or looks like a path by its ending or a folder, is a path; the rest is a shipped name.
     pub fn load(&self, path_or_name: &str) -> Result<Source, ConfigError> {
-        let path = Path::new(path_or_name);
-        let is_there = path.exists() && !path.is_dir();
-        if is_there || looks_like_a_path(path_or_name) {
+        if self.file(path_or_name).is_some() {
             return read(path_or_name);
         }
         match self.entries().find(|(name, _)| *name == path_or_name) {
             Some((name, text)) => Ok(Source { name: name.to_owned(), text: text.to_owned() }),
             None => Err(ConfigError::Unknown { kind: self.kind, name: path_or_name.to_owned(), known: self.names() }),
         }
+    }
+
+    /// The file that is read for it; none of a shipped name.
+    pub fn file(&self, path_or_name: &str) -> Option<PathBuf> {
+        let path = Path::new(path_or_name);
+        ((path.exists() && !path.is_dir()) || looks_like_a_path(path_or_name)).then(|| path.to_owned())
     }
 
     fn entries(&self) -> impl Iterator<Item = (&'static str, &'static str)> {

@@ -165,9 +165,8 @@ impl Range {
     /// Of what it is, not of its place in the file: what stands before it must not matter.
     fn hash(&self) -> u64 {
         let what = format!("{}.{}", self.kind, self.name);
-        what.bytes().fold(0xCBF2_9CE4_8422_2325, |hash: u64, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3)
-        })
+        what.bytes()
+            .fold(0xCBF2_9CE4_8422_2325, |hash: u64, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3))
     }
 
     /// The number at a share of the way from end to end, below 1.

@@ -227,9 +227,8 @@ fn both_ends_of_a_range_are_held_to_the_route_whatever_is_drawn() {
 #[test]
 fn what_is_between_the_ends_of_a_range_is_held_to_the_route_whatever_is_drawn() {
     let open = |low: f64, high: f64| format!("{{ uniform = [{low}, {high}], per = \"episode\" }}");
-    let taken = |at: &str, yaw: &str| {
-        format!("kind = \"kidnapping\"\nto_m = [-2.5, 1.5]\nto_yaw_deg = {yaw}\nat_s = {at}")
-    };
+    let taken =
+        |at: &str, yaw: &str| format!("kind = \"kidnapping\"\nto_m = [-2.5, 1.5]\nto_yaw_deg = {yaw}\nat_s = {at}");
     // Along the touchline at either end; half-way over it, by more than a metre.
     let turned = taken("10", &open(-360.0, 0.0));
     let both = taken(&open(8.0, 10.0), &open(0.0, 359.0));
