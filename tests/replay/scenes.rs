@@ -2,6 +2,9 @@
 
 use std::fs;
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use realitysim::evaluation::calibration::REFERENCE_MS;
 use realitysim::ros2::messages::DiagnosticArray;
 
 use super::support::{IMAGE, ODOMETRY, Room, assert_same, decode_all, on, read_capture, read_log};
@@ -33,6 +36,38 @@ fn check_tells_effects_numbers_and_costs() {
     let run = room.run("scene check scene.toml --max-ms 100000").succeeds();
     assert!(run.stdout.contains("serial_noise") && run.stdout.contains("lost_share = 0.1"), "{run:?}");
     room.run("scene check scene.toml --max-ms 0.0001").fails(1, &["scene.toml: a frame takes", "allowed are 0.0001"]);
+}
+
+/// A limit in a CI file is for every machine that runs it.
+#[test]
+fn a_limit_of_time_is_kept_or_broken_whatever_else_the_machine_does() {
+    let room = room_with("kind = \"obstacles\"\nrandom = 4");
+    let report = || room.run("scene check scene.toml --json").succeeds().json();
+    let number = |report: &serde_json::Value, key: &str| report[key].as_f64().unwrap();
+    let idle = report();
+    let reference_ms = number(&idle, "reference_ms");
+    let expected = number(&idle, "total_ms") * REFERENCE_MS / number(&idle, "loop_ms");
+    assert!((reference_ms / expected - 1.0).abs() < 1e-9, "{idle}");
+
+    let stop = AtomicBool::new(false);
+    let threads = 4 * std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                while !stop.load(Ordering::Relaxed) {
+                    std::hint::spin_loop();
+                }
+            });
+        }
+        let busy = report();
+        let limits = [0.5 * reference_ms, 2.0 * reference_ms];
+        let runs = limits.map(|limit| room.run(&format!("scene check scene.toml --max-ms {limit}")));
+        stop.store(true, Ordering::Relaxed);
+        assert!((0.5..2.0).contains(&(number(&busy, "reference_ms") / reference_ms)), "{idle} {busy}");
+        let [broken, kept] = runs;
+        broken.fails(1, &["ms of the reference machine"]);
+        kept.succeeds();
+    });
 }
 
 #[test]
