@@ -49,6 +49,7 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
     for output in arguments.junit.iter().chain(&arguments.output) {
         paths::check_output(output, &[&arguments.suite])?;
     }
+    arguments.junit.as_deref().map_or(Ok(()), junit::check_folder)?;
     let outcome = suite.map_err(anyhow::Error::from).and_then(|suite| judged(arguments, suite, json));
     if let (Some(junit), Err(error)) = (&arguments.junit, &outcome) {
         junit::write_failure(junit, JUNIT_NAME, error);

@@ -28,6 +28,10 @@ pub struct CutArguments {
     /// The log to write
     #[arg(short, long, value_name = "LOG")]
     output: PathBuf,
+    /// Encode the images anew with this JPEG quality, 1 to 100, where that makes them smaller. The piece is a test of its own
+    /// then: its tags are near those of the recording, but not the same
+    #[arg(long, value_name = "Q", value_parser = clap::value_parser!(u8).range(1..=100))]
+    jpeg_quality: Option<u8>,
     #[command(flatten)]
     settings: SettingsArguments,
 }
@@ -56,6 +60,7 @@ pub fn run(arguments: &CutArguments, json: bool) -> anyhow::Result<Outcome> {
         settings,
         from_s: *from,
         to_s: *to,
+        jpeg_quality: arguments.jpeg_quality,
         threads: std::thread::available_parallelism().map_or(1, usize::from),
     };
     let mut progress = output::Progress::new("tracking");

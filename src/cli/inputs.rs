@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use crate::config::{Settings, field_file, lens_file};
+use crate::config::{Settings, field_file, field_seen_from, lens_file, lens_seen_from};
 use crate::evaluation::suite::Suite;
 use crate::recording::{read_info, session_holding};
 use crate::scene::SceneFile;
@@ -35,7 +35,8 @@ fn named_by(path: &Path) -> Vec<PathBuf> {
         return suite.files().map(Path::to_owned).collect();
     }
     if let Ok(scene) = SceneFile::from_toml(&text) {
-        return field_file(&scene.scene.field).into_iter().chain(lens_file(&scene.camera.lens)).collect();
+        let field = field_file(&field_seen_from(path, &scene.scene.field));
+        return field.into_iter().chain(lens_file(&lens_seen_from(path, &scene.camera.lens))).collect();
     }
     Settings::parse(&text, "").map_or_else(|_| Vec::new(), |settings| files_of(&settings))
 }

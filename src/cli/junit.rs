@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::settings::UsageError;
 use super::{output, paths};
 
 /// One test; it has passed if it has no fault.
@@ -34,6 +35,17 @@ pub fn document(suite: &str, tests: &[TestCase]) -> String {
     }
     text.push_str("</testsuite>\n</testsuites>\n");
     text
+}
+
+/// Before long work: what could not be written then.
+pub fn check_folder(path: &Path) -> Result<(), UsageError> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    match folder {
+        Some(folder) if !folder.is_dir() => {
+            Err(UsageError(format!("{}: its folder does not exist: make it first", path.display())))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// A run that did not come to its tests has failed: a file of an earlier run must not stand for it. Nobody knows what such

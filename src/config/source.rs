@@ -43,6 +43,15 @@ impl Shipped {
         }
     }
 
+    /// What a file at `path` means by this: in a file, paths start at its own folder, wherever it is read.
+    pub fn seen_from(&self, path: &Path, path_or_name: &str) -> String {
+        let beside = path.parent().unwrap_or(Path::new("")).join(path_or_name).display().to_string();
+        if self.file(&beside).is_some_and(|file| file.is_file()) || looks_like_a_path(path_or_name) {
+            return beside;
+        }
+        path_or_name.to_owned()
+    }
+
     /// The file that is read for it; none of a shipped name.
     pub fn file(&self, path_or_name: &str) -> Option<PathBuf> {
         let path = Path::new(path_or_name);

@@ -9,6 +9,7 @@ mod contradictions;
 pub mod effects;
 mod events;
 pub mod file;
+mod misread;
 mod motion;
 mod places;
 mod ranges;

@@ -11,5 +11,6 @@ mod properties;
 mod ranges;
 mod refusals;
 mod shelf;
+mod stored;
 mod told;
 mod world;

@@ -58,9 +58,12 @@ struct EffectReport {
     ms: Option<f64>,
 }
 
+/// Before a limit of time is taken for broken.
+const ATTEMPTS: usize = 3;
+
 pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
     let scene = scene::load(&arguments.scene)?;
-    let cost = effect_cost::measure(&scene)?;
+    let cost = measured(&scene, arguments.max_ms)?;
     let reference_ms = cost.reference_ms();
     let SceneCost { bare_ms, effects, total_ms, loop_ms } = cost;
     let values = values(&scene)?;
@@ -103,6 +106,21 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
         }
         _ => Ok(Outcome::Whole),
     }
+}
+
+/// What disturbs comes and goes: only what is too slow every time is.
+fn measured(scene: &Scene, max_ms: Option<f64>) -> anyhow::Result<SceneCost> {
+    let mut best = effect_cost::measure(scene)?;
+    for _ in 1..ATTEMPTS {
+        if max_ms.is_none_or(|max_ms| best.reference_ms() <= max_ms) {
+            break;
+        }
+        let again = effect_cost::measure(scene)?;
+        if again.reference_ms() < best.reference_ms() {
+            best = again;
+        }
+    }
+    Ok(best)
 }
 
 fn milliseconds(text: &str) -> Result<f64, String> {
