@@ -17,6 +17,7 @@ use crate::config::Settings;
 use crate::recording::topic;
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::mcap_write::{ChannelId, LogWriter, RawChannel, WriteError};
+use crate::sensors::encode;
 use crate::sensors::log::{self as logs, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
 use crate::sensors::scene::{DRAWN_TOPIC, is_drawn_for_episode};
 
@@ -33,6 +34,8 @@ pub struct CutOptions {
     /// Seconds after the source's first message.
     pub from_s: f64,
     pub to_s: f64,
+    /// Images of the piece are encoded anew with this JPEG quality, where that makes them smaller. Its tags are its own then.
+    pub jpeg_quality: Option<u8>,
     pub threads: usize,
 }
 
@@ -111,7 +114,7 @@ pub fn cut(options: &CutOptions, progress: Progress) -> Result<CutReport, CutErr
     let truth = truth_from(&needed, truth_topic, begin_ns)?;
     // It stood at the scene's start; here it stands at the piece's.
     let drawn = drawn.map(|drawn| LogMessage { log_time_ns: begin_ns, publish_time_ns: begin_ns, ..drawn });
-    let written = join(&segments[begins..], truth, drawn, &options.output)?;
+    let written = join(&segments[begins..], truth, drawn, options)?;
     if written.frames == 0 {
         fs::remove_file(&options.output).map_err(|source| io(&options.output, source))?;
         return Err(nothing());
@@ -190,9 +193,9 @@ fn join(
     segments: &[PathBuf],
     truth: Vec<LogMessage>,
     drawn: Option<LogMessage>,
-    output: &Path,
+    options: &CutOptions,
 ) -> Result<LogCopy, CutError> {
-    let mut copy = LogCopy::create(output)?;
+    let mut copy = LogCopy::create(&options.output)?;
     if let Some(state) = segments.first().map(|file| state_of(file)).transpose()?.flatten() {
         copy.attach(&state)?;
     }
@@ -212,7 +215,9 @@ fn join(
             while let Some(true_pose) = truth.next_if(|pose| pose.log_time_ns <= message.log_time_ns) {
                 copy.take(&true_pose)?;
             }
-            copy.take(&message)?;
+            let quality = options.jpeg_quality.filter(|_| is_frame(&message));
+            let smaller = quality.and_then(|quality| encode::as_jpeg(&message, quality));
+            copy.take(smaller.as_ref().unwrap_or(&message))?;
         }
     }
     for true_pose in truth {

@@ -1,6 +1,6 @@
 //! `realitysim cut`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -28,6 +28,10 @@ pub struct CutArguments {
     /// The log to write
     #[arg(short, long, value_name = "LOG")]
     output: PathBuf,
+    /// Encode the images anew with this JPEG quality, 1 to 100, where that makes them smaller. The piece is a test of its own
+    /// then: its tags are near those of the recording, but not the same
+    #[arg(long, value_name = "Q", value_parser = clap::value_parser!(u8).range(1..=100))]
+    jpeg_quality: Option<u8>,
     #[command(flatten)]
     settings: SettingsArguments,
 }
@@ -41,7 +45,9 @@ pub fn run(arguments: &CutArguments, json: bool) -> anyhow::Result<Outcome> {
         ))
         .into());
     }
-    paths::check_output(&arguments.output, &[source])?;
+    let named = arguments.settings.files();
+    let inputs: Vec<&Path> = named.iter().map(PathBuf::as_path).chain([source.as_path()]).collect();
+    paths::check_output(&arguments.output, &inputs)?;
     let settings = match session_holding(source) {
         Some(session) => read_info(&session)?.settings,
         None => arguments.settings.resolve()?,
@@ -54,6 +60,7 @@ pub fn run(arguments: &CutArguments, json: bool) -> anyhow::Result<Outcome> {
         settings,
         from_s: *from,
         to_s: *to,
+        jpeg_quality: arguments.jpeg_quality,
         threads: std::thread::available_parallelism().map_or(1, usize::from),
     };
     let mut progress = output::Progress::new("tracking");

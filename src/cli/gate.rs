@@ -59,6 +59,7 @@ impl GateArguments {
         }
         if let Some(junit) = &self.junit {
             paths::check_output(junit, &[inputs, &[path.as_path()]].concat())?;
+            junit::check_folder(junit)?;
         }
         Ok(())
     }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::settings::UsageError;
 use super::{output, paths};
 
 /// One test; it has passed if it has no fault.
@@ -36,21 +37,36 @@ pub fn document(suite: &str, tests: &[TestCase]) -> String {
     text
 }
 
-/// A run that did not come to its tests has failed: a file of an earlier run must not stand for it.
+/// Before long work: what could not be written then.
+pub fn check_folder(path: &Path) -> Result<(), UsageError> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    match folder {
+        Some(folder) if !folder.is_dir() => {
+            Err(UsageError(format!("{}: its folder does not exist: make it first", path.display())))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A run that did not come to its tests has failed: a file of an earlier run must not stand for it. Nobody knows what such
+/// a run would have read, so nothing else is written over.
 pub fn write_failure(path: &Path, suite: &str, error: &anyhow::Error) {
     // Written already: only whoever read our output has gone.
     if output::is_broken_pipe(error) {
         return;
     }
     let test = TestCase { name: "run".to_owned(), seconds: 0.0, faults: vec![format!("{error:#}")] };
+    if !is_free_or_a_result(path) {
+        eprintln!("realitysim: {}: not written: it is something else than a result of an earlier run", path.display());
+        return;
+    }
     if let Err(also) = paths::write(path, &document(suite, &[test])) {
         eprintln!("realitysim: {also:#}");
     }
 }
 
-/// Whether nothing is lost if a result is written there, even where nobody knows what a run reads.
-pub fn is_free_or_a_result(path: &Path) -> bool {
-    !path.exists() || std::fs::read(path).is_ok_and(|bytes| bytes.starts_with(b"<?xml"))
+fn is_free_or_a_result(path: &Path) -> bool {
+    !path.exists() || std::fs::read(path).is_ok_and(|bytes| bytes.is_empty() || bytes.starts_with(b"<?xml"))
 }
 
 /// For text and attributes alike. XML knows no control characters but tab and line ends.

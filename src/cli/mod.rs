@@ -13,6 +13,7 @@ mod export;
 mod gap;
 mod gate;
 mod info;
+mod inputs;
 mod install;
 mod junit;
 mod machine;

@@ -3,10 +3,12 @@
 use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 
+use super::inputs::with_what_they_name;
 use super::settings::UsageError;
 use crate::recording::session_holding;
 
-/// Refuses to write into a capture, which is never changed once it is there, or over what is being read.
+/// Refuses to write into a capture, which is never changed once it is there, or over what is being read: the inputs and
+/// whatever files these name.
 pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<(), UsageError> {
     let refused = |why: String| Err(UsageError(format!("{}: {why}: choose another place", output.display())));
     if let Some(session) = session_holding(output) {
@@ -14,7 +16,7 @@ pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<(), UsageError> {
     }
     // What does not exist yet lies where its nearest existing folder lies.
     let place = std::path::absolute(output).ok().and_then(|path| nearest_existing(&path));
-    for input in inputs {
+    for input in &with_what_they_name(inputs) {
         let Ok(read) = input.canonicalize() else {
             // What is not there yet would be read once it is written.
             if is_same_place(output, input) {

@@ -56,8 +56,8 @@ pub struct ReplayArguments {
 }
 
 pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
-    let mut inputs = vec![arguments.source.as_path()];
-    inputs.extend(arguments.settings.files());
+    let named = arguments.settings.files();
+    let inputs: Vec<&Path> = named.iter().map(PathBuf::as_path).chain([arguments.source.as_path()]).collect();
     arguments.gate.check_outputs(&inputs)?;
     let outcome = replayed(arguments, json);
     outcome.inspect_err(|error| arguments.gate.tell_failure(error))

@@ -1,11 +1,12 @@
 //! The config file and the same keys on the command line.
 
-use std::path::Path;
+use std::path::PathBuf;
 
 use clap::Args;
 use glam::DVec2;
 use thiserror::Error;
 
+use super::inputs;
 use crate::config::{Formula, Model, MotionSource, Settings, SimdPath};
 use crate::geometry::{Field, Pose2};
 
@@ -57,9 +58,12 @@ pub struct SettingsArguments {
 }
 
 impl SettingsArguments {
-    /// Those that are named as files.
-    pub fn files(&self) -> impl Iterator<Item = &Path> {
-        [&self.config, &self.lens, &self.field].into_iter().flatten().map(Path::new).filter(|path| path.is_file())
+    /// All files that they name, the config's own among them.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let config = self.config.iter().map(PathBuf::from);
+        // Where they make no sense nothing is read after the config.
+        let named = self.resolve().map_or_else(|_| Vec::new(), |settings| inputs::files_of(&settings));
+        config.chain(named).collect()
     }
 
     /// Defaults, then the file, then the command line; checked once.

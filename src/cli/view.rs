@@ -1,6 +1,6 @@
 //! `realitysim view`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
@@ -128,7 +128,8 @@ struct Source {
 pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     let settings = arguments.config.as_deref().map_or(Ok(Settings::default()), Settings::load)?;
     for path in [Some(&arguments.output), arguments.mask.as_ref()].into_iter().flatten() {
-        check_output(path, &[&arguments.db])?;
+        let named = [&arguments.scene, &arguments.config].into_iter().flatten().map(Path::new);
+        check_output(path, &named.chain([arguments.db.as_path()]).collect::<Vec<_>>())?;
     }
     let mut wanted = wanted(arguments)?;
     let scene = arguments.scene.as_deref().map(scene::load).transpose()?;

@@ -1,5 +1,7 @@
 //! Field files: `config/fields/*.toml`. A new file there is a new field.
 
+use std::path::{Path, PathBuf};
+
 use include_dir::{Dir, include_dir};
 
 use super::ConfigError;
@@ -18,6 +20,16 @@ pub fn field_names() -> Vec<String> {
 pub fn load_field(path_or_name: &str) -> Result<FieldDimensions, ConfigError> {
     let source = SHIPPED.load(path_or_name)?;
     parse_field(&source.text, &source.name)
+}
+
+/// The file that is read for it; none of a shipped field.
+pub fn field_file(path_or_name: &str) -> Option<PathBuf> {
+    SHIPPED.file(path_or_name)
+}
+
+/// What a file at `path` means by this: its paths start at its own folder.
+pub fn field_seen_from(path: &Path, path_or_name: &str) -> String {
+    SHIPPED.seen_from(path, path_or_name)
 }
 
 /// The same from text; `name` is for messages.

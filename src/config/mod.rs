@@ -9,10 +9,10 @@ pub mod settings;
 mod source;
 
 pub use error::{ConfigError, LensFileError};
-pub use fields::{field_names, load_field, parse_field};
+pub use fields::{field_file, field_names, field_seen_from, load_field, parse_field};
 pub use lenses::{
-    LensFile, LensFormat, LensWanted, VisualMeshPose, lens_from_camera_info, lens_names, load_lens,
-    load_lens_for_image, parse_lens,
+    LensFile, LensFormat, LensWanted, VisualMeshPose, lens_file, lens_from_camera_info, lens_names, lens_seen_from,
+    load_lens, load_lens_for_image, parse_lens,
 };
 pub use settings::{
     BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, Formula, FrameNames, HeadSettings, Model, MotionModel,

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use include_dir::Dir;
 
@@ -34,15 +34,28 @@ impl Shipped {
 
     /// What exists as a file, or looks like a path by its ending or a folder, is a path; the rest is a shipped name.
     pub fn load(&self, path_or_name: &str) -> Result<Source, ConfigError> {
-        let path = Path::new(path_or_name);
-        let is_there = path.exists() && !path.is_dir();
-        if is_there || looks_like_a_path(path_or_name) {
+        if self.file(path_or_name).is_some() {
             return read(path_or_name);
         }
         match self.entries().find(|(name, _)| *name == path_or_name) {
             Some((name, text)) => Ok(Source { name: name.to_owned(), text: text.to_owned() }),
             None => Err(ConfigError::Unknown { kind: self.kind, name: path_or_name.to_owned(), known: self.names() }),
         }
+    }
+
+    /// What a file at `path` means by this: in a file, paths start at its own folder, wherever it is read.
+    pub fn seen_from(&self, path: &Path, path_or_name: &str) -> String {
+        let beside = path.parent().unwrap_or(Path::new("")).join(path_or_name).display().to_string();
+        if self.file(&beside).is_some_and(|file| file.is_file()) || looks_like_a_path(path_or_name) {
+            return beside;
+        }
+        path_or_name.to_owned()
+    }
+
+    /// The file that is read for it; none of a shipped name.
+    pub fn file(&self, path_or_name: &str) -> Option<PathBuf> {
+        let path = Path::new(path_or_name);
+        ((path.exists() && !path.is_dir()) || looks_like_a_path(path_or_name)).then(|| path.to_owned())
     }
 
     fn entries(&self) -> impl Iterator<Item = (&'static str, &'static str)> {

@@ -1,9 +1,12 @@
 //! What each effect of a scene costs in every frame.
+//!
+//! Time of the processor, in one thread: while others run, nothing is counted. A fixed loop in between tells how fast the
+//! machine is just then.
 
-use std::time::Instant;
-
+use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
+use super::calibration::{Calibration, REFERENCE_MS};
 use crate::scene::{Renderer, Scene, SceneError};
 
 #[derive(Clone, Debug, Serialize)]
@@ -13,6 +16,15 @@ pub struct SceneCost {
     /// In the order of the file; what each adds to those before it.
     pub effects: Vec<EffectCost>,
     pub total_ms: f64,
+    /// What the calibration loop took meanwhile.
+    pub loop_ms: f64,
+}
+
+impl SceneCost {
+    /// What a frame would take on the machine whose loop takes [`REFERENCE_MS`]: the same on a slow or busy one.
+    pub fn reference_ms(&self) -> f64 {
+        self.total_ms * REFERENCE_MS / self.loop_ms
+    }
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -40,15 +52,16 @@ pub fn measure(scene: &Scene) -> Result<SceneCost, SceneError> {
     let frames = scene.frame_count().clamp(1, FRAMES);
     let mut best = vec![vec![f64::INFINITY; frames as usize]; renderers.len()];
     let mut pixels = Vec::new();
+    let calibration = Calibration::new();
+    let mut loop_ms = f64::INFINITY;
     for _ in 0..ROUNDS {
         for frame in 0..frames {
+            loop_ms = loop_ms.min(processor_ms(|| calibration.run()));
             let index = frame * scene.frame_count() / frames;
             let pose = scene.truth(scene.frame_time_s(index)).map_from_camera_link;
             for (renderer, best) in renderers.iter().zip(&mut best) {
-                let started = Instant::now();
-                renderer.render_from(&pose, index, &mut pixels);
                 let best = &mut best[frame as usize];
-                *best = best.min(started.elapsed().as_secs_f64() * 1e3);
+                *best = best.min(processor_ms(|| renderer.render_from(&pose, index, &mut pixels)));
             }
         }
     }
@@ -62,5 +75,17 @@ pub fn measure(scene: &Scene) -> Result<SceneCost, SceneError> {
         bare_ms: means[0],
         effects: effects.iter().map(cost).collect(),
         total_ms: means.last().copied().unwrap_or(0.0),
+        loop_ms,
     })
+}
+
+/// Of this thread.
+fn processor_ms(work: impl FnOnce()) -> f64 {
+    let now_ms = || {
+        let time = clock_gettime(ClockId::ThreadCPUTime);
+        time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 * 1e-6
+    };
+    let started_ms = now_ms();
+    work();
+    now_ms() - started_ms
 }

@@ -1,6 +1,7 @@
 //! Judging: tags against the truth and against earlier ones, suites with limits, what accuracy costs, the paper's
 //! experiments, made-up views, and pictures of them.
 
+pub mod calibration;
 pub mod capture;
 pub mod compare;
 pub mod cost;

@@ -10,7 +10,7 @@ use super::contradictions;
 use super::effects;
 use super::file::{CameraSection, InitialPose, Route, SceneFile, Still, Walk};
 use super::places::Places;
-use super::ranges::{Per, Range};
+use super::ranges::{Per, Range, Template};
 use crate::geometry::{Field, FieldError, LensError};
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -35,6 +35,16 @@ impl SceneError {
             }
             other => other,
         }
+    }
+
+    /// Says with which numbers of the effect that is refused: nobody wrote these.
+    pub(super) fn with(self, template: &Template, value: impl Fn(&Range) -> f64) -> Self {
+        let Self::Value { line, key, value: found, expected } = self else { return self };
+        let effect = key.split([']', '.']).next().unwrap_or_default();
+        let own = template.ranges.iter().filter(|range| range.key.starts_with(&format!("{effect}]")));
+        let numbers: Vec<String> = own.map(|range| format!("{} = {}", range.name, value(range))).collect();
+        let with = if numbers.is_empty() { String::new() } else { format!("; may be drawn: {}", numbers.join(", ")) };
+        Self::Value { line, key, value: found, expected: format!("{expected}{with}") }
     }
 }
 
@@ -63,8 +73,12 @@ pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
     contradictions::check(file)
 }
 
+/// Places between the ends of every range that are tried. Most numbers are bounded by their ends; but a robot that is
+/// turned may leave the field half-way, and one span of time may pass another.
+const PLACES: u64 = 128;
+
 /// What may be drawn must be possible from end to end, whatever else is drawn: a scene that is right with one seed is
-/// right with all. `possible` is asked about the file with ends of its ranges in place of these.
+/// right with all. `possible` is asked about the file with ends of its ranges in place of these, and with places between.
 pub(super) fn ranges(
     file: &SceneFile,
     possible: impl Fn(SceneFile) -> Result<(), SceneError>,
@@ -73,14 +87,22 @@ pub(super) fn ranges(
     for range in template.ranges.iter().filter(|range| range.per == Per::Frame) {
         effects::check_may_change(range)?;
     }
+    let tried = |value: &dyn Fn(&Range) -> f64| {
+        let mut effects = SceneFile::effects_with(template, value)?;
+        // A scene with its first effects alone has the text of all.
+        effects.truncate(file.effects.len());
+        possible(SceneFile { effects, template: None, ..file.clone() })
+    };
     let ends = |range: &Range| [range.low, range.high];
     for range in &template.ranges {
         for (own, others) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-            let value = |other: &Range| ends(other)[if other == range { own } else { others }];
-            let mut effects = SceneFile::effects_with(template, value)?;
-            // A scene with its first effects alone has the text of all.
-            effects.truncate(file.effects.len());
-            possible(SceneFile { effects, template: None, ..file.clone() })?;
+            tried(&|other| ends(other)[if other == range { own } else { others }])?;
+        }
+    }
+    if template.has(Per::Episode) {
+        for place in 0..PLACES {
+            let value = |range: &Range| template.between(range, place, PLACES);
+            tried(&value).map_err(|error| error.with(template, value))?;
         }
     }
     Ok(())

@@ -9,6 +9,7 @@ use toml::de::DeTable;
 
 use super::SceneError;
 use super::effects::Effect;
+use super::misread;
 use super::places::Places;
 use super::ranges::{Range, Template};
 
@@ -124,7 +125,8 @@ impl SceneFile {
             let template = Template::new(text, table.get_ref(), &places)?;
             (places, template)
         };
-        let file: Self = toml::from_str(&template.filled(|range| template.value(range, 0))).map_err(told)?;
+        let text = template.filled(|range| template.value(range, 0));
+        let file: Self = toml::from_str(&text).map_err(|error| told(misread::nearer(error, &text)))?;
         Ok(Self { places, template: Some(template), ..file })
     }
 

@@ -9,6 +9,7 @@ mod contradictions;
 pub mod effects;
 mod events;
 pub mod file;
+mod misread;
 mod motion;
 mod places;
 mod ranges;
@@ -70,7 +71,11 @@ impl Scene {
         // Before what was drawn: a message has the number that stands in the file.
         check::ranges(&file, |file| Self::assemble(file, field.clone(), lens.clone()).map(drop))?;
         contradictions::do_something(&file.effects)?;
-        Self::assemble(file, field, lens)
+        let template = file.template.clone();
+        Self::assemble(file, field, lens).map_err(|error| match &template {
+            Some(template) => error.with(template, |range| template.value(range, 0)),
+            None => error,
+        })
     }
 
     fn assemble(file: SceneFile, field: Field, lens: Lens) -> Result<Self, SceneError> {

@@ -11,7 +11,7 @@ use toml::de::{DeTable, DeValue};
 use super::SceneError;
 use super::check::refuse;
 use super::places::Places;
-use super::stream::{Purpose, Stream};
+use super::stream::{self, Purpose, Stream};
 
 /// The file's text with the places where numbers have to be filled in.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -110,17 +110,16 @@ impl Template {
             Per::Episode => 0,
             Per::Frame => frame + 1,
         };
-        // Not the place in the file: what stands before it must not matter.
-        let what = format!("{}.{}", range.kind, range.name);
-        let hash = what.bytes().fold(0xCBF2_9CE4_8422_2325, |hash: u64, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3)
-        });
-        let index = hash.wrapping_add(frame.wrapping_mul(0xD134_2543_DE82_EF95));
-        let mut stream = Stream::new(self.seed, Purpose::Ranges, index);
-        if range.whole {
-            return libm::floor(stream.between(range.low, range.high + 1.0)).min(range.high);
-        }
-        stream.between(range.low, range.high)
+        let index = range.hash().wrapping_add(frame.wrapping_mul(0xD134_2543_DE82_EF95));
+        range.at(Stream::new(self.seed, Purpose::Ranges, index).uniform())
+    }
+
+    /// One of so many places: each range is gone through evenly from end to end, and in an order of its own, so that
+    /// any two meet in many ways. The same with every seed.
+    pub(super) fn between(&self, range: &Range, place: u64, places: u64) -> f64 {
+        let key = Stream::new(0, Purpose::Ranges, range.hash()).key();
+        let before = (0..places).filter(|other| stream::at(key, *other) < stream::at(key, place)).count();
+        range.at((before as f64 + 0.5) / places as f64)
     }
 
     /// Whether anything is drawn so often.
@@ -159,6 +158,23 @@ impl Template {
         }
         text.push_str(&self.text[done..]);
         text
+    }
+}
+
+impl Range {
+    /// Of what it is, not of its place in the file: what stands before it must not matter.
+    fn hash(&self) -> u64 {
+        let what = format!("{}.{}", self.kind, self.name);
+        what.bytes()
+            .fold(0xCBF2_9CE4_8422_2325, |hash: u64, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3))
+    }
+
+    /// The number at a share of the way from end to end, below 1.
+    fn at(&self, share: f64) -> f64 {
+        if self.whole {
+            return libm::floor(self.low + (self.high + 1.0 - self.low) * share).min(self.high);
+        }
+        self.low + (self.high - self.low) * share
     }
 }
 

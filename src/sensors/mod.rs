@@ -7,6 +7,7 @@ mod body_mask;
 pub mod camera;
 pub mod clock;
 pub mod decode;
+pub mod encode;
 pub mod history;
 pub mod host_clock;
 pub mod intake;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::{DQuat, DVec3};
 use thiserror::Error;
 
-use crate::config::{Topics, load_field, load_lens};
+use crate::config::{Topics, field_seen_from, lens_seen_from, load_field, load_lens};
 use crate::geometry::{Isometry, LensModel, LensParameters};
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
@@ -51,10 +51,12 @@ pub fn load(path: impl AsRef<Path>) -> Result<Scene, SceneSourceError> {
     }
 }
 
-/// The same from text; `name` is for messages.
+/// The same from text; `name` is for messages, and where paths in it start.
 pub fn parse(text: &str, name: &str) -> Result<Scene, SceneSourceError> {
     let scene = |source| SceneSourceError::Scene { path: name.to_owned(), source };
-    let file = SceneFile::from_toml(text).map_err(scene)?;
+    let mut file = SceneFile::from_toml(text).map_err(scene)?;
+    file.scene.field = field_seen_from(Path::new(name), &file.scene.field);
+    file.camera.lens = lens_seen_from(Path::new(name), &file.camera.lens);
     let refused = |key: &str, source| {
         let place = file.line(key).map_or_else(|| name.to_owned(), |line| format!("{name}: line {line}"));
         SceneSourceError::Config { place, source }

@@ -138,6 +138,15 @@ fn what_comes_late_or_in_between_can_be_left_out() {
     room.run("check suite.toml").fails(1, &["max_cm is"]);
 }
 
+/// A minute of replays is no time to find that out after.
+#[test]
+fn results_that_could_not_be_written_are_refused_before_anything_runs() {
+    let room = room_with(&(format!("limits = {{ {EASY} }}\n") + &case("log.mcap", "")));
+    let run = room.run("check suite.toml --junit none/out.xml").fails(2, &["none/out.xml", "make it first"]);
+    assert!(!run.stderr.contains("1/1"), "{run:?}");
+    room.run("replay log.mcap --check tags.jsonl --junit none/out.xml").fails(2, &["none/out.xml", "make it first"]);
+}
+
 #[test]
 fn a_case_is_held_to_its_reference() {
     let room = room_with(&case("log.mcap", "reference = \"tags.jsonl\""));

@@ -91,6 +91,44 @@ fn an_incident_of_five_seconds_out_of_a_long_recording_is_small() {
     assert_same(&again, &wanted, "the incident");
 }
 
+/// A repository is no place for megabytes of sensor noise.
+#[test]
+fn a_piece_with_images_encoded_anew_is_smaller_and_a_test_of_its_own() {
+    let bytes = |room: &Room, name: &str| fs::metadata(room.path(name)).unwrap().len();
+    let raw = Room::new();
+    raw.write_scene("scene.toml", |text| text.replace("jpeg_quality = 90\n", ""));
+    raw.run("sim scene.toml -o log.mcap").succeeds();
+    // Beside a quarter of a usual picture's pixels what other sensors say counts.
+    for (room, times) in [(Room::with_walk(), 1.5), (raw, 10.0)] {
+        room.run("cut log.mcap --from 1 --to 3 -o whole.mcap").succeeds();
+        room.run("cut log.mcap --from 1 --to 3 --jpeg-quality 50 -o small.mcap").succeeds();
+        let (whole, small) = (bytes(&room, "whole.mcap"), bytes(&room, "small.mcap"));
+        assert!(times * (small as f64) < whole as f64, "{small} of {whole}");
+        let images = |name: &str| -> Vec<Vec<u8>> {
+            let messages = read_log(&room.path(name));
+            messages.into_iter().filter(|m| m.channel.type_name.ends_with("Image")).map(|m| m.data).collect()
+        };
+        assert_eq!(on(&read_log(&room.path("small.mcap")), TRUTH).count(), images("small.mcap").len());
+        let [a, b] = ["whole.mcap", "small.mcap"].map(|piece| room.replay(piece).tags);
+        let stamps = |tags: &[FrameTag]| tags.iter().map(|tag| tag.header.stamp).collect::<Vec<_>>();
+        assert_eq!(stamps(&a), stamps(&b));
+        for (a, b) in a.iter().zip(&b) {
+            assert_eq!(a.valid, b.valid);
+            let [a, b] = [a, b].map(|tag| tag.pose.pose.position);
+            assert!((a.x - b.x).hypot(a.y - b.y) < 0.05, "{a:?} {b:?}");
+        }
+        // Once more would make nothing smaller: what is there stays, and the gate holds it.
+        room.run("replay small.mcap --check tags.jsonl --bless").succeeds();
+        room.run("cut small.mcap --from 0 --to 3 --jpeg-quality 100 -o again.mcap").succeeds();
+        assert!(images("small.mcap") == images("again.mcap"));
+        room.run("replay small.mcap --check tags.jsonl").succeeds();
+        for quality in ["0", "101", "x"] {
+            room.run(&format!("cut log.mcap --from 1 --to 2 --jpeg-quality {quality} -o x.mcap"))
+                .fails(2, &["--jpeg-quality"]);
+        }
+    }
+}
+
 #[test]
 fn what_is_not_there_cannot_be_cut() {
     let room = Room::with_walk();

@@ -48,6 +48,51 @@ fn nothing_is_written_over_what_is_read() {
     }
 }
 
+/// By whatever way a command comes to read it.
+#[test]
+fn nothing_is_written_over_what_an_input_names() {
+    let room = Room::with_walk();
+    room.write_scene("scene.toml", |text| text.replace("\"kid-2009\"", "\"field.toml\""));
+    room.write("field.toml", include_str!("../../config/fields/kid-2009.toml"));
+    room.write("robot.toml", "camera = { lens = \"lens.toml\", body_mask = [{ png = \"body.png\" }] }\n");
+    image::RgbImage::from_pixel(320, 240, image::Rgb([255; 3])).save(room.path("body.png")).unwrap();
+    image::RgbImage::new(8, 8).save(room.path("image.png")).unwrap();
+    let limits = "limits = { mean_cm = 100.0 }\n";
+    let case = |source: &str, rest: &str| format!("{limits}[[case]]\nsource = \"{source}\"\n{rest}");
+    room.write("scenes.toml", case("scene.toml", ""));
+    room.write("logs.toml", case("log.mcap", "config = \"robot.toml\"\n"));
+    let gate = "replay log.mcap --check";
+    for (command, file) in [
+        ("sim scene.toml -o lens.toml", "lens.toml"),
+        ("sim scene.toml -o field.toml", "field.toml"),
+        ("scene apply scene.toml --image image.png -o scene.toml", "scene.toml"),
+        ("check scenes.toml --junit lens.toml", "lens.toml"),
+        ("check scenes.toml --junit ./field.toml", "field.toml"),
+        ("check logs.toml --junit lens.toml", "lens.toml"),
+        ("check logs.toml --junit body.png", "body.png"),
+        (&format!("{gate} lens.toml --bless --config robot.toml"), "lens.toml"),
+        (&format!("{gate} body.png --bless --config robot.toml"), "body.png"),
+        (&format!("{gate} field.toml --bless --set field=field.toml"), "field.toml"),
+        (&format!("{gate} lens.toml --bless --lens lens.toml#cam0"), "lens.toml"),
+        (&format!("{gate} tags.jsonl --junit lens.toml --set camera.lens=lens.toml"), "lens.toml"),
+        ("replay scene.toml --check lens.toml --bless", "lens.toml"),
+        ("cut log.mcap --from 1 --to 2 --config robot.toml -o lens.toml", "lens.toml"),
+    ] {
+        let before = fs::read(room.path(file)).unwrap();
+        room.run(command).fails(2, &["would be written over", "choose another place"]).fails(2, &[file]);
+        assert!(fs::read(room.path(file)).unwrap() == before, "{command}");
+    }
+    room.run("replay log.mcap --check tags.jsonl --bless").succeeds();
+    // What is not understood may name anything: its failure is told, and nothing is lost.
+    room.write_scene("scene.toml", |text| text + "nonsense");
+    room.write("robot.toml", "camera = { lens = \"lens.toml\", nonsense = 1 }\n");
+    let before = fs::read(room.path("lens.toml")).unwrap();
+    for command in ["replay scene.toml --check tags.jsonl", "replay log.mcap --config robot.toml --check tags.jsonl"] {
+        room.run(&format!("{command} --junit lens.toml")).fails(2, &["nonsense", "lens.toml: not written"]);
+        assert!(fs::read(room.path("lens.toml")).unwrap() == before, "{command}");
+    }
+}
+
 #[test]
 fn a_place_that_cannot_be_written_is_named_with_what_to_do() {
     let room = Room::with_walk();

@@ -2,7 +2,13 @@
 
 use std::fs;
 
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use realitysim::evaluation::calibration::REFERENCE_MS;
 use realitysim::ros2::messages::DiagnosticArray;
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
 
 use super::support::{IMAGE, ODOMETRY, Room, assert_same, decode_all, on, read_capture, read_log};
 
@@ -33,6 +39,32 @@ fn check_tells_effects_numbers_and_costs() {
     let run = room.run("scene check scene.toml --max-ms 100000").succeeds();
     assert!(run.stdout.contains("serial_noise") && run.stdout.contains("lost_share = 0.1"), "{run:?}");
     room.run("scene check scene.toml --max-ms 0.0001").fails(1, &["scene.toml: a frame takes", "allowed are 0.0001"]);
+}
+
+/// A limit in a CI file is for every machine that runs it: here one that lets the program work a third of the time.
+#[test]
+fn a_limit_of_time_does_not_count_what_else_the_machine_does() {
+    let room = room_with("kind = \"obstacles\"\nrandom = 4");
+    let number = |report: &Value, key: &str| report[key].as_f64().unwrap();
+    let free = room.run("scene check scene.toml --json").succeeds().json();
+    let reference_ms = number(&free, "reference_ms");
+    let expected = number(&free, "total_ms") * REFERENCE_MS / number(&free, "loop_ms");
+    assert!((reference_ms / expected - 1.0).abs() < 1e-9, "{free}");
+
+    let mut command = Command::new(env!("CARGO_BIN_EXE_realitysim"));
+    command.args(["scene", "check", "scene.toml", "--json", "--max-ms", &(2.0 * reference_ms).to_string()]);
+    let mut child = command.current_dir(room.path("")).stdout(Stdio::piped()).spawn().unwrap();
+    let pid = Pid::from_child(&child);
+    while child.try_wait().unwrap().is_none() {
+        for (signal, for_ms) in [(Signal::STOP, 6), (Signal::CONT, 3)] {
+            // It may be gone by now.
+            let _ = kill_process(pid, signal);
+            std::thread::sleep(Duration::from_millis(for_ms));
+        }
+    }
+    let output = child.wait_with_output().unwrap();
+    let held_up: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(output.status.success(), "{free} {held_up}");
 }
 
 #[test]
@@ -159,6 +191,26 @@ fn check_shows_what_changes_with_every_frame_as_a_range() {
     for wrong in ["nan", "0", "-1", "inf", "x"] {
         room.run(&format!("scene check scene.toml --max-ms={wrong}")).fails(2, &["--max-ms", "above 0"]);
     }
+}
+
+/// As a suite's paths: the file means the same whoever reads it from where.
+#[test]
+fn paths_in_a_scene_start_at_its_folder() {
+    let room = Room::new();
+    fs::create_dir_all(room.path("robot/scenes")).unwrap();
+    room.write_scene("robot/scenes/walk.toml", |text| {
+        text.replace("\"lens.toml\"", "\"../lens.toml\"").replace("\"kid-2009\"", "\"field.toml\"")
+    });
+    fs::rename(room.path("lens.toml"), room.path("robot/lens.toml")).unwrap();
+    room.write("robot/scenes/field.toml", include_str!("../../config/fields/kid-2009.toml"));
+    room.write("robot/suite.toml", "[[case]]\nsource = \"scenes/walk.toml\"\nlimits = { mean_cm = 5.0 }\n");
+    room.run("sim robot/scenes/walk.toml -o log.mcap").succeeds();
+    room.run("check robot/suite.toml").succeeds();
+    for file in ["robot/lens.toml", "robot/scenes/field.toml"] {
+        room.run(&format!("sim robot/scenes/walk.toml -o {file}")).fails(2, &["would be written over"]);
+    }
+    fs::rename(room.path("robot/lens.toml"), room.path("lens.toml")).unwrap();
+    room.run("scene check robot/scenes/walk.toml").fails(2, &["line 9: robot/scenes/../lens.toml: cannot be read"]);
 }
 
 #[test]

@@ -11,6 +11,7 @@ mod properties;
 mod ranges;
 mod refusals;
 mod shelf;
+mod stored;
 mod told;
 mod upon_views;
 mod world;

@@ -223,6 +223,39 @@ fn both_ends_of_a_range_are_held_to_the_route_whatever_is_drawn() {
     }
 }
 
+/// Where the ends allow it and what is between them does not.
+#[test]
+fn what_is_between_the_ends_of_a_range_is_held_to_the_route_whatever_is_drawn() {
+    let open = |low: f64, high: f64| format!("{{ uniform = [{low}, {high}], per = \"episode\" }}");
+    let taken =
+        |at: &str, yaw: &str| format!("kind = \"kidnapping\"\nto_m = [-2.5, 1.5]\nto_yaw_deg = {yaw}\nat_s = {at}");
+    // Along the touchline at either end; half-way over it, by more than a metre.
+    let turned = taken("10", &open(-360.0, 0.0));
+    let both = taken(&open(8.0, 10.0), &open(0.0, 359.0));
+    let fallen = format!(
+        "{SWAY}\n[[effect]]\nkind = \"fall\"\nat_s = 12\ndirection = \"left\"\nmoved_m = [0, 1.5]\nturned_deg = {}",
+        open(-180.0, 180.0)
+    );
+    let passing = format!(
+        "{ODOMETRY}\nfreeze = {{ from_s = 10, for_s = 1 }}\nmissing = {{ from_s = {}, for_s = 1 }}",
+        open(3.0, 20.0)
+    );
+    for seed in 0..12 {
+        for (effects, words) in [
+            (&turned, ["effect[0]: the route", "may be drawn: to_yaw_deg = "]),
+            (&both, ["effect[0]: the route", "may be drawn: "]),
+            (&fallen, ["effect[1]: the route", "may be drawn: turned_deg = "]),
+            (&passing, ["cannot be frozen and missing at the same time", "may be drawn: "]),
+        ] {
+            let toml = with_effects(&plain(STRAIGHT), &[effects]).replace("seed = 20130601", &format!("seed = {seed}"));
+            let built = SceneFile::from_toml(&toml).and_then(|file| Scene::build(file, kid_2009(), fisheye_640()));
+            let message = built.map(drop).expect_err(effects).to_string();
+            assert!(words.iter().all(|word| message.contains(word)), "{effects:?}: {message}");
+            assert!(message.starts_with("line "), "{message}");
+        }
+    }
+}
+
 #[test]
 fn of_a_count_whole_numbers_are_drawn_both_ends_among_them() {
     let crowd = |ends: &str| format!("kind = \"obstacles\"\nrandom = {{ uniform = {ends}, per = \"episode\" }}");

@@ -46,6 +46,35 @@ fn refused(effect: &str) -> String {
     refusal(&with_effects(&plain(STRAIGHT), &[effect]))
 }
 
+/// Not the line where its table begins.
+#[test]
+fn a_key_that_cannot_be_read_is_refused_with_its_own_line() {
+    let first = plain(STRAIGHT).lines().count() + 2;
+    for (effect, line, words) in [
+        ("kind = \"light\"\ngain = 0.5\ngian = 3", 3, "unknown field `gian`"),
+        ("kind = \"light\"\ngain = \"much\"", 2, "invalid type: string \"much\""),
+        ("kind = \"light\"\ngain = 0.5\n\ncolour = [1, 2]", 4, "invalid length 2"),
+        ("kind = \"kidnapping\"\nto_m = [0, 0]\nto_yaw_deg = 0\nat_s = 5\nlift = 1", 5, "unknown field `lift`"),
+        ("kind = \"obstacles\"\nfigures = [\n{ shape = \"robot\" },\n{ shape = \"dog\" },\n]", 4, "variant `dog`"),
+        ("kind = \"odometry_error\"\nscale_percent = 5\njump = { at_s = 1, x = 2 }", 3, "unknown field `x`"),
+        ("kind = \"light\"\nrole = \"main\"\ngain = 0.5", 2, "unknown variant `main`"),
+        ("role = \"base\"\nkind = \"snow\"", 2, "unknown variant `snow`"),
+    ] {
+        // A sound one before it, and one behind it with a mistake of its own.
+        let sway = "kind = \"gait_sway\"\nroll_deg = 2\npitch_deg = 1\nlateral_m = 0\nvertical_m = 0\nstep_hz = 2";
+        let message = refusal(&with_effects(&plain(STRAIGHT), &[effect, "kind = \"light\"\nglow = 1"]));
+        assert!(message.contains(&format!("line {},", first + line)) && message.contains(words), "{effect}: {message}");
+        let message = refusal(&with_effects(&plain(STRAIGHT), &[sway, effect]));
+        assert!(
+            message.contains(&format!("line {},", first + 8 + line)) && message.contains(words),
+            "{effect}: {message}"
+        );
+    }
+    let message = changed("turn_deg_s", "turns_deg_s");
+    let line = STRAIGHT.lines().position(|line| line.starts_with("turn_deg_s")).expect("a line") + 1;
+    assert!(message.contains(&format!("line {line},")) && message.contains("unknown field `turns_deg_s`"), "{message}");
+}
+
 #[test]
 fn effects_out_of_range_name_key_and_value() {
     let dark = "kind = \"light\"\ngain = ";

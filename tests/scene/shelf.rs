@@ -44,6 +44,34 @@ fn every_effect_has_its_picture_and_its_cost_in_the_documentation() {
     }
 }
 
+/// The figures come from commands that are there and are named beside them.
+#[test]
+fn the_commands_that_give_the_costs_are_named_beside_them() {
+    let text = fs::read_to_string("docs/scenes.md").expect("readable");
+    let costs = text.split("## What a frame costs").nth(1).expect("a part about costs");
+    assert!(costs.contains("cargo bench --bench scenes -- --write docs/scenes.md"));
+    let manifest = fs::read_to_string("Cargo.toml").expect("readable");
+    assert!(manifest.contains("[[bench]]\nname = \"scenes\"\n"));
+    let counted = costs.split("<!-- begin: bench scenes -->").nth(1).expect("a mark");
+    let counted = counted.split("<!-- end: bench scenes -->").next().unwrap_or_default();
+    let program = fs::read_to_string("benches/scenes.rs").expect("readable");
+    let program: String = program.split("const ROWS").nth(1).expect("its rows").to_owned();
+    let rows: Vec<&str> = counted.lines().filter_map(|line| line.strip_prefix("| `")?.split(" | ").next()).collect();
+    assert!(rows.len() >= effects().len(), "{rows:?}");
+    rows.iter().for_each(|row| assert!(program.contains(&format!("\"`{row}\"")), "{row} is not measured"));
+
+    assert!(costs.contains("realitysim scene check replay/scenes/NAME.toml"));
+    let timed = costs.split("| effect | ms more | scene |").nth(1).expect("a table");
+    for row in timed.lines().skip(2).take_while(|line| line.starts_with("| `")) {
+        let cells: Vec<&str> = row.split('`').collect();
+        let effect = cells[1];
+        for scene in cells[2..].iter().skip(1).step_by(2) {
+            let shelf = fs::read_to_string(format!("replay/scenes/{scene}.toml")).expect(scene);
+            assert!(shelf.contains(&format!("kind = \"{effect}\"")), "{scene} has no {effect}");
+        }
+    }
+}
+
 #[test]
 fn every_scene_of_the_shelf_is_held_to_limits() {
     let suite = Suite::load(Path::new("replay/shelf.toml")).expect("a suite");

@@ -74,7 +74,9 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     let started = Instant::now();
     let configured = arguments.settings.resolve()?;
     let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "cost")).transpose()?;
-    paths::check_output(&arguments.output, &[&arguments.source])?;
+    let named = arguments.settings.files();
+    let inputs = named.iter().chain([&arguments.source]).chain(&arguments.truth).map(PathBuf::as_path);
+    paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;
     paths::make_folder(&arguments.output)?;
     let wish = match (arguments.budget_ms, arguments.accuracy_cm) {
         (None, None) => Wish { budget_ms: Some(DEFAULT_BUDGET_MS), accuracy_cm: None },

@@ -1,6 +1,6 @@
 //! `realitysim scene apply`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
@@ -41,7 +41,7 @@ const USUAL_QUALITY: u8 = 90;
 
 pub fn run(arguments: &ApplyArguments, json: bool) -> anyhow::Result<Outcome> {
     let ApplyArguments { image, output: path, frame, .. } = arguments;
-    paths::check_output(path, &[image])?;
+    paths::check_output(path, &[image, Path::new(&arguments.scene)])?;
     let scene = scene::load(&arguments.scene)?;
     let stored = std::fs::read(image).map_err(|error| paths::cannot_read(image, error))?;
     let (applied, left_out) = scene.effects_on_images();

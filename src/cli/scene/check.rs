@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use crate::cli::{Outcome, machine, output};
 use crate::config::SimdPath;
+use crate::evaluation::calibration::REFERENCE_MS;
 use crate::evaluation::effect_cost::{self, SceneCost};
 use crate::scene::{Role, Scene};
 use crate::sensors::scene;
@@ -15,13 +16,16 @@ use crate::sensors::scene;
 /// Check a scene file; print its effects, all numbers as drawn, and what each costs per frame
 ///
 /// Whatever is wrong with the file is told with its line and what would be right (exit code 2). Milliseconds are measured
-/// now, on this machine, in one thread: the best of five times on six frames, with and without each effect.
+/// now, on this machine, of one thread's processor: the best of five times on six frames, with and without each effect.
+///
+/// A limit must hold on every machine, so --max-ms is not held against these, but against what they would be on the machine
+/// of docs/scenes.md, by how fast a fixed loop runs here meanwhile.
 #[derive(Args)]
 pub struct CheckArguments {
     /// A scene file
     #[arg(value_name = "SCENE")]
     scene: String,
-    /// Exit code 1 if a frame takes longer to render
+    /// Exit code 1 if a frame takes longer to render, in milliseconds of the reference machine
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     max_ms: Option<f64>,
 }
@@ -37,6 +41,9 @@ struct Report<'a> {
     effects: Vec<EffectReport>,
     bare_ms: f64,
     total_ms: f64,
+    /// Of the calibration loop.
+    loop_ms: f64,
+    reference_ms: f64,
     max_ms: Option<f64>,
     machine: String,
 }
@@ -51,9 +58,14 @@ struct EffectReport {
     ms: Option<f64>,
 }
 
+/// Before a limit of time is taken for broken.
+const ATTEMPTS: usize = 3;
+
 pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
     let scene = scene::load(&arguments.scene)?;
-    let SceneCost { bare_ms, effects, total_ms } = effect_cost::measure(&scene)?;
+    let cost = measured(&scene, arguments.max_ms)?;
+    let reference_ms = cost.reference_ms();
+    let SceneCost { bare_ms, effects, total_ms, loop_ms } = cost;
     let values = values(&scene)?;
     let file = scene.file();
     let effects = file.effects.iter().zip(effects).zip(values).map(|((effect, cost), values)| {
@@ -73,6 +85,8 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
         effects: effects.collect(),
         bare_ms,
         total_ms,
+        loop_ms,
+        reference_ms,
         max_ms: arguments.max_ms,
         machine: machine::described(SimdPath::Auto),
     };
@@ -82,12 +96,31 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&for_people(&report))?
     }
     match arguments.max_ms {
-        Some(max_ms) if total_ms > max_ms => {
-            eprintln!("realitysim: {}: a frame takes {total_ms:.2} ms, allowed are {max_ms}", arguments.scene);
+        Some(max_ms) if reference_ms > max_ms => {
+            eprintln!(
+                "realitysim: {}: a frame takes {reference_ms:.2} ms of the reference machine ({total_ms:.2} here), \
+                 allowed are {max_ms}",
+                arguments.scene
+            );
             Ok(Outcome::NotReached)
         }
         _ => Ok(Outcome::Whole),
     }
+}
+
+/// What disturbs comes and goes: only what is too slow every time is.
+fn measured(scene: &Scene, max_ms: Option<f64>) -> anyhow::Result<SceneCost> {
+    let mut best = effect_cost::measure(scene)?;
+    for _ in 1..ATTEMPTS {
+        if max_ms.is_none_or(|max_ms| best.reference_ms() <= max_ms) {
+            break;
+        }
+        let again = effect_cost::measure(scene)?;
+        if again.reference_ms() < best.reference_ms() {
+            best = again;
+        }
+    }
+    Ok(best)
 }
 
 fn milliseconds(text: &str) -> Result<f64, String> {
@@ -127,7 +160,10 @@ fn for_people(report: &Report) -> String {
         let values: Vec<String> = values.iter().map(|(key, value)| format!("{key} = {}", shortened(value))).collect();
         text.push_str(&format!("  {kind:<20} {:<7} {ms:>8}  {}\n", role.unwrap_or("-"), values.join(", ")));
     }
-    text.push_str(&format!("  {:<20} {:<7} {:>8.2}\n\n{}", "all", "", report.total_ms, report.machine));
+    text.push_str(&format!(
+        "  {:<20} {:<7} {:>8.2}\n  {:<20} {:<7} {:>8.2}\n\n{}; its loop takes {:.2} ms, that of the reference {REFERENCE_MS}",
+        "all", "", report.total_ms, "on the reference", "", report.reference_ms, report.machine, report.loop_ms
+    ));
     text
 }
 

@@ -8,6 +8,7 @@ mod ros;
 mod visual_mesh;
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 use include_dir::{Dir, include_dir};
 use serde::de::{DeserializeOwned, IgnoredAny};
@@ -70,6 +71,18 @@ pub fn load_lens(path_or_name: &str) -> Result<LensFile, ConfigError> {
 /// The lens for an image of this size: a VisualMesh file needs to be told, the others must agree.
 pub fn load_lens_for_image(path_or_name: &str, width: u32, height: u32) -> Result<LensFile, ConfigError> {
     load(path_or_name, Some([width, height]))
+}
+
+/// What a file at `path` means by this: its paths start at its own folder.
+pub fn lens_seen_from(path: &Path, path_or_name: &str) -> String {
+    let (file, camera) = split_camera(path_or_name);
+    let seen = SHIPPED.seen_from(path, file);
+    camera.map_or_else(|| seen.clone(), |camera| format!("{seen}#{camera}"))
+}
+
+/// The file that is read for it; none of a shipped lens.
+pub fn lens_file(path_or_name: &str) -> Option<PathBuf> {
+    SHIPPED.file(split_camera(path_or_name).0)
 }
 
 fn load(path_or_name: &str, image_size: Option<[u32; 2]>) -> Result<LensFile, ConfigError> {
