@@ -228,7 +228,7 @@ fn the_doctor_names_what_is_wrong_and_what_to_do() {
     room.write_scene("scene.toml", |text| text);
     let cable = crate::serial::Cable::new();
     let ports = format!("[serial]\nports = [{{ device = \"{}\", baud = 115200 }}]\n", cable.ends[1]);
-    room.write("robot.toml", format!("{config}{ports}"));
+    room.write("robot.toml", format!("{CONFIG}{ports}"));
     let examined = room.run("doctor -o captures --config robot.toml --json");
     assert_eq!(examined.code, Some(1), "{examined:?}");
     let findings = examined.json();

@@ -238,7 +238,7 @@ def has_repaired_itself(robot):
     machine.ok("systemctl stop realitysim", 30)
     torn = machine.ok(f"find {CAPTURES} -name '*.active'")
     assert not torn, torn
-    code, text = machine.run(f"realitysim sessions verify {CAPTURES}", 200)
+    code, text = machine.run(f"realitysim sessions verify --captures {CAPTURES}", 200)
     assert code == 0, text
     print("+ what the cuts left is whole again", flush=True)
 
