@@ -10,7 +10,7 @@ import sys
 import time
 
 from machine import Machine, captures, connect, new_data_disk
-from walk import Microcontroller, Walk, ns, recorded
+from walk import Microcontroller, Relay, Walk, ns, recorded
 
 PROGRAM, FOLDER = os.path.realpath(sys.argv[1]), os.path.realpath(sys.argv[2])
 SHORT = "--short" in sys.argv[3:]
@@ -34,6 +34,7 @@ def main():
         survives_its_camera(robot)
         survives_a_usb_port(robot)
         session = tags_a_walk(robot)
+        plays_the_walk_to_itself(robot, session)
         survives_a_hang_and_a_kill(robot)
         survives_a_full_disk(robot)
         robot.machine.ok("sync")
@@ -178,6 +179,28 @@ def tags_a_walk(robot):
     assert status["counts"]["valid"] >= 10, machine.journal(30)
     machine.ok("rm /run/systemd/system/realitysim.service.d/initial.conf; systemctl daemon-reload")
     return os.path.basename(status["session"])
+
+
+def plays_the_walk_to_itself(robot, session):
+    """To a loopback camera, and out over the UART, from where it comes back over USB: tagged as the first time."""
+    machine = robot.machine
+    machine.ok("systemctl stop realitysim", 30)
+    robot.board.stop()
+    relay = Relay(*(connect(os.path.join(FOLDER, name)) for name in ("s1.sock", "usb.sock")))
+    relay.start()
+    machine.ok("sed 's#^device = .*#device = \"/dev/video10\"#; /^republish/d; /^controls/d; s#{ device = .*mcu[^}]*}, ##' "
+               "/etc/realitysim/robot.toml > /run/again.toml; mkdir -p /run/realitysim")
+    machine.ok("realitysim record --config /run/again.toml -o /run/again --initial=-2.0,0.1,9.5 > /run/record.log 2>&1 & "
+               "echo $! > /run/record")
+    # Both names of the rules may point to the USB port now.
+    machine.ok(f"realitysim play {CAPTURES}/{session} --video /dev/video10 --serial /dev/ttyS1 > /run/play.log 2>&1 & echo $! > /run/play")
+    used = lambda status: status["ports"].get("/dev/ttyUSB0", {}).get("used", {})
+    status = machine.until("the walk is played to itself", 120, lambda s: s["counts"]["valid"] >= 10 and used(s).get("ODOMETRY", 0) > 50)
+    print(" ", status["camera"]["format"], json.dumps(status["counts"]), json.dumps(used(status)), flush=True)
+    machine.run("kill -INT $(cat /run/play /run/record) 2>/dev/null; sleep 3; rm -r /run/again", 60)
+    relay.stop()
+    robot.board = robot.plug("s1.sock")
+    machine.ok("systemctl start realitysim", 60)
 
 
 def survives_a_hang_and_a_kill(robot):

@@ -175,6 +175,28 @@ class Microcontroller(threading.Thread):
         self.link.close()
 
 
+class Relay(threading.Thread):
+    """A wire from one line to the other."""
+
+    def __init__(self, source, target):
+        super().__init__(daemon=True)
+        self.source, self.target = source, target
+
+    def run(self):
+        try:
+            while data := self.source.recv(4096):
+                self.target.sendall(data)
+        except OSError:
+            # Unplugged.
+            pass
+
+    def stop(self):
+        self.source.shutdown(socket.SHUT_RDWR)
+        self.join(5)
+        self.source.close()
+        self.target.close()
+
+
 def ned_from_frd(q):
     """An attitude of REP 103 (FLU in ENU) as aviation says it: w, x, y, z."""
     h = 0.5 ** 0.5

@@ -23,6 +23,8 @@ use super::{BufferInfo, CameraError, CameraOptions, Driver, Negotiated, PixelFor
 #[derive(Default)]
 pub struct V4l2 {
     open: Option<(Device, Stream<'static>)>,
+    /// A frame was asked for: that starts the stream.
+    streams: bool,
 }
 
 /// The one in hand is not being filled; the others give the agent 100 ms at 30 frames a second.
@@ -49,6 +51,7 @@ impl Driver for V4l2 {
         let mut stream = Stream::with_buffers(&device, Type::VideoCapture, BUFFERS).map_err(failed)?;
         stream.set_timeout(FIRST_FRAME);
         self.open = Some((device, stream));
+        self.streams = false;
         Ok(Negotiated {
             card: capabilities.card,
             bus: capabilities.bus,
@@ -64,6 +67,10 @@ impl Driver for V4l2 {
 
     fn wait(&mut self, timeout: Duration) -> io::Result<bool> {
         let Some((_, stream)) = &self.open else { return Err(closed()) };
+        // Before, some drivers say that there is an error to be taken, and v4l2loopback that there is nothing, for ever.
+        if !self.streams {
+            return Ok(true);
+        }
         let milliseconds = i32::try_from(timeout.as_millis()).unwrap_or(i32::MAX);
         // An error of the stream makes it ready too: taking then says which.
         Ok(stream.handle().poll(POLLIN, milliseconds)? > 0)
@@ -71,6 +78,7 @@ impl Driver for V4l2 {
 
     fn take(&mut self, into: &mut Vec<u8>) -> io::Result<BufferInfo> {
         let Some((_, stream)) = &mut self.open else { return Err(closed()) };
+        self.streams = true;
         let (bytes, meta) = stream.next()?;
         into.clear();
         into.extend_from_slice(&bytes[..bytes.len().min(meta.bytesused as usize)]);
