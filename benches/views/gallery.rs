@@ -16,7 +16,7 @@ pub fn run(rounds: usize, text: &mut String) {
     let folder = tempfile::tempdir().expect("a folder");
     let (images, db) = (folder.path().join("images"), folder.path().join("db"));
     let poses = write(&images);
-    add(&db, &[images], Some(setting::field().dimensions()), &mut |_| ()).expect("a database");
+    add(&db, &[images], Some(setting::field().dimensions()), false, &mut |_| ()).expect("a database");
     let settings = ViewsSettings { goals: false, ..ViewsSettings::default() };
     let open = || Gallery::open(&db, &settings).expect("a database");
     let wanted = |map_from_link: Isometry| Wanted {

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use jpeg_encoder::ColorType;
 use serde::Serialize;
 use serialport::SerialPort;
 use thiserror::Error;
@@ -14,11 +15,11 @@ use crate::geometry::{Isometry, Pose2};
 use crate::recording::{RecordingError, SESSION_FILE, read_info};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::CompressedImageView;
-use crate::sensors::decode;
 use crate::sensors::intake::{self, Input};
 use crate::sensors::log::{self, LogError, LogSource};
 use crate::sensors::mavlink::RobotSide;
 use crate::sensors::video_out::{OutputForm, VideoOut, VideoOutError, yuyv};
+use crate::sensors::{decode, encode};
 use crate::views::Method;
 
 #[derive(Clone, Debug)]
@@ -150,11 +151,7 @@ fn image_of(message: &crate::ros2::mcap_read::LogMessage) -> Option<Vec<u8>> {
 }
 
 fn jpeg(rgb: &[u8], width: usize, height: usize) -> Option<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let encoder = jpeg_encoder::Encoder::new(&mut bytes, QUALITY);
-    let (width, height) = (u16::try_from(width).ok()?, u16::try_from(height).ok()?);
-    encoder.encode(rgb, width, height, jpeg_encoder::ColorType::Rgb).ok()?;
-    Some(bytes)
+    encode::jpeg(rgb, width, height, ColorType::Rgb, QUALITY).ok()
 }
 
 /// Odometry is the camera's own way over the ground: nothing says where its feet are.

@@ -47,6 +47,9 @@ struct AddArguments {
     /// For folders of images: a shipped field (config/fields) or the path of a field file
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
+    /// Tags too that do not know which half of the field they are in: such an image may stand in the wrong half
+    #[arg(long)]
+    ambiguous: bool,
 }
 
 /// Take a capture or folder out of a database; its files are not touched
@@ -115,12 +118,12 @@ pub fn run(arguments: &DbArguments, json: bool) -> anyhow::Result<Outcome> {
 }
 
 fn add(arguments: &AddArguments, json: bool) -> anyhow::Result<Outcome> {
-    let AddArguments { sources, db, field } = arguments;
+    let AddArguments { sources, db, field, ambiguous } = arguments;
     let inputs: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
     check_output(db, &inputs)?;
     let field = field.as_deref().map(load_field).transpose()?;
     let mut progress = output::Progress::new("reading");
-    let added = database::add(db, sources, field.as_ref(), &mut |done| progress.set(done, None))?;
+    let added = database::add(db, sources, field.as_ref(), *ambiguous, &mut |done| progress.set(done, None))?;
     progress.finish();
     report_added(&added, db, json)
 }
@@ -132,7 +135,12 @@ fn report_added(added: &Added, db: &Path, json: bool) -> anyhow::Result<Outcome>
     } else {
         let left_out = match added.left_out {
             0 => String::new(),
-            count => format!(", {count} left out (no valid tag, or not to be decoded)"),
+            count if added.ambiguous == 0 => format!(", {count} left out (no valid tag, or not to be decoded)"),
+            count => format!(
+                ", {count} left out, {} of them for tags that do not know which half of the field they are in \
+                 (--ambiguous takes them)",
+                added.ambiguous
+            ),
         };
         output::lines(&format!("{} images in {}{left_out}", added.images, db.display()))?;
     }

@@ -8,7 +8,7 @@ use clap::Args;
 use glam::{DQuat, DVec3};
 use image::RgbImage;
 use image::imageops::{self, FilterType};
-use jpeg_encoder::{ColorType, Encoder};
+use jpeg_encoder::ColorType;
 use serde::Serialize;
 
 use super::paths::{cannot_write, check_output, make_folder, save, write};
@@ -20,6 +20,7 @@ use crate::database::{Gallery, Wanted};
 use crate::evaluation::video::avi;
 use crate::evaluation::{Summary, drawing};
 use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
+use crate::sensors::encode::jpeg;
 use crate::views::Method;
 use crate::vision::Picture;
 
@@ -116,9 +117,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
         let shown = gallery.view(&wanted)?;
         let image = &shown.answer.image;
         let (width, height, rgb) = (image.width, image.height, image.to_rgb());
-        let mut jpeg = Vec::new();
-        Encoder::new(&mut jpeg, QUALITY).encode(&rgb, width as u16, height as u16, ColorType::Rgb)?;
-        jpegs.push(jpeg);
+        jpegs.push(jpeg(&rgb, width, height, ColorType::Rgb, QUALITY)?);
         let known = Known {
             lens: shown.camera.lens().clone(),
             attitude,

@@ -17,10 +17,12 @@ use crate::geometry::{Field, FieldDimensions};
 use crate::recording::Loss;
 
 /// What came of adding.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Added {
     pub images: u64,
     pub left_out: u64,
+    /// Of these, for a valid tag that does not know which half of the field it is in.
+    pub ambiguous: u64,
     pub losses: Vec<Loss>,
 }
 
@@ -28,10 +30,12 @@ pub struct Added {
 pub type Progress<'a> = &'a mut dyn FnMut(u64);
 
 /// Adds captures and folders of images. `field` is for folders, which do not name theirs; a database has one field.
+/// `with_ambiguous`: as well what may as likely stand in the other half of the field.
 pub fn add(
     folder: &Path,
     paths: &[PathBuf],
     field: Option<&FieldDimensions>,
+    with_ambiguous: bool,
     progress: Progress,
 ) -> Result<Added, DatabaseError> {
     fs::create_dir_all(folder).map_err(io(folder))?;
@@ -46,13 +50,13 @@ pub fn add(
         None => Vec::new(),
     };
     let mut catalogue = known;
-    let mut added = Added { images: 0, left_out: 0, losses: Vec::new() };
+    let mut added = Added::default();
     for path in paths {
         let known = path.canonicalize().ok().and_then(|path| catalogue.as_ref()?.position(&path));
         if known.is_some() {
             return Err(DatabaseError::Known { path: path.clone() });
         }
-        let read = sources::read(path, progress)?;
+        let read = sources::read(path, with_ambiguous, progress)?;
         take(folder, &mut catalogue, &mut records, read, field, &mut added)?;
     }
     if let Some(catalogue) = catalogue {
@@ -67,9 +71,9 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
     let _alone = alone(folder)?;
     let old = Catalogue::read(folder)?;
     let mut catalogue = Some(Catalogue { sources: Vec::new(), ..old.clone() });
-    let (mut records, mut added) = (Vec::new(), Added { images: 0, left_out: 0, losses: Vec::new() });
+    let (mut records, mut added) = (Vec::new(), Added::default());
     for source in &old.sources {
-        match sources::read(&source.path, progress) {
+        match sources::read(&source.path, source.with_ambiguous, progress) {
             Ok(read) => take(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
             Err(error) => added.losses.push(Loss::new(&source.path, error.to_string())),
         }
@@ -135,7 +139,7 @@ fn take(
     field: Option<&FieldDimensions>,
     added: &mut Added,
 ) -> Result<(), DatabaseError> {
-    let Read { mut source, records: found, field: own, losses, lit } = read;
+    let Read { mut source, records: found, field: own, ambiguous, losses, lit } = read;
     let at = source.path.clone();
     let path = || at.clone();
     let wanted = own.as_ref().or(field);
@@ -158,6 +162,7 @@ fn take(
     let number = catalogue.sources.len() as u32;
     added.images += source.images;
     added.left_out += source.left_out;
+    added.ambiguous += ambiguous;
     added.losses.extend(losses);
     source.dark = lit.mask().map(|mask| write_mask(folder, &source, mask)).transpose()?;
     source.darkening = darkening::measured(folder, &source, &found, &catalogue.field)?;

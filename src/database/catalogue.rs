@@ -38,8 +38,11 @@ pub struct Source {
     #[serde(default)]
     pub darkening: Option<[f64; 3]>,
     pub images: u64,
-    /// Frames without a valid tag, and those that do not decode.
+    /// Frames without a valid tag, those whose tag does not know which half of the field it is in, unless `with_ambiguous`,
+    /// and those that do not decode.
     pub left_out: u64,
+    #[serde(default)]
+    pub with_ambiguous: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -30,6 +30,8 @@ pub(super) struct Read {
     pub(super) records: Vec<Record>,
     /// `None` if the source does not say.
     pub(super) field: Option<FieldDimensions>,
+    /// Left out although their tag is valid: it does not know which half of the field it is in.
+    pub(super) ambiguous: u64,
     pub(super) losses: Vec<Loss>,
     /// The brightest that each pixel ever was.
     pub(super) lit: Lit,
@@ -77,12 +79,12 @@ const MAX_TURN_DEG: f64 = 3600.0;
 const MAX_BATCH: usize = 64;
 
 /// A capture, one of its segments, or a folder with `poses.csv`. `done` hears of images.
-pub(super) fn read(path: &Path, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+pub(super) fn read(path: &Path, with_ambiguous: bool, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let path = path.canonicalize().map_err(io(path))?;
-    if path.join(POSES).is_file() { read_folder(path, done) } else { read_capture(path, done) }
+    if path.join(POSES).is_file() { read_folder(path, done) } else { read_capture(path, with_ambiguous, done) }
 }
 
-fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let folder = if path.is_dir() { path.as_path() } else { path.parent().unwrap_or(&path) };
     if !folder.join(SESSION_FILE).is_file() {
         let what = "neither a capture (with session.json) nor a folder of images (with poses.csv); `realitysim replay LOG -o DIR` \
@@ -95,7 +97,12 @@ fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databa
     let Readout { found: tags, mut losses, .. } = read_tags(tags_from)?;
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
     let is_somewhere = |tag: &&FrameTag| isometry(&tag.pose.pose.position, &tag.pose.pose.orientation).is_finite();
+    let mut ambiguous = 0;
     for tag in tags.iter().filter(|tag| tag.valid).filter(is_somewhere) {
+        if tag.ambiguous && !with_ambiguous {
+            ambiguous += 1;
+            continue;
+        }
         waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
     }
     let files = log::files_of(&path)?;
@@ -145,9 +152,10 @@ fn read_capture(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databa
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
         images: records.len() as u64,
         left_out,
+        with_ambiguous,
         path,
     };
-    Ok(Read { source, records, field: Some(info.field), losses, lit })
+    Ok(Read { source, records, field: Some(info.field), ambiguous, losses, lit })
 }
 
 /// Where in a message the stored bytes begin, these, and what they are.
@@ -263,9 +271,19 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         what: format!("{POSES} names no image that can be read"),
     })?;
     let (kind, images) = (SourceKind::Folder, records.len() as u64);
-    let source =
-        Source { kind, path, lens, files, body_masks: Vec::new(), dark: None, darkening: None, images, left_out };
-    Ok(Read { source, records, field: None, losses, lit })
+    let source = Source {
+        kind,
+        path,
+        lens,
+        files,
+        body_masks: Vec::new(),
+        dark: None,
+        darkening: None,
+        images,
+        left_out,
+        with_ambiguous: false,
+    };
+    Ok(Read { source, records, field: None, ambiguous: 0, losses, lit })
 }
 
 fn finish(

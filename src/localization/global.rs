@@ -50,9 +50,9 @@ const WIDENED_M: f64 = 0.07;
 const SPARSE: usize = 3;
 /// Whatever the clock says, the grid is done with after so many frames: two seconds at 10 Hz.
 const MOST_FRAMES: usize = 20;
-/// Poses of the grid that are looked at on the table itself, and of these, how many are climbed from.
+/// Poses of the grid that are kept, and of these, how many are climbed from.
 const CLOSER: usize = 600;
-const CLIMBED: usize = 100;
+const CLIMBED: usize = 60;
 /// Climbed from whatever the clock says.
 const FEWEST_CLIMBED: usize = 25;
 /// Candidates closer than this are one.
@@ -92,9 +92,11 @@ impl Search {
         let SearchState { tried, found } = state;
         let (mut done, least) = (0, self.places.len().div_ceil(MOST_FRAMES));
         for [x, y] in self.places.get(*tried as usize..).unwrap_or_default() {
-            let turns = (0..TURNS).map(|turn| Pose2::new(*x, *y, wrap_angle(TAU * turn as f64 / TURNS as f64)));
-            let candidates = turns.map(|pose| Candidate::of(pose, &self.sparse, &self.widened));
-            found.extend(candidates.max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood)));
+            let headings: [Candidate; TURNS] = core::array::from_fn(|turn| {
+                let pose = Pose2::new(*x, *y, wrap_angle(TAU * turn as f64 / TURNS as f64));
+                Candidate::of(pose, &self.sparse, &self.widened)
+            });
+            found.extend(two_best(&headings));
             effort.weighed += TURNS as u32;
             *tried += 1;
             done += 1;
@@ -106,19 +108,20 @@ impl Search {
         }
         let mut found = core::mem::take(state).found;
         best_of(&mut found, CLOSER);
+        let mut found = apart(&found, CLIMBED);
+        let mut climbed = 0;
         for candidate in &mut found {
-            *candidate = Candidate::of(candidate.pose, observation, table);
-        }
-        effort.weighed += found.len() as u32;
-        best_of(&mut found, CLIMBED);
-        for (index, candidate) in found.iter_mut().enumerate() {
             // The best first: what there is no time for would hardly have won.
-            if index >= FEWEST_CLIMBED && !may_go_on(effort.weighed) {
+            if climbed >= FEWEST_CLIMBED && !may_go_on(effort.weighed) {
                 effort.capped = true;
                 break;
             }
-            *candidate = climb(observation, table, *candidate, effort);
+            climbed += 1;
+            // Half a step of the grid away from the right pose the table itself says little: only its widened lines do.
+            let near = climb(&self.sparse, &self.widened, *candidate, effort);
+            *candidate = climb(observation, table, Candidate::of(near.pose, observation, table), effort);
         }
+        found.truncate(climbed);
         best_of(&mut found, CLIMBED);
         apart(&found, count)
     }
@@ -145,18 +148,32 @@ fn golden_stride(count: usize) -> usize {
     (start..).find(coprime).unwrap_or(1)
 }
 
+/// Of the headings at one place, the best and the best of those that are no neighbours of it.
+fn two_best(headings: &[Candidate]) -> impl Iterator<Item = Candidate> {
+    let better = |a: &Candidate, b: &Candidate| a.log_likelihood.total_cmp(&b.log_likelihood);
+    let first = headings.iter().copied().max_by(better);
+    let second = first.and_then(|first| {
+        let elsewhere = |other: &Candidate| wrap_angle(other.pose.yaw - first.pose.yaw).abs() > SAME_RAD;
+        headings.iter().copied().filter(elsewhere).max_by(better)
+    });
+    first.into_iter().chain(second)
+}
+
 fn best_of(candidates: &mut Vec<Candidate>, count: usize) {
     candidates.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
     candidates.truncate(count);
 }
 
-/// Of candidates in their order, those that are no neighbours of one before them.
+/// Of candidates in their order, those that are no neighbours of one before them or of its mirror pose.
 fn apart(candidates: &[Candidate], count: usize) -> Vec<Candidate> {
     let mut kept: Vec<Candidate> = Vec::new();
     for candidate in candidates {
+        let mirrored = candidate.pose.mirrored();
         let same = |other: &Candidate| {
-            let turned = wrap_angle(other.pose.yaw - candidate.pose.yaw).abs();
-            other.pose.distance(&candidate.pose) < SAME_M && turned < SAME_RAD
+            let near = |pose: &Pose2| {
+                other.pose.distance(pose) < SAME_M && wrap_angle(other.pose.yaw - pose.yaw).abs() < SAME_RAD
+            };
+            near(&candidate.pose) || near(&mirrored)
         };
         if kept.len() < count && !kept.iter().any(same) {
             kept.push(*candidate);

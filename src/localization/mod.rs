@@ -12,6 +12,7 @@ pub mod motion;
 pub mod observation;
 pub mod painted;
 pub mod particles;
+mod posture;
 pub mod random;
 pub mod refinement;
 pub mod resampling;

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::localizer::{Fix, Moment};
 use super::refinement::Agreement;
-use crate::geometry::{Field, Isometry};
+use crate::geometry::{Field, Isometry, Pose2, wrap_angle};
 
 /// What a pose needs to be believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,11 +35,16 @@ pub enum Confidence {
 }
 
 /// What the frames so far say of the pose.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Standing {
     pub confidence: Confidence,
     /// When lines last agreed with the pose.
     agreed_ns: Option<i64>,
+    /// Frames in a row whose lines speak for a pose that needs confirming, but not clearly enough.
+    unconvincing: u32,
+    /// Where the whole field was last tried for a better pose, and how often, each time from elsewhere, there was none.
+    looked_again_at: Option<Pose2>,
+    found_again: u32,
 }
 
 /// What does not change from frame to frame.
@@ -75,13 +80,38 @@ pub const CONTRADICTED: f64 = 0.5;
 /// What a frame needs to confirm a pose that was found by search or announced.
 const FITTING_TO_CONFIRM: usize = 20;
 const SHARE_TO_CONFIRM: f64 = 0.7;
+/// And so much less for each time that the whole field had no better pose to offer: behind others, or with a lens that is
+/// not quite as it was calibrated, lines are missing in right places too.
+const LESS_IF_FOUND_AGAIN: f64 = 0.1;
+/// Frames that are not convincing before the whole field is tried: a second at 10 Hz.
+const UNCONVINCING: u32 = 10;
+/// Trying it again from the same place says nothing new.
+const ELSEWHERE_M: f64 = 0.15;
+const ELSEWHERE_RAD: f64 = 0.15;
 /// So much of what a frame may leave unexplained may be there when a pose is confirmed.
 const CONFIRMED_WITH: f64 = 0.3;
 
 impl Standing {
     /// A pose that nothing is known of but that somebody or something put it there.
     pub fn unconfirmed(&mut self, frames: u32) {
-        self.confidence = Confidence::Unconfirmed(frames);
+        *self = Self { confidence: Confidence::Unconfirmed(frames), agreed_ns: self.agreed_ns, ..Self::default() };
+    }
+
+    /// Lines speak for the pose, and not clearly: is there a better one?
+    pub fn is_unconvincing(&self) -> bool {
+        self.unconvincing >= UNCONVINCING
+    }
+
+    /// The whole field was tried while the robot was believed to be at `pose`.
+    pub fn looked_again(&mut self, pose: Pose2, found_again: bool) {
+        self.unconvincing = 0;
+        let is_new = self.looked_again_at.is_none_or(|last| {
+            pose.distance(&last) > ELSEWHERE_M || wrap_angle(pose.yaw - last.yaw).abs() > ELSEWHERE_RAD
+        });
+        if is_new {
+            self.looked_again_at = Some(pose);
+            self.found_again = if found_again { self.found_again + 1 } else { 0 };
+        }
     }
 
     /// The pose has been contradicted too often.
@@ -104,7 +134,10 @@ impl Standing {
             (Confidence::Tracking(bad), Some(_)) if contradicted => Confidence::Tracking(bad.saturating_add(1)),
             (Confidence::Unconfirmed(_), Some(_)) if contradicted => Confidence::Nowhere,
             (other, Some(_)) => other,
-            (Confidence::Unconfirmed(needed), None) if !confirms(rules, fix) => Confidence::Unconfirmed(needed),
+            (Confidence::Unconfirmed(needed), None) if !self.confirms(rules, fix) => {
+                self.unconvincing += 1;
+                Confidence::Unconfirmed(needed)
+            }
             (Confidence::Unconfirmed(needed), None) if needed > 1 => Confidence::Unconfirmed(needed - 1),
             (_, None) => Confidence::Tracking(0),
         };
@@ -137,15 +170,16 @@ impl Standing {
             })
     }
 
+    fn confirms(&self, rules: &Rules, fix: &Fix) -> bool {
+        let lines = &fix.agreement;
+        let least = (SHARE_TO_CONFIRM - LESS_IF_FOUND_AGAIN * f64::from(self.found_again)).max(CONTRADICTED);
+        let fits = lines.fitting >= FITTING_TO_CONFIRM && lines.share() >= least;
+        !rules.refinement || (fits && fix.explained.share >= share_of(CONFIRMED_WITH, rules.valid.explained))
+    }
+
     fn agreed_lately(&self, moment: &Moment) -> bool {
         self.agreed_ns.is_some_and(|then| moment.stamp_ns.saturating_sub(then) <= LONGEST_COAST_NS)
     }
-}
-
-fn confirms(rules: &Rules, fix: &Fix) -> bool {
-    let lines = &fix.agreement;
-    let fits = lines.fitting >= FITTING_TO_CONFIRM && lines.share() >= SHARE_TO_CONFIRM;
-    !rules.refinement || (fits && fix.explained.share >= share_of(CONFIRMED_WITH, rules.valid.explained))
 }
 
 /// The share that has to be explained where only `part` of what a single frame may leave over is allowed.

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
+use jpeg_encoder::ColorType;
 use thiserror::Error;
 
 use crate::config::{Topics, field_seen_from, lens_seen_from, load_field, load_lens};
@@ -18,6 +19,7 @@ use crate::ros2::messages::{
     TransformStamped, Vector3,
 };
 use crate::scene::{Drawn, Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile};
+use crate::sensors::encode::{EncodeError, jpeg};
 use crate::sensors::topics::TopicTypes;
 
 #[derive(Debug, Error)]
@@ -29,8 +31,8 @@ pub enum SceneSourceError {
     /// `place` is the file, and the line if it is known.
     #[error("{place}: {source}")]
     Config { place: String, source: crate::config::ConfigError },
-    #[error("the image does not encode: {0}")]
-    Encode(String),
+    #[error(transparent)]
+    Encode(#[from] EncodeError),
 }
 
 fn unreadable(error: &std::io::Error) -> String {
@@ -220,11 +222,7 @@ impl<'a> SceneSource<'a> {
         let header = header(stamp_ns, OPTICAL);
         let message = match self.scene.file().camera.jpeg_quality {
             Some(quality) => {
-                let mut data = Vec::with_capacity(1 << 17);
-                let encoder = jpeg_encoder::Encoder::new(&mut data, quality);
-                encoder
-                    .encode(&pixels, width as u16, height as u16, jpeg_encoder::ColorType::Rgb)
-                    .map_err(|error| SceneSourceError::Encode(error.to_string()))?;
+                let mut data = jpeg(&pixels, width as usize, height as usize, ColorType::Rgb, quality)?;
                 if let Some(share) = self.scene.torn(index) {
                     data.truncate((data.len() as f64 * share) as usize);
                 }

@@ -32,6 +32,8 @@ pub struct RobotAt {
     pub head: Option<Head>,
     /// How far the robot has turned since the frame before by gyro, radians about the vertical, if that is known.
     pub turned_rad: Option<f64>,
+    /// How far the torso has rolled and pitched since then, to and fro, radians, if a gyro knows.
+    pub swayed_rad: Option<f64>,
     /// The newest of what was measured is older than [`STALE_NS`].
     pub stale: bool,
     /// Announced since the last frame.
@@ -62,6 +64,8 @@ pub struct SynchroniserState {
     attitude: History<DQuat>,
     /// About the vertical, radians per second.
     turn_rate: History<f64>,
+    /// About the horizontal, without a sign.
+    sway_rate: History<f64>,
     last_frame_ns: Option<i64>,
     pan: History<f64>,
     tilt: History<f64>,
@@ -159,7 +163,11 @@ impl Synchroniser {
                 let imu_from_base = self.state.tree.fixed_rotation(&frame_id, &self.names.base_link);
                 // Without an attitude the torso is taken as upright.
                 let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
-                let turn = turn_rate.map(|rate| self.state.turn_rate.push(stamp_ns, (upright * rate).z));
+                let turn = turn_rate.map(|rate| {
+                    let rate = upright * rate;
+                    self.state.sway_rate.push(stamp_ns, libm::hypot(rate.x, rate.y));
+                    self.state.turn_rate.push(stamp_ns, rate.z)
+                });
                 let tilt =
                     orientation.map(|orientation| self.state.attitude.push(stamp_ns, orientation * imu_from_base));
                 // One message, whatever it holds.
@@ -230,6 +238,7 @@ impl Synchroniser {
             place,
             head,
             turned_rad: last_frame_ns.and_then(|last_ns| state.turn_rate.integral(last_ns, stamp_ns)),
+            swayed_rad: last_frame_ns.and_then(|last_ns| state.sway_rate.integral(last_ns, stamp_ns)),
             stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
             initial_pose,
         }

@@ -52,6 +52,8 @@ pub struct CameraPlace {
     pub age_ns: i64,
     /// Something says how the torso is tilted: its attitude, or a moving transform on the way to it.
     pub tilt_is_measured: bool,
+    /// Between the torso's axis and the vertical, radians, where that is measured.
+    pub lean_rad: Option<f64>,
 }
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -149,7 +151,7 @@ impl TransformTree {
         let mut age_ns = 0;
         let mut footprint_from_here = Isometry::IDENTITY;
         let mut footprint_from_link = None;
-        let (mut tilt_is_measured, mut below_torso) = (false, false);
+        let (mut tilt_is_measured, mut below_torso, mut lean_rad) = (false, false, None);
         for (child, edge) in self.chain(&names.base_footprint, &names.camera_optical)? {
             let step = match &edge.transform {
                 Transform::Moving(history) => {
@@ -170,7 +172,11 @@ impl TransformTree {
                 Transform::Static(constant) => *constant,
             };
             footprint_from_here = footprint_from_here * step;
-            below_torso |= child == names.base_link;
+            if child == names.base_link {
+                below_torso = true;
+                lean_rad =
+                    tilt_is_measured.then(|| libm::acos((footprint_from_here.rotation * DVec3::Z).z.clamp(-1.0, 1.0)));
+            }
             if child == names.camera_link {
                 footprint_from_link = Some(footprint_from_here);
             }
@@ -178,7 +184,7 @@ impl TransformTree {
         let footprint_from_optical = footprint_from_here;
         let footprint_from_link =
             footprint_from_link.unwrap_or_else(|| footprint_from_optical * Isometry::link_from_optical().inverse());
-        Ok(CameraPlace { footprint_from_link, footprint_from_optical, age_ns, tilt_is_measured })
+        Ok(CameraPlace { footprint_from_link, footprint_from_optical, age_ns, tilt_is_measured, lean_rad })
     }
 
     /// A mount that can be right: the camera stands above the ground and does not stare at the ceiling.

@@ -2,10 +2,11 @@
 
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use jpeg_encoder::{ColorType, Encoder};
+use jpeg_encoder::ColorType;
 
 use super::Refusal;
 use super::parameters::MaskWanted;
+use crate::sensors::encode::jpeg;
 use crate::views::Raster;
 use hyper::StatusCode;
 
@@ -80,9 +81,9 @@ pub(super) fn encode(image: &Raster, form: Form, mask: MaskWanted, quality: u8) 
     let mut bytes = Vec::new();
     match form {
         Form::Raw => bytes = pixels,
-        Form::Jpeg => Encoder::new(&mut bytes, quality)
-            .encode(&pixels, width as u16, height as u16, ColorType::Rgb)
-            .map_err(|error| failed(error.to_string()))?,
+        Form::Jpeg => {
+            bytes = jpeg(&pixels, width, height, ColorType::Rgb, quality).map_err(|error| failed(error.to_string()))?;
+        }
         Form::Png => {
             let kind = match channels {
                 1 => image::ExtendedColorType::L8,

@@ -139,9 +139,11 @@ impl Robot {
                 footprint_from_optical: self.told_place * Isometry::link_from_optical(),
                 age_ns: 0,
                 tilt_is_measured: true,
+                lean_rad: None,
             }),
             head: None,
             turned_rad: self.turned_rad,
+            swayed_rad: None,
             stale: false,
             initial_pose: None,
         }

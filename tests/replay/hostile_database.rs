@@ -50,7 +50,7 @@ fn opening_never_meets_a_database_between_two_of_its_states() {
         scope.spawn(|| {
             let _done = Done(&done);
             for _ in 0..20 {
-                patiently(|| add(&db, std::slice::from_ref(&two), None, &mut |_| ()));
+                patiently(|| add(&db, std::slice::from_ref(&two), None, true, &mut |_| ()));
                 patiently(|| remove(&db, &two));
             }
         });

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
+use jpeg_encoder::ColorType;
 use serde::Serialize;
 
 use crate::cli::{Outcome, output, paths};
 use crate::scene::Scene;
+use crate::sensors::encode::jpeg;
 use crate::sensors::{decode, scene};
 
 /// Apply a scene's effects to a stored image, for tests of vision code
@@ -77,14 +79,7 @@ fn changed(scene: &Scene, stored: &[u8], arguments: &ApplyArguments, frame: u64)
         }
         "jpg" | "jpeg" => {
             let quality = scene.file().camera.jpeg_quality.unwrap_or(USUAL_QUALITY);
-            let side =
-                |pixels: u32| u16::try_from(pixels).with_context(|| format!("{}: too large for a JPEG", shown()));
-            jpeg_encoder::Encoder::new(&mut written, quality).encode(
-                &pixels,
-                side(width)?,
-                side(height)?,
-                jpeg_encoder::ColorType::Rgb,
-            )?;
+            written = jpeg(&pixels, picture.width, picture.height, ColorType::Rgb, quality).with_context(shown)?;
         }
         _ => {
             let message = format!("{}: its name must end in .png or .jpg", arguments.output.display());

@@ -12,6 +12,7 @@ use super::global::{Search, SearchState};
 use super::observation::{Observation, Support};
 use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
+use super::posture::{Posture, Stand};
 use super::refinement::{self, Agreement, LinePoints, Prior};
 use super::track::{Prediction, Step, Track, TrackModel};
 use super::verdict::{CONFIRMATIONS, Confidence, Rules, Standing, Validity, agrees, is_contradicted};
@@ -38,6 +39,9 @@ pub struct LocalizerState {
     /// Time and odometry of the last frame.
     pub last: Option<(i64, Option<Pose2>)>,
     pub standing: Standing,
+    pub posture: Posture,
+    /// For how long nothing has said how far the robot walked, seconds.
+    pub adrift_s: f64,
     /// Where the robot was when it last knew, carried on by odometry since.
     pub known: Option<Pose2>,
     pub search: SearchState,
@@ -52,10 +56,14 @@ pub struct Moment {
     pub odometry: Option<Pose2>,
     /// Since the frame before, by gyro.
     pub turned_rad: Option<f64>,
+    /// How far the torso has rolled and pitched since then, to and fro, by gyro.
+    pub swayed_rad: Option<f64>,
     /// By IMU, joints and mount.
     pub footprint_from_optical: Option<Isometry>,
     /// Something measures the torso's tilt; without it a walking torso sways unseen.
     pub tilt_is_measured: bool,
+    /// Between the torso's axis and the vertical, if something measures it.
+    pub lean_rad: Option<f64>,
     /// What was measured is too old to describe a moving robot.
     pub stale: bool,
 }
@@ -86,6 +94,10 @@ const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
 const LONGEST_STEP_S: f64 = 5.0;
 /// No humanoid walks this fast: odometry that says so has jumped.
 const FASTEST_M_PER_S: f64 = 3.0;
+/// A torso that rolls and pitches faster than this on average walks, or marches on the spot: 5 degrees a second.
+const SWAYS_RAD_PER_S: f64 = 0.09;
+/// Who walks goes on walking: for so long steps of which nothing is known add up as if they were one.
+const LONGEST_ADRIFT_S: f64 = 0.5;
 /// A gyro that says more is broken or counts in degrees.
 const FASTEST_RAD_PER_S: f64 = 10.0;
 /// How far a walking torso that nothing measures leans from upright: 2.5 degrees.
@@ -177,6 +189,9 @@ impl Localizer {
 
     /// One frame of which something was seen. `may_go_on` says when time is up: see [`MayGoOn`].
     pub fn look(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
+        if self.lies(moment) {
+            return self.drift(moment, "not_standing");
+        }
         let mut effort = Effort::default();
         let step = self.step_to(moment);
         if self.must_search() {
@@ -202,6 +217,20 @@ impl Localizer {
 
     /// One frame of which nothing could be seen: where odometry puts the robot.
     pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
+        let reason = if self.lies(moment) { "not_standing" } else { reason };
+        self.drift(moment, reason)
+    }
+
+    /// On the floor, or on its way there or up again. Whoever has got up may be somewhere else.
+    fn lies(&mut self, moment: &Moment) -> bool {
+        let stand = self.state.posture.judge(moment.stamp_ns, moment.lean_rad);
+        if stand == Stand::HasRisen {
+            self.state.standing.confidence = Confidence::Nowhere;
+        }
+        stand == Stand::Fallen
+    }
+
+    fn drift(&mut self, moment: &Moment, reason: &'static str) -> Fix {
         let step = self.step_to(moment);
         let walked = self.walked(&step);
         self.carry_on(walked);
@@ -224,7 +253,10 @@ impl Localizer {
         if self.settings.random_walk {
             return Step { odometry: None, turned_rad: None, seconds };
         }
-        let odometry = last_odometry.zip(odometry).map(|(before, now)| before.inverse().compose(&now));
+        // Odometry that stands still to the last bit while the body walks says nothing.
+        let sways = moment.swayed_rad.is_some_and(|swayed| swayed > SWAYS_RAD_PER_S * seconds);
+        let odometry = last_odometry.zip(odometry).filter(|(before, now)| before != now || !sways);
+        let odometry = odometry.map(|(before, now)| before.inverse().compose(&now));
         let possible = |step: &Pose2| libm::hypot(step.x, step.y) <= FASTEST_M_PER_S * seconds.max(0.1);
         let turned_rad = moment.turned_rad.filter(|turned| turned.abs() <= FASTEST_RAD_PER_S * seconds);
         Step { odometry: odometry.filter(possible), turned_rad, seconds }
@@ -241,8 +273,11 @@ impl Localizer {
     }
 
     fn predict(&mut self, step: &Step) {
-        let LocalizerSettings { track: model, filter, .. } = &self.settings;
-        let reach_m = filter.motion.walk_m_per_s * step.seconds;
+        let LocalizerSettings { track: model, filter, random_walk, .. } = &self.settings;
+        let before_s = self.state.adrift_s;
+        let unheard = step.odometry.is_none() && !random_walk;
+        self.state.adrift_s = if unheard { (before_s + step.seconds).min(LONGEST_ADRIFT_S) } else { 0.0 };
+        let reach_m = filter.motion.walk_m_per_s * libm::sqrt(step.seconds * (step.seconds + 2.0 * before_s));
         let reach_rad = filter.motion.turn_rad_per_s * step.seconds;
         if let Some(track) = &mut self.state.track {
             track.predict(step, model, reach_m, reach_rad);

@@ -35,6 +35,8 @@ pub struct Counts {
 
 /// Lines thinner than this are not looked for.
 const THINNEST_PX: f64 = 0.8;
+/// Nor those whose edges, as drawn, lie along rather than beside each other: sine of the angle.
+const LEAST_SINE: f64 = 0.25;
 /// Neighbours along a line are at least this far apart.
 const APART_PX: f64 = 4.0;
 /// What is looked for lies within this many standard deviations, ...
@@ -144,12 +146,19 @@ impl Expected {
         projector: &Projector,
         optical_from_map: &Isometry,
     ) -> Option<Self> {
-        let half = optical_from_map.transform_vector((point.normal * (line_width_m / 2.0)).extend(0.0));
-        let (left, right) = (centre + half, centre - half);
-        let scale = image.scale();
-        let (from, to) = (scale.apply(projector.project(right)?), scale.apply(projector.project(left)?));
+        let half = |direction: DVec2| optical_from_map.transform_vector((direction * (line_width_m / 2.0)).extend(0.0));
+        let (aside, along) = (half(point.normal), half(-point.normal.perp()));
+        let (left, right) = (centre + aside, centre - aside);
+        let drawn = |place: DVec3| Some(image.scale().apply(projector.project(place)?));
+        let (from, to) = (drawn(right)?, drawn(left)?);
         let width_px = from.distance(to);
-        if width_px < THINNEST_PX {
+        // NaN fails.
+        if !(width_px >= THINNEST_PX) {
+            return None;
+        }
+        // At a flat angle a line is drawn sheared: the way from its one edge to the other runs along it.
+        let along_px = drawn(centre + along)? - drawn(centre)?;
+        if (to - from).perp_dot(along_px).abs() < LEAST_SINE * width_px * along_px.length() {
             return None;
         }
         Some(Self {

@@ -1,18 +1,15 @@
 //! A frame as the message that is recorded: MJPEG as it came, raw pixels as they came or as a JPEG.
 
-use thiserror::Error;
+use jpeg_encoder::ColorType;
 
 use super::{Frame, Negotiated, PixelFormat};
 use crate::ros2::messages::{CompressedImage, Header, Image};
+use crate::sensors::encode::{EncodeError, jpeg};
 
 pub enum ImageMessage {
     Compressed(CompressedImage),
     Raw(Image),
 }
-
-#[derive(Debug, Error)]
-#[error("the frame does not encode: {0}")]
-pub struct EncodeError(String);
 
 /// `quality` of the JPEG of a raw camera; none records the pixels themselves. Gray and Bayer pixels are recorded as they are
 /// either way when `quality` is none; a Bayer image is never turned into JPEG, which would mix its colours.
@@ -27,9 +24,9 @@ pub fn image_message(
         return Ok(ImageMessage::Compressed(CompressedImage { header, format: "jpeg".to_owned(), data: frame.data }));
     }
     let (pixels, colour) = match (format, quality) {
-        (PixelFormat::Yuyv, Some(_)) => (yuyv(&frame.data, width, height, stride), jpeg_encoder::ColorType::Ycbcr),
-        (PixelFormat::Nv12, _) => (nv12(&frame.data, width, height, stride), jpeg_encoder::ColorType::Ycbcr),
-        (PixelFormat::Grey, Some(_)) => (rows(&frame.data, width, height, stride), jpeg_encoder::ColorType::Luma),
+        (PixelFormat::Yuyv, Some(_)) => (yuyv(&frame.data, width, height, stride), ColorType::Ycbcr),
+        (PixelFormat::Nv12, _) => (nv12(&frame.data, width, height, stride), ColorType::Ycbcr),
+        (PixelFormat::Grey, Some(_)) => (rows(&frame.data, width, height, stride), ColorType::Luma),
         _ => {
             let (encoding, step) = (encoding(format), stride);
             let encoding = encoding.to_owned();
@@ -38,11 +35,7 @@ pub fn image_message(
         }
     };
     let quality = quality.unwrap_or(LOSSLESS_ENOUGH);
-    let mut data = Vec::with_capacity(pixels.len() / 8);
-    let size = |side: u32| u16::try_from(side).map_err(|_| EncodeError(format!("{width} x {height} pixels")));
-    jpeg_encoder::Encoder::new(&mut data, quality)
-        .encode(&pixels, size(width)?, size(height)?, colour)
-        .map_err(|error| EncodeError(error.to_string()))?;
+    let data = jpeg(&pixels, width as usize, height as usize, colour, quality)?;
     Ok(ImageMessage::Compressed(CompressedImage { header, format: "jpeg".to_owned(), data }))
 }
 

@@ -22,7 +22,7 @@ pub use capture::{Capture, CaptureEvent, CaptureRules, Drop, Frame, StampClock};
 pub use device::V4l2;
 pub use driver::{BufferInfo, CameraError, CameraOptions, Driver, Negotiated, PixelFormat};
 pub use jpeg::is_whole;
-pub use message::{EncodeError, ImageMessage, image_message};
+pub use message::{ImageMessage, image_message};
 #[cfg(feature = "v4l2")]
 pub use output::OutputDevice;
 pub use republish::{Republished, Republishing, Sink};
