@@ -183,6 +183,12 @@ fn tell(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
         let path = store.captures().join(&session.session);
         lines.push(format!("{:>5} of {:<5} segments  {}", session.segments, session.of, path.display()));
     }
+    if let [first, ..] = report.withheld.as_slice() {
+        lines.push(format!(
+            "not acknowledged: {first}{}: what is here did not come from there, so it may not be deleted there for it",
+            if report.withheld.len() > 1 { format!(" and {} more", report.withheld.len() - 1) } else { String::new() }
+        ));
+    }
     let told = match (report.acknowledged, &report.failed) {
         (true, _) => format!("acknowledged as {}", report.receiver),
         (false, Some(_)) => "not all acknowledged: run it again".to_owned(),

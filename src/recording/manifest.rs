@@ -17,6 +17,8 @@ pub const MANIFEST_FILE: &str = "manifest.jsonl";
 pub const METADATA_FILE: &str = "metadata.yaml";
 /// A file of this name in a session's folder: nobody deletes the session unasked.
 pub const PIN_FILE: &str = "pinned";
+/// In a session's folder that was synced into: how many copies there are between it and the recorder.
+pub const RECEIVED_FILE: &str = "received.json";
 /// Segments that were removed because another store has them.
 pub const EVICTED_FILE: &str = "evicted.jsonl";
 

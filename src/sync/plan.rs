@@ -14,6 +14,8 @@ pub struct Item {
     pub there: String,
     /// And here, to be made if it is not there.
     pub here: String,
+    /// How far the source is from the recorder.
+    pub hops: u32,
     pub line: ManifestLine,
     pub why: Why,
 }
@@ -151,7 +153,7 @@ fn plan_segment(
         }
     }
     let (there, here) = (session.name.clone(), folder.to_owned());
-    plan.items.push(Item { session: session.id.clone(), there, here, line: line.clone(), why });
+    plan.items.push(Item { session: session.id.clone(), there, here, hops: session.hops(), line: line.clone(), why });
 }
 
 /// The session's own name; if another session has it here, with a piece of its number behind it.
@@ -216,6 +218,7 @@ mod tests {
             evicted: BTreeMap::new(),
             open: false,
             pinned: false,
+            received: None,
             acknowledged: BTreeMap::new(),
             set_aside: Vec::new(),
         }

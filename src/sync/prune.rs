@@ -124,6 +124,7 @@ mod tests {
             evicted: BTreeMap::new(),
             open: false,
             pinned: false,
+            received: None,
             set_aside: Vec::new(),
         }
     }

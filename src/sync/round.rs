@@ -57,6 +57,8 @@ pub struct Report {
     pub no_room_bytes: u64,
     /// Whether the source knows of everything that is here.
     pub acknowledged: bool,
+    /// Sessions there that this folder is not farther from the recorder with: who may not delete on our word.
+    pub withheld: Vec<String>,
     /// Can be had nowhere any more, or not as it was recorded.
     pub lost: Vec<SetAside>,
     /// Gone from the source; who has them.
@@ -397,8 +399,15 @@ fn finish(
             report.sessions.push(SessionReport { session, id, segments: verified, of });
         }
         let told = session.acknowledged.get(store.receiver()).map_or(&[][..], Vec::as_slice);
-        if options.acknowledge && told != acks {
-            acknowledge(options, store, desk, rsync, session, ours)?;
+        // Each relies only on who is farther from the recorder, so the farthest that ever had it relies on nobody: without
+        // this two folders could each delete on the other's word.
+        let relies = ours.filter(|ours| ours.hops() > session.hops());
+        let may_hear = if relies.is_some() { acks } else { &[] };
+        if options.acknowledge && acks != may_hear {
+            report.withheld.push(session.name.clone());
+        }
+        if options.acknowledge && told != may_hear {
+            acknowledge(options, store, desk, rsync, session, relies)?;
         }
     }
     report.acknowledged = options.acknowledge && !rsync.stop.load(Ordering::Relaxed);

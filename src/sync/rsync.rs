@@ -13,7 +13,7 @@ use super::error::SyncError;
 use super::listing::{Entry, parse_line};
 use super::source::Source;
 use crate::recording::{
-    ACK_ENDING, ACK_FOLDER, COVERAGE_FILE, EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, SESSION_FILE,
+    ACK_ENDING, ACK_FOLDER, COVERAGE_FILE, EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, RECEIVED_FILE, SESSION_FILE,
 };
 
 /// Gives up on a host that does not answer, and notices one that has gone.
@@ -63,7 +63,7 @@ impl Rsync<'_> {
         // Sizes and times prove nothing: they are compared by content.
         command.args(["-r", "-I", "--no-links", "--delete", "--delete-excluded", "--prune-empty-dirs"]);
         command.args(["--chmod=u+rwX", MAX_SMALL_FILE, "--exclude=/.*", "--include=/*/"]);
-        for name in [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE] {
+        for name in [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE] {
             command.arg(format!("--include=/*/{name}"));
         }
         command.arg(format!("--include=/*/{ACK_FOLDER}/")).arg(format!("--include=/*/{ACK_FOLDER}/*{ACK_ENDING}"));

@@ -18,9 +18,9 @@ use super::source::Source;
 use crate::recording::catalogue::{session_at, sessions_in};
 use crate::recording::storage::{open_plain, read_plain};
 use crate::recording::{
-    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, RECEIVER_FILE,
-    SESSION_FILE, SYNC_FOLDER, Session, SessionId, SetAside, receiver_of, session_holding, sync_folder,
-    write_atomically,
+    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, RECEIVED_FILE,
+    RECEIVER_FILE, Received, SESSION_FILE, SYNC_FOLDER, Session, SessionId, SetAside, receiver_of, session_holding,
+    sync_folder, write_atomically,
 };
 
 const PRUNED_FILE: &str = "pruned.jsonl";
@@ -149,7 +149,7 @@ impl Store {
             return Ok(Placed::Damaged);
         }
         let _turn = self.turn()?;
-        let folder = self.session_folder(&item.here, &item.session, head)?;
+        let folder = self.session_folder(item, head)?;
         let path = folder.join(&item.line.name);
         if fs::symlink_metadata(&path).is_ok() {
             // Another sync, of another source, was faster: it is never away under its name.
@@ -170,7 +170,7 @@ impl Store {
     /// Of a file that is in its place already.
     pub fn verify(&self, item: &Item, head: &[u8]) -> Result<Placed, SyncError> {
         let _turn = self.turn()?;
-        let folder = self.session_folder(&item.here, &item.session, head)?;
+        let folder = self.session_folder(item, head)?;
         let path = folder.join(&item.line.name);
         if !is_as_recorded(&path, &item.line).map_err(io(&path))? {
             return Ok(Placed::Damaged);
@@ -213,15 +213,23 @@ impl Store {
 
     /// The session's folder, made if it is not there; never another session's, never through a link. Another name than was
     /// planned if another sync was faster.
-    fn session_folder(&self, name: &str, id: &SessionId, head: &[u8]) -> Result<PathBuf, SyncError> {
+    fn session_folder(&self, item: &Item, head: &[u8]) -> Result<PathBuf, SyncError> {
+        let Item { here: name, session: id, hops, .. } = item;
+        let received = Received { hops: hops.saturating_add(1) };
         let mut folder = self.captures.join(name);
+        let mut there = None;
         if fs::symlink_metadata(&folder).is_ok() {
             real_folder(&folder)?;
-            if session_at(&folder).is_ok_and(|session| session.id == *id) {
-                return Ok(folder);
-            }
+            there = session_at(&folder).ok().filter(|session| session.id == *id);
         }
-        if let Some(ours) = self.sessions()?.0.into_iter().find(|session| session.id == *id) {
+        if there.is_none() {
+            there = self.sessions()?.0.into_iter().find(|session| session.id == *id);
+        }
+        if let Some(ours) = there {
+            // It came here in another way. As long as nobody else relies on it, it may as well have come from there.
+            if ours.received.is_none() && ours.acknowledged.keys().all(|who| *who == self.receiver) {
+                note_received(&ours.folder, received)?;
+            }
             return Ok(ours.folder);
         }
         if fs::symlink_metadata(&folder).is_ok() {
@@ -232,6 +240,7 @@ impl Store {
         fs::create_dir_all(&beside).map_err(io(&beside))?;
         write_atomically(&beside.join(SESSION_FILE), head)?;
         write_atomically(&beside.join(MANIFEST_FILE), b"")?;
+        note_received(&beside, received)?;
         fs::rename(&beside, &folder).map_err(io(&folder))?;
         sync_folder(&self.captures)?;
         Ok(folder)
@@ -293,6 +302,11 @@ pub fn known_sources(captures: &Path) -> Vec<Known> {
 fn pruned_in(state: &Path) -> Vec<Pruned> {
     let bytes = read_plain(&state.join(PRUNED_FILE), MAX_SMALL_BYTES).unwrap_or_default();
     String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+}
+
+fn note_received(session: &Path, received: Received) -> Result<(), SyncError> {
+    let text = serde_json::to_vec(&received).map_err(crate::recording::RecordingError::from)?;
+    Ok(write_atomically(&session.join(RECEIVED_FILE), &text)?)
 }
 
 /// This folder's name to robots: the machine's, with a number of its own, since a machine may have several such folders.

@@ -84,3 +84,31 @@ fn a_copy_that_is_verified_now_is_as_good_as_an_acknowledgement() {
     fs::write(site.path("dev/a/0000.mcap"), bytes).expect("written");
     assert_eq!(names(&pruned("dev")), [""; 0], "one bit is enough");
 }
+
+#[test]
+fn however_folders_acknowledge_each_other_the_last_copy_stays() {
+    // In circles of two and of three, along a chain, among siblings, in every order of the first two steps.
+    let ways: [&[(&str, &str)]; 6] = [
+        &[("robot", "a"), ("a", "b"), ("b", "a")],
+        &[("robot", "a"), ("a", "b"), ("b", "c"), ("c", "a")],
+        &[("robot", "a"), ("robot", "b"), ("robot", "c"), ("a", "b"), ("c", "a"), ("b", "c")],
+        &[("robot", "a"), ("robot", "b"), ("a", "b"), ("b", "a"), ("a", "b")],
+        &[("robot", "a"), ("a", "robot"), ("robot", "a")],
+        &[("robot", "a"), ("a", "b"), ("b", "robot"), ("robot", "b")],
+    ];
+    for way in ways {
+        let Some(site) = Site::new() else { return };
+        site.session("robot", "s", &[noise(1, 1_000), noise(2, 500)]);
+        for (from, to) in way {
+            site.sync(from, to, &[]).ends(0);
+        }
+        for _ in 0..2 {
+            for folder in ["robot", "a", "b", "c"].into_iter().filter(|folder| site.path(folder).is_dir()) {
+                site.run(&format!("sessions prune --captures {folder} --yes")).ends(0);
+            }
+        }
+        let left = ["robot", "a", "b", "c"].into_iter().filter(|folder| site.path(folder).join("s").is_dir());
+        assert!(left.count() > 0, "all gone after {way:?}");
+        assert!(!site.path("robot/s").exists(), "the robot may rely on who synced from it: {way:?}");
+    }
+}
