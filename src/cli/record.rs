@@ -249,12 +249,15 @@ fn recorder_for_people(recorder: &Value) -> Vec<String> {
             mebibytes("queue_limit_bytes"),
             mebibytes("free_bytes")
         ),
-        format!(
-            "a power cut costs at most {:.2} s (worst stall {:.0} ms; worst so far {:.2} s)",
-            ms("loss_bound_ms") / 1e3,
-            ms("worst_stall_ms"),
-            ms("worst_unsynced_ms") / 1e3
-        ),
+        match recorder["fault"].is_null() {
+            true => format!(
+                "a power cut costs at most {:.2} s (worst stall {:.0} ms; worst so far {:.2} s)",
+                ms("loss_bound_ms") / 1e3,
+                ms("worst_stall_ms"),
+                ms("worst_unsynced_ms") / 1e3
+            ),
+            false => "a power cut costs all that waits for the disk: it refuses".to_owned(),
+        },
     ];
     if let Some(cause) = recorder["stopped"]["cause"].as_str() {
         let what = if recorder["stopped"]["frames_only"] == true { "frames are not" } else { "nothing is" };

@@ -84,6 +84,11 @@ impl Counts {
         self.captured == self.written + self.thinned + self.dropped.values().sum::<u64>()
     }
 
+    /// Of the tags, be their frames written or not; `None` without any.
+    pub fn valid_share(&self) -> Option<f64> {
+        (self.tagged > 0).then(|| self.valid as f64 / self.tagged as f64)
+    }
+
     pub fn add(&mut self, other: &Self) {
         self.captured += other.captured;
         self.written += other.written;

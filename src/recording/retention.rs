@@ -36,6 +36,8 @@ pub struct Evicted {
     pub receiver: String,
 }
 
+/// From this share of a quota on frames are left out: tags and measurements have the rest, and at the quota nothing is written.
+const FRAMES_SHARE: f64 = 0.9;
 /// Below this share of the floor nothing is recorded any more, not even tags.
 const HARD_SHARE: f64 = 0.25;
 /// Fewer free inodes than this count as no room.
@@ -119,16 +121,21 @@ impl Retention {
         let Ok(space) = self.storage.space(captures) else { return (Allowed::All, None) };
         let floor = self.limits.floor(&space);
         let free = space.free_bytes;
-        let over = |limit: u64, used: &dyn Fn() -> u64| limit > 0 && used() >= limit;
+        let of_all = share(*total_bytes, || self.used());
+        let of_session = session.map_or(0.0, |session| share(*session_bytes, || self.used_by(session)));
         let allowed = if free < (floor as f64 * HARD_SHARE) as u64 {
             Allowed::Nothing("disk_full")
+        } else if of_all >= 1.0 {
+            Allowed::Nothing(TOTAL_QUOTA)
+        } else if of_session >= 1.0 {
+            Allowed::Nothing(SESSION_QUOTA)
         } else if free < floor {
             Allowed::NoFrames("disk_full")
         } else if space.free_inodes < FEWEST_INODES {
             Allowed::NoFrames("no_inodes")
-        } else if over(*total_bytes, &|| self.used()) {
+        } else if of_all >= FRAMES_SHARE {
             Allowed::NoFrames(TOTAL_QUOTA)
-        } else if session.is_some_and(|session| over(*session_bytes, &|| self.used_by(session))) {
+        } else if of_session >= FRAMES_SHARE {
             Allowed::NoFrames(SESSION_QUOTA)
         } else {
             Allowed::All
@@ -170,7 +177,12 @@ const SESSION_QUOTA: &str = "session_quota";
 
 /// More room for one session is not made by removing others.
 fn frees_by_eviction(allowed: Allowed) -> bool {
-    allowed != Allowed::NoFrames(SESSION_QUOTA)
+    !matches!(allowed, Allowed::NoFrames(SESSION_QUOTA) | Allowed::Nothing(SESSION_QUOTA))
+}
+
+/// Of a limit; 0 is none.
+fn share(limit: u64, used: impl FnOnce() -> u64) -> f64 {
+    if limit == 0 { 0.0 } else { used() as f64 / limit as f64 }
 }
 
 /// A segment that may go.

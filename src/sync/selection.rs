@@ -44,10 +44,9 @@ fn touches(disc: Within, line: &ManifestLine) -> bool {
     })
 }
 
-/// `None` without a frame.
+/// Of the tags; `None` without any.
 pub fn valid_share(line: &ManifestLine) -> Option<f64> {
-    let frames = line.frames.written + line.frames.thinned;
-    (frames > 0).then(|| line.frames.valid as f64 / frames as f64)
+    line.frames.valid_share()
 }
 
 #[cfg(test)]
@@ -84,6 +83,13 @@ mod tests {
         assert!(disc(0.5, -0.5, 0.0), "inside");
         assert!(disc(4.0, 4.0, 5.0) && !disc(4.0, 4.0, 4.99), "3 and 4 m from the corner");
         assert!(takes(&|s| s.valid_share = Some(0.75)) && !takes(&|s| s.valid_share = Some(0.76)));
+        let mut dropped = line();
+        (dropped.frames.written, dropped.frames.dropped) = (1, [("queue_full".to_owned(), 3)].into());
+        assert!(
+            Selection { valid_share: Some(0.75), ..Selection::default() }.takes(&dropped)
+                && !Selection { valid_share: Some(0.76), ..Selection::default() }.takes(&dropped),
+            "frames that could not be written have their tags all the same"
+        );
         let unknown = ManifestLine { poses: None, ..line() };
         assert!(
             !Selection { within: Some(Within { x: 0.0, y: 0.0, radius: 9.0 }), ..Selection::default() }.takes(&unknown)

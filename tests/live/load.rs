@@ -26,6 +26,7 @@ fn thirty_frames_a_second_of_640_by_480() {
     let config = CONFIG.replace("lens.toml", "fisheye-640");
     let mut recorder = Recorder::start_at(Some(robot.tty()), &config, "-2.96,0.153,2");
     let socket = recorder.room.path("camera.sock");
+    let _line = robot.listens();
     let walking = std::thread::spawn(move || robot.walk(&socket));
     recorder.waits_for("the walk begins", 30, |status| status["counts"]["tagged"].as_u64() > Some(30));
     let process = recorder.process.as_ref().expect("running").id();

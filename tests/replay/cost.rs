@@ -52,7 +52,12 @@ fn a_sweep_recommends_a_row_of_the_front_and_its_config_is_accepted() {
 
     let replayed = room.replay("log.mcap --config out/cost.toml");
     let particles = chosen[0]["particles"].as_u64().unwrap();
-    assert!(replayed.tags.iter().all(|tag| u64::from(tag.particles) == particles && tag.model == chosen[0]["model"]));
+    // Which row is the cheapest depends on the machine; one that adapts takes as many as a frame needs.
+    let adaptive = chosen[0]["adaptive"].as_bool().unwrap();
+    let as_chosen = |used: u64| if adaptive { (1..=particles).contains(&used) } else { used == particles };
+    for tag in &replayed.tags {
+        assert!(as_chosen(tag.particles.into()) && tag.model == chosen[0]["model"], "{tag:?}: {}", chosen[0]);
+    }
 }
 
 #[test]

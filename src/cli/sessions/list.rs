@@ -62,7 +62,6 @@ pub(super) fn row(session: &Session, own: Option<&str>) -> Row {
         }
     }
     let synced = here.iter().filter(|line| receivers_of(line, &session.acknowledged).any(|who| Some(who) != own));
-    let tagged = frames.written + frames.thinned;
     Row {
         session: session.name.clone(),
         id: session.id.clone(),
@@ -70,7 +69,7 @@ pub(super) fn row(session: &Session, own: Option<&str>) -> Row {
         robot_id: session.head.robot_id().map(str::to_owned),
         started: session.head.started.clone(),
         duration_s: first.zip(last).map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 / 1e9),
-        valid_share: (tagged > 0).then(|| frames.valid as f64 / tagged as f64),
+        valid_share: frames.valid_share(),
         frames,
         segments: session.segments.len() as u64,
         bytes: session.segments.values().sum(),

@@ -157,20 +157,22 @@ fn quotas_hold_for_a_session_and_for_all() {
     add(&disk, "b", &[], false);
     let of_session = RecordingSettings { session_mb: 2, ..settings() };
     let seen = look(&disk, &of_session, 100.0, Some(&session));
+    assert_eq!((seen.allowed, seen.evicted.len()), (Allowed::Nothing("session_quota"), 0), "others are not in its way");
+    let of_session = RecordingSettings { session_mb: 3, ..settings() };
+    assert_eq!(look(&disk, &of_session, 100.0, Some(&session)).allowed, Allowed::All);
+    let rest = session.join("rest");
+    put(&disk, &rest, &vec![0; MEBIBYTE * 8 / 10]);
     assert_eq!(
-        (seen.allowed, seen.evicted.len()),
-        (Allowed::NoFrames("session_quota"), 0),
-        "others are not in its way"
+        look(&disk, &of_session, 100.0, Some(&session)).allowed,
+        Allowed::NoFrames("session_quota"),
+        "the last tenth is for tags and measurements"
     );
-    assert_eq!(
-        look(&disk, &RecordingSettings { session_mb: 3, ..settings() }, 100.0, Some(&session)).allowed,
-        Allowed::All
-    );
+    disk.remove(&rest).unwrap();
     let total = RecordingSettings { total_mb: 4, ..settings() };
     assert_eq!(look(&disk, &total, 100.0, None).allowed, Allowed::All, "room was made");
     assert_eq!(evicted(&disk), ["a/0000.mcap"]);
     let total = RecordingSettings { total_mb: 2, ..settings() };
-    assert_eq!(look(&disk, &total, 100.0, None).allowed, Allowed::NoFrames("total_quota"));
+    assert_eq!(look(&disk, &total, 100.0, None).allowed, Allowed::Nothing("total_quota"));
     assert_eq!(evicted(&disk), ["a/0000.mcap", "a/0001.mcap"]);
 }
 
