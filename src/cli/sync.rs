@@ -9,6 +9,7 @@ use clap::Args;
 use super::settings::{UsageError, numbers};
 use super::{Outcome, output};
 use crate::agent::live::stop_flag;
+use crate::recording::SESSION_FILE;
 use crate::sync::{Event, Options, Report, SSH, Selection, Source, Store, SyncError, Within, round};
 
 /// Fetch recordings from a robot, or from a stick
@@ -91,8 +92,13 @@ fn watch(options: &Options, store: &Store, every: Duration, stop: &AtomicBool, j
                 }
                 report.failed
             }
-            // The session may be about to begin.
-            Err(error @ (SyncError::NoSuchSession { .. } | SyncError::Link { .. })) => Some(error.to_string()),
+            // The session may be about to begin, the stick to be put in again, the other sync to end.
+            Err(
+                error @ (SyncError::NoSuchSession { .. }
+                | SyncError::Link { .. }
+                | SyncError::Absent { .. }
+                | SyncError::Busy(_)),
+            ) => Some(error.to_string()),
             Err(error) => return Err(error.into()),
         };
         match &failed {
@@ -138,6 +144,12 @@ fn check_places(source: &Source, output: &std::path::Path) -> Result<(), UsageEr
     if !folder.is_dir() {
         let name = &source.folder;
         return Err(UsageError(format!("{name}: there is no such folder ({name}: with a colon would be a robot)")));
+    }
+    if let (true, Some(captures), Some(session)) =
+        (folder.join(SESSION_FILE).exists(), folder.parent(), folder.file_name())
+    {
+        let (folder, captures, session) = (folder.display(), captures.display(), session.display());
+        return Err(UsageError(format!("{folder}: a session, not a folder of captures: sync {captures} {session}")));
     }
     super::paths::check_output(output, &[folder])
 }

@@ -41,7 +41,7 @@ pub use folder::{Loss, missing_parts, read_info, session_holding};
 pub use identity::{Head, SessionId, robot_id};
 pub use manifest::{
     Counts, EVICTED_FILE, FORMAT_VERSION, LiveInfo, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, PoseBox,
-    RECEIVED_FILE, SESSION_FILE, SessionInfo,
+    RECEIVED_FILE, SESSION_FILE, SessionInfo, saturating_sum,
 };
 pub use pace::loss_bound_ms;
 pub use release::{Releasable, releasable};

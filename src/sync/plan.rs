@@ -66,14 +66,13 @@ impl Plan {
 /// `receiver` is this store; `pruned` are sessions that were thrown away here and are fetched again only when named.
 pub fn plan(there: &[Session], here: &[Session], receiver: &str, pruned: &[SessionId], selection: &Selection) -> Plan {
     let mut plan = Plan::default();
-    let mut seen: BTreeMap<&SessionId, &Session> = BTreeMap::new();
+    let best = best_copies(there);
     let mut names: Vec<String> = here.iter().map(|session| session.name.clone()).collect();
     for session in there {
         plan.set_aside.extend(session.set_aside.iter().cloned());
-        if let Some(first) = seen.insert(&session.id, session) {
-            let why = format!("the same session as {}: a copy, or a renamed one beside the first", first.name);
+        if let Some(best) = best.get(&session.id).filter(|best| best.name != session.name) {
+            let why = format!("the same session as {}: a copy, with no more of it than that", best.name);
             plan.set_aside.push(SetAside::new(&session.folder, why));
-            seen.insert(&first.id, first);
             continue;
         }
         let ours = here.iter().find(|known| known.id == session.id);
@@ -95,6 +94,19 @@ pub fn plan(there: &[Session], here: &[Session], receiver: &str, pruned: &[Sessi
         .sort_by(|a, b| (a.line.first_ns, &a.there, &a.line.name).cmp(&(b.line.first_ns, &b.there, &b.line.name)));
     plan.namesakes = namesakes(there.iter().chain(here));
     plan
+}
+
+/// Of folders with the same session, the one with the most whole segments; of equals, the first by name.
+fn best_copies(there: &[Session]) -> BTreeMap<&SessionId, &Session> {
+    let whole = |session: &Session| session.lines.iter().filter(|line| session.has(line)).count();
+    let mut best: BTreeMap<&SessionId, &Session> = BTreeMap::new();
+    for session in there {
+        let known = best.entry(&session.id).or_insert(session);
+        if (whole(known), &session.name) < (whole(session), &known.name) {
+            *known = session;
+        }
+    }
+    best
 }
 
 fn plan_segment(

@@ -48,13 +48,13 @@ pub enum Ended {
 
 impl Rsync<'_> {
     /// What lies in the source's folder and in the folders there.
-    pub fn list(&self) -> Result<Vec<Entry>, SyncError> {
+    pub fn list(&self) -> Result<(Vec<Entry>, Ended), SyncError> {
         let mut command = self.command();
         command.args(["-r", "--links", "--no-h", "--list-only", "--exclude=/.*", "--exclude=/*/*/*"]);
         command.arg(self.source.argument(""));
         let mut entries = Vec::new();
-        self.run(command, &[], &mut |line| entries.extend(parse_line(line)), &mut || ())?;
-        Ok(entries)
+        let ended = self.run(command, &[], &mut |line| entries.extend(parse_line(line)), &mut || ())?;
+        Ok((entries, ended))
     }
 
     /// What sessions say of themselves; what is no longer there goes.
@@ -164,7 +164,9 @@ impl Rsync<'_> {
             _ if has("No space left on device") => refused("no space left on the disk".to_owned()),
             _ if has("File too large") => refused("a file may not become so large here".to_owned()),
             _ if has("Disk quota exceeded") => refused("the disk quota is used up".to_owned()),
-            Some(23) if has("change_dir") => refused(told(complaints)),
+            Some(23) if has("change_dir") => {
+                Err(SyncError::Absent { source_name: self.source.shown(), said: told(complaints) })
+            }
             Some(23..=25) => Ok(Ended::Partly(told(complaints))),
             Some(127) => refused("rsync is not installed there (Debian: apt-get install rsync)".to_owned()),
             Some(255) if has("Permission denied") || has("Host key verification") => {
