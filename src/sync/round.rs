@@ -178,7 +178,11 @@ fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Vec<Session>,
         }
     }
     if let Ended::Partly(said) = ended {
-        report.set_aside.extend(leave_out_unread(&mut sessions, &entries, &said));
+        let unread = leave_out_unread(&mut sessions, &entries, &said);
+        if let [first, ..] = unread.as_slice() {
+            report.failed = Some(first.to_string());
+        }
+        report.set_aside.extend(unread);
     }
     for entry in entries {
         let (folder, name) = entry.path.split_once('/').map_or((entry.path.as_str(), None), |(a, b)| (a, Some(b)));

@@ -324,6 +324,30 @@ fn a_real_disk_that_fills_up_stops_frames_and_keeps_tags() {
     assert_eq!((counts.captured, counts.tagged), (report["counts"]["captured"].as_u64().unwrap(), counts.captured));
 }
 
+#[test]
+fn a_real_disk_without_inodes_is_survived_and_recorded_on_when_there_are_some_again() {
+    let room = Room::new();
+    let script = format!(
+        "mount -o remount,nr_inodes=60 {CAPTURES} || exit 77\n\
+         (sleep 1; i=0; while true >{CAPTURES}/x$i; do i=$((i+1)); done; sleep 2; rm -f {CAPTURES}/x*) 2>/dev/null &\n\
+         $rs soak -o {CAPTURES} --seconds 6 --rate 30 --frame-kb 20 --json --set recording.segment_s=1 \
+         --set recording.floor_mb=1 --set recording.floor_percent=0 >report.json; echo ended with $?\n\
+         $rs sessions verify --captures {CAPTURES} && echo verified; $rs sessions list --captures {CAPTURES} --json >list.json"
+    );
+    let Some(output) = on_a_small_disk(&room, 64, &script) else { return };
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("verified"), "{output:?}");
+    let json = |name: &str| -> Value { serde_json::from_slice(&fs::read(room.path(name)).unwrap()).unwrap() };
+    let (report, list) = (json("report.json"), json("list.json"));
+    let named =
+        report["counts"]["dropped"]["no_inodes"].as_u64().or(report["recorder"]["faults"]["no_inodes"].as_u64());
+    assert!(named > Some(0), "{report}");
+    assert_eq!((&report["recorder"]["conserved"], &report["recorder"]["fault"]), (&Value::Bool(true), &Value::Null));
+    let counts: Counts = serde_json::from_value(list[0]["frames"].clone()).unwrap();
+    assert_eq!(Some(counts.written), report["counts"]["written"].as_u64(), "{report}");
+    assert!(counts.written > 60, "before and after: {report}");
+}
+
 /// No file may grow beyond 300 KiB: every segment fails long before it is full.
 #[test]
 fn segments_that_cannot_grow_are_given_up_and_nothing_is_lost() {

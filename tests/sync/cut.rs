@@ -186,3 +186,13 @@ fn a_disk_that_fills_up_in_the_middle_of_a_transfer_tears_nothing_and_the_rest_c
     assert!(held[0] < 3 && held[2] == 3, "{held:?}");
     assert_eq!(info.expect("there").lines().count(), 3, "no line was torn");
 }
+
+#[test]
+fn a_slow_transfer_tells_how_far_it_is_how_fast_and_how_long_it_still_takes() {
+    let Some(site) = Site::with_ssh() else { return };
+    site.session("robot", "s", &[noise(1, 3_000_000)]);
+    site.mangles(&["pass", "pass", "slow 150"].map(str::to_owned));
+    let said = site.sync("robot", "dev", &[]).ends(0).says("segments to come: 1, 3.0 MB").stderr;
+    let told = said.lines().find(|line| line.contains(" of 3.0 MB, ")).unwrap_or_else(|| panic!("{said}"));
+    assert!(told.contains("/s, ") && told.ends_with(" s left"), "{told}");
+}

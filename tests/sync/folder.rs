@@ -203,7 +203,10 @@ fn what_rots_here_is_no_longer_acknowledged_once_verify_has_seen_it() {
     let mut bytes = fs::read(&rotten).expect("read");
     bytes[100] ^= 1;
     fs::write(&rotten, bytes).expect("written");
+    let listed = || site.run("sessions list --captures dev").ends(0).stdout;
+    assert!(!listed().contains("not verified"), "{}", listed());
     site.run("sessions verify --captures dev").ends(3);
+    assert!(listed().contains("5 segments here, not ended at ") && listed().contains("1 not verified"), "{}", listed());
     // Whatever is asked for, the robot hears of it.
     site.sync("robot", "dev", &["--valid", "1"]).ends(0);
     let acks = fs::read_dir(site.path("robot/2026-11-21T10-00-00Z-r1/ack")).expect("read");

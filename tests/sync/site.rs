@@ -150,7 +150,7 @@ impl Site {
         Synced::of(command.output().expect("ran"))
     }
 
-    /// What the next calls of ssh do to the bytes that come from the robot: one line each, `cut N`, `flip N`, `pass`, or
+    /// What the next calls of ssh do to the bytes that come from the robot: one line each, `cut N`, `flip N`, `slow MS`, `pass`, or
     /// `fill FILE`: all but three megabytes of its disk.
     pub fn mangles(&self, what: &[String]) {
         let sshd = self.sshd.as_ref().expect("over ssh");
@@ -300,6 +300,7 @@ while (my $length = sysread($from, $bytes, 65536)) {
         $sent += $more;
     }
     $seen += $length;
+    select(undef, undef, undef, $at / 1000) if $what eq "slow";
 }
 close $from;
 exit($? >> 8);
@@ -336,7 +337,7 @@ impl Sshd {
         );
         let script = format!(
             "#!/bin/sh\nwhat=$(head -n 1 {shown}/mangle 2>/dev/null)\n[ -z \"$what\" ] || sed -i 1d {shown}/mangle\n\
-             case $what in\ncut*|flip*) exec perl {shown}/mangle.pl $what {ssh} \"$@\" ;;\nfill*) cat /dev/zero 2>/dev/null \
+             case $what in\ncut*|flip*|slow*) exec perl {shown}/mangle.pl $what {ssh} \"$@\" ;;\nfill*) cat /dev/zero 2>/dev/null \
              >\"${{what#fill }}\"; truncate -s -3M \"${{what#fill }}\" ;;\nesac\nexec {ssh} \"$@\"\n"
         );
         let command = folder.join("ssh");

@@ -39,6 +39,8 @@ pub(super) struct Row {
     pub evicted: u64,
     /// Listed, and not here as they were written, for no known reason.
     pub missing: u64,
+    /// Of a folder that is synced into: here, and not compared with their hashes since they came or were found damaged.
+    pub unverified: u64,
     pub open: bool,
     pub pinned: bool,
     /// Of the segments that are here: by how many other stores at least one has them.
@@ -89,6 +91,7 @@ fn row(session: &Session, own: Option<&str>) -> Row {
         bytes: saturating_sum(session.segments.values().copied()),
         evicted: session.lines.iter().filter(|line| session.has_evicted(line)).count() as u64,
         missing: session.missing().count() as u64,
+        unverified: 0,
         open: session.open,
         pinned: session.pinned,
         synced: synced.count() as u64,
@@ -161,6 +164,8 @@ pub(super) fn row_with_sources(session: &Session, captures: &Path, known: &[Know
         // Of several, the one that knows most of it.
         row.source = row.source.into_iter().chain([source]).max();
     }
+    let verified = own.map_or(0, |own| row.receivers.get(&own).copied().unwrap_or(0));
+    row.unverified = if row.source.is_some() { row.segments.saturating_sub(verified) } else { 0 };
     row.at_source = row.source.as_ref().map(|source| source.segments);
     row
 }
@@ -186,6 +191,7 @@ fn state(row: &Row, now: Timestamp) -> String {
         Some(AtSource { segments: of, .. }) if row.segments < *of => {
             words.push(format!("{} of {of} segments here", row.segments));
         }
+        Some(_) if row.unverified > 0 => words.push(format!("{} segments here", row.segments)),
         Some(AtSource { ended: true, .. }) => words.push("whole here".to_owned()),
         Some(_) => words.push(format!("{} segments here", row.segments)),
         None if row.segments + row.evicted > 0 && row.synced == row.segments => words.push("synced".to_owned()),
@@ -196,6 +202,9 @@ fn state(row: &Row, now: Timestamp) -> String {
         let age = seen.as_ref().and_then(|seen| Some(now.duration_since(seen.parse().ok()?).as_secs()));
         let age = age.map_or_else(|| "once".to_owned(), ago);
         words.push(format!("not ended at {name}, seen {age}"));
+    }
+    if row.unverified > 0 {
+        words.push(format!("{} not verified: sync again", row.unverified));
     }
     if row.open {
         words.push("open".to_owned());
