@@ -202,3 +202,20 @@ fn a_folder_that_has_lost_its_name_takes_no_acknowledgement_for_another_s() {
     let decided = site.run("sessions prune --captures moved --json").ends(0).json();
     assert_eq!(names(&decided), ["s"], "{decided}");
 }
+
+#[test]
+fn what_is_only_known_from_a_source_is_shown_too() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "2026-11-21-a", &[noise(1, 1_000), noise(2, 1_000)]);
+    site.session("robot", "2026-11-22-a", &[noise(3, 1_000)]);
+    site.sync("robot", "dev", &["2026-11-22"]).ends(0);
+    let shown = site.run("sessions show 2026-11-21 --captures dev --json").ends(0).json();
+    assert_eq!((shown["segments"].as_u64(), shown["at_source"].as_u64()), (Some(0), Some(2)), "{shown}");
+    assert_eq!((&shown["manifest"][1]["state"], &shown["missing"]), (&"source".into(), &0.into()), "{shown}");
+    let text = site.run("sessions show 2026-11-21 --captures dev").ends(0).stdout;
+    let listed = site.run("sessions list --captures dev").ends(0).stdout;
+    let state = "0 of 2 segments here, not ended at ";
+    assert!(text.contains(state) && listed.contains(state), "{text}{listed}");
+    site.run("sessions pin 2026-11-21 --captures dev").ends(2);
+    site.run("sessions show 2027 --captures dev").ends(2);
+}

@@ -133,15 +133,18 @@ fn rows(folder: &Path) -> anyhow::Result<(Vec<Row>, Vec<String>)> {
     let mut rows: Vec<Row> = sessions.iter().map(|session| row_with_sources(session, folder, &known)).collect();
     for there in known.iter().flat_map(|known| &known.sessions) {
         if !rows.iter().any(|row| row.id == there.id) {
-            let nothing_here = Session { segments: BTreeMap::new(), lines: Vec::new(), ..there.clone() };
-            let Row { frames, valid_share, duration_s, .. } = row(there, None);
-            let open = false;
-            let here = row_with_sources(&nothing_here, folder, &known);
-            rows.push(Row { frames, valid_share, duration_s, open, ..here });
+            rows.push(row_of_what_is_there(there, folder, &known));
         }
     }
     rows.sort_by(|a, b| (&a.started, &a.session).cmp(&(&b.started, &b.session)));
     Ok((rows, strange.iter().map(ToString::to_string).collect()))
+}
+
+/// Of a session that is at a source only.
+pub(super) fn row_of_what_is_there(there: &Session, captures: &Path, known: &[Known]) -> Row {
+    let nothing_here = Session { segments: BTreeMap::new(), lines: Vec::new(), ..there.clone() };
+    let Row { frames, valid_share, duration_s, .. } = row(there, None);
+    Row { frames, valid_share, duration_s, ..row_with_sources(&nothing_here, captures, known) }
 }
 
 /// Of a session in this folder of captures, with what is known of where it comes from.

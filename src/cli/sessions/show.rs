@@ -1,17 +1,19 @@
 //! `realitysim sessions show`
 
-use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
 
-use super::CapturesArguments;
-use super::list::{Row, line, row_with_sources};
+use super::list::{Row, line, row_of_what_is_there, row_with_sources};
+use super::{CapturesArguments, full_name};
 use crate::cli::paths::{check_output, save};
+use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output};
 use crate::database::coverage_picture;
 use crate::geometry::{Field, PoseGrid};
+use crate::recording::catalogue::session_at;
 use crate::recording::{ManifestLine, Session, SessionInfo, read_coverage, read_info, topic};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::{FrameTag, Message};
@@ -55,6 +57,8 @@ enum SegmentState {
     /// Removed to make room, because another store had it.
     Evicted,
     Missing,
+    /// Of a session of which nothing is here.
+    Source,
 }
 
 #[derive(Serialize)]
@@ -77,14 +81,13 @@ struct Heading {
 }
 
 pub fn run(arguments: &ShowArguments, json: bool) -> anyhow::Result<Outcome> {
-    let session = arguments.captures.session(&arguments.session)?;
-    let captures = session.folder.parent().unwrap_or(Path::new(""));
-    let row = row_with_sources(&session, captures, &known_sources(captures));
+    let Found { session, row, is_here } = find(arguments)?;
     // A session's own account may be of a version that this program cannot read: the rest is shown all the same.
     let info = read_info(&session.folder).ok();
-    let grid = info
-        .as_ref()
-        .and_then(|info| read_coverage(&session.folder, row.frames.valid).or_else(|| coverage_of(&session, info)));
+    let grid = info.as_ref().and_then(|info| {
+        let counted = || coverage_of(&session, info).filter(|_| is_here);
+        read_coverage(&session.folder, row.frames.valid).or_else(counted)
+    });
     if let Some(path) = &arguments.output {
         check_output(path, &[])?;
         let (Some(info), Some(grid)) = (&info, &grid) else {
@@ -93,13 +96,39 @@ pub fn run(arguments: &ShowArguments, json: bool) -> anyhow::Result<Outcome> {
         save(&coverage_picture(grid, &Field::new(info.field.clone())?), path)?;
     }
     let coverage = grid.map(|grid| Shape { map: grid.text(), headings: headings(&grid), grid });
-    let shown = Shown { row, manifest: listed(&session), coverage };
+    let shown = Shown { row, manifest: listed(&session, is_here), coverage };
     if json {
         output::json(&shown)?;
     } else {
         output::lines(&for_people(&shown))?;
     }
     Ok(if shown.row.missing > 0 { Outcome::DataLost } else { Outcome::Whole })
+}
+
+struct Found {
+    session: Session,
+    row: Row,
+    is_here: bool,
+}
+
+/// Here, or else as it is known from a source.
+fn find(arguments: &ShowArguments) -> anyhow::Result<Found> {
+    let path = arguments.captures.path(&arguments.session)?;
+    let why = match session_at(&path) {
+        Ok(session) => {
+            let captures = path.parent().unwrap_or(&path);
+            let row = row_with_sources(&session, captures, &known_sources(captures));
+            return Ok(Found { session, row, is_here: true });
+        }
+        Err(why) => UsageError(why.to_string()),
+    };
+    let captures = path.parent().unwrap_or(&path);
+    let known = known_sources(captures);
+    let there: BTreeMap<&str, &Session> =
+        known.iter().flat_map(|known| &known.sessions).map(|session| (session.name.as_str(), session)).collect();
+    let name = full_name(&arguments.session, there.keys().copied())?;
+    let session = *name.and_then(|name| there.get(name)).ok_or(why)?;
+    Ok(Found { session: session.clone(), row: row_of_what_is_there(session, captures, &known), is_here: false })
 }
 
 fn headings(grid: &PoseGrid) -> Vec<Heading> {
@@ -114,11 +143,12 @@ fn headings(grid: &PoseGrid) -> Vec<Heading> {
     (0..grid.sectors).map(heading).collect()
 }
 
-fn listed(session: &Session) -> Vec<Listed> {
+fn listed(session: &Session, is_here: bool) -> Vec<Listed> {
     let state = |line: &ManifestLine| match (session.has(line), session.has_evicted(line)) {
         (true, _) => SegmentState::Here,
         (false, true) => SegmentState::Evicted,
-        (false, false) => SegmentState::Missing,
+        (false, false) if is_here => SegmentState::Missing,
+        (false, false) => SegmentState::Source,
     };
     session.lines.iter().map(|line| Listed { line: line.clone(), state: state(line) }).collect()
 }
@@ -168,6 +198,7 @@ fn for_people(shown: &Shown) -> String {
             SegmentState::Here => "",
             SegmentState::Evicted => "  removed after a sync",
             SegmentState::Missing => "  missing, or not as it was written",
+            SegmentState::Source => "  not here",
         };
         let place = line.poses.map_or_else(String::new, |p| {
             format!("  x {:.1} to {:.1} m, y {:.1} to {:.1} m", p.x[0], p.x[1], p.y[0], p.y[1])
