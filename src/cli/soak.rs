@@ -14,7 +14,7 @@ use crate::agent::{SoakOptions, soak};
 /// Record a made-up stream in real time: does this disk keep up, and what does recording cost?
 ///
 /// Frames of the size of JPEGs (or raw ones), measurements and tags go through the recorder as on the robot; the session
-/// stays in DIR. Ends with 3 if a frame was dropped.
+/// stays in DIR. Ends with 3 if a frame was dropped, with 1 if it cost more than it may.
 #[derive(Args)]
 pub struct SoakArguments {
     /// Where the session is made
@@ -32,6 +32,9 @@ pub struct SoakArguments {
     /// Inertial measurements a second
     #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(0..=10_000))]
     imu: u32,
+    /// The most that it may cost, of one core
+    #[arg(long, value_name = "PERCENT", value_parser = percent)]
+    max_core_percent: Option<f64>,
     /// A line of JSON with the recorder's state, ten times a second
     #[arg(long)]
     states: bool,
@@ -58,7 +61,7 @@ pub fn run(arguments: &SoakArguments, json: bool) -> anyhow::Result<Outcome> {
             let _ = writeln!(stdout, "{}", json!(state));
         }
     })?;
-    let dropped: u64 = report.counts.dropped.values().sum();
+    let dropped = report.counts.all_dropped();
     if json {
         output::json(&report)?;
     } else {
@@ -76,5 +79,15 @@ pub fn run(arguments: &SoakArguments, json: bool) -> anyhow::Result<Outcome> {
             recorder.worst_unsynced_ms / 1e3,
         ))?;
     }
+    let cost_percent = 100.0 * report.core_share;
+    if let Some(most) = arguments.max_core_percent.filter(|most| cost_percent > *most) {
+        eprintln!("realitysim: recording cost {cost_percent:.1} % of a core, and {most} % are allowed");
+        return Ok(Outcome::NotReached);
+    }
     Ok(if dropped > 0 || !report.counts.lost.is_empty() { Outcome::DataLost } else { Outcome::Whole })
+}
+
+fn percent(text: &str) -> Result<f64, String> {
+    let percent: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if percent > 0.0 { Ok(percent) } else { Err("more than 0".to_owned()) }
 }

@@ -9,6 +9,7 @@ use clap::Args;
 use super::settings::{UsageError, numbers};
 use super::{Outcome, output};
 use crate::agent::live::stop_flag;
+use crate::recording::SESSION_FILE;
 use crate::sync::{Event, Options, Report, SSH, Selection, Source, Store, SyncError, Within, round};
 
 /// Fetch recordings from a robot, or from a stick
@@ -91,8 +92,13 @@ fn watch(options: &Options, store: &Store, every: Duration, stop: &AtomicBool, j
                 }
                 report.failed
             }
-            // The session may be about to begin.
-            Err(error @ (SyncError::NoSuchSession { .. } | SyncError::Link { .. })) => Some(error.to_string()),
+            // The session may be about to begin, the stick to be put in again, the other sync to end.
+            Err(
+                error @ (SyncError::NoSuchSession { .. }
+                | SyncError::Link { .. }
+                | SyncError::Absent { .. }
+                | SyncError::Busy(_)),
+            ) => Some(error.to_string()),
             Err(error) => return Err(error.into()),
         };
         match &failed {
@@ -139,6 +145,12 @@ fn check_places(source: &Source, output: &std::path::Path) -> Result<(), UsageEr
         let name = &source.folder;
         return Err(UsageError(format!("{name}: there is no such folder ({name}: with a colon would be a robot)")));
     }
+    if let (true, Some(captures), Some(session)) =
+        (folder.join(SESSION_FILE).exists(), folder.parent(), folder.file_name())
+    {
+        let (folder, captures, session) = (folder.display(), captures.display(), session.display());
+        return Err(UsageError(format!("{folder}: a session, not a folder of captures: sync {captures} {session}")));
+    }
     super::paths::check_output(output, &[folder])
 }
 
@@ -182,6 +194,12 @@ fn tell(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
     for session in &report.sessions {
         let path = store.captures().join(&session.session);
         lines.push(format!("{:>5} of {:<5} segments  {}", session.segments, session.of, path.display()));
+    }
+    if let [first, ..] = report.withheld.as_slice() {
+        lines.push(format!(
+            "not acknowledged: {first}{}: what is here did not come from there, so it may not be deleted there for it",
+            if report.withheld.len() > 1 { format!(" and {} more", report.withheld.len() - 1) } else { String::new() }
+        ));
     }
     let told = match (report.acknowledged, &report.failed) {
         (true, _) => format!("acknowledged as {}", report.receiver),

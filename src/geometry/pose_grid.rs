@@ -91,6 +91,21 @@ impl PoseGrid {
         (0..self.rows).rev().map(|row| (0..self.columns).map(|column| letter(row, column)).collect()).collect()
     }
 
+    /// Of one heading, a character for each place, y up: how many images, `.` of none, `+` of ten and more.
+    pub fn text_of_sector(&self, sector: usize) -> Vec<String> {
+        let letter =
+            |row: usize, column: usize| match self.counts[(row * self.columns + column) * self.sectors + sector] {
+                0 => '.',
+                images => char::from_digit(images, 10).unwrap_or('+'),
+            };
+        (0..self.rows).rev().map(|row| (0..self.columns).map(|column| letter(row, column)).collect()).collect()
+    }
+
+    /// Places of which there is an image with this heading.
+    pub fn filled_in_sector(&self, sector: usize) -> usize {
+        self.counts.iter().skip(sector).step_by(self.sectors).filter(|count| **count > 0).count()
+    }
+
     fn cell_of(&self, pose: &Isometry) -> Option<usize> {
         let at = (pose.translation.truncate() + self.half) / self.cell_m;
         let forward = pose.transform_vector(DVec3::X);
@@ -124,6 +139,8 @@ mod tests {
         add(9.0, 0.0, 0.0);
         assert_eq!(grid.text(), ["..1", "#.."]);
         assert_eq!((grid.filled, grid.outside, grid.cells), (5, 1, 24));
+        assert_eq!([0, 1].map(|sector| grid.text_of_sector(sector)), [["..2", "1.."], ["...", "1.."]]);
+        assert_eq!([0, 1, 2, 3].map(|sector| grid.filled_in_sector(sector)), [2, 1, 1, 1]);
         assert_eq!(grid.images_at(&Pose2::new(1.0, 0.9, 0.3).to_isometry()), Some(2));
         let again = PoseGrid::with_counts(DVec2::new(1.5, 1.0), 1.0, 4, grid.counts().to_vec()).unwrap();
         assert_eq!((again.filled, again.text()), (grid.filled, grid.text()));

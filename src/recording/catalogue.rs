@@ -6,12 +6,14 @@ use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::acknowledgement::{ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, is_receiver};
 use super::coverage::COVERAGE_FILE;
 use super::identity::{Head, SessionId};
-use super::manifest::{EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, SESSION_FILE};
+use super::manifest::{
+    EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, RECEIVED_FILE, SESSION_FILE,
+};
 use super::repair::{COPY, DAMAGED};
 use super::retention::{Evicted, evicted_segments};
 use super::segment::{ACTIVE, is_segment_name};
@@ -56,14 +58,25 @@ pub struct Session {
     /// A segment is being written, or was when the power went.
     pub open: bool,
     pub pinned: bool,
+    /// Of one that was synced into this folder.
+    pub received: Option<Received>,
     pub acknowledged: Acknowledged,
     pub set_aside: Vec<SetAside>,
+}
+
+/// `received.json`: how a session came here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Received {
+    /// 1 from the recorder's own folder, 2 from a copy of it, and so on.
+    pub hops: u32,
 }
 
 /// A manifest has some hundred bytes a segment; what is larger is none.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 /// `session.json` repeats a config, a field and a lens.
 const MAX_HEAD_BYTES: u64 = 4 << 20;
+/// A number.
+const MAX_RECEIVED_BYTES: u64 = 1024;
 /// More receivers' files than any team has.
 const MAX_RECEIVERS: usize = 256;
 /// File systems allow no longer names.
@@ -136,6 +149,7 @@ fn session_on(storage: &dyn Storage, folder: &Path) -> Result<Session, SetAside>
         evicted: evicted_segments(storage, folder),
         open: false,
         pinned: false,
+        received: read_received(storage, &folder.join(RECEIVED_FILE), &mut set_aside),
         acknowledged: Acknowledged::new(),
         set_aside,
     };
@@ -150,6 +164,11 @@ fn session_on(storage: &dyn Storage, folder: &Path) -> Result<Session, SetAside>
 }
 
 impl Session {
+    /// How far from the recorder it is: only who is farther away may be relied on when something is deleted.
+    pub fn hops(&self) -> u32 {
+        self.received.map_or(0, |received| received.hops)
+    }
+
     /// Something that lies in the folder.
     pub fn note(&mut self, name: &str, kind: Kind) {
         let mut aside = |why: &str| self.set_aside.push(SetAside::new(self.folder.join(name), why));
@@ -188,7 +207,7 @@ impl Session {
 
 /// Beside segments.
 fn is_own_file(name: &str) -> bool {
-    [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE].contains(&name)
+    [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE].contains(&name)
         || name.ends_with(".new")
         || name.strip_suffix(COPY).is_some_and(is_segment_name)
 }
@@ -229,6 +248,19 @@ fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> V
     }
     lines.retain(|line| !doubted.contains(&line.name));
     lines
+}
+
+/// One that makes no sense is as far away as can be: nobody may rely on anybody beyond it.
+fn read_received(storage: &dyn Storage, path: &Path, set_aside: &mut Vec<SetAside>) -> Option<Received> {
+    let parsed = match read_whole(storage, path, MAX_RECEIVED_BYTES) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return None,
+        Err(error) => Err(error.to_string()),
+        Ok(bytes) => serde_json::from_slice(&bytes).map_err(|error| error.to_string()),
+    };
+    Some(parsed.unwrap_or_else(|why| {
+        set_aside.push(SetAside::new(path, why));
+        Received { hops: u32::MAX }
+    }))
 }
 
 fn read_acknowledged(storage: &dyn Storage, folder: &Path, set_aside: &mut Vec<SetAside>) -> Acknowledged {

@@ -1,7 +1,7 @@
 //! A session's folder as a reader finds it: what its manifest promises against what is there.
 
 use std::fmt;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -11,11 +11,13 @@ use super::error::RecordingError;
 use super::manifest::{MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo};
 use super::retention::evicted_segments;
 use super::segment::ACTIVE;
-use super::storage::{Disk, Storage, read_small};
+use super::storage::{Disk, Storage, open_plain, read_plain, read_small};
 use crate::ros2::mcap_read::Damage;
 
 /// A manifest has some hundred bytes a segment; what is larger is none.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
+/// `session.json` repeats a config, a field and a lens.
+const MAX_SESSION_BYTES: u64 = 4 << 20;
 
 /// Something of a recording that cannot be had any more.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -90,7 +92,7 @@ pub(super) fn manifest_lines(storage: &dyn Storage, session: &Path) -> io::Resul
 
 fn read_manifest(path: &Path) -> io::Result<String> {
     let mut bytes = Vec::new();
-    File::open(path)?.take(MAX_MANIFEST_BYTES).read_to_end(&mut bytes)?;
+    open_plain(path)?.take(MAX_MANIFEST_BYTES).read_to_end(&mut bytes)?;
     Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
@@ -98,6 +100,7 @@ fn loss_of(folder: &Path, line: &ManifestLine) -> Option<Loss> {
     let file = folder.join(&line.name);
     let ManifestLine { bytes, messages, frames, .. } = line;
     let what = match fs::metadata(&file) {
+        Ok(found) if !found.is_file() => "is no plain file".to_owned(),
         Ok(found) if found.len() == *bytes => return None,
         Ok(found) => format!("has {} bytes, but {MANIFEST_FILE} says {bytes}: it was cut or changed", found.len()),
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -111,7 +114,7 @@ fn loss_of(folder: &Path, line: &ManifestLine) -> Option<Loss> {
 /// The session's own account of itself.
 pub fn read_info(session: &Path) -> Result<SessionInfo, RecordingError> {
     let path = session.join(SESSION_FILE);
-    let bytes = fs::read(&path).map_err(|source| RecordingError::Io { path: path.clone(), source })?;
+    let bytes = read_plain(&path, MAX_SESSION_BYTES).map_err(|source| RecordingError::io(&path, source))?;
     serde_json::from_slice(&bytes).map_err(|source| RecordingError::Info { path, source })
 }
 

@@ -17,6 +17,8 @@ pub const MANIFEST_FILE: &str = "manifest.jsonl";
 pub const METADATA_FILE: &str = "metadata.yaml";
 /// A file of this name in a session's folder: nobody deletes the session unasked.
 pub const PIN_FILE: &str = "pinned";
+/// In a session's folder that was synced into: how many copies there are between it and the recorder.
+pub const RECEIVED_FILE: &str = "received.json";
 /// Segments that were removed because another store has them.
 pub const EVICTED_FILE: &str = "evicted.jsonl";
 
@@ -76,10 +78,20 @@ pub struct Counts {
     pub lost: BTreeMap<String, u64>,
 }
 
+/// Of numbers that anybody may have edited: as much as can be counted.
+pub fn saturating_sum(numbers: impl IntoIterator<Item = u64>) -> u64 {
+    numbers.into_iter().fold(0, u64::saturating_add)
+}
+
 impl Counts {
     /// Every captured frame was written, thinned out or dropped.
     pub fn is_conserved(&self) -> bool {
-        self.captured == self.written + self.thinned + self.dropped.values().sum::<u64>()
+        self.captured == saturating_sum([self.written, self.thinned, self.all_dropped()])
+    }
+
+    /// Whatever the cause.
+    pub fn all_dropped(&self) -> u64 {
+        saturating_sum(self.dropped.values().copied())
     }
 
     /// Of the tags, be their frames written or not; `None` without any.
@@ -87,16 +99,18 @@ impl Counts {
         (self.tagged > 0).then(|| self.valid as f64 / self.tagged as f64)
     }
 
+    /// Of a manifest that somebody edited, as much as can be counted.
     pub fn add(&mut self, other: &Self) {
-        self.captured += other.captured;
-        self.written += other.written;
-        self.tagged += other.tagged;
-        self.valid += other.valid;
-        self.thinned += other.thinned;
+        self.captured = self.captured.saturating_add(other.captured);
+        self.written = self.written.saturating_add(other.written);
+        self.tagged = self.tagged.saturating_add(other.tagged);
+        self.valid = self.valid.saturating_add(other.valid);
+        self.thinned = self.thinned.saturating_add(other.thinned);
         let sums = [&mut self.dropped, &mut self.untagged, &mut self.lost];
         for (sum, more) in sums.into_iter().zip([&other.dropped, &other.untagged, &other.lost]) {
             for (cause, count) in more {
-                *sum.entry(cause.clone()).or_default() += count;
+                let sum = sum.entry(cause.clone()).or_default();
+                *sum = sum.saturating_add(*count);
             }
         }
     }

@@ -34,14 +34,14 @@ pub use acknowledgement::{
     ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER, is_receiver, receiver_of,
     receivers_of,
 };
-pub use catalogue::{Session, SetAside};
+pub use catalogue::{Received, Session, SetAside};
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
 pub use error::RecordingError;
 pub use folder::{Loss, missing_parts, read_info, session_holding};
 pub use identity::{Head, SessionId, robot_id};
 pub use manifest::{
     Counts, EVICTED_FILE, FORMAT_VERSION, LiveInfo, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, PoseBox,
-    SESSION_FILE, SessionInfo,
+    RECEIVED_FILE, SESSION_FILE, SessionInfo, saturating_sum,
 };
 pub use pace::loss_bound_ms;
 pub use release::{Releasable, releasable};

@@ -12,11 +12,13 @@ pub struct Releasable<'a> {
 }
 
 /// Oldest first, pinned last. `own` is this folder's own name as a receiver, whose word does not count: it is what would go.
+/// Where something was received and that name is gone, nobody's word counts: one of them may be this folder's.
 pub fn releasable<'a>(sessions: impl IntoIterator<Item = &'a Session>, own: Option<&'a str>) -> Vec<Releasable<'a>> {
     let mut order: Vec<&Session> = sessions.into_iter().collect();
     order.sort_by(|a, b| (a.pinned, &a.head.started, &a.name).cmp(&(b.pinned, &b.head.started, &b.name)));
     let of = |session: &'a Session| {
-        let here = session.lines.iter().filter(|line| session.has(line));
+        let tells_own = own.is_some() || session.received.is_none();
+        let here = session.lines.iter().filter(|line| tells_own && session.has(line));
         let with_holder = here.filter_map(|line| {
             let mut holders = receivers_of(line, &session.acknowledged);
             Some((line, holders.find(|holder| Some(*holder) != own)?))

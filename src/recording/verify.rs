@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::error::RecordingError;
 use super::folder::{Loss, manifest_lines};
 use super::manifest::MANIFEST_FILE;
-use super::repair::read_session;
+use super::repair::read_head;
 use super::retention::evicted_segments;
 use super::segment::{ACTIVE, is_segment_name, segment_index};
 use super::storage::{Kind, Storage};
@@ -28,7 +28,7 @@ pub struct Verified {
 
 /// Every segment is read; nothing is changed.
 pub fn verify(storage: &dyn Storage, session: &Path) -> Result<Verified, RecordingError> {
-    read_session(storage, session)?;
+    read_head(storage, session)?;
     let mut verified = Verified { session: session.to_owned(), ..Verified::default() };
     let path = session.join(MANIFEST_FILE);
     let lines = manifest_lines(storage, session).map_err(|source| RecordingError::io(&path, source))?;
@@ -65,11 +65,14 @@ pub fn verify(storage: &dyn Storage, session: &Path) -> Result<Verified, Recordi
         };
         verified.wrong.push(Loss::new(&file, said));
     }
-    for file in files.iter().filter(|file| file.bytes().is_some() && segment_index(&file.name).is_some()) {
-        if file.name.ends_with(ACTIVE) {
+    for file in files.iter().filter(|file| segment_index(&file.name).is_some()) {
+        let is_listed = lines.iter().any(|line| line.name == file.name);
+        if file.bytes().is_none() && !is_listed {
+            verified.wrong.push(Loss::new(&session.join(&file.name), "is no plain file"));
+        } else if file.name.ends_with(ACTIVE) {
             let said = "was never finished, or is being recorded: `realitysim sessions repair`";
             verified.wrong.push(Loss::new(&session.join(&file.name), said));
-        } else if !lines.iter().any(|line| line.name == file.name) {
+        } else if !is_listed {
             let said = format!("{MANIFEST_FILE} does not list it: `realitysim sessions repair`");
             verified.wrong.push(Loss::new(&session.join(&file.name), said));
         }
@@ -77,7 +80,7 @@ pub fn verify(storage: &dyn Storage, session: &Path) -> Result<Verified, Recordi
     Ok(verified)
 }
 
-fn hash(storage: &dyn Storage, path: &Path) -> io::Result<String> {
+pub(super) fn hash(storage: &dyn Storage, path: &Path) -> io::Result<String> {
     let mut hash = blake3::Hasher::new();
     io::copy(&mut storage.read(path)?, &mut hash)?;
     Ok(hash.finalize().to_hex().to_string())

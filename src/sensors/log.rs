@@ -1,9 +1,11 @@
 //! A recorded log as the source of everything: one MCAP file, or a folder of them (a ROS 2 bag, a capture).
 
-use std::fs::File;
-use std::io::BufReader;
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufReader};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
+use rustix::fs::OFlags;
 use thiserror::Error;
 
 use super::topics::TopicTypes;
@@ -138,7 +140,13 @@ fn open(path: &Path, selection: Selection) -> Result<LogReader<BufReader<File>>,
 }
 
 fn buffered(path: &Path) -> Result<BufReader<File>, LogError> {
-    let file = File::open(path).map_err(|source| LogError::Open { path: path.to_owned(), source })?;
+    let failed = |source| LogError::Open { path: path.to_owned(), source };
+    // Not waited for: nobody may ever write into a pipe that lies among segments.
+    let opened = OpenOptions::new().read(true).custom_flags(OFlags::NONBLOCK.bits() as i32).open(path);
+    let file = opened.map_err(failed)?;
+    if !file.metadata().map_err(failed)?.is_file() {
+        return Err(failed(io::Error::other("not a plain file")));
+    }
     Ok(BufReader::with_capacity(1 << 18, file))
 }
 

@@ -21,6 +21,9 @@ pub enum SyncError {
     /// Worth another try: the link may come back.
     #[error("{source_name}: {said}")]
     Link { source_name: String, said: String },
+    /// Not there: not yet, or not any more.
+    #[error("{source_name}: {said}")]
+    Absent { source_name: String, said: String },
     /// The same would happen again.
     #[error("{source_name}: {said}")]
     Refused { source_name: String, said: String },

@@ -14,6 +14,8 @@ pub struct Item {
     pub there: String,
     /// And here, to be made if it is not there.
     pub here: String,
+    /// How far the source is from the recorder.
+    pub hops: u32,
     pub line: ManifestLine,
     pub why: Why,
 }
@@ -64,14 +66,13 @@ impl Plan {
 /// `receiver` is this store; `pruned` are sessions that were thrown away here and are fetched again only when named.
 pub fn plan(there: &[Session], here: &[Session], receiver: &str, pruned: &[SessionId], selection: &Selection) -> Plan {
     let mut plan = Plan::default();
-    let mut seen: BTreeMap<&SessionId, &Session> = BTreeMap::new();
+    let best = best_copies(there);
     let mut names: Vec<String> = here.iter().map(|session| session.name.clone()).collect();
     for session in there {
         plan.set_aside.extend(session.set_aside.iter().cloned());
-        if let Some(first) = seen.insert(&session.id, session) {
-            let why = format!("the same session as {}: a copy, or a renamed one beside the first", first.name);
+        if let Some(best) = best.get(&session.id).filter(|best| best.name != session.name) {
+            let why = format!("the same session as {}: a copy, with no more of it than that", best.name);
             plan.set_aside.push(SetAside::new(&session.folder, why));
-            seen.insert(&first.id, first);
             continue;
         }
         let ours = here.iter().find(|known| known.id == session.id);
@@ -93,6 +94,19 @@ pub fn plan(there: &[Session], here: &[Session], receiver: &str, pruned: &[Sessi
         .sort_by(|a, b| (a.line.first_ns, &a.there, &a.line.name).cmp(&(b.line.first_ns, &b.there, &b.line.name)));
     plan.namesakes = namesakes(there.iter().chain(here));
     plan
+}
+
+/// Of folders with the same session, the one with the most whole segments; of equals, the first by name.
+fn best_copies(there: &[Session]) -> BTreeMap<&SessionId, &Session> {
+    let whole = |session: &Session| session.lines.iter().filter(|line| session.has(line)).count();
+    let mut best: BTreeMap<&SessionId, &Session> = BTreeMap::new();
+    for session in there {
+        let known = best.entry(&session.id).or_insert(session);
+        if (whole(known), &session.name) < (whole(session), &known.name) {
+            *known = session;
+        }
+    }
+    best
 }
 
 fn plan_segment(
@@ -151,7 +165,7 @@ fn plan_segment(
         }
     }
     let (there, here) = (session.name.clone(), folder.to_owned());
-    plan.items.push(Item { session: session.id.clone(), there, here, line: line.clone(), why });
+    plan.items.push(Item { session: session.id.clone(), there, here, hops: session.hops(), line: line.clone(), why });
 }
 
 /// The session's own name; if another session has it here, with a piece of its number behind it.
@@ -216,6 +230,7 @@ mod tests {
             evicted: BTreeMap::new(),
             open: false,
             pinned: false,
+            received: None,
             acknowledged: BTreeMap::new(),
             set_aside: Vec::new(),
         }

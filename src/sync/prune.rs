@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::recording::{Releasable, Session, releasable};
+use crate::recording::{Releasable, Session, releasable, saturating_sum};
 
 /// When to stop, and what may go at all.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -40,14 +40,14 @@ pub fn decide(
     let mut decisions = Vec::new();
     for releasable in releasable(asked, own) {
         let session = releasable.session;
-        let bytes = session.segments.values().sum();
+        let bytes = saturating_sum(session.segments.values().copied());
         let verdict = verdict(&releasable, has_copy, goal);
         let (goes, why) = match verdict {
             Ok(_) if goal.bytes.is_some_and(|enough| gone >= enough) => (false, "enough room without it".to_owned()),
             Ok(why) => (true, why),
             Err(why) => (false, why),
         };
-        gone += if goes { bytes } else { 0 };
+        gone = saturating_sum([gone, if goes { bytes } else { 0 }]);
         decisions.push(Decision { session: session.name.clone(), bytes, goes, why });
     }
     decisions
@@ -124,6 +124,7 @@ mod tests {
             evicted: BTreeMap::new(),
             open: false,
             pinned: false,
+            received: None,
             set_aside: Vec::new(),
         }
     }

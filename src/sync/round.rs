@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 
 use super::error::SyncError;
+use super::listing::Entry;
 use super::plan::{Item, Plan, plan};
 use super::rsync::{Ended, Rsync};
 use super::selection::Selection;
@@ -57,6 +58,8 @@ pub struct Report {
     pub no_room_bytes: u64,
     /// Whether the source knows of everything that is here.
     pub acknowledged: bool,
+    /// Sessions there that this folder is not farther from the recorder with: who may not delete on our word.
+    pub withheld: Vec<String>,
     /// Can be had nowhere any more, or not as it was recorded.
     pub lost: Vec<SetAside>,
     /// Gone from the source; who has them.
@@ -98,6 +101,11 @@ pub fn round(
     tell: &mut dyn FnMut(Event),
 ) -> Result<Report, SyncError> {
     let began = Instant::now();
+    // Before a desk is made: a folder is known by where it really lies.
+    if !options.source.is_remote() && !Path::new(&options.source.folder).is_dir() {
+        let said = "there is no such folder".to_owned();
+        return Err(SyncError::Absent { source_name: options.source.shown(), said });
+    }
     let desk = store.desk(&options.source)?;
     let rsync = Rsync { source: &options.source, ssh: &options.ssh, stop };
     let mut report =
@@ -113,6 +121,7 @@ pub fn round(
         let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
         return Err(SyncError::NoSuchSession { source_name: options.source.shown(), asked: asked.clone(), there });
     }
+    desk.note_seen(&options.source, &there)?;
     let (here, strange) = store.sessions()?;
     report.set_aside.extend(strange);
     let pruned: Vec<SessionId> =
@@ -155,7 +164,7 @@ fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Vec<Session>,
     if let Ended::Partly(said) = rsync.heads(&desk.known)? {
         report.set_aside.push(SetAside::new(rsync.source.shown(), said));
     }
-    let entries = rsync.list()?;
+    let (entries, ended) = rsync.list()?;
     let shown = PathBuf::from(rsync.source.shown());
     let as_there =
         |path: &Path| path.strip_prefix(&desk.known).map_or_else(|_| path.to_owned(), |rest| shown.join(rest));
@@ -167,6 +176,13 @@ fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Vec<Session>,
         for it in &mut session.set_aside {
             it.path = as_there(&it.path);
         }
+    }
+    if let Ended::Partly(said) = ended {
+        let unread = leave_out_unread(&mut sessions, &entries, &said);
+        if let [first, ..] = unread.as_slice() {
+            report.failed = Some(first.to_string());
+        }
+        report.set_aside.extend(unread);
     }
     for entry in entries {
         let (folder, name) = entry.path.split_once('/').map_or((entry.path.as_str(), None), |(a, b)| (a, Some(b)));
@@ -186,6 +202,16 @@ fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Vec<Session>,
     Ok(sessions)
 }
 
+/// What could not be looked into is not empty: nothing is said of it, and nothing taken back.
+fn leave_out_unread(sessions: &mut Vec<Session>, entries: &[Entry], said: &str) -> Vec<SetAside> {
+    let is_read = |session: &Session| {
+        entries.iter().any(|entry| entry.path.split_once('/').is_some_and(|(folder, _)| folder == session.name))
+    };
+    let (read, unread): (Vec<_>, Vec<_>) = std::mem::take(sessions).into_iter().partition(is_read);
+    *sessions = read;
+    unread.into_iter().map(|session| SetAside::new(session.folder, format!("cannot be looked into: {said}"))).collect()
+}
+
 /// The oldest come first; what does not fit any more is not begun.
 fn leave_out_what_has_no_room(plan: &mut Plan, store: &Store, desk: &Desk) -> u64 {
     let Some(free) = store.free_bytes() else { return 0 };
@@ -197,7 +223,7 @@ fn leave_out_what_has_no_room(plan: &mut Plan, store: &Store, desk: &Desk) -> u6
         if fits {
             room -= needed;
         } else {
-            left_out += needed;
+            left_out = needed.saturating_add(left_out);
         }
         fits
     });
@@ -387,7 +413,8 @@ fn finish(
     for session in there {
         let ours = here.iter().find(|ours| ours.id == session.id);
         let acks = ours.and_then(|ours| ours.acknowledged.get(store.receiver())).map_or(&[][..], Vec::as_slice);
-        if let Some(folder) = plan.folders.get(&session.id) {
+        let is_copy = report.sessions.iter().any(|told| told.id == session.id);
+        if let Some(folder) = plan.folders.get(&session.id).filter(|_| !is_copy) {
             let verified = session.lines.iter().filter(|line| acks.iter().any(|ack| ack.is_of(line))).count() as u64;
             let of = session.lines.len() as u64;
             if let Some(ours) = ours.filter(|_| verified == of && !session.open) {
@@ -397,8 +424,15 @@ fn finish(
             report.sessions.push(SessionReport { session, id, segments: verified, of });
         }
         let told = session.acknowledged.get(store.receiver()).map_or(&[][..], Vec::as_slice);
-        if options.acknowledge && told != acks {
-            acknowledge(options, store, desk, rsync, session, ours)?;
+        // Each relies only on who is farther from the recorder, so the farthest that ever had it relies on nobody: without
+        // this two folders could each delete on the other's word.
+        let relies = ours.filter(|ours| ours.hops() > session.hops());
+        let may_hear = if relies.is_some() { acks } else { &[] };
+        if options.acknowledge && acks != may_hear {
+            report.withheld.push(session.name.clone());
+        }
+        if options.acknowledge && told != may_hear {
+            acknowledge(options, store, desk, rsync, session, relies)?;
         }
     }
     report.acknowledged = options.acknowledge && !rsync.stop.load(Ordering::Relaxed);
@@ -429,5 +463,29 @@ fn acknowledge(
     match rsync.acknowledge(&file, &session.name)? {
         Ended::Partly(said) => refused(format!("what is verified here could not be acknowledged there: {said}")),
         Ended::Whole | Ended::Stopped => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::catalogue::session_at;
+
+    #[test]
+    fn a_folder_that_cannot_be_read_is_not_taken_for_an_empty_one() {
+        let captures = tempfile::tempdir().unwrap();
+        let mut sessions = Vec::new();
+        for name in ["read", "unread"] {
+            let folder = captures.path().join(name);
+            fs::create_dir(&folder).unwrap();
+            fs::write(folder.join("session.json"), r#"{"format":1,"robot":"r","started":"t"}"#).unwrap();
+            sessions.push(session_at(&folder).unwrap());
+        }
+        let entry = |path: &str, kind| Entry { path: path.to_owned(), kind };
+        let entries =
+            [entry("read", Kind::Folder), entry("read/session.json", Kind::File(40)), entry("unread", Kind::Folder)];
+        let aside = leave_out_unread(&mut sessions, &entries, "Permission denied");
+        assert_eq!(sessions.iter().map(|session| session.name.as_str()).collect::<Vec<_>>(), ["read"]);
+        assert!(aside.len() == 1 && aside[0].to_string().contains("unread: cannot be looked into: Permission denied"));
     }
 }

@@ -13,7 +13,7 @@ use super::error::SyncError;
 use super::listing::{Entry, parse_line};
 use super::source::Source;
 use crate::recording::{
-    ACK_ENDING, ACK_FOLDER, COVERAGE_FILE, EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, SESSION_FILE,
+    ACK_ENDING, ACK_FOLDER, COVERAGE_FILE, EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, RECEIVED_FILE, SESSION_FILE,
 };
 
 /// Gives up on a host that does not answer, and notices one that has gone.
@@ -48,13 +48,13 @@ pub enum Ended {
 
 impl Rsync<'_> {
     /// What lies in the source's folder and in the folders there.
-    pub fn list(&self) -> Result<Vec<Entry>, SyncError> {
+    pub fn list(&self) -> Result<(Vec<Entry>, Ended), SyncError> {
         let mut command = self.command();
         command.args(["-r", "--links", "--no-h", "--list-only", "--exclude=/.*", "--exclude=/*/*/*"]);
         command.arg(self.source.argument(""));
         let mut entries = Vec::new();
-        self.run(command, &[], &mut |line| entries.extend(parse_line(line)), &mut || ())?;
-        Ok(entries)
+        let ended = self.run(command, &[], &mut |line| entries.extend(parse_line(line)), &mut || ())?;
+        Ok((entries, ended))
     }
 
     /// What sessions say of themselves; what is no longer there goes.
@@ -63,7 +63,7 @@ impl Rsync<'_> {
         // Sizes and times prove nothing: they are compared by content.
         command.args(["-r", "-I", "--no-links", "--delete", "--delete-excluded", "--prune-empty-dirs"]);
         command.args(["--chmod=u+rwX", MAX_SMALL_FILE, "--exclude=/.*", "--include=/*/"]);
-        for name in [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE] {
+        for name in [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE] {
             command.arg(format!("--include=/*/{name}"));
         }
         command.arg(format!("--include=/*/{ACK_FOLDER}/")).arg(format!("--include=/*/{ACK_FOLDER}/*{ACK_ENDING}"));
@@ -164,7 +164,9 @@ impl Rsync<'_> {
             _ if has("No space left on device") => refused("no space left on the disk".to_owned()),
             _ if has("File too large") => refused("a file may not become so large here".to_owned()),
             _ if has("Disk quota exceeded") => refused("the disk quota is used up".to_owned()),
-            Some(23) if has("change_dir") => refused(told(complaints)),
+            Some(23) if has("change_dir") => {
+                Err(SyncError::Absent { source_name: self.source.shown(), said: told(complaints) })
+            }
             Some(23..=25) => Ok(Ended::Partly(told(complaints))),
             Some(127) => refused("rsync is not installed there (Debian: apt-get install rsync)".to_owned()),
             Some(255) if has("Permission denied") || has("Host key verification") => {

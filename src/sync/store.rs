@@ -3,12 +3,14 @@
 //! Of its own it has `.sync/`: the receiver's name, what was pruned, and of each source what is known of it (`known/`) and
 //! what is not whole yet (`incoming/`).
 
+use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use jiff::Timestamp;
 use rustix::fs::{FlockOperation, OFlags};
 use serde::{Deserialize, Serialize};
 
@@ -18,11 +20,13 @@ use super::source::Source;
 use crate::recording::catalogue::{session_at, sessions_in};
 use crate::recording::storage::{open_plain, read_plain};
 use crate::recording::{
-    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, RECEIVER_FILE,
-    SESSION_FILE, SYNC_FOLDER, Session, SessionId, SetAside, receiver_of, session_holding, sync_folder,
-    write_atomically,
+    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, RECEIVED_FILE,
+    RECEIVER_FILE, Received, SESSION_FILE, SYNC_FOLDER, Session, SessionId, SetAside, receiver_of, robot_id,
+    session_holding, sync_folder, write_atomically,
 };
 
+/// Behind the machine's name.
+const NUMBER_DIGITS: usize = 12;
 const PRUNED_FILE: &str = "pruned.jsonl";
 const SOURCE_FILE: &str = "source.json";
 /// What is copied beside segments.
@@ -59,7 +63,12 @@ pub enum Placed {
 #[derive(Debug)]
 pub struct Known {
     pub source: String,
+    /// When it was last looked at, by this machine's clock.
+    pub seen: Option<Timestamp>,
+    /// As they were then.
     pub sessions: Vec<Session>,
+    /// Those that were ended then: no segment comes any more.
+    pub ended: BTreeSet<SessionId>,
 }
 
 /// A session that was thrown away here.
@@ -72,6 +81,11 @@ pub struct Pruned {
 #[derive(Serialize, Deserialize)]
 struct SourceNote {
     source: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    seen: Option<String>,
+    /// Sessions with a segment that was being written.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    open: Vec<String>,
 }
 
 impl Store {
@@ -131,9 +145,11 @@ impl Store {
         }
         // rsync inherits it: if we are killed and it is not, nobody touches the files that it still writes.
         rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()).map_err(|error| io(&path)(error.into()))?;
-        let note = serde_json::to_vec(&SourceNote { source: source.shown() }).unwrap_or_default();
-        write_atomically(&place.join(SOURCE_FILE), &note)?;
-        Ok(Desk { known, incoming, _lock: lock })
+        let desk = Desk { known, incoming, _lock: lock };
+        if !place.join(SOURCE_FILE).exists() {
+            desk.note(&SourceNote { source: source.shown(), seen: None, open: Vec::new() })?;
+        }
+        Ok(desk)
     }
 
     /// Bytes free for us on the disk.
@@ -149,7 +165,7 @@ impl Store {
             return Ok(Placed::Damaged);
         }
         let _turn = self.turn()?;
-        let folder = self.session_folder(&item.here, &item.session, head)?;
+        let folder = self.session_folder(item, head)?;
         let path = folder.join(&item.line.name);
         if fs::symlink_metadata(&path).is_ok() {
             // Another sync, of another source, was faster: it is never away under its name.
@@ -170,7 +186,7 @@ impl Store {
     /// Of a file that is in its place already.
     pub fn verify(&self, item: &Item, head: &[u8]) -> Result<Placed, SyncError> {
         let _turn = self.turn()?;
-        let folder = self.session_folder(&item.here, &item.session, head)?;
+        let folder = self.session_folder(item, head)?;
         let path = folder.join(&item.line.name);
         if !is_as_recorded(&path, &item.line).map_err(io(&path))? {
             return Ok(Placed::Damaged);
@@ -213,15 +229,23 @@ impl Store {
 
     /// The session's folder, made if it is not there; never another session's, never through a link. Another name than was
     /// planned if another sync was faster.
-    fn session_folder(&self, name: &str, id: &SessionId, head: &[u8]) -> Result<PathBuf, SyncError> {
+    fn session_folder(&self, item: &Item, head: &[u8]) -> Result<PathBuf, SyncError> {
+        let Item { here: name, session: id, hops, .. } = item;
+        let received = Received { hops: hops.saturating_add(1) };
         let mut folder = self.captures.join(name);
+        let mut there = None;
         if fs::symlink_metadata(&folder).is_ok() {
             real_folder(&folder)?;
-            if session_at(&folder).is_ok_and(|session| session.id == *id) {
-                return Ok(folder);
-            }
+            there = session_at(&folder).ok().filter(|session| session.id == *id);
         }
-        if let Some(ours) = self.sessions()?.0.into_iter().find(|session| session.id == *id) {
+        if there.is_none() {
+            there = self.sessions()?.0.into_iter().find(|session| session.id == *id);
+        }
+        if let Some(ours) = there {
+            // It came here in another way. As long as nobody else relies on it, it may as well have come from there.
+            if ours.received.is_none() && ours.acknowledged.keys().all(|who| *who == self.receiver) {
+                note_received(&ours.folder, received)?;
+            }
             return Ok(ours.folder);
         }
         if fs::symlink_metadata(&folder).is_ok() {
@@ -232,6 +256,7 @@ impl Store {
         fs::create_dir_all(&beside).map_err(io(&beside))?;
         write_atomically(&beside.join(SESSION_FILE), head)?;
         write_atomically(&beside.join(MANIFEST_FILE), b"")?;
+        note_received(&beside, received)?;
         fs::rename(&beside, &folder).map_err(io(&folder))?;
         sync_folder(&self.captures)?;
         Ok(folder)
@@ -281,10 +306,13 @@ pub fn known_sources(captures: &Path) -> Vec<Known> {
     let mut all = Vec::new();
     for place in fs::read_dir(captures.join(SYNC_FOLDER)).into_iter().flatten().flatten() {
         let Ok(bytes) = read_plain(&place.path().join(SOURCE_FILE), MAX_SMALL_BYTES) else { continue };
-        let Ok(SourceNote { source }) = serde_json::from_slice(&bytes) else { continue };
-        if let Ok((sessions, _)) = sessions_in(&place.path().join("known")) {
-            all.push(Known { source, sessions });
-        }
+        let Ok(SourceNote { source, seen, open }) = serde_json::from_slice(&bytes) else { continue };
+        let Ok((sessions, _)) = sessions_in(&place.path().join("known")) else { continue };
+        // Written last of all, by whoever recorded, repaired or fetched the whole of it.
+        let has_ended =
+            |it: &&Session| !open.iter().any(|id| id == it.id.as_str()) && it.folder.join(METADATA_FILE).is_file();
+        let ended = sessions.iter().filter(has_ended).map(|session| session.id.clone()).collect();
+        all.push(Known { source, seen: seen.and_then(|text| text.parse().ok()), sessions, ended });
     }
     all.sort_by(|a, b| a.source.cmp(&b.source));
     all
@@ -295,7 +323,14 @@ fn pruned_in(state: &Path) -> Vec<Pruned> {
     String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
 }
 
-/// This folder's name to robots: the machine's, with a number of its own, since a machine may have several such folders.
+fn note_received(session: &Path, received: Received) -> Result<(), SyncError> {
+    let text = serde_json::to_vec(&received).map_err(crate::recording::RecordingError::from)?;
+    Ok(write_atomically(&session.join(RECEIVED_FILE), &text)?)
+}
+
+/// This folder's name to robots: the machine's, with a number that is of its volume and path, since a machine may have several
+/// such folders, and sticks take turns under one path. One that was deleted and is made anew has its old name again: the next
+/// sync takes back what it had said.
 fn receiver(state: &Path) -> Result<String, SyncError> {
     let path = state.join(RECEIVER_FILE);
     if let Some(name) = state.parent().and_then(receiver_of) {
@@ -304,9 +339,34 @@ fn receiver(state: &Path) -> Result<String, SyncError> {
     let host = rustix::system::uname().nodename().to_string_lossy().into_owned();
     let host: String = host.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(64).collect();
     let host = if host.is_empty() { "machine" } else { &host };
-    let name = format!("{host}-{}", SessionId::new().short());
+    let captures = state.parent().unwrap_or(state).canonicalize().map_err(io(state))?;
+    let volume = volume_of(&captures).unwrap_or_default();
+    let place =
+        [robot_id().as_bytes(), b"\0", volume.as_bytes(), b"\0", captures.as_os_str().as_encoded_bytes()].concat();
+    let name = format!("{host}-{}", &blake3::hash(&place).to_hex()[..NUMBER_DIGITS]);
+    silence_former_names(&captures, &name)?;
     write_atomically(&path, format!("{name}\n").as_bytes())?;
     Ok(name)
+}
+
+/// What a file system bears as its own number, where it lies on a device that has one.
+fn volume_of(folder: &Path) -> Option<String> {
+    let device = fs::metadata(folder).ok()?.dev();
+    let mut volumes = fs::read_dir("/dev/disk/by-uuid").ok()?.flatten();
+    let found = volumes.find(|volume| fs::metadata(volume.path()).is_ok_and(|it| it.rdev() == device))?;
+    Some(found.file_name().to_string_lossy().into_owned())
+}
+
+/// One of the acknowledgements in sessions that came here may be this folder's own, under a name that it had before it was
+/// moved. Which one nobody can say: whoever else has them says so again at its next sync.
+fn silence_former_names(captures: &Path, name: &str) -> Result<(), SyncError> {
+    let (sessions, _) = sessions_in(captures).map_err(io(captures))?;
+    for session in sessions.iter().filter(|session| session.received.is_some()) {
+        for receiver in session.acknowledged.keys().filter(|receiver| *receiver != name) {
+            write_atomically(&session.folder.join(ACK_FOLDER).join(format!("{receiver}{ACK_ENDING}")), b"")?;
+        }
+    }
+    Ok(())
 }
 
 /// Size and hash as the manifest says, of what is on the disk and not only in memory.
@@ -335,21 +395,28 @@ fn move_aside(path: &Path) -> Result<(), SyncError> {
     Err(io(path)(io::Error::from(io::ErrorKind::AlreadyExists)))
 }
 
-/// Behind a whole last line, and onto the disk.
+/// Behind a whole last line, and onto the disk. What a cut has torn goes; on a full disk nothing is torn.
 fn append(path: &Path, text: &str) -> io::Result<()> {
     let mut file = own_file(path)?;
-    let length = file.seek(SeekFrom::End(0))?;
-    let mut text = text.to_owned();
-    if length > 0 {
-        file.seek(SeekFrom::End(-1))?;
-        let mut last = [0];
-        file.read_exact(&mut last)?;
-        if last != *b"\n" {
-            text.insert(0, '\n');
-        }
+    let mut old = Vec::new();
+    Read::by_ref(&mut file).take(MAX_SMALL_BYTES).read_to_end(&mut old)?;
+    if old.len() as u64 == MAX_SMALL_BYTES {
+        return Err(io::ErrorKind::FileTooLarge.into());
     }
-    file.write_all(text.as_bytes())?;
-    file.sync_all()
+    let whole = old.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+    let mut text = text.to_owned();
+    let mut length = old.len() as u64;
+    if serde_json::from_slice::<serde_json::Value>(&old[whole..]).is_ok() {
+        text.insert(0, '\n');
+    } else if whole < old.len() {
+        length = whole as u64;
+        file.set_len(length)?;
+    }
+    let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
+    if written.is_err() {
+        let _ = file.set_len(length);
+    }
+    written
 }
 
 fn own_file(path: &Path) -> io::Result<File> {
@@ -363,6 +430,21 @@ fn real_folder(path: &Path) -> Result<(), SyncError> {
 }
 
 impl Desk {
+    /// What the source looked like just now.
+    pub(super) fn note_seen(&self, source: &Source, there: &[Session]) -> Result<(), SyncError> {
+        let open = there.iter().filter(|session| session.open).map(|session| session.id.as_str().to_owned());
+        self.note(&SourceNote {
+            source: source.shown(),
+            seen: Some(Timestamp::now().to_string()),
+            open: open.collect(),
+        })
+    }
+
+    fn note(&self, note: &SourceNote) -> Result<(), SyncError> {
+        let text = serde_json::to_vec(note).map_err(crate::recording::RecordingError::from)?;
+        Ok(write_atomically(&self.known.with_file_name(SOURCE_FILE), &text)?)
+    }
+
     /// An empty file of the name of our acknowledgements.
     pub(super) fn nothing(&self, receiver: &str) -> PathBuf {
         self.known.with_file_name(format!("{receiver}{ACK_ENDING}"))

@@ -47,15 +47,19 @@ impl Recorder {
             format!("[serial]\nports = [{{ device = \"{tty}\", baud = 921600, poses = true }}]\n")
         });
         room.write("robot.toml", format!("{config}{ports}"));
-        let process = Command::new(env!("CARGO_BIN_EXE_realitysim"))
+        let process = Some(Self::process(&room, initial));
+        Self { room, process }
+    }
+
+    fn process(room: &Room, initial: &str) -> std::process::Child {
+        Command::new(env!("CARGO_BIN_EXE_realitysim"))
             .args(["record", "-o", CAPTURES, "--config", "robot.toml", "--socket", "control.sock"])
             .args(["--initial", initial, "--json"])
             .current_dir(room.path(""))
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
-            .expect("started");
-        Self { room, process: Some(process) }
+            .expect("started")
     }
 
     fn asks(&self, order: &str) -> serde_json::Value {
@@ -208,6 +212,23 @@ fn a_session_can_be_stopped_and_another_begun() {
     recorder.waits_for("another session", 5, |status| status["session"].as_str() != Some(&first));
     assert!(recorder.ends().status.success());
     assert!(recorder.room.run("status --socket control.sock").code == Some(1), "nobody answers any more");
+}
+
+#[test]
+fn what_a_kill_left_is_finished_when_the_next_recording_starts() {
+    let mut recorder = Recorder::start(None);
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    let torn = recorder.asks("status")["session"].as_str().expect("a session").to_owned();
+    let mut process = recorder.process.take().expect("running");
+    process.kill().expect("alive");
+    process.wait().expect("ended");
+    let active = recorder.room.path(&torn).join("0000.mcap.active");
+    assert!(active.is_file(), "never finished");
+    recorder.process = Some(Recorder::process(&recorder.room, "-2.06,0.153,14.5"));
+    recorder.waits_for("it is told", 30, |status| status["repaired"].as_array().is_some_and(|all| !all.is_empty()));
+    assert!(!active.exists());
+    recorder.room.run(&format!("sessions verify {torn}")).succeeds();
+    assert!(recorder.ends().status.success());
 }
 
 #[test]

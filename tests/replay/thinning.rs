@@ -60,6 +60,17 @@ fn the_coverage_is_that_of_the_images_however_it_is_found() {
         assert!(shown["coverage"]["filled"].as_u64() > Some(0), "{shown}");
         let rows = shown["coverage"]["map"].as_array().expect("a map").len() as u64;
         assert_eq!(Some(rows), shown["coverage"]["rows"].as_u64());
+        let headings = shown["coverage"]["headings"].as_array().expect("one map each");
+        let filled: u64 = headings.iter().filter_map(|heading| heading["filled"].as_u64()).sum();
+        assert_eq!(
+            (Some(headings.len() as u64), Some(filled)),
+            (shown["coverage"]["sectors"].as_u64(), shown["coverage"]["filled"].as_u64())
+        );
+        let marks = |heading: &serde_json::Value| {
+            let rows = heading["map"].as_array().expect("rows").iter().map(|row| row.as_str().expect("text"));
+            rows.map(|row| row.chars().filter(|c| *c != '.').count() as u64).sum::<u64>()
+        };
+        assert!(headings.iter().all(|heading| Some(marks(heading)) == heading["filled"].as_u64()), "{shown}");
         // As after a kill: counted from what is there.
         std::fs::remove_file(replayed.session.join("coverage.json")).expect("it was there");
         let counted = room.run(&format!("sessions show {name} --json")).succeeds().json();

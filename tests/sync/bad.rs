@@ -4,8 +4,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::Path;
+use std::process::Command;
 
-use super::site::{Site, append, contents, line, noise};
+use rustix::fs::{CWD, FileType};
+
+use super::site::{Site, Synced, append, contents, line, noise};
 
 /// Every file under a folder with its content; links as where they lead.
 fn everything(folder: &Path) -> BTreeMap<String, Vec<u8>> {
@@ -182,4 +185,103 @@ fn nothing_is_synced_into_a_capture_or_into_its_own_source() {
     site.sync("robot", "robot/s", &[]).ends(2);
     site.sync("robot", "robot", &[]).ends(2);
     site.sync("robot", "robot/new", &[]).ends(2);
+}
+
+#[test]
+fn a_damaged_copy_does_not_hide_the_whole_session() {
+    let Some(site) = Site::new() else { return };
+    let whole = site.session("robot", "s", &[noise(1, 1_000), noise(2, 1_000)]);
+    fs::create_dir(site.path("robot/0-copy")).expect("made");
+    for name in ["session.json", "manifest.jsonl", "0000.mcap"] {
+        fs::copy(whole.join(name), site.path("robot/0-copy").join(name)).expect("copied");
+    }
+    site.sync("robot", "dev", &[]).ends(0).says("0-copy: the same session as s");
+    assert_eq!(contents(&site.path("dev")).len(), 2);
+}
+
+#[test]
+fn a_session_is_no_folder_of_captures() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "s", &[noise(1, 1_000)]);
+    site.sync("robot/s", "dev", &[]).ends(2).says("sync robot s");
+}
+
+#[test]
+fn counts_that_are_absurd_do_not_wrap() {
+    let Some(site) = Site::new() else { return };
+    let folder = site.session("robot", "s", &[noise(1, 1_000), noise(2, 1_000)]);
+    let path = folder.join("manifest.jsonl");
+    let text =
+        fs::read_to_string(&path).expect("read").replacen("\"captured\":4", "\"captured\":18446744073709551615", 1);
+    fs::write(&path, text).expect("written");
+    let listed = site.run("sessions list --captures robot --json").ends(0).json();
+    assert_eq!(listed[0]["frames"]["captured"].as_u64(), Some(u64::MAX), "{listed}");
+}
+
+#[test]
+fn a_pipe_or_a_device_in_the_place_of_a_file_is_named_and_not_waited_for() {
+    let Some(site) = Site::new() else { return };
+    for name in [
+        "0000.mcap",
+        "0002.mcap",
+        "0002.mcap.active",
+        "session.json",
+        "manifest.jsonl",
+        "evicted.jsonl",
+        "coverage.json",
+    ] {
+        for kind in [FileType::Fifo, FileType::CharacterDevice] {
+            let folder = site.session("robot", "s", &[noise(1, 1_000), noise(2, 1_000)]);
+            let _ = fs::remove_file(folder.join(name));
+            // /dev/zero never ends.
+            let made = rustix::fs::mknodat(CWD, folder.join(name), kind, 0o600.into(), rustix::fs::makedev(1, 5));
+            if made.is_err() && kind == FileType::CharacterDevice {
+                println!("skipped: only root makes devices");
+                continue;
+            }
+            made.expect("made");
+            for command in [
+                "info --quick robot/s",
+                "info robot/s",
+                "replay robot/s -o replayed",
+                "export robot/s -o ex --to tum",
+                "sessions list --captures robot",
+                "sessions show robot/s",
+                "sessions verify --captures robot",
+                "sessions repair --captures robot",
+                "sessions prune --captures robot",
+                "sync robot -o dev",
+            ] {
+                let program = env!("CARGO_BIN_EXE_realitysim");
+                let mut run = Command::new("timeout");
+                run.args(["20", program]).args(command.split(' ')).current_dir(site.path(""));
+                let ended = Synced::of(run.output().expect("ran"));
+                // Nothing rests on these two; and what no manifest lists is not for repair to mend, or for prune to delete.
+                let is_quiet = ["coverage.json", "evicted.jsonl"].contains(&name)
+                    || command.contains("prune")
+                    || command.contains("repair") && name.starts_with("0002");
+                assert!(
+                    matches!(ended.code, Some(0..=3)) && !ended.stderr.contains("panicked"),
+                    "{name}, {command}: {ended:?}"
+                );
+                let said = format!("{}{}", ended.stdout, ended.stderr);
+                assert!(is_quiet || ended.code != Some(0) || said.contains(name), "{name}, {command}: {ended:?}");
+            }
+            assert!(!folder.join(name).symlink_metadata().expect("it stays").is_file());
+            fs::remove_dir_all(site.path("robot")).expect("removed");
+            let _ = fs::remove_dir_all(site.path("dev"));
+        }
+    }
+}
+
+#[test]
+fn what_is_written_beside_a_file_does_not_lead_away() {
+    let Some(site) = Site::new() else { return };
+    let folder = site.session("robot", "s", &[noise(1, 1_000), noise(2, 1_000)]);
+    fs::write(site.path("secret"), "secret").expect("written");
+    symlink(site.path("secret"), folder.join("manifest.new")).expect("linked");
+    symlink(site.path("secret"), folder.join("metadata.new")).expect("linked");
+    fs::remove_file(folder.join("manifest.jsonl")).expect("removed");
+    site.run("sessions repair --captures robot");
+    assert_eq!(fs::read_to_string(site.path("secret")).expect("read"), "secret");
 }

@@ -152,3 +152,47 @@ fn what_has_no_room_is_not_begun() {
     assert!(report["no_room_bytes"].as_u64() > Some(0), "{report}");
     assert!((1..4).contains(&held), "{held}");
 }
+
+#[test]
+fn a_disk_that_fills_up_in_the_middle_of_a_transfer_tears_nothing_and_the_rest_comes_when_there_is_room() {
+    let Some(site) = Site::with_ssh() else { return };
+    site.session("robot", "s", &(0..3).map(|index| noise(index, 2_000_000)).collect::<Vec<_>>());
+    let disk = site.path("disk");
+    fs::create_dir(&disk).expect("made");
+    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=80m", "tmpfs"]).arg(&disk).output();
+    if !mounted.is_ok_and(|mounted| mounted.status.success()) {
+        println!("skipped: only root may mount a small disk");
+        return;
+    }
+    let filler = disk.join("filler");
+    // There is room when it is planned; somebody else takes all but three megabytes before the first segment comes.
+    let fill = format!("fill {}", filler.display());
+    let mut held = Vec::new();
+    let mut ended = Vec::new();
+    for _ in 0..2 {
+        site.mangles(&["pass".to_owned(), "pass".to_owned(), fill.clone()]);
+        ended.push(site.sync("robot", "disk/dev", &[]));
+        held.push(site.holds("robot", &["disk/dev"]));
+        fs::remove_file(&filler).expect("it was filled");
+    }
+    let last = site.sync("robot", "disk/dev", &["--json"]);
+    held.push(site.holds("robot", &["disk/dev"]));
+    let verified = site.run("sessions verify --captures disk/dev");
+    let info = fs::read_to_string(disk.join("dev/s/manifest.jsonl"));
+    let _ = Command::new("umount").arg(&disk).status();
+    ended.remove(0).ends(1).says("no space left");
+    last.ends(0);
+    verified.ends(0);
+    assert!(held[0] < 3 && held[2] == 3, "{held:?}");
+    assert_eq!(info.expect("there").lines().count(), 3, "no line was torn");
+}
+
+#[test]
+fn a_slow_transfer_tells_how_far_it_is_how_fast_and_how_long_it_still_takes() {
+    let Some(site) = Site::with_ssh() else { return };
+    site.session("robot", "s", &[noise(1, 3_000_000)]);
+    site.mangles(&["pass", "pass", "slow 150"].map(str::to_owned));
+    let said = site.sync("robot", "dev", &[]).ends(0).says("segments to come: 1, 3.0 MB").stderr;
+    let told = said.lines().find(|line| line.contains(" of 3.0 MB, ")).unwrap_or_else(|| panic!("{said}"));
+    assert!(told.contains("/s, ") && told.ends_with(" s left"), "{told}");
+}

@@ -193,3 +193,64 @@ fn an_edited_manifest_does_not_make_two_truths() {
     );
     append(&folder.join("manifest.jsonl"), "");
 }
+
+#[test]
+fn what_rots_here_is_no_longer_acknowledged_once_verify_has_seen_it() {
+    let Some(site) = Site::new() else { return };
+    five(&site);
+    site.sync("robot", "dev", &[]).ends(0);
+    let rotten = site.path("dev/2026-11-21T10-00-00Z-r1/0002.mcap");
+    let mut bytes = fs::read(&rotten).expect("read");
+    bytes[100] ^= 1;
+    fs::write(&rotten, bytes).expect("written");
+    let listed = || site.run("sessions list --captures dev").ends(0).stdout;
+    assert!(!listed().contains("not verified"), "{}", listed());
+    site.run("sessions verify --captures dev").ends(3);
+    assert!(listed().contains("5 segments here, not ended at ") && listed().contains("1 not verified"), "{}", listed());
+    // Whatever is asked for, the robot hears of it.
+    site.sync("robot", "dev", &["--valid", "1"]).ends(0);
+    let acks = fs::read_dir(site.path("robot/2026-11-21T10-00-00Z-r1/ack")).expect("read");
+    let acks: String = acks.map(|ack| fs::read_to_string(ack.expect("one").path()).expect("text")).collect();
+    assert!(!acks.contains("0002.mcap") && acks.contains("0001.mcap"), "{acks}");
+    let report = site.sync("robot", "dev", &["--json"]).ends(0).json();
+    assert_eq!(report["fetched"], 1, "{report}");
+    assert_eq!(site.holds("robot", &["dev"]), 5);
+    site.run("sessions verify --captures dev").ends(0);
+}
+
+#[test]
+fn a_folder_that_was_deleted_with_all_it_knew_takes_back_what_it_had_said() {
+    let Some(site) = Site::new() else { return };
+    five(&site);
+    site.sync("robot", "dev", &[]).ends(0);
+    assert_eq!(site.holds("robot", &["dev"]), 5);
+    fs::remove_dir_all(site.path("dev")).expect("removed");
+    site.sync("robot", "dev", &["--valid", "1"]).ends(0);
+    assert_eq!(site.holds("robot", &["dev"]), 1);
+    let acks = fs::read_dir(site.path("robot/2026-11-21T10-00-00Z-r1/ack")).expect("read");
+    assert_eq!(acks.count(), 1, "one folder, one name");
+}
+
+#[test]
+fn a_stick_that_is_away_for_a_while_is_waited_for() {
+    let Some(site) = Site::new() else { return };
+    five(&site);
+    let mut watch = site.command("robot", "dev", &["--watch", "--every", "1"]).spawn().expect("ran");
+    let waits = |name: &str| {
+        let began = std::time::Instant::now();
+        while !site.path("dev/2026-11-21T10-00-00Z-r1").join(name).exists() {
+            assert!(began.elapsed().as_secs() < 60, "{name} does not come");
+            std::thread::sleep(std::time::Duration::from_millis(50));
+        }
+    };
+    waits("0004.mcap");
+    fs::rename(site.path("robot"), site.path("away")).expect("renamed");
+    std::thread::sleep(std::time::Duration::from_millis(2500));
+    finish_segment(&site.path("away/2026-11-21T10-00-00Z-r1"), 5, &noise(5, 5_000));
+    let ended = watch.try_wait().expect("asked");
+    fs::rename(site.path("away"), site.path("robot")).expect("renamed");
+    assert_eq!(ended, None, "it went on");
+    waits("0005.mcap");
+    watch.kill().expect("ended");
+    watch.wait().expect("ended");
+}

@@ -3,6 +3,7 @@
 mod bad;
 mod cut;
 mod folder;
+mod many;
 mod recorder;
 mod sessions;
 mod site;

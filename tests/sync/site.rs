@@ -7,8 +7,9 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
+use jiff::Timestamp;
 use realitysim::recording::Acknowledgement;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -81,6 +82,33 @@ impl Site {
         folder
     }
 
+    /// The same, of a robot whose clock is ahead by so many hours: name, start, times in the recording and of the files.
+    pub fn session_by_a_clock(&self, robot: &str, ahead_h: i64, segments: &[Vec<u8>]) -> PathBuf {
+        let started = Timestamp::from_second(1_763_719_200 + 3_600 * ahead_h).expect("a time");
+        let name = format!("{}-r1", started.to_string().replace(':', "-"));
+        let folder = self.session(robot, &name, segments);
+        let rewrite = |name: &str, change: &dyn Fn(&mut Value)| {
+            let text = fs::read_to_string(folder.join(name)).expect("read");
+            let changed = text.lines().map(|line| {
+                let mut value: Value = serde_json::from_str(line).expect("JSON");
+                change(&mut value);
+                value.to_string() + "\n"
+            });
+            fs::write(folder.join(name), changed.collect::<String>()).expect("written");
+        };
+        rewrite("session.json", &|head| head["started"] = started.to_string().into());
+        rewrite("manifest.jsonl", &|line| {
+            for key in ["first_ns", "last_ns"] {
+                line[key] = (line[key].as_i64().expect("a time") + 3_600_000_000_000 * ahead_h).into();
+            }
+        });
+        for entry in fs::read_dir(&folder).expect("read").map(|entry| entry.expect("an entry")) {
+            let file = fs::File::options().write(true).open(entry.path()).expect("opened");
+            file.set_modified(SystemTime::from(started)).expect("set");
+        }
+        folder
+    }
+
     /// One without segments yet.
     pub fn begin(&self, robot: &str, name: &str) -> PathBuf {
         let folder = self.path(robot).join(name);
@@ -122,7 +150,8 @@ impl Site {
         Synced::of(command.output().expect("ran"))
     }
 
-    /// What the next calls of ssh do to the bytes that come from the robot: one line each, `cut N`, `flip N` or `pass`.
+    /// What the next calls of ssh do to the bytes that come from the robot: one line each, `cut N`, `flip N`, `slow MS`, `pass`, or
+    /// `fill FILE`: all but three megabytes of its disk.
     pub fn mangles(&self, what: &[String]) {
         let sshd = self.sshd.as_ref().expect("over ssh");
         fs::write(sshd.folder.join("mangle"), what.join("\n") + "\n").expect("written");
@@ -271,6 +300,7 @@ while (my $length = sysread($from, $bytes, 65536)) {
         $sent += $more;
     }
     $seen += $length;
+    select(undef, undef, undef, $at / 1000) if $what eq "slow";
 }
 close $from;
 exit($? >> 8);
@@ -292,7 +322,7 @@ impl Sshd {
         let port = TcpListener::bind("127.0.0.1:0").and_then(|free| free.local_addr()).expect("a port").port();
         let config = format!(
             "Port {port}\nListenAddress 127.0.0.1\nHostKey {shown}/host\nAuthorizedKeysFile {shown}/authorized\n\
-             PidFile none\nStrictModes no\nUsePAM no\nPasswordAuthentication no\n"
+             PidFile none\nStrictModes no\nUsePAM no\nPasswordAuthentication no\nMaxStartups 100\n"
         );
         fs::write(folder.join("config"), config).expect("written");
         let log = fs::File::create(folder.join("log")).expect("made");
@@ -307,7 +337,8 @@ impl Sshd {
         );
         let script = format!(
             "#!/bin/sh\nwhat=$(head -n 1 {shown}/mangle 2>/dev/null)\n[ -z \"$what\" ] || sed -i 1d {shown}/mangle\n\
-             case $what in\ncut*|flip*) exec perl {shown}/mangle.pl $what {ssh} \"$@\" ;;\n*) exec {ssh} \"$@\" ;;\nesac\n"
+             case $what in\ncut*|flip*|slow*) exec perl {shown}/mangle.pl $what {ssh} \"$@\" ;;\nfill*) cat /dev/zero 2>/dev/null \
+             >\"${{what#fill }}\"; truncate -s -3M \"${{what#fill }}\" ;;\nesac\nexec {ssh} \"$@\"\n"
         );
         let command = folder.join("ssh");
         fs::write(&command, script).expect("written");

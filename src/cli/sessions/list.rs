@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use clap::Args;
+use jiff::Timestamp;
 use serde::Serialize;
 
 use super::CapturesArguments;
 use crate::cli::{Outcome, output};
 use crate::recording::catalogue::sessions_in;
-use crate::recording::{Counts, Session, SessionId, receiver_of, receivers_of};
-use crate::sync::known_sources;
+use crate::recording::{Counts, Session, SessionId, receiver_of, receivers_of, saturating_sum};
+use crate::sync::{Known, known_sources};
 
 /// All sessions: start, duration, frames, validity, size, drops, and who has them
 #[derive(Args)]
@@ -38,6 +39,8 @@ pub(super) struct Row {
     pub evicted: u64,
     /// Listed, and not here as they were written, for no known reason.
     pub missing: u64,
+    /// Of a folder that is synced into: here, and not compared with their hashes since they came or were found damaged.
+    pub unverified: u64,
     pub open: bool,
     pub pinned: bool,
     /// Of the segments that are here: by how many other stores at least one has them.
@@ -46,10 +49,23 @@ pub(super) struct Row {
     pub receivers: BTreeMap<String, u64>,
     /// Of a folder that is synced into: finished segments at the source when it was last looked at.
     pub at_source: Option<u64>,
+    /// Who and when that was, and whether more was to come.
+    pub source: Option<AtSource>,
     pub set_aside: Vec<String>,
 }
 
-pub(super) fn row(session: &Session, own: Option<&str>) -> Row {
+/// A session as it was where it comes from.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub(super) struct AtSource {
+    /// No segment comes any more.
+    ended: bool,
+    segments: u64,
+    /// UTC, by this machine's clock; null if nobody knows.
+    seen: Option<String>,
+    name: String,
+}
+
+fn row(session: &Session, own: Option<&str>) -> Row {
     let mut frames = Counts::default();
     session.lines.iter().for_each(|line| frames.add(&line.frames));
     let first = session.lines.iter().map(|line| line.first_ns).min();
@@ -72,14 +88,16 @@ pub(super) fn row(session: &Session, own: Option<&str>) -> Row {
         valid_share: frames.valid_share(),
         frames,
         segments: session.segments.len() as u64,
-        bytes: session.segments.values().sum(),
+        bytes: saturating_sum(session.segments.values().copied()),
         evicted: session.lines.iter().filter(|line| session.has_evicted(line)).count() as u64,
         missing: session.missing().count() as u64,
+        unverified: 0,
         open: session.open,
         pinned: session.pinned,
         synced: synced.count() as u64,
         receivers,
         at_source: None,
+        source: None,
         set_aside: session.set_aside.iter().map(ToString::to_string).collect(),
     }
 }
@@ -111,41 +129,53 @@ pub fn run(arguments: &ListArguments, json: bool) -> anyhow::Result<Outcome> {
 /// With what is known of sources, and not here.
 fn rows(folder: &Path) -> anyhow::Result<(Vec<Row>, Vec<String>)> {
     let (sessions, strange) = sessions_in(folder).map_err(|error| crate::cli::paths::cannot_read(folder, error))?;
-    let own = receiver_of(folder);
-    let mut rows: Vec<Row> = sessions.iter().map(|session| row(session, own.as_deref())).collect();
-    for known in known_sources(folder) {
-        for there in &known.sessions {
-            let finished = there.lines.len() as u64;
-            match rows.iter_mut().find(|row| row.id == there.id) {
-                Some(row) => {
-                    row.at_source = Some(row.at_source.unwrap_or(0).max(finished));
-                    for (receiver, acks) in &there.acknowledged {
-                        if Some(receiver.as_str()) != own.as_deref() {
-                            row.receivers.entry(receiver.clone()).or_insert(acks.len() as u64);
-                        }
-                    }
-                }
-                None => {
-                    let row = Row {
-                        segments: 0,
-                        bytes: 0,
-                        evicted: 0,
-                        missing: 0,
-                        at_source: Some(finished),
-                        ..row(there, own.as_deref())
-                    };
-                    rows.push(row);
-                }
-            }
+    let known = known_sources(folder);
+    let mut rows: Vec<Row> = sessions.iter().map(|session| row_with_sources(session, folder, &known)).collect();
+    for there in known.iter().flat_map(|known| &known.sessions) {
+        if !rows.iter().any(|row| row.id == there.id) {
+            rows.push(row_of_what_is_there(there, folder, &known));
         }
     }
     rows.sort_by(|a, b| (&a.started, &a.session).cmp(&(&b.started, &b.session)));
     Ok((rows, strange.iter().map(ToString::to_string).collect()))
 }
 
+/// Of a session that is at a source only.
+pub(super) fn row_of_what_is_there(there: &Session, captures: &Path, known: &[Known]) -> Row {
+    let nothing_here = Session { segments: BTreeMap::new(), lines: Vec::new(), ..there.clone() };
+    let Row { frames, valid_share, duration_s, .. } = row(there, None);
+    Row { frames, valid_share, duration_s, ..row_with_sources(&nothing_here, captures, known) }
+}
+
+/// Of a session in this folder of captures, with what is known of where it comes from.
+pub(super) fn row_with_sources(session: &Session, captures: &Path, known: &[Known]) -> Row {
+    let own = receiver_of(captures);
+    let mut row = row(session, own.as_deref());
+    for known in known {
+        let Some(there) = known.sessions.iter().find(|there| there.id == session.id) else { continue };
+        let source = AtSource {
+            ended: known.ended.contains(&there.id),
+            segments: there.lines.len() as u64,
+            seen: known.seen.map(|seen| seen.to_string()),
+            name: known.source.clone(),
+        };
+        for (receiver, acks) in &there.acknowledged {
+            if Some(receiver.as_str()) != own.as_deref() {
+                row.receivers.entry(receiver.clone()).or_insert(acks.len() as u64);
+            }
+        }
+        // Of several, the one that knows most of it.
+        row.source = row.source.into_iter().chain([source]).max();
+    }
+    let verified = own.map_or(0, |own| row.receivers.get(&own).copied().unwrap_or(0));
+    row.unverified = if row.source.is_some() { row.segments.saturating_sub(verified) } else { 0 };
+    row.at_source = row.source.as_ref().map(|source| source.segments);
+    row
+}
+
 pub(super) fn line(row: &Row) -> String {
     let valid = row.valid_share.map_or_else(|| "-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
-    let dropped: u64 = row.frames.dropped.values().sum();
+    let dropped = row.frames.all_dropped();
     format!(
         "{:<34} {:<20} {:>6.0} s {:>8} {valid:>6} {:>10} {dropped:>7}  {}\n",
         row.session,
@@ -153,19 +183,31 @@ pub(super) fn line(row: &Row) -> String {
         row.duration_s,
         row.frames.captured,
         output::size(row.bytes),
-        state(row)
+        state(row, Timestamp::now())
     )
 }
 
 /// What is to be said of it, shortest first.
-fn state(row: &Row) -> String {
+fn state(row: &Row, now: Timestamp) -> String {
     let mut words = Vec::new();
-    match row.at_source {
-        Some(of) if row.segments < of => words.push(format!("{} of {of} segments here", row.segments)),
-        Some(_) => words.push("whole here".to_owned()),
+    match &row.source {
+        Some(AtSource { segments: of, .. }) if row.segments < *of => {
+            words.push(format!("{} of {of} segments here", row.segments));
+        }
+        Some(_) if row.unverified > 0 => words.push(format!("{} segments here", row.segments)),
+        Some(AtSource { ended: true, .. }) => words.push("whole here".to_owned()),
+        Some(_) => words.push(format!("{} segments here", row.segments)),
         None if row.segments + row.evicted > 0 && row.synced == row.segments => words.push("synced".to_owned()),
         None if row.synced > 0 => words.push(format!("{} of {} segments synced", row.synced, row.segments)),
         None => words.push("not synced".to_owned()),
+    }
+    if let Some(AtSource { ended: false, seen, name, .. }) = &row.source {
+        let age = seen.as_ref().and_then(|seen| Some(now.duration_since(seen.parse().ok()?).as_secs()));
+        let age = age.map_or_else(|| "once".to_owned(), ago);
+        words.push(format!("not ended at {name}, seen {age}"));
+    }
+    if row.unverified > 0 {
+        words.push(format!("{} not verified: sync again", row.unverified));
     }
     if row.open {
         words.push("open".to_owned());
@@ -183,4 +225,15 @@ fn state(row: &Row) -> String {
         words.push("pinned".to_owned());
     }
     words.join(", ")
+}
+
+/// By a clock that may have been set since.
+fn ago(seconds: i64) -> String {
+    match seconds {
+        ..0 => "by a clock that was ahead".to_owned(),
+        0..120 => format!("{seconds} s ago"),
+        120..7_200 => format!("{} min ago", seconds / 60),
+        7_200..172_800 => format!("{} h ago", seconds / 3600),
+        _ => format!("{} days ago", seconds / 86_400),
+    }
 }

@@ -14,8 +14,8 @@ use clap::{Args, Subcommand};
 use super::Outcome;
 use super::settings::UsageError;
 use crate::recording::catalogue::session_at;
-use crate::recording::storage::Disk;
-use crate::recording::{Session, sessions_of};
+use crate::recording::storage::{Disk, Kind, Storage};
+use crate::recording::{Loss, MANIFEST_FILE, SESSION_FILE, Session, sessions_of};
 use crate::sync::SERVICE_CAPTURES;
 
 /// What recordings there are, on the robot and on the dev machine
@@ -56,7 +56,7 @@ impl CapturesArguments {
         Err(UsageError(format!("{}: there is no such folder: name the captures with --captures", folder.display())))
     }
 
-    /// A session by its name in the folder, or by its path.
+    /// A session by its name in the folder or the beginning of it, or by its path.
     fn session(&self, name: &str) -> anyhow::Result<Session> {
         session_at(&self.path(name)?).map_err(|why| UsageError(why.to_string()).into())
     }
@@ -73,9 +73,49 @@ impl CapturesArguments {
         }
     }
 
+    /// Folders that were sessions once, as it looks, and that nothing can be done about; of those named, `path` has told.
+    fn headless(&self, names: &[String]) -> anyhow::Result<Vec<Loss>> {
+        if !names.is_empty() {
+            return Ok(Vec::new());
+        }
+        let captures = self.folder()?;
+        let folders = Disk.list(&captures).unwrap_or_default().into_iter().filter(|entry| entry.kind == Kind::Folder);
+        let said = |folder: &Path| {
+            let inside = Disk.list(folder).unwrap_or_default();
+            let there = |name: &str| inside.iter().find(|entry| entry.name == name).map(|entry| entry.kind);
+            match there(SESSION_FILE) {
+                Some(Kind::File(_)) => None,
+                Some(_) => Some(format!("its {SESSION_FILE} is no plain file: nothing is done to it")),
+                None => there(MANIFEST_FILE).map(|_| format!("has no {SESSION_FILE}: nothing is done to it")),
+            }
+        };
+        let folders = folders.filter(|entry| !entry.name.starts_with('.')).map(|entry| captures.join(entry.name));
+        Ok(folders.filter_map(|folder| Some(Loss::new(&folder, said(&folder)?))).collect())
+    }
+
     fn path(&self, name: &str) -> anyhow::Result<PathBuf> {
-        let path = if name.contains('/') { PathBuf::from(name) } else { self.folder()?.join(name) };
+        let path = if name.contains('/') {
+            PathBuf::from(name)
+        } else {
+            let folder = self.folder()?;
+            let sessions = sessions_of(&Disk, &folder);
+            let names = sessions.iter().filter_map(|path| path.file_name()?.to_str());
+            folder.join(full_name(name, names)?.unwrap_or(name))
+        };
         Ok(std::path::absolute(&path)?)
+    }
+}
+
+/// The one name that this is, or begins; `None` if there is none.
+fn full_name<'a>(asked: &str, names: impl Iterator<Item = &'a str> + Clone) -> Result<Option<&'a str>, UsageError> {
+    if let Some(exact) = names.clone().find(|name| *name == asked) {
+        return Ok(Some(exact));
+    }
+    let meant: Vec<&str> = names.filter(|name| !asked.is_empty() && name.starts_with(asked)).collect();
+    match meant.as_slice() {
+        [] => Ok(None),
+        [name] => Ok(Some(name)),
+        several => Err(UsageError(format!("{asked}: which of them? {}", several.join(", ")))),
     }
 }
 

@@ -13,7 +13,7 @@ use crate::recording::{PIN_FILE, Session, sync_folder, write_atomically};
 /// Keep sessions: neither the recorder nor `prune` deletes them unasked
 #[derive(Args)]
 pub struct PinArguments {
-    /// Names or folders
+    /// Names, or beginnings of which there is one, or folders
     #[arg(required = true, value_name = "SESSION")]
     sessions: Vec<String>,
     #[command(flatten)]
@@ -23,7 +23,7 @@ pub struct PinArguments {
 /// Let sessions go again
 #[derive(Args)]
 pub struct UnpinArguments {
-    /// Names or folders
+    /// Names, or beginnings of which there is one, or folders
     #[arg(required = true, value_name = "SESSION")]
     sessions: Vec<String>,
     #[command(flatten)]
@@ -37,14 +37,16 @@ struct Report {
 }
 
 pub fn pin(arguments: &PinArguments, json: bool) -> anyhow::Result<Outcome> {
-    for session in all(&arguments.captures, &arguments.sessions)? {
+    let sessions = all(&arguments.captures, &arguments.sessions)?;
+    for session in &sessions {
         write_atomically(&session.folder.join(PIN_FILE), b"")?;
     }
-    report(true, &arguments.sessions, json)
+    report(true, &sessions, json)
 }
 
 pub fn unpin(arguments: &UnpinArguments, json: bool) -> anyhow::Result<Outcome> {
-    for session in all(&arguments.captures, &arguments.sessions)? {
+    let sessions = all(&arguments.captures, &arguments.sessions)?;
+    for session in &sessions {
         let path = session.folder.join(PIN_FILE);
         match fs::remove_file(&path) {
             Ok(()) => sync_folder(&session.folder)?,
@@ -52,7 +54,7 @@ pub fn unpin(arguments: &UnpinArguments, json: bool) -> anyhow::Result<Outcome> 
             Err(error) => return Err(paths::cannot_write(&path, error)),
         }
     }
-    report(false, &arguments.sessions, json)
+    report(false, &sessions, json)
 }
 
 /// All of them, before anything is done to one.
@@ -60,9 +62,13 @@ fn all(captures: &CapturesArguments, names: &[String]) -> anyhow::Result<Vec<Ses
     names.iter().map(|name| captures.session(name)).collect()
 }
 
-fn report(pinned: bool, sessions: &[String], json: bool) -> anyhow::Result<Outcome> {
+fn report(pinned: bool, sessions: &[Session], json: bool) -> anyhow::Result<Outcome> {
+    let sessions: Vec<String> = sessions.iter().map(|session| session.name.clone()).collect();
     if json {
-        output::json(&Report { pinned, sessions: sessions.to_vec() })?;
+        output::json(&Report { pinned, sessions })?;
+    } else {
+        let what = if pinned { "pinned" } else { "no longer pinned" };
+        output::lines(&sessions.iter().map(|name| format!("{name}: {what}")).collect::<Vec<_>>().join("\n"))?;
     }
     Ok(Outcome::Whole)
 }

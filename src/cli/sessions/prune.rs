@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::CapturesArguments;
+use super::{CapturesArguments, full_name};
 use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output, paths};
 use crate::recording::catalogue::sessions_in;
-use crate::recording::{Session, receiver_of, sync_folder};
+use crate::recording::{Session, receiver_of, saturating_sum, sync_folder};
 use crate::sync::{Decision, Goal, Store, decide, is_as_recorded};
 
 /// Delete sessions that another store has, whole and verified
@@ -20,7 +20,7 @@ use crate::sync::{Decision, Goal, Store, decide, is_as_recorded};
 /// forced.
 #[derive(Args)]
 pub struct PruneArguments {
-    /// Names; none: all
+    /// Names, or beginnings of which there is one; none: all
     #[arg(value_name = "SESSION")]
     sessions: Vec<String>,
     #[command(flatten)]
@@ -55,9 +55,13 @@ struct Report {
 pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
     let folder = arguments.captures.folder()?;
     let (sessions, strange) = sessions_in(&folder).map_err(|error| paths::cannot_read(&folder, error))?;
-    if let Some(name) = arguments.sessions.iter().find(|name| !sessions.iter().any(|session| session.name == **name)) {
-        let why = strange.iter().find(|it| it.path == folder.join(name)).map(|it| it.why.as_str());
-        return Err(UsageError(format!("{}: {}", folder.join(name).display(), why.unwrap_or("no such session"))).into());
+    let mut asked = Vec::new();
+    for name in &arguments.sessions {
+        let names = sessions.iter().map(|session| session.name.as_str());
+        asked.push(full_name(name, names)?.map(str::to_owned).ok_or_else(|| {
+            let why = strange.iter().find(|it| it.path == folder.join(name)).map(|it| it.why.as_str());
+            UsageError(format!("{}: {}", folder.join(name).display(), why.unwrap_or("no such session")))
+        })?);
     }
     for copy in &arguments.copy {
         paths::check_output(copy, &[&folder])?;
@@ -67,7 +71,7 @@ pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
         jiff::Timestamp::from_second(then).unwrap_or_default().to_string()
     });
     let goal = Goal {
-        sessions: arguments.sessions.clone(),
+        sessions: asked,
         before,
         bytes: arguments.free.map(|gb| (gb.max(0.0) * 1e9) as u64),
         pinned: arguments.pinned,
@@ -105,7 +109,7 @@ fn is_whole_in(session: &Session, copy: &Path) -> bool {
 }
 
 fn report(decisions: Vec<Decision>, done: bool, json: bool) -> anyhow::Result<Outcome> {
-    let freed_bytes = decisions.iter().filter(|decision| decision.goes).map(|decision| decision.bytes).sum();
+    let freed_bytes = saturating_sum(decisions.iter().filter(|decision| decision.goes).map(|decision| decision.bytes));
     if json {
         output::json(&Report { done, freed_bytes, sessions: decisions })?;
         return Ok(Outcome::Whole);

@@ -14,7 +14,7 @@ use crate::recording::storage::Disk;
 /// and metadata.yaml list them. A session that is being recorded is left alone.
 #[derive(Args)]
 pub struct RepairArguments {
-    /// Names or folders; none: all
+    /// Names, or beginnings of which there is one, or folders; none: all
     #[arg(value_name = "SESSION")]
     sessions: Vec<String>,
     #[command(flatten)]
@@ -29,12 +29,15 @@ pub fn run(arguments: &RepairArguments, json: bool) -> anyhow::Result<Outcome> {
             Err(error) => failed.push(error.to_string()),
         }
     }
+    let headless = arguments.captures.headless(&arguments.sessions)?;
     if json {
-        output::json(&json!({ "sessions": repaired, "failed": failed }))?;
+        output::json(&json!({ "sessions": repaired, "failed": failed, "wrong": headless }))?;
     } else {
-        output::lines(&repaired.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))?;
+        let shown = repaired.iter().map(ToString::to_string).chain(headless.iter().map(ToString::to_string));
+        output::lines(&shown.collect::<Vec<_>>().join("\n"))?;
     }
-    let lost: Vec<_> = repaired.iter().flat_map(|session| session.lost.clone()).collect();
+    let mut lost: Vec<_> = repaired.iter().flat_map(|it| it.lost.iter().chain(&it.wrong).cloned()).collect();
+    lost.extend(headless);
     if let [first, ..] = failed.as_slice() {
         anyhow::bail!(
             "{first}{}",

@@ -1,28 +1,31 @@
 //! `realitysim sessions show`
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
 
-use super::CapturesArguments;
-use super::list::{Row, line, row};
+use super::list::{Row, line, row_of_what_is_there, row_with_sources};
+use super::{CapturesArguments, full_name};
 use crate::cli::paths::{check_output, save};
+use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output};
 use crate::database::coverage_picture;
 use crate::geometry::{Field, PoseGrid};
-use crate::recording::{ManifestLine, Session, SessionInfo, read_coverage, read_info, receiver_of, topic};
+use crate::recording::catalogue::session_at;
+use crate::recording::{ManifestLine, Session, SessionInfo, read_coverage, read_info, topic};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::{FrameTag, Message};
 use crate::sensors::decode;
 use crate::sensors::intake::isometry;
 use crate::sensors::log::LogSource;
+use crate::sync::known_sources;
 
 /// One session: its segments, what became of its frames, who has it
 #[derive(Args)]
 pub struct ShowArguments {
-    /// Name or folder
+    /// Its name or the beginning of it, or its folder
     session: String,
     #[command(flatten)]
     captures: CapturesArguments,
@@ -35,8 +38,27 @@ pub struct ShowArguments {
 struct Shown {
     #[serde(flatten)]
     row: Row,
-    manifest: Vec<ManifestLine>,
+    manifest: Vec<Listed>,
     coverage: Option<Shape>,
+}
+
+/// A line of the manifest, and what has become of its segment.
+#[derive(Serialize)]
+struct Listed {
+    #[serde(flatten)]
+    line: ManifestLine,
+    state: SegmentState,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum SegmentState {
+    Here,
+    /// Removed to make room, because another store had it.
+    Evicted,
+    Missing,
+    /// Of a session of which nothing is here.
+    Source,
 }
 
 #[derive(Serialize)]
@@ -44,17 +66,28 @@ struct Shape {
     #[serde(flatten)]
     grid: PoseGrid,
     map: Vec<String>,
+    headings: Vec<Heading>,
+}
+
+/// Images that look one way.
+#[derive(Serialize)]
+struct Heading {
+    from_deg: f64,
+    to_deg: f64,
+    /// Places of which there is one, of so many.
+    filled: usize,
+    places: usize,
+    map: Vec<String>,
 }
 
 pub fn run(arguments: &ShowArguments, json: bool) -> anyhow::Result<Outcome> {
-    let session = arguments.captures.session(&arguments.session)?;
-    let own = session.folder.parent().and_then(receiver_of);
-    let row = row(&session, own.as_deref());
+    let Found { session, row, is_here } = find(arguments)?;
     // A session's own account may be of a version that this program cannot read: the rest is shown all the same.
     let info = read_info(&session.folder).ok();
-    let grid = info
-        .as_ref()
-        .and_then(|info| read_coverage(&session.folder, row.frames.valid).or_else(|| coverage_of(&session, info)));
+    let grid = info.as_ref().and_then(|info| {
+        let counted = || coverage_of(&session, info).filter(|_| is_here);
+        read_coverage(&session.folder, row.frames.valid).or_else(counted)
+    });
     if let Some(path) = &arguments.output {
         check_output(path, &[])?;
         let (Some(info), Some(grid)) = (&info, &grid) else {
@@ -62,14 +95,62 @@ pub fn run(arguments: &ShowArguments, json: bool) -> anyhow::Result<Outcome> {
         };
         save(&coverage_picture(grid, &Field::new(info.field.clone())?), path)?;
     }
-    let coverage = grid.map(|grid| Shape { map: grid.text(), grid });
-    let shown = Shown { row, manifest: session.lines.clone(), coverage };
+    let coverage = grid.map(|grid| Shape { map: grid.text(), headings: headings(&grid), grid });
+    let shown = Shown { row, manifest: listed(&session, is_here), coverage };
     if json {
         output::json(&shown)?;
     } else {
         output::lines(&for_people(&shown))?;
     }
     Ok(if shown.row.missing > 0 { Outcome::DataLost } else { Outcome::Whole })
+}
+
+struct Found {
+    session: Session,
+    row: Row,
+    is_here: bool,
+}
+
+/// Here, or else as it is known from a source.
+fn find(arguments: &ShowArguments) -> anyhow::Result<Found> {
+    let path = arguments.captures.path(&arguments.session)?;
+    let why = match session_at(&path) {
+        Ok(session) => {
+            let captures = path.parent().unwrap_or(&path);
+            let row = row_with_sources(&session, captures, &known_sources(captures));
+            return Ok(Found { session, row, is_here: true });
+        }
+        Err(why) => UsageError(why.to_string()),
+    };
+    let captures = path.parent().unwrap_or(&path);
+    let known = known_sources(captures);
+    let there: BTreeMap<&str, &Session> =
+        known.iter().flat_map(|known| &known.sessions).map(|session| (session.name.as_str(), session)).collect();
+    let name = full_name(&arguments.session, there.keys().copied())?;
+    let session = *name.and_then(|name| there.get(name)).ok_or(why)?;
+    Ok(Found { session: session.clone(), row: row_of_what_is_there(session, captures, &known), is_here: false })
+}
+
+fn headings(grid: &PoseGrid) -> Vec<Heading> {
+    let width_deg = 360.0 / grid.sectors as f64;
+    let heading = |sector: usize| Heading {
+        from_deg: sector as f64 * width_deg,
+        to_deg: (sector + 1) as f64 * width_deg,
+        filled: grid.filled_in_sector(sector),
+        places: grid.columns * grid.rows,
+        map: grid.text_of_sector(sector),
+    };
+    (0..grid.sectors).map(heading).collect()
+}
+
+fn listed(session: &Session, is_here: bool) -> Vec<Listed> {
+    let state = |line: &ManifestLine| match (session.has(line), session.has_evicted(line)) {
+        (true, _) => SegmentState::Here,
+        (false, true) => SegmentState::Evicted,
+        (false, false) if is_here => SegmentState::Missing,
+        (false, false) => SegmentState::Source,
+    };
+    session.lines.iter().map(|line| Listed { line: line.clone(), state: state(line) }).collect()
 }
 
 /// From the segments that are here: tags whose image is there too.
@@ -112,24 +193,33 @@ fn for_people(shown: &Shown) -> String {
     for why in &row.set_aside {
         text.push_str(&format!("  set aside: {why}\n"));
     }
-    for line in manifest {
+    for Listed { line, state } in manifest {
+        let state = match state {
+            SegmentState::Here => "",
+            SegmentState::Evicted => "  removed after a sync",
+            SegmentState::Missing => "  missing, or not as it was written",
+            SegmentState::Source => "  not here",
+        };
         let place = line.poses.map_or_else(String::new, |p| {
             format!("  x {:.1} to {:.1} m, y {:.1} to {:.1} m", p.x[0], p.x[1], p.y[0], p.y[1])
         });
         text.push_str(&format!(
-            "  {}  {:>10}  {:>6} frames, {:>6} valid{place}\n",
+            "  {}  {:>10}  {:>6} frames, {:>6} valid{place}{state}\n",
             line.name,
             output::size(line.bytes),
             line.frames.written,
             line.frames.valid
         ));
     }
-    if let Some(Shape { grid, map }) = coverage {
+    if let Some(Shape { grid, map, headings }) = coverage {
         text.push_str(&format!(
             "  images of {} of {} poses (cells of {} m, {} headings: a digit says of how many, # of all, . of none)\n",
             grid.filled, grid.cells, grid.cell_m, grid.sectors
         ));
         map.iter().for_each(|row| text.push_str(&format!("  {row}\n")));
+        for Heading { from_deg, to_deg, filled, places, .. } in headings {
+            text.push_str(&format!("  looking {from_deg:.0} to {to_deg:.0} deg: {filled} of {places} places\n"));
+        }
     }
     text.trim_end().to_owned()
 }

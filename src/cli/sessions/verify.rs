@@ -5,13 +5,18 @@ use serde_json::json;
 
 use super::CapturesArguments;
 use crate::cli::{Outcome, output};
+use crate::recording::catalogue::session_at;
 use crate::recording::storage::Disk;
-use crate::recording::{Loss, verify};
+use crate::recording::{Loss, Verified, receiver_of, verify};
+use crate::sync::{Store, SyncError};
 
-/// Compare every segment's bytes with the manifest's hash; changes nothing
+/// Compare every segment's bytes with the manifest's hash
+///
+/// Changes nothing but, in a folder that is synced into, its own acknowledgement of what is not sound: the next sync
+/// tells the source, and fetches it again.
 #[derive(Args)]
 pub struct VerifyArguments {
-    /// Names or folders; none: all
+    /// Names, or beginnings of which there is one, or folders; none: all
     #[arg(value_name = "SESSION")]
     sessions: Vec<String>,
     #[command(flatten)]
@@ -24,11 +29,15 @@ pub fn run(arguments: &VerifyArguments, json: bool) -> anyhow::Result<Outcome> {
         match verify(&Disk, &path) {
             Ok(session) => {
                 wrong.extend(session.wrong.iter().cloned());
+                if let Err(error) = take_back(&session) {
+                    wrong.push(Loss::new(&path, format!("its acknowledgement could not be taken back: {error}")));
+                }
                 verified.push(session);
             }
             Err(error) => wrong.push(Loss::new(&path, error.to_string())),
         }
     }
+    wrong.extend(arguments.captures.headless(&arguments.sessions)?);
     if json {
         output::json(&json!({ "sessions": verified, "wrong": wrong }))?;
     } else {
@@ -46,4 +55,17 @@ pub fn run(arguments: &VerifyArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&whole.chain(wrong.iter().map(|loss| format!("  {loss}"))).collect::<Vec<_>>().join("\n"))?;
     }
     Ok(Outcome::of(&wrong))
+}
+
+/// This folder's own word for what is not sound.
+fn take_back(verified: &Verified) -> Result<(), SyncError> {
+    let receives = verified.session.parent().filter(|captures| receiver_of(captures).is_some());
+    let (Some(captures), Ok(session), false) = (receives, session_at(&verified.session), verified.wrong.is_empty())
+    else {
+        return Ok(());
+    };
+    let store = Store::open(captures)?;
+    let mut acks = session.acknowledged.get(store.receiver()).cloned().unwrap_or_default();
+    acks.retain(|ack| verified.wrong.iter().any(|wrong| wrong.file == verified.session.join(&ack.file)));
+    if acks.is_empty() { Ok(()) } else { store.withdraw(&session.name, &acks) }
 }

@@ -77,7 +77,7 @@ impl<'a> Account<'a> {
         cut: u64,
     ) -> (ManifestLine, BTreeMap<TopicEntry, u64>) {
         // A tag without its image: thinned out, if no gap says that the image was dropped.
-        self.counts.thinned = self.untold.saturating_sub(self.counts.dropped.values().sum());
+        self.counts.thinned = self.untold.saturating_sub(self.counts.all_dropped());
         self.counts.captured += self.counts.thinned;
         let (first_ns, last_ns) = self.times.unwrap_or_default();
         let line = ManifestLine {

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 pub(super) use self::segment::{COPY, DAMAGED};
 use self::segment::{Ended, describe, finish};
@@ -19,8 +19,9 @@ use super::manifest::{
     FORMAT_VERSION, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
 };
 use super::retention::evicted_segments;
-use super::segment::{ACTIVE, CUT_BYTES, CUT_RECORD, CUT_SEGMENT, segment_index};
+use super::segment::{ACTIVE, CUT_BYTES, CUT_RECORD, CUT_SEGMENT, is_segment_name, segment_index, segment_name};
 use super::storage::{Kind, Listed, Storage, read_small, write_atomically};
+use super::verify::hash;
 use crate::ros2::mcap_read::{metadata_records, survey};
 
 /// What was done to one session.
@@ -40,20 +41,24 @@ pub struct Repaired {
     pub metadata_rewritten: bool,
     /// What could not be kept.
     pub lost: Vec<Loss>,
+    /// What is not as the manifest says, and cannot be mended: left as it is.
+    pub wrong: Vec<Loss>,
 }
 
 impl Repaired {
     pub fn changed_nothing(&self) -> bool {
-        *self == Self { session: self.session.clone(), in_use: self.in_use, ..Self::default() }
+        let wrong = self.wrong.clone();
+        *self == Self { session: self.session.clone(), in_use: self.in_use, wrong, ..Self::default() }
     }
 }
 
 /// In words, over several lines.
 impl fmt::Display for Repaired {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { session, in_use, finished, removed, listed, lost, .. } = self;
+        let Self { session, in_use, finished, removed, listed, lost, wrong, .. } = self;
         let state = match (in_use, self.changed_nothing()) {
             (true, _) => "is being recorded",
+            (false, _) if !wrong.is_empty() => "not whole",
             (false, true) => "whole",
             (false, false) => "repaired",
         };
@@ -62,7 +67,8 @@ impl fmt::Display for Repaired {
         for (what, names) in parts.into_iter().filter(|(_, names)| !names.is_empty()) {
             write!(f, "\n  {what}: {}", names.join(", "))?;
         }
-        lost.iter().try_for_each(|loss| write!(f, "\n  lost: {loss}"))
+        lost.iter().try_for_each(|loss| write!(f, "\n  lost: {loss}"))?;
+        wrong.iter().try_for_each(|wrong| write!(f, "\n  {wrong}"))
     }
 }
 
@@ -70,6 +76,9 @@ impl fmt::Display for Repaired {
 const MAX_SESSION_FILE_BYTES: u64 = 4 << 20;
 /// A segment takes some hundred bytes of it.
 const MAX_METADATA_FILE_BYTES: u64 = 64 << 20;
+
+/// Missing segments in a row that are named one by one.
+const MAX_NAMED: usize = 16;
 
 /// Folders of sessions, oldest first, whether they can be read or not; the folder itself if it is one. What is no session is
 /// left alone.
@@ -96,20 +105,31 @@ pub fn repair(storage: &dyn Storage, session: &Path) -> Result<Repaired, Recordi
     work.finish_segments()?;
     work.complete_manifest()?;
     work.complete_metadata()?;
+    work.name_what_is_wrong()?;
     Ok(repaired)
 }
 
-pub(super) fn read_session(storage: &dyn Storage, session: &Path) -> Result<SessionInfo, RecordingError> {
+/// `session.json`, of a format that is known; what else it says may be a later version's.
+pub(super) fn read_head(storage: &dyn Storage, session: &Path) -> Result<Vec<u8>, RecordingError> {
+    #[derive(Deserialize)]
+    struct Version {
+        format: u32,
+    }
     let path = session.join(SESSION_FILE);
     let read =
         read_small(storage, &path, MAX_SESSION_FILE_BYTES).map_err(|source| RecordingError::io(&path, source))?;
     let bytes = read.ok_or_else(|| RecordingError::io(&path, std::io::ErrorKind::NotFound.into()))?;
-    let info: SessionInfo =
+    let Version { format } =
         serde_json::from_slice(&bytes).map_err(|source| RecordingError::Info { path: path.clone(), source })?;
-    match info.format {
-        FORMAT_VERSION => Ok(info),
+    match format {
+        FORMAT_VERSION => Ok(bytes),
         format => Err(RecordingError::Newer { path, format, known: FORMAT_VERSION }),
     }
+}
+
+fn read_session(storage: &dyn Storage, session: &Path) -> Result<SessionInfo, RecordingError> {
+    let bytes = read_head(storage, session)?;
+    serde_json::from_slice(&bytes).map_err(|source| RecordingError::Info { path: session.join(SESSION_FILE), source })
 }
 
 struct Work<'a> {
@@ -174,8 +194,7 @@ impl Work<'_> {
         let path = self.session.join(MANIFEST_FILE);
         let fails = |source| RecordingError::io(&path, source);
         let mut lines = manifest_lines(self.storage, self.session).map_err(fails)?;
-        let mut seen = BTreeSet::new();
-        lines.retain(|line| seen.insert(line.name.clone()));
+        self.keep_the_true_lines(&mut lines)?;
         for name in self.files(|name| !name.ends_with(ACTIVE))? {
             if lines.iter().any(|line| line.name == name) {
                 continue;
@@ -199,9 +218,89 @@ impl Work<'_> {
             text.push(b'\n');
         }
         let old = read_small(self.storage, &path, u64::MAX).map_err(fails)?;
+        if old.is_none() {
+            self.name_missing_numbers(&lines)?;
+        }
         if old.as_ref() != Some(&text) {
             write_atomically(self.storage, &path, &text)?;
             self.repaired.manifest_rewritten = true;
+        }
+        Ok(())
+    }
+
+    /// Of lines that contradict each other, the one that the file bears out; all of them, if it bears out none.
+    fn keep_the_true_lines(&mut self, lines: &mut Vec<ManifestLine>) -> Result<(), RecordingError> {
+        let mut unlike: Vec<ManifestLine> = Vec::new();
+        for line in lines.drain(..) {
+            if !unlike.contains(&line) {
+                unlike.push(line);
+            }
+        }
+        let mut names = BTreeSet::new();
+        let doubted: BTreeSet<String> =
+            unlike.iter().filter(|line| !names.insert(&line.name)).map(|line| line.name.clone()).collect();
+        let files = self.files(|name| !name.ends_with(ACTIVE))?;
+        for name in doubted {
+            let file = self.session.join(&name);
+            let found = match files.contains(&name) {
+                true => Some(hash(self.storage, &file).map_err(|source| RecordingError::io(&file, source))?),
+                false => None,
+            };
+            let truth = unlike.iter().position(|line| line.name == name && found.as_ref() == Some(&line.blake3));
+            match truth.map(|index| unlike[index].clone()) {
+                Some(truth) => unlike.retain(|line| line.name != name || *line == truth),
+                None => {
+                    let said = format!("stands several times in {MANIFEST_FILE}, and no line is of what is here");
+                    self.repaired.wrong.push(Loss::new(&file, said));
+                }
+            }
+        }
+        *lines = unlike;
+        Ok(())
+    }
+
+    /// Where there was no manifest. With one, a number may be missing: a segment that could not be begun has used it up.
+    fn name_missing_numbers(&mut self, lines: &[ManifestLine]) -> Result<(), RecordingError> {
+        let (given_up, evicted) = (self.cuts()?, evicted_segments(self.storage, self.session));
+        let mut next = 0;
+        for index in lines.iter().filter_map(|line| segment_index(&line.name)) {
+            for name in (next..index)
+                .take(MAX_NAMED)
+                .map(segment_name)
+                .filter(|name| !given_up.contains_key(name) && !evicted.contains_key(name))
+            {
+                let said = format!("is missing, and so was {MANIFEST_FILE}: nobody can say what it held");
+                self.repaired.wrong.push(Loss::new(&self.session.join(name), said));
+            }
+            next = index.saturating_add(1);
+        }
+        Ok(())
+    }
+
+    /// By name and size; `verify` reads all.
+    fn name_what_is_wrong(&mut self) -> Result<(), RecordingError> {
+        let path = self.session.join(MANIFEST_FILE);
+        let lines = manifest_lines(self.storage, self.session).map_err(|source| RecordingError::io(&path, source))?;
+        let listed = self.storage.list(self.session).map_err(|source| RecordingError::io(self.session, source))?;
+        let evicted = evicted_segments(self.storage, self.session);
+        for line in &lines {
+            let file = self.session.join(&line.name);
+            if self.repaired.wrong.iter().any(|known| known.file == file) {
+                continue;
+            }
+            let (file, said) = match listed.iter().find(|there| there.name == line.name).map(|there| there.kind) {
+                _ if !is_segment_name(&line.name) => {
+                    (path.clone(), format!("lists {:?}, which is no name of a segment", line.name))
+                }
+                Some(Kind::File(bytes)) if bytes == line.bytes => continue,
+                Some(Kind::File(bytes)) => {
+                    (file, format!("has {bytes} bytes, but {MANIFEST_FILE} says {}: it was cut or changed", line.bytes))
+                }
+                Some(_) => (file, "is no plain file".to_owned()),
+                None if evicted.contains_key(&line.name) => continue,
+                None => (file, format!("missing: {MANIFEST_FILE} lists it with {} messages", line.messages)),
+            };
+            self.repaired.wrong.push(Loss::new(&file, said));
         }
         Ok(())
     }

@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
@@ -18,6 +18,9 @@ pub struct Disk;
 
 /// Read, write and enter, for the group.
 const GROUP_WRITES: u32 = 0o070;
+
+/// What is written into is where its name is, and there to be written: no link is followed, no pipe waited for.
+const STAYS: i32 = OFlags::NOFOLLOW.union(OFlags::NONBLOCK).bits() as i32;
 
 static BEGAN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
@@ -45,11 +48,11 @@ impl Storage for Disk {
     }
 
     fn create_over(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>> {
-        Ok(Arc::new(OpenOptions::new().write(true).create(true).truncate(true).open(path)?))
+        Ok(Arc::new(OpenOptions::new().write(true).create(true).truncate(true).custom_flags(STAYS).open(path)?))
     }
 
     fn append(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>> {
-        Ok(Arc::new(OpenOptions::new().append(true).open(path)?))
+        Ok(Arc::new(OpenOptions::new().append(true).custom_flags(STAYS).open(path)?))
     }
 
     fn read(&self, path: &Path) -> io::Result<Box<dyn Readable>> {
