@@ -58,6 +58,12 @@ const FEWEST_CLIMBED: usize = 25;
 /// Candidates closer than this are one.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;
+/// Steps of the fine grid around where the widened lines fit best, about as far as a line is wide, and how many of them to
+/// each side.
+const AROUND_M: f64 = 0.05;
+const AROUND_RAD: f64 = 0.02;
+const AROUND_STEPS: i32 = 2;
+const AROUND_TURNS: i32 = 5;
 /// Metres and radians of the first steps of climbing, and how often they are halved.
 const CLIMB: (f64, f64) = (0.05, 0.026);
 const HALVINGS: usize = 8;
@@ -117,9 +123,11 @@ impl Search {
                 break;
             }
             climbed += 1;
-            // Half a step of the grid away from the right pose the table itself says little: only its widened lines do.
+            // Half a step of the grid away from the right pose the table itself says little: only its widened lines do,
+            // and these not exactly.
             let near = climb(&self.sparse, &self.widened, *candidate, effort);
-            *candidate = climb(observation, table, Candidate::of(near.pose, observation, table), effort);
+            let nearest = best_around(observation, table, &near.pose, effort);
+            *candidate = climb(observation, table, nearest, effort);
         }
         found.truncate(climbed);
         best_of(&mut found, CLIMBED);
@@ -180,6 +188,25 @@ fn apart(candidates: &[Candidate], count: usize) -> Vec<Candidate> {
         }
     }
     kept
+}
+
+/// Of the poses of a fine grid around one.
+fn best_around(observation: &Observation, table: &GroundTable, pose: &Pose2, effort: &mut Effort) -> Candidate {
+    let mut best = Candidate::of(*pose, observation, table);
+    for turn in -AROUND_TURNS..=AROUND_TURNS {
+        for ahead in -AROUND_STEPS..=AROUND_STEPS {
+            for aside in -AROUND_STEPS..=AROUND_STEPS {
+                let (x, y) = (AROUND_M * f64::from(ahead), AROUND_M * f64::from(aside));
+                let off = Pose2::new(pose.x + x, pose.y + y, wrap_angle(pose.yaw + AROUND_RAD * f64::from(turn)));
+                let candidate = Candidate::of(off, observation, table);
+                if candidate.log_likelihood > best.log_likelihood {
+                    best = candidate;
+                }
+            }
+        }
+    }
+    effort.weighed += ((2 * AROUND_TURNS + 1) * (2 * AROUND_STEPS + 1) * (2 * AROUND_STEPS + 1)) as u32;
+    best
 }
 
 /// Steps along each axis while that helps, then with half the step.

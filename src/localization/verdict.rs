@@ -40,6 +40,8 @@ pub struct Standing {
     pub confidence: Confidence,
     /// When lines last agreed with the pose.
     agreed_ns: Option<i64>,
+    /// Somebody said where the robot is.
+    was_told: bool,
     /// Frames in a row whose lines speak for a pose that needs confirming, but not clearly enough.
     unconvincing: u32,
     /// Where the whole field was last tried for a better pose, and how often, each time from elsewhere, there was none.
@@ -59,7 +61,7 @@ pub struct Rules<'a> {
 }
 
 /// Frames with good lines that a pose found by search or kept over a restart needs.
-pub const CONFIRMATIONS: u32 = 3;
+const CONFIRMATIONS: u32 = 3;
 /// Errors of height and tilt that no mount and no gait has: five standard deviations of what the track expects.
 const MOST_RISE_M: f64 = 0.07;
 const MOST_TILT_RAD: f64 = 0.095;
@@ -78,23 +80,33 @@ const FEWEST_FITTING: usize = 10;
 /// With less than this share of fitting places the lines contradict the pose.
 pub const CONTRADICTED: f64 = 0.5;
 /// What a frame needs to confirm a pose that was found by search or announced.
-const FITTING_TO_CONFIRM: usize = 20;
+const FITTING_IF_TOLD: usize = 20;
+const FITTING_IF_FOUND: usize = 40;
 const SHARE_TO_CONFIRM: f64 = 0.7;
 /// And so much less for each time that the whole field had no better pose to offer: behind others, or with a lens that is
 /// not quite as it was calibrated, lines are missing in right places too.
 const LESS_IF_FOUND_AGAIN: f64 = 0.1;
+const MORE_IF_FOUND_AGAIN: f64 = 0.1;
 /// Frames that are not convincing before the whole field is tried: a second at 10 Hz.
 const UNCONVINCING: u32 = 10;
 /// Trying it again from the same place says nothing new.
 const ELSEWHERE_M: f64 = 0.15;
 const ELSEWHERE_RAD: f64 = 0.15;
 /// So much of what a frame may leave unexplained may be there when a pose is confirmed.
-const CONFIRMED_WITH: f64 = 0.3;
+const CONFIRMED_WITH_IF_TOLD: f64 = 0.3;
+const CONFIRMED_WITH_IF_FOUND: f64 = 0.2;
 
 impl Standing {
-    /// A pose that nothing is known of but that somebody or something put it there.
-    pub fn unconfirmed(&mut self, frames: u32) {
-        *self = Self { confidence: Confidence::Unconfirmed(frames), agreed_ns: self.agreed_ns, ..Self::default() };
+    /// A pose that was found by search, or kept over a restart.
+    pub fn found(&mut self) {
+        *self =
+            Self { confidence: Confidence::Unconfirmed(CONFIRMATIONS), agreed_ns: self.agreed_ns, ..Self::default() };
+    }
+
+    /// A pose that somebody announced.
+    pub fn told(&mut self) {
+        self.found();
+        *self = Self { confidence: Confidence::Unconfirmed(1), was_told: true, ..*self };
     }
 
     /// Lines speak for the pose, and not clearly: is there a better one?
@@ -172,9 +184,17 @@ impl Standing {
 
     fn confirms(&self, rules: &Rules, fix: &Fix) -> bool {
         let lines = &fix.agreement;
-        let least = (SHARE_TO_CONFIRM - LESS_IF_FOUND_AGAIN * f64::from(self.found_again)).max(CONTRADICTED);
-        let fits = lines.fitting >= FITTING_TO_CONFIRM && lines.share() >= least;
-        !rules.refinement || (fits && fix.explained.share >= share_of(CONFIRMED_WITH, rules.valid.explained))
+        let (fitting, unexplained) = match self.was_told {
+            true => (FITTING_IF_TOLD, CONFIRMED_WITH_IF_TOLD),
+            false => (FITTING_IF_FOUND, CONFIRMED_WITH_IF_FOUND),
+        };
+        let again = f64::from(self.found_again);
+        let share = (SHARE_TO_CONFIRM - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED);
+        let unexplained = (unexplained + MORE_IF_FOUND_AGAIN * again).min(1.0);
+        !rules.refinement
+            || (lines.fitting >= fitting
+                && lines.share() >= share
+                && fix.explained.share >= share_of(unexplained, rules.valid.explained))
     }
 
     fn agreed_lately(&self, moment: &Moment) -> bool {

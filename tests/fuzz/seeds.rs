@@ -233,6 +233,7 @@ fn descriptions() {
         darkening: None,
         images: 1,
         left_out: 0,
+        with_ambiguous: false,
     });
     keep("capture", "sound-database", serde_json::to_vec(&catalogue).unwrap());
 }

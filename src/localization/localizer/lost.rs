@@ -9,7 +9,7 @@ use crate::localization::global::Candidate;
 use crate::localization::particles::Spread;
 use crate::localization::refinement::{self, Refined};
 use crate::localization::track::Track;
-use crate::localization::verdict::{CONFIRMATIONS, CONTRADICTED, Confidence, agrees};
+use crate::localization::verdict::{CONTRADICTED, Confidence, agrees};
 use crate::vision::Seen;
 
 /// While lost, only every so many frames pay for a search.
@@ -70,7 +70,7 @@ impl Localizer {
         let mirrored = pose.mirrored();
         let nearer = self.state.known.is_some_and(|known| apart(&mirrored, &known) < apart(&pose, &known));
         self.place(if nearer { mirrored } else { pose }, self.settings.initial);
-        self.state.standing.unconfirmed(CONFIRMATIONS);
+        self.state.standing.found();
         self.state.ambiguous = true;
     }
 

@@ -15,7 +15,7 @@ use super::particles::Spread;
 use super::posture::{Posture, Stand};
 use super::refinement::{self, Agreement, LinePoints, Prior};
 use super::track::{Prediction, Step, Track, TrackModel};
-use super::verdict::{CONFIRMATIONS, Confidence, Rules, Standing, Validity, agrees, is_contradicted};
+use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted};
 use crate::geometry::{Field, Isometry, Lens, Pose2, Projector, wrap_angle};
 use crate::vision::Seen;
 
@@ -174,7 +174,7 @@ impl Localizer {
             self.filter.widen(RESTART);
             self.state.track =
                 self.state.track.as_ref().map(|track| track.moved_to(track.pose(), RESTART.xy_m, RESTART.yaw_rad));
-            self.state.standing.unconfirmed(CONFIRMATIONS);
+            self.state.standing.found();
         }
         self.state.last = None;
     }
@@ -183,7 +183,7 @@ impl Localizer {
     pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
         self.place(pose, spread);
         self.state.known = Some(pose);
-        self.state.standing.unconfirmed(1);
+        self.state.standing.told();
         self.state.ambiguous = false;
     }
 
