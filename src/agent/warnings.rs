@@ -23,6 +23,17 @@ pub fn strange_field(field: &str, invalid: &BTreeMap<String, u64>, tagged: u64) 
     })
 }
 
+/// By its attitude the torso lay most of the time.
+pub fn never_upright(imu: &str, invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
+    let lay = invalid.get("fallen").copied().unwrap_or(0);
+    (2 * lay > tagged).then(|| {
+        format!(
+            "in {lay} of {tagged} frames the torso did not stand, by {imu}: is the IMU built in upside down or on its side? The \
+             transform from the torso to the IMU's frame in /tf_static says how"
+        )
+    })
+}
+
 /// The budget is too small for what cannot be left out.
 pub fn small_budget(budget_ms: f64, effort: &EffortTally, tagged: u64) -> Option<String> {
     let over = effort.over_budget;
@@ -102,6 +113,13 @@ mod tests {
         let said = strange_field("kid-2009", &invalid(51, 40), 100).expect("told");
         assert!(said.contains("51 of 100") && said.contains("kid-2009"), "{said}");
         assert_eq!(strange_field("kid-2009", &invalid(6, 90), 100), None, "no lines are seen");
+    }
+
+    #[test]
+    fn an_imu_by_which_the_robot_always_lies_is_doubted() {
+        let invalid = |lay| BTreeMap::from([("fallen".to_owned(), lay)]);
+        assert!(never_upright("/imu/data", &invalid(60), 100).expect("told").contains("by /imu/data"));
+        assert_eq!(never_upright("/imu/data", &invalid(40), 100), None, "it fell");
     }
 
     #[test]

@@ -178,6 +178,13 @@ fn for_people(status: &Value) -> String {
     ));
     lines.push(format!("tags: {:.1} ms each, 1 % over {:.1} ms{allowed}", budget("p50_ms"), budget("p99_ms")));
     lines.push(format!("valid: {} of the last {}", status["validity"]["valid"], status["validity"]["frames"]));
+    let filter = |key: &str| status["filter"][key].as_f64().unwrap_or(0.0);
+    lines.push(format!(
+        "filter: {:.0} particles, spread {:.1} cm, time was up in {:.0} % of the frames",
+        filter("particles"),
+        100.0 * filter("spread_m"),
+        100.0 * filter("capped")
+    ));
     if let Some(passed_on) = status["republished"].as_object() {
         let lost = passed_on["lost"].as_str().map_or(String::new(), |why| format!(" ({why})"));
         let device = passed_on["device"].as_str().unwrap_or("-");

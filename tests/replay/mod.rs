@@ -28,6 +28,7 @@ mod pictures;
 mod places;
 mod power_loss;
 mod realtime;
+mod recovery;
 mod reference;
 mod refine;
 mod refused;

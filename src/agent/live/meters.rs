@@ -33,21 +33,41 @@ pub struct Validity {
     pub valid: usize,
 }
 
+/// Of the last frames, as [`Validity`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct FilterUse {
+    /// On average.
+    pub particles: f64,
+    /// Share of the frames for which time was up before the filter was done.
+    pub capped: f64,
+    /// Of the particles of the last frame: standard deviation of their place.
+    pub spread_m: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Recent {
+    valid: bool,
+    capped: bool,
+    particles: u32,
+    spread_m: f64,
+}
+
 #[derive(Debug, Default)]
 pub struct Meters {
     read: Option<(i64, Counts)>,
     rates: Rates,
     durations: Durations,
-    recent: VecDeque<bool>,
+    recent: VecDeque<Recent>,
 }
 
-/// Frames that the share of valid ones is of.
+/// Frames that shares and means are of.
 const RECENT: usize = 100;
 
 impl Meters {
     pub fn tagged(&mut self, tag: &FrameTag) {
         self.durations.note(tag.elapsed_ms);
-        self.recent.push_back(tag.valid);
+        let FrameTag { valid, capped, particles, spread_m, .. } = *tag;
+        self.recent.push_back(Recent { valid, capped, particles, spread_m });
         if self.recent.len() > RECENT {
             self.recent.pop_front();
         }
@@ -78,7 +98,16 @@ impl Meters {
     }
 
     pub fn validity(&self) -> Validity {
-        Validity { frames: self.recent.len(), valid: self.recent.iter().filter(|valid| **valid).count() }
+        Validity { frames: self.recent.len(), valid: self.recent.iter().filter(|recent| recent.valid).count() }
+    }
+
+    pub fn filter(&self) -> FilterUse {
+        let frames = self.recent.len().max(1) as f64;
+        FilterUse {
+            particles: self.recent.iter().map(|recent| f64::from(recent.particles)).sum::<f64>() / frames,
+            capped: self.recent.iter().filter(|recent| recent.capped).count() as f64 / frames,
+            spread_m: self.recent.back().map_or(0.0, |recent| recent.spread_m),
+        }
     }
 }
 
@@ -97,8 +126,11 @@ mod tests {
         meters.counted(3_000_000_000, &counts(10, 5, 0));
         assert_eq!(meters.rates(), Rates::default());
         for number in 0..150 {
-            meters.tagged(&FrameTag { valid: number >= 100, elapsed_ms: 7.0, ..FrameTag::default() });
+            let (valid, particles, spread_m) = (number >= 100, 100 + number % 2, 0.01 * f64::from(number));
+            let capped = number % 4 == 0;
+            meters.tagged(&FrameTag { valid, capped, particles, spread_m, elapsed_ms: 7.0, ..FrameTag::default() });
         }
+        assert_eq!(meters.filter(), FilterUse { particles: 100.5, capped: 0.25, spread_m: 1.49 });
         assert_eq!(meters.validity(), Validity { frames: 100, valid: 50 });
         let budget = meters.budget(20.0);
         assert!((budget.p99_ms - 7.0).abs() < 0.1 && budget.budget_ms == 20.0 && budget.max_ms == 7.0, "{budget:?}");

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::meters::{BudgetUse, Rates, Validity};
+use super::meters::{BudgetUse, FilterUse, Rates, Validity};
 use crate::geometry::PoseGrid;
 use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
@@ -39,6 +39,7 @@ pub struct Status {
     pub republished: Option<PassedOn>,
     pub budget: BudgetUse,
     pub validity: Validity,
+    pub filter: FilterUse,
     pub ports: BTreeMap<String, Port>,
     pub last_tag: Option<LastTag>,
     /// Which cells of the pose grid the session has images of.

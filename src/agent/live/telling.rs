@@ -86,6 +86,7 @@ impl Agent<'_> {
         status.rates = self.meters.rates();
         status.budget = self.meters.budget(self.options.settings.filter.budget_ms);
         status.validity = self.meters.validity();
+        status.filter = self.meters.filter();
         let republished = &self.devices.republished;
         status.republished = self.options.settings.capture.republish.as_ref().map(|device| PassedOn {
             device: device.clone(),

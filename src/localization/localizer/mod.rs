@@ -190,7 +190,7 @@ impl Localizer {
     /// One frame of which something was seen. `may_go_on` says when time is up: see [`MayGoOn`].
     pub fn look(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
         if self.lies(moment) {
-            return self.drift(moment, "not_standing");
+            return self.drift(moment, "fallen");
         }
         let mut effort = Effort::default();
         let step = self.step_to(moment);
@@ -217,7 +217,7 @@ impl Localizer {
 
     /// One frame of which nothing could be seen: where odometry puts the robot.
     pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
-        let reason = if self.lies(moment) { "not_standing" } else { reason };
+        let reason = if self.lies(moment) { "fallen" } else { reason };
         self.drift(moment, reason)
     }
 

@@ -1,0 +1,170 @@
+//! A robot that does not know where it is, falls, or is told wrongly how it walks: found again, and never believed to be
+//! elsewhere for longer than it takes to notice.
+
+use realitysim::ros2::messages::{FrameTag, PoseStamped};
+use serde_json::Value;
+
+use super::support::{Replayed, Room, TRUTH, decode_all, read_log, session_name};
+
+/// With the errors of sensors that a robot has. Effects stand in their order: what moves it, then what odometry adds.
+fn scene(field: &str, lens: &str, start: &str, route: &str, moves: &str, odometry: &str) -> String {
+    format!(
+        r#"
+[scene]
+title = "Recovery"
+task = "be found"
+seed = 63
+field = "{field}"
+initial_pose = {start}
+[camera]
+lens = "{lens}"
+rate_hz = 10
+jpeg_quality = 90
+torso_height_m = 0.38
+mount_xyz_m = [0.04, 0.0, 0.11]
+mount_pitch_deg = 17
+[route]
+{route}
+[odometry]
+rate_hz = 50.0
+[imu]
+rate_hz = 100.0
+{moves}
+[[effect]]
+kind = "sensor_noise"
+read_noise_dn = 1.5
+shot_noise_factor = 0.15
+{odometry}
+[[effect]]
+kind = "imu_error"
+roll_bias_deg = -0.4
+pitch_bias_deg = 0.5
+noise_deg = 0.25
+gyro_noise_deg_s = 0.3
+"#
+    )
+}
+
+const TOLD: &str = "{ x_m = 0.05, y_m = -0.05, yaw_deg = 2.0 }";
+const SWAY: &str = r#"
+[[effect]]
+kind = "gait_sway"
+roll_deg = 2.0
+pitch_deg = 1.3
+lateral_m = 0.018
+vertical_m = 0.006
+step_hz = 2.4
+"#;
+const ODOMETRY_ERROR: &str = r#"
+[[effect]]
+kind = "odometry_error"
+scale_percent = 8.0
+yaw_drift_deg_per_m = 1.5
+noise_m_per_m = 0.1
+"#;
+
+fn replayed(field: &str, scene: String) -> (Room, Replayed) {
+    let room = Room::new();
+    room.write("scene.toml", scene);
+    room.run("sim scene.toml -o log.mcap").succeeds();
+    let replayed = room.replay(&format!("log.mcap --field {field}"));
+    (room, replayed)
+}
+
+/// Seconds since the first tag, the tag, and its distance from the truth; of an ambiguous one, of the nearer of its two poses.
+fn judged(room: &Room, replayed: &Replayed) -> Vec<(f64, FrameTag, f64)> {
+    let truth = decode_all::<PoseStamped>(&read_log(&room.path("log.mcap")), TRUTH);
+    let began = replayed.tags[0].header.stamp.to_nanoseconds();
+    let judge = |(tag, truth): (&FrameTag, &PoseStamped)| {
+        assert_eq!(tag.header.stamp, truth.header.stamp);
+        let (at, right) = (&tag.pose.pose.position, &truth.pose.position);
+        let off = |sign: f64| (sign * at.x - right.x).hypot(sign * at.y - right.y);
+        let off = if tag.ambiguous { off(1.0).min(off(-1.0)) } else { off(1.0) };
+        ((tag.header.stamp.to_nanoseconds() - began) as f64 * 1e-9, tag.clone(), off)
+    };
+    replayed.tags.iter().zip(&truth).map(judge).collect()
+}
+
+/// Carried from place to place and turned around: noticed within half a second, found again within two.
+#[track_caller]
+fn is_found(field: &str, lens: &str, poses: &str, places: usize) {
+    const HOLD_S: f64 = 3.0;
+    let route = format!("kind = \"still\"\nposes = {poses}\nhold_s = {HOLD_S:.1}");
+    let (room, replayed) = replayed(field, scene(field, lens, "\"none\"", &route, "", ""));
+    let tags = judged(&room, &replayed);
+    for place in 0..places {
+        let since = |seconds: f64| seconds - place as f64 * HOLD_S;
+        let here = || tags.iter().filter(|(at, ..)| (-1e-6..HOLD_S - 0.05).contains(&since(*at)));
+        let wrong = here().filter(|(_, tag, off)| tag.valid && *off > 0.1).map(|(at, ..)| since(*at));
+        let noticed = wrong.fold(0.0, f64::max);
+        assert!(noticed < 0.65, "{lens}, place {place}: wrong and valid after {noticed:.1} s");
+        let right = here().find(|(_, tag, off)| tag.valid && *off < 0.1).map(|(at, ..)| since(*at));
+        assert!(right.is_some_and(|seconds| seconds <= 2.0), "{lens}, place {place}: found after {right:?} s");
+    }
+}
+
+#[test]
+fn places_that_look_alike_are_told_apart() {
+    is_found("kid-2009", "fisheye-640", "[[-2.31, -0.55, 131.1], [-2.0, 1.1, 150.0], [-1.43, -1.76, -56.4]]", 3);
+    is_found("kid-2020", "wide-800", "[[-0.55, -2.44, 30.4], [2.0, 1.5, -160.0]]", 2);
+}
+
+#[test]
+fn on_the_halfway_line_a_pose_does_not_compete_with_its_own_mirror_pose() {
+    let poses = "[[0.032, -0.84, -142.9], [0.012, 1.34, 108.2], [-0.007, 0.12, -80.4], [0.022, -0.33, -124.2]]";
+    is_found("kid-2009", "fisheye-640", poses, 4);
+}
+
+#[test]
+fn who_falls_is_not_believed_until_he_stands_again() {
+    for (direction, lens) in [("backwards", "wide-640"), ("left", "fisheye-640")] {
+        let fall = format!(
+            "[[effect]]\nkind = \"fall\"\nat_s = 3.0\ndirection = \"{direction}\"\nlie_s = 0.5\nmoved_m = [-0.3, 0.1]\n\
+             turned_deg = 90\n"
+        );
+        let route = "kind = \"walk\"\nwaypoints = [[1.0, -0.6], [-1.2, 0.4]]\nspeed_m_s = 0.25\nturn_deg_s = 35";
+        let moves = format!("{SWAY}{fall}");
+        let (room, replayed) = replayed("kid-2009", scene("kid-2009", lens, TOLD, route, &moves, ODOMETRY_ERROR));
+        let tags = judged(&room, &replayed);
+        let worst = tags.iter().filter(|(_, tag, _)| tag.valid).map(|(.., off)| *off).fold(0.0, f64::max);
+        assert!(worst < 0.05, "{direction}: {worst} m");
+        let lying = tags.iter().filter(|(at, ..)| (3.6..4.4).contains(at));
+        assert!(lying.clone().all(|(_, tag, _)| !tag.valid && tag.reason == "fallen"), "{direction}");
+        assert!(lying.count() > 5);
+        let until = tags.last().expect("some").0;
+        let later = tags.iter().filter(|(at, ..)| *at > until - 3.0);
+        let valid = later.clone().filter(|(_, tag, _)| tag.valid).count();
+        assert!(10 * valid >= 9 * later.count(), "{direction}: up again, {valid} valid of the last three seconds");
+    }
+}
+
+#[test]
+fn odometry_that_stands_still_while_the_body_walks_is_not_believed() {
+    let route =
+        "kind = \"walk\"\nwaypoints = [[-2.4, 1.0], [0.4, 0.3], [1.9, -0.9]]\nspeed_m_s = 0.35\nturn_deg_s = 35";
+    for from_s in [3.0, 6.0] {
+        let frozen = format!("{ODOMETRY_ERROR}freeze = {{ from_s = {from_s:.1}, for_s = 5.0 }}\n");
+        let (room, replayed) = replayed("kid-2009", scene("kid-2009", "wide-640", TOLD, route, SWAY, &frozen));
+        let worst = judged(&room, &replayed).into_iter().filter(|(_, tag, _)| tag.valid).map(|(.., off)| off);
+        let worst = worst.fold(0.0, f64::max);
+        assert!(worst < 0.1, "frozen at {from_s} s: {worst} m");
+        assert!(replayed.report["valid"].as_f64() >= replayed.report["tagged"].as_f64().map(|tags| 0.9 * tags));
+    }
+}
+
+#[test]
+fn a_database_takes_ambiguous_tags_only_when_asked() {
+    let route = "kind = \"still\"\nposes = [[-1.0, 0.5, 20.0]]\nhold_s = 1.5";
+    let (room, replayed) = replayed("kid-2009", scene("kid-2009", "fisheye-640", "\"none\"", route, "", ""));
+    let valid = replayed.tags.iter().filter(|tag| tag.valid).count();
+    assert!(valid > 5 && replayed.tags.iter().all(|tag| tag.ambiguous || !tag.valid));
+    let session = session_name(&replayed);
+    let added = |arguments: &str| room.run(&format!("db add {session} --json {arguments}")).succeeds().json();
+    let images = |report: &Value| (report["images"].as_u64(), report["ambiguous"].as_u64());
+    assert_eq!(images(&added("--db strict")), (Some(0), Some(valid as u64)));
+    assert_eq!(images(&added("--db all --ambiguous")), (Some(valid as u64), Some(0)));
+    // It stays what it was asked to be.
+    room.run("db rebuild --db all").succeeds();
+    assert_eq!(room.run("db stats --db all --json").json()["images"].as_u64(), Some(valid as u64));
+    assert!(room.run(&format!("db add {session} --db third")).succeeds().stdout.contains("--ambiguous takes them"));
+}
