@@ -152,8 +152,7 @@ impl Expected {
         let drawn = |place: DVec3| Some(image.scale().apply(projector.project(place)?));
         let (from, to) = (drawn(right)?, drawn(left)?);
         let width_px = from.distance(to);
-        // NaN fails.
-        if !(width_px >= THINNEST_PX) {
+        if width_px < THINNEST_PX {
             return None;
         }
         // At a flat angle a line is drawn sheared: the way from its one edge to the other runs along it.
