@@ -147,7 +147,7 @@ impl Standing {
             (Confidence::Unconfirmed(_), Some(_)) if contradicted => Confidence::Nowhere,
             (other, Some(_)) => other,
             (Confidence::Unconfirmed(needed), None) if !self.confirms(rules, fix) => {
-                self.unconvincing += 1;
+                self.unconvincing = self.unconvincing.saturating_add(1);
                 Confidence::Unconfirmed(needed)
             }
             (Confidence::Unconfirmed(needed), None) if needed > 1 => Confidence::Unconfirmed(needed - 1),

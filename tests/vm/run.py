@@ -33,6 +33,7 @@ def main():
         starts_with_the_machine(robot)
         survives_its_camera(robot)
         survives_a_usb_port(robot)
+        survives_a_clock_that_jumps(robot)
         session = tags_a_walk(robot)
         plays_the_walk_to_itself(robot, session)
         survives_a_hang_and_a_kill(robot)
@@ -137,6 +138,25 @@ def survives_a_usb_port(robot):
         board.stop()
         status = machine.until("unplugged, it is named", 20, lambda s: port(s).get("closed"))
         print(" ", port(status)["closed"], flush=True)
+
+
+def survives_a_clock_that_jumps(robot):
+    """Somebody sets the robot's clock while it records: stamps, and the microcontroller's clock against them, go on."""
+    machine = robot.machine
+    offsets = lambda status: {(device, clock["system"], clock["base"]): clock["offset_ns"]
+                              for device, port in status["ports"].items() for clock in port.get("clocks", [])}
+    before = machine.status()
+    for jump in ("+3 hours", "-8 hours"):
+        machine.ok(f"date -s 'now {jump}' > /dev/null")
+        now = machine.status()
+        status = machine.until(f"the clock is set {jump}, and it records on", 20, lambda s: written(s) > written(now) + 3)
+        assert status["session"] == before["session"] and not status["camera_lost"], status
+        off_ms = [abs(offset - offsets(before)[sender]) / 1e6 for sender, offset in offsets(status).items()
+                  if sender in offsets(before)]
+        assert off_ms and max(off_ms) < 200, off_ms
+    machine.ok("date -s 'now +5 hours' > /dev/null")
+    restarts = machine.ok("systemctl show -p NRestarts realitysim")
+    assert restarts == "NRestarts=0", restarts
 
 
 def tags_a_walk(robot):
