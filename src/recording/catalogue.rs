@@ -65,10 +65,13 @@ pub struct Session {
 }
 
 /// `received.json`: how a session came here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Received {
     /// 1 from the recorder's own folder, 2 from a copy of it, and so on.
     pub hops: u32,
+    /// The folder that received it, by its name as a receiver: its word is this copy's own.
+    #[serde(default)]
+    pub receiver: String,
 }
 
 /// A manifest has some hundred bytes a segment; what is larger is none.
@@ -166,7 +169,7 @@ fn session_on(storage: &dyn Storage, folder: &Path) -> Result<Session, SetAside>
 impl Session {
     /// How far from the recorder it is: only who is farther away may be relied on when something is deleted.
     pub fn hops(&self) -> u32 {
-        self.received.map_or(0, |received| received.hops)
+        self.received.as_ref().map_or(0, |received| received.hops)
     }
 
     /// Something that lies in the folder.
@@ -259,7 +262,7 @@ fn read_received(storage: &dyn Storage, path: &Path, set_aside: &mut Vec<SetAsid
     };
     Some(parsed.unwrap_or_else(|why| {
         set_aside.push(SetAside::new(path, why));
-        Received { hops: u32::MAX }
+        Received { hops: u32::MAX, ..Received::default() }
     }))
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use super::selection::Selection;
-use crate::recording::{Acknowledgement, ManifestLine, Session, SessionId, SetAside, receivers_of};
+use crate::recording::{Acknowledgement, MANIFEST_FILE, ManifestLine, Session, SessionId, SetAside, receivers_of};
 
 /// One segment.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,11 +63,20 @@ impl Plan {
     }
 }
 
-/// `receiver` is this store; `pruned` are sessions that were thrown away here and are fetched again only when named.
-pub fn plan(there: &[Session], here: &[Session], receiver: &str, pruned: &[SessionId], selection: &Selection) -> Plan {
+/// `occupied` are all names in this folder, `receiver` is this store; `pruned` are sessions that were thrown away here and are
+/// fetched again only when named.
+pub fn plan(
+    there: &[Session],
+    here: &[Session],
+    occupied: &[String],
+    receiver: &str,
+    pruned: &[SessionId],
+    selection: &Selection,
+) -> Plan {
     let mut plan = Plan::default();
     let best = best_copies(there);
-    let mut names: Vec<String> = here.iter().map(|session| session.name.clone()).collect();
+    let mut names: Vec<String> =
+        here.iter().map(|session| session.name.clone()).chain(occupied.iter().cloned()).collect();
     for session in there {
         plan.set_aside.extend(session.set_aside.iter().cloned());
         if let Some(best) = best.get(&session.id).filter(|best| best.name != session.name) {
@@ -86,6 +95,7 @@ pub fn plan(there: &[Session], here: &[Session], receiver: &str, pruned: &[Sessi
         let folder = ours.map_or_else(|| free_name(session, &names), |ours| ours.name.clone());
         names.push(folder.clone());
         plan.folders.insert(session.id.clone(), folder.clone());
+        plan.set_aside.extend(unlisted(session));
         for line in session.lines.iter().filter(|line| selection.takes(line)) {
             plan_segment(&mut plan, session, ours, &folder, line, receiver);
         }
@@ -109,6 +119,19 @@ fn best_copies(there: &[Session]) -> BTreeMap<&SessionId, &Session> {
     best
 }
 
+/// What a finished session holds beside what its manifest lists: nobody can say whether it is whole.
+fn unlisted(session: &Session) -> Option<SetAside> {
+    let is_listed = |name: &str| session.lines.iter().any(|line| line.name == name);
+    let mut names = session.segments.keys().filter(|name| !is_listed(name));
+    let first = names.next().filter(|_| !session.open)?;
+    let more = match names.count() {
+        0 => String::new(),
+        count => format!(" and {count} more"),
+    };
+    let why = format!("{first}{more} in no line of its manifest: not fetched (`sessions repair` there lists them)");
+    Some(SetAside::new(session.folder.join(MANIFEST_FILE), why))
+}
+
 fn plan_segment(
     plan: &mut Plan,
     session: &Session,
@@ -121,6 +144,11 @@ fn plan_segment(
     if known.is_some_and(|known| (&known.blake3, known.bytes) != (&line.blake3, line.bytes)) {
         let why = "its manifest has another hash than the manifest here: neither is believed";
         plan.set_aside.push(SetAside::new(session.folder.join(&line.name), why));
+        if let Some(ours) = ours {
+            let acks = ours.acknowledged.get(receiver).into_iter().flatten();
+            let doubted = acks.filter(|ack| ack.file == line.name);
+            plan.withdrawn.extend(doubted.map(|ack| (ours.name.clone(), ack.clone())));
+        }
         return;
     }
     let acknowledged = ours
@@ -270,7 +298,7 @@ mod tests {
         #[test]
         fn every_segment_has_one_fate_and_what_is_planned_is_done_once(cases in prop::collection::vec(case(), 0..12)) {
             let [there, mut here] = both(&cases);
-            let plan = plan(std::slice::from_ref(&there), std::slice::from_ref(&here), OWN, &[], &Selection::default());
+            let plan = plan(std::slice::from_ref(&there), std::slice::from_ref(&here), &[], OWN, &[], &Selection::default());
             let fates = plan.items.len() + plan.done.len() + plan.lost.len() + plan.elsewhere.len();
             prop_assert_eq!(fates, cases.len());
             for item in &plan.items {
@@ -288,7 +316,7 @@ mod tests {
                 }
                 here.acknowledged.entry(OWN.into()).or_default().push(Acknowledgement::of(&item.line));
             }
-            let again = super::plan(&[there], &[here], OWN, &[], &Selection::default());
+            let again = super::plan(&[there], &[here], &[], OWN, &[], &Selection::default());
             prop_assert_eq!((again.items, again.withdrawn), (Vec::new(), Vec::new()));
         }
     }
@@ -296,7 +324,7 @@ mod tests {
     #[test]
     fn a_name_that_another_session_has_here_gets_a_piece_of_the_number() {
         let (there, here) = (session("s", 0x2a), session("s", 7));
-        let plan = plan(core::slice::from_ref(&there), &[here], OWN, &[], &Selection::default());
+        let plan = plan(core::slice::from_ref(&there), &[here], &[], OWN, &[], &Selection::default());
         assert_eq!(plan.folders[&there.id], "s-000000");
     }
 
@@ -304,7 +332,7 @@ mod tests {
     fn what_was_pruned_here_comes_only_when_it_is_named() {
         let [there, _] = both(&[Case { there: Some(10), here: None, acknowledged: false, elsewhere: false }]);
         let planned = |selection: &Selection| {
-            plan(std::slice::from_ref(&there), &[], OWN, std::slice::from_ref(&there.id), selection).items.len()
+            plan(std::slice::from_ref(&there), &[], &[], OWN, std::slice::from_ref(&there.id), selection).items.len()
         };
         assert_eq!(planned(&Selection::default()), 0);
         assert_eq!(planned(&Selection { sessions: vec!["the".into()], ..Selection::default() }), 1);

@@ -126,7 +126,7 @@ pub fn round(
     report.set_aside.extend(strange);
     let pruned: Vec<SessionId> =
         there.iter().map(|s| s.id.clone()).filter(|id| store.pruned().iter().any(|p| p.id == id.as_str())).collect();
-    let mut plan = plan(&there, &here, store.receiver(), &pruned, &options.selection);
+    let mut plan = plan(&there, &here, &store.occupied(), store.receiver(), &pruned, &options.selection);
     report.no_room_bytes = leave_out_what_has_no_room(&mut plan, store, &desk);
     tell(Event::Planned { sessions: there.len(), plan: &plan });
     for (folder, ack) in &plan.withdrawn {
@@ -161,6 +161,8 @@ fn fail(report: &mut Report, result: Result<(), SyncError>) {
 fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Vec<Session>, SyncError> {
     // In this order: a recorder gives a segment its name before its line, so that what the manifest lists is there when the
     // folder is looked at.
+    // What became a link there would stay here as it was.
+    desk.forget_acknowledgements()?;
     if let Ended::Partly(said) = rsync.heads(&desk.known)? {
         report.set_aside.push(SetAside::new(rsync.source.shown(), said));
     }
@@ -356,7 +358,12 @@ impl Work<'_> {
                     Ok(Ended::Partly(said)) => said.as_str(),
                     _ => "shorter than its manifest says",
                 };
-                self.lose(&path, format!("could not be had: {said}"));
+                // What is there and may not be read is not lost.
+                if said.contains("Permission denied") {
+                    self.report.failed.get_or_insert_with(|| format!("{path} may not be read there: {said}"));
+                } else {
+                    self.lose(&path, format!("could not be had: {said}"));
+                }
                 waiting.remove(&path);
             }
         }
@@ -430,6 +437,10 @@ fn finish(
         let may_hear = if relies.is_some() { acks } else { &[] };
         if options.acknowledge && acks != may_hear {
             report.withheld.push(session.name.clone());
+        }
+        // Who may rely on us is not relied on: it may have given its word when it was farther from the recorder than now.
+        if let (Some(ours), Some(theirs)) = (relies, &session.received) {
+            store.no_longer_rely_on(ours, &theirs.receiver)?;
         }
         if options.acknowledge && told != may_hear {
             acknowledge(options, store, desk, rsync, session, relies)?;

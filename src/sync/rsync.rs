@@ -50,7 +50,8 @@ impl Rsync<'_> {
     /// What lies in the source's folder and in the folders there.
     pub fn list(&self) -> Result<(Vec<Entry>, Ended), SyncError> {
         let mut command = self.command();
-        command.args(["-r", "--links", "--no-h", "--list-only", "--exclude=/.*", "--exclude=/*/*/*"]);
+        // Names as they are, not in octal numbers.
+        command.args(["-r", "-8", "--links", "--no-h", "--list-only", "--exclude=/.*", "--exclude=/*/*/*"]);
         command.arg(self.source.argument(""));
         let mut entries = Vec::new();
         let ended = self.run(command, &[], &mut |line| entries.extend(parse_line(line)), &mut || ())?;

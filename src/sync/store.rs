@@ -227,11 +227,31 @@ impl Store {
         Ok(write_atomically(&path, text.as_bytes())?)
     }
 
+    /// Another folder's word for a session is not relied on here any more.
+    pub fn no_longer_rely_on(&self, session: &Session, receiver: &str) -> Result<(), SyncError> {
+        let _turn = self.turn()?;
+        self.disown(session, receiver)
+    }
+
+    fn disown(&self, session: &Session, receiver: &str) -> Result<(), SyncError> {
+        if receiver == self.receiver || session.acknowledged.get(receiver).is_none_or(Vec::is_empty) {
+            return Ok(());
+        }
+        let path = session.folder.join(ACK_FOLDER).join(format!("{receiver}{ACK_ENDING}"));
+        Ok(write_atomically(&path, b"")?)
+    }
+
+    /// Whatever bears a name here: nothing else may get it.
+    pub fn occupied(&self) -> Vec<String> {
+        let entries = fs::read_dir(&self.captures).into_iter().flatten().flatten();
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+    }
+
     /// The session's folder, made if it is not there; never another session's, never through a link. Another name than was
     /// planned if another sync was faster.
     fn session_folder(&self, item: &Item, head: &[u8]) -> Result<PathBuf, SyncError> {
         let Item { here: name, session: id, hops, .. } = item;
-        let received = Received { hops: hops.saturating_add(1) };
+        let received = Received { hops: hops.saturating_add(1), receiver: self.receiver.clone() };
         let mut folder = self.captures.join(name);
         let mut there = None;
         if fs::symlink_metadata(&folder).is_ok() {
@@ -242,9 +262,17 @@ impl Store {
             there = self.sessions()?.0.into_iter().find(|session| session.id == *id);
         }
         if let Some(ours) = there {
-            // It came here in another way. As long as nobody else relies on it, it may as well have come from there.
-            if ours.received.is_none() && ours.acknowledged.keys().all(|who| *who == self.receiver) {
-                note_received(&ours.folder, received)?;
+            match &ours.received {
+                // It came here in another way. As long as nobody else relies on it, it may as well have come from there.
+                None if ours.acknowledged.keys().all(|who| *who == self.receiver) => {
+                    note_received(&ours.folder, &received)?;
+                }
+                // It was moved or copied here from the folder that received it, whose word of then is this copy's own.
+                Some(old) if old.receiver != self.receiver => {
+                    self.disown(&ours, &old.receiver)?;
+                    note_received(&ours.folder, &Received { hops: old.hops.max(received.hops), ..received })?;
+                }
+                _ => {}
             }
             return Ok(ours.folder);
         }
@@ -256,7 +284,7 @@ impl Store {
         fs::create_dir_all(&beside).map_err(io(&beside))?;
         write_atomically(&beside.join(SESSION_FILE), head)?;
         write_atomically(&beside.join(MANIFEST_FILE), b"")?;
-        note_received(&beside, received)?;
+        note_received(&beside, &received)?;
         fs::rename(&beside, &folder).map_err(io(&folder))?;
         sync_folder(&self.captures)?;
         Ok(folder)
@@ -323,8 +351,8 @@ fn pruned_in(state: &Path) -> Vec<Pruned> {
     String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
 }
 
-fn note_received(session: &Path, received: Received) -> Result<(), SyncError> {
-    let text = serde_json::to_vec(&received).map_err(crate::recording::RecordingError::from)?;
+fn note_received(session: &Path, received: &Received) -> Result<(), SyncError> {
+    let text = serde_json::to_vec(received).map_err(crate::recording::RecordingError::from)?;
     Ok(write_atomically(&session.join(RECEIVED_FILE), &text)?)
 }
 
@@ -430,6 +458,17 @@ fn real_folder(path: &Path) -> Result<(), SyncError> {
 }
 
 impl Desk {
+    /// What the source was known to have been told.
+    pub(super) fn forget_acknowledgements(&self) -> Result<(), SyncError> {
+        for session in fs::read_dir(&self.known).into_iter().flatten().flatten() {
+            let acks = session.path().join(ACK_FOLDER);
+            if fs::symlink_metadata(&acks).is_ok_and(|it| it.is_dir()) {
+                fs::remove_dir_all(&acks).map_err(io(&acks))?;
+            }
+        }
+        Ok(())
+    }
+
     /// What the source looked like just now.
     pub(super) fn note_seen(&self, source: &Source, there: &[Session]) -> Result<(), SyncError> {
         let open = there.iter().filter(|session| session.open).map(|session| session.id.as_str().to_owned());

@@ -396,6 +396,27 @@ fn of_two_lines_that_differ_repair_keeps_the_one_that_is_true() {
 }
 
 #[test]
+fn what_is_damaged_and_in_no_manifest_is_listed_with_its_loss() {
+    let room = Room::new();
+    let session = three_segments(&room);
+    let (manifest, segment) = (session.join("manifest.jsonl"), session.join("0001.mcap"));
+    let text = fs::read_to_string(&manifest).unwrap();
+    let others: Vec<&str> = text.lines().filter(|line| !line.contains("0001.mcap")).collect();
+    fs::write(&manifest, others.join("\n") + "\n").unwrap();
+    let mut bytes = fs::read(&segment).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 6].copy_from_slice(b"ROTTEN");
+    fs::write(&segment, &bytes).unwrap();
+    let repaired = room.run(&format!("sessions repair --captures {CAPTURES}")).fails(3, &[]);
+    assert!(repaired.stdout.contains("lost: ") && repaired.stdout.contains("0001.mcap"), "{repaired:?}");
+    let listed = fs::read_to_string(&manifest).unwrap();
+    let line = listed.lines().find(|line| line.contains("0001.mcap")).expect("listed");
+    let line: serde_json::Value = serde_json::from_str(line).unwrap();
+    assert!(line["cut_bytes"].as_u64() > Some(0), "{line}");
+    assert!(fs::read(&segment).unwrap() == bytes, "left as it is");
+}
+
+#[test]
 fn repair_does_not_call_whole_what_is_not() {
     let room = Room::new();
     let session = three_segments(&room);

@@ -3,6 +3,7 @@
 mod bad;
 mod cut;
 mod folder;
+mod last_copy;
 mod many;
 mod recorder;
 mod sessions;

@@ -1,6 +1,7 @@
 //! `realitysim sessions prune`
 
-use std::fs;
+use std::fs::{self, File};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -10,7 +11,7 @@ use super::{CapturesArguments, full_name};
 use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output, paths};
 use crate::recording::catalogue::sessions_in;
-use crate::recording::{Session, receiver_of, saturating_sum, sync_folder};
+use crate::recording::{ACK_ENDING, ACK_FOLDER, Session, receiver_of, saturating_sum, sync_folder, write_atomically};
 use crate::sync::{Decision, Goal, Store, decide, is_as_recorded};
 
 /// Delete sessions that another store has, whole and verified
@@ -32,7 +33,7 @@ pub struct PruneArguments {
     #[arg(long, value_name = "DAYS")]
     older_than: Option<u32>,
     /// Stop when so much is freed
-    #[arg(long, value_name = "GB")]
+    #[arg(long, value_name = "GB", allow_negative_numbers = true)]
     free: Option<f64>,
     /// Another folder of captures: what is found there whole, by its hash, may go here
     #[arg(long, value_name = "CAPTURES_DIR")]
@@ -66,6 +67,9 @@ pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
     for copy in &arguments.copy {
         paths::check_output(copy, &[&folder])?;
     }
+    if arguments.free.is_some_and(|gb| !(gb.is_finite() && gb >= 0.0)) {
+        return Err(UsageError("--free: gigabytes, 0 or more".to_owned()).into());
+    }
     let before = arguments.older_than.map(|days| {
         let then = jiff::Timestamp::now().as_second().saturating_sub(86_400 * i64::from(days));
         jiff::Timestamp::from_second(then).unwrap_or_default().to_string()
@@ -73,15 +77,24 @@ pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
     let goal = Goal {
         sessions: asked,
         before,
-        bytes: arguments.free.map(|gb| (gb.max(0.0) * 1e9) as u64),
+        bytes: arguments.free.map(|gb| (gb * 1e9) as u64),
         pinned: arguments.pinned,
         force: arguments.force,
     };
+    let folders: Vec<&Path> =
+        [folder.as_path()].into_iter().chain(arguments.copy.iter().map(PathBuf::as_path)).collect();
+    // Until all is done nobody else prunes here, nor in the copies: each would be the other's.
+    let _alone = if arguments.yes { alone_in(&folders)? } else { Vec::new() };
+    let (sessions, _) = sessions_in(&folder).map_err(|error| paths::cannot_read(&folder, error))?;
     let has_copy = |session: &Session| arguments.copy.iter().any(|copy| is_whole_in(session, copy));
     let decisions = decide(&sessions, receiver_of(&folder).as_deref(), &has_copy, &goal);
     if arguments.yes {
+        finish_earlier(&folder)?;
         for decision in decisions.iter().filter(|decision| decision.goes) {
             if let Some(session) = sessions.iter().find(|session| session.name == decision.session) {
+                for copy in &arguments.copy {
+                    take_back(session, &folder, copy)?;
+                }
                 delete(session, &folder)?;
             }
         }
@@ -89,23 +102,67 @@ pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
     report(decisions, arguments.yes, json)
 }
 
+/// Where the copy is nearer to the recorder it may rely on this folder's word for the session, which holds no longer.
+fn take_back(session: &Session, captures: &Path, copy: &Path) -> anyhow::Result<()> {
+    let Some(own) = receiver_of(captures) else { return Ok(()) };
+    let (others, _) = sessions_in(copy).map_err(|error| paths::cannot_read(copy, error))?;
+    for other in others.iter().filter(|other| other.id == session.id && other.acknowledged.contains_key(&own)) {
+        let path = other.folder.join(ACK_FOLDER).join(format!("{own}{ACK_ENDING}"));
+        write_atomically(&path, b"")?;
+    }
+    Ok(())
+}
+
 /// Gone from sight in one step, then file by file; a sync does not fetch it again unasked.
 fn delete(session: &Session, captures: &Path) -> anyhow::Result<()> {
     if receiver_of(captures).is_some() {
         Store::open(captures)?.note_pruned(session)?;
     }
-    let hidden = captures.join(format!(".pruned-{}", session.id.as_str()));
+    let hidden = captures.join(format!("{HIDDEN}{}", session.id.as_str()));
     fs::rename(&session.folder, &hidden).map_err(|error| paths::cannot_write(&session.folder, error))?;
     sync_folder(captures)?;
     fs::remove_dir_all(&hidden).map_err(|error| paths::cannot_write(&hidden, error))
 }
 
-/// Whether every segment that is here lies in the other folder as it was recorded.
+/// Locks on the folders, in an order that is the same for all.
+fn alone_in(folders: &[&Path]) -> anyhow::Result<Vec<File>> {
+    let mut open = Vec::new();
+    for folder in folders {
+        let file = File::open(folder).map_err(|error| paths::cannot_read(folder, error))?;
+        let is = file.metadata().map_err(|error| paths::cannot_read(folder, error))?;
+        open.push(((is.dev(), is.ino()), *folder, file));
+    }
+    open.sort_by_key(|(is, ..)| *is);
+    open.dedup_by_key(|(is, ..)| *is);
+    for (_, folder, file) in &open {
+        file.lock().map_err(|error| paths::cannot_read(folder, error))?;
+    }
+    Ok(open.into_iter().map(|(.., file)| file).collect())
+}
+
+const HIDDEN: &str = ".pruned-";
+
+/// What a prune that was killed had begun to delete.
+fn finish_earlier(captures: &Path) -> anyhow::Result<()> {
+    for entry in fs::read_dir(captures).map_err(|error| paths::cannot_read(captures, error))?.flatten() {
+        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if is_folder && entry.file_name().to_string_lossy().starts_with(HIDDEN) {
+            fs::remove_dir_all(entry.path()).map_err(|error| paths::cannot_write(&entry.path(), error))?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether every segment that is here lies in the other folder as it was recorded, and is another file.
 fn is_whole_in(session: &Session, copy: &Path) -> bool {
     let Ok((others, _)) = sessions_in(copy) else { return false };
     let Some(other) = others.iter().find(|other| other.id == session.id) else { return false };
     let here = session.lines.iter().filter(|line| session.segments.contains_key(&line.name));
-    here.into_iter().all(|line| is_as_recorded(&other.folder.join(&line.name), line).is_ok_and(|whole| whole))
+    let identity = |path: &Path| fs::metadata(path).ok().map(|is| (is.dev(), is.ino()));
+    here.into_iter().all(|line| {
+        let (own, copy) = (session.folder.join(&line.name), other.folder.join(&line.name));
+        identity(&own) != identity(&copy) && is_as_recorded(&copy, line).is_ok_and(|whole| whole)
+    })
 }
 
 fn report(decisions: Vec<Decision>, done: bool, json: bool) -> anyhow::Result<Outcome> {

@@ -88,8 +88,9 @@ pub fn sessions_of(storage: &dyn Storage, captures: &Path) -> Vec<PathBuf> {
         return vec![captures.to_owned()];
     }
     let entries = storage.list(captures).unwrap_or_default().into_iter();
-    let folders = entries.filter(|entry| entry.kind == Kind::Folder).map(|entry| captures.join(entry.name));
-    folders.filter(|folder| is_session(folder)).collect()
+    // What is hidden is ours beside sessions, or on its way out.
+    let folders = entries.filter(|entry| entry.kind == Kind::Folder && !entry.name.starts_with('.'));
+    folders.map(|entry| captures.join(entry.name)).filter(|folder| is_session(folder)).collect()
 }
 
 /// Finishes what was never finished, lists what is not listed. Files that are not of this program stay as they are.
@@ -203,7 +204,8 @@ impl Work<'_> {
                 Some(line) => line,
                 None => {
                     let file = self.session.join(&name);
-                    let (line, topics) = describe(self.storage, &file, &name, &self.info.settings)?;
+                    let (line, topics, damage) = describe(self.storage, &file, &name, &self.info.settings)?;
+                    self.repaired.lost.extend(damage.map(|said| Loss::new(&file, said)));
                     self.topics.insert(name.clone(), topics);
                     line
                 }

@@ -15,7 +15,7 @@ use super::super::manifest::{ManifestLine, TopicEntry};
 use super::super::storage::{Appending, Readable, Storage};
 use super::account::Account;
 use crate::config::Settings;
-use crate::ros2::mcap_read::{LogReader, Part, Piece, ReadError, Selection, sound_pieces};
+use crate::ros2::mcap_read::{Damage, LogReader, Part, Piece, ReadError, Selection, sound_pieces};
 use crate::ros2::mcap_write::{LogWriter, WriteError};
 
 /// What became of it.
@@ -69,25 +69,28 @@ pub(super) fn finish(
     Ok(Ended::Whole { line: Box::new(line), topics, damage })
 }
 
-/// What is said about a finished segment whose line is missing.
+/// What is said about a finished segment whose line is missing, and what of it makes no sense.
 pub(super) fn describe(
     storage: &dyn Storage,
     path: &Path,
     name: &str,
     settings: &Settings,
-) -> Result<(ManifestLine, BTreeMap<TopicEntry, u64>), RecordingError> {
+) -> Result<(ManifestLine, BTreeMap<TopicEntry, u64>, Option<String>), RecordingError> {
     let fails = |source| RecordingError::io(path, source);
     let mut hash = blake3::Hasher::new();
     io::copy(&mut storage.read(path).map_err(fails)?, &mut hash).map_err(fails)?;
     let mut account = Account::new(settings);
-    let mut read = || -> Result<(), Trouble> {
-        for message in LogReader::open(storage.read(path).map_err(ReadError::from)?, Selection::All)? {
+    let mut read = || -> Result<Damage, Trouble> {
+        let mut reader = LogReader::open(storage.read(path).map_err(ReadError::from)?, Selection::All)?;
+        for message in reader.by_ref() {
             account.note(&message?);
         }
-        Ok(())
+        Ok(reader.damage().clone())
     };
-    read().map_err(|error| error.at(path))?;
-    Ok(account.line(name, hash.count(), hash.finalize().to_hex().to_string(), 0))
+    let damage = read().map_err(|error| error.at(path))?;
+    let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), damage.bytes_skipped);
+    let said = (damage != Damage::default()).then(|| damage.to_string());
+    Ok((line, topics, said))
 }
 
 /// All that can be read, in a new file; the old one is set aside.
