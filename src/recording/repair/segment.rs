@@ -18,13 +18,16 @@ use crate::config::Settings;
 use crate::ros2::mcap_read::{Damage, LogReader, Part, Piece, ReadError, Selection, sound_pieces};
 use crate::ros2::mcap_write::{LogWriter, WriteError};
 
+/// Messages of each topic.
+pub(super) type Topics = BTreeMap<TopicEntry, u64>;
+
 /// What became of it.
 pub(super) enum Ended {
     /// Nothing was in it.
     Empty,
     Whole {
         line: Box<ManifestLine>,
-        topics: BTreeMap<TopicEntry, u64>,
+        topics: Topics,
         damage: Option<String>,
     },
 }
@@ -75,7 +78,7 @@ pub(super) fn describe(
     path: &Path,
     name: &str,
     settings: &Settings,
-) -> Result<(ManifestLine, BTreeMap<TopicEntry, u64>, Option<String>), RecordingError> {
+) -> Result<(ManifestLine, Topics, Option<String>), RecordingError> {
     let fails = |source| RecordingError::io(path, source);
     let mut hash = blake3::Hasher::new();
     io::copy(&mut storage.read(path).map_err(fails)?, &mut hash).map_err(fails)?;
