@@ -115,6 +115,9 @@ fn a_walk_is_tagged_live_and_its_capture_gives_the_same_tags() {
     let port = &status["ports"].as_object().expect("ports").values().next().expect("one").clone();
     assert_eq!((port["lost"].as_u64(), port["crc_failures"].as_u64()), (Some(0), Some(0)), "{status}");
     assert!(status["budget"]["p50_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{status}");
+    assert!(status["filter"]["particles"].as_f64().is_some_and(|particles| particles > 10.0), "{status}");
+    assert!(status["filter"]["spread_m"].as_f64().is_some_and(|spread_m| spread_m > 0.0), "{status}");
+    assert!(status["coverage"]["map"].as_array().is_some_and(|rows| !rows.is_empty()), "{status}");
     assert!(status["validity"]["valid"].as_u64().is_some_and(|valid| valid as usize * 10 >= frames * 8), "{status}");
     let counted = |key: &str| status["counts"][key].as_u64().expect("a count");
     let dropped: u64 =
@@ -198,6 +201,30 @@ fn the_robot_was_told_its_poses(told: &[ODOMETRY_DATA], tags: &[FrameTag]) {
         assert_eq!(said.pose_covariance[0], tag.pose.covariance[0] as f32);
         assert_eq!(said.frame_id, MavFrame::MAV_FRAME_LOCAL_FLU);
     }
+}
+
+#[test]
+fn poses_go_out_although_the_disk_takes_nothing() {
+    let robot = Robot::of(&walk().messages);
+    let config = CONFIG.replace("floor_mb = 1", "floor_mb = 100000000");
+    let mut recorder = Recorder::start_at(Some(robot.tty()), &config, "-2.06,0.153,14.5");
+    let (frames, socket) = (robot.frames(), recorder.room.path("camera.sock"));
+    let line = robot.listens();
+    let walking = std::thread::spawn(move || robot.walk(&socket));
+    let (_, robot) = walking.join().expect("walked");
+    recorder.waits_for("all frames", 20, |status| {
+        let dropped = status["counts"]["dropped"].as_object().into_iter().flatten();
+        dropped.filter_map(|(_, count)| count.as_u64()).sum::<u64>() == frames as u64
+    });
+    let status = recorder.asks("status");
+    assert_eq!(
+        (&status["recorder"]["stopped"]["cause"], status["counts"]["written"].as_u64()),
+        (&"disk_full".into(), Some(0))
+    );
+    recorder.ends();
+    let told = line.join().expect("listened");
+    drop(robot);
+    assert!(10 * told.len() >= 8 * frames, "{} poses of {frames} frames", told.len());
 }
 
 #[test]

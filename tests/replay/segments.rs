@@ -104,6 +104,6 @@ fn a_state_of_the_filter_that_cannot_be_used_is_told() {
     with_state(&[&b"RSIMCKPT"[..], &9u32.to_le_bytes(), &[0; 20]].concat());
     // Of another time, not lost.
     told("state.mcap", 0, "version 9");
-    with_state(&[&b"RSIMCKPT"[..], &5u32.to_le_bytes(), &[0; 20]].concat());
+    with_state(&[&b"RSIMCKPT"[..], &realitysim::agent::checkpoint::VERSION.to_le_bytes(), &[0; 20]].concat());
     told("state.mcap", 3, "damaged");
 }
