@@ -190,7 +190,7 @@ impl Standing {
         };
         let again = f64::from(self.found_again);
         let share = (SHARE_TO_CONFIRM - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED);
-        let unexplained = (unexplained + MORE_IF_FOUND_AGAIN * again).min(1.0);
+        let unexplained = (unexplained + MORE_IF_FOUND_AGAIN * again).min(CONFIRMED_WITH_IF_TOLD);
         !rules.refinement
             || (lines.fitting >= fitting
                 && lines.share() >= share

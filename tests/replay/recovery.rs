@@ -115,6 +115,15 @@ fn on_the_halfway_line_a_pose_does_not_compete_with_its_own_mirror_pose() {
     is_found("kid-2009", "fisheye-640", poses, 4);
 }
 
+/// Found half a metre from the right place, in a view of few lines: the second look sees it.
+#[test]
+fn a_second_look_does_not_take_the_right_pose_for_the_wrong_one_beside_it() {
+    let (room, replayed) = replayed("kid-2009", include_str!("kidnapped.toml").to_owned());
+    // Carried away at 3 s.
+    let wrong = judged(&room, &replayed).into_iter().filter(|(at, tag, off)| *at > 3.6 && tag.valid && *off > 0.1);
+    assert_eq!(wrong.map(|(at, ..)| at).collect::<Vec<_>>(), [0.0; 0]);
+}
+
 #[test]
 fn who_falls_is_not_believed_until_he_stands_again() {
     for (direction, lens) in [("backwards", "wide-640"), ("left", "fisheye-640")] {

@@ -24,6 +24,9 @@ const FEWEST_FITTED: usize = 4;
 const ELSEWHERE_M: f64 = 0.5;
 const ELSEWHERE_RAD: f64 = 0.5;
 const RIVALS: f64 = 0.9;
+/// As near to the pose believed so far its own refinement would have come.
+const AGAIN_M: f64 = 0.15;
+const AGAIN_RAD: f64 = 0.1;
 
 impl Localizer {
     pub(super) fn must_search(&self) -> bool {
@@ -60,7 +63,7 @@ impl Localizer {
             })
         };
         if let Some(believed) = believed {
-            let found_again = best.is_some_and(|best| is_same(&best, &believed));
+            let found_again = best.is_some_and(|best| is_near(&best, &believed, AGAIN_M, AGAIN_RAD));
             self.state.standing.looked_again(believed, found_again);
             if found_again {
                 return;
@@ -110,7 +113,9 @@ impl Localizer {
         }
         fits.sort_by(|a, b| b.worth.total_cmp(&a.worth));
         let best = fits.first()?;
-        let rivals = |other: &Fit| other.worth > RIVALS * best.worth && !is_same(&other.pose, &best.pose);
+        let rivals = |other: &Fit| {
+            other.worth > RIVALS * best.worth && !is_near(&other.pose, &best.pose, ELSEWHERE_M, ELSEWHERE_RAD)
+        };
         (!fits.iter().any(rivals)).then_some(best.pose)
     }
 
@@ -127,9 +132,8 @@ impl Localizer {
 }
 
 /// Up to the mirror: on the halfway line a pose and its mirror pose are neighbours.
-fn is_same(one: &Pose2, other: &Pose2) -> bool {
-    let near =
-        |other: &Pose2| one.distance(other) <= ELSEWHERE_M && wrap_angle(one.yaw - other.yaw).abs() <= ELSEWHERE_RAD;
+fn is_near(one: &Pose2, other: &Pose2, within_m: f64, within_rad: f64) -> bool {
+    let near = |other: &Pose2| one.distance(other) <= within_m && wrap_angle(one.yaw - other.yaw).abs() <= within_rad;
     near(other) || near(&other.mirrored())
 }
 
