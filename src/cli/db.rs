@@ -34,8 +34,9 @@ enum Command {
 
 /// Add captures and folders of images
 ///
-/// Of a capture every image with a valid tag that knows which half of the field it is in. A folder of images has poses.csv (file,x,y,z,yaw_deg,pitch_deg,roll_deg of
-/// camera_link in map) and camera_info.yaml as ROS camera_calibration writes it. Makes the database if there is none.
+/// Of a capture every image with a valid tag that knows which half of the field it is in. A folder of images has poses.csv
+/// (file,x,y,z,yaw_deg,pitch_deg,roll_deg of camera_link in map) and camera_info.yaml as ROS camera_calibration writes it. Makes
+/// the database if there is none.
 #[derive(Args)]
 struct AddArguments {
     /// Captures' folders, segments, or folders of images

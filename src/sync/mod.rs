@@ -1,8 +1,12 @@
 //! Recordings from a robot, or from a stick, into a folder of captures: planned purely (`plan`), carried by rsync
-//! (`rsync`), verified and put in place by us (`store`), one round after the other (`round`).
+//! (`rsync`), verified and put in place by us (`store`), one round after the other (`round`: `look`, plan, `fetch`, acknowledge).
 
+mod desk;
 mod error;
+mod fetch;
 mod listing;
+mod look;
+mod name;
 mod plan;
 mod prune;
 mod round;
@@ -11,6 +15,7 @@ mod selection;
 mod source;
 mod store;
 
+pub use desk::{Known, known_sources};
 pub use error::SyncError;
 pub use plan::{Item, Plan, Why, plan};
 pub use prune::{Decision, Goal, decide};
@@ -18,4 +23,4 @@ pub use round::{Event, Options, Report, SessionReport, round};
 pub use rsync::SSH;
 pub use selection::{Selection, Within, valid_share};
 pub use source::{SERVICE_CAPTURES, Source};
-pub use store::{Known, Pruned, Store, is_as_recorded, known_sources};
+pub use store::{Pruned, Store, is_as_recorded};

@@ -28,7 +28,8 @@ pub struct Decision {
     pub why: String,
 }
 
-/// In the order of [`releasable`], whole sessions only. `own` is this folder's own name as a receiver. `has_copy` says whether a session was found whole somewhere else just now.
+/// In the order of [`releasable`], whole sessions only. `own` is this folder's own name as a receiver. `has_copy` says whether a
+/// session was found whole somewhere else just now.
 pub fn decide(
     sessions: &[Session],
     own: Option<&str>,

@@ -4,18 +4,19 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use serde::Serialize;
 
+use super::desk::Desk;
 use super::error::SyncError;
-use super::listing::Entry;
-use super::plan::{Item, Plan, plan};
+use super::fetch::Work;
+use super::look::look;
+use super::plan::{Plan, plan};
 use super::rsync::{Ended, Rsync};
 use super::selection::Selection;
 use super::source::Source;
-use super::store::{Desk, Placed, Store};
-use crate::recording::catalogue::{Kind, is_plain_name, sessions_in};
+use super::store::Store;
 use crate::recording::{ACK_FOLDER, Session, SessionId, SetAside};
 
 #[derive(Clone, Debug)]
@@ -86,11 +87,6 @@ pub struct SessionReport {
     pub of: u64,
 }
 
-/// Tries in a row that bring nothing before the link is given up.
-const MAX_FRUITLESS: u32 = 3;
-const BETWEEN_TRIES: Duration = Duration::from_secs(1);
-/// Times that a file may come with another hash than its manifest's: after that it is the source's.
-const MAX_DAMAGED: u32 = 2;
 /// Left free on the disk.
 const ROOM_LEFT_BYTES: u64 = 64 << 20;
 
@@ -157,63 +153,6 @@ fn fail(report: &mut Report, result: Result<(), SyncError>) {
     }
 }
 
-/// Sessions at the source: what they say of themselves, and what lies in their folders.
-fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Vec<Session>, SyncError> {
-    // In this order: a recorder gives a segment its name before its line, so that what the manifest lists is there when the
-    // folder is looked at.
-    // What became a link there would stay here as it was.
-    desk.forget_acknowledgements()?;
-    if let Ended::Partly(said) = rsync.heads(&desk.known)? {
-        report.set_aside.push(SetAside::new(rsync.source.shown(), said));
-    }
-    let (entries, ended) = rsync.list()?;
-    let shown = PathBuf::from(rsync.source.shown());
-    let as_there =
-        |path: &Path| path.strip_prefix(&desk.known).map_or_else(|_| path.to_owned(), |rest| shown.join(rest));
-    let (mut sessions, strange) =
-        sessions_in(&desk.known).map_err(|source| SyncError::Io { path: desk.known.clone(), source })?;
-    report.set_aside.extend(strange.into_iter().map(|it| SetAside::new(as_there(&it.path), it.why)));
-    for session in &mut sessions {
-        session.folder = as_there(&session.folder);
-        for it in &mut session.set_aside {
-            it.path = as_there(&it.path);
-        }
-    }
-    if let Ended::Partly(said) = ended {
-        let unread = leave_out_unread(&mut sessions, &entries, &said);
-        if let [first, ..] = unread.as_slice() {
-            report.failed = Some(first.to_string());
-        }
-        report.set_aside.extend(unread);
-    }
-    for entry in entries {
-        let (folder, name) = entry.path.split_once('/').map_or((entry.path.as_str(), None), |(a, b)| (a, Some(b)));
-        let session = sessions.iter_mut().find(|session| session.name == folder);
-        match (session, name, entry.kind) {
-            // A link there is no folder to acknowledge into.
-            (Some(session), Some(name), kind) => session.note(name, kind),
-            (_, None, Kind::Link | Kind::Other) => {
-                report.set_aside.push(SetAside::new(shown.join(folder), "a link or a device: not followed"));
-            }
-            (None, None, Kind::Folder) if !is_plain_name(folder) || !desk.known.join(folder).exists() => {
-                report.set_aside.push(SetAside::new(shown.join(folder), "no session: left alone"));
-            }
-            _ => {}
-        }
-    }
-    Ok(sessions)
-}
-
-/// What could not be looked into is not empty: nothing is said of it, and nothing taken back.
-fn leave_out_unread(sessions: &mut Vec<Session>, entries: &[Entry], said: &str) -> Vec<SetAside> {
-    let is_read = |session: &Session| {
-        entries.iter().any(|entry| entry.path.split_once('/').is_some_and(|(folder, _)| folder == session.name))
-    };
-    let (read, unread): (Vec<_>, Vec<_>) = std::mem::take(sessions).into_iter().partition(is_read);
-    *sessions = read;
-    unread.into_iter().map(|session| SetAside::new(session.folder, format!("cannot be looked into: {said}"))).collect()
-}
-
 /// The oldest come first; what does not fit any more is not begun.
 fn leave_out_what_has_no_room(plan: &mut Plan, store: &Store, desk: &Desk) -> u64 {
     let Some(free) = store.free_bytes() else { return 0 };
@@ -230,180 +169,6 @@ fn leave_out_what_has_no_room(plan: &mut Plan, store: &Store, desk: &Desk) -> u6
         fits
     });
     left_out
-}
-
-struct Work<'a> {
-    store: &'a Store,
-    desk: &'a Desk,
-    rsync: &'a Rsync<'a>,
-    there: &'a [Session],
-    report: Report,
-    /// How often each came damaged, by its path at the source.
-    damaged: BTreeMap<String, u32>,
-}
-
-impl Work<'_> {
-    fn fetch(&mut self, plan: &Plan, tell: &mut dyn FnMut(Event)) -> Result<(), SyncError> {
-        let mut waiting: BTreeMap<String, &Item> = BTreeMap::new();
-        let mut order = Vec::new();
-        for item in &plan.items {
-            if !item.is_fetched() && self.store.verify(item, self.head_of(item))? == Placed::Verified {
-                self.report.verified += 1;
-                continue;
-            }
-            // What is here and is not what was recorded is fetched like what is not here.
-            let path = format!("{}/{}", item.there, item.line.name);
-            order.push(path.clone());
-            waiting.insert(path, item);
-        }
-        let total: u64 = waiting.values().map(|item| item.line.bytes).sum();
-        let (mut fruitless, mut most) = (0, 0);
-        let result = loop {
-            let paths: Vec<String> = order.iter().filter(|path| waiting.contains_key(*path)).cloned().collect();
-            if paths.is_empty() {
-                break Ok(());
-            }
-            self.make_folders(&paths)?;
-            let ended = self.carry(&paths, &mut waiting, total, tell);
-            let settled = self.settle(&mut waiting, &ended);
-            let error = match ended {
-                Err(error) if !error.is_link() => break Err(error),
-                Err(error) => error,
-                Ok(_) if settled.is_err() => break settled,
-                Ok(Ended::Stopped) => break Ok(()),
-                Ok(_) => continue,
-            };
-            settled?;
-            let come = total - staging(&waiting, self.desk, total);
-            (fruitless, most) = if come > most { (0, come) } else { (fruitless + 1, most) };
-            if fruitless >= MAX_FRUITLESS || self.rsync.stop.load(Ordering::Relaxed) {
-                break Err(error);
-            }
-            tell(Event::Again { said: &error.to_string() });
-            std::thread::sleep(BETWEEN_TRIES);
-        };
-        self.report.missing = waiting.len() as u64;
-        result
-    }
-
-    /// One run of rsync; what it takes for done is verified while the rest still comes.
-    fn carry(
-        &mut self,
-        paths: &[String],
-        waiting: &mut BTreeMap<String, &Item>,
-        total: u64,
-        tell: &mut dyn FnMut(Event),
-    ) -> Result<Ended, SyncError> {
-        let (mut trouble, desk) = (None, self.desk);
-        let rsync = self.rsync;
-        let waiting = std::cell::RefCell::new(waiting);
-        let mut arrived = |path: &str| {
-            let item = waiting.borrow().get(path).copied();
-            // Between two folders of one machine it is told by who sends it: it may not have been received yet.
-            let item = item.filter(|item| is_long_enough(&item.staged(desk), item));
-            if let (Some(item), None) = (item, &trouble) {
-                match self.store.place(&item.staged(desk), item, self.head_of(item)) {
-                    Ok(Placed::Verified) => {
-                        self.count(item);
-                        waiting.borrow_mut().remove(path);
-                    }
-                    // Perhaps rsync has seen it too and is at it again: looked at once more when it has ended.
-                    Ok(Placed::Damaged) => {}
-                    Err(error) => trouble = Some(error),
-                }
-            }
-        };
-        let mut tick = || {
-            let done = total - staging(&waiting.borrow(), desk, total);
-            tell(Event::Progress { done, total });
-        };
-        let ended = rsync.segments(paths, &desk.incoming, &mut arrived, &mut tick);
-        trouble.map_or(ended, Err)
-    }
-
-    /// What has come and was not told of, or has come wrong, or cannot come.
-    fn settle(
-        &mut self,
-        waiting: &mut BTreeMap<String, &Item>,
-        ended: &Result<Ended, SyncError>,
-    ) -> Result<(), SyncError> {
-        // A run that broke may leave old and new blocks side by side: the next one sorts them out.
-        let ended_well = matches!(ended, Ok(Ended::Whole | Ended::Partly(_)));
-        for (path, item) in waiting.clone() {
-            let staged = item.staged(self.desk);
-            if is_long_enough(&staged, item) {
-                match self.store.place(&staged, item, self.head_of(item))? {
-                    Placed::Verified => {
-                        self.count(item);
-                        waiting.remove(&path);
-                        continue;
-                    }
-                    Placed::Damaged if ended_well => {
-                        fs::remove_file(&staged).map_err(|source| SyncError::Io { path: staged.clone(), source })?;
-                        let times = self.damaged.entry(path.clone()).or_default();
-                        *times += 1;
-                        if *times < MAX_DAMAGED {
-                            continue;
-                        }
-                        let why = format!("came {times} times with another hash than its manifest says: damaged there");
-                        self.lose(&path, why);
-                        waiting.remove(&path);
-                        continue;
-                    }
-                    Placed::Damaged => continue,
-                }
-            }
-            if ended_well {
-                let said = match ended {
-                    Ok(Ended::Partly(said)) => said.as_str(),
-                    _ => "shorter than its manifest says",
-                };
-                // What is there and may not be read is not lost.
-                if said.contains("Permission denied") {
-                    self.report.failed.get_or_insert_with(|| format!("{path} may not be read there: {said}"));
-                } else {
-                    self.lose(&path, format!("could not be had: {said}"));
-                }
-                waiting.remove(&path);
-            }
-        }
-        Ok(())
-    }
-
-    fn lose(&mut self, path: &str, why: String) {
-        self.report.lost.push(SetAside::new(PathBuf::from(self.rsync.source.shown()).join(path), why));
-    }
-
-    fn count(&mut self, item: &Item) {
-        self.report.fetched += 1;
-        self.report.fetched_bytes += item.line.bytes;
-    }
-
-    fn head_of(&self, item: &Item) -> &[u8] {
-        self.there.iter().find(|session| session.name == item.there).map_or(&[], |session| &session.head_bytes)
-    }
-
-    /// rsync makes one folder, not two: and what it makes has the robot's permissions.
-    fn make_folders(&self, paths: &[String]) -> Result<(), SyncError> {
-        for path in paths {
-            let folder = self.desk.incoming.join(path.split('/').next().unwrap_or(path));
-            fs::create_dir_all(&folder).map_err(|source| SyncError::Io { path: folder, source })?;
-        }
-        Ok(())
-    }
-}
-
-fn is_long_enough(staged: &Path, item: &Item) -> bool {
-    fs::metadata(staged).is_ok_and(|metadata| metadata.len() >= item.line.bytes)
-}
-
-/// Bytes that still have to come.
-fn staging(waiting: &BTreeMap<String, &Item>, desk: &Desk, most: u64) -> u64 {
-    let missing = |item: &&Item| {
-        let staged = fs::metadata(item.staged(desk)).map_or(0, |metadata| metadata.len());
-        item.line.bytes.saturating_sub(staged)
-    };
-    waiting.values().map(missing).sum::<u64>().min(most)
 }
 
 /// Sessions that are whole now get what describes them, and the source hears of what is here.
@@ -474,29 +239,5 @@ fn acknowledge(
     match rsync.acknowledge(&file, &session.name)? {
         Ended::Partly(said) => refused(format!("what is verified here could not be acknowledged there: {said}")),
         Ended::Whole | Ended::Stopped => Ok(()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::recording::catalogue::session_at;
-
-    #[test]
-    fn a_folder_that_cannot_be_read_is_not_taken_for_an_empty_one() {
-        let captures = tempfile::tempdir().unwrap();
-        let mut sessions = Vec::new();
-        for name in ["read", "unread"] {
-            let folder = captures.path().join(name);
-            fs::create_dir(&folder).unwrap();
-            fs::write(folder.join("session.json"), r#"{"format":1,"robot":"r","started":"t"}"#).unwrap();
-            sessions.push(session_at(&folder).unwrap());
-        }
-        let entry = |path: &str, kind| Entry { path: path.to_owned(), kind };
-        let entries =
-            [entry("read", Kind::Folder), entry("read/session.json", Kind::File(40)), entry("unread", Kind::Folder)];
-        let aside = leave_out_unread(&mut sessions, &entries, "Permission denied");
-        assert_eq!(sessions.iter().map(|session| session.name.as_str()).collect::<Vec<_>>(), ["read"]);
-        assert!(aside.len() == 1 && aside[0].to_string().contains("unread: cannot be looked into: Permission denied"));
     }
 }

@@ -3,36 +3,29 @@
 //! Of its own it has `.sync/`: the receiver's name, what was pruned, and of each source what is known of it (`known/`) and
 //! what is not whole yet (`incoming/`).
 
-use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
-use jiff::Timestamp;
 use rustix::fs::{FlockOperation, OFlags};
 use serde::{Deserialize, Serialize};
 
+use super::desk::Desk;
 use super::error::{SyncError, io};
+use super::name::receiver;
 use super::plan::{Item, Why};
 use super::source::Source;
 use crate::recording::catalogue::{session_at, sessions_in};
 use crate::recording::storage::{open_plain, read_plain};
 use crate::recording::{
     ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, RECEIVED_FILE,
-    RECEIVER_FILE, Received, SESSION_FILE, SYNC_FOLDER, Session, SessionId, SetAside, receiver_of, robot_id,
-    session_holding, sync_folder, write_atomically,
+    Received, SESSION_FILE, SYNC_FOLDER, Session, SetAside, session_holding, sync_folder, write_atomically,
 };
 
-/// Behind the machine's name.
-const NUMBER_DIGITS: usize = 12;
 const PRUNED_FILE: &str = "pruned.jsonl";
-const SOURCE_FILE: &str = "source.json";
 /// What is copied beside segments.
-const MAX_SMALL_BYTES: u64 = 64 << 20;
-/// For what a sync that was killed left running.
-const MAX_WAIT: Duration = Duration::from_secs(5);
+pub(super) const MAX_SMALL_BYTES: u64 = 64 << 20;
 /// Names tried for what is moved aside.
 const MAX_ASIDE: u32 = 10_000;
 
@@ -43,14 +36,6 @@ pub struct Store {
     receiver: String,
 }
 
-/// One source's place; nobody else has it as long as this lives.
-#[derive(Debug)]
-pub struct Desk {
-    pub known: PathBuf,
-    pub incoming: PathBuf,
-    _lock: File,
-}
-
 /// What became of a file that came.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Placed {
@@ -59,33 +44,11 @@ pub enum Placed {
     Damaged,
 }
 
-/// A source that was synced from before.
-#[derive(Debug)]
-pub struct Known {
-    pub source: String,
-    /// When it was last looked at, by this machine's clock.
-    pub seen: Option<Timestamp>,
-    /// As they were then.
-    pub sessions: Vec<Session>,
-    /// Those that were ended then: no segment comes any more.
-    pub ended: BTreeSet<SessionId>,
-}
-
 /// A session that was thrown away here.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pruned {
     pub id: String,
     pub name: String,
-}
-
-#[derive(Serialize, Deserialize)]
-struct SourceNote {
-    source: String,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    seen: Option<String>,
-    /// Sessions with a segment that was being written.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    open: Vec<String>,
 }
 
 impl Store {
@@ -128,28 +91,7 @@ impl Store {
     }
 
     pub fn desk(&self, source: &Source) -> Result<Desk, SyncError> {
-        let place = self.state.join(source.key());
-        let (known, incoming) = (place.join("known"), place.join("incoming"));
-        for folder in [&place, &known, &incoming] {
-            fs::create_dir_all(folder).map_err(io(folder))?;
-            real_folder(folder)?;
-        }
-        let path = place.join("lock");
-        let lock = own_file(&path).map_err(io(&path))?;
-        let began = Instant::now();
-        while rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
-            if began.elapsed() > MAX_WAIT {
-                return Err(SyncError::Busy(source.shown()));
-            }
-            std::thread::sleep(MAX_WAIT / 50);
-        }
-        // rsync inherits it: if we are killed and it is not, nobody touches the files that it still writes.
-        rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()).map_err(|error| io(&path)(error.into()))?;
-        let desk = Desk { known, incoming, _lock: lock };
-        if !place.join(SOURCE_FILE).exists() {
-            desk.note(&SourceNote { source: source.shown(), seen: None, open: Vec::new() })?;
-        }
-        Ok(desk)
+        Desk::open(&self.state, source)
     }
 
     /// Bytes free for us on the disk.
@@ -329,23 +271,6 @@ impl Store {
     }
 }
 
-/// What was known at the last sync of each source that this folder was filled from; nothing of a folder that was not.
-pub fn known_sources(captures: &Path) -> Vec<Known> {
-    let mut all = Vec::new();
-    for place in fs::read_dir(captures.join(SYNC_FOLDER)).into_iter().flatten().flatten() {
-        let Ok(bytes) = read_plain(&place.path().join(SOURCE_FILE), MAX_SMALL_BYTES) else { continue };
-        let Ok(SourceNote { source, seen, open }) = serde_json::from_slice(&bytes) else { continue };
-        let Ok((sessions, _)) = sessions_in(&place.path().join("known")) else { continue };
-        // Written last of all, by whoever recorded, repaired or fetched the whole of it.
-        let has_ended =
-            |it: &&Session| !open.iter().any(|id| id == it.id.as_str()) && it.folder.join(METADATA_FILE).is_file();
-        let ended = sessions.iter().filter(has_ended).map(|session| session.id.clone()).collect();
-        all.push(Known { source, seen: seen.and_then(|text| text.parse().ok()), sessions, ended });
-    }
-    all.sort_by(|a, b| a.source.cmp(&b.source));
-    all
-}
-
 fn pruned_in(state: &Path) -> Vec<Pruned> {
     let bytes = read_plain(&state.join(PRUNED_FILE), MAX_SMALL_BYTES).unwrap_or_default();
     String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
@@ -354,47 +279,6 @@ fn pruned_in(state: &Path) -> Vec<Pruned> {
 fn note_received(session: &Path, received: &Received) -> Result<(), SyncError> {
     let text = serde_json::to_vec(received).map_err(crate::recording::RecordingError::from)?;
     Ok(write_atomically(&session.join(RECEIVED_FILE), &text)?)
-}
-
-/// This folder's name to robots: the machine's, with a number that is of its volume and path, since a machine may have several
-/// such folders, and sticks take turns under one path. One that was deleted and is made anew has its old name again: the next
-/// sync takes back what it had said.
-fn receiver(state: &Path) -> Result<String, SyncError> {
-    let path = state.join(RECEIVER_FILE);
-    if let Some(name) = state.parent().and_then(receiver_of) {
-        return Ok(name);
-    }
-    let host = rustix::system::uname().nodename().to_string_lossy().into_owned();
-    let host: String = host.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(64).collect();
-    let host = if host.is_empty() { "machine" } else { &host };
-    let captures = state.parent().unwrap_or(state).canonicalize().map_err(io(state))?;
-    let volume = volume_of(&captures).unwrap_or_default();
-    let place =
-        [robot_id().as_bytes(), b"\0", volume.as_bytes(), b"\0", captures.as_os_str().as_encoded_bytes()].concat();
-    let name = format!("{host}-{}", &blake3::hash(&place).to_hex()[..NUMBER_DIGITS]);
-    silence_former_names(&captures, &name)?;
-    write_atomically(&path, format!("{name}\n").as_bytes())?;
-    Ok(name)
-}
-
-/// What a file system bears as its own number, where it lies on a device that has one.
-fn volume_of(folder: &Path) -> Option<String> {
-    let device = fs::metadata(folder).ok()?.dev();
-    let mut volumes = fs::read_dir("/dev/disk/by-uuid").ok()?.flatten();
-    let found = volumes.find(|volume| fs::metadata(volume.path()).is_ok_and(|it| it.rdev() == device))?;
-    Some(found.file_name().to_string_lossy().into_owned())
-}
-
-/// One of the acknowledgements in sessions that came here may be this folder's own, under a name that it had before it was
-/// moved. Which one nobody can say: whoever else has them says so again at its next sync.
-fn silence_former_names(captures: &Path, name: &str) -> Result<(), SyncError> {
-    let (sessions, _) = sessions_in(captures).map_err(io(captures))?;
-    for session in sessions.iter().filter(|session| session.received.is_some()) {
-        for receiver in session.acknowledged.keys().filter(|receiver| *receiver != name) {
-            write_atomically(&session.folder.join(ACK_FOLDER).join(format!("{receiver}{ACK_ENDING}")), b"")?;
-        }
-    }
-    Ok(())
 }
 
 /// Size and hash as the manifest says, of what is on the disk and not only in memory.
@@ -447,47 +331,14 @@ fn append(path: &Path, text: &str) -> io::Result<()> {
     written
 }
 
-fn own_file(path: &Path) -> io::Result<File> {
+pub(super) fn own_file(path: &Path) -> io::Result<File> {
     let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits();
     OpenOptions::new().read(true).append(true).create(true).custom_flags(flags as i32).open(path)
 }
 
-fn real_folder(path: &Path) -> Result<(), SyncError> {
+pub(super) fn real_folder(path: &Path) -> Result<(), SyncError> {
     let metadata = fs::symlink_metadata(path).map_err(io(path))?;
     if metadata.is_dir() { Ok(()) } else { Err(io(path)(io::Error::other("a link or a file, not a folder: not used"))) }
-}
-
-impl Desk {
-    /// What the source was known to have been told.
-    pub(super) fn forget_acknowledgements(&self) -> Result<(), SyncError> {
-        for session in fs::read_dir(&self.known).into_iter().flatten().flatten() {
-            let acks = session.path().join(ACK_FOLDER);
-            if fs::symlink_metadata(&acks).is_ok_and(|it| it.is_dir()) {
-                fs::remove_dir_all(&acks).map_err(io(&acks))?;
-            }
-        }
-        Ok(())
-    }
-
-    /// What the source looked like just now.
-    pub(super) fn note_seen(&self, source: &Source, there: &[Session]) -> Result<(), SyncError> {
-        let open = there.iter().filter(|session| session.open).map(|session| session.id.as_str().to_owned());
-        self.note(&SourceNote {
-            source: source.shown(),
-            seen: Some(Timestamp::now().to_string()),
-            open: open.collect(),
-        })
-    }
-
-    fn note(&self, note: &SourceNote) -> Result<(), SyncError> {
-        let text = serde_json::to_vec(note).map_err(crate::recording::RecordingError::from)?;
-        Ok(write_atomically(&self.known.with_file_name(SOURCE_FILE), &text)?)
-    }
-
-    /// An empty file of the name of our acknowledgements.
-    pub(super) fn nothing(&self, receiver: &str) -> PathBuf {
-        self.known.with_file_name(format!("{receiver}{ACK_ENDING}"))
-    }
 }
 
 impl Item {

@@ -55,6 +55,14 @@ struct Report {
 
 pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
     let folder = arguments.captures.folder()?;
+    for copy in &arguments.copy {
+        paths::check_output(copy, &[&folder])?;
+    }
+    // Until all is done nobody else prunes here, nor in the copies: each would be the other's.
+    let _alone = match arguments.yes {
+        true => alone_in([folder.as_path()].into_iter().chain(arguments.copy.iter().map(PathBuf::as_path)))?,
+        false => Vec::new(),
+    };
     let (sessions, strange) = sessions_in(&folder).map_err(|error| paths::cannot_read(&folder, error))?;
     let mut asked = Vec::new();
     for name in &arguments.sessions {
@@ -63,9 +71,6 @@ pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
             let why = strange.iter().find(|it| it.path == folder.join(name)).map(|it| it.why.as_str());
             UsageError(format!("{}: {}", folder.join(name).display(), why.unwrap_or("no such session")))
         })?);
-    }
-    for copy in &arguments.copy {
-        paths::check_output(copy, &[&folder])?;
     }
     if arguments.free.is_some_and(|gb| !(gb.is_finite() && gb >= 0.0)) {
         return Err(UsageError("--free: gigabytes, 0 or more".to_owned()).into());
@@ -81,11 +86,6 @@ pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
         pinned: arguments.pinned,
         force: arguments.force,
     };
-    let folders: Vec<&Path> =
-        [folder.as_path()].into_iter().chain(arguments.copy.iter().map(PathBuf::as_path)).collect();
-    // Until all is done nobody else prunes here, nor in the copies: each would be the other's.
-    let _alone = if arguments.yes { alone_in(&folders)? } else { Vec::new() };
-    let (sessions, _) = sessions_in(&folder).map_err(|error| paths::cannot_read(&folder, error))?;
     let has_copy = |session: &Session| arguments.copy.iter().any(|copy| is_whole_in(session, copy));
     let decisions = decide(&sessions, receiver_of(&folder).as_deref(), &has_copy, &goal);
     if arguments.yes {
@@ -125,12 +125,12 @@ fn delete(session: &Session, captures: &Path) -> anyhow::Result<()> {
 }
 
 /// Locks on the folders, in an order that is the same for all.
-fn alone_in(folders: &[&Path]) -> anyhow::Result<Vec<File>> {
+fn alone_in<'a>(folders: impl Iterator<Item = &'a Path>) -> anyhow::Result<Vec<File>> {
     let mut open = Vec::new();
     for folder in folders {
         let file = File::open(folder).map_err(|error| paths::cannot_read(folder, error))?;
         let is = file.metadata().map_err(|error| paths::cannot_read(folder, error))?;
-        open.push(((is.dev(), is.ino()), *folder, file));
+        open.push(((is.dev(), is.ino()), folder, file));
     }
     open.sort_by_key(|(is, ..)| *is);
     open.dedup_by_key(|(is, ..)| *is);
