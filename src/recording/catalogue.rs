@@ -14,7 +14,7 @@ use super::identity::{Head, SessionId};
 use super::manifest::{
     EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, RECEIVED_FILE, SESSION_FILE,
 };
-use super::repair::{COPY, DAMAGED};
+use super::repair::{COPY, DAMAGED, NOTES_FILE};
 use super::retention::{Evicted, evicted_segments};
 use super::segment::{ACTIVE, is_segment_name};
 pub use super::storage::Kind;
@@ -210,7 +210,7 @@ impl Session {
 
 /// Beside segments.
 fn is_own_file(name: &str) -> bool {
-    [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE].contains(&name)
+    [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE, NOTES_FILE].contains(&name)
         || name.ends_with(".new")
         || name.strip_suffix(COPY).is_some_and(is_segment_name)
 }

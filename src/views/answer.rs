@@ -2,11 +2,12 @@
 
 use thiserror::Error;
 
-use super::ground_warp::{Target, Warp};
+use super::ground_warp::Warp;
 use super::raster::{NOTHING, Pyramid, Raster, SURE};
-use super::world::Surface;
+use super::target::Target;
 use super::{Camera, Vignetting, World};
 use crate::geometry::Isometry;
+use crate::vectorised::vectorised;
 
 /// The camera asked for.
 #[derive(Clone, Copy, Debug)]
@@ -231,6 +232,7 @@ impl Answer {
 
     pub(super) fn composed(
         request: &Request,
+        target: &Target,
         candidates: &[Candidate],
         composed: super::compose::Composed,
     ) -> Result<Self, ViewError> {
@@ -239,7 +241,7 @@ impl Answer {
         if valid_share == 0.0 {
             return Err(ViewError::NothingSeen);
         }
-        let nearness = Nearness::of(request);
+        let nearness = Nearness::new(request.camera, target.ground_corners());
         let squares = candidates.iter().zip(&used).map(|(source, share)| {
             let error = nearness.tag_error_px(&source.tag);
             share * error * error
@@ -259,14 +261,17 @@ impl Answer {
 
 /// Of the pixels that the lens draws: those that show something, and those that are sure.
 fn shares(camera: &Camera, image: &Raster) -> (f64, f64) {
-    let (mut drawn, mut valid, mut sure) = (0usize, 0usize, 0usize);
-    for (shows, pixel) in camera.shows().iter().zip(&image.pixels) {
-        drawn += usize::from(*shows);
-        valid += usize::from(*shows && pixel[3] != NOTHING);
-        sure += usize::from(*shows && pixel[3] == SURE);
-    }
-    let share = |count: usize| count as f64 / drawn.max(1) as f64;
-    (share(valid), share(sure))
+    let count = || {
+        let (mut drawn, mut valid, mut sure) = (0u32, 0u32, 0u32);
+        for (shows, pixel) in camera.shows().iter().zip(&image.pixels) {
+            drawn += u32::from(*shows);
+            valid += u32::from(*shows & (pixel[3] != NOTHING));
+            sure += u32::from(*shows & (pixel[3] == SURE));
+        }
+        [drawn, valid, sure].map(f64::from)
+    };
+    let [drawn, valid, sure] = vectorised(count);
+    (valid / drawn.max(1.0), sure / drawn.max(1.0))
 }
 
 /// How near the ground in view is: what a tag's error means in pixels.
@@ -281,15 +286,19 @@ impl Nearness {
         let map_from_optical = super::optical(&request.map_from_link);
         let place = map_from_optical.translation;
         let turn = glam::DMat3::from_quat(map_from_optical.rotation);
+        let rays = request.camera.node_rays().iter().filter(|ray| !ray.x.is_nan());
+        let hits = rays.map(|ray| request.world.behind_goals(place, turn * *ray));
+        Self::new(request.camera, hits.filter_map(|hit| hit.on_ground()))
+    }
+
+    /// By inverse distances along rays that meet the ground, 1/m.
+    fn new(camera: &Camera, inverse_distances: impl Iterator<Item = f64>) -> Self {
         let (mut sum, mut count) = (0.0, 0usize);
-        for ray in request.camera.node_rays().iter().filter(|ray| !ray.x.is_nan()) {
-            let hit = request.world.behind_goals(place, turn * *ray);
-            if hit.surface == Surface::Ground {
-                sum += hit.inverse_distance * hit.inverse_distance;
-                count += 1;
-            }
-        }
-        Self { focal: request.camera.lens().focal(), mean_square: sum / count.max(1) as f64 }
+        inverse_distances.for_each(|inverse| {
+            sum += inverse * inverse;
+            count += 1;
+        });
+        Self { focal: camera.lens().focal(), mean_square: sum / count.max(1) as f64 }
     }
 
     /// How far a tag that is wrong by its standard deviation moves the ground, root mean square.

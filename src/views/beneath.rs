@@ -1,10 +1,11 @@
 //! Where every source has something in the way there is nothing else to show than that.
 
 use super::answer::{Candidate, Request};
-use super::ground_warp::{Target, Warp};
+use super::ground_warp::Warp;
 use super::photometry::Gain;
 use super::raster::{NOTHING, Raster, UNSURE};
 use super::sample::read;
+use super::target::Target;
 
 /// Fills what the composition has left black with what the sources have marked as moving, nearest first: better than
 /// black, and unsure.

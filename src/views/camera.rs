@@ -13,10 +13,14 @@ pub struct Camera {
     /// The same at the corners of the cells.
     nodes: Vec<DVec3>,
     shows: Vec<bool>,
+    /// By cell: it lies in the image, and all of it is drawn.
+    full_cells: Vec<bool>,
 }
 
 /// Side of a cell, pixels: maps are calculated at its corners and interpolated within.
 pub(super) const CELL: usize = 8;
+/// Its pixels.
+pub(super) const AREA: usize = CELL * CELL;
 
 impl Camera {
     pub fn new(lens: &Lens) -> Self {
@@ -27,8 +31,14 @@ impl Camera {
         let (columns, rows) = cells(width, height);
         let corners = (0..=rows).flat_map(|row| (0..=columns).map(move |column| (column, row)));
         let nodes = corners.map(|(column, row)| ray(column * CELL, row * CELL)).collect();
-        let shows = rays.iter().map(|ray| !ray[0].is_nan()).collect();
-        Self { projector: Projector::new(lens), rays, nodes, shows }
+        let shows: Vec<bool> = rays.iter().map(|ray| !ray[0].is_nan()).collect();
+        let is_full = |(column, row): (usize, usize)| {
+            let (left, top) = (column * CELL, row * CELL);
+            let lines = (top..top + CELL).map(|v| shows.get(v * width + left..v * width + left + CELL));
+            left + CELL <= width && lines.into_iter().all(|line| line.is_some_and(|line| !line.contains(&false)))
+        };
+        let full_cells = (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row))).map(is_full).collect();
+        Self { projector: Projector::new(lens), rays, nodes, shows, full_cells }
     }
 
     pub fn lens(&self) -> &Lens {
@@ -48,6 +58,11 @@ impl Camera {
         &self.shows
     }
 
+    /// Whether a cell lies in the image and the lens draws all of it.
+    pub(super) fn is_full(&self, (column, row): (usize, usize)) -> bool {
+        self.full_cells[row * self.cells().0 + column]
+    }
+
     pub(super) fn projector(&self) -> &Projector {
         &self.projector
     }
@@ -63,7 +78,7 @@ impl Camera {
     }
 
     /// Those of a cell's pixels, x, y and z apart; what lies beyond the image's edge stays as it is.
-    pub(super) fn cell_rays(&self, column: usize, row: usize, [xs, ys, zs]: &mut [[f32; CELL * CELL]; 3]) {
+    pub(super) fn cell_rays(&self, column: usize, row: usize, [xs, ys, zs]: &mut [[f32; AREA]; 3]) {
         let (left, top) = (column * CELL, row * CELL);
         let (width, count) = (self.width(), CELL.min(self.width() - left));
         for line in 0..CELL.min(self.height() - top) {

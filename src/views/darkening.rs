@@ -7,8 +7,9 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::ground_warp::{Target, Warp};
+use super::ground_warp::Warp;
 use super::photometry::reading;
+use super::target::Target;
 use super::world::Surface;
 use super::{Candidate, Vignetting, World};
 

@@ -6,45 +6,15 @@
 //! the corners of cells of 8 x 8 pixels and interpolated in between; pixel by pixel where that would be wrong by more
 //! than a tenth of a pixel, where surfaces meet, and where a goal stands.
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3, Vec2};
 
 use super::Candidate;
-use super::camera::{CELL, Camera};
+use super::camera::{AREA, CELL};
 use super::optical;
-use super::raster::{NOTHING, SURE, UNSURE};
-use super::world::{Goals, Hit, Surface, World};
-use crate::geometry::Isometry;
+use super::raster::{NOTHING, UNSURE};
+use super::target::{Looks, SOFT_EDGE_PX, Target, cells, corners, goal_cells, sureness, turned};
+use super::world::{Goals, Hit, Surface};
 use crate::vectorised::vectorised;
-
-/// The wanted view: what its rays meet. One for all sources.
-#[derive(Clone, Debug)]
-pub struct Target<'a> {
-    camera: &'a Camera,
-    world: &'a World,
-    goals: Goals,
-    /// Of the camera in `map`.
-    place: DVec3,
-    map_from_optical: DMat3,
-    /// At the corners of the cells; `None` where the lens draws nothing.
-    nodes: Vec<Option<(DVec3, Hit)>>,
-    /// By cell: where surfaces meet, at the lens's edge, and where a goal stands, what each pixel meets.
-    mixed: Vec<Option<Box<Looks>>>,
-}
-
-const AREA: usize = CELL * CELL;
-
-/// What the pixels of a cell meet, row by row.
-#[derive(Clone, Debug)]
-struct Looks {
-    /// Unit rays in `map`, x, y and z apart; NaN where the lens draws nothing.
-    rays: [[f32; AREA]; 3],
-    /// 1/m along the ray.
-    inverse_distances: [f32; AREA],
-    /// [`SURE`], [`UNSURE`] or [`NOTHING`].
-    sure: [u8; AREA],
-    /// A goal's, which nothing hides.
-    goal: [bool; AREA],
-}
 
 /// The map into one source.
 #[derive(Clone, Debug)]
@@ -74,115 +44,7 @@ pub(super) struct Patch {
 /// A cell whose centre is interpolated worse than this is calculated pixel by pixel.
 const TOLERANCE_PX: f64 = 0.1;
 /// By the second differences at one corner: less than this is not looked at more closely.
-const CERTAINLY_SMOOTH_PX: f64 = 0.04;
-/// How many pixels wider than they are goals are taken to be: their edges are soft.
-const SOFT_EDGE_PX: f64 = 1.2;
-
-impl<'a> Target<'a> {
-    pub fn new(camera: &'a Camera, map_from_link: &Isometry, world: &'a World) -> Self {
-        let map_from_optical = optical(map_from_link);
-        let (place, rotation) = (map_from_optical.translation, DMat3::from_quat(map_from_optical.rotation));
-        let node = |ray: &DVec3| {
-            let ray = rotation * *ray;
-            (!ray.x.is_nan()).then(|| (ray, world.behind_goals(place, ray)))
-        };
-        let nodes: Vec<Option<(DVec3, Hit)>> = camera.node_rays().iter().map(node).collect();
-        let (columns, rows) = camera.cells();
-        let goals = goal_cells(camera, &map_from_optical, world);
-        let seen_goals = world.goals_from(place, SOFT_EDGE_PX / camera.lens().focal());
-        let mut target =
-            Self { camera, world, goals: seen_goals, place, map_from_optical: rotation, nodes, mixed: Vec::new() };
-        let looks = |(index, cell): (usize, (usize, usize))| {
-            let surfaces = corners(columns, cell).map(|corner| target.surface_at(corner));
-            let goal = goals.get(index).is_some_and(|goal| *goal);
-            let mixed = surfaces[0].is_none() || surfaces.iter().any(|surface| *surface != surfaces[0]);
-            let drawn = surfaces[0].is_some() || (0..AREA).any(|pixel| target.shows(cell, pixel));
-            (drawn && (mixed || goal)).then(|| Box::new(target.looks(cell, goal)))
-        };
-        target.mixed = cells(columns, rows).enumerate().map(looks).collect();
-        target
-    }
-
-    pub fn camera(&self) -> &'a Camera {
-        self.camera
-    }
-
-    pub(super) fn node_count(&self) -> usize {
-        self.nodes.len()
-    }
-
-    pub(super) fn surface_at(&self, node: usize) -> Option<Surface> {
-        self.nodes[node].map(|(_, hit)| hit.surface)
-    }
-
-    /// Whether the lens draws this pixel of a cell.
-    pub(super) fn shows(&self, (column, row): (usize, usize), index: usize) -> bool {
-        let (u, v) = (column * CELL + index % CELL, row * CELL + index / CELL);
-        u < self.camera.width() && v < self.camera.height() && self.camera.shows()[v * self.camera.width() + u]
-    }
-
-    fn looks(&self, (column, row): (usize, usize), goal: bool) -> Looks {
-        let mut looks = Looks {
-            rays: [[f32::NAN; AREA]; 3],
-            inverse_distances: [0.0; AREA],
-            sure: [NOTHING; AREA],
-            goal: [false; AREA],
-        };
-        self.camera.cell_rays(column, row, &mut looks.rays);
-        vectorised(|| self.meet(&mut looks));
-        if goal {
-            self.meet_goals(&mut looks);
-        }
-        looks
-    }
-
-    /// Turns the camera's rays into those of `map`, and finds what they meet, goals left out: as [`World::behind_goals`].
-    #[inline(always)]
-    fn meet(&self, looks: &mut Looks) {
-        let [x, y, z] = turned(&self.map_from_optical, &looks.rays);
-        let (place, half) = (self.place.as_vec3(), self.world.ground_half().as_vec2());
-        for i in 0..AREA {
-            let nearness = -z[i] / place.z;
-            let distance = 1.0 / nearness;
-            let on_carpet =
-                ((place.x + x[i] * distance).abs() <= half.x) & ((place.y + y[i] * distance).abs() <= half.y);
-            let ground = (nearness > 0.0) & on_carpet;
-            looks.inverse_distances[i] = if ground { nearness } else { 0.0 };
-            let far = if x[i].is_nan() { NOTHING } else { UNSURE };
-            looks.sure[i] = if ground { SURE } else { far };
-        }
-        looks.rays = [x, y, z];
-    }
-
-    fn meet_goals(&self, looks: &mut Looks) {
-        for i in 0..AREA {
-            let behind = match looks.sure[i] {
-                NOTHING => continue,
-                SURE => Surface::Ground,
-                _ => Surface::Far,
-            };
-            let ray = DVec3::from_array(looks.rays.map(|part| part[i].into()));
-            let behind = Hit { inverse_distance: looks.inverse_distances[i].into(), surface: behind };
-            let hit = self.goals.before(ray, behind);
-            looks.inverse_distances[i] = hit.inverse_distance as f32;
-            looks.sure[i] = sureness(hit.surface);
-            looks.goal[i] = hit.surface == Surface::Goal;
-        }
-    }
-
-    /// The unit ray of a pixel in `map`, and what it meets.
-    fn look(&self, u: usize, v: usize, goal: bool) -> Option<(DVec3, Hit)> {
-        let ray = self.map_from_optical * self.camera.ray(u, v)?;
-        let behind = self.world.behind_goals(self.place, ray);
-        let hit = if goal { self.goals.before(ray, behind) } else { behind };
-        Some((ray, hit))
-    }
-
-    /// What this pixel shows; `None` where the lens draws nothing.
-    pub fn surface(&self, u: usize, v: usize) -> Option<Surface> {
-        Some(self.look(u, v, true)?.1.surface)
-    }
-}
+const CERTAINLY_SMOOTH_PX: f32 = 0.04;
 
 impl<'a> Warp<'a> {
     pub fn new(target: &'a Target<'a>, source: &'a Candidate<'a>) -> Self {
@@ -193,17 +55,14 @@ impl<'a> Warp<'a> {
         let goals = target.world.goals_from(place, SOFT_EDGE_PX / source.camera.lens().focal());
         let mut warp =
             Self { target, source, place, source_from_map, nodes: Vec::new(), exact: Vec::new(), goal_cells, goals };
-        let nodes: Vec<DVec2> = target
-            .nodes
-            .iter()
-            .map(|node| node.and_then(|(ray, hit)| warp.draw(ray, hit)).unwrap_or(DVec2::NAN))
-            .collect();
+        let drawn = target.node_looks.iter().map(|looks| vectorised(|| warp.drawn(looks)));
+        warp.nodes = drawn.flat_map(|Patch { u, v, .. }| u.into_iter().zip(v).map(|(u, v)| [u, v])).collect();
+        warp.nodes.truncate(target.nodes.len());
         let (columns, rows) = target.camera.cells();
         warp.exact = cells(columns, rows)
             .zip(&target.mixed)
-            .map(|(cell, mixed)| mixed.is_some() || !warp.is_smooth(cell, &nodes))
+            .map(|(cell, mixed)| mixed.is_some() || !warp.is_smooth(cell))
             .collect();
-        warp.nodes = nodes.iter().map(|node| [node.x as f32, node.y as f32]).collect();
         warp
     }
 
@@ -219,8 +78,7 @@ impl<'a> Warp<'a> {
     /// Whether the source has a goal where it shows this cell.
     pub(super) fn sees_goal_in(&self, cell: (usize, usize)) -> bool {
         let at = corners(self.target.camera.cells().0, cell);
-        let corners = at.map(|corner| self.nodes[corner].map(f64::from)).map(|[u, v]| DVec2::new(u, v));
-        let [a, b, c, d] = corners;
+        let [a, b, c, d] = at.map(|corner| Vec2::from_array(self.nodes[corner]));
         self.has_goal(a.min(b).min(c).min(d), a.max(b).max(c).max(d))
     }
 
@@ -235,19 +93,20 @@ impl<'a> Warp<'a> {
     }
 
     /// Whether interpolation between the corners is good enough, and nothing stands in the source's way.
-    fn is_smooth(&self, cell: (usize, usize), nodes: &[DVec2]) -> bool {
+    fn is_smooth(&self, cell: (usize, usize)) -> bool {
         let (columns, rows) = self.target.camera.cells();
-        let [a, b, c, d] = corners(columns, cell).map(|corner| nodes[corner]);
+        let node = |node: usize| Vec2::from_array(self.nodes[node]);
+        let [a, b, c, d] = corners(columns, cell).map(node);
         if self.has_goal(a.min(b).min(c).min(d), a.max(b).max(c).max(d)) {
             return false;
         }
         // An eighth of the second differences is what interpolation gets wrong in the middle.
-        let bend = |before: usize, at: usize, after: usize| (nodes[before] - 2.0 * nodes[at] + nodes[after]).abs();
+        let bend = |before: usize, at: usize, after: usize| (node(before) - 2.0 * node(at) + node(after)).abs();
         let (column, row) = (cell.0.clamp(1, columns - 1), cell.1.clamp(1, rows - 1));
         let at = row * (columns + 1) + column;
         let bends = bend(at - 1, at, at + 1) + bend(at - columns - 1, at, at + columns + 1);
         bends.max_element() < CERTAINLY_SMOOTH_PX * 8.0
-            || self.centre_error(cell, (a + b + c + d) / 4.0) <= TOLERANCE_PX
+            || self.centre_error(cell, ((a + b + c + d) / 4.0).as_dvec2()) <= TOLERANCE_PX
     }
 
     /// How far interpolation is off in the middle of a cell; infinite where a corner is not drawn.
@@ -261,13 +120,23 @@ impl<'a> Warp<'a> {
         centre.map_or(f64::INFINITY, |centre| centre.distance(interpolated))
     }
 
+    fn has_goal_in(&self, patch: &Patch) -> bool {
+        let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+        for (axis, values) in [&patch.u, &patch.v].into_iter().enumerate() {
+            // These leave out NaN.
+            values.iter().for_each(|value| low[axis] = low[axis].min(*value));
+            values.iter().for_each(|value| high[axis] = high[axis].max(*value));
+        }
+        low[0] <= high[0] && self.has_goal(Vec2::from_array(low), Vec2::from_array(high))
+    }
+
     /// Whether the source has a goal within this rectangle.
-    fn has_goal(&self, low: DVec2, high: DVec2) -> bool {
+    fn has_goal(&self, low: Vec2, high: Vec2) -> bool {
         if self.goal_cells.is_empty() {
             return false;
         }
         let (columns, rows) = self.source.camera.cells();
-        let place = |value: f64, count: usize| ((value.max(0.0) as usize) / CELL).min(count - 1);
+        let place = |value: f32, count: usize| ((value.max(0.0) as usize) / CELL).min(count - 1);
         (place(low.y, rows)..=place(high.y, rows))
             .any(|row| self.goal_cells[row * columns..][place(low.x, columns)..=place(high.x, columns)].contains(&true))
     }
@@ -281,7 +150,9 @@ impl<'a> Warp<'a> {
     /// Where the source draws what a ray of the view meets, unless a goal hides it there.
     fn unhidden(&self, ray: DVec3, hit: Hit) -> Option<(DVec2, Surface)> {
         let at = self.draw(ray, hit)?;
-        let hidden = hit.surface != Surface::Goal && self.has_goal(at, at) && self.is_hidden(ray, hit.inverse_distance);
+        let hidden = hit.surface != Surface::Goal
+            && self.has_goal(at.as_vec2(), at.as_vec2())
+            && self.is_hidden(ray, hit.inverse_distance);
         (!hidden).then_some((at, hit.surface))
     }
 
@@ -315,10 +186,11 @@ impl<'a> Warp<'a> {
         if self.exact[row * columns + column] {
             self.patch_by_pixel(column, row)
         } else {
-            self.patch_by_corners(column, row)
+            vectorised(|| self.patch_by_corners(column, row))
         }
     }
 
+    #[inline(always)]
     fn patch_by_corners(&self, column: usize, row: usize) -> Patch {
         let (columns, _) = self.target.camera.cells();
         let at = corners(columns, (column, row));
@@ -366,14 +238,14 @@ impl<'a> Warp<'a> {
     /// Where the source draws what the view's rays meet, unless a goal hides it there.
     fn draw_all(&self, looks: &Looks) -> Patch {
         let mut patch = vectorised(|| self.drawn(looks));
-        if self.goal_cells.is_empty() {
+        if !self.has_goal_in(&patch) {
             return patch;
         }
         for i in 0..AREA {
             if patch.sure[i] == NOTHING || looks.goal[i] {
                 continue;
             }
-            let at = DVec2::new(patch.u[i].into(), patch.v[i].into());
+            let at = Vec2::new(patch.u[i], patch.v[i]);
             let ray = DVec3::from_array(looks.rays.map(|part| part[i].into()));
             if self.has_goal(at, at) && self.is_hidden(ray, looks.inverse_distances[i].into()) {
                 (patch.u[i], patch.v[i], patch.sure[i]) = (f32::NAN, f32::NAN, NOTHING);
@@ -412,60 +284,4 @@ impl<'a> Warp<'a> {
         }
         libm::sqrt(sum / count.max(1) as f64)
     }
-}
-
-#[inline(always)]
-fn turned(by: &DMat3, [xs, ys, zs]: &[[f32; AREA]; 3]) -> [[f32; AREA]; 3] {
-    let [a, b, c] = [by.x_axis, by.y_axis, by.z_axis].map(|axis| axis.as_vec3());
-    let mut to = [[0.0; AREA]; 3];
-    for i in 0..AREA {
-        let (x, y, z) = (xs[i], ys[i], zs[i]);
-        to[0][i] = a.x * x + b.x * y + c.x * z;
-        to[1][i] = a.y * x + b.y * y + c.y * z;
-        to[2][i] = a.z * x + b.z * y + c.z * z;
-    }
-    to
-}
-
-pub(super) fn sureness(surface: Surface) -> u8 {
-    match surface {
-        Surface::Ground | Surface::Goal => SURE,
-        Surface::Far => UNSURE,
-    }
-}
-
-fn cells(columns: usize, rows: usize) -> impl Iterator<Item = (usize, usize)> {
-    (0..rows).flat_map(move |row| (0..columns).map(move |column| (column, row)))
-}
-
-/// Nodes at the corners of a cell: upper left, upper right, lower left, lower right.
-pub(super) fn corners(columns: usize, (column, row): (usize, usize)) -> [usize; 4] {
-    let upper = row * (columns + 1) + column;
-    let lower = upper + columns + 1;
-    [upper, upper + 1, lower, lower + 1]
-}
-
-/// The cells of a camera's image in which a goal's bars can be seen; empty without goals.
-fn goal_cells(camera: &Camera, map_from_optical: &Isometry, world: &World) -> Vec<bool> {
-    if world.bars().is_empty() {
-        return Vec::new();
-    }
-    let (columns, rows) = camera.cells();
-    let mut marked = vec![false; columns * rows];
-    let optical_from_map = map_from_optical.inverse();
-    for bar in world.bars() {
-        for place in bar.places() {
-            let place = optical_from_map.transform_point(place);
-            let Some(pixel) = camera.projector().project(place) else { continue };
-            let reach = DVec2::splat(camera.lens().focal() * (bar.radius() + 0.03) / place.length().max(0.05) + 3.0);
-            let (low, high) = ((pixel - reach) / CELL as f64, (pixel + reach) / CELL as f64);
-            if high.x < 0.0 || high.y < 0.0 || low.x >= columns as f64 || low.y >= rows as f64 {
-                continue;
-            }
-            for row in low.y.max(0.0) as usize..=(high.y as usize).min(rows - 1) {
-                marked[row * columns..][low.x.max(0.0) as usize..=(high.x as usize).min(columns - 1)].fill(true);
-            }
-        }
-    }
-    marked
 }

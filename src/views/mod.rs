@@ -15,6 +15,8 @@ mod photometry;
 pub mod quadratic;
 mod raster;
 mod sample;
+mod target;
+mod weights;
 mod world;
 
 pub use answer::{
@@ -22,10 +24,11 @@ pub use answer::{
 };
 pub use camera::Camera;
 pub use darkening::{Overlap, darkening, overlap};
-pub use ground_warp::{Target, Warp};
+pub use ground_warp::Warp;
 pub use moving::{Scenery, mark_moving};
 pub use photometry::{Gain, Vignetting};
 pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
+pub use target::Target;
 pub use world::{Surface, World};
 
 use crate::geometry::Isometry;
@@ -57,7 +60,7 @@ pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewE
             if chosen.iter().any(|source| source.image.has_moving()) {
                 beneath::fill(&mut composed.image, request, &target, &warps, chosen, &gains);
             }
-            Answer::composed(request, chosen, composed)
+            Answer::composed(request, &target, chosen, composed)
         }
     }
 }

@@ -2,9 +2,10 @@
 
 use super::Candidate;
 use super::camera::CELL;
-use super::ground_warp::{Target, Warp};
+use super::ground_warp::Warp;
 use super::raster::SURE;
 use super::sample::read;
+use super::target::Target;
 use crate::geometry::Lens;
 
 /// Relative illumination 1 + k1 r^2 + k2 r^4 + k3 r^6; r is the distance from the image's centre as a share of half
@@ -27,6 +28,8 @@ impl Gain {
 /// Darker values are noise, brighter ones are cut off.
 const DARKEST: u8 = 6;
 const BRIGHTEST: u8 = 249;
+/// Of the corners of the view's cells: enough of them, spread over the view, as a row's number of corners is no multiple.
+const EVERY: usize = 2;
 /// Fewer common places say nothing about gains.
 const FEWEST: usize = 25;
 /// No two exposures of a day differ by more.
@@ -62,16 +65,23 @@ impl Vignetting {
 /// Gains that make every source as bright as the first, by what both show of the same ground.
 pub(super) fn balance(target: &Target, warps: &[Warp], sources: &[Candidate]) -> Vec<Gain> {
     let (Some(first), Some(reference)) = (sources.first(), warps.first()) else { return Vec::new() };
+    if sources.len() == 1 {
+        return vec![Gain::NONE];
+    }
+    let places: Vec<(usize, [f64; 3])> = (0..target.node_count())
+        .step_by(EVERY)
+        .filter_map(|node| reading((reference, first), node).map(|reading| (node, reading)))
+        .collect();
     let others = warps.iter().zip(sources).skip(1);
-    let gain = |(warp, source)| gain_between(target, (reference, first), (warp, source)).unwrap_or(Gain::NONE);
+    let gain = |other| gain_between(&places, other).unwrap_or(Gain::NONE);
     core::iter::once(Gain::NONE).chain(others.map(gain)).collect()
 }
 
-fn gain_between(target: &Target, reference: (&Warp, &Candidate), other: (&Warp, &Candidate)) -> Option<Gain> {
+/// `places` are corners of the view's cells, and what the reference shows there.
+fn gain_between(places: &[(usize, [f64; 3])], other: (&Warp, &Candidate)) -> Option<Gain> {
     let (mut wanted, mut found, mut count) = ([0.0; 3], [0.0; 3], 0usize);
-    for node in 0..target.node_count() {
-        let Some(a) = reading(reference, node) else { continue };
-        let Some(b) = reading(other, node) else { continue };
+    for (node, a) in places {
+        let Some(b) = reading(other, *node) else { continue };
         (0..3).for_each(|c| {
             wanted[c] += a[c];
             found[c] += b[c];

@@ -36,6 +36,13 @@ pub(super) struct Hit {
     pub(super) surface: Surface,
 }
 
+impl Hit {
+    /// The inverse distance if it is the ground that is met.
+    pub(super) fn on_ground(&self) -> Option<f64> {
+        (self.surface == Surface::Ground).then_some(self.inverse_distance)
+    }
+}
+
 /// Floor around the carpet that still counts as ground.
 const APRON_M: f64 = 0.5;
 

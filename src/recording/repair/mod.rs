@@ -3,6 +3,7 @@
 //! Every step leaves something that the next run can go on from; a second run changes nothing.
 
 mod account;
+mod notes;
 mod segment;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,6 +12,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+pub(super) use self::notes::NOTES_FILE;
+use self::notes::{Cut, Notes};
 pub(super) use self::segment::{COPY, DAMAGED};
 use self::segment::{Ended, describe, finish};
 use super::error::RecordingError;
@@ -101,12 +104,14 @@ pub fn repair(storage: &dyn Storage, session: &Path) -> Result<Repaired, Recordi
     let Some(_lock) = storage.lock(&path).map_err(|source| RecordingError::Io { path, source })? else {
         return Ok(Repaired { in_use: true, ..repaired });
     };
-    let mut work =
-        Work { storage, session, info, repaired: &mut repaired, lines: BTreeMap::new(), topics: BTreeMap::new() };
+    let notes = Notes::read(storage, session);
+    let (lines, topics) = (BTreeMap::new(), BTreeMap::new());
+    let mut work = Work { storage, session, info, repaired: &mut repaired, lines, topics, notes };
     work.finish_segments()?;
     work.complete_manifest()?;
     work.complete_metadata()?;
     work.name_what_is_wrong()?;
+    work.notes.forget()?;
     Ok(repaired)
 }
 
@@ -141,6 +146,7 @@ struct Work<'a> {
     /// Of segments that were looked through.
     lines: BTreeMap<String, ManifestLine>,
     topics: BTreeMap<String, BTreeMap<TopicEntry, u64>>,
+    notes: Notes<'a>,
 }
 
 impl Work<'_> {
@@ -150,7 +156,8 @@ impl Work<'_> {
         for active in names {
             let name = active.trim_end_matches(ACTIVE).to_owned();
             let path = self.session.join(&active);
-            match finish(self.storage, &path, &name, cuts.get(&name).copied(), &self.info.settings)? {
+            let limit = cuts.get(&name).copied();
+            match finish(self.storage, &path, &name, limit, &self.info.settings, &mut self.notes)? {
                 Ended::Empty => {
                     let removed = self.storage.remove(&path).and_then(|()| self.storage.sync_folder(self.session));
                     removed.map_err(|source| RecordingError::io(&path, source))?;
@@ -158,8 +165,7 @@ impl Work<'_> {
                 }
                 Ended::Whole { line, topics, damage } => {
                     if let Some(bytes) = line.cut_bytes {
-                        let what = damage.map_or(String::new(), |damage| format!(" ({damage})"));
-                        let said = format!("the last {bytes} bytes could not be kept{what}");
+                        let said = Cut { bytes, damage }.said();
                         self.repaired.lost.push(Loss::new(&self.session.join(&name), said));
                     }
                     self.lines.insert(name.clone(), *line);
@@ -204,7 +210,8 @@ impl Work<'_> {
                 Some(line) => line,
                 None => {
                     let file = self.session.join(&name);
-                    let (line, topics, damage) = describe(self.storage, &file, &name, &self.info.settings)?;
+                    let (line, topics, damage) =
+                        describe(self.storage, &file, &name, &self.info.settings, self.notes.of(&name))?;
                     self.repaired.lost.extend(damage.map(|said| Loss::new(&file, said)));
                     self.topics.insert(name.clone(), topics);
                     line

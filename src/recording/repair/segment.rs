@@ -14,6 +14,7 @@ use super::super::hashing::Hashing;
 use super::super::manifest::{ManifestLine, TopicEntry};
 use super::super::storage::{Appending, Readable, Storage};
 use super::account::Account;
+use super::notes::{Cut, Notes};
 use crate::config::Settings;
 use crate::ros2::mcap_read::{Damage, LogReader, Part, Piece, ReadError, Selection, sound_pieces};
 use crate::ros2::mcap_write::{LogWriter, WriteError};
@@ -44,6 +45,7 @@ pub(super) fn finish(
     name: &str,
     limit: Option<u64>,
     settings: &Settings,
+    notes: &mut Notes,
 ) -> Result<Ended, RecordingError> {
     let length = length(storage, active)?.min(limit.unwrap_or(u64::MAX));
     let open = || open_until(storage, active, length);
@@ -59,17 +61,17 @@ pub(super) fn finish(
     let path = active.with_file_name(name);
     let is_prefix = sink.same >= sound.end && sink.end.len() < MAX_END_BYTES;
     if !is_prefix || others > account.messages() {
-        return copy(storage, active, &path, open()?, settings, sound.damage);
+        return copy(storage, active, &path, open()?, settings, sound.damage, notes);
     }
     let Compared { same, end, hash, .. } = sink;
+    let cut = length.saturating_sub(same);
+    let cut = notes.note(name, Cut { bytes: cut, damage: sound.damage.filter(|_| cut > 0) })?;
     let file = storage.append(active).map_err(fails)?;
     file.set_len(same).map_err(fails)?;
     Appending(Arc::clone(&file)).write_all(&end).and_then(|()| file.sync()).map_err(fails)?;
     put(storage, active, &path)?;
-    let cut = length.saturating_sub(same);
-    let damage = sound.damage.filter(|_| cut > 0);
-    let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), cut);
-    Ok(Ended::Whole { line: Box::new(line), topics, damage })
+    let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), cut.bytes);
+    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage })
 }
 
 /// What is said about a finished segment whose line is missing, and what of it makes no sense.
@@ -78,6 +80,7 @@ pub(super) fn describe(
     path: &Path,
     name: &str,
     settings: &Settings,
+    noted: Option<&Cut>,
 ) -> Result<(ManifestLine, Topics, Option<String>), RecordingError> {
     let fails = |source| RecordingError::io(path, source);
     let mut hash = blake3::Hasher::new();
@@ -91,8 +94,12 @@ pub(super) fn describe(
         Ok(reader.damage().clone())
     };
     let damage = read().map_err(|error| error.at(path))?;
-    let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), damage.bytes_skipped);
-    let said = (damage != Damage::default()).then(|| damage.to_string());
+    let cut = damage.bytes_skipped.max(noted.map_or(0, |cut| cut.bytes));
+    let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), cut);
+    let said = match noted {
+        Some(cut) => Some(cut.said()),
+        None => (damage != Damage::default()).then(|| damage.to_string()),
+    };
     Ok((line, topics, said))
 }
 
@@ -104,6 +111,7 @@ fn copy(
     reader: impl Read + Seek,
     settings: &Settings,
     damage: Option<String>,
+    notes: &mut Notes,
 ) -> Result<Ended, RecordingError> {
     let beside = path.with_extension(format!("mcap{COPY}"));
     let fails = |source| RecordingError::io(&beside, source);
@@ -126,13 +134,14 @@ fn copy(
     let (bytes, hash) = written().map_err(|error| error.at(&beside))?.end().map_err(fails)?;
     file.sync().map_err(fails)?;
     let damaged = path.with_extension(format!("mcap{DAMAGED}"));
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let cut = length(storage, active)?.saturating_sub(bytes).max(1);
+    let cut = notes.note(&name, Cut { bytes: cut, damage })?;
     // In this order: cut off in between, the next run does the same again.
     put(storage, &beside, path)?;
     put(storage, active, &damaged)?;
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let cut = length(storage, &damaged)?.saturating_sub(bytes).max(1);
-    let (line, topics) = account.line(&name, bytes, hash, cut);
-    Ok(Ended::Whole { line: Box::new(line), topics, damage })
+    let (line, topics) = account.line(&name, bytes, hash, cut.bytes);
+    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage })
 }
 
 /// What was copied from, kept for people to look at.

@@ -8,9 +8,11 @@ mod room;
 mod run;
 
 use std::io::ErrorKind;
+use std::path::Path;
 use std::time::Duration;
 
 use super::repair::repair;
+use super::storage::Storage;
 use super::verify::verify;
 use dice::Dice;
 use disk::{Failure, SimulatedDisk, Trouble};
@@ -187,6 +189,47 @@ fn a_repair_that_is_cut_off_is_done_by_the_next() {
         }
         assert_promises(&run, seed);
     }
+}
+
+/// Killed at each of its operations, the repair that follows tells the whole loss, and so does the manifest.
+#[test]
+fn a_repair_that_is_killed_leaves_its_loss_to_the_next_to_tell() {
+    let whole = Run::new(3, Trouble::default()).until_the_end();
+    let session = session(&whole.disk).unwrap();
+    let first = session.join("0000.mcap");
+    let content = whole.disk.snapshot()[&first].clone();
+    let torn = || {
+        let disk = SimulatedDisk::new(0, Trouble::default());
+        run::put(&disk, CAPTURES, &session, &whole.disk, &content[..content.len() / 2]);
+        disk.append(&session.join("0000.mcap.active")).and_then(|file| file.sync()).unwrap();
+        for folder in [&session, Path::new(CAPTURES), Path::new("/")] {
+            disk.sync_folder(folder).unwrap();
+        }
+        disk
+    };
+    let disk = torn();
+    let before = disk.operations();
+    let at_once = repair(&disk, &session).unwrap();
+    let (all, told) = (disk.operations() - before, run::cut_bytes(&disk, &session));
+    assert!(told > 0 && at_once.lost.len() == 1, "{at_once:?}");
+    let mut killed = 0;
+    for at in 1..=all {
+        let disk = torn();
+        disk.trouble(Trouble { cut_at: Some(before + at), ..Trouble::default() });
+        if repair(&disk, &session).is_ok() {
+            continue;
+        }
+        killed += 1;
+        let was_written = {
+            disk.restart();
+            run::cut_bytes(&disk, &session)
+        };
+        let next = repair(&disk, &session).unwrap();
+        assert_eq!(run::cut_bytes(&disk, &session), told, "killed at operation {at}: {next:?}");
+        assert!(was_written == told || next.lost == at_once.lost, "killed at operation {at}: {next:?}");
+        assert!(repair(&disk, &session).unwrap().changed_nothing(), "killed at operation {at}");
+    }
+    assert!(killed > 10, "{killed} of {all}");
 }
 
 #[test]

@@ -282,6 +282,11 @@ pub fn counts_of_manifest(disk: &SimulatedDisk, session: &Path) -> Counts {
     sum
 }
 
+/// What the manifest says could not be kept.
+pub fn cut_bytes(disk: &SimulatedDisk, session: &Path) -> u64 {
+    manifest_lines(disk, session).unwrap().iter().filter_map(|line| line.cut_bytes).sum()
+}
+
 /// The session of `from`, with only this of its first segment, as if it had never been finished.
 pub fn put(disk: &SimulatedDisk, captures: &str, session: &Path, from: &SimulatedDisk, content: &[u8]) {
     disk.create_folder(Path::new(captures)).unwrap();

@@ -3,7 +3,7 @@
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-use super::camera::CELL;
+use super::camera::AREA;
 use super::raster::Raster;
 
 /// Weights are sixty-fourths: finer than any map is right.
@@ -11,10 +11,10 @@ const WEIGHT_BITS: u32 = 6;
 const ONE: u32 = 1 << WEIGHT_BITS;
 
 /// The pixels of a cell.
-pub(super) type Pixels = [[u8; 4]; CELL * CELL];
+pub(super) type Pixels = [[u8; 4]; AREA];
 
 /// Reads between the pixels' centres; black and [`super::NOTHING`] beyond the outermost ones, and for NaN.
-pub(super) fn read_cell(image: &Raster, u: &[f32; CELL * CELL], v: &[f32; CELL * CELL]) -> Pixels {
+pub(super) fn read_cell(image: &Raster, u: &[f32; AREA], v: &[f32; AREA]) -> Pixels {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
         assert!(image.is_readable(), "the vector path reads without further checks");
@@ -81,12 +81,12 @@ mod tests {
 
         #[test]
         fn the_vector_path_reads_the_same_bits(
-            places in proptest::collection::vec((-3.0..26.0f32, -3.0..20.0f32), CELL * CELL),
-            odd in 0..CELL * CELL,
+            places in proptest::collection::vec((-3.0..26.0f32, -3.0..20.0f32), AREA),
+            odd in 0..AREA,
         ) {
             let image = noise();
-            let mut u: [f32; CELL * CELL] = core::array::from_fn(|i| places[i].0);
-            let v: [f32; CELL * CELL] = core::array::from_fn(|i| places[i].1.round());
+            let mut u: [f32; AREA] = core::array::from_fn(|i| places[i].0);
+            let v: [f32; AREA] = core::array::from_fn(|i| places[i].1.round());
             (u[odd], u[(odd + 1) % 64], u[(odd + 2) % 64]) = (f32::NAN, f32::INFINITY, 22.0);
             let plain: Pixels = core::array::from_fn(|i| read(&image, u[i], v[i]));
             prop_assert_eq!(read_cell(&image, &u, &v), plain);

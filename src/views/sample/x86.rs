@@ -2,17 +2,18 @@
 
 use core::arch::x86_64::*;
 
-use super::super::camera::CELL;
+use super::super::camera::AREA;
 use super::super::raster::Raster;
 use super::{ONE, Pixels, WEIGHT_BITS};
 
 const LANES: usize = 8;
+const BITS: i32 = WEIGHT_BITS as i32;
 
 /// # Safety
 /// The processor must have AVX2, and `image` `width` x `height` pixels, at least two each way.
 #[target_feature(enable = "avx2")]
-pub(super) unsafe fn read_cell(image: &Raster, us: &[f32; CELL * CELL], vs: &[f32; CELL * CELL]) -> Pixels {
-    let mut pixels = [[0u8; 4]; CELL * CELL];
+pub(super) unsafe fn read_cell(image: &Raster, us: &[f32; AREA], vs: &[f32; AREA]) -> Pixels {
+    let mut pixels = [[0u8; 4]; AREA];
     let (width, height) = (image.width as i32, image.height as i32);
     let (one, half) = (_mm256_set1_ps(ONE as f32), _mm256_set1_ps(0.5));
     let (right, bottom) = (_mm256_set1_ps((width - 1) as f32), _mm256_set1_ps((height - 1) as f32));
@@ -24,27 +25,34 @@ pub(super) unsafe fn read_cell(image: &Raster, us: &[f32; CELL * CELL], vs: &[f3
         let within =
             |x, last| _mm256_and_ps(_mm256_cmp_ps::<_CMP_GE_OQ>(x, zero), _mm256_cmp_ps::<_CMP_LE_OQ>(x, last));
         let inside = _mm256_and_ps(within(u, right), within(v, bottom));
-        let seen = _mm256_movemask_ps(inside);
-        if seen == 0 {
+        if _mm256_movemask_ps(inside) == 0 {
             continue;
         }
         // What is outside reads the first pixel, and is left out below.
         let fixed = |x| _mm256_cvttps_epi32(_mm256_add_ps(_mm256_mul_ps(_mm256_and_ps(x, inside), one), half));
         let (u, v) = (fixed(u), fixed(v));
-        let whole =
-            |x, most: i32| _mm256_min_epi32(_mm256_srli_epi32::<{ WEIGHT_BITS as i32 }>(x), _mm256_set1_epi32(most));
+        let whole = |x, most: i32| _mm256_min_epi32(_mm256_srli_epi32::<BITS>(x), _mm256_set1_epi32(most));
         let (column, row) = (whole(u, width - 2), whole(v, height - 2));
-        let rest = |x, whole| _mm256_sub_epi32(x, _mm256_slli_epi32::<{ WEIGHT_BITS as i32 }>(whole));
+        let rest = |x, whole| _mm256_sub_epi32(x, _mm256_slli_epi32::<BITS>(whole));
         let index = _mm256_add_epi32(_mm256_mullo_epi32(row, _mm256_set1_epi32(width)), column);
-        let (indices, fus, fvs) = (lanes(index), lanes(rest(u, column)), lanes(rest(v, row)));
-        for lane in (0..LANES).filter(|lane| seen >> lane & 1 == 1) {
-            // SAFETY: column and row are at most two less than the image's sides, so that both pairs lie in it.
-            out[lane] = unsafe { one_pixel(image, indices[lane] as usize, fus[lane], fvs[lane]) };
-        }
+        // Both weights of a lane side by side: as two words, and as two bytes, twice.
+        let beside = |second, bits| {
+            _mm256_or_si256(_mm256_sub_epi32(_mm256_set1_epi32(ONE as i32), second), _mm256_sll_epi32(second, bits))
+        };
+        let (byte, word) = (_mm_cvtsi32_si128(8), _mm_cvtsi32_si128(16));
+        let across = beside(rest(u, column), word);
+        let down = beside(rest(v, row), byte);
+        let down = _mm256_or_si256(down, _mm256_sll_epi32(down, word));
+        // SAFETY: column and row are at most two less than the image's sides, so that both pairs lie in it.
+        let mixed = unsafe { eight_pixels(image, lanes(index), across, down) };
+        let mixed = _mm256_and_si256(mixed, _mm256_castps_si256(inside));
+        // SAFETY: the chunk holds eight pixels of four bytes.
+        unsafe { _mm256_storeu_si256(out.as_mut_ptr().cast(), mixed) };
     }
     pixels
 }
 
+#[inline]
 #[target_feature(enable = "avx2")]
 fn lanes(vector: __m256i) -> [i32; LANES] {
     let mut lanes = [0; LANES];
@@ -53,21 +61,36 @@ fn lanes(vector: __m256i) -> [i32; LANES] {
     lanes
 }
 
+/// Pixels 0 to 3 are made in the lower half of the vectors, 4 to 7 in the upper one, two of each at a time.
+///
 /// # Safety
-/// `index` and the next pixel, and both below them, must be pixels of the image.
+/// Each index and the next pixel, and both below them, must be pixels of the image.
 #[inline]
 #[target_feature(enable = "avx2")]
-unsafe fn one_pixel(image: &Raster, index: usize, fu: i32, fv: i32) -> [u8; 4] {
+unsafe fn eight_pixels(image: &Raster, at: [i32; LANES], across: __m256i, down: __m256i) -> __m256i {
     // SAFETY: two pixels of four bytes each, which the caller vouches for.
     let pair = |at: usize| unsafe { _mm_loadl_epi64(image.pixels.as_ptr().add(at).cast()) };
-    let four = _mm_unpacklo_epi64(pair(index), pair(index + image.width));
-    // Left and right of each channel beside each other: r r g g b b a a, upper then lower.
-    let beside = _mm_setr_epi8(0, 4, 1, 5, 2, 6, 3, 7, 8, 12, 9, 13, 10, 14, 11, 15);
-    let one = ONE as i32;
-    let across = _mm_maddubs_epi16(_mm_shuffle_epi8(four, beside), _mm_set1_epi16(((one - fu) | fu << 8) as i16));
-    let below = _mm_unpacklo_epi16(across, _mm_unpackhi_epi64(across, across));
-    let sum = _mm_madd_epi16(below, _mm_set1_epi32((one - fv) | fv << 16));
-    let rounded = _mm_srli_epi32::<{ 2 * WEIGHT_BITS as i32 }>(_mm_add_epi32(sum, _mm_set1_epi32(one * one / 2)));
-    let words = _mm_packus_epi32(rounded, rounded);
-    _mm_cvtsi128_si32(_mm_packus_epi16(words, words)).to_le_bytes()
+    let pairs = |first: usize, below: usize| {
+        let two = |i: usize| _mm_unpacklo_epi64(pair(at[i] as usize + below), pair(at[i + 1] as usize + below));
+        _mm256_set_m128i(two(first + 4), two(first))
+    };
+    let columns = |first: usize| {
+        let (upper, lower) = (pairs(first, 0), pairs(first, image.width));
+        (_mm256_unpacklo_epi8(upper, lower), _mm256_unpackhi_epi8(upper, lower))
+    };
+    let ((first, second), (third, fourth)) = (columns(0), columns(2));
+    let low = _mm256_packus_epi32(mixed::<0x00>(first, across, down), mixed::<0x55>(second, across, down));
+    let high = _mm256_packus_epi32(mixed::<0xaa>(third, across, down), mixed::<0xff>(fourth, across, down));
+    _mm256_packus_epi16(low, high)
+}
+
+/// One pixel in each half: of upper and lower bytes beside each other, with the weights that `LANE` picks.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn mixed<const LANE: i32>(columns: __m256i, across: __m256i, down: __m256i) -> __m256i {
+    let left_beside_right =
+        _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15));
+    let rows = _mm256_maddubs_epi16(columns, _mm256_shuffle_epi32::<LANE>(down));
+    let sums = _mm256_madd_epi16(_mm256_shuffle_epi8(rows, left_beside_right), _mm256_shuffle_epi32::<LANE>(across));
+    _mm256_srli_epi32::<{ 2 * BITS }>(_mm256_add_epi32(sums, _mm256_set1_epi32((ONE * ONE / 2) as i32)))
 }

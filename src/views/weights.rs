@@ -1,0 +1,84 @@
+//! Which source is best where: weights at the corners of the view's cells.
+
+use super::Candidate;
+use super::camera::AREA;
+use super::ground_warp::Warp;
+use super::raster::SURE;
+use super::target::Target;
+use super::world::Surface;
+
+/// Sources whose score is within this share of the best one's are mixed: the width of a seam.
+const FEATHER: f32 = 0.08;
+/// Distance from the source's border, in pixels, from which on it does not count.
+const BORDER_PX: f32 = 24.0;
+/// Beside what is far, a source counts half when it was taken this far away: it shows another parallax.
+const FAR_BASELINE_M: f64 = 0.3;
+
+/// How much of each source stands at each corner of the cells.
+pub(super) struct Weights {
+    /// Source by source; those of a corner add up to 1, or 0 where no source shows it.
+    weights: Vec<Vec<f32>>,
+}
+
+impl Weights {
+    pub(super) fn new(target: &Target, warps: &[Warp]) -> Self {
+        let mut weights: Vec<Vec<f32>> = warps.iter().map(|warp| scores(target, warp)).collect();
+        for node in 0..target.node_count() {
+            let best = weights.iter().map(|scores| scores[node]).fold(0.0, f32::max);
+            let least = best * (1.0 - FEATHER);
+            let left = |score: f32| (score - least).max(0.0);
+            let sum: f32 = weights.iter().map(|scores| left(scores[node])).sum();
+            for scores in &mut weights {
+                scores[node] = if sum > 0.0 { left(scores[node]) / sum } else { 0.0 };
+            }
+        }
+        Self { weights }
+    }
+
+    pub(super) fn of(&self, source: usize, node: usize) -> f32 {
+        self.weights[source][node]
+    }
+
+    /// Of what is shown at all.
+    pub(super) fn shares(&self) -> Vec<f64> {
+        let sums: Vec<f64> = self.weights.iter().map(|w| w.iter().map(|w| f64::from(*w)).sum()).collect();
+        let all: f64 = sums.iter().sum();
+        sums.iter().map(|sum| sum / all.max(1e-9)).collect()
+    }
+}
+
+/// How good a source is at the corners of the cells: resolution (source pixels to a pixel), distance from its border,
+/// and for what is far how near it was taken. 0 where it shows nothing.
+fn scores(target: &Target, warp: &Warp) -> Vec<f32> {
+    let (columns, rows) = target.camera().cells();
+    let source = warp.source();
+    let (width, height) = (source.camera.width() as f32 - 1.0, source.camera.height() as f32 - 1.0);
+    let far = (1.0 / (1.0 + warp.baseline_m() / FAR_BASELINE_M)) as f32;
+    let score = |node: usize| {
+        let [u, v] = warp.node(node);
+        let border = u.min(v).min(width - u).min(height - v);
+        if border.is_nan() || border < 0.0 || !shows(source, u, v) {
+            return 0.0;
+        }
+        let (column, row) = (node % (columns + 1), node / (columns + 1));
+        let step = |before: usize, after: usize| {
+            let ([a, b], [c, d]) = (warp.node(before), warp.node(after));
+            [c - a, d - b]
+        };
+        let [left, right] = [column.saturating_sub(1), (column + 1).min(columns)].map(|c| row * (columns + 1) + c);
+        let [above, below] = [row.saturating_sub(1), (row + 1).min(rows)].map(|r| r * (columns + 1) + column);
+        let ([ux, vx], [uy, vy]) = (step(left, right), step(above, below));
+        let area = (ux * vy - uy * vx).abs() / (4 * AREA) as f32;
+        let resolution = if area.is_nan() { 0.5 } else { area.clamp(0.05, 4.0) };
+        let edge = (border / BORDER_PX).clamp(0.05, 1.0);
+        let near = if target.surface_at(node) == Some(Surface::Far) { far } else { 1.0 };
+        resolution * edge * near
+    };
+    (0..target.node_count()).map(score).collect()
+}
+
+/// Whether the source's pixel there shows the world.
+fn shows(source: &Candidate, u: f32, v: f32) -> bool {
+    let image = source.image.full();
+    image.pixels[(v + 0.5) as usize * image.width + (u + 0.5) as usize][3] == SURE
+}
