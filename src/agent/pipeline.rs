@@ -186,10 +186,12 @@ impl Pipeline {
         let late_measurements = self.synchroniser.too_late();
         let Settings { field, filter, .. } = &self.settings;
         let strange = warnings::strange_field(field, &self.tally.invalid, counts.tagged);
+        let blind = warnings::no_picture(&self.tally.invalid, counts.tagged);
         let lying = warnings::never_upright(&self.settings.topics.imu, &self.tally.invalid, counts.tagged);
         let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
         let unusable = warnings::unusable_weights(self.tally.unusable_weights);
-        let warnings = attitude.into_iter().chain(strange).chain(lying).chain(small).chain(unusable).collect();
+        let warnings =
+            attitude.into_iter().chain(strange).chain(blind).chain(lying).chain(small).chain(unusable).collect();
         (Some(Recorded { session, counts, recorder, tally: self.tally, late_measurements, warnings }), ended)
     }
 

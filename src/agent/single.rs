@@ -128,7 +128,9 @@ impl Known {
             None => {
                 let mut search = Search::new(field, SEARCH_MARGIN_M, &observation);
                 let mut state = SearchState::default();
-                search.run(&observation, &seen.table, KEPT, &mut state, &mut Effort::default(), &mut always)
+                let found =
+                    search.run(&observation, &seen.table, KEPT, &mut state, &mut Effort::default(), &mut always);
+                found.unwrap_or_default()
             }
             Some(initial) => vec![around(&observation, seen, initial, seed)],
         };

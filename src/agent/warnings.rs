@@ -23,6 +23,18 @@ pub fn strange_field(field: &str, invalid: &BTreeMap<String, u64>, tagged: u64) 
     })
 }
 
+/// The camera's fault.
+pub fn no_picture(invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
+    let of = |reason: &str| invalid.get(reason).copied().unwrap_or(0);
+    let flaws = [
+        ("too_dark", "were black: is the lens covered, or the exposure far too short?"),
+        ("overexposed", "were mostly white: is the exposure or the gain far too high?"),
+        ("image_frozen", "showed the same picture again although the robot moved: does the camera stand still?"),
+    ];
+    let (reason, said) = flaws.into_iter().max_by_key(|(reason, _)| of(reason))?;
+    (10 * of(reason) > tagged).then(|| format!("{} of {tagged} frames {said}", of(reason)))
+}
+
 /// By its attitude the torso lay most of the time.
 pub fn never_upright(imu: &str, invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
     let lay = invalid.get("fallen").copied().unwrap_or(0);

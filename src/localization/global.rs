@@ -32,13 +32,22 @@ pub struct Search {
 pub struct SearchState {
     /// Places of the grid.
     tried: u32,
-    /// The best of these so far.
+    /// The best of these so far; once all places have been tried, the best that are apart.
     found: Vec<Candidate>,
+    /// Of these, how many have been climbed from; `None` before all places have been tried.
+    climbed: Option<u32>,
 }
 
 impl SearchState {
     pub fn is_under_way(&self) -> bool {
         self.tried > 0
+    }
+
+    /// The robot has walked since the last frame.
+    pub fn carry_on(&mut self, walked: &Pose2) {
+        for candidate in &mut self.found {
+            candidate.pose = candidate.pose.compose(walked);
+        }
     }
 }
 
@@ -48,13 +57,13 @@ const TURNS: usize = 80;
 const WIDENED_M: f64 = 0.07;
 /// One in so many line points is looked at on the grid.
 const SPARSE: usize = 3;
-/// Whatever the clock says, the grid is done with after so many frames: two seconds at 10 Hz.
-const MOST_FRAMES: usize = 20;
+/// Whatever the clock says, the grid is done with after so many frames: 1.5 s at 10 Hz.
+const MOST_FRAMES: usize = 15;
 /// Poses of the grid that are kept, and of these, how many are climbed from.
 const CLOSER: usize = 600;
 const CLIMBED: usize = 60;
-/// Climbed from whatever the clock says.
-const FEWEST_CLIMBED: usize = 25;
+/// Climbed from in one frame whatever the clock says.
+const FEWEST_CLIMBED: usize = 6;
 /// Candidates closer than this are one.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;
@@ -83,8 +92,7 @@ impl Search {
         Self { places, sparse: observation.sparse(SPARSE), widened: GroundTable::default() }
     }
 
-    /// The `count` best poses, best first. If time is up before all places have been tried there are none yet, and `state`
-    /// knows where the next frame goes on.
+    /// The `count` best poses, best first. `None` if time is up before: then `state` knows where the next frame goes on.
     pub fn run(
         &mut self,
         observation: &Observation,
@@ -93,9 +101,34 @@ impl Search {
         state: &mut SearchState,
         effort: &mut Effort,
         may_go_on: &mut MayGoOn,
-    ) -> Vec<Candidate> {
+    ) -> Option<Vec<Candidate>> {
         table.widen(WIDENED_M, &mut self.widened);
-        let SearchState { tried, found } = state;
+        if state.climbed.is_none() && !self.try_grid(state, effort, may_go_on) {
+            return None;
+        }
+        let SearchState { found, climbed, .. } = state;
+        let climbed = climbed.get_or_insert(0);
+        // The best first.
+        for (index, candidate) in found.iter_mut().skip(*climbed as usize).enumerate() {
+            if index >= FEWEST_CLIMBED && !may_go_on(effort.weighed) {
+                effort.capped = true;
+                return None;
+            }
+            *climbed += 1;
+            // Half a step of the grid away from the right pose the table itself says little: only its widened lines do,
+            // and these not exactly.
+            let near = climb(&self.sparse, &self.widened, *candidate, effort);
+            let nearest = best_around(observation, table, &near.pose, effort);
+            *candidate = climb(observation, table, nearest, effort);
+        }
+        let mut found = core::mem::take(state).found;
+        best_of(&mut found, CLIMBED);
+        Some(apart(&found, count))
+    }
+
+    /// Whether all places have been tried: then the best of them are left that are apart.
+    fn try_grid(&self, state: &mut SearchState, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
+        let SearchState { tried, found, .. } = state;
         let (mut done, least) = (0, self.places.len().div_ceil(MOST_FRAMES));
         for [x, y] in self.places.get(*tried as usize..).unwrap_or_default() {
             let headings: [Candidate; TURNS] = core::array::from_fn(|turn| {
@@ -109,29 +142,12 @@ impl Search {
             if done >= least && !may_go_on(effort.weighed) {
                 effort.capped = true;
                 best_of(found, CLOSER);
-                return Vec::new();
+                return false;
             }
         }
-        let mut found = core::mem::take(state).found;
-        best_of(&mut found, CLOSER);
-        let mut found = apart(&found, CLIMBED);
-        let mut climbed = 0;
-        for candidate in &mut found {
-            // The best first: what there is no time for would hardly have won.
-            if climbed >= FEWEST_CLIMBED && !may_go_on(effort.weighed) {
-                effort.capped = true;
-                break;
-            }
-            climbed += 1;
-            // Half a step of the grid away from the right pose the table itself says little: only its widened lines do,
-            // and these not exactly.
-            let near = climb(&self.sparse, &self.widened, *candidate, effort);
-            let nearest = best_around(observation, table, &near.pose, effort);
-            *candidate = climb(observation, table, nearest, effort);
-        }
-        found.truncate(climbed);
-        best_of(&mut found, CLIMBED);
-        apart(&found, count)
+        best_of(found, CLOSER);
+        *found = apart(found, CLIMBED);
+        true
     }
 }
 

@@ -5,6 +5,7 @@
 
 pub mod estimate;
 pub mod filter;
+mod frozen;
 pub mod global;
 pub mod kernel;
 pub mod localizer;
@@ -17,6 +18,7 @@ pub mod random;
 pub mod refinement;
 pub mod resampling;
 pub mod sampling;
+mod second_look;
 pub mod track;
 pub mod verdict;
 pub mod weights;

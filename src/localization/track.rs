@@ -101,6 +101,12 @@ pub struct Step {
     pub seconds: f64,
 }
 
+impl Step {
+    pub fn none() -> Self {
+        Self { odometry: Some(Pose2::default()), turned_rad: None, seconds: 0.0 }
+    }
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Turn {
     turn_rad: f64,

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::localizer::{Fix, Moment};
 use super::refinement::Agreement;
+use super::second_look::SecondLook;
 use crate::geometry::{Field, Isometry, Pose2, wrap_angle};
 
 /// What a pose needs to be believed.
@@ -47,6 +48,7 @@ pub struct Standing {
     /// Where the whole field was last tried for a better pose, and how often, each time from elsewhere, there was none.
     looked_again_at: Option<Pose2>,
     found_again: u32,
+    second_look: SecondLook,
 }
 
 /// What does not change from frame to frame.
@@ -73,7 +75,7 @@ const LOST_M: f64 = 0.6;
 /// How far from the carpet a camera may stand.
 const OFF_FIELD_M: f64 = 1.0;
 /// A pose is believed for so long without lines that agree.
-const LONGEST_COAST_NS: i64 = 700_000_000;
+const LONGEST_COAST_NS: i64 = 500_000_000;
 /// Fewer line places than this say nothing for or against a pose.
 const FEWEST_EXPECTED: usize = 12;
 const FEWEST_FITTING: usize = 10;
@@ -81,13 +83,16 @@ const FEWEST_FITTING: usize = 10;
 pub const CONTRADICTED: f64 = 0.5;
 /// What a frame needs to confirm a pose that was found by search or announced.
 const FITTING_IF_TOLD: usize = 20;
-const FITTING_IF_FOUND: usize = 40;
-const SHARE_TO_CONFIRM: f64 = 0.7;
+const FITTING_IF_FOUND: usize = 80;
+const FITTING_IF_FOUND_AGAIN: usize = 40;
+const SHARE_IF_TOLD: f64 = 0.7;
+const SHARE_IF_FOUND: f64 = 0.9;
 /// And so much less for each time that the whole field had no better pose to offer: behind others, or with a lens that is
 /// not quite as it was calibrated, lines are missing in right places too.
-const LESS_IF_FOUND_AGAIN: f64 = 0.1;
+const LESS_IF_FOUND_AGAIN: f64 = 0.2;
 const MORE_IF_FOUND_AGAIN: f64 = 0.1;
-/// Frames that are not convincing before the whole field is tried: a second at 10 Hz.
+/// Frames that are not convincing before the whole field is tried: the first time that a pose was found, and else.
+const UNCONVINCING_AT_FIRST: u32 = 2;
 const UNCONVINCING: u32 = 10;
 /// Trying it again from the same place says nothing new.
 const ELSEWHERE_M: f64 = 0.15;
@@ -99,19 +104,35 @@ const CONFIRMED_WITH_IF_FOUND: f64 = 0.2;
 impl Standing {
     /// A pose that was found by search, or kept over a restart.
     pub fn found(&mut self) {
-        *self =
-            Self { confidence: Confidence::Unconfirmed(CONFIRMATIONS), agreed_ns: self.agreed_ns, ..Self::default() };
+        let (confidence, second_look) = (Confidence::Unconfirmed(CONFIRMATIONS), SecondLook::found());
+        *self = Self { confidence, second_look, agreed_ns: self.agreed_ns, ..Self::default() };
     }
 
     /// A pose that somebody announced.
     pub fn told(&mut self) {
-        self.found();
-        *self = Self { confidence: Confidence::Unconfirmed(1), was_told: true, ..*self };
+        let confidence = Confidence::Unconfirmed(1);
+        *self = Self { confidence, was_told: true, agreed_ns: self.agreed_ns, ..Self::default() };
     }
 
     /// Lines speak for the pose, and not clearly: is there a better one?
     pub fn is_unconvincing(&self) -> bool {
-        self.unconvincing >= UNCONVINCING
+        let is_first = !self.was_told && self.looked_again_at.is_none();
+        self.unconvincing >= if is_first { UNCONVINCING_AT_FIRST } else { UNCONVINCING }
+    }
+
+    /// The pose is believed; is there a better one all the same?
+    pub fn is_to_be_tried(&self) -> bool {
+        self.second_look.is_due()
+    }
+
+    /// Something has just changed: the sooner it is tried the better.
+    pub fn is_urgent(&self) -> bool {
+        self.second_look.is_urgent()
+    }
+
+    /// There was none.
+    pub fn has_been_tried(&mut self) {
+        self.second_look.looked();
     }
 
     /// The whole field was tried while the robot was believed to be at `pose`.
@@ -135,9 +156,11 @@ impl Standing {
         self.agreed_ns = Some(stamp_ns);
     }
 
-    /// Why the pose is not to be used, and what that means for the next frames.
-    pub fn judge(&mut self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
+    /// Why the pose is not to be used, and what that means for the next frames; `seconds` since the last one.
+    pub fn judge(&mut self, rules: &Rules, moment: &Moment, fix: &Fix, seconds: f64) -> Option<&'static str> {
         let doubt = self.complaint(rules, moment, fix);
+        let share = (fix.agreement.expected >= FEWEST_EXPECTED).then(|| fix.agreement.share());
+        self.second_look.note(seconds, share, matches!(doubt, Some("spread" | "few_lines")), fix.surprised);
         let contradicted = matches!(doubt, Some("lines_disagree" | "lines_unexplained" | "not_standing" | "off_field"));
         if rules.refinement && longest_axis(&fix.covariance) > LOST_M {
             self.confidence = Confidence::Nowhere;
@@ -145,10 +168,18 @@ impl Standing {
         self.confidence = match (self.confidence, doubt) {
             (Confidence::Tracking(bad), Some(_)) if contradicted => Confidence::Tracking(bad.saturating_add(1)),
             (Confidence::Unconfirmed(_), Some(_)) if contradicted => Confidence::Nowhere,
+            (Confidence::Unconfirmed(needed), Some("spread" | "few_lines")) if !self.was_told => {
+                self.unconvincing = self.unconvincing.saturating_add(1);
+                Confidence::Unconfirmed(needed)
+            }
             (other, Some(_)) => other,
             (Confidence::Unconfirmed(needed), None) if !self.confirms(rules, fix) => {
                 self.unconvincing = self.unconvincing.saturating_add(1);
                 Confidence::Unconfirmed(needed)
+            }
+            // Carried, or found in a wrong place: lines and odometry do not tell of one walk.
+            (Confidence::Unconfirmed(_), None) if fix.surprised && !self.was_told => {
+                Confidence::Unconfirmed(CONFIRMATIONS)
             }
             (Confidence::Unconfirmed(needed), None) if needed > 1 => Confidence::Unconfirmed(needed - 1),
             (_, None) => Confidence::Tracking(0),
@@ -184,12 +215,13 @@ impl Standing {
 
     fn confirms(&self, rules: &Rules, fix: &Fix) -> bool {
         let lines = &fix.agreement;
-        let (fitting, unexplained) = match self.was_told {
-            true => (FITTING_IF_TOLD, CONFIRMED_WITH_IF_TOLD),
-            false => (FITTING_IF_FOUND, CONFIRMED_WITH_IF_FOUND),
+        let (fitting, share, unexplained) = match self.was_told {
+            true => (FITTING_IF_TOLD, SHARE_IF_TOLD, CONFIRMED_WITH_IF_TOLD),
+            false => (FITTING_IF_FOUND, SHARE_IF_FOUND, CONFIRMED_WITH_IF_FOUND),
         };
+        let fitting = if self.found_again > 0 { fitting.min(FITTING_IF_FOUND_AGAIN) } else { fitting };
         let again = f64::from(self.found_again);
-        let share = (SHARE_TO_CONFIRM - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED);
+        let share = (share - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED);
         let unexplained = (unexplained + MORE_IF_FOUND_AGAIN * again).min(CONFIRMED_WITH_IF_TOLD);
         !rules.refinement
             || (lines.fitting >= fitting
@@ -220,6 +252,13 @@ fn stands(moment: &Moment, fix: &Fix) -> bool {
 /// Enough lines are where the pose has them.
 pub fn agrees(lines: &Agreement) -> bool {
     lines.fitting >= FEWEST_FITTING && lines.share() > CONTRADICTED
+}
+
+/// Enough to leave a pose for it that was believed.
+pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> bool {
+    lines.fitting >= FITTING_IF_FOUND_AGAIN
+        && lines.share() >= SHARE_IF_TOLD
+        && explained >= share_of(CONFIRMED_WITH_IF_FOUND, least_explained)
 }
 
 /// Too many lines are not.

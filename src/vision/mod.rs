@@ -8,6 +8,7 @@ pub mod carpet;
 mod cells;
 pub mod contrast;
 pub mod distance;
+mod glance;
 pub mod ground;
 pub mod ground_map;
 pub mod line_image;
@@ -22,6 +23,7 @@ use crate::geometry::{Isometry, Lens, Projector};
 pub use border::CarpetBorder;
 use carpet::Carpet;
 pub use contrast::LineContrast;
+pub use glance::Glance;
 pub use ground::{GroundTable, Readings};
 pub use ground_map::GroundMap;
 pub use line_image::LineImage;
@@ -54,6 +56,7 @@ pub struct Seen {
     pub lines: Option<GroundTable>,
     /// What refinement measures in.
     pub image: LineImage,
+    pub glance: Glance,
     contrast: LineContrast,
     making: ground::Making,
     /// NaN where no floor is.
@@ -136,9 +139,10 @@ impl Vision {
         body: Option<&BodyMask>,
         seen: &mut Seen,
     ) {
+        seen.glance = Glance::of(picture);
         let working = &*picture.reduced(self.reduction);
         let scale = WorkingScale::new(self.reduction);
-        let Seen { table, lines, image, contrast, making, floor, on_carpet } = seen;
+        let Seen { table, lines, image, contrast, making, floor, on_carpet, .. } = seen;
         contrast.start(working);
         self.find_floor(footprint_from_optical, floor);
         let carpet = self.learn_carpet(working, contrast, floor);

@@ -3,11 +3,13 @@
 
 mod lost;
 
+pub use lost::Fitting;
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::estimate::Estimate;
 use super::filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
+use super::frozen::Frozen;
 use super::global::{Search, SearchState};
 use super::observation::{Observation, Support};
 use super::painted::{Explained, PaintedMap};
@@ -40,11 +42,13 @@ pub struct LocalizerState {
     pub last: Option<(i64, Option<Pose2>)>,
     pub standing: Standing,
     pub posture: Posture,
+    pub frozen: Frozen,
     /// For how long nothing has said how far the robot walked, seconds.
     pub adrift_s: f64,
     /// Where the robot was when it last knew, carried on by odometry since.
     pub known: Option<Pose2>,
     pub search: SearchState,
+    pub fitting: Fitting,
     /// The pose was found without being told which half of the field it is in.
     pub ambiguous: bool,
 }
@@ -79,6 +83,8 @@ pub struct Fix {
     /// x, y, z, rotation about x, y, z of `map`.
     pub covariance: Matrix6<f64>,
     pub refined: bool,
+    /// The lines say that the camera is not where odometry and IMU have it, by more than these admit.
+    pub surprised: bool,
     pub agreement: Agreement,
     pub explained: Explained,
     pub effort: Effort,
@@ -192,13 +198,18 @@ impl Localizer {
         if self.lies(moment) {
             return self.drift(moment, "fallen");
         }
-        let mut effort = Effort::default();
-        let step = self.step_to(moment);
-        if self.must_search() {
-            self.search(moment, seen, &mut effort, may_go_on);
+        if self.state.frozen.judge(moment, seen.glance.fingerprint) {
+            return self.drift(moment, "image_frozen");
         }
-        let walked = self.walked(&step);
+        let mut effort = Effort::default();
+        let mut step = self.step_to(moment);
+        let seconds = step.seconds;
+        let mut walked = self.walked(&step);
         self.carry_on(walked);
+        if self.must_search() && self.search(moment, seen, walked, &mut effort, may_go_on) {
+            // What was found in this image is where the robot is now.
+            (step, walked) = (Step::none(), Some(Pose2::default()));
+        }
         let estimate = self.filter.step(walked, step.seconds, &seen.table, &mut effort, may_go_on);
         let support = self.filter.observation().support(seen.lines(), &estimate.best);
         self.predict(&step);
@@ -208,7 +219,10 @@ impl Localizer {
         if let Some(place) = &moment.footprint_from_optical {
             fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
         }
-        fix.doubt = self.state.standing.judge(&self.settings.rules(&self.field), moment, &fix);
+        fix.doubt = self.state.standing.judge(&self.settings.rules(&self.field), moment, &fix, seconds);
+        if matches!(fix.doubt, Some("pose_unknown" | "few_lines" | "lines_disagree")) {
+            fix.doubt = seen.glance.flaw().or(fix.doubt);
+        }
         if fix.doubt.is_none() {
             self.state.known = self.state.track.as_ref().map(Track::pose);
         }
@@ -247,7 +261,7 @@ impl Localizer {
         let odometry = moment.odometry.filter(Pose2::is_finite);
         let last = self.state.last.replace((moment.stamp_ns, odometry));
         let Some((last_ns, last_odometry)) = last else {
-            return Step { odometry: Some(Pose2::default()), turned_rad: None, seconds: 0.0 };
+            return Step::none();
         };
         let seconds = (moment.stamp_ns.saturating_sub(last_ns) as f64 * 1e-9).clamp(0.0, LONGEST_STEP_S);
         if self.settings.random_walk {
@@ -269,7 +283,10 @@ impl Localizer {
     }
 
     fn carry_on(&mut self, walked: Option<Pose2>) {
-        self.state.known = self.state.known.map(|known| known.compose(&walked.unwrap_or_default()));
+        let walked = walked.unwrap_or_default();
+        self.state.known = self.state.known.map(|known| known.compose(&walked));
+        self.state.search.carry_on(&walked);
+        self.state.fitting.carry_on(&walked);
     }
 
     fn predict(&mut self, step: &Step) {
@@ -285,7 +302,7 @@ impl Localizer {
     }
 
     fn place(&mut self, pose: Pose2, spread: Spread) {
-        self.state.search = SearchState::default();
+        (self.state.search, self.state.fitting) = Default::default();
         self.filter.restart(pose, spread);
         let Spread { xy_m, yaw_rad } = spread;
         self.state.track = Some(match &self.state.track {
@@ -313,8 +330,8 @@ impl Localizer {
             return self.predicted(moment, estimate, support);
         };
         let mut prediction = prediction;
-        let surprise = surprise(&prediction.prior, &refined.moved);
-        if surprise > SURPRISE && agrees(&refined.lines) {
+        let surprised = surprise(&prediction.prior, &refined.moved) > SURPRISE && agrees(&refined.lines);
+        if surprised {
             // Lines agree with each other but not with the prediction: odometry or IMU were wronger than they claim.
             if let Some(track) = &mut self.state.track {
                 track.doubt(&refined.moved);
@@ -344,6 +361,7 @@ impl Localizer {
             map_from_optical: refined.map_from_optical,
             covariance: refined.covariance,
             refined: true,
+            surprised,
             agreement: refined.lines,
             explained: Explained::default(),
             effort: Effort::default(),
@@ -375,6 +393,7 @@ impl Localizer {
             map_from_optical,
             covariance,
             refined: false,
+            surprised: false,
             agreement: Agreement::default(),
             explained: Explained::default(),
             effort: Effort::default(),
