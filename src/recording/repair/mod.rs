@@ -3,6 +3,7 @@
 //! Every step leaves something that the next run can go on from; a second run changes nothing.
 
 mod account;
+mod aside;
 mod notes;
 mod segment;
 
@@ -12,12 +13,15 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+pub(super) use self::aside::is_damaged_name;
+use self::aside::set_aside;
 pub(super) use self::notes::NOTES_FILE;
 use self::notes::{Cut, Notes};
-pub(super) use self::segment::{COPY, DAMAGED};
+pub(super) use self::segment::COPY;
 use self::segment::{Ended, describe, finish};
+use super::catalogue::SetAside;
 use super::error::RecordingError;
-use super::folder::{Loss, manifest_lines};
+use super::folder::{DamagedLine, Loss, all_lines, manifest_lines};
 use super::manifest::{
     FORMAT_VERSION, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
 };
@@ -25,7 +29,7 @@ use super::retention::evicted_segments;
 use super::segment::{ACTIVE, CUT_BYTES, CUT_RECORD, CUT_SEGMENT, is_segment_name, segment_index, segment_name};
 use super::storage::{Kind, Listed, Storage, read_small, write_atomically};
 use super::verify::hash;
-use crate::ros2::mcap_read::{metadata_records, survey};
+use crate::ros2::mcap_read::{Remains, metadata_records, survey};
 
 /// What was done to one session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -42,6 +46,8 @@ pub struct Repaired {
     /// The manifest was written anew.
     pub manifest_rewritten: bool,
     pub metadata_rewritten: bool,
+    /// What stays in the folder under another name, for people to look at, and why.
+    pub set_aside: Vec<SetAside>,
     /// What could not be kept.
     pub lost: Vec<Loss>,
     /// What is not as the manifest says, and cannot be mended: left as it is.
@@ -58,7 +64,7 @@ impl Repaired {
 /// In words, over several lines.
 impl fmt::Display for Repaired {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { session, in_use, finished, removed, listed, lost, wrong, .. } = self;
+        let Self { session, in_use, finished, removed, listed, set_aside, lost, wrong, .. } = self;
         let state = match (in_use, self.changed_nothing()) {
             (true, _) => "is being recorded",
             (false, _) if !wrong.is_empty() => "not whole",
@@ -70,6 +76,7 @@ impl fmt::Display for Repaired {
         for (what, names) in parts.into_iter().filter(|(_, names)| !names.is_empty()) {
             write!(f, "\n  {what}: {}", names.join(", "))?;
         }
+        set_aside.iter().try_for_each(|aside| write!(f, "\n  set aside: {aside}"))?;
         lost.iter().try_for_each(|loss| write!(f, "\n  lost: {loss}"))?;
         wrong.iter().try_for_each(|wrong| write!(f, "\n  {wrong}"))
     }
@@ -108,6 +115,7 @@ pub fn repair(storage: &dyn Storage, session: &Path) -> Result<Repaired, Recordi
     let (lines, topics) = (BTreeMap::new(), BTreeMap::new());
     let mut work = Work { storage, session, info, repaired: &mut repaired, lines, topics, notes };
     work.finish_segments()?;
+    work.tell_what_was_noted()?;
     work.complete_manifest()?;
     work.complete_metadata()?;
     work.name_what_is_wrong()?;
@@ -152,26 +160,74 @@ struct Work<'a> {
 impl Work<'_> {
     fn finish_segments(&mut self) -> Result<(), RecordingError> {
         let names = self.files(|name| name.ends_with(ACTIVE))?;
+        let fails = |source| RecordingError::io(self.session, source);
         let cuts = if names.is_empty() { BTreeMap::new() } else { self.cuts()? };
         for active in names {
             let name = active.trim_end_matches(ACTIVE).to_owned();
             let path = self.session.join(&active);
+            // Somebody's old copy of it, or what a repair that was killed has copied from: what is finished is never replaced.
+            if self.storage.list(self.session).map_err(fails)?.iter().any(|there| there.name == name) {
+                self.set_aside(&path, &format!("{name} is finished, and stays as it is"))?;
+                continue;
+            }
             let limit = cuts.get(&name).copied();
             match finish(self.storage, &path, &name, limit, &self.info.settings, &mut self.notes)? {
-                Ended::Empty => {
-                    let removed = self.storage.remove(&path).and_then(|()| self.storage.sync_folder(self.session));
-                    removed.map_err(|source| RecordingError::io(&path, source))?;
-                    self.repaired.removed.push(active);
-                }
-                Ended::Whole { line, topics, damage } => {
+                Ended::Without(remains) => self.leave_out(&path, &name, remains)?,
+                Ended::Whole { line, topics, damage, damaged } => {
                     if let Some(bytes) = line.cut_bytes {
                         let said = Cut { bytes, damage }.said();
                         self.repaired.lost.push(Loss::new(&self.session.join(&name), said));
                     }
+                    let why = || format!("not all of it could be copied into {name}");
+                    self.repaired.set_aside.extend(damaged.map(|path| SetAside::new(path, why())));
                     self.lines.insert(name.clone(), *line);
                     self.topics.insert(name.clone(), topics);
                     self.repaired.finished.push(name);
                 }
+            }
+        }
+        Ok(())
+    }
+
+    /// One without a message. What is the beginning of a log goes; everything else may be worth looking at.
+    fn leave_out(&mut self, path: &Path, name: &str, remains: Remains) -> Result<(), RecordingError> {
+        let segment = self.session.join(name);
+        match remains {
+            Remains::Nothing => {}
+            Remains::Torn { bytes } => {
+                let damage = Some("it held nothing that was whole".to_owned());
+                let cut = self.notes.note(name, Cut { bytes, damage })?;
+                self.repaired.lost.push(Loss::new(&segment, cut.said()));
+            }
+            Remains::Other => {
+                let bytes = self.storage.list(self.session).map_err(|source| RecordingError::io(path, source))?;
+                let bytes = bytes.iter().find(|there| path.ends_with(&there.name)).and_then(Listed::bytes).unwrap_or(0);
+                let damage = Some("no message in it can be read: it is set aside".to_owned());
+                let cut = self.notes.note(name, Cut { bytes, damage })?;
+                self.repaired.lost.push(Loss::new(&segment, cut.said()));
+                return self.set_aside(path, "no message in it can be read");
+            }
+        }
+        let removed = self.storage.remove(path).and_then(|()| self.storage.sync_folder(self.session));
+        removed.map_err(|source| RecordingError::io(path, source))?;
+        self.repaired.removed.push(format!("{name}{ACTIVE}"));
+        Ok(())
+    }
+
+    fn set_aside(&mut self, active: &Path, why: &str) -> Result<(), RecordingError> {
+        let aside = set_aside(self.storage, active)?;
+        self.repaired.set_aside.push(SetAside::new(aside, why));
+        Ok(())
+    }
+
+    /// What a repair that was killed has noted of segments that are not here at all any more.
+    fn tell_what_was_noted(&mut self) -> Result<(), RecordingError> {
+        let there = self.files(|_| true)?;
+        for (name, cut) in self.notes.all().filter(|(name, _)| is_segment_name(name)) {
+            let file = self.session.join(name);
+            let is_told = self.repaired.lost.iter().any(|loss| loss.file == file);
+            if !is_told && !there.iter().any(|file| file == name) {
+                self.repaired.lost.push(Loss::new(&file, cut.said()));
             }
         }
         Ok(())
@@ -200,7 +256,7 @@ impl Work<'_> {
     fn complete_manifest(&mut self) -> Result<(), RecordingError> {
         let path = self.session.join(MANIFEST_FILE);
         let fails = |source| RecordingError::io(&path, source);
-        let mut lines = manifest_lines(self.storage, self.session).map_err(fails)?;
+        let (mut lines, damaged) = all_lines(self.storage, self.session).map_err(fails)?;
         self.keep_the_true_lines(&mut lines)?;
         for name in self.files(|name| !name.ends_with(ACTIVE))? {
             if lines.iter().any(|line| line.name == name) {
@@ -220,6 +276,7 @@ impl Work<'_> {
             lines.push(line);
             self.repaired.listed.push(name);
         }
+        self.tell_lost_lines(&lines, &damaged);
         lines.sort_by_key(|line| segment_index(&line.name));
         let mut text = Vec::new();
         for line in &lines {
@@ -235,6 +292,28 @@ impl Work<'_> {
             self.repaired.manifest_rewritten = true;
         }
         Ok(())
+    }
+
+    /// What damaged lines were of and is not here. Their segments that are here have new lines now.
+    fn tell_lost_lines(&mut self, lines: &[ManifestLine], damaged: &[DamagedLine]) {
+        let evicted = evicted_segments(self.storage, self.session);
+        let of_damaged: Vec<&String> = damaged.iter().filter_map(|line| line.name.as_ref()).collect();
+        // Nobody can say which line was of which; one that was never finished had none.
+        let is_explained = |name: &&String| !of_damaged.contains(name) && !self.repaired.finished.contains(name);
+        let mut explained = self.repaired.listed.iter().filter(is_explained).count();
+        let mut lost = Vec::new();
+        for line in damaged {
+            let is_lost = match &line.name {
+                Some(name) => !evicted.contains_key(name) && !lines.iter().any(|line| line.name == *name),
+                None => explained == 0,
+            };
+            explained = explained.saturating_sub(usize::from(line.name.is_none()));
+            if is_lost {
+                let file = self.session.join(line.name.as_deref().unwrap_or(MANIFEST_FILE));
+                lost.push(Loss::new(&file, format!("{MANIFEST_FILE}: {}; its segment is not here", line.said())));
+            }
+        }
+        self.repaired.lost.append(&mut lost);
     }
 
     /// Of lines that contradict each other, the one that the file bears out; all of them, if it bears out none.
