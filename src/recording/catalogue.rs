@@ -196,7 +196,7 @@ impl Session {
             Kind::Folder if name == REFINED_FOLDER => self.is_refined = true,
             Kind::Folder if name == ACK_FOLDER => {}
             Kind::File(_) if is_damaged_name(name) => {
-                aside("what `sessions repair` could not keep all of: for you to look at, and to delete");
+                aside("set aside by `sessions repair`: for you to look at, and to delete");
             }
             _ => aside("not of this session: left alone"),
         }
