@@ -22,7 +22,7 @@ use crate::config::{Settings, Topics};
 use crate::geometry::{FieldDimensions, LensParameters, PoseGrid};
 use crate::recording::storage::Disk;
 use crate::recording::{
-    Counts, LiveInfo, RecorderStatus, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning, Writing,
+    Counts, Ended, LiveInfo, RecorderStatus, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning, Writing,
     write_coverage,
 };
 use crate::ros2::mcap_read::LogMessage;
@@ -46,7 +46,8 @@ pub struct Recording {
 
 /// What a pipeline leaves behind.
 pub struct Recorded {
-    pub session: PathBuf,
+    /// `None` if the disk did not let it become whole.
+    pub session: Option<PathBuf>,
     pub counts: Counts,
     pub recorder: RecorderStatus,
     pub tally: Tally,
@@ -171,16 +172,19 @@ impl Pipeline {
     }
 
     /// Nothing more will come: what is there becomes a whole capture, whatever went wrong, if it can. `None` if nothing
-    /// came at all or nothing more can be written.
+    /// came at all.
     pub fn finish(mut self) -> (Option<Recorded>, Result<(), AgentError>) {
         let ended = self.end();
         let Some(session) = self.session.take() else { return (None, ended) };
-        let (session, counts, recorder) = match session.finish() {
-            Ok(finished) => finished,
-            Err(error) => return (None, ended.and(Err(error.into()))),
+        let Ended { folder, counts, status: recorder } = session.finish();
+        let (session, ended) = match folder {
+            Ok(folder) => (Some(folder), ended),
+            Err(error) => (None, ended.and(Err(error.into()))),
         };
-        // Without it the same is read from the tags.
-        let _ = write_coverage(&session, self.thinning.coverage(), counts.valid);
+        if let Some(session) = &session {
+            // Without it the same is read from the tags.
+            let _ = write_coverage(session, self.thinning.coverage(), counts.valid);
+        }
         let heard = self.synchroniser.knows_attitude();
         let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
         let late_measurements = self.synchroniser.too_late();

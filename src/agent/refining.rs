@@ -17,7 +17,9 @@ use crate::evaluation::capture::{EvaluationError, Readout, read_tags};
 use crate::geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use crate::localization::refinement::LinePoints;
 use crate::localization::refinement::offsets::{Sight, measure};
-use crate::recording::{Loss, RecordingError, SESSION_FILE, SessionInfo, read_info, topic, write_atomically};
+use crate::recording::{
+    Loss, REFINED_FOLDER, RecordingError, SESSION_FILE, SessionInfo, read_info, topic, write_atomically,
+};
 use crate::ros2::messages::{FrameTag, Message, PoseWithCovarianceStamped};
 use crate::ros2::{Durability, LogWriter, WriteError};
 use crate::sensors::intake::{self, isometry};
@@ -85,8 +87,6 @@ pub struct Found {
     pub observable: bool,
 }
 
-/// In a capture's folder.
-pub const REFINED_FOLDER: &str = "refined";
 pub const REFINED_INFO: &str = "refined.json";
 const TAGS: &str = "0000.mcap";
 /// Lines are looked for twice: from the tags, and from what came of them.

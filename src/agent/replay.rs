@@ -110,15 +110,14 @@ impl Run {
         let started = Instant::now();
         let fed = self.feed(messages, progress);
         let (recorded, ended) = self.pipeline.finish();
-        let recorded = match (fed.and(ended.map_err(ReplayError::from)), recorded) {
-            (Ok(()), Some(recorded)) => recorded,
-            (Ok(()), None) => return Err(ReplayError::NoFrame("the log has no message".to_owned())),
-            (Err(error), None) => return Err(error),
-            (Err(error), Some(Recorded { session, .. })) => {
-                return Err(ReplayError::Broken { source: Box::new(error), session });
-            }
+        let session = recorded.as_ref().and_then(|recorded| recorded.session.clone());
+        let (recorded, session) = match (fed.and(ended.map_err(ReplayError::from)), recorded, session) {
+            (Ok(()), Some(recorded), Some(session)) => (recorded, session),
+            (Ok(()), ..) => return Err(ReplayError::NoFrame("the log has no message".to_owned())),
+            (Err(error), _, None) => return Err(error),
+            (Err(error), _, Some(session)) => return Err(ReplayError::Broken { source: Box::new(error), session }),
         };
-        let Recorded { session, counts, tally, late_measurements, warnings, .. } = recorded;
+        let Recorded { counts, tally, late_measurements, warnings, .. } = recorded;
         let mut report = self.report;
         report.warnings.extend(warnings);
         Ok(ReplayReport {

@@ -13,7 +13,7 @@ use crate::config::{Settings, load_field, load_lens};
 use crate::geometry::{FieldDimensions, Pose2, PoseGrid};
 use crate::recording::storage::Disk;
 use crate::recording::{
-    Counts, FORMAT_VERSION, RecorderStatus, RecordingError, SegmentState, SessionId, SessionInfo, SessionWriter,
+    Counts, Ended, FORMAT_VERSION, RecorderStatus, RecordingError, SegmentState, SessionId, SessionInfo, SessionWriter,
     Thinning, Writing,
 };
 use crate::ros2::mcap_read::{Channel, LogMessage};
@@ -74,8 +74,9 @@ pub fn soak(options: &SoakOptions, each: &mut dyn FnMut(&RecorderStatus)) -> Res
     }
     let seconds = began.elapsed().as_secs_f64();
     let core_share = processor_time().saturating_sub(used).as_secs_f64() / seconds;
-    let (session, counts, recorder) = session.finish()?;
+    let Ended { folder, counts, status: recorder } = session.finish();
     each(&recorder);
+    let session = folder?;
     Ok(SoakReport { session, seconds, counts, bytes_per_s: stream.bytes as f64 / seconds, core_share, recorder })
 }
 

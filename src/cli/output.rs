@@ -4,7 +4,7 @@ use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
 use anyhow::Context;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use serde::Serialize;
 
 use crate::evaluation::Summary;
@@ -59,8 +59,13 @@ impl Transfer {
     pub fn new() -> Self {
         let plain = !io::stderr().is_terminal();
         let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
-        if let Ok(style) = ProgressStyle::with_template("{wide_bar} {bytes}/{total_bytes} {bytes_per_sec} {eta} left") {
-            bar.set_style(style);
+        if let Ok(style) = ProgressStyle::with_template("{wide_bar} {bytes}/{total_bytes} {bytes_per_sec} {left}") {
+            // As long as nothing has come nobody knows.
+            bar.set_style(style.with_key("left", |state: &ProgressState, text: &mut dyn std::fmt::Write| {
+                if state.per_sec() >= 1.0 {
+                    let _ = write!(text, "{:#} left", HumanDuration(state.eta()));
+                }
+            }));
         }
         Self { bar, plain, told: std::time::Instant::now(), began: None }
     }
@@ -76,14 +81,20 @@ impl Transfer {
         if self.plain && self.told.elapsed() > TELL_EVERY {
             self.told = std::time::Instant::now();
             let rate = done.saturating_sub(before) as f64 / began.elapsed().as_secs_f64().max(1e-3);
-            let left = (total.saturating_sub(done)) as f64 / rate.max(1.0);
-            eprintln!("{} of {}, {}/s, {left:.0} s left", size(done), size(total), size(rate as u64));
+            let left = (rate >= 1.0).then(|| (total.saturating_sub(done)) as f64 / rate);
+            let left = left.map_or_else(String::new, |left| format!(", {left:.0} s left"));
+            eprintln!("{} of {}, {}/s{left}", size(done), size(total), size(rate as u64));
         }
     }
 
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }
+}
+
+/// Text of a file that somebody else wrote, on a line: it moves no cursor and changes no colour.
+pub fn plain(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
 /// Bytes for people.

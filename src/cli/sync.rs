@@ -157,10 +157,12 @@ fn check_places(source: &Source, output: &std::path::Path) -> Result<(), UsageEr
 fn outcome(report: &Report, stopped: bool) -> Outcome {
     if report.failed.is_some() || report.no_room_bytes > 0 || stopped {
         Outcome::NotReached
-    } else if report.lost.is_empty() {
-        Outcome::Whole
-    } else {
+    } else if !report.lost.is_empty() {
         Outcome::DataLost
+    } else if report.left_there > 0 {
+        Outcome::NotReached
+    } else {
+        Outcome::Whole
     }
 }
 
@@ -175,10 +177,17 @@ fn tell(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
         eprintln!("realitysim: lost: {it}");
     }
     for (robot, machines) in &report.namesakes {
+        let robot = output::plain(robot);
         eprintln!(
             "realitysim: {} robots call themselves {robot}: {} (give each its own `robot = ` in its config)",
             machines.len(),
             machines.join(", ")
+        );
+    }
+    if report.left_there > 0 {
+        eprintln!(
+            "realitysim: {} finished segments stay there, since their manifest is not believed (`sessions repair` there, or here)",
+            report.left_there
         );
     }
     if report.no_room_bytes > 0 {

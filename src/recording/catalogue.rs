@@ -1,7 +1,7 @@
 //! Sessions as somebody else may have left them: moved, renamed, edited, partly deleted, with foreign files among them.
 //! Read without trust: no link is followed, nothing is changed, what is not understood is named and set aside.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -12,9 +12,9 @@ use super::acknowledgement::{ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgeme
 use super::coverage::COVERAGE_FILE;
 use super::identity::{Head, SessionId};
 use super::manifest::{
-    EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, RECEIVED_FILE, SESSION_FILE,
+    EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, RECEIVED_FILE, REFINED_FOLDER, SESSION_FILE,
 };
-use super::repair::{COPY, DAMAGED, NOTES_FILE};
+use super::repair::{COPY, NOTES_FILE, is_damaged_name};
 use super::retention::{Evicted, evicted_segments};
 use super::segment::{ACTIVE, is_segment_name};
 pub use super::storage::Kind;
@@ -51,6 +51,10 @@ pub struct Session {
     pub id: SessionId,
     /// Of finished segments, in the manifest's order, each once.
     pub lines: Vec<ManifestLine>,
+    /// Lines of the manifest beside these that are damaged, say too little, or contradict each other.
+    pub doubted: u64,
+    /// It has what is written last of all: every segment was in its manifest once.
+    pub has_ended: bool,
     /// Plain files with segments' names, and their sizes.
     pub segments: BTreeMap<String, u64>,
     /// What this program removed since, and who has it.
@@ -58,6 +62,8 @@ pub struct Session {
     /// A segment is being written, or was when the power went.
     pub open: bool,
     pub pinned: bool,
+    /// It holds what `refine` has made of it, which no sync copies.
+    pub is_refined: bool,
     /// Of one that was synced into this folder.
     pub received: Option<Received>,
     pub acknowledged: Acknowledged,
@@ -129,16 +135,16 @@ fn session_on(storage: &dyn Storage, folder: &Path) -> Result<Session, SetAside>
     let head = Head::parse(&head_bytes).map_err(|why| refused(format!("{SESSION_FILE}: {why}")))?;
     let mut set_aside = Vec::new();
     let path = folder.join(MANIFEST_FILE);
-    let lines = match read_whole(storage, &path, MAX_MANIFEST_BYTES) {
+    let (lines, doubted) = match read_whole(storage, &path, MAX_MANIFEST_BYTES) {
         Ok(bytes) => parse_manifest(&path, &bytes, &mut set_aside),
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             set_aside
                 .push(SetAside::new(&path, "missing: nobody can say which segments are whole (`sessions repair`)"));
-            Vec::new()
+            (Vec::new(), 0)
         }
         Err(error) => {
             set_aside.push(SetAside::new(&path, error.to_string()));
-            Vec::new()
+            (Vec::new(), 0)
         }
     };
     let mut session = Session {
@@ -148,10 +154,13 @@ fn session_on(storage: &dyn Storage, folder: &Path) -> Result<Session, SetAside>
         head,
         head_bytes,
         lines,
+        doubted,
+        has_ended: false,
         segments: BTreeMap::new(),
         evicted: evicted_segments(storage, folder),
         open: false,
         pinned: false,
+        is_refined: false,
         received: read_received(storage, &folder.join(RECEIVED_FILE), &mut set_aside),
         acknowledged: Acknowledged::new(),
         set_aside,
@@ -160,6 +169,7 @@ fn session_on(storage: &dyn Storage, folder: &Path) -> Result<Session, SetAside>
         if entry.name == ACK_FOLDER && entry.kind == Kind::Folder {
             session.acknowledged = read_acknowledged(storage, &folder.join(ACK_FOLDER), &mut session.set_aside);
         }
+        session.has_ended |= entry.name == METADATA_FILE && entry.bytes().is_some();
         session.note(&entry.name, entry.kind);
     }
     session.set_aside.sort();
@@ -183,9 +193,10 @@ impl Session {
             Kind::File(_) if name == PIN_FILE => self.pinned = true,
             Kind::File(_) if name.strip_suffix(ACTIVE).is_some_and(is_segment_name) => self.open = true,
             Kind::File(_) if is_own_file(name) => {}
-            Kind::Folder if name == ACK_FOLDER || name == "refined" => {}
-            Kind::File(_) if name.strip_suffix(DAMAGED).is_some_and(is_segment_name) => {
-                aside("what `sessions repair` could not keep all of: for you to look at, and to delete");
+            Kind::Folder if name == REFINED_FOLDER => self.is_refined = true,
+            Kind::Folder if name == ACK_FOLDER => {}
+            Kind::File(_) if is_damaged_name(name) => {
+                aside("set aside by `sessions repair`: for you to look at, and to delete");
             }
             _ => aside("not of this session: left alone"),
         }
@@ -210,9 +221,11 @@ impl Session {
 
 /// Beside segments.
 fn is_own_file(name: &str) -> bool {
-    [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE, NOTES_FILE].contains(&name)
-        || name.ends_with(".new")
-        || name.strip_suffix(COPY).is_some_and(is_segment_name)
+    const OWN: [&str; 7] =
+        [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE, NOTES_FILE];
+    // Beside those that are replaced as a whole.
+    let beside = |own: &str| Some(name) == Path::new(own).with_extension("new").to_str();
+    OWN.contains(&name) || OWN.iter().any(|own| beside(own)) || name.strip_suffix(COPY).is_some_and(is_segment_name)
 }
 
 /// One part of a path that stays where it is put and shows as it is.
@@ -223,11 +236,11 @@ pub fn is_plain_name(name: &str) -> bool {
         && !name.chars().any(|c| c == '/' || c == '\\' || c.is_control())
 }
 
-/// Lines that say what they must, each segment once; the last may be torn.
-fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> Vec<ManifestLine> {
+/// Lines that say what they must, each segment once, and how many segments the others may be of; the last may be torn.
+fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> (Vec<ManifestLine>, u64) {
     let text = String::from_utf8_lossy(bytes);
     let mut lines: Vec<ManifestLine> = Vec::new();
-    let mut doubted = Vec::new();
+    let (mut unlike, mut damaged) = (BTreeSet::new(), 0);
     let mut rest = text.split('\n').enumerate().peekable();
     while let Some((index, text)) = rest.next() {
         let mut aside = |why: String| set_aside.push(SetAside::new(path, format!("line {}: {why}", index + 1)));
@@ -235,22 +248,26 @@ fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> V
             Ok(line) if !is_segment_name(&line.name) => aside(format!("{:?} is no segment's name", line.name)),
             Ok(line) if line.blake3.len() != 64 || !line.blake3.bytes().all(|byte| byte.is_ascii_hexdigit()) => {
                 aside(format!("{} has no hash", line.name));
+                damaged += 1;
             }
             Ok(line) => match lines.iter().find(|known| known.name == line.name) {
                 Some(known) if *known == line => {}
                 Some(_) => {
                     aside(format!("{} stands twice, and not alike", line.name));
-                    doubted.push(line.name);
+                    unlike.insert(line.name);
                 }
                 None => lines.push(line),
             },
             // Being written, or torn by a power cut before it was whole.
             Err(_) if rest.peek().is_none() => {}
-            Err(error) => aside(format!("damaged: {error}")),
+            Err(error) => {
+                aside(format!("damaged: {error}"));
+                damaged += 1;
+            }
         }
     }
-    lines.retain(|line| !doubted.contains(&line.name));
-    lines
+    lines.retain(|line| !unlike.contains(&line.name));
+    (lines, damaged + unlike.len() as u64)
 }
 
 /// One that makes no sense is as far away as can be: nobody may rely on anybody beyond it.

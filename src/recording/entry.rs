@@ -42,6 +42,8 @@ pub(super) struct Gap {
     pub frames: u64,
     /// Other than frames.
     pub messages: u64,
+    /// Tags among these.
+    pub untagged: u64,
     pub first_ns: i64,
     pub last_ns: i64,
 }

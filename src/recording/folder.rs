@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::error::RecordingError;
 use super::manifest::{MANIFEST_FILE, ManifestLine, SESSION_FILE, SessionInfo};
 use super::retention::evicted_segments;
-use super::segment::ACTIVE;
+use super::segment::{ACTIVE, is_segment_name};
 use super::storage::{Disk, Storage, open_plain, read_plain, read_small};
 use crate::ros2::mcap_read::Damage;
 
@@ -68,26 +68,67 @@ pub fn missing_parts(capture: &Path) -> Vec<Loss> {
     };
     let evicted = evicted_segments(&Disk, folder);
     let mut losses = Vec::new();
-    let mut lines = text.split('\n').enumerate().peekable();
-    while let Some((index, line)) = lines.next() {
-        match serde_json::from_str::<ManifestLine>(line) {
-            // What was removed on purpose is elsewhere.
-            Ok(line) if evicted.contains_key(&line.name) && !folder.join(&line.name).exists() => {}
-            Ok(line) if only.is_none_or(|name| *name == *line.name) => losses.extend(loss_of(folder, &line)),
-            Ok(_) => {}
-            // A line is appended behind its segment's final name: power may fail in between, and nothing is lost.
-            Err(_) if lines.peek().is_none() => {}
-            Err(error) => losses.push(Loss::new(&path, format!("line {} is damaged: {error}", index + 1))),
+    let (lines, damaged) = parse_lines(&text);
+    for line in lines {
+        // What was removed on purpose is elsewhere.
+        let is_evicted = evicted.contains_key(&line.name) && !folder.join(&line.name).exists();
+        if !is_evicted && only.is_none_or(|name| *name == *line.name) {
+            losses.extend(loss_of(folder, &line));
         }
     }
+    let told = damaged.into_iter().filter(|line| !line.is_last);
+    losses.extend(told.map(|line| Loss::new(&path, line.said())));
     losses
+}
+
+/// A line of a manifest that makes no sense.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct DamagedLine {
+    number: usize,
+    /// Of the segment, if that much can be read.
+    pub name: Option<String>,
+    /// The last one, without an end: a line is appended behind its segment's final name, and power may fail in between.
+    pub is_last: bool,
+    error: String,
+}
+
+impl DamagedLine {
+    pub fn said(&self) -> String {
+        let of = self.name.as_ref().map_or(String::new(), |name| format!(" (that of {name})"));
+        format!("line {} is damaged{of}: {}", self.number, self.error)
+    }
+}
+
+fn parse_lines(text: &str) -> (Vec<ManifestLine>, Vec<DamagedLine>) {
+    let (mut lines, mut damaged) = (Vec::new(), Vec::new());
+    let mut rest = text.split('\n').enumerate().filter(|(_, line)| !line.trim().is_empty()).peekable();
+    while let Some((index, line)) = rest.next() {
+        match serde_json::from_str::<ManifestLine>(line) {
+            Ok(line) => lines.push(line),
+            Err(error) => {
+                let is_last = rest.peek().is_none() && !text.ends_with('\n');
+                damaged.push(DamagedLine { number: index + 1, name: name_in(line), is_last, error: error.to_string() });
+            }
+        }
+    }
+    (lines, damaged)
+}
+
+fn name_in(line: &str) -> Option<String> {
+    let (_, rest) = line.split_once("\"name\":")?;
+    let (name, _) = rest.trim_start().strip_prefix('"')?.split_once('"')?;
+    is_segment_name(name).then(|| name.to_owned())
 }
 
 /// The lines of a manifest that make sense, in their order.
 pub(super) fn manifest_lines(storage: &dyn Storage, session: &Path) -> io::Result<Vec<ManifestLine>> {
+    Ok(all_lines(storage, session)?.0)
+}
+
+/// The same, and those that do not.
+pub(super) fn all_lines(storage: &dyn Storage, session: &Path) -> io::Result<(Vec<ManifestLine>, Vec<DamagedLine>)> {
     let text = read_small(storage, &session.join(MANIFEST_FILE), MAX_MANIFEST_BYTES)?.unwrap_or_default();
-    let lines = text.split(|byte| *byte == b'\n');
-    Ok(lines.filter_map(|line| serde_json::from_slice(line).ok()).collect())
+    Ok(parse_lines(&String::from_utf8_lossy(&text)))
 }
 
 fn read_manifest(path: &Path) -> io::Result<String> {
@@ -169,7 +210,7 @@ mod tests {
         fs::write(&path, format!("{}\n{whole}\n", &whole[..40])).unwrap();
         assert!(said(folder)[0].starts_with("manifest.jsonl: line 1 is damaged"), "{:?}", said(folder));
         fs::write(&path, b"\xff\0\n\n").unwrap();
-        assert_eq!(said(folder).len(), 2);
+        assert_eq!(said(folder).len(), 1);
     }
 
     #[test]

@@ -34,6 +34,7 @@ impl GapMessages {
                 value("cause", gap.cause.clone()),
                 value("frames", gap.frames.to_string()),
                 value("messages", gap.messages.to_string()),
+                value("untagged", gap.untagged.to_string()),
                 value("first_ns", gap.first_ns.to_string()),
                 value("last_ns", gap.last_ns.to_string()),
             ],
@@ -70,6 +71,8 @@ fn gap(status: &DiagnosticStatus) -> Option<Gap> {
         cause: text("cause")?,
         frames: text("frames")?.parse().ok()?,
         messages: text("messages")?.parse().ok()?,
+        // Earlier versions did not tell them apart.
+        untagged: text("untagged").map_or(Some(0), |count| count.parse().ok())?,
         first_ns: text("first_ns")?.parse().ok()?,
         last_ns: text("last_ns")?.parse().ok()?,
     })

@@ -19,6 +19,8 @@ pub const METADATA_FILE: &str = "metadata.yaml";
 pub const PIN_FILE: &str = "pinned";
 /// In a session's folder that was synced into: how many copies there are between it and the recorder.
 pub const RECEIVED_FILE: &str = "received.json";
+/// In a session's folder: what `refine` has made of it.
+pub const REFINED_FOLDER: &str = "refined";
 /// Segments that were removed because another store has them.
 pub const EVICTED_FILE: &str = "evicted.jsonl";
 
@@ -146,6 +148,19 @@ pub struct ManifestLine {
     pub cut_bytes: Option<u64>,
 }
 
+impl ManifestLine {
+    /// Log times of the first and the last message; `None` without any.
+    pub fn times(&self) -> Option<(i64, i64)> {
+        (self.messages > 0).then_some((self.first_ns, self.last_ns))
+    }
+
+    /// First and last of several segments.
+    pub fn times_of<'a>(lines: impl IntoIterator<Item = &'a Self>) -> Option<(i64, i64)> {
+        let times = lines.into_iter().filter_map(Self::times);
+        times.reduce(|(first, last), (from, to)| (first.min(from), last.max(to)))
+    }
+}
+
 /// What tells an entry of `metadata.yaml` from the others. Readers look for the files' channels by all three.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TopicEntry {
@@ -165,8 +180,7 @@ impl TopicEntry {
 /// What `ros2 bag` wants beside the files (version 5: understood since Humble).
 /// `topics` with the number of their messages.
 pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<TopicEntry, u64>) -> String {
-    let first = lines.iter().map(|line| line.first_ns).min().unwrap_or(0);
-    let last = lines.iter().map(|line| line.last_ns).max().unwrap_or(first);
+    let (first, last) = ManifestLine::times_of(lines).unwrap_or_default();
     let messages: u64 = topics.values().sum();
     let mut yaml = String::new();
     // Writing to a String cannot fail.
@@ -175,7 +189,7 @@ pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<TopicEntry, u64>)
         "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  duration:\n    nanoseconds: {}\n  \
          starting_time:\n    nanoseconds_since_epoch: {first}\n  message_count: {messages}\n  \
          topics_with_message_count:\n",
-        last - first
+        last.saturating_sub(first)
     );
     for (TopicEntry { name, type_name, qos_profiles }, messages) in topics {
         let _ = write!(
@@ -193,13 +207,14 @@ pub fn metadata_yaml(lines: &[ManifestLine], topics: &BTreeMap<TopicEntry, u64>)
     }
     let _ = writeln!(yaml, "  files:");
     for line in lines {
+        let (from, to) = line.times().unwrap_or((first, first));
         let _ = write!(
             yaml,
             "    - path: {}\n      starting_time:\n        nanoseconds_since_epoch: {}\n      duration:\n        \
              nanoseconds: {}\n      message_count: {}\n",
             quoted(&line.name),
-            line.first_ns,
-            line.last_ns - line.first_ns,
+            from,
+            to.saturating_sub(from),
             line.messages
         );
     }

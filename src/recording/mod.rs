@@ -41,13 +41,13 @@ pub use folder::{Loss, missing_parts, read_info, session_holding};
 pub use identity::{Head, SessionId, robot_id};
 pub use manifest::{
     Counts, EVICTED_FILE, FORMAT_VERSION, LiveInfo, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, PoseBox,
-    RECEIVED_FILE, SESSION_FILE, SessionInfo, saturating_sum,
+    RECEIVED_FILE, REFINED_FOLDER, SESSION_FILE, SessionInfo, saturating_sum,
 };
 pub use pace::loss_bound_ms;
 pub use release::{Releasable, releasable};
 pub use repair::{Repaired, repair, sessions_of};
 pub use retention::Evicted;
-pub use session::{SegmentState, SessionWriter, Writing};
+pub use session::{Ended, SegmentState, SessionWriter, Writing};
 pub use status::{Fault, RecorderStatus, Stopped};
 pub use thinning::Thinning;
 pub use verify::{Verified, verify};

@@ -445,7 +445,9 @@ fn keep(latched: &mut Vec<LogMessage>, message: &LogMessage) {
 
 pub(super) fn note_gap(counts: &mut Counts, gap: &Gap) {
     counts.captured += gap.frames;
-    for (lost, sum) in [(gap.frames, &mut counts.dropped), (gap.messages, &mut counts.lost)] {
+    let sums =
+        [(gap.frames, &mut counts.dropped), (gap.messages, &mut counts.lost), (gap.untagged, &mut counts.untagged)];
+    for (lost, sum) in sums {
         if lost > 0 {
             *sum.entry(gap.cause.clone()).or_default() += lost;
         }
@@ -455,5 +457,6 @@ pub(super) fn note_gap(counts: &mut Counts, gap: &Gap) {
 fn gap_of(message: &LogMessage, kind: Kind, cause: &str) -> Gap {
     let frames = u64::from(kind == Kind::Frame);
     let at_ns = message.log_time_ns;
-    Gap { cause: cause.to_owned(), frames, messages: 1 - frames, first_ns: at_ns, last_ns: at_ns }
+    let untagged = u64::from(matches!(kind, Kind::Tag(_)));
+    Gap { cause: cause.to_owned(), frames, messages: 1 - frames, untagged, first_ns: at_ns, last_ns: at_ns }
 }

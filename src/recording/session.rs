@@ -189,14 +189,15 @@ impl SessionWriter {
         self.put(Entry::State(path, content))
     }
 
-    /// Finishes the last segment and writes `metadata.yaml`.
-    pub fn finish(self) -> Result<(PathBuf, Counts, RecorderStatus), RecordingError> {
+    /// Finishes the last segment and writes `metadata.yaml`. What the disk did not take is counted, whether that succeeds or not.
+    pub fn finish(self) -> Ended {
         let Self { recorder, shared, storage, .. } = self;
         let folder = match recorder {
-            Where::Here(mut recorder) => recorder.finish().or_else(|_| recorder.finish())?,
-            Where::Behind(writer) => writer.finish(storage.now())?,
+            Where::Here(mut recorder) => recorder.finish().or_else(|_| recorder.finish()),
+            Where::Behind(writer) => writer.finish(storage.now()),
         };
-        Ok((folder, shared.counts(), shared.status()))
+        let (counts, status) = shared.account();
+        Ended { folder, counts, status }
     }
 
     fn own<M: Message>(
@@ -236,6 +237,15 @@ impl SessionWriter {
             }
         }
     }
+}
+
+/// What a session ended with.
+#[derive(Debug)]
+pub struct Ended {
+    /// Where it is; `Err` if the disk did not let it become whole.
+    pub folder: Result<PathBuf, RecordingError>,
+    pub counts: Counts,
+    pub status: RecorderStatus,
 }
 
 /// The filter's state where a segment begins.

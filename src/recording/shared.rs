@@ -118,7 +118,7 @@ impl Shared {
         let mut state = self.lock();
         state.counts.captured += frames;
         state.drop_frames(cause, frames);
-        state.open_gap(cause, frames, 0, log_time_ns, now);
+        state.open_gap(cause, [frames, 0, 0], log_time_ns, now);
     }
 
     fn refusal(&self, state: &State, entry: &Entry) -> Option<&'static str> {
@@ -340,11 +340,12 @@ impl State {
                 self.counts.captured += 1;
                 self.status.frames_refused += 1;
                 self.drop_frames(cause, 1);
-                self.open_gap(cause, 1, 0, *log_time_ns, Duration::ZERO);
+                self.open_gap(cause, [1, 0, 0], *log_time_ns, Duration::ZERO);
             }
             Entry::Message(_, kind) => {
                 self.lose_message(*kind, cause);
-                self.open_gap(cause, 0, 1, log_time_ns.unwrap_or_default(), Duration::ZERO);
+                let untagged = u64::from(matches!(kind, Kind::Tag(_)));
+                self.open_gap(cause, [0, 1, untagged], log_time_ns.unwrap_or_default(), Duration::ZERO);
             }
             Entry::Untagged(cause) => *self.counts.untagged.entry(cause.clone()).or_default() += 1,
             Entry::Begin(_) | Entry::Gap(_) | Entry::State(..) | Entry::Thinned => {}
@@ -362,7 +363,8 @@ impl State {
         }
     }
 
-    fn open_gap(&mut self, cause: &str, frames: u64, messages: u64, log_time_ns: i64, now: Duration) {
+    /// For so many frames, other messages, and tags among these.
+    fn open_gap(&mut self, cause: &str, lost: [u64; 3], log_time_ns: i64, now: Duration) {
         match &mut self.gap {
             Some(gap) if gap.cause != cause && self.gaps_queued >= MAX_GAPS => SEVERAL.clone_into(&mut gap.cause),
             Some(gap) if gap.cause != cause => self.push_gap(now),
@@ -372,11 +374,14 @@ impl State {
             cause: cause.to_owned(),
             frames: 0,
             messages: 0,
+            untagged: 0,
             first_ns: log_time_ns,
             last_ns: log_time_ns,
         });
+        let [frames, messages, untagged] = lost;
         gap.frames += frames;
         gap.messages += messages;
+        gap.untagged += untagged;
         gap.last_ns = gap.last_ns.max(log_time_ns);
     }
 

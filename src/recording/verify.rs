@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::error::RecordingError;
-use super::folder::{Loss, manifest_lines};
+use super::folder::{Loss, all_lines};
 use super::manifest::MANIFEST_FILE;
 use super::repair::read_head;
 use super::retention::evicted_segments;
@@ -31,9 +31,16 @@ pub fn verify(storage: &dyn Storage, session: &Path) -> Result<Verified, Recordi
     read_head(storage, session)?;
     let mut verified = Verified { session: session.to_owned(), ..Verified::default() };
     let path = session.join(MANIFEST_FILE);
-    let lines = manifest_lines(storage, session).map_err(|source| RecordingError::io(&path, source))?;
+    let (lines, damaged) = all_lines(storage, session).map_err(|source| RecordingError::io(&path, source))?;
     let files = storage.list(session).map_err(|source| RecordingError::io(session, source))?;
     let evicted = evicted_segments(storage, session);
+    for line in damaged {
+        // Torn while it was appended: its segment is there, and told below. Where not even a name is left, none was gone yet.
+        let is_there = |name: &String| files.iter().any(|file| file.name == *name) || evicted.contains_key(name);
+        if !line.is_last || !line.name.as_ref().is_none_or(is_there) {
+            verified.wrong.push(Loss::new(&path, line.said()));
+        }
+    }
     for line in &lines {
         let file = session.join(&line.name);
         if !is_segment_name(&line.name) {

@@ -15,7 +15,7 @@ use super::source::Source;
 use super::store::{MAX_SMALL_BYTES, own_file, real_folder};
 use crate::recording::catalogue::sessions_in;
 use crate::recording::storage::read_plain;
-use crate::recording::{ACK_ENDING, ACK_FOLDER, METADATA_FILE, SYNC_FOLDER, Session, SessionId, write_atomically};
+use crate::recording::{ACK_ENDING, ACK_FOLDER, SYNC_FOLDER, Session, SessionId, write_atomically};
 
 /// One source's place; nobody else has it as long as this lives.
 #[derive(Debug)]
@@ -118,8 +118,7 @@ pub fn known_sources(captures: &Path) -> Vec<Known> {
         let Ok(SourceNote { source, seen, open }) = serde_json::from_slice(&bytes) else { continue };
         let Ok((sessions, _)) = sessions_in(&place.path().join("known")) else { continue };
         // Written last of all, by whoever recorded, repaired or fetched the whole of it.
-        let has_ended =
-            |it: &&Session| !open.iter().any(|id| id == it.id.as_str()) && it.folder.join(METADATA_FILE).is_file();
+        let has_ended = |it: &&Session| !open.iter().any(|id| id == it.id.as_str()) && it.has_ended;
         let ended = sessions.iter().filter(has_ended).map(|session| session.id.clone()).collect();
         all.push(Known { source, seen: seen.and_then(|text| text.parse().ok()), sessions, ended });
     }

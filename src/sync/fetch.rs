@@ -8,11 +8,12 @@ use std::time::Duration;
 
 use super::desk::Desk;
 use super::error::SyncError;
+use super::look::look;
 use super::plan::{Item, Plan};
 use super::round::{Event, Report};
 use super::rsync::{Ended, Rsync};
 use super::store::{Placed, Store};
-use crate::recording::{Session, SetAside};
+use crate::recording::{Session, SetAside, receivers_of};
 
 /// Tries in a row that bring nothing before the link is given up.
 const MAX_FRUITLESS: u32 = 3;
@@ -28,6 +29,10 @@ pub(super) struct Work<'a> {
     pub(super) report: Report,
     /// How often each came damaged, by its path at the source.
     pub(super) damaged: BTreeMap<String, u32>,
+    /// What could not be had, and what was said of it: perhaps it went away while it was being fetched.
+    pub(super) not_had: Vec<(Item, String)>,
+    /// As they were when the source was looked at.
+    pub(super) stamps: &'a BTreeMap<String, String>,
 }
 
 impl Work<'_> {
@@ -44,6 +49,7 @@ impl Work<'_> {
             order.push(path.clone());
             waiting.insert(path, item);
         }
+        self.leave_out_what_came_damaged(&mut waiting);
         let total: u64 = waiting.values().map(|item| item.line.bytes).sum();
         let (mut fruitless, mut most) = (0, 0);
         let result = loop {
@@ -70,8 +76,57 @@ impl Work<'_> {
             tell(Event::Again { said: &error.to_string() });
             std::thread::sleep(BETWEEN_TRIES);
         };
-        self.report.missing = waiting.len() as u64;
-        result
+        self.report.missing = (waiting.len() + self.not_had.len()) as u64;
+        result.and(self.look_again())
+    }
+
+    /// What came damaged from there, and has not changed since, would come damaged again.
+    fn leave_out_what_came_damaged(&mut self, waiting: &mut BTreeMap<String, &Item>) {
+        waiting.retain(|path, item| {
+            let is_known = self.store.came_damaged(&self.memory_of(path, item));
+            if is_known {
+                self.lose(path, "came damaged before, and is still the same there: not fetched again".to_owned());
+            }
+            !is_known
+        });
+    }
+
+    /// Of one file as it is at the source now: what it should be, its size and time there.
+    fn memory_of(&self, path: &str, item: &Item) -> String {
+        let stamp = self.stamps.get(path).map_or("", String::as_str);
+        format!("{}\0{path}\0{}\0{stamp}", self.rsync.source.shown(), item.line.blake3)
+    }
+
+    /// What a robot has removed or moved while it was fetched is not lost.
+    fn look_again(&mut self) -> Result<(), SyncError> {
+        if self.not_had.is_empty() || self.rsync.stop.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        let now = look(self.rsync, self.desk, &mut Report::default())?.sessions;
+        let mut gone = Vec::new();
+        for (item, said) in std::mem::take(&mut self.not_had) {
+            let path = format!("{}/{}", item.there, item.line.name);
+            let shown = PathBuf::from(self.rsync.source.shown()).join(&path);
+            let here = now.iter().find(|session| session.id == item.session && session.name == item.there);
+            let before = self.there.iter().find(|session| session.name == item.there);
+            let told = here.or(before).map(|session| &session.acknowledged);
+            let own = self.store.receiver();
+            let holders = told.into_iter().flat_map(|told| receivers_of(&item.line, told));
+            let mut holders: Vec<String> = holders.filter(|who| *who != own).map(str::to_owned).collect();
+            if let Some(evicted) = here.and_then(|session| session.evicted.get(&item.line.name)) {
+                holders.extend(Some(evicted.receiver.clone()).filter(|who| who != own && !holders.contains(who)));
+            }
+            let is_there = here.is_some_and(|session| session.segments.contains_key(&item.line.name));
+            match here {
+                None => gone.push(shown),
+                Some(_) if !is_there && !holders.is_empty() => self.report.elsewhere.push((shown, holders)),
+                Some(_) => self.lose(&path, format!("could not be had: {said}")),
+            }
+        }
+        let Some(first) = gone.first() else { return Ok(()) };
+        let more = if gone.len() > 1 { format!(" and {} more", gone.len() - 1) } else { String::new() };
+        let said = format!("{}{more} moved or gone there meanwhile: run it again", first.display());
+        Err(SyncError::Refused { source_name: self.rsync.source.shown(), said })
     }
 
     /// One run of rsync; what it takes for done is verified while the rest still comes.
@@ -135,6 +190,7 @@ impl Work<'_> {
                         }
                         let why = format!("came {times} times with another hash than its manifest says: damaged there");
                         self.lose(&path, why);
+                        self.store.note_damaged(self.memory_of(&path, item));
                         waiting.remove(&path);
                         continue;
                     }
@@ -150,7 +206,7 @@ impl Work<'_> {
                 if said.contains("Permission denied") {
                     self.report.failed.get_or_insert_with(|| format!("{path} may not be read there: {said}"));
                 } else {
-                    self.lose(&path, format!("could not be had: {said}"));
+                    self.not_had.push(((*item).clone(), said.to_owned()));
                 }
                 waiting.remove(&path);
             }

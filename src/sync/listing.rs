@@ -7,6 +7,8 @@ pub struct Entry {
     /// From the source's folder, parts separated by `/`; unprintable characters stand as `\#ooo`.
     pub path: String,
     pub kind: Kind,
+    /// Size and time as they are printed.
+    pub stamp: String,
 }
 
 /// One line; `None` if it is none of an entry.
@@ -32,7 +34,7 @@ pub fn parse_line(line: &str) -> Option<Entry> {
         Kind::Link => path.split(" -> ").next().unwrap_or(path),
         _ => path,
     };
-    Some(Entry { path: path.to_owned(), kind })
+    Some(Entry { path: path.to_owned(), kind, stamp: format!("{size} {date} {time}") })
 }
 
 #[cfg(test)]

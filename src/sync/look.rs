@@ -1,5 +1,6 @@
 //! What is at the source.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::desk::Desk;
@@ -10,8 +11,15 @@ use super::rsync::{Ended, Rsync};
 use crate::recording::catalogue::{Kind, is_plain_name, sessions_in};
 use crate::recording::{Session, SetAside};
 
-/// Sessions at the source: what they say of themselves, and what lies in their folders.
-pub(super) fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Vec<Session>, SyncError> {
+/// A source at one moment.
+pub(super) struct Seen {
+    /// What they say of themselves, and what lies in their folders.
+    pub sessions: Vec<Session>,
+    /// Sizes and times of files, by their paths: only whether they change says anything.
+    pub stamps: BTreeMap<String, String>,
+}
+
+pub(super) fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Seen, SyncError> {
     // What became a link there would stay here as it was.
     desk.forget_acknowledgements()?;
     // In this order: a recorder gives a segment its name before its line, so that what the manifest lists is there when the
@@ -39,7 +47,11 @@ pub(super) fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Ve
         }
         report.set_aside.extend(unread);
     }
+    let mut stamps = BTreeMap::new();
     for entry in entries {
+        if let Kind::File(_) = entry.kind {
+            stamps.insert(entry.path.clone(), entry.stamp.clone());
+        }
         let (folder, name) = entry.path.split_once('/').map_or((entry.path.as_str(), None), |(a, b)| (a, Some(b)));
         let session = sessions.iter_mut().find(|session| session.name == folder);
         match (session, name, entry.kind) {
@@ -54,7 +66,7 @@ pub(super) fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Ve
             _ => {}
         }
     }
-    Ok(sessions)
+    Ok(Seen { sessions, stamps })
 }
 
 /// What could not be looked into is not empty: nothing is said of it, and nothing taken back.
@@ -84,7 +96,7 @@ mod tests {
             fs::write(folder.join("session.json"), r#"{"format":1,"robot":"r","started":"t"}"#).unwrap();
             sessions.push(session_at(&folder).unwrap());
         }
-        let entry = |path: &str, kind| Entry { path: path.to_owned(), kind };
+        let entry = |path: &str, kind| Entry { path: path.to_owned(), kind, stamp: String::new() };
         let entries =
             [entry("read", Kind::Folder), entry("read/session.json", Kind::File(40)), entry("unread", Kind::Folder)];
         let aside = leave_out_unread(&mut sessions, &entries, "Permission denied");

@@ -43,6 +43,8 @@ pub struct Plan {
     /// Gone from the source; these receivers have them.
     pub elsewhere: Vec<(PathBuf, Vec<String>)>,
     pub set_aside: Vec<SetAside>,
+    /// Finished segments that stay there, since the manifest there, or its contradiction with the one here, is not believed.
+    pub left_there: u64,
     /// Two robots that call themselves the same: sessions' folders here by the robot's number.
     pub namesakes: BTreeMap<String, Vec<String>>,
     /// Folders here, by the session's number.
@@ -95,13 +97,16 @@ pub fn plan(
         let folder = ours.map_or_else(|| free_name(session, &names), |ours| ours.name.clone());
         names.push(folder.clone());
         plan.folders.insert(session.id.clone(), folder.clone());
-        plan.set_aside.extend(unlisted(session));
+        let unlisted = unlisted(session);
+        plan.set_aside.extend(unlisted.first().map(|first| told_unlisted(session, first, unlisted.len())));
+        // What stands in a damaged line is not listed either. A robot that is about to end its recording is not at fault.
+        let unlisted = if session.has_ended { unlisted.len() as u64 } else { 0 };
+        plan.left_there += session.doubted.max(unlisted);
         for line in session.lines.iter().filter(|line| selection.takes(line)) {
             plan_segment(&mut plan, session, ours, &folder, line, receiver);
         }
     }
-    plan.items
-        .sort_by(|a, b| (a.line.first_ns, &a.there, &a.line.name).cmp(&(b.line.first_ns, &b.there, &b.line.name)));
+    plan.items.sort_by(|a, b| (a.line.times(), &a.there, &a.line.name).cmp(&(b.line.times(), &b.there, &b.line.name)));
     plan.namesakes = namesakes(there.iter().chain(here));
     plan
 }
@@ -120,16 +125,15 @@ fn best_copies(there: &[Session]) -> BTreeMap<&SessionId, &Session> {
 }
 
 /// What a finished session holds beside what its manifest lists: nobody can say whether it is whole.
-fn unlisted(session: &Session) -> Option<SetAside> {
+fn unlisted(session: &Session) -> Vec<&String> {
     let is_listed = |name: &str| session.lines.iter().any(|line| line.name == name);
-    let mut names = session.segments.keys().filter(|name| !is_listed(name));
-    let first = names.next().filter(|_| !session.open)?;
-    let more = match names.count() {
-        0 => String::new(),
-        count => format!(" and {count} more"),
-    };
+    session.segments.keys().filter(|name| !session.open && !is_listed(name)).collect()
+}
+
+fn told_unlisted(session: &Session, first: &str, count: usize) -> SetAside {
+    let more = if count > 1 { format!(" and {} more", count - 1) } else { String::new() };
     let why = format!("{first}{more} in no line of its manifest: not fetched (`sessions repair` there lists them)");
-    Some(SetAside::new(session.folder.join(MANIFEST_FILE), why))
+    SetAside::new(session.folder.join(MANIFEST_FILE), why)
 }
 
 fn plan_segment(
@@ -149,6 +153,7 @@ fn plan_segment(
             let doubted = acks.filter(|ack| ack.file == line.name);
             plan.withdrawn.extend(doubted.map(|ack| (ours.name.clone(), ack.clone())));
         }
+        plan.left_there += 1;
         return;
     }
     let acknowledged = ours
@@ -254,10 +259,13 @@ mod tests {
             head: parsed,
             head_bytes: head,
             lines: Vec::new(),
+            doubted: 0,
+            has_ended: true,
             segments: BTreeMap::new(),
             evicted: BTreeMap::new(),
             open: false,
             pinned: false,
+            is_refined: false,
             received: None,
             acknowledged: BTreeMap::new(),
             set_aside: Vec::new(),

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::recording::{Releasable, Session, releasable, saturating_sum};
+use crate::recording::{REFINED_FOLDER, Releasable, Session, releasable, saturating_sum};
 
 /// When to stop, and what may go at all.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -19,6 +19,8 @@ pub struct Goal {
     pub force: bool,
 }
 
+const COPY_VERIFIED: &str = "a copy was verified";
+
 /// What is to become of a session.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Decision {
@@ -26,6 +28,9 @@ pub struct Decision {
     pub bytes: u64,
     pub goes: bool,
     pub why: String,
+    /// It goes because it was found whole somewhere else, whoever may rely on it.
+    #[serde(skip)]
+    pub relies_on_copy: bool,
 }
 
 /// In the order of [`releasable`], whole sessions only. `own` is this folder's own name as a receiver. `has_copy` says whether a
@@ -49,7 +54,8 @@ pub fn decide(
             Err(why) => (false, why),
         };
         gone = saturating_sum([gone, if goes { bytes } else { 0 }]);
-        decisions.push(Decision { session: session.name.clone(), bytes, goes, why });
+        let relies_on_copy = goes && why == COPY_VERIFIED;
+        decisions.push(Decision { session: session.name.clone(), bytes, goes, why, relies_on_copy });
     }
     decisions
 }
@@ -80,12 +86,15 @@ fn verdict(
     if goal.force {
         return Ok("forced".to_owned());
     }
+    if session.is_refined {
+        return Err(format!("holds {REFINED_FOLDER}/, of which no sync has made a copy (`refine` makes it again)"));
+    }
     let (all, safe) = (session.segments.len(), segments.len());
     if all == safe {
         return Ok("acknowledged".to_owned());
     }
     if has_copy(session) {
-        return Ok("a copy was verified".to_owned());
+        return Ok(COPY_VERIFIED.to_owned());
     }
     Err(format!("{} of {all} segments are known to be nowhere else", all - safe))
 }
@@ -121,10 +130,13 @@ mod tests {
             head_bytes: head,
             acknowledged: acks.collect(),
             lines: vec![line],
+            doubted: 0,
+            has_ended: true,
             segments: BTreeMap::from([("0000.mcap".to_owned(), 100)]),
             evicted: BTreeMap::new(),
             open: false,
             pinned: false,
+            is_refined: false,
             received: None,
             set_aside: Vec::new(),
         }
@@ -159,9 +171,18 @@ mod tests {
     fn an_open_session_or_one_with_foreign_files_stays_even_when_forced() {
         let mut all = [session(1, &["a"]), session(2, &["a"]), session(3, &["a"])];
         all[0].open = true;
-        all[1].note("notes.txt", crate::recording::catalogue::Kind::File(5));
+        all[1].note("notes.new", crate::recording::catalogue::Kind::File(5));
         all[2].segments.insert("0001.mcap".into(), 7);
         assert_eq!(gone(&all, None, &Goal { force: true, pinned: true, ..Goal::default() }), [""; 0]);
+    }
+
+    #[test]
+    fn a_session_with_results_in_it_that_are_nowhere_else_goes_only_when_forced() {
+        let mut one = session(1, &["a"]);
+        one.note("refined", crate::recording::catalogue::Kind::Folder);
+        one.note("manifest.new", crate::recording::catalogue::Kind::File(5));
+        assert_eq!(gone(&[one.clone()], None, &Goal::default()), [""; 0]);
+        assert_eq!(gone(&[one], None, &Goal { force: true, ..Goal::default() }), ["day-1"]);
     }
 
     #[test]

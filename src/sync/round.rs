@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::desk::Desk;
 use super::error::SyncError;
 use super::fetch::Work;
-use super::look::look;
+use super::look::{Seen, look};
 use super::plan::{Plan, plan};
 use super::rsync::{Ended, Rsync};
 use super::selection::Selection;
@@ -55,6 +55,8 @@ pub struct Report {
     pub already: u64,
     /// Wanted and still not here.
     pub missing: u64,
+    /// Finished and not fetched, since what their manifest says of them is not believed.
+    pub left_there: u64,
     /// Not fetched, since the disk has no room for them.
     pub no_room_bytes: u64,
     /// Whether the source knows of everything that is here.
@@ -106,7 +108,7 @@ pub fn round(
     let rsync = Rsync { source: &options.source, ssh: &options.ssh, stop };
     let mut report =
         Report { source: options.source.shown(), receiver: store.receiver().to_owned(), ..Report::default() };
-    let there = look(&rsync, &desk, &mut report)?;
+    let Seen { sessions: there, stamps } = look(&rsync, &desk, &mut report)?;
     // What a listing that was broken off does not name is not lost.
     if stop.load(Ordering::Relaxed) {
         return Ok(report);
@@ -128,12 +130,14 @@ pub fn round(
     for (folder, ack) in &plan.withdrawn {
         store.withdraw(folder, std::slice::from_ref(ack))?;
     }
+    report.left_there = plan.left_there;
     report.already = plan.done.len() as u64;
     report.lost.append(&mut plan.lost);
     report.elsewhere.append(&mut plan.elsewhere);
     report.set_aside.append(&mut plan.set_aside);
     report.namesakes = std::mem::take(&mut plan.namesakes);
-    let mut work = Work { store, desk: &desk, rsync: &rsync, there: &there, report, damaged: BTreeMap::new() };
+    let (damaged, not_had) = (BTreeMap::new(), Vec::new());
+    let mut work = Work { store, desk: &desk, rsync: &rsync, there: &there, report, damaged, not_had, stamps: &stamps };
     let fetched = work.fetch(&plan, tell);
     let mut report = work.report;
     fail(&mut report, fetched);

@@ -29,8 +29,12 @@ impl Selection {
     }
 
     pub fn takes(&self, line: &ManifestLine) -> bool {
-        self.since_ns.is_none_or(|since| line.last_ns >= since)
-            && self.until_ns.is_none_or(|until| line.first_ns <= until)
+        // Without a message it is of no time.
+        let is_asked = |bound: Option<i64>, is_within: &dyn Fn(i64, (i64, i64)) -> bool| {
+            bound.is_none_or(|bound| line.times().is_some_and(|times| is_within(bound, times)))
+        };
+        is_asked(self.since_ns, &|since, (_, last)| last >= since)
+            && is_asked(self.until_ns, &|until, (first, _)| first <= until)
             && self.within.is_none_or(|disc| touches(disc, line))
             && self.valid_share.is_none_or(|least| valid_share(line).is_some_and(|share| share >= least))
     }
@@ -79,6 +83,9 @@ mod tests {
         assert!(takes(&|s| (s.since_ns, s.until_ns) = (Some(200), Some(200))));
         assert!(!takes(&|s| s.since_ns = Some(201)));
         assert!(!takes(&|s| s.until_ns = Some(99)));
+        let of_no_time = ManifestLine { messages: 0, first_ns: 0, last_ns: 0, ..line() };
+        assert!(!Selection { until_ns: Some(300), ..Selection::default() }.takes(&of_no_time));
+        assert!(Selection::default().takes(&of_no_time));
         let disc = |x: f64, y: f64, radius: f64| takes(&|s| s.within = Some(Within { x, y, radius }));
         assert!(disc(0.5, -0.5, 0.0), "inside");
         assert!(disc(4.0, 4.0, 5.0) && !disc(4.0, 4.0, 4.99), "3 and 4 m from the corner");

@@ -3,10 +3,12 @@
 //! Of its own it has `.sync/`: the receiver's name, what was pruned, and of each source what is known of it (`known/`) and
 //! what is not whole yet (`incoming/`).
 
+use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use rustix::fs::{FlockOperation, OFlags};
 use serde::{Deserialize, Serialize};
@@ -28,12 +30,16 @@ const PRUNED_FILE: &str = "pruned.jsonl";
 pub(super) const MAX_SMALL_BYTES: u64 = 64 << 20;
 /// Names tried for what is moved aside.
 const MAX_ASIDE: u32 = 10_000;
+/// Damaged files that are remembered: those beyond are fetched in each round.
+const MAX_DAMAGED_FILES: usize = 10_000;
 
 #[derive(Debug)]
 pub struct Store {
     captures: PathBuf,
     state: PathBuf,
     receiver: String,
+    /// Of this process: what came with another hash than it should have, as its source had it then.
+    damaged: Mutex<BTreeSet<String>>,
 }
 
 /// What became of a file that came.
@@ -59,7 +65,8 @@ impl Store {
         let state = captures.join(SYNC_FOLDER);
         fs::create_dir_all(&state).map_err(io(&state))?;
         real_folder(&state)?;
-        let mut store = Self { captures: captures.to_owned(), state, receiver: String::new() };
+        let mut store =
+            Self { captures: captures.to_owned(), state, receiver: String::new(), damaged: Mutex::default() };
         let turn = store.turn()?;
         store.receiver = receiver(&store.state)?;
         drop(turn);
@@ -92,6 +99,18 @@ impl Store {
 
     pub fn desk(&self, source: &Source) -> Result<Desk, SyncError> {
         Desk::open(&self.state, source)
+    }
+
+    /// A file that came damaged, as its source had it.
+    pub fn note_damaged(&self, file: String) {
+        let mut damaged = self.damaged.lock().unwrap_or_else(PoisonError::into_inner);
+        if damaged.len() < MAX_DAMAGED_FILES {
+            damaged.insert(file);
+        }
+    }
+
+    pub fn came_damaged(&self, file: &str) -> bool {
+        self.damaged.lock().unwrap_or_else(PoisonError::into_inner).contains(file)
     }
 
     /// Bytes free for us on the disk.
@@ -183,6 +202,18 @@ impl Store {
         Ok(write_atomically(&path, b"")?)
     }
 
+    /// Another folder's copy of the session goes, and relies on what is here. From now on what is here is at least as far from
+    /// the recorder as that one was, and relies on nobody: who still has it says so again, if it is farther away than this.
+    pub fn be_relied_on(&self, session: &Session, hops: u32) -> Result<(), SyncError> {
+        let _turn = self.turn()?;
+        for receiver in session.acknowledged.keys() {
+            let path = session.folder.join(ACK_FOLDER).join(format!("{receiver}{ACK_ENDING}"));
+            write_atomically(&path, b"")?;
+        }
+        let received = Received { hops: session.hops().max(hops), receiver: self.receiver.clone() };
+        note_received(&session.folder, &received)
+    }
+
     /// Whatever bears a name here: nothing else may get it.
     pub fn occupied(&self) -> Vec<String> {
         let entries = fs::read_dir(&self.captures).into_iter().flatten().flatten();
@@ -205,9 +236,12 @@ impl Store {
         }
         if let Some(ours) = there {
             match &ours.received {
-                // It came here in another way. As long as nobody else relies on it, it may as well have come from there.
-                None if ours.acknowledged.keys().all(|who| *who == self.receiver) => {
-                    note_received(&ours.folder, &received)?;
+                // It came here in another way. As long as it relies on nobody else, it may as well have come from there. In any
+                // case it is noted whose word is about to be given, lest it be taken for another's where it is moved to.
+                None => {
+                    let relies = ours.acknowledged.keys().any(|who| *who != self.receiver);
+                    let hops = if relies { 0 } else { received.hops };
+                    note_received(&ours.folder, &Received { hops, ..received })?;
                 }
                 // It was moved or copied here from the folder that received it, whose word of then is this copy's own.
                 Some(old) if old.receiver != self.receiver => {

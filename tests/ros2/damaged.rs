@@ -133,6 +133,65 @@ fn a_damaged_chunk_costs_only_its_own_messages() {
 }
 
 #[test]
+fn a_wrong_length_before_the_chunks_costs_none_of_them() {
+    for (name, mut log) in variants() {
+        // Without its index: the header's length then leads into the middle of something, or out of the file.
+        log.truncate(log.len() - 8);
+        for byte in 9..17 {
+            for bit in 0..8 {
+                log[byte] ^= 1 << bit;
+                let (found, damage) = read_all(&log, Selection::All);
+                assert!(found.len() == 6 && !damage.is_none(), "{name}: byte {byte} bit {bit}: {damage:?}");
+                assert!(damage.bytes_skipped < log.len() as u64, "{name}: byte {byte} bit {bit}: {damage:?}");
+                log[byte] ^= 1 << bit;
+            }
+        }
+    }
+}
+
+/// What was read of it, in bytes.
+struct Counting<'a>(Cursor<&'a [u8]>, &'a std::cell::Cell<u64>);
+
+impl std::io::Read for Counting<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.0.read(buffer)?;
+        self.1.set(self.1.get() + read as u64);
+        Ok(read)
+    }
+}
+
+impl std::io::Seek for Counting<'_> {
+    fn seek(&mut self, to: std::io::SeekFrom) -> std::io::Result<u64> {
+        self.0.seek(to)
+    }
+}
+
+#[test]
+fn chunks_that_are_none_and_lead_to_the_end_of_the_file_are_not_tried_for_ever() {
+    const FAKES: u64 = 5_000;
+    const EACH: u64 = 49;
+    let mut log = LogWriter::new(Vec::new()).unwrap().finish().unwrap();
+    // Magic and header.
+    log.truncate(17 + usize::from(log[9]));
+    let length = log.len() as u64 + FAKES * EACH + 1;
+    for _ in 0..FAKES {
+        let body = length - 1 - log.len() as u64 - 9;
+        log.push(6);
+        log.extend(body.to_le_bytes());
+        log.extend([0; 24]);
+        // A checksum that nothing has.
+        log.extend(1u32.to_le_bytes());
+        log.extend(0u32.to_le_bytes());
+        log.extend((body - 40).to_le_bytes());
+    }
+    log.push(0);
+    let read = std::cell::Cell::new(0);
+    let reader = LogReader::open(Counting(Cursor::new(&log), &read), Selection::All).unwrap();
+    assert_eq!(reader.count(), 0);
+    assert!(read.get() < 200 * length, "{} times", read.get() / length);
+}
+
+#[test]
 fn our_definitions_stand_apart_from_our_messages() {
     let mut writer = LogWriter::new(Vec::new()).unwrap();
     let channel = writer.add_channel::<CompressedImage>("/image", Durability::Volatile).unwrap();

@@ -38,7 +38,8 @@ fn beside_a_good_one(bad: impl Fn(&Site, &Path), says: &[&str]) -> Option<Site> 
     bad(&site, &folder);
     let before = (everything(&site.path("robot")), everything(&site.path("outside")));
     let mut synced = site.sync("robot", "dev", &["--no-acknowledge"]);
-    assert!(matches!(synced.code, Some(0 | 3)), "{synced:?}");
+    // What stays behind is told by 1.
+    assert!(matches!(synced.code, Some(0 | 1 | 3)) && !synced.stderr.contains("panicked"), "{synced:?}");
     for words in says {
         synced = synced.says(words);
     }

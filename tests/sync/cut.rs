@@ -2,7 +2,10 @@
 
 use std::fs;
 use std::process::Command;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
+
+use realitysim::sync::{Options, Selection, Source, Store, round};
 
 use super::site::{Site, Synced, contents, finish_segment, noise};
 
@@ -50,6 +53,51 @@ fn a_link_that_is_cut_at_random_bytes_loses_nothing_and_acknowledges_nothing_tha
     site.sync("robot", "dev", &[]).ends(0);
     assert_eq!(site.holds("robot", &["dev"]), 6);
     assert_eq!(contents(&site.path("dev")), contents(&site.path("robot")));
+}
+
+#[test]
+fn what_goes_away_while_it_is_fetched_is_not_called_lost_where_somebody_has_it() {
+    let Some(site) = Site::with_ssh() else { return };
+    for (name, during, code, says) in [
+        ("gone", "rm -r S", 1, "moved or gone there meanwhile: run it again"),
+        ("moved", "mv S S-renamed", 1, "moved or gone there meanwhile: run it again"),
+        ("evicted", "rm S/0001.mcap; cp S/later S/evicted.jsonl", 0, "gone there; other has it"),
+        ("lost", "rm S/0001.mcap", 3, "0001.mcap: could not be had"),
+    ] {
+        let folder = site.session(name, "s", &[noise(1, SEGMENT), noise(2, SEGMENT)]);
+        let hash = super::site::hash_of(&noise(2, SEGMENT));
+        let evicted = serde_json::json!({ "file": "0001.mcap", "bytes": SEGMENT, "blake3": hash, "receiver": "other" });
+        fs::write(folder.join("later"), format!("{evicted}\n")).expect("written");
+        let during = during.replace('S', &folder.display().to_string());
+        site.mangles(&["pass".to_owned(), "pass".to_owned(), format!("do {during}")]);
+        let synced = site.sync(name, &format!("dev-{name}"), &[]).says(says).ends(code);
+        assert_eq!(synced.stderr.contains("lost: "), code == 3, "{synced:?}");
+    }
+}
+
+#[test]
+fn what_came_damaged_is_not_fetched_again_as_long_as_it_stays_the_same_there() {
+    let Some(site) = Site::new() else { return };
+    let path = site.session("robot", "s", &[noise(1, 1_000)]).join("0000.mcap");
+    let mut damaged = noise(1, 1_000);
+    damaged[500] ^= 1;
+    fs::write(&path, damaged).expect("written");
+    let store = Store::open(&site.path("dev")).expect("a store");
+    let options = Options {
+        source: Source::parse(site.path("robot").to_str().expect("text")).expect("a source"),
+        selection: Selection::default(),
+        ssh: String::new(),
+        acknowledge: true,
+    };
+    let round = || round(&options, &store, &AtomicBool::new(false), &mut |_| ()).expect("a round");
+    for said in ["came 2 times with another hash", "came damaged before", "came damaged before"] {
+        let report = round();
+        assert!(report.lost.len() == 1 && report.lost[0].why.starts_with(said), "{report:?}");
+    }
+    fs::write(&path, noise(1, 1_000)).expect("mended");
+    let file = fs::File::options().write(true).open(&path).expect("opened");
+    file.set_modified(std::time::SystemTime::now() + Duration::from_secs(5)).expect("set");
+    assert_eq!((round().fetched, round().already), (1, 1));
 }
 
 #[test]

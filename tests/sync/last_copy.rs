@@ -75,6 +75,47 @@ fn a_copy_that_relied_on_what_is_pruned_relies_on_it_no_longer() {
 }
 
 #[test]
+fn a_copy_that_was_relied_on_relies_on_nobody_who_may_have_gone_for_it() {
+    let Some(site) = Site::new() else { return };
+    for (session, chain) in [("s", false), ("t", true), ("u", true)] {
+        two(&site, session);
+        let (robot, a, b) = ("robot", format!("a-{session}"), format!("b-{session}"));
+        site.sync(robot, &a, &[session]).ends(0);
+        site.sync(if chain { &a } else { robot }, &b, &[session]).ends(0);
+        if session == "u" {
+            site.sync(robot, &a, &[session]).ends(0);
+        }
+        let through = if chain { String::new() } else { format!("--copy {b}") };
+        site.run(&format!("sessions prune --captures {a} {through} --yes")).ends(0);
+        site.run(&format!("sessions prune --captures {b} --copy {robot} --yes")).ends(0);
+        assert!(contents(&site.path(&a)).is_empty() && contents(&site.path(&b)).is_empty(), "{session}");
+        site.run("sessions prune --captures robot --yes").ends(0);
+        assert!(site.path("robot").join(session).join("0001.mcap").is_file(), "{session}: the last copy");
+    }
+    // Who comes later is farther from the recorder than what was relied on, and his word counts.
+    site.sync("robot", "d", &[]).ends(0);
+    let hops = fs::read_to_string(site.path("d/t/received.json")).expect("read");
+    assert!(hops.contains(r#""hops":3"#), "{hops}");
+    site.run("sessions prune --captures robot --yes").ends(0);
+    assert_eq!((contents(&site.path("robot")).len(), contents(&site.path("d")).len()), (0, 6));
+}
+
+#[test]
+fn a_recorder_s_folder_takes_no_word_of_its_own_for_another_s_after_its_session_was_moved() {
+    let Some(site) = Site::new() else { return };
+    two(&site, "s");
+    site.sync("robot", "d", &[]).ends(0);
+    site.sync("d", "robot", &[]).ends(0);
+    // It is taken back, and the robot's own word for its session stays.
+    site.run("sessions prune --captures d --yes --force").ends(0);
+    site.sync("robot", "d", &[]).ends(0);
+    fs::create_dir(site.path("x")).expect("made");
+    fs::rename(site.path("robot/s"), site.path("x/s")).expect("moved");
+    site.run("sessions prune --captures x --yes").ends(0);
+    assert!(site.path("x/s/0001.mcap").is_file(), "the last copy");
+}
+
+#[test]
 fn a_folder_is_no_copy_of_itself_however_it_is_linked() {
     let Some(site) = Site::new() else { return };
     two(&site, "s");
@@ -131,7 +172,30 @@ fn segments_that_a_shortened_manifest_does_not_list_are_told() {
     let manifest = site.path("robot/s/manifest.jsonl");
     let text = fs::read_to_string(&manifest).expect("read");
     fs::write(&manifest, format!("{}\n", text.lines().next().expect("a line"))).expect("written");
-    site.sync("robot", "dev", &[]).says("0001.mcap in no line of its manifest");
+    site.sync("robot", "dev", &[]).says("0001.mcap in no line of its manifest").ends(0);
+    // It has what is written last of all.
+    fs::write(site.path("robot/s/metadata.yaml"), "written last").expect("written");
+    site.sync("robot", "dev", &[]).says("1 finished segments stay there").ends(1);
+}
+
+#[test]
+fn segments_that_stay_behind_cost_the_exit_code() {
+    let Some(site) = Site::new() else { return };
+    two(&site, "s");
+    fs::write(site.path("robot/s/metadata.yaml"), "written last").expect("written");
+    let manifest = site.path("robot/s/manifest.jsonl");
+    let text = fs::read_to_string(&manifest).expect("read");
+    let left = |manifest_text: &str, dev: &str| {
+        fs::write(&manifest, manifest_text).expect("written");
+        site.sync("robot", dev, &["--json"]).ends(1).json()["left_there"].as_u64()
+    };
+    assert_eq!(left("", "emptied"), Some(2));
+    assert_eq!(left(&text.replacen('{', "#", 1), "damaged"), Some(1));
+    assert_eq!(left(&text.replacen("\"blake3\":\"", "\"blake3\":\"x", 1), "without"), Some(1));
+    fs::write(&manifest, &text).expect("written");
+    site.sync("robot", "dev", &[]).ends(0);
+    let hash = text.split("\"blake3\":\"").nth(1).expect("a hash")[..64].to_owned();
+    assert_eq!(left(&text.replace(&hash, &"0".repeat(64)), "dev"), Some(1));
 }
 
 #[test]

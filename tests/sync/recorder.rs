@@ -101,6 +101,8 @@ fn eviction_frees_only_what_a_sync_has_acknowledged() {
     let untagged = report["counts"]["untagged"]["total_quota"].as_u64().unwrap_or(0);
     assert_eq!(Some(tagged + untagged), report["counts"]["captured"].as_u64(), "{report}");
     assert!(tagged > 0 && untagged > 0, "{report}");
+    let told: u64 = lines(&full).iter().filter_map(|line| line.frames.untagged.get("total_quota")).sum();
+    assert_eq!(told, untagged, "the manifest says what the recorder says: {report}");
 
     // What was lost at the dev machine since is said to be.
     fs::remove_file(site.path("dev").join(&name).join(&before[0])).expect("removed");

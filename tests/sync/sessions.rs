@@ -219,3 +219,60 @@ fn what_is_only_known_from_a_source_is_shown_too() {
     site.run("sessions pin 2026-11-21 --captures dev").ends(2);
     site.run("sessions show 2027 --captures dev").ends(2);
 }
+
+/// Changes what a line of the manifest says.
+fn edit(site: &Site, path: &str, row: usize, change: impl Fn(&mut serde_json::Value)) {
+    let path = site.path(path);
+    let text = fs::read_to_string(&path).expect("read");
+    let rows = text.lines().enumerate().map(|(index, text)| {
+        let mut value = serde_json::from_str(text).expect("JSON");
+        if index == row {
+            change(&mut value);
+        }
+        value.to_string() + "\n"
+    });
+    fs::write(&path, rows.collect::<String>()).expect("written");
+}
+
+#[test]
+fn a_segment_without_messages_is_of_no_time() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "s", &[noise(1, 1_000), noise(2, 1_000)]);
+    edit(&site, "robot/s/manifest.jsonl", 1, |line| {
+        for key in ["messages", "first_ns", "last_ns"] {
+            line[key] = 0.into();
+        }
+    });
+    let listed = site.run("sessions list --captures robot --json").ends(0).json();
+    assert_eq!(listed[0]["duration_s"].as_f64(), Some(59.0), "{listed}");
+    let fetched = |more: &[&str]| site.sync("robot", "dev", more).ends(0).json()["fetched"].as_u64();
+    assert_eq!(fetched(&["--json", "--until", "2020-01-01"]), Some(0));
+    assert_eq!(fetched(&["--json", "--since", "1960-01-01"]), Some(1));
+    assert_eq!(fetched(&["--json"]), Some(1));
+}
+
+#[test]
+fn what_a_repair_has_cut_off_is_told_by_list_and_show() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "s", &[noise(1, 1_000), noise(2, 1_000)]);
+    edit(&site, "robot/s/manifest.jsonl", 1, |line| line["cut_bytes"] = 258_000.into());
+    let listed = site.run("sessions list --captures robot").ends(0).stdout;
+    assert!(listed.contains("258.0 kB lost in a repair"), "{listed}");
+    let shown = site.run("sessions show s --captures robot").ends(0).stdout;
+    let row = shown.lines().find(|line| line.contains("0001.mcap")).expect("a row");
+    assert!(row.contains("258.0 kB lost in a repair"), "{shown}");
+}
+
+#[test]
+fn what_a_session_says_of_itself_moves_no_cursor() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "s", &[noise(1, 1_000)]);
+    edit(&site, "robot/s/session.json", 0, |head| {
+        head["robot"] = "r\u{1b}[2J1".into();
+        head["started"] = "\u{1b}[31m2026-11-21T10:00:00Z".into();
+    });
+    for command in ["sessions list", "sessions show s"] {
+        let said = site.run(&format!("{command} --captures robot")).ends(0);
+        assert!(!said.stdout.contains('\u{1b}'), "{said:?}");
+    }
+}

@@ -150,8 +150,8 @@ impl Site {
         Synced::of(command.output().expect("ran"))
     }
 
-    /// What the next calls of ssh do to the bytes that come from the robot: one line each, `cut N`, `flip N`, `slow MS`, `pass`, or
-    /// `fill FILE`: all but three megabytes of its disk.
+    /// What the next calls of ssh do to the bytes that come from the robot: one line each, `cut N`, `flip N`, `slow MS`, `pass`,
+    /// `fill FILE`: all but three megabytes of its disk, or `do COMMAND` before it is called.
     pub fn mangles(&self, what: &[String]) {
         let sshd = self.sshd.as_ref().expect("over ssh");
         fs::write(sshd.folder.join("mangle"), what.join("\n") + "\n").expect("written");
@@ -338,7 +338,7 @@ impl Sshd {
         let script = format!(
             "#!/bin/sh\nwhat=$(head -n 1 {shown}/mangle 2>/dev/null)\n[ -z \"$what\" ] || sed -i 1d {shown}/mangle\n\
              case $what in\ncut*|flip*|slow*) exec perl {shown}/mangle.pl $what {ssh} \"$@\" ;;\nfill*) cat /dev/zero 2>/dev/null \
-             >\"${{what#fill }}\"; truncate -s -3M \"${{what#fill }}\" ;;\nesac\nexec {ssh} \"$@\"\n"
+             >\"${{what#fill }}\"; truncate -s -3M \"${{what#fill }}\" ;;\ndo*) eval \"${{what#do }}\" ;;\nesac\nexec {ssh} \"$@\"\n"
         );
         let command = folder.join("ssh");
         fs::write(&command, script).expect("written");

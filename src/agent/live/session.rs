@@ -74,8 +74,10 @@ impl Agent<'_> {
             for warning in warnings {
                 say(&format!("warning: {warning}"));
             }
-            say(&format!("recorded {}", session.display()));
-            self.status.session = Some(session);
+            if let Some(session) = session {
+                say(&format!("recorded {}", session.display()));
+                self.status.session = Some(session);
+            }
             self.status.counts = counts;
             self.status.recorder = recorder;
         }

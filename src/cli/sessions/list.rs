@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::CapturesArguments;
 use crate::cli::{Outcome, output};
 use crate::recording::catalogue::sessions_in;
-use crate::recording::{Counts, Session, SessionId, receiver_of, receivers_of, saturating_sum};
+use crate::recording::{Counts, ManifestLine, Session, SessionId, receiver_of, receivers_of, saturating_sum};
 use crate::sync::{Known, known_sources};
 
 /// All sessions: start, duration, frames, validity, size, drops, and who has them
@@ -37,6 +37,8 @@ pub(super) struct Row {
     pub bytes: u64,
     /// Removed here to make room, because another store had them.
     pub evicted: u64,
+    /// Bytes of segments that made no sense when they were repaired, and that are not in them.
+    pub cut_bytes: u64,
     /// Listed, and not here as they were written, for no known reason.
     pub missing: u64,
     /// Of a folder that is synced into: here, and not compared with their hashes since they came or were found damaged.
@@ -68,8 +70,7 @@ pub(super) struct AtSource {
 fn row(session: &Session, own: Option<&str>) -> Row {
     let mut frames = Counts::default();
     session.lines.iter().for_each(|line| frames.add(&line.frames));
-    let first = session.lines.iter().map(|line| line.first_ns).min();
-    let last = session.lines.iter().map(|line| line.last_ns).max();
+    let times = ManifestLine::times_of(&session.lines);
     let here: Vec<_> = session.lines.iter().filter(|line| session.segments.contains_key(&line.name)).collect();
     let mut receivers = BTreeMap::new();
     for line in &session.lines {
@@ -84,12 +85,13 @@ fn row(session: &Session, own: Option<&str>) -> Row {
         robot: session.head.robot.clone(),
         robot_id: session.head.robot_id().map(str::to_owned),
         started: session.head.started.clone(),
-        duration_s: first.zip(last).map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 / 1e9),
+        duration_s: times.map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 / 1e9),
         valid_share: frames.valid_share(),
         frames,
         segments: session.segments.len() as u64,
         bytes: saturating_sum(session.segments.values().copied()),
         evicted: session.lines.iter().filter(|line| session.has_evicted(line)).count() as u64,
+        cut_bytes: saturating_sum(session.lines.iter().filter_map(|line| line.cut_bytes)),
         missing: session.missing().count() as u64,
         unverified: 0,
         open: session.open,
@@ -143,8 +145,8 @@ fn rows(folder: &Path) -> anyhow::Result<(Vec<Row>, Vec<String>)> {
 /// Of a session that is at a source only.
 pub(super) fn row_of_what_is_there(there: &Session, captures: &Path, known: &[Known]) -> Row {
     let nothing_here = Session { segments: BTreeMap::new(), lines: Vec::new(), ..there.clone() };
-    let Row { frames, valid_share, duration_s, .. } = row(there, None);
-    Row { frames, valid_share, duration_s, ..row_with_sources(&nothing_here, captures, known) }
+    let Row { frames, valid_share, duration_s, cut_bytes, .. } = row(there, None);
+    Row { frames, valid_share, duration_s, cut_bytes, ..row_with_sources(&nothing_here, captures, known) }
 }
 
 /// Of a session in this folder of captures, with what is known of where it comes from.
@@ -179,7 +181,7 @@ pub(super) fn line(row: &Row) -> String {
     format!(
         "{:<34} {:<20} {:>6.0} s {:>8} {valid:>6} {:>10} {dropped:>7}  {}\n",
         row.session,
-        row.started.get(..20).unwrap_or(&row.started),
+        output::plain(row.started.get(..20).unwrap_or(&row.started)),
         row.duration_s,
         row.frames.captured,
         output::size(row.bytes),
@@ -214,6 +216,9 @@ fn state(row: &Row, now: Timestamp) -> String {
     }
     if row.evicted > 0 {
         words.push(format!("{} removed after a sync", row.evicted));
+    }
+    if row.cut_bytes > 0 {
+        words.push(format!("{} lost in a repair", output::size(row.cut_bytes)));
     }
     if row.missing > 0 {
         words.push(format!("{} missing", row.missing));

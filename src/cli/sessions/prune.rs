@@ -93,7 +93,7 @@ pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
         for decision in decisions.iter().filter(|decision| decision.goes) {
             if let Some(session) = sessions.iter().find(|session| session.name == decision.session) {
                 for copy in &arguments.copy {
-                    take_back(session, &folder, copy)?;
+                    take_back(session, &folder, copy, decision.relies_on_copy)?;
                 }
                 delete(session, &folder)?;
             }
@@ -102,13 +102,21 @@ pub fn run(arguments: &PruneArguments, json: bool) -> anyhow::Result<Outcome> {
     report(decisions, arguments.yes, json)
 }
 
-/// Where the copy is nearer to the recorder it may rely on this folder's word for the session, which holds no longer.
-fn take_back(session: &Session, captures: &Path, copy: &Path) -> anyhow::Result<()> {
-    let Some(own) = receiver_of(captures) else { return Ok(()) };
+/// Before the session goes: what the copy may have relied on it for holds no longer; and if it goes because the copy was found
+/// whole, the copy relies on nobody any more, since everybody else may rely on what goes.
+fn take_back(session: &Session, captures: &Path, copy: &Path, relies_on_copy: bool) -> anyhow::Result<()> {
+    // A folder without a name has given nobody its word.
+    let own = receiver_of(captures).unwrap_or_default();
     let (others, _) = sessions_in(copy).map_err(|error| paths::cannot_read(copy, error))?;
-    for other in others.iter().filter(|other| other.id == session.id && other.acknowledged.contains_key(&own)) {
-        let path = other.folder.join(ACK_FOLDER).join(format!("{own}{ACK_ENDING}"));
-        write_atomically(&path, b"")?;
+    for other in others.iter().filter(|other| other.id == session.id) {
+        let relied_on: Vec<&String> =
+            other.acknowledged.iter().filter(|(_, acks)| !acks.is_empty()).map(|(who, _)| who).collect();
+        if relies_on_copy && (!relied_on.is_empty() || other.hops() < session.hops()) {
+            Store::open(copy)?.be_relied_on(other, session.hops())?;
+        } else if relied_on.contains(&&own) {
+            let path = other.folder.join(ACK_FOLDER).join(format!("{own}{ACK_ENDING}"));
+            write_atomically(&path, b"")?;
+        }
     }
     Ok(())
 }
@@ -172,7 +180,7 @@ fn report(decisions: Vec<Decision>, done: bool, json: bool) -> anyhow::Result<Ou
         return Ok(Outcome::Whole);
     }
     let mut text = String::new();
-    for Decision { session, bytes, goes, why } in &decisions {
+    for Decision { session, bytes, goes, why, .. } in &decisions {
         let what = match (goes, done) {
             (true, true) => "gone",
             (true, false) => "would go",

@@ -178,7 +178,7 @@ fn for_people(shown: &Shown) -> String {
     let Shown { row, manifest, coverage } = shown;
     let mut text = line(row);
     let robot = row.robot_id.as_deref().map_or_else(String::new, |id| format!(" ({id})"));
-    text.push_str(&format!("  id {}, robot {}{robot}\n", row.id.as_str(), row.robot));
+    text.push_str(&format!("  id {}, robot {}{robot}\n", row.id.as_str(), output::plain(&row.robot)));
     for (receiver, segments) in &row.receivers {
         text.push_str(&format!("  {segments} segments are with {receiver}\n"));
     }
@@ -203,8 +203,10 @@ fn for_people(shown: &Shown) -> String {
         let place = line.poses.map_or_else(String::new, |p| {
             format!("  x {:.1} to {:.1} m, y {:.1} to {:.1} m", p.x[0], p.x[1], p.y[0], p.y[1])
         });
+        let cut =
+            line.cut_bytes.map_or_else(String::new, |bytes| format!("  {} lost in a repair", output::size(bytes)));
         text.push_str(&format!(
-            "  {}  {:>10}  {:>6} frames, {:>6} valid{place}{state}\n",
+            "  {}  {:>10}  {:>6} frames, {:>6} valid{place}{cut}{state}\n",
             line.name,
             output::size(line.bytes),
             line.frames.written,

@@ -3,85 +3,37 @@
 //! Every step leaves something that the next run can go on from; a second run changes nothing.
 
 mod account;
+mod aside;
+mod listing;
 mod notes;
+mod report;
 mod segment;
+mod unfinished;
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
+pub(super) use self::aside::is_damaged_name;
 pub(super) use self::notes::NOTES_FILE;
-use self::notes::{Cut, Notes};
-pub(super) use self::segment::{COPY, DAMAGED};
-use self::segment::{Ended, describe, finish};
+use self::notes::Notes;
+pub use self::report::Repaired;
+pub(super) use self::segment::COPY;
 use super::error::RecordingError;
 use super::folder::{Loss, manifest_lines};
 use super::manifest::{
     FORMAT_VERSION, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
 };
 use super::retention::evicted_segments;
-use super::segment::{ACTIVE, CUT_BYTES, CUT_RECORD, CUT_SEGMENT, is_segment_name, segment_index, segment_name};
+use super::segment::{ACTIVE, is_segment_name, segment_index};
 use super::storage::{Kind, Listed, Storage, read_small, write_atomically};
-use super::verify::hash;
-use crate::ros2::mcap_read::{metadata_records, survey};
-
-/// What was done to one session.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Repaired {
-    pub session: PathBuf,
-    /// It is being recorded: nothing was touched.
-    pub in_use: bool,
-    /// Segments that got their end.
-    pub finished: Vec<String>,
-    /// Files without a message that were removed.
-    pub removed: Vec<String>,
-    /// Segments that the manifest did not list.
-    pub listed: Vec<String>,
-    /// The manifest was written anew.
-    pub manifest_rewritten: bool,
-    pub metadata_rewritten: bool,
-    /// What could not be kept.
-    pub lost: Vec<Loss>,
-    /// What is not as the manifest says, and cannot be mended: left as it is.
-    pub wrong: Vec<Loss>,
-}
-
-impl Repaired {
-    pub fn changed_nothing(&self) -> bool {
-        let wrong = self.wrong.clone();
-        *self == Self { session: self.session.clone(), in_use: self.in_use, wrong, ..Self::default() }
-    }
-}
-
-/// In words, over several lines.
-impl fmt::Display for Repaired {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { session, in_use, finished, removed, listed, lost, wrong, .. } = self;
-        let state = match (in_use, self.changed_nothing()) {
-            (true, _) => "is being recorded",
-            (false, _) if !wrong.is_empty() => "not whole",
-            (false, true) => "whole",
-            (false, false) => "repaired",
-        };
-        write!(f, "{}: {state}", session.display())?;
-        let parts = [("finished", finished), ("without a message, removed", removed), ("now in the manifest", listed)];
-        for (what, names) in parts.into_iter().filter(|(_, names)| !names.is_empty()) {
-            write!(f, "\n  {what}: {}", names.join(", "))?;
-        }
-        lost.iter().try_for_each(|loss| write!(f, "\n  lost: {loss}"))?;
-        wrong.iter().try_for_each(|wrong| write!(f, "\n  {wrong}"))
-    }
-}
+use crate::ros2::mcap_read::survey;
 
 /// A larger session file is none.
 const MAX_SESSION_FILE_BYTES: u64 = 4 << 20;
 /// A segment takes some hundred bytes of it.
 const MAX_METADATA_FILE_BYTES: u64 = 64 << 20;
-
-/// Missing segments in a row that are named one by one.
-const MAX_NAMED: usize = 16;
 
 /// Folders of sessions, oldest first, whether they can be read or not; the folder itself if it is one. What is no session is
 /// left alone.
@@ -108,6 +60,7 @@ pub fn repair(storage: &dyn Storage, session: &Path) -> Result<Repaired, Recordi
     let (lines, topics) = (BTreeMap::new(), BTreeMap::new());
     let mut work = Work { storage, session, info, repaired: &mut repaired, lines, topics, notes };
     work.finish_segments()?;
+    work.tell_what_was_noted()?;
     work.complete_manifest()?;
     work.complete_metadata()?;
     work.name_what_is_wrong()?;
@@ -150,142 +103,6 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    fn finish_segments(&mut self) -> Result<(), RecordingError> {
-        let names = self.files(|name| name.ends_with(ACTIVE))?;
-        let cuts = if names.is_empty() { BTreeMap::new() } else { self.cuts()? };
-        for active in names {
-            let name = active.trim_end_matches(ACTIVE).to_owned();
-            let path = self.session.join(&active);
-            let limit = cuts.get(&name).copied();
-            match finish(self.storage, &path, &name, limit, &self.info.settings, &mut self.notes)? {
-                Ended::Empty => {
-                    let removed = self.storage.remove(&path).and_then(|()| self.storage.sync_folder(self.session));
-                    removed.map_err(|source| RecordingError::io(&path, source))?;
-                    self.repaired.removed.push(active);
-                }
-                Ended::Whole { line, topics, damage } => {
-                    if let Some(bytes) = line.cut_bytes {
-                        let said = Cut { bytes, damage }.said();
-                        self.repaired.lost.push(Loss::new(&self.session.join(&name), said));
-                    }
-                    self.lines.insert(name.clone(), *line);
-                    self.topics.insert(name.clone(), topics);
-                    self.repaired.finished.push(name);
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Where segments end that were given up, as those behind them say.
-    fn cuts(&self) -> Result<BTreeMap<String, u64>, RecordingError> {
-        let mut cuts = BTreeMap::new();
-        for name in self.files(|_| true)? {
-            let path = self.session.join(&name);
-            let file = self.storage.read(&path).map_err(|source| RecordingError::io(&path, source))?;
-            // One that has not even a head says nothing.
-            let Ok(found) = metadata_records(file) else { continue };
-            for record in found.into_iter().filter(|record| record.name == CUT_RECORD) {
-                let value = |key: &str| record.values.get(key).cloned();
-                if let (Some(segment), Some(Ok(bytes))) =
-                    (value(CUT_SEGMENT), value(CUT_BYTES).map(|text| text.parse()))
-                {
-                    cuts.insert(segment, bytes);
-                }
-            }
-        }
-        Ok(cuts)
-    }
-
-    fn complete_manifest(&mut self) -> Result<(), RecordingError> {
-        let path = self.session.join(MANIFEST_FILE);
-        let fails = |source| RecordingError::io(&path, source);
-        let mut lines = manifest_lines(self.storage, self.session).map_err(fails)?;
-        self.keep_the_true_lines(&mut lines)?;
-        for name in self.files(|name| !name.ends_with(ACTIVE))? {
-            if lines.iter().any(|line| line.name == name) {
-                continue;
-            }
-            let line = match self.lines.remove(&name) {
-                Some(line) => line,
-                None => {
-                    let file = self.session.join(&name);
-                    let (line, topics, damage) =
-                        describe(self.storage, &file, &name, &self.info.settings, self.notes.of(&name))?;
-                    self.repaired.lost.extend(damage.map(|said| Loss::new(&file, said)));
-                    self.topics.insert(name.clone(), topics);
-                    line
-                }
-            };
-            lines.push(line);
-            self.repaired.listed.push(name);
-        }
-        lines.sort_by_key(|line| segment_index(&line.name));
-        let mut text = Vec::new();
-        for line in &lines {
-            serde_json::to_writer(&mut text, line)?;
-            text.push(b'\n');
-        }
-        let old = read_small(self.storage, &path, u64::MAX).map_err(fails)?;
-        if old.is_none() {
-            self.name_missing_numbers(&lines)?;
-        }
-        if old.as_ref() != Some(&text) {
-            write_atomically(self.storage, &path, &text)?;
-            self.repaired.manifest_rewritten = true;
-        }
-        Ok(())
-    }
-
-    /// Of lines that contradict each other, the one that the file bears out; all of them, if it bears out none.
-    fn keep_the_true_lines(&mut self, lines: &mut Vec<ManifestLine>) -> Result<(), RecordingError> {
-        let mut unlike: Vec<ManifestLine> = Vec::new();
-        for line in lines.drain(..) {
-            if !unlike.contains(&line) {
-                unlike.push(line);
-            }
-        }
-        let mut names = BTreeSet::new();
-        let doubted: BTreeSet<String> =
-            unlike.iter().filter(|line| !names.insert(&line.name)).map(|line| line.name.clone()).collect();
-        let files = self.files(|name| !name.ends_with(ACTIVE))?;
-        for name in doubted {
-            let file = self.session.join(&name);
-            let found = match files.contains(&name) {
-                true => Some(hash(self.storage, &file).map_err(|source| RecordingError::io(&file, source))?),
-                false => None,
-            };
-            let truth = unlike.iter().position(|line| line.name == name && found.as_ref() == Some(&line.blake3));
-            match truth.map(|index| unlike[index].clone()) {
-                Some(truth) => unlike.retain(|line| line.name != name || *line == truth),
-                None => {
-                    let said = format!("stands several times in {MANIFEST_FILE}, and no line is of what is here");
-                    self.repaired.wrong.push(Loss::new(&file, said));
-                }
-            }
-        }
-        *lines = unlike;
-        Ok(())
-    }
-
-    /// Where there was no manifest. With one, a number may be missing: a segment that could not be begun has used it up.
-    fn name_missing_numbers(&mut self, lines: &[ManifestLine]) -> Result<(), RecordingError> {
-        let (given_up, evicted) = (self.cuts()?, evicted_segments(self.storage, self.session));
-        let mut next = 0;
-        for index in lines.iter().filter_map(|line| segment_index(&line.name)) {
-            for name in (next..index)
-                .take(MAX_NAMED)
-                .map(segment_name)
-                .filter(|name| !given_up.contains_key(name) && !evicted.contains_key(name))
-            {
-                let said = format!("is missing, and so was {MANIFEST_FILE}: nobody can say what it held");
-                self.repaired.wrong.push(Loss::new(&self.session.join(name), said));
-            }
-            next = index.saturating_add(1);
-        }
-        Ok(())
-    }
-
     /// By name and size; `verify` reads all.
     fn name_what_is_wrong(&mut self) -> Result<(), RecordingError> {
         let path = self.session.join(MANIFEST_FILE);

@@ -24,7 +24,7 @@ pub(super) struct Cut {
 impl Cut {
     pub(super) fn said(&self) -> String {
         let what = self.damage.as_ref().map_or(String::new(), |damage| format!(" ({damage})"));
-        format!("the last {} bytes could not be kept{what}", self.bytes)
+        format!("{} bytes of it could not be kept{what}", self.bytes)
     }
 }
 
@@ -45,6 +45,11 @@ impl<'a> Notes<'a> {
 
     pub(super) fn of(&self, segment: &str) -> Option<&Cut> {
         self.cuts.get(segment)
+    }
+
+    /// By segment.
+    pub(super) fn all(&self) -> impl Iterator<Item = (&str, &Cut)> {
+        self.cuts.iter().map(|(segment, cut)| (segment.as_str(), cut))
     }
 
     /// The larger of what is noted and of `cut`, which is noted before anything is touched. A disk without room for a note

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::super::error::RecordingError;
@@ -14,9 +14,10 @@ use super::super::hashing::Hashing;
 use super::super::manifest::{ManifestLine, TopicEntry};
 use super::super::storage::{Appending, Readable, Storage};
 use super::account::Account;
+use super::aside::{put, set_aside};
 use super::notes::{Cut, Notes};
 use crate::config::Settings;
-use crate::ros2::mcap_read::{Damage, LogReader, Part, Piece, ReadError, Selection, sound_pieces};
+use crate::ros2::mcap_read::{Damage, LogReader, Part, Piece, ReadError, Remains, Selection, remains, sound_pieces};
 use crate::ros2::mcap_write::{LogWriter, WriteError};
 
 /// Messages of each topic.
@@ -24,12 +25,14 @@ pub(super) type Topics = BTreeMap<TopicEntry, u64>;
 
 /// What became of it.
 pub(super) enum Ended {
-    /// Nothing was in it.
-    Empty,
+    /// No message is in it.
+    Without(Remains),
     Whole {
         line: Box<ManifestLine>,
         topics: Topics,
         damage: Option<String>,
+        /// What it was copied from.
+        damaged: Option<PathBuf>,
     },
 }
 
@@ -38,7 +41,7 @@ const MAX_END_BYTES: usize = 32 << 20;
 /// Of the copy, until it is whole.
 pub(in crate::recording) const COPY: &str = ".repair";
 
-/// Finishes `active` as `NAME`; `limit` is where what was given up begins.
+/// Finishes `active` as `NAME`, which is not there; `limit` is where what was given up begins.
 pub(super) fn finish(
     storage: &dyn Storage,
     active: &Path,
@@ -55,7 +58,7 @@ pub(super) fn finish(
     let (sink, sound) = through_writer(open()?, sink, &mut account).map_err(|error| error.at(active))?;
     let others = salvaged(open()?).map_err(|error| error.at(active))?;
     if account.messages() == 0 && others == 0 {
-        return Ok(Ended::Empty);
+        return Ok(Ended::Without(remains(open()?, sound.end).map_err(|error| Trouble::from(error).at(active))?));
     }
     let fails = |source| RecordingError::io(active, source);
     let path = active.with_file_name(name);
@@ -71,7 +74,7 @@ pub(super) fn finish(
     Appending(Arc::clone(&file)).write_all(&end).and_then(|()| file.sync()).map_err(fails)?;
     put(storage, active, &path)?;
     let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), cut.bytes);
-    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage })
+    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage, damaged: None })
 }
 
 /// What is said about a finished segment whose line is missing, and what of it makes no sense.
@@ -133,26 +136,14 @@ fn copy(
     };
     let (bytes, hash) = written().map_err(|error| error.at(&beside))?.end().map_err(fails)?;
     file.sync().map_err(fails)?;
-    let damaged = path.with_extension(format!("mcap{DAMAGED}"));
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let cut = length(storage, active)?.saturating_sub(bytes).max(1);
     let cut = notes.note(&name, Cut { bytes: cut, damage })?;
     // In this order: cut off in between, the next run does the same again.
     put(storage, &beside, path)?;
-    put(storage, active, &damaged)?;
+    let damaged = Some(set_aside(storage, active)?);
     let (line, topics) = account.line(&name, bytes, hash, cut.bytes);
-    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage })
-}
-
-/// What was copied from, kept for people to look at.
-pub(in crate::recording) const DAMAGED: &str = ".damaged";
-
-fn put(storage: &dyn Storage, from: &Path, to: &Path) -> Result<(), RecordingError> {
-    let folder = to.parent().unwrap_or(Path::new("."));
-    storage
-        .rename(from, to)
-        .and_then(|()| storage.sync_folder(folder))
-        .map_err(|source| RecordingError::io(from, source))
+    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage, damaged })
 }
 
 fn through_writer(

@@ -9,7 +9,7 @@ use super::disk::{Failure, SimulatedDisk, Trouble};
 use super::run::{self, CAPTURES, is_frame, session};
 use crate::recording::gap::gaps_in;
 use crate::recording::repair::repair;
-use crate::recording::session::{SegmentState, SessionWriter, Writing};
+use crate::recording::session::{Ended, SegmentState, SessionWriter, Writing};
 use crate::recording::verify::verify;
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::messages::{CompressedImage, Imu};
@@ -107,7 +107,8 @@ fn a_disk_that_refuses_is_named_and_recovered_from() {
         feeder.feed_until(&disk, "frames are taken again", |session| session.status().queue_bytes < 100_000);
         feeder.feed(&disk);
         let (fed, thinned) = (feeder.frames, feeder.thinned);
-        let (folder, counts, status) = feeder.session.finish().unwrap();
+        let Ended { folder, counts, status } = feeder.session.finish();
+        let folder = folder.unwrap();
         assert!(status.conserved && counts.is_conserved(), "{cause}: {counts:?}");
         assert_eq!((counts.captured, counts.thinned), (u64::from(fed + thinned), u64::from(thinned)), "{cause}");
         assert!(status.faults.contains_key(cause) && status.segments_given_up > 0, "{cause}: {status:?}");
@@ -151,7 +152,11 @@ fn a_disk_that_never_comes_back_does_not_hold_anybody_up() {
         }
     });
     let began = Instant::now();
-    assert!(feeder.session.finish().is_err());
+    let fed = u64::from(feeder.frames + feeder.thinned);
+    let Ended { folder, counts, status } = feeder.session.finish();
+    assert!(folder.is_err());
+    assert!(counts.is_conserved() && status.frames_waiting == 0, "each frame is written or told as lost: {counts:?}");
+    assert_eq!(counts.captured, fed, "{counts:?}");
     assert!(began.elapsed() < Duration::from_secs(12), "{:?}", began.elapsed());
     ticking.join().unwrap();
 }

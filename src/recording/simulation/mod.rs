@@ -6,6 +6,7 @@ mod faults;
 mod queue;
 mod room;
 mod run;
+mod strange;
 
 use std::io::ErrorKind;
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! Reading from front to back: needs no index, survives a torn tail and damaged chunks.
+//! Reading from front to back: needs no index, survives a torn tail, damaged chunks, and what stands between them and makes no
+//! sense.
 
 use std::io::{Read, Seek};
 
@@ -8,17 +9,16 @@ use super::channels::{Channels, Definition};
 use super::chunk::{Chunk, MAX_CHUNK_BYTES, MESSAGE_HEAD_BYTES, Placed, message};
 use super::error::{Damage, MAGIC, ReadError};
 use super::fields::Fields;
+use super::resync::{CHUNK_HEAD_BYTES, has_chunk_shape, next_chunk};
 use super::source::{Record, Source};
 use crate::ros2::cdr::MAX_MESSAGE_BYTES;
 
 /// A schema or channel that is larger is refused.
 const MAX_DEFINITION_BYTES: u64 = 4 << 20;
 
-/// Start, end, size and checksum of a chunk stand before the name of its compression.
-const CHUNK_COMPRESSION_AT: usize = 28;
-
-/// Enough for the head of a chunk whose compression has a name of usual length.
-const CHUNK_HEAD_BYTES: u64 = 96;
+/// Times that a reader goes back to a chunk which a wrong length has led it past. Each may cost as much as reading the file
+/// once, and needs a length that is wrong and fits into the file; going on behind what makes no sense costs no more than that.
+const MAX_RESYNCS: u32 = 64;
 
 const FOOTER_BODY_BYTES: u64 = 20;
 const SUMMARY_OFFSET_BODY_BYTES: u64 = 17;
@@ -29,11 +29,35 @@ pub(super) struct FileOrder {
     chunk: Option<Chunk>,
     /// Whether the file has chunks, and with them message indexes.
     chunked: bool,
+    trusted: Trusted,
+    /// Where the last chunk begins that made no sense.
+    bad_chunk: Option<u64>,
+    is_past_head: bool,
+    went_back: u32,
+}
+
+/// Nothing before it is read again.
+#[derive(Clone, Copy)]
+struct Trusted {
+    /// Of the last sound chunk, or of the last message outside of one.
+    end: u64,
+    /// Bytes before it that were not used.
+    skipped: u64,
 }
 
 impl FileOrder {
     pub fn new() -> Self {
-        Self { position: MAGIC.len() as u64, chunk: None, chunked: false }
+        let start = MAGIC.len() as u64;
+        let trusted = Trusted { end: start, skipped: 0 };
+        Self {
+            position: start,
+            chunk: None,
+            chunked: false,
+            trusted,
+            bad_chunk: None,
+            is_past_head: false,
+            went_back: 0,
+        }
     }
 
     pub fn next<R: Read + Seek>(
@@ -55,13 +79,14 @@ impl FileOrder {
             let record = match source.record_at(self.position)? {
                 Ok(record) => record,
                 Err(error) => {
-                    damage.bytes_skipped += source.length() - self.position;
                     damage.note(|| format!("record at byte {}: {error}", self.position));
-                    self.position = source.length();
-                    return Ok(None);
+                    match self.resync(source, damage)? {
+                        Some(record) => record,
+                        None => return Ok(None),
+                    }
                 }
             };
-            let first = self.position == MAGIC.len() as u64;
+            let first = !std::mem::replace(&mut self.is_past_head, true);
             self.position = record.end();
             if first {
                 if record.opcode != op::HEADER {
@@ -76,9 +101,32 @@ impl FileOrder {
                 return Ok(None);
             }
             if let Some(message) = self.enter(&record, source, channels, damage)? {
+                self.trusted = Trusted { end: record.end(), skipped: damage.bytes_skipped };
                 return Ok(Some(message));
             }
         }
+    }
+
+    /// From a place that makes no sense to the next chunk, be it before that place: a wrong length may have led past it.
+    fn resync<R: Read + Seek>(
+        &mut self,
+        source: &mut Source<R>,
+        damage: &mut Damage,
+    ) -> Result<Option<Record>, ReadError> {
+        self.is_past_head = true;
+        let Trusted { end, skipped } = self.trusted;
+        let from = self.bad_chunk.map_or(end, |bad| end.max(bad + 1));
+        let found = next_chunk(source, from)?;
+        let goes_back = found.is_some_and(|record| record.offset < self.position);
+        let found = found.filter(|_| !goes_back || self.went_back < MAX_RESYNCS);
+        self.went_back += u32::from(goes_back);
+        let next = found.map_or(source.length(), |record| record.offset);
+        match next.checked_sub(self.position) {
+            Some(passed) => damage.bytes_skipped += passed,
+            None => damage.bytes_skipped = skipped + (next - end),
+        }
+        self.position = next;
+        Ok(found)
     }
 
     /// Deals with one record; returns its message if it is one.
@@ -104,7 +152,9 @@ impl FileOrder {
         };
         if record.length > limit {
             let error = format!("expected at most {limit} bytes, found {}", record.length);
-            let skip = if record.opcode == op::CHUNK { Damage::bad_chunk } else { Damage::bad_record };
+            let is_chunk = record.opcode == op::CHUNK;
+            self.bad_chunk = if is_chunk { Some(record.offset) } else { self.bad_chunk };
+            let skip = if is_chunk { Damage::bad_chunk } else { Damage::bad_record };
             skip(damage, record.offset, record.bytes(), &error);
             return Ok(None);
         }
@@ -117,6 +167,11 @@ impl FileOrder {
             op::CHUNK => {
                 self.chunked = true;
                 self.chunk = Chunk::unpack(body, record.offset, channels, damage);
+                if self.chunk.is_some() {
+                    self.trusted = Trusted { end: record.end(), skipped: damage.bytes_skipped };
+                } else {
+                    self.bad_chunk = Some(record.offset);
+                }
             }
             op::MESSAGE if self.chunked && has_message_index_shape(&body) => {
                 damage.bad_record(record.offset, record.bytes(), "the opcode of a message index is damaged");
@@ -179,14 +234,4 @@ fn has_message_index_shape(body: &[u8]) -> bool {
         fields.u32()
     };
     entries().is_some_and(|bytes| bytes % 16 == 0 && bytes as usize + fields.taken() == body.len())
-}
-
-fn has_chunk_shape(record: &Record, head: &[u8]) -> bool {
-    let mut fields = Fields::new(head);
-    let mut packed = || {
-        fields.bytes(CHUNK_COMPRESSION_AT)?;
-        fields.string()?;
-        fields.u64()
-    };
-    packed().is_some_and(|packed| packed > 0 && packed.checked_add(fields.taken() as u64) == Some(record.length))
 }

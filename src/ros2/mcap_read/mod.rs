@@ -7,6 +7,7 @@ mod error;
 mod fields;
 mod file_order;
 mod index_order;
+mod resync;
 mod sound;
 mod source;
 mod summary;
@@ -18,6 +19,7 @@ use std::sync::Arc;
 pub use attachments::{Attachment, Attachments, MAX_ATTACHMENT_BYTES, MetadataRecord, attachments};
 pub use channels::{Channel, Selection};
 pub use error::{Damage, ReadError};
+pub use resync::{Remains, remains};
 pub use sound::{Part, Piece, Sound, sound_pieces};
 pub use survey::{Survey, Topic, examine, metadata_records, survey};
 
