@@ -124,14 +124,15 @@ impl Sums {
     #[inline(always)]
     fn add(&mut self, pixels: &Pixels, corners: [f32; 4]) {
         let weights = between(corners);
-        for (i, pixel) in pixels.iter().enumerate() {
-            let known = u32::from(pixel[3]);
-            let weight = if known == u32::from(NOTHING) { 0.0 } else { weights[i] };
-            for channel in 0..3 {
-                self.sums[channel][i] += weight * f32::from(pixel[channel]);
-            }
-            self.sums[3][i] += weight;
-            self.sure[i] = self.sure[i].max(if weight > 0.0 { known } else { NOTHING.into() });
+        let [reds, greens, blues, sums] = &mut self.sums;
+        for (i, [red, green, blue, known]) in pixels.iter().enumerate() {
+            let weight = if *known == NOTHING { 0.0 } else { weights[i] };
+            reds[i] += weight * f32::from(*red);
+            greens[i] += weight * f32::from(*green);
+            blues[i] += weight * f32::from(*blue);
+            sums[i] += weight;
+            let known = if weight > 0.0 { *known } else { NOTHING };
+            self.sure[i] = self.sure[i].max(known.into());
         }
     }
 
@@ -215,9 +216,8 @@ fn read(image: &Raster, patch: &Patch) -> Pixels {
 fn multiply(pixels: &mut Pixels, corners: [[f32; 3]; 4]) {
     let factors: [[f32; AREA]; 3] = core::array::from_fn(|channel| between(corners.map(|corner| corner[channel])));
     for (i, pixel) in pixels.iter_mut().enumerate() {
-        for channel in 0..3 {
-            let value = f32::from(pixel[channel]) * factors[channel][i];
-            pixel[channel] = (value + 0.5).min(255.0) as u8;
+        for (value, factors) in pixel.iter_mut().zip(&factors) {
+            *value = (f32::from(*value) * factors[i] + 0.5).min(255.0) as u8;
         }
     }
 }
