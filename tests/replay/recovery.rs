@@ -200,10 +200,10 @@ fn who_falls_is_not_believed_until_he_stands_again() {
         let lying = tags.iter().filter(|(at, ..)| (3.6..4.4).contains(at));
         assert!(lying.clone().all(|(_, tag, _)| !tag.valid && tag.reason == "fallen"), "{direction}");
         assert!(lying.count() > 5);
-        let until = tags.last().expect("some").0;
-        let later = tags.iter().filter(|(at, ..)| *at > until - 3.0);
+        let up = tags.iter().rev().find(|(_, tag, _)| tag.reason == "fallen").expect("it fell").0;
+        let later = tags.iter().filter(|(at, ..)| (up + 1.0..up + 4.0).contains(at));
         let valid = later.clone().filter(|(_, tag, _)| tag.valid).count();
-        assert!(10 * valid >= 9 * later.count(), "{direction}: up again, {valid} valid of the last three seconds");
+        assert!(10 * valid >= 9 * later.count(), "{direction}: up again, {valid} valid of three seconds");
     }
 }
 
