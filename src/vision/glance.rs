@@ -10,7 +10,7 @@ pub struct Glance {
     pub fingerprint: u64,
     /// The brightest luma.
     pub brightest: u8,
-    /// Pixels that are brighter than [`DARK`], and of these those at the end of the scale.
+    /// Pixels that are brighter than a closed lens gives, and of these those at the end of the scale.
     pub lit: u32,
     pub clipped: u32,
 }
