@@ -139,7 +139,7 @@ fn a_search_of_a_picture_without_lines_puts_the_robot_nowhere() {
         let mut robot = Robot::nowhere(Pose2::new(-1.2, 0.4, 0.5), &small_lens(), &settings);
         let white = gray(&robot.view(), |_| 255);
         for _ in 0..6 {
-            assert_eq!(robot.tag(&white).reason, "pose_unknown");
+            assert_eq!(robot.tag(&white).reason, "overexposed");
             robot.stamp_ns += FRAME_NS;
         }
         assert!((0..20).any(|_| robot.step().valid), "with lines in view it finds itself within 2 s");
