@@ -19,7 +19,23 @@ pub struct Goal {
     pub force: bool,
 }
 
-const COPY_VERIFIED: &str = "a copy was verified";
+/// Why a session may go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Reason {
+    Forced,
+    Acknowledged,
+    CopyVerified,
+}
+
+impl Reason {
+    fn said(self) -> &'static str {
+        match self {
+            Self::Forced => "forced",
+            Self::Acknowledged => "acknowledged",
+            Self::CopyVerified => "a copy was verified",
+        }
+    }
+}
 
 /// What is to become of a session.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -48,13 +64,13 @@ pub fn decide(
         let session = releasable.session;
         let bytes = saturating_sum(session.segments.values().copied());
         let verdict = verdict(&releasable, has_copy, goal);
-        let (goes, why) = match verdict {
+        let (goes, why) = match verdict.clone() {
             Ok(_) if goal.bytes.is_some_and(|enough| gone >= enough) => (false, "enough room without it".to_owned()),
-            Ok(why) => (true, why),
+            Ok(reason) => (true, reason.said().to_owned()),
             Err(why) => (false, why),
         };
         gone = saturating_sum([gone, if goes { bytes } else { 0 }]);
-        let relies_on_copy = goes && why == COPY_VERIFIED;
+        let relies_on_copy = goes && verdict == Ok(Reason::CopyVerified);
         decisions.push(Decision { session: session.name.clone(), bytes, goes, why, relies_on_copy });
     }
     decisions
@@ -70,7 +86,7 @@ fn verdict(
     Releasable { session, segments }: &Releasable,
     has_copy: &dyn Fn(&Session) -> bool,
     goal: &Goal,
-) -> Result<String, String> {
+) -> Result<Reason, String> {
     if session.open {
         return Err("is being recorded, or was never finished (`sessions repair`)".to_owned());
     }
@@ -84,17 +100,17 @@ fn verdict(
         return Err(format!("{unlisted} is in no manifest (`sessions repair`)"));
     }
     if goal.force {
-        return Ok("forced".to_owned());
+        return Ok(Reason::Forced);
     }
     if session.is_refined {
         return Err(format!("holds {REFINED_FOLDER}/, of which no sync has made a copy (`refine` makes it again)"));
     }
     let (all, safe) = (session.segments.len(), segments.len());
     if all == safe {
-        return Ok("acknowledged".to_owned());
+        return Ok(Reason::Acknowledged);
     }
     if has_copy(session) {
-        return Ok(COPY_VERIFIED.to_owned());
+        return Ok(Reason::CopyVerified);
     }
     Err(format!("{} of {all} segments are known to be nowhere else", all - safe))
 }
