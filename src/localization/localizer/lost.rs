@@ -79,7 +79,11 @@ impl Localizer {
             let now = |track: &Track| track.pose().compose(&walked.unwrap_or_default());
             let believed = self.state.track.as_ref().map(now).filter(|_| has_pose && self.settings.refinement);
             self.state.fitting = Fitting::of(believed, &found);
+            if !is_hurried {
+                return false;
+            }
         }
+        let mut may_go_on = |weighed: u32| is_hurried && may_go_on(weighed);
         let best = match self.settings.refinement {
             false => self.best_supported(seen),
             true => {
