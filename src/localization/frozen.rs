@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::localizer::Moment;
+use super::localizer::{Moment, SWAYS_RAD_PER_S};
 use crate::geometry::{Pose2, wrap_angle};
 
 /// The last picture that was another one than that before it, and how far the robot has moved since.
@@ -23,7 +23,6 @@ const TURNED_RAD: f64 = 0.01;
 const SWAYED_RAD: f64 = 0.02;
 /// Slower is a gyro's noise and bias, and a torso that stands.
 const TURNS_RAD_PER_S: f64 = 0.05;
-const SWAYS_RAD_PER_S: f64 = 0.09;
 /// Odometry that goes farther from one frame to the next has jumped.
 const LONGEST_STEP_M: f64 = 0.3;
 

@@ -24,7 +24,7 @@ pub struct SecondLook {
 }
 
 /// With more of the expected line places the pose is hardly ever another one: of windows of ten frames with a wrong pose 9 %
-/// have more, of those with the right one 83 % (walks with six fields and eight lenses, crowds included).
+/// have more, of those with the right one 83 % (docs/design.md says on which walks).
 const CONVINCING: f64 = 0.9;
 const MEAN_S: f64 = 0.5;
 const USUAL_S: f64 = 8.0;

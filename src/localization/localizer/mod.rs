@@ -101,7 +101,7 @@ const LONGEST_STEP_S: f64 = 5.0;
 /// No humanoid walks this fast: odometry that says so has jumped.
 const FASTEST_M_PER_S: f64 = 3.0;
 /// A torso that rolls and pitches faster than this on average walks, or marches on the spot: 5 degrees a second.
-const SWAYS_RAD_PER_S: f64 = 0.09;
+pub(super) const SWAYS_RAD_PER_S: f64 = 0.09;
 /// Who walks goes on walking: for so long steps of which nothing is known add up as if they were one.
 const LONGEST_ADRIFT_S: f64 = 0.5;
 /// A gyro that says more is broken or counts in degrees.
