@@ -5,11 +5,11 @@ use nalgebra::{Matrix6, Vector6};
 use serde::Serialize;
 
 use crate::config::{Formula, Model, SimdPath};
-use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, Projector, wrap_angle};
+use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::filter::always;
 use crate::localization::global::{self, Candidate, Search, SearchState};
 use crate::localization::observation::default_alpha;
-use crate::localization::refinement::{self, LinePoints, Prior};
+use crate::localization::refinement::{Prior, Refiner};
 use crate::localization::{
     Effort, Filter, FilterSettings, FilterState, MotionModel, Observation, Sampling, Spread, Support, observation,
 };
@@ -134,9 +134,9 @@ impl Known {
             }
             Some(initial) => vec![around(&observation, seen, initial, seed)],
         };
-        let (points, projector) = (LinePoints::new(field), Projector::new(&self.lens));
+        let mut refiner = Refiner::new(field, &self.lens);
         let found = candidates.iter().map(|candidate| {
-            let refined = self.refined(&points, &projector, seen, &candidate.pose);
+            let refined = self.refined(&mut refiner, seen, &candidate.pose);
             let pose = refined.unwrap_or(candidate.pose);
             // On a field that is not quite as its file says a refined pose may show less of the contrast than the one it
             // came from: whichever shows more says whether this is the place.
@@ -155,12 +155,12 @@ impl Known {
 
 impl Known {
     /// The pose that the lines fit best, if enough of them do. Tilt and height may give way a little.
-    fn refined(&self, points: &LinePoints, projector: &Projector, seen: &Seen, start: &Pose2) -> Option<Pose2> {
+    fn refined(&self, refiner: &mut Refiner, seen: &Seen, start: &Pose2) -> Option<Pose2> {
         let map_from_optical = self.map_from_link(start) * Isometry::link_from_optical();
         let sigmas = Vector6::new(START_M, START_M, HEIGHT_M, TILT_RAD, TILT_RAD, START_RAD);
         let covariance = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
         let prior = Prior { map_from_optical, covariance };
-        let refined = refinement::refine(points, &seen.image, projector, &prior, &[Vector6::zeros()])?;
+        let refined = refiner.refine(&seen.image, &prior, &[Vector6::zeros()])?;
         let lines = refined.lines;
         let agrees = lines.fitting >= FEWEST_FITTING && lines.share() > LEAST_FITTING_SHARE;
         agrees.then(|| Pose2::from_isometry(&(refined.map_from_optical * Isometry::link_from_optical().inverse())))

@@ -11,6 +11,7 @@ pub fn described(path: SimdPath) -> String {
     let path = match kernel::available(path) {
         SimdPath::Avx2 => "AVX2",
         SimdPath::Sse2 => "SSE2",
+        SimdPath::Neon => "NEON",
         SimdPath::Scalar | SimdPath::Auto => "no SIMD",
     };
     let architecture = std::env::consts::ARCH.replace('_', "-");

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use jiff::{ToSpan, Zoned};
 
 use super::settings::{UsageError, numbers};
 use super::{Outcome, output};
@@ -27,10 +28,10 @@ pub struct SyncArguments {
     #[arg(short, long, value_name = "CAPTURES_DIR")]
     output: PathBuf,
     /// Only segments recorded since then, by the robot's clock: 2026-11-21 or 2026-11-21T10:00:00Z
-    #[arg(long, value_name = "TIME", value_parser = time_ns)]
+    #[arg(long, value_name = "TIME", value_parser = begin_ns)]
     since: Option<i64>,
-    /// Only segments that begin until then
-    #[arg(long, value_name = "TIME", value_parser = time_ns)]
+    /// Only segments that begin until then; a day counts as a whole
+    #[arg(long, value_name = "TIME", value_parser = end_ns)]
     until: Option<i64>,
     /// Only segments whose valid poses (the box around them) come this near a place on the field, metres
     #[arg(long, value_name = "X,Y,R", value_parser = within, allow_hyphen_values = true)]
@@ -70,6 +71,9 @@ pub fn run(arguments: &SyncArguments, json: bool) -> anyhow::Result<Outcome> {
         acknowledge: !arguments.no_acknowledge,
     };
     check_places(&options.source, &arguments.output)?;
+    if arguments.since.zip(arguments.until).is_some_and(|(since, until)| until < since) {
+        return Err(UsageError("--until is before --since: no segment is asked for".to_owned()).into());
+    }
     let store = Store::open(&arguments.output)?;
     let stop = stop_flag()?;
     if arguments.watch {
@@ -186,7 +190,8 @@ fn tell(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
     }
     if report.left_there > 0 {
         eprintln!(
-            "realitysim: {} finished segments stay there, since their manifest is not believed (`sessions repair` there, or here)",
+            "realitysim: {} finished segments stay there, since their manifest is not believed, or their session.json (`sessions repair` there, \
+             or here)",
             report.left_there
         );
     }
@@ -227,10 +232,19 @@ fn tell(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
 }
 
 /// A day (UTC) or a moment.
-fn time_ns(text: &str) -> Result<i64, String> {
+fn begin_ns(text: &str) -> Result<i64, String> {
+    time_ns(text, Ok)
+}
+
+fn end_ns(text: &str) -> Result<i64, String> {
+    time_ns(text, |day| day.tomorrow().and_then(|next| next.checked_sub(1.nanoseconds())))
+}
+
+/// A day stands for a moment of it in UTC.
+fn time_ns(text: &str, of_day: impl Fn(Zoned) -> Result<Zoned, jiff::Error>) -> Result<i64, String> {
     let moment = text.parse::<jiff::Timestamp>().or_else(|_| {
         let day: jiff::civil::Date = text.parse()?;
-        day.to_zoned(jiff::tz::TimeZone::UTC).map(|zoned| zoned.timestamp())
+        Ok(of_day(day.to_zoned(jiff::tz::TimeZone::UTC)?)?.timestamp())
     });
     let moment = moment.map_err(|_: jiff::Error| "expected 2026-11-21 or 2026-11-21T10:00:00Z".to_owned())?;
     i64::try_from(moment.as_nanosecond()).map_err(|_| "beyond what a recording can say".to_owned())

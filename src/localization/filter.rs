@@ -8,8 +8,9 @@ use super::motion::{self, MotionModel};
 use super::observation::Observation;
 use super::particles::{Particles, Spread};
 use super::random::{Purpose, Stream};
-use super::sampling::Sampling;
-use super::{resampling, weights};
+use super::resampling::{self, Copies};
+use super::sampling::{Bins, Sampling};
+use super::weights::{self, Weights};
 use crate::geometry::Pose2;
 use crate::vision::GroundTable;
 
@@ -60,15 +61,25 @@ pub struct Filter {
     settings: FilterSettings,
     observation: Observation,
     state: FilterState,
-    /// The line points that are looked at.
-    scratch: Points,
+    workspace: Workspace,
     /// Weights so far that were NaN or +inf.
     unusable_weights: u64,
 }
 
+/// What a frame is worked out in, kept from frame to frame: a steady state allocates nothing.
+#[derive(Clone, Debug, Default)]
+struct Workspace {
+    /// The line points that are looked at.
+    near: Points,
+    weights: Weights,
+    bins: Bins,
+    copies: Copies,
+    poses: Vec<Pose2>,
+}
+
 impl Filter {
     pub fn new(settings: FilterSettings, observation: Observation, state: FilterState) -> Self {
-        Self { settings, observation, state, scratch: Points::default(), unusable_weights: 0 }
+        Self { settings, observation, state, workspace: Workspace::default(), unusable_weights: 0 }
     }
 
     pub fn settings(&self) -> &FilterSettings {
@@ -114,13 +125,14 @@ impl Filter {
         let mut round = 0;
         loop {
             self.weigh(table, effort, may_go_on);
-            let weights = weights::normalise(&self.state.particles.log_weights);
+            let Workspace { weights, bins, .. } = &mut self.workspace;
+            weights::normalise_into(&self.state.particles.log_weights, weights);
             self.unusable_weights += weights.unusable as u64;
-            let draws = sampling.needed(&self.state.particles, &weights);
-            let settled = sampling.is_settled(round as usize + 1, &weights);
+            let draws = sampling.needed(&self.state.particles, weights, bins);
+            let settled = sampling.is_settled(round as usize + 1, weights);
             effort.capped |= !settled && !may_go_on(effort.weighed);
             let last = effort.capped || settled;
-            let result = last.then(|| estimate(&self.state.particles, &weights));
+            let result = last.then(|| estimate(&self.state.particles, weights));
             self.resample(draws, round);
             if let Some(result) = result {
                 return result;
@@ -135,7 +147,9 @@ impl Filter {
     /// A frame that shows nothing: the particles only move.
     pub fn coast(&mut self, step: Option<Pose2>, seconds: f64) -> Estimate {
         self.predict(step, seconds);
-        self.estimate()
+        let weights = &mut self.workspace.weights;
+        weights::normalise_into(&self.state.particles.log_weights, weights);
+        estimate(&self.state.particles, weights)
     }
 
     /// `step` as odometry has it; without odometry each particle goes its own way.
@@ -149,14 +163,11 @@ impl Filter {
         }
     }
 
-    fn estimate(&self) -> Estimate {
-        estimate(&self.state.particles, &weights::normalise(&self.state.particles.log_weights))
-    }
-
     /// Particles for which there is no time are dropped: every so many, so that what remains stands for the whole.
     fn weigh(&mut self, table: &GroundTable, effort: &mut Effort, may_go_on: &mut MayGoOn) {
         let Particles { poses, log_weights } = &mut self.state.particles;
-        self.observation.look_near(table, poses, &mut self.scratch);
+        let near = &mut self.workspace.near;
+        self.observation.look_near(table, poses, near);
         let blocks = poses.len().div_ceil(BLOCK).max(1);
         let mut weighed = 0;
         for block in 0..blocks {
@@ -166,7 +177,7 @@ impl Filter {
                 break;
             }
             for index in (block..poses.len()).step_by(blocks) {
-                log_weights[index] = self.observation.log_likelihood_near(table, &poses[index], &self.scratch);
+                log_weights[index] = self.observation.log_likelihood_near(table, &poses[index], near);
             }
             effort.weighed += (poses.len() - block).div_ceil(blocks) as u32;
             weighed = block + 1;
@@ -181,8 +192,9 @@ impl Filter {
 
     fn resample(&mut self, draws: usize, round: u32) {
         let mut draw = Stream::new(self.settings.seed, Purpose::Resampling, self.state.steps, round, 0);
-        let counts = resampling::residual(&self.state.particles.log_weights, draws, &mut draw);
-        self.state.particles.duplicate(&counts);
+        let Workspace { weights, copies, poses, .. } = &mut self.workspace;
+        resampling::residual(weights, draws, &mut draw, copies);
+        self.state.particles.duplicate(&copies.counts, poses);
     }
 }
 

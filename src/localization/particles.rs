@@ -45,13 +45,13 @@ impl Particles {
         }
     }
 
-    /// Replaces the set by `counts[i]` copies of particle i, all of the same weight.
-    pub fn duplicate(&mut self, counts: &[u32]) {
-        let mut copies = Vec::with_capacity(counts.iter().sum::<u32>() as usize);
+    /// Replaces the set by `counts[i]` copies of particle i, all of the same weight; the old set is left in `spare`.
+    pub fn duplicate(&mut self, counts: &[u32], spare: &mut Vec<Pose2>) {
+        spare.clear();
         for (pose, count) in self.poses.iter().zip(counts) {
-            copies.extend(core::iter::repeat_n(*pose, *count as usize));
+            spare.extend(core::iter::repeat_n(*pose, *count as usize));
         }
-        self.poses = copies;
+        core::mem::swap(&mut self.poses, spare);
         self.log_weights.clear();
         self.log_weights.resize(self.poses.len(), 0.0);
     }

@@ -6,61 +6,71 @@
 //! evenly spaced places (systematic), so that each count is n_i or n_i + 1.
 
 use super::random::Stream;
+use super::weights::Weights;
 
 const ONE: f64 = (1u64 << 40) as f64;
 /// 2^40 times more particles than this would not fit 64 bits.
 pub const MAX_PARTICLES: usize = 1 << 23;
 
-/// How often each particle is copied; the counts sum to `draws`. All weights zero or unusable count as equal.
-pub fn residual(log_weights: &[f64], draws: usize, stream: &mut Stream) -> Vec<u32> {
-    assert!(log_weights.len() <= MAX_PARTICLES && draws <= MAX_PARTICLES, "at most 2^23 particles");
-    if log_weights.is_empty() {
-        return Vec::new();
+/// How often each particle is copied, and what it is worked out in.
+#[derive(Clone, Debug, Default)]
+pub struct Copies {
+    pub counts: Vec<u32>,
+    quanta: Vec<u64>,
+}
+
+/// The counts sum to `draws`.
+pub fn residual(weights: &Weights, draws: usize, stream: &mut Stream, copies: &mut Copies) {
+    assert!(weights.relative.len() <= MAX_PARTICLES && draws <= MAX_PARTICLES, "at most 2^23 particles");
+    let Copies { counts, quanta } = copies;
+    quantise(weights, quanta);
+    counts.clear();
+    if !quanta.is_empty() {
+        let total = quanta.iter().sum();
+        count(quanta, total, draws, stream.below(total), counts);
     }
-    let quanta = quantised(log_weights);
-    let total = quanta.iter().sum();
-    counts_from(&quanta, total, draws, stream.below(total))
+}
+
+fn quantise(weights: &Weights, quanta: &mut Vec<u64>) {
+    quanta.clear();
+    quanta.extend(weights.relative.iter().map(|relative| (ONE * relative + 0.5) as u64));
 }
 
 /// `offset` is the first of the evenly spaced places, in 0..`total`.
-fn counts_from(quanta: &[u64], total: u64, draws: usize, offset: u64) -> Vec<u32> {
-    let mut counts = Vec::with_capacity(quanta.len());
-    let mut remainders = Vec::with_capacity(quanta.len());
-    for quantum in quanta {
-        let wanted = draws as u128 * u128::from(*quantum);
-        counts.push((wanted / u128::from(total)) as u32);
-        remainders.push((wanted % u128::from(total)) as u64);
-    }
+fn count(quanta: &[u64], total: u64, draws: usize, offset: u64, counts: &mut Vec<u32>) {
     // One more copy wherever the running sum of remainders passes offset, offset + S, offset + 2 S, ...
     let mut next = u128::from(offset);
     let mut sum = 0u128;
-    for (count, remainder) in counts.iter_mut().zip(&remainders) {
-        sum += u128::from(*remainder);
-        if sum > next {
-            *count += 1;
+    counts.extend(quanta.iter().map(|quantum| {
+        // 23 bits times 41 fit.
+        let wanted = draws as u64 * quantum;
+        sum += u128::from(wanted % total);
+        let one_more = sum > next;
+        if one_more {
             next += u128::from(total);
         }
-    }
-    counts
-}
-
-fn quantised(log_weights: &[f64]) -> Vec<u64> {
-    let clean = |value: f64| if value.is_nan() { f64::NEG_INFINITY } else { value };
-    let highest = log_weights.iter().map(|value| clean(*value)).fold(f64::NEG_INFINITY, f64::max);
-    log_weights
-        .iter()
-        .map(|value| {
-            let value = clean(*value);
-            if value == highest { ONE as u64 } else { (ONE * libm::exp(value - highest) + 0.5) as u64 }
-        })
-        .collect()
+        (wanted / total) as u32 + u32::from(one_more)
+    }));
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::random::Purpose;
+    use super::super::weights::normalise;
     use super::*;
     use proptest::prelude::*;
+
+    fn counts(log_weights: &[f64], draws: usize, stream: &mut Stream) -> Vec<u32> {
+        let mut copies = Copies::default();
+        residual(&normalise(log_weights), draws, stream, &mut copies);
+        copies.counts
+    }
+
+    fn quantised(log_weights: &[f64]) -> Vec<u64> {
+        let mut quanta = Vec::new();
+        quantise(&normalise(log_weights), &mut quanta);
+        quanta
+    }
 
     fn stream(seed: u64) -> Stream {
         Stream::new(seed, Purpose::Resampling, 0, 0, 0)
@@ -69,7 +79,7 @@ mod tests {
     #[test]
     fn equal_weights_give_one_copy_each() {
         for n in 1..=4096 {
-            assert!(residual(&vec![-3.7; n], n, &mut stream(n as u64)).iter().all(|count| *count == 1), "{n}");
+            assert!(counts(&vec![-3.7; n], n, &mut stream(n as u64)).iter().all(|count| *count == 1), "{n}");
         }
     }
 
@@ -81,7 +91,7 @@ mod tests {
         let runs = 20_000;
         let mut sums = [0u32; 4];
         for seed in 0..runs {
-            for (sum, count) in sums.iter_mut().zip(residual(&logs, 4, &mut stream(seed))) {
+            for (sum, count) in sums.iter_mut().zip(counts(&logs, 4, &mut stream(seed))) {
                 *sum += count;
             }
         }
@@ -96,14 +106,15 @@ mod tests {
     fn the_first_and_the_last_place_find_their_particle() {
         let tenths = (0..10).fold(0.0, |sum, _| sum + 0.1);
         assert!(tenths < 1.0, "{tenths}");
-        for count in 1..200u64 {
-            let logs: Vec<f64> = (0..count).map(|i| -((i * 37 % 11) as f64) / 3.0).collect();
+        for particles in 1..200u64 {
+            let logs: Vec<f64> = (0..particles).map(|i| -((i * 37 % 11) as f64) / 3.0).collect();
             let quanta = quantised(&logs);
             let total: u64 = quanta.iter().sum();
-            for draws in [1, 7, count as usize, 1000] {
+            for draws in [1, 7, particles as usize, 1000] {
                 for offset in [0, 1, total / 2, total - 1] {
-                    let counts = counts_from(&quanta, total, draws, offset);
-                    assert_eq!(counts.iter().sum::<u32>() as usize, draws, "{count} {draws} {offset}");
+                    let mut counts = Vec::new();
+                    count(&quanta, total, draws, offset, &mut counts);
+                    assert_eq!(counts.iter().sum::<u32>() as usize, draws, "{particles} {draws} {offset}");
                 }
             }
         }
@@ -131,15 +142,15 @@ mod tests {
     #[test]
     fn unusable_weights_count_as_equal() {
         for bad in [f64::NAN, f64::NEG_INFINITY] {
-            assert_eq!(residual(&[bad; 5], 5, &mut stream(1)), vec![1; 5]);
+            assert_eq!(counts(&[bad; 5], 5, &mut stream(1)), vec![1; 5]);
         }
-        assert_eq!(residual(&[f64::INFINITY, 0.0, f64::NAN], 6, &mut stream(1)), vec![6, 0, 0]);
+        assert_eq!(counts(&[f64::INFINITY, 0.0, f64::NAN], 6, &mut stream(1)), vec![6, 0, 0]);
     }
 
     proptest! {
         #[test]
         fn counts_add_up_and_keep_the_whole_part(logs in proptest::collection::vec(-50.0..0.0f64, 1..80), draws in 0usize..300, seed in any::<u64>()) {
-            let counts = residual(&logs, draws, &mut stream(seed));
+            let counts = counts(&logs, draws, &mut stream(seed));
             prop_assert_eq!(counts.iter().sum::<u32>() as usize, draws);
             let sum: f64 = logs.iter().map(|x| x.exp()).sum();
             for (count, log) in counts.iter().zip(&logs) {

@@ -33,12 +33,12 @@ const SETTLED: f64 = 0.5;
 
 impl Sampling {
     /// How many particles the next round or frame needs.
-    pub fn needed(&self, particles: &Particles, weights: &Weights) -> usize {
+    pub fn needed(&self, particles: &Particles, weights: &Weights, bins: &mut Bins) -> usize {
         if !self.adaptive {
             return self.particles;
         }
         let fewest = self.fewest.min(self.particles);
-        let bins = filled_bins(particles, weights, LEAST_COPIES / self.particles as f64);
+        let bins = bins.filled(particles, weights, LEAST_COPIES / self.particles as f64);
         (libm::ceil(kld_bound(bins, KLD_ERROR, KLD_QUANTILE)).min(self.particles as f64) as usize)
             .clamp(fewest, self.particles)
     }
@@ -62,12 +62,24 @@ pub fn kld_bound(bins: usize, error: f64, quantile: f64) -> f64 {
     freedom / (2.0 * error) * root * root * root
 }
 
-/// Bins of x, y and yaw whose particles have more than `least` of the weight together.
-fn filled_bins(particles: &Particles, weights: &Weights, least: f64) -> usize {
-    let mut shares: Vec<([i32; 3], f64)> =
-        particles.poses.iter().zip(&weights.shares).map(|(pose, share)| (bin(pose), *share)).collect();
-    shares.sort_by_key(|(bin, _)| *bin);
-    shares.chunk_by(|a, b| a.0 == b.0).filter(|bin| bin.iter().map(|(_, share)| share).sum::<f64>() >= least).count()
+/// Bins of x, y and yaw, and what they are counted in.
+#[derive(Clone, Debug, Default)]
+pub struct Bins {
+    /// A particle's bin, its number, its share.
+    entries: Vec<([i32; 3], u32, f64)>,
+}
+
+impl Bins {
+    /// Those whose particles have more than `least` of the weight together.
+    fn filled(&mut self, particles: &Particles, weights: &Weights, least: f64) -> usize {
+        let entries = particles.poses.iter().zip(&weights.shares).zip(0..);
+        self.entries.clear();
+        self.entries.extend(entries.map(|((pose, share), number)| (bin(pose), number, *share)));
+        // Shares are added up in the particles' order.
+        self.entries.sort_unstable_by_key(|(bin, number, _)| (*bin, *number));
+        let of_bins = self.entries.chunk_by(|a, b| a.0 == b.0);
+        of_bins.filter(|bin| bin.iter().map(|(_, _, share)| share).sum::<f64>() >= least).count()
+    }
 }
 
 fn bin(pose: &Pose2) -> [i32; 3] {
@@ -98,7 +110,7 @@ mod tests {
         let sampling = Sampling { particles: 800, iterations: 5, adaptive: true, fewest: 100 };
         let needed = |xy_m: f64, sampling: &Sampling| {
             let cloud = Particles::around(Pose2::default(), Spread { xy_m, yaw_rad: 0.1 * xy_m }, 800, 1, 0);
-            sampling.needed(&cloud, &normalise(&cloud.log_weights))
+            sampling.needed(&cloud, &normalise(&cloud.log_weights), &mut Bins::default())
         };
         let widths = [0.0, 0.01, 0.05, 0.1, 0.2, 1.0];
         let counts = widths.map(|xy_m| needed(xy_m, &sampling));

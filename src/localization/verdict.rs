@@ -48,6 +48,8 @@ pub struct Standing {
     /// Where the whole field was last tried for a better pose, and how often, each time from elsewhere, there was none.
     looked_again_at: Option<Pose2>,
     found_again: u32,
+    /// Looks in a row, from wherever, that had no better pose to offer.
+    in_a_row: u32,
     second_look: SecondLook,
 }
 
@@ -94,9 +96,15 @@ const MORE_IF_FOUND_AGAIN: f64 = 0.1;
 /// Frames that are not convincing before the whole field is tried: the first time that a pose was found, and else.
 const UNCONVINCING_AT_FIRST: u32 = 2;
 const UNCONVINCING: u32 = 10;
-/// Trying it again from the same place says nothing new.
+/// Trying it again from the same place says nothing new, ...
 const ELSEWHERE_M: f64 = 0.15;
 const ELSEWHERE_RAD: f64 = 0.15;
+/// ... unless so often in a row.
+const IN_A_ROW: u32 = 2;
+/// Share of the expected lines that fit, times share of the seen ones that are expected.
+const AGREES_BOTH_WAYS: f64 = 0.65;
+/// Of what a frame shows so much more may be unexplained where a confirmed pose explains nearly all that it expects.
+const LESS_IF_HELD_FAST: f64 = 0.2;
 /// So much of what a frame may leave unexplained may be there when a pose is confirmed.
 const CONFIRMED_WITH_IF_TOLD: f64 = 0.3;
 const CONFIRMED_WITH_IF_FOUND: f64 = 0.2;
@@ -141,9 +149,13 @@ impl Standing {
         let is_new = self.looked_again_at.is_none_or(|last| {
             pose.distance(&last) > ELSEWHERE_M || wrap_angle(pose.yaw - last.yaw).abs() > ELSEWHERE_RAD
         });
+        self.in_a_row = if found_again { self.in_a_row + 1 } else { 0 };
         if is_new {
             self.looked_again_at = Some(pose);
             self.found_again = if found_again { self.found_again + 1 } else { 0 };
+        } else if self.in_a_row >= IN_A_ROW {
+            // Of a robot that stands still the pictures differ by their noise alone, which is enough for that.
+            self.found_again = self.found_again.max(1);
         }
     }
 
@@ -161,7 +173,12 @@ impl Standing {
         let doubt = self.complaint(rules, moment, fix);
         let share = (fix.agreement.expected >= FEWEST_EXPECTED).then(|| fix.agreement.share());
         self.second_look.note(seconds, share, matches!(doubt, Some("spread" | "few_lines")), fix.surprised);
-        let contradicted = matches!(doubt, Some("lines_disagree" | "lines_unexplained" | "not_standing" | "off_field"));
+        let contradicted = match doubt {
+            Some("lines_disagree" | "not_standing" | "off_field") => true,
+            // Something white stands before a place that is right all the same.
+            Some("lines_unexplained") => !self.holds_fast(fix),
+            _ => false,
+        };
         if rules.refinement && longest_axis(&fix.covariance) > LOST_M {
             self.confidence = Confidence::Nowhere;
         }
@@ -205,12 +222,22 @@ impl Standing {
                         .or_else(|| held(fix.support.share >= share, "lines_disagree"))
                         .or_else(|| held(fix.estimate.spread_m <= spread_m, "spread"));
                 }
+                let least_explained = if self.holds_fast(fix) { explained - LESS_IF_HELD_FAST } else { explained };
                 held(!fix.refined || stands(moment, fix), "not_standing")
                     .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
-                    .or_else(|| held(fix.explained.share >= explained, "lines_unexplained"))
+                    .or_else(|| held(fix.explained.share >= least_explained, "lines_unexplained"))
+                    .or_else(|| held(self.holds_fast(fix) || agrees_both_ways(fix), "lines_disagree"))
                     .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
                     .or_else(|| held(longest_axis(&fix.covariance) <= refined_m, "spread"))
             })
+    }
+
+    /// A confirmed pose of which all but a few lines are seen where they should be.
+    fn holds_fast(&self, fix: &Fix) -> bool {
+        let lines = &fix.agreement;
+        matches!(self.confidence, Confidence::Tracking(_))
+            && lines.fitting >= FITTING_IF_FOUND_AGAIN
+            && lines.share() >= SHARE_IF_FOUND
     }
 
     fn confirms(&self, rules: &Rules, fix: &Fix) -> bool {
@@ -259,6 +286,13 @@ pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> boo
     lines.fitting >= FITTING_IF_FOUND_AGAIN
         && lines.share() >= SHARE_IF_TOLD
         && explained >= share_of(CONFIRMED_WITH_IF_FOUND, least_explained)
+}
+
+/// Lines that should be seen and are not, and lines that are seen and should not be, say the same together: of right poses on
+/// two hundred walks one of five hundred falls below this, of wrong ones that pass each test alone most.
+fn agrees_both_ways(fix: &Fix) -> bool {
+    let lines = &fix.agreement;
+    lines.expected < FEWEST_EXPECTED || lines.share() * fix.explained.share >= AGREES_BOTH_WAYS
 }
 
 /// Too many lines are not.

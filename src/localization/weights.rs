@@ -1,10 +1,12 @@
 //! Weights in the log domain: normalised without underflow, whatever comes in.
 
 /// What a set of log weights says, normalised.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Weights {
     /// Sum is 1.
     pub shares: Vec<f64>,
+    /// The same with the largest as 1.
+    pub relative: Vec<f64>,
     /// Index of the largest.
     pub best: usize,
     /// 1 / sum of squares: between 1 and N.
@@ -19,44 +21,52 @@ pub struct Weights {
 
 /// NaN counts as impossible; +inf as the set of the best, alike.
 pub fn normalise(log_weights: &[f64]) -> Weights {
+    let mut weights = Weights::default();
+    normalise_into(log_weights, &mut weights);
+    weights
+}
+
+/// As [`normalise`], into the buffer of weights that are done with.
+pub fn normalise_into(log_weights: &[f64], weights: &mut Weights) {
     let count = log_weights.len();
-    let unusable = log_weights.iter().filter(|value| value.is_nan() || **value == f64::INFINITY).count();
+    let Weights { shares, relative, best, effective_sample_size, evidence, degenerate, unusable } = weights;
+    *unusable = log_weights.iter().filter(|value| value.is_nan() || **value == f64::INFINITY).count();
     let clean = |value: f64| if value.is_nan() { f64::NEG_INFINITY } else { value };
     let highest = log_weights.iter().map(|value| clean(*value)).fold(f64::NEG_INFINITY, f64::max);
-    if highest == f64::NEG_INFINITY {
-        let share = 1.0 / count.max(1) as f64;
-        return Weights {
-            shares: vec![share; count],
-            best: 0,
-            effective_sample_size: count as f64,
-            // No particles, no evidence for or against.
-            evidence: if count == 0 { 0.0 } else { f64::NEG_INFINITY },
-            degenerate: true,
-            unusable,
-        };
+    *degenerate = highest == f64::NEG_INFINITY;
+    shares.clear();
+    relative.clear();
+    if *degenerate {
+        relative.resize(count, 1.0);
+        shares.resize(count, 1.0 / count.max(1) as f64);
+        (*best, *effective_sample_size) = (0, count as f64);
+        // No particles, no evidence for or against.
+        *evidence = if count == 0 { 0.0 } else { f64::NEG_INFINITY };
+        return;
     }
-    let relative = |value: f64| {
-        let value = clean(value);
+    relative.extend(log_weights.iter().map(|value| {
+        let value = clean(*value);
+        // Not exp(inf - inf).
         if value == highest { 1.0 } else { libm::exp(value - highest) }
-    };
-    let mut shares: Vec<f64> = log_weights.iter().map(|value| relative(*value)).collect();
-    let sum = pairwise_sum(&shares);
-    let evidence = if highest == f64::INFINITY { highest } else { highest + libm::log(sum / count as f64) };
-    for share in &mut shares {
-        *share /= sum;
-    }
-    let squares: Vec<f64> = shares.iter().map(|share| share * share).collect();
-    let best = log_weights.iter().position(|value| *value == highest).unwrap_or(0);
-    Weights { best, effective_sample_size: 1.0 / pairwise_sum(&squares), evidence, degenerate: false, unusable, shares }
+    }));
+    let sum = pairwise_sum(relative);
+    shares.extend(relative.iter().map(|relative| relative / sum));
+    *best = log_weights.iter().position(|value| *value == highest).unwrap_or(0);
+    *effective_sample_size = 1.0 / pairwise_sum_of(shares, |share| share * share);
+    *evidence = if highest == f64::INFINITY { highest } else { highest + libm::log(sum / count as f64) };
 }
 
 /// Halves until 64 remain: the rounding error grows with log n instead of n.
 pub fn pairwise_sum(values: &[f64]) -> f64 {
+    pairwise_sum_of(values, |value| value)
+}
+
+fn pairwise_sum_of(values: &[f64], of: impl Fn(f64) -> f64 + Copy) -> f64 {
     if values.len() <= 64 {
-        return values.iter().sum();
+        return values.iter().map(|value| of(*value)).sum();
     }
     let (left, right) = values.split_at(values.len() / 2);
-    pairwise_sum(left) + pairwise_sum(right)
+    pairwise_sum_of(left, of) + pairwise_sum_of(right, of)
 }
 
 #[cfg(test)]

@@ -5,8 +5,10 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::catalogue::Session;
+use super::error::RecordingError;
 use super::manifest::ManifestLine;
-use super::storage::{Disk, Storage, read_small};
+use super::storage::{Disk, Storage, read_small, write_atomically};
 
 pub const ACK_FOLDER: &str = "ack";
 pub const ACK_ENDING: &str = ".jsonl";
@@ -47,6 +49,14 @@ impl Acknowledgement {
     pub fn is_of(&self, line: &ManifestLine) -> bool {
         self.file == line.name && self.blake3 == line.blake3 && self.bytes == line.bytes
     }
+}
+
+/// A store's word for the session is not relied on here any more.
+pub fn silence(session: &Session, receiver: &str) -> Result<(), RecordingError> {
+    if session.acknowledged.get(receiver).is_none_or(Vec::is_empty) {
+        return Ok(());
+    }
+    write_atomically(&Disk, &session.folder.join(ACK_FOLDER).join(format!("{receiver}{ACK_ENDING}")), b"")
 }
 
 /// Who has this segment.

@@ -40,7 +40,7 @@ impl fmt::Display for SetAside {
 }
 
 /// A session's folder.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Session {
     pub folder: PathBuf,
     /// The folder's own name.

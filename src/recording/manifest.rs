@@ -15,7 +15,7 @@ pub const SESSION_FILE: &str = "session.json";
 pub const MANIFEST_FILE: &str = "manifest.jsonl";
 /// For `ros2 bag`; written last.
 pub const METADATA_FILE: &str = "metadata.yaml";
-/// A file of this name in a session's folder: nobody deletes the session unasked.
+/// A file of this name in a session's folder: `prune` leaves the session, the recorder makes room with it last.
 pub const PIN_FILE: &str = "pinned";
 /// In a session's folder that was synced into: how many copies there are between it and the recorder.
 pub const RECEIVED_FILE: &str = "received.json";

@@ -24,6 +24,7 @@ mod simulation;
 mod status;
 pub mod storage;
 mod thinning;
+mod turn;
 mod verify;
 mod worst_stall;
 mod writer;
@@ -32,7 +33,7 @@ use std::path::Path;
 
 pub use acknowledgement::{
     ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER, is_receiver, receiver_of,
-    receivers_of,
+    receivers_of, silence,
 };
 pub use catalogue::{Received, Session, SetAside};
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
@@ -47,9 +48,11 @@ pub use pace::loss_bound_ms;
 pub use release::{Releasable, releasable};
 pub use repair::{Repaired, repair, sessions_of};
 pub use retention::Evicted;
+pub use segment::{ACTIVE, is_segment_name};
 pub use session::{Ended, SegmentState, SessionWriter, Writing};
 pub use status::{Fault, RecorderStatus, Stopped};
 pub use thinning::Thinning;
+pub use turn::Turn;
 pub use verify::{Verified, verify};
 pub use worst_stall::DiskMeasured;
 

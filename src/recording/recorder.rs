@@ -30,6 +30,7 @@ pub(super) struct Plan {
     pub name: String,
     /// `session.json`.
     pub info: Vec<u8>,
+    pub id: Option<String>,
     pub robot: String,
     pub sync_interval: Duration,
     /// Others may fetch it, and say what they have.
@@ -264,6 +265,9 @@ impl Recorder {
             self.next_index += 1;
         }
         let segment = self.segment.insert(created?);
+        if let Some(id) = &self.plan.id {
+            segment.belongs_to(id)?;
+        }
         if let Some(Beginning { log_time_ns, name, state }) = beginning {
             segment.attach(name, *log_time_ns, state)?;
         }

@@ -105,6 +105,8 @@ impl Retention {
         if seen.allowed == Allowed::All || !frees_by_eviction(seen.allowed) {
             return seen;
         }
+        // While a prune or a sync has its turn here nothing goes: what it looks at would be another's last copy. At the next look.
+        let Ok(Some(_turn)) = self.storage.lock(&self.limits.captures) else { return seen };
         for going in self.going() {
             let Ok(evicted) = going.evict(self.storage.as_ref()) else { continue };
             seen.evicted.push(evicted);

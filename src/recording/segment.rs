@@ -10,14 +10,29 @@ use super::error::RecordingError;
 use super::hashing::Hashing;
 use super::manifest::{Counts, ManifestLine, PoseBox, TopicEntry};
 use super::storage::{Storage, StoredFile};
-use crate::ros2::mcap_read::{Channel, LogMessage};
+use crate::ros2::mcap_read::{Channel, LogMessage, MetadataRecord};
 use crate::ros2::mcap_write::{ChannelId, LogWriter, RawChannel};
 
 /// What the open file ends with until it is complete.
-pub(super) const ACTIVE: &str = ".active";
+pub const ACTIVE: &str = ".active";
 /// A metadata record of this name says that an earlier segment ends before its file does: what stood behind is repeated
 /// here, because the disk never said that it had it.
 pub(super) const CUT_RECORD: &str = "realitysim.cut";
+/// Metadata record at the beginning: of which session a segment is, wherever somebody may copy it to.
+const SESSION_RECORD: &str = "realitysim.session";
+const SESSION_ID: &str = "id";
+/// A log has no checksum for such records.
+const SESSION_HASH: &str = "blake3";
+
+/// Of which session a metadata record says that the segment is; nothing if it is another record, or damaged.
+pub(super) fn session_in(record: &MetadataRecord) -> Option<&str> {
+    let id = record.values.get(SESSION_ID).filter(|_| record.name == SESSION_RECORD)?;
+    (record.values.get(SESSION_HASH) == Some(&hash_of(id))).then_some(id)
+}
+
+fn hash_of(id: &str) -> String {
+    blake3::hash(id.as_bytes()).to_hex()[..16].to_owned()
+}
 pub(super) const CUT_SEGMENT: &str = "segment";
 pub(super) const CUT_BYTES: &str = "bytes";
 
@@ -33,7 +48,7 @@ pub(super) fn segment_index(name: &str) -> Option<u32> {
 }
 
 /// `0000.mcap`: what the recorder calls a finished segment, and nothing else.
-pub(super) fn is_segment_name(name: &str) -> bool {
+pub fn is_segment_name(name: &str) -> bool {
     !name.ends_with(ACTIVE) && segment_index(name).is_some()
 }
 
@@ -120,6 +135,13 @@ impl Segment {
 
     pub(super) fn attach(&mut self, name: &str, log_time_ns: i64, data: &[u8]) -> Result<(), RecordingError> {
         let written = self.writer.attach(name, "application/octet-stream", log_time_ns, data);
+        written.map_err(|source| RecordingError::log(&self.active(), source))
+    }
+
+    pub(super) fn belongs_to(&mut self, session: &str) -> Result<(), RecordingError> {
+        let values =
+            BTreeMap::from([(SESSION_ID.to_owned(), session.to_owned()), (SESSION_HASH.to_owned(), hash_of(session))]);
+        let written = self.writer.metadata(SESSION_RECORD, &values);
         written.map_err(|source| RecordingError::log(&self.active(), source))
     }
 

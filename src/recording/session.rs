@@ -66,6 +66,7 @@ impl SessionWriter {
             captures: captures.to_owned(),
             name: name.to_owned(),
             info: serde_json::to_vec_pretty(info)?,
+            id: info.id.clone(),
             robot: info.robot.clone(),
             sync_interval: Duration::from_millis(settings.sync_interval_ms),
             is_synced_from: matches!(writing, Writing::Behind { .. }),

@@ -9,7 +9,7 @@ use super::listing::Entry;
 use super::round::Report;
 use super::rsync::{Ended, Rsync};
 use crate::recording::catalogue::{Kind, is_plain_name, sessions_in};
-use crate::recording::{Session, SetAside};
+use crate::recording::{Session, SetAside, is_segment_name};
 
 /// A source at one moment.
 pub(super) struct Seen {
@@ -54,6 +54,10 @@ pub(super) fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Se
         }
         let (folder, name) = entry.path.split_once('/').map_or((entry.path.as_str(), None), |(a, b)| (a, Some(b)));
         let session = sessions.iter_mut().find(|session| session.name == folder);
+        if let (None, Some(name), Kind::File(_)) = (&session, name, entry.kind) {
+            // Recorded once, and nobody can say any more what it should be.
+            report.left_there += u64::from(is_plain_name(folder) && is_segment_name(name));
+        }
         match (session, name, entry.kind) {
             // A link there is no folder to acknowledge into.
             (Some(session), Some(name), kind) => session.note(name, kind),

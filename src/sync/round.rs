@@ -55,7 +55,7 @@ pub struct Report {
     pub already: u64,
     /// Wanted and still not here.
     pub missing: u64,
-    /// Finished and not fetched, since what their manifest says of them is not believed.
+    /// Finished and not fetched, since what their manifest says of them is not believed, or their session has no head.
     pub left_there: u64,
     /// Not fetched, since the disk has no room for them.
     pub no_room_bytes: u64,
@@ -130,7 +130,7 @@ pub fn round(
     for (folder, ack) in &plan.withdrawn {
         store.withdraw(folder, std::slice::from_ref(ack))?;
     }
-    report.left_there = plan.left_there;
+    report.left_there += plan.left_there;
     report.already = plan.done.len() as u64;
     report.lost.append(&mut plan.lost);
     report.elsewhere.append(&mut plan.elsewhere);

@@ -10,7 +10,7 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use rustix::fs::{FlockOperation, OFlags};
+use rustix::fs::OFlags;
 use serde::{Deserialize, Serialize};
 
 use super::desk::Desk;
@@ -22,7 +22,8 @@ use crate::recording::catalogue::{session_at, sessions_in};
 use crate::recording::storage::{open_plain, read_plain};
 use crate::recording::{
     ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, RECEIVED_FILE,
-    Received, SESSION_FILE, SYNC_FOLDER, Session, SetAside, session_holding, sync_folder, write_atomically,
+    Received, SESSION_FILE, SYNC_FOLDER, Session, SetAside, Turn, session_holding, silence, sync_folder,
+    write_atomically,
 };
 
 const PRUNED_FILE: &str = "pruned.jsonl";
@@ -62,15 +63,18 @@ impl Store {
         if let Some(session) = session_holding(captures) {
             return Err(SyncError::IntoCapture { captures: captures.to_owned(), session });
         }
+        fs::create_dir_all(captures).map_err(io(captures))?;
+        let turn = Turn::in_folder(captures).map_err(io(captures))?;
+        Self::in_turn(captures, &turn)
+    }
+
+    /// By whoever has the folder's turn.
+    pub(super) fn in_turn(captures: &Path, _turn: &Turn) -> Result<Self, SyncError> {
         let state = captures.join(SYNC_FOLDER);
         fs::create_dir_all(&state).map_err(io(&state))?;
         real_folder(&state)?;
-        let mut store =
-            Self { captures: captures.to_owned(), state, receiver: String::new(), damaged: Mutex::default() };
-        let turn = store.turn()?;
-        store.receiver = receiver(&store.state)?;
-        drop(turn);
-        Ok(store)
+        let receiver = receiver(&state)?;
+        Ok(Self { captures: captures.to_owned(), state, receiver, damaged: Mutex::default() })
     }
 
     pub fn receiver(&self) -> &str {
@@ -90,7 +94,7 @@ impl Store {
         pruned_in(&self.state)
     }
 
-    pub fn note_pruned(&self, session: &Session) -> Result<(), SyncError> {
+    pub(super) fn note_pruned(&self, session: &Session) -> Result<(), SyncError> {
         let note = Pruned { id: session.id.as_str().to_owned(), name: session.name.clone() };
         let line = serde_json::to_string(&note).map_err(crate::recording::RecordingError::from)?;
         let path = self.state.join(PRUNED_FILE);
@@ -195,20 +199,14 @@ impl Store {
     }
 
     fn disown(&self, session: &Session, receiver: &str) -> Result<(), SyncError> {
-        if receiver == self.receiver || session.acknowledged.get(receiver).is_none_or(Vec::is_empty) {
-            return Ok(());
-        }
-        let path = session.folder.join(ACK_FOLDER).join(format!("{receiver}{ACK_ENDING}"));
-        Ok(write_atomically(&path, b"")?)
+        if receiver == self.receiver { Ok(()) } else { Ok(silence(session, receiver)?) }
     }
 
     /// Another folder's copy of the session goes, and relies on what is here. From now on what is here is at least as far from
     /// the recorder as that one was, and relies on nobody: who still has it says so again, if it is farther away than this.
-    pub fn be_relied_on(&self, session: &Session, hops: u32) -> Result<(), SyncError> {
-        let _turn = self.turn()?;
+    pub(super) fn be_relied_on(&self, session: &Session, hops: u32) -> Result<(), SyncError> {
         for receiver in session.acknowledged.keys() {
-            let path = session.folder.join(ACK_FOLDER).join(format!("{receiver}{ACK_ENDING}"));
-            write_atomically(&path, b"")?;
+            silence(session, receiver)?;
         }
         let received = Received { hops: session.hops().max(hops), receiver: self.receiver.clone() };
         note_received(&session.folder, &received)
@@ -296,12 +294,8 @@ impl Store {
         Ok(sync_folder(&acks)?)
     }
 
-    /// Several syncs into one folder take turns at changing it.
-    fn turn(&self) -> Result<File, SyncError> {
-        let path = self.state.join("lock");
-        let lock = own_file(&path).map_err(io(&path))?;
-        rustix::fs::flock(&lock, FlockOperation::LockExclusive).map_err(|error| io(&path)(error.into()))?;
-        Ok(lock)
+    fn turn(&self) -> Result<Turn, SyncError> {
+        Turn::in_folder(&self.captures).map_err(io(&self.captures))
     }
 }
 

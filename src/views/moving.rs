@@ -9,7 +9,7 @@ use super::optical;
 use super::raster::{Raster, SURE, UNSURE};
 use super::{Camera, TagError, World};
 use crate::geometry::{Field, Isometry};
-use crate::vision::carpet::{Carpet, Sample, Surface};
+use crate::vision::carpet::{Learning, Sample, Surface};
 
 /// Where an image was taken, and of what.
 #[derive(Clone, Copy, Debug)]
@@ -173,7 +173,7 @@ impl Small {
                 Sample::new(f32::from(*four) / 4.0, chroma.map(|value| f32::from(value) - 128.0))
             })
         };
-        let carpet = Carpet::learn(samples())?;
+        let carpet = Learning::default().learn(samples())?;
         let mut lumas: Vec<f32> = samples().map(|sample| sample.luma).collect();
         let middle = lumas.len() / 2;
         let dark_is_a_thing = *lumas.select_nth_unstable_by(middle, f32::total_cmp).1 > BRIGHT_CARPET;

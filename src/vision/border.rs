@@ -13,10 +13,14 @@ use super::carpet::Surface;
 use crate::geometry::{Isometry, Projector};
 use crate::vectorised::vectorised;
 
-/// A convex polygon on the ground of `base_footprint`, counter-clockwise.
-#[derive(Clone, Debug, PartialEq)]
+/// A convex polygon on the ground of `base_footprint`, counter-clockwise; without corners while no edge can be told.
+#[derive(Clone, Debug, Default)]
 pub struct CarpetBorder {
     corners: Vec<DVec2>,
+    /// Where the carpet ends along each azimuth.
+    ends: Vec<DVec2>,
+    /// Of each edge what [`Self::holds`] asks of a place.
+    edges: Vec<[f32; 3]>,
 }
 
 const AZIMUTHS: usize = 120;
@@ -48,15 +52,22 @@ impl Default for Rays {
 }
 
 impl CarpetBorder {
-    /// `surfaces` says what each half-resolution pixel shows; `None` when no edge can be told.
+    /// No edge can be told.
+    pub fn forget(&mut self) {
+        self.corners.clear();
+        self.edges.clear();
+    }
+
+    /// `surfaces` says what each half-resolution pixel shows.
     pub fn find(
+        &mut self,
         rays: &Rays,
         surfaces: &[Surface],
         half_width: usize,
         projector: &Projector,
         footprint_from_optical: &Isometry,
         to_working: WorkingScale,
-    ) -> Option<Self> {
+    ) {
         let optical_from_footprint = footprint_from_optical.inverse();
         let foot = footprint_from_optical.translation.truncate();
         let height = footprint_from_optical.translation.z;
@@ -79,24 +90,32 @@ impl CarpetBorder {
             let smear = BLUR_REACH_PX / pixels_per_radian * (height * height + range * range) / height.max(0.05);
             Some(foot + *direction * (range - smear).max(0.0))
         });
-        let corners = convex_hull(ends.collect());
-        (corners.len() >= 3).then_some(Self { corners })
+        self.ends.clear();
+        self.ends.extend(ends);
+        self.surround();
     }
 
+    fn surround(&mut self) {
+        convex_hull(&mut self.ends, &mut self.corners);
+        if self.corners.len() < 3 {
+            return self.forget();
+        }
+        let Self { corners, edges, .. } = self;
+        edges.clear();
+        edges.extend(around(corners).map(|(a, b)| {
+            let along = b - a;
+            // Of the perpendicular product of the edge and the way from its start.
+            [-along.y, along.x, along.y * a.x - along.x * a.y].map(|part| part as f32)
+        }));
+    }
+
+    /// None when no edge can be told.
     pub fn corners(&self) -> &[DVec2] {
         &self.corners
     }
 
-    /// Of each place whether it lies inside; one that is no number does not.
+    /// Of each place whether it lies inside; one that is no number does not. Where no edge can be told all others do.
     pub fn holds(&self, ground: &[DVec2], inside: &mut Vec<bool>) {
-        let edges: Vec<[f32; 3]> = self
-            .edges()
-            .map(|(a, b)| {
-                let along = b - a;
-                // Of the perpendicular product of the edge and the way from its start.
-                [-along.y, along.x, along.y * a.x - along.x * a.y].map(|part| part as f32)
-            })
-            .collect();
         inside.clear();
         vectorised(|| {
             for ground in ground.chunks(AT_ONCE) {
@@ -105,7 +124,7 @@ impl CarpetBorder {
                 for ((x, y), at) in xs.iter_mut().zip(&mut ys).zip(ground) {
                     (*x, *y) = (at.x as f32, at.y as f32);
                 }
-                for [to_x, to_y, first] in &edges {
+                for [to_x, to_y, first] in &self.edges {
                     for ((worst, x), y) in worst.iter_mut().zip(&xs).zip(&ys) {
                         let side = to_x * x + to_y * y + first;
                         *worst = if side < *worst { side } else { *worst };
@@ -117,10 +136,13 @@ impl CarpetBorder {
         });
     }
 
-    /// The part of the line y = `y` inside the polygon, as an interval of x.
+    /// The part of the line y = `y` inside the polygon, as an interval of x; all of it where no edge can be told.
     pub fn row(&self, y: f64) -> Option<(f64, f64)> {
+        if self.corners.is_empty() {
+            return Some((f64::NEG_INFINITY, f64::INFINITY));
+        }
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for (a, b) in self.edges() {
+        for (a, b) in around(&self.corners) {
             if (a.y <= y) != (b.y <= y) {
                 let x = a.x + (b.x - a.x) * (y - a.y) / (b.y - a.y);
                 low = low.min(x);
@@ -129,11 +151,12 @@ impl CarpetBorder {
         }
         (low <= high).then_some((low, high))
     }
+}
 
-    fn edges(&self) -> impl Iterator<Item = (DVec2, DVec2)> + '_ {
-        let next = self.corners.iter().cycle().skip(1);
-        self.corners.iter().copied().zip(next.copied())
-    }
+/// Each corner with the next.
+fn around(corners: &[DVec2]) -> impl Iterator<Item = (DVec2, DVec2)> + '_ {
+    let next = corners.iter().cycle().skip(1);
+    corners.iter().copied().zip(next.copied())
 }
 
 /// The cosine of the least angle off the axis under which the camera could see a way along the floor, `below` being at its
@@ -162,30 +185,29 @@ fn last_step(seen: impl Iterator<Item = Option<Surface>>) -> Option<usize> {
     last
 }
 
-/// Andrew's monotone chain, counter-clockwise, without collinear points.
-fn convex_hull(mut points: Vec<DVec2>) -> Vec<DVec2> {
-    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+/// Andrew's monotone chain, counter-clockwise, without collinear points. `points` are left in another order.
+fn convex_hull(points: &mut Vec<DVec2>, hull: &mut Vec<DVec2>) {
+    points.sort_unstable_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     points.dedup();
+    hull.clear();
     if points.len() < 3 {
-        return points;
+        return hull.extend_from_slice(points);
     }
-    let half = |points: &mut dyn Iterator<Item = DVec2>| {
-        let mut chain: Vec<DVec2> = Vec::new();
+    let mut half = |points: &mut dyn Iterator<Item = DVec2>| {
+        let first = hull.len();
         for point in points {
-            while let [.., a, b] = chain[..] {
+            while let [.., a, b] = hull[first..] {
                 if (b - a).perp_dot(point - b) > 0.0 {
                     break;
                 }
-                chain.pop();
+                hull.pop();
             }
-            chain.push(point);
+            hull.push(point);
         }
-        chain.pop();
-        chain
+        hull.pop();
     };
-    let mut hull = half(&mut points.iter().copied());
-    hull.extend(half(&mut points.iter().rev().copied()));
-    hull
+    half(&mut points.iter().copied());
+    half(&mut points.iter().rev().copied());
 }
 
 #[cfg(test)]
@@ -211,7 +233,8 @@ mod tests {
     #[test]
     fn a_square_holds_its_middle_and_its_rows() {
         let square = vec![DVec2::new(1.0, 1.0), DVec2::new(-1.0, 1.0), DVec2::new(-1.0, -1.0), DVec2::new(1.0, -1.0)];
-        let border = CarpetBorder { corners: convex_hull(square) };
+        let mut border = CarpetBorder { ends: square, ..CarpetBorder::default() };
+        border.surround();
         assert_eq!(border.corners().len(), 4);
         let mut inside = Vec::new();
         border.holds(&[DVec2::new(0.9, -0.9), DVec2::new(1.1, 0.0), DVec2::NAN], &mut inside);
@@ -224,9 +247,10 @@ mod tests {
         #[test]
         fn the_hull_holds_every_point(points in proptest::collection::vec((-5.0..5.0f64, -5.0..5.0f64), 3..40)) {
             let points: Vec<DVec2> = points.into_iter().map(DVec2::from).collect();
-            let hull = CarpetBorder { corners: convex_hull(points.clone()) };
+            let mut hull = Vec::new();
+            convex_hull(&mut points.clone(), &mut hull);
             for point in &points {
-                let worst = hull.edges().map(|(a, b)| (b - a).perp_dot(*point - a)).fold(f64::INFINITY, f64::min);
+                let worst = around(&hull).map(|(a, b)| (b - a).perp_dot(*point - a)).fold(f64::INFINITY, f64::min);
                 prop_assert!(worst >= -1e-9);
             }
         }

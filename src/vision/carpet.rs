@@ -74,17 +74,27 @@ impl Sample {
     }
 }
 
-impl Carpet {
+/// Learns a carpet from samples; kept from frame to frame for its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct Learning {
+    green: Vec<Sample>,
+    values: Vec<f32>,
+}
+
+impl Learning {
     /// The median colour of what is greener than gray; `None` if there is too little of it.
-    pub fn learn(samples: impl Iterator<Item = Sample>) -> Option<Self> {
+    pub fn learn(&mut self, samples: impl Iterator<Item = Sample>) -> Option<Carpet> {
         let is_green =
             |s: &Sample| s.luma >= DARKEST && s.hue[0] + s.hue[1] < -0.06 && s.hue[0] < 0.03 && s.hue[1] < 0.03;
-        let green: Vec<Sample> = samples.filter(is_green).collect();
+        let Self { green, values } = self;
+        green.clear();
+        green.extend(samples.filter(is_green));
         if green.len() < FEWEST_SAMPLES {
             return None;
         }
-        let median_of = |value: &dyn Fn(&Sample) -> f32| {
-            let mut values: Vec<f32> = green.iter().map(value).collect();
+        let mut median_of = |value: &dyn Fn(&Sample) -> f32| {
+            values.clear();
+            values.extend(green.iter().map(value));
             let middle = values.len() / 2;
             *values.select_nth_unstable_by(middle, f32::total_cmp).1
         };
@@ -97,14 +107,16 @@ impl Carpet {
             let (a, b) = (-0.25 * hue, 1.1 * hue);
             [a.min(b), a.max(b)].map(hue_units)
         });
-        Some(Self {
+        Some(Carpet {
             hue: hue.map(hue_units),
             tolerance: hue_units((4.0 * spread).clamp(0.07, 0.3)),
             white,
             bright: (4.0 * BRIGHTER * median_of(&|s| s.luma)) as u16,
         })
     }
+}
 
+impl Carpet {
     /// Of four pixels with this sum of luma and this Cb and Cr (neutral: 128). In 16 bits, without branches or divisions:
     /// every pixel passes here.
     #[inline(always)]
@@ -175,17 +187,18 @@ mod tests {
                 let (luma, chroma) = pixel(r, g, b);
                 carpet.classify(4 * u16::from(luma), chroma)
             };
-            let carpet = Carpet::learn((0..100).map(|i| {
-                let (r, g, b) = lit([30.0, 90.0 + f64::from(i % 10), 35.0]);
-                sample(r, g, b)
-            }))
-            .expect("green");
+            let carpet = Learning::default()
+                .learn((0..100).map(|i| {
+                    let (r, g, b) = lit([30.0, 90.0 + f64::from(i % 10), 35.0]);
+                    sample(r, g, b)
+                }))
+                .expect("green");
             assert_eq!(classify(&carpet, lit([32.0, 95.0, 36.0])), Surface::Carpet);
             assert_eq!(classify(&carpet, lit([20.0, 62.0, 23.0])), Surface::Carpet, "a shadow");
             assert_eq!(classify(&carpet, lit([140.0, 140.0, 135.0])), Surface::White);
             assert_eq!(classify(&carpet, lit([35.0, 35.0, 40.0])), Surface::Other, "a robot");
             assert_eq!(classify(&carpet, lit([130.0, 60.0, 40.0])), Surface::Other, "a ball");
         }
-        assert_eq!(Carpet::learn((0..100).map(|_| sample(90, 90, 90))), None);
+        assert_eq!(Learning::default().learn((0..100).map(|_| sample(90, 90, 90))), None);
     }
 }

@@ -26,6 +26,8 @@ pub(super) struct Cells {
     pub(super) shown: Vec<i16>,
     blobs: Vec<u16>,
     sums: Vec<u16>,
+    /// Contrast and how strongly a line would show, of some cells.
+    samples: Vec<(f32, f32)>,
 }
 
 /// How places at a distance are to be read; by the squared distance from the point below the camera.
@@ -63,17 +65,6 @@ impl Cells {
         }
     }
 
-    #[inline(always)]
-    pub(super) fn is_seen(&self, cell: usize) -> bool {
-        !contrast::surface(self.shown[cell]).is_occluder()
-    }
-
-    /// Gray levels of line contrast.
-    #[inline(always)]
-    fn contrast(&self, cell: usize) -> f32 {
-        f32::from(self.shown[cell] & !3) * (1.0 / UNITS)
-    }
-
     /// White areas wider than lines are (a ball, a robot, a sheet of paper) show no line, nor do their edges.
     pub(super) fn hide_blobs(&mut self, cell_m: f64) {
         let reach = (libm::round(BLOB_M / 2.0 / cell_m / BLOCK as f64) as usize).max(1);
@@ -108,13 +99,13 @@ impl Cells {
 
     /// Gray levels that a line of the best width has, from the frame itself: the brightest few per cent of
     /// what is seen, but well above the noise of plain carpet.
-    pub(super) fn full_contrast(&self, map: &GroundMap, by_range: &ByRange) -> f32 {
-        let mut values: Vec<(f32, f32)> = Vec::with_capacity(SIDE * SIDE / LEARN_STEP + 1);
+    pub(super) fn full_contrast(&mut self, map: &GroundMap, by_range: &ByRange) -> f32 {
+        let Self { shown, samples: values, .. } = self;
         for step in [LEARN_STEP, 1] {
             values.clear();
-            values.extend((0..SIDE * SIDE).step_by(step).filter(|cell| self.is_seen(*cell)).map(|cell| {
+            values.extend((0..SIDE * SIDE).step_by(step).filter(|cell| is_seen(shown[*cell])).map(|cell| {
                 let strength = by_range.strength(map.square_range(cell / SIDE / BLOCK, cell % SIDE / BLOCK));
-                (self.contrast(cell) / strength, strength)
+                (contrast(shown[cell]) / strength, strength)
             }));
             let clearest = values.iter().map(|(_, strength)| *strength).fold(0.0, f32::max);
             values.retain(|(_, strength)| *strength > CLEAR * clearest);
@@ -195,8 +186,9 @@ impl Cells {
     pub(super) fn nearest_levels(&self, full: f32, map: &GroundMap, by_range: &ByRange, reach_m: f64) -> Vec<u8> {
         let reach = (libm::ceil(reach_m / map.cell_m()) as usize).clamp(1, 60);
         let square = |cell: usize| map.square_range(cell / SIDE / BLOCK, cell % SIDE / BLOCK);
+        let seen = |cell: usize| is_seen(self.shown[cell]);
         let is_line =
-            |cell: usize| self.is_seen(cell) && self.contrast(cell) >= 0.5 * full * by_range.strength(square(cell));
+            |cell: usize| seen(cell) && contrast(self.shown[cell]) >= 0.5 * full * by_range.strength(square(cell));
         let white: Vec<bool> = (0..SIDE * SIDE).map(is_line).collect();
         let nearest = distance::nearest(&white, SIDE, SIDE, reach);
         let neutral = f32::from(NEUTRAL);
@@ -204,14 +196,25 @@ impl Cells {
             let share = 1.0 - (nearest[cell] / reach as f32).min(1.0);
             (neutral + (share * 255.0 - neutral) * by_range.weight(square(cell)) + 0.5) as u8
         };
-        (0..SIDE * SIDE).map(|cell| if self.is_seen(cell) { level(cell) } else { NEUTRAL }).collect()
+        (0..SIDE * SIDE).map(|cell| if seen(cell) { level(cell) } else { NEUTRAL }).collect()
     }
 
     /// Whatever was read, in whole units: blurred gray, or distances in the image. What is unseen is 0.
     pub(super) fn plain_levels(&self, seen: &Cells) -> Vec<u8> {
         let level = |cell: usize| (f32::from(self.shown[cell]) / UNITS + 0.5) as u8;
-        (0..SIDE * SIDE).map(|cell| if seen.is_seen(cell) { level(cell) } else { 0 }).collect()
+        (0..SIDE * SIDE).map(|cell| if is_seen(seen.shown[cell]) { level(cell) } else { 0 }).collect()
     }
+}
+
+#[inline(always)]
+fn is_seen(shown: i16) -> bool {
+    !contrast::surface(shown).is_occluder()
+}
+
+/// Gray levels of line contrast.
+#[inline(always)]
+fn contrast(shown: i16) -> f32 {
+    f32::from(shown & !3) * (1.0 / UNITS)
 }
 
 /// Sums over the square of 2 `reach` + 1 blocks around each.

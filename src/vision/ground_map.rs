@@ -31,17 +31,14 @@ impl GroundMap {
         projector: &Projector,
         footprint_from_optical: &Isometry,
         range_m: f64,
-        border: Option<&CarpetBorder>,
+        border: &CarpetBorder,
     ) {
         self.range_m = range_m;
         self.foot = footprint_from_optical.translation.truncate();
         self.height_m = footprint_from_optical.translation.z;
         self.columns.clear();
         for row in 0..SIDE {
-            let inside = match border {
-                Some(border) => border.row(self.place(row)).unwrap_or((f64::INFINITY, f64::NEG_INFINITY)),
-                None => (f64::NEG_INFINITY, f64::INFINITY),
-            };
+            let inside = border.row(self.place(row)).unwrap_or((f64::INFINITY, f64::NEG_INFINITY));
             let column = |x: f64| libm::ceil((x + range_m) / self.cell_m() - 0.5).clamp(0.0, SIDE as f64) as usize;
             let (from, to) = (column(inside.0), column(inside.1));
             self.columns.push([from, to.max(from)]);

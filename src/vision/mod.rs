@@ -28,7 +28,7 @@ pub use ground::{GroundTable, Readings};
 pub use ground_map::GroundMap;
 pub use line_image::LineImage;
 pub use mask::BodyMask;
-pub use picture::Picture;
+pub use picture::{Picture, Reduction};
 pub use rotation::{Small, Turning};
 
 /// What the ground table is to hold; one per observation model and formula.
@@ -62,6 +62,9 @@ pub struct Seen {
     /// NaN where no floor is.
     floor: Vec<DVec2>,
     on_carpet: Vec<bool>,
+    reduction: Reduction,
+    learning: carpet::Learning,
+    border: CarpetBorder,
 }
 
 impl Seen {
@@ -140,12 +143,12 @@ impl Vision {
         seen: &mut Seen,
     ) {
         seen.glance = Glance::of(picture);
-        let working = &*picture.reduced(self.reduction);
+        let Seen { table, lines, image, contrast, making, floor, on_carpet, reduction, learning, border, .. } = seen;
+        let working = picture.reduced(self.reduction, reduction);
         let scale = WorkingScale::new(self.reduction);
-        let Seen { table, lines, image, contrast, making, floor, on_carpet, .. } = seen;
         contrast.start(working);
         self.find_floor(footprint_from_optical, floor);
-        let carpet = self.learn_carpet(working, contrast, floor);
+        let carpet = self.learn_carpet(working, contrast, floor, learning);
         let surfaces = &mut image.surfaces;
         match &carpet {
             Some(carpet) => carpet.surfaces(&contrast.half, working, surfaces),
@@ -154,20 +157,15 @@ impl Vision {
         if let Some(body) = body {
             hide_body(body, surfaces, contrast.width, scale);
         }
-        let border = carpet.as_ref().and_then(|_| {
+        border.forget();
+        if carpet.is_some() {
             let rays = &self.border_rays;
-            CarpetBorder::find(rays, surfaces, contrast.width, &self.projector, footprint_from_optical, scale)
-        });
-        match &border {
-            Some(border) => border.holds(floor, on_carpet),
-            None => {
-                on_carpet.clear();
-                on_carpet.extend(floor.iter().map(|at| !at.is_nan()));
-            }
+            border.find(rays, surfaces, contrast.width, &self.projector, footprint_from_optical, scale);
         }
+        border.holds(floor, on_carpet);
         contrast.finish(surfaces, on_carpet);
         let range_m = self.range_m(footprint_from_optical);
-        making.map().fill(&self.projector, footprint_from_optical, range_m, border.as_ref());
+        making.map().fill(&self.projector, footprint_from_optical, range_m, border);
         let scales = ground::Scale {
             to_working: scale,
             pixels_per_radian: self.lens().focal(),
@@ -197,7 +195,13 @@ impl Vision {
         }));
     }
 
-    fn learn_carpet(&self, working: &Picture, contrast: &LineContrast, floor: &[DVec2]) -> Option<Carpet> {
+    fn learn_carpet(
+        &self,
+        working: &Picture,
+        contrast: &LineContrast,
+        floor: &[DVec2],
+        learning: &mut carpet::Learning,
+    ) -> Option<Carpet> {
         if working.chroma.is_empty() || contrast.width == 0 {
             return None;
         }
@@ -212,7 +216,7 @@ impl Vision {
                 carpet::Sample::new(f32::from(contrast.half[v * contrast.width + u]) * 0.25, chroma)
             })
         };
-        Carpet::learn((0..rows).flat_map(|row| (0..columns).step_by(2).filter_map(move |column| sample(row, column))))
+        learning.learn((0..rows).flat_map(|row| (0..columns).step_by(2).filter_map(move |column| sample(row, column))))
     }
 }
 

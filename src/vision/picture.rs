@@ -3,7 +3,7 @@
 use crate::vectorised::vectorised;
 
 /// Row by row from the top left.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Picture {
     pub width: usize,
     pub height: usize,
@@ -23,6 +23,13 @@ impl Chroma {
     pub fn is_empty(&self) -> bool {
         self.blue.is_empty()
     }
+}
+
+/// A smaller copy of a picture, kept from frame to frame for its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct Reduction {
+    picture: Picture,
+    sums: Vec<u16>,
 }
 
 impl Picture {
@@ -81,45 +88,44 @@ impl Picture {
     }
 
     /// Averages `factor` x `factor` blocks; what does not fill a block at the right and lower edge is left out.
-    pub fn reduced(&self, factor: usize) -> std::borrow::Cow<'_, Picture> {
+    pub fn reduced<'a>(&'a self, factor: usize, into: &'a mut Reduction) -> &'a Picture {
         if factor <= 1 || self.width < factor || self.height < factor {
-            return std::borrow::Cow::Borrowed(self);
+            return self;
         }
+        let Reduction { picture, sums } = into;
         let (width, height) = (self.width / factor, self.height / factor);
-        let luma = reduced(&self.luma, [self.width, self.height], [width, height], factor);
-        let chroma = if self.chroma.is_empty() {
-            Chroma::default()
-        } else {
-            let from = [self.width.div_ceil(2), self.height.div_ceil(2)];
-            let to = [width.div_ceil(2), height.div_ceil(2)];
-            Chroma {
-                blue: reduced(&self.chroma.blue, from, to, factor),
-                red: reduced(&self.chroma.red, from, to, factor),
-            }
-        };
-        std::borrow::Cow::Owned(Picture { width, height, luma, chroma })
+        (picture.width, picture.height) = (width, height);
+        reduce(&self.luma, [self.width, self.height], [width, height], factor, &mut picture.luma, sums);
+        let from = [self.width.div_ceil(2), self.height.div_ceil(2)];
+        let to = if self.chroma.is_empty() { [0, 0] } else { [width.div_ceil(2), height.div_ceil(2)] };
+        reduce(&self.chroma.blue, from, to, factor, &mut picture.chroma.blue, sums);
+        reduce(&self.chroma.red, from, to, factor, &mut picture.chroma.red, sums);
+        picture
     }
 }
 
 /// Means of blocks; those that reach over the edge average what there is.
-fn reduced(plane: &[u8], from: [usize; 2], to: [usize; 2], factor: usize) -> Vec<u8> {
+fn reduce(plane: &[u8], from: [usize; 2], to: [usize; 2], factor: usize, into: &mut Vec<u8>, sums: &mut Vec<u16>) {
+    into.resize(to[0] * to[1], 0);
+    sums.resize(from[0], 0);
+    if into.is_empty() {
+        return;
+    }
     match factor {
-        2 => reduced_by::<2>(plane, from, to),
-        3 => reduced_by::<3>(plane, from, to),
-        4 => reduced_by::<4>(plane, from, to),
-        5 => reduced_by::<5>(plane, from, to),
-        6 => reduced_by::<6>(plane, from, to),
-        7 => reduced_by::<7>(plane, from, to),
-        _ => reduced_by::<8>(plane, from, to),
+        2 => reduce_by::<2>(plane, from, to, into, sums),
+        3 => reduce_by::<3>(plane, from, to, into, sums),
+        4 => reduce_by::<4>(plane, from, to, into, sums),
+        5 => reduce_by::<5>(plane, from, to, into, sums),
+        6 => reduce_by::<6>(plane, from, to, into, sums),
+        7 => reduce_by::<7>(plane, from, to, into, sums),
+        _ => reduce_by::<8>(plane, from, to, into, sums),
     }
 }
 
 /// Division by a constant is a multiplication: worth a copy of the loop for each.
-fn reduced_by<const FACTOR: usize>(plane: &[u8], from: [usize; 2], to: [usize; 2]) -> Vec<u8> {
-    let mut result = vec![0; to[0] * to[1]];
-    let mut sums = vec![0u16; from[0]];
+fn reduce_by<const FACTOR: usize>(plane: &[u8], from: [usize; 2], to: [usize; 2], into: &mut [u8], sums: &mut [u16]) {
     let mean = |sum: usize, count: usize| ((sum + count / 2) / count.max(1)) as u8;
-    for (v, target) in result.chunks_exact_mut(to[0]).enumerate() {
+    for (v, target) in into.chunks_exact_mut(to[0]).enumerate() {
         let rows = &plane[v * FACTOR * from[0]..((v + 1) * FACTOR).min(from[1]) * from[0]];
         let height = rows.len() / from[0];
         let (whole, rest) = target.split_at_mut(if height == FACTOR { (from[0] / FACTOR).min(to[0]) } else { 0 });
@@ -143,7 +149,6 @@ fn reduced_by<const FACTOR: usize>(plane: &[u8], from: [usize; 2], to: [usize; 2
             *value = mean(sum, columns.len() * height);
         }
     }
-    result
 }
 
 fn ycbcr(r: u8, g: u8, b: u8) -> [u8; 3] {
@@ -195,7 +200,8 @@ mod tests {
             for (width, height) in [(64usize, 48usize), (37, 29), (8, 9), (5, 17)] {
                 let luma: Vec<u8> = (0..width * height).map(|i| (i * 7919 % 256) as u8).collect();
                 let to = [width.div_ceil(factor), height.div_ceil(factor)];
-                let small = reduced(&luma, [width, height], to, factor);
+                let (mut small, mut sums) = (Vec::new(), Vec::new());
+                reduce(&luma, [width, height], to, factor, &mut small, &mut sums);
                 let to_end = |at: usize, end: usize| at * factor..((at + 1) * factor).min(end);
                 for (i, value) in small.iter().enumerate() {
                     let (u, v) = (i % to[0], i / to[0]);
@@ -213,11 +219,12 @@ mod tests {
     #[test]
     fn reduction_averages_blocks() {
         let p = Picture::from_gray(4, 2, vec![0, 4, 10, 10, 8, 4, 10, 11]).expect("eight pixels");
-        assert_eq!(p.reduced(2).luma, vec![4, 10]);
-        assert_eq!(p.reduced(1).luma, p.luma);
-        assert_eq!(p.reduced(3).luma, p.luma, "smaller than one block: left as it is");
+        let mut reduction = Reduction::default();
+        assert_eq!(p.reduced(2, &mut reduction).luma, vec![4, 10]);
+        assert_eq!(p.reduced(1, &mut reduction).luma, p.luma);
+        assert_eq!(p.reduced(3, &mut reduction).luma, p.luma, "smaller than one block: left as it is");
         let coloured = Picture::from_rgb(7, 5, &[90; 105]).expect("35 pixels");
-        let small = coloured.reduced(2);
+        let small = coloured.reduced(2, &mut reduction);
         assert_eq!((small.width, small.height, small.chroma.blue.len()), (3, 2, 2));
     }
 }

@@ -6,7 +6,7 @@
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-use super::Picture;
+use super::{Picture, Reduction};
 use crate::geometry::Lens;
 
 /// For one lens.
@@ -41,7 +41,11 @@ impl<'a> Turning<'a> {
     /// None if the picture has not the lens's size.
     pub fn small(&self, picture: &Picture) -> Option<Small> {
         let fits = picture.width == self.lens.width() as usize && picture.height == self.lens.height() as usize;
-        fits.then(|| Small(picture.reduced(self.factor).luma.iter().map(|value| f64::from(*value)).collect()))
+        fits.then(|| {
+            let mut reduction = Reduction::default();
+            let small = picture.reduced(self.factor, &mut reduction);
+            Small(small.luma.iter().map(|value| f64::from(*value)).collect())
+        })
     }
 
     /// The rotation vector (radians) that turns the first camera into the second, in axes of `camera_optical_frame`.

@@ -233,7 +233,7 @@ fn the_ground_map_draws_places_where_the_lens_does() {
     let (mut worst_px, mut worst_m) = ([0.0f64; 3], 0.0f64);
     for (name, lens) in lenses() {
         let mut map = GroundMap::default();
-        map.fill(&Projector::new(&lens), &place(), 3.6, None);
+        map.fill(&Projector::new(&lens), &place(), 3.6, &CarpetBorder::default());
         let mut count = 0;
         for row in 0..SIDE {
             for column in 0..SIDE {

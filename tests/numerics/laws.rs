@@ -9,7 +9,7 @@ use realitysim::geometry::{Euler, Field, Isometry, Pose2};
 use realitysim::localization::kernel::{Points, available, sum_levels};
 use realitysim::localization::observation::{Formula, Observation, SimdPath};
 use realitysim::localization::random::{Purpose, Stream};
-use realitysim::localization::resampling::residual;
+use realitysim::localization::resampling::{Copies, residual};
 use realitysim::localization::weights::normalise;
 use realitysim::scene::{Renderer, Scene, SceneFile};
 use realitysim::vision::{GroundTable, Picture, Reading, Vision, VisionSettings};
@@ -116,6 +116,12 @@ fn a_particle_s_likelihood_does_not_depend_on_the_others() {
 }
 
 /// Whatever the order of the particles: the same shares, and copies that average to them.
+fn counts(log_weights: &[f64], draws: usize, stream: &mut Stream) -> Vec<u32> {
+    let mut copies = Copies::default();
+    residual(&normalise(log_weights), draws, stream, &mut copies);
+    copies.counts
+}
+
 #[test]
 fn the_order_of_particles_does_not_matter_to_the_distribution() {
     const SEEDS: u64 = 3000;
@@ -130,7 +136,7 @@ fn the_order_of_particles_does_not_matter_to_the_distribution() {
     assert!((plain.effective_sample_size / other.effective_sample_size - 1.0).abs() < 1e-14);
     let mut totals = [[0i64; 40]; 2];
     for seed in 0..SEEDS {
-        let draw = |logs: &[f64]| residual(logs, 20, &mut Stream::new(seed, Purpose::Resampling, 0, 0, 0));
+        let draw = |logs: &[f64]| counts(logs, 20, &mut Stream::new(seed, Purpose::Resampling, 0, 0, 0));
         let (plain, other) = (draw(&logs), draw(&shuffled));
         for (place, index) in order.iter().enumerate() {
             totals[0][*index] += i64::from(plain[*index]);
@@ -151,7 +157,7 @@ proptest! {
         // Shifts that f64 holds exactly: a factor of all weights.
         let logs: Vec<f64> = logs.iter().map(|log| (log * 1024.0).round() / 1024.0).collect();
         let shift = f64::from(power) * 1024.0;
-        let draw = |logs: &[f64]| residual(logs, draws, &mut Stream::new(seed, Purpose::Resampling, 1, 2, 0));
+        let draw = |logs: &[f64]| counts(logs, draws, &mut Stream::new(seed, Purpose::Resampling, 1, 2, 0));
         let counts = draw(&logs);
         prop_assert_eq!(counts.iter().sum::<u32>() as usize, draws);
         prop_assert_eq!(draw(&logs.iter().map(|log| log + shift).collect::<Vec<_>>()), counts);

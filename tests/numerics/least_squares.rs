@@ -6,9 +6,9 @@ use std::sync::OnceLock;
 use glam::DVec3;
 use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 use realitysim::config::{load_field, load_lens};
-use realitysim::geometry::{Euler, Field, Isometry, Lens, Projector};
+use realitysim::geometry::{Euler, Field, Isometry};
 use realitysim::localization::random::{Purpose, Stream};
-use realitysim::localization::refinement::{LinePoints, Prior, Refined, error_between, moved_pose, refine};
+use realitysim::localization::refinement::{Prior, Refined, Refiner, error_between, moved_pose};
 use realitysim::scene::{Renderer, Scene, SceneFile};
 use realitysim::vision::{Picture, Reading, Seen, Vision, VisionSettings};
 
@@ -17,8 +17,7 @@ use super::measured::largest_error;
 struct Bench {
     renderer: Renderer,
     vision: Vision,
-    projector: Projector,
-    points: LinePoints,
+    refiner: Refiner,
 }
 
 /// The shipped walk with its sensor's noise, at full size.
@@ -41,8 +40,7 @@ fn bench() -> &'static Bench {
         Bench {
             renderer: Renderer::new(&scene),
             vision: Vision::new(&lens, settings),
-            projector: Projector::new(&Lens::clone(&lens)),
-            points: LinePoints::new(&field),
+            refiner: Refiner::new(&field, &lens),
         }
     })
 }
@@ -61,7 +59,7 @@ impl Bench {
     }
 
     fn refined(&self, seen: &Seen, prior: &Prior, starts: &[Vector6<f64>]) -> Refined {
-        let refined = refine(&self.points, &seen.image, &self.projector, prior, starts).expect("a covariance");
+        let refined = self.refiner.clone().refine(&seen.image, prior, starts).expect("a covariance");
         let c = &refined.covariance;
         assert!(c.iter().chain(&refined.moved).all(|value| value.is_finite()) && refined.cost.is_finite());
         assert!(c.cholesky().is_some() && *c == c.transpose() && refined.condition >= 1.0 - 1e-12);
@@ -133,7 +131,7 @@ fn on_an_image_several_starts_leave_a_wrong_basin() {
 fn on_an_image_of_one_line_the_covariance_is_long_along_the_line() {
     let bench = bench();
     let truth = camera(0.9, 0.0, 0.0);
-    let lens = bench.projector.lens();
+    let lens = bench.vision.lens();
     let (width, height) = (lens.width() as usize, lens.height() as usize);
     // The goal line alone, from the pose that sees it at x = 3.
     let paint = |index: usize| {
@@ -166,7 +164,7 @@ fn on_an_image_of_one_line_the_covariance_is_long_along_the_line() {
 #[test]
 fn an_image_without_any_line_leaves_the_prior_as_it_was() {
     let bench = bench();
-    let lens = bench.projector.lens();
+    let lens = bench.vision.lens();
     let (width, height) = (lens.width() as usize, lens.height() as usize);
     let truth = camera(0.0, 0.0, 0.0);
     let place = Isometry::new(truth.rotation, DVec3::new(0.0, 0.0, truth.translation.z));

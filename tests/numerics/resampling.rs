@@ -1,12 +1,15 @@
 //! Residual resampling in integers: nothing is lost, nobody is favoured.
 
 use realitysim::localization::random::{Purpose, Stream};
-use realitysim::localization::resampling::{MAX_PARTICLES, residual};
+use realitysim::localization::resampling::{Copies, MAX_PARTICLES, residual};
+use realitysim::localization::weights::normalise;
 
 use super::measured::largest_error;
 
 fn draw(log_weights: &[f64], draws: usize, seed: u64) -> Vec<u32> {
-    residual(log_weights, draws, &mut Stream::new(seed, Purpose::Resampling, 0, 0, 0))
+    let mut copies = Copies::default();
+    residual(&normalise(log_weights), draws, &mut Stream::new(seed, Purpose::Resampling, 0, 0, 0), &mut copies);
+    copies.counts
 }
 
 /// What two libraries do, and their numbers.

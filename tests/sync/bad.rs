@@ -87,6 +87,27 @@ fn another_version_or_no_session_at_all() {
     );
 }
 
+/// Segments that were recorded once, and that nobody can say anything of.
+#[test]
+fn a_session_without_a_head_costs_the_exit_code_and_is_named_by_verify_and_repair() {
+    let Some(site) = Site::new() else { return };
+    site.session("robot", "good", &[noise(1, 1_000)]);
+    let folder = site.session("robot", "strange", &[noise(2, 1_000), noise(3, 1_000)]);
+    let left = |dev: &str| site.sync("robot", dev, &["--json"]).ends(1).json()["left_there"].as_u64();
+    for (head, dev) in [(r#"{"format":2}"#, "newer"), ("{", "torn"), ("", "empty")] {
+        fs::write(folder.join("session.json"), head).expect("written");
+        assert_eq!(left(dev), Some(2), "{head:?}");
+    }
+    fs::remove_file(folder.join("session.json")).expect("removed");
+    assert_eq!(left("without"), Some(2));
+    fs::remove_file(folder.join("manifest.jsonl")).expect("removed");
+    assert_eq!(left("without_both"), Some(2));
+    for command in ["verify", "repair"] {
+        let told = site.run(&format!("sessions {command} --captures robot"));
+        assert!(told.code == Some(3) && told.stdout.contains("strange: has no session.json"), "{told:?}");
+    }
+}
+
 #[test]
 fn names_that_try_to_leave_the_folder() {
     for name in

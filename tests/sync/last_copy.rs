@@ -3,7 +3,10 @@
 
 use std::fs;
 
-use super::site::{Site, contents, noise};
+use realitysim::recording::catalogue::sessions_in;
+use realitysim::sync::{Goal, Removal};
+
+use super::site::{Site, contents, finish_segment, noise};
 
 const S: [u64; 2] = [1_000, 500];
 
@@ -61,6 +64,48 @@ fn two_folders_that_are_pruned_for_each_other_s_copy_at_once_keep_one() {
         let left = [&a, &b].into_iter().filter(|folder| !contents(&site.path(folder)).is_empty()).count();
         assert_eq!(left, 1, "round {round}");
     }
+}
+
+/// What a prune has looked at may change while it reads: a segment comes, a copy goes, somebody puts a file there.
+#[test]
+fn what_changes_between_the_look_and_the_deletion_stays() {
+    let Some(site) = Site::new() else { return };
+    let copies = [site.path("stick")];
+    let prune = |change: &dyn Fn(), should_go: bool| {
+        for folder in ["robot", "dev", "stick"] {
+            let _ = fs::remove_dir_all(site.path(folder));
+        }
+        two(&site, "s");
+        site.sync("robot", "dev", &[]).ends(0);
+        site.sync("robot", "stick", &[]).ends(0);
+        let dev = site.path("dev");
+        let (sessions, _) = sessions_in(&dev).expect("read");
+        let mut removal = Removal::plan(&dev, &copies, &sessions, &Goal::default());
+        assert!(removal.decisions[0].goes, "{:?}", removal.decisions);
+        change();
+        let before = contents(&dev);
+        removal.carry_out().expect("carried out");
+        assert_eq!(removal.decisions[0].goes, should_go, "{:?}", removal.decisions);
+        if should_go {
+            assert!(contents(&dev).is_empty());
+        } else {
+            assert!(removal.decisions[0].why.contains("prune again") && contents(&dev) == before);
+        }
+    };
+    prune(&|| {}, true);
+    prune(
+        &|| {
+            // The robot goes on, and the folder says that it has what came.
+            finish_segment(&site.path("robot/s"), 2, &noise(3, 700));
+            site.sync("robot", "dev", &[]).ends(0);
+        },
+        false,
+    );
+    prune(&|| fs::remove_file(site.path("stick/s/0001.mcap")).expect("gone"), false);
+    prune(&|| fs::write(site.path("stick/s/0001.mcap"), noise(9, S[1] as usize)).expect("changed"), false);
+    prune(&|| fs::write(site.path("dev/s/notes.txt"), "mine").expect("written"), false);
+    prune(&|| fs::create_dir(site.path("dev/s/refined")).expect("made"), false);
+    prune(&|| fs::write(site.path("dev/s/pinned"), "").expect("written"), false);
 }
 
 #[test]

@@ -104,7 +104,7 @@ impl Meters {
     pub fn filter(&self) -> FilterUse {
         let frames = self.recent.len().max(1) as f64;
         FilterUse {
-            particles: self.recent.iter().map(|recent| f64::from(recent.particles)).sum::<f64>() / frames,
+            particles: self.recent.iter().map(|recent| u64::from(recent.particles)).sum::<u64>() as f64 / frames,
             capped: self.recent.iter().filter(|recent| recent.capped).count() as f64 / frames,
             spread_m: self.recent.back().map_or(0.0, |recent| recent.spread_m),
         }

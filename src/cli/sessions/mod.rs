@@ -15,7 +15,7 @@ use super::Outcome;
 use super::settings::UsageError;
 use crate::recording::catalogue::session_at;
 use crate::recording::storage::{Disk, Kind, Storage};
-use crate::recording::{Loss, MANIFEST_FILE, SESSION_FILE, Session, sessions_of};
+use crate::recording::{ACTIVE, Loss, MANIFEST_FILE, SESSION_FILE, Session, is_segment_name, sessions_of};
 use crate::sync::SERVICE_CAPTURES;
 
 /// What recordings there are, on the robot and on the dev machine
@@ -86,7 +86,12 @@ impl CapturesArguments {
             match there(SESSION_FILE) {
                 Some(Kind::File(_)) => None,
                 Some(_) => Some(format!("its {SESSION_FILE} is no plain file: nothing is done to it")),
-                None => there(MANIFEST_FILE).map(|_| format!("has no {SESSION_FILE}: nothing is done to it")),
+                None => {
+                    let is_recorded =
+                        |name: &str| name == MANIFEST_FILE || is_segment_name(name.trim_end_matches(ACTIVE));
+                    let is_session = inside.iter().any(|entry| is_recorded(&entry.name));
+                    is_session.then(|| format!("has no {SESSION_FILE}: nothing is done to it"))
+                }
             }
         };
         let folders = folders.filter(|entry| !entry.name.starts_with('.')).map(|entry| captures.join(entry.name));

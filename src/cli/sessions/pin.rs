@@ -10,7 +10,10 @@ use super::CapturesArguments;
 use crate::cli::{Outcome, output, paths};
 use crate::recording::{PIN_FILE, Session, sync_folder, write_atomically};
 
-/// Keep sessions: neither the recorder nor `prune` deletes them unasked
+/// Keep sessions: `prune` leaves them alone unless told otherwise, and the recorder deletes them last
+///
+/// A recorder that is out of room removes what a dev machine has acknowledged, oldest first, and pinned sessions only when
+/// nothing else is left.
 #[derive(Args)]
 pub struct PinArguments {
     /// Names, or beginnings of which there is one, or folders

@@ -40,6 +40,7 @@ pub enum SimdPath {
     Scalar,
     Sse2,
     Avx2,
+    Neon,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

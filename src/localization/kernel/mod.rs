@@ -5,6 +5,8 @@
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(target_arch = "aarch64")]
+mod neon;
 mod plain;
 mod points;
 mod rotation;
@@ -20,7 +22,7 @@ pub use points::Points;
 /// Points that a look-up leaves out or takes together.
 pub const LANES: usize = 8;
 
-/// The wanted path if this processor has it, else the next best. Every x86-64 processor has SSE2.
+/// The wanted path if this processor has it, else the next best. Every x86-64 processor has SSE2, every aarch64 one NEON.
 pub fn available(wanted: SimdPath) -> SimdPath {
     #[cfg(target_arch = "x86_64")]
     {
@@ -30,7 +32,11 @@ pub fn available(wanted: SimdPath) -> SimdPath {
             _ => SimdPath::Sse2,
         }
     }
-    #[cfg(not(target_arch = "x86_64"))]
+    #[cfg(target_arch = "aarch64")]
+    {
+        if wanted == SimdPath::Scalar { SimdPath::Scalar } else { SimdPath::Neon }
+    }
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
     {
         let _ = wanted;
         SimdPath::Scalar
@@ -115,6 +121,11 @@ pub fn sum_levels(path: SimdPath, table: &GroundTable, points: &Points, pose: &P
             SimdPath::Sse2 => {
                 // SAFETY: every x86-64 processor has SSE2, and `quads` holds SIDE x SIDE words.
                 unsafe { sse2::sum(quads, groups, placement) }
+            }
+            #[cfg(target_arch = "aarch64")]
+            SimdPath::Neon => {
+                // SAFETY: every aarch64 processor has NEON, and `quads` holds SIDE x SIDE words.
+                unsafe { neon::sum(quads, groups, placement) }
             }
             _ => plain::sum(quads, groups, placement),
         };

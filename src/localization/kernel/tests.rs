@@ -2,6 +2,9 @@ use super::*;
 use glam::DVec2;
 use proptest::prelude::*;
 
+/// What a processor lacks is the plain path there.
+const PATHS: [SimdPath; 4] = [SimdPath::Scalar, SimdPath::Sse2, SimdPath::Avx2, SimdPath::Neon];
+
 fn random_table(seed: u32) -> GroundTable {
     let mut state = seed | 1;
     let levels: Vec<u8> = (0..SIDE * SIDE)
@@ -50,7 +53,7 @@ proptest! {
         let points = Points::new(positions.iter().copied());
         let pose = Pose2::new(x, y, yaw);
         let plain = sum_levels(SimdPath::Scalar, &table, &points, &pose);
-        for path in [SimdPath::Sse2, SimdPath::Avx2, available(SimdPath::Auto)] {
+        for path in PATHS.into_iter().chain([available(SimdPath::Auto)]) {
             prop_assert_eq!(sum_levels(path, &table, &points, &pose).to_bits(), plain.to_bits());
         }
         // A point lies within a 64th of a cell of its place; neighbouring random levels differ by up to 255.
@@ -81,7 +84,7 @@ fn a_pose_that_is_no_number_reads_neutral() {
     let table = random_table(5);
     let points = Points::new([DVec2::ZERO, DVec2::ONE]);
     for pose in [Pose2::new(f64::NAN, 0.0, 0.0), Pose2::new(0.0, f64::INFINITY, 1.0), Pose2::new(0.0, 0.0, f64::NAN)] {
-        for path in [SimdPath::Scalar, SimdPath::Sse2, SimdPath::Avx2] {
+        for path in PATHS {
             assert_eq!(sum_levels(path, &table, &points, &pose), 0.0);
         }
     }
@@ -93,7 +96,7 @@ fn many_points_on_the_brightest_table_do_not_overflow() {
     let table = GroundTable::from_levels(&[255; SIDE * SIDE], 0.02);
     for count in [1, LANES - 1, LANES + 3, MOST_AT_ONCE, 3 * MOST_AT_ONCE + 5] {
         let points = Points::new((0..count).map(|i| DVec2::new((i % 100) as f64 * 0.01, (i / 100) as f64 * 0.001)));
-        for path in [SimdPath::Scalar, SimdPath::Sse2, SimdPath::Avx2] {
+        for path in PATHS {
             let sum = sum_levels(path, &table, &points, &Pose2::default());
             assert_eq!(sum, count as f64 * (255.0 - f64::from(table.readings().zero)), "{path:?}, {count} points");
         }

@@ -10,7 +10,7 @@ use crate::geometry::{Pose2, wrap_angle};
 use crate::localization::filter::{Effort, MayGoOn};
 use crate::localization::global::Candidate;
 use crate::localization::particles::Spread;
-use crate::localization::refinement::{self, Refined};
+use crate::localization::refinement::Refined;
 use crate::localization::track::Track;
 use crate::localization::verdict::{CONTRADICTED, Confidence, agrees, convinces};
 use crate::vision::Seen;
@@ -164,15 +164,15 @@ impl Localizer {
         self.state.fitting.left.is_empty()
     }
 
-    fn refine_candidate(&self, moment: &Moment, seen: &Seen, pose: &Pose2) -> Option<Refined> {
-        let model = &self.model(moment);
+    fn refine_candidate(&mut self, moment: &Moment, seen: &Seen, pose: &Pose2) -> Option<Refined> {
+        let model = self.model(moment);
         let Spread { xy_m, yaw_rad } = self.settings.initial;
         let track = match &self.state.track {
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),
-            None => Track::around(*pose, xy_m, yaw_rad, model),
+            None => Track::around(*pose, xy_m, yaw_rad, &model),
         };
-        let prediction = track.prior(&moment.footprint_from_optical?, model);
-        refinement::refine(&self.points, &seen.image, &self.projector, &prediction.prior, &[Vector6::zeros()])
+        let prediction = track.prior(&moment.footprint_from_optical?, &model);
+        self.refiner.refine(&seen.image, &prediction.prior, &[Vector6::zeros()])
     }
 }
 

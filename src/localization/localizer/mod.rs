@@ -15,10 +15,10 @@ use super::observation::{Observation, Support};
 use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
 use super::posture::{Posture, Stand};
-use super::refinement::{self, Agreement, LinePoints, Prior};
+use super::refinement::{self, Agreement, Prior, Refiner};
 use super::track::{Prediction, Step, Track, TrackModel};
 use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted};
-use crate::geometry::{Field, Isometry, Lens, Pose2, Projector, wrap_angle};
+use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::vision::Seen;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -125,8 +125,7 @@ impl LocalizerSettings {
 #[derive(Clone, Debug)]
 pub struct Localizer {
     field: Field,
-    projector: Projector,
-    points: LinePoints,
+    refiner: Refiner,
     painted: PaintedMap,
     filter: Filter,
     search: Search,
@@ -145,9 +144,8 @@ impl Localizer {
         let search = Search::new(&field, lost::SEARCH_MARGIN_M, &observation);
         let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
         Self {
-            points: LinePoints::new(&field),
+            refiner: Refiner::new(&field, lens),
             painted: PaintedMap::new(&field),
-            projector: Projector::new(lens),
             field,
             filter,
             search,
@@ -199,7 +197,7 @@ impl Localizer {
             return self.drift(moment, "fallen");
         }
         if self.state.frozen.judge(moment, seen.glance.fingerprint) {
-            return self.drift(moment, "image_frozen");
+            return self.drift(moment, seen.glance.flaw().unwrap_or("image_frozen"));
         }
         let mut effort = Effort::default();
         let mut step = self.step_to(moment);
@@ -316,17 +314,16 @@ impl Localizer {
         let (Some(prediction), true) = (prediction, self.settings.refinement) else {
             return self.predicted(moment, estimate, support);
         };
-        let mut starts = vec![Vector6::zeros()];
         let track_pose = self.state.track.as_ref().map_or(estimate.best, Track::pose);
         let turned = wrap_angle(estimate.best.yaw - track_pose.yaw).abs();
-        if estimate.best.distance(&track_pose) > OTHER_BASIN_M || turned > OTHER_BASIN_RAD {
-            starts.extend(moment.footprint_from_optical.map(|place| {
-                let seen_from = estimate.best.to_isometry() * place;
-                refinement::error_between(&prediction.prior.map_from_optical, &seen_from)
-            }));
-        }
-        let refine = |prior: &Prior| refinement::refine(&self.points, &seen.image, &self.projector, prior, &starts);
-        let Some(mut refined) = refine(&prediction.prior) else {
+        let is_elsewhere = estimate.best.distance(&track_pose) > OTHER_BASIN_M || turned > OTHER_BASIN_RAD;
+        let other = moment.footprint_from_optical.filter(|_| is_elsewhere).map(|place| {
+            let seen_from = estimate.best.to_isometry() * place;
+            refinement::error_between(&prediction.prior.map_from_optical, &seen_from)
+        });
+        let starts = [Vector6::zeros(), other.unwrap_or_default()];
+        let starts = &starts[..1 + usize::from(other.is_some())];
+        let Some(mut refined) = self.refiner.refine(&seen.image, &prediction.prior, starts) else {
             return self.predicted(moment, estimate, support);
         };
         let mut prediction = prediction;
@@ -337,7 +334,7 @@ impl Localizer {
                 track.doubt(&refined.moved);
             }
             if let Some(doubted) = self.prediction(moment).map(|prediction| prediction.doubted(&refined.moved))
-                && let Some(again) = refine(&doubted.prior)
+                && let Some(again) = self.refiner.refine(&seen.image, &doubted.prior, starts)
             {
                 (prediction, refined) = (doubted, again);
             }

@@ -14,7 +14,7 @@ mod triangular;
 
 use nalgebra::{Matrix6, Vector6};
 
-use crate::geometry::{Isometry, Projector};
+use crate::geometry::{Field, Isometry, Lens, Projector};
 use crate::vision::LineImage;
 use offsets::{Counts, Sight};
 
@@ -61,66 +61,67 @@ impl Agreement {
     }
 }
 
+/// Of one field and lens; keeps what it works in from frame to frame.
+#[derive(Clone, Debug)]
+pub struct Refiner {
+    points: LinePoints,
+    projector: Projector,
+    sights: Vec<Sight>,
+}
+
 /// Scale of the robust loss, in standard deviations of one measurement, from the first round of measuring to the last. The
 /// first is for a prior whose tilt is wider than [`WIDE_RAD`]: lines lie far from where it puts them.
 const SCALES: [f64; 3] = [60.0, 12.0, 4.0];
 const WIDE_RAD: f64 = 0.02;
 
-/// Refines from each start (error vectors relative to the prior's pose); the best result counts.
-pub fn refine(
-    points: &LinePoints,
-    image: &LineImage,
-    projector: &Projector,
-    prior: &Prior,
-    starts: &[Vector6<f64>],
-) -> Option<Refined> {
-    starts
-        .iter()
-        .filter_map(|start| from_start(points, image, projector, prior, start))
-        .min_by(|a, b| a.cost.total_cmp(&b.cost))
-}
-
-fn from_start(
-    points: &LinePoints,
-    image: &LineImage,
-    projector: &Projector,
-    prior: &Prior,
-    start: &Vector6<f64>,
-) -> Option<Refined> {
-    let mut sights: Vec<Sight> = Vec::new();
-    let mut moved = *start;
-    let mut covariance = prior.covariance;
-    let mut last: Option<(Counts, solve::Solution)> = None;
-    let mut noise = solve::Noise::USUAL;
-    let wide = prior.covariance[(3, 3)].max(prior.covariance[(4, 4)]) > WIDE_RAD * WIDE_RAD;
-    for scale in &SCALES[usize::from(!wide)..] {
-        let pose = moved_pose(&prior.map_from_optical, &moved);
-        let counts = offsets::measure(points, image, projector, &pose, &covariance, &mut sights);
-        let solution = solve::solve(prior, &sights, &moved, *scale, noise)?;
-        moved = solution.moved;
-        let measured = solution.residuals.noise();
-        // The next round looks as far as this one leaves open, but never trusts it fully.
-        covariance = solution.covariance * (4.0 * (measured.correlated / noise.correlated).max(1.0));
-        // A prior that is off makes whole lines look off: what they share widens the covariance, and is no reason to
-        // believe the prior instead.
-        noise = solve::Noise { correlated: noise.correlated, ..measured };
-        last = Some((counts, solution));
+impl Refiner {
+    pub fn new(field: &Field, lens: &Lens) -> Self {
+        Self { points: LinePoints::new(field), projector: Projector::new(lens), sights: Vec::new() }
     }
-    let (counts, solution) = last?;
-    let [.., scale] = SCALES;
-    let (covariance, condition) = solve::covariance(prior, &sights, &moved, scale, solution.residuals.noise())?;
-    Some(Refined {
-        map_from_optical: moved_pose(&prior.map_from_optical, &solution.moved),
-        covariance,
-        condition,
-        moved: solution.moved,
-        cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
-        lines: Agreement {
-            expected: counts.expected,
-            fitting: solution.residuals.fitting,
-            rms_px: solution.residuals.rms_px(),
-        },
-    })
+
+    /// Refines from each start (error vectors relative to the prior's pose); the best result counts. `None` if the prior is no
+    /// covariance.
+    pub fn refine(&mut self, image: &LineImage, prior: &Prior, starts: &[Vector6<f64>]) -> Option<Refined> {
+        let results = starts.iter().filter_map(|start| self.refine_from(image, prior, start));
+        results.min_by(|a, b| a.cost.total_cmp(&b.cost))
+    }
+
+    fn refine_from(&mut self, image: &LineImage, prior: &Prior, start: &Vector6<f64>) -> Option<Refined> {
+        let Self { points, projector, sights } = self;
+        let mut moved = *start;
+        let mut covariance = prior.covariance;
+        let mut last: Option<(Counts, solve::Solution)> = None;
+        let mut noise = solve::Noise::USUAL;
+        let wide = prior.covariance[(3, 3)].max(prior.covariance[(4, 4)]) > WIDE_RAD * WIDE_RAD;
+        for scale in &SCALES[usize::from(!wide)..] {
+            let pose = moved_pose(&prior.map_from_optical, &moved);
+            let counts = offsets::measure(points, image, projector, &pose, &covariance, sights);
+            let solution = solve::solve(prior, sights, &moved, *scale, noise)?;
+            moved = solution.moved;
+            let measured = solution.residuals.noise();
+            // The next round looks as far as this one leaves open, but never trusts it fully.
+            covariance = solution.covariance * (4.0 * (measured.correlated / noise.correlated).max(1.0));
+            // A prior that is off makes whole lines look off: what they share widens the covariance, and is no reason to
+            // believe the prior instead.
+            noise = solve::Noise { correlated: noise.correlated, ..measured };
+            last = Some((counts, solution));
+        }
+        let (counts, solution) = last?;
+        let [.., scale] = SCALES;
+        let (covariance, condition) = solve::covariance(prior, sights, &moved, scale, solution.residuals.noise())?;
+        Some(Refined {
+            map_from_optical: moved_pose(&prior.map_from_optical, &solution.moved),
+            covariance,
+            condition,
+            moved: solution.moved,
+            cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
+            lines: Agreement {
+                expected: counts.expected,
+                fitting: solution.residuals.fitting,
+                rms_px: solution.residuals.rms_px(),
+            },
+        })
+    }
 }
 
 /// The pose whose error relative to `pose` is `moved`.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use super::super::catalogue::SetAside;
 use super::super::error::RecordingError;
 use super::super::folder::{DamagedLine, Loss, all_lines};
 use super::super::manifest::{MANIFEST_FILE, ManifestLine};
@@ -29,6 +30,10 @@ impl Work<'_> {
                 Some(line) => line,
                 None => {
                     let file = self.session.join(&name);
+                    if let Some(why) = self.stranger(&name)? {
+                        self.repaired.set_aside.push(SetAside::new(&file, why));
+                        continue;
+                    }
                     let (line, topics, damage) =
                         describe(self.storage, &file, &name, &self.info.settings, self.notes.of(&name))?;
                     self.repaired.lost.extend(damage.map(|said| Loss::new(&file, said)));

@@ -8,6 +8,7 @@ mod listing;
 mod notes;
 mod report;
 mod segment;
+mod strangers;
 mod unfinished;
 
 use std::collections::BTreeMap;

@@ -17,7 +17,9 @@ use super::account::Account;
 use super::aside::{put, set_aside};
 use super::notes::{Cut, Notes};
 use crate::config::Settings;
-use crate::ros2::mcap_read::{Damage, LogReader, Part, Piece, ReadError, Remains, Selection, remains, sound_pieces};
+use crate::ros2::mcap_read::{
+    Damage, LogReader, Part, Piece, ReadError, Remains, Selection, examine, metadata_records, remains, sound_pieces,
+};
 use crate::ros2::mcap_write::{LogWriter, WriteError};
 
 /// Messages of each topic.
@@ -90,11 +92,11 @@ pub(super) fn describe(
     io::copy(&mut storage.read(path).map_err(fails)?, &mut hash).map_err(fails)?;
     let mut account = Account::new(settings);
     let mut read = || -> Result<Damage, Trouble> {
-        let mut reader = LogReader::open(storage.read(path).map_err(ReadError::from)?, Selection::All)?;
-        for message in reader.by_ref() {
+        for message in LogReader::open(storage.read(path).map_err(ReadError::from)?, Selection::All)? {
             account.note(&message?);
         }
-        Ok(reader.damage().clone())
+        // Attachments too.
+        Ok(examine(storage.read(path).map_err(ReadError::from)?)?.damage)
     };
     let damage = read().map_err(|error| error.at(path))?;
     let cut = damage.bytes_skipped.max(noted.map_or(0, |cut| cut.bytes));
@@ -125,6 +127,9 @@ fn copy(
         let mut writer = LogWriter::new(hashing)?;
         for attachment in crate::ros2::mcap_read::attachments(storage.read(active).map_err(ReadError::from)?)?.list {
             writer.attach(&attachment.name, &attachment.media_type, attachment.log_time_ns, &attachment.data)?;
+        }
+        for record in metadata_records(storage.read(active).map_err(ReadError::from)?)? {
+            writer.metadata(&record.name, &record.values)?;
         }
         for message in LogReader::open(reader, Selection::All)? {
             let message = message?;

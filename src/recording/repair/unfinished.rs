@@ -27,6 +27,10 @@ impl Work<'_> {
                 self.set_aside(&path, &format!("{name} is finished, and stays as it is"))?;
                 continue;
             }
+            if let Some(why) = self.stranger(&active)? {
+                self.set_aside(&path, &why)?;
+                continue;
+            }
             let limit = cuts.get(&name).copied();
             match finish(self.storage, &path, &name, limit, &self.info.settings, &mut self.notes)? {
                 Ended::Without(remains) => self.leave_out(&path, &name, remains)?,

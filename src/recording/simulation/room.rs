@@ -137,6 +137,19 @@ fn only_what_is_verified_as_it_stands_may_go() {
     }
 }
 
+/// A prune that has found its last copy here deletes its own, and takes back the word by which this one could go.
+#[test]
+fn nothing_goes_while_somebody_else_has_the_folder_s_turn() {
+    let disk = disk();
+    add(&disk, "a", &["0000.mcap"], false);
+    let turn = disk.lock(Path::new(CAPTURES)).unwrap().expect("free");
+    let seen = look(&disk, &settings(), 3.5, None);
+    assert_eq!((seen.allowed, seen.evicted.len()), (Allowed::NoFrames("disk_full"), 0));
+    drop(turn);
+    assert_eq!(look(&disk, &settings(), 3.5, None).evicted.len(), 1);
+    assert!(disk.lock(Path::new(CAPTURES)).unwrap().is_some(), "given back");
+}
+
 /// On a dev machine that records into the folder that it syncs into.
 #[test]
 fn the_folders_own_word_as_a_receiver_frees_nothing() {

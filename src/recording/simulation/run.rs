@@ -100,6 +100,7 @@ impl Run {
             captures: CAPTURES.into(),
             name: "2026-01-01T00-00-00Z-robot".to_owned(),
             info: info().to_vec(),
+            id: Some(SESSION_ID.to_owned()),
             robot: "robot".to_owned(),
             sync_interval: SYNC_INTERVAL,
             is_synced_from: true,
@@ -224,10 +225,12 @@ fn info() -> &'static [u8] {
     INFO.get_or_init(|| serde_json::to_vec(&session_info()).unwrap())
 }
 
+const SESSION_ID: &str = "5e5500000000000000000000000000e5";
+
 pub fn session_info() -> SessionInfo {
     SessionInfo {
         format: FORMAT_VERSION,
-        id: None,
+        id: Some(SESSION_ID.to_owned()),
         software: "test".to_owned(),
         robot: "robot".to_owned(),
         started: String::new(),

@@ -1,5 +1,6 @@
 //! What `repair` finds that the recorder did not leave like this: flipped bits, stale copies, foreign files, edited manifests.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::super::folder::manifest_lines;
@@ -9,6 +10,8 @@ use super::super::storage::{Storage, write_atomically};
 use super::super::verify::verify;
 use super::disk::{SimulatedDisk, Trouble};
 use super::run::{self, CAPTURES, Run};
+use crate::ros2::mcap_read::attachments;
+use crate::ros2::mcap_write::LogWriter;
 
 struct Whole {
     run: Run,
@@ -89,6 +92,66 @@ fn damage_before_the_chunks_of_an_unfinished_segment_costs_no_chunk() {
     let disk = whole.with_active(&cut);
     assert!(repair(&disk, &whole.session).unwrap().removed.is_empty());
     assert_eq!(run::read_file(&disk, &whole.session.join("0000.mcap")).len(), messages);
+}
+
+/// Attachments hold what a replay starts from.
+#[test]
+fn a_byte_that_changed_in_a_finished_segment_without_a_line_is_told_or_changes_nothing_that_is_read() {
+    let whole = Whole::new();
+    let path = whole.session.join("0000.mcap");
+    let read = |disk: &SimulatedDisk| {
+        let attachments = attachments(disk.read(&path).unwrap()).unwrap().list;
+        let messages: Vec<_> = run::read_file(disk, &path).into_iter().map(|message| message.data).collect();
+        (attachments, messages)
+    };
+    let right = read(&whole.recorded());
+    assert!(!right.0.is_empty());
+    for byte in (8..whole.content.len() - 8).step_by(7) {
+        let mut rotten = whole.content.clone();
+        rotten[byte] ^= 4;
+        let disk = whole.recorded();
+        disk.remove(&whole.session.join(MANIFEST_FILE)).unwrap();
+        whole.put(&disk, "0000.mcap", &rotten);
+        let repaired = repair(&disk, &whole.session).unwrap();
+        assert!(!repaired.lost.is_empty() || read(&disk) == right, "byte {byte}: {repaired:?}");
+    }
+}
+
+#[test]
+fn segments_of_another_session_are_left_alone_and_named() {
+    let whole = Whole::new();
+    let written = |id: Option<&str>| {
+        let mut writer = LogWriter::new(Vec::new()).unwrap();
+        if let Some(id) = id {
+            let hash = blake3::hash(id.as_bytes()).to_hex()[..16].to_owned();
+            let values = BTreeMap::from([("id".to_owned(), id.to_owned()), ("blake3".to_owned(), hash)]);
+            writer.metadata("realitysim.session", &values).unwrap();
+        }
+        for message in run::read_file(&whole.run.disk, &whole.session.join("0000.mcap")) {
+            let channel = writer.add_raw_channel(&message.channel.as_ref().into()).unwrap();
+            writer
+                .write(channel, message.sequence, message.log_time_ns, message.publish_time_ns, &message.data)
+                .unwrap();
+        }
+        writer.finish().unwrap()
+    };
+    for (content, why) in
+        [(written(Some("0123")), "of the session with id 0123"), (written(None), "not written by this")]
+    {
+        let disk = whole.recorded();
+        let before = manifest_lines(&disk, &whole.session).unwrap();
+        whole.put(&disk, "0907.mcap", &content);
+        let repaired = repair(&disk, &whole.session).unwrap();
+        assert!(repaired.to_string().contains(why) && repaired.listed.is_empty(), "{repaired:?}");
+        assert_eq!(manifest_lines(&disk, &whole.session).unwrap(), before);
+        assert_eq!(whole.get(&disk, "0907.mcap").as_ref(), Some(&content), "left alone");
+
+        let disk = whole.recorded();
+        whole.put(&disk, "0907.mcap.active", &content);
+        let repaired = repair(&disk, &whole.session).unwrap();
+        assert!(repaired.to_string().contains(why) && repaired.finished.is_empty(), "{repaired:?}");
+        assert_eq!(whole.get(&disk, "0907.mcap.damaged").as_ref(), Some(&content), "set aside");
+    }
 }
 
 #[test]
