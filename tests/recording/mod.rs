@@ -256,7 +256,7 @@ fn what_is_no_session_is_neither_touched_nor_followed() {
     fs::write(session.join("x.mcap.active"), "not ours").unwrap();
     std::os::unix::fs::symlink("/etc/passwd", session.join("0007.mcap.active")).unwrap();
     fs::create_dir(room.path(CAPTURES).join("other")).unwrap();
-    fs::write(room.path(CAPTURES).join("other/0000.mcap.active"), "no session").unwrap();
+    fs::write(room.path(CAPTURES).join("other/walk.mcap.active"), "no session").unwrap();
     let whole = room.run(&format!("sessions repair --captures {CAPTURES}")).succeeds();
     assert!(whole.stdout.trim_end().ends_with(": whole"), "{whole:?}");
     assert_eq!(fs::read_to_string(session.join("notes.txt")).unwrap(), "mine");
