@@ -33,6 +33,8 @@ const FIRST_PAUSE_S: f64 = 1.0;
 const LONGEST_PAUSE_S: f64 = 16.0;
 /// A share that falls by so much begins anew.
 const FALLS_BY: f64 = 0.1;
+/// Of a single frame.
+const FRAME_FALLS_BY: f64 = 0.07;
 const DOUBTED_S: f64 = 1.5;
 const SURPRISED: u32 = 3;
 const OWED_IF_FOUND: u32 = 3;
@@ -67,6 +69,11 @@ impl SecondLook {
 
     fn falls(&self) -> bool {
         self.share.is_some_and(|share| share < self.usual - FALLS_BY)
+    }
+
+    /// A frame with this share has lost what the frames before it had.
+    pub fn falls_to(&self, share: f64) -> bool {
+        self.share.is_some_and(|mean| share < mean - FRAME_FALLS_BY)
     }
 
     pub fn is_due(&self) -> bool {

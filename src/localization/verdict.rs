@@ -102,7 +102,7 @@ const ELSEWHERE_RAD: f64 = 0.15;
 /// ... unless so often in a row.
 const IN_A_ROW: u32 = 2;
 /// Share of the expected lines that fit, times share of the seen ones that are expected.
-const AGREES_BOTH_WAYS: f64 = 0.65;
+const AGREES_BOTH_WAYS: f64 = 0.6;
 /// Of what a frame shows so much more may be unexplained where a confirmed pose explains nearly all that it expects.
 const LESS_IF_HELD_FAST: f64 = 0.2;
 /// So much of what a frame may leave unexplained may be there when a pose is confirmed.
@@ -136,6 +136,11 @@ impl Standing {
     /// Something has just changed: the sooner it is tried the better.
     pub fn is_urgent(&self) -> bool {
         self.second_look.is_urgent()
+    }
+
+    /// Lines are missing that were there a moment ago: have some been taken for their neighbours?
+    pub fn falls_short(&self, lines: &Agreement) -> bool {
+        lines.expected >= FEWEST_EXPECTED && self.second_look.falls_to(lines.share())
     }
 
     /// There was none.
@@ -289,7 +294,7 @@ pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> boo
 }
 
 /// Lines that should be seen and are not, and lines that are seen and should not be, say the same together: of right poses on
-/// two hundred walks one of five hundred falls below this, of wrong ones that pass each test alone most.
+/// two hundred walks one of a thousand falls below this, of wrong ones that pass each test alone more than half.
 fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
     lines.expected < FEWEST_EXPECTED || lines.share() * fix.explained.share >= AGREES_BOTH_WAYS

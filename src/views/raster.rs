@@ -44,6 +44,7 @@ impl Raster {
     }
 
     /// Whether bilinear reading finds four neighbours everywhere.
+    #[cfg(target_arch = "x86_64")]
     pub(super) fn is_readable(&self) -> bool {
         self.width >= LEAST_SIDE
             && self.height >= LEAST_SIDE

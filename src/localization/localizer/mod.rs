@@ -326,6 +326,12 @@ impl Localizer {
         let Some(mut refined) = self.refiner.refine(&seen.image, &prediction.prior, starts) else {
             return self.predicted(moment, estimate, support);
         };
+        if self.state.standing.falls_short(&refined.lines)
+            && let Some(nearby) = self.refiner.refine_nearby(&seen.image, &prediction.prior)
+            && nearby.cost < refined.cost
+        {
+            refined = nearby;
+        }
         let mut prediction = prediction;
         let surprised = surprise(&prediction.prior, &refined.moved) > SURPRISE && agrees(&refined.lines);
         if surprised {

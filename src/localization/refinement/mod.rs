@@ -73,6 +73,8 @@ pub struct Refiner {
 /// first is for a prior whose tilt is wider than [`WIDE_RAD`]: lines lie far from where it puts them.
 const SCALES: [f64; 3] = [60.0, 12.0, 4.0];
 const WIDE_RAD: f64 = 0.02;
+/// A fifth of the standard deviations.
+const NEARBY: f64 = 0.04;
 
 impl Refiner {
     pub fn new(field: &Field, lens: &Lens) -> Self {
@@ -82,14 +84,27 @@ impl Refiner {
     /// Refines from each start (error vectors relative to the prior's pose); the best result counts. `None` if the prior is no
     /// covariance.
     pub fn refine(&mut self, image: &LineImage, prior: &Prior, starts: &[Vector6<f64>]) -> Option<Refined> {
-        let results = starts.iter().filter_map(|start| self.refine_from(image, prior, start));
+        let results = starts.iter().filter_map(|start| self.refine_from(image, prior, start, prior.covariance));
         results.min_by(|a, b| a.cost.total_cmp(&b.cost))
     }
 
-    fn refine_from(&mut self, image: &LineImage, prior: &Prior, start: &Vector6<f64>) -> Option<Refined> {
+    /// As if the prior's mean were nearly right: lines are looked for close to where it has them, so that none is taken for its
+    /// neighbour. The cost is that of [`Self::refine`], by which the better of the two is known.
+    pub fn refine_nearby(&mut self, image: &LineImage, prior: &Prior) -> Option<Refined> {
+        self.refine_from(image, prior, &Vector6::zeros(), prior.covariance * NEARBY)
+    }
+
+    /// `reach` is how wrong the start may be.
+    fn refine_from(
+        &mut self,
+        image: &LineImage,
+        prior: &Prior,
+        start: &Vector6<f64>,
+        reach: Matrix6<f64>,
+    ) -> Option<Refined> {
         let Self { points, projector, sights } = self;
         let mut moved = *start;
-        let mut covariance = prior.covariance;
+        let mut covariance = reach;
         let mut last: Option<(Counts, solve::Solution)> = None;
         let mut noise = solve::Noise::USUAL;
         let wide = prior.covariance[(3, 3)].max(prior.covariance[(4, 4)]) > WIDE_RAD * WIDE_RAD;
