@@ -41,6 +41,8 @@ pub struct Standing {
     pub confidence: Confidence,
     /// When lines last agreed with the pose.
     agreed_ns: Option<i64>,
+    /// When lines last agreed with the pose both ways, with hardly one too many.
+    explained_ns: Option<i64>,
     /// Somebody said where the robot is.
     was_told: bool,
     /// Frames in a row whose lines speak for a pose that needs confirming, but not clearly enough.
@@ -105,6 +107,9 @@ const IN_A_ROW: u32 = 2;
 const AGREES_BOTH_WAYS: f64 = 0.6;
 /// Of what a frame shows so much more may be unexplained where a confirmed pose explains nearly all that it expects.
 const LESS_IF_HELD_FAST: f64 = 0.2;
+/// For so long after it last explained so much.
+const LONGEST_HOLD_NS: i64 = 3_000_000_000;
+const WELL_EXPLAINED: f64 = 0.95;
 /// So much of what a frame may leave unexplained may be there when a pose is confirmed.
 const CONFIRMED_WITH_IF_TOLD: f64 = 0.3;
 const CONFIRMED_WITH_IF_FOUND: f64 = 0.2;
@@ -158,9 +163,6 @@ impl Standing {
         if is_new {
             self.looked_again_at = Some(pose);
             self.found_again = if found_again { self.found_again + 1 } else { 0 };
-        } else if self.in_a_row >= IN_A_ROW {
-            // Of a robot that stands still the pictures differ by their noise alone, which is enough for that.
-            self.found_again = self.found_again.max(1);
         }
     }
 
@@ -175,13 +177,16 @@ impl Standing {
 
     /// Why the pose is not to be used, and what that means for the next frames; `seconds` since the last one.
     pub fn judge(&mut self, rules: &Rules, moment: &Moment, fix: &Fix, seconds: f64) -> Option<&'static str> {
+        if fix.agreement.fitting >= FITTING_IF_FOUND_AGAIN && fix.explained.share >= WELL_EXPLAINED {
+            self.explained_ns = Some(moment.stamp_ns);
+        }
         let doubt = self.complaint(rules, moment, fix);
         let share = (fix.agreement.expected >= FEWEST_EXPECTED).then(|| fix.agreement.share());
         self.second_look.note(seconds, share, matches!(doubt, Some("spread" | "few_lines")), fix.surprised);
         let contradicted = match doubt {
             Some("lines_disagree" | "not_standing" | "off_field") => true,
             // Something white stands before a place that is right all the same.
-            Some("lines_unexplained") => !self.holds_fast(fix),
+            Some("lines_unexplained") => !self.holds_fast(moment, fix),
             _ => false,
         };
         if rules.refinement && longest_axis(&fix.covariance) > LOST_M {
@@ -227,22 +232,35 @@ impl Standing {
                         .or_else(|| held(fix.support.share >= share, "lines_disagree"))
                         .or_else(|| held(fix.estimate.spread_m <= spread_m, "spread"));
                 }
-                let least_explained = if self.holds_fast(fix) { explained - LESS_IF_HELD_FAST } else { explained };
+                let least_explained =
+                    if self.holds_fast(moment, fix) { explained - LESS_IF_HELD_FAST } else { explained };
                 held(!fix.refined || stands(moment, fix), "not_standing")
                     .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
                     .or_else(|| held(fix.explained.share >= least_explained, "lines_unexplained"))
-                    .or_else(|| held(self.holds_fast(fix) || agrees_both_ways(fix), "lines_disagree"))
+                    .or_else(|| {
+                        held(
+                            !self.is_tracking() || self.holds_fast(moment, fix) || agrees_both_ways(fix),
+                            "lines_disagree",
+                        )
+                    })
                     .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
                     .or_else(|| held(longest_axis(&fix.covariance) <= refined_m, "spread"))
             })
     }
 
-    /// A confirmed pose of which all but a few lines are seen where they should be.
-    fn holds_fast(&self, fix: &Fix) -> bool {
+    /// A confirmed pose of which all but a few lines are seen where they should be, and that a moment ago explained all it saw:
+    /// in a field that is not as its file says it never does for long.
+    fn holds_fast(&self, moment: &Moment, fix: &Fix) -> bool {
         let lines = &fix.agreement;
-        matches!(self.confidence, Confidence::Tracking(_))
+        let lately = |then: i64| moment.stamp_ns.saturating_sub(then) <= LONGEST_HOLD_NS;
+        self.is_tracking()
+            && self.explained_ns.is_some_and(lately)
             && lines.fitting >= FITTING_IF_FOUND_AGAIN
             && lines.share() >= SHARE_IF_FOUND
+    }
+
+    fn is_tracking(&self) -> bool {
+        matches!(self.confidence, Confidence::Tracking(_))
     }
 
     fn confirms(&self, rules: &Rules, fix: &Fix) -> bool {
@@ -251,7 +269,10 @@ impl Standing {
             true => (FITTING_IF_TOLD, SHARE_IF_TOLD, CONFIRMED_WITH_IF_TOLD),
             false => (FITTING_IF_FOUND, SHARE_IF_FOUND, CONFIRMED_WITH_IF_FOUND),
         };
-        let fitting = if self.found_again > 0 { fitting.min(FITTING_IF_FOUND_AGAIN) } else { fitting };
+        // Of a robot that stands still nothing new is seen; that no rival comes up twice in a row makes up for few lines, not for
+        // missing ones.
+        let is_alone = self.found_again > 0 || self.in_a_row >= IN_A_ROW;
+        let fitting = if is_alone { fitting.min(FITTING_IF_FOUND_AGAIN) } else { fitting };
         let again = f64::from(self.found_again);
         let share = (share - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED);
         let unexplained = (unexplained + MORE_IF_FOUND_AGAIN * again).min(CONFIRMED_WITH_IF_TOLD);

@@ -153,7 +153,7 @@ mod x86 {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
     use super::*;
     use proptest::prelude::*;
@@ -168,7 +168,6 @@ mod tests {
                 .map(|i| (((i as u32).wrapping_mul(2_654_435_761) ^ seed) >> 16) as i16 / 8)
                 .collect();
             let reading = Reading { image: &image, width, height };
-            #[cfg(target_arch = "x86_64")]
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: the processor has AVX2, and the image has the size that it says.
                 prop_assert_eq!(unsafe { x86::eight(&reading, &us, &vs) }, plain(&reading, &us, &vs));

@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use image::RgbImage;
 use realitysim::config::Settings;
 use realitysim::database::Gallery;
 use realitysim::ros2::messages::CompressedImage;
@@ -71,12 +72,46 @@ fn a_view_says_what_it_is_made_of() {
         let picture = image::open(room.path(picture)).expect("a picture");
         assert_eq!((picture.width(), picture.height()), (320, 240));
     }
-    room.run("view --db db --x -1.5 --y 0.25 --z 0.5 --yaw 14 --pitch 17 -o side.png --side-by-side").succeeds();
     let run = room.run("view --db db --x 2.5 --y 0 --z 0.5 --yaw 14 --pitch 17 -o out.png --max-distance 1");
     assert_eq!(run.code, Some(1));
     assert!(run.stderr.contains("farther than the 1.00 m that are allowed"), "{run:?}");
     let run = room.run("view --db db --x nan --y 0 --z 0.5 --yaw 14 -o out.png");
     assert!(run.code == Some(2) && run.stderr.contains("--x is NaN"), "{run:?}");
+}
+
+/// Where a picture stands in a larger one, pixel by pixel.
+fn place_of(part: &RgbImage, whole: &RgbImage) -> Option<(u32, u32)> {
+    let is_at = |u: u32, v: u32| {
+        let mut pixels = part.enumerate_pixels();
+        pixels.all(|(column, row, pixel)| whole.get_pixel(u + column, v + row) == pixel)
+    };
+    let rows = 0..=whole.height().checked_sub(part.height())?;
+    let columns = 0..=whole.width().checked_sub(part.width())?;
+    rows.flat_map(|v| columns.clone().map(move |u| (u, v))).find(|(u, v)| is_at(*u, *v))
+}
+
+#[test]
+fn side_by_side_are_the_views_of_all_methods_and_the_mask() {
+    let (room, _) = walked();
+    let here = "view --db db --x -1.5 --y 0.25 --z 0.5 --yaw 14 --pitch 17";
+    room.run(&format!("{here} -o side.png --side-by-side")).succeeds();
+    let picture = |name: &str| image::open(room.path(name)).expect("a picture").to_rgb8();
+    let side = picture("side.png");
+    let mut places = Vec::new();
+    for method in ["nearest", "paper", "exact"] {
+        room.run(&format!("{here} --method {method} -o {method}.png --width 320")).succeeds();
+        let place = place_of(&picture(&format!("{method}.png")), &side);
+        places.push(place.unwrap_or_else(|| panic!("the view by {method} is not there")));
+    }
+    // From left to right, then below; the fourth panel shows red where nothing is known.
+    assert!(places[0].0 < places[1].0 && places[0].1 == places[1].1 && places[2].1 > places[0].1, "{places:?}");
+    let (u, v) = (places[1].0, places[2].1);
+    let mask = image::imageops::crop_imm(&side, u, v, 320, 240).to_image();
+    let exact = picture("exact.png");
+    let (same, red) = mask.pixels().zip(exact.pixels()).fold((0, 0), |(same, red), (of_mask, of_exact)| {
+        (same + u32::from(of_mask == of_exact), red + u32::from(of_mask.0 == [200, 40, 40]))
+    });
+    assert!(same > 320 * 240 / 3 && same + red < 320 * 240, "{same} pixels of known geometry, {red} of nothing");
 }
 
 #[test]
