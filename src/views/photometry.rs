@@ -46,7 +46,8 @@ impl Vignetting {
 
     /// At a pixel; never so dark that dividing by it would make noise of everything.
     pub fn at(&self, lens: &Lens, u: f64, v: f64) -> f64 {
-        self.illumination(Self::r2(lens, u, v))
+        // Most sources darken nothing that is known of, and this is asked at every corner of every cell.
+        if self.is_none() { 1.0 } else { self.illumination(Self::r2(lens, u, v)) }
     }
 
     /// Squared distance from the image's centre, as a share of half the diagonal's.
