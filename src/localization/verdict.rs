@@ -248,8 +248,7 @@ impl Standing {
             })
     }
 
-    /// A confirmed pose of which all but a few lines are seen where they should be, and that a moment ago explained all it saw:
-    /// in a field that is not as its file says it never does for long.
+    /// A confirmed pose of which all but a few lines are seen where they should be, and that a moment ago explained all it saw.
     fn holds_fast(&self, moment: &Moment, fix: &Fix) -> bool {
         let lines = &fix.agreement;
         let lately = |then: i64| moment.stamp_ns.saturating_sub(then) <= LONGEST_HOLD_NS;
@@ -314,8 +313,8 @@ pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> boo
         && explained >= share_of(CONFIRMED_WITH_IF_FOUND, least_explained)
 }
 
-/// Lines that should be seen and are not, and lines that are seen and should not be, say the same together: of right poses on
-/// two hundred walks one of a thousand falls below this, of wrong ones that pass each test alone more than half.
+/// Lines that should be seen and are not, and lines that are seen and should not be, say the same together: a pose that passes each
+/// test alone may fail this one. docs/design.md says how often right poses do, and on which walks.
 fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
     lines.expected < FEWEST_EXPECTED || lines.share() * fix.explained.share >= AGREES_BOTH_WAYS

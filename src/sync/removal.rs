@@ -88,7 +88,7 @@ impl<'a> Removal<'a> {
         }
         if receiver_of(captures).is_some() {
             // A sync does not fetch it again unasked.
-            Store::in_turn(captures, &turns[0])?.note_pruned(session)?;
+            Store::in_turn(captures, &turns)?.note_pruned(session)?;
         }
         let hidden = captures.join(format!("{HIDDEN}{}", session.id.as_str()));
         fs::rename(&session.folder, &hidden).map_err(io(&session.folder))?;
@@ -117,7 +117,7 @@ fn take_back(
     for other in others.iter().filter(|other| other.id == session.id) {
         let is_relying = other.acknowledged.values().any(|acks| !acks.is_empty());
         if relies_on_copy && (is_relying || other.hops() < session.hops()) {
-            Store::in_turn(copy, &turns[0])?.be_relied_on(other, session.hops())?;
+            Store::in_turn(copy, turns)?.be_relied_on(other, session.hops())?;
         } else {
             silence(other, &own)?;
         }

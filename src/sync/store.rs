@@ -65,11 +65,11 @@ impl Store {
         }
         fs::create_dir_all(captures).map_err(io(captures))?;
         let turn = Turn::in_folder(captures).map_err(io(captures))?;
-        Self::in_turn(captures, &turn)
+        Self::in_turn(captures, &[turn])
     }
 
-    /// By whoever has the folder's turn.
-    pub(super) fn in_turn(captures: &Path, _turn: &Turn) -> Result<Self, SyncError> {
+    /// By whoever has the folder's turn, among others perhaps.
+    pub(super) fn in_turn(captures: &Path, _turns: &[Turn]) -> Result<Self, SyncError> {
         let state = captures.join(SYNC_FOLDER);
         fs::create_dir_all(&state).map_err(io(&state))?;
         real_folder(&state)?;
