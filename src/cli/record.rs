@@ -176,15 +176,19 @@ fn for_people(status: &Value) -> String {
         rate("tagged_hz"),
         status["camera_waiting"]
     ));
-    lines.push(format!("tags: {:.1} ms each, 1 % over {:.1} ms{allowed}", budget("p50_ms"), budget("p99_ms")));
-    lines.push(format!("valid: {} of the last {}", status["validity"]["valid"], status["validity"]["frames"]));
-    let filter = |key: &str| status["filter"][key].as_f64().unwrap_or(0.0);
-    lines.push(format!(
-        "filter: {:.0} particles, spread {:.1} cm, time was up in {:.0} % of the frames",
-        filter("particles"),
-        100.0 * filter("spread_m"),
-        100.0 * filter("capped")
-    ));
+    if status["validity"]["frames"].as_u64().is_none_or(|frames| frames == 0) {
+        lines.push("tags: none yet".to_owned());
+    } else {
+        lines.push(format!("tags: {:.1} ms each, 1 % over {:.1} ms{allowed}", budget("p50_ms"), budget("p99_ms")));
+        lines.push(format!("valid: {} of the last {}", status["validity"]["valid"], status["validity"]["frames"]));
+        let filter = |key: &str| status["filter"][key].as_f64().unwrap_or(0.0);
+        lines.push(format!(
+            "filter: {:.0} particles, spread {:.1} cm, time was up in {:.0} % of the frames",
+            filter("particles"),
+            100.0 * filter("spread_m"),
+            100.0 * filter("capped")
+        ));
+    }
     if let Some(passed_on) = status["republished"].as_object() {
         let lost = passed_on["lost"].as_str().map_or(String::new(), |why| format!(" ({why})"));
         let device = passed_on["device"].as_str().unwrap_or("-");
@@ -195,15 +199,19 @@ fn for_people(status: &Value) -> String {
             lines.push(format!("{device}: {why}"));
             continue;
         }
+        if let Some(said) = port["trouble"]["said"].as_str() {
+            lines.push(format!("{device}: TROUBLE: {said}"));
+        }
         lines.push(format!(
             "{device}: {} messages, {} lost, {} checksums wrong, {} bytes skipped",
             port["frames"], port["lost"], port["crc_failures"], port["bytes_skipped"]
         ));
         for clock in port["clocks"].as_array().into_iter().flatten() {
             lines.push(format!(
-                "  {}.{}: clock to {:.2} ms by {}, drift {:.1} ppm",
+                "  {}.{}: clock {:.6} s behind to {:.2} ms by {}, drift {:.1} ppm",
                 clock["system"],
                 clock["component"],
+                clock["offset_ns"].as_f64().unwrap_or(0.0) * 1e-9,
                 clock["uncertainty_ns"].as_f64().unwrap_or(0.0) * 1e-6,
                 clock["source"].as_str().unwrap_or("-"),
                 clock["drift_ppm"].as_f64().unwrap_or(0.0)

@@ -43,6 +43,27 @@ pub enum CameraError {
     Query { path: String, source: std::io::Error },
 }
 
+impl CameraOffer {
+    /// In one line: `YUYV 640x480 (30, 15), 320x240 (30); MJPG ...`, rates in Hz.
+    pub fn summary(&self) -> String {
+        let size = |size: &SizeOffer| {
+            let rates: Vec<String> = size.rates_hz.iter().take(MOST_IN_A_LINE).map(|hz| format!("{hz:.0}")).collect();
+            format!("{}x{} ({})", size.width, size.height, rates.join(", "))
+        };
+        let format = |format: &FormatOffer| {
+            let more = if format.sizes.len() > MOST_IN_A_LINE { ", ..." } else { "" };
+            let sizes: Vec<String> = format.sizes.iter().take(MOST_IN_A_LINE).map(size).collect();
+            format!("{} {}{more}", format.fourcc, sizes.join(", "))
+        };
+        if self.formats.is_empty() {
+            return "nothing".to_owned();
+        }
+        self.formats.iter().map(format).collect::<Vec<_>>().join("; ")
+    }
+}
+
+const MOST_IN_A_LINE: usize = 12;
+
 /// More sizes or rates than this are not listed: some drivers list every multiple of 8.
 const MOST: usize = 64;
 
@@ -84,4 +105,24 @@ fn rates(device: &Device, fourcc: v4l::FourCC, width: u32, height: u32) -> Vec<f
         .flatten()
         .take(MOST)
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_offer_fits_into_a_line() {
+        let size = |width, height, rates_hz: &[f64]| SizeOffer { width, height, rates_hz: rates_hz.to_vec() };
+        let format = |fourcc: &str, sizes| FormatOffer { fourcc: fourcc.into(), description: String::new(), sizes };
+        let formats = vec![
+            format("YUYV", vec![size(640, 480, &[30.0, 15.0]), size(320, 240, &[30.0])]),
+            format("MJPG", vec![size(8, 8, &[]); 13]),
+        ];
+        let offer = CameraOffer { card: String::new(), driver: String::new(), bus: String::new(), formats };
+        let said = offer.summary();
+        assert!(said.starts_with("YUYV 640x480 (30, 15), 320x240 (30); MJPG 8x8 (), "), "{said}");
+        assert!(said.ends_with(", ...") && said.matches("8x8").count() == 12, "{said}");
+        assert_eq!(CameraOffer { formats: Vec::new(), ..offer }.summary(), "nothing");
+    }
 }

@@ -11,7 +11,9 @@ use crate::replay::support::{Room, read_log};
 /// Of Linux on every machine this is built for.
 const USER_HZ: f64 = 100.0;
 
-/// Asked of it: 25 % of a core and 150 MB.
+const MOST_OF_A_CORE: f64 = 0.25;
+const MOST_MB: f64 = 150.0;
+
 #[test]
 #[ignore = "a measurement, for a machine that does nothing else: `./dev load`"]
 fn thirty_frames_a_second_of_640_by_480() {
@@ -36,13 +38,15 @@ fn thirty_frames_a_second_of_640_by_480() {
     recorder.waits_for("all frames", 20, |status| status["counts"]["tagged"].as_u64() == Some(frames));
     let status = recorder.asks("status");
     let counts = &status["counts"];
+    let peak_mb = peak_mb(process);
     println!(
         "{}",
         json!({
             "frames": frames, "seconds": began.elapsed().as_secs_f64(), "dropped": counts["dropped"], "valid": counts["valid"],
-            "of_a_core": share, "peak_mb": peak_mb(process), "tagging": status["budget"],
+            "of_a_core": share, "peak_mb": peak_mb, "tagging": status["budget"],
         })
     );
+    assert!(share < MOST_OF_A_CORE && peak_mb < MOST_MB, "{share} of a core, {peak_mb} MB");
     assert!(counts["valid"].as_u64() > Some(frames * 9 / 10), "{status}");
     assert!(recorder.ends().status.success());
 }

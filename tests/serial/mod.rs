@@ -240,15 +240,6 @@ fn a_port_that_another_program_has_is_named_and_waited_for() {
 }
 
 #[test]
-fn who_has_no_permission_is_told_the_group() {
-    let device = "/dev/ttyUSB0".to_owned();
-    assert!(SerialError::Permission { device: device.clone() }.to_string().contains("group dialout"));
-    let denied = std::io::Error::from_raw_os_error(rustix::io::Errno::ACCESS.raw_os_error());
-    let said = realitysim::sensors::camera::CameraError::of_io(&device, denied).to_string();
-    assert!(said.contains("group video"), "{said}");
-}
-
-#[test]
 fn a_port_that_is_not_there_is_waited_for() {
     let folder = tempfile::tempdir().expect("a folder");
     let link = folder.path().join("robot-imu");

@@ -34,6 +34,8 @@ def main():
         survives_its_camera(robot)
         survives_a_usb_port(robot)
         survives_a_clock_that_jumps(robot)
+        shows_its_captures_to_whoever_fetches_them(robot)
+        takes_every_raw_format_and_names_what_it_cannot_have(robot)
         session = tags_a_walk(robot)
         plays_the_walk_to_itself(robot, session)
         survives_a_hang_and_a_kill(robot)
@@ -107,6 +109,8 @@ def survives_its_camera(robot):
     before = written(machine.status())
     machine.ok(f"echo vivid.0 > {bus}/bind")
     machine.until("and recovers without a restart", 30, lambda s: not s["camera_lost"] and written(s) > before + 2)
+    brightness = machine.ok("v4l2-ctl -d /dev/robot-camera -C brightness")
+    assert brightness == "brightness: 100", f"the driver's reset is undone: {brightness}"
 
     machine.ok("v4l2-ctl -d /dev/robot-camera -c inject_fatal_streaming_error=1")
     before = written(machine.status())
@@ -135,6 +139,8 @@ def survives_a_usb_port(robot):
     for what in ("a microcontroller is plugged into USB", "and again"):
         board = robot.plug("usb.sock")
         machine.until(what, 30, lambda s: not port(s).get("closed") and port(s).get("used", {}).get("ODOMETRY", 0) > 5)
+        timer_ms = machine.ok("cat /sys/bus/usb-serial/devices/ttyUSB0/latency_timer")
+        assert timer_ms == "1", f"the driver holds bytes back for {timer_ms} ms"
         board.stop()
         status = machine.until("unplugged, it is named", 20, lambda s: port(s).get("closed"))
         print(" ", port(status)["closed"], flush=True)
@@ -157,6 +163,45 @@ def survives_a_clock_that_jumps(robot):
     machine.ok("date -s 'now +5 hours' > /dev/null")
     restarts = machine.ok("systemctl show -p NRestarts realitysim")
     assert restarts == "NRestarts=0", restarts
+
+
+def shows_its_captures_to_whoever_fetches_them(robot):
+    """A user of the service's group reads captures and writes acknowledgements; another does neither."""
+    machine = robot.machine
+    session = machine.status()["session"]
+    machine.ok("useradd -M -G realitysim fetcher; useradd -M stranger")
+    segment = machine.ok(f"ls {session}/*.mcap* | head -1")
+    machine.ok(f"runuser -u fetcher -- sh -c 'head -c 100 {segment} > /dev/null && echo yes > {session}/ack/a.jsonl'")
+    code, _ = machine.run(f"runuser -u stranger -- head -c 100 {segment} > /dev/null 2>&1")
+    assert code != 0, "captures are for the group only"
+    code, _ = machine.run(f"runuser -u fetcher -- rm {segment} 2> /dev/null")
+    assert code != 0, "who fetches does not delete"
+    machine.ok(f"rm {session}/ack/a.jsonl")
+    print("+ the group reads captures and acknowledges them, others do not", flush=True)
+
+
+def takes_every_raw_format_and_names_what_it_cannot_have(robot):
+    machine = robot.machine
+    machine.ok("systemctl stop realitysim", 30)
+    machine.ok("sed '/^republish/d; /^ports/d' /etc/realitysim/robot.toml > /run/formats.toml; chmod 644 /run/formats.toml")
+    record = "realitysim record --config /run/formats.toml -o /run/formats --socket /run/formats.sock --json"
+    for wanted in ("YUYV", "NV12", "GREY", "RGGB", "BA81", "GBRG", "GRBG"):
+        code, text = machine.run(f"timeout -s INT 5 {record} --set capture.format={wanted} 2> /dev/null", 60)
+        status = json.loads(text.splitlines()[-1])
+        assert code == 0 and status["camera"]["card"] == "vivid", status
+        assert status["counts"]["captured"] > 10 and written(status) > 2, status["counts"]
+        print(f"  {wanted}: {status['camera']['format']}, {written(status)} frames", flush=True)
+    for options, said in (("--set capture.format=MJPG", "has no MJPG of 640 x 480, the size of its lens file; it offers YUYV"),
+                          ("--set capture.controls={brightness=100000}", "brightness"),
+                          ("--set capture.device=/dev/video99", "no such camera; present are /dev/video")):
+        _, text = machine.run(f"timeout -s INT 3 {record} {options} 2>&1 > /dev/null", 60)
+        assert said in text, f"{said}: {text}"
+    _, text = machine.run("cd /tmp; runuser -u nobody -- timeout -s INT 3 "
+                          + record.replace("/run/formats ", "/tmp/formats ").replace("/run/formats.sock", "/tmp/f.sock")
+                          + " 2>&1 > /dev/null", 60)
+    assert "no permission: your user must be in the group video" in text, text
+    machine.ok("rm -r /run/formats; systemctl start realitysim", 60)
+    machine.until("every raw format of the driver is taken, what it lacks is named", 60, is_recording)
 
 
 def tags_a_walk(robot):

@@ -10,6 +10,7 @@ use super::control::{Ask, Control, Order};
 use super::devices::{DeviceEvent, Devices};
 use super::messages::{Messages, Names};
 use super::meters::Meters;
+use super::port::PortNews;
 use super::status::{CoverageStatus, Status};
 use super::telling::Told;
 use super::watchdog::{Rounds, Watchdog};
@@ -179,16 +180,21 @@ impl<'a> Agent<'a> {
                 if low_latency == Some(false) {
                     say(&format!("{device}: its driver holds bytes back, and may not be told otherwise (udev rules)"));
                 }
-                self.status.port_is(device, None);
+                self.status.port(device).opened(None);
             }
             PortEvent::Lost(error) => {
                 let said = error.to_string();
-                if self.status.port_is(device, Some(said.clone())) {
+                if self.status.port(device).opened(Some(said.clone())) {
                     say(&format!("{said}; it is tried again"));
                     self.note("serial", "lost", &said)?;
                 }
             }
-            PortEvent::Status(line) => self.status.line_is(device, line),
+            PortEvent::Status(line) => {
+                if let Some(PortNews { event, said }) = self.status.port(device).counted(line) {
+                    say(&format!("{device}: {said}"));
+                    self.note("serial", event, &format!("{device}: {said}"))?;
+                }
+            }
             PortEvent::Measured(measured) => {
                 self.heard.imu |= matches!(measured.content, Content::Attitude(_));
                 self.heard.joints |= matches!(measured.content, Content::Head(_));

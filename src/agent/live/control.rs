@@ -14,6 +14,7 @@ use parking::Listeners;
 use serde_json::{Value, json};
 
 use crate::ros2::messages::FrameTag;
+use crate::sensors::stale_socket::clear_away;
 
 /// What the agent is to do, and where its answer goes.
 pub struct Order {
@@ -52,8 +53,7 @@ impl Control {
         if UnixStream::connect(path).is_ok() {
             return Err(io::Error::new(io::ErrorKind::AddrInUse, "another recorder is running"));
         }
-        // Of one that was killed.
-        let _ = std::fs::remove_file(path);
+        clear_away(path)?;
         let listener = UnixListener::bind(path)?;
         let (send, orders) = bounded(MAX_ASKERS);
         let listeners = Arc::<Listeners>::default();

@@ -5,6 +5,7 @@ mod control;
 mod devices;
 mod messages;
 mod meters;
+mod port;
 mod session;
 mod status;
 mod telling;

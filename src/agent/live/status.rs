@@ -7,6 +7,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::meters::{BudgetUse, FilterUse, Rates, Validity};
+use super::port::Port;
 use crate::geometry::PoseGrid;
 use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
@@ -63,14 +64,6 @@ pub struct PassedOn {
     pub lost: Option<String>,
 }
 
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct Port {
-    /// Why it is not open; `lost` counts messages.
-    pub closed: Option<String>,
-    #[serde(flatten)]
-    pub line: Option<LineStatus>,
-}
-
 #[derive(Clone, Debug, Serialize)]
 pub struct LastTag {
     pub sequence: u64,
@@ -96,16 +89,8 @@ impl Status {
         });
     }
 
-    /// Whether this is news.
-    pub fn port_is(&mut self, device: &str, closed: Option<String>) -> bool {
-        let port = self.ports.entry(device.to_owned()).or_default();
-        let news = port.closed != closed;
-        port.closed = closed;
-        news
-    }
-
-    pub fn line_is(&mut self, device: &str, line: LineStatus) {
-        self.ports.entry(device.to_owned()).or_default().line = Some(line);
+    pub fn port(&mut self, device: &str) -> &mut Port {
+        self.ports.entry(device.to_owned()).or_default()
     }
 
     /// Clocks and counts of the ports, once a second.
@@ -132,10 +117,11 @@ impl Status {
                     values.push(value(&of("restarts"), clock.clock.restarts));
                 }
             }
+            let wrong = port.wrong();
             DiagnosticStatus {
-                level: if port.closed.is_some() { DiagnosticStatus::WARN } else { DiagnosticStatus::OK },
+                level: if wrong.is_some() { DiagnosticStatus::WARN } else { DiagnosticStatus::OK },
                 name: format!("{DIAGNOSTICS_NAME}port {device}"),
-                message: port.closed.clone().unwrap_or_else(|| "open".to_owned()),
+                message: wrong.unwrap_or("open").to_owned(),
                 hardware_id: robot.to_owned(),
                 values,
             }

@@ -4,6 +4,7 @@
 //! stream that failed is not used again. Its buffers are longer than what the camera wrote: `bytesused` counts. Its `Drop` panics
 //! when the kernel refuses to stop the stream: such a stream is closed by its descriptor.
 
+use std::collections::BTreeMap;
 use std::io;
 use std::os::fd::{FromRawFd, OwnedFd};
 use std::path::Path;
@@ -35,15 +36,17 @@ const FIRST_FRAME: Duration = Duration::from_secs(2);
 impl Driver for V4l2 {
     fn open(&mut self, wanted: &CameraOptions) -> Result<Negotiated, CameraError> {
         let failed = |source| CameraError::of_io(&wanted.device, source);
+        let no_capture = || CameraError::NoCapture { device: wanted.device.clone(), present: present() };
         let device = Device::with_path(&wanted.device).map_err(|source| match source.kind() {
             io::ErrorKind::NotFound => CameraError::Missing { device: wanted.device.clone(), present: present() },
+            io::ErrorKind::IsADirectory => no_capture(),
             _ => failed(source),
         })?;
         let capabilities = device
             .query_caps()
             .ok()
             .filter(|known| known.capabilities.contains(Capability::VIDEO_CAPTURE | Capability::STREAMING))
-            .ok_or_else(|| CameraError::NoCapture { device: wanted.device.clone() })?;
+            .ok_or_else(no_capture)?;
         let (format, negotiated) = negotiate(&device, wanted)?;
         let rate_hz = rate(&device, wanted.rate_hz);
         let (controls, refused) = set_controls(&device, wanted);
@@ -149,13 +152,7 @@ fn negotiate(device: &Device, wanted: &CameraOptions) -> Result<(PixelFormat, v4
 }
 
 fn offers(device: &str) -> String {
-    let Ok(offer) = crate::sensors::v4l2::offer(Path::new(device)) else { return "nothing".to_owned() };
-    let format = |format: &crate::sensors::v4l2::FormatOffer| {
-        let sizes: Vec<String> =
-            format.sizes.iter().take(12).map(|size| format!("{}x{}", size.width, size.height)).collect();
-        format!("{} {}", format.fourcc, sizes.join(" "))
-    };
-    offer.formats.iter().map(format).collect::<Vec<_>>().join("; ")
+    crate::sensors::v4l2::offer(Path::new(device)).map_or_else(|_| "nothing".to_owned(), |offer| offer.summary())
 }
 
 /// Some drivers keep a rate of their own; what they say is what counts.
@@ -168,7 +165,7 @@ fn rate(device: &Device, wanted_hz: f64) -> Option<f64> {
 }
 
 /// What the camera then says, and what it did not take.
-fn set_controls(device: &Device, wanted: &CameraOptions) -> (std::collections::BTreeMap<String, i64>, Vec<String>) {
+fn set_controls(device: &Device, wanted: &CameraOptions) -> (BTreeMap<String, i64>, Vec<String>) {
     let known = device.query_controls().unwrap_or_default();
     let find = |name: &str| known.iter().find(|control| plain(&control.name) == name);
     let mut refused = Vec::new();
@@ -193,7 +190,23 @@ fn set_controls(device: &Device, wanted: &CameraOptions) -> (std::collections::B
         Value::Boolean(value) => Some((name.clone(), i64::from(value))),
         _ => None,
     };
-    (wanted.controls.keys().filter_map(read).collect(), refused)
+    let controls: BTreeMap<String, i64> = wanted.controls.keys().filter_map(read).collect();
+    // Some drivers take what is too much without a word, and make it what they can.
+    refused.extend(
+        wanted
+            .controls
+            .iter()
+            .filter_map(|(name, value)| {
+                let (control, is) = (find(name)?, controls.get(name)?);
+                let said = format!(
+                    "{name} = {value}: the camera made it {is} (from {} to {})",
+                    control.minimum, control.maximum
+                );
+                (is != value && !refused.iter().any(|why| why.starts_with(&format!("{name} = ")))).then_some(said)
+            })
+            .collect::<Vec<_>>(),
+    );
+    (controls, refused)
 }
 
 /// `Exposure Time, Absolute` becomes `exposure_time_absolute`, as v4l2-ctl shows it.

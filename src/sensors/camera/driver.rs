@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::io;
+use std::path::Path;
 use std::time::Duration;
 
 use serde::Serialize;
 use thiserror::Error;
 
 use crate::config::CaptureSettings;
+use crate::sensors::permission;
 
 /// Formats that can be recorded, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -125,14 +127,18 @@ pub struct BufferInfo {
 pub enum CameraError {
     #[error("{device}: no such camera; present are {present}")]
     Missing { device: String, present: String },
-    #[error("{device}: no permission (your user must be in the group video: sudo usermod -aG video $USER)")]
+    #[error("{device}: no permission: {}", permission::remedy(Path::new(device), "video"))]
     Permission { device: String },
     #[error("{device}: another program streams from it; a camera streams to one program only")]
     Busy { device: String },
     #[error("{device} has no {wanted}; it offers {offers}")]
     Format { device: String, wanted: String, offers: String },
-    #[error("{device} is no camera that streams")]
-    NoCapture { device: String },
+    #[error("{device} is no camera that streams; present are {present}")]
+    NoCapture { device: String, present: String },
+    #[error("{device}: there is no folder {folder} for the socket: make it, or name another")]
+    NoFolder { device: String, folder: String },
+    #[error("{device}: something is there that is no socket: it is left alone; name another place")]
+    NoSocket { device: String },
     #[error("{device}: this program was built without the feature v4l2")]
     NotBuilt { device: String },
     #[error("{device} went away")]
@@ -152,6 +158,8 @@ impl CameraError {
             Self::Busy { .. } => "busy",
             Self::Format { .. } => "format",
             Self::NoCapture { .. } => "no_capture",
+            Self::NoFolder { .. } => "no_folder",
+            Self::NoSocket { .. } => "no_socket",
             Self::NotBuilt { .. } => "not_built",
             Self::Unplugged { .. } => "unplugged",
             Self::Stalled { .. } => "stalled",
@@ -167,7 +175,7 @@ impl CameraError {
         }
         match source.raw_os_error().map(rustix::io::Errno::from_raw_os_error) {
             Some(rustix::io::Errno::NODEV | rustix::io::Errno::NXIO) => Self::Unplugged { device },
-            Some(rustix::io::Errno::BUSY) => Self::Busy { device },
+            Some(rustix::io::Errno::BUSY | rustix::io::Errno::ADDRINUSE) => Self::Busy { device },
             Some(rustix::io::Errno::ACCESS | rustix::io::Errno::PERM) => Self::Permission { device },
             _ => Self::Io { device, source },
         }

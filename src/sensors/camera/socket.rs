@@ -3,9 +3,12 @@
 use std::collections::BTreeMap;
 use std::io::{self, Read};
 use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use crate::sensors::stale_socket::clear_away;
 
 use super::{BufferInfo, CameraError, CameraOptions, Driver, Negotiated, PixelFormat};
 
@@ -30,11 +33,12 @@ impl Driver for SocketCamera {
     fn open(&mut self, wanted: &CameraOptions) -> Result<Negotiated, CameraError> {
         let failed = |source| CameraError::of_io(&wanted.device, source);
         if self.listener.is_none() {
-            let path = wanted.device.strip_prefix(SCHEME).unwrap_or(&wanted.device);
-            // Of an earlier run: nobody can listen on it any more.
-            if UnixStream::connect(path).is_err() {
-                let _ = std::fs::remove_file(path);
+            let path = Path::new(wanted.device.strip_prefix(SCHEME).unwrap_or(&wanted.device));
+            let device = || wanted.device.clone();
+            if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
+                return Err(CameraError::NoFolder { device: device(), folder: folder.display().to_string() });
             }
+            clear_away(path).map_err(|_| CameraError::NoSocket { device: device() })?;
             let listener = UnixListener::bind(path).map_err(failed)?;
             listener.set_nonblocking(true).map_err(failed)?;
             self.listener = Some(listener);

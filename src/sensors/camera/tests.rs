@@ -14,6 +14,8 @@ use crate::ros2::messages::Header;
 /// What the kernel does next.
 enum Act {
     Refuse(CameraError),
+    /// Opened now, it negotiates this.
+    Negotiate(PixelFormat),
     /// A buffer, filled at this time after the last act.
     Frame {
         sequence: u32,
@@ -46,8 +48,10 @@ const SIZE: (u32, u32) = (8, 4);
 impl Driver for Scripted {
     fn open(&mut self, wanted: &CameraOptions) -> Result<Negotiated, CameraError> {
         let mut script = self.script.borrow_mut();
+        let mut format = wanted.format.unwrap_or(PixelFormat::Grey);
         match script.acts.pop_front() {
             Some(Act::Refuse(error)) => return Err(error),
+            Some(Act::Negotiate(other)) => format = other,
             Some(other) => script.acts.push_front(other),
             None => {}
         }
@@ -55,7 +59,7 @@ impl Driver for Scripted {
         Ok(Negotiated {
             card: "scripted".into(),
             bus: String::new(),
-            format: wanted.format.unwrap_or(PixelFormat::Grey),
+            format,
             width: SIZE.0,
             height: SIZE.1,
             stride: SIZE.0,
@@ -82,7 +86,7 @@ impl Driver for Scripted {
                 }
                 Ok(false)
             }
-            Some(Act::Refuse(_)) | None => {
+            Some(Act::Refuse(_) | Act::Negotiate(_)) | None => {
                 self.now_ns.set(self.now_ns.get() + timeout.as_nanos() as i64);
                 Ok(false)
             }
@@ -127,6 +131,7 @@ fn options(format: Option<PixelFormat>) -> CameraOptions {
 /// All that happens until the script is over, and how often the device was opened and closed.
 struct Run {
     frames: Vec<Frame>,
+    formats: Vec<PixelFormat>,
     lost: Vec<&'static str>,
     waits_ms: Vec<u128>,
     dropped: BTreeMap<&'static str, u64>,
@@ -139,8 +144,15 @@ fn run(acts: Vec<Act>, max_rate_hz: Option<f64>, format: Option<PixelFormat>) ->
     let script = Rc::new(RefCell::new(Script { acts: acts.into(), ..Script::default() }));
     let driver = Scripted { script: Rc::clone(&script), now_ns: Rc::clone(&now_ns) };
     let mut capture = Capture::new(driver, CaptureRules { options: options(format), max_rate_hz });
-    let mut run =
-        Run { frames: vec![], lost: vec![], waits_ms: vec![], dropped: BTreeMap::new(), opened: 0, closed: 0 };
+    let mut run = Run {
+        frames: vec![],
+        formats: vec![],
+        lost: vec![],
+        waits_ms: vec![],
+        dropped: BTreeMap::new(),
+        opened: 0,
+        closed: 0,
+    };
     for _ in 0..10_000 {
         if script.borrow().acts.is_empty() {
             break;
@@ -149,7 +161,7 @@ fn run(acts: Vec<Act>, max_rate_hz: Option<f64>, format: Option<PixelFormat>) ->
         capture.step(
             || now_ns.get(),
             |event| match event {
-                CaptureEvent::Opened(_) => {}
+                CaptureEvent::Opened(negotiated) => run.formats.push(negotiated.format),
                 CaptureEvent::Frame(frame) => run.frames.push(frame),
                 CaptureEvent::Lost { error, retry_in } => {
                     assert!(error.to_string().starts_with("/dev/x"), "{error}");
@@ -178,7 +190,7 @@ fn every_error_code_is_a_beginning_anew() {
         assert_eq!((run.opened, run.closed, run.lost.len()), (2, 1, 1), "{errno:?}");
         let cause = match errno {
             Errno::NODEV | Errno::NXIO => "unplugged",
-            Errno::BUSY => "busy",
+            Errno::BUSY | Errno::ADDRINUSE => "busy",
             Errno::ACCESS | Errno::PERM => "no_permission",
             Errno::TIMEDOUT => "stalled",
             _ => "io",
@@ -264,6 +276,28 @@ fn stamps_say_whose_they_are() {
     // As the kernel's vivid does: the end of the frame is yet to come.
     let ahead = clocks(|info| (info.stamp_ns, info.is_start_of_exposure) = (info.stamp_ns + 30_000_000, false));
     assert_eq!(ahead, (StampClock::EndOfFrame, arrived_ns + 28_000_000));
+}
+
+#[test]
+fn a_camera_that_comes_back_with_another_format_is_taken_as_what_it_is_now() {
+    let jpeg = jpeg();
+    let torn = jpeg[..jpeg.len() / 2].to_vec();
+    let compressed = |sequence, data| Act::Frame { sequence, after_ms: 33, data, change: |_| {} };
+    let acts = vec![
+        frame(0, 33),
+        Act::Error(Errno::NODEV),
+        Act::Refuse(CameraError::Missing { device: "/dev/x".into(), present: "none".into() }),
+        Act::Negotiate(PixelFormat::Mjpeg),
+        compressed(0, jpeg),
+        // Longer than the gray frame was, and no whole picture.
+        compressed(1, torn),
+        Act::Error(Errno::NODEV),
+        frame(0, 33),
+    ];
+    let run = run(acts, None, None);
+    assert_eq!(run.formats, [PixelFormat::Grey, PixelFormat::Mjpeg, PixelFormat::Grey]);
+    assert_eq!(run.lost, ["unplugged", "missing", "unplugged"]);
+    assert_eq!((run.frames.len(), run.dropped), (3, BTreeMap::from([("torn", 1)])));
 }
 
 fn jpeg() -> Vec<u8> {

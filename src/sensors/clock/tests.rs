@@ -70,8 +70,8 @@ proptest! {
             if step > 120 {
                 let (error, uncertainty) = error_ns(&clock, &device, host_ns);
                 prop_assert!(error.abs() <= uncertainty, "{step}: {error} of {uncertainty} ns");
-                // Quicker than the mean delay by far.
-                prop_assert!(error.abs() < (1e6 * (0.3 + 0.5 * jitter_ms)) as i64, "{step}: {error} ns");
+                // Less than the mean delay, although only a fifth of the questions may be answered.
+                prop_assert!(error.abs() < (1e6 * (0.3 + 0.7 * jitter_ms)) as i64, "{step}: {error} ns");
             }
         }
         let status = clock.status().expect("heard of");

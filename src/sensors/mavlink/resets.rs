@@ -20,6 +20,9 @@ struct Last {
 
 /// Across a longer silence a twist says nothing about where the robot went.
 const MAX_BRIDGED_NS: i64 = 500_000_000;
+/// A clock that goes back by more is that of a device that has started anew, whose estimate has too, and whose
+/// `reset_counter` may be what it was.
+const MAX_BACK_NS: i64 = 500_000_000;
 
 impl Continuity {
     /// The pose on the unbroken path, and whether the estimate has jumped.
@@ -27,7 +30,10 @@ impl Continuity {
     /// Over a jump the robot is taken to have moved on with the last twist: `reset_counter` says that the estimate jumped,
     /// not by how much.
     pub fn join(&mut self, time: Option<DeviceTime>, mut step: Box<Step>) -> (Box<Step>, bool) {
-        let jumped = self.last.as_ref().is_some_and(|last| last.step.reset_counter != step.reset_counter);
+        let jumped = self
+            .last
+            .as_ref()
+            .is_some_and(|last| last.step.reset_counter != step.reset_counter || elapsed_ns(last, time) < -MAX_BACK_NS);
         if let (true, Some(last)) = (jumped, &self.last) {
             let moved = last.step.odom_from_body * motion(last, time);
             self.correction = Some(moved * step.odom_from_body.inverse());
@@ -40,12 +46,16 @@ impl Continuity {
     }
 }
 
-fn motion(last: &Last, now: Option<DeviceTime>) -> Isometry {
-    let elapsed_ns = match (last.time, now) {
+/// By the device's clock; 0 where it does not say.
+fn elapsed_ns(last: &Last, now: Option<DeviceTime>) -> i64 {
+    match (last.time, now) {
         (Some(before), Some(now)) if before.base == now.base => now.floor_ns.saturating_sub(before.floor_ns),
         _ => 0,
-    };
-    // Backwards: the device has started anew.
+    }
+}
+
+fn motion(last: &Last, now: Option<DeviceTime>) -> Isometry {
+    let elapsed_ns = elapsed_ns(last, now);
     if !(0..=MAX_BRIDGED_NS).contains(&elapsed_ns) {
         return Isometry::IDENTITY;
     }

@@ -222,6 +222,25 @@ fn a_reset_of_the_estimate_does_not_move_the_robot() {
     }
 }
 
+/// Its counter of resets is what it was: 0, as at every start.
+#[test]
+fn a_device_that_starts_anew_does_not_move_the_robot() {
+    let mut device = Device::default();
+    let mut stream = Vec::new();
+    for (time_usec, x) in [(60_000_000, 3.0), (60_100_000, 3.1), (2_000_000, 0.0), (2_100_000, 0.1), (2_050_000, 0.05)]
+    {
+        let mut odometry = odometry(MavFrame::MAV_FRAME_LOCAL_FLU, MavFrame::MAV_FRAME_LOCAL_FLU);
+        (odometry.time_usec, odometry.x) = (time_usec, x);
+        stream.extend(device.frame(&MavMessage::ODOMETRY(odometry)));
+    }
+    let (all, counts) = decoded(&stream);
+    assert_eq!(counts.resets, 1, "what comes a little out of order is no start");
+    for (received, expected) in all.iter().zip([3.0, 3.1, 3.1, 3.2, 3.15]) {
+        let Content::Odometry(step) = &received.content else { panic!("odometry") };
+        assert!((step.odom_from_body.translation.x - expected).abs() < 1e-6, "{expected}: {step:?}");
+    }
+}
+
 #[test]
 fn a_covariance_turns_with_its_axes() {
     // Of x only, then of yaw only; NED's x is ENU's y.

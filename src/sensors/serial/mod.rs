@@ -3,6 +3,8 @@
 mod latency;
 mod line;
 mod port;
+mod trouble;
 
-pub use line::{Line, LineStatus, Measured, Pose};
+pub use line::{Line, LineStatus, Measured, Pose, SenderClock};
 pub use port::{PortEvent, PortOptions, SerialError, run};
+pub use trouble::Trouble;

@@ -1,6 +1,7 @@
 //! The rim: a port that is opened, read, and opened again when it goes away.
 
-use std::io::{self, Read, Write};
+use std::io::{self, IsTerminal, Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -12,6 +13,7 @@ use thiserror::Error;
 use super::latency::lower_latency;
 use super::line::{Line, LineStatus, Measured, Pose};
 use crate::sensors::host_clock::monotonic_ns;
+use crate::sensors::permission;
 
 #[derive(Clone, Debug)]
 pub struct PortOptions {
@@ -27,13 +29,15 @@ pub struct PortOptions {
 pub enum SerialError {
     #[error("{device}: no such device; present are {present}")]
     Missing { device: String, present: String },
-    #[error("{device}: no permission (your user must be in the group dialout: sudo usermod -aG dialout $USER)")]
+    #[error("{device}: no permission: {}", permission::remedy(Path::new(device), "dialout"))]
     Permission { device: String },
+    #[error("{device} is no serial port; present are {present}")]
+    NoPort { device: String, present: String },
     #[error("{device}: another program has it open")]
     Busy { device: String },
     #[error("{device} at {baud} baud: {source}")]
     Open { device: String, baud: u32, source: serialport::Error },
-    #[error("{device}: {source}")]
+    #[error("{device} went away: {source}")]
     Gone { device: String, source: io::Error },
 }
 
@@ -123,10 +127,18 @@ fn open(options: &PortOptions) -> Result<TTYPort, SerialError> {
         match source.kind() {
             ErrorKind::Io(io::ErrorKind::PermissionDenied) => SerialError::Permission { device },
             _ if !exists => SerialError::Missing { device, present: present() },
+            _ if is_another_thing(&device) => SerialError::NoPort { device, present: present() },
             ErrorKind::NoDevice | ErrorKind::Io(io::ErrorKind::ResourceBusy) => SerialError::Busy { device },
             _ => SerialError::Open { device, baud: options.baud, source },
         }
     })
+}
+
+/// A file, a folder or a device that is no terminal. A port that cannot be opened may be one.
+fn is_another_thing(device: &str) -> bool {
+    let flags = (rustix::fs::OFlags::NOCTTY | rustix::fs::OFlags::NONBLOCK).bits() as i32;
+    let opened = std::fs::OpenOptions::new().read(true).custom_flags(flags).open(device);
+    opened.is_ok_and(|file| !file.is_terminal())
 }
 
 fn present() -> String {

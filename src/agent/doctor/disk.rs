@@ -1,0 +1,69 @@
+//! How long the disk stands still, and what of a recording that puts at risk.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+use std::time::Instant;
+
+use super::{Finding, bad, good, size};
+use crate::config::Settings;
+use crate::recording::storage::Disk;
+use crate::recording::{DiskMeasured, loss_bound_ms};
+
+/// As much as a second of camera frames, as often as tells the worst from the usual.
+const DISK_BLOCK_BYTES: usize = 512 << 10;
+const DISK_BLOCKS: usize = 40;
+/// Of a recording, in a power cut.
+const MOST_LOST_MS: f64 = 1000.0;
+
+pub(super) fn disk(settings: &Settings, captures: &Path) -> Finding {
+    let what = format!("disk {}", captures.display());
+    let [typical_ms, worst_ms] = match slowest_write_ms(captures) {
+        Err(error) => return bad(what, error.to_string(), "the recorder's user must be able to write there"),
+        Ok(measured) => measured,
+    };
+    let measured = DiskMeasured { block_bytes: DISK_BLOCK_BYTES as u64, typical_ms, worst_ms };
+    // The recorder makes its queue of it; without it, it takes a usual one.
+    let noted = measured.save(&Disk, captures).map_or_else(|error| format!(" ({error})"), |()| String::new());
+    let bytes_per_s = size(settings).map_or(0, |size| settings.capture.bytes_per_s(size));
+    let queue_mb = measured.queue_mb(&settings.recording, bytes_per_s);
+    let cut_ms = loss_bound_ms(settings.recording.sync_interval_ms as f64, worst_ms);
+    let said = format!(
+        "512 KiB to the disk: {typical_ms:.1} ms, the worst of {DISK_BLOCKS} {worst_ms:.1} ms: {queue_mb} MiB for frames that wait, \
+         and a power cut costs at most {:.1} s{noted}",
+        cut_ms * 1e-3
+    );
+    if !measured.fits(queue_mb, bytes_per_s) {
+        bad(
+            what,
+            said,
+            "a faster disk, a larger recording.queue_mb or fewer frames: they are dropped while it stands still",
+        )
+    } else if cut_ms > MOST_LOST_MS {
+        bad(what, said, "a faster disk: with this one, a power cut costs more than a second")
+    } else {
+        good(what, said)
+    }
+}
+
+fn slowest_write_ms(captures: &Path) -> std::io::Result<[f64; 2]> {
+    std::fs::create_dir_all(captures)?;
+    let path = captures.join("doctor.tmp");
+    let mut times = Vec::with_capacity(DISK_BLOCKS);
+    let written = (|| {
+        let mut file = File::create(&path)?;
+        let block = vec![0x5a; DISK_BLOCK_BYTES];
+        for _ in 0..DISK_BLOCKS {
+            let start = Instant::now();
+            file.write_all(&block)?;
+            file.sync_data()?;
+            times.push(start.elapsed().as_secs_f64() * 1e3);
+        }
+        Ok(())
+    })();
+    let _ = std::fs::remove_file(&path);
+    let failed: std::io::Result<()> = written;
+    failed?;
+    times.sort_by(f64::total_cmp);
+    Ok([times[DISK_BLOCKS / 2], times[DISK_BLOCKS - 1]])
+}
