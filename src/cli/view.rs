@@ -136,16 +136,16 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     let gallery = Gallery::open(&arguments.db, &settings.views)?;
     wanted.camera = camera(arguments, &gallery, &wanted)?;
     let mut shown = gallery.view(&wanted)?;
-    let effects = match &scene {
-        None => Vec::new(),
-        Some(scene) => {
-            let stage = Stage::new(scene, shown.camera.lens(), arguments.figures == Figures::Draw);
-            stage.check(gallery.field())?;
-            apply(&stage, arguments.frame, gallery.world(), &mut shown)
-        }
+    let stage = scene.map(|scene| Stage::new(&scene, shown.camera.lens(), arguments.figures == Figures::Draw));
+    let apply = |shown: &mut Shown| {
+        stage.as_ref().map_or_else(Vec::new, |stage| apply(stage, arguments.frame, gallery.world(), shown))
     };
+    if let Some(stage) = &stage {
+        stage.check(gallery.field())?;
+    }
+    let effects = apply(&mut shown);
     if arguments.side_by_side {
-        save(&beside_each_other(&gallery, &wanted, &shown)?, &arguments.output)?;
+        save(&beside_each_other(&gallery, &wanted, &shown, apply)?, &arguments.output)?;
     } else {
         write(&shown, &arguments.output)?;
     }
@@ -186,9 +186,7 @@ fn camera(arguments: &ViewArguments, gallery: &Gallery, wanted: &Wanted) -> anyh
     let size = [arguments.width, arguments.height];
     let given = arguments.lens.as_deref().map(load_lens).transpose()?.map(|file| file.lens.parameters().clone());
     let nearest = || {
-        let nearest = gallery.choose(&wanted.map_from_link, 1, &[]);
-        let record = nearest.first().map(|nearest| gallery.index().record(nearest.number));
-        let camera = record.and_then(|record| gallery.camera(&record).cloned());
+        let camera = gallery.nearest_camera(&wanted.map_from_link);
         camera.map(|camera| camera.lens().parameters().clone())
     };
     let lens = match (given, size) {
@@ -236,15 +234,21 @@ fn mask(raster: &Raster) -> RgbImage {
 }
 
 /// Nearest, paper, exact and the exact view's mask.
-fn beside_each_other(gallery: &Gallery, wanted: &Wanted, exact: &Shown) -> anyhow::Result<RgbImage> {
+fn beside_each_other<T>(
+    gallery: &Gallery,
+    wanted: &Wanted,
+    exact: &Shown,
+    apply: impl Fn(&mut Shown) -> T,
+) -> anyhow::Result<RgbImage> {
     let mut panels = Vec::new();
     for (name, method) in
         [("nearest image", Method::Nearest), ("paper (Eq. 3-4)", Method::Paper), ("exact", Method::Exact)]
     {
         let camera = Some(Arc::clone(&exact.camera));
         let shown = gallery.view(&Wanted { method, camera, ..wanted.clone() });
-        let (image, caption) = match &shown {
-            Ok(shown) => {
+        let (image, caption) = match shown {
+            Ok(mut shown) => {
+                apply(&mut shown);
                 let answer = &shown.answer;
                 let error = format!("expected error {:.1} px", answer.expected_error_px);
                 (picture(&answer.image), format!("{name}: {}; shows {:.0} %", error, 100.0 * answer.valid_share))

@@ -8,6 +8,7 @@ use glam::DVec2;
 
 use super::build::bytes_of;
 use super::catalogue::{Catalogue, Source};
+use super::choice::{Without, choose};
 use super::error::DatabaseError;
 use super::index::{Index, Neighbour};
 use super::pixels::colours;
@@ -17,8 +18,8 @@ use crate::config::ViewsSettings;
 use crate::geometry::{Field, Isometry, Lens, LensParameters};
 use crate::sensors::body_mask;
 use crate::views::{
-    Answer, Camera, Candidate, Made, Method, Pyramid, Raster, Request, Scenery, ViewSettings, Vignetting, World,
-    check_pose, mark_moving, view,
+    Answer, Camera, Candidate, Footprint, Made, Method, Pyramid, Raster, Request, Scenery, ViewSettings, Vignetting,
+    World, check_pose, mark_moving, view,
 };
 use crate::vision::BodyMask;
 
@@ -63,12 +64,6 @@ pub struct Shown {
     pub unreadable: Vec<String>,
 }
 
-/// Neighbours looked at for each source that is used.
-const LOOKED_AT: usize = 8;
-/// One nearer to another source than this share of its own distance shows little that the other does not.
-const APART: f64 = 0.5;
-/// Of two images about as near, the better one is taken: how much nearer a worse one may seem, at most.
-const QUALITY: f64 = 0.25;
 /// Pixels at the edge of the lens's circle that a codec and the lens itself have mixed with black.
 const RIM_PX: usize = 3;
 /// Images that cannot be read are passed over, but not for ever.
@@ -140,31 +135,17 @@ impl Gallery {
         Metric { per_m: metre_counts, per_direction: direction_counts, per_roll: roll_counts }
     }
 
-    /// The images that a view of this pose is made from, best first: near, good, and not all from one side.
-    pub fn choose(&self, pose: &Isometry, wanted: usize, without: &[usize]) -> Vec<Neighbour> {
-        let metric = self.metric();
-        let near = self.index.nearest(pose, LOOKED_AT * wanted + without.len(), &metric);
-        let mut ranked: Vec<(f64, Neighbour, Record)> = near
-            .into_iter()
-            .filter(|neighbour| !without.contains(&neighbour.number))
-            .map(|neighbour| (neighbour, self.index.record(neighbour.number)))
-            .map(|(neighbour, record)| (neighbour.distance * (1.0 + QUALITY * badness(&record)), neighbour, record))
-            .collect();
-        ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(badness(&a.2).total_cmp(&badness(&b.2))));
-        let mut chosen: Vec<(Neighbour, Isometry)> = Vec::new();
-        for apart in [APART, 0.0] {
-            for (_, neighbour, record) in &ranked {
-                let pose = record.pose();
-                let is_new = |(known, other): &(Neighbour, Isometry)| {
-                    known.number != neighbour.number && metric.distance(&pose, other) >= apart * neighbour.distance
-                };
-                if chosen.len() < wanted && chosen.iter().all(is_new) {
-                    chosen.push((*neighbour, pose));
-                }
-            }
-        }
-        chosen.sort_by(|a, b| a.0.distance.total_cmp(&b.0.distance));
-        chosen.into_iter().map(|(neighbour, _)| neighbour).collect()
+    /// That of the nearest image.
+    pub fn nearest_camera(&self, map_from_link: &Isometry) -> Option<&Arc<Camera>> {
+        let nearest = self.index.nearest(map_from_link, 1, &self.metric());
+        self.camera(&self.index.record(nearest.first()?.number))
+    }
+
+    fn choose(&self, wanted: &Wanted, without: &Without) -> Vec<Neighbour> {
+        let pose = &wanted.map_from_link;
+        let Some(camera) = wanted.camera.as_ref().or_else(|| self.nearest_camera(pose)) else { return Vec::new() };
+        let footprint = Footprint::new(camera, pose, &self.world);
+        choose(self, pose, &footprint, self.settings.sources, without)
     }
 
     pub fn view(&self, wanted: &Wanted) -> Result<Shown, DatabaseError> {
@@ -172,10 +153,10 @@ impl Gallery {
             return Err(DatabaseError::Empty);
         }
         check_pose(&wanted.map_from_link)?;
-        let mut without = wanted.without.clone();
+        let mut without = Without { records: wanted.without.clone(), sources: Vec::new() };
         let mut unreadable = Vec::new();
         loop {
-            let chosen = self.choose(&wanted.map_from_link, self.settings.sources, &without);
+            let chosen = self.choose(wanted, &without);
             if let Some(shown) = self.stored(wanted, &chosen)? {
                 return Ok(shown);
             }
@@ -186,8 +167,21 @@ impl Gallery {
             if failed.is_empty() || unreadable.len() >= MAX_UNREADABLE {
                 return self.make(wanted, images, unreadable);
             }
-            without.extend(failed.iter().map(|(number, _)| number));
-            unreadable.extend(failed.into_iter().map(|(_, what)| what.clone()));
+            for (number, what) in failed {
+                let source = self.index.record(number).source;
+                match self.catalogue.sources.get(source as usize).filter(|source| !source.path.exists()) {
+                    // All of a capture that is away are, however many they are.
+                    Some(away) if !without.sources.contains(&source) => {
+                        without.sources.push(source);
+                        unreadable.push(format!("{}: gone since it was indexed", away.path.display()));
+                    }
+                    Some(_) => {}
+                    None => {
+                        without.records.push(number);
+                        unreadable.push(what.clone());
+                    }
+                }
+            }
         }
     }
 
@@ -199,7 +193,7 @@ impl Gallery {
             let Some(own) = self.camera(&record) else { continue };
             let camera = wanted.camera.as_ref().unwrap_or(own);
             let request = self.request(wanted, camera);
-            let same = camera.lens().parameters() == own.lens().parameters();
+            let same = camera.lens().parameters().draws_as(own.lens().parameters());
             if !same || !request.is_within(&record.pose()) || wanted.method == Method::Nearest {
                 continue;
             }
@@ -281,7 +275,7 @@ impl Gallery {
     /// That of the first source with this lens, at whatever size; a lens that took no image darkens nothing.
     fn darkening_of(&self, lens: &LensParameters) -> Vignetting {
         let size = [Some(lens.width), Some(lens.height)];
-        let is_same = |source: &Source| source.lens == *lens || source.lens.resized(size) == *lens;
+        let is_same = |source: &Source| source.lens.draws_as(lens) || source.lens.resized(size).draws_as(lens);
         let source = self.catalogue.sources.iter().position(|source| source.darkening.is_some() && is_same(source));
         source.map_or_else(Vignetting::default, |source| self.darkening(source))
     }
@@ -342,18 +336,6 @@ fn without_rim(shows: &[bool], width: usize) -> Vec<bool> {
     let rows: Vec<bool> =
         (0..shows.len()).map(|i| near(i % width, width).all(|u| shows[i / width * width + u])).collect();
     (0..shows.len()).map(|i| near(i / width, height).all(|v| rows[v * width + i % width])).collect()
-}
-
-/// 0 for a good tag and a picture that is neither dark, nor blown out, nor blurred, up to 1.
-fn badness(record: &Record) -> f64 {
-    let tag = (f64::from(record.sigma_m) / 0.05).min(1.0);
-    let light = match record.brightness {
-        dark if dark < 40.0 => f64::from(40.0 - dark) / 40.0,
-        bright if bright > 200.0 => f64::from(bright - 200.0) / 55.0,
-        _ => 0.0,
-    };
-    let blur = (1.0 - f64::from(record.sharpness) / 0.05).clamp(0.0, 1.0);
-    (0.5 * tag + 0.25 * light.min(1.0) + 0.25 * blur).clamp(0.0, 1.0)
 }
 
 /// Decoded images, the longest unused ones given up first.

@@ -6,6 +6,7 @@
 
 mod build;
 mod catalogue;
+mod choice;
 mod coverage;
 mod darkening;
 mod error;

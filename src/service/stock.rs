@@ -118,9 +118,7 @@ impl Stock {
             return Ok(None);
         }
         let own = || {
-            let nearest = gallery.choose(&asked.map_from_link, 1, &[]);
-            let nearest = nearest.first().ok_or_else(|| refusal(&DatabaseError::Empty))?;
-            let camera = gallery.camera(&gallery.index().record(nearest.number));
+            let camera = gallery.nearest_camera(&asked.map_from_link);
             camera.map(|camera| camera.lens().parameters().clone()).ok_or_else(|| refusal(&DatabaseError::Empty))
         };
         let lens = match &asked.lens {

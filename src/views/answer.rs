@@ -133,7 +133,7 @@ pub enum ViewError {
     )]
     Place { x: f64, y: f64 },
     #[error(
-        "the nearest image was taken {distance_m:.2} m away, farther than the {max_m:.2} m that are allowed: record \
+        "the nearest image was taken {distance_m:.2} m away, farther than the {max_m} m that are allowed: record \
          there, or allow more"
     )]
     TooFar { distance_m: f64, max_m: f64 },
@@ -176,7 +176,7 @@ impl Request<'_> {
 
     pub(super) fn is_stored_as(&self, candidate: &Candidate) -> bool {
         self.is_within(&candidate.map_from_link)
-            && self.camera.lens().parameters() == candidate.camera.lens().parameters()
+            && self.camera.lens().parameters().draws_as(candidate.camera.lens().parameters())
     }
 
     /// Whether an image taken there is the answer, if its lens is the one asked for.

@@ -8,6 +8,7 @@ mod beneath;
 mod camera;
 mod compose;
 mod darkening;
+mod footprint;
 mod ground_warp;
 mod moving;
 pub mod paper;
@@ -24,6 +25,7 @@ pub use answer::{
 };
 pub use camera::Camera;
 pub use darkening::{Overlap, darkening, overlap};
+pub use footprint::{Footprint, Seen};
 pub use ground_warp::Warp;
 pub use moving::{Scenery, mark_moving};
 pub use photometry::{Gain, Vignetting};

@@ -5,8 +5,9 @@ use glam::{DVec2, DVec3};
 
 use super::answer::{Answer, Candidate, Request, ViewError};
 use super::quadratic::Quadratic;
-use super::raster::{NOTHING, Raster, SURE};
+use super::raster::{NOTHING, Raster, SURE, UNSURE};
 use super::sample::read;
+use super::target::Target;
 use super::world::{Surface, World};
 use super::{Camera, optical};
 use crate::geometry::Isometry;
@@ -42,9 +43,13 @@ pub(super) fn view(request: &Request, source: &Candidate) -> Result<Answer, View
     let mut image = Raster::black(to.camera.width(), to.camera.height());
     splat(&mut image, source, &forward);
     fill(&mut image, source, &reverse);
-    for (pixel, shows) in image.pixels.iter_mut().zip(to.camera.shows()) {
-        if !shows {
-            *pixel = [0, 0, 0, NOTHING];
+    let target = Target::new(to.camera, &to.map_from_link, request.world);
+    for (index, pixel) in image.pixels.iter_mut().enumerate() {
+        // The map is of the ground: what it makes of the rest is a guess.
+        match target.surface(index % to.camera.width(), index / to.camera.width()) {
+            None => *pixel = [0, 0, 0, NOTHING],
+            Some(Surface::Ground) => {}
+            Some(_) => pixel[3] = pixel[3].min(UNSURE),
         }
     }
     Ok(Answer::warped(request, source, image, forward.residual().rms_px))

@@ -31,6 +31,15 @@ pub struct LensParameters {
     pub fov_deg: Option<f64>,
 }
 
+impl LensParameters {
+    /// Whether both draw a place on the same pixel; how far from the axis they are stated to hold only counts where both say so.
+    pub fn draws_as(&self, other: &Self) -> bool {
+        let fov_deg = self.fov_deg.and(other.fov_deg);
+        let bare = |lens: &Self| Self { fov_deg: lens.fov_deg.filter(|_| fov_deg.is_some()), ..lens.clone() };
+        bare(self) == bare(other)
+    }
+}
+
 /// The distance from the axis that a ray at angle theta is drawn at, in focal lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
