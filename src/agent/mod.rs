@@ -20,7 +20,7 @@ mod setup;
 pub mod single;
 mod soak;
 mod stages;
-mod state;
+pub mod state;
 pub mod tagger;
 mod tally;
 mod warnings;

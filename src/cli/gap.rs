@@ -1,7 +1,6 @@
 //! `realitysim gap`
 
 use std::path::PathBuf;
-use std::process::Command;
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -10,7 +9,7 @@ use image::RgbImage;
 use serde::Serialize;
 
 use super::paths::{check_output, save};
-use super::{Outcome, output};
+use super::{Outcome, detector, output};
 use crate::config::Settings;
 use crate::database::{Gallery, Wanted};
 use crate::evaluation::drawing;
@@ -24,7 +23,7 @@ use crate::vision::Picture;
 ///
 /// Images of the database are held out, with all others taken near them, and seen from their poses as recorded, as the exact and the
 /// paper's view, as the nearest image, and rendered. What the project's line detector finds in each is compared, and their
-/// brightness. A detector of your own: --detector PROGRAM is run with the name of a PNG and prints a number.
+/// brightness. A detector of your own: --detector COMMAND is run with the name of a PNG and prints a number.
 #[derive(Args)]
 pub struct GapArguments {
     /// The database's folder
@@ -39,9 +38,9 @@ pub struct GapArguments {
     /// One of the images, in all its forms
     #[arg(short, long, value_name = "PNG")]
     output: Option<PathBuf>,
-    /// Run with the name of a PNG; prints a number
-    #[arg(long, value_name = "PROGRAM")]
-    detector: Option<PathBuf>,
+    /// Run in a shell with the name of a PNG as its last argument; prints a number
+    #[arg(long, value_name = "COMMAND")]
+    detector: Option<String>,
     /// Robot config, for its section [views]
     #[arg(long, value_name = "FILE")]
     config: Option<String>,
@@ -65,7 +64,7 @@ struct Row {
 
 struct Judge<'a> {
     arguments: &'a GapArguments,
-    detector: Detector,
+    own: Detector,
     ground: Vec<bool>,
     recorded: &'a Raster,
     pose: Isometry,
@@ -93,7 +92,7 @@ pub fn run(arguments: &GapArguments, json: bool) -> anyhow::Result<Outcome> {
         let ground = (0..width * height).map(|i| target.surface(i % width, i / width));
         let judge = Judge {
             arguments,
-            detector: Detector::new(camera.lens(), gallery.field()),
+            own: Detector::new(camera.lens(), gallery.field()),
             ground: ground.map(|surface| surface == Some(crate::views::Surface::Ground)).collect(),
             recorded: &images[0],
             pose,
@@ -195,10 +194,10 @@ impl Judge<'_> {
         Ok(Row {
             form,
             images: 1,
-            detection: self.detector.look(&picture, &self.pose),
+            detection: self.own.look(&picture, &self.pose),
             psnr_db: likeness(&self.recorded.pixels, &image.pixels, image.width, &self.ground, &shown).psnr_db,
             histogram: histogram_distance(&self.recorded.pixels, &image.pixels, &shown),
-            detector: self.arguments.detector.as_ref().map(|program| ask(program, image)).transpose()?,
+            detector: self.arguments.detector.as_deref().map(|command| ask(command, image)).transpose()?,
         })
     }
 }
@@ -216,19 +215,13 @@ fn histogram_distance(a: &[[u8; 4]], b: &[[u8; 4]], shown: &[bool]) -> f64 {
     counts.iter().map(|[a, b]| (a - b).abs()).sum::<f64>() / (2.0 * all)
 }
 
-/// The first number that the program prints.
-fn ask(program: &std::path::Path, image: &Raster) -> anyhow::Result<f64> {
+fn ask(command: &str, image: &Raster) -> anyhow::Result<f64> {
     let file = std::env::temp_dir().join(format!("realitysim-gap-{}.png", std::process::id()));
     let picture = RgbImage::from_raw(image.width as u32, image.height as u32, image.to_rgb()).unwrap_or_default();
     save(&picture, &file)?;
-    let run = Command::new(program).arg(&file).output();
+    let number = detector::ask(command, &file);
     let _ = std::fs::remove_file(&file);
-    let run = run.with_context(|| format!("{}: cannot be run", program.display()))?;
-    let text = String::from_utf8_lossy(&run.stdout).into_owned();
-    let number = text.split_whitespace().find_map(|word| word.parse::<f64>().ok());
-    number.filter(|_| run.status.success()).with_context(|| {
-        format!("{}: ended with {} and printed {text:?}: a number is needed", program.display(), run.status)
-    })
+    number
 }
 
 fn mean(rows: &[Row]) -> Row {

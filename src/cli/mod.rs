@@ -7,6 +7,7 @@ mod cost;
 mod cut;
 mod db;
 mod demo;
+mod detector;
 mod doctor;
 mod eval;
 mod export;

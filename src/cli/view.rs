@@ -113,6 +113,8 @@ struct Report {
     /// Of the scene, those that were applied.
     effects: Vec<&'static str>,
     unreadable: Vec<String>,
+    /// Why the view is to be doubted.
+    warning: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -158,11 +160,14 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     } else {
         output::lines(&told(&report))?;
     }
-    for what in &report.unreadable {
+    for what in report.unreadable.iter().chain(&report.warning) {
         eprintln!("realitysim: {what}");
     }
     Ok(if report.unreadable.is_empty() { Outcome::Whole } else { Outcome::DataLost })
 }
+
+/// As `serve` has it: from farther away, the view is doubted.
+const FAR_M: f64 = 1.0;
 
 fn wanted(arguments: &ViewArguments) -> anyhow::Result<Wanted> {
     let ViewArguments { x, y, z, yaw, pitch, roll, max_distance, .. } = *arguments;
@@ -304,6 +309,7 @@ fn report(gallery: &Gallery, shown: &Shown, arguments: &ViewArguments) -> Report
         expected_error_px: answer.expected_error_px,
         effects: Vec::new(),
         unreadable: shown.unreadable.clone(),
+        warning: answer.warning(FAR_M),
     }
 }
 

@@ -10,6 +10,7 @@ use super::catalogue::{Catalogue, Source};
 use super::darkening;
 use super::error::{DatabaseError, io};
 use super::index::{Index, path_of, write_index};
+use super::inputs::sources_of;
 use super::pixels::read_bytes;
 use super::record::Record;
 use super::sources::{self, Read};
@@ -51,12 +52,8 @@ pub fn add(
     };
     let mut catalogue = known;
     let mut added = Added::default();
-    for path in paths {
-        let known = path.canonicalize().ok().and_then(|path| catalogue.as_ref()?.position(&path));
-        if known.is_some() {
-            return Err(DatabaseError::Known { path: path.clone() });
-        }
-        let read = sources::read(path, with_ambiguous, progress)?;
+    for path in sources_of(paths, catalogue.as_ref())? {
+        let read = sources::read(&path, with_ambiguous, progress)?;
         take(folder, &mut catalogue, &mut records, read, field, &mut added)?;
     }
     if let Some(catalogue) = catalogue {
@@ -65,7 +62,7 @@ pub fn add(
     Ok(added)
 }
 
-/// Reads every source again: as if the database had just been made.
+/// Reads every source again: as if the database had just been made. One that cannot be read stays in its list, without images.
 pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError> {
     is_database(folder)?;
     let _alone = alone(folder)?;
@@ -75,7 +72,12 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
     for source in &old.sources {
         match sources::read(&source.path, source.with_ambiguous, progress) {
             Ok(read) => take(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
-            Err(error) => added.losses.push(Loss::new(&source.path, error.to_string())),
+            Err(error) => {
+                added.losses.push(Loss::new(&source.path, error.to_string()));
+                // It may only be away: a later rebuild looks for it again.
+                let empty = Source { images: 0, left_out: 0, ..source.clone() };
+                catalogue.get_or_insert_with(|| Catalogue::new(old.field.clone())).sources.push(empty);
+            }
         }
     }
     publish(folder, catalogue.unwrap_or(old), records)?;

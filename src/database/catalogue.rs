@@ -43,6 +43,13 @@ pub struct Source {
     pub left_out: u64,
     #[serde(default)]
     pub with_ambiguous: bool,
+    /// Whether the field's goals may have stood there: not in a rendered scene.
+    #[serde(default = "usually")]
+    pub goals: bool,
+}
+
+fn usually() -> bool {
+    true
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -71,7 +78,7 @@ impl Catalogue {
             }
             Err(error) => return Err(io(&path)(error)),
         };
-        let damaged = |what: String| DatabaseError::Damaged { path: path.clone(), what };
+        let damaged = |what: String| DatabaseError::Lost { path: path.clone(), what, folder: folder.to_owned() };
         let catalogue: Self = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
         if catalogue.format != FORMAT {
             return Err(damaged(format!("of format {}, and this program reads format {FORMAT}", catalogue.format)));

@@ -19,6 +19,11 @@ pub enum DatabaseError {
     None { path: PathBuf },
     #[error("{}: {what}: `realitysim db rebuild` makes it anew from its captures", path.display())]
     Damaged { path: PathBuf, what: String },
+    /// Only it says what the database was made of.
+    #[error(
+        "{}: {what}: move {} away and add its captures again with `realitysim db add`", path.display(), folder.display()
+    )]
+    Lost { path: PathBuf, what: String, folder: PathBuf },
     #[error("{}: {source}", path.display())]
     Lens { path: PathBuf, source: LensError },
     #[error("{}: {source}", path.display())]

@@ -91,7 +91,8 @@ impl Gallery {
             shows.push(shown_by(folder, source, &camera)?);
             cameras.push(camera);
         }
-        let world = if settings.goals { World::new(&field) } else { World::without_goals(&field) };
+        let any_goals = catalogue.sources.iter().any(|source| source.goals);
+        let world = if settings.goals && any_goals { World::new(&field) } else { World::without_goals(&field) };
         let decoded = Mutex::new(Decoded::new(settings.cache_mb << 20));
         let settings = settings.clone();
         Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, decoded })

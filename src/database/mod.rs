@@ -12,6 +12,7 @@ mod darkening;
 mod error;
 mod gallery;
 mod index;
+mod inputs;
 mod leave_one_out;
 mod pixels;
 mod record;

@@ -1,6 +1,6 @@
 //! Captures and folders of images, read into records.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::fs;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -78,6 +78,11 @@ const MAX_TURN_DEG: f64 = 3600.0;
 /// Images decoded at a time: bounds memory.
 const MAX_BATCH: usize = 64;
 
+/// A capture or a folder of images.
+pub(super) fn is_source(path: &Path) -> bool {
+    path.join(POSES).is_file() || path.join(SESSION_FILE).is_file()
+}
+
 /// A capture, one of its segments, or a folder with `poses.csv`. `done` hears of images.
 pub(super) fn read(path: &Path, with_ambiguous: bool, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let path = path.canonicalize().map_err(io(path))?;
@@ -153,6 +158,8 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
         images: records.len() as u64,
         left_out,
         with_ambiguous,
+        // Scenes are drawn without.
+        goals: !info.source.is_some_and(|source| source.ends_with(".toml")),
         path,
     };
     Ok(Read { source, records, field: Some(info.field), ambiguous, losses, lit })
@@ -260,12 +267,17 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         files.push(name);
         batch.push((record, bytes));
         if batch.len() == MAX_BATCH {
-            left_out += finish(&mut batch, &lens, &mut records, &mut lit);
+            finish(&mut batch, &lens, &mut records, &mut lit);
             done(records.len() as u64);
         }
     }
-    left_out += finish(&mut batch, &lens, &mut records, &mut lit);
+    finish(&mut batch, &lens, &mut records, &mut lit);
     done(records.len() as u64);
+    let good: HashSet<u32> = records.iter().map(|record| record.file).collect();
+    for (_, name) in files.iter().enumerate().filter(|(number, _)| !good.contains(&(*number as u32))) {
+        losses.push(Loss::new(&path.join(name), "is no picture of the size of the others"));
+        left_out += 1;
+    }
     let lens = lens.ok_or_else(|| DatabaseError::Source {
         path: path.clone(),
         what: format!("{POSES} names no image that can be read"),
@@ -282,6 +294,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         images,
         left_out,
         with_ambiguous: false,
+        goals: true,
     };
     Ok(Read { source, records, field: None, ambiguous: 0, losses, lit })
 }
@@ -291,9 +304,9 @@ fn finish(
     lens: &Option<crate::geometry::LensParameters>,
     records: &mut Vec<Record>,
     lit: &mut Lit,
-) -> u64 {
-    let Some(lens) = lens else { return 0 };
-    look_at(batch, [lens.width as usize, lens.height as usize], records, lit)
+) {
+    let Some(lens) = lens else { return };
+    look_at(batch, [lens.width as usize, lens.height as usize], records, lit);
 }
 
 /// `camera_info.yaml` beside the images, for images of this size.

@@ -54,7 +54,7 @@ pub use status::{Fault, RecorderStatus, Stopped};
 pub use thinning::Thinning;
 pub use turn::Turn;
 pub use verify::{Verified, verify};
-pub use worst_stall::DiskMeasured;
+pub use worst_stall::{DISK_FILE, DiskMeasured};
 
 /// The old content or the new, never a part.
 pub fn write_atomically(path: &Path, content: &[u8]) -> Result<(), RecordingError> {

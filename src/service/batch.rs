@@ -29,7 +29,8 @@ const BOUNDARY: &str = "realitysim-view-8f3b61c7d2a94e05";
 
 /// Views and how they are to be sent.
 pub(super) struct Batch {
-    pub(super) asked: Vec<Asked>,
+    /// Or what is wrong with one.
+    pub(super) asked: Vec<Result<Asked, Refusal>>,
 }
 
 impl Batch {
@@ -42,23 +43,23 @@ impl Batch {
         };
         let [poses, from, to, count] = ["poses", "from", "to", "count"].map(|name| object.remove(name));
         let all = Parameters::from_json(&object)?;
-        let asked: Vec<Asked> = match (poses, from, to, count) {
+        let asked: Vec<Result<Asked, Refusal>> = match (poses, from, to, count) {
             (Some(Value::Array(poses)), None, None, None) => {
                 within(poses.len())?;
-                poses
-                    .iter()
-                    .enumerate()
-                    .map(|(number, pose)| one(&format!("poses[{number}]"), pose, &all))
-                    .collect::<Result<_, _>>()?
+                poses.iter().enumerate().map(|(number, pose)| one(&format!("poses[{number}]"), pose, &all)).collect()
             }
             (None, Some(from), Some(to), Some(count)) => {
                 let count = count.as_u64().map_or(usize::MAX, |count| usize::try_from(count).unwrap_or(usize::MAX));
                 within(count)?;
-                between(&one("from", &from, &all)?, &one("to", &to, &all)?, count)
+                between(&one("from", &from, &all)?, &one("to", &to, &all)?, count).into_iter().map(Ok).collect()
             }
             _ => return Err(Refusal::wrong("either poses (a list), or from, to and count are needed")),
         };
-        Ok(Self { asked })
+        // What is wrong with all of them is wrong with the request.
+        match asked.iter().all(Result::is_err) {
+            true => asked.into_iter().collect::<Result<Vec<_>, _>>().map(|_| Self { asked: Vec::new() }),
+            false => Ok(Self { asked }),
+        }
     }
 
     /// Views one after the other in one thread, sent as they come.
@@ -101,14 +102,16 @@ fn between(from: &Asked, to: &Asked, count: usize) -> Vec<Asked> {
     (0..count).map(one).collect()
 }
 
-fn make(service: &Service, asked: &[Asked], forms: &[Form], send: &Sender<Bytes>) {
+fn make(service: &Service, asked: &[Result<Asked, Refusal>], forms: &[Form], send: &Sender<Bytes>) {
     let started = Instant::now();
     for asked in asked {
-        let picture = if started.elapsed() < MAX_TIME {
-            service.picture(asked, forms)
-        } else {
-            let what = format!("not made within {} s: ask for fewer with one request", MAX_TIME.as_secs());
-            Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what))
+        let picture = match asked {
+            Err(refusal) => Err(refusal.clone()),
+            Ok(asked) if started.elapsed() < MAX_TIME => service.picture(asked, forms),
+            Ok(_) => {
+                let what = format!("not made within {} s: ask for fewer with one request", MAX_TIME.as_secs());
+                Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what))
+            }
         };
         // Who does not listen any more has hung up.
         if send.blocking_send(part(picture)).is_err() {
@@ -157,7 +160,7 @@ mod tests {
     fn poses_take_what_they_do_not_say_from_all() {
         let text = r#"{"method": "paper", "z": 0.5, "poses": [{"x": 1, "y": 2, "yaw_deg": 3}, {"x": 1, "y": 2, "yaw_deg": 3, "method": "nearest"}]}"#;
         let batch = Batch::from_json(text.as_bytes()).expect("right");
-        let methods: Vec<_> = batch.asked.iter().map(|asked| asked.method).collect();
+        let methods: Vec<_> = batch.asked.iter().flatten().map(|asked| asked.method).collect();
         assert_eq!(methods, [crate::views::Method::Paper, crate::views::Method::Nearest]);
     }
 
@@ -165,6 +168,7 @@ mod tests {
     fn a_trajectory_begins_and_ends_where_it_should() {
         let text = r#"{"z": 0.5, "from": {"x": 0, "y": 0, "yaw_deg": 170}, "to": {"x": 1, "y": 2, "yaw_deg": -170}, "count": 5}"#;
         let asked = Batch::from_json(text.as_bytes()).expect("right").asked;
+        let asked: Vec<Asked> = asked.into_iter().flatten().collect();
         let middle = asked[2].map_from_link;
         assert!((middle.translation.x - 0.5).abs() < 1e-12 && asked.len() == 5);
         assert!(
@@ -182,7 +186,7 @@ mod tests {
             ("[]", "an object is needed"),
             ("{}", "either poses (a list), or from, to and count"),
             (r#"{"poses": []}"#, "0 views: 1 to 1024"),
-            (r#"{"poses": [{"x": 1, "y": 1, "z": 1, "yaw_deg": 0}, {"x": 1}]}"#, "poses[1]: y is missing"),
+            (r#"{"poses": [{"x": 1}, {"x": 1}]}"#, "poses[0]: y is missing"),
             (r#"{"poses": [{"x": [1]}]}"#, "poses[0]: x: [1]: a number or a text is needed"),
             (r#"{"poses": [1]}"#, "poses[0]: x is missing"),
             (r#"{"from": {}, "to": {}, "count": 99999}"#, "99999 views"),

@@ -109,7 +109,9 @@ async fn views(service: &Arc<Service>, parameters: &Parameters, request: Request
         None => Refusal::wrong(format!("the body did not come whole: {error}")),
     })?;
     let batch = Batch::from_json(&body.to_bytes())?;
-    let alpha = |mask| batch.asked.iter().map(|asked| asked.mask).find(|own| *own != MaskWanted::None).unwrap_or(mask);
+    let alpha = |mask| {
+        batch.asked.iter().flatten().map(|asked| asked.mask).find(|own| *own != MaskWanted::None).unwrap_or(mask)
+    };
     let forms = accepted(accept.as_deref(), alpha(MaskWanted::None))?;
     let inside = service.door.enter().await?;
     Ok(batch.stream(Arc::clone(service), inside, forms))

@@ -103,12 +103,7 @@ impl Stock {
         if !effects.is_empty() {
             headers.push(("realitysim-effects", effects.join(", ")));
         }
-        let nearest_m = shown.answer.sources.iter().map(|source| source.distance_m).fold(f64::INFINITY, f64::min);
-        if nearest_m > max_distance_m {
-            let words =
-                format!("the nearest image was taken {nearest_m:.2} m away, farther than {max_distance_m:.2} m");
-            headers.push(("realitysim-warning", words));
-        }
+        headers.extend(shown.answer.warning(max_distance_m).map(|words| ("realitysim-warning", words)));
         Ok(Picture { bytes, form, made: made(shown.answer.made), headers })
     }
 

@@ -225,6 +225,16 @@ impl Answer {
         Self { image, made: Made::Warped, map_from_link, sources, valid_share, sure_share, expected_error_px }
     }
 
+    /// Why it is to be doubted, if all of its images were taken farther away than `far_m`.
+    pub fn warning(&self, far_m: f64) -> Option<String> {
+        let nearest_m = self.sources.iter().map(|source| source.distance_m).fold(f64::INFINITY, f64::min);
+        match nearest_m > far_m {
+            _ if self.sources.is_empty() => Some("no image shows anything of this view".to_owned()),
+            true => Some(format!("the nearest image was taken {nearest_m:.2} m away, farther than {far_m} m")),
+            false => None,
+        }
+    }
+
     /// Counts anew what is shown, after something was drawn over it. `camera` is the picture's.
     pub fn recount(&mut self, camera: &Camera) {
         (self.valid_share, self.sure_share) = shares(camera, &self.image);

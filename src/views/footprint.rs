@@ -54,7 +54,9 @@ impl Footprint {
                 }
             }
         };
-        Self { places: nodes.filter(|ray| !ray.x.is_nan()).map(place).collect() }
+        // At the edge of what a lens is stated to hold for, it projects not all that it unprojects.
+        let drawn = nodes.filter(|ray| !ray.x.is_nan() && camera.projector().project_inside(*ray).is_some());
+        Self { places: drawn.map(place).collect() }
     }
 
     /// What of it an image that was taken with `camera` from `map_from_link` shows.

@@ -234,6 +234,7 @@ fn descriptions() {
         images: 1,
         left_out: 0,
         with_ambiguous: false,
+        goals: true,
     });
     keep("capture", "sound-database", serde_json::to_vec(&catalogue).unwrap());
 }

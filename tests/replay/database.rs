@@ -74,7 +74,7 @@ fn a_view_says_what_it_is_made_of() {
     }
     let run = room.run("view --db db --x 2.5 --y 0 --z 0.5 --yaw 14 --pitch 17 -o out.png --max-distance 1");
     assert_eq!(run.code, Some(1));
-    assert!(run.stderr.contains("farther than the 1.00 m that are allowed"), "{run:?}");
+    assert!(run.stderr.contains("farther than the 1 m that are allowed"), "{run:?}");
     let run = room.run("view --db db --x nan --y 0 --z 0.5 --yaw 14 -o out.png");
     assert!(run.code == Some(2) && run.stderr.contains("--x is NaN"), "{run:?}");
 }
@@ -112,6 +112,12 @@ fn side_by_side_are_the_views_of_all_methods_and_the_mask() {
         (same + u32::from(of_mask == of_exact), red + u32::from(of_mask.0 == [200, 40, 40]))
     });
     assert!(same > 320 * 240 / 3 && same + red < 320 * 240, "{same} pixels of known geometry, {red} of nothing");
+    // What a scene does, it does to all of them.
+    let scene = format!("{}/replay/scenes/crowded.toml", env!("CARGO_MANIFEST_DIR"));
+    room.run(&format!("{here} -o exact.png --width 320 --scene {scene}")).succeeds();
+    room.run(&format!("{here} -o side.png --side-by-side --scene {scene}")).succeeds();
+    let place = place_of(&picture("exact.png"), &picture("side.png"));
+    assert_eq!(place, Some(places[2]), "the exact panel is not the exact view");
 }
 
 #[test]
@@ -177,7 +183,7 @@ fn the_gap_is_least_for_the_exact_view_and_any_detector_can_judge() {
         assert!((0.0..=1.0).contains(&of(form, "histogram")));
     }
     assert!(of("recorded", "histogram") == 0.0 && image::open(room.path("gap.png")).is_ok());
-    room.run("gap --db db --frames 1 --detector /bin/false").fails(1, &["a number is needed"]);
+    room.run("gap --db db --frames 1 --detector /bin/false").fails(1, &["one finite number is needed"]);
     room.run("gap --db db --apart 100").fails(1, &["no image has others around it"]);
 }
 
@@ -217,6 +223,76 @@ fn what_changed_or_vanished_after_indexing_is_told_and_the_rest_is_used() {
     let run = room.run(&format!("view --db db {pose} -o out.png"));
     assert!(run.code == Some(1) && run.stderr.contains("gone since it was indexed"), "{run:?}");
 }
+
+/// Two walks of the same place, one of which is on a disk that is not plugged in.
+#[test]
+fn a_capture_that_is_away_leaves_the_others_their_views_and_comes_back() {
+    let (room, _) = walked();
+    let gallery = open(&room);
+    let (first, count) = (gallery.catalogue().sources[0].path.clone(), gallery.index().len());
+    let second = room.replay("log.mcap").session;
+    room.run(&format!("db add {} --db db", second.display())).succeeds();
+    let place = gallery.index().record(count / 2).pose().translation;
+    let pose = format!("--x {} --y {} --z {} --yaw 20 --pitch 17", place.x, place.y + 0.05, place.z);
+    let away = room.path("away");
+    fs::rename(&first, &away).expect("moved");
+    let run = room.run(&format!("view --db db {pose} -o out.png --json"));
+    assert_eq!(run.code, Some(3), "{run:?}");
+    let report = run.json();
+    let unreadable = report["unreadable"].as_array().expect("names");
+    assert!(unreadable.len() == 1 && unreadable[0].as_str().is_some_and(|said| said.contains("gone")), "{report}");
+    assert!(report["sure_share"].as_f64() > Some(0.4), "{report}");
+    // What is away is not forgotten.
+    let run = room.run("db rebuild --db db --json");
+    assert_eq!((run.code, run.json()["images"].as_u64()), (Some(3), Some(count as u64)), "{run:?}");
+    room.run(&format!("view --db db {pose} -o out.png")).succeeds();
+    fs::rename(&away, &first).expect("moved back");
+    let run = room.run("db rebuild --db db --json").succeeds();
+    assert_eq!(run.json()["images"].as_u64(), Some(2 * count as u64));
+    room.write("db/database.json", "{");
+    room.run("db rebuild --db db").fails(1, &["add its captures again"]);
+}
+
+#[test]
+fn a_folder_of_captures_stands_for_those_that_are_not_known() {
+    let (room, _) = walked();
+    let count = open(&room).index().len();
+    let first = open(&room).catalogue().sources[0].path.clone();
+    let second = room.replay("log.mcap").session;
+    let folder = second.parent().expect("captures").to_owned();
+    // What `captures/*` is to a shell: beside captures stands what their recorder keeps.
+    let all: Vec<String> = fs::read_dir(&folder)
+        .expect("captures")
+        .map(|entry| entry.expect("one").path().display().to_string())
+        .collect();
+    assert!(all.iter().any(|path| path.ends_with("last_state.bin")), "{all:?}");
+    room.run(&format!("db add {} --db other", all.join(" "))).succeeds();
+    let run = room.run(&format!("db add {} --db db --json", folder.display())).succeeds();
+    assert_eq!(run.json()["images"].as_u64(), Some(count as u64), "only the new one");
+    assert_eq!(open(&room).index().len(), 2 * count);
+    let segment = first.join("0000.mcap");
+    room.run(&format!("db add {} --db db", segment.display())).fails(1, &["there already"]);
+    room.run(&format!("db add {} {} --db third", segment.display(), first.display())).fails(1, &["there already"]);
+    assert!(!room.path("third/database.json").exists());
+}
+
+/// A dense walk: the nearest images of a pose that looks elsewhere all show the same half of its view.
+#[test]
+fn images_of_a_walk_are_chosen_such_that_they_complete_each_other() {
+    let (room, _) = walked();
+    let gallery = open(&room);
+    let record = gallery.index().record(gallery.index().len() / 2);
+    let (pose, yaw) = (record.pose().translation, record.pose().euler().yaw.to_degrees());
+    let shares = [30.0, -30.0].map(|turned| {
+        let (x, y, z, yaw) = (pose.x, pose.y, pose.z, yaw + turned);
+        let run = room.run(&format!("view --db db --x {x} --y {y} --z {z} --yaw {yaw} --pitch 17 -o o.png --json"));
+        run.succeeds().json()["valid_share"].as_f64().expect("a share")
+    });
+    // All images of this walk together show little more.
+    assert!(shares.iter().all(|share| *share > LEAST_SHARE), "{shares:?}");
+}
+
+const LEAST_SHARE: f64 = 0.8;
 
 #[test]
 fn a_gallery_goes_on_while_the_database_changes() {

@@ -89,7 +89,7 @@ fn what_is_wrong_is_answered_with_what_would_be_right() {
         ("/v1/view?x=0&y=0&z=0.5&yaw_deg=0&lens=/etc/passwd", 400, "there is equisolid-640"),
         ("/v1/view?x=0&y=0&z=0.5&yaw_deg=0&scene=../../etc/passwd", 400, "there is none"),
         ("/v1/view?x=0&y=0&z=0.5&yaw_deg=0&width=4096&height=4096", 400, "at most 4194304 pixels"),
-        ("/v1/view?x=9&y=9&z=0.5&yaw_deg=0", 404, "farther than the 1.00 m that are allowed"),
+        ("/v1/view?x=9&y=9&z=0.5&yaw_deg=0", 404, "farther than the 1 m that are allowed"),
         ("/v1/coverage?cell_m=0.02&headings=360", 400, "at most 1000000 are counted"),
         ("/v1/coverage?cell=1", 400, "unknown: there are cell_m, headings"),
         ("/v1/info?x=1", 400, "x: unknown"),
@@ -108,7 +108,7 @@ fn what_is_wrong_is_answered_with_what_would_be_right() {
     }
     let far = get(served.address, "/v1/view?x=3&y=0.2&z=0.5&yaw_deg=10&pitch_deg=20&outside=warn");
     assert_eq!(far.status, 200, "{}", far.text());
-    assert!(far.header("realitysim-warning").contains("farther than 1.00 m"));
+    assert!(far.header("realitysim-warning").contains("farther than 1 m"));
     assert!(served.is_running());
     assert_eq!(served.ended(), Some(0));
 }
@@ -117,15 +117,16 @@ fn what_is_wrong_is_answered_with_what_would_be_right() {
 fn a_batch_comes_in_its_order_and_one_wrong_pose_spoils_nothing() {
     let served = Served::new("");
     let body = r#"{"z": 0.5, "pitch_deg": 20, "poses": [{"x": 0.1, "y": 0.2, "yaw_deg": 10}, {"x": 50, "y": 0, "yaw_deg": 0},
-        {"x": 0.22, "y": 0.2, "yaw_deg": 11}]}"#;
+        {"x": 0.22, "y": 0.2, "yaw_deg": 11}, {"x": 0.1}]}"#;
     let answer = post(served.address, "/v1/views", body);
     assert_eq!(answer.status, 200, "{}", answer.text());
     let parts = parts(&answer);
     let statuses: Vec<&str> = parts.iter().map(|(headers, _)| headers["realitysim-status"].as_str()).collect();
-    assert_eq!(statuses, ["200", "404", "200"]);
+    assert_eq!(statuses, ["200", "404", "200", "400"]);
     assert_eq!(parts[0].1, fs::read(served.room.path("images/0.png")).expect("there"));
     assert!(String::from_utf8_lossy(&parts[1].1).contains("farther than"));
     assert_eq!(parts[2].0["realitysim-made"], "composed");
+    assert!(String::from_utf8_lossy(&parts[3].1).contains("poses[3]: y is missing"));
 }
 
 #[test]

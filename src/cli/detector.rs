@@ -1,0 +1,77 @@
+//! A detector of the user's own: a command that is given a picture's name and prints a number.
+
+use std::io::Read;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::mpsc::channel;
+use std::time::Duration;
+
+use anyhow::Context;
+
+/// So long it may look at one picture.
+const MAX_TIME: Duration = Duration::from_secs(60);
+/// More is no number.
+const MAX_ANSWER_BYTES: u64 = 4096;
+
+/// Runs `command` in a shell, the picture's name as its last argument; the one finite number that it prints.
+pub fn ask(command: &str, picture: &Path) -> anyhow::Result<f64> {
+    let failed = |what: String| anyhow::anyhow!("--detector {command:?}: {what}");
+    let mut process = Command::new("sh")
+        .args(["-c", &format!("{command} \"$1\""), "sh"])
+        .arg(picture)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .process_group(0)
+        .spawn()
+        .with_context(|| format!("--detector {command:?}: cannot be run"))?;
+    let group = rustix::process::Pid::from_child(&process);
+    let stdout = process.stdout.take().context("a pipe was asked for")?;
+    let (send, receive) = channel();
+    std::thread::spawn(move || {
+        let mut answer = Vec::new();
+        let read = stdout.take(MAX_ANSWER_BYTES + 1).read_to_end(&mut answer).map(|_| answer);
+        let _ = send.send(read);
+    });
+    let answer = receive.recv_timeout(MAX_TIME);
+    let whole = matches!(&answer, Ok(Ok(answer)) if answer.len() as u64 <= MAX_ANSWER_BYTES);
+    if !whole {
+        // With all that it has started.
+        let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+    }
+    let status = process.wait().map_err(|error| failed(error.to_string()))?;
+    let answer = answer.map_err(|_| failed(format!("did not answer within {} s", MAX_TIME.as_secs())))?;
+    let answer = answer.map_err(|error| failed(error.to_string()))?;
+    if !whole {
+        return Err(failed(format!("prints more than {MAX_ANSWER_BYTES} bytes: one number is needed")));
+    }
+    let text = String::from_utf8_lossy(&answer).trim().to_owned();
+    let numbers: Vec<f64> = text.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+    match numbers[..] {
+        [number] if number.is_finite() && status.success() => Ok(number),
+        _ => Err(failed(format!("ended with {status} and printed {text:?}: one finite number is needed"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_number_is_an_answer_and_nothing_else_is() {
+        let ask = |command: &str| ask(command, Path::new("/a picture.png")).map_err(|error| error.to_string());
+        assert_eq!(ask("echo 2.5; true"), Ok(2.5));
+        assert_eq!(ask("echo found 7 lines in"), Ok(7.0));
+        for (command, said) in [
+            ("echo NaN; true", "one finite number"),
+            ("echo 1 2 3; true", "one finite number"),
+            ("echo", "one finite number"),
+            ("echo 1; false", "exit status: 1"),
+            ("/no/such/program", "exit status: 127"),
+            ("yes", "prints more than 4096 bytes"),
+        ] {
+            let error = ask(command).expect_err(command);
+            assert!(error.contains(said), "{command}: {error}");
+        }
+    }
+}
