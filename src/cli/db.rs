@@ -26,8 +26,11 @@ pub struct DbArguments {
 enum Command {
     Add(AddArguments),
     Remove(RemoveArguments),
+    /// Read all captures and folders of a database again, and make its index anew
     Rebuild(FolderArguments),
+    /// What a database holds: images, sources, extent, how good the tags are
     Stats(FolderArguments),
+    /// Read every image and compare it with what was indexed; exit code 3 if one is gone or changed
     Verify(FolderArguments),
     Coverage(CoverageArguments),
 }
@@ -89,6 +92,8 @@ struct CoverageArguments {
     headings: u16,
 }
 
+/// Of the paper's database.
+const PAPER_POSES: u32 = 720_000;
 /// Of a coverage: thirty times the paper's grid, 80 MB.
 const MAX_CELLS: f64 = 20e6;
 
@@ -222,7 +227,8 @@ fn coverage(arguments: &CoverageArguments, json: bool) -> anyhow::Result<Outcome
         let share = 100.0 * filled as f64 / cells as f64;
         let outside = if outside > 0 { format!("; {outside} images lie off the carpet") } else { String::new() };
         output::lines(&format!(
-            "{filled} of {cells} poses filled ({share:.1} %): cells of {cell_m} m and {:.0} degrees{outside}",
+            "{filled} of {cells} poses filled ({share:.1} %): cells of {cell_m} m and {:.0} degrees; the paper's grid has \
+             {PAPER_POSES}{outside}",
             360.0 / sectors as f64
         ))?;
     }

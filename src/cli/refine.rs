@@ -155,6 +155,10 @@ fn lens_file(lens: &LensParameters) -> String {
     )
 }
 
+/// For whoever takes the tilt for the mount's alone.
+const TILT: &str = "# The tilt is that of the camera against what the IMU calls level: one walk cannot tell a tilted mount from a tilted IMU,\n\
+                    # and a pose needs both together only. With another IMU, or one that was set level anew, it is to be found again.\n";
+
 fn robot_file(refining: &Refining, lens: &Path) -> String {
     let mount = &refining.info.settings.mount;
     let constants = refining.smoothed.constants;
@@ -168,6 +172,7 @@ fn robot_file(refining: &Refining, lens: &Path) -> String {
             found.name, found.value, found.unit, found.known, found.believed
         ));
     }
+    text.push_str(TILT);
     let name = lens.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let place = lens.parent().filter(|folder| !folder.as_os_str().is_empty());
     let lens = place.map_or(name.clone(), |folder| folder.join(&name).display().to_string());
@@ -213,7 +218,11 @@ fn told(report: &Report) -> String {
     });
     row("views of the ground, median dB", &|judged| median(&judged.view_psnr_db));
     for Found { name, unit, value, known, observable, .. } in &report.constants {
-        let doubt = if *observable { "" } else { "  (not observable in this walk)" };
+        let doubt = match *observable {
+            false => "  (not observable in this walk)",
+            true if name.starts_with("tilt") => "  (of mount and IMU together)",
+            true => "",
+        };
         text.push_str(&format!("  {name:<26} {value:+.5} +- {known:.5} {unit}{doubt}\n"));
     }
     text.push_str(&report.output.display().to_string());
