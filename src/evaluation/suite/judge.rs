@@ -204,6 +204,21 @@ mod tests {
         assert_eq!(limits.too_slow(9.0), None);
     }
 
+    /// The errors of 0.1 m lie within an ellipse of one metre, those of 3 m do not.
+    #[test]
+    fn a_tag_that_does_not_know_how_wrong_it_is_breaks_its_limit() {
+        let held = |allowed: f64, off: &[f64]| {
+            let limits = Limits { ellipse95_share: Some(allowed), ..Limits::default() };
+            assert!(limits.ask_for_truth());
+            limits.broken(&judged(&case(""), off)).is_empty()
+        };
+        assert!(held(1.0, &[0.1, 0.1]) && held(0.5, &[0.1, 3.0]));
+        assert!(!held(0.6, &[0.1, 3.0]) && !held(0.5, &[]));
+        let suite = Limits { ellipse95_share: Some(0.9), ..Limits::default() };
+        let none = Limits { ellipse95_share: Some(0.0), ..Limits::default() };
+        assert_eq!(none.over(&suite), Limits::default());
+    }
+
     #[test]
     fn a_frame_without_a_pose_is_no_valid_one_and_more_poses_than_frames_do_not_make_up_for_it() {
         let case = case("");

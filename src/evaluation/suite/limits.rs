@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::judge::Judged;
 
-/// In a case, what nothing can break (`inf`, a `valid_share` of 0) takes away the suite's limit.
+/// In a case, what nothing can break (`inf`, a `valid_share` or `ellipse95_share` of 0) takes away the suite's limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Limits {
@@ -16,6 +16,8 @@ pub struct Limits {
     pub yaw_median_deg: Option<f64>,
     pub roll_median_deg: Option<f64>,
     pub pitch_median_deg: Option<f64>,
+    /// At least this share of the tags that are judged has the truth within its 95 % ellipse.
+    pub ellipse95_share: Option<f64>,
     /// At least this share of the judged frames has a valid tag.
     pub valid_share: Option<f64>,
     /// At least this share of the valid tags has a truth to be judged by; without it 0.9.
@@ -29,7 +31,7 @@ pub struct Limits {
 /// Errors of a few tags say nothing about all.
 const MOST_OF_THEM: f64 = 0.9;
 /// Limits from below; all others are from above.
-pub const LEAST: [&str; 2] = ["valid_share", "judged_share"];
+pub const LEAST: [&str; 3] = ["ellipse95_share", "valid_share", "judged_share"];
 
 /// A limit that was not kept.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -42,7 +44,7 @@ pub struct Broken {
 
 impl Limits {
     /// By name.
-    fn each_mut(&mut self) -> [(&'static str, &mut Option<f64>); 11] {
+    fn each_mut(&mut self) -> [(&'static str, &mut Option<f64>); 12] {
         [
             ("mean_cm", &mut self.mean_cm),
             ("median_cm", &mut self.median_cm),
@@ -51,6 +53,7 @@ impl Limits {
             ("yaw_median_deg", &mut self.yaw_median_deg),
             ("roll_median_deg", &mut self.roll_median_deg),
             ("pitch_median_deg", &mut self.pitch_median_deg),
+            ("ellipse95_share", &mut self.ellipse95_share),
             ("valid_share", &mut self.valid_share),
             ("judged_share", &mut self.judged_share),
             ("recovered_within_s", &mut self.recovered_within_s),
@@ -117,6 +120,8 @@ impl Limits {
         let of_errors = self.named().filter(|(name, _)| *name != "p99_ratio" && !LEAST.contains(name));
         let mut broken: Vec<Broken> =
             of_errors.filter_map(|(name, allowed)| above(name, measured(name), allowed)).collect();
+        let held = error(c.ellipse95_share);
+        broken.extend(self.ellipse95_share.and_then(|allowed| below("ellipse95_share", held, allowed)));
         broken.extend(self.valid_share.and_then(|allowed| below("valid_share", judged.valid_share, allowed)));
         if self.ask_for_truth() && c.valid > 0 {
             let share = c.judged as f64 / c.valid as f64;
@@ -142,5 +147,5 @@ fn below(limit: &'static str, value: Option<f64>, allowed: f64) -> Option<Broken
 
 fn is_endless(name: &str, value: f64) -> bool {
     // A judged_share of 0 takes away what holds without it.
-    value.is_infinite() || name == "valid_share" && value == 0.0
+    value.is_infinite() || ["ellipse95_share", "valid_share"].contains(&name) && value == 0.0
 }
