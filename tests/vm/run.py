@@ -180,9 +180,14 @@ def shows_its_captures_to_whoever_fetches_them(robot):
 
 def takes_every_raw_format_and_names_what_it_cannot_have(robot):
     machine = robot.machine
-    machine.ok("systemctl stop realitysim", 30)
     machine.ok("sed '/^republish/d; /^ports/d' /etc/realitysim/robot.toml > /run/formats.toml; chmod 644 /run/formats.toml")
     record = "realitysim record --config /run/formats.toml -o /run/formats --socket /run/formats.sock --json"
+    before = machine.status()
+    _, text = machine.run(f"timeout --foreground -s INT 3 {record} 2>&1 > /dev/null", 60)
+    assert "another program streams from it" in text, text
+    machine.until("a second recorder is told that the camera is taken, the first records on", 20,
+                  lambda s: written(s) > written(before) + 3 and s["session"] == before["session"])
+    machine.ok("systemctl stop realitysim", 30)
     for wanted in ("YUYV", "NV12", "GREY", "RGGB", "BA81", "GBRG", "GRBG"):
         code, text = machine.run(
             f"timeout --foreground --preserve-status -s INT 6 {record} --set capture.format={wanted} 2> /run/formats.log", 60)
