@@ -14,6 +14,8 @@ pub struct Budget {
     decided: Decisions,
     /// What still has to be done when the last pose has been weighed: refinement, above all.
     reserve: Duration,
+    /// What is done between two looks at the clock: the last of them may come just in time.
+    stride: Duration,
 }
 
 /// One frame's part of the budget.
@@ -22,6 +24,7 @@ pub struct Allowance {
     until: Until,
     stopped_at: Option<u32>,
     last_asked: Instant,
+    longest_stride: Duration,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +34,7 @@ enum Until {
     Weighed(u32),
 }
 
-/// Of what the rest of a frame took at most, so much is forgotten with each frame: half in five seconds at 10 Hz.
+/// Of what the rest of a frame and a stride took at most, so much is forgotten with each frame: half in five seconds at 10 Hz.
 const FORGET: f64 = 0.986;
 
 impl Budget {
@@ -39,7 +42,7 @@ impl Budget {
     /// clock.
     pub fn new(limit_ms: f64, decided: Decisions) -> Self {
         let limit = (limit_ms > 0.0).then(|| Duration::from_secs_f64(limit_ms * 1e-3));
-        Self { limit, decided, reserve: Duration::ZERO }
+        Self { limit, decided, reserve: Duration::ZERO, stride: Duration::ZERO }
     }
 
     /// A frame of which `looked_ms` have been spent.
@@ -50,15 +53,16 @@ impl Budget {
             (_, Some(Some(weighed))) => Until::Weighed(weighed),
             (Some(limit), None) => {
                 let looked = Duration::from_secs_f64(looked_ms.max(0.0) * 1e-3);
-                Until::Time(now + limit.saturating_sub(looked + self.reserve))
+                Until::Time(now + limit.saturating_sub(looked + self.reserve + self.stride))
             }
         };
-        Allowance { until, stopped_at: None, last_asked: now }
+        Allowance { until, stopped_at: None, last_asked: now, longest_stride: Duration::ZERO }
     }
 
     /// The frame is done.
     pub fn learn(&mut self, allowance: &Allowance) {
         self.reserve = self.reserve.mul_f64(FORGET).max(allowance.last_asked.elapsed());
+        self.stride = self.stride.mul_f64(FORGET).max(allowance.longest_stride);
     }
 }
 
@@ -70,8 +74,10 @@ impl Allowance {
         let go_on = match self.until {
             Until::Forever => true,
             Until::Time(deadline) => {
-                self.last_asked = Instant::now();
-                self.last_asked < deadline
+                let now = Instant::now();
+                self.longest_stride = self.longest_stride.max(now.saturating_duration_since(self.last_asked));
+                self.last_asked = now;
+                now < deadline
             }
             Until::Weighed(stop) => weighed < stop,
         };
@@ -104,6 +110,18 @@ mod tests {
         assert_eq!(stopped.stopped_at(), Some(192));
         assert!(budget.frame(8, 1e9).may_go_on(u32::MAX), "it was not stopped");
         assert!(!budget.frame(9, 1e9).may_go_on(64), "nothing was recorded: the clock counts");
+    }
+
+    #[test]
+    fn nothing_is_begun_that_could_not_be_ended_in_time() {
+        let mut budget = Budget::new(100.0, Decisions::new());
+        let mut first = budget.frame(1, 0.0);
+        std::thread::sleep(Duration::from_millis(60));
+        assert!(first.may_go_on(64));
+        budget.learn(&first);
+        let mut second = budget.frame(2, 0.0);
+        std::thread::sleep(Duration::from_millis(50));
+        assert!(!second.may_go_on(64), "another stride of 60 ms ends after 110");
     }
 
     #[test]
