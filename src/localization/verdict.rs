@@ -41,8 +41,8 @@ pub struct Standing {
     pub confidence: Confidence,
     /// When lines last agreed with the pose.
     agreed_ns: Option<i64>,
-    /// When lines last agreed with the pose both ways, with hardly one too many.
-    explained_ns: Option<i64>,
+    /// Lines have agreed with the pose both ways, with hardly one too many.
+    has_explained: bool,
     /// Somebody said where the robot is.
     was_told: bool,
     /// Frames in a row whose lines speak for a pose that needs confirming, but not clearly enough.
@@ -107,8 +107,7 @@ const IN_A_ROW: u32 = 2;
 const AGREES_BOTH_WAYS: f64 = 0.6;
 /// Of what a frame shows so much more may be unexplained where a confirmed pose explains nearly all that it expects.
 const LESS_IF_HELD_FAST: f64 = 0.2;
-/// For so long after it last explained so much.
-const LONGEST_HOLD_NS: i64 = 3_000_000_000;
+/// Once it has explained so much.
 const WELL_EXPLAINED: f64 = 0.95;
 /// So much of what a frame may leave unexplained may be there when a pose is confirmed.
 const CONFIRMED_WITH_IF_TOLD: f64 = 0.3;
@@ -178,7 +177,7 @@ impl Standing {
     /// Why the pose is not to be used, and what that means for the next frames; `seconds` since the last one.
     pub fn judge(&mut self, rules: &Rules, moment: &Moment, fix: &Fix, seconds: f64) -> Option<&'static str> {
         if fix.agreement.fitting >= FITTING_IF_FOUND_AGAIN && fix.explained.share >= WELL_EXPLAINED {
-            self.explained_ns = Some(moment.stamp_ns);
+            self.has_explained = true;
         }
         let doubt = self.complaint(rules, moment, fix);
         let share = (fix.agreement.expected >= FEWEST_EXPECTED).then(|| fix.agreement.share());
@@ -186,7 +185,7 @@ impl Standing {
         let contradicted = match doubt {
             Some("lines_disagree" | "not_standing" | "off_field") => true,
             // Something white stands before a place that is right all the same.
-            Some("lines_unexplained") => !self.holds_fast(moment, fix),
+            Some("lines_unexplained") => !self.holds_fast(fix),
             _ => false,
         };
         if rules.refinement && longest_axis(&fix.covariance) > LOST_M {
@@ -232,28 +231,23 @@ impl Standing {
                         .or_else(|| held(fix.support.share >= share, "lines_disagree"))
                         .or_else(|| held(fix.estimate.spread_m <= spread_m, "spread"));
                 }
-                let least_explained =
-                    if self.holds_fast(moment, fix) { explained - LESS_IF_HELD_FAST } else { explained };
+                let least_explained = if self.holds_fast(fix) { explained - LESS_IF_HELD_FAST } else { explained };
                 held(!fix.refined || stands(moment, fix), "not_standing")
                     .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
                     .or_else(|| held(fix.explained.share >= least_explained, "lines_unexplained"))
                     .or_else(|| {
-                        held(
-                            !self.is_tracking() || self.holds_fast(moment, fix) || agrees_both_ways(fix),
-                            "lines_disagree",
-                        )
+                        held(!self.is_tracking() || self.holds_fast(fix) || agrees_both_ways(fix), "lines_disagree")
                     })
                     .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
                     .or_else(|| held(longest_axis(&fix.covariance) <= refined_m, "spread"))
             })
     }
 
-    /// A confirmed pose of which all but a few lines are seen where they should be, and that a moment ago explained all it saw.
-    fn holds_fast(&self, moment: &Moment, fix: &Fix) -> bool {
+    /// A confirmed pose of which all but a few lines are seen where they should be, and that has explained all it saw.
+    fn holds_fast(&self, fix: &Fix) -> bool {
         let lines = &fix.agreement;
-        let lately = |then: i64| moment.stamp_ns.saturating_sub(then) <= LONGEST_HOLD_NS;
         self.is_tracking()
-            && self.explained_ns.is_some_and(lately)
+            && self.has_explained
             && lines.fitting >= FITTING_IF_FOUND_AGAIN
             && lines.share() >= SHARE_IF_FOUND
     }
