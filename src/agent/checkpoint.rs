@@ -105,7 +105,7 @@ mod tests {
         }
         assert_eq!(Checkpoint::decode(b"something else"), Err(CheckpointError::Foreign));
         let mut newer = bytes;
-        newer[8] = 9;
-        assert_eq!(Checkpoint::decode(&newer), Err(CheckpointError::Version { found: 9 }));
+        newer[8] = VERSION as u8 + 1;
+        assert_eq!(Checkpoint::decode(&newer), Err(CheckpointError::Version { found: VERSION + 1 }));
     }
 }

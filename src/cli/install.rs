@@ -49,7 +49,9 @@ pub fn run(arguments: &InstallArguments) -> anyhow::Result<Outcome> {
     let program = std::env::current_exe().context("this program's own file")?;
     let content = std::fs::read(&program).map_err(|error| paths::cannot_read(&program, error))?;
     write(&root.join(PROGRAM), &content, 0o755)?;
-    if arguments.root.is_none() {
+    if arguments.root.is_some() {
+        output::lines(&format!("written into {}", root.display()))?;
+    } else {
         for command in COMMANDS {
             run_command(command)?;
         }

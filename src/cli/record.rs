@@ -107,8 +107,12 @@ pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
         Order::Poses(at) => {
             let stop = std::sync::atomic::AtomicBool::new(false);
             let mut stdout = std::io::stdout().lock();
-            poses(&at.socket, &stop, |line| writeln!(stdout, "{line}").and_then(|()| stdout.flush()))
-                .map_err(|error| unreachable_recorder(at, &error))?;
+            let listened = poses(&at.socket, &stop, |line| writeln!(stdout, "{line}").and_then(|()| stdout.flush()));
+            match listened {
+                // Whoever reads has had enough.
+                Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => {}
+                listened => listened.map_err(|error| unreachable_recorder(at, &error))?,
+            }
             return Ok(Outcome::Whole);
         }
     };

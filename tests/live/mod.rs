@@ -269,6 +269,30 @@ fn a_session_can_be_stopped_and_another_begun() {
     assert!(recorder.room.run("status --socket control.sock").code == Some(1), "nobody answers any more");
 }
 
+/// Nobody at its socket can keep it from being asked, or make it do what was not said.
+#[test]
+fn orders_are_taken_whole_or_not_at_all() {
+    let mut recorder = Recorder::start(None);
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    let order = |line: &str| recorder.room.run(&format!("{line} --socket control.sock"));
+    order(&format!("mark {}stop", "a".repeat(4091))).fails(1, &["an order has at most 4096 bytes"]);
+    order(&format!("mark {}", "é".repeat(3000))).fails(1, &["an order has at most 4096 bytes"]);
+    assert_eq!(recorder.asks("status")["state"], "recording");
+    recorder.asks("stop");
+    order("mark goal!").fails(1, &["nothing is being recorded"]);
+    // While there are no poses.
+    let socket = recorder.room.path("control.sock");
+    for _ in 0..3 {
+        for _ in 0..16 {
+            let mut listener = std::os::unix::net::UnixStream::connect(&socket).expect("a recorder");
+            std::io::Write::write_all(&mut listener, b"poses\n").expect("asked");
+        }
+        std::thread::sleep(Duration::from_millis(600));
+    }
+    assert_eq!(recorder.asks("start")["state"], "recording");
+    assert!(recorder.ends().status.success());
+}
+
 #[test]
 fn what_a_kill_left_is_finished_when_the_next_recording_starts() {
     let mut recorder = Recorder::start(None);

@@ -40,6 +40,8 @@ pub(super) struct Agent<'a> {
     pub(super) names: Names,
     pub(super) messages: Messages,
     pub(super) session: Option<Pipeline>,
+    /// A session, whether it still is or not.
+    pub(super) has_begun: bool,
     pub(super) tags: Option<Receiver<FrameTag>>,
     pub(super) heard: Expected,
     pub(super) status: Status,
@@ -71,6 +73,7 @@ impl<'a> Agent<'a> {
             names: Names { topics, frames, head },
             messages: Messages::default(),
             session: None,
+            has_begun: false,
             tags: None,
             heard: Expected::default(),
             status: Status::default(),
@@ -190,7 +193,7 @@ impl<'a> Agent<'a> {
                 }
             }
             PortEvent::Status(line) => {
-                if let Some(PortNews { event, said }) = self.status.port(device).counted(line) {
+                for PortNews { event, said } in self.status.port(device).counted(line) {
                     say(&format!("{device}: {said}"));
                     self.note("serial", event, &format!("{device}: {said}"))?;
                 }
@@ -216,6 +219,9 @@ impl<'a> Agent<'a> {
                 let grid = self.session.as_ref().map(|session| session.coverage().clone());
                 self.status.coverage = grid.map(|grid| CoverageStatus { map: grid.text(), grid });
                 Ok(json!(self.status))
+            }
+            Ask::Mark(_) if self.session.is_none() => {
+                Ok(json!({ "error": "nothing is being recorded: the mark has no place" }))
             }
             Ask::Mark(text) => self.note("mark", "mark", &text).map(|()| json!({ "marked": text })),
             Ask::Start => self.begin(say).map(|()| json!({ "state": self.status.state })),

@@ -9,8 +9,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use parking::Listeners;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 
 use crate::ros2::messages::FrameTag;
@@ -32,7 +33,11 @@ pub enum Ask {
 /// Askers at one time.
 const MAX_ASKERS: usize = 16;
 /// A longer line is no order.
-const MAX_ORDER_BYTES: u64 = 4096;
+const MAX_ORDER_BYTES: usize = 4096;
+/// Who says nothing for so long is hung up on.
+const MAX_SILENCE: Duration = Duration::from_secs(60);
+/// How often a listener to poses is looked after while there are none.
+const LOOK_AFTER: Duration = Duration::from_millis(250);
 /// So long the agent may take to answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 /// Tags that a slow reader of poses may be behind; it misses those beyond.
@@ -62,6 +67,8 @@ impl Control {
             for asker in listener.incoming().map_while(Result::ok) {
                 if askers.fetch_add(1, Ordering::Relaxed) >= MAX_ASKERS {
                     askers.fetch_sub(1, Ordering::Relaxed);
+                    let what = format!("{MAX_ASKERS} others are asking already: try again later");
+                    let _ = writeln!(&asker, "{}", json!({ "error": what }));
                     continue;
                 }
                 let (send, shared, askers) = (send.clone(), Arc::clone(&shared), Arc::clone(&askers));
@@ -89,16 +96,24 @@ impl Drop for Control {
 
 fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners) -> io::Result<()> {
     asker.set_write_timeout(Some(ANSWER_WITHIN))?;
+    asker.set_read_timeout(Some(MAX_SILENCE))?;
     let mut reader = BufReader::new(asker.try_clone()?);
     loop {
-        let mut line = String::new();
-        if reader.by_ref().take(MAX_ORDER_BYTES).read_line(&mut line)? == 0 {
+        let mut line = Vec::new();
+        if reader.by_ref().take(MAX_ORDER_BYTES as u64 + 1).read_until(b'\n', &mut line)? == 0 {
             return Ok(());
         }
+        // Its rest is no order of its own.
+        if line.len() > MAX_ORDER_BYTES {
+            return writeln!(asker, "{}", json!({ "error": format!("an order has at most {MAX_ORDER_BYTES} bytes") }));
+        }
+        let Ok(line) = str::from_utf8(&line) else {
+            return writeln!(asker, "{}", json!({ "error": "an order is UTF-8 text" }));
+        };
         let (word, text) = line.trim().split_once(' ').unwrap_or((line.trim(), ""));
         let what = match word {
             "status" => Ask::Status,
-            "mark" => Ask::Mark(text.to_owned()),
+            "mark" if !text.trim().is_empty() => Ask::Mark(text.to_owned()),
             "start" => Ask::Start,
             "stop" => Ask::Stop,
             "poses" => return stream(&mut asker, listeners),
@@ -116,21 +131,37 @@ fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners
 
 fn stream(asker: &mut UnixStream, listeners: &Listeners) -> io::Result<()> {
     let tags = listeners.add();
-    for tag in tags {
-        let mut line = serde_json::to_vec(&tag)?;
-        line.push(b'\n');
-        asker.write_all(&line)?;
+    loop {
+        match tags.recv_timeout(LOOK_AFTER) {
+            Ok(tag) => {
+                let mut line = serde_json::to_vec(&tag)?;
+                line.push(b'\n');
+                asker.write_all(&line)?;
+            }
+            Err(RecvTimeoutError::Timeout) if has_hung_up(asker)? => return Ok(()),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+        }
     }
-    Ok(())
+}
+
+fn has_hung_up(asker: &UnixStream) -> io::Result<bool> {
+    let mut ends = [PollFd::new(asker, PollFlags::RDHUP)];
+    poll(&mut ends, Some(&Timespec { tv_sec: 0, tv_nsec: 0 }))?;
+    Ok(ends[0].revents().intersects(PollFlags::RDHUP | PollFlags::HUP | PollFlags::ERR))
 }
 
 /// One question to the recorder behind a socket, and its answer.
 pub fn ask(path: &Path, line: &str) -> io::Result<Value> {
     let mut stream = UnixStream::connect(path)?;
     stream.set_read_timeout(Some(2 * ANSWER_WITHIN))?;
-    writeln!(stream, "{}", line.replace('\n', " "))?;
+    // Who has no room for another asker, or for so long an order, says so before all of it has come.
+    let sent = writeln!(stream, "{}", line.replace('\n', " "));
     let mut answer = String::new();
-    BufReader::new(stream).read_line(&mut answer)?;
+    if BufReader::new(stream).read_line(&mut answer)? == 0 {
+        sent?;
+        return Err(io::ErrorKind::UnexpectedEof.into());
+    }
     Ok(serde_json::from_str(&answer)?)
 }
 

@@ -62,7 +62,7 @@ pub enum RecordError {
     Fov(#[from] LensError),
     #[error(transparent)]
     Setup(#[from] SetupError),
-    #[error("{path}: {source}")]
+    #[error("{path}: {source} (--socket PATH makes it elsewhere)")]
     Socket { path: PathBuf, source: std::io::Error },
     #[error(transparent)]
     Agent(#[from] AgentError),

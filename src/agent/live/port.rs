@@ -44,8 +44,9 @@ impl Port {
         news
     }
 
-    /// Once a second, what the port has carried; with what is to be told if that is news.
-    pub fn counted(&mut self, line: LineStatus) -> Option<PortNews> {
+    /// Once a second, what the port has carried; what of it is news.
+    pub fn counted(&mut self, line: LineStatus) -> Vec<PortNews> {
+        let mut news = self.clocks_that_began_anew(&line);
         let last = self.trouble.take();
         let found = self.within(PATIENCE_S, &line).or_else(|| {
             let lasting = self.within(SETTLED_S, &line)?;
@@ -59,18 +60,40 @@ impl Port {
 
         self.trouble = found.map(|is| PortTrouble { cause: is.cause(), said: is.to_string(), is });
         match (&last, &self.trouble) {
-            (Some(last), Some(now)) if now.is.is_like(&last.is) => None,
-            (_, Some(now)) => Some(PortNews { event: now.cause, said: format!("{}: {}", now.said, now.is.remedy()) }),
-            (Some(_), None) => Some(PortNews { event: "recovered", said: "all is well again".to_owned() }),
-            (None, None) => None,
+            (Some(last), Some(now)) if now.is.is_like(&last.is) => {}
+            (_, Some(now)) => {
+                news.push(PortNews { event: now.cause, said: format!("{}: {}", now.said, now.is.remedy()) });
+            }
+            (Some(_), None) => news.push(PortNews { event: "recovered", said: "all is well again".to_owned() }),
+            (None, None) => {}
         }
+        news
+    }
+
+    fn clocks_that_began_anew(&self, now: &LineStatus) -> Vec<PortNews> {
+        let known = self.line.iter().flat_map(|line| &line.clocks);
+        let began = known.filter_map(|before| {
+            let now = now.clocks.iter().find(|now| (now.sender, now.base) == (before.sender, before.base))?;
+            (now.clock.restarts > before.clock.restarts).then(|| {
+                let (system, component) = (now.sender.system, now.sender.component);
+                let said =
+                    format!("the clock of {system}.{component} has jumped: it was set, or its device has started anew");
+                PortNews { event: "clock_jump", said }
+            })
+        });
+        began.collect()
     }
 
     /// Trouble of the last seconds, once there were enough of them.
     fn within(&self, seconds: usize, now: &LineStatus) -> Option<Trouble> {
         let enough = self.before.len() >= PATIENCE_S;
-        let before = self.before.get(self.before.len().saturating_sub(seconds)).filter(|_| enough)?;
-        Trouble::since(before, &now.counts)
+        let at = self.before.len().saturating_sub(seconds);
+        let found = Trouble::since(self.before.get(at).filter(|_| enough)?, &now.counts)?;
+        // A device that starts anew counts its messages anew: what is missing once is no line that loses.
+        let counts: Vec<u64> = self.before.iter().map(|counts| counts.lost).chain([now.counts.lost]).collect();
+        let seconds_with_losses = counts.windows(2).filter(|pair| pair[1] > pair[0]).count();
+        let is_once = matches!(found, Trouble::Lost { .. }) && seconds_with_losses < 2;
+        (!is_once).then_some(found)
     }
 
     pub fn wrong(&self) -> Option<&str> {
@@ -95,7 +118,7 @@ mod tests {
     }
 
     fn events(port: &mut Port, lines: impl IntoIterator<Item = LineStatus>) -> Vec<Option<&'static str>> {
-        lines.into_iter().map(|line| port.counted(line).map(|news| news.event)).collect()
+        lines.into_iter().map(|line| port.counted(line).pop().map(|news| news.event)).collect()
     }
 
     #[test]
@@ -119,7 +142,7 @@ mod tests {
         let lines: Vec<LineStatus> = (0..60)
             .map(|second| {
                 frames += 97;
-                lost += if second % 4 == 0 { 12 } else { 0 };
+                lost += if second % 3 == 0 { 12 } else { 0 };
                 line(frames * 50, frames, lost)
             })
             .collect();
@@ -128,5 +151,32 @@ mod tests {
         let quiet = (1..=11).map(|second| line((frames + 97 * second) * 50, frames + 97 * second, lost));
         let told: Vec<&str> = events(&mut port, quiet).into_iter().flatten().collect();
         assert_eq!(told, ["recovered"]);
+    }
+
+    #[test]
+    fn a_device_that_starts_anew_is_told_of_as_that_and_not_as_losses() {
+        use crate::sensors::clock::{ClockStatus, Source};
+        use crate::sensors::mavlink::{Sender, TimeBase};
+        use crate::sensors::serial::SenderClock;
+        let mut port = Port::default();
+        let clock = |restarts| SenderClock {
+            sender: Sender { system: 1, component: 1 },
+            base: TimeBase::Boot,
+            clock: ClockStatus {
+                source: Source::Timesync,
+                offset_ns: 0,
+                uncertainty_ns: 0,
+                drift_ppm: 0.0,
+                restarts,
+                exchanges: 9,
+            },
+        };
+        let mut told = Vec::new();
+        for second in 1..30 {
+            let (lost, restarts) = if second > 12 { (139, 1) } else { (0, 0) };
+            let line = LineStatus { clocks: vec![clock(restarts)], ..line(5_000 * second, 100 * second, lost) };
+            told.extend(port.counted(line).into_iter().map(|news| news.event));
+        }
+        assert_eq!(told, ["clock_jump"]);
     }
 }

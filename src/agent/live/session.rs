@@ -30,7 +30,10 @@ impl Agent<'_> {
         }
         let now_ns = self.now_ns();
         let (setup, constants) = setup(self.options, &self.lens, now_ns, self.heard)?;
-        let warm = if self.options.warm_start { last_state(&self.options.captures) } else { Ok(None) };
+        // A session after the first goes on from where that one ended: what was said of the start holds no more.
+        let is_first = !core::mem::replace(&mut self.has_begun, true);
+        let goes_on = self.options.warm_start || !is_first;
+        let warm = if goes_on { last_state(&self.options.captures) } else { Ok(None) };
         let warm = warm.unwrap_or_else(|error| {
             say(&format!("{error}; the filter begins without it"));
             None
@@ -56,7 +59,7 @@ impl Agent<'_> {
         let [transforms, info] = constants;
         self.log(transforms)?;
         self.log(info)?;
-        if let Some(initial) = &self.options.initial {
+        if let Some(initial) = self.options.initial.as_ref().filter(|_| is_first) {
             let message = initial_pose(now_ns, initial, &self.names.frames);
             let message = self.messages.message(&self.names.topics.initial_pose.clone(), false, &message);
             self.log(message)?;

@@ -17,6 +17,8 @@ const STATUS_EVERY_NS: i64 = 1_000_000_000;
 pub(super) struct Told {
     at: Option<Instant>,
     recorder: RecorderStatus,
+    /// Why no frame is passed on to others.
+    not_passed_on: Option<String>,
 }
 
 impl Agent<'_> {
@@ -47,7 +49,14 @@ impl Agent<'_> {
             let segments = recorder.evicted_segments - before.evicted_segments;
             say(&format!("{segments} segments that a dev machine has were removed to make room"));
         }
-        self.told = Told { at: Some(Instant::now()), recorder };
+        let not_passed_on = self.devices.republished.lost();
+        if not_passed_on != self.told.not_passed_on {
+            match &not_passed_on {
+                Some(why) => say(&format!("frames are not passed on: {why}; it is tried again")),
+                None => say("frames are passed on again"),
+            }
+        }
+        self.told = Told { at: Some(Instant::now()), recorder, not_passed_on };
     }
 
     pub(super) fn note(&mut self, about: &str, what: &str, said: &str) -> Result<(), RecordError> {

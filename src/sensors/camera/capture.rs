@@ -106,6 +106,8 @@ struct Spare(Vec<Vec<u8>>);
 struct Open {
     negotiated: Negotiated,
     last_sequence: Option<u32>,
+    /// Of the last frame that had one of use: none before it can be of the next.
+    last_stamp_ns: Option<i64>,
     heard_ns: i64,
 }
 
@@ -133,7 +135,8 @@ impl<D: Driver> Capture<D> {
             self.open(now_ns(), &mut tell);
             return;
         };
-        let period_ns = open.negotiated.rate_hz.filter(|rate| *rate > 0.0).map_or(0, |rate| (5e9 / rate) as i64);
+        let rate_hz = open.negotiated.rate_hz.unwrap_or(self.rules.options.rate_hz);
+        let period_ns = if rate_hz > 0.0 { (5e9 / rate_hz) as i64 } else { 0 };
         let patience_ns = STALL_NS.max(period_ns);
         let (frame, failed) = newest(&mut self.driver, open, &mut self.spare, &now_ns, &mut tell);
         let silent_ns = now_ns().saturating_sub(open.heard_ns);
@@ -168,7 +171,7 @@ impl<D: Driver> Capture<D> {
         match self.driver.open(&self.rules.options) {
             Ok(negotiated) => {
                 tell(CaptureEvent::Opened(negotiated.clone()));
-                self.open = Some(Open { negotiated, last_sequence: None, heard_ns: now_ns });
+                self.open = Some(Open { negotiated, last_sequence: None, last_stamp_ns: None, heard_ns: now_ns });
             }
             Err(error) => self.lose(error, now_ns, tell),
         }
@@ -247,11 +250,15 @@ fn newest(
             continue;
         }
         let age_ns = arrived_ns.saturating_sub(info.stamp_ns);
-        let (stamp_ns, clock) = match info.is_monotonic && (-MAX_AHEAD_NS..MAX_AGE_NS).contains(&age_ns) {
+        let is_later = open.last_stamp_ns.is_none_or(|last| info.stamp_ns > last);
+        let (stamp_ns, clock) = match info.is_monotonic && is_later && (-MAX_AHEAD_NS..MAX_AGE_NS).contains(&age_ns) {
             true if info.is_start_of_exposure => (info.stamp_ns, StampClock::StartOfExposure),
             true => (info.stamp_ns, StampClock::EndOfFrame),
             false => (arrived_ns, StampClock::Arrival),
         };
+        if clock != StampClock::Arrival {
+            open.last_stamp_ns = Some(stamp_ns);
+        }
         if let Some(older) = best.replace(Frame { data, stamp_ns, clock, sequence: info.sequence }) {
             tell(CaptureEvent::Dropped(Drop::Skipped, 1));
             spare.put(older.data);

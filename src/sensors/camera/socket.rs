@@ -39,7 +39,10 @@ impl Driver for SocketCamera {
                 return Err(CameraError::NoFolder { device: device(), folder: folder.display().to_string() });
             }
             clear_away(path).map_err(|_| CameraError::NoSocket { device: device() })?;
-            let listener = UnixListener::bind(path).map_err(failed)?;
+            let listener = UnixListener::bind(path).map_err(|source| match source.kind() {
+                io::ErrorKind::PermissionDenied => CameraError::Io { device: device(), source },
+                _ => failed(source),
+            })?;
             listener.set_nonblocking(true).map_err(failed)?;
             self.listener = Some(listener);
         }

@@ -35,6 +35,7 @@ struct Script {
     acts: VecDeque<Act>,
     opened: u32,
     closed: u32,
+    tells_no_rate: bool,
 }
 
 #[derive(Clone)]
@@ -63,7 +64,7 @@ impl Driver for Scripted {
             width: SIZE.0,
             height: SIZE.1,
             stride: SIZE.0,
-            rate_hz: Some(30.0),
+            rate_hz: (!script.tells_no_rate).then_some(30.0),
             controls: BTreeMap::new(),
             refused: Vec::new(),
         })
@@ -298,6 +299,45 @@ fn a_camera_that_comes_back_with_another_format_is_taken_as_what_it_is_now() {
     assert_eq!(run.formats, [PixelFormat::Grey, PixelFormat::Mjpeg, PixelFormat::Grey]);
     assert_eq!(run.lost, ["unplugged", "missing", "unplugged"]);
     assert_eq!((run.frames.len(), run.dropped), (3, BTreeMap::from([("torn", 1)])));
+}
+
+#[test]
+fn a_stamp_that_goes_back_or_stands_still_is_of_no_use() {
+    let stamped =
+        |sequence, change: fn(&mut BufferInfo)| Act::Frame { sequence, after_ms: 33, data: vec![0; 32], change };
+    let back: fn(&mut BufferInfo) = |info| info.stamp_ns -= 500_000_000;
+    let run = run(
+        vec![frame(0, 33), stamped(1, back), stamped(2, |info| info.stamp_ns -= 66_000_000), frame(3, 33)],
+        None,
+        None,
+    );
+    let clocks: Vec<StampClock> = run.frames.iter().map(|frame| frame.clock).collect();
+    use StampClock::{Arrival, StartOfExposure};
+    assert_eq!(clocks, [StartOfExposure, Arrival, Arrival, StartOfExposure]);
+    assert!(run.frames.is_sorted_by_key(|frame| frame.stamp_ns));
+}
+
+#[test]
+fn a_camera_that_does_not_say_its_rate_has_that_which_was_asked_for() {
+    let mut slow = options(None);
+    slow.rate_hz = 0.5;
+    let now_ns = Rc::new(Cell::new(1_000_000_000_000));
+    let acts = VecDeque::from([frame(0, 33), Act::Silence { ms: 9_000 }, frame(1, 33)]);
+    let script = Rc::new(RefCell::new(Script { acts, tells_no_rate: true, ..Script::default() }));
+    let driver = Scripted { script: Rc::clone(&script), now_ns: Rc::clone(&now_ns) };
+    let mut capture = Capture::new(driver, CaptureRules { options: slow, max_rate_hz: None });
+    let mut frames = 0;
+    while !script.borrow().acts.is_empty() {
+        capture.step(
+            || now_ns.get(),
+            |event| match event {
+                CaptureEvent::Frame(_) => frames += 1,
+                CaptureEvent::Lost { error, .. } => panic!("{error}"),
+                _ => {}
+            },
+        );
+    }
+    assert_eq!(frames, 2);
 }
 
 fn jpeg() -> Vec<u8> {

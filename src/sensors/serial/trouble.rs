@@ -50,12 +50,14 @@ impl Trouble {
             return Some(unusable);
         }
         let lost = now.lost.saturating_sub(before.lost);
-        let of = messages + lost;
-        if lost as f64 > MAX_LOST * of as f64 {
-            return Some(Self::Lost { messages: lost, of });
+        let (of, skipped) = (messages + lost, now.frames.bytes_skipped.saturating_sub(before.frames.bytes_skipped));
+        let damaged = now.frames.crc_failures.saturating_sub(before.frames.crc_failures);
+        let is_lossy = lost as f64 > MAX_LOST * of as f64;
+        // What noise has hit is missing too: where checksums fail, no other rate helps.
+        if skipped as f64 > MAX_SKIPPED * bytes as f64 || (is_lossy && 2 * damaged >= lost) {
+            return Some(Self::Noisy { skipped, bytes });
         }
-        let skipped = now.frames.bytes_skipped.saturating_sub(before.frames.bytes_skipped);
-        (skipped as f64 > MAX_SKIPPED * bytes as f64).then_some(Self::Noisy { skipped, bytes })
+        is_lossy.then_some(Self::Lost { messages: lost, of })
     }
 
     /// Of which kind, whatever its numbers: what is news and what is not.
@@ -120,6 +122,9 @@ mod tests {
         assert_eq!(since(&counts(20_000, 200, 5_050, 51)), None, "a spike now and then");
         assert_eq!(since(&counts(20_000, 200, 5_000, 60)), Some(Trouble::Lost { messages: 10, of: 110 }));
         assert_eq!(since(&counts(20_000, 200, 5_600, 50)), Some(Trouble::Noisy { skipped: 600, bytes: 10_000 }));
+        let mut hit = counts(20_000, 200, 5_400, 60);
+        hit.frames.crc_failures = 7;
+        assert_eq!(since(&hit), Some(Trouble::Noisy { skipped: 400, bytes: 10_000 }), "bytes were hit, not left out");
         let mut now = counts(20_000, 200, 5_000, 50);
         now.unusable.insert("no quaternion", 3);
         let unusable = since(&now).expect("unusable");
