@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use realitysim::agent::checkpoint::VERSION;
 use realitysim::ros2::messages::FrameTag;
 use realitysim::ros2::{LogMessage, LogWriter, attachments};
 
@@ -101,9 +102,10 @@ fn a_state_of_the_filter_that_cannot_be_used_is_told() {
     };
     with_state(b"something else");
     told("state.mcap", 3, "not a checkpoint of this program");
-    with_state(&[&b"RSIMCKPT"[..], &9u32.to_le_bytes(), &[0; 20]].concat());
+    let of_version = |version: u32| with_state(&[&b"RSIMCKPT"[..], &version.to_le_bytes(), &[0; 20]].concat());
+    of_version(VERSION + 1);
     // Of another time, not lost.
-    told("state.mcap", 0, "version 9");
-    with_state(&[&b"RSIMCKPT"[..], &realitysim::agent::checkpoint::VERSION.to_le_bytes(), &[0; 20]].concat());
+    told("state.mcap", 0, &format!("version {}", VERSION + 1));
+    of_version(VERSION);
     told("state.mcap", 3, "damaged");
 }
