@@ -56,9 +56,9 @@ impl Batch {
             _ => return Err(Refusal::wrong("either poses (a list), or from, to and count are needed")),
         };
         // What is wrong with all of them is wrong with the request.
-        match asked.iter().all(Result::is_err) {
-            true => asked.into_iter().collect::<Result<Vec<_>, _>>().map(|_| Self { asked: Vec::new() }),
-            false => Ok(Self { asked }),
+        match asked.first() {
+            Some(Err(refusal)) if asked.iter().all(Result::is_err) => Err(refusal.clone()),
+            _ => Ok(Self { asked }),
         }
     }
 

@@ -289,6 +289,13 @@ fn orders_are_taken_whole_or_not_at_all() {
         }
         std::thread::sleep(Duration::from_millis(600));
     }
+    // Who has said all it will still listens.
+    let patient = std::os::unix::net::UnixStream::connect(&socket).expect("a recorder");
+    std::io::Write::write_all(&mut (&patient), b"poses\n").expect("asked");
+    patient.shutdown(std::net::Shutdown::Write).expect("half closed");
+    patient.set_read_timeout(Some(Duration::from_millis(700))).expect("set");
+    let waited = std::io::Read::read(&mut (&patient), &mut [0; 1]).map_err(|error| error.kind());
+    assert_eq!(waited, Err(std::io::ErrorKind::WouldBlock), "hung up on");
     assert_eq!(recorder.asks("start")["state"], "recording");
     assert!(recorder.ends().status.success());
 }

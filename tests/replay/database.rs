@@ -276,23 +276,17 @@ fn a_folder_of_captures_stands_for_those_that_are_not_known() {
     assert!(!room.path("third/database.json").exists());
 }
 
-/// A dense walk: the nearest images of a pose that looks elsewhere all show the same half of its view.
+/// A dense walk: the nearest images of a pose that looks elsewhere all show the same part of its view. By nearness alone these
+/// views showed 45, 40 and 23 % of their picture.
 #[test]
 fn images_of_a_walk_are_chosen_such_that_they_complete_each_other() {
     let (room, _) = walked();
-    let gallery = open(&room);
-    let record = gallery.index().record(gallery.index().len() / 2);
-    let (pose, yaw) = (record.pose().translation, record.pose().euler().yaw.to_degrees());
-    let shares = [30.0, -30.0].map(|turned| {
-        let (x, y, z, yaw) = (pose.x, pose.y, pose.z, yaw + turned);
-        let run = room.run(&format!("view --db db --x {x} --y {y} --z {z} --yaw {yaw} --pitch 17 -o o.png --json"));
-        run.succeeds().json()["valid_share"].as_f64().expect("a share")
-    });
-    // All images of this walk together show little more.
-    assert!(shares.iter().all(|share| *share > LEAST_SHARE), "{shares:?}");
+    for (yaw_deg, least) in [(120, 0.53), (-110, 0.46), (-160, 0.37)] {
+        let here = format!("view --db db --x -1.53 --y 0.2 --z 0.496 --yaw={yaw_deg} --pitch 17");
+        let report = room.run(&format!("{here} -o out.png --json")).succeeds().json();
+        assert!(report["valid_share"].as_f64() > Some(least), "{yaw_deg} deg: {report}");
+    }
 }
-
-const LEAST_SHARE: f64 = 0.8;
 
 #[test]
 fn a_gallery_goes_on_while_the_database_changes() {

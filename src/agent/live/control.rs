@@ -145,10 +145,11 @@ fn stream(asker: &mut UnixStream, listeners: &Listeners) -> io::Result<()> {
     }
 }
 
+/// One that has said all it will, as `echo poses | socat` does, still listens.
 fn has_hung_up(asker: &UnixStream) -> io::Result<bool> {
-    let mut ends = [PollFd::new(asker, PollFlags::RDHUP)];
+    let mut ends = [PollFd::new(asker, PollFlags::empty())];
     poll(&mut ends, Some(&Timespec { tv_sec: 0, tv_nsec: 0 }))?;
-    Ok(ends[0].revents().intersects(PollFlags::RDHUP | PollFlags::HUP | PollFlags::ERR))
+    Ok(ends[0].revents().intersects(PollFlags::HUP | PollFlags::ERR))
 }
 
 /// One question to the recorder behind a socket, and its answer.
