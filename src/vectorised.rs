@@ -1,20 +1,34 @@
 //! Loops compiled twice, for every x86-64 processor and for those with AVX2. The operations and their order are the
 //! same, and the compiler fuses none, so the results are too.
 
-/// Calls `body`, compiled for the best instructions that this processor has. `body` must be small or
+/// Runs a loop, compiled for the best instructions that this processor has. It is written as a closure of the local variables
+/// that it uses, with their types: `vectorised!(|sums: &mut [u16], row: &[u8]| { ... })`; a constant of the function around
+/// it stands before: `vectorised!(const SIDE: usize, |row: &[u8]| { ... })`. What it calls must be
 /// `#[inline(always)]` to be compiled along.
-#[inline]
-pub(crate) fn vectorised<R>(body: impl FnOnce() -> R) -> R {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2.
-        return unsafe { with_avx2(body) };
-    }
-    body()
+///
+/// No function of a closure, because the compiler leaves a large one where it is: compiled once, for every processor.
+macro_rules! vectorised {
+    ($(const $number:ident: $number_kind:ty,)? |$($name:ident: $kind:ty),* $(,)?| $body:block) => {
+        $crate::vectorised::vectorised!($(const $number: $number_kind,)? |$($name: $kind),*| -> () $body)
+    };
+    ($(const $number:ident: $number_kind:ty,)? |$($name:ident: $kind:ty),* $(,)?| -> $out:ty $body:block) => {{
+        #[inline(always)]
+        fn plain$(<const $number: $number_kind>)?($($name: $kind),*) -> $out $body
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx2")]
+        fn with_avx2$(<const $number: $number_kind>)?($($name: $kind),*) -> $out {
+            plain$(::<$number>)?($($name),*)
+        }
+        #[cfg(target_arch = "x86_64")]
+        let out = if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2.
+            unsafe { with_avx2$(::<$number>)?($($name),*) }
+        } else {
+            plain$(::<$number>)?($($name),*)
+        };
+        #[cfg(not(target_arch = "x86_64"))]
+        let out = plain$(::<$number>)?($($name),*);
+        out
+    }};
 }
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn with_avx2<R>(body: impl FnOnce() -> R) -> R {
-    body()
-}
+pub(crate) use vectorised;

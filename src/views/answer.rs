@@ -271,16 +271,17 @@ impl Answer {
 
 /// Of the pixels that the lens draws: those that show something, and those that are sure.
 fn shares(camera: &Camera, image: &Raster) -> (f64, f64) {
-    let count = || {
+    let shown = camera.shows();
+    let [drawn, valid, sure] = vectorised!(|shown: &[bool], image: &Raster| -> [f64; 3] {
         let (mut drawn, mut valid, mut sure) = (0u32, 0u32, 0u32);
-        for (shows, pixel) in camera.shows().iter().zip(&image.pixels) {
+        for (shows, pixel) in shown.iter().zip(&image.pixels) {
+            let known = u32::from_le_bytes(*pixel) >> 24;
             drawn += u32::from(*shows);
-            valid += u32::from(*shows & (pixel[3] != NOTHING));
-            sure += u32::from(*shows & (pixel[3] == SURE));
+            valid += u32::from(*shows & (known != u32::from(NOTHING)));
+            sure += u32::from(*shows & (known == u32::from(SURE)));
         }
         [drawn, valid, sure].map(f64::from)
-    };
-    let [drawn, valid, sure] = vectorised(count);
+    });
     (valid / drawn.max(1.0), sure / drawn.max(1.0))
 }
 

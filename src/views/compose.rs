@@ -7,7 +7,7 @@ use super::ground_warp::{Patch, Warp};
 use super::photometry::{Gain, factors};
 use super::raster::{NOTHING, Raster, SURE};
 use super::sample::{Pixels, read_cell};
-use super::target::{Target, corners};
+use super::target::{Target, between, corners};
 use super::weights::Weights;
 use crate::vectorised::vectorised;
 
@@ -20,6 +20,8 @@ pub(super) struct Composed {
 
 /// Copies are used from this many source pixels a pixel on, and the next ones from twice as many.
 const SHRINKS_FROM: f32 = 1.5;
+/// What has less is shown by no source.
+const LEAST_WEIGHT: f32 = 1e-4;
 
 pub(super) fn compose(
     request: &Request,
@@ -63,7 +65,7 @@ fn compose_cell(layers: &[Layer], weights: &Weights, target: &Target, cell: (usi
         (Some(only), None) => layers[only].pixels(cell, &at),
         (Some(_), Some(_)) => blend(layers, weights, cell, &at),
     };
-    if vectorised(|| is_full(&pixels)) {
+    if is_full(&pixels) {
         return pixels;
     }
     // Corners may see what a pixel does not, and the other way round.
@@ -90,9 +92,8 @@ fn compose_cell(layers: &[Layer], weights: &Weights, target: &Target, cell: (usi
     pixels
 }
 
-#[inline(always)]
 fn is_full(pixels: &Pixels) -> bool {
-    pixels.iter().fold(true, |full, pixel| full & (pixel[3] != NOTHING))
+    vectorised!(|pixels: &Pixels| -> bool { pixels.iter().fold(true, |full, pixel| full & (pixel[3] != NOTHING)) })
 }
 
 fn blend(layers: &[Layer], weights: &Weights, cell: (usize, usize), at: &[usize; 4]) -> Pixels {
@@ -100,69 +101,81 @@ fn blend(layers: &[Layer], weights: &Weights, cell: (usize, usize), at: &[usize;
     for (index, layer) in layers.iter().enumerate() {
         let corners = at.map(|corner| weights.of(index, corner));
         if corners != [0.0; 4] {
-            let pixels = layer.pixels(cell, at);
-            vectorised(|| sums.add(&pixels, corners));
+            sums.add(&layer.pixels(cell, at), corners);
         }
     }
-    vectorised(|| sums.means())
+    sums.means()
 }
 
 /// Pixels of a cell, weighed and added up: red, green, blue and the weights.
 struct Sums {
-    sums: [[f32; AREA]; 4],
+    channels: [[f32; AREA]; 3],
+    weights: [f32; AREA],
     sure: [u32; AREA],
 }
 
 impl Default for Sums {
     fn default() -> Self {
-        Self { sums: [[0.0; AREA]; 4], sure: [NOTHING.into(); AREA] }
+        Self { channels: [[0.0; AREA]; 3], weights: [0.0; AREA], sure: [NOTHING.into(); AREA] }
     }
 }
 
 impl Sums {
     /// `corners`: the weights there.
-    #[inline(always)]
     fn add(&mut self, pixels: &Pixels, corners: [f32; 4]) {
-        let weights = between(corners);
-        let [reds, greens, blues, sums] = &mut self.sums;
-        for (i, [red, green, blue, known]) in pixels.iter().enumerate() {
-            let weight = if *known == NOTHING { 0.0 } else { weights[i] };
-            reds[i] += weight * f32::from(*red);
-            greens[i] += weight * f32::from(*green);
-            blues[i] += weight * f32::from(*blue);
-            sums[i] += weight;
-            let known = if weight > 0.0 { *known } else { NOTHING };
-            self.sure[i] = self.sure[i].max(known.into());
-        }
+        let sums = self;
+        vectorised!(|sums: &mut Sums, pixels: &Pixels, corners: [f32; 4]| {
+            let weights = between(corners);
+            for (i, pixel) in pixels.iter().enumerate() {
+                let [red, green, blue, known] = values(*pixel);
+                let weight = if known == u32::from(NOTHING) { 0.0 } else { weights[i] };
+                let [reds, greens, blues] = &mut sums.channels;
+                reds[i] += weight * red as i32 as f32;
+                greens[i] += weight * green as i32 as f32;
+                blues[i] += weight * blue as i32 as f32;
+                sums.weights[i] += weight;
+                let known = if weight > 0.0 { known } else { NOTHING.into() };
+                sums.sure[i] = sums.sure[i].max(known);
+            }
+        });
     }
 
-    #[inline(always)]
     fn means(&self) -> Pixels {
-        let mut pixels = [[0; 4]; AREA];
-        for (i, pixel) in pixels.iter_mut().enumerate() {
-            let sum = self.sums[3][i];
-            let enough = sum > 1e-4;
-            let per_weight = if enough { 1.0 / sum } else { 0.0 };
-            let mean = |channel: usize| (self.sums[channel][i] * per_weight + 0.5) as u8;
-            *pixel = [mean(0), mean(1), mean(2), if enough { self.sure[i] as u8 } else { NOTHING }];
-        }
-        pixels
+        let sums = self;
+        vectorised!(|sums: &Sums| -> Pixels {
+            let mut pixels = [[0; 4]; AREA];
+            for (i, pixel) in pixels.iter_mut().enumerate() {
+                let sum = sums.weights[i];
+                let enough = sum > LEAST_WEIGHT;
+                let per_weight = if enough { 1.0 / sum } else { 0.0 };
+                let [red, green, blue] = &sums.channels;
+                let sure = if enough { sums.sure[i] } else { NOTHING.into() };
+                let [red, green, blue] = [red[i] * per_weight, green[i] * per_weight, blue[i] * per_weight];
+                *pixel = together([rounded(red), rounded(green), rounded(blue), sure]);
+            }
+            pixels
+        })
     }
 }
 
-/// Values at the corners of a cell, interpolated for its pixels.
+/// The four of a pixel side by side: what the compiler makes vectors of.
 #[inline(always)]
-fn between([a, b, c, d]: [f32; 4]) -> [f32; AREA] {
-    let mut values = [0.0; AREA];
-    for line in 0..CELL {
-        let y = line as f32 / CELL as f32;
-        let (left, right) = (a + (c - a) * y, b + (d - b) * y);
-        let step = (right - left) / CELL as f32;
-        for column in 0..CELL {
-            values[line * CELL + column] = left + step * column as f32;
-        }
-    }
-    values
+fn values(pixel: [u8; 4]) -> [u32; 4] {
+    let pixel = u32::from_le_bytes(pixel);
+    [pixel & 255, pixel >> 8 & 255, pixel >> 16 & 255, pixel >> 24]
+}
+
+/// To the nearest whole number, of values from 0 to 255. A conversion takes care of what no number holds, which the compiler makes
+/// no vector of; here the addition rounds, because f32 has no halves above 2^23.
+#[inline(always)]
+fn rounded(value: f32) -> u32 {
+    (value + 8_388_608.0).to_bits() & 255
+}
+
+/// Of values up to 255.
+#[inline(always)]
+fn together([red, green, blue, sure]: [u32; 4]) -> [u8; 4] {
+    (red | green << 8 | blue << 16 | sure << 24).to_le_bytes()
 }
 
 impl Layer<'_> {
@@ -178,7 +191,7 @@ impl Layer<'_> {
         }
         let mut pixels = read(image, &patch);
         if let Some(factors) = &self.factors {
-            vectorised(|| multiply(&mut pixels, at.map(|corner| factors[corner])));
+            multiply(&mut pixels, at.map(|corner| factors[corner]));
         }
         pixels
     }
@@ -202,24 +215,28 @@ impl Layer<'_> {
 /// What the source shows there; the fourth value says how sure that is.
 fn read(image: &Raster, patch: &Patch) -> Pixels {
     let mut pixels = read_cell(image, &patch.u, &patch.v);
-    vectorised(|| {
-        for (pixel, sure) in pixels.iter_mut().zip(&patch.sure) {
-            let [red, green, blue, known] = *pixel;
-            *pixel = if known == SURE { [red, green, blue, *sure] } else { [0, 0, 0, NOTHING] };
+    let (target, sure) = (&mut pixels, &patch.sure);
+    vectorised!(|target: &mut Pixels, sure: &[u8; AREA]| {
+        for (pixel, sure) in target.iter_mut().zip(sure) {
+            let [red, green, blue, known] = values(*pixel);
+            let keep = if known == u32::from(SURE) { u32::MAX } else { 0 };
+            *pixel = together([red & keep, green & keep, blue & keep, u32::from(*sure) & keep]);
         }
     });
     pixels
 }
 
 /// By factors given at the corners, the same interpolation as the map's.
-#[inline(always)]
 fn multiply(pixels: &mut Pixels, corners: [[f32; 3]; 4]) {
-    let factors: [[f32; AREA]; 3] = core::array::from_fn(|channel| between(corners.map(|corner| corner[channel])));
-    for (i, pixel) in pixels.iter_mut().enumerate() {
-        for (value, factors) in pixel.iter_mut().zip(&factors) {
-            *value = (f32::from(*value) * factors[i] + 0.5).min(255.0) as u8;
+    vectorised!(|pixels: &mut Pixels, corners: [[f32; 3]; 4]| {
+        let [[ar, ag, ab], [br, bg, bb], [cr, cg, cb], [dr, dg, db]] = corners;
+        let (reds, greens, blues) = (between([ar, br, cr, dr]), between([ag, bg, cg, dg]), between([ab, bb, cb, db]));
+        let times = |value: u32, factor: f32| rounded((value as i32 as f32 * factor).min(255.0));
+        for (i, pixel) in pixels.iter_mut().enumerate() {
+            let [red, green, blue, sure] = values(*pixel);
+            *pixel = together([times(red, reds[i]), times(green, greens[i]), times(blue, blues[i]), sure]);
         }
-    }
+    });
 }
 
 /// The part of a cell that lies in the image; black where the lens draws nothing.
@@ -230,7 +247,7 @@ fn put(image: &mut Raster, cell: &Pixels, (column, row): (usize, usize), camera:
     for (line, pixels) in cell.chunks_exact(CELL).enumerate().take(image.height - top) {
         let start = (top + line) * image.width + left;
         let to = &mut image.pixels[start..start + count];
-        if is_full {
+        if is_full && let Ok(to) = <&mut [[u8; 4]; CELL]>::try_from(&mut *to) {
             to.copy_from_slice(pixels);
             continue;
         }

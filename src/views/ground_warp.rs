@@ -12,7 +12,7 @@ use super::Candidate;
 use super::camera::{AREA, CELL};
 use super::optical;
 use super::raster::{NOTHING, UNSURE};
-use super::target::{Looks, SOFT_EDGE_PX, Target, cells, corners, goal_cells, sureness, turned};
+use super::target::{Looks, SOFT_EDGE_PX, Target, between, cells, corners, goal_cells, sureness, turned};
 use super::world::{Goals, Hit, Surface};
 use crate::vectorised::vectorised;
 
@@ -55,7 +55,7 @@ impl<'a> Warp<'a> {
         let goals = target.world.goals_from(place, SOFT_EDGE_PX / source.camera.lens().focal());
         let mut warp =
             Self { target, source, place, source_from_map, nodes: Vec::new(), exact: Vec::new(), goal_cells, goals };
-        let drawn = target.node_looks.iter().map(|looks| vectorised(|| warp.drawn(looks)));
+        let drawn = target.node_looks.iter().map(|looks| warp.drawn(looks));
         warp.nodes = drawn.flat_map(|Patch { u, v, .. }| u.into_iter().zip(v).map(|(u, v)| [u, v])).collect();
         warp.nodes.truncate(target.nodes.len());
         let (columns, rows) = target.camera.cells();
@@ -186,32 +186,21 @@ impl<'a> Warp<'a> {
         if self.exact[row * columns + column] {
             self.patch_by_pixel(column, row)
         } else {
-            vectorised(|| self.patch_by_corners(column, row))
+            self.patch_by_corners(column, row)
         }
     }
 
-    #[inline(always)]
     fn patch_by_corners(&self, column: usize, row: usize) -> Patch {
         let (columns, _) = self.target.camera.cells();
         let at = corners(columns, (column, row));
-        let [a, b, c, d] = at.map(|corner| self.nodes[corner]);
+        let corners = at.map(|corner| self.nodes[corner]);
         let sure = self.target.surface_at(at[0]).map_or(NOTHING, sureness);
-        let mut patch = Patch { u: [0.0; AREA], v: [0.0; AREA], sure: [sure; AREA] };
-        const STEP: f32 = 1.0 / CELL as f32;
-        for line in 0..CELL {
-            let down = line as f32 * STEP;
-            let between = |i: usize| {
-                let (left, right) = (a[i] + (c[i] - a[i]) * down, b[i] + (d[i] - b[i]) * down);
-                (left, (right - left) * STEP)
-            };
-            let ((u, du), (v, dv)) = (between(0), between(1));
-            for i in 0..CELL {
-                patch.u[line * CELL + i] = u + du * i as f32;
-                patch.v[line * CELL + i] = v + dv * i as f32;
-            }
-        }
+        let mut patch = vectorised!(|corners: [[f32; 2]; 4], sure: u8| -> Patch {
+            let [[au, av], [bu, bv], [cu, cv], [du, dv]] = corners;
+            Patch { u: between([au, bu, cu, du]), v: between([av, bv, cv, dv]), sure: [sure; AREA] }
+        });
         // A corner that the source does not draw says nothing of the places near it.
-        if [a, b, c, d].iter().any(|[u, v]| (u + v).is_nan()) {
+        if corners.iter().any(|[u, v]| (u + v).is_nan()) {
             for i in 0..AREA {
                 if (patch.u[i] + patch.v[i]).is_nan() {
                     patch.sure[i] = NOTHING;
@@ -232,12 +221,12 @@ impl<'a> Warp<'a> {
     /// The cell as if no goal stood in the source's way, and so unsure: better than black, where every source has one.
     pub(super) fn patch_through_goals(&self, column: usize, row: usize) -> Patch {
         let looks = self.target.looks((column, row), false);
-        Patch { sure: [UNSURE; AREA], ..vectorised(|| self.drawn(&looks)) }
+        Patch { sure: [UNSURE; AREA], ..self.drawn(&looks) }
     }
 
     /// Where the source draws what the view's rays meet, unless a goal hides it there.
     fn draw_all(&self, looks: &Looks) -> Patch {
-        let mut patch = vectorised(|| self.drawn(looks));
+        let mut patch = self.drawn(looks);
         if !self.has_goal_in(&patch) {
             return patch;
         }
@@ -254,19 +243,24 @@ impl<'a> Warp<'a> {
         patch
     }
 
-    #[inline(always)]
     fn drawn(&self, looks: &Looks) -> Patch {
-        let apart = (self.target.place - self.place).as_vec3();
-        let [mut x, mut y, mut z] = looks.rays;
-        for (i, nearness) in looks.inverse_distances.iter().enumerate() {
-            x[i] += nearness * apart.x;
-            y[i] += nearness * apart.y;
-            z[i] += nearness * apart.z;
-        }
-        let seen = turned(&self.source_from_map, &[x, y, z]);
-        let [u, v] = self.source.camera.projector().project_all(&seen);
-        let sure = core::array::from_fn(|i| if u[i].is_nan() { NOTHING } else { looks.sure[i] });
-        Patch { u, v, sure }
+        let warp = self;
+        vectorised!(|warp: &Warp, looks: &Looks| -> Patch {
+            let apart = (warp.target.place - warp.place).as_vec3();
+            let [mut x, mut y, mut z] = looks.rays;
+            for (i, nearness) in looks.inverse_distances.iter().enumerate() {
+                x[i] += nearness * apart.x;
+                y[i] += nearness * apart.y;
+                z[i] += nearness * apart.z;
+            }
+            let seen = turned(&warp.source_from_map, &[x, y, z]);
+            let [u, v] = warp.source.camera.projector().project_all(&seen);
+            let mut sure = looks.sure;
+            for (sure, u) in sure.iter_mut().zip(&u) {
+                *sure = if u.is_nan() { NOTHING } else { *sure };
+            }
+            Patch { u, v, sure }
+        })
     }
 
     /// How far apart view and source draw the same ground, root mean square.

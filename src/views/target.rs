@@ -115,7 +115,7 @@ impl<'a> Target<'a> {
     pub(super) fn looks(&self, (column, row): (usize, usize), goal: bool) -> Looks {
         let mut looks = Looks::default();
         self.camera.cell_rays(column, row, &mut looks.rays);
-        vectorised(|| self.meet(&mut looks));
+        self.meet(&mut looks);
         if goal {
             self.meet_goals(&mut looks);
         }
@@ -123,21 +123,23 @@ impl<'a> Target<'a> {
     }
 
     /// Turns the camera's rays into those of `map`, and finds what they meet, goals left out: as [`World::behind_goals`].
-    #[inline(always)]
     fn meet(&self, looks: &mut Looks) {
-        let [x, y, z] = turned(&self.map_from_optical, &looks.rays);
-        let (place, half) = (self.place.as_vec3(), self.world.ground_half().as_vec2());
-        for i in 0..AREA {
-            let nearness = -z[i] / place.z;
-            let distance = 1.0 / nearness;
-            let on_carpet =
-                ((place.x + x[i] * distance).abs() <= half.x) & ((place.y + y[i] * distance).abs() <= half.y);
-            let ground = (nearness > 0.0) & on_carpet;
-            looks.inverse_distances[i] = if ground { nearness } else { 0.0 };
-            let far = if x[i].is_nan() { NOTHING } else { UNSURE };
-            looks.sure[i] = if ground { SURE } else { far };
-        }
-        looks.rays = [x, y, z];
+        let target = self;
+        vectorised!(|target: &Target, looks: &mut Looks| {
+            let [x, y, z] = turned(&target.map_from_optical, &looks.rays);
+            let (place, half) = (target.place.as_vec3(), target.world.ground_half().as_vec2());
+            for i in 0..AREA {
+                let nearness = -z[i] / place.z;
+                let distance = 1.0 / nearness;
+                let on_carpet =
+                    ((place.x + x[i] * distance).abs() <= half.x) & ((place.y + y[i] * distance).abs() <= half.y);
+                let ground = (nearness > 0.0) & on_carpet;
+                looks.inverse_distances[i] = if ground { nearness } else { 0.0 };
+                let far = if x[i].is_nan() { NOTHING } else { UNSURE };
+                looks.sure[i] = if ground { SURE } else { far };
+            }
+            looks.rays = [x, y, z];
+        });
     }
 
     fn meet_goals(&self, looks: &mut Looks) {
@@ -199,6 +201,21 @@ pub(super) fn corners(columns: usize, (column, row): (usize, usize)) -> [usize; 
     let upper = row * (columns + 1) + column;
     let lower = upper + columns + 1;
     [upper, upper + 1, lower, lower + 1]
+}
+
+/// Values at the corners of a cell, interpolated for its pixels.
+#[inline(always)]
+pub(super) fn between([a, b, c, d]: [f32; 4]) -> [f32; AREA] {
+    let mut values = [0.0; AREA];
+    for line in 0..CELL {
+        let y = line as f32 / CELL as f32;
+        let (left, right) = (a + (c - a) * y, b + (d - b) * y);
+        let step = (right - left) / CELL as f32;
+        for column in 0..CELL {
+            values[line * CELL + column] = left + step * column as f32;
+        }
+    }
+    values
 }
 
 /// The cells of a camera's image in which a goal's bars can be seen; empty without goals.

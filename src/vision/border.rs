@@ -117,14 +117,15 @@ impl CarpetBorder {
     /// Of each place whether it lies inside; one that is no number does not. Where no edge can be told all others do.
     pub fn holds(&self, ground: &[DVec2], inside: &mut Vec<bool>) {
         inside.clear();
-        vectorised(|| {
+        let edges = &self.edges;
+        vectorised!(|edges: &[[f32; 3]], ground: &[DVec2], inside: &mut Vec<bool>| {
             for ground in ground.chunks(AT_ONCE) {
                 let mut worst = [f32::INFINITY; AT_ONCE];
                 let (mut xs, mut ys) = ([f32::NAN; AT_ONCE], [f32::NAN; AT_ONCE]);
                 for ((x, y), at) in xs.iter_mut().zip(&mut ys).zip(ground) {
                     (*x, *y) = (at.x as f32, at.y as f32);
                 }
-                for [to_x, to_y, first] in &self.edges {
+                for [to_x, to_y, first] in edges {
                     for ((worst, x), y) in worst.iter_mut().zip(&xs).zip(&ys) {
                         let side = to_x * x + to_y * y + first;
                         *worst = if side < *worst { side } else { *worst };

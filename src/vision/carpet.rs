@@ -142,14 +142,15 @@ impl Carpet {
         // A chroma plane of an odd width has one column more.
         let (width, stride) = ((picture.width / 2).max(1), picture.width.div_ceil(2));
         let Chroma { blue, red } = &picture.chroma;
-        vectorised(|| {
-            for (v, (row, half)) in surfaces.chunks_exact_mut(width).zip(half.chunks_exact(width)).enumerate() {
-                let (blue, red) = (&blue[v * stride..][..width], &red[v * stride..][..width]);
+        let carpet = self;
+        for (v, (row, half)) in surfaces.chunks_exact_mut(width).zip(half.chunks_exact(width)).enumerate() {
+            let (blue, red) = (&blue[v * stride..][..width], &red[v * stride..][..width]);
+            vectorised!(|carpet: &Carpet, row: &mut [Surface], half: &[u16], blue: &[u8], red: &[u8]| {
                 for (((surface, half), cb), cr) in row.iter_mut().zip(half).zip(blue).zip(red) {
-                    *surface = self.classify(*half, [*cb, *cr]);
+                    *surface = carpet.classify(*half, [*cb, *cr]);
                 }
-            }
-        });
+            });
+        }
     }
 }
 

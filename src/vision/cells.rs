@@ -162,7 +162,13 @@ impl Cells {
                 let (shown, levels, seen) =
                     (&self.shown[cells.clone()], &mut levels[cells.clone()], &mut seen[cells.clone()]);
                 let (gains, weights) = (&gains[..shown.len()], &weights[..shown.len()]);
-                vectorised(|| {
+                vectorised!(|neutral: f32,
+                             shown: &[i16],
+                             levels: &mut [u8],
+                             seen: &mut [u8],
+                             any: &mut [u8],
+                             gains: &[f32],
+                             weights: &[f32]| {
                     for (column, shown) in shown.iter().enumerate() {
                         let visible = shown & 2 == 0;
                         let level = (f32::from(shown & !3) * gains[column]).clamp(0.0, 255.0);

@@ -91,8 +91,9 @@ impl LineContrast {
         if count == 0 {
             return;
         }
-        let Self { width, half, narrow, scratch, .. } = self;
-        vectorised(|| {
+        let contrast = self;
+        vectorised!(|contrast: &mut LineContrast, picture: &Picture| {
+            let LineContrast { width, half, narrow, scratch, .. } = contrast;
             halved(picture, *width, half);
             blurred_rows(half, *width, &mut scratch.rows);
             blurred_columns(&scratch.rows, *width, narrow);
@@ -106,8 +107,9 @@ impl LineContrast {
         if self.width == 0 {
             return;
         }
-        let Self { width, height, half, narrow, contrast, scratch } = self;
-        vectorised(|| {
+        let contrast = self;
+        vectorised!(|contrast: &mut LineContrast, surfaces: &[Surface], on_carpet: &[bool]| {
+            let LineContrast { width, height, half, narrow, contrast, scratch } = contrast;
             coarse_means(half, surfaces, *width, *height, on_carpet, scratch);
             expand(*width, *height, scratch);
             subtract(narrow, &scratch.expanded, surfaces, *width, contrast);

@@ -24,21 +24,25 @@ impl Glance {
     pub fn of(picture: &Picture) -> Self {
         let mut glance = Self::default();
         for row in picture.luma.chunks_exact(picture.width.max(1)).step_by(EVERY) {
-            vectorised(|| glance.add(row));
+            glance.add(row);
             glance.fingerprint = fingerprint(glance.fingerprint, row);
         }
         glance
     }
 
-    #[inline(always)]
     fn add(&mut self, row: &[u8]) {
-        let (mut brightest, mut lit, mut clipped) = (self.brightest, 0u32, 0u32);
-        for luma in row {
-            brightest = brightest.max(*luma);
-            lit += u32::from(*luma > DARK);
-            clipped += u32::from(*luma >= CLIPPED);
-        }
-        *self = Self { brightest, lit: self.lit + lit, clipped: self.clipped + clipped, ..*self };
+        let (brightest, lit, clipped) = vectorised!(|row: &[u8]| -> (u8, u32, u32) {
+            let (mut brightest, mut lit, mut clipped) = (0, 0, 0);
+            for luma in row {
+                brightest = brightest.max(*luma);
+                lit += u32::from(*luma > DARK);
+                clipped += u32::from(*luma >= CLIPPED);
+            }
+            (brightest, lit, clipped)
+        });
+        self.brightest = self.brightest.max(brightest);
+        self.lit += lit;
+        self.clipped += clipped;
     }
 
     /// Why nothing can be seen in it, if that is plain.

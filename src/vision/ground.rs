@@ -183,17 +183,18 @@ impl GroundTable {
         let reach = (libm::round(by_m / self.cell_m) as usize).clamp(1, SIDE / 4);
         let mut levels: Vec<u8> = self.quads.iter().map(|quad| (quad & 255) as u8).collect();
         let mut along = levels.clone();
-        vectorised(|| {
-            for (source, target) in levels.chunks_exact(SIDE).zip(along.chunks_exact_mut(SIDE)) {
+        let (rows, widened_rows) = (&mut levels[..], &mut along[..]);
+        vectorised!(|reach: usize, rows: &mut [u8], widened_rows: &mut [u8]| {
+            for (source, target) in rows.chunks_exact(SIDE).zip(widened_rows.chunks_exact_mut(SIDE)) {
                 for step in 1..=reach {
                     raise(&mut target[step..], &source[..SIDE - step]);
                     raise(&mut target[..SIDE - step], &source[step..]);
                 }
             }
-            levels.copy_from_slice(&along);
+            rows.copy_from_slice(widened_rows);
             for step in (1..=reach).map(|rows| rows * SIDE) {
-                raise(&mut levels[step..], &along[..SIDE * SIDE - step]);
-                raise(&mut levels[..SIDE * SIDE - step], &along[step..]);
+                raise(&mut rows[step..], &widened_rows[..SIDE * SIDE - step]);
+                raise(&mut rows[..SIDE * SIDE - step], &widened_rows[step..]);
             }
         });
         widened.seen.clone_from(&self.seen);
@@ -261,7 +262,7 @@ fn pack(levels: &[u8], zero: u8, spans: &[[u16; 2]], quads: &mut Vec<u32>) {
         quads[..from].fill(nothing);
         quads[to..].fill(nothing);
         let (quads, this_row, next_row) = (&mut quads[from..to], &this[from..=to], &next[from..=to]);
-        vectorised(|| {
+        vectorised!(|quads: &mut [u32], this_row: &[u8], next_row: &[u8]| {
             for (column, quad) in quads.iter_mut().enumerate() {
                 *quad = u32::from(this_row[column])
                     | u32::from(this_row[column + 1]) << 8

@@ -130,9 +130,10 @@ fn reduce_by<const FACTOR: usize>(plane: &[u8], from: [usize; 2], to: [usize; 2]
         let height = rows.len() / from[0];
         let (whole, rest) = target.split_at_mut(if height == FACTOR { (from[0] / FACTOR).min(to[0]) } else { 0 });
         let first = whole.len();
-        vectorised(|| {
+        let row_length = from[0];
+        vectorised!(const FACTOR: usize, |rows: &[u8], row_length: usize, whole: &mut [u8], sums: &mut [u16]| {
             sums.fill(0);
-            for row in rows.chunks_exact(from[0]) {
+            for row in rows.chunks_exact(row_length) {
                 for (sum, value) in sums.iter_mut().zip(row) {
                     *sum += u16::from(*value);
                 }
