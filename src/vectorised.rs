@@ -32,3 +32,24 @@ macro_rules! vectorised {
     }};
 }
 pub(crate) use vectorised;
+
+/// To the nearest whole number, of values from 0 to 2^22. A conversion looks after what no number holds, which the compiler
+/// makes no vectors of; here the addition rounds, because f32 has no halves above 2^23.
+#[inline(always)]
+pub(crate) fn rounded(value: f32) -> u32 {
+    (value + 8_388_608.0).to_bits() & 0x7f_ffff
+}
+
+#[cfg(test)]
+mod tests {
+    use super::rounded;
+
+    #[test]
+    fn values_go_to_the_nearest_whole_number() {
+        for tenth in 0..=2550u16 {
+            let value = f32::from(tenth) / 10.0;
+            assert!((rounded(value) as f32 - value).abs() <= 0.5, "{value}");
+        }
+        assert_eq!([0.0, 0.49, 254.51, 255.0, 4_194_304.0].map(rounded), [0, 0, 255, 255, 4_194_304]);
+    }
+}

@@ -3,7 +3,7 @@
 use core::f64::consts::{FRAC_PI_2, PI};
 use core::ops::Mul;
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DAffine2, DMat2, DMat3, DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::wrap_angle;
@@ -160,6 +160,15 @@ impl Pose2 {
     pub fn inverse(&self) -> Self {
         let (s, c) = libm::sincos(self.yaw);
         Self { x: -c * self.x - s * self.y, y: s * self.x - c * self.y, yaw: wrap_angle(-self.yaw) }
+    }
+
+    /// For moving many points by it.
+    pub fn to_affine(&self) -> DAffine2 {
+        let (s, c) = libm::sincos(self.yaw);
+        DAffine2 {
+            matrix2: DMat2::from_cols(DVec2::new(c, s), DVec2::new(-s, c)),
+            translation: DVec2::new(self.x, self.y),
+        }
     }
 
     pub fn distance(&self, other: &Self) -> f64 {

@@ -1,7 +1,7 @@
 //! Prediction from the previous frame: every particle makes the step that odometry reports, plus its own error.
 
 use super::particles::{Particles, Spread};
-use super::random::{Purpose, Stream};
+use super::random::{Purpose, TOGETHER, normals};
 pub use crate::config::MotionModel;
 use crate::geometry::{Pose2, wrap_angle};
 
@@ -23,11 +23,12 @@ pub fn wander(model: &MotionModel, particles: &mut Particles, seconds: f64, seed
 }
 
 fn diffuse(particles: &mut Particles, step: Pose2, spread: Spread, seed: u64, frame: u64) {
-    for (index, pose) in particles.poses.iter_mut().enumerate() {
-        let mut draw = Stream::new(seed, Purpose::Motion, frame, 0, index as u32);
-        let [dx, dy, turn] = [draw.normal(), draw.normal(), draw.normal()];
-        let turned = wrap_angle(step.yaw + turn * spread.yaw_rad);
-        *pose = pose.compose(&Pose2::new(step.x + dx * spread.xy_m, step.y + dy * spread.xy_m, turned));
+    for (block, poses) in particles.poses.chunks_mut(TOGETHER).enumerate() {
+        let [dx, dy, turn] = normals(seed, Purpose::Motion, frame, 0, (block * TOGETHER) as u32);
+        for (i, pose) in poses.iter_mut().enumerate() {
+            let turned = wrap_angle(step.yaw + turn[i] * spread.yaw_rad);
+            *pose = pose.compose(&Pose2::new(step.x + dx[i] * spread.xy_m, step.y + dy[i] * spread.xy_m, turned));
+        }
     }
 }
 

@@ -152,11 +152,10 @@ impl Observation {
 
     /// The line points that some of these poses may see: the others count as nothing.
     pub fn look_near(&self, table: &GroundTable, poses: &[Pose2], near: &mut Points) {
-        let cloud = Cloud::around(poses);
+        let cloud = Cloud::around(poses).map(|cloud| (cloud.middle.inverse().to_affine(), cloud));
         let visible = |group: &Disc| {
-            cloud.is_none_or(|Cloud { middle, xy_m, yaw_rad }| {
-                let at = middle.inverse().compose(&Pose2::new(group.centre.x, group.centre.y, 0.0));
-                let at = DVec2::new(at.x, at.y);
+            cloud.is_none_or(|(robot_from_map, Cloud { xy_m, yaw_rad, .. })| {
+                let at = robot_from_map.transform_point2(group.centre);
                 table.may_tell(at, group.radius + xy_m + yaw_rad * (at.length() + xy_m))
             })
         };
@@ -177,11 +176,10 @@ impl Observation {
     /// `lines` must hold [`Reading::Contrast`].
     pub fn support(&self, lines: &GroundTable, pose: &Pose2) -> Support {
         let readings = lines.readings();
-        let robot_from_map = pose.inverse();
+        let robot_from_map = pose.inverse().to_affine();
         let (mut points, mut weight) = (0, 0.0);
         for position in &self.positions {
-            let at = robot_from_map.compose(&Pose2::new(position.x, position.y, 0.0));
-            let seen = lines.seen(DVec2::new(at.x, at.y));
+            let seen = lines.seen(robot_from_map.transform_point2(*position));
             points += usize::from(seen > 0.0);
             weight += seen;
         }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::random::{Purpose, Stream};
+use super::random::{Purpose, TOGETHER, normals};
 use crate::geometry::{Pose2, wrap_angle};
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -36,12 +36,13 @@ impl Particles {
 
     /// Adds normal noise to every pose, in its own frame.
     pub fn scatter(&mut self, spread: Spread, seed: u64, purpose: Purpose, step: u64, iteration: u32) {
-        for (index, pose) in self.poses.iter_mut().enumerate() {
-            let mut draw = Stream::new(seed, purpose, step, iteration, index as u32);
-            let [dx, dy, turn] = [draw.normal(), draw.normal(), draw.normal()];
-            pose.x += dx * spread.xy_m;
-            pose.y += dy * spread.xy_m;
-            pose.yaw = wrap_angle(pose.yaw + turn * spread.yaw_rad);
+        for (block, poses) in self.poses.chunks_mut(TOGETHER).enumerate() {
+            let [dx, dy, turn] = normals(seed, purpose, step, iteration, (block * TOGETHER) as u32);
+            for (i, pose) in poses.iter_mut().enumerate() {
+                pose.x += dx[i] * spread.xy_m;
+                pose.y += dy[i] * spread.xy_m;
+                pose.yaw = wrap_angle(pose.yaw + turn[i] * spread.yaw_rad);
+            }
         }
     }
 

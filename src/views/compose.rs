@@ -9,7 +9,7 @@ use super::raster::{NOTHING, Raster, SURE};
 use super::sample::{Pixels, read_cell};
 use super::target::{Target, between, corners};
 use super::weights::Weights;
-use crate::vectorised::vectorised;
+use crate::vectorised::{rounded, vectorised};
 
 /// The picture, and which share of it each source has.
 #[derive(Clone, Debug, PartialEq)]
@@ -163,13 +163,6 @@ impl Sums {
 fn values(pixel: [u8; 4]) -> [u32; 4] {
     let pixel = u32::from_le_bytes(pixel);
     [pixel & 255, pixel >> 8 & 255, pixel >> 16 & 255, pixel >> 24]
-}
-
-/// To the nearest whole number, of values from 0 to 255. A conversion takes care of what no number holds, which the compiler makes
-/// no vector of; here the addition rounds, because f32 has no halves above 2^23.
-#[inline(always)]
-fn rounded(value: f32) -> u32 {
-    (value + 8_388_608.0).to_bits() & 255
 }
 
 /// Of values up to 255.

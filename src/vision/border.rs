@@ -6,7 +6,7 @@
 
 use core::f64::consts::TAU;
 
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec3};
 
 use super::WorkingScale;
 use super::carpet::Surface;
@@ -36,7 +36,7 @@ const BLUR_REACH_PX: f64 = 6.0;
 #[derive(Clone, Debug)]
 pub struct Rays {
     directions: Vec<DVec2>,
-    ranges: Vec<f64>,
+    ranges: [f64; STEPS],
 }
 
 impl Default for Rays {
@@ -46,8 +46,25 @@ impl Default for Rays {
             DVec2::new(cos, sin)
         });
         let growth = libm::pow(FARTHEST_M / NEAREST_M, 1.0 / (STEPS - 1) as f64);
-        let ranges = (0..STEPS).map(|step| NEAREST_M * libm::pow(growth, step as f64));
-        Self { directions: directions.collect(), ranges: ranges.collect() }
+        let ranges = core::array::from_fn(|step| NEAREST_M * libm::pow(growth, step as f64));
+        Self { directions: directions.collect(), ranges }
+    }
+}
+
+impl Rays {
+    /// Where the lens draws the places at all ranges, NaN for those that it does not: `below` is the place below the camera and
+    /// `along` a direction, in `camera_optical_frame`.
+    fn drawn(&self, projector: &Projector, below: DVec3, along: DVec3) -> [[f32; STEPS]; 2] {
+        let (below, along, ranges) = (below.as_vec3(), along.as_vec3(), &self.ranges);
+        vectorised!(|projector: &Projector, below: Vec3, along: Vec3, ranges: &[f64; STEPS]| -> [[f32; STEPS]; 2] {
+            let [mut xs, mut ys, mut zs] = [[0.0; STEPS]; 3];
+            for (step, range) in ranges.iter().enumerate() {
+                let range = *range as f32;
+                (xs[step], ys[step], zs[step]) =
+                    (below.x + along.x * range, below.y + along.y * range, below.z + along.z * range);
+            }
+            projector.project_all(&[xs, ys, zs])
+        })
     }
 }
 
@@ -79,8 +96,9 @@ impl CarpetBorder {
             if most_cos(below, along) < least_cos {
                 return None;
             }
-            let seen = rays.ranges.iter().map(|range| {
-                let pixel = projector.project_inside(below + along * *range)?;
+            let [us, vs] = rays.drawn(projector, below, along);
+            let seen = us.into_iter().zip(vs).map(|(u, v)| {
+                let pixel = Some(DVec2::new(u.into(), v.into())).filter(|pixel| projector.lens().contains(*pixel))?;
                 let pixel = (to_working.apply(pixel) + DVec2::splat(0.5)) * 0.5;
                 surfaces
                     .get((pixel.y.max(0.0) as usize) * half_width + (pixel.x.max(0.0) as usize).min(half_width - 1))

@@ -6,7 +6,7 @@ use super::ground::{NEUTRAL, SIDE};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 use super::reading::{self, Reading};
 use super::{WorkingScale, distance};
-use crate::vectorised::vectorised;
+use crate::vectorised::{rounded, vectorised};
 
 /// The frame's full contrast is learnt where lines show at least this well, against the best place in view, ...
 const CLEAR: f32 = 0.5;
@@ -143,7 +143,6 @@ impl Cells {
         seen.resize(SIDE * SIDE, 0);
         spans.clear();
         let (mut gains, mut weights) = ([0.0f32; SIDE], [0.0f32; SIDE]);
-        let neutral = f32::from(NEUTRAL);
         for block_row in 0..BLOCKS {
             let rows = block_row * BLOCK..(block_row + 1) * BLOCK;
             let blocks = map.blocks(rows.clone());
@@ -161,23 +160,21 @@ impl Cells {
                 let cells = row * SIDE + used.start..row * SIDE + used.end;
                 let (shown, levels, seen) =
                     (&self.shown[cells.clone()], &mut levels[cells.clone()], &mut seen[cells.clone()]);
-                let (gains, weights) = (&gains[..shown.len()], &weights[..shown.len()]);
-                vectorised!(|neutral: f32,
-                             shown: &[i16],
+                let strengths = (&gains[..shown.len()], &weights[..shown.len()]);
+                vectorised!(|shown: &[i16],
+                             strengths: (&[f32], &[f32]),
                              levels: &mut [u8],
                              seen: &mut [u8],
-                             any: &mut [u8],
-                             gains: &[f32],
-                             weights: &[f32]| {
-                    for (column, shown) in shown.iter().enumerate() {
-                        let visible = shown & 2 == 0;
-                        let level = (f32::from(shown & !3) * gains[column]).clamp(0.0, 255.0);
-                        let level = neutral + (level - neutral) * weights[column] + 0.5;
-                        let weight = weights[column] * 255.0;
-                        // In range, so that this is no more than a conversion.
-                        levels[column] = if visible { level as i32 as u8 } else { NEUTRAL };
-                        seen[column] = if visible { weight as i32 as u8 } else { 0 };
-                        any[column] |= seen[column];
+                             any: &mut [u8]| {
+                    let targets = levels.iter_mut().zip(seen).zip(any);
+                    let sources = shown.iter().zip(strengths.0).zip(strengths.1);
+                    for (((level, seen), any), ((shown, gain), weight)) in targets.zip(sources) {
+                        let visible = if shown & 2 == 0 { u32::MAX } else { 0 };
+                        let shown = (f32::from(shown & !3) * gain).clamp(0.0, 255.0);
+                        let drawn = rounded(f32::from(NEUTRAL) + (shown - f32::from(NEUTRAL)) * weight);
+                        *level = (drawn & visible | u32::from(NEUTRAL) & !visible) as u8;
+                        *seen = (rounded(weight * 255.0) & visible) as u8;
+                        *any |= *seen;
                     }
                 });
             }

@@ -3,6 +3,10 @@
 use super::WorkingScale;
 use super::carpet::Surface;
 use super::picture::Picture;
+use crate::vectorised::{rounded, vectorised};
+
+/// Places of a profile that are calculated together.
+const TOGETHER: usize = 16;
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LineImage {
@@ -32,20 +36,33 @@ impl LineImage {
         self.scale
     }
 
-    /// Luma between pixels, in this image's coordinates; `None` outside.
-    pub fn luma(&self, u: f32, v: f32) -> Option<f32> {
-        // NaN fails both.
-        if !(u >= 0.0 && v >= 0.0 && u < (self.width - 1) as f32 && v < (self.height - 1) as f32) {
-            return None;
+    /// Luma between pixels along a straight line, in this image's coordinates: `values[k]` is that of `middle` and
+    /// `k - values.len() / 2` times `step`. False if a part of it lies outside.
+    pub fn profile(&self, middle: [f32; 2], step: [f32; 2], values: &mut [f32]) -> bool {
+        let half = (values.len() / 2) as f32;
+        let ends = [-half, values.len() as f32 - 1.0 - half];
+        let place = |steps: f32| [middle[0] + steps * step[0], middle[1] + steps * step[1]];
+        if !ends.iter().all(|end| self.holds(place(*end))) {
+            return false;
         }
-        let (column, row) = (u as usize, v as usize);
-        let (fu, fv) = (u - column as f32, v - row as f32);
-        let at = row * self.width + column;
-        let upper = &self.luma[at..at + 2];
-        let lower = &self.luma[at + self.width..at + self.width + 2];
-        let blend = |pair: &[u8]| f32::from(pair[0]) + (f32::from(pair[1]) - f32::from(pair[0])) * fu;
-        let (a, b) = (blend(upper), blend(lower));
-        Some(a + (b - a) * fv)
+        for (chunk, values) in values.chunks_mut(TOGETHER).enumerate() {
+            let first = (chunk * TOGETHER) as f32 - half;
+            let Places { at, shares } = Places::along(middle, step, first, self.width as u32);
+            let (mut upper, mut lower) = ([[0u8; 2]; TOGETHER], [[0u8; 2]; TOGETHER]);
+            for (k, at) in at.iter().enumerate().take(values.len()) {
+                let at = *at as usize;
+                upper[k].copy_from_slice(&self.luma[at..at + 2]);
+                lower[k].copy_from_slice(&self.luma[at + self.width..at + self.width + 2]);
+            }
+            let blended = blended(&shares, &upper, &lower);
+            values.copy_from_slice(&blended[..values.len()]);
+        }
+        true
+    }
+
+    /// Whether four pixels lie around a place; not for NaN.
+    fn holds(&self, [u, v]: [f32; 2]) -> bool {
+        u >= 0.0 && v >= 0.0 && u < (self.width - 1) as f32 && v < (self.height - 1) as f32
     }
 
     /// Whether something stands between camera and floor there (a robot, a person, the own body), or the place lies outside.
@@ -56,5 +73,86 @@ impl LineImage {
         let (column, row) = (u as usize / 2, v as usize / 2);
         let width = self.width / 2;
         column >= width || self.surfaces.get(row * width + column).is_none_or(|surface| *surface == Surface::Other)
+    }
+}
+
+/// Places on a straight line: the upper left of the four pixels around each, and how far on it lies, across and down.
+struct Places {
+    at: [u32; TOGETHER],
+    shares: [[f32; TOGETHER]; 2],
+}
+
+impl Places {
+    /// None of them may lie outside of the image.
+    fn along(middle: [f32; 2], step: [f32; 2], first: f32, width: u32) -> Self {
+        vectorised!(|middle: [f32; 2], step: [f32; 2], first: f32, width: u32| -> Places {
+            let mut places = Places { at: [0; TOGETHER], shares: [[0.0; TOGETHER]; 2] };
+            for k in 0..TOGETHER {
+                let steps = first + k as i32 as f32;
+                let (u, v) = (middle[0] + steps * step[0], middle[1] + steps * step[1]);
+                // The whole number below, or at a whole number the one before, whose neighbour then has all of the weight.
+                let (column, row) = (rounded((u - 0.5).max(0.0)), rounded((v - 0.5).max(0.0)));
+                places.at[k] = row * width + column;
+                places.shares[0][k] = u - column as i32 as f32;
+                places.shares[1][k] = v - row as i32 as f32;
+            }
+            places
+        })
+    }
+}
+
+fn blended(shares: &[[f32; TOGETHER]; 2], upper: &[[u8; 2]; TOGETHER], lower: &[[u8; 2]; TOGETHER]) -> [f32; TOGETHER] {
+    type Pairs = [[u8; 2]; TOGETHER];
+    vectorised!(|shares: &[[f32; TOGETHER]; 2], upper: &Pairs, lower: &Pairs| -> [f32; TOGETHER] {
+        let mut blended = [0.0; TOGETHER];
+        for k in 0..TOGETHER {
+            let across = |pair: [u8; 2]| {
+                let pair = i32::from(u16::from_le_bytes(pair));
+                let (left, right) = ((pair & 255) as f32, (pair >> 8) as f32);
+                left + (right - left) * shares[0][k]
+            };
+            let (above, below) = (across(upper[k]), across(lower[k]));
+            blended[k] = above + (below - above) * shares[1][k];
+        }
+        blended
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn image() -> LineImage {
+        let luma: Vec<u8> = (0..40 * 30u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        LineImage { width: 40, height: 30, luma, ..LineImage::default() }
+    }
+
+    proptest! {
+        #[test]
+        fn a_profile_is_what_lies_between_the_pixels(
+            u in -1.0..41.0f32, v in -1.0..31.0f32, du in -1.5..1.5f32, dv in -1.5..1.5f32, count in 1usize..40,
+        ) {
+            let image = image();
+            let mut values = vec![f32::NAN; count];
+            // Whole numbers too, which a rounding may get wrong.
+            let [u, v] = if count % 3 == 0 { [u.round(), v.round()] } else { [u, v] };
+            let places: Vec<[f32; 2]> = (0..count)
+                .map(|k| k as f32 - (count / 2) as f32)
+                .map(|steps| [u + steps * du, v + steps * dv])
+                .collect();
+            let inside = image.profile([u, v], [du, dv], &mut values);
+            prop_assert_eq!(inside, places.iter().all(|place| image.holds(*place)));
+            if inside {
+                for ([u, v], value) in places.into_iter().zip(values) {
+                    let (column, row) = (u as usize, v as usize);
+                    let (fu, fv) = (u - column as f32, v - row as f32);
+                    let pixel = |du: usize, dv: usize| f32::from(image.luma[(row + dv) * 40 + column + du]);
+                    let upper = pixel(0, 0) + (pixel(1, 0) - pixel(0, 0)) * fu;
+                    let lower = pixel(0, 1) + (pixel(1, 1) - pixel(0, 1)) * fu;
+                    prop_assert_eq!(upper + (lower - upper) * fv, value);
+                }
+            }
+        }
     }
 }

@@ -82,12 +82,9 @@ impl Detector {
 
 /// 0 to 1, of the places that the camera sees.
 fn responses(table: &GroundTable, places: &[DVec2], foot: &Pose2) -> Vec<f64> {
-    let robot_from_map = foot.inverse();
+    let robot_from_map = foot.inverse().to_affine();
     let near = places.iter().filter(|place| place.distance(DVec2::new(foot.x, foot.y)) < WITHIN_M);
-    let seen = near.filter(|place| {
-        let at = robot_from_map.compose(&Pose2::new(place.x, place.y, 0.0));
-        table.seen(DVec2::new(at.x, at.y)) > SEEN
-    });
+    let seen = near.filter(|place| table.seen(robot_from_map.transform_point2(**place)) > SEEN);
     let response = |place: &DVec2| {
         let sum = sum_levels(SimdPath::Auto, table, &Points::new([*place]), foot);
         ((sum + f64::from(table.readings().zero)) / 255.0).clamp(0.0, 1.0)

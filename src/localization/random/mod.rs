@@ -9,6 +9,8 @@ use core::convert::Infallible;
 
 use rand::TryRng;
 
+use crate::vectorised::vectorised;
+
 /// Keeps the streams of one seed apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
@@ -28,6 +30,30 @@ pub struct Stream {
     used: usize,
 }
 
+/// Particles whose numbers are drawn together.
+pub const TOGETHER: usize = 64;
+
+/// Three standard normal numbers for each of the particles from `first` on: those that their streams begin with.
+pub fn normals(seed: u64, purpose: Purpose, frame: u64, iteration: u32, first: u32) -> [[f64; TOGETHER]; 3] {
+    let Stream { key, counter, .. } = Stream::new(seed, purpose, frame, iteration, first);
+    let [xs, ys, zs] = vectorised!(|key: [u32; 2], counter: [u32; 4]| -> [[f64; TOGETHER]; 3] {
+        let mut counters =
+            [[counter[0]; TOGETHER], [counter[1]; TOGETHER], [counter[2]; TOGETHER], [counter[3]; TOGETHER]];
+        for (i, index) in counters[0].iter_mut().enumerate() {
+            *index = index.wrapping_add(i as u32);
+        }
+        let [xs, ys, zs, _] = philox4x32_10(counters, key);
+        let mut uniforms = [[0.0; TOGETHER]; 3];
+        for (uniforms, words) in uniforms.iter_mut().zip([&xs, &ys, &zs]) {
+            for (uniform, word) in uniforms.iter_mut().zip(words) {
+                *uniform = uniform_of(*word);
+            }
+        }
+        uniforms
+    });
+    [quantile::normals(&xs), quantile::normals(&ys), quantile::normals(&zs)]
+}
+
 impl Stream {
     /// `frame` counts the filter's steps, `index` is a particle or 0.
     pub fn new(seed: u64, purpose: Purpose, frame: u64, iteration: u32, index: u32) -> Self {
@@ -39,7 +65,7 @@ impl Stream {
 
     /// Uniform in (0, 1): never 0, so that its logarithm exists.
     pub fn uniform(&mut self) -> f64 {
-        (f64::from(self.word()) + 0.5) / 4_294_967_296.0
+        uniform_of(self.word())
     }
 
     /// A standard normal number: the quantile of a uniform one.
@@ -55,7 +81,7 @@ impl Stream {
 
     fn word(&mut self) -> u32 {
         if self.used == 4 {
-            self.block = philox4x32_10(self.counter, self.key);
+            self.block = philox4x32_10(self.counter.map(|word| [word]), self.key).map(|[word]| word);
             self.counter[1] = self.counter[1].wrapping_add(1 << 16);
             self.used = 0;
         }
@@ -85,19 +111,25 @@ impl TryRng for Stream {
     }
 }
 
-fn philox4x32_10(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
+#[inline(always)]
+fn uniform_of(word: u32) -> f64 {
+    (f64::from(word) + 0.5) / 4_294_967_296.0
+}
+
+/// Of N counters side by side.
+#[inline(always)]
+fn philox4x32_10<const N: usize>(mut counters: [[u32; N]; 4], mut key: [u32; 2]) -> [[u32; N]; 4] {
     for _ in 0..10 {
-        let low = u64::from(counter[0]) * 0xD251_1F53;
-        let high = u64::from(counter[2]) * 0xCD9E_8D57;
-        counter = [
-            (high >> 32) as u32 ^ counter[1] ^ key[0],
-            high as u32,
-            (low >> 32) as u32 ^ counter[3] ^ key[1],
-            low as u32,
-        ];
+        let [a, b, c, d] = &mut counters;
+        for i in 0..N {
+            let low = u64::from(a[i]) * 0xD251_1F53;
+            let high = u64::from(c[i]) * 0xCD9E_8D57;
+            (a[i], c[i]) = ((high >> 32) as u32 ^ b[i] ^ key[0], (low >> 32) as u32 ^ d[i] ^ key[1]);
+            (b[i], d[i]) = (high as u32, low as u32);
+        }
         key = [key[0].wrapping_add(0x9E37_79B9), key[1].wrapping_add(0xBB67_AE85)];
     }
-    counter
+    counters
 }
 
 #[cfg(test)]
@@ -107,6 +139,7 @@ mod tests {
     /// Random123's `kat_vectors`.
     #[test]
     fn known_answers_of_random123() {
+        let philox4x32_10 = |counter: [u32; 4], key| philox4x32_10(counter.map(|word| [word]), key).map(|[word]| word);
         assert_eq!(philox4x32_10([0; 4], [0; 2]), [0x6627e8d5, 0xe169c58d, 0xbc57ac4c, 0x9b00dbd8]);
         assert_eq!(philox4x32_10([u32::MAX; 4], [u32::MAX; 2]), [0x408f276d, 0x41c83b0e, 0xa20bc7c6, 0x6d5451fd]);
         let pi = [0x243f6a88, 0x85a308d3, 0x13198a2e, 0x03707344];
@@ -120,6 +153,15 @@ mod tests {
         let mean = draws.iter().sum::<f64>() / draws.len() as f64;
         let variance = draws.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / draws.len() as f64;
         assert!(mean.abs() < 0.02 && (variance - 1.0).abs() < 0.03, "{mean} {variance}");
+    }
+
+    #[test]
+    fn many_at_a_time_are_those_of_each_stream() {
+        let [xs, ys, zs] = normals(7, Purpose::Jitter, 5, 2, 100);
+        for i in 0..TOGETHER {
+            let mut stream = Stream::new(7, Purpose::Jitter, 5, 2, 100 + i as u32);
+            assert_eq!([xs[i], ys[i], zs[i]], [stream.normal(), stream.normal(), stream.normal()]);
+        }
     }
 
     #[test]

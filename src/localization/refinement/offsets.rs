@@ -216,24 +216,27 @@ impl Expected {
         }
         let (u0, v0) = (self.middle.x as f32, self.middle.y as f32);
         let (du, dv) = (self.direction.x as f32 * step, self.direction.y as f32 * step);
-        let mut profile = [0.0f32; MAX_SAMPLES];
-        let mut sums = [0.0f32; MAX_SAMPLES + 1];
-        for k in 0..count {
-            let at = k as f32 - half as f32;
-            let Some(value) = image.luma(u0 + at * du, v0 + at * dv) else { return Outcome::Hidden };
-            profile[k] = value;
-            sums[k + 1] = sums[k] + value;
+        let (mut profile, mut sums) = ([0.0f32; MAX_SAMPLES], [0.0f32; MAX_SAMPLES + 1]);
+        let (profile, sums) = (&mut profile[..count], &mut sums[..count + 1]);
+        if !image.profile([u0, v0], [du, dv], profile) {
+            return Outcome::Hidden;
         }
-        let mean = |from: usize, to: usize| (sums[to] - sums[from]) / (to - from) as f32;
+        let mut sum = 0.0;
+        for (total, value) in sums[1..].iter_mut().zip(&*profile) {
+            sum += value;
+            *total = sum;
+        }
+        let (per_band, per_flank) = (1.0 / (2 * band + 1) as f32, 1.0 / flank as f32);
+        let sum = |from: usize, to: usize| sums[to] - sums[from];
         let flanks = |middle: usize| {
-            let left = mean(middle - margin, middle - margin + flank);
-            let right = mean(middle + margin + 1 - flank, middle + margin + 1);
-            (left, right)
+            let left = sum(middle - margin, middle - margin + flank);
+            let right = sum(middle + margin + 1 - flank, middle + margin + 1);
+            (left * per_flank, right * per_flank)
         };
         let (mut best, mut at) = (f32::NEG_INFINITY, half);
         for middle in margin..count - margin {
             let (left, right) = flanks(middle);
-            let response = mean(middle - band, middle + band + 1) - left.max(right);
+            let response = sum(middle - band, middle + band + 1) * per_band - left.max(right);
             if response > best {
                 (best, at) = (response, middle);
             }
@@ -250,9 +253,7 @@ impl Expected {
             // Carpet is darker than a line would be; brightness beyond the field or a robot's shell says nothing.
             return if hidden(0.0) || hidden(-beside) || hidden(beside) { Outcome::Hidden } else { Outcome::Missed };
         }
-        Outcome::Found(
-            f64::from(centroid(&profile[..count], at, band + gap, flanks(at)) - half as f32) * f64::from(step),
-        )
+        Outcome::Found(f64::from(centroid(profile, at, band + gap, flanks(at)) - half as f32) * f64::from(step))
     }
 }
 
@@ -260,10 +261,10 @@ impl Expected {
 /// straight from the left flank's to the right one's.
 fn centroid(profile: &[f32], peak: usize, reach: usize, (left, right): (f32, f32)) -> f32 {
     let (mut sum, mut moment) = (0.0f32, 0.0f32);
+    let (carpet, slope) = (0.5 * (left + right), (right - left) / (2.0 * reach as f32 + 1.0));
     for (k, value) in profile[peak - reach..=peak + reach].iter().enumerate() {
         let off = k as f32 - reach as f32;
-        let carpet = 0.5 * (left + right) + (right - left) * off / (2.0 * reach as f32 + 1.0);
-        let above = value - carpet;
+        let above = value - (carpet + slope * off);
         sum += above;
         moment += above * off;
     }
