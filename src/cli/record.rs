@@ -63,12 +63,17 @@ pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if recorder_lost_data(&status) { Outcome::DataLost } else { Outcome::Whole })
 }
 
-/// Not what the camera dropped, but what was there and could not be written.
+/// Not what the camera dropped, but what was there and could not be written; of any of its sessions.
 fn recorder_lost_data(status: &Value) -> bool {
-    let lost = status["counts"]["lost"].as_object();
+    let earlier = &status["earlier"];
+    let lost = |counts: &Value| counts["lost"].as_object().is_some_and(|causes| !causes.is_empty());
+    let refused = |recorder: &Value| recorder["frames_refused"].as_u64() > Some(0);
     !status["unfinished"].is_null()
-        || lost.is_some_and(|causes| !causes.is_empty())
-        || status["recorder"]["frames_refused"].as_u64() > Some(0)
+        || earlier["unfinished"].as_u64() > Some(0)
+        || lost(&status["counts"])
+        || lost(&earlier["counts"])
+        || refused(&status["recorder"])
+        || refused(earlier)
 }
 
 /// How is it, what happened, begin, end, where am I.
@@ -157,6 +162,18 @@ fn for_people(status: &Value) -> String {
             number("valid")
         ),
     ];
+    let earlier = &status["earlier"];
+    if let Some(sessions @ 1..) = earlier["sessions"].as_u64() {
+        let number = |key: &str| earlier["counts"][key].as_u64().unwrap_or(0);
+        lines.push(format!(
+            "before it {sessions} sessions: {} captured, {} written, {} tagged, {} valid; {} not whole",
+            number("captured"),
+            number("written"),
+            number("tagged"),
+            number("valid"),
+            earlier["unfinished"]
+        ));
+    }
     let dropped = counts["dropped"].as_object().into_iter().flatten();
     let dropped: Vec<String> = dropped.map(|(cause, count)| format!("{count} {cause}")).collect();
     if !dropped.is_empty() {

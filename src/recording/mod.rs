@@ -55,6 +55,7 @@ pub use thinning::Thinning;
 pub use turn::Turn;
 pub use verify::{Verified, verify};
 pub use worst_stall::{DISK_FILE, DiskMeasured};
+pub use writer::MAX_FINISH;
 
 /// The old content or the new, never a part.
 pub fn write_atomically(path: &Path, content: &[u8]) -> Result<(), RecordingError> {

@@ -24,7 +24,7 @@ const RETRY: Duration = Duration::from_millis(100);
 /// ... up to this.
 const MAX_RETRY: Duration = Duration::from_secs(3);
 /// So long a disk may take to let a session end. Less than a service manager waits.
-const MAX_FINISH: Duration = Duration::from_secs(10);
+pub const MAX_FINISH: Duration = Duration::from_secs(10);
 /// How often the free space is looked at.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 

@@ -3,7 +3,7 @@
 use crate::replay::support::{IMAGE, Room, own_log, read_log, stamp_later};
 
 /// The robot stands and its head looks left and right, as its IMU and joints say with their noise.
-fn turning(room: &Room) {
+fn turning_head(room: &Room) {
     room.write_scene("scene.toml", |text| {
         let (before, walk) = text.split_once("kind = \"walk\"").expect("a walk");
         let (_, after) = walk.split_once("[odometry]").expect("odometry");
@@ -19,8 +19,31 @@ fn turning(room: &Room) {
     room.run("sim scene.toml -o log.mcap").succeeds();
 }
 
+/// The robot turns at the corners of its way, and has no head.
+fn turning_body(room: &Room) {
+    room.write_scene("scene.toml", |text| {
+        let (before, walk) = text.split_once("[route]").expect("a walk");
+        let (_, after) = walk.split_once("[odometry]").expect("odometry");
+        let before = before.replace("rate_hz = 10.0", "rate_hz = 30.0");
+        format!(
+            "{before}[route]\nkind = \"walk\"\nwaypoints = [[-1.0, -0.2], [-0.7, 0.1], [-1.0, 0.4], [-0.7, 0.7], [-1.0, 1.0]]\n\
+             speed_m_s = 0.35\nturn_deg_s = 130.0\n\n[odometry]{after}"
+        )
+    });
+    room.run("sim scene.toml -o log.mcap").succeeds();
+}
+
 #[test]
-fn a_camera_s_delay_is_found_from_turns() {
+fn a_camera_s_delay_is_found_from_turns_of_the_head() {
+    finds_delays(turning_head);
+}
+
+#[test]
+fn a_camera_s_delay_is_found_from_turns_of_the_body() {
+    finds_delays(turning_body);
+}
+
+fn finds_delays(turning: fn(&Room)) {
     let room = Room::new();
     turning(&room);
     let messages = read_log(&room.path("log.mcap"));

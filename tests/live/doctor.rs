@@ -116,6 +116,10 @@ fn it_names_what_is_wrong_and_what_to_do() {
         assert!(findings.about("disk")[0].1.contains(part), "{part}: {:?}", findings.0);
     }
     room.run("doctor -o captures").fails(1, &[]);
+    let arguments = "doctor -o captures --set capture.device=/dev/no-such-camera --json";
+    let findings = Findings::of(&room.run(arguments).json());
+    let (good, said, _) = &findings.about("camera")[0];
+    assert!(!good && said.contains("/dev/no-such-camera"), "{said}");
 }
 
 #[test]

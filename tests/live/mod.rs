@@ -255,6 +255,25 @@ fn poses_go_out_although_the_disk_takes_nothing() {
     assert!(10 * told.len() >= 8 * frames, "{} poses of {frames} frames", told.len());
 }
 
+/// Its frames are lost, and told to be, also after another session that had nothing to lose.
+#[test]
+fn what_an_earlier_session_lost_is_in_the_last_account() {
+    let robot = Robot::of(&walk().messages);
+    let config = CONFIG.replace("floor_mb = 1", "floor_mb = 100000000");
+    let mut recorder = Recorder::start_at(Some(robot.tty()), &config, "-2.06,0.153,14.5");
+    let (frames, socket) = (robot.frames(), recorder.room.path("camera.sock"));
+    std::thread::spawn(move || robot.walk(&socket)).join().expect("walked");
+    recorder.waits_for("all frames", 20, |status| status["counts"]["captured"].as_u64() == Some(frames as u64));
+    recorder.asks("stop");
+    assert_eq!(recorder.asks("start")["state"], "recording");
+    let output = recorder.ends();
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let earlier = &report["earlier"];
+    assert_eq!((&earlier["sessions"], &earlier["counts"]["captured"]), (&1.into(), &frames.into()), "{report}");
+    assert!(earlier["frames_refused"].as_u64() > Some(0) && report["counts"]["captured"] == 0, "{report}");
+}
+
 #[test]
 fn a_session_can_be_stopped_and_another_begun() {
     let mut recorder = Recorder::start(None);
@@ -264,7 +283,10 @@ fn a_session_can_be_stopped_and_another_begun() {
     let first = stopped["session"].as_str().expect("a session").to_owned();
     assert!(recorder.room.path(&first).join("0000.mcap").is_file(), "whole, while the recorder runs");
     assert_eq!(recorder.asks("start")["state"], "recording");
-    recorder.waits_for("another session", 5, |status| status["session"].as_str() != Some(&first));
+    recorder
+        .waits_for("another session", 5, |status| status["session"].as_str().is_some_and(|session| session != first));
+    let status = recorder.asks("status");
+    assert_eq!((&status["earlier"]["sessions"], &status["earlier"]["unfinished"]), (&1.into(), &0.into()), "{status}");
     assert!(recorder.ends().status.success());
     assert!(recorder.room.run("status --socket control.sock").code == Some(1), "nobody answers any more");
 }
@@ -277,6 +299,12 @@ fn orders_are_taken_whole_or_not_at_all() {
     let order = |line: &str| recorder.room.run(&format!("{line} --socket control.sock"));
     order(&format!("mark {}stop", "a".repeat(4091))).fails(1, &["an order has at most 4096 bytes"]);
     order(&format!("mark {}", "é".repeat(3000))).fails(1, &["an order has at most 4096 bytes"]);
+    // Larger than the socket's own buffer.
+    let mut long = std::os::unix::net::UnixStream::connect(recorder.room.path("control.sock")).expect("a recorder");
+    std::io::Write::write_all(&mut long, "a".repeat(500_000).as_bytes()).expect("taken");
+    let mut said = String::new();
+    std::io::Read::read_to_string(&mut long, &mut said).expect("answered");
+    assert!(said.contains("an order has at most 4096 bytes"), "{said}");
     assert_eq!(recorder.asks("status")["state"], "recording");
     recorder.asks("stop");
     order("mark goal!").fails(1, &["nothing is being recorded"]);
@@ -325,6 +353,7 @@ fn what_a_recording_needs_is_asked_for() {
     record("").fails(2, &["camera.lens is not set"]);
     record("--lens lens.toml").fails(2, &["mount.torso_height_m is not set"]);
     record("--lens lens.toml --set mount.torso_height_m=0.4 --set mount.camera_rpy_deg=[0,-90,0]").fails(2, &["up"]);
+    record("--set capture.device=unix:").fails(2, &["capture.device", "unix:/run/realitysim/camera.sock"]);
     assert!(!room.path(CAPTURES).exists(), "nothing was begun");
     room.run("status --socket control.sock").fails(1, &["no recorder is running there"]);
 }

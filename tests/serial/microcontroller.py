@@ -22,6 +22,17 @@ def device_s():
     return (time.monotonic() - STARTED) * (1 + DRIFT) + 5.0
 
 
+FLU, FRD, NED = mavlink.MAV_FRAME_LOCAL_FLU, mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_LOCAL_NED
+BODY = mavlink.MAV_FRAME_BODY_FRD
+HALF = 0.5 ** 0.5
+# The same walk along x, 0.5 m to its left: x is forward, or east of what the compass says.
+as_seen_in = [
+    lambda x, y: (FLU, FLU, (x, y, 0), [1, 0, 0, 0]),
+    lambda x, y: (FRD, BODY, (x, -y, 0), [1, 0, 0, 0]),
+    lambda x, y: (NED, BODY, (y, x, 0), [HALF, 0, 0, HALF]),
+]
+
+
 class Wire:
     def __init__(self, fd, percent):
         self.fd, self.percent, self.noise = fd, percent, random.Random(1)
@@ -53,8 +64,8 @@ def main():
         count("HIGHRES_IMU")
         if tick % 2 == 0:
             nan = [float("nan")] * 21
-            link.odometry_send(us, mavlink.MAV_FRAME_LOCAL_FLU, mavlink.MAV_FRAME_LOCAL_FLU, 0.1 * now, 0.5, 0, [1, 0, 0, 0],
-                               0.1, 0, 0, 0, 0, 0, nan, nan)
+            frame, child, place, facing = as_seen_in[tick // 2 % 3](0.1 * now, 0.5)
+            link.odometry_send(us, frame, child, *place, facing, 0.1, 0, 0, 0, 0, 0, nan, nan)
             count("ODOMETRY")
             flags = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
             # Yaw to the right by 0.2 rad.

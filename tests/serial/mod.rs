@@ -151,11 +151,16 @@ fn what_pymavlink_sends_is_measured_on_the_host_s_clock() {
         _ => None,
     });
     assert!((pan.expect("a head") + 0.2).abs() < 1e-4, "to the right is negative");
-    let x = heard.measured.iter().rev().find_map(|one| match &one.content {
-        Content::Odometry(step) => Some(step.odom_from_body.translation.x),
+    // In three frames by turns, and always the same walk.
+    let walked = heard.measured.iter().filter_map(|one| match &one.content {
+        Content::Odometry(step) => Some(step.odom_from_body),
         _ => None,
     });
-    assert!((0.8..1.0).contains(&x.expect("odometry")), "{x:?}");
+    let walked: Vec<_> = walked.collect();
+    assert!(walked.iter().all(|pose| (pose.translation.y - 0.5).abs() < 1e-6 && pose.euler().yaw.abs() < 1e-6));
+    assert!(walked.is_sorted_by(|one, next| one.translation.x < next.translation.x), "{walked:?}");
+    let x = walked.last().expect("odometry").translation.x;
+    assert!((0.8..1.0).contains(&x), "{x}");
 }
 
 #[test]

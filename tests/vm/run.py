@@ -40,6 +40,7 @@ def main():
         plays_the_walk_to_itself(robot, session)
         survives_a_hang_and_a_kill(robot)
         survives_a_full_disk(robot)
+        answers_while_its_disk_hangs(robot)
         robot.machine.ok("sync")
         robot.switch_off()
         judge_the_walk(walk, session)
@@ -111,6 +112,14 @@ def survives_its_camera(robot):
     machine.until("and recovers without a restart", 30, lambda s: not s["camera_lost"] and written(s) > before + 2)
     brightness = machine.ok("v4l2-ctl -d /dev/robot-camera -C brightness")
     assert brightness == "brightness: 100", f"the driver's reset is undone: {brightness}"
+
+    # Plugged in elsewhere it gets another number; the rules keep its name.
+    machine.ok(f"echo vivid.0 > {bus}/unbind")
+    machine.until("unplugged once more", 20, lambda s: s["camera_lost"] is not None)
+    machine.ok("modprobe -r vivid && modprobe vivid vid_cap_nr=7 vid_out_nr=1 && udevadm settle", 30)
+    assert machine.ok("readlink /dev/robot-camera") == "video7"
+    before = written(machine.status())
+    machine.until("it comes back as another node", 30, lambda s: not s["camera_lost"] and written(s) > before + 2)
 
     machine.ok("v4l2-ctl -d /dev/robot-camera -c inject_fatal_streaming_error=1")
     before = written(machine.status())
@@ -298,6 +307,25 @@ def survives_a_full_disk(robot):
     assert status["session"] == before and status["recorder"]["conserved"], status
     code, text = machine.run(f"realitysim info {before}", 120)
     assert code in (0, 3) and "/odom" in text, f"what was recorded before can be read: {code}\n{text}"
+
+
+def answers_while_its_disk_hangs(robot):
+    """A session cannot end on a disk that takes nothing; whoever asks for it is told so."""
+    machine = robot.machine
+    folder = os.path.dirname(CAPTURES)
+    machine.until("recording", 60, is_recording)
+    machine.ok(f"fsfreeze -f {folder}")
+    try:
+        code, text = machine.run("realitysim stop --json", 40)
+        assert code == 0, f"{code}: {text}"
+        stopped = json.loads(text.splitlines()[-1])
+        assert stopped["state"] == "stopped" and stopped["unfinished"], stopped
+        print("+ a session that cannot end:", stopped["unfinished"], flush=True)
+    finally:
+        machine.ok(f"fsfreeze -u {folder}")
+    machine.ok("realitysim start", 40)
+    status = machine.until("with its disk back, it records", 60, is_recording)
+    assert status["earlier"]["sessions"] == 1 and status["earlier"]["unfinished"] == 1, status["earlier"]
 
 
 def loses_a_second_with_the_power(robot):

@@ -37,6 +37,19 @@ pub(super) fn camera(settings: &Settings, size: (u32, u32)) -> Finding {
     }
 }
 
+/// The size that is asked for is the lens's.
+pub(super) fn without_a_lens(settings: &Settings) -> Finding {
+    let device = &settings.capture.device;
+    let what = format!("camera {device}");
+    #[cfg(feature = "v4l2")]
+    if !device.starts_with(SCHEME)
+        && let Err(error) = crate::sensors::v4l2::offer(std::path::Path::new(device))
+    {
+        return bad(what, error.to_string(), "plug it in, or name another in capture.device");
+    }
+    bad(what, "not tried: no lens says how large its images are", "name the lens file in camera.lens first")
+}
+
 /// Rate, drops and stamps of what comes in a few seconds.
 fn watch(what: String, driver: Box<dyn Driver>, options: CameraOptions) -> Finding {
     let wanted_hz = options.rate_hz;

@@ -30,10 +30,11 @@ const LISTEN: Duration = Duration::from_secs(3);
 
 pub fn examine(settings: &Settings, captures: &Path) -> Vec<Finding> {
     let mut findings = config(settings);
-    if let Some(size) = size(settings) {
-        findings.extend(camera::offer(settings));
-        findings.push(camera::camera(settings, size));
-    }
+    findings.extend(camera::offer(settings));
+    findings.push(match size(settings) {
+        Some(size) => camera::camera(settings, size),
+        None => camera::without_a_lens(settings),
+    });
     findings.extend(ports::ports(&settings.serial));
     findings.extend(cpu::headroom(settings));
     findings.push(disk::disk(settings, captures));

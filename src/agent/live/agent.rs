@@ -121,20 +121,23 @@ impl<'a> Agent<'a> {
         while let Ok(order) = self.control.orders.try_recv() {
             self.obey(order, say)?;
         }
-        if let Some(tags) = &self.tags {
-            for tag in tags.try_iter() {
-                self.control.tell(&tag);
-                self.status.tagged(&tag);
-                self.meters.tagged(&tag);
-                self.devices.send(&tag, self.clock_ns);
-            }
-        }
+        self.pass_tags_on();
         self.tell_of_the_recorder(say);
         for said in self.repairs.try_iter() {
             say(&said);
             self.status.repaired.push(said);
         }
         self.note_status()
+    }
+
+    /// To whoever listens.
+    pub(super) fn pass_tags_on(&mut self) {
+        for tag in self.tags.iter().flat_map(Receiver::try_iter) {
+            self.control.tell(&tag);
+            self.status.tagged(&tag);
+            self.meters.tagged(&tag);
+            self.devices.send(&tag, self.clock_ns);
+        }
     }
 
     fn take(&mut self, event: DeviceEvent, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {

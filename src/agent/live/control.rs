@@ -14,6 +14,7 @@ use parking::Listeners;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 
+use crate::recording::MAX_FINISH;
 use crate::ros2::messages::FrameTag;
 use crate::sensors::stale_socket::clear_away;
 
@@ -38,8 +39,12 @@ const MAX_ORDER_BYTES: usize = 4096;
 const MAX_SILENCE: Duration = Duration::from_secs(60);
 /// How often a listener to poses is looked after while there are none.
 const LOOK_AFTER: Duration = Duration::from_millis(250);
-/// So long the agent may take to answer.
-const ANSWER_WITHIN: Duration = Duration::from_secs(5);
+/// So long the agent may take to answer: longer than a session takes that ends on a disk which takes nothing.
+const ANSWER_WITHIN: Duration = MAX_FINISH.saturating_add(Duration::from_secs(5));
+/// So long listeners to poses have for the last ones, when the recorder ends.
+const LAST_WORDS: Duration = Duration::from_millis(500);
+/// Of an order that is too long, what is still taken of it, so that who sends it comes to hear why it was not.
+const MAX_SWALLOWED_BYTES: u64 = 1 << 20;
 /// Tags that a slow reader of poses may be behind; it misses those beyond.
 const MAX_TAGS_BEHIND: usize = 64;
 
@@ -90,6 +95,7 @@ impl Control {
 
 impl Drop for Control {
     fn drop(&mut self) {
+        self.listeners.close(LAST_WORDS);
         let _ = std::fs::remove_file(&self.path);
     }
 }
@@ -105,7 +111,10 @@ fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners
         }
         // Its rest is no order of its own.
         if line.len() > MAX_ORDER_BYTES {
-            return writeln!(asker, "{}", json!({ "error": format!("an order has at most {MAX_ORDER_BYTES} bytes") }));
+            writeln!(asker, "{}", json!({ "error": format!("an order has at most {MAX_ORDER_BYTES} bytes") }))?;
+            asker.set_read_timeout(Some(LAST_WORDS))?;
+            io::copy(&mut reader.take(MAX_SWALLOWED_BYTES), &mut io::sink())?;
+            return Ok(());
         }
         let Ok(line) = str::from_utf8(&line) else {
             return writeln!(asker, "{}", json!({ "error": "an order is UTF-8 text" }));
@@ -130,7 +139,7 @@ fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners
 }
 
 fn stream(asker: &mut UnixStream, listeners: &Listeners) -> io::Result<()> {
-    let tags = listeners.add();
+    let Some((tags, _listening)) = listeners.add() else { return Ok(()) };
     loop {
         match tags.recv_timeout(LOOK_AFTER) {
             Ok(tag) => {
@@ -182,28 +191,60 @@ pub fn poses(path: &Path, stop: &AtomicBool, mut take: impl FnMut(&str) -> io::R
 mod parking {
     //! Who wants poses.
 
-    use std::sync::Mutex;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::{Arc, Mutex};
+    use std::time::{Duration, Instant};
 
     use super::{FrameTag, MAX_TAGS_BEHIND, Receiver, Sender, bounded};
 
-    #[derive(Default)]
-    pub struct Listeners(Mutex<Vec<Sender<FrameTag>>>);
+    pub struct Listeners {
+        /// `None` once there will be no more tags.
+        all: Mutex<Option<Vec<Sender<FrameTag>>>>,
+        listening: Arc<AtomicUsize>,
+    }
+
+    impl Default for Listeners {
+        fn default() -> Self {
+            Self { all: Mutex::new(Some(Vec::new())), listening: Arc::default() }
+        }
+    }
+
+    /// One that still listens.
+    pub struct Listening(Arc<AtomicUsize>);
+
+    impl Drop for Listening {
+        fn drop(&mut self) {
+            self.0.fetch_sub(1, Ordering::Release);
+        }
+    }
 
     impl Listeners {
-        pub fn add(&self) -> Receiver<FrameTag> {
+        pub fn add(&self) -> Option<(Receiver<FrameTag>, Listening)> {
             let (send, receive) = bounded(MAX_TAGS_BEHIND);
-            if let Ok(mut all) = self.0.lock() {
-                all.push(send);
-            }
-            receive
+            self.all.lock().ok()?.as_mut()?.push(send);
+            self.listening.fetch_add(1, Ordering::Release);
+            Some((receive, Listening(Arc::clone(&self.listening))))
         }
 
         pub fn tell(&self, tag: &FrameTag) {
-            let Ok(mut all) = self.0.lock() else { return };
-            all.retain(|listener| match listener.try_send(tag.clone()) {
-                Ok(()) => true,
-                Err(error) => error.is_full(),
+            let Ok(mut all) = self.all.lock() else { return };
+            all.iter_mut().for_each(|all| {
+                all.retain(|listener| match listener.try_send(tag.clone()) {
+                    Ok(()) => true,
+                    Err(error) => error.is_full(),
+                });
             });
+        }
+
+        /// They get what they were told and go; who reads nothing is not waited for longer than this.
+        pub fn close(&self, within: Duration) {
+            if let Ok(mut all) = self.all.lock() {
+                *all = None;
+            }
+            let began = Instant::now();
+            while self.listening.load(Ordering::Acquire) > 0 && began.elapsed() < within {
+                std::thread::sleep(Duration::from_millis(2));
+            }
         }
     }
 }

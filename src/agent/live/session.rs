@@ -32,6 +32,9 @@ impl Agent<'_> {
         let (setup, constants) = setup(self.options, &self.lens, now_ns, self.heard)?;
         // A session after the first goes on from where that one ended: what was said of the start holds no more.
         let is_first = !core::mem::replace(&mut self.has_begun, true);
+        if !is_first {
+            self.status.begin_anew();
+        }
         let goes_on = self.options.warm_start || !is_first;
         let warm = if goes_on { last_state(&self.options.captures) } else { Ok(None) };
         let warm = warm.unwrap_or_else(|error| {
@@ -73,6 +76,8 @@ impl Agent<'_> {
         self.refresh();
         let Some(session) = self.session.take() else { return };
         let (recorded, ended) = session.finish();
+        // Of frames that were still looked at.
+        self.pass_tags_on();
         if let Some(Recorded { session, counts, recorder, warnings, .. }) = recorded {
             for warning in warnings {
                 say(&format!("warning: {warning}"));

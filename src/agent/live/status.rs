@@ -25,7 +25,9 @@ pub struct Status {
     pub recorder: RecorderStatus,
     /// Why the last session is not whole.
     pub unfinished: Option<String>,
-    /// What was left of earlier sessions.
+    /// Of the sessions of this recorder that have ended before this one.
+    pub earlier: Earlier,
+    /// What was left of earlier recorders' sessions.
     pub repaired: Vec<String>,
     /// What the camera agreed to.
     pub camera: Value,
@@ -45,6 +47,15 @@ pub struct Status {
     pub last_tag: Option<LastTag>,
     /// Which cells of the pose grid the session has images of.
     pub coverage: Option<CoverageStatus>,
+}
+
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Earlier {
+    pub sessions: u64,
+    pub counts: Counts,
+    pub frames_refused: u64,
+    /// Those that are not whole.
+    pub unfinished: u64,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -76,6 +87,16 @@ pub struct LastTag {
 }
 
 impl Status {
+    /// What was counted of the session before is kept: at the end it is asked whether anything was lost.
+    pub fn begin_anew(&mut self) {
+        let earlier = &mut self.earlier;
+        earlier.sessions += 1;
+        earlier.counts.add(&core::mem::take(&mut self.counts));
+        earlier.frames_refused += core::mem::take(&mut self.recorder).frames_refused;
+        earlier.unfinished += u64::from(self.unfinished.take().is_some());
+        self.session = None;
+    }
+
     pub fn tagged(&mut self, tag: &FrameTag) {
         let position = &tag.pose.pose.position;
         self.last_tag = Some(LastTag {

@@ -62,6 +62,12 @@ const MAX_PORTS: usize = 8;
 
 impl CaptureSettings {
     pub(super) fn check(&self) -> Result<(), String> {
+        if let "" | "unix:" = self.device.as_str() {
+            return Err(format!(
+                "capture.device is {:?}: it must be a device, as /dev/robot-camera, or a socket, as unix:/run/realitysim/camera.sock",
+                self.device
+            ));
+        }
         within("capture.rate_hz", self.rate_hz, 1.0, 1000.0)?;
         within("capture.max_rate_hz", self.max_rate_hz, 0.0, 1000.0)?;
         within("capture.jpeg_quality", self.jpeg_quality.into(), 0.0, 100.0)?;

@@ -25,18 +25,27 @@ impl OutputDevice {
     pub fn new(path: &str) -> Self {
         Self { path: path.to_owned(), open: None }
     }
+
+    fn named(&self, error: &io::Error) -> io::Error {
+        let path = &self.path;
+        match error.raw_os_error() {
+            Some(code) if code == rustix::io::Errno::NOTTY.raw_os_error() => io::Error::other(format!(
+                "{path} is no video device that takes frames (docs/hardware.md: v4l2loopback)"
+            )),
+            _ => io::Error::new(error.kind(), format!("{path}: {error}")),
+        }
+    }
 }
 
 impl Sink for OutputDevice {
     fn open(&mut self, format: &Negotiated) -> io::Result<()> {
-        let named = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", self.path));
-        self.open = Some(Output::open(&self.path, format).map_err(named)?);
+        self.open = Some(Output::open(&self.path, format).map_err(|error| self.named(&error))?);
         Ok(())
     }
 
     fn write(&mut self, data: &[u8], info: &BufferInfo) -> io::Result<bool> {
-        let named = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", self.path));
-        self.open.as_mut().map_or(Ok(false), |output| output.write(data, info)).map_err(named)
+        let written = self.open.as_mut().map_or(Ok(false), |output| output.write(data, info));
+        written.map_err(|error| self.named(&error))
     }
 
     fn close(&mut self) {
