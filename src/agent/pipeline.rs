@@ -60,6 +60,7 @@ pub struct Pipeline {
     topics: Topics,
     recording: Recording,
     lens: LensParameters,
+    body_masks: Vec<Vec<u32>>,
     dimensions: FieldDimensions,
     attitude: AttitudeSource,
     synchroniser: Synchroniser,
@@ -99,6 +100,7 @@ impl Pipeline {
         Self {
             topics,
             lens,
+            body_masks: eyes.body_masks(),
             dimensions,
             attitude,
             synchroniser,
@@ -366,6 +368,7 @@ impl Pipeline {
             settings: settings.clone(),
             field: self.dimensions.clone(),
             lens: self.lens.clone(),
+            body_masks: self.body_masks.clone(),
             live: self.recording.live.clone(),
         };
         let Recording { captures, writing, .. } = &self.recording;

@@ -131,6 +131,11 @@ impl Eyes {
         Ok(Self { vision: Vision::new(lens, vision), bodies })
     }
 
+    /// [`BodyMask::runs`] of all of them.
+    pub fn body_masks(&self) -> Vec<Vec<u32>> {
+        self.bodies.iter().map(|body| body.mask.runs()).collect()
+    }
+
     /// The first mask whose ranges hold the head.
     pub fn body(&self, head: Option<Head>) -> Option<&BodyMask> {
         let head = head.unwrap_or(Head { pan: 0.0, tilt: 0.0 });

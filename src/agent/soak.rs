@@ -103,6 +103,7 @@ fn info(options: &SoakOptions, start_ns: i64) -> Result<(String, SessionInfo), A
         source: Some("soak".to_owned()),
         field: load_field(&settings.field).map_err(|error| unusable(&error))?,
         lens: load_lens("fisheye-640").map_err(|error| unusable(&error))?.lens.parameters().clone(),
+        body_masks: Vec::new(),
         live: None,
         settings,
     };

@@ -38,7 +38,7 @@ fn named_by(path: &Path) -> Vec<PathBuf> {
         let field = field_file(&field_seen_from(path, &scene.scene.field));
         return field.into_iter().chain(lens_file(&lens_seen_from(path, &scene.camera.lens))).collect();
     }
-    Settings::parse(&text, "").map_or_else(|_| Vec::new(), |settings| files_of(&settings))
+    Settings::parse(&text, "").map_or_else(|_| Vec::new(), |settings| files_of(&settings.seen_from(path)))
 }
 
 /// What a config names.

@@ -174,9 +174,7 @@ fn robot_file(refining: &Refining, lens: &Path) -> String {
     }
     text.push_str(TILT);
     let name = lens.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let place = lens.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let lens = place.map_or(name.clone(), |folder| folder.join(&name).display().to_string());
-    text.push_str(&format!("[camera]\nlens = {lens:?}\n\n[mount]\n"));
+    text.push_str(&format!("[camera]\nlens = {name:?}\n\n[mount]\n"));
     let [roll, pitch, yaw] = corrected(mount.camera_rpy_deg, &constants);
     match mount.torso_height_m {
         Some(height) => text.push_str(&format!("torso_height_m = {:.4}\n", height + constants.height_m)),

@@ -141,7 +141,7 @@ fn take(
     field: Option<&FieldDimensions>,
     added: &mut Added,
 ) -> Result<(), DatabaseError> {
-    let Read { mut source, records: found, field: own, ambiguous, losses, lit } = read;
+    let Read { mut source, records: found, field: own, ambiguous, losses, lit, bodies } = read;
     let at = source.path.clone();
     let path = || at.clone();
     let wanted = own.as_ref().or(field);
@@ -166,16 +166,28 @@ fn take(
     added.left_out += source.left_out;
     added.ambiguous += ambiguous;
     added.losses.extend(losses);
-    source.dark = lit.mask().map(|mask| write_mask(folder, &source, mask)).transpose()?;
+    source.dark = lit.mask().map(|mask| write_mask(folder, &source, DARK, mask)).transpose()?;
+    if !bodies.is_empty() {
+        let masks = bodies.iter().map(|body| write_mask(folder, &source, BODY, body.to_gray()));
+        source.body_masks = masks.collect::<Result<_, _>>()?;
+    }
     source.darkening = darkening::measured(folder, &source, &found, &catalogue.field)?;
     records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
     catalogue.sources.push(source);
     Ok(())
 }
 
+const DARK: &str = "dark-";
+const BODY: &str = "body-";
+
+fn is_mask(name: &str) -> bool {
+    let hash = name.strip_prefix(DARK).or_else(|| name.strip_prefix(BODY));
+    hash.and_then(|rest| rest.strip_suffix(".png")).is_some_and(|hash| hash.len() == 8)
+}
+
 /// Its name tells its content, so that an older catalogue's is never overwritten.
-fn write_mask(folder: &Path, source: &Source, mask: Vec<u8>) -> Result<String, DatabaseError> {
-    let name = format!("dark-{:08x}.png", crc32fast::hash(&mask));
+fn write_mask(folder: &Path, source: &Source, what: &str, mask: Vec<u8>) -> Result<String, DatabaseError> {
+    let name = format!("{what}{:08x}.png", crc32fast::hash(&mask));
     let path = folder.join(&name);
     let failed = |what: String| DatabaseError::Image { path: path.clone(), what };
     let image = image::GrayImage::from_raw(source.lens.width, source.lens.height, mask);
@@ -196,7 +208,20 @@ fn publish(folder: &Path, mut catalogue: Catalogue, records: Vec<Record>) -> Res
     catalogue.write(folder)?;
     // Who has mapped it keeps it; a name that stays behind does no harm.
     let _ = fs::remove_file(old);
+    remove_masks_but(folder, &catalogue);
     Ok(())
+}
+
+/// Those of sources that are gone, and of additions that came to nothing.
+fn remove_masks_but(folder: &Path, catalogue: &Catalogue) {
+    let masks = |source: &Source| source.dark.iter().chain(&source.body_masks).cloned().collect::<Vec<String>>();
+    let used: Vec<String> = catalogue.sources.iter().flat_map(masks).collect();
+    for entry in fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
+        let name = entry.file_name();
+        if name.to_str().is_some_and(|name| is_mask(name) && !used.iter().any(|used| used == name)) {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
 }
 
 /// What a database holds.

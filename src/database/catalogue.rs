@@ -29,7 +29,7 @@ pub struct Source {
     pub lens: LensParameters,
     /// Relative to `path`; empty if `path` is the file itself.
     pub files: Vec<PathBuf>,
-    /// PNGs that hide the robot's own body, whatever its head does.
+    /// PNGs that hide the robot's own body, whatever its head does: in the database's folder, or with their whole path.
     pub body_masks: Vec<String>,
     /// A PNG in the database's folder, black where no image was ever lit: outside of the lens's circle.
     pub dark: Option<String>,

@@ -324,9 +324,10 @@ pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Resul
         let drawn = camera.shows().iter().enumerate();
         drawn.map(|(index, drawn)| *drawn && !masks.iter().any(|mask| mask.hides(pixel(index)))).collect()
     };
-    let dark = source.dark.as_ref().map(|name| read(&folder.join(name).display().to_string())).transpose()?;
+    let within = |name: &String| folder.join(name).display().to_string();
+    let dark = source.dark.as_ref().map(|name| read(&within(name))).transpose()?;
     let lit = without_rim(&shown(dark.as_slice()), width as usize);
-    let bodies = source.body_masks.iter().map(|png| read(png)).collect::<Result<Vec<_>, _>>()?;
+    let bodies = source.body_masks.iter().map(|name| read(&within(name))).collect::<Result<Vec<_>, _>>()?;
     Ok(lit.iter().zip(shown(&bodies)).map(|(lit, body)| *lit && body).collect())
 }
 

@@ -22,6 +22,7 @@ use crate::ros2::messages::{CompressedImageView, FrameTag};
 use crate::sensors::decode;
 use crate::sensors::intake::isometry;
 use crate::sensors::log::{self, LogSource};
+use crate::vision::BodyMask;
 
 /// A source with its images.
 pub(super) struct Read {
@@ -35,6 +36,8 @@ pub(super) struct Read {
     pub(super) losses: Vec<Loss>,
     /// The brightest that each pixel ever was.
     pub(super) lit: Lit,
+    /// What is the robot's own body, if the source says so itself.
+    pub(super) bodies: Vec<BodyMask>,
 }
 
 /// For each pixel the greatest of its three channels over all images.
@@ -154,6 +157,7 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
         files: files.iter().map(relative).collect(),
         dark: None,
         darkening: None,
+        // Those of a capture that has none of its own lie where it was made.
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
         images: records.len() as u64,
         left_out,
@@ -162,7 +166,8 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
         goals: !info.source.is_some_and(|source| source.ends_with(".toml")),
         path,
     };
-    Ok(Read { source, records, field: Some(info.field), ambiguous, losses, lit })
+    let bodies = info.body_masks.iter().filter_map(|runs| BodyMask::from_runs(size[0], size[1], runs)).collect();
+    Ok(Read { source, records, field: Some(info.field), ambiguous, losses, lit, bodies })
 }
 
 /// Where in a message the stored bytes begin, these, and what they are.
@@ -296,7 +301,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         with_ambiguous: false,
         goals: true,
     };
-    Ok(Read { source, records, field: None, ambiguous: 0, losses, lit })
+    Ok(Read { source, records, field: None, ambiguous: 0, losses, lit, bodies: Vec::new() })
 }
 
 fn finish(

@@ -40,6 +40,9 @@ pub struct SessionInfo {
     pub settings: Settings,
     pub field: FieldDimensions,
     pub lens: LensParameters,
+    /// What of the image is the robot's own body, of each mask of the settings: row by row, how many pixels show, hide, show, and so on.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub body_masks: Vec<Vec<u32>>,
     /// Of a live recording.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub live: Option<LiveInfo>,

@@ -2,6 +2,9 @@
 
 use crate::vision::BodyMask;
 
+/// A session keeps its masks, and a body has few edges.
+const MAX_RUNS: usize = 20_000;
+
 /// Dark pixels hide; the size must be the camera's. An error says what is wrong with the file.
 pub fn body_mask(png: &str, width: u32, height: u32) -> Result<BodyMask, String> {
     let image = image::open(png).map_err(|error| error.to_string())?.into_luma8();
@@ -9,5 +12,10 @@ pub fn body_mask(png: &str, width: u32, height: u32) -> Result<BodyMask, String>
         let (w, h) = image.dimensions();
         return Err(format!("the mask has {w} x {h} pixels, the camera {width} x {height}"));
     }
-    BodyMask::from_gray(width as usize, height as usize, image.as_raw()).ok_or_else(|| "not a gray image".to_owned())
+    let mask = BodyMask::from_gray(width as usize, height as usize, image.as_raw());
+    let mask = mask.ok_or_else(|| "not a gray image".to_owned())?;
+    match mask.runs().len() {
+        edges if edges > MAX_RUNS => Err(format!("{edges} edges along its rows: paint areas, not specks")),
+        _ => Ok(mask),
+    }
 }

@@ -20,6 +20,35 @@ impl BodyMask {
         })
     }
 
+    /// Row by row, how many pixels show, hide, show, and so on: what a session keeps.
+    pub fn runs(&self) -> Vec<u32> {
+        let (mut runs, mut hides) = (vec![0], false);
+        for hidden in &self.hidden {
+            if *hidden != hides {
+                runs.push(0);
+                hides = *hidden;
+            }
+            runs.last_mut().into_iter().for_each(|run| *run += 1);
+        }
+        runs
+    }
+
+    /// `None` if they are not of as many pixels.
+    pub fn from_runs(width: usize, height: usize, runs: &[u32]) -> Option<Self> {
+        let count = width.checked_mul(height)?;
+        if runs.iter().map(|run| u64::from(*run)).sum::<u64>() != count as u64 {
+            return None;
+        }
+        let of_each = runs.iter().enumerate().map(|(index, run)| (index % 2 == 1, *run as usize));
+        let hidden = of_each.flat_map(|(hides, run)| core::iter::repeat_n(hides, run)).collect();
+        Some(Self { width, height, hidden })
+    }
+
+    /// As [`Self::from_gray`] takes it.
+    pub fn to_gray(&self) -> Vec<u8> {
+        self.hidden.iter().map(|hidden| if *hidden { 0 } else { 255 }).collect()
+    }
+
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
@@ -28,5 +57,22 @@ impl BodyMask {
         let (u, v) = (libm::round(pixel.x), libm::round(pixel.y));
         let inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
         inside && self.hidden[v as usize * self.width + u as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn runs_are_the_mask(gray in proptest::collection::vec(any::<bool>(), 35)) {
+            let gray: Vec<u8> = gray.into_iter().map(|shows| if shows { 255 } else { 0 }).collect();
+            let mask = BodyMask::from_gray(7, 5, &gray).expect("fits");
+            prop_assert_eq!(BodyMask::from_runs(7, 5, &mask.runs()), Some(mask.clone()));
+            prop_assert_eq!(mask.to_gray(), gray);
+            prop_assert_eq!(BodyMask::from_runs(7, 4, &mask.runs()), None);
+        }
     }
 }

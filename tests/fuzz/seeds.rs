@@ -205,6 +205,7 @@ fn descriptions() {
         settings: Settings::default(),
         field: field.clone(),
         lens: lens.clone(),
+        body_masks: Vec::new(),
         live: None,
     };
     keep("capture", "sound-session", serde_json::to_vec(&info).unwrap());

@@ -179,9 +179,10 @@ def shows_its_captures_to_whoever_fetches_them(robot):
     machine = robot.machine
     session = machine.status()["session"]
     machine.ok("useradd -M -G realitysim fetcher; useradd -M stranger")
-    segment = machine.ok(f"ls {session}/*.mcap* | head -1")
-    machine.ok(f"runuser -u fetcher -- sh -c 'head -c 100 {segment} > /dev/null && echo yes > {session}/ack/a.jsonl'")
-    code, _ = machine.run(f"runuser -u stranger -- head -c 100 {segment} > /dev/null 2>&1")
+    # A segment that is being recorded may get its final name between two commands.
+    reads = f"cat {session}/*.mcap* 2>/dev/null | head -c 100 | grep -q ."
+    machine.ok(f"runuser -u fetcher -- sh -c '{reads} && echo yes > {session}/ack/a.jsonl'")
+    code, _ = machine.run(f"runuser -u stranger -- sh -c '{reads}'")
     assert code != 0, "captures are for the group only"
     machine.ok(f"rm {session}/ack/a.jsonl")
     print("+ the group reads captures and acknowledges them, others do not", flush=True)

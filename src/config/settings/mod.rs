@@ -11,10 +11,12 @@ mod recording;
 mod thinning;
 mod views;
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
-use super::ConfigError;
 use super::source::read;
+use super::{ConfigError, field_seen_from, lens_seen_from};
 
 pub use camera::{BodyMaskFile, CameraSettings};
 pub use filter::{FilterConfig, Formula, Model, MotionSource, SimdPath};
@@ -46,9 +48,20 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// Paths in the file start at its own folder.
     pub fn load(path: &str) -> Result<Self, ConfigError> {
         let source = read(path)?;
-        Self::parse(&source.text, &source.name)
+        Ok(Self::parse(&source.text, &source.name)?.seen_from(Path::new(path)))
+    }
+
+    /// What a file at `path` means by its paths.
+    pub fn seen_from(mut self, path: &Path) -> Self {
+        self.field = field_seen_from(path, &self.field);
+        self.camera.lens = self.camera.lens.map(|lens| lens_seen_from(path, &lens));
+        for BodyMaskFile { png, .. } in &mut self.camera.body_mask {
+            *png = path.parent().unwrap_or(Path::new("")).join(&png).display().to_string();
+        }
+        self
     }
 
     /// `name` is for messages.

@@ -238,6 +238,7 @@ pub fn session_info() -> SessionInfo {
         settings: Settings::default(),
         field: load_field("kid-2009").unwrap(),
         lens: load_lens("fisheye-640").unwrap().lens.parameters().clone(),
+        body_masks: Vec::new(),
         live: None,
     }
 }
