@@ -24,6 +24,7 @@ pub fn run(rounds: usize, text: &mut String) {
         method: Method::Exact,
         camera: None,
         max_distance_m: f64::INFINITY,
+        may_be_stored: true,
         without: Vec::new(),
     };
     let between = |i: usize| Isometry {

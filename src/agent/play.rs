@@ -118,7 +118,7 @@ fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Play
     let topics = &info.settings.topics;
     let wanted = [topics.image.as_str(), topics.odometry.as_str(), topics.imu.as_str()];
     let messages = LogSource::new(log::files_of(path)?, Selection::topics(wanted));
-    let mut stage = Stage::new(options, info.lens.width, info.lens.height)?;
+    let mut stage = Stage::new(options, [info.lens.width, info.lens.height], stop)?;
     let mut first_ns = None;
     for message in messages {
         let message = message?;
@@ -169,6 +169,7 @@ fn trajectory(
             method: Method::Exact,
             camera: camera.clone(),
             max_distance_m: f64::INFINITY,
+            may_be_stored: true,
             without: Vec::new(),
         };
         let shown = match (gallery.view(&wanted), &mut stage) {
@@ -187,7 +188,7 @@ fn trajectory(
         let bytes = stored.or_else(|| jpeg(&image.to_rgb(), width, height));
         let stage = match &mut stage {
             Some(stage) => stage,
-            none => none.insert(Stage::new(options, width as u32, height as u32)?),
+            none => none.insert(Stage::new(options, [width as u32, height as u32], stop)?),
         };
         let since_ns = (seconds * 1e9) as i64;
         let events = [Some(Event::Odometry(Pose2::from_isometry(pose))), bytes.map(Event::Image)];
@@ -215,8 +216,8 @@ struct Stage<'a> {
 
 impl<'a> Stage<'a> {
     /// What is not there at the start is an error: it may be a wrong name.
-    fn new(options: &'a PlayOptions, width: u32, height: u32) -> Result<Self, PlayError> {
-        let video = options.video.as_ref().map(|path| VideoOut::open(path, width, height)).transpose()?;
+    fn new(options: &'a PlayOptions, [width, height]: [u32; 2], stop: &AtomicBool) -> Result<Self, PlayError> {
+        let video = options.video.as_ref().map(|path| video(path, [width, height], stop)).transpose()?;
         let serial = options.serial.as_ref().map(port).transpose()?;
         Ok(Self {
             options,
@@ -307,6 +308,16 @@ impl<'a> Stage<'a> {
 
     fn played(&self) -> Played {
         Played { seconds: self.started.elapsed().as_secs_f64(), ..self.played }
+    }
+}
+
+/// Whoever is to read a pipe may come later.
+fn video(path: &Path, [width, height]: [u32; 2], stop: &AtomicBool) -> Result<VideoOut, VideoOutError> {
+    loop {
+        match VideoOut::open(path, width, height) {
+            Err(error) if error.nobody_reads() && !stop.load(Ordering::Relaxed) => std::thread::sleep(NAP),
+            opened => return opened,
+        }
     }
 }
 

@@ -183,7 +183,15 @@ fn stats(stats: &Stats, json: bool) -> anyhow::Result<Outcome> {
             "x {:.2} to {:.2} m, y {:.2} to {:.2} m, z {:.2} to {:.2} m\n",
             low[0], high[0], low[1], high[1], low[2], high[2]
         ));
-        text.push_str(&format!("tags: median sigma {:.1} mm, {:.2} deg\n", 1e3 * stats.sigma_m, stats.sigma_deg));
+        if let (Some(metres), Some(degrees)) = (stats.sigma_m, stats.sigma_deg) {
+            text.push_str(&format!("tags: median sigma {:.1} mm, {degrees:.2} deg\n", 1e3 * metres));
+        }
+        if stats.without_sigma > 0 {
+            text.push_str(&format!(
+                "poses of unknown accuracy: {}; 10 mm, 0.25 deg are assumed\n",
+                stats.without_sigma
+            ));
+        }
     }
     for source in &stats.sources {
         text.push_str(&format!(

@@ -142,8 +142,14 @@ fn forms(gallery: &Gallery, number: usize, apart: f64) -> anyhow::Result<Option<
     let mut images = vec![recorded.full().clone()];
     for method in [Method::Exact, Method::Paper, Method::Nearest] {
         let camera = Some(Arc::clone(camera));
-        let wanted =
-            Wanted { map_from_link: pose, method, camera, max_distance_m: f64::INFINITY, without: without.clone() };
+        let wanted = Wanted {
+            map_from_link: pose,
+            method,
+            camera,
+            max_distance_m: f64::INFINITY,
+            may_be_stored: true,
+            without: without.clone(),
+        };
         match gallery.view(&wanted) {
             Ok(shown) => images.push(shown.answer.image),
             Err(crate::database::DatabaseError::View(_) | crate::database::DatabaseError::Image { .. }) => {

@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::config::{Settings, field_file, field_seen_from, lens_file, lens_seen_from};
+use crate::database::Catalogue;
 use crate::evaluation::suite::Suite;
 use crate::recording::{read_info, session_holding};
 use crate::scene::SceneFile;
@@ -29,6 +30,9 @@ pub fn with_what_they_name(inputs: &[&Path]) -> Vec<PathBuf> {
 fn named_by(path: &Path) -> Vec<PathBuf> {
     if let Some(session) = session_holding(path) {
         return read_info(&session).map_or_else(|_| Vec::new(), |info| files_of(&info.settings));
+    }
+    if let Ok(catalogue) = Catalogue::read(path) {
+        return catalogue.sources.into_iter().map(|source| source.path).collect();
     }
     let Some(text) = small_text(path) else { return Vec::new() };
     if let Ok(suite) = Suite::parse(&text, path) {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use glam::DVec3;
 
-use super::paths::cannot_read;
+use super::paths::{cannot_read, check_output};
 use super::settings::UsageError;
 use super::{Outcome, output};
 use crate::agent::live::stop_flag;
@@ -55,6 +55,10 @@ fn times(text: &str) -> Result<f64, String> {
 pub fn run(arguments: &PlayArguments, json: bool) -> anyhow::Result<Outcome> {
     let PlayArguments { source, video, serial, baud, db, speed, system, config } = arguments;
     let settings = config.as_deref().map_or(Ok(Settings::default()), Settings::load)?;
+    for output in [video.clone(), serial.as_ref().map(PathBuf::from)].into_iter().flatten() {
+        let read = [Some(source.as_path()), db.as_deref(), config.as_deref().map(Path::new)];
+        check_output(&output, &read.into_iter().flatten().collect::<Vec<_>>())?;
+    }
     let source = match (source.extension().is_some_and(|ending| ending == "csv"), db) {
         (false, None) => PlaySource::Capture(source.clone()),
         (true, Some(db)) => {

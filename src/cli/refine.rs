@@ -14,7 +14,6 @@ use crate::database::{Gallery, add, leave_one_out};
 use crate::evaluation::Summary;
 use crate::evaluation::capture::read_truth;
 use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
-use crate::recording::REFINED_FOLDER;
 use crate::ros2::messages::FrameTag;
 use crate::sensors::intake::isometry;
 use crate::smoothing::{Constants, Model};
@@ -77,20 +76,16 @@ pub fn run(arguments: &RefineArguments, json: bool) -> anyhow::Result<Outcome> {
     progress.finish();
     let RefinedInfo { constants, frames, rms_px, .. } = refining.info();
     let views = usize::from(*views);
-    let judged = |tags: &[FrameTag], rms_px: f64| -> anyhow::Result<Judged> {
+    let judged = |capture: &Path, tags: &[FrameTag], rms_px: f64| -> anyhow::Result<Judged> {
         let truth = truth.as_ref().map(|truth| errors(tags, &refining.stamps_ns, &truth.found));
         let (position_cm, angle_deg) = truth.flatten().unzip();
         let view_psnr_db = if views > 0 { psnr(capture, views)? } else { None };
         Ok(Judged { rms_px, position_cm, angle_deg, view_psnr_db })
     };
-    // Earlier refined tags would be taken for those that were recorded.
-    let earlier = capture.join(REFINED_FOLDER);
-    if earlier.is_dir() {
-        std::fs::remove_dir_all(&earlier).map_err(|error| super::paths::cannot_write(&earlier, error))?;
-    }
-    let before = judged(&refining.tags, rms_px[0])?;
+    let recorded = as_recorded(capture)?;
+    let before = judged(recorded.path(), &refining.tags, rms_px[0])?;
     let folder = refining.write(capture)?;
-    let after = judged(&refining.refined, rms_px[1])?;
+    let after = judged(capture, &refining.refined, rms_px[1])?;
     if let Some(path) = write_calibration {
         calibration(&refining, path)?;
     }
@@ -117,6 +112,23 @@ fn errors(tags: &[FrameTag], stamps_ns: &[i64], truth: &[(i64, Isometry)]) -> Op
         }
     }
     (!centimetres.is_empty()).then(|| (Summary::of(&centimetres), Summary::of(&degrees)))
+}
+
+/// The capture without the tags of an earlier refinement, which would be taken for those that were recorded; these stay where they are
+/// until better ones are there.
+fn as_recorded(capture: &Path) -> std::io::Result<tempfile::TempDir> {
+    let folder = tempfile::tempdir()?;
+    for entry in std::fs::read_dir(capture)? {
+        let (name, path) = entry.map(|entry| (entry.file_name(), entry.path()))?;
+        let to = folder.path().join(name);
+        if path.extension().is_some_and(|ending| ending == "mcap") {
+            std::os::unix::fs::symlink(path.canonicalize()?, to)?;
+        } else if path.is_file() {
+            // What describes a capture is read from no link.
+            std::fs::copy(path, to)?;
+        }
+    }
+    Ok(folder)
 }
 
 /// With the capture's tags as they are now. Rendered captures have no goals, and real ones are judged by their ground alone.
@@ -174,20 +186,27 @@ fn robot_file(refining: &Refining, lens: &Path) -> String {
     }
     text.push_str(TILT);
     let name = lens.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    text.push_str(&format!("[camera]\nlens = {name:?}\n\n[mount]\n"));
-    let [roll, pitch, yaw] = corrected(mount.camera_rpy_deg, &constants);
-    match mount.torso_height_m {
-        Some(height) => text.push_str(&format!("torso_height_m = {:.4}\n", height + constants.height_m)),
-        None => text.push_str(&format!(
-            "# The mount of this capture stood in its transforms: the camera is {:+.4} m higher than they say, and turned\n# by \
-             these angles against them.\n",
-            constants.height_m
-        )),
+    text.push_str(&format!("[camera]\nlens = {name:?}\n"));
+    // `record` makes the transforms of its config's mount; any other capture has them from its log, whatever a config says.
+    match mount.torso_height_m.filter(|_| refining.info.live.is_some()) {
+        Some(height) => {
+            let [roll, pitch, yaw] = corrected(mount.camera_rpy_deg, &constants);
+            let [x, y, z] = mount.camera_xyz_m;
+            text.push_str(&format!(
+                "\n[mount]\ntorso_height_m = {:.4}\ncamera_xyz_m = [{x:?}, {y:?}, {z:?}]\ncamera_rpy_deg = [{roll:.4}, {pitch:.4}, {yaw:.4}]\n",
+                height + constants.height_m
+            ));
+        }
+        None => {
+            let [roll, pitch, yaw] = corrected([0.0; 3], &constants);
+            text.push_str(&format!(
+                "\n# The mount of this capture stands in the transforms of its log, which no config changes. Correct them where they are made:\n\
+                 # the camera is {:+.4} m higher than they say, and turned in its own frame (camera_link) by roll, pitch, yaw of\n\
+                 # [{roll:.4}, {pitch:.4}, {yaw:.4}] degrees.\n",
+                constants.height_m
+            ));
+        }
     }
-    let [x, y, z] = mount.camera_xyz_m;
-    text.push_str(&format!(
-        "camera_xyz_m = [{x:?}, {y:?}, {z:?}]\ncamera_rpy_deg = [{roll:.4}, {pitch:.4}, {yaw:.4}]\n"
-    ));
     text
 }
 

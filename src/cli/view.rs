@@ -182,6 +182,7 @@ fn wanted(arguments: &ViewArguments) -> anyhow::Result<Wanted> {
         method: arguments.method.into(),
         camera: None,
         max_distance_m: max_distance.unwrap_or(f64::INFINITY),
+        may_be_stored: arguments.scene.is_none(),
         without: Vec::new(),
     })
 }

@@ -112,6 +112,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
             method: Method::Exact,
             camera: camera.clone(),
             max_distance_m: f64::INFINITY,
+            may_be_stored: true,
             without: Vec::new(),
         };
         let shown = gallery.view(&wanted)?;

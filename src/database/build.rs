@@ -233,9 +233,11 @@ pub struct Stats {
     pub index_bytes: usize,
     /// Least and greatest x, y, z of `camera_link`, metres; `null` without images.
     pub box_m: Option<[[f32; 3]; 2]>,
-    /// Medians of the tags' standard deviations.
-    pub sigma_m: f32,
-    pub sigma_deg: f32,
+    /// Medians of the tags' standard deviations, of those that say so.
+    pub sigma_m: Option<f32>,
+    pub sigma_deg: Option<f32>,
+    /// Images whose poses come without their accuracy.
+    pub without_sigma: usize,
 }
 
 pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
@@ -246,12 +248,15 @@ pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
         let [low, high] = extent.unwrap_or([record.place; 2]);
         let side = |of: fn(f32, f32) -> f32, known: [f32; 3]| core::array::from_fn(|i| of(known[i], record.place[i]));
         extent = Some([side(f32::min, low), side(f32::max, high)]);
-        metres.push(record.sigma_m);
-        radians.push(record.sigma_rad);
+        if record.says_how_good_it_is() {
+            metres.push(record.sigma_m);
+            radians.push(record.sigma_rad);
+        }
     }
+    let without_sigma = index.len() - metres.len();
     let median = |mut values: Vec<f32>| {
         values.sort_by(f32::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
+        values.get(values.len() / 2).copied()
     };
     Ok(Stats {
         images: index.len(),
@@ -260,7 +265,8 @@ pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
         index_bytes: index.bytes(),
         box_m: extent,
         sigma_m: median(metres),
-        sigma_deg: median(radians).to_degrees(),
+        sigma_deg: median(radians).map(f32::to_degrees),
+        without_sigma,
     })
 }
 

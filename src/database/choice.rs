@@ -134,7 +134,7 @@ fn is_apart(metric: &Metric, image: &Image, share: f64, others: &[Image]) -> boo
 
 /// 0 for a good tag and a picture that is neither dark, nor blown out, nor blurred, up to 1.
 fn badness(record: &Record) -> f64 {
-    let tag = (f64::from(record.sigma_m) / 0.05).min(1.0);
+    let tag = (record.tag().position_m / 0.05).min(1.0);
     let light = match record.brightness {
         dark if dark < 40.0 => f64::from(40.0 - dark) / 40.0,
         bright if bright > 200.0 => f64::from(bright - 200.0) / 55.0,

@@ -48,6 +48,8 @@ pub struct Wanted {
     /// Without it, that of the nearest image.
     pub camera: Option<Arc<Camera>>,
     pub max_distance_m: f64,
+    /// Whether an image that was taken there is the answer as it is; not if a scene is put upon it.
+    pub may_be_stored: bool,
     /// Records that are not to be used: for leaving one out.
     pub without: Vec<usize>,
 }
@@ -249,7 +251,8 @@ impl Gallery {
             vignetting: self.darkening_of(camera.lens().parameters()),
             settings: ViewSettings {
                 sources: self.settings.sources,
-                stored_within_m: self.settings.stored_within_m,
+                // Nothing is as near as that.
+                stored_within_m: if wanted.may_be_stored { self.settings.stored_within_m } else { -1.0 },
                 stored_within_rad: self.settings.stored_within_deg.to_radians(),
                 max_distance_m: wanted.max_distance_m,
             },

@@ -26,6 +26,7 @@ pub fn leave_one_out(
             method: Method::Exact,
             camera: Some(camera.clone()),
             max_distance_m: f64::INFINITY,
+            may_be_stored: true,
             without: vec![number],
         };
         let shown = match gallery.view(&asked) {

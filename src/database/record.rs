@@ -40,6 +40,9 @@ pub enum Form {
 
 pub(super) const RECORD_BYTES: usize = 80;
 
+/// What poses that nobody knows the accuracy of are taken to be: measured with care, by hand.
+const ASSUMED: TagError = TagError { position_m: 0.01, rotation_rad: 0.25 * core::f64::consts::PI / 180.0 };
+
 impl Record {
     /// Of no image yet.
     pub fn at(pose: &Isometry) -> Self {
@@ -68,8 +71,16 @@ impl Record {
         Isometry::new(DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(x, y, z))
     }
 
+    /// Of images whose poses come without their accuracy, [`ASSUMED`].
     pub fn tag(&self) -> TagError {
-        TagError { position_m: f64::from(self.sigma_m), rotation_rad: f64::from(self.sigma_rad) }
+        match self.says_how_good_it_is() {
+            true => TagError { position_m: f64::from(self.sigma_m), rotation_rad: f64::from(self.sigma_rad) },
+            false => ASSUMED,
+        }
+    }
+
+    pub fn says_how_good_it_is(&self) -> bool {
+        self.sigma_m > 0.0 || self.sigma_rad > 0.0
     }
 
     pub(super) fn set_pose(&mut self, pose: &Isometry) {

@@ -265,7 +265,14 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
             }
         };
         if lens.is_none() {
-            lens = Some(camera_of(&path, &bytes)?);
+            lens = match colours(&bytes, Form::File) {
+                Ok(first) => Some(camera_of(&path, [first.width as u32, first.height as u32])?),
+                Err(what) => {
+                    losses.push(Loss::new(&file, what));
+                    left_out += 1;
+                    continue;
+                }
+            };
         }
         let mut record = record_of(&FrameTag::default(), files.len() as u32, 0, &bytes, Form::File);
         record.set_pose(&pose);
@@ -315,14 +322,13 @@ fn finish(
 }
 
 /// `camera_info.yaml` beside the images, for images of this size.
-fn camera_of(folder: &Path, first: &[u8]) -> Result<crate::geometry::LensParameters, DatabaseError> {
+fn camera_of(folder: &Path, [width, height]: [u32; 2]) -> Result<crate::geometry::LensParameters, DatabaseError> {
     let path = folder.join(CAMERA);
     if !path.is_file() {
         let what = format!("without {CAMERA}, as ROS camera_calibration writes it, nobody knows the lens");
         return Err(DatabaseError::Source { path: folder.to_owned(), what });
     }
-    let size = colours(first, Form::File).map_err(|what| DatabaseError::Image { path: folder.to_owned(), what })?;
-    let file = load_lens_for_image(&path.display().to_string(), size.width as u32, size.height as u32)?;
+    let file = load_lens_for_image(&path.display().to_string(), width, height)?;
     Ok(file.lens.parameters().clone())
 }
 

@@ -1,10 +1,12 @@
 //! Pictures to where a camera's would come from: a V4L2 output (v4l2loopback, vivid), or any file or pipe.
 
-use std::fs::OpenOptions;
+use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::io::Errno;
 use thiserror::Error;
 
 /// What is written of each picture.
@@ -42,14 +44,32 @@ impl VideoOut {
         if is_device {
             return device(path, width, height);
         }
-        let is_pipe = path.metadata().is_ok_and(|meta| meta.file_type().is_fifo());
-        let file = OpenOptions::new().write(true).create(!is_pipe).truncate(!is_pipe).open(path).map_err(opened)?;
+        let file = match path.metadata().is_ok_and(|meta| meta.file_type().is_fifo()) {
+            true => pipe(path).map_err(opened)?,
+            false => OpenOptions::new().write(true).create(true).truncate(true).open(path).map_err(opened)?,
+        };
         Ok(Self { writer: Box::new(file), form: OutputForm::Mjpeg })
     }
 
     /// One picture in [`Self::form`], whole: a device takes each write for one.
     pub fn show(&mut self, picture: &[u8]) -> io::Result<()> {
         self.writer.write_all(picture)
+    }
+}
+
+/// One that nobody reads yet is not waited for.
+fn pipe(path: &Path) -> io::Result<File> {
+    let without_waiting = OFlags::NONBLOCK.bits() as i32;
+    let file = OpenOptions::new().write(true).custom_flags(without_waiting).open(path)?;
+    let flags = fcntl_getfl(&file)?;
+    fcntl_setfl(&file, flags - OFlags::NONBLOCK)?;
+    Ok(file)
+}
+
+impl VideoOutError {
+    /// A pipe without a reader.
+    pub fn nobody_reads(&self) -> bool {
+        matches!(self, Self::Open { source, .. } if source.raw_os_error() == Some(Errno::NXIO.raw_os_error()))
     }
 }
 

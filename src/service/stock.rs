@@ -86,6 +86,7 @@ impl Stock {
             method: asked.method,
             camera,
             max_distance_m: if asked.refuses { max_distance_m } else { f64::INFINITY },
+            may_be_stored: asked.scene.is_none(),
             without: Vec::new(),
         };
         let mut shown = gallery.view(&wanted).map_err(|error| refusal(&error))?;

@@ -148,6 +148,8 @@ const LEAST_HEIGHT_M: f64 = 0.02;
 const MOST_HEIGHT_M: f64 = 20.0;
 /// No hall is larger.
 const MAX_PLACE_M: f64 = 1000.0;
+/// An answer that shows less of what its lens draws is to be doubted.
+const LITTLE: f64 = 0.5;
 /// Of a map that is interpolated on a grid, root mean square.
 const GRID_ERROR_PX: f64 = 0.04;
 
@@ -225,12 +227,15 @@ impl Answer {
         Self { image, made: Made::Warped, map_from_link, sources, valid_share, sure_share, expected_error_px }
     }
 
-    /// Why it is to be doubted, if all of its images were taken farther away than `far_m`.
+    /// Why it is to be doubted: all of its images were taken farther away than `far_m`, or they show little of it.
     pub fn warning(&self, far_m: f64) -> Option<String> {
         let nearest_m = self.sources.iter().map(|source| source.distance_m).fold(f64::INFINITY, f64::min);
         match nearest_m > far_m {
             _ if self.sources.is_empty() => Some("no image shows anything of this view".to_owned()),
             true => Some(format!("the nearest image was taken {nearest_m:.2} m away, farther than {far_m} m")),
+            false if self.valid_share < LITTLE => {
+                Some(format!("images show {:.0} % of it only: they look elsewhere", 100.0 * self.valid_share))
+            }
             false => None,
         }
     }

@@ -72,6 +72,46 @@ fn a_way_through_a_database_is_played() {
 }
 
 #[test]
+fn nothing_is_played_into_what_it_is_read_from() {
+    let room = Room::with_walk();
+    let session = session_name(&room.replay("log.mcap"));
+    crate::service::add_images(&room, "images", &crate::service::PLACES);
+    room.write("way.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n0,0.1,0.2,0.5,10,20,0\n");
+    let segment = format!("{session}/0000.mcap");
+    for (source, target) in [
+        (session.as_str(), segment.as_str()),
+        ("way.csv --db db", "way.csv"),
+        ("way.csv --db db", "db/database.json"),
+        ("way.csv --db db", "images/0.png"),
+    ] {
+        let before = std::fs::read(room.path(target)).expect("there");
+        room.run(&format!("play {source} --video {target}")).fails(2, &["choose another place"]);
+        room.run(&format!("play {source} --serial {target}")).fails(2, &["choose another place"]);
+        assert_eq!(std::fs::read(room.path(target)).expect("there"), before, "{target}");
+    }
+}
+
+#[test]
+fn a_pipe_that_nobody_reads_is_waited_for_and_given_up() {
+    let room = Room::with_walk();
+    let session = session_name(&room.replay("log.mcap"));
+    assert!(std::process::Command::new("mkfifo").arg(room.path("pipe")).status().expect("mkfifo").success());
+    let mut playing = std::process::Command::new(env!("CARGO_BIN_EXE_realitysim"))
+        .args(["play", &session, "--video", "pipe"])
+        .current_dir(room.path(""))
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .expect("started");
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    assert!(playing.try_wait().expect("a child").is_none(), "it waits");
+    let id = rustix::process::Pid::from_raw(playing.id() as i32).expect("a process");
+    rustix::process::kill_process(id, rustix::process::Signal::TERM).expect("alive");
+    let asked = std::time::Instant::now();
+    playing.wait().expect("ended");
+    assert!(asked.elapsed() < std::time::Duration::from_secs(3), "{:?}", asked.elapsed());
+}
+
+#[test]
 fn what_cannot_be_played_is_told() {
     let room = Room::new();
     room.run("play none").fails(2, &["--video"]);

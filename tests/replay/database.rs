@@ -134,6 +134,13 @@ fn size_and_scene_of_a_view_are_as_asked() {
     });
     let run = room.run(&format!("{here} --scene evening.toml -o dark.png --json")).succeeds();
     assert_eq!(run.json()["effects"], serde_json::json!(["light"]));
+    let (stored, _) = at(&open(&room), 1);
+    let made = |more: &str| {
+        let run = room.run(&format!("view --db db {stored} -o any.png --json {more}")).succeeds();
+        run.json()["made"].as_str().expect("a word").to_owned()
+    };
+    assert_eq!(made(""), "stored");
+    assert_ne!(made("--scene evening.toml"), "stored", "it is not what was recorded");
     room.run(&format!("{here} -o bright.png")).succeeds();
     let sum = |name: &str| {
         let picture = image::open(room.path(name)).expect("a picture").to_rgb8();
@@ -286,6 +293,72 @@ fn images_of_a_walk_are_chosen_such_that_they_complete_each_other() {
         let report = room.run(&format!("{here} -o out.png --json")).succeeds().json();
         assert!(report["valid_share"].as_f64() > Some(least), "{yaw_deg} deg: {report}");
     }
+}
+
+/// The mask lies beside its config, on a robot that nobody of the database can ask.
+#[test]
+fn the_robot_s_own_body_is_left_out_wherever_the_capture_goes() {
+    let room = Room::with_walk();
+    fs::create_dir(room.path("robot")).expect("a folder");
+    let hides = |u: u32, v: u32| u < 160 && v >= 120;
+    let body = image::GrayImage::from_fn(320, 240, |u, v| image::Luma([if hides(u, v) { 0 } else { 255 }]));
+    body.save(room.path("robot/body.png")).expect("written");
+    room.write("robot/robot.toml", "[camera]\nbody_mask = [{ png = \"body.png\" }]\n");
+    let replayed = room.replay("log.mcap --config robot/robot.toml");
+    fs::remove_dir_all(room.path("robot")).expect("away");
+    room.run("db add captures --db db").succeeds();
+    let masks = || {
+        let names = fs::read_dir(room.path("db")).expect("a database").map(|entry| entry.expect("read").file_name());
+        names.filter(|name| name.to_string_lossy().ends_with(".png")).count()
+    };
+    // The lens's dark corners, and the body.
+    assert_eq!(masks(), 2);
+    fs::write(room.path("db/dark-00000000.png"), "of an addition that came to nothing").expect("written");
+    let tag = replayed.tags.iter().find(|tag| tag.valid).expect("a valid tag");
+    let (p, yaw_deg) = (&tag.pose.pose.position, tag.yaw.to_degrees());
+    room.write("one.toml", "[views]\nsources = 1\n");
+    let view = "view --db db --config one.toml --pitch 17 -o out.png --mask mask.png";
+    room.run(&format!("{view} --x {} --y {} --z {} --yaw {yaw_deg}", p.x, p.y, p.z + 0.02)).succeeds();
+    let mask = image::open(room.path("mask.png")).expect("a mask").into_luma8();
+    let shown = |u, v| mask.get_pixel(u, v).0[0] > 0;
+    assert!(!shown(100, 200) && shown(220, 200) && shown(100, 60), "only the body is left out");
+    let session = replayed.session.strip_prefix(room.path("")).expect("inside").display().to_string();
+    room.run(&format!("db remove {session} --db db")).succeeds();
+    assert_eq!(masks(), 0, "nobody's masks are left");
+}
+
+/// Poses that somebody wrote down do not say how good they are; they are not the best there are because of that.
+#[test]
+fn poses_of_unknown_accuracy_are_said_to_be() {
+    let room = Room::new();
+    crate::service::add_images(&room, "images", &crate::service::PLACES);
+    let stats = room.run("db stats --db db --json").succeeds().json();
+    assert!(stats["sigma_m"].is_null() && stats["sigma_deg"].is_null() && stats["without_sigma"] == 4, "{stats}");
+    assert!(room.run("db stats --db db").succeeds().stdout.contains("poses of unknown accuracy: 4"));
+    let view = "view --db db --y 0.2 --z 0.5 --pitch 20 -o out.png --json";
+    let near = room.run(&format!("{view} --x 0.2 --yaw 10")).succeeds().json();
+    assert!(near["expected_error_px"].as_f64() > Some(0.5) && near["warning"].is_null(), "{near}");
+    // They all look the other way.
+    let away = room.run(&format!("{view} --x 0.2 --yaw 160")).succeeds().json();
+    assert!(away["warning"].as_str().is_some_and(|words| words.contains("look elsewhere")), "{away}");
+    let before = fs::read(room.path("images/0.png")).expect("there");
+    for order in [
+        view.replace("out.png", "images/0.png") + " --x 0.2 --yaw 10",
+        "db coverage --db db -o images/0.png".to_owned(),
+    ] {
+        room.run(&order).fails(2, &["choose another place"]);
+    }
+    assert_eq!(fs::read(room.path("images/0.png")).expect("there"), before);
+}
+
+#[test]
+fn a_folder_whose_first_image_is_torn_gives_the_others() {
+    let room = Room::new();
+    crate::service::add_images(&room, "images", &crate::service::PLACES);
+    let whole = fs::read(room.path("images/0.png")).expect("there");
+    fs::write(room.path("images/0.png"), &whole[..whole.len() / 2]).expect("written");
+    let run = room.run("db add images --db other --field kid-2009 --json");
+    assert!(run.code == Some(3) && run.json()["images"] == 3 && run.stderr.contains("0.png"), "{run:?}");
 }
 
 #[test]

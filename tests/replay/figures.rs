@@ -21,7 +21,8 @@ fn what_stands_in_a_recorded_image_is_marked_unless_the_config_says_no() {
         let gallery = Gallery::open(&room.path("db"), settings).expect("a database");
         let pose = gallery.index().record(3).pose();
         let (method, camera, max_distance_m) = (Method::Exact, None, f64::INFINITY);
-        let asked = Wanted { map_from_link: pose, method, camera, max_distance_m, without: Vec::new() };
+        let asked =
+            Wanted { map_from_link: pose, method, camera, max_distance_m, may_be_stored: true, without: Vec::new() };
         let stored = gallery.view(&asked).expect("a view");
         let marked = stored.answer.image.pixels.iter().filter(|pixel| pixel[3] == UNSURE).count();
         (marked, stored.stored.is_some(), stored.answer.sure_share)

@@ -36,6 +36,11 @@ fn refined_tags_are_nearer_to_the_truth_and_nothing_recorded_is_touched() {
     assert_eq!((lens.lens.width(), lens.lens.height()), (320, 240));
     let words = fs::read_to_string(room.path("robot.toml")).expect("written");
     assert!(words.contains("focal length") && words.contains("sigma"), "{words}");
+    // The mount of a log is in its transforms: what a config says of it would be of no use there, and wrong on the robot.
+    assert!(words.contains("turned in its own frame") && !words.contains("[mount]"), "{words}");
+    // Both can be moved together.
+    assert!(words.contains("lens = \"robot-lens.toml\""), "{words}");
+    assert_eq!(settings.camera.lens, Some(room.path("robot-lens.toml").display().to_string()));
 
     // Again: from the recorded tags, not from the refined ones.
     let again = room.run(&format!("refine {session} --truth log.mcap --views 0 --json")).succeeds().json();

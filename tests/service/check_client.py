@@ -1,6 +1,7 @@
 """The client against a served database of four images: check_client.py URL FIRST_IMAGE"""
 
 import math
+import socket
 import sys
 import zlib
 
@@ -65,5 +66,17 @@ views = list(client.views([pose, {**pose, "x": 50}, pose], width=64))
 assert [type(view).__name__ for view in views] == ["View", "RealitySimError", "View"], views
 assert views[0].image.shape == (48, 64, 3) and (views[0].image == views[2].image).all()
 assert len(list(client.trajectory(pose, {**pose, "x": 0.3}, count=7))) == 7
+# Whoever has seen enough of a batch, or waited for too long, goes on.
+next(client.views([pose, pose, pose]))
+assert client.view(**pose).image.shape == (240, 320, 3)
+assert client.views([{**pose, "x": np.float32(0.2)}]) is not None
+silent = socket.create_server(("127.0.0.1", 0))
+waiting = Client(f"http://127.0.0.1:{silent.getsockname()[1]}", timeout_s=0.2)
+for _ in range(2):
+    try:
+        waiting.info()
+        raise AssertionError("nobody answers")
+    except TimeoutError:
+        pass
 assert client.info()["images"] == 4 and int(client.coverage().sum()) == 4
 print("the client agrees")

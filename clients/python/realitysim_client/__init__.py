@@ -65,6 +65,7 @@ class Client:
             raise ValueError(f"{url!r}: http://HOST:PORT is needed")
         kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
         self._connection = kind(parts.hostname, parts.port, timeout=timeout_s)
+        self._response: Optional[http.client.HTTPResponse] = None
         self._headers = {"Accept": _RAW}
         if token is not None:
             self._headers["Authorization"] = f"Bearer {token}"
@@ -84,7 +85,7 @@ class Client:
 
     def views(self, poses: Iterable[Mapping[str, Any]], **parameters: Any) -> Iterator[Union[View, RealitySimError]]:
         """Many views with one request, as they are made and in their order; an error stands in the place of a view that could
-        not be made. Read to the end before the next request."""
+        not be made. The next request ends it."""
         return self._batch({"poses": [dict(pose) for pose in poses], **parameters})
 
     def trajectory(self, start: Mapping[str, Any], end: Mapping[str, Any], count: int, **parameters: Any) -> Iterator[Union[View, RealitySimError]]:
@@ -121,19 +122,26 @@ class Client:
         headers = dict(self._headers)
         if body is not None:
             headers["Content-Type"] = "application/json"
+        # Nobody can tell the rest of an answer that was not read to its end from the next one.
+        if self._response is not None and not self._response.isclosed():
+            self._connection.close()
         for again in (True, False):
             try:
                 self._connection.request(method, path, body, headers)
-                return self._connection.getresponse()
+                self._response = self._connection.getresponse()
+                return self._response
             except (http.client.RemoteDisconnected, BrokenPipeError, ConnectionResetError):
                 # The service hangs up on a connection that was idle; asking twice changes nothing.
                 self._connection.close()
                 if not again:
                     raise
+            except BaseException:
+                self._connection.close()
+                raise
         raise AssertionError("unreachable")
 
     def _batch(self, request: Mapping[str, Any]) -> Iterator[Union[View, RealitySimError]]:
-        response = self._send("POST", "/v1/views", json.dumps(request).encode())
+        response = self._send("POST", "/v1/views", json.dumps(request, default=float).encode())
         if response.status != 200:
             raise _error(response.status, response.read())
         return _parts(response)
