@@ -80,6 +80,23 @@ fn one_walk_shows_a_wrong_lens_and_a_wrong_mount() {
     assert!((found("focal length") + 0.006).abs() < 0.0015, "{report:#}");
     assert!((found("centre u") + 1.5).abs() < 0.3 && (found("centre v") - 1.5).abs() < 0.3, "{report:#}");
     assert!((found("height") + 0.015).abs() < 0.002, "{report:#}");
+
+    // On a robot the announced mount is the config's own, and the calibration corrects it.
+    let description = room.path(&session).join("session.json");
+    let mut info: serde_json::Value =
+        serde_json::from_slice(&fs::read(&description).expect("there")).expect("a description");
+    info["live"] = serde_json::json!({ "utc_offset_ns": 0, "camera_delay_ns": 0, "camera": null });
+    info["settings"]["mount"] = serde_json::json!({
+        "torso_height_m": 0.395, "camera_xyz_m": [0.04, 0.0, 0.11], "camera_rpy_deg": [0.5, 18.0, 0.0]
+    });
+    fs::write(&description, serde_json::to_vec(&info).expect("JSON")).expect("written");
+    room.run(&format!("refine {session} --views 0 --write-calibration robot.toml")).succeeds();
+    let mount = Settings::load(&room.path("robot.toml").display().to_string()).expect("a robot config").mount;
+    assert!((mount.torso_height_m.expect("written") - 0.38).abs() < 0.002, "{mount:?}");
+    assert_eq!(mount.camera_xyz_m, [0.04, 0.0, 0.11]);
+    // The mount's 17 degrees, and what levels an IMU that leans by half a degree in roll and pitch.
+    let [roll, pitch, _] = mount.camera_rpy_deg;
+    assert!((roll + 0.5).abs() < 0.2 && (pitch - 17.5).abs() < 0.2, "{mount:?}");
 }
 
 #[test]
