@@ -22,7 +22,7 @@ const ALIKE: f64 = 0.1;
 /// Of two images about as near, the better one is taken: how much nearer a worse one may seem, at most.
 const QUALITY: f64 = 0.25;
 
-/// The images that a view of this pose is made from, nearest first. `footprint` is of the view.
+/// The images that a view of this pose is made from, near and good ones first. `footprint` is of the view.
 pub(super) fn choose(
     gallery: &Gallery,
     pose: &Isometry,
@@ -39,7 +39,7 @@ pub(super) fn choose(
             break;
         }
     }
-    chosen.sort_by(|a, b| a.neighbour.distance.total_cmp(&b.neighbour.distance));
+    chosen.sort_by(|a, b| a.seems_m.total_cmp(&b.seems_m));
     chosen.into_iter().map(|image| image.neighbour).collect()
 }
 
@@ -48,6 +48,8 @@ struct Image {
     neighbour: Neighbour,
     record: Record,
     pose: Isometry,
+    /// Its distance, longer for a worse image.
+    seems_m: f64,
 }
 
 /// What is not to be used.
@@ -59,17 +61,17 @@ pub(super) struct Without {
 impl Without {
     /// Near and good ones first.
     fn ranked(&self, gallery: &Gallery, pose: &Isometry, count: usize) -> Vec<Image> {
-        let mut ranked: Vec<(f64, f64, Image)> = self
+        let mut ranked: Vec<(f64, Image)> = self
             .nearest(gallery, pose, count)
             .into_iter()
             .map(|(neighbour, record)| {
                 let badness = badness(&record);
-                let image = Image { neighbour, record, pose: record.pose() };
-                (neighbour.distance * (1.0 + QUALITY * badness), badness, image)
+                let seems_m = neighbour.distance * (1.0 + QUALITY * badness);
+                (badness, Image { neighbour, record, pose: record.pose(), seems_m })
             })
             .collect();
-        ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        ranked.into_iter().map(|(_, _, image)| image).collect()
+        ranked.sort_by(|a, b| a.1.seems_m.total_cmp(&b.1.seems_m).then(a.0.total_cmp(&b.0)));
+        ranked.into_iter().map(|(_, image)| image).collect()
     }
 
     /// Asks for more until enough of them may be used.
@@ -142,4 +144,23 @@ fn badness(record: &Record) -> f64 {
     };
     let blur = (1.0 - f64::from(record.sharpness) / 0.05).clamp(0.0, 1.0);
     (0.5 * tag + 0.25 * light.min(1.0) + 0.25 * blur).clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_good_tag_a_sharp_picture_and_good_light_make_an_image_good() {
+        let of = |sigma_m: f32, sharpness: f32, brightness: f32| {
+            badness(&Record { sigma_m, sharpness, brightness, ..Record::at(&Isometry::IDENTITY) })
+        };
+        let good = of(0.001, 0.1, 120.0);
+        assert!(good < 0.02);
+        for worse in [of(0.02, 0.1, 120.0), of(0.001, 0.01, 120.0), of(0.001, 0.1, 10.0), of(0.001, 0.1, 250.0)] {
+            assert!(worse > good + 0.1, "{worse} {good}");
+        }
+        // What nobody knows is no better than what is known to be poor.
+        assert!(of(0.0, 0.1, 120.0) > good + 0.05);
+    }
 }

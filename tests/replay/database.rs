@@ -352,6 +352,27 @@ fn poses_of_unknown_accuracy_are_said_to_be() {
 }
 
 #[test]
+fn of_two_images_of_one_place_the_better_one_is_taken() {
+    let room = Room::new();
+    fs::create_dir(room.path("images")).expect("a folder");
+    room.write("images/camera_info.yaml", CAMERA_INFO);
+    let sharp = RgbImage::from_fn(320, 240, |u, v| image::Rgb([if (u / 8 + v / 8) % 2 == 0 { 180 } else { 60 }; 3]));
+    let blurred = image::imageops::blur(&sharp, 6.0);
+    let dark = RgbImage::from_fn(320, 240, |u, v| image::Rgb(sharp.get_pixel(u, v).0.map(|value| value / 8)));
+    for (name, picture) in [("blurred", blurred), ("dark", dark), ("sharp", sharp)] {
+        picture.save(room.path(&format!("images/{name}.png"))).expect("saved");
+    }
+    // The best one is the farthest, by a little.
+    let rows = "blurred.png,0.1,0.2,0.5,10,20,0\ndark.png,0.1003,0.2,0.5,10,20,0\nsharp.png,0.1006,0.2,0.5,10,20,0\n";
+    room.write("images/poses.csv", format!("{POSES}{rows}"));
+    room.run("db add images --db db --field kid-2009").succeeds();
+    let view = "view --db db --x 0.08 --y 0.2 --z 0.5 --yaw 10 --pitch 20 --method nearest -o out.png --json";
+    let report = room.run(view).succeeds().json();
+    let file = report["sources"][0]["file"].as_str().expect("a file");
+    assert!(file.ends_with("sharp.png"), "{report}");
+}
+
+#[test]
 fn a_folder_whose_first_image_is_torn_gives_the_others() {
     let room = Room::new();
     crate::service::add_images(&room, "images", &crate::service::PLACES);
