@@ -20,7 +20,7 @@ use crate::sensors::log::{self, LogError, LogSource};
 use crate::sensors::mavlink::RobotSide;
 use crate::sensors::video_out::{OutputForm, VideoOut, VideoOutError, yuyv};
 use crate::sensors::{decode, encode};
-use crate::views::Method;
+use crate::views::{FAR_M, Method};
 
 #[derive(Clone, Debug)]
 pub struct PlayOptions {
@@ -46,7 +46,7 @@ pub enum PlaySource {
 }
 
 /// What was played.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Played {
     pub images: u64,
     pub odometry: u64,
@@ -55,6 +55,9 @@ pub struct Played {
     pub lost: u64,
     /// Came more than `LATE` after their time.
     pub late: u64,
+    /// Views that are to be doubted, and why the first one is.
+    pub doubtful: u64,
+    pub doubt: Option<String>,
     pub seconds: f64,
 }
 
@@ -190,6 +193,10 @@ fn trajectory(
             Some(stage) => stage,
             none => none.insert(Stage::new(options, [width as u32, height as u32], stop)?),
         };
+        if let Some(why) = shown.answer.warning(FAR_M) {
+            stage.played.doubtful += 1;
+            stage.played.doubt.get_or_insert(why);
+        }
         let since_ns = (seconds * 1e9) as i64;
         let events = [Some(Event::Odometry(Pose2::from_isometry(pose))), bytes.map(Event::Image)];
         if !events.iter().flatten().all(|event| stage.play(since_ns, event, stop)) {
@@ -307,7 +314,7 @@ impl<'a> Stage<'a> {
     }
 
     fn played(&self) -> Played {
-        Played { seconds: self.started.elapsed().as_secs_f64(), ..self.played }
+        Played { seconds: self.started.elapsed().as_secs_f64(), ..self.played.clone() }
     }
 }
 

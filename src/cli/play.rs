@@ -77,10 +77,13 @@ pub fn run(arguments: &PlayArguments, json: bool) -> anyhow::Result<Outcome> {
     if json {
         output::json(&played)?;
     } else {
-        let Played { images, odometry, attitudes, lost, late, seconds } = played;
+        let Played { images, odometry, attitudes, lost, late, doubtful, doubt, seconds } = &played;
         output::lines(&format!(
             "{images} images, {odometry} odometry, {attitudes} attitudes in {seconds:.1} s; {lost} lost, {late} late"
         ))?;
+        if let Some(why) = doubt {
+            output::lines(&format!("{doubtful} of the images are to be doubted, the first because {why}"))?;
+        }
     }
     Ok(if played.lost > 0 { Outcome::DataLost } else { Outcome::Whole })
 }

@@ -17,7 +17,7 @@ use crate::evaluation::drawing;
 use crate::geometry::{Euler, Isometry, Lens};
 use crate::scene::Stage;
 use crate::sensors::scene;
-use crate::views::{Camera, Made, Method, NOTHING, Raster, UNSURE, World};
+use crate::views::{Camera, FAR_M, Made, Method, NOTHING, Raster, UNSURE, World};
 
 /// Show what the camera would see from a pose, from a database of recorded images
 ///
@@ -165,9 +165,6 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     Ok(if report.unreadable.is_empty() { Outcome::Whole } else { Outcome::DataLost })
 }
-
-/// As `serve` has it: from farther away, the view is doubted.
-const FAR_M: f64 = 1.0;
 
 fn wanted(arguments: &ViewArguments) -> anyhow::Result<Wanted> {
     let ViewArguments { x, y, z, yaw, pitch, roll, max_distance, .. } = *arguments;

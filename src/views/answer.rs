@@ -148,6 +148,8 @@ const LEAST_HEIGHT_M: f64 = 0.02;
 const MOST_HEIGHT_M: f64 = 20.0;
 /// No hall is larger.
 const MAX_PLACE_M: f64 = 1000.0;
+/// All images farther away than this: the view is to be doubted, unless somebody says otherwise.
+pub const FAR_M: f64 = 1.0;
 /// An answer that shows less of what its lens draws is to be doubted.
 const LITTLE: f64 = 0.5;
 /// Of a map that is interpolated on a grid, root mean square.

@@ -21,7 +21,8 @@ mod weights;
 mod world;
 
 pub use answer::{
-    Answer, Candidate, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings, angle_between, check_pose,
+    Answer, Candidate, FAR_M, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings, angle_between,
+    check_pose,
 };
 pub use camera::Camera;
 pub use darkening::{Overlap, darkening, overlap};

@@ -66,7 +66,10 @@ fn a_way_through_a_database_is_played() {
         "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n0,0.1,0.2,0.5,10,20,0\n0.1,0.2,0.2,0.5,10,20,0\n0.2,0.3,0.2,0.5,10,20,0\n",
     );
     let played = room.run("play way.csv --db db --video video.mjpeg --json").succeeds().json();
-    assert_eq!(played["images"], 3);
+    assert_eq!((&played["images"], &played["doubtful"], played["doubt"].is_null()), (&3.into(), &0.into(), true));
+    room.write("far.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n0,47,0.2,0.5,10,20,0\n");
+    let far = room.run("play far.csv --db db --video far.mjpeg --json").succeeds().json();
+    assert!(far["doubtful"] == 1 && far["doubt"].as_str().is_some_and(|why| why.contains("farther than")), "{far}");
     let bytes = std::fs::read(room.path("video.mjpeg")).expect("written");
     assert_eq!(bytes.windows(3).filter(|three| *three == [0xff, 0xd8, 0xff]).count(), 3);
 }
