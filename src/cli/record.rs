@@ -112,11 +112,16 @@ pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
         Order::Poses(at) => {
             let stop = std::sync::atomic::AtomicBool::new(false);
             let mut stdout = std::io::stdout().lock();
-            let listened = poses(&at.socket, &stop, |line| writeln!(stdout, "{line}").and_then(|()| stdout.flush()));
-            match listened {
+            let mut printed = Ok(());
+            let listened = poses(&at.socket, &stop, |line| {
+                printed = writeln!(stdout, "{line}").and_then(|()| stdout.flush());
+                if printed.is_err() { Err(std::io::ErrorKind::Interrupted.into()) } else { Ok(()) }
+            });
+            match (printed, listened) {
                 // Whoever reads has had enough.
-                Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => {}
-                listened => listened.map_err(|error| unreachable_recorder(at, &error))?,
+                (Err(error), _) if error.kind() == std::io::ErrorKind::BrokenPipe => {}
+                (Err(error), _) => anyhow::bail!("standard output: {error}"),
+                (Ok(()), listened) => listened.map_err(|error| unreachable_recorder(at, &error))?,
             }
             return Ok(Outcome::Whole);
         }
@@ -132,7 +137,13 @@ pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
     } else if let Some(session) = answer["session"].as_str() {
         output::lines(session)?;
     }
-    Ok(Outcome::Whole)
+    match answer["unfinished"].as_str().filter(|_| matches!(order, Order::Stop(_))) {
+        None => Ok(Outcome::Whole),
+        Some(why) => {
+            eprintln!("realitysim: the session is not whole: {why}");
+            Ok(Outcome::DataLost)
+        }
+    }
 }
 
 fn unreachable_recorder(at: &At, error: &std::io::Error) -> anyhow::Error {

@@ -291,6 +291,28 @@ fn a_session_can_be_stopped_and_another_begun() {
     assert!(recorder.room.run("status --socket control.sock").code == Some(1), "nobody answers any more");
 }
 
+#[test]
+fn who_orders_a_stop_before_the_first_session_is_obeyed() {
+    let robot = Robot::of(&walk().messages);
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    recorder.waits_for("it answers", 30, |status| status["state"] == "listening");
+    assert_eq!(recorder.asks("stop")["state"], "stopped");
+    std::thread::sleep(Duration::from_secs(3));
+    assert_eq!(recorder.asks("status")["state"], "stopped");
+    assert_eq!(recorder.asks("start")["state"], "recording");
+    assert!(recorder.ends().status.success());
+}
+
+#[test]
+fn who_is_ended_before_the_first_session_leaves_none() {
+    let robot = Robot::of(&walk().messages);
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    recorder.waits_for("it answers", 30, |status| status["state"] == "listening");
+    assert!(recorder.ends().status.success());
+    let sessions = std::fs::read_dir(recorder.room.path(CAPTURES)).into_iter().flatten().flatten();
+    assert_eq!(sessions.filter(|entry| entry.path().is_dir()).count(), 0);
+}
+
 /// Nobody at its socket can keep it from being asked, or make it do what was not said.
 #[test]
 fn orders_are_taken_whole_or_not_at_all() {
@@ -308,6 +330,17 @@ fn orders_are_taken_whole_or_not_at_all() {
     assert_eq!(recorder.asks("status")["state"], "recording");
     recorder.asks("stop");
     order("mark goal!").fails(1, &["nothing is being recorded"]);
+    // One asker too many is told, whatever it asks.
+    let idle: Vec<_> = (0..16)
+        .map(|_| std::os::unix::net::UnixStream::connect(recorder.room.path("control.sock")).expect("a recorder"))
+        .collect();
+    std::thread::sleep(Duration::from_millis(200));
+    for _ in 0..5 {
+        let run = recorder.room.run("poses --socket control.sock");
+        assert!(run.code == Some(1) && run.stdout.is_empty() && run.stderr.contains("16 others"), "{run:?}");
+    }
+    drop(idle);
+    std::thread::sleep(Duration::from_millis(200));
     // While there are no poses.
     let socket = recorder.room.path("control.sock");
     for _ in 0..3 {

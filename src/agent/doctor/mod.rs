@@ -12,6 +12,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use crate::config::{Settings, load_field, load_lens};
+use crate::sensors::body_mask;
 
 pub use delay::{DelayReport, DelayReportError, estimate_delay};
 
@@ -25,6 +26,8 @@ pub struct Finding {
     pub remedy: String,
 }
 
+/// No robot sees more of itself.
+const MOST_HIDDEN: f64 = 0.8;
 /// So long each device is listened to.
 const LISTEN: Duration = Duration::from_secs(3);
 
@@ -66,7 +69,27 @@ fn config(settings: &Settings) -> Vec<Finding> {
             good("mount", format!("the camera is {height:.2} m above the ground"))
         }
     };
-    vec![lens, field, mount]
+    let mut findings = vec![lens, field, mount];
+    if let Some((width, height)) = size(settings) {
+        let masks = settings.camera.body_mask.iter();
+        findings.extend(masks.map(|mask| match body_mask(&mask.png, width, height) {
+            Err(error) => {
+                bad(format!("body mask {}", mask.png), error, "paint it anew (docs/hardware.md), or leave it out")
+            }
+            Ok(hides) => {
+                let share =
+                    hides.to_gray().iter().filter(|value| **value == 0).count() as f64 / f64::from(width * height);
+                let (what, said) =
+                    (format!("body mask {}", mask.png), format!("hides {:.0} % of the image", 100.0 * share));
+                if share < MOST_HIDDEN {
+                    good(what, said)
+                } else {
+                    bad(what, said, "dark pixels hide: is it inverted?")
+                }
+            }
+        }));
+    }
+    findings
 }
 
 fn size(settings: &Settings) -> Option<(u32, u32)> {

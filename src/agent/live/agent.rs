@@ -27,6 +27,8 @@ use crate::sensors::synchroniser::Expected;
 
 /// So long the ports are listened to before a session begins: clocks settle, and what the robot measures is known.
 const LISTEN: Duration = Duration::from_millis(1500);
+/// Before the first session.
+const LISTENING: &str = "listening";
 /// The longest that nothing is done.
 pub(super) const TICK: Duration = Duration::from_millis(50);
 
@@ -76,7 +78,7 @@ impl<'a> Agent<'a> {
             has_begun: false,
             tags: None,
             heard: Expected::default(),
-            status: Status::default(),
+            status: Status { state: LISTENING, ..Status::default() },
             meters: Meters::default(),
             last_log_ns: i64::MIN,
             noted_ns: i64::MIN,
@@ -93,10 +95,12 @@ impl<'a> Agent<'a> {
         say: &mut dyn FnMut(&str),
     ) -> Result<(), RecordError> {
         let listened = Instant::now();
-        while listened.elapsed() < LISTEN && !stop.load(Ordering::Relaxed) {
+        let listen = if self.options.settings.serial.ports.is_empty() { Duration::ZERO } else { LISTEN };
+        while listened.elapsed() < listen && !stop.load(Ordering::Relaxed) {
             self.step(events, say)?;
         }
-        let began = self.begin(say);
+        let wanted = self.status.state == LISTENING && !stop.load(Ordering::Relaxed);
+        let began = if wanted { self.begin(say) } else { Ok(()) };
         let went_on = began.and_then(|()| {
             // Only a supervisor that asked for it is told.
             let _ = sd_notify::notify(&[sd_notify::NotifyState::Ready]);
@@ -230,6 +234,7 @@ impl<'a> Agent<'a> {
             Ask::Start => self.begin(say).map(|()| json!({ "state": self.status.state })),
             Ask::Stop => {
                 self.end(say);
+                self.status.state = "stopped";
                 let Status { state, session, unfinished, .. } = &self.status;
                 Ok(json!({ "state": state, "session": session, "unfinished": unfinished }))
             }

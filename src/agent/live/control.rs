@@ -178,14 +178,22 @@ pub fn ask(path: &Path, line: &str) -> io::Result<Value> {
 /// Every tag from now on, a line of JSON each.
 pub fn poses(path: &Path, stop: &AtomicBool, mut take: impl FnMut(&str) -> io::Result<()>) -> io::Result<()> {
     let mut stream = UnixStream::connect(path)?;
-    writeln!(stream, "poses")?;
-    for line in BufReader::new(stream).lines() {
-        take(&line?)?;
+    // Who has no room for another asker says so at once.
+    let asked = writeln!(stream, "poses");
+    for (number, line) in BufReader::new(stream).lines().enumerate() {
+        let line = line?;
+        if number == 0
+            && let Ok(Value::Object(refusal)) = serde_json::from_str(&line)
+            && let Some(why) = refusal.get("error").and_then(Value::as_str)
+        {
+            return Err(io::Error::other(why.to_owned()));
+        }
+        take(&line)?;
         if stop.load(Ordering::Relaxed) {
             break;
         }
     }
-    Ok(())
+    asked.map_err(|error| io::Error::new(io::ErrorKind::ConnectionAborted, error))
 }
 
 mod parking {

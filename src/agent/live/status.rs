@@ -18,7 +18,7 @@ use crate::sensors::serial::LineStatus;
 
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Status {
-    /// `listening`, `recording`, `stopped` or `ended`.
+    /// `listening` (before the first session), `recording`, `stopped` or `ended`.
     pub state: &'static str,
     pub session: Option<PathBuf>,
     pub counts: Counts,

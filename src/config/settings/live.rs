@@ -68,6 +68,9 @@ impl CaptureSettings {
                 self.device
             ));
         }
+        if self.republish.as_deref() == Some("") {
+            return Err("capture.republish is empty: it must be a device, as /dev/video10, or left out".to_owned());
+        }
         within("capture.rate_hz", self.rate_hz, 1.0, 1000.0)?;
         within("capture.max_rate_hz", self.max_rate_hz, 0.0, 1000.0)?;
         within("capture.jpeg_quality", self.jpeg_quality.into(), 0.0, 100.0)?;
