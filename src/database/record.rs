@@ -71,7 +71,7 @@ impl Record {
         Isometry::new(DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(x, y, z))
     }
 
-    /// Of images whose poses come without their accuracy, [`ASSUMED`].
+    /// Of images whose poses come without their accuracy: what is assumed.
     pub fn tag(&self) -> TagError {
         match self.says_how_good_it_is() {
             true => TagError { position_m: f64::from(self.sigma_m), rotation_rad: f64::from(self.sigma_rad) },
