@@ -160,7 +160,7 @@ mod tests {
         for worse in [of(0.02, 0.1, 120.0), of(0.001, 0.01, 120.0), of(0.001, 0.1, 10.0), of(0.001, 0.1, 250.0)] {
             assert!(worse > good + 0.1, "{worse} {good}");
         }
-        // What nobody knows is no better than what is known to be poor.
+        // What nobody knows is worse than what is known to be good.
         assert!(of(0.0, 0.1, 120.0) > good + 0.05);
     }
 }

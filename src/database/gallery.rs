@@ -16,7 +16,7 @@ use super::record::{Form, Record};
 use super::tree::Metric;
 use crate::config::ViewsSettings;
 use crate::geometry::{Field, Isometry, Lens, LensParameters};
-use crate::sensors::body_mask;
+use crate::sensors::mask;
 use crate::views::{
     Answer, Camera, Candidate, Footprint, Made, Method, Pyramid, Raster, Request, Scenery, ViewSettings, Vignetting,
     World, check_pose, mark_moving, view,
@@ -320,8 +320,7 @@ impl Gallery {
 /// its robot's own body; the soft rim of the lens's circle left out.
 pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Result<Vec<bool>, DatabaseError> {
     let (width, height) = (source.lens.width, source.lens.height);
-    let read =
-        |png: &str| body_mask(png, width, height).map_err(|what| DatabaseError::Image { path: png.into(), what });
+    let read = |png: &str| mask(png, width, height).map_err(|what| DatabaseError::Image { path: png.into(), what });
     let shown = |masks: &[BodyMask]| -> Vec<bool> {
         let pixel = |index: usize| DVec2::new((index % width as usize) as f64, (index / width as usize) as f64);
         let drawn = camera.shows().iter().enumerate();

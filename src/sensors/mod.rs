@@ -24,4 +24,4 @@ pub mod transforms;
 pub mod v4l2;
 pub mod video_out;
 
-pub use body_mask::body_mask;
+pub use body_mask::{body_mask, mask};

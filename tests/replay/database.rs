@@ -372,6 +372,20 @@ fn of_two_images_of_one_place_the_better_one_is_taken() {
     assert!(file.ends_with("sharp.png"), "{report}");
 }
 
+/// Never lit in specks, as a camera's noise leaves it in the dark: more edges than any body has.
+#[test]
+fn a_picture_with_many_dark_specks_is_no_body_and_is_read() {
+    let room = Room::new();
+    fs::create_dir(room.path("images")).expect("a folder");
+    room.write("images/camera_info.yaml", CAMERA_INFO);
+    let is_dark = |u: u32, v: u32| u < 120 && (u + v).is_multiple_of(2);
+    let picture = RgbImage::from_fn(320, 240, |u, v| image::Rgb(if is_dark(u, v) { [0; 3] } else { [120; 3] }));
+    picture.save(room.path("images/0.png")).expect("saved");
+    room.write("images/poses.csv", format!("{POSES}0.png,0.1,0.2,0.5,10,20,0\n"));
+    room.run("db add images --db db --field kid-2009").succeeds();
+    room.run("view --db db --x 0.15 --y 0.2 --z 0.5 --yaw 10 --pitch 20 -o out.png").succeeds();
+}
+
 #[test]
 fn a_folder_whose_first_image_is_torn_gives_the_others() {
     let room = Room::new();

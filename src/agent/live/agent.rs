@@ -234,7 +234,6 @@ impl<'a> Agent<'a> {
             Ask::Start => self.begin(say).map(|()| json!({ "state": self.status.state })),
             Ask::Stop => {
                 self.end(say);
-                self.status.state = "stopped";
                 let Status { state, session, unfinished, .. } = &self.status;
                 Ok(json!({ "state": state, "session": session, "unfinished": unfinished }))
             }

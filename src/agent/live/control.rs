@@ -229,9 +229,11 @@ mod parking {
     impl Listeners {
         pub fn add(&self) -> Option<(Receiver<FrameTag>, Listening)> {
             let (send, receive) = bounded(MAX_TAGS_BEHIND);
-            self.all.lock().ok()?.as_mut()?.push(send);
+            // Counted before it can be told anything.
             self.listening.fetch_add(1, Ordering::Release);
-            Some((receive, Listening(Arc::clone(&self.listening))))
+            let listening = Listening(Arc::clone(&self.listening));
+            self.all.lock().ok()?.as_mut()?.push(send);
+            Some((receive, listening))
         }
 
         pub fn tell(&self, tag: &FrameTag) {

@@ -74,6 +74,7 @@ impl Agent<'_> {
     /// The session becomes a whole capture, as far as the disk lets it: what it does not, `repair` does later.
     pub(super) fn end(&mut self, say: &mut dyn FnMut(&str)) {
         self.refresh();
+        self.status.state = "stopped";
         let Some(session) = self.session.take() else { return };
         let (recorded, ended) = session.finish();
         // Of frames that were still looked at.
@@ -95,7 +96,6 @@ impl Agent<'_> {
             ));
             self.status.unfinished = Some(error.to_string());
         }
-        self.status.state = "stopped";
     }
 }
 
