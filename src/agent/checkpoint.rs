@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::foresight::Foresight;
 use crate::localization::LocalizerState;
 use crate::sensors::synchroniser::SynchroniserState;
 
@@ -12,6 +13,7 @@ use crate::sensors::synchroniser::SynchroniserState;
 pub struct Checkpoint {
     pub tagger: LocalizerState,
     pub synchroniser: SynchroniserState,
+    pub foresight: Foresight,
     /// Frames of the session so far.
     pub frames: u64,
 }
@@ -30,7 +32,7 @@ pub enum CheckpointError {
 
 const MAGIC: &[u8; 8] = b"RSIMCKPT";
 /// Counts up with every change of what is stored.
-pub const VERSION: u32 = 9;
+pub const VERSION: u32 = 10;
 const HEADER: usize = 8 + 4 + 4;
 /// A checkpoint of 2^20 particles is 40 MB.
 pub(super) const MAX_BYTES: usize = 256 << 20;
@@ -82,6 +84,7 @@ mod tests {
         Checkpoint {
             tagger: LocalizerState { filter, ..LocalizerState::default() },
             synchroniser: SynchroniserState::default(),
+            foresight: Foresight::default(),
             frames: 12,
         }
     }

@@ -8,6 +8,7 @@ mod durations;
 mod effort;
 mod error;
 pub mod footage;
+pub mod foresight;
 pub mod live;
 mod opened;
 mod pipeline;

@@ -12,6 +12,7 @@ use crossbeam_channel::Sender;
 use super::budget::Budget;
 use super::checkpoint::Checkpoint;
 use super::error::AgentError;
+use super::foresight::Foresight;
 use super::setup::Setup;
 use super::stages::{Looked, Looking};
 use super::state::{STATE_FILE, Start};
@@ -78,6 +79,8 @@ pub struct Pipeline {
     last_diagnostics_ns: i64,
     /// Frames that came while the agent waits for a pause between two frames.
     held: VecDeque<LogMessage>,
+    /// Where the robot is while no frames come.
+    foresight: Foresight,
 }
 
 /// How often, in log time, the state is saved.
@@ -94,7 +97,10 @@ impl Pipeline {
         let tagger = start.tagger(&settings, field, eyes.vision.lens());
         let budget = Budget::new(settings.filter.budget_ms, start.decided);
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
-        let state = start.checkpoint.map_or(synchroniser, |checkpoint| checkpoint.synchroniser);
+        let (state, foresight) = start.checkpoint.map_or_else(
+            || (synchroniser, Foresight::default()),
+            |checkpoint| (checkpoint.synchroniser, checkpoint.foresight),
+        );
         let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);
         synchroniser.expect(expected);
         Self {
@@ -115,6 +121,7 @@ impl Pipeline {
             last_state_ns: i64::MIN,
             last_diagnostics_ns: i64::MIN,
             held: VecDeque::new(),
+            foresight,
             settings,
             recording,
         }
@@ -143,7 +150,8 @@ impl Pipeline {
         } else {
             self.record(message)?;
         }
-        self.look_at_known()
+        self.look_at_known()?;
+        self.foresee(log_time_ns)
     }
 
     /// Frames that never became messages.
@@ -237,11 +245,39 @@ impl Pipeline {
 
     fn look_at_known(&mut self) -> Result<(), AgentError> {
         while let Some(frame) = self.synchroniser.pop() {
+            self.foresight.forget();
             if let Some(looked) = self.looking.push(frame) {
                 self.tag(looked)?;
             }
         }
         Ok(())
+    }
+
+    /// While no frame comes, odometry says where the robot is.
+    fn foresee(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
+        if !(self.synchroniser.is_idle() && self.held.is_empty()) {
+            return Ok(());
+        }
+        let Some(stamp_ns) = self.foresight.due(&self.synchroniser) else { return Ok(()) };
+        self.drain()?;
+        let Some(mut tag) = self.foresight.look(stamp_ns, &mut self.tagger, &self.synchroniser) else { return Ok(()) };
+        tag.sequence = self.sequence;
+        self.stamp(&mut tag, stamp_ns);
+        self.tally.predicted += 1;
+        match &mut self.session {
+            Some(session) => Ok(session.predicted_tag(log_time_ns, &tag)?),
+            None => Ok(()),
+        }
+    }
+
+    /// By the other clocks, and off to whoever listens.
+    fn stamp(&self, tag: &mut FrameTag, stamp_ns: i64) {
+        let live = self.recording.live.as_ref();
+        tag.utc_offset_ns = live.map_or(0, |live| live.utc_offset_ns);
+        tag.kernel_stamp_ns = stamp_ns + live.map_or(0, |live| live.camera_delay_ns - live.utc_offset_ns);
+        if let Some(tags) = &self.recording.tags {
+            let _ = tags.try_send(tag.clone());
+        }
     }
 
     fn drain(&mut self) -> Result<(), AgentError> {
@@ -272,12 +308,7 @@ impl Pipeline {
         if let Ok(seen) = seen {
             self.looking.give_back(seen);
         }
-        let live = self.recording.live.as_ref();
-        tag.utc_offset_ns = live.map_or(0, |live| live.utc_offset_ns);
-        tag.kernel_stamp_ns = frame.stamp_ns + live.map_or(0, |live| live.camera_delay_ns - live.utc_offset_ns);
-        if let Some(tags) = &self.recording.tags {
-            let _ = tags.try_send(tag.clone());
-        }
+        self.stamp(&mut tag, frame.stamp_ns);
         self.sequence += 1;
         self.tally.unusable_weights = self.tagger.unusable_weights();
         self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
@@ -343,6 +374,7 @@ impl Pipeline {
         let checkpoint = Checkpoint {
             tagger: self.tagger.state(),
             synchroniser: self.synchroniser.state().clone(),
+            foresight: self.foresight.clone(),
             frames: self.sequence,
         };
         checkpoint.encode().map_err(|source| AgentError::Checkpoint { path: STATE_FILE.into(), source })

@@ -132,6 +132,7 @@ impl Run {
             wall_s: started.elapsed().as_secs_f64(),
             invalid: tally.invalid,
             untagged: counts.untagged,
+            predicted: tally.predicted,
             bad_messages: tally.bad_messages,
             late_measurements,
             first_bad_image: tally.first_bad_image,

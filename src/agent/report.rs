@@ -15,6 +15,8 @@ pub struct ReplayReport {
     pub frames: u64,
     pub tagged: u64,
     pub valid: u64,
+    /// Poses for which there was no frame, from odometry.
+    pub predicted: u64,
     /// Tagged and not written, as `recording.thinning` asks.
     pub thinned: u64,
     pub particles: usize,

@@ -102,6 +102,19 @@ impl Tagger {
         self.compose(stamp_ns, robot, &fix)
     }
 
+    /// Of no frame: where odometry puts the camera at that time, marked invalid; see [`Localizer::foresee`].
+    pub fn foresee(
+        &mut self,
+        stamp_ns: i64,
+        robot: &RobotAt,
+        ahead: &mut LocalizerState,
+        reason: &'static str,
+    ) -> Option<FrameTag> {
+        robot.place.as_ref().ok()?;
+        let fix = self.localizer.foresee(ahead, &moment(stamp_ns, robot), reason)?;
+        Some(self.compose(stamp_ns, robot, &fix))
+    }
+
     fn take_initial(&mut self, robot: &RobotAt) {
         if let Some(initial) = &robot.initial_pose {
             self.start_at(initial);

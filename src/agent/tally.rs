@@ -21,6 +21,8 @@ pub struct Tally {
     /// First image of which nothing could be seen, and why.
     pub first_bad_image: Option<String>,
     pub effort: EffortTally,
+    /// Poses while there were no frames.
+    pub predicted: u64,
     /// Frames of which nobody said how the torso was tilted.
     pub without_tilt: u64,
     /// Particles' weights that were NaN or +inf.

@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, output};
+use crate::agent::foresight::NO_FRAME;
 use crate::agent::live::{RecordOptions, ask, poses, record, stop_flag};
 use crate::config::load_field;
 use crate::geometry::{Field, Pose2};
@@ -267,13 +268,17 @@ fn for_people(status: &Value) -> String {
     }
     if let Some(tag) = status["last_tag"].as_object() {
         let float = |key: &str| tag[key].as_f64().unwrap_or(f64::NAN);
-        let valid = if tag["valid"] == true { "valid" } else { tag["reason"].as_str().unwrap_or("invalid") };
+        let what = match tag["reason"].as_str() {
+            Some(NO_FRAME) => "predicted, for want of frames".to_owned(),
+            Some(reason) if tag["valid"] != true => format!("{reason}, {:.1} ms", float("elapsed_ms")),
+            _ => format!("valid, {:.1} ms", float("elapsed_ms")),
+        };
         lines.push(format!(
-            "x {:.2} m, y {:.2} m, yaw {:.1} deg: {valid}, {:.1} ms",
+            "x {:.2} m, y {:.2} m (±{:.1} cm), yaw {:.1} deg: {what}",
             float("x_m"),
             float("y_m"),
+            100.0 * float("sigma_m"),
             float("yaw_rad").to_degrees(),
-            float("elapsed_ms")
         ));
     }
     lines.join("\n")

@@ -132,6 +132,9 @@ pub fn for_people(report: &ReplayReport) -> String {
         let reasons: Vec<String> = report.invalid.iter().map(|(reason, count)| format!("{count} {reason}")).collect();
         text.push_str(&format!("invalid: {}\n", reasons.join(", ")));
     }
+    if report.predicted > 0 {
+        text.push_str(&format!("{} poses predicted while there were no frames\n", report.predicted));
+    }
     match report.warnings.len() {
         0 => {}
         1 => text.push_str("1 warning, on standard error\n"),

@@ -24,3 +24,8 @@ pub fn wrap_angle(angle: f64) -> f64 {
     let wrapped = angle - TAU * libm::round(angle / TAU);
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }
+
+/// The larger standard deviation of a covariance of x and y.
+pub fn longest_axis(xx: f64, xy: f64, yy: f64) -> f64 {
+    libm::sqrt((0.5 * (xx + yy) + libm::hypot(0.5 * (xx - yy), xy)).max(0.0))
+}

@@ -94,6 +94,11 @@ impl Filter {
         &self.state
     }
 
+    /// Goes on from there, and hands over where it was.
+    pub fn exchange(&mut self, state: &mut FilterState) {
+        core::mem::swap(&mut self.state, state);
+    }
+
     /// Weights since it was made that were NaN or +inf, which no likelihood is.
     pub fn unusable_weights(&self) -> u64 {
         self.unusable_weights

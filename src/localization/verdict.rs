@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::localizer::{Fix, Moment};
 use super::refinement::Agreement;
 use super::second_look::SecondLook;
-use crate::geometry::{Field, Isometry, Pose2, wrap_angle};
+use crate::geometry::{Field, Isometry, Pose2, longest_axis, wrap_angle};
 
 /// What a pose needs to be believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -165,6 +165,11 @@ impl Standing {
         }
     }
 
+    /// Lines have confirmed the pose, and have not taken that back.
+    pub fn is_confirmed(&self) -> bool {
+        matches!(self.confidence, Confidence::Tracking(_)) && !self.is_lost()
+    }
+
     /// The pose has been contradicted too often.
     pub fn is_lost(&self) -> bool {
         matches!(self.confidence, Confidence::Tracking(contradicted) if contradicted >= LOST_AFTER)
@@ -188,7 +193,7 @@ impl Standing {
             Some("lines_unexplained") => !self.holds_fast(fix),
             _ => false,
         };
-        if rules.refinement && longest_axis(&fix.covariance) > LOST_M {
+        if rules.refinement && is_lost(&fix.covariance) {
             self.confidence = Confidence::Nowhere;
         }
         self.confidence = match (self.confidence, doubt) {
@@ -239,7 +244,7 @@ impl Standing {
                         held(!self.is_tracking() || self.holds_fast(fix) || agrees_both_ways(fix), "lines_disagree")
                     })
                     .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
-                    .or_else(|| held(longest_axis(&fix.covariance) <= refined_m, "spread"))
+                    .or_else(|| held(longest_axis_of(&fix.covariance) <= refined_m, "spread"))
             })
     }
 
@@ -320,7 +325,11 @@ pub fn is_contradicted(lines: &Agreement) -> bool {
 }
 
 /// Standard deviation of x, y along the longer axis.
-fn longest_axis(covariance: &Matrix6<f64>) -> f64 {
-    let (xx, xy, yy) = (covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]);
-    libm::sqrt((0.5 * (xx + yy) + libm::hypot(0.5 * (xx - yy), xy)).max(0.0))
+/// Too uncertain to be a place.
+pub fn is_lost(covariance: &Matrix6<f64>) -> bool {
+    longest_axis_of(covariance) > LOST_M
+}
+
+fn longest_axis_of(covariance: &Matrix6<f64>) -> f64 {
+    longest_axis(covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)])
 }

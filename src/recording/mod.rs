@@ -74,6 +74,8 @@ pub mod topic {
     pub const POSE: &str = "/camera/pose";
     /// `realitysim_msgs/FrameTag`, one per frame.
     pub const FRAME_TAG: &str = "/frame_tag";
+    /// `realitysim_msgs/FrameTag`, of no frame and marked so: while there are none.
+    pub const PREDICTED_TAG: &str = "/predicted_tag";
     /// `diagnostic_msgs/DiagnosticArray`, one per second, and one for each gap.
     pub const DIAGNOSTICS: &str = "/diagnostics";
 }

@@ -160,6 +160,11 @@ impl SessionWriter {
         Ok(())
     }
 
+    /// Of no frame: where odometry has the camera while there is none.
+    pub fn predicted_tag(&mut self, log_time_ns: i64, tag: &FrameTag) -> Result<(), RecordingError> {
+        self.own(topic::PREDICTED_TAG, log_time_ns, tag, Kind::Other)
+    }
+
     pub fn diagnostics(&mut self, log_time_ns: i64, report: &DiagnosticArray) -> Result<(), RecordingError> {
         self.own(topic::DIAGNOSTICS, log_time_ns, report, Kind::Other)
     }

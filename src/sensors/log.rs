@@ -25,7 +25,7 @@ pub enum LogError {
 }
 
 /// What only an earlier replay writes: never an input of the next one.
-const OUTPUT_TOPICS: [&str; 2] = ["/camera/pose", "/frame_tag"];
+const OUTPUT_TOPICS: [&str; 3] = ["/camera/pose", "/frame_tag", "/predicted_tag"];
 const DIAGNOSTICS: &str = "/diagnostics";
 /// What our own entries of that topic, which robots use as well, begin with.
 pub const DIAGNOSTICS_NAME: &str = "realitysim: ";

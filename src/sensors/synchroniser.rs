@@ -118,6 +118,16 @@ impl Synchroniser {
         self.too_late
     }
 
+    /// When the last frame that was popped was exposed.
+    pub fn last_frame_ns(&self) -> Option<i64> {
+        self.state.last_frame_ns
+    }
+
+    /// Until when odometry is whole.
+    pub fn odometry_settled_ns(&self) -> Option<i64> {
+        self.state.odometry().settled_ns()
+    }
+
     /// Whether an attitude has ever been heard of.
     pub fn knows_attitude(&self) -> bool {
         !self.state.attitude.is_empty()
@@ -215,6 +225,15 @@ impl Synchroniser {
     fn robot_at(&mut self, stamp_ns: i64) -> RobotAt {
         let initial_pose = self.state.initial_pose.take();
         let last_frame_ns = self.state.last_frame_ns.replace(stamp_ns);
+        RobotAt { initial_pose, ..self.robot(last_frame_ns, stamp_ns) }
+    }
+
+    /// The same at a time of which there is no frame; turns count from `since_ns`. The next frame knows nothing of it.
+    pub fn robot_between(&self, since_ns: i64, stamp_ns: i64) -> RobotAt {
+        self.robot(Some(since_ns), stamp_ns)
+    }
+
+    fn robot(&self, last_frame_ns: Option<i64>, stamp_ns: i64) -> RobotAt {
         let state = &self.state;
         let odometry = state.odometry();
         let attitude = state.attitude.at(stamp_ns);
@@ -240,7 +259,7 @@ impl Synchroniser {
             turned_rad: last_frame_ns.and_then(|last_ns| state.turn_rate.integral(last_ns, stamp_ns)),
             swayed_rad: last_frame_ns.and_then(|last_ns| state.sway_rate.integral(last_ns, stamp_ns)),
             stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
-            initial_pose,
+            initial_pose: None,
         }
     }
 

@@ -166,7 +166,12 @@ fn mavlink_stream(read: u8) -> Vec<u8> {
 /// Without its header, which the fuzzer's entry makes.
 fn checkpoints() {
     let body = |checkpoint: &Checkpoint| checkpoint.encode().unwrap()[16..].to_vec();
-    let empty = Checkpoint { tagger: Default::default(), synchroniser: Default::default(), frames: 0 };
+    let empty = Checkpoint {
+        tagger: Default::default(),
+        synchroniser: Default::default(),
+        foresight: Default::default(),
+        frames: 0,
+    };
     keep("checkpoint", "sound-empty", body(&empty));
     for (name, particles) in [("one-particle", 1), ("twenty-particles", 20)] {
         let mut settings = Settings::default();

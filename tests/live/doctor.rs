@@ -11,7 +11,7 @@ use mavlink::dialects::common::{ATTITUDE_QUATERNION_DATA, HEARTBEAT_DATA, MavFra
 use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 use serde_json::Value;
 
-use super::CONFIG;
+use super::recorder::CONFIG;
 use crate::replay::support::Room;
 use crate::serial::Cable;
 

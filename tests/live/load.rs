@@ -4,8 +4,8 @@ use std::fs;
 
 use serde_json::json;
 
+use super::recorder::{CONFIG, Recorder};
 use super::robot::Robot;
-use super::{CONFIG, Recorder};
 use crate::replay::support::{Room, read_log};
 
 /// Of Linux on every machine this is built for.

@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 use std::time::{Duration, Instant};
 
 use super::doctor::{Board, odometry};
-use super::{CONFIG, Recorder};
+use super::recorder::{CONFIG, Recorder};
 use crate::replay::support::{CAPTURES, Room, decode_all, read_capture};
 use crate::serial::Cable;
 use realitysim::ros2::messages::DiagnosticArray;

@@ -118,14 +118,19 @@ impl Robot {
                     line.write_all(raw.raw_bytes()).expect("sent");
                 }
                 Event::Frame(jpeg) => {
-                    let socket = socket.get_or_insert_with(|| UnixStream::connect(camera).expect("a recorder"));
+                    let connect = || UnixStream::connect(camera).expect("a recorder");
+                    let to_recorder = socket.get_or_insert_with(connect);
                     let stamp_ns = began_ns + at_ns;
                     let mut bytes = b"RSF1".to_vec();
                     bytes.extend((jpeg.len() as u32).to_le_bytes());
                     bytes.extend((stamps.len() as u32).to_le_bytes());
                     bytes.extend(stamp_ns.to_le_bytes());
                     bytes.extend(jpeg);
-                    socket.write_all(&bytes).expect("sent");
+                    // Who has sent nothing for a while has been hung up on.
+                    if to_recorder.write_all(&bytes).is_err() {
+                        *to_recorder = connect();
+                        to_recorder.write_all(&bytes).expect("sent");
+                    }
                     stamps.push(stamp_ns);
                 }
             }

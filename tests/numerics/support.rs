@@ -49,6 +49,7 @@ pub fn place(height_m: f64, yaw: f64, pitch: f64, roll: f64) -> Isometry {
     Isometry::from_euler(Euler { yaw, pitch, roll }, DVec3::new(0.04, 0.0, height_m))
 }
 
+#[derive(Clone)]
 pub struct Robot {
     renderer: Renderer,
     vision: Vision,
@@ -167,6 +168,18 @@ impl Robot {
         let tag = self.tag(&self.view());
         self.stamp_ns += FRAME_NS;
         tag
+    }
+
+    /// What it makes of odometry alone.
+    pub fn foresee(&mut self, ahead: &mut LocalizerState) -> Option<FrameTag> {
+        let told = self.told();
+        let tag = self.tagger.foresee(self.stamp_ns, &told, ahead, "no_frame");
+        tag.iter().for_each(assert_sound);
+        tag
+    }
+
+    pub fn state(&self) -> LocalizerState {
+        self.tagger.state()
     }
 
     /// Stands until it is sure of its pose.

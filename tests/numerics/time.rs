@@ -5,9 +5,10 @@ use core::f64::consts::FRAC_PI_2;
 
 use glam::{DQuat, DVec3};
 use realitysim::config::Settings;
-use realitysim::geometry::{Isometry, Pose2};
+use realitysim::geometry::{Isometry, Pose2, longest_axis};
 use realitysim::localization::motion::{MotionModel, predict, wander};
 use realitysim::localization::particles::Particles;
+use realitysim::ros2::messages::FrameTag;
 
 use super::support::{FRAME_NS, Robot, place, small_lens, usual_place};
 
@@ -228,5 +229,37 @@ fn quaternions_unnormalised_or_with_the_other_sign_are_the_same_rotation() {
     ] {
         let pose = Isometry::new(bad, DVec3::ONE);
         assert!((pose.rotation.length() - 1.0).abs() < 1e-15, "{bad}: {}", pose.rotation);
+    }
+}
+
+/// Minutes without a frame, of walking and of nonsense from odometry: predictions say less and less, then nothing, and
+/// the next frame is the same to the bit as if nobody had asked.
+#[test]
+fn a_prediction_over_minutes_knows_less_and_less_and_is_forgotten_by_the_next_frame() {
+    for broken in [None, Some(Pose2::new(f64::NAN, 0.0, 0.0)), Some(Pose2::new(1e300, -1e300, 1e300))] {
+        let mut robot = robot();
+        let mut asked_nothing = robot.clone();
+        let mut ahead = robot.state();
+        let mut sigma_m = 0.0;
+        let mut predicted = 0;
+        for step in 0..3_000 {
+            robot.stamp_ns += FRAME_NS;
+            walk(&mut robot);
+            let odometry = robot.odometry;
+            if step % 7 == 3 && broken.is_some() {
+                robot.odometry = broken;
+            }
+            let tag = robot.foresee(&mut ahead);
+            robot.odometry = odometry;
+            let Some(tag) = tag else { continue };
+            let now_m = longest_axis(tag.pose.covariance[0], tag.pose.covariance[1], tag.pose.covariance[7]);
+            assert!(!tag.valid && now_m >= sigma_m && now_m < 0.61, "{now_m} m after {sigma_m} m");
+            (sigma_m, predicted) = (now_m, predicted + 1);
+        }
+        assert!((20..2_500).contains(&predicted), "{predicted}: known for a while, and not for ever");
+        (asked_nothing.stamp_ns, asked_nothing.pose, asked_nothing.odometry) =
+            (robot.stamp_ns, robot.pose, robot.odometry);
+        let (asked, other) = (robot.step(), asked_nothing.step());
+        assert_eq!(asked, FrameTag { elapsed_ms: asked.elapsed_ms, ..other });
     }
 }

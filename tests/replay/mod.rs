@@ -21,6 +21,7 @@ mod independent;
 mod interrupted;
 mod losses;
 mod memory;
+pub mod no_frames;
 mod packing;
 mod paper;
 mod parts;

@@ -15,6 +15,7 @@ use super::status::{CoverageStatus, Status};
 use super::telling::Told;
 use super::watchdog::{Rounds, Watchdog};
 use super::{RecordError, RecordOptions};
+use crate::agent::foresight::NO_FRAME;
 use crate::agent::pipeline::Pipeline;
 use crate::config::Settings;
 use crate::geometry::LensParameters;
@@ -139,7 +140,9 @@ impl<'a> Agent<'a> {
         for tag in self.tags.iter().flat_map(Receiver::try_iter) {
             self.control.tell(&tag);
             self.status.tagged(&tag);
-            self.meters.tagged(&tag);
+            if tag.reason != NO_FRAME {
+                self.meters.tagged(&tag);
+            }
             self.devices.send(&tag, self.clock_ns);
         }
     }

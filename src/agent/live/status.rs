@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::meters::{BudgetUse, FilterUse, Rates, Validity};
 use super::port::Port;
-use crate::geometry::PoseGrid;
+use crate::geometry::{PoseGrid, longest_axis};
 use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
 use crate::sensors::camera::StampClock;
@@ -44,6 +44,7 @@ pub struct Status {
     pub validity: Validity,
     pub filter: FilterUse,
     pub ports: BTreeMap<String, Port>,
+    /// Or a prediction, while there are no frames: its `reason` is `no_frame`.
     pub last_tag: Option<LastTag>,
     /// Which cells of the pose grid the session has images of.
     pub coverage: Option<CoverageStatus>,
@@ -80,6 +81,8 @@ pub struct LastTag {
     pub sequence: u64,
     pub valid: bool,
     pub reason: String,
+    /// Standard deviation of the place, along its longer axis.
+    pub sigma_m: f64,
     pub x_m: f64,
     pub y_m: f64,
     pub yaw_rad: f64,
@@ -98,11 +101,12 @@ impl Status {
     }
 
     pub fn tagged(&mut self, tag: &FrameTag) {
-        let position = &tag.pose.pose.position;
+        let (position, covariance) = (&tag.pose.pose.position, &tag.pose.covariance);
         self.last_tag = Some(LastTag {
             sequence: tag.sequence,
             valid: tag.valid,
             reason: tag.reason.clone(),
+            sigma_m: longest_axis(covariance[0], covariance[1], covariance[7]),
             x_m: position.x,
             y_m: position.y,
             yaw_rad: tag.yaw,

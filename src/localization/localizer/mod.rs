@@ -17,7 +17,7 @@ use super::particles::Spread;
 use super::posture::{Posture, Stand};
 use super::refinement::{self, Agreement, Prior, Refiner};
 use super::track::{Prediction, Step, Track, TrackModel};
-use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted};
+use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost};
 use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::vision::Seen;
 
@@ -231,6 +231,19 @@ impl Localizer {
     pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
         let reason = if self.lies(moment) { "fallen" } else { reason };
         self.drift(moment, reason)
+    }
+
+    /// Where odometry puts the robot at a time of which there is no frame. `ahead`, what is remembered of that, begins as
+    /// [`state`](Self::state); the next frame knows nothing of it. `None` where the place was not known, or is not any
+    /// more.
+    pub fn foresee(&mut self, ahead: &mut LocalizerState, moment: &Moment, reason: &'static str) -> Option<Fix> {
+        core::mem::swap(&mut self.state, ahead);
+        self.filter.exchange(&mut self.state.filter);
+        let fix = self.coast(moment, reason);
+        let is_known = self.state.standing.is_confirmed() && !is_lost(&fix.covariance);
+        self.filter.exchange(&mut self.state.filter);
+        core::mem::swap(&mut self.state, ahead);
+        is_known.then_some(fix)
     }
 
     /// On the floor, or on its way there or up again. Whoever has got up may be somewhere else.

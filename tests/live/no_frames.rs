@@ -1,0 +1,44 @@
+//! The camera is away for a while: the robot's poses come from odometry until it is back.
+
+use realitysim::ros2::messages::FrameTag;
+use serde_json::Value;
+
+use super::recorder::Recorder;
+use super::robot::Robot;
+use crate::replay::no_frames::{PREDICTED, PREDICTIONS, with_a_gap};
+use crate::replay::support::{TAG, decode_all, read_capture};
+
+#[test]
+fn whoever_listens_hears_predictions_while_there_are_no_frames_and_that_they_are() {
+    let robot = Robot::of(&with_a_gap());
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    let (frames, socket) = (robot.frames(), recorder.room.path("camera.sock"));
+    let line = robot.listens();
+    let walking = std::thread::spawn(move || robot.walk(&socket));
+    let listener = recorder.listens_to_poses();
+    recorder.waits_for("a prediction", 30, |status| {
+        status["last_tag"]["reason"] == "no_frame" && status["last_tag"]["sigma_m"].as_f64() > Some(0.0)
+    });
+    let said = recorder.room.run("status --socket control.sock").stdout;
+    assert!(said.contains("predicted, for want of frames"), "{said}");
+    let (_, robot) = walking.join().expect("walked");
+    recorder.waits_for("all frames", 20, |status| status["counts"]["tagged"].as_u64() == Some(frames as u64));
+    let status = recorder.asks("status");
+    assert_eq!(status["validity"]["frames"], frames, "shares are of frames: {status}");
+    let output = recorder.ends();
+    assert!(output.status.success(), "{output:?}");
+    let report: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let recorded = read_capture(&recorder.room.path(report["session"].as_str().expect("a session")));
+    let predicted: Vec<FrameTag> = decode_all(&recorded, PREDICTED);
+    // The last gap of all, at the end of the walk, is half a second.
+    assert!(predicted.len().abs_diff(PREDICTIONS) <= 1, "{}", predicted.len());
+    let heard = listener.wait_with_output().expect("ended with the recorder").stdout;
+    let heard: Vec<Value> =
+        heard.split(|byte| *byte == b'\n').filter_map(|line| serde_json::from_slice(line).ok()).collect();
+    let of_no_frame = heard.iter().filter(|tag| tag["reason"] == "no_frame" && tag["valid"] == false).count();
+    assert_eq!((heard.len(), of_no_frame), (frames + predicted.len(), predicted.len()));
+    let told = line.join().expect("listened");
+    drop(robot);
+    let valid = decode_all::<FrameTag>(&recorded, TAG).iter().filter(|tag| tag.valid).count();
+    assert_eq!(told.len(), valid, "the robot is not told its own odometry");
+}

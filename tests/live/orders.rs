@@ -1,0 +1,124 @@
+//! Sessions that begin and end, and orders to a recorder that runs.
+
+use std::time::Duration;
+
+use super::recorder::Recorder;
+use super::robot::Robot;
+use crate::replay::support::{CAPTURES, Room, walk};
+
+#[test]
+fn a_session_can_be_stopped_and_another_begun() {
+    let mut recorder = Recorder::start(None);
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    let stopped = recorder.asks("stop");
+    assert_eq!(stopped["state"], "stopped");
+    let first = stopped["session"].as_str().expect("a session").to_owned();
+    assert!(recorder.room.path(&first).join("0000.mcap").is_file(), "whole, while the recorder runs");
+    assert_eq!(recorder.asks("start")["state"], "recording");
+    recorder
+        .waits_for("another session", 5, |status| status["session"].as_str().is_some_and(|session| session != first));
+    let status = recorder.asks("status");
+    assert_eq!((&status["earlier"]["sessions"], &status["earlier"]["unfinished"]), (&1.into(), &0.into()), "{status}");
+    assert!(recorder.ends().status.success());
+    assert!(recorder.room.run("status --socket control.sock").code == Some(1), "nobody answers any more");
+}
+
+#[test]
+fn who_orders_a_stop_before_the_first_session_is_obeyed() {
+    let robot = Robot::of(&walk().messages);
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    recorder.waits_for("it answers", 30, |status| status["state"] == "listening");
+    assert_eq!(recorder.asks("stop")["state"], "stopped");
+    std::thread::sleep(Duration::from_secs(3));
+    assert_eq!(recorder.asks("status")["state"], "stopped");
+    assert_eq!(recorder.asks("start")["state"], "recording");
+    assert!(recorder.ends().status.success());
+}
+
+#[test]
+fn who_is_ended_before_the_first_session_leaves_none() {
+    let robot = Robot::of(&walk().messages);
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    recorder.waits_for("it answers", 30, |status| status["state"] == "listening");
+    assert!(recorder.ends().status.success());
+    let sessions = std::fs::read_dir(recorder.room.path(CAPTURES)).into_iter().flatten().flatten();
+    assert_eq!(sessions.filter(|entry| entry.path().is_dir()).count(), 0);
+}
+
+/// Nobody at its socket can keep it from being asked, or make it do what was not said.
+#[test]
+fn orders_are_taken_whole_or_not_at_all() {
+    let mut recorder = Recorder::start(None);
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    let order = |line: &str| recorder.room.run(&format!("{line} --socket control.sock"));
+    order(&format!("mark {}stop", "a".repeat(4091))).fails(1, &["an order has at most 4096 bytes"]);
+    order(&format!("mark {}", "é".repeat(3000))).fails(1, &["an order has at most 4096 bytes"]);
+    // Larger than the socket's own buffer.
+    let mut long = std::os::unix::net::UnixStream::connect(recorder.room.path("control.sock")).expect("a recorder");
+    std::io::Write::write_all(&mut long, "a".repeat(500_000).as_bytes()).expect("taken");
+    let mut said = String::new();
+    std::io::Read::read_to_string(&mut long, &mut said).expect("answered");
+    assert!(said.contains("an order has at most 4096 bytes"), "{said}");
+    assert_eq!(recorder.asks("status")["state"], "recording");
+    recorder.asks("stop");
+    order("mark goal!").fails(1, &["nothing is being recorded"]);
+    // One asker too many is told, whatever it asks.
+    let idle: Vec<_> = (0..16)
+        .map(|_| std::os::unix::net::UnixStream::connect(recorder.room.path("control.sock")).expect("a recorder"))
+        .collect();
+    std::thread::sleep(Duration::from_millis(200));
+    for _ in 0..5 {
+        let run = recorder.room.run("poses --socket control.sock");
+        assert!(run.code == Some(1) && run.stdout.is_empty() && run.stderr.contains("16 others"), "{run:?}");
+    }
+    drop(idle);
+    std::thread::sleep(Duration::from_millis(200));
+    // While there are no poses.
+    let socket = recorder.room.path("control.sock");
+    for _ in 0..3 {
+        for _ in 0..16 {
+            let mut listener = std::os::unix::net::UnixStream::connect(&socket).expect("a recorder");
+            std::io::Write::write_all(&mut listener, b"poses\n").expect("asked");
+        }
+        std::thread::sleep(Duration::from_millis(600));
+    }
+    // Who has said all it will still listens.
+    let patient = std::os::unix::net::UnixStream::connect(&socket).expect("a recorder");
+    std::io::Write::write_all(&mut (&patient), b"poses\n").expect("asked");
+    patient.shutdown(std::net::Shutdown::Write).expect("half closed");
+    patient.set_read_timeout(Some(Duration::from_millis(700))).expect("set");
+    let waited = std::io::Read::read(&mut (&patient), &mut [0; 1]).map_err(|error| error.kind());
+    assert_eq!(waited, Err(std::io::ErrorKind::WouldBlock), "hung up on");
+    assert_eq!(recorder.asks("start")["state"], "recording");
+    assert!(recorder.ends().status.success());
+}
+
+#[test]
+fn what_a_kill_left_is_finished_when_the_next_recording_starts() {
+    let mut recorder = Recorder::start(None);
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    let torn = recorder.asks("status")["session"].as_str().expect("a session").to_owned();
+    let mut process = recorder.process.take().expect("running");
+    process.kill().expect("alive");
+    process.wait().expect("ended");
+    let active = recorder.room.path(&torn).join("0000.mcap.active");
+    assert!(active.is_file(), "never finished");
+    recorder.process = Some(Recorder::process(&recorder.room, "-2.06,0.153,14.5"));
+    recorder.waits_for("it is told", 30, |status| status["repaired"].as_array().is_some_and(|all| !all.is_empty()));
+    assert!(!active.exists());
+    recorder.room.run(&format!("sessions verify {torn}")).succeeds();
+    assert!(recorder.ends().status.success());
+}
+
+#[test]
+fn what_a_recording_needs_is_asked_for() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| text);
+    let record = |arguments: &str| room.run(&format!("record -o {CAPTURES} --socket control.sock {arguments}"));
+    record("").fails(2, &["camera.lens is not set"]);
+    record("--lens lens.toml").fails(2, &["mount.torso_height_m is not set"]);
+    record("--lens lens.toml --set mount.torso_height_m=0.4 --set mount.camera_rpy_deg=[0,-90,0]").fails(2, &["up"]);
+    record("--set capture.device=unix:").fails(2, &["capture.device", "unix:/run/realitysim/camera.sock"]);
+    assert!(!room.path(CAPTURES).exists(), "nothing was begun");
+    room.run("status --socket control.sock").fails(1, &["no recorder is running there"]);
+}

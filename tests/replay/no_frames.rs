@@ -1,0 +1,98 @@
+//! While no frames come, odometry says where the robot is, and the poses say that they are of no frame.
+
+use std::fs;
+
+use realitysim::ros2::LogMessage;
+use realitysim::ros2::messages::{FrameTag, PoseStamped};
+
+use super::support::{
+    IMAGE, INITIAL, POSE, Room, TRUTH, decode_all, on, read_capture, read_log, segments, walk, without,
+};
+
+pub const PREDICTED: &str = "/predicted_tag";
+/// The cable is loose between these frames.
+const LAST_BEFORE: usize = 9;
+const FIRST_AFTER: usize = 34;
+/// Ten a second, as frames, from a second after the last one until the next one.
+pub const PREDICTIONS: usize = FIRST_AFTER - LAST_BEFORE - 9;
+
+/// The walk without some of its frames; the truth stays.
+pub fn with_a_gap() -> Vec<LogMessage> {
+    let mut number = 0;
+    let mut keep = |message: &&LogMessage| {
+        number += usize::from(message.channel.topic == IMAGE);
+        message.channel.topic != IMAGE || !(LAST_BEFORE + 2..=FIRST_AFTER).contains(&number)
+    };
+    walk().messages.iter().filter(|message| keep(message)).cloned().collect()
+}
+
+fn off_m(tag: &FrameTag, truth: &[PoseStamped]) -> f64 {
+    let truth = truth.iter().find(|truth| truth.header.stamp == tag.header.stamp).expect("a truth");
+    let (p, q) = (&tag.pose.pose.position, &truth.pose.position);
+    f64::hypot(p.x - q.x, p.y - q.y)
+}
+
+fn sigma_m(tag: &FrameTag) -> f64 {
+    tag.pose.covariance[0].max(tag.pose.covariance[7]).sqrt()
+}
+
+#[test]
+fn while_no_frames_come_odometry_says_where_the_camera_is_and_that_it_does() {
+    let room = Room::with_log(&with_a_gap());
+    let replayed = room.replay("log.mcap");
+    assert_eq!(replayed.run.code, Some(0), "{:?}", replayed.run);
+    let messages = read_capture(&replayed.session);
+    let predicted: Vec<FrameTag> = decode_all(&messages, PREDICTED);
+    assert_eq!(predicted.len(), PREDICTIONS, "ten a second");
+    assert_eq!(replayed.report["predicted"], predicted.len());
+    let truth = decode_all::<PoseStamped>(&walk().messages, TRUTH);
+    let last = &replayed.tags[LAST_BEFORE];
+    for tag in &predicted {
+        assert!(!tag.valid && tag.reason == "no_frame" && tag.sequence == 1 + LAST_BEFORE as u64, "{tag:?}");
+        let (off, sigma) = (off_m(tag, &truth), sigma_m(tag));
+        assert!(off < 0.04 && off < 4.0 * sigma, "{off:.3} m off, {sigma:.3} m claimed");
+        assert!(sigma > sigma_m(last), "it knows that it knows less");
+    }
+    assert!(sigma_m(&predicted[predicted.len() - 1]) > 1.2 * sigma_m(&predicted[0]), "and less and less");
+    let valid = replayed.tags.iter().filter(|tag| tag.valid).count();
+    assert_eq!(on(&messages, POSE).count(), valid, "who reads valid poses reads none of them");
+    // What is derived is derived anew: it is no input.
+    let again = room.replay(replayed.session.to_str().unwrap());
+    assert_eq!(decode_all::<FrameTag>(&read_capture(&again.session), PREDICTED), predicted);
+}
+
+#[test]
+fn a_part_that_begins_while_there_are_no_frames_goes_on_predicting_from_there() {
+    let room = Room::with_log(&with_a_gap());
+    let whole = room.replay("log.mcap --set recording.segment_s=2");
+    let files = segments(&whole.session);
+    let mut predicted = 0;
+    for file in &files {
+        let messages = read_log(file);
+        let own: Vec<FrameTag> = decode_all(&messages, PREDICTED);
+        predicted += own.len();
+        if on(&messages, IMAGE).next().is_none() {
+            continue;
+        }
+        room.write("part.mcap", fs::read(file).unwrap());
+        let alone = room.run("replay part.mcap -o alone --json").json();
+        let session = room.path(alone["session"].as_str().unwrap());
+        assert_eq!(decode_all::<FrameTag>(&read_capture(&session), PREDICTED), own, "{}", file.display());
+        fs::remove_dir_all(room.path("alone")).unwrap();
+    }
+    assert_eq!(predicted, PREDICTIONS);
+}
+
+#[test]
+fn nobody_predicts_where_a_robot_is_that_was_nowhere() {
+    // Told nothing, and the few frames there are do not confirm a pose.
+    let mut frames = 0;
+    let few = |message: &&LogMessage| {
+        frames += usize::from(message.channel.topic == IMAGE);
+        message.channel.topic != IMAGE || frames < 2
+    };
+    let messages: Vec<LogMessage> = without(&walk().messages, INITIAL).iter().filter(few).cloned().collect();
+    let replayed = Room::with_log(&messages).replay("log.mcap");
+    assert_eq!((replayed.tags.len(), replayed.tags[0].valid), (1, false));
+    assert_eq!(replayed.report["predicted"], 0);
+}
