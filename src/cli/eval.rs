@@ -145,7 +145,7 @@ pub fn table(c: &Comparison, in_the_other_half: usize) -> String {
         ("roll", "deg", &c.roll_deg),
         ("pitch", "deg", &c.pitch_deg),
     ] {
-        text.push_str(&output::row(name, unit, summary));
+        text.push_str(&output::row(name, unit, Some(summary)));
         text.push('\n');
     }
     if c.nees.is_infinite() {

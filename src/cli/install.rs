@@ -64,12 +64,19 @@ pub fn run(arguments: &InstallArguments) -> anyhow::Result<Outcome> {
 fn write(path: &Path, content: &[u8], mode: u32) -> anyhow::Result<()> {
     let failed = |error| paths::cannot_write(path, error);
     if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).map_err(failed)?;
+        create_folders(folder).map_err(failed)?;
     }
     let beside = path.with_extension("new");
     std::fs::write(&beside, content).map_err(failed)?;
     std::fs::set_permissions(&beside, std::fs::Permissions::from_mode(mode)).map_err(failed)?;
     std::fs::rename(&beside, path).map_err(failed)
+}
+
+/// For all to enter, whatever the umask of who installs.
+fn create_folders(folder: &Path) -> std::io::Result<()> {
+    let new: Vec<&Path> = folder.ancestors().take_while(|folder| !folder.exists()).collect();
+    std::fs::create_dir_all(folder)?;
+    new.into_iter().try_for_each(|folder| std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o755)))
 }
 
 fn run_command(command: &[&str]) -> anyhow::Result<()> {

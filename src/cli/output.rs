@@ -128,9 +128,11 @@ pub fn losses(losses: &[Loss]) {
     }
 }
 
-/// A row of a table of errors.
-pub fn row(name: &str, unit: &str, s: &Summary) -> String {
-    format!("  {name:<10} {:>8.2} {:>8.2} {:>8.2} {:>8.2}  {unit}", s.mean, s.median, s.p95, s.max)
+/// A row of a table of errors; `None` if nothing was measured.
+pub fn row(name: &str, unit: &str, summary: Option<&Summary>) -> String {
+    let number = |of: fn(&Summary) -> f64| summary.map_or("-".to_owned(), |summary| format!("{:.2}", of(summary)));
+    let [mean, median, p95, max] = [number(|s| s.mean), number(|s| s.median), number(|s| s.p95), number(|s| s.max)];
+    format!("  {name:<10} {mean:>8} {median:>8} {p95:>8} {max:>8}  {unit}")
 }
 
 /// The reader of our output has gone: no error of ours.

@@ -62,10 +62,10 @@ struct Report {
     views: usize,
     stored: usize,
     /// Where the lines say that the view is, less where it was asked for.
-    position_cm: Summary,
-    yaw_deg: Summary,
+    position_cm: Option<Summary>,
+    yaw_deg: Option<Summary>,
     /// Between neighbouring views: how much that difference changes, which is what the eye sees as a jump.
-    jump_cm: Summary,
+    jump_cm: Option<Summary>,
     /// Views whose lines do not tell where they are.
     not_found: usize,
     output: PathBuf,
@@ -157,9 +157,9 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     } else {
         let Report { views, stored, not_found, position_cm, yaw_deg, jump_cm, .. } = &report;
         let table = [
-            output::row("position", "cm", position_cm),
-            output::row("yaw", "deg", yaw_deg),
-            output::row("jump", "cm", jump_cm),
+            output::row("position", "cm", position_cm.as_ref()),
+            output::row("yaw", "deg", yaw_deg.as_ref()),
+            output::row("jump", "cm", jump_cm.as_ref()),
         ];
         output::lines(&format!(
             "{views} views, {stored} of them stored images; {not_found} whose lines do not tell where they are\n  by their own \
@@ -199,12 +199,13 @@ fn report(steps: &[Step], output: PathBuf) -> Report {
         let (a, b) = (off(&pair[0])?, off(&pair[1])?);
         Some(100.0 * libm::hypot(b.0 - a.0, b.1 - a.1))
     });
+    let summary = |values: Vec<f64>| (!values.is_empty()).then(|| Summary::of(&values));
     Report {
         views: steps.len(),
         stored: steps.iter().filter(|step| step.made == "stored").count(),
-        position_cm: Summary::of(&found.iter().map(|off| 100.0 * libm::hypot(off.0, off.1)).collect::<Vec<_>>()),
-        yaw_deg: Summary::of(&found.iter().map(|off| off.2.abs().to_degrees()).collect::<Vec<_>>()),
-        jump_cm: Summary::of(&jumps.collect::<Vec<_>>()),
+        position_cm: summary(found.iter().map(|off| 100.0 * libm::hypot(off.0, off.1)).collect()),
+        yaw_deg: summary(found.iter().map(|off| off.2.abs().to_degrees()).collect()),
+        jump_cm: summary(jumps.collect()),
         not_found: steps.len() - found.len(),
         output,
     }

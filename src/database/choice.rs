@@ -1,14 +1,23 @@
 //! Which images a view is made from: near, good, and such that together they show all of it.
 
+use core::cmp::Ordering;
+
+use glam::DVec3;
+
 use super::gallery::Gallery;
 use super::index::Neighbour;
 use super::record::Record;
 use super::tree::Metric;
-use crate::geometry::Isometry;
+use crate::geometry::{Euler, Isometry};
 use crate::views::{Footprint, Seen};
 
-/// Neighbours looked at for each image that is used; farther afield as long as those leave something unseen.
-const LOOKED_AT: [usize; 3] = [8, 32, 128];
+/// Neighbours looked at for each image that is used.
+const LOOKED_AT: usize = 8;
+/// And for each that look to where those show nothing: half the way there, and straight at it.
+const LOOKED_AT_ASIDE: usize = 3;
+const TURNS: [f64; 2] = [0.5, 1.0];
+/// As long as something is unseen, so often.
+const ASIDE: usize = 4;
 /// Where images show this share of the view, none are looked for farther away.
 const ENOUGH: f64 = 0.97;
 /// An image is taken for what it adds from this share of the view on...
@@ -30,26 +39,47 @@ pub(super) fn choose(
     wanted: usize,
     without: &Without,
 ) -> Vec<Neighbour> {
-    let mut chosen = Vec::new();
-    for looked_at in LOOKED_AT {
-        let near = without.ranked(gallery, pose, looked_at * wanted);
-        let shown;
-        (chosen, shown) = complete(gallery, &near, footprint, wanted);
-        if shown >= ENOUGH || near.len() < looked_at * wanted {
+    let mut near = Near { gallery, pose, footprint, ranked: Vec::new(), different: Vec::new() };
+    near.look(without, pose, LOOKED_AT * wanted);
+    let mut choice = near.complete(wanted);
+    let mut hopeless = Seen::default();
+    for _ in 0..ASIDE {
+        if footprint.share(choice.shown.with(hopeless)) >= ENOUGH {
             break;
         }
+        let Some((part, toward)) = footprint.unseen(pose, choice.shown.with(hopeless)) else { break };
+        for turn in TURNS {
+            near.look(without, &turned(pose, toward, turn), LOOKED_AT_ASIDE * wanted);
+        }
+        let better = near.complete(wanted);
+        if footprint.share(better.shown) < footprint.share(choice.shown) + WORTHWHILE {
+            hopeless = hopeless.with(part);
+        } else {
+            choice = better;
+        }
     }
-    chosen.sort_by(|a, b| a.seems_m.total_cmp(&b.seems_m));
-    chosen.into_iter().map(|image| image.neighbour).collect()
+    choice.images.sort_by(|a, b| a.seems_m.total_cmp(&b.seems_m));
+    choice.images.into_iter().map(|image| image.neighbour).collect()
+}
+
+/// As upright as before, this part of the way to looking along `toward`.
+fn turned(pose: &Isometry, toward: DVec3, part: f64) -> Isometry {
+    let forward = pose.transform_vector(DVec3::X);
+    let along = forward.lerp(toward, part).normalize_or(toward);
+    let euler =
+        Euler { yaw: libm::atan2(along.y, along.x), pitch: -libm::asin(along.z.clamp(-1.0, 1.0)), ..pose.euler() };
+    Isometry::from_euler(euler, pose.translation)
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Image {
+    /// Its distance is from the view.
     neighbour: Neighbour,
-    record: Record,
+    source: u32,
     pose: Isometry,
     /// Its distance, longer for a worse image.
     seems_m: f64,
+    badness: f64,
 }
 
 /// What is not to be used.
@@ -59,21 +89,6 @@ pub(super) struct Without {
 }
 
 impl Without {
-    /// Near and good ones first.
-    fn ranked(&self, gallery: &Gallery, pose: &Isometry, count: usize) -> Vec<Image> {
-        let mut ranked: Vec<(f64, Image)> = self
-            .nearest(gallery, pose, count)
-            .into_iter()
-            .map(|(neighbour, record)| {
-                let badness = badness(&record);
-                let seems_m = neighbour.distance * (1.0 + QUALITY * badness);
-                (badness, Image { neighbour, record, pose: record.pose(), seems_m })
-            })
-            .collect();
-        ranked.sort_by(|a, b| a.1.seems_m.total_cmp(&b.1.seems_m).then(a.0.total_cmp(&b.0)));
-        ranked.into_iter().map(|(_, image)| image).collect()
-    }
-
     /// Asks for more until enough of them may be used.
     fn nearest(&self, gallery: &Gallery, pose: &Isometry, count: usize) -> Vec<(Neighbour, Record)> {
         let mut asked = count + self.records.len();
@@ -93,45 +108,89 @@ impl Without {
     }
 }
 
-/// The first one, then those that add something, then those that are near and not all on one side; and the share of the view
-/// that they show.
-fn complete(gallery: &Gallery, ranked: &[Image], footprint: &Footprint, wanted: usize) -> (Vec<Image>, f64) {
-    let metric = gallery.metric();
-    let [first, ..] = ranked else { return (Vec::new(), 0.0) };
-    let mut different: Vec<Image> = Vec::new();
-    for image in ranked {
-        if is_apart(&metric, image, ALIKE, &different) {
-            different.push(*image);
+/// Images near a pose, and what they show of its view.
+struct Near<'a> {
+    gallery: &'a Gallery,
+    pose: &'a Isometry,
+    footprint: &'a Footprint,
+    /// Near and good ones first.
+    ranked: Vec<Image>,
+    /// Those among them that do not show the same as a better one.
+    different: Vec<(Image, Seen)>,
+}
+
+#[derive(Default)]
+struct Choice {
+    images: Vec<Image>,
+    shown: Seen,
+}
+
+impl Near<'_> {
+    /// Adds the images nearest to a pose, which need not be the one that the view is of.
+    fn look(&mut self, without: &Without, from: &Isometry, count: usize) {
+        let metric = self.gallery.metric();
+        let known = self.ranked.len();
+        for (neighbour, record) in without.nearest(self.gallery, from, count) {
+            if self.ranked[..known].iter().any(|image| image.neighbour.number == neighbour.number) {
+                continue;
+            }
+            let pose = record.pose();
+            let neighbour = Neighbour { distance: metric.distance(self.pose, &pose), ..neighbour };
+            let badness = badness(&record);
+            let seems_m = neighbour.distance * (1.0 + QUALITY * badness);
+            self.ranked.push(Image { neighbour, source: record.source, pose, seems_m, badness });
         }
-    }
-    let seen: Vec<(Image, Seen)> = different
-        .into_iter()
-        .filter_map(|image| Some((image, footprint.seen_by(gallery.camera(&image.record)?, &image.pose))))
-        .collect();
-    let mut chosen = vec![*first];
-    let mut shown = seen.first().map_or_else(Seen::default, |(_, seen)| *seen);
-    while chosen.len() < wanted {
-        let added = |seen: &Seen| footprint.share(seen.without(shown));
-        let most = seen.iter().map(|(_, seen)| added(seen)).fold(0.0, f64::max);
-        let enough = (NEARLY_AS_MUCH * most).max(WORTHWHILE);
-        let Some((image, more)) = seen.iter().find(|(_, seen)| added(seen) >= enough) else { break };
-        chosen.push(*image);
-        shown = shown.with(*more);
-    }
-    for apart in [APART, 0.0] {
-        for image in ranked {
-            let is_known = chosen.iter().any(|known| known.neighbour.number == image.neighbour.number);
-            if chosen.len() < wanted && !is_known && is_apart(&metric, image, apart, &chosen) {
-                chosen.push(*image);
+        self.ranked[known..].sort_by(Image::order);
+        for image in &self.ranked[known..] {
+            if is_apart(&metric, image, ALIKE, self.different.iter().map(|(image, _)| image))
+                && let Some(camera) = self.gallery.camera_of(image.source)
+            {
+                self.different.push((*image, self.footprint.seen_by(camera, &image.pose)));
             }
         }
+        self.ranked.sort_by(Image::order);
+        self.different.sort_by(|a, b| Image::order(&a.0, &b.0));
     }
-    (chosen, footprint.share(shown))
+
+    /// The first one, then those that add something, then those that are near and not all on one side.
+    fn complete(&self, wanted: usize) -> Choice {
+        let metric = self.gallery.metric();
+        let footprint = self.footprint;
+        let Some((first, mut shown)) = self.different.first().copied() else { return Choice::default() };
+        let mut images = vec![first];
+        while images.len() < wanted {
+            let added = |seen: &Seen| footprint.share(seen.without(shown));
+            let most = self.different.iter().map(|(_, seen)| added(seen)).fold(0.0, f64::max);
+            let enough = (NEARLY_AS_MUCH * most).max(WORTHWHILE);
+            let Some((image, more)) = self.different.iter().find(|(_, seen)| added(seen) >= enough) else { break };
+            images.push(*image);
+            shown = shown.with(*more);
+        }
+        for apart in [APART, 0.0] {
+            for image in &self.ranked {
+                if images.len() == wanted {
+                    break;
+                }
+                let is_known = images.iter().any(|known| known.neighbour.number == image.neighbour.number);
+                if !is_known && is_apart(&metric, image, apart, images.iter()) {
+                    images.push(*image);
+                }
+            }
+        }
+        Choice { images, shown }
+    }
+}
+
+impl Image {
+    /// Near and good ones first.
+    fn order(&self, other: &Self) -> Ordering {
+        self.seems_m.total_cmp(&other.seems_m).then(self.badness.total_cmp(&other.badness))
+    }
 }
 
 /// From all of them, by this share of its own distance.
-fn is_apart(metric: &Metric, image: &Image, share: f64, others: &[Image]) -> bool {
-    others.iter().all(|other| metric.distance(&image.pose, &other.pose) >= share * image.neighbour.distance)
+fn is_apart<'a>(metric: &Metric, image: &Image, share: f64, mut others: impl Iterator<Item = &'a Image>) -> bool {
+    others.all(|other| metric.is_apart(&image.pose, &other.pose, share * image.neighbour.distance))
 }
 
 /// 0 for a good tag and a picture that is neither dark, nor blown out, nor blurred, up to 1.

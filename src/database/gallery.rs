@@ -125,7 +125,11 @@ impl Gallery {
 
     /// The camera that an image was taken with.
     pub fn camera(&self, record: &Record) -> Option<&Arc<Camera>> {
-        self.cameras.get(record.source as usize)
+        self.camera_of(record.source)
+    }
+
+    pub(super) fn camera_of(&self, source: u32) -> Option<&Arc<Camera>> {
+        self.cameras.get(source as usize)
     }
 
     /// Memory of decoded images.

@@ -124,11 +124,14 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
     let topic = info.settings.topics.image.clone();
     let mut log = LogSource::with_outputs(files.clone(), Selection::topics([topic.as_str()]));
     let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), Lit::default());
+    let mut other_sizes = 0;
     let size = [lens.width as usize, lens.height as usize];
     loop {
         let message = log.next().transpose()?;
         if message.is_none() || batch.len() == MAX_BATCH {
-            left_out += look_at(&mut batch, size, &mut records, &mut lit);
+            let misfits = look_at(&mut batch, size, &mut records, &mut lit);
+            left_out += misfits.all;
+            other_sizes += misfits.other_sizes;
             done(records.len() as u64);
         }
         let Some(message) = message else { break };
@@ -150,6 +153,10 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
     losses.extend(
         self::losses(&path, log.damage()).into_iter().filter(|loss| !losses.contains(loss)).collect::<Vec<_>>(),
     );
+    if other_sizes > 0 {
+        let what = format!("{other_sizes} images are not of the size of its lens, {} x {}: left out", size[0], size[1]);
+        losses.push(Loss::new(&path, what));
+    }
     let relative = |file: &PathBuf| file.strip_prefix(&path).map(Path::to_owned).unwrap_or_default();
     let source = Source {
         kind: SourceKind::Capture,
@@ -195,42 +202,51 @@ fn record_of(tag: &FrameTag, file: u32, offset: u64, bytes: &[u8], form: Form) -
     }
 }
 
-/// Decodes a batch with all processors; those that do not decode, or are of another size, are left out and counted.
+/// Images that are left out: all that do not decode or are of another size than their lens, and the latter.
+#[derive(Clone, Copy, Debug, Default)]
+struct Misfits {
+    all: u64,
+    other_sizes: u64,
+}
+
+/// Decodes a batch with all processors.
 fn look_at(
     batch: &mut Vec<(Record, Vec<u8>)>,
     [width, height]: [usize; 2],
     records: &mut Vec<Record>,
     lit: &mut Lit,
-) -> u64 {
+) -> Misfits {
     let threads = thread::available_parallelism().map_or(1, usize::from);
     let share = batch.len().div_ceil(threads).max(1);
-    let before = records.len();
+    let (before, mut other_sizes) = (records.len(), 0);
     thread::scope(|scope| {
-        let look = |part: &[(Record, Vec<u8>)]| -> (Vec<Record>, Lit) {
-            let mut lit = Lit::default();
+        let look = |part: &[(Record, Vec<u8>)]| -> (Vec<Record>, Lit, u64) {
+            let (mut lit, mut others) = (Lit::default(), 0);
             let good = part.iter().filter_map(|(record, bytes)| {
                 let colours = colours(bytes, record.form).ok()?;
                 let (sharpness, brightness) = quality(&colours);
                 let fits = colours.width == width && colours.height == height;
+                others += u64::from(!fits);
                 fits.then(|| {
                     lit.add(&colours.rgb);
                     Record { sharpness, brightness, ..*record }
                 })
             });
-            (good.collect(), lit)
+            (good.collect(), lit, others)
         };
         let workers: Vec<_> = batch.chunks(share).map(|part| scope.spawn(move || look(part))).collect();
         for worker in workers {
             // A decoder that panics costs its part of the batch, which counts as left out.
-            if let Ok((found, more)) = worker.join() {
+            if let Ok((found, more, others)) = worker.join() {
                 records.extend(found);
                 lit.join(&more);
+                other_sizes += others;
             }
         }
     });
-    let left_out = batch.len() - (records.len() - before);
+    let all = (batch.len() - (records.len() - before)) as u64;
     batch.clear();
-    left_out as u64
+    Misfits { all, other_sizes }
 }
 
 fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {

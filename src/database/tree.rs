@@ -179,6 +179,13 @@ impl Metric {
         let twist = self.per_roll * twist(a.rotation.conjugate() * b.rotation);
         libm::sqrt(metres * metres + chord * chord + twist * twist)
     }
+
+    /// Whether the distance is at least this. Mostly place and viewing direction tell, which is quick.
+    pub fn is_apart(&self, a: &Isometry, b: &Isometry, distance: f64) -> bool {
+        let square = distance * distance;
+        let metres = self.per_m * self.per_m * a.translation.distance_squared(b.translation);
+        metres >= square || self.distance(a, b) >= distance
+    }
 }
 
 #[cfg(test)]

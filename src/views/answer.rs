@@ -41,6 +41,7 @@ pub struct ViewSettings {
     pub stored_within_m: f64,
     pub stored_within_rad: f64,
     /// Farther from the nearest image the request is refused.
+    /// Exact views that show little are refused with it, too; infinite: whatever there is.
     pub max_distance_m: f64,
 }
 
@@ -137,6 +138,11 @@ pub enum ViewError {
          there, or allow more"
     )]
     TooFar { distance_m: f64, max_m: f64 },
+    #[error(
+        "images show {:.0} % of this view, less than the {:.0} % that an answer within a distance needs: record there, \
+         looking that way, or allow any distance", 100.0 * share, 100.0 * LITTLE
+    )]
+    TooLittle { share: f64 },
     #[error("no image shows anything of this view")]
     NothingSeen,
     #[error("the quadratic map cannot be fitted: {0}")]
@@ -172,6 +178,13 @@ impl Request<'_> {
         let distance_m = self.distance_m(&nearest.map_from_link);
         let max_m = self.settings.max_distance_m;
         if distance_m <= max_m { Ok(()) } else { Err(ViewError::TooFar { distance_m, max_m }) }
+    }
+
+    /// Near by, and looking elsewhere, is no better than far away.
+    pub(super) fn refuse_little(&self, answer: Answer) -> Result<Answer, ViewError> {
+        let share = answer.valid_share;
+        let is_poor = self.settings.max_distance_m.is_finite() && share < LITTLE;
+        if is_poor { Err(ViewError::TooLittle { share }) } else { Ok(answer) }
     }
 
     fn distance_m(&self, map_from_link: &Isometry) -> f64 {

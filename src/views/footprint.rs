@@ -33,6 +33,8 @@ const MAX_PLACES: usize = u128::BITS as usize;
 /// An image from so many times the view's own distance is too coarse for it; from so near it never is.
 const COARSEST: f64 = 3.0;
 const NEAR_M: f64 = 0.5;
+/// Within 45 degrees of each other, places lie to one side.
+const ONE_SIDE: f64 = core::f64::consts::FRAC_1_SQRT_2;
 
 impl Footprint {
     /// Of what `camera` shows from `map_from_link`.
@@ -77,6 +79,28 @@ impl Footprint {
             seen |= u128::from(camera.projector().project_inside(at).is_some()) << number;
         }
         Seen(seen)
+    }
+
+    /// Of what `seen` lacks, what lies towards one side, the one farthest from the middle: which places, and where they are
+    /// seen from `map_from_link`, a unit vector in `map`.
+    pub fn unseen(&self, map_from_link: &Isometry, seen: Seen) -> Option<(Seen, DVec3)> {
+        let from = optical(map_from_link).translation;
+        let forward = map_from_link.transform_vector(DVec3::X);
+        let ray = |place: &Place| match place {
+            Place::Far(ray) => *ray,
+            Place::Ground { at, .. } => (*at - from).normalize_or(forward),
+        };
+        let missing = || {
+            let places = self.places.iter().enumerate().filter(|(number, _)| seen.0 >> number & 1 == 0);
+            places.map(|(number, place)| (number, ray(place)))
+        };
+        let (_, outermost) = missing().min_by(|a, b| a.1.dot(forward).total_cmp(&b.1.dot(forward)))?;
+        let (mut part, mut sum) = (0, DVec3::ZERO);
+        for (number, ray) in missing().filter(|(_, ray)| ray.dot(outermost) >= ONE_SIDE) {
+            part |= 1 << number;
+            sum += ray;
+        }
+        Some((Seen(part), sum.normalize_or(outermost)))
     }
 
     /// Of all its places, the share that `seen` holds.

@@ -63,7 +63,7 @@ pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewE
             if chosen.iter().any(|source| source.image.has_moving()) {
                 beneath::fill(&mut composed.image, request, &target, &warps, chosen, &gains);
             }
-            Answer::composed(request, &target, chosen, composed)
+            request.refuse_little(Answer::composed(request, &target, chosen, composed)?)
         }
     }
 }

@@ -62,13 +62,13 @@ fn listen(options: &PortOptions) -> Heard {
     match (lost, status) {
         (None, Some(status)) => Ok(status),
         (Some(error), _) => Err(error),
-        (None, None) => Ok(LineStatus { counts: PortCounts::default(), clocks: Vec::new() }),
+        (None, None) => Ok(LineStatus::default()),
     }
 }
 
 fn port(options: &PortOptions, heard: &Heard) -> Finding {
     let what = format!("serial {} at {} baud", options.device, options.baud);
-    let LineStatus { counts, clocks } = match heard {
+    let LineStatus { counts, clocks, .. } = match heard {
         Err(error) => return bad(what, error.to_string(), "see the message"),
         Ok(status) => status,
     };

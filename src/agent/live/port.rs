@@ -114,7 +114,7 @@ mod tests {
 
     fn line(bytes: u64, frames: u64, lost: u64) -> LineStatus {
         let frames = FrameCounts { bytes, frames, ..FrameCounts::default() };
-        LineStatus { counts: PortCounts { frames, lost, ..PortCounts::default() }, clocks: Vec::new() }
+        LineStatus { counts: PortCounts { frames, lost, ..PortCounts::default() }, ..LineStatus::default() }
     }
 
     fn events(port: &mut Port, lines: impl IntoIterator<Item = LineStatus>) -> Vec<Option<&'static str>> {

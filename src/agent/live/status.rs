@@ -122,7 +122,7 @@ impl Status {
     pub fn diagnostics(&self, now_ns: i64, robot: &str) -> DiagnosticArray {
         let status = self.ports.iter().map(|(device, port)| {
             let mut values = Vec::new();
-            if let Some(LineStatus { counts, clocks }) = &port.line {
+            if let Some(LineStatus { counts, unsent, clocks }) = &port.line {
                 let frames = &counts.frames;
                 let numbers = [
                     ("messages", frames.frames),
@@ -131,6 +131,7 @@ impl Status {
                     ("bytes_skipped", frames.bytes_skipped),
                     ("unusable", counts.unusable.values().sum()),
                     ("estimate_resets", counts.resets),
+                    ("unsent", *unsent),
                 ];
                 values.extend(numbers.map(|(key, number)| value(key, number)));
                 for clock in clocks {

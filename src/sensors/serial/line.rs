@@ -26,10 +26,12 @@ pub struct Pose {
     pub covariance: [f64; 36],
 }
 
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LineStatus {
     #[serde(flatten)]
     pub counts: PortCounts,
+    /// How often nobody took what was to be sent: questions for the time, poses.
+    pub unsent: u64,
     pub clocks: Vec<SenderClock>,
 }
 
@@ -56,6 +58,7 @@ pub struct Line {
     asked_ns: Option<i64>,
     heartbeat_ns: Option<i64>,
     answers: Vec<u8>,
+    unsent: u64,
 }
 
 impl Line {
@@ -68,6 +71,7 @@ impl Line {
             asked_ns: None,
             heartbeat_ns: None,
             answers: Vec::new(),
+            unsent: 0,
         }
     }
 
@@ -117,6 +121,11 @@ impl Line {
         self.outgoing.pose(pose.stamp_ns, &pose.map_from_camera_link, &pose.covariance)
     }
 
+    /// What was due could not be sent.
+    pub fn was_not_taken(&mut self) {
+        self.unsent += 1;
+    }
+
     /// The port was closed: what follows is another beginning.
     pub fn interrupted(&mut self) {
         self.decoder.interrupted();
@@ -127,6 +136,6 @@ impl Line {
         let clocks = self.clocks.iter().filter_map(|((sender, base), clock)| {
             Some(SenderClock { sender: *sender, base: *base, clock: clock.status()? })
         });
-        LineStatus { counts: self.decoder.counts().clone(), clocks: clocks.collect() }
+        LineStatus { counts: self.decoder.counts().clone(), unsent: self.unsent, clocks: clocks.collect() }
     }
 }

@@ -108,7 +108,7 @@ fn read(
         if !due.is_empty() {
             match port.write_all(&due) {
                 // Nobody takes our questions: the arrivals must do.
-                Err(error) if error.kind() == io::ErrorKind::TimedOut => {}
+                Err(error) if error.kind() == io::ErrorKind::TimedOut => line.was_not_taken(),
                 written => written?,
             }
         }
