@@ -41,7 +41,7 @@ pub struct ServeArguments {
     /// A scene whose effects clients may ask for; its name is the file's without .toml
     #[arg(long, value_name = "FILE")]
     scene: Vec<String>,
-    /// Refuse when the nearest image was taken farther away than this, or images show less than half of an exact view, if the client does not say
+    /// Refuse when the nearest image was taken farther away than this, or images show less than a quarter of an exact view, if the client does not say
     #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = distance)]
     max_distance: f64,
     /// Robot config, for its section [views]

@@ -65,7 +65,7 @@ pub struct ViewArguments {
     /// As which frame of the scene
     #[arg(long, value_name = "N", default_value_t = 0, requires = "scene")]
     frame: u64,
-    /// Refuse when the nearest image was taken farther away than this, or images show less than half of an exact view
+    /// Refuse when the nearest image was taken farther away than this, or images show less than a quarter of an exact view
     #[arg(long, value_name = "M", value_parser = super::serve::distance)]
     max_distance: Option<f64>,
     /// Nearest image, the paper's view and the exact one beside each other, with mask and numbers

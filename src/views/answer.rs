@@ -140,7 +140,9 @@ pub enum ViewError {
     TooFar { distance_m: f64, max_m: f64 },
     #[error(
         "images show {:.0} % of this view, less than the {:.0} % that an answer within a distance needs: record there, \
-         looking that way, or allow any distance", 100.0 * share, 100.0 * LITTLE
+         looking that way, or allow any distance",
+        100.0 * share,
+        100.0 * LEAST
     )]
     TooLittle { share: f64 },
     #[error("no image shows anything of this view")]
@@ -158,6 +160,8 @@ const MAX_PLACE_M: f64 = 1000.0;
 pub const FAR_M: f64 = 1.0;
 /// An answer that shows less of what its lens draws is to be doubted.
 const LITTLE: f64 = 0.5;
+/// One that shows less than this is none, where a distance is allowed for.
+const LEAST: f64 = 0.25;
 /// Of a map that is interpolated on a grid, root mean square.
 const GRID_ERROR_PX: f64 = 0.04;
 
@@ -183,7 +187,7 @@ impl Request<'_> {
     /// Near by, and looking elsewhere, is no better than far away.
     pub(super) fn refuse_little(&self, answer: Answer) -> Result<Answer, ViewError> {
         let share = answer.valid_share;
-        let is_poor = self.settings.max_distance_m.is_finite() && share < LITTLE;
+        let is_poor = self.settings.max_distance_m.is_finite() && share < LEAST;
         if is_poor { Err(ViewError::TooLittle { share }) } else { Ok(answer) }
     }
 

@@ -8,7 +8,10 @@ use super::target::Target;
 use super::world::Surface;
 
 /// Sources whose score is within this share of the best one's are mixed: the width of a seam.
-const FEATHER: f32 = 0.08;
+const FEATHER: f32 = 0.04;
+/// A source counts half when it was taken this much farther away than on the spot: what is not quite where tag, lens and
+/// carpet have it is shown from nearly the right place by near ones.
+const BASELINE_M: f64 = 0.15;
 /// Distance from the source's border, in pixels, from which on it does not count.
 const BORDER_PX: f32 = 24.0;
 /// Beside what is far, a source counts half when it was taken this far away: it shows another parallax.
@@ -53,6 +56,7 @@ fn scores(target: &Target, warp: &Warp) -> Vec<f32> {
     let (columns, rows) = target.camera().cells();
     let source = warp.source();
     let (width, height) = (source.camera.width() as f32 - 1.0, source.camera.height() as f32 - 1.0);
+    let near = (1.0 / (1.0 + warp.baseline_m() / BASELINE_M)) as f32;
     let far = (1.0 / (1.0 + warp.baseline_m() / FAR_BASELINE_M)) as f32;
     let score = |node: usize| {
         let [u, v] = warp.node(node);
@@ -71,7 +75,7 @@ fn scores(target: &Target, warp: &Warp) -> Vec<f32> {
         let area = (ux * vy - uy * vx).abs() / (4 * AREA) as f32;
         let resolution = if area.is_nan() { 0.5 } else { area.clamp(0.05, 4.0) };
         let edge = (border / BORDER_PX).clamp(0.05, 1.0);
-        let near = if target.surface_at(node) == Some(Surface::Far) { far } else { 1.0 };
+        let near = if target.surface_at(node) == Some(Surface::Far) { near * far } else { near };
         resolution * edge * near
     };
     (0..target.node_count()).map(score).collect()

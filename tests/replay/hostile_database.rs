@@ -155,3 +155,29 @@ fn sizes_that_no_machine_has_are_refused() {
     room.run("db add log.mcap --db other").fails(1, &["neither a capture (with session.json) nor a folder of images"]);
     room.run("serve --db db --token-file /dev/zero").fails(2, &["a token is made of letters"]);
 }
+
+#[test]
+fn images_of_another_size_than_their_lens_are_told() {
+    let room = Room::with_walk();
+    let session = room.replay("log.mcap").session;
+    let path = session.join("session.json");
+    let mut info: serde_json::Value = serde_json::from_slice(&fs::read(&path).expect("there")).expect("JSON");
+    info["lens"]["width"] = 640.into();
+    fs::write(&path, info.to_string()).expect("written");
+    let run = room.run("db add captures --db db");
+    assert!(run.code == Some(3) && run.stderr.contains("images are not of the size of its lens, 640 x 240"), "{run:?}");
+    assert!(run.stdout.starts_with("0 images"), "{run:?}");
+}
+
+/// A wall of one colour: there is nothing to measure, and that is what is said.
+#[test]
+fn a_walk_of_views_without_lines_measures_nothing() {
+    let room = Room::new();
+    folder(&room, "one", "0.1,0.2,0.5,10,20,0");
+    room.run("db add one --db db --field kid-2009").succeeds();
+    let walk = "view-walk --db db --from 0.1,0.2,10 --to 0.12,0.2,10 --frames 2 -o walk";
+    let said = room.run(walk).succeeds().stdout;
+    assert!(said.contains("2 whose lines do not tell") && said.contains("position          -        -"), "{said}");
+    let report = room.run(&format!("{walk} --json")).succeeds().json();
+    assert!(report["position_cm"].is_null() && report["jump_cm"].is_null(), "{report}");
+}

@@ -94,6 +94,14 @@ fn what_cannot_be_shown_is_refused_in_words() {
     let mut near = request(&camera, at(3.0, 0.5), &world);
     near.settings = ViewSettings { max_distance_m: 1.0, ..near.settings };
     assert!(matches!(view(&near, &[source]), Err(ViewError::TooFar { .. })));
+    // Near by, and looking the other way.
+    let behind = Euler { yaw: core::f64::consts::PI, pitch: 0.3, roll: 0.0 };
+    let mut away = request(&camera, Isometry::from_euler(behind, DVec3::new(0.0, 0.0, 0.5)), &world);
+    let shown = view(&away, &[source]).map(|answer| answer.valid_share);
+    assert!(shown.as_ref().is_ok_and(|share| *share < 0.25), "whatever there is: {shown:?}");
+    away.settings = ViewSettings { max_distance_m: 1.0, ..away.settings };
+    let said = view(&away, &[source]).expect_err("refused").to_string();
+    assert!(said.contains("less than the 25 %") && said.contains("looking that way"), "{said}");
     // Looking straight up there is no ground for the paper's map.
     let euler = Euler { yaw: 0.0, pitch: -1.5, roll: 0.0 };
     let mut up = request(&camera, Isometry::from_euler(euler, DVec3::new(0.1, 0.0, 0.5)), &world);
