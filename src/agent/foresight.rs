@@ -11,8 +11,9 @@ use crate::sensors::synchroniser::Synchroniser;
 
 /// In `reason` of a tag that belongs to no frame.
 pub const NO_FRAME: &str = "no_frame";
-/// Without a frame for so long, poses are foreseen: a camera that stalls is given up then, too.
+/// Without a frame for so long, and for so many times as long as from the one before it to the last one, poses are foreseen.
 const GAP_NS: i64 = 1_000_000_000;
+const INTERVALS: i64 = 3;
 /// And so often.
 const EVERY_NS: i64 = 100_000_000;
 
@@ -33,20 +34,29 @@ impl Foresight {
         self.ahead = None;
     }
 
+    /// Where the robot is by now, if that has been foreseen.
+    pub fn state(self) -> Option<LocalizerState> {
+        self.ahead.map(|ahead| ahead.localizer)
+    }
+
     /// When the next pose is due, if odometry has come that far: the latest of those that are, since who wakes up late
     /// has no use for the others.
-    pub fn due(&self, synchroniser: &Synchroniser) -> Option<i64> {
+    pub fn due(&self, synchroniser: &Synchroniser, log_time_ns: i64) -> Option<i64> {
+        let last = synchroniser.last_frame()?;
         let next_ns = match &self.ahead {
             Some(ahead) => ahead.stamp_ns.saturating_add(EVERY_NS),
-            None => synchroniser.last_frame_ns()?.saturating_add(GAP_NS),
+            None => last.stamp_ns.saturating_add(GAP_NS.max(last.interval_ns.saturating_mul(INTERVALS))),
         };
-        let late_ns = synchroniser.odometry_settled_ns()?.checked_sub(next_ns)?;
+        // Odometry whose clock has jumped ahead says nothing of the present.
+        let passed_ns = log_time_ns.saturating_sub(last.log_time_ns);
+        let now_ns = synchroniser.odometry_settled_ns()?.min(last.stamp_ns.saturating_add(passed_ns));
+        let late_ns = now_ns.checked_sub(next_ns)?;
         (late_ns >= 0).then(|| next_ns.saturating_add(late_ns / EVERY_NS * EVERY_NS))
     }
 
     /// Where odometry has the camera; `None` if it was not known where the robot was, or is not any more.
     pub fn look(&mut self, stamp_ns: i64, tagger: &mut Tagger, synchroniser: &Synchroniser) -> Option<FrameTag> {
-        let last_frame_ns = synchroniser.last_frame_ns()?;
+        let last_frame_ns = synchroniser.last_frame()?.stamp_ns;
         let ahead = self.ahead.get_or_insert_with(|| Ahead { stamp_ns: last_frame_ns, localizer: tagger.state() });
         let since_ns = core::mem::replace(&mut ahead.stamp_ns, stamp_ns);
         let robot = synchroniser.robot_between(since_ns, stamp_ns);

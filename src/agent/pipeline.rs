@@ -258,7 +258,7 @@ impl Pipeline {
         if !(self.synchroniser.is_idle() && self.held.is_empty()) {
             return Ok(());
         }
-        let Some(stamp_ns) = self.foresight.due(&self.synchroniser) else { return Ok(()) };
+        let Some(stamp_ns) = self.foresight.due(&self.synchroniser, log_time_ns) else { return Ok(()) };
         self.drain()?;
         let Some(mut tag) = self.foresight.look(stamp_ns, &mut self.tagger, &self.synchroniser) else { return Ok(()) };
         tag.sequence = self.sequence;

@@ -56,5 +56,5 @@ pub fn last_state(captures: &Path) -> Result<Option<LocalizerState>, String> {
     let mut bytes = Vec::new();
     file.take(MAX_BYTES as u64).read_to_end(&mut bytes).map_err(|error| why(error.to_string()))?;
     let saved = Checkpoint::decode(&bytes).map_err(|error| why(error.to_string()))?;
-    Ok(Some(saved.tagger))
+    Ok(Some(saved.foresight.state().unwrap_or(saved.tagger)))
 }

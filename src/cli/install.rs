@@ -74,7 +74,8 @@ fn write(path: &Path, content: &[u8], mode: u32) -> anyhow::Result<()> {
 
 /// For all to enter, whatever the umask of who installs.
 fn create_folders(folder: &Path) -> std::io::Result<()> {
-    let new: Vec<&Path> = folder.ancestors().take_while(|folder| !folder.exists()).collect();
+    let new: Vec<&Path> =
+        folder.ancestors().take_while(|folder| !folder.as_os_str().is_empty() && !folder.exists()).collect();
     std::fs::create_dir_all(folder)?;
     new.into_iter().try_for_each(|folder| std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o755)))
 }

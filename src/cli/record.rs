@@ -273,8 +273,12 @@ fn for_people(status: &Value) -> String {
             Some(reason) if tag["valid"] != true => format!("{reason}, {:.1} ms", float("elapsed_ms")),
             _ => format!("valid, {:.1} ms", float("elapsed_ms")),
         };
+        let age = match float("age_s") {
+            old if old >= 1.0 => format!(", {old:.0} s ago"),
+            _ => String::new(),
+        };
         lines.push(format!(
-            "x {:.2} m, y {:.2} m (±{:.1} cm), yaw {:.1} deg: {what}",
+            "x {:.2} m, y {:.2} m (±{:.1} cm), yaw {:.1} deg: {what}{age}",
             float("x_m"),
             float("y_m"),
             100.0 * float("sigma_m"),

@@ -16,6 +16,8 @@ const LOOKED_AT: usize = 8;
 /// And for each that look to where those show nothing: half the way there, and straight at it.
 const LOOKED_AT_ASIDE: usize = 3;
 const TURNS: [f64; 2] = [0.5, 1.0];
+/// The images of a walk lie densely: of those that look there, one farther off is worth more than near ones that do not.
+const DIRECTION_COUNTS_ASIDE: f64 = 4.0;
 /// As long as something is unseen, so often.
 const ASIDE: usize = 4;
 /// Where images show this share of the view, none are looked for farther away.
@@ -39,8 +41,10 @@ pub(super) fn choose(
     wanted: usize,
     without: &Without,
 ) -> Vec<Neighbour> {
+    let metric = gallery.metric();
+    let aside = Metric { per_direction: DIRECTION_COUNTS_ASIDE * metric.per_direction, ..metric };
     let mut near = Near { gallery, pose, footprint, ranked: Vec::new(), different: Vec::new() };
-    near.look(without, pose, LOOKED_AT * wanted);
+    near.look(without, pose, LOOKED_AT * wanted, &metric);
     let mut choice = near.complete(wanted);
     let mut hopeless = Seen::default();
     for _ in 0..ASIDE {
@@ -49,7 +53,7 @@ pub(super) fn choose(
         }
         let Some((part, toward)) = footprint.unseen(pose, choice.shown.with(hopeless)) else { break };
         for turn in TURNS {
-            near.look(without, &turned(pose, toward, turn), LOOKED_AT_ASIDE * wanted);
+            near.look(without, &turned(pose, toward, turn), LOOKED_AT_ASIDE * wanted, &aside);
         }
         let better = near.complete(wanted);
         if footprint.share(better.shown) < footprint.share(choice.shown) + WORTHWHILE {
@@ -90,10 +94,10 @@ pub(super) struct Without {
 
 impl Without {
     /// Asks for more until enough of them may be used.
-    fn nearest(&self, gallery: &Gallery, pose: &Isometry, count: usize) -> Vec<(Neighbour, Record)> {
+    fn nearest(&self, gallery: &Gallery, pose: &Isometry, count: usize, by: &Metric) -> Vec<(Neighbour, Record)> {
         let mut asked = count + self.records.len();
         loop {
-            let near = gallery.index().nearest(pose, asked, &gallery.metric());
+            let near = gallery.index().nearest(pose, asked, by);
             let all = near.len() < asked;
             let known = near.into_iter().map(|neighbour| (neighbour, gallery.index().record(neighbour.number)));
             let usable = |(neighbour, record): &(Neighbour, Record)| {
@@ -127,10 +131,10 @@ struct Choice {
 
 impl Near<'_> {
     /// Adds the images nearest to a pose, which need not be the one that the view is of.
-    fn look(&mut self, without: &Without, from: &Isometry, count: usize) {
+    fn look(&mut self, without: &Without, from: &Isometry, count: usize, by: &Metric) {
         let metric = self.gallery.metric();
         let known = self.ranked.len();
-        for (neighbour, record) in without.nearest(self.gallery, from, count) {
+        for (neighbour, record) in without.nearest(self.gallery, from, count, by) {
             if self.ranked[..known].iter().any(|image| image.neighbour.number == neighbour.number) {
                 continue;
             }

@@ -14,7 +14,7 @@ use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
 use crate::agent::refining::{REFINED_INFO, refined_info};
 use crate::config::load_lens_for_image;
-use crate::evaluation::capture::{Readout, losses, read_tags};
+use crate::evaluation::capture::{EvaluationError, Readout, losses, read_tags};
 use crate::geometry::{Euler, FieldDimensions, Isometry};
 use crate::recording::{Loss, REFINED_FOLDER, SESSION_FILE, read_info};
 use crate::ros2::mcap_read::{LogMessage, Selection};
@@ -102,7 +102,13 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
     let info = read_info(folder)?;
     let refined = folder.join(REFINED_FOLDER);
     let tags_from = if path.is_dir() && refined.join(REFINED_INFO).is_file() { &refined } else { &path };
-    let Readout { found: tags, mut losses, .. } = read_tags(tags_from)?;
+    let Readout { found: tags, mut losses, .. } = match read_tags(tags_from) {
+        // Of a time when the camera was away.
+        Err(EvaluationError::NoMessages { loss: None, .. }) => {
+            Readout { found: Vec::new(), losses: Vec::new(), warnings: Vec::new() }
+        }
+        tags => tags?,
+    };
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
     let is_somewhere = |tag: &&FrameTag| isometry(&tag.pose.pose.position, &tag.pose.pose.orientation).is_finite();
     let mut ambiguous = 0;

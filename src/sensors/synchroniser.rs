@@ -66,10 +66,20 @@ pub struct SynchroniserState {
     turn_rate: History<f64>,
     /// About the horizontal, without a sign.
     sway_rate: History<f64>,
-    last_frame_ns: Option<i64>,
+    last_frame: Option<LastFrame>,
     pan: History<f64>,
     tilt: History<f64>,
     initial_pose: Option<InitialPose>,
+}
+
+/// Of the last frame that was popped.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LastFrame {
+    /// When it was exposed.
+    pub stamp_ns: i64,
+    pub log_time_ns: i64,
+    /// How long after the one before.
+    pub interval_ns: i64,
 }
 
 #[derive(Clone, Debug)]
@@ -118,9 +128,8 @@ impl Synchroniser {
         self.too_late
     }
 
-    /// When the last frame that was popped was exposed.
-    pub fn last_frame_ns(&self) -> Option<i64> {
-        self.state.last_frame_ns
+    pub fn last_frame(&self) -> Option<LastFrame> {
+        self.state.last_frame
     }
 
     /// Until when odometry is whole.
@@ -218,14 +227,16 @@ impl Synchroniser {
         }
         let (message, stamp_ns) = self.waiting.pop_front()?;
         self.waiting_bytes -= message.data.len();
-        Some(Frame { robot: self.robot_at(stamp_ns), message, stamp_ns })
+        Some(Frame { robot: self.robot_at(stamp_ns, message.log_time_ns), message, stamp_ns })
     }
 
     /// What is known about the robot at a time; takes the initial pose that was announced since the last call.
-    fn robot_at(&mut self, stamp_ns: i64) -> RobotAt {
+    fn robot_at(&mut self, stamp_ns: i64, log_time_ns: i64) -> RobotAt {
         let initial_pose = self.state.initial_pose.take();
-        let last_frame_ns = self.state.last_frame_ns.replace(stamp_ns);
-        RobotAt { initial_pose, ..self.robot(last_frame_ns, stamp_ns) }
+        let last_ns = self.state.last_frame.map(|last| last.stamp_ns);
+        let interval_ns = last_ns.map_or(0, |last_ns| stamp_ns.saturating_sub(last_ns));
+        self.state.last_frame = Some(LastFrame { stamp_ns, log_time_ns, interval_ns });
+        RobotAt { initial_pose, ..self.robot(last_ns, stamp_ns) }
     }
 
     /// The same at a time of which there is no frame; turns count from `since_ns`. The next frame knows nothing of it.

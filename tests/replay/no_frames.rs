@@ -3,10 +3,11 @@
 use std::fs;
 
 use realitysim::ros2::LogMessage;
-use realitysim::ros2::messages::{FrameTag, PoseStamped};
+use realitysim::ros2::messages::{FrameTag, Odometry, PoseStamped, Stamp};
 
 use super::support::{
-    IMAGE, INITIAL, POSE, Room, TRUTH, decode_all, on, read_capture, read_log, segments, walk, without,
+    IMAGE, INITIAL, ODOMETRY, POSE, Room, TRUTH, changed, decode_all, on, read_capture, read_log, segments, walk,
+    without,
 };
 
 pub const PREDICTED: &str = "/predicted_tag";
@@ -95,4 +96,25 @@ fn nobody_predicts_where_a_robot_is_that_was_nowhere() {
     let replayed = Room::with_log(&messages).replay("log.mcap");
     assert_eq!((replayed.tags.len(), replayed.tags[0].valid), (1, false));
     assert_eq!(replayed.report["predicted"], 0);
+}
+
+/// A clock that jumps ahead, for one message, while frames come; and a camera of one frame a second.
+#[test]
+fn what_is_no_gap_is_none() {
+    let mut number = 0;
+    let messages = changed::<Odometry>(&walk().messages, ODOMETRY, |odometry| {
+        number += 1;
+        if number == 100 {
+            odometry.header.stamp = Stamp::from_nanoseconds(odometry.header.stamp.to_nanoseconds() + 8_000_000_000);
+        }
+    });
+    assert_eq!(Room::with_log(&messages).replay("log.mcap").report["predicted"], 0);
+    let mut number = 0;
+    let slow = |message: &&LogMessage| {
+        number += usize::from(message.channel.topic == IMAGE);
+        message.channel.topic != IMAGE || number % 10 == 1
+    };
+    let messages: Vec<LogMessage> = walk().messages.iter().filter(slow).cloned().collect();
+    let replayed = Room::with_log(&messages).replay("log.mcap");
+    assert!(replayed.tags.len() >= 3 && replayed.report["predicted"].as_u64() <= Some(1), "{:?}", replayed.report);
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::Instant;
 
 use serde::Serialize;
 use serde_json::Value;
@@ -87,6 +88,10 @@ pub struct LastTag {
     pub y_m: f64,
     pub yaw_rad: f64,
     pub elapsed_ms: f64,
+    /// Since it came.
+    pub age_s: f64,
+    #[serde(skip)]
+    came: Instant,
 }
 
 impl Status {
@@ -97,7 +102,13 @@ impl Status {
         earlier.counts.add(&core::mem::take(&mut self.counts));
         earlier.frames_refused += core::mem::take(&mut self.recorder).frames_refused;
         earlier.unfinished += u64::from(self.unfinished.take().is_some());
-        self.session = None;
+        (self.session, self.last_tag) = (None, None);
+    }
+
+    pub fn grow_older(&mut self) {
+        if let Some(last) = &mut self.last_tag {
+            last.age_s = last.came.elapsed().as_secs_f64();
+        }
     }
 
     pub fn tagged(&mut self, tag: &FrameTag) {
@@ -111,6 +122,8 @@ impl Status {
             y_m: position.y,
             yaw_rad: tag.yaw,
             elapsed_ms: tag.elapsed_ms,
+            age_s: 0.0,
+            came: Instant::now(),
         });
     }
 

@@ -91,6 +91,7 @@ impl Agent<'_> {
             (self.status.counts, self.status.recorder) = (counts, recorder);
         }
         let status = &mut self.status;
+        status.grow_older();
         status.camera_waiting = self.devices.waiting.load(Ordering::Relaxed);
         status.rates = self.meters.rates();
         status.budget = self.meters.budget(self.options.settings.filter.budget_ms);
