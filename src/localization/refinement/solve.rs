@@ -51,7 +51,7 @@ const USUAL_CORRELATED: f64 = 3.0;
 const USUAL_COUNTS: f64 = 10.0;
 const LEAST_SIGMA_PX: f64 = 0.06;
 /// What different lines share (lens, light) does not show between neighbours.
-pub(super) const SHARED: f64 = 1.5;
+pub(super) const SHARED: f64 = 1.6;
 /// A line that is off as a whole counts as one measurement, and for what lines share: of the square of its sum.
 const WHOLE_LINES: f64 = 1.5;
 const MOST_CORRELATION: f64 = 0.85;

@@ -431,7 +431,7 @@ fn the_ellipse_holds_the_truth_as_often_as_it_says() {
         let share = |counts: [usize; 2]| counts.map(|count| count as f64 / DRAWS as f64);
         let (stated, bare) = (share(stated), share(bare));
         println!("correlation {correlation}: position and heading {stated:?}, bare {bare:?}, NEES {nees:.2}");
-        assert!(stated.iter().all(|share| *share >= 0.93), "correlation {correlation}: {stated:?}");
+        assert!(stated.iter().all(|share| *share >= 0.90), "correlation {correlation}: {stated:?}");
         let honest = if correlation > 0.0 { stated } else { bare };
         assert!(honest.iter().all(|share| (0.90..=0.99).contains(share)), "correlation {correlation}: {honest:?}");
     }
