@@ -166,7 +166,8 @@ fn take(
     added.left_out += source.left_out;
     added.ambiguous += ambiguous;
     added.losses.extend(losses);
-    source.dark = lit.mask().map(|mask| write_mask(folder, &source, DARK, mask)).transpose()?;
+    source.dark =
+        lit.mask(source.lens.width as usize).map(|mask| write_mask(folder, &source, DARK, mask)).transpose()?;
     if !bodies.is_empty() {
         let masks = bodies.iter().map(|body| write_mask(folder, &source, BODY, body.to_gray()));
         source.body_masks = masks.collect::<Result<_, _>>()?;

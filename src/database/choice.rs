@@ -90,6 +90,8 @@ struct Image {
 pub(super) struct Without {
     pub(super) records: Vec<usize>,
     pub(super) sources: Vec<u32>,
+    /// By source and number.
+    pub(super) files: Vec<(u32, u32)>,
 }
 
 impl Without {
@@ -101,7 +103,9 @@ impl Without {
             let all = near.len() < asked;
             let known = near.into_iter().map(|neighbour| (neighbour, gallery.index().record(neighbour.number)));
             let usable = |(neighbour, record): &(Neighbour, Record)| {
-                !self.records.contains(&neighbour.number) && !self.sources.contains(&record.source)
+                !self.records.contains(&neighbour.number)
+                    && !self.sources.contains(&record.source)
+                    && !self.files.contains(&(record.source, record.file))
             };
             let found: Vec<_> = known.filter(usable).take(count).collect();
             if all || found.len() == count {

@@ -160,7 +160,7 @@ impl Gallery {
             return Err(DatabaseError::Empty);
         }
         check_pose(&wanted.map_from_link)?;
-        let mut without = Without { records: wanted.without.clone(), sources: Vec::new() };
+        let mut without = Without { records: wanted.without.clone(), sources: Vec::new(), files: Vec::new() };
         let mut unreadable = Vec::new();
         loop {
             let chosen = self.choose(wanted, &without);
@@ -175,15 +175,24 @@ impl Gallery {
                 return self.make(wanted, images, unreadable);
             }
             for (number, what) in failed {
-                let source = self.index.record(number).source;
-                match self.catalogue.sources.get(source as usize).filter(|source| !source.path.exists()) {
-                    // All of a capture that is away are, however many they are.
-                    Some(away) if !without.sources.contains(&source) => {
+                let Record { source, file, .. } = self.index.record(number);
+                if without.sources.contains(&source) || without.files.contains(&(source, file)) {
+                    continue;
+                }
+                let gone = |path: &Path| format!("{}: gone since it was indexed", path.display());
+                let known = self.catalogue.sources.get(source as usize);
+                let path = known.and_then(|source| source.file(file));
+                // All of what is away are, however many they are.
+                match (known.map(|source| &source.path).filter(|path| !path.exists()), path) {
+                    (Some(away), _) => {
                         without.sources.push(source);
-                        unreadable.push(format!("{}: gone since it was indexed", away.path.display()));
+                        unreadable.push(gone(away));
                     }
-                    Some(_) => {}
-                    None => {
+                    (None, Some(away)) if !away.exists() => {
+                        without.files.push((source, file));
+                        unreadable.push(gone(&away));
+                    }
+                    _ => {
                         without.records.push(number);
                         unreadable.push(what.clone());
                     }

@@ -63,11 +63,23 @@ impl Lit {
         self.brightest.iter_mut().zip(&other.brightest).for_each(|(known, more)| *known = (*known).max(*more));
     }
 
-    /// Black where it was always dark, white elsewhere; `None` if that is everywhere or nowhere.
-    pub(super) fn mask(&self) -> Option<Vec<u8>> {
-        let dark = self.brightest.iter().filter(|value| **value < DARK).count();
-        let some = dark > 0 && dark < self.brightest.len();
-        some.then(|| self.brightest.iter().map(|value| if *value < DARK { 0 } else { 255 }).collect())
+    /// Black where it was always dark from the border of the image inwards, white elsewhere; `None` if that is everywhere or
+    /// nowhere. What is dark within the picture, in a few images of a bag say, is part of the world.
+    pub(super) fn mask(&self, width: usize) -> Option<Vec<u8>> {
+        let (count, width) = (self.brightest.len(), width.max(1));
+        let mut mask = vec![255; count];
+        let is_border =
+            |at: &usize| at.is_multiple_of(width) || at % width == width - 1 || *at < width || at + width >= count;
+        let mut found: Vec<usize> = (0..count).filter(is_border).collect();
+        while let Some(at) = found.pop() {
+            if mask[at] == 255 && self.brightest[at] < DARK {
+                mask[at] = 0;
+                let beside = [(at % width > 0).then(|| at - 1), (at % width + 1 < width).then_some(at + 1)];
+                let above_and_below = [at.checked_sub(width), Some(at + width)];
+                found.extend(beside.into_iter().chain(above_and_below).flatten().filter(|near| *near < count));
+            }
+        }
+        (mask.contains(&0) && mask.contains(&255)).then_some(mask)
     }
 }
 
@@ -377,4 +389,29 @@ fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
     }
     let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
     Ok((PathBuf::from(name), Isometry::from_euler(euler, DVec3::new(x, y, z))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_is_dark_from_the_border_inwards_is_left_out() {
+        let (width, height) = (8, 6);
+        let dark = |at: usize| {
+            let (u, v) = (at % width, at / width);
+            // A corner, and a bag in the middle of the picture.
+            u + v < 3 || ((4..6).contains(&u) && (2..4).contains(&v))
+        };
+        let rgb: Vec<u8> = (0..width * height).flat_map(|at| [if dark(at) { 3 } else { 90 }; 3]).collect();
+        let mut lit = Lit::default();
+        lit.add(&rgb);
+        let mask = lit.mask(width).expect("something is dark");
+        let hidden = |at: &usize| mask[*at] == 0;
+        let corner: Vec<usize> = (0..width * height).filter(|at| at % width + at / width < 3).collect();
+        assert_eq!((0..width * height).filter(hidden).collect::<Vec<_>>(), corner);
+        let mut all = Lit::default();
+        all.add(&vec![0; 3 * width * height]);
+        assert_eq!(all.mask(width), None);
+    }
 }

@@ -49,7 +49,8 @@ impl Batch {
                 poses.iter().enumerate().map(|(number, pose)| one(&format!("poses[{number}]"), pose, &all)).collect()
             }
             (None, Some(from), Some(to), Some(count)) => {
-                let refused = || Refusal::wrong(format!("count is {count}: 1 to {MAX_BATCH} views with one request"));
+                let refused =
+                    || Refusal::wrong(format!("count is {count}: a whole number from 1 to {MAX_BATCH} is possible"));
                 let whole = count.as_u64().and_then(|count| usize::try_from(count).ok());
                 let count = whole.filter(|count| (1..=MAX_BATCH).contains(count)).ok_or_else(refused)?;
                 between(&one("from", &from, &all)?, &one("to", &to, &all)?, count).into_iter().map(Ok).collect()
@@ -190,7 +191,7 @@ mod tests {
             (r#"{"poses": [{"x": 1}, {"x": 1}]}"#, "poses[0]: y is missing"),
             (r#"{"poses": [{"x": [1]}]}"#, "poses[0]: x: [1]: a number or a text is needed"),
             (r#"{"poses": [1]}"#, "poses[0]: x is missing"),
-            (r#"{"from": {}, "to": {}, "count": 99999}"#, "count is 99999: 1 to 1024 views"),
+            (r#"{"from": {}, "to": {}, "count": 99999}"#, "count is 99999: a whole number from 1 to 1024"),
             (r#"{"from": {}, "to": {}, "count": -1}"#, "count is -1"),
             (r#"{"from": {}, "to": {}, "count": 1e9}"#, "count is 1000000000.0"),
             (r#"{"from": {}, "to": {}, "count": "5"}"#, "count is \"5\""),

@@ -140,7 +140,7 @@ pub enum ViewError {
     TooFar { distance_m: f64, max_m: f64 },
     #[error(
         "images show {:.0} % of this view, less than the {:.0} % that an answer within a distance needs: record there, \
-         looking that way, or allow any distance",
+         looking that way, or take what there is (no --max-distance; outside=warn)",
         100.0 * share,
         100.0 * LEAST
     )]

@@ -48,6 +48,19 @@ fn who_is_ended_before_the_first_session_leaves_none() {
     assert_eq!(sessions.filter(|entry| entry.path().is_dir()).count(), 0);
 }
 
+/// As `timeout` sends it: to the process, and to its group.
+#[test]
+fn a_signal_that_comes_twice_is_one() {
+    let mut recorder = Recorder::start(None);
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    let process = recorder.process.as_ref().expect("running").id();
+    let id = rustix::process::Pid::from_raw(process as i32).expect("a process");
+    rustix::process::kill_process(id, rustix::process::Signal::TERM).expect("alive");
+    std::thread::sleep(Duration::from_millis(20));
+    let output = recorder.ends();
+    assert!(output.status.success(), "{output:?}");
+}
+
 /// Nobody at its socket can keep it from being asked, or make it do what was not said.
 #[test]
 fn orders_are_taken_whole_or_not_at_all() {

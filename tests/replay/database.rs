@@ -249,6 +249,16 @@ fn a_capture_that_is_away_leaves_the_others_their_views_and_comes_back() {
     let unreadable = report["unreadable"].as_array().expect("names");
     assert!(unreadable.len() == 1 && unreadable[0].as_str().is_some_and(|said| said.contains("gone")), "{report}");
     assert!(report["sure_share"].as_f64() > Some(0.4), "{report}");
+    // Or only its segment, with more images than are given up one by one.
+    fs::rename(&away, &first).expect("moved back");
+    let segment = first.join("0000.mcap");
+    fs::rename(&segment, room.path("segment")).expect("moved");
+    let report = room.run(&format!("view --db db {pose} -o out.png --json")).json();
+    let unreadable = report["unreadable"].as_array().expect("names");
+    assert!(unreadable.len() == 1 && unreadable[0].as_str().is_some_and(|said| said.contains("0000.mcap")), "{report}");
+    assert!(report["sure_share"].as_f64() > Some(0.4), "{report}");
+    fs::rename(room.path("segment"), &segment).expect("moved back");
+    fs::rename(&first, &away).expect("moved");
     // What is away is not forgotten.
     let run = room.run("db rebuild --db db --json");
     assert_eq!((run.code, run.json()["images"].as_u64()), (Some(3), Some(count as u64)), "{run:?}");

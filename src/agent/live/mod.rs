@@ -13,7 +13,8 @@ mod watchdog;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use crossbeam_channel::{Receiver, bounded};
 use serde_json::{Value, json};
@@ -124,11 +125,22 @@ fn repair_in_the_background(captures: &Path) -> Receiver<String> {
 
 /// A flag that is set by SIGINT and SIGTERM.
 pub fn stop_flag() -> std::io::Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
+    let (stop, again) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         // A second one ends at once.
-        signal_hook::flag::register_conditional_default(signal, Arc::clone(&stop))?;
+        signal_hook::flag::register_conditional_default(signal, Arc::clone(&again))?;
         signal_hook::flag::register(signal, Arc::clone(&stop))?;
     }
+    let stopped = Arc::clone(&stop);
+    std::thread::spawn(move || {
+        while !stopped.load(Ordering::Relaxed) {
+            std::thread::sleep(ONE_WISH / 4);
+        }
+        std::thread::sleep(ONE_WISH);
+        again.store(true, Ordering::Relaxed);
+    });
     Ok(stop)
 }
+
+/// Signals within this time are one: `timeout` and a terminal may send theirs to the process and to its group.
+const ONE_WISH: Duration = Duration::from_millis(200);
