@@ -20,7 +20,7 @@ const TURNS: [f64; 2] = [0.5, 1.0];
 const DIRECTION_COUNTS_ASIDE: f64 = 4.0;
 /// As long as something is unseen, so often.
 const ASIDE: usize = 4;
-/// Where images show this share of the view, none are looked for farther away.
+/// Where images show this share of the view, no others are looked for.
 const ENOUGH: f64 = 0.97;
 /// An image is taken for what it adds from this share of the view on...
 const WORTHWHILE: f64 = 0.03;
