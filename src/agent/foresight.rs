@@ -7,11 +7,12 @@ use serde::{Deserialize, Serialize};
 use super::tagger::Tagger;
 use crate::localization::LocalizerState;
 use crate::ros2::messages::FrameTag;
-use crate::sensors::synchroniser::Synchroniser;
+use crate::sensors::synchroniser::{Since, Synchroniser};
 
 /// In `reason` of a tag that belongs to no frame.
 pub const NO_FRAME: &str = "no_frame";
-/// Without a frame for so long, and for so many times as long as from the one before it to the last one, poses are foreseen.
+/// Without a frame for so long (since the last one, since the place was told, or since odometry was first heard), and for
+/// so many times as long as from the frame before it to the last one, poses are foreseen.
 const GAP_NS: i64 = 1_000_000_000;
 const INTERVALS: i64 = 3;
 /// And so often.
@@ -24,6 +25,7 @@ pub struct Foresight {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Ahead {
+    since: Since,
     stamp_ns: i64,
     localizer: LocalizerState,
 }
@@ -42,24 +44,36 @@ impl Foresight {
     /// When the next pose is due, if odometry has come that far: the latest of those that are, since who wakes up late
     /// has no use for the others.
     pub fn due(&self, synchroniser: &Synchroniser, log_time_ns: i64) -> Option<i64> {
-        let last = synchroniser.last_frame()?;
-        let next_ns = match &self.ahead {
+        let since = synchroniser.since()?;
+        let next_ns = match self.ahead_of(&since) {
             Some(ahead) => ahead.stamp_ns.saturating_add(EVERY_NS),
-            None => last.stamp_ns.saturating_add(GAP_NS.max(last.interval_ns.saturating_mul(INTERVALS))),
+            None => since.stamp_ns.saturating_add(GAP_NS.max(since.interval_ns.saturating_mul(INTERVALS))),
         };
         // Odometry whose clock has jumped ahead says nothing of the present.
-        let passed_ns = log_time_ns.saturating_sub(last.log_time_ns);
-        let now_ns = synchroniser.odometry_settled_ns()?.min(last.stamp_ns.saturating_add(passed_ns));
+        let passed_ns = log_time_ns.saturating_sub(since.log_time_ns);
+        let now_ns = synchroniser.odometry_settled_ns()?.min(since.stamp_ns.saturating_add(passed_ns));
         let late_ns = now_ns.checked_sub(next_ns)?;
         (late_ns >= 0).then(|| next_ns.saturating_add(late_ns / EVERY_NS * EVERY_NS))
     }
 
     /// Where odometry has the camera; `None` if it was not known where the robot was, or is not any more.
     pub fn look(&mut self, stamp_ns: i64, tagger: &mut Tagger, synchroniser: &Synchroniser) -> Option<FrameTag> {
-        let last_frame_ns = synchroniser.last_frame()?.stamp_ns;
-        let ahead = self.ahead.get_or_insert_with(|| Ahead { stamp_ns: last_frame_ns, localizer: tagger.state() });
-        let since_ns = core::mem::replace(&mut ahead.stamp_ns, stamp_ns);
-        let robot = synchroniser.robot_between(since_ns, stamp_ns);
+        let since = synchroniser.since()?;
+        let robot = match self.ahead_of(&since) {
+            Some(ahead) => synchroniser.robot_between(ahead.stamp_ns, stamp_ns),
+            None => {
+                self.ahead = None;
+                synchroniser.robot_next(stamp_ns)
+            }
+        };
+        let begun = || Ahead { since, stamp_ns, localizer: tagger.state() };
+        let ahead = self.ahead.get_or_insert_with(begun);
+        ahead.stamp_ns = stamp_ns;
         tagger.foresee(stamp_ns, &robot, &mut ahead.localizer, NO_FRAME)
+    }
+
+    /// What has been foreseen, if nobody has said since where the robot is.
+    fn ahead_of(&self, since: &Since) -> Option<&Ahead> {
+        self.ahead.as_ref().filter(|ahead| ahead.since == *since)
     }
 }

@@ -9,7 +9,7 @@ use crate::localization::{
 };
 use crate::ros2::messages::{FrameTag, Stamp};
 use crate::sensors::scene::{header, pose};
-use crate::sensors::synchroniser::{InitialPose, RobotAt};
+use crate::sensors::synchroniser::{Anchor, InitialPose, RobotAt};
 use crate::vision::Seen;
 
 #[derive(Clone, Debug)]
@@ -90,19 +90,20 @@ impl Tagger {
     /// The tag of a frame of which something was seen. `sequence`, clocks and times are the caller's to fill in.
     /// `may_go_on` says when time is up.
     pub fn tag(&mut self, stamp_ns: i64, robot: &RobotAt, seen: &Seen, may_go_on: &mut MayGoOn) -> FrameTag {
-        self.take_initial(robot);
+        self.begin_anew(robot);
         let fix = self.localizer.look(&moment(stamp_ns, robot), seen, may_go_on);
         self.compose(stamp_ns, robot, &fix)
     }
 
     /// The tag of a frame of which nothing could be seen: where odometry puts the robot, marked invalid.
     pub fn tag_blind(&mut self, stamp_ns: i64, robot: &RobotAt, reason: &'static str) -> FrameTag {
-        self.take_initial(robot);
+        self.begin_anew(robot);
         let fix = self.localizer.coast(&moment(stamp_ns, robot), reason);
         self.compose(stamp_ns, robot, &fix)
     }
 
-    /// Of no frame: where odometry puts the camera at that time, marked invalid; see [`Localizer::foresee`].
+    /// Of no frame: where odometry puts the camera at that time, marked invalid; see [`Localizer::foresee`]. `ahead` is what
+    /// is remembered of that; it begins as [`state`](Self::state), and the next frame knows nothing of it.
     pub fn foresee(
         &mut self,
         stamp_ns: i64,
@@ -111,13 +112,20 @@ impl Tagger {
         reason: &'static str,
     ) -> Option<FrameTag> {
         robot.place.as_ref().ok()?;
-        let fix = self.localizer.foresee(ahead, &moment(stamp_ns, robot), reason)?;
-        Some(self.compose(stamp_ns, robot, &fix))
+        self.localizer.exchange(ahead);
+        self.begin_anew(robot);
+        let fix = self.localizer.foresee(&moment(stamp_ns, robot), reason);
+        self.localizer.exchange(ahead);
+        Some(self.compose(stamp_ns, robot, &fix?))
     }
 
-    fn take_initial(&mut self, robot: &RobotAt) {
+    /// Where somebody has said where the robot is, or nothing is known of the time before.
+    fn begin_anew(&mut self, robot: &RobotAt) {
         if let Some(initial) = &robot.initial_pose {
             self.start_at(initial);
+        }
+        if let Some(Anchor { stamp_ns, odometry, .. }) = robot.anchor {
+            self.localizer.count_from(stamp_ns, odometry);
         }
     }
 

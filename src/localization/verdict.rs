@@ -45,6 +45,8 @@ pub struct Standing {
     has_explained: bool,
     /// Somebody said where the robot is.
     was_told: bool,
+    /// It was known before the restart.
+    was_kept: bool,
     /// Frames in a row whose lines speak for a pose that needs confirming, but not clearly enough.
     unconvincing: u32,
     /// Where the whole field was last tried for a better pose, and how often, each time from elsewhere, there was none.
@@ -114,7 +116,14 @@ const CONFIRMED_WITH_IF_TOLD: f64 = 0.3;
 const CONFIRMED_WITH_IF_FOUND: f64 = 0.2;
 
 impl Standing {
-    /// A pose that was found by search, or kept over a restart.
+    /// A pose that was kept over a restart.
+    pub fn kept(&mut self) {
+        let was_kept = self.is_known();
+        self.found();
+        self.was_kept = was_kept;
+    }
+
+    /// A pose that was found by search.
     pub fn found(&mut self) {
         let (confidence, second_look) = (Confidence::Unconfirmed(CONFIRMATIONS), SecondLook::found());
         *self = Self { confidence, second_look, agreed_ns: self.agreed_ns, ..Self::default() };
@@ -165,9 +174,13 @@ impl Standing {
         }
     }
 
-    /// Lines have confirmed the pose, and have not taken that back.
-    pub fn is_confirmed(&self) -> bool {
-        matches!(self.confidence, Confidence::Tracking(_)) && !self.is_lost()
+    /// Lines have confirmed the pose, and have not taken that back; or, as long as there were none, somebody else has.
+    pub fn is_known(&self) -> bool {
+        match self.confidence {
+            Confidence::Nowhere => false,
+            Confidence::Unconfirmed(_) => self.was_told || self.was_kept,
+            Confidence::Tracking(_) => !self.is_lost(),
+        }
     }
 
     /// The pose has been contradicted too often.

@@ -113,7 +113,12 @@ impl<T: Interpolate> History<T> {
     }
 
     fn newest_ns(&self) -> Option<i64> {
-        self.samples.back().map(|(stamp, _)| *stamp)
+        self.newest().map(|(stamp, _)| stamp)
+    }
+
+    /// With its stamp.
+    pub fn newest(&self) -> Option<(i64, T)> {
+        self.samples.back().copied()
     }
 
     pub fn is_empty(&self) -> bool {
@@ -150,6 +155,9 @@ impl History<f64> {
     /// Integral of a rate over a stretch of time, in its unit times seconds; `None` where samples lie farther apart
     /// than 0.1 s, or where every one is exactly zero: nothing measures there.
     pub fn integral(&self, from_ns: i64, to_ns: i64) -> Option<f64> {
+        if to_ns < from_ns {
+            return None;
+        }
         let first = self.samples.partition_point(|(stamp, _)| *stamp <= from_ns).checked_sub(1)?;
         let (mut sum, mut measured, mut reached) = (0.0, false, from_ns);
         for ((t0, a), (t1, b)) in self.samples.range(first..).zip(self.samples.range(first + 1..)) {

@@ -38,6 +38,16 @@ pub struct RobotAt {
     pub stale: bool,
     /// Announced since the last frame.
     pub initial_pose: Option<InitialPose>,
+    /// From where the robot's step counts, if not from the frame before.
+    pub anchor: Option<Anchor>,
+}
+
+/// Where odometry had the robot at a time of which there is no frame: when its place was told, or at the beginning.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Anchor {
+    pub stamp_ns: i64,
+    pub odometry: Pose2,
+    log_time_ns: i64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,19 +76,22 @@ pub struct SynchroniserState {
     turn_rate: History<f64>,
     /// About the horizontal, without a sign.
     sway_rate: History<f64>,
-    last_frame: Option<LastFrame>,
+    /// Of the last frame that was popped.
+    last_frame: Option<Since>,
     pan: History<f64>,
     tilt: History<f64>,
     initial_pose: Option<InitialPose>,
+    /// Until the next frame.
+    anchor: Option<Anchor>,
 }
 
-/// Of the last frame that was popped.
+/// From when the robot's step to the next frame counts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct LastFrame {
-    /// When it was exposed.
+pub struct Since {
+    /// When the last frame was exposed, or, if that was later, the place told; or odometry first heard.
     pub stamp_ns: i64,
     pub log_time_ns: i64,
-    /// How long after the one before.
+    /// How long the last frame came after the one before.
     pub interval_ns: i64,
 }
 
@@ -128,8 +141,13 @@ impl Synchroniser {
         self.too_late
     }
 
-    pub fn last_frame(&self) -> Option<LastFrame> {
-        self.state.last_frame
+    /// From when the robot's step to the next frame counts.
+    pub fn since(&self) -> Option<Since> {
+        let of_anchor = |anchor: Anchor| {
+            let Anchor { stamp_ns, log_time_ns, .. } = anchor;
+            Since { stamp_ns, log_time_ns, interval_ns: 0 }
+        };
+        self.state.anchor.map(of_anchor).or(self.state.last_frame)
     }
 
     /// Until when odometry is whole.
@@ -175,7 +193,10 @@ impl Synchroniser {
                 self.waiting.push_back((message.clone(), stamp_ns));
             }
             Input::Odometry { stamp_ns, odom_from_footprint } => {
+                // Odometry of `/tf` counts no more, and may have begun elsewhere.
+                let is_first = self.state.odometry.is_empty();
                 let pushed = self.state.odometry.push(stamp_ns, odom_from_footprint);
+                self.anchor_at(stamp_ns, odom_from_footprint, message.log_time_ns, is_first, pushed);
                 self.count(pushed);
             }
             Input::Imu { stamp_ns, orientation, turn_rate, frame_id } => {
@@ -202,10 +223,14 @@ impl Synchroniser {
                     self.count(pushed);
                 }
             }
-            Input::Transforms { latched, transforms } => self.take_transforms(latched, transforms),
+            Input::Transforms { latched, transforms } => {
+                self.take_transforms(latched, transforms, message.log_time_ns);
+            }
             Input::InitialPose { map_from_footprint, xy_m, yaw_rad, .. } => {
                 if map_from_footprint.is_finite() {
                     self.state.initial_pose = Some(InitialPose { map_from_footprint, xy_m, yaw_rad });
+                    let anchor = |(stamp_ns, odometry)| Anchor { stamp_ns, odometry, log_time_ns: message.log_time_ns };
+                    self.state.anchor = self.state.odometry().newest().map(anchor);
                 }
             }
             Input::CameraInfo(_) | Input::Other => {}
@@ -227,24 +252,31 @@ impl Synchroniser {
         }
         let (message, stamp_ns) = self.waiting.pop_front()?;
         self.waiting_bytes -= message.data.len();
-        Some(Frame { robot: self.robot_at(stamp_ns, message.log_time_ns), message, stamp_ns })
+        let robot = self.robot_next(stamp_ns);
+        self.has_seen(stamp_ns, message.log_time_ns);
+        Some(Frame { robot, message, stamp_ns })
     }
 
-    /// What is known about the robot at a time; takes the initial pose that was announced since the last call.
-    fn robot_at(&mut self, stamp_ns: i64, log_time_ns: i64) -> RobotAt {
-        let initial_pose = self.state.initial_pose.take();
-        let last_ns = self.state.last_frame.map(|last| last.stamp_ns);
-        let interval_ns = last_ns.map_or(0, |last_ns| stamp_ns.saturating_sub(last_ns));
-        self.state.last_frame = Some(LastFrame { stamp_ns, log_time_ns, interval_ns });
-        RobotAt { initial_pose, ..self.robot(last_ns, stamp_ns) }
+    /// What the next frame is to know of the robot, if it is exposed at that time.
+    pub fn robot_next(&self, stamp_ns: i64) -> RobotAt {
+        let Self { state, .. } = self;
+        let since_ns = self.since().map(|since| since.stamp_ns);
+        RobotAt { initial_pose: state.initial_pose, anchor: state.anchor, ..self.robot(since_ns, stamp_ns) }
     }
 
-    /// The same at a time of which there is no frame; turns count from `since_ns`. The next frame knows nothing of it.
+    /// The same of a time after that of which there is no frame either: turns count from `since_ns`.
     pub fn robot_between(&self, since_ns: i64, stamp_ns: i64) -> RobotAt {
         self.robot(Some(since_ns), stamp_ns)
     }
 
-    fn robot(&self, last_frame_ns: Option<i64>, stamp_ns: i64) -> RobotAt {
+    fn has_seen(&mut self, stamp_ns: i64, log_time_ns: i64) {
+        let state = &mut self.state;
+        let interval_ns = state.last_frame.map_or(0, |last| stamp_ns.saturating_sub(last.stamp_ns));
+        state.last_frame = Some(Since { stamp_ns, log_time_ns, interval_ns });
+        (state.initial_pose, state.anchor) = (None, None);
+    }
+
+    fn robot(&self, since_ns: Option<i64>, stamp_ns: i64) -> RobotAt {
         let state = &self.state;
         let odometry = state.odometry();
         let attitude = state.attitude.at(stamp_ns);
@@ -267,10 +299,11 @@ impl Synchroniser {
             odometry_until_ns: odometry.until(stamp_ns),
             place,
             head,
-            turned_rad: last_frame_ns.and_then(|last_ns| state.turn_rate.integral(last_ns, stamp_ns)),
-            swayed_rad: last_frame_ns.and_then(|last_ns| state.sway_rate.integral(last_ns, stamp_ns)),
+            turned_rad: since_ns.and_then(|since_ns| state.turn_rate.integral(since_ns, stamp_ns)),
+            swayed_rad: since_ns.and_then(|since_ns| state.sway_rate.integral(since_ns, stamp_ns)),
             stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
             initial_pose: None,
+            anchor: None,
         }
     }
 
@@ -289,10 +322,14 @@ impl Synchroniser {
             && state.tree.is_known_until(stamp_ns, &self.names)
     }
 
-    fn take_transforms(&mut self, latched: bool, transforms: Vec<StampedTransform>) {
+    fn take_transforms(&mut self, latched: bool, transforms: Vec<StampedTransform>, log_time_ns: i64) {
         for t in transforms {
             if t.child == self.names.base_footprint && t.parent == self.names.odom {
-                let pushed = self.state.odometry_in_tf.push(t.stamp_ns, Pose2::from_isometry(&t.parent_from_child));
+                let odometry = Pose2::from_isometry(&t.parent_from_child);
+                let pushed = self.state.odometry_in_tf.push(t.stamp_ns, odometry);
+                if self.state.odometry.is_empty() {
+                    self.anchor_at(t.stamp_ns, odometry, log_time_ns, false, pushed);
+                }
                 self.count(pushed);
             } else if latched {
                 self.state.tree.set_static(&t.parent, &t.child, t.parent_from_child);
@@ -300,6 +337,17 @@ impl Synchroniser {
                 let pushed = self.state.tree.push(t.stamp_ns, &t.parent, &t.child, t.parent_from_child);
                 self.count(pushed);
             }
+        }
+    }
+
+    /// Takes odometry for the anchor that is still missing: nothing was heard before, or the place was told before. So it
+    /// does where odometry begins anew, which says nothing of the time before.
+    fn anchor_at(&mut self, stamp_ns: i64, odometry: Pose2, log_time_ns: i64, begins_anew: bool, pushed: Pushed) {
+        let state = &mut self.state;
+        let is_missing = state.anchor.is_none() && (state.last_frame.is_none() || state.initial_pose.is_some());
+        let begins_anew = state.anchor.is_some() && (begins_anew || pushed == Pushed::ClockSetBack);
+        if pushed != Pushed::NotFinite && (is_missing || begins_anew) {
+            state.anchor = Some(Anchor { stamp_ns, odometry, log_time_ns });
         }
     }
 

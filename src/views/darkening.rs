@@ -173,7 +173,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
         fn the_darkening_comes_back_whatever_the_exposures(
-            k1 in -0.7..-0.15f64, k2 in -0.1..0.15f64, exposures in proptest::array::uniform8(0.5..2.0f64), seed in 0..1000u32,
+            k1 in -0.7..-0.2f64, k2 in -0.1..0.1f64, exposures in proptest::array::uniform8(0.5..2.0f64), seed in 0..1000u32,
         ) {
             let wanted = Vignetting { k: [k1, k2, 0.0] };
             let pairs: Vec<Vec<Overlap>> =

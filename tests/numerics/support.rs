@@ -147,6 +147,7 @@ impl Robot {
             swayed_rad: None,
             stale: false,
             initial_pose: None,
+            anchor: None,
         }
     }
 

@@ -2,12 +2,13 @@
 
 use std::fs;
 
+use realitysim::geometry::Pose2;
 use realitysim::ros2::LogMessage;
-use realitysim::ros2::messages::{FrameTag, Odometry, PoseStamped, Stamp};
+use realitysim::ros2::messages::{FrameTag, Header, Message, Odometry, PoseStamped, PoseWithCovarianceStamped, Stamp};
 
 use super::support::{
-    IMAGE, INITIAL, ODOMETRY, POSE, Room, TRUTH, changed, decode_all, on, read_capture, read_log, segments, walk,
-    without,
+    CAMERA_INFO, IMAGE, INITIAL, ODOMETRY, POSE, Replayed, Room, TF_STATIC, TRUTH, changed, decode_all, on, own_log,
+    read_capture, read_log, segments, walk, without,
 };
 
 pub const PREDICTED: &str = "/predicted_tag";
@@ -96,6 +97,96 @@ fn nobody_predicts_where_a_robot_is_that_was_nowhere() {
     let replayed = Room::with_log(&messages).replay("log.mcap");
     assert_eq!((replayed.tags.len(), replayed.tags[0].valid), (1, false));
     assert_eq!(replayed.report["predicted"], 0);
+}
+
+/// No frame before this one.
+fn with_a_late_camera(messages: &[LogMessage]) -> Vec<LogMessage> {
+    let mut number = 0;
+    let mut keep = |message: &&LogMessage| {
+        number += usize::from(message.channel.topic == IMAGE);
+        message.channel.topic != IMAGE || number > FIRST_AFTER + 1
+    };
+    messages.iter().filter(|message| keep(message)).cloned().collect()
+}
+
+/// The robot's place, from where the camera is in the same walk; the head looks ahead.
+fn footprint_of(tag: &FrameTag) -> Pose2 {
+    let camera = &tag.pose.pose.position;
+    Pose2::new(camera.x - 0.04 * tag.yaw.cos(), camera.y - 0.04 * tag.yaw.sin(), tag.yaw)
+}
+
+/// Predictions that follow the robot from `begins_ns` on, and a first frame that is at its place at once.
+fn follows_the_robot(replayed: &Replayed, begins_ns: i64) {
+    let truth = decode_all::<PoseStamped>(&walk().messages, TRUTH);
+    let first = &replayed.tags[0];
+    let predicted: Vec<FrameTag> = decode_all(&read_capture(&replayed.session), PREDICTED);
+    let until_ns = first.header.stamp.to_nanoseconds();
+    let expected = (until_ns - begins_ns - 1_000_000_000) / 100_000_000;
+    assert!(predicted.len().abs_diff(expected as usize) <= 1, "{} of {expected}", predicted.len());
+    for tag in &predicted {
+        assert!(!tag.valid && tag.reason == "no_frame" && !tag.ambiguous, "{tag:?}");
+        let nearest = truth.iter().min_by_key(|truth| stamp_ns(&truth.header).abs_diff(stamp_ns(&tag.header)));
+        let (p, q) = (&tag.pose.pose.position, &nearest.expect("a truth").pose.position);
+        let (off, sigma) = (f64::hypot(p.x - q.x, p.y - q.y), sigma_m(tag));
+        // Nearest in time: half a frame's way, and what was told is off by 8 cm.
+        assert!(off < 0.16 && sigma > 0.1 && off < sigma, "{off:.3} m off, {sigma:.3} m claimed");
+    }
+    assert!(!first.ambiguous && off_m(first, &truth) < 0.03, "{first:?}");
+    assert!(replayed.tags.iter().skip(3).all(|tag| tag.valid), "{:?}", replayed.tags);
+}
+
+fn stamp_ns(header: &Header) -> i64 {
+    header.stamp.to_nanoseconds()
+}
+
+#[test]
+fn before_a_late_camera_s_first_frame_odometry_carries_on_the_place_that_was_told() {
+    let messages = with_a_late_camera(&walk().messages);
+    let begins_ns = stamp_ns(&decode_all::<Odometry>(&messages, ODOMETRY)[0].header);
+    let room = Room::with_log(&messages);
+    follows_the_robot(&room.replay("log.mcap"), begins_ns);
+    // The same, told beside the log.
+    let told = decode_all::<PoseWithCovarianceStamped>(&messages, INITIAL).remove(0).pose.pose;
+    let yaw_deg = 2.0 * told.orientation.z.atan2(told.orientation.w).to_degrees();
+    let told = format!("--initial={},{},{yaw_deg}", told.position.x, told.position.y);
+    let room = Room::with_log(&without(&messages, INITIAL));
+    follows_the_robot(&room.replay(&format!("log.mcap {told}")), begins_ns);
+}
+
+#[test]
+fn a_place_counts_from_when_it_is_told() {
+    let (when, all) = (FIRST_AFTER / 2, &walk().messages);
+    let told = footprint_of(&walk().tags[when]);
+    let mut message = on(all, INITIAL).next().expect("told at the beginning").clone();
+    let mut content = PoseWithCovarianceStamped::decode(&message.data).unwrap();
+    let pose = &mut content.pose.pose;
+    (pose.position.x, pose.position.y) = (told.x, told.y);
+    (pose.orientation.z, pose.orientation.w) = (told.yaw / 2.0).sin_cos();
+    message.data = content.encode();
+    message.log_time_ns = on(all, IMAGE).nth(when).expect("a frame").log_time_ns;
+    let mut messages = with_a_late_camera(&without(all, INITIAL));
+    let place = messages.partition_point(|other| other.log_time_ns <= message.log_time_ns);
+    messages.insert(place, message);
+    let room = Room::with_log(&messages);
+    follows_the_robot(&room.replay("log.mcap"), stamp_ns(&walk().tags[when].header));
+}
+
+#[test]
+fn after_a_restart_odometry_carries_on_the_place_that_was_kept() {
+    let all = &walk().messages;
+    let middle_ns = on(all, IMAGE).nth(LAST_BEFORE).expect("a frame").log_time_ns;
+    let room = Room::new();
+    let before: Vec<LogMessage> = all.iter().filter(|message| message.log_time_ns <= middle_ns).cloned().collect();
+    let rest: Vec<LogMessage> = with_a_late_camera(&without(all, INITIAL))
+        .into_iter()
+        .filter(|message| {
+            message.log_time_ns > middle_ns || [TF_STATIC, CAMERA_INFO].contains(&&*message.channel.topic)
+        })
+        .collect();
+    room.write("before.mcap", own_log(&before));
+    room.write("rest.mcap", own_log(&rest));
+    room.replay("before.mcap");
+    follows_the_robot(&room.replay("rest.mcap --warm-start"), middle_ns);
 }
 
 /// A clock that jumps ahead, for one message, while frames come; and a camera of one frame a second.

@@ -107,7 +107,7 @@ impl Footage {
     /// The same frames, each on its own: tracking starts anew at each, at the pose given for it.
     pub fn apart(mut self, starts: &[InitialPose]) -> Self {
         for (shot, start) in self.shots.iter_mut().zip(starts) {
-            shot.robot.initial_pose = Some(*start);
+            (shot.robot.initial_pose, shot.robot.anchor) = (Some(*start), None);
         }
         self.start = Start::default();
         self.apart = true;

@@ -38,7 +38,7 @@ pub struct LocalizerSettings {
 pub struct LocalizerState {
     pub filter: FilterState,
     pub track: Option<Track>,
-    /// Time and odometry of the last frame.
+    /// Time and odometry of the last frame, or of what came after it that steps count from.
     pub last: Option<(i64, Option<Pose2>)>,
     pub standing: Standing,
     pub posture: Posture,
@@ -178,9 +178,14 @@ impl Localizer {
             self.filter.widen(RESTART);
             self.state.track =
                 self.state.track.as_ref().map(|track| track.moved_to(track.pose(), RESTART.xy_m, RESTART.yaw_rad));
-            self.state.standing.found();
+            self.state.standing.kept();
         }
         self.state.last = None;
+    }
+
+    /// The next step is from where odometry had the robot at that time.
+    pub fn count_from(&mut self, stamp_ns: i64, odometry: Pose2) {
+        self.state.last = Some((stamp_ns, Some(odometry)));
     }
 
     /// Somebody says where the robot is.
@@ -233,17 +238,18 @@ impl Localizer {
         self.drift(moment, reason)
     }
 
-    /// Where odometry puts the robot at a time of which there is no frame. `ahead`, what is remembered of that, begins as
-    /// [`state`](Self::state); the next frame knows nothing of it. `None` where the place was not known, or is not any
-    /// more.
-    pub fn foresee(&mut self, ahead: &mut LocalizerState, moment: &Moment, reason: &'static str) -> Option<Fix> {
-        core::mem::swap(&mut self.state, ahead);
-        self.filter.exchange(&mut self.state.filter);
+    /// Where odometry puts the robot at a time of which there is no frame. `None` where the place was not known, or is not
+    /// any more.
+    pub fn foresee(&mut self, moment: &Moment, reason: &'static str) -> Option<Fix> {
         let fix = self.coast(moment, reason);
-        let is_known = self.state.standing.is_confirmed() && !is_lost(&fix.covariance);
+        (self.state.standing.is_known() && !is_lost(&fix.covariance)).then_some(fix)
+    }
+
+    /// Goes on from another state, and hands out its own.
+    pub fn exchange(&mut self, state: &mut LocalizerState) {
         self.filter.exchange(&mut self.state.filter);
-        core::mem::swap(&mut self.state, ahead);
-        is_known.then_some(fix)
+        core::mem::swap(&mut self.state, state);
+        self.filter.exchange(&mut self.state.filter);
     }
 
     /// On the floor, or on its way there or up again. Whoever has got up may be somewhere else.
