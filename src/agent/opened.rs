@@ -10,10 +10,11 @@ use super::setup::{Setup, SetupError};
 use crate::config::Settings;
 use crate::recording::{Loss, missing_parts, topic};
 use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
-use crate::ros2::messages::{FrameTag, Message};
+use crate::ros2::messages::{CompressedImage, FrameTag, Message};
 use crate::scene::Scene;
 use crate::sensors::log::{self as logs, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
 use crate::sensors::scene::SceneSource;
+use crate::sensors::topics;
 
 pub(super) struct OpenLog {
     pub setup: Setup,
@@ -36,7 +37,12 @@ pub(super) fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayErr
         error => error.into(),
     })?;
     let surveys = logs::surveys(&files)?;
-    let types = logs::topic_types(&surveys);
+    let stored = stored_state(&files, &surveys)?;
+    let mut types = logs::topic_types(&surveys);
+    if stored.is_of_capture && topics::image(&settings.topics.image, &types).is_err() {
+        // Of a time when the camera sent nothing; what else was measured then is whole.
+        types.entry(settings.topics.image.clone()).or_default().insert(CompressedImage::TYPE.to_owned());
+    }
     let lost = || {
         let damaged = files.iter().zip(&surveys).filter(|(_, survey)| !survey.damage.is_none());
         let damaged = damaged.map(|(file, survey)| Loss::of_damage(file, &survey.damage));
@@ -47,7 +53,6 @@ pub(super) fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayErr
         .map_err(|error| setup_error(path, error, lost()))?;
     let frames = surveys.iter().flat_map(|survey| &survey.topics).filter(|topic| topic.topic == prelude.topics.image);
     let frames = frames.map(|topic| topic.messages).sum();
-    let stored = stored_state(&files, &surveys)?;
     let setup = Setup::new(settings.clone(), prelude).map_err(|error| setup_error(path, error, lost()))?;
     Ok(OpenLog {
         setup,
@@ -110,6 +115,7 @@ fn decisions(files: &[PathBuf]) -> Decisions {
 /// What a segment of a capture brings along of the filter's state, or why that is of no use.
 #[derive(Default)]
 struct StoredState {
+    is_of_capture: bool,
     checkpoint: Option<Checkpoint>,
     loss: Option<Loss>,
     warning: Option<String>,
@@ -122,17 +128,18 @@ fn stored_state(files: &[PathBuf], surveys: &[Survey]) -> Result<StoredState, Re
         StoredCheckpoint::Damaged => Err(CheckpointError::Damaged),
         StoredCheckpoint::Bytes(bytes) => Checkpoint::decode(&bytes),
     };
+    let of_capture = StoredState { is_of_capture: true, ..StoredState::default() };
     let error = match decoded {
-        Ok(checkpoint) => return Ok(StoredState { checkpoint: Some(checkpoint), ..StoredState::default() }),
+        Ok(checkpoint) => return Ok(StoredState { checkpoint: Some(checkpoint), ..of_capture }),
         Err(error) => error,
     };
     let what = format!("its attachment {CHECKPOINT_NAME}: {error}; {BEGAN_ANEW}");
     Ok(match error {
         // Not lost, only of another time.
         CheckpointError::Version { .. } => {
-            StoredState { warning: Some(format!("{}: {what}", path.display())), ..StoredState::default() }
+            StoredState { warning: Some(format!("{}: {what}", path.display())), ..of_capture }
         }
-        _ => StoredState { loss: Some(Loss::new(path, what)), ..StoredState::default() },
+        _ => StoredState { loss: Some(Loss::new(path, what)), ..of_capture },
     })
 }
 

@@ -269,8 +269,12 @@ fn for_people(status: &Value) -> String {
     if let Some(tag) = status["last_tag"].as_object() {
         let float = |key: &str| tag[key].as_f64().unwrap_or(f64::NAN);
         let what = match tag["reason"].as_str() {
+            Some(NO_FRAME) if tag["ambiguous"] == true => {
+                "predicted, for want of frames; the mirror pose is as likely".to_owned()
+            }
             Some(NO_FRAME) => "predicted, for want of frames".to_owned(),
             Some(reason) if tag["valid"] != true => format!("{reason}, {:.1} ms", float("elapsed_ms")),
+            _ if tag["ambiguous"] == true => format!("valid up to the mirror, {:.1} ms", float("elapsed_ms")),
             _ => format!("valid, {:.1} ms", float("elapsed_ms")),
         };
         let age = match float("age_s") {

@@ -45,7 +45,11 @@ pub struct Readout<T> {
 
 /// All tags of a capture (a folder or one of its segments), in the order of the frames.
 pub fn read_tags(path: &Path) -> Result<Readout<FrameTag>, EvaluationError> {
-    let read = read_topic(path, topic::FRAME_TAG, "is it a capture? `realitysim replay` makes one")?;
+    let read = read_topic(
+        path,
+        topic::FRAME_TAG,
+        "is it a capture, and of a time with frames? `realitysim replay` makes one",
+    )?;
     let tag = |message: &LogMessage| {
         FrameTag::decode(&message.data).map_err(|source| EvaluationError::Message {
             path: path.display().to_string(),

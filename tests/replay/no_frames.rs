@@ -66,23 +66,23 @@ fn while_no_frames_come_odometry_says_where_the_camera_is_and_that_it_does() {
 #[test]
 fn a_part_that_begins_while_there_are_no_frames_goes_on_predicting_from_there() {
     let room = Room::with_log(&with_a_gap());
-    let whole = room.replay("log.mcap --set recording.segment_s=2");
+    let whole = room.replay("log.mcap --set recording.segment_s=1");
     let files = segments(&whole.session);
-    let mut predicted = 0;
+    let (mut predicted, mut frameless) = (0, 0);
     for file in &files {
         let messages = read_log(file);
         let own: Vec<FrameTag> = decode_all(&messages, PREDICTED);
         predicted += own.len();
-        if on(&messages, IMAGE).next().is_none() {
-            continue;
-        }
+        frameless += usize::from(on(&messages, IMAGE).next().is_none());
         room.write("part.mcap", fs::read(file).unwrap());
         let alone = room.run("replay part.mcap -o alone --json").json();
         let session = room.path(alone["session"].as_str().unwrap());
         assert_eq!(decode_all::<FrameTag>(&read_capture(&session), PREDICTED), own, "{}", file.display());
         fs::remove_dir_all(room.path("alone")).unwrap();
     }
-    assert_eq!(predicted, PREDICTIONS);
+    assert_eq!((predicted, frameless), (PREDICTIONS, 2), "two seconds are all without a frame");
+    let room = Room::with_log(&without(&walk().messages, IMAGE));
+    room.run("replay log.mcap -o alone").fails(1, &["log.mcap", "no camera images"]);
 }
 
 #[test]

@@ -82,6 +82,8 @@ pub struct LastTag {
     pub sequence: u64,
     pub valid: bool,
     pub reason: String,
+    /// The mirror pose is as likely.
+    pub ambiguous: bool,
     /// Standard deviation of the place, along its longer axis.
     pub sigma_m: f64,
     pub x_m: f64,
@@ -117,6 +119,7 @@ impl Status {
             sequence: tag.sequence,
             valid: tag.valid,
             reason: tag.reason.clone(),
+            ambiguous: tag.ambiguous,
             sigma_m: longest_axis(covariance[0], covariance[1], covariance[7]),
             x_m: position.x,
             y_m: position.y,
