@@ -79,6 +79,9 @@ pub struct ViewArguments {
     config: Option<String>,
 }
 
+/// Images that cannot be read, each in a line of its own.
+const MOST_TOLD: usize = 3;
+
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum Figures {
     Draw,
@@ -160,8 +163,14 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     } else {
         output::lines(&told(&report))?;
     }
-    for what in report.unreadable.iter().chain(&report.warning) {
+    for what in report.unreadable.iter().take(MOST_TOLD).chain(&report.warning) {
         eprintln!("realitysim: {what}");
+    }
+    if report.unreadable.len() > MOST_TOLD {
+        let more = report.unreadable.len() - MOST_TOLD;
+        eprintln!(
+            "realitysim: and {more} more that cannot be read: --json names them, `realitysim db verify` finds all"
+        );
     }
     Ok(if report.unreadable.is_empty() { Outcome::Whole } else { Outcome::DataLost })
 }

@@ -68,7 +68,15 @@ struct Report {
     jump_cm: Option<Summary>,
     /// Views whose lines do not tell where they are.
     not_found: usize,
+    /// Of the lens's picture, that a view shows at all.
+    valid_share: Shares,
     output: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Shares {
+    least: f64,
+    mean: f64,
 }
 
 struct Step {
@@ -155,15 +163,17 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     if json {
         output::json(&report)?;
     } else {
-        let Report { views, stored, not_found, position_cm, yaw_deg, jump_cm, .. } = &report;
+        let Report { views, stored, not_found, position_cm, yaw_deg, jump_cm, valid_share, .. } = &report;
         let table = [
             output::row("position", "cm", position_cm.as_ref()),
             output::row("yaw", "deg", yaw_deg.as_ref()),
             output::row("jump", "cm", jump_cm.as_ref()),
         ];
         output::lines(&format!(
-            "{views} views, {stored} of them stored images; {not_found} whose lines do not tell where they are\n  by their own \
-             lines     mean   median      p95      max\n{}\n{}",
+            "{views} views, {stored} of them stored images, that show {:.1} % of the picture (the least {:.1} %); {not_found} whose \
+             lines do not tell where they are\n  by their own lines     mean   median      p95      max\n{}\n{}",
+            100.0 * valid_share.mean,
+            100.0 * valid_share.least,
             table.join("\n"),
             folder.display()
         ))?;
@@ -207,6 +217,10 @@ fn report(steps: &[Step], output: PathBuf) -> Report {
         yaw_deg: summary(found.iter().map(|off| off.2.abs().to_degrees()).collect()),
         jump_cm: summary(jumps.collect()),
         not_found: steps.len() - found.len(),
+        valid_share: Shares {
+            least: steps.iter().map(|step| step.valid_share).fold(1.0, f64::min),
+            mean: steps.iter().map(|step| step.valid_share).sum::<f64>() / steps.len() as f64,
+        },
         output,
     }
 }

@@ -15,7 +15,7 @@ use super::record::{Form, Record};
 use crate::agent::refining::{REFINED_INFO, refined_info};
 use crate::config::load_lens_for_image;
 use crate::evaluation::capture::{EvaluationError, Readout, losses, read_tags};
-use crate::geometry::{Euler, FieldDimensions, Isometry};
+use crate::geometry::{Euler, FieldDimensions, Isometry, LensParameters};
 use crate::recording::{Loss, REFINED_FOLDER, SESSION_FILE, read_info};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
@@ -300,7 +300,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         };
         if lens.is_none() {
             lens = match colours(&bytes, Form::File) {
-                Ok(first) => Some(camera_of(&path, [first.width as u32, first.height as u32])?),
+                Ok(first) => Some(camera_of(&path, &file, [first.width as u32, first.height as u32])?),
                 Err(what) => {
                     losses.push(Loss::new(&file, what));
                     left_out += 1;
@@ -321,7 +321,8 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
     done(records.len() as u64);
     let good: HashSet<u32> = records.iter().map(|record| record.file).collect();
     for (_, name) in files.iter().enumerate().filter(|(number, _)| !good.contains(&(*number as u32))) {
-        losses.push(Loss::new(&path.join(name), "is no picture of the size of the others"));
+        let [width, height] = lens.as_ref().map_or([0; 2], |lens: &LensParameters| [lens.width, lens.height]);
+        losses.push(Loss::new(&path.join(name), format!("does not decode as a picture of {width} x {height}")));
         left_out += 1;
     }
     let lens = lens.ok_or_else(|| DatabaseError::Source {
@@ -345,24 +346,20 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
     Ok(Read { source, records, field: None, ambiguous: 0, losses, lit, bodies: Vec::new() })
 }
 
-fn finish(
-    batch: &mut Vec<(Record, Vec<u8>)>,
-    lens: &Option<crate::geometry::LensParameters>,
-    records: &mut Vec<Record>,
-    lit: &mut Lit,
-) {
+fn finish(batch: &mut Vec<(Record, Vec<u8>)>, lens: &Option<LensParameters>, records: &mut Vec<Record>, lit: &mut Lit) {
     let Some(lens) = lens else { return };
     look_at(batch, [lens.width as usize, lens.height as usize], records, lit);
 }
 
-/// `camera_info.yaml` beside the images, for images of this size.
-fn camera_of(folder: &Path, [width, height]: [u32; 2]) -> Result<crate::geometry::LensParameters, DatabaseError> {
+/// `camera_info.yaml` beside the images, for one of this size.
+fn camera_of(folder: &Path, image: &Path, [width, height]: [u32; 2]) -> Result<LensParameters, DatabaseError> {
     let path = folder.join(CAMERA);
     if !path.is_file() {
         let what = format!("without {CAMERA}, as ROS camera_calibration writes it, nobody knows the lens");
         return Err(DatabaseError::Source { path: folder.to_owned(), what });
     }
-    let file = load_lens_for_image(&path.display().to_string(), width, height)?;
+    let file = load_lens_for_image(&path.display().to_string(), width, height)
+        .map_err(|error| DatabaseError::Source { path: image.to_owned(), what: error.to_string() })?;
     Ok(file.lens.parameters().clone())
 }
 

@@ -1,5 +1,7 @@
 //! Colour pixels with what is known about them, and smaller copies of them.
 
+use crate::vision::distance::nearest;
+
 /// Red, green, blue and how sure the pixel is; row by row from the top left.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Raster {
@@ -74,11 +76,22 @@ impl Raster {
 pub struct Pyramid {
     levels: Vec<Raster>,
     has_moving: bool,
+    inset: Inset,
+}
+
+/// How far from what it does not show the places of an image lie, by blocks of 8 x 8 pixels. Empty where it shows all.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Inset {
+    columns: usize,
+    blocks_px: Vec<u8>,
 }
 
 pub(super) const LEVELS: usize = 4;
 /// Bilinear reading needs two pixels each way.
 const LEAST_SIDE: usize = 2;
+/// Side of a pixel of the smallest copy, and how many of them are looked at for what is not shown.
+const BLOCK: usize = 1 << (LEVELS - 1);
+const INSET_BLOCKS: usize = 3;
 
 impl Pyramid {
     pub fn new(full: Raster) -> Self {
@@ -90,7 +103,16 @@ impl Pyramid {
             let next = finer.halved();
             levels.push(next);
         }
-        Self { levels, has_moving }
+        let inset = levels.get(LEVELS - 1).map_or(Inset::default(), Inset::new);
+        Self { levels, has_moving, inset }
+    }
+
+    /// From a pixel to the nearest one that does not show what it should, to some pixels; infinite where there is none within
+    /// three blocks.
+    pub(super) fn inset_px(&self, u: usize, v: usize) -> f32 {
+        let Inset { columns, blocks_px } = &self.inset;
+        let block = v / BLOCK * columns + (u / BLOCK).min(columns.saturating_sub(1));
+        blocks_px.get(block).filter(|px| **px < u8::MAX).map_or(f32::INFINITY, |px| f32::from(*px))
     }
 
     /// Whether something in it is marked as [`UNSURE`].
@@ -111,6 +133,24 @@ impl Pyramid {
     /// Bytes in memory.
     pub fn bytes(&self) -> usize {
         self.levels.iter().map(|level| 4 * level.pixels.len()).sum()
+    }
+}
+
+impl Inset {
+    /// `smallest`: a pixel of it is sure where its whole block is.
+    fn new(smallest: &Raster) -> Self {
+        let Raster { width, height, pixels } = smallest;
+        let unsure: Vec<bool> = pixels.iter().map(|pixel| pixel[3] != SURE).collect();
+        if !unsure.contains(&true) {
+            return Self::default();
+        }
+        // From the middle of a block to the nearer side of the one that is unsure.
+        let px = |blocks: f32| match blocks {
+            far if far > INSET_BLOCKS as f32 => u8::MAX,
+            blocks => ((blocks - 0.5).max(0.0) * BLOCK as f32) as u8,
+        };
+        let blocks = nearest(&unsure, *width, *height, INSET_BLOCKS);
+        Self { columns: *width, blocks_px: blocks.into_iter().map(px).collect() }
     }
 }
 

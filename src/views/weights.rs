@@ -12,7 +12,8 @@ const FEATHER: f32 = 0.04;
 /// A source counts half when it was taken this much farther away than on the spot: what is not quite where tag, lens and
 /// carpet have it is shown from nearly the right place by near ones.
 const BASELINE_M: f64 = 0.15;
-/// Distance from the source's border, in pixels, from which on it does not count.
+/// Distance from the source's border (of the picture, of the lens's circle, of the body and of what moves), in pixels, from
+/// which on it does not count.
 const BORDER_PX: f32 = 24.0;
 /// Beside what is far, a source counts half when it was taken this far away: it shows another parallax.
 const FAR_BASELINE_M: f64 = 0.3;
@@ -64,6 +65,7 @@ fn scores(target: &Target, warp: &Warp) -> Vec<f32> {
         if border.is_nan() || border < 0.0 || !shows(source, u, v) {
             return 0.0;
         }
+        let border = border.min(source.image.inset_px((u + 0.5) as usize, (v + 0.5) as usize));
         let (column, row) = (node % (columns + 1), node / (columns + 1));
         let step = |before: usize, after: usize| {
             let ([a, b], [c, d]) = (warp.node(before), warp.node(after));

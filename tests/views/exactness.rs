@@ -3,7 +3,10 @@
 use glam::{DVec2, DVec3};
 use proptest::prelude::*;
 use realitysim::geometry::{Euler, Isometry, Lens, LensModel, LensParameters};
-use realitysim::views::{Camera, Method, Pyramid, Raster, Surface, Target, ViewError, ViewSettings, Warp, World, view};
+use realitysim::views::{
+    Camera, Candidate, Method, NOTHING, Pyramid, Raster, SURE, Surface, Target, ViewError, ViewSettings, Warp, World,
+    view,
+};
 
 use super::{candidate, field, lens, pose, request};
 
@@ -60,6 +63,64 @@ proptest! {
             prop_assert!(*p99 < 0.15, "{p99} px");
         }
     }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    /// Lenses that draw a circle, a body in the way: nothing is black that a source shows.
+    #[test]
+    fn whatever_a_source_shows_is_shown(
+        places in prop::collection::vec((-0.4..0.4f64, -0.4..0.4f64, -40.0..40.0f64, 0..280usize), 2..4),
+    ) {
+        let (camera, world) = (lens_of(LensModel::KannalaBrandt { k: [0.0; 4] }, Some(150.0)), World::new(&field()));
+        let images: Vec<Pyramid> = places.iter().map(|(.., body)| with_body(&camera, *body)).collect();
+        let posed = |(x, y, yaw_deg, _): &(f64, f64, f64, usize)| pose(0.5 + x, 0.5 + y, *yaw_deg);
+        let sources: Vec<_> = places.iter().zip(&images).map(|(place, image)| candidate(&camera, posed(place), image)).collect();
+        let wanted = request(&camera, pose(0.5, 0.5, 0.0), &world);
+        let of = |sources: &[Candidate]| view(&wanted, sources).map(|answer| answer.image.mask());
+        let all = of(&sources).expect("a view");
+        for source in &sources {
+            let alone = of(&[*source]).unwrap_or(vec![NOTHING; all.len()]);
+            let lost = (0..all.len()).filter(|i| all[*i] == NOTHING && alone[*i] != NOTHING);
+            prop_assert_eq!(lost.map(|i| (i % 320, i / 320)).collect::<Vec<_>>(), vec![]);
+        }
+    }
+}
+
+/// All of one brightness; a body from that column on, 40 wide, in the lower half.
+fn with_body(camera: &Camera, left: usize) -> Pyramid {
+    let (width, height) = (camera.width(), camera.height());
+    let is_body = |i: usize| i / width > height / 2 && (left..left + 40).contains(&(i % width));
+    let shows: Vec<bool> = camera.shows().iter().enumerate().map(|(i, shows)| *shows && !is_body(i)).collect();
+    Pyramid::new(Raster::from_rgb(width, height, &vec![99; 3 * width * height], &shows).expect("fits"))
+}
+
+/// The nearer image is brighter at the edge of its circle than it should be: that is not shown up to the edge, where the other
+/// one begins.
+#[test]
+fn seams_keep_away_from_the_edge_of_a_lens() {
+    let (camera, world) =
+        (lens_of(LensModel::KannalaBrandt { k: [0.0; 4] }, Some(120.0)), World::without_goals(&field()));
+    let (width, height) = (camera.width(), camera.height());
+    let bright = |i: usize| {
+        let (u, v) = ((i % width) as f64 - 158.0, (i / width) as f64 - 121.0);
+        if u.hypot(v) > 100.0 { 150 } else { 90 }
+    };
+    let rgb: Vec<u8> = (0..width * height).flat_map(|i| [bright(i); 3]).collect();
+    let near = Pyramid::new(Raster::from_rgb(width, height, &rgb, camera.shows()).expect("fits"));
+    let wide = lens_of(LensModel::KannalaBrandt { k: [0.0; 4] }, Some(180.0));
+    let far = Pyramid::new(Raster::from_rgb(width, height, &vec![90; 3 * width * height], wide.shows()).expect("fits"));
+    let sources = [candidate(&camera, pose(0.52, 0.5, 0.0), &near), candidate(&wide, pose(0.62, 0.5, 0.0), &far)];
+    let mut wanted = request(&wide, pose(0.5, 0.5, 0.0), &world);
+    wanted.settings.stored_within_m = -1.0;
+    let image = view(&wanted, &sources).expect("a view").image;
+    let row = &image.pixels[170 * width..171 * width];
+    let steps: Vec<u8> = row
+        .windows(2)
+        .filter(|two| two.iter().all(|p| p[3] == SURE))
+        .map(|two| two[0][0].abs_diff(two[1][0]))
+        .collect();
+    assert!(steps.iter().all(|step| *step <= 20), "{steps:?}");
 }
 
 #[test]
