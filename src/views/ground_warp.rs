@@ -13,7 +13,7 @@ use super::camera::{AREA, CELL};
 use super::optical;
 use super::raster::{NOTHING, UNSURE};
 use super::target::{Looks, SOFT_EDGE_PX, Target, between, cells, corners, goal_cells, sureness, turned};
-use super::world::{Goals, Hit, Surface};
+use super::world::{BEFORE, Goals, Hit, Surface};
 use crate::vectorised::vectorised;
 
 /// The map into one source.
@@ -120,16 +120,6 @@ impl<'a> Warp<'a> {
         centre.map_or(f64::INFINITY, |centre| centre.distance(interpolated))
     }
 
-    fn has_goal_in(&self, patch: &Patch) -> bool {
-        let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-        for (axis, values) in [&patch.u, &patch.v].into_iter().enumerate() {
-            // These leave out NaN.
-            values.iter().for_each(|value| low[axis] = low[axis].min(*value));
-            values.iter().for_each(|value| high[axis] = high[axis].max(*value));
-        }
-        low[0] <= high[0] && self.has_goal(Vec2::from_array(low), Vec2::from_array(high))
-    }
-
     /// Whether the source has a goal within this rectangle.
     fn has_goal(&self, low: Vec2, high: Vec2) -> bool {
         if self.goal_cells.is_empty() {
@@ -227,33 +217,36 @@ impl<'a> Warp<'a> {
     /// Where the source draws what the view's rays meet, unless a goal hides it there.
     fn draw_all(&self, looks: &Looks) -> Patch {
         let mut patch = self.drawn(looks);
-        if !self.has_goal_in(&patch) {
+        if self.goal_cells.is_empty() {
             return patch;
         }
-        for i in 0..AREA {
-            if patch.sure[i] == NOTHING || looks.goal[i] {
-                continue;
-            }
-            let at = Vec2::new(patch.u[i], patch.v[i]);
-            let ray = DVec3::from_array(looks.rays.map(|part| part[i].into()));
-            if self.has_goal(at, at) && self.is_hidden(ray, looks.inverse_distances[i].into()) {
+        let met = self.goals.met_by_all(&self.seen(looks));
+        for (i, lengths) in met.into_iter().enumerate() {
+            let hidden = lengths.is_finite() && lengths * looks.inverse_distances[i] < 1.0 - BEFORE as f32;
+            if hidden && !looks.goal[i] {
                 (patch.u[i], patch.v[i], patch.sure[i]) = (f32::NAN, f32::NAN, NOTHING);
             }
         }
         patch
     }
 
+    /// In which directions the source sees what the view's rays meet, in `map`.
+    #[inline(always)]
+    fn seen(&self, looks: &Looks) -> [[f32; AREA]; 3] {
+        let apart = (self.target.place - self.place).as_vec3();
+        let [mut x, mut y, mut z] = looks.rays;
+        for (i, nearness) in looks.inverse_distances.iter().enumerate() {
+            x[i] += nearness * apart.x;
+            y[i] += nearness * apart.y;
+            z[i] += nearness * apart.z;
+        }
+        [x, y, z]
+    }
+
     fn drawn(&self, looks: &Looks) -> Patch {
         let warp = self;
         vectorised!(|warp: &Warp, looks: &Looks| -> Patch {
-            let apart = (warp.target.place - warp.place).as_vec3();
-            let [mut x, mut y, mut z] = looks.rays;
-            for (i, nearness) in looks.inverse_distances.iter().enumerate() {
-                x[i] += nearness * apart.x;
-                y[i] += nearness * apart.y;
-                z[i] += nearness * apart.z;
-            }
-            let seen = turned(&warp.source_from_map, &[x, y, z]);
+            let seen = turned(&warp.source_from_map, &warp.seen(looks));
             let [u, v] = warp.source.camera.projector().project_all(&seen);
             let mut sure = looks.sure;
             for (sure, u) in sure.iter_mut().zip(&u) {

@@ -143,18 +143,13 @@ impl<'a> Target<'a> {
     }
 
     fn meet_goals(&self, looks: &mut Looks) {
-        for i in 0..AREA {
-            let behind = match looks.sure[i] {
-                NOTHING => continue,
-                SURE => Surface::Ground,
-                _ => Surface::Far,
-            };
-            let ray = DVec3::from_array(looks.rays.map(|part| part[i].into()));
-            let behind = Hit { inverse_distance: looks.inverse_distances[i].into(), surface: behind };
-            let hit = self.goals.before(ray, behind);
-            looks.inverse_distances[i] = hit.inverse_distance as f32;
-            looks.sure[i] = sureness(hit.surface);
-            looks.goal[i] = hit.surface == Surface::Goal;
+        let met = self.goals.met_by_all(&looks.rays);
+        for (i, distance) in met.into_iter().enumerate() {
+            if looks.sure[i] != NOTHING && distance.is_finite() && distance * looks.inverse_distances[i] < 1.0 {
+                looks.inverse_distances[i] = 1.0 / distance;
+                looks.sure[i] = sureness(Surface::Goal);
+                looks.goal[i] = true;
+            }
         }
     }
 

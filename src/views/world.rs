@@ -1,8 +1,10 @@
 //! What stands where: the ground as far as the field goes, and the goals as second planes. All else is far away.
 
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec3};
 
+use super::camera::AREA;
 use crate::geometry::Field;
+use crate::vectorised::vectorised;
 
 /// Known geometry, in `map`.
 #[derive(Clone, Debug, PartialEq)]
@@ -137,6 +139,34 @@ impl Goals {
         self.met(ray).next().is_some()
     }
 
+    /// The same for a cell's rays, of any length: how many of these lengths away the first bar is; infinite without one.
+    pub(super) fn met_by_all(&self, rays: &[[f32; AREA]; 3]) -> [f32; AREA] {
+        let goals = self;
+        vectorised!(|goals: &Goals, rays: &[[f32; AREA]; 3]| -> [f32; AREA] {
+            let mut met = [f32::INFINITY; AREA];
+            for seen in goals.bars.iter().filter(|seen| seen.may_be_met(rays)) {
+                let bar = &seen.bar;
+                let (axis, to_camera) = ((bar.to - bar.from).as_vec3(), (goals.camera - bar.from).as_vec3());
+                let (aa, ac) = (axis.length_squared(), axis.dot(to_camera));
+                let (radius, margin) = (bar.radius as f32, goals.margin as f32);
+                for (i, met) in met.iter_mut().enumerate() {
+                    let ray = Vec3::new(rays[0][i], rays[1][i], rays[2][i]);
+                    let (ra, rc, rr) = (ray.dot(axis), ray.dot(to_camera), ray.length_squared());
+                    let determinant = aa * rr - ra * ra;
+                    let along = ((ac * rr - ra * rc) / determinant).clamp(0.0, 1.0);
+                    let to_point = axis * along - to_camera;
+                    let lengths = ray.dot(to_point) / rr;
+                    let off = (ray * lengths - to_point).length_squared();
+                    let wide = radius + margin * lengths * rr.sqrt();
+                    // Not for NaN, which a ray along the axis and one that nothing draws give.
+                    let is_met = (lengths > 0.0) & (off <= wide * wide);
+                    *met = if is_met & (lengths < *met) { lengths } else { *met };
+                }
+            }
+            met
+        })
+    }
+
     /// Whether a bar stands before what lies at this inverse distance along the unit ray.
     pub(super) fn hide(&self, ray: DVec3, inverse_distance: f64) -> bool {
         self.met(ray).any(|distance| distance * inverse_distance < 1.0 - BEFORE)
@@ -148,8 +178,25 @@ impl Goals {
     }
 }
 
+/// A ray in f32 passes a bar so much nearer or farther than it should.
+const ROUNDING: f32 = 1e-5;
 /// What is nearer than a place by less than this share of the distance belongs to it.
-const BEFORE: f64 = 0.02;
+pub(super) const BEFORE: f64 = 0.02;
+
+impl SeenBar {
+    /// Whether any of these rays does not pass far from it.
+    #[inline(always)]
+    fn may_be_met(&self, [xs, ys, zs]: &[[f32; AREA]; 3]) -> bool {
+        let (across, sine) = (self.across.as_vec3(), self.sine as f32 + ROUNDING);
+        let mut near = false;
+        for i in 0..AREA {
+            let (x, y, z) = (xs[i], ys[i], zs[i]);
+            let off = across.x * x + across.y * y + across.z * z;
+            near |= off * off <= sine * sine * (x * x + y * y + z * z);
+        }
+        near
+    }
+}
 
 impl Bar {
     /// How far along the unit ray its axis is passed, if it is passed closely enough.
@@ -189,10 +236,45 @@ impl Bar {
 
 #[cfg(test)]
 mod tests {
+    use super::super::camera::CELL;
     use super::*;
     use crate::geometry::FieldDimensions;
     use crate::geometry::field::Goal;
     use crate::geometry::field::tests::kid_size_2013;
+
+    #[test]
+    fn many_rays_meet_what_each_of_them_meets() {
+        let goal = Some(Goal { width_m: 1.5, height_m: 0.9, depth_m: 0.5, post_diameter_m: 0.1 });
+        let world = World::new(&Field::new(FieldDimensions { goal, ..kid_size_2013() }).expect("a field"));
+        let camera = DVec3::new(1.0, 0.3, 0.5);
+        let goals = world.goals_from(camera, 0.004);
+        let (mut met, mut different) = (0, 0);
+        for cell in 0..2000 {
+            let rays: [DVec3; AREA] = core::array::from_fn(|i| {
+                // Cells of 8 x 8 rays about a degree apart, all around.
+                let yaw = 0.0031 * f64::from(cell) + 0.004 * (i % CELL) as f64;
+                let pitch = 0.6 * libm::sin(f64::from(cell)) + 0.004 * (i / CELL) as f64;
+                let length = 1.0 + 0.5 * libm::cos(f64::from(cell));
+                DVec3::new(libm::cos(yaw), libm::sin(yaw), libm::tan(pitch)).normalize() * length
+            });
+            let parts = |axis: usize| core::array::from_fn(|i| rays[i].to_array()[axis] as f32);
+            let all = goals.met_by_all(&[parts(0), parts(1), parts(2)]);
+            for (ray, found) in rays.iter().zip(all) {
+                let one = goals.met(ray.normalize()).min_by(f64::total_cmp).map(|distance| distance / ray.length());
+                met += u32::from(one.is_some());
+                match one {
+                    Some(one) if found.is_finite() => {
+                        assert!((f64::from(found) / one - 1.0).abs() < 1e-4, "{found} {one}")
+                    }
+                    None if found.is_infinite() => {}
+                    // At the very edge of a bar.
+                    _ => different += 1,
+                }
+            }
+        }
+        assert!(met > 1000 && different * 1000 < met, "{different} of {met}");
+        assert!(goals.met_by_all(&[[f32::NAN; AREA]; 3]).iter().all(|distance| distance.is_infinite()));
+    }
 
     #[test]
     fn rays_meet_ground_goal_and_what_is_far() {
