@@ -29,6 +29,8 @@ pub struct Warp<'a> {
     exact: Vec<bool>,
     /// By cell of the source: a goal can be seen in it. Empty without goals.
     goal_cells: Vec<bool>,
+    /// Source pixels from and to which there are any of these.
+    goal_box: [Vec2; 2],
     goals: Goals,
 }
 
@@ -52,9 +54,10 @@ impl<'a> Warp<'a> {
         let source_from_map = DMat3::from_quat(map_from_optical.rotation).transpose();
         let place = map_from_optical.translation;
         let goal_cells = goal_cells(source.camera, &map_from_optical, target.world);
+        let goal_box = box_of(&goal_cells, source.camera.cells().0);
         let goals = target.world.goals_from(place, SOFT_EDGE_PX / source.camera.lens().focal());
-        let mut warp =
-            Self { target, source, place, source_from_map, nodes: Vec::new(), exact: Vec::new(), goal_cells, goals };
+        let (nodes, exact) = (Vec::new(), Vec::new());
+        let mut warp = Self { target, source, place, source_from_map, nodes, exact, goal_cells, goal_box, goals };
         let drawn = target.node_looks.iter().map(|looks| warp.drawn(looks));
         warp.nodes = drawn.flat_map(|Patch { u, v, .. }| u.into_iter().zip(v).map(|(u, v)| [u, v])).collect();
         warp.nodes.truncate(target.nodes.len());
@@ -122,7 +125,9 @@ impl<'a> Warp<'a> {
 
     /// Whether the source has a goal within this rectangle.
     fn has_goal(&self, low: Vec2, high: Vec2) -> bool {
-        if self.goal_cells.is_empty() {
+        let [from, to] = self.goal_box;
+        // Not for NaN.
+        if !(high.cmpge(from) & low.cmplt(to)).all() {
             return false;
         }
         let (columns, rows) = self.source.camera.cells();
@@ -271,4 +276,13 @@ impl<'a> Warp<'a> {
         }
         libm::sqrt(sum / count.max(1) as f64)
     }
+}
+
+/// Around all cells that are marked, pixels; where none is, nothing lies within.
+fn box_of(cells: &[bool], columns: usize) -> [Vec2; 2] {
+    let marked = cells.iter().enumerate().filter(|(_, marked)| **marked);
+    let corner = |index: usize| Vec2::new((index % columns * CELL) as f32, (index / columns * CELL) as f32);
+    marked.fold([Vec2::INFINITY, Vec2::NEG_INFINITY], |[from, to], (index, _)| {
+        [from.min(corner(index)), to.max(corner(index) + CELL as f32)]
+    })
 }
