@@ -79,7 +79,8 @@ pub struct Pyramid {
     inset: Inset,
 }
 
-/// How far from what it does not show the places of an image lie, by blocks of 8 x 8 pixels. Empty where it shows all.
+/// How far from what it shows nothing of (outside the lens's circle, the body) the places of an image lie, by blocks of 8 x 8
+/// pixels. Empty where it shows all.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Inset {
     columns: usize,
@@ -89,13 +90,14 @@ struct Inset {
 pub(super) const LEVELS: usize = 4;
 /// Bilinear reading needs two pixels each way.
 const LEAST_SIDE: usize = 2;
-/// Side of a pixel of the smallest copy, and how many of them are looked at for what is not shown.
-const BLOCK: usize = 1 << (LEVELS - 1);
+/// Side of a block, pixels, and how many of them are looked at for what is not shown.
+const BLOCK: usize = 8;
 const INSET_BLOCKS: usize = 3;
 
 impl Pyramid {
     pub fn new(full: Raster) -> Self {
         let has_moving = full.pixels.iter().any(|pixel| pixel[3] == UNSURE);
+        let inset = Inset::new(&full);
         let mut levels = vec![full];
         while levels.len() < LEVELS
             && let Some(finer) = levels.last().filter(|l| l.width >= 2 * LEAST_SIDE && l.height >= 2 * LEAST_SIDE)
@@ -103,15 +105,13 @@ impl Pyramid {
             let next = finer.halved();
             levels.push(next);
         }
-        let inset = levels.get(LEVELS - 1).map_or(Inset::default(), Inset::new);
         Self { levels, has_moving, inset }
     }
 
-    /// From a pixel to the nearest one that does not show what it should, to some pixels; infinite where there is none within
-    /// three blocks.
+    /// From a pixel to the nearest one that shows nothing, to some pixels; infinite where there is none within three blocks.
     pub(super) fn inset_px(&self, u: usize, v: usize) -> f32 {
         let Inset { columns, blocks_px } = &self.inset;
-        let block = v / BLOCK * columns + (u / BLOCK).min(columns.saturating_sub(1));
+        let block = v / BLOCK * columns + u / BLOCK;
         blocks_px.get(block).filter(|px| **px < u8::MAX).map_or(f32::INFINITY, |px| f32::from(*px))
     }
 
@@ -137,20 +137,24 @@ impl Pyramid {
 }
 
 impl Inset {
-    /// `smallest`: a pixel of it is sure where its whole block is.
-    fn new(smallest: &Raster) -> Self {
-        let Raster { width, height, pixels } = smallest;
-        let unsure: Vec<bool> = pixels.iter().map(|pixel| pixel[3] != SURE).collect();
-        if !unsure.contains(&true) {
+    fn new(full: &Raster) -> Self {
+        let [columns, rows] = [full.width, full.height].map(|side| side.div_ceil(BLOCK));
+        let mut hidden = vec![false; columns * rows];
+        for (v, row) in full.pixels.chunks_exact(full.width.max(1)).enumerate() {
+            for (block, pixels) in hidden[v / BLOCK * columns..][..columns].iter_mut().zip(row.chunks(BLOCK)) {
+                *block |= pixels.iter().any(|pixel| pixel[3] == NOTHING);
+            }
+        }
+        if !hidden.contains(&true) {
             return Self::default();
         }
-        // From the middle of a block to the nearer side of the one that is unsure.
+        // From the middle of a block to the nearer side of the one that is hidden.
         let px = |blocks: f32| match blocks {
             far if far > INSET_BLOCKS as f32 => u8::MAX,
             blocks => ((blocks - 0.5).max(0.0) * BLOCK as f32) as u8,
         };
-        let blocks = nearest(&unsure, *width, *height, INSET_BLOCKS);
-        Self { columns: *width, blocks_px: blocks.into_iter().map(px).collect() }
+        let blocks = nearest(&hidden, columns, rows, INSET_BLOCKS);
+        Self { columns, blocks_px: blocks.into_iter().map(px).collect() }
     }
 }
 

@@ -12,8 +12,8 @@ const FEATHER: f32 = 0.04;
 /// A source counts half when it was taken this much farther away than on the spot: what is not quite where tag, lens and
 /// carpet have it is shown from nearly the right place by near ones.
 const BASELINE_M: f64 = 0.15;
-/// Distance from the source's border (of the picture, of the lens's circle, of the body and of what moves), in pixels, from
-/// which on it does not count.
+/// Distance from the source's border (of the picture, of the lens's circle and of the body), in pixels, from which on it does
+/// not count.
 const BORDER_PX: f32 = 24.0;
 /// Beside what is far, a source counts half when it was taken this far away: it shows another parallax.
 const FAR_BASELINE_M: f64 = 0.3;
