@@ -41,13 +41,14 @@ pub(super) fn compose(
         })
         .collect();
     let mut image = Raster::black(camera.width(), camera.height());
+    let mut filled = vec![0; layers.len()];
     for row in 0..rows {
         for column in 0..columns {
-            let cell = compose_cell(&layers, &weights, target, (column, row));
+            let cell = compose_cell(&layers, &weights, target, (column, row), &mut filled);
             put(&mut image, &cell, (column, row), camera);
         }
     }
-    Composed { image, shares: weights.shares() }
+    Composed { image, shares: weights.shares(&filled) }
 }
 
 struct Layer<'a> {
@@ -56,7 +57,14 @@ struct Layer<'a> {
     factors: Option<Vec<[f32; 3]>>,
 }
 
-fn compose_cell(layers: &[Layer], weights: &Weights, target: &Target, cell: (usize, usize)) -> Pixels {
+/// `filled` counts the pixels of each source that were taken for want of a better one.
+fn compose_cell(
+    layers: &[Layer],
+    weights: &Weights,
+    target: &Target,
+    cell: (usize, usize),
+    filled: &mut [usize],
+) -> Pixels {
     let at = corners(target.camera().cells().0, cell);
     let takes_part = |index: &usize| at.iter().any(|corner| weights.of(*index, *corner) > 0.0);
     let mut taking = (0..layers.len()).filter(takes_part);
@@ -85,8 +93,12 @@ fn compose_cell(layers: &[Layer], weights: &Weights, target: &Target, cell: (usi
                 false => layer.pixels(cell, &at),
                 true => layer.read(layer.warp.patch_through_goals(cell.0, cell.1), &at),
             };
-            let holes = pixels.iter_mut().zip(more).filter(|(pixel, _)| pixel[3] == NOTHING);
-            holes.for_each(|(pixel, more)| *pixel = more);
+            for (i, (pixel, more)) in pixels.iter_mut().zip(more).enumerate() {
+                if pixel[3] == NOTHING && more[3] != NOTHING {
+                    *pixel = more;
+                    filled[index] += usize::from(target.shows(cell, i));
+                }
+            }
         }
     }
     pixels

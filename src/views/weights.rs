@@ -43,9 +43,12 @@ impl Weights {
         self.weights[source][node]
     }
 
-    /// Of what is shown at all.
-    pub(super) fn shares(&self) -> Vec<f64> {
-        let sums: Vec<f64> = self.weights.iter().map(|w| w.iter().map(|w| f64::from(*w)).sum()).collect();
+    /// Of what is shown at all, with the pixels of each source that were shown without a weight.
+    pub(super) fn shares(&self, filled: &[usize]) -> Vec<f64> {
+        let sum = |(weights, filled): (&Vec<f32>, &usize)| {
+            weights.iter().map(|weight| f64::from(*weight)).sum::<f64>() + *filled as f64 / AREA as f64
+        };
+        let sums: Vec<f64> = self.weights.iter().zip(filled).map(sum).collect();
         let all: f64 = sums.iter().sum();
         sums.iter().map(|sum| sum / all.max(1e-9)).collect()
     }

@@ -75,14 +75,22 @@ proptest! {
         let (camera, world) = (lens_of(LensModel::KannalaBrandt { k: [0.0; 4] }, Some(150.0)), World::new(&field()));
         let images: Vec<Pyramid> = places.iter().map(|(.., body)| with_body(&camera, *body)).collect();
         let posed = |(x, y, yaw_deg, _): &(f64, f64, f64, usize)| pose(0.5 + x, 0.5 + y, *yaw_deg);
-        let sources: Vec<_> = places.iter().zip(&images).map(|(place, image)| candidate(&camera, posed(place), image)).collect();
+        let sources: Vec<Candidate> = (0..).zip(places.iter().zip(&images)).map(|(id, (place, image))| {
+            Candidate { id, ..candidate(&camera, posed(place), image) }
+        }).collect();
         let wanted = request(&camera, pose(0.5, 0.5, 0.0), &world);
         let of = |sources: &[Candidate]| view(&wanted, sources).map(|answer| answer.image.mask());
-        let all = of(&sources).expect("a view");
-        for source in &sources {
-            let alone = of(&[*source]).unwrap_or(vec![NOTHING; all.len()]);
-            let lost = (0..all.len()).filter(|i| all[*i] == NOTHING && alone[*i] != NOTHING);
+        let answer = view(&wanted, &sources).expect("a view");
+        let all = answer.image.mask();
+        prop_assert!((answer.sources.iter().map(|used| used.share).sum::<f64>() - 1.0).abs() < 1e-6);
+        let alone: Vec<Vec<u8>> =
+            sources.iter().map(|source| of(&[*source]).unwrap_or(vec![NOTHING; all.len()])).collect();
+        for (source, own) in sources.iter().zip(&alone) {
+            let lost = (0..all.len()).filter(|i| all[*i] == NOTHING && own[*i] != NOTHING);
             prop_assert_eq!(lost.map(|i| (i % 320, i / 320)).collect::<Vec<_>>(), vec![]);
+            let is_only = |i: usize| own[i] != NOTHING && alone.iter().filter(|other| other[i] != NOTHING).count() == 1;
+            let is_named = answer.sources.iter().any(|used| used.id == source.id);
+            prop_assert!(is_named || !(0..all.len()).any(is_only), "shown, and not named: {:?}", answer.sources);
         }
     }
 }
