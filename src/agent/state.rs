@@ -21,22 +21,31 @@ pub struct Start {
     /// Of the segment that is replayed: exact.
     pub checkpoint: Option<Checkpoint>,
     /// Of the last agent: the robot may have been carried since.
-    pub warm: Option<LocalizerState>,
+    pub warm: Option<Kept>,
     /// In place of what the log announces.
     pub initial: Option<Pose2>,
     /// Of the agent that recorded what is replayed.
     pub decided: Decisions,
 }
 
+/// What an agent leaves to the next one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Kept {
+    state: LocalizerState,
+    /// A place that somebody said, after what the state is of.
+    told: Option<InitialPose>,
+}
+
 impl Start {
     pub(super) fn tagger(&self, settings: &Settings, field: Field, lens: &Lens) -> Tagger {
         let exact = self.checkpoint.as_ref().map(|checkpoint| checkpoint.tagger.clone());
         let mut tagger = match &self.warm {
-            Some(warm) => Tagger::new(settings, field, lens, warm.clone()),
+            Some(warm) => Tagger::new(settings, field, lens, warm.state.clone()),
             None => Tagger::new(settings, field, lens, exact.unwrap_or_default()),
         };
-        if self.warm.is_some() {
+        if let Some(warm) = &self.warm {
             tagger.resume();
+            warm.told.iter().for_each(|told| tagger.start_at(told));
         }
         if let Some(map_from_footprint) = self.initial {
             tagger.start_at(&InitialPose { map_from_footprint, xy_m: None, yaw_rad: None });
@@ -46,7 +55,7 @@ impl Start {
 }
 
 /// The state that the last agent left in `captures`, or why there is none to go on from. A first start has none.
-pub fn last_state(captures: &Path) -> Result<Option<LocalizerState>, String> {
+pub fn last_state(captures: &Path) -> Result<Option<Kept>, String> {
     let path = captures.join(STATE_FILE);
     let why = |what: String| format!("{}: {what}", path.display());
     let file = match File::open(&path) {
@@ -56,5 +65,9 @@ pub fn last_state(captures: &Path) -> Result<Option<LocalizerState>, String> {
     let mut bytes = Vec::new();
     file.take(MAX_BYTES as u64).read_to_end(&mut bytes).map_err(|error| why(error.to_string()))?;
     let saved = Checkpoint::decode(&bytes).map_err(|error| why(error.to_string()))?;
-    Ok(Some(saved.foresight.state().unwrap_or(saved.tagger)))
+    let told = saved.synchroniser.pending();
+    Ok(Some(match saved.foresight.state() {
+        Some(state) => Kept { state, told: None },
+        None => Kept { state: saved.tagger, told },
+    }))
 }

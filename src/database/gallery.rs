@@ -103,7 +103,10 @@ impl Gallery {
     /// The same database as it is now, if it has been changed since this gallery was opened.
     pub fn reopened(&self) -> Result<Option<Self>, DatabaseError> {
         let now = Catalogue::read(&self.folder)?;
-        if now.index == self.catalogue.index { Ok(None) } else { Self::open(&self.folder, &self.settings).map(Some) }
+        if now.index == self.catalogue.index {
+            return self.index.check_length().map(|()| None);
+        }
+        Self::open(&self.folder, &self.settings).map(Some)
     }
 
     pub fn index(&self) -> &Index {
@@ -160,6 +163,7 @@ impl Gallery {
             return Err(DatabaseError::Empty);
         }
         check_pose(&wanted.map_from_link)?;
+        self.index.check_length()?;
         let mut without = Without { records: wanted.without.clone(), sources: Vec::new(), files: Vec::new() };
         let mut unreadable = Vec::new();
         loop {

@@ -14,6 +14,8 @@ use crate::geometry::Isometry;
 /// An index that is open. The file under it is never changed: a new one takes its place.
 #[derive(Debug)]
 pub struct Index {
+    path: PathBuf,
+    file: File,
     map: Mmap,
     count: usize,
     records_at: usize,
@@ -71,7 +73,8 @@ impl Index {
         let damaged = |what: &str| DatabaseError::Damaged { path: path.to_owned(), what: what.to_owned() };
         let file = File::open(path).map_err(io(path))?;
         // SAFETY: this program never changes an index once it has its name, it only puts others beside it. Who else
-        // writes into it makes wrong poses, which are noticed by the images' checksums, or ends the program.
+        // writes into it makes wrong poses, which are noticed by the images' checksums; who cuts it is noticed by
+        // `check_length`, or, in the middle of a view, ends the program.
         let map = unsafe { Mmap::map(&file) }.map_err(io(path))?;
         let header = map.get(..HEADER_BYTES).ok_or_else(|| damaged("cut in its header"))?;
         if &header[..8] != MAGIC {
@@ -90,7 +93,15 @@ impl Index {
         if map.len() != records_at + RECORD_BYTES * count {
             return Err(damaged(&format!("{} bytes long, which does not fit its {count} images", map.len())));
         }
-        Ok(Self { map, count, records_at })
+        Ok(Self { path: path.to_owned(), file, map, count, records_at })
+    }
+
+    /// What has been cut off a file is not to be read through its map. A file that was only given another name, or none, is whole.
+    pub fn check_length(&self) -> Result<(), DatabaseError> {
+        let length = self.file.metadata().map_err(io(&self.path))?.len();
+        let is_whole = length >= self.map.len() as u64;
+        let what = || format!("cut to {length} of {} bytes since it was opened", self.map.len());
+        is_whole.then_some(()).ok_or_else(|| DatabaseError::Damaged { path: self.path.clone(), what: what() })
     }
 
     pub fn len(&self) -> usize {

@@ -107,6 +107,8 @@ const ELSEWHERE_RAD: f64 = 0.15;
 const IN_A_ROW: u32 = 2;
 /// Share of the expected lines that fit, times share of the seen ones that are expected.
 const AGREES_BOTH_WAYS: f64 = 0.6;
+/// And where nothing but the lines says where the robot has gone since the last frame: half a metre farther on other lines fit too.
+const AGREES_ALONE: f64 = 0.75;
 /// Of what a frame shows so much more may be unexplained where a confirmed pose explains nearly all that it expects.
 const LESS_IF_HELD_FAST: f64 = 0.2;
 /// Once it has explained so much.
@@ -329,7 +331,8 @@ pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> boo
 /// test alone may fail this one. docs/design.md says how often right poses do, and on which walks.
 fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
-    lines.expected < FEWEST_EXPECTED || lines.share() * fix.explained.share >= AGREES_BOTH_WAYS
+    let least = if fix.adrift { AGREES_ALONE } else { AGREES_BOTH_WAYS };
+    lines.expected < FEWEST_EXPECTED || lines.share() * fix.explained.share >= least
 }
 
 /// Too many lines are not.
@@ -337,12 +340,12 @@ pub fn is_contradicted(lines: &Agreement) -> bool {
     lines.expected >= FEWEST_EXPECTED && lines.share() < CONTRADICTED
 }
 
-/// Standard deviation of x, y along the longer axis.
 /// Too uncertain to be a place.
 pub fn is_lost(covariance: &Matrix6<f64>) -> bool {
     longest_axis_of(covariance) > LOST_M
 }
 
+/// Standard deviation of x, y along the longer axis.
 fn longest_axis_of(covariance: &Matrix6<f64>) -> f64 {
     longest_axis(covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)])
 }

@@ -48,6 +48,14 @@ pub struct Anchor {
     pub stamp_ns: i64,
     pub odometry: Pose2,
     log_time_ns: i64,
+    /// How often odometry has begun anew since then.
+    begun: u32,
+}
+
+impl Anchor {
+    fn new(stamp_ns: i64, odometry: Pose2, log_time_ns: i64) -> Self {
+        Self { stamp_ns, odometry, log_time_ns, begun: 0 }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -93,6 +101,8 @@ pub struct Since {
     pub log_time_ns: i64,
     /// How long the last frame came after the one before.
     pub interval_ns: i64,
+    /// How often odometry has begun anew since then.
+    begun: u32,
 }
 
 #[derive(Clone, Debug)]
@@ -144,8 +154,8 @@ impl Synchroniser {
     /// From when the robot's step to the next frame counts.
     pub fn since(&self) -> Option<Since> {
         let of_anchor = |anchor: Anchor| {
-            let Anchor { stamp_ns, log_time_ns, .. } = anchor;
-            Since { stamp_ns, log_time_ns, interval_ns: 0 }
+            let Anchor { stamp_ns, log_time_ns, begun, .. } = anchor;
+            Since { stamp_ns, log_time_ns, interval_ns: 0, begun }
         };
         self.state.anchor.map(of_anchor).or(self.state.last_frame)
     }
@@ -195,8 +205,10 @@ impl Synchroniser {
             Input::Odometry { stamp_ns, odom_from_footprint } => {
                 // Odometry of `/tf` counts no more, and may have begun elsewhere.
                 let is_first = self.state.odometry.is_empty();
+                let before = self.state.odometry().newest().map(|(_, odometry)| odometry);
                 let pushed = self.state.odometry.push(stamp_ns, odom_from_footprint);
-                self.anchor_at(stamp_ns, odom_from_footprint, message.log_time_ns, is_first, pushed);
+                let now = Anchor::new(stamp_ns, odom_from_footprint, message.log_time_ns);
+                self.anchor_at(now, before, is_first, pushed);
                 self.count(pushed);
             }
             Input::Imu { stamp_ns, orientation, turn_rate, frame_id } => {
@@ -229,7 +241,7 @@ impl Synchroniser {
             Input::InitialPose { map_from_footprint, xy_m, yaw_rad, .. } => {
                 if map_from_footprint.is_finite() {
                     self.state.initial_pose = Some(InitialPose { map_from_footprint, xy_m, yaw_rad });
-                    let anchor = |(stamp_ns, odometry)| Anchor { stamp_ns, odometry, log_time_ns: message.log_time_ns };
+                    let anchor = |(stamp_ns, odometry)| Anchor::new(stamp_ns, odometry, message.log_time_ns);
                     self.state.anchor = self.state.odometry().newest().map(anchor);
                 }
             }
@@ -272,7 +284,7 @@ impl Synchroniser {
     fn has_seen(&mut self, stamp_ns: i64, log_time_ns: i64) {
         let state = &mut self.state;
         let interval_ns = state.last_frame.map_or(0, |last| stamp_ns.saturating_sub(last.stamp_ns));
-        state.last_frame = Some(Since { stamp_ns, log_time_ns, interval_ns });
+        state.last_frame = Some(Since { stamp_ns, log_time_ns, interval_ns, begun: 0 });
         (state.initial_pose, state.anchor) = (None, None);
     }
 
@@ -326,9 +338,10 @@ impl Synchroniser {
         for t in transforms {
             if t.child == self.names.base_footprint && t.parent == self.names.odom {
                 let odometry = Pose2::from_isometry(&t.parent_from_child);
+                let before = self.state.odometry_in_tf.newest().map(|(_, odometry)| odometry);
                 let pushed = self.state.odometry_in_tf.push(t.stamp_ns, odometry);
                 if self.state.odometry.is_empty() {
-                    self.anchor_at(t.stamp_ns, odometry, log_time_ns, false, pushed);
+                    self.anchor_at(Anchor::new(t.stamp_ns, odometry, log_time_ns), before, false, pushed);
                 }
                 self.count(pushed);
             } else if latched {
@@ -340,14 +353,25 @@ impl Synchroniser {
         }
     }
 
-    /// Takes odometry for the anchor that is still missing: nothing was heard before, or the place was told before. So it
-    /// does where odometry begins anew, which says nothing of the time before.
-    fn anchor_at(&mut self, stamp_ns: i64, odometry: Pose2, log_time_ns: i64, begins_anew: bool, pushed: Pushed) {
+    /// Takes odometry for the anchor that is still missing: nothing was heard before, or the place was told before. Where
+    /// odometry begins anew, by another clock or from elsewhere, the way walked up to there stays: `before` was its last.
+    fn anchor_at(&mut self, now: Anchor, before: Option<Pose2>, begins_anew: bool, pushed: Pushed) {
         let state = &mut self.state;
-        let is_missing = state.anchor.is_none() && (state.last_frame.is_none() || state.initial_pose.is_some());
-        let begins_anew = state.anchor.is_some() && (begins_anew || pushed == Pushed::ClockSetBack);
-        if pushed != Pushed::NotFinite && (is_missing || begins_anew) {
-            state.anchor = Some(Anchor { stamp_ns, odometry, log_time_ns });
+        let begins_anew = begins_anew || pushed == Pushed::ClockSetBack;
+        match (state.anchor, before) {
+            _ if pushed == Pushed::NotFinite => {}
+            (None, _) if state.last_frame.is_none() || state.initial_pose.is_some() => state.anchor = Some(now),
+            (Some(anchor), Some(before)) if begins_anew => {
+                let walked = anchor.odometry.inverse().compose(&before);
+                let since_ns = now.log_time_ns.saturating_sub(anchor.log_time_ns);
+                state.anchor = Some(Anchor {
+                    stamp_ns: now.stamp_ns.saturating_sub(since_ns),
+                    odometry: now.odometry.compose(&walked.inverse()),
+                    log_time_ns: anchor.log_time_ns,
+                    begun: anchor.begun.wrapping_add(1),
+                });
+            }
+            _ => {}
         }
     }
 
@@ -362,6 +386,11 @@ impl Synchroniser {
 }
 
 impl SynchroniserState {
+    /// A place that was told, and that no frame knows of yet.
+    pub fn pending(&self) -> Option<InitialPose> {
+        self.initial_pose
+    }
+
     /// The odometry topic, or `/tf` where there is none.
     fn odometry(&self) -> &History<Pose2> {
         if self.odometry.is_empty() { &self.odometry_in_tf } else { &self.odometry }

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use http_body_util::{BodyExt, Limited};
-use hyper::body::Incoming;
+use hyper::body::{Body, Incoming};
 use hyper::header::{ACCEPT, AUTHORIZATION, HOST, HeaderName};
 use hyper::{Method, Request, StatusCode};
 use tokio::time::timeout;
@@ -98,14 +98,19 @@ async fn view(service: &Arc<Service>, parameters: &Parameters, request: &Request
 async fn views(service: &Arc<Service>, parameters: &Parameters, request: Request<Incoming>) -> Result<Reply, Refusal> {
     parameters.only(&[])?;
     let accept = header(&request, ACCEPT).filter(|accept| !accept.contains("multipart/")).map(str::to_owned);
+    let too_large = || {
+        let what = format!("the body has more than {MAX_BODY_BYTES} bytes: ask for fewer views");
+        Refusal::new(StatusCode::PAYLOAD_TOO_LARGE, what)
+    };
+    // What is announced need not be waited for.
+    if request.body().size_hint().lower() > MAX_BODY_BYTES as u64 {
+        return Err(too_large());
+    }
     let body = Limited::new(request.into_body(), MAX_BODY_BYTES);
     let body = timeout(MAX_BODY_TIME, body.collect()).await;
     let body = body.map_err(|_| Refusal::new(StatusCode::REQUEST_TIMEOUT, "the body did not come in time"))?;
     let body = body.map_err(|error| match error.downcast_ref::<http_body_util::LengthLimitError>() {
-        Some(_) => Refusal::new(
-            StatusCode::PAYLOAD_TOO_LARGE,
-            format!("the body has more than {MAX_BODY_BYTES} bytes: ask for fewer views"),
-        ),
+        Some(_) => too_large(),
         None => Refusal::wrong(format!("the body did not come whole: {error}")),
     })?;
     let batch = Batch::from_json(&body.to_bytes())?;

@@ -270,7 +270,9 @@ impl Answer {
         candidates: &[Candidate],
         composed: super::compose::Composed,
     ) -> Result<Self, ViewError> {
-        let super::compose::Composed { image, shares: used } = composed;
+        let super::compose::Composed { image, pixels } = composed;
+        let all: f64 = pixels.iter().sum();
+        let used: Vec<f64> = pixels.iter().map(|pixels| pixels / all.max(1e-9)).collect();
         let (valid_share, sure_share) = shares(request.camera, &image);
         if valid_share == 0.0 {
             return Err(ViewError::NothingSeen);

@@ -1,16 +1,17 @@
 //! Where every source has something in the way there is nothing else to show than that.
 
 use super::answer::{Candidate, Request};
+use super::compose::Composed;
 use super::ground_warp::Warp;
 use super::photometry::Gain;
-use super::raster::{NOTHING, Raster, UNSURE};
+use super::raster::{NOTHING, UNSURE};
 use super::sample::read;
 use super::target::Target;
 
 /// Fills what the composition has left black with what the sources have marked as moving, nearest first: better than
 /// black, and unsure.
 pub(super) fn fill(
-    image: &mut Raster,
+    composed: &mut Composed,
     request: &Request,
     target: &Target,
     warps: &[Warp],
@@ -18,21 +19,25 @@ pub(super) fn fill(
     gains: &[Gain],
 ) {
     let camera = target.camera();
+    let Composed { image, pixels } = composed;
     let width = image.width;
     for (index, pixel) in image.pixels.iter_mut().enumerate() {
         if pixel[3] != NOTHING || !camera.shows()[index] {
             continue;
         }
         let (u, v) = (index % width, index / width);
-        let found = warps.iter().zip(sources).zip(gains).find_map(|((warp, source), gain)| {
+        let found = warps.iter().zip(sources).zip(gains).enumerate().find_map(|(number, ((warp, source), gain))| {
             let (at, _) = warp.pixel(u, v)?;
             let [r, g, b, known] = read(source.image.full(), at.x as f32, at.y as f32);
             let there = source.vignetting.at(source.camera.lens(), at.x, at.y);
             let here = request.vignetting.at(camera.lens(), u as f64, v as f64);
             let lit = |value: u8, gain: f64| (f64::from(value) * gain * here / there + 0.5).min(255.0) as u8;
             let [red, green, blue] = gain.rgb;
-            (known >= UNSURE).then(|| [lit(r, red), lit(g, green), lit(b, blue), UNSURE])
+            (known >= UNSURE).then(|| (number, [lit(r, red), lit(g, green), lit(b, blue), UNSURE]))
         });
-        *pixel = found.unwrap_or(*pixel);
+        if let Some((number, shown)) = found {
+            *pixel = shown;
+            pixels[number] += 1.0;
+        }
     }
 }

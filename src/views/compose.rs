@@ -11,11 +11,11 @@ use super::target::{Target, between, corners};
 use super::weights::Weights;
 use crate::vectorised::{rounded, vectorised};
 
-/// The picture, and which share of it each source has.
+/// The picture, and how many of its pixels each source has.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Composed {
     pub(super) image: Raster,
-    pub(super) shares: Vec<f64>,
+    pub(super) pixels: Vec<f64>,
 }
 
 /// Copies are used from this many source pixels a pixel on, and the next ones from twice as many.
@@ -48,7 +48,8 @@ pub(super) fn compose(
             put(&mut image, &cell, (column, row), camera);
         }
     }
-    Composed { image, shares: weights.shares(&filled) }
+    let pixels = weights.pixels().zip(filled).map(|(weighed, filled)| weighed + filled as f64).collect();
+    Composed { image, pixels }
 }
 
 struct Layer<'a> {

@@ -61,7 +61,7 @@ pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewE
             let gains = photometry::balance(&target, &warps, chosen);
             let mut composed = compose::compose(request, &target, &warps, chosen, &gains);
             if chosen.iter().any(|source| source.image.has_moving()) {
-                beneath::fill(&mut composed.image, request, &target, &warps, chosen, &gains);
+                beneath::fill(&mut composed, request, &target, &warps, chosen, &gains);
             }
             request.refuse_little(Answer::composed(request, &target, chosen, composed)?)
         }

@@ -43,14 +43,9 @@ impl Weights {
         self.weights[source][node]
     }
 
-    /// Of what is shown at all, with the pixels of each source that were shown without a weight.
-    pub(super) fn shares(&self, filled: &[usize]) -> Vec<f64> {
-        let sum = |(weights, filled): (&Vec<f32>, &usize)| {
-            weights.iter().map(|weight| f64::from(*weight)).sum::<f64>() + *filled as f64 / AREA as f64
-        };
-        let sums: Vec<f64> = self.weights.iter().zip(filled).map(sum).collect();
-        let all: f64 = sums.iter().sum();
-        sums.iter().map(|sum| sum / all.max(1e-9)).collect()
+    /// How many pixels each source has by its weights.
+    pub(super) fn pixels(&self) -> impl Iterator<Item = f64> {
+        self.weights.iter().map(|weights| weights.iter().map(|weight| f64::from(*weight)).sum::<f64>() * AREA as f64)
     }
 }
 

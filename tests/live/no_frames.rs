@@ -6,7 +6,7 @@ use serde_json::Value;
 use super::recorder::Recorder;
 use super::robot::Robot;
 use crate::replay::no_frames::{PREDICTED, PREDICTIONS, with_a_gap};
-use crate::replay::support::{TAG, decode_all, read_capture};
+use crate::replay::support::{TAG, decode_all, read_capture, walk};
 
 #[test]
 fn whoever_listens_hears_predictions_while_there_are_no_frames_and_that_they_are() {
@@ -48,4 +48,24 @@ fn whoever_listens_hears_predictions_while_there_are_no_frames_and_that_they_are
     drop(robot);
     let valid = decode_all::<FrameTag>(&recorded, TAG).iter().filter(|tag| tag.valid).count();
     assert_eq!(told.len(), valid, "the robot is not told its own odometry");
+}
+
+#[test]
+fn a_place_that_was_told_outlives_a_session_that_nothing_happened_in() {
+    let robot = Robot::of(&walk().messages);
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    assert_eq!(recorder.asks("stop")["state"], "stopped");
+    assert_eq!(recorder.asks("start")["state"], "recording");
+    let (frames, socket) = (robot.frames(), recorder.room.path("camera.sock"));
+    let (_, robot) = robot.walk(&socket);
+    recorder.waits_for("all frames", 20, |status| status["counts"]["tagged"].as_u64() == Some(frames as u64));
+    let output = recorder.ends();
+    drop(robot);
+    let report: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let recorded = read_capture(&recorder.room.path(report["session"].as_str().expect("a session")));
+    let tags: Vec<FrameTag> = decode_all(&recorded, TAG);
+    assert!(tags.iter().filter(|tag| tag.valid).count() * 10 >= tags.len() * 8);
+    // The field has two halves, and it was told in which one it is.
+    assert!(tags.iter().all(|tag| !tag.ambiguous && tag.pose.pose.position.x < 0.0));
 }

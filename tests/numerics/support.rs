@@ -144,7 +144,8 @@ impl Robot {
             }),
             head: None,
             turned_rad: self.turned_rad,
-            swayed_rad: None,
+            // Something measures that it stands: odometry that does not change is believed.
+            swayed_rad: Some(0.0),
             stale: false,
             initial_pose: None,
             anchor: None,

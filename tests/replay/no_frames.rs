@@ -28,8 +28,10 @@ pub fn with_a_gap() -> Vec<LogMessage> {
     walk().messages.iter().filter(|message| keep(message)).cloned().collect()
 }
 
+/// From where the truth is at that time, or nearest to it.
 fn off_m(tag: &FrameTag, truth: &[PoseStamped]) -> f64 {
-    let truth = truth.iter().find(|truth| truth.header.stamp == tag.header.stamp).expect("a truth");
+    let apart = |truth: &&PoseStamped| stamp_ns(&truth.header).abs_diff(stamp_ns(&tag.header));
+    let truth = truth.iter().min_by_key(apart).expect("a truth");
     let (p, q) = (&tag.pose.pose.position, &truth.pose.position);
     f64::hypot(p.x - q.x, p.y - q.y)
 }
@@ -125,9 +127,7 @@ fn follows_the_robot(replayed: &Replayed, begins_ns: i64) {
     assert!(predicted.len().abs_diff(expected as usize) <= 1, "{} of {expected}", predicted.len());
     for tag in &predicted {
         assert!(!tag.valid && tag.reason == "no_frame" && !tag.ambiguous, "{tag:?}");
-        let nearest = truth.iter().min_by_key(|truth| stamp_ns(&truth.header).abs_diff(stamp_ns(&tag.header)));
-        let (p, q) = (&tag.pose.pose.position, &nearest.expect("a truth").pose.position);
-        let (off, sigma) = (f64::hypot(p.x - q.x, p.y - q.y), sigma_m(tag));
+        let (off, sigma) = (off_m(tag, &truth), sigma_m(tag));
         // Nearest in time: half a frame's way, and what was told is off by 8 cm.
         assert!(off < 0.16 && sigma > 0.1 && off < sigma, "{off:.3} m off, {sigma:.3} m claimed");
     }
@@ -187,6 +187,25 @@ fn after_a_restart_odometry_carries_on_the_place_that_was_kept() {
     room.write("rest.mcap", own_log(&rest));
     room.replay("before.mcap");
     follows_the_robot(&room.replay("rest.mcap --warm-start"), middle_ns);
+}
+
+/// By a clock that is ahead for a while, and back again; its way up to there is not taken back.
+#[test]
+fn odometry_that_begins_anew_takes_no_way_back() {
+    let mut number = 0;
+    let messages = changed::<Odometry>(&with_a_late_camera(&walk().messages), ODOMETRY, |odometry| {
+        number += 1;
+        if (100..115).contains(&number) {
+            odometry.header.stamp = Stamp::from_nanoseconds(stamp_ns(&odometry.header) + 100_000_000_000);
+        }
+    });
+    let room = Room::with_log(&messages);
+    let replayed = room.replay("log.mcap");
+    let truth = decode_all::<PoseStamped>(&walk().messages, TRUTH);
+    let predicted: Vec<FrameTag> = decode_all(&read_capture(&replayed.session), PREDICTED);
+    let last = predicted.last().expect("some");
+    assert!(off_m(last, &truth) < 0.16, "{} m: {:?}", off_m(last, &truth), last.header.stamp);
+    assert!(!replayed.tags[0].ambiguous && off_m(&replayed.tags[0], &truth) < 0.03, "{:?}", replayed.tags[0]);
 }
 
 /// A clock that jumps ahead, for one message, while frames come; and a camera of one frame a second.

@@ -151,3 +151,28 @@ fn a_page_in_a_browser_that_names_this_machine_is_not_answered() {
     let answer = Answer::parse(&exchange(served.address, request.as_bytes())).expect("an answer");
     assert!(answer.status == 403 && answer.text().contains("only localhost"), "{}", answer.text());
 }
+
+/// Under its map: to read on would end the program.
+#[test]
+fn an_index_that_is_cut_is_told_and_the_service_goes_on() {
+    let mut served = Served::new("");
+    assert_eq!(get(served.address, HERE).status, 200);
+    let files = std::fs::read_dir(served.room.path("db")).expect("there").flatten().map(|entry| entry.path());
+    let index =
+        files.into_iter().find(|path| path.extension().is_some_and(|ending| ending == "bin")).expect("an index");
+    std::fs::OpenOptions::new().write(true).open(&index).expect("writable").set_len(10).expect("cut");
+    let said = get(served.address, HERE);
+    assert!(said.status == 500 && said.text().contains("realitysim db rebuild"), "{}", said.text());
+    assert_eq!(get(served.address, "/v1/coverage").status, 500);
+    assert_eq!(get(served.address, "/v1/info").status, 200);
+    assert!(served.is_running());
+}
+
+#[test]
+fn a_body_that_is_announced_too_large_is_not_waited_for() {
+    let (served, asked) = (Served::new(""), Instant::now());
+    let head =
+        "POST /v1/views HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 99999999999\r\n\r\n{}";
+    let answer = Answer::parse(&exchange(served.address, head.as_bytes())).expect("an answer");
+    assert!(answer.status == 413 && asked.elapsed().as_secs() < 8, "{} after {:?}", answer.status, asked.elapsed());
+}

@@ -4,8 +4,8 @@ use glam::{DVec2, DVec3};
 use proptest::prelude::*;
 use realitysim::geometry::{Euler, Isometry, Lens, LensModel, LensParameters};
 use realitysim::views::{
-    Camera, Candidate, Method, NOTHING, Pyramid, Raster, SURE, Surface, Target, ViewError, ViewSettings, Warp, World,
-    view,
+    Camera, Candidate, Made, Method, NOTHING, Pyramid, Raster, SURE, Surface, Target, UNSURE, ViewError, ViewSettings,
+    Warp, World, view,
 };
 
 use super::{candidate, field, lens, pose, request};
@@ -101,6 +101,25 @@ fn with_body(camera: &Camera, left: usize) -> Pyramid {
     let is_body = |i: usize| i / width > height / 2 && (left..left + 40).contains(&(i % width));
     let shows: Vec<bool> = camera.shows().iter().enumerate().map(|(i, shows)| *shows && !is_body(i)).collect();
     Pyramid::new(Raster::from_rgb(width, height, &vec![99; 3 * width * height], &shows).expect("fits"))
+}
+
+/// What the one hides behind its body the other one shows, though it is all in motion.
+#[test]
+fn an_image_that_only_shows_what_moves_is_named_too() {
+    let (camera, world) = (Camera::new(&lens()), World::without_goals(&field()));
+    let mut moving = with_body(&camera, 400).full().clone();
+    moving.pixels.iter_mut().filter(|pixel| pixel[3] == SURE).for_each(|pixel| pixel[3] = UNSURE);
+    let (still, moving) = (with_body(&camera, 150), Pyramid::new(moving));
+    let sources = [
+        candidate(&camera, pose(0.52, 0.5, 0.0), &still),
+        Candidate { id: 1, ..candidate(&camera, pose(0.56, 0.5, 0.0), &moving) },
+    ];
+    let answer = view(&request(&camera, pose(0.5, 0.5, 0.0), &world), &sources).expect("a view");
+    let named: Vec<u64> = answer.sources.iter().map(|used| used.id).collect();
+    assert_eq!((named, answer.made), (vec![0, 1], Made::Composed));
+    assert!((0.005..0.2).contains(&answer.sources[1].share), "{:?}", answer.sources);
+    let alone = view(&request(&camera, pose(0.5, 0.5, 0.0), &world), &sources[..1]).expect("a view");
+    assert!(alone.valid_share < answer.valid_share && alone.made == Made::Warped);
 }
 
 /// The nearer image is brighter at the edge of its circle than it should be: that is not shown up to the edge, where the other

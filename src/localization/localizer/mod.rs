@@ -85,6 +85,8 @@ pub struct Fix {
     pub refined: bool,
     /// The lines say that the camera is not where odometry and IMU have it, by more than these admit.
     pub surprised: bool,
+    /// Nothing says how far the robot has walked since the last frame.
+    pub adrift: bool,
     pub agreement: Agreement,
     pub explained: Explained,
     pub effort: Effort,
@@ -284,9 +286,9 @@ impl Localizer {
         if self.settings.random_walk {
             return Step { odometry: None, turned_rad: None, seconds };
         }
-        // Odometry that stands still to the last bit while the body walks says nothing.
-        let sways = moment.swayed_rad.is_some_and(|swayed| swayed > SWAYS_RAD_PER_S * seconds);
-        let odometry = last_odometry.zip(odometry).filter(|(before, now)| before != now || !sways);
+        // Odometry that stands still to the last bit says something only if the body is known to stand still too.
+        let stands = moment.swayed_rad.is_some_and(|swayed| swayed <= SWAYS_RAD_PER_S * seconds);
+        let odometry = last_odometry.zip(odometry).filter(|(before, now)| before != now || stands);
         let odometry = odometry.map(|(before, now)| before.inverse().compose(&now));
         let possible = |step: &Pose2| libm::hypot(step.x, step.y) <= FASTEST_M_PER_S * seconds.max(0.1);
         let turned_rad = moment.turned_rad.filter(|turned| turned.abs() <= FASTEST_RAD_PER_S * seconds);
@@ -384,6 +386,7 @@ impl Localizer {
             covariance: refined.covariance,
             refined: true,
             surprised,
+            adrift: self.state.adrift_s > 0.0,
             agreement: refined.lines,
             explained: Explained::default(),
             effort: Effort::default(),
@@ -416,6 +419,7 @@ impl Localizer {
             covariance,
             refined: false,
             surprised: false,
+            adrift: self.state.adrift_s > 0.0,
             agreement: Agreement::default(),
             explained: Explained::default(),
             effort: Effort::default(),
