@@ -110,6 +110,27 @@ fn odometry_that_freezes_jumps_or_falls_silent_gives_no_wrong_tags() {
     }
 }
 
+/// A lens of 75 degrees and no IMU: nothing but the lines says that the robot walks on, and they do not say it along them.
+#[test]
+fn odometry_that_freezes_before_a_narrow_lens_without_a_gyro_gives_no_wrong_tags() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| {
+        let without = |text: String, from: &str| {
+            let start = text.find(from).expect("there");
+            let end = start + 1 + text[start + 1..].find("[[effect]]").expect("an effect after it");
+            format!("{}{}", &text[..start], &text[end..])
+        };
+        let text = text.replace("[[-2.0, 0.1], [-1.1, 0.3]]", "[[-1.26, 0.12], [-0.62, 0.29], [0.6, -1.22]]");
+        let text = text.replace("scale_percent = 6.0", "scale_percent = 6.0\nfreeze = { from_s = 3.0, for_s = 4.0 }");
+        without(without(text, "[imu]"), "[[effect]]\nkind = \"imu_error\"")
+    });
+    let narrow = "title = \"75 degrees\"\nwidth = 320\nheight = 240\nfx = 210.0\nfy = 210.0\ncx = 159.5\ncy = 119.5\n\
+                  model = \"plumb_bob\"\nd = [0.0, 0.0, 0.0, 0.0, 0.0]\n";
+    room.write("lens.toml", narrow);
+    room.run("sim scene.toml -o log.mcap").succeeds();
+    assert_never_wrong(&room, &room.replay("log.mcap"), 0.5, "frozen before a narrow lens");
+}
+
 #[test]
 fn without_an_imu_tags_stay_right() {
     let room = Room::with_log(&without(&walk().messages, IMU));
