@@ -45,7 +45,8 @@ impl Foresight {
     /// has no use for the others.
     pub fn due(&self, synchroniser: &Synchroniser, log_time_ns: i64) -> Option<i64> {
         let since = synchroniser.since()?;
-        let next_ns = match self.ahead_of(&since) {
+        // What was foreseen before somebody said where the robot is counts no more.
+        let next_ns = match self.ahead.as_ref().filter(|ahead| ahead.since == since) {
             Some(ahead) => ahead.stamp_ns.saturating_add(EVERY_NS),
             None => since.stamp_ns.saturating_add(GAP_NS.max(since.interval_ns.saturating_mul(INTERVALS))),
         };
@@ -59,21 +60,13 @@ impl Foresight {
     /// Where odometry has the camera; `None` if it was not known where the robot was, or is not any more.
     pub fn look(&mut self, stamp_ns: i64, tagger: &mut Tagger, synchroniser: &Synchroniser) -> Option<FrameTag> {
         let since = synchroniser.since()?;
-        let robot = match self.ahead_of(&since) {
-            Some(ahead) => synchroniser.robot_between(ahead.stamp_ns, stamp_ns),
-            None => {
-                self.ahead = None;
-                synchroniser.robot_next(stamp_ns)
-            }
+        let (robot, mut ahead) = match self.ahead.take().filter(|ahead| ahead.since == since) {
+            Some(ahead) => (synchroniser.robot_between(ahead.stamp_ns, stamp_ns), ahead),
+            None => (synchroniser.robot_next(stamp_ns), Ahead { since, stamp_ns, localizer: tagger.state() }),
         };
-        let begun = || Ahead { since, stamp_ns, localizer: tagger.state() };
-        let ahead = self.ahead.get_or_insert_with(begun);
         ahead.stamp_ns = stamp_ns;
-        tagger.foresee(stamp_ns, &robot, &mut ahead.localizer, NO_FRAME)
-    }
-
-    /// What has been foreseen, if nobody has said since where the robot is.
-    fn ahead_of(&self, since: &Since) -> Option<&Ahead> {
-        self.ahead.as_ref().filter(|ahead| ahead.since == *since)
+        let tag = tagger.foresee(stamp_ns, &robot, &mut ahead.localizer, NO_FRAME);
+        self.ahead = Some(ahead);
+        tag
     }
 }

@@ -69,7 +69,7 @@ fn compose_cell(
     let at = corners(target.camera().cells().0, cell);
     let takes_part = |index: &usize| at.iter().any(|corner| weights.of(*index, *corner) > 0.0);
     let mut taking = (0..layers.len()).filter(takes_part);
-    let (mut pixels, is_whole) = match (taking.next(), taking.next()) {
+    let (mut pixels, whole) = match (taking.next(), taking.next()) {
         (None, _) => ([[0; 4]; AREA], None),
         (Some(only), None) => (layers[only].pixels(cell, &at), Some(only)),
         (Some(_), Some(_)) => (blend(layers, weights, cell, &at), None),
@@ -81,7 +81,7 @@ fn compose_cell(
     let hole = |pixels: &Pixels| (0..AREA).any(|i| pixels[i][3] == NOTHING && target.shows(cell, i));
     for through_goals in [false, true] {
         for (index, layer) in layers.iter().enumerate() {
-            if !layer.warp.may_show(cell.0, cell.1) || (!through_goals && is_whole == Some(index)) {
+            if !layer.warp.may_show(cell.0, cell.1) || (!through_goals && whole == Some(index)) {
                 continue;
             }
             if !hole(&pixels) {

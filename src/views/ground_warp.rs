@@ -13,7 +13,7 @@ use super::camera::{AREA, CELL};
 use super::optical;
 use super::raster::{NOTHING, UNSURE};
 use super::target::{Looks, SOFT_EDGE_PX, Target, between, cells, corners, goal_cells, sureness, turned};
-use super::world::{BEFORE, Goals, Hit, Surface};
+use super::world::{Goals, Hit, Surface};
 use crate::vectorised::vectorised;
 
 /// The map into one source.
@@ -225,9 +225,8 @@ impl<'a> Warp<'a> {
         if self.goal_cells.is_empty() {
             return patch;
         }
-        let met = self.goals.met_by_all(&self.seen(looks));
-        for (i, lengths) in met.into_iter().enumerate() {
-            let hidden = lengths.is_finite() && lengths * looks.inverse_distances[i] < 1.0 - BEFORE as f32;
+        let hidden = self.goals.hide_all(&self.seen(looks), &looks.inverse_distances);
+        for (i, hidden) in hidden.into_iter().enumerate() {
             if hidden && !looks.goal[i] {
                 (patch.u[i], patch.v[i], patch.sure[i]) = (f32::NAN, f32::NAN, NOTHING);
             }

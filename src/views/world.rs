@@ -139,7 +139,7 @@ impl Goals {
         self.met(ray).next().is_some()
     }
 
-    /// The same for a cell's rays, of any length: how many of these lengths away the first bar is; infinite without one.
+    /// The nearest one for a cell's rays, of any length: how many of these lengths away the first bar is; infinite without one.
     pub(super) fn met_by_all(&self, rays: &[[f32; AREA]; 3]) -> [f32; AREA] {
         let goals = self;
         vectorised!(|goals: &Goals, rays: &[[f32; AREA]; 3]| -> [f32; AREA] {
@@ -167,6 +167,12 @@ impl Goals {
         })
     }
 
+    /// For a cell's rays, of any length: whether a bar stands before what lies at this inverse of that length away.
+    pub(super) fn hide_all(&self, rays: &[[f32; AREA]; 3], inverse_distances: &[f32; AREA]) -> [bool; AREA] {
+        let met = self.met_by_all(rays);
+        core::array::from_fn(|i| met[i].is_finite() && met[i] * inverse_distances[i] < 1.0 - BEFORE as f32)
+    }
+
     /// Whether a bar stands before what lies at this inverse distance along the unit ray.
     pub(super) fn hide(&self, ray: DVec3, inverse_distance: f64) -> bool {
         self.met(ray).any(|distance| distance * inverse_distance < 1.0 - BEFORE)
@@ -181,7 +187,7 @@ impl Goals {
 /// A ray in f32 passes a bar so much nearer or farther than it should.
 const ROUNDING: f32 = 1e-5;
 /// What is nearer than a place by less than this share of the distance belongs to it.
-pub(super) const BEFORE: f64 = 0.02;
+const BEFORE: f64 = 0.02;
 
 impl SeenBar {
     /// Whether any of these rays does not pass far from it.
