@@ -1,13 +1,13 @@
 //! Poses while no frames come: odometry carries on what the camera knew last, and they say that they are such.
 //!
-//! Frames know nothing of it: what is carried on here is a copy, thrown away when the next frame comes.
+//! What is carried on here is a copy. The next frame goes on from it, unless that was exposed before it.
 
 use serde::{Deserialize, Serialize};
 
 use super::tagger::Tagger;
 use crate::localization::LocalizerState;
 use crate::ros2::messages::FrameTag;
-use crate::sensors::synchroniser::{Since, Synchroniser};
+use crate::sensors::synchroniser::{Frame, Since, Synchroniser};
 
 /// In `reason` of a tag that belongs to no frame.
 pub const NO_FRAME: &str = "no_frame";
@@ -31,9 +31,14 @@ struct Ahead {
 }
 
 impl Foresight {
-    /// A frame has come: it knows better.
-    pub fn forget(&mut self) {
-        self.ahead = None;
+    /// A frame has come. It counts from the last of the poses that were foreseen from the frame before: step by step
+    /// is known what one long step, of which nobody keeps the gyro's turns, is not.
+    pub fn meet(&mut self, frame: &mut Frame, tagger: &mut Tagger, synchroniser: &Synchroniser) {
+        let Some(ahead) = self.ahead.take() else { return };
+        if Some(ahead.since) == frame.since && ahead.stamp_ns <= frame.stamp_ns {
+            frame.robot = synchroniser.robot_between(ahead.stamp_ns, frame.stamp_ns);
+            tagger.go_on_from(ahead.localizer);
+        }
     }
 
     /// Where the robot is by now, if that has been foreseen.
@@ -52,7 +57,7 @@ impl Foresight {
         };
         // Odometry whose clock has jumped ahead says nothing of the present.
         let passed_ns = log_time_ns.saturating_sub(since.log_time_ns);
-        let now_ns = synchroniser.odometry_settled_ns()?.min(since.stamp_ns.saturating_add(passed_ns));
+        let now_ns = synchroniser.walked_until_ns()?.min(since.stamp_ns.saturating_add(passed_ns));
         let late_ns = now_ns.checked_sub(next_ns)?;
         (late_ns >= 0).then(|| next_ns.saturating_add(late_ns / EVERY_NS * EVERY_NS))
     }
@@ -60,13 +65,15 @@ impl Foresight {
     /// Where odometry has the camera; `None` if it was not known where the robot was, or is not any more.
     pub fn look(&mut self, stamp_ns: i64, tagger: &mut Tagger, synchroniser: &Synchroniser) -> Option<FrameTag> {
         let since = synchroniser.since()?;
-        let (robot, mut ahead) = match self.ahead.take().filter(|ahead| ahead.since == since) {
-            Some(ahead) => (synchroniser.robot_between(ahead.stamp_ns, stamp_ns), ahead),
-            None => (synchroniser.robot_next(stamp_ns), Ahead { since, stamp_ns, localizer: tagger.state() }),
+        self.ahead = self.ahead.take().filter(|ahead| ahead.since == since);
+        let robot = match &self.ahead {
+            Some(ahead) => synchroniser.robot_between(ahead.stamp_ns, stamp_ns),
+            None => synchroniser.robot_next(stamp_ns),
         };
+        // What happens until it is known again is one step.
+        robot.place.as_ref().ok()?;
+        let ahead = self.ahead.get_or_insert_with(|| Ahead { since, stamp_ns, localizer: tagger.state() });
         ahead.stamp_ns = stamp_ns;
-        let tag = tagger.foresee(stamp_ns, &robot, &mut ahead.localizer, NO_FRAME);
-        self.ahead = Some(ahead);
-        tag
+        tagger.foresee(stamp_ns, &robot, &mut ahead.localizer, NO_FRAME)
     }
 }

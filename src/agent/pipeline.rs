@@ -244,8 +244,8 @@ impl Pipeline {
     }
 
     fn look_at_known(&mut self) -> Result<(), AgentError> {
-        while let Some(frame) = self.synchroniser.pop() {
-            self.foresight.forget();
+        while let Some(mut frame) = self.synchroniser.pop() {
+            self.foresight.meet(&mut frame, &mut self.tagger, &self.synchroniser);
             if let Some(looked) = self.looking.push(frame) {
                 self.tag(looked)?;
             }

@@ -103,7 +103,7 @@ impl Tagger {
     }
 
     /// Of no frame: where odometry puts the camera at that time, marked invalid; see [`Localizer::foresee`]. `ahead` is what
-    /// is remembered of that; it begins as [`state`](Self::state), and the next frame knows nothing of it.
+    /// is remembered of that; it begins as [`state`](Self::state), and a frame may [go on from](Self::go_on_from) it.
     pub fn foresee(
         &mut self,
         stamp_ns: i64,
@@ -111,12 +111,15 @@ impl Tagger {
         ahead: &mut LocalizerState,
         reason: &'static str,
     ) -> Option<FrameTag> {
-        robot.place.as_ref().ok()?;
         self.localizer.exchange(ahead);
         self.begin_anew(robot);
         let fix = self.localizer.foresee(&moment(stamp_ns, robot), reason);
         self.localizer.exchange(ahead);
         Some(self.compose(stamp_ns, robot, &fix?))
+    }
+
+    pub fn go_on_from(&mut self, mut state: LocalizerState) {
+        self.localizer.exchange(&mut state);
     }
 
     /// Where somebody has said where the robot is, or nothing is known of the time before.

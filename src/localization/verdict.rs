@@ -125,6 +125,11 @@ impl Standing {
         self.was_kept = was_kept;
     }
 
+    /// And since then the robot may have walked where it liked.
+    pub fn was_away(&mut self) {
+        self.was_kept = false;
+    }
+
     /// A pose that was found by search.
     pub fn found(&mut self) {
         let (confidence, second_look) = (Confidence::Unconfirmed(CONFIRMATIONS), SecondLook::found());

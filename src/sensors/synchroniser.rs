@@ -21,6 +21,8 @@ pub struct Frame {
     pub message: LogMessage,
     pub stamp_ns: i64,
     pub robot: RobotAt,
+    /// From when the robot's step counts.
+    pub since: Option<Since>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -160,9 +162,12 @@ impl Synchroniser {
         self.state.anchor.map(of_anchor).or(self.state.last_frame)
     }
 
-    /// Until when odometry is whole.
-    pub fn odometry_settled_ns(&self) -> Option<i64> {
-        self.state.odometry().settled_ns()
+    /// Until when all is known of where the robot has walked: by odometry, and by a gyro that has not fallen silent.
+    pub fn walked_until_ns(&self) -> Option<i64> {
+        let walked_ns = self.state.odometry().settled_ns()?;
+        let turned_ns = self.state.turn_rate.settled_ns();
+        let is_heard = |turned_ns: &i64| walked_ns.saturating_sub(*turned_ns) <= STALE_NS;
+        Some(turned_ns.filter(is_heard).map_or(walked_ns, |turned_ns| turned_ns.min(walked_ns)))
     }
 
     /// Whether an attitude has ever been heard of.
@@ -264,9 +269,9 @@ impl Synchroniser {
         }
         let (message, stamp_ns) = self.waiting.pop_front()?;
         self.waiting_bytes -= message.data.len();
-        let robot = self.robot_next(stamp_ns);
+        let (robot, since) = (self.robot_next(stamp_ns), self.since());
         self.has_seen(stamp_ns, message.log_time_ns);
-        Some(Frame { robot, message, stamp_ns })
+        Some(Frame { robot, message, stamp_ns, since })
     }
 
     /// What the next frame is to know of the robot, if it is exposed at that time.

@@ -233,9 +233,9 @@ fn quaternions_unnormalised_or_with_the_other_sign_are_the_same_rotation() {
 }
 
 /// Minutes without a frame, of walking and of nonsense from odometry: predictions say less and less, then nothing, and
-/// the next frame is the same to the bit as if nobody had asked.
+/// who does not go on from them is the same to the bit as if nobody had asked.
 #[test]
-fn a_prediction_over_minutes_knows_less_and_less_and_is_forgotten_by_the_next_frame() {
+fn a_prediction_over_minutes_knows_less_and_less_and_changes_only_its_copy() {
     for broken in [None, Some(Pose2::new(f64::NAN, 0.0, 0.0)), Some(Pose2::new(1e300, -1e300, 1e300))] {
         let mut robot = robot();
         let mut asked_nothing = robot.clone();

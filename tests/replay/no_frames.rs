@@ -8,7 +8,7 @@ use realitysim::ros2::messages::{FrameTag, Header, Message, Odometry, PoseStampe
 
 use super::support::{
     CAMERA_INFO, IMAGE, INITIAL, ODOMETRY, POSE, Replayed, Room, TF_STATIC, TRUTH, changed, decode_all, on, own_log,
-    read_capture, read_log, segments, walk, without,
+    read_capture, read_log, segments, stamp_later, walk, without,
 };
 
 pub const PREDICTED: &str = "/predicted_tag";
@@ -189,23 +189,84 @@ fn after_a_restart_odometry_carries_on_the_place_that_was_kept() {
     follows_the_robot(&room.replay("rest.mcap --warm-start"), middle_ns);
 }
 
-/// By a clock that is ahead for a while, and back again; its way up to there is not taken back.
+#[test]
+fn after_a_longer_absence_nothing_is_predicted_from_a_place_that_was_kept() {
+    let all = &walk().messages;
+    let later_ns = 10_000_000_000;
+    let room = Room::with_log(all);
+    room.replay("log.mcap");
+    let mut later = with_a_late_camera(&without(all, INITIAL));
+    later.iter_mut().for_each(|message| stamp_later(message, later_ns));
+    room.write("later.mcap", own_log(&later));
+    let replayed = room.replay("later.mcap --warm-start");
+    assert_eq!(replayed.report["predicted"], 0, "nobody knows where it has walked");
+}
+
+/// Five seconds are as long as anybody keeps the gyro's turns: step by step, as the predictions go, all of them count.
+#[test]
+fn a_frame_after_a_long_gap_begins_where_odometry_and_gyro_have_led() {
+    let room = Room::new();
+    room.write_scene("loop.toml", |text| {
+        let round = "waypoints = [[-2.2, -0.3], [-1.2, -0.3], [-1.0, 0.8], [-1.9, 0.9], [-2.2, 0.0], [-1.6, -0.6]]";
+        let text = text.replace("waypoints = [[-2.0, 0.1], [-1.1, 0.3]]", round);
+        let gap =
+            "\n[[effect]]\nkind = \"camera_fault\"\nrole = \"base\"\nunplugged = { from_s = 2.0, for_s = 15.0 }\n";
+        assert!(text.contains(round), "{text}");
+        text + gap
+    });
+    room.run("sim loop.toml -o true.mcap").succeeds();
+    // Feet slip in each turn.
+    let (mut before, mut slipped) = (None, Pose2::default());
+    let messages = changed::<Odometry>(&read_log(&room.path("true.mcap")), ODOMETRY, |odometry| {
+        let pose = &mut odometry.pose.pose;
+        let now = Pose2::new(pose.position.x, pose.position.y, 2.0 * pose.orientation.z.atan2(pose.orientation.w));
+        let step = before.replace(now).map_or(now, |before: Pose2| before.inverse().compose(&now));
+        slipped = slipped.compose(&Pose2::new(step.x, step.y, 0.8 * step.yaw));
+        (pose.position.x, pose.position.y) = (slipped.x, slipped.y);
+        (pose.orientation.z, pose.orientation.w) = (slipped.yaw / 2.0).sin_cos();
+    });
+    room.write("slips.mcap", own_log(&messages));
+    let replayed = room.replay("slips.mcap");
+    let truth = decode_all::<PoseStamped>(&messages, TRUTH);
+    let predicted: Vec<FrameTag> = decode_all(&read_capture(&replayed.session), PREDICTED);
+    let gap = |pair: &&[FrameTag]| stamp_ns(&pair[1].header) - stamp_ns(&pair[0].header) > 10_000_000_000;
+    let first = &replayed.tags.windows(2).find(gap).expect("a gap")[1];
+    let last = predicted.last().expect("predictions");
+    eprintln!(
+        "{} {} {} | {:?} {} amb {} off {}",
+        predicted.len(),
+        off_m(last, &truth),
+        sigma_m(last),
+        first.valid,
+        first.reason,
+        first.ambiguous,
+        off_m(first, &truth)
+    );
+    assert!(first.valid && !first.ambiguous && off_m(first, &truth) < 0.03, "{first:?}");
+}
+
+/// By a clock that is ahead or behind for a while, and right again; its way up to there is not taken back.
 #[test]
 fn odometry_that_begins_anew_takes_no_way_back() {
-    let mut number = 0;
-    let messages = changed::<Odometry>(&with_a_late_camera(&walk().messages), ODOMETRY, |odometry| {
-        number += 1;
-        if (100..115).contains(&number) {
-            odometry.header.stamp = Stamp::from_nanoseconds(stamp_ns(&odometry.header) + 100_000_000_000);
-        }
-    });
-    let room = Room::with_log(&messages);
-    let replayed = room.replay("log.mcap");
     let truth = decode_all::<PoseStamped>(&walk().messages, TRUTH);
-    let predicted: Vec<FrameTag> = decode_all(&read_capture(&replayed.session), PREDICTED);
-    let last = predicted.last().expect("some");
-    assert!(off_m(last, &truth) < 0.16, "{} m: {:?}", off_m(last, &truth), last.header.stamp);
-    assert!(!replayed.tags[0].ambiguous && off_m(&replayed.tags[0], &truth) < 0.03, "{:?}", replayed.tags[0]);
+    let (late, gap) = (with_a_late_camera(&walk().messages), with_a_gap());
+    for (messages, off_s) in [(&late, 100), (&gap, 100), (&gap, -100)] {
+        let mut number = 0;
+        let messages = changed::<Odometry>(messages, ODOMETRY, |odometry| {
+            number += 1;
+            if (100..115).contains(&number) {
+                odometry.header.stamp = Stamp::from_nanoseconds(stamp_ns(&odometry.header) + off_s * 1_000_000_000);
+            }
+        });
+        let room = Room::with_log(&messages);
+        let replayed = room.replay("log.mcap");
+        let predicted: Vec<FrameTag> = decode_all(&read_capture(&replayed.session), PREDICTED);
+        let last = predicted.last().expect("some");
+        assert!(off_m(last, &truth) < 0.16, "{off_s} s: {} m, {:?}", off_m(last, &truth), last.header.stamp);
+        let after = |tag: &&FrameTag| stamp_ns(&tag.header) > stamp_ns(&last.header);
+        let next = replayed.tags.iter().find(after).expect("a frame after it");
+        assert!(!next.ambiguous && off_m(next, &truth) < 0.03, "{off_s} s: {next:?}");
+    }
 }
 
 /// A clock that jumps ahead, for one message, while frames come; and a camera of one frame a second.

@@ -35,6 +35,10 @@ const BEATEN: f64 = 0.8;
 const AGAIN_M: f64 = 0.15;
 const AGAIN_RAD: f64 = 0.1;
 
+/// So far from where odometry has it a robot may be found again without having been carried.
+const SLIPS_M: f64 = 0.6;
+const SLIPS_RAD: f64 = 0.6;
+
 impl Localizer {
     pub(super) fn must_search(&self) -> bool {
         let is_under_way = self.state.search.is_under_way() || self.state.fitting.is_under_way();
@@ -98,9 +102,11 @@ impl Localizer {
         let Some(pose) = best else { return false };
         let mirrored = pose.mirrored();
         let nearer = self.state.known.is_some_and(|known| apart(&mirrored, &known) < apart(&pose, &known));
-        self.place(if nearer { mirrored } else { pose }, self.settings.initial);
+        let pose = if nearer { mirrored } else { pose };
+        // Who slips or falls gets up where it was; anywhere else somebody has put it, in whichever half.
+        self.state.ambiguous |= !self.state.known.is_some_and(|known| is_at(&pose, &known, SLIPS_M, SLIPS_RAD));
+        self.place(pose, self.settings.initial);
         self.state.standing.found();
-        self.state.ambiguous = true;
         true
     }
 
@@ -220,10 +226,13 @@ fn only_best(fits: &[Fit]) -> Option<Pose2> {
     (!fits.iter().any(rivals)).then_some(best.pose)
 }
 
+fn is_at(one: &Pose2, other: &Pose2, within_m: f64, within_rad: f64) -> bool {
+    one.distance(other) <= within_m && wrap_angle(one.yaw - other.yaw).abs() <= within_rad
+}
+
 /// Up to the mirror: on the halfway line a pose and its mirror pose are neighbours.
 fn is_near(one: &Pose2, other: &Pose2, within_m: f64, within_rad: f64) -> bool {
-    let near = |other: &Pose2| one.distance(other) <= within_m && wrap_angle(one.yaw - other.yaw).abs() <= within_rad;
-    near(other) || near(&other.mirrored())
+    is_at(one, other, within_m, within_rad) || is_at(one, &other.mirrored(), within_m, within_rad)
 }
 
 /// Metres, a radian counting as one.

@@ -98,6 +98,8 @@ pub struct Fix {
 
 /// A restarted robot may have been carried: the cloud is widened by this.
 const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
+/// After as long as this a place that was kept over a restart is one among many: in four seconds a robot walks a metre.
+const LONGEST_AWAY_NS: u64 = 4_000_000_000;
 /// Longer gaps say nothing more about where the robot went.
 const LONGEST_STEP_S: f64 = 5.0;
 /// No humanoid walks this fast: odometry that says so has jumped.
@@ -182,12 +184,16 @@ impl Localizer {
                 self.state.track.as_ref().map(|track| track.moved_to(track.pose(), RESTART.xy_m, RESTART.yaw_rad));
             self.state.standing.kept();
         }
-        self.state.last = None;
+        self.state.last = self.state.last.map(|(stamp_ns, _)| (stamp_ns, None));
     }
 
     /// The next step is from where odometry had the robot at that time.
     pub fn count_from(&mut self, stamp_ns: i64, odometry: Pose2) {
-        self.state.last = Some((stamp_ns, Some(odometry)));
+        let last = self.state.last.replace((stamp_ns, Some(odometry)));
+        let (last_ns, heard) = last.unzip();
+        if heard.flatten().is_none() && last_ns.is_none_or(|last_ns| stamp_ns.abs_diff(last_ns) > LONGEST_AWAY_NS) {
+            self.state.standing.was_away();
+        }
     }
 
     /// Somebody says where the robot is.
