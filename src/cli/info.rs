@@ -131,9 +131,10 @@ fn file_info(file: &Path, survey: &Survey, checked: bool) -> FileInfo {
     }
 }
 
+/// There, or where it would be.
 fn is_device(path: &Path) -> bool {
     use std::os::unix::fs::FileTypeExt;
-    std::fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_char_device())
+    std::fs::metadata(path).map_or(path.starts_with("/dev"), |metadata| metadata.file_type().is_char_device())
 }
 
 #[cfg(feature = "v4l2")]

@@ -39,7 +39,9 @@ fn whoever_listens_hears_predictions_while_there_are_no_frames_and_that_they_are
     }
     // The last gap of all, at the end of the walk, is half a second.
     assert!(within.len().abs_diff(PREDICTIONS) <= 1, "{}", within.len());
-    let heard = listener.wait_with_output().expect("ended with the recorder").stdout;
+    let heard = listener.wait_with_output().expect("ended with the recorder");
+    assert!(heard.status.success(), "{:?}", heard.status);
+    let heard = heard.stdout;
     let heard: Vec<Value> =
         heard.split(|byte| *byte == b'\n').filter_map(|line| serde_json::from_slice(line).ok()).collect();
     let of_no_frame = heard.iter().filter(|tag| tag["reason"] == "no_frame" && tag["valid"] == false).count();

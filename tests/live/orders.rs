@@ -114,9 +114,13 @@ fn what_a_kill_left_is_finished_when_the_next_recording_starts() {
     let mut recorder = Recorder::start(None);
     recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
     let torn = recorder.asks("status")["session"].as_str().expect("a session").to_owned();
+    let listener = recorder.listens_to_poses();
+    // It has asked, and is listening.
+    std::thread::sleep(std::time::Duration::from_millis(500));
     let mut process = recorder.process.take().expect("running");
     process.kill().expect("alive");
     process.wait().expect("ended");
+    assert_eq!(listener.wait_with_output().expect("ended").status.code(), Some(1), "nobody ended the recording");
     let active = recorder.room.path(&torn).join("0000.mcap.active");
     assert!(active.is_file(), "never finished");
     recorder.process = Some(Recorder::process(&recorder.room, "-2.06,0.153,14.5"));

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::Write;
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::Instant;
 
@@ -47,7 +48,7 @@ pub(super) fn disk(settings: &Settings, captures: &Path) -> Finding {
 }
 
 fn slowest_write_ms(captures: &Path) -> std::io::Result<[f64; 2]> {
-    std::fs::create_dir_all(captures)?;
+    make_folder(captures)?;
     let path = captures.join("doctor.tmp");
     let mut times = Vec::with_capacity(DISK_BLOCKS);
     let written = (|| {
@@ -66,4 +67,35 @@ fn slowest_write_ms(captures: &Path) -> std::io::Result<[f64; 2]> {
     failed?;
     times.sort_by(f64::total_cmp);
     Ok([times[DISK_BLOCKS / 2], times[DISK_BLOCKS - 1]])
+}
+
+/// Whoever asks, root perhaps: it belongs to whom the folder above belongs to, the recorder on a robot.
+fn make_folder(captures: &Path) -> std::io::Result<()> {
+    let captures = std::path::absolute(captures)?;
+    let above = captures.ancestors().find(|folder| folder.exists()).and_then(|folder| folder.metadata().ok());
+    let missing: Vec<&Path> = captures.ancestors().take_while(|folder| !folder.exists()).collect();
+    std::fs::create_dir_all(&captures)?;
+    if let Some(above) = above {
+        for made in missing {
+            // Nobody but root may give folders away, and nobody else has to.
+            let _ = std::os::unix::fs::chown(made, Some(above.uid()), Some(above.gid()));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_that_root_makes_belongs_to_whom_the_one_above_does() {
+        let room = tempfile::tempdir().unwrap();
+        let owner = if rustix::process::geteuid().is_root() { 4711 } else { rustix::process::geteuid().as_raw() };
+        std::os::unix::fs::chown(room.path(), Some(owner), None).unwrap();
+        make_folder(&room.path().join("captures/deep")).unwrap();
+        for folder in ["captures", "captures/deep"] {
+            assert_eq!(room.path().join(folder).metadata().unwrap().uid(), owner);
+        }
+    }
 }

@@ -69,7 +69,19 @@ fn listen(options: &PortOptions) -> Heard {
 fn port(options: &PortOptions, heard: &Heard) -> Finding {
     let what = format!("serial {} at {} baud", options.device, options.baud);
     let LineStatus { counts, clocks, .. } = match heard {
-        Err(error) => return bad(what, error.to_string(), "see the message"),
+        Err(error) => {
+            let remedy = match error {
+                SerialError::Missing { .. } | SerialError::NoPort { .. } => {
+                    "plug it in, or name one that is present in serial.ports"
+                }
+                SerialError::Permission { .. } => "join the group, and log in again",
+                SerialError::Busy { .. } => {
+                    "end the other program (fuser names it), or the service itself: systemctl stop realitysim"
+                }
+                SerialError::Open { .. } | SerialError::Gone { .. } => "try another cable, port or baud rate",
+            };
+            return bad(what, error.to_string(), remedy);
+        }
         Ok(status) => status,
     };
     let mut said: Vec<String> =

@@ -7,7 +7,7 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use parking::Listeners;
@@ -175,7 +175,7 @@ pub fn ask(path: &Path, line: &str) -> io::Result<Value> {
     Ok(serde_json::from_str(&answer)?)
 }
 
-/// Every tag from now on, a line of JSON each.
+/// Every tag from now on, a line of JSON each, until the recorder ends. One that is killed leaves its socket behind.
 pub fn poses(path: &Path, stop: &AtomicBool, mut take: impl FnMut(&str) -> io::Result<()>) -> io::Result<()> {
     let mut stream = UnixStream::connect(path)?;
     // Who has no room for another asker says so at once.
@@ -193,7 +193,15 @@ pub fn poses(path: &Path, stop: &AtomicBool, mut take: impl FnMut(&str) -> io::R
             break;
         }
     }
-    asked.map_err(|error| io::Error::new(io::ErrorKind::ConnectionAborted, error))
+    asked.map_err(|error| io::Error::new(io::ErrorKind::ConnectionAborted, error))?;
+    let heard_last = Instant::now();
+    while !stop.load(Ordering::Relaxed) && path.exists() {
+        if heard_last.elapsed() > LAST_WORDS {
+            return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the recorder was killed, or broke off"));
+        }
+        std::thread::sleep(LAST_WORDS / 20);
+    }
+    Ok(())
 }
 
 mod parking {
