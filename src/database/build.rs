@@ -7,14 +7,16 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::catalogue::{Catalogue, Source};
+use super::circle::circle_deg;
 use super::darkening;
 use super::error::{DatabaseError, io};
+use super::gallery::without_rim;
 use super::index::{Index, path_of, write_index};
 use super::inputs::sources_of;
 use super::pixels::read_bytes;
 use super::record::Record;
 use super::sources::{self, Read};
-use crate::geometry::{Field, FieldDimensions};
+use crate::geometry::{Field, FieldDimensions, LensParameters};
 use crate::recording::Loss;
 
 /// What came of adding.
@@ -166,8 +168,13 @@ fn take(
     added.left_out += source.left_out;
     added.ambiguous += ambiguous;
     added.losses.extend(losses);
-    source.dark =
-        lit.mask(source.lens.width as usize).map(|mask| write_mask(folder, &source, DARK, mask)).transpose()?;
+    if let Some(mask) = lit.mask(source.lens.width as usize) {
+        let shows: Vec<bool> = mask.iter().map(|pixel| *pixel > 0).collect();
+        let circle_deg = circle_deg(&source.lens, &without_rim(&shows, source.lens.width as usize));
+        source.lens.fov_deg =
+            circle_deg.map(|found| narrower(found, &source.lens, &catalogue.sources)).or(source.lens.fov_deg);
+        source.dark = Some(write_mask(folder, &source, DARK, mask)?);
+    }
     if !bodies.is_empty() {
         let masks = bodies.iter().map(|body| write_mask(folder, &source, BODY, body.to_gray()));
         source.body_masks = masks.collect::<Result<_, _>>()?;
@@ -178,6 +185,16 @@ fn take(
     Ok(())
 }
 
+/// The circle that was found, or a narrower one that the lens states; that of the same lens in another source, if it is as good as
+/// the same: what is known of a lens is kept in memory once.
+fn narrower(found_deg: f64, lens: &LensParameters, others: &[Source]) -> f64 {
+    let fov_deg = found_deg.min(lens.fov_deg.unwrap_or(f64::INFINITY));
+    let of_others = others.iter().filter(|other| other.lens.maps_as(lens)).filter_map(|other| other.lens.fov_deg);
+    of_others.into_iter().find(|other| (other - fov_deg).abs() <= SAME_CIRCLE_DEG).unwrap_or(fov_deg)
+}
+
+/// Circles of one lens, as two captures show them.
+const SAME_CIRCLE_DEG: f64 = 2.0;
 const DARK: &str = "dark-";
 const BODY: &str = "body-";
 

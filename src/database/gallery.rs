@@ -296,7 +296,7 @@ impl Gallery {
     /// That of the first source with this lens, at whatever size; a lens that took no image darkens nothing.
     fn darkening_of(&self, lens: &LensParameters) -> Vignetting {
         let size = [Some(lens.width), Some(lens.height)];
-        let is_same = |source: &Source| source.lens.draws_as(lens) || source.lens.resized(size).draws_as(lens);
+        let is_same = |source: &Source| source.lens.maps_as(lens) || source.lens.resized(size).maps_as(lens);
         let source = self.catalogue.sources.iter().position(|source| source.darkening.is_some() && is_same(source));
         source.map_or_else(Vignetting::default, |source| self.darkening(source))
     }
@@ -351,7 +351,7 @@ pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Resul
 }
 
 /// Takes away what is within [`RIM_PX`] of a pixel that shows nothing; the image's border is no rim.
-fn without_rim(shows: &[bool], width: usize) -> Vec<bool> {
+pub(super) fn without_rim(shows: &[bool], width: usize) -> Vec<bool> {
     let height = shows.len() / width;
     let near = |at: usize, end: usize| at.saturating_sub(RIM_PX)..(at + RIM_PX + 1).min(end);
     let rows: Vec<bool> =

@@ -7,6 +7,7 @@
 mod build;
 mod catalogue;
 mod choice;
+mod circle;
 mod coverage;
 mod darkening;
 mod error;

@@ -19,9 +19,9 @@ use crate::geometry::{Euler, FieldDimensions, Isometry, LensParameters};
 use crate::recording::{Loss, REFINED_FOLDER, SESSION_FILE, read_info};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
-use crate::sensors::decode;
 use crate::sensors::intake::isometry;
 use crate::sensors::log::{self, LogSource};
+use crate::sensors::{body_mask, decode};
 use crate::vision::BodyMask;
 
 /// A source with its images.
@@ -86,6 +86,8 @@ impl Lit {
 const POSES: &str = "poses.csv";
 const POSES_HEAD: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg";
 const CAMERA: &str = "camera_info.yaml";
+/// Of a folder of images, if its robot is in them: dark where.
+const MASK: &str = "body_mask.png";
 /// Of a pose in a table, as of one that is asked for: no hall is larger, and no camera hangs higher.
 const MAX_PLACE_M: f64 = 100.0;
 const HEIGHTS_M: RangeInclusive<f64> = 0.02..=20.0;
@@ -329,6 +331,9 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         path: path.clone(),
         what: format!("{POSES} names no image that can be read"),
     })?;
+    let mask = path.join(MASK);
+    let body = mask.is_file().then(|| body_mask(&mask.display().to_string(), lens.width, lens.height)).transpose();
+    let bodies = body.map_err(|what| DatabaseError::Image { path: mask, what })?.into_iter().collect();
     let (kind, images) = (SourceKind::Folder, records.len() as u64);
     let source = Source {
         kind,
@@ -343,7 +348,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         with_ambiguous: false,
         goals: true,
     };
-    Ok(Read { source, records, field: None, ambiguous: 0, losses, lit, bodies: Vec::new() })
+    Ok(Read { source, records, field: None, ambiguous: 0, losses, lit, bodies })
 }
 
 fn finish(batch: &mut Vec<(Record, Vec<u8>)>, lens: &Option<LensParameters>, records: &mut Vec<Record>, lit: &mut Lit) {
@@ -358,8 +363,9 @@ fn camera_of(folder: &Path, image: &Path, [width, height]: [u32; 2]) -> Result<L
         let what = format!("without {CAMERA}, as ROS camera_calibration writes it, nobody knows the lens");
         return Err(DatabaseError::Source { path: folder.to_owned(), what });
     }
-    let file = load_lens_for_image(&path.display().to_string(), width, height)
-        .map_err(|error| DatabaseError::Source { path: image.to_owned(), what: error.to_string() })?;
+    let file = load_lens_for_image(&path.display().to_string(), width, height).map_err(|error| {
+        DatabaseError::Source { path: folder.to_owned(), what: format!("{error} (as {} is)", image.display()) }
+    })?;
     Ok(file.lens.parameters().clone())
 }
 

@@ -8,7 +8,7 @@ use realitysim::database::Gallery;
 use realitysim::ros2::messages::CompressedImage;
 use realitysim::ros2::{LogMessage, Message};
 
-use super::support::{IMAGE, Room, read_capture};
+use super::support::{IMAGE, LENS, Room, read_capture};
 
 pub const POSES: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg\n";
 pub const CAMERA_INFO: &str = "image_width: 320\nimage_height: 240\ncamera_name: test\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: \
@@ -298,11 +298,48 @@ fn a_folder_of_captures_stands_for_those_that_are_not_known() {
 #[test]
 fn images_of_a_walk_are_chosen_such_that_they_complete_each_other() {
     let (room, _) = walked();
-    for (yaw_deg, least) in [(120, 0.53), (-110, 0.46), (-160, 0.37)] {
+    for (yaw_deg, least) in [(120, 0.53), (-110, 0.46), (-160, 0.3)] {
         let here = format!("view --db db --x -1.53 --y 0.2 --z 0.496 --yaw={yaw_deg} --pitch 17");
         let report = room.run(&format!("{here} -o out.png --json")).succeeds().json();
         assert!(report["valid_share"].as_f64() > Some(least), "{yaw_deg} deg: {report}");
     }
+}
+
+/// `camera_info` says nothing of where a lens ends, images do: 100 degrees off the axis. A view has the same outline, in any size.
+#[test]
+fn a_view_by_the_lens_of_its_images_ends_where_they_do() {
+    let (room, _) = walked();
+    let gallery = open(&room);
+    let lens = &gallery.catalogue().sources[0].lens;
+    let fov_deg = lens.fov_deg.expect("found");
+    assert!((195.0..=201.0).contains(&fov_deg), "{fov_deg}");
+    let looks = "--x -1.53 --y 0.2 --z 0.496 --yaw 120 --pitch 17";
+    for (size, scale) in [("", 1.0), ("--width 160", 0.5)] {
+        let report =
+            room.run(&format!("view --db db {looks} -o out.png --mask mask.png {size} --json")).succeeds().json();
+        let mask = image::open(room.path("mask.png")).expect("a picture").into_luma8();
+        let from_axis = |u: u32, v: u32| {
+            let of = |at: u32, centre: f64| (f64::from(at) + 0.5) / scale - 0.5 - centre;
+            of(u, lens.cx).hypot(of(v, lens.cy))
+        };
+        let lit = mask.enumerate_pixels().filter(|(_, _, pixel)| pixel.0[0] > 0).map(|(u, v, _)| from_axis(u, v));
+        let farthest = lit.fold(0.0, f64::max);
+        assert!(
+            (160.0..173.0).contains(&farthest),
+            "{farthest} px: the corners are 200 px away, and images end at 172"
+        );
+        // What it does not show it does not draw at all: the share is of what it draws.
+        let (lit, drawn) = mask.enumerate_pixels().fold((0, 0), |(lit, drawn), (u, v, pixel)| {
+            (lit + u32::from(pixel.0[0] > 0), drawn + u32::from(from_axis(u, v) < 170.0))
+        });
+        let share = f64::from(lit) / f64::from(drawn);
+        assert!((report["valid_share"].as_f64().expect("a share") - share).abs() < 0.02, "{share}: {report}");
+    }
+    // The same lens, whose file says 200 degrees.
+    room.write("lens.toml", LENS);
+    let (pose, _) = at(&gallery, 0);
+    let report = room.run(&format!("view --db db {pose} --lens lens.toml -o out.jpg --json"));
+    assert_eq!(report.succeeds().json()["made"], "stored");
 }
 
 /// A hundred images along a line look one way, two from farther off look elsewhere: of all that are near by the metric these
@@ -451,6 +488,31 @@ fn a_gallery_goes_on_while_the_database_changes() {
     let run = room.run("db coverage --db db -o coverage.png --json").succeeds();
     assert!(run.json()["filled"].as_u64() > Some(3));
     assert_eq!(room.run("db stats --db db --json").json()["images"].as_u64(), Some(count as u64));
+}
+
+/// A white arm is lit in every picture: only a mask tells.
+#[test]
+fn of_a_folder_of_images_the_robot_can_be_masked() {
+    let room = Room::new();
+    fs::create_dir(room.path("images")).expect("a folder");
+    let is_arm = |u: u32, v: u32| u < 120 && v >= 160;
+    let picture = RgbImage::from_fn(320, 240, |u, v| image::Rgb(if is_arm(u, v) { [255; 3] } else { [70, 120, 60] }));
+    picture.save(room.path("images/a.png")).expect("saved");
+    room.write("images/camera_info.yaml", CAMERA_INFO);
+    room.write("images/poses.csv", format!("{POSES}a.png,0.1,0.2,0.5,10,20,0\n"));
+    let mask = |width: u32, side: u32| {
+        let hides = move |u: u32, v: u32| if is_arm(u * side, v) { image::Luma([0]) } else { image::Luma([255]) };
+        image::GrayImage::from_fn(width, 240, hides).save(room.path("images/body_mask.png")).expect("saved");
+    };
+    mask(160, 2);
+    let add = "db add images --db db --field kid-2009";
+    room.run(add).fails(1, &["images/body_mask.png", "the mask has 160 x 240 pixels, the camera 320 x 240"]);
+    mask(320, 1);
+    room.run(add).succeeds();
+    room.run("view --db db --x 0.3 --y 0.2 --z 0.5 --yaw 10 --pitch 20 -o out.png").succeeds();
+    let view = image::open(room.path("out.png")).expect("a picture").into_rgb8();
+    assert!(view.pixels().all(|pixel| pixel.0[0] < 100), "an arm stands on the field");
+    assert!(view.pixels().filter(|pixel| pixel.0[1] > 100).count() > 40_000, "beside it the field is seen");
 }
 
 #[test]

@@ -32,13 +32,21 @@ pub struct LensParameters {
 }
 
 impl LensParameters {
-    /// Whether both draw a place on the same pixel; how far from the axis they are stated to hold only counts where both say so.
-    pub fn draws_as(&self, other: &Self) -> bool {
-        let fov_deg = self.fov_deg.and(other.fov_deg);
-        let bare = |lens: &Self| Self { fov_deg: lens.fov_deg.filter(|_| fov_deg.is_some()), ..lens.clone() };
+    /// Whether both draw a place on the same pixel, however far from the axis they draw anything.
+    pub fn maps_as(&self, other: &Self) -> bool {
+        let bare = |lens: &Self| Self { fov_deg: None, ..lens.clone() };
         bare(self) == bare(other)
     }
+
+    /// Whether an image of `other` is one of this lens: it maps as that one, and is not stated to end nearer to the axis.
+    pub fn draws_as(&self, other: &Self) -> bool {
+        let ends_before = self.fov_deg.zip(other.fov_deg).is_some_and(|(own, other)| own + SAME_FOV_DEG < other);
+        self.maps_as(other) && !ends_before
+    }
 }
+
+/// A circle's edge is not known better than this.
+const SAME_FOV_DEG: f64 = 3.0;
 
 /// The distance from the axis that a ray at angle theta is drawn at, in focal lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
