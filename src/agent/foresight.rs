@@ -1,12 +1,13 @@
 //! Poses while no frames come: odometry carries on what the camera knew last, and they say that they are such.
 //!
-//! What is carried on here is a copy. The next frame goes on from it, unless that was exposed before it.
+//! What is carried on here is a copy. A frame goes on from it only after a gap that is too long for one step.
 
 use serde::{Deserialize, Serialize};
 
 use super::tagger::Tagger;
 use crate::localization::LocalizerState;
 use crate::ros2::messages::FrameTag;
+use crate::sensors::history::KEEP_NS;
 use crate::sensors::synchroniser::{Frame, Since, Synchroniser};
 
 /// In `reason` of a tag that belongs to no frame.
@@ -31,11 +32,12 @@ struct Ahead {
 }
 
 impl Foresight {
-    /// A frame has come. It counts from the last of the poses that were foreseen from the frame before: step by step
-    /// is known what one long step, of which nobody keeps the gyro's turns, is not.
+    /// A frame has come. After a gap longer than measurements are kept for, it counts from the last of the poses that were foreseen:
+    /// step by step is known what one long step, of which nobody has the gyro's turns any more, is not.
     pub fn meet(&mut self, frame: &mut Frame, tagger: &mut Tagger, synchroniser: &Synchroniser) {
         let Some(ahead) = self.ahead.take() else { return };
-        if Some(ahead.since) == frame.since && ahead.stamp_ns <= frame.stamp_ns {
+        let is_kept = frame.stamp_ns.saturating_sub(ahead.since.stamp_ns) <= KEEP_NS;
+        if Some(ahead.since) == frame.since && ahead.stamp_ns <= frame.stamp_ns && !is_kept {
             frame.robot = synchroniser.robot_between(ahead.stamp_ns, frame.stamp_ns);
             tagger.go_on_from(ahead.localizer);
         }

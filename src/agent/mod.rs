@@ -1,5 +1,6 @@
 //! The agent: what comes from the sensors goes through the filter into the capture.
 
+mod between;
 mod budget;
 pub mod checkpoint;
 pub mod cut;

@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use crossbeam_channel::Sender;
 
+use super::between::Between;
 use super::budget::Budget;
 use super::checkpoint::Checkpoint;
 use super::error::AgentError;
@@ -184,6 +185,17 @@ impl Pipeline {
     /// Nothing more will come: what is there becomes a whole capture, whatever went wrong, if it can. `None` if nothing
     /// came at all.
     pub fn finish(mut self) -> (Option<Recorded>, Result<(), AgentError>) {
+        self.conclude()
+    }
+
+    /// The same, and what goes on until another session begins.
+    pub fn pause(mut self) -> (Option<Recorded>, Result<(), AgentError>, Between) {
+        let (recorded, ended) = self.conclude();
+        let Self { topics, settings, synchroniser, tagger, foresight, .. } = self;
+        (recorded, ended, Between { topics, head: settings.head, synchroniser, tagger, foresight })
+    }
+
+    fn conclude(&mut self) -> (Option<Recorded>, Result<(), AgentError>) {
         let ended = self.end();
         let Some(session) = self.session.take() else { return (None, ended) };
         let Ended { folder, counts, status: recorder } = session.finish();
@@ -206,7 +218,8 @@ impl Pipeline {
         let unusable = warnings::unusable_weights(self.tally.unusable_weights);
         let warnings =
             attitude.into_iter().chain(strange).chain(blind).chain(lying).chain(small).chain(unusable).collect();
-        (Some(Recorded { session, counts, recorder, tally: self.tally, late_measurements, warnings }), ended)
+        let tally = core::mem::take(&mut self.tally);
+        (Some(Recorded { session, counts, recorder, tally, late_measurements, warnings }), ended)
     }
 
     fn end(&mut self) -> Result<(), AgentError> {

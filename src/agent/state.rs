@@ -6,11 +6,12 @@ use std::path::Path;
 
 use super::budget::Decisions;
 use super::checkpoint::{Checkpoint, MAX_BYTES};
+use super::foresight::Foresight;
 use super::tagger::Tagger;
 use crate::config::Settings;
 use crate::geometry::{Field, Lens, Pose2};
 use crate::localization::LocalizerState;
-use crate::sensors::synchroniser::InitialPose;
+use crate::sensors::synchroniser::{InitialPose, SynchroniserState};
 
 /// The state that an agent leaves behind, in the folder of all captures.
 pub const STATE_FILE: &str = "last_state.bin";
@@ -34,6 +35,16 @@ pub struct Kept {
     state: LocalizerState,
     /// A place that somebody said, after what the state is of.
     told: Option<InitialPose>,
+}
+
+impl Kept {
+    /// What was foreseen without frames knows more than what the last one left.
+    pub(super) fn new(foresight: Foresight, tagger: LocalizerState, synchroniser: &SynchroniserState) -> Self {
+        match foresight.state() {
+            Some(state) => Self { state, told: None },
+            None => Self { state: tagger, told: synchroniser.pending() },
+        }
+    }
 }
 
 impl Start {
@@ -65,9 +76,5 @@ pub fn last_state(captures: &Path) -> Result<Option<Kept>, String> {
     let mut bytes = Vec::new();
     file.take(MAX_BYTES as u64).read_to_end(&mut bytes).map_err(|error| why(error.to_string()))?;
     let saved = Checkpoint::decode(&bytes).map_err(|error| why(error.to_string()))?;
-    let told = saved.synchroniser.pending();
-    Ok(Some(match saved.foresight.state() {
-        Some(state) => Kept { state, told: None },
-        None => Kept { state: saved.tagger, told },
-    }))
+    Ok(Some(Kept::new(saved.foresight, saved.tagger, &saved.synchroniser)))
 }

@@ -89,6 +89,13 @@ pub enum Order {
         #[command(flatten)]
         at: At,
     },
+    /// Say where the robot is: `base_footprint` in `map`, as after kick-off or when it was carried
+    Place {
+        #[arg(value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
+        pose: Pose2,
+        #[command(flatten)]
+        at: At,
+    },
     /// Begin a session in a recorder that runs
     Start(At),
     /// End its session; the recorder goes on running
@@ -108,6 +115,7 @@ pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
     let (line, at) = match order {
         Order::Status(at) => ("status".to_owned(), at),
         Order::Mark { text, at } => (format!("mark {text}"), at),
+        Order::Place { pose, at } => (format!("place {},{},{}", pose.x, pose.y, pose.yaw.to_degrees()), at),
         Order::Start(at) => ("start".to_owned(), at),
         Order::Stop(at) => ("stop".to_owned(), at),
         Order::Poses(at) => {

@@ -8,6 +8,7 @@ pub mod filter;
 mod frozen;
 pub mod global;
 pub mod kernel;
+mod known;
 pub mod localizer;
 pub mod motion;
 pub mod observation;

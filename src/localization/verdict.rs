@@ -125,6 +125,11 @@ impl Standing {
         self.was_kept = was_kept;
     }
 
+    /// By somebody, who has not been proven wrong.
+    pub fn was_told(&self) -> bool {
+        self.was_told
+    }
+
     /// And since then the robot may have walked where it liked.
     pub fn was_away(&mut self) {
         self.was_kept = false;

@@ -24,7 +24,7 @@ pub struct History<T> {
 }
 
 /// Older samples are forgotten: no frame waits this long.
-const KEEP_NS: i64 = 5_000_000_000;
+pub const KEEP_NS: i64 = 5_000_000_000;
 /// At most this many are kept, whatever their rate: five seconds at 4 kHz.
 const KEEP_SAMPLES: usize = 20_000;
 /// A sample that is older than the newest by no more than this is sorted in. Two in a row from before mean that the

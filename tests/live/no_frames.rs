@@ -1,12 +1,13 @@
 //! The camera is away for a while: the robot's poses come from odometry until it is back.
 
-use realitysim::ros2::messages::FrameTag;
+use realitysim::ros2::LogMessage;
+use realitysim::ros2::messages::{FrameTag, PoseWithCovarianceStamped};
 use serde_json::Value;
 
 use super::recorder::Recorder;
 use super::robot::Robot;
 use crate::replay::no_frames::{PREDICTED, PREDICTIONS, with_a_gap};
-use crate::replay::support::{TAG, decode_all, read_capture, walk};
+use crate::replay::support::{INITIAL, TAG, decode_all, read_capture, walk};
 
 #[test]
 fn whoever_listens_hears_predictions_while_there_are_no_frames_and_that_they_are() {
@@ -70,4 +71,45 @@ fn a_place_that_was_told_outlives_a_session_that_nothing_happened_in() {
     assert!(tags.iter().filter(|tag| tag.valid).count() * 10 >= tags.len() * 8);
     // The field has two halves, and it was told in which one it is.
     assert!(tags.iter().all(|tag| !tag.ambiguous && tag.pose.pose.position.x < 0.0));
+}
+
+/// In slow motion: with longer pauses.
+fn slower(messages: &[LogMessage], times: i64) -> Vec<LogMessage> {
+    let first_ns = messages[0].log_time_ns;
+    let later = |message: &LogMessage| LogMessage {
+        log_time_ns: first_ns + times * (message.log_time_ns - first_ns),
+        ..message.clone()
+    };
+    messages.iter().map(later).collect()
+}
+
+#[test]
+fn between_two_sessions_odometry_goes_on_and_a_place_can_be_told_at_any_time() {
+    let robot = Robot::of(&slower(&walk().messages, 3));
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    let socket = recorder.room.path("camera.sock");
+    let walking = std::thread::spawn(move || robot.walk(&socket));
+    recorder.waits_for("some frames", 30, |status| status["validity"]["valid"].as_u64() >= Some(5));
+    assert_eq!(recorder.asks("stop")["state"], "stopped");
+    // Longer than a place is believed that nobody has followed.
+    std::thread::sleep(std::time::Duration::from_millis(5500));
+    assert_eq!(recorder.asks("start")["state"], "recording");
+    let (_, robot) = walking.join().expect("walked");
+    recorder.waits_for("the last frame", 20, |status| status["last_tag"]["valid"] == true);
+    let refused = recorder.room.run("place 20,0,0 --socket control.sock");
+    refused.fails(1, &["20,0 is not on the field", "its carpet reaches"]);
+    recorder.room.run("place 2,north,0 --socket control.sock").fails(2, &["expected x,y,yaw_deg"]);
+    let placed = recorder.asks("place 1.2,-0.3,-165.5");
+    assert_eq!(placed["place"][0], 1.2);
+    let output = recorder.ends();
+    drop(robot);
+    let report: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let recorded = read_capture(&recorder.room.path(report["session"].as_str().expect("a session")));
+    let tags: Vec<FrameTag> = decode_all(&recorded, TAG);
+    let (last, wanted) = (tags.last().expect("frames"), walk().tags.last().expect("frames"));
+    assert!(tags.iter().all(|tag| !tag.ambiguous), "it has been followed");
+    let (at, wanted) = (&last.pose.pose.position, &wanted.pose.pose.position);
+    assert!(last.valid && f64::hypot(at.x - wanted.x, at.y - wanted.y) < 0.02, "{at:?} for {wanted:?}");
+    let told: Vec<PoseWithCovarianceStamped> = decode_all(&recorded, INITIAL);
+    assert_eq!((told.len(), told[0].pose.pose.position.x), (1, 1.2), "and is in the log");
 }

@@ -200,6 +200,7 @@ fn after_a_longer_absence_nothing_is_predicted_from_a_place_that_was_kept() {
     room.write("later.mcap", own_log(&later));
     let replayed = room.replay("later.mcap --warm-start");
     assert_eq!(replayed.report["predicted"], 0, "nobody knows where it has walked");
+    assert!(replayed.tags.iter().all(|tag| tag.ambiguous), "or been carried");
 }
 
 /// Five seconds are as long as anybody keeps the gyro's turns: step by step, as the predictions go, all of them count.

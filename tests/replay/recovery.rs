@@ -2,10 +2,10 @@
 //! elsewhere for longer than it takes to notice.
 
 use realitysim::ros2::LogWriter;
-use realitysim::ros2::messages::{FrameTag, PoseStamped};
+use realitysim::ros2::messages::{FrameTag, Imu, PoseStamped};
 use serde_json::Value;
 
-use super::support::{Replayed, Room, TRUTH, decode_all, read_log, session_name};
+use super::support::{IMU, Replayed, Room, TRUTH, changed, decode_all, read_log, session_name};
 
 /// With the errors of sensors that a robot has. Effects stand in their order: what moves it, then what odometry adds.
 fn scene(field: &str, lens: &str, start: &str, route: &str, moves: &str, odometry: &str) -> String {
@@ -102,6 +102,31 @@ fn is_found(field: &str, lens: &str, poses: &str, places: usize) {
         let right = here().find(|(_, tag, off)| tag.valid && *off < 0.1).map(|(at, ..)| since(*at));
         assert!(right.is_some_and(|seconds| seconds <= 2.0), "{lens}, place {place}: found after {right:?} s");
     }
+}
+
+/// Near the centre a pose turned round is its own mirror pose. A gyro that has followed the fall tells them apart; nothing else does.
+#[test]
+fn who_gets_up_turned_round_knows_its_half_by_gyro_or_does_not_claim_to() {
+    let fall =
+        "[[effect]]\nkind = \"fall\"\nat_s = 3.2\ndirection = \"forwards\"\nmoved_m = [0.1, 0.1]\nturned_deg = 175.0\n";
+    let route = "kind = \"walk\"\nwaypoints = [[-0.8, 0.0], [1.3, 0.0]]\nspeed_m_s = 0.25\nturn_deg_s = 35";
+    let (room, with_gyro) =
+        replayed("kid-2009", scene("kid-2009", "fisheye-640", TOLD, route, &format!("{SWAY}{fall}"), ODOMETRY_ERROR));
+    let messages = changed::<Imu>(&read_log(&room.path("log.mcap")), IMU, |imu| {
+        imu.angular_velocity_covariance[0] = -1.0;
+    });
+    let other = Room::with_log(&messages);
+    let without = other.replay("log.mcap --field kid-2009");
+    let half_is_known = |tags: &[(f64, FrameTag, f64)]| {
+        let after: Vec<&FrameTag> =
+            tags.iter().filter(|(at, tag, _)| *at > 8.5 && tag.valid).map(|(_, tag, _)| tag).collect();
+        assert!(after.len() > 15, "{}", after.len());
+        // An ambiguous one may be either; one that claims to know must be right.
+        assert!(tags.iter().all(|(at, tag, off)| *at < 7.5 || !tag.valid || *off < 0.1));
+        after.iter().all(|tag| !tag.ambiguous)
+    };
+    assert!(half_is_known(&judged(&room, &with_gyro)));
+    assert!(!half_is_known(&judged(&other, &without)));
 }
 
 #[test]

@@ -6,6 +6,8 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::Instant;
 
+use rustix::fs::{Mode, OFlags};
+
 use super::{Finding, bad, good, size};
 use crate::config::Settings;
 use crate::recording::storage::Disk;
@@ -49,10 +51,11 @@ pub(super) fn disk(settings: &Settings, captures: &Path) -> Finding {
 
 fn slowest_write_ms(captures: &Path) -> std::io::Result<[f64; 2]> {
     make_folder(captures)?;
-    let path = captures.join("doctor.tmp");
+    // A new file, whatever others have put there: root may be asking, in a folder that is not its own.
+    let path = captures.join(format!("doctor-{}.tmp", std::process::id()));
+    let mut file = File::create_new(&path)?;
     let mut times = Vec::with_capacity(DISK_BLOCKS);
     let written = (|| {
-        let mut file = File::create(&path)?;
         let block = vec![0x5a; DISK_BLOCK_BYTES];
         for _ in 0..DISK_BLOCKS {
             let start = Instant::now();
@@ -77,8 +80,9 @@ fn make_folder(captures: &Path) -> std::io::Result<()> {
     std::fs::create_dir_all(&captures)?;
     if let Some(above) = above {
         for made in missing {
-            // Nobody but root may give folders away, and nobody else has to.
-            let _ = std::os::unix::fs::chown(made, Some(above.uid()), Some(above.gid()));
+            // Nobody but root may give folders away, and nobody else has to. What is no folder by now is none that was made here.
+            let folder = rustix::fs::open(made, OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC, Mode::empty());
+            let _ = folder.map(|folder| std::os::unix::fs::fchown(folder, Some(above.uid()), Some(above.gid())));
         }
     }
     Ok(())
@@ -87,6 +91,18 @@ fn make_folder(captures: &Path) -> std::io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_disk_is_measured_in_a_new_file_whatever_lies_there() {
+        let room = tempfile::tempdir().unwrap();
+        let precious = room.path().join("precious");
+        std::fs::write(&precious, "mine").unwrap();
+        let captures = room.path().join("captures");
+        std::fs::create_dir(&captures).unwrap();
+        std::os::unix::fs::symlink(&precious, captures.join(format!("doctor-{}.tmp", std::process::id()))).unwrap();
+        assert!(slowest_write_ms(&captures).is_err());
+        assert_eq!(std::fs::read(&precious).unwrap(), b"mine");
+    }
 
     #[test]
     fn a_folder_that_root_makes_belongs_to_whom_the_one_above_does() {

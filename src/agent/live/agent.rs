@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
+use glam::DVec2;
 use serde_json::json;
 
 use super::control::{Ask, Control, Order};
@@ -15,6 +16,7 @@ use super::status::{CoverageStatus, Status};
 use super::telling::Told;
 use super::watchdog::{Rounds, Watchdog};
 use super::{RecordError, RecordOptions};
+use crate::agent::between::Between;
 use crate::agent::foresight::NO_FRAME;
 use crate::agent::pipeline::Pipeline;
 use crate::config::Settings;
@@ -43,6 +45,10 @@ pub(super) struct Agent<'a> {
     pub(super) names: Names,
     pub(super) messages: Messages,
     pub(super) session: Option<Pipeline>,
+    /// After a session, until the next one.
+    pub(super) between: Option<Between>,
+    /// From the field's centre to the carpet's edge, once a session has begun.
+    pub(super) carpet_half_m: Option<DVec2>,
     /// A session, whether it still is or not.
     pub(super) has_begun: bool,
     pub(super) tags: Option<Receiver<FrameTag>>,
@@ -76,6 +82,8 @@ impl<'a> Agent<'a> {
             names: Names { topics, frames, head },
             messages: Messages::default(),
             session: None,
+            between: None,
+            carpet_half_m: None,
             has_begun: false,
             tags: None,
             heard: Expected::default(),
@@ -211,7 +219,7 @@ impl<'a> Agent<'a> {
             PortEvent::Measured(measured) => {
                 self.heard.imu |= matches!(measured.content, Content::Attitude(_));
                 self.heard.joints |= matches!(measured.content, Content::Head(_));
-                if self.session.is_some() {
+                if self.session.is_some() || self.between.is_some() {
                     let stamp_ns = measured.stamp_ns.saturating_add(self.clock_ns);
                     if let Some(message) = self.messages.measured(stamp_ns, &measured.content, &self.names) {
                         self.log(message)?;
@@ -234,6 +242,7 @@ impl<'a> Agent<'a> {
                 Ok(json!({ "error": "nothing is being recorded: the mark has no place" }))
             }
             Ask::Mark(text) => self.note("mark", "mark", &text).map(|()| json!({ "marked": text })),
+            Ask::Place(place) => self.place(&place),
             Ask::Start => self.begin(say).map(|()| json!({ "state": self.status.state })),
             Ask::Stop => {
                 self.end(say);
@@ -251,11 +260,15 @@ impl<'a> Agent<'a> {
 
     /// With the time at which it is taken: log times never go back.
     pub(super) fn log(&mut self, mut message: LogMessage) -> Result<(), RecordError> {
-        let Some(session) = &mut self.session else { return Ok(()) };
         let now_ns = (self.clock_ns + monotonic_ns()).max(self.last_log_ns);
         self.last_log_ns = now_ns;
         (message.log_time_ns, message.publish_time_ns) = (now_ns, now_ns);
-        Ok(session.take(message)?)
+        match (&mut self.session, &mut self.between) {
+            (Some(session), _) => session.take(message)?,
+            (None, Some(between)) => between.take(&message),
+            (None, None) => {}
+        }
+        Ok(())
     }
 
     /// The agent's own thread is the one that is here.

@@ -7,13 +7,14 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use parking::Listeners;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 
+use crate::geometry::Pose2;
 use crate::recording::MAX_FINISH;
 use crate::ros2::messages::FrameTag;
 use crate::sensors::stale_socket::clear_away;
@@ -27,6 +28,8 @@ pub struct Order {
 pub enum Ask {
     Status,
     Mark(String),
+    /// `base_footprint` in `map`.
+    Place(Pose2),
     Start,
     Stop,
 }
@@ -35,6 +38,8 @@ pub enum Ask {
 const MAX_ASKERS: usize = 16;
 /// A longer line is no order.
 const MAX_ORDER_BYTES: usize = 4096;
+/// After the last tag of a recorder that ends.
+const LAST_WORD: &str = r#"{"ended":true}"#;
 /// Who says nothing for so long is hung up on.
 const MAX_SILENCE: Duration = Duration::from_secs(60);
 /// How often a listener to poses is looked after while there are none.
@@ -123,11 +128,16 @@ fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners
         let what = match word {
             "status" => Ask::Status,
             "mark" if !text.trim().is_empty() => Ask::Mark(text.to_owned()),
+            "place" if let Some(place) = place_of(text) => Ask::Place(place),
             "start" => Ask::Start,
             "stop" => Ask::Stop,
             "poses" => return stream(&mut asker, listeners),
             _ => {
-                writeln!(asker, "{}", json!({ "error": "expected status, mark TEXT, start, stop or poses" }))?;
+                writeln!(
+                    asker,
+                    "{}",
+                    json!({ "error": "expected status, mark TEXT, place X,Y,YAW_DEG, start, stop or poses" })
+                )?;
                 continue;
             }
         };
@@ -136,6 +146,13 @@ fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners
         let value = if sent { answered.recv_timeout(ANSWER_WITHIN).ok() } else { None };
         writeln!(asker, "{}", value.unwrap_or_else(|| json!({ "error": "the recorder does not answer" })))?;
     }
+}
+
+/// Metres and degrees.
+fn place_of(text: &str) -> Option<Pose2> {
+    let numbers: Vec<f64> = text.split(',').map(|part| part.trim().parse().ok()).collect::<Option<_>>()?;
+    let [x, y, yaw_deg] = numbers[..] else { return None };
+    Some(Pose2::new(x, y, yaw_deg.to_radians())).filter(Pose2::is_finite)
 }
 
 fn stream(asker: &mut UnixStream, listeners: &Listeners) -> io::Result<()> {
@@ -149,7 +166,7 @@ fn stream(asker: &mut UnixStream, listeners: &Listeners) -> io::Result<()> {
             }
             Err(RecvTimeoutError::Timeout) if has_hung_up(asker)? => return Ok(()),
             Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            Err(RecvTimeoutError::Disconnected) => return writeln!(asker, "{LAST_WORD}"),
         }
     }
 }
@@ -175,13 +192,16 @@ pub fn ask(path: &Path, line: &str) -> io::Result<Value> {
     Ok(serde_json::from_str(&answer)?)
 }
 
-/// Every tag from now on, a line of JSON each, until the recorder ends. One that is killed leaves its socket behind.
+/// Every tag from now on, a line of JSON each, until the recorder ends. One that is killed does not say so.
 pub fn poses(path: &Path, stop: &AtomicBool, mut take: impl FnMut(&str) -> io::Result<()>) -> io::Result<()> {
     let mut stream = UnixStream::connect(path)?;
     // Who has no room for another asker says so at once.
     let asked = writeln!(stream, "poses");
     for (number, line) in BufReader::new(stream).lines().enumerate() {
         let line = line?;
+        if line == LAST_WORD {
+            return Ok(());
+        }
         if number == 0
             && let Ok(Value::Object(refusal)) = serde_json::from_str(&line)
             && let Some(why) = refusal.get("error").and_then(Value::as_str)
@@ -190,18 +210,11 @@ pub fn poses(path: &Path, stop: &AtomicBool, mut take: impl FnMut(&str) -> io::R
         }
         take(&line)?;
         if stop.load(Ordering::Relaxed) {
-            break;
+            return Ok(());
         }
     }
     asked.map_err(|error| io::Error::new(io::ErrorKind::ConnectionAborted, error))?;
-    let heard_last = Instant::now();
-    while !stop.load(Ordering::Relaxed) && path.exists() {
-        if heard_last.elapsed() > LAST_WORDS {
-            return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the recorder was killed, or broke off"));
-        }
-        std::thread::sleep(LAST_WORDS / 20);
-    }
-    Ok(())
+    Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the recorder was killed, or broke off"))
 }
 
 mod parking {

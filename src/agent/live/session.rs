@@ -1,6 +1,7 @@
 //! How a session begins and ends while the agent runs.
 
 use crossbeam_channel::bounded;
+use serde_json::{Value, json};
 
 use super::agent::Agent;
 use super::messages::{Messages, initial_pose, transforms};
@@ -11,7 +12,7 @@ use crate::agent::prelude::Prelude;
 use crate::agent::setup::{Setup, SetupError};
 use crate::agent::state::{Start, last_state};
 use crate::agent::warnings::AttitudeSource;
-use crate::geometry::LensParameters;
+use crate::geometry::{LensParameters, Pose2};
 use crate::recording::{LiveInfo, Writing, robot_id};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CameraInfo, TFMessage};
@@ -21,6 +22,8 @@ use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
 
 /// Tags between the pipeline and whoever wants poses.
 const MAX_TAGS: usize = 256;
+/// A robot may be told to stand beside the carpet.
+const OFF_CARPET_M: f64 = 1.0;
 
 impl Agent<'_> {
     /// A session begins: what does not change comes first.
@@ -30,17 +33,20 @@ impl Agent<'_> {
         }
         let now_ns = self.now_ns();
         let (setup, constants) = setup(self.options, &self.lens, now_ns, self.heard)?;
+        self.carpet_half_m = Some(setup.field.carpet_half_extent());
         // A session after the first goes on from where that one ended: what was said of the start holds no more.
         let is_first = !core::mem::replace(&mut self.has_begun, true);
         if !is_first {
             self.status.begin_anew();
         }
-        let goes_on = self.options.warm_start || !is_first;
-        let warm = if goes_on { last_state(&self.options.captures) } else { Ok(None) };
-        let warm = warm.unwrap_or_else(|error| {
-            say(&format!("{error}; the filter begins without it"));
-            None
-        });
+        let warm = match self.between.take() {
+            Some(between) => Some(between.kept()),
+            None if self.options.warm_start => last_state(&self.options.captures).unwrap_or_else(|error| {
+                say(&format!("{error}; the filter begins without it"));
+                None
+            }),
+            None => None,
+        };
         let (send, tags) = bounded(MAX_TAGS);
         let bytes_per_s = self.options.settings.capture.bytes_per_s((self.lens.width, self.lens.height));
         let recording = Recording {
@@ -63,12 +69,32 @@ impl Agent<'_> {
         self.log(transforms)?;
         self.log(info)?;
         if let Some(initial) = self.options.initial.as_ref().filter(|_| is_first) {
-            let message = initial_pose(now_ns, initial, &self.names.frames);
-            let message = self.messages.message(&self.names.topics.initial_pose.clone(), false, &message);
-            self.log(message)?;
+            self.tell_place(initial)?;
         }
         self.told = Told::default();
         Ok(())
+    }
+
+    /// Somebody says where the robot is, at any time after the first session has begun.
+    pub(super) fn place(&mut self, place: &Pose2) -> Result<Value, RecordError> {
+        let Some(half) = self.carpet_half_m else {
+            return Ok(json!({ "error": "no session has begun: the place is named with --initial" }));
+        };
+        if place.x.abs() > half.x + OFF_CARPET_M || place.y.abs() > half.y + OFF_CARPET_M {
+            let what = format!(
+                "{},{} is not on the field: its carpet reaches {:.2} m from the centre in x and {:.2} m in y",
+                place.x, place.y, half.x, half.y
+            );
+            return Ok(json!({ "error": what }));
+        }
+        self.tell_place(place)?;
+        Ok(json!({ "place": [place.x, place.y, place.yaw.to_degrees()] }))
+    }
+
+    fn tell_place(&mut self, place: &Pose2) -> Result<(), RecordError> {
+        let message = initial_pose(self.now_ns(), place, &self.names.frames);
+        let message = self.messages.message(&self.names.topics.initial_pose.clone(), false, &message);
+        self.log(message)
     }
 
     /// The session becomes a whole capture, as far as the disk lets it: what it does not, `repair` does later.
@@ -76,7 +102,8 @@ impl Agent<'_> {
         self.refresh();
         self.status.state = "stopped";
         let Some(session) = self.session.take() else { return };
-        let (recorded, ended) = session.finish();
+        let (recorded, ended, between) = session.pause();
+        self.between = Some(between);
         // Of frames that were still looked at.
         self.pass_tags_on();
         if let Some(Recorded { session, counts, recorder, warnings, .. }) = recorded {

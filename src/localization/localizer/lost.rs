@@ -35,10 +35,6 @@ const BEATEN: f64 = 0.8;
 const AGAIN_M: f64 = 0.15;
 const AGAIN_RAD: f64 = 0.1;
 
-/// So far from where odometry has it a robot may be found again without having been carried.
-const SLIPS_M: f64 = 0.6;
-const SLIPS_RAD: f64 = 0.6;
-
 impl Localizer {
     pub(super) fn must_search(&self) -> bool {
         let is_under_way = self.state.search.is_under_way() || self.state.fitting.is_under_way();
@@ -100,11 +96,8 @@ impl Localizer {
         };
         self.state.fitting = Fitting::default();
         let Some(pose) = best else { return false };
-        let mirrored = pose.mirrored();
-        let nearer = self.state.known.is_some_and(|known| apart(&mirrored, &known) < apart(&pose, &known));
-        let pose = if nearer { mirrored } else { pose };
-        // Who slips or falls gets up where it was; anywhere else somebody has put it, in whichever half.
-        self.state.ambiguous |= !self.state.known.is_some_and(|known| is_at(&pose, &known, SLIPS_M, SLIPS_RAD));
+        let pose = self.state.known.map_or(pose, |known| known.nearer_of(pose));
+        self.state.ambiguous |= !self.state.known.is_some_and(|known| known.leads_to(&pose));
         self.place(pose, self.settings.initial);
         self.state.standing.found();
         true
@@ -233,9 +226,4 @@ fn is_at(one: &Pose2, other: &Pose2, within_m: f64, within_rad: f64) -> bool {
 /// Up to the mirror: on the halfway line a pose and its mirror pose are neighbours.
 fn is_near(one: &Pose2, other: &Pose2, within_m: f64, within_rad: f64) -> bool {
     is_at(one, other, within_m, within_rad) || is_at(one, &other.mirrored(), within_m, within_rad)
-}
-
-/// Metres, a radian counting as one.
-fn apart(one: &Pose2, other: &Pose2) -> f64 {
-    one.distance(other) + wrap_angle(one.yaw - other.yaw).abs()
 }

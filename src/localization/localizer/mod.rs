@@ -11,6 +11,7 @@ use super::estimate::Estimate;
 use super::filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
 use super::frozen::Frozen;
 use super::global::{Search, SearchState};
+use super::known::Known;
 use super::observation::{Observation, Support};
 use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
@@ -45,8 +46,7 @@ pub struct LocalizerState {
     pub frozen: Frozen,
     /// For how long nothing has said how far the robot walked, seconds.
     pub adrift_s: f64,
-    /// Where the robot was when it last knew, carried on by odometry since.
-    pub known: Option<Pose2>,
+    pub known: Option<Known>,
     pub search: SearchState,
     pub fitting: Fitting,
     /// The pose was found without being told which half of the field it is in.
@@ -98,8 +98,9 @@ pub struct Fix {
 
 /// A restarted robot may have been carried: the cloud is widened by this.
 const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
-/// After as long as this a place that was kept over a restart is one among many: in four seconds a robot walks a metre.
-const LONGEST_AWAY_NS: u64 = 4_000_000_000;
+/// After as long as this a place that was kept over a restart is one among many, in either half of the field: in four seconds a
+/// robot walks a metre, or is picked up.
+const LONGEST_AWAY_S: f64 = 4.0;
 /// Longer gaps say nothing more about where the robot went.
 const LONGEST_STEP_S: f64 = 5.0;
 /// No humanoid walks this fast: odometry that says so has jumped.
@@ -191,15 +192,27 @@ impl Localizer {
     pub fn count_from(&mut self, stamp_ns: i64, odometry: Pose2) {
         let last = self.state.last.replace((stamp_ns, Some(odometry)));
         let (last_ns, heard) = last.unzip();
-        if heard.flatten().is_none() && last_ns.is_none_or(|last_ns| stamp_ns.abs_diff(last_ns) > LONGEST_AWAY_NS) {
+        if heard.flatten().is_none() && !self.state.standing.was_told() {
+            let away_s = last_ns.map_or(f64::INFINITY, |last_ns| stamp_ns.abs_diff(last_ns) as f64 * 1e-9);
+            self.was_away(away_s);
+        }
+    }
+
+    /// For so long nobody has counted the robot's steps.
+    fn was_away(&mut self, seconds: f64) {
+        if seconds > LONGEST_AWAY_S {
             self.state.standing.was_away();
+            self.state.ambiguous |= self.state.standing.confidence != Confidence::Nowhere;
+            self.state.known.iter_mut().for_each(Known::is_past);
+        } else {
+            self.state.known.iter_mut().for_each(|known| known.was_away(seconds));
         }
     }
 
     /// Somebody says where the robot is.
     pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
         self.place(pose, spread);
-        self.state.known = Some(pose);
+        self.state.known = Some(Known::at(pose));
         self.state.standing.told();
         self.state.ambiguous = false;
     }
@@ -216,7 +229,7 @@ impl Localizer {
         let mut step = self.step_to(moment);
         let seconds = step.seconds;
         let mut walked = self.walked(&step);
-        self.carry_on(walked);
+        self.carry_on(&step);
         if self.must_search() && self.search(moment, seen, walked, &mut effort, may_go_on) {
             // What was found in this image is where the robot is now.
             (step, walked) = (Step::none(), Some(Pose2::default()));
@@ -235,7 +248,7 @@ impl Localizer {
             fix.doubt = seen.glance.flaw().or(fix.doubt);
         }
         if fix.doubt.is_none() {
-            self.state.known = self.state.track.as_ref().map(Track::pose);
+            self.state.known = self.state.track.as_ref().map(|track| Known::at(track.pose()));
         }
         fix
     }
@@ -272,7 +285,7 @@ impl Localizer {
     fn drift(&mut self, moment: &Moment, reason: &'static str) -> Fix {
         let step = self.step_to(moment);
         let walked = self.walked(&step);
-        self.carry_on(walked);
+        self.carry_on(&step);
         let estimate = self.filter.coast(walked, step.seconds);
         self.predict(&step);
         let mut fix = self.predicted(moment, estimate, Support::default());
@@ -303,13 +316,21 @@ impl Localizer {
 
     /// The same for the particles, which follow no gyro of their own.
     fn walked(&self, step: &Step) -> Option<Pose2> {
-        let turned = step.turned_rad.and_then(|turned| Some(self.state.track.as_ref()?.turned(turned, step.seconds)));
+        let turned = self.turned(step);
         step.odometry.map(|odometry| Pose2 { yaw: turned.unwrap_or(odometry.yaw), ..odometry })
     }
 
-    fn carry_on(&mut self, walked: Option<Pose2>) {
-        let walked = walked.unwrap_or_default();
-        self.state.known = self.state.known.map(|known| known.compose(&walked));
+    /// By gyro.
+    fn turned(&self, step: &Step) -> Option<f64> {
+        step.turned_rad.and_then(|turned| Some(self.state.track.as_ref()?.turned(turned, step.seconds)))
+    }
+
+    /// Who falls or is carried turns although no odometry says so.
+    fn carry_on(&mut self, step: &Step) {
+        let turned = self.turned(step);
+        let walked = step.odometry.unwrap_or_default();
+        let walked = Pose2 { yaw: turned.unwrap_or(walked.yaw), ..walked };
+        self.state.known.iter_mut().for_each(|known| known.carry_on(&walked, turned.is_some()));
         self.state.search.carry_on(&walked);
         self.state.fitting.carry_on(&walked);
     }

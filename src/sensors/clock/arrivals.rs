@@ -16,8 +16,16 @@ pub(super) struct Arrivals {
     line: Option<Line>,
     /// Of the coarsest stamps: their rounding can keep its phase for long, and then looks like an offset.
     resolution_ns: i64,
-    /// In a row, arrivals that are too late for this clock.
-    strange: u32,
+    late: Option<Late>,
+}
+
+/// Arrivals in a row that are too late for this clock.
+#[derive(Clone, Copy, Debug)]
+struct Late {
+    /// Of the first that was not less late than those before it.
+    host_ns: i64,
+    by_ns: i64,
+    count: u32,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -35,10 +43,27 @@ const MAX_POINTS: usize = 241;
 const SLOPE_FROM_NS: i64 = 5_000_000_000;
 /// A message that is this much too early or too late for the clock is one of a clock that was set.
 const SET_NS: i64 = 1_000_000_000;
-/// Late ones can also have waited: this many in a row must be.
+/// Late ones can also have waited, for a line or a recorder that stood still: those catch up. This many in a row, for so long, that
+/// do not are of another clock.
 const STRANGE: u32 = 20;
+const STRANGE_NS: i64 = 1_000_000_000;
+/// Catching up by less may be chance.
+const CATCHES_UP_NS: i64 = 50_000_000;
 /// What the quickest of all has waited at least for the host's scheduler.
 const SLACK_NS: f64 = 200_000.0;
+
+impl Late {
+    fn then(before: Option<Self>, host_ns: i64, by_ns: i64) -> Self {
+        match before {
+            Some(late) if by_ns > late.by_ns.saturating_sub(CATCHES_UP_NS) => Self { count: late.count + 1, ..late },
+            _ => Self { host_ns, by_ns, count: 1 },
+        }
+    }
+
+    fn is_of_another_clock(&self, host_ns: i64) -> bool {
+        self.count >= STRANGE && host_ns.saturating_sub(self.host_ns) >= STRANGE_NS
+    }
+}
 
 impl Arrivals {
     /// False if the clock has been set: nothing of before holds.
@@ -50,8 +75,8 @@ impl Arrivals {
             if above < -SET_NS {
                 return false;
             }
-            self.strange = if above > SET_NS { self.strange + 1 } else { 0 };
-            if self.strange >= STRANGE {
+            self.late = (above > SET_NS).then(|| Late::then(self.late, host_ns, above));
+            if self.late.is_some_and(|late| late.is_of_another_clock(host_ns)) {
                 return false;
             }
         }

@@ -208,6 +208,35 @@ fn a_clock_that_is_set_forward_is_followed() {
     }
 }
 
+/// A hub that hangs, or a recorder that is not let run: all that was sent meanwhile comes at once, as fast as the line is.
+#[test]
+fn a_line_that_stands_still_for_seconds_is_no_other_clock() {
+    for (with_exchanges, stands_s, apart_ns) in
+        [(true, 3, 0), (false, 3, 0), (false, 5, 3_000_000), (true, 2, 5_000_000)]
+    {
+        let mut device = Simulated { began_ns: START - 300 * SECOND, ppm: 30.0, noise: 7 };
+        let mut clock = DeviceClock::default();
+        let mut free_ns = 0;
+        for step in 0..12_000 {
+            let host_ns = START + step * SECOND / 100;
+            let stands = (6_000..6_000 + 100 * stands_s).contains(&step);
+            let delay = device.delay_ns(0.3, 0.2);
+            let goes_on_ns = if stands { START + (60 + stands_s) * SECOND } else { 0 };
+            // One after the other.
+            let arrives_ns = (host_ns + delay).max(goes_on_ns).max(free_ns);
+            free_ns = if step >= 6_000 { arrives_ns + apart_ns } else { 0 };
+            clock.arrived(device.device_ns(host_ns), 1_000, arrives_ns);
+            if with_exchanges && step % 25 == 0 && !stands {
+                question(&mut clock, &mut device, host_ns, 0.2, 1.0);
+            }
+            let (error, _) = error_ns(&clock, &device, host_ns);
+            assert!(step < 100 || error.abs() < 1_500_000, "{stands_s} s, {step}: {error}");
+        }
+        let status = clock.status().expect("heard of");
+        assert_eq!(status.restarts, 0, "{stands_s} s: {status:?}");
+    }
+}
+
 #[test]
 fn without_answers_the_arrivals_go_on() {
     let mut device = Simulated { began_ns: START - 300 * SECOND, ppm: 90.0, noise: 5 };

@@ -1,0 +1,90 @@
+//! Where the robot was when it last knew, carried on since: of two mirror poses it tells which is meant.
+
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::{Pose2, wrap_angle};
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Known {
+    pose: Pose2,
+    /// A gyro has counted every turn since then: whoever fell, or was carried, may have been turned round.
+    is_followed: bool,
+    /// For how long nobody has counted anything, and why it may be farther off.
+    away_s: f64,
+}
+
+/// So far from where odometry and gyro have it a robot that slipped or fell gets up.
+const SLIPS_M: f64 = 0.6;
+const SLIPS_RAD: f64 = 0.6;
+/// So fast it may have walked and turned in the meantime.
+const WALKS_M_PER_S: f64 = 0.4;
+const TURNS_RAD_PER_S: f64 = 0.25;
+
+impl Known {
+    pub fn at(pose: Pose2) -> Self {
+        Self { pose, is_followed: true, away_s: 0.0 }
+    }
+
+    /// By the next step, of whose turn a gyro knows or not.
+    pub fn carry_on(&mut self, step: &Pose2, by_gyro: bool) {
+        self.pose = self.pose.compose(step);
+        self.is_followed &= by_gyro;
+    }
+
+    /// Nobody has counted its steps.
+    pub fn was_away(&mut self, seconds: f64) {
+        self.away_s += seconds;
+    }
+
+    /// Nobody has counted its steps for longer than that says anything.
+    pub fn is_past(&mut self) {
+        self.is_followed = false;
+    }
+
+    /// The one of two mirror poses that is nearer.
+    pub fn nearer_of(&self, pose: Pose2) -> Pose2 {
+        let apart = |other: &Pose2| other.distance(&self.pose) + wrap_angle(other.yaw - self.pose.yaw).abs();
+        let mirrored = pose.mirrored();
+        if apart(&mirrored) < apart(&pose) { mirrored } else { pose }
+    }
+
+    /// Whether a robot that is there has not been carried: then it is in the half of the field that it was in.
+    pub fn leads_to(&self, pose: &Pose2) -> bool {
+        let turned = wrap_angle(pose.yaw - self.pose.yaw).abs();
+        self.is_followed
+            && pose.distance(&self.pose) <= SLIPS_M + WALKS_M_PER_S * self.away_s
+            && turned <= SLIPS_RAD + TURNS_RAD_PER_S * self.away_s
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_gets_up_where_it_fell_is_in_its_half_and_who_may_have_been_turned_or_carried_in_either() {
+        let at = Pose2::new(0.1, -0.2, 1.0);
+        let fell = |by_gyro: bool| {
+            let mut known = Known::at(at);
+            known.carry_on(&Pose2::new(0.0, 0.0, 2.5), by_gyro);
+            known
+        };
+        let turned = Pose2 { yaw: wrap_angle(3.7), ..at };
+        assert!(fell(true).leads_to(&turned) && !fell(true).leads_to(&at), "a gyro has seen it turn");
+        assert!(!fell(false).leads_to(&turned), "nothing has");
+        assert!(!fell(true).leads_to(&Pose2 { x: 1.0, ..turned }), "carried");
+        assert_eq!(fell(true).nearer_of(turned.mirrored()), turned.mirrored().mirrored());
+    }
+
+    #[test]
+    fn the_longer_nobody_counts_the_farther_it_may_be_and_never_the_other_way_round() {
+        let mut known = Known::at(Pose2::default());
+        known.was_away(3.0);
+        assert!(known.leads_to(&Pose2::new(1.2, 0.9, -0.7)));
+        assert!(!known.leads_to(&Pose2::new(2.0, 0.0, 0.0)));
+        known.was_away(1.0);
+        assert!(!known.leads_to(&Pose2::new(0.0, 0.0, 1.7)), "beyond a right angle the mirror pose is as near");
+        known.is_past();
+        assert!(!known.leads_to(&Pose2::default()));
+    }
+}
