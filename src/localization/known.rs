@@ -9,6 +9,8 @@ pub struct Known {
     pose: Pose2,
     /// A gyro has counted every turn since then: whoever fell, or was carried, may have been turned round.
     is_followed: bool,
+    /// How well it was known, standard deviation.
+    sigma_m: f64,
     /// For how long nobody has counted anything, and why it may be farther off.
     away_s: f64,
 }
@@ -16,19 +18,26 @@ pub struct Known {
 /// So far from where odometry and gyro have it a robot that slipped or fell gets up.
 const SLIPS_M: f64 = 0.6;
 const SLIPS_RAD: f64 = 0.6;
+const TOLD_SIGMAS: f64 = 3.0;
 /// So fast it may have walked and turned in the meantime.
 const WALKS_M_PER_S: f64 = 0.4;
 const TURNS_RAD_PER_S: f64 = 0.25;
 
 impl Known {
+    /// By lines.
     pub fn at(pose: Pose2) -> Self {
-        Self { pose, is_followed: true, away_s: 0.0 }
+        Self::told(pose, 0.0)
     }
 
-    /// By the next step, of whose turn a gyro knows or not.
+    pub fn told(pose: Pose2, sigma_m: f64) -> Self {
+        Self { pose, is_followed: true, sigma_m, away_s: 0.0 }
+    }
+
+    /// By the next step, of whose turn a gyro knows or not. Who has just been put down and told where is not carried before lines
+    /// have said anything.
     pub fn carry_on(&mut self, step: &Pose2, by_gyro: bool) {
         self.pose = self.pose.compose(step);
-        self.is_followed &= by_gyro;
+        self.is_followed &= by_gyro || self.sigma_m > 0.0;
     }
 
     /// Nobody has counted its steps.
@@ -39,6 +48,11 @@ impl Known {
     /// Nobody has counted its steps for longer than that says anything.
     pub fn is_past(&mut self) {
         self.is_followed = false;
+    }
+
+    /// Whether a pose is farther from it than who told it can have meant.
+    pub fn is_far_from(&self, pose: &Pose2) -> bool {
+        pose.distance(&self.pose) > SLIPS_M.max(TOLD_SIGMAS * self.sigma_m)
     }
 
     /// The one of two mirror poses that is nearer.
@@ -74,6 +88,15 @@ mod tests {
         assert!(!fell(false).leads_to(&turned), "nothing has");
         assert!(!fell(true).leads_to(&Pose2 { x: 1.0, ..turned }), "carried");
         assert_eq!(fell(true).nearer_of(turned.mirrored()), turned.mirrored().mirrored());
+    }
+
+    #[test]
+    fn a_place_that_was_told_holds_without_a_gyro_until_lines_say_more() {
+        let mut known = Known::told(Pose2::default(), 0.15);
+        known.carry_on(&Pose2::new(0.1, 0.0, 0.1), false);
+        assert!(known.leads_to(&Pose2::new(0.3, 0.1, 0.3)));
+        assert!(!known.is_far_from(&Pose2::new(0.6, 0.2, 0.0)) && known.is_far_from(&Pose2::new(0.8, 0.0, 0.0)));
+        assert!(!Known::told(Pose2::default(), 0.5).is_far_from(&Pose2::new(1.4, 0.0, 0.0)), "it was told less well");
     }
 
     #[test]

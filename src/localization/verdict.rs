@@ -288,7 +288,8 @@ impl Standing {
 
     fn confirms(&self, rules: &Rules, fix: &Fix) -> bool {
         let lines = &fix.agreement;
-        let (fitting, share, unexplained) = match self.was_told {
+        // Lines that lead elsewhere than somebody said need to be as many as if nobody had.
+        let (fitting, share, unexplained) = match self.was_told && !fix.strays {
             true => (FITTING_IF_TOLD, SHARE_IF_TOLD, CONFIRMED_WITH_IF_TOLD),
             false => (FITTING_IF_FOUND, SHARE_IF_FOUND, CONFIRMED_WITH_IF_FOUND),
         };

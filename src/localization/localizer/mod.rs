@@ -85,6 +85,8 @@ pub struct Fix {
     pub refined: bool,
     /// The lines say that the camera is not where odometry and IMU have it, by more than these admit.
     pub surprised: bool,
+    /// The pose is farther from where the robot was last known to be than it can have come.
+    pub strays: bool,
     /// Nothing says how far the robot has walked since the last frame.
     pub adrift: bool,
     pub agreement: Agreement,
@@ -212,7 +214,7 @@ impl Localizer {
     /// Somebody says where the robot is.
     pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
         self.place(pose, spread);
-        self.state.known = Some(Known::at(pose));
+        self.state.known = Some(Known::told(pose, spread.xy_m));
         self.state.standing.told();
         self.state.ambiguous = false;
     }
@@ -243,6 +245,8 @@ impl Localizer {
         if let Some(place) = &moment.footprint_from_optical {
             fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
         }
+        let at = self.state.track.as_ref().map_or(fix.estimate.best, Track::pose);
+        fix.strays = self.state.known.is_some_and(|known| known.is_far_from(&at));
         fix.doubt = self.state.standing.judge(&self.settings.rules(&self.field), moment, &fix, seconds);
         if matches!(fix.doubt, Some("pose_unknown" | "few_lines" | "lines_disagree")) {
             fix.doubt = seen.glance.flaw().or(fix.doubt);
@@ -413,6 +417,7 @@ impl Localizer {
             covariance: refined.covariance,
             refined: true,
             surprised,
+            strays: false,
             adrift: self.state.adrift_s > 0.0,
             agreement: refined.lines,
             explained: Explained::default(),
@@ -446,6 +451,7 @@ impl Localizer {
             covariance,
             refined: false,
             surprised: false,
+            strays: false,
             adrift: self.state.adrift_s > 0.0,
             agreement: Agreement::default(),
             explained: Explained::default(),
