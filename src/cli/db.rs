@@ -38,8 +38,8 @@ enum Command {
 /// Add captures and folders of images
 ///
 /// Of a capture every image with a valid tag that knows which half of the field it is in. A folder of images has poses.csv
-/// (file,x,y,z,yaw_deg,pitch_deg,roll_deg of camera_link in map) and camera_info.yaml as ROS camera_calibration writes it. Makes
-/// the database if there is none.
+/// (file,x,y,z,yaw_deg,pitch_deg,roll_deg of camera_link in map), camera_info.yaml as ROS camera_calibration writes it, and, if the
+/// robot is in its pictures, body_mask.png, dark where it is. Makes the database if there is none.
 #[derive(Args)]
 struct AddArguments {
     /// Captures' folders, segments, or folders of images
@@ -194,8 +194,10 @@ fn stats(stats: &Stats, json: bool) -> anyhow::Result<Outcome> {
         }
     }
     for source in &stats.sources {
+        let circle = source.lens.fov_deg.map_or_else(String::new, |fov_deg| format!(", {fov_deg:.0} deg across"));
+        let bodies = if source.body_masks.is_empty() { "" } else { ", robot masked" };
         text.push_str(&format!(
-            "{:>8} images ({} left out)  {}\n",
+            "{:>8} images ({} left out{circle}{bodies})  {}\n",
             source.images,
             source.left_out,
             source.path.display()

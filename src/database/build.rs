@@ -13,6 +13,7 @@ use super::error::{DatabaseError, io};
 use super::gallery::without_rim;
 use super::index::{Index, path_of, write_index};
 use super::inputs::sources_of;
+use super::masks::{self, Masks};
 use super::pixels::read_bytes;
 use super::record::Record;
 use super::sources::{self, Read};
@@ -173,10 +174,10 @@ fn take(
         let circle_deg = circle_deg(&source.lens, &without_rim(&shows, source.lens.width as usize));
         source.lens.fov_deg =
             circle_deg.map(|found| narrower(found, &source.lens, &catalogue.sources)).or(source.lens.fov_deg);
-        source.dark = Some(write_mask(folder, &source, DARK, mask)?);
+        source.dark = Some(masks::write_dark(folder, &source, mask)?);
     }
     if !bodies.is_empty() {
-        let masks = bodies.iter().map(|body| write_mask(folder, &source, BODY, body.to_gray()));
+        let masks = bodies.iter().map(|body| masks::write_body(folder, &source, body));
         source.body_masks = masks.collect::<Result<_, _>>()?;
     }
     source.darkening = darkening::measured(folder, &source, &found, &catalogue.field)?;
@@ -195,24 +196,6 @@ fn narrower(found_deg: f64, lens: &LensParameters, others: &[Source]) -> f64 {
 
 /// Circles of one lens, as two captures show them.
 const SAME_CIRCLE_DEG: f64 = 2.0;
-const DARK: &str = "dark-";
-const BODY: &str = "body-";
-
-fn is_mask(name: &str) -> bool {
-    let hash = name.strip_prefix(DARK).or_else(|| name.strip_prefix(BODY));
-    hash.and_then(|rest| rest.strip_suffix(".png")).is_some_and(|hash| hash.len() == 8)
-}
-
-/// Its name tells its content, so that an older catalogue's is never overwritten.
-fn write_mask(folder: &Path, source: &Source, what: &str, mask: Vec<u8>) -> Result<String, DatabaseError> {
-    let name = format!("{what}{:08x}.png", crc32fast::hash(&mask));
-    let path = folder.join(&name);
-    let failed = |what: String| DatabaseError::Image { path: path.clone(), what };
-    let image = image::GrayImage::from_raw(source.lens.width, source.lens.height, mask);
-    let image = image.ok_or_else(|| failed("does not fit the lens".to_owned()))?;
-    image.save(&path).map_err(|error| failed(error.to_string()))?;
-    Ok(name)
-}
 
 fn checked(field: &FieldDimensions, path: &Path) -> Result<FieldDimensions, DatabaseError> {
     let failed = |source| DatabaseError::Field { path: path.to_owned(), source };
@@ -226,20 +209,8 @@ fn publish(folder: &Path, mut catalogue: Catalogue, records: Vec<Record>) -> Res
     catalogue.write(folder)?;
     // Who has mapped it keeps it; a name that stays behind does no harm.
     let _ = fs::remove_file(old);
-    remove_masks_but(folder, &catalogue);
+    masks::remove_all_but(folder, &catalogue);
     Ok(())
-}
-
-/// Those of sources that are gone, and of additions that came to nothing.
-fn remove_masks_but(folder: &Path, catalogue: &Catalogue) {
-    let masks = |source: &Source| source.dark.iter().chain(&source.body_masks).cloned().collect::<Vec<String>>();
-    let used: Vec<String> = catalogue.sources.iter().flat_map(masks).collect();
-    for entry in fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
-        let name = entry.file_name();
-        if name.to_str().is_some_and(|name| is_mask(name) && !used.iter().any(|used| used == name)) {
-            let _ = fs::remove_file(entry.path());
-        }
-    }
 }
 
 /// What a database holds.
@@ -305,6 +276,9 @@ pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseErro
     let mut checked = Checked { images: index.len(), sound: 0, index_sound: index.is_sound(), losses: Vec::new() };
     if !checked.index_sound {
         checked.losses.push(Loss::new(&path, "not as it was written: `realitysim db rebuild` makes it anew"));
+    }
+    for error in catalogue.sources.iter().filter_map(|source| Masks::read(folder, source).err()) {
+        checked.losses.push(Loss::new(folder, error.to_string()));
     }
     let mut wrong: std::collections::BTreeMap<PathBuf, (u64, String)> = Default::default();
     for (number, record) in index.records().enumerate() {

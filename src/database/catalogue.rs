@@ -60,7 +60,7 @@ pub enum SourceKind {
 }
 
 /// A database that changes faster than it can be opened is not opened.
-const MAX_TRIES: usize = 100;
+pub(super) const MAX_TRIES: usize = 100;
 const FORMAT: u32 = 1;
 const FILE: &str = "database.json";
 

@@ -7,16 +7,16 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use glam::DVec2;
 
 use super::build::bytes_of;
-use super::catalogue::{Catalogue, Source};
+use super::catalogue::{Catalogue, MAX_TRIES, Source};
 use super::choice::{Without, choose};
 use super::error::DatabaseError;
 use super::index::{Index, Neighbour};
+use super::masks::Masks;
 use super::pixels::colours;
 use super::record::{Form, Record};
 use super::tree::Metric;
 use crate::config::ViewsSettings;
 use crate::geometry::{Field, Isometry, Lens, LensParameters};
-use crate::sensors::mask;
 use crate::views::{
     Answer, Camera, Candidate, Footprint, Made, Method, Pyramid, Raster, Request, Scenery, ViewSettings, Vignetting,
     World, check_pose, mark_moving, view,
@@ -72,8 +72,20 @@ const RIM_PX: usize = 3;
 const MAX_UNREADABLE: usize = 32;
 
 impl Gallery {
+    /// Who changes the database takes away what nothing needs any more: whoever has read the catalogue just before reads it again.
     pub fn open(folder: &Path, settings: &ViewsSettings) -> Result<Self, DatabaseError> {
-        let (catalogue, index) = Catalogue::with_index(folder)?;
+        for _ in 0..MAX_TRIES {
+            let (catalogue, index) = Catalogue::with_index(folder)?;
+            let number = catalogue.index;
+            match Self::of(folder, settings, catalogue, index) {
+                Err(_) if Catalogue::read(folder)?.index != number => {}
+                opened => return opened,
+            }
+        }
+        Err(DatabaseError::Busy { path: folder.to_owned() })
+    }
+
+    fn of(folder: &Path, settings: &ViewsSettings, catalogue: Catalogue, index: Index) -> Result<Self, DatabaseError> {
         let field = Field::new(catalogue.field.clone())
             .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
         let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
@@ -336,17 +348,14 @@ impl Gallery {
 /// Which pixels of a source's images show the world: those that the lens draws, that were ever lit, and that are not
 /// its robot's own body; the soft rim of the lens's circle left out.
 pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Result<Vec<bool>, DatabaseError> {
-    let (width, height) = (source.lens.width, source.lens.height);
-    let read = |png: &str| mask(png, width, height).map_err(|what| DatabaseError::Image { path: png.into(), what });
+    let width = source.lens.width as usize;
     let shown = |masks: &[BodyMask]| -> Vec<bool> {
-        let pixel = |index: usize| DVec2::new((index % width as usize) as f64, (index / width as usize) as f64);
+        let pixel = |index: usize| DVec2::new((index % width) as f64, (index / width) as f64);
         let drawn = camera.shows().iter().enumerate();
         drawn.map(|(index, drawn)| *drawn && !masks.iter().any(|mask| mask.hides(pixel(index)))).collect()
     };
-    let within = |name: &String| folder.join(name).display().to_string();
-    let dark = source.dark.as_ref().map(|name| read(&within(name))).transpose()?;
-    let lit = without_rim(&shown(dark.as_slice()), width as usize);
-    let bodies = source.body_masks.iter().map(|name| read(&within(name))).collect::<Result<Vec<_>, _>>()?;
+    let Masks { dark, bodies } = Masks::read(folder, source)?;
+    let lit = without_rim(&shown(dark.as_slice()), width);
     Ok(lit.iter().zip(shown(&bodies)).map(|(lit, body)| *lit && body).collect())
 }
 

@@ -15,6 +15,8 @@ mod gallery;
 mod index;
 mod inputs;
 mod leave_one_out;
+mod lit;
+mod masks;
 mod pixels;
 mod record;
 mod sources;

@@ -10,6 +10,7 @@ use glam::DVec3;
 
 use super::catalogue::{Source, SourceKind};
 use super::error::{DatabaseError, io};
+use super::lit::Lit;
 use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
 use crate::agent::refining::{REFINED_INFO, refined_info};
@@ -34,53 +35,9 @@ pub(super) struct Read {
     /// Left out although their tag is valid: it does not know which half of the field it is in.
     pub(super) ambiguous: u64,
     pub(super) losses: Vec<Loss>,
-    /// The brightest that each pixel ever was.
     pub(super) lit: Lit,
     /// What is the robot's own body, if the source says so itself.
     pub(super) bodies: Vec<BodyMask>,
-}
-
-/// For each pixel the greatest of its three channels over all images.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Lit {
-    brightest: Vec<u8>,
-}
-
-/// Darker in every image: the lens draws nothing there.
-const DARK: u8 = 16;
-
-impl Lit {
-    fn add(&mut self, rgb: &[u8]) {
-        self.brightest.resize(rgb.len() / 3, 0);
-        let (triples, _) = rgb.as_chunks::<3>();
-        for (known, [r, g, b]) in self.brightest.iter_mut().zip(triples) {
-            *known = (*known).max(*r).max(*g).max(*b);
-        }
-    }
-
-    fn join(&mut self, other: &Self) {
-        self.brightest.resize(self.brightest.len().max(other.brightest.len()), 0);
-        self.brightest.iter_mut().zip(&other.brightest).for_each(|(known, more)| *known = (*known).max(*more));
-    }
-
-    /// Black where it was always dark from the border of the image inwards, white elsewhere; `None` if that is everywhere or
-    /// nowhere. What is dark within the picture, in a few images of a bag say, is part of the world.
-    pub(super) fn mask(&self, width: usize) -> Option<Vec<u8>> {
-        let (count, width) = (self.brightest.len(), width.max(1));
-        let mut mask = vec![255; count];
-        let is_border =
-            |at: &usize| at.is_multiple_of(width) || at % width == width - 1 || *at < width || at + width >= count;
-        let mut found: Vec<usize> = (0..count).filter(is_border).collect();
-        while let Some(at) = found.pop() {
-            if mask[at] == 255 && self.brightest[at] < DARK {
-                mask[at] = 0;
-                let beside = [(at % width > 0).then(|| at - 1), (at % width + 1 < width).then_some(at + 1)];
-                let above_and_below = [at.checked_sub(width), Some(at + width)];
-                found.extend(beside.into_iter().chain(above_and_below).flatten().filter(|near| *near < count));
-            }
-        }
-        (mask.contains(&0) && mask.contains(&255)).then_some(mask)
-    }
 }
 
 const POSES: &str = "poses.csv";
@@ -88,6 +45,8 @@ const POSES_HEAD: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg";
 const CAMERA: &str = "camera_info.yaml";
 /// Of a folder of images, if its robot is in them: dark where.
 const MASK: &str = "body_mask.png";
+/// Of its pixels: no robot is as large.
+const ALL_HIDDEN: f64 = 0.95;
 /// Of a pose in a table, as of one that is asked for: no hall is larger, and no camera hangs higher.
 const MAX_PLACE_M: f64 = 100.0;
 const HEIGHTS_M: RangeInclusive<f64> = 0.02..=20.0;
@@ -331,9 +290,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         path: path.clone(),
         what: format!("{POSES} names no image that can be read"),
     })?;
-    let mask = path.join(MASK);
-    let body = mask.is_file().then(|| body_mask(&mask.display().to_string(), lens.width, lens.height)).transpose();
-    let bodies = body.map_err(|what| DatabaseError::Image { path: mask, what })?.into_iter().collect();
+    let bodies = body_of(&path, &lens)?.into_iter().collect();
     let (kind, images) = (SourceKind::Folder, records.len() as u64);
     let source = Source {
         kind,
@@ -369,6 +326,26 @@ fn camera_of(folder: &Path, image: &Path, [width, height]: [u32; 2]) -> Result<L
     Ok(file.lens.parameters().clone())
 }
 
+/// `None` where nothing of that name lies beside the images.
+fn body_of(folder: &Path, lens: &LensParameters) -> Result<Option<BodyMask>, DatabaseError> {
+    let path = folder.join(MASK);
+    let Ok(there) = path.symlink_metadata() else { return Ok(None) };
+    let read = || -> Result<BodyMask, String> {
+        // To open a pipe would wait for ever.
+        if !there.is_file() && !path.is_file() {
+            return Err("not a plain file".to_owned());
+        }
+        let mask = body_mask(&path.display().to_string(), lens.width, lens.height)?;
+        let hidden = mask.to_gray().iter().filter(|pixel| **pixel == 0).count() as f64;
+        match hidden / (f64::from(lens.width) * f64::from(lens.height)) {
+            ALL_HIDDEN.. => Err("hides nearly all of the picture: the robot is dark in it, the rest bright".to_owned()),
+            0.0 => Err("hides nothing: the robot is dark in it, the rest bright".to_owned()),
+            _ => Ok(mask),
+        }
+    };
+    read().map(Some).map_err(|what| DatabaseError::Image { path, what })
+}
+
 /// A file's name and the pose of its `camera_link`.
 fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
     let cells: Vec<&str> = text.split(',').map(str::trim).collect();
@@ -392,29 +369,4 @@ fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
     }
     let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
     Ok((PathBuf::from(name), Isometry::from_euler(euler, DVec3::new(x, y, z))))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_what_is_dark_from_the_border_inwards_is_left_out() {
-        let (width, height) = (8, 6);
-        let dark = |at: usize| {
-            let (u, v) = (at % width, at / width);
-            // A corner, and a bag in the middle of the picture.
-            u + v < 3 || ((4..6).contains(&u) && (2..4).contains(&v))
-        };
-        let rgb: Vec<u8> = (0..width * height).flat_map(|at| [if dark(at) { 3 } else { 90 }; 3]).collect();
-        let mut lit = Lit::default();
-        lit.add(&rgb);
-        let mask = lit.mask(width).expect("something is dark");
-        let hidden = |at: &usize| mask[*at] == 0;
-        let corner: Vec<usize> = (0..width * height).filter(|at| at % width + at / width < 3).collect();
-        assert_eq!((0..width * height).filter(hidden).collect::<Vec<_>>(), corner);
-        let mut all = Lit::default();
-        all.add(&vec![0; 3 * width * height]);
-        assert_eq!(all.mask(width), None);
-    }
 }

@@ -225,7 +225,9 @@ pub fn angle_between(a: &Isometry, b: &Isometry) -> f64 {
 impl Answer {
     pub(super) fn unchanged(made: Made, request: &Request, source: &Candidate) -> Self {
         let image = source.image.full().clone();
-        let (valid_share, sure_share) = shares(source.camera, &image);
+        // Of what was asked for, also where the source's own picture ends before it.
+        let camera = if made == Made::Stored { request.camera } else { source.camera };
+        let (valid_share, sure_share) = shares(camera, &image);
         let error = match made {
             // Each place is shown where the source's camera had it.
             Made::Nearest => {

@@ -4,7 +4,7 @@ use std::fs;
 
 use image::RgbImage;
 use realitysim::config::Settings;
-use realitysim::database::Gallery;
+use realitysim::database::{self, Gallery};
 use realitysim::ros2::messages::CompressedImage;
 use realitysim::ros2::{LogMessage, Message};
 
@@ -490,6 +490,75 @@ fn a_gallery_goes_on_while_the_database_changes() {
     assert_eq!(room.run("db stats --db db --json").json()["images"].as_u64(), Some(count as u64));
 }
 
+/// Two folders of one picture with a circle, the second with a robot in it.
+fn two_folders() -> Room {
+    let room = Room::new();
+    for (name, arm) in [("one", 0), ("two", 120)] {
+        fs::create_dir(room.path(name)).expect("a folder");
+        let picture = RgbImage::from_fn(320, 240, |u, v| {
+            let is_lit = f64::hypot(f64::from(u) - 160.75, f64::from(v) - 117.75) < 100.0;
+            image::Rgb(if is_lit { [70, 120, 60] } else { [0; 3] })
+        });
+        picture.save(room.path(&format!("{name}/a.png"))).expect("saved");
+        let body = image::GrayImage::from_fn(320, 240, |u, v| image::Luma([if u < arm && v > 160 { 0 } else { 255 }]));
+        if arm > 0 {
+            body.save(room.path(&format!("{name}/body_mask.png"))).expect("saved");
+        }
+        room.write(&format!("{name}/camera_info.yaml"), CAMERA_INFO);
+        room.write(&format!("{name}/poses.csv"), format!("{POSES}a.png,0.1,0.2,0.5,10,20,0\n"));
+    }
+    room
+}
+
+#[test]
+fn whoever_opens_a_database_that_changes_has_the_old_one_or_the_new() {
+    let room = two_folders();
+    room.run("db add one --db db --field kid-2009").succeeds();
+    let (folder, two) = (room.path("db"), room.path("two"));
+    let done = std::sync::atomic::AtomicBool::new(false);
+    let mut opened = 0;
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            for _ in 0..20 {
+                database::add(&folder, std::slice::from_ref(&two), None, false, &mut |_| ()).expect("added");
+                database::rebuild(&folder, &mut |_| ()).expect("made anew");
+                database::remove(&folder, &two).expect("removed");
+            }
+            done.store(true, std::sync::atomic::Ordering::Relaxed);
+        });
+        while !done.load(std::sync::atomic::Ordering::Relaxed) {
+            let gallery = Gallery::open(&folder, &Settings::default().views).expect("the old one or the new");
+            assert!((1..=2).contains(&gallery.index().len()));
+            opened += 1;
+        }
+    });
+    assert!(opened > 20, "{opened}");
+}
+
+#[test]
+fn a_mask_that_is_damaged_or_gone_is_named_and_made_anew() {
+    let room = two_folders();
+    room.run("db add one two --db db --field kid-2009").succeeds();
+    let masks = || {
+        let names = fs::read_dir(room.path("db")).expect("a database").map(|entry| entry.expect("read").path());
+        names.filter(|path| path.extension().is_some_and(|ending| ending == "png")).collect::<Vec<_>>()
+    };
+    assert_eq!(masks().len(), 2, "both are dark at the same places");
+    let view = "view --db db --x 0.3 --y 0.2 --z 0.5 --yaw 10 --pitch 20 -o out.png";
+    room.run(view).succeeds();
+    for (mask, damage) in masks().into_iter().zip([None, Some("no picture")]) {
+        match damage {
+            Some(content) => fs::write(&mask, content).expect("written"),
+            None => fs::remove_file(&mask).expect("removed"),
+        }
+        let name = mask.file_name().and_then(|name| name.to_str()).expect("a name");
+        room.run(view).fails(1, &[name, "realitysim db rebuild"]);
+        room.run("db verify --db db").fails(3, &[name, "realitysim db rebuild"]);
+        room.run("db rebuild --db db").succeeds();
+        room.run(view).succeeds();
+    }
+}
+
 /// A white arm is lit in every picture: only a mask tells.
 #[test]
 fn of_a_folder_of_images_the_robot_can_be_masked() {
@@ -507,6 +576,13 @@ fn of_a_folder_of_images_the_robot_can_be_masked() {
     mask(160, 2);
     let add = "db add images --db db --field kid-2009";
     room.run(add).fails(1, &["images/body_mask.png", "the mask has 160 x 240 pixels, the camera 320 x 240"]);
+    let path = room.path("images/body_mask.png");
+    image::GrayImage::new(320, 240).save(&path).expect("saved");
+    room.run(add).fails(1, &["images/body_mask.png", "hides nearly all of the picture"]);
+    fs::remove_file(&path).expect("removed");
+    std::os::unix::fs::symlink("elsewhere.png", &path).expect("linked");
+    room.run(add).fails(1, &["images/body_mask.png", "not a plain file"]);
+    fs::remove_file(&path).expect("removed");
     mask(320, 1);
     room.run(add).succeeds();
     room.run("view --db db --x 0.3 --y 0.2 --z 0.5 --yaw 10 --pitch 20 -o out.png").succeeds();

@@ -1,0 +1,107 @@
+//! Which pixels of a source's images are ever lit.
+
+/// How many of its images light each pixel.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Lit {
+    by: Vec<u32>,
+    images: u32,
+}
+
+/// Darker than this, or than this share of the picture's own brightness, a pixel is not lit; codecs and sensors make black noise
+/// of less than the last.
+const DARK: f64 = 16.0;
+const DARK_SHARE: f64 = 0.17;
+const LEAST_DARK: f64 = 3.0;
+/// Of the images, so many may light a pixel where the lens draws nothing: the first one of some cameras is gray all over.
+const FLASHES: u32 = 50;
+
+impl Lit {
+    pub(super) fn add(&mut self, rgb: &[u8]) {
+        self.by.resize(rgb.len() / 3, 0);
+        let (triples, _) = rgb.as_chunks::<3>();
+        let brightest = |[r, g, b]: &[u8; 3]| *r.max(g).max(b);
+        // Of bright pixels above all: how much is black says nothing of the light.
+        let (sum, squares) = triples.iter().map(brightest).fold((0u64, 0u64), |(sum, squares), light| {
+            (sum + u64::from(light), squares + u64::from(light) * u64::from(light))
+        });
+        let light = squares as f64 / sum.max(1) as f64;
+        let dark = (DARK_SHARE * light).clamp(LEAST_DARK, DARK) as u8;
+        for (by, pixel) in self.by.iter_mut().zip(triples) {
+            *by += u32::from(brightest(pixel) >= dark);
+        }
+        self.images += 1;
+    }
+
+    pub(super) fn join(&mut self, other: &Self) {
+        self.by.resize(self.by.len().max(other.by.len()), 0);
+        self.by.iter_mut().zip(&other.by).for_each(|(by, more)| *by += more);
+        self.images += other.images;
+    }
+
+    /// Black where it is always dark from the border of the image inwards, white elsewhere; `None` if that is everywhere or
+    /// nowhere. What is dark within the picture, in a few images of a bag say, is part of the world.
+    pub(super) fn mask(&self, width: usize) -> Option<Vec<u8>> {
+        let (count, width) = (self.by.len(), width.max(1));
+        let mut mask = vec![255; count];
+        let is_border =
+            |at: &usize| at.is_multiple_of(width) || at % width == width - 1 || *at < width || at + width >= count;
+        let is_dark = |at: usize| self.by[at] <= self.images / FLASHES;
+        let mut found: Vec<usize> = (0..count).filter(is_border).collect();
+        while let Some(at) = found.pop() {
+            if mask[at] == 255 && is_dark(at) {
+                mask[at] = 0;
+                let beside = [(at % width > 0).then(|| at - 1), (at % width + 1 < width).then_some(at + 1)];
+                let above_and_below = [at.checked_sub(width), Some(at + width)];
+                found.extend(beside.into_iter().chain(above_and_below).flatten().filter(|near| *near < count));
+            }
+        }
+        (mask.contains(&0) && mask.contains(&255)).then_some(mask)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIDTH: usize = 8;
+    const HEIGHT: usize = 6;
+
+    fn picture(light: impl Fn(usize, usize) -> u8) -> Vec<u8> {
+        (0..WIDTH * HEIGHT).flat_map(|at| [light(at % WIDTH, at / WIDTH); 3]).collect()
+    }
+
+    fn hidden(lit: &Lit) -> Vec<usize> {
+        let mask = lit.mask(WIDTH).expect("something is dark, and not all");
+        (0..mask.len()).filter(|at| mask[*at] == 0).collect()
+    }
+
+    fn corner() -> Vec<usize> {
+        (0..WIDTH * HEIGHT).filter(|at| at % WIDTH + at / WIDTH < 3).collect()
+    }
+
+    #[test]
+    fn only_what_is_dark_from_the_border_inwards_is_left_out() {
+        // A corner, and a bag in the middle of the picture.
+        let is_dark = |u: usize, v: usize| u + v < 3 || ((4..6).contains(&u) && (2..4).contains(&v));
+        let mut lit = Lit::default();
+        lit.add(&picture(|u, v| if is_dark(u, v) { 3 } else { 90 }));
+        assert_eq!(hidden(&lit), corner());
+        let mut all = Lit::default();
+        all.add(&picture(|_, _| 0));
+        assert_eq!(all.mask(WIDTH), None);
+    }
+
+    #[test]
+    fn a_night_is_no_darkness_and_a_flash_no_light() {
+        let mut night = Lit::default();
+        night.add(&picture(|u, v| if u + v < 3 { 1 } else { 9 }));
+        assert_eq!(hidden(&night), corner());
+        let mut flash = Lit::default();
+        for image in 0..60 {
+            let mut one = Lit::default();
+            one.add(&picture(|u, v| if u + v < 3 && image != 1 { 3 } else { 128 }));
+            flash.join(&one);
+        }
+        assert_eq!(hidden(&flash), corner());
+    }
+}
