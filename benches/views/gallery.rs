@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use realitysim::config::ViewsSettings;
-use realitysim::database::{Gallery, Wanted, add};
+use realitysim::database::{Catalogue, Gallery, Wanted, add};
 use realitysim::geometry::Isometry;
 use realitysim::views::Method;
 
@@ -24,6 +24,10 @@ pub fn run(rounds: usize, text: &mut String) {
     let all = write(&images, count);
     let poses: Vec<Isometry> = all.iter().step_by(count / PLACES).copied().collect();
     add(&db, &[images], Some(setting::field().dimensions()), false, &mut |_| ()).expect("a database");
+    // Whatever its pictures show.
+    let mut catalogue = Catalogue::read(&db).expect("a database");
+    catalogue.sources.iter_mut().for_each(|source| source.goals = true);
+    catalogue.write(&db).expect("a database");
     let settings = ViewsSettings::default();
     let open = || Gallery::open(&db, &settings).expect("a database");
     let wanted = |map_from_link: Isometry| Wanted {

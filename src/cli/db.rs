@@ -196,8 +196,9 @@ fn stats(stats: &Stats, json: bool) -> anyhow::Result<Outcome> {
     for source in &stats.sources {
         let circle = source.lens.fov_deg.map_or_else(String::new, |fov_deg| format!(", {fov_deg:.0} deg across"));
         let bodies = if source.body_masks.is_empty() { "" } else { ", robot masked" };
+        let goals = if source.goals { "" } else { ", without goals" };
         text.push_str(&format!(
-            "{:>8} images ({} left out{circle}{bodies})  {}\n",
+            "{:>8} images ({} left out{circle}{bodies}{goals})  {}\n",
             source.images,
             source.left_out,
             source.path.display()

@@ -11,6 +11,7 @@ use super::circle::circle_deg;
 use super::darkening;
 use super::error::{DatabaseError, io};
 use super::gallery::without_rim;
+use super::goals;
 use super::index::{Index, path_of, write_index};
 use super::inputs::sources_of;
 use super::masks::{self, Masks};
@@ -181,6 +182,9 @@ fn take(
         source.body_masks = masks.collect::<Result<_, _>>()?;
     }
     source.darkening = darkening::measured(folder, &source, &found, &catalogue.field)?;
+    if source.goals && catalogue.field.goal.is_some() {
+        source.goals = goals::stand(folder, &source, &found, &catalogue.field)?.unwrap_or(true);
+    }
     records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
     catalogue.sources.push(source);
     Ok(())

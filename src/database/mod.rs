@@ -12,6 +12,7 @@ mod coverage;
 mod darkening;
 mod error;
 mod gallery;
+mod goals;
 mod index;
 mod inputs;
 mod leave_one_out;

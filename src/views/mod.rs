@@ -9,6 +9,7 @@ mod camera;
 mod compose;
 mod darkening;
 mod footprint;
+mod goals;
 mod ground_warp;
 mod moving;
 pub mod paper;
@@ -27,6 +28,7 @@ pub use answer::{
 pub use camera::Camera;
 pub use darkening::{Overlap, darkening, overlap};
 pub use footprint::{Footprint, Seen};
+pub use goals::Bars;
 pub use ground_warp::Warp;
 pub use moving::{Scenery, mark_moving};
 pub use photometry::{Gain, Vignetting};

@@ -4,9 +4,10 @@ use std::fs;
 
 use image::RgbImage;
 use realitysim::config::Settings;
-use realitysim::database::{self, Gallery};
+use realitysim::database::Gallery;
 use realitysim::ros2::messages::CompressedImage;
 use realitysim::ros2::{LogMessage, Message};
+use realitysim::views::{Surface, Target, World};
 
 use super::support::{IMAGE, LENS, Room, read_capture};
 
@@ -363,6 +364,45 @@ fn the_one_image_that_looks_there_is_found_among_a_hundred_nearer_ones_that_do_n
     }
 }
 
+/// The same walk before a goal, as it was rendered, without one, and with one painted where the field file has it.
+#[test]
+fn goals_stand_where_images_show_them() {
+    let room = Room::new();
+    room.write_scene("near.toml", |text| text.replace("[[-2.0, 0.1], [-1.1, 0.3]]", "[[0.6, 0.1], [1.5, 0.2]]"));
+    room.run("sim near.toml -o near.mcap").succeeds();
+    let replayed = room.replay("near.mcap");
+    let session = replayed.session.display().to_string();
+    room.run(&format!("db add {session} --db db")).succeeds();
+    let gallery = open(&room);
+    assert!(!gallery.catalogue().sources[0].goals, "none was drawn");
+    let world = World::new(gallery.field());
+    fs::create_dir(room.path("painted")).expect("a folder");
+    room.write("painted/camera_info.yaml", CAMERA_INFO);
+    let mut poses = POSES.to_owned();
+    for message in read_capture(&replayed.session).iter().filter(|message| message.channel.topic == IMAGE) {
+        let stored = CompressedImage::decode(&message.data).expect("an image");
+        let stamp_ns = stored.header.stamp.to_nanoseconds();
+        let record = gallery.index().records().find(|record| record.stamp_ns == stamp_ns).expect("indexed");
+        let target = Target::new(gallery.camera(&record).expect("known"), &record.pose(), &world);
+        let mut picture = image::load_from_memory(&stored.data).expect("a picture").into_rgb8();
+        for (u, v, pixel) in picture.enumerate_pixels_mut() {
+            if target.surface(u as usize, v as usize) == Some(Surface::Goal) {
+                pixel.0 = [235, 235, 230];
+            }
+        }
+        picture.save(room.path(&format!("painted/{stamp_ns}.png"))).expect("saved");
+        let (place, euler) = (record.pose().translation, record.pose().euler());
+        let [yaw, pitch, roll] = [euler.yaw, euler.pitch, euler.roll].map(f64::to_degrees);
+        poses += &format!("{stamp_ns}.png,{},{},{},{yaw},{pitch},{roll}\n", place.x, place.y, place.z);
+    }
+    room.write("painted/poses.csv", poses);
+    room.run("db add painted --db other --field kid-2009").succeeds();
+    let other = Gallery::open(&room.path("other"), &Settings::default().views).expect("a database");
+    assert!(other.catalogue().sources[0].goals);
+    assert!(!room.run("db stats --db other").stdout.contains("without goals"));
+    assert!(room.run("db stats --db db").stdout.contains("without goals"));
+}
+
 /// The mask lies beside its config, on a robot that nobody of the database can ask.
 #[test]
 fn the_robot_s_own_body_is_left_out_wherever_the_capture_goes() {
@@ -514,20 +554,19 @@ fn two_folders() -> Room {
 fn whoever_opens_a_database_that_changes_has_the_old_one_or_the_new() {
     let room = two_folders();
     room.run("db add one --db db --field kid-2009").succeeds();
-    let (folder, two) = (room.path("db"), room.path("two"));
-    let done = std::sync::atomic::AtomicBool::new(false);
+    // By processes of their own, as people do it: a child that this one has just forked holds the lock for a moment.
+    let change = || {
+        for _ in 0..20 {
+            for order in ["db add two --db db", "db rebuild --db db", "db remove two --db db"] {
+                room.run(order).succeeds();
+            }
+        }
+    };
     let mut opened = 0;
     std::thread::scope(|scope| {
-        scope.spawn(|| {
-            for _ in 0..20 {
-                database::add(&folder, std::slice::from_ref(&two), None, false, &mut |_| ()).expect("added");
-                database::rebuild(&folder, &mut |_| ()).expect("made anew");
-                database::remove(&folder, &two).expect("removed");
-            }
-            done.store(true, std::sync::atomic::Ordering::Relaxed);
-        });
-        while !done.load(std::sync::atomic::Ordering::Relaxed) {
-            let gallery = Gallery::open(&folder, &Settings::default().views).expect("the old one or the new");
+        let changing = scope.spawn(change);
+        while !changing.is_finished() {
+            let gallery = Gallery::open(&room.path("db"), &Settings::default().views).expect("the old one or the new");
             assert!((1..=2).contains(&gallery.index().len()));
             opened += 1;
         }
