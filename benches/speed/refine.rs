@@ -13,7 +13,7 @@ pub fn run(bench: &mut Bench, view: &View) {
     let truth = view.pose.to_isometry() * view.footprint_from_optical;
     let sigmas = Vector6::new(0.03, 0.03, 0.01, 0.012, 0.012, 0.02);
     let covariance = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
-    let off = |by: f64| Prior { map_from_optical: moved_pose(&truth, &(sigmas * by)), covariance };
+    let off = |by: f64| Prior::of_pose(moved_pose(&truth, &(sigmas * by)), &covariance);
     let (near, far) = (off(0.2), off(1.0));
     let start = [Vector6::zeros()];
     let from = |prior: &Prior| {

@@ -216,8 +216,9 @@ impl Pipeline {
         let lying = warnings::never_upright(&self.settings.topics.imu, &self.tally.invalid, counts.tagged);
         let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
         let unusable = warnings::unusable_weights(self.tally.unusable_weights);
-        let warnings =
-            attitude.into_iter().chain(strange).chain(blind).chain(lying).chain(small).chain(unusable).collect();
+        let lens = self.tagger.lens_off().as_ref().and_then(warnings::wrong_lens);
+        let all = [attitude, strange, blind, lying, small, lens, unusable];
+        let warnings = all.into_iter().flatten().collect();
         let tally = core::mem::take(&mut self.tally);
         (Some(Recorded { session, counts, recorder, tally, late_measurements, warnings }), ended)
     }

@@ -16,6 +16,7 @@ use super::stages::view;
 use crate::evaluation::capture::{EvaluationError, Readout, read_tags};
 use crate::geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use crate::localization::refinement::LinePoints;
+use crate::localization::refinement::miscalibration::Miscalibration;
 use crate::localization::refinement::offsets::{Sight, measure};
 use crate::recording::{
     Loss, REFINED_FOLDER, RecordingError, SESSION_FILE, SessionInfo, read_info, topic, write_atomically,
@@ -187,7 +188,7 @@ fn look(
         if let (Ok(place), Ok(picture)) = (&frame.robot.place, view(&frame.message, setup.eyes.vision.lens())) {
             let body = setup.eyes.body(frame.robot.head);
             setup.eyes.vision.look_again(&picture, &place.footprint_from_optical, body, &mut seen);
-            measure(&points, &seen.image, &projector, pose, &covariance, &mut sights);
+            measure(&points, &seen.image, &projector, &Miscalibration::NONE, pose, &covariance, &mut sights);
             let every = sights.len().div_ceil(MAX_PLACES).max(1);
             places.extend(sights.iter().step_by(every).filter_map(|sight| Place::new(sight, lens)));
             let here = Look { picture: &picture, map_from_optical: *pose };

@@ -159,7 +159,7 @@ impl Known {
         let map_from_optical = self.map_from_link(start) * Isometry::link_from_optical();
         let sigmas = Vector6::new(START_M, START_M, HEIGHT_M, TILT_RAD, TILT_RAD, START_RAD);
         let covariance = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
-        let prior = Prior { map_from_optical, covariance };
+        let prior = Prior::of_pose(map_from_optical, &covariance);
         let refined = refiner.refine(&seen.image, &prior, &[Vector6::zeros()])?;
         let lines = refined.lines;
         let agrees = lines.fitting >= FEWEST_FITTING && lines.share() > LEAST_FITTING_SHARE;

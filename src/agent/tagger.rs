@@ -4,8 +4,8 @@ use crate::config::{Formula, Model, MotionSource, Settings};
 use crate::geometry::{Field, Isometry, Lens};
 use crate::localization::observation::default_alpha;
 use crate::localization::{
-    FilterSettings, Fix, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Moment, Observation, Sampling, Spread,
-    TrackModel, Validity,
+    FilterSettings, Fix, LensOff, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Moment, Observation, Sampling,
+    Spread, TrackModel, Validity,
 };
 use crate::ros2::messages::{FrameTag, Stamp};
 use crate::sensors::scene::{header, pose};
@@ -71,6 +71,11 @@ impl Tagger {
     /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
     pub fn unusable_weights(&self) -> u64 {
         self.localizer.unusable_weights()
+    }
+
+    /// How the lens differs from its calibration.
+    pub fn lens_off(&self) -> Option<LensOff> {
+        self.localizer.lens_off()
     }
 
     /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.

@@ -5,12 +5,17 @@ use std::collections::BTreeMap;
 use super::effort::EffortTally;
 use super::report::Quantiles;
 use crate::config::FrameNames;
+use crate::localization::LensOff;
 use crate::ros2::messages::{Imu, Message};
 
 /// What a tag's reason is when lines are seen and fit nowhere.
 const LOST: [&str; 5] = ["pose_unknown", "unconfirmed", "lines_disagree", "lines_unexplained", "not_standing"];
 /// Share of the frames that may take longer than the budget before it is called too small: what a busy machine does.
 const OVER_BUDGET: f64 = 0.05;
+/// A calibration is called wrong when it is off by so much, and by so many standard deviations.
+const LEAST_STRETCH: f64 = 0.003;
+const LEAST_PX: f64 = 1.0;
+const CLEAR_SIGMAS: f64 = 5.0;
 
 /// Most frames show lines, but none that a robot on this field could see.
 pub fn strange_field(field: &str, invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
@@ -56,6 +61,22 @@ pub fn small_budget(budget_ms: f64, effort: &EffortTally, tagged: u64) -> Option
              {} had fewer particles for it: {}",
             effort.capped,
             if p50 > budget_ms { "seeing and refining alone take that long here" } else { "a busy machine, or searches" }
+        )
+    })
+}
+
+/// The lines say that the calibration is not that of this lens.
+pub fn wrong_lens(off: &LensOff) -> Option<String> {
+    let LensOff { stretch, centre_u_px, centre_v_px } = *off;
+    let is_clear = |(value, sigma): (f64, f64), least: f64| value.abs() > least.max(CLEAR_SIGMAS * sigma);
+    let is_off = is_clear(stretch, LEAST_STRETCH) || is_clear(centre_u_px, LEAST_PX) || is_clear(centre_v_px, LEAST_PX);
+    is_off.then(|| {
+        format!(
+            "by the field's lines the lens is not quite as it was calibrated: focal length {:+.2} %, centre {:+.1}, {:+.1} px. \
+             Tags allow for it, views do not; `realitysim refine --write-calibration` measures it from a whole walk",
+            stretch.0 * 100.0,
+            centre_u_px.0,
+            centre_v_px.0,
         )
     })
 }
@@ -132,6 +153,16 @@ mod tests {
         let invalid = |lay| BTreeMap::from([("fallen".to_owned(), lay)]);
         assert!(never_upright("/imu/data", &invalid(60), 100).expect("told").contains("by /imu/data"));
         assert_eq!(never_upright("/imu/data", &invalid(40), 100), None, "it fell");
+    }
+
+    #[test]
+    fn a_lens_that_is_off_is_told_when_that_is_clear() {
+        let off = LensOff { stretch: (-0.006, 0.0002), centre_u_px: (0.4, 0.1), centre_v_px: (-0.2, 0.1) };
+        let said = wrong_lens(&off).expect("told");
+        assert!(said.contains("-0.60 %") && said.contains("+0.4, -0.2 px"), "{said}");
+        assert_eq!(wrong_lens(&LensOff { stretch: (-0.006, 0.002), ..off }), None, "not known well enough");
+        assert_eq!(wrong_lens(&LensOff { stretch: (-0.002, 0.0002), ..off }), None, "as calibrations are");
+        assert!(wrong_lens(&LensOff { stretch: (0.0, 0.001), centre_v_px: (1.4, 0.2), ..off }).is_some());
     }
 
     #[test]

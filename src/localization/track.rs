@@ -1,20 +1,21 @@
 //! What is followed from frame to frame beside the particles: the robot's path and the slow errors of odometry,
-//! IMU and mount.
+//! IMU, mount and lens.
 //!
 //! A frame's camera pose scatters about what these say (the torso sways at every step, the IMU is noisy), so it
 //! is not part of the state: the state predicts it ([`Track::prior`]), the frame's refinement measures it, and
 //! what that says of the state follows by conditioning ([`Track::update`]), as in a Kalman filter.
 
-use glam::{DQuat, DVec3};
-use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
+use glam::{DQuat, DVec2, DVec3};
+use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 
-use super::refinement::{Prior, Refined};
+use super::refinement::miscalibration::Miscalibration;
+use super::refinement::{ErrorCovariance, Errors, Prior, Refined};
 use crate::geometry::{Isometry, Pose2, wrap_angle};
 
 /// x, y, yaw of `base_footprint`; roll and pitch error of the torso's attitude; of the camera's mount; the camera's height
-/// error; relative error of odometry's distance and of its turn; the gyro's bias.
-const STATES: usize = 11;
+/// error; relative error of odometry's distance and of its turn; the gyro's bias; the lens's stretch and shift.
+const STATES: usize = 14;
 const X: usize = 0;
 const Y: usize = 1;
 const YAW: usize = 2;
@@ -26,6 +27,9 @@ const HEIGHT: usize = 7;
 const DISTANCE: usize = 8;
 const TURN: usize = 9;
 const GYRO: usize = 10;
+const STRETCH: usize = 11;
+const SHIFT_U: usize = 12;
+const SHIFT_V: usize = 13;
 
 type Covariance = SMatrix<f64, STATES, STATES>;
 type State = SVector<f64, STATES>;
@@ -46,6 +50,9 @@ pub struct TrackModel {
     pub distance_scale: f64,
     pub turn_scale: f64,
     pub gyro_bias_rad_per_s: f64,
+    pub lens_stretch: f64,
+    /// Widths of the image.
+    pub lens_shift: f64,
     /// Error of one step of odometry beyond its scale: share of the distance, radians per metre and share of the turn, and
     /// what is added with time.
     pub step_share: f64,
@@ -70,6 +77,8 @@ impl Default for TrackModel {
             distance_scale: 0.15,
             turn_scale: 0.15,
             gyro_bias_rad_per_s: 0.02,
+            lens_stretch: 0.005,
+            lens_shift: 0.002,
             step_share: 0.1,
             turn_share: 0.05,
             turn_rad_per_m: 0.08,
@@ -86,10 +95,17 @@ const TILT_WALK_RAD: f64 = 0.0005;
 const HEIGHT_WALK_M: f64 = 0.0005;
 const SCALE_WALK: f64 = 0.01;
 const GYRO_WALK: f64 = 0.001;
+const STRETCH_WALK: f64 = 3e-5;
+const SHIFT_WALK: f64 = 1e-5;
+/// Frames have errors of line finding in common: evidence that would make a variance of the lens smaller by less than this share has
+/// been counted before. So some twenty frames' worth is taken, and of a lens that a frame hardly shows nothing.
+const SEEN_BEFORE: f64 = 0.05;
 /// Gyro and odometry farther apart than this, in the latter's standard deviations, contradict each other.
 const APART_SIGMAS: f64 = 4.0;
 /// Odometry off by more than this is broken, not scaled.
 const MOST_SCALE: f64 = 0.5;
+/// A calibration so wrong is that of another lens.
+const MOST_LENS: f64 = 0.05;
 
 /// What the sensors say of the robot's step since the last frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,14 +140,21 @@ pub struct Track {
 pub struct Prediction {
     pub prior: Prior,
     /// How the camera pose's error depends on the state's.
-    sensitivity: SMatrix<f64, 6, STATES>,
+    sensitivity: SMatrix<f64, 9, STATES>,
     /// What of the covariance is the frame's own.
-    scatter: Matrix6<f64>,
+    scatter: ErrorCovariance,
 }
 
 impl Prediction {
+    /// The same, the lens being taken for what it is believed to be: seen from a wrong place every lens is wrong.
+    pub fn with_lens_known(mut self) -> Self {
+        self.prior.take_lens_as_known();
+        self.sensitivity.fixed_rows_mut::<3>(6).fill(0.0);
+        self
+    }
+
     /// The same, the frame's own error in height and tilt being as large as the lines have shown.
-    pub fn doubted(mut self, moved: &Vector6<f64>) -> Self {
+    pub fn doubted(mut self, moved: &Errors) -> Self {
         for index in [2, 3, 4] {
             let variance = moved[index] * moved[index];
             self.scatter[(index, index)] += variance;
@@ -158,6 +181,9 @@ impl Track {
             model.distance_scale,
             model.turn_scale,
             model.gyro_bias_rad_per_s,
+            model.lens_stretch,
+            model.lens_shift,
+            model.lens_shift,
         ]);
         Self { mean, covariance: Covariance::from_diagonal(&sigmas.component_mul(&sigmas)) }
     }
@@ -236,6 +262,10 @@ impl Track {
         add(HEIGHT, HEIGHT_WALK_M * HEIGHT_WALK_M * seconds, model.height_m * model.height_m);
         add(DISTANCE, SCALE_WALK * SCALE_WALK * seconds, model.distance_scale * model.distance_scale);
         add(TURN, SCALE_WALK * SCALE_WALK * seconds, model.turn_scale * model.turn_scale);
+        add(STRETCH, STRETCH_WALK * STRETCH_WALK * seconds, model.lens_stretch * model.lens_stretch);
+        for index in [SHIFT_U, SHIFT_V] {
+            add(index, SHIFT_WALK * SHIFT_WALK * seconds, model.lens_shift * model.lens_shift);
+        }
         add(GYRO, GYRO_WALK * GYRO_WALK * seconds, model.gyro_bias_rad_per_s * model.gyro_bias_rad_per_s);
     }
 
@@ -269,7 +299,7 @@ impl Track {
             (MOUNT_ROLL, camera * DVec3::X),
             (MOUNT_PITCH, camera * DVec3::Y),
         ];
-        let mut sensitivity = SMatrix::<f64, 6, STATES>::zeros();
+        let mut sensitivity = SMatrix::<f64, 9, STATES>::zeros();
         sensitivity[(0, X)] = 1.0;
         sensitivity[(1, Y)] = 1.0;
         sensitivity[(2, HEIGHT)] = 1.0;
@@ -282,36 +312,66 @@ impl Track {
                 sensitivity[(row, state)] = part;
             }
         }
+        for (row, state) in [(6, STRETCH), (7, SHIFT_U), (8, SHIFT_V)] {
+            sensitivity[(row, state)] = 1.0;
+        }
         let tilt: DVec3 = axes.iter().map(|(state, axis)| *axis * self.mean[*state]).sum();
         let map_from_optical = Isometry::new(
             DQuat::from_scaled_axis(tilt) * nominal.rotation,
             nominal.translation + DVec3::new(0.0, 0.0, self.mean[HEIGHT]),
         );
-        let mut covariance: Matrix6<f64> = sensitivity * self.covariance * sensitivity.transpose();
+        let mut covariance: ErrorCovariance = sensitivity * self.covariance * sensitivity.transpose();
         let scatter = scatter(model, footprint.yaw);
         covariance += scatter;
         covariance = (covariance + covariance.transpose()) * 0.5;
-        Prediction { prior: Prior { map_from_optical, covariance }, sensitivity, scatter }
+        Prediction { prior: Prior { map_from_optical, lens: self.lens(), covariance }, sensitivity, scatter }
     }
 
-    /// What a refined pose says of the state.
+    /// How the lens differs from its calibration.
+    pub fn lens(&self) -> Miscalibration {
+        Miscalibration { stretch: self.mean[STRETCH], shift: DVec2::new(self.mean[SHIFT_U], self.mean[SHIFT_V]) }
+    }
+
+    /// Their standard deviations, in the order of [`Errors`].
+    pub fn lens_sigmas(&self) -> [f64; 3] {
+        [STRETCH, SHIFT_U, SHIFT_V].map(|index| libm::sqrt(self.covariance[(index, index)].max(0.0)))
+    }
+
+    /// What a refined pose says of the state. Of the lens only a part of it is taken, as in the partial-update Schmidt-Kalman filter
+    /// (Brink 2017): what is left is put back into its covariance.
     pub fn update(&mut self, prediction: &Prediction, refined: &Refined) {
         let Some(information) = prediction.prior.covariance.cholesky() else { return };
         let gain = self.covariance * prediction.sensitivity.transpose() * information.inverse();
-        self.mean += gain * refined.moved;
+        let narrowed = gain * (prediction.prior.covariance - refined.covariance) * gain.transpose();
+        let left = self.left_of_lens(&narrowed);
+        self.mean += (gain * refined.moved).component_mul(&(State::repeat(1.0) - left));
         self.mean[YAW] = wrap_angle(self.mean[YAW]);
-        for scale in [DISTANCE, TURN] {
-            self.mean[scale] = self.mean[scale].clamp(-MOST_SCALE, MOST_SCALE);
+        for (index, most) in [(DISTANCE, MOST_SCALE), (TURN, MOST_SCALE), (STRETCH, MOST_LENS)] {
+            self.mean[index] = self.mean[index].clamp(-most, most);
+        }
+        for index in [SHIFT_U, SHIFT_V] {
+            self.mean[index] = self.mean[index].clamp(-MOST_LENS, MOST_LENS);
         }
         // A sum of squares (Joseph's form): no rounding makes it anything but a covariance.
         let kept = Covariance::identity() - gain * prediction.sensitivity;
         let learnt = gain * (prediction.scatter + refined.covariance) * gain.transpose();
-        let covariance = kept * self.covariance * kept.transpose() + learnt;
+        let left = Covariance::from_diagonal(&left);
+        let covariance = kept * self.covariance * kept.transpose() + learnt + left * narrowed * left;
         self.covariance = (covariance + covariance.transpose()) * 0.5;
     }
 
+    /// Which share of what a frame says of each state is not taken; `narrowed` is what the covariance would lose by it.
+    fn left_of_lens(&self, narrowed: &Covariance) -> State {
+        let mut left = State::zeros();
+        for index in [STRETCH, SHIFT_U, SHIFT_V] {
+            let share = narrowed[(index, index)] / self.covariance[(index, index)];
+            left[index] = if share > SEEN_BEFORE { SEEN_BEFORE / share } else { 1.0 };
+        }
+        left
+    }
+
     /// Odometry was wronger than it claims: the path is as uncertain as the lines have shown it to be wrong.
-    pub fn doubt(&mut self, moved: &Vector6<f64>) {
+    pub fn doubt(&mut self, moved: &Errors) {
         for (index, off) in [(X, moved[0]), (Y, moved[1]), (YAW, moved[5])] {
             self.covariance[(index, index)] += off * off;
         }
@@ -319,11 +379,11 @@ impl Track {
 }
 
 /// One frame's own error about the path, in `map`.
-fn scatter(model: &TrackModel, yaw: f64) -> Matrix6<f64> {
+fn scatter(model: &TrackModel, yaw: f64) -> ErrorCovariance {
     let (sin, cos) = libm::sincos(yaw);
     let (ahead, aside) = (model.sway_m.x * model.sway_m.x, model.sway_m.y * model.sway_m.y);
     let tilt = model.tilt_noise_rad * model.tilt_noise_rad;
-    let mut result = Matrix6::zeros();
+    let mut result = ErrorCovariance::zeros();
     result[(0, 0)] = cos * cos * ahead + sin * sin * aside;
     result[(1, 1)] = sin * sin * ahead + cos * cos * aside;
     result[(0, 1)] = sin * cos * (ahead - aside);
@@ -358,10 +418,11 @@ mod tests {
             let told = Step { odometry: odometry(step), turned_rad: gyro(step.yaw), seconds: 0.1 };
             track.predict(&told, &MODEL(), 0.04, 0.1);
             let prediction = track.prior(&place, &MODEL());
-            let moved = error_between(&prediction.prior.map_from_optical, &camera(&truth));
+            let off = error_between(&prediction.prior.map_from_optical, &camera(&truth));
+            let moved = Errors::from_fn(|i, _| if i < 6 { off[i] } else { 0.0 });
             let refined = Refined {
                 map_from_optical: camera(&truth),
-                covariance: Matrix6::identity() * 1e-8,
+                covariance: ErrorCovariance::identity() * 1e-8,
                 moved,
                 cost: 0.0,
                 condition: 1.0,
@@ -408,14 +469,14 @@ mod tests {
     fn the_covariance_stays_one_whatever_is_doubted() {
         let mut track = walked(30, Some, Some);
         for round in 0..200 {
-            let off = Vector6::repeat(10f64.powi(round % 7 - 4));
+            let off = Errors::repeat(10f64.powi(round % 7 - 4));
             track.doubt(&off);
             let told = Step { odometry: None, turned_rad: None, seconds: 1e-9 };
             track.predict(&told, &MODEL(), 0.04, 0.1);
             let prediction = track.prior(&Isometry::IDENTITY, &MODEL()).doubted(&off);
             let refined = Refined {
                 map_from_optical: prediction.prior.map_from_optical,
-                covariance: Matrix6::identity() * 1e-12,
+                covariance: ErrorCovariance::identity() * 1e-12,
                 moved: off,
                 cost: 0.0,
                 condition: 1.0,

@@ -282,7 +282,8 @@ impl Standing {
             && lines.share() >= SHARE_IF_FOUND
     }
 
-    fn is_tracking(&self) -> bool {
+    /// The pose has been confirmed.
+    pub fn is_tracking(&self) -> bool {
         matches!(self.confidence, Confidence::Tracking(_))
     }
 

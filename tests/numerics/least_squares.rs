@@ -74,7 +74,7 @@ fn camera(x: f64, y: f64, yaw: f64) -> Isometry {
 
 fn prior_about(map_from_optical: Isometry, sigmas: [f64; 6]) -> Prior {
     let sigmas = Vector6::from(sigmas);
-    Prior { map_from_optical, covariance: Matrix6::from_diagonal(&sigmas.component_mul(&sigmas)) }
+    Prior::of_pose(map_from_optical, &Matrix6::from_diagonal(&sigmas.component_mul(&sigmas)))
 }
 
 /// As a walking robot's track knows its camera.
@@ -172,7 +172,7 @@ fn an_image_without_any_line_leaves_the_prior_as_it_was() {
         let picture = Picture::from_gray(width, height, vec![level; width * height]).expect("a picture");
         let prior = prior_about(truth, WALKING);
         let refined = bench.refined(&bench.vision.look(&picture, &place, None), &prior, &[Vector6::zeros()]);
-        assert_eq!((refined.moved, refined.lines.fitting), (Vector6::zeros(), 0), "{level}");
+        assert_eq!((refined.pose_moved(), refined.lines.fitting), (Vector6::zeros(), 0), "{level}");
         assert!((refined.covariance - prior.covariance).amax() < 1e-12);
     }
 }

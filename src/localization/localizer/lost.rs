@@ -170,7 +170,7 @@ impl Localizer {
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),
             None => Track::around(*pose, xy_m, yaw_rad, &model),
         };
-        let prediction = track.prior(&moment.footprint_from_optical?, &model);
+        let prediction = track.prior(&moment.footprint_from_optical?, &model).with_lens_known();
         self.refiner.refine(&seen.image, &prediction.prior, &[Vector6::zeros()])
     }
 }

@@ -16,6 +16,7 @@ use super::observation::{Observation, Support};
 use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
 use super::posture::{Posture, Stand};
+use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{self, Agreement, Prior, Refiner};
 use super::track::{Prediction, Step, Track, TrackModel};
 use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost};
@@ -70,6 +71,15 @@ pub struct Moment {
     pub lean_rad: Option<f64>,
     /// What was measured is too old to describe a moving robot.
     pub stale: bool,
+}
+
+/// How a lens differs from its calibration by what has been seen, each with its standard deviation.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LensOff {
+    /// Share by which the focal length is longer.
+    pub stretch: (f64, f64),
+    pub centre_u_px: (f64, f64),
+    pub centre_v_px: (f64, f64),
 }
 
 /// The answer for one frame.
@@ -177,6 +187,18 @@ impl Localizer {
     /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
     pub fn unusable_weights(&self) -> u64 {
         self.filter.unusable_weights()
+    }
+
+    /// How the lens differs from its calibration.
+    pub fn lens_off(&self) -> Option<LensOff> {
+        let track = self.state.track.as_ref()?;
+        let (Miscalibration { stretch, shift }, [of_stretch, of_u, of_v]) = (track.lens(), track.lens_sigmas());
+        let width_px = f64::from(self.refiner.lens().width());
+        Some(LensOff {
+            stretch: (stretch, of_stretch),
+            centre_u_px: (shift.x * width_px, of_u * width_px),
+            centre_v_px: (shift.y * width_px, of_v * width_px),
+        })
     }
 
     /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
@@ -385,7 +407,7 @@ impl Localizer {
             refined = nearby;
         }
         let mut prediction = prediction;
-        let surprised = surprise(&prediction.prior, &refined.moved) > SURPRISE && agrees(&refined.lines);
+        let surprised = surprise(&prediction.prior, &refined.pose_moved()) > SURPRISE && agrees(&refined.lines);
         if surprised {
             // Lines agree with each other but not with the prediction: odometry or IMU were wronger than they claim.
             if let Some(track) = &mut self.state.track {
@@ -414,7 +436,7 @@ impl Localizer {
             estimate,
             support,
             map_from_optical: refined.map_from_optical,
-            covariance: refined.covariance,
+            covariance: refined.pose_covariance(),
             refined: true,
             surprised,
             strays: false,
@@ -429,7 +451,8 @@ impl Localizer {
 
     fn prediction(&self, moment: &Moment) -> Option<Prediction> {
         let track = self.state.track.as_ref()?;
-        Some(track.prior(&moment.footprint_from_optical?, &self.model(moment)))
+        let prediction = track.prior(&moment.footprint_from_optical?, &self.model(moment));
+        Some(if self.state.standing.is_tracking() { prediction } else { prediction.with_lens_known() })
     }
 
     fn model(&self, moment: &Moment) -> TrackModel {
@@ -441,7 +464,7 @@ impl Localizer {
     fn predicted(&self, moment: &Moment, estimate: Estimate, support: Support) -> Fix {
         let place = moment.footprint_from_optical.unwrap_or(Isometry::IDENTITY);
         let (map_from_optical, covariance) = match self.prediction(moment).filter(|_| self.settings.refinement) {
-            Some(prediction) => (prediction.prior.map_from_optical, prediction.prior.covariance),
+            Some(prediction) => (prediction.prior.map_from_optical, prediction.prior.pose_covariance()),
             None => (estimate.best.to_isometry() * place, estimate.pose_covariance()),
         };
         Fix {
@@ -483,5 +506,5 @@ impl Localizer {
 
 /// Squared deviation from the prior per unknown, in its own units: 1 is expected.
 fn surprise(prior: &Prior, moved: &Vector6<f64>) -> f64 {
-    prior.covariance.cholesky().map_or(0.0, |factor| moved.dot(&factor.solve(moved)) / 6.0)
+    prior.pose_covariance().cholesky().map_or(0.0, |factor| moved.dot(&factor.solve(moved)) / 6.0)
 }

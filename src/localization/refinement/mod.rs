@@ -5,36 +5,44 @@
 //! The pose that fits both best, and how well it is known, come from `solve`.
 //!
 //! Errors of a pose are six numbers: position (m) and rotation vector (rad), both along the axes of `map`, in
-//! the order of a ROS covariance: x, y, z, rotation about x, y, z.
+//! the order of a ROS covariance: x, y, z, rotation about x, y, z. Three more are those of the lens: how much longer its focal length is
+//! (share), and how far its axis lies off (u, v, widths of the image).
 
+pub mod miscalibration;
 pub mod offsets;
 mod points;
 mod solve;
 mod triangular;
 
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
 use crate::geometry::{Field, Isometry, Lens, Projector};
 use crate::vision::LineImage;
+use miscalibration::Miscalibration;
 use offsets::{Counts, Sight};
 
 pub use points::LinePoints;
 
-/// What is believed of the camera's pose before looking.
+/// Of pose and lens.
+pub type Errors = SVector<f64, 9>;
+pub type ErrorCovariance = SMatrix<f64, 9, 9>;
+
+/// What is believed of the camera's pose and its lens before looking.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prior {
     pub map_from_optical: Isometry,
-    pub covariance: Matrix6<f64>,
+    pub lens: Miscalibration,
+    pub covariance: ErrorCovariance,
 }
 
 /// What is believed after looking.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refined {
     pub map_from_optical: Isometry,
-    /// Of the pose's error, given the prior: positive definite, never larger than the prior's.
-    pub covariance: Matrix6<f64>,
-    /// The pose's error vector relative to the prior's pose.
-    pub moved: Vector6<f64>,
+    /// Of the errors of pose and lens, given the prior: positive definite, never larger than the prior's.
+    pub covariance: ErrorCovariance,
+    /// The error vector of pose and lens relative to the prior's.
+    pub moved: Errors,
     /// Of the least squares in units of the prior: 1 if the lines say nothing, and the ratio between what is known worst
     /// and best after looking.
     pub condition: f64,
@@ -81,17 +89,21 @@ impl Refiner {
         Self { points: LinePoints::new(field), projector: Projector::new(lens), sights: Vec::new() }
     }
 
+    pub fn lens(&self) -> &Lens {
+        self.projector.lens()
+    }
+
     /// Refines from each start (error vectors relative to the prior's pose); the best result counts. `None` if the prior is no
     /// covariance.
     pub fn refine(&mut self, image: &LineImage, prior: &Prior, starts: &[Vector6<f64>]) -> Option<Refined> {
-        let results = starts.iter().filter_map(|start| self.refine_from(image, prior, start, prior.covariance));
+        let results = starts.iter().filter_map(|start| self.refine_from(image, prior, start, prior.pose_covariance()));
         results.min_by(|a, b| a.cost.total_cmp(&b.cost))
     }
 
     /// As if the prior's mean were nearly right: lines are looked for close to where it has them, so that none is taken for its
     /// neighbour. The cost is that of [`Self::refine`], by which the better of the two is known.
     pub fn refine_nearby(&mut self, image: &LineImage, prior: &Prior) -> Option<Refined> {
-        self.refine_from(image, prior, &Vector6::zeros(), prior.covariance * NEARBY)
+        self.refine_from(image, prior, &Vector6::zeros(), prior.pose_covariance() * NEARBY)
     }
 
     /// `reach` is how wrong the start may be.
@@ -105,30 +117,31 @@ impl Refiner {
         let Self { points, projector, sights } = self;
         let mut moved = *start;
         let mut covariance = reach;
-        let mut last: Option<(Counts, solve::Solution)> = None;
+        let mut last: Option<(Counts, solve::Solution, solve::Noise)> = None;
         let mut noise = solve::Noise::USUAL;
         let wide = prior.covariance[(3, 3)].max(prior.covariance[(4, 4)]) > WIDE_RAD * WIDE_RAD;
         for scale in &SCALES[usize::from(!wide)..] {
             let pose = moved_pose(&prior.map_from_optical, &moved);
-            let counts = offsets::measure(points, image, projector, &pose, &covariance, sights);
+            let counts = offsets::measure(points, image, projector, &prior.lens, &pose, &covariance, sights);
             let solution = solve::solve(prior, sights, &moved, *scale, noise)?;
             moved = solution.moved;
-            let measured = solution.residuals.noise();
+            let (solved_with, measured) = (noise, solution.residuals.noise());
             // The next round looks as far as this one leaves open, but never trusts it fully.
             covariance = solution.covariance * (4.0 * (measured.correlated / noise.correlated).max(1.0));
             // A prior that is off makes whole lines look off: what they share widens the covariance, and is no reason to
             // believe the prior instead.
             noise = solve::Noise { correlated: noise.correlated, ..measured };
-            last = Some((counts, solution));
+            last = Some((counts, solution, solved_with));
         }
-        let (counts, solution) = last?;
+        let (counts, solution, solved_with) = last?;
         let [.., scale] = SCALES;
-        let (covariance, condition) = solve::covariance(prior, sights, &moved, scale, solution.residuals.noise())?;
+        let solve::Joint { moved, covariance, condition } =
+            solve::joint(prior, sights, &moved, scale, [solved_with, solution.residuals.noise()])?;
         Some(Refined {
-            map_from_optical: moved_pose(&prior.map_from_optical, &solution.moved),
+            map_from_optical: moved_pose(&prior.map_from_optical, &pose_part(&moved)),
             covariance,
             condition,
-            moved: solution.moved,
+            moved,
             cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
             lines: Agreement {
                 expected: counts.expected,
@@ -137,6 +150,51 @@ impl Refiner {
             },
         })
     }
+}
+
+impl Prior {
+    /// Of a lens that is as its calibration says.
+    pub fn of_pose(map_from_optical: Isometry, pose: &Matrix6<f64>) -> Self {
+        let mut covariance = ErrorCovariance::zeros();
+        covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(pose);
+        let mut prior = Self { map_from_optical, lens: Miscalibration::NONE, covariance };
+        prior.take_lens_as_known();
+        prior
+    }
+
+    /// The lens is what it is believed to be.
+    pub fn take_lens_as_known(&mut self) {
+        for of_lens in 6..9 {
+            self.covariance.row_mut(of_lens).fill(0.0);
+            self.covariance.column_mut(of_lens).fill(0.0);
+            self.covariance[(of_lens, of_lens)] = KNOWN;
+        }
+    }
+
+    pub fn pose_covariance(&self) -> Matrix6<f64> {
+        pose_block(&self.covariance)
+    }
+}
+
+impl Refined {
+    pub fn pose_covariance(&self) -> Matrix6<f64> {
+        pose_block(&self.covariance)
+    }
+
+    pub fn pose_moved(&self) -> Vector6<f64> {
+        pose_part(&self.moved)
+    }
+}
+
+/// As good as no variance, and still a covariance.
+const KNOWN: f64 = 1e-20;
+
+fn pose_block(covariance: &ErrorCovariance) -> Matrix6<f64> {
+    covariance.fixed_view::<6, 6>(0, 0).into_owned()
+}
+
+fn pose_part(errors: &Errors) -> Vector6<f64> {
+    errors.fixed_rows::<6>(0).into_owned()
 }
 
 /// The pose whose error relative to `pose` is `moved`.

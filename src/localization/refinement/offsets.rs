@@ -3,6 +3,7 @@
 use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
+use super::miscalibration::Miscalibration;
 use super::points::{LinePoint, LinePoints};
 use crate::geometry::{Isometry, Projector};
 use crate::vision::LineImage;
@@ -20,6 +21,8 @@ pub struct Sight {
     pub sigmas: f64,
     /// Across the line.
     pub pixels_per_rad: f64,
+    /// How the ray would change with the lens's stretch and shift: see [`Miscalibration`].
+    pub(super) bends: [DVec3; 3],
     /// Which of the field's lines it is.
     pub line: usize,
     /// The sight before is the neighbour along the same line.
@@ -57,6 +60,7 @@ pub fn measure(
     points: &LinePoints,
     image: &LineImage,
     projector: &Projector,
+    off: &Miscalibration,
     map_from_optical: &Isometry,
     covariance: &Matrix6<f64>,
     sights: &mut Vec<Sight>,
@@ -92,7 +96,8 @@ pub fn measure(
             if !projector.lens().contains(pixel) || pixel.distance_squared(last) < APART_PX * APART_PX {
                 continue;
             }
-            let Some(expected) = Expected::new(point, points.line_width_m, centre, image, projector, &optical_from_map)
+            let Some(expected) =
+                Expected::new(point, points.line_width_m, centre, image, (projector, off), &optical_from_map)
             else {
                 continue;
             };
@@ -135,6 +140,7 @@ struct Expected {
     /// Unit vector across the drawn line.
     direction: DVec2,
     width_px: f64,
+    bends: [DVec3; 3],
 }
 
 impl Expected {
@@ -143,13 +149,14 @@ impl Expected {
         line_width_m: f64,
         centre: DVec3,
         image: &LineImage,
-        projector: &Projector,
+        (projector, off): (&Projector, &Miscalibration),
         optical_from_map: &Isometry,
     ) -> Option<Self> {
         let half = |direction: DVec2| optical_from_map.transform_vector((direction * (line_width_m / 2.0)).extend(0.0));
         let (aside, along) = (half(point.normal), half(-point.normal.perp()));
         let (left, right) = (centre + aside, centre - aside);
-        let drawn = |place: DVec3| Some(image.scale().apply(projector.project(place)?));
+        let lens = projector.lens();
+        let drawn = |place: DVec3| Some(image.scale().apply(off.drawn(lens, projector.project(place)?)));
         let (from, to) = (drawn(right)?, drawn(left)?);
         let width_px = from.distance(to);
         if width_px < THINNEST_PX {
@@ -160,13 +167,13 @@ impl Expected {
         if (to - from).perp_dot(along_px).abs() < LEAST_SINE * width_px * along_px.length() {
             return None;
         }
-        Some(Self {
-            ray: centre.normalize(),
-            across: left.normalize() - right.normalize(),
-            middle: (from + to) / 2.0,
-            direction: (to - from) / width_px,
-            width_px,
-        })
+        let (across, middle, direction) =
+            (left.normalize() - right.normalize(), (from + to) / 2.0, (to - from) / width_px);
+        // What a lens draws elsewhere than it is said to seems to lie off; how far along the line does not show.
+        let moves = Miscalibration::gradient(lens, image.scale().undo(middle));
+        let per_px = image.scale().factor() / (direction.perp_dot(along_px) * width_px);
+        let bends = moves.map(|by| across * (-by.perp_dot(along_px) * per_px));
+        Some(Self { ray: centre.normalize(), across, middle, direction, width_px, bends })
     }
 
     fn pixels_per_rad(&self) -> f64 {
@@ -194,6 +201,7 @@ impl Expected {
             tangent: DVec3::new(-point.normal.y, point.normal.x, 0.0),
             sigmas: libm::hypot(1.0, self.width_px / WIDE_PX),
             pixels_per_rad: self.pixels_per_rad(),
+            bends: self.bends,
             line,
             follows,
         }

@@ -5,17 +5,24 @@
 //! prior is the identity and no view, however poor, leaves the system singular.
 
 use glam::{DQuat, DVec3};
-use nalgebra::{Cholesky, Matrix6, Vector6};
+use nalgebra::{Cholesky, Matrix6, SMatrix, SVector, Vector6};
 
 use super::offsets::Sight;
 use super::triangular::{Rows, Triangular};
-use super::{Prior, moved_pose};
+use super::{ErrorCovariance, Errors, Prior, moved_pose};
 
 pub(super) struct Solution {
     pub(super) moved: Vector6<f64>,
     pub(super) covariance: Matrix6<f64>,
     pub(super) cost: f64,
     pub(super) residuals: Residuals,
+}
+
+/// Pose and lens together.
+pub(super) struct Joint {
+    pub(super) moved: Errors,
+    pub(super) covariance: ErrorCovariance,
+    pub(super) condition: f64,
 }
 
 /// How wrong a measured line place is.
@@ -67,13 +74,13 @@ pub(super) fn solve(
     scale: f64,
     noise: Noise,
 ) -> Option<Solution> {
-    let spread = Cholesky::new(prior.covariance)?.unpack();
+    let spread = Cholesky::new(prior.pose_covariance())?.unpack();
     let mut y = spread.solve_lower_triangular(start)?;
     let mut damping = 0.0;
-    let mut here = Linearised::at(prior, &spread, sights, &y, scale, noise);
+    let mut here = ForPose::at(prior, &spread, sights, &y, scale, noise);
     for _ in 0..ITERATIONS {
         let step = here.triangle.damped(libm::sqrt(damping)).solve();
-        let next = Linearised::at(prior, &spread, sights, &(y + step), scale, noise);
+        let next = ForPose::at(prior, &spread, sights, &(y + step), scale, noise);
         if next.cost > here.cost {
             damping = (10.0 * damping).max(0.1 * sights.len() as f64);
             continue;
@@ -102,23 +109,37 @@ pub(super) fn step(
     scale: f64,
     noise: Noise,
 ) -> Option<Vector6<f64>> {
-    let spread = Cholesky::new(prior.covariance)?.unpack();
+    let spread = Cholesky::new(prior.pose_covariance())?.unpack();
     let y = spread.solve_lower_triangular(start)?;
-    Some(Linearised::at(prior, &spread, sights, &y, scale, noise).triangle.solve())
+    Some(ForPose::at(prior, &spread, sights, &y, scale, noise).triangle.solve())
 }
 
-/// Of a pose that has been solved for, once the noise is known; with the condition number of the problem.
-pub(super) fn covariance(
+/// One step of the lens, which the pose follows, from a pose that has been solved for with the lens as it was believed to be and this
+/// `noise`; the covariance of both is that with the `measured` one.
+pub(super) fn joint(
     prior: &Prior,
     sights: &[Sight],
     moved: &Vector6<f64>,
     scale: f64,
-    noise: Noise,
-) -> Option<(Matrix6<f64>, f64)> {
+    [noise, measured]: [Noise; 2],
+) -> Option<Joint> {
     let spread = Cholesky::new(prior.covariance)?.unpack();
-    let y = spread.solve_lower_triangular(moved)?;
-    let here = Linearised::at(prior, &spread, sights, &y, scale, noise);
-    Some((here.covariance(&spread), here.triangle.condition()))
+    let mut from = Errors::zeros();
+    from.fixed_rows_mut::<6>(0).copy_from(moved);
+    let y = spread.solve_lower_triangular(&from)?;
+    let step = ForPoseAndLens::at(prior, &spread, sights, &y, scale, noise).triangle.solve_from(6);
+    let here = ForPoseAndLens::at(prior, &spread, sights, &y, scale, measured);
+    Some(Joint {
+        moved: spread * (y + step),
+        covariance: here.covariance(&spread),
+        condition: condition(&here.triangle.r()),
+    })
+}
+
+/// Largest over smallest singular value: how many digits the solution can lose. At least 1.
+fn condition(r: &ErrorCovariance) -> f64 {
+    let values = r.singular_values();
+    values.max() / values.min()
 }
 
 impl Residuals {
@@ -147,16 +168,28 @@ impl Noise {
     pub(super) const USUAL: Self = Self { sigma_px: SIGMA_PX, correlated: USUAL_CORRELATED };
 }
 
-/// The problem about one pose.
-struct Linearised {
-    triangle: Triangular,
+/// The problem about one pose, in the first N of the unknowns.
+struct Linearised<const N: usize, const W: usize> {
+    triangle: Triangular<N, W>,
     cost: f64,
     residuals: Residuals,
 }
 
-impl Linearised {
-    fn at(prior: &Prior, spread: &Matrix6<f64>, sights: &[Sight], y: &Vector6<f64>, scale: f64, noise: Noise) -> Self {
-        let pose = moved_pose(&prior.map_from_optical, &(spread * y));
+type ForPose = Linearised<6, 8>;
+type ForPoseAndLens = Linearised<9, 12>;
+
+impl<const N: usize, const W: usize> Linearised<N, W> {
+    /// With the lens as it is believed to be.
+    fn at(
+        prior: &Prior,
+        spread: &SMatrix<f64, N, N>,
+        sights: &[Sight],
+        y: &SVector<f64, N>,
+        scale: f64,
+        noise: Noise,
+    ) -> Self {
+        let moved = spread * y;
+        let pose = moved_pose(&prior.map_from_optical, &Vector6::from_fn(|i, _| moved[i]));
         let mut rows = Rows::identity(&-y);
         let mut cost = 0.5 * y.norm_squared();
         let mut residuals = Residuals::default();
@@ -165,7 +198,7 @@ impl Linearised {
         let mut last_px = None;
         let (mut line, mut line_sum_px) = (usize::MAX, 0.0);
         for sight in sights {
-            let Some((residual, gradient)) = sight.residual(&pose.rotation, pose.translation) else { continue };
+            let Some((residual, gradient)) = sight.residual::<N>(&pose.rotation, pose.translation) else { continue };
             let sigma_rad = noise.sigma_px * sight.sigmas / sight.pixels_per_rad;
             let deviation = residual / sigma_rad;
             let u = deviation / scale;
@@ -189,19 +222,19 @@ impl Linearised {
                 last_px = None;
             }
             let weight = libm::sqrt(vote) * robust / sigma_rad;
-            let mut row = [0.0; 6];
+            let mut row = [0.0; N];
             for (j, value) in row.iter_mut().enumerate() {
                 let column = spread.column(j);
                 // The spread's factor is lower triangular.
-                *value = weight * (j..6).map(|i| gradient[i] * column[i]).sum::<f64>();
+                *value = weight * (j..N).map(|i| gradient[i] * column[i]).sum::<f64>();
             }
-            rows.push(row, -weight * residual);
+            rows.push(&row, -weight * residual);
         }
         residuals.line_sums_px += line_sum_px * line_sum_px;
         Self { triangle: rows.finish(), cost, residuals }
     }
 
-    fn covariance(&self, spread: &Matrix6<f64>) -> Matrix6<f64> {
+    fn covariance(&self, spread: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
         let inverse = spread * self.triangle.inverse();
         let covariance = inverse * inverse.transpose();
         (covariance + covariance.transpose()) * 0.5
@@ -209,8 +242,8 @@ impl Linearised {
 }
 
 impl Sight {
-    /// The angle between ray and plane, and how it changes with the pose's error vector.
-    fn residual(&self, map_from_optical: &DQuat, camera: DVec3) -> Option<(f64, [f64; 6])> {
+    /// The angle between ray and plane, and how it changes with the first N errors of pose and lens.
+    fn residual<const N: usize>(&self, map_from_optical: &DQuat, camera: DVec3) -> Option<(f64, [f64; N])> {
         let ray = *map_from_optical * self.ray;
         let across = (self.point - camera).cross(self.tangent);
         let length = across.length();
@@ -222,6 +255,12 @@ impl Sight {
         let residual = ray.dot(normal);
         // The plane turns with the camera's place: its normal keeps its length.
         let shift = -self.tangent.cross(ray - normal * residual) / length;
-        Some((residual, [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z]))
+        let by_pose = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
+        let normal_in_camera = map_from_optical.conjugate() * normal;
+        let gradient = core::array::from_fn(|i| match i.checked_sub(6) {
+            None => by_pose[i],
+            Some(of_lens) => normal_in_camera.dot(self.bends[of_lens]),
+        });
+        Some((residual, gradient))
     }
 }

@@ -1,14 +1,15 @@
 //! Least squares on sights made up from a known pose: no image, so that the truth is exact.
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix6, SymmetricEigen, Vector2, Vector6};
 use proptest::prelude::*;
 
+use super::miscalibration::Miscalibration;
 use super::offsets::Sight;
 use super::solve::{self, Noise, Solution};
-use super::{Prior, SCALES, error_between, moved_pose};
+use super::{Errors, Prior, SCALES, error_between, moved_pose};
 use crate::exact::{Exact, exact, rounded};
-use crate::geometry::{Euler, Isometry};
+use crate::geometry::{Euler, Isometry, Lens, LensModel, LensParameters};
 use crate::localization::random::{Purpose, Stream};
 use crate::measured::largest_error;
 
@@ -21,7 +22,28 @@ fn camera(x: f64, y: f64, yaw: f64) -> Isometry {
 
 fn prior(map_from_optical: Isometry) -> Prior {
     let sigmas = Vector6::new(0.1, 0.1, 0.012, 0.012, 0.012, 0.06);
-    Prior { map_from_optical, covariance: Matrix6::from_diagonal(&sigmas.component_mul(&sigmas)) }
+    Prior::of_pose(map_from_optical, &Matrix6::from_diagonal(&sigmas.component_mul(&sigmas)))
+}
+
+/// The same with a lens that is calibrated to half a percent and a pixel or so.
+fn prior_with_lens(map_from_optical: Isometry) -> Prior {
+    let mut prior = prior(map_from_optical);
+    for (index, sigma) in [(6, 0.005), (7, 0.002), (8, 0.002)] {
+        prior.covariance[(index, index)] = sigma * sigma;
+    }
+    prior
+}
+
+fn lens() -> Lens {
+    let (fx, fy) = (PIXELS_PER_RAD, PIXELS_PER_RAD);
+    let model = LensModel::KannalaBrandt { k: [0.0; 4] };
+    let fov_deg = Some(340.0);
+    Lens::new(LensParameters { width: 640, height: 480, fx, fy, cx: 319.5, cy: 239.5, model, fov_deg }).expect("a lens")
+}
+
+/// What is seen through a lens that is off, by one who does not know.
+fn misread(lens: &Lens, off: &Miscalibration, ray: DVec3) -> Option<DVec3> {
+    lens.unproject(off.drawn(lens, lens.project(ray)?))
 }
 
 /// The places of a straight line, every 10 cm.
@@ -51,6 +73,7 @@ fn sights(truth: &Isometry, lines: &[Vec<(DVec3, DVec3)>], mut noise: impl FnMut
             let ray = (to + across * (noise(sights.len()) / PIXELS_PER_RAD)).normalize();
             sights.push(Sight {
                 ray: truth.rotation.conjugate() * ray,
+                bends: bends(truth.rotation.conjugate() * ray),
                 point: *point,
                 tangent: *tangent,
                 sigmas: 1.0,
@@ -61,6 +84,22 @@ fn sights(truth: &Isometry, lines: &[Vec<(DVec3, DVec3)>], mut noise: impl FnMut
         }
     }
     sights
+}
+
+/// By central differences.
+fn bends(ray: DVec3) -> [DVec3; 3] {
+    let lens = lens();
+    let small = |by: f64| {
+        [
+            Miscalibration { stretch: by, shift: DVec2::ZERO },
+            Miscalibration { stretch: 0.0, shift: DVec2::new(by, 0.0) },
+            Miscalibration { stretch: 0.0, shift: DVec2::new(0.0, by) },
+        ]
+    };
+    let (more, less) = (small(1e-6), small(-1e-6));
+    // Who takes the lens for longer takes what is seen for nearer to the axis.
+    let bend = |i: usize| Some((misread(&lens, &less[i], ray)? - misread(&lens, &more[i], ray)?) / 2e-6);
+    core::array::from_fn(|i| bend(i).unwrap_or_default())
 }
 
 fn normal(seed: u64, index: usize) -> f64 {
@@ -78,8 +117,8 @@ fn solved(prior: &Prior, sights: &[Sight]) -> (Solution, Matrix6<f64>, f64) {
     let noise = Noise { correlated: Noise::USUAL.correlated, ..first.residuals.noise() };
     let second = solve::solve(prior, sights, &first.moved, narrow, noise).expect("a solution");
     let noise = second.residuals.noise();
-    let (covariance, condition) = solve::covariance(prior, sights, &second.moved, narrow, noise).expect("a covariance");
-    (second, covariance, condition)
+    let joint = solve::joint(prior, sights, &second.moved, narrow, [noise; 2]).expect("a covariance");
+    (second, super::pose_block(&joint.covariance), joint.condition)
 }
 
 fn assert_sound(prior: &Prior, solution: &Solution, covariance: &Matrix6<f64>, condition: f64) {
@@ -87,7 +126,7 @@ fn assert_sound(prior: &Prior, solution: &Solution, covariance: &Matrix6<f64>, c
     assert!(covariance == &covariance.transpose() && covariance.cholesky().is_some(), "{covariance}");
     assert!((1.0 - 1e-12..1e12).contains(&condition), "{condition}");
     // Never more uncertain than before looking: the difference has no negative eigenvalue.
-    let spread = prior.covariance.cholesky().expect("a prior").l();
+    let spread = prior.pose_covariance().cholesky().expect("a prior").l();
     let inverse = spread.try_inverse().expect("regular");
     let relative = SymmetricEigen::new(inverse * covariance * inverse.transpose()).eigenvalues;
     assert!(relative.max() <= 1.0 + 1e-9 && relative.min() > 0.0, "{relative}");
@@ -97,10 +136,10 @@ fn assert_sound(prior: &Prior, solution: &Solution, covariance: &Matrix6<f64>, c
 
 /// The same problem once more in 256 bits, written down differently: rotations by Rodrigues' formula, derivatives
 /// by central differences, dense normal equations.
-struct Oracle<'a> {
+struct Oracle<'a, const N: usize> {
     prior: &'a Prior,
     /// Lower triangular factor of the prior's covariance.
-    spread: [[Exact; 6]; 6],
+    spread: [[Exact; N]; N],
     sights: &'a [Sight],
     scale: f64,
     noise: Noise,
@@ -133,10 +172,10 @@ fn turned(v: &Vector, turn: &Vector) -> Vector {
     core::array::from_fn(|i| &v[i] * &cos + &side[i] * &sin + &axis[i] * &along)
 }
 
-impl<'a> Oracle<'a> {
+impl<'a, const N: usize> Oracle<'a, N> {
     fn new(prior: &'a Prior, sights: &'a [Sight], scale: f64, noise: Noise) -> Self {
-        let mut spread: [[Exact; 6]; 6] = core::array::from_fn(|_| core::array::from_fn(|_| exact(0.0)));
-        for i in 0..6 {
+        let mut spread: [[Exact; N]; N] = core::array::from_fn(|_| core::array::from_fn(|_| exact(0.0)));
+        for i in 0..N {
             for j in 0..=i {
                 let rest = (0..j).fold(exact(prior.covariance[(i, j)]), |sum, k| sum - &spread[i][k] * &spread[j][k]);
                 spread[i][j] = if i == j { rest.sqrt() } else { rest / &spread[j][j] };
@@ -146,8 +185,8 @@ impl<'a> Oracle<'a> {
     }
 
     /// Deviations in standard deviations of one measurement, before any loss; `y` in those of the prior.
-    fn deviations(&self, y: &[Exact; 6]) -> Vec<Exact> {
-        let moved: [Exact; 6] =
+    fn deviations(&self, y: &[Exact; N]) -> Vec<Exact> {
+        let moved: [Exact; N] =
             core::array::from_fn(|i| (0..=i).fold(exact(0.0), |sum, j| sum + &self.spread[i][j] * &y[j]));
         let turn: Vector = [moved[3].clone(), moved[4].clone(), moved[5].clone()];
         let start = vector(self.prior.map_from_optical.translation);
@@ -159,7 +198,11 @@ impl<'a> Oracle<'a> {
             .iter()
             .map(|sight| {
                 // q v q*: v + 2 w (a x v) + 2 a x (a x v).
-                let ray = vector(sight.ray);
+                let mut ray = vector(sight.ray);
+                for (bend, by) in sight.bends.iter().zip(moved.iter().skip(6)) {
+                    let bend = vector(*bend);
+                    ray = core::array::from_fn(|i| &ray[i] + &bend[i] * by);
+                }
                 let once = cross(&axis, &ray);
                 let twice = cross(&axis, &once);
                 let two = exact(2.0);
@@ -175,11 +218,11 @@ impl<'a> Oracle<'a> {
     }
 
     /// The Gauss-Newton step with the loss's weights held, as y.
-    fn step(&self, y: &[Exact; 6]) -> [Exact; 6] {
+    fn step(&self, y: &[Exact; N]) -> [Exact; N] {
         // Exact enough that the error of central differences, h^2, is below 1e-35.
         let h = exact(2f64.powi(-60));
         let here = self.deviations(y);
-        let columns: Vec<Vec<Exact>> = (0..6)
+        let columns: Vec<Vec<Exact>> = (0..N)
             .map(|j| {
                 let at = |sign: f64| {
                     let mut moved = y.clone();
@@ -201,16 +244,16 @@ impl<'a> Oracle<'a> {
         let sum = |a: &[Exact], b: &[Exact]| {
             weights.iter().zip(a.iter().zip(b)).fold(exact(0.0), |sum, (w, (a, b))| sum + w * a * b)
         };
-        let mut rows: Vec<Vec<Exact>> = (0..6)
+        let mut rows: Vec<Vec<Exact>> = (0..N)
             .map(|i| {
                 let mut row: Vec<Exact> =
-                    (0..6).map(|j| sum(&columns[i], &columns[j]) + exact(if i == j { 1.0 } else { 0.0 })).collect();
+                    (0..N).map(|j| sum(&columns[i], &columns[j]) + exact(if i == j { 1.0 } else { 0.0 })).collect();
                 row.push(-sum(&columns[i], &here) - &y[i]);
                 row
             })
             .collect();
         // Gauss without pivots: the matrix is positive definite.
-        for i in 0..6 {
+        for i in 0..N {
             let (above, below) = rows.split_at_mut(i + 1);
             for row in below {
                 let factor = &row[i] / &above[i][i];
@@ -219,16 +262,16 @@ impl<'a> Oracle<'a> {
                 }
             }
         }
-        let mut step: [Exact; 6] = core::array::from_fn(|_| exact(0.0));
-        for i in (0..6).rev() {
-            let rest = (i + 1..6).fold(rows[i][6].clone(), |rest, j| rest - &rows[i][j] * &step[j]);
+        let mut step: [Exact; N] = core::array::from_fn(|_| exact(0.0));
+        for i in (0..N).rev() {
+            let rest = (i + 1..N).fold(rows[i][N].clone(), |rest, j| rest - &rows[i][j] * &step[j]);
             step[i] = rest / &rows[i][i];
         }
         step
     }
 }
 
-fn zero() -> [Exact; 6] {
+fn zero<const N: usize>() -> [Exact; N] {
     core::array::from_fn(|_| exact(0.0))
 }
 
@@ -243,12 +286,36 @@ fn a_refinement_step_agrees_with_256_bits() {
         let sights = sights(&truth, &corner(), pixel_noise(seed));
         let noise = Noise::USUAL;
         let found = solve::step(&start, &sights, &Vector6::zeros(), SCALES[0], noise).expect("a step");
-        let truth = Oracle::new(&start, &sights, SCALES[0], noise).step(&zero());
+        let truth = Oracle::<6>::new(&start, &sights, SCALES[0], noise).step(&zero());
         let size = truth.iter().map(|y| rounded(y).abs()).fold(0.0, f64::max);
         let errors = found.iter().zip(&truth).map(|(found, truth)| rounded(&(exact(*found) - truth)).abs() / size);
         largest = errors.fold(largest, f64::max);
     }
     largest_error(largest, 2e-14, "of the step");
+}
+
+/// The last step, of the lens and of the pose that follows it: what all nine unknowns would do beyond what six do.
+#[test]
+fn a_step_of_the_lens_agrees_with_256_bits() {
+    let mut largest = 0.0f64;
+    for seed in 0..3 {
+        let start = prior_with_lens(camera(0.1 * seed as f64, 0.05, 0.2));
+        let off = Vector6::from_fn(|i, _| normal(seed + 100, i))
+            .component_mul(&Vector6::new(0.1, 0.1, 0.01, 0.01, 0.01, 0.05));
+        let sights = sights(&moved_pose(&start.map_from_optical, &off), &corner(), pixel_noise(seed));
+        let noise = Noise::USUAL;
+        let found = solve::joint(&start, &sights, &Vector6::zeros(), SCALES[0], [noise; 2]).expect("a step");
+        let together = Oracle::<9>::new(&start, &sights, SCALES[0], noise).step(&zero());
+        let pose_alone = Oracle::<6>::new(&start, &sights, SCALES[0], noise).step(&zero());
+        let following = |i: usize| pose_alone.get(i).map_or(together[i].clone(), |alone| &together[i] - alone);
+        let truth: [Exact; 9] = core::array::from_fn(following);
+        let size = truth.iter().map(|y| rounded(y).abs()).fold(0.0, f64::max);
+        let spread = start.covariance.cholesky().expect("a prior").l();
+        let found = spread.solve_lower_triangular(&found.moved).expect("regular");
+        let errors = found.iter().zip(&truth).map(|(found, truth)| rounded(&(exact(*found) - truth)).abs() / size);
+        largest = errors.fold(largest, f64::max);
+    }
+    largest_error(largest, 2e-13, "of the step of the lens");
 }
 
 /// Where iterating ends, against the place where the oracle's steps end.
@@ -262,13 +329,13 @@ fn the_refined_pose_is_where_256_bits_put_it() {
         let truth = moved_pose(&start.map_from_optical, &off);
         let sights = sights(&truth, &corner(), pixel_noise(seed + 10));
         let found = solve::solve(&start, &sights, &Vector6::zeros(), SCALES[0], Noise::USUAL).expect("a solution");
-        let oracle = Oracle::new(&start, &sights, SCALES[0], Noise::USUAL);
+        let oracle = Oracle::<6>::new(&start, &sights, SCALES[0], Noise::USUAL);
         let mut y = zero();
         for _ in 0..12 {
             let step = oracle.step(&y);
             y = core::array::from_fn(|i| &y[i] + &step[i]);
         }
-        let spread = start.covariance.cholesky().expect("a prior").l();
+        let spread = start.pose_covariance().cholesky().expect("a prior").l();
         let minimum = spread * Vector6::from_fn(|i, _| rounded(&y[i]));
         let (_, covariance, _) = solved(&start, &sights);
         let miss = found.moved - minimum;
@@ -307,7 +374,7 @@ fn collinear_points_few_points_and_none_leave_what_was_known() {
         assert_sound(&start, &solution, &covariance, condition);
         if count == 0 {
             assert_eq!((solution.moved, condition), (Vector6::zeros(), 1.0));
-            assert!((covariance - start.covariance).amax() < 1e-15);
+            assert!((covariance - start.pose_covariance()).amax() < 1e-15);
         }
     }
     // One ray again and again: as one point.
@@ -373,10 +440,8 @@ fn several_starts_leave_a_wrong_basin() {
     let truth = camera(0.0, 0.0, 0.0);
     // Two parallel lines 40 cm apart, as goal line and goal area; the prior is one line off.
     let wide = Vector6::new(0.25, 0.1, 0.012, 0.012, 0.012, 0.06);
-    let start = Prior {
-        map_from_optical: moved_pose(&truth, &Vector6::new(0.4, 0.0, 0.0, 0.0, 0.0, 0.0)),
-        covariance: Matrix6::from_diagonal(&wide.component_mul(&wide)),
-    };
+    let beside = moved_pose(&truth, &Vector6::new(0.4, 0.0, 0.0, 0.0, 0.0, 0.0));
+    let start = Prior::of_pose(beside, &Matrix6::from_diagonal(&wide.component_mul(&wide)));
     let across = |x: f64| line(DVec3::new(x, -1.0, 0.0), DVec3::new(x, 1.0, 0.0));
     let along = line(DVec3::new(0.3, -0.7, 0.0), DVec3::new(1.2, -0.7, 0.0));
     let mut seen = sights(&truth, &[across(1.2), across(1.6), along], pixel_noise(6));
@@ -400,7 +465,7 @@ fn several_starts_leave_a_wrong_basin() {
 fn the_ellipse_holds_the_truth_as_often_as_it_says() {
     const DRAWS: u64 = 1500;
     let start = prior(camera(0.0, 0.0, 0.1));
-    let factor = start.covariance.cholesky().expect("a prior").l();
+    let factor = start.pose_covariance().cholesky().expect("a prior").l();
     for correlation in [0.0f64, 0.6] {
         let (mut stated, mut bare, mut nees) = ([0; 2], [0; 2], 0.0);
         for seed in 0..DRAWS {
@@ -437,6 +502,52 @@ fn the_ellipse_holds_the_truth_as_often_as_it_says() {
     }
 }
 
+/// Lenses as wrong as their calibration says, and poses as wrong as the prior: both are found as well as the covariance says, and the
+/// pose is off by less than if the lens were taken for right.
+#[test]
+fn what_a_lens_has_wrong_is_found_with_the_pose_and_its_covariance_is_honest() {
+    const DRAWS: u64 = 800;
+    let start = prior_with_lens(camera(0.0, 0.0, 0.1));
+    let ignorant = prior(start.map_from_optical);
+    let factor = start.covariance.cholesky().expect("a prior").l();
+    let (mut held, mut held_if_ignorant, mut nees, mut off_m, mut off_if_ignorant_m) = (0, 0, 0.0, 0.0, 0.0);
+    let lens = lens();
+    for seed in 0..DRAWS {
+        let off: Errors = factor * Errors::from_fn(|i, _| normal(seed + 30_000, i));
+        let truth = moved_pose(&start.map_from_optical, &super::pose_part(&off));
+        let wrong = Miscalibration { stretch: off[6], shift: DVec2::new(off[7], off[8]) };
+        let mut seen = sights(&truth, &corner(), pixel_noise(seed));
+        for sight in &mut seen {
+            sight.ray = misread(&lens, &wrong, sight.ray).expect("in view");
+            sight.bends = bends(sight.ray);
+        }
+        let noise = Noise { sigma_px: 0.25, correlated: 1.0 };
+        let [.., scale] = SCALES;
+        let [knowing, not] = [&start, &ignorant].map(|prior| {
+            let solution = solve::solve(prior, &seen, &Vector6::zeros(), SCALES[0], noise).expect("a solution");
+            solve::joint(prior, &seen, &solution.moved, scale, [noise; 2]).expect("a covariance")
+        });
+        let within = |joint: &solve::Joint| {
+            let error = joint.moved - off;
+            let plane: Matrix2<f64> = joint.covariance.fixed_view::<2, 2>(0, 0).into();
+            let xy = Vector2::new(error[0], error[1]);
+            (xy.dot(&(plane.try_inverse().expect("regular") * xy)) < 5.991, xy.norm())
+        };
+        let ((is_held, m), (is_held_if_ignorant, if_ignorant_m)) = (within(&knowing), within(&not));
+        held += u64::from(is_held);
+        held_if_ignorant += u64::from(is_held_if_ignorant);
+        (off_m, off_if_ignorant_m) = (off_m + m / DRAWS as f64, off_if_ignorant_m + if_ignorant_m / DRAWS as f64);
+        let error = knowing.moved - off;
+        nees += error.dot(&(knowing.covariance.try_inverse().expect("regular") * error)) / 9.0 / DRAWS as f64;
+    }
+    let [held, ignorant] = [held, held_if_ignorant].map(|count| count as f64 / DRAWS as f64);
+    println!(
+        "held {held:.3}, NEES {nees:.2}, {off_m:.5} m; lens taken for right: {ignorant:.3}, {off_if_ignorant_m:.5} m"
+    );
+    assert!((0.90..=0.99).contains(&held) && (0.7..1.4).contains(&nees), "{held} {nees}");
+    assert!(ignorant < 0.7 && off_m < off_if_ignorant_m, "{ignorant} {off_m} {off_if_ignorant_m}");
+}
+
 fn tilted(turn: f64) -> DQuat {
     DQuat::from_rotation_z(turn)
 }
@@ -445,10 +556,10 @@ proptest! {
     /// Whatever the lines say, at a fixed pose and fixed noise another one never makes the pose less certain.
     #[test]
     fn more_lines_never_widen_the_covariance(seed in 0u64..1000, few in 1usize..40) {
-        let start = prior(camera(0.0, 0.0, 0.0));
+        let start = prior_with_lens(camera(0.0, 0.0, 0.0));
         let all = sights(&start.map_from_optical, &corner(), pixel_noise(seed));
         let covariance = |sights: &[Sight]| {
-            solve::covariance(&start, sights, &Vector6::zeros(), SCALES[1], Noise::USUAL).expect("a covariance").0
+            solve::joint(&start, sights, &Vector6::zeros(), SCALES[1], [Noise::USUAL; 2]).expect("a covariance").covariance
         };
         let (less, more) = (covariance(&all[..few]), covariance(&all));
         let factor = less.cholesky().expect("positive definite").l().try_inverse().expect("regular");
@@ -480,11 +591,9 @@ proptest! {
         }
         axes[(2, 2)] = 1.0;
         axes[(5, 5)] = 1.0;
-        let elsewhere = Prior {
-            map_from_optical: moved_by * start.map_from_optical,
-            covariance: axes * start.covariance * axes.transpose(),
-        };
-        let elsewhere = Prior { covariance: (elsewhere.covariance + elsewhere.covariance.transpose()) * 0.5, ..elsewhere };
+        let covariance = axes * start.pose_covariance() * axes.transpose();
+        let covariance = (covariance + covariance.transpose()) * 0.5;
+        let elsewhere = Prior::of_pose(moved_by * start.map_from_optical, &covariance);
         let ((a, a_covariance, _), (b, b_covariance, _)) = (solved(&start, &here), solved(&elsewhere, &there));
         prop_assert!((axes * a.moved - b.moved).amax() < 1e-9, "{} {}", axes * a.moved, b.moved);
         prop_assert!((axes * a_covariance * axes.transpose() - b_covariance).amax() < 1e-9);
@@ -499,13 +608,13 @@ proptest! {
         let mut start = prior(camera(0.0, 0.0, 0.0));
         start.map_from_optical.translation.z = height;
         let mixed = Matrix6::from_fn(|i, j| 10f64.powf(sizes[i]) * (normal(seed, 6 * i + j) + f64::from(u8::from(i == j))));
-        start.covariance = mixed * mixed.transpose();
-        start.covariance += Matrix6::identity() * (1e-9 * start.covariance.trace());
+        let covariance = mixed * mixed.transpose();
+        start = Prior::of_pose(start.map_from_optical, &(covariance + Matrix6::identity() * (1e-9 * covariance.trace())));
         let seen = sights(&start.map_from_optical, &corner(), |index| off_px * normal(seed ^ 1, index));
         let found = solve::solve(&start, &seen[..count], &Vector6::zeros(), SCALES[0], Noise::USUAL);
         let solution = found.expect("a covariance has a factor");
-        let (covariance, condition) =
-            solve::covariance(&start, &seen[..count], &solution.moved, SCALES[1], solution.residuals.noise()).expect("one");
-        assert_sound(&start, &solution, &covariance, condition);
+        let joint =
+            solve::joint(&start, &seen[..count], &solution.moved, SCALES[1], [solution.residuals.noise(); 2]).expect("one");
+        assert_sound(&start, &solution, &super::pose_block(&joint.covariance), joint.condition);
     }
 }

@@ -1,38 +1,40 @@
 //! Least squares by orthogonal factorisation, some rows at a time.
 
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::{SMatrix, SVector};
 
-/// Upper triangular R and right side d of the rows so far: minimise |R y - d|.
+/// Upper triangular R and right side d of the rows so far: minimise |R y - d|. A row is N coefficients, the right side, and as many
+/// zeros as make W numbers: what vectors are made of.
 #[derive(Clone, Debug)]
-pub(super) struct Triangular {
-    r: [Row; 6],
+pub(super) struct Triangular<const N: usize, const W: usize> {
+    r: [[f64; W]; N],
 }
 
-/// Six coefficients, the right side, and a zero: what vectors are made of.
-type Row = [f64; 8];
-const RIGHT: usize = 6;
 const AT_ONCE: usize = 32;
 
 /// Rows on their way into a triangle.
-pub(super) struct Rows {
-    triangle: Triangular,
-    waiting: [Row; AT_ONCE],
+pub(super) struct Rows<const N: usize, const W: usize> {
+    triangle: Triangular<N, W>,
+    waiting: [[f64; W]; AT_ONCE],
     count: usize,
 }
 
-impl Rows {
-    /// Six rows that say y = `y`, each with weight 1.
-    pub(super) fn identity(y: &Vector6<f64>) -> Self {
+impl<const N: usize, const W: usize> Rows<N, W> {
+    /// N rows that say y = `y`, each with weight 1.
+    pub(super) fn identity(y: &SVector<f64, N>) -> Self {
+        const { assert!(W > N, "the right side needs a place") };
         let r = core::array::from_fn(|i| {
-            let mut row = Row::default();
-            (row[i], row[RIGHT]) = (1.0, y[i]);
+            let mut row = [0.0; W];
+            (row[i], row[N]) = (1.0, y[i]);
             row
         });
-        Self { triangle: Triangular { r }, waiting: [Row::default(); AT_ONCE], count: 0 }
+        Self { triangle: Triangular { r }, waiting: [[0.0; W]; AT_ONCE], count: 0 }
     }
 
-    pub(super) fn push(&mut self, [a, b, c, d, e, f]: [f64; 6], right: f64) {
-        self.waiting[self.count] = [a, b, c, d, e, f, right, 0.0];
+    pub(super) fn push(&mut self, coefficients: &[f64; N], right: f64) {
+        let row = &mut self.waiting[self.count];
+        row[..N].copy_from_slice(coefficients);
+        row[N] = right;
+        row[N + 1..].fill(0.0);
         self.count += 1;
         if self.count == AT_ONCE {
             self.triangle.reflect(&mut self.waiting);
@@ -40,16 +42,16 @@ impl Rows {
         }
     }
 
-    pub(super) fn finish(mut self) -> Triangular {
+    pub(super) fn finish(mut self) -> Triangular<N, W> {
         self.triangle.reflect(&mut self.waiting[..self.count]);
         self.triangle
     }
 }
 
-impl Triangular {
-    /// Six more rows that say y = 0, each with this weight.
+impl<const N: usize, const W: usize> Triangular<N, W> {
+    /// N more rows that say y = 0, each with this weight.
     pub(super) fn damped(&self, weight: f64) -> Self {
-        let mut rows = [Row::default(); 6];
+        let mut rows = [[0.0; W]; N];
         for (i, row) in rows.iter_mut().enumerate() {
             row[i] = weight;
         }
@@ -60,9 +62,9 @@ impl Triangular {
 
     /// Householder reflections, one a column, that turn the rows into the triangle; what is left of them is of no use. Rounding
     /// errors do not grow with the number of rows.
-    fn reflect(&mut self, rows: &mut [Row]) {
-        for column in 0..6 {
-            let mut products = Row::default();
+    fn reflect(&mut self, rows: &mut [[f64; W]]) {
+        for column in 0..N {
+            let mut products = [0.0; W];
             for row in rows.iter() {
                 for (product, value) in products.iter_mut().zip(row) {
                     *product += row[column] * value;
@@ -76,7 +78,7 @@ impl Triangular {
             // corner - length without cancellation, as corner is positive.
             let first = -square / (corner + length);
             let scale = 2.0 / (first * first + square);
-            let mut shares = Row::default();
+            let mut shares = [0.0; W];
             for ((share, product), own) in shares.iter_mut().zip(&products).zip(&mut self.r[column]) {
                 *share = scale * (first * *own + product);
                 *own -= *share * first;
@@ -90,26 +92,25 @@ impl Triangular {
         }
     }
 
-    pub(super) fn solve(&self) -> Vector6<f64> {
-        let mut y = [0.0; 6];
-        for i in (0..6).rev() {
-            let rest: f64 = (i + 1..6).map(|j| self.r[i][j] * y[j]).sum();
-            y[i] = (self.r[i][RIGHT] - rest) / self.r[i][i];
-        }
-        Vector6::from(y)
+    pub(super) fn solve(&self) -> SVector<f64, N> {
+        self.solve_from(0)
     }
 
-    /// Largest over smallest singular value of R: how many digits the solution can lose. At least 1.
-    pub(super) fn condition(&self) -> f64 {
-        let r = Matrix6::from_fn(|i, j| self.r[i][j]);
-        let values = r.singular_values();
-        values.max() / values.min()
+    /// The unknowns from `first` on; those before follow them as if they had been solved for already.
+    pub(super) fn solve_from(&self, first: usize) -> SVector<f64, N> {
+        let mut y = SVector::zeros();
+        for i in (0..N).rev() {
+            let rest: f64 = (i + 1..N).map(|j| self.r[i][j] * y[j]).sum();
+            let right = if i < first { 0.0 } else { self.r[i][N] };
+            y[i] = (right - rest) / self.r[i][i];
+        }
+        y
     }
 
     /// Inverse of R: the covariance is its product with its own transpose.
-    pub(super) fn inverse(&self) -> Matrix6<f64> {
-        let mut inverse = Matrix6::zeros();
-        for column in 0..6 {
+    pub(super) fn inverse(&self) -> SMatrix<f64, N, N> {
+        let mut inverse = SMatrix::zeros();
+        for column in 0..N {
             for i in (0..=column).rev() {
                 let unit = if i == column { 1.0 } else { 0.0 };
                 let rest: f64 = (i + 1..=column).map(|j| self.r[i][j] * inverse[(j, column)]).sum();
@@ -117,5 +118,9 @@ impl Triangular {
             }
         }
         inverse
+    }
+
+    pub(super) fn r(&self) -> SMatrix<f64, N, N> {
+        SMatrix::from_fn(|i, j| self.r[i][j])
     }
 }

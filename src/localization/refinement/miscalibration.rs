@@ -1,0 +1,34 @@
+//! How a lens differs from what its calibration says.
+
+use glam::DVec2;
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::Lens;
+
+/// What of a calibration is wrong, as far as a walk shows it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Miscalibration {
+    /// Share by which the focal lengths are longer.
+    pub stretch: f64,
+    /// Where the axis meets the image, relative to where it is said to, widths of the image.
+    pub shift: DVec2,
+}
+
+impl Miscalibration {
+    pub const NONE: Self = Self { stretch: 0.0, shift: DVec2::ZERO };
+
+    /// Where the lens really draws what it is said to draw at `pixel`.
+    pub fn drawn(&self, lens: &Lens, pixel: DVec2) -> DVec2 {
+        pixel + self.stretch * from_centre(lens, pixel) + f64::from(lens.width()) * self.shift
+    }
+
+    /// How that changes with stretch and shift: pixels for each unit.
+    pub(super) fn gradient(lens: &Lens, pixel: DVec2) -> [DVec2; 3] {
+        let width = f64::from(lens.width());
+        [from_centre(lens, pixel), width * DVec2::X, width * DVec2::Y]
+    }
+}
+
+fn from_centre(lens: &Lens, pixel: DVec2) -> DVec2 {
+    pixel - DVec2::new(lens.parameters().cx, lens.parameters().cy)
+}
