@@ -465,6 +465,42 @@ mod tests {
         assert!(agreed.spread().1 < 0.02, "{}", agreed.spread().1);
     }
 
+    /// Frames that all say the same of the lens, each with this standard deviation: what is believed then, and how firmly.
+    fn told_of_the_lens(stretch: f64, sigma: f64, frames: usize) -> (f64, f64) {
+        let mut track = Track::around(Pose2::default(), 0.05, 0.05, &MODEL());
+        for _ in 0..frames {
+            let prediction = track.prior(&camera(&Pose2::default()), &MODEL());
+            let (known, seen) = (prediction.prior.covariance[(STRETCH_ROW, STRETCH_ROW)], sigma * sigma);
+            let mut refined = Refined {
+                map_from_optical: prediction.prior.map_from_optical,
+                covariance: prediction.prior.covariance,
+                moved: Errors::zeros(),
+                cost: 0.0,
+                condition: 1.0,
+                lines: Agreement::default(),
+            };
+            refined.moved[STRETCH_ROW] = known / (known + seen) * (stretch - track.lens().stretch);
+            refined.covariance[(STRETCH_ROW, STRETCH_ROW)] = known * seen / (known + seen);
+            track.update(&prediction, &refined);
+        }
+        (track.lens().stretch, track.lens_sigmas()[0])
+    }
+
+    const STRETCH_ROW: usize = 6;
+
+    #[test]
+    fn what_frames_have_in_common_is_counted_a_few_times_and_no_more() {
+        let (stretch, sigma) = told_of_the_lens(0.004, 0.001, 5);
+        assert!((stretch - 0.004).abs() < 0.0003 && sigma < 0.0007, "learnt at once: {stretch} {sigma}");
+        let (stretch, sigma) = told_of_the_lens(0.004, 0.001, 5000);
+        assert!((stretch - 0.004).abs() < 0.0001, "{stretch}");
+        assert!(sigma > 0.001 / 5.0, "a thousand frames are not a thousand times as much: {sigma}");
+        // Who hardly sees what the lens does believes its calibration, however often.
+        let before = MODEL().lens_stretch;
+        let (stretch, sigma) = told_of_the_lens(0.1, 5.0 * before, 5000);
+        assert!(stretch == 0.0 && sigma >= 0.999 * before, "{stretch} {sigma}");
+    }
+
     #[test]
     fn the_covariance_stays_one_whatever_is_doubted() {
         let mut track = walked(30, Some, Some);

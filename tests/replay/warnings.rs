@@ -5,7 +5,7 @@ use std::sync::Arc;
 use realitysim::ros2::messages::{Imu, Quaternion, TFMessage};
 use realitysim::ros2::{Channel, LogMessage};
 
-use super::support::{IMU, Room, TF_STATIC, changed, walk, without};
+use super::support::{IMU, Room, TF_STATIC, changed, session_name, walk, without};
 
 /// One warning with these words: in the report, and once on standard error. The tags are whole all the same.
 fn assert_warned(messages: &[LogMessage], arguments: &str, words: &[&str]) {
@@ -35,6 +35,27 @@ fn a_log_with_an_attitude_is_no_reason_to_warn() {
     let replayed = room.replay("log.mcap");
     assert_eq!(replayed.report["warnings"], serde_json::json!([]));
     assert!(!replayed.run.stderr.contains("warning"), "{:?}", replayed.run);
+}
+
+#[test]
+fn a_lens_that_is_not_as_it_was_calibrated_is_told_and_allowed_for() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| {
+        format!(
+            "{text}\n[[effect]]\nkind = \"calibration_error\"\nrole = \"base\"\nfocal_percent = 0.6\ncentre_px = [1.5, -1.5]\n"
+        )
+    });
+    room.run("sim scene.toml -o log.mcap").succeeds();
+    let replayed = room.replay("log.mcap");
+    let warnings = replayed.report["warnings"].as_array().expect("warnings");
+    assert!(
+        warnings.len() == 1 && warnings[0].as_str().is_some_and(|said| said.contains("focal length -0.6")),
+        "{warnings:?}"
+    );
+    // Nobody has told it, and the walk takes four seconds.
+    let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(&replayed))).succeeds().json();
+    assert!(judged["position_cm"]["median"].as_f64().is_some_and(|median| median < 0.3), "{judged}");
+    assert!(judged["ellipse95_share"].as_f64().is_some_and(|share| share >= 0.9), "{judged}");
 }
 
 #[test]
