@@ -200,6 +200,17 @@ impl Track {
         moved
     }
 
+    /// What was learnt of the lens may have been learnt from a wrong place: it is as uncertain as at the start.
+    pub fn with_lens_doubted(mut self, model: &TrackModel) -> Self {
+        for (index, sigma) in [(STRETCH, model.lens_stretch), (SHIFT_U, model.lens_shift), (SHIFT_V, model.lens_shift)]
+        {
+            self.covariance.row_mut(index).fill(0.0);
+            self.covariance.column_mut(index).fill(0.0);
+            self.covariance[(index, index)] = sigma * sigma;
+        }
+        self
+    }
+
     pub fn pose(&self) -> Pose2 {
         Pose2::new(self.mean[X], self.mean[Y], self.mean[YAW])
     }
@@ -467,7 +478,11 @@ mod tests {
 
     /// Frames that all say the same of the lens, each with this standard deviation: what is believed then, and how firmly.
     fn told_of_the_lens(stretch: f64, sigma: f64, frames: usize) -> (f64, f64) {
-        let mut track = Track::around(Pose2::default(), 0.05, 0.05, &MODEL());
+        let track = told_again(Track::around(Pose2::default(), 0.05, 0.05, &MODEL()), stretch, sigma, frames);
+        (track.lens().stretch, track.lens_sigmas()[0])
+    }
+
+    fn told_again(mut track: Track, stretch: f64, sigma: f64, frames: usize) -> Track {
         for _ in 0..frames {
             let prediction = track.prior(&camera(&Pose2::default()), &MODEL());
             let (known, seen) = (prediction.prior.covariance[(STRETCH_ROW, STRETCH_ROW)], sigma * sigma);
@@ -483,7 +498,7 @@ mod tests {
             refined.covariance[(STRETCH_ROW, STRETCH_ROW)] = known * seen / (known + seen);
             track.update(&prediction, &refined);
         }
-        (track.lens().stretch, track.lens_sigmas()[0])
+        track
     }
 
     const STRETCH_ROW: usize = 6;
@@ -499,6 +514,15 @@ mod tests {
         let before = MODEL().lens_stretch;
         let (stretch, sigma) = told_of_the_lens(0.1, 5.0 * before, 5000);
         assert!(stretch == 0.0 && sigma >= 0.999 * before, "{stretch} {sigma}");
+    }
+
+    #[test]
+    fn what_was_learnt_of_the_lens_from_a_wrong_place_is_learnt_anew_from_the_right_one() {
+        let wrong = told_again(Track::around(Pose2::default(), 0.05, 0.05, &MODEL()), 0.01, 0.001, 200);
+        let elsewhere = wrong.moved_to(Pose2::new(1.0, 0.0, 0.0), 0.05, 0.05);
+        let stays = told_again(elsewhere.clone(), 0.0, 0.001, 200).lens().stretch;
+        let again = told_again(elsewhere.with_lens_doubted(&MODEL()), 0.0, 0.001, 200).lens().stretch;
+        assert!(stays > 0.008 && again.abs() < 0.001, "{stays} {again}");
     }
 
     #[test]

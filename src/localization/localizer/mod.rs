@@ -378,7 +378,7 @@ impl Localizer {
         self.filter.restart(pose, spread);
         let Spread { xy_m, yaw_rad } = spread;
         self.state.track = Some(match &self.state.track {
-            Some(track) => track.moved_to(pose, xy_m, yaw_rad),
+            Some(track) => track.moved_to(pose, xy_m, yaw_rad).with_lens_doubted(&self.settings.track),
             None => Track::around(pose, xy_m, yaw_rad, &self.settings.track),
         });
     }
