@@ -179,8 +179,9 @@ def shows_its_captures_to_whoever_fetches_them(robot):
     machine = robot.machine
     session = machine.status()["session"]
     machine.ok("useradd -M -G realitysim fetcher; useradd -M stranger")
-    # A segment that is being recorded may get its final name between two commands.
-    reads = f"cat {session}/*.mcap* 2>/dev/null | head -c 100 | grep -q ."
+    # A segment that is being recorded may get its final name between two commands, or between the list of files and reading them.
+    once = f"cat {session}/*.mcap* 2>/dev/null | head -c 100 | grep -q ."
+    reads = f"{{ {once} || {{ sleep 1; {once}; }}; }}"
     machine.ok(f"runuser -u fetcher -- sh -c '{reads} && echo yes > {session}/ack/a.jsonl'")
     code, _ = machine.run(f"runuser -u stranger -- sh -c '{reads}'")
     assert code != 0, "captures are for the group only"
