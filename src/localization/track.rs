@@ -30,6 +30,7 @@ const GYRO: usize = 10;
 const STRETCH: usize = 11;
 const SHIFT_U: usize = 12;
 const SHIFT_V: usize = 13;
+const LENS: [usize; 3] = [STRETCH, SHIFT_U, SHIFT_V];
 
 type Covariance = SMatrix<f64, STATES, STATES>;
 type State = SVector<f64, STATES>;
@@ -193,22 +194,24 @@ impl Track {
         let mut moved = self.clone();
         moved.mean.fixed_rows_mut::<3>(0).copy_from_slice(&[pose.x, pose.y, pose.yaw]);
         for (index, sigma) in [(X, xy_m), (Y, xy_m), (YAW, yaw_rad)] {
-            moved.covariance.row_mut(index).fill(0.0);
-            moved.covariance.column_mut(index).fill(0.0);
-            moved.covariance[(index, index)] = sigma * sigma;
+            moved.forget(index, sigma);
         }
         moved
     }
 
     /// What was learnt of the lens may have been learnt from a wrong place: it is as uncertain as at the start.
     pub fn with_lens_doubted(mut self, model: &TrackModel) -> Self {
-        for (index, sigma) in [(STRETCH, model.lens_stretch), (SHIFT_U, model.lens_shift), (SHIFT_V, model.lens_shift)]
-        {
-            self.covariance.row_mut(index).fill(0.0);
-            self.covariance.column_mut(index).fill(0.0);
-            self.covariance[(index, index)] = sigma * sigma;
+        for (index, sigma) in LENS.into_iter().zip([model.lens_stretch, model.lens_shift, model.lens_shift]) {
+            self.forget(index, sigma);
         }
         self
+    }
+
+    /// One state is as uncertain as this, whatever the others are.
+    fn forget(&mut self, index: usize, sigma: f64) {
+        self.covariance.row_mut(index).fill(0.0);
+        self.covariance.column_mut(index).fill(0.0);
+        self.covariance[(index, index)] = sigma * sigma;
     }
 
     pub fn pose(&self) -> Pose2 {
@@ -323,7 +326,7 @@ impl Track {
                 sensitivity[(row, state)] = part;
             }
         }
-        for (row, state) in [(6, STRETCH), (7, SHIFT_U), (8, SHIFT_V)] {
+        for (row, state) in (6..).zip(LENS) {
             sensitivity[(row, state)] = 1.0;
         }
         let tilt: DVec3 = axes.iter().map(|(state, axis)| *axis * self.mean[*state]).sum();
@@ -345,7 +348,7 @@ impl Track {
 
     /// Their standard deviations, in the order of [`Errors`].
     pub fn lens_sigmas(&self) -> [f64; 3] {
-        [STRETCH, SHIFT_U, SHIFT_V].map(|index| libm::sqrt(self.covariance[(index, index)].max(0.0)))
+        LENS.map(|index| libm::sqrt(self.covariance[(index, index)].max(0.0)))
     }
 
     /// What a refined pose says of the state. Of the lens only a part of it is taken, as in the partial-update Schmidt-Kalman filter
@@ -357,11 +360,10 @@ impl Track {
         let left = self.left_of_lens(&narrowed);
         self.mean += (gain * refined.moved).component_mul(&(State::repeat(1.0) - left));
         self.mean[YAW] = wrap_angle(self.mean[YAW]);
-        for (index, most) in [(DISTANCE, MOST_SCALE), (TURN, MOST_SCALE), (STRETCH, MOST_LENS)] {
+        let most =
+            [DISTANCE, TURN].map(|index| (index, MOST_SCALE)).into_iter().chain(LENS.map(|index| (index, MOST_LENS)));
+        for (index, most) in most {
             self.mean[index] = self.mean[index].clamp(-most, most);
-        }
-        for index in [SHIFT_U, SHIFT_V] {
-            self.mean[index] = self.mean[index].clamp(-MOST_LENS, MOST_LENS);
         }
         // A sum of squares (Joseph's form): no rounding makes it anything but a covariance.
         let kept = Covariance::identity() - gain * prediction.sensitivity;
@@ -374,7 +376,7 @@ impl Track {
     /// Which share of what a frame says of each state is not taken; `narrowed` is what the covariance would lose by it.
     fn left_of_lens(&self, narrowed: &Covariance) -> State {
         let mut left = State::zeros();
-        for index in [STRETCH, SHIFT_U, SHIFT_V] {
+        for index in LENS {
             let share = narrowed[(index, index)] / self.covariance[(index, index)];
             left[index] = if share > SEEN_BEFORE { SEEN_BEFORE / share } else { 1.0 };
         }
