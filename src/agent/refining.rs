@@ -17,7 +17,7 @@ use crate::evaluation::capture::{EvaluationError, Readout, read_tags};
 use crate::geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use crate::localization::refinement::LinePoints;
 use crate::localization::refinement::miscalibration::Miscalibration;
-use crate::localization::refinement::offsets::{Sight, measure};
+use crate::localization::refinement::offsets::{Eye, Sight, measure};
 use crate::recording::{
     Loss, REFINED_FOLDER, RecordingError, SESSION_FILE, SessionInfo, read_info, topic, write_atomically,
 };
@@ -123,8 +123,7 @@ pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64))
     let mut constants = Constants::default();
     let mut done: Option<(Vec<Frame>, Smoothed)> = None;
     for (pass, reach) in REACH.iter().enumerate() {
-        let lens = Lens::new(constants.lens(&info.lens))?;
-        let looked = look(capture, &info, &lens, &poses, *reach, &mut |frame, frames| {
+        let looked = look(capture, &info, &constants, &poses, *reach, &mut |frame, frames| {
             progress(pass as u64 * frames + frame, PASSES as u64 * frames);
         })?;
         let (mut frames, more) = looked;
@@ -165,7 +164,7 @@ pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64))
 fn look(
     capture: &Path,
     info: &SessionInfo,
-    lens: &Lens,
+    found: &Constants,
     poses: &HashMap<i64, Isometry>,
     (metres, radians): (f64, f64),
     progress: &mut dyn FnMut(u64, u64),
@@ -174,7 +173,8 @@ fn look(
     let known = checkpoint.map_or_else(|| setup.synchroniser.clone(), |checkpoint| checkpoint.synchroniser);
     let mut synchroniser = Synchroniser::new(setup.settings.frames.clone(), known);
     synchroniser.expect(setup.expected);
-    let (points, projector) = (LinePoints::new(&setup.field), Projector::new(lens));
+    let (points, projector) = (LinePoints::new(&setup.field), Projector::new(&Lens::new(found.lens(&info.lens))?));
+    let off = Miscalibration { readout_s: found.readout_s, ..Miscalibration::NONE };
     let square = |sigma: f64| sigma * sigma;
     let [m, r] = [metres, radians].map(square);
     let covariance = Matrix6::from_diagonal(&Vector6::new(m, m, m, r, r, r));
@@ -185,12 +185,14 @@ fn look(
         progress(number, count);
         let Some(pose) = poses.get(&frame.stamp_ns).filter(|_| frames.len() < MAX_FRAMES) else { return };
         let (mut places, mut overlap) = (Vec::new(), None);
+        let twist = frame.robot.camera_twist.unwrap_or_default();
         if let (Ok(place), Ok(picture)) = (&frame.robot.place, view(&frame.message, setup.eyes.vision.lens())) {
             let body = setup.eyes.body(frame.robot.head);
             setup.eyes.vision.look_again(&picture, &place.footprint_from_optical, body, &mut seen);
-            measure(&points, &seen.image, &projector, &Miscalibration::NONE, pose, &covariance, &mut sights);
+            let eye = Eye { projector: &projector, off: &off, twist: &twist };
+            measure(&points, &seen.image, eye, pose, &covariance, &mut sights);
             let every = sights.len().div_ceil(MAX_PLACES).max(1);
-            places.extend(sights.iter().step_by(every).filter_map(|sight| Place::new(sight, lens)));
+            places.extend(sights.iter().step_by(every).filter_map(|sight| Place::new(sight, &eye, pose)));
             let here = Look { picture: &picture, map_from_optical: *pose };
             overlap = before.as_ref().map(|(before_ns, before_pose, before_picture)| {
                 let earlier = Look { picture: before_picture, map_from_optical: *before_pose };
@@ -205,6 +207,7 @@ fn look(
             footprint_from_optical: frame.robot.place.ok().map(|place| place.footprint_from_optical),
             odometry: frame.robot.odometry,
             turned_rad: frame.robot.turned_rad,
+            twist,
             places,
             overlap,
         });
@@ -249,9 +252,10 @@ impl Refining {
         let Smoothed { constants, believed, known, rms_px, .. } = &self.smoothed;
         let values = constants.values();
         let height_m = self.smoothed.map_from_optical.first().map_or(0.0, |pose| pose.translation.z.abs());
-        // Focal length, k1 and tilts in shares of the focal length, the centre in pixels, the height by ground seen at 45 degrees.
+        // Focal length, k1 and tilts in shares of the focal length, the centre in pixels, the height by ground seen at 45 degrees,
+        // readout of a camera that turns by a radian per second.
         let a_pixel = 1.0 / self.lens.fx;
-        let systematic = [a_pixel, 1.0, 1.0, a_pixel, a_pixel, a_pixel, height_m * a_pixel];
+        let systematic = [a_pixel, 1.0, 1.0, a_pixel, a_pixel, a_pixel, height_m * a_pixel, a_pixel];
         let found = (0..CONSTANTS).map(|i| Found {
             name: NAMES[i].0.to_owned(),
             unit: NAMES[i].1.to_owned(),

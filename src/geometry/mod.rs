@@ -12,7 +12,7 @@ mod pose_grid;
 
 pub use field::{Field, FieldDimensions, FieldError, FieldPoint};
 pub use lens::{Lens, LensError, LensModel, LensParameters, Projector};
-pub use pose::{Euler, Isometry, Pose2};
+pub use pose::{Euler, Isometry, Pose2, Twist};
 pub use pose_grid::PoseGrid;
 
 /// Wraps an angle to (-pi, pi].

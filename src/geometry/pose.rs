@@ -33,6 +33,30 @@ pub struct Pose2 {
     pub yaw: f64,
 }
 
+/// How fast a frame moves, along its own axes (`geometry_msgs/Twist`): metres and radians per second.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Twist {
+    pub linear: DVec3,
+    pub angular: DVec3,
+}
+
+impl Twist {
+    pub const ZERO: Self = Self { linear: DVec3::ZERO, angular: DVec3::ZERO };
+
+    /// Where the moving frame is some seconds after it was at `pose`.
+    pub fn carries(&self, pose: &Isometry, seconds: f64) -> Isometry {
+        Isometry::new(
+            pose.rotation * DQuat::from_scaled_axis(self.angular * seconds),
+            pose.transform_point(self.linear * seconds),
+        )
+    }
+
+    /// How fast what stands still at `place` goes by, in the moving frame, metres per second.
+    pub fn passing(&self, place: DVec3) -> DVec3 {
+        -self.linear - self.angular.cross(place)
+    }
+}
+
 impl Isometry {
     pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 

@@ -59,6 +59,7 @@ mod tests {
             odometry: Some(Pose2::new(x, 0.0, 0.0)),
             turned_rad: Some(turned_rad),
             swayed_rad: Some(swayed_rad),
+            camera_twist: None,
             footprint_from_optical: None,
             tilt_is_measured: true,
             lean_rad: None,

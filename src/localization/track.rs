@@ -11,11 +11,12 @@ use serde::{Deserialize, Serialize};
 
 use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{ErrorCovariance, Errors, Prior, Refined};
-use crate::geometry::{Isometry, Pose2, wrap_angle};
+use crate::geometry::{Isometry, Pose2, Twist, wrap_angle};
 
 /// x, y, yaw of `base_footprint`; roll and pitch error of the torso's attitude; of the camera's mount; the camera's height
-/// error; relative error of odometry's distance and of its turn; the gyro's bias; the lens's stretch and shift.
-const STATES: usize = 14;
+/// error; relative error of odometry's distance and of its turn; the gyro's bias; the lens's stretch and shift; the sensor's
+/// readout.
+const STATES: usize = 15;
 const X: usize = 0;
 const Y: usize = 1;
 const YAW: usize = 2;
@@ -30,7 +31,8 @@ const GYRO: usize = 10;
 const STRETCH: usize = 11;
 const SHIFT_U: usize = 12;
 const SHIFT_V: usize = 13;
-const LENS: [usize; 3] = [STRETCH, SHIFT_U, SHIFT_V];
+const READOUT: usize = 14;
+const LENS: [usize; 4] = [STRETCH, SHIFT_U, SHIFT_V, READOUT];
 
 type Covariance = SMatrix<f64, STATES, STATES>;
 type State = SVector<f64, STATES>;
@@ -54,6 +56,7 @@ pub struct TrackModel {
     pub lens_stretch: f64,
     /// Widths of the image.
     pub lens_shift: f64,
+    pub readout_s: f64,
     /// Error of one step of odometry beyond its scale: share of the distance, radians per metre and share of the turn, and
     /// what is added with time.
     pub step_share: f64,
@@ -80,6 +83,7 @@ impl Default for TrackModel {
             gyro_bias_rad_per_s: 0.02,
             lens_stretch: 0.005,
             lens_shift: 0.002,
+            readout_s: 0.015,
             step_share: 0.1,
             turn_share: 0.05,
             turn_rad_per_m: 0.08,
@@ -98,6 +102,7 @@ const SCALE_WALK: f64 = 0.01;
 const GYRO_WALK: f64 = 0.001;
 const STRETCH_WALK: f64 = 3e-5;
 const SHIFT_WALK: f64 = 1e-5;
+const READOUT_WALK: f64 = 1e-5;
 /// Frames have errors of line finding in common: evidence that would make a variance of the lens smaller by less than this share has
 /// been counted before. So some twenty frames' worth is taken, and of a lens that a frame hardly shows nothing.
 const SEEN_BEFORE: f64 = 0.05;
@@ -141,7 +146,7 @@ pub struct Track {
 pub struct Prediction {
     pub prior: Prior,
     /// How the camera pose's error depends on the state's.
-    sensitivity: SMatrix<f64, 9, STATES>,
+    sensitivity: SMatrix<f64, 10, STATES>,
     /// What of the covariance is the frame's own.
     scatter: ErrorCovariance,
 }
@@ -150,7 +155,7 @@ impl Prediction {
     /// The same, the lens being taken for what it is believed to be: seen from a wrong place every lens is wrong.
     pub fn with_lens_known(mut self) -> Self {
         self.prior.take_lens_as_known();
-        self.sensitivity.fixed_rows_mut::<3>(6).fill(0.0);
+        self.sensitivity.fixed_rows_mut::<4>(6).fill(0.0);
         self
     }
 
@@ -185,6 +190,7 @@ impl Track {
             model.lens_stretch,
             model.lens_shift,
             model.lens_shift,
+            model.readout_s,
         ]);
         Self { mean, covariance: Covariance::from_diagonal(&sigmas.component_mul(&sigmas)) }
     }
@@ -201,7 +207,8 @@ impl Track {
 
     /// What was learnt of the lens may have been learnt from a wrong place: it is as uncertain as at the start.
     pub fn with_lens_doubted(mut self, model: &TrackModel) -> Self {
-        for (index, sigma) in LENS.into_iter().zip([model.lens_stretch, model.lens_shift, model.lens_shift]) {
+        let sigmas = [model.lens_stretch, model.lens_shift, model.lens_shift, model.readout_s];
+        for (index, sigma) in LENS.into_iter().zip(sigmas) {
             self.forget(index, sigma);
         }
         self
@@ -280,6 +287,7 @@ impl Track {
         for index in [SHIFT_U, SHIFT_V] {
             add(index, SHIFT_WALK * SHIFT_WALK * seconds, model.lens_shift * model.lens_shift);
         }
+        add(READOUT, READOUT_WALK * READOUT_WALK * seconds, model.readout_s * model.readout_s);
         add(GYRO, GYRO_WALK * GYRO_WALK * seconds, model.gyro_bias_rad_per_s * model.gyro_bias_rad_per_s);
     }
 
@@ -313,7 +321,7 @@ impl Track {
             (MOUNT_ROLL, camera * DVec3::X),
             (MOUNT_PITCH, camera * DVec3::Y),
         ];
-        let mut sensitivity = SMatrix::<f64, 9, STATES>::zeros();
+        let mut sensitivity = SMatrix::<f64, 10, STATES>::zeros();
         sensitivity[(0, X)] = 1.0;
         sensitivity[(1, Y)] = 1.0;
         sensitivity[(2, HEIGHT)] = 1.0;
@@ -338,16 +346,24 @@ impl Track {
         let scatter = scatter(model, footprint.yaw);
         covariance += scatter;
         covariance = (covariance + covariance.transpose()) * 0.5;
-        Prediction { prior: Prior { map_from_optical, lens: self.lens(), covariance }, sensitivity, scatter }
+        Prediction {
+            prior: Prior { map_from_optical, lens: self.lens(), twist: Twist::ZERO, covariance },
+            sensitivity,
+            scatter,
+        }
     }
 
     /// How the lens differs from its calibration.
     pub fn lens(&self) -> Miscalibration {
-        Miscalibration { stretch: self.mean[STRETCH], shift: DVec2::new(self.mean[SHIFT_U], self.mean[SHIFT_V]) }
+        Miscalibration {
+            stretch: self.mean[STRETCH],
+            shift: DVec2::new(self.mean[SHIFT_U], self.mean[SHIFT_V]),
+            readout_s: self.mean[READOUT],
+        }
     }
 
     /// Their standard deviations, in the order of [`Errors`].
-    pub fn lens_sigmas(&self) -> [f64; 3] {
+    pub fn lens_sigmas(&self) -> [f64; 4] {
         LENS.map(|index| libm::sqrt(self.covariance[(index, index)].max(0.0)))
     }
 

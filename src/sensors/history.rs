@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use glam::DQuat;
+use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::{Isometry, Pose2, wrap_angle};
@@ -210,6 +210,16 @@ impl Interpolate for DQuat {
     /// A quaternion without a direction is no attitude either.
     fn is_finite(&self) -> bool {
         DQuat::is_finite(*self) && self.length_squared() > 1e-12
+    }
+}
+
+impl Interpolate for DVec3 {
+    fn interpolate(&self, other: &Self, fraction: f64) -> Self {
+        self.lerp(*other, fraction)
+    }
+
+    fn is_finite(&self) -> bool {
+        DVec3::is_finite(*self)
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod body_mask;
 pub mod camera;
+mod camera_twist;
 pub mod clock;
 pub mod decode;
 pub mod encode;

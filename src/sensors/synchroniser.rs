@@ -5,14 +5,15 @@
 
 use std::collections::VecDeque;
 
-use glam::DQuat;
+use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
+use super::camera_twist::{Movers, camera_twist};
 use super::history::{History, Pushed};
 use super::intake::{Input, StampedTransform};
 use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
 use crate::config::FrameNames;
-use crate::geometry::Pose2;
+use crate::geometry::{Pose2, Twist};
 use crate::ros2::mcap_read::LogMessage;
 
 /// A frame with what is known about the robot at its exposure.
@@ -36,6 +37,8 @@ pub struct RobotAt {
     pub turned_rad: Option<f64>,
     /// How far the torso has rolled and pitched since then, to and fro, radians, if a gyro knows.
     pub swayed_rad: Option<f64>,
+    /// How `camera_optical_frame` moves at the exposure, by gyro, odometry and joints, if a gyro knows.
+    pub camera_twist: Option<Twist>,
     /// The newest of what was measured is older than [`STALE_NS`].
     pub stale: bool,
     /// Announced since the last frame.
@@ -75,6 +78,12 @@ const MAX_WAIT_NS: i64 = 300_000_000;
 const MAX_WAITING: usize = 64;
 const MAX_WAITING_BYTES: usize = 256 << 20;
 
+/// A gyro that was heard longer ago says nothing of how fast a camera turns.
+const GYRO_AGE_NS: i64 = 30_000_000;
+/// How fast neck and feet move is seen from two of their places, so far apart.
+const NECK_STEP_NS: i64 = 40_000_000;
+const FEET_STEP_NS: i64 = 100_000_000;
+
 /// The part that a checkpoint keeps.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SynchroniserState {
@@ -86,6 +95,8 @@ pub struct SynchroniserState {
     turn_rate: History<f64>,
     /// About the horizontal, without a sign.
     sway_rate: History<f64>,
+    /// About the axes of the torso.
+    torso_rate: History<DVec3>,
     /// Of the last frame that was popped.
     last_frame: Option<Since>,
     pan: History<f64>,
@@ -221,6 +232,7 @@ impl Synchroniser {
                 // Without an attitude the torso is taken as upright.
                 let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
                 let turn = turn_rate.map(|rate| {
+                    self.state.torso_rate.push(stamp_ns, imu_from_base.conjugate() * rate);
                     let rate = upright * rate;
                     self.state.sway_rate.push(stamp_ns, libm::hypot(rate.x, rate.y));
                     self.state.turn_rate.push(stamp_ns, rate.z)
@@ -297,12 +309,10 @@ impl Synchroniser {
         let state = &self.state;
         let odometry = state.odometry();
         let attitude = state.attitude.at(stamp_ns);
-        let head = match (state.pan.at(stamp_ns), state.tilt.at(stamp_ns)) {
-            (None, None) => None,
-            (pan, tilt) => Some(Head { pan: pan.map_or(0.0, |s| s.value), tilt: tilt.map_or(0.0, |s| s.value) }),
-        };
+        let head = state.head(stamp_ns);
         let posture = Posture { attitude: attitude.map(|sample| sample.value), head };
         let place = state.tree.camera_place(stamp_ns, &self.names, posture);
+        let camera_twist = place.as_ref().ok().and_then(|place| self.camera_twist(stamp_ns, place));
         let step = odometry.at(stamp_ns);
         let ages = [
             step.map(|s| s.age_ns),
@@ -318,10 +328,28 @@ impl Synchroniser {
             head,
             turned_rad: since_ns.and_then(|since_ns| state.turn_rate.integral(since_ns, stamp_ns)),
             swayed_rad: since_ns.and_then(|since_ns| state.sway_rate.integral(since_ns, stamp_ns)),
+            camera_twist,
             stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
             initial_pose: None,
             anchor: None,
         }
+    }
+
+    fn camera_twist(&self, stamp_ns: i64, now: &CameraPlace) -> Option<Twist> {
+        let state = &self.state;
+        let torso_rate = state.torso_rate.at(stamp_ns).filter(|rate| rate.age_ns <= GYRO_AGE_NS)?.value;
+        let (neck_ns, feet_ns) = (stamp_ns.saturating_sub(NECK_STEP_NS), stamp_ns.saturating_sub(FEET_STEP_NS));
+        let posture = Posture { attitude: None, head: state.head(neck_ns) };
+        let neck = state.tree.camera_place(neck_ns, &self.names, posture).ok()?.base_from_optical;
+        let odometry = |stamp_ns| state.odometry().at(stamp_ns).map(|sample| sample.value);
+        let feet = odometry(feet_ns).zip(odometry(stamp_ns)).map(|(then, now)| then.inverse().compose(&now));
+        let seconds = |step_ns: i64| step_ns as f64 * 1e-9;
+        let movers = Movers {
+            torso_rate,
+            neck: (neck, seconds(NECK_STEP_NS)),
+            feet: (feet.unwrap_or_default(), seconds(FEET_STEP_NS)),
+        };
+        camera_twist(now, &movers)
     }
 
     fn is_known_until(&self, stamp_ns: i64) -> bool {
@@ -391,6 +419,11 @@ impl Synchroniser {
 }
 
 impl SynchroniserState {
+    fn head(&self, stamp_ns: i64) -> Option<Head> {
+        let [pan, tilt] = [&self.pan, &self.tilt].map(|joint| joint.at(stamp_ns).map(|sample| sample.value));
+        (pan.is_some() || tilt.is_some()).then(|| Head { pan: pan.unwrap_or(0.0), tilt: tilt.unwrap_or(0.0) })
+    }
+
     /// A place that was told, and that no frame knows of yet.
     pub fn pending(&self) -> Option<InitialPose> {
         self.initial_pose

@@ -48,6 +48,8 @@ pub struct Head {
 pub struct CameraPlace {
     pub footprint_from_link: Isometry,
     pub footprint_from_optical: Isometry,
+    /// The torso's frame.
+    pub base_from_optical: Isometry,
     /// Age of the oldest moving transform that was used.
     pub age_ns: i64,
     /// Something says how the torso is tilted: its attitude, or a moving transform on the way to it.
@@ -151,6 +153,7 @@ impl TransformTree {
         let mut age_ns = 0;
         let mut footprint_from_here = Isometry::IDENTITY;
         let mut footprint_from_link = None;
+        let mut footprint_from_base = Isometry::IDENTITY;
         let (mut tilt_is_measured, mut below_torso, mut lean_rad) = (false, false, None);
         for (child, edge) in self.chain(&names.base_footprint, &names.camera_optical)? {
             let step = match &edge.transform {
@@ -174,6 +177,7 @@ impl TransformTree {
             footprint_from_here = footprint_from_here * step;
             if child == names.base_link {
                 below_torso = true;
+                footprint_from_base = footprint_from_here;
                 lean_rad =
                     tilt_is_measured.then(|| libm::acos((footprint_from_here.rotation * DVec3::Z).z.clamp(-1.0, 1.0)));
             }
@@ -184,7 +188,15 @@ impl TransformTree {
         let footprint_from_optical = footprint_from_here;
         let footprint_from_link =
             footprint_from_link.unwrap_or_else(|| footprint_from_optical * Isometry::link_from_optical().inverse());
-        Ok(CameraPlace { footprint_from_link, footprint_from_optical, age_ns, tilt_is_measured, lean_rad })
+        let base_from_optical = footprint_from_base.inverse() * footprint_from_optical;
+        Ok(CameraPlace {
+            footprint_from_link,
+            footprint_from_optical,
+            base_from_optical,
+            age_ns,
+            tilt_is_measured,
+            lean_rad,
+        })
     }
 
     /// A mount that can be right: the camera stands above the ground and does not stare at the ceiling.

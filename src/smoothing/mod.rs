@@ -1,7 +1,7 @@
 //! Tags made better after the walk: every frame's pose and what is constant about the camera, from all frames together.
 //!
 //! Pure. A frame's unknowns are the six of its pose's error, as in [`crate::localization::refinement`]; those of the whole walk are the
-//! lens's focal length, centre and curve, the mount's tilt and the camera's height ([`Constants`]). Lines say where a ray lies, IMU and mount how
+//! lens's focal length, centre and curve, the mount's tilt, the camera's height and the sensor's readout ([`Constants`]). Lines say where a ray lies, IMU and mount how
 //! the camera leans, odometry how far apart two frames are, and the ground's texture how one lies to the next ([`alignment`]). Gauss-Newton on all of them: the system is block tridiagonal with a border
 //! ([`chain`]), so that its solution is one pass forward and one back, as of a smoother.
 
@@ -13,9 +13,10 @@ mod same_ground;
 use glam::{DVec2, DVec3};
 use nalgebra::{Matrix6, Vector6};
 
-use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2};
+use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist};
+use crate::localization::refinement::miscalibration::{Miscalibration, row};
 use crate::localization::refinement::moved_pose;
-use crate::localization::refinement::offsets::Sight;
+use crate::localization::refinement::offsets::{Eye, Sight};
 use chain::{Border, Chain, Solution};
 
 pub use residuals::Model;
@@ -32,6 +33,8 @@ pub struct Frame {
     pub odometry: Option<Pose2>,
     /// Since the frame before, by gyro.
     pub turned_rad: Option<f64>,
+    /// How the camera moves; not at all if nothing says so.
+    pub twist: Twist,
     /// Places of lines that were found in its image.
     pub places: Vec<Place>,
     /// Ground that it shares with the frame before.
@@ -68,7 +71,7 @@ pub struct Place {
 }
 
 /// Unknowns of the whole walk.
-pub const CONSTANTS: usize = 7;
+pub const CONSTANTS: usize = 8;
 
 /// What is the same in every frame, as a correction of what was believed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -84,6 +87,8 @@ pub struct Constants {
     pub tilt_z: f64,
     /// The camera's height above what was believed, metres.
     pub height_m: f64,
+    /// From the exposure of the first row to that of the last, seconds.
+    pub readout_s: f64,
 }
 
 /// Names and units of [`Constants::values`], for people.
@@ -95,6 +100,7 @@ pub const NAMES: [(&str, &str); CONSTANTS] = [
     ("tilt about the camera's x", "rad"),
     ("tilt about the camera's z", "rad"),
     ("height", "m"),
+    ("readout of the sensor", "s"),
 ];
 
 /// The walk after smoothing.
@@ -119,7 +125,8 @@ const MAX_ROUNDS: usize = 12;
 
 impl Constants {
     pub fn values(&self) -> [f64; CONSTANTS] {
-        [self.focal_share, self.centre.x, self.centre.y, self.k1, self.tilt_x, self.tilt_z, self.height_m]
+        let Self { focal_share, centre, k1, tilt_x, tilt_z, height_m, readout_s } = *self;
+        [focal_share, centre.x, centre.y, k1, tilt_x, tilt_z, height_m, readout_s]
     }
 
     fn plus(&self, step: &Border) -> Self {
@@ -130,6 +137,7 @@ impl Constants {
             tilt_x: self.tilt_x + step[4],
             tilt_z: self.tilt_z + step[5],
             height_m: self.height_m + step[6],
+            readout_s: self.readout_s + step[7],
         }
     }
 
@@ -154,10 +162,12 @@ impl Constants {
 }
 
 impl Place {
-    /// What was measured with this lens; `None` where it draws nothing.
-    pub fn new(sight: &Sight, lens: &Lens) -> Option<Self> {
-        let Sight { ray, point, tangent, sigmas, pixels_per_rad, .. } = *sight;
-        Some(Self { pixel: lens.project(ray)?, point, tangent, sigmas, pixels_per_rad })
+    /// What was measured by this eye at this pose; `None` where its lens draws nothing.
+    pub fn new(sight: &Sight, eye: &Eye, map_from_optical: &Isometry) -> Option<Self> {
+        let Sight { ray, point, tangent, sigmas, pixels_per_rad, row, .. } = *sight;
+        let place = ray * point.distance(map_from_optical.translation);
+        let drawn = place + eye.twist.passing(place) * (eye.off.readout_s * row);
+        Some(Self { pixel: eye.projector.lens().project(drawn)?, point, tangent, sigmas, pixels_per_rad })
     }
 }
 
@@ -190,10 +200,16 @@ pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Res
             break;
         }
     }
-    let (covariances, known) = match here.chain.solve() {
+    let (mut covariances, known) = match here.chain.solve() {
         Some(solution) => (solution.covariances.clone(), solution.border_sigmas()),
         None => (vec![Matrix6::identity(); frames.len()], model.constants),
     };
+    let lens = Lens::new(constants.lens(believed))?;
+    let late = Miscalibration { readout_s: constants.readout_s, ..Miscalibration::NONE };
+    for (covariance, frame) in covariances.iter_mut().zip(frames) {
+        let unseen_m2 = late.unseen_m2(frame.places.iter().map(|place| row(&lens, place.pixel)));
+        (0..3).for_each(|axis| covariance[(axis, axis)] += unseen_m2);
+    }
     Ok(Smoothed {
         map_from_optical: poses,
         covariances,

@@ -5,7 +5,8 @@ use nalgebra::Vector6;
 
 use super::chain::{Border, Chain};
 use super::{CONSTANTS, Constants, Frame, Linearised, Place, same_ground};
-use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, wrap_angle};
+use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
+use crate::localization::refinement::miscalibration::row;
 use crate::localization::refinement::moved_pose;
 
 /// Standard deviations.
@@ -47,7 +48,7 @@ impl Default for Model {
             gyro_share: 0.02,
             drift_m_per_s: 0.01,
             drift_rad_per_s: 0.02,
-            constants: [0.01, 3.0, 3.0, 0.01, 0.012, 0.012, 0.015],
+            constants: [0.01, 3.0, 3.0, 0.01, 0.012, 0.012, 0.015, 0.015],
         }
     }
 }
@@ -58,8 +59,11 @@ pub(super) const ROBUST: f64 = 4.0;
 const LONGEST_STEP_NS: i64 = 1_000_000_000;
 /// For derivatives by differences.
 pub(super) const SMALL: f64 = 1e-6;
-/// Changes of the lens small enough to be straight, large enough to be exact: share, px, px, 1.
-const LENS_STEPS: [f64; 4] = [1e-5, 1e-3, 1e-3, 1e-5];
+/// Changes of lens and sensor small enough to be straight, large enough to be exact, by the place in [`Constants::values`].
+const FOCAL_STEP: (usize, f64) = (0, 1e-5);
+const CENTRE_STEPS: [(usize, f64); 2] = [(1, 1e-3), (2, 1e-3)];
+const K1_STEP: (usize, f64) = (3, 1e-5);
+const READOUT_STEP: (usize, f64) = (7, 1e-5);
 
 pub(super) fn linearise(
     frames: &[Frame],
@@ -68,19 +72,19 @@ pub(super) fn linearise(
     believed: &LensParameters,
     model: &Model,
 ) -> Result<Linearised, LensError> {
-    let lenses = Lenses::new(constants, believed)?;
+    let cameras = Cameras::new(constants, believed)?;
     let mut chain = Chain::new(frames.len());
     let (mut cost, mut squares, mut fitting) = (0.0, 0.0, 0usize);
     for (i, (frame, pose)) in frames.iter().zip(poses).enumerate() {
         for place in &frame.places {
-            let Some(line) = lenses.line(place, pose) else { continue };
+            let Some(line) = cameras.line(place, pose, &frame.twist) else { continue };
             let sigma_px = model.line_px * place.sigmas;
             let off = line.off_rad * place.pixels_per_rad / sigma_px;
             let square = off * off / (ROBUST * ROBUST);
             cost += 0.5 * off * off / (1.0 + square);
             let weight = 1.0 / (1.0 + square);
             let scale = weight * place.pixels_per_rad / sigma_px;
-            chain.add(i, weight * off, &(line.by_pose * scale), &(line.by_lens * scale));
+            chain.add(i, weight * off, &(line.by_pose * scale), &(line.by_camera * scale));
             if off.abs() < ROBUST {
                 squares += (off * model.line_px) * (off * model.line_px);
                 fitting += 1;
@@ -90,7 +94,7 @@ pub(super) fn linearise(
         cost += lean(&mut chain, i, frame, pose, constants, model);
         if let (Some(next), Some(next_pose)) = (frames.get(i + 1), poses.get(i + 1)) {
             cost += step(&mut chain, i, [frame, next], [pose, next_pose], model);
-            cost += same_ground::add(&mut chain, i, [frame, next], [pose, next_pose], &lenses, model);
+            cost += same_ground::add(&mut chain, i, [frame, next], [pose, next_pose], &cameras, model);
         }
     }
     for (i, (value, sigma)) in constants.values().iter().zip(model.constants).enumerate() {
@@ -103,50 +107,85 @@ pub(super) fn linearise(
     Ok(Linearised { chain, cost, rms_px })
 }
 
-/// The lens as it is, and changed a little each way.
-pub(super) struct Lenses {
+/// The camera as it is, and changed a little in each of its constants.
+pub(super) struct Cameras {
+    pub(super) camera: Camera,
+    pub(super) changed: Vec<Changed>,
+}
+
+pub(super) struct Changed {
+    /// Place in [`Constants::values`], and by how much.
+    pub(super) constant: usize,
+    pub(super) step: f64,
+    pub(super) camera: Camera,
+}
+
+pub(super) struct Camera {
     pub(super) lens: Lens,
-    pub(super) changed: Vec<(f64, Lens)>,
+    readout_s: f64,
 }
 
 /// The angle between a line's plane and the ray on which it was seen, and how that changes.
 struct Line {
     off_rad: f64,
     by_pose: Vector6<f64>,
-    by_lens: Border,
+    by_camera: Border,
 }
 
-impl Lenses {
+impl Cameras {
     fn new(constants: &Constants, believed: &LensParameters) -> Result<Self, LensError> {
-        let lens = Lens::new(constants.lens(believed))?;
         let has_k1 = matches!(believed.model, LensModel::KannalaBrandt { .. });
-        let changed = |(i, step): (usize, &f64)| {
+        let steps = [FOCAL_STEP].into_iter().chain(CENTRE_STEPS).chain(has_k1.then_some(K1_STEP)).chain([READOUT_STEP]);
+        let changed = steps.map(|(constant, step)| {
             let mut border = Border::zeros();
-            border[i] = *step;
-            Ok((*step, Lens::new(constants.plus(&border).lens(believed))?))
-        };
-        let steps = &LENS_STEPS[..if has_k1 { 4 } else { 3 }];
-        Ok(Self { lens, changed: steps.iter().enumerate().map(changed).collect::<Result<_, LensError>>()? })
+            border[constant] = step;
+            Ok(Changed { constant, step, camera: Camera::new(&constants.plus(&border), believed)? })
+        });
+        Ok(Self { camera: Camera::new(constants, believed)?, changed: changed.collect::<Result<_, LensError>>()? })
     }
 
-    fn line(&self, place: &Place, pose: &Isometry) -> Option<Line> {
-        let own = self.lens.unproject(place.pixel)?;
-        let ray = pose.transform_vector(own);
-        let across = (place.point - pose.translation).cross(place.tangent);
+    fn line(&self, place: &Place, pose: &Isometry, twist: &Twist) -> Option<Line> {
+        let seen = self.camera.ray(place.pixel, pose, twist)?;
+        let across = (place.point - seen.from).cross(place.tangent);
         let length = across.length();
         if length < 1e-6 {
             return None;
         }
         let normal = across / length;
-        let off_rad = ray.dot(normal);
-        let turned = ray.cross(normal);
-        let moved = -place.tangent.cross(ray - normal * off_rad) / length;
-        let mut by_lens = Border::zeros();
-        for (i, (step, lens)) in self.changed.iter().enumerate() {
-            let other = lens.unproject(place.pixel)?;
-            by_lens[i] = pose.transform_vector(other - own).dot(normal) / step;
+        let off_rad = seen.along.dot(normal);
+        let turned = seen.along.cross(normal);
+        let moved = -place.tangent.cross(seen.along - normal * off_rad) / length;
+        let mut by_camera = Border::zeros();
+        for Changed { constant, step, camera } in &self.changed {
+            let other = camera.ray(place.pixel, pose, twist)?;
+            by_camera[*constant] = ((other.along - seen.along).dot(normal) + moved.dot(other.from - seen.from)) / step;
         }
-        Some(Line { off_rad, by_pose: Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z), by_lens })
+        let by_pose = Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z);
+        Some(Line { off_rad, by_pose, by_camera })
+    }
+}
+
+/// A ray in `map`.
+pub(super) struct Ray {
+    pub(super) from: DVec3,
+    /// Of length 1.
+    pub(super) along: DVec3,
+}
+
+impl Camera {
+    fn new(constants: &Constants, believed: &LensParameters) -> Result<Self, LensError> {
+        Ok(Self { lens: Lens::new(constants.lens(believed))?, readout_s: constants.readout_s })
+    }
+
+    /// Where the camera is when the row of a pixel is exposed.
+    pub(super) fn pose_at(&self, pixel: DVec2, pose: &Isometry, twist: &Twist) -> Isometry {
+        twist.carries(pose, self.readout_s * row(&self.lens, pixel))
+    }
+
+    /// On which a pixel sees.
+    pub(super) fn ray(&self, pixel: DVec2, pose: &Isometry, twist: &Twist) -> Option<Ray> {
+        let pose = self.pose_at(pixel, pose, twist);
+        Some(Ray { from: pose.translation, along: pose.transform_vector(self.lens.unproject(pixel)?) })
     }
 }
 

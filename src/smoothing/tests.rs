@@ -42,15 +42,23 @@ fn walk(truth: &Constants, noise_px: f64) -> (Vec<Isometry>, Vec<Frame>) {
         let mounted =
             Isometry::new(believed.rotation * tilt.conjugate(), believed.translation + DVec3::Z * truth.height_m);
         let pose = feet.to_isometry() * mounted;
+        let other_wave = libm::sin(1.7 * i as f64);
+        let twist = Twist {
+            linear: DVec3::new(0.1 * other_wave, 0.0, 0.25),
+            angular: DVec3::new(0.4 * wave, 0.5 + 0.3 * other_wave, 0.2 * wave),
+        };
         let mut places = Vec::new();
         for (origin, tangent) in &lines {
             for k in -20..=20 {
                 let point = *origin + *tangent * (0.2 * f64::from(k));
                 let seen = pose.inverse().transform_point(point);
                 let far = point.distance(pose.translation);
-                if let Some(pixel) =
-                    real.project(seen).filter(|pixel| far < 3.0 && seen.z > 0.2 && real.contains(*pixel))
-                {
+                let at_its_row = |pixel: DVec2| {
+                    let then = twist.carries(&pose, truth.readout_s * row(&real, pixel));
+                    real.project(then.inverse().transform_point(point))
+                };
+                let drawn = real.project(seen).and_then(at_its_row).and_then(at_its_row);
+                if let Some(pixel) = drawn.filter(|pixel| far < 3.0 && seen.z > 0.2 && real.contains(*pixel)) {
                     let number = frames.len() * 1000 + places.len();
                     let pixel = pixel + DVec2::new(noise(number), noise(number + 77_777)) * noise_px;
                     let pixels_per_rad = real.focal();
@@ -65,6 +73,7 @@ fn walk(truth: &Constants, noise_px: f64) -> (Vec<Isometry>, Vec<Frame>) {
             footprint_from_optical: Some(believed),
             odometry: Some(Pose2::new(3.0, 1.0, 0.4).compose(&feet)),
             turned_rad: None,
+            twist,
             places,
             overlap: None,
         });
@@ -95,6 +104,7 @@ fn a_walk_without_noise_is_found_exactly_with_its_constants() {
         tilt_x: 0.008,
         tilt_z: -0.006,
         height_m: 0.01,
+        readout_s: 0.016,
     };
     let (truths, frames) = walk(&truth, 0.0);
     // Nothing else than the lines is to count.
@@ -110,6 +120,7 @@ fn a_walk_without_noise_is_found_exactly_with_its_constants() {
     off(found.constants.tilt_x, truth.tilt_x, 5e-4);
     off(found.constants.tilt_z, truth.tilt_z, 5e-4);
     off(found.constants.height_m, truth.height_m, 5e-4);
+    off(found.constants.readout_s, truth.readout_s, 1e-4);
 }
 
 #[test]

@@ -138,6 +138,7 @@ impl Robot {
             place: Ok(CameraPlace {
                 footprint_from_link: self.told_place,
                 footprint_from_optical: self.told_place * Isometry::link_from_optical(),
+                base_from_optical: self.told_place * Isometry::link_from_optical(),
                 age_ns: 0,
                 tilt_is_measured: true,
                 lean_rad: None,
@@ -146,6 +147,7 @@ impl Robot {
             turned_rad: self.turned_rad,
             // Something measures that it stands: odometry that does not change is believed.
             swayed_rad: Some(0.0),
+            camera_twist: None,
             stale: false,
             initial_pose: None,
             anchor: None,

@@ -28,7 +28,7 @@ fn refined_tags_are_nearer_to_the_truth_and_nothing_recorded_is_touched() {
         assert!(median("after", what) < aim && median("after", what) < median("before", what), "{report:#}");
     }
     assert!(median("after", "view_psnr_db") >= 30.0, "{report:#}");
-    assert_eq!(report["constants"].as_array().map(Vec::len), Some(7));
+    assert_eq!(report["constants"].as_array().map(Vec::len), Some(8));
 
     // A robot config that can be read, with a lens that can be read.
     let settings = Settings::load(&room.path("robot.toml").display().to_string()).expect("a robot config");
@@ -99,6 +99,30 @@ fn one_walk_shows_a_wrong_lens_and_a_wrong_mount() {
     // The mount's 17 degrees, and what levels an IMU that leans by half a degree in roll and pitch.
     let [roll, pitch, _] = mount.camera_rpy_deg;
     assert!((roll + 0.5).abs() < 0.2 && (pitch - 17.5).abs() < 0.2, "{mount:?}");
+}
+
+#[test]
+fn a_sensor_that_is_read_row_by_row_is_found_out_by_tags_and_refinement() {
+    let room = Room::new();
+    room.write_scene("scene.toml", |text| {
+        let turning =
+            text.replace("[[-2.0, 0.1], [-1.1, 0.3]]", "[[-2.0, 0.1], [-1.5, 0.1], [-1.5, 0.6], [-2.0, 0.6]]");
+        let turning = turning.replace("turn_deg_s = 30.0", "turn_deg_s = 90.0");
+        let shutter = "[[effect]]\nkind = \"shutter\"\nrole = \"base\"\nexposure_ms = 2.0\nreadout_ms = 20.0\n\n";
+        let (moves, senses) = turning.split_once("[[effect]]\nkind = \"odometry_error\"").expect("there");
+        format!("{moves}{shutter}[[effect]]\nkind = \"odometry_error\"{senses}")
+    });
+    room.run("sim scene.toml -o log.mcap").succeeds();
+    let session = session_name(&room.replay("log.mcap"));
+    let report = room.run(&format!("refine {session} --truth log.mcap --views 0 --json")).succeeds().json();
+    println!("{report:#}");
+    for (when, cm, deg) in [("before", 0.3, 0.08), ("after", 0.15, 0.04)] {
+        let median = |what: &str| report[when][what]["median"].as_f64().expect("judged");
+        assert!(median("position_cm") < cm && median("angle_deg") < deg, "{report:#}");
+    }
+    let constants = report["constants"].as_array().expect("constants");
+    let readout = constants.iter().find(|found| found["name"] == "readout of the sensor").expect("there");
+    assert!((readout["value"].as_f64().expect("a number") - 0.020).abs() < 0.002, "{readout}");
 }
 
 #[test]

@@ -170,7 +170,8 @@ impl Localizer {
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),
             None => Track::around(*pose, xy_m, yaw_rad, &model),
         };
-        let prediction = track.prior(&moment.footprint_from_optical?, &model).with_lens_known();
+        let mut prediction = track.prior(&moment.footprint_from_optical?, &model).with_lens_known();
+        prediction.prior.twist = moment.camera_twist.unwrap_or_default();
         self.refiner.refine(&seen.image, &prediction.prior, &[Vector6::zeros()])
     }
 }

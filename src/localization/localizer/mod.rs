@@ -20,7 +20,7 @@ use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{self, Agreement, Prior, Refiner};
 use super::track::{Prediction, Step, Track, TrackModel};
 use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost};
-use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
+use crate::geometry::{Field, Isometry, Lens, Pose2, Twist, wrap_angle};
 use crate::vision::Seen;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -63,6 +63,8 @@ pub struct Moment {
     pub turned_rad: Option<f64>,
     /// How far the torso has rolled and pitched since then, to and fro, by gyro.
     pub swayed_rad: Option<f64>,
+    /// How the camera moves, if something says so.
+    pub camera_twist: Option<Twist>,
     /// By IMU, joints and mount.
     pub footprint_from_optical: Option<Isometry>,
     /// Something measures the torso's tilt; without it a walking torso sways unseen.
@@ -192,7 +194,7 @@ impl Localizer {
     /// How the lens differs from its calibration.
     pub fn lens_off(&self) -> Option<LensOff> {
         let track = self.state.track.as_ref()?;
-        let (Miscalibration { stretch, shift }, [of_stretch, of_u, of_v]) = (track.lens(), track.lens_sigmas());
+        let (Miscalibration { stretch, shift, .. }, [of_stretch, of_u, of_v, _]) = (track.lens(), track.lens_sigmas());
         let width_px = f64::from(self.refiner.lens().width());
         Some(LensOff {
             stretch: (stretch, of_stretch),
@@ -451,7 +453,8 @@ impl Localizer {
 
     fn prediction(&self, moment: &Moment) -> Option<Prediction> {
         let track = self.state.track.as_ref()?;
-        let prediction = track.prior(&moment.footprint_from_optical?, &self.model(moment));
+        let mut prediction = track.prior(&moment.footprint_from_optical?, &self.model(moment));
+        prediction.prior.twist = moment.camera_twist.unwrap_or_default();
         Some(if self.state.standing.is_tracking() { prediction } else { prediction.with_lens_known() })
     }
 

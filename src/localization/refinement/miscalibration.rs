@@ -1,4 +1,4 @@
-//! How a lens differs from what its calibration says.
+//! How a lens differs from what its calibration says, and how its sensor is read.
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
@@ -12,14 +12,27 @@ pub struct Miscalibration {
     pub stretch: f64,
     /// Where the axis meets the image, relative to where it is said to, widths of the image.
     pub shift: DVec2,
+    /// From the exposure of the first row to that of the last, seconds.
+    pub readout_s: f64,
 }
 
+/// How fast a walking torso sways, which neither feet nor gyro tell.
+const UNSEEN_M_PER_S: f64 = 0.2;
+
 impl Miscalibration {
-    pub const NONE: Self = Self { stretch: 0.0, shift: DVec2::ZERO };
+    pub const NONE: Self = Self { stretch: 0.0, shift: DVec2::ZERO, readout_s: 0.0 };
 
     /// Where the lens really draws what it is said to draw at `pixel`.
     pub fn drawn(&self, lens: &Lens, pixel: DVec2) -> DVec2 {
         pixel + self.stretch * from_centre(lens, pixel) + f64::from(lens.width()) * self.shift
+    }
+
+    /// Variance along each axis of where the camera was in the middle row's time, its sway having moved it since lines in these [`row`]s
+    /// were exposed.
+    pub fn unseen_m2(&self, rows: impl Iterator<Item = f64>) -> f64 {
+        let (sum, count) = rows.fold((0.0, 0usize), |(sum, count), row| (sum + row, count + 1));
+        let unseen_m = UNSEEN_M_PER_S * self.readout_s * sum / count.max(1) as f64;
+        unseen_m * unseen_m
     }
 
     /// How that changes with stretch and shift: pixels for each unit.
@@ -27,6 +40,11 @@ impl Miscalibration {
         let width = f64::from(lens.width());
         [from_centre(lens, pixel), width * DVec2::X, width * DVec2::Y]
     }
+}
+
+/// When the row of a pixel is exposed, as share of the readout from the middle row.
+pub fn row(lens: &Lens, pixel: DVec2) -> f64 {
+    (pixel.y + 0.5) / f64::from(lens.height()) - 0.5
 }
 
 fn from_centre(lens: &Lens, pixel: DVec2) -> DVec2 {

@@ -5,8 +5,8 @@
 //! The pose that fits both best, and how well it is known, come from `solve`.
 //!
 //! Errors of a pose are six numbers: position (m) and rotation vector (rad), both along the axes of `map`, in
-//! the order of a ROS covariance: x, y, z, rotation about x, y, z. Three more are those of the lens: how much longer its focal length is
-//! (share), and how far its axis lies off (u, v, widths of the image).
+//! the order of a ROS covariance: x, y, z, rotation about x, y, z. Four more are those of lens and sensor: how much longer the focal length
+//! is (share), how far the axis lies off (u, v, widths of the image), how long it takes from reading the first row to the last (s).
 
 pub mod miscalibration;
 pub mod offsets;
@@ -16,22 +16,24 @@ mod triangular;
 
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
-use crate::geometry::{Field, Isometry, Lens, Projector};
+use crate::geometry::{Field, Isometry, Lens, Projector, Twist};
 use crate::vision::LineImage;
 use miscalibration::Miscalibration;
-use offsets::{Counts, Sight};
+use offsets::{Counts, Eye, Sight};
 
 pub use points::LinePoints;
 
 /// Of pose and lens.
-pub type Errors = SVector<f64, 9>;
-pub type ErrorCovariance = SMatrix<f64, 9, 9>;
+pub type Errors = SVector<f64, 10>;
+pub type ErrorCovariance = SMatrix<f64, 10, 10>;
 
 /// What is believed of the camera's pose and its lens before looking.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prior {
     pub map_from_optical: Isometry,
     pub lens: Miscalibration,
+    /// How the camera moves while row after row is read.
+    pub twist: Twist,
     pub covariance: ErrorCovariance,
 }
 
@@ -122,7 +124,8 @@ impl Refiner {
         let wide = prior.covariance[(3, 3)].max(prior.covariance[(4, 4)]) > WIDE_RAD * WIDE_RAD;
         for scale in &SCALES[usize::from(!wide)..] {
             let pose = moved_pose(&prior.map_from_optical, &moved);
-            let counts = offsets::measure(points, image, projector, &prior.lens, &pose, &covariance, sights);
+            let eye = Eye { projector, off: &prior.lens, twist: &prior.twist };
+            let counts = offsets::measure(points, image, eye, &pose, &covariance, sights);
             let solution = solve::solve(prior, sights, &moved, *scale, noise)?;
             moved = solution.moved;
             let (solved_with, measured) = (noise, solution.residuals.noise());
@@ -135,8 +138,12 @@ impl Refiner {
         }
         let (counts, solution, solved_with) = last?;
         let [.., scale] = SCALES;
-        let solve::Joint { moved, covariance, condition } =
+        let solve::Joint { moved, mut covariance, condition } =
             solve::joint(prior, sights, &moved, scale, [solved_with, solution.residuals.noise()])?;
+        let unseen_m2 = prior.lens.unseen_m2(sights.iter().map(|sight| sight.row));
+        for axis in 0..3 {
+            covariance[(axis, axis)] += unseen_m2;
+        }
         Some(Refined {
             map_from_optical: moved_pose(&prior.map_from_optical, &pose_part(&moved)),
             covariance,
@@ -157,14 +164,14 @@ impl Prior {
     pub fn of_pose(map_from_optical: Isometry, pose: &Matrix6<f64>) -> Self {
         let mut covariance = ErrorCovariance::zeros();
         covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(pose);
-        let mut prior = Self { map_from_optical, lens: Miscalibration::NONE, covariance };
+        let mut prior = Self { map_from_optical, lens: Miscalibration::NONE, twist: Twist::ZERO, covariance };
         prior.take_lens_as_known();
         prior
     }
 
     /// The lens is what it is believed to be.
     pub fn take_lens_as_known(&mut self) {
-        for of_lens in 6..9 {
+        for of_lens in 6..10 {
             self.covariance.row_mut(of_lens).fill(0.0);
             self.covariance.column_mut(of_lens).fill(0.0);
             self.covariance[(of_lens, of_lens)] = KNOWN;

@@ -3,9 +3,9 @@
 use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
-use super::miscalibration::Miscalibration;
+use super::miscalibration::{Miscalibration, row};
 use super::points::{LinePoint, LinePoints};
-use crate::geometry::{Isometry, Projector};
+use crate::geometry::{Isometry, Projector, Twist};
 use crate::vision::LineImage;
 
 /// A place of a line, found in the image.
@@ -22,11 +22,21 @@ pub struct Sight {
     /// Across the line.
     pub pixels_per_rad: f64,
     /// How the ray would change with the lens's stretch and shift: see [`Miscalibration`].
-    pub(super) bends: [DVec3; 3],
+    pub(super) bends: [DVec3; 4],
+    /// When it was exposed: see [`row`].
+    pub row: f64,
     /// Which of the field's lines it is.
     pub line: usize,
     /// The sight before is the neighbour along the same line.
     pub follows: bool,
+}
+
+/// How places come to be drawn: by the lens, what it has wrong, and how it moves while rows are read.
+#[derive(Clone, Copy)]
+pub struct Eye<'a> {
+    pub projector: &'a Projector,
+    pub off: &'a Miscalibration,
+    pub twist: &'a Twist,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -59,8 +69,7 @@ const SHOWN_CONTRAST: f64 = 0.672;
 pub fn measure(
     points: &LinePoints,
     image: &LineImage,
-    projector: &Projector,
-    off: &Miscalibration,
+    eye: Eye,
     map_from_optical: &Isometry,
     covariance: &Matrix6<f64>,
     sights: &mut Vec<Sight>,
@@ -71,8 +80,9 @@ pub fn measure(
     if !contrast.is_finite() {
         return counts;
     }
-    let optical_from_map = map_from_optical.inverse();
+    let from_carpet = FromCarpet::new(&map_from_optical.inverse());
     let camera = map_from_optical.translation;
+    let projector = eye.projector;
     let least_cos = libm::cos(projector.lens().max_angle().min(core::f64::consts::PI));
     let height = camera.z.max(0.05);
     // Beyond this a line is thinner than the thinnest whatever its direction.
@@ -88,7 +98,7 @@ pub fn measure(
             if to.length_squared() > farthest * farthest {
                 continue;
             }
-            let centre = optical_from_map.transform_point(point.position.extend(0.0));
+            let centre = from_carpet.point(point.position);
             if centre.z < least_cos * centre.length() {
                 continue;
             }
@@ -96,9 +106,8 @@ pub fn measure(
             if !projector.lens().contains(pixel) || pixel.distance_squared(last) < APART_PX * APART_PX {
                 continue;
             }
-            let Some(expected) =
-                Expected::new(point, points.line_width_m, centre, image, (projector, off), &optical_from_map)
-            else {
+            let width_m = points.line_width_m;
+            let Some(expected) = Expected::new(point, width_m, (centre, pixel), image, eye, &from_carpet) else {
                 continue;
             };
             last = pixel;
@@ -121,6 +130,28 @@ pub fn measure(
     counts
 }
 
+/// `camera_optical_frame` from the plane of the carpet.
+struct FromCarpet {
+    x: DVec3,
+    y: DVec3,
+    origin: DVec3,
+}
+
+impl FromCarpet {
+    fn new(optical_from_map: &Isometry) -> Self {
+        let [x, y] = [DVec3::X, DVec3::Y].map(|axis| optical_from_map.transform_vector(axis));
+        Self { x, y, origin: optical_from_map.translation }
+    }
+
+    fn point(&self, at: DVec2) -> DVec3 {
+        self.origin + self.vector(at)
+    }
+
+    fn vector(&self, along: DVec2) -> DVec3 {
+        self.x * along.x + self.y * along.y
+    }
+}
+
 enum Outcome {
     /// Out of the image, or something stands before it.
     Hidden,
@@ -140,40 +171,47 @@ struct Expected {
     /// Unit vector across the drawn line.
     direction: DVec2,
     width_px: f64,
-    bends: [DVec3; 3],
+    bends: [DVec3; 4],
+    row: f64,
 }
 
 impl Expected {
     fn new(
         point: &LinePoint,
         line_width_m: f64,
-        centre: DVec3,
+        (centre, pixel): (DVec3, DVec2),
         image: &LineImage,
-        (projector, off): (&Projector, &Miscalibration),
-        optical_from_map: &Isometry,
+        Eye { projector, off, twist }: Eye,
+        from_carpet: &FromCarpet,
     ) -> Option<Self> {
-        let half = |direction: DVec2| optical_from_map.transform_vector((direction * (line_width_m / 2.0)).extend(0.0));
+        let half = |direction: DVec2| from_carpet.vector(direction * (line_width_m / 2.0));
         let (aside, along) = (half(point.normal), half(-point.normal.perp()));
         let (left, right) = (centre + aside, centre - aside);
         let lens = projector.lens();
-        let drawn = |place: DVec3| Some(image.scale().apply(off.drawn(lens, projector.project(place)?)));
+        // Where it all is when its row is read.
+        let (row, passing) = (row(lens, pixel), twist.passing(centre));
+        let late = passing * (off.readout_s * row);
+        let drawn = |place: DVec3| Some(image.scale().apply(off.drawn(lens, projector.project(place + late)?)));
         let (from, to) = (drawn(right)?, drawn(left)?);
         let width_px = from.distance(to);
         if width_px < THINNEST_PX {
             return None;
         }
         // At a flat angle a line is drawn sheared: the way from its one edge to the other runs along it.
-        let along_px = drawn(centre + along)? - drawn(centre)?;
+        let middle = (from + to) / 2.0;
+        let along_px = drawn(centre + along)? - middle;
         if (to - from).perp_dot(along_px).abs() < LEAST_SINE * width_px * along_px.length() {
             return None;
         }
-        let (across, middle, direction) =
-            (left.normalize() - right.normalize(), (from + to) / 2.0, (to - from) / width_px);
+        let (across, direction) = (left.normalize() - right.normalize(), (to - from) / width_px);
         // What a lens draws elsewhere than it is said to seems to lie off; how far along the line does not show.
         let moves = Miscalibration::gradient(lens, image.scale().undo(middle));
         let per_px = image.scale().factor() / (direction.perp_dot(along_px) * width_px);
-        let bends = moves.map(|by| across * (-by.perp_dot(along_px) * per_px));
-        Some(Self { ray: centre.normalize(), across, middle, direction, width_px, bends })
+        let [stretch, u, v] = moves.map(|by| across * (-by.perp_dot(along_px) * per_px));
+        let ray = centre.normalize();
+        // Feet go the same way for long, as errors of a lens do: only what turns tells how a sensor is read.
+        let bends = [stretch, u, v, twist.angular.cross(ray) * row];
+        Some(Self { ray, across, middle, direction, width_px, bends, row })
     }
 
     fn pixels_per_rad(&self) -> f64 {
@@ -202,6 +240,7 @@ impl Expected {
             sigmas: libm::hypot(1.0, self.width_px / WIDE_PX),
             pixels_per_rad: self.pixels_per_rad(),
             bends: self.bends,
+            row: self.row,
             line,
             follows,
         }

@@ -4,7 +4,7 @@
 //! residual is the angle between the two. The unknowns are errors in units of the prior's standard deviations, so the
 //! prior is the identity and no view, however poor, leaves the system singular.
 
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DVec3};
 use nalgebra::{Cholesky, Matrix6, SMatrix, SVector, Vector6};
 
 use super::offsets::Sight;
@@ -176,7 +176,7 @@ struct Linearised<const N: usize, const W: usize> {
 }
 
 type ForPose = Linearised<6, 8>;
-type ForPoseAndLens = Linearised<9, 12>;
+type ForPoseAndLens = Linearised<10, 12>;
 
 impl<const N: usize, const W: usize> Linearised<N, W> {
     /// With the lens as it is believed to be.
@@ -190,6 +190,7 @@ impl<const N: usize, const W: usize> Linearised<N, W> {
     ) -> Self {
         let moved = spread * y;
         let pose = moved_pose(&prior.map_from_optical, &Vector6::from_fn(|i, _| moved[i]));
+        let turn = DMat3::from_quat(pose.rotation);
         let mut rows = Rows::identity(&-y);
         let mut cost = 0.5 * y.norm_squared();
         let mut residuals = Residuals::default();
@@ -198,7 +199,7 @@ impl<const N: usize, const W: usize> Linearised<N, W> {
         let mut last_px = None;
         let (mut line, mut line_sum_px) = (usize::MAX, 0.0);
         for sight in sights {
-            let Some((residual, gradient)) = sight.residual::<N>(&pose.rotation, pose.translation) else { continue };
+            let Some((residual, gradient)) = sight.residual::<N>(&turn, pose.translation) else { continue };
             let sigma_rad = noise.sigma_px * sight.sigmas / sight.pixels_per_rad;
             let deviation = residual / sigma_rad;
             let u = deviation / scale;
@@ -243,7 +244,7 @@ impl<const N: usize, const W: usize> Linearised<N, W> {
 
 impl Sight {
     /// The angle between ray and plane, and how it changes with the first N errors of pose and lens.
-    fn residual<const N: usize>(&self, map_from_optical: &DQuat, camera: DVec3) -> Option<(f64, [f64; N])> {
+    fn residual<const N: usize>(&self, map_from_optical: &DMat3, camera: DVec3) -> Option<(f64, [f64; N])> {
         let ray = *map_from_optical * self.ray;
         let across = (self.point - camera).cross(self.tangent);
         let length = across.length();
@@ -256,7 +257,7 @@ impl Sight {
         // The plane turns with the camera's place: its normal keeps its length.
         let shift = -self.tangent.cross(ray - normal * residual) / length;
         let by_pose = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
-        let normal_in_camera = map_from_optical.conjugate() * normal;
+        let normal_in_camera = map_from_optical.transpose() * normal;
         let gradient = core::array::from_fn(|i| match i.checked_sub(6) {
             None => by_pose[i],
             Some(of_lens) => normal_in_camera.dot(self.bends[of_lens]),

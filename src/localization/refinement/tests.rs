@@ -4,12 +4,12 @@ use glam::{DQuat, DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix6, SymmetricEigen, Vector2, Vector6};
 use proptest::prelude::*;
 
-use super::miscalibration::Miscalibration;
+use super::miscalibration::{Miscalibration, row};
 use super::offsets::Sight;
 use super::solve::{self, Noise, Solution};
 use super::{Errors, Prior, SCALES, error_between, moved_pose};
 use crate::exact::{Exact, exact, rounded};
-use crate::geometry::{Euler, Isometry, Lens, LensModel, LensParameters};
+use crate::geometry::{Euler, Isometry, Lens, LensModel, LensParameters, Twist};
 use crate::localization::random::{Purpose, Stream};
 use crate::measured::largest_error;
 
@@ -28,11 +28,15 @@ fn prior(map_from_optical: Isometry) -> Prior {
 /// The same with a lens that is calibrated to half a percent and a pixel or so.
 fn prior_with_lens(map_from_optical: Isometry) -> Prior {
     let mut prior = prior(map_from_optical);
-    for (index, sigma) in [(6, 0.005), (7, 0.002), (8, 0.002)] {
+    for (index, sigma) in [(6, 0.005), (7, 0.002), (8, 0.002), (9, 0.015)] {
         prior.covariance[(index, index)] = sigma * sigma;
     }
+    prior.twist = MOVING;
     prior
 }
+
+/// Places are rays of these tests: what is a metre away.
+const MOVING: Twist = Twist { linear: DVec3::new(0.1, 0.0, 0.3), angular: DVec3::new(0.3, -0.2, 0.4) };
 
 fn lens() -> Lens {
     let (fx, fy) = (PIXELS_PER_RAD, PIXELS_PER_RAD);
@@ -43,7 +47,8 @@ fn lens() -> Lens {
 
 /// What is seen through a lens that is off, by one who does not know.
 fn misread(lens: &Lens, off: &Miscalibration, ray: DVec3) -> Option<DVec3> {
-    lens.unproject(off.drawn(lens, lens.project(ray)?))
+    let late_s = off.readout_s * row(lens, lens.project(ray)?);
+    lens.unproject(off.drawn(lens, lens.project(ray + MOVING.passing(ray) * late_s)?))
 }
 
 /// The places of a straight line, every 10 cm.
@@ -73,6 +78,7 @@ fn sights(truth: &Isometry, lines: &[Vec<(DVec3, DVec3)>], mut noise: impl FnMut
             let ray = (to + across * (noise(sights.len()) / PIXELS_PER_RAD)).normalize();
             sights.push(Sight {
                 ray: truth.rotation.conjugate() * ray,
+                row: 0.0,
                 bends: bends(truth.rotation.conjugate() * ray),
                 point: *point,
                 tangent: *tangent,
@@ -87,13 +93,14 @@ fn sights(truth: &Isometry, lines: &[Vec<(DVec3, DVec3)>], mut noise: impl FnMut
 }
 
 /// By central differences.
-fn bends(ray: DVec3) -> [DVec3; 3] {
+fn bends(ray: DVec3) -> [DVec3; 4] {
     let lens = lens();
     let small = |by: f64| {
         [
-            Miscalibration { stretch: by, shift: DVec2::ZERO },
-            Miscalibration { stretch: 0.0, shift: DVec2::new(by, 0.0) },
-            Miscalibration { stretch: 0.0, shift: DVec2::new(0.0, by) },
+            Miscalibration { stretch: by, ..Miscalibration::NONE },
+            Miscalibration { shift: DVec2::new(by, 0.0), ..Miscalibration::NONE },
+            Miscalibration { shift: DVec2::new(0.0, by), ..Miscalibration::NONE },
+            Miscalibration { readout_s: by, ..Miscalibration::NONE },
         ]
     };
     let (more, less) = (small(1e-6), small(-1e-6));
@@ -294,7 +301,7 @@ fn a_refinement_step_agrees_with_256_bits() {
     largest_error(largest, 2e-14, "of the step");
 }
 
-/// The last step, of the lens and of the pose that follows it: what all nine unknowns would do beyond what six do.
+/// The last step, of the lens and of the pose that follows it: what all ten unknowns would do beyond what six do.
 #[test]
 fn a_step_of_the_lens_agrees_with_256_bits() {
     let mut largest = 0.0f64;
@@ -305,10 +312,10 @@ fn a_step_of_the_lens_agrees_with_256_bits() {
         let sights = sights(&moved_pose(&start.map_from_optical, &off), &corner(), pixel_noise(seed));
         let noise = Noise::USUAL;
         let found = solve::joint(&start, &sights, &Vector6::zeros(), SCALES[0], [noise; 2]).expect("a step");
-        let together = Oracle::<9>::new(&start, &sights, SCALES[0], noise).step(&zero());
+        let together = Oracle::<10>::new(&start, &sights, SCALES[0], noise).step(&zero());
         let pose_alone = Oracle::<6>::new(&start, &sights, SCALES[0], noise).step(&zero());
         let following = |i: usize| pose_alone.get(i).map_or(together[i].clone(), |alone| &together[i] - alone);
-        let truth: [Exact; 9] = core::array::from_fn(following);
+        let truth: [Exact; 10] = core::array::from_fn(following);
         let size = truth.iter().map(|y| rounded(y).abs()).fold(0.0, f64::max);
         let spread = start.covariance.cholesky().expect("a prior").l();
         let found = spread.solve_lower_triangular(&found.moved).expect("regular");
@@ -515,7 +522,7 @@ fn what_a_lens_has_wrong_is_found_with_the_pose_and_its_covariance_is_honest() {
     for seed in 0..DRAWS {
         let off: Errors = factor * Errors::from_fn(|i, _| normal(seed + 30_000, i));
         let truth = moved_pose(&start.map_from_optical, &super::pose_part(&off));
-        let wrong = Miscalibration { stretch: off[6], shift: DVec2::new(off[7], off[8]) };
+        let wrong = Miscalibration { stretch: off[6], shift: DVec2::new(off[7], off[8]), readout_s: off[9] };
         let mut seen = sights(&truth, &corner(), pixel_noise(seed));
         for sight in &mut seen {
             sight.ray = misread(&lens, &wrong, sight.ray).expect("in view");
@@ -538,7 +545,7 @@ fn what_a_lens_has_wrong_is_found_with_the_pose_and_its_covariance_is_honest() {
         held_if_ignorant += u64::from(is_held_if_ignorant);
         (off_m, off_if_ignorant_m) = (off_m + m / DRAWS as f64, off_if_ignorant_m + if_ignorant_m / DRAWS as f64);
         let error = knowing.moved - off;
-        nees += error.dot(&(knowing.covariance.try_inverse().expect("regular") * error)) / 9.0 / DRAWS as f64;
+        nees += error.dot(&(knowing.covariance.try_inverse().expect("regular") * error)) / 10.0 / DRAWS as f64;
     }
     let [held, ignorant] = [held, held_if_ignorant].map(|count| count as f64 / DRAWS as f64);
     println!(
