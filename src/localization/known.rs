@@ -17,7 +17,7 @@ pub struct Known {
 
 /// So far from where odometry and gyro have it a robot that slipped or fell gets up.
 const SLIPS_M: f64 = 0.6;
-const SLIPS_RAD: f64 = 0.6;
+const SLIPS_RAD: f64 = 0.35;
 const TOLD_SIGMAS: f64 = 3.0;
 /// So fast it may have walked and turned in the meantime.
 const WALKS_M_PER_S: f64 = 0.4;

@@ -3,7 +3,7 @@
 //! Another place may look so much like the right one that its lines never contradict a pose: after a robot was carried, or
 //! where it was found while it was. But lines are missing there. So a believed pose is tried against the whole field when
 //! fewer lines fit than should, when frames have been doubted for long or tell of another walk than odometry, and
-//! three times after it was found by search.
+//! three times after it was found by search, or after a frame that looks as if the robot had been put elsewhere.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ pub struct SecondLook {
     doubted_s: f64,
     /// Frames in a row whose lines and odometry told of two different walks.
     surprised: u32,
-    /// Looks that a pose found by search still needs.
+    /// Looks that the pose still needs: it was found by search, or the robot may have been put elsewhere.
     owed: u32,
 }
 
@@ -38,6 +38,7 @@ const FRAME_FALLS_BY: f64 = 0.07;
 const DOUBTED_S: f64 = 1.5;
 const SURPRISED: u32 = 3;
 const OWED_IF_FOUND: u32 = 3;
+const OWED_IF_PUT: u32 = 3;
 
 impl Default for SecondLook {
     fn default() -> Self {
@@ -57,6 +58,11 @@ impl SecondLook {
         self.waited_s += seconds;
         self.doubted_s = if doubted { self.doubted_s + seconds } else { 0.0 };
         self.surprised = if surprised { self.surprised + 1 } else { 0 };
+        // Lines that were there are not, and what is left of them lies where no step leads: as if the robot had been put elsewhere.
+        if surprised && share.is_some_and(|share| self.falls_to(share)) {
+            self.owed = OWED_IF_PUT;
+            self.waited_s = self.waited_s.max(self.pause_s);
+        }
         if let Some(share) = share {
             let near = |mean: f64, seconds_of: f64| mean + (share - mean) * (seconds / seconds_of).min(1.0);
             self.usual = if self.share.is_some() { near(self.usual, USUAL_S) } else { share };
@@ -133,6 +139,19 @@ mod tests {
         assert!(crowd.len() <= 6 && crowd[0] <= 1.1, "{crowd:?}");
         let carried = looks(SecondLook::default(), 60.0, |at| Some(if at < 40.0 { 0.8 } else { 0.55 }), false);
         assert!(carried.iter().any(|at| (40.0..41.2).contains(at)), "{carried:?}");
+    }
+
+    #[test]
+    fn a_frame_as_of_a_robot_that_was_put_elsewhere_is_looked_into_at_once_and_again() {
+        let put = |share: f64, surprised: bool| {
+            let mut look = SecondLook::default();
+            (0..30).for_each(|_| look.note(0.1, Some(0.98), false, false));
+            look.note(0.1, Some(share), false, surprised);
+            (look.is_due() && look.is_urgent(), look)
+        };
+        assert!(put(0.86, true).0 && !put(0.86, false).0 && !put(0.96, true).0, "fewer lines, and where no step leads");
+        let looks = looks(put(0.86, true).1, 60.0, |_| Some(0.95), false);
+        assert!(looks.len() == 3 && looks[2] < 3.0, "{looks:?}");
     }
 
     #[test]

@@ -214,6 +214,17 @@ impl Track {
         self
     }
 
+    /// As if nothing had been learnt of how the camera leans and how high it is.
+    pub fn with_lean_forgotten(mut self, model: &TrackModel) -> Self {
+        let (torso, mount) = (model.torso_tilt_rad, model.mount_tilt_rad);
+        let sigmas = [torso, torso, mount, mount, model.height_m];
+        for (index, sigma) in [TORSO_ROLL, TORSO_PITCH, MOUNT_ROLL, MOUNT_PITCH, HEIGHT].into_iter().zip(sigmas) {
+            self.forget(index, sigma);
+            self.mean[index] = 0.0;
+        }
+        self
+    }
+
     /// One state is as uncertain as this, whatever the others are.
     fn forget(&mut self, index: usize, sigma: f64) {
         self.covariance.row_mut(index).fill(0.0);
@@ -541,6 +552,24 @@ mod tests {
         let stays = told_again(elsewhere.clone(), 0.0, 0.001, 200).lens().stretch;
         let again = told_again(elsewhere.with_lens_doubted(&MODEL()), 0.0, 0.001, 200).lens().stretch;
         assert!(stays > 0.008 && again.abs() < 0.001, "{stays} {again}");
+    }
+
+    #[test]
+    fn what_was_learnt_of_the_lean_in_a_wrong_place_is_forgotten_and_nothing_else() {
+        let mut track = walked(60, Some, Some);
+        for index in [TORSO_ROLL, TORSO_PITCH, MOUNT_ROLL, MOUNT_PITCH, HEIGHT] {
+            track.mean[index] = 0.01;
+        }
+        let (anew, begun) =
+            (track.clone().with_lean_forgotten(&MODEL()), Track::around(track.pose(), 0.0, 0.0, &MODEL()));
+        for index in 0..STATES {
+            let of = if (TORSO_ROLL..=HEIGHT).contains(&index) { &begun } else { &track };
+            assert_eq!(
+                (anew.mean[index], anew.covariance[(index, index)]),
+                (of.mean[index], of.covariance[(index, index)])
+            );
+        }
+        assert!(nalgebra::SymmetricEigen::new(anew.covariance).eigenvalues.min() > 0.0);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::camera_twist::{Movers, camera_twist};
-use super::history::{History, Pushed};
+use super::history::{History, Pushed, Sample};
 use super::intake::{Input, StampedTransform};
 use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
 use crate::config::FrameNames;
@@ -337,7 +337,8 @@ impl Synchroniser {
 
     fn camera_twist(&self, stamp_ns: i64, now: &CameraPlace) -> Option<Twist> {
         let state = &self.state;
-        let torso_rate = state.torso_rate.at(stamp_ns).filter(|rate| rate.age_ns <= GYRO_AGE_NS)?.value;
+        let measured = |rate: &Sample<DVec3>| rate.age_ns <= GYRO_AGE_NS && rate.value != DVec3::ZERO;
+        let torso_rate = state.torso_rate.at(stamp_ns).filter(measured)?.value;
         let (neck_ns, feet_ns) = (stamp_ns.saturating_sub(NECK_STEP_NS), stamp_ns.saturating_sub(FEET_STEP_NS));
         let posture = Posture { attitude: None, head: state.head(neck_ns) };
         let neck = state.tree.camera_place(neck_ns, &self.names, posture).ok()?.base_from_optical;

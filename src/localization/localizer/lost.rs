@@ -31,6 +31,8 @@ const ELSEWHERE_RAD: f64 = 0.5;
 const RIVALS: f64 = 0.9;
 /// A pose that was believed is left for one that explains the frame so much better.
 const BEATEN: f64 = 0.8;
+/// Or so much better, where the frame shows much that no pose explains.
+const OUTSHONE: f64 = 0.6;
 /// As near to the pose believed so far its own refinement would have come.
 const AGAIN_M: f64 = 0.15;
 const AGAIN_RAD: f64 = 0.1;
@@ -116,7 +118,12 @@ impl Localizer {
         }
         let own = fits.iter().find(|fit| again(&fit.pose));
         let beaten = |by: &&Fit| {
-            by.convinces && own.is_none_or(|own| own.worth < BEATEN * by.worth && own.fitting <= by.fitting)
+            own.map_or(by.convinces, |own| {
+                let needed = if by.convinces { BEATEN } else { OUTSHONE };
+                own.worth < needed * by.worth
+                    && own.fitting <= by.fitting
+                    && (by.convinces || own.explained <= by.explained)
+            })
         };
         let Some(better) = fits.first().filter(beaten) else {
             self.state.standing.has_been_tried();
@@ -153,7 +160,7 @@ impl Localizer {
                 let worth = (lines.fitting as f64 - lines.expected as f64 * CONTRADICTED) * explained;
                 let pose = Pose2::from_isometry(&(map_from_optical * place.inverse()));
                 let convinces = convinces(&lines, explained, self.settings.valid.explained);
-                self.state.fitting.fits.push(Fit { worth, pose, fitting: lines.fitting, convinces });
+                self.state.fitting.fits.push(Fit { worth, pose, fitting: lines.fitting, explained, convinces });
             }
             if index >= FEWEST_FITTED && !may_go_on(effort.weighed) {
                 break;
@@ -167,6 +174,10 @@ impl Localizer {
         let model = self.model(moment);
         let Spread { xy_m, yaw_rad } = self.settings.initial;
         let track = match &self.state.track {
+            // Where it was believed to be, wrongly, it may have learnt to lean.
+            Some(track) if self.state.standing.is_tracking() => {
+                track.moved_to(*pose, xy_m, yaw_rad).with_lean_forgotten(&model)
+            }
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),
             None => Track::around(*pose, xy_m, yaw_rad, &model),
         };
@@ -208,6 +219,8 @@ struct Fit {
     pose: Pose2,
     /// Line places.
     fitting: usize,
+    /// Share of the line seen.
+    explained: f64,
     convinces: bool,
 }
 
