@@ -175,7 +175,7 @@ impl Localizer {
         let Spread { xy_m, yaw_rad } = self.settings.initial;
         let track = match &self.state.track {
             // Where it was believed to be, wrongly, it may have learnt to lean.
-            Some(track) if self.state.standing.is_tracking() => {
+            Some(track) if !matches!(self.state.standing.confidence, Confidence::Unconfirmed(_)) => {
                 track.moved_to(*pose, xy_m, yaw_rad).with_lean_forgotten(&model)
             }
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),
