@@ -10,7 +10,7 @@ use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 
 use super::refinement::miscalibration::Miscalibration;
-use super::refinement::{ErrorCovariance, Errors, Prior, Refined};
+use super::refinement::{ErrorCovariance, Errors, OF_LENS, Prior, Refined, UNKNOWNS};
 use crate::geometry::{Isometry, Pose2, Twist, wrap_angle};
 
 /// x, y, yaw of `base_footprint`; roll and pitch error of the torso's attitude; of the camera's mount; the camera's height
@@ -146,7 +146,7 @@ pub struct Track {
 pub struct Prediction {
     pub prior: Prior,
     /// How the camera pose's error depends on the state's.
-    sensitivity: SMatrix<f64, 10, STATES>,
+    sensitivity: SMatrix<f64, UNKNOWNS, STATES>,
     /// What of the covariance is the frame's own.
     scatter: ErrorCovariance,
 }
@@ -155,7 +155,7 @@ impl Prediction {
     /// The same, the lens being taken for what it is believed to be: seen from a wrong place every lens is wrong.
     pub fn with_lens_known(mut self) -> Self {
         self.prior.take_lens_as_known();
-        self.sensitivity.fixed_rows_mut::<4>(6).fill(0.0);
+        self.sensitivity.fixed_rows_mut::<{ LENS.len() }>(OF_LENS).fill(0.0);
         self
     }
 
@@ -332,7 +332,7 @@ impl Track {
             (MOUNT_ROLL, camera * DVec3::X),
             (MOUNT_PITCH, camera * DVec3::Y),
         ];
-        let mut sensitivity = SMatrix::<f64, 10, STATES>::zeros();
+        let mut sensitivity = SMatrix::<f64, UNKNOWNS, STATES>::zeros();
         sensitivity[(0, X)] = 1.0;
         sensitivity[(1, Y)] = 1.0;
         sensitivity[(2, HEIGHT)] = 1.0;
@@ -345,7 +345,7 @@ impl Track {
                 sensitivity[(row, state)] = part;
             }
         }
-        for (row, state) in (6..).zip(LENS) {
+        for (row, state) in (OF_LENS..).zip(LENS) {
             sensitivity[(row, state)] = 1.0;
         }
         let tilt: DVec3 = axes.iter().map(|(state, axis)| *axis * self.mean[*state]).sum();

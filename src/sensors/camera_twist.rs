@@ -40,7 +40,7 @@ pub(super) fn camera_twist(now: &CameraPlace, movers: &Movers) -> Option<Twist> 
 
 #[cfg(test)]
 mod tests {
-    use glam::DQuat;
+    use glam::{DQuat, DVec2};
     use proptest::prelude::*;
 
     use super::*;
@@ -49,7 +49,7 @@ mod tests {
     /// A robot that walks, sways, turns and looks round, each evenly.
     #[derive(Clone, Copy, Debug)]
     struct Robot {
-        walks: [f64; 3],
+        walks: DVec2,
         rolls: DVec3,
         looks: [f64; 2],
         leans: Euler,
@@ -58,8 +58,7 @@ mod tests {
 
     impl Robot {
         fn feet(&self, seconds: f64) -> Pose2 {
-            let [x, y, _] = self.walks;
-            Pose2::new(x * seconds, y * seconds, 0.0)
+            Pose2::new(self.walks.x * seconds, self.walks.y * seconds, 0.0)
         }
 
         fn base_from_optical(&self, seconds: f64) -> Isometry {
@@ -105,7 +104,7 @@ mod tests {
     fn robots() -> impl Strategy<Value = Robot> {
         let rate = || -1.5..1.5f64;
         let vector = || (rate(), rate(), rate());
-        (vector(), vector(), (rate(), rate()), (-0.3..0.3, -0.3..0.3), (-1.0..1.0, -0.5..0.5f64)).prop_map(
+        ((rate(), rate()), vector(), (rate(), rate()), (-0.3..0.3, -0.3..0.3), (-1.0..1.0, -0.5..0.5f64)).prop_map(
             |(walks, rolls, looks, (roll, pitch), pan_tilt)| Robot {
                 walks: walks.into(),
                 rolls: rolls.into(),
@@ -136,14 +135,14 @@ mod tests {
     #[test]
     fn what_cannot_be_is_no_movement() {
         let robot = Robot {
-            walks: [0.2, 0.0, 0.0],
+            walks: DVec2::new(0.2, 0.0),
             rolls: DVec3::new(0.1, 0.0, 0.0),
             looks: [0.0; 2],
             leans: Euler { yaw: 0.0, pitch: 0.0, roll: 0.0 },
             pan_tilt: [0.0; 2],
         };
-        let still = Robot { walks: [0.0; 3], ..robot }.twist();
-        assert_eq!(Robot { walks: [400.0, 0.0, 0.0], ..robot }.twist(), still, "odometry that jumped is no walk");
+        let still = Robot { walks: DVec2::ZERO, ..robot }.twist();
+        assert_eq!(Robot { walks: DVec2::X * 400.0, ..robot }.twist(), still, "odometry that jumped is no walk");
         for wrong in [DVec3::NAN, DVec3::INFINITY, DVec3::X * 40.0] {
             assert_eq!(Robot { rolls: wrong, ..robot }.twist(), None, "{wrong}");
         }

@@ -80,6 +80,8 @@ const MAX_WAITING_BYTES: usize = 256 << 20;
 
 /// A gyro that was heard longer ago says nothing of how fast a camera turns.
 const GYRO_AGE_NS: i64 = 30_000_000;
+/// Nor does a neck whose angles are not known at both times.
+const NECK_AGE_NS: i64 = 5_000_000;
 /// How fast neck and feet move is seen from two of their places, so far apart.
 const NECK_STEP_NS: i64 = 40_000_000;
 const FEET_STEP_NS: i64 = 100_000_000;
@@ -335,11 +337,18 @@ impl Synchroniser {
         }
     }
 
+    /// `None` without a gyro.
     fn camera_twist(&self, stamp_ns: i64, now: &CameraPlace) -> Option<Twist> {
         let state = &self.state;
         let measured = |rate: &Sample<DVec3>| rate.age_ns <= GYRO_AGE_NS && rate.value != DVec3::ZERO;
         let torso_rate = state.torso_rate.at(stamp_ns).filter(measured)?.value;
         let (neck_ns, feet_ns) = (stamp_ns.saturating_sub(NECK_STEP_NS), stamp_ns.saturating_sub(FEET_STEP_NS));
+        let is_heard = |joint: &History<f64>, at_ns: i64| {
+            joint.is_empty() || joint.at(at_ns).is_some_and(|angle| angle.age_ns <= NECK_AGE_NS)
+        };
+        if ![neck_ns, stamp_ns].iter().all(|at_ns| is_heard(&state.pan, *at_ns) && is_heard(&state.tilt, *at_ns)) {
+            return None;
+        }
         let posture = Posture { attitude: None, head: state.head(neck_ns) };
         let neck = state.tree.camera_place(neck_ns, &self.names, posture).ok()?.base_from_optical;
         let odometry = |stamp_ns| state.odometry().at(stamp_ns).map(|sample| sample.value);

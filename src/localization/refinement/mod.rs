@@ -24,8 +24,12 @@ use offsets::{Counts, Eye, Sight};
 pub use points::LinePoints;
 
 /// Of pose and lens.
-pub type Errors = SVector<f64, 10>;
-pub type ErrorCovariance = SMatrix<f64, 10, 10>;
+pub const UNKNOWNS: usize = 10;
+/// The first of the lens.
+pub const OF_LENS: usize = 6;
+
+pub type Errors = SVector<f64, UNKNOWNS>;
+pub type ErrorCovariance = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
 /// What is believed of the camera's pose and its lens before looking.
 #[derive(Clone, Debug, PartialEq)]
@@ -171,7 +175,7 @@ impl Prior {
 
     /// The lens is what it is believed to be.
     pub fn take_lens_as_known(&mut self) {
-        for of_lens in 6..10 {
+        for of_lens in OF_LENS..UNKNOWNS {
             self.covariance.row_mut(of_lens).fill(0.0);
             self.covariance.column_mut(of_lens).fill(0.0);
             self.covariance[(of_lens, of_lens)] = KNOWN;

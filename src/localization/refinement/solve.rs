@@ -9,7 +9,7 @@ use nalgebra::{Cholesky, Matrix6, SMatrix, SVector, Vector6};
 
 use super::offsets::Sight;
 use super::triangular::{Rows, Triangular};
-use super::{ErrorCovariance, Errors, Prior, moved_pose};
+use super::{ErrorCovariance, Errors, OF_LENS, Prior, UNKNOWNS, moved_pose};
 
 pub(super) struct Solution {
     pub(super) moved: Vector6<f64>,
@@ -127,7 +127,7 @@ pub(super) fn joint(
     let mut from = Errors::zeros();
     from.fixed_rows_mut::<6>(0).copy_from(moved);
     let y = spread.solve_lower_triangular(&from)?;
-    let step = ForPoseAndLens::at(prior, &spread, sights, &y, scale, noise).triangle.solve_from(6);
+    let step = ForPoseAndLens::at(prior, &spread, sights, &y, scale, noise).triangle.solve_from(OF_LENS);
     let here = ForPoseAndLens::at(prior, &spread, sights, &y, scale, measured);
     Some(Joint {
         moved: spread * (y + step),
@@ -176,7 +176,7 @@ struct Linearised<const N: usize, const W: usize> {
 }
 
 type ForPose = Linearised<6, 8>;
-type ForPoseAndLens = Linearised<10, 12>;
+type ForPoseAndLens = Linearised<UNKNOWNS, 12>;
 
 impl<const N: usize, const W: usize> Linearised<N, W> {
     /// With the lens as it is believed to be.
@@ -258,7 +258,7 @@ impl Sight {
         let shift = -self.tangent.cross(ray - normal * residual) / length;
         let by_pose = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
         let normal_in_camera = map_from_optical.transpose() * normal;
-        let gradient = core::array::from_fn(|i| match i.checked_sub(6) {
+        let gradient = core::array::from_fn(|i| match i.checked_sub(OF_LENS) {
             None => by_pose[i],
             Some(of_lens) => normal_in_camera.dot(self.bends[of_lens]),
         });
