@@ -9,13 +9,18 @@ pub struct Known {
     pose: Pose2,
     /// A gyro has counted every turn since then: whoever fell, or was carried, may have been turned round.
     is_followed: bool,
+    /// It has lain on the floor since then.
+    has_fallen: bool,
     /// How well it was known, standard deviation.
     sigma_m: f64,
     /// For how long nobody has counted anything, and why it may be farther off.
     away_s: f64,
 }
 
-/// So far from where odometry and gyro have it a robot that slipped or fell gets up.
+/// So far from where odometry and gyro have it a robot that keeps standing slips, ...
+const STUMBLES_M: f64 = 0.25;
+const STUMBLES_RAD: f64 = 0.2;
+/// ... and one that fell gets up.
 const SLIPS_M: f64 = 0.6;
 const SLIPS_RAD: f64 = 0.35;
 const TOLD_SIGMAS: f64 = 3.0;
@@ -30,7 +35,7 @@ impl Known {
     }
 
     pub fn told(pose: Pose2, sigma_m: f64) -> Self {
-        Self { pose, is_followed: true, sigma_m, away_s: 0.0 }
+        Self { pose, is_followed: true, has_fallen: false, sigma_m, away_s: 0.0 }
     }
 
     /// By the next step, of whose turn a gyro knows or not. Who has just been put down and told where is not carried before lines
@@ -38,6 +43,10 @@ impl Known {
     pub fn carry_on(&mut self, step: &Pose2, by_gyro: bool) {
         self.pose = self.pose.compose(step);
         self.is_followed &= by_gyro || self.sigma_m > 0.0;
+    }
+
+    pub fn fell(&mut self) {
+        self.has_fallen = true;
     }
 
     /// Nobody has counted its steps.
@@ -65,9 +74,11 @@ impl Known {
     /// Whether a robot that is there has not been carried: then it is in the half of the field that it was in.
     pub fn leads_to(&self, pose: &Pose2) -> bool {
         let turned = wrap_angle(pose.yaw - self.pose.yaw).abs();
+        let is_vague = self.has_fallen || self.away_s > 0.0 || self.sigma_m > 0.0;
+        let (slips_m, slips_rad) = if is_vague { (SLIPS_M, SLIPS_RAD) } else { (STUMBLES_M, STUMBLES_RAD) };
         self.is_followed
-            && pose.distance(&self.pose) <= SLIPS_M + WALKS_M_PER_S * self.away_s
-            && turned <= SLIPS_RAD + TURNS_RAD_PER_S * self.away_s
+            && pose.distance(&self.pose) <= slips_m + WALKS_M_PER_S * self.away_s
+            && turned <= slips_rad + TURNS_RAD_PER_S * self.away_s
     }
 }
 
@@ -81,6 +92,7 @@ mod tests {
         let fell = |by_gyro: bool| {
             let mut known = Known::at(at);
             known.carry_on(&Pose2::new(0.0, 0.0, 2.5), by_gyro);
+            known.fell();
             known
         };
         let turned = Pose2 { yaw: wrap_angle(3.7), ..at };
@@ -88,6 +100,17 @@ mod tests {
         assert!(!fell(false).leads_to(&turned), "nothing has");
         assert!(!fell(true).leads_to(&Pose2 { x: 1.0, ..turned }), "carried");
         assert_eq!(fell(true).nearer_of(turned.mirrored()), turned.mirrored().mirrored());
+    }
+
+    #[test]
+    fn who_is_elsewhere_at_once_without_a_fall_may_be_in_either_half() {
+        let known = Known::at(Pose2::default());
+        assert!(known.leads_to(&Pose2::new(0.2, 0.1, 0.15)), "it stumbled");
+        for put in [Pose2::new(0.3, 0.2, 0.0), Pose2::new(0.1, 0.0, 0.3)] {
+            let mut fallen = known;
+            fallen.fell();
+            assert!(!known.leads_to(&put) && fallen.leads_to(&put));
+        }
     }
 
     #[test]

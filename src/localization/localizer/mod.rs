@@ -307,7 +307,11 @@ impl Localizer {
         if stand == Stand::HasRisen {
             self.state.standing.confidence = Confidence::Nowhere;
         }
-        stand == Stand::Fallen
+        let is_down = stand == Stand::Fallen;
+        if is_down {
+            self.state.known.iter_mut().for_each(Known::fell);
+        }
+        is_down
     }
 
     fn drift(&mut self, moment: &Moment, reason: &'static str) -> Fix {
