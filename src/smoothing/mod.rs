@@ -166,7 +166,7 @@ impl Place {
     pub fn new(sight: &Sight, eye: &Eye, map_from_optical: &Isometry) -> Option<Self> {
         let Sight { ray, point, tangent, sigmas, pixels_per_rad, row, .. } = *sight;
         let place = ray * point.distance(map_from_optical.translation);
-        let drawn = place + eye.twist.passing(place) * (eye.off.readout_s * row);
+        let drawn = place + eye.moved_until_read(place, row);
         Some(Self { pixel: eye.projector.lens().project(drawn)?, point, tangent, sigmas, pixels_per_rad })
     }
 }

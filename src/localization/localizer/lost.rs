@@ -181,8 +181,7 @@ impl Localizer {
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),
             None => Track::around(*pose, xy_m, yaw_rad, &model),
         };
-        let mut prediction = track.prior(&moment.footprint_from_optical?, &model).with_lens_known();
-        prediction.prior.twist = moment.camera_twist.unwrap_or_default();
+        let prediction = self.prediction_by(&track, moment)?.with_lens_known();
         self.refiner.refine(&seen.image, &prediction.prior, &[Vector6::zeros()])
     }
 }

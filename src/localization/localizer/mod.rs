@@ -456,10 +456,14 @@ impl Localizer {
     }
 
     fn prediction(&self, moment: &Moment) -> Option<Prediction> {
-        let track = self.state.track.as_ref()?;
+        let prediction = self.prediction_by(self.state.track.as_ref()?, moment)?;
+        Some(if self.state.standing.is_tracking() { prediction } else { prediction.with_lens_known() })
+    }
+
+    fn prediction_by(&self, track: &Track, moment: &Moment) -> Option<Prediction> {
         let mut prediction = track.prior(&moment.footprint_from_optical?, &self.model(moment));
         prediction.prior.twist = moment.camera_twist.unwrap_or_default();
-        Some(if self.state.standing.is_tracking() { prediction } else { prediction.with_lens_known() })
+        Some(prediction)
     }
 
     fn model(&self, moment: &Moment) -> TrackModel {

@@ -21,7 +21,7 @@ pub struct Sight {
     pub sigmas: f64,
     /// Across the line.
     pub pixels_per_rad: f64,
-    /// How the ray would change with the lens's stretch and shift: see [`Miscalibration`].
+    /// How the ray would change with the lens's stretch and shift and the sensor's readout: see [`Miscalibration`].
     pub(super) bends: [DVec3; 4],
     /// When it was exposed: see [`row`].
     pub row: f64,
@@ -37,6 +37,13 @@ pub struct Eye<'a> {
     pub projector: &'a Projector,
     pub off: &'a Miscalibration,
     pub twist: &'a Twist,
+}
+
+impl Eye<'_> {
+    /// How far what stands still at `place`, in the middle row's time, has gone by when this [`row`] is read: to first order.
+    pub fn moved_until_read(&self, place: DVec3, row: f64) -> DVec3 {
+        self.twist.passing(place) * (self.off.readout_s * row)
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -181,17 +188,17 @@ impl Expected {
         line_width_m: f64,
         (centre, pixel): (DVec3, DVec2),
         image: &LineImage,
-        Eye { projector, off, twist }: Eye,
+        eye: Eye,
         from_carpet: &FromCarpet,
     ) -> Option<Self> {
         let half = |direction: DVec2| from_carpet.vector(direction * (line_width_m / 2.0));
         let (aside, along) = (half(point.normal), half(-point.normal.perp()));
         let (left, right) = (centre + aside, centre - aside);
-        let lens = projector.lens();
+        let lens = eye.projector.lens();
         // Where it all is when its row is read.
-        let (row, passing) = (row(lens, pixel), twist.passing(centre));
-        let late = passing * (off.readout_s * row);
-        let drawn = |place: DVec3| Some(image.scale().apply(off.drawn(lens, projector.project(place + late)?)));
+        let row = row(lens, pixel);
+        let late = eye.moved_until_read(centre, row);
+        let drawn = |place: DVec3| Some(image.scale().apply(eye.off.drawn(lens, eye.projector.project(place + late)?)));
         let (from, to) = (drawn(right)?, drawn(left)?);
         let width_px = from.distance(to);
         if width_px < THINNEST_PX {
@@ -210,7 +217,7 @@ impl Expected {
         let [stretch, u, v] = moves.map(|by| across * (-by.perp_dot(along_px) * per_px));
         let ray = centre.normalize();
         // Feet go the same way for long, as errors of a lens do: only what turns tells how a sensor is read.
-        let bends = [stretch, u, v, twist.angular.cross(ray) * row];
+        let bends = [stretch, u, v, eye.twist.angular.cross(ray) * row];
         Some(Self { ray, across, middle, direction, width_px, bends, row })
     }
 
