@@ -7,8 +7,9 @@ use crate::geometry::{Pose2, wrap_angle};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Known {
     pose: Pose2,
-    /// A gyro has counted every turn since then: whoever fell, or was carried, may have been turned round.
-    is_followed: bool,
+    /// For how long neither a gyro nor lines have followed its turns, seconds: whoever fell, or was carried, may have been turned
+    /// round.
+    unfollowed_s: f64,
     /// It has lain on the floor since then.
     has_fallen: bool,
     /// How well it was known, standard deviation.
@@ -24,6 +25,8 @@ const STUMBLES_RAD: f64 = 0.2;
 const SLIPS_M: f64 = 0.6;
 const SLIPS_RAD: f64 = 0.35;
 const TOLD_SIGMAS: f64 = 3.0;
+/// It takes longer to lift a robot, turn it round and put it down elsewhere: 1.5 s at least.
+const LONGEST_UNFOLLOWED_S: f64 = 1.0;
 /// So fast it may have walked and turned in the meantime.
 const WALKS_M_PER_S: f64 = 0.4;
 const TURNS_RAD_PER_S: f64 = 0.25;
@@ -35,14 +38,25 @@ impl Known {
     }
 
     pub fn told(pose: Pose2, sigma_m: f64) -> Self {
-        Self { pose, is_followed: true, has_fallen: false, sigma_m, away_s: 0.0 }
+        Self { pose, unfollowed_s: 0.0, has_fallen: false, sigma_m, away_s: 0.0 }
     }
 
     /// By the next step, of whose turn a gyro knows or not. Who has just been put down and told where is not carried before lines
     /// have said anything.
-    pub fn carry_on(&mut self, step: &Pose2, by_gyro: bool) {
+    pub fn carry_on(&mut self, step: &Pose2, seconds: f64, by_gyro: bool) {
         self.pose = self.pose.compose(step);
-        self.is_followed &= by_gyro || self.sigma_m > 0.0;
+        let is_followed = by_gyro || self.sigma_m > 0.0;
+        self.unfollowed_s += if is_followed { 0.0 } else { seconds };
+    }
+
+    /// Lines are where it leads.
+    pub fn is_seen(&mut self) {
+        self.unfollowed_s = 0.0;
+    }
+
+    /// It may have been carried to its mirror pose and nobody would know.
+    pub fn may_be_mirrored(&self) -> bool {
+        self.unfollowed_s > LONGEST_UNFOLLOWED_S
     }
 
     pub fn fell(&mut self) {
@@ -56,7 +70,7 @@ impl Known {
 
     /// Nobody has counted its steps for longer than that says anything.
     pub fn is_past(&mut self) {
-        self.is_followed = false;
+        self.unfollowed_s = f64::INFINITY;
     }
 
     /// Whether a pose is farther from it than who told it can have meant.
@@ -76,7 +90,7 @@ impl Known {
         let turned = wrap_angle(pose.yaw - self.pose.yaw).abs();
         let is_vague = self.has_fallen || self.away_s > 0.0 || self.sigma_m > 0.0;
         let (slips_m, slips_rad) = if is_vague { (SLIPS_M, SLIPS_RAD) } else { (STUMBLES_M, STUMBLES_RAD) };
-        self.is_followed
+        !self.may_be_mirrored()
             && pose.distance(&self.pose) <= slips_m + WALKS_M_PER_S * self.away_s
             && turned <= slips_rad + TURNS_RAD_PER_S * self.away_s
     }
@@ -91,7 +105,7 @@ mod tests {
         let at = Pose2::new(0.1, -0.2, 1.0);
         let fell = |by_gyro: bool| {
             let mut known = Known::at(at);
-            known.carry_on(&Pose2::new(0.0, 0.0, 2.5), by_gyro);
+            known.carry_on(&Pose2::new(0.0, 0.0, 2.5), 1.5, by_gyro);
             known.fell();
             known
         };
@@ -114,9 +128,25 @@ mod tests {
     }
 
     #[test]
+    fn whose_turns_neither_gyro_nor_lines_have_followed_for_a_second_may_be_in_either_half() {
+        let walks = |known: &mut Known, by_gyro: bool| {
+            (0..12).for_each(|_| known.carry_on(&Pose2::default(), 0.1, by_gyro));
+        };
+        let mut known = Known::at(Pose2::default());
+        walks(&mut known, true);
+        assert!(!known.may_be_mirrored() && known.leads_to(&Pose2::default()));
+        walks(&mut known, false);
+        assert!(known.may_be_mirrored() && !known.leads_to(&Pose2::default()));
+        known.is_seen();
+        known.carry_on(&Pose2::default(), 0.9, false);
+        assert!(!known.may_be_mirrored(), "lines have shown it in between");
+    }
+
+    #[test]
     fn a_place_that_was_told_holds_without_a_gyro_until_lines_say_more() {
         let mut known = Known::told(Pose2::default(), 0.15);
-        known.carry_on(&Pose2::new(0.1, 0.0, 0.1), false);
+        known.carry_on(&Pose2::new(0.1, 0.0, 0.1), 3.0, false);
+        assert!(!known.may_be_mirrored());
         assert!(known.leads_to(&Pose2::new(0.3, 0.1, 0.3)));
         assert!(!known.is_far_from(&Pose2::new(0.6, 0.2, 0.0)) && known.is_far_from(&Pose2::new(0.8, 0.0, 0.0)));
         assert!(!Known::told(Pose2::default(), 0.5).is_far_from(&Pose2::new(1.4, 0.0, 0.0)), "it was told less well");

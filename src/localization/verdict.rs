@@ -245,32 +245,41 @@ impl Standing {
     }
 
     fn complaint(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
+        let held = |wanted: bool, complaint: &'static str| (!wanted).then_some(complaint);
+        held(self.confidence != Confidence::Nowhere, "pose_unknown")
+            .or_else(|| held(!moment.stale || rules.random_walk, "sensors_stale"))
+            .or_else(|| held(moment.odometry.is_some() || rules.random_walk, "no_odometry"))
+            .or_else(|| self.complaint_of_lines(rules, moment, fix))
+    }
+
+    fn complaint_of_lines(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
         let Validity { share, points, spread_m, refined_m, explained } = *rules.valid;
         let half = rules.field.carpet_half_extent();
         let at = fix.map_from_optical.translation;
         let off_field = at.x.abs() > half.x + OFF_FIELD_M || at.y.abs() > half.y + OFF_FIELD_M;
         let held = |wanted: bool, complaint: &'static str| (!wanted).then_some(complaint);
-        held(self.confidence != Confidence::Nowhere, "pose_unknown")
-            .or_else(|| held(!moment.stale || rules.random_walk, "sensors_stale"))
-            .or_else(|| held(moment.odometry.is_some() || rules.random_walk, "no_odometry"))
-            .or_else(|| held(!fix.estimate.degenerate, "degenerate_weights"))
-            .or_else(|| held(!off_field, "off_field"))
-            .or_else(|| {
-                if !rules.refinement {
-                    return held(fix.support.weight >= points, "few_lines")
-                        .or_else(|| held(fix.support.share >= share, "lines_disagree"))
-                        .or_else(|| held(fix.estimate.spread_m <= spread_m, "spread"));
-                }
-                let least_explained = if self.holds_fast(fix) { explained - LESS_IF_HELD_FAST } else { explained };
-                held(!fix.refined || stands(moment, fix), "not_standing")
-                    .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
-                    .or_else(|| held(fix.explained.share >= least_explained, "lines_unexplained"))
-                    .or_else(|| {
-                        held(!self.is_tracking() || self.holds_fast(fix) || agrees_both_ways(fix), "lines_disagree")
-                    })
-                    .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
-                    .or_else(|| held(longest_axis_of(&fix.covariance) <= refined_m, "spread"))
-            })
+        held(!fix.estimate.degenerate, "degenerate_weights").or_else(|| held(!off_field, "off_field")).or_else(|| {
+            if !rules.refinement {
+                return held(fix.support.weight >= points, "few_lines")
+                    .or_else(|| held(fix.support.share >= share, "lines_disagree"))
+                    .or_else(|| held(fix.estimate.spread_m <= spread_m, "spread"));
+            }
+            let least_explained = if self.holds_fast(fix) { explained - LESS_IF_HELD_FAST } else { explained };
+            held(!fix.refined || stands(moment, fix), "not_standing")
+                .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
+                .or_else(|| held(fix.explained.share >= least_explained, "lines_unexplained"))
+                .or_else(|| {
+                    held(!self.is_tracking() || self.holds_fast(fix) || agrees_both_ways(fix), "lines_disagree")
+                })
+                .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
+                .or_else(|| held(longest_axis_of(&fix.covariance) <= refined_m, "spread"))
+        })
+    }
+
+    /// All says that the lines in view are those of the confirmed pose, even where nothing else is known.
+    pub fn is_in_view(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> bool {
+        let holds_fast = (self.holds_fast(fix) && !fix.surprised) || !rules.refinement;
+        self.is_tracking() && holds_fast && self.complaint_of_lines(rules, moment, fix).is_none()
     }
 
     /// A confirmed pose of which all but a few lines are seen where they should be, and that has explained all it saw.

@@ -137,6 +137,25 @@ fn without_an_imu_tags_stay_right() {
     assert_never_wrong(&room, &room.replay("log.mcap"), 0.9, "no IMU");
 }
 
+/// For seconds nothing but lines says where it goes, and they say so in every frame.
+#[test]
+fn whom_only_lines_have_followed_keeps_its_half() {
+    let walked = without(&walk().messages, IMU);
+    let stamps: Vec<i64> = on(&walked, ODOMETRY).map(|message| message.log_time_ns).collect();
+    let silent = stamps[stamps.len() / 3]..stamps[2 * stamps.len() / 3];
+    assert!(silent.end - silent.start > 1_100_000_000, "longer than it takes to be carried");
+    let kept: Vec<_> = walked
+        .iter()
+        .filter(|message| message.channel.topic != ODOMETRY || !silent.contains(&message.log_time_ns))
+        .cloned()
+        .collect();
+    let room = Room::with_log(&kept);
+    let replayed = room.replay("log.mcap");
+    assert_never_wrong(&room, &replayed, 0.5, "lines alone");
+    assert!(replayed.tags.iter().all(|tag| !tag.ambiguous));
+    assert!(replayed.tags.iter().any(|tag| !tag.valid && tag.header.stamp.to_nanoseconds() > silent.start));
+}
+
 #[test]
 fn a_truth_that_stops_half_way_is_told() {
     let (mut count, half) = (0, walk().frames() / 2);

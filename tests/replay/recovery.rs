@@ -1,11 +1,11 @@
 //! A robot that does not know where it is, falls, or is told wrongly how it walks: found again, and never believed to be
 //! elsewhere for longer than it takes to notice.
 
-use realitysim::ros2::LogWriter;
 use realitysim::ros2::messages::{FrameTag, Imu, PoseStamped};
+use realitysim::ros2::{LogMessage, LogWriter};
 use serde_json::Value;
 
-use super::support::{IMU, Replayed, Room, TRUTH, changed, decode_all, read_log, session_name};
+use super::support::{IMU, ODOMETRY, Replayed, Room, TRUTH, changed, decode_all, read_log, session_name};
 
 /// With the errors of sensors that a robot has. Effects stand in their order: what moves it, then what odometry adds.
 fn scene(field: &str, lens: &str, start: &str, route: &str, moves: &str, odometry: &str) -> String {
@@ -145,6 +145,29 @@ fn who_gets_up_turned_round_knows_its_half_by_gyro_or_does_not_claim_to() {
     };
     assert!(half_is_known(&judged(&room, &with_gyro)));
     assert!(!half_is_known(&judged(&other, &without)));
+}
+
+/// Carried to within a hand's breadth of where its mirror pose would have walked to, while nothing counted its turns: lines agree
+/// at once, in the wrong half.
+#[test]
+fn who_was_carried_unseen_to_its_mirror_pose_does_not_claim_its_half() {
+    let carried = "[[effect]]\nkind = \"kidnapping\"\nat_s = 3.0\nduration_s = 1.5\nto_m = [1.35, 0.68]\nto_yaw_deg = -167.3\nlift_m = 0.3\n";
+    let route = "kind = \"walk\"\nwaypoints = [[-1.82, -0.74], [-0.33, -0.6]]\nspeed_m_s = 0.2\nturn_deg_s = 35";
+    let (room, _) =
+        replayed("kid-2009", scene("kid-2009", "fisheye-640", TOLD, route, &format!("{SWAY}{carried}"), ""));
+    let whole = read_log(&room.path("log.mcap"));
+    let began = whole[0].log_time_ns;
+    for silent in [&[IMU, ODOMETRY][..], &[]] {
+        let in_gap = |message: &LogMessage| (2_900_000_000..4_600_000_000).contains(&(message.log_time_ns - began));
+        let is_kept = |message: &&LogMessage| {
+            !in_gap(message) || !(silent.is_empty() || silent.contains(&message.channel.topic.as_str()))
+        };
+        let room = Room::with_log(&whole.iter().filter(is_kept).cloned().collect::<Vec<_>>());
+        let tags = judged(&room, &room.replay("log.mcap --field kid-2009"));
+        let after: Vec<_> = tags.iter().filter(|(at, tag, _)| *at > 4.6 && tag.valid).collect();
+        assert!(after.len() > 25 && after.iter().all(|(_, tag, off)| tag.ambiguous && *off < 0.05), "{silent:?}");
+        assert!(tags.iter().filter(|(at, ..)| *at < 2.8).all(|(_, tag, _)| tag.valid && !tag.ambiguous));
+    }
 }
 
 #[test]

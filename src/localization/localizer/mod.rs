@@ -271,9 +271,16 @@ impl Localizer {
         }
         let at = self.state.track.as_ref().map_or(fix.estimate.best, Track::pose);
         fix.strays = self.state.known.is_some_and(|known| known.is_far_from(&at));
-        fix.doubt = self.state.standing.judge(&self.settings.rules(&self.field), moment, &fix, seconds);
+        let rules = self.settings.rules(&self.field);
+        fix.doubt = self.state.standing.judge(&rules, moment, &fix, seconds);
         if matches!(fix.doubt, Some("pose_unknown" | "few_lines" | "lines_disagree")) {
             fix.doubt = seen.glance.flaw().or(fix.doubt);
+        }
+        let is_in_view = self.state.standing.is_in_view(&rules, moment, &fix);
+        if let Some(known) = self.state.known.as_mut().filter(|_| is_in_view || fix.doubt.is_none()) {
+            self.state.ambiguous |= known.may_be_mirrored();
+            fix.ambiguous = self.state.ambiguous;
+            known.is_seen();
         }
         if fix.doubt.is_none() {
             self.state.known = self.state.track.as_ref().map(|track| Known::at(track.pose()));
@@ -362,7 +369,7 @@ impl Localizer {
         let turned = self.turned(step);
         let walked = step.odometry.unwrap_or_default();
         let walked = Pose2 { yaw: turned.unwrap_or(walked.yaw), ..walked };
-        self.state.known.iter_mut().for_each(|known| known.carry_on(&walked, turned.is_some()));
+        self.state.known.iter_mut().for_each(|known| known.carry_on(&walked, step.seconds, turned.is_some()));
         self.state.search.carry_on(&walked);
         self.state.fitting.carry_on(&walked);
     }
