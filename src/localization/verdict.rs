@@ -341,6 +341,11 @@ pub fn agrees(lines: &Agreement) -> bool {
     lines.fitting >= FEWEST_FITTING && lines.share() > CONTRADICTED
 }
 
+/// Hardly one is missing.
+pub fn is_whole(lines: &Agreement) -> bool {
+    lines.fitting >= FITTING_IF_FOUND_AGAIN && lines.share() >= SHARE_IF_FOUND
+}
+
 /// Enough to leave a pose for it that was believed.
 pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> bool {
     lines.fitting >= FITTING_IF_FOUND_AGAIN

@@ -14,7 +14,7 @@ use glam::{DVec2, DVec3};
 use nalgebra::{Matrix6, Vector6};
 
 use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist};
-use crate::localization::refinement::miscalibration::{Miscalibration, row};
+use crate::localization::refinement::miscalibration::{UNSEEN_M_PER_S, row};
 use crate::localization::refinement::moved_pose;
 use crate::localization::refinement::offsets::{Eye, Sight};
 use chain::{Border, Chain, Solution};
@@ -205,10 +205,11 @@ pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Res
         None => (vec![Matrix6::identity(); frames.len()], model.constants),
     };
     let lens = Lens::new(constants.lens(believed))?;
-    let late = Miscalibration { readout_s: constants.readout_s, ..Miscalibration::NONE };
     for (covariance, frame) in covariances.iter_mut().zip(frames) {
-        let unseen_m2 = late.unseen_m2(frame.places.iter().map(|place| row(&lens, place.pixel)));
-        (0..3).for_each(|axis| covariance[(axis, axis)] += unseen_m2);
+        // It has swayed unseen since lines, on average, were exposed.
+        let rows = frame.places.iter().map(|place| row(&lens, place.pixel));
+        let swayed_m = UNSEEN_M_PER_S * constants.readout_s * rows.sum::<f64>() / frame.places.len().max(1) as f64;
+        (0..3).for_each(|axis| covariance[(axis, axis)] += swayed_m * swayed_m);
     }
     Ok(Smoothed {
         map_from_optical: poses,

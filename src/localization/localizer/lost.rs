@@ -12,7 +12,7 @@ use crate::localization::global::Candidate;
 use crate::localization::particles::Spread;
 use crate::localization::refinement::Refined;
 use crate::localization::track::Track;
-use crate::localization::verdict::{CONTRADICTED, Confidence, agrees, convinces};
+use crate::localization::verdict::{CONTRADICTED, Confidence, agrees, convinces, is_whole};
 use crate::vision::Seen;
 
 /// While lost, only every so many frames pay for a search.
@@ -118,7 +118,8 @@ impl Localizer {
         }
         let own = fits.iter().find(|fit| again(&fit.pose));
         let beaten = |by: &&Fit| {
-            own.map_or(by.convinces, |own| {
+            // Where the place believed shows no lines at all, another one's need not explain all that is seen.
+            own.map_or(by.convinces || by.is_whole, |own| {
                 let needed = if by.convinces { BEATEN } else { OUTSHONE };
                 own.worth < needed * by.worth
                     && own.fitting <= by.fitting
@@ -160,7 +161,15 @@ impl Localizer {
                 let worth = (lines.fitting as f64 - lines.expected as f64 * CONTRADICTED) * explained;
                 let pose = Pose2::from_isometry(&(map_from_optical * place.inverse()));
                 let convinces = convinces(&lines, explained, self.settings.valid.explained);
-                self.state.fitting.fits.push(Fit { worth, pose, fitting: lines.fitting, explained, convinces });
+                let is_whole = is_whole(&lines);
+                self.state.fitting.fits.push(Fit {
+                    worth,
+                    pose,
+                    fitting: lines.fitting,
+                    explained,
+                    convinces,
+                    is_whole,
+                });
             }
             if index >= FEWEST_FITTED && !may_go_on(effort.weighed) {
                 break;
@@ -221,6 +230,7 @@ struct Fit {
     /// Share of the line seen.
     explained: f64,
     convinces: bool,
+    is_whole: bool,
 }
 
 /// The best one, unless another place explains the frame nearly as well.

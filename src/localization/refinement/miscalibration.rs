@@ -17,7 +17,7 @@ pub struct Miscalibration {
 }
 
 /// How fast a walking torso sways, which neither feet nor gyro tell.
-const UNSEEN_M_PER_S: f64 = 0.2;
+pub const UNSEEN_M_PER_S: f64 = 0.15;
 
 impl Miscalibration {
     pub const NONE: Self = Self { stretch: 0.0, shift: DVec2::ZERO, readout_s: 0.0 };
@@ -25,14 +25,6 @@ impl Miscalibration {
     /// Where the lens really draws what it is said to draw at `pixel`.
     pub fn drawn(&self, lens: &Lens, pixel: DVec2) -> DVec2 {
         pixel + self.stretch * from_centre(lens, pixel) + f64::from(lens.width()) * self.shift
-    }
-
-    /// Variance along each axis of where the camera was in the middle row's time, its sway having moved it since lines in these [`row`]s
-    /// were exposed.
-    pub fn unseen_m2(&self, rows: impl Iterator<Item = f64>) -> f64 {
-        let (sum, count) = rows.fold((0.0, 0usize), |(sum, count), row| (sum + row, count + 1));
-        let unseen_m = UNSEEN_M_PER_S * self.readout_s * sum / count.max(1) as f64;
-        unseen_m * unseen_m
     }
 
     /// How that changes with stretch and shift: pixels for each unit.

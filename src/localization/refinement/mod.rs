@@ -14,11 +14,12 @@ mod points;
 mod solve;
 mod triangular;
 
-use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
+use glam::DVec3;
+use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
 use crate::geometry::{Field, Isometry, Lens, Projector, Twist};
 use crate::vision::LineImage;
-use miscalibration::Miscalibration;
+use miscalibration::{Miscalibration, UNSEEN_M_PER_S};
 use offsets::{Counts, Eye, Sight};
 
 pub use points::LinePoints;
@@ -27,6 +28,7 @@ pub use points::LinePoints;
 pub const UNKNOWNS: usize = 10;
 /// The first of the lens.
 pub const OF_LENS: usize = 6;
+const READOUT: usize = 9;
 
 pub type Errors = SVector<f64, UNKNOWNS>;
 pub type ErrorCovariance = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
@@ -49,8 +51,8 @@ pub struct Refined {
     pub covariance: ErrorCovariance,
     /// The error vector of pose and lens relative to the prior's.
     pub moved: Errors,
-    /// Of the least squares in units of the prior: 1 if the lines say nothing, and the ratio between what is known worst
-    /// and best after looking.
+    /// Of the least squares in units of the prior, in the 1-norm: 1 if the lines say nothing, and about how much better the best known is
+    /// known after looking than the worst.
     pub condition: f64,
     /// Half the squared deviation from the prior plus the robust cost of the lines: lower is better.
     pub cost: f64,
@@ -142,12 +144,8 @@ impl Refiner {
         }
         let (counts, solution, solved_with) = last?;
         let [.., scale] = SCALES;
-        let solve::Joint { moved, mut covariance, condition } =
+        let solve::Joint { moved, covariance, condition } =
             solve::joint(prior, sights, &moved, scale, [solved_with, solution.residuals.noise()])?;
-        let unseen_m2 = prior.lens.unseen_m2(sights.iter().map(|sight| sight.row));
-        for axis in 0..3 {
-            covariance[(axis, axis)] += unseen_m2;
-        }
         Some(Refined {
             map_from_optical: moved_pose(&prior.map_from_optical, &pose_part(&moved)),
             covariance,
@@ -185,6 +183,16 @@ impl Prior {
     pub fn pose_covariance(&self) -> Matrix6<f64> {
         pose_block(&self.covariance)
     }
+
+    /// Covariance of the way that the camera goes, along its own axes, while the sensor is read, beyond what is believed: its torso sways
+    /// unseen, and reading takes longer or shorter.
+    fn unseen_way_m2(&self) -> Matrix3<f64> {
+        let (readout_s, variance_s2) = (self.lens.readout_s, self.covariance[(READOUT, READOUT)]);
+        let DVec3 { x, y, z } = self.twist.linear;
+        let goes = Vector3::new(x, y, z);
+        let sways = UNSEEN_M_PER_S * UNSEEN_M_PER_S * (readout_s * readout_s + variance_s2);
+        goes * goes.transpose() * variance_s2 + Matrix3::identity() * sways
+    }
 }
 
 impl Refined {
@@ -210,10 +218,10 @@ fn pose_part(errors: &Errors) -> Vector6<f64> {
 
 /// The pose whose error relative to `pose` is `moved`.
 pub fn moved_pose(pose: &Isometry, moved: &Vector6<f64>) -> Isometry {
-    let turn = glam::DVec3::new(moved[3], moved[4], moved[5]);
+    let turn = DVec3::new(moved[3], moved[4], moved[5]);
     Isometry::new(
         glam::DQuat::from_scaled_axis(turn) * pose.rotation,
-        pose.translation + glam::DVec3::new(moved[0], moved[1], moved[2]),
+        pose.translation + DVec3::new(moved[0], moved[1], moved[2]),
     )
 }
 

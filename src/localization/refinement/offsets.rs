@@ -25,6 +25,8 @@ pub struct Sight {
     pub(super) bends: [DVec3; 4],
     /// When it was exposed: see [`row`].
     pub row: f64,
+    /// From the camera, metres.
+    pub(super) distance: f64,
     /// Which of the field's lines it is.
     pub line: usize,
     /// The sight before is the neighbour along the same line.
@@ -180,6 +182,7 @@ struct Expected {
     width_px: f64,
     bends: [DVec3; 4],
     row: f64,
+    distance: f64,
 }
 
 impl Expected {
@@ -218,7 +221,7 @@ impl Expected {
         let ray = centre.normalize();
         // Feet go the same way for long, as errors of a lens do: only what turns tells how a sensor is read.
         let bends = [stretch, u, v, eye.twist.angular.cross(ray) * row];
-        Some(Self { ray, across, middle, direction, width_px, bends, row })
+        Some(Self { ray, across, middle, direction, width_px, bends, row, distance: centre.length() })
     }
 
     fn pixels_per_rad(&self) -> f64 {
@@ -248,6 +251,7 @@ impl Expected {
             pixels_per_rad: self.pixels_per_rad(),
             bends: self.bends,
             row: self.row,
+            distance: self.distance,
             line,
             follows,
         }

@@ -5,7 +5,7 @@
 //! prior is the identity and no view, however poor, leaves the system singular.
 
 use glam::{DMat3, DVec3};
-use nalgebra::{Cholesky, Matrix6, SMatrix, SVector, Vector6};
+use nalgebra::{Cholesky, Matrix3, Matrix6, SMatrix, SVector, Vector6};
 
 use super::offsets::Sight;
 use super::triangular::{Rows, Triangular};
@@ -77,10 +77,10 @@ pub(super) fn solve(
     let spread = Cholesky::new(prior.pose_covariance())?.unpack();
     let mut y = spread.solve_lower_triangular(start)?;
     let mut damping = 0.0;
-    let mut here = ForPose::at(prior, &spread, sights, &y, scale, noise);
+    let mut here = Linearised::at(prior, &spread, sights, &y, scale, noise);
     for _ in 0..ITERATIONS {
         let step = here.triangle.damped(libm::sqrt(damping)).solve();
-        let next = ForPose::at(prior, &spread, sights, &(y + step), scale, noise);
+        let next = Linearised::at(prior, &spread, sights, &(y + step), scale, noise);
         if next.cost > here.cost {
             damping = (10.0 * damping).max(0.1 * sights.len() as f64);
             continue;
@@ -94,7 +94,7 @@ pub(super) fn solve(
     }
     Some(Solution {
         moved: spread * y,
-        covariance: here.covariance(&spread),
+        covariance: covariance(&here.triangle.inverse(), &spread),
         cost: here.cost,
         residuals: here.residuals,
     })
@@ -111,11 +111,12 @@ pub(super) fn step(
 ) -> Option<Vector6<f64>> {
     let spread = Cholesky::new(prior.pose_covariance())?.unpack();
     let y = spread.solve_lower_triangular(start)?;
-    Some(ForPose::at(prior, &spread, sights, &y, scale, noise).triangle.solve())
+    Some(Linearised::at(prior, &spread, sights, &y, scale, noise).triangle.solve())
 }
 
 /// One step of the lens, which the pose follows, from a pose that has been solved for with the lens as it was believed to be and this
-/// `noise`; the covariance of both is that with the `measured` one.
+/// `noise`; the covariance of both is that with the `measured` one. The camera may have gone a way that nothing tells of while its
+/// sensor was read: that is solved for with them, and forgotten.
 pub(super) fn joint(
     prior: &Prior,
     sights: &[Sight],
@@ -123,23 +124,62 @@ pub(super) fn joint(
     scale: f64,
     [noise, measured]: [Noise; 2],
 ) -> Option<Joint> {
+    let way = Cholesky::new(prior.unseen_way_m2())?.unpack();
     let spread = Cholesky::new(prior.covariance)?.unpack();
     let mut from = Errors::zeros();
     from.fixed_rows_mut::<6>(0).copy_from(moved);
     let y = spread.solve_lower_triangular(&from)?;
-    let step = ForPoseAndLens::at(prior, &spread, sights, &y, scale, noise).triangle.solve_from(OF_LENS);
-    let here = ForPoseAndLens::at(prior, &spread, sights, &y, scale, measured);
+    let lines = with_lens(prior, (&spread, &way), sights, moved, scale, noise);
+    // Both noises are factors of each row's weight.
+    let weight = (noise.sigma_px / measured.sigma_px) * libm::sqrt(noise.correlated / measured.correlated);
+    let mut back = SVector::<f64, WITH_WAY>::zeros();
+    back.fixed_rows_mut::<UNKNOWNS>(0).copy_from(&-y);
+    let [believed, shown] = [1.0, weight].map(|weight| lines.weighed(weight, &back));
+    let step = believed.solve_from(OF_LENS);
+    let inverse = shown.inverse();
     Some(Joint {
-        moved: spread * (y + step),
-        covariance: here.covariance(&spread),
-        condition: condition(&here.triangle.r()),
+        moved: spread * (y + step.fixed_rows::<UNKNOWNS>(0)),
+        covariance: covariance(&inverse, &spread),
+        condition: condition(&shown.r(), &inverse),
     })
 }
 
-/// Largest over smallest singular value: how many digits the solution can lose. At least 1.
-fn condition(r: &ErrorCovariance) -> f64 {
-    let values = r.singular_values();
-    values.max() / values.min()
+/// What the lines alone say of pose, lens and unseen way.
+fn with_lens(
+    prior: &Prior,
+    (spread, way): (&ErrorCovariance, &Matrix3<f64>),
+    sights: &[Sight],
+    moved: &Vector6<f64>,
+    scale: f64,
+    noise: Noise,
+) -> Triangular<WITH_WAY, 16> {
+    let pose = moved_pose(&prior.map_from_optical, moved);
+    let turn = DMat3::from_quat(pose.rotation);
+    let into_camera = turn.transpose();
+    let mut rows = Rows::none();
+    for sight in sights {
+        let Some(off) = sight.off(&turn, pose.translation) else { continue };
+        let normal = into_camera * off.normal;
+        let by_way = (normal * (sight.row / sight.distance)).to_array();
+        let by_lens = sight.bends.map(|bend| normal.dot(bend));
+        let by_pose_and_lens =
+            core::array::from_fn(|i| if i < OF_LENS { off.by_pose[i] } else { by_lens[i - OF_LENS] });
+        let weighing = Weighing::of(sight, off.radians, scale, noise);
+        let mut row = [0.0; WITH_WAY];
+        row[..UNKNOWNS].copy_from_slice(&weighing.row(&by_pose_and_lens, spread));
+        row[UNKNOWNS..].copy_from_slice(&weighing.row(&by_way, way));
+        rows.push(&row, -weighing.weight * off.radians);
+    }
+    rows.finish()
+}
+
+/// In the 1-norm, as LAPACK's `trcon` has it, of pose and lens: how many digits the solution can lose. At least 1.
+fn condition(r: &SMatrix<f64, WITH_WAY, WITH_WAY>, inverse: &SMatrix<f64, WITH_WAY, WITH_WAY>) -> f64 {
+    let norm = |of: &SMatrix<f64, WITH_WAY, WITH_WAY>| {
+        let columns = (0..UNKNOWNS).map(|j| (0..=j).map(|i| of[(i, j)].abs()).sum::<f64>());
+        columns.fold(0.0, f64::max)
+    };
+    norm(r) * norm(inverse)
 }
 
 impl Residuals {
@@ -168,43 +208,30 @@ impl Noise {
     pub(super) const USUAL: Self = Self { sigma_px: SIGMA_PX, correlated: USUAL_CORRELATED };
 }
 
-/// The problem about one pose, in the first N of the unknowns.
-struct Linearised<const N: usize, const W: usize> {
-    triangle: Triangular<N, W>,
+/// The problem about one pose, the lens being as it is believed to be.
+struct Linearised {
+    triangle: Triangular<6, 8>,
     cost: f64,
     residuals: Residuals,
 }
 
-type ForPose = Linearised<6, 8>;
-type ForPoseAndLens = Linearised<UNKNOWNS, 12>;
+/// Three more unknowns: the camera's unseen way between the first row's time and the last's, along its own axes, metres.
+const WITH_WAY: usize = UNKNOWNS + 3;
 
-impl<const N: usize, const W: usize> Linearised<N, W> {
-    /// With the lens as it is believed to be.
-    fn at(
-        prior: &Prior,
-        spread: &SMatrix<f64, N, N>,
-        sights: &[Sight],
-        y: &SVector<f64, N>,
-        scale: f64,
-        noise: Noise,
-    ) -> Self {
-        let moved = spread * y;
-        let pose = moved_pose(&prior.map_from_optical, &Vector6::from_fn(|i, _| moved[i]));
+impl Linearised {
+    fn at(prior: &Prior, spread: &Matrix6<f64>, sights: &[Sight], y: &Vector6<f64>, scale: f64, noise: Noise) -> Self {
+        let pose = moved_pose(&prior.map_from_optical, &(spread * y));
         let turn = DMat3::from_quat(pose.rotation);
         let mut rows = Rows::identity(&-y);
         let mut cost = 0.5 * y.norm_squared();
         let mut residuals = Residuals::default();
-        // Correlated neighbours share one vote.
-        let vote = 1.0 / noise.correlated;
         let mut last_px = None;
         let (mut line, mut line_sum_px) = (usize::MAX, 0.0);
         for sight in sights {
-            let Some((residual, gradient)) = sight.residual::<N>(&turn, pose.translation) else { continue };
-            let sigma_rad = noise.sigma_px * sight.sigmas / sight.pixels_per_rad;
-            let deviation = residual / sigma_rad;
-            let u = deviation / scale;
-            let robust = 1.0 / (1.0 + u * u);
-            cost += vote * 0.5 * deviation * deviation * robust;
+            let Some(off) = sight.off(&turn, pose.translation) else { continue };
+            let weighing = Weighing::of(sight, off.radians, scale, noise);
+            let deviation = weighing.deviation;
+            cost += weighing.cost;
             if deviation.abs() < FITTING {
                 let off_px = deviation * noise.sigma_px;
                 if sight.line != line {
@@ -222,29 +249,65 @@ impl<const N: usize, const W: usize> Linearised<N, W> {
             } else {
                 last_px = None;
             }
-            let weight = libm::sqrt(vote) * robust / sigma_rad;
-            let mut row = [0.0; N];
-            for (j, value) in row.iter_mut().enumerate() {
-                let column = spread.column(j);
-                // The spread's factor is lower triangular.
-                *value = weight * (j..N).map(|i| gradient[i] * column[i]).sum::<f64>();
-            }
-            rows.push(&row, -weight * residual);
+            rows.push(&weighing.row(&off.by_pose, spread), -weighing.weight * off.radians);
         }
         residuals.line_sums_px += line_sum_px * line_sum_px;
         Self { triangle: rows.finish(), cost, residuals }
     }
+}
 
-    fn covariance(&self, spread: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
-        let inverse = spread * self.triangle.inverse();
-        let covariance = inverse * inverse.transpose();
-        (covariance + covariance.transpose()) * 0.5
+/// Of the first M unknowns, whatever the others are, from the inverse of R.
+fn covariance<const N: usize, const M: usize>(
+    inverse: &SMatrix<f64, N, N>,
+    spread: &SMatrix<f64, M, M>,
+) -> SMatrix<f64, M, M> {
+    let inverse = spread * inverse.fixed_rows::<M>(0);
+    let covariance = inverse * inverse.transpose();
+    (covariance + covariance.transpose()) * 0.5
+}
+
+/// How much a measurement counts.
+struct Weighing {
+    /// In its standard deviations.
+    deviation: f64,
+    cost: f64,
+    /// Of its row, per radian.
+    weight: f64,
+}
+
+impl Weighing {
+    fn of(sight: &Sight, off_rad: f64, scale: f64, noise: Noise) -> Self {
+        let sigma_rad = noise.sigma_px * sight.sigmas / sight.pixels_per_rad;
+        let deviation = off_rad / sigma_rad;
+        let u = deviation / scale;
+        let robust = 1.0 / (1.0 + u * u);
+        // Correlated neighbours share one vote.
+        let vote = 1.0 / noise.correlated;
+        let cost = vote * 0.5 * deviation * deviation * robust;
+        Self { deviation, cost, weight: libm::sqrt(vote) * robust / sigma_rad }
+    }
+
+    /// In units of the prior, whose `spread` is lower triangular.
+    fn row<const N: usize>(&self, gradient: &[f64; N], spread: &SMatrix<f64, N, N>) -> [f64; N] {
+        core::array::from_fn(|j| {
+            let column = spread.column(j);
+            self.weight * (j..N).map(|i| gradient[i] * column[i]).sum::<f64>()
+        })
     }
 }
 
+/// How far a ray is off its line.
+struct Off {
+    /// Angle between ray and plane.
+    radians: f64,
+    /// How that changes with the errors of the pose.
+    by_pose: [f64; 6],
+    /// Of the plane, in `map`.
+    normal: DVec3,
+}
+
 impl Sight {
-    /// The angle between ray and plane, and how it changes with the first N errors of pose and lens.
-    fn residual<const N: usize>(&self, map_from_optical: &DMat3, camera: DVec3) -> Option<(f64, [f64; N])> {
+    fn off(&self, map_from_optical: &DMat3, camera: DVec3) -> Option<Off> {
         let ray = *map_from_optical * self.ray;
         let across = (self.point - camera).cross(self.tangent);
         let length = across.length();
@@ -253,15 +316,9 @@ impl Sight {
         }
         let normal = across / length;
         let turn = ray.cross(normal);
-        let residual = ray.dot(normal);
+        let radians = ray.dot(normal);
         // The plane turns with the camera's place: its normal keeps its length.
-        let shift = -self.tangent.cross(ray - normal * residual) / length;
-        let by_pose = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
-        let normal_in_camera = map_from_optical.transpose() * normal;
-        let gradient = core::array::from_fn(|i| match i.checked_sub(OF_LENS) {
-            None => by_pose[i],
-            Some(of_lens) => normal_in_camera.dot(self.bends[of_lens]),
-        });
-        Some((residual, gradient))
+        let shift = -self.tangent.cross(ray - normal * radians) / length;
+        Some(Off { radians, by_pose: [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z], normal })
     }
 }

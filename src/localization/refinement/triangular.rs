@@ -19,15 +19,17 @@ pub(super) struct Rows<const N: usize, const W: usize> {
 }
 
 impl<const N: usize, const W: usize> Rows<N, W> {
+    pub(super) fn none() -> Self {
+        Self::beside(Triangular { r: [[0.0; W]; N] })
+    }
+
     /// N rows that say y = `y`, each with weight 1.
     pub(super) fn identity(y: &SVector<f64, N>) -> Self {
-        const { assert!(W > N, "the right side needs a place") };
-        let r = core::array::from_fn(|i| {
-            let mut row = [0.0; W];
-            (row[i], row[N]) = (1.0, y[i]);
-            row
-        });
-        Self { triangle: Triangular { r }, waiting: [[0.0; W]; AT_ONCE], count: 0 }
+        Self::beside(Triangular::identity(y))
+    }
+
+    fn beside(triangle: Triangular<N, W>) -> Self {
+        Self { triangle, waiting: [[0.0; W]; AT_ONCE], count: 0 }
     }
 
     pub(super) fn push(&mut self, coefficients: &[f64; N], right: f64) {
@@ -49,6 +51,23 @@ impl<const N: usize, const W: usize> Rows<N, W> {
 }
 
 impl<const N: usize, const W: usize> Triangular<N, W> {
+    fn identity(y: &SVector<f64, N>) -> Self {
+        const { assert!(W > N, "the right side needs a place") };
+        let r = core::array::from_fn(|i| {
+            let mut row = [0.0; W];
+            (row[i], row[N]) = (1.0, y[i]);
+            row
+        });
+        Self { r }
+    }
+
+    /// Each row with this weight, and N more that say y = `y`.
+    pub(super) fn weighed(&self, weight: f64, y: &SVector<f64, N>) -> Self {
+        let mut all = Self::identity(y);
+        all.reflect(&mut self.r.map(|row| row.map(|value| weight * value)));
+        all
+    }
+
     /// N more rows that say y = 0, each with this weight.
     pub(super) fn damped(&self, weight: f64) -> Self {
         let mut rows = [[0.0; W]; N];
