@@ -245,7 +245,6 @@ impl Standing {
     }
 
     fn complaint(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
-        let held = |wanted: bool, complaint: &'static str| (!wanted).then_some(complaint);
         held(self.confidence != Confidence::Nowhere, "pose_unknown")
             .or_else(|| held(!moment.stale || rules.random_walk, "sensors_stale"))
             .or_else(|| held(moment.odometry.is_some() || rules.random_walk, "no_odometry"))
@@ -257,7 +256,6 @@ impl Standing {
         let half = rules.field.carpet_half_extent();
         let at = fix.map_from_optical.translation;
         let off_field = at.x.abs() > half.x + OFF_FIELD_M || at.y.abs() > half.y + OFF_FIELD_M;
-        let held = |wanted: bool, complaint: &'static str| (!wanted).then_some(complaint);
         held(!fix.estimate.degenerate, "degenerate_weights").or_else(|| held(!off_field, "off_field")).or_else(|| {
             if !rules.refinement {
                 return held(fix.support.weight >= points, "few_lines")
@@ -319,6 +317,11 @@ impl Standing {
     fn agreed_lately(&self, moment: &Moment) -> bool {
         self.agreed_ns.is_some_and(|then| moment.stamp_ns.saturating_sub(then) <= LONGEST_COAST_NS)
     }
+}
+
+/// What is not as wanted is complained of.
+fn held(wanted: bool, complaint: &'static str) -> Option<&'static str> {
+    (!wanted).then_some(complaint)
 }
 
 /// The share that has to be explained where only `part` of what a single frame may leave over is allowed.

@@ -118,7 +118,7 @@ impl Localizer {
         }
         let own = fits.iter().find(|fit| again(&fit.pose));
         let beaten = |by: &&Fit| {
-            // Where the place believed shows no lines at all, another one's need not explain all that is seen.
+            // Where too few lines fit the place believed, another one's need not explain all that is seen.
             own.map_or(by.convinces || by.is_whole, |own| {
                 let needed = if by.convinces { BEATEN } else { OUTSHONE };
                 own.worth < needed * by.worth
@@ -230,6 +230,7 @@ struct Fit {
     /// Share of the line seen.
     explained: f64,
     convinces: bool,
+    /// Hardly a line is missing, whatever it leaves unexplained.
     is_whole: bool,
 }
 
