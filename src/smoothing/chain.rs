@@ -4,22 +4,27 @@
 //! border's own system, and the way back gives every frame its step and its covariance: the forward and backward pass of
 //! a smoother (Rauch, Tung, Striebel 1965), with constants.
 
-use nalgebra::{Cholesky, Matrix6, SMatrix, SVector, Vector6};
+use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::CONSTANTS;
 
+/// Unknowns of a frame, of which the first six are its pose's error.
+pub const OWN: usize = 9;
+
+pub type Own = SVector<f64, OWN>;
 pub type Border = SVector<f64, CONSTANTS>;
-type Aside = SMatrix<f64, 6, CONSTANTS>;
+type Square = SMatrix<f64, OWN, OWN>;
+type Aside = SMatrix<f64, OWN, CONSTANTS>;
 type Common = SMatrix<f64, CONSTANTS, CONSTANTS>;
 
 /// Normal equations: sums of J^T J and of -J^T r.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chain {
-    own: Vec<Matrix6<f64>>,
+    own: Vec<Square>,
     /// Rows of a frame, columns of the next.
-    next: Vec<Matrix6<f64>>,
+    next: Vec<Square>,
     aside: Vec<Aside>,
-    right: Vec<Vector6<f64>>,
+    right: Vec<Own>,
     common: Common,
     common_right: Border,
 }
@@ -27,26 +32,26 @@ pub struct Chain {
 /// The step that the equations ask for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {
-    pub steps: Vec<Vector6<f64>>,
+    pub steps: Vec<Own>,
     pub border: Border,
-    pub covariances: Vec<Matrix6<f64>>,
+    pub covariances: Vec<Square>,
     pub border_covariance: Common,
 }
 
 impl Chain {
     pub fn new(frames: usize) -> Self {
         Self {
-            own: vec![Matrix6::zeros(); frames],
-            next: vec![Matrix6::zeros(); frames.saturating_sub(1)],
+            own: vec![Square::zeros(); frames],
+            next: vec![Square::zeros(); frames.saturating_sub(1)],
             aside: vec![Aside::zeros(); frames],
-            right: vec![Vector6::zeros(); frames],
+            right: vec![Own::zeros(); frames],
             common: Common::zeros(),
             common_right: Border::zeros(),
         }
     }
 
     /// One residual of a frame, already divided by its standard deviation, and its derivatives.
-    pub fn add(&mut self, frame: usize, residual: f64, own: &Vector6<f64>, common: &Border) {
+    pub fn add(&mut self, frame: usize, residual: f64, own: &Own, common: &Border) {
         self.own[frame] += own * own.transpose();
         self.aside[frame] += own * common.transpose();
         self.right[frame] -= own * residual;
@@ -55,14 +60,7 @@ impl Chain {
     }
 
     /// One residual between a frame and the next.
-    pub fn add_between(
-        &mut self,
-        frame: usize,
-        residual: f64,
-        own: &Vector6<f64>,
-        next: &Vector6<f64>,
-        common: &Border,
-    ) {
+    pub fn add_between(&mut self, frame: usize, residual: f64, own: &Own, next: &Own, common: &Border) {
         self.aside[frame] += own * common.transpose();
         self.aside[frame + 1] += next * common.transpose();
         self.add_common(residual, common);
@@ -88,7 +86,7 @@ impl Chain {
         for i in 0..count {
             let mut own = self.own[i];
             if i > 0 {
-                let before: &Matrix6<f64> = &inverses[i - 1];
+                let before: &Square = &inverses[i - 1];
                 let link = self.next[i - 1].transpose() * before;
                 own -= link * self.next[i - 1];
                 let (aside, right) = (link * asides[i - 1], link * rights[i - 1]);
@@ -102,10 +100,10 @@ impl Chain {
         }
         let border_covariance = Cholesky::new((common + common.transpose()) / 2.0)?.inverse();
         let border = border_covariance * common_right;
-        let mut steps = vec![Vector6::zeros(); count];
-        let mut covariances = vec![Matrix6::zeros(); count];
+        let mut steps = vec![Own::zeros(); count];
+        let mut covariances = vec![Square::zeros(); count];
         // How a frame's step depends on the border, and its covariance if the border were known.
-        let (mut leans, mut alone) = (Aside::zeros(), Matrix6::zeros());
+        let (mut leans, mut alone) = (Aside::zeros(), Square::zeros());
         for i in (0..count).rev() {
             let inverse = inverses[i];
             let mut right = rights[i] - asides[i] * border;
@@ -132,7 +130,7 @@ impl Solution {
     }
 }
 
-fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+fn symmetric(matrix: &Square) -> Square {
     (matrix + matrix.transpose()) / 2.0
 }
 
@@ -151,28 +149,28 @@ mod tests {
         ) {
             let mut numbers = numbers.into_iter().cycle();
             let mut take = || numbers.next().expect("endless");
-            let size = 6 * count + CONSTANTS;
+            let size = OWN * count + CONSTANTS;
             let mut chain = Chain::new(count);
             let mut rows: Vec<(DVector<f64>, f64)> = Vec::new();
             for frame in 0..count {
-                for _ in 0..12 {
-                    let (own, common) = (Vector6::from_fn(|_, _| take()), Border::from_fn(|_, _| take()));
+                for _ in 0..18 {
+                    let (own, common) = (Own::from_fn(|_, _| take()), Border::from_fn(|_, _| take()));
                     let residual = take();
                     chain.add(frame, residual, &own, &common);
                     let mut row = DVector::zeros(size);
-                    row.rows_mut(6 * frame, 6).copy_from(&own);
-                    row.rows_mut(6 * count, CONSTANTS).copy_from(&common);
+                    row.rows_mut(OWN * frame, OWN).copy_from(&own);
+                    row.rows_mut(OWN * count, CONSTANTS).copy_from(&common);
                     rows.push((row, residual));
                 }
                 if frame + 1 < count {
-                    let (own, next) = (Vector6::from_fn(|_, _| take()), Vector6::from_fn(|_, _| take()));
+                    let (own, next) = (Own::from_fn(|_, _| take()), Own::from_fn(|_, _| take()));
                     let common = Border::from_fn(|_, _| 0.3 * take());
                     let residual = take();
                     chain.add_between(frame, residual, &own, &next, &common);
                     let mut row = DVector::zeros(size);
-                    row.rows_mut(6 * frame, 6).copy_from(&own);
-                    row.rows_mut(6 * frame + 6, 6).copy_from(&next);
-                    row.rows_mut(6 * count, CONSTANTS).copy_from(&common);
+                    row.rows_mut(OWN * frame, OWN).copy_from(&own);
+                    row.rows_mut(OWN * frame + OWN, OWN).copy_from(&next);
+                    row.rows_mut(OWN * count, CONSTANTS).copy_from(&common);
                     rows.push((row, residual));
                 }
             }
@@ -180,7 +178,7 @@ mod tests {
                 let common = Border::from_fn(|j, _| f64::from(u8::from(i == j)) * 2.0);
                 chain.add_common(0.3, &common);
                 let mut row = DVector::zeros(size);
-                row[6 * count + i] = 2.0;
+                row[OWN * count + i] = 2.0;
                 rows.push((row, 0.3));
             }
             let mut normal = DMatrix::zeros(size, size);
@@ -193,16 +191,16 @@ mod tests {
             let dense = &inverse * right;
             let found = chain.solve().expect("determined");
             for frame in 0..count {
-                for i in 0..6 {
-                    prop_assert!((found.steps[frame][i] - dense[6 * frame + i]).abs() < 1e-6);
-                    for j in 0..6 {
-                        let wanted = inverse[(6 * frame + i, 6 * frame + j)];
+                for i in 0..OWN {
+                    prop_assert!((found.steps[frame][i] - dense[OWN * frame + i]).abs() < 1e-6);
+                    for j in 0..OWN {
+                        let wanted = inverse[(OWN * frame + i, OWN * frame + j)];
                         prop_assert!((found.covariances[frame][(i, j)] - wanted).abs() < 1e-6 * (1.0 + wanted.abs()));
                     }
                 }
             }
             for i in 0..CONSTANTS {
-                prop_assert!((found.border[i] - dense[6 * count + i]).abs() < 1e-6);
+                prop_assert!((found.border[i] - dense[OWN * count + i]).abs() < 1e-6);
             }
         }
     }

@@ -1,23 +1,25 @@
 //! Tags made better after the walk: every frame's pose and what is constant about the camera, from all frames together.
 //!
-//! Pure. A frame's unknowns are the six of its pose's error, as in [`crate::localization::refinement`]; those of the whole walk are the
-//! lens's focal length, centre and curve, the mount's tilt, the camera's height and the sensor's readout ([`Constants`]). Lines say where a ray lies, IMU and mount how
-//! the camera leans, odometry how far apart two frames are, and the ground's texture how one lies to the next ([`alignment`]). Gauss-Newton on all of them: the system is block tridiagonal with a border
-//! ([`chain`]), so that its solution is one pass forward and one back, as of a smoother.
+//! Pure. A frame's unknowns are the six of its pose's error, as in [`crate::localization::refinement`], and how fast its camera sways
+//! beyond what feet, neck and gyro tell, which matters while rows are read; those of the whole walk are the lens's focal length,
+//! centre and curve, the mount's tilt, the camera's height and the sensor's readout ([`Constants`]). Lines say where a ray lies, IMU
+//! and mount how the camera leans, odometry how far apart two frames are, and the ground's texture how one lies to the next
+//! ([`alignment`]). Gauss-Newton on all of them: the system is block tridiagonal with a border ([`chain`]), so that its solution is
+//! one pass forward and one back, as of a smoother.
 
 pub mod alignment;
 pub mod chain;
+mod moving;
 mod residuals;
 mod same_ground;
 
 use glam::{DVec2, DVec3};
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::Matrix6;
 
-use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist};
-use crate::localization::refinement::miscalibration::{UNSEEN_M_PER_S, row};
-use crate::localization::refinement::moved_pose;
+use crate::geometry::{Isometry, LensError, LensModel, LensParameters, Pose2, Twist};
 use crate::localization::refinement::offsets::{Eye, Sight};
 use chain::{Border, Chain, Solution};
+use moving::Moving;
 
 pub use residuals::Model;
 
@@ -33,7 +35,7 @@ pub struct Frame {
     pub odometry: Option<Pose2>,
     /// Since the frame before, by gyro.
     pub turned_rad: Option<f64>,
-    /// How the camera moves; not at all if nothing says so.
+    /// How the camera moves, as far as feet, neck and gyro tell; not at all if nothing says so.
     pub twist: Twist,
     /// Places of lines that were found in its image.
     pub places: Vec<Place>,
@@ -173,17 +175,17 @@ impl Place {
 
 /// The poses and constants that fit everything best. Frames come in the order of time.
 pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Result<Smoothed, LensError> {
-    let mut poses: Vec<Isometry> = frames.iter().map(|frame| frame.map_from_optical).collect();
+    let mut moving: Vec<Moving> = frames.iter().map(Moving::of).collect();
     let mut constants = Constants::default();
-    let mut here = residuals::linearise(frames, &poses, &constants, believed, model)?;
+    let mut here = residuals::linearise(frames, &moving, &constants, believed, model)?;
     let first_rms_px = here.rms_px;
     let mut rounds = 0;
     while rounds < MAX_ROUNDS {
         rounds += 1;
         let Some(solution) = here.chain.solve() else { break };
         let mut share = 1.0;
-        let (next_poses, next_constants, next) = loop {
-            let moved = stepped(&poses, &constants, &solution, share);
+        let (next_moving, next_constants, next) = loop {
+            let moved = stepped(&moving, &constants, &solution, share);
             let next = residuals::linearise(frames, &moved.0, &moved.1, believed, model);
             match next {
                 Ok(next) if next.cost <= here.cost || share < 0.1 => break (moved.0, moved.1, next),
@@ -193,26 +195,22 @@ pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Res
         };
         let better = here.cost - next.cost;
         if better >= 0.0 {
-            (poses, constants, here) = (next_poses, next_constants, next);
+            (moving, constants, here) = (next_moving, next_constants, next);
         }
-        let longest = solution.steps.iter().map(Vector6::norm).fold(0.0, f64::max);
+        let longest = solution.steps.iter().map(|step| step.fixed_rows::<6>(0).norm()).fold(0.0, f64::max);
         if better <= 0.0 || longest < DONE {
             break;
         }
     }
-    let (mut covariances, known) = match here.chain.solve() {
-        Some(solution) => (solution.covariances.clone(), solution.border_sigmas()),
+    let (covariances, known) = match here.chain.solve() {
+        Some(solution) => {
+            let of_pose = solution.covariances.iter().map(|all| all.fixed_view::<6, 6>(0, 0).into());
+            (of_pose.collect(), solution.border_sigmas())
+        }
         None => (vec![Matrix6::identity(); frames.len()], model.constants),
     };
-    let lens = Lens::new(constants.lens(believed))?;
-    for (covariance, frame) in covariances.iter_mut().zip(frames) {
-        // It has swayed unseen since lines, on average, were exposed.
-        let rows = frame.places.iter().map(|place| row(&lens, place.pixel));
-        let swayed_m = UNSEEN_M_PER_S * constants.readout_s * rows.sum::<f64>() / frame.places.len().max(1) as f64;
-        (0..3).for_each(|axis| covariance[(axis, axis)] += swayed_m * swayed_m);
-    }
     Ok(Smoothed {
-        map_from_optical: poses,
+        map_from_optical: moving.iter().map(|moving| moving.pose).collect(),
         covariances,
         constants,
         believed: model.constants,
@@ -222,8 +220,8 @@ pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Res
     })
 }
 
-fn stepped(poses: &[Isometry], constants: &Constants, solution: &Solution, share: f64) -> (Vec<Isometry>, Constants) {
-    let moved = poses.iter().zip(&solution.steps).map(|(pose, step)| moved_pose(pose, &(step * share)));
+fn stepped(moving: &[Moving], constants: &Constants, solution: &Solution, share: f64) -> (Vec<Moving>, Constants) {
+    let moved = moving.iter().zip(&solution.steps).map(|(moving, step)| moving.moved(&(step * share)));
     (moved.collect(), constants.plus(&(solution.border * share)))
 }
 

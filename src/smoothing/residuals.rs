@@ -1,13 +1,13 @@
 //! What the poses of a walk get wrong, and how that changes with them.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
-use nalgebra::Vector6;
 
-use super::chain::{Border, Chain};
+use super::chain::{Border, Chain, OWN, Own};
+use super::moving::Moving;
 use super::{CONSTANTS, Constants, Frame, Linearised, Place, same_ground};
-use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
-use crate::localization::refinement::miscalibration::row;
-use crate::localization::refinement::moved_pose;
+use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, wrap_angle};
+use crate::localization::refinement::error_between;
+use crate::localization::refinement::miscalibration::{UNSEEN_M_PER_S, row};
 
 /// Standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,7 +67,7 @@ const READOUT_STEP: (usize, f64) = (7, 1e-5);
 
 pub(super) fn linearise(
     frames: &[Frame],
-    poses: &[Isometry],
+    moving: &[Moving],
     constants: &Constants,
     believed: &LensParameters,
     model: &Model,
@@ -75,26 +75,26 @@ pub(super) fn linearise(
     let cameras = Cameras::new(constants, believed)?;
     let mut chain = Chain::new(frames.len());
     let (mut cost, mut squares, mut fitting) = (0.0, 0.0, 0usize);
-    for (i, (frame, pose)) in frames.iter().zip(poses).enumerate() {
+    for (i, (frame, here)) in frames.iter().zip(moving).enumerate() {
         for place in &frame.places {
-            let Some(line) = cameras.line(place, pose, &frame.twist) else { continue };
+            let Some(line) = cameras.line(place, here) else { continue };
             let sigma_px = model.line_px * place.sigmas;
             let off = line.off_rad * place.pixels_per_rad / sigma_px;
             let square = off * off / (ROBUST * ROBUST);
             cost += 0.5 * off * off / (1.0 + square);
             let weight = 1.0 / (1.0 + square);
             let scale = weight * place.pixels_per_rad / sigma_px;
-            chain.add(i, weight * off, &(line.by_pose * scale), &(line.by_camera * scale));
+            chain.add(i, weight * off, &(line.by_frame * scale), &(line.by_camera * scale));
             if off.abs() < ROBUST {
                 squares += (off * model.line_px) * (off * model.line_px);
                 fitting += 1;
             }
         }
-        cost += hold_to_tag(&mut chain, i, frame, pose, model);
-        cost += lean(&mut chain, i, frame, pose, constants, model);
-        if let (Some(next), Some(next_pose)) = (frames.get(i + 1), poses.get(i + 1)) {
-            cost += step(&mut chain, i, [frame, next], [pose, next_pose], model);
-            cost += same_ground::add(&mut chain, i, [frame, next], [pose, next_pose], &cameras, model);
+        cost += hold_to_tag(&mut chain, i, frame, here, model);
+        cost += lean(&mut chain, i, frame, &here.pose, constants, model);
+        if let (Some(next), Some(there)) = (frames.get(i + 1), moving.get(i + 1)) {
+            cost += step(&mut chain, i, [frame, next], [here, there], model);
+            cost += same_ground::add(&mut chain, i, [frame, next], [here, there], &cameras, model);
         }
     }
     for (i, (value, sigma)) in constants.values().iter().zip(model.constants).enumerate() {
@@ -128,7 +128,7 @@ pub(super) struct Camera {
 /// The angle between a line's plane and the ray on which it was seen, and how that changes.
 struct Line {
     off_rad: f64,
-    by_pose: Vector6<f64>,
+    by_frame: Own,
     by_camera: Border,
 }
 
@@ -144,8 +144,8 @@ impl Cameras {
         Ok(Self { camera: Camera::new(constants, believed)?, changed: changed.collect::<Result<_, LensError>>()? })
     }
 
-    fn line(&self, place: &Place, pose: &Isometry, twist: &Twist) -> Option<Line> {
-        let seen = self.camera.ray(place.pixel, pose, twist)?;
+    fn line(&self, place: &Place, moving: &Moving) -> Option<Line> {
+        let seen = self.camera.ray(place.pixel, moving)?;
         let across = (place.point - seen.from).cross(place.tangent);
         let length = across.length();
         if length < 1e-6 {
@@ -157,11 +157,12 @@ impl Cameras {
         let moved = -place.tangent.cross(seen.along - normal * off_rad) / length;
         let mut by_camera = Border::zeros();
         for Changed { constant, step, camera } in &self.changed {
-            let other = camera.ray(place.pixel, pose, twist)?;
+            let other = camera.ray(place.pixel, moving)?;
             by_camera[*constant] = ((other.along - seen.along).dot(normal) + moved.dot(other.from - seen.from)) / step;
         }
-        let by_pose = Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z);
-        Some(Line { off_rad, by_pose, by_camera })
+        let gone = moving.pose.rotation.conjugate() * moved * self.camera.read_s(place.pixel);
+        let by_frame = own([moved, turned, gone]);
+        Some(Line { off_rad, by_frame, by_camera })
     }
 }
 
@@ -177,29 +178,46 @@ impl Camera {
         Ok(Self { lens: Lens::new(constants.lens(believed))?, readout_s: constants.readout_s })
     }
 
+    /// How long after the middle row that of a pixel is exposed, seconds.
+    fn read_s(&self, pixel: DVec2) -> f64 {
+        self.readout_s * row(&self.lens, pixel)
+    }
+
     /// Where the camera is when the row of a pixel is exposed.
-    pub(super) fn pose_at(&self, pixel: DVec2, pose: &Isometry, twist: &Twist) -> Isometry {
-        twist.carries(pose, self.readout_s * row(&self.lens, pixel))
+    pub(super) fn pose_at(&self, pixel: DVec2, moving: &Moving) -> Isometry {
+        moving.after(self.read_s(pixel))
     }
 
     /// On which a pixel sees.
-    pub(super) fn ray(&self, pixel: DVec2, pose: &Isometry, twist: &Twist) -> Option<Ray> {
-        let pose = self.pose_at(pixel, pose, twist);
+    pub(super) fn ray(&self, pixel: DVec2, moving: &Moving) -> Option<Ray> {
+        let pose = self.pose_at(pixel, moving);
         Some(Ray { from: pose.translation, along: pose.transform_vector(self.lens.unproject(pixel)?) })
     }
 }
 
-fn hold_to_tag(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, model: &Model) -> f64 {
-    let off = crate::localization::refinement::error_between(&frame.map_from_optical, pose);
+/// Where and how fast tag, feet and gyro have it.
+fn hold_to_tag(chain: &mut Chain, i: usize, frame: &Frame, here: &Moving, model: &Model) -> f64 {
+    let tagged = error_between(&frame.map_from_optical, &here.pose);
+    let faster = here.twist.linear - frame.twist.linear;
     let mut cost = 0.0;
-    for k in 0..6 {
-        let sigma = if k < 3 { model.tag_m } else { model.tag_rad };
-        let mut row = Vector6::zeros();
+    for k in 0..OWN {
+        let (off, sigma) = match k {
+            0..3 => (tagged[k], model.tag_m),
+            3..6 => (tagged[k], model.tag_rad),
+            _ => (faster[k - 6], UNSEEN_M_PER_S),
+        };
+        let mut row = Own::zeros();
         row[k] = 1.0 / sigma;
-        chain.add(i, off[k] / sigma, &row, &Border::zeros());
-        cost += 0.5 * (off[k] / sigma) * (off[k] / sigma);
+        chain.add(i, off / sigma, &row, &Border::zeros());
+        cost += 0.5 * (off / sigma) * (off / sigma);
     }
     cost
+}
+
+/// A residual's derivatives by what is a frame's own.
+fn own([by_place, by_turn, by_way]: [DVec3; 3]) -> Own {
+    let all = [by_place.to_array(), by_turn.to_array(), by_way.to_array()];
+    Own::from_fn(|k, _| all[k / 3][k % 3])
 }
 
 /// Up as IMU and mount have it in the camera, and the camera's height.
@@ -216,15 +234,14 @@ fn lean(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, constants: 
     for (off, by_turn, by_tilts) in
         [(up.x, DVec3::new(0.0, up.z, -up.y), [by_x.x, by_z.x]), (up.y, DVec3::new(-up.z, 0.0, up.x), [by_x.y, by_z.y])]
     {
-        let row = Vector6::new(0.0, 0.0, 0.0, by_turn.x, by_turn.y, by_turn.z) / model.tilt_rad;
+        let row = own([DVec3::ZERO, by_turn / model.tilt_rad, DVec3::ZERO]);
         let mut border = Border::zeros();
         (border[4], border[5]) = (by_tilts[0] / model.tilt_rad, by_tilts[1] / model.tilt_rad);
         chain.add(i, off / model.tilt_rad, &row, &border);
         cost += 0.5 * (off / model.tilt_rad) * (off / model.tilt_rad);
     }
     let off = (pose.translation.z - place.translation.z - constants.height_m) / model.height_m;
-    let mut row = Vector6::zeros();
-    row[2] = 1.0 / model.height_m;
+    let row = own([DVec3::Z / model.height_m, DVec3::ZERO, DVec3::ZERO]);
     let mut border = Border::zeros();
     border[6] = -1.0 / model.height_m;
     chain.add(i, off, &row, &border);
@@ -232,7 +249,7 @@ fn lean(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, constants: 
 }
 
 /// From one frame's feet to the next one's, against odometry and gyro.
-fn step(chain: &mut Chain, i: usize, frames: [&Frame; 2], poses: [&Isometry; 2], model: &Model) -> f64 {
+fn step(chain: &mut Chain, i: usize, frames: [&Frame; 2], moving: [&Moving; 2], model: &Model) -> f64 {
     let [from, to] = frames;
     let elapsed_ns = to.stamp_ns - from.stamp_ns;
     let odometry = from.odometry.zip(to.odometry);
@@ -252,17 +269,18 @@ fn step(chain: &mut Chain, i: usize, frames: [&Frame; 2], poses: [&Isometry; 2],
         let step = feet(a, place_from).inverse().compose(&feet(b, place_to));
         [step.x - said.x, step.y - said.y, wrap_angle(step.yaw - turned)]
     };
-    let here = off(poses[0], poses[1]);
+    let here = off(&moving[0].pose, &moving[1].pose);
     let distance = libm::hypot(said.x, said.y);
     let sigma_m = DVec2::new(model.sway_m, model.step_share * distance).length() + model.drift_m_per_s * seconds;
     let turn_share = if to.turned_rad.is_some() { model.gyro_share } else { model.turn_share };
     let sigma_rad = turn_share * turned.abs() + model.drift_rad_per_s * seconds + model.tilt_rad;
     let sigmas = [sigma_m, sigma_m, sigma_rad];
-    let mut rows = [[Vector6::zeros(); 2]; 3];
+    let mut rows = [[Own::zeros(); 2]; 3];
     for k in 0..6 {
-        let mut small = Vector6::zeros();
+        let mut small = Own::zeros();
         small[k] = SMALL;
-        let moved = [off(&moved_pose(poses[0], &small), poses[1]), off(poses[0], &moved_pose(poses[1], &small))];
+        let [from, to] = moving.map(|moving| moving.moved(&small).pose);
+        let moved = [off(&from, &moving[1].pose), off(&moving[0].pose, &to)];
         for (row, sigma) in (0..3).zip(sigmas) {
             (0..2).for_each(|which| rows[row][which][k] = wrap_angle(moved[which][row] - here[row]) / (SMALL * sigma));
         }

@@ -1,8 +1,11 @@
 //! A walk with known poses and constants, found again.
 
+use nalgebra::Vector6;
+
 use super::*;
-use crate::geometry::Euler;
-use crate::localization::refinement::error_between;
+use crate::geometry::{Euler, Lens};
+use crate::localization::refinement::miscalibration::row;
+use crate::localization::refinement::{error_between, moved_pose};
 
 const COUNT: usize = 30;
 
@@ -26,6 +29,11 @@ fn noise(number: usize) -> f64 {
 
 /// A walk along a curve: what is true, and what was tagged and measured of it.
 fn walk(truth: &Constants, noise_px: f64) -> (Vec<Isometry>, Vec<Frame>) {
+    swaying_walk(truth, noise_px, DVec3::ZERO)
+}
+
+/// The torso sways as fast as said, and neither feet nor gyro tell.
+fn swaying_walk(truth: &Constants, noise_px: f64, unseen_m_per_s: DVec3) -> (Vec<Isometry>, Vec<Frame>) {
     let real = Lens::new(truth.lens(&lens())).expect("a lens");
     let lines: Vec<(DVec3, DVec3)> = (0..9)
         .map(|i| f64::from(i) - 4.0)
@@ -47,6 +55,8 @@ fn walk(truth: &Constants, noise_px: f64) -> (Vec<Isometry>, Vec<Frame>) {
             linear: DVec3::new(0.1 * other_wave, 0.0, 0.25),
             angular: DVec3::new(0.4 * wave, 0.5 + 0.3 * other_wave, 0.2 * wave),
         };
+        let unseen = unseen_m_per_s * libm::sin(2.3 * i as f64);
+        let swaying = Twist { linear: twist.linear + unseen, ..twist };
         let mut places = Vec::new();
         for (origin, tangent) in &lines {
             for k in -20..=20 {
@@ -54,7 +64,7 @@ fn walk(truth: &Constants, noise_px: f64) -> (Vec<Isometry>, Vec<Frame>) {
                 let seen = pose.inverse().transform_point(point);
                 let far = point.distance(pose.translation);
                 let at_its_row = |pixel: DVec2| {
-                    let then = twist.carries(&pose, truth.readout_s * row(&real, pixel));
+                    let then = swaying.carries(&pose, truth.readout_s * row(&real, pixel));
                     real.project(then.inverse().transform_point(point))
                 };
                 let drawn = real.project(seen).and_then(at_its_row).and_then(at_its_row);
@@ -149,6 +159,15 @@ fn tags_come_ten_times_nearer_to_the_truth_and_their_covariance_is_honest() {
         "{:?}",
         found.known
     );
+}
+
+#[test]
+fn a_torso_that_sways_unseen_while_rows_are_read_moves_no_tag() {
+    let truth = Constants { readout_s: 0.02, ..Constants::default() };
+    let (truths, frames) = swaying_walk(&truth, 0.2, DVec3::new(0.2, 0.05, 0.0));
+    let found = smooth(&frames, &lens(), &Model::default()).expect("a lens");
+    let (metres, radians) = errors(&found.map_from_optical, &truths);
+    assert!(metres < 0.0005 && radians < 0.000_25, "{metres} m, {radians} rad; {:?}", found.constants);
 }
 
 #[test]
