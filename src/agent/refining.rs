@@ -208,6 +208,7 @@ fn look(
             odometry: frame.robot.odometry,
             turned_rad: frame.robot.turned_rad,
             twist,
+            turn_is_felt: frame.robot.turn_is_felt,
             places,
             overlap,
         });

@@ -202,6 +202,7 @@ fn moment(stamp_ns: i64, robot: &RobotAt) -> Moment {
         turned_rad: robot.turned_rad,
         swayed_rad: robot.swayed_rad,
         camera_twist: robot.camera_twist,
+        turn_is_felt: robot.turn_is_felt,
         footprint_from_optical: robot.place.as_ref().ok().map(|place| place.footprint_from_optical),
         tilt_is_measured: robot.place.as_ref().is_ok_and(|place| place.tilt_is_measured),
         lean_rad: robot.place.as_ref().ok().and_then(|place| place.lean_rad),

@@ -60,6 +60,7 @@ mod tests {
             turned_rad: Some(turned_rad),
             swayed_rad: Some(swayed_rad),
             camera_twist: None,
+            turn_is_felt: true,
             footprint_from_optical: None,
             tilt_is_measured: true,
             lean_rad: None,

@@ -37,8 +37,10 @@ pub struct RobotAt {
     pub turned_rad: Option<f64>,
     /// How far the torso has rolled and pitched since then, to and fro, radians, if a gyro knows.
     pub swayed_rad: Option<f64>,
-    /// How `camera_optical_frame` moves at the exposure, by gyro, odometry and joints, if a gyro knows.
+    /// How `camera_optical_frame` moves at the exposure, by gyro, odometry and joints, if they know.
     pub camera_twist: Option<Twist>,
+    /// A gyro has told how it turns; else odometry has, of the feet.
+    pub turn_is_felt: bool,
     /// The newest of what was measured is older than [`STALE_NS`].
     pub stale: bool,
     /// Announced since the last frame.
@@ -314,7 +316,8 @@ impl Synchroniser {
         let head = state.head(stamp_ns);
         let posture = Posture { attitude: attitude.map(|sample| sample.value), head };
         let place = state.tree.camera_place(stamp_ns, &self.names, posture);
-        let camera_twist = place.as_ref().ok().and_then(|place| self.camera_twist(stamp_ns, place));
+        let torso_rate = self.torso_rate(stamp_ns);
+        let camera_twist = place.as_ref().ok().and_then(|place| self.camera_twist(stamp_ns, place, torso_rate));
         let step = odometry.at(stamp_ns);
         let ages = [
             step.map(|s| s.age_ns),
@@ -331,17 +334,22 @@ impl Synchroniser {
             turned_rad: since_ns.and_then(|since_ns| state.turn_rate.integral(since_ns, stamp_ns)),
             swayed_rad: since_ns.and_then(|since_ns| state.sway_rate.integral(since_ns, stamp_ns)),
             camera_twist,
+            turn_is_felt: torso_rate.is_some() && camera_twist.is_some(),
             stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
             initial_pose: None,
             anchor: None,
         }
     }
 
-    /// `None` without a gyro.
-    fn camera_twist(&self, stamp_ns: i64, now: &CameraPlace) -> Option<Twist> {
-        let state = &self.state;
+    /// About its own axes, radians per second, by gyro.
+    fn torso_rate(&self, stamp_ns: i64) -> Option<DVec3> {
         let measured = |rate: &Sample<DVec3>| rate.age_ns <= GYRO_AGE_NS && rate.value != DVec3::ZERO;
-        let torso_rate = state.torso_rate.at(stamp_ns).filter(measured)?.value;
+        Some(self.state.torso_rate.at(stamp_ns).filter(measured)?.value)
+    }
+
+    /// Without a gyro a torso turns as its feet do. `None` if the neck is not heard of.
+    fn camera_twist(&self, stamp_ns: i64, now: &CameraPlace, torso_rate: Option<DVec3>) -> Option<Twist> {
+        let state = &self.state;
         let (neck_ns, feet_ns) = (stamp_ns.saturating_sub(NECK_STEP_NS), stamp_ns.saturating_sub(FEET_STEP_NS));
         let is_heard = |joint: &History<f64>, at_ns: i64| {
             joint.is_empty() || joint.at(at_ns).is_some_and(|angle| angle.age_ns <= NECK_AGE_NS)
@@ -354,10 +362,11 @@ impl Synchroniser {
         let odometry = |stamp_ns| state.odometry().at(stamp_ns).map(|sample| sample.value);
         let feet = odometry(feet_ns).zip(odometry(stamp_ns)).map(|(then, now)| then.inverse().compose(&now));
         let seconds = |step_ns: i64| step_ns as f64 * 1e-9;
+        let (feet, feet_s) = (feet.unwrap_or_default(), seconds(FEET_STEP_NS));
         let movers = Movers {
-            torso_rate,
+            torso_rate: torso_rate.unwrap_or(DVec3::Z * (feet.yaw / feet_s)),
             neck: (neck, seconds(NECK_STEP_NS)),
-            feet: (feet.unwrap_or_default(), seconds(FEET_STEP_NS)),
+            feet: (feet, feet_s),
         };
         camera_twist(now, &movers)
     }

@@ -9,7 +9,7 @@ use nalgebra::{Cholesky, SMatrix, SVector};
 use super::CONSTANTS;
 
 /// Unknowns of a frame, of which the first six are its pose's error.
-pub const OWN: usize = 9;
+pub const OWN: usize = 12;
 
 pub type Own = SVector<f64, OWN>;
 pub type Border = SVector<f64, CONSTANTS>;

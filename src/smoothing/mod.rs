@@ -1,7 +1,7 @@
 //! Tags made better after the walk: every frame's pose and what is constant about the camera, from all frames together.
 //!
-//! Pure. A frame's unknowns are the six of its pose's error, as in [`crate::localization::refinement`], and how fast its camera sways
-//! beyond what feet, neck and gyro tell, which matters while rows are read; those of the whole walk are the lens's focal length,
+//! Pure. A frame's unknowns are the six of its pose's error, as in [`crate::localization::refinement`], and how fast its camera goes and
+//! turns beyond what feet, neck and gyro tell, which matters while rows are read; those of the whole walk are the lens's focal length,
 //! centre and curve, the mount's tilt, the camera's height and the sensor's readout ([`Constants`]). Lines say where a ray lies, IMU
 //! and mount how the camera leans, odometry how far apart two frames are, and the ground's texture how one lies to the next
 //! ([`alignment`]). Gauss-Newton on all of them: the system is block tridiagonal with a border ([`chain`]), so that its solution is
@@ -37,6 +37,8 @@ pub struct Frame {
     pub turned_rad: Option<f64>,
     /// How the camera moves, as far as feet, neck and gyro tell; not at all if nothing says so.
     pub twist: Twist,
+    /// It turns as a gyro has told.
+    pub turn_is_felt: bool,
     /// Places of lines that were found in its image.
     pub places: Vec<Place>,
     /// Ground that it shares with the frame before.

@@ -5,9 +5,9 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use super::chain::{Border, Chain, OWN, Own};
 use super::moving::Moving;
 use super::{CONSTANTS, Constants, Frame, Linearised, Place, same_ground};
-use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, wrap_angle};
+use crate::geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
 use crate::localization::refinement::error_between;
-use crate::localization::refinement::miscalibration::{UNSEEN_M_PER_S, row};
+use crate::localization::refinement::miscalibration::{UNSEEN_M_PER_S, row, unfelt_rad_per_s};
 
 /// Standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,6 +57,10 @@ impl Default for Model {
 pub(super) const ROBUST: f64 = 4.0;
 /// Frames farther apart than this do not know each other's odometry.
 const LONGEST_STEP_NS: i64 = 1_000_000_000;
+/// How well a gyro knows how fast the camera turns.
+const FELT_RAD_PER_S: f64 = 0.02;
+/// No sensor is read faster: what it moves meanwhile has a variance.
+const LEAST_READOUT_S: f64 = 1e-4;
 /// For derivatives by differences.
 pub(super) const SMALL: f64 = 1e-6;
 /// Changes of lens and sensor small enough to be straight, large enough to be exact, by the place in [`Constants::values`].
@@ -90,7 +94,7 @@ pub(super) fn linearise(
                 fitting += 1;
             }
         }
-        cost += hold_to_tag(&mut chain, i, frame, here, model);
+        cost += hold_to_tag(&mut chain, i, frame, here, constants, model);
         cost += lean(&mut chain, i, frame, &here.pose, constants, model);
         if let (Some(next), Some(there)) = (frames.get(i + 1), moving.get(i + 1)) {
             cost += step(&mut chain, i, [frame, next], [here, there], model);
@@ -160,8 +164,9 @@ impl Cameras {
             let other = camera.ray(place.pixel, moving)?;
             by_camera[*constant] = ((other.along - seen.along).dot(normal) + moved.dot(other.from - seen.from)) / step;
         }
-        let gone = moving.pose.rotation.conjugate() * moved * self.camera.read_s(place.pixel);
-        let by_frame = own([moved, turned, gone]);
+        let row = row(&self.camera.lens, place.pixel);
+        let [farther, rounder] = [moved, turned].map(|by| moving.pose.rotation.conjugate() * by * row);
+        let by_frame = own([moved, turned, farther, rounder]);
         Some(Line { off_rad, by_frame, by_camera })
     }
 }
@@ -178,14 +183,9 @@ impl Camera {
         Ok(Self { lens: Lens::new(constants.lens(believed))?, readout_s: constants.readout_s })
     }
 
-    /// How long after the middle row that of a pixel is exposed, seconds.
-    fn read_s(&self, pixel: DVec2) -> f64 {
-        self.readout_s * row(&self.lens, pixel)
-    }
-
     /// Where the camera is when the row of a pixel is exposed.
     pub(super) fn pose_at(&self, pixel: DVec2, moving: &Moving) -> Isometry {
-        moving.after(self.read_s(pixel))
+        moving.at(row(&self.lens, pixel), self.readout_s)
     }
 
     /// On which a pixel sees.
@@ -195,16 +195,20 @@ impl Camera {
     }
 }
 
-/// Where and how fast tag, feet and gyro have it.
-fn hold_to_tag(chain: &mut Chain, i: usize, frame: &Frame, here: &Moving, model: &Model) -> f64 {
+/// Where the tag has it, and no farther in the time of the readout than feet, neck and gyro have it.
+fn hold_to_tag(chain: &mut Chain, i: usize, frame: &Frame, here: &Moving, constants: &Constants, model: &Model) -> f64 {
     let tagged = error_between(&frame.map_from_optical, &here.pose);
-    let faster = here.twist.linear - frame.twist.linear;
+    let Twist { linear, angular } = here.farther;
+    let rad_per_s = if frame.turn_is_felt { FELT_RAD_PER_S } else { unfelt_rad_per_s(&frame.twist) };
+    let [way_m, turn_rad] =
+        [UNSEEN_M_PER_S, rad_per_s].map(|rate| rate * libm::hypot(constants.readout_s, LEAST_READOUT_S));
     let mut cost = 0.0;
     for k in 0..OWN {
         let (off, sigma) = match k {
             0..3 => (tagged[k], model.tag_m),
             3..6 => (tagged[k], model.tag_rad),
-            _ => (faster[k - 6], UNSEEN_M_PER_S),
+            6..9 => (linear[k - 6], way_m),
+            _ => (angular[k - 9], turn_rad),
         };
         let mut row = Own::zeros();
         row[k] = 1.0 / sigma;
@@ -215,9 +219,8 @@ fn hold_to_tag(chain: &mut Chain, i: usize, frame: &Frame, here: &Moving, model:
 }
 
 /// A residual's derivatives by what is a frame's own.
-fn own([by_place, by_turn, by_way]: [DVec3; 3]) -> Own {
-    let all = [by_place.to_array(), by_turn.to_array(), by_way.to_array()];
-    Own::from_fn(|k, _| all[k / 3][k % 3])
+fn own(by: [DVec3; OWN / 3]) -> Own {
+    Own::from_fn(|k, _| by[k / 3][k % 3])
 }
 
 /// Up as IMU and mount have it in the camera, and the camera's height.
@@ -234,14 +237,14 @@ fn lean(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, constants: 
     for (off, by_turn, by_tilts) in
         [(up.x, DVec3::new(0.0, up.z, -up.y), [by_x.x, by_z.x]), (up.y, DVec3::new(-up.z, 0.0, up.x), [by_x.y, by_z.y])]
     {
-        let row = own([DVec3::ZERO, by_turn / model.tilt_rad, DVec3::ZERO]);
+        let row = own([DVec3::ZERO, by_turn / model.tilt_rad, DVec3::ZERO, DVec3::ZERO]);
         let mut border = Border::zeros();
         (border[4], border[5]) = (by_tilts[0] / model.tilt_rad, by_tilts[1] / model.tilt_rad);
         chain.add(i, off / model.tilt_rad, &row, &border);
         cost += 0.5 * (off / model.tilt_rad) * (off / model.tilt_rad);
     }
     let off = (pose.translation.z - place.translation.z - constants.height_m) / model.height_m;
-    let row = own([DVec3::Z / model.height_m, DVec3::ZERO, DVec3::ZERO]);
+    let row = own([DVec3::Z / model.height_m, DVec3::ZERO, DVec3::ZERO, DVec3::ZERO]);
     let mut border = Border::zeros();
     border[6] = -1.0 / model.height_m;
     chain.add(i, off, &row, &border);

@@ -148,6 +148,7 @@ impl Robot {
             // Something measures that it stands: odometry that does not change is believed.
             swayed_rad: Some(0.0),
             camera_twist: None,
+            turn_is_felt: true,
             stale: false,
             initial_pose: None,
             anchor: None,

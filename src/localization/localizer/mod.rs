@@ -65,6 +65,8 @@ pub struct Moment {
     pub swayed_rad: Option<f64>,
     /// How the camera moves, if something says so.
     pub camera_twist: Option<Twist>,
+    /// It turns as a gyro has told.
+    pub turn_is_felt: bool,
     /// By IMU, joints and mount.
     pub footprint_from_optical: Option<Isometry>,
     /// Something measures the torso's tilt; without it a walking torso sways unseen.
@@ -470,6 +472,7 @@ impl Localizer {
     fn prediction_by(&self, track: &Track, moment: &Moment) -> Option<Prediction> {
         let mut prediction = track.prior(&moment.footprint_from_optical?, &self.model(moment));
         prediction.prior.twist = moment.camera_twist.unwrap_or_default();
+        prediction.prior.turn_is_felt = moment.turn_is_felt;
         Some(prediction)
     }
 

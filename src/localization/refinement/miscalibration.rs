@@ -3,7 +3,7 @@
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::Lens;
+use crate::geometry::{Lens, Twist};
 
 /// What of a calibration is wrong, as far as a walk shows it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -18,6 +18,9 @@ pub struct Miscalibration {
 
 /// How fast a walking torso sways, which neither feet nor gyro tell.
 pub const UNSEEN_M_PER_S: f64 = 0.15;
+/// How fast it rocks, which only a gyro tells, and by which share it turns otherwise than its feet say.
+pub(super) const UNFELT_RAD_PER_S: f64 = 0.4;
+const UNFELT_SHARE: f64 = 0.3;
 
 impl Miscalibration {
     pub const NONE: Self = Self { stretch: 0.0, shift: DVec2::ZERO, readout_s: 0.0 };
@@ -32,6 +35,11 @@ impl Miscalibration {
         let width = f64::from(lens.width());
         [from_centre(lens, pixel), width * DVec2::X, width * DVec2::Y]
     }
+}
+
+/// How much faster a camera of this twist may turn about each axis without a gyro, radians per second.
+pub fn unfelt_rad_per_s(twist: &Twist) -> f64 {
+    libm::hypot(UNFELT_RAD_PER_S, UNFELT_SHARE * twist.angular.length())
 }
 
 /// When the row of a pixel is exposed, as share of the readout from the middle row.

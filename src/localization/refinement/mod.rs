@@ -19,7 +19,7 @@ use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
 use crate::geometry::{Field, Isometry, Lens, Projector, Twist};
 use crate::vision::LineImage;
-use miscalibration::{Miscalibration, UNSEEN_M_PER_S};
+use miscalibration::{Miscalibration, UNSEEN_M_PER_S, unfelt_rad_per_s};
 use offsets::{Counts, Eye, Sight};
 
 pub use points::LinePoints;
@@ -40,6 +40,8 @@ pub struct Prior {
     pub lens: Miscalibration,
     /// How the camera moves while row after row is read.
     pub twist: Twist,
+    /// It turns as a gyro has told, and not otherwise.
+    pub turn_is_felt: bool,
     pub covariance: ErrorCovariance,
 }
 
@@ -166,7 +168,8 @@ impl Prior {
     pub fn of_pose(map_from_optical: Isometry, pose: &Matrix6<f64>) -> Self {
         let mut covariance = ErrorCovariance::zeros();
         covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(pose);
-        let mut prior = Self { map_from_optical, lens: Miscalibration::NONE, twist: Twist::ZERO, covariance };
+        let mut prior =
+            Self { map_from_optical, lens: Miscalibration::NONE, twist: Twist::ZERO, turn_is_felt: true, covariance };
         prior.take_lens_as_known();
         prior
     }
@@ -192,6 +195,13 @@ impl Prior {
         let goes = Vector3::new(x, y, z);
         let sways = UNSEEN_M_PER_S * UNSEEN_M_PER_S * (readout_s * readout_s + variance_s2);
         goes * goes.transpose() * variance_s2 + Matrix3::identity() * sways
+    }
+
+    /// Variance of the turn about each of its axes meanwhile, beyond what is believed, without a gyro.
+    fn unfelt_turn_rad2(&self) -> f64 {
+        let (readout_s, variance_s2) = (self.lens.readout_s, self.covariance[(READOUT, READOUT)]);
+        let turns = unfelt_rad_per_s(&self.twist);
+        turns * turns * (readout_s * readout_s + variance_s2)
     }
 }
 

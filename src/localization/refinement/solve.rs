@@ -5,7 +5,7 @@
 //! prior is the identity and no view, however poor, leaves the system singular.
 
 use glam::{DMat3, DVec3};
-use nalgebra::{Cholesky, Matrix3, Matrix6, SMatrix, SVector, Vector6};
+use nalgebra::{Cholesky, Matrix6, SMatrix, SVector, Vector6};
 
 use super::offsets::Sight;
 use super::triangular::{Rows, Triangular};
@@ -116,23 +116,40 @@ pub(super) fn step(
 
 /// One step of the lens, which the pose follows, from a pose that has been solved for with the lens as it was believed to be and this
 /// `noise`; the covariance of both is that with the `measured` one. The camera may have gone a way that nothing tells of while its
-/// sensor was read: that is solved for with them, and forgotten.
+/// sensor was read, and have turned if no gyro tells: that is solved for with them, and forgotten.
 pub(super) fn joint(
     prior: &Prior,
     sights: &[Sight],
     moved: &Vector6<f64>,
     scale: f64,
-    [noise, measured]: [Noise; 2],
+    noises: [Noise; 2],
 ) -> Option<Joint> {
     let way = Cholesky::new(prior.unseen_way_m2())?.unpack();
+    if prior.turn_is_felt {
+        return joint_with::<3, WITH_WAY, 16>(prior, &way, sights, moved, scale, noises);
+    }
+    let mut motion = Matrix6::identity() * libm::sqrt(prior.unfelt_turn_rad2());
+    motion.fixed_view_mut::<3, 3>(0, 0).copy_from(&way);
+    joint_with::<6, WITH_MOTION, 24>(prior, &motion, sights, moved, scale, noises)
+}
+
+/// `unseen` is the lower triangular factor of the covariance of the N - UNKNOWNS = M unknowns that are forgotten.
+fn joint_with<const M: usize, const N: usize, const W: usize>(
+    prior: &Prior,
+    unseen: &SMatrix<f64, M, M>,
+    sights: &[Sight],
+    moved: &Vector6<f64>,
+    scale: f64,
+    [noise, measured]: [Noise; 2],
+) -> Option<Joint> {
     let spread = Cholesky::new(prior.covariance)?.unpack();
     let mut from = Errors::zeros();
     from.fixed_rows_mut::<6>(0).copy_from(moved);
     let y = spread.solve_lower_triangular(&from)?;
-    let lines = with_lens(prior, (&spread, &way), sights, moved, scale, noise);
+    let lines = with_lens::<M, N, W>(prior, (&spread, unseen), sights, moved, scale, noise);
     // Both noises are factors of each row's weight.
     let weight = (noise.sigma_px / measured.sigma_px) * libm::sqrt(noise.correlated / measured.correlated);
-    let mut back = SVector::<f64, WITH_WAY>::zeros();
+    let mut back = SVector::<f64, N>::zeros();
     back.fixed_rows_mut::<UNKNOWNS>(0).copy_from(&-y);
     let [believed, shown] = [1.0, weight].map(|weight| lines.weighed(weight, &back));
     let step = believed.solve_from(OF_LENS);
@@ -144,15 +161,15 @@ pub(super) fn joint(
     })
 }
 
-/// What the lines alone say of pose, lens and unseen way.
-fn with_lens(
+/// What the lines alone say of pose, lens and unseen motion.
+fn with_lens<const M: usize, const N: usize, const W: usize>(
     prior: &Prior,
-    (spread, way): (&ErrorCovariance, &Matrix3<f64>),
+    (spread, unseen): (&ErrorCovariance, &SMatrix<f64, M, M>),
     sights: &[Sight],
     moved: &Vector6<f64>,
     scale: f64,
     noise: Noise,
-) -> Triangular<WITH_WAY, 16> {
+) -> Triangular<N, W> {
     let pose = moved_pose(&prior.map_from_optical, moved);
     let turn = DMat3::from_quat(pose.rotation);
     let into_camera = turn.transpose();
@@ -160,22 +177,22 @@ fn with_lens(
     for sight in sights {
         let Some(off) = sight.off(&turn, pose.translation) else { continue };
         let normal = into_camera * off.normal;
-        let by_way = (normal * (sight.row / sight.distance)).to_array();
+        let by_motion = [normal / sight.distance, sight.ray.cross(normal)].map(|by| (by * sight.row).to_array());
         let by_lens = sight.bends.map(|bend| normal.dot(bend));
         let by_pose_and_lens =
             core::array::from_fn(|i| if i < OF_LENS { off.by_pose[i] } else { by_lens[i - OF_LENS] });
         let weighing = Weighing::of(sight, off.radians, scale, noise);
-        let mut row = [0.0; WITH_WAY];
+        let mut row = [0.0; N];
         row[..UNKNOWNS].copy_from_slice(&weighing.row(&by_pose_and_lens, spread));
-        row[UNKNOWNS..].copy_from_slice(&weighing.row(&by_way, way));
+        row[UNKNOWNS..].copy_from_slice(&weighing.row(&core::array::from_fn(|i| by_motion[i / 3][i % 3]), unseen));
         rows.push(&row, -weighing.weight * off.radians);
     }
     rows.finish()
 }
 
 /// In the 1-norm, as LAPACK's `trcon` has it, of pose and lens: how many digits the solution can lose. At least 1.
-fn condition(r: &SMatrix<f64, WITH_WAY, WITH_WAY>, inverse: &SMatrix<f64, WITH_WAY, WITH_WAY>) -> f64 {
-    let norm = |of: &SMatrix<f64, WITH_WAY, WITH_WAY>| {
+fn condition<const N: usize>(r: &SMatrix<f64, N, N>, inverse: &SMatrix<f64, N, N>) -> f64 {
+    let norm = |of: &SMatrix<f64, N, N>| {
         let columns = (0..UNKNOWNS).map(|j| (0..=j).map(|i| of[(i, j)].abs()).sum::<f64>());
         columns.fold(0.0, f64::max)
     };
@@ -217,6 +234,8 @@ struct Linearised {
 
 /// Three more unknowns: the camera's unseen way between the first row's time and the last's, along its own axes, metres.
 const WITH_WAY: usize = UNKNOWNS + 3;
+/// And three of its turn about them, radians.
+const WITH_MOTION: usize = WITH_WAY + 3;
 
 impl Linearised {
     fn at(prior: &Prior, spread: &Matrix6<f64>, sights: &[Sight], y: &Vector6<f64>, scale: f64, noise: Noise) -> Self {

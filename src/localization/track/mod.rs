@@ -358,7 +358,7 @@ impl Track {
         covariance += scatter;
         covariance = (covariance + covariance.transpose()) * 0.5;
         Prediction {
-            prior: Prior { map_from_optical, lens: self.lens(), twist: Twist::ZERO, covariance },
+            prior: Prior { map_from_optical, lens: self.lens(), twist: Twist::ZERO, turn_is_felt: true, covariance },
             sensitivity,
             scatter,
         }
