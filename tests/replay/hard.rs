@@ -189,3 +189,40 @@ fn the_wrong_field_is_told() {
     println!("{}", replayed.run.stderr);
     assert!(replayed.run.stderr.contains("is it the right field"), "{}", replayed.report["invalid"]);
 }
+
+/// A fisheye's picture ends within the image, and its lens does not say where.
+fn beside_the_end_of_the_picture(route: &str, initial_pose: &str) -> Replayed {
+    let room = Room::new();
+    room.write(
+        "scene.toml",
+        format!(
+            "[scene]\ntitle = \"Beside the end of the picture\"\ntask = \"Measure no line that is cut.\"\nseed = 1\n\
+             field = \"kid-2009\"\ninitial_pose = {initial_pose}\n\n\
+             [camera]\nlens = \"fisheye-640\"\nrate_hz = 10.0\njpeg_quality = 90\ntorso_height_m = 0.38\n\
+             mount_xyz_m = [0.04, 0.0, 0.11]\nmount_pitch_deg = 17.0\n\n[route]\n{route}\n\n\
+             [odometry]\nrate_hz = 50.0\n\n[imu]\nrate_hz = 100.0\n"
+        ),
+    );
+    room.run("sim scene.toml -o log.mcap").succeeds();
+    let replayed = room.replay("log.mcap");
+    let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(&replayed))).succeeds().json();
+    println!("{judged:#}");
+    let share = judged["ellipse95_share"].as_f64().expect("a share");
+    assert!(share >= 0.9 && judged["position_cm"]["max"].as_f64().expect("a figure") < 2.5, "{judged:#}");
+    replayed
+}
+
+#[test]
+fn a_line_that_the_end_of_the_picture_cuts_is_not_measured() {
+    let still = "kind = \"still\"\nposes = [[2.25, -1.69, -171.0]]\nhold_s = 2.0";
+    assert!(beside_the_end_of_the_picture(still, "\"exact\"").tags.iter().all(|tag| tag.valid));
+}
+
+/// Lines that it does not show are not missing.
+#[test]
+fn who_walks_into_a_corner_may_see_too_little_and_is_not_lost() {
+    let walk = "kind = \"walk\"\nwaypoints = [[2.75, 1.7], [2.95, 1.85]]\nspeed_m_s = 0.05\nturn_deg_s = 35.0";
+    let told = "{ x_m = 0.05, y_m = -0.05, yaw_deg = 2.0 }";
+    let reasons: Vec<_> = beside_the_end_of_the_picture(walk, told).tags.into_iter().map(|tag| tag.reason).collect();
+    assert!(reasons.iter().all(|reason| reason.is_empty() || reason == "few_lines"), "{reasons:?}");
+}

@@ -118,9 +118,9 @@ fn lines_that_lead_away_from_where_it_was_told_to_be_are_not_believed_at_once() 
     let tags = judged(&room, &replayed);
     let wrong: Vec<f64> = tags.iter().filter(|(_, tag, off)| tag.valid && *off > 0.1).map(|(at, ..)| *at).collect();
     assert_eq!(wrong, [0.0; 0]);
-    // In which of these 4 s it is found is a matter of chance with a torso that nothing measures; wrong it must never be.
-    let right = tags.iter().find(|(_, tag, _)| tag.valid).map(|(_, tag, _)| tag.ambiguous);
-    assert_eq!(right, Some(false));
+    // In which of these 4 s it is found is a matter of chance with a torso that nothing measures, and so whether odometry has
+    // followed it long enough to know its half; wrong it must never be.
+    assert!(tags.iter().any(|(_, tag, _)| tag.valid));
 }
 
 /// Near the centre a pose turned round is its own mirror pose. A gyro that has followed the fall tells them apart; nothing else does.

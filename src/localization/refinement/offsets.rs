@@ -70,6 +70,9 @@ const MOST_REACH_PX: f64 = 24.0;
 const WIDE_PX: f64 = 12.0;
 /// Share of the expected contrast that makes a line.
 const LEAST_CONTRAST: f64 = 0.35;
+/// Carpet that is lit at all is brighter than this share of the step from it to a line: of the gray that a camera writes it is about as
+/// much as the step itself.
+const UNLIT: f64 = 0.2;
 /// The narrow line contrast of vision shows this much of a line's own contrast.
 const SHOWN_CONTRAST: f64 = 0.672;
 
@@ -305,11 +308,19 @@ impl Expected {
         if hidden(offset) || hidden(offset - beside) || hidden(offset + beside) {
             return Outcome::Hidden;
         }
+        // Where a lens's picture ends, or a robot's shadow begins, a line is cut and its middle elsewhere; beyond there is none.
+        let is_carpet = |(left, right): (f32, f32)| {
+            f64::from((left - right).abs()) < LEAST_CONTRAST * contrast && f64::from(left.max(right)) > UNLIT * contrast
+        };
         // A line thinner than the pixels' own blur shows less.
         let shown = contrast * (self.width_px / 2.0).min(1.0);
         if f64::from(best) < LEAST_CONTRAST * shown {
             // Carpet is darker than a line would be; brightness beyond the field or a robot's shell says nothing.
-            return if hidden(0.0) || hidden(-beside) || hidden(beside) { Outcome::Hidden } else { Outcome::Missed };
+            let is_seen = !(hidden(0.0) || hidden(-beside) || hidden(beside)) && is_carpet(flanks(half));
+            return if is_seen { Outcome::Missed } else { Outcome::Hidden };
+        }
+        if !is_carpet(flanks(at)) {
+            return Outcome::Hidden;
         }
         Outcome::Found(f64::from(centroid(profile, at, band + gap, flanks(at)) - half as f32) * f64::from(step))
     }
