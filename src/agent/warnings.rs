@@ -7,6 +7,7 @@ use super::report::Quantiles;
 use crate::config::FrameNames;
 use crate::localization::LensOff;
 use crate::ros2::messages::{Imu, Message};
+use crate::sensors::synchroniser::GONE_NS;
 
 /// What a tag's reason is when lines are seen and fit nowhere.
 const LOST: [&str; 5] = ["pose_unknown", "unconfirmed", "lines_disagree", "lines_unexplained", "not_standing"];
@@ -112,7 +113,7 @@ impl AttitudeSource {
                  do not pass through it: name the torso with frames.base_link"
             )
         } else if was_heard {
-            format!("they came before the first attitude on {topic}")
+            format!("{topic} had told no attitude yet, or none for {} s", GONE_NS / 1_000_000_000)
         } else if all.contains(topic) {
             format!(
                 "{topic} states no orientation (orientation_covariance[0] is -1, or the quaternion is zero): record the \

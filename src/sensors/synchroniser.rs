@@ -74,6 +74,8 @@ pub struct InitialPose {
 
 /// Measurements older than this do not describe a walking robot any more.
 pub const STALE_NS: i64 = 250_000_000;
+/// An attitude from so long ago says nothing, and one that is so late neither: the torso is taken to stand upright.
+pub const GONE_NS: i64 = 2_000_000_000;
 /// A frame waits for measurements until the log is this much further.
 const MAX_WAIT_NS: i64 = 300_000_000;
 /// More waiting frames than this are processed with what there is.
@@ -312,7 +314,7 @@ impl Synchroniser {
     fn robot(&self, since_ns: Option<i64>, stamp_ns: i64) -> RobotAt {
         let state = &self.state;
         let odometry = state.odometry();
-        let attitude = state.attitude.at(stamp_ns);
+        let attitude = state.attitude.at(stamp_ns).filter(|sample| sample.age_ns <= GONE_NS);
         let head = state.head(stamp_ns);
         let posture = Posture { attitude: attitude.map(|sample| sample.value), head };
         let place = state.tree.camera_place(stamp_ns, &self.names, posture);

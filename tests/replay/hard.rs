@@ -1,6 +1,7 @@
 //! Bad input that is no fault of a file: black frames, sensors that lie. A tag turns invalid or wide and says why; it is
 //! never wrong and confident.
 
+use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::{CompressedImage, Imu, Odometry};
 use serde_json::Value;
 
@@ -135,6 +136,23 @@ fn odometry_that_freezes_before_a_narrow_lens_without_a_gyro_gives_no_wrong_tags
 fn without_an_imu_tags_stay_right() {
     let room = Room::with_log(&without(&walk().messages, IMU));
     assert_never_wrong(&room, &room.replay("log.mcap"), 0.9, "no IMU");
+}
+
+/// An attitude that is old says nothing; one that does not come any more is done without.
+#[test]
+fn an_imu_that_dies_is_done_without() {
+    let began = walk().messages[0].log_time_ns;
+    let heard = |message: &&LogMessage| message.channel.topic != IMU || message.log_time_ns < began + 800_000_000;
+    let kept: Vec<_> = walk().messages.iter().filter(heard).cloned().collect();
+    let room = Room::with_log(&kept);
+    let replayed = room.replay("log.mcap");
+    assert_never_wrong(&room, &replayed, 0.3, "IMU gone");
+    assert!(replayed.tags.iter().any(|tag| tag.reason == "sensors_stale"));
+    let last = replayed.tags.last().expect("tags");
+    let silent_s = (last.header.stamp.to_nanoseconds() - began) as f64 * 1e-9 - 0.8;
+    assert!(last.valid && silent_s > 2.5, "{} after {silent_s} s", last.reason);
+    let warnings = replayed.report["warnings"].to_string();
+    assert!(warnings.contains("none for 2 s"), "{warnings}");
 }
 
 /// For seconds nothing but lines says where it goes, and they say so in every frame.

@@ -101,7 +101,7 @@ fn an_imu_that_starts_late_is_told_with_the_frames_that_it_costs() {
     let start = walk().messages[0].log_time_ns + 1_000_000_000;
     let mut late = walk().messages.clone();
     late.retain(|message| message.channel.topic != IMU || message.log_time_ns > start);
-    assert_warned(&late, "", &[&format!("of {} frames", walk().frames()), "before the first attitude on /imu/data"]);
+    assert_warned(&late, "", &[&format!("of {} frames", walk().frames()), "/imu/data had told no attitude yet"]);
 }
 
 #[test]
