@@ -211,7 +211,7 @@ impl Pipeline {
         let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
         let late_measurements = self.synchroniser.too_late();
         let Settings { field, filter, .. } = &self.settings;
-        let strange = warnings::strange_field(field, &self.tally.invalid, counts.tagged);
+        let strange = warnings::strange_field(filter, field, &self.tally.invalid, counts.tagged);
         let blind = warnings::no_picture(&self.tally.invalid, counts.tagged);
         let lying = warnings::never_upright(&self.settings.topics.imu, &self.tally.invalid, counts.tagged);
         let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);

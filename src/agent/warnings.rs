@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::effort::EffortTally;
 use super::report::Quantiles;
-use crate::config::FrameNames;
+use crate::config::{FilterConfig, FrameNames};
 use crate::localization::LensOff;
 use crate::ros2::messages::{Imu, Message};
 use crate::sensors::synchroniser::GONE_NS;
@@ -18,13 +18,22 @@ const LEAST_STRETCH: f64 = 0.003;
 const LEAST_PX: f64 = 1.0;
 const CLEAR_SIGMAS: f64 = 5.0;
 
-/// Most frames show lines, but none that a robot on this field could see.
-pub fn strange_field(field: &str, invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
+/// Most frames show lines, but none that a robot on this field could see, or could look for in the time that it has.
+pub fn strange_field(
+    filter: &FilterConfig,
+    field: &str,
+    invalid: &BTreeMap<String, u64>,
+    tagged: u64,
+) -> Option<String> {
+    let hurried = match filter.budget_ms {
+        0.0 => String::new(),
+        budget_ms => format!(" Or is filter.budget_ms = {budget_ms} too small for a search of the field?"),
+    };
     let lost: u64 = LOST.iter().map(|reason| invalid.get(*reason).copied().unwrap_or(0)).sum();
     (2 * lost > tagged).then(|| {
         format!(
             "{lost} of {tagged} frames could not be placed on the field {field}, though lines are seen: is it the right \
-             field (field = ...), the right lens and the right mount of the camera?"
+             field (field = ...), the right lens and the right mount of camera and IMU?{hurried}"
         )
     })
 }
@@ -144,9 +153,13 @@ mod tests {
         let invalid = |unexplained, few| {
             BTreeMap::from([("lines_unexplained".to_owned(), unexplained), ("few_lines".to_owned(), few)])
         };
-        let said = strange_field("kid-2009", &invalid(51, 40), 100).expect("told");
-        assert!(said.contains("51 of 100") && said.contains("kid-2009"), "{said}");
-        assert_eq!(strange_field("kid-2009", &invalid(6, 90), 100), None, "no lines are seen");
+        let filter = FilterConfig::default();
+        let said = strange_field(&filter, "kid-2009", &invalid(51, 40), 100).expect("told");
+        assert!(said.contains("51 of 100") && said.contains("kid-2009") && !said.contains("budget"), "{said}");
+        let hurried = FilterConfig { budget_ms: 2.5, ..filter.clone() };
+        let said = strange_field(&hurried, "kid-2009", &invalid(51, 40), 100).expect("told");
+        assert!(said.contains("filter.budget_ms = 2.5"), "{said}");
+        assert_eq!(strange_field(&filter, "kid-2009", &invalid(6, 90), 100), None, "no lines are seen");
     }
 
     #[test]

@@ -15,7 +15,7 @@ pub use lenses::{
     load_lens, load_lens_for_image, parse_lens,
 };
 pub use settings::{
-    BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, Formula, FrameNames, HeadSettings, Model, MotionModel,
-    MotionSource, MountSettings, RecordingSettings, SerialPortSettings, SerialSettings, Settings, SimdPath,
-    ThinningMode, ThinningSettings, Topics, ViewsSettings,
+    BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, Formula, FrameNames, HeadSettings, LEAST_BUDGET_MS,
+    Model, MotionModel, MotionSource, MountSettings, RecordingSettings, SerialPortSettings, SerialSettings, Settings,
+    SimdPath, ThinningMode, ThinningSettings, Topics, ViewsSettings,
 };

@@ -119,6 +119,10 @@ fn a_budget_that_cannot_be_kept_is_told_with_what_was_reached() {
     assert!(room.path("out/cost.toml").exists(), "the fastest can be used all the same");
     let run = room.run(&format!("cost log.mcap {SHORT} --budget-ms 0.0001 --accuracy-cm 1e-7 -o out")).fails(1, &[]);
     assert!(run.stdout.contains("no row keeps 0.0001 ms and none reaches 0.0000001 cm"), "{run:?}");
+    // The bargains are tried once more, each frame within the least budget that there is.
+    let run = room.run(&format!("cost log.mcap {SHORT} --budget-ms 0.1 -o out --json")).fails(1, &[]).json();
+    let with = |budget_ms: f64| rows(&run).iter().filter(|row| number(row, "budget_ms") == budget_ms).count();
+    assert!(with(0.1) > 0 && with(0.0) > 30 && with(0.1) + with(0.0) == rows(&run).len(), "{run:#}");
     // Half of what was asked for can be had.
     let run = room.run(&format!("cost log.mcap {SHORT} --budget-ms 0.0001 --accuracy-cm 90 -o out")).succeeds();
     assert!(run.stdout.contains("this is the cheapest that reaches 90 cm"), "{run:?}");

@@ -16,7 +16,7 @@ pub fn write(report: &Report, configured: &Settings) -> anyhow::Result<()> {
     Ok(())
 }
 
-const COLUMNS: &str = "model,particles,iterations,adaptive,line_points,image_reduction,refinement,p50_ms,p99_ms,mean_cm,median_cm,\
+const COLUMNS: &str = "model,particles,iterations,adaptive,line_points,image_reduction,refinement,budget_ms,p50_ms,p99_ms,mean_cm,median_cm,\
                        p95_cm,max_cm,scatter_cm,yaw_mean_deg,valid_share,tags_judged,evasive,on_front,recommended,configured\n";
 
 /// Rows that could not be judged have empty errors.
@@ -30,7 +30,7 @@ fn csv(report: &Report) -> String {
             ",,,,,".to_owned()
         };
         text.push_str(&format!(
-            "{},{},{},{},{},{},{},{p50_ms:.4},{p99_ms:.4},{errors},{valid_share:.4},{judged},{evasive},{},{},{}\n",
+            "{},{},{},{},{},{},{},{},{p50_ms:.4},{p99_ms:.4},{errors},{valid_share:.4},{judged},{evasive},{},{},{}\n",
             model_name(knobs.model),
             knobs.particles,
             knobs.iterations,
@@ -38,6 +38,7 @@ fn csv(report: &Report) -> String {
             knobs.line_points,
             knobs.image_reduction,
             knobs.refinement,
+            knobs.budget_ms,
             line.on_front,
             line.recommended,
             line.configured,

@@ -142,9 +142,11 @@ impl Report {
         for line in self.lines() {
             text.push_str(&self.row_for_people(&line));
         }
+        let is_capped = self.rows.iter().any(|row| row.knobs.budget_ms > 0.0);
+        let capped = if is_capped { "capped: with filter.budget_ms, as no other row keeps the budget\n  " } else { "" };
         text.push_str(&format!(
             "\n  * Pareto front   > recommended   = as configured   - tags too few frames to be compared\n  \
-             image: how much smaller a copy is looked at; +-: scatter of the mean over {} seeds\n\n\
+             {capped}image: how much smaller a copy is looked at; +-: scatter of the mean over {} seeds\n\n\
              {}\n\n{:.0} s on a {}\n",
             self.seeds, self.advice.why, self.wall_s, self.machine
         ));
@@ -162,7 +164,7 @@ impl Report {
             format!("{:>9} {:>7} {:>6}", "?", "?", "?")
         };
         format!(
-            " {}{}{}{} {:<9} {:>9} {:>3} {:>7}  {:>5}  {:<7} {:>9.2} {:>7.2} {errors} {:>9.1}\n",
+            " {}{}{}{} {:<9} {:>9} {:>3} {:>7}  {:>5}  {:<7} {:>9.2} {:>7.2} {errors} {:>9.1}{}\n",
             sign(line.recommended, '>'),
             sign(line.on_front, '*'),
             sign(line.configured, '='),
@@ -176,6 +178,7 @@ impl Report {
             p50_ms,
             p99_ms,
             100.0 * valid_share,
+            if knobs.budget_ms > 0.0 { "  capped" } else { "" },
         )
     }
 
@@ -216,8 +219,12 @@ impl Report {
         text.push_str("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n");
         for line in &shown {
             let Row { knobs, p50_ms, p99_ms, position_cm, valid_share, .. } = line.row;
-            let what =
-                [(line.recommended, "**recommended**"), (line.configured, "configured"), (line.on_front, "front")];
+            let what = [
+                (line.recommended, "**recommended**"),
+                (line.configured, "configured"),
+                (line.on_front, "front"),
+                (knobs.budget_ms > 0.0, "capped"),
+            ];
             let what: Vec<&str> = what.iter().filter(|(is, _)| *is).map(|(_, name)| *name).collect();
             text.push_str(&format!(
                 "| {} | {} | {} x {} | {} | {} | {} | {p50_ms:.2} | {p99_ms:.2} | {:.2} | {:.2} | {:.1} % |\n",

@@ -20,6 +20,9 @@ pub enum Formula {
     Paper,
 }
 
+/// No frame can be located in less.
+pub const LEAST_BUDGET_MS: f64 = 0.1;
+
 /// Where the step between two frames comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -100,7 +103,7 @@ impl FilterConfig {
         within("filter.iterations", self.iterations as f64, 1.0, 1000.0)?;
         within("filter.particles_min", self.particles_min as f64, 1.0, (1 << 20) as f64)?;
         if self.budget_ms != 0.0 {
-            within("filter.budget_ms", self.budget_ms, 0.1, 10_000.0)?;
+            within("filter.budget_ms", self.budget_ms, LEAST_BUDGET_MS, 10_000.0)?;
         }
         within("filter.line_points", self.line_points as f64, 10.0, 100_000.0)?;
         if let Some(alpha) = self.alpha {

@@ -19,7 +19,7 @@ use super::source::read;
 use super::{ConfigError, field_seen_from, lens_seen_from};
 
 pub use camera::{BodyMaskFile, CameraSettings};
-pub use filter::{FilterConfig, Formula, Model, MotionSource, SimdPath};
+pub use filter::{FilterConfig, Formula, LEAST_BUDGET_MS, Model, MotionSource, SimdPath};
 pub use live::{CaptureSettings, MountSettings, SerialPortSettings, SerialSettings};
 pub use motion::MotionModel;
 pub use names::{FrameNames, HeadSettings, Topics};

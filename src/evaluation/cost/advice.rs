@@ -54,7 +54,14 @@ pub fn advise(rows: &[Row], noise_cm: f64, wish: &Wish) -> Option<Advice> {
     let point = points[row];
     let keeps_budget = wish.budget_ms.map(|budget_ms| point.time_ms <= budget_ms);
     let reaches_accuracy = wish.accuracy_cm.map(|accuracy_cm| point.error_cm <= accuracy_cm);
-    let why = format!("{}: {}.", rows[row].knobs, told(&points, row, reason, noise_cm, wish));
+    let mut why = format!("{}: {}.", rows[row].knobs, told(&points, row, reason, noise_cm, wish));
+    if rows[row].knobs.budget_ms > 0.0 {
+        let [capped, most] = [rows[row].valid_share, rows.iter().map(|row| row.valid_share).fold(0.0, f64::max)]
+            .map(|share| 100.0 * share);
+        why.push_str(&format!(
+            " A search takes it several frames: it tags {capped:.0} % of all, {most:.0} % are possible."
+        ));
+    }
     Some(Advice { row, why, keeps_budget, reaches_accuracy })
 }
 

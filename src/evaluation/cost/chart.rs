@@ -78,5 +78,8 @@ fn words(row: &Row) -> String {
     if knobs.image_reduction > 0 {
         words.push_str(&format!(", image 1/{}", knobs.image_reduction));
     }
+    if knobs.budget_ms > 0.0 {
+        words.push_str(", capped");
+    }
     words
 }

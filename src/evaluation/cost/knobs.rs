@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::config::{Model, Settings};
 
 /// The settings that decide about time and accuracy.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Knobs {
     pub model: Model,
     pub particles: usize,
@@ -18,6 +18,8 @@ pub struct Knobs {
     /// As in the config: 0 is automatic.
     pub image_reduction: usize,
     pub refinement: bool,
+    /// As in the config: 0 is none.
+    pub budget_ms: f64,
 }
 
 impl Knobs {
@@ -31,6 +33,8 @@ impl Knobs {
             line_points: f.line_points,
             image_reduction: f.image_reduction,
             refinement: f.refinement,
+            // What a setting costs is asked, not what can be saved of it.
+            budget_ms: 0.0,
         }
     }
 
@@ -45,6 +49,7 @@ impl Knobs {
         f.line_points = self.line_points;
         f.image_reduction = self.image_reduction;
         f.refinement = self.refinement;
+        f.budget_ms = self.budget_ms;
         f.seed = seed;
         settings
     }
@@ -65,7 +70,8 @@ impl fmt::Display for Knobs {
         if self.image_reduction > 0 {
             write!(formatter, ", image 1/{}", self.image_reduction)?;
         }
-        write!(formatter, ", {}", if self.refinement { "refined" } else { "best particle" })
+        write!(formatter, ", {}", if self.refinement { "refined" } else { "best particle" })?;
+        if self.budget_ms > 0.0 { write!(formatter, ", no frame longer than {} ms", self.budget_ms) } else { Ok(()) }
     }
 }
 
@@ -120,6 +126,7 @@ pub fn reference(configured: Knobs) -> Knobs {
         line_points: 700,
         image_reduction: configured.image_reduction,
         refinement: true,
+        budget_ms: 0.0,
     }
 }
 

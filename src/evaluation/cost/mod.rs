@@ -4,6 +4,7 @@
 //! [`advise`] which to take, [`chart`] draws it. Clocks and frames are the caller's.
 
 mod advice;
+mod capped;
 mod chart;
 mod front;
 mod knobs;
@@ -11,6 +12,7 @@ mod row;
 mod sweep;
 
 pub use advice::{Advice, Wish, advise, noise_cm};
+pub use capped::{capped, is_exceeded};
 pub use chart::chart;
 pub use front::{Point, front};
 pub use knobs::{Knobs, plan, reference};
