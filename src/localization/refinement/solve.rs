@@ -5,7 +5,7 @@
 //! prior is the identity and no view, however poor, leaves the system singular.
 
 use glam::{DMat3, DVec3};
-use nalgebra::{Cholesky, Matrix6, SMatrix, SVector, Vector6};
+use nalgebra::{Cholesky, Matrix3, Matrix6, SMatrix, SVector, Vector6};
 
 use super::offsets::Sight;
 use super::triangular::{Rows, Triangular};
@@ -128,8 +128,22 @@ pub(super) fn joint(
     if prior.turn_is_felt {
         return joint_with::<3, WITH_WAY, 16>(prior, &way, sights, moved, scale, noises);
     }
+    unfelt(prior, &way, sights, moved, scale, noises)
+}
+
+/// Apart, so that the usual path stays as tight as if there were no other.
+#[cold]
+#[inline(never)]
+fn unfelt(
+    prior: &Prior,
+    way: &Matrix3<f64>,
+    sights: &[Sight],
+    moved: &Vector6<f64>,
+    scale: f64,
+    noises: [Noise; 2],
+) -> Option<Joint> {
     let mut motion = Matrix6::identity() * libm::sqrt(prior.unfelt_turn_rad2());
-    motion.fixed_view_mut::<3, 3>(0, 0).copy_from(&way);
+    motion.fixed_view_mut::<3, 3>(0, 0).copy_from(way);
     joint_with::<6, WITH_MOTION, 24>(prior, &motion, sights, moved, scale, noises)
 }
 
