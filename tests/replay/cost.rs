@@ -61,6 +61,15 @@ fn a_sweep_recommends_a_row_of_the_front_and_its_config_is_accepted() {
 }
 
 #[test]
+fn a_budget_that_the_robot_has_stays_in_the_config_although_rows_are_measured_without() {
+    let room = Room::with_walk();
+    let run = room.run(&format!("cost log.mcap {SHORT} --budget-ms 1000 -o out --set filter.budget_ms=50 --json"));
+    assert_eq!(number(&run.succeeds().json()["recommended"], "budget_ms"), 0.0);
+    let config = fs::read_to_string(room.path("out/cost.toml")).unwrap();
+    assert!(config.contains("budget_ms = 50.0"), "{config}");
+}
+
+#[test]
 fn frames_that_are_kept_get_the_tags_of_a_replay() {
     let room = Room::with_walk();
     let settings = Settings::default();

@@ -50,7 +50,11 @@ fn csv(report: &Report) -> String {
 /// The recommended knobs, and what else of the config differs from the defaults: a config file in itself.
 fn fragment(report: &Report, configured: &Settings) -> anyhow::Result<String> {
     let row = report.recommended();
-    let settings = row.knobs.set(configured, configured.filter.seed);
+    let mut settings = row.knobs.set(configured, configured.filter.seed);
+    // A row that was measured without a budget does not take the robot's away.
+    if row.knobs.budget_ms == 0.0 {
+        settings.filter.budget_ms = configured.filter.budget_ms;
+    }
     let mut table = toml::Table::try_from(&settings).context("the settings cannot be written as TOML")?;
     let defaults = toml::Table::try_from(Settings::default()).context("the defaults cannot be written as TOML")?;
     remove_defaults(&mut table, &defaults, "");
