@@ -3,7 +3,8 @@
 //! Another place may look so much like the right one that its lines never contradict a pose: after a robot was carried, or
 //! where it was found while it was. But lines are missing there. So a believed pose is tried against the whole field when
 //! fewer lines fit than should, when frames have been doubted for long or tell of another walk than odometry, and
-//! three times after it was found by search, or after a frame that looks as if the robot had been put elsewhere.
+//! several times after it was found by search, or after a frame that looks as if the robot had been put elsewhere: then it
+//! is not believed either, until its lines are back or the whole field has had nothing better to offer.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +22,8 @@ pub struct SecondLook {
     surprised: u32,
     /// Looks that the pose still needs: it was found by search, or the robot may have been put elsewhere.
     owed: u32,
+    /// What the share was before the robot may have been put elsewhere, until that is settled.
+    put_from: Option<f64>,
 }
 
 /// With more of the expected line places the pose is hardly ever another one: of windows of ten frames with a wrong pose 9 %
@@ -28,7 +31,7 @@ pub struct SecondLook {
 const CONVINCING: f64 = 0.9;
 const MEAN_S: f64 = 0.5;
 const USUAL_S: f64 = 8.0;
-/// Between two looks: first, and most; twice as long after each that finds nothing better, but for those owed.
+/// Between two looks: first, and most; twice as long after each that finds nothing better.
 const FIRST_PAUSE_S: f64 = 1.0;
 const LONGEST_PAUSE_S: f64 = 16.0;
 /// A share that falls by so much begins anew.
@@ -38,11 +41,22 @@ const FRAME_FALLS_BY: f64 = 0.07;
 const DOUBTED_S: f64 = 1.5;
 const SURPRISED: u32 = 3;
 const OWED_IF_FOUND: u32 = 3;
-const OWED_IF_PUT: u32 = 3;
+const OWED_IF_PUT: u32 = 5;
+/// Between looks that are owed.
+const PAUSE_IF_OWED_S: f64 = 0.4;
 
 impl Default for SecondLook {
     fn default() -> Self {
-        Self { share: None, usual: 1.0, waited_s: 0.0, pause_s: FIRST_PAUSE_S, doubted_s: 0.0, surprised: 0, owed: 0 }
+        Self {
+            share: None,
+            usual: 1.0,
+            waited_s: 0.0,
+            pause_s: FIRST_PAUSE_S,
+            doubted_s: 0.0,
+            surprised: 0,
+            owed: 0,
+            put_from: None,
+        }
     }
 }
 
@@ -62,8 +76,10 @@ impl SecondLook {
         if surprised && share.is_some_and(|share| self.falls_to(share)) {
             self.owed = OWED_IF_PUT;
             self.waited_s = self.waited_s.max(self.pause_s);
+            self.put_from = self.put_from.or(self.share);
         }
         if let Some(share) = share {
+            self.put_from = self.put_from.filter(|before| share < before - FRAME_FALLS_BY);
             let near = |mean: f64, seconds_of: f64| mean + (share - mean) * (seconds / seconds_of).min(1.0);
             self.usual = if self.share.is_some() { near(self.usual, USUAL_S) } else { share };
             self.share = Some(self.share.map_or(share, |mean| near(mean, MEAN_S)));
@@ -82,9 +98,15 @@ impl SecondLook {
         self.share.is_some_and(|mean| share < mean - FRAME_FALLS_BY)
     }
 
+    /// The robot may have been put elsewhere: lines have not come back, and the whole field has not been tried often enough.
+    pub fn may_be_elsewhere(&self) -> bool {
+        self.put_from.is_some()
+    }
+
     pub fn is_due(&self) -> bool {
         let is_odd = self.owed > 0 || self.share.is_some_and(|share| share < CONVINCING) || self.doubted_s >= DOUBTED_S;
-        (is_odd && self.waited_s >= self.pause_s) || (self.surprised >= SURPRISED && self.waited_s >= FIRST_PAUSE_S)
+        let pause_s = if self.owed > 0 { PAUSE_IF_OWED_S } else { self.pause_s };
+        (is_odd && self.waited_s >= pause_s) || (self.surprised >= SURPRISED && self.waited_s >= FIRST_PAUSE_S)
     }
 
     /// Lines that were there a moment ago are not, or tell of another walk, or the pose is new.
@@ -98,6 +120,7 @@ impl SecondLook {
         self.usual = self.share.unwrap_or(self.usual);
         if self.owed > 0 {
             self.owed -= 1;
+            self.put_from = self.put_from.filter(|_| self.owed > 0);
         } else {
             self.pause_s = (2.0 * self.pause_s).min(LONGEST_PAUSE_S);
         }
@@ -130,7 +153,7 @@ mod tests {
     #[test]
     fn a_pose_that_was_found_is_tried_three_times() {
         let looks = looks(SecondLook::found(), 60.0, |_| Some(0.95), false);
-        assert!(looks.len() == 3 && looks[2] < 3.5, "{looks:?}");
+        assert!(looks.len() == 3 && looks[2] < 1.5, "{looks:?}");
     }
 
     #[test]
@@ -151,7 +174,31 @@ mod tests {
         };
         assert!(put(0.86, true).0 && !put(0.86, false).0 && !put(0.96, true).0, "fewer lines, and where no step leads");
         let looks = looks(put(0.86, true).1, 60.0, |_| Some(0.95), false);
-        assert!(looks.len() == 3 && looks[2] < 3.0, "{looks:?}");
+        assert!(looks.len() == 5 && looks[4] < 2.0, "{looks:?}");
+    }
+
+    #[test]
+    fn who_may_have_been_put_elsewhere_is_doubted_until_lines_are_back_or_nothing_better_was_found() {
+        let put = || {
+            let mut look = SecondLook::default();
+            (0..30).for_each(|_| look.note(0.1, Some(0.98), false, false));
+            assert!(!look.may_be_elsewhere());
+            look.note(0.1, Some(0.86), false, true);
+            look
+        };
+        let mut back = put();
+        back.note(0.1, None, false, false);
+        back.note(0.1, Some(0.88), false, false);
+        assert!(back.may_be_elsewhere(), "a crowd, or another place");
+        back.note(0.1, Some(0.95), false, false);
+        assert!(!back.may_be_elsewhere());
+        let mut tried = put();
+        for _ in 0..OWED_IF_PUT {
+            assert!(tried.may_be_elsewhere());
+            tried.looked();
+            tried.note(0.1, Some(0.88), false, false);
+        }
+        assert!(!tried.may_be_elsewhere());
     }
 
     #[test]

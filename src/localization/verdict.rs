@@ -240,7 +240,7 @@ impl Standing {
             (Confidence::Unconfirmed(needed), None) if needed > 1 => Confidence::Unconfirmed(needed - 1),
             (_, None) => Confidence::Tracking(0),
         };
-        let confirmed = matches!(self.confidence, Confidence::Tracking(_));
+        let confirmed = self.is_tracking() && !self.second_look.may_be_elsewhere();
         doubt.or((!confirmed).then_some("unconfirmed"))
     }
 

@@ -68,7 +68,7 @@ pub struct Place {
     pub point: DVec3,
     /// Unit vector along the line.
     pub tangent: DVec3,
-    /// Standard deviation in units of a thin line's.
+    /// Standard deviation in units of that of a line whose place is known best, in pixels.
     pub sigmas: f64,
     /// Across the line.
     pub pixels_per_rad: f64,

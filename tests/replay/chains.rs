@@ -7,8 +7,7 @@ use realitysim::ros2::messages::{
 use realitysim::ros2::{LogMessage, Message};
 
 use super::support::{
-    IMAGE, IMU, ODOMETRY, Room, TF, TF_STATIC, assert_same, changed, decode_all, farthest_apart, message, on, walk,
-    without,
+    IMAGE, IMU, ODOMETRY, Room, TF, TF_STATIC, changed, decode_all, farthest_apart, message, on, walk, without,
 };
 
 fn transform(header: Header, parent: &str, child: &str, parent_from_child: Isometry) -> TransformStamped {
@@ -149,6 +148,8 @@ fn joints_of_other_names_are_named_in_the_config() {
     });
     let room = Room::with_log(&messages);
     let replayed = room.replay("log.mcap --set head.pan_joint=HeadYaw --set head.tilt_joint=HeadPitch");
-    assert_same(&replayed.tags, &walk().tags, "a head that looks straight on");
+    // Not bit for bit: a chain with two more turns by nothing rounds otherwise.
+    let apart = farthest_apart(&replayed.tags, &walk().tags);
+    assert!(apart < 1e-6, "a head that looks straight on: {apart} m");
     assert_eq!(on(&walk().messages, "/joint_states").count(), 0);
 }

@@ -368,7 +368,7 @@ fn the_one_image_that_looks_there_is_found_among_a_hundred_nearer_ones_that_do_n
 #[test]
 fn goals_stand_where_images_show_them() {
     let room = Room::new();
-    room.write_scene("near.toml", |text| text.replace("[[-2.0, 0.1], [-1.1, 0.3]]", "[[0.6, 0.1], [1.5, 0.2]]"));
+    room.write_scene("near.toml", |text| text.replace("[[-2.0, 0.1], [-1.1, 0.3]]", "[[0.6, 0.0], [1.5, 0.1]]"));
     room.run("sim near.toml -o near.mcap").succeeds();
     let replayed = room.replay("near.mcap");
     let session = replayed.session.display().to_string();

@@ -17,7 +17,7 @@ pub struct Sight {
     pub point: DVec3,
     /// Unit vector along the line, in `map`.
     pub tangent: DVec3,
-    /// Standard deviation in units of a thin line's.
+    /// Standard deviation in units of that of a line whose place is known best, in pixels.
     pub sigmas: f64,
     /// Across the line.
     pub pixels_per_rad: f64,
@@ -66,8 +66,10 @@ const REACH_SIGMAS: f64 = 2.5;
 /// ... within these limits.
 const LEAST_REACH_PX: f64 = 2.5;
 const MOST_REACH_PX: f64 = 24.0;
-/// A line this wide is found half as well in pixels: more of paint and carpet in its profile.
-const WIDE_PX: f64 = 12.0;
+/// A line thinner than this is found the worse the thinner it is: less of it stands out of noise, blur and texture.
+const THIN_PX: f64 = 2.4;
+/// And one wider than this the wider it is: more of paint and carpet in its profile.
+const WIDE_PX: f64 = 6.0;
 /// Share of the expected contrast that makes a line.
 const LEAST_CONTRAST: f64 = 0.35;
 /// Carpet that is lit at all is brighter than this share of the step from it to a line: of the gray that a camera writes it is about as
@@ -250,7 +252,7 @@ impl Expected {
             ray: (self.ray + self.across * (offset_px / self.width_px)).normalize(),
             point: point.position.extend(0.0),
             tangent: DVec3::new(-point.normal.y, point.normal.x, 0.0),
-            sigmas: libm::hypot(1.0, self.width_px / WIDE_PX),
+            sigmas: sigmas(self.width_px),
             pixels_per_rad: self.pixels_per_rad(),
             bends: self.bends,
             row: self.row,
@@ -324,6 +326,13 @@ impl Expected {
         }
         Outcome::Found(f64::from(centroid(profile, at, band + gap, flanks(at)) - half as f32) * f64::from(step))
     }
+}
+
+/// Standard deviation of the place of a line so wide: 1 at the best width, which is sqrt([`THIN_PX`] [`WIDE_PX`]). Fitted to what
+/// the places in ten logs lie off (docs/design.md).
+fn sigmas(width_px: f64) -> f64 {
+    let (thin, wide) = (THIN_PX / width_px, width_px / WIDE_PX);
+    libm::sqrt((1.0 + thin * thin + wide * wide) / (1.0 + 2.0 * THIN_PX / WIDE_PX))
 }
 
 /// Centre of what stands out of the carpet within `reach` samples of the peak, the carpet's brightness going

@@ -28,13 +28,13 @@ pub(super) struct Joint {
 /// How wrong a measured line place is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Noise {
-    /// Standard deviation of a thin line's place.
+    /// Standard deviation of the place of a line of the best width.
     pub(super) sigma_px: f64,
     /// So many neighbours along a line share one error, of lens, paint or texture.
     pub(super) correlated: f64,
 }
 
-/// Of the measurements that fit, as if all were of thin lines.
+/// Of the measurements that fit, as if all lines were of the best width.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Residuals {
     pub(super) fitting: usize,
@@ -51,16 +51,17 @@ const ITERATIONS: usize = 6;
 const SMALL_STEP: f64 = 1e-3;
 /// A measurement fits within this many standard deviations.
 const FITTING: f64 = 4.0;
-/// Standard deviation of a thin line's place before the frame itself has told: pixels, JPEG, lens.
+/// Standard deviation of such a place before the frame itself has told: pixels, JPEG, lens.
 const SIGMA_PX: f64 = 0.25;
 const USUAL_CORRELATED: f64 = 3.0;
-/// What is usual weighs as much as this many measurements.
-const USUAL_COUNTS: f64 = 10.0;
-const LEAST_SIGMA_PX: f64 = 0.06;
+/// What is usual weighs as much as this many measurements, and as this many pairs of neighbours.
+const USUAL_COUNTS: f64 = 3.0;
+const USUAL_PAIRS: f64 = 10.0;
+const LEAST_SIGMA_PX: f64 = 0.05;
 /// What different lines share (lens, light) does not show between neighbours.
-pub(super) const SHARED: f64 = 1.6;
+pub(super) const SHARED: f64 = 2.0;
 /// A line that is off as a whole counts as one measurement, and for what lines share: of the square of its sum.
-const WHOLE_LINES: f64 = 1.5;
+const WHOLE_LINES: f64 = 2.0;
 const MOST_CORRELATION: f64 = 0.85;
 /// What a line that should be seen and is not costs, as much as one far off.
 pub(super) const MISS_COST: f64 = 0.5;
@@ -226,7 +227,7 @@ impl Residuals {
         let products = self.products_px / self.pairs.max(1) as f64;
         // Errors that fade like an autoregressive process along the line: of n, n (1 - rho) / (1 + rho) are independent.
         let rho = (products / variance.max(1e-12)).clamp(0.0, MOST_CORRELATION);
-        let weight = self.pairs as f64 / (self.pairs as f64 + USUAL_COUNTS);
+        let weight = self.pairs as f64 / (self.pairs as f64 + USUAL_PAIRS);
         let whole = self.line_sums_px / self.squared_px.max(1e-12);
         let correlated =
             weight * (WHOLE_LINES * whole).max(SHARED * (1.0 + rho) / (1.0 - rho)) + (1.0 - weight) * USUAL_CORRELATED;
