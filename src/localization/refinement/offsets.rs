@@ -348,3 +348,19 @@ fn centroid(profile: &[f32], peak: usize, reach: usize, (left, right): (f32, f32
     }
     if sum > 0.0 { peak as f32 + (moment / sum).clamp(-(reach as f32), reach as f32) } else { peak as f32 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_of_the_best_width_is_known_best_and_others_the_worse_the_farther_they_are_from_it() {
+        let best = (THIN_PX * WIDE_PX).sqrt();
+        assert!((sigmas(best) - 1.0).abs() < 1e-12);
+        for step in 0..20 {
+            let (near, far) = (1.0 + 0.1 * f64::from(step), 1.1 + 0.1 * f64::from(step));
+            assert!(sigmas(best * far) > sigmas(best * near) && sigmas(best / far) > sigmas(best / near));
+            assert!((sigmas(best * far) - sigmas(best / far)).abs() < 1e-12, "as many times too wide as too thin");
+        }
+    }
+}
