@@ -1,14 +1,55 @@
 //! AVX2: eight points side by side.
 
 use core::arch::x86_64::*;
+use std::sync::LazyLock;
 
 use super::{CELL_BIT, FULL, LANES, LAST, Placement, word};
 use crate::vision::ground::SIDE;
 
+/// How the table is read. Which is faster depends on the processor; the bits are the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum LookUp {
+    /// The gather instruction.
+    Gather,
+    /// One load a lane.
+    Loads,
+}
+
+impl LookUp {
+    pub(super) fn of_this_processor() -> Self {
+        static CHOSEN: LazyLock<LookUp> = LazyLock::new(LookUp::chosen);
+        *CHOSEN
+    }
+
+    /// Intel's with AVX-VNNI (Alder Lake, Sapphire Rapids and later) gather in two thirds of the time of single loads. Those before
+    /// must guard gathers against each other ("Gather Data Sampling", INTEL-SA-00828), which makes them several times
+    /// slower, and AMD's gather one element at a time.
+    fn chosen() -> Self {
+        // Older compilers ask for `unsafe`.
+        #[allow(unused_unsafe)]
+        // SAFETY: every x86-64 processor has `cpuid`.
+        let vendor = unsafe { __cpuid(0) };
+        let is_intel = [vendor.ebx, vendor.edx, vendor.ecx].map(u32::to_le_bytes).as_flattened() == b"GenuineIntel";
+        if is_intel && std::arch::is_x86_feature_detected!("avxvnni") { Self::Gather } else { Self::Loads }
+    }
+}
+
 /// # Safety
 /// The processor must have AVX2 and `quads` must hold SIDE x SIDE words.
+pub(super) unsafe fn sum(look_up: LookUp, quads: &[u32], groups: &[[[i16; 2]; LANES]], placement: Placement) -> u64 {
+    // SAFETY: as the caller says.
+    unsafe {
+        match look_up {
+            LookUp::Gather => sum_with::<true>(quads, groups, placement),
+            LookUp::Loads => sum_with::<false>(quads, groups, placement),
+        }
+    }
+}
+
+/// # Safety
+/// As for [`sum`].
 #[target_feature(enable = "avx2")]
-pub(super) unsafe fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placement) -> u64 {
+unsafe fn sum_with<const GATHER: bool>(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placement) -> u64 {
     let pair = |low: i16, high: i16| _mm256_set1_epi32(i32::from(low) & 0xffff | i32::from(high) << 16);
     let (to_u, to_v) = (pair(p.cos, p.sin), pair(-p.sin, p.cos));
     let (u0, v0) = (_mm256_set1_epi32(p.u0), _mm256_set1_epi32(p.v0));
@@ -34,7 +75,7 @@ pub(super) unsafe fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placeme
         let (column, row) = (_mm256_srli_epi32::<{ CELL_BIT as i32 }>(u), _mm256_srli_epi32::<{ CELL_BIT as i32 }>(v));
         let index = _mm256_add_epi32(_mm256_madd_epi16(row, side), column);
         // SAFETY: column and row lie in 0..SIDE, so every index lies in the table.
-        let quad = unsafe { look_up(quads, index) };
+        let quad = unsafe { if GATHER { gather(quads, index) } else { load(quads, index) } };
         let of_u = _mm256_xor_si256(_mm256_and_si256(_mm256_shuffle_epi8(u, to_four), within_four), flip_four);
         let of_v = _mm256_xor_si256(_mm256_and_si256(_mm256_shuffle_epi8(v, to_two), within_two), flip_two);
         sums = _mm256_add_epi32(sums, _mm256_madd_epi16(_mm256_maddubs_epi16(quad, of_u), of_v));
@@ -45,12 +86,20 @@ pub(super) unsafe fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placeme
     lanes.iter().map(|lane| u64::from(*lane)).sum()
 }
 
-/// One load a lane in place of the gather instruction, whose speed differs much from one processor to the next.
-///
 /// # Safety
 /// The processor must have AVX2 and every lane of `index` lie in `quads`.
 #[target_feature(enable = "avx2")]
-unsafe fn look_up(quads: &[u32], index: __m256i) -> __m256i {
+#[inline]
+unsafe fn gather(quads: &[u32], index: __m256i) -> __m256i {
+    // SAFETY: as the caller says.
+    unsafe { _mm256_i32gather_epi32::<4>(quads.as_ptr().cast(), index) }
+}
+
+/// # Safety
+/// As for [`gather`].
+#[target_feature(enable = "avx2")]
+#[inline]
+unsafe fn load(quads: &[u32], index: __m256i) -> __m256i {
     let (low, high) = (_mm256_castsi256_si128(index), _mm256_extracti128_si256::<1>(index));
     let (ab, cd) = (_mm_cvtsi128_si64(low) as u64, _mm_extract_epi64::<1>(low) as u64);
     let (ef, gh) = (_mm_cvtsi128_si64(high) as u64, _mm_extract_epi64::<1>(high) as u64);

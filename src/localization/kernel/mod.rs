@@ -115,7 +115,7 @@ pub fn sum_levels(path: SimdPath, table: &GroundTable, points: &Points, pose: &P
             #[cfg(target_arch = "x86_64")]
             SimdPath::Avx2 if std::arch::is_x86_feature_detected!("avx2") => {
                 // SAFETY: the processor has AVX2, and `quads` holds SIDE x SIDE words.
-                unsafe { avx2::sum(quads, groups, placement) }
+                unsafe { avx2::sum(avx2::LookUp::of_this_processor(), quads, groups, placement) }
             }
             #[cfg(target_arch = "x86_64")]
             SimdPath::Sse2 => {

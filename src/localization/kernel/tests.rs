@@ -56,6 +56,16 @@ proptest! {
         for path in PATHS.into_iter().chain([available(SimdPath::Auto)]) {
             prop_assert_eq!(sum_levels(path, &table, &points, &pose).to_bits(), plain.to_bits());
         }
+        #[cfg(target_arch = "x86_64")]
+        if available(SimdPath::Auto) == SimdPath::Avx2 && let Some(placement) = Placement::new(&table, &points, &pose) {
+            let groups = points.places.as_chunks::<LANES>().0;
+            let expected = plain::sum(table.quads(), groups, placement);
+            for look_up in [avx2::LookUp::Gather, avx2::LookUp::Loads] {
+                // SAFETY: the processor has AVX2, and a table holds SIDE x SIDE words.
+                let found = unsafe { avx2::sum(look_up, table.quads(), groups, placement) };
+                prop_assert_eq!(found, expected, "{:?}", look_up);
+            }
+        }
         // A point lies within a 64th of a cell of its place; neighbouring random levels differ by up to 255.
         let exact = oracle(&table, &positions, &pose);
         prop_assert!((plain - exact).abs() <= 2.0 * 255.0 / 63.0 * positions.len() as f64, "{} {}", plain, exact);
