@@ -126,6 +126,9 @@ pub struct Smoothed {
 /// No step changes more than a tenth of a millimetre or of a milliradian any more.
 const DONE: f64 = 1e-4;
 const MAX_ROUNDS: usize = 12;
+/// A place of a line is no better than this many times what lines lie off: paint that is worn or crooked is so in every frame, and is
+/// not averaged out.
+const OFF_AS_A_WHOLE: f64 = 2.6;
 
 impl Constants {
     pub fn values(&self) -> [f64; CONSTANTS] {
@@ -177,34 +180,17 @@ impl Place {
 
 /// The poses and constants that fit everything best. Frames come in the order of time.
 pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Result<Smoothed, LensError> {
-    let mut moving: Vec<Moving> = frames.iter().map(Moving::of).collect();
-    let mut constants = Constants::default();
-    let mut here = residuals::linearise(frames, &moving, &constants, believed, model)?;
-    let first_rms_px = here.rms_px;
-    let mut rounds = 0;
-    while rounds < MAX_ROUNDS {
-        rounds += 1;
-        let Some(solution) = here.chain.solve() else { break };
-        let mut share = 1.0;
-        let (next_moving, next_constants, next) = loop {
-            let moved = stepped(&moving, &constants, &solution, share);
-            let next = residuals::linearise(frames, &moved.0, &moved.1, believed, model);
-            match next {
-                Ok(next) if next.cost <= here.cost || share < 0.1 => break (moved.0, moved.1, next),
-                Err(error) if share < 0.1 => return Err(error),
-                _ => share *= 0.5,
-            }
-        };
-        let better = here.cost - next.cost;
-        if better >= 0.0 {
-            (moving, constants, here) = (next_moving, next_constants, next);
-        }
-        let longest = solution.steps.iter().map(|step| step.fixed_rows::<6>(0).norm()).fold(0.0, f64::max);
-        if better <= 0.0 || longest < DONE {
-            break;
-        }
+    let mut walk = Walk::start(frames, believed, model)?;
+    let first_rms_px = walk.linearised.rms_px;
+    walk.descend(frames, believed, model)?;
+    let line_px = OFF_AS_A_WHOLE * walk.linearised.rms_px;
+    if line_px > model.line_px {
+        let model = Model { line_px, ..*model };
+        walk.linearised = residuals::linearise(frames, &walk.moving, &walk.constants, believed, &model)?;
+        walk.descend(frames, believed, &model)?;
     }
-    let (covariances, known) = match here.chain.solve() {
+    let Walk { moving, constants, linearised, rounds } = walk;
+    let (covariances, known) = match linearised.chain.solve() {
         Some(solution) => {
             let of_pose = solution.covariances.iter().map(|all| all.fixed_view::<6, 6>(0, 0).into());
             (of_pose.collect(), solution.border_sigmas())
@@ -217,9 +203,52 @@ pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Res
         constants,
         believed: model.constants,
         known,
-        rms_px: [first_rms_px, here.rms_px],
+        rms_px: [first_rms_px, linearised.rms_px],
         rounds,
     })
+}
+
+/// Where the search for it is.
+struct Walk {
+    moving: Vec<Moving>,
+    constants: Constants,
+    linearised: Linearised,
+    rounds: usize,
+}
+
+impl Walk {
+    fn start(frames: &[Frame], believed: &LensParameters, model: &Model) -> Result<Self, LensError> {
+        let moving: Vec<Moving> = frames.iter().map(Moving::of).collect();
+        let constants = Constants::default();
+        let linearised = residuals::linearise(frames, &moving, &constants, believed, model)?;
+        Ok(Self { moving, constants, linearised, rounds: 0 })
+    }
+
+    fn descend(&mut self, frames: &[Frame], believed: &LensParameters, model: &Model) -> Result<(), LensError> {
+        for _ in 0..MAX_ROUNDS {
+            self.rounds += 1;
+            let Some(solution) = self.linearised.chain.solve() else { break };
+            let mut share = 1.0;
+            let (moving, constants, next) = loop {
+                let (moving, constants) = stepped(&self.moving, &self.constants, &solution, share);
+                let next = residuals::linearise(frames, &moving, &constants, believed, model);
+                match next {
+                    Ok(next) if next.cost <= self.linearised.cost || share < 0.1 => break (moving, constants, next),
+                    Err(error) if share < 0.1 => return Err(error),
+                    _ => share *= 0.5,
+                }
+            };
+            let better = self.linearised.cost - next.cost;
+            if better >= 0.0 {
+                (self.moving, self.constants, self.linearised) = (moving, constants, next);
+            }
+            let longest = solution.steps.iter().map(|step| step.fixed_rows::<6>(0).norm()).fold(0.0, f64::max);
+            if better <= 0.0 || longest < DONE {
+                break;
+            }
+        }
+        Ok(())
+    }
 }
 
 fn stepped(moving: &[Moving], constants: &Constants, solution: &Solution, share: f64) -> (Vec<Moving>, Constants) {

@@ -12,7 +12,7 @@ use crate::localization::refinement::miscalibration::{UNSEEN_M_PER_S, row, unfel
 /// Standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
-    /// Of one place of a line of the best width, neighbours' common error included: pixels.
+    /// Of one place of a line of the best width, neighbours' common error included: pixels. More where lines lie off by more.
     pub line_px: f64,
     /// Of one patch of ground that two neighbouring images show, what all of a pair have in common included: pixels.
     pub match_px: f64,
