@@ -103,9 +103,10 @@ const GYRO_WALK: f64 = 0.001;
 const STRETCH_WALK: f64 = 3e-5;
 const SHIFT_WALK: f64 = 1e-5;
 const READOUT_WALK: f64 = 1e-5;
-/// Frames have errors of line finding in common: evidence that would make a variance of the lens smaller by less than this share has
-/// been counted before. So some twenty frames' worth is taken, and of a lens that a frame hardly shows nothing.
-const SEEN_BEFORE: f64 = 0.05;
+/// Frames have errors of line finding in common, for about so long: what one says of the lens counts by the time since the one before,
+/// as a share of this. Only a frame that says more than all before it counts in full.
+const NEWS_S: f64 = 1.0;
+const SAYS_MORE: f64 = 0.5;
 /// Gyro and odometry farther apart than this, in the latter's standard deviations, contradict each other.
 const APART_SIGMAS: f64 = 4.0;
 /// Odometry off by more than this is broken, not scaled.
@@ -139,6 +140,8 @@ struct Turn {
 pub struct Track {
     mean: State,
     covariance: Covariance,
+    /// Since a refined pose was last learnt from.
+    unlearnt_s: f64,
 }
 
 /// Where the track puts the camera, and what is needed to learn from the difference.
@@ -192,7 +195,7 @@ impl Track {
             model.lens_shift,
             model.readout_s,
         ]);
-        Self { mean, covariance: Covariance::from_diagonal(&sigmas.component_mul(&sigmas)) }
+        Self { mean, covariance: Covariance::from_diagonal(&sigmas.component_mul(&sigmas)), unlearnt_s: 0.0 }
     }
 
     /// Elsewhere, but with what was learnt of the robot.
@@ -247,6 +250,7 @@ impl Track {
     /// Where the step has no odometry the robot may have walked as far as `reach_m` and turned by `reach_rad`.
     pub fn predict(&mut self, step: &Step, model: &TrackModel, reach_m: f64, reach_rad: f64) {
         let seconds = step.seconds.max(0.0);
+        self.unlearnt_s += seconds;
         let root = libm::sqrt(seconds);
         let (walked, xy, by_odometry) = match step.odometry {
             Some(walked) => {
@@ -385,6 +389,7 @@ impl Track {
         let gain = self.covariance * prediction.sensitivity.transpose() * information.inverse();
         let narrowed = gain * (prediction.prior.covariance - refined.covariance) * gain.transpose();
         let left = self.left_of_lens(&narrowed);
+        self.unlearnt_s = 0.0;
         self.mean += (gain * refined.moved).component_mul(&(State::repeat(1.0) - left));
         self.mean[YAW] = wrap_angle(self.mean[YAW]);
         let most =
@@ -402,10 +407,11 @@ impl Track {
 
     /// Which share of what a frame says of each state is not taken; `narrowed` is what the covariance would lose by it.
     fn left_of_lens(&self, narrowed: &Covariance) -> State {
+        let news = (self.unlearnt_s / NEWS_S).min(1.0);
         let mut left = State::zeros();
         for index in LENS {
             let share = narrowed[(index, index)] / self.covariance[(index, index)];
-            left[index] = if share > SEEN_BEFORE { SEEN_BEFORE / share } else { 1.0 };
+            left[index] = if share > SAYS_MORE { 0.0 } else { 1.0 - news };
         }
         left
     }

@@ -68,14 +68,16 @@ fn a_gyro_that_contradicts_odometry_leaves_both_possible() {
     assert!(agreed.spread().1 < 0.02, "{}", agreed.spread().1);
 }
 
-/// Frames that all say the same of the lens, each with this standard deviation: what is believed then, and how firmly.
-fn told_of_the_lens(stretch: f64, sigma: f64, frames: usize) -> (f64, f64) {
-    let track = told_again(Track::around(Pose2::default(), 0.05, 0.05, &MODEL()), stretch, sigma, frames);
+/// So many frames a second that all say the same of the lens, each with this standard deviation: what is believed then, and how firmly.
+fn told_of_the_lens(stretch: f64, sigma: f64, rate_hz: usize, seconds: usize) -> (f64, f64) {
+    let track = Track::around(Pose2::default(), 0.05, 0.05, &MODEL());
+    let track = told_again(track, stretch, sigma, rate_hz, seconds);
     (track.lens().stretch, track.lens_sigmas()[0])
 }
 
-fn told_again(mut track: Track, stretch: f64, sigma: f64, frames: usize) -> Track {
-    for _ in 0..frames {
+fn told_again(mut track: Track, stretch: f64, sigma: f64, rate_hz: usize, seconds: usize) -> Track {
+    for _ in 0..rate_hz * seconds {
+        track.predict(&Step { seconds: 1.0 / rate_hz as f64, ..Step::none() }, &MODEL(), 0.04, 0.1);
         let prediction = track.prior(&camera(&Pose2::default()), &MODEL());
         let (known, seen) = (prediction.prior.covariance[(STRETCH_ROW, STRETCH_ROW)], sigma * sigma);
         let mut refined = Refined {
@@ -96,24 +98,23 @@ fn told_again(mut track: Track, stretch: f64, sigma: f64, frames: usize) -> Trac
 const STRETCH_ROW: usize = 6;
 
 #[test]
-fn what_frames_have_in_common_is_counted_a_few_times_and_no_more() {
-    let (stretch, sigma) = told_of_the_lens(0.004, 0.001, 5);
-    assert!((stretch - 0.004).abs() < 0.0003 && sigma < 0.0007, "learnt at once: {stretch} {sigma}");
-    let (stretch, sigma) = told_of_the_lens(0.004, 0.001, 5000);
-    assert!((stretch - 0.004).abs() < 0.0001, "{stretch}");
-    assert!(sigma > 0.001 / 5.0, "a thousand frames are not a thousand times as much: {sigma}");
-    // Who hardly sees what the lens does believes its calibration, however often.
-    let before = MODEL().lens_stretch;
-    let (stretch, sigma) = told_of_the_lens(0.1, 5.0 * before, 5000);
-    assert!(stretch == 0.0 && sigma >= 0.999 * before, "{stretch} {sigma}");
+fn what_frames_have_in_common_counts_by_time_and_not_by_frames() {
+    // One frame says more than the calibration: it counts at once.
+    let (stretch, sigma) = told_of_the_lens(0.004, 0.001, 1, 1);
+    assert!((stretch - 0.004).abs() < 0.0003 && sigma < 0.0011, "{stretch} {sigma}");
+    let [slow, fast] = [10, 100].map(|rate_hz| told_of_the_lens(0.004, 0.001, rate_hz, 30));
+    assert!((slow.0 - 0.004).abs() < 0.0001 && (fast.0 - 0.004).abs() < 0.0001, "{slow:?} {fast:?}");
+    assert!((slow.1 / fast.1 - 1.0).abs() < 0.05, "ten times the frames say no more: {slow:?} {fast:?}");
+    let independent = (slow.1 / 0.001).powi(-2);
+    assert!((30.0..=2.1 * 30.0).contains(&independent), "as much as one or two independent frames a second: {slow:?}");
 }
 
 #[test]
 fn what_was_learnt_of_the_lens_from_a_wrong_place_is_learnt_anew_from_the_right_one() {
-    let wrong = told_again(Track::around(Pose2::default(), 0.05, 0.05, &MODEL()), 0.01, 0.001, 200);
+    let wrong = told_again(Track::around(Pose2::default(), 0.05, 0.05, &MODEL()), 0.01, 0.001, 10, 20);
     let elsewhere = wrong.moved_to(Pose2::new(1.0, 0.0, 0.0), 0.05, 0.05);
-    let stays = told_again(elsewhere.clone(), 0.0, 0.001, 200).lens().stretch;
-    let again = told_again(elsewhere.with_lens_doubted(&MODEL()), 0.0, 0.001, 200).lens().stretch;
+    let stays = told_again(elsewhere.clone(), 0.0, 0.001, 10, 1).lens().stretch;
+    let again = told_again(elsewhere.with_lens_doubted(&MODEL()), 0.0, 0.001, 10, 1).lens().stretch;
     assert!(stays > 0.008 && again.abs() < 0.001, "{stays} {again}");
 }
 
