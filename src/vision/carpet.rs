@@ -66,6 +66,13 @@ const FEWEST_SAMPLES: usize = 20;
 const DARKEST: f32 = 8.0;
 /// White is brighter than the carpet by this factor.
 const BRIGHTER: f32 = 1.15;
+/// And where nothing of the carpet is mixed into it by at least this one.
+const WHITE: f32 = 1.5;
+const FEWEST_WHITE: usize = 12;
+/// A white that is off by less is within what white may be, ...
+const LEAST_CAST: f32 = 0.05;
+/// ... and one by more is no white.
+const MOST_CAST: f32 = 0.4;
 
 impl Sample {
     /// `chroma` relative to neutral.
@@ -77,42 +84,59 @@ impl Sample {
 /// Learns a carpet from samples; kept from frame to frame for its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct Learning {
-    green: Vec<Sample>,
+    samples: Vec<Sample>,
+    /// Those that count at the moment.
+    chosen: Vec<Sample>,
     values: Vec<f32>,
 }
 
 impl Learning {
-    /// The median colour of what is greener than gray; `None` if there is too little of it.
+    /// The median colour of what is greener than gray; `None` if there is too little of it. What is brighter beside it shows how
+    /// the light or the camera's white balance colours white.
     pub fn learn(&mut self, samples: impl Iterator<Item = Sample>) -> Option<Carpet> {
-        let is_green =
-            |s: &Sample| s.luma >= DARKEST && s.hue[0] + s.hue[1] < -0.06 && s.hue[0] < 0.03 && s.hue[1] < 0.03;
-        let Self { green, values } = self;
-        green.clear();
-        green.extend(samples.filter(is_green));
-        if green.len() < FEWEST_SAMPLES {
-            return None;
-        }
-        let mut median_of = |value: &dyn Fn(&Sample) -> f32| {
-            values.clear();
-            values.extend(green.iter().map(value));
-            let middle = values.len() / 2;
-            *values.select_nth_unstable_by(middle, f32::total_cmp).1
-        };
-        let hue = [median_of(&|s| s.hue[0]), median_of(&|s| s.hue[1])];
-        let spread = median_of(&|s| (s.hue[0] - hue[0]).abs().max((s.hue[1] - hue[1]).abs()));
-        let white = hue.map(|hue| {
-            if hue.abs() < 0.02 {
+        self.samples.clear();
+        self.samples.extend(samples.filter(|s| s.luma >= DARKEST));
+        let is_green = |s: &Sample| s.hue[0] + s.hue[1] < -0.06 && s.hue[0] < 0.03 && s.hue[1] < 0.03;
+        self.choose(is_green, FEWEST_SAMPLES)?;
+        let hue = [0, 1].map(|c| self.median_of(|s| s.hue[c]));
+        let spread = self.median_of(|s| (s.hue[0] - hue[0]).abs().max((s.hue[1] - hue[1]).abs()));
+        let luma = self.median_of(|s| s.luma);
+        let tolerance = (4.0 * spread).clamp(0.07, 0.3);
+        let cast = self.cast(hue, luma, tolerance);
+        let white = [0, 1].map(|c| {
+            if hue[c].abs() < 0.02 {
                 return [i16::MIN, i16::MAX];
             }
-            let (a, b) = (-0.25 * hue, 1.1 * hue);
-            [a.min(b), a.max(b)].map(hue_units)
+            let ends = [0.0, cast[c]].map(|white| [-0.25, 1.1].map(|share| white + share * (hue[c] - white)));
+            let ends = ends.as_flattened();
+            [f32::min, f32::max].map(|end| hue_units(ends[1..].iter().copied().fold(ends[0], end)))
         });
-        Some(Carpet {
-            hue: hue.map(hue_units),
-            tolerance: hue_units((4.0 * spread).clamp(0.07, 0.3)),
-            white,
-            bright: (4.0 * BRIGHTER * median_of(&|s| s.luma)) as u16,
-        })
+        let (hue, tolerance) = (hue.map(hue_units), hue_units(tolerance));
+        Some(Carpet { hue, tolerance, white, bright: (4.0 * BRIGHTER * luma) as u16 })
+    }
+
+    /// The hue of white; that of a gray if it is nearly one, or if it does not show.
+    fn cast(&mut self, carpet: [f32; 2], luma: f32, tolerance: f32) -> [f32; 2] {
+        let beside = |s: &Sample| s.hue.iter().zip(carpet).any(|(own, carpet)| (own - carpet).abs() > tolerance);
+        if self.choose(|s| s.luma > WHITE * luma && beside(s), FEWEST_WHITE).is_none() {
+            return [0.0; 2];
+        }
+        let cast = [0, 1].map(|c| self.median_of(|s| s.hue[c]));
+        let is_cast = cast.iter().any(|c| c.abs() > LEAST_CAST) && cast.iter().all(|c| c.abs() < MOST_CAST);
+        if is_cast { cast } else { [0.0; 2] }
+    }
+
+    fn choose(&mut self, which: impl Fn(&Sample) -> bool, fewest: usize) -> Option<()> {
+        self.chosen.clear();
+        self.chosen.extend(self.samples.iter().filter(|sample| which(sample)));
+        (self.chosen.len() >= fewest).then_some(())
+    }
+
+    fn median_of(&mut self, value: impl Fn(&Sample) -> f32) -> f32 {
+        self.values.clear();
+        self.values.extend(self.chosen.iter().map(value));
+        let middle = self.values.len() / 2;
+        *self.values.select_nth_unstable_by(middle, f32::total_cmp).1
     }
 }
 
@@ -201,5 +225,32 @@ mod tests {
             assert_eq!(classify(&carpet, lit([130.0, 60.0, 40.0])), Surface::Other, "a ball");
         }
         assert_eq!(Learning::default().learn((0..100).map(|_| sample(90, 90, 90))), None);
+    }
+
+    #[test]
+    fn lines_are_white_in_coloured_light_where_they_are_seen_so() {
+        // Too warm, too cold, as of a white balance that was set elsewhere.
+        for cast in [[1.2, 0.9, 0.7], [0.65, 0.9, 1.2]] {
+            let lit = |rgb: [f64; 3]| {
+                let [r, g, b] = core::array::from_fn(|c| (rgb[c] * cast[c]) as u8);
+                sample(r, g, b)
+            };
+            let surface = |carpet: &Carpet, rgb: [f64; 3]| {
+                let Sample { luma, hue } = lit(rgb);
+                carpet.classify(4 * luma as u16, hue.map(|hue| (hue * luma + 128.0) as u8))
+            };
+            let (carpet, line) = ([30.0, 90.0, 35.0], [170.0, 170.0, 165.0]);
+            let alone = Learning::default().learn((0..100).map(|_| lit(carpet))).expect("green");
+            assert_eq!(surface(&alone, line), Surface::Other, "nothing tells of the cast");
+            let lines = (0..100).map(|i| lit(if i % 6 == 0 { line } else { carpet }));
+            let learnt = Learning::default().learn(lines).expect("green");
+            assert_eq!(surface(&learnt, line), Surface::White);
+            assert_eq!(surface(&learnt, [100.0, 130.0, 100.0]), Surface::White, "mixed with carpet");
+            assert_eq!(surface(&learnt, carpet), Surface::Carpet);
+            assert_eq!(surface(&learnt, [40.0, 35.0, 40.0]), Surface::Other, "a robot");
+            // A few of them may be a ball.
+            let few = (0..100).map(|i| lit(if i < 8 { line } else { carpet }));
+            assert_eq!(Learning::default().learn(few), Some(alone));
+        }
     }
 }

@@ -208,6 +208,31 @@ fn the_wrong_field_is_told() {
     assert!(replayed.run.stderr.contains("is it the right field"), "{}", replayed.report["invalid"]);
 }
 
+/// Each pixel's red, green and blue times as much.
+fn tinted(image: &mut CompressedImage, by: [f32; 3]) {
+    let mut picture = image::load_from_memory(&image.data).expect("decodes").to_rgb8();
+    for pixel in picture.pixels_mut() {
+        pixel.0 = core::array::from_fn(|c| (f32::from(pixel.0[c]) * by[c]) as u8);
+    }
+    image.data.clear();
+    let data = std::io::Cursor::new(&mut image.data);
+    image::codecs::jpeg::JpegEncoder::new_with_quality(data, 90).encode_image(&picture).expect("encodes");
+}
+
+/// Lines are white to whoever sees them, and no obstacles.
+#[test]
+fn a_white_balance_that_was_set_in_another_hall_costs_no_tags() {
+    for by in [[0.6, 0.8, 1.3], [0.75, 0.9, 1.2], [1.2, 0.85, 0.6], [1.3, 0.75, 0.5]] {
+        let room = Room::with_log(&changed::<CompressedImage>(&walk().messages, IMAGE, |image| tinted(image, by)));
+        let replayed = room.replay("log.mcap");
+        assert!(replayed.tags.iter().all(|tag| tag.valid), "{by:?}: {}", replayed.report["invalid"]);
+        let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(&replayed))).succeeds().json();
+        println!("{by:?}: {}", judged["position_cm"]);
+        // Of 320 x 240 pixels, in whose coarser colours a thin line's is half the carpet's.
+        assert!(judged.pointer("/position_cm/mean").and_then(Value::as_f64).is_some_and(|mean| mean < 0.8), "{judged}");
+    }
+}
+
 /// A fisheye's picture ends within the image, and its lens does not say where.
 fn beside_the_end_of_the_picture(route: &str, initial_pose: &str) -> Replayed {
     let room = Room::new();

@@ -53,7 +53,7 @@ fn a_lens_that_is_not_as_it_was_calibrated_is_told_and_allowed_for() {
     assert!(warnings.len() == 1 && told.is_some_and(|percent| (percent + 0.6).abs() < 0.05), "{warnings:?}");
     // Nobody has told it, and the walk takes four seconds.
     let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(&replayed))).succeeds().json();
-    assert!(judged["position_cm"]["median"].as_f64().is_some_and(|median| median < 0.3), "{judged}");
+    assert!(judged["position_cm"]["median"].as_f64().is_some_and(|median| median < 0.5), "{judged}");
     assert!(judged["ellipse95_share"].as_f64().is_some_and(|share| share >= 0.9), "{judged}");
 }
 

@@ -105,7 +105,7 @@ const SHIFT_WALK: f64 = 1e-5;
 const READOUT_WALK: f64 = 1e-5;
 /// Frames have errors of line finding in common, for about so long: what one says of the lens counts by the time since the one before,
 /// as a share of this. Only a frame that says more than all before it counts in full.
-const NEWS_S: f64 = 1.0;
+const NEWS_S: f64 = 2.0;
 const SAYS_MORE: f64 = 0.5;
 /// Gyro and odometry farther apart than this, in the latter's standard deviations, contradict each other.
 const APART_SIGMAS: f64 = 4.0;

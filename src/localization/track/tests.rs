@@ -106,7 +106,7 @@ fn what_frames_have_in_common_counts_by_time_and_not_by_frames() {
     assert!((slow.0 - 0.004).abs() < 0.0001 && (fast.0 - 0.004).abs() < 0.0001, "{slow:?} {fast:?}");
     assert!((slow.1 / fast.1 - 1.0).abs() < 0.05, "ten times the frames say no more: {slow:?} {fast:?}");
     let independent = (slow.1 / 0.001).powi(-2);
-    assert!((30.0..=2.1 * 30.0).contains(&independent), "as much as one or two independent frames a second: {slow:?}");
+    assert!((15.0..=33.0).contains(&independent), "as much as an independent frame a second, or half a one: {slow:?}");
 }
 
 #[test]
