@@ -68,7 +68,7 @@ const DARKEST: f32 = 8.0;
 const BRIGHTER: f32 = 1.15;
 /// And where nothing of the carpet is mixed into it by at least this one.
 const WHITE: f32 = 1.5;
-const FEWEST_WHITE: usize = 12;
+const FEWEST_WHITE: usize = 6;
 /// A white that is off by less is within what white may be, ...
 const LEAST_CAST: f32 = 0.05;
 /// ... and one by more is no white.
@@ -249,7 +249,7 @@ mod tests {
             assert_eq!(surface(&learnt, carpet), Surface::Carpet);
             assert_eq!(surface(&learnt, [40.0, 35.0, 40.0]), Surface::Other, "a robot");
             // A few of them may be a ball.
-            let few = (0..100).map(|i| lit(if i < 8 { line } else { carpet }));
+            let few = (0..100).map(|i| lit(if i < 5 { line } else { carpet }));
             assert_eq!(Learning::default().learn(few), Some(alone));
         }
     }
