@@ -6,11 +6,13 @@
 
 pub mod field;
 pub mod lens;
+pub mod physical;
 pub mod polynomial;
 pub mod pose;
 mod pose_grid;
 
 pub use field::{Field, FieldDimensions, FieldError, FieldPoint};
+pub use physical::Physical;
 pub use lens::{Lens, LensError, LensModel, LensParameters, Projector};
 pub use pose::{Euler, Isometry, Pose2, Twist};
 pub use pose_grid::PoseGrid;

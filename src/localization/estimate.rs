@@ -63,6 +63,19 @@ const POSITION_FLOOR_M: f64 = 0.025;
 const YAW_FLOOR_RAD: f64 = 0.008;
 
 impl Estimate {
+    /// Of a set without particles.
+    pub fn unknown() -> Self {
+        Self {
+            best: Pose2::default(),
+            covariance: Matrix3::zeros(),
+            spread_m: 0.0,
+            spread_yaw_rad: 0.0,
+            effective_sample_size: 0.0,
+            evidence: 0.0,
+            degenerate: false,
+        }
+    }
+
     /// Order x, y, z, rotation about x, y, z; the fixed parts are what the particles do not estimate.
     pub fn pose_covariance(&self) -> Matrix6<f64> {
         let mut result = Matrix6::zeros();

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::localizer::{Moment, SWAYS_RAD_PER_S};
-use crate::geometry::{Pose2, wrap_angle};
+use crate::geometry::{Physical, Pose2, wrap_angle};
 
 /// The last picture that was another one than that before it, and how far the robot has moved since.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -15,6 +15,13 @@ pub struct Frozen {
     walked_m: f64,
     turned_rad: f64,
     swayed_rad: f64,
+}
+
+impl Physical for Frozen {
+    fn is_possible(&self) -> bool {
+        let moved = [self.walked_m, self.turned_rad, self.swayed_rad];
+        self.odometry.is_possible() && moved.iter().all(|moved| moved.is_finite())
+    }
 }
 
 /// Less moves no line by as much as the camera's own noise changes the picture.

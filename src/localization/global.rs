@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::filter::{Effort, MayGoOn};
 use super::observation::Observation;
-use crate::geometry::{Field, Pose2, wrap_angle};
+use crate::geometry::{Field, Physical, Pose2, wrap_angle};
 use crate::vision::GroundTable;
 
 /// A local best of the search.
@@ -36,6 +36,12 @@ pub struct SearchState {
     found: Vec<Candidate>,
     /// Of these, how many have been climbed from; `None` before all places have been tried.
     climbed: Option<u32>,
+}
+
+impl Physical for SearchState {
+    fn is_possible(&self) -> bool {
+        self.found.iter().all(|candidate| candidate.pose.is_possible() && candidate.log_likelihood.is_finite())
+    }
 }
 
 impl SearchState {

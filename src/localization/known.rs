@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::{Pose2, wrap_angle};
+use crate::geometry::{Physical, Pose2, wrap_angle};
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Known {
@@ -30,6 +30,14 @@ const LONGEST_UNFOLLOWED_S: f64 = 1.0;
 /// So fast it may have walked and turned in the meantime.
 const WALKS_M_PER_S: f64 = 0.4;
 const TURNS_RAD_PER_S: f64 = 0.25;
+
+impl Physical for Known {
+    fn is_possible(&self) -> bool {
+        let Self { pose, unfollowed_s, has_fallen: _, sigma_m, away_s } = self;
+        // It may never have been followed: infinitely long.
+        pose.is_possible() && *unfollowed_s >= 0.0 && sigma_m.is_possible() && *away_s >= 0.0
+    }
+}
 
 impl Known {
     /// By lines.

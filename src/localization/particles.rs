@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::random::{Purpose, TOGETHER, normals};
-use crate::geometry::{Pose2, wrap_angle};
+use crate::geometry::{Physical, Pose2, wrap_angle};
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Particles {
@@ -17,6 +17,15 @@ pub struct Particles {
 pub struct Spread {
     pub xy_m: f64,
     pub yaw_rad: f64,
+}
+
+impl Physical for Particles {
+    fn is_possible(&self) -> bool {
+        let is_weight = |log_weight: &f64| *log_weight < f64::INFINITY;
+        self.poses.len() == self.log_weights.len()
+            && self.poses.is_possible()
+            && self.log_weights.iter().all(is_weight)
+    }
 }
 
 impl Particles {

@@ -8,6 +8,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::geometry::Physical;
+
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SecondLook {
     /// Of the line places expected those that fit, over about [`MEAN_S`].
@@ -57,6 +59,16 @@ impl Default for SecondLook {
             owed: 0,
             put_from: None,
         }
+    }
+}
+
+impl Physical for SecondLook {
+    fn is_possible(&self) -> bool {
+        let times = [self.waited_s, self.pause_s, self.doubted_s];
+        self.share.is_possible()
+            && self.usual.is_possible()
+            && self.put_from.is_possible()
+            && times.iter().all(|seconds| seconds.is_finite())
     }
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::localizer::{Fix, Moment};
 use super::refinement::Agreement;
 use super::second_look::SecondLook;
-use crate::geometry::{Field, Isometry, Pose2, longest_axis, wrap_angle};
+use crate::geometry::{Field, Isometry, Physical, Pose2, longest_axis, wrap_angle};
 
 /// What a pose needs to be believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -116,6 +116,12 @@ const WELL_EXPLAINED: f64 = 0.95;
 /// So much of what a frame may leave unexplained may be there when a pose is confirmed.
 const CONFIRMED_WITH_IF_TOLD: f64 = 0.3;
 const CONFIRMED_WITH_IF_FOUND: f64 = 0.2;
+
+impl Physical for Standing {
+    fn is_possible(&self) -> bool {
+        self.looked_again_at.is_possible() && self.second_look.is_possible()
+    }
+}
 
 impl Standing {
     /// A pose that was kept over a restart.

@@ -5,12 +5,11 @@ use std::collections::VecDeque;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::{Isometry, Pose2, wrap_angle};
+use crate::geometry::{Isometry, Physical, Pose2, wrap_angle};
 
 /// Something that can be read between two samples.
-pub trait Interpolate: Copy {
+pub trait Interpolate: Copy + Physical {
     fn interpolate(&self, other: &Self, fraction: f64) -> Self;
-    fn is_finite(&self) -> bool;
 }
 
 /// Samples in the order of their stamps, whatever the order they came in; the oldest forgotten.
@@ -42,7 +41,8 @@ pub enum Pushed {
     Taken,
     /// One of the same time is there already.
     Known,
-    NotFinite,
+    /// No robot can have measured it: see [`Physical`].
+    Impossible,
     TooLate,
     /// The clock was set back: this one and the one before, which seemed too late, are the new beginning.
     ClockSetBack,
@@ -61,10 +61,16 @@ impl<T> Default for History<T> {
     }
 }
 
+impl<T: Physical> Physical for History<T> {
+    fn is_possible(&self) -> bool {
+        self.samples.iter().chain(&self.stray).all(|(_, value)| value.is_possible())
+    }
+}
+
 impl<T: Interpolate> History<T> {
     pub fn push(&mut self, stamp_ns: i64, value: T) -> Pushed {
-        if !value.is_finite() {
-            return Pushed::NotFinite;
+        if !value.is_possible() {
+            return Pushed::Impossible;
         }
         let stray = self.stray.take();
         let newest = self.newest_ns().unwrap_or(i64::MIN);
@@ -185,19 +191,11 @@ impl Interpolate for Pose2 {
             yaw: wrap_angle(self.yaw + wrap_angle(other.yaw - self.yaw) * fraction),
         }
     }
-
-    fn is_finite(&self) -> bool {
-        Pose2::is_finite(self)
-    }
 }
 
 impl Interpolate for Isometry {
     fn interpolate(&self, other: &Self, fraction: f64) -> Self {
         Isometry::interpolate(self, other, fraction)
-    }
-
-    fn is_finite(&self) -> bool {
-        Isometry::is_finite(self)
     }
 }
 
@@ -206,30 +204,17 @@ impl Interpolate for DQuat {
         let turn = |rotation| Isometry::new(rotation, glam::DVec3::ZERO);
         turn(*self).interpolate(&turn(*other), fraction).rotation
     }
-
-    /// A quaternion without a direction is no attitude either.
-    fn is_finite(&self) -> bool {
-        DQuat::is_finite(*self) && self.length_squared() > 1e-12
-    }
 }
 
 impl Interpolate for DVec3 {
     fn interpolate(&self, other: &Self, fraction: f64) -> Self {
         self.lerp(*other, fraction)
     }
-
-    fn is_finite(&self) -> bool {
-        DVec3::is_finite(*self)
-    }
 }
 
 impl Interpolate for f64 {
     fn interpolate(&self, other: &Self, fraction: f64) -> Self {
         self + (other - self) * fraction
-    }
-
-    fn is_finite(&self) -> bool {
-        f64::is_finite(*self)
     }
 }
 
@@ -291,7 +276,7 @@ mod tests {
         let mut history = History::default();
         let pushed = [(0, 0.0), (200, 2.0), (100, 5.0), (100, 7.0), (300, f64::NAN), (50, 1.0)]
             .map(|(stamp, value)| history.push(stamp, value));
-        let expected = [Pushed::Taken, Pushed::Taken, Pushed::Taken, Pushed::Known, Pushed::NotFinite, Pushed::Taken];
+        let expected = [Pushed::Taken, Pushed::Taken, Pushed::Taken, Pushed::Known, Pushed::Impossible, Pushed::Taken];
         assert_eq!(pushed, expected);
         assert_eq!([25, 50, 75, 150].map(|stamp| history.at(stamp).unwrap().value), [0.5, 1.0, 3.0, 3.5]);
     }

@@ -3,7 +3,8 @@
 use glam::{DQuat, DVec3};
 
 use crate::config::{HeadSettings, Topics};
-use crate::geometry::{Isometry, Pose2};
+use crate::geometry::physical::settled;
+use crate::geometry::{Isometry, Physical, Pose2};
 use crate::ros2::cdr::{CdrError, CdrReader, Wire};
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::messages::{
@@ -41,15 +42,25 @@ pub enum Input {
         latched: bool,
         transforms: Vec<StampedTransform>,
     },
-    /// Standard deviations in metres and radians, where the message states them.
     InitialPose {
         stamp_ns: i64,
         map_from_footprint: Pose2,
-        xy_m: Option<f64>,
-        yaw_rad: Option<f64>,
+        deviations: StatedDeviations,
     },
+    /// No robot can have measured it: a number in it is not finite, or out of all range. Recorded, and counted.
+    Impossible,
     /// Recorded, but nothing to the filter.
     Other,
+}
+
+/// What a message says of its own pose's standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum StatedDeviations {
+    None,
+    /// Along the longer of x and y, and of the heading.
+    Of { xy_m: f64, yaw_rad: f64 },
+    /// The numbers are no covariance: not finite, negative, not positive semi-definite, or wider than any field.
+    Impossible,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -80,14 +91,18 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
     }
     if is(&topics.odometry, Odometry::TYPE) {
         let odometry = Odometry::decode(data)?;
-        let odom_from_footprint =
-            Pose2::from_isometry(&isometry(&odometry.pose.pose.position, &odometry.pose.pose.orientation));
+        let odom_from_footprint = isometry(&odometry.pose.pose.position, &odometry.pose.pose.orientation);
+        if !odom_from_footprint.is_possible() {
+            return Ok(Input::Impossible);
+        }
+        let odom_from_footprint = Pose2::from_isometry(&odom_from_footprint);
         return Ok(Input::Odometry { stamp_ns: odometry.header.stamp.to_nanoseconds(), odom_from_footprint });
     }
     if is(&topics.imu, Imu::TYPE) {
         let imu = Imu::decode(data)?;
+        // A quaternion of zeros is how drivers that know no attitude leave the field.
         let measured = imu.orientation_covariance[0] != -1.0;
-        let orientation = measured.then(|| quaternion(&imu.orientation));
+        let orientation = measured.then(|| quaternion(&imu.orientation)).filter(|q| q.length_squared() != 0.0);
         return Ok(Input::Imu {
             stamp_ns: imu.header.stamp.to_nanoseconds(),
             frame_id: imu.header.frame_id,
@@ -99,7 +114,7 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
         let joints = JointState::decode(data)?;
         let angle = |name: &str| {
             let index = joints.name.iter().position(|joint| joint == name)?;
-            joints.position.get(index).copied()
+            joints.position.get(index).copied().map(settled)
         };
         let (pan, tilt) = (angle(&head.pan_joint), angle(&head.tilt_joint));
         return Ok(Input::Joints { stamp_ns: joints.header.stamp.to_nanoseconds(), pan, tilt });
@@ -120,13 +135,14 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
     if is(&topics.initial_pose, PoseWithCovarianceStamped::TYPE) {
         let initial = PoseWithCovarianceStamped::decode(data)?;
         let pose = &initial.pose.pose;
-        let deviation = |variance: f64| (variance.is_finite() && variance > 0.0).then(|| libm::sqrt(variance));
-        let covariance = &initial.pose.covariance;
+        let map_from_footprint = isometry(&pose.position, &pose.orientation);
+        if !map_from_footprint.is_possible() {
+            return Ok(Input::Impossible);
+        }
         return Ok(Input::InitialPose {
             stamp_ns: initial.header.stamp.to_nanoseconds(),
-            map_from_footprint: Pose2::from_isometry(&isometry(&pose.position, &pose.orientation)),
-            xy_m: deviation(covariance[0].max(covariance[7])),
-            yaw_rad: deviation(covariance[35]),
+            map_from_footprint: Pose2::from_isometry(&map_from_footprint),
+            deviations: StatedDeviations::of(&initial.pose.covariance),
         });
     }
     if is(&topics.camera_info, CameraInfo::TYPE) {
@@ -151,23 +167,55 @@ fn stamp_of_torn(data: &[u8]) -> Option<Stamp> {
     (stamp.nanosec < 1_000_000_000 && stamp != Stamp::default()).then_some(stamp)
 }
 
+/// Wider than any field: a standard deviation of 100 m, and of 100 rad.
+const MOST_VARIANCE: f64 = 1e4;
+/// By so much the square of a covariance may exceed the product of its variances: rounding.
+const ROUNDING: f64 = 1e-6;
+
+impl StatedDeviations {
+    /// Of the covariance of a ROS pose: x, y, z, and rotations about them, row by row. All zeros state nothing.
+    fn of(covariance: &[f64; 36]) -> Self {
+        let [xx, xy, yx, yy, yaw] = [0, 1, 6, 7, 35].map(|index| settled(covariance[index]));
+        let variances = [xx, yy, yaw];
+        let is_covariance = variances.iter().all(|variance| (0.0..=MOST_VARIANCE).contains(variance))
+            && [xy, yx].iter().all(|both| both * both <= xx * yy * (1.0 + ROUNDING));
+        if !is_covariance {
+            Self::Impossible
+        } else if variances == [0.0; 3] {
+            Self::None
+        } else {
+            Self::Of { xy_m: libm::sqrt(xx.max(yy)), yaw_rad: libm::sqrt(yaw) }
+        }
+    }
+}
+
 /// ROS 1 names start with a slash; ROS 2's do not.
 fn plain(frame: String) -> String {
     frame.strip_prefix('/').map(str::to_owned).unwrap_or(frame)
 }
 
 pub fn quaternion(q: &Quaternion) -> DQuat {
-    DQuat::from_xyzw(q.x, q.y, q.z, q.w)
+    DQuat::from_array([q.x, q.y, q.z, q.w].map(settled))
 }
 
 fn transform(t: &Transform) -> Isometry {
-    Isometry::new(quaternion(&t.rotation), vector(&t.translation))
+    rigid(quaternion(&t.rotation), vector(&t.translation))
 }
 
 fn vector(v: &Vector3) -> DVec3 {
-    DVec3::new(v.x, v.y, v.z)
+    DVec3::from_array([v.x, v.y, v.z].map(settled))
 }
 
 pub fn isometry(position: &crate::ros2::messages::Point, orientation: &Quaternion) -> Isometry {
-    Isometry::new(quaternion(orientation), DVec3::new(position.x, position.y, position.z))
+    rigid(quaternion(orientation), DVec3::from_array([position.x, position.y, position.z].map(settled)))
+}
+
+/// A quaternion of zeros is taken for no rotation. One that is not [`Physical`] stays as it is, so that the whole can be told to be
+/// impossible.
+fn rigid(rotation: DQuat, translation: DVec3) -> Isometry {
+    if rotation.is_possible() || rotation == DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0) {
+        Isometry::new(rotation, translation)
+    } else {
+        Isometry { rotation, translation }
+    }
 }

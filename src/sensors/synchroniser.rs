@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 
 use super::camera_twist::{Movers, camera_twist};
 use super::history::{History, Pushed, Sample};
-use super::intake::{Input, StampedTransform};
+use super::intake::{Input, StampedTransform, StatedDeviations};
 use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
 use crate::config::FrameNames;
-use crate::geometry::{Pose2, Twist};
+use crate::geometry::{Physical, Pose2, Twist};
 use crate::ros2::mcap_read::LogMessage;
 
 /// A frame with what is known about the robot at its exposure.
@@ -134,6 +134,7 @@ pub struct Synchroniser {
     finished: bool,
     expected: Expected,
     too_late: u64,
+    impossible: u64,
 }
 
 /// What the log has messages of. Until the first of them, a frame waits for them as for later ones.
@@ -154,6 +155,7 @@ impl Synchroniser {
             finished: false,
             expected: Expected::default(),
             too_late: 0,
+            impossible: 0,
         }
     }
 
@@ -168,6 +170,11 @@ impl Synchroniser {
     /// Measurements that came so late that they could not be used.
     pub fn too_late(&self) -> u64 {
         self.too_late
+    }
+
+    /// Measurements that no robot can have made, by their numbers: see [`Physical`].
+    pub fn impossible(&self) -> u64 {
+        self.impossible
     }
 
     /// From when the robot's step to the next frame counts.
@@ -238,6 +245,9 @@ impl Synchroniser {
                 // Without an attitude the torso is taken as upright.
                 let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
                 let turn = turn_rate.map(|rate| {
+                    if !rate.is_possible() || !upright.is_possible() {
+                        return Pushed::Impossible;
+                    }
                     self.state.torso_rate.push(stamp_ns, imu_from_base.conjugate() * rate);
                     let rate = upright * rate;
                     self.state.sway_rate.push(stamp_ns, libm::hypot(rate.x, rate.y));
@@ -245,29 +255,31 @@ impl Synchroniser {
                 });
                 let tilt =
                     orientation.map(|orientation| self.state.attitude.push(stamp_ns, orientation * imu_from_base));
-                // One message, whatever it holds.
-                if let Some(pushed) = tilt.or(turn) {
-                    self.count(pushed);
-                }
+                self.count_message([tilt, turn]);
             }
             Input::Joints { stamp_ns, pan, tilt } => {
                 let pan = pan.map(|pan| self.state.pan.push(stamp_ns, pan));
                 let tilt = tilt.map(|tilt| self.state.tilt.push(stamp_ns, tilt));
-                // One message, whatever the number of its angles.
-                if let Some(pushed) = pan.or(tilt) {
-                    self.count(pushed);
-                }
+                self.count_message([pan, tilt]);
             }
             Input::Transforms { latched, transforms } => {
                 self.take_transforms(latched, transforms, message.log_time_ns);
             }
-            Input::InitialPose { map_from_footprint, xy_m, yaw_rad, .. } => {
-                if map_from_footprint.is_finite() {
-                    self.state.initial_pose = Some(InitialPose { map_from_footprint, xy_m, yaw_rad });
-                    let anchor = |(stamp_ns, odometry)| Anchor::new(stamp_ns, odometry, message.log_time_ns);
-                    self.state.anchor = self.state.odometry().newest().map(anchor);
-                }
+            Input::InitialPose { map_from_footprint, deviations, .. } => {
+                let (xy_m, yaw_rad) = match deviations {
+                    StatedDeviations::Of { xy_m, yaw_rad } => (Some(xy_m), Some(yaw_rad)),
+                    StatedDeviations::None => (None, None),
+                    // The place is believed, as well as any that comes without.
+                    StatedDeviations::Impossible => {
+                        self.count(Pushed::Impossible);
+                        (None, None)
+                    }
+                };
+                self.state.initial_pose = Some(InitialPose { map_from_footprint, xy_m, yaw_rad });
+                let anchor = |(stamp_ns, odometry)| Anchor::new(stamp_ns, odometry, message.log_time_ns);
+                self.state.anchor = self.state.odometry().newest().map(anchor);
             }
+            Input::Impossible => self.count(Pushed::Impossible),
             Input::CameraInfo(_) | Input::Other => {}
         }
     }
@@ -413,7 +425,7 @@ impl Synchroniser {
         let state = &mut self.state;
         let begins_anew = begins_anew || pushed == Pushed::ClockSetBack;
         match (state.anchor, before) {
-            _ if pushed == Pushed::NotFinite => {}
+            _ if pushed == Pushed::Impossible => {}
             (None, _) if state.last_frame.is_none() || state.initial_pose.is_some() => state.anchor = Some(now),
             (Some(anchor), Some(before)) if begins_anew => {
                 let walked = anchor.odometry.inverse().compose(&before);
@@ -429,13 +441,39 @@ impl Synchroniser {
         }
     }
 
+    /// One message counts once, whatever it holds.
+    fn count_message(&mut self, parts: [Option<Pushed>; 2]) {
+        let is_impossible = parts.contains(&Some(Pushed::Impossible));
+        let pushed = if is_impossible { Some(Pushed::Impossible) } else { parts.into_iter().flatten().next() };
+        pushed.into_iter().for_each(|pushed| self.count(pushed));
+    }
+
     fn count(&mut self, pushed: Pushed) {
         match pushed {
             Pushed::TooLate => self.too_late += 1,
             // The one before was counted, and is good after all.
             Pushed::ClockSetBack => self.too_late = self.too_late.saturating_sub(1),
-            Pushed::Taken | Pushed::Known | Pushed::NotFinite => {}
+            Pushed::Impossible => self.impossible += 1,
+            Pushed::Taken | Pushed::Known => {}
         }
+    }
+}
+
+impl Physical for InitialPose {
+    fn is_possible(&self) -> bool {
+        self.map_from_footprint.is_possible() && self.xy_m.is_possible() && self.yaw_rad.is_possible()
+    }
+}
+
+impl Physical for SynchroniserState {
+    fn is_possible(&self) -> bool {
+        let Self { tree, odometry, odometry_in_tf, attitude, turn_rate, sway_rate, torso_rate, pan, tilt, .. } = self;
+        tree.is_possible()
+            && [odometry, odometry_in_tf].iter().all(|history| history.is_possible())
+            && [turn_rate, sway_rate, pan, tilt].iter().all(|history| history.is_possible())
+            && (attitude.is_possible() && torso_rate.is_possible())
+            && self.initial_pose.is_possible()
+            && self.anchor.is_none_or(|anchor| anchor.odometry.is_possible())
     }
 }
 

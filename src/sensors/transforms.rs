@@ -8,7 +8,8 @@ use thiserror::Error;
 
 use super::history::{History, Pushed};
 use crate::config::FrameNames;
-use crate::geometry::{Euler, Isometry};
+use crate::geometry::physical::LONGEST_MOUNT_M;
+use crate::geometry::{Euler, Isometry, Physical};
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TransformTree {
@@ -71,8 +72,11 @@ pub enum ChainError {
          ({base} to {camera} must give the camera's height)"
     )]
     NoHeight { height_m: f64, base: String, camera: String },
-    #[error("the transform to {frame} holds a number that is not finite: /tf_static must give its place in metres")]
-    NotFinite { frame: String },
+    #[error(
+        "the transform to {frame} holds a number that is not finite, or leads more than {LONGEST_MOUNT_M} m away: /tf_static must \
+         give its place in metres"
+    )]
+    Impossible { frame: String },
     #[error(
         "{optical} does not look forward but {elevation_deg:.0} deg up: the rotation from {link} to {optical} is \
          missing (REP 103: z forward, x right, y down)"
@@ -108,6 +112,14 @@ impl TransformTree {
 
     pub fn is_empty(&self) -> bool {
         self.edges.is_empty()
+    }
+
+    /// Whether every moving transform that is remembered is [`Physical`]. Constants are judged where they are used.
+    pub fn is_possible(&self) -> bool {
+        self.edges.values().all(|edge| match &edge.transform {
+            Transform::Static(_) => true,
+            Transform::Moving(history) => history.is_possible(),
+        })
     }
 
     pub fn knows(&self, frame: &str) -> bool {
@@ -175,6 +187,9 @@ impl TransformTree {
                 Transform::Static(constant) => *constant,
             };
             footprint_from_here = footprint_from_here * step;
+            if !is_mount(&step) || !is_mount(&footprint_from_here) {
+                return Err(ChainError::Impossible { frame: child.to_owned() });
+            }
             if child == names.base_link {
                 below_torso = true;
                 footprint_from_base = footprint_from_here;
@@ -225,8 +240,8 @@ impl TransformTree {
         let mut moving = false;
         for (child, edge) in chain {
             match &edge.transform {
-                Transform::Static(constant) if !constant.is_finite() => {
-                    return Err(ChainError::NotFinite { frame: child.to_owned() });
+                Transform::Static(constant) if !is_mount(constant) => {
+                    return Err(ChainError::Impossible { frame: child.to_owned() });
                 }
                 Transform::Static(_) => {}
                 Transform::Moving(_) => moving = true,
@@ -259,6 +274,11 @@ impl TransformTree {
         chain.reverse();
         Ok(chain)
     }
+}
+
+/// Whether a part of a robot can be fixed to another part like this.
+fn is_mount(transform: &Isometry) -> bool {
+    transform.is_possible() && transform.translation.length() <= LONGEST_MOUNT_M
 }
 
 /// The torso's place, tilted as the IMU says: roll and pitch replace those of the constant, yaw stays.

@@ -6,7 +6,7 @@ use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
 use super::{Localizer, Moment};
-use crate::geometry::{Pose2, wrap_angle};
+use crate::geometry::{Physical, Pose2, wrap_angle};
 use crate::localization::filter::{Effort, MayGoOn};
 use crate::localization::global::Candidate;
 use crate::localization::particles::Spread;
@@ -201,6 +201,13 @@ pub struct Fitting {
     left: VecDeque<Pose2>,
     believed: Option<Pose2>,
     fits: Vec<Fit>,
+}
+
+impl Physical for Fitting {
+    fn is_possible(&self) -> bool {
+        let is_fit = |fit: &Fit| fit.pose.is_possible() && fit.worth.is_finite() && fit.explained.is_finite();
+        self.left.iter().all(Physical::is_possible) && self.believed.is_possible() && self.fits.iter().all(is_fit)
+    }
 }
 
 impl Fitting {

@@ -20,7 +20,7 @@ use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{self, Agreement, Prior, Refiner};
 use super::track::{Prediction, Step, Track, TrackModel};
 use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost};
-use crate::geometry::{Field, Isometry, Lens, Pose2, Twist, wrap_angle};
+use crate::geometry::{Field, Isometry, Lens, Physical, Pose2, Twist, wrap_angle};
 use crate::vision::Seen;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -52,6 +52,17 @@ pub struct LocalizerState {
     pub fitting: Fitting,
     /// The pose was found without being told which half of the field it is in.
     pub ambiguous: bool,
+}
+
+impl Physical for LocalizerState {
+    fn is_possible(&self) -> bool {
+        let Self { filter, track, last, standing, posture: _, frozen, adrift_s, known, search, fitting, ambiguous: _ } =
+            self;
+        let odometry = last.and_then(|(_, odometry)| odometry);
+        (filter.particles.is_possible() && track.is_possible() && odometry.is_possible())
+            && (standing.is_possible() && frozen.is_possible() && adrift_s.is_possible())
+            && (known.is_possible() && search.is_possible() && fitting.is_possible())
+    }
 }
 
 /// What else than the image is known of a frame.
@@ -152,7 +163,12 @@ pub struct Localizer {
     search: Search,
     settings: LocalizerSettings,
     state: LocalizerState,
+    /// How often the state was no state of a robot, and was begun anew.
+    begun_anew: u64,
 }
+
+/// Why a frame's pose is not to be used: what came of it was not finite, and everything was forgotten.
+pub const NUMERICAL_FAULT: &str = "numerical_fault";
 
 impl Localizer {
     pub fn new(
@@ -172,6 +188,7 @@ impl Localizer {
             search,
             settings,
             state,
+            begun_anew: 0,
         }
     }
 
@@ -191,6 +208,11 @@ impl Localizer {
     /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
     pub fn unusable_weights(&self) -> u64 {
         self.filter.unusable_weights()
+    }
+
+    /// Frames so far after which everything was forgotten, since numbers had become none.
+    pub fn begun_anew(&self) -> u64 {
+        self.begun_anew
     }
 
     /// How the lens differs from its calibration.
@@ -247,6 +269,27 @@ impl Localizer {
 
     /// One frame of which something was seen. `may_go_on` says when time is up: see [`MayGoOn`].
     pub fn look(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
+        let fix = self.look_unchecked(moment, seen, may_go_on);
+        self.checked(fix, moment)
+    }
+
+    /// What is not finite leaves with its frame: neither its pose nor what was remembered of it is used again.
+    fn checked(&mut self, fix: Fix, moment: &Moment) -> Fix {
+        let is_sound = self.state.is_possible() && self.filter.state().particles.is_possible();
+        if is_sound && fix.is_possible() {
+            return fix;
+        }
+        self.begun_anew += 1;
+        let mut nothing = FilterState { steps: self.filter.state().steps, ..FilterState::default() };
+        self.filter.exchange(&mut nothing);
+        let last = self.state.last.map(|(stamp_ns, _)| (stamp_ns, None));
+        self.state = LocalizerState { last, ..LocalizerState::default() };
+        let mut fix = self.predicted(moment, Estimate::unknown(), Support::default());
+        fix.doubt = Some(NUMERICAL_FAULT);
+        fix
+    }
+
+    fn look_unchecked(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
         if self.lies(moment) {
             return self.drift(moment, "fallen");
         }
@@ -293,7 +336,8 @@ impl Localizer {
     /// One frame of which nothing could be seen: where odometry puts the robot.
     pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
         let reason = if self.lies(moment) { "fallen" } else { reason };
-        self.drift(moment, reason)
+        let fix = self.drift(moment, reason);
+        self.checked(fix, moment)
     }
 
     /// Where odometry puts the robot at a time of which there is no frame. `None` where the place was not known, or is not
@@ -522,6 +566,17 @@ impl Localizer {
         } else if !fix.refined || is_contradicted(&fix.agreement) {
             self.state.track = Some(track.moved_to(best, spread.xy_m, spread.yaw_rad));
         }
+    }
+}
+
+impl Physical for Fix {
+    fn is_possible(&self) -> bool {
+        let Estimate { best, covariance, spread_m, spread_yaw_rad, effective_sample_size, evidence, .. } = &self.estimate;
+        self.map_from_optical.is_possible()
+            && self.covariance.iter().chain(covariance).all(|value| value.is_finite())
+            && best.is_possible()
+            && [spread_m, spread_yaw_rad, effective_sample_size, evidence].iter().all(|value| value.is_finite())
+            && [self.agreement.rms_px, self.explained.share, self.support.share].iter().all(|value| value.is_finite())
     }
 }
 

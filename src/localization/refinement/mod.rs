@@ -104,7 +104,7 @@ impl Refiner {
     }
 
     /// Refines from each start (error vectors relative to the prior's pose); the best result counts. `None` if the prior is no
-    /// covariance.
+    /// covariance, or if nothing finite came out.
     pub fn refine(&mut self, image: &LineImage, prior: &Prior, starts: &[Vector6<f64>]) -> Option<Refined> {
         let results = starts.iter().filter_map(|start| self.refine_from(image, prior, start, prior.pose_covariance()));
         results.min_by(|a, b| a.cost.total_cmp(&b.cost))
@@ -148,7 +148,8 @@ impl Refiner {
         let [.., scale] = SCALES;
         let solve::Joint { moved, covariance, condition } =
             solve::joint(prior, sights, &moved, scale, [solved_with, solution.residuals.noise()])?;
-        Some(Refined {
+        let is_finite = moved.iter().chain(covariance.iter()).all(|value| value.is_finite());
+        is_finite.then(|| Refined {
             map_from_optical: moved_pose(&prior.map_from_optical, &pose_part(&moved)),
             covariance,
             condition,

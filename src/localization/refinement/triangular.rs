@@ -11,6 +11,9 @@ pub(super) struct Triangular<const N: usize, const W: usize> {
 
 const AT_ONCE: usize = 32;
 
+/// A column of rows is taken for zero below this sum of squares: an entry of 1e-140 against the prior's 1.
+const SMALLEST_SQUARE: f64 = 1e-280;
+
 /// Rows on their way into a triangle.
 pub(super) struct Rows<const N: usize, const W: usize> {
     triangle: Triangular<N, W>,
@@ -90,7 +93,9 @@ impl<const N: usize, const W: usize> Triangular<N, W> {
                 }
             }
             let (square, corner) = (products[column], self.r[column][column]);
-            if square == 0.0 {
+            // Beside the prior's rows, whose entries are 1, numbers whose squares underflow change no digit; divided by, they
+            // would make infinite ones.
+            if square < SMALLEST_SQUARE {
                 continue;
             }
             let length = libm::sqrt(corner * corner + square);

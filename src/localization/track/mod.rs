@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{ErrorCovariance, Errors, OF_LENS, Prior, Refined, UNKNOWNS};
-use crate::geometry::{Isometry, Pose2, Twist, wrap_angle};
+use crate::geometry::physical::MOST;
+use crate::geometry::{Isometry, Physical, Pose2, Twist, wrap_angle};
 
 /// x, y, yaw of `base_footprint`; roll and pitch error of the torso's attitude; of the camera's mount; the camera's height
 /// error; relative error of odometry's distance and of its turn; the gyro's bias; the lens's stretch and shift; the sensor's
@@ -170,6 +171,15 @@ impl Prediction {
             self.prior.covariance[(index, index)] += variance;
         }
         self
+    }
+}
+
+impl Physical for Track {
+    fn is_possible(&self) -> bool {
+        // A variance may be as large as the square of the largest number.
+        let is_covariance = self.covariance.diagonal().iter().all(|variance| *variance >= 0.0)
+            && self.covariance.iter().all(|value| value.abs() <= MOST * MOST);
+        self.mean.as_slice().is_possible() && is_covariance && self.unlearnt_s >= 0.0
     }
 }
 
