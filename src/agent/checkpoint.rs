@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::foresight::Foresight;
+use crate::geometry::Physical;
 use crate::localization::LocalizerState;
 use crate::sensors::synchroniser::SynchroniserState;
 
@@ -28,6 +29,8 @@ pub enum CheckpointError {
     Damaged,
     #[error("the checkpoint does not decode: {0}")]
     Decode(String),
+    #[error("the checkpoint holds a number that is not finite, or that no robot can have")]
+    Impossible,
 }
 
 const MAGIC: &[u8; 8] = b"RSIMCKPT";
@@ -62,7 +65,17 @@ impl Checkpoint {
         let config = bincode::config::standard().with_limit::<MAX_BYTES>();
         let (checkpoint, used): (Self, usize) = bincode::serde::decode_from_slice(body, config)
             .map_err(|error| CheckpointError::Decode(error.to_string()))?;
-        if used == body.len() { Ok(checkpoint) } else { Err(CheckpointError::Damaged) }
+        if used != body.len() {
+            return Err(CheckpointError::Damaged);
+        }
+        if checkpoint.is_possible() { Ok(checkpoint) } else { Err(CheckpointError::Impossible) }
+    }
+}
+
+impl Physical for Checkpoint {
+    fn is_possible(&self) -> bool {
+        let Self { tagger, synchroniser, foresight, frames: _ } = self;
+        tagger.is_possible() && synchroniser.is_possible() && foresight.is_possible()
     }
 }
 
@@ -93,6 +106,22 @@ mod tests {
     fn a_checkpoint_comes_back() {
         let bytes = checkpoint().encode().expect("encodes");
         assert_eq!(Checkpoint::decode(&bytes), Ok(checkpoint()));
+    }
+
+    #[test]
+    fn a_state_with_one_wild_number_is_refused() {
+        let spoil: [fn(&mut Checkpoint); 4] = [
+            |checkpoint| checkpoint.tagger.filter.particles.poses[1].y = f64::NAN,
+            |checkpoint| checkpoint.tagger.filter.particles.log_weights[2] = f64::NAN,
+            |checkpoint| checkpoint.tagger.last = Some((7, Some(Pose2::new(1e300, 0.0, 0.0)))),
+            |checkpoint| checkpoint.tagger.adrift_s = f64::INFINITY,
+        ];
+        for (index, spoil) in spoil.into_iter().enumerate() {
+            let mut checkpoint = checkpoint();
+            spoil(&mut checkpoint);
+            let bytes = checkpoint.encode().expect("encodes");
+            assert_eq!(Checkpoint::decode(&bytes), Err(CheckpointError::Impossible), "spoilt in way {index}");
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::tagger::Tagger;
+use crate::geometry::Physical;
 use crate::localization::LocalizerState;
 use crate::ros2::messages::FrameTag;
 use crate::sensors::history::KEEP_NS;
@@ -29,6 +30,12 @@ struct Ahead {
     since: Since,
     stamp_ns: i64,
     localizer: LocalizerState,
+}
+
+impl Physical for Foresight {
+    fn is_possible(&self) -> bool {
+        self.ahead.as_ref().is_none_or(|ahead| ahead.localizer.is_possible())
+    }
 }
 
 impl Foresight {

@@ -53,7 +53,6 @@ pub struct Recorded {
     pub counts: Counts,
     pub recorder: RecorderStatus,
     pub tally: Tally,
-    pub late_measurements: u64,
     pub warnings: Vec<String>,
 }
 
@@ -209,7 +208,7 @@ impl Pipeline {
         }
         let heard = self.synchroniser.knows_attitude();
         let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
-        let late_measurements = self.synchroniser.too_late();
+        self.count_measurements();
         let Settings { field, filter, .. } = &self.settings;
         let strange = warnings::strange_field(filter, field, &self.tally.invalid, counts.tagged);
         let blind = warnings::no_picture(&self.tally.invalid, counts.tagged);
@@ -217,10 +216,12 @@ impl Pipeline {
         let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
         let unusable = warnings::unusable_weights(self.tally.unusable_weights);
         let lens = self.tagger.lens_off().as_ref().and_then(warnings::wrong_lens);
-        let all = [attitude, strange, blind, lying, small, lens, unusable];
+        let impossible = warnings::impossible_measurements(self.tally.impossible_measurements);
+        let begun_anew = warnings::begun_anew(self.tally.begun_anew);
+        let all = [attitude, strange, blind, lying, small, lens, impossible, unusable, begun_anew];
         let warnings = all.into_iter().flatten().collect();
         let tally = core::mem::take(&mut self.tally);
-        (Some(Recorded { session, counts, recorder, tally, late_measurements, warnings }), ended)
+        (Some(Recorded { session, counts, recorder, tally, warnings }), ended)
     }
 
     fn end(&mut self) -> Result<(), AgentError> {
@@ -325,6 +326,7 @@ impl Pipeline {
         self.stamp(&mut tag, frame.stamp_ns);
         self.sequence += 1;
         self.tally.unusable_weights = self.tagger.unusable_weights();
+        self.tally.begun_anew = self.tagger.begun_anew();
         self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
         let pose = tag.valid.then(|| intake::isometry(&tag.pose.pose.position, &tag.pose.pose.orientation));
@@ -422,20 +424,24 @@ impl Pipeline {
         Ok(SessionWriter::create(Arc::new(Disk), captures, &name, &info, state, *writing)?)
     }
 
+    fn count_measurements(&mut self) {
+        self.tally.late_measurements = self.synchroniser.too_late();
+        self.tally.impossible_measurements = self.synchroniser.impossible();
+    }
+
     fn report_diagnostics(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
         if log_time_ns.saturating_sub(self.last_diagnostics_ns) < DIAGNOSTICS_EVERY_NS {
             return Ok(());
         }
         self.last_diagnostics_ns = log_time_ns;
+        self.count_measurements();
         let Some(session) = &mut self.session else { return Ok(()) };
-        let late = self.synchroniser.too_late();
         let Settings { robot, filter, .. } = &self.settings;
         let report = self.tally.diagnostics(
             log_time_ns,
             robot,
             &session.counts(),
             session.status().conserved,
-            late,
             filter.budget_ms,
         );
         Ok(session.diagnostics(log_time_ns, &report)?)

@@ -117,7 +117,7 @@ impl Run {
             (Err(error), _, None) => return Err(error),
             (Err(error), _, Some(session)) => return Err(ReplayError::Broken { source: Box::new(error), session }),
         };
-        let Recorded { counts, tally, late_measurements, warnings, .. } = recorded;
+        let Recorded { counts, tally, warnings, .. } = recorded;
         let mut report = self.report;
         report.warnings.extend(warnings);
         Ok(ReplayReport {
@@ -134,7 +134,8 @@ impl Run {
             untagged: counts.untagged,
             predicted: tally.predicted,
             bad_messages: tally.bad_messages,
-            late_measurements,
+            late_measurements: tally.late_measurements,
+            impossible_measurements: tally.impossible_measurements,
             first_bad_image: tally.first_bad_image,
             ..report
         })

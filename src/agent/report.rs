@@ -39,6 +39,8 @@ pub struct ReplayReport {
     pub bad_messages: u64,
     /// Measurements that came too late to be sorted in.
     pub late_measurements: u64,
+    /// Measurements that no robot can have made, by their numbers: recorded, not used.
+    pub impossible_measurements: u64,
     /// First image that did not decode, if any.
     pub first_bad_image: Option<String>,
     /// What makes tags worse than they need be, and what else a user will want to know.

@@ -73,6 +73,11 @@ impl Tagger {
         self.localizer.unusable_weights()
     }
 
+    /// Frames so far after which everything was forgotten; see [`Localizer::begun_anew`].
+    pub fn begun_anew(&self) -> u64 {
+        self.localizer.begun_anew()
+    }
+
     /// How the lens differs from its calibration.
     pub fn lens_off(&self) -> Option<LensOff> {
         self.localizer.lens_off()

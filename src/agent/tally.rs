@@ -27,6 +27,12 @@ pub struct Tally {
     pub without_tilt: u64,
     /// Particles' weights that were NaN or +inf.
     pub unusable_weights: u64,
+    /// Measurements that no robot can have made, by their numbers.
+    pub impossible_measurements: u64,
+    /// Measurements that came too late to be sorted in.
+    pub late_measurements: u64,
+    /// Frames after which localization forgot everything, since a number was not finite.
+    pub begun_anew: u64,
 }
 
 impl Tally {
@@ -68,7 +74,6 @@ impl Tally {
         robot: &str,
         counts: &Counts,
         conserved: bool,
-        late: u64,
         budget_ms: f64,
     ) -> DiagnosticArray {
         let value = |key: &str, value: u64| KeyValue { key: key.to_owned(), value: value.to_string() };
@@ -79,8 +84,10 @@ impl Tally {
             value("frames_valid", counts.valid),
             value("frames_thinned", counts.thinned),
             value("bad_messages", self.bad_messages),
-            value("late_measurements", late),
+            value("late_measurements", self.late_measurements),
+            value("impossible_measurements", self.impossible_measurements),
             value("unusable_weights", self.unusable_weights),
+            value("begun_anew", self.begun_anew),
         ];
         let causes = [("dropped", &counts.dropped), ("untagged", &counts.untagged), ("lost", &counts.lost)];
         for (what, causes) in causes {

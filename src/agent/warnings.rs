@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::effort::EffortTally;
 use super::report::Quantiles;
 use crate::config::{FilterConfig, FrameNames};
+use crate::geometry::physical::MOST;
 use crate::localization::LensOff;
 use crate::ros2::messages::{Imu, Message};
 use crate::sensors::synchroniser::GONE_NS;
@@ -98,6 +99,23 @@ pub fn unusable_weights(count: u64) -> Option<String> {
     })
 }
 
+/// No robot can have measured it: a driver's or a filter's fault, which tags have survived.
+pub fn impossible_measurements(count: u64) -> Option<String> {
+    (count > 0).then(|| {
+        format!(
+            "{count} measurements hold numbers that are not finite, beyond {MOST:e} (metres, radians, radians per second), or \
+             no covariance: they were recorded, but not used"
+        )
+    })
+}
+
+/// A fault of this program, which cost the pose.
+pub fn begun_anew(count: u64) -> Option<String> {
+    (count > 0).then(|| {
+        format!("after {count} frames localization began anew, since a number was not finite: please report this log")
+    })
+}
+
 /// Where the attitude comes from, if it does.
 #[derive(Clone, Debug)]
 pub struct AttitudeSource {
@@ -180,9 +198,12 @@ mod tests {
     }
 
     #[test]
-    fn unusable_weights_are_told_and_counted() {
+    fn faults_of_numbers_are_told_and_counted() {
         assert_eq!(unusable_weights(0), None);
         assert!(unusable_weights(7).expect("told").starts_with("7 weights"));
+        assert_eq!((impossible_measurements(0), begun_anew(0)), (None, None));
+        assert!(impossible_measurements(3).expect("told").starts_with("3 measurements"));
+        assert!(begun_anew(2).expect("told").starts_with("after 2 frames"));
     }
 
     #[test]

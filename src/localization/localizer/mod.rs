@@ -344,7 +344,7 @@ impl Localizer {
     /// any more.
     pub fn foresee(&mut self, moment: &Moment, reason: &'static str) -> Option<Fix> {
         let fix = self.coast(moment, reason);
-        (self.state.standing.is_known() && !is_lost(&fix.covariance)).then_some(fix)
+        (fix.doubt != Some(NUMERICAL_FAULT) && self.state.standing.is_known() && !is_lost(&fix.covariance)).then_some(fix)
     }
 
     /// Goes on from another state, and hands out its own.
