@@ -413,7 +413,8 @@ impl Pipeline {
             robot: settings.robot.clone(),
             started: started.to_string(),
             source: self.recording.source.clone(),
-            settings: settings.clone(),
+            // With the topics that were found: whoever reads the capture need not look for them again.
+            settings: Settings { topics: self.topics.clone(), ..settings.clone() },
             field: self.dimensions.clone(),
             lens: self.lens.clone(),
             body_masks: self.body_masks.clone(),

@@ -61,6 +61,12 @@ pub struct Played {
     pub seconds: f64,
 }
 
+impl Played {
+    fn is_nothing(&self) -> bool {
+        [self.images, self.odometry, self.attitudes, self.lost].iter().all(|count| *count == 0)
+    }
+}
+
 #[derive(Debug, Error)]
 pub enum PlayError {
     #[error(transparent)]
@@ -77,8 +83,8 @@ pub enum PlayError {
         "{}: no capture, for there is no session.json with it; `realitysim replay LOG -o DIR` makes one of a log", .0.display()
     )]
     NotACapture(PathBuf),
-    #[error("{}: nothing in it can be played", .0.display())]
-    Nothing(PathBuf),
+    #[error("{}: nothing in it can be played: {what}", path.display())]
+    Nothing { path: PathBuf, what: String },
 }
 
 /// Something that happens at a time.
@@ -138,7 +144,15 @@ fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Play
             break;
         }
     }
-    if first_ns.is_none() { Err(PlayError::Nothing(path.to_owned())) } else { Ok(stage.played()) }
+    let played = stage.played();
+    if played.is_nothing() && !stop.load(Ordering::Relaxed) {
+        let images = options.video.iter().map(|_| format!("no image on {}", topics.image));
+        let steps = options.serial.iter().map(|_| format!("no odometry on {}, no attitude on {}", topics.odometry, topics.imu));
+        let what = images.chain(steps).collect::<Vec<_>>().join(", ");
+        let what = format!("{what}, where its session.json (settings.topics) says that they are");
+        return Err(PlayError::Nothing { path: path.to_owned(), what });
+    }
+    Ok(played)
 }
 
 /// The stored JPEG itself, or one made of raw pixels.

@@ -48,6 +48,7 @@ pub fn run(arguments: &CutArguments, json: bool) -> anyhow::Result<Outcome> {
     let named = arguments.settings.files();
     let inputs: Vec<&Path> = named.iter().map(PathBuf::as_path).chain([source.as_path()]).collect();
     paths::check_output(&arguments.output, &inputs)?;
+    paths::check_replaceable(&arguments.output, mcap::MAGIC)?;
     let settings = match session_holding(source) {
         Some(session) => read_info(&session)?.settings,
         None => arguments.settings.resolve()?,

@@ -136,6 +136,9 @@ fn add(arguments: &AddArguments, json: bool) -> anyhow::Result<Outcome> {
 
 fn report_added(added: &Added, db: &Path, json: bool) -> anyhow::Result<Outcome> {
     output::losses(&added.losses);
+    for empty in &added.empty {
+        eprintln!("realitysim: nothing came of {empty}");
+    }
     if json {
         output::json(added)?;
     } else {
@@ -150,7 +153,7 @@ fn report_added(added: &Added, db: &Path, json: bool) -> anyhow::Result<Outcome>
         };
         output::lines(&format!("{} images in {}{left_out}", added.images, db.display()))?;
     }
-    Ok(Outcome::of(&added.losses))
+    Ok(if added.images == 0 { Outcome::NotReached } else { Outcome::of(&added.losses) })
 }
 
 fn remove(arguments: &RemoveArguments, json: bool) -> anyhow::Result<Outcome> {

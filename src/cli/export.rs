@@ -9,7 +9,8 @@ use anyhow::bail;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::paths::{cannot_write, check_output};
+use super::paths::{cannot_write, check_old, check_output};
+use super::settings::UsageError;
 use super::{Outcome, output};
 use crate::evaluation::capture::{Readout, losses, read_tags};
 use crate::recording::{Loss, read_info, topic};
@@ -68,6 +69,10 @@ pub fn run(arguments: &ExportArguments, json: bool) -> anyhow::Result<Outcome> {
 
 fn tum(tags: &[FrameTag], path: &Path) -> anyhow::Result<usize> {
     let failed = |error| cannot_write(path, error);
+    if !tags.iter().any(|tag| tag.valid) {
+        bail!("nothing was written: none of its {} tags is valid", tags.len());
+    }
+    check_old(path, is_tum)?;
     let mut file = BufWriter::new(File::create(path).map_err(failed)?);
     let mut written = 0;
     for tag in tags.iter().filter(|tag| tag.valid) {
@@ -84,6 +89,14 @@ fn tum(tags: &[FrameTag], path: &Path) -> anyhow::Result<usize> {
     file.flush().map_err(failed)?;
     Ok(written)
 }
+
+/// Whether a file begins with a line as [`tum`] writes it.
+fn is_tum(old: &[u8]) -> bool {
+    let line = String::from_utf8_lossy(old).lines().next().unwrap_or_default().to_owned();
+    line.split(' ').filter(|number| number.parse::<f64>().is_ok()).count() == TUM_COLUMNS
+}
+
+const TUM_COLUMNS: usize = 8;
 
 /// A row of `tags.csv` and a line of `tags.jsonl`.
 #[derive(Serialize)]
@@ -110,6 +123,11 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
     let image_topic = image_topic(capture)?;
     let failed = |error| cannot_write(folder, error);
     fs::create_dir_all(folder).map_err(failed)?;
+    // What another export has written would stand among the files of this one.
+    if fs::read_dir(folder).map_err(failed)?.next().is_some() {
+        let what = "is not empty, and an export needs a folder of its own: name another, or remove what is in it first";
+        return Err(UsageError(format!("{}: {what}", folder.display())).into());
+    }
     let mut csv = BufWriter::new(File::create(folder.join("tags.csv")).map_err(failed)?);
     let mut jsonl = BufWriter::new(File::create(folder.join("tags.jsonl")).map_err(failed)?);
     writeln!(csv, "{CSV_HEAD}").map_err(failed)?;
@@ -164,6 +182,9 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
         lose(format!("{without} of {} tags have no image on {image_topic}", tags.len()));
     }
     if written == 0 {
+        for name in ["tags.csv", "tags.jsonl"] {
+            let _ = fs::remove_file(folder.join(name));
+        }
         let all: Vec<String> = lost.iter().map(ToString::to_string).collect();
         bail!("nothing was written: {}", all.join("; "));
     }

@@ -1,18 +1,23 @@
 //! Where results may go, and the file system's errors in words that say what to do.
 
-use std::io::{Error, ErrorKind};
+use std::fs::File;
+use std::io::{Error, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use super::inputs::with_what_they_name;
 use super::settings::UsageError;
 use crate::recording::session_holding;
+use crate::sensors::video_out::is_device_name;
 
-/// Refuses to write into a capture, which is never changed once it is there, or over what is being read: the inputs and
-/// whatever files these name.
+/// Refuses to write into a capture, which is never changed once it is there, over what is being read (the inputs and whatever
+/// files these name), or to make a file among the devices, where its name can only be a mistake.
 pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<(), UsageError> {
     let refused = |why: String| Err(UsageError(format!("{}: {why}: choose another place", output.display())));
     if let Some(session) = session_holding(output) {
         return refused(format!("lies in the capture {}, into which nothing else is written", session.display()));
+    }
+    if is_device_name(output) && output.metadata().is_err() {
+        return refused("there is no such device, and no file is made in its place".to_owned());
     }
     // What does not exist yet lies where its nearest existing folder lies.
     let place = std::path::absolute(output).ok().and_then(|path| nearest_existing(&path));
@@ -73,8 +78,46 @@ pub fn cannot_write(path: &Path, error: Error) -> anyhow::Error {
 
 /// A text, with the same words for the same errors.
 pub fn write(path: &Path, content: &str) -> anyhow::Result<()> {
+    write_bytes(path, content.as_bytes())
+}
+
+/// Of any kind; over no file of another kind.
+pub fn write_bytes(path: &Path, content: &[u8]) -> anyhow::Result<()> {
+    check_replaceable(path, content)?;
     std::fs::write(path, content).map_err(|error| cannot_write(path, error))
 }
+
+/// So much of a file says what kind it is: the magic of a log or a picture, the first word of a text.
+const KIND_BYTES: usize = 8;
+/// What tells JPEGs apart comes right behind this.
+const JPEG_BYTES: usize = 3;
+
+/// Refuses to replace a file that does not begin as what is to be written begins: it was named by mistake. An empty file, a pipe
+/// and a device may be written into.
+pub fn check_replaceable(path: &Path, content: &[u8]) -> Result<(), UsageError> {
+    let kind = if content.starts_with(JPEG) { JPEG_BYTES } else { KIND_BYTES };
+    check_old(path, |old| old.iter().zip(content).take(kind).all(|(old, new)| old == new))
+}
+
+const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
+
+/// The same where a beginning of the old file says more than its first bytes.
+pub fn check_old(path: &Path, is_ours: impl Fn(&[u8]) -> bool) -> Result<(), UsageError> {
+    if !path.is_file() {
+        return Ok(());
+    }
+    let mut old = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(MAX_OLD_BYTES).read_to_end(&mut old));
+    // What may not be read is somebody else's, too.
+    if read.is_ok() && (old.is_empty() || is_ours(&old)) {
+        return Ok(());
+    }
+    let what = "is there already and not of the kind that would be written: remove it first, or choose another place";
+    Err(UsageError(format!("{}: {what}", path.display())))
+}
+
+/// Of an old file: more than a line of ours.
+const MAX_OLD_BYTES: u64 = 1024;
 
 /// A folder to write into, made if it is not there.
 pub fn make_folder(path: &Path) -> anyhow::Result<()> {
@@ -88,6 +131,8 @@ pub fn temporary() -> anyhow::Result<tempfile::TempDir> {
 
 /// A picture, with the same words for the same errors.
 pub fn save(picture: &image::RgbImage, path: &Path) -> anyhow::Result<()> {
+    let is_picture = |old: &[u8]| old.starts_with(b"\x89PNG") || old.starts_with(JPEG);
+    check_old(path, is_picture)?;
     picture.save(path).map_err(|error| match error {
         image::ImageError::IoError(error) => cannot_write(path, error),
         image::ImageError::Unsupported(_) => {
@@ -122,6 +167,36 @@ mod tests {
         assert!(said.ends_with("its folder does not exist: make it first"), "{said}");
         let said = save(&picture, &path).unwrap_err().to_string();
         assert!(said.ends_with("none/x: its name must end in .png or .jpg"), "{said}");
+    }
+
+    #[test]
+    fn a_file_of_another_kind_is_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("thesis.txt");
+        let png = b"\x89PNG\r\n\x1a\nold".as_slice();
+        for (old, new, may) in [
+            (b"my thesis".as_slice(), b"a,b\n1,2\n".as_slice(), false),
+            (b"a,b\n9,9\n", b"a,b\n1,2\n", true),
+            (b"", b"a,b\n", true),
+            (png, b"a,b\n", false),
+            (b"\xff\xd8\xff\xe1Exif", b"\xff\xd8\xff\xe0JFIF", true),
+            (b"\xff", b"\xff\xd8\xff\xe0JFIF", true),
+        ] {
+            fs::write(&path, old).unwrap();
+            assert_eq!(write_bytes(&path, new).is_ok(), may, "{old:?}");
+            assert_eq!(fs::read(&path).unwrap(), if may { new } else { old });
+        }
+        fs::write(&path, "my thesis").unwrap();
+        let said = save(&image::RgbImage::new(1, 1), &path).unwrap_err().to_string();
+        assert!(said.contains("thesis.txt: is there already and not of the kind"), "{said}");
+    }
+
+    #[test]
+    fn no_file_is_made_among_devices() {
+        let device = Path::new("/dev/video-realitysim-test");
+        let said = check_output(device, &[]).unwrap_err().to_string();
+        assert!(said.contains("there is no such device"), "{said}");
+        check_output(Path::new("/dev/null"), &[]).unwrap();
     }
 
     #[test]

@@ -15,13 +15,13 @@ use crate::geometry::{Euler, Isometry};
 
 /// Play a capture, or a way through a database, to where a robot's devices are
 ///
-/// Images go to a V4L2 output (v4l2loopback, vivid), a file or a pipe; odometry and attitude as MAVLink to a serial line or pty: software made
+/// Images go to a V4L2 output (v4l2loopback, vivid), a new file or a pipe; odometry and attitude as MAVLink to a serial line or pty: software made
 /// for the robot runs on them unchanged. In the time of the recording, gaps cut to two seconds.
 #[derive(Args)]
 pub struct PlayArguments {
     /// A capture, or a .csv with the head t,x,y,z,yaw_deg,pitch_deg,roll_deg: seconds and poses of camera_link in map
     source: PathBuf,
-    /// Images go here: /dev/videoN, or a file or pipe, which gets one JPEG after the other
+    /// Images go here: /dev/videoN, or a pipe or a new file, which gets one JPEG after the other
     #[arg(long, value_name = "PATH", required_unless_present = "serial")]
     video: Option<PathBuf>,
     /// Odometry and attitude go here, as MAVLink

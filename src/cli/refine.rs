@@ -10,7 +10,7 @@ use super::settings::UsageError;
 use super::{Outcome, output};
 use crate::agent::refining::{Found, RefinedInfo, Refining, refine};
 use crate::config::Settings;
-use crate::database::{Gallery, add, leave_one_out};
+use crate::database::{DatabaseError, Gallery, add, leave_one_out};
 use crate::evaluation::Summary;
 use crate::evaluation::capture::read_truth;
 use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
@@ -136,7 +136,10 @@ fn psnr(capture: &Path, views: usize) -> anyhow::Result<Option<Summary>> {
     let folder = temporary()?;
     let db = folder.path().join("db");
     // A walk in the wrong half is as consistent in itself.
-    add(&db, &[capture.to_owned()], None, true, &mut |_| ())?;
+    match add(&db, &[capture.to_owned()], None, true, &mut |_| ()) {
+        Err(DatabaseError::Nothing(_)) => return Ok(None),
+        added => added?,
+    };
     let settings = crate::config::ViewsSettings { goals: false, ..Settings::default().views };
     let gallery = Gallery::open(&db, &settings)?;
     let found = leave_one_out(&gallery, views, &mut |_| ())?;

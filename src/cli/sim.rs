@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::paths::{cannot_write, check_output};
+use super::paths::{cannot_write, check_output, check_replaceable};
 use super::{Outcome, output};
 use crate::ros2::mcap_write::{LogWriter, RawChannel, WriteError};
 use crate::scene::Scene;
@@ -57,6 +57,7 @@ pub fn render(scene: &Scene, log: &Path) -> anyhow::Result<Report> {
         WriteError::Io(error) => cannot_write(log, error),
         error => anyhow::Error::new(error).context(log.display().to_string()),
     };
+    check_replaceable(log, mcap::MAGIC)?;
     let file = File::create(log).map_err(|error| cannot_write(log, error))?;
     let mut writer = LogWriter::new(BufWriter::with_capacity(1 << 20, file)).map_err(failed)?;
     let mut channels = BTreeMap::new();

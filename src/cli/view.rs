@@ -8,7 +8,7 @@ use glam::DVec3;
 use image::RgbImage;
 use serde::Serialize;
 
-use super::paths::{cannot_write, check_output, save};
+use super::paths::{check_output, save, write_bytes};
 use super::settings::UsageError;
 use super::{Outcome, output};
 use crate::config::{Settings, load_lens};
@@ -223,7 +223,7 @@ fn apply(stage: &Stage, frame: u64, world: &World, shown: &mut Shown) -> Vec<&'s
 fn write(shown: &Shown, path: &std::path::Path) -> anyhow::Result<()> {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     match &shown.stored {
-        Some(bytes) if is_of(bytes, &ending) => std::fs::write(path, bytes).map_err(|error| cannot_write(path, error)),
+        Some(bytes) if is_of(bytes, &ending) => write_bytes(path, bytes),
         _ => save(&picture(&shown.answer.image), path),
     }
 }

@@ -11,7 +11,7 @@ use image::imageops::{self, FilterType};
 use jpeg_encoder::ColorType;
 use serde::Serialize;
 
-use super::paths::{cannot_write, check_output, make_folder, save, write};
+use super::paths::{check_output, make_folder, save, write, write_bytes};
 use super::settings::planar_pose;
 use super::{Outcome, output};
 use crate::agent::single::Known;
@@ -157,7 +157,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     let video =
         avi(&jpegs, camera.width() as u32, camera.height() as u32, PER_SECOND).context("too long for an AVI")?;
     let path = folder.join("walk.avi");
-    std::fs::write(&path, video).map_err(|error| cannot_write(&path, error))?;
+    write_bytes(&path, &video)?;
     write(&folder.join("walk.csv"), &csv(&steps))?;
     let report = report(&steps, folder.clone());
     if json {

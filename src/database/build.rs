@@ -29,12 +29,14 @@ pub struct Added {
     /// Of these, for a valid tag that does not know which half of the field it is in.
     pub ambiguous: u64,
     pub losses: Vec<Loss>,
+    /// Sources that nothing came of, and why.
+    pub empty: Vec<Loss>,
 }
 
 /// How many images have been read.
 pub type Progress<'a> = &'a mut dyn FnMut(u64);
 
-/// Adds captures and folders of images. `field` is for folders, which do not name theirs; a database has one field.
+/// Adds captures and folders of images; if there is no image in any of them, nothing is changed, and why is told. `field` is for folders, which do not name theirs; a database has one field.
 /// `with_ambiguous`: as well what may as likely stand in the other half of the field.
 pub fn add(
     folder: &Path,
@@ -59,6 +61,9 @@ pub fn add(
     for path in sources_of(paths, catalogue.as_ref())? {
         let read = sources::read(&path, with_ambiguous, progress)?;
         take(folder, &mut catalogue, &mut records, read, field, &mut added)?;
+    }
+    if added.images == 0 {
+        return Err(DatabaseError::Nothing([added.losses, added.empty].concat()));
     }
     if let Some(catalogue) = catalogue {
         publish(folder, catalogue, records)?;
@@ -127,7 +132,7 @@ fn alone(folder: &Path) -> Result<fs::File, DatabaseError> {
         }
         _ => {}
     }
-    let file = fs::File::create(&path).map_err(io(&path))?;
+    let file = fs::File::options().write(true).create(true).truncate(false).open(&path).map_err(io(&path))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(fs::TryLockError::WouldBlock) => Err(DatabaseError::Busy { path: folder.to_owned() }),
@@ -145,7 +150,7 @@ fn take(
     field: Option<&FieldDimensions>,
     added: &mut Added,
 ) -> Result<(), DatabaseError> {
-    let Read { mut source, records: found, field: own, ambiguous, losses, lit, bodies } = read;
+    let Read { mut source, records: found, field: own, ambiguous, losses, empty, lit, bodies } = read;
     let at = source.path.clone();
     let path = || at.clone();
     let wanted = own.as_ref().or(field);
@@ -170,6 +175,7 @@ fn take(
     added.left_out += source.left_out;
     added.ambiguous += ambiguous;
     added.losses.extend(losses);
+    added.empty.extend(empty);
     if let Some(mask) = lit.mask(source.lens.width as usize) {
         let shows: Vec<bool> = mask.iter().map(|pixel| *pixel > 0).collect();
         let circle_deg = circle_deg(&source.lens, &without_rim(&shows, source.lens.width as usize));

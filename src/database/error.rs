@@ -7,7 +7,7 @@ use thiserror::Error;
 use crate::config::ConfigError;
 use crate::evaluation::capture::EvaluationError;
 use crate::geometry::{FieldError, LensError};
-use crate::recording::RecordingError;
+use crate::recording::{Loss, RecordingError};
 use crate::sensors::log::LogError;
 use crate::views::ViewError;
 
@@ -45,6 +45,8 @@ pub enum DatabaseError {
     Busy { path: PathBuf },
     #[error("the database has no image")]
     Empty,
+    #[error("nothing was added: {}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    Nothing(Vec<Loss>),
     #[error(transparent)]
     View(#[from] ViewError),
     #[error(transparent)]

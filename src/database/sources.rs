@@ -35,6 +35,8 @@ pub(super) struct Read {
     /// Left out although their tag is valid: it does not know which half of the field it is in.
     pub(super) ambiguous: u64,
     pub(super) losses: Vec<Loss>,
+    /// If there is no record, why.
+    pub(super) empty: Option<Loss>,
     pub(super) lit: Lit,
     /// What is the robot's own body, if the source says so itself.
     pub(super) bodies: Vec<BodyMask>,
@@ -103,7 +105,7 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
     let topic = info.settings.topics.image.clone();
     let mut log = LogSource::with_outputs(files.clone(), Selection::topics([topic.as_str()]));
     let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), Lit::default());
-    let mut other_sizes = 0;
+    let (mut other_sizes, mut images) = (0, 0_u64);
     let size = [lens.width as usize, lens.height as usize];
     loop {
         let message = log.next().transpose()?;
@@ -114,6 +116,7 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
             done(records.len() as u64);
         }
         let Some(message) = message else { break };
+        images += 1;
         let tag = decode::stamp_ns(&message).ok().and_then(|stamp| waiting.get_mut(&stamp)?.pop_front());
         let place =
             log.place().and_then(|(file, at)| Some((files.iter().position(|known| *known == *file)? as u32, at)));
@@ -136,6 +139,21 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
         let what = format!("{other_sizes} images are not of the size of its lens, {} x {}: left out", size[0], size[1]);
         losses.push(Loss::new(&path, what));
     }
+    let empty = records.is_empty().then(|| {
+        let valid = tags.iter().filter(|tag| tag.valid).count();
+        let what = match (images, valid, tags.len()) {
+            (0, ..) => format!(
+                "no image on {topic}, where its session.json (settings.topics.image) says that they are; `realitysim replay` makes a capture of \
+                 its segments anew"
+            ),
+            (_, 0, tags) => format!("none of its {tags} tags is valid"),
+            (_, valid, _) if ambiguous == valid as u64 => {
+                format!("none of its {valid} valid tags knows which half of the field it is in (--ambiguous takes them)")
+            }
+            _ => format!("none of its {images} images on {topic} has a valid tag, the size of its lens, and decodes"),
+        };
+        Loss::new(&path, what)
+    });
     let relative = |file: &PathBuf| file.strip_prefix(&path).map(Path::to_owned).unwrap_or_default();
     let source = Source {
         kind: SourceKind::Capture,
@@ -153,7 +171,7 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
         path,
     };
     let bodies = info.body_masks.iter().filter_map(|runs| BodyMask::from_runs(size[0], size[1], runs)).collect();
-    Ok(Read { source, records, field: Some(info.field), ambiguous, losses, lit, bodies })
+    Ok(Read { source, records, field: Some(info.field), ambiguous, losses, empty, lit, bodies })
 }
 
 /// Where in a message the stored bytes begin, these, and what they are.
@@ -291,6 +309,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         what: format!("{POSES} names no image that can be read"),
     })?;
     let bodies = body_of(&path, &lens)?.into_iter().collect();
+    let empty = records.is_empty().then(|| Loss::new(&path, "none of its images can be read"));
     let (kind, images) = (SourceKind::Folder, records.len() as u64);
     let source = Source {
         kind,
@@ -305,7 +324,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         with_ambiguous: false,
         goals: true,
     };
-    Ok(Read { source, records, field: None, ambiguous: 0, losses, lit, bodies })
+    Ok(Read { source, records, field: None, ambiguous: 0, losses, empty, lit, bodies })
 }
 
 fn finish(batch: &mut Vec<(Record, Vec<u8>)>, lens: &Option<LensParameters>, records: &mut Vec<Record>, lit: &mut Lit) {

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::acknowledgement::{ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, is_receiver};
+use super::apart::is_probe;
 use super::coverage::COVERAGE_FILE;
 use super::identity::{Head, SessionId};
 use super::manifest::{
@@ -192,7 +193,7 @@ impl Session {
             }
             Kind::File(_) if name == PIN_FILE => self.pinned = true,
             Kind::File(_) if name.strip_suffix(ACTIVE).is_some_and(is_segment_name) => self.open = true,
-            Kind::File(_) if is_own_file(name) => {}
+            Kind::File(_) if is_own_file(name) || is_probe(name.as_ref()) => {}
             Kind::Folder if name == REFINED_FOLDER => self.is_refined = true,
             Kind::Folder if name == ACK_FOLDER => {}
             Kind::File(_) if is_damaged_name(name) => {
@@ -286,6 +287,9 @@ fn read_received(storage: &dyn Storage, path: &Path, set_aside: &mut Vec<SetAsid
 fn read_acknowledged(storage: &dyn Storage, folder: &Path, set_aside: &mut Vec<SetAside>) -> Acknowledged {
     let mut all = Acknowledged::new();
     for entry in storage.list(folder).unwrap_or_default() {
+        if is_probe(entry.name.as_ref()) {
+            continue;
+        }
         let path = folder.join(&entry.name);
         let receiver = entry.name.strip_suffix(ACK_ENDING).filter(|receiver| is_receiver(receiver));
         let Some(receiver) = receiver.filter(|_| all.len() < MAX_RECEIVERS) else {

@@ -37,6 +37,7 @@ pub struct SessionInfo {
     pub started: String,
     /// The log or scene that was replayed.
     pub source: Option<String>,
+    /// As they were used: `topics` are those that the log was found to have. Everything that reads a capture goes by them.
     pub settings: Settings,
     pub field: FieldDimensions,
     pub lens: LensParameters,

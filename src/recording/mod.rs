@@ -2,6 +2,7 @@
 //! promised of them, and how it is tested: docs/recording.md.
 
 mod acknowledgement;
+mod apart;
 pub mod catalogue;
 mod coverage;
 mod entry;
@@ -35,6 +36,7 @@ pub use acknowledgement::{
     ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER, is_receiver, receiver_of,
     receivers_of, silence,
 };
+pub use apart::{NotApart, is_probe, prove_apart};
 pub use catalogue::{Received, Session, SetAside};
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
 pub use error::RecordingError;

@@ -1,4 +1,4 @@
-//! Pictures to where a camera's would come from: a V4L2 output (v4l2loopback, vivid), or any file or pipe.
+//! Pictures to where a camera's would come from: a V4L2 output (v4l2loopback, vivid), a new file or a pipe.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
@@ -33,20 +33,27 @@ pub enum VideoOutError {
     Open { path: PathBuf, source: io::Error },
     #[error("{}: takes neither MJPG nor YUYV of {width} x {height}: is it a v4l2loopback device, and free?", path.display())]
     Format { path: PathBuf, width: u32, height: u32 },
+    #[error(
+        "{}: there is no such device (docs/hardware.md: v4l2loopback; `realitysim info DEVICE` shows what one can), and no file is made in its \
+         place", .0.display()
+    )]
+    NoDevice(PathBuf),
+    #[error("{}: is there already, and no file is written over: name a new file, a pipe or a V4L2 output", .0.display())]
+    Taken(PathBuf),
     #[error("{}: this build knows no V4L2 devices: build it with the feature v4l2", .0.display())]
     NoV4l2(PathBuf),
 }
 
 impl VideoOut {
+    /// A device or a pipe that is there, or a file that is not: none is written over, and none made where devices are.
     pub fn open(path: &Path, width: u32, height: u32) -> Result<Self, VideoOutError> {
         let opened = |source| VideoOutError::Open { path: path.to_owned(), source };
-        let is_device = path.metadata().is_ok_and(|meta| meta.file_type().is_char_device());
-        if is_device {
-            return device(path, width, height);
-        }
-        let file = match path.metadata().is_ok_and(|meta| meta.file_type().is_fifo()) {
-            true => pipe(path).map_err(opened)?,
-            false => OpenOptions::new().write(true).create(true).truncate(true).open(path).map_err(opened)?,
+        let file = match path.metadata().map(|meta| meta.file_type()) {
+            Ok(kind) if kind.is_char_device() => return device(path, width, height),
+            Ok(kind) if kind.is_fifo() => pipe(path).map_err(opened)?,
+            Ok(_) => return Err(VideoOutError::Taken(path.to_owned())),
+            Err(_) if is_device_name(path) => return Err(VideoOutError::NoDevice(path.to_owned())),
+            Err(_) => OpenOptions::new().write(true).create_new(true).open(path).map_err(opened)?,
         };
         Ok(Self { writer: Box::new(file), form: OutputForm::Mjpeg })
     }
@@ -56,6 +63,17 @@ impl VideoOut {
         self.writer.write_all(picture)
     }
 }
+
+/// Whether it would lie, or its link leads, among the devices, where a file of this name could only be a mistake.
+pub fn is_device_name(path: &Path) -> bool {
+    let path = path.read_link().map_or_else(|_| path.to_owned(), |to| path.parent().unwrap_or(path).join(to));
+    let folder = std::path::absolute(path).ok().and_then(|path| path.parent()?.canonicalize().ok());
+    folder.is_some_and(|folder| folder.starts_with(DEVICES) && !folder.starts_with(SHARED_MEMORY))
+}
+
+const DEVICES: &str = "/dev";
+/// In it, but a place for files.
+const SHARED_MEMORY: &str = "/dev/shm";
 
 /// One that nobody reads yet is not waited for.
 fn pipe(path: &Path) -> io::Result<File> {
@@ -143,5 +161,23 @@ mod tests {
         assert_eq!(std::fs::read(&path).expect("there"), b"onetwo");
         let said = VideoOut::open(Path::new("/dev/null"), 4, 4).err().expect("no camera").to_string();
         assert!(said.contains("/dev/null"), "{said}");
+    }
+
+    #[test]
+    fn nothing_is_made_among_devices_and_nothing_written_over() {
+        let refused = |path: &Path| VideoOut::open(path, 4, 4).err().expect("refused").to_string();
+        let folder = tempfile::tempdir().expect("a folder");
+        let device = Path::new("/dev/video-realitysim-test");
+        assert!(refused(device).contains("there is no such device"));
+        let link = folder.path().join("camera");
+        std::os::unix::fs::symlink(device, &link).expect("linked");
+        assert!(refused(&link).contains("there is no such device"));
+        assert!(!device.exists(), "a file among the devices");
+        let mine = folder.path().join("notes.txt");
+        std::fs::write(&mine, "mine").expect("written");
+        assert!(refused(&mine).contains("no file is written over"));
+        assert_eq!(std::fs::read(&mine).expect("there"), b"mine");
+        assert!(refused(folder.path()).contains("is there already"));
+        assert!(!is_device_name(Path::new("/dev/shm/x")) && is_device_name(Path::new("/dev/../dev/x")));
     }
 }

@@ -37,6 +37,15 @@ impl Reason {
     }
 }
 
+/// What was found of a session somewhere else.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Copy {
+    Whole,
+    /// It may be the session itself; why.
+    Doubted(String),
+    None,
+}
+
 /// What is to become of a session.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Decision {
@@ -49,12 +58,12 @@ pub struct Decision {
     pub relies_on_copy: bool,
 }
 
-/// In the order of [`releasable`], whole sessions only. `own` is this folder's own name as a receiver. `has_copy` says whether a
-/// session was found whole somewhere else just now.
+/// In the order of [`releasable`], whole sessions only. `own` is this folder's own name as a receiver. `copy_of` says whether a
+/// session was found whole somewhere else just now, and where what was found does not count, why.
 pub fn decide(
     sessions: &[Session],
     own: Option<&str>,
-    has_copy: &dyn Fn(&Session) -> bool,
+    copy_of: &dyn Fn(&Session) -> Copy,
     goal: &Goal,
 ) -> Vec<Decision> {
     let asked = sessions.iter().filter(|session| is_asked(session, goal));
@@ -63,7 +72,7 @@ pub fn decide(
     for releasable in releasable(asked, own) {
         let session = releasable.session;
         let bytes = saturating_sum(session.segments.values().copied());
-        let verdict = verdict(&releasable, has_copy, goal);
+        let verdict = verdict(&releasable, copy_of, goal);
         let (goes, why) = match verdict.clone() {
             Ok(_) if goal.bytes.is_some_and(|enough| gone >= enough) => (false, "enough room without it".to_owned()),
             Ok(reason) => (true, reason.said().to_owned()),
@@ -84,7 +93,7 @@ fn is_asked(session: &Session, goal: &Goal) -> bool {
 /// Why it may go, or why not.
 fn verdict(
     Releasable { session, segments }: &Releasable,
-    has_copy: &dyn Fn(&Session) -> bool,
+    copy_of: &dyn Fn(&Session) -> Copy,
     goal: &Goal,
 ) -> Result<Reason, String> {
     if session.open {
@@ -109,10 +118,12 @@ fn verdict(
     if all == safe {
         return Ok(Reason::Acknowledged);
     }
-    if has_copy(session) {
-        return Ok(Reason::CopyVerified);
+    let nowhere = format!("{} of {all} segments are known to be nowhere else", all - safe);
+    match copy_of(session) {
+        Copy::Whole => Ok(Reason::CopyVerified),
+        Copy::Doubted(why) => Err(format!("{nowhere}; {why}")),
+        Copy::None => Err(nowhere),
     }
-    Err(format!("{} of {all} segments are known to be nowhere else", all - safe))
 }
 
 #[cfg(test)]
@@ -159,7 +170,7 @@ mod tests {
     }
 
     fn gone(sessions: &[Session], own: Option<&str>, goal: &Goal) -> Vec<String> {
-        let decisions = decide(sessions, own, &|_| false, goal);
+        let decisions = decide(sessions, own, &|_| Copy::None, goal);
         decisions.into_iter().filter(|decision| decision.goes).map(|decision| decision.session).collect()
     }
 
@@ -179,8 +190,11 @@ mod tests {
         let all = [session(1, &[]), session(2, &["own"]), session(3, &["own", "other"])];
         assert_eq!(gone(&all, Some("own"), &Goal::default()), ["day-3"]);
         assert_eq!(gone(&all, Some("own"), &Goal { force: true, ..Goal::default() }).len(), 3);
-        let copies = decide(&all, Some("own"), &|session| session.name == "day-1", &Goal::default());
+        let of = |session: &Session| if session.name == "day-1" { Copy::Whole } else { Copy::None };
+        let copies = decide(&all, Some("own"), &of, &Goal::default());
         assert_eq!(copies.iter().filter(|decision| decision.goes).count(), 2);
+        let doubted = decide(&all, Some("own"), &|_| Copy::Doubted("the same".into()), &Goal::default());
+        assert_eq!(doubted.iter().filter(|decision| decision.why.ends_with("nowhere else; the same")).count(), 2);
     }
 
     #[test]

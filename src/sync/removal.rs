@@ -9,10 +9,10 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use super::error::{SyncError, io};
-use super::prune::{Decision, Goal, decide};
+use super::prune::{Copy, Decision, Goal, decide};
 use super::store::{Store, is_as_recorded};
 use crate::recording::catalogue::{session_at, sessions_in};
-use crate::recording::{Session, Turn, receiver_of, silence, sync_folder};
+use crate::recording::{Session, Turn, is_probe, prove_apart, receiver_of, silence, sync_folder};
 
 /// What may go from `captures`, and why. What lies in one of `copies` whole, by its hash, counts as being elsewhere.
 pub struct Removal<'a> {
@@ -20,8 +20,15 @@ pub struct Removal<'a> {
     copies: &'a [PathBuf],
     sessions: &'a [Session],
     /// Of a session that was found whole in a copy, the copy's files as they were then.
-    found: BTreeMap<PathBuf, Vec<Found>>,
+    found: BTreeMap<PathBuf, FoundCopy>,
     pub decisions: Vec<Decision>,
+}
+
+/// A session's folder in another folder of captures, proven to be other storage, and its files.
+#[derive(Clone, Debug)]
+struct FoundCopy {
+    folder: PathBuf,
+    files: Vec<Found>,
 }
 
 /// A file that was read and found as recorded.
@@ -39,16 +46,25 @@ const CHANGED: &str = "changed while it was looked at: prune again";
 const HIDDEN: &str = ".pruned-";
 
 impl<'a> Removal<'a> {
-    /// Reads every segment of the copies that matters; nothing is changed.
+    /// Reads every segment of the copies that matters. Nothing is changed, but that a file is written into both folders of a
+    /// session, and removed, to prove that they are not one.
     pub fn plan(captures: &'a Path, copies: &'a [PathBuf], sessions: &'a [Session], goal: &Goal) -> Self {
         let found = RefCell::new(BTreeMap::new());
-        let has_copy = |session: &Session| {
-            let whole = copies.iter().find_map(|copy| whole_in(session, copy));
-            let is_there = whole.is_some();
-            found.borrow_mut().extend(whole.map(|files| (session.folder.clone(), files)));
-            is_there
+        let copy_of = |session: &Session| {
+            let mut answer = Copy::None;
+            for copy in copies {
+                match copy_in(session, copy) {
+                    Ok(Some(whole)) => {
+                        found.borrow_mut().insert(session.folder.clone(), whole);
+                        return Copy::Whole;
+                    }
+                    Ok(None) => {}
+                    Err(why) => answer = Copy::Doubted(why),
+                }
+            }
+            answer
         };
-        let decisions = decide(sessions, receiver_of(captures).as_deref(), &has_copy, goal);
+        let decisions = decide(sessions, receiver_of(captures).as_deref(), &copy_of, goal);
         Self { captures, copies, sessions, found: found.into_inner(), decisions }
     }
 
@@ -77,9 +93,11 @@ impl<'a> Removal<'a> {
         let Self { captures, copies, .. } = self;
         let folders: Vec<&Path> = [*captures].into_iter().chain(copies.iter().map(PathBuf::as_path)).collect();
         let turns = Turn::in_folders(&folders).map_err(io(captures))?;
-        let found = self.found.get(&session.folder).map_or(&[][..], Vec::as_slice);
-        let is_as_found = found.iter().all(|file| stamp(&file.path).is_ok_and(|now| now == file.stamp));
-        if !session_at(&session.folder).is_ok_and(|now| now == *session) || (relies_on_copy && !is_as_found) {
+        let relied_on = self.found.get(&session.folder).filter(|_| relies_on_copy);
+        let is_as_found = || relied_on.is_none_or(FoundCopy::is_as_found);
+        // The folders may be others than those that were looked at: a disk goes, another comes under its name.
+        let is_apart = relied_on.is_none_or(|copy| prove_apart(&session.folder, &copy.folder).is_ok());
+        if !session_at(&session.folder).is_ok_and(|now| now == *session) || !is_as_found() || !is_apart {
             return Ok(None);
         }
         let held = names_in(&session.folder).map_err(io(&session.folder))?;
@@ -93,7 +111,8 @@ impl<'a> Removal<'a> {
         let hidden = captures.join(format!("{HIDDEN}{}", session.id.as_str()));
         fs::rename(&session.folder, &hidden).map_err(io(&session.folder))?;
         // Whoever does not know of turns has no way to it any more; what came in the last moment stays with the session.
-        if names_in(&hidden).map_err(io(&hidden))? != held {
+        // And the copy must be where it was although this has gone.
+        if names_in(&hidden).map_err(io(&hidden))? != held || !is_as_found() {
             fs::rename(&hidden, &session.folder).map_err(io(&hidden))?;
             return Ok(None);
         }
@@ -137,10 +156,17 @@ fn finish_earlier(captures: &Path) -> Result<(), SyncError> {
     Ok(())
 }
 
-/// The other folder's files, if every segment that is here lies there as it was recorded, and is another file.
-fn whole_in(session: &Session, copy: &Path) -> Option<Vec<Found>> {
-    let (others, _) = sessions_in(copy).ok()?;
-    let other = others.iter().find(|other| other.id == session.id)?;
+/// The other folder's session, if every segment that is here lies there as it was recorded, in another file; or why that is no
+/// copy.
+fn copy_in(session: &Session, copy: &Path) -> Result<Option<FoundCopy>, String> {
+    let Ok((others, _)) = sessions_in(copy) else { return Ok(None) };
+    let Some(other) = others.into_iter().find(|other| other.id == session.id) else { return Ok(None) };
+    prove_apart(&session.folder, &other.folder).map_err(|why| why.to_string())?;
+    let files = whole_in(session, &other);
+    Ok(files.map(|files| FoundCopy { folder: other.folder, files }))
+}
+
+fn whole_in(session: &Session, other: &Session) -> Option<Vec<Found>> {
     let here = session.lines.iter().filter(|line| session.segments.contains_key(&line.name));
     let found = here.map(|line| {
         let path = other.folder.join(&line.name);
@@ -151,6 +177,12 @@ fn whole_in(session: &Session, copy: &Path) -> Option<Vec<Found>> {
     found.collect()
 }
 
+impl FoundCopy {
+    fn is_as_found(&self) -> bool {
+        self.files.iter().all(|file| stamp(&file.path).is_ok_and(|now| now == file.stamp))
+    }
+}
+
 fn stamp(path: &Path) -> io::Result<Stamp> {
     let is = fs::symlink_metadata(path)?;
     Ok((is.dev(), is.ino(), is.len(), is.ctime(), is.ctime_nsec()))
@@ -158,6 +190,8 @@ fn stamp(path: &Path) -> io::Result<Stamp> {
 
 fn names_in(folder: &Path) -> io::Result<Vec<std::ffi::OsString>> {
     let mut names = fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name())).collect::<io::Result<Vec<_>>>()?;
+    // Somebody else's proof that this folder is none of theirs comes and goes.
+    names.retain(|name| !is_probe(name));
     names.sort();
     Ok(names)
 }

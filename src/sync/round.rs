@@ -17,7 +17,7 @@ use super::rsync::{Ended, Rsync};
 use super::selection::Selection;
 use super::source::Source;
 use super::store::Store;
-use crate::recording::{ACK_FOLDER, Session, SessionId, SetAside};
+use crate::recording::{ACK_FOLDER, NotApart, Session, SessionId, SetAside, prove_apart};
 
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -231,6 +231,17 @@ fn acknowledge(
     let refused = |said: String| Err(SyncError::Refused { source_name: options.source.shown(), said });
     if session.set_aside.iter().any(|it| it.path == session.folder.join(ACK_FOLDER)) {
         return refused(format!("{}/{ACK_FOLDER} is no folder: nothing is acknowledged there", session.name));
+    }
+    if let (false, Some(ours)) = (options.source.is_remote(), ours) {
+        let there = Path::new(&options.source.folder).join(&session.name);
+        // Where only `ack/` may be written, that folder proves as much.
+        let apart = prove_apart(&there, &ours.folder).or_else(|why| match why {
+            NotApart::Unproven { .. } => prove_apart(&there.join(ACK_FOLDER), &ours.folder.join(ACK_FOLDER)),
+            same @ NotApart::Same(..) => Err(same),
+        });
+        if let Err(why) = apart {
+            return refused(format!("{}: nothing is acknowledged: {why}", session.name));
+        }
     }
     let file = match ours {
         Some(ours) => store.acknowledgements(&ours.name),

@@ -95,6 +95,21 @@ fn nothing_is_played_into_what_it_is_read_from() {
 }
 
 #[test]
+fn what_is_no_device_is_not_made_and_what_is_there_is_not_written_over() {
+    let room = Room::with_walk();
+    let session = session_name(&room.replay("log.mcap"));
+    let device = std::path::Path::new("/dev/video-realitysim-test");
+    room.run(&format!("play {session} --video {}", device.display())).fails(2, &["there is no such device"]);
+    assert!(!device.exists(), "a file among the devices");
+    room.write("notes.txt", "mine");
+    room.run(&format!("play {session} --video notes.txt")).fails(1, &["no file is written over"]);
+    room.run("sim demo.toml -o notes.txt").fails(2, &["notes.txt: is there already"]);
+    room.run(&format!("cut {session} --from 0 --to 1 -o notes.txt")).fails(2, &["notes.txt: is there already"]);
+    room.run(&format!("export {session} --to tum -o notes.txt")).fails(2, &["notes.txt: is there already"]);
+    assert_eq!(std::fs::read_to_string(room.path("notes.txt")).expect("there"), "mine");
+}
+
+#[test]
 fn a_pipe_that_nobody_reads_is_waited_for_and_given_up() {
     let room = Room::with_walk();
     let session = session_name(&room.replay("log.mcap"));

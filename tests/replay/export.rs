@@ -69,6 +69,29 @@ fn exported_images_are_those_of_the_source_byte_for_byte() {
 }
 
 #[test]
+fn an_export_goes_into_a_folder_of_its_own() {
+    let room = Room::with_walk();
+    let session = session_of(&room, "log.mcap");
+    room.run(&format!("export {session} --to images -o frames")).succeeds();
+    let shorter = session_of(&room, "log.mcap --set recording.segment_s=1");
+    let names = || {
+        let mut names: Vec<_> =
+            fs::read_dir(room.path("frames")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+    let before = (names(), fs::read(room.path("frames/tags.csv")).unwrap());
+    room.run(&format!("export {shorter}/0000.mcap --to images -o frames"))
+        .fails(2, &["frames: is not empty", "name another, or remove what is in it"]);
+    assert_eq!((names(), fs::read(room.path("frames/tags.csv")).unwrap()), before);
+    fs::create_dir(room.path("empty")).unwrap();
+    room.run(&format!("export {shorter}/0000.mcap --to images -o empty")).succeeds();
+    // A file of tags is replaced by one.
+    room.run(&format!("export {session} --to tum -o tags.tum")).succeeds();
+    room.run(&format!("export {session} --to tum -o tags.tum")).succeeds();
+}
+
+#[test]
 fn what_is_no_capture_cannot_be_exported_or_judged() {
     let room = Room::with_walk();
     room.run("export log.mcap --to tum -o x.tum").fails(1, &["log.mcap", "/frame_tag", "realitysim replay"]);

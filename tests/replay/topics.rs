@@ -33,6 +33,43 @@ fn the_only_topic_of_a_type_is_found_by_itself() {
     // What comes after knows the name as well.
     let session = replayed.session.display();
     room.run(&format!("export {session} --to images -o frames")).succeeds();
+    let added = room.run(&format!("db add {session} --db db --json")).succeeds().json();
+    let valid = replayed.tags.iter().filter(|tag| tag.valid && !tag.ambiguous).count();
+    assert_eq!(added["images"], valid);
+    let shown = room.run(&format!("sessions show {session} --json")).succeeds().json();
+    assert!(shown["coverage"]["filled"].as_u64() > Some(0), "{shown}");
+    let played = room.run(&format!("play {session} --video out.mjpeg --speed 20 --json")).succeeds().json();
+    assert_eq!(played["images"], walk().frames());
+    // A repair that has nothing but the segments counts what the manifest had.
+    let manifest = replayed.session.join("manifest.jsonl");
+    let counted = |text: &str| -> Vec<u64> {
+        let lines = text.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).expect("a line"));
+        lines.map(|line| line["frames"]["written"].as_u64().expect("a count")).collect()
+    };
+    let before = counted(&std::fs::read_to_string(&manifest).expect("read"));
+    std::fs::write(&manifest, "").expect("written");
+    room.run("sessions repair --captures captures").succeeds();
+    assert_eq!(counted(&std::fs::read_to_string(&manifest).expect("read")), before);
+    assert_eq!(before.iter().sum::<u64>(), walk().frames() as u64);
+}
+
+/// As captures of earlier versions are: their `session.json` has the names that were asked for.
+#[test]
+fn a_command_that_finds_nothing_to_do_says_so_and_fails() {
+    let room = Room::with_walk();
+    let session = room.replay("log.mcap").session;
+    let path = session.join("session.json");
+    let text = std::fs::read_to_string(&path).expect("read");
+    for topic in [IMAGE, ODOMETRY, IMU] {
+        assert!(text.contains(topic));
+    }
+    let other = text.replace(IMAGE, "/other/image").replace(ODOMETRY, "/other/odometry").replace(IMU, "/other/imu");
+    std::fs::write(&path, other).expect("written");
+    let session = session.display();
+    room.run(&format!("db add {session} --db db")).fails(1, &["nothing was added", "no image on /other/image", "settings.topics.image"]);
+    room.run("db stats --db db").fails(1, &["there is no database here"]);
+    room.run(&format!("play {session} --video out.mjpeg --speed 20"))
+        .fails(1, &["nothing in it can be played: no image on /other/image"]);
 }
 
 #[test]

@@ -2,11 +2,12 @@
 //! told.
 
 use std::fs;
+use std::process::Command;
 
 use realitysim::recording::catalogue::sessions_in;
 use realitysim::sync::{Goal, Removal};
 
-use super::site::{Site, contents, finish_segment, noise};
+use super::site::{Site, Synced, contents, finish_segment, noise};
 
 const S: [u64; 2] = [1_000, 500];
 
@@ -174,6 +175,62 @@ fn a_folder_is_no_copy_of_itself_however_it_is_linked() {
     }
     site.run("sessions prune --captures robot --copy linked --yes").ends(0);
     assert!(site.path("robot/s").is_dir());
+}
+
+/// In a mount namespace of its own, where `merged` shows the folder `robot` under other device and inode numbers, as NFS, sshfs or
+/// Samba of the own machine would; its changes go to `upper`. `None` where that is not allowed.
+fn under_an_overlay(site: &Site, script: &str) -> Option<Synced> {
+    let program = env!("CARGO_BIN_EXE_realitysim");
+    let script = format!(
+        "mkdir -p upper work merged && mount -t overlay overlay -o lowerdir=robot,upperdir=upper,workdir=work merged || exit 77\n\
+         rs={program}\n{script}"
+    );
+    let mut command = Command::new("unshare");
+    command.args(["--user", "--map-root-user", "--mount", "sh", "-c", &script]).current_dir(site.path(""));
+    let ended = Synced::of(command.output().ok()?);
+    let refused = ended.code == Some(77) || ended.stderr.contains("unshare:");
+    if refused {
+        println!("skipped: no overlay can be mounted here: {ended:?}");
+    }
+    (!refused).then_some(ended)
+}
+
+#[test]
+fn another_way_to_the_same_folder_is_no_copy_of_it() {
+    let Some(site) = Site::new() else { return };
+    two(&site, "s");
+    let Some(ended) = under_an_overlay(&site, "$rs sessions prune --captures robot --copy merged --yes") else { return };
+    let ended = ended.ends(0);
+    assert!(ended.stdout.contains("by another way") && ended.stdout.contains("stays"), "{ended:?}");
+    // The other way round, what is deleted would not go from the other; but nobody can rely on an accident of mounting.
+    under_an_overlay(&site, "$rs sessions prune --captures merged --copy robot --yes").expect("ran").ends(0);
+    assert_eq!(contents(&site.path("robot")).len(), 2, "the only copy");
+    assert_eq!(fs::read_dir(site.path("robot/s")).expect("read").count(), 4, "nothing is left of the proof");
+    under_an_overlay(&site, "$rs sessions prune --captures robot --copy merged --yes --force").expect("ran").ends(0);
+    assert!(contents(&site.path("robot")).is_empty(), "forced");
+}
+
+#[test]
+fn another_way_to_the_same_folder_acknowledges_nothing_to_it() {
+    let Some(site) = Site::new() else { return };
+    two(&site, "s");
+    let Some(ended) = under_an_overlay(&site, "$rs sync robot -o merged") else { return };
+    ended.says("nothing is acknowledged").says("by another way").ends(1);
+    site.run("sessions prune --captures robot --yes").ends(0);
+    assert_eq!(contents(&site.path("robot")).len(), 2, "the only copy");
+}
+
+#[test]
+fn what_a_killed_proof_left_is_nobody_s_file() {
+    let Some(site) = Site::new() else { return };
+    two(&site, "s");
+    site.sync("robot", "dev", &[]).ends(0);
+    for place in ["robot/s", "robot/s/ack", "dev/s"] {
+        fs::write(site.path(place).join(".storage-probe-0123"), "").expect("written");
+    }
+    site.sync("robot", "dev", &[]).ends(0);
+    site.run("sessions prune --captures robot --copy dev --yes").ends(0);
+    assert!(contents(&site.path("robot")).is_empty());
 }
 
 #[test]

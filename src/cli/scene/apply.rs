@@ -48,7 +48,7 @@ pub fn run(arguments: &ApplyArguments, json: bool) -> anyhow::Result<Outcome> {
     let stored = std::fs::read(image).map_err(|error| paths::cannot_read(image, error))?;
     let (applied, left_out) = scene.effects_on_images();
     let written = if applied.is_empty() { stored } else { changed(&scene, &stored, arguments, *frame)? };
-    std::fs::write(path, written).map_err(|error| paths::cannot_write(path, error))?;
+    paths::write_bytes(path, &written)?;
     let report = Report { output: path, applied, left_out };
     if json {
         output::json(&report)?;

@@ -33,7 +33,7 @@ pub struct PruneArguments {
     /// Stop when so much is freed
     #[arg(long, value_name = "GB", allow_negative_numbers = true)]
     free: Option<f64>,
-    /// Another folder of captures: what is found there whole, by its hash, may go here
+    /// Another folder of captures, on other storage: what is found there whole, by its hash, may go here
     #[arg(long, value_name = "CAPTURES_DIR")]
     copy: Vec<PathBuf>,
     /// Pinned ones too
