@@ -28,24 +28,28 @@ pub struct ViewArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
     db: PathBuf,
-    /// Of camera_link in map, metres
-    #[arg(long, allow_hyphen_values = true)]
+    /// Where camera_link is in map, metres along the field
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
     x: f64,
-    #[arg(long, allow_hyphen_values = true)]
+    /// Where camera_link is in map, metres across the field
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
     y: f64,
-    #[arg(long, allow_hyphen_values = true)]
+    /// Height of camera_link above the ground, metres
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
     z: f64,
-    /// Degrees
+    /// Heading of camera_link in map, degrees
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     yaw: f64,
-    /// Degrees, above 0 looks down
+    /// Pitch of camera_link, degrees; above 0 looks down
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
     pitch: f64,
+    /// Roll of camera_link, degrees
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
     roll: f64,
     /// The picture to write, .png or .jpg
     #[arg(short, long)]
     output: PathBuf,
+    /// How the view is made: through both lenses, by the paper's map, or the nearest image unchanged
     #[arg(long, default_value = "exact")]
     method: Way,
     /// Lens of the view: a shipped camera (config/cameras) or a lens file; without it, that of the nearest image
@@ -54,6 +58,7 @@ pub struct ViewArguments {
     /// Pixels of the view, 16 to 4096; one alone keeps the lens's proportions
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=4096))]
     width: Option<u32>,
+    /// Pixels of the view, 16 to 4096; one alone keeps the lens's proportions
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=4096))]
     height: Option<u32>,
     /// Put the scene upon the view: its robots, people and balls (obstacles), light without a gradient, sensor noise
