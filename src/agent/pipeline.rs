@@ -438,13 +438,8 @@ impl Pipeline {
         self.count_measurements();
         let Some(session) = &mut self.session else { return Ok(()) };
         let Settings { robot, filter, .. } = &self.settings;
-        let report = self.tally.diagnostics(
-            log_time_ns,
-            robot,
-            &session.counts(),
-            session.status().conserved,
-            filter.budget_ms,
-        );
+        let report =
+            self.tally.diagnostics(log_time_ns, robot, &session.counts(), session.status().conserved, filter.budget_ms);
         Ok(session.diagnostics(log_time_ns, &report)?)
     }
 }

@@ -147,7 +147,8 @@ fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Play
     let played = stage.played();
     if played.is_nothing() && !stop.load(Ordering::Relaxed) {
         let images = options.video.iter().map(|_| format!("no image on {}", topics.image));
-        let steps = options.serial.iter().map(|_| format!("no odometry on {}, no attitude on {}", topics.odometry, topics.imu));
+        let steps =
+            options.serial.iter().map(|_| format!("no odometry on {}, no attitude on {}", topics.odometry, topics.imu));
         let what = images.chain(steps).collect::<Vec<_>>().join(", ");
         let what = format!("{what}, where its session.json (settings.topics) says that they are");
         return Err(PlayError::Nothing { path: path.to_owned(), what });

@@ -12,8 +12,8 @@ pub mod pose;
 mod pose_grid;
 
 pub use field::{Field, FieldDimensions, FieldError, FieldPoint};
-pub use physical::Physical;
 pub use lens::{Lens, LensError, LensModel, LensParameters, Projector};
+pub use physical::Physical;
 pub use pose::{Euler, Isometry, Pose2, Twist};
 pub use pose_grid::PoseGrid;
 

@@ -22,9 +22,7 @@ pub struct Spread {
 impl Physical for Particles {
     fn is_possible(&self) -> bool {
         let is_weight = |log_weight: &f64| *log_weight < f64::INFINITY;
-        self.poses.len() == self.log_weights.len()
-            && self.poses.is_possible()
-            && self.log_weights.iter().all(is_weight)
+        self.poses.len() == self.log_weights.len() && self.poses.is_possible() && self.log_weights.iter().all(is_weight)
     }
 }
 

@@ -58,7 +58,10 @@ pub enum Input {
 pub enum StatedDeviations {
     None,
     /// Along the longer of x and y, and of the heading.
-    Of { xy_m: f64, yaw_rad: f64 },
+    Of {
+        xy_m: f64,
+        yaw_rad: f64,
+    },
     /// The numbers are no covariance: not finite, negative, not positive semi-definite, or wider than any field.
     Impossible,
 }

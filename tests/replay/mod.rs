@@ -14,6 +14,7 @@ mod database;
 mod delays;
 mod determinism;
 mod export;
+mod extremes;
 mod figures;
 mod hard;
 mod hostile_database;

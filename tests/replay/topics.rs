@@ -66,7 +66,8 @@ fn a_command_that_finds_nothing_to_do_says_so_and_fails() {
     let other = text.replace(IMAGE, "/other/image").replace(ODOMETRY, "/other/odometry").replace(IMU, "/other/imu");
     std::fs::write(&path, other).expect("written");
     let session = session.display();
-    room.run(&format!("db add {session} --db db")).fails(1, &["nothing was added", "no image on /other/image", "settings.topics.image"]);
+    room.run(&format!("db add {session} --db db"))
+        .fails(1, &["nothing was added", "no image on /other/image", "settings.topics.image"]);
     room.run("db stats --db db").fails(1, &["there is no database here"]);
     room.run(&format!("play {session} --video out.mjpeg --speed 20"))
         .fails(1, &["nothing in it can be played: no image on /other/image"]);

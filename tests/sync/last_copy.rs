@@ -199,7 +199,9 @@ fn under_an_overlay(site: &Site, script: &str) -> Option<Synced> {
 fn another_way_to_the_same_folder_is_no_copy_of_it() {
     let Some(site) = Site::new() else { return };
     two(&site, "s");
-    let Some(ended) = under_an_overlay(&site, "$rs sessions prune --captures robot --copy merged --yes") else { return };
+    let Some(ended) = under_an_overlay(&site, "$rs sessions prune --captures robot --copy merged --yes") else {
+        return;
+    };
     let ended = ended.ends(0);
     assert!(ended.stdout.contains("by another way") && ended.stdout.contains("stays"), "{ended:?}");
     // The other way round, what is deleted would not go from the other; but nobody can rely on an accident of mounting.

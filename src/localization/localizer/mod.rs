@@ -344,7 +344,8 @@ impl Localizer {
     /// any more.
     pub fn foresee(&mut self, moment: &Moment, reason: &'static str) -> Option<Fix> {
         let fix = self.coast(moment, reason);
-        (fix.doubt != Some(NUMERICAL_FAULT) && self.state.standing.is_known() && !is_lost(&fix.covariance)).then_some(fix)
+        (fix.doubt != Some(NUMERICAL_FAULT) && self.state.standing.is_known() && !is_lost(&fix.covariance))
+            .then_some(fix)
     }
 
     /// Goes on from another state, and hands out its own.
@@ -571,7 +572,8 @@ impl Localizer {
 
 impl Physical for Fix {
     fn is_possible(&self) -> bool {
-        let Estimate { best, covariance, spread_m, spread_yaw_rad, effective_sample_size, evidence, .. } = &self.estimate;
+        let Estimate { best, covariance, spread_m, spread_yaw_rad, effective_sample_size, evidence, .. } =
+            &self.estimate;
         self.map_from_optical.is_possible()
             && self.covariance.iter().chain(covariance).all(|value| value.is_finite())
             && best.is_possible()

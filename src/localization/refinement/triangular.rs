@@ -148,3 +148,35 @@ impl<const N: usize, const W: usize> Triangular<N, W> {
         SMatrix::from_fn(|i, j| self.r[i][j])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Three unknowns, of which rows like these tell, beside a prior.
+    fn solved(rows: &[([f64; 3], f64)]) -> [f64; 3] {
+        let mut all = Rows::<3, 4>::identity(&SVector::zeros());
+        rows.iter().for_each(|(coefficients, right)| all.push(coefficients, *right));
+        all.finish().solve().into()
+    }
+
+    proptest! {
+        #[test]
+        fn a_column_whose_squares_underflow_tells_nothing(exponent in -330..-20i32, of in 0usize..3, signs in any::<u8>()) {
+            let tiny = 10f64.powi(exponent);
+            let rows: Vec<_> = (0..8u8)
+                .map(|i| {
+                    let mut coefficients = [1.0, f64::from(i), f64::from(i * i) - 9.0];
+                    coefficients[of] = if signs >> i & 1 == 1 { tiny } else { -tiny };
+                    (coefficients, 0.5 - f64::from(i))
+                })
+                .collect();
+            let without: Vec<_> = rows.iter().cloned().map(|(mut row, right)| { row[of] = 0.0; (row, right) }).collect();
+            for (value, expected) in solved(&rows).into_iter().zip(solved(&without)) {
+                prop_assert!((value - expected).abs() <= 1e-12 * expected.abs().max(1e-7), "{value} for {expected}");
+            }
+        }
+    }
+}
