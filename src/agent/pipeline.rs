@@ -25,7 +25,7 @@ use crate::geometry::{FieldDimensions, LensParameters, PoseGrid};
 use crate::recording::storage::Disk;
 use crate::recording::{
     Counts, Ended, LiveInfo, RecorderStatus, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning, Writing,
-    write_coverage,
+    folder_name, write_coverage,
 };
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{DiagnosticArray, FrameTag};
@@ -405,7 +405,7 @@ impl Pipeline {
     fn create_session(&self, first: &LogMessage) -> Result<SessionWriter, AgentError> {
         let settings = &self.settings;
         let started = jiff::Timestamp::from_nanosecond(i128::from(first.log_time_ns)).unwrap_or_default();
-        let name = format!("{}-{}", started.strftime("%Y-%m-%dT%H-%M-%SZ"), settings.robot);
+        let name = folder_name(started, &settings.robot);
         let info = SessionInfo {
             format: crate::recording::FORMAT_VERSION,
             id: Some(SessionId::new().as_str().to_owned()),

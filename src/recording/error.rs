@@ -16,6 +16,8 @@ pub enum RecordingError {
     Log { path: PathBuf, source: WriteError },
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: ReadError },
+    #[error("{}: removed or moved while it was being recorded", .0.display())]
+    Removed(PathBuf),
     #[error("session.json: {0}")]
     Json(#[from] serde_json::Error),
     #[error("{path}: not what a session says about itself: {source}")]
@@ -37,6 +39,7 @@ impl RecordingError {
     pub fn cause(&self) -> &'static str {
         match self {
             Self::Io { source, .. } | Self::Log { source: WriteError::Io(source), .. } => cause(source),
+            Self::Removed(_) => REMOVED,
             _ => "unwritable",
         }
     }
@@ -50,6 +53,9 @@ impl RecordingError {
         matches!(self, Self::Log { source: WriteError::Mcap(_) | WriteError::TooLarge { .. }, .. })
     }
 }
+
+/// Somebody has taken away what was being written.
+pub const REMOVED: &str = "removed";
 
 fn cause(error: &io::Error) -> &'static str {
     // No such device, no such device or address.

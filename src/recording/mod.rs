@@ -39,7 +39,7 @@ pub use acknowledgement::{
 pub use apart::{NotApart, is_probe, prove_apart};
 pub use catalogue::{Received, Session, SetAside};
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
-pub use error::RecordingError;
+pub use error::{REMOVED, RecordingError};
 pub use folder::{Loss, missing_parts, read_info, session_holding};
 pub use identity::{Head, SessionId, robot_id};
 pub use manifest::{
@@ -47,6 +47,7 @@ pub use manifest::{
     RECEIVED_FILE, REFINED_FOLDER, SESSION_FILE, SessionInfo, saturating_sum,
 };
 pub use pace::loss_bound_ms;
+pub use recorder::folder_name;
 pub use release::{Releasable, releasable};
 pub use repair::{Repaired, repair, sessions_of};
 pub use retention::Evicted;

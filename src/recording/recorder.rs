@@ -12,12 +12,15 @@ use std::time::Duration;
 
 use super::acknowledgement::ACK_FOLDER;
 use super::entry::{Beginning, Entry, Gap, Kind};
-use super::error::RecordingError;
+use super::error::{REMOVED, RecordingError};
 use super::gap::GapMessages;
-use super::manifest::{Counts, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, TopicEntry, metadata_yaml};
+use super::identity::SessionId;
+use super::manifest::{
+    Counts, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
+};
 use super::pace::Pace;
 use super::segment::{Cut, Finished, Segment, Unfinished};
-use super::shared::{Shared, Waiting};
+use super::shared::{Had, Shared, Waiting};
 use super::storage::{Appending, Storage, StoredFile, write_atomically};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CameraInfo, Message};
@@ -28,10 +31,7 @@ pub(super) struct Plan {
     pub captures: PathBuf,
     /// Of the folder, unless it is taken.
     pub name: String,
-    /// `session.json`.
-    pub info: Vec<u8>,
-    pub id: Option<String>,
-    pub robot: String,
+    pub info: SessionInfo,
     pub sync_interval: Duration,
     /// Others may fetch it, and say what they have.
     pub is_synced_from: bool,
@@ -44,6 +44,13 @@ pub(super) struct Recorder {
     folder: Option<PathBuf>,
     /// Session file and manifest are there.
     is_ready: bool,
+    /// The file system that it was made on.
+    volume: Option<u64>,
+    /// What the disk has confirmed of the segments in `lines`, and of the open one.
+    had_before: Had,
+    had: Had,
+    /// Since when the session's folder is not there.
+    away_since: Option<Duration>,
     /// Tells `repair` to leave the folder alone.
     lock: Option<Box<dyn Any + Send>>,
     segment: Option<Segment>,
@@ -69,6 +76,14 @@ pub(super) struct Recorder {
     pace: Pace,
 }
 
+/// Where a folder is that was made here.
+enum Whereabouts {
+    Here,
+    /// With the folder of all captures; it may come back.
+    Away,
+    Removed,
+}
+
 struct Kept {
     waiting: Waiting,
     /// Counted when it was first written; it may be written again.
@@ -83,10 +98,12 @@ const MAX_SUFFIX: u32 = 10_000;
 const MAX_UNSYNCED_BYTES: usize = 32 << 20;
 /// After a failure it is asked with more than this, and then with twice as much each time that all goes well.
 const LEAST_UNSYNCED_BYTES: usize = 4 << 10;
+/// So long a folder of captures may be away before another is made in its place, on the same file system.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 impl Recorder {
     pub fn new(storage: Arc<dyn Storage>, shared: Arc<Shared>, plan: Plan) -> Self {
-        let gaps = GapMessages::new(&plan.robot);
+        let gaps = GapMessages::new(&plan.info.robot);
         let pace = Pace::new(plan.sync_interval);
         Self {
             storage,
@@ -94,6 +111,10 @@ impl Recorder {
             plan,
             folder: None,
             is_ready: false,
+            volume: None,
+            had_before: Had::default(),
+            had: Had::default(),
+            away_since: None,
             lock: None,
             segment: None,
             next_index: 0,
@@ -155,10 +176,16 @@ impl Recorder {
     /// The session is whole. May be tried again if it fails.
     pub fn finish(&mut self) -> Result<PathBuf, RecordingError> {
         self.rest()?;
+        let done = self.describe();
+        let folder = self.give_up_after(done)?;
+        self.lock = None;
+        Ok(folder)
+    }
+
+    fn describe(&mut self) -> Result<PathBuf, RecordingError> {
         let folder = self.open_session()?;
         let yaml = metadata_yaml(&self.lines, &self.topics);
         write_atomically(self.storage.as_ref(), &folder.join(METADATA_FILE), yaml.as_bytes())?;
-        self.lock = None;
         Ok(folder)
     }
 
@@ -226,6 +253,7 @@ impl Recorder {
             Some(folder) => folder.clone(),
             None => {
                 storage.create_folders(captures).map_err(failed)?;
+                self.volume = storage.volume(captures).ok();
                 let folder = new_folder(storage, captures, &self.plan.name)?;
                 self.folder = Some(folder.clone());
                 folder
@@ -235,7 +263,7 @@ impl Recorder {
             if self.plan.is_synced_from {
                 create_shared_folder(storage, &folder.join(ACK_FOLDER))?;
             }
-            write_atomically(storage, &folder.join(SESSION_FILE), &self.plan.info)?;
+            write_atomically(storage, &folder.join(SESSION_FILE), &serde_json::to_vec_pretty(&self.plan.info)?)?;
             storage.sync_folder(captures).map_err(failed)?;
             // The folder of all captures may be as new.
             captures.parent().map_or(Ok(()), |parent| storage.sync_folder(parent)).map_err(failed)?;
@@ -265,7 +293,7 @@ impl Recorder {
             self.next_index += 1;
         }
         let segment = self.segment.insert(created?);
-        if let Some(id) = &self.plan.id {
+        if let Some(id) = &self.plan.info.id {
             segment.belongs_to(id)?;
         }
         if let Some(Beginning { log_time_ns, name, state }) = beginning {
@@ -346,6 +374,7 @@ impl Recorder {
         let mut frames = 0;
         for Kept { waiting, .. } in self.kept.drain(..self.written) {
             frames += u64::from(waiting.entry.is_frame());
+            self.had.add(&waiting.entry);
             self.shared.release(&waiting.entry);
         }
         self.confirmed += self.written as u64;
@@ -380,6 +409,7 @@ impl Recorder {
         let mut text = serde_json::to_vec(&line)?;
         text.push(b'\n');
         self.lines.push(line);
+        self.had_before.join(std::mem::take(&mut self.had));
         let Some(manifest) = self.manifest.take() else { return Ok(()) };
         let appended = io::Write::write_all(&mut Appending(Arc::clone(&manifest)), &text);
         match appended.and_then(|()| manifest.sync()) {
@@ -395,22 +425,110 @@ impl Recorder {
     }
 
     fn give_up_after<T>(&mut self, done: Result<T, RecordingError>) -> Result<T, RecordingError> {
-        if done.is_err() {
-            self.pace.failed();
-            (self.written, self.written_bytes) = (0, 0);
-            self.batch_bytes = LEAST_UNSYNCED_BYTES;
-            if let Some(segment) = self.segment.take() {
-                let cut = segment.give_up();
-                self.note_cut(cut);
+        let error = match done {
+            Ok(done) => {
+                self.away_since = None;
+                return Ok(done);
+            }
+            Err(error) => error,
+        };
+        self.pace.failed();
+        (self.written, self.written_bytes) = (0, 0);
+        self.batch_bytes = LEAST_UNSYNCED_BYTES;
+        let mut is_segment_removed = false;
+        if let Some(segment) = self.segment.take() {
+            is_segment_removed = segment.is_removed();
+            let cut = segment.give_up();
+            self.note_cut(cut);
+        }
+        let Some(folder) = self.folder.clone() else { return Err(error) };
+        match self.whereabouts(&folder) {
+            Whereabouts::Removed => {
+                self.begin_anew();
+                Err(RecordingError::Removed(folder))
+            }
+            Whereabouts::Away => Err(RecordingError::io(&folder, io::ErrorKind::NotFound.into())),
+            Whereabouts::Here => {
+                if is_segment_removed {
+                    let had = std::mem::take(&mut self.had);
+                    self.tell_removed(had);
+                }
+                Err(error)
             }
         }
-        done
+    }
+
+    /// Of the session's folder. If it is gone while that of all captures is there, on the same file system, somebody has removed or
+    /// moved it. Where the captures are gone as well they may come back, as a disk that was away: they are waited for.
+    fn whereabouts(&mut self, folder: &Path) -> Whereabouts {
+        let (storage, captures) = (self.storage.as_ref(), &self.plan.captures);
+        let is_missing =
+            |error: io::Error| matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory);
+        let is_gone = match self.is_ready {
+            true => storage.read(&folder.join(SESSION_FILE)).is_err_and(is_missing),
+            // It has nothing in it yet.
+            false => storage.volume(folder).is_err_and(is_missing),
+        };
+        if !is_gone {
+            self.away_since = None;
+            return Whereabouts::Here;
+        }
+        let now = storage.now();
+        let away_since = *self.away_since.get_or_insert(now);
+        let near = captures.ancestors().skip(1).find_map(|folder| storage.volume(non_empty(folder)).ok());
+        let is_removed = match storage.volume(captures) {
+            Ok(volume) => Some(volume) == self.volume,
+            Err(_) => near == self.volume && now.saturating_sub(away_since) >= PATIENCE,
+        };
+        if is_removed { Whereabouts::Removed } else { Whereabouts::Away }
+    }
+
+    /// Another folder, with another identity: if the old one was only moved, there are two sessions. What was in it counts as lost,
+    /// and a gap in the new one tells so.
+    fn begin_anew(&mut self) {
+        let mut had = std::mem::take(&mut self.had_before);
+        had.join(std::mem::take(&mut self.had));
+        self.tell_removed(had);
+        (self.folder, self.lock, self.manifest, self.away_since) = (None, None, None, None);
+        (self.is_ready, self.next_index) = (false, 0);
+        self.lines.clear();
+        self.topics.clear();
+        self.cuts.clear();
+        if let Some(id) = &mut self.plan.info.id {
+            SessionId::new().as_str().clone_into(id);
+        }
+        if let Some(next_ns) = self.kept.iter().find_map(|kept| kept.waiting.entry.log_time_ns()) {
+            let started = jiff::Timestamp::from_nanosecond(i128::from(next_ns)).unwrap_or_default();
+            self.plan.info.started = started.to_string();
+            self.plan.name = folder_name(started, &self.plan.info.robot);
+        }
+        self.shared.begin_anew();
+    }
+
+    /// Behind what is kept and written no more, so that the gap stands before what comes after.
+    fn tell_removed(&mut self, had: Had) {
+        let Some(gap) = had.gap(REMOVED) else { return };
+        self.shared.removed(&had, REMOVED);
+        let entry = Entry::Gap(gap);
+        self.shared.take_at_once(&entry);
+        let taken = self.storage.now();
+        self.kept.push_front(Kept { waiting: Waiting { entry, taken }, is_counted: true });
     }
 
     fn note_cut(&mut self, cut: Cut) {
         self.shared.update(|status| status.segments_given_up += 1);
         self.cuts.push(cut);
     }
+}
+
+/// Of a session's folder.
+pub fn folder_name(started: jiff::Timestamp, robot: &str) -> String {
+    format!("{}-{robot}", started.strftime("%Y-%m-%dT%H-%M-%SZ"))
+}
+
+/// The parent of a plain name is the empty path.
+fn non_empty(path: &Path) -> &Path {
+    if path.as_os_str().is_empty() { Path::new(".") } else { path }
 }
 
 fn new_folder(storage: &dyn Storage, captures: &Path, name: &str) -> Result<PathBuf, RecordingError> {

@@ -87,6 +87,8 @@ pub(super) struct Segment {
     /// The same file, to force it to disk while the writer owns the other handle.
     file: Arc<dyn StoredFile>,
     open: Arc<AtomicBool>,
+    /// The file system can tell whether the file still bears its name.
+    tells_its_place: bool,
     channels: Vec<(Arc<Channel>, ChannelId)>,
     /// Messages, in the order of the channels' numbers in the file.
     written: BTreeMap<ChannelId, (Arc<Channel>, u64)>,
@@ -115,7 +117,9 @@ impl Segment {
             // It holds nothing, and the next try takes another number.
             let _ = storage.remove(&path);
         })?;
+        let tells_its_place = file.is_at(&path).unwrap_or(false);
         Ok(Self {
+            tells_its_place,
             storage: Arc::clone(storage),
             folder: folder.to_owned(),
             name,
@@ -169,10 +173,13 @@ impl Segment {
         self.poses = Some(PoseBox::around(self.poses, x, y));
     }
 
-    /// Closes the chunk and forces everything to disk.
+    /// Closes the chunk and forces everything to disk. What is on the disk and bears no name any more is lost all the same.
     pub(super) fn sync(&mut self) -> Result<(), RecordingError> {
         self.writer.flush_chunk().map_err(|source| RecordingError::log(&self.active(), source))?;
         self.file.sync().map_err(|source| RecordingError::io(&self.active(), source))?;
+        if self.is_removed() {
+            return Err(RecordingError::Removed(self.active()));
+        }
         self.synced_bytes = self.writer.bytes_written();
         Ok(())
     }
@@ -221,11 +228,17 @@ impl Segment {
         }
     }
 
+    /// Whether somebody has removed or moved its file. A file system that does not answer says nothing.
+    pub(super) fn is_removed(&self) -> bool {
+        self.tells_its_place && !self.file.is_at(&self.active()).unwrap_or(true)
+    }
+
     /// Nothing more is written to it, and nothing that was not synced is left in it if the disk allows that.
     pub(super) fn give_up(self) -> Cut {
         self.open.store(false, Ordering::Relaxed);
         let _ = self.file.set_len(self.synced_bytes);
-        if self.synced_bytes == 0 {
+        // What bears its name now, if it was removed, is somebody else's.
+        if self.synced_bytes == 0 && !self.is_removed() {
             let _ = self.storage.remove(&self.active());
         }
         Cut { name: self.name.clone(), bytes: self.synced_bytes }

@@ -28,7 +28,7 @@ pub struct SessionWriter {
     shared: Arc<Shared>,
     recorder: Where,
     own: BTreeMap<&'static str, Arc<Channel>>,
-    /// Of the segment that is open.
+    /// The latest log time when the open segment began.
     first_ns: i64,
     bytes: u64,
     last_ns: i64,
@@ -65,9 +65,7 @@ impl SessionWriter {
         let plan = Plan {
             captures: captures.to_owned(),
             name: name.to_owned(),
-            info: serde_json::to_vec_pretty(info)?,
-            id: info.id.clone(),
-            robot: info.robot.clone(),
+            info: info.clone(),
             sync_interval: Duration::from_millis(settings.sync_interval_ms),
             is_synced_from: matches!(writing, Writing::Behind { .. }),
         };
@@ -123,17 +121,21 @@ impl SessionWriter {
         self.shared.account()
     }
 
-    /// Whether the segment has lasted or grown long enough.
+    /// Whether the segment has lasted or grown long enough. It lasts from the latest log time before it to the latest one in it:
+    /// times in no order make no segments.
     pub fn is_segment_full(&self, log_time_ns: i64) -> bool {
-        let age_ns = log_time_ns.saturating_sub(self.first_ns);
+        let age_ns = self.last_ns.max(log_time_ns).saturating_sub(self.first_ns);
         let seconds = i64::try_from(self.settings.segment_s).unwrap_or(i64::MAX);
-        age_ns >= seconds.saturating_mul(1_000_000_000) || self.bytes >= self.settings.segment_mb << 20
+        age_ns >= seconds.saturating_mul(1_000_000_000)
+            || self.bytes >= self.settings.segment_mb << 20
+            || self.shared.wants_beginning()
     }
 
     /// Finishes the open segment and begins the next with the constants and the filter's state.
     pub fn next_segment(&mut self, state: SegmentState) -> Result<(), RecordingError> {
         let SegmentState { log_time_ns, name, state } = state;
-        (self.first_ns, self.bytes) = (log_time_ns, 0);
+        (self.first_ns, self.bytes) = (self.last_ns.max(log_time_ns), 0);
+        self.shared.begins();
         self.put(Entry::Begin(Beginning { log_time_ns, name: name.to_owned(), state }))
     }
 
@@ -219,7 +221,6 @@ impl SessionWriter {
     }
 
     fn write(&mut self, message: LogMessage, kind: Kind) -> Result<(), RecordingError> {
-        self.first_ns = self.first_ns.min(message.log_time_ns);
         self.last_ns = self.last_ns.max(message.log_time_ns);
         self.bytes += message.data.len() as u64 + RECORD_BYTES;
         self.put(Entry::Message(message, kind))

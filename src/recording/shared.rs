@@ -43,6 +43,55 @@ pub(super) struct Waiting {
     pub taken: Duration,
 }
 
+/// What the disk had confirmed of a folder, by what it is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Had {
+    frames: u64,
+    tags: u64,
+    valid: u64,
+    /// Neither frames nor tags.
+    others: u64,
+    /// Log times of the first and the last.
+    times_ns: Option<(i64, i64)>,
+}
+
+impl Had {
+    pub fn add(&mut self, entry: &Entry) {
+        let Entry::Message(message, kind) = entry else { return };
+        match kind {
+            Kind::Frame => self.frames += 1,
+            Kind::Tag(at) => {
+                self.tags += 1;
+                self.valid += u64::from(at.is_some());
+            }
+            Kind::Latched | Kind::Other => self.others += 1,
+        }
+        self.times_ns = joined(self.times_ns, Some((message.log_time_ns, message.log_time_ns)));
+    }
+
+    pub fn join(&mut self, other: Self) {
+        self.frames += other.frames;
+        self.tags += other.tags;
+        self.valid += other.valid;
+        self.others += other.others;
+        self.times_ns = joined(self.times_ns, other.times_ns);
+    }
+
+    /// That all of it is lost; `None` of nothing.
+    pub fn gap(&self, cause: &str) -> Option<Gap> {
+        let (first_ns, last_ns) = self.times_ns?;
+        let messages = self.tags + self.others;
+        Some(Gap { cause: cause.to_owned(), frames: self.frames, messages, untagged: self.tags, first_ns, last_ns })
+    }
+}
+
+fn joined(a: Option<(i64, i64)>, b: Option<(i64, i64)>) -> Option<(i64, i64)> {
+    match (a, b) {
+        (Some((a0, a1)), Some((b0, b1))) => Some((a0.min(b0), a1.max(b1))),
+        (a, b) => a.or(b),
+    }
+}
+
 /// What the disk allows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Allowed {
@@ -67,6 +116,8 @@ struct State {
     gap: Option<Gap>,
     allowed: Allowed,
     closed: bool,
+    /// The recorder has begun another folder, whose first segment has no state of the filter.
+    wants_beginning: bool,
     status: RecorderStatus,
 }
 
@@ -235,6 +286,40 @@ impl Shared {
             }
             _ => {}
         }
+    }
+
+    /// Written and confirmed, and then removed by somebody.
+    pub fn removed(&self, had: &Had, cause: &str) {
+        let mut state = self.lock();
+        let State { counts, status, .. } = &mut *state;
+        counts.written = counts.written.saturating_sub(had.frames);
+        counts.tagged = counts.tagged.saturating_sub(had.tags);
+        counts.valid = counts.valid.saturating_sub(had.valid);
+        status.frames_synced = status.frames_synced.saturating_sub(had.frames);
+        status.frames_refused += had.frames;
+        let sums = [
+            (had.frames, &mut counts.dropped),
+            (had.tags, &mut counts.untagged),
+            (had.tags + had.others, &mut counts.lost),
+        ];
+        for (lost, sum) in sums.into_iter().filter(|(lost, _)| *lost > 0) {
+            *sum.entry(cause.to_owned()).or_default() += lost;
+        }
+    }
+
+    /// Another folder begins.
+    pub fn begin_anew(&self) {
+        self.lock().wants_beginning = true;
+    }
+
+    /// Whether a segment is to begin for that reason; asked for once.
+    pub fn wants_beginning(&self) -> bool {
+        self.lock().wants_beginning
+    }
+
+    /// A segment begins.
+    pub fn begins(&self) {
+        self.lock().wants_beginning = false;
     }
 
     /// Written and synced: the memory is free again.

@@ -103,6 +103,8 @@ fn what_is_no_device_is_not_made_and_what_is_there_is_not_written_over() {
     assert!(!device.exists(), "a file among the devices");
     room.write("notes.txt", "mine");
     room.run(&format!("play {session} --video notes.txt")).fails(1, &["no file is written over"]);
+    std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/scenes/demo.toml"), room.path("demo.toml"))
+        .expect("a scene");
     room.run("sim demo.toml -o notes.txt").fails(2, &["notes.txt: is there already"]);
     room.run(&format!("cut {session} --from 0 --to 1 -o notes.txt")).fails(2, &["notes.txt: is there already"]);
     room.run(&format!("export {session} --to tum -o notes.txt")).fails(2, &["notes.txt: is there already"]);

@@ -215,6 +215,25 @@ fn a_mount_that_vanishes_for_a_while_is_named_and_recovered_from() {
 }
 
 #[test]
+fn a_session_s_folder_that_is_removed_is_told_and_the_frames_after_it_are_kept() {
+    let room = Room::new();
+    let mut soak = Soak::start(&room, "--seconds 6 --rate 30 --frame-kb 20");
+    soak.waits_for("it writes", |state| state["frames_synced"].as_u64() > Some(10));
+    let removed = only_session(&room);
+    fs::remove_dir_all(&removed).unwrap();
+    let state = soak.waits_for("told", |state| state["faults"]["removed"] == 1);
+    assert_eq!(state["conserved"], true, "{state}");
+    let report: Value = soak.states.by_ref().map(|line| serde_json::from_str(&line.unwrap()).unwrap()).last().unwrap();
+    assert_eq!(soak.process.wait().unwrap().code(), Some(3), "{report}");
+    let counts: Counts = serde_json::from_value(report["counts"].clone()).unwrap();
+    assert!(counts.is_conserved() && counts.dropped["removed"] > 10, "{counts:?}");
+    let all = frames(&only_session(&room), &[".mcap"]);
+    assert_eq!(all.len() as u64, counts.written, "every frame that came after it");
+    assert!(all.windows(2).all(|pair| pair[1] == pair[0] + 1) && all.len() > 30, "in a row: {all:?}");
+    room.run(&format!("sessions verify --captures {CAPTURES}")).succeeds();
+}
+
+#[test]
 fn a_session_that_is_being_recorded_is_left_alone() {
     let room = Room::new();
     let mut soak = Soak::start(&room, "--rate 30 --frame-kb 20");

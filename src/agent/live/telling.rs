@@ -1,5 +1,6 @@
 //! What the agent tells: people, the log, and whoever asks for its status.
 
+use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -7,7 +8,7 @@ use super::RecordError;
 use super::agent::{Agent, TICK};
 use super::status::{self, PassedOn};
 use crate::agent::pipeline::Pipeline;
-use crate::recording::{RecorderStatus, Stopped};
+use crate::recording::{REMOVED, RecorderStatus, Stopped};
 use crate::ros2::messages::DiagnosticArray;
 
 const STATUS_EVERY_NS: i64 = 1_000_000_000;
@@ -28,10 +29,16 @@ impl Agent<'_> {
             return;
         }
         let Some((_, recorder)) = self.session.as_ref().and_then(Pipeline::recorder) else { return };
-        if let (None, Some(folder)) = (&self.told.recorder.session, &recorder.session) {
+        let before = &self.told.recorder;
+        let removed = |status: &RecorderStatus| status.faults.get(REMOVED).copied().unwrap_or_default();
+        // It may be mended before anybody looks.
+        if removed(&recorder) > removed(before) {
+            let session = before.session.as_deref().unwrap_or(Path::new("the session")).display();
+            say(&format!("{session} was removed or moved while it was being recorded: its frames count as lost"));
+        }
+        if let Some(folder) = recorder.session.as_ref().filter(|folder| before.session.as_ref() != Some(folder)) {
             say(&format!("recording {}", folder.display()));
         }
-        let before = &self.told.recorder;
         if recorder.fault != before.fault {
             match &recorder.fault {
                 Some(fault) => say(&format!("the disk: {}: {}; it is tried again", fault.cause, fault.said)),

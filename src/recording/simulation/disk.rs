@@ -135,6 +135,15 @@ impl SimulatedDisk {
         self.world().clock += time;
     }
 
+    /// Somebody removes this, and all that lies in it.
+    pub fn remove_all(&self, path: &Path) {
+        let mut world = self.world();
+        let World { names, safe_names, changes, .. } = &mut *world;
+        names.retain(|name, _| !name.starts_with(path));
+        safe_names.retain(|name, _| !name.starts_with(path));
+        changes.retain(|folder, _| !folder.starts_with(path));
+    }
+
     /// Every file with its content.
     pub fn snapshot(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let world = self.world();
@@ -395,6 +404,10 @@ impl Storage for SimulatedDisk {
         Ok(Some(Box::new(Lock { disk: self.clone(), path: path.to_owned() })))
     }
 
+    fn volume(&self, path: &Path) -> io::Result<u64> {
+        self.world().find(path).map(|_| 0)
+    }
+
     fn now(&self) -> Duration {
         self.world().clock
     }
@@ -448,5 +461,9 @@ impl StoredFile for SimulatedFile {
         world.operate(false)?;
         world.files[self.id].set_len(bytes as usize);
         Ok(())
+    }
+
+    fn is_at(&self, path: &Path) -> io::Result<bool> {
+        Ok(self.disk.world().names.get(path) == Some(&Node::File(self.id)))
     }
 }

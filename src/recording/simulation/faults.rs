@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use super::disk::{Failure, SimulatedDisk, Trouble};
 use super::run::{self, CAPTURES, is_frame, session};
 use crate::recording::gap::gaps_in;
+use crate::recording::manifest::SESSION_FILE;
 use crate::recording::repair::repair;
 use crate::recording::session::{Ended, SegmentState, SessionWriter, Writing};
 use crate::recording::verify::verify;
@@ -120,6 +121,34 @@ fn a_disk_that_refuses_is_named_and_recovered_from() {
         let imu = messages.iter().filter(|message| message.channel.topic == "/imu/data").count() as u32;
         assert_eq!(imu, 5 * fed, "{cause}: every measurement is there");
         assert_gaps_stand_where_frames_are_missing(&messages, counts.dropped.values().sum(), fed);
+    }
+}
+
+/// While it records, somebody removes what is being written: the folder, or the segment alone.
+#[test]
+fn a_folder_that_is_removed_is_told_and_another_begun_at_once() {
+    for only_the_segment in [false, true] {
+        let disk = SimulatedDisk::new(5, Trouble::default());
+        let mut feeder = Feeder::start(&disk);
+        feeder.feed_until(&disk, "it writes", |session| session.status().frames_synced > 10);
+        let removed = session(&disk).unwrap();
+        disk.remove_all(&if only_the_segment { removed.join("0000.mcap.active") } else { removed.clone() });
+        feeder.feed_until(&disk, "told", |session| session.counts().dropped.contains_key("removed"));
+        let frames = feeder.session.counts().written;
+        feeder.feed_until(&disk, "it writes again", |session| {
+            session.status().fault.is_none() && session.counts().written > frames + 10
+        });
+        let fed = u64::from(feeder.frames + feeder.thinned);
+        let Ended { folder, counts, status } = feeder.session.finish();
+        let folder = folder.unwrap();
+        assert!(status.conserved && counts.is_conserved() && counts.captured == fed, "{counts:?}");
+        assert!(counts.dropped["removed"] > 10 && status.faults["removed"] == 1, "{counts:?} {status:?}");
+        let written = run::read(&disk, &folder).iter().filter(|message| is_frame(message)).count();
+        assert_eq!(written as u64, counts.written, "each frame after it, and no other");
+        assert_eq!(run::counts_of_manifest(&disk, &folder).dropped, counts.dropped, "told in the log");
+        let head = String::from_utf8(disk.snapshot().remove(&folder.join(SESSION_FILE)).unwrap()).unwrap();
+        assert_eq!(head.contains(run::SESSION_ID), only_the_segment, "what was moved and what is new are two sessions");
+        assert_eq!(folder == removed, only_the_segment);
     }
 }
 

@@ -99,9 +99,7 @@ impl Run {
         let plan = Plan {
             captures: CAPTURES.into(),
             name: "2026-01-01T00-00-00Z-robot".to_owned(),
-            info: info().to_vec(),
-            id: Some(SESSION_ID.to_owned()),
-            robot: "robot".to_owned(),
+            info: info().clone(),
             sync_interval: SYNC_INTERVAL,
             is_synced_from: true,
         };
@@ -220,12 +218,12 @@ fn channels() -> &'static [Arc<Channel>; 4] {
     })
 }
 
-fn info() -> &'static [u8] {
-    static INFO: OnceLock<Vec<u8>> = OnceLock::new();
-    INFO.get_or_init(|| serde_json::to_vec(&session_info()).unwrap())
+fn info() -> &'static SessionInfo {
+    static INFO: OnceLock<SessionInfo> = OnceLock::new();
+    INFO.get_or_init(session_info)
 }
 
-const SESSION_ID: &str = "5e5500000000000000000000000000e5";
+pub const SESSION_ID: &str = "5e5500000000000000000000000000e5";
 
 pub fn session_info() -> SessionInfo {
     SessionInfo {

@@ -3,12 +3,13 @@
 use std::any::Any;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
-use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, Mode, OFlags, flock, statvfs};
+use rustix::io::Errno;
 
 use super::{Kind, Listed, Readable, Space, Storage, StoredFile};
 
@@ -21,6 +22,11 @@ const GROUP_WRITES: u32 = 0o070;
 
 /// What is written into is where its name is, and there to be written: no link is followed, no pipe waited for.
 const STAYS: i32 = OFlags::NOFOLLOW.union(OFlags::NONBLOCK).bits() as i32;
+
+/// So long another process may take to write the same small file.
+const MAX_WAIT: Duration = Duration::from_secs(10);
+/// Between two looks whether it has done.
+const TURN: Duration = Duration::from_millis(2);
 
 static BEGAN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
@@ -48,7 +54,28 @@ impl Storage for Disk {
     }
 
     fn create_over(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>> {
-        Ok(Arc::new(OpenOptions::new().write(true).create(true).truncate(true).custom_flags(STAYS).open(path)?))
+        let began = Instant::now();
+        loop {
+            let file = OpenOptions::new().write(true).create(true).truncate(false).custom_flags(STAYS).open(path)?;
+            match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+                // Another process may have renamed what was opened: it is in use under its new name.
+                Ok(()) if StoredFile::is_at(&file, path)? => {
+                    File::set_len(&file, 0)?;
+                    return Ok(Arc::new(file));
+                }
+                // A file system without locks is no worse than it was.
+                Err(Errno::NOLCK | Errno::NOSYS | Errno::OPNOTSUPP) => {
+                    File::set_len(&file, 0)?;
+                    return Ok(Arc::new(file));
+                }
+                Ok(()) | Err(Errno::WOULDBLOCK) if began.elapsed() > MAX_WAIT => {
+                    return Err(io::ErrorKind::ResourceBusy.into());
+                }
+                Ok(()) => {}
+                Err(Errno::WOULDBLOCK) => std::thread::sleep(TURN),
+                Err(error) => return Err(error.into()),
+            }
+        }
     }
 
     fn append(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>> {
@@ -104,9 +131,13 @@ impl Storage for Disk {
         let file = File::open(path)?;
         match flock(&file, FlockOperation::NonBlockingLockExclusive) {
             Ok(()) => Ok(Some(Box::new(file))),
-            Err(rustix::io::Errno::WOULDBLOCK) => Ok(None),
+            Err(Errno::WOULDBLOCK) => Ok(None),
             Err(error) => Err(error.into()),
         }
+    }
+
+    fn volume(&self, path: &Path) -> io::Result<u64> {
+        Ok(fs::metadata(path)?.dev())
     }
 
     fn now(&self) -> Duration {
@@ -139,5 +170,14 @@ impl StoredFile for File {
 
     fn set_len(&self, bytes: u64) -> io::Result<()> {
         File::set_len(self, bytes)
+    }
+
+    fn is_at(&self, path: &Path) -> io::Result<bool> {
+        let own = self.metadata()?;
+        match fs::symlink_metadata(path) {
+            Ok(there) => Ok((own.dev(), own.ino()) == (there.dev(), there.ino())),
+            Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => Ok(false),
+            Err(error) => Err(error),
+        }
     }
 }

@@ -22,7 +22,7 @@ pub trait Storage: Send + Sync {
     fn create_folders(&self, path: &Path) -> io::Result<()>;
     /// A new file to append to; fails if it exists.
     fn create(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>>;
-    /// An empty file to append to, whatever was there.
+    /// An empty file to append to, whatever was there. Whoever else wants one of this name waits until this one is dropped.
     fn create_over(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>>;
     /// An existing file to append to.
     fn append(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>>;
@@ -39,6 +39,8 @@ pub trait Storage: Send + Sync {
     fn space(&self, path: &Path) -> io::Result<Space>;
     /// Held until it is dropped or the process ends; `None` if another holds it.
     fn lock(&self, path: &Path) -> io::Result<Option<Box<dyn Any + Send>>>;
+    /// A number of the file system that holds this path, which must be there.
+    fn volume(&self, path: &Path) -> io::Result<u64>;
     /// A clock that never goes back, from any beginning.
     fn now(&self) -> Duration;
 }
@@ -48,6 +50,8 @@ pub trait StoredFile: Send + Sync {
     /// fdatasync: content and length.
     fn sync(&self) -> io::Result<()>;
     fn set_len(&self, bytes: u64) -> io::Result<()>;
+    /// Whether it still is the file of this name.
+    fn is_at(&self, path: &Path) -> io::Result<bool>;
 }
 
 pub trait Readable: Read + Seek + Send {}
@@ -129,5 +133,30 @@ impl Write for Appending {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As two recorders do with the state of the filter.
+    #[test]
+    fn two_that_replace_one_file_at_once_are_in_nobody_s_way() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("last_state.bin");
+        std::thread::scope(|scope| {
+            for letter in *b"ab" {
+                let path = &path;
+                scope.spawn(move || {
+                    for length in 1..200 {
+                        write_atomically(&Disk, path, &vec![letter; 10 * length]).unwrap();
+                        let found = read_plain(path, 1 << 20).unwrap();
+                        assert!(found.len() % 10 == 0 && found.iter().all(|byte| *byte == found[0]), "two in one");
+                    }
+                });
+            }
+        });
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside");
     }
 }
