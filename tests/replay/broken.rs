@@ -223,14 +223,24 @@ fn an_initial_pose_without_numbers_is_passed_over() {
     assert!(replayed(&messages).tags[3].valid, "the pose is good, only its covariance is not");
 }
 
+fn with_mount_turned_by(w: f64) -> Vec<LogMessage> {
+    changed::<TFMessage>(&walk().messages, TF_STATIC, |constants| {
+        let rotation = &mut constants.transforms[0].transform.rotation;
+        (rotation.x, rotation.y, rotation.z, rotation.w) = (0.0, 0.0, 0.0, w);
+    })
+}
+
 #[test]
-fn a_mount_turned_by_no_quaternion_is_finite() {
-    for broken in [0.0, f64::NAN] {
-        let messages = changed::<TFMessage>(&walk().messages, TF_STATIC, |constants| {
-            let rotation = &mut constants.transforms[0].transform.rotation;
-            (rotation.x, rotation.y, rotation.z, rotation.w) = (0.0, 0.0, 0.0, broken);
-        });
-        replayed(&messages);
+fn a_mount_turned_by_a_quaternion_of_zeros_is_not_turned() {
+    replayed(&with_mount_turned_by(0.0));
+}
+
+#[test]
+fn a_mount_turned_by_no_number_is_refused_by_name() {
+    for wild in [f64::NAN, f64::INFINITY, 1e308] {
+        let room = Room::with_log(&with_mount_turned_by(wild));
+        room.run("replay log.mcap -o captures")
+            .fails(1, &["the transform to base_link holds a number that is not finite"]);
     }
 }
 

@@ -54,6 +54,7 @@ fn assert_told(room: &Room, session: &str, words: &[&str]) {
     assert!(written > 0 && written <= left, "{images}");
     assert!(!images["lost"].as_array().unwrap().is_empty(), "{images}");
     assert_rows_fit_their_images(room, "frames");
+    fs::remove_dir_all(room.path("frames")).expect("removable: an export wants a folder of its own");
     let info = room.run(&format!("info {session}"));
     assert_eq!(info.code, Some(3), "{info:?}");
     // There the file's name stands in a line of its own.

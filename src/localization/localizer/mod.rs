@@ -382,7 +382,7 @@ impl Localizer {
 
     /// What the sensors say of the robot's step since the last frame.
     fn step_to(&mut self, moment: &Moment) -> Step {
-        let odometry = moment.odometry.filter(Pose2::is_finite);
+        let odometry = moment.odometry.filter(Physical::is_possible);
         let last = self.state.last.replace((moment.stamp_ns, odometry));
         let Some((last_ns, last_odometry)) = last else {
             return Step::none();
