@@ -152,7 +152,10 @@ mod tests {
                     for length in 1..200 {
                         write_atomically(&Disk, path, &vec![letter; 10 * length]).unwrap();
                         let found = read_plain(path, 1 << 20).unwrap();
-                        assert!(found.len() % 10 == 0 && found.iter().all(|byte| *byte == found[0]), "two in one");
+                        assert!(
+                            found.len().is_multiple_of(10) && found.iter().all(|byte| *byte == found[0]),
+                            "two in one"
+                        );
                     }
                 });
             }
