@@ -35,6 +35,7 @@ pub mod service;
 
 pub mod cli;
 
+mod plain_file;
 mod vectorised;
 
 // What integration tests and unit tests share.

@@ -18,6 +18,7 @@ use crate::geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use crate::localization::refinement::LinePoints;
 use crate::localization::refinement::miscalibration::Miscalibration;
 use crate::localization::refinement::offsets::{Eye, Sight, measure};
+use crate::plain_file;
 use crate::recording::{
     Loss, REFINED_FOLDER, RecordingError, SESSION_FILE, SessionInfo, read_info, topic, write_atomically,
 };
@@ -306,6 +307,9 @@ impl Refining {
     }
 }
 
+/// A lens and a dozen constants take some KiB.
+const MAX_INFO_BYTES: u64 = 4 << 20;
+
 /// The lens that a capture's refined tags belong to, if it has any.
 pub fn refined_info(capture: &Path) -> Result<Option<RefinedInfo>, RefineError> {
     let path = capture.join(REFINED_FOLDER).join(REFINED_INFO);
@@ -313,6 +317,6 @@ pub fn refined_info(capture: &Path) -> Result<Option<RefinedInfo>, RefineError> 
         return Ok(None);
     }
     let failed = |source| RefineError::Io { path: path.clone(), source };
-    let text = fs::read(&path).map_err(failed)?;
+    let text = plain_file::read(&path, MAX_INFO_BYTES).map_err(failed)?;
     serde_json::from_slice(&text).map(Some).map_err(|error| failed(error.into()))
 }

@@ -11,7 +11,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use super::setup::Eyes;
 use crate::geometry::Lens;
 use crate::ros2::mcap_read::LogMessage;
-use crate::sensors::decode::{DecodeError, picture};
+use crate::sensors::decode::{DecodeError, picture_of_size};
 use crate::sensors::synchroniser::Frame;
 use crate::vision::{Picture, Seen};
 
@@ -144,10 +144,8 @@ fn look(eyes: &Eyes, frame: Frame, mut seen: Seen) -> Looked {
 
 /// The picture of a frame's message, if it is one that the lens can have made.
 pub(super) fn view(message: &LogMessage, lens: &Lens) -> Result<Picture, NotSeen> {
-    let picture = picture(message).map_err(NotSeen::Decode)?;
-    if (picture.width, picture.height) != (lens.width() as usize, lens.height() as usize) {
-        let image = [picture.width, picture.height];
-        return Err(NotSeen::Size { image, lens: [lens.width(), lens.height()] });
-    }
-    Ok(picture)
+    picture_of_size(message, [lens.width() as usize, lens.height() as usize]).map_err(|error| match error {
+        DecodeError::OtherSize { found, .. } => NotSeen::Size { image: found, lens: [lens.width(), lens.height()] },
+        error => NotSeen::Decode(error),
+    })
 }

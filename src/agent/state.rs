@@ -1,6 +1,5 @@
 //! Where the filter goes on from, and what it leaves behind for the next start.
 
-use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
@@ -11,6 +10,7 @@ use super::tagger::Tagger;
 use crate::config::Settings;
 use crate::geometry::{Field, Lens, Pose2};
 use crate::localization::LocalizerState;
+use crate::plain_file;
 use crate::sensors::synchroniser::{InitialPose, SynchroniserState};
 
 /// The state that an agent leaves behind, in the folder of all captures.
@@ -69,7 +69,7 @@ impl Start {
 pub fn last_state(captures: &Path) -> Result<Option<Kept>, String> {
     let path = captures.join(STATE_FILE);
     let why = |what: String| format!("{}: {what}", path.display());
-    let file = match File::open(&path) {
+    let file = match plain_file::open(&path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         file => file.map_err(|error| why(error.to_string()))?,
     };

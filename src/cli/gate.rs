@@ -11,8 +11,11 @@ use super::junit::{self, TestCase};
 use super::{Outcome, output, paths};
 use crate::agent::ReplayReport;
 use crate::evaluation::capture::read_tags;
-use crate::evaluation::reference::{Difference, Frames, Identity, Reference, Verdict, compare, settings_that_matter};
+use crate::evaluation::reference::{
+    Difference, Frames, Identity, MAX_REFERENCE_BYTES, Reference, Verdict, compare, settings_that_matter,
+};
 use crate::geometry::Pose2;
+use crate::plain_file;
 
 #[derive(Args)]
 pub struct GateArguments {
@@ -77,7 +80,8 @@ impl GateArguments {
         let reference = if self.bless {
             None
         } else {
-            let text = std::fs::read_to_string(path).map_err(|error| paths::cannot_read(path, error))?;
+            let text =
+                plain_file::read_text(path, MAX_REFERENCE_BYTES).map_err(|error| paths::cannot_read(path, error))?;
             Some(Reference::parse(&text, &path.display().to_string())?)
         };
         Ok(Some(Gate { arguments: self, path, reference }))

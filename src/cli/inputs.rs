@@ -1,12 +1,11 @@
 //! What a command reads: the files that are named to it, and those that these name.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::config::{Settings, field_file, field_seen_from, lens_file, lens_seen_from};
 use crate::database::Catalogue;
 use crate::evaluation::suite::Suite;
+use crate::plain_file;
 use crate::recording::{read_info, session_holding};
 use crate::scene::SceneFile;
 
@@ -54,11 +53,5 @@ pub fn files_of(settings: &Settings) -> Vec<PathBuf> {
 
 fn small_text(path: &Path) -> Option<String> {
     // Nothing to wait for: a pipe or a device names no files.
-    let file = File::open(path.canonicalize().ok().filter(|path| path.is_file())?).ok()?;
-    if file.metadata().ok()?.len() > MAX_BYTES {
-        return None;
-    }
-    let mut text = String::new();
-    file.take(MAX_BYTES).read_to_string(&mut text).ok()?;
-    Some(text)
+    plain_file::read_text(path, MAX_BYTES).ok()
 }

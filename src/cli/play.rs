@@ -12,6 +12,7 @@ use crate::agent::live::stop_flag;
 use crate::agent::play::{PlayOptions, PlaySource, Played, play};
 use crate::config::Settings;
 use crate::geometry::{Euler, Isometry};
+use crate::plain_file;
 
 /// Play a capture, or a way through a database, to where a robot's devices are
 ///
@@ -88,8 +89,11 @@ pub fn run(arguments: &PlayArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if played.lost > 0 { Outcome::DataLost } else { Outcome::Whole })
 }
 
+/// A way of a million poses or more.
+const MAX_TABLE_BYTES: u64 = 256 << 20;
+
 fn trajectory(path: &Path) -> anyhow::Result<Vec<(f64, Isometry)>> {
-    let text = std::fs::read_to_string(path).map_err(|error| cannot_read(path, error))?;
+    let text = plain_file::read_text(path, MAX_TABLE_BYTES).map_err(|error| cannot_read(path, error))?;
     let wrong = |line: usize, what: String| UsageError(format!("{}: line {line}: {what}", path.display()));
     let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
     match lines.next() {

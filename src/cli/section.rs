@@ -4,6 +4,10 @@ use std::path::{Path, PathBuf};
 
 use super::paths;
 use super::settings::UsageError;
+use crate::plain_file;
+
+/// A page of documentation takes some ten KiB.
+const MAX_DOCUMENT_BYTES: u64 = 16 << 20;
 
 /// A document with a place for what `realitysim NAME` has to say.
 pub struct Section {
@@ -20,7 +24,7 @@ fn marks(name: &str) -> [String; 2] {
 impl Section {
     /// Before long work, so that a document without marks is refused at once.
     pub fn open(path: &Path, name: &str) -> anyhow::Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|error| paths::cannot_read(path, error))?;
+        let text = plain_file::read_text(path, MAX_DOCUMENT_BYTES).map_err(|error| paths::cannot_read(path, error))?;
         let inside = find(&text, name).map_err(|error| UsageError(format!("{}: {error}", path.display())))?;
         Ok(Self { path: path.to_owned(), text, inside })
     }

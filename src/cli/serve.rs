@@ -1,7 +1,6 @@
 //! `realitysim serve`
 
 use std::collections::BTreeMap;
-use std::io::Read;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
@@ -14,6 +13,7 @@ use super::{Outcome, output};
 use crate::agent::live::stop_flag;
 use crate::config::{Settings, lens_names, load_lens};
 use crate::geometry::LensParameters;
+use crate::plain_file;
 use crate::sensors::scene;
 use crate::service::{ServeOptions, serve};
 
@@ -111,9 +111,7 @@ fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> 
 const MAX_TOKEN_BYTES: u64 = 4096;
 
 fn token(path: &Path) -> anyhow::Result<String> {
-    let mut text = String::new();
-    let file = std::fs::File::open(path).map_err(|error| cannot_read(path, error))?;
-    file.take(MAX_TOKEN_BYTES).read_to_string(&mut text).map_err(|error| cannot_read(path, error))?;
+    let text = plain_file::read_text(path, MAX_TOKEN_BYTES).map_err(|error| cannot_read(path, error))?;
     let token = text.trim();
     if !token.chars().all(|letter| letter.is_ascii_graphic()) {
         let what = "a token is made of letters, digits and signs, without blanks between them";

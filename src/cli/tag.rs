@@ -13,6 +13,7 @@ use crate::agent::single::{Fit, Found, Known, LEAST_SHARE, LEAST_WEIGHT, Located
 use crate::config::{field_names, load_field, load_lens_for_image};
 use crate::evaluation::drawing;
 use crate::geometry::{Euler, Field, Pose2};
+use crate::plain_file;
 use crate::sensors::{body_mask, decode};
 
 /// Find the pose of a single image
@@ -90,7 +91,8 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     if let Some(overlay) = &arguments.overlay {
         check_output(overlay, &inputs(arguments))?;
     }
-    let bytes = std::fs::read(&arguments.image).map_err(|error| cannot_read(&arguments.image, error))?;
+    let bytes = plain_file::read(&arguments.image, decode::MAX_IMAGE_FILE_BYTES)
+        .map_err(|error| cannot_read(&arguments.image, error))?;
     let picture = decode::compressed(&bytes).with_context(shown)?;
     let (width, height) = (picture.width as u32, picture.height as u32);
     let lens = load_lens_for_image(&arguments.lens, width, height)?;

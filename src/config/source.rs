@@ -1,12 +1,12 @@
 //! Where the text of a settings file comes from: a path, or a file shipped in `config/` and built into the program.
 
-use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use include_dir::Dir;
 
 use super::ConfigError;
+use crate::plain_file;
 
 /// A settings file is a few KiB; whoever passes a recording by mistake should not wait for it to be read.
 const MAX_BYTES: u64 = 1 << 20;
@@ -84,6 +84,6 @@ pub(super) fn read(path: &str) -> Result<Source, ConfigError> {
 
 fn read_at_most(path: &str, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    File::open(path)?.take(limit).read_to_end(&mut bytes)?;
+    plain_file::open(Path::new(path))?.take(limit).read_to_end(&mut bytes)?;
     Ok(bytes)
 }

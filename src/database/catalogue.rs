@@ -1,7 +1,6 @@
 //! `database.json`: what a database was made of, and which index belongs to it. Replacing this file is the moment at
 //! which a change takes effect.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -9,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::error::{DatabaseError, io};
 use super::index::{Index, path_of};
 use crate::geometry::{FieldDimensions, LensParameters};
+use crate::plain_file;
 use crate::recording::write_atomically;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -61,6 +61,8 @@ pub enum SourceKind {
 
 /// A database that changes faster than it can be opened is not opened.
 pub(super) const MAX_TRIES: usize = 100;
+/// Some hundred bytes for each source.
+const MAX_CATALOGUE_BYTES: u64 = 64 << 20;
 const FORMAT: u32 = 1;
 const FILE: &str = "database.json";
 
@@ -71,7 +73,7 @@ impl Catalogue {
 
     pub fn read(folder: &Path) -> Result<Self, DatabaseError> {
         let path = folder.join(FILE);
-        let text = match fs::read_to_string(&path) {
+        let text = match plain_file::read_text(&path, MAX_CATALOGUE_BYTES) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 return Err(DatabaseError::None { path: folder.to_owned() });

@@ -17,6 +17,7 @@ use crate::agent::refining::{REFINED_INFO, refined_info};
 use crate::config::load_lens_for_image;
 use crate::evaluation::capture::{EvaluationError, Readout, losses, read_tags};
 use crate::geometry::{Euler, FieldDimensions, Isometry, LensParameters};
+use crate::plain_file;
 use crate::recording::{Loss, REFINED_FOLDER, SESSION_FILE, read_info};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
@@ -246,9 +247,12 @@ fn look_at(
     Misfits { all, other_sizes }
 }
 
+/// A line for each image takes some hundred bytes: of two million images.
+const MAX_TABLE_BYTES: u64 = 256 << 20;
+
 fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let table = path.join(POSES);
-    let text = fs::read_to_string(&table).map_err(io(&table))?;
+    let text = plain_file::read_text(&table, MAX_TABLE_BYTES).map_err(io(&table))?;
     let wrong =
         |line: usize, what: String| DatabaseError::Source { path: table.clone(), what: format!("line {line}: {what}") };
     let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, line)| (i + 1, line.trim()));

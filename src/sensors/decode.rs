@@ -1,5 +1,7 @@
 //! Pixels of a frame's message into a picture.
 
+use image::error::{LimitError, LimitErrorKind};
+use image::{DynamicImage, ImageDecoder};
 use thiserror::Error;
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
@@ -11,6 +13,9 @@ use crate::ros2::cdr::CdrError;
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CompressedImageView, ImageView};
 use crate::vision::Picture;
+
+/// A JPEG or PNG in a file of its own: no camera's comes near it.
+pub const MAX_IMAGE_FILE_BYTES: u64 = 256 << 20;
 
 #[derive(Debug, Error)]
 pub enum DecodeError {
@@ -26,14 +31,33 @@ pub enum DecodeError {
     Format { start: Vec<u8> },
     #[error("encoding {0:?}: supported are mono8, rgb8, bgr8, yuv422_yuy2 and bayer_rggb8, bggr8, gbrg8, grbg8")]
     Encoding(String),
+    #[error("{} x {} pixels, where {} x {} are wanted", found[0], found[1], wanted[0], wanted[1])]
+    OtherSize { found: [usize; 2], wanted: [usize; 2] },
     #[error("{width} x {height} pixels of {encoding} with step {step} do not fit {bytes} bytes")]
     Size { width: u32, height: u32, encoding: String, step: u32, bytes: usize },
 }
 
 pub fn picture(message: &LogMessage) -> Result<Picture, DecodeError> {
+    picture_if(message, &|_| Ok(()))
+}
+
+/// The picture, if it has this width and height. The head says how many pixels there are, and a head of a few bytes may
+/// claim a gigabyte of them: another size is refused before any pixel is decoded.
+pub fn picture_of_size(message: &LogMessage, wanted: [usize; 2]) -> Result<Picture, DecodeError> {
+    picture_if(message, &|found| if found == wanted { Ok(()) } else { Err(DecodeError::OtherSize { found, wanted }) })
+}
+
+/// Whether an image of this width and height is to be decoded.
+type Accept<'a> = &'a dyn Fn([usize; 2]) -> Result<(), DecodeError>;
+
+fn picture_if(message: &LogMessage, accept: Accept) -> Result<Picture, DecodeError> {
     match message.channel.type_name.as_str() {
-        "sensor_msgs/msg/CompressedImage" => compressed(CompressedImageView::decode(&message.data)?.data),
-        "sensor_msgs/msg/Image" => raw(&ImageView::decode(&message.data)?),
+        "sensor_msgs/msg/CompressedImage" => compressed_if(CompressedImageView::decode(&message.data)?.data, accept),
+        "sensor_msgs/msg/Image" => {
+            let image = ImageView::decode(&message.data)?;
+            accept([image.width as usize, image.height as usize])?;
+            raw(&image)
+        }
         other => Err(DecodeError::Type { type_name: other.to_owned() }),
     }
 }
@@ -50,17 +74,21 @@ pub fn stamp_ns(message: &LogMessage) -> Result<i64, DecodeError> {
 
 /// JPEG or PNG, told apart by their first bytes: `format` fields are not to be relied on.
 pub fn compressed(data: &[u8]) -> Result<Picture, DecodeError> {
+    compressed_if(data, &|_| Ok(()))
+}
+
+fn compressed_if(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     if data.starts_with(&[0xff, 0xd8]) {
-        jpeg(data)
+        jpeg(data, accept)
     } else if data.starts_with(b"\x89PNG") {
-        png(data)
+        png(data, accept)
     } else {
         Err(DecodeError::Format { start: data[..data.len().min(8)].to_vec() })
     }
 }
 
 /// Luma and chroma as the file holds them: the conversion to RGB and back is saved.
-fn jpeg(data: &[u8]) -> Result<Picture, DecodeError> {
+fn jpeg(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     // Some of its messages end in a newline.
     let bad = |message: String| DecodeError::Jpeg(message.trim_end().to_owned());
     let limits = DecoderOptions::default()
@@ -70,23 +98,33 @@ fn jpeg(data: &[u8]) -> Result<Picture, DecodeError> {
         .set_strict_mode(true);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), limits);
     decoder.decode_headers().map_err(|error| bad(error.to_string()))?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| bad("no size".to_owned()))?;
+    accept([width, height])?;
     let gray = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let wanted = if gray { ColorSpace::Luma } else { ColorSpace::YCbCr };
     decoder.set_options(decoder.options().jpeg_set_out_colorspace(wanted));
     let pixels = decoder.decode().map_err(|error| bad(error.to_string()))?;
-    let (width, height) = decoder.dimensions().ok_or_else(|| bad("no size".to_owned()))?;
     let picture =
         if gray { Picture::from_gray(width, height, pixels) } else { Picture::from_ycbcr(width, height, &pixels) };
     picture.ok_or_else(|| bad("its pixels do not fit its size".to_owned()))
 }
 
-fn png(data: &[u8]) -> Result<Picture, DecodeError> {
+fn png(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     let mut reader = image::ImageReader::with_format(std::io::Cursor::new(data), image::ImageFormat::Png);
     let mut limits = image::Limits::default();
     (limits.max_image_width, limits.max_image_height) = (Some(MAX_SIDE), Some(MAX_SIDE));
+    let bytes_allowed = limits.max_alloc;
     reader.limits(limits);
-    let image = reader.decode().map_err(DecodeError::Png)?;
-    let (width, height) = (image.width() as usize, image.height() as usize);
+    let decoder = reader.into_decoder().map_err(DecodeError::Png)?;
+    let (width, height) = decoder.dimensions();
+    let (width, height) = (width as usize, height as usize);
+    accept([width, height])?;
+    if bytes_allowed.is_some_and(|most| decoder.total_bytes() > most) {
+        return Err(DecodeError::Png(image::ImageError::Limits(LimitError::from_kind(
+            LimitErrorKind::InsufficientMemory,
+        ))));
+    }
+    let image = DynamicImage::from_decoder(decoder).map_err(DecodeError::Png)?;
     let picture = if image.color().has_color() {
         Picture::from_rgb(width, height, image.to_rgb8().as_raw())
     } else {
@@ -191,8 +229,11 @@ fn demosaic(width: usize, height: usize, rows: &[&[u8]], [red_u, red_v]: [usize;
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
-    use crate::ros2::messages::Header;
+    use crate::ros2::mcap_read::Channel;
+    use crate::ros2::messages::{CompressedImage, Header, Message};
 
     fn view<'a>(encoding: &'a str, width: u32, height: u32, step: u32, data: &'a [u8]) -> ImageView<'a> {
         ImageView { header: Header::default(), height, width, encoding, is_bigendian: 0, step, data }
@@ -241,6 +282,33 @@ mod tests {
             assert!(matches!(raw(&view("mono8", width, height, step, &data)), Err(DecodeError::Size { .. })));
         }
         assert!(matches!(raw(&view("rgba16", 1, 1, 8, &[0; 8])), Err(DecodeError::Encoding(_))));
+    }
+
+    /// The JPEG ends behind its head: were a pixel decoded, the error would be that there is none.
+    #[test]
+    fn another_size_is_refused_before_a_pixel_is_decoded() {
+        let noise: Vec<u8> = (0..64 * 64 * 3).map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let mut jpeg = Vec::new();
+        let encoder = jpeg_encoder::Encoder::new(&mut jpeg, 90);
+        encoder.encode(&noise, 64, 64, jpeg_encoder::ColorType::Rgb).expect("encoded");
+        let mut png = Vec::new();
+        let encoder = image::codecs::png::PngEncoder::new(&mut png);
+        image::ImageEncoder::write_image(encoder, &noise, 64, 64, image::ExtendedColorType::Rgb8).expect("encoded");
+        // The frame header's marker, length and precision stand before the height and the width.
+        let head = jpeg.windows(2).position(|two| two == [0xff, 0xc0]).expect("a baseline JPEG") + 5;
+        jpeg[head..head + 4].copy_from_slice(&[0x40, 0, 0x40, 0]);
+        let scan = jpeg.windows(2).position(|two| two == [0xff, 0xda]).expect("a scan");
+        let message = |data: &[u8]| {
+            let image = CompressedImage { data: data.to_vec(), ..CompressedImage::default() };
+            let channel = Arc::new(Channel::of::<CompressedImage>(0, "/image", Default::default()));
+            LogMessage { channel, sequence: 0, log_time_ns: 0, publish_time_ns: 0, data: image.encode() }
+        };
+        for (data, found) in [(&jpeg[..scan + 14], 16_384), (&png[..], 64)] {
+            let refused = picture_of_size(&message(data), [320, 240]).expect_err("another size");
+            let DecodeError::OtherSize { found: told, wanted } = refused else { panic!("{refused}") };
+            assert_eq!((told, wanted), ([found; 2], [320, 240]));
+        }
+        assert_eq!(picture_of_size(&message(&png), [64, 64]).expect("its size").width, 64);
     }
 
     #[test]

@@ -11,6 +11,7 @@ use thiserror::Error;
 
 use crate::config::{Topics, field_seen_from, lens_seen_from, load_field, load_lens};
 use crate::geometry::{Isometry, LensModel, LensParameters};
+use crate::plain_file;
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
 use crate::ros2::messages::{
@@ -43,11 +44,14 @@ fn unreadable(error: &std::io::Error) -> String {
     }
 }
 
+/// A scene with hundreds of effects and events takes some ten KiB.
+pub(crate) const MAX_SCENE_BYTES: u64 = 1 << 20;
+
 /// A scene file with the field and lens that it names.
 pub fn load(path: impl AsRef<Path>) -> Result<Scene, SceneSourceError> {
     let path = path.as_ref();
     let name = path.display().to_string();
-    match std::fs::read_to_string(path) {
+    match plain_file::read_text(path, MAX_SCENE_BYTES) {
         Ok(text) => parse(&text, &name),
         Err(source) => Err(SceneSourceError::Open { path: name, source }),
     }

@@ -87,7 +87,8 @@ impl Rsync<'_> {
         // --append: it would believe what is there.
         command.args(["-I", "--inplace", "--no-whole-file", "--chmod=u+rwX", "--files-from=-", "--from0"]);
         command.args(["--outbuf=L", "--out-format=%b %n"]).arg(self.source.argument("")).arg(with_slash(into));
-        let asked = paths.join("\0");
+        // In such a list rsync takes a line that begins with ; or # for a comment, and leaves a path's ./ away again.
+        let asked = paths.iter().map(|path| format!("./{path}")).collect::<Vec<_>>().join("\0");
         let mut each = |line: &str| arrived(line.split_once(' ').map_or(line, |(_, name)| name));
         self.run(command, asked.as_bytes(), &mut each, tick)
     }

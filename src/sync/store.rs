@@ -10,7 +10,7 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use rustix::fs::OFlags;
+use rustix::fs::{Mode, OFlags};
 use serde::{Deserialize, Serialize};
 
 use super::desk::Desk;
@@ -288,10 +288,9 @@ impl Store {
             fs::create_dir(&acks).map_err(io(&acks))?;
             sync_folder(folder)?;
         }
-        real_folder(&acks)?;
-        let path = acks.join(format!("{}{ACK_ENDING}", self.receiver));
-        append(&path, &ack.to_line()).map_err(io(&path))?;
-        Ok(sync_folder(&acks)?)
+        let name = format!("{}{ACK_ENDING}", self.receiver);
+        let path = acks.join(&name);
+        append_within(folder, ACK_FOLDER, &name, &ack.to_line()).map_err(io(&path))
     }
 
     fn turn(&self) -> Result<Turn, SyncError> {
@@ -337,7 +336,26 @@ fn move_aside(path: &Path) -> Result<(), SyncError> {
 
 /// Behind a whole last line, and onto the disk. What a cut has torn goes; on a full disk nothing is torn.
 fn append(path: &Path, text: &str) -> io::Result<()> {
-    let mut file = own_file(path)?;
+    append_to(own_file(path)?, text)
+}
+
+/// The same of `folder/inner/name`. Each part is opened within what was opened before it and followed through no link: a
+/// link that is put in place of a folder meanwhile leads nowhere.
+fn append_within(folder: &Path, inner: &str, name: &str, text: &str) -> io::Result<()> {
+    let as_folder = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+    let as_file =
+        OFlags::RDWR | OFlags::APPEND | OFlags::CREATE | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let folder = rustix::fs::open(folder, as_folder, Mode::empty())?;
+    let inner = rustix::fs::openat(&folder, inner, as_folder, Mode::empty())?;
+    let file = File::from(rustix::fs::openat(&inner, name, as_file, Mode::from_raw_mode(0o666))?);
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("not a plain file"));
+    }
+    append_to(file, text)?;
+    Ok(rustix::fs::fsync(&inner)?)
+}
+
+fn append_to(mut file: File, text: &str) -> io::Result<()> {
     let mut old = Vec::new();
     Read::by_ref(&mut file).take(MAX_SMALL_BYTES).read_to_end(&mut old)?;
     if old.len() as u64 == MAX_SMALL_BYTES {
@@ -377,5 +395,31 @@ impl Item {
 
     pub(super) fn is_fetched(&self) -> bool {
         self.why != Why::Verify
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whenever it was put there: nothing asks for links beforehand.
+    #[test]
+    fn nothing_is_appended_through_a_link() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [session, foreign] = ["session", "foreign"].map(|name| folder.path().join(name));
+        fs::create_dir_all(session.join("ack")).expect("made");
+        fs::create_dir_all(foreign.join("ack")).expect("made");
+        append_within(&session, "ack", "a.jsonl", "{}\n").expect("appended");
+        append_within(&session, "ack", "a.jsonl", "{}\n").expect("appended");
+        assert_eq!(fs::read_to_string(session.join("ack/a.jsonl")).expect("there"), "{}\n{}\n");
+        std::os::unix::fs::symlink(&foreign, session.join("inner")).expect("linked");
+        append_within(&session, "inner", "a.jsonl", "{}\n").expect_err("through the inner folder");
+        std::os::unix::fs::symlink(&foreign, folder.path().join("outer")).expect("linked");
+        append_within(&folder.path().join("outer"), "ack", "a.jsonl", "{}\n")
+            .expect_err("through the session's folder");
+        std::os::unix::fs::symlink(foreign.join("file"), session.join("ack/b.jsonl")).expect("linked");
+        append_within(&session, "ack", "b.jsonl", "{}\n").expect_err("through the file");
+        assert_eq!(fs::read_dir(&foreign).expect("a folder").count(), 1);
+        assert_eq!(fs::read_dir(foreign.join("ack")).expect("a folder").count(), 0);
     }
 }

@@ -17,10 +17,13 @@ const LANES: usize = 8;
 
 /// Cells that the camera does not see keep what they hold.
 pub(super) fn read(reading: &Reading, map: &GroundMap, to_working: WorkingScale, shown: &mut [i16]) {
-    assert_eq!(reading.image.len(), reading.width * reading.height, "the vector path reads without further checks");
+    // The vector path reads without further checks, and counts pixels in 32 bits.
+    assert!(reading.width >= 2 && reading.height >= 2, "each cell is read from 2 x 2 pixels");
+    assert_eq!(Some(reading.image.len()), reading.width.checked_mul(reading.height), "the image has another size");
+    assert!(i32::try_from(reading.image.len()).is_ok(), "the image has more pixels than 32 bits count");
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2, and the image has the size that it says.
+        // SAFETY: the processor has AVX2; the image has the size that it says, which is at least 2 x 2.
         return unsafe { x86::read(reading, map, to_working, shown) };
     }
     each_eight(map, to_working, shown, |us, vs| plain(reading, us, vs));
@@ -157,6 +160,24 @@ mod x86 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    fn read_nothing_of(width: usize, height: usize) {
+        let image = vec![0; width * height];
+        let mut shown = vec![0; SIDE * SIDE];
+        read(&Reading { image: &image, width, height }, &GroundMap::default(), WorkingScale::new(1), &mut shown);
+    }
+
+    #[test]
+    #[should_panic(expected = "2 x 2 pixels")]
+    fn an_image_of_one_column_is_not_read() {
+        read_nothing_of(1, 8);
+    }
+
+    #[test]
+    #[should_panic(expected = "2 x 2 pixels")]
+    fn an_image_of_one_row_is_not_read() {
+        read_nothing_of(8, 1);
+    }
 
     proptest! {
         #[test]

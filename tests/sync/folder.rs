@@ -43,6 +43,18 @@ fn what_exists_is_known_before_it_is_here() {
     assert_eq!(shown["missing"], 0, "{shown}");
 }
 
+/// In rsync's lists a comment begins with ; or #.
+#[test]
+fn a_folder_may_begin_with_any_sign() {
+    for name in [";x", "#x", "-x", "'x y'"] {
+        let Some(site) = Site::new() else { return };
+        let folder = five(&site);
+        fs::rename(&folder, folder.with_file_name(name)).expect("renamed");
+        site.sync("robot", "dev", &[]).ends(0);
+        assert_eq!(contents(&site.path("dev")).len(), 5, "{name}");
+    }
+}
+
 #[test]
 fn a_clock_that_is_hours_off_changes_nothing() {
     let Some(site) = Site::new() else { return };

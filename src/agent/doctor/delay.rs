@@ -89,6 +89,7 @@ impl Heard {
         let mut heard = Self::default();
         let Ok(lens) = Lens::new(setup.lens.clone()) else { return Ok(heard) };
         let turning = Turning::new(&lens);
+        let size = [lens.width() as usize, lens.height() as usize];
         let (mut last, mut frames) = (None, 0);
         for message in messages {
             let message = message?;
@@ -102,7 +103,7 @@ impl Heard {
                 }
                 Ok(Input::Frame { stamp_ns, .. }) if frames < MAX_FRAMES => {
                     frames += 1;
-                    let now = decode::picture(&message).ok().and_then(|picture| turning.small(&picture));
+                    let now = decode::picture_of_size(&message, size).ok().and_then(|picture| turning.small(&picture));
                     if let (Some((from_ns, before)), Some(now)) = (&last, &now)
                         && (1..=MAX_BETWEEN_NS).contains(&(stamp_ns - from_ns))
                         && let Some(turn) = turning.between(before, now)

@@ -8,6 +8,7 @@ use jpeg_encoder::ColorType;
 use serde::Serialize;
 
 use crate::cli::{Outcome, output, paths};
+use crate::plain_file;
 use crate::scene::Scene;
 use crate::sensors::encode::jpeg;
 use crate::sensors::{decode, scene};
@@ -45,7 +46,8 @@ pub fn run(arguments: &ApplyArguments, json: bool) -> anyhow::Result<Outcome> {
     let ApplyArguments { image, output: path, frame, .. } = arguments;
     paths::check_output(path, &[image, Path::new(&arguments.scene)])?;
     let scene = scene::load(&arguments.scene)?;
-    let stored = std::fs::read(image).map_err(|error| paths::cannot_read(image, error))?;
+    let stored =
+        plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| paths::cannot_read(image, error))?;
     let (applied, left_out) = scene.effects_on_images();
     let written = if applied.is_empty() { stored } else { changed(&scene, &stored, arguments, *frame)? };
     paths::write_bytes(path, &written)?;

@@ -8,6 +8,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use super::identity::Identity;
+use crate::plain_file;
 use crate::ros2::messages::FrameTag;
 
 #[derive(Debug, Error)]
@@ -44,6 +45,8 @@ pub struct Reference {
     pub frames: Frames,
 }
 
+/// An hour at 30 Hz takes some ten MiB.
+pub(crate) const MAX_REFERENCE_BYTES: u64 = 256 << 20;
 const FORMAT: u32 = 1;
 
 /// The first line.
@@ -130,7 +133,7 @@ impl Reference {
 
     pub fn load(path: &Path) -> Result<Self, ReferenceError> {
         let file = path.display().to_string();
-        let text = std::fs::read_to_string(path)
+        let text = plain_file::read_text(path, MAX_REFERENCE_BYTES)
             .map_err(|error| ReferenceError::Read { file: file.clone(), message: error.to_string() })?;
         Self::parse(&text, &file)
     }

@@ -1,6 +1,5 @@
 //! What a reference is of. Only tags of the same are compared.
 
-use std::fs::File;
 use std::io;
 use std::path::Path;
 
@@ -9,8 +8,10 @@ use serde_json::Value;
 
 use super::ReferenceError;
 use crate::geometry::Pose2;
+use crate::plain_file;
 use crate::recording::{SessionInfo, read_info};
 use crate::sensors::log::files_of;
+use crate::sensors::scene::MAX_SCENE_BYTES;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
@@ -85,11 +86,12 @@ fn hash(source: &Path, info: &SessionInfo) -> io::Result<String> {
     let mut hasher = blake3::Hasher::new();
     if source.extension().is_some_and(|ending| ending == "toml") {
         // What it says, not how: comments change nothing. And what its names stand for.
-        let scene: toml::Table = toml::from_str(&std::fs::read_to_string(source)?).map_err(io::Error::other)?;
+        let scene: toml::Table =
+            toml::from_str(&plain_file::read_text(source, MAX_SCENE_BYTES)?).map_err(io::Error::other)?;
         hasher.update(&serde_json::to_vec(&(scene, &info.field, &info.lens))?);
     } else {
         for file in files_of(source).map_err(io::Error::other)? {
-            hasher.update_reader(File::open(file)?)?;
+            hasher.update_reader(plain_file::open(&file)?)?;
         }
     }
     Ok(hasher.finalize().to_hex().to_string())

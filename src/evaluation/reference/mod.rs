@@ -6,5 +6,6 @@ mod file;
 mod identity;
 
 pub use compare::{Difference, Verdict, compare};
+pub(crate) use file::MAX_REFERENCE_BYTES;
 pub use file::{Frames, Reference, ReferenceError};
 pub use identity::{Identity, settings_that_matter};

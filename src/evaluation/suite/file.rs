@@ -7,6 +7,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use super::limits::Limits;
+use crate::plain_file;
 
 #[derive(Debug, Error)]
 #[error("{file}: {message}")]
@@ -60,10 +61,12 @@ pub struct Case {
 
 /// As many fit into a table that somebody reads.
 const MAX_CASES: usize = 1000;
+/// A thousand cases take some hundred KiB.
+const MAX_SUITE_BYTES: u64 = 4 << 20;
 
 impl Suite {
     pub fn load(path: &Path) -> Result<Self, SuiteError> {
-        let text = std::fs::read_to_string(path).map_err(|error| refuse(path, error))?;
+        let text = plain_file::read_text(path, MAX_SUITE_BYTES).map_err(|error| refuse(path, error))?;
         Self::parse(&text, path)
     }
 

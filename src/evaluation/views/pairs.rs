@@ -1,6 +1,5 @@
 //! Real images of one camera's place turned into each other: VisualMesh images with their lens files.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -9,6 +8,7 @@ use thiserror::Error;
 use super::likeness::likeness;
 use crate::config::{ConfigError, load_lens_for_image};
 use crate::geometry::{Field, Isometry, Lens, LensParameters};
+use crate::plain_file;
 use crate::views::{
     Camera, Candidate, Made, Method, NOTHING, Pyramid, Raster, Request, TagError, ViewError, ViewSettings, Vignetting,
     World, view,
@@ -37,6 +37,8 @@ pub enum PairError {
     View(#[from] ViewError),
 }
 
+/// A pair takes ten bytes.
+const MAX_PAIRS_BYTES: u64 = 16 << 20;
 const TABLE: &str = "same_centre_pairs.csv";
 /// The rim of the fisheye's circle is kept off.
 const INNER: f64 = 0.98;
@@ -45,7 +47,7 @@ const INNER: f64 = 0.98;
 pub fn pairs(folder: &Path, field: &Field) -> Result<Vec<Pair>, PairError> {
     let table = folder.join(TABLE);
     let failed = |what: String| PairError::File { path: table.clone(), what };
-    let text = fs::read_to_string(&table).map_err(|error| failed(error.to_string()))?;
+    let text = plain_file::read_text(&table, MAX_PAIRS_BYTES).map_err(|error| failed(error.to_string()))?;
     let number = |cell: Option<&str>| cell.and_then(|cell| cell.parse().ok());
     let mut pairs = Vec::new();
     for line in text.lines().skip(1) {
