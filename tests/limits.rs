@@ -20,6 +20,35 @@ fn the_table_of_limits_is_right_and_whole() {
     assert!(found.keys().filter(|key| is_limit(&key.1)).count() > 20, "the source was not read");
 }
 
+/// Files that people or other machines name are opened by `plain_file` alone, which waits for no pipe and reads no device to its
+/// end. What is listed here opens what has a fixed name, or writes.
+#[test]
+fn files_are_read_through_one_door() {
+    const OWN: [&str; 11] = [
+        "src/plain_file.rs",
+        "src/cli/machine.rs",
+        "src/recording/identity.rs",
+        "src/recording/storage/disk.rs",
+        "src/recording/turn.rs",
+        "src/sensors/permission.rs",
+        "src/sensors/serial/latency.rs",
+        "src/sensors/serial/port.rs",
+        "src/sensors/video_out.rs",
+        "src/sync/desk.rs",
+        "src/sync/store.rs",
+    ];
+    const DOORS: [&str; 6] =
+        ["File::open(", "fs::read(", "read_to_string(\"", "fs::read_to_string(", "OpenOptions::new()", "image::open("];
+    for path in rust_files(Path::new("src")) {
+        let text = fs::read_to_string(&path).expect("a source file");
+        let code = text.split("#[cfg(test)]").next().unwrap_or_default();
+        let name = path.to_str().expect("a plain name");
+        for door in DOORS.into_iter().filter(|_| !OWN.contains(&name)) {
+            assert!(!code.contains(door), "{name}: {door}..) beside crate::plain_file");
+        }
+    }
+}
+
 /// Rows of the form: | `NAME` | `value` | `file` | why |
 fn stated() -> Constants {
     let text = fs::read_to_string("docs/limits.md").expect("docs/limits.md");

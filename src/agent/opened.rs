@@ -10,7 +10,7 @@ use super::setup::{Setup, SetupError};
 use crate::config::Settings;
 use crate::recording::{Loss, missing_parts, topic};
 use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
-use crate::ros2::messages::{CompressedImage, FrameTag, Message};
+use crate::ros2::messages::{CompressedImage, FrameTag, Message, Odometry};
 use crate::scene::Scene;
 use crate::sensors::log::{self as logs, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
 use crate::sensors::scene::SceneSource;
@@ -39,9 +39,18 @@ pub(super) fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayErr
     let surveys = logs::surveys(&files)?;
     let stored = stored_state(&files, &surveys)?;
     let mut types = logs::topic_types(&surveys);
-    if stored.is_of_capture && topics::image(&settings.topics.image, &types).is_err() {
-        // Of a time when the camera sent nothing; what else was measured then is whole.
-        types.entry(settings.topics.image.clone()).or_default().insert(CompressedImage::TYPE.to_owned());
+    let lacks_images = topics::image(&settings.topics.image, &types).is_err();
+    let lacks_odometry = !types.values().any(|types| types.contains(Odometry::TYPE));
+    if stored.is_of_capture {
+        // Of a time when the camera or the odometry sent nothing, for which recording did not end; what else was measured then is
+        // whole.
+        let mut expect = |topic: &str, name: &str| types.entry(topic.to_owned()).or_default().insert(name.to_owned());
+        if lacks_images {
+            expect(&settings.topics.image, CompressedImage::TYPE);
+        }
+        if lacks_odometry {
+            expect(&settings.topics.odometry, Odometry::TYPE);
+        }
     }
     let lost = || {
         let damaged = files.iter().zip(&surveys).filter(|(_, survey)| !survey.damage.is_none());

@@ -28,7 +28,7 @@ use crate::sensors::intake::{self, isometry};
 use crate::sensors::scene::{header, pose};
 use crate::sensors::synchroniser::{Frame as SensorFrame, Synchroniser};
 use crate::smoothing::alignment::{Look, matches};
-use crate::smoothing::{CONSTANTS, Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, smooth};
+use crate::smoothing::{CONSTANTS, Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, held_out_rms_px, smooth};
 use crate::vision::{Picture, Seen};
 
 /// A capture and what became of its tags.
@@ -39,6 +39,8 @@ pub struct Refining {
     /// The same with better poses where that was possible.
     pub refined: Vec<FrameTag>,
     pub smoothed: Smoothed,
+    /// See [`RefinedInfo::held_out_px`].
+    pub held_out_px: [f64; 2],
     /// As it is found to be.
     pub lens: LensParameters,
     /// Stamps of the frames that took part.
@@ -73,6 +75,20 @@ pub struct RefinedInfo {
     pub constants: Vec<Found>,
     pub frames: usize,
     pub rms_px: [f64; 2],
+    /// The same of lines that took no part, before and after: see [`held_out_rms_px`].
+    #[serde(default)]
+    pub held_out_px: [f64; 2],
+}
+
+/// By this share lines that took no part must fit better for refined tags to be preferred: what is less may be chance.
+const BETTER: f64 = 0.01;
+
+impl RefinedInfo {
+    /// Whether the refined tags are to be used in place of those that were recorded.
+    pub fn is_better(&self) -> bool {
+        let [before, after] = self.held_out_px;
+        after < (1.0 - BETTER) * before
+    }
 }
 
 /// A constant of the walk.
@@ -146,6 +162,8 @@ pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64))
         .zip(smoothed.map_from_optical.iter().zip(&smoothed.covariances))
         .map(|(frame, (pose, covariance))| (frame.stamp_ns, (*pose * optical_from_link, *covariance)))
         .collect();
+    let stamps_ns = frames.iter().map(|frame| frame.stamp_ns).collect();
+    let held_out_px = held_out_rms_px(frames, &info.lens, model)?;
     let refined = tags.iter().map(|tag| match known.get(&tag.header.stamp.to_nanoseconds()) {
         Some((pose, covariance)) if tag.valid => retagged(tag, pose, covariance),
         _ => tag.clone(),
@@ -154,8 +172,9 @@ pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64))
         refined: refined.collect(),
         tags,
         lens: constants.lens(&info.lens),
-        stamps_ns: frames.iter().map(|frame| frame.stamp_ns).collect(),
+        stamps_ns,
         smoothed,
+        held_out_px,
         info,
         losses,
     })
@@ -267,7 +286,13 @@ impl Refining {
             observable: known[i] < OBSERVED * believed[i],
         });
         let frames = self.smoothed.map_from_optical.len();
-        RefinedInfo { lens: self.lens.clone(), constants: found.collect(), frames, rms_px: *rms_px }
+        RefinedInfo {
+            lens: self.lens.clone(),
+            constants: found.collect(),
+            frames,
+            rms_px: *rms_px,
+            held_out_px: self.held_out_px,
+        }
     }
 
     /// Puts the refined tags into the capture's folder `refined`, in place of earlier ones. Nothing that was recorded is

@@ -8,6 +8,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 
 use super::{Outcome, output, paths};
+use crate::plain_file;
 
 /// Put the recorder in place as a service of this machine (as root)
 ///
@@ -38,6 +39,9 @@ const COMMANDS: [&[&str]; 5] = [
     &["udevadm", "trigger", "--subsystem-match=video4linux", "--subsystem-match=tty"],
 ];
 
+/// With all of its debugging information.
+const MAX_PROGRAM_BYTES: u64 = 1 << 30;
+
 pub fn run(arguments: &InstallArguments) -> anyhow::Result<Outcome> {
     let root = arguments.root.as_deref().unwrap_or(Path::new("/"));
     for (name, content) in FILES {
@@ -47,7 +51,7 @@ pub fn run(arguments: &InstallArguments) -> anyhow::Result<Outcome> {
         write(&root.join(CONFIG.0), CONFIG.1.as_bytes(), 0o644)?;
     }
     let program = std::env::current_exe().context("this program's own file")?;
-    let content = std::fs::read(&program).map_err(|error| paths::cannot_read(&program, error))?;
+    let content = plain_file::read(&program, MAX_PROGRAM_BYTES).map_err(|error| paths::cannot_read(&program, error))?;
     write(&root.join(PROGRAM), &content, 0o755)?;
     if arguments.root.is_some() {
         output::lines(&format!("written into {}", root.display()))?;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::settings::UsageError;
 use super::{output, paths};
+use crate::plain_file;
 
 /// One test; it has passed if it has no fault.
 pub struct TestCase {
@@ -65,8 +66,12 @@ pub fn write_failure(path: &Path, suite: &str, error: &anyhow::Error) {
     }
 }
 
+/// Of a hundred thousand cases.
+const MAX_RESULT_BYTES: u64 = 64 << 20;
+
 fn is_free_or_a_result(path: &Path) -> bool {
-    !path.exists() || std::fs::read(path).is_ok_and(|bytes| bytes.is_empty() || bytes.starts_with(b"<?xml"))
+    !path.exists()
+        || plain_file::read(path, MAX_RESULT_BYTES).is_ok_and(|bytes| bytes.is_empty() || bytes.starts_with(b"<?xml"))
 }
 
 /// For text and attributes alike. XML knows no control characters but tab and line ends.

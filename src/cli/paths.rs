@@ -1,11 +1,11 @@
 //! Where results may go, and the file system's errors in words that say what to do.
 
-use std::fs::File;
 use std::io::{Error, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use super::inputs::with_what_they_name;
 use super::settings::UsageError;
+use crate::plain_file;
 use crate::recording::session_holding;
 use crate::sensors::video_out::is_device_name;
 
@@ -107,7 +107,7 @@ pub fn check_old(path: &Path, is_ours: impl Fn(&[u8]) -> bool) -> Result<(), Usa
         return Ok(());
     }
     let mut old = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(MAX_OLD_BYTES).read_to_end(&mut old));
+    let read = plain_file::open(path).and_then(|file| file.take(MAX_OLD_BYTES).read_to_end(&mut old));
     // What may not be read is somebody else's, too.
     if read.is_ok() && (old.is_empty() || is_ours(&old)) {
         return Ok(());

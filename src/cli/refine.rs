@@ -21,7 +21,8 @@ use crate::smoothing::{Constants, Model};
 /// Improve a capture's tags afterwards, from all frames together
 ///
 /// Lines, odometry, IMU and mount of all frames are fitted at once, and with them what is constant: focal length and centre of the lens, the
-/// mount's tilt, the camera's height. Writes CAPTURE/refined, which `db add` prefers; what was recorded is not touched. Tells how good the tags
+/// mount's tilt, the camera's height. Writes CAPTURE/refined, which `db add` prefers if lines that took no part fit it better; what was
+/// recorded is not touched. Tells how good the tags
 /// are before and after: by --truth, and by views of every so many images made from the others.
 #[derive(Args)]
 pub struct RefineArguments {
@@ -48,6 +49,8 @@ struct Report {
     before: Judged,
     after: Judged,
     constants: Vec<Found>,
+    /// `db add` takes the refined tags.
+    preferred: bool,
     output: PathBuf,
 }
 
@@ -56,6 +59,8 @@ struct Report {
 struct Judged {
     /// Of the line places that fit.
     rms_px: f64,
+    /// The same of places that took no part.
+    held_out_px: f64,
     position_cm: Option<Summary>,
     angle_deg: Option<Summary>,
     /// Left out and made of the others.
@@ -74,23 +79,27 @@ pub fn run(arguments: &RefineArguments, json: bool) -> anyhow::Result<Outcome> {
     let mut progress = output::Progress::new("looking");
     let refining = refine(capture, &Model::default(), &mut |done, all| progress.set(done, Some(all)))?;
     progress.finish();
-    let RefinedInfo { constants, frames, rms_px, .. } = refining.info();
+    let info = refining.info();
+    let preferred = info.is_better();
+    let RefinedInfo { constants, frames, rms_px, held_out_px, .. } = info;
     let views = usize::from(*views);
-    let judged = |capture: &Path, tags: &[FrameTag], rms_px: f64| -> anyhow::Result<Judged> {
+    let judged = |capture: &Path, tags: &[FrameTag], which: usize| -> anyhow::Result<Judged> {
+        let (rms_px, held_out_px) = (rms_px[which], held_out_px[which]);
         let truth = truth.as_ref().map(|truth| errors(tags, &refining.stamps_ns, &truth.found));
         let (position_cm, angle_deg) = truth.flatten().unzip();
-        let view_psnr_db = if views > 0 { psnr(capture, views)? } else { None };
-        Ok(Judged { rms_px, position_cm, angle_deg, view_psnr_db })
+        // Of tags that a database does not take, there are no views.
+        let view_psnr_db = if views > 0 && (which == 0 || preferred) { psnr(capture, views)? } else { None };
+        Ok(Judged { rms_px, held_out_px, position_cm, angle_deg, view_psnr_db })
     };
     let recorded = as_recorded(capture)?;
-    let before = judged(recorded.path(), &refining.tags, rms_px[0])?;
+    let before = judged(recorded.path(), &refining.tags, 0)?;
     let folder = refining.write(capture)?;
-    let after = judged(capture, &refining.refined, rms_px[1])?;
+    let after = judged(capture, &refining.refined, 1)?;
     if let Some(path) = write_calibration {
         calibration(&refining, path)?;
     }
     output::losses(&refining.losses);
-    let report = Report { frames, tags: refining.tags.len(), before, after, constants, output: folder };
+    let report = Report { frames, tags: refining.tags.len(), before, after, constants, preferred, output: folder };
     if json {
         output::json(&report)?;
     } else {
@@ -232,6 +241,7 @@ fn told(report: &Report) -> String {
         text.push_str(&format!("  {name:<34} {:>8} before {:>8} after\n", of(&report.before), of(&report.after)));
     };
     row("lines, rms px", &|judged| format!("{:.2}", judged.rms_px));
+    row("lines that took no part, rms px", &|judged| format!("{:.3}", judged.held_out_px));
     row("position, median cm", &|judged| median(&judged.position_cm));
     row("angle, median deg", &|judged| {
         judged.angle_deg.as_ref().map_or("-".to_owned(), |s| format!("{:.3}", s.median))
@@ -246,5 +256,8 @@ fn told(report: &Report) -> String {
         text.push_str(&format!("  {name:<26} {value:+.5} +- {known:.5} {unit}{doubt}\n"));
     }
     text.push_str(&report.output.display().to_string());
+    if !report.preferred {
+        text.push_str("\nlines that took no part fit no better: `db add` keeps the tags that were recorded");
+    }
     text
 }

@@ -217,7 +217,7 @@ fn publish(folder: &Path, mut catalogue: Catalogue, records: Vec<Record>) -> Res
     catalogue.index += 1;
     write_index(&path_of(folder, catalogue.index), records)?;
     catalogue.write(folder)?;
-    // Who has mapped it keeps it; a name that stays behind does no harm.
+    // Those who have read it keep it; a name that stays behind does no harm.
     let _ = fs::remove_file(old);
     masks::remove_all_but(folder, &catalogue);
     Ok(())
@@ -274,19 +274,13 @@ pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
 pub struct Checked {
     pub images: usize,
     pub sound: usize,
-    /// The index itself is as it was written.
-    pub index_sound: bool,
     pub losses: Vec<Loss>,
 }
 
-/// Reads every image and compares it with what was indexed.
+/// Reads every image and compares it with what was indexed. A damaged index is an error.
 pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseError> {
     let (catalogue, index) = Catalogue::with_index(folder)?;
-    let path = path_of(folder, catalogue.index);
-    let mut checked = Checked { images: index.len(), sound: 0, index_sound: index.is_sound(), losses: Vec::new() };
-    if !checked.index_sound {
-        checked.losses.push(Loss::new(&path, "not as it was written: `realitysim db rebuild` makes it anew"));
-    }
+    let mut checked = Checked { images: index.len(), sound: 0, losses: Vec::new() };
     for error in catalogue.sources.iter().filter_map(|source| Masks::read(folder, source).err()) {
         checked.losses.push(Loss::new(folder, error.to_string()));
     }

@@ -1,22 +1,22 @@
-//! The index as a file: a header, the tree's splits, the records in the tree's order. Opened by mapping it.
+//! The index as a file: a header, the tree's splits, the records in the tree's order.
+//!
+//! It is read whole and checked when it is opened: 80 bytes for an image are little, and what happens to the file afterwards,
+//! from another program or a failing disk, changes nothing for those who have it open.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use memmap2::Mmap;
-
 use super::error::{DatabaseError, io};
 use super::record::{RECORD_BYTES, Record};
 use super::tree::{self, Metric, Search, Split};
-use crate::geometry::Isometry;
+use crate::geometry::{Isometry, Physical};
+use crate::plain_file;
 
-/// An index that is open. The file under it is never changed: a new one takes its place.
+/// An index that has been read. The file is never changed: a new one takes its place.
 #[derive(Debug)]
 pub struct Index {
-    path: PathBuf,
-    file: File,
-    map: Mmap,
+    bytes: Vec<u8>,
     count: usize,
     records_at: usize,
 }
@@ -35,8 +35,8 @@ const VERSION: u32 = 1;
 /// Magic, version, CRC-32 of everything behind the header, number of records.
 const HEADER_BYTES: usize = 24;
 const SPLIT_BYTES: usize = 8;
-/// More images than any field will ever see; larger counts are damage.
-const MAX_IMAGES: u64 = 1 << 28;
+/// More images than any field will ever see, 1.4 GB of index; larger counts are damage.
+const MAX_IMAGES: usize = 1 << 24;
 
 /// Orders the records and writes the index, forced to disk.
 pub fn write_index(path: &Path, mut records: Vec<Record>) -> Result<(), DatabaseError> {
@@ -69,14 +69,11 @@ pub fn write_index(path: &Path, mut records: Vec<Record>) -> Result<(), Database
 }
 
 impl Index {
+    /// Reads the file, whose length, checksum and poses must be right.
     pub fn open(path: &Path) -> Result<Self, DatabaseError> {
         let damaged = |what: &str| DatabaseError::Damaged { path: path.to_owned(), what: what.to_owned() };
-        let file = File::open(path).map_err(io(path))?;
-        // SAFETY: this program never changes an index once it has its name, it only puts others beside it. Who else
-        // writes into it makes wrong poses, which are noticed by the images' checksums; who cuts it is noticed by
-        // `check_length`, or, in the middle of a view, ends the program.
-        let map = unsafe { Mmap::map(&file) }.map_err(io(path))?;
-        let header = map.get(..HEADER_BYTES).ok_or_else(|| damaged("cut in its header"))?;
+        let bytes = plain_file::read(path, bytes_of(MAX_IMAGES) as u64).map_err(io(path))?;
+        let header = bytes.get(..HEADER_BYTES).ok_or_else(|| damaged("cut in its header"))?;
         if &header[..8] != MAGIC {
             return Err(damaged("no index of images"));
         }
@@ -84,24 +81,22 @@ impl Index {
         if version != VERSION {
             return Err(damaged(&format!("of version {version}, and this program reads version {VERSION}")));
         }
-        let count = u64::from_le_bytes(core::array::from_fn(|i| header[16 + i]));
-        if count > MAX_IMAGES {
-            return Err(damaged("its number of images makes no sense"));
+        let stated = u32::from_le_bytes(core::array::from_fn(|i| header[12 + i]));
+        let count = usize::try_from(u64::from_le_bytes(core::array::from_fn(|i| header[16 + i])));
+        let count = count.ok().filter(|count| *count <= MAX_IMAGES);
+        let count = count.ok_or_else(|| damaged("its number of images makes no sense"))?;
+        if bytes.len() != bytes_of(count) {
+            return Err(damaged(&format!("{} bytes long, which does not fit its {count} images", bytes.len())));
         }
-        let count = count as usize;
-        let records_at = HEADER_BYTES + SPLIT_BYTES * tree::leaves(count).max(1);
-        if map.len() != records_at + RECORD_BYTES * count {
-            return Err(damaged(&format!("{} bytes long, which does not fit its {count} images", map.len())));
+        if crc32fast::hash(&bytes[HEADER_BYTES..]) != stated {
+            return Err(damaged("not as it was written: its checksum is another"));
         }
-        Ok(Self { path: path.to_owned(), file, map, count, records_at })
-    }
-
-    /// What has been cut off a file is not to be read through its map. A file that was only given another name, or none, is whole.
-    pub fn check_length(&self) -> Result<(), DatabaseError> {
-        let length = self.file.metadata().map_err(io(&self.path))?.len();
-        let is_whole = length >= self.map.len() as u64;
-        let what = || format!("cut to {length} of {} bytes since it was opened", self.map.len());
-        is_whole.then_some(()).ok_or_else(|| DatabaseError::Damaged { path: self.path.clone(), what: what() })
+        let index = Self { bytes, count, records_at: records_at(count) };
+        let wild = index.records().position(|record| !record.is_possible());
+        match wild {
+            Some(number) => Err(damaged(&format!("image {number} has a pose that no camera can have"))),
+            None => Ok(index),
+        }
     }
 
     pub fn len(&self) -> usize {
@@ -112,14 +107,9 @@ impl Index {
         self.count == 0
     }
 
+    /// As long as the file.
     pub fn bytes(&self) -> usize {
-        self.map.len()
-    }
-
-    /// Whether every byte is as it was written. Reads all of it.
-    pub fn is_sound(&self) -> bool {
-        let stated = u32::from_le_bytes(core::array::from_fn(|i| self.map[12 + i]));
-        crc32fast::hash(&self.map[HEADER_BYTES..]) == stated
+        self.bytes.len()
     }
 
     pub fn record(&self, number: usize) -> Record {
@@ -132,13 +122,13 @@ impl Index {
 
     fn raw(&self, number: usize) -> &[u8; RECORD_BYTES] {
         assert!(number < self.count, "record {number} of {}", self.count);
-        let (records, _) = self.map[self.records_at..].as_chunks::<RECORD_BYTES>();
+        let (records, _) = self.bytes[self.records_at..].as_chunks::<RECORD_BYTES>();
         &records[number]
     }
 
     /// The images nearest to a pose of `camera_link`, nearest first.
     pub fn nearest(&self, pose: &Isometry, wanted: usize, metric: &Metric) -> Vec<Neighbour> {
-        let (splits, _) = self.map[HEADER_BYTES..self.records_at].as_chunks::<SPLIT_BYTES>();
+        let (splits, _) = self.bytes[HEADER_BYTES..self.records_at].as_chunks::<SPLIT_BYTES>();
         let search = Search {
             count: self.count,
             split: |node: usize| {
@@ -156,6 +146,15 @@ impl Index {
         let found = search.nearest(pose).into_iter();
         found.map(|(square, number)| Neighbour { distance: libm::sqrt(square), number }).collect()
     }
+}
+
+fn records_at(count: usize) -> usize {
+    HEADER_BYTES + SPLIT_BYTES * tree::leaves(count).max(1)
+}
+
+/// Of an index of so many images.
+fn bytes_of(count: usize) -> usize {
+    records_at(count) + RECORD_BYTES * count
 }
 
 /// Where the index of this number lies.
@@ -179,7 +178,7 @@ mod tests {
             let path = path_of(folder.path(), count as u64);
             write_index(&path, records(count)).expect("written");
             let index = Index::open(&path).expect("open");
-            assert!(index.len() == count && index.is_sound());
+            assert!(index.len() == count && index.bytes() == bytes_of(count));
             let metric = Metric { per_m: 1.0, per_direction: 0.5, per_roll: 0.3 };
             for record in records(count).iter().step_by(97) {
                 let found = index.nearest(&record.pose(), 1, &metric);
@@ -200,15 +199,38 @@ mod tests {
             let said = Index::open(&path).expect_err("cut").to_string();
             assert!(said.contains("index-000001.bin") && (length == 0 || said.contains("db rebuild")), "{said}");
         }
-        let metric = Metric { per_m: 1.0, per_direction: 0.5, per_roll: 0.3 };
         for byte in (0..whole.len()).step_by(11) {
             let mut bytes = whole.clone();
             bytes[byte] ^= 0xff;
             std::fs::write(&path, &bytes).expect("written");
-            if let Ok(index) = Index::open(&path) {
-                assert!(!index.is_sound(), "byte {byte}");
-                index.nearest(&record_at(0.5, 0.0, 0.5, 0.0).pose(), 8, &metric);
-            }
+            Index::open(&path).expect_err("damaged");
         }
+    }
+
+    #[test]
+    fn a_pose_that_no_camera_can_have_is_damage_even_with_the_right_checksum() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = path_of(folder.path(), 1);
+        for wild in [
+            Record { place: [f32::NAN, 0.0, 0.5], ..record_at(0.0, 0.0, 0.5, 0.0) },
+            Record { place: [0.0, f32::INFINITY, 0.5], ..record_at(0.0, 0.0, 0.5, 0.0) },
+            Record { rotation: [0.0; 4], ..record_at(0.0, 0.0, 0.5, 0.0) },
+        ] {
+            write_index(&path, vec![wild]).expect("written");
+            let said = Index::open(&path).expect_err("wild").to_string();
+            assert!(said.contains("image 0 has a pose that no camera can have"), "{said}");
+        }
+    }
+
+    #[test]
+    fn what_is_done_to_the_file_afterwards_changes_nothing_for_a_reader() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = path_of(folder.path(), 1);
+        write_index(&path, records(100)).expect("written");
+        let index = Index::open(&path).expect("open");
+        File::options().write(true).open(&path).expect("writable").set_len(10).expect("cut");
+        let mut found: Vec<f32> = index.records().map(|record| record.place[0]).collect();
+        found.sort_by(f32::total_cmp);
+        assert!(found.iter().enumerate().all(|(i, x)| (x - i as f32 * 0.01).abs() < 1e-4), "{found:?}");
     }
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::catalogue::{Catalogue, Source};
 use super::error::DatabaseError;
+use crate::plain_file;
 use crate::recording::write_atomically;
 use crate::sensors::mask;
 use crate::vision::BodyMask;
@@ -32,7 +33,7 @@ fn write(folder: &Path, source: &Source, what: &str, gray: Vec<u8>) -> Result<St
     let image = image.ok_or_else(|| failed("does not fit the lens".to_owned()))?;
     let mut png = Cursor::new(Vec::new());
     image.write_to(&mut png, image::ImageFormat::Png).map_err(|error| failed(error.to_string()))?;
-    if fs::read(&path).ok().as_ref() != Some(png.get_ref()) {
+    if plain_file::read(&path, png.get_ref().len() as u64).ok().as_ref() != Some(png.get_ref()) {
         write_atomically(&path, png.get_ref())?;
     }
     Ok(name)

@@ -1,16 +1,17 @@
 //! From stored bytes to colours, in full: pictures for the filter have half of the chroma, views want all of it.
 
-use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use image::{DynamicImage, ImageDecoder};
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
 use super::record::Form;
-use crate::geometry::lens::MAX_SIDE;
+use crate::geometry::lens::{MAX_PIXELS, MAX_SIDE, is_image_size};
+use crate::plain_file;
 use crate::ros2::messages::ImageView;
 use crate::sensors::decode;
 
@@ -30,11 +31,7 @@ pub(super) fn read_bytes(path: &Path, offset: u64, length: u32) -> io::Result<Ve
     if length > MAX_STORED_BYTES {
         return Err(io::Error::new(io::ErrorKind::InvalidData, format!("{length} bytes are no image")));
     }
-    // To open a pipe would wait for ever.
-    if !std::fs::metadata(path)?.is_file() {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a plain file"));
-    }
-    let mut file = File::open(path)?;
+    let mut file = plain_file::open(path)?;
     file.seek(SeekFrom::Start(offset))?;
     let mut bytes = Vec::new();
     file.take(u64::from(length)).read_to_end(&mut bytes)?;
@@ -62,8 +59,10 @@ fn jpeg(bytes: &[u8]) -> Result<Colours, String> {
         .set_strict_mode(true)
         .jpeg_set_out_colorspace(ColorSpace::RGB);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    let rgb = decoder.decode().map_err(said)?;
+    decoder.decode_headers().map_err(said)?;
     let (width, height) = decoder.dimensions().ok_or("no size")?;
+    possible(width as u64, height as u64)?;
+    let rgb = decoder.decode().map_err(said)?;
     if rgb.len() == 3 * width * height { Ok(Colours { width, height, rgb }) } else { Err("not in colour".to_owned()) }
 }
 
@@ -72,8 +71,17 @@ fn png(bytes: &[u8]) -> Result<Colours, String> {
     let mut limits = image::Limits::default();
     (limits.max_image_width, limits.max_image_height) = (Some(MAX_SIDE), Some(MAX_SIDE));
     reader.limits(limits);
-    let image = reader.decode().map_err(|error| error.to_string())?.into_rgb8();
+    let decoder = reader.into_decoder().map_err(|error| error.to_string())?;
+    let (width, height) = decoder.dimensions();
+    possible(width.into(), height.into())?;
+    let image = DynamicImage::from_decoder(decoder).map_err(|error| error.to_string())?.into_rgb8();
     Ok(Colours { width: image.width() as usize, height: image.height() as usize, rgb: image.into_raw() })
+}
+
+/// Asked of the head, before any pixel is decoded.
+fn possible(width: u64, height: u64) -> Result<(), String> {
+    let what = || format!("{width} x {height} pixels: at most {MAX_PIXELS} are decoded");
+    if is_image_size(width, height) { Ok(()) } else { Err(what()) }
 }
 
 /// Sharpness (mean absolute second difference of green along the rows over the mean) and brightness (mean of green), of

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use crate::geometry::Isometry;
+use crate::geometry::{Isometry, Physical};
 use crate::views::TagError;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,6 +42,13 @@ pub(super) const RECORD_BYTES: usize = 80;
 
 /// What poses that nobody knows the accuracy of are taken to be: measured with care, by hand.
 const ASSUMED: TagError = TagError { position_m: 0.01, rotation_rad: 0.25 * core::f64::consts::PI / 180.0 };
+
+impl Physical for Record {
+    fn is_possible(&self) -> bool {
+        let length = self.rotation.iter().map(|part| f64::from(*part).powi(2)).sum::<f64>().sqrt();
+        self.place.iter().all(|metres| f64::from(*metres).is_possible()) && (0.99..1.01).contains(&length)
+    }
+}
 
 impl Record {
     /// Of no image yet.

@@ -13,7 +13,7 @@ use super::error::{DatabaseError, io};
 use super::lit::Lit;
 use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
-use crate::agent::refining::{REFINED_INFO, refined_info};
+use crate::agent::refining::{RefinedInfo, refined_info};
 use crate::config::load_lens_for_image;
 use crate::evaluation::capture::{EvaluationError, Readout, losses, read_tags};
 use crate::geometry::{Euler, FieldDimensions, Isometry, LensParameters};
@@ -76,8 +76,13 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
         return Err(DatabaseError::Source { path, what: what.to_owned() });
     }
     let info = read_info(folder)?;
-    let refined = folder.join(REFINED_FOLDER);
-    let tags_from = if path.is_dir() && refined.join(REFINED_INFO).is_file() { &refined } else { &path };
+    let refined = match refined_info(&path) {
+        // What is no better by lines that took no part is left alone.
+        Ok(refined) => refined.filter(RefinedInfo::is_better),
+        Err(error) => return Err(DatabaseError::Source { path, what: error.to_string() }),
+    };
+    let refined_folder = folder.join(REFINED_FOLDER);
+    let tags_from = if refined.is_some() { &refined_folder } else { &path };
     let Readout { found: tags, mut losses, .. } = match read_tags(tags_from) {
         // Of a time when the camera was away.
         Err(EvaluationError::NoMessages { loss: None, .. }) => {
@@ -97,12 +102,7 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
     }
     let files = log::files_of(&path)?;
     // Refined tags belong to the lens that was found with them.
-    let lens = match refined_info(&path)
-        .map_err(|error| DatabaseError::Source { path: path.clone(), what: error.to_string() })?
-    {
-        Some(refined) => refined.lens,
-        None => info.lens,
-    };
+    let lens = refined.map_or(info.lens, |refined| refined.lens);
     let topic = info.settings.topics.image.clone();
     let mut log = LogSource::with_outputs(files.clone(), Selection::topics([topic.as_str()]));
     let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), Lit::default());

@@ -83,6 +83,8 @@ pub struct Received {
 
 /// A manifest has some hundred bytes a segment; what is larger is none.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
+/// Of one session: a week of half-minute segments. What a manifest lists beyond is not believed.
+const MAX_SEGMENTS: usize = 20_000;
 /// `session.json` repeats a config, a field and a lens.
 const MAX_HEAD_BYTES: u64 = 4 << 20;
 /// A number.
@@ -241,6 +243,7 @@ pub fn is_plain_name(name: &str) -> bool {
 fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> (Vec<ManifestLine>, u64) {
     let text = String::from_utf8_lossy(bytes);
     let mut lines: Vec<ManifestLine> = Vec::new();
+    let mut numbers: BTreeMap<String, usize> = BTreeMap::new();
     let (mut unlike, mut damaged) = (BTreeSet::new(), 0);
     let mut rest = text.split('\n').enumerate().peekable();
     while let Some((index, text)) = rest.next() {
@@ -251,13 +254,21 @@ fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> (
                 aside(format!("{} has no hash", line.name));
                 damaged += 1;
             }
-            Ok(line) => match lines.iter().find(|known| known.name == line.name) {
+            Ok(line) => match numbers.get(&line.name).map(|number| &lines[*number]) {
                 Some(known) if *known == line => {}
                 Some(_) => {
                     aside(format!("{} stands twice, and not alike", line.name));
                     unlike.insert(line.name);
                 }
-                None => lines.push(line),
+                None if lines.len() == MAX_SEGMENTS => {
+                    aside(format!("more than {MAX_SEGMENTS} segments, which no recording has: the rest is not read"));
+                    damaged += 1;
+                    break;
+                }
+                None => {
+                    numbers.insert(line.name.clone(), lines.len());
+                    lines.push(line);
+                }
             },
             // Being written, or torn by a power cut before it was whole.
             Err(_) if rest.peek().is_none() => {}
@@ -304,4 +315,33 @@ fn read_acknowledged(storage: &dyn Storage, folder: &Path, set_aside: &mut Vec<S
         }
     }
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::Counts;
+
+    #[test]
+    fn a_manifest_without_an_end_is_read_to_its_bound() {
+        let line = |number: usize| {
+            let line = ManifestLine {
+                name: format!("{number:04}.mcap"),
+                bytes: 1,
+                blake3: "0".repeat(64),
+                first_ns: 0,
+                last_ns: 0,
+                messages: 0,
+                frames: Counts::default(),
+                poses: None,
+                cut_bytes: None,
+            };
+            serde_json::to_string(&line).expect("a line") + "\n"
+        };
+        let text: String = (0..60_000).map(line).collect();
+        let mut set_aside = Vec::new();
+        let (lines, doubted) = parse_manifest(Path::new("manifest.jsonl"), text.as_bytes(), &mut set_aside);
+        assert_eq!((lines.len(), doubted, set_aside.len()), (MAX_SEGMENTS, 1, 1));
+        assert!(set_aside[0].why.contains("line 20001: more than 20000 segments"), "{set_aside:?}");
+    }
 }

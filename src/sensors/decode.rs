@@ -8,7 +8,7 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
-use crate::geometry::lens::MAX_SIDE;
+use crate::geometry::lens::{MAX_PIXELS, MAX_SIDE, is_image_size};
 use crate::ros2::cdr::CdrError;
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CompressedImageView, ImageView};
@@ -33,18 +33,25 @@ pub enum DecodeError {
     Encoding(String),
     #[error("{} x {} pixels, where {} x {} are wanted", found[0], found[1], wanted[0], wanted[1])]
     OtherSize { found: [usize; 2], wanted: [usize; 2] },
+    #[error("{} x {} pixels: at most {MAX_PIXELS} are decoded", found[0], found[1])]
+    TooLarge { found: [usize; 2] },
     #[error("{width} x {height} pixels of {encoding} with step {step} do not fit {bytes} bytes")]
     Size { width: u32, height: u32, encoding: String, step: u32, bytes: usize },
 }
 
 pub fn picture(message: &LogMessage) -> Result<Picture, DecodeError> {
-    picture_if(message, &|_| Ok(()))
+    picture_if(message, &any_possible)
 }
 
 /// The picture, if it has this width and height. The head says how many pixels there are, and a head of a few bytes may
 /// claim a gigabyte of them: another size is refused before any pixel is decoded.
 pub fn picture_of_size(message: &LogMessage, wanted: [usize; 2]) -> Result<Picture, DecodeError> {
     picture_if(message, &|found| if found == wanted { Ok(()) } else { Err(DecodeError::OtherSize { found, wanted }) })
+}
+
+fn any_possible(found: [usize; 2]) -> Result<(), DecodeError> {
+    let [width, height] = found.map(|side| side as u64);
+    if is_image_size(width, height) { Ok(()) } else { Err(DecodeError::TooLarge { found }) }
 }
 
 /// Whether an image of this width and height is to be decoded.
@@ -74,7 +81,7 @@ pub fn stamp_ns(message: &LogMessage) -> Result<i64, DecodeError> {
 
 /// JPEG or PNG, told apart by their first bytes: `format` fields are not to be relied on.
 pub fn compressed(data: &[u8]) -> Result<Picture, DecodeError> {
-    compressed_if(data, &|_| Ok(()))
+    compressed_if(data, &any_possible)
 }
 
 fn compressed_if(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
@@ -150,7 +157,7 @@ pub fn raw(image: &ImageView) -> Result<Picture, DecodeError> {
         other => return Err(DecodeError::Encoding(other.to_owned())),
     };
     let line = width.checked_mul(bytes_per_pixel).ok_or_else(size)?;
-    let fits = width > 0 && height > 0 && image.width <= MAX_SIDE && image.height <= MAX_SIDE && step >= line;
+    let fits = is_image_size(width as u64, height as u64) && step >= line;
     // The last row may lack the padding that `step` adds.
     if !fits || image.data.len() < step * (height - 1) + line {
         return Err(size());
@@ -309,6 +316,8 @@ mod tests {
             assert_eq!((told, wanted), ([found; 2], [320, 240]));
         }
         assert_eq!(picture_of_size(&message(&png), [64, 64]).expect("its size").width, 64);
+        let refused = compressed(&jpeg[..scan + 14]).expect_err("268 megapixels");
+        assert!(matches!(refused, DecodeError::TooLarge { found: [16_384, 16_384] }), "{refused}");
     }
 
     #[test]

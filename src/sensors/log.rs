@@ -1,14 +1,13 @@
 //! A recorded log as the source of everything: one MCAP file, or a folder of them (a ROS 2 bag, a capture).
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, BufReader};
-use std::os::unix::fs::OpenOptionsExt;
+use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use rustix::fs::OFlags;
 use thiserror::Error;
 
 use super::topics::TopicTypes;
+use crate::plain_file;
 use crate::ros2::mcap_read::{
     Damage, LogMessage, LogReader, ReadError, Selection, Survey, attachments, examine, survey,
 };
@@ -141,13 +140,7 @@ fn open(path: &Path, selection: Selection) -> Result<LogReader<BufReader<File>>,
 
 fn buffered(path: &Path) -> Result<BufReader<File>, LogError> {
     let failed = |source| LogError::Open { path: path.to_owned(), source };
-    // Not waited for: nobody may ever write into a pipe that lies among segments.
-    let opened = OpenOptions::new().read(true).custom_flags(OFlags::NONBLOCK.bits() as i32).open(path);
-    let file = opened.map_err(failed)?;
-    if !file.metadata().map_err(failed)?.is_file() {
-        return Err(failed(io::Error::other("not a plain file")));
-    }
-    Ok(BufReader::with_capacity(1 << 18, file))
+    Ok(BufReader::with_capacity(1 << 18, plain_file::open(path).map_err(failed)?))
 }
 
 /// What each file holds, by its index if it has one.

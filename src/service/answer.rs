@@ -1,10 +1,15 @@
 //! What goes back: bytes with a type and headers, or a refusal in words.
 
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
 use http_body_util::{BodyExt, Full, combinators::BoxBody};
-use hyper::body::Bytes;
-use hyper::header::{ALLOW, CONTENT_TYPE, HeaderName, HeaderValue, RETRY_AFTER, WWW_AUTHENTICATE};
+use hyper::body::{Body as HttpBody, Bytes, Frame, SizeHint};
+use hyper::header::{ALLOW, CONNECTION, CONTENT_TYPE, HeaderName, HeaderValue, RETRY_AFTER, WWW_AUTHENTICATE};
 use hyper::{Response, StatusCode};
 use serde_json::json;
+
+use super::connections::UnderWay;
 
 /// A body that comes at once or bit by bit. Errors end the connection: a client sees that the rest is missing.
 pub(super) type Body = BoxBody<Bytes, std::io::Error>;
@@ -16,6 +21,8 @@ pub(super) struct Refusal {
     pub(super) status: StatusCode,
     /// What is wrong and what would be right.
     pub(super) what: String,
+    /// The methods that a path is asked with, when it was another.
+    pub(super) allowed: Option<&'static str>,
 }
 
 /// RFC 9457.
@@ -23,11 +30,16 @@ pub(super) const PROBLEM: &str = "application/problem+json";
 
 impl Refusal {
     pub(super) fn new(status: StatusCode, what: impl Into<String>) -> Self {
-        Self { status, what: what.into() }
+        Self { status, what: what.into(), allowed: None }
     }
 
     pub(super) fn wrong(what: impl Into<String>) -> Self {
         Self::new(StatusCode::BAD_REQUEST, what)
+    }
+
+    pub(super) fn method(route: &str, allowed: &'static str) -> Self {
+        let what = format!("{route} is asked with {}", allowed.replace(", ", " or "));
+        Self { allowed: Some(allowed), ..Self::new(StatusCode::METHOD_NOT_ALLOWED, what) }
     }
 
     pub(super) fn problem(&self) -> Vec<u8> {
@@ -37,13 +49,13 @@ impl Refusal {
 
     pub(super) fn reply(&self) -> Reply {
         let mut reply = bytes(self.status, PROBLEM, self.problem());
-        let headers = reply.headers_mut();
+        let mut add = |name, value| reply.headers_mut().insert(name, HeaderValue::from_static(value));
         match self.status {
-            StatusCode::SERVICE_UNAVAILABLE => headers.insert(RETRY_AFTER, HeaderValue::from_static("1")),
-            StatusCode::UNAUTHORIZED => headers.insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer")),
-            StatusCode::METHOD_NOT_ALLOWED => headers.insert(ALLOW, HeaderValue::from_static("GET, HEAD, POST")),
+            StatusCode::SERVICE_UNAVAILABLE => add(RETRY_AFTER, "1"),
+            StatusCode::UNAUTHORIZED => add(WWW_AUTHENTICATE, "Bearer"),
             _ => None,
         };
+        self.allowed.map(|allowed| add(ALLOW, allowed));
         reply
     }
 }
@@ -53,12 +65,46 @@ pub(super) fn bytes(status: StatusCode, content_type: &'static str, content: imp
     let mut reply = Response::new(body);
     *reply.status_mut() = status;
     reply.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(content_type));
-    reply.headers_mut().insert("x-content-type-options", HeaderValue::from_static("nosniff"));
     reply
 }
 
 pub(super) fn json_reply(value: &serde_json::Value) -> Reply {
     bytes(StatusCode::OK, "application/json", value.to_string())
+}
+
+/// Under way until a client has taken the whole of it, whatever it consists of; and for pages of this service alone.
+pub(super) fn finish(reply: Reply, under_way: UnderWay) -> Reply {
+    let mut reply = reply.map(|body| Counted { body, _under_way: under_way }.boxed());
+    let headers = reply.headers_mut();
+    headers.insert("x-content-type-options", HeaderValue::from_static("nosniff"));
+    headers.insert("cross-origin-resource-policy", HeaderValue::from_static("same-origin"));
+    // A client that may not ask keeps no place.
+    if matches!(reply.status(), StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN) {
+        reply.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+    }
+    reply
+}
+
+struct Counted {
+    body: Body,
+    _under_way: UnderWay,
+}
+
+impl HttpBody for Counted {
+    type Data = Bytes;
+    type Error = std::io::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context) -> Poll<Option<Result<Frame<Bytes>, Self::Error>>> {
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
 }
 
 /// Headers of ours; what cannot stand in a header is left out.

@@ -10,12 +10,15 @@ use hyper::body::{Body as HttpBody, Bytes, Frame};
 use hyper::header::{CONTENT_TYPE, HeaderValue};
 use hyper::{Response, StatusCode};
 use serde_json::{Map, Value};
+use tokio::sync::OwnedSemaphorePermit;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
+use tokio::time::sleep;
 
 use super::answer::{PROBLEM, Reply};
-use super::door::Inside;
+use super::connections::Seat;
 use super::encode::Form;
 use super::parameters::{Asked, Parameters};
+use super::stock::Picture;
 use super::{Refusal, Service};
 use crate::geometry::Isometry;
 
@@ -23,8 +26,9 @@ use crate::geometry::Isometry;
 const MAX_BATCH: usize = 1024;
 /// So long one may take; what is left then is refused.
 const MAX_TIME: Duration = Duration::from_secs(120);
-/// Parts made before the client has taken them.
-const MAX_AHEAD: usize = 2;
+/// Parts made before the client has begun to take them.
+const MAX_AHEAD: usize = 1;
+const LOOK_FOR_ROOM_EVERY: Duration = Duration::from_millis(50);
 const BOUNDARY: &str = "realitysim-view-8f3b61c7d2a94e05";
 
 /// Views and how they are to be sent.
@@ -51,8 +55,9 @@ impl Batch {
             (None, Some(from), Some(to), Some(count)) => {
                 let refused =
                     || Refusal::wrong(format!("count is {count}: a whole number from 1 to {MAX_BATCH} is possible"));
-                let whole = count.as_u64().and_then(|count| usize::try_from(count).ok());
-                let count = whole.filter(|count| (1..=MAX_BATCH).contains(count)).ok_or_else(refused)?;
+                let whole = |count: &f64| count.fract() == 0.0 && (1.0..=MAX_BATCH as f64).contains(count);
+                let count = count.as_f64().filter(whole).map(|count| count as usize);
+                let count = count.ok_or_else(refused)?;
                 between(&one("from", &from, &all)?, &one("to", &to, &all)?, count).into_iter().map(Ok).collect()
             }
             _ => return Err(Refusal::wrong("either poses (a list), or from, to and count are needed")),
@@ -64,12 +69,18 @@ impl Batch {
         }
     }
 
-    /// Views one after the other in one thread, sent as they come.
-    pub(super) fn stream(self, service: Arc<Service>, inside: Inside, forms: Vec<Form>) -> Reply {
+    /// Views one after the other, sent as they come; `batch` is its right to be made.
+    pub(super) fn stream(
+        self,
+        service: Arc<Service>,
+        seat: Arc<Seat>,
+        batch: OwnedSemaphorePermit,
+        forms: Vec<Form>,
+    ) -> Reply {
         let (send, receive) = channel(MAX_AHEAD);
-        tokio::task::spawn_blocking(move || {
-            let _inside = inside;
-            make(&service, &self.asked, &forms, &send);
+        tokio::spawn(async move {
+            make(&service, &seat, self.asked, forms, &send).await;
+            drop(batch);
         });
         let mut reply = Response::new(Parts(receive).boxed());
         let kind = format!("multipart/mixed; boundary={BOUNDARY}");
@@ -104,26 +115,52 @@ fn between(from: &Asked, to: &Asked, count: usize) -> Vec<Asked> {
     (0..count).map(one).collect()
 }
 
-fn make(service: &Service, asked: &[Result<Asked, Refusal>], forms: &[Form], send: &Sender<Bytes>) {
+/// Ends when the client has hung up.
+async fn make(
+    service: &Arc<Service>,
+    seat: &Arc<Seat>,
+    asked: Vec<Result<Asked, Refusal>>,
+    forms: Vec<Form>,
+    send: &Sender<Bytes>,
+) {
     let started = Instant::now();
+    let forms: Arc<[Form]> = forms.into();
     for asked in asked {
+        // Nothing is made before the client has taken what was made for it.
+        let Ok(room) = send.reserve().await else { return };
         let picture = match asked {
-            Err(refusal) => Err(refusal.clone()),
-            Ok(asked) if started.elapsed() < MAX_TIME => service.picture(asked, forms),
-            Ok(_) => {
-                let what = format!("not made within {} s: ask for fewer with one request", MAX_TIME.as_secs());
-                Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what))
-            }
+            Err(refusal) => Err(refusal),
+            Ok(asked) if started.elapsed() < MAX_TIME => one_of(service, asked, &forms).await,
+            Ok(_) => Err(too_late()),
         };
-        // Who does not listen any more has hung up.
-        if send.blocking_send(part(picture)).is_err() {
-            return;
-        }
+        let mut bytes = part(picture);
+        let held = loop {
+            match seat.hold(bytes) {
+                Ok(held) => break held,
+                Err(part_of_it) => bytes = part_of_it,
+            }
+            if started.elapsed() > MAX_TIME || send.is_closed() {
+                return;
+            }
+            sleep(LOOK_FOR_ROOM_EVERY).await;
+        };
+        room.send(held);
     }
-    let _ = send.blocking_send(Bytes::from(format!("--{BOUNDARY}--\r\n")));
+    let _ = send.send(Bytes::from(format!("--{BOUNDARY}--\r\n"))).await;
 }
 
-fn part(picture: Result<super::stock::Picture, Refusal>) -> Bytes {
+async fn one_of(service: &Arc<Service>, asked: Asked, forms: &Arc<[Form]>) -> Result<Picture, Refusal> {
+    let inside = service.door.next_of_batch().await?;
+    let (shared, forms) = (Arc::clone(service), Arc::clone(forms));
+    inside.run(move || shared.picture(&asked, &forms)).await?
+}
+
+fn too_late() -> Refusal {
+    let what = format!("not made within {} s: ask for fewer with one request", MAX_TIME.as_secs());
+    Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what)
+}
+
+fn part(picture: Result<Picture, Refusal>) -> Vec<u8> {
     let (status, kind, headers, content) = match picture {
         Ok(picture) => (200, picture.form.media_type(), picture.headers, picture.bytes),
         Err(refusal) => (refusal.status.as_u16(), PROBLEM, Vec::new(), refusal.problem()),
@@ -139,7 +176,7 @@ fn part(picture: Result<super::stock::Picture, Refusal>) -> Bytes {
     let mut bytes = part.into_bytes();
     bytes.extend(content);
     bytes.extend(b"\r\n");
-    bytes.into()
+    bytes
 }
 
 /// A body of what comes through a channel.

@@ -12,6 +12,7 @@ use super::Refusal;
 pub(super) struct Door {
     /// Inside: at work or waiting.
     inside: Arc<Semaphore>,
+    batches: Arc<Semaphore>,
     at_work: Arc<Semaphore>,
     most_inside: usize,
 }
@@ -21,21 +22,39 @@ const MAX_WAITING: usize = 32;
 /// So long one waits.
 const MAX_WAIT: Duration = Duration::from_secs(5);
 
+/// Batches under way, each with one view at work or waiting; a further one waits for its beginning.
+const MAX_BATCHES: usize = 8;
+
 impl Door {
     pub(super) fn new(threads: usize) -> Self {
         let most_inside = threads + MAX_WAITING;
-        Self { inside: Arc::new(Semaphore::new(most_inside)), at_work: Arc::new(Semaphore::new(threads)), most_inside }
+        let [inside, batches, at_work] = [most_inside, MAX_BATCHES, threads].map(|most| Arc::new(Semaphore::new(most)));
+        Self { inside, batches, at_work, most_inside }
     }
 
     /// A thread's worth of work, or a refusal at once when too many wait. Who hangs up while waiting leaves the queue.
     pub(super) async fn enter(&self) -> Result<Inside, Refusal> {
-        let busy = |what: &str| Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what);
         let place = Arc::clone(&self.inside).try_acquire_owned();
         let place = place.map_err(|_| busy("too many requests are waiting: come back in a second"))?;
         match timeout(MAX_WAIT, Arc::clone(&self.at_work).acquire_owned()).await {
-            Ok(Ok(work)) => Ok(Inside { _place: place, _work: work }),
+            Ok(Ok(work)) => Ok(Inside { _place: Some(place), _work: work }),
             _ => Err(busy("no thread became free in time: come back in a second")),
         }
+    }
+
+    /// The right to make many views, each of which [waits for its turn](Self::next_of_batch).
+    pub(super) async fn begin_batch(&self) -> Result<OwnedSemaphorePermit, Refusal> {
+        match timeout(MAX_WAIT, Arc::clone(&self.batches).acquire_owned()).await {
+            Ok(Ok(batch)) => Ok(batch),
+            _ => Err(busy("too many batches are under way: come back in a second")),
+        }
+    }
+
+    /// A thread's worth of work for one view of a batch, behind those that came before it: a batch holds no thread while its
+    /// client reads.
+    pub(super) async fn next_of_batch(&self) -> Result<Inside, Refusal> {
+        let work = Arc::clone(&self.at_work).acquire_owned().await;
+        work.map(|work| Inside { _place: None, _work: work }).map_err(|_| busy("the service ends"))
     }
 
     /// Requests inside.
@@ -44,9 +63,13 @@ impl Door {
     }
 }
 
+fn busy(what: &str) -> Refusal {
+    Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what)
+}
+
 /// The right to use a thread, for as long as it is held.
 pub(super) struct Inside {
-    _place: OwnedSemaphorePermit,
+    _place: Option<OwnedSemaphorePermit>,
     _work: OwnedSemaphorePermit,
 }
 

@@ -14,7 +14,6 @@ pub(super) struct Metrics {
     views: Mutex<BTreeMap<&'static str, Histogram>>,
     pub(super) reloads: AtomicU64,
     pub(super) failed_reloads: AtomicU64,
-    pub(super) connections: AtomicU64,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -48,9 +47,9 @@ impl Metrics {
             .for_each(|(count, _)| *count += 1);
     }
 
-    pub(super) fn text(&self, images: usize, decoded_bytes: usize, inside: usize) -> String {
+    /// Beside what is counted here: the gauges of the rest of the service, each with its name, meaning and value.
+    pub(super) fn text(&self, gauges: &[(&str, &str, usize)]) -> String {
         let mut text = String::new();
-        let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed) as f64;
         head(&mut text, "requests_total", "counter", "Requests by route and status");
         for ((route, status), count) in self.requests.lock().unwrap_or_else(PoisonError::into_inner).iter() {
             let _ = writeln!(text, "realitysim_requests_total{{route=\"{route}\",status=\"{status}\"}} {count}");
@@ -65,15 +64,15 @@ impl Metrics {
             let _ = writeln!(text, "realitysim_view_seconds_sum{{made=\"{made}\"}} {sum_s:.6}");
             let _ = writeln!(text, "realitysim_view_seconds_count{{made=\"{made}\"}} {count}");
         }
-        for (name, kind, help, value) in [
-            ("reloads_total", "counter", "Changes of the database that were taken over", load(&self.reloads)),
-            ("failed_reloads_total", "counter", "Changes that could not be read", load(&self.failed_reloads)),
-            ("connections", "gauge", "Connections that are open", load(&self.connections)),
-            ("requests_inside", "gauge", "Requests at work or waiting for a thread", inside as f64),
-            ("images", "gauge", "Images in the database", images as f64),
-            ("decoded_bytes", "gauge", "Memory of decoded images", decoded_bytes as f64),
+        for (name, help, value) in [
+            ("reloads_total", "Changes of the database that were taken over", &self.reloads),
+            ("failed_reloads_total", "Changes that could not be read", &self.failed_reloads),
         ] {
-            head(&mut text, name, kind, help);
+            head(&mut text, name, "counter", help);
+            let _ = writeln!(text, "realitysim_{name} {}", value.load(Ordering::Relaxed));
+        }
+        for (name, help, value) in gauges {
+            head(&mut text, name, "gauge", help);
             let _ = writeln!(text, "realitysim_{name} {value}");
         }
         text

@@ -5,8 +5,10 @@
 
 mod answer;
 mod batch;
+mod connections;
 mod door;
 mod encode;
+mod guard;
 mod metrics;
 mod parameters;
 mod patient;
@@ -20,6 +22,8 @@ pub use server::{ServeError, ServeOptions, serve};
 /// The OpenAPI document, as it is served.
 pub const OPENAPI: &str = include_str!("openapi.json");
 
+use std::sync::Arc;
+
 use answer::{Refusal, Reply};
 use metrics::Metrics;
 use stock::Stock;
@@ -29,4 +33,5 @@ struct Service {
     stock: Stock,
     metrics: Metrics,
     door: door::Door,
+    connections: Arc<connections::Connections>,
 }

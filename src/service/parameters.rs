@@ -18,8 +18,8 @@ pub const PARAMETERS: [(&str, &str); 17] = [
     ("pitch_deg", "degrees, above 0 looks down; 0 if it is left out"),
     ("roll_deg", "degrees; 0 if it is left out"),
     ("method", "exact, paper or nearest"),
-    ("width", "pixels, 16 to 4096; without height the lens's proportions stay"),
-    ("height", "pixels, 16 to 4096"),
+    ("width", "pixels, 16 to 2048; without height the lens's proportions stay"),
+    ("height", "pixels, 16 to 2048"),
     ("lens", "one of `lenses` of /v1/info; without it that of the nearest image"),
     ("scene", "one of `scenes` of /v1/info: its figures are drawn, its effects on any image applied"),
     ("figures", "draw or omit: whether the robots, people and balls that the scene places are drawn"),
@@ -62,7 +62,8 @@ pub(super) struct Parameters(BTreeMap<String, String>);
 const MAX_PLACE_M: f64 = 100.0;
 const MAX_TURN_DEG: f64 = 3600.0;
 const LEAST_SIDE: u32 = 16;
-const MAX_SIDE: u32 = 4096;
+/// Two of them make as many pixels as a view may have.
+const MAX_SIDE: u32 = 2048;
 const USUAL_QUALITY: u8 = 90;
 /// Of a value, in a message.
 const MOST_SHOWN: usize = 40;
@@ -116,7 +117,7 @@ impl Parameters {
 
     pub(super) fn whole(&self, name: &str, low: u32, high: u32) -> Result<Option<u32>, Refusal> {
         let Some(text) = self.0.get(name) else { return Ok(None) };
-        let value = text.trim().parse::<u32>().ok().filter(|value| (low..=high).contains(value));
+        let value = whole(text.trim()).filter(|value| (low..=high).contains(value));
         value.map(Some).ok_or_else(|| wrong(name, text, &format!("a whole number from {low} to {high} is needed")))
     }
 
@@ -164,6 +165,13 @@ impl Parameters {
     }
 }
 
+/// JSON has one kind of number: 64.0 and 6.4e1 are whole.
+fn whole(text: &str) -> Option<u32> {
+    let exact =
+        text.parse::<f64>().ok().filter(|value| value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(value));
+    text.parse().ok().or_else(|| exact.map(|value| value as u32))
+}
+
 /// The name of something given at the start, or a refusal that says which there are.
 pub(super) fn named<'a, T>(name: &str, wanted: &str, known: &'a BTreeMap<String, T>) -> Result<&'a T, Refusal> {
     known.get(wanted).ok_or_else(|| {
@@ -203,7 +211,7 @@ mod tests {
             ("x=inf&y=2&z=0.5&yaw_deg=0", "x is \"inf\""),
             ("x=1&y=2&z=-3&yaw_deg=0", "z is \"-3\": a number from 0.02 to 20 is needed"),
             ("x=1&x=2", "x: given twice"),
-            ("x=1&y=2&z=0.5&yaw_deg=0&width=9999", "width is \"9999\": a whole number from 16 to 4096 is needed"),
+            ("x=1&y=2&z=0.5&yaw_deg=0&width=9999", "width is \"9999\": a whole number from 16 to 2048 is needed"),
             ("x=1&y=2&z=0.5&yaw_deg=0&method=best", "one of exact, paper, nearest is needed"),
             ("x=1&y=2&z=0.5&yaw_deg=0&yaw=3", "yaw: unknown: there are x, y, z, yaw_deg"),
         ] {
@@ -222,6 +230,14 @@ mod tests {
             Parameters::from_json(object.as_object().expect("an object")).expect("values").asked().expect("right");
         assert_eq!(query, json);
         assert!(!query.refuses && query.mask == MaskWanted::Only && query.size == [Some(64), None]);
+    }
+
+    #[test]
+    fn whole_numbers_are_whole_however_they_are_written() {
+        for (text, value) in [("64", Some(64)), ("64.0", Some(64)), ("6.4e1", Some(64)), ("64.5", None), ("-1", None)] {
+            assert_eq!(whole(text), value, "{text}");
+        }
+        assert_eq!((whole("4294967295"), whole("4294967296"), whole("nan")), (Some(u32::MAX), None, None));
     }
 
     proptest! {

@@ -1,8 +1,9 @@
-//! A connection whose other end may be slow, but not for ever.
+//! A connection whose other end may be slow, but not for ever: what was made for a client that does not read stays in memory.
 
 use std::future::Future;
 use std::io;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -10,30 +11,59 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep, sleep};
 
-/// Fails a write that has not moved for this long: what was made for a client that does not read would stay in memory.
+use super::connections::Seat;
+
+/// So long a write may wait until the first byte is taken, and for all bytes together beyond what [`LEAST_RATE`] allows for.
 const MAX_STALL: Duration = Duration::from_secs(10);
+/// Bytes a second that a client has to take on average while the service waits for it.
+const LEAST_RATE: f64 = 65_536.0;
 
 pub(super) struct Patient {
     stream: TcpStream,
-    stalled: Pin<Box<Sleep>>,
-    waits: bool,
+    seat: Arc<Seat>,
+    credit: Credit,
+    exhausted: Pin<Box<Sleep>>,
+    /// Since when a write has been waiting.
+    waits_since: Option<Instant>,
+}
+
+/// How much longer a client is waited for: waiting uses it up, and bytes that are taken earn it back.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Credit(Duration);
+
+impl Credit {
+    fn after_waiting(self, waited: Duration) -> Self {
+        Self(self.0.saturating_sub(waited))
+    }
+
+    fn after_taking(self, bytes: usize) -> Self {
+        Self((self.0 + Duration::from_secs_f64(bytes as f64 / LEAST_RATE)).min(MAX_STALL))
+    }
 }
 
 impl Patient {
-    pub(super) fn new(stream: TcpStream) -> Self {
-        Self { stream, stalled: Box::pin(sleep(MAX_STALL)), waits: false }
+    pub(super) fn new(stream: TcpStream, seat: Arc<Seat>) -> Self {
+        let (credit, exhausted) = (Credit(MAX_STALL), Box::pin(sleep(MAX_STALL)));
+        Self { stream, seat, credit, exhausted, waits_since: None }
     }
 
     fn within_time(&mut self, context: &mut Context, done: Poll<io::Result<usize>>) -> Poll<io::Result<usize>> {
-        if done.is_ready() {
-            self.waits = false;
-            return done;
+        if let Poll::Ready(taken) = done {
+            if let Some(since) = self.waits_since.take() {
+                self.credit = self.credit.after_waiting(since.elapsed());
+            }
+            if let Ok(bytes) = taken {
+                self.credit = self.credit.after_taking(bytes);
+                self.seat.took(bytes);
+            }
+            return Poll::Ready(taken);
         }
-        if !self.waits {
-            self.waits = true;
-            self.stalled.as_mut().reset(Instant::now() + MAX_STALL);
+        if self.waits_since.is_none() {
+            let now = Instant::now();
+            self.waits_since = Some(now);
+            self.exhausted.as_mut().reset(now + self.credit.0);
         }
-        self.stalled.as_mut().poll(context).map(|()| Err(io::ErrorKind::TimedOut.into()))
+        self.exhausted.as_mut().poll(context).map(|()| Err(io::ErrorKind::TimedOut.into()))
     }
 }
 
@@ -68,5 +98,37 @@ impl AsyncWrite for Patient {
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context) -> Poll<io::Result<()>> {
         Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The time for which a client is waited for that takes `bytes` every `period`.
+    fn patience(bytes: usize, period: Duration) -> Option<Duration> {
+        let mut credit = Credit(MAX_STALL);
+        (0..10_000u32).find_map(|number| {
+            if credit.0 < period {
+                return Some(period * number + credit.0);
+            }
+            credit = credit.after_waiting(period).after_taking(bytes);
+            None
+        })
+    }
+
+    #[test]
+    fn a_client_below_the_least_rate_is_given_up_and_one_above_it_is_not() {
+        assert_eq!(patience(1, Duration::from_secs(11)), Some(MAX_STALL));
+        let dripping = patience(1, Duration::from_secs(9)).expect("given up");
+        assert!(dripping < 2 * MAX_STALL, "{dripping:?}");
+        let half = patience(LEAST_RATE as usize / 2, Duration::from_secs(1)).expect("given up");
+        assert!((half.as_secs_f64() - 20.0).abs() < 1.5, "{half:?}");
+        assert_eq!(patience(LEAST_RATE as usize, Duration::from_secs(1)), None);
+    }
+
+    #[test]
+    fn what_was_taken_fast_earns_no_more_than_the_longest_wait() {
+        assert_eq!(Credit(Duration::ZERO).after_taking(1 << 30), Credit(MAX_STALL));
     }
 }

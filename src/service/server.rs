@@ -13,14 +13,16 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use thiserror::Error;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::Builder;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
 use super::Service;
+use super::connections::Seat;
 use super::door::Door;
+use super::guard::Guard;
 use super::metrics::Metrics;
 use super::patient::Patient;
-use super::routes::{Guard, answer, refresh};
+use super::routes::{answer, refresh};
 use super::stock::Stock;
 use crate::config::ViewsSettings;
 use crate::database::DatabaseError;
@@ -58,8 +60,6 @@ pub enum ServeError {
     Database(#[from] DatabaseError),
 }
 
-/// Connections at one time; more wait to be accepted.
-const MAX_CONNECTIONS: usize = 256;
 /// So long a client may take for the head of its request, and between two requests.
 const MAX_HEAD_TIME: Duration = Duration::from_secs(10);
 const MAX_HEAD_BYTES: usize = 16 << 10;
@@ -68,7 +68,11 @@ const MAX_HEADERS: usize = 64;
 const MAX_LAST_WORDS: Duration = Duration::from_secs(5);
 const LOOK_FOR_CHANGES_EVERY: Duration = Duration::from_millis(500);
 const LOOK_FOR_STOP_EVERY: Duration = Duration::from_millis(100);
+const LOOK_FOR_LAST_EVERY: Duration = Duration::from_millis(20);
 const LEAST_TOKEN: usize = 16;
+/// To a client for whom there is no place.
+const NO_PLACE: &[u8] =
+    b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 1\r\nConnection: close\r\nContent-Length: 0\r\n\r\n";
 
 /// Serves until `stop`. `ready` hears of the address that is listened on (port 0 is any), `say` of changes.
 pub fn serve(
@@ -87,7 +91,8 @@ pub fn serve(
     };
     let ServeOptions { database, listen, threads, settings, lenses, scenes, max_distance_m, .. } = options;
     let stock = Stock::open(&database, &settings, lenses, scenes, max_distance_m)?;
-    let service = Arc::new(Service { stock, metrics: Metrics::default(), door: Door::new(threads) });
+    let service =
+        Arc::new(Service { stock, metrics: Metrics::default(), door: Door::new(threads), connections: Arc::default() });
     // Connections need one thread, views `threads`, the look for changes one.
     let runtime = Builder::new_current_thread().enable_all().max_blocking_threads(threads + 1).build()?;
     runtime.block_on(async {
@@ -95,67 +100,71 @@ pub fn serve(
         let listener = TcpListener::bind(listen).await.map_err(failed)?;
         ready(listener.local_addr().map_err(failed)?, service.stock.gallery().index().len());
         let changes = tokio::spawn(follow(Arc::clone(&service), say));
-        let connections = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+        let connections = Arc::clone(&service.connections);
         let (end, ended) = watch::channel(false);
         loop {
             tokio::select! {
                 () = until(stop) => break,
-                accepted = accept(&listener, &connections) => {
-                    let (stream, place) = accepted;
-                    let (service, guard, ended) = (Arc::clone(&service), guard.clone(), ended.clone());
-                    tokio::spawn(async move {
-                        converse(service, guard, stream, ended).await;
-                        drop(place);
-                    });
-                }
+                (stream, address) = accept(&listener) => match connections.admit(address.ip()) {
+                    Some(seat) => {
+                        tokio::spawn(converse(Arc::clone(&service), guard.clone(), stream, seat, ended.clone()));
+                    }
+                    // What fits into the socket at once, or nothing.
+                    None => drop(stream.try_write(NO_PLACE)),
+                },
             }
         }
         changes.abort();
         // Nobody listens if there is no connection.
         let _ = end.send(true);
-        let all_gone = connections.acquire_many(MAX_CONNECTIONS as u32);
+        let all_gone = async {
+            while connections.len() > 0 {
+                sleep(LOOK_FOR_LAST_EVERY).await;
+            }
+        };
         let _ = timeout(MAX_LAST_WORDS, all_gone).await;
         Ok(())
     })
 }
 
-/// The next client, once there is room for one.
-async fn accept(
-    listener: &TcpListener,
-    connections: &Arc<Semaphore>,
-) -> (TcpStream, tokio::sync::OwnedSemaphorePermit) {
+/// The next client.
+async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
     loop {
-        if let Ok(place) = Arc::clone(connections).acquire_owned().await {
-            match listener.accept().await {
-                Ok((stream, _)) => return (stream, place),
-                // Out of descriptors, or gone already: the next one may do better.
-                Err(_) => sleep(LOOK_FOR_STOP_EVERY).await,
-            }
+        match listener.accept().await {
+            Ok(accepted) => return accepted,
+            // Out of descriptors, or gone already: the next one may do better.
+            Err(_) => sleep(LOOK_FOR_STOP_EVERY).await,
         }
     }
 }
 
-async fn converse(service: Arc<Service>, guard: Guard, stream: TcpStream, mut ended: watch::Receiver<bool>) {
-    service.metrics.connections.fetch_add(1, Ordering::Relaxed);
+async fn converse(
+    service: Arc<Service>,
+    guard: Guard,
+    stream: TcpStream,
+    seat: Arc<Seat>,
+    mut ended: watch::Receiver<bool>,
+) {
     let _ = stream.set_nodelay(true);
-    let shared = Arc::clone(&service);
-    let answering = service_fn(move |request| answer(Arc::clone(&shared), guard.clone(), request));
+    let stream = TokioIo::new(Patient::new(stream, Arc::clone(&seat)));
+    let asker = Arc::clone(&seat);
+    let answering = service_fn(move |request| answer(Arc::clone(&service), guard.clone(), Arc::clone(&asker), request));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(MAX_HEAD_TIME)
         .max_buf_size(MAX_HEAD_BYTES)
         .max_headers(MAX_HEADERS)
-        .serve_connection(TokioIo::new(Patient::new(stream)), answering);
+        .serve_connection(stream, answering);
     tokio::pin!(connection);
     // What goes wrong with one client is its own: it has been told, or it has gone.
     tokio::select! {
         _ = connection.as_mut() => {}
+        () = seat.sent_away() => {}
         _ = ended.changed() => {
             connection.as_mut().graceful_shutdown();
             let _ = connection.await;
         }
     }
-    service.metrics.connections.fetch_sub(1, Ordering::Relaxed);
 }
 
 async fn until(stop: &AtomicBool) {

@@ -76,7 +76,6 @@ impl Stock {
 
     pub(super) fn picture(&self, asked: &Asked, forms: &[Form]) -> Result<Picture, Refusal> {
         let gallery = self.gallery();
-        gallery.index().check_length().map_err(|error| refusal(&error))?;
         let camera = self.camera(&gallery, asked)?;
         if let Some(name) = &asked.scene {
             named("scene", name, &self.scenes)?;
@@ -221,7 +220,6 @@ impl Stock {
             let what = format!("cell_m and headings make {cells:.0} cells: at most {MAX_CELLS:.0} are counted");
             return Err(Refusal::wrong(what));
         }
-        gallery.index().check_length().map_err(|error| refusal(&error))?;
         let found = coverage(gallery.index(), gallery.field(), cell_m, headings as usize);
         if picture {
             let image = coverage_picture(&found, gallery.field());

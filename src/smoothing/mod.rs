@@ -208,6 +208,27 @@ pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Res
     })
 }
 
+/// Root mean squares, pixels, over line places that took no part: around the poses and the lens that were believed, and around
+/// those that the other places make of them. Every second place of a frame takes part. What is told by it is not how well the
+/// result fits its own lines, which any result does, but whether it is nearer to the truth.
+pub fn held_out_rms_px(frames: Vec<Frame>, believed: &LensParameters, model: &Model) -> Result<[f64; 2], LensError> {
+    let halves = |mut frame: Frame| {
+        let places = std::mem::take(&mut frame.places).into_iter().enumerate();
+        let (others, own): (Vec<_>, Vec<_>) = places.partition(|(number, _)| number % 2 == 1);
+        let [own, others] = [own, others].map(|half| half.into_iter().map(|(_, place)| place).collect());
+        let judge = Frame { places: others, overlap: None, ..frame.clone() };
+        (Frame { places: own, ..frame }, judge)
+    };
+    let (frames, judges): (Vec<Frame>, Vec<Frame>) = frames.into_iter().map(halves).unzip();
+    let smoothed = smooth(&frames, believed, model)?;
+    let before: Vec<Moving> = judges.iter().map(Moving::of).collect();
+    let after = before.iter().zip(&smoothed.map_from_optical).map(|(moving, pose)| moving.at_pose(*pose));
+    let rms_px = |moving: &[Moving], constants: &Constants| {
+        residuals::linearise(&judges, moving, constants, believed, model).map(|judged| judged.robust_rms_px)
+    };
+    Ok([rms_px(&before, &Constants::default())?, rms_px(&after.collect::<Vec<_>>(), &smoothed.constants)?])
+}
+
 /// Where the search for it is.
 struct Walk {
     moving: Vec<Moving>,
@@ -261,6 +282,8 @@ struct Linearised {
     chain: Chain,
     cost: f64,
     rms_px: f64,
+    /// Of all places, those that do not fit counted up to a limit.
+    robust_rms_px: f64,
 }
 
 #[cfg(test)]

@@ -24,6 +24,10 @@ impl Moving {
         Self { pose: frame.map_from_optical, twist: frame.twist, farther: Twist::ZERO }
     }
 
+    pub(super) fn at_pose(&self, pose: Isometry) -> Self {
+        Self { pose, ..*self }
+    }
+
     pub(super) fn moved(&self, by: &Own) -> Self {
         let pose: Vector6<f64> = by.fixed_rows::<6>(0).into();
         let [way, turn] = [6, 9].map(|first| DVec3::new(by[first], by[first + 1], by[first + 2]));

@@ -79,6 +79,7 @@ pub(super) fn linearise(
     let cameras = Cameras::new(constants, believed)?;
     let mut chain = Chain::new(frames.len());
     let (mut cost, mut squares, mut fitting) = (0.0, 0.0, 0usize);
+    let (mut robust_squares, mut all) = (0.0, 0usize);
     for (i, (frame, here)) in frames.iter().zip(moving).enumerate() {
         for place in &frame.places {
             let Some(line) = cameras.line(place, here) else { continue };
@@ -86,6 +87,8 @@ pub(super) fn linearise(
             let off = line.off_rad * place.pixels_per_rad / sigma_px;
             let square = off * off / (ROBUST * ROBUST);
             cost += 0.5 * off * off / (1.0 + square);
+            robust_squares += off * off / (1.0 + square) * model.line_px * model.line_px;
+            all += 1;
             let weight = 1.0 / (1.0 + square);
             let scale = weight * place.pixels_per_rad / sigma_px;
             chain.add(i, weight * off, &(line.by_frame * scale), &(line.by_camera * scale));
@@ -107,8 +110,9 @@ pub(super) fn linearise(
         chain.add_common(value / sigma, &row);
         cost += 0.5 * (value / sigma) * (value / sigma);
     }
-    let rms_px = libm::sqrt(squares / fitting.max(1) as f64);
-    Ok(Linearised { chain, cost, rms_px })
+    let [rms_px, robust_rms_px] =
+        [(squares, fitting), (robust_squares, all)].map(|(squares, count)| libm::sqrt(squares / count.max(1) as f64));
+    Ok(Linearised { chain, cost, rms_px, robust_rms_px })
 }
 
 /// The camera as it is, and changed a little in each of its constants.

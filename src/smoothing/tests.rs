@@ -167,6 +167,19 @@ fn tags_come_ten_times_nearer_to_the_truth_and_their_covariance_is_honest() {
     );
 }
 
+#[test]
+fn lines_that_took_no_part_tell_better_poses_from_others() {
+    let model = Model { line_px: 0.3, ..Model::default() };
+    let (_, frames) = walk(&Constants { focal_share: 0.004, ..Constants::default() }, 0.3);
+    let [before, after] = held_out_rms_px(frames, &lens(), &model).expect("a lens");
+    assert!(after < 0.9 * before, "tags and lens are off: {before} to {after} px");
+    // Tags that are the truth, of the right lens: nothing is left to be found but noise.
+    let (truths, mut frames) = walk(&Constants::default(), 0.3);
+    frames.iter_mut().zip(&truths).for_each(|(frame, truth)| frame.map_from_optical = *truth);
+    let [before, after] = held_out_rms_px(frames, &lens(), &model).expect("a lens");
+    assert!(after > 0.99 * before, "{before} to {after} px");
+}
+
 /// Every frame sees the same errors, so that no number of them averages these out.
 #[test]
 fn lines_that_are_painted_crookedly_leave_all_less_certain() {

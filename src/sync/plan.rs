@@ -1,6 +1,6 @@
 //! What is to be fetched, from what lies at the source and what lies here. Pure: no file, no clock.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use super::selection::Selection;
@@ -126,8 +126,8 @@ fn best_copies(there: &[Session]) -> BTreeMap<&SessionId, &Session> {
 
 /// What a finished session holds beside what its manifest lists: nobody can say whether it is whole.
 fn unlisted(session: &Session) -> Vec<&String> {
-    let is_listed = |name: &str| session.lines.iter().any(|line| line.name == name);
-    session.segments.keys().filter(|name| !session.open && !is_listed(name)).collect()
+    let listed: BTreeSet<&String> = session.lines.iter().map(|line| &line.name).collect();
+    session.segments.keys().filter(|name| !session.open && !listed.contains(name)).collect()
 }
 
 fn told_unlisted(session: &Session, first: &str, count: usize) -> SetAside {

@@ -115,7 +115,7 @@ fn a_pipe_in_place_of_an_image_keeps_nobody_waiting() {
     fs::remove_file(room.path("images/a.png")).expect("removed");
     pipe("images/a.png");
     let run = room.run("view --db db --x 0.1 --y 0.2 --z 0.5 --yaw 10 --pitch 20 -o out.png");
-    assert!(run.code == Some(1) && run.stderr.contains("not a plain file"), "{run:?}");
+    assert!(run.code == Some(1) && run.stderr.contains("a plain file is needed"), "{run:?}");
     assert_eq!(room.run("db verify --db db").code, Some(3));
 }
 

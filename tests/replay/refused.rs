@@ -5,7 +5,9 @@ use std::fs;
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::{CameraInfo, TFMessage, Transform};
 
-use super::support::{CAMERA_INFO, IMAGE, LENS, ODOMETRY, Room, TF_STATIC, assert_same, changed, walk, without};
+use super::support::{
+    CAMERA_INFO, IMAGE, LENS, ODOMETRY, Room, TF_STATIC, assert_same, changed, session_name, walk, without,
+};
 
 /// Exit code 1, these words, and no capture begun.
 fn assert_refused(messages: &[LogMessage], words: &[&str]) -> Room {
@@ -47,6 +49,9 @@ fn a_log_without_odometry_is_replayed_as_a_random_walk_only() {
     let replayed = room.replay("log.mcap --motion random_walk");
     let valid = replayed.count("valid");
     assert!(2 * valid >= walk().frames(), "{}", replayed.report);
+    // What was recorded of it is a capture, whose recorder went on without odometry as well.
+    let again = room.run(&format!("replay {} -o again --json", session_name(&replayed)));
+    assert_eq!(again.json()["frames"].as_u64(), Some(walk().frames() as u64), "{again:?}");
 }
 
 #[test]

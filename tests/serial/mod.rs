@@ -11,11 +11,14 @@ use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 use realitysim::sensors::clock::Source;
 use realitysim::sensors::mavlink::Content;
 use realitysim::sensors::serial::{LineStatus, Measured, PortEvent, PortOptions, SerialError, run};
+use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
 /// Two ptys joined back to back: a null-modem cable, each of whose ends is a name.
 pub struct Cable {
     pub ends: [String; 2],
+    /// Held open, so that a reader may come and go.
+    _held: [OwnedFd; 2],
     stop: std::sync::Arc<AtomicBool>,
     pump: Option<std::thread::JoinHandle<()>>,
 }
@@ -23,26 +26,26 @@ pub struct Cable {
 impl Cable {
     pub fn new() -> Self {
         let masters = [0, 1].map(|_| {
-            let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pty");
+            // Of this process alone: what a child of another test inherits would outlive this one.
+            let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).expect("a pty");
             grantpt(&master).and_then(|()| unlockpt(&master)).expect("unlocked");
             master
         });
-        let ends = masters.each_ref().map(|master| {
+        let opened = masters.each_ref().map(|master| {
             let name = ptsname(master, Vec::new()).expect("a name").into_string().expect("ASCII");
             // Raw from the start: an echo would answer for the device.
-            let end =
-                rustix::fs::open(name.as_str(), rustix::fs::OFlags::RDWR, rustix::fs::Mode::empty()).expect("end");
+            let end = rustix::fs::open(name.as_str(), OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())
+                .expect("end");
             let mut modes = rustix::termios::tcgetattr(&end).expect("modes");
             modes.make_raw();
             rustix::termios::tcsetattr(&end, rustix::termios::OptionalActions::Now, &modes).expect("raw");
-            // Held open, so that a reader may come and go.
-            std::mem::forget(end);
-            name
+            (name, end)
         });
+        let [(one, held_one), (other, held_other)] = opened;
         let stop = std::sync::Arc::new(AtomicBool::new(false));
         let stopped = std::sync::Arc::clone(&stop);
         let pump = std::thread::spawn(move || carry(&masters, &stopped));
-        Self { ends, stop, pump: Some(pump) }
+        Self { ends: [one, other], _held: [held_one, held_other], stop, pump: Some(pump) }
     }
 }
 

@@ -88,7 +88,7 @@ fn what_is_wrong_is_answered_with_what_would_be_right() {
         ("/v1/view?x=0&y=0&z=50&yaw_deg=0", 400, "0.02 to 20"),
         ("/v1/view?x=0&y=0&z=0.5&yaw_deg=0&lens=/etc/passwd", 400, "there is equisolid-640"),
         ("/v1/view?x=0&y=0&z=0.5&yaw_deg=0&scene=../../etc/passwd", 400, "there is none"),
-        ("/v1/view?x=0&y=0&z=0.5&yaw_deg=0&width=4096&height=4096", 400, "at most 4194304 pixels"),
+        ("/v1/view?x=0&y=0&z=0.5&yaw_deg=0&height=2048", 400, "at most 4194304 pixels"),
         ("/v1/view?x=9&y=9&z=0.5&yaw_deg=0", 404, "farther than the 1 m that are allowed"),
         ("/v1/coverage?cell_m=0.02&headings=360", 400, "at most 1000000 are counted"),
         ("/v1/coverage?cell=1", 400, "unknown: there are cell_m, headings"),

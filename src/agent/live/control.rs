@@ -6,15 +6,17 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::Builder;
+use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use parking::Listeners;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 
-use crate::geometry::Pose2;
+use super::askers::{Askers, Place};
+use crate::geometry::{Physical, Pose2};
 use crate::recording::MAX_FINISH;
 use crate::ros2::messages::FrameTag;
 use crate::sensors::stale_socket::clear_away;
@@ -34,14 +36,16 @@ pub enum Ask {
     Stop,
 }
 
-/// Askers at one time.
-const MAX_ASKERS: usize = 16;
+/// Orders that wait for the agent.
+const MAX_ORDERS: usize = 16;
 /// A longer line is no order.
 const MAX_ORDER_BYTES: usize = 4096;
 /// After the last tag of a recorder that ends.
 const LAST_WORD: &str = r#"{"ended":true}"#;
-/// Who says nothing for so long is hung up on.
+/// A connection on which no order comes to its end within this time is closed.
 const MAX_SILENCE: Duration = Duration::from_secs(60);
+/// Until the next connection is accepted after one could not be: descriptors may be short for a moment.
+const ACCEPT_AGAIN: Duration = Duration::from_millis(100);
 /// How often a listener to poses is looked after while there are none.
 const LOOK_AFTER: Duration = Duration::from_millis(250);
 /// So long the agent may take to answer: longer than a session takes that ends on a disk which takes nothing.
@@ -58,6 +62,7 @@ pub struct Control {
     path: PathBuf,
     pub orders: Receiver<Order>,
     listeners: Arc<Listeners>,
+    ended: Arc<AtomicBool>,
 }
 
 impl Control {
@@ -70,26 +75,13 @@ impl Control {
         }
         clear_away(path)?;
         let listener = UnixListener::bind(path)?;
-        let (send, orders) = bounded(MAX_ASKERS);
+        let (send, orders) = bounded(MAX_ORDERS);
         let listeners = Arc::<Listeners>::default();
-        let (shared, askers) = (Arc::clone(&listeners), Arc::new(AtomicUsize::new(0)));
-        std::thread::spawn(move || {
-            for asker in listener.incoming().map_while(Result::ok) {
-                if askers.fetch_add(1, Ordering::Relaxed) >= MAX_ASKERS {
-                    askers.fetch_sub(1, Ordering::Relaxed);
-                    let what = format!("{MAX_ASKERS} others are asking already: try again later");
-                    let _ = writeln!(&asker, "{}", json!({ "error": what }));
-                    continue;
-                }
-                let (send, shared, askers) = (send.clone(), Arc::clone(&shared), Arc::clone(&askers));
-                std::thread::spawn(move || {
-                    // Whoever hangs up has had enough.
-                    let _ = converse(asker, &send, &shared);
-                    askers.fetch_sub(1, Ordering::Relaxed);
-                });
-            }
-        });
-        Ok(Self { path: path.to_owned(), orders, listeners })
+        let ended = Arc::<AtomicBool>::default();
+        let (shared, is_over) = (Arc::clone(&listeners), Arc::clone(&ended));
+        let accepting = move || accept(&listener, &send, &shared, &is_over);
+        Builder::new().name("control".to_owned()).spawn(accepting)?;
+        Ok(Self { path: path.to_owned(), orders, listeners, ended })
     }
 
     /// To everybody who wants poses.
@@ -100,24 +92,54 @@ impl Control {
 
 impl Drop for Control {
     fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+        // Wakes the thread that accepts.
+        let _ = UnixStream::connect(&self.path);
         self.listeners.close(LAST_WORDS);
         let _ = std::fs::remove_file(&self.path);
     }
 }
 
-fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners) -> io::Result<()> {
+/// Every connection gets a thread, until the recorder ends. Whatever goes wrong with one, the next is accepted.
+fn accept(listener: &UnixListener, orders: &Sender<Order>, listeners: &Arc<Listeners>, ended: &AtomicBool) {
+    let askers = Arc::<Askers>::default();
+    while !ended.load(Ordering::Relaxed) {
+        let Ok((asker, _)) = listener.accept() else {
+            std::thread::sleep(ACCEPT_AGAIN);
+            continue;
+        };
+        match askers.admit(asker) {
+            Err((asker, what)) => {
+                // What does not fit into its buffer at once is not waited for.
+                let _ = asker.set_nonblocking(true);
+                let _ = writeln!(&asker, "{}", json!({ "error": what }));
+            }
+            Ok(place) => {
+                let (orders, listeners) = (orders.clone(), Arc::clone(listeners));
+                // Without a thread it is closed: its place is dropped.
+                let _ = Builder::new().name("asker".to_owned()).spawn(move || {
+                    // An error ends this connection: its other end has gone, or has been told.
+                    let _ = converse(&place, &orders, &listeners);
+                });
+            }
+        }
+    }
+}
+
+fn converse(place: &Place, orders: &Sender<Order>, listeners: &Listeners) -> io::Result<()> {
+    let mut asker: &UnixStream = &place.stream;
     asker.set_write_timeout(Some(ANSWER_WITHIN))?;
-    asker.set_read_timeout(Some(MAX_SILENCE))?;
-    let mut reader = BufReader::new(asker.try_clone()?);
+    let mut reader = BufReader::new(Within { stream: asker, deadline: Instant::now() });
     loop {
         let mut line = Vec::new();
+        reader.get_mut().deadline = Instant::now() + MAX_SILENCE;
         if reader.by_ref().take(MAX_ORDER_BYTES as u64 + 1).read_until(b'\n', &mut line)? == 0 {
             return Ok(());
         }
         // Its rest is no order of its own.
         if line.len() > MAX_ORDER_BYTES {
             writeln!(asker, "{}", json!({ "error": format!("an order has at most {MAX_ORDER_BYTES} bytes") }))?;
-            asker.set_read_timeout(Some(LAST_WORDS))?;
+            reader.get_mut().deadline = Instant::now() + LAST_WORDS;
             io::copy(&mut reader.take(MAX_SWALLOWED_BYTES), &mut io::sink())?;
             return Ok(());
         }
@@ -131,7 +153,10 @@ fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners
             "place" if let Some(place) = place_of(text) => Ask::Place(place),
             "start" => Ask::Start,
             "stop" => Ask::Stop,
-            "poses" => return stream(&mut asker, listeners),
+            "poses" => match place.listens() {
+                Ok(()) => return stream(asker, listeners),
+                Err(what) => return writeln!(asker, "{}", json!({ "error": what })),
+            },
             _ => {
                 writeln!(
                     asker,
@@ -141,10 +166,29 @@ fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners
                 continue;
             }
         };
-        let (answer, answered) = bounded(1);
-        let sent = orders.send_timeout(Order { what, answer }, ANSWER_WITHIN).is_ok();
-        let value = if sent { answered.recv_timeout(ANSWER_WITHIN).ok() } else { None };
+        let value = place.waiting(|| {
+            let (answer, answered) = bounded(1);
+            orders.send_timeout(Order { what, answer }, ANSWER_WITHIN).ok()?;
+            answered.recv_timeout(ANSWER_WITHIN).ok()
+        });
         writeln!(asker, "{}", value.unwrap_or_else(|| json!({ "error": "the recorder does not answer" })))?;
+    }
+}
+
+/// Reads until a deadline, however many bytes come meanwhile.
+struct Within<'a> {
+    stream: &'a UnixStream,
+    deadline: Instant,
+}
+
+impl Read for Within<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let left = self.deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        self.stream.set_read_timeout(Some(left))?;
+        self.stream.read(buffer)
     }
 }
 
@@ -152,10 +196,10 @@ fn converse(mut asker: UnixStream, orders: &Sender<Order>, listeners: &Listeners
 fn place_of(text: &str) -> Option<Pose2> {
     let numbers: Vec<f64> = text.split(',').map(|part| part.trim().parse().ok()).collect::<Option<_>>()?;
     let [x, y, yaw_deg] = numbers[..] else { return None };
-    Some(Pose2::new(x, y, yaw_deg.to_radians())).filter(Pose2::is_finite)
+    Some(Pose2::new(x, y, yaw_deg.to_radians())).filter(Physical::is_possible)
 }
 
-fn stream(asker: &mut UnixStream, listeners: &Listeners) -> io::Result<()> {
+fn stream(mut asker: &UnixStream, listeners: &Listeners) -> io::Result<()> {
     let Some((tags, _listening)) = listeners.add() else { return Ok(()) };
     loop {
         match tags.recv_timeout(LOOK_AFTER) {

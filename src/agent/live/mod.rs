@@ -1,6 +1,7 @@
 //! The agent on a robot: devices in, the same pipeline as a replay's, a capture out.
 
 mod agent;
+mod askers;
 mod control;
 mod devices;
 mod messages;

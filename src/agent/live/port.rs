@@ -22,7 +22,7 @@ pub struct Port {
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PortTrouble {
-    /// `silent`, `no_messages`, `unusable`, `lost` or `noisy`.
+    /// `silent`, `no_messages`, `echo`, `unusable`, `lost` or `noisy`.
     pub cause: &'static str,
     pub said: String,
     #[serde(skip)]

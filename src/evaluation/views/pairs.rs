@@ -9,6 +9,7 @@ use super::likeness::likeness;
 use crate::config::{ConfigError, load_lens_for_image};
 use crate::geometry::{Field, Isometry, Lens, LensParameters};
 use crate::plain_file;
+use crate::sensors::decode::MAX_IMAGE_FILE_BYTES;
 use crate::views::{
     Camera, Candidate, Made, Method, NOTHING, Pyramid, Raster, Request, TagError, ViewError, ViewSettings, Vignetting,
     World, view,
@@ -70,7 +71,8 @@ impl Image {
     fn read(folder: &Path, id: u32) -> Result<Self, PairError> {
         let path = folder.join(format!("image{id:07}.jpg"));
         let failed = |what: String| PairError::File { path: path.clone(), what };
-        let image = image::open(&path).map_err(|error| failed(error.to_string()))?.into_rgb8();
+        let bytes = plain_file::read(&path, MAX_IMAGE_FILE_BYTES).map_err(|error| failed(error.to_string()))?;
+        let image = image::load_from_memory(&bytes).map_err(|error| failed(error.to_string()))?.into_rgb8();
         let (width, height) = image.dimensions();
         let lens = folder.join(format!("lens{id:07}.yaml")).display().to_string();
         let file = load_lens_for_image(&lens, width, height)?;

@@ -91,7 +91,9 @@ impl LensParameters {
 
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum LensError {
-    #[error("image size {width} x {height}: both must be between 1 and {MAX_SIDE}")]
+    #[error(
+        "image size {width} x {height}: both must be between 1 and {MAX_SIDE}, and their product at most {MAX_PIXELS}"
+    )]
     Size { width: u32, height: u32 },
     #[error("{name} is {value}: a focal length must be a positive number of pixels")]
     Focal { name: &'static str, value: f64 },
@@ -108,6 +110,14 @@ pub enum LensError {
 
 /// Larger images are refused at load.
 pub const MAX_SIDE: u32 = 16_384;
+/// More than any camera on a robot has. Decoded, so many pixels take some hundred megabytes.
+pub const MAX_PIXELS: u64 = 1 << 25;
+
+/// Whether an image of this width and height, pixels, is decoded, and a lens for it prepared.
+pub fn is_image_size(width: u64, height: u64) -> bool {
+    let side = 1..=u64::from(MAX_SIDE);
+    side.contains(&width) && side.contains(&height) && width * height <= MAX_PIXELS
+}
 
 /// A lens that has been checked: monotonic up to [`Lens::max_angle`].
 #[derive(Clone, Debug, PartialEq)]
@@ -125,7 +135,7 @@ enum Curve {
 impl Lens {
     pub fn new(parameters: LensParameters) -> Result<Self, LensError> {
         let p = &parameters;
-        if !(1..=MAX_SIDE).contains(&p.width) || !(1..=MAX_SIDE).contains(&p.height) {
+        if !is_image_size(p.width.into(), p.height.into()) {
             return Err(LensError::Size { width: p.width, height: p.height });
         }
         for (name, value) in [("fx", p.fx), ("fy", p.fy)] {

@@ -3,7 +3,7 @@
 use super::{CdrError, ENCAPSULATION_BYTES};
 
 /// A message larger than this is refused: no camera frame comes near it.
-pub const MAX_MESSAGE_BYTES: usize = 256 << 20;
+pub const MAX_MESSAGE_BYTES: usize = 128 << 20;
 
 /// Middleware pads messages to a multiple of 4 or 8; more bytes than that belong to another type.
 const MAX_PADDING_BYTES: usize = 7;

@@ -10,9 +10,10 @@ use super::channels::{Channel, Channels, Definition};
 use super::error::Damage;
 use super::fields::Fields;
 use super::source::RECORD_HEAD_BYTES;
+use super::unpacking::Unpacking;
 
 /// Larger chunks are refused, packed or unpacked: writers close theirs at about a megabyte, or behind one message.
-pub(super) const MAX_CHUNK_BYTES: u64 = 512 << 20;
+pub(super) const MAX_CHUNK_BYTES: u64 = 256 << 20;
 
 pub(super) struct Chunk {
     /// Message records (without opcode and length) stand somewhere in here.
@@ -51,12 +52,21 @@ pub(super) struct Header<'a> {
 
 impl Chunk {
     /// Takes the body of the chunk record that starts at `offset` of the file.
-    pub fn unpack(body: Vec<u8>, offset: u64, channels: &mut Channels, damage: &mut Damage) -> Option<Self> {
+    pub fn unpack(
+        body: Vec<u8>,
+        offset: u64,
+        unpacking: &mut Unpacking,
+        channels: &mut Channels,
+        damage: &mut Damage,
+    ) -> Option<Self> {
         let bytes = RECORD_HEAD_BYTES + body.len() as u64;
         let unpacked = header(&body).and_then(|header| {
             let surplus = header.surplus;
-            let listing = if header.compression.is_empty() { list_plain(&header) } else { decompress(&header, &body) };
-            Ok((listing?, surplus))
+            if header.compression.is_empty() {
+                return Ok((list_plain(&header)?, surplus));
+            }
+            unpacking.admit(header.records.len() as u64, header.unpacked_bytes)?;
+            Ok((decompress(&header, &body)?, surplus))
         });
         let (listing, surplus) = match unpacked {
             Ok(unpacked) => unpacked,

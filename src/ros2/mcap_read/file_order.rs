@@ -11,6 +11,7 @@ use super::error::{Damage, MAGIC, ReadError};
 use super::fields::Fields;
 use super::resync::{CHUNK_HEAD_BYTES, has_chunk_shape, next_chunk};
 use super::source::{Record, Source};
+use super::unpacking::Unpacking;
 use crate::ros2::cdr::MAX_MESSAGE_BYTES;
 
 /// A schema or channel that is larger is refused.
@@ -34,6 +35,7 @@ pub(super) struct FileOrder {
     bad_chunk: Option<u64>,
     is_past_head: bool,
     went_back: u32,
+    unpacking: Unpacking,
 }
 
 /// Nothing before it is read again.
@@ -57,6 +59,7 @@ impl FileOrder {
             bad_chunk: None,
             is_past_head: false,
             went_back: 0,
+            unpacking: Unpacking::default(),
         }
     }
 
@@ -166,7 +169,7 @@ impl FileOrder {
         match record.opcode {
             op::CHUNK => {
                 self.chunked = true;
-                self.chunk = Chunk::unpack(body, record.offset, channels, damage);
+                self.chunk = Chunk::unpack(body, record.offset, &mut self.unpacking, channels, damage);
                 if self.chunk.is_some() {
                     self.trusted = Trusted { end: record.end(), skipped: damage.bytes_skipped };
                 } else {

@@ -8,9 +8,10 @@ use super::channels::Channels;
 use super::chunk::{Chunk, MAX_CHUNK_BYTES, Placed};
 use super::error::{Damage, ReadError};
 use super::source::{RECORD_HEAD_BYTES, Source};
+use super::unpacking::Unpacking;
 
 /// How much of overlapping chunks to hold. Beyond that, order gives way: no message is lost.
-const MAX_OPEN_BYTES: usize = 768 << 20;
+const MAX_OPEN_BYTES: usize = 384 << 20;
 
 pub(super) struct IndexOrder {
     /// By the log time of their first message, the next one last.
@@ -18,6 +19,7 @@ pub(super) struct IndexOrder {
     open: Vec<(u64, Chunk)>,
     last_log_time: u64,
     max_open_bytes: usize,
+    unpacking: Unpacking,
 }
 
 impl IndexOrder {
@@ -28,7 +30,13 @@ impl IndexOrder {
             chunk.message_index_offsets.is_empty() || ids.any(|&id| channels.wanted(id).unwrap_or(true))
         });
         chunks.sort_by_key(|chunk| std::cmp::Reverse((chunk.message_start_time, chunk.chunk_start_offset)));
-        Self { waiting: chunks, open: Vec::new(), last_log_time: 0, max_open_bytes: MAX_OPEN_BYTES }
+        Self {
+            waiting: chunks,
+            open: Vec::new(),
+            last_log_time: 0,
+            max_open_bytes: MAX_OPEN_BYTES,
+            unpacking: Unpacking::default(),
+        }
     }
 
     pub fn next<R: Read + Seek>(
@@ -47,7 +55,7 @@ impl IndexOrder {
                 }
             });
             if let Some(index) = load {
-                if let Some(chunk) = load_chunk(&index, source, channels, damage)? {
+                if let Some(chunk) = load_chunk(&index, source, &mut self.unpacking, channels, damage)? {
                     self.open.push((index.chunk_start_offset, chunk));
                 }
                 continue;
@@ -79,6 +87,7 @@ impl IndexOrder {
 fn load_chunk<R: Read + Seek>(
     index: &ChunkIndex,
     source: &mut Source<R>,
+    unpacking: &mut Unpacking,
     channels: &mut Channels,
     damage: &mut Damage,
 ) -> Result<Option<Chunk>, ReadError> {
@@ -109,7 +118,7 @@ fn load_chunk<R: Read + Seek>(
         damage.bad_chunk(offset, index.chunk_length, &problem);
         return Ok(None);
     }
-    let mut chunk = Chunk::unpack(body, offset, channels, damage);
+    let mut chunk = Chunk::unpack(body, offset, unpacking, channels, damage);
     chunk.iter_mut().for_each(Chunk::sort);
     Ok(chunk)
 }

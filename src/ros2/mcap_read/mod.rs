@@ -12,6 +12,7 @@ mod sound;
 mod source;
 mod summary;
 mod survey;
+mod unpacking;
 
 use std::io::{Read, Seek};
 use std::sync::Arc;

@@ -60,6 +60,8 @@ pub struct PortCounts {
     pub lost: u64,
     /// Estimates of odometry that jumped and were joined again.
     pub resets: u64,
+    /// Messages of this program's own name: what it sent came back. They are not used.
+    pub echoes: u64,
 }
 
 /// More senders on one port than any robot has: those beyond are noise that happens to have a right checksum.
@@ -71,6 +73,8 @@ pub struct Decoder {
     framer: Framer,
     senders: BTreeMap<Sender, Line>,
     counts: PortCounts,
+    /// As which this program sends on the same line.
+    own: Option<Sender>,
 }
 
 /// What must be remembered of a sender.
@@ -81,11 +85,18 @@ struct Line {
 }
 
 impl Decoder {
+    /// Of a line on which this program sends under that name.
+    pub fn beside(own: Sender) -> Self {
+        Self { own: Some(own), ..Self::default() }
+    }
+
     /// Hands every measurement that the bytes complete to `take`.
     pub fn push(&mut self, bytes: &[u8], mut take: impl FnMut(Received)) {
-        let Self { framer, senders, counts } = self;
+        let Self { framer, senders, counts, own } = self;
         framer.push(bytes, |frame| {
-            if let Some(received) = read(senders, counts, &frame) {
+            if Some(frame.sender) == *own {
+                counts.echoes += 1;
+            } else if let Some(received) = read(senders, counts, &frame) {
                 take(received);
             }
         });

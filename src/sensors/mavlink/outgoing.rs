@@ -3,6 +3,7 @@
 use glam::DVec3;
 use mavlink::dialects::common::{MavEstimatorType, MavFrame, MavMessage, MavType, ODOMETRY_DATA, TIMESYNC_DATA};
 
+use super::Sender;
 use super::numbered::{Numbered, w_first};
 use crate::geometry::Isometry;
 
@@ -19,6 +20,10 @@ impl Outgoing {
     /// As a component of the robot's system.
     pub fn new(system: u8) -> Self {
         Self { sender: Numbered::new(system, COMPONENT, MavType::MAV_TYPE_ONBOARD_CONTROLLER) }
+    }
+
+    pub fn name(system: u8) -> Sender {
+        Sender { system, component: COMPONENT }
     }
 
     pub fn heartbeat(&mut self) -> Vec<u8> {

@@ -369,3 +369,18 @@ proptest! {
         }
     }
 }
+
+/// As on a line whose TX and RX are joined: were an echo used, it would look like a device that is there.
+#[test]
+fn what_this_program_sent_itself_is_not_heard() {
+    let own = Outgoing::name(1);
+    let mut outgoing = Outgoing::new(own.system);
+    let bytes = [outgoing.heartbeat(), outgoing.time_request(5), outgoing.time_reply(6, 5)].concat();
+    let mut decoder = Decoder::beside(own);
+    decoder.push(&bytes, |received| panic!("{received:?}"));
+    let counts = decoder.counts();
+    assert_eq!((counts.echoes, counts.frames.frames, counts.used.len(), counts.lost), (3, 3, 0, 0));
+    let mut other = Decoder::beside(Outgoing::name(2));
+    other.push(&bytes, |_| {});
+    assert_eq!(other.counts().echoes, 0);
+}

@@ -64,7 +64,7 @@ pub struct Line {
 impl Line {
     pub fn new(system: u8, byte_ns: i64) -> Self {
         Self {
-            decoder: Decoder::default(),
+            decoder: Decoder::beside(Outgoing::name(system)),
             clocks: BTreeMap::new(),
             outgoing: Outgoing::new(system),
             byte_ns,

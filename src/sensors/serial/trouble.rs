@@ -11,6 +11,10 @@ pub enum Trouble {
     NoMessages {
         bytes: u64,
     },
+    /// Messages of this program's own name: it hears itself, or another device bears its name.
+    Echo {
+        messages: u64,
+    },
     /// Sound messages whose content is of no use.
     Unusable {
         reason: &'static str,
@@ -41,6 +45,10 @@ impl Trouble {
         }
         if messages == 0 {
             return Some(Self::NoMessages { bytes });
+        }
+        let echoes = now.echoes.saturating_sub(before.echoes);
+        if echoes > 0 {
+            return Some(Self::Echo { messages: echoes });
         }
         let new = |(reason, count): (&&'static str, &u64)| {
             let messages = count.saturating_sub(before.unusable.get(reason).copied().unwrap_or(0));
@@ -73,6 +81,7 @@ impl Trouble {
         match self {
             Self::Silent => "silent",
             Self::NoMessages { .. } => "no_messages",
+            Self::Echo { .. } => "echo",
             Self::Unusable { .. } => "unusable",
             Self::Lost { .. } => "lost",
             Self::Noisy { .. } => "noisy",
@@ -83,6 +92,7 @@ impl Trouble {
         match self {
             Self::Silent => "is the device switched on, and are its lines crossed (TX to RX)?",
             Self::NoMessages { .. } => "is the port's baud rate the device's, and MAVLink 2 its protocol?",
+            Self::Echo { .. } => "are the port's own TX and RX joined, or does another device send as component 197?",
             Self::Unusable { .. } => "see docs/hardware.md for what each message must hold",
             Self::Lost { .. } => "the line is too slow for what is sent: a higher baud rate, or lower rates",
             Self::Noisy { .. } => "the line is noisy: shorter or shielded wires, a common ground, a lower baud rate",
@@ -95,6 +105,7 @@ impl fmt::Display for Trouble {
         match self {
             Self::Silent => write!(f, "silent"),
             Self::NoMessages { bytes } => write!(f, "{bytes} bytes and no MAVLink 2 message"),
+            Self::Echo { messages } => write!(f, "{messages} messages are an echo of what was sent"),
             Self::Unusable { reason, messages } => write!(f, "{messages} messages cannot be used: {reason}"),
             Self::Lost { messages, of } => write!(f, "{messages} of {of} messages were lost"),
             Self::Noisy { skipped, bytes } => write!(f, "{skipped} of {bytes} bytes belong to no sound message"),
@@ -125,6 +136,8 @@ mod tests {
         let mut hit = counts(20_000, 200, 5_400, 60);
         hit.frames.crc_failures = 7;
         assert_eq!(since(&hit), Some(Trouble::Noisy { skipped: 400, bytes: 10_000 }), "bytes were hit, not left out");
+        let heard_itself = PortCounts { echoes: 4, ..counts(20_000, 200, 5_000, 50) };
+        assert_eq!(since(&heard_itself), Some(Trouble::Echo { messages: 4 }));
         let mut now = counts(20_000, 200, 5_000, 50);
         now.unusable.insert("no quaternion", 3);
         let unusable = since(&now).expect("unusable");
