@@ -206,22 +206,29 @@ impl Pipeline {
             // Without it the same is read from the tags.
             let _ = write_coverage(session, self.thinning.coverage(), counts.valid);
         }
-        let heard = self.synchroniser.knows_attitude();
-        let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
         self.count_measurements();
-        let Settings { field, filter, .. } = &self.settings;
-        let strange = warnings::strange_field(filter, field, &self.tally.invalid, counts.tagged);
-        let blind = warnings::no_picture(&self.tally.invalid, counts.tagged);
-        let lying = warnings::never_upright(&self.settings.topics.imu, &self.tally.invalid, counts.tagged);
-        let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
-        let unusable = warnings::unusable_weights(self.tally.unusable_weights);
-        let lens = self.tagger.lens_off().as_ref().and_then(warnings::wrong_lens);
-        let impossible = warnings::impossible_measurements(self.tally.impossible_measurements);
-        let begun_anew = warnings::begun_anew(self.tally.begun_anew);
-        let all = [attitude, strange, blind, lying, small, lens, impossible, unusable, begun_anew];
-        let warnings = all.into_iter().flatten().collect();
+        let warnings = self.warnings();
         let tally = core::mem::take(&mut self.tally);
         (Some(Recorded { session, counts, recorder, tally, warnings }), ended)
+    }
+
+    /// By what was tagged, not by what the disk has kept of it.
+    fn warnings(&self) -> Vec<String> {
+        let Self { tally, settings, .. } = self;
+        let Settings { field, filter, frames, topics, .. } = settings;
+        let heard = self.synchroniser.knows_attitude();
+        let all = [
+            self.attitude.warning(tally.without_tilt, tally.tags, heard, frames),
+            warnings::strange_field(filter, field, &tally.invalid, tally.tags),
+            warnings::no_picture(&tally.invalid, tally.tags),
+            warnings::never_upright(&topics.imu, &tally.invalid, tally.tags),
+            warnings::small_budget(filter.budget_ms, &tally.effort, tally.tags),
+            self.tagger.lens_off().as_ref().and_then(warnings::wrong_lens),
+            warnings::impossible_measurements(tally.impossible_measurements),
+            warnings::unusable_weights(tally.unusable_weights),
+            warnings::begun_anew(tally.begun_anew),
+        ];
+        all.into_iter().flatten().collect()
     }
 
     fn end(&mut self) -> Result<(), AgentError> {

@@ -9,6 +9,7 @@ use image::RgbImage;
 use serde::Serialize;
 
 use super::paths::{check_output, save};
+use super::values::number;
 use super::{Outcome, detector, output};
 use crate::config::Settings;
 use crate::database::{Gallery, Wanted};
@@ -16,7 +17,7 @@ use crate::evaluation::drawing;
 use crate::evaluation::views::{Detection, Detector, likeness};
 use crate::geometry::Isometry;
 use crate::scene::{Renderer, Scene, SceneFile};
-use crate::views::{Camera, Method, NOTHING, Raster, SURE, Target, World};
+use crate::views::{Camera, MAX_FAR_M, Method, NOTHING, Raster, SURE, Target, World};
 use crate::vision::Picture;
 
 /// Measure the gap between recorded, made-up and rendered images
@@ -33,7 +34,7 @@ pub struct GapArguments {
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=1000))]
     frames: u16,
     /// Images nearer than this are held out as well
-    #[arg(long, value_name = "M", default_value_t = 0.1, value_parser = super::serve::distance)]
+    #[arg(long, value_name = "M", default_value_t = 0.1, value_parser = number(0.0..=MAX_FAR_M))]
     apart: f64,
     /// One of the images, in all its forms
     #[arg(short, long, value_name = "PNG")]

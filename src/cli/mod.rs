@@ -34,6 +34,7 @@ mod sim;
 mod soak;
 mod sync;
 mod tag;
+mod values;
 mod view;
 mod view_quality;
 mod view_walk;

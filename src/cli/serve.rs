@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::paths::cannot_read;
 use super::settings::UsageError;
+use super::values::number;
 use super::{Outcome, output};
 use crate::agent::live::stop_flag;
 use crate::config::{Settings, lens_names, load_lens};
@@ -16,6 +17,7 @@ use crate::geometry::LensParameters;
 use crate::plain_file;
 use crate::sensors::scene;
 use crate::service::{ServeOptions, serve};
+use crate::views::{FAR_M, MAX_FAR_M};
 
 /// Serve views of a database over HTTP, for simulators and vision code
 ///
@@ -42,16 +44,11 @@ pub struct ServeArguments {
     #[arg(long, value_name = "FILE")]
     scene: Vec<String>,
     /// Refuse when the nearest image was taken farther away than this, or images show less than a quarter of an exact view, if the client does not say
-    #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = distance)]
+    #[arg(long, value_name = "M", default_value_t = FAR_M, value_parser = number(0.0..=MAX_FAR_M))]
     max_distance: f64,
     /// Robot config, for its section [views]
     #[arg(long, value_name = "FILE")]
     config: Option<String>,
-}
-
-pub(super) fn distance(text: &str) -> Result<f64, String> {
-    let value: Option<f64> = text.parse().ok().filter(|value| (0.0..=1000.0).contains(value));
-    value.ok_or_else(|| "0 to 1000 metres".to_owned())
 }
 
 pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
