@@ -240,9 +240,10 @@ impl Pipeline {
     /// Why frames could not be placed.
     fn cause(&self) -> String {
         let Self { settings, topics, eyes, .. } = self;
-        let found = self.unplaced.as_ref().zip(Field::new(self.dimensions.clone()).ok()).and_then(|(unplaced, field)| {
-            Given { settings, topics, field: &field, eyes, threads: self.recording.threads }.cause(unplaced)
-        });
+        let found =
+            self.unplaced.as_ref().zip(Field::new(self.dimensions.clone()).ok()).and_then(|(unplaced, field)| {
+                Given { settings, topics, field: &field, eyes, threads: self.recording.threads }.cause(unplaced)
+            });
         found.unwrap_or_else(|| warnings::possible_causes(settings.filter.budget_ms))
     }
 

@@ -27,6 +27,11 @@ pub(super) const MAX_THREADS: usize = 64;
 /// Older rosbag2 .db3 files: convert them first, `pip install rosbags && rosbags-convert --src BAG --dst NEW
 /// --dst-storage mcap`.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Examples:",
+    "\n  realitysim replay my_bag/ -o captures/ --field kid-2020",
+    "\n  realitysim replay walk.mcap --check walk.tags.json",
+))]
 pub struct ReplayArguments {
     /// A log or a scene
     #[arg(value_name = "LOG|SCENE")]

@@ -10,7 +10,7 @@ use image::RgbImage;
 use serde::Serialize;
 
 use super::paths::{check_output, save, write_bytes};
-use super::values::{number, whole};
+use super::values::{any_whole, number, whole};
 use super::{Outcome, output};
 use crate::config::{Settings, load_lens};
 use crate::database::{Gallery, Shown, Wanted};
@@ -19,8 +19,8 @@ use crate::geometry::{Euler, Isometry, Lens};
 use crate::scene::Stage;
 use crate::sensors::scene;
 use crate::views::{
-    Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method, NOTHING, Raster, UNSURE,
-    World,
+    Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method, NOTHING, Raster,
+    UNSURE, World,
 };
 
 /// Show what the camera would see from a pose, from a database of recorded images
@@ -28,6 +28,10 @@ use crate::views::{
 /// The stored image itself if one was taken there, byte for byte if the output's name has its ending; else a view made
 /// from its neighbours, with a statement of how it was made and how far it can be trusted.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Example:",
+    "\n  realitysim view --db images/ --x 0.3 --y -0.5 --z 0.5 --yaw 30 --pitch 18 -o view.png",
+))]
 pub struct ViewArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
@@ -72,7 +76,7 @@ pub struct ViewArguments {
     #[arg(long, default_value = "draw", requires = "scene")]
     figures: Figures,
     /// As which frame of the scene
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "scene")]
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "scene", value_parser = any_whole::<u64>)]
     frame: u64,
     /// How far away the nearest image may have been taken
     #[arg(long, value_name = "M", default_value_t = FAR_M, value_parser = number(0.0..=MAX_FAR_M))]
@@ -351,12 +355,8 @@ fn told(report: &Report) -> String {
         Some(error) => format!("{:.1} % known geometry), expected error {error:.1} px", 100.0 * report.sure_share),
         None => "no known geometry: nothing can be said of its error)".to_owned(),
     };
-    let mut text = format!(
-        "{}: {}, shows {:.1} % ({shows}\n",
-        report.output.display(),
-        report.made,
-        100.0 * report.valid_share,
-    );
+    let mut text =
+        format!("{}: {}, shows {:.1} % ({shows}\n", report.output.display(), report.made, 100.0 * report.valid_share,);
     for source in &report.sources {
         text.push_str(&format!(
             "  {:5.1} % from {} at byte {}: {:.1} cm and {:.1} deg away\n",

@@ -44,3 +44,4 @@ mod truth;
 mod usage;
 mod warm_start;
 mod warnings;
+mod wrong_calls;
