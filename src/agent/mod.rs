@@ -4,6 +4,7 @@ mod between;
 mod budget;
 pub mod checkpoint;
 pub mod cut;
+mod diagnosis;
 pub mod doctor;
 mod durations;
 mod effort;

@@ -33,7 +33,7 @@ pub(super) struct OpenLog {
 pub(super) fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
     let missing = missing_parts(path);
     let files = logs::files_of(path).map_err(|error| match error {
-        LogError::NoFiles { path } if !missing.is_empty() => ReplayError::NoSegment { path, lost: missing.clone() },
+        LogError::NoFiles { path, .. } if !missing.is_empty() => ReplayError::NoSegment { path, lost: missing.clone() },
         error => error.into(),
     })?;
     let surveys = logs::surveys(&files)?;

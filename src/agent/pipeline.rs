@@ -12,16 +12,17 @@ use crossbeam_channel::Sender;
 use super::between::Between;
 use super::budget::Budget;
 use super::checkpoint::Checkpoint;
+use super::diagnosis::{Given, Unplaced};
 use super::error::AgentError;
 use super::foresight::Foresight;
-use super::setup::Setup;
+use super::setup::{Eyes, Setup};
 use super::stages::{Looked, Looking};
 use super::state::{STATE_FILE, Start};
 use super::tagger::Tagger;
 use super::tally::Tally;
 use super::warnings::{self, AttitudeSource};
 use crate::config::{Settings, Topics};
-use crate::geometry::{FieldDimensions, LensParameters, PoseGrid};
+use crate::geometry::{Field, FieldDimensions, LensParameters, PoseGrid};
 use crate::recording::storage::Disk;
 use crate::recording::{
     Counts, Ended, LiveInfo, RecorderStatus, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning, Writing,
@@ -81,6 +82,9 @@ pub struct Pipeline {
     held: VecDeque<LogMessage>,
     /// Where the robot is while no frames come.
     foresight: Foresight,
+    eyes: Arc<Eyes>,
+    /// Of a replay: a robot has no time to look for causes.
+    unplaced: Option<Unplaced>,
 }
 
 /// How often, in log time, the state is saved.
@@ -122,6 +126,8 @@ impl Pipeline {
             last_diagnostics_ns: i64::MIN,
             held: VecDeque::new(),
             foresight,
+            eyes,
+            unplaced: recording.live.is_none().then(Unplaced::default),
             settings,
             recording,
         }
@@ -206,22 +212,39 @@ impl Pipeline {
             // Without it the same is read from the tags.
             let _ = write_coverage(session, self.thinning.coverage(), counts.valid);
         }
-        let heard = self.synchroniser.knows_attitude();
-        let attitude = self.attitude.warning(self.tally.without_tilt, counts.tagged, heard, &self.settings.frames);
         self.count_measurements();
-        let Settings { field, filter, .. } = &self.settings;
-        let strange = warnings::strange_field(filter, field, &self.tally.invalid, counts.tagged);
-        let blind = warnings::no_picture(&self.tally.invalid, counts.tagged);
-        let lying = warnings::never_upright(&self.settings.topics.imu, &self.tally.invalid, counts.tagged);
-        let small = warnings::small_budget(filter.budget_ms, &self.tally.effort, counts.tagged);
-        let unusable = warnings::unusable_weights(self.tally.unusable_weights);
-        let lens = self.tagger.lens_off().as_ref().and_then(warnings::wrong_lens);
-        let impossible = warnings::impossible_measurements(self.tally.impossible_measurements);
-        let begun_anew = warnings::begun_anew(self.tally.begun_anew);
-        let all = [attitude, strange, blind, lying, small, lens, impossible, unusable, begun_anew];
-        let warnings = all.into_iter().flatten().collect();
+        let warnings = self.warnings();
         let tally = core::mem::take(&mut self.tally);
         (Some(Recorded { session, counts, recorder, tally, warnings }), ended)
+    }
+
+    /// By what was tagged, not by what the disk has kept of it.
+    fn warnings(&self) -> Vec<String> {
+        let Self { tally, settings, .. } = self;
+        let Settings { field, filter, frames, topics, .. } = settings;
+        let heard = self.synchroniser.knows_attitude();
+        let all = [
+            self.attitude.warning(tally.without_tilt, tally.tags, heard, frames),
+            warnings::unplaced(field, &tally.invalid, tally.tags, || self.cause()),
+            warnings::no_picture(&tally.invalid, tally.tags),
+            warnings::never_upright(&topics.imu, &tally.invalid, tally.tags),
+            warnings::small_budget(filter.budget_ms, &tally.effort, tally.tags),
+            self.tagger.lens_off().as_ref().and_then(warnings::wrong_lens),
+            warnings::impossible_measurements(tally.impossible_measurements),
+            warnings::unusable_weights(tally.unusable_weights),
+            warnings::begun_anew(tally.begun_anew),
+        ];
+        all.into_iter().flatten().collect()
+    }
+
+    /// Why frames could not be placed.
+    fn cause(&self) -> String {
+        let Self { settings, topics, eyes, .. } = self;
+        let found =
+            self.unplaced.as_ref().zip(Field::new(self.dimensions.clone()).ok()).and_then(|(unplaced, field)| {
+                Given { settings, topics, field: &field, eyes, threads: self.recording.threads }.cause(unplaced)
+            });
+        found.unwrap_or_else(|| warnings::possible_causes(settings.filter.budget_ms))
     }
 
     fn end(&mut self) -> Result<(), AgentError> {
@@ -320,6 +343,9 @@ impl Pipeline {
         tag.elapsed_ms = look_ms + start.elapsed().as_secs_f64() * 1e3;
         tag.stopped_at = allowance.stopped_at().unwrap_or(0);
         self.budget.learn(&allowance);
+        if let (Some(unplaced), Ok(_), true) = (&mut self.unplaced, &seen, warnings::is_unplaced(&tag.reason)) {
+            unplaced.note(&frame);
+        }
         if let Ok(seen) = seen {
             self.looking.give_back(seen);
         }
@@ -441,5 +467,56 @@ impl Pipeline {
         let report =
             self.tally.diagnostics(log_time_ns, robot, &session.counts(), session.status().conserved, filter.budget_ms);
         Ok(session.diagnostics(log_time_ns, &report)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::agent::opened;
+    use crate::sensors::scene;
+
+    const SCENE: &str = include_str!("../../tests/replay/scene.toml");
+    const LENS: &str = include_str!("../../tests/replay/lens.toml");
+
+    /// Nothing says how its torso is tilted, which is told with the number of frames that it costs.
+    #[test]
+    fn warnings_count_the_frames_that_were_tagged_and_not_those_that_the_disk_has_kept() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("scene.toml");
+        let without_imu = SCENE.split("[imu]").next().expect("a scene").replace("[-1.1, 0.3]", "[-1.8, 0.15]");
+        std::fs::write(&path, without_imu).expect("written");
+        std::fs::write(folder.path().join("lens.toml"), LENS).expect("written");
+        let scene = scene::load(&path).expect("a scene");
+        let (setup, messages) = opened::scene(&scene, &path, &Settings::default()).expect("opened");
+        let captures = folder.path().join("captures");
+        let recording = Recording {
+            captures: captures.clone(),
+            source: None,
+            threads: 1,
+            live: None,
+            tags: None,
+            writing: Writing::Here,
+        };
+        let mut pipeline = Pipeline::new(setup, Start::default(), recording);
+        for message in messages {
+            pipeline.take(message.expect("a message")).expect("taken");
+        }
+        // Somebody removes what was recorded: another folder is begun, and the tags of the first are lost.
+        for entry in std::fs::read_dir(&captures).expect("there") {
+            let session = entry.expect("an entry").path();
+            if session.is_dir() {
+                std::fs::remove_dir_all(session).expect("removed");
+            }
+        }
+        let frames = pipeline.sequence();
+        let (recorded, _) = pipeline.finish();
+        let recorded = recorded.expect("something came");
+        let warning = recorded.warnings.iter().find(|warning| warning.contains("as if the torso stood upright"));
+        let warning = warning.unwrap_or_else(|| panic!("{:?}", recorded.warnings));
+        assert!(recorded.counts.tagged < frames, "the disk has lost some: {:?}", recorded.counts);
+        assert!(recorded.tally.tags >= frames && frames > 3, "{} of {frames}", recorded.tally.tags);
+        let all = recorded.tally.tags;
+        assert!(warning.starts_with(&format!("{all} of {all} frames")), "{warning}");
     }
 }

@@ -12,7 +12,7 @@ use thiserror::Error;
 
 use crate::database::{DatabaseError, Gallery, Wanted};
 use crate::geometry::{Isometry, Pose2};
-use crate::recording::{RecordingError, SESSION_FILE, read_info};
+use crate::recording::{RecordingError, SESSION_FILE, captures_within, read_info};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::CompressedImageView;
 use crate::sensors::intake::{self, Input};
@@ -80,7 +80,9 @@ pub enum PlayError {
     #[error("{device}: {source}")]
     Serial { device: String, source: serialport::Error },
     #[error(
-        "{}: no capture, for there is no session.json with it; `realitysim replay LOG -o DIR` makes one of a log", .0.display()
+        "{}: no capture, for there is no session.json with it; `realitysim replay LOG -o DIR` makes one of a log{}",
+        .0.display(),
+        captures_within(.0)
     )]
     NotACapture(PathBuf),
     #[error("{}: nothing in it can be played: {what}", path.display())]

@@ -20,7 +20,8 @@ use crate::localization::refinement::miscalibration::Miscalibration;
 use crate::localization::refinement::offsets::{Eye, Sight, measure};
 use crate::plain_file;
 use crate::recording::{
-    Loss, REFINED_FOLDER, RecordingError, SESSION_FILE, SessionInfo, read_info, topic, write_atomically,
+    Loss, REFINED_FOLDER, RecordingError, SESSION_FILE, SessionInfo, captures_within, read_info, topic,
+    write_atomically,
 };
 use crate::ros2::messages::{FrameTag, Message, PoseWithCovarianceStamped};
 use crate::ros2::{Durability, LogWriter, WriteError};
@@ -50,7 +51,7 @@ pub struct Refining {
 
 #[derive(Debug, Error)]
 pub enum RefineError {
-    #[error("{}: a capture's folder is needed, and there is no session.json", .0.display())]
+    #[error("{}: a capture's folder is needed, and there is no session.json{}", .0.display(), captures_within(.0))]
     NotACapture(PathBuf),
     #[error("{}: it has no valid tag with lines: nothing can be refined", .0.display())]
     NoFrames(PathBuf),

@@ -75,6 +75,11 @@ impl ReplayReport {
         self.lost.iter().cloned().chain(damaged).collect()
     }
 
+    /// There were frames, and not one of them was placed.
+    pub fn is_in_vain(&self) -> bool {
+        self.tagged > 0 && self.valid == 0
+    }
+
     /// Something of the source could not be replayed.
     pub fn data_was_lost(&self) -> bool {
         !(self.damage.is_empty() && self.lost.is_empty())

@@ -14,6 +14,9 @@ use crate::sensors::synchroniser::{Frame, RobotAt};
 
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
+    /// Tags made, whatever has become of them since: what the other counts of tags are a part of. Those of the recorder are of
+    /// tags that the disk has kept.
+    pub tags: u64,
     /// Why tags are invalid, and how many.
     pub invalid: BTreeMap<String, u64>,
     /// Messages, other than frames, whose bytes are not what their type says.
@@ -37,6 +40,7 @@ pub struct Tally {
 
 impl Tally {
     pub fn note_tag(&mut self, robot: &RobotAt, tag: &FrameTag, budget_ms: f64) {
+        self.tags += 1;
         self.effort.note(tag, budget_ms);
         self.without_tilt += u64::from(robot.place.as_ref().is_ok_and(|place| !place.tilt_is_measured));
         if !tag.valid {

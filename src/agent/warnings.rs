@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::effort::EffortTally;
 use super::report::Quantiles;
-use crate::config::{FilterConfig, FrameNames};
+use crate::config::FrameNames;
 use crate::geometry::physical::MOST;
 use crate::localization::LensOff;
 use crate::ros2::messages::{Imu, Message};
@@ -12,6 +12,8 @@ use crate::sensors::synchroniser::GONE_NS;
 
 /// What a tag's reason is when lines are seen and fit nowhere.
 const LOST: [&str; 5] = ["pose_unknown", "unconfirmed", "lines_disagree", "lines_unexplained", "not_standing"];
+/// And when hardly any are seen.
+const HARDLY_SEEN: [&str; 2] = ["few_lines", "spread"];
 /// Share of the frames that may take longer than the budget before it is called too small: what a busy machine does.
 const OVER_BUDGET: f64 = 0.05;
 /// A calibration is called wrong when it is off by so much, and by so many standard deviations.
@@ -19,24 +21,42 @@ const LEAST_STRETCH: f64 = 0.003;
 const LEAST_PX: f64 = 1.0;
 const CLEAR_SIGMAS: f64 = 5.0;
 
-/// Most frames show lines, but none that a robot on this field could see, or could look for in the time that it has.
-pub fn strange_field(
-    filter: &FilterConfig,
+/// Whether a tag of this reason says that its frame fits nowhere on the field.
+pub fn is_unplaced(reason: &str) -> bool {
+    LOST.contains(&reason) || HARDLY_SEEN.contains(&reason)
+}
+
+/// Most frames show lines, but none that a robot on this field could see; or no tag at all is valid. `cause` says what is to be
+/// looked at.
+pub fn unplaced(
     field: &str,
     invalid: &BTreeMap<String, u64>,
     tagged: u64,
+    cause: impl FnOnce() -> String,
 ) -> Option<String> {
-    let hurried = match filter.budget_ms {
+    let of = |reasons: &[&str]| reasons.iter().map(|reason| invalid.get(*reason).copied().unwrap_or(0)).sum::<u64>();
+    let (lost, hardly_seen) = (of(&LOST), of(&HARDLY_SEEN));
+    let none_is_valid = invalid.values().sum::<u64>() == tagged;
+    let (count, though) = if 2 * lost > tagged {
+        (lost, ", though lines are seen")
+    } else if none_is_valid && 2 * (lost + hardly_seen) > tagged {
+        (lost + hardly_seen, "")
+    } else {
+        return None;
+    };
+    Some(format!("{count} of {tagged} frames could not be placed on the field {field}{though}: {}", cause()))
+}
+
+/// On a robot there is no time to find out more.
+pub fn possible_causes(budget_ms: f64) -> String {
+    let hurried = match budget_ms {
         0.0 => String::new(),
         budget_ms => format!(" Or is filter.budget_ms = {budget_ms} too small for a search of the field?"),
     };
-    let lost: u64 = LOST.iter().map(|reason| invalid.get(*reason).copied().unwrap_or(0)).sum();
-    (2 * lost > tagged).then(|| {
-        format!(
-            "{lost} of {tagged} frames could not be placed on the field {field}, though lines are seen: is it the right \
-             field (field = ...), the right lens and the right mount of camera and IMU?{hurried}"
-        )
-    })
+    format!(
+        "is it the right field (field = ...), the right lens and the right mount of camera and IMU?{hurried} `realitysim replay` of \
+         what was recorded looks for the cause"
+    )
 }
 
 /// The camera's fault.
@@ -171,13 +191,14 @@ mod tests {
         let invalid = |unexplained, few| {
             BTreeMap::from([("lines_unexplained".to_owned(), unexplained), ("few_lines".to_owned(), few)])
         };
-        let filter = FilterConfig::default();
-        let said = strange_field(&filter, "kid-2009", &invalid(51, 40), 100).expect("told");
-        assert!(said.contains("51 of 100") && said.contains("kid-2009") && !said.contains("budget"), "{said}");
-        let hurried = FilterConfig { budget_ms: 2.5, ..filter.clone() };
-        let said = strange_field(&hurried, "kid-2009", &invalid(51, 40), 100).expect("told");
-        assert!(said.contains("filter.budget_ms = 2.5"), "{said}");
-        assert_eq!(strange_field(&filter, "kid-2009", &invalid(6, 90), 100), None, "no lines are seen");
+        let told =
+            |unexplained, few| unplaced("kid-2009", &invalid(unexplained, few), 100, || "is it the lens?".to_owned());
+        let said = told(51, 40).expect("told");
+        assert!(said.starts_with("51 of 100 frames could not be placed on the field kid-2009, though lines"), "{said}");
+        assert!(said.ends_with("are seen: is it the lens?"), "{said}");
+        assert_eq!(told(6, 90), None, "no lines are seen");
+        assert!(told(6, 94).expect("no tag is valid").starts_with("100 of 100 frames could not be placed"));
+        assert!(!possible_causes(0.0).contains("budget") && possible_causes(2.5).contains("filter.budget_ms = 2.5"));
     }
 
     #[test]

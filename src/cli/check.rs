@@ -6,6 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::junit::{self, TestCase};
+use super::values::whole;
 use super::{Outcome, output, paths};
 use crate::evaluation::Summary;
 use crate::evaluation::reference::Difference;
@@ -20,11 +21,12 @@ use crate::evaluation::suite::{self, Broken, CaseReport, LEAST, Options, Suite, 
 /// Exit code 1 when a limit is broken or a case cannot be run; each is named. Exit code 3 when all limits are kept, but a log
 /// is damaged or incomplete.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim check suite.toml --junit report.xml")]
 pub struct CheckArguments {
     /// A suite file
     suite: PathBuf,
     /// Cases at a time; without it as many as there are cores
-    #[arg(short, long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
+    #[arg(short, long, value_name = "N", value_parser = whole(1..=64u16))]
     jobs: Option<u16>,
     /// Only cases whose name has this in it; can be given several times
     #[arg(long, value_name = "TEXT")]

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::settings::{SettingsArguments, UsageError};
+use super::values::{any_number, whole};
 use super::{Outcome, output, paths};
 use crate::agent::cut::{self, CutOptions};
 use crate::recording::{read_info, session_holding};
@@ -15,22 +16,26 @@ use crate::recording::{read_info, session_holding};
 /// are any. The piece begins up to a second earlier than asked for. What was recorded with a config of its own is cut, and
 /// later replayed, with that config; a capture knows its own.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Example:",
+    "\n  realitysim cut captures/2026-11-21T10-00-00Z-robot --from 12 --to 20 -o fall.mcap",
+))]
 pub struct CutArguments {
     /// A capture, a log or a folder of logs
     #[arg(value_name = "CAPTURE|LOG")]
     source: PathBuf,
     /// Where the piece begins, in seconds after the first message
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = any_number)]
     from: f64,
-    /// Where it ends
-    #[arg(long, value_name = "S")]
+    /// Where it ends, in seconds after the first message
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = any_number)]
     to: f64,
     /// The log to write
     #[arg(short, long, value_name = "LOG")]
     output: PathBuf,
     /// Encode the images anew with this JPEG quality, 1 to 100, where that makes them smaller. The piece is a test of its own
     /// then: its tags are near those of the recording, but not the same
-    #[arg(long, value_name = "Q", value_parser = clap::value_parser!(u8).range(1..=100))]
+    #[arg(long, value_name = "Q", value_parser = whole(1..=100u8))]
     jpeg_quality: Option<u8>,
     #[command(flatten)]
     settings: SettingsArguments,

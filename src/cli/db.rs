@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::paths::{check_output, save};
 use super::settings::UsageError;
+use super::values::whole;
 use super::{Outcome, output};
 use crate::config::{Settings, load_field};
 use crate::database::{self, Added, Checked, Gallery, Stats};
@@ -17,6 +18,11 @@ use crate::geometry::PoseGrid;
 /// Images stay where they were recorded; the database is an index that can be made anew from them at any time. It may be
 /// changed while it is being used.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Examples:",
+    "\n  realitysim db add captures/2026-11-21T10-00-00Z-robot --db images/",
+    "\n  realitysim db stats --db images/",
+))]
 pub struct DbArguments {
     #[command(subcommand)]
     command: Command,
@@ -27,10 +33,13 @@ enum Command {
     Add(AddArguments),
     Remove(RemoveArguments),
     /// Read all captures and folders of a database again, and make its index anew
+    #[command(after_long_help = "Example:\n  realitysim db rebuild --db images/")]
     Rebuild(FolderArguments),
     /// What a database holds: images, sources, extent, how good the tags are
+    #[command(after_long_help = "Example:\n  realitysim db stats --db images/")]
     Stats(FolderArguments),
     /// Read every image and compare it with what was indexed; exit code 3 if one is gone or changed
+    #[command(after_long_help = "Example:\n  realitysim db verify --db images/")]
     Verify(FolderArguments),
     Coverage(CoverageArguments),
 }
@@ -41,6 +50,7 @@ enum Command {
 /// (file,x,y,z,yaw_deg,pitch_deg,roll_deg of camera_link in map), camera_info.yaml as ROS camera_calibration writes it, and, if the
 /// robot is in its pictures, body_mask.png, dark where it is. Makes the database if there is none.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim db add captures/2026-11-21T10-00-00Z-robot --db images/")]
 struct AddArguments {
     /// Captures' folders, segments, or folders of images
     #[arg(required = true)]
@@ -58,6 +68,7 @@ struct AddArguments {
 
 /// Take a capture or folder out of a database; its files are not touched
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim db remove captures/2026-11-21T10-00-00Z-robot --db images/")]
 struct RemoveArguments {
     /// As it was added
     source: PathBuf,
@@ -77,6 +88,7 @@ struct FolderArguments {
 ///
 /// Writes a picture of the field: cells of x and y, in each the headings as sectors, dark where there are images.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim db coverage --db images/ -o coverage.png")]
 struct CoverageArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
@@ -88,7 +100,7 @@ struct CoverageArguments {
     #[arg(long, value_name = "M", default_value_t = 0.25, value_parser = side)]
     cell: f64,
     /// Headings told apart, 1 to 360
-    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u16).range(1..=360))]
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = whole(1..=360u16))]
     headings: u16,
 }
 

@@ -24,6 +24,7 @@ use crate::sensors::scene;
 /// Renders a scene into a log, replays the log through the agent, judges the tags against the truth and draws a
 /// picture. Needs no hardware and no network.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim demo -o demo/")]
 pub struct DemoArguments {
     /// A scene file to walk in place of the built-in demo (replay/scenes/demo.toml)
     #[arg(long)]

@@ -12,6 +12,7 @@ use crate::agent::doctor::{Finding, estimate_delay, examine};
 ///
 /// A line for each, + or -, and what to do. Not while a recorder runs: it has the devices. Exit code 1 if something is wrong.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim doctor --config robot.toml")]
 pub struct DoctorArguments {
     /// Where captures will be kept
     #[arg(short, long, value_name = "CAPTURES_DIR", default_value = "/var/lib/realitysim/captures")]

@@ -25,6 +25,7 @@ use crate::recording::Loss;
 /// A truth that has no time in common with the tags is an error; errors of metres come with a warning that it may be the
 /// truth of another walk. What a damaged or incomplete capture no longer holds is named (exit code 3).
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim eval captures/2026-11-21T10-00-00Z-robot --truth mocap.mcap")]
 pub struct EvalArguments {
     /// A capture's folder, or one of its segments; with --poses any log
     capture: PathBuf,

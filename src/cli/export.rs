@@ -25,6 +25,7 @@ use crate::sensors::log::{self, LogSource};
 /// images: a folder with one file per frame, tags.csv and tags.jsonl; JPEG and PNG are copied byte for byte, raw
 /// frames become PNG. What a damaged or incomplete capture no longer holds is named, and the rest written (exit code 3).
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim export captures/2026-11-21T10-00-00Z-robot --to images -o frames/")]
 pub struct ExportArguments {
     /// A capture's folder, or one of its segments
     capture: PathBuf,

@@ -9,6 +9,7 @@ use image::RgbImage;
 use serde::Serialize;
 
 use super::paths::{check_output, save};
+use super::values::{number, whole};
 use super::{Outcome, detector, output};
 use crate::config::Settings;
 use crate::database::{Gallery, Wanted};
@@ -16,7 +17,7 @@ use crate::evaluation::drawing;
 use crate::evaluation::views::{Detection, Detector, likeness};
 use crate::geometry::Isometry;
 use crate::scene::{Renderer, Scene, SceneFile};
-use crate::views::{Camera, Method, NOTHING, Raster, SURE, Target, World};
+use crate::views::{Camera, MAX_FAR_M, Method, NOTHING, Raster, SURE, Target, World};
 use crate::vision::Picture;
 
 /// Measure the gap between recorded, made-up and rendered images
@@ -25,15 +26,16 @@ use crate::vision::Picture;
 /// paper's view, as the nearest image, and rendered. What the project's line detector finds in each is compared, and their
 /// brightness. A detector of your own: --detector COMMAND is run with the name of a PNG and prints a number.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim gap --db images/ --frames 40 -o gap.png")]
 pub struct GapArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
     db: PathBuf,
     /// How many images are held out, evenly over the database
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole(1..=1000u16))]
     frames: u16,
     /// Images nearer than this are held out as well
-    #[arg(long, value_name = "M", default_value_t = 0.1, value_parser = super::serve::distance)]
+    #[arg(long, value_name = "M", default_value_t = 0.1, value_parser = number(0.0..=MAX_FAR_M))]
     apart: f64,
     /// One of the images, in all its forms
     #[arg(short, long, value_name = "PNG")]

@@ -15,6 +15,7 @@ use crate::sensors::log;
 /// Of a log: topics, types, rates and damage (exit code 3 if there is any); every byte is read and checked. Of a
 /// capture also whether all segments of its manifest are there. Of a camera (/dev/video0): formats, sizes and rates.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim info my_bag/")]
 pub struct InfoArguments {
     /// An MCAP file, a folder of them, or a camera's device
     file: PathBuf,

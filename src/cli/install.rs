@@ -15,6 +15,7 @@ use crate::plain_file;
 /// Copies the program to /usr/bin, the unit, udev rules and user to their places, and a config to /etc/realitysim if there is none.
 /// Starts nothing: edit the config, then `systemctl enable --now realitysim`. A second run replaces all but the config.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim install")]
 pub struct InstallArguments {
     /// Only write the files, below this folder: for an image or a package
     #[arg(long, value_name = "DIR")]

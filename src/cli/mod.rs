@@ -34,6 +34,7 @@ mod sim;
 mod soak;
 mod sync;
 mod tag;
+mod values;
 mod view;
 mod view_quality;
 mod view_walk;
@@ -55,6 +56,12 @@ use crate::sync::SyncError;
 /// Tags every camera frame of a soccer robot with the pose of its camera.
 #[derive(Parser)]
 #[command(name = "realitysim", version, max_term_width = 100)]
+#[command(after_long_help = concat!(
+    "Examples:",
+    "\n  realitysim replay my_bag/ -o captures/ --field kid-2020",
+    "\n  realitysim db add captures/2026-11-21T10-00-00Z-robot --db images/",
+    "\n  realitysim view --db images/ --x 0.3 --y -0.5 --z 0.5 --yaw 30 --pitch 18 -o view.png",
+))]
 struct Arguments {
     /// One line of JSON on standard output; everything else goes to standard error.
     #[arg(long, global = true)]
@@ -156,7 +163,7 @@ pub fn run() -> ExitCode {
 /// The causes in a row; many errors say their cause themselves, which is not said again.
 fn told(error: &anyhow::Error) -> String {
     let mut text = String::new();
-    for cause in error.chain().map(|cause| cause.to_string().trim_end().to_owned()) {
+    for cause in error.chain().map(|cause| in_our_words(cause.to_string().trim_end())) {
         if text.is_empty() {
             text = cause;
         } else if !text.contains(&cause) {
@@ -164,6 +171,21 @@ fn told(error: &anyhow::Error) -> String {
         }
     }
     text
+}
+
+/// The system's words for what people meet most often, and the number behind them.
+const SYSTEM: [(&str, &str); 7] = [
+    ("No such file or directory (os error 2)", "there is no such file or folder"),
+    ("Permission denied (os error 13)", "its permissions do not allow that"),
+    ("Not a directory (os error 20)", "a part of its path is a file, not a folder"),
+    ("Is a directory (os error 21)", "it is a folder, and a file is needed"),
+    ("No space left on device (os error 28)", "the disk is full"),
+    ("Read-only file system (os error 30)", "the disk can only be read"),
+    ("File name too long (os error 36)", "its name is longer than any file's can be"),
+];
+
+fn in_our_words(text: &str) -> String {
+    SYSTEM.iter().fold(text.to_owned(), |text, (theirs, ours)| text.replace(theirs, ours))
 }
 
 /// A config or an argument is wrong, rather than the world.
@@ -197,4 +219,63 @@ fn is_usage(error: &anyhow::Error) -> bool {
                 )
             )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::{Command, CommandFactory};
+
+    use super::*;
+
+    /// Of the program and all its commands, with what stands before each.
+    fn each(command: &Command, before: &str, look: &mut dyn FnMut(&str, &Command)) {
+        let name = format!("{before} {}", command.get_name());
+        look(name.trim(), command);
+        command.get_subcommands().for_each(|inner| each(inner, &name, look));
+    }
+
+    #[test]
+    fn every_help_has_an_example_that_the_program_takes() {
+        let mut count = 0;
+        each(&Arguments::command(), "", &mut |name, command| {
+            let help = command.clone().render_long_help().to_string();
+            let examples: Vec<&str> =
+                help.lines().map(str::trim).skip_while(|line| !line.starts_with("Example")).skip(1).collect();
+            assert!(!examples.is_empty(), "{name} --help has no example:\n{help}");
+            for example in examples {
+                let is_of_it = example.starts_with(name) || !command.has_subcommands();
+                assert!(is_of_it && example.starts_with("realitysim "), "{name}: {example}");
+                // Words in quotes have no blanks for the parser.
+                let words = example.split('"').enumerate().flat_map(|(index, part)| match index % 2 {
+                    0 => part.split_whitespace().map(str::to_owned).collect(),
+                    _ => vec![part.to_owned()],
+                });
+                let parsed = Arguments::try_parse_from(words);
+                assert!(
+                    parsed.is_ok(),
+                    "{name}: {example}: {}",
+                    parsed.err().map(|e| e.to_string()).unwrap_or_default()
+                );
+                count += 1;
+            }
+        });
+        assert!(count > 40, "{count}");
+    }
+
+    #[test]
+    fn every_command_and_argument_says_what_it_is() {
+        each(&Arguments::command(), "", &mut |name, command| {
+            assert!(command.get_about().is_some(), "{name}");
+            for argument in command.get_arguments() {
+                assert!(argument.get_help().is_some(), "{name}: {}", argument.get_id());
+            }
+        });
+    }
+
+    #[test]
+    fn the_system_s_words_are_translated() {
+        let missing = std::fs::read("there/is/none").expect_err("not there");
+        let error = anyhow::Error::new(missing).context("there/is/none");
+        assert_eq!(told(&error), "there/is/none: there is no such file or folder");
+    }
 }

@@ -7,6 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::section::Section;
+use super::values::any_whole;
 use super::{Outcome, machine, output, paths};
 use crate::config::{Settings, SimdPath};
 use crate::evaluation::Summary;
@@ -20,6 +21,7 @@ use crate::evaluation::paper::{METHODS, PAPER_PARTICLES, PAPER_WALK_CM, Paper, P
 ///
 /// Writes paper.md (the results as Markdown), paper.csv and three pictures. Takes some minutes; --quick takes seconds.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim paper --quick")]
 pub struct PaperArguments {
     /// Where the results go
     #[arg(short, long, value_name = "DIR", default_value = "paper")]
@@ -28,7 +30,7 @@ pub struct PaperArguments {
     #[arg(long)]
     quick: bool,
     /// Seed of all random numbers of the filter
-    #[arg(long, value_name = "S", default_value_t = 1)]
+    #[arg(long, value_name = "S", default_value_t = 1, value_parser = any_whole::<u64>)]
     seed: u64,
     /// Put the results into a document, between its marks <!-- begin: realitysim paper --> and
     /// <!-- end: realitysim paper -->, and the pictures beside it

@@ -5,8 +5,12 @@ use std::path::{Path, PathBuf};
 
 use super::inputs::with_what_they_name;
 use super::settings::UsageError;
+<<<<<<< HEAD
 use crate::plain_file;
 use crate::recording::session_holding;
+=======
+use crate::recording::{cannot_be_made, session_holding};
+>>>>>>> words
 use crate::sensors::video_out::is_device_name;
 
 /// Refuses to write into a capture, which is never changed once it is there, over what is being read (the inputs and whatever
@@ -121,7 +125,12 @@ const MAX_OLD_BYTES: u64 = 1024;
 
 /// A folder to write into, made if it is not there.
 pub fn make_folder(path: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(path).map_err(|error| cannot_write(path, error))
+    std::fs::create_dir_all(path).map_err(|error| match error.kind() {
+        ErrorKind::NotFound | ErrorKind::PermissionDenied => {
+            told(path, "cannot be written", cannot_be_made(&error), error)
+        }
+        _ => cannot_write(path, error),
+    })
 }
 
 /// A folder for what nobody asked to keep: it goes when this goes out of scope.

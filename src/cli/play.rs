@@ -7,6 +7,7 @@ use glam::DVec3;
 
 use super::paths::{cannot_read, check_output};
 use super::settings::UsageError;
+use super::values::{any_whole, whole};
 use super::{Outcome, output};
 use crate::agent::live::stop_flag;
 use crate::agent::play::{PlayOptions, PlaySource, Played, play};
@@ -19,6 +20,11 @@ use crate::plain_file;
 /// Images go to a V4L2 output (v4l2loopback, vivid), a new file or a pipe; odometry and attitude as MAVLink to a serial line or pty: software made
 /// for the robot runs on them unchanged. In the time of the recording, gaps cut to two seconds.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Examples:",
+    "\n  realitysim play captures/2026-11-21T10-00-00Z-robot --video /dev/video10",
+    "\n  realitysim play way.csv --db images/ --video frames.mjpeg",
+))]
 pub struct PlayArguments {
     /// A capture, or a .csv with the head t,x,y,z,yaw_deg,pitch_deg,roll_deg: seconds and poses of camera_link in map
     source: PathBuf,
@@ -28,7 +34,8 @@ pub struct PlayArguments {
     /// Odometry and attitude go here, as MAVLink
     #[arg(long, value_name = "DEVICE")]
     serial: Option<String>,
-    #[arg(long, value_name = "BAUD", default_value_t = 921_600)]
+    /// Speed of the serial line
+    #[arg(long, value_name = "BAUD", default_value_t = 921_600, value_parser = any_whole::<u32>)]
     baud: u32,
     /// Of a .csv: the database that its images come from
     #[arg(long, value_name = "DIR")]
@@ -37,7 +44,7 @@ pub struct PlayArguments {
     #[arg(long, value_name = "TIMES", default_value_t = 1.0, value_parser = times)]
     speed: f64,
     /// MAVLink's number of the robot
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole(1..=255u8))]
     system: u8,
     /// Robot config, for its section [views]
     #[arg(long, value_name = "FILE")]

@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use serde_json::Value;
 
-use super::settings::{SettingsArguments, check_initial, planar_pose};
+use super::settings::{SettingsArguments, UsageError, check_initial, planar_pose};
+use super::values::whole;
 use super::{Outcome, output};
 use crate::agent::foresight::NO_FRAME;
 use crate::agent::live::{RecordOptions, ask, poses, record, stop_flag};
@@ -21,12 +22,13 @@ const SOCKET: &str = "/run/realitysim/control.sock";
 /// Camera, serial ports, lens and mount come from the config. Ends with SIGINT or SIGTERM, with a whole capture. Devices that go
 /// away are waited for.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim record -o captures/ --config robot.toml --initial 0,0,0")]
 pub struct RecordArguments {
     /// Where captures are kept
     #[arg(short, long, value_name = "CAPTURES_DIR")]
     output: PathBuf,
     /// Threads for decoding and looking at frames; each more makes tags come a frame or two later
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole(1..=super::replay::MAX_THREADS))]
     threads: usize,
     /// Pose of base_footprint at the start
     #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
@@ -50,7 +52,7 @@ pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
         captures: arguments.output.clone(),
         settings,
         initial: arguments.initial,
-        threads: arguments.threads.clamp(1, super::replay::MAX_THREADS),
+        threads: arguments.threads,
         warm_start: arguments.warm_start,
         socket: arguments.socket.clone(),
     };
@@ -81,8 +83,10 @@ fn recorder_lost_data(status: &Value) -> bool {
 #[derive(Subcommand)]
 pub enum Order {
     /// How a running recorder is: rates, drops, ports and clocks, the last pose
+    #[command(after_long_help = "Example:\n  realitysim status")]
     Status(At),
     /// Put a note into the running log
+    #[command(after_long_help = "Example:\n  realitysim mark \"second half begins\"")]
     Mark {
         /// What happened
         text: String,
@@ -90,17 +94,23 @@ pub enum Order {
         at: At,
     },
     /// Say where the robot is: `base_footprint` in `map`, as after kick-off or when it was carried
+    #[command(after_long_help = "Example:\n  realitysim place 1.2,-0.3,90")]
     Place {
+        /// Metres along and across the field from its centre, and the heading in degrees: on the field or at most 1 m off its
+        /// carpet (else exit code 2)
         #[arg(value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
         pose: Pose2,
         #[command(flatten)]
         at: At,
     },
     /// Begin a session in a recorder that runs
+    #[command(after_long_help = "Example:\n  realitysim start")]
     Start(At),
     /// End its session; the recorder goes on running
+    #[command(after_long_help = "Example:\n  realitysim stop")]
     Stop(At),
     /// Every tag as it is made, a line of JSON each
+    #[command(after_long_help = "Example:\n  realitysim poses")]
     Poses(At),
 }
 
@@ -136,8 +146,10 @@ pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
         }
     };
     let answer = ask(&at.socket, &line).map_err(|error| unreachable_recorder(at, &error))?;
-    if let Some(error) = answer["error"].as_str() {
-        anyhow::bail!("{error}");
+    match answer["error"].as_str() {
+        Some(error) if answer["usage"] == true => return Err(UsageError(error.to_owned()).into()),
+        Some(error) => anyhow::bail!("{error}"),
+        None => {}
     }
     if json {
         output::json(&answer)?;

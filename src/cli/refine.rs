@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::paths::{check_output, temporary, write};
 use super::settings::UsageError;
+use super::values::whole;
 use super::{Outcome, output};
 use crate::agent::refining::{Found, RefinedInfo, Refining, refine};
 use crate::config::Settings;
@@ -25,6 +26,10 @@ use crate::smoothing::{Constants, Model};
 /// recorded is not touched. Tells how good the tags
 /// are before and after: by --truth, and by views of every so many images made from the others.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Example:",
+    "\n  realitysim refine captures/2026-11-21T10-00-00Z-robot --write-calibration refined.toml",
+))]
 pub struct RefineArguments {
     /// A capture's folder
     capture: PathBuf,
@@ -35,7 +40,7 @@ pub struct RefineArguments {
     #[arg(long, value_name = "TOPIC", default_value_t = crate::config::Topics::default().ground_truth)]
     truth_topic: String,
     /// Images that are left out and made from the others, for judging; 0 for none
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(0..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole(0..=1000u16))]
     views: u16,
     /// Write what was found of lens and mount as a robot config, its lens file beside it
     #[arg(long, value_name = "TOML")]

@@ -27,6 +27,11 @@ pub(super) const MAX_THREADS: usize = 64;
 /// Older rosbag2 .db3 files: convert them first, `pip install rosbags && rosbags-convert --src BAG --dst NEW
 /// --dst-storage mcap`.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Examples:",
+    "\n  realitysim replay my_bag/ -o captures/ --field kid-2020",
+    "\n  realitysim replay walk.mcap --check walk.tags.json",
+))]
 pub struct ReplayArguments {
     /// A log or a scene
     #[arg(value_name = "LOG|SCENE")]
@@ -92,14 +97,23 @@ fn replayed(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> 
     tell(&report);
     if let Some(gate) = gate {
         let judged = gate.judge(&arguments.source, &report, arguments.initial, json)?;
-        return Ok(if report.data_was_lost() && judged == Outcome::Whole { Outcome::DataLost } else { judged });
+        return Ok(if judged == Outcome::Whole { outcome(&report) } else { judged });
     }
     if json {
         output::json(&report)?
     } else {
         output::lines(&for_people(&report))?
     }
-    Ok(if report.data_was_lost() { Outcome::DataLost } else { Outcome::Whole })
+    Ok(outcome(&report))
+}
+
+/// Tags are what was asked for: without a valid one nothing was reached.
+fn outcome(report: &ReplayReport) -> Outcome {
+    match (report.is_in_vain(), report.data_was_lost()) {
+        (true, _) => Outcome::NotReached,
+        (false, true) => Outcome::DataLost,
+        (false, false) => Outcome::Whole,
+    }
 }
 
 fn threads(text: &str) -> Result<usize, String> {
@@ -129,8 +143,7 @@ pub fn for_people(report: &ReplayReport) -> String {
         text.push_str(&format!("{} more frames tagged and not written, as recording.thinning asks\n", report.thinned));
     }
     if !report.invalid.is_empty() {
-        let reasons: Vec<String> = report.invalid.iter().map(|(reason, count)| format!("{count} {reason}")).collect();
-        text.push_str(&format!("invalid: {}\n", reasons.join(", ")));
+        text.push_str(&format!("invalid: {}\n", reasons(report)));
     }
     if report.predicted > 0 {
         text.push_str(&format!("{} poses predicted while there were no frames\n", report.predicted));
@@ -144,8 +157,19 @@ pub fn for_people(report: &ReplayReport) -> String {
     text
 }
 
+/// Why tags are invalid, the most frequent first.
+fn reasons(report: &ReplayReport) -> String {
+    let mut reasons: Vec<(&String, &u64)> = report.invalid.iter().collect();
+    reasons.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
+    let reasons: Vec<String> = reasons.into_iter().map(|(reason, count)| format!("{count} {reason}")).collect();
+    reasons.join(", ")
+}
+
 /// Warnings, then what was lost.
 fn tell(report: &ReplayReport) {
+    if report.is_in_vain() {
+        eprintln!("realitysim: none of the {} tags is valid: {}", report.tagged, reasons(report));
+    }
     for warning in &report.warnings {
         eprintln!("realitysim: warning: {warning}");
     }

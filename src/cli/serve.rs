@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::paths::cannot_read;
 use super::settings::UsageError;
+use super::values::{address, number, whole};
 use super::{Outcome, output};
 use crate::agent::live::stop_flag;
 use crate::config::{Settings, lens_names, load_lens};
@@ -16,24 +17,30 @@ use crate::geometry::LensParameters;
 use crate::plain_file;
 use crate::sensors::scene;
 use crate::service::{ServeOptions, serve};
+use crate::views::{FAR_M, MAX_FAR_M};
 
 /// Serve views of a database over HTTP, for simulators and vision code
 ///
 /// GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/service.md). The database may be
 /// changed meanwhile. Ends with SIGINT or SIGTERM.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Examples:",
+    "\n  realitysim serve --db images/",
+    "\n  realitysim serve --db images/ --listen 0.0.0.0:8765 --token-file token.txt",
+))]
 pub struct ServeArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
     db: PathBuf,
     /// Address and port; port 0 takes a free one, which is told. Beyond loopback a token is needed
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8765")]
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8765", value_parser = address)]
     listen: SocketAddr,
     /// A file with the token that clients must send
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
     /// Threads that make views; without it one for each processor
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
+    #[arg(long, value_name = "N", value_parser = whole(1..=64u16))]
     threads: Option<u16>,
     /// A lens that clients may name beside the shipped ones
     #[arg(long, value_name = "NAME=FILE")]
@@ -42,16 +49,11 @@ pub struct ServeArguments {
     #[arg(long, value_name = "FILE")]
     scene: Vec<String>,
     /// Refuse when the nearest image was taken farther away than this, or images show less than a quarter of an exact view, if the client does not say
-    #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = distance)]
+    #[arg(long, value_name = "M", default_value_t = FAR_M, value_parser = number(0.0..=MAX_FAR_M))]
     max_distance: f64,
     /// Robot config, for its section [views]
     #[arg(long, value_name = "FILE")]
     config: Option<String>,
-}
-
-pub(super) fn distance(text: &str) -> Result<f64, String> {
-    let value: Option<f64> = text.parse().ok().filter(|value| (0.0..=1000.0).contains(value));
-    value.ok_or_else(|| "0 to 1000 metres".to_owned())
 }
 
 pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {

@@ -7,6 +7,8 @@ use glam::DVec2;
 use thiserror::Error;
 
 use super::inputs;
+use super::values::{any_number, any_whole};
+use crate::config::wording::plain;
 use crate::config::{Formula, Model, MotionSource, Settings, SimdPath};
 use crate::geometry::{Field, Pose2};
 
@@ -26,7 +28,7 @@ pub struct SettingsArguments {
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
     /// Seed of all random numbers: the same seed gives the same tags, bit for bit.
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = any_whole::<u64>)]
     seed: Option<u64>,
     /// Observation model: gauss (Eq. 2 of the paper) or distance (Eq. 1).
     #[arg(long, value_name = "gauss|distance", value_parser = word::<Model>)]
@@ -35,16 +37,16 @@ pub struct SettingsArguments {
     #[arg(long, value_name = "corrected|paper", value_parser = word::<Formula>)]
     formula: Option<Formula>,
     /// Number of particles (N of the paper).
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = any_whole::<usize>)]
     particles: Option<usize>,
     /// Weighting and resampling rounds per frame (T of the paper).
-    #[arg(long, value_name = "T")]
+    #[arg(long, value_name = "T", value_parser = any_whole::<usize>)]
     iterations: Option<usize>,
     /// About how many points stand for all field lines.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = any_whole::<usize>)]
     line_points: Option<usize>,
     /// Scale of the exponent in Eq. 1 and 2.
-    #[arg(long, value_name = "ALPHA", allow_negative_numbers = true)]
+    #[arg(long, value_name = "ALPHA", allow_negative_numbers = true, value_parser = any_number)]
     alpha: Option<f64>,
     /// Where the step between frames comes from: odometry or random_walk.
     #[arg(long, value_name = "odometry|random_walk", value_parser = word::<MotionSource>)]
@@ -115,12 +117,12 @@ fn with_key(settings: Settings, assignment: &str) -> anyhow::Result<Settings> {
     }
     *place = value;
     root.try_into()
-        .map_err(|error: toml::de::Error| UsageError(format!("--set {assignment}: {}", error.message())).into())
+        .map_err(|error: toml::de::Error| UsageError(format!("--set {assignment}: {}", plain(error.message()))).into())
 }
 
 fn word<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
     let value = serde::de::value::StrDeserializer::<serde::de::value::Error>::new(text);
-    T::deserialize(value).map_err(|error| error.to_string())
+    T::deserialize(value).map_err(|error| plain(&error.to_string()))
 }
 
 /// How far off its carpet a robot may start.
@@ -151,8 +153,9 @@ pub fn numbers<const N: usize>(text: &str, form: &str) -> Result<[f64; N], Strin
         .split(',')
         .map(|part| part.trim().parse::<f64>().ok().filter(|number| number.is_finite()))
         .collect::<Option<_>>()
-        .ok_or_else(|| format!("expected {form}"))?;
-    numbers.try_into().map_err(|_| format!("expected {form}"))
+        .ok_or_else(|| format!("expected {form}, numbers with commas between them"))?;
+    let found = numbers.len();
+    numbers.try_into().map_err(|_| format!("expected {form}, {N} numbers, and there are {found}"))
 }
 
 #[cfg(test)]

@@ -19,6 +19,7 @@ use crate::sensors::scene::{self, SceneSource};
 /// A scene file names field, lens, camera mount, route and effects (replay/scenes/*.toml are examples). The log is
 /// what a robot would have recorded, as ROS 2 MCAP, with the true poses on /ground_truth/camera_pose.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim sim replay/scenes/straight.toml -o straight.mcap")]
 pub struct SimArguments {
     /// A scene file
     #[arg(value_name = "SCENE")]

@@ -8,6 +8,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::settings::SettingsArguments;
+use super::values::{any_number, whole};
 use super::{Outcome, output};
 use crate::agent::{SoakOptions, soak};
 
@@ -16,21 +17,22 @@ use crate::agent::{SoakOptions, soak};
 /// Frames of the size of JPEGs (or raw ones), measurements and tags go through the recorder as on the robot; the session
 /// stays in DIR. Ends with 3 if a frame was dropped, with 1 if it cost more than it may.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim soak -o captures/ --seconds 60")]
 pub struct SoakArguments {
     /// Where the session is made
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// How long
-    #[arg(long, value_name = "S", default_value_t = 10.0)]
+    /// How long, in seconds
+    #[arg(long, value_name = "S", default_value_t = 10.0, allow_negative_numbers = true, value_parser = any_number)]
     seconds: f64,
     /// Frames a second
-    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = whole(1..=1000u32))]
     rate: u32,
     /// Of a frame: 80 as a JPEG of 640 x 480, 2400 raw pixels of 1280 x 960
-    #[arg(long, value_name = "KIB", default_value_t = 80, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    #[arg(long, value_name = "KIB", default_value_t = 80, value_parser = whole(1..=65_536u32))]
     frame_kb: u32,
     /// Inertial measurements a second
-    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(0..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 500, value_parser = whole(0..=10_000u32))]
     imu: u32,
     /// The most that it may cost, of one core
     #[arg(long, value_name = "PERCENT", value_parser = percent)]

@@ -8,6 +8,7 @@ use clap::Args;
 use jiff::{ToSpan, Zoned};
 
 use super::settings::{UsageError, numbers};
+use super::values::whole;
 use super::{Outcome, output};
 use crate::agent::live::stop_flag;
 use crate::recording::SESSION_FILE;
@@ -19,6 +20,11 @@ use crate::sync::{Event, Options, Report, SSH, Selection, Source, Store, SyncErr
 /// acknowledged may be deleted on the robot. A sync that broke goes on where it broke; one that is run twice copies
 /// nothing. Needs rsync on both sides. docs/sync.md says what holds whatever goes wrong.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Examples:",
+    "\n  realitysim sync robot: -o captures/",
+    "\n  realitysim sync nao@10.0.0.5:captures -o captures/ --since 2026-11-21",
+))]
 pub struct SyncArguments {
     /// robot: (the service's captures), user@host:dir, or a folder of captures
     source: String,
@@ -43,7 +49,7 @@ pub struct SyncArguments {
     #[arg(long)]
     watch: bool,
     /// Between two looks
-    #[arg(long, value_name = "SECONDS", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=3600))]
+    #[arg(long, value_name = "SECONDS", default_value_t = 5, value_parser = whole(1..=3600u64))]
     every: u64,
     /// The command that opens a shell on the robot, options included
     #[arg(long, value_name = "COMMAND", default_value = SSH)]

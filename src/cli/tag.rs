@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::paths::{cannot_read, check_output, save};
 use super::settings::{UsageError, check_initial, numbers, planar_pose};
+use super::values::{any_number, any_whole};
 use super::{Outcome, output};
 use crate::agent::single::{Fit, Found, Known, LEAST_SHARE, LEAST_WEIGHT, Located};
 use crate::config::{field_names, load_field, load_lens_for_image};
@@ -24,6 +25,10 @@ use crate::sensors::{body_mask, decode};
 ///
 /// The fit is good, doubtful (a pose elsewhere explains the image nearly as well) or none: no pose found, exit code 1.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Example:",
+    "\n  realitysim tag photo.jpg --lens camera.yaml --attitude 0,25 --height 0.55 --overlay out.png",
+))]
 pub struct TagArguments {
     /// A JPEG or PNG
     image: PathBuf,
@@ -34,7 +39,7 @@ pub struct TagArguments {
     #[arg(long, value_name = "roll_deg,pitch_deg", value_parser = attitude, allow_hyphen_values = true)]
     attitude: Option<Euler>,
     /// Height of camera_link above the carpet, 0.01 to 100 (a VisualMesh file has its own)
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = any_number)]
     height: Option<f64>,
     /// A shipped field (config/fields) or the path of a field file
     #[arg(long, value_name = "NAME")]
@@ -49,7 +54,7 @@ pub struct TagArguments {
     #[arg(long, value_name = "PNG")]
     overlay: Option<PathBuf>,
     /// Seed of all random numbers
-    #[arg(long, value_name = "S", default_value_t = 1)]
+    #[arg(long, value_name = "S", default_value_t = 1, value_parser = any_whole::<u64>)]
     seed: u64,
 }
 

@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use clap::builder::TypedValueParser;
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 use image::RgbImage;
 use serde::Serialize;
 
 use super::paths::{check_output, save, write_bytes};
-use super::settings::UsageError;
+use super::values::{any_whole, number, whole};
 use super::{Outcome, output};
 use crate::config::{Settings, load_lens};
 use crate::database::{Gallery, Shown, Wanted};
@@ -17,34 +18,41 @@ use crate::evaluation::drawing;
 use crate::geometry::{Euler, Isometry, Lens};
 use crate::scene::Stage;
 use crate::sensors::scene;
-use crate::views::{Camera, FAR_M, Made, Method, NOTHING, Raster, UNSURE, World};
+use crate::views::{
+    Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method, NOTHING, Raster,
+    UNSURE, World,
+};
 
 /// Show what the camera would see from a pose, from a database of recorded images
 ///
 /// The stored image itself if one was taken there, byte for byte if the output's name has its ending; else a view made
 /// from its neighbours, with a statement of how it was made and how far it can be trusted.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Example:",
+    "\n  realitysim view --db images/ --x 0.3 --y -0.5 --z 0.5 --yaw 30 --pitch 18 -o view.png",
+))]
 pub struct ViewArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
     db: PathBuf,
     /// Where camera_link is in map, metres along the field
-    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = place())]
     x: f64,
     /// Where camera_link is in map, metres across the field
-    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = place())]
     y: f64,
     /// Height of camera_link above the ground, metres
-    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = number(LEAST_HEIGHT_M..=MOST_HEIGHT_M))]
     z: f64,
     /// Heading of camera_link in map, degrees
-    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true, value_parser = turn())]
     yaw: f64,
     /// Pitch of camera_link, degrees; above 0 looks down
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, value_parser = turn())]
     pitch: f64,
     /// Roll of camera_link, degrees
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, value_parser = turn())]
     roll: f64,
     /// The picture to write, .png or .jpg
     #[arg(short, long)]
@@ -56,10 +64,10 @@ pub struct ViewArguments {
     #[arg(long, value_name = "FILE")]
     lens: Option<String>,
     /// Pixels of the view, 16 to 4096; one alone keeps the lens's proportions
-    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=4096))]
+    #[arg(long, value_name = "PX", value_parser = whole(16..=4096u32))]
     width: Option<u32>,
     /// Pixels of the view, 16 to 4096; one alone keeps the lens's proportions
-    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=4096))]
+    #[arg(long, value_name = "PX", value_parser = whole(16..=4096u32))]
     height: Option<u32>,
     /// Put the scene upon the view: its robots, people and balls (obstacles), light without a gradient, sensor noise
     #[arg(long, value_name = "SCENE")]
@@ -68,11 +76,15 @@ pub struct ViewArguments {
     #[arg(long, default_value = "draw", requires = "scene")]
     figures: Figures,
     /// As which frame of the scene
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "scene")]
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "scene", value_parser = any_whole::<u64>)]
     frame: u64,
-    /// Refuse when the nearest image was taken farther away than this, or images show less than a quarter of an exact view
-    #[arg(long, value_name = "M", value_parser = super::serve::distance)]
-    max_distance: Option<f64>,
+    /// How far away the nearest image may have been taken
+    #[arg(long, value_name = "M", default_value_t = FAR_M, value_parser = number(0.0..=MAX_FAR_M))]
+    max_distance: f64,
+    /// When it was taken farther away, or images show less than a quarter of an exact view: no view at all (exit code 1), or
+    /// the best there is, with a warning
+    #[arg(long, default_value = "refuse")]
+    outside: Outside,
     /// Nearest image, the paper's view and the exact one beside each other, with mask and numbers
     #[arg(long)]
     side_by_side: bool,
@@ -84,6 +96,14 @@ pub struct ViewArguments {
     config: Option<String>,
 }
 
+fn place() -> impl TypedValueParser<Value = f64> {
+    number(-MAX_PLACE_M..=MAX_PLACE_M)
+}
+
+fn turn() -> impl TypedValueParser<Value = f64> {
+    number(-MAX_TURN_DEG..=MAX_TURN_DEG)
+}
+
 /// Images that cannot be read, each in a line of its own.
 const MOST_TOLD: usize = 3;
 
@@ -91,6 +111,12 @@ const MOST_TOLD: usize = 3;
 enum Figures {
     Draw,
     Omit,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum Outside {
+    Refuse,
+    Warn,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -117,7 +143,8 @@ struct Report {
     sources: Vec<Source>,
     valid_share: f64,
     sure_share: f64,
-    expected_error_px: f64,
+    /// `None` where there is no known geometry that it could be said of.
+    expected_error_px: Option<f64>,
     /// Of the scene, those that were applied.
     effects: Vec<&'static str>,
     unreadable: Vec<String>,
@@ -141,7 +168,7 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
         let named = [&arguments.scene, &arguments.config].into_iter().flatten().map(Path::new);
         check_output(path, &named.chain([arguments.db.as_path()]).collect::<Vec<_>>())?;
     }
-    let mut wanted = wanted(arguments)?;
+    let mut wanted = wanted(arguments);
     let scene = arguments.scene.as_deref().map(scene::load).transpose()?;
     let gallery = Gallery::open(&arguments.db, &settings.views)?;
     wanted.camera = camera(arguments, &gallery, &wanted)?;
@@ -180,22 +207,17 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if report.unreadable.is_empty() { Outcome::Whole } else { Outcome::DataLost })
 }
 
-fn wanted(arguments: &ViewArguments) -> anyhow::Result<Wanted> {
-    let ViewArguments { x, y, z, yaw, pitch, roll, max_distance, .. } = *arguments;
-    for (name, value) in [("x", x), ("y", y), ("z", z), ("yaw", yaw), ("pitch", pitch), ("roll", roll)] {
-        if !value.is_finite() {
-            return Err(UsageError(format!("--{name} is {value}: it must be a finite number")).into());
-        }
-    }
+fn wanted(arguments: &ViewArguments) -> Wanted {
+    let ViewArguments { x, y, z, yaw, pitch, roll, max_distance, outside, .. } = *arguments;
     let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
-    Ok(Wanted {
+    Wanted {
         map_from_link: Isometry::from_euler(euler, DVec3::new(x, y, z)),
         method: arguments.method.into(),
         camera: None,
-        max_distance_m: max_distance.unwrap_or(f64::INFINITY),
+        max_distance_m: if outside == Outside::Refuse { max_distance } else { f64::INFINITY },
         may_be_stored: arguments.scene.is_none(),
         without: Vec::new(),
-    })
+    }
 }
 
 /// The lens asked for, in the size asked for; `None` is that of the nearest image as it is.
@@ -267,7 +289,10 @@ fn beside_each_other<T>(
             Ok(mut shown) => {
                 apply(&mut shown);
                 let answer = &shown.answer;
-                let error = format!("expected error {:.1} px", answer.expected_error_px);
+                let error = match answer.expected_error_of_known_px() {
+                    Some(error) => format!("expected error {error:.1} px"),
+                    None => "no known geometry".to_owned(),
+                };
                 (picture(&answer.image), format!("{name}: {}; shows {:.0} %", error, 100.0 * answer.valid_share))
             }
             Err(error) => {
@@ -318,22 +343,20 @@ fn report(gallery: &Gallery, shown: &Shown, arguments: &ViewArguments) -> Report
         sources: answer.sources.iter().map(source).collect(),
         valid_share: answer.valid_share,
         sure_share: answer.sure_share,
-        expected_error_px: answer.expected_error_px,
+        expected_error_px: answer.expected_error_of_known_px(),
         effects: Vec::new(),
         unreadable: shown.unreadable.clone(),
-        warning: answer.warning(FAR_M),
+        warning: answer.warning(arguments.max_distance),
     }
 }
 
 fn told(report: &Report) -> String {
-    let mut text = format!(
-        "{}: {}, shows {:.1} % ({:.1} % known geometry), expected error {:.1} px\n",
-        report.output.display(),
-        report.made,
-        100.0 * report.valid_share,
-        100.0 * report.sure_share,
-        report.expected_error_px
-    );
+    let shows = match report.expected_error_px {
+        Some(error) => format!("{:.1} % known geometry), expected error {error:.1} px", 100.0 * report.sure_share),
+        None => "no known geometry: nothing can be said of its error)".to_owned(),
+    };
+    let mut text =
+        format!("{}: {}, shows {:.1} % ({shows}\n", report.output.display(), report.made, 100.0 * report.valid_share,);
     for source in &report.sources {
         text.push_str(&format!(
             "  {:5.1} % from {} at byte {}: {:.1} cm and {:.1} deg away\n",

@@ -17,6 +17,7 @@ use crate::geometry::Field;
 /// paper's quadratic map, and the exact map from one and from four images. With --pairs also real images that were taken
 /// from one place. docs/views.md says what comes out.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim view-quality --quick")]
 pub struct ViewQualityArguments {
     /// Two poses a row instead of eight
     #[arg(long)]

@@ -13,6 +13,7 @@ use serde::Serialize;
 
 use super::paths::{check_output, make_folder, save, write, write_bytes};
 use super::settings::planar_pose;
+use super::values::{number, whole};
 use super::{Outcome, output};
 use crate::agent::single::Known;
 use crate::config::Settings;
@@ -21,7 +22,7 @@ use crate::evaluation::video::avi;
 use crate::evaluation::{Summary, drawing};
 use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
 use crate::sensors::encode::jpeg;
-use crate::views::Method;
+use crate::views::{LEAST_HEIGHT_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
 use crate::vision::Picture;
 
 /// Walk through a database: views along a straight way, as in Fig. 11 and 12 of the paper
@@ -30,6 +31,7 @@ use crate::vision::Picture;
 /// reading, the paper does not say. Writes sheet.png, walk.avi and walk.csv. How evenly the lines move is measured by finding the
 /// pose of every view from its lines and comparing it with the one asked for.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim view-walk --db images/ --from -2,0,0 --to 2,0.5,90")]
 pub struct ViewWalkArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
@@ -41,13 +43,13 @@ pub struct ViewWalkArguments {
     #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
     to: Option<Pose2>,
     /// Height of camera_link; without it the mean of the database's
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = number(LEAST_HEIGHT_M..=MOST_HEIGHT_M))]
     z: Option<f64>,
     /// Degrees, above 0 looks down; without it the mean of the database's
-    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true, value_parser = number(-MAX_TURN_DEG..=MAX_TURN_DEG))]
     pitch: Option<f64>,
     /// Views
-    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(2..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = whole(2..=10_000u16))]
     frames: u16,
     /// Where the pictures go
     #[arg(short, long, value_name = "DIR", default_value = "walk")]

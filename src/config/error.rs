@@ -4,6 +4,7 @@ use std::io;
 
 use thiserror::Error;
 
+use super::wording::meant;
 use crate::geometry::{FieldError, LensError};
 
 #[derive(Debug, Error)]
@@ -15,7 +16,7 @@ pub enum ConfigError {
     #[error("{file}: not UTF-8 text: a settings file is TOML or YAML")]
     NotText { file: String },
     /// Neither a file nor a shipped name.
-    #[error("no {kind} is called {name:?}: give the path of a file or one of {}", known.join(", "))]
+    #[error("no {kind} is called {name:?}{}: give the path of a file or one of {}", did_you_mean(name, known), known.join(", "))]
     Unknown { kind: &'static str, name: String, known: Vec<String> },
     /// The parser's message, which names the line and the key.
     #[error("{file}: {message}")]
@@ -26,6 +27,11 @@ pub enum ConfigError {
     Field { file: String, source: FieldError },
     #[error("{file}: {source}")]
     Lens { file: String, source: LensFileError },
+}
+
+fn did_you_mean(name: &str, known: &[String]) -> String {
+    let meant = meant(name, known.iter().map(String::as_str));
+    meant.map_or_else(String::new, |name| format!(" (did you mean {name}?)"))
 }
 
 /// What can be wrong with what a lens file or a `sensor_msgs/CameraInfo` says.

@@ -6,6 +6,7 @@ use include_dir::{Dir, include_dir};
 
 use super::ConfigError;
 use super::source::Shipped;
+use super::wording::in_words;
 use crate::geometry::{Field, FieldDimensions};
 
 static FOLDER: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/config/fields");
@@ -34,10 +35,7 @@ pub fn field_seen_from(path: &Path, path_or_name: &str) -> String {
 
 /// The same from text; `name` is for messages.
 pub fn parse_field(text: &str, name: &str) -> Result<FieldDimensions, ConfigError> {
-    let syntax = |error: toml::de::Error| ConfigError::Syntax {
-        file: name.to_owned(),
-        message: error.to_string().trim_end().to_owned(),
-    };
+    let syntax = |error: toml::de::Error| ConfigError::Syntax { file: name.to_owned(), message: in_words(&error) };
     let dimensions: FieldDimensions = toml::from_str(text).map_err(syntax)?;
     match Field::new(dimensions) {
         Ok(field) => Ok(field.dimensions().clone()),

@@ -7,6 +7,7 @@ pub mod fields;
 pub mod lenses;
 pub mod settings;
 mod source;
+pub(crate) mod wording;
 
 pub use error::{ConfigError, LensFileError};
 pub use fields::{field_file, field_names, field_seen_from, load_field, parse_field};

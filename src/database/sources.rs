@@ -24,6 +24,7 @@ use crate::ros2::messages::{CompressedImageView, FrameTag};
 use crate::sensors::intake::isometry;
 use crate::sensors::log::{self, LogSource};
 use crate::sensors::{body_mask, decode};
+use crate::views::{LEAST_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M};
 use crate::vision::BodyMask;
 
 /// A source with its images.
@@ -50,10 +51,6 @@ const CAMERA: &str = "camera_info.yaml";
 const MASK: &str = "body_mask.png";
 /// Of its pixels: no robot is as large.
 const ALL_HIDDEN: f64 = 0.95;
-/// Of a pose in a table, as of one that is asked for: no hall is larger, and no camera hangs higher.
-const MAX_PLACE_M: f64 = 100.0;
-const HEIGHTS_M: RangeInclusive<f64> = 0.02..=20.0;
-const MAX_TURN_DEG: f64 = 3600.0;
 /// Images decoded at a time: bounds memory.
 const MAX_BATCH: usize = 64;
 
@@ -386,7 +383,7 @@ fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
     };
     within("x", x, -MAX_PLACE_M..=MAX_PLACE_M)?;
     within("y", y, -MAX_PLACE_M..=MAX_PLACE_M)?;
-    within("z", z, HEIGHTS_M)?;
+    within("z", z, LEAST_HEIGHT_M..=MOST_HEIGHT_M)?;
     for (name, angle) in [("yaw_deg", yaw), ("pitch_deg", pitch), ("roll_deg", roll)] {
         within(name, angle, -MAX_TURN_DEG..=MAX_TURN_DEG)?;
     }

@@ -12,6 +12,8 @@ use crate::ros2::mcap_write::WriteError;
 pub enum RecordingError {
     #[error("{path}: {source}")]
     Io { path: PathBuf, source: io::Error },
+    #[error("{path}: {}", cannot_be_made(source))]
+    Folder { path: PathBuf, source: io::Error },
     #[error("{path}: {source}")]
     Log { path: PathBuf, source: WriteError },
     #[error("{path}: {source}")]
@@ -38,7 +40,9 @@ impl RecordingError {
     /// One word for it.
     pub fn cause(&self) -> &'static str {
         match self {
-            Self::Io { source, .. } | Self::Log { source: WriteError::Io(source), .. } => cause(source),
+            Self::Io { source, .. }
+            | Self::Folder { source, .. }
+            | Self::Log { source: WriteError::Io(source), .. } => cause(source),
             Self::Removed(_) => REMOVED,
             _ => "unwritable",
         }
@@ -52,6 +56,19 @@ impl RecordingError {
     pub fn is_of_the_message(&self) -> bool {
         matches!(self, Self::Log { source: WriteError::Mcap(_) | WriteError::TooLarge { .. }, .. })
     }
+}
+
+/// Why there is no folder where one was to be made.
+pub fn cannot_be_made(error: &io::Error) -> String {
+    let why = match error.kind() {
+        ErrorKind::NotFound => "no folder can be made there",
+        ErrorKind::PermissionDenied => "you may not make a folder there",
+        ErrorKind::AlreadyExists => "it is a file, and a folder is needed",
+        ErrorKind::NotADirectory => "a part of its path is a file, not a folder",
+        ErrorKind::ReadOnlyFilesystem => "no folder can be made there, the disk can only be read",
+        _ => return format!("the folder cannot be made: {error}"),
+    };
+    format!("{why}: choose another place")
 }
 
 /// Somebody has taken away what was being written.

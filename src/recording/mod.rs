@@ -39,7 +39,7 @@ pub use acknowledgement::{
 pub use apart::{NotApart, is_probe, prove_apart};
 pub use catalogue::{Received, Session, SetAside};
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
-pub use error::{REMOVED, RecordingError};
+pub use error::{REMOVED, RecordingError, cannot_be_made};
 pub use folder::{Loss, missing_parts, read_info, session_holding};
 pub use identity::{Head, SessionId, robot_id};
 pub use manifest::{
@@ -59,6 +59,19 @@ pub use turn::Turn;
 pub use verify::{Verified, verify};
 pub use worst_stall::{DISK_FILE, DiskMeasured};
 pub use writer::MAX_FINISH;
+
+/// For whoever has named the folder of all captures where one of them was meant: which there are, behind a semicolon.
+pub fn captures_within(folder: &Path) -> String {
+    const MOST_NAMED: usize = 5;
+    let sessions = sessions_of(&storage::Disk, folder);
+    let names: Vec<String> = sessions.iter().take(MOST_NAMED).map(|path| path.display().to_string()).collect();
+    match (names.as_slice(), sessions.len() - names.len()) {
+        ([], _) => String::new(),
+        ([name], _) => format!("; name the capture in it, {name}"),
+        (names, 0) => format!("; name one of the captures in it: {}", names.join(", ")),
+        (names, more) => format!("; name one of the captures in it: {} and {more} more", names.join(", ")),
+    }
+}
 
 /// The old content or the new, never a part.
 pub fn write_atomically(path: &Path, content: &[u8]) -> Result<(), RecordingError> {

@@ -537,7 +537,7 @@ fn new_folder(storage: &dyn Storage, captures: &Path, name: &str) -> Result<Path
         match storage.create_folder(&folder) {
             Ok(()) => return Ok(folder),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-            Err(source) => return Err(RecordingError::Io { path: folder, source }),
+            Err(source) => return Err(RecordingError::Folder { path: folder, source }),
         }
     }
     let source = io::Error::from(io::ErrorKind::AlreadyExists);
@@ -547,7 +547,9 @@ fn new_folder(storage: &dyn Storage, captures: &Path, name: &str) -> Result<Path
 /// One that is there already is as good.
 fn create_shared_folder(storage: &dyn Storage, path: &Path) -> Result<(), RecordingError> {
     match storage.create_shared_folder(path) {
-        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(RecordingError::io(path, error)),
+        Err(source) if source.kind() != io::ErrorKind::AlreadyExists => {
+            Err(RecordingError::Folder { path: path.to_owned(), source })
+        }
         _ => Ok(()),
     }
 }

@@ -12,6 +12,7 @@ use super::effects::Effect;
 use super::misread;
 use super::places::Places;
 use super::ranges::{Range, Template};
+use crate::config::wording::in_words;
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -148,7 +149,7 @@ impl SceneFile {
 }
 
 fn told(error: toml::de::Error) -> SceneError {
-    SceneError::Toml(error.to_string().trim_end().to_owned())
+    SceneError::Toml(in_words(&error))
 }
 
 /// By hand, because an untagged enum could not say which key of the table is wrong.

@@ -8,7 +8,12 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
+<<<<<<< HEAD
 use crate::geometry::lens::{MAX_PIXELS, MAX_SIDE, is_image_size};
+=======
+use super::file_kind::{FileKind, START_BYTES};
+use crate::geometry::lens::MAX_SIDE;
+>>>>>>> words
 use crate::ros2::cdr::CdrError;
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CompressedImageView, ImageView};
@@ -27,8 +32,8 @@ pub enum DecodeError {
     Jpeg(String),
     #[error("the PNG does not decode: {0}")]
     Png(image::ImageError),
-    #[error("the image is neither JPEG nor PNG: it starts with {start:02x?}")]
-    Format { start: Vec<u8> },
+    #[error("the image is neither JPEG nor PNG, it is {0}")]
+    Format(FileKind),
     #[error("encoding {0:?}: supported are mono8, rgb8, bgr8, yuv422_yuy2 and bayer_rggb8, bggr8, gbrg8, grbg8")]
     Encoding(String),
     #[error("{} x {} pixels, where {} x {} are wanted", found[0], found[1], wanted[0], wanted[1])]
@@ -90,7 +95,7 @@ fn compressed_if(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     } else if data.starts_with(b"\x89PNG") {
         png(data, accept)
     } else {
-        Err(DecodeError::Format { start: data[..data.len().min(8)].to_vec() })
+        Err(DecodeError::Format(FileKind::of(&data[..data.len().min(START_BYTES)])))
     }
 }
 
@@ -137,7 +142,13 @@ fn png(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     } else {
         Picture::from_gray(width, height, image.into_luma8().into_raw())
     };
-    picture.ok_or(DecodeError::Format { start: Vec::new() })
+    picture.ok_or(DecodeError::Size {
+        width: width as u32,
+        height: height as u32,
+        encoding: "PNG".to_owned(),
+        step: 0,
+        bytes: 0,
+    })
 }
 
 /// Pixels that no codec has touched.

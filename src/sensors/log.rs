@@ -1,11 +1,18 @@
 //! A recorded log as the source of everything: one MCAP file, or a folder of them (a ROS 2 bag, a capture).
 
+<<<<<<< HEAD
 use std::fs::File;
 use std::io::BufReader;
+=======
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufReader, Read};
+use std::os::unix::fs::OpenOptionsExt;
+>>>>>>> words
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use super::file_kind::{FileKind, START_BYTES};
 use super::topics::TopicTypes;
 use crate::plain_file;
 use crate::ros2::mcap_read::{
@@ -19,8 +26,28 @@ pub enum LogError {
     Read { path: PathBuf, source: ReadError },
     #[error("{path}: {source}")]
     Open { path: PathBuf, source: std::io::Error },
-    #[error("{path}: the folder holds no .mcap file: name an MCAP file, a ROS 2 bag's folder or a capture's")]
-    NoFiles { path: PathBuf },
+    #[error("{path}: an MCAP log is needed, and this file is {kind}")]
+    NoLog { path: PathBuf, kind: FileKind },
+    #[error("{path}: the folder holds no .mcap file: {}", instead(within))]
+    NoFiles { path: PathBuf, within: Vec<PathBuf> },
+}
+
+/// Folders that are named where one of them was meant.
+const MOST_NAMED: usize = 5;
+
+fn instead(within: &[PathBuf]) -> String {
+    let [first, ..] = within else {
+        return "name an MCAP file, a ROS 2 bag's folder or a capture's".to_owned();
+    };
+    let names: Vec<String> = within.iter().take(MOST_NAMED).map(|path| path.display().to_string()).collect();
+    let more = match within.len().saturating_sub(MOST_NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    if within.len() == 1 {
+        return format!("name the capture or bag in it, {}", first.display());
+    }
+    format!("name one of the captures or bags in it: {}{more}", names.join(", "))
 }
 
 /// What only an earlier replay writes: never an input of the next one.
@@ -37,16 +64,13 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
     if !std::fs::metadata(path).map_err(failed)?.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(path).map_err(failed)? {
-        let file = entry.map_err(failed)?.path();
-        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        if name.ends_with(".mcap") || name.ends_with(".mcap.active") {
-            files.push(file);
-        }
-    }
+    let mut files = segments_in(path).map_err(failed)?;
     if files.is_empty() {
-        return Err(LogError::NoFiles { path: path.to_owned() });
+        let folders = std::fs::read_dir(path).map_err(failed)?.flatten().map(|entry| entry.path());
+        let holds_logs = |folder: &PathBuf| segments_in(folder).is_ok_and(|files| !files.is_empty());
+        let mut within: Vec<PathBuf> = folders.filter(holds_logs).collect();
+        within.sort();
+        return Err(LogError::NoFiles { path: path.to_owned(), within });
     }
     // rosbag2 counts without leading zeros: ..._9.mcap comes before ..._10.mcap.
     files.sort_by_key(|file| {
@@ -55,6 +79,18 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
         let digits = number.len() - number.trim_end_matches(|c: char| c.is_ascii_digit()).len();
         (number[number.len() - digits..].parse::<u64>().unwrap_or(0), name)
     });
+    Ok(files)
+}
+
+fn segments_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let file = entry?.path();
+        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        if name.ends_with(".mcap") || name.ends_with(".mcap.active") {
+            files.push(file);
+        }
+    }
     Ok(files)
 }
 
@@ -107,7 +143,7 @@ impl Iterator for LogSource {
                     Ok(reader) => self.open = Some((path, reader)),
                     Err(error) => match never_begun(&error) {
                         Some(damage) => self.damage.push((path, damage)),
-                        None => return Some(Err(error)),
+                        None => return Some(Err(by_its_kind(error))),
                     },
                 }
                 continue;
@@ -161,7 +197,7 @@ fn each(
         let looked = look(buffered(path)?).map_err(|source| LogError::Read { path: path.clone(), source });
         looked.or_else(|error| match never_begun(&error) {
             Some(damage) => Ok(Survey { damage, ..Survey::default() }),
-            None => Err(error),
+            None => Err(by_its_kind(error)),
         })
     };
     files.iter().map(looked).collect()
@@ -172,6 +208,23 @@ fn never_begun(error: &LogError) -> Option<Damage> {
     let LogError::Read { path, source: ReadError::NotMcap { found } } = error else { return None };
     let open = path.extension().is_some_and(|ending| ending == "active");
     open.then(|| Damage { torn: true, first_error: Some(format!("found {found}")), ..Damage::default() })
+}
+
+/// What is no log is told by what it is.
+fn by_its_kind(error: LogError) -> LogError {
+    match error {
+        LogError::Read { path, source: ReadError::NotMcap { found } } => match start_of(&path) {
+            Ok(start) => LogError::NoLog { kind: FileKind::of(&start), path },
+            Err(_) => LogError::Read { path, source: ReadError::NotMcap { found } },
+        },
+        error => error,
+    }
+}
+
+fn start_of(path: &Path) -> Result<Vec<u8>, LogError> {
+    let mut start = Vec::new();
+    let read = buffered(path)?.take(START_BYTES as u64).read_to_end(&mut start);
+    read.map(|_| start).map_err(|source| LogError::Open { path: path.to_owned(), source })
 }
 
 /// Topics with at least one message, and their types.

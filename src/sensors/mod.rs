@@ -9,6 +9,7 @@ mod camera_twist;
 pub mod clock;
 pub mod decode;
 pub mod encode;
+pub mod file_kind;
 pub mod history;
 pub mod host_clock;
 pub mod intake;

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::Refusal;
 use crate::geometry::{Euler, Isometry};
-use crate::views::Method;
+use crate::views::{LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
 
 /// Every parameter of a view, and what is right for it.
 pub const PARAMETERS: [(&str, &str); 17] = [
@@ -58,9 +58,6 @@ pub(super) enum MaskWanted {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Parameters(BTreeMap<String, String>);
 
-/// A pose beyond it is a mistake: no hall is larger.
-const MAX_PLACE_M: f64 = 100.0;
-const MAX_TURN_DEG: f64 = 3600.0;
 const LEAST_SIDE: u32 = 16;
 /// Two of them make as many pixels as a view may have.
 const MAX_SIDE: u32 = 2048;
@@ -139,7 +136,7 @@ impl Parameters {
         let place = DVec3::new(
             self.needed("x", -MAX_PLACE_M, MAX_PLACE_M)?,
             self.needed("y", -MAX_PLACE_M, MAX_PLACE_M)?,
-            self.needed("z", 0.02, 20.0)?,
+            self.needed("z", LEAST_HEIGHT_M, MOST_HEIGHT_M)?,
         );
         let yaw = self.needed("yaw_deg", -MAX_TURN_DEG, MAX_TURN_DEG)?.to_radians();
         let euler = Euler { yaw, pitch: turn("pitch_deg")?, roll: turn("roll_deg")? };
@@ -154,7 +151,7 @@ impl Parameters {
             scene: self.0.get("scene").cloned(),
             figures: self.choice("figures", &[("draw", true), ("omit", false)])?,
             frame: self.whole("frame", 0, u32::MAX)?.unwrap_or(0).into(),
-            max_distance_m: self.number("max_distance_m", 0.0, 1000.0)?,
+            max_distance_m: self.number("max_distance_m", 0.0, MAX_FAR_M)?,
             refuses: self.choice("outside", &[("refuse", true), ("warn", false)])?,
             mask: self.choice(
                 "mask",

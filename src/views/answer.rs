@@ -130,7 +130,7 @@ pub enum ViewError {
     )]
     Height { z: f64 },
     #[error(
-        "the camera asked for is at ({x:.3e}, {y:.3e}) m: views are made within {MAX_PLACE_M} m of the field's centre"
+        "the camera asked for is at x = {x:.6}, y = {y:.6} m: views are made from -{MAX_PLACE_M} to {MAX_PLACE_M} m in both"
     )]
     Place { x: f64, y: f64 },
     #[error(
@@ -140,7 +140,7 @@ pub enum ViewError {
     TooFar { distance_m: f64, max_m: f64 },
     #[error(
         "images show {:.0} % of this view, less than the {:.0} % that an answer within a distance needs: record there, \
-         looking that way, or take what there is (no --max-distance; outside=warn)",
+         looking that way, or take what there is (--outside warn; of the service, outside=warn)",
         100.0 * share,
         100.0 * LEAST
     )]
@@ -151,13 +151,18 @@ pub enum ViewError {
     Fit(#[from] super::quadratic::FitError),
 }
 
-/// Lower, rays graze the ground; higher than any hall.
-const LEAST_HEIGHT_M: f64 = 0.02;
-const MOST_HEIGHT_M: f64 = 20.0;
-/// No hall is larger.
-const MAX_PLACE_M: f64 = 1000.0;
-/// All images farther away than this: the view is to be doubted, unless somebody says otherwise.
+/// Lower, rays graze the ground.
+pub const LEAST_HEIGHT_M: f64 = 0.02;
+/// No camera in a hall hangs higher.
+pub const MOST_HEIGHT_M: f64 = 20.0;
+/// The largest x and y, whoever asks: no hall is larger.
+pub const MAX_PLACE_M: f64 = 100.0;
+/// The largest angle, whoever asks: ten turns.
+pub const MAX_TURN_DEG: f64 = 3600.0;
+/// All images farther away than this: there is no view, or a doubtful one, unless somebody says otherwise.
 pub const FAR_M: f64 = 1.0;
+/// The largest distance to the nearest image that somebody may allow.
+pub const MAX_FAR_M: f64 = 1000.0;
 /// An answer that shows less of what its lens draws is to be doubted.
 const LITTLE: f64 = 0.5;
 /// One that shows less than this is none, where a distance is allowed for.
@@ -223,6 +228,11 @@ pub fn angle_between(a: &Isometry, b: &Isometry) -> f64 {
 }
 
 impl Answer {
+    /// `expected_error_px`, where there is known geometry that it can be said of.
+    pub fn expected_error_of_known_px(&self) -> Option<f64> {
+        (self.sure_share > 0.0).then_some(self.expected_error_px)
+    }
+
     pub(super) fn unchanged(made: Made, request: &Request, source: &Candidate) -> Self {
         let image = source.image.full().clone();
         // Of what was asked for, also where the source's own picture ends before it.

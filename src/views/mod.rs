@@ -22,8 +22,8 @@ mod weights;
 mod world;
 
 pub use answer::{
-    Answer, Candidate, FAR_M, Made, Method, Request, TagError, UsedSource, ViewError, ViewSettings, angle_between,
-    check_pose,
+    Answer, Candidate, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method,
+    Request, TagError, UsedSource, ViewError, ViewSettings, angle_between, check_pose,
 };
 pub use camera::Camera;
 pub use darkening::{Overlap, darkening, overlap};

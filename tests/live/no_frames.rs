@@ -97,7 +97,7 @@ fn between_two_sessions_odometry_goes_on_and_a_place_can_be_told_at_any_time() {
     let (_, robot) = walking.join().expect("walked");
     recorder.waits_for("the last frame", 20, |status| status["last_tag"]["valid"] == true);
     let refused = recorder.room.run("place 20,0,0 --socket control.sock");
-    refused.fails(1, &["20,0 is not on the field", "its carpet reaches"]);
+    refused.fails(2, &["20,0 is not on the field", "its carpet reaches"]);
     recorder.room.run("place 2,north,0 --socket control.sock").fails(2, &["expected x,y,yaw_deg"]);
     let placed = recorder.asks("place 1.2,-0.3,-165.5");
     assert_eq!(placed["place"][0], 1.2);

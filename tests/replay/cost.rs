@@ -168,7 +168,7 @@ fn what_cannot_be_compared_is_an_error_that_says_why() {
         ("--accuracy-cm nan", vec!["--accuracy-cm", "above 0"]),
         ("--from -1", vec!["--from"]),
         ("--for 0", vec!["--for", "above 0"]),
-        ("--seeds 0", vec!["--seeds", "1..=20"]),
+        ("--seeds 0", vec!["--seeds", "1 to 20"]),
         ("--particles 0", vec!["filter.particles is 0"]),
         ("--initial 90,0,0", vec!["--initial is 90,0", "kid-2009"]),
         ("--set filter.image_reduction=9", vec!["filter.image_reduction is 9", "0 to 8"]),

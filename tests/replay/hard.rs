@@ -2,10 +2,12 @@
 //! never wrong and confident.
 
 use realitysim::ros2::LogMessage;
-use realitysim::ros2::messages::{CompressedImage, Imu, Odometry};
+use realitysim::ros2::messages::{CameraInfo, CompressedImage, Imu, Odometry, TFMessage};
 use serde_json::Value;
 
-use super::support::{IMAGE, IMU, ODOMETRY, Replayed, Room, TRUTH, changed, on, session_name, walk, without};
+use super::support::{
+    CAMERA_INFO, IMAGE, IMU, ODOMETRY, Replayed, Room, TF_STATIC, TRUTH, changed, on, session_name, walk, without,
+};
 
 /// No valid tag is off by more than 10 cm, every invalid one says why, and at least this share is valid.
 fn assert_never_wrong(room: &Room, replayed: &Replayed, least_valid: f64, what: &str) {
@@ -47,6 +49,8 @@ fn black_frames_are_coasted_through_and_then_invalid() {
     let room = Room::with_log(&changed::<CompressedImage>(&walk().messages, IMAGE, black));
     let replayed = room.replay("log.mcap");
     assert!(replayed.tags.iter().all(|tag| !tag.valid && !tag.reason.is_empty()), "nothing is ever seen");
+    let none = format!("none of the {frames} tags is valid: ");
+    assert!(replayed.run.code == Some(1) && replayed.run.stderr.contains(&none), "{:?}", replayed.run);
 }
 
 #[test]
@@ -200,12 +204,49 @@ fn a_truth_that_stops_half_way_is_told() {
     none.run(&format!("eval {} --truth log.mcap", session_name(&replayed))).fails(1, &["no message", TRUTH]);
 }
 
+/// What a replay says of the cause when it could not place most frames.
+fn cause(room: &Room, arguments: &str) -> String {
+    let replayed = room.replay(arguments);
+    let warnings = replayed.report["warnings"].as_array().expect("warnings");
+    let said: Vec<&str> = warnings.iter().filter_map(Value::as_str).filter(|said| said.contains("placed")).collect();
+    let [said] = said[..] else { panic!("{}, {warnings:?}", replayed.report["invalid"]) };
+    println!("{said}");
+    said.to_owned()
+}
+
 #[test]
-fn the_wrong_field_is_told() {
-    let room = Room::with_walk();
-    let replayed = room.replay("log.mcap --set field=kid-2014");
-    println!("{}", replayed.run.stderr);
-    assert!(replayed.run.stderr.contains("is it the right field"), "{}", replayed.report["invalid"]);
+fn the_wrong_field_is_told_and_the_right_one_named() {
+    let said = cause(&Room::with_walk(), "log.mcap --set field=kid-2014");
+    assert!(said.contains("most probably it is another field") && said.ends_with("try --field kid-2009"), "{said}");
+}
+
+#[test]
+fn a_wrong_lens_is_told_and_is_no_wrong_field() {
+    let messages = changed::<CameraInfo>(&walk().messages, CAMERA_INFO, |info| {
+        info.k[0] *= 1.25;
+        info.k[4] *= 1.25;
+    });
+    let said = cause(&Room::with_log(&messages), "log.mcap");
+    assert!(said.contains("most probably the lens (camera_info, or --lens) is wrong"), "{said}");
+    assert!(
+        said.contains("the focal length is 0.76 times") || said.contains("the focal length is 0.82 times"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_wrong_mount_is_told_and_is_no_wrong_field() {
+    let messages = changed::<TFMessage>(&walk().messages, TF_STATIC, |constants| {
+        let camera = constants.transforms.iter_mut().find(|transform| transform.child_frame_id == "camera_link");
+        let turn = &mut camera.expect("the camera's mount").transform.rotation;
+        // It looks ten degrees farther down than is said.
+        let pitch = 2.0 * f64::atan2(turn.y, turn.w) - 10f64.to_radians();
+        (turn.y, turn.w) = ((pitch / 2.0).sin(), (pitch / 2.0).cos());
+    });
+    let said = cause(&Room::with_log(&messages), "log.mcap");
+    assert!(said.contains("most probably the mount of the camera (/tf_static, or [mount])"), "{said}");
+    let down = ["8", "10", "12"].iter().any(|degrees| said.contains(&format!("looks {degrees} deg farther down")));
+    assert!(down, "{said}");
 }
 
 /// Each pixel's red, green and blue times as much.

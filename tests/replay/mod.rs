@@ -45,3 +45,4 @@ mod usage;
 mod warm_start;
 mod warnings;
 mod wild_files;
+mod wrong_calls;

@@ -248,3 +248,37 @@ fn a_lens_that_sees_nothing_of_the_ground_gets_a_clear_answer() {
     assert!(told || nothing.status == 200, "{}", nothing.text());
     assert!(served.is_running());
 }
+
+/// One default and the same bounds: what the one refuses the other does not show.
+#[test]
+fn the_command_line_refuses_the_poses_that_the_service_refuses() {
+    let served = Served::new("");
+    let pose = |x: &str, z: &str, yaw: &str| {
+        let asked = get(served.address, &format!("/v1/view?x={x}&y=0.2&z={z}&yaw_deg={yaw}&pitch_deg=20"));
+        let shown =
+            served.room.run(&format!("view --db db --x {x} --y 0.2 --z {z} --yaw {yaw} --pitch 20 -o view.png"));
+        (asked, shown)
+    };
+    for (x, z, yaw, status, code, words) in [
+        ("99", "0.5", "10", 404, 1, "m away, farther than the 1 m that are allowed"),
+        ("2", "0.5", "10", 404, 1, "m away, farther than the 1 m that are allowed"),
+        ("0.2", "0.5", "160", 404, 1, "less than the 25 % that an answer within a distance needs"),
+        ("101", "0.5", "10", 400, 2, "a number from -100 to 100 is needed"),
+        ("0.2", "0.01", "10", 400, 2, "a number from 0.02 to 20 is needed"),
+        ("0.2", "0.5", "3601", 400, 2, "a number from -3600 to 3600 is needed"),
+    ] {
+        let (asked, shown) = pose(x, z, yaw);
+        assert!(asked.status == status && asked.text().contains(words), "{x}, {z}, {yaw}: {}", asked.text());
+        shown.fails(code, &[words]);
+    }
+    assert!(!served.room.path("view.png").exists());
+    let (asked, shown) = pose("0.22", "0.5", "11");
+    assert_eq!(asked.status, 200);
+    shown.succeeds();
+    // Asked for all the same, it says that nothing is known of how wrong it is.
+    let far = "view --db db --x 99 --y 0.2 --z 0.5 --yaw 10 --pitch 0 -o view.png --outside warn";
+    let shown = served.room.run(far).succeeds();
+    assert!(shown.stdout.contains("no known geometry: nothing can be said of its error"), "{shown:?}");
+    assert!(shown.stderr.contains("m away, farther than 1 m"), "{shown:?}");
+    assert!(served.room.run(&format!("{far} --json")).json()["expected_error_px"].is_null());
+}

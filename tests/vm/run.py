@@ -249,10 +249,13 @@ def tags_a_walk(robot):
     machine.ok("systemctl start realitysim", 60)
     machine.until("the walk's first frame is recorded", 60, is_recording)
     machine.ok("compare-frames /dev/video10 200 > /run/compared 2>&1 & touch /run/walk")
-    # Half-way the camera stalls while the robot walks on, until that is told: on a busy host frames from before wait for seconds.
+    # Half-way, once it is known where the robot is, the camera stalls while the robot walks on, until that is told: on a busy host
+    # frames from before wait for seconds, and a pose that is not known is not carried on.
     drops = "v4l2-ctl -d /dev/robot-camera -c percentage_of_dropped_buffers"
     told = """realitysim status --json | tee /run/stalled | grep '"camera_lost":"stalled"' | grep -q '"reason":"no_frame"'"""
-    machine.ok(f"(until grep -q 'frame {last // 2}$' /run/steps; do sleep 0.2; done; {drops}=100; "
+    knows = """realitysim status --json | grep -q '"last_tag":{[^}]*"valid":true'"""
+    machine.ok(f"(until grep -q 'frame {last // 2}$' /run/steps; do sleep 0.2; done; "
+               f"for try in $(seq 50); do {knows} && break; sleep 0.1; done; {drops}=100; "
                f"for try in $(seq 40); do sleep 0.5; {told} && break; done; {drops}=0) > /dev/null 2>&1 & echo $!")
     machine.ok("tail -n +1 -f --pid=$(cat /run/pusher) /run/steps", 200, watch)
     # The guest's shell tells of its jobs in between.

@@ -85,7 +85,7 @@ impl Agent<'_> {
                 "{},{} is not on the field: its carpet reaches {:.2} m from the centre in x and {:.2} m in y",
                 place.x, place.y, half.x, half.y
             );
-            return Ok(json!({ "error": what }));
+            return Ok(json!({ "error": what, "usage": true }));
         }
         self.tell_place(place)?;
         Ok(json!({ "place": [place.x, place.y, place.yaw.to_degrees()] }))

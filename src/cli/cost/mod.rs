@@ -13,6 +13,7 @@ use super::section::Section;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, machine, output, paths};
 use crate::agent::{Attempt, Footage, FootageOptions};
+use crate::cli::values::whole;
 use crate::config::{LEAST_BUDGET_MS, Settings};
 use crate::evaluation::capture::{EvaluationError, read_truth};
 use crate::evaluation::compare::truth_at;
@@ -33,6 +34,7 @@ use report::{Report, Yardstick};
 /// and writes cost.csv, cost.svg and cost.toml, which --config of other commands takes. Exit code 1 when nothing that was
 /// asked for can be had. Measure on a machine that does nothing else.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim cost my_bag/ --budget-ms 8 --field kid-2020")]
 pub struct CostArguments {
     /// A log or a scene, as for replay
     #[arg(value_name = "LOG|SCENE")]
@@ -53,7 +55,7 @@ pub struct CostArguments {
     #[arg(long = "for", value_name = "S", value_parser = above_zero, allow_negative_numbers = true)]
     for_s: Option<f64>,
     /// Seeds that every setting is tried with
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=20))]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = whole(1..=20u64))]
     seeds: u64,
     /// A log with the true poses, if they are not in LOG itself
     #[arg(long, value_name = "LOG")]

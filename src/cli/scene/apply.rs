@@ -7,6 +7,7 @@ use clap::Args;
 use jpeg_encoder::ColorType;
 use serde::Serialize;
 
+use crate::cli::values::any_whole;
 use crate::cli::{Outcome, output, paths};
 use crate::plain_file;
 use crate::scene::Scene;
@@ -18,6 +19,10 @@ use crate::sensors::{decode, scene};
 /// Only those that make sense on any image: light without a gradient, and sensor noise; the others are named and left out. If
 /// none is left the stored bytes are written as they are. The same scene, image and --frame give the same result.
 #[derive(Args)]
+#[command(after_long_help = concat!(
+    "Example:",
+    "\n  realitysim scene apply replay/scenes/crowded.toml --image frame.jpg -o noisy.png",
+))]
 pub struct ApplyArguments {
     /// A scene file
     #[arg(value_name = "SCENE")]
@@ -29,7 +34,7 @@ pub struct ApplyArguments {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// As which frame of the scene: its noise, and what is drawn per frame
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = any_whole::<u64>)]
     frame: u64,
 }
 

@@ -21,6 +21,7 @@ use crate::sensors::scene;
 /// A limit must hold on every machine, so --max-ms is not held against these, but against what they would be on the machine
 /// of docs/scenes.md, by how fast a fixed loop runs here meanwhile.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim scene check replay/scenes/crowded.toml")]
 pub struct CheckArguments {
     /// A scene file
     #[arg(value_name = "SCENE")]

@@ -9,6 +9,7 @@ use super::Outcome;
 
 /// What scenes are made of, what that costs, and the same on stored images
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim scene check replay/scenes/crowded.toml")]
 pub struct SceneArguments {
     #[command(subcommand)]
     command: Command,

@@ -15,10 +15,13 @@ use crate::sync::{Known, known_sources};
 
 /// All sessions: start, duration, frames, validity, size, drops, and who has them
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim sessions list --captures captures/")]
 pub struct ListArguments {
     #[command(flatten)]
     captures: CapturesArguments,
 }
+
+const SESSION: &str = "session";
 
 /// A session in a line.
 #[derive(Serialize)]
@@ -114,12 +117,13 @@ pub fn run(arguments: &ListArguments, json: bool) -> anyhow::Result<Outcome> {
         output::json(&rows)?;
         return Ok(Outcome::Whole);
     }
+    let width = rows.iter().map(|row| row.session.chars().count()).max().unwrap_or(0).max(SESSION.len());
     let mut text = format!(
-        "{:<34} {:<20} {:>8} {:>8} {:>6} {:>10} {:>7}  {}\n",
-        "session", "start", "length", "frames", "valid", "size", "dropped", "state"
+        "{SESSION:<width$} {:<20} {:>9} {:>8} {:>6} {:>10} {:>7}  {}\n",
+        "start", "length", "frames", "valid", "size", "dropped", "state"
     );
     for row in &rows {
-        text.push_str(&line(row));
+        text.push_str(&line(row, width));
     }
     for row in &rows {
         row.set_aside.iter().for_each(|why| eprintln!("realitysim: set aside: {why}"));
@@ -175,18 +179,27 @@ pub(super) fn row_with_sources(session: &Session, captures: &Path, known: &[Know
     row
 }
 
-pub(super) fn line(row: &Row) -> String {
+/// In columns, the first of this width.
+pub(super) fn line(row: &Row, width: usize) -> String {
     let valid = row.valid_share.map_or_else(|| "-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
     let dropped = row.frames.all_dropped();
     format!(
-        "{:<34} {:<20} {:>6.0} s {:>8} {valid:>6} {:>10} {dropped:>7}  {}\n",
+        "{:<width$} {:<20} {:>7.0} s {:>8} {valid:>6} {:>10} {dropped:>7}  {}\n",
         row.session,
-        output::plain(row.started.get(..20).unwrap_or(&row.started)),
+        start(&row.started),
         row.duration_s,
         row.frames.captured,
         output::size(row.bytes),
         state(row, Timestamp::now())
     )
+}
+
+/// To the second; what is no time is shown as it is.
+fn start(started: &str) -> String {
+    match started.parse::<Timestamp>() {
+        Ok(time) => time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
+        Err(_) => output::plain(started).to_string(),
+    }
 }
 
 /// What is to be said of it, shortest first.

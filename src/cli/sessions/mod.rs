@@ -20,6 +20,7 @@ use crate::sync::SERVICE_CAPTURES;
 
 /// What recordings there are, on the robot and on the dev machine
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim sessions list --captures captures/")]
 pub struct SessionsArguments {
     #[command(subcommand)]
     command: Command,

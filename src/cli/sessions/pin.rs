@@ -15,6 +15,7 @@ use crate::recording::{PIN_FILE, Session, sync_folder, write_atomically};
 /// A recorder that is out of room removes what a dev machine has acknowledged, oldest first, and pinned sessions only when
 /// nothing else is left.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim sessions pin 2026-11-21T10")]
 pub struct PinArguments {
     /// Names, or beginnings of which there is one, or folders
     #[arg(required = true, value_name = "SESSION")]
@@ -25,6 +26,7 @@ pub struct PinArguments {
 
 /// Let sessions go again
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim sessions unpin 2026-11-21T10")]
 pub struct UnpinArguments {
     /// Names, or beginnings of which there is one, or folders
     #[arg(required = true, value_name = "SESSION")]

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::{CapturesArguments, full_name};
 use crate::cli::settings::UsageError;
+use crate::cli::values::{any_number, any_whole};
 use crate::cli::{Outcome, output, paths};
 use crate::recording::catalogue::sessions_in;
 use crate::recording::saturating_sum;
@@ -18,6 +19,7 @@ use crate::sync::{Decision, Goal, Removal};
 /// that holds files which are not the session's; nothing of which no other store is known to have every segment, unless
 /// forced.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim sessions prune --captures captures/ --free 20")]
 pub struct PruneArguments {
     /// Names, or beginnings of which there is one; none: all
     #[arg(value_name = "SESSION")]
@@ -28,10 +30,10 @@ pub struct PruneArguments {
     #[arg(long)]
     yes: bool,
     /// Only sessions that began more than so many days ago, by this machine's clock
-    #[arg(long, value_name = "DAYS")]
+    #[arg(long, value_name = "DAYS", value_parser = any_whole::<u32>)]
     older_than: Option<u32>,
     /// Stop when so much is freed
-    #[arg(long, value_name = "GB", allow_negative_numbers = true)]
+    #[arg(long, value_name = "GB", allow_negative_numbers = true, value_parser = any_number)]
     free: Option<f64>,
     /// Another folder of captures, on other storage: what is found there whole, by its hash, may go here
     #[arg(long, value_name = "CAPTURES_DIR")]

@@ -13,6 +13,7 @@ use crate::recording::storage::Disk;
 /// Torn segments are cut behind the last chunk that is sound, get index and footer and their final name; the manifest
 /// and metadata.yaml list them. A session that is being recorded is left alone.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim sessions repair --captures captures/")]
 pub struct RepairArguments {
     /// Names, or beginnings of which there is one, or folders; none: all
     #[arg(value_name = "SESSION")]

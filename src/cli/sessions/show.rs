@@ -24,6 +24,7 @@ use crate::sync::known_sources;
 
 /// One session: its segments, what became of its frames, who has it
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim sessions show 2026-11-21T10")]
 pub struct ShowArguments {
     /// Its name or the beginning of it, or its folder
     session: String,
@@ -176,7 +177,7 @@ fn coverage_of(session: &Session, info: &SessionInfo) -> Option<PoseGrid> {
 
 fn for_people(shown: &Shown) -> String {
     let Shown { row, manifest, coverage } = shown;
-    let mut text = line(row);
+    let mut text = line(row, 0);
     let robot = row.robot_id.as_deref().map_or_else(String::new, |id| format!(" ({id})"));
     text.push_str(&format!("  id {}, robot {}{robot}\n", row.id.as_str(), output::plain(&row.robot)));
     for (receiver, segments) in &row.receivers {

@@ -15,6 +15,7 @@ use crate::sync::{Store, SyncError};
 /// Changes nothing but, in a folder that is synced into, its own acknowledgement of what is not sound: the next sync
 /// tells the source, and fetches it again.
 #[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim sessions verify --captures captures/")]
 pub struct VerifyArguments {
     /// Names, or beginnings of which there is one, or folders; none: all
     #[arg(value_name = "SESSION")]

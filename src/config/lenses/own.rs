@@ -3,6 +3,7 @@
 use serde::Deserialize;
 
 use super::{Content, LensFileError, LensFormat};
+use crate::config::wording::in_words;
 use crate::geometry::{LensModel, LensParameters};
 
 /// Pixels as in [`LensParameters`]: (0, 0) is the centre of the top left pixel.
@@ -23,8 +24,7 @@ struct File {
 }
 
 pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
-    let file: File =
-        toml::from_str(text).map_err(|error| LensFileError::Syntax(error.to_string().trim_end().to_owned()))?;
+    let file: File = toml::from_str(text).map_err(|error| LensFileError::Syntax(in_words(&error)))?;
     let parameters = LensParameters {
         width: file.width,
         height: file.height,

@@ -16,6 +16,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::source::read;
+use super::wording::in_words;
 use super::{ConfigError, field_seen_from, lens_seen_from};
 
 pub use camera::{BodyMaskFile, CameraSettings};
@@ -67,8 +68,8 @@ impl Settings {
     /// `name` is for messages.
     pub fn parse(text: &str, name: &str) -> Result<Self, ConfigError> {
         let file = || name.to_owned();
-        let settings: Self = toml::from_str(text)
-            .map_err(|error| ConfigError::Syntax { file: file(), message: error.to_string().trim_end().to_owned() })?;
+        let settings: Self =
+            toml::from_str(text).map_err(|error| ConfigError::Syntax { file: file(), message: in_words(&error) })?;
         settings.check().map_err(|error| ConfigError::Value { file: file(), message: error })?;
         Ok(settings)
     }

@@ -7,6 +7,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use super::limits::Limits;
+use crate::config::wording::in_words;
 use crate::plain_file;
 
 #[derive(Debug, Error)]
@@ -72,7 +73,7 @@ impl Suite {
 
     /// `path` is where the text stands: other paths start there.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SuiteError> {
-        let mut suite: Self = toml::from_str(text).map_err(|error| refuse(path, error.to_string().trim_end()))?;
+        let mut suite: Self = toml::from_str(text).map_err(|error| refuse(path, in_words(&error)))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         suite.complete(folder);
         suite.settle_limits().and_then(|()| suite.check()).map_err(|message| refuse(path, message))?;
