@@ -1,0 +1,77 @@
+//! The sound logs that are damaged: short walks, rendered, with their truth.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use realitysim::agent::{ReplayOptions, ReplayReport, replay};
+use realitysim::config::Settings;
+use realitysim::ros2::LogMessage;
+use realitysim::ros2::messages::PoseStamped;
+use realitysim::sensors::scene::{SceneSource, parse};
+
+use crate::support::{LENS, TRUTH, decode_all, own_log};
+
+/// True places of the camera, by the stamp of the frame.
+pub type Truth = BTreeMap<i64, [f64; 3]>;
+
+pub struct Walk {
+    pub name: &'static str,
+    pub messages: Vec<LogMessage>,
+    pub truth: Truth,
+}
+
+/// Of one process.
+pub struct Walks {
+    pub all: Vec<Walk>,
+}
+
+const SCENE: &str = include_str!("../replay/scene.toml");
+/// The head turns while the robot walks: joints and transforms that change.
+const HEAD: &str = "\n[[effect]]\nkind = \"head_motion\"\npan_amplitude_deg = 20.0\npan_period_s = 2.0\ntilt_amplitude_deg = 5.0\n\
+                    tilt_period_s = 1.3\nencoder_noise_deg = 0.05\n";
+
+impl Walks {
+    /// In this folder the lens is put.
+    pub fn rendered(folder: &Path) -> Self {
+        let lens = folder.join("lens.toml");
+        fs::write(&lens, LENS).expect("the folder can be written");
+        // Ten frames.
+        let scene = SCENE.replace("\"lens.toml\"", &format!("{lens:?}")).replace("[-1.1, 0.3]", "[-1.78, 0.15]");
+        let unknown: String = scene.lines().filter(|line| !line.starts_with("initial_pose")).map(with_end).collect();
+        // Behind what moves the robot.
+        let odometry = "[[effect]]\nkind = \"odometry_error\"";
+        let turning = scene.replace(odometry, &format!("{HEAD}\n{odometry}"));
+        let walks = [("walk", scene), ("turning head", turning), ("unknown start", unknown)];
+        Self { all: walks.into_iter().map(|(name, scene)| Walk::rendered(name, &scene)).collect() }
+    }
+}
+
+fn with_end(line: &str) -> String {
+    format!("{line}\n")
+}
+
+impl Walk {
+    fn rendered(name: &'static str, scene: &str) -> Self {
+        let scene = parse(scene, "scene.toml").expect("a possible scene");
+        let messages: Vec<LogMessage> = SceneSource::new(&scene).map(|message| message.expect("renders")).collect();
+        let truth = decode_all::<PoseStamped>(&messages, TRUTH).into_iter().map(|truth| {
+            let p = truth.pose.position;
+            (truth.header.stamp.to_nanoseconds(), [p.x, p.y, p.z])
+        });
+        Self { name, truth: truth.collect(), messages }
+    }
+
+    pub fn log(&self) -> Vec<u8> {
+        own_log(&self.messages)
+    }
+}
+
+/// Into `captures` beside the log.
+pub fn options(source: PathBuf, captures: PathBuf, settings: Settings) -> ReplayOptions {
+    ReplayOptions { source, captures, settings, initial: None, threads: 1, realtime: false, warm_start: false }
+}
+
+pub fn replayed(options: &ReplayOptions) -> Result<ReplayReport, String> {
+    replay(options, &mut |_, _| ()).map_err(|error| error.to_string())
+}
