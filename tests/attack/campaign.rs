@@ -9,11 +9,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
+use realitysim::config::Settings;
 use serde_json::Value;
 
 use crate::WORKER;
 use crate::case::Class;
+use crate::judge::{self, Judge};
 use crate::kinds::{self, KINDS};
+use crate::support::own_log;
+use crate::walks::{Walk, Walks, options, replayed};
 
 /// Without being asked for more: what `cargo test` waits for.
 const USUAL_S: u64 = 10;
@@ -54,6 +58,7 @@ pub fn run() -> ExitCode {
         seconds if seconds <= USUAL_S => (seconds, 1),
         seconds => (seconds, std::thread::available_parallelism().map_or(1, usize::from)),
     };
+    sound_logs_are_tagged(folder.path());
     let campaign = Campaign {
         seed,
         until: Instant::now() + Duration::from_secs(time),
@@ -76,6 +81,21 @@ pub fn run() -> ExitCode {
         });
     }
     campaign.told()
+}
+
+/// Otherwise no tag could be wrong, and nothing would be attacked.
+fn sound_logs_are_tagged(folder: &Path) {
+    for Walk { name, messages, truth } in &Walks::rendered(folder).all {
+        let (log, captures) = (folder.join("sound.mcap"), folder.join(name));
+        std::fs::write(&log, own_log(messages)).expect("the folder can be written");
+        let report = replayed(&options(log, captures.clone(), Settings::default()));
+        let judged =
+            judge::replay(&report, &captures, Judge { truth: Some(truth), mirrored: *name == "unknown start" });
+        assert!(judged.is_ok(), "{name}: {judged:?}");
+        let (valid, frames) = report.map_or((0, 0), |report| (report.valid, report.frames));
+        println!("{name}: {valid} of {frames} frames are tagged where they are sound");
+        assert!(2 * valid > frames && frames >= 8, "{name}: {valid} of {frames}");
+    }
 }
 
 impl Campaign {

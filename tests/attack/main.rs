@@ -9,6 +9,9 @@ mod campaign;
 mod case;
 mod draw;
 mod fields;
+#[allow(dead_code, unused_imports, reason = "the integration tests use the rest")]
+#[path = "../config/other_formats.rs"]
+mod foreign;
 mod judge;
 mod kinds;
 #[allow(dead_code, reason = "the integration tests use the rest")]
@@ -17,6 +20,7 @@ mod numerics;
 #[allow(dead_code, reason = "the integration tests use the rest")]
 #[path = "../replay/support.rs"]
 mod support;
+mod text;
 
 mod walks;
 mod worker;

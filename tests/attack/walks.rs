@@ -1,11 +1,13 @@
 //! The sound logs that are damaged: short walks, rendered, with their truth.
 
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use realitysim::agent::{ReplayOptions, ReplayReport, replay};
 use realitysim::config::Settings;
+use realitysim::database;
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::PoseStamped;
 use realitysim::sensors::scene::{SceneSource, parse};
@@ -24,9 +26,12 @@ pub struct Walk {
 /// Of one process.
 pub struct Walks {
     pub all: Vec<Walk>,
+    folder: PathBuf,
+    captures: OnceCell<PathBuf>,
+    database: OnceCell<PathBuf>,
 }
 
-const SCENE: &str = include_str!("../replay/scene.toml");
+pub const SCENE: &str = include_str!("../replay/scene.toml");
 /// The head turns while the robot walks: joints and transforms that change.
 const HEAD: &str = "\n[[effect]]\nkind = \"head_motion\"\npan_amplitude_deg = 20.0\npan_period_s = 2.0\ntilt_amplitude_deg = 5.0\n\
                     tilt_period_s = 1.3\nencoder_noise_deg = 0.05\n";
@@ -43,7 +48,36 @@ impl Walks {
         let odometry = "[[effect]]\nkind = \"odometry_error\"";
         let turning = scene.replace(odometry, &format!("{HEAD}\n{odometry}"));
         let walks = [("walk", scene), ("turning head", turning), ("unknown start", unknown)];
-        Self { all: walks.into_iter().map(|(name, scene)| Walk::rendered(name, &scene)).collect() }
+        let all = walks.into_iter().map(|(name, scene)| Walk::rendered(name, &scene)).collect();
+        Self { all, folder: folder.to_owned(), captures: OnceCell::new(), database: OnceCell::new() }
+    }
+
+    /// With the capture of the first walk.
+    pub fn captures(&self) -> &Path {
+        self.captures.get_or_init(|| {
+            let (log, captures) = (self.folder.join("walk.mcap"), self.folder.join("captures"));
+            let _ = fs::remove_dir_all(&captures);
+            fs::write(&log, self.all[0].log()).expect("the folder can be written");
+            replayed(&options(log, captures.clone(), Settings::default())).expect("a sound log is replayed");
+            captures
+        })
+    }
+
+    /// Of that capture's images.
+    pub fn database(&self) -> &Path {
+        self.database.get_or_init(|| {
+            let folder = self.folder.join("database");
+            let _ = fs::remove_dir_all(&folder);
+            let added = database::add(&folder, &[self.session()], None, false, &mut |_| ());
+            added.expect("a sound capture has images");
+            folder
+        })
+    }
+
+    /// The capture's own folder.
+    pub fn session(&self) -> PathBuf {
+        let entries = fs::read_dir(self.captures()).expect("captures").flatten().map(|entry| entry.path());
+        entries.into_iter().find(|path| path.is_dir()).expect("a session")
     }
 }
 

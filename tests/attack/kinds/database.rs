@@ -52,8 +52,8 @@ pub fn run(case: &mut Case) -> Outcome {
         }
     }
     fs::write(&index, &changed).expect("written");
-    let checksum_is_right = changed.len() >= HEADER
-        && crc32fast::hash(&changed[HEADER..]).to_le_bytes() == changed[CHECKSUM..CHECKSUM + 4];
+    let checksum_is_right =
+        changed.len() >= HEADER && crc32fast::hash(&changed[HEADER..]).to_le_bytes() == changed[CHECKSUM..CHECKSUM + 4];
     if let Ok(index) = Index::open(&index)
         && index.is_sound() != checksum_is_right
     {

@@ -1,6 +1,10 @@
 //! What is attacked: one kind of input each.
 
+mod database;
 mod log;
+mod serial;
+mod state;
+mod texts;
 
 use crate::case::{Case, Outcome};
 
@@ -11,7 +15,21 @@ pub struct Kind {
     share: u64,
 }
 
-pub const KINDS: [Kind; 1] = [Kind { name: "log", run: log::run, share: 1 }];
+pub const KINDS: [Kind; 9] = [
+    kind("log", log::run, 14),
+    kind("config", texts::settings, 4),
+    kind("lens", texts::lens, 4),
+    kind("field", texts::field, 3),
+    kind("scene", texts::scene, 2),
+    kind("suite and reference", texts::gate, 2),
+    kind("state of an agent", state::run, 4),
+    kind("database", database::run, 4),
+    kind("serial line", serial::run, 4),
+];
+
+const fn kind(name: &'static str, run: fn(&mut Case) -> Outcome, share: u64) -> Kind {
+    Kind { name, run, share }
+}
 
 /// The kind of the case with this number.
 pub fn of(number: u64) -> &'static Kind {

@@ -115,17 +115,22 @@ pub fn scene(case: &mut Case) -> Outcome {
     let lens = case.write("lens.toml", LENS);
     let sound = if case.draw.chance(0.3) { SCENE } else { *case.draw.one_of(&SCENES) };
     // Small pictures: what they cost is no matter here.
-    let lines = without_comments(sound).lines().map(|line| match line.starts_with("lens = ") {
-        true => format!("lens = {lens:?}\n"),
-        false => format!("{line}\n"),
-    }).collect::<String>();
+    let lines = without_comments(sound)
+        .lines()
+        .map(|line| match line.starts_with("lens = ") {
+            true => format!("lens = {lens:?}\n"),
+            false => format!("{line}\n"),
+        })
+        .collect::<String>();
     let bytes = damaged(case, &lines);
     let Ok(text) = String::from_utf8(bytes) else { return Ok(Taken::Refused) };
     let Ok(scene) = parse(&text, "scene.toml") else { return Ok(Taken::Refused) };
     let mut frames = 0;
     for message in SceneSource::new(&scene).take(600) {
         let Ok(message) = message else { return Ok(Taken::Refused) };
-        let wild = fields(&message).into_iter().find(|field| field.float(&message.data).is_some_and(|value| !value.is_finite()));
+        let wild = fields(&message)
+            .into_iter()
+            .find(|field| field.float(&message.data).is_some_and(|value| !value.is_finite()));
         if let Some(field) = wild {
             return Err(Finding::new(Class::NotFinite, format!("{}: {}", message.channel.topic, field.name)));
         }
@@ -139,7 +144,8 @@ pub fn scene(case: &mut Case) -> Outcome {
 
 /// What a gate in continuous integration reads.
 pub fn gate(case: &mut Case) -> Outcome {
-    let reference: String = include_str!("../../../replay/references/demo.jsonl").split_inclusive('\n').take(6).collect();
+    let reference: String =
+        include_str!("../../../replay/references/demo.jsonl").split_inclusive('\n').take(6).collect();
     let suite = without_comments(include_str!("../../../replay/shelf.toml"));
     let sound = if case.draw.chance(0.5) { suite } else { reference };
     let bytes = damaged(case, &sound);
