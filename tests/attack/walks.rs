@@ -1,6 +1,6 @@
 //! The sound logs that are damaged: short walks, rendered, with their truth.
 
-use std::cell::OnceCell;
+use std::cell::{OnceCell, RefCell, RefMut};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,6 +12,7 @@ use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::PoseStamped;
 use realitysim::sensors::scene::{SceneSource, parse};
 
+use crate::kinds::service::Served;
 use crate::support::{LENS, TRUTH, decode_all, own_log};
 
 /// True places of the camera, by the stamp of the frame.
@@ -29,6 +30,7 @@ pub struct Walks {
     folder: PathBuf,
     captures: OnceCell<PathBuf>,
     database: OnceCell<PathBuf>,
+    service: RefCell<Option<Served>>,
 }
 
 pub const SCENE: &str = include_str!("../replay/scene.toml");
@@ -49,7 +51,13 @@ impl Walks {
         let turning = scene.replace(odometry, &format!("{HEAD}\n{odometry}"));
         let walks = [("walk", scene), ("turning head", turning), ("unknown start", unknown)];
         let all = walks.into_iter().map(|(name, scene)| Walk::rendered(name, &scene)).collect();
-        Self { all, folder: folder.to_owned(), captures: OnceCell::new(), database: OnceCell::new() }
+        Self {
+            all,
+            folder: folder.to_owned(),
+            captures: OnceCell::new(),
+            database: OnceCell::new(),
+            service: RefCell::new(None),
+        }
     }
 
     /// With the capture of the first walk.
@@ -72,6 +80,16 @@ impl Walks {
             added.expect("a sound capture has images");
             folder
         })
+    }
+
+    /// Of that database; another one if it has ended.
+    pub fn service(&self) -> RefMut<'_, Served> {
+        let database = self.database();
+        let mut service = self.service.borrow_mut();
+        if service.as_mut().is_none_or(Served::has_ended) {
+            *service = Some(Served::of(database));
+        }
+        RefMut::map(service, |service| service.as_mut().expect("just started"))
     }
 
     /// The capture's own folder.

@@ -2,7 +2,9 @@
 
 mod database;
 mod log;
+mod program;
 mod serial;
+pub mod service;
 mod state;
 mod texts;
 
@@ -15,7 +17,7 @@ pub struct Kind {
     share: u64,
 }
 
-pub const KINDS: [Kind; 9] = [
+pub const KINDS: [Kind; 13] = [
     kind("log", log::run, 14),
     kind("config", texts::settings, 4),
     kind("lens", texts::lens, 4),
@@ -25,6 +27,10 @@ pub const KINDS: [Kind; 9] = [
     kind("state of an agent", state::run, 4),
     kind("database", database::run, 4),
     kind("serial line", serial::run, 4),
+    kind("capture", program::capture, 8),
+    kind("picture", program::picture, 3),
+    kind("folder of pictures", program::pictures, 2),
+    kind("request", service::run, 8),
 ];
 
 const fn kind(name: &'static str, run: fn(&mut Case) -> Outcome, share: u64) -> Kind {
