@@ -34,6 +34,7 @@ struct Counts {
     refused: u64,
     accepted: u64,
     findings: BTreeMap<String, u64>,
+    took: Duration,
     slowest: Duration,
     most_mb: u64,
 }
@@ -168,6 +169,7 @@ impl Campaign {
             Some(_) => counts.accepted += 1,
             None => *counts.findings.entry(line["class"].as_str().unwrap_or_default().to_owned()).or_default() += 1,
         }
+        counts.took += took;
         counts.slowest = counts.slowest.max(took);
         counts.most_mb = counts.most_mb.max(line["mb"].as_u64().unwrap_or(0));
     }
@@ -176,8 +178,11 @@ impl Campaign {
     fn told(&self) -> ExitCode {
         let counts = self.counts.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let classes = Class::ALL.map(Class::name);
-        println!("| kind | cases | refused | accepted | {} | slowest, ms | largest, MB |", classes.join(" | "));
-        println!("|{}", " --- |".repeat(6 + classes.len()));
+        println!(
+            "| kind | cases | refused | accepted | {} | mean, ms | slowest, ms | largest, MB |",
+            classes.join(" | ")
+        );
+        println!("|{}", " --- |".repeat(7 + classes.len()));
         let mut all = Counts::default();
         for kind in &KINDS {
             let Some(counts) = counts.get(kind.name) else { continue };
@@ -185,6 +190,7 @@ impl Campaign {
             all.refused += counts.refused;
             all.accepted += counts.accepted;
             counts.findings.iter().for_each(|(class, count)| *all.findings.entry(class.clone()).or_default() += count);
+            all.took += counts.took;
             all.slowest = all.slowest.max(counts.slowest);
             all.most_mb = all.most_mb.max(counts.most_mb);
             println!("{}", row(kind.name, counts));
@@ -205,11 +211,12 @@ impl Campaign {
 fn row(name: &str, counts: &Counts) -> String {
     let findings = Class::ALL.map(|class| counts.findings.get(class.name()).copied().unwrap_or(0).to_string());
     format!(
-        "| {name} | {} | {} | {} | {} | {} | {} |",
+        "| {name} | {} | {} | {} | {} | {} | {} | {} |",
         counts.cases,
         counts.refused,
         counts.accepted,
         findings.join(" | "),
+        counts.took.as_millis() / u128::from(counts.cases.max(1)),
         counts.slowest.as_millis(),
         counts.most_mb
     )

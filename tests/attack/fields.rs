@@ -155,6 +155,10 @@ pub enum Change {
     Whole(u64),
     /// Times this more in each further message.
     Decay(f64),
+    /// Of what it says, in each message.
+    Times(f64),
+    /// More than it says, in each message: a bias.
+    Plus(f64),
 }
 
 /// One field by its name, and which of several elements of this name.
@@ -180,6 +184,8 @@ impl Target {
         let field = alike[element];
         let change = match field.float(&message.data) {
             Some(_) if draw.chance(0.15) => Change::Decay(*draw.one_of(&[0.5, 1e-3, 1e-20, 2.0, 1e20])),
+            Some(_) if draw.chance(0.2) => Change::Times(*draw.one_of(&[0.0, 0.5, 0.9, 1.1, 2.0, -1.0, 5.0])),
+            Some(_) if draw.chance(0.2) => Change::Plus(*draw.one_of(&[-0.05, 0.02, 0.1, 0.3, 1.0, -3.0])),
             Some(now) => Change::Float(draw.float(now)),
             None => Change::Whole(draw.whole(field.bits(&message.data)?, 8 * field.bytes as u32)),
         };
@@ -193,6 +199,10 @@ impl Target {
         match self.change {
             Change::Float(value) => field.set_float(&mut message.data, value),
             Change::Whole(bits) => field.set(&mut message.data, bits),
+            Change::Times(by) => {
+                field.set_float(&mut message.data, field.float(&message.data).unwrap_or_default() * by)
+            }
+            Change::Plus(by) => field.set_float(&mut message.data, field.float(&message.data).unwrap_or_default() + by),
             Change::Decay(by) => {
                 let now = field.float(&message.data).unwrap_or_default();
                 field.set_float(&mut message.data, now * by.powi(already.min(10_000) as i32));
