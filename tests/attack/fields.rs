@@ -196,17 +196,14 @@ impl Target {
     pub fn apply(&self, message: &mut LogMessage, already: usize) {
         let fields = fields(message);
         let Some(field) = fields.iter().filter(|field| field.name == self.name).nth(self.element) else { return };
-        match self.change {
-            Change::Float(value) => field.set_float(&mut message.data, value),
-            Change::Whole(bits) => field.set(&mut message.data, bits),
-            Change::Times(by) => {
-                field.set_float(&mut message.data, field.float(&message.data).unwrap_or_default() * by)
-            }
-            Change::Plus(by) => field.set_float(&mut message.data, field.float(&message.data).unwrap_or_default() + by),
-            Change::Decay(by) => {
-                let now = field.float(&message.data).unwrap_or_default();
-                field.set_float(&mut message.data, now * by.powi(already.min(10_000) as i32));
-            }
-        }
+        let now = field.float(&message.data).unwrap_or_default();
+        let value = match self.change {
+            Change::Whole(bits) => return field.set(&mut message.data, bits),
+            Change::Float(value) => value,
+            Change::Times(by) => now * by,
+            Change::Plus(by) => now + by,
+            Change::Decay(by) => now * by.powi(already.min(10_000) as i32),
+        };
+        field.set_float(&mut message.data, value);
     }
 }
