@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::Mutex;
@@ -10,6 +11,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use realitysim::config::Settings;
+use rustix::process::{Pid, Signal, kill_process_group};
 use serde_json::Value;
 
 use crate::WORKER;
@@ -238,6 +240,8 @@ impl Worker {
             // Each thread's own arena would take addresses for nothing.
             .env("MALLOC_ARENA_MAX", "2")
             .env("RUST_BACKTRACE", "0")
+            // With what it has started itself, so that all of it can be ended.
+            .process_group(0)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -264,10 +268,16 @@ impl Worker {
         Self { child, lines, errors }
     }
 
+    fn kill(&self) {
+        if let Some(group) = Pid::from_raw(self.child.id() as i32) {
+            let _ = kill_process_group(group, Signal::KILL);
+        }
+    }
+
     /// How it ended, and what it said at last.
     fn ended(&mut self, kill: bool) -> String {
         if kill {
-            let _ = self.child.kill();
+            self.kill();
         }
         let status = self.child.wait().map_or_else(|error| error.to_string(), |status| status.to_string());
         let errors = std::mem::replace(&mut self.errors, std::thread::spawn(String::new));
@@ -277,7 +287,7 @@ impl Worker {
 
 impl Drop for Worker {
     fn drop(&mut self) {
-        let _ = self.child.kill();
+        self.kill();
         let _ = self.child.wait();
     }
 }

@@ -35,7 +35,10 @@ pub fn run(arguments: &[String]) {
         PANICS.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push(what);
     }));
     for number in first..first + count {
-        say(&json!({"begin": number}));
+        if say(&json!({"begin": number})).is_err() {
+            // Nobody wants to know any more.
+            return;
+        }
         let case_folder = folder.join("case");
         let _ = fs::remove_dir_all(&case_folder);
         fs::create_dir_all(&case_folder).expect("the folder can be written");
@@ -59,14 +62,14 @@ pub fn run(arguments: &[String]) {
                 line["what"] = json!(format!("{what}; damage: {}", case.story.join(", ")));
             }
         }
-        say(&line);
+        let _ = say(&line);
     }
 }
 
-fn say(line: &serde_json::Value) {
+fn say(line: &serde_json::Value) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
-    // Who reads this may be gone: then nobody wants to know.
-    let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+    writeln!(out, "{line}")?;
+    out.flush()
 }
 
 /// The largest memory is counted anew from here on, where the kernel lets it.
