@@ -60,6 +60,10 @@ pub fn run(case: &mut Case) -> Outcome {
         return Err(Finding::new(Class::Silent, "an index with a wrong checksum is sound"));
     }
     let Ok(gallery) = Gallery::open(&folder, &Settings::default().views) else { return Ok(Taken::Refused) };
+    if !checksum_is_right {
+        // A record's own checksum is that of its image, and says nothing of the pose beside it.
+        return Err(Finding::new(Class::Silent, "views are made from an index with a wrong checksum"));
+    }
     let draw = &mut case.draw;
     let mut any = false;
     for method in [Method::Exact, Method::Paper, Method::Nearest] {
