@@ -1,11 +1,12 @@
 //! A log, damaged as messages or as a file, through the whole agent; some of what it leaves, into the next start.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use mcap::{Compression, WriteOptions};
 use realitysim::config::Settings;
-use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::Stamp;
+use realitysim::ros2::{Channel, LogMessage};
 
 use crate::bytes;
 use crate::case::{Case, Outcome};
@@ -14,6 +15,7 @@ use crate::fields::Target;
 use crate::judge::{self, Judge};
 use crate::support::{CAMERA_INFO, IMAGE, IMU, INITIAL, ODOMETRY, TF, TF_STATIC, foreign_log, own_log, stamp_later};
 use crate::walks::{Truth, options, replayed};
+use crate::worker::forget_peak;
 
 const JOINTS: &str = "/joint_states";
 
@@ -25,6 +27,9 @@ pub fn run(case: &mut Case) -> Outcome {
     let mut truth = walk.truth.clone();
     let mut damage = Damage { truth: &mut truth, trusted: true, mirrored: which == 2 };
     let mut messages = walk.messages.clone();
+    if case.draw.chance(0.01) {
+        packed(case, &mut messages);
+    }
     if case.draw.chance(0.85) {
         for _ in 0..*case.draw.one_of(&[1, 1, 1, 2, 3]) {
             messages = damage.messages(case, messages);
@@ -33,9 +38,15 @@ pub fn run(case: &mut Case) -> Outcome {
     let Damage { trusted, mirrored, .. } = damage;
     let mut log = written(&mut case.draw, &messages);
     if case.draw.chance(0.25) {
-        bytes::damage(&mut case.draw, &mut log);
+        if case.draw.chance(0.5) {
+            bytes::damage(&mut case.draw, &mut log);
+        } else {
+            bytes::number(&mut case.draw, &mut log, false);
+        }
         case.tell("bytes of the file");
     }
+    // What it took to make the log is not the program's.
+    forget_peak();
     let source = case.write("log.mcap", log);
     let captures = case.path("captures");
     let options = options(source, captures.clone(), Settings::default());
@@ -57,6 +68,18 @@ pub fn after(case: &mut Case, captures: &std::path::Path) -> Outcome {
     let report = replayed(&options);
     // What the damaged one left of its own was judged before.
     judge::replay(&report, captures, Judge { truth: None, mirrored: true })
+}
+
+/// Messages of megabytes that pack to nothing.
+fn packed(case: &mut Case, messages: &mut Vec<LogMessage>) {
+    let mut message = messages[case.draw.below(messages.len())].clone();
+    let (count, megabytes) = *case.draw.one_of(&[(1, 1), (30, 1), (2, 60), (1, 120)]);
+    let keep = message.data.len().min(64);
+    message.data.truncate(keep);
+    message.data.resize(megabytes << 20, 0);
+    let at = case.draw.below(messages.len());
+    case.tell(format!("{count} messages of {megabytes} MB on {}", message.channel.topic));
+    messages.splice(at..at, std::iter::repeat_n(message, count));
 }
 
 fn written(draw: &mut Draw, messages: &[LogMessage]) -> Vec<u8> {
@@ -104,7 +127,7 @@ impl Damage<'_> {
         let before: Vec<Option<i64>> = messages.iter().map(stamp_of).collect();
         let count = hit.len();
         let draw = &mut case.draw;
-        let told = match draw.below(12) {
+        let told = match draw.below(13) {
             0..=5 => {
                 let Some(target) = Target::drawn(draw, &messages[first]) else { return messages };
                 hit.iter().enumerate().for_each(|(already, at)| target.apply(&mut messages[*at], already));
@@ -158,6 +181,25 @@ impl Damage<'_> {
                 }
                 case.tell(format!("{topic}: {} of {count}", ["left out", "twice", "elsewhere"][way]));
                 return messages;
+            }
+            11 => {
+                let known: Vec<String> = topics.into_iter().collect();
+                let mut channel = Channel::clone(&messages[first].channel);
+                match draw.below(5) {
+                    0 => channel.topic = draw.one_of(&known).clone(),
+                    1 => {
+                        channel.type_name =
+                            (*draw.one_of(&["", "sensor_msgs/msg/Imu", "sensor_msgs/Imu", "x"])).to_owned()
+                    }
+                    2 => channel.message_encoding = (*draw.one_of(&["", "json", "cdr"])).to_owned(),
+                    3 => channel.definition = draw.bytes(40).into(),
+                    _ => channel.schema_encoding = (*draw.one_of(&["", "ros2idl", "jsonschema"])).to_owned(),
+                }
+                // Under a number of its own, or in place of the old one.
+                channel.id = *draw.one_of(&[channel.id, 900]);
+                let channel = Arc::new(channel);
+                hit.iter().for_each(|at| messages[*at].channel = Arc::clone(&channel));
+                format!("channel {} of {} as {}", channel.topic, channel.type_name, channel.message_encoding)
             }
             _ if topic == IMAGE => {
                 let made = picture(draw);
@@ -233,6 +275,9 @@ pub fn picture(draw: &mut Draw) -> Vec<u8> {
             }
         }
     }
+    if draw.chance(0.3) {
+        return png(draw, &rgb, u32::from(width), u32::from(height));
+    }
     let mut bytes = Vec::new();
     let encoder = jpeg_encoder::Encoder::new(&mut bytes, 80);
     encoder.encode(&rgb, width, height, jpeg_encoder::ColorType::Rgb).expect("encodes");
@@ -245,6 +290,23 @@ pub fn picture(draw: &mut Draw) -> Vec<u8> {
                 bytes[at + 7..at + 9].copy_from_slice(&size.to_be_bytes());
             }
         }
+    }
+    bytes
+}
+
+/// Its head may say another size, with a right checksum.
+fn png(draw: &mut Draw, rgb: &[u8], width: u32, height: u32) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+    image::ImageEncoder::write_image(encoder, rgb, width, height, image::ExtendedColorType::Rgb8).expect("encodes");
+    if draw.chance(0.5) {
+        let size: u32 = *draw.one_of(&[0, 1, 4096, 16_384, 65_535, 0x7fff_ffff, 0xffff_ffff]);
+        bytes[16..20].copy_from_slice(&size.to_be_bytes());
+        if draw.chance(0.7) {
+            bytes[20..24].copy_from_slice(&size.to_be_bytes());
+        }
+        let checksum = crc32fast::hash(&bytes[12..29]).to_be_bytes();
+        bytes[29..33].copy_from_slice(&checksum);
     }
     bytes
 }

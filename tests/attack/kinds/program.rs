@@ -6,18 +6,21 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use realitysim::ros2::messages::CompressedImage;
+use glam::{DQuat, DVec3};
+use realitysim::geometry::Isometry;
+use realitysim::ros2::messages::{CompressedImage, PoseStamped};
 use serde_json::Value;
 
 use crate::bytes;
 use crate::case::{Case, Class, Finding, Outcome, Taken};
 use crate::judge::files;
-use crate::support::{IMAGE, LENS, decode_all};
+use crate::support::{IMAGE, LENS, TRUTH, decode_all};
 use crate::text;
 
 /// A little less than a case may take, so that the child does not outlive it.
 const MAX_RUN: Duration = Duration::from_secs(15);
-/// A robot's name for the folder of the capture.
+/// A good fit is no farther from the truth.
+const TRUSTED_M: f64 = 0.2;
 const CAPTURES: &str = "captures";
 
 /// What a run of the program left.
@@ -261,8 +264,7 @@ pub fn picture(case: &mut Case) -> Outcome {
     if !off_m.is_finite() {
         return Err(Finding::new(Class::NotFinite, format!("exit code 0, and no pose: {line}")));
     }
-    // The tilt that is told is not that of the gait.
-    if line["fit"] == "good" && !another_lens && (shows_nothing || off_m > 0.3) {
+    if line["fit"] == "good" && !another_lens && (shows_nothing || off_m > TRUSTED_M) {
         return Err(Finding::new(Class::Wrong, format!("a good fit {off_m:.2} m off: {line}")));
     }
     Ok(taken(&ran))

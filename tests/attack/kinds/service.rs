@@ -54,12 +54,19 @@ impl Drop for Served {
     }
 }
 
+/// As many as there are places for, and some more.
+const MANY: usize = 280;
+/// Megabytes of answer for a kilobyte of question.
+const LARGE: &str = "{\"z\": 0.5, \"pitch_deg\": 17, \"width\": 640, \"from\": {\"x\": -1.9, \"y\": 0.1, \"yaw_deg\": 5}, \
+                     \"to\": {\"x\": -1.7, \"y\": 0.1, \"yaw_deg\": 9}, \"count\": 100}";
+
 pub fn run(case: &mut Case) -> Outcome {
     let mut served = case.walks.service();
     let address = served.address;
-    let requests = requests(case);
+    let besieged = case.draw.chance(0.02);
+    let requests = if besieged { vec![costly(&mut case.draw)] } else { requests(case) };
     // So many at once; most are alone.
-    let clients = *case.draw.one_of(&[1, 1, 1, 1, 1, 1, 1, 8, 40]);
+    let clients = *case.draw.one_of(if besieged { &[40, MANY] } else { &[1, 1, 1, 1, 1, 1, 1, 8, 40] });
     let manner =
         *case.draw.one_of(&[Manner::Asks, Manner::Asks, Manner::Asks, Manner::Leaves, Manner::Stops, Manner::Drips]);
     case.tell(format!("{clients} clients, {manner:?}"));
@@ -176,6 +183,22 @@ fn asked(address: SocketAddr) -> std::io::Result<u16> {
     let head = String::from_utf8_lossy(&bytes[..bytes.len().min(40)]).into_owned();
     let status = head.split(' ').nth(1).and_then(|status| status.parse().ok());
     status.ok_or_else(|| std::io::Error::other(format!("no answer: {head:?}")))
+}
+
+/// Sound, and as dear as may be, to hold a place or a thread with.
+fn costly(draw: &mut Draw) -> Vec<u8> {
+    let view = "/v1/view?x=-1.9&y=0.12&z=0.5&yaw_deg=7&pitch_deg=17&width=4096&height=4096&outside=warn";
+    let head = "HTTP/1.1\r\nHost: localhost\r\nConnection: keep-alive\r\n";
+    let request = match draw.below(4) {
+        0 => format!("GET /v1/info {head}\r\n"),
+        1 => format!("GET {view} {head}Accept: application/octet-stream\r\n\r\n"),
+        2 => format!("GET {view} {head}Accept: image/png\r\n\r\n"),
+        _ => {
+            let length = LARGE.len();
+            format!("POST /v1/views {head}Content-Type: application/json\r\nContent-Length: {length}\r\n\r\n{LARGE}")
+        }
+    };
+    request.into_bytes()
 }
 
 fn shown(requests: &[Vec<u8>]) -> String {
