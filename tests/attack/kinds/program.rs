@@ -252,15 +252,15 @@ pub fn picture(case: &mut Case) -> Outcome {
     case.write("lens.toml", lens);
     // To search a whole field takes long.
     let near = if case.draw.chance(0.8) { "--initial=-1.96,0.1,3" } else { "" };
-    let ran =
-        run(case, &format!("tag picture --lens lens.toml --attitude 0,17 --height 0.49 --field kid-2009 {near}"))?;
+    let truth =
+        decode_all::<PoseStamped>(&case.walks.all[0].messages, TRUTH).into_iter().next().expect("of every frame");
+    let (p, q) = (truth.pose.position, truth.pose.orientation);
+    let euler = Isometry::new(DQuat::from_xyzw(q.x, q.y, q.z, q.w), DVec3::new(p.x, p.y, p.z)).euler();
+    let tilt = format!("--attitude={:.3},{:.3} --height {:.4}", euler.roll.to_degrees(), euler.pitch.to_degrees(), p.z);
+    let ran = run(case, &format!("tag picture --lens lens.toml {tilt} --field kid-2009 {near}"))?;
     let Some(line) = ran.output.first().filter(|_| ran.code == 0) else { return Ok(taken(&ran)) };
     let [x, y] = ["x", "y"].map(|name| line["best"]["pose"][name].as_f64().unwrap_or(f64::NAN));
-    let truth = case.walks.all[0].truth.values().next().expect("a frame");
-    let off_m = [1.0, -1.0]
-        .map(|sign| f64::hypot(x - sign * truth[0], y - sign * truth[1]))
-        .into_iter()
-        .fold(f64::NAN, f64::min);
+    let off_m = [1.0, -1.0].map(|sign| f64::hypot(x - sign * p.x, y - sign * p.y)).into_iter().fold(f64::NAN, f64::min);
     if !off_m.is_finite() {
         return Err(Finding::new(Class::NotFinite, format!("exit code 0, and no pose: {line}")));
     }
