@@ -34,7 +34,10 @@ pub fn run(arguments: &[String]) {
         let what = panic.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
         PANICS.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push(what);
     }));
-    for number in first..first + count {
+    let only = std::env::var("REALITYSIM_ATTACK_KIND").ok();
+    for number in
+        (first..first + count).filter(|number| only.as_ref().is_none_or(|only| kinds::of(*number).name == only))
+    {
         if say(&json!({"begin": number})).is_err() {
             // Nobody wants to know any more.
             return;
