@@ -9,6 +9,7 @@ use super::channels::{Channels, Selection};
 use super::chunk::nanoseconds;
 use super::error::{Damage, MAGIC, ReadError};
 use super::fields::Fields;
+use super::lengths::parse_record;
 use super::source::{Record, Source};
 use super::summary::Summary;
 
@@ -163,7 +164,7 @@ pub(super) fn metadata<R: Read + Seek>(
             damage.bad_record(record.offset, record.bytes(), "metadata that is too large");
             continue;
         }
-        match mcap::parse_record(op::METADATA, &body) {
+        match parse_record(op::METADATA, &body) {
             Ok(Parsed::Metadata(record)) => found.push(MetadataRecord { name: record.name, values: record.metadata }),
             Ok(_) => {}
             Err(error) => damage.bad_record(record.offset, record.bytes(), &format!("metadata: {error}")),

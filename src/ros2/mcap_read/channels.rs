@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use mcap::records::{self, Record, op};
 
+use super::lengths::parse_record;
 use crate::ros2::messages::Message;
 
 /// All definitions of a log together: real ones take some kilobytes.
@@ -110,7 +111,7 @@ impl Definition {
         if !matches!(opcode, op::SCHEMA | op::CHANNEL) {
             return Ok(None);
         }
-        match mcap::parse_record(opcode, body) {
+        match parse_record(opcode, body) {
             Ok(Record::Schema { header, data }) => {
                 let schema = Schema { name: header.name, encoding: header.encoding, definition: data.as_ref().into() };
                 Ok(Some(Self::Schema { id: header.id, schema }))

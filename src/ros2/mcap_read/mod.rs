@@ -7,6 +7,7 @@ mod error;
 mod fields;
 mod file_order;
 mod index_order;
+mod lengths;
 mod resync;
 mod sound;
 mod source;

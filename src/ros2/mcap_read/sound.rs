@@ -10,6 +10,7 @@ use super::channels::{Channel, Channels, Definition, Selection};
 use super::chunk::{MAX_CHUNK_BYTES, header, message};
 use super::error::{MAGIC, ReadError};
 use super::fields::Fields;
+use super::lengths::parse_record;
 use super::source::{Record, Source};
 use super::{LogMessage, MAX_METADATA_BYTES};
 
@@ -94,7 +95,7 @@ fn piece<R: Read + Seek>(
     let read = match record.opcode {
         op::CHUNK => parts(&body, channels).map(Piece::Chunk),
         op::ATTACHMENT => parse(&body).map(Piece::Attachment),
-        _ => match mcap::parse_record(op::METADATA, &body) {
+        _ => match parse_record(op::METADATA, &body) {
             Ok(Parsed::Metadata(found)) => {
                 Ok(Piece::Metadata(MetadataRecord { name: found.name, values: found.metadata }))
             }

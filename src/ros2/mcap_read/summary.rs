@@ -7,6 +7,7 @@ use mcap::records::{AttachmentIndex, ChunkIndex, MetadataIndex, Record as Parsed
 use super::channels::{Channels, Definition};
 use super::error::{Damage, MAGIC, ReadError};
 use super::fields::Fields;
+use super::lengths::parse_record;
 use super::source::{RECORD_HEAD_BYTES, Record, Source};
 
 /// A summary that is larger is not used: an hour of chunks takes about a megabyte.
@@ -81,7 +82,7 @@ impl Summary {
                     }
                 }
                 op::CHUNK_INDEX | op::ATTACHMENT_INDEX | op::METADATA_INDEX | op::STATISTICS => {
-                    match mcap::parse_record(opcode, body).map_err(|error| error.to_string())? {
+                    match parse_record(opcode, body)? {
                         Parsed::ChunkIndex(index) => summary.chunks.push(index),
                         Parsed::AttachmentIndex(index) => summary.attachments.push(index),
                         Parsed::MetadataIndex(index) => summary.metadata.push(index),

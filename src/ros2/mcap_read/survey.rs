@@ -11,6 +11,7 @@ use super::channels::{Channel, Channels, Selection};
 use super::chunk::nanoseconds;
 use super::error::{Damage, ReadError};
 use super::fields::Fields;
+use super::lengths::parse_record;
 use super::source::{Record, Source};
 use super::summary::Summary;
 use super::{LogReader, Order};
@@ -190,7 +191,7 @@ fn indexed_times<R: Read + Seek>(
     }
     let mut body = Vec::new();
     source.read_at(record.body(), record.length, &mut body)?;
-    let Ok(Parsed::MessageIndex(index)) = mcap::parse_record(op::MESSAGE_INDEX, &body) else { return Ok(None) };
+    let Ok(Parsed::MessageIndex(index)) = parse_record(op::MESSAGE_INDEX, &body) else { return Ok(None) };
     let span = chunk.message_start_time..=chunk.message_end_time;
     if index.channel_id != channel || index.records.iter().any(|entry| !span.contains(&entry.log_time)) {
         return Ok(None);
