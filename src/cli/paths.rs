@@ -5,12 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::inputs::with_what_they_name;
 use super::settings::UsageError;
-<<<<<<< HEAD
 use crate::plain_file;
-use crate::recording::session_holding;
-=======
 use crate::recording::{cannot_be_made, session_holding};
->>>>>>> words
 use crate::sensors::video_out::is_device_name;
 
 /// Refuses to write into a capture, which is never changed once it is there, over what is being read (the inputs and whatever

@@ -8,12 +8,8 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
-<<<<<<< HEAD
-use crate::geometry::lens::{MAX_PIXELS, MAX_SIDE, is_image_size};
-=======
 use super::file_kind::{FileKind, START_BYTES};
-use crate::geometry::lens::MAX_SIDE;
->>>>>>> words
+use crate::geometry::lens::{MAX_PIXELS, MAX_SIDE, is_image_size};
 use crate::ros2::cdr::CdrError;
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CompressedImageView, ImageView};

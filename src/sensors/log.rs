@@ -1,13 +1,7 @@
 //! A recorded log as the source of everything: one MCAP file, or a folder of them (a ROS 2 bag, a capture).
 
-<<<<<<< HEAD
 use std::fs::File;
-use std::io::BufReader;
-=======
-use std::fs::{File, OpenOptions};
 use std::io::{self, BufReader, Read};
-use std::os::unix::fs::OpenOptionsExt;
->>>>>>> words
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
