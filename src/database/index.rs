@@ -215,6 +215,8 @@ mod tests {
             Record { place: [f32::NAN, 0.0, 0.5], ..record_at(0.0, 0.0, 0.5, 0.0) },
             Record { place: [0.0, f32::INFINITY, 0.5], ..record_at(0.0, 0.0, 0.5, 0.0) },
             Record { rotation: [0.0; 4], ..record_at(0.0, 0.0, 0.5, 0.0) },
+            Record { sigma_m: f32::INFINITY, ..record_at(0.0, 0.0, 0.5, 0.0) },
+            Record { sigma_rad: -1.0, ..record_at(0.0, 0.0, 0.5, 0.0) },
         ] {
             write_index(&path, vec![wild]).expect("written");
             let said = Index::open(&path).expect_err("wild").to_string();

@@ -46,7 +46,9 @@ const ASSUMED: TagError = TagError { position_m: 0.01, rotation_rad: 0.25 * core
 impl Physical for Record {
     fn is_possible(&self) -> bool {
         let length = self.rotation.iter().map(|part| f64::from(*part).powi(2)).sum::<f64>().sqrt();
-        self.place.iter().all(|metres| f64::from(*metres).is_possible()) && (0.99..1.01).contains(&length)
+        // As far as a tag can be off in any hall; 0 is said of poses whose accuracy nobody knows.
+        let sigmas = [self.sigma_m, self.sigma_rad].iter().all(|sigma| (0.0..=1000.0).contains(sigma));
+        sigmas && self.place.iter().all(|metres| f64::from(*metres).is_possible()) && (0.99..1.01).contains(&length)
     }
 }
 

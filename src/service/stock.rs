@@ -272,12 +272,14 @@ fn provenance(gallery: &Gallery, shown: &Shown, channels: usize) -> Vec<(&'stati
         ("realitysim-sources", Value::from(sources).to_string()),
         ("realitysim-valid-share", format!("{:.4}", answer.valid_share)),
         ("realitysim-sure-share", format!("{:.4}", answer.sure_share)),
-        ("realitysim-expected-error-px", format!("{:.3}", answer.expected_error_px)),
         ("realitysim-width", answer.image.width.to_string()),
         ("realitysim-height", answer.image.height.to_string()),
         ("realitysim-channels", channels.to_string()),
         ("realitysim-index", gallery.catalogue().index.to_string()),
     ];
+    if let Some(pixels) = answer.expected_error_of_known_px() {
+        headers.push(("realitysim-expected-error-px", format!("{pixels:.3}")));
+    }
     if !shown.unreadable.is_empty() {
         headers.push(("realitysim-unreadable", shown.unreadable.len().to_string()));
     }

@@ -87,7 +87,8 @@ fn its_paths_answer_as_it_says_and_send_the_headers_that_it_names() {
             assert!(good["content"].get(kind).is_some(), "{path}: {kind} is not in the document");
             let stated: BTreeSet<&str> =
                 good["headers"].as_object().into_iter().flatten().map(|(name, _)| name.as_str()).collect();
-            let only_sometimes = ["realitysim-effects", "realitysim-warning", "realitysim-unreadable"];
+            let only_sometimes =
+                ["realitysim-expected-error-px", "realitysim-effects", "realitysim-warning", "realitysim-unreadable"];
             let always = stated.iter().filter(|name| !only_sometimes.contains(name));
             always.for_each(|name| assert!(answer.headers.contains_key(*name), "{path}: {name} is not sent"));
             let sent = answer.headers.keys().filter(|name| name.starts_with("realitysim-"));

@@ -48,7 +48,8 @@ class View:
     """Images it was made of: source, stamp_ns, distance_m, angle_deg, share."""
     valid_share: float
     sure_share: float
-    expected_error_px: float
+    expected_error_px: Optional[float]
+    """Of known geometry; None where none is shown."""
     mask: Optional[np.ndarray] = None
     """height x width, uint8, with mask="alpha"."""
     warning: Optional[str] = None
@@ -179,6 +180,7 @@ def _error(status: int, content: bytes) -> RealitySimError:
 
 def _view(headers: Mapping[str, str], body: bytes) -> View:
     width, height, channels = (int(headers[f"realitysim-{name}"]) for name in ("width", "height", "channels"))
+    error = headers.get("realitysim-expected-error-px")
     pixels = np.frombuffer(body, dtype=np.uint8).reshape(height, width, channels)
     return View(
         image=pixels[:, :, 0] if channels == 1 else pixels[:, :, :3],
@@ -187,7 +189,7 @@ def _view(headers: Mapping[str, str], body: bytes) -> View:
         sources=json.loads(headers["realitysim-sources"]),
         valid_share=float(headers["realitysim-valid-share"]),
         sure_share=float(headers["realitysim-sure-share"]),
-        expected_error_px=float(headers["realitysim-expected-error-px"]),
+        expected_error_px=float(error) if error else None,
         warning=headers.get("realitysim-warning"),
         headers=headers,
     )

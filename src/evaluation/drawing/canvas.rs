@@ -124,26 +124,24 @@ impl Canvas {
 
     /// `at` is the left end of the baseline.
     pub(super) fn text(&mut self, at: DVec2, size: f64, colour: [u8; 3], words: &str) {
-        text::rasterise(at, size, words, |x, y, coverage| self.blend(x, y, colour, coverage));
+        self.words(Transform::from_translate(at.x as f32, at.y as f32), size, colour, words);
     }
 
     /// Turned a quarter to the left; `at` is the lower end of the baseline.
     pub(super) fn text_upwards(&mut self, at: DVec2, size: f64, colour: [u8; 3], words: &str) {
-        let turned = DVec2::new(-at.y, at.x);
-        // The pixel between -x - 1 and -x: its left top corner is meant.
-        text::rasterise(turned, size, words, |x, y, coverage| self.blend(y, -x - 1, colour, coverage));
+        self.words(Transform::from_row(0.0, -1.0, 1.0, 0.0, at.x as f32, at.y as f32), size, colour, words);
     }
 
-    fn blend(&mut self, x: i32, y: i32, colour: [u8; 3], coverage: f32) {
-        let (width, height) = (self.pixmap.width() as usize, self.pixmap.height() as usize);
-        let (Ok(x), Ok(y)) = (usize::try_from(x), usize::try_from(y)) else { return };
-        if x >= width || y >= height {
-            return;
-        }
-        let start = (y * width + x) * 4;
-        for (to, from) in self.pixmap.data_mut()[start..start + 3].iter_mut().zip(colour) {
-            let mixed = f32::from(*to) + (f32::from(from) - f32::from(*to)) * coverage;
-            *to = mixed.round() as u8;
+    fn words(&mut self, placed: Transform, size: f64, colour: [u8; 3], words: &str) {
+        if let Some(path) = text::outline(size, words).and_then(|path| path.transform(placed)) {
+            let bounds = path.bounds();
+            if [bounds.left(), bounds.top(), bounds.right(), bounds.bottom()]
+                .iter()
+                .all(|edge| f64::from(edge.abs()) < FARTHEST)
+            {
+                let ink = Ink::solid(colour).paint();
+                self.pixmap.fill_path(&path, &ink, FillRule::Winding, Transform::identity(), None);
+            }
         }
     }
 

@@ -1,35 +1,38 @@
-//! Words as pixels: DejaVu Sans, so that pictures look the same on every computer.
+//! Words as outlines: DejaVu Sans, so that pictures look the same on every computer.
 
 use std::sync::LazyLock;
 
-use ab_glyph::{Font, FontRef, Glyph, PxScale, ScaleFont, point};
-use glam::DVec2;
+use skrifa::instance::{LocationRef, Size};
+use skrifa::outline::{DrawSettings, OutlinePen};
+use skrifa::{FontRef, GlyphId, MetadataProvider};
+use tiny_skia::{Path, PathBuilder};
 
 /// Without a font there are no words; the shipped one always loads.
-static FONT: LazyLock<Option<FontRef<'static>>> =
-    LazyLock::new(|| FontRef::try_from_slice(dejavu::sans::regular()).ok());
+static FONT: LazyLock<Option<FontRef<'static>>> = LazyLock::new(|| FontRef::new(dejavu::sans::regular()).ok());
 
 /// Smaller letters are only dirt.
 const SMALLEST: f64 = 4.0;
 /// No picture is wide enough for more.
 const MOST_LETTERS: usize = 1_000;
 
-/// Calls `pixel(x, y, coverage)` for every pixel touched; `at` is the left end of the baseline.
-pub(super) fn rasterise(at: DVec2, size: f64, words: &str, mut pixel: impl FnMut(i32, i32, f32)) {
-    let Some(font) = FONT.as_ref() else { return };
-    if !at.is_finite() {
-        return;
+/// Their outlines; the left end of the baseline is at (0, 0), y points down. `size` is from the highest letter's top to the
+/// lowest one's bottom, pixels.
+pub(super) fn outline(size: f64, words: &str) -> Option<Path> {
+    let font = FONT.as_ref()?;
+    let (letters, em, _) = letters(size, words)?;
+    let (outlines, mut pen) = (font.outline_glyphs(), Pen { path: PathBuilder::new(), x: 0.0 });
+    for (letter, x) in letters {
+        pen.x = x;
+        let settings = DrawSettings::unhinted(Size::new(em), LocationRef::default());
+        // A letter that the font cannot draw is left out.
+        let _ = outlines.get(letter).map(|outline| outline.draw(settings, &mut pen));
     }
-    for glyph in glyphs(size, words).0 {
-        let Some(outline) = font.outline_glyph(shifted(glyph, at)) else { continue };
-        let corner = outline.px_bounds().min;
-        outline.draw(|x, y, coverage| pixel(corner.x as i32 + x as i32, corner.y as i32 + y as i32, coverage.min(1.0)));
-    }
+    pen.path.finish()
 }
 
 /// How far the words reach to the right.
 pub(super) fn width(size: f64, words: &str) -> f64 {
-    glyphs(size, words).1
+    letters(size, words).map_or(0.0, |(_, _, width)| f64::from(width))
 }
 
 /// Lines no wider than `room`, broken between words; a longer word has a line of its own and sticks out.
@@ -47,23 +50,45 @@ pub(super) fn wrap(size: f64, words: &str, room: f64) -> Vec<String> {
     lines
 }
 
-fn glyphs(size: f64, words: &str) -> (Vec<Glyph>, f64) {
-    let Some(font) = FONT.as_ref().filter(|_| size >= SMALLEST) else { return (Vec::new(), 0.0) };
-    let scale = PxScale::from(size as f32);
-    let scaled = font.as_scaled(scale);
-    let (mut glyphs, mut x, mut last) = (Vec::new(), 0.0, None);
+/// Each with the place where it begins, then the font's size in pixels per em, and where the last one ends.
+fn letters(size: f64, words: &str) -> Option<(Vec<(GlyphId, f32)>, f32, f32)> {
+    let font = FONT.as_ref().filter(|_| size >= SMALLEST)?;
+    let whole = font.metrics(Size::unscaled(), LocationRef::default());
+    let em = size as f32 * f32::from(whole.units_per_em) / (whole.ascent - whole.descent);
+    let (characters, widths) = (font.charmap(), font.glyph_metrics(Size::new(em), LocationRef::default()));
+    let (mut letters, mut x) = (Vec::new(), 0.0);
     for letter in words.chars().filter(|letter| !letter.is_control()).take(MOST_LETTERS) {
-        let id = scaled.glyph_id(letter);
-        x += last.map_or(0.0, |last| scaled.kern(last, id));
-        glyphs.push(id.with_scale_and_position(scale, point(x, 0.0)));
-        x += scaled.h_advance(id);
-        last = Some(id);
+        let id = characters.map(letter).unwrap_or(GlyphId::NOTDEF);
+        letters.push((id, x));
+        x += widths.advance_width(id).unwrap_or(0.0);
     }
-    (glyphs, f64::from(x))
+    Some((letters, em, x))
 }
 
-fn shifted(mut glyph: Glyph, by: DVec2) -> Glyph {
-    glyph.position.x += by.x as f32;
-    glyph.position.y += by.y as f32;
-    glyph
+/// Puts letters one behind the other; fonts have y upwards.
+struct Pen {
+    path: PathBuilder,
+    x: f32,
+}
+
+impl OutlinePen for Pen {
+    fn move_to(&mut self, x: f32, y: f32) {
+        self.path.move_to(self.x + x, -y);
+    }
+
+    fn line_to(&mut self, x: f32, y: f32) {
+        self.path.line_to(self.x + x, -y);
+    }
+
+    fn quad_to(&mut self, cx: f32, cy: f32, x: f32, y: f32) {
+        self.path.quad_to(self.x + cx, -cy, self.x + x, -y);
+    }
+
+    fn curve_to(&mut self, ax: f32, ay: f32, bx: f32, by: f32, x: f32, y: f32) {
+        self.path.cubic_to(self.x + ax, -ay, self.x + bx, -by, self.x + x, -y);
+    }
+
+    fn close(&mut self) {
+        self.path.close();
+    }
 }
