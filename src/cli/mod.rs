@@ -228,8 +228,7 @@ mod tests {
                 help.lines().map(str::trim).skip_while(|line| !line.starts_with("Example")).skip(1).collect();
             assert!(!examples.is_empty(), "{name} --help has no example:\n{help}");
             for example in examples {
-                let is_of_it = example.starts_with(name) || !command.has_subcommands();
-                assert!(is_of_it && example.starts_with("realitysim "), "{name}: {example}");
+                assert!(example.starts_with(name), "{name}: {example}");
                 // Words in quotes have no blanks for the parser.
                 let words = example.split('"').enumerate().flat_map(|(index, part)| match index % 2 {
                     0 => part.split_whitespace().map(str::to_owned).collect(),
