@@ -100,7 +100,7 @@ fn judged(arguments: &CheckArguments, mut suite: Suite, json: bool) -> anyhow::R
     }
     for case in &report.cases {
         case.warnings.iter().for_each(|warning| eprintln!("realitysim: warning: {}: {warning}", case.name));
-        faults(case).iter().for_each(|fault| eprintln!("realitysim: {}: {fault}", case.name));
+        faults(case).iter().for_each(|fault| output::say(&format!("{}: {fault}", case.name)));
     }
     Ok(match (passed, kept) {
         (true, _) => Outcome::Whole,

@@ -149,7 +149,7 @@ fn add(arguments: &AddArguments, json: bool) -> anyhow::Result<Outcome> {
 fn report_added(added: &Added, db: &Path, json: bool) -> anyhow::Result<Outcome> {
     output::losses(&added.losses);
     for empty in &added.empty {
-        eprintln!("realitysim: nothing came of {empty}");
+        output::say(&format!("nothing came of {empty}"));
     }
     if json {
         output::json(added)?;

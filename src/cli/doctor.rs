@@ -54,5 +54,6 @@ pub fn run(arguments: &DoctorArguments, json: bool) -> anyhow::Result<Outcome> {
 
 fn for_people(finding: &Finding) -> String {
     let Finding { what, good, said, remedy } = finding;
+    let said = output::in_our_words(said);
     if *good { format!("+ {what}: {said}") } else { format!("- {what}: {said}\n    {remedy}") }
 }

@@ -154,7 +154,7 @@ pub fn run() -> ExitCode {
         Ok(Outcome::NotReached) => ExitCode::from(1),
         Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("realitysim: {}", told(&error));
+            output::say(&told(&error));
             ExitCode::from(if is_usage(&error) { 2 } else { 1 })
         }
     }
@@ -163,7 +163,7 @@ pub fn run() -> ExitCode {
 /// The causes in a row; many errors say their cause themselves, which is not said again.
 fn told(error: &anyhow::Error) -> String {
     let mut text = String::new();
-    for cause in error.chain().map(|cause| in_our_words(cause.to_string().trim_end())) {
+    for cause in error.chain().map(|cause| output::in_our_words(cause.to_string().trim_end())) {
         if text.is_empty() {
             text = cause;
         } else if !text.contains(&cause) {
@@ -171,21 +171,6 @@ fn told(error: &anyhow::Error) -> String {
         }
     }
     text
-}
-
-/// The system's words for what people meet most often, and the number behind them.
-const SYSTEM: [(&str, &str); 7] = [
-    ("No such file or directory (os error 2)", "there is no such file or folder"),
-    ("Permission denied (os error 13)", "its permissions do not allow that"),
-    ("Not a directory (os error 20)", "a part of its path is a file, not a folder"),
-    ("Is a directory (os error 21)", "it is a folder, and a file is needed"),
-    ("No space left on device (os error 28)", "the disk is full"),
-    ("Read-only file system (os error 30)", "the disk can only be read"),
-    ("File name too long (os error 36)", "its name is longer than any file's can be"),
-];
-
-fn in_our_words(text: &str) -> String {
-    SYSTEM.iter().fold(text.to_owned(), |text, (theirs, ours)| text.replace(theirs, ours))
 }
 
 /// A config or an argument is wrong, rather than the world.
@@ -243,8 +228,7 @@ mod tests {
                 help.lines().map(str::trim).skip_while(|line| !line.starts_with("Example")).skip(1).collect();
             assert!(!examples.is_empty(), "{name} --help has no example:\n{help}");
             for example in examples {
-                let is_of_it = example.starts_with(name) || !command.has_subcommands();
-                assert!(is_of_it && example.starts_with("realitysim "), "{name}: {example}");
+                assert!(example.starts_with(name), "{name}: {example}");
                 // Words in quotes have no blanks for the parser.
                 let words = example.split('"').enumerate().flat_map(|(index, part)| match index % 2 {
                     0 => part.split_whitespace().map(str::to_owned).collect(),

@@ -71,7 +71,7 @@ impl Transfer {
     }
 
     pub fn say(&self, what: &str) {
-        self.bar.suspend(|| eprintln!("realitysim: {what}"));
+        self.bar.suspend(|| say(what));
     }
 
     pub fn set(&mut self, done: u64, total: u64) {
@@ -124,8 +124,28 @@ pub fn lines(text: &str) -> anyhow::Result<()> {
 /// What could not be had, on standard error.
 pub fn losses(losses: &[Loss]) {
     for loss in losses {
-        eprintln!("realitysim: {loss}");
+        say(&loss.to_string());
     }
+}
+
+/// On standard error, for people.
+pub fn say(text: &str) {
+    eprintln!("realitysim: {}", in_our_words(text));
+}
+
+/// The system's words for what people meet most often, and the number behind them.
+const SYSTEM: [(&str, &str); 7] = [
+    ("No such file or directory (os error 2)", "there is no such file or folder"),
+    ("Permission denied (os error 13)", "its permissions do not allow that"),
+    ("Not a directory (os error 20)", "a part of its path is a file, not a folder"),
+    ("Is a directory (os error 21)", "it is a folder, and a file is needed"),
+    ("No space left on device (os error 28)", "the disk is full"),
+    ("Read-only file system (os error 30)", "the disk can only be read"),
+    ("File name too long (os error 36)", "its name is longer than any file's can be"),
+];
+
+pub fn in_our_words(text: &str) -> String {
+    SYSTEM.iter().fold(text.to_owned(), |text, (theirs, ours)| text.replace(theirs, ours))
 }
 
 /// A row of a table of errors; `None` if nothing was measured.

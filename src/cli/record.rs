@@ -57,7 +57,7 @@ pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
         socket: arguments.socket.clone(),
     };
     let stop = stop_flag()?;
-    let status = record(&options, &stop, &mut |said| eprintln!("realitysim: {said}"))?;
+    let status = record(&options, &stop, &mut output::say)?;
     if json {
         output::json(&status)?;
     } else {

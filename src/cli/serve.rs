@@ -91,7 +91,7 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
             output::lines(&format!("{images} images on http://{address}"))
         };
     };
-    serve(options, &stop, ready, |said| eprintln!("realitysim: {said}"))?;
+    serve(options, &stop, ready, output::say)?;
     Ok(Outcome::Whole)
 }
 

@@ -178,13 +178,13 @@ fn outcome(report: &Report, stopped: bool) -> Outcome {
 
 fn tell(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
     for it in &report.set_aside {
-        eprintln!("realitysim: set aside: {it}");
+        output::say(&format!("set aside: {it}"));
     }
     for (path, who) in &report.elsewhere {
         eprintln!("realitysim: {}: gone there; {} has it", path.display(), who.join(", "));
     }
     for it in &report.lost {
-        eprintln!("realitysim: lost: {it}");
+        output::say(&format!("lost: {it}"));
     }
     for (robot, machines) in &report.namesakes {
         let robot = output::plain(robot);

@@ -196,7 +196,7 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&told(&report))?;
     }
     for what in report.unreadable.iter().take(MOST_TOLD).chain(&report.warning) {
-        eprintln!("realitysim: {what}");
+        output::say(what);
     }
     if report.unreadable.len() > MOST_TOLD {
         let more = report.unreadable.len() - MOST_TOLD;

@@ -22,7 +22,7 @@ pub enum EvaluationError {
     #[error(transparent)]
     Log(#[from] LogError),
     #[error("{path}: no message on {topic}: {hint}{}", loss.as_ref().map(|l| format!(" ({l})")).unwrap_or_default())]
-    NoMessages { path: String, topic: String, hint: &'static str, loss: Option<Loss> },
+    NoMessages { path: String, topic: String, hint: Box<str>, loss: Option<Loss> },
     #[error("{path}: {topic}: {source}")]
     Message { path: String, topic: String, source: CdrError },
     #[error(
@@ -146,8 +146,25 @@ fn read_topic(path: &Path, name: &str, hint: &'static str) -> Result<Readout<Log
     if !found.is_empty() {
         return Ok(Readout { found, losses, warnings: Vec::new() });
     }
+    let hint = if name == topic::FRAME_TAG { hint.to_owned() } else { format!("{hint}{}", poses_in(path)) };
     let (path, topic) = (path.display().to_string(), name.to_owned());
+    let hint = hint.into_boxed_str();
     Err(EvaluationError::NoMessages { path, topic, hint, loss: losses.into_iter().next() })
+}
+
+const POSE_TYPES: [&str; 3] = [PoseStamped::TYPE, PoseWithCovarianceStamped::TYPE, Odometry::TYPE];
+
+/// Which topics of a log could have been meant, behind a colon.
+fn poses_in(path: &Path) -> String {
+    let surveys = log::files_of(path).and_then(|files| log::surveys(&files)).unwrap_or_default();
+    let types = log::topic_types(&surveys);
+    let is_pose = |kinds: &std::collections::BTreeSet<String>| POSE_TYPES.iter().any(|kind| kinds.contains(*kind));
+    let topics: Vec<&str> = types.iter().filter(|(_, kinds)| is_pose(kinds)).map(|(topic, _)| topic.as_str()).collect();
+    if topics.is_empty() {
+        "; it holds no poses at all".to_owned()
+    } else {
+        format!(": it holds poses on {}", topics.join(", "))
+    }
 }
 
 /// With the covariance of those types that have one; else it is zero. And in which frame it says that it is, and of which.

@@ -10,12 +10,11 @@ pub const START_BYTES: usize = 16;
 pub struct FileKind(String);
 
 /// Offset of the bytes, the bytes, what they say, and what can be done with such a file.
-const KINDS: [(usize, &[u8], &str, &str); 20] = [
+const KINDS: [(usize, &[u8], &str, &str); 19] = [
     (0, b"\x89MCAP0\r\n", "an MCAP log", "`realitysim replay` takes it"),
     (0, b"\xff\xd8\xff", "a JPEG picture", "`realitysim tag` finds the pose of a single picture"),
     (0, b"\x89PNG", "a PNG picture", "`realitysim tag` finds the pose of a single picture"),
     (0, b"GIF8", "a GIF picture", "make a JPEG or PNG of it"),
-    (0, b"BM", "a BMP picture", "make a JPEG or PNG of it"),
     (8, b"WEBP", "a WebP picture", "make a JPEG or PNG of it"),
     (4, b"ftyp", "an MP4 video", "record a ROS 2 MCAP log with odometry and IMU"),
     (8, b"AVI ", "an AVI video", "record a ROS 2 MCAP log with odometry and IMU"),

@@ -7,7 +7,7 @@ use super::support::{CAPTURES, Room, session_name};
 /// The call, its exit code, and what the message says.
 type Wrong = (&'static str, i32, &'static [&'static str]);
 
-const WRONG: [Wrong; 58] = [
+const WRONG: [Wrong; 60] = [
     // Names.
     ("replya log.mcap -o out", 2, &["unrecognized subcommand 'replya'", "replay"]),
     ("replay log.mcap -o out --feild kid-2009", 2, &["--feild", "--field"]),
@@ -55,6 +55,16 @@ const WRONG: [Wrong; 58] = [
     ("refine captures", 1, &["session.json; name the capture in it, captures/2"]),
     ("play captures --video out.mjpeg", 1, &["name the capture in it, captures/2"]),
     ("replay folder -o out", 1, &["the folder holds no .mcap file", "a capture's"]),
+    (
+        "eval captures/SESSION --truth log.mcap --truth-topic /nope",
+        1,
+        &["no message on /nope", "it holds poses on", "/odom"],
+    ),
+    (
+        "eval captures/SESSION --truth log.mcap --poses /nope",
+        1,
+        &["no message on /nope", "it holds poses on", "/camera/pose"],
+    ),
     ("sessions show 1999", 2, &["1999"]),
     // What is not there.
     ("replay none.mcap -o out", 1, &["none.mcap: there is no such file or folder"]),
@@ -91,7 +101,7 @@ fn a_wrong_call_is_told_what_would_be_right() {
     fs::create_dir(room.path("folder")).expect("a folder");
     image::RgbImage::new(32, 24).save(room.path("picture.jpg")).expect("saved");
     for (call, code, words) in WRONG {
-        let run = room.run(call).fails(code, words);
+        let run = room.run(&call.replace("captures/SESSION", &session)).fails(code, words);
         for never in ["os error", "usize", "invalid digit", "invalid float", "socket address syntax", "[7", "[f"] {
             assert!(!run.stderr.contains(never), "{never:?} in {run:?}");
         }

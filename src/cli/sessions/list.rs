@@ -111,7 +111,7 @@ pub fn run(arguments: &ListArguments, json: bool) -> anyhow::Result<Outcome> {
     let folder = arguments.captures.folder()?;
     let (rows, strange) = rows(&folder)?;
     for why in &strange {
-        eprintln!("realitysim: set aside: {why}");
+        output::say(&format!("set aside: {why}"));
     }
     if json {
         output::json(&rows)?;
@@ -126,7 +126,7 @@ pub fn run(arguments: &ListArguments, json: bool) -> anyhow::Result<Outcome> {
         text.push_str(&line(row, width));
     }
     for row in &rows {
-        row.set_aside.iter().for_each(|why| eprintln!("realitysim: set aside: {why}"));
+        row.set_aside.iter().for_each(|why| output::say(&format!("set aside: {why}")));
     }
     output::lines(text.trim_end())?;
     Ok(Outcome::Whole)
