@@ -17,10 +17,11 @@ use serde_json::Value;
 use crate::WORKER;
 use crate::case::Class;
 use crate::judge::{self, Judge};
-use crate::kinds::{self, KINDS};
+use crate::kinds::{self, KINDS, Kind};
 use crate::support::own_log;
 use crate::walks::{Walk, Walks, options, replayed};
 
+const DOCUMENT: &str = include_str!("../../docs/attack.md");
 /// Without being asked for more: what `cargo test` waits for.
 const USUAL_S: u64 = 10;
 /// A case that takes longer hangs.
@@ -61,6 +62,9 @@ pub fn run() -> ExitCode {
         seconds if seconds <= USUAL_S => (seconds, 1),
         seconds => (seconds, std::thread::available_parallelism().map_or(1, usize::from)),
     };
+    for Kind { name, .. } in &KINDS {
+        assert!(DOCUMENT.contains(&format!("\n| {name} | ")), "docs/attack.md lacks a row of {name}");
+    }
     sound_logs_are_tagged(folder.path());
     let campaign = Campaign {
         seed,

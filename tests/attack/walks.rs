@@ -12,6 +12,7 @@ use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::PoseStamped;
 use realitysim::sensors::scene::{SceneSource, parse};
 
+use crate::kinds::orders::Recorder;
 use crate::kinds::service::Served;
 use crate::support::{LENS, TRUTH, decode_all, own_log};
 
@@ -31,6 +32,7 @@ pub struct Walks {
     captures: OnceCell<PathBuf>,
     database: OnceCell<PathBuf>,
     service: RefCell<Option<Served>>,
+    recorder: RefCell<Option<Recorder>>,
 }
 
 pub const SCENE: &str = include_str!("../replay/scene.toml");
@@ -57,6 +59,7 @@ impl Walks {
             captures: OnceCell::new(),
             database: OnceCell::new(),
             service: RefCell::new(None),
+            recorder: RefCell::new(None),
         }
     }
 
@@ -90,6 +93,15 @@ impl Walks {
             *service = Some(Served::of(database));
         }
         RefMut::map(service, |service| service.as_mut().expect("just started"))
+    }
+
+    /// Without a camera; another one if it has ended.
+    pub fn recorder(&self) -> RefMut<'_, Recorder> {
+        let mut recorder = self.recorder.borrow_mut();
+        if recorder.as_mut().is_none_or(Recorder::has_ended) {
+            *recorder = Some(Recorder::of(&self.folder.join("recorder")));
+        }
+        RefMut::map(recorder, |recorder| recorder.as_mut().expect("just started"))
     }
 
     /// The capture's own folder.

@@ -25,7 +25,7 @@ pub fn run(case: &mut Case) -> Outcome {
     let walk = &case.walks.all[which];
     case.tell(walk.name);
     let mut truth = walk.truth.clone();
-    let mut damage = Damage { truth: &mut truth, trusted: true, mirrored: which == 2 };
+    let mut damage = Damage { truth: &mut truth, trusted: true };
     let mut messages = walk.messages.clone();
     if case.draw.chance(0.01) {
         packed(case, &mut messages);
@@ -35,7 +35,7 @@ pub fn run(case: &mut Case) -> Outcome {
             messages = damage.messages(case, messages);
         }
     }
-    let Damage { trusted, mirrored, .. } = damage;
+    let trusted = damage.trusted;
     let mut log = written(&mut case.draw, &messages);
     if case.draw.chance(0.25) {
         if case.draw.chance(0.5) {
@@ -50,7 +50,7 @@ pub fn run(case: &mut Case) -> Outcome {
     let source = case.write("log.mcap", log);
     let captures = case.path("captures");
     let options = options(source, captures.clone(), Settings::default());
-    let judge = Judge { truth: trusted.then_some(&truth), mirrored };
+    let judge = Judge { truth: trusted.then_some(&truth), mirrored: which == 2 };
     let taken = judge::replay(&replayed(&options), &captures, judge)?;
     if case.draw.chance(0.1) {
         after(case, &options.captures)?;
@@ -97,9 +97,8 @@ fn written(draw: &mut Draw, messages: &[LogMessage]) -> Vec<u8> {
 struct Damage<'a> {
     /// Loses what nobody can know any more.
     truth: &'a mut Truth,
-    /// Whether what tells the camera's place on the robot, and its lens, is as it was.
+    /// Whether what tells the camera's place on the robot, its lens and the start is as it was.
     trusted: bool,
-    mirrored: bool,
 }
 
 impl Damage<'_> {
@@ -112,10 +111,9 @@ impl Damage<'_> {
             return messages;
         }
         let topic = *case.draw.one_of(&known);
-        if [CAMERA_INFO, TF_STATIC, TF, JOINTS].contains(&topic) {
+        if [CAMERA_INFO, TF_STATIC, TF, JOINTS, INITIAL].contains(&topic) {
             self.trusted = false;
         }
-        self.mirrored |= topic == INITIAL;
         let of_topic: Vec<usize> = messages
             .iter()
             .enumerate()

@@ -2,6 +2,7 @@
 
 mod database;
 mod log;
+pub mod orders;
 mod program;
 mod serial;
 pub mod service;
@@ -17,7 +18,7 @@ pub struct Kind {
     share: u64,
 }
 
-pub const KINDS: [Kind; 13] = [
+pub const KINDS: [Kind; 14] = [
     kind("log", log::run, 14),
     kind("config", texts::settings, 4),
     kind("lens", texts::lens, 4),
@@ -31,6 +32,7 @@ pub const KINDS: [Kind; 13] = [
     kind("picture", program::picture, 3),
     kind("folder of pictures", program::pictures, 2),
     kind("request", service::run, 8),
+    kind("order", orders::run, 3),
 ];
 
 const fn kind(name: &'static str, run: fn(&mut Case) -> Outcome, share: u64) -> Kind {

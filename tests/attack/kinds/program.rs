@@ -19,8 +19,8 @@ use crate::text;
 
 /// A little less than a case may take, so that the child does not outlive it.
 const MAX_RUN: Duration = Duration::from_secs(15);
-/// A good fit is no farther from the truth.
-const TRUSTED_M: f64 = 0.2;
+/// A good fit, which says nothing of its accuracy, is no farther from the truth.
+const TRUSTED_M: f64 = 0.5;
 const CAPTURES: &str = "captures";
 
 /// What a run of the program left.
