@@ -10,7 +10,7 @@ use super::inputs;
 use super::values::{any_number, any_whole};
 use crate::config::wording::plain;
 use crate::config::{Formula, Model, MotionSource, Settings, SimdPath};
-use crate::geometry::{Field, Pose2};
+use crate::geometry::{Field, Physical, Pose2};
 
 #[derive(Debug, Error)]
 #[error("{0}")]
@@ -151,7 +151,7 @@ pub fn planar_pose(text: &str) -> Result<Pose2, String> {
 pub fn numbers<const N: usize>(text: &str, form: &str) -> Result<[f64; N], String> {
     let numbers: Vec<f64> = text
         .split(',')
-        .map(|part| part.trim().parse::<f64>().ok().filter(|number| number.is_finite()))
+        .map(|part| part.trim().parse::<f64>().ok().filter(Physical::is_possible))
         .collect::<Option<_>>()
         .ok_or_else(|| format!("expected {form}, numbers with commas between them"))?;
     let found = numbers.len();

@@ -41,6 +41,7 @@ fn an_argument_that_makes_no_sense_is_named() {
         ("--initial 1,2", vec!["--initial", "x,y,yaw_deg"]),
         ("--initial 1,2,north", vec!["--initial", "x,y,yaw_deg"]),
         ("--initial 1,2,nan", vec!["--initial", "x,y,yaw_deg"]),
+        ("--initial 1,2,1e300", vec!["--initial", "x,y,yaw_deg"]),
         ("--initial 9,0,0", vec!["--initial is 9,0", "kid-2009 reaches from -3.70 to 3.70 m in x", "1 m"]),
         ("--initial 0,-3.8,0", vec!["--initial is 0,-3.8", "from -2.70 to 2.70 m in y"]),
         ("--field adult-2020 --initial 90,0,0", vec!["--initial is 90,0", "adult-2020 reaches"]),
