@@ -33,6 +33,9 @@ struct Sample {
 /// Frames that are kept: enough to tell chance from cause, few enough to be searched for a hundred times.
 const MOST: usize = 8;
 
+/// Of fewer nothing is said: a pose needs some frames to be confirmed, whatever is right.
+const FEWEST: usize = 3;
+
 impl Unplaced {
     pub fn note(&mut self, frame: &Frame) {
         let Ok(place) = &frame.robot.place else { return };
@@ -115,10 +118,10 @@ const SCALES: i32 = 6;
 const CLOSER: usize = 3;
 
 impl Given<'_> {
-    /// What is most probably wrong, in a sentence or two; `None` if there is no frame to look at.
+    /// What is most probably wrong, in a sentence or two; `None` if there are too few frames to tell.
     pub fn cause(&self, unplaced: &Unplaced) -> Option<String> {
         let all: Vec<&Sample> = unplaced.frames.iter().collect();
-        if all.is_empty() {
+        if all.len() < FEWEST {
             return None;
         }
         let own = self.tried(&[Change::Nothing], &all).remove(0);
