@@ -33,6 +33,9 @@ struct Sample {
 /// Frames that are kept: enough to tell chance from cause, few enough to be searched for a hundred times.
 const MOST: usize = 8;
 
+/// Of fewer nothing is said: a pose needs some frames to be confirmed, whatever is right.
+const FEWEST: usize = 3;
+
 impl Unplaced {
     pub fn note(&mut self, frame: &Frame) {
         let Ok(place) = &frame.robot.place else { return };
@@ -89,6 +92,8 @@ struct Tried {
     change: Change,
     /// Frames in which some pose explains the lines.
     fits: usize,
+    /// Of these, those in which no other pose does so nearly as well.
+    clear: usize,
     /// Of all frames.
     log_likelihood: f64,
 }
@@ -96,8 +101,8 @@ struct Tried {
 /// How much more than what was said something must explain to be told as the cause. Measured: what is right explains 1.7 to 2.4
 /// times as much as a wrong field, a lens of another focal length or a mount that is off by more than three degrees.
 const CLEARLY: f64 = 1.5;
-/// While nothing explains so much more, what was said is not doubted. Of a hundred things that are tried one explains a little
-/// more by chance.
+/// While nothing explains so much more, and most frames fit nowhere else, what was said is not doubted. Of a hundred things that
+/// are tried one explains a little more by chance.
 const HARDLY: f64 = 1.25;
 /// Fields that explain nearly as much as the best one are told with it.
 const NEARLY: f64 = 0.9;
@@ -113,10 +118,10 @@ const SCALES: i32 = 6;
 const CLOSER: usize = 3;
 
 impl Given<'_> {
-    /// What is most probably wrong, in a sentence or two; `None` if there is no frame to look at.
+    /// What is most probably wrong, in a sentence or two; `None` if there are too few frames to tell.
     pub fn cause(&self, unplaced: &Unplaced) -> Option<String> {
         let all: Vec<&Sample> = unplaced.frames.iter().collect();
-        if all.is_empty() {
+        if all.len() < FEWEST {
             return None;
         }
         let own = self.tried(&[Change::Nothing], &all).remove(0);
@@ -158,27 +163,21 @@ impl Given<'_> {
                 own.fits,
                 times_more(best, own)
             ),
-            best if fits_mostly(own, frames) && !best.is_some_and(|best| explains_more(best, own, HARDLY)) => format!(
+            best if 2 * own.clear >= frames && !best.is_some_and(|best| explains_more(best, own, HARDLY)) => format!(
                 "most probably neither field, lens nor mount is wrong: {looked_at} {} as they were said. What remains is how the \
                  robot moved, by {} and {}, and when{hurried}",
-                fit(own.fits),
+                fit(own.clear),
                 self.topics.odometry,
                 self.topics.imu,
             ),
             _ => {
-                let each = found.iter().map(|tried| {
-                    format!(
-                        "for another {} speaks most that {}: {}",
-                        tried.change.kind(),
-                        tried.change,
-                        fit(tried.fits)
-                    )
-                });
+                let each = found.iter().map(|tried| format!("{} ({})", tried.change, fit(tried.fits)));
                 let each: Vec<String> = each.collect();
                 format!(
-                    "no single cause was found{hurried}: {looked_at} {} as they were said; {}",
+                    "no single cause was found{hurried}: {looked_at} {} field, lens and mount as they were said. Of other fields, \
+                     lenses and mounts, these explain most, and not clearly more: {}",
                     fit(own.fits),
-                    each.join("; ")
+                    each.join(", ")
                 )
             }
         }
@@ -210,9 +209,11 @@ impl Given<'_> {
         });
         let of = |(change, found): (&Change, &[Option<(Fit, f64)>])| {
             let found = found.iter().flatten();
+            let count = |is: fn(Fit) -> bool| found.clone().filter(|(fit, _)| is(*fit)).count();
             Tried {
                 change: change.clone(),
-                fits: found.clone().filter(|(fit, _)| *fit != Fit::None).count(),
+                fits: count(|fit| fit != Fit::None),
+                clear: count(|fit| fit == Fit::Good),
                 log_likelihood: found.map(|(_, log_likelihood)| log_likelihood.max(0.0)).sum(),
             }
         };
@@ -299,14 +300,6 @@ fn fit(count: usize) -> String {
 }
 
 impl Change {
-    fn kind(&self) -> &'static str {
-        match self {
-            Self::Nothing | Self::Field(_) => "field",
-            Self::Lens(_) | Self::Focal(_) => "lens",
-            Self::Pitch(_) | Self::Roll(_) | Self::Height(_) => "mount",
-        }
-    }
-
     fn part(&self) -> &'static str {
         match self {
             Self::Nothing | Self::Field(_) => "the field (field = ...) is",

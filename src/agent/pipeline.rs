@@ -240,11 +240,11 @@ impl Pipeline {
     /// Why frames could not be placed.
     fn cause(&self) -> String {
         let Self { settings, topics, eyes, .. } = self;
-        let found =
-            self.unplaced.as_ref().zip(Field::new(self.dimensions.clone()).ok()).and_then(|(unplaced, field)| {
-                Given { settings, topics, field: &field, eyes, threads: self.recording.threads }.cause(unplaced)
-            });
-        found.unwrap_or_else(|| warnings::possible_causes(settings.filter.budget_ms))
+        let Some((unplaced, field)) = self.unplaced.as_ref().zip(Field::new(self.dimensions.clone()).ok()) else {
+            return warnings::possible_causes(settings.filter.budget_ms);
+        };
+        let given = Given { settings, topics, field: &field, eyes, threads: self.recording.threads };
+        given.cause(unplaced).unwrap_or_else(|| "these are too few to find out why".to_owned())
     }
 
     fn end(&mut self) -> Result<(), AgentError> {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use glam::DVec2;
 
-use super::paths::{cannot_write, check_output, save};
+use super::paths::{check_output, make_folder, save};
 use super::{Outcome, eval, output, sim};
 use crate::agent::{ReplayOptions, replay};
 use crate::config::Settings;
@@ -49,7 +49,7 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
         Some(path) => scene::load(path)?,
         None => scene::parse(SCENE, "the built-in demo")?,
     };
-    std::fs::create_dir_all(folder).map_err(|error| cannot_write(folder, error))?;
+    make_folder(folder)?;
     let log = folder.join("walk.mcap");
     eprintln!("1/3  rendering a walk as a robot would have recorded it: {}", scene.file().scene.title);
     sim::render(&scene, &log)?;

@@ -55,5 +55,8 @@ pub fn run(arguments: &DoctorArguments, json: bool) -> anyhow::Result<Outcome> {
 fn for_people(finding: &Finding) -> String {
     let Finding { what, good, said, remedy } = finding;
     let said = output::in_our_words(said);
+    // The device is named before it, as in `camera /dev/video0`.
+    let alone = what.split_once(' ').and_then(|(_, device)| said.strip_prefix(device)?.strip_prefix(": "));
+    let said = alone.unwrap_or(&said);
     if *good { format!("+ {what}: {said}") } else { format!("- {what}: {said}\n    {remedy}") }
 }

@@ -9,7 +9,7 @@ use anyhow::bail;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::paths::{cannot_write, check_old, check_output};
+use super::paths::{cannot_write, check_old, check_output, make_folder};
 use super::settings::UsageError;
 use super::{Outcome, output};
 use crate::evaluation::capture::{Readout, losses, read_tags};
@@ -123,7 +123,7 @@ const CSV_HEAD: &str = "file,stamp_ns,valid,reason,x,y,z,yaw_deg,pitch_deg,roll_
 fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(usize, Vec<Loss>)> {
     let image_topic = image_topic(capture)?;
     let failed = |error| cannot_write(folder, error);
-    fs::create_dir_all(folder).map_err(failed)?;
+    make_folder(folder)?;
     // What another export has written would stand among the files of this one.
     if fs::read_dir(folder).map_err(failed)?.next().is_some() {
         let what = "is not empty, and an export needs a folder of its own: name another, or remove what is in it first";

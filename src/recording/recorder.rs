@@ -252,7 +252,8 @@ impl Recorder {
         let folder = match &self.folder {
             Some(folder) => folder.clone(),
             None => {
-                storage.create_folders(captures).map_err(failed)?;
+                let unmade = |source| RecordingError::Folder { path: captures.clone(), source };
+                storage.create_folders(captures).map_err(unmade)?;
                 self.volume = storage.volume(captures).ok();
                 let folder = new_folder(storage, captures, &self.plan.name)?;
                 self.folder = Some(folder.clone());

@@ -45,10 +45,7 @@ pub(super) fn without_a_lens(settings: &Settings) -> Finding {
     if !device.starts_with(SCHEME)
         && let Err(error) = crate::sensors::v4l2::offer(std::path::Path::new(device))
     {
-        let said = error.to_string();
-        // What it is said of is named already.
-        let said = said.strip_prefix(&format!("{device}: ")).unwrap_or(&said).to_owned();
-        return bad(what, said, "plug it in, or name another in capture.device");
+        return bad(what, error.to_string(), "plug it in, or name another in capture.device");
     }
     bad(what, "not tried: no lens says how large its images are", "name the lens file in camera.lens first")
 }
