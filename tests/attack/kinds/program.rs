@@ -18,7 +18,7 @@ use crate::support::{IMAGE, LENS, TRUTH, decode_all};
 use crate::text;
 
 /// A little less than a case may take, so that the child does not outlive it.
-const MAX_RUN: Duration = Duration::from_secs(15);
+const MAX_RUN: Duration = Duration::from_secs(50);
 /// A good fit, which says nothing of its accuracy, is no farther from the truth.
 const TRUSTED_M: f64 = 0.5;
 const CAPTURES: &str = "captures";
