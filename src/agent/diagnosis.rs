@@ -31,7 +31,7 @@ struct Sample {
 }
 
 /// Frames that are kept: enough to tell chance from cause, few enough to be searched for a hundred times.
-const MOST: usize = 8;
+const MOST: usize = 6;
 
 /// Of fewer nothing is said: a pose needs some frames to be confirmed, whatever is right.
 const FEWEST: usize = 3;
@@ -108,12 +108,12 @@ const HARDLY: f64 = 1.25;
 const NEARLY: f64 = 0.9;
 /// So fine that between two steps more than half of what the right value explains is left.
 const PITCH_DEG: f64 = 2.0;
-const PITCHES: i32 = 15;
+const PITCHES: i32 = 8;
 const ROLL_DEG: f64 = 2.5;
-const ROLLS: i32 = 6;
+const ROLLS: i32 = 4;
 const UPSIDE_DOWN_DEG: f64 = 180.0;
 const TIMES: f64 = 1.07;
-const SCALES: i32 = 6;
+const SCALES: i32 = 5;
 /// Of the lenses and mounts, those that explain most of two frames are tried with all.
 const CLOSER: usize = 3;
 

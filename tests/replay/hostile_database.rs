@@ -111,7 +111,7 @@ fn a_pipe_in_place_of_an_image_keeps_nobody_waiting() {
     };
     pipe("images/b.png");
     let run = room.run("db add images --db db --field kid-2009");
-    assert!(run.code == Some(3) && run.stderr.contains("not a plain file"), "{run:?}");
+    assert!(run.code == Some(3) && run.stderr.contains("a plain file is needed"), "{run:?}");
     fs::remove_file(room.path("images/a.png")).expect("removed");
     pipe("images/a.png");
     let run = room.run("view --db db --x 0.1 --y 0.2 --z 0.5 --yaw 10 --pitch 20 -o out.png");
