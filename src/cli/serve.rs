@@ -115,6 +115,9 @@ const MAX_TOKEN_BYTES: u64 = 4096;
 fn token(path: &Path) -> anyhow::Result<String> {
     let text = plain_file::read_text(path, MAX_TOKEN_BYTES).map_err(|error| cannot_read(path, error))?;
     let token = text.trim();
+    if token.is_empty() {
+        return Err(UsageError(format!("--token-file {}: no token in it", path.display())).into());
+    }
     if !token.chars().all(|letter| letter.is_ascii_graphic()) {
         let what = "a token is made of letters, digits and signs, without blanks between them";
         return Err(UsageError(format!("--token-file {}: {what}", path.display())).into());

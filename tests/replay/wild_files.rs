@@ -22,7 +22,7 @@ const PLACES: [&str; 31] = [
     "scene apply scene.toml --image @ -o made.png",
     "tag @ --lens lens.toml --field kid-2009",
     "tag image.png --lens @ --field kid-2009",
-    "tag image.png --lens lens.toml --field @",
+    "tag image.png --lens lens.toml --attitude 0,20 --height 0.5 --field @",
     "eval CAPTURE --truth @",
     "eval @ --truth log.mcap",
     "export @ --to tum -o made.txt",

@@ -94,7 +94,7 @@ fn a_range_that_could_draw_the_impossible_is_refused_with_its_line() {
         (range("{ uniform = [0.4, 0.9], per = \"day\" }"), vec!["no range", "per = \"frame\""]),
         (range("{ uniform = [0.4, 0.9] }"), vec!["no range"]),
         (range("{ uniform = [0.4, 0.9], per = \"frame\", mean = 1 }"), vec!["no range"]),
-        (range("{ normal = [0.4, 0.9] }"), vec!["invalid type: map", "line"]),
+        (range("{ normal = [0.4, 0.9] }"), vec!["a number is needed, and this is a table", "line"]),
         (WORN.replace("\"episode\"", "\"frame\""), vec!["drawn per frame", "of worn_lines nothing can change"]),
     ] {
         let message = refusal(&effect);

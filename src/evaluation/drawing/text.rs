@@ -19,7 +19,7 @@ const MOST_LETTERS: usize = 1_000;
 /// lowest one's bottom, pixels.
 pub(super) fn outline(size: f64, words: &str) -> Option<Path> {
     let font = FONT.as_ref()?;
-    let (letters, em, _) = letters(size, words)?;
+    let Line { letters, em, .. } = line(size, words)?;
     let (outlines, mut pen) = (font.outline_glyphs(), Pen { path: PathBuilder::new(), x: 0.0 });
     for (letter, x) in letters {
         pen.x = x;
@@ -32,7 +32,7 @@ pub(super) fn outline(size: f64, words: &str) -> Option<Path> {
 
 /// How far the words reach to the right.
 pub(super) fn width(size: f64, words: &str) -> f64 {
-    letters(size, words).map_or(0.0, |(_, _, width)| f64::from(width))
+    line(size, words).map_or(0.0, |line| f64::from(line.width))
 }
 
 /// Lines no wider than `room`, broken between words; a longer word has a line of its own and sticks out.
@@ -50,8 +50,16 @@ pub(super) fn wrap(size: f64, words: &str, room: f64) -> Vec<String> {
     lines
 }
 
-/// Each with the place where it begins, then the font's size in pixels per em, and where the last one ends.
-fn letters(size: f64, words: &str) -> Option<(Vec<(GlyphId, f32)>, f32, f32)> {
+/// Words set in one line; pixels.
+struct Line {
+    /// Each with the place where it begins.
+    letters: Vec<(GlyphId, f32)>,
+    /// The font's size.
+    em: f32,
+    width: f32,
+}
+
+fn line(size: f64, words: &str) -> Option<Line> {
     let font = FONT.as_ref().filter(|_| size >= SMALLEST)?;
     let whole = font.metrics(Size::unscaled(), LocationRef::default());
     let em = size as f32 * f32::from(whole.units_per_em) / (whole.ascent - whole.descent);
@@ -62,7 +70,7 @@ fn letters(size: f64, words: &str) -> Option<(Vec<(GlyphId, f32)>, f32, f32)> {
         letters.push((id, x));
         x += widths.advance_width(id).unwrap_or(0.0);
     }
-    Some((letters, em, x))
+    Some(Line { letters, em, width: x })
 }
 
 /// Puts letters one behind the other; fonts have y upwards.

@@ -64,7 +64,7 @@ pub fn run(case: &mut Case) -> Outcome {
     judge::replay(&report, &captures, Judge { truth: Some(&walk.truth), mirrored: false })
 }
 
-fn damage(case: &mut Case, sent: &mut Vec<Sent>) {
+fn damage(case: &mut Case, sent: &mut [Sent]) {
     let draw = &mut case.draw;
     let share = *draw.one_of(&[0.005, 0.05, 0.3, 1.0]);
     let way = draw.below(6);
