@@ -134,7 +134,8 @@ fn damaged_once(draw: &mut Draw, mut text: String) -> String {
             let names: Vec<usize> =
                 text.char_indices().filter(|(_, c)| c.is_ascii_lowercase()).map(|(at, _)| at).collect();
             if let Some(at) = names.get(draw.below(names.len())).copied() {
-                text.replace_range(at..=at, draw.one_of(&["", "x", "_", "A"]));
+                let letter: &&str = draw.one_of(&["", "x", "_", "A"]);
+                text.replace_range(at..=at, letter);
             }
             text
         }

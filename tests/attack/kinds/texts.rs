@@ -89,7 +89,7 @@ pub fn lens(case: &mut Case) -> Outcome {
 }
 
 pub fn field(case: &mut Case) -> Outcome {
-    let sound = without_comments(case.draw.one_of(&[FIELDS[0], FIELDS[0], FIELDS[1]]));
+    let sound = without_comments(FIELDS[*case.draw.one_of(&[0, 0, 1])]);
     let bytes = damaged(case, &sound);
     let path = case.write("field.toml", &bytes);
     let Ok(text) = String::from_utf8(bytes) else { return Ok(Taken::Refused) };
