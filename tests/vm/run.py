@@ -258,9 +258,9 @@ def tags_a_walk(robot):
                f"for try in $(seq 50); do {knows} && break; sleep 0.1; done; {drops}=100; "
                f"for try in $(seq 40); do sleep 0.5; {told} && break; done; {drops}=0) > /dev/null 2>&1 & echo $!")
     machine.ok("tail -n +1 -f --pid=$(cat /run/pusher) /run/steps", 200, watch)
-    # The guest's shell tells of its jobs in between.
+    # The guest's shell tells of its jobs in between, with their commands, which hold braces too.
     text = machine.ok("cat /run/stalled")
-    stalled, _ = json.JSONDecoder().raw_decode(text[text.index("{"):])
+    stalled, _ = json.JSONDecoder().raw_decode(text[text.index('{"'):])
     print("  while no frames came:", stalled["camera_lost"], json.dumps(stalled["last_tag"]), flush=True)
     assert stalled["camera_lost"] == "stalled" and stalled["last_tag"]["reason"] == "no_frame", stalled
     status = machine.until("frames come again", 60, lambda s: not s["camera_lost"])
