@@ -9,6 +9,7 @@ pub mod doctor;
 mod durations;
 mod effort;
 mod error;
+pub mod explaining;
 pub mod footage;
 pub mod foresight;
 pub mod live;

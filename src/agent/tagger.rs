@@ -2,10 +2,11 @@
 
 use crate::config::{Formula, Model, MotionSource, Settings};
 use crate::geometry::{Field, Isometry, Lens};
+use crate::localization::filter::always;
 use crate::localization::observation::default_alpha;
 use crate::localization::{
-    FilterSettings, Fix, LensOff, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Moment, Observation, Sampling,
-    Spread, TrackModel, Validity,
+    Evidence, FilterSettings, Fix, LensOff, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Moment, Observation,
+    Sampling, Spread, TrackModel, Validity,
 };
 use crate::ros2::messages::{FrameTag, Stamp};
 use crate::sensors::scene::{header, pose};
@@ -103,6 +104,15 @@ impl Tagger {
         self.begin_anew(robot);
         let fix = self.localizer.look(&moment(stamp_ns, robot), seen, may_go_on);
         self.compose(stamp_ns, robot, &fix)
+    }
+
+    /// As [`Self::tag`], with what speaks for and against it.
+    pub fn explain(&mut self, stamp_ns: i64, robot: &RobotAt, seen: &Seen) -> (FrameTag, Evidence) {
+        self.begin_anew(robot);
+        let moment = moment(stamp_ns, robot);
+        let fix = self.localizer.look(&moment, seen, &mut always);
+        let evidence = self.localizer.evidence(&moment, seen, &fix);
+        (self.compose(stamp_ns, robot, &fix), evidence)
     }
 
     /// The tag of a frame of which nothing could be seen: where odometry puts the robot, marked invalid.

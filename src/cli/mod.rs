@@ -10,6 +10,7 @@ mod demo;
 mod detector;
 mod doctor;
 mod eval;
+mod explain;
 mod export;
 mod gap;
 mod gate;
@@ -84,6 +85,7 @@ enum Command {
     Soak(Box<soak::SoakArguments>),
     Sim(sim::SimArguments),
     Eval(eval::EvalArguments),
+    Explain(Box<explain::ExplainArguments>),
     Export(export::ExportArguments),
     Info(info::InfoArguments),
     Tag(tag::TagArguments),
@@ -131,6 +133,7 @@ pub fn run() -> ExitCode {
         Command::Order(order) => record::order(&order, json),
         Command::Sim(arguments) => sim::run(&arguments, json),
         Command::Eval(arguments) => eval::run(&arguments, json),
+        Command::Explain(arguments) => explain::run(&arguments, json),
         Command::Export(arguments) => export::run(&arguments, json),
         Command::Info(arguments) => info::run(&arguments, json),
         Command::Tag(arguments) => tag::run(&arguments, json),

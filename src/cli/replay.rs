@@ -122,7 +122,7 @@ fn threads(text: &str) -> Result<usize, String> {
 }
 
 /// A scene brings its own.
-fn field_of(source: &Path, settings: &Settings) -> anyhow::Result<String> {
+pub(super) fn field_of(source: &Path, settings: &Settings) -> anyhow::Result<String> {
     match source.extension() {
         Some(ending) if ending == "toml" => Ok(scene::load(source)?.file().scene.field.clone()),
         _ => Ok(settings.field.clone()),

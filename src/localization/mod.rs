@@ -26,7 +26,7 @@ pub mod weights;
 
 pub use estimate::Estimate;
 pub use filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
-pub use localizer::{Fix, LensOff, Localizer, LocalizerSettings, LocalizerState, Moment};
+pub use localizer::{Evidence, Fix, LensOff, Localizer, LocalizerSettings, LocalizerState, Moment, Tried};
 pub use motion::MotionModel;
 pub use observation::{Observation, Support};
 pub use particles::{Particles, Spread};

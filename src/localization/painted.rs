@@ -82,27 +82,40 @@ impl PaintedMap {
         footprint_from_optical: &Isometry,
         map_from_optical: &Isometry,
     ) -> Explained {
+        let (mut shown, mut explained) = (0.0, 0.0);
+        self.each_shown(lines, footprint_from_optical, map_from_optical, |_, weight, is_painted| {
+            shown += weight;
+            explained += if is_painted { weight } else { 0.0 };
+        });
+        let m2 = lines.clear_line_m2();
+        Explained { shown_m2: shown * m2, share: (explained * m2 + BELIEVED_M2) / (shown * m2 + BELIEVED_M2) }
+    }
+
+    /// Of each place that shows a line clearly: its ray from the camera, along the axes of `map`, how certain it is, and whether a
+    /// line is painted there.
+    pub fn each_shown(
+        &self,
+        lines: &GroundTable,
+        footprint_from_optical: &Isometry,
+        map_from_optical: &Isometry,
+        mut visit: impl FnMut(DVec3, f64, bool),
+    ) {
         let map_from_table = *map_from_optical * footprint_from_optical.inverse();
         let camera = map_from_optical.translation;
         let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| map_from_table.transform_vector(axis));
         let seen_from = footprint_from_optical.translation;
-        let (mut shown, mut explained) = (0.0, 0.0);
         for (at, weight) in lines.clear_lines() {
             // The ray through that place of the table, to where it meets the floor from the refined pose.
             let (dx, dy) = (at.x - seen_from.x, at.y - seen_from.y);
             let ray = x * dx + y * dy - z * seen_from.z;
-            shown += weight;
             if ray.z >= 0.0 {
+                visit(ray, weight, false);
                 continue;
             }
             let reach = -camera.z / ray.z;
             let ground = (camera + ray * reach).truncate();
             let beside = BESIDE_WIDTHS * self.line_width_m + BESIDE_PER_M * libm::hypot(dx, dy);
-            if self.distance(ground) <= beside {
-                explained += weight;
-            }
+            visit(ray, weight, self.distance(ground) <= beside);
         }
-        let m2 = lines.clear_line_m2();
-        Explained { shown_m2: shown * m2, share: (explained * m2 + BELIEVED_M2) / (shown * m2 + BELIEVED_M2) }
     }
 }

@@ -85,18 +85,37 @@ const LONGEST_COAST_NS: i64 = 500_000_000;
 /// Fewer line places than this say nothing for or against a pose.
 const FEWEST_EXPECTED: usize = 12;
 const FEWEST_FITTING: usize = 10;
+/// Lines that lie where a pose has them by chance once in 10^4 frames say nothing.
+const AGREES_DIGITS: f64 = 4.0;
 /// With less than this share of fitting places the lines contradict the pose.
 pub const CONTRADICTED: f64 = 0.5;
 /// What a frame needs to confirm a pose that was found by search or announced.
-const FITTING_IF_TOLD: usize = 20;
-const FITTING_IF_FOUND: usize = 80;
-const FITTING_IF_FOUND_AGAIN: usize = 40;
-const SHARE_IF_TOLD: f64 = 0.7;
-const SHARE_IF_FOUND: f64 = 0.9;
+///
+/// By chance fewer than one in so many powers of ten of poses fit as well: of those within what somebody has said there are some
+/// 10^4 that differ, on a whole field with all tilts and heights some 10^11.
+const DIGITS_IF_TOLD: f64 = 8.0;
+const DIGITS_IF_FOUND: f64 = 15.0;
+const DIGITS_IF_FOUND_AGAIN: f64 = 8.0;
+/// Lines of another place, or through another lens, are beside where a pose has them.
+///
+/// The fainter a picture's lines are, the fewer of them show in right places too: less for each pixel of the width that is seen half
+/// the time.
+const FOREMOST_IF_TOLD: f64 = 0.9;
+const FOREMOST_IF_FOUND: f64 = 1.0;
+const FOREMOST_LESS_PER_PX: f64 = 0.07;
+const SHARE_IF_TOLD: f64 = 0.8;
+const SHARE_IF_FOUND: f64 = 0.95;
+const SHARE_LESS_PER_PX: f64 = 0.08;
+/// So many places, and hardly one that is missing.
+const MANY: usize = 40;
+const NEARLY_ALL: f64 = 0.9;
+/// A pose that is left for another one needs more than one that is only carried on.
+const SHARE_IF_BETTER: f64 = 0.7;
 /// And so much less for each time that the whole field had no better pose to offer: behind others, or with a lens that is
 /// not quite as it was calibrated, lines are missing in right places too.
 const LESS_IF_FOUND_AGAIN: f64 = 0.2;
 const MORE_IF_FOUND_AGAIN: f64 = 0.1;
+const FOREMOST_LESS_IF_FOUND_AGAIN: f64 = 0.05;
 /// Frames that are not convincing before the whole field is tried: the first time that a pose was found, and else.
 const UNCONVINCING_AT_FIRST: u32 = 2;
 const UNCONVINCING: u32 = 10;
@@ -114,8 +133,12 @@ const LESS_IF_HELD_FAST: f64 = 0.2;
 /// Once it has explained so much.
 const WELL_EXPLAINED: f64 = 0.95;
 /// So much of what a frame may leave unexplained may be there when a pose is confirmed.
+///
+/// More where lines are faint: what stands out of turf like lines is blades and glints too.
 const CONFIRMED_WITH_IF_TOLD: f64 = 0.3;
 const CONFIRMED_WITH_IF_FOUND: f64 = 0.2;
+const MORE_PER_PX: f64 = 0.2;
+const BETTER_WITH: f64 = 0.2;
 
 impl Physical for Standing {
     fn is_possible(&self) -> bool {
@@ -212,7 +235,7 @@ impl Standing {
 
     /// Why the pose is not to be used, and what that means for the next frames; `seconds` since the last one.
     pub fn judge(&mut self, rules: &Rules, moment: &Moment, fix: &Fix, seconds: f64) -> Option<&'static str> {
-        if fix.agreement.fitting >= FITTING_IF_FOUND_AGAIN && fix.explained.share >= WELL_EXPLAINED {
+        if fix.agreement.fitting >= MANY && fix.explained.share >= WELL_EXPLAINED {
             self.has_explained = true;
         }
         let doubt = self.complaint(rules, moment, fix);
@@ -289,10 +312,7 @@ impl Standing {
     /// A confirmed pose of which all but a few lines are seen where they should be, and that has explained all it saw.
     fn holds_fast(&self, fix: &Fix) -> bool {
         let lines = &fix.agreement;
-        self.is_tracking()
-            && self.has_explained
-            && lines.fitting >= FITTING_IF_FOUND_AGAIN
-            && lines.share() >= SHARE_IF_FOUND
+        self.is_tracking() && self.has_explained && is_whole(lines)
     }
 
     /// The pose has been confirmed.
@@ -303,21 +323,24 @@ impl Standing {
     fn confirms(&self, rules: &Rules, fix: &Fix) -> bool {
         let lines = &fix.agreement;
         // Lines that lead elsewhere than somebody said need to be as many as if nobody had.
-        let (fitting, share, unexplained) = match self.was_told && !fix.strays {
-            true => (FITTING_IF_TOLD, SHARE_IF_TOLD, CONFIRMED_WITH_IF_TOLD),
-            false => (FITTING_IF_FOUND, SHARE_IF_FOUND, CONFIRMED_WITH_IF_FOUND),
+        let (digits, foremost, share, unexplained) = match self.was_told && !fix.strays {
+            true => (DIGITS_IF_TOLD, FOREMOST_IF_TOLD, SHARE_IF_TOLD, CONFIRMED_WITH_IF_TOLD),
+            false => (DIGITS_IF_FOUND, FOREMOST_IF_FOUND, SHARE_IF_FOUND, CONFIRMED_WITH_IF_FOUND),
         };
         // Of a robot that stands still nothing new is seen; that no rival comes up twice in a row makes up for few lines, not for
         // missing ones.
         let is_alone = self.found_again > 0 || self.in_a_row >= IN_A_ROW;
-        let fitting = if is_alone { fitting.min(FITTING_IF_FOUND_AGAIN) } else { fitting };
+        let digits = if is_alone { digits.min(DIGITS_IF_FOUND_AGAIN) } else { digits };
         let again = f64::from(self.found_again);
+        let foremost = foremost - FOREMOST_LESS_PER_PX * lines.half_seen_px - FOREMOST_LESS_IF_FOUND_AGAIN * again;
+        let share = share - SHARE_LESS_PER_PX * lines.half_seen_px;
         let share = (share - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED);
-        let unexplained = (unexplained + MORE_IF_FOUND_AGAIN * again).min(CONFIRMED_WITH_IF_TOLD);
+        let unexplained = unexplained + MORE_PER_PX * (lines.half_seen_px - 1.0).max(0.0) + MORE_IF_FOUND_AGAIN * again;
         !rules.refinement
-            || (lines.fitting >= fitting
+            || (lines.digits >= digits
+                && lines.foremost >= foremost
                 && lines.share() >= share
-                && fix.explained.share >= share_of(unexplained, rules.valid.explained))
+                && fix.explained.share >= share_of(unexplained.min(1.0), rules.valid.explained))
     }
 
     fn agreed_lately(&self, moment: &Moment) -> bool {
@@ -347,19 +370,17 @@ fn stands(moment: &Moment, fix: &Fix) -> bool {
 
 /// Enough lines are where the pose has them.
 pub fn agrees(lines: &Agreement) -> bool {
-    lines.fitting >= FEWEST_FITTING && lines.share() > CONTRADICTED
+    lines.fitting >= FEWEST_FITTING && lines.share() > CONTRADICTED && lines.digits >= AGREES_DIGITS
 }
 
 /// Hardly one is missing.
 pub fn is_whole(lines: &Agreement) -> bool {
-    lines.fitting >= FITTING_IF_FOUND_AGAIN && lines.share() >= SHARE_IF_FOUND
+    lines.fitting >= MANY && lines.share() >= NEARLY_ALL
 }
 
 /// Enough to leave a pose for it that was believed.
 pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> bool {
-    lines.fitting >= FITTING_IF_FOUND_AGAIN
-        && lines.share() >= SHARE_IF_TOLD
-        && explained >= share_of(CONFIRMED_WITH_IF_FOUND, least_explained)
+    lines.fitting >= MANY && lines.share() >= SHARE_IF_BETTER && explained >= share_of(BETTER_WITH, least_explained)
 }
 
 /// Lines that should be seen and are not, and lines that are seen and should not be, say the same together: a pose that passes each
@@ -367,7 +388,7 @@ pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> boo
 fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
     let least = if fix.adrift { AGREES_ALONE } else { AGREES_BOTH_WAYS };
-    lines.expected < FEWEST_EXPECTED || lines.share() * fix.explained.share >= least
+    lines.expected < FEWEST_EXPECTED || lines.foremost * fix.explained.share >= least
 }
 
 /// Too many lines are not.

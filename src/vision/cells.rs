@@ -1,7 +1,7 @@
 //! What the image shows at each cell of the ground table, and how much that says about a painted line.
 
 use super::carpet::Surface;
-use super::contrast::{self, UNITS};
+use super::contrast::{self, PARTS, UNITS};
 use super::ground::{NEUTRAL, SIDE};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 use super::reading::{self, Reading};
@@ -15,6 +15,10 @@ const FEWEST_CELLS: usize = 50;
 /// Every so many cells are looked at for it, all where that leaves fewer than these.
 const ENOUGH_CELLS: usize = 500;
 const LEARN_STEP: usize = 23;
+/// Line contrast of the faintest lines, and noise of the smoothest carpet; a line is so many times the noise.
+const LEAST_CONTRAST: f32 = 0.06;
+const LEAST_NOISE: f32 = 0.006;
+const ABOVE_NOISE: f32 = 5.0;
 /// A square of this side is never mostly white where lines are: a crossing fills under half of it.
 const BLOB_M: f64 = 0.25;
 const BLOB_SHARE: f32 = 0.55;
@@ -97,8 +101,8 @@ impl Cells {
         }
     }
 
-    /// Gray levels that a line of the best width has, from the frame itself: the brightest few per cent of
-    /// what is seen, but well above the noise of plain carpet.
+    /// The line contrast of a line of the best width, from the frame itself: the brightest few per cent of what is seen, but
+    /// well above the noise of plain carpet.
     pub(super) fn full_contrast(&mut self, map: &GroundMap, by_range: &ByRange) -> f32 {
         let Self { shown, samples: values, .. } = self;
         for step in [LEARN_STEP, 1] {
@@ -122,8 +126,8 @@ impl Cells {
             values.select_nth_unstable_by(index, |a, b| a.0.total_cmp(&b.0)).1.0
         };
         let (low, middle, high) = (nth(0.16), nth(0.5), nth(0.98));
-        let noise = (middle - low).max(0.5);
-        high.max(5.0 * noise).max(5.0)
+        let noise = (middle - low).max(LEAST_NOISE);
+        high.max(ABOVE_NOISE * noise).max(LEAST_CONTRAST)
     }
 
     /// Line contrast as levels: below a quarter of a full line's a place speaks against a line, above it for one; what is
@@ -151,7 +155,7 @@ impl Cells {
             let of_blocks = gains.as_chunks_mut::<BLOCK>().0.iter_mut().zip(weights.as_chunks_mut::<BLOCK>().0);
             for ((gains, weights), block_column) in of_blocks.zip(blocks) {
                 let square = map.square_range(block_row, block_column);
-                gains.fill(255.0 / (full * by_range.strength(square) * UNITS));
+                gains.fill(255.0 / (full * by_range.strength(square) * PARTS));
                 weights.fill(by_range.weight(square));
             }
             let mut any = [0u8; SIDE];
@@ -214,10 +218,10 @@ fn is_seen(shown: i16) -> bool {
     !contrast::surface(shown).is_occluder()
 }
 
-/// Gray levels of line contrast.
+/// Line contrast, as a share of the carpet's brightness.
 #[inline(always)]
 fn contrast(shown: i16) -> f32 {
-    f32::from(shown & !3) * (1.0 / UNITS)
+    f32::from(shown & !3) * (1.0 / PARTS)
 }
 
 /// Sums over the square of 2 `reach` + 1 blocks around each.

@@ -1,15 +1,16 @@
-//! Line contrast: how much brighter a place is than its wider surroundings on the carpet.
+//! Line contrast: by which share of the carpet's brightness a place is brighter than its wider surroundings on it.
 //!
-//! A narrow blur (sigma 2.1 px) minus a wide one (sigma 12 px). Plain carpet gives 0 whatever its brightness and
-//! whatever the light's gradient, which is what makes a sum over points a fair measure (docs/paper.md, Eq. 2).
-//! The narrow blur runs at half, the wide one at an eighth of the resolution; all in integers, so that every
-//! processor finds the same.
+//! A narrow blur (sigma 2.1 px) minus a wide one (sigma 12 px), over the wide one. Plain carpet gives 0 whatever its
+//! brightness and whatever the light's gradient, which is what makes a sum over points a fair measure (docs/paper.md, Eq. 2),
+//! and paint gives the same in sun and shade: light multiplies carpet and paint alike, and the camera's gamma keeps ratios.
+//! The narrow blur runs at half, the wide one at an eighth of the resolution, both in integers; the quotient is one division
+//! in IEEE arithmetic, so that every processor finds the same.
 
 use glam::DVec2;
 
 use super::carpet::Surface;
 use super::picture::Picture;
-use crate::vectorised::vectorised;
+use crate::vectorised::{rounded, vectorised};
 
 /// Half-resolution maps: pixel (i, j) averages the picture's pixels 2i, 2i+1 x 2j, 2j+1.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -20,8 +21,8 @@ pub struct LineContrast {
     pub half: Vec<u16>,
     /// Blurred gray in [`UNITS`].
     pub narrow: Vec<u16>,
-    /// Narrow minus wide in [`UNITS`], negative where darker than the surroundings; the two lowest bits hold what the
-    /// pixel shows ([`surface`]).
+    /// Narrow minus wide as a share of the carpet's brightness, in [`PARTS`], negative where darker than the surroundings;
+    /// the two lowest bits hold what the pixel shows ([`surface`]).
     pub contrast: Vec<i16>,
     scratch: Scratch,
 }
@@ -39,6 +40,11 @@ struct Scratch {
 
 /// Parts of a gray level.
 pub const UNITS: f32 = 16.0;
+/// Parts of a line contrast of 1: the place is twice as bright as the carpet.
+pub const PARTS: f32 = 4096.0;
+/// Gray levels that are added to the carpet's brightness before a contrast is a share of it: where little light falls, stray
+/// light and the sensor's noise do not get less with the carpet's own light.
+pub const STRAY_LEVELS: f32 = 16.0;
 /// Side of a cell of the coarse image, in half-resolution pixels.
 const COARSE: usize = 4;
 
@@ -285,9 +291,17 @@ fn subtract(narrow: &[u16], expanded: &[u16], surfaces: &[Surface], width: usize
         let (narrow, surfaces) = (&narrow[v * width..][..width], &surfaces[v * width..][..width]);
         for (u, t) in target.iter_mut().enumerate() {
             let wide = (upper[u] * (8 - share) + lower[u] * share) >> 3;
-            *t = ((narrow[u] as i16 - wide as i16) & !3) | surfaces[u] as i16;
+            let above = f32::from(narrow[u] as i16 - wide as i16);
+            let parts = above * PARTS / (f32::from(wide as i16) + STRAY_LEVELS * UNITS);
+            *t = (signed(parts) & !3) | surfaces[u] as i16;
         }
     }
+}
+
+/// To the nearest of the whole numbers that 16 bits hold.
+#[inline(always)]
+fn signed(parts: f32) -> i16 {
+    (rounded((parts + 32768.0).clamp(0.0, 65535.0)) ^ 0x8000) as u16 as i16
 }
 
 #[cfg(test)]
@@ -309,7 +323,7 @@ mod tests {
         for slope in [0.0, 0.3] {
             let c = contrast_of(160, 120, |u, _| (60.0 + slope * u as f64) as u8);
             let middle = &c.contrast[30 * c.width + 20..30 * c.width + 60];
-            assert!(middle.iter().all(|value| f32::from(*value).abs() < 0.7 * UNITS), "{middle:?}");
+            assert!(middle.iter().all(|value| f32::from(*value).abs() < 0.01 * PARTS), "{middle:?}");
         }
     }
 
@@ -324,11 +338,28 @@ mod tests {
     fn a_line_stands_out_as_two_gaussians_say() {
         // A bright line 6 px wide, 100 gray levels above the carpet.
         let c = contrast_of(320, 240, |u, _| if (157..163).contains(&u) { 160 } else { 60 });
-        let got = f64::from(c.contrast[60 * c.width + 79].max(c.contrast[60 * c.width + 80])) / f64::from(UNITS);
+        let got = f64::from(c.contrast[60 * c.width + 79].max(c.contrast[60 * c.width + 80])) / f64::from(PARTS);
         // erf(3 / (sqrt 2 sigma)) x 100 for sigma 2.1 (narrow, with the halving) and 11.8 (wide).
         let share = |sigma: f64| 100.0 * libm::erf(3.0 / (core::f64::consts::SQRT_2 * sigma));
-        let expected = share(2.1) - share(11.8);
-        assert!((got - expected).abs() < 6.0, "{got} against {expected}");
+        let expected = (share(2.1) - share(11.8)) / (60.0 + share(11.8) + f64::from(STRAY_LEVELS));
+        assert!((got - expected).abs() < 0.08, "{got} against {expected}");
+    }
+
+    #[test]
+    fn a_line_has_the_same_contrast_in_sun_and_shade() {
+        let of = |light: f64| {
+            let gray = |level: f64| (level * light - f64::from(STRAY_LEVELS)).round() as u8;
+            let c = contrast_of(320, 240, |u, _| gray(if (157..163).contains(&u) { 110.0 } else { 70.0 }));
+            f64::from(c.contrast[60 * c.width + 79]) / f64::from(PARTS)
+        };
+        let [shade, plain, sun] = [0.5, 1.0, 2.0].map(of);
+        assert!(plain > 0.2 && (shade - plain).abs() < 0.02 && (sun - plain).abs() < 0.02, "{shade} {plain} {sun}");
+    }
+
+    #[test]
+    fn a_contrast_is_rounded_and_never_leaves_its_16_bits() {
+        let values = [-1e9, -32768.0, -2.6, -0.4, 0.0, 2.6, 32767.0, 1e9].map(signed);
+        assert_eq!(values, [i16::MIN, i16::MIN, -3, 0, 0, 3, i16::MAX, i16::MAX]);
     }
 
     #[test]

@@ -6,7 +6,7 @@
 use glam::DVec2;
 
 use super::cells::{ByRange, Cells};
-use super::contrast::{LineContrast, UNITS};
+use super::contrast::{LineContrast, PARTS, UNITS};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 use super::{Reading, VisionSettings, WorkingScale, distance};
 use crate::vectorised::vectorised;
@@ -65,7 +65,7 @@ impl Making {
     }
 
     /// Fills the table that the observation model wants, and `lines` with line contrast if that is another. Returns
-    /// the gray levels by which a line of the best width stands out.
+    /// the line contrast of a line of the best width.
     pub fn tables(
         &mut self,
         image: &LineContrast,
@@ -111,7 +111,7 @@ impl Making {
 /// Distances in pixels of the working image to the nearest white one, as printed: measured in the image. In units.
 fn nearest_pixel(image: &LineContrast, full: f32) -> Vec<i16> {
     const REACH: usize = 127;
-    let half = 0.5 * full * UNITS;
+    let half = 0.5 * full * PARTS;
     let white: Vec<bool> = image.contrast.iter().map(|value| f32::from(*value) >= half).collect();
     let nearest = distance::nearest(&white, image.width, image.height, REACH);
     nearest.iter().map(|pixels| (2.0 * UNITS * pixels).min(255.0 * UNITS) as i16).collect()

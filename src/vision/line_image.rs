@@ -2,6 +2,7 @@
 
 use super::WorkingScale;
 use super::carpet::Surface;
+use super::contrast::{STRAY_LEVELS, coarse_size};
 use super::picture::Picture;
 use crate::vectorised::{rounded, vectorised};
 
@@ -16,19 +17,71 @@ pub struct LineImage {
     /// Of half-resolution pixels.
     pub(super) surfaces: Vec<Surface>,
     scale: WorkingScale,
-    /// Gray levels by which a line of the best width stands out of the carpet; infinite if none does.
+    /// Share of the carpet's brightness by which a line of the best width stands out of it in the narrow blur; infinite if none
+    /// does.
     full_contrast: f32,
+    noise: f32,
+    /// How far single places of the carpet stand out of their neighbours.
+    samples: Vec<f32>,
 }
 
+/// Of the places of the carpet, the share that stands out less than one standard deviation of a normal distribution.
+const WITHIN_SIGMA: f64 = 0.683;
+/// One place in so many cells of the carpet is looked at, each way.
+const NOISE_STEP: usize = 2;
+const FEWEST_SAMPLES: usize = 20;
+/// Half of what is looked at across a place of the carpet, in pixels.
+const REACH: usize = 5;
+
 impl LineImage {
-    pub(super) fn fill(&mut self, working: &Picture, scale: WorkingScale, full_contrast: f32) {
+    /// `on_carpet` has one entry per cell of [`super::contrast::coarse_centres`].
+    pub(super) fn fill(&mut self, working: &Picture, scale: WorkingScale, full_contrast: f32, on_carpet: &[bool]) {
         (self.width, self.height) = (working.width, working.height);
         self.luma.clone_from(&working.luma);
         (self.scale, self.full_contrast) = (scale, full_contrast);
+        self.measure_noise(on_carpet);
     }
 
     pub fn full_contrast(&self) -> f32 {
         self.full_contrast
+    }
+
+    /// Standard deviation, as a share of its brightness, of how far plain carpet stands out where a line of three pixels is looked
+    /// for: blades, glints, the sensor's noise, JPEG.
+    pub fn noise(&self) -> f32 {
+        self.noise
+    }
+
+    /// Lines are a small part of the carpet, and what stands out far does not move the quantile.
+    fn measure_noise(&mut self, on_carpet: &[bool]) {
+        let (columns, rows) = coarse_size(self.width, self.height);
+        self.samples.clear();
+        for row in (1..rows.saturating_sub(1)).step_by(NOISE_STEP) {
+            for column in (1..columns.saturating_sub(1)).step_by(NOISE_STEP) {
+                let (u, v) = (8 * column + 3, 8 * row + 3);
+                let shows = self.surfaces.get(v / 2 * (self.width / 2) + u / 2);
+                if on_carpet.get(row * columns + column) == Some(&true) && shows == Some(&Surface::Carpet) {
+                    let at = v * self.width + u;
+                    let across = [1, self.width].map(|step| self.stands_out(at, step));
+                    self.samples.extend(across);
+                }
+            }
+        }
+        self.noise = if self.samples.len() < FEWEST_SAMPLES {
+            0.0
+        } else {
+            let index = ((self.samples.len() - 1) as f64 * WITHIN_SIGMA) as usize;
+            *self.samples.select_nth_unstable_by(index, f32::total_cmp).1
+        };
+    }
+
+    /// `step` from pixel to pixel; at least [`REACH`] of them lie on each side.
+    fn stands_out(&self, at: usize, step: usize) -> f32 {
+        let value = |off: isize| f32::from(self.luma[at.wrapping_add_signed(off * step as isize)]);
+        let band = (value(-1) + value(0) + value(1)) * (1.0 / 3.0);
+        let reach = REACH as isize;
+        let flank = (value(-reach) + value(1 - reach) + value(reach - 1) + value(reach)) * 0.25;
+        (band - flank).abs() / (flank + STRAY_LEVELS)
     }
 
     /// Full-size image coordinates to those of this image.

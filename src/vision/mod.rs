@@ -71,6 +71,11 @@ impl Seen {
     pub fn lines(&self) -> &GroundTable {
         self.lines.as_ref().unwrap_or(&self.table)
     }
+
+    /// Corners of the carpet as far as it is seen, on the ground of `base_footprint`; none if no edge can be told.
+    pub fn border(&self) -> &[DVec2] {
+        self.border.corners()
+    }
 }
 
 /// Everything about seeing that does not change from frame to frame.
@@ -172,7 +177,7 @@ impl Vision {
             line_width_m: self.settings.line_width_m,
         };
         let full_contrast = making.tables(contrast, scales, &self.settings, table, lines);
-        image.fill(working, scale, full_contrast);
+        image.fill(working, scale, full_contrast, on_carpet);
     }
 
     fn range_m(&self, footprint_from_optical: &Isometry) -> f64 {

@@ -53,6 +53,48 @@ fn black_frames_are_coasted_through_and_then_invalid() {
     assert!(replayed.run.code == Some(1) && replayed.run.stderr.contains(&none), "{:?}", replayed.run);
 }
 
+/// SplitMix64.
+fn random_bytes(mut state: u64) -> impl Iterator<Item = u8> {
+    core::iter::repeat_with(move || {
+        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (mixed ^ (mixed >> 31)).to_le_bytes()
+    })
+    .flatten()
+}
+
+/// What a camera with a broken cable sends, from the first frame on and in the middle of a walk.
+#[test]
+fn pictures_of_noise_give_no_valid_tag() {
+    for (quality, channels, first) in [(90, 3, 0), (60, 1, 0), (25, 3, 0), (90, 3, 20)] {
+        let mut index = 0;
+        let messages = changed::<CompressedImage>(&walk().messages, IMAGE, |image| {
+            index += 1;
+            if index <= first {
+                return;
+            }
+            let pixels = random_bytes(index as u64).take(320 * 240 * channels).collect();
+            let picture = match channels {
+                1 => image::DynamicImage::ImageLuma8(image::GrayImage::from_raw(320, 240, pixels).expect("fits")),
+                _ => image::DynamicImage::ImageRgb8(image::RgbImage::from_raw(320, 240, pixels).expect("fits")),
+            };
+            image.data.clear();
+            let data = std::io::Cursor::new(&mut image.data);
+            image::codecs::jpeg::JpegEncoder::new_with_quality(data, quality).encode_image(&picture).expect("encodes");
+        });
+        let replayed = Room::with_log(&messages).replay("log.mcap");
+        // A pose that was known is carried on for half a second.
+        let carried = if first > 0 { first + 5 } else { 0 };
+        let valid = replayed.tags[carried..].iter().filter(|tag| tag.valid).count();
+        assert_eq!(
+            valid, 0,
+            "quality {quality}, {channels} channels, from frame {first}: {}",
+            replayed.report["invalid"]
+        );
+    }
+}
+
 #[test]
 fn an_imu_upside_down_gives_no_wrong_tags() {
     let upside_down = changed::<Imu>(&walk().messages, IMU, |imu| {

@@ -41,6 +41,7 @@ mod tag;
 mod thinning;
 mod topics;
 mod truth;
+mod turf;
 mod usage;
 mod warm_start;
 mod warnings;

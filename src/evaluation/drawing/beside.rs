@@ -17,6 +17,15 @@ const LINE_PX: u32 = 27;
 const MOST_LINES: usize = 4;
 const PAGE: [u8; 3] = [255, 255, 255];
 
+/// Both pictures as large as they are, upper edges aligned.
+pub fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
+    let size = (left.width() + right.width(), left.height().max(right.height()));
+    let mut page = RgbImage::from_pixel(size.0, size.1, Rgb(PAGE));
+    imageops::replace(&mut page, left, 0, 0);
+    imageops::replace(&mut page, right, i64::from(left.width()), 0);
+    page
+}
+
 /// Both pictures at the same height, the caption below: at most 1600 x 620 pixels.
 ///
 /// A field map 720 px wide fits beside a camera image about as it is, so that its letters stay sharp.

@@ -7,6 +7,7 @@
 mod beside;
 mod canvas;
 pub mod chart;
+mod explanation;
 mod field_map;
 mod overlay;
 mod paint;
@@ -15,7 +16,8 @@ mod plot;
 mod routes;
 mod text;
 
-pub use beside::side_by_side;
+pub use beside::{beside, side_by_side};
+pub use explanation::{LEGEND, explanation};
 pub use field_map::field_map;
 pub use overlay::overlay;
 pub use panels::panels;

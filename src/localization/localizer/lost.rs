@@ -146,7 +146,7 @@ impl Localizer {
     }
 
     /// Refines the candidates; whether that is all. The best are first then.
-    fn fit(&mut self, moment: &Moment, seen: &Seen, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
+    pub(super) fn fit(&mut self, moment: &Moment, seen: &Seen, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
         let Some(place) = moment.footprint_from_optical else { return false };
         let mut index = 0;
         while let Some(pose) = self.state.fitting.left.pop_front() {
@@ -158,7 +158,7 @@ impl Localizer {
                 && agrees(&lines)
             {
                 let explained = self.painted.explained(seen.lines(), &place, &map_from_optical).share;
-                let worth = (lines.fitting as f64 - lines.expected as f64 * CONTRADICTED) * explained;
+                let worth = lines.visible * (lines.share() - CONTRADICTED) * explained;
                 let pose = Pose2::from_isometry(&(map_from_optical * place.inverse()));
                 let convinces = convinces(&lines, explained, self.settings.valid.explained);
                 let is_whole = is_whole(&lines);
@@ -211,13 +211,18 @@ impl Physical for Fitting {
 }
 
 impl Fitting {
-    fn of(believed: Option<Pose2>, found: &[Candidate]) -> Self {
+    pub(super) fn of(believed: Option<Pose2>, found: &[Candidate]) -> Self {
         let left = believed.into_iter().chain(found.iter().map(|candidate| candidate.pose)).collect();
         Self { left, believed, fits: Vec::new() }
     }
 
     fn is_under_way(&self) -> bool {
         !self.left.is_empty()
+    }
+
+    /// Of each pose that was refined its worth, how many line places fit, and the share of the line seen that is explained.
+    pub(super) fn fits(&self) -> impl Iterator<Item = (Pose2, f64, usize, f64)> + '_ {
+        self.fits.iter().map(|fit| (fit.pose, fit.worth, fit.fitting, fit.explained))
     }
 
     /// The robot has walked since the last frame.

@@ -1,8 +1,10 @@
 //! From frame to frame: particles find the basin, refinement finds the pose, and both must agree with the lines before
 //! a pose is believed.
 
+mod evidence;
 mod lost;
 
+pub use evidence::{Evidence, Tried};
 pub use lost::Fitting;
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};

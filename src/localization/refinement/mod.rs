@@ -8,6 +8,7 @@
 //! the order of a ROS covariance: x, y, z, rotation about x, y, z. Four more are those of lens and sensor: how much longer the focal length
 //! is (share), how far the axis lies off (u, v, widths of the image), how long it takes from reading the first row to the last (s).
 
+mod chance;
 pub mod miscalibration;
 pub mod offsets;
 mod points;
@@ -19,8 +20,9 @@ use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
 use crate::geometry::{Field, Isometry, Lens, Projector, Twist};
 use crate::vision::LineImage;
+use chance::Test;
 use miscalibration::{Miscalibration, UNSEEN_M_PER_S, unfelt_rad_per_s};
-use offsets::{Counts, Eye, Sight};
+use offsets::{Counts, Eye, Inspected, Sight};
 
 pub use points::LinePoints;
 
@@ -70,12 +72,23 @@ pub struct Agreement {
     pub fitting: usize,
     /// Root of the mean squared deviation of those that fit, in pixels.
     pub rms_px: f64,
+    /// Of what a picture shows of the expected lines, the share that fits: each place counts by how probably a line of its
+    /// width is seen.
+    pub share: f64,
+    /// Of how many places that is: the number of the expected ones, each counted the same way.
+    pub visible: f64,
+    /// How improbable it is that so many lines lie there by chance: -log10 of that probability.
+    pub digits: f64,
+    /// Share of the expected lines that stand out most where the pose has them, against what lies beside: counted as in `share`.
+    pub foremost: f64,
+    /// Width of a line that the picture shows half the time, in pixels: the fainter the lines, the wider.
+    pub half_seen_px: f64,
 }
 
 impl Agreement {
     /// Share of the expected line that fits.
     pub fn share(&self) -> f64 {
-        self.fitting as f64 / self.expected.max(1) as f64
+        self.share
     }
 }
 
@@ -107,13 +120,29 @@ impl Refiner {
     /// covariance, or if nothing finite came out.
     pub fn refine(&mut self, image: &LineImage, prior: &Prior, starts: &[Vector6<f64>]) -> Option<Refined> {
         let results = starts.iter().filter_map(|start| self.refine_from(image, prior, start, prior.pose_covariance()));
-        results.min_by(|a, b| a.cost.total_cmp(&b.cost))
+        let best = results.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+        Some(self.tested(image, prior, best))
+    }
+
+    /// What a picture shows of the lines that a camera would see from this pose.
+    pub fn inspect(&self, image: &LineImage, map_from_optical: &Isometry) -> Vec<Inspected> {
+        let eye = Eye { projector: &self.projector, off: &Miscalibration::NONE, twist: &Twist::ZERO };
+        offsets::inspect(&self.points, image, eye, map_from_optical)
     }
 
     /// As if the prior's mean were nearly right: lines are looked for close to where it has them, so that none is taken for its
     /// neighbour. The cost is that of [`Self::refine`], by which the better of the two is known.
     pub fn refine_nearby(&mut self, image: &LineImage, prior: &Prior) -> Option<Refined> {
-        self.refine_from(image, prior, &Vector6::zeros(), prior.pose_covariance() * NEARBY)
+        let refined = self.refine_from(image, prior, &Vector6::zeros(), prior.pose_covariance() * NEARBY)?;
+        Some(self.tested(image, prior, refined))
+    }
+
+    /// With what is to be said against chance.
+    fn tested(&self, image: &LineImage, prior: &Prior, mut refined: Refined) -> Refined {
+        let eye = Eye { projector: &self.projector, off: &prior.lens, twist: &prior.twist };
+        let Test { foremost, digits, half_seen_px } = chance::test(&self.points, image, eye, &refined.map_from_optical);
+        refined.lines = Agreement { foremost, digits, half_seen_px, ..refined.lines };
+        refined
     }
 
     /// `reach` is how wrong the start may be.
@@ -149,16 +178,20 @@ impl Refiner {
         let solve::Joint { moved, covariance, condition } =
             solve::joint(prior, sights, &moved, scale, [solved_with, solution.residuals.noise()])?;
         let is_finite = moved.iter().chain(covariance.iter()).all(|value| value.is_finite());
+        let map_from_optical = moved_pose(&prior.map_from_optical, &pose_part(&moved));
         is_finite.then(|| Refined {
-            map_from_optical: moved_pose(&prior.map_from_optical, &pose_part(&moved)),
+            map_from_optical,
             covariance,
             condition,
             moved,
-            cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
+            cost: solution.cost + counts.visible_missed * solve::MISS_COST,
             lines: Agreement {
                 expected: counts.expected,
                 fitting: solution.residuals.fitting,
                 rms_px: solution.residuals.rms_px(),
+                visible: counts.visible,
+                share: solution.residuals.visible / counts.visible.max(f64::MIN_POSITIVE),
+                ..Agreement::default()
             },
         })
     }

@@ -7,6 +7,7 @@ use super::miscalibration::{Miscalibration, row};
 use super::points::{LinePoint, LinePoints};
 use crate::geometry::{Isometry, Projector, Twist};
 use crate::vision::LineImage;
+use crate::vision::contrast::STRAY_LEVELS;
 
 /// A place of a line, found in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,6 +20,8 @@ pub struct Sight {
     pub tangent: DVec3,
     /// Standard deviation in units of that of a line whose place is known best, in pixels.
     pub sigmas: f64,
+    /// Of how many such places a picture shows the line, 0 to 1.
+    pub visibility: f64,
     /// Across the line.
     pub pixels_per_rad: f64,
     /// How the ray would change with the lens's stretch and shift and the sensor's readout: see [`Miscalibration`].
@@ -48,11 +51,14 @@ impl Eye<'_> {
     }
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Counts {
     /// Places where a line had to be seen, and nothing hid it.
     pub expected: usize,
     pub missed: usize,
+    /// The same, each counted by its visibility.
+    pub visible: f64,
+    pub visible_missed: f64,
 }
 
 /// Lines thinner than this are not looked for.
@@ -70,11 +76,26 @@ const MOST_REACH_PX: f64 = 24.0;
 const THIN_PX: f64 = 2.4;
 /// And one wider than this the wider it is: more of paint and carpet in its profile.
 const WIDE_PX: f64 = 6.0;
+/// Width of a line that shows half the time, where it stands out no more than the carpet's noise, and within which limits: the pile, the
+/// blur and the colour filter hide thin lines the sooner the fainter they are.
+const HALF_SEEN_PX: f64 = 25.0;
+const HALF_SEEN_LIMITS_PX: (f64, f64) = (0.8, 4.0);
 /// Share of the expected contrast that makes a line.
-const LEAST_CONTRAST: f64 = 0.35;
+const LEAST_CONTRAST: f64 = 0.12;
+/// And so many standard deviations of plain carpet.
+const ABOVE_NOISE: f64 = 1.2;
+/// The place of a line as faint as the noise is known so much worse than that of a clear one.
+const FAINT_SIGMAS: f64 = 5.0;
+/// Carpet is as bright on both sides of a line, up to this share of the expected contrast.
+const MOST_SLOPE: f64 = 0.35;
 /// Carpet that is lit at all is brighter than this share of the step from it to a line: of the gray that a camera writes it is about as
 /// much as the step itself.
 const UNLIT: f64 = 0.2;
+const MOST_UNLIT_LEVELS: f64 = 100.0;
+/// A line is where a pose has it if it stands out most within so many pixels of that place, and so many more for each pixel of the width
+/// that is seen half the time: the peak of a faint line is moved by noise.
+const FOREMOST_PX: f64 = 0.2;
+const FOREMOST_MORE_PER_PX: f64 = 0.45;
 /// The narrow line contrast of vision shows this much of a line's own contrast.
 const SHOWN_CONTRAST: f64 = 0.672;
 
@@ -90,10 +111,81 @@ pub fn measure(
 ) -> Counts {
     sights.clear();
     let mut counts = Counts::default();
-    let contrast = f64::from(image.full_contrast()) / SHOWN_CONTRAST;
-    if !contrast.is_finite() {
-        return counts;
-    }
+    let Some(paint) = Paint::of(image) else { return counts };
+    let camera = map_from_optical.translation;
+    let mut last_line = usize::MAX;
+    let mut follows = false;
+    each_place(points, image, eye, map_from_optical, APART_PX, |line, point, expected| {
+        follows &= line == last_line;
+        last_line = line;
+        let reach = expected.reach_px(point, camera, covariance);
+        match expected.find(image, reach, paint) {
+            Outcome::Hidden => follows = false,
+            Outcome::Missed => {
+                follows = false;
+                counts.expected += 1;
+                counts.missed += 1;
+                counts.visible += expected.visibility(paint);
+                counts.visible_missed += expected.visibility(paint);
+            }
+            Outcome::Found(found) => {
+                counts.expected += 1;
+                counts.visible += expected.visibility(paint);
+                sights.push(expected.sight(line, point, found, follows, paint));
+                follows = true;
+            }
+        }
+    });
+    counts
+}
+
+/// What a picture shows of a place at which a pose has a line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Inspected {
+    /// Where the line should be, in pixels of the full-size image.
+    pub pixel: DVec2,
+    /// Of how many such places a picture shows the line, 0 to 1.
+    pub visibility: f64,
+    pub finding: Finding,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Finding {
+    /// Something stands before it, or the light changes there.
+    Hidden,
+    /// Plain carpet.
+    Missing,
+    /// Here, in pixels of the full-size image.
+    Found(DVec2),
+}
+
+/// Looks for every line in view close to where the pose has it.
+pub fn inspect(points: &LinePoints, image: &LineImage, eye: Eye, map_from_optical: &Isometry) -> Vec<Inspected> {
+    let mut inspected = Vec::new();
+    let Some(paint) = Paint::of(image) else { return inspected };
+    each_place(points, image, eye, map_from_optical, APART_PX, |_, _, expected| {
+        let finding = match expected.find(image, LEAST_REACH_PX, paint) {
+            Outcome::Hidden => Finding::Hidden,
+            Outcome::Missed => Finding::Missing,
+            Outcome::Found(found) => {
+                Finding::Found(image.scale().undo(expected.middle + expected.direction * found.offset_px))
+            }
+        };
+        let pixel = image.scale().undo(expected.middle);
+        inspected.push(Inspected { pixel, visibility: expected.visibility(paint), finding });
+    });
+    inspected
+}
+
+/// Every place of a line that the pose would have drawn in the image, at least so many pixels from the one before it on its line.
+pub(super) fn each_place(
+    points: &LinePoints,
+    image: &LineImage,
+    eye: Eye,
+    map_from_optical: &Isometry,
+    apart_px: f64,
+    mut visit: impl FnMut(usize, &LinePoint, &Expected),
+) {
     let from_carpet = FromCarpet::new(&map_from_optical.inverse());
     let camera = map_from_optical.translation;
     let projector = eye.projector;
@@ -106,7 +198,6 @@ pub fn measure(
     let farthest = farthest.max(farthest * farthest / (4.0 * height)).max(1.0);
     for (line, stroke) in points.strokes.iter().enumerate() {
         let mut last = DVec2::INFINITY;
-        let mut follows = false;
         for point in stroke {
             let to = point.position - camera.truncate();
             if to.length_squared() > farthest * farthest {
@@ -117,7 +208,7 @@ pub fn measure(
                 continue;
             }
             let Some(pixel) = projector.project(centre) else { continue };
-            if !projector.lens().contains(pixel) || pixel.distance_squared(last) < APART_PX * APART_PX {
+            if !projector.lens().contains(pixel) || pixel.distance_squared(last) < apart_px * apart_px {
                 continue;
             }
             let width_m = points.line_width_m;
@@ -125,23 +216,39 @@ pub fn measure(
                 continue;
             };
             last = pixel;
-            let reach = expected.reach_px(point, camera, covariance);
-            match expected.find(image, reach, contrast) {
-                Outcome::Hidden => follows = false,
-                Outcome::Missed => {
-                    follows = false;
-                    counts.expected += 1;
-                    counts.missed += 1;
-                }
-                Outcome::Found(offset_px) => {
-                    counts.expected += 1;
-                    sights.push(expected.sight(line, point, offset_px, follows));
-                    follows = true;
-                }
-            }
+            visit(line, point, &expected);
         }
     }
-    counts
+}
+
+/// How lines stand out in this picture, both as shares of the carpet's brightness.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Paint {
+    /// A line of the best width.
+    contrast: f64,
+    /// Standard deviation of plain carpet.
+    noise: f64,
+}
+
+impl Paint {
+    /// None if nothing in the picture can be a line.
+    pub(super) fn of(image: &LineImage) -> Option<Self> {
+        let contrast = f64::from(image.full_contrast()) / SHOWN_CONTRAST;
+        contrast.is_finite().then(|| Self { contrast, noise: f64::from(image.noise()) })
+    }
+
+    /// Width of a line that shows half the time, in pixels.
+    pub(super) fn half_seen_px(&self) -> f64 {
+        let (thinnest, widest) = HALF_SEEN_LIMITS_PX;
+        (HALF_SEEN_PX * self.noise / self.contrast.max(1e-3)).clamp(thinnest, widest)
+    }
+
+    /// A line of this width is one if it stands out by so much.
+    fn least(&self, width_px: f64) -> f64 {
+        // A line thinner than the pixels' own blur shows less.
+        let shown = self.contrast * (width_px / 2.0).min(1.0);
+        (LEAST_CONTRAST * shown).max(ABOVE_NOISE * self.noise)
+    }
 }
 
 /// `camera_optical_frame` from the plane of the carpet.
@@ -171,11 +278,18 @@ enum Outcome {
     Hidden,
     /// Plain carpet where the line should be.
     Missed,
-    Found(f64),
+    Found(Found),
+}
+
+struct Found {
+    /// From where the line was expected.
+    offset_px: f64,
+    /// How far it stands out, in standard deviations of plain carpet; infinite where that has none.
+    to_noise: f64,
 }
 
 /// A short piece of line as the pose would have it drawn.
-struct Expected {
+pub(super) struct Expected {
     /// Unit ray of the line's middle in `camera_optical_frame`.
     ray: DVec3,
     /// From the line's one edge to its other: difference of unit rays.
@@ -247,12 +361,19 @@ impl Expected {
         (REACH_SIGMAS * sigma * self.pixels_per_rad()).clamp(LEAST_REACH_PX, MOST_REACH_PX)
     }
 
-    fn sight(&self, line: usize, point: &LinePoint, offset_px: f64, follows: bool) -> Sight {
+    /// Share of lines of this width that a picture shows.
+    pub(super) fn visibility(&self, paint: Paint) -> f64 {
+        let thin = paint.half_seen_px() / self.width_px;
+        1.0 / (1.0 + thin * thin * thin)
+    }
+
+    fn sight(&self, line: usize, point: &LinePoint, found: Found, follows: bool, paint: Paint) -> Sight {
         Sight {
-            ray: (self.ray + self.across * (offset_px / self.width_px)).normalize(),
+            ray: (self.ray + self.across * (found.offset_px / self.width_px)).normalize(),
             point: point.position.extend(0.0),
             tangent: DVec3::new(-point.normal.y, point.normal.x, 0.0),
-            sigmas: sigmas(self.width_px),
+            sigmas: libm::hypot(sigmas(self.width_px), FAINT_SIGMAS / found.to_noise),
+            visibility: self.visibility(paint),
             pixels_per_rad: self.pixels_per_rad(),
             bends: self.bends,
             row: self.row,
@@ -262,10 +383,74 @@ impl Expected {
         }
     }
 
-    /// The line's middle along the normal, in pixels from where it was expected.
-    fn find(&self, image: &LineImage, reach_px: f64, contrast: f64) -> Outcome {
-        const MAX_SAMPLES: usize = 160;
-        let width = self.width_px as f32;
+    /// The line's middle along the normal.
+    fn find(&self, image: &LineImage, reach_px: f64, paint: Paint) -> Outcome {
+        let Some(profile) = Profile::across(self, image, reach_px) else { return Outcome::Hidden };
+        let (at, response) = profile.best();
+        let hides = |at: usize| profile.hides(image, at);
+        if hides(at) {
+            return Outcome::Hidden;
+        }
+        let flanks = profile.flanks(at);
+        if response < paint.least(self.width_px) {
+            // Carpet is darker than a line would be; brightness beyond the field or a robot's shell says nothing.
+            let is_seen = !hides(profile.half) && paint.is_beside(profile.flanks(profile.half));
+            return if is_seen { Outcome::Missed } else { Outcome::Hidden };
+        }
+        // Where a lens's picture ends, or a robot's shadow begins, a line is cut and its middle elsewhere; beyond there is none.
+        if !paint.is_beside(flanks) {
+            return Outcome::Hidden;
+        }
+        Outcome::Found(Found { offset_px: profile.offset_px(profile.centroid(at)), to_noise: response / paint.noise })
+    }
+
+    /// Whether the line stands out more than anything else within so many pixels beside it, and how often it would by chance.
+    /// `None` where something stands before it.
+    pub(super) fn is_foremost(&self, image: &LineImage, paint: Paint, within_px: f64) -> Option<(bool, f64)> {
+        let profile = Profile::across(self, image, within_px)?;
+        if profile.hides(image, profile.half) || !paint.is_beside(profile.flanks(profile.half)) {
+            return None;
+        }
+        let near_px = FOREMOST_PX + FOREMOST_MORE_PER_PX * paint.half_seen_px();
+        let near = libm::round(near_px / f64::from(profile.step)).max(1.0) as usize;
+        let (at, _) = profile.best();
+        let all = profile.middles().len();
+        Some((at.abs_diff(profile.half) <= near, ((2 * near + 1) as f64 / all as f64).min(1.0)))
+    }
+}
+
+impl Paint {
+    /// Both flanks of a line are carpet, in the same light.
+    fn is_beside(&self, (left, right): (f32, f32)) -> bool {
+        let (left, right) = (f64::from(left), f64::from(right));
+        let step = self.contrast * (0.5 * (left + right) + f64::from(STRAY_LEVELS));
+        (left - right).abs() < MOST_SLOPE * step && left.max(right) > UNLIT * step.min(MOST_UNLIT_LEVELS)
+    }
+}
+
+const MAX_SAMPLES: usize = 160;
+
+/// Luma across an expected line, and how a matched filter answers to it: mean of the line's band less that of the carpet beside it.
+struct Profile {
+    /// Pixels from sample to sample; the line is expected at sample `half`.
+    step: f32,
+    half: usize,
+    /// In samples: half the line, and the strip of carpet beside it; from the line's middle to that strip's far end.
+    band: usize,
+    flank: usize,
+    margin: usize,
+    count: usize,
+    middle: [f32; 2],
+    along: [f32; 2],
+    values: [f32; MAX_SAMPLES],
+    /// Of all values before.
+    sums: [f32; MAX_SAMPLES + 1],
+}
+
+impl Profile {
+    /// `None` if a part of it lies outside of the image.
+    fn across(expected: &Expected, image: &LineImage, reach_px: f64) -> Option<Self> {
+        let width = expected.width_px as f32;
         let step = (width / 6.0).clamp(0.5, 1.5);
         let in_steps = |pixels: f32| libm::roundf(pixels / step) as usize;
         // Half the line, the blur at its edge, the carpet beside it.
@@ -275,56 +460,71 @@ impl Expected {
         let half = reach + margin;
         let count = 2 * half + 1;
         if count > MAX_SAMPLES {
-            return Outcome::Hidden;
+            return None;
         }
-        let (u0, v0) = (self.middle.x as f32, self.middle.y as f32);
-        let (du, dv) = (self.direction.x as f32 * step, self.direction.y as f32 * step);
-        let (mut profile, mut sums) = ([0.0f32; MAX_SAMPLES], [0.0f32; MAX_SAMPLES + 1]);
-        let (profile, sums) = (&mut profile[..count], &mut sums[..count + 1]);
-        if !image.profile([u0, v0], [du, dv], profile) {
-            return Outcome::Hidden;
+        let middle = [expected.middle.x as f32, expected.middle.y as f32];
+        let along = [expected.direction.x as f32 * step, expected.direction.y as f32 * step];
+        let (mut values, mut sums) = ([0.0f32; MAX_SAMPLES], [0.0f32; MAX_SAMPLES + 1]);
+        if !image.profile(middle, along, &mut values[..count]) {
+            return None;
         }
         let mut sum = 0.0;
-        for (total, value) in sums[1..].iter_mut().zip(&*profile) {
+        for (total, value) in sums[1..].iter_mut().zip(&values[..count]) {
             sum += value;
             *total = sum;
         }
-        let (per_band, per_flank) = (1.0 / (2 * band + 1) as f32, 1.0 / flank as f32);
-        let sum = |from: usize, to: usize| sums[to] - sums[from];
-        let flanks = |middle: usize| {
-            let left = sum(middle - margin, middle - margin + flank);
-            let right = sum(middle + margin + 1 - flank, middle + margin + 1);
-            (left * per_flank, right * per_flank)
-        };
-        let (mut best, mut at) = (f32::NEG_INFINITY, half);
-        for middle in margin..count - margin {
-            let (left, right) = flanks(middle);
-            let response = sum(middle - band, middle + band + 1) * per_band - left.max(right);
+        Some(Self { step, half, band, flank, margin, count, middle, along, values, sums })
+    }
+
+    /// Where the line's middle may be.
+    fn middles(&self) -> core::ops::Range<usize> {
+        self.margin..self.count - self.margin
+    }
+
+    fn sum(&self, from: usize, to: usize) -> f32 {
+        self.sums[to] - self.sums[from]
+    }
+
+    /// Mean luma of the carpet on both sides.
+    fn flanks(&self, at: usize) -> (f32, f32) {
+        let Self { margin, flank, .. } = *self;
+        let per_flank = 1.0 / flank as f32;
+        let left = self.sum(at - margin, at - margin + flank);
+        let right = self.sum(at + margin + 1 - flank, at + margin + 1);
+        (left * per_flank, right * per_flank)
+    }
+
+    /// Where the line stands out most, and by which share of the brighter carpet beside it.
+    fn best(&self) -> (usize, f64) {
+        let per_band = 1.0 / (2 * self.band + 1) as f32;
+        let (mut best, mut at) = (f32::NEG_INFINITY, self.half);
+        for middle in self.middles() {
+            let (left, right) = self.flanks(middle);
+            let carpet = left.max(right);
+            let band = self.sum(middle - self.band, middle + self.band + 1) * per_band;
+            let response = (band - carpet) / (carpet + STRAY_LEVELS);
             if response > best {
                 (best, at) = (response, middle);
             }
         }
-        let hidden = |steps: f32| image.hides(u0 + steps * du, v0 + steps * dv);
-        let beside = (band + gap + flank / 2) as f32;
-        let offset = at as f32 - half as f32;
-        if hidden(offset) || hidden(offset - beside) || hidden(offset + beside) {
-            return Outcome::Hidden;
-        }
-        // Where a lens's picture ends, or a robot's shadow begins, a line is cut and its middle elsewhere; beyond there is none.
-        let is_carpet = |(left, right): (f32, f32)| {
-            f64::from((left - right).abs()) < LEAST_CONTRAST * contrast && f64::from(left.max(right)) > UNLIT * contrast
-        };
-        // A line thinner than the pixels' own blur shows less.
-        let shown = contrast * (self.width_px / 2.0).min(1.0);
-        if f64::from(best) < LEAST_CONTRAST * shown {
-            // Carpet is darker than a line would be; brightness beyond the field or a robot's shell says nothing.
-            let is_seen = !(hidden(0.0) || hidden(-beside) || hidden(beside)) && is_carpet(flanks(half));
-            return if is_seen { Outcome::Missed } else { Outcome::Hidden };
-        }
-        if !is_carpet(flanks(at)) {
-            return Outcome::Hidden;
-        }
-        Outcome::Found(f64::from(centroid(profile, at, band + gap, flanks(at)) - half as f32) * f64::from(step))
+        (at, f64::from(best))
+    }
+
+    /// Something stands before the line or the carpet beside it.
+    fn hides(&self, image: &LineImage, at: usize) -> bool {
+        let beside = (self.margin - self.flank + self.flank / 2) as f32;
+        let steps = at as f32 - self.half as f32;
+        [steps, steps - beside, steps + beside]
+            .iter()
+            .any(|steps| image.hides(self.middle[0] + steps * self.along[0], self.middle[1] + steps * self.along[1]))
+    }
+
+    fn centroid(&self, at: usize) -> f32 {
+        centroid(&self.values[..self.count], at, self.margin - self.flank, self.flanks(at))
+    }
+
+    fn offset_px(&self, sample: f32) -> f64 {
+        f64::from(sample - self.half as f32) * f64::from(self.step)
     }
 }
 

@@ -38,6 +38,8 @@ pub(super) struct Noise {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Residuals {
     pub(super) fitting: usize,
+    /// The same, each counted by its visibility.
+    pub(super) visible: f64,
     squared_px: f64,
     /// Pairs of neighbours along a line, and the sum of their products.
     pairs: usize,
@@ -274,6 +276,7 @@ impl Linearised {
                 }
                 line_sum_px += off_px;
                 residuals.fitting += 1;
+                residuals.visible += sight.visibility;
                 residuals.squared_px += off_px * off_px;
                 if let Some(last_px) = last_px.filter(|_| sight.follows) {
                     residuals.pairs += 1;

@@ -86,6 +86,7 @@ fn sights(truth: &Isometry, lines: &[Vec<(DVec3, DVec3)>], mut noise: impl FnMut
                 point: *point,
                 tangent: *tangent,
                 sigmas: 1.0,
+                visibility: 1.0,
                 pixels_per_rad: PIXELS_PER_RAD,
                 line,
                 follows: index > 0,

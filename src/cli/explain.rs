@@ -1,0 +1,241 @@
+//! `realitysim explain`
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+use glam::DVec2;
+use serde_json::{Value, json};
+
+use super::paths::{check_output, save};
+use super::replay::field_of;
+use super::settings::SettingsArguments;
+use super::values::any_whole;
+use super::{Outcome, output, settings};
+use crate::agent::explaining::{self, ExplainOptions, Explanation, Sight};
+use crate::config::load_field;
+use crate::evaluation::drawing::{self, Route, RouteStyle};
+use crate::geometry::{Field, Pose2, wrap_angle};
+use crate::localization::refinement::offsets::Finding;
+use crate::localization::{Evidence, Tried};
+
+/// Show why the tag of one frame is what it is
+///
+/// Tags the log or scene up to that frame as `replay` does, then draws over its picture where the pose has lines and what the picture shows
+/// there, what shows a line and is none, and the carpet's border; and says what makes the tag invalid and what to do about it. Beside
+/// it a map has the pose, and what a search of the whole field finds in this frame alone.
+#[derive(Args)]
+#[command(after_long_help = concat!(
+    "Example:",
+    "\n  realitysim explain my_bag/ --field kid-2020 --frame 42 -o frame42.png",
+))]
+pub struct ExplainArguments {
+    /// A log, a folder of logs, a capture or a scene
+    #[arg(value_name = "LOG|SCENE")]
+    source: PathBuf,
+    /// Which frame, counted from 0
+    #[arg(long, value_name = "N", value_parser = any_whole::<u64>)]
+    frame: u64,
+    /// Picture to write
+    #[arg(short, long, value_name = "PNG")]
+    output: Option<PathBuf>,
+    /// Pose of base_footprint at the first frame, in place of what the log announces
+    #[arg(long, value_name = "x,y,yaw_deg", value_parser = settings::planar_pose, allow_hyphen_values = true)]
+    initial: Option<Pose2>,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+pub fn run(arguments: &ExplainArguments, json: bool) -> anyhow::Result<Outcome> {
+    if let Some(picture) = &arguments.output {
+        let named = arguments.settings.files();
+        let inputs: Vec<_> = named.iter().map(PathBuf::as_path).chain([arguments.source.as_path()]).collect();
+        check_output(picture, &inputs)?;
+    }
+    let settings = arguments.settings.resolve()?;
+    if let Some(initial) = &arguments.initial {
+        let name = field_of(&arguments.source, &settings)?;
+        settings::check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
+    }
+    let options = ExplainOptions {
+        source: arguments.source.clone(),
+        settings,
+        initial: arguments.initial,
+        frame: arguments.frame,
+    };
+    let mut progress = output::Progress::new("tagging");
+    let explanation = explaining::explain(&options, &mut |done, total| progress.set(done, total));
+    progress.finish();
+    let explanation = explanation?;
+    let told = told(&explanation);
+    if let (Some(path), Some(sight)) = (&arguments.output, &explanation.sight) {
+        save(&picture(&explanation, sight, &told)?, path)?;
+    }
+    if json {
+        output::json(&report(&explanation, &told))?;
+    } else {
+        output::lines(&text(&explanation, &told, arguments.output.as_deref()))?;
+    }
+    Ok(Outcome::Whole)
+}
+
+fn text(explanation: &Explanation, told: &[String], picture: Option<&Path>) -> String {
+    let mut lines = told.to_vec();
+    if let Some(Sight { evidence, .. }) = &explanation.sight {
+        lines.push("\nthe whole field, searched for this frame alone:".to_owned());
+        lines.push("       x m     y m   yaw deg   worth  places that fit  explained".to_owned());
+        lines.extend(evidence.tried.iter().map(|tried| {
+            let Tried { x, y, yaw_deg, worth, fitting, explained } = tried;
+            format!("  {x:8.2}{y:8.2}{yaw_deg:10.1}{worth:8.1}{fitting:17}{:9.0} %", 100.0 * explained)
+        }));
+    }
+    match (picture, &explanation.sight) {
+        (Some(path), Some(_)) => lines.push(format!("\n{}", path.display())),
+        (Some(_), None) => lines.push("\nno picture was written: nothing could be seen".to_owned()),
+        _ => {}
+    }
+    lines.join("\n")
+}
+
+fn picture(explanation: &Explanation, sight: &Sight, told: &[String]) -> anyhow::Result<image::RgbImage> {
+    let Explanation { lens, field, map_from_camera, .. } = explanation;
+    let Sight { picture, evidence } = sight;
+    let (width, height) = (picture.width as u32, picture.height as u32);
+    let rgb = image::RgbImage::from_raw(width, height, picture.to_rgb()).context("its pixels do not fit its size")?;
+    let drawn = drawing::explanation(&rgb, lens, map_from_camera, field, evidence);
+    let at = map_from_camera.translation.truncate();
+    let ahead = |at: DVec2, yaw: f64| vec![at, at + 0.4 * DVec2::from_angle(yaw)];
+    let mut routes = vec![Route {
+        label: "pose of the tag".to_owned(),
+        colour: [230, 30, 60],
+        points: ahead(at, explanation.tag.yaw),
+        style: RouteStyle::Thin,
+        dots: false,
+    }];
+    routes.extend(evidence.tried.iter().take(3).enumerate().map(|(rank, tried)| Route {
+        label: format!("search, {}", ["best", "second", "third"][rank]),
+        colour: [[30, 60, 230], [90, 120, 240], [150, 170, 250]][rank],
+        points: ahead(DVec2::new(tried.x, tried.y), wrap_angle(tried.yaw_deg.to_radians())),
+        style: RouteStyle::Thin,
+        dots: false,
+    }));
+    let mut caption = told.to_vec();
+    caption.push(drawing::LEGEND.to_owned());
+    let map = drawing::field_map(field, &routes, 760, &caption);
+    Ok(drawing::beside(&drawn, &map))
+}
+
+/// What is to be said of it: of the tag, of what was seen, and what to do.
+fn told(explanation: &Explanation) -> Vec<String> {
+    let tag = &explanation.tag;
+    let mut lines = vec![if tag.valid {
+        format!("frame {} is valid", tag.sequence)
+    } else {
+        format!("frame {} is invalid: {}", tag.sequence, tag.reason)
+    }];
+    let Some(Sight { evidence, .. }) = &explanation.sight else {
+        lines.push(advice(&tag.reason, None).to_owned());
+        return lines;
+    };
+    let Evidence { agreement, explained, contrast, noise, .. } = evidence;
+    if contrast.is_finite() {
+        lines.push(format!(
+            "the best lines in view are {:.0} % brighter than the carpet, whose own noise is {:.1} %",
+            100.0 * contrast,
+            100.0 * noise
+        ));
+    } else {
+        lines.push("nothing in view stands out of the carpet as a line does".to_owned());
+    }
+    lines.push(format!(
+        "{} of {} line places fit (of those that a picture like this shows, {:.0} %, {:.0} % of them what stands out most around); by \
+         chance as many would fit once in 10^{:.0} pictures; of the line seen {:.0} % is painted there",
+        agreement.fitting,
+        agreement.expected,
+        100.0 * agreement.share(),
+        100.0 * agreement.foremost,
+        agreement.digits,
+        100.0 * explained.share
+    ));
+    if !tag.valid {
+        lines.push(advice(&tag.reason, Some(evidence)).to_owned());
+    }
+    lines
+}
+
+/// What a reason asks for.
+fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
+    let sees_no_line = evidence.is_some_and(|evidence| evidence.lines.is_empty() || !evidence.contrast.is_finite());
+    match reason {
+        "pose_unknown" | "few_lines" if sees_no_line => {
+            "no line is in view: turn the head towards lines, or check that the camera sees the carpet at all"
+        }
+        "pose_unknown" => {
+            "no place of the field explains this frame: if red marks lie beside painted lines in the picture, then field, lens or mount are \
+             not what they are said to be; if magenta marks lie on real lines, the field is another"
+        }
+        "unconfirmed" => {
+            "the pose fits, and needs more evidence: further frames that agree, or a place that is told (/initialpose)"
+        }
+        "few_lines" => "too few lines are in view to follow the pose: it is carried on by odometry alone",
+        "lines_disagree" => {
+            "lines that should be seen are not (red): something hides them, the robot is elsewhere, or field, lens or mount are wrong"
+        }
+        "lines_unexplained" => {
+            "lines are seen where the field has none (magenta): tape or another field's lines on the carpet, or the robot is elsewhere"
+        }
+        "not_standing" => {
+            "the lines put the camera higher, lower or more tilted than IMU and mount say: check the mount's height and pitch"
+        }
+        "spread" => "the lines in view leave the position open along one direction: see filter.valid_refined_m",
+        "off_field" => "the pose lies more than a metre beyond the carpet",
+        "sensors_stale" => {
+            "odometry or IMU are older than 250 ms at this frame: check that they are sent and how their clocks run"
+        }
+        "no_odometry" => "there is no odometry for this time",
+        "fallen" => "the IMU says that the robot leans or lies",
+        "too_dark" => "the picture is black: exposure, lens cap, cable",
+        "overexposed" => "more than half of the picture is white: exposure",
+        "image_frozen" => "the same picture came again although the robot moved: the camera hangs",
+        "image_broken" => "the image does not decode",
+        "image_size" => "the image is not of the lens's size: another lens file, or another size of the camera",
+        "no_transform" => "the camera's place on the robot is not known: /tf_static, or [mount] in the config",
+        _ => "docs/formats.md says what this reason means",
+    }
+}
+
+fn report(explanation: &Explanation, told: &[String]) -> Value {
+    let tag = &explanation.tag;
+    let pose = json!({
+        "x": explanation.map_from_camera.translation.x, "y": explanation.map_from_camera.translation.y,
+        "z": explanation.map_from_camera.translation.z, "yaw": tag.yaw, "pitch": tag.pitch, "roll": tag.roll,
+    });
+    let mut report = json!({
+        "frame": tag.sequence, "valid": tag.valid, "reason": tag.reason, "ambiguous": tag.ambiguous, "refined": tag.refined,
+        "camera_in_map": pose, "told": told,
+    });
+    if let Some(Sight { evidence, .. }) = &explanation.sight {
+        let Evidence { agreement, explained, contrast, noise, lines, shown, tried, .. } = evidence;
+        let lines: Vec<Value> = lines
+            .iter()
+            .map(|line| {
+                let (finding, found) = match line.finding {
+                    Finding::Found(at) => ("found", Some([at.x, at.y])),
+                    Finding::Missing => ("missing", None),
+                    Finding::Hidden => ("hidden", None),
+                };
+                json!({"pixel": [line.pixel.x, line.pixel.y], "visibility": line.visibility, "finding": finding, "found": found})
+            })
+            .collect();
+        let unexplained = shown.iter().filter(|(_, is_painted)| !is_painted).count();
+        report["evidence"] = json!({
+            "contrast": contrast.is_finite().then_some(contrast), "noise": noise,
+            "expected": agreement.expected, "fitting": agreement.fitting, "share": agreement.share(),
+            "foremost": agreement.foremost, "digits": agreement.digits, "rms_px": agreement.rms_px,
+            "explained": explained.share, "shown_m2": explained.shown_m2,
+            "shown_places": shown.len(), "unexplained_places": unexplained,
+            "lines": lines, "tried": tried,
+        });
+    }
+    report
+}
