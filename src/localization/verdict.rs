@@ -55,6 +55,9 @@ pub struct Standing {
     /// Looks in a row, from wherever, that had no better pose to offer.
     in_a_row: u32,
     second_look: SecondLook,
+    /// Of confirmed frames so far, the share of the expected lines that stand out most where the pose has them: with this paint, lens and
+    /// turf it is what to expect of a right pose.
+    usual_foremost: Option<f64>,
 }
 
 /// What does not change from frame to frame.
@@ -106,6 +109,13 @@ const FOREMOST_LESS_PER_PX: f64 = 0.07;
 const SHARE_IF_TOLD: f64 = 0.8;
 const SHARE_IF_FOUND: f64 = 0.95;
 const SHARE_LESS_PER_PX: f64 = 0.08;
+/// What is usual follows each confirmed frame by this share of the difference.
+const USUAL_RATE: f64 = 0.05;
+/// So much less than usual is a reason to doubt a pose that was confirmed; one that is followed by nothing but its lines; one that was
+/// found.
+const USUAL_LESS: f64 = 0.3;
+const USUAL_LESS_ALONE: f64 = 0.1;
+const USUAL_LESS_IF_FOUND: f64 = 0.07;
 /// So many places, and hardly one that is missing.
 const MANY: usize = 40;
 const NEARLY_ALL: f64 = 0.9;
@@ -128,6 +138,8 @@ const IN_A_ROW: u32 = 2;
 const AGREES_BOTH_WAYS: f64 = 0.6;
 /// And where nothing but the lines says where the robot has gone since the last frame: half a metre farther on other lines fit too.
 const AGREES_ALONE: f64 = 0.75;
+/// And so much less for each pixel of the width that is seen half the time.
+const AGREES_LESS_PER_PX: f64 = 0.04;
 /// Of what a frame shows so much more may be unexplained where a confirmed pose explains nearly all that it expects.
 const LESS_IF_HELD_FAST: f64 = 0.2;
 /// Once it has explained so much.
@@ -142,7 +154,7 @@ const BETTER_WITH: f64 = 0.2;
 
 impl Physical for Standing {
     fn is_possible(&self) -> bool {
-        self.looked_again_at.is_possible() && self.second_look.is_possible()
+        self.looked_again_at.is_possible() && self.second_look.is_possible() && self.usual_foremost.is_possible()
     }
 }
 
@@ -167,13 +179,18 @@ impl Standing {
     /// A pose that was found by search.
     pub fn found(&mut self) {
         let (confidence, second_look) = (Confidence::Unconfirmed(CONFIRMATIONS), SecondLook::found());
-        *self = Self { confidence, second_look, agreed_ns: self.agreed_ns, ..Self::default() };
+        *self = Self { confidence, second_look, ..self.remembered() };
     }
 
     /// A pose that somebody announced.
     pub fn told(&mut self) {
         let confidence = Confidence::Unconfirmed(1);
-        *self = Self { confidence, was_told: true, agreed_ns: self.agreed_ns, ..Self::default() };
+        *self = Self { confidence, was_told: true, ..self.remembered() };
+    }
+
+    /// What does not depend on where the robot is.
+    fn remembered(&self) -> Self {
+        Self { agreed_ns: self.agreed_ns, usual_foremost: self.usual_foremost, ..Self::default() }
     }
 
     /// Lines speak for the pose, and not clearly: is there a better one?
@@ -194,7 +211,7 @@ impl Standing {
 
     /// Lines are missing that were there a moment ago: have some been taken for their neighbours?
     pub fn falls_short(&self, lines: &Agreement) -> bool {
-        lines.expected >= FEWEST_EXPECTED && self.second_look.falls_to(lines.share())
+        lines.expected >= FEWEST_EXPECTED && self.second_look.falls_to(lines.share_of_places())
     }
 
     /// There was none.
@@ -239,7 +256,7 @@ impl Standing {
             self.has_explained = true;
         }
         let doubt = self.complaint(rules, moment, fix);
-        let share = (fix.agreement.expected >= FEWEST_EXPECTED).then(|| fix.agreement.share());
+        let share = (fix.agreement.expected >= FEWEST_EXPECTED).then(|| fix.agreement.share_of_places());
         self.second_look.note(seconds, share, matches!(doubt, Some("spread" | "few_lines")), fix.surprised);
         let contradicted = match doubt {
             Some("lines_disagree" | "not_standing" | "off_field") => true,
@@ -270,7 +287,13 @@ impl Standing {
             (_, None) => Confidence::Tracking(0),
         };
         let confirmed = self.is_tracking() && !self.second_look.may_be_elsewhere();
-        doubt.or((!confirmed).then_some("unconfirmed"))
+        let doubt = doubt.or((!confirmed).then_some("unconfirmed"));
+        if doubt.is_none() && fix.agreement.expected >= FEWEST_EXPECTED {
+            let foremost = fix.agreement.foremost;
+            self.usual_foremost =
+                Some(self.usual_foremost.map_or(foremost, |usual| usual + USUAL_RATE * (foremost - usual)));
+        }
+        doubt
     }
 
     fn complaint(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
@@ -296,7 +319,10 @@ impl Standing {
                 .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
                 .or_else(|| held(fix.explained.share >= least_explained, "lines_unexplained"))
                 .or_else(|| {
-                    held(!self.is_tracking() || self.holds_fast(fix) || agrees_both_ways(fix), "lines_disagree")
+                    held(
+                        !self.is_tracking() || (self.is_usual(fix) && (self.holds_fast(fix) || agrees_both_ways(fix))),
+                        "lines_disagree",
+                    )
                 })
                 .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
                 .or_else(|| held(longest_axis_of(&fix.covariance) <= refined_m, "spread"))
@@ -313,6 +339,13 @@ impl Standing {
     fn holds_fast(&self, fix: &Fix) -> bool {
         let lines = &fix.agreement;
         self.is_tracking() && self.has_explained && is_whole(lines)
+    }
+
+    /// Lines stand out where the pose has them about as they have in frames before.
+    fn is_usual(&self, fix: &Fix) -> bool {
+        let less = if fix.adrift { USUAL_LESS_ALONE } else { USUAL_LESS };
+        let lines = &fix.agreement;
+        lines.expected < FEWEST_EXPECTED || self.usual_foremost.is_none_or(|usual| lines.foremost >= usual - less)
     }
 
     /// The pose has been confirmed.
@@ -333,6 +366,8 @@ impl Standing {
         let digits = if is_alone { digits.min(DIGITS_IF_FOUND_AGAIN) } else { digits };
         let again = f64::from(self.found_again);
         let foremost = foremost - FOREMOST_LESS_PER_PX * lines.half_seen_px - FOREMOST_LESS_IF_FOUND_AGAIN * again;
+        let usual = self.usual_foremost.map_or(0.0, |usual| usual - USUAL_LESS_IF_FOUND - LESS_IF_FOUND_AGAIN * again);
+        let foremost = if self.was_told { foremost } else { foremost.max(usual) };
         let share = share - SHARE_LESS_PER_PX * lines.half_seen_px;
         let share = (share - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED);
         let unexplained = unexplained + MORE_PER_PX * (lines.half_seen_px - 1.0).max(0.0) + MORE_IF_FOUND_AGAIN * again;
@@ -387,8 +422,9 @@ pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> boo
 /// test alone may fail this one. docs/design.md says how often right poses do, and on which walks.
 fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
-    let least = if fix.adrift { AGREES_ALONE } else { AGREES_BOTH_WAYS };
-    lines.expected < FEWEST_EXPECTED || lines.foremost * fix.explained.share >= least
+    let faint = AGREES_LESS_PER_PX * (lines.half_seen_px - 1.0).max(0.0);
+    let least = if fix.adrift { AGREES_ALONE } else { AGREES_BOTH_WAYS - faint };
+    lines.expected < FEWEST_EXPECTED || lines.share().min(lines.foremost) * fix.explained.share >= least
 }
 
 /// Too many lines are not.

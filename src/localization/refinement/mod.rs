@@ -90,6 +90,11 @@ impl Agreement {
     pub fn share(&self) -> f64 {
         self.share
     }
+
+    /// Share of the expected line places that fit, however thin the line is there.
+    pub fn share_of_places(&self) -> f64 {
+        self.fitting as f64 / self.expected.max(1) as f64
+    }
 }
 
 /// Of one field and lens; keeps what it works in from frame to frame.
@@ -190,7 +195,7 @@ impl Refiner {
                 fitting: solution.residuals.fitting,
                 rms_px: solution.residuals.rms_px(),
                 visible: counts.visible,
-                share: solution.residuals.visible / counts.visible.max(f64::MIN_POSITIVE),
+                share: share_of(&solution.residuals, &counts),
                 ..Agreement::default()
             },
         })
@@ -247,6 +252,15 @@ impl Refined {
     pub fn pose_moved(&self) -> Vector6<f64> {
         pose_part(&self.moved)
     }
+}
+
+/// What thin places say, all together, where hardly a place is wide enough to be seen well: as much as so many of those.
+const THIN_PLACES: f64 = 5.0;
+
+/// Of the expected lines those that fit, each place counted by its visibility.
+fn share_of(residuals: &solve::Residuals, counts: &Counts) -> f64 {
+    let of_places = residuals.fitting as f64 / counts.expected.max(1) as f64;
+    (residuals.visible + THIN_PLACES * of_places) / (counts.visible + THIN_PLACES)
 }
 
 /// As good as no variance, and still a covariance.

@@ -79,7 +79,7 @@ const WIDE_PX: f64 = 6.0;
 /// Width of a line that shows half the time, where it stands out no more than the carpet's noise, and within which limits: the pile, the
 /// blur and the colour filter hide thin lines the sooner the fainter they are.
 const HALF_SEEN_PX: f64 = 25.0;
-const HALF_SEEN_LIMITS_PX: (f64, f64) = (0.8, 4.0);
+const HALF_SEEN_LIMITS_PX: (f64, f64) = (0.6, 4.0);
 /// Share of the expected contrast that makes a line.
 const LEAST_CONTRAST: f64 = 0.12;
 /// And so many standard deviations of plain carpet.
