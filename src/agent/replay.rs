@@ -131,6 +131,7 @@ impl Run {
             over_budget: tally.effort.over_budget,
             wall_s: started.elapsed().as_secs_f64(),
             invalid: tally.invalid,
+            first_invalid: tally.first_invalid,
             untagged: counts.untagged,
             predicted: tally.predicted,
             bad_messages: tally.bad_messages,

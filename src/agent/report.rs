@@ -33,6 +33,8 @@ pub struct ReplayReport {
     pub wall_s: f64,
     /// Why tags are invalid, and how many.
     pub invalid: BTreeMap<String, u64>,
+    /// Of each reason the first frame, counted from 0.
+    pub first_invalid: BTreeMap<String, u64>,
     /// Frames that could have no tag, by cause.
     pub untagged: BTreeMap<String, u64>,
     /// Messages, other than frames, whose bytes are not what their type says.

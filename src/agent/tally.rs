@@ -19,6 +19,8 @@ pub struct Tally {
     pub tags: u64,
     /// Why tags are invalid, and how many.
     pub invalid: BTreeMap<String, u64>,
+    /// Of each reason the first frame.
+    pub first_invalid: BTreeMap<String, u64>,
     /// Messages, other than frames, whose bytes are not what their type says.
     pub bad_messages: u64,
     /// First image of which nothing could be seen, and why.
@@ -45,6 +47,7 @@ impl Tally {
         self.without_tilt += u64::from(robot.place.as_ref().is_ok_and(|place| !place.tilt_is_measured));
         if !tag.valid {
             *self.invalid.entry(tag.reason.clone()).or_default() += 1;
+            self.first_invalid.entry(tag.reason.clone()).or_insert(tag.sequence);
         }
     }
 

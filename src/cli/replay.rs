@@ -104,8 +104,18 @@ fn replayed(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> 
     } else {
         output::lines(&for_people(&report))?
     }
+    if !json && let Some((reason, count, frame)) = dominant(&report) {
+        eprintln!(
+            "realitysim: {count} of {} tags are invalid as {reason}: `realitysim explain {} --frame {frame}`, with the same settings, shows why",
+            report.tagged,
+            arguments.source.display()
+        );
+    }
     Ok(outcome(&report))
 }
+
+/// One in so many invalid tags is a reason to point at what explains them.
+const MANY_INVALID: u64 = 5;
 
 /// Tags are what was asked for: without a valid one nothing was reached.
 fn outcome(report: &ReplayReport) -> Outcome {
@@ -155,6 +165,14 @@ pub fn for_people(report: &ReplayReport) -> String {
     }
     text.push_str(&session.display().to_string());
     text
+}
+
+/// Of many invalid tags the most frequent reason, how often it is, and its first frame.
+fn dominant(report: &ReplayReport) -> Option<(&str, u64, u64)> {
+    let invalid: u64 = report.invalid.values().sum();
+    let (reason, count) = report.invalid.iter().max_by_key(|(_, count)| **count)?;
+    (MANY_INVALID * invalid > report.tagged)
+        .then(|| (reason.as_str(), *count, report.first_invalid.get(reason).copied().unwrap_or(0)))
 }
 
 /// Why tags are invalid, the most frequent first.

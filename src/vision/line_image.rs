@@ -56,6 +56,8 @@ impl LineImage {
     fn measure_noise(&mut self, on_carpet: &[bool]) {
         let (columns, rows) = coarse_size(self.width, self.height);
         self.samples.clear();
+        // Two of each place: as many as there can be, so that no later frame needs more.
+        self.samples.reserve(2 * columns.div_ceil(NOISE_STEP) * rows.div_ceil(NOISE_STEP));
         for row in (1..rows.saturating_sub(1)).step_by(NOISE_STEP) {
             for column in (1..columns.saturating_sub(1)).step_by(NOISE_STEP) {
                 let (u, v) = (8 * column + 3, 8 * row + 3);

@@ -13,6 +13,7 @@ mod darkening;
 mod database;
 mod delays;
 mod determinism;
+mod explain;
 mod export;
 mod extremes;
 mod figures;

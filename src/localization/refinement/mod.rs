@@ -189,7 +189,7 @@ impl Refiner {
             covariance,
             condition,
             moved,
-            cost: solution.cost + counts.visible_missed * solve::MISS_COST,
+            cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
             lines: Agreement {
                 expected: counts.expected,
                 fitting: solution.residuals.fitting,

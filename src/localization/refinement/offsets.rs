@@ -56,9 +56,8 @@ pub struct Counts {
     /// Places where a line had to be seen, and nothing hid it.
     pub expected: usize,
     pub missed: usize,
-    /// The same, each counted by its visibility.
+    /// Of those expected, each counted by its visibility.
     pub visible: f64,
-    pub visible_missed: f64,
 }
 
 /// Lines thinner than this are not looked for.
@@ -126,7 +125,6 @@ pub fn measure(
                 counts.expected += 1;
                 counts.missed += 1;
                 counts.visible += expected.visibility(paint);
-                counts.visible_missed += expected.visibility(paint);
             }
             Outcome::Found(found) => {
                 counts.expected += 1;
