@@ -8,6 +8,7 @@
 
 use super::offsets::{Eye, Paint, each_place};
 use super::points::LinePoints;
+use super::share;
 use crate::geometry::Isometry;
 use crate::vision::LineImage;
 
@@ -44,7 +45,7 @@ pub(super) fn test(points: &LinePoints, image: &LineImage, eye: Eye, map_from_op
         }
     });
     Test {
-        foremost: foremost / f64::max(visible, f64::MIN_POSITIVE),
+        foremost: share(foremost, visible, hits / f64::max(places, 1.0)),
         digits: digits_of(places, hits, by_chance),
         half_seen_px: paint.half_seen_px(),
     }

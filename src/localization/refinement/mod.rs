@@ -184,6 +184,7 @@ impl Refiner {
             solve::joint(prior, sights, &moved, scale, [solved_with, solution.residuals.noise()])?;
         let is_finite = moved.iter().chain(covariance.iter()).all(|value| value.is_finite());
         let map_from_optical = moved_pose(&prior.map_from_optical, &pose_part(&moved));
+        let fitting = solution.residuals.fitting;
         is_finite.then(|| Refined {
             map_from_optical,
             covariance,
@@ -192,10 +193,14 @@ impl Refiner {
             cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
             lines: Agreement {
                 expected: counts.expected,
-                fitting: solution.residuals.fitting,
+                fitting,
                 rms_px: solution.residuals.rms_px(),
                 visible: counts.visible,
-                share: share_of(&solution.residuals, &counts),
+                share: share(
+                    solution.residuals.visible,
+                    counts.visible,
+                    fitting as f64 / counts.expected.max(1) as f64,
+                ),
                 ..Agreement::default()
             },
         })
@@ -257,10 +262,9 @@ impl Refined {
 /// What thin places say, all together, where hardly a place is wide enough to be seen well: as much as so many of those.
 const THIN_PLACES: f64 = 5.0;
 
-/// Of the expected lines those that fit, each place counted by its visibility.
-fn share_of(residuals: &solve::Residuals, counts: &Counts) -> f64 {
-    let of_places = residuals.fitting as f64 / counts.expected.max(1) as f64;
-    (residuals.visible + THIN_PLACES * of_places) / (counts.visible + THIN_PLACES)
+/// Share of lines, each place counted by its visibility, `of_places` being that of all places alike.
+fn share(found: f64, visible: f64, of_places: f64) -> f64 {
+    (found + THIN_PLACES * of_places) / (visible + THIN_PLACES)
 }
 
 /// As good as no variance, and still a covariance.
