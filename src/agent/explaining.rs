@@ -1,7 +1,11 @@
 //! One frame of a log or scene: what was seen in it, and what speaks for and against its tag.
+//!
+//! The frames before it are tagged as a replay without a time budget tags them; poses that a replay predicts where no frame comes for
+//! long are left out.
 
 use std::path::PathBuf;
 
+use super::checkpoint::Checkpoint;
 use super::error::ReplayError;
 use super::opened::{self, OpenLog};
 use super::replay::Progress;
@@ -10,6 +14,7 @@ use super::stages::view;
 use super::tagger::Tagger;
 use crate::config::Settings;
 use crate::geometry::{Field, Isometry, Lens, Pose2};
+use crate::localization::filter::always;
 use crate::localization::{Evidence, LocalizerState};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::FrameTag;
@@ -29,6 +34,7 @@ pub struct ExplainOptions {
     pub frame: u64,
 }
 
+/// The tag of one frame, and what it follows from.
 pub struct Explanation {
     pub tag: FrameTag,
     pub lens: Lens,
@@ -39,26 +45,22 @@ pub struct Explanation {
     pub sight: Option<Sight>,
 }
 
+/// The frame's picture, and what was made of it.
 pub struct Sight {
     pub picture: Picture,
     pub evidence: Evidence,
 }
 
+/// Errors are those of a replay, or that there is no such frame.
 pub fn explain(options: &ExplainOptions, progress: Progress) -> Result<Explanation, ReplayError> {
     if options.source.extension().is_some_and(|ending| ending == "toml") {
         let scene = scene::load(&options.source)?;
         let (setup, messages) = opened::scene(&scene, &options.source, &options.settings)?;
-        return Walk::new(options, setup, LocalizerState::default()).through(messages, progress);
+        return Walk::new(options, setup, None).through(messages, progress);
     }
     let OpenLog { setup, mut messages, checkpoint, .. } = opened::log(&options.source, &options.settings)?;
-    let (state, known) =
-        checkpoint.map_or_else(Default::default, |checkpoint| (checkpoint.tagger, Some(checkpoint.synchroniser)));
-    let mut walk = Walk::new(options, setup, state);
-    if let Some(known) = known {
-        walk.synchroniser = Synchroniser::new(walk.setup.settings.frames.clone(), known);
-        walk.synchroniser.expect(walk.setup.expected);
-    }
-    walk.through(messages.by_ref().map(|message| message.map_err(ReplayError::from)), progress)
+    Walk::new(options, setup, checkpoint)
+        .through(messages.by_ref().map(|message| message.map_err(ReplayError::from)), progress)
 }
 
 /// The way to the frame.
@@ -72,8 +74,13 @@ struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    fn new(options: &'a ExplainOptions, setup: Setup, state: LocalizerState) -> Self {
-        let mut synchroniser = Synchroniser::new(setup.settings.frames.clone(), setup.synchroniser.clone());
+    /// From where a capture's segment begins, if there is a checkpoint.
+    fn new(options: &'a ExplainOptions, setup: Setup, checkpoint: Option<Checkpoint>) -> Self {
+        let (state, known) = match checkpoint {
+            Some(checkpoint) => (checkpoint.tagger, checkpoint.synchroniser),
+            None => (LocalizerState::default(), setup.synchroniser.clone()),
+        };
+        let mut synchroniser = Synchroniser::new(setup.settings.frames.clone(), known);
         synchroniser.expect(setup.expected);
         let mut tagger = Tagger::new(&setup.settings, setup.field.clone(), setup.eyes.vision.lens(), state);
         if let Some(map_from_footprint) = options.initial {
@@ -129,9 +136,7 @@ impl<'a> Walk<'a> {
 
     fn pass(&mut self, frame: &Frame) {
         match self.look(frame) {
-            Ok(_) => {
-                self.tagger.tag(frame.stamp_ns, &frame.robot, &self.seen, &mut crate::localization::filter::always)
-            }
+            Ok(_) => self.tagger.tag(frame.stamp_ns, &frame.robot, &self.seen, &mut always),
             Err(reason) => self.tagger.tag_blind(frame.stamp_ns, &frame.robot, reason),
         };
     }

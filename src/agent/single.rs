@@ -162,7 +162,7 @@ impl Known {
         let prior = Prior::of_pose(map_from_optical, &covariance);
         let refined = refiner.refine(&seen.image, &prior, &[Vector6::zeros()])?;
         let lines = refined.lines;
-        let agrees = lines.fitting >= FEWEST_FITTING && lines.share() > LEAST_FITTING_SHARE;
+        let agrees = lines.fitting >= FEWEST_FITTING && lines.share > LEAST_FITTING_SHARE;
         agrees.then(|| Pose2::from_isometry(&(refined.map_from_optical * Isometry::link_from_optical().inverse())))
     }
 }

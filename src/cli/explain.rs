@@ -17,13 +17,15 @@ use crate::config::load_field;
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::geometry::{Field, Pose2, wrap_angle};
 use crate::localization::refinement::offsets::Finding;
+use crate::localization::verdict::AGREES_DIGITS;
 use crate::localization::{Evidence, Tried};
 
 /// Show why the tag of one frame is what it is
 ///
-/// Tags the log or scene up to that frame as `replay` does, then draws over its picture where the pose has lines and what the picture shows
-/// there, what shows a line and is none, and the carpet's border; and says what makes the tag invalid and what to do about it. Beside
-/// it a map has the pose, and what a search of the whole field finds in this frame alone.
+/// Tags the log or scene up to that frame as `replay` does without filter.budget_ms. Draws over the frame's picture where the pose has
+/// lines and what the picture shows there, what shows a line where the field has none, and the carpet's border. Says what makes the tag
+/// invalid and what to do about it. A map beside the picture has the pose of the tag and the poses that a search of the whole field
+/// finds in this frame alone.
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Example:",
@@ -120,6 +122,7 @@ fn picture(explanation: &Explanation, sight: &Sight, told: &[String]) -> anyhow:
         dots: false,
     }));
     let mut caption = told.to_vec();
+    caption.push("circle: the camera, or where a search puts the robot; cross: 40 cm ahead of it".to_owned());
     caption.push(drawing::LEGEND.to_owned());
     let map = drawing::field_map(field, &routes, 760, &caption);
     Ok(drawing::beside(&drawn, &map))
@@ -148,15 +151,18 @@ fn told(explanation: &Explanation) -> Vec<String> {
         lines.push("nothing in view stands out of the carpet as a line does".to_owned());
     }
     lines.push(format!(
-        "{} of {} line places fit (of those that a picture like this shows, {:.0} %, {:.0} % of them what stands out most around); by \
-         chance as many would fit once in 10^{:.0} pictures; of the line seen {:.0} % is painted there",
+        "{} of {} line places fit; counted by how probably such a picture shows a line so thin, {:.0} % fit, and {:.0} % stand out more \
+         than anything within 16 pixels beside them",
         agreement.fitting,
         agreement.expected,
-        100.0 * agreement.share(),
-        100.0 * agreement.foremost,
-        agreement.digits,
-        100.0 * explained.share
+        100.0 * agreement.share,
+        100.0 * agreement.foremost
     ));
+    lines.push(match agreement.digits {
+        digits if digits < AGREES_DIGITS => "chance puts as many there".to_owned(),
+        digits => format!("chance would put as many there once in 10^{digits:.0} pictures"),
+    });
+    lines.push(format!("of the line seen {:.0} % is painted where the pose has it", 100.0 * explained.share));
     if !tag.valid {
         lines.push(advice(&tag.reason, Some(evidence)).to_owned());
     }
@@ -166,9 +172,13 @@ fn told(explanation: &Explanation) -> Vec<String> {
 /// What a reason asks for.
 fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
     let sees_no_line = evidence.is_some_and(|evidence| evidence.lines.is_empty() || !evidence.contrast.is_finite());
+    let is_chance = evidence.is_some_and(|evidence| evidence.agreement.digits < AGREES_DIGITS);
     match reason {
         "pose_unknown" | "few_lines" if sees_no_line => {
             "no line is in view: turn the head towards lines, or check that the camera sees the carpet at all"
+        }
+        "pose_unknown" if is_chance => {
+            "nothing in the picture lies where the field's lines would be more often than by chance: it shows none of them, or is too noisy"
         }
         "pose_unknown" => {
             "no place of the field explains this frame: if red marks lie beside painted lines in the picture, then field, lens or mount are \
@@ -230,7 +240,7 @@ fn report(explanation: &Explanation, told: &[String]) -> Value {
         let unexplained = shown.iter().filter(|(_, is_painted)| !is_painted).count();
         report["evidence"] = json!({
             "contrast": contrast.is_finite().then_some(contrast), "noise": noise,
-            "expected": agreement.expected, "fitting": agreement.fitting, "share": agreement.share(),
+            "expected": agreement.expected, "fitting": agreement.fitting, "share": agreement.share,
             "foremost": agreement.foremost, "digits": agreement.digits, "rms_px": agreement.rms_px,
             "explained": explained.share, "shown_m2": explained.shown_m2,
             "shown_places": shown.len(), "unexplained_places": unexplained,

@@ -88,38 +88,39 @@ const LONGEST_COAST_NS: i64 = 500_000_000;
 /// Fewer line places than this say nothing for or against a pose.
 const FEWEST_EXPECTED: usize = 12;
 const FEWEST_FITTING: usize = 10;
-/// Lines that lie where a pose has them by chance once in 10^4 frames say nothing.
-const AGREES_DIGITS: f64 = 4.0;
+/// Lines that chance puts where the pose has them more often than once in 10^4 frames say nothing: docs/lines.md.
+pub const AGREES_DIGITS: f64 = 4.0;
 /// With less than this share of fitting places the lines contradict the pose.
 pub const CONTRADICTED: f64 = 0.5;
 /// What a frame needs to confirm a pose that was found by search or announced.
 ///
-/// By chance fewer than one in so many powers of ten of poses fit as well: of those within what somebody has said there are some
-/// 10^4 that differ, on a whole field with all tilts and heights some 10^11.
+/// Of 10 to the power of so many poses, chance makes at most one fit as well. Within what somebody has said there are some 10^4 poses
+/// that differ, on a whole field with all tilts and heights some 10^11.
 const DIGITS_IF_TOLD: f64 = 8.0;
 const DIGITS_IF_FOUND: f64 = 15.0;
 const DIGITS_IF_FOUND_AGAIN: f64 = 8.0;
-/// Lines of another place, or through another lens, are beside where a pose has them.
+/// Least shares of the expected lines that stand out most where the pose has them, and that fit: lines of another place, or seen through
+/// another lens, lie beside where a pose has them.
 ///
-/// The fainter a picture's lines are, the fewer of them show in right places too: less for each pixel of the width that is seen half
-/// the time.
+/// The fainter a picture's lines are, the fewer of them show in right places too: the limits fall with the width that is seen half the
+/// time (`Agreement::half_seen_px`), for each pixel of it.
 const FOREMOST_IF_TOLD: f64 = 0.9;
 const FOREMOST_IF_FOUND: f64 = 1.0;
 const FOREMOST_LESS_PER_PX: f64 = 0.07;
 const SHARE_IF_TOLD: f64 = 0.8;
 const SHARE_IF_FOUND: f64 = 0.95;
 const SHARE_LESS_PER_PX: f64 = 0.08;
-/// What is usual follows each confirmed frame by this share of the difference.
+/// The usual share of lines that stand out follows each confirmed frame by this part of the difference.
 const USUAL_RATE: f64 = 0.05;
-/// So much less than usual is a reason to doubt a pose that was confirmed; one that is followed by nothing but its lines; one that was
-/// found.
+/// Limits below that usual share: of a pose that was confirmed, of one that nothing but its lines has followed since the last frame,
+/// of one that was found by search.
 const USUAL_LESS: f64 = 0.3;
 const USUAL_LESS_ALONE: f64 = 0.1;
 const USUAL_LESS_IF_FOUND: f64 = 0.07;
-/// So many places, and hardly one that is missing.
+/// Line places that are many, and the share of fitting ones with which hardly one is missing.
 const MANY: usize = 40;
 const NEARLY_ALL: f64 = 0.9;
-/// A pose that is left for another one needs more than one that is only carried on.
+/// The share of fitting lines that a pose needs before one that was believed is left for it.
 const SHARE_IF_BETTER: f64 = 0.7;
 /// And so much less for each time that the whole field had no better pose to offer: behind others, or with a lens that is
 /// not quite as it was calibrated, lines are missing in right places too.
@@ -374,7 +375,7 @@ impl Standing {
         !rules.refinement
             || (lines.digits >= digits
                 && lines.foremost >= foremost
-                && lines.share() >= share
+                && lines.share >= share
                 && fix.explained.share >= share_of(unexplained.min(1.0), rules.valid.explained))
     }
 
@@ -405,17 +406,17 @@ fn stands(moment: &Moment, fix: &Fix) -> bool {
 
 /// Enough lines are where the pose has them.
 pub fn agrees(lines: &Agreement) -> bool {
-    lines.fitting >= FEWEST_FITTING && lines.share() > CONTRADICTED && lines.digits >= AGREES_DIGITS
+    lines.fitting >= FEWEST_FITTING && lines.share > CONTRADICTED && lines.digits >= AGREES_DIGITS
 }
 
 /// Hardly one is missing.
 pub fn is_whole(lines: &Agreement) -> bool {
-    lines.fitting >= MANY && lines.share() >= NEARLY_ALL
+    lines.fitting >= MANY && lines.share >= NEARLY_ALL
 }
 
 /// Enough to leave a pose for it that was believed.
 pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> bool {
-    lines.fitting >= MANY && lines.share() >= SHARE_IF_BETTER && explained >= share_of(BETTER_WITH, least_explained)
+    lines.fitting >= MANY && lines.share >= SHARE_IF_BETTER && explained >= share_of(BETTER_WITH, least_explained)
 }
 
 /// Lines that should be seen and are not, and lines that are seen and should not be, say the same together: a pose that passes each
@@ -424,12 +425,12 @@ fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
     let faint = AGREES_LESS_PER_PX * (lines.half_seen_px - 1.0).max(0.0);
     let least = if fix.adrift { AGREES_ALONE } else { AGREES_BOTH_WAYS - faint };
-    lines.expected < FEWEST_EXPECTED || lines.share().min(lines.foremost) * fix.explained.share >= least
+    lines.expected < FEWEST_EXPECTED || lines.share.min(lines.foremost) * fix.explained.share >= least
 }
 
 /// Too many lines are not.
 pub fn is_contradicted(lines: &Agreement) -> bool {
-    lines.expected >= FEWEST_EXPECTED && lines.share() < CONTRADICTED
+    lines.expected >= FEWEST_EXPECTED && lines.share < CONTRADICTED
 }
 
 /// Too uncertain to be a place.

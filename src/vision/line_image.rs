@@ -2,7 +2,7 @@
 
 use super::WorkingScale;
 use super::carpet::Surface;
-use super::contrast::{STRAY_LEVELS, coarse_size};
+use super::contrast::{STRAY_LEVELS, coarse_middle, coarse_size};
 use super::picture::Picture;
 use crate::vectorised::{rounded, vectorised};
 
@@ -60,7 +60,7 @@ impl LineImage {
         self.samples.reserve(2 * columns.div_ceil(NOISE_STEP) * rows.div_ceil(NOISE_STEP));
         for row in (1..rows.saturating_sub(1)).step_by(NOISE_STEP) {
             for column in (1..columns.saturating_sub(1)).step_by(NOISE_STEP) {
-                let (u, v) = (8 * column + 3, 8 * row + 3);
+                let (u, v) = (2 * coarse_middle(column) + 1, 2 * coarse_middle(row) + 1);
                 let shows = self.surfaces.get(v / 2 * (self.width / 2) + u / 2);
                 if on_carpet.get(row * columns + column) == Some(&true) && shows == Some(&Surface::Carpet) {
                     let at = v * self.width + u;

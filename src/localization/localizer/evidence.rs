@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::lost::Fitting;
 use super::{Fix, Localizer, Moment};
-use crate::geometry::{Isometry, Pose2};
+use crate::geometry::Isometry;
 use crate::localization::filter::{Effort, always};
 use crate::localization::global::SearchState;
 use crate::localization::painted::Explained;
@@ -47,7 +47,7 @@ pub struct Tried {
 }
 
 impl Localizer {
-    /// Of the frame that `fix` is the answer for; changes nothing.
+    /// Of the frame that `fix` is the answer for. Lines are looked for as if the lens were as calibrated.
     pub fn evidence(&self, moment: &Moment, seen: &Seen, fix: &Fix) -> Evidence {
         let lens = self.refiner.lens();
         let optical_from_map = fix.map_from_optical.inverse();
@@ -72,6 +72,7 @@ impl Localizer {
         }
     }
 
+    /// By a search that knows nothing of frames before.
     fn tried(&self, moment: &Moment, seen: &Seen) -> Vec<Tried> {
         let mut other = self.clone();
         let mut effort = Effort::default();
@@ -79,11 +80,7 @@ impl Localizer {
         let found = other.search.run(observation, &seen.table, SHOWN, &mut state, &mut effort, &mut always);
         other.state.fitting = Fitting::of(None, &found.unwrap_or_default());
         other.fit(moment, seen, &mut effort, &mut always);
-        let tried = other.state.fitting.fits().map(|(pose, worth, fitting, explained)| {
-            let Pose2 { x, y, yaw } = pose;
-            Tried { x, y, yaw_deg: yaw.to_degrees(), worth, fitting, explained }
-        });
-        tried.collect()
+        other.state.fitting.tried()
     }
 }
 

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
-use super::{Localizer, Moment};
+use super::{Localizer, Moment, Tried};
 use crate::geometry::{Physical, Pose2, wrap_angle};
 use crate::localization::filter::{Effort, MayGoOn};
 use crate::localization::global::Candidate;
@@ -158,7 +158,7 @@ impl Localizer {
                 && agrees(&lines)
             {
                 let explained = self.painted.explained(seen.lines(), &place, &map_from_optical).share;
-                let worth = lines.visible * (lines.share() - CONTRADICTED) * explained;
+                let worth = lines.visible * (lines.share - CONTRADICTED) * explained;
                 let pose = Pose2::from_isometry(&(map_from_optical * place.inverse()));
                 let convinces = convinces(&lines, explained, self.settings.valid.explained);
                 let is_whole = is_whole(&lines);
@@ -220,9 +220,13 @@ impl Fitting {
         !self.left.is_empty()
     }
 
-    /// Of each pose that was refined its worth, how many line places fit, and the share of the line seen that is explained.
-    pub(super) fn fits(&self) -> impl Iterator<Item = (Pose2, f64, usize, f64)> + '_ {
-        self.fits.iter().map(|fit| (fit.pose, fit.worth, fit.fitting, fit.explained))
+    /// The poses that were refined, the best first.
+    pub(super) fn tried(&self) -> Vec<Tried> {
+        let tried = self.fits.iter().map(|fit| {
+            let Fit { pose: Pose2 { x, y, yaw }, worth, fitting, explained, .. } = *fit;
+            Tried { x, y, yaw_deg: yaw.to_degrees(), worth, fitting, explained }
+        });
+        tried.collect()
     }
 
     /// The robot has walked since the last frame.

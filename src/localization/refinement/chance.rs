@@ -6,7 +6,8 @@
 //! are only compared with their own neighbours. Of n places k hit the middle by chance with a probability of at most
 //! exp(-n KL(k/n, p)), KL being the relative entropy of two coins (Hoeffding's bound).
 
-use super::offsets::{Eye, Paint, each_place};
+use super::offsets::{Eye, each_place};
+use super::paint::Paint;
 use super::points::LinePoints;
 use super::share;
 use crate::geometry::Isometry;
@@ -39,7 +40,7 @@ pub(super) fn test(points: &LinePoints, image: &LineImage, eye: Eye, map_from_op
             hits += f64::from(u8::from(is_foremost));
             by_chance += chance;
             // A line too thin to be seen says little by its absence.
-            let counts = expected.visibility(paint);
+            let counts = paint.visibility(expected.strip.width_px);
             visible += counts;
             foremost += if is_foremost { counts } else { 0.0 };
         }

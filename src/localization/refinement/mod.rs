@@ -11,7 +11,9 @@
 mod chance;
 pub mod miscalibration;
 pub mod offsets;
+mod paint;
 mod points;
+mod profile;
 mod solve;
 mod triangular;
 
@@ -86,11 +88,6 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// Share of the expected line that fits.
-    pub fn share(&self) -> f64 {
-        self.share
-    }
-
     /// Share of the expected line places that fit, however thin the line is there.
     pub fn share_of_places(&self) -> f64 {
         self.fitting as f64 / self.expected.max(1) as f64

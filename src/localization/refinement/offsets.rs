@@ -4,10 +4,11 @@ use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
 use super::miscalibration::{Miscalibration, row};
+use super::paint::Paint;
 use super::points::{LinePoint, LinePoints};
+use super::profile::{Profile, Strip};
 use crate::geometry::{Isometry, Projector, Twist};
 use crate::vision::LineImage;
-use crate::vision::contrast::STRAY_LEVELS;
 
 /// A place of a line, found in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,29 +76,12 @@ const MOST_REACH_PX: f64 = 24.0;
 const THIN_PX: f64 = 2.4;
 /// And one wider than this the wider it is: more of paint and carpet in its profile.
 const WIDE_PX: f64 = 6.0;
-/// Width of a line that shows half the time, where it stands out no more than the carpet's noise, and within which limits: the pile, the
-/// blur and the colour filter hide thin lines the sooner the fainter they are.
-const HALF_SEEN_PX: f64 = 25.0;
-const HALF_SEEN_LIMITS_PX: (f64, f64) = (0.6, 4.0);
-/// Share of the expected contrast that makes a line.
-const LEAST_CONTRAST: f64 = 0.12;
-/// And so many standard deviations of plain carpet.
-const ABOVE_NOISE: f64 = 1.2;
 /// The place of a line as faint as the noise is known so much worse than that of a clear one.
 const FAINT_SIGMAS: f64 = 5.0;
-/// Carpet is as bright on both sides of a line, up to this share of the expected contrast.
-const MOST_SLOPE: f64 = 0.35;
-/// Carpet that is lit at all is brighter than this share of the step from it to a line: of the gray that a camera writes it is about as
-/// much as the step itself.
-const UNLIT: f64 = 0.2;
-const MOST_UNLIT_LEVELS: f64 = 100.0;
 /// A line is where a pose has it if it stands out most within so many pixels of that place, and so many more for each pixel of the width
 /// that is seen half the time: the peak of a faint line is moved by noise.
 const FOREMOST_PX: f64 = 0.2;
 const FOREMOST_MORE_PER_PX: f64 = 0.45;
-/// The narrow line contrast of vision shows this much of a line's own contrast.
-const SHOWN_CONTRAST: f64 = 0.672;
-
 /// Looks for every line in view of the pose; what it finds replaces `sights`. `covariance` says how wrong the pose may
 /// be.
 pub fn measure(
@@ -124,11 +108,11 @@ pub fn measure(
                 follows = false;
                 counts.expected += 1;
                 counts.missed += 1;
-                counts.visible += expected.visibility(paint);
+                counts.visible += paint.visibility(expected.strip.width_px);
             }
             Outcome::Found(found) => {
                 counts.expected += 1;
-                counts.visible += expected.visibility(paint);
+                counts.visible += paint.visibility(expected.strip.width_px);
                 sights.push(expected.sight(line, point, found, follows, paint));
                 follows = true;
             }
@@ -166,11 +150,11 @@ pub fn inspect(points: &LinePoints, image: &LineImage, eye: Eye, map_from_optica
             Outcome::Hidden => Finding::Hidden,
             Outcome::Missed => Finding::Missing,
             Outcome::Found(found) => {
-                Finding::Found(image.scale().undo(expected.middle + expected.direction * found.offset_px))
+                Finding::Found(image.scale().undo(expected.strip.middle + expected.strip.direction * found.offset_px))
             }
         };
-        let pixel = image.scale().undo(expected.middle);
-        inspected.push(Inspected { pixel, visibility: expected.visibility(paint), finding });
+        let pixel = image.scale().undo(expected.strip.middle);
+        inspected.push(Inspected { pixel, visibility: paint.visibility(expected.strip.width_px), finding });
     });
     inspected
 }
@@ -219,36 +203,6 @@ pub(super) fn each_place(
     }
 }
 
-/// How lines stand out in this picture, both as shares of the carpet's brightness.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Paint {
-    /// A line of the best width.
-    contrast: f64,
-    /// Standard deviation of plain carpet.
-    noise: f64,
-}
-
-impl Paint {
-    /// None if nothing in the picture can be a line.
-    pub(super) fn of(image: &LineImage) -> Option<Self> {
-        let contrast = f64::from(image.full_contrast()) / SHOWN_CONTRAST;
-        contrast.is_finite().then(|| Self { contrast, noise: f64::from(image.noise()) })
-    }
-
-    /// Width of a line that shows half the time, in pixels.
-    pub(super) fn half_seen_px(&self) -> f64 {
-        let (thinnest, widest) = HALF_SEEN_LIMITS_PX;
-        (HALF_SEEN_PX * self.noise / self.contrast.max(1e-3)).clamp(thinnest, widest)
-    }
-
-    /// A line of this width is one if it stands out by so much.
-    fn least(&self, width_px: f64) -> f64 {
-        // A line thinner than the pixels' own blur shows less.
-        let shown = self.contrast * (width_px / 2.0).min(1.0);
-        (LEAST_CONTRAST * shown).max(ABOVE_NOISE * self.noise)
-    }
-}
-
 /// `camera_optical_frame` from the plane of the carpet.
 struct FromCarpet {
     x: DVec3,
@@ -292,11 +246,7 @@ pub(super) struct Expected {
     ray: DVec3,
     /// From the line's one edge to its other: difference of unit rays.
     across: DVec3,
-    /// Middle between the drawn edges, pixels of the working image.
-    middle: DVec2,
-    /// Unit vector across the drawn line.
-    direction: DVec2,
-    width_px: f64,
+    pub(super) strip: Strip,
     bends: [DVec3; 4],
     row: f64,
     distance: f64,
@@ -338,11 +288,12 @@ impl Expected {
         let ray = centre.normalize();
         // Feet go the same way for long, as errors of a lens do: only what turns tells how a sensor is read.
         let bends = [stretch, u, v, eye.twist.angular.cross(ray) * row];
-        Some(Self { ray, across, middle, direction, width_px, bends, row, distance: centre.length() })
+        let strip = Strip { middle, direction, width_px };
+        Some(Self { ray, across, strip, bends, row, distance: centre.length() })
     }
 
     fn pixels_per_rad(&self) -> f64 {
-        self.width_px / self.across.length().max(1e-12)
+        self.strip.width_px / self.across.length().max(1e-12)
     }
 
     /// How far off the line may be drawn if the pose is as wrong as its covariance says.
@@ -359,19 +310,13 @@ impl Expected {
         (REACH_SIGMAS * sigma * self.pixels_per_rad()).clamp(LEAST_REACH_PX, MOST_REACH_PX)
     }
 
-    /// Share of lines of this width that a picture shows.
-    pub(super) fn visibility(&self, paint: Paint) -> f64 {
-        let thin = paint.half_seen_px() / self.width_px;
-        1.0 / (1.0 + thin * thin * thin)
-    }
-
     fn sight(&self, line: usize, point: &LinePoint, found: Found, follows: bool, paint: Paint) -> Sight {
         Sight {
-            ray: (self.ray + self.across * (found.offset_px / self.width_px)).normalize(),
+            ray: (self.ray + self.across * (found.offset_px / self.strip.width_px)).normalize(),
             point: point.position.extend(0.0),
             tangent: DVec3::new(-point.normal.y, point.normal.x, 0.0),
-            sigmas: libm::hypot(sigmas(self.width_px), FAINT_SIGMAS / found.to_noise),
-            visibility: self.visibility(paint),
+            sigmas: libm::hypot(sigmas(self.strip.width_px), FAINT_SIGMAS / found.to_noise),
+            visibility: paint.visibility(self.strip.width_px),
             pixels_per_rad: self.pixels_per_rad(),
             bends: self.bends,
             row: self.row,
@@ -383,146 +328,37 @@ impl Expected {
 
     /// The line's middle along the normal.
     fn find(&self, image: &LineImage, reach_px: f64, paint: Paint) -> Outcome {
-        let Some(profile) = Profile::across(self, image, reach_px) else { return Outcome::Hidden };
+        let Some(profile) = Profile::across(&self.strip, image, reach_px) else { return Outcome::Hidden };
         let (at, response) = profile.best();
         let hides = |at: usize| profile.hides(image, at);
         if hides(at) {
             return Outcome::Hidden;
         }
         let flanks = profile.flanks(at);
-        if response < paint.least(self.width_px) {
+        if response < paint.least(self.strip.width_px) {
             // Carpet is darker than a line would be; brightness beyond the field or a robot's shell says nothing.
-            let is_seen = !hides(profile.half) && paint.is_beside(profile.flanks(profile.half));
+            let is_seen = !hides(profile.middle()) && paint.are_carpet(profile.flanks(profile.middle()));
             return if is_seen { Outcome::Missed } else { Outcome::Hidden };
         }
         // Where a lens's picture ends, or a robot's shadow begins, a line is cut and its middle elsewhere; beyond there is none.
-        if !paint.is_beside(flanks) {
+        if !paint.are_carpet(flanks) {
             return Outcome::Hidden;
         }
-        Outcome::Found(Found { offset_px: profile.offset_px(profile.centroid(at)), to_noise: response / paint.noise })
+        Outcome::Found(Found { offset_px: profile.offset_px(profile.centroid(at)), to_noise: response / paint.noise() })
     }
 
     /// Whether the line stands out more than anything else within so many pixels beside it, and how often it would by chance.
     /// `None` where something stands before it.
     pub(super) fn is_foremost(&self, image: &LineImage, paint: Paint, within_px: f64) -> Option<(bool, f64)> {
-        let profile = Profile::across(self, image, within_px)?;
-        if profile.hides(image, profile.half) || !paint.is_beside(profile.flanks(profile.half)) {
+        let profile = Profile::across(&self.strip, image, within_px)?;
+        if profile.hides(image, profile.middle()) || !paint.are_carpet(profile.flanks(profile.middle())) {
             return None;
         }
         let near_px = FOREMOST_PX + FOREMOST_MORE_PER_PX * paint.half_seen_px();
-        let near = libm::round(near_px / f64::from(profile.step)).max(1.0) as usize;
+        let near = libm::round(near_px / profile.step_px()).max(1.0) as usize;
         let (at, _) = profile.best();
         let all = profile.middles().len();
-        Some((at.abs_diff(profile.half) <= near, ((2 * near + 1) as f64 / all as f64).min(1.0)))
-    }
-}
-
-impl Paint {
-    /// Both flanks of a line are carpet, in the same light.
-    fn is_beside(&self, (left, right): (f32, f32)) -> bool {
-        let (left, right) = (f64::from(left), f64::from(right));
-        let step = self.contrast * (0.5 * (left + right) + f64::from(STRAY_LEVELS));
-        (left - right).abs() < MOST_SLOPE * step && left.max(right) > UNLIT * step.min(MOST_UNLIT_LEVELS)
-    }
-}
-
-const MAX_SAMPLES: usize = 160;
-
-/// Luma across an expected line, and how a matched filter answers to it: mean of the line's band less that of the carpet beside it.
-struct Profile {
-    /// Pixels from sample to sample; the line is expected at sample `half`.
-    step: f32,
-    half: usize,
-    /// In samples: half the line, and the strip of carpet beside it; from the line's middle to that strip's far end.
-    band: usize,
-    flank: usize,
-    margin: usize,
-    count: usize,
-    middle: [f32; 2],
-    along: [f32; 2],
-    values: [f32; MAX_SAMPLES],
-    /// Of all values before.
-    sums: [f32; MAX_SAMPLES + 1],
-}
-
-impl Profile {
-    /// `None` if a part of it lies outside of the image.
-    fn across(expected: &Expected, image: &LineImage, reach_px: f64) -> Option<Self> {
-        let width = expected.width_px as f32;
-        let step = (width / 6.0).clamp(0.5, 1.5);
-        let in_steps = |pixels: f32| libm::roundf(pixels / step) as usize;
-        // Half the line, the blur at its edge, the carpet beside it.
-        let (band, gap, flank) = (in_steps(0.5 * width - 0.25), in_steps(1.5), in_steps((width / 3.0).max(2.0)));
-        let margin = band + gap + flank;
-        let reach = (in_steps(reach_px as f32)).min((MAX_SAMPLES - 1) / 2 - margin.min((MAX_SAMPLES - 1) / 2 - 1));
-        let half = reach + margin;
-        let count = 2 * half + 1;
-        if count > MAX_SAMPLES {
-            return None;
-        }
-        let middle = [expected.middle.x as f32, expected.middle.y as f32];
-        let along = [expected.direction.x as f32 * step, expected.direction.y as f32 * step];
-        let (mut values, mut sums) = ([0.0f32; MAX_SAMPLES], [0.0f32; MAX_SAMPLES + 1]);
-        if !image.profile(middle, along, &mut values[..count]) {
-            return None;
-        }
-        let mut sum = 0.0;
-        for (total, value) in sums[1..].iter_mut().zip(&values[..count]) {
-            sum += value;
-            *total = sum;
-        }
-        Some(Self { step, half, band, flank, margin, count, middle, along, values, sums })
-    }
-
-    /// Where the line's middle may be.
-    fn middles(&self) -> core::ops::Range<usize> {
-        self.margin..self.count - self.margin
-    }
-
-    fn sum(&self, from: usize, to: usize) -> f32 {
-        self.sums[to] - self.sums[from]
-    }
-
-    /// Mean luma of the carpet on both sides.
-    fn flanks(&self, at: usize) -> (f32, f32) {
-        let Self { margin, flank, .. } = *self;
-        let per_flank = 1.0 / flank as f32;
-        let left = self.sum(at - margin, at - margin + flank);
-        let right = self.sum(at + margin + 1 - flank, at + margin + 1);
-        (left * per_flank, right * per_flank)
-    }
-
-    /// Where the line stands out most, and by which share of the brighter carpet beside it.
-    fn best(&self) -> (usize, f64) {
-        let per_band = 1.0 / (2 * self.band + 1) as f32;
-        let (mut best, mut at) = (f32::NEG_INFINITY, self.half);
-        for middle in self.middles() {
-            let (left, right) = self.flanks(middle);
-            let carpet = left.max(right);
-            let band = self.sum(middle - self.band, middle + self.band + 1) * per_band;
-            let response = (band - carpet) / (carpet + STRAY_LEVELS);
-            if response > best {
-                (best, at) = (response, middle);
-            }
-        }
-        (at, f64::from(best))
-    }
-
-    /// Something stands before the line or the carpet beside it.
-    fn hides(&self, image: &LineImage, at: usize) -> bool {
-        let beside = (self.margin - self.flank + self.flank / 2) as f32;
-        let steps = at as f32 - self.half as f32;
-        [steps, steps - beside, steps + beside]
-            .iter()
-            .any(|steps| image.hides(self.middle[0] + steps * self.along[0], self.middle[1] + steps * self.along[1]))
-    }
-
-    fn centroid(&self, at: usize) -> f32 {
-        centroid(&self.values[..self.count], at, self.margin - self.flank, self.flanks(at))
-    }
-
-    fn offset_px(&self, sample: f32) -> f64 {
-        f64::from(sample - self.half as f32) * f64::from(self.step)
+        Some((at.abs_diff(profile.middle()) <= near, ((2 * near + 1) as f64 / all as f64).min(1.0)))
     }
 }
 
@@ -531,20 +367,6 @@ impl Profile {
 fn sigmas(width_px: f64) -> f64 {
     let (thin, wide) = (THIN_PX / width_px, width_px / WIDE_PX);
     libm::sqrt((1.0 + thin * thin + wide * wide) / (1.0 + 2.0 * THIN_PX / WIDE_PX))
-}
-
-/// Centre of what stands out of the carpet within `reach` samples of the peak, the carpet's brightness going
-/// straight from the left flank's to the right one's.
-fn centroid(profile: &[f32], peak: usize, reach: usize, (left, right): (f32, f32)) -> f32 {
-    let (mut sum, mut moment) = (0.0f32, 0.0f32);
-    let (carpet, slope) = (0.5 * (left + right), (right - left) / (2.0 * reach as f32 + 1.0));
-    for (k, value) in profile[peak - reach..=peak + reach].iter().enumerate() {
-        let off = k as f32 - reach as f32;
-        let above = value - (carpet + slope * off);
-        sum += above;
-        moment += above * off;
-    }
-    if sum > 0.0 { peak as f32 + (moment / sum).clamp(-(reach as f32), reach as f32) } else { peak as f32 }
 }
 
 #[cfg(test)]
