@@ -113,6 +113,8 @@ const ROLL_DEG: f64 = 2.5;
 const ROLLS: i32 = 4;
 const UPSIDE_DOWN_DEG: f64 = 180.0;
 const TIMES: f64 = 1.07;
+/// Of an attitude that is tried.
+const TILT_SIGMA_RAD: f64 = 0.005;
 const SCALES: i32 = 5;
 /// Of the lenses and mounts, those that explain most of two frames are tried with all.
 const CLOSER: usize = 3;
@@ -245,7 +247,8 @@ impl Given<'_> {
         };
         let picture = view(&sample.message, &lens).ok()?;
         let body = self.eyes.body(sample.head).cloned();
-        let known = Known { lens, attitude: Euler { yaw: 0.0, pitch, roll }, height_m, initial: None, body };
+        let attitude = Euler { yaw: 0.0, pitch, roll };
+        let known = Known { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
         let located =
             known.locate(&known.look(&picture), other.as_ref().unwrap_or(self.field), self.settings.filter.seed);
         Some((located.fit(), located.found.first()?.log_likelihood))

@@ -19,11 +19,12 @@ use crate::sensors::{body_mask, decode};
 
 /// Find the pose of a single image
 ///
-/// Lens, tilt and height are known; where the camera stood and which way it looked is found from the field lines: over
-/// the whole field, or near --initial. A field looks the same from both goals: the mirror pose (-x, -y, yaw + 180)
+/// Lens and height are known, and the tilt to about two degrees; where the camera stood, which way it looked and how it was
+/// tilted is found from the field lines: over the whole field, or near --initial. A field looks the same from both goals: the mirror pose (-x, -y, yaw + 180)
 /// explains the image as well. Without --field all shipped fields are tried.
 ///
-/// The fit is good, doubtful (a pose elsewhere explains the image nearly as well) or none: no pose found, exit code 1.
+/// The fit is good, doubtful (it leaves much unexplained, or a pose elsewhere explains the image nearly as well) or none: no pose
+/// found, exit code 1.
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Example:",
@@ -38,6 +39,9 @@ pub struct TagArguments {
     /// Roll (-180 to 180) and pitch (-90 to 90) of camera_link, pitch > 0 looks down (a VisualMesh file has its own)
     #[arg(long, value_name = "roll_deg,pitch_deg", value_parser = attitude, allow_hyphen_values = true)]
     attitude: Option<Euler>,
+    /// How wrong that may be: standard deviation of roll and pitch, 0 to 5
+    #[arg(long, value_name = "DEG", default_value_t = 2.0, value_parser = attitude_sigma, allow_negative_numbers = true)]
+    attitude_sigma: f64,
     /// Height of camera_link above the carpet, 0.01 to 100 (a VisualMesh file has its own)
     #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = any_number)]
     height: Option<f64>,
@@ -66,22 +70,64 @@ struct Report {
     field: String,
     fit: Fit,
     /// `camera_link` in `map`; without any line in view null.
-    best: Option<Found>,
+    best: Option<Explanation>,
     mirror: Option<Pose>,
+    /// Of the best.
     roll_deg: f64,
     pitch_deg: f64,
     z: f64,
     /// The next best explanation on the same field.
-    next: Option<Found>,
+    next: Option<Explanation>,
     /// Of every field that was tried.
     fields: Vec<FieldResult>,
 }
 
-#[derive(Serialize)]
+/// Numbers without a unit are shares, 0 to 1, unless [`Found`] says otherwise.
+#[derive(Clone, Copy, Serialize)]
+struct Explanation {
+    pose: Pose,
+    refined: bool,
+    /// Of the expected line places.
+    fitting: f64,
+    foremost: f64,
+    explained: f64,
+    digits: f64,
+    half_seen_px: f64,
+    places: usize,
+    share: f64,
+    weight: f64,
+    log_likelihood: f64,
+}
+
+impl Explanation {
+    fn of(found: &Found) -> Self {
+        Self {
+            pose: Pose::of(&found.place()),
+            refined: found.refined,
+            fitting: found.lines.share,
+            foremost: found.lines.foremost,
+            explained: found.explained,
+            digits: found.lines.digits,
+            half_seen_px: found.lines.half_seen_px,
+            places: found.lines.expected,
+            share: found.share,
+            weight: found.weight,
+            log_likelihood: found.log_likelihood,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Serialize)]
 struct Pose {
     x: f64,
     y: f64,
     yaw_deg: f64,
+}
+
+impl Pose {
+    fn of(pose: &Pose2) -> Self {
+        Self { x: pose.x, y: pose.y, yaw_deg: pose.yaw.to_degrees() }
+    }
 }
 
 #[derive(Serialize)]
@@ -110,11 +156,12 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         Some(png) => Some(body_mask(png, width, height).map_err(|message| UsageError(format!("{png}: {message}")))?),
         None => None,
     };
-    let known = Known { lens: lens.lens, attitude, height_m, initial: arguments.initial, body };
+    let tilt_sigma_rad = arguments.attitude_sigma.to_radians();
+    let known = Known { lens: lens.lens, attitude, tilt_sigma_rad, height_m, initial: arguments.initial, body };
     let fields = fields(arguments)?;
-    let seen = known.look(&picture);
+    let look = known.look(&picture);
     let locate = |(name, field): (String, Field)| {
-        let located = known.locate(&seen, &field, arguments.seed);
+        let located = known.locate(&look, &field, arguments.seed);
         (name, field, located)
     };
     let mut results: Vec<(String, Field, Located)> = fields.into_iter().map(locate).collect();
@@ -125,20 +172,18 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     if let (Some(path), Some(best)) = (&arguments.overlay, best) {
         let rgb = image::RgbImage::from_raw(width, height, picture.to_rgb());
         let rgb = rgb.with_context(|| format!("{}: its pixels do not fit its size", shown()))?;
-        save(&drawing::overlay(&rgb, &known.lens, &known.map_from_link(&best.pose), field, LINES), path)?;
+        save(&drawing::overlay(&rgb, &known.lens, &best.map_from_link, field, LINES), path)?;
     }
+    let tilt = best.map_or(attitude, |best| best.map_from_link.euler());
     let report = Report {
         field: name.clone(),
         fit: located.fit(),
-        best: best.copied(),
-        mirror: best.map(|best| {
-            let mirror = best.pose.mirrored();
-            Pose { x: mirror.x, y: mirror.y, yaw_deg: mirror.yaw.to_degrees() }
-        }),
-        roll_deg: attitude.roll.to_degrees(),
-        pitch_deg: attitude.pitch.to_degrees(),
-        z: height_m,
-        next: located.found.get(1).copied(),
+        best: best.map(Explanation::of),
+        mirror: best.map(|best| Pose::of(&best.place().mirrored())),
+        roll_deg: tilt.roll.to_degrees(),
+        pitch_deg: tilt.pitch.to_degrees(),
+        z: best.map_or(height_m, |best| best.map_from_link.translation.z),
+        next: located.found.get(1).map(Explanation::of),
         fields: results
             .iter()
             .filter_map(|(field, _, located)| {
@@ -200,9 +245,12 @@ fn fields(arguments: &TagArguments) -> anyhow::Result<Vec<(String, Field)>> {
     }
 }
 
-fn why_none(best: Option<&Found>) -> String {
+fn why_none(best: Option<&Explanation>) -> String {
     let found = match best {
         None => "there is no line of a field where the ground is in view".to_owned(),
+        Some(best) if best.share >= LEAST_SHARE && best.weight >= LEAST_WEIGHT => {
+            "the best pose's lines lie where chance would put some as well".to_owned()
+        }
         Some(best) => format!(
             "the best explains {:.0} % of the expected line contrast on {:.1} m of certain line, and {:.0} % on {:.1} m are \
              needed",
@@ -220,14 +268,18 @@ fn for_people(report: &Report) -> Option<String> {
     let Report { best: Some(best), mirror: Some(mirror), .. } = report else { return None };
     let mut text = format!(
         "x {:.3} m, y {:.3} m, yaw {:.2} deg on {}, or its mirror x {:.3}, y {:.3}, yaw {:.2}\n\
+         seen from z {:.3} m with roll {:.2}, pitch {:.2} deg\n\
          {:.0} % of the expected line contrast found on {:.1} m of certain line\n",
         best.pose.x,
         best.pose.y,
-        best.pose.yaw.to_degrees(),
+        best.pose.yaw_deg,
         report.field,
         mirror.x,
         mirror.y,
         mirror.yaw_deg,
+        report.z,
+        report.roll_deg,
+        report.pitch_deg,
         100.0 * best.share,
         0.1 * best.weight
     );
@@ -236,12 +288,12 @@ fn for_people(report: &Report) -> Option<String> {
             "next best: x {:.3}, y {:.3}, yaw {:.2}, log likelihood {:.1} below\n",
             next.pose.x,
             next.pose.y,
-            next.pose.yaw.to_degrees(),
+            next.pose.yaw_deg,
             best.log_likelihood - next.log_likelihood
         ));
     }
     if report.fit == Fit::Doubtful {
-        text.push_str("doubtful: that pose explains the image nearly as well\n");
+        text.push_str("doubtful: it explains too little of the lines, or another pose explains them nearly as well\n");
     }
     for field in &report.fields {
         text.push_str(&format!(
@@ -250,6 +302,11 @@ fn for_people(report: &Report) -> Option<String> {
         ));
     }
     Some(text.trim_end().to_owned())
+}
+
+fn attitude_sigma(text: &str) -> Result<f64, String> {
+    let [degrees] = numbers::<1>(text, "degrees")?;
+    if (0.0..=5.0).contains(&degrees) { Ok(degrees) } else { Err(format!("it is {degrees}: it must be 0 to 5")) }
 }
 
 fn attitude(text: &str) -> Result<Euler, String> {

@@ -132,13 +132,14 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
         let known = Known {
             lens: shown.camera.lens().clone(),
             attitude,
+            tilt_sigma_rad: 0.0,
             height_m: z,
             initial: Some(Pose2 { yaw: wrap_angle(asked.yaw), ..asked }),
             body: None,
         };
         let picture = Picture::from_rgb(width, height, &rgb).context("a view without pixels")?;
         let located = known.locate(&known.look(&picture), gallery.field(), 1);
-        let found = located.found.first().filter(|found| found.refined).map(|found| found.pose);
+        let found = located.found.first().filter(|found| found.refined).map(|found| found.place());
         let made = match shown.answer.made {
             crate::views::Made::Stored => "stored",
             _ => "made",

@@ -255,7 +255,7 @@ def tags_a_walk(robot):
     machine.ok(f"(until grep -q 'frame {last // 2}$' /run/steps; do sleep 0.2; done; "
                f"{drops}=100; "
                f"for try in $(seq 40); do sleep 0.5; {told} && break; done; {drops}=0) > /dev/null 2>&1 & echo $!")
-    machine.ok("tail -n +1 -f --pid=$(cat /run/pusher) /run/steps", 200, watch)
+    machine.ok("tail -n +1 -f --pid=$(cat /run/pusher) /run/steps", 600, watch)
     # The guest's shell tells of its jobs in between, with their commands, which hold braces too.
     text = machine.ok("cat /run/stalled")
     stalled, _ = json.JSONDecoder().raw_decode(text[text.index('{"'):])

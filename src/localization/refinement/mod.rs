@@ -103,7 +103,7 @@ pub struct Refiner {
 }
 
 /// Scale of the robust loss, in standard deviations of one measurement, from the first round of measuring to the last. The
-/// first is for a prior whose tilt is wider than [`WIDE_RAD`]: lines lie far from where it puts them.
+/// first is for a start whose tilt may be wrong by more than [`WIDE_RAD`]: lines lie far from where it puts them.
 const SCALES: [f64; 3] = [60.0, 12.0, 4.0];
 const WIDE_RAD: f64 = 0.02;
 /// A fifth of the standard deviations.
@@ -139,6 +139,19 @@ impl Refiner {
         Some(self.tested(image, prior, refined))
     }
 
+    /// From one start, an error vector relative to the prior's pose, of which it is known how wrong it may be: lines are looked for within
+    /// that `reach`, however wide the prior is.
+    pub fn refine_within(
+        &mut self,
+        image: &LineImage,
+        prior: &Prior,
+        start: &Vector6<f64>,
+        reach: &Matrix6<f64>,
+    ) -> Option<Refined> {
+        let refined = self.refine_from(image, prior, start, *reach)?;
+        Some(self.tested(image, prior, refined))
+    }
+
     /// With what is to be said against chance.
     fn tested(&self, image: &LineImage, prior: &Prior, mut refined: Refined) -> Refined {
         let eye = Eye { projector: &self.projector, off: &prior.lens, twist: &prior.twist };
@@ -160,7 +173,7 @@ impl Refiner {
         let mut covariance = reach;
         let mut last: Option<(Counts, solve::Solution, solve::Noise)> = None;
         let mut noise = solve::Noise::USUAL;
-        let wide = prior.covariance[(3, 3)].max(prior.covariance[(4, 4)]) > WIDE_RAD * WIDE_RAD;
+        let wide = reach[(3, 3)].max(reach[(4, 4)]) > WIDE_RAD * WIDE_RAD;
         for scale in &SCALES[usize::from(!wide)..] {
             let pose = moved_pose(&prior.map_from_optical, &moved);
             let eye = Eye { projector, off: &prior.lens, twist: &prior.twist };
