@@ -55,6 +55,10 @@ pub struct Standing {
     /// Looks in a row, from wherever, that had no better pose to offer.
     in_a_row: u32,
     second_look: SecondLook,
+    /// Poses of late that were found or told, and that the next frames contradicted: see [`CONFIRMATIONS`].
+    refuted: f64,
+    /// For how long the pose has been confirmed, seconds.
+    confirmed_s: f64,
     /// Of confirmed frames so far, the share of the expected lines that stand out most where the pose has them: with this paint, lens and
     /// turf it is what to expect of a right pose.
     usual_foremost: Option<f64>,
@@ -72,7 +76,19 @@ pub struct Rules<'a> {
 }
 
 /// Frames with good lines that a pose found by search or kept over a restart needs.
+///
+/// On another field, or through another lens, some place looks right for a while again and again, until its lines contradict it. So each
+/// pose that is refuted makes field, lens and mount more doubtful, and the next one needs the square of their number plus one times as many
+/// frames: 12 after one, 27 after two, some hundreds after ten. Of a robot that was carried one or two are refuted, and of one that stays on
+/// its field hardly any.
 const CONFIRMATIONS: u32 = 3;
+/// A pose that somebody told and that is wrong counts as two: it should have been right.
+const REFUTED_IF_TOLD: f64 = 2.0;
+/// A pose that was confirmed for so long was right: its robot was carried.
+const PROVEN_S: f64 = 3.0;
+/// Refuted poses count less and less, to a third after so long.
+const REFUTED_FORGOTTEN_S: f64 = 20.0;
+const MOST_CONFIRMATIONS: f64 = 10_000.0;
 /// Errors of height and tilt that no mount and no gait has: five standard deviations of what the track expects.
 const MOST_RISE_M: f64 = 0.07;
 const MOST_TILT_RAD: f64 = 0.095;
@@ -155,7 +171,11 @@ const BETTER_WITH: f64 = 0.2;
 
 impl Physical for Standing {
     fn is_possible(&self) -> bool {
-        self.looked_again_at.is_possible() && self.second_look.is_possible() && self.usual_foremost.is_possible()
+        self.looked_again_at.is_possible()
+            && self.second_look.is_possible()
+            && self.usual_foremost.is_possible()
+            && self.refuted.is_finite()
+            && self.confirmed_s.is_finite()
     }
 }
 
@@ -179,19 +199,26 @@ impl Standing {
 
     /// A pose that was found by search.
     pub fn found(&mut self) {
-        let (confidence, second_look) = (Confidence::Unconfirmed(CONFIRMATIONS), SecondLook::found());
+        let (confidence, second_look) = (Confidence::Unconfirmed(self.confirmations()), SecondLook::found());
         *self = Self { confidence, second_look, ..self.remembered() };
     }
 
     /// A pose that somebody announced.
     pub fn told(&mut self) {
-        let confidence = Confidence::Unconfirmed(1);
+        let confidence = Confidence::Unconfirmed(self.confirmations() / CONFIRMATIONS);
         *self = Self { confidence, was_told: true, ..self.remembered() };
     }
 
     /// What does not depend on where the robot is.
     fn remembered(&self) -> Self {
-        Self { agreed_ns: self.agreed_ns, usual_foremost: self.usual_foremost, ..Self::default() }
+        let Self { agreed_ns, usual_foremost, refuted, .. } = *self;
+        Self { agreed_ns, usual_foremost, refuted, ..Self::default() }
+    }
+
+    /// Frames with good lines that a pose needs now.
+    fn confirmations(&self) -> u32 {
+        let doubts = 1.0 + self.refuted;
+        (f64::from(CONFIRMATIONS) * doubts * doubts).min(MOST_CONFIRMATIONS) as u32
     }
 
     /// Lines speak for the pose, and not clearly: is there a better one?
@@ -265,6 +292,14 @@ impl Standing {
             Some("lines_unexplained") => !self.holds_fast(fix),
             _ => false,
         };
+        self.refuted *= libm::exp(-seconds / REFUTED_FORGOTTEN_S);
+        self.confirmed_s = if self.is_tracking() { self.confirmed_s + seconds } else { 0.0 };
+        self.refuted += match self.confidence {
+            Confidence::Unconfirmed(_) if contradicted && self.was_told => REFUTED_IF_TOLD,
+            Confidence::Unconfirmed(_) if contradicted => 1.0,
+            Confidence::Tracking(bad) if contradicted && bad + 1 == LOST_AFTER && self.confirmed_s < PROVEN_S => 1.0,
+            _ => 0.0,
+        };
         if rules.refinement && is_lost(&fix.covariance) {
             self.confidence = Confidence::Nowhere;
         }
@@ -282,7 +317,7 @@ impl Standing {
             }
             // Carried, or found in a wrong place: lines and odometry do not tell of one walk.
             (Confidence::Unconfirmed(_), None) if fix.surprised && !self.was_told => {
-                Confidence::Unconfirmed(CONFIRMATIONS)
+                Confidence::Unconfirmed(self.confirmations())
             }
             (Confidence::Unconfirmed(needed), None) if needed > 1 => Confidence::Unconfirmed(needed - 1),
             (_, None) => Confidence::Tracking(0),
