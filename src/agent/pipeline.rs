@@ -356,7 +356,7 @@ impl Pipeline {
         self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
         let pose = tag.valid.then(|| intake::isometry(&tag.pose.pose.position, &tag.pose.pose.orientation));
-        let keeps = self.thinning.keeps(frame.stamp_ns, pose.as_ref());
+        let keeps = self.thinning.keeps(frame.stamp_ns, pose.as_ref(), tag.pose.sigma_xy_m());
         if let Some(session) = &mut self.session {
             match (self.thinning.thins(), keeps) {
                 (true, true) => session.pass(&frame.message, true, false)?,

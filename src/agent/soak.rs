@@ -175,7 +175,7 @@ impl Stream {
             let stamp = header(at_ns, "");
             self.image.header.stamp = stamp.stamp;
             let pose = on_a_circle(self.frame_every * self.frames);
-            if self.thinning.keeps(at_ns, Some(&pose.to_isometry())) {
+            if self.thinning.keeps(at_ns, Some(&pose.to_isometry()), 0.0) {
                 self.pass(0, at_ns, self.image.encode(), session)?;
             } else {
                 session.thin_frame()?;

@@ -10,7 +10,7 @@ use super::settings::UsageError;
 use super::values::whole;
 use super::{Outcome, output};
 use crate::config::{Settings, load_field};
-use crate::database::{self, Added, Checked, Gallery, Stats};
+use crate::database::{self, Added, Checked, Gallery, Stats, TagLimits};
 use crate::geometry::PoseGrid;
 
 /// Keep an image database: captures' images, found by the pose of their camera
@@ -64,6 +64,9 @@ struct AddArguments {
     /// Tags too that do not know which half of the field they are in: such an image may stand in the wrong half
     #[arg(long)]
     ambiguous: bool,
+    /// Only tags whose place is known this well: standard deviation along its longer axis, 0.001 to 1
+    #[arg(long, value_name = "M", default_value_t = TagLimits::default().sigma_m, value_parser = sigma)]
+    max_sigma: f64,
 }
 
 /// Take a capture or folder out of a database; its files are not touched
@@ -109,6 +112,11 @@ const PAPER_POSES: u32 = 720_000;
 /// Of a coverage: thirty times the paper's grid, 80 MB.
 const MAX_CELLS: f64 = 20e6;
 
+fn sigma(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if (0.001..=1.0).contains(&value) { Ok(value) } else { Err("0.001 to 1 metre".to_owned()) }
+}
+
 fn side(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
     if (0.02..=5.0).contains(&value) { Ok(value) } else { Err("0.02 to 5 metres".to_owned()) }
@@ -136,12 +144,13 @@ pub fn run(arguments: &DbArguments, json: bool) -> anyhow::Result<Outcome> {
 }
 
 fn add(arguments: &AddArguments, json: bool) -> anyhow::Result<Outcome> {
-    let AddArguments { sources, db, field, ambiguous } = arguments;
+    let AddArguments { sources, db, field, ambiguous, max_sigma } = arguments;
+    let limits = TagLimits { ambiguous: *ambiguous, sigma_m: *max_sigma };
     let inputs: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
     check_output(db, &inputs)?;
     let field = field.as_deref().map(load_field).transpose()?;
     let mut progress = output::Progress::new("reading");
-    let added = database::add(db, sources, field.as_ref(), *ambiguous, &mut |done| progress.set(done, None))?;
+    let added = database::add(db, sources, field.as_ref(), limits, &mut |done| progress.set(done, None))?;
     progress.finish();
     report_added(&added, db, json)
 }
@@ -156,12 +165,22 @@ fn report_added(added: &Added, db: &Path, json: bool) -> anyhow::Result<Outcome>
     } else {
         let left_out = match added.left_out {
             0 => String::new(),
-            count if added.ambiguous == 0 => format!(", {count} left out (no valid tag, or not to be decoded)"),
-            count => format!(
-                ", {count} left out, {} of them for tags that do not know which half of the field they are in \
-                 (--ambiguous takes them)",
-                added.ambiguous
-            ),
+            count => {
+                let mut why = vec!["no valid tag, or not to be decoded".to_owned()];
+                if added.ambiguous > 0 {
+                    why.push(format!(
+                        "{} for tags that do not know which half of the field they are in (--ambiguous takes them)",
+                        added.ambiguous
+                    ));
+                }
+                if added.imprecise > 0 {
+                    why.push(format!(
+                        "{} for tags that are not known well enough (--max-sigma takes them)",
+                        added.imprecise
+                    ));
+                }
+                format!(", {count} left out ({})", why.join("; "))
+            }
         };
         output::lines(&format!("{} images in {}{left_out}", added.images, db.display()))?;
     }

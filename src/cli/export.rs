@@ -225,7 +225,7 @@ fn row(file: String, tag: &FrameTag) -> Row<'_> {
         yaw_deg: tag.yaw.to_degrees(),
         pitch_deg: tag.pitch.to_degrees(),
         roll_deg: tag.roll.to_degrees(),
-        sigma_xy_m: libm::sqrt(covariance[0].max(covariance[7])),
+        sigma_xy_m: tag.pose.sigma_xy_m(),
         sigma_yaw_deg: libm::sqrt(covariance[35]).to_degrees(),
         ambiguous: tag.ambiguous,
     }

@@ -11,7 +11,7 @@ use super::values::whole;
 use super::{Outcome, output};
 use crate::agent::refining::{Found, RefinedInfo, Refining, refine};
 use crate::config::Settings;
-use crate::database::{DatabaseError, Gallery, add, leave_one_out};
+use crate::database::{DatabaseError, Gallery, TagLimits, add, leave_one_out};
 use crate::evaluation::Summary;
 use crate::evaluation::capture::read_truth;
 use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
@@ -150,7 +150,8 @@ fn psnr(capture: &Path, views: usize) -> anyhow::Result<Option<Summary>> {
     let folder = temporary()?;
     let db = folder.path().join("db");
     // A walk in the wrong half is as consistent in itself.
-    match add(&db, &[capture.to_owned()], None, true, &mut |_| ()) {
+    let limits = TagLimits { ambiguous: true, ..TagLimits::default() };
+    match add(&db, &[capture.to_owned()], None, limits, &mut |_| ()) {
         Err(DatabaseError::Nothing(_)) => return Ok(None),
         added => added?,
     };

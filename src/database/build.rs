@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::catalogue::{Catalogue, Source};
+use super::catalogue::{Catalogue, Source, TagLimits};
 use super::circle::circle_deg;
 use super::darkening;
 use super::error::{DatabaseError, io};
@@ -28,6 +28,8 @@ pub struct Added {
     pub left_out: u64,
     /// Of these, for a valid tag that does not know which half of the field it is in.
     pub ambiguous: u64,
+    /// Of these, those whose valid tag is known worse than the limit.
+    pub imprecise: u64,
     pub losses: Vec<Loss>,
     /// Sources that nothing came of, and why.
     pub empty: Vec<Loss>,
@@ -37,12 +39,11 @@ pub struct Added {
 pub type Progress<'a> = &'a mut dyn FnMut(u64);
 
 /// Adds captures and folders of images; if there is no image in any of them, nothing is changed, and why is told. `field` is for folders, which do not name theirs; a database has one field.
-/// `with_ambiguous`: as well what may as likely stand in the other half of the field.
 pub fn add(
     folder: &Path,
     paths: &[PathBuf],
     field: Option<&FieldDimensions>,
-    with_ambiguous: bool,
+    limits: TagLimits,
     progress: Progress,
 ) -> Result<Added, DatabaseError> {
     fs::create_dir_all(folder).map_err(io(folder))?;
@@ -59,7 +60,7 @@ pub fn add(
     let mut catalogue = known;
     let mut added = Added::default();
     for path in sources_of(paths, catalogue.as_ref())? {
-        let read = sources::read(&path, with_ambiguous, progress)?;
+        let read = sources::read(&path, limits, progress)?;
         take(folder, &mut catalogue, &mut records, read, field, &mut added)?;
     }
     if added.images == 0 {
@@ -79,7 +80,7 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
     let mut catalogue = Some(Catalogue { sources: Vec::new(), ..old.clone() });
     let (mut records, mut added) = (Vec::new(), Added::default());
     for source in &old.sources {
-        match sources::read(&source.path, source.with_ambiguous, progress) {
+        match sources::read(&source.path, source.limits, progress) {
             Ok(read) => take(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
             Err(error) => {
                 added.losses.push(Loss::new(&source.path, error.to_string()));
@@ -150,7 +151,7 @@ fn take(
     field: Option<&FieldDimensions>,
     added: &mut Added,
 ) -> Result<(), DatabaseError> {
-    let Read { mut source, records: found, field: own, ambiguous, losses, empty, lit, bodies } = read;
+    let Read { mut source, records: found, field: own, ambiguous, imprecise, losses, empty, lit, bodies } = read;
     let at = source.path.clone();
     let path = || at.clone();
     let wanted = own.as_ref().or(field);
@@ -174,6 +175,7 @@ fn take(
     added.images += source.images;
     added.left_out += source.left_out;
     added.ambiguous += ambiguous;
+    added.imprecise += imprecise;
     added.losses.extend(losses);
     added.empty.extend(empty);
     if let Some(mask) = lit.mask(source.lens.width as usize) {

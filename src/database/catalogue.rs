@@ -38,14 +38,29 @@ pub struct Source {
     #[serde(default)]
     pub darkening: Option<[f64; 3]>,
     pub images: u64,
-    /// Frames without a valid tag, those whose tag does not know which half of the field it is in, unless `with_ambiguous`,
-    /// and those that do not decode.
+    /// Frames without a valid tag, those whose tag keeps not within `limits`, and those that do not decode.
     pub left_out: u64,
     #[serde(default)]
-    pub with_ambiguous: bool,
+    pub limits: TagLimits,
     /// Whether the field's goals may have stood there: not in a rendered scene.
     #[serde(default = "usually")]
     pub goals: bool,
+}
+
+/// What a capture's valid tags need to count.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct TagLimits {
+    /// Those too that do not know which half of the field they are in.
+    pub ambiguous: bool,
+    /// Standard deviation of x, y along its longer axis, at most.
+    pub sigma_m: f64,
+}
+
+impl Default for TagLimits {
+    fn default() -> Self {
+        Self { ambiguous: false, sigma_m: 0.04 }
+    }
 }
 
 fn usually() -> bool {

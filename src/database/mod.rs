@@ -24,7 +24,7 @@ mod sources;
 mod tree;
 
 pub use build::{Added, Checked, Stats, add, rebuild, remove, stats, verify};
-pub use catalogue::{Catalogue, Source, SourceKind};
+pub use catalogue::{Catalogue, Source, SourceKind, TagLimits};
 pub use coverage::{coverage, coverage_picture};
 pub use error::DatabaseError;
 pub use gallery::{Gallery, Shown, Wanted};

@@ -8,7 +8,7 @@ use std::thread;
 
 use glam::DVec3;
 
-use super::catalogue::{Source, SourceKind};
+use super::catalogue::{Source, SourceKind, TagLimits};
 use super::error::{DatabaseError, io};
 use super::lit::Lit;
 use super::pixels::{colours, quality, read_bytes};
@@ -36,6 +36,8 @@ pub(super) struct Read {
     pub(super) field: Option<FieldDimensions>,
     /// Left out although their tag is valid: it does not know which half of the field it is in.
     pub(super) ambiguous: u64,
+    /// The same, known worse than the limit.
+    pub(super) imprecise: u64,
     pub(super) losses: Vec<Loss>,
     /// If there is no record, why.
     pub(super) empty: Option<Loss>,
@@ -60,12 +62,12 @@ pub(super) fn is_source(path: &Path) -> bool {
 }
 
 /// A capture, one of its segments, or a folder with `poses.csv`. `done` hears of images.
-pub(super) fn read(path: &Path, with_ambiguous: bool, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+pub(super) fn read(path: &Path, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let path = path.canonicalize().map_err(io(path))?;
-    if path.join(POSES).is_file() { read_folder(path, done) } else { read_capture(path, with_ambiguous, done) }
+    if path.join(POSES).is_file() { read_folder(path, done) } else { read_capture(path, limits, done) }
 }
 
-fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let folder = if path.is_dir() { path.as_path() } else { path.parent().unwrap_or(&path) };
     if !folder.join(SESSION_FILE).is_file() {
         let what = "neither a capture (with session.json) nor a folder of images (with poses.csv); `realitysim replay LOG -o DIR` \
@@ -89,10 +91,15 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
     };
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
     let is_somewhere = |tag: &&FrameTag| isometry(&tag.pose.pose.position, &tag.pose.pose.orientation).is_finite();
-    let mut ambiguous = 0;
+    let (mut ambiguous, mut imprecise) = (0, 0);
     for tag in tags.iter().filter(|tag| tag.valid).filter(is_somewhere) {
-        if tag.ambiguous && !with_ambiguous {
+        if tag.ambiguous && !limits.ambiguous {
             ambiguous += 1;
+            continue;
+        }
+        // NaN is none.
+        if !(tag.pose.sigma_xy_m() <= limits.sigma_m) {
+            imprecise += 1;
             continue;
         }
         waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
@@ -145,6 +152,9 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
                  its segments anew"
             ),
             (_, 0, tags) => format!("none of its {tags} tags is valid"),
+            (_, valid, _) if imprecise == valid as u64 => {
+                format!("none of its {valid} valid tags is known to {} m (--max-sigma takes others)", limits.sigma_m)
+            }
             (_, valid, _) if ambiguous == valid as u64 => {
                 format!("none of its {valid} valid tags knows which half of the field it is in (--ambiguous takes them)")
             }
@@ -163,13 +173,13 @@ fn read_capture(path: PathBuf, with_ambiguous: bool, done: &mut dyn FnMut(u64)) 
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
         images: records.len() as u64,
         left_out,
-        with_ambiguous,
+        limits,
         // Scenes are drawn without.
         goals: !info.source.is_some_and(|source| source.ends_with(".toml")),
         path,
     };
     let bodies = info.body_masks.iter().filter_map(|runs| BodyMask::from_runs(size[0], size[1], runs)).collect();
-    Ok(Read { source, records, field: Some(info.field), ambiguous, losses, empty, lit, bodies })
+    Ok(Read { source, records, field: Some(info.field), ambiguous, imprecise, losses, empty, lit, bodies })
 }
 
 /// Where in a message the stored bytes begin, these, and what they are.
@@ -322,10 +332,10 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         darkening: None,
         images,
         left_out,
-        with_ambiguous: false,
+        limits: TagLimits::default(),
         goals: true,
     };
-    Ok(Read { source, records, field: None, ambiguous: 0, losses, empty, lit, bodies })
+    Ok(Read { source, records, field: None, ambiguous: 0, imprecise: 0, losses, empty, lit, bodies })
 }
 
 fn finish(batch: &mut Vec<(Record, Vec<u8>)>, lens: &Option<LensParameters>, records: &mut Vec<Record>, lit: &mut Lit) {

@@ -59,6 +59,8 @@ pub struct Standing {
     refuted: f64,
     /// For how long the pose has been confirmed, seconds.
     confirmed_s: f64,
+    /// For how long poses have been confirmed that were not contradicted soon: field, lens and mount are what they are said to be.
+    proven_s: f64,
     /// Of confirmed frames so far, the share of the expected lines that stand out most where the pose has them: with this paint, lens and
     /// turf it is what to expect of a right pose.
     usual_foremost: Option<f64>,
@@ -79,13 +81,14 @@ pub struct Rules<'a> {
 ///
 /// On another field, or through another lens, some place looks right for a while again and again, until its lines contradict it. So each
 /// pose that is refuted makes field, lens and mount more doubtful, and the next one needs the square of their number plus one times as many
-/// frames: 12 after one, 27 after two, some hundreds after ten. Of a robot that was carried one or two are refuted, and of one that stays on
-/// its field hardly any.
+/// frames: 12 after one, 27 after two, some hundreds after ten. A robot that was carried has poses refuted too, but has been on its field
+/// before: each [`PROOF_S`] of that makes them count less.
 const CONFIRMATIONS: u32 = 3;
 /// A pose that somebody told and that is wrong counts as two: it should have been right.
 const REFUTED_IF_TOLD: f64 = 2.0;
 /// A pose that was confirmed for so long was right: its robot was carried.
 const PROVEN_S: f64 = 3.0;
+const PROOF_S: f64 = 1.0;
 /// Refuted poses count less and less, to a third after so long.
 const REFUTED_FORGOTTEN_S: f64 = 20.0;
 const MOST_CONFIRMATIONS: f64 = 10_000.0;
@@ -176,6 +179,7 @@ impl Physical for Standing {
             && self.usual_foremost.is_possible()
             && self.refuted.is_finite()
             && self.confirmed_s.is_finite()
+            && self.proven_s.is_finite()
     }
 }
 
@@ -183,6 +187,8 @@ impl Standing {
     /// A pose that was kept over a restart.
     pub fn kept(&mut self) {
         let was_kept = self.is_known();
+        // Field, lens and mount may be others now.
+        self.proven_s = 0.0;
         self.found();
         self.was_kept = was_kept;
     }
@@ -211,13 +217,13 @@ impl Standing {
 
     /// What does not depend on where the robot is.
     fn remembered(&self) -> Self {
-        let Self { agreed_ns, usual_foremost, refuted, .. } = *self;
-        Self { agreed_ns, usual_foremost, refuted, ..Self::default() }
+        let Self { agreed_ns, usual_foremost, refuted, proven_s, .. } = *self;
+        Self { agreed_ns, usual_foremost, refuted, proven_s, ..Self::default() }
     }
 
     /// Frames with good lines that a pose needs now.
     fn confirmations(&self) -> u32 {
-        let doubts = 1.0 + self.refuted;
+        let doubts = 1.0 + self.refuted / (1.0 + self.proven_s / PROOF_S);
         (f64::from(CONFIRMATIONS) * doubts * doubts).min(MOST_CONFIRMATIONS) as u32
     }
 
@@ -292,14 +298,7 @@ impl Standing {
             Some("lines_unexplained") => !self.holds_fast(fix),
             _ => false,
         };
-        self.refuted *= libm::exp(-seconds / REFUTED_FORGOTTEN_S);
-        self.confirmed_s = if self.is_tracking() { self.confirmed_s + seconds } else { 0.0 };
-        self.refuted += match self.confidence {
-            Confidence::Unconfirmed(_) if contradicted && self.was_told => REFUTED_IF_TOLD,
-            Confidence::Unconfirmed(_) if contradicted => 1.0,
-            Confidence::Tracking(bad) if contradicted && bad + 1 == LOST_AFTER && self.confirmed_s < PROVEN_S => 1.0,
-            _ => 0.0,
-        };
+        self.note_proof(contradicted, seconds);
         if rules.refinement && is_lost(&fix.covariance) {
             self.confidence = Confidence::Nowhere;
         }
@@ -330,6 +329,25 @@ impl Standing {
                 Some(self.usual_foremost.map_or(foremost, |usual| usual + USUAL_RATE * (foremost - usual)));
         }
         doubt
+    }
+
+    /// Before this frame's verdict: what it says of field, lens and mount.
+    fn note_proof(&mut self, contradicted: bool, seconds: f64) {
+        self.refuted *= libm::exp(-seconds / REFUTED_FORGOTTEN_S);
+        match self.confidence {
+            Confidence::Tracking(bad) if contradicted && bad + 1 == LOST_AFTER && self.confirmed_s < PROVEN_S => {
+                self.refuted += 1.0;
+                self.proven_s = 0.0;
+            }
+            Confidence::Tracking(_) => {
+                self.confirmed_s += seconds;
+                self.proven_s += seconds;
+            }
+            Confidence::Unconfirmed(_) if contradicted => {
+                self.refuted += if self.was_told { REFUTED_IF_TOLD } else { 1.0 };
+            }
+            _ => {}
+        }
     }
 
     fn complaint(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
@@ -476,4 +494,65 @@ pub fn is_lost(covariance: &Matrix6<f64>) -> bool {
 /// Standard deviation of x, y along the longer axis.
 fn longest_axis_of(covariance: &Matrix6<f64>) -> f64 {
     longest_axis(covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn needed(standing: &Standing) -> u32 {
+        let mut found = *standing;
+        found.found();
+        match found.confidence {
+            Confidence::Unconfirmed(frames) => frames,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// So many poses in a row that the next frame contradicts.
+    fn refuted(mut standing: Standing, poses: usize) -> Standing {
+        for _ in 0..poses {
+            standing.found();
+            standing.note_proof(true, 0.1);
+        }
+        standing
+    }
+
+    #[test]
+    fn each_refuted_pose_asks_for_more_frames_and_time_for_fewer() {
+        let fresh = Standing::default();
+        assert_eq!(needed(&fresh), CONFIRMATIONS);
+        let needs: Vec<u32> = (0..12).map(|poses| needed(&refuted(fresh, poses))).collect();
+        assert!(needs.windows(2).all(|pair| pair[0] < pair[1]), "{needs:?}");
+        assert!((10..=12).contains(&needs[1]) && needs[10] > 300, "{needs:?}");
+        let mut later = refuted(fresh, 10);
+        later.confidence = Confidence::Nowhere;
+        (0..1000).for_each(|_| later.note_proof(false, 0.1));
+        assert_eq!(needed(&later), CONFIRMATIONS, "100 s later");
+    }
+
+    #[test]
+    fn a_pose_that_was_told_and_is_wrong_counts_twice() {
+        let mut told = Standing::default();
+        told.told();
+        told.note_proof(true, 0.1);
+        assert!(needed(&told).abs_diff(needed(&refuted(Standing::default(), 2))) <= 1);
+    }
+
+    /// On the field for some seconds, then carried: refuted poses count less, unless the seconds were few and ended in contradiction.
+    #[test]
+    fn a_robot_that_has_been_on_its_field_is_believed_sooner() {
+        let tracked = |frames: u32| {
+            let mut standing = Standing { confidence: Confidence::Tracking(0), ..Standing::default() };
+            (0..frames).for_each(|_| standing.note_proof(false, 0.1));
+            for bad in 0..LOST_AFTER {
+                standing.confidence = Confidence::Tracking(bad);
+                standing.note_proof(true, 0.1);
+            }
+            needed(&refuted(standing, 4))
+        };
+        let strange = needed(&refuted(Standing::default(), 4));
+        assert!(tracked(100) <= 2 * CONFIRMATIONS, "{} after ten seconds", tracked(100));
+        assert!(tracked(10) > strange, "{} after one second, {strange} without it", tracked(10));
+    }
 }

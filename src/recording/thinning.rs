@@ -38,9 +38,11 @@ impl Thinning {
         &self.grid
     }
 
-    /// Whether the frame of this stamp is kept; `pose` of `camera_link` in `map` if its tag is valid. Remembers it if so.
-    pub fn keeps(&mut self, stamp_ns: i64, pose: Option<&Isometry>) -> bool {
-        let keeps = match (self.settings.mode, pose) {
+    /// Whether the frame of this stamp is kept; `pose` of `camera_link` in `map` if its tag is valid, `sigma_m` its standard deviation in
+    /// x, y along the longer axis. Remembers it if so.
+    pub fn keeps(&mut self, stamp_ns: i64, pose: Option<&Isometry>, sigma_m: f64) -> bool {
+        let known = pose.filter(|_| 100.0 * sigma_m <= self.settings.max_sigma_cm);
+        let keeps = match (self.settings.mode, known) {
             (ThinningMode::All, _) => true,
             (ThinningMode::Rate, _) => self.rate.lets_through(stamp_ns),
             // Whether it shows anything new is not known.
@@ -111,18 +113,18 @@ mod tests {
     fn a_rate_is_kept_in_the_mean() {
         let mut thinning = thinning(ThinningMode::Rate);
         thinning.rate = Rate::new(7.0);
-        let kept = (0..3_000).filter(|frame| thinning.keeps(frame * FRAME_NS, None)).count();
+        let kept = (0..3_000).filter(|frame| thinning.keeps(frame * FRAME_NS, None, 0.0)).count();
         assert!((698..=702).contains(&kept), "{kept} in 100 s at 7 Hz");
         // After a pause the frames that did not come are not made up for; a clock set back does not stop it.
         let from = 1_000_000_000_000;
-        assert!(thinning.keeps(from, None) && !thinning.keeps(from + FRAME_NS, None));
-        assert!(thinning.keeps(0, None));
+        assert!(thinning.keeps(from, None, 0.0) && !thinning.keeps(from + FRAME_NS, None, 0.0));
+        assert!(thinning.keeps(0, None, 0.0));
     }
 
     #[test]
     fn a_standing_robot_is_kept_once_and_a_walking_one_each_so_many_centimetres_or_degrees() {
         let mut thinning = thinning(ThinningMode::Novelty);
-        let mut kept = |x: f64, yaw: f64| thinning.keeps(0, Some(&pose(x, yaw)));
+        let mut kept = |x: f64, yaw: f64| thinning.keeps(0, Some(&pose(x, yaw)), 0.01);
         assert!(kept(0.0, 0.0));
         assert!(!kept(0.0, 0.0) && !kept(0.099, 9.9));
         assert!(kept(0.1001, 0.0));
@@ -134,10 +136,12 @@ mod tests {
     fn a_cell_gets_its_images_and_no_more() {
         let mut thinning = thinning(ThinningMode::Coverage);
         let kept =
-            (0..100).filter(|step| thinning.keeps(0, Some(&pose(0.1 + 0.3 * f64::from(step % 2), 20.0)))).count();
+            (0..100).filter(|step| thinning.keeps(0, Some(&pose(0.1 + 0.3 * f64::from(step % 2), 20.0)), 0.01)).count();
         assert_eq!(kept, 2, "two far enough apart in one cell");
-        assert!(thinning.keeps(0, Some(&pose(0.1, 60.0))), "another heading");
-        assert!(!thinning.keeps(0, Some(&pose(7.0, 0.0))), "off the carpet");
+        assert!(thinning.keeps(0, Some(&pose(0.1, 60.0)), 0.01), "another heading");
+        assert!(!thinning.keeps(0, Some(&pose(7.0, 0.0)), 0.01), "off the carpet");
+        assert!(thinning.keeps(0, Some(&pose(0.1, 120.0)), 0.05), "known too badly to be judged: one a second");
+        assert!(!thinning.keeps(1, Some(&pose(0.1, 180.0)), 0.05));
         assert_eq!(thinning.coverage().filled, 2);
     }
 
@@ -145,7 +149,7 @@ mod tests {
     fn what_has_no_pose_is_kept_now_and_then() {
         for mode in [ThinningMode::Novelty, ThinningMode::Coverage] {
             let mut thinning = thinning(mode);
-            let kept = (0..300).filter(|frame| thinning.keeps(frame * FRAME_NS, None)).count();
+            let kept = (0..300).filter(|frame| thinning.keeps(frame * FRAME_NS, None, 0.0)).count();
             assert_eq!(kept, 10, "{mode:?}: ten seconds at 1 Hz");
         }
     }
@@ -161,7 +165,7 @@ mod tests {
                 (x, yaw) = (x + dx, yaw + dyaw);
                 let turned = last.map_or(0.0, |(_, old)| crate::geometry::wrap_angle((yaw - old).to_radians()).abs().to_degrees());
                 let new = last.is_none_or(|(old, _)| (x - old).abs() >= 0.1) || turned >= 10.0;
-                prop_assert_eq!(thinning.keeps(0, Some(&pose(x, yaw))), new);
+                prop_assert_eq!(thinning.keeps(0, Some(&pose(x, yaw)), 0.01), new);
                 if new {
                     last = Some((x, yaw));
                 }

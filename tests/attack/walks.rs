@@ -79,7 +79,7 @@ impl Walks {
         self.database.get_or_init(|| {
             let folder = self.folder.join("database");
             let _ = fs::remove_dir_all(&folder);
-            let added = database::add(&folder, &[self.session()], None, false, &mut |_| ());
+            let added = database::add(&folder, &[self.session()], None, Default::default(), &mut |_| ());
             added.expect("a sound capture has images");
             folder
         })

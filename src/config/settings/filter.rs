@@ -157,7 +157,7 @@ impl Default for FilterConfig {
             valid_points: 8.0,
             valid_spread_m: 0.25,
             refinement: true,
-            valid_refined_m: 0.04,
+            valid_refined_m: 0.07,
             valid_explained: 0.7,
         }
     }

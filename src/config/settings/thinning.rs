@@ -15,6 +15,8 @@ pub struct ThinningSettings {
     pub novelty_deg: f64,
     /// Of the same modes: so many a second while the pose is not known.
     pub unknown_hz: f64,
+    /// A pose is known if its standard deviation along its longer axis is at most this.
+    pub max_sigma_cm: f64,
     /// Side of a cell of the pose grid.
     pub cell_m: f64,
     /// Headings told apart in a cell.
@@ -43,6 +45,7 @@ impl Default for ThinningSettings {
             novelty_cm: 10.0,
             novelty_deg: 10.0,
             unknown_hz: 1.0,
+            max_sigma_cm: 4.0,
             cell_m: 0.5,
             headings: 8,
             images_per_cell: 3,
@@ -57,6 +60,7 @@ impl ThinningSettings {
         within("novelty_cm", self.novelty_cm, 0.1, 1000.0)?;
         within("novelty_deg", self.novelty_deg, 0.1, 180.0)?;
         within("unknown_hz", self.unknown_hz, 0.001, 1000.0)?;
+        within("max_sigma_cm", self.max_sigma_cm, 0.1, 100.0)?;
         within("cell_m", self.cell_m, 0.1, 5.0)?;
         within("headings", f64::from(self.headings), 1.0, 72.0)?;
         within("images_per_cell", f64::from(self.images_per_cell), 1.0, 1e6)

@@ -5,7 +5,7 @@ use serde::{Serialize, Serializer};
 
 use super::message;
 use super::time::Header;
-use crate::geometry::Isometry;
+use crate::geometry::{Isometry, longest_axis};
 use crate::ros2::cdr::wire_struct;
 
 wire_struct! {
@@ -65,6 +65,13 @@ wire_struct! {
         /// Row by row over x, y, z (metres) and rotations about x, y, z (radians), all about fixed axes.
         #[serde(serialize_with = "as_slice")]
         pub covariance: [f64; 36],
+    }
+}
+
+impl PoseWithCovariance {
+    /// Standard deviation of x, y along its longer axis, metres.
+    pub fn sigma_xy_m(&self) -> f64 {
+        longest_axis(self.covariance[0], self.covariance[1], self.covariance[7])
     }
 }
 
