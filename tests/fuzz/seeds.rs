@@ -7,7 +7,7 @@ use mavlink::dialects::common::*;
 use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 use realitysim::agent::{Checkpoint, Tagger};
 use realitysim::config::{Settings, field_names, lens_names, load_field, load_lens};
-use realitysim::database::{Catalogue, Record, Source, SourceKind, write_index};
+use realitysim::database::{Catalogue, Record, Source, SourceKind, TagLimits, write_index};
 use realitysim::geometry::{Euler, Field, Isometry, Pose2};
 use realitysim::recording::{Counts, ManifestLine, PoseBox, SessionInfo};
 use realitysim::ros2::Selection;
@@ -239,7 +239,7 @@ fn descriptions() {
         darkening: None,
         images: 1,
         left_out: 0,
-        with_ambiguous: false,
+        limits: TagLimits::default(),
         goals: true,
     });
     keep("capture", "sound-database", serde_json::to_vec(&catalogue).unwrap());

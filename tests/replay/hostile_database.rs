@@ -4,7 +4,7 @@ use std::fs;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use realitysim::config::Settings;
-use realitysim::database::{DatabaseError, Gallery, add, remove, stats};
+use realitysim::database::{DatabaseError, Gallery, TagLimits, add, remove, stats};
 
 use super::database::{CAMERA_INFO, POSES, walked};
 use super::support::Room;
@@ -54,7 +54,15 @@ fn opening_never_meets_a_database_between_two_of_its_states() {
                 if round >= 20 && opened.load(Ordering::Relaxed) > 2 {
                     return;
                 }
-                patiently(|| add(&db, std::slice::from_ref(&two), None, true, &mut |_| ()));
+                patiently(|| {
+                    add(
+                        &db,
+                        std::slice::from_ref(&two),
+                        None,
+                        TagLimits { ambiguous: true, ..TagLimits::default() },
+                        &mut |_| (),
+                    )
+                });
                 patiently(|| remove(&db, &two));
             }
         });
