@@ -142,7 +142,7 @@ mod tests {
         assert!(!thinning.keeps(0, Some(&pose(7.0, 0.0)), 0.01), "off the carpet");
         assert!(thinning.keeps(0, Some(&pose(0.1, 120.0)), 0.05), "known too badly to be judged: one a second");
         assert!(!thinning.keeps(1, Some(&pose(0.1, 180.0)), 0.05));
-        assert_eq!(thinning.coverage().filled, 2);
+        assert_eq!(thinning.coverage().filled, 3);
     }
 
     #[test]
