@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use realitysim::config::ViewsSettings;
-use realitysim::database::{Catalogue, Gallery, Wanted, add};
+use realitysim::database::{Catalogue, Gallery, TagLimits, Wanted, add};
 use realitysim::geometry::Isometry;
 use realitysim::views::Method;
 
@@ -23,7 +23,7 @@ pub fn run(rounds: usize, text: &mut String) {
     let count = if rounds < 100 { 400 } else { 10_000 };
     let all = write(&images, count);
     let poses: Vec<Isometry> = all.iter().step_by(count / PLACES).copied().collect();
-    add(&db, &[images], Some(setting::field().dimensions()), false, &mut |_| ()).expect("a database");
+    add(&db, &[images], Some(setting::field().dimensions()), TagLimits::default(), &mut |_| ()).expect("a database");
     // Whatever its pictures show.
     let mut catalogue = Catalogue::read(&db).expect("a database");
     catalogue.sources.iter_mut().for_each(|source| source.goals = true);

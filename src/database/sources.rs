@@ -97,8 +97,8 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
             ambiguous += 1;
             continue;
         }
-        // NaN is none.
-        if !(tag.pose.sigma_xy_m() <= limits.sigma_m) {
+        let sigma_m = tag.pose.sigma_xy_m();
+        if sigma_m.is_nan() || sigma_m > limits.sigma_m {
             imprecise += 1;
             continue;
         }
