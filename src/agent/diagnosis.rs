@@ -172,6 +172,11 @@ impl Given<'_> {
                 self.topics.odometry,
                 self.topics.imu,
             ),
+            // Then nothing speaks of field, lens or mount.
+            _ if own.fits == 0 && found.iter().all(|tried| tried.fits == 0) => format!(
+                "the pictures show no lines of a field, or too faintly: {looked_at} none has a place on any field, through any lens or from \
+                 any mount that was tried, whose lines lie there more often than by chance{hurried}"
+            ),
             _ => {
                 let each = found.iter().map(|tried| format!("{} ({})", tried.change, fit(tried.fits)));
                 let each: Vec<String> = each.collect();

@@ -12,7 +12,8 @@ use crate::localization::observation::default_alpha;
 use crate::localization::painted::PaintedMap;
 use crate::localization::refinement::{Agreement, Prior, Refiner, error_between};
 use crate::localization::{
-    Effort, Filter, FilterSettings, FilterState, MotionModel, Observation, Sampling, Spread, Support, observation,
+    Effort, Evidence, Filter, FilterSettings, FilterState, MotionModel, Observation, Sampling, Spread, Support, Tried,
+    observation,
 };
 use crate::vision::{BodyMask, Picture, Seen, Vision, VisionSettings};
 
@@ -193,6 +194,27 @@ impl Known {
         Located { found, searched: self.initial.is_none() }
     }
 
+    /// What the image shows from the best pose, and all that were found: poses of the point below `camera_link`, their worth the log
+    /// likelihood.
+    pub fn evidence(&self, look: &Look, field: &Field, located: &Located) -> Option<Evidence> {
+        let best = located.found.first()?;
+        let map_from_optical = best.map_from_link * Isometry::link_from_optical();
+        let footprint_from_optical = best.place().to_isometry().inverse() * map_from_optical;
+        let seen = look.vision.look(look.picture, &footprint_from_optical, self.body.as_ref());
+        let (refiner, painted) = (Refiner::new(field, &self.lens), PaintedMap::new(field));
+        let tried = located.found.iter().map(|found| {
+            let Pose2 { x, y, yaw } = found.place();
+            let Found { log_likelihood: worth, explained, .. } = *found;
+            Tried { x, y, yaw_deg: yaw.to_degrees(), worth, fitting: found.lines.fitting, explained }
+        });
+        Some(Evidence {
+            agreement: best.lines,
+            explained: painted.explained(seen.lines(), &footprint_from_optical, &map_from_optical),
+            tried: tried.collect(),
+            ..Evidence::of_pose(&seen, &refiner, &painted, Some(&footprint_from_optical), &map_from_optical)
+        })
+    }
+
     /// The pose that the lines fit best near a start, if enough of them do.
     fn refined(
         &self,
@@ -274,10 +296,16 @@ fn without_mirrors(found: impl Iterator<Item = Found>) -> Vec<Found> {
 }
 
 impl Located {
+    /// A pose elsewhere that explains the image nearly as well as the best.
+    pub fn rival(&self) -> Option<&Found> {
+        let [best, next, ..] = &self.found[..] else { return None };
+        (best.log_likelihood - next.log_likelihood < CLEAR_BY).then_some(next)
+    }
+
     pub fn fit(&self) -> Fit {
         match self.found[..] {
             [best, ..] if !best.means_something(self.searched) => Fit::None,
-            [best, next, ..] if best.log_likelihood - next.log_likelihood < CLEAR_BY => Fit::Doubtful,
+            [_, _, ..] if self.rival().is_some() => Fit::Doubtful,
             [best, ..] if best.is_trusted(self.searched) => Fit::Good,
             [_, ..] => Fit::Doubtful,
             [] => Fit::None,

@@ -2,48 +2,52 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use clap::Args;
 use glam::DVec2;
 use serde_json::{Value, json};
 
 use super::paths::{check_output, save};
+use super::photo::{self, Beside, PhotoArguments};
 use super::replay::field_of;
-use super::settings::SettingsArguments;
+use super::settings::{SettingsArguments, UsageError};
 use super::values::any_whole;
 use super::{Outcome, output, settings};
 use crate::agent::explaining::{self, ExplainOptions, Explanation, Sight};
-use crate::config::load_field;
+use crate::agent::single::{Fit, Located};
+use crate::config::{Settings, load_field};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
-use crate::geometry::{Field, Pose2, wrap_angle};
+use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::refinement::offsets::Finding;
 use crate::localization::verdict::AGREES_DIGITS;
 use crate::localization::{Evidence, Tried};
 
-/// Show why the tag of one frame is what it is
+/// Show why the tag of one frame, or the pose of one image, is what it is
 ///
-/// Tags the log or scene up to that frame as `replay` does without filter.budget_ms. Draws over the frame's picture where the pose has
-/// lines and what the picture shows there, what shows a line where the field has none, and the carpet's border. Says what makes the tag
-/// invalid and what to do about it. A map beside the picture has the pose of the tag and the poses that a search of the whole field
-/// finds in this frame alone.
+/// Tags a log or scene up to that frame as `replay` does without filter.budget_ms; a JPEG or PNG as `tag` does on the field of the
+/// settings. Draws over the picture where the pose has lines and what the picture shows there, what shows a line where the field has
+/// none, and the carpet's border. Says what makes the tag invalid and what to do about it. A map beside the picture has the pose and
+/// those that a search of the whole field finds in this picture alone.
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Example:",
     "\n  realitysim explain my_bag/ --field kid-2020 --frame 42 -o frame42.png",
+    "\n  realitysim explain photo.jpg --lens camera.yaml --attitude 0,25 --height 0.55 -o why.png",
 ))]
 pub struct ExplainArguments {
-    /// A log, a folder of logs, a capture or a scene
-    #[arg(value_name = "LOG|SCENE")]
+    /// A log, a folder of logs, a capture or a scene; or a JPEG or PNG
+    #[arg(value_name = "LOG|SCENE|IMAGE")]
     source: PathBuf,
-    /// Which frame, counted from 0
+    /// Which frame of the log, counted from 0
     #[arg(long, value_name = "N", value_parser = any_whole::<u64>)]
-    frame: u64,
+    frame: Option<u64>,
     /// Picture to write
     #[arg(short, long, value_name = "PNG")]
     output: Option<PathBuf>,
-    /// Pose of base_footprint at the first frame, in place of what the log announces
+    /// Pose of base_footprint at the first frame, in place of what the log announces; of an image, about where camera_link is
     #[arg(long, value_name = "x,y,yaw_deg", value_parser = settings::planar_pose, allow_hyphen_values = true)]
     initial: Option<Pose2>,
+    #[command(flatten)]
+    photo: PhotoArguments,
     #[command(flatten)]
     settings: SettingsArguments,
 }
@@ -55,43 +59,99 @@ pub fn run(arguments: &ExplainArguments, json: bool) -> anyhow::Result<Outcome> 
         check_output(picture, &inputs)?;
     }
     let settings = arguments.settings.resolve()?;
+    let is_image = arguments
+        .source
+        .extension()
+        .is_some_and(|ending| ["jpg", "jpeg", "png"].iter().any(|image| ending.eq_ignore_ascii_case(image)));
+    let explained = if is_image { of_image(arguments, settings)? } else { of_frame(arguments, settings)? };
+    if let (Some(path), Some(sight)) = (&arguments.output, &explained.sight) {
+        save(&picture(&explained, sight)?, path)?;
+    }
+    if json {
+        output::json(&report(&explained))?;
+    } else {
+        output::lines(&text(&explained, arguments.output.as_deref()))?;
+    }
+    Ok(Outcome::Whole)
+}
+
+/// What is told, drawn and reported of a frame or an image.
+struct Explained {
+    /// Of `camera_link`: where it is known.
+    map_from_camera: Option<Isometry>,
+    lens: Lens,
+    field: Field,
+    sight: Option<Sight>,
+    /// In words.
+    told: Vec<String>,
+    /// What only a frame, or only an image, has to report.
+    report: Value,
+}
+
+fn of_frame(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<Explained> {
+    let source = arguments.source.display();
+    if let Some(name) = arguments.photo.given() {
+        return Err(UsageError(format!(
+            "{name} is of an image, and {source} is none: a log says how its camera stood"
+        ))
+        .into());
+    }
+    let Some(frame) = arguments.frame else {
+        return Err(UsageError(format!("--frame is missing: which frame of {source}, counted from 0")).into());
+    };
     if let Some(initial) = &arguments.initial {
         let name = field_of(&arguments.source, &settings)?;
         settings::check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
     }
-    let options = ExplainOptions {
-        source: arguments.source.clone(),
-        settings,
-        initial: arguments.initial,
-        frame: arguments.frame,
-    };
+    let options = ExplainOptions { source: arguments.source.clone(), settings, initial: arguments.initial, frame };
     let mut progress = output::Progress::new("tagging");
     let explanation = explaining::explain(&options, &mut |done, total| progress.set(done, total));
     progress.finish();
     let explanation = explanation?;
     let told = told(&explanation);
-    if let (Some(path), Some(sight)) = (&arguments.output, &explanation.sight) {
-        save(&picture(&explanation, sight, &told)?, path)?;
-    }
-    if json {
-        output::json(&report(&explanation, &told))?;
-    } else {
-        output::lines(&text(&explanation, &told, arguments.output.as_deref()))?;
-    }
-    Ok(Outcome::Whole)
+    let Explanation { tag, lens, field, map_from_camera, sight } = explanation;
+    let report = json!({
+        "frame": tag.sequence, "valid": tag.valid, "reason": tag.reason, "ambiguous": tag.ambiguous, "refined": tag.refined,
+    });
+    Ok(Explained { map_from_camera: Some(map_from_camera), lens, field, sight, told, report })
 }
 
-fn text(explanation: &Explanation, told: &[String], picture: Option<&Path>) -> String {
-    let mut lines = told.to_vec();
-    if let Some(Sight { evidence, .. }) = &explanation.sight {
-        lines.push("\nthe whole field, searched for this frame alone:".to_owned());
+fn of_image(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<Explained> {
+    let image = &arguments.source;
+    if arguments.frame.is_some() {
+        return Err(UsageError(format!("--frame is of a log, and {} is an image", image.display())).into());
+    }
+    let Some(lens) = &settings.camera.lens else {
+        return Err(UsageError("--lens is missing: the lens file of the image's camera".to_owned()).into());
+    };
+    let field = Field::new(load_field(&settings.field)?)?;
+    if let Some(initial) = &arguments.initial {
+        settings::check_initial(initial, &settings.field, &field)?;
+    }
+    let body_mask = settings.camera.body_mask.first().map(|mask| mask.png.as_str());
+    let beside = Beside { lens, body_mask, initial: arguments.initial };
+    let (picture, known) = arguments.photo.open(image, &beside)?;
+    let look = known.look(&picture);
+    let located = known.locate(&look, &field, settings.filter.seed);
+    let evidence = known.evidence(&look, &field, &located);
+    let told = told_of_image(&located, evidence.as_ref());
+    let report = json!({"fit": located.fit()});
+    let map_from_camera = located.found.first().map(|best| best.map_from_link);
+    let sight = evidence.map(|evidence| Sight { picture, evidence });
+    Ok(Explained { map_from_camera, lens: known.lens, field, sight, told, report })
+}
+
+fn text(explained: &Explained, picture: Option<&Path>) -> String {
+    let mut lines = explained.told.clone();
+    if let Some(Sight { evidence, .. }) = &explained.sight {
+        lines.push("\nthe whole field, searched for this picture alone:".to_owned());
         lines.push("       x m     y m   yaw deg   worth  places that fit  explained".to_owned());
         lines.extend(evidence.tried.iter().map(|tried| {
             let Tried { x, y, yaw_deg, worth, fitting, explained } = tried;
             format!("  {x:8.2}{y:8.2}{yaw_deg:10.1}{worth:8.1}{fitting:17}{:9.0} %", 100.0 * explained)
         }));
     }
-    match (picture, &explanation.sight) {
+    match (picture, &explained.sight) {
         (Some(path), Some(_)) => lines.push(format!("\n{}", path.display())),
         (Some(_), None) => lines.push("\nno picture was written: nothing could be seen".to_owned()),
         _ => {}
@@ -99,18 +159,17 @@ fn text(explanation: &Explanation, told: &[String], picture: Option<&Path>) -> S
     lines.join("\n")
 }
 
-fn picture(explanation: &Explanation, sight: &Sight, told: &[String]) -> anyhow::Result<image::RgbImage> {
-    let Explanation { lens, field, map_from_camera, .. } = explanation;
+fn picture(explained: &Explained, sight: &Sight) -> anyhow::Result<image::RgbImage> {
+    let Explained { lens, field, told, .. } = explained;
     let Sight { picture, evidence } = sight;
-    let (width, height) = (picture.width as u32, picture.height as u32);
-    let rgb = image::RgbImage::from_raw(width, height, picture.to_rgb()).context("its pixels do not fit its size")?;
-    let drawn = drawing::explanation(&rgb, lens, map_from_camera, field, evidence);
+    let map_from_camera = explained.map_from_camera.unwrap_or(Isometry::IDENTITY);
+    let drawn = drawing::explanation(&photo::rgb(picture)?, lens, &map_from_camera, field, evidence);
     let at = map_from_camera.translation.truncate();
     let ahead = |at: DVec2, yaw: f64| vec![at, at + 0.4 * DVec2::from_angle(yaw)];
     let mut routes = vec![Route {
-        label: "pose of the tag".to_owned(),
+        label: "the camera".to_owned(),
         colour: [230, 30, 60],
-        points: ahead(at, explanation.tag.yaw),
+        points: ahead(at, map_from_camera.euler().yaw),
         style: RouteStyle::Thin,
         dots: false,
     }];
@@ -121,8 +180,8 @@ fn picture(explanation: &Explanation, sight: &Sight, told: &[String]) -> anyhow:
         style: RouteStyle::Thin,
         dots: false,
     }));
-    let mut caption = told.to_vec();
-    caption.push("circle: the camera, or where a search puts the robot; cross: 40 cm ahead of it".to_owned());
+    let mut caption = told.clone();
+    caption.push("circle: the camera, or where a search puts it or the robot; cross: 40 cm ahead".to_owned());
     caption.push(drawing::LEGEND.to_owned());
     let map = drawing::field_map(field, &routes, 760, &caption);
     Ok(drawing::beside(&drawn, &map))
@@ -140,7 +199,45 @@ fn told(explanation: &Explanation) -> Vec<String> {
         lines.push(advice(&tag.reason, None).to_owned());
         return lines;
     };
+    lines.extend(seen(evidence));
+    if !tag.valid {
+        lines.push(advice(&tag.reason, Some(evidence)).to_owned());
+    }
+    lines
+}
+
+/// The same of an image.
+fn told_of_image(located: &Located, evidence: Option<&Evidence>) -> Vec<String> {
+    let fit = located.fit();
+    let mut lines = vec![match fit {
+        Fit::Good => "the fit is good".to_owned(),
+        Fit::Doubtful => "the fit is doubtful".to_owned(),
+        Fit::None => "no pose found".to_owned(),
+    }];
+    lines.extend(evidence.into_iter().flat_map(seen));
+    match (fit, located.rival()) {
+        (Fit::None, _) => lines.push(photo::why_none(located.found.first())),
+        (Fit::Doubtful, Some(rival)) => {
+            let Pose2 { x, y, yaw } = rival.place();
+            let yaw_deg = yaw.to_degrees();
+            lines.push(format!(
+                "the pose at {x:.2}, {y:.2}, yaw {yaw_deg:.0} deg explains the lines nearly as well: say about where it was (--initial)"
+            ));
+        }
+        (Fit::Doubtful, None) => lines.push(
+            "the pose explains too little: lines that should be seen are not (red), or lines are seen where the field has none (magenta). \
+             If red marks lie beside painted lines, check --lens, --attitude and --height; if magenta ones lie on real lines, --field"
+                .to_owned(),
+        ),
+        (Fit::Good, _) => {}
+    }
+    lines
+}
+
+/// What was seen.
+fn seen(evidence: &Evidence) -> Vec<String> {
     let Evidence { agreement, explained, contrast, noise, .. } = evidence;
+    let mut lines = Vec::new();
     if contrast.is_finite() {
         lines.push(format!(
             "the best lines in view are {:.0} % brighter than the carpet, whose own noise is {:.1} %",
@@ -163,9 +260,6 @@ fn told(explanation: &Explanation) -> Vec<String> {
         digits => format!("chance would put as many there once in 10^{digits:.0} pictures"),
     });
     lines.push(format!("of the line seen {:.0} % is painted where the pose has it", 100.0 * explained.share));
-    if !tag.valid {
-        lines.push(advice(&tag.reason, Some(evidence)).to_owned());
-    }
     lines
 }
 
@@ -214,17 +308,14 @@ fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
     }
 }
 
-fn report(explanation: &Explanation, told: &[String]) -> Value {
-    let tag = &explanation.tag;
-    let pose = json!({
-        "x": explanation.map_from_camera.translation.x, "y": explanation.map_from_camera.translation.y,
-        "z": explanation.map_from_camera.translation.z, "yaw": tag.yaw, "pitch": tag.pitch, "roll": tag.roll,
+fn report(explained: &Explained) -> Value {
+    let mut report = explained.report.clone();
+    report["camera_in_map"] = explained.map_from_camera.map_or(Value::Null, |pose| {
+        let (at, tilt) = (pose.translation, pose.euler());
+        json!({"x": at.x, "y": at.y, "z": at.z, "yaw": tilt.yaw, "pitch": tilt.pitch, "roll": tilt.roll})
     });
-    let mut report = json!({
-        "frame": tag.sequence, "valid": tag.valid, "reason": tag.reason, "ambiguous": tag.ambiguous, "refined": tag.refined,
-        "camera_in_map": pose, "told": told,
-    });
-    if let Some(Sight { evidence, .. }) = &explanation.sight {
+    report["told"] = json!(explained.told);
+    if let Some(Sight { evidence, .. }) = &explained.sight {
         let Evidence { agreement, explained, contrast, noise, lines, shown, tried, .. } = evidence;
         let lines: Vec<Value> = lines
             .iter()

@@ -22,6 +22,7 @@ mod machine;
 mod output;
 mod paper;
 mod paths;
+mod photo;
 mod play;
 mod record;
 mod refine;

@@ -6,16 +6,15 @@ use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
 
-use super::paths::{cannot_read, check_output, save};
-use super::settings::{UsageError, check_initial, numbers, planar_pose};
-use super::values::{any_number, any_whole};
+use super::paths::{check_output, save};
+use super::photo::{self, Beside, PhotoArguments};
+use super::settings::{check_initial, planar_pose};
+use super::values::any_whole;
 use super::{Outcome, output};
-use crate::agent::single::{Fit, Found, Known, LEAST_SHARE, LEAST_WEIGHT, Located};
-use crate::config::{field_names, load_field, load_lens_for_image};
+use crate::agent::single::{Fit, Found, Located};
+use crate::config::{field_names, load_field};
 use crate::evaluation::drawing;
-use crate::geometry::{Euler, Field, Pose2};
-use crate::plain_file;
-use crate::sensors::{body_mask, decode};
+use crate::geometry::{Field, Pose2};
 
 /// Find the pose of a single image
 ///
@@ -36,15 +35,8 @@ pub struct TagArguments {
     /// Lens file: TOML (config/cameras), ROS camera_calibration, Kalibr camchain or VisualMesh YAML
     #[arg(long, value_name = "FILE")]
     lens: String,
-    /// Roll (-180 to 180) and pitch (-90 to 90) of camera_link, pitch > 0 looks down (a VisualMesh file has its own)
-    #[arg(long, value_name = "roll_deg,pitch_deg", value_parser = attitude, allow_hyphen_values = true)]
-    attitude: Option<Euler>,
-    /// How wrong that may be: standard deviation of roll and pitch, 0 to 5
-    #[arg(long, value_name = "DEG", default_value_t = 2.0, value_parser = attitude_sigma, allow_negative_numbers = true)]
-    attitude_sigma: f64,
-    /// Height of camera_link above the carpet, 0.01 to 100 (a VisualMesh file has its own)
-    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = any_number)]
-    height: Option<f64>,
+    #[command(flatten)]
+    photo: PhotoArguments,
     /// A shipped field (config/fields) or the path of a field file
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
@@ -142,22 +134,9 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     if let Some(overlay) = &arguments.overlay {
         check_output(overlay, &inputs(arguments))?;
     }
-    let bytes = plain_file::read(&arguments.image, decode::MAX_IMAGE_FILE_BYTES)
-        .map_err(|error| cannot_read(&arguments.image, error))?;
-    let picture = decode::compressed(&bytes).with_context(shown)?;
-    let (width, height) = (picture.width as u32, picture.height as u32);
-    let lens = load_lens_for_image(&arguments.lens, width, height)?;
-    let stated = lens.visual_mesh_pose.map(|pose| pose.world_from_camera_link);
-    let attitude = arguments.attitude.or(stated.map(|pose| pose.euler())).ok_or_else(|| {
-        UsageError(format!("--attitude is missing, and {} does not say how the camera was tilted", arguments.lens))
-    })?;
-    let height_m = height_above_carpet(arguments, stated.map(|pose| pose.translation.z))?;
-    let body = match &arguments.body_mask {
-        Some(png) => Some(body_mask(png, width, height).map_err(|message| UsageError(format!("{png}: {message}")))?),
-        None => None,
-    };
-    let tilt_sigma_rad = arguments.attitude_sigma.to_radians();
-    let known = Known { lens: lens.lens, attitude, tilt_sigma_rad, height_m, initial: arguments.initial, body };
+    let beside =
+        Beside { lens: &arguments.lens, body_mask: arguments.body_mask.as_deref(), initial: arguments.initial };
+    let (picture, known) = arguments.photo.open(&arguments.image, &beside)?;
     let fields = fields(arguments)?;
     let look = known.look(&picture);
     let locate = |(name, field): (String, Field)| {
@@ -170,11 +149,10 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", shown()) };
     let best = located.found.first();
     if let (Some(path), Some(best)) = (&arguments.overlay, best) {
-        let rgb = image::RgbImage::from_raw(width, height, picture.to_rgb());
-        let rgb = rgb.with_context(|| format!("{}: its pixels do not fit its size", shown()))?;
+        let rgb = photo::rgb(&picture).with_context(shown)?;
         save(&drawing::overlay(&rgb, &known.lens, &best.map_from_link, field, LINES), path)?;
     }
-    let tilt = best.map_or(attitude, |best| best.map_from_link.euler());
+    let tilt = best.map_or(known.attitude, |best| best.map_from_link.euler());
     let report = Report {
         field: name.clone(),
         fit: located.fit(),
@@ -182,7 +160,7 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         mirror: best.map(|best| Pose::of(&best.place().mirrored())),
         roll_deg: tilt.roll.to_degrees(),
         pitch_deg: tilt.pitch.to_degrees(),
-        z: best.map_or(height_m, |best| best.map_from_link.translation.z),
+        z: best.map_or(known.height_m, |best| best.map_from_link.translation.z),
         next: located.found.get(1).map(Explanation::of),
         fields: results
             .iter()
@@ -199,9 +177,9 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     {
         output::lines(&text)?
     }
-    match (report.fit, &report.best) {
-        (Fit::None, best) => anyhow::bail!("{}: no pose found: {}", shown(), why_none(best.as_ref())),
-        _ => Ok(Outcome::Whole),
+    match report.fit {
+        Fit::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::why_none(best)),
+        Fit::Good | Fit::Doubtful => Ok(Outcome::Whole),
     }
 }
 
@@ -210,21 +188,6 @@ fn inputs(arguments: &TagArguments) -> Vec<&Path> {
     let named = [Some(&arguments.lens), arguments.body_mask.as_ref(), arguments.field.as_ref()];
     let named = named.into_iter().flatten().map(Path::new);
     named.chain([arguments.image.as_path()]).collect()
-}
-
-fn height_above_carpet(arguments: &TagArguments, stated: Option<f64>) -> Result<f64, UsageError> {
-    let TagArguments { lens, height, .. } = arguments;
-    let (height_m, source) = match (height, stated) {
-        (Some(height_m), _) => (*height_m, "--height".to_owned()),
-        (None, Some(height_m)) => (height_m, format!("{lens}: the height in Hoc")),
-        (None, None) => {
-            return Err(UsageError(format!("--height is missing, and {lens} does not say how high the camera was")));
-        }
-    };
-    if (0.01..=100.0).contains(&height_m) {
-        return Ok(height_m);
-    }
-    Err(UsageError(format!("{source} is {height_m}: it must be 0.01 to 100 m")))
 }
 
 /// The fields to try: those on which --initial can be, if it is given.
@@ -243,24 +206,6 @@ fn fields(arguments: &TagArguments) -> anyhow::Result<Vec<(String, Field)>> {
         Some(error) if fields.is_empty() => Err(error.into()),
         _ => Ok(fields),
     }
-}
-
-fn why_none(best: Option<&Explanation>) -> String {
-    let found = match best {
-        None => "there is no line of a field where the ground is in view".to_owned(),
-        Some(best) if best.share >= LEAST_SHARE && best.weight >= LEAST_WEIGHT => {
-            "the best pose's lines lie where chance would put some as well".to_owned()
-        }
-        Some(best) => format!(
-            "the best explains {:.0} % of the expected line contrast on {:.1} m of certain line, and {:.0} % on {:.1} m are \
-             needed",
-            100.0 * best.share,
-            0.1 * best.weight,
-            100.0 * LEAST_SHARE,
-            0.1 * LEAST_WEIGHT
-        ),
-    };
-    format!("{found}: check the image, --lens, --attitude, --height and --field")
 }
 
 /// Nothing where there is no best.
@@ -302,19 +247,4 @@ fn for_people(report: &Report) -> Option<String> {
         ));
     }
     Some(text.trim_end().to_owned())
-}
-
-fn attitude_sigma(text: &str) -> Result<f64, String> {
-    let [degrees] = numbers::<1>(text, "degrees")?;
-    if (0.0..=5.0).contains(&degrees) { Ok(degrees) } else { Err(format!("it is {degrees}: it must be 0 to 5")) }
-}
-
-fn attitude(text: &str) -> Result<Euler, String> {
-    let [roll_deg, pitch_deg] = numbers::<2>(text, "roll_deg,pitch_deg")?;
-    for (name, value, most) in [("roll_deg", roll_deg, 180.0), ("pitch_deg", pitch_deg, 90.0)] {
-        if value.abs() > most {
-            return Err(format!("{name} is {value}: it must be -{most} to {most}"));
-        }
-    }
-    Ok(Euler { yaw: 0.0, pitch: pitch_deg.to_radians(), roll: roll_deg.to_radians() })
 }

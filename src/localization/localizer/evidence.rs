@@ -8,9 +8,9 @@ use super::{Fix, Localizer, Moment};
 use crate::geometry::Isometry;
 use crate::localization::filter::{Effort, always};
 use crate::localization::global::SearchState;
-use crate::localization::painted::Explained;
-use crate::localization::refinement::Agreement;
+use crate::localization::painted::{Explained, PaintedMap};
 use crate::localization::refinement::offsets::Inspected;
+use crate::localization::refinement::{Agreement, Refiner};
 use crate::vision::Seen;
 
 /// Pixels are those of the full-size image, the first one's centre at (0, 0).
@@ -46,29 +46,49 @@ pub struct Tried {
     pub explained: f64,
 }
 
-impl Localizer {
-    /// Of the frame that `fix` is the answer for. Lines are looked for as if the lens were as calibrated.
-    pub fn evidence(&self, moment: &Moment, seen: &Seen, fix: &Fix) -> Evidence {
-        let lens = self.refiner.lens();
-        let optical_from_map = fix.map_from_optical.inverse();
+impl Evidence {
+    /// Of a pose in what is seen from it: `footprint_from_optical` is the place that it was looked from. Lines are looked for as if the
+    /// lens were as calibrated.
+    pub fn of_pose(
+        seen: &Seen,
+        refiner: &Refiner,
+        painted: &PaintedMap,
+        footprint_from_optical: Option<&Isometry>,
+        map_from_optical: &Isometry,
+    ) -> Self {
+        let lens = refiner.lens();
+        let optical_from_map = map_from_optical.inverse();
         let mut shown = Vec::new();
         let mut carpet = Vec::new();
-        if let Some(place) = &moment.footprint_from_optical {
-            self.painted.each_shown(seen.lines(), place, &fix.map_from_optical, |ray, _, is_painted| {
+        if let Some(place) = footprint_from_optical {
+            painted.each_shown(seen.lines(), place, map_from_optical, |ray, _, is_painted| {
                 let pixel = lens.project(optical_from_map.transform_vector(ray));
                 shown.extend(pixel.map(|pixel| (pixel, is_painted)));
             });
             carpet = border(seen.border(), place, |place: DVec3| lens.project(place));
         }
+        Self {
+            agreement: Agreement::default(),
+            explained: Explained::default(),
+            contrast: f64::from(seen.image.full_contrast()),
+            noise: f64::from(seen.image.noise()),
+            lines: refiner.inspect(&seen.image, map_from_optical),
+            shown,
+            carpet,
+            tried: Vec::new(),
+        }
+    }
+}
+
+impl Localizer {
+    /// Of the frame that `fix` is the answer for.
+    pub fn evidence(&self, moment: &Moment, seen: &Seen, fix: &Fix) -> Evidence {
+        let place = moment.footprint_from_optical.as_ref();
         Evidence {
             agreement: fix.agreement,
             explained: fix.explained,
-            contrast: f64::from(seen.image.full_contrast()),
-            noise: f64::from(seen.image.noise()),
-            lines: self.refiner.inspect(&seen.image, &fix.map_from_optical),
-            shown,
-            carpet,
             tried: self.tried(moment, seen),
+            ..Evidence::of_pose(seen, &self.refiner, &self.painted, place, &fix.map_from_optical)
         }
     }
 

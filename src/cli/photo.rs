@@ -1,0 +1,131 @@
+//! A single image, and what is known of how it was taken.
+
+use std::path::Path;
+
+use anyhow::Context;
+use clap::Args;
+use image::RgbImage;
+
+use super::paths::cannot_read;
+use super::settings::{UsageError, numbers};
+use super::values::any_number;
+use crate::agent::single::{Found, Known, LEAST_SHARE, LEAST_WEIGHT};
+use crate::config::load_lens_for_image;
+use crate::geometry::{Euler, Pose2};
+use crate::plain_file;
+use crate::sensors::{body_mask, decode};
+use crate::vision::Picture;
+
+#[derive(Args)]
+pub struct PhotoArguments {
+    /// Of an image: roll (-180 to 180) and pitch (-90 to 90) of camera_link, pitch > 0 looks down (a VisualMesh file has its own)
+    #[arg(long, value_name = "roll_deg,pitch_deg", value_parser = attitude, allow_hyphen_values = true)]
+    attitude: Option<Euler>,
+    /// How wrong that may be: standard deviation of roll and pitch, 0 to 5 [default: 2]
+    #[arg(long, value_name = "DEG", value_parser = attitude_sigma, allow_negative_numbers = true)]
+    attitude_sigma: Option<f64>,
+    /// Of an image: height of camera_link above the carpet, 0.01 to 100 (a VisualMesh file has its own)
+    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = any_number)]
+    height: Option<f64>,
+}
+
+/// Standard deviation of a tilt of which nothing is said.
+const ATTITUDE_SIGMA_DEG: f64 = 2.0;
+
+/// What else is named besides the image.
+pub struct Beside<'a> {
+    pub lens: &'a str,
+    pub body_mask: Option<&'a str>,
+    /// About where `camera_link` is.
+    pub initial: Option<Pose2>,
+}
+
+impl PhotoArguments {
+    /// The first of them that is given.
+    pub fn given(&self) -> Option<&'static str> {
+        let given = [
+            (self.attitude.is_some(), "--attitude"),
+            (self.attitude_sigma.is_some(), "--attitude-sigma"),
+            (self.height.is_some(), "--height"),
+        ];
+        given.into_iter().find_map(|(is_given, name)| is_given.then_some(name))
+    }
+
+    /// Reads the image, its lens and mask.
+    pub fn open(&self, image: &Path, beside: &Beside) -> anyhow::Result<(Picture, Known)> {
+        let bytes = plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| cannot_read(image, error))?;
+        let picture = decode::compressed(&bytes).with_context(|| image.display().to_string())?;
+        let (width, height) = (picture.width as u32, picture.height as u32);
+        let lens = load_lens_for_image(beside.lens, width, height)?;
+        let stated = lens.visual_mesh_pose.map(|pose| pose.world_from_camera_link);
+        let attitude = self.attitude.or(stated.map(|pose| pose.euler())).ok_or_else(|| {
+            UsageError(format!("--attitude is missing, and {} does not say how the camera was tilted", beside.lens))
+        })?;
+        let height_m = self.height_above_carpet(beside.lens, stated.map(|pose| pose.translation.z))?;
+        let body = match beside.body_mask {
+            Some(png) => {
+                Some(body_mask(png, width, height).map_err(|message| UsageError(format!("{png}: {message}")))?)
+            }
+            None => None,
+        };
+        let tilt_sigma_rad = self.attitude_sigma.unwrap_or(ATTITUDE_SIGMA_DEG).to_radians();
+        let known = Known { lens: lens.lens, attitude, tilt_sigma_rad, height_m, initial: beside.initial, body };
+        Ok((picture, known))
+    }
+
+    fn height_above_carpet(&self, lens: &str, stated: Option<f64>) -> Result<f64, UsageError> {
+        let (height_m, source) = match (self.height, stated) {
+            (Some(height_m), _) => (height_m, "--height".to_owned()),
+            (None, Some(height_m)) => (height_m, format!("{lens}: the height in Hoc")),
+            (None, None) => {
+                return Err(UsageError(format!(
+                    "--height is missing, and {lens} does not say how high the camera was"
+                )));
+            }
+        };
+        if (0.01..=100.0).contains(&height_m) {
+            return Ok(height_m);
+        }
+        Err(UsageError(format!("{source} is {height_m}: it must be 0.01 to 100 m")))
+    }
+}
+
+/// Its pixels, to draw on.
+pub fn rgb(picture: &Picture) -> anyhow::Result<RgbImage> {
+    RgbImage::from_raw(picture.width as u32, picture.height as u32, picture.to_rgb())
+        .context("the picture's pixels do not fit its size")
+}
+
+/// Why the best pose means nothing.
+pub fn why_none(best: Option<&Found>) -> String {
+    let found = match best {
+        None => "there is no line of a field where the ground is in view".to_owned(),
+        Some(best) if best.share >= LEAST_SHARE && best.weight >= LEAST_WEIGHT => {
+            "the best pose's lines lie where chance would put some as well".to_owned()
+        }
+        Some(best) => format!(
+            "the best explains {:.0} % of the expected line contrast on {:.1} m of certain line, and {:.0} % on {:.1} m are \
+             needed",
+            100.0 * best.share,
+            0.1 * best.weight,
+            100.0 * LEAST_SHARE,
+            0.1 * LEAST_WEIGHT
+        ),
+    };
+    format!("{found}: check the image, --lens, --attitude, --height and --field")
+}
+
+fn attitude_sigma(text: &str) -> Result<f64, String> {
+    let [degrees] = numbers::<1>(text, "degrees")?;
+    if (0.0..=5.0).contains(&degrees) { Ok(degrees) } else { Err(format!("it is {degrees}: it must be 0 to 5")) }
+}
+
+fn attitude(text: &str) -> Result<Euler, String> {
+    let [roll_deg, pitch_deg] = numbers::<2>(text, "roll_deg,pitch_deg")?;
+    for (name, value, most) in [("roll_deg", roll_deg, 180.0), ("pitch_deg", pitch_deg, 90.0)] {
+        if value.abs() > most {
+            return Err(format!("{name} is {value}: it must be -{most} to {most}"));
+        }
+    }
+    Ok(Euler { yaw: 0.0, pitch: pitch_deg.to_radians(), roll: roll_deg.to_radians() })
+}
