@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 failed, 2 wrong usage or config, 3 done but data was lost.
 
 mod check;
+mod contrast;
 mod cost;
 mod cut;
 mod db;
@@ -92,6 +93,7 @@ enum Command {
     Tag(tag::TagArguments),
     Check(check::CheckArguments),
     Cost(Box<cost::CostArguments>),
+    Contrast(contrast::ContrastArguments),
     Cut(Box<cut::CutArguments>),
     Paper(paper::PaperArguments),
     Db(db::DbArguments),
@@ -141,6 +143,7 @@ pub fn run() -> ExitCode {
         Command::Check(arguments) => check::run(&arguments, json),
         Command::Cut(arguments) => cut::run(&arguments, json),
         Command::Cost(arguments) => cost::run(&arguments, json),
+        Command::Contrast(arguments) => contrast::run(&arguments, json),
         Command::Paper(arguments) => paper::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),
         Command::View(arguments) => view::run(&arguments, json),

@@ -1,9 +1,10 @@
-//! Judging: tags against the truth and against earlier ones, suites with limits, what accuracy costs, the paper's
+//! Judging: tags against the truth and against earlier ones, suites with limits, what accuracy costs, how it fares as lines fade, the paper's
 //! experiments, made-up views, and pictures of them.
 
 pub mod calibration;
 pub mod capture;
 pub mod compare;
+pub mod contrast;
 pub mod cost;
 pub mod drawing;
 pub mod effect_cost;

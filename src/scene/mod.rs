@@ -111,6 +111,20 @@ impl Scene {
         Self::build(file, self.field.dimensions().clone(), self.lens.parameters().clone())
     }
 
+    /// The same walk on lines of which `left`, 0 to 1, is there, in the patches of its worn lines; none if it has no worn lines.
+    pub fn with_paint(&self, left: f64) -> Result<Option<Self>, SceneError> {
+        let mut file = self.file.clone();
+        let worn = |effect: &Effect| matches!(effect, Effect::WornLines(_));
+        let Some(index) = file.effects.iter().position(worn) else { return Ok(None) };
+        if left >= 1.0 {
+            // An effect that does nothing is refused.
+            file.effects.remove(index);
+        } else if let Effect::WornLines(effect) = &mut file.effects[index] {
+            effect.share = 1.0 - left;
+        }
+        Self::build(file, self.field.dimensions().clone(), self.lens.parameters().clone()).map(Some)
+    }
+
     /// Effects come in physical order, so that each finds what it builds on.
     fn add(&mut self, key: &str, effect: &Effect) -> Result<(), SceneError> {
         let seed = self.file.scene.seed;

@@ -7,6 +7,7 @@ mod chains;
 mod channels;
 mod check;
 mod ci;
+mod contrast;
 mod cost;
 mod cut;
 mod darkening;

@@ -145,6 +145,20 @@ impl Footage {
         &self.losses
     }
 
+    /// Contrast of the best lines in view and noise of plain carpet, as shares of the carpet's brightness: of each frame that shows lines.
+    pub fn contrasts(&self) -> Result<Vec<[f64; 2]>, SetupError> {
+        let eyes = Eyes::new(&self.settings, &self.lens, self.field.line_width())?;
+        let mut seen = Seen::default();
+        let mut contrasts = Vec::new();
+        for Shot { robot, picture, .. } in &self.shots {
+            let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
+            eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
+            let found = [seen.image.full_contrast(), seen.image.noise()].map(f64::from);
+            contrasts.extend(found.iter().all(|value| value.is_finite()).then_some(found));
+        }
+        Ok(contrasts)
+    }
+
     /// Tags every frame with these settings, in one thread.
     pub fn try_out(&self, settings: &Settings, progress: &mut dyn FnMut(usize)) -> Result<Vec<Attempt>, SetupError> {
         let eyes = Eyes::new(settings, &self.lens, self.field.line_width())?;

@@ -115,6 +115,16 @@ impl Frame {
 }
 
 impl Chart {
+    /// One below the other, as one SVG.
+    pub fn stacked(charts: &[Self]) -> String {
+        let title = charts.first().map_or("", |chart| &chart.title);
+        let mut svg = Svg::new(WIDTH, HEIGHT * charts.len() as f64, title);
+        for (index, chart) in charts.iter().enumerate() {
+            svg.nest(HEIGHT * index as f64, &chart.to_svg());
+        }
+        svg.finish()
+    }
+
     pub fn to_svg(&self) -> String {
         let mut svg = Svg::new(WIDTH, HEIGHT, &self.title);
         svg.words(DVec2::new(LEFT, 26.0), TITLE, INK, &self.title);

@@ -25,6 +25,11 @@ impl Svg {
         self.text
     }
 
+    /// A whole picture, so far below the top.
+    pub(super) fn nest(&mut self, y: f64, picture: &str) {
+        self.text.push_str(&picture.replacen("<svg ", &format!("<svg y=\"{y}\" "), 1));
+    }
+
     /// Until [`Self::unfade`] all is drawn with this opacity.
     pub(super) fn fade(&mut self, opacity: f64) {
         if opacity < 1.0 {

@@ -1,0 +1,169 @@
+//! `realitysim contrast`
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::section::Section;
+use super::settings::{SettingsArguments, UsageError};
+use super::{Outcome, output, paths};
+use crate::agent::{Footage, FootageOptions};
+use crate::evaluation::contrast::{self, PAINT, Quality, Step, Variant, WRONG_CM};
+use crate::evaluation::cost::Knobs;
+use crate::evaluation::{Summary, truth};
+use crate::sensors::scene;
+
+/// Find out how faint lines may be
+///
+/// Renders the walk of a scene ten times, with ever less paint on its lines, from well painted to none, and tags it with and
+/// without refinement, by both observation models, and with more particles and line points. For each step: contrast of the lines
+/// over the carpet's noise, share of valid tags, their error, and how many of them are wrong (more than 12 cm off). The scene has
+/// an effect of the kind worn_lines, whose share is varied.
+#[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim contrast replay/scenes/worn-lines.toml -o contrast/")]
+pub struct ContrastArguments {
+    /// A scene with worn lines
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// Where contrast.csv and contrast.svg go
+    #[arg(short, long, value_name = "DIR", default_value = "contrast")]
+    output: PathBuf,
+    /// Put picture and table into a document, between its marks <!-- begin: realitysim contrast --> and <!-- end: realitysim contrast -->
+    #[arg(long, value_name = "FILE")]
+    write_docs: Option<PathBuf>,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+/// Frames from the scene's start: as many as show a walk, and few enough to be tagged sixty times.
+const SECONDS: f64 = 15.0;
+
+#[derive(Serialize)]
+struct Report<'a> {
+    scene: String,
+    frames: usize,
+    wrong_cm: f64,
+    variants: &'a [Variant],
+    steps: &'a [Step],
+}
+
+pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome> {
+    let settings = arguments.settings.resolve()?;
+    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "contrast")).transpose()?;
+    let named = arguments.settings.files();
+    let inputs = named.iter().chain([&arguments.scene]).map(PathBuf::as_path);
+    paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;
+    let scene = scene::load(&arguments.scene)?;
+    let options = FootageOptions {
+        source: arguments.scene.clone(),
+        settings: settings.clone(),
+        initial: None,
+        from_s: 0.0,
+        for_s: Some(SECONDS),
+    };
+    let variants = contrast::variants(Knobs::of(&settings));
+    let mut progress = output::Progress::new("tagging");
+    let mut done = 0;
+    let (mut steps, mut full_contrast) = (Vec::new(), None);
+    for paint in PAINT {
+        let Some(faded) = scene.with_paint(paint)? else {
+            let name = arguments.scene.display();
+            return Err(
+                UsageError(format!("{name}: it has no effect of the kind worn_lines, whose share is varied")).into()
+            );
+        };
+        let footage = Footage::of_scene(&faded, &options, &mut |_, _| {})?;
+        let truth = truth::of_scene(&faded);
+        let (contrasts, noises): (Vec<f64>, Vec<f64>) =
+            footage.contrasts()?.into_iter().map(|[contrast, noise]| (contrast, noise)).unzip();
+        // What faint lines stand out by is known from the paint better than from pictures in which they cannot be found.
+        let full = *full_contrast.get_or_insert_with(|| Summary::of(&contrasts).median);
+        let total = (PAINT.len() * variants.len() * footage.frames()) as u64;
+        let tags = variants.iter().map(|variant| {
+            let tuned = variant.knobs.set(footage.settings(), settings.filter.seed);
+            let run = footage.try_out(&tuned, &mut |_| {
+                done += 1;
+                progress.set(done, Some(total));
+            })?;
+            Ok(Quality::of(&run, &truth))
+        });
+        let tags = tags.collect::<anyhow::Result<Vec<_>>>()?;
+        let noise = Summary::of(&noises).median;
+        steps.push(Step { paint, contrast_to_noise: if noise > 0.0 { paint * full / noise } else { 0.0 }, tags });
+    }
+    progress.finish();
+    let name = arguments.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let frames = steps.first().and_then(|step| step.tags.first()).map_or(0, |quality| quality.frames);
+    paths::make_folder(&arguments.output)?;
+    let svg = contrast::chart(&variants, &steps, &format!("{name}: {frames} frames, painted ever more faintly"));
+    let files = [("contrast.csv", csv(&variants, &steps)), ("contrast.svg", svg.clone())];
+    for (file, content) in &files {
+        paths::write(&arguments.output.join(file), content)?;
+    }
+    if let Some(section) = &section {
+        paths::write(&section.beside("contrast.svg"), &svg)?;
+        section.write(&markdown(&arguments.scene.display().to_string(), frames, &variants, &steps))?;
+    }
+    if json {
+        output::json(&Report { scene: name, frames, wrong_cm: WRONG_CM, variants: &variants, steps: &steps })?;
+    } else {
+        let written = files.map(|(file, _)| arguments.output.join(file).display().to_string());
+        output::lines(&format!("{}\n{}", for_people(&variants, &steps), written.join("  ")))?;
+    }
+    Ok(Outcome::Whole)
+}
+
+fn csv(variants: &[Variant], steps: &[Step]) -> String {
+    let mut text =
+        "paint,contrast_to_noise,variant,frames,valid,wrong,mean_cm,p95_cm,max_cm,ellipse95_share\n".to_owned();
+    for Step { paint, contrast_to_noise, tags } in steps {
+        for (Variant { name, .. }, quality) in variants.iter().zip(tags) {
+            let Quality { frames, valid, wrong, position_cm: p, ellipse95_share } = quality;
+            let _ = writeln!(
+                text,
+                "{paint},{contrast_to_noise:.3},\"{name}\",{frames},{valid},{wrong},{:.4},{:.4},{:.4},{ellipse95_share:.4}",
+                p.mean, p.p95, p.max
+            );
+        }
+    }
+    text
+}
+
+/// Share of valid tags, their mean error, and how many of them are wrong.
+fn cell(quality: &Quality) -> String {
+    let wrong = if quality.wrong > 0 { format!(", {} wrong", quality.wrong) } else { String::new() };
+    match quality.valid {
+        0 => "none".to_owned(),
+        _ => format!("{:.0} %, {:.2} cm{wrong}", 100.0 * quality.valid_share(), quality.position_cm.mean),
+    }
+}
+
+fn for_people(variants: &[Variant], steps: &[Step]) -> String {
+    let mut text = format!("{:>6} {:>9}", "paint", "contrast");
+    variants.iter().for_each(|variant| text.push_str(&format!("  {:>26}", variant.name)));
+    text.push_str(&format!("\n{:>6} {:>9}\n", "left", "to noise"));
+    for Step { paint, contrast_to_noise, tags } in steps {
+        text.push_str(&format!("{:>4.0} % {contrast_to_noise:>9.2}", 100.0 * paint));
+        tags.iter().for_each(|quality| text.push_str(&format!("  {:>26}", cell(quality))));
+        text.push('\n');
+    }
+    text
+}
+
+fn markdown(scene: &str, frames: usize, variants: &[Variant], steps: &[Step]) -> String {
+    let mut text = format!(
+        "    realitysim contrast {scene} --write-docs docs/lines.md\n\n{frames} frames in each step. Valid tags, their mean error, and how many \
+         of them are more than 12 cm off.\n\n![Share of valid tags and their error against line contrast to noise](contrast.svg)\n\n\
+         | paint left | contrast to noise |"
+    );
+    variants.iter().for_each(|variant| text.push_str(&format!(" {} |", variant.name)));
+    text.push_str("\n| --- | --- |");
+    text.push_str(&" --- |".repeat(variants.len()));
+    for Step { paint, contrast_to_noise, tags } in steps {
+        text.push_str(&format!("\n| {:.0} % | {contrast_to_noise:.2} |", 100.0 * paint));
+        tags.iter().for_each(|quality| text.push_str(&format!(" {} |", cell(quality))));
+    }
+    text
+}
