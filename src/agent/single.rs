@@ -305,7 +305,7 @@ impl Located {
     pub fn fit(&self) -> Fit {
         match self.found[..] {
             [best, ..] if !best.means_something(self.searched) => Fit::None,
-            [_, _, ..] if self.rival().is_some() => Fit::Doubtful,
+            [_, ..] if self.rival().is_some() => Fit::Doubtful,
             [best, ..] if best.is_trusted(self.searched) => Fit::Good,
             [_, ..] => Fit::Doubtful,
             [] => Fit::None,

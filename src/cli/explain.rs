@@ -7,7 +7,7 @@ use glam::DVec2;
 use serde_json::{Value, json};
 
 use super::paths::{check_output, save};
-use super::photo::{self, Beside, PhotoArguments};
+use super::photo::{self, OtherInputs, PhotoArguments};
 use super::replay::field_of;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::any_whole;
@@ -129,7 +129,7 @@ fn of_image(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<
         settings::check_initial(initial, &settings.field, &field)?;
     }
     let body_mask = settings.camera.body_mask.first().map(|mask| mask.png.as_str());
-    let beside = Beside { lens, body_mask, initial: arguments.initial };
+    let beside = OtherInputs { lens, body_mask, initial: arguments.initial };
     let (picture, known) = arguments.photo.open(image, &beside)?;
     let look = known.look(&picture);
     let located = known.locate(&look, &field, settings.filter.seed);

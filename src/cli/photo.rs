@@ -32,8 +32,8 @@ pub struct PhotoArguments {
 /// Standard deviation of a tilt of which nothing is said.
 const ATTITUDE_SIGMA_DEG: f64 = 2.0;
 
-/// What else is named besides the image.
-pub struct Beside<'a> {
+/// What a command reads besides the image.
+pub struct OtherInputs<'a> {
     pub lens: &'a str,
     pub body_mask: Option<&'a str>,
     /// About where `camera_link` is.
@@ -52,7 +52,7 @@ impl PhotoArguments {
     }
 
     /// Reads the image, its lens and mask.
-    pub fn open(&self, image: &Path, beside: &Beside) -> anyhow::Result<(Picture, Known)> {
+    pub fn open(&self, image: &Path, beside: &OtherInputs) -> anyhow::Result<(Picture, Known)> {
         let bytes = plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| cannot_read(image, error))?;
         let picture = decode::compressed(&bytes).with_context(|| image.display().to_string())?;
         let (width, height) = (picture.width as u32, picture.height as u32);

@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::paths::{check_output, save};
-use super::photo::{self, Beside, PhotoArguments};
+use super::photo::{self, OtherInputs, PhotoArguments};
 use super::settings::{check_initial, planar_pose};
 use super::values::any_whole;
 use super::{Outcome, output};
@@ -135,7 +135,7 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         check_output(overlay, &inputs(arguments))?;
     }
     let beside =
-        Beside { lens: &arguments.lens, body_mask: arguments.body_mask.as_deref(), initial: arguments.initial };
+        OtherInputs { lens: &arguments.lens, body_mask: arguments.body_mask.as_deref(), initial: arguments.initial };
     let (picture, known) = arguments.photo.open(&arguments.image, &beside)?;
     let fields = fields(arguments)?;
     let look = known.look(&picture);

@@ -1,4 +1,4 @@
-//! Judging: tags against the truth and against earlier ones, suites with limits, what accuracy costs, how it fares as lines fade, the paper's
+//! Judging: tags against the truth and against earlier ones, suites with limits, what accuracy costs, how tags fare as lines fade, the paper's
 //! experiments, made-up views, and pictures of them.
 
 pub mod calibration;
