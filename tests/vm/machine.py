@@ -111,16 +111,16 @@ class Machine:
         assert code == 0, f"{command}: {code}\n{text}"
         return text
 
-    def status(self):
-        code, text = self.run(f"realitysim status --json {SOCKET} 2>/dev/null", 60)
+    def status(self, socket=SOCKET):
+        code, text = self.run(f"realitysim status --json {socket} 2>/dev/null", 60)
         return json.loads(text.splitlines()[-1]) if code == 0 else None
 
-    def until(self, what, seconds, holds):
+    def until(self, what, seconds, holds, socket=SOCKET):
         """The first status of which it holds."""
         began = time.monotonic()
         status = None
         while time.monotonic() - began < seconds:
-            status = self.status()
+            status = self.status(socket)
             if status and holds(status):
                 print(f"+ {what}: {time.monotonic() - began:.1f} s", flush=True)
                 return status
