@@ -31,7 +31,7 @@ mod warnings;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::{AgentError, ReplayError};
-pub use footage::{Attempt, Footage, FootageOptions};
+pub use footage::{Attempt, Claims, Footage, FootageOptions};
 pub use replay::{ReplayOptions, replay};
 pub use report::ReplayReport;
 pub use setup::SetupError;

@@ -8,6 +8,7 @@ use crate::config::{Formula, Model, SimdPath};
 use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::filter::always;
 use crate::localization::global::{self, Candidate, Search, SearchState};
+use crate::localization::kernel::Points;
 use crate::localization::observation::default_alpha;
 use crate::localization::painted::PaintedMap;
 use crate::localization::refinement::{Agreement, Prior, Refiner, error_between};
@@ -344,7 +345,7 @@ fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> 
     let still = Some(Pose2::default());
     let best = filter.step(still, 0.0, &seen.table, &mut Effort::default(), &mut always).best;
     let start = Candidate { pose: best, log_likelihood: observation.log_likelihood(&seen.table, &best) };
-    global::climb(observation, &seen.table, start, &mut Effort::default())
+    global::climb(observation, &seen.table, start, &mut Points::default(), &mut Effort::default())
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ mod doctor;
 mod eval;
 mod explain;
 mod export;
+mod falsify;
 mod gap;
 mod gate;
 mod info;
@@ -94,6 +95,7 @@ enum Command {
     Check(check::CheckArguments),
     Cost(Box<cost::CostArguments>),
     Contrast(contrast::ContrastArguments),
+    Falsify(falsify::FalsifyArguments),
     Cut(Box<cut::CutArguments>),
     Paper(paper::PaperArguments),
     Db(db::DbArguments),
@@ -144,6 +146,7 @@ pub fn run() -> ExitCode {
         Command::Cut(arguments) => cut::run(&arguments, json),
         Command::Cost(arguments) => cost::run(&arguments, json),
         Command::Contrast(arguments) => contrast::run(&arguments, json),
+        Command::Falsify(arguments) => falsify::run(&arguments, json),
         Command::Paper(arguments) => paper::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),
         Command::View(arguments) => view::run(&arguments, json),

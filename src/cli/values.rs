@@ -30,6 +30,11 @@ fn within<T: Number>(range: RangeInclusive<T>, kind: &'static str) -> impl Typed
     }
 }
 
+pub fn above_zero(text: &str) -> Result<f64, String> {
+    let value = text.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0);
+    value.ok_or_else(|| "expected a number above 0".to_owned())
+}
+
 /// One whose range is checked with what it belongs to.
 pub fn any_number(text: &str) -> Result<f64, String> {
     text.trim().parse().map_err(|_| "a number is needed".to_owned())

@@ -1,5 +1,5 @@
-//! Judging: tags against the truth and against earlier ones, suites with limits, what accuracy costs, how tags fare as lines fade, the paper's
-//! experiments, made-up views, and pictures of them.
+//! Judging: tags against the truth and against earlier ones, suites with limits, what accuracy costs, how tags fare as lines fade and under falsehoods, the
+//! paper's experiments, made-up views, and pictures of them.
 
 pub mod calibration;
 pub mod capture;
@@ -8,6 +8,7 @@ pub mod contrast;
 pub mod cost;
 pub mod drawing;
 pub mod effect_cost;
+pub mod falsify;
 pub mod paper;
 pub mod reference;
 pub mod statistics;

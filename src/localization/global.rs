@@ -6,6 +6,7 @@ use core::f64::consts::TAU;
 use serde::{Deserialize, Serialize};
 
 use super::filter::{Effort, MayGoOn};
+use super::kernel::Points;
 use super::observation::Observation;
 use crate::geometry::{Field, Physical, Pose2, wrap_angle};
 use crate::vision::GroundTable;
@@ -25,6 +26,8 @@ pub struct Search {
     /// Fewer line points: enough to tell where it is worth looking closer.
     sparse: Observation,
     widened: GroundTable,
+    /// Line points in view of the poses at hand.
+    near: Points,
 }
 
 /// A search that takes several frames.
@@ -60,6 +63,8 @@ impl SearchState {
 /// The grid. What half a step moves a line, [`WIDENED_M`] makes up for.
 const STEP_M: f64 = 0.15;
 const TURNS: usize = 80;
+/// Neighbouring headings of which the line points in view are looked up together.
+const BESIDE: usize = 8;
 const WIDENED_M: f64 = 0.07;
 /// One in so many line points is looked at on the grid.
 const SPARSE: usize = 3;
@@ -95,7 +100,7 @@ impl Search {
             .collect();
         let stride = golden_stride(grid.len());
         let places = (0..grid.len()).map(|index| grid[index * stride % grid.len()]).collect();
-        Self { places, sparse: observation.sparse(SPARSE), widened: GroundTable::default() }
+        Self { places, sparse: observation.sparse(SPARSE), widened: GroundTable::default(), near: Points::default() }
     }
 
     /// The `count` best poses, best first. `None` if time is up before: then `state` knows where the next frame goes on.
@@ -123,9 +128,10 @@ impl Search {
             *climbed += 1;
             // Half a step of the grid away from the right pose the table itself says little: only its widened lines do,
             // and these not exactly.
-            let near = climb(&self.sparse, &self.widened, *candidate, effort);
-            let nearest = best_around(observation, table, &near.pose, effort);
-            *candidate = climb(observation, table, nearest, effort);
+            let points = &mut self.near;
+            let near = climb(&self.sparse, &self.widened, *candidate, points, effort);
+            let nearest = best_around(observation, table, &near.pose, points, effort);
+            *candidate = climb(observation, table, nearest, points, effort);
         }
         let mut found = core::mem::take(state).found;
         best_of(&mut found, CLIMBED);
@@ -133,14 +139,21 @@ impl Search {
     }
 
     /// Whether all places have been tried: then the best of them are left that are apart.
-    fn try_grid(&self, state: &mut SearchState, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
+    fn try_grid(&mut self, state: &mut SearchState, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
         let SearchState { tried, found, .. } = state;
         let (mut done, least) = (0, self.places.len().div_ceil(MOST_FRAMES));
         for [x, y] in self.places.get(*tried as usize..).unwrap_or_default() {
-            let headings: [Candidate; TURNS] = core::array::from_fn(|turn| {
+            let mut headings: [Candidate; TURNS] = core::array::from_fn(|turn| {
                 let pose = Pose2::new(*x, *y, wrap_angle(TAU * turn as f64 / TURNS as f64));
-                Candidate::of(pose, &self.sparse, &self.widened)
+                Candidate { pose, log_likelihood: 0.0 }
             });
+            for beside in headings.chunks_mut(BESIDE) {
+                let poses: [Pose2; BESIDE] = core::array::from_fn(|index| beside[index].pose);
+                self.sparse.look_near(&self.widened, &poses, &mut self.near);
+                for Candidate { pose, log_likelihood } in beside {
+                    *log_likelihood = self.sparse.log_likelihood_near(&self.widened, pose, &self.near);
+                }
+            }
             found.extend(two_best(&headings));
             effort.weighed += TURNS as u32;
             *tried += 1;
@@ -158,8 +171,9 @@ impl Search {
 }
 
 impl Candidate {
-    pub fn of(pose: Pose2, observation: &Observation, table: &GroundTable) -> Self {
-        Self { pose, log_likelihood: observation.log_likelihood(table, &pose) }
+    /// `near` are the points in view.
+    fn of(pose: Pose2, observation: &Observation, table: &GroundTable, near: &Points) -> Self {
+        Self { pose, log_likelihood: observation.log_likelihood_near(table, &pose, near) }
     }
 }
 
@@ -212,15 +226,23 @@ fn apart(candidates: &[Candidate], count: usize) -> Vec<Candidate> {
     kept
 }
 
-/// Of the poses of a fine grid around one.
-fn best_around(observation: &Observation, table: &GroundTable, pose: &Pose2, effort: &mut Effort) -> Candidate {
-    let mut best = Candidate::of(*pose, observation, table);
+/// Of the poses of a fine grid around one. `near` is only room to work in.
+fn best_around(
+    observation: &Observation,
+    table: &GroundTable,
+    pose: &Pose2,
+    near: &mut Points,
+    effort: &mut Effort,
+) -> Candidate {
+    let aside_m = AROUND_M * f64::from(AROUND_STEPS);
+    observation.look_around(table, pose, 2.0 * aside_m, AROUND_RAD * f64::from(AROUND_TURNS), near);
+    let mut best = Candidate::of(*pose, observation, table, near);
     for turn in -AROUND_TURNS..=AROUND_TURNS {
         for ahead in -AROUND_STEPS..=AROUND_STEPS {
             for aside in -AROUND_STEPS..=AROUND_STEPS {
                 let (x, y) = (AROUND_M * f64::from(ahead), AROUND_M * f64::from(aside));
                 let off = Pose2::new(pose.x + x, pose.y + y, wrap_angle(pose.yaw + AROUND_RAD * f64::from(turn)));
-                let candidate = Candidate::of(off, observation, table);
+                let candidate = Candidate::of(off, observation, table, near);
                 if candidate.log_likelihood > best.log_likelihood {
                     best = candidate;
                 }
@@ -231,13 +253,23 @@ fn best_around(observation: &Observation, table: &GroundTable, pose: &Pose2, eff
     best
 }
 
-/// Steps along each axis while that helps, then with half the step.
-pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate, effort: &mut Effort) -> Candidate {
+/// Steps along each axis while that helps, then with half the step. `near` is only room to work in.
+pub fn climb(
+    observation: &Observation,
+    table: &GroundTable,
+    start: Candidate,
+    near: &mut Points,
+    effort: &mut Effort,
+) -> Candidate {
+    /// Rounds of one step length: enough to cross the distance between two points of the grid several times.
+    const ROUNDS: u32 = 8;
     let mut best = start;
     let (mut step, mut turn) = CLIMB;
     for _ in 0..HALVINGS {
-        // Eight rounds cross the distance between two grid points several times.
-        for _ in 0..8 {
+        // A round may go one step along each axis.
+        let (reach_m, reach_rad) = (1.5 * f64::from(ROUNDS + 1) * step, f64::from(ROUNDS + 1) * turn);
+        observation.look_around(table, &best.pose, reach_m, reach_rad, near);
+        for _ in 0..ROUNDS {
             let before = best.log_likelihood;
             for (dx, dy, dyaw) in [
                 (1.0, 0.0, 0.0),
@@ -248,7 +280,7 @@ pub fn climb(observation: &Observation, table: &GroundTable, start: Candidate, e
                 (0.0, 0.0, -1.0),
             ] {
                 let pose = best.pose.compose(&Pose2::new(dx * step, dy * step, dyaw * turn));
-                let candidate = Candidate::of(pose, observation, table);
+                let candidate = Candidate::of(pose, observation, table, near);
                 effort.weighed += 1;
                 if candidate.log_likelihood > best.log_likelihood {
                     best = candidate;

@@ -152,7 +152,16 @@ impl Observation {
 
     /// The line points that some of these poses may see: the others count as nothing.
     pub fn look_near(&self, table: &GroundTable, poses: &[Pose2], near: &mut Points) {
-        let cloud = Cloud::around(poses).map(|cloud| (cloud.middle.inverse().to_affine(), cloud));
+        self.look_within(table, Cloud::around(poses), near);
+    }
+
+    /// The same of all poses within `xy_m` and `yaw_rad` of one.
+    pub fn look_around(&self, table: &GroundTable, middle: &Pose2, xy_m: f64, yaw_rad: f64, near: &mut Points) {
+        self.look_within(table, Some(Cloud { middle: *middle, xy_m, yaw_rad }), near);
+    }
+
+    fn look_within(&self, table: &GroundTable, cloud: Option<Cloud>, near: &mut Points) {
+        let cloud = cloud.map(|cloud| (cloud.middle.inverse().to_affine(), cloud));
         let visible = |group: &Disc| {
             cloud.is_none_or(|(robot_from_map, Cloud { xy_m, yaw_rad, .. })| {
                 let at = robot_from_map.transform_point2(group.centre);

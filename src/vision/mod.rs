@@ -28,7 +28,7 @@ pub use ground::{GroundTable, Readings};
 pub use ground_map::GroundMap;
 pub use line_image::LineImage;
 pub use mask::BodyMask;
-pub use picture::{Picture, Reduction};
+pub use picture::{Chroma, Picture, Reduction};
 pub use rotation::{Small, Turning};
 
 /// What the ground table is to hold; one per observation model and formula.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::super::budget::Budget;
-use super::{Footage, FootageOptions, Shot, Start};
+use super::{Claims, Footage, FootageOptions, Shot, Start};
 use crate::agent::checkpoint::Checkpoint;
 use crate::agent::error::ReplayError;
 use crate::agent::setup::Setup;
@@ -109,7 +109,7 @@ impl Keeper {
             let Setup { settings, field, eyes, .. } = &self.setup;
             let lens = eyes.vision.lens();
             let tagger = self.lead_in.get_or_insert_with(|| self.start.tagger(settings, field, lens));
-            Shot::new(frame, lens).tag(eyes, tagger, &mut Budget::default(), &mut self.seen);
+            Shot::new(frame, lens).tag(0, &Claims::default(), eyes, tagger, &mut Budget::default(), &mut self.seen);
             return;
         }
         self.past |= self.for_ns.is_some_and(|length_ns| since_ns - self.from_ns >= length_ns);

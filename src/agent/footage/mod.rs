@@ -2,6 +2,7 @@
 
 mod keeper;
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -62,6 +63,20 @@ struct Shot {
     stamp_ns: i64,
     robot: RobotAt,
     picture: Result<Picture, NotSeen>,
+}
+
+/// What is to be believed of the frames, in place of what their source says. Nothing by default.
+#[derive(Clone, Copy, Default)]
+pub struct Claims<'a> {
+    pub field: Option<&'a Field>,
+    /// Of the same size as the pictures.
+    pub lens: Option<&'a Lens>,
+    /// How much higher the camera stands than the source says, metres.
+    pub higher_m: f64,
+    /// Nobody has said where the robot starts.
+    pub start_is_unknown: bool,
+    /// What is to be looked at in place of the picture of this index.
+    pub picture: Option<&'a (dyn Fn(usize, &Picture) -> Picture + Sync)>,
 }
 
 /// What settings made of one frame.
@@ -161,8 +176,20 @@ impl Footage {
 
     /// Tags every frame with these settings, in one thread.
     pub fn try_out(&self, settings: &Settings, progress: &mut dyn FnMut(usize)) -> Result<Vec<Attempt>, SetupError> {
-        let eyes = Eyes::new(settings, &self.lens, self.field.line_width())?;
-        let mut tracking = self.start.tagger(settings, &self.field, &self.lens);
+        self.try_out_claiming(settings, &Claims::default(), progress)
+    }
+
+    /// The same, with something else believed than what the source says.
+    pub fn try_out_claiming(
+        &self,
+        settings: &Settings,
+        claims: &Claims,
+        progress: &mut dyn FnMut(usize),
+    ) -> Result<Vec<Attempt>, SetupError> {
+        let (field, lens) = (claims.field.unwrap_or(&self.field), claims.lens.unwrap_or(&self.lens));
+        let eyes = Eyes::new(settings, lens, field.line_width())?;
+        let start = if claims.start_is_unknown { Start::default() } else { self.start.clone() };
+        let mut tracking = start.tagger(settings, field, lens);
         let mut seen = Seen::default();
         let mut budget = Budget::new(settings.filter.budget_ms, Decisions::new());
         let mut attempts = Vec::with_capacity(self.shots.len());
@@ -170,9 +197,9 @@ impl Footage {
             if self.apart {
                 let mut own = settings.clone();
                 own.filter.seed = settings.filter.seed.wrapping_add(index as u64);
-                tracking = self.start.tagger(&own, &self.field, &self.lens);
+                tracking = start.tagger(&own, field, lens);
             }
-            attempts.push(shot.tag(&eyes, &mut tracking, &mut budget, &mut seen));
+            attempts.push(shot.tag(index, claims, &eyes, &mut tracking, &mut budget, &mut seen));
             progress(index + 1);
         }
         Ok(attempts)
@@ -195,16 +222,45 @@ impl Shot {
         Self { stamp_ns: frame.stamp_ns, robot: frame.robot, picture }
     }
 
+    fn robot_as_claimed(&self, claims: &Claims) -> Cow<'_, RobotAt> {
+        if claims.higher_m == 0.0 && !claims.start_is_unknown {
+            return Cow::Borrowed(&self.robot);
+        }
+        let mut robot = self.robot.clone();
+        if let Ok(place) = &mut robot.place {
+            for pose in [&mut place.footprint_from_link, &mut place.footprint_from_optical] {
+                pose.translation.z += claims.higher_m;
+            }
+        }
+        if claims.start_is_unknown {
+            (robot.initial_pose, robot.anchor) = (None, None);
+        }
+        Cow::Owned(robot)
+    }
+
     fn bytes(&self) -> usize {
         let of = |picture: &Picture| picture.luma.len() + picture.chroma.blue.len() + picture.chroma.red.len();
         self.picture.as_ref().map_or(0, of)
     }
 
     /// `seen` is only room to work in.
-    fn tag(&self, eyes: &Eyes, tagger: &mut Tagger, budget: &mut Budget, seen: &mut Seen) -> Attempt {
-        let Self { stamp_ns, robot, picture } = self;
+    fn tag(
+        &self,
+        index: usize,
+        claims: &Claims,
+        eyes: &Eyes,
+        tagger: &mut Tagger,
+        budget: &mut Budget,
+        seen: &mut Seen,
+    ) -> Attempt {
+        let stamp_ns = &self.stamp_ns;
+        let robot = &*self.robot_as_claimed(claims);
+        let picture = match (&self.picture, claims.picture) {
+            (Ok(picture), Some(change)) => Ok(Cow::Owned(change(index, picture))),
+            (picture, _) => picture.as_ref().map(Cow::Borrowed),
+        };
         let start = Instant::now();
-        let (mut tag, is_seen) = match (picture, &robot.place) {
+        let (mut tag, is_seen) = match (&picture, &robot.place) {
             (Ok(picture), Ok(place)) => {
                 eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), seen);
                 let looked_ms = start.elapsed().as_secs_f64() * 1e3;

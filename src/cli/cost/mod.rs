@@ -13,7 +13,7 @@ use super::section::Section;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, machine, output, paths};
 use crate::agent::{Attempt, Footage, FootageOptions};
-use crate::cli::values::whole;
+use crate::cli::values::{above_zero, whole};
 use crate::config::{LEAST_BUDGET_MS, Settings};
 use crate::evaluation::capture::{EvaluationError, read_truth};
 use crate::evaluation::compare::truth_at;
@@ -274,11 +274,6 @@ fn command() -> String {
 
 fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
-}
-
-fn above_zero(text: &str) -> Result<f64, String> {
-    let value = text.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0);
-    value.ok_or_else(|| "expected a number above 0".to_owned())
 }
 
 fn not_below_zero(text: &str) -> Result<f64, String> {
