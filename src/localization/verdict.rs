@@ -43,6 +43,8 @@ pub struct Standing {
     agreed_ns: Option<i64>,
     /// Lines have agreed with the pose both ways, with hardly one too many.
     has_explained: bool,
+    /// What frames have counted towards the next whole one that the pose needs.
+    counted: f64,
     /// Somebody said where the robot is.
     was_told: bool,
     /// It was known before the restart.
@@ -111,6 +113,13 @@ const FEWEST_FITTING: usize = 10;
 pub const AGREES_DIGITS: f64 = 4.0;
 /// With less than this share of fitting places the lines contradict the pose.
 pub const CONTRADICTED: f64 = 0.5;
+/// Through another lens, or from another height, some pose in the neighbourhood has most lines, each beside where it should be. Limits of how
+/// far off the lines of a pose may lie on average that is to be confirmed, and of one that is: pixels of the picture that is looked at,
+/// 200 of which are about a radian. Right poses are off by 0.05 on carpet and up to 0.33 on worn turf (docs/lines.md).
+const CONFIRMED_WITHIN_PX: f64 = 0.35;
+const BELIEVED_WITHIN_PX: f64 = 0.5;
+/// And least digits for each line place: right poses have 0.14 or more on worn turf and 0.3 to 0.6 on carpet.
+const DIGITS_PER_PLACE: f64 = 0.15;
 /// What a frame needs to confirm a pose that was found by search or announced.
 ///
 /// Of 10 to the power of so many poses, chance makes at most one fit as well. Within what somebody has said there are some 10^4 poses
@@ -122,10 +131,12 @@ const DIGITS_IF_FOUND_AGAIN: f64 = 8.0;
 /// another lens, lie beside where a pose has them.
 ///
 /// The fainter a picture's lines are, the fewer of them show in right places too: the limits fall with the width that is seen half the
-/// time (`Agreement::half_seen_px`), for each pixel of it.
+/// time (`Agreement::half_seen_px`), for each pixel of it, but not below what right poses have on worn turf.
 const FOREMOST_IF_TOLD: f64 = 0.9;
 const FOREMOST_IF_FOUND: f64 = 1.0;
 const FOREMOST_LESS_PER_PX: f64 = 0.07;
+const LEAST_FOREMOST_IF_TOLD: f64 = 0.75;
+const LEAST_FOREMOST_IF_FOUND: f64 = 0.8;
 const SHARE_IF_TOLD: f64 = 0.8;
 const SHARE_IF_FOUND: f64 = 0.95;
 const SHARE_LESS_PER_PX: f64 = 0.08;
@@ -136,6 +147,12 @@ const USUAL_RATE: f64 = 0.05;
 const USUAL_LESS: f64 = 0.3;
 const USUAL_LESS_ALONE: f64 = 0.1;
 const USUAL_LESS_IF_FOUND: f64 = 0.07;
+/// Of one that was found by search and has not been confirmed for long: where a goal's surroundings have led elsewhere, the next lines that
+/// come into view are missing.
+const USUAL_LESS_IF_NEW: f64 = 0.15;
+/// A frame counts fully towards confirming a pose that was found if it has so many digits, else as much less as it has fewer: few lines look
+/// the same in several places.
+const DIGITS_OF_A_FRAME: f64 = 40.0;
 /// Line places that are many, and the share of fitting ones with which hardly one is missing.
 const MANY: usize = 40;
 const NEARLY_ALL: f64 = 0.9;
@@ -177,6 +194,7 @@ impl Physical for Standing {
         self.looked_again_at.is_possible()
             && self.second_look.is_possible()
             && self.usual_foremost.is_possible()
+            && self.counted.is_finite()
             && self.refuted.is_finite()
             && self.confirmed_s.is_finite()
             && self.proven_s.is_finite()
@@ -318,8 +336,17 @@ impl Standing {
             (Confidence::Unconfirmed(_), None) if fix.surprised && !self.was_told => {
                 Confidence::Unconfirmed(self.confirmations())
             }
-            (Confidence::Unconfirmed(needed), None) if needed > 1 => Confidence::Unconfirmed(needed - 1),
-            (_, None) => Confidence::Tracking(0),
+            (Confidence::Unconfirmed(needed), None) => {
+                let counts = if self.was_told { 1.0 } else { (fix.agreement.digits / DIGITS_OF_A_FRAME).min(1.0) };
+                self.counted += if rules.refinement { counts } else { 1.0 };
+                let whole = libm::floor(self.counted + 1e-9);
+                self.counted = (self.counted - whole).max(0.0);
+                match needed.saturating_sub(whole as u32) {
+                    0 => Confidence::Tracking(0),
+                    left => Confidence::Unconfirmed(left),
+                }
+            }
+            (Confidence::Tracking(_) | Confidence::Nowhere, None) => Confidence::Tracking(0),
         };
         let confirmed = self.is_tracking() && !self.second_look.may_be_elsewhere();
         let doubt = doubt.or((!confirmed).then_some("unconfirmed"));
@@ -378,6 +405,7 @@ impl Standing {
                         "lines_disagree",
                     )
                 })
+                .or_else(|| held(!self.is_tracking() || fix.agreement.rms_px <= BELIEVED_WITHIN_PX, "lines_disagree"))
                 .or_else(|| held(fix.refined || self.agreed_lately(moment), "few_lines"))
                 .or_else(|| held(longest_axis_of(&fix.covariance) <= refined_m, "spread"))
         })
@@ -397,7 +425,12 @@ impl Standing {
 
     /// Lines stand out where the pose has them about as they have in frames before.
     fn is_usual(&self, fix: &Fix) -> bool {
-        let less = if fix.adrift { USUAL_LESS_ALONE } else { USUAL_LESS };
+        let is_new = !self.was_told && self.proven_s < PROVEN_S;
+        let less = match (fix.adrift, is_new) {
+            (true, _) => USUAL_LESS_ALONE,
+            (false, true) => USUAL_LESS_IF_NEW,
+            (false, false) => USUAL_LESS,
+        };
         let lines = &fix.agreement;
         lines.expected < FEWEST_EXPECTED || self.usual_foremost.is_none_or(|usual| lines.foremost >= usual - less)
     }
@@ -410,23 +443,27 @@ impl Standing {
     fn confirms(&self, rules: &Rules, fix: &Fix) -> bool {
         let lines = &fix.agreement;
         // Lines that lead elsewhere than somebody said need to be as many as if nobody had.
-        let (digits, foremost, share, unexplained) = match self.was_told && !fix.strays {
+        let is_told = self.was_told && !fix.strays;
+        let (digits, foremost, share, unexplained) = match is_told {
             true => (DIGITS_IF_TOLD, FOREMOST_IF_TOLD, SHARE_IF_TOLD, CONFIRMED_WITH_IF_TOLD),
             false => (DIGITS_IF_FOUND, FOREMOST_IF_FOUND, SHARE_IF_FOUND, CONFIRMED_WITH_IF_FOUND),
         };
+        let least_foremost = if is_told { LEAST_FOREMOST_IF_TOLD } else { LEAST_FOREMOST_IF_FOUND };
         // Of a robot that stands still nothing new is seen; that no rival comes up twice in a row makes up for few lines, not for
         // missing ones.
         let is_alone = self.found_again > 0 || self.in_a_row >= IN_A_ROW;
         let digits = if is_alone { digits.min(DIGITS_IF_FOUND_AGAIN) } else { digits };
         let again = f64::from(self.found_again);
-        let foremost = foremost - FOREMOST_LESS_PER_PX * lines.half_seen_px - FOREMOST_LESS_IF_FOUND_AGAIN * again;
+        let foremost = (foremost - FOREMOST_LESS_PER_PX * lines.half_seen_px).max(least_foremost);
+        let foremost = foremost - FOREMOST_LESS_IF_FOUND_AGAIN * again;
         let usual = self.usual_foremost.map_or(0.0, |usual| usual - USUAL_LESS_IF_FOUND - LESS_IF_FOUND_AGAIN * again);
         let foremost = if self.was_told { foremost } else { foremost.max(usual) };
         let share = share - SHARE_LESS_PER_PX * lines.half_seen_px;
         let share = (share - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED);
         let unexplained = unexplained + MORE_PER_PX * (lines.half_seen_px - 1.0).max(0.0) + MORE_IF_FOUND_AGAIN * again;
         !rules.refinement
-            || (lines.digits >= digits
+            || (lines.digits >= digits.max(DIGITS_PER_PLACE * lines.expected as f64)
+                && lines.rms_px <= CONFIRMED_WITHIN_PX
                 && lines.foremost >= foremost
                 && lines.share >= share
                 && fix.explained.share >= share_of(unexplained.min(1.0), rules.valid.explained))

@@ -12,12 +12,12 @@ use crate::config::{Settings, field_names, load_field};
 use crate::geometry::{Field, Isometry, Lens, LensParameters};
 pub use pictures::{Distortion, Noise};
 
-/// How far off pictures, mount and lens are said to be: each clearly wrong, none so far that no line is found.
-const SHIFT_SHARE: f64 = 50.0 / 480.0;
-const SCALES: [f64; 2] = [0.9, 1.1];
-const TURN_DEG: f64 = 6.0;
-const HIGHER_M: f64 = 0.10;
-const FOCAL_SCALES: [f64; 2] = [0.9, 1.1];
+/// How far off pictures, mount and lens are said to be: from what a careless calibration leaves to what is clearly wrong, and none so
+/// far that no line is found.
+const SHIFT_SHARES: [[f64; 2]; 4] = [[0.0, 0.05], [0.0, 0.1], [0.0, -0.1], [0.1, 0.0]];
+const SCALES: [f64; 4] = [0.9, 0.95, 1.05, 1.1];
+const TURNS_DEG: [f64; 4] = [-6.0, -3.0, 3.0, 6.0];
+const HIGHER_M: [f64; 4] = [-0.10, -0.05, 0.05, 0.10];
 
 /// Something false, said of every frame of a walk.
 #[derive(Clone, Debug)]
@@ -34,8 +34,8 @@ pub enum Falsehood {
     Picture(Distortion),
 }
 
-/// All falsehoods that can be said of these frames, after the truth: every shipped field of other dimensions, two focal lengths, two
-/// heights, and pictures shifted, scaled, turned, and replaced by noise.
+/// All falsehoods that can be said of these frames, after the truth: every shipped field of other dimensions, other focal lengths
+/// and heights, and pictures shifted, scaled, turned, and replaced by noise.
 pub fn falsehoods(field: &Field, lens: &Lens) -> Vec<Falsehood> {
     let mut all = vec![Falsehood::Nothing];
     for name in field_names() {
@@ -44,16 +44,15 @@ pub fn falsehoods(field: &Field, lens: &Lens) -> Vec<Falsehood> {
             all.push(Falsehood::Field { name, field });
         }
     }
-    for scale in FOCAL_SCALES {
+    for scale in SCALES {
         let own = lens.parameters();
         let parameters = LensParameters { fx: own.fx * scale, fy: own.fy * scale, ..own.clone() };
         all.extend(Lens::new(parameters).ok().map(|lens| Falsehood::Focal { scale, lens }));
     }
-    all.extend([HIGHER_M, -HIGHER_M].map(|higher_m| Falsehood::Mount { higher_m }));
-    let shift_px = libm::round(SHIFT_SHARE * f64::from(lens.height())) as i32;
-    let turn_rad = TURN_DEG.to_radians();
-    let shifts = [[0, shift_px], [0, -shift_px], [shift_px, 0]].map(|by_px| Distortion::Shift { by_px });
-    let turns = [turn_rad, -turn_rad].map(|by_rad| Distortion::Turn { by_rad });
+    all.extend(HIGHER_M.map(|higher_m| Falsehood::Mount { higher_m }));
+    let height = f64::from(lens.height());
+    let shifts = SHIFT_SHARES.map(|by| Distortion::Shift { by_px: by.map(|share| libm::round(share * height) as i32) });
+    let turns = TURNS_DEG.map(|by_deg| Distortion::Turn { by_rad: by_deg.to_radians() });
     let noises = [Noise::Uniform, Noise::Blurred, Noise::Scrambled].map(Distortion::Noise);
     let scales = SCALES.map(|by| Distortion::Scale { by });
     all.extend(shifts.into_iter().chain(scales).chain(turns).chain(noises).map(Falsehood::Picture));
