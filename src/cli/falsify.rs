@@ -88,12 +88,7 @@ pub fn run(arguments: &FalsifyArguments, json: bool) -> anyhow::Result<Outcome> 
     Ok(if report.wrong > 0 { Outcome::NotReached } else { Outcome::Whole })
 }
 
-fn controls(
-    arguments: &FalsifyArguments,
-    path: &Path,
-    settings: &Settings,
-    threads: usize,
-) -> anyhow::Result<Source> {
+fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, threads: usize) -> anyhow::Result<Source> {
     let options = FootageOptions {
         source: path.to_owned(),
         settings: settings.clone(),

@@ -31,7 +31,7 @@ pub enum Confidence {
     Nowhere,
     /// A pose that still needs this many frames with good lines.
     Unconfirmed(u32),
-    /// Confirmed; frames in a row whose lines contradicted it.
+    /// Confirmed; frames whose lines contradicted it, less those that have not since: without any it is to be used.
     Tracking(u32),
 }
 
@@ -93,6 +93,8 @@ const PROVEN_S: f64 = 3.0;
 const PROOF_S: f64 = 1.0;
 /// Refuted poses count less and less, to a third after so long.
 const REFUTED_FORGOTTEN_S: f64 = 20.0;
+/// Frames that do not confirm a pose ask for as many more that do, up to so many.
+const MOST_AGAINST: u32 = 6;
 const MOST_CONFIRMATIONS: f64 = 10_000.0;
 /// Errors of height and tilt that no mount and no gait has: five standard deviations of what the track expects.
 const MOST_RISE_M: f64 = 0.07;
@@ -330,7 +332,9 @@ impl Standing {
             (other, Some(_)) => other,
             (Confidence::Unconfirmed(needed), None) if !self.confirms(rules, fix) => {
                 self.unconvincing = self.unconvincing.saturating_add(1);
-                Confidence::Unconfirmed(needed)
+                // A pose whose lines speak against it now and then is not confirmed by a lucky frame.
+                let speaks_against = fix.agreement.expected >= FEWEST_EXPECTED && needed < MOST_AGAINST;
+                Confidence::Unconfirmed(needed + u32::from(speaks_against))
             }
             // Carried, or found in a wrong place: lines and odometry do not tell of one walk.
             (Confidence::Unconfirmed(_), None) if fix.surprised && !self.was_told => {
@@ -346,9 +350,10 @@ impl Standing {
                     left => Confidence::Unconfirmed(left),
                 }
             }
-            (Confidence::Tracking(_) | Confidence::Nowhere, None) => Confidence::Tracking(0),
+            (Confidence::Tracking(bad), None) => Confidence::Tracking(bad.saturating_sub(1)),
+            (Confidence::Nowhere, None) => Confidence::Nowhere,
         };
-        let confirmed = self.is_tracking() && !self.second_look.may_be_elsewhere();
+        let confirmed = matches!(self.confidence, Confidence::Tracking(0)) && !self.second_look.may_be_elsewhere();
         let doubt = doubt.or((!confirmed).then_some("unconfirmed"));
         if doubt.is_none() && fix.agreement.expected >= FEWEST_EXPECTED {
             let foremost = fix.agreement.foremost;
@@ -396,7 +401,7 @@ impl Standing {
                     .or_else(|| held(fix.estimate.spread_m <= spread_m, "spread"));
             }
             let least_explained = if self.holds_fast(fix) { explained - LESS_IF_HELD_FAST } else { explained };
-            held(!fix.refined || stands(moment, fix), "not_standing")
+            held(!fix.refined || stands(moment, &fix.map_from_optical), "not_standing")
                 .or_else(|| held(!is_contradicted(&fix.agreement), "lines_disagree"))
                 .or_else(|| held(fix.explained.share >= least_explained, "lines_unexplained"))
                 .or_else(|| {
@@ -464,6 +469,7 @@ impl Standing {
         !rules.refinement
             || (lines.digits >= digits.max(DIGITS_PER_PLACE * lines.expected as f64)
                 && lines.rms_px <= CONFIRMED_WITHIN_PX
+                && !fix.misfits
                 && lines.foremost >= foremost
                 && lines.share >= share
                 && fix.explained.share >= share_of(unexplained.min(1.0), rules.valid.explained))
@@ -485,12 +491,12 @@ fn share_of(part: f64, least: f64) -> f64 {
 }
 
 /// The camera is where IMU, joints and mount put that of a robot that stands: by its height and tilt.
-fn stands(moment: &Moment, fix: &Fix) -> bool {
+pub fn stands(moment: &Moment, map_from_optical: &Isometry) -> bool {
     let Some(place) = moment.footprint_from_optical else { return true };
     let down = |pose: &Isometry| pose.rotation.conjugate() * DVec3::NEG_Z;
-    let (nominal, found) = (down(&place), down(&fix.map_from_optical));
+    let (nominal, found) = (down(&place), down(map_from_optical));
     let most_rad = if moment.tilt_is_measured { MOST_TILT_RAD } else { MOST_UNMEASURED_TILT_RAD };
-    let rise = fix.map_from_optical.translation.z - place.translation.z;
+    let rise = map_from_optical.translation.z - place.translation.z;
     rise.abs() <= MOST_RISE_M && nominal.cross(found).length() <= libm::sin(most_rad)
 }
 

@@ -134,7 +134,9 @@ mod tests {
         let said: Vec<String> = falsehoods(&own, &lens).iter().map(Falsehood::name).collect();
         assert_eq!(said[0], "the truth");
         assert!(said.contains(&"field kid-2020".to_owned()) && !said.contains(&"field kid-2009".to_owned()));
-        assert!(said.contains(&"focal length +10 %".to_owned()) && said.contains(&"camera -10 cm in height".to_owned()));
+        assert!(
+            said.contains(&"focal length +10 %".to_owned()) && said.contains(&"camera -10 cm in height".to_owned())
+        );
         let mut names = said.clone();
         names.sort();
         names.dedup();

@@ -19,9 +19,9 @@ use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
 use super::posture::{Posture, Stand};
 use super::refinement::miscalibration::Miscalibration;
-use super::refinement::{self, Agreement, Prior, Refiner};
+use super::refinement::{self, Agreement, OF_LENS, Prior, Refined, Refiner};
 use super::track::{Prediction, Step, Track, TrackModel};
-use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost};
+use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost, stands};
 use crate::geometry::{Field, Isometry, Lens, Physical, Pose2, Twist, wrap_angle};
 use crate::vision::Seen;
 
@@ -116,6 +116,8 @@ pub struct Fix {
     pub strays: bool,
     /// Nothing says how far the robot has walked since the last frame.
     pub adrift: bool,
+    /// Of a pose that is to be confirmed: its lines fit better through another lens, or from a camera that no mount puts there.
+    pub misfits: bool,
     pub agreement: Agreement,
     pub explained: Explained,
     pub effort: Effort,
@@ -147,6 +149,8 @@ const OTHER_BASIN_M: f64 = 0.12;
 const OTHER_BASIN_RAD: f64 = 0.06;
 /// Track and particles that differ by more are not about the same place: the one that fits better wins.
 const APART_M: f64 = 0.4;
+/// A lens whose focal length is off by more was not calibrated.
+const MOST_STRETCH: f64 = 0.03;
 /// Squared deviation from the prediction, per unknown, above which the prediction is doubted.
 const SURPRISE: f64 = 3.0;
 
@@ -494,6 +498,8 @@ impl Localizer {
             fix.agreement = refined.lines;
             return fix;
         }
+        let misfits = matches!(self.state.standing.confidence, Confidence::Unconfirmed(_))
+            && self.misfits(moment, seen, &prediction.prior, &refined);
         Fix {
             estimate,
             support,
@@ -503,12 +509,24 @@ impl Localizer {
             surprised,
             strays: false,
             adrift: self.state.adrift_s > 0.0,
+            misfits,
             agreement: refined.lines,
             explained: Explained::default(),
             effort: Effort::default(),
             ambiguous: self.state.ambiguous,
             doubt: None,
         }
+    }
+
+    /// Whether the lines, with lens and mount let go, say that one of them is not what it is said to be: then some pose in the neighbourhood of
+    /// the right one has most lines, each beside where it should be.
+    fn misfits(&mut self, moment: &Moment, seen: &Seen, prior: &Prior, refined: &Refined) -> bool {
+        let Some(unbound) = self.refiner.refine_unbound(&seen.image, prior, refined) else { return false };
+        let stretch = prior.lens.stretch + unbound.moved[OF_LENS];
+        let sigma = libm::sqrt(unbound.covariance[(OF_LENS, OF_LENS)]);
+        let is_better = agrees(&unbound.lines)
+            && unbound.lines.share * unbound.lines.foremost >= refined.lines.share * refined.lines.foremost;
+        stretch.abs() > MOST_STRETCH + 2.0 * sigma || (is_better && !stands(moment, &unbound.map_from_optical))
     }
 
     fn prediction(&self, moment: &Moment) -> Option<Prediction> {
@@ -544,6 +562,7 @@ impl Localizer {
             surprised: false,
             strays: false,
             adrift: self.state.adrift_s > 0.0,
+            misfits: false,
             agreement: Agreement::default(),
             explained: Explained::default(),
             effort: Effort::default(),

@@ -109,6 +109,11 @@ const WIDE_RAD: f64 = 0.02;
 /// A fifth of the standard deviations.
 const NEARBY: f64 = 0.04;
 
+/// Standard deviations of what nobody has measured: position, height (m), tilt, heading (rad), focal length (share).
+const UNBOUND: [f64; 7] = [0.3, 0.3, 0.1, 0.09, 0.09, 0.1, 0.06];
+/// How far a pose may move at first when mount and lens are let go.
+const UNBOUND_REACH: [f64; 6] = [0.04, 0.04, 0.04, 0.02, 0.02, 0.02];
+
 impl Refiner {
     pub fn new(field: &Field, lens: &Lens) -> Self {
         Self { points: LinePoints::new(field), projector: Projector::new(lens), sights: Vec::new() }
@@ -150,6 +155,17 @@ impl Refiner {
     ) -> Option<Refined> {
         let refined = self.refine_from(image, prior, start, *reach)?;
         Some(self.tested(image, prior, refined))
+    }
+
+    /// From where `refined` ended, as if mount and lens were hardly known: its pose is where the lines have the camera, its error of the
+    /// lens what they say of that. `None` as for [`Self::refine`].
+    pub fn refine_unbound(&mut self, image: &LineImage, prior: &Prior, refined: &Refined) -> Option<Refined> {
+        let mut unbound = prior.clone();
+        for (error, sigma) in UNBOUND.into_iter().enumerate() {
+            unbound.covariance[(error, error)] += sigma * sigma;
+        }
+        let reach = Matrix6::from_diagonal(&Vector6::from(UNBOUND_REACH.map(|sigma| sigma * sigma)));
+        self.refine_within(image, &unbound, &refined.pose_moved(), &reach)
     }
 
     /// With what is to be said against chance.
