@@ -65,6 +65,9 @@ struct Shot {
     picture: Result<Picture, NotSeen>,
 }
 
+/// What is to be looked at in place of the picture of an index.
+pub type Redrawing = dyn Fn(usize, &Picture) -> Picture + Sync;
+
 /// What is to be believed of the frames, in place of what their source says. Nothing by default.
 #[derive(Clone, Copy, Default)]
 pub struct Claims<'a> {
@@ -76,7 +79,7 @@ pub struct Claims<'a> {
     /// Nobody has said where the robot starts.
     pub start_is_unknown: bool,
     /// What is to be looked at in place of the picture of this index.
-    pub picture: Option<&'a (dyn Fn(usize, &Picture) -> Picture + Sync)>,
+    pub picture: Option<&'a Redrawing>,
 }
 
 /// What settings made of one frame.

@@ -526,7 +526,7 @@ impl Localizer {
         let sigma = libm::sqrt(unbound.covariance[(OF_LENS, OF_LENS)]);
         let is_better = agrees(&unbound.lines)
             && unbound.lines.share * unbound.lines.foremost >= refined.lines.share * refined.lines.foremost;
-        stretch.abs() > MOST_STRETCH + 2.0 * sigma || (is_better && !stands(moment, &unbound.map_from_optical))
+        stretch.abs() > MOST_STRETCH.max(2.0 * sigma) || (is_better && !stands(moment, &unbound.map_from_optical))
     }
 
     fn prediction(&self, moment: &Moment) -> Option<Prediction> {
