@@ -93,7 +93,7 @@ fn search(bench: &mut Bench, view: &View) {
             (0..120).map(move |turn| Pose2::new(f64::from(i) * 0.1, f64::from(j) * 0.1, TAU * f64::from(turn) / 120.0))
         });
         poses
-            .map(|pose| Candidate::of(pose, &observation, table))
+            .map(|pose| Candidate { pose, log_likelihood: observation.log_likelihood(table, &pose) })
             .max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
     };
     bench.compare("search of the field, coarse to fine; every 10 cm and 3 deg", None, everywhere, || {

@@ -66,7 +66,7 @@ struct Shot {
 }
 
 /// What is to be looked at in place of the picture of an index.
-pub type Redrawing = dyn Fn(usize, &Picture) -> Picture + Sync;
+pub type Redrawing<'a> = dyn Fn(usize, &Picture) -> Picture + Sync + 'a;
 
 /// What is to be believed of the frames, in place of what their source says. Nothing by default.
 #[derive(Clone, Copy, Default)]
@@ -79,7 +79,7 @@ pub struct Claims<'a> {
     /// Nobody has said where the robot starts.
     pub start_is_unknown: bool,
     /// What is to be looked at in place of the picture of this index.
-    pub picture: Option<&'a Redrawing>,
+    pub picture: Option<&'a Redrawing<'a>>,
 }
 
 /// What settings made of one frame.
