@@ -541,7 +541,14 @@ fn longest_axis_of(covariance: &Matrix6<f64>) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Matrix3;
+
     use super::*;
+    use crate::config::load_field;
+    use crate::localization::estimate::Estimate;
+    use crate::localization::filter::Effort;
+    use crate::localization::observation::Support;
+    use crate::localization::painted::Explained;
 
     fn needed(standing: &Standing) -> u32 {
         let mut found = *standing;
@@ -597,5 +604,118 @@ mod tests {
         let strange = needed(&refuted(Standing::default(), 4));
         assert!(tracked(100) <= 2 * CONFIRMATIONS, "{} after ten seconds", tracked(100));
         assert!(tracked(10) > strange, "{} after one second, {strange} without it", tracked(10));
+    }
+
+    /// A frame with many good lines, in the middle of the field.
+    fn good() -> Fix {
+        Fix {
+            estimate: Estimate {
+                best: Pose2::new(0.0, 0.0, 0.0),
+                covariance: Matrix3::identity() * 1e-4,
+                spread_m: 0.01,
+                spread_yaw_rad: 0.01,
+                effective_sample_size: 100.0,
+                evidence: 0.0,
+                degenerate: false,
+            },
+            support: Support { share: 1.0, weight: 100.0, points: 100 },
+            map_from_optical: Isometry::IDENTITY,
+            covariance: Matrix6::identity() * 1e-4,
+            refined: true,
+            surprised: false,
+            strays: false,
+            adrift: false,
+            misfits: false,
+            agreement: Agreement {
+                expected: 100,
+                fitting: 100,
+                rms_px: 0.1,
+                share: 1.0,
+                visible: 100.0,
+                digits: DIGITS_OF_A_FRAME,
+                foremost: 1.0,
+                half_seen_px: 1.0,
+            },
+            explained: Explained { shown_m2: 1.0, share: 1.0 },
+            effort: Effort::default(),
+            ambiguous: false,
+            doubt: None,
+        }
+    }
+
+    fn changed(change: impl FnOnce(&mut Fix)) -> Fix {
+        let mut fix = good();
+        change(&mut fix);
+        fix
+    }
+
+    /// What is said of these frames, a tenth of a second apart.
+    fn judged(standing: &mut Standing, frames: &[Fix]) -> Vec<Option<&'static str>> {
+        let field = Field::new(load_field("kid-2009").expect("shipped")).expect("checked");
+        let valid = Validity { share: 0.35, points: 6.0, spread_m: 0.2, refined_m: 0.15, explained: 0.5 };
+        let rules = Rules { valid: &valid, field: &field, refinement: true, random_walk: false };
+        let moment = Moment {
+            stamp_ns: 0,
+            odometry: Some(Pose2::new(0.0, 0.0, 0.0)),
+            turned_rad: None,
+            swayed_rad: None,
+            camera_twist: None,
+            turn_is_felt: false,
+            footprint_from_optical: None,
+            tilt_is_measured: true,
+            lean_rad: None,
+            stale: false,
+        };
+        frames.iter().map(|fix| standing.judge(&rules, &moment, fix, 0.1)).collect()
+    }
+
+    #[test]
+    fn a_found_pose_needs_three_frames_of_forty_digits_or_more_with_fewer() {
+        for (digits, frames) in [(80.0, 3), (DIGITS_OF_A_FRAME, 3), (DIGITS_OF_A_FRAME / 2.0, 6)] {
+            let mut standing = Standing::default();
+            standing.found();
+            let said = judged(&mut standing, &vec![changed(|fix| fix.agreement.digits = digits); frames]);
+            assert!(said[..frames - 1].iter().all(|doubt| *doubt == Some("unconfirmed")), "{digits} digits: {said:?}");
+            assert_eq!(said[frames - 1], None, "{digits} digits: {said:?}");
+        }
+    }
+
+    #[test]
+    fn lines_of_elsewhere_never_confirm() {
+        let poor = [
+            changed(|fix| fix.agreement.rms_px = CONFIRMED_WITHIN_PX + 0.01),
+            changed(|fix| fix.agreement.digits = DIGITS_PER_PLACE * 100.0 - 0.1),
+            changed(|fix| fix.agreement.foremost = LEAST_FOREMOST_IF_TOLD - 0.01),
+            changed(|fix| fix.misfits = true),
+        ];
+        for told in [false, true] {
+            for fix in &poor {
+                let mut standing = Standing::default();
+                if told {
+                    standing.told()
+                } else {
+                    standing.found()
+                }
+                let said = judged(&mut standing, &vec![fix.clone(); 200]);
+                assert!(said.iter().all(|doubt| *doubt == Some("unconfirmed")), "told: {told}, {fix:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_lucky_frame_among_poor_ones_confirms_nothing() {
+        let frames: Vec<Fix> = (0..200).map(|index| changed(|fix| fix.misfits = index % 2 == 0)).collect();
+        let mut standing = Standing::default();
+        standing.found();
+        assert!(judged(&mut standing, &frames).iter().all(|doubt| *doubt == Some("unconfirmed")));
+    }
+
+    #[test]
+    fn a_contradicted_pose_is_used_again_after_as_many_good_frames() {
+        let bad = changed(|fix| fix.agreement.rms_px = BELIEVED_WITHIN_PX + 0.01);
+        let mut standing = Standing { confidence: Confidence::Tracking(0), ..Standing::default() };
+        let said = judged(&mut standing, &[bad.clone(), bad, good(), good(), good()]);
+        let disagree = Some("lines_disagree");
+        assert_eq!(said, [disagree, disagree, Some("unconfirmed"), None, None]);
     }
 }

@@ -17,6 +17,7 @@ mod determinism;
 mod explain;
 mod export;
 mod extremes;
+mod falsify;
 mod figures;
 mod hard;
 mod hostile_database;
