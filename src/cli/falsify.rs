@@ -78,7 +78,7 @@ pub fn run(arguments: &FalsifyArguments, json: bool) -> anyhow::Result<Outcome> 
     }
     let report = Report::of(sources);
     if let Some(section) = &section {
-        section.write(&report.markdown(&arguments.sources))?;
+        section.write(&report.markdown(arguments))?;
     }
     if json {
         output::json(&report)?;
@@ -180,12 +180,13 @@ impl Report {
     }
 
     /// One row for each falsehood that left valid tags, and the counts of all.
-    fn markdown(&self, sources: &[PathBuf]) -> String {
-        let named: Vec<String> = sources.iter().map(|source| source.display().to_string()).collect();
+    fn markdown(&self, arguments: &FalsifyArguments) -> String {
+        let mut words: Vec<String> = arguments.sources.iter().map(|source| source.display().to_string()).collect();
+        words.extend(arguments.for_s.map(|seconds| format!("--for {seconds}")));
         let mut text = format!(
             "    realitysim falsify {} --write-docs docs/lines.md\n\n| walk | frames | falsehoods | frames in all | valid | wrong |\n\
              | --- | --- | --- | --- | --- | --- |\n",
-            named.join(" ")
+            words.join(" ")
         );
         for Source { source, frames, controls } in &self.sources {
             let false_ones: Vec<&Control> = controls.iter().filter(|control| !control.is_true).collect();
