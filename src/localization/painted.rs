@@ -5,8 +5,8 @@
 
 use glam::{DVec2, DVec3};
 
-use crate::geometry::{Field, Isometry};
-use crate::vision::GroundTable;
+use crate::geometry::{Field, Isometry, Lens};
+use crate::vision::{GroundTable, Ridge, WorkingScale};
 
 /// Distance from any place of the carpet to the nearest painted line.
 #[derive(Clone, Debug)]
@@ -47,6 +47,10 @@ const BELIEVED_M2: f64 = 0.05;
 const BESIDE_WIDTHS: f64 = 1.2;
 /// ... and what the rest of the pose's error does to far places: metres for each metre of distance.
 const BESIDE_PER_M: f64 = 0.03;
+/// In a picture, pixels that blur and the pose's error move a line by.
+const BESIDE_PX: f64 = 1.5;
+/// Line in a picture, in pixels, that is as good as explained.
+const BELIEVED_PX: f64 = 10.0;
 
 impl PaintedMap {
     pub fn new(field: &Field) -> Self {
@@ -91,6 +95,38 @@ impl PaintedMap {
         Explained { shown_m2: shown * m2, share: (explained * m2 + BELIEVED_M2) / (shown * m2 + BELIEVED_M2) }
     }
 
+    /// Of the lines that a picture shows at any distance, the share that is painted where the pose `map_from_optical` puts them, each counted by its
+    /// length in the picture, as if [`BELIEVED_PX`] more had been explained.
+    pub fn explained_in_view(
+        &self,
+        ridges: &[Ridge],
+        lens: &Lens,
+        scale: WorkingScale,
+        map_from_optical: &Isometry,
+    ) -> f64 {
+        let camera = map_from_optical.translation;
+        let pixels_per_radian = lens.focal() * scale.factor();
+        let (mut shown, mut explained) = (BELIEVED_PX, BELIEVED_PX);
+        for Ridge { pixel, length_px } in ridges {
+            let Some(ray) = lens.unproject(*pixel) else { continue };
+            let ray = map_from_optical.transform_vector(ray);
+            shown += length_px;
+            if ray.z >= 0.0 {
+                continue;
+            }
+            let reach = -camera.z / ray.z;
+            let ground = camera + ray * reach;
+            // A pixel is so long on the ground, along the view.
+            let slant = camera.distance(ground);
+            let per_px = slant * slant / (camera.z.max(0.01) * pixels_per_radian);
+            let beside = BESIDE_WIDTHS * self.line_width_m + BESIDE_PX * per_px;
+            if self.distance(ground.truncate()) <= beside {
+                explained += length_px;
+            }
+        }
+        explained / shown
+    }
+
     /// Of each place that shows a line clearly: its ray from the camera, along the axes of `map`, how certain it is, and whether a
     /// line is painted there.
     pub fn each_shown(
@@ -117,5 +153,65 @@ impl PaintedMap {
             let beside = BESIDE_WIDTHS * self.line_width_m + BESIDE_PER_M * libm::hypot(dx, dy);
             visit(ray, weight, self.distance(ground) <= beside);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load_field;
+    use crate::geometry::{Euler, LensModel, LensParameters};
+
+    fn field() -> Field {
+        Field::new(load_field("kid-2014").expect("shipped")).expect("checked")
+    }
+
+    fn lens() -> Lens {
+        let model = LensModel::KannalaBrandt { k: [0.0; 4] };
+        let (fx, fy, fov_deg) = (200.0, 200.0, Some(200.0));
+        Lens::new(LensParameters { width: 640, height: 480, fx, fy, cx: 319.5, cy: 239.5, model, fov_deg })
+            .expect("a lens")
+    }
+
+    /// Half a metre above the carpet, looking 30 degrees down.
+    fn camera(x: f64, y: f64, yaw: f64) -> Isometry {
+        Isometry::from_euler(Euler { yaw, pitch: 0.5, roll: 0.0 }, DVec3::new(x, y, 0.5))
+            * Isometry::link_from_optical()
+    }
+
+    /// What is seen from there of the lines within 4 m.
+    fn seen_from(map_from_optical: &Isometry) -> Vec<Ridge> {
+        let optical_from_map = map_from_optical.inverse();
+        let near = |at: &DVec3| at.distance(map_from_optical.translation) < 4.0;
+        let places = field().points(2000).into_iter().map(|point| point.position.extend(0.0)).filter(near);
+        let rays = places.map(|at| optical_from_map.transform_point(at)).filter(|ray| ray.z > 0.0);
+        rays.filter_map(|ray| lens().project(ray)).map(|pixel| Ridge { pixel, length_px: 1.0 }).collect()
+    }
+
+    #[test]
+    fn every_line_in_view_is_explained_by_the_right_pose_and_few_by_a_wrong_one() {
+        let painted = PaintedMap::new(&field());
+        let share = |ridges: &[Ridge], at| painted.explained_in_view(ridges, &lens(), WorkingScale::new(1), &at);
+        for (x, y, yaw) in [(0.5, 0.3, 0.2), (-2.0, 1.0, 2.5), (3.0, -1.5, 0.4)] {
+            let ridges = seen_from(&camera(x, y, yaw));
+            assert!(ridges.len() > 60, "{}", ridges.len());
+            assert_eq!(share(&ridges, camera(x, y, yaw)), 1.0, "{x} {y} {yaw}");
+            assert!(share(&ridges, camera(x + 0.01, y - 0.01, yaw + 0.003)) > 0.97, "{x} {y} {yaw}: a centimetre");
+            for wrong in [camera(x + 0.5, y + 0.4, yaw), camera(x, y, yaw + 0.5), camera(x, y, yaw + 1.5)] {
+                assert!(share(&ridges, wrong) < 0.75, "{x} {y} {yaw}: {}", share(&ridges, wrong));
+            }
+        }
+    }
+
+    #[test]
+    fn what_lies_above_the_horizon_is_not_explained_and_nothing_seen_speaks_against_nothing() {
+        let painted = PaintedMap::new(&field());
+        let share =
+            |ridges: &[Ridge]| painted.explained_in_view(ridges, &lens(), WorkingScale::new(1), &camera(0.0, 0.0, 0.0));
+        assert_eq!(share(&[]), 1.0);
+        let sky = Ridge { pixel: DVec2::new(320.0, 10.0), length_px: BELIEVED_PX };
+        assert_eq!(share(&[sky]), 0.5);
+        let outside = Ridge { pixel: DVec2::new(-5000.0, f64::NAN), ..sky };
+        assert!(share(&[outside]).is_finite());
     }
 }

@@ -46,7 +46,7 @@ pub const PARTS: f32 = 4096.0;
 /// light and the sensor's noise do not get less with the carpet's own light.
 pub const STRAY_LEVELS: f32 = 16.0;
 /// Side of a cell of the coarse image, in half-resolution pixels.
-const COARSE: usize = 4;
+pub(super) const COARSE: usize = 4;
 
 /// Standard deviations of the two blurs in pixels, halving and quartering included.
 const NARROW_SIGMA_PX: f64 = 2.1;

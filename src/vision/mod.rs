@@ -15,6 +15,7 @@ pub mod line_image;
 pub mod mask;
 pub mod picture;
 mod reading;
+mod ridges;
 mod rotation;
 
 use glam::{DVec2, DVec3};
@@ -29,6 +30,7 @@ pub use ground_map::GroundMap;
 pub use line_image::LineImage;
 pub use mask::BodyMask;
 pub use picture::{Chroma, Picture, Reduction};
+pub use ridges::Ridge;
 pub use rotation::{Small, Turning};
 
 /// What the ground table is to hold; one per observation model and formula.
@@ -70,6 +72,23 @@ pub struct Seen {
 impl Seen {
     pub fn lines(&self) -> &GroundTable {
         self.lines.as_ref().unwrap_or(&self.table)
+    }
+
+    /// Where lines `line_width_m` wide are seen on the carpet, as far as there is a picture of them, by a camera at `footprint_from_optical` with
+    /// this focal length.
+    pub fn ridges(&self, footprint_from_optical: &Isometry, pixels_per_radian: f64, line_width_m: f64) -> Vec<Ridge> {
+        let found = ridges::Ridges {
+            contrast: &self.contrast,
+            floor: &self.floor,
+            on_carpet: &self.on_carpet,
+            scale: self.image.scale(),
+            full_contrast: self.image.full_contrast(),
+            line_width_m,
+            foot: footprint_from_optical.translation.truncate(),
+            height_m: footprint_from_optical.translation.z,
+            pixels_per_radian: pixels_per_radian * self.image.scale().factor(),
+        };
+        found.find()
     }
 
     /// Corners of the carpet as far as it is seen, on the ground of `base_footprint`; none if no edge can be told.

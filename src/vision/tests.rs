@@ -350,3 +350,31 @@ fn the_log_likelihood_of_a_pose_is_that_of_the_direct_way() {
     }
     largest_error(largest, 0.6, "of the log likelihood, 20 cm and 9 deg around the pose");
 }
+
+#[test]
+fn ridges_lie_on_painted_lines_as_far_as_four_metres_with_every_lens() {
+    for (name, lens) in lenses() {
+        let robot = Pose2::new(-1.2, 0.3, 0.2);
+        let direct = Direct::new(&lens, &robot);
+        let ridges = direct.seen.ridges(&place(), lens.focal(), LINE_WIDTH_M);
+        let map_from_optical = robot.to_isometry() * place();
+        let painted = crate::localization::painted::PaintedMap::new(&field());
+        let share = painted.explained_in_view(&ridges, &lens, WorkingScale::new(1), &map_from_optical);
+        assert!(share > 0.97, "{name}: {share}");
+        // Painted places in view, 5 cm of line each, and those that a ridge is near.
+        let points =
+            field().points((field().strokes().iter().map(|stroke| stroke.length()).sum::<f64>() / 0.05) as usize);
+        let (mut in_view, mut found) = (0, 0);
+        for point in points {
+            let inverse = robot.inverse().to_affine();
+            let ground = inverse.transform_point2(point.position);
+            let Some(pixel) = direct.pixel(ground) else { continue };
+            if ground.length() > 4.0 || pixel.x < 20.0 || pixel.y < 20.0 || pixel.x > 620.0 || pixel.y > 460.0 {
+                continue;
+            }
+            in_view += 1;
+            found += usize::from(ridges.iter().any(|ridge| ridge.pixel.distance(pixel) < 6.0));
+        }
+        assert!(in_view > 100 && found * 10 > in_view * 6, "{name}: {found} of {in_view}");
+    }
+}

@@ -120,6 +120,8 @@ pub struct Fix {
     pub misfits: bool,
     pub agreement: Agreement,
     pub explained: Explained,
+    /// Of a pose that is to be confirmed: the share of the lines in the picture, however far, that are painted where it has them, 0 to 1.
+    pub explained_in_view: f64,
     pub effort: Effort,
     /// The mirror pose is as likely.
     pub ambiguous: bool,
@@ -319,6 +321,13 @@ impl Localizer {
         fix.effort = effort;
         if let Some(place) = &moment.footprint_from_optical {
             fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
+            // Nothing else than confirming a pose asks for it.
+            if matches!(self.state.standing.confidence, Confidence::Unconfirmed(_)) {
+                let lens = self.refiner.lens();
+                let ridges = seen.ridges(place, lens.focal(), self.field.line_width());
+                let scale = seen.image.scale();
+                fix.explained_in_view = self.painted.explained_in_view(&ridges, lens, scale, &fix.map_from_optical);
+            }
         }
         let at = self.state.track.as_ref().map_or(fix.estimate.best, Track::pose);
         fix.strays = self.state.known.is_some_and(|known| known.is_far_from(&at));
@@ -512,6 +521,7 @@ impl Localizer {
             misfits,
             agreement: refined.lines,
             explained: Explained::default(),
+            explained_in_view: 1.0,
             effort: Effort::default(),
             ambiguous: self.state.ambiguous,
             doubt: None,
@@ -565,6 +575,7 @@ impl Localizer {
             misfits: false,
             agreement: Agreement::default(),
             explained: Explained::default(),
+            explained_in_view: 1.0,
             effort: Effort::default(),
             ambiguous: self.state.ambiguous,
             doubt: None,
