@@ -5,7 +5,7 @@ use core::f64::consts::TAU;
 use glam::{DVec2, DVec3};
 use realitysim::config::{Formula, SimdPath};
 use realitysim::geometry::Pose2;
-use realitysim::localization::global::{Candidate, Search, SearchState};
+use realitysim::localization::global::{Candidate, Pace, Search, SearchState, Wanted};
 use realitysim::localization::kernel::{Points, available, sum_levels};
 use realitysim::localization::observation::default_alpha;
 use realitysim::localization::{Effort, Observation, Particles, Spread};
@@ -97,6 +97,7 @@ fn search(bench: &mut Bench, view: &View) {
             .max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
     };
     bench.compare("search of the field, coarse to fine; every 10 cm and 3 deg", None, everywhere, || {
-        search.run(&observation, table, 4, &mut SearchState::default(), &mut Effort::default(), &mut |_| true)
+        let wanted = Wanted { candidates: 4, pace: Pace::Hurried };
+        search.run(&observation, table, wanted, &mut SearchState::default(), &mut Effort::default(), &mut |_| true)
     });
 }

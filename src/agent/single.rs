@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::config::{Formula, Model, SimdPath};
 use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::filter::always;
-use crate::localization::global::{self, Candidate, Search, SearchState};
+use crate::localization::global::{self, Candidate, Pace, Search, SearchState, Wanted};
 use crate::localization::kernel::Points;
 use crate::localization::observation::default_alpha;
 use crate::localization::painted::PaintedMap;
@@ -169,7 +169,14 @@ impl Known {
             let candidates = match self.initial {
                 None => {
                     let (mut state, mut effort) = (SearchState::default(), Effort::default());
-                    let found = search.run(&observation, &view.seen.table, KEPT, &mut state, &mut effort, &mut always);
+                    let found = search.run(
+                        &observation,
+                        &view.seen.table,
+                        Wanted { candidates: KEPT, pace: Pace::Hurried },
+                        &mut state,
+                        &mut effort,
+                        &mut always,
+                    );
                     found.unwrap_or_default()
                 }
                 Some(initial) => vec![around(&observation, &view.seen, initial, seed)],

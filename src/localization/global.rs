@@ -47,6 +47,39 @@ impl Physical for SearchState {
     }
 }
 
+/// How much of a search is done in each frame, whatever the clock says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// The robot is lost: the whole grid within [`MOST_FRAMES`].
+    Hurried,
+    /// A pose is believed: [`PLACES_AT_LEISURE`] a frame, so that frames take little longer than without a search.
+    Leisurely,
+}
+
+/// What a search is to find, and how fast.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Wanted {
+    /// So many of the best poses.
+    pub candidates: usize,
+    pub pace: Pace,
+}
+
+impl Pace {
+    fn fewest_places(self, of: usize) -> usize {
+        match self {
+            Self::Hurried => of.div_ceil(MOST_FRAMES),
+            Self::Leisurely => PLACES_AT_LEISURE,
+        }
+    }
+
+    fn fewest_climbed(self) -> usize {
+        match self {
+            Self::Hurried => FEWEST_CLIMBED,
+            Self::Leisurely => CLIMBED_AT_LEISURE,
+        }
+    }
+}
+
 impl SearchState {
     pub fn is_under_way(&self) -> bool {
         self.tried > 0
@@ -70,11 +103,14 @@ const WIDENED_M: f64 = 0.07;
 const SPARSE: usize = 3;
 /// Whatever the clock says, the grid is done with after so many frames: 1.5 s at 10 Hz.
 const MOST_FRAMES: usize = 15;
+/// Places of the grid that are tried in a frame where nothing hurries: 6,000 poses.
+const PLACES_AT_LEISURE: usize = 75;
 /// Poses of the grid that are kept, and of these, how many are climbed from.
 const CLOSER: usize = 600;
 const CLIMBED: usize = 60;
 /// Climbed from in one frame whatever the clock says.
 const FEWEST_CLIMBED: usize = 6;
+const CLIMBED_AT_LEISURE: usize = 3;
 /// Candidates closer than this are one.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;
@@ -103,25 +139,25 @@ impl Search {
         Self { places, sparse: observation.sparse(SPARSE), widened: GroundTable::default(), near: Points::default() }
     }
 
-    /// The `count` best poses, best first. `None` if time is up before: then `state` knows where the next frame goes on.
+    /// The best poses, best first. `None` if time is up before: then `state` knows where the next frame goes on.
     pub fn run(
         &mut self,
         observation: &Observation,
         table: &GroundTable,
-        count: usize,
+        Wanted { candidates, pace }: Wanted,
         state: &mut SearchState,
         effort: &mut Effort,
         may_go_on: &mut MayGoOn,
     ) -> Option<Vec<Candidate>> {
         table.widen(WIDENED_M, &mut self.widened);
-        if state.climbed.is_none() && !self.try_grid(state, effort, may_go_on) {
+        if state.climbed.is_none() && !self.try_grid(pace, state, effort, may_go_on) {
             return None;
         }
         let SearchState { found, climbed, .. } = state;
         let climbed = climbed.get_or_insert(0);
         // The best first.
         for (index, candidate) in found.iter_mut().skip(*climbed as usize).enumerate() {
-            if index >= FEWEST_CLIMBED && !may_go_on(effort.weighed) {
+            if index >= pace.fewest_climbed() && !may_go_on(effort.weighed) {
                 effort.capped = true;
                 return None;
             }
@@ -135,13 +171,13 @@ impl Search {
         }
         let mut found = core::mem::take(state).found;
         best_of(&mut found, CLIMBED);
-        Some(apart(&found, count))
+        Some(apart(&found, candidates))
     }
 
     /// Whether all places have been tried: then the best of them are left that are apart.
-    fn try_grid(&mut self, state: &mut SearchState, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
+    fn try_grid(&mut self, pace: Pace, state: &mut SearchState, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
         let SearchState { tried, found, .. } = state;
-        let (mut done, least) = (0, self.places.len().div_ceil(MOST_FRAMES));
+        let (mut done, least) = (0, pace.fewest_places(self.places.len()));
         for [x, y] in self.places.get(*tried as usize..).unwrap_or_default() {
             let mut headings: [Candidate; TURNS] = core::array::from_fn(|turn| {
                 let pose = Pose2::new(*x, *y, wrap_angle(TAU * turn as f64 / TURNS as f64));

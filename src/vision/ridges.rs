@@ -78,7 +78,7 @@ impl Ridges<'_> {
         let per_metre = self.pixels_per_radian * libm::sqrt(self.height_m.max(0.01) / (slant * slant * slant));
         let width_px = self.line_width_m * per_metre;
         // NaN fails.
-        (width_px >= THINNEST_PX && width_px <= WIDEST_PX).then_some(width_px)
+        (THINNEST_PX..=WIDEST_PX).contains(&width_px).then_some(width_px)
     }
 
     fn is_ridge(&self, u: usize, v: usize, width_px: f64, least: f64) -> bool {

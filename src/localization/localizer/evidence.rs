@@ -7,7 +7,7 @@ use super::lost::Fitting;
 use super::{Fix, Localizer, Moment};
 use crate::geometry::Isometry;
 use crate::localization::filter::{Effort, always};
-use crate::localization::global::SearchState;
+use crate::localization::global::{Pace, SearchState, Wanted};
 use crate::localization::painted::{Explained, PaintedMap};
 use crate::localization::refinement::offsets::Inspected;
 use crate::localization::refinement::{Agreement, Refiner};
@@ -97,7 +97,14 @@ impl Localizer {
         let mut other = self.clone();
         let mut effort = Effort::default();
         let (mut state, observation) = (SearchState::default(), other.filter.observation());
-        let found = other.search.run(observation, &seen.table, SHOWN, &mut state, &mut effort, &mut always);
+        let found = other.search.run(
+            observation,
+            &seen.table,
+            Wanted { candidates: SHOWN, pace: Pace::Hurried },
+            &mut state,
+            &mut effort,
+            &mut always,
+        );
         other.state.fitting = Fitting::of(None, &found.unwrap_or_default());
         other.fit(moment, seen, &mut effort, &mut always);
         other.state.fitting.tried()

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{Localizer, Moment, Tried};
 use crate::geometry::{Physical, Pose2, wrap_angle};
 use crate::localization::filter::{Effort, MayGoOn};
-use crate::localization::global::Candidate;
+use crate::localization::global::{Candidate, Pace, Wanted};
 use crate::localization::particles::Spread;
 use crate::localization::refinement::Refined;
 use crate::localization::track::Track;
@@ -22,8 +22,6 @@ pub(super) const SEARCH_MARGIN_M: f64 = 0.3;
 const CANDIDATES: usize = 16;
 /// Of these, how many are refined in a frame whatever the clock says.
 const FEWEST_FITTED: usize = 3;
-/// Poses that a look which nothing hurries weighs in a frame.
-const SLICE: u32 = 6000;
 /// A pose so far from the best one, and from its mirror pose, that explains so much of what that does: the frame does not
 /// say which it is.
 const ELSEWHERE_M: f64 = 0.5;
@@ -70,11 +68,20 @@ impl Localizer {
         }
         let before = Effort { ..*effort };
         let is_hurried = !is_tracking || self.state.standing.is_urgent();
-        let mut may_go_on = |weighed: u32| (is_hurried || weighed < before.weighed + SLICE) && may_go_on(weighed);
+        // A look that takes its time does in each frame what has to be done in one, and no more.
+        let pace = if is_hurried { Pace::Hurried } else { Pace::Leisurely };
+        let mut may_go_on = |weighed: u32| is_hurried && may_go_on(weighed);
         if !self.state.fitting.is_under_way() {
             let (table, state) = (&seen.table, &mut self.state.search);
             let observation = self.filter.observation();
-            let found = self.search.run(observation, table, CANDIDATES, state, effort, &mut may_go_on);
+            let found = self.search.run(
+                observation,
+                table,
+                Wanted { candidates: CANDIDATES, pace },
+                state,
+                effort,
+                &mut may_go_on,
+            );
             // A look that takes its time leaves nothing out.
             effort.capped &= is_hurried || before.capped;
             let Some(found) = found else { return false };
@@ -85,7 +92,6 @@ impl Localizer {
                 return false;
             }
         }
-        let mut may_go_on = |weighed: u32| is_hurried && may_go_on(weighed);
         let best = match self.settings.refinement {
             false => self.best_supported(seen),
             true => {
