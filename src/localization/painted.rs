@@ -5,6 +5,7 @@
 
 use glam::{DVec2, DVec3};
 
+use crate::geometry::field::Goal;
 use crate::geometry::{Field, Isometry, Lens};
 use crate::vision::{GroundTable, Ridge, WorkingScale};
 
@@ -16,6 +17,9 @@ pub struct PaintedMap {
     columns: usize,
     corner: DVec2,
     line_width_m: f64,
+    /// Of the goal at positive x: each bar of its frame from one end to the other.
+    goal_bars: Vec<[DVec3; 2]>,
+    bar_diameter_m: f64,
 }
 
 /// Of the places that show a line clearly.
@@ -65,7 +69,11 @@ impl PaintedMap {
                 distances.push(libm::round(distance * PER_METRE) as u8);
             }
         }
-        Self { distances, columns, corner, line_width_m: field.line_width() }
+        let line_x = field.dimensions().length_m / 2.0;
+        let goal = field.dimensions().goal;
+        let goal_bars = goal.map(|goal| bars(goal, line_x)).unwrap_or_default();
+        let bar_diameter_m = goal.map_or(0.0, |goal| goal.post_diameter_m);
+        Self { distances, columns, corner, line_width_m: field.line_width(), goal_bars, bar_diameter_m }
     }
 
     /// Metres to the nearest line's centre, to 3 cm.
@@ -96,7 +104,7 @@ impl PaintedMap {
     }
 
     /// Of the lines that a picture shows at any distance, the share that is painted where the pose `map_from_optical` puts them, each counted by its
-    /// length in the picture, as if [`BELIEVED_PX`] more had been explained.
+    /// length in the picture, as if [`BELIEVED_PX`] more had been explained. What may be the frame of a goal is left out.
     pub fn explained_in_view(
         &self,
         ridges: &[Ridge],
@@ -110,8 +118,8 @@ impl PaintedMap {
         for Ridge { pixel, length_px } in ridges {
             let Some(ray) = lens.unproject(*pixel) else { continue };
             let ray = map_from_optical.transform_vector(ray);
-            shown += length_px;
             if ray.z >= 0.0 {
+                shown += length_px;
                 continue;
             }
             let reach = -camera.z / ray.z;
@@ -121,10 +129,22 @@ impl PaintedMap {
             let per_px = slant * slant / (camera.z.max(0.01) * pixels_per_radian);
             let beside = BESIDE_WIDTHS * self.line_width_m + BESIDE_PX * per_px;
             if self.distance(ground.truncate()) <= beside {
+                shown += length_px;
                 explained += length_px;
+            } else if !self.may_be_goal(camera, ground, beside) {
+                shown += length_px;
             }
         }
         explained / shown
+    }
+
+    /// Whether a bar of one of the goals may be what is seen on the way from the camera to the ground, give or take so much.
+    fn may_be_goal(&self, camera: DVec3, ground: DVec3, within_m: f64) -> bool {
+        let mirrored = |at: DVec3| DVec3::new(-at.x, -at.y, at.z);
+        self.goal_bars.iter().any(|bar| {
+            let near = |way: [DVec3; 2]| distance_between(way, *bar) <= self.bar_diameter_m / 2.0 + within_m;
+            near([camera, ground]) || near([mirrored(camera), mirrored(ground)])
+        })
     }
 
     /// Of each place that shows a line clearly: its ray from the camera, along the axes of `map`, how certain it is, and whether a
@@ -154,6 +174,35 @@ impl PaintedMap {
             visit(ray, weight, self.distance(ground) <= beside);
         }
     }
+}
+
+/// Posts and crossbar, and on the ground what holds the net: from each post to the back, and along it.
+fn bars(goal: Goal, line_x: f64) -> Vec<[DVec3; 2]> {
+    let (half_m, back_x) = (goal.width_m / 2.0, line_x + goal.depth_m);
+    let [left, right] = [half_m, -half_m].map(|y| DVec3::new(line_x, y, 0.0));
+    let [left_back, right_back] = [half_m, -half_m].map(|y| DVec3::new(back_x, y, 0.0));
+    let top = DVec3::new(0.0, 0.0, goal.height_m);
+    vec![
+        [left, left + top],
+        [right, right + top],
+        [left + top, right + top],
+        [left, left_back],
+        [right, right_back],
+        [left_back, right_back],
+    ]
+}
+
+/// The shortest distance between two segments (C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9).
+fn distance_between([one_from, one_to]: [DVec3; 2], [other_from, other_to]: [DVec3; 2]) -> f64 {
+    let (one, other, between) = (one_to - one_from, other_to - other_from, one_from - other_from);
+    let (one_squared, other_squared) = (one.length_squared(), other.length_squared());
+    let (along_one, along_other, both) = (one.dot(between), other.dot(between), one.dot(other));
+    // Places on both, 0 to 1. What has no length or is parallel is cut off by the clamps: NaN is at 0.
+    let clamped = |share: f64| if share >= 0.0 { share.min(1.0) } else { 0.0 };
+    let on_one = (both * along_other - along_one * other_squared) / (one_squared * other_squared - both * both);
+    let on_other = (both * clamped(on_one) + along_other) / other_squared;
+    let on_one = (both * clamped(on_other) - along_one) / one_squared;
+    (between + one * clamped(on_one) - other * clamped(on_other)).length()
 }
 
 #[cfg(test)]
@@ -213,5 +262,47 @@ mod tests {
         assert_eq!(share(&[sky]), 0.5);
         let outside = Ridge { pixel: DVec2::new(-5000.0, f64::NAN), ..sky };
         assert!(share(&[outside]).is_finite());
+    }
+
+    #[test]
+    fn the_distance_of_two_segments_is_that_of_a_search() {
+        let point = |seed: u64| {
+            let part =
+                |axis: u64| (seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(17 * axis as u32) % 1000) as f64;
+            DVec3::new(part(0), part(1), part(2)) / 500.0 - DVec3::ONE
+        };
+        for seed in 0..200_u64 {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|index| point(4 * seed + index + 1));
+            let shares = || (0..=200).map(|step| f64::from(step) / 200.0);
+            let least = shares()
+                .flat_map(|one| shares().map(move |other| a.lerp(b, one).distance(c.lerp(d, other))))
+                .fold(f64::INFINITY, f64::min);
+            let found = distance_between([a, b], [c, d]);
+            assert!(found <= least + 1e-12 && found > least - 0.02, "{seed}: {found} instead of {least}");
+            assert!(
+                (distance_between([a, a], [c, d])
+                    - shares().map(|share| a.distance(c.lerp(d, share))).fold(f64::INFINITY, f64::min))
+                .abs()
+                    < 0.01
+            );
+        }
+    }
+
+    #[test]
+    fn a_goal_s_bars_speak_for_and_against_nothing() {
+        let field = Field::new(load_field("kid-2020").expect("shipped")).expect("checked");
+        let painted = PaintedMap::new(&field);
+        let goal = field.dimensions().goal.expect("kid-2020 has goals");
+        let (line_x, half_m) = (field.dimensions().length_m / 2.0, goal.width_m / 2.0);
+        for side in [1.0, -1.0] {
+            let camera = DVec3::new(2.5 * side, 0.3, 0.5);
+            let beyond = |at: DVec3| camera + (at - camera) * (camera.z / (camera.z - at.z));
+            let post = DVec3::new(line_x * side, half_m, 0.2);
+            let back = DVec3::new((line_x + goal.depth_m) * side, 0.4, 0.0);
+            assert!(painted.may_be_goal(camera, beyond(post), 0.02) && painted.may_be_goal(camera, back, 0.02));
+            assert!(!painted.may_be_goal(camera, DVec3::new(3.5 * side, 0.4, 0.0), 0.02), "before the goal");
+            assert!(!painted.may_be_goal(camera, beyond(post + DVec3::Y * 0.5), 0.02), "beside it");
+            assert!(!painted.may_be_goal(camera, DVec3::new((line_x + 0.3) * side, 0.4, 0.0), 0.02), "in it");
+        }
     }
 }

@@ -132,14 +132,14 @@ const DIGITS_IF_FOUND_AGAIN: f64 = 8.0;
 /// Least shares of the expected lines that stand out most where the pose has them, and that fit: lines of another place, or seen through
 /// another lens, lie beside where a pose has them.
 ///
-/// The fainter a picture's lines are, the fewer of them show in right places too: the limits fall with the width that is seen half the
-/// time (`Agreement::half_seen_px`), for each pixel of it, but not below what right poses have on worn turf.
-const FOREMOST_IF_TOLD: f64 = 0.9;
+/// Of a pose that was told little has to be shown but that nothing contradicts it; in sun and shade over a field some fainter lines do not show.
+const FOREMOST_IF_TOLD: f64 = 0.6;
+const SHARE_IF_TOLD: f64 = 0.55;
+/// Of one that was found: the fainter a picture's lines are, the fewer of them show in right places too. The limits fall with the width that is
+/// seen half the time (`Agreement::half_seen_px`), for each pixel of it, but not below what right poses have on worn turf.
 const FOREMOST_IF_FOUND: f64 = 1.0;
 const FOREMOST_LESS_PER_PX: f64 = 0.07;
-const LEAST_FOREMOST_IF_TOLD: f64 = 0.75;
 const LEAST_FOREMOST_IF_FOUND: f64 = 0.8;
-const SHARE_IF_TOLD: f64 = 0.8;
 const SHARE_IF_FOUND: f64 = 0.95;
 const SHARE_LESS_PER_PX: f64 = 0.08;
 /// Share of the expected lines that does not fit at right poses because lines are faint, for each pixel of that width beyond the first: they
@@ -186,14 +186,14 @@ const AGREES_LESS_PER_PX: f64 = 0.04;
 const LESS_IF_HELD_FAST: f64 = 0.2;
 /// Once it has explained so much.
 const WELL_EXPLAINED: f64 = 0.95;
-/// So much of what a frame may leave unexplained may be there when a pose is confirmed.
-///
-/// More where lines are faint: what stands out of turf like lines is blades and glints too.
-const CONFIRMED_WITH_IF_TOLD: f64 = 0.3;
+/// So much of what a frame may leave unexplained near the robot may be there when a pose is confirmed: all of it if it was told, for a ball or
+/// sunlight may be a fourth of what little line is near.
+const CONFIRMED_WITH_IF_TOLD: f64 = 1.0;
+/// Of one that was found little, and more where lines are faint: what stands out of turf like lines is blades and glints too.
 const CONFIRMED_WITH_IF_FOUND: f64 = 0.2;
 const MORE_PER_PX: f64 = 0.2;
 /// And of the lines that the picture shows at any distance, this share must be painted where the pose has them: right poses have 0.97 or more on
-/// carpet and 0.94 or more on turf (docs/lines.md).
+/// carpet and 0.94 or more on turf in sun and shade (docs/lines.md).
 const IN_VIEW: f64 = 0.94;
 const BETTER_WITH: f64 = 0.2;
 
@@ -455,31 +455,34 @@ impl Standing {
         let lines = &fix.agreement;
         // Lines that lead elsewhere than somebody said need to be as many as if nobody had.
         let is_told = self.was_told && !fix.strays;
-        let (digits, foremost, share, unexplained) = match is_told {
-            true => (DIGITS_IF_TOLD, FOREMOST_IF_TOLD, SHARE_IF_TOLD, CONFIRMED_WITH_IF_TOLD),
-            false => (DIGITS_IF_FOUND, FOREMOST_IF_FOUND, SHARE_IF_FOUND, CONFIRMED_WITH_IF_FOUND),
-        };
-        let least_foremost = if is_told { LEAST_FOREMOST_IF_TOLD } else { LEAST_FOREMOST_IF_FOUND };
-        // Of a robot that stands still nothing new is seen; that no rival comes up twice in a row makes up for few lines, not for
-        // missing ones.
-        let is_alone = self.found_again > 0 || self.in_a_row >= IN_A_ROW;
-        let digits = if is_alone { digits.min(DIGITS_IF_FOUND_AGAIN) } else { digits };
-        let again = f64::from(self.found_again);
-        let foremost = (foremost - FOREMOST_LESS_PER_PX * lines.half_seen_px).max(least_foremost);
-        let foremost = foremost - FOREMOST_LESS_IF_FOUND_AGAIN * again;
-        let usual = self.usual_foremost.map_or(0.0, |usual| usual - USUAL_LESS_IF_FOUND - LESS_IF_FOUND_AGAIN * again);
-        let foremost = if self.was_told { foremost } else { foremost.max(usual) };
-        let share = share - SHARE_LESS_PER_PX * lines.half_seen_px;
-        let share = (share - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED);
-        let unexplained = unexplained + MORE_PER_PX * (lines.half_seen_px - 1.0).max(0.0) + MORE_IF_FOUND_AGAIN * again;
+        let needed = if is_told { Needed::IF_TOLD } else { self.needed_if_found(lines) };
         !rules.refinement
-            || (lines.digits >= digits.max(DIGITS_PER_PLACE * lines.expected as f64)
+            || (lines.digits >= needed.digits.max(DIGITS_PER_PLACE * lines.expected as f64)
                 && lines.rms_px <= CONFIRMED_WITHIN_PX
                 && !fix.misfits
                 && fix.explained_in_view >= IN_VIEW
-                && lines.foremost >= foremost
-                && lines.share >= share
-                && fix.explained.share >= share_of(unexplained.min(1.0), rules.valid.explained))
+                && lines.foremost >= needed.foremost
+                && lines.share >= needed.share
+                && fix.explained.share >= share_of(needed.unexplained.min(1.0), rules.valid.explained))
+    }
+
+    /// Of a pose that was found by search, in a frame with such lines.
+    fn needed_if_found(&self, lines: &Agreement) -> Needed {
+        // Of a robot that stands still nothing new is seen; that no rival comes up twice in a row makes up for few lines, not for
+        // missing ones.
+        let is_alone = self.found_again > 0 || self.in_a_row >= IN_A_ROW;
+        let again = f64::from(self.found_again);
+        let foremost = (FOREMOST_IF_FOUND - FOREMOST_LESS_PER_PX * lines.half_seen_px).max(LEAST_FOREMOST_IF_FOUND);
+        let foremost = foremost - FOREMOST_LESS_IF_FOUND_AGAIN * again;
+        let usual = self.usual_foremost.map_or(0.0, |usual| usual - USUAL_LESS_IF_FOUND - LESS_IF_FOUND_AGAIN * again);
+        let share = SHARE_IF_FOUND - SHARE_LESS_PER_PX * lines.half_seen_px;
+        let fainter_px = (lines.half_seen_px - 1.0).max(0.0);
+        Needed {
+            digits: if is_alone { DIGITS_IF_FOUND_AGAIN } else { DIGITS_IF_FOUND },
+            foremost: if self.was_told { foremost } else { foremost.max(usual) },
+            share: (share - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED),
+            unexplained: CONFIRMED_WITH_IF_FOUND + MORE_PER_PX * fainter_px + MORE_IF_FOUND_AGAIN * again,
+        }
     }
 
     fn agreed_lately(&self, moment: &Moment) -> bool {
@@ -490,6 +493,24 @@ impl Standing {
 /// The share of the expected lines that would fit if all were as clear as on well painted carpet.
 fn share_if_clear(lines: &Agreement) -> f64 {
     (lines.share + FAINT_SHARE_PER_PX * (lines.half_seen_px - 1.0).max(0.0)).min(1.0)
+}
+
+/// What a frame has to show to confirm a pose.
+struct Needed {
+    digits: f64,
+    foremost: f64,
+    share: f64,
+    /// At most, of what a single frame may leave unexplained.
+    unexplained: f64,
+}
+
+impl Needed {
+    const IF_TOLD: Self = Self {
+        digits: DIGITS_IF_TOLD,
+        foremost: FOREMOST_IF_TOLD,
+        share: SHARE_IF_TOLD,
+        unexplained: CONFIRMED_WITH_IF_TOLD,
+    };
 }
 
 /// What is not as wanted is complained of.
@@ -698,7 +719,7 @@ mod tests {
         let poor = [
             changed(|fix| fix.agreement.rms_px = CONFIRMED_WITHIN_PX + 0.01),
             changed(|fix| fix.agreement.digits = DIGITS_PER_PLACE * 100.0 - 0.1),
-            changed(|fix| fix.agreement.foremost = LEAST_FOREMOST_IF_TOLD - 0.01),
+            changed(|fix| fix.agreement.foremost = FOREMOST_IF_TOLD - 0.01),
             changed(|fix| fix.misfits = true),
             changed(|fix| fix.explained_in_view = IN_VIEW - 0.01),
         ];

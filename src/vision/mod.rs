@@ -60,6 +60,8 @@ pub struct Seen {
     pub image: LineImage,
     pub glance: Glance,
     contrast: LineContrast,
+    /// Of the working image.
+    chroma: Chroma,
     making: ground::Making,
     /// NaN where no floor is.
     floor: Vec<DVec2>,
@@ -79,6 +81,7 @@ impl Seen {
     pub fn ridges(&self, footprint_from_optical: &Isometry, pixels_per_radian: f64, line_width_m: f64) -> Vec<Ridge> {
         let found = ridges::Ridges {
             contrast: &self.contrast,
+            chroma: &self.chroma,
             floor: &self.floor,
             on_carpet: &self.on_carpet,
             scale: self.image.scale(),
@@ -167,10 +170,13 @@ impl Vision {
         seen: &mut Seen,
     ) {
         seen.glance = Glance::of(picture);
-        let Seen { table, lines, image, contrast, making, floor, on_carpet, reduction, learning, border, .. } = seen;
+        let Seen {
+            table, lines, image, contrast, chroma, making, floor, on_carpet, reduction, learning, border, ..
+        } = seen;
         let working = picture.reduced(self.reduction, reduction);
         let scale = WorkingScale::new(self.reduction);
         contrast.start(working);
+        chroma.clone_from(&working.chroma);
         self.find_floor(footprint_from_optical, floor);
         let carpet = self.learn_carpet(working, contrast, floor, learning);
         let surfaces = &mut image.surfaces;

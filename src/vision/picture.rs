@@ -13,10 +13,22 @@ pub struct Picture {
 }
 
 /// Cb and Cr, 128 is neutral: one for each 2 x 2 pixels, as JPEG and cameras have them.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Debug, Default, PartialEq, Eq)]
 pub struct Chroma {
     pub blue: Vec<u8>,
     pub red: Vec<u8>,
+}
+
+impl Clone for Chroma {
+    fn clone(&self) -> Self {
+        Self { blue: self.blue.clone(), red: self.red.clone() }
+    }
+
+    /// Into the buffers that are there.
+    fn clone_from(&mut self, other: &Self) {
+        self.blue.clone_from(&other.blue);
+        self.red.clone_from(&other.red);
+    }
 }
 
 impl Chroma {

@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::carpet::Surface;
 use super::contrast::{COARSE, PARTS, STRAY_LEVELS, UNITS, coarse_size, line_response, surface};
-use super::{LineContrast, WorkingScale};
+use super::{Chroma, LineContrast, WorkingScale};
 
 /// A place on a line that is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,6 +18,8 @@ pub struct Ridge {
 /// What is needed to find the ridges of one picture.
 pub(super) struct Ridges<'a> {
     pub(super) contrast: &'a LineContrast,
+    /// Of the working image.
+    pub(super) chroma: &'a Chroma,
     /// On the ground of the robot, of each cell of the coarse image; NaN where no floor is.
     pub(super) floor: &'a [DVec2],
     pub(super) on_carpet: &'a [bool],
@@ -38,6 +40,12 @@ const CLEAR: f64 = 0.5;
 const BESIDE: f64 = 0.5;
 /// Contrast that no carpet has.
 const LEAST_CONTRAST: f64 = 0.04;
+/// Paint has less of the carpet's hue than the carpet beside it, by at least this share of it: a strip of sunlight has not.
+const PALER: f64 = 0.2;
+/// A carpet of less hue than this is as good as gray, and tells nothing by its colour.
+const LEAST_HUE: f64 = 0.06;
+/// Working pixels that a hue is averaged over: there is carpet in that of a thinner line.
+const HUE_PX: f64 = 6.0;
 /// Thinner lines than this are not looked for: working pixels.
 const THINNEST_PX: f64 = 1.5;
 const WIDEST_PX: f64 = 24.0;
@@ -98,14 +106,44 @@ impl Ridges<'_> {
         let Some(middle) = value(0, 0) else { return false };
         let diagonal = (beside * 7 + 9) / 10;
         let across = [(beside, 0), (0, beside), (diagonal, diagonal), (diagonal, -diagonal)];
+        let is_paint = |du: isize, dv: isize| {
+            let Some(hue) = self.hue(u, v) else { return true };
+            let paler = PALER * (width_px / HUE_PX).min(1.0);
+            [(du, dv), (-du, -dv)].iter().all(|(du, dv)| {
+                let beside = self.hue((u as isize + du) as usize, (v as isize + dv) as usize).unwrap_or(hue);
+                beside.length() < LEAST_HUE || (beside - hue).dot(beside) >= paler * beside.length_squared()
+            })
+        };
         across.iter().any(|(du, dv)| {
             let flanks = value(*du, *dv).zip(value(-du, -dv));
             let ends = value(-dv, *du).zip(value(*dv, -du));
             let (Some(flanks), Some(ends)) = (flanks, ends) else { return false };
             let carpet = flanks.0.max(flanks.1);
             let share = |value: f64| (value - carpet) / (carpet + f64::from(STRAY_LEVELS));
-            share(middle) >= BESIDE * own.max(least) && share(ends.0.min(ends.1)) >= BESIDE * least
+            share(middle) >= BESIDE * own.max(least)
+                && share(ends.0.min(ends.1)) >= BESIDE * least
+                && is_paint(*du, *dv)
         })
+    }
+
+    /// Mean Cb and Cr over luma of the nine half-resolution pixels there. `None` at the image's edge, and of a gray picture.
+    fn hue(&self, u: usize, v: usize) -> Option<DVec2> {
+        let LineContrast { width, height, half, .. } = self.contrast;
+        let Chroma { blue, red } = self.chroma;
+        if self.chroma.is_empty() || !(1..width - 1).contains(&u) || !(1..height - 1).contains(&v) {
+            return None;
+        }
+        // A chroma plane of an odd width has one column more.
+        let stride = blue.len() / height;
+        let (mut chroma, mut luma) = (DVec2::ZERO, 0.0);
+        for row in v - 1..=v + 1 {
+            for column in u - 1..=u + 1 {
+                let at = row * stride + column;
+                chroma += DVec2::new(f64::from(blue[at]) - 128.0, f64::from(red[at]) - 128.0);
+                luma += f64::from(half[row * width + column]) / 4.0;
+            }
+        }
+        Some(chroma / luma.max(1.0))
     }
 }
 
@@ -127,6 +165,7 @@ mod tests {
         let (columns, rows) = coarse_size(WIDTH, HEIGHT);
         let found = Ridges {
             contrast: &contrast,
+            chroma: &Chroma::default(),
             floor: &vec![DVec2::new(0.4, 0.0); columns * rows],
             on_carpet: &vec![true; columns * rows],
             scale: WorkingScale::new(1),
@@ -174,6 +213,7 @@ mod tests {
         let contrast = LineContrast::default();
         let ridges = Ridges {
             contrast: &contrast,
+            chroma: &Chroma::default(),
             floor: &[],
             on_carpet: &[],
             scale: WorkingScale::new(1),
