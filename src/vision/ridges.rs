@@ -158,14 +158,17 @@ mod tests {
     /// Ridges of a picture seen from 0.4 m above a floor that is everywhere 0.4 m away, where lines 5 cm wide look 9 pixels wide.
     fn ridges_of(value: impl Fn(usize, usize) -> u8) -> Vec<Ridge> {
         let luma = (0..HEIGHT).flat_map(|v| (0..WIDTH).map(move |u| (u, v))).map(|(u, v)| value(u, v)).collect();
-        let picture = Picture::from_gray(WIDTH, HEIGHT, luma).expect("a picture");
+        ridges_in(&Picture::from_gray(WIDTH, HEIGHT, luma).expect("a picture"))
+    }
+
+    fn ridges_in(picture: &Picture) -> Vec<Ridge> {
         let mut contrast = LineContrast::default();
-        contrast.start(&picture);
+        contrast.start(picture);
         contrast.finish(&vec![Surface::Carpet; contrast.width * contrast.height], &[]);
         let (columns, rows) = coarse_size(WIDTH, HEIGHT);
         let found = Ridges {
             contrast: &contrast,
-            chroma: &Chroma::default(),
+            chroma: &picture.chroma,
             floor: &vec![DVec2::new(0.4, 0.0); columns * rows],
             on_carpet: &vec![true; columns * rows],
             scale: WorkingScale::new(1),
@@ -205,6 +208,17 @@ mod tests {
         assert_eq!(ridges_of(|u, _| if u < 160 { PAINT } else { CARPET }), [], "the edge of something bright");
         assert_eq!(ridges_of(|u, _| if u.abs_diff(160) < 5 { CARPET / 3 } else { CARPET }), [], "a dark line");
         assert_eq!(ridges_of(|u, _| CARPET + (u / 4) as u8), [], "light from one side");
+    }
+
+    #[test]
+    fn paint_is_a_line_and_a_strip_of_sunlight_on_green_carpet_is_none() {
+        let (carpet, sunny, painted) = ([40, 70, 42], [104, 182, 109], [150, 156, 148]);
+        let picture = |strip: [u8; 3]| {
+            let pixels = (0..HEIGHT * WIDTH).flat_map(|at| if (at % WIDTH).abs_diff(160) < 5 { strip } else { carpet });
+            Picture::from_rgb(WIDTH, HEIGHT, &pixels.collect::<Vec<u8>>()).expect("a picture")
+        };
+        assert!(ridges_in(&picture(painted)).len() > 200);
+        assert_eq!(ridges_in(&picture(sunny)), []);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use super::support::{Room, session_name};
 
 #[test]
 fn faint_lines_on_turf_are_seen() {
-    for name in ["worn", "lamps"] {
+    for name in ["worn", "lamps", "goal-in-sun", "goal-at-night"] {
         let room = Room::new();
         let log = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/turf");
         room.write("log.mcap", std::fs::read(format!("{log}/{name}.mcap")).expect("a log"));
