@@ -30,6 +30,11 @@ const KIDNAPPING: &str =
     "kind = \"kidnapping\"\nat_s = 0.05\nduration_s = 0.2\nlift_m = 0.1\nto_m = [-2.8, 0.2]\nto_yaw_deg = 5";
 const FALL: &str = "kind = \"fall\"\nat_s = 0\nfall_s = 0.5\ndirection = \"left\"";
 const WORN: &str = "kind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.3";
+const TURF: &str = "kind = \"turf\"\nblades = 0.2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 5";
+const SUN: &str = "kind = \"sun_patches\"\ngain = 2\nshare = 0.5\nlength_m = 1.5\nedge_m = 0.2";
+const OPTICS: &str = "kind = \"optics\"\nstray_light = 0.1\nlateral_colour_px = 1";
+const HUNTING: &str = "kind = \"exposure_hunting\"\namplitude = 0.4\nperiod_s = 2";
+const PROCESSING: &str = "kind = \"image_processing\"\ncolour_filter = true\nsharpening = 1";
 const LIGHT: &str = "kind = \"light\"\ngain = 0.4\ngradient_per_m = [0.1, 0.05]";
 const WINDOW: &str = "kind = \"bright_window\"\nwall = \"+x\"\ncentre_m = 0\nwidth_m = 3\nsill_m = 1\nheight_m = 2.5\n\
                       brightness = 8\nglare = 0.4\nsun_elevation_deg = 20";
@@ -45,12 +50,14 @@ const UNPLUGGED: &str = "kind = \"camera_fault\"\nunplugged = { from_s = 0.05, f
 const SERIAL: &str = "kind = \"serial_noise\"\nlost_share = 0.2\ncorrupt_share = 0.1";
 
 /// In a row of the table: what it is called, and its effects.
-const ROWS: [(&str, &[&str]); 18] = [
+const ROWS: [(&str, &[&str]); 23] = [
     ("`gait_sway`", &[SWAY]),
     ("`head_motion`", &[HEAD]),
     ("`kidnapping`, under way", &[KIDNAPPING]),
     ("`fall`, under way, with `gait_sway`", &[SWAY, FALL]),
+    ("`turf`", &[TURF]),
     ("`worn_lines`", &[WORN]),
+    ("`sun_patches`", &[SUN]),
     ("`light`", &[LIGHT]),
     ("`light`, drawn per frame", &["kind = \"light\"\ngain = { uniform = [0.4, 0.9], per = \"frame\" }"]),
     ("`bright_window`", &[WINDOW]),
@@ -58,14 +65,18 @@ const ROWS: [(&str, &[&str]); 18] = [
     ("`obstacles`, 8 drawn", &["kind = \"obstacles\"\nrandom = 8"]),
     ("`shutter`, rolling, with `gait_sway`", &[SWAY, "kind = \"shutter\"\nexposure_ms = 0.01\nreadout_ms = 16"]),
     ("`shutter`, open for 8 ms, with `gait_sway`", &[SWAY, "kind = \"shutter\"\nexposure_ms = 8\nreadout_ms = 0"]),
+    ("`optics`", &[OPTICS]),
+    ("`exposure_hunting`", &[HUNTING]),
     ("`sensor_noise`", &[NOISE]),
+    ("`image_processing`", &[PROCESSING]),
     ("`odometry_error`: all of it", &[ODOMETRY]),
     ("`imu_error`", &[IMU]),
     ("`calibration_error`", &[CALIBRATION]),
     ("`camera_fault`, unplugged", &[UNPLUGGED]),
     ("`serial_noise`", &[SERIAL]),
 ];
-/// One of each kind, but for `fall`, which excludes `kidnapping`, and `shutter`, which draws all others several times.
+/// One of each kind, but for `fall`, which excludes `kidnapping`, `shutter`, which draws all others several times, and those that
+/// work on what the others have drawn: `turf`, `sun_patches`, `optics`, `exposure_hunting`, `image_processing`.
 const CHAIN: [&str; 13] =
     [SWAY, HEAD, KIDNAPPING, WORN, LIGHT, WINDOW, ROBOT, NOISE, ODOMETRY, IMU, CALIBRATION, UNPLUGGED, SERIAL];
 

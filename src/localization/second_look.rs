@@ -14,7 +14,9 @@ use crate::geometry::Physical;
 pub struct SecondLook {
     /// Of the line places expected those that fit, over about [`MEAN_S`].
     share: Option<f64>,
-    /// The same over [`USUAL_S`], or since the field was last tried.
+    /// As if all lines were clear: where they are faint, of those that are there fewer fit.
+    clear_share: f64,
+    /// The share over [`USUAL_S`], or since the field was last tried.
     usual: f64,
     waited_s: f64,
     pause_s: f64,
@@ -51,6 +53,7 @@ impl Default for SecondLook {
     fn default() -> Self {
         Self {
             share: None,
+            clear_share: 1.0,
             usual: 1.0,
             waited_s: 0.0,
             pause_s: FIRST_PAUSE_S,
@@ -66,6 +69,7 @@ impl Physical for SecondLook {
     fn is_possible(&self) -> bool {
         let times = [self.waited_s, self.pause_s, self.doubted_s];
         self.share.is_possible()
+            && self.clear_share.is_possible()
             && self.usual.is_possible()
             && self.put_from.is_possible()
             && times.iter().all(|seconds| seconds.is_finite())
@@ -78,9 +82,10 @@ impl SecondLook {
         Self { owed: OWED_IF_FOUND, ..Self::default() }
     }
 
-    /// A frame so many seconds after the last one: its share of fitting line places, if enough are expected, whether its
-    /// pose was doubted, and whether lines and odometry told of different walks.
-    pub fn note(&mut self, seconds: f64, share: Option<f64>, doubted: bool, surprised: bool) {
+    /// A frame so many seconds after the last one: its share of fitting line places, and that as if all lines were clear, if enough are
+    /// expected, whether its pose was doubted, and whether lines and odometry told of different walks.
+    pub fn note(&mut self, seconds: f64, shares: Option<[f64; 2]>, doubted: bool, surprised: bool) {
+        let share = shares.map(|[share, _]| share);
         self.waited_s += seconds;
         self.doubted_s = if doubted { self.doubted_s + seconds } else { 0.0 };
         self.surprised = if surprised { self.surprised + 1 } else { 0 };
@@ -90,11 +95,13 @@ impl SecondLook {
             self.waited_s = self.waited_s.max(self.pause_s);
             self.put_from = self.put_from.or(self.share);
         }
-        if let Some(share) = share {
+        if let Some([share, clear_share]) = shares {
             self.put_from = self.put_from.filter(|before| share < before - FRAME_FALLS_BY);
-            let near = |mean: f64, seconds_of: f64| mean + (share - mean) * (seconds / seconds_of).min(1.0);
-            self.usual = if self.share.is_some() { near(self.usual, USUAL_S) } else { share };
-            self.share = Some(self.share.map_or(share, |mean| near(mean, MEAN_S)));
+            let near = |mean: f64, share: f64, seconds_of: f64| mean + (share - mean) * (seconds / seconds_of).min(1.0);
+            self.usual = if self.share.is_some() { near(self.usual, share, USUAL_S) } else { share };
+            self.clear_share =
+                if self.share.is_some() { near(self.clear_share, clear_share, MEAN_S) } else { clear_share };
+            self.share = Some(self.share.map_or(share, |mean| near(mean, share, MEAN_S)));
         }
         if self.falls() {
             self.pause_s = self.pause_s.min(FIRST_PAUSE_S);
@@ -116,7 +123,7 @@ impl SecondLook {
     }
 
     pub fn is_due(&self) -> bool {
-        let is_odd = self.owed > 0 || self.share.is_some_and(|share| share < CONVINCING) || self.doubted_s >= DOUBTED_S;
+        let is_odd = self.owed > 0 || self.clear_share < CONVINCING || self.doubted_s >= DOUBTED_S;
         let pause_s = if self.owed > 0 { PAUSE_IF_OWED_S } else { self.pause_s };
         (is_odd && self.waited_s >= pause_s) || (self.surprised >= SURPRISED && self.waited_s >= FIRST_PAUSE_S)
     }
@@ -148,7 +155,7 @@ mod tests {
         let mut due = Vec::new();
         for frame in 1..=(seconds * 10.0) as u32 {
             let at = f64::from(frame) / 10.0;
-            look.note(0.1, share(at), doubted, false);
+            look.note(0.1, share(at).map(|share| [share; 2]), doubted, false);
             if look.is_due() {
                 look.looked();
                 due.push(at);
@@ -180,8 +187,8 @@ mod tests {
     fn a_frame_as_of_a_robot_that_was_put_elsewhere_is_looked_into_at_once_and_again() {
         let put = |share: f64, surprised: bool| {
             let mut look = SecondLook::default();
-            (0..30).for_each(|_| look.note(0.1, Some(0.98), false, false));
-            look.note(0.1, Some(share), false, surprised);
+            (0..30).for_each(|_| look.note(0.1, Some([0.98; 2]), false, false));
+            look.note(0.1, Some([share; 2]), false, surprised);
             (look.is_due() && look.is_urgent(), look)
         };
         assert!(put(0.86, true).0 && !put(0.86, false).0 && !put(0.96, true).0, "fewer lines, and where no step leads");
@@ -193,22 +200,22 @@ mod tests {
     fn who_may_have_been_put_elsewhere_is_doubted_until_lines_are_back_or_nothing_better_was_found() {
         let put = || {
             let mut look = SecondLook::default();
-            (0..30).for_each(|_| look.note(0.1, Some(0.98), false, false));
+            (0..30).for_each(|_| look.note(0.1, Some([0.98; 2]), false, false));
             assert!(!look.may_be_elsewhere());
-            look.note(0.1, Some(0.86), false, true);
+            look.note(0.1, Some([0.86; 2]), false, true);
             look
         };
         let mut back = put();
         back.note(0.1, None, false, false);
-        back.note(0.1, Some(0.88), false, false);
+        back.note(0.1, Some([0.88; 2]), false, false);
         assert!(back.may_be_elsewhere(), "a crowd, or another place");
-        back.note(0.1, Some(0.95), false, false);
+        back.note(0.1, Some([0.95; 2]), false, false);
         assert!(!back.may_be_elsewhere());
         let mut tried = put();
         for _ in 0..OWED_IF_PUT {
             assert!(tried.may_be_elsewhere());
             tried.looked();
-            tried.note(0.1, Some(0.88), false, false);
+            tried.note(0.1, Some([0.88; 2]), false, false);
         }
         assert!(!tried.may_be_elsewhere());
     }

@@ -271,7 +271,7 @@ impl Standing {
 
     /// Lines are missing that were there a moment ago: have some been taken for their neighbours?
     pub fn falls_short(&self, lines: &Agreement) -> bool {
-        lines.expected >= FEWEST_EXPECTED && self.second_look.falls_to(share_if_clear(lines))
+        lines.expected >= FEWEST_EXPECTED && self.second_look.falls_to(lines.share_of_places())
     }
 
     /// There was none.
@@ -316,8 +316,9 @@ impl Standing {
             self.has_explained = true;
         }
         let doubt = self.complaint(rules, moment, fix);
-        let share = (fix.agreement.expected >= FEWEST_EXPECTED).then(|| share_if_clear(&fix.agreement));
-        self.second_look.note(seconds, share, matches!(doubt, Some("spread" | "few_lines")), fix.surprised);
+        let shares = (fix.agreement.expected >= FEWEST_EXPECTED)
+            .then(|| [fix.agreement.share_of_places(), share_if_clear(&fix.agreement)]);
+        self.second_look.note(seconds, shares, matches!(doubt, Some("spread" | "few_lines")), fix.surprised);
         let contradicted = match doubt {
             Some("lines_disagree" | "not_standing" | "off_field") => true,
             // Something white stands before a place that is right all the same.

@@ -45,6 +45,11 @@ impl Changing {
             | Effect::Fall(_)
             | Effect::Obstacles(_)
             | Effect::WornLines(_)
+            | Effect::Turf(_)
+            | Effect::SunPatches(_)
+            | Effect::Optics(_)
+            | Effect::ExposureHunting(_)
+            | Effect::ImageProcessing(_)
             | Effect::CalibrationError(_)
             | Effect::CameraFault(_) => {}
         }

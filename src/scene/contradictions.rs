@@ -103,6 +103,11 @@ fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
             | Effect::Light(_)
             | Effect::Obstacles(_)
             | Effect::WornLines(_)
+            | Effect::Turf(_)
+            | Effect::SunPatches(_)
+            | Effect::Optics(_)
+            | Effect::ExposureHunting(_)
+            | Effect::ImageProcessing(_)
             | Effect::BrightWindow(_)
             | Effect::CameraFault(_)
             | Effect::CalibrationError(_) => (true, ""),

@@ -6,8 +6,9 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue, Error, ValueDeserializer};
 
 use super::effects::{
-    BrightWindow, CalibrationError, CameraFault, Fall, GaitSway, HeadMotion, ImuError, Kidnapping, Light, Obstacles,
-    OdometryError, SensorNoise, SerialNoise, Shutter, WornLines,
+    BrightWindow, CalibrationError, CameraFault, ExposureHunting, Fall, GaitSway, HeadMotion, ImageProcessing,
+    ImuError, Kidnapping, Light, Obstacles, OdometryError, Optics, SensorNoise, SerialNoise, Shutter, SunPatches, Turf,
+    WornLines,
 };
 use super::file::{Still, Walk};
 
@@ -43,6 +44,11 @@ fn of_its_kind(table: Spanned<DeValue>) -> Option<Error> {
         "bright_window" => of::<BrightWindow>(keys),
         "obstacles" => of::<Obstacles>(keys),
         "worn_lines" => of::<WornLines>(keys),
+        "image_processing" => of::<ImageProcessing>(keys),
+        "exposure_hunting" => of::<ExposureHunting>(keys),
+        "optics" => of::<Optics>(keys),
+        "sun_patches" => of::<SunPatches>(keys),
+        "turf" => of::<Turf>(keys),
         "shutter" => of::<Shutter>(keys),
         "sensor_noise" => of::<SensorNoise>(keys),
         "camera_fault" => of::<CameraFault>(keys),

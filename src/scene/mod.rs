@@ -29,7 +29,10 @@ pub use truth::{Mount, Truth, Twist};
 
 use crate::geometry::{Field, FieldDimensions, Lens, LensParameters};
 use changing::Changing;
-use effects::{CalibrationError, CameraFault, Carrying, Crowd, SwayModel, WornLines};
+use effects::{
+    CalibrationError, CameraFault, Carrying, Crowd, ExposureHunting, ImageProcessing, Optics, SunPatches, SwayModel,
+    Turf, WornLines,
+};
 use glam::DVec2;
 use motion::Motion;
 use ranges::Per;
@@ -51,7 +54,12 @@ pub struct Scene {
     sway: Option<SwayModel>,
     carrying: Option<Carrying>,
     crowd: Option<Crowd>,
+    turf: Option<Turf>,
     worn_lines: Option<WornLines>,
+    sun_patches: Option<SunPatches>,
+    optics: Option<Optics>,
+    exposure_hunting: Option<ExposureHunting>,
+    image_processing: Option<ImageProcessing>,
     calibration_error: Option<CalibrationError>,
     camera_fault: Option<CameraFault>,
     /// As it is in the first frame; [`Scene::at_frame`] for the others.
@@ -91,7 +99,12 @@ impl Scene {
             sway: None,
             carrying: None,
             crowd: None,
+            turf: None,
             worn_lines: None,
+            sun_patches: None,
+            optics: None,
+            exposure_hunting: None,
+            image_processing: None,
             calibration_error: None,
             camera_fault: None,
             changing: Changing::default(),
@@ -135,6 +148,11 @@ impl Scene {
             Effect::CameraFault(effect) => self.camera_fault = Some(effect.clone()),
             Effect::Obstacles(effect) => self.crowd = Some(effect.model(seed, &self.field, &self.way())),
             Effect::WornLines(effect) => self.worn_lines = Some(effect.clone()),
+            Effect::ImageProcessing(effect) => self.image_processing = Some(effect.clone()),
+            Effect::ExposureHunting(effect) => self.exposure_hunting = Some(effect.clone()),
+            Effect::Optics(effect) => self.optics = Some(effect.clone()),
+            Effect::SunPatches(effect) => self.sun_patches = Some(effect.clone()),
+            Effect::Turf(effect) => self.turf = Some(effect.clone()),
             Effect::CalibrationError(effect) => {
                 self.announced_lens = effect.lens(key, self.lens.parameters())?;
                 self.calibration_error = Some(effect.clone());

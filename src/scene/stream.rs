@@ -15,6 +15,8 @@ pub(super) enum Purpose {
     Ranges = 10,
     SerialNoise = 11,
     CameraFault = 12,
+    Turf = 13,
+    SunPatches = 14,
 }
 
 /// Counter-based: the n-th number is a hash of key and n.

@@ -13,5 +13,6 @@ mod refusals;
 mod shelf;
 mod stored;
 mod told;
+mod turf;
 mod upon_views;
 mod world;

@@ -111,6 +111,40 @@ fn effects_out_of_range_name_key_and_value() {
         (format!("{odometry}freeze_from_s = 3"), vec!["unknown field `freeze_from_s`"]),
         (format!("{imu}mount_roll_deg = 200"), vec!["effect[0].mount_roll_deg is 200"]),
         ("kind = \"worn_lines\"\nshare = 2\npatch_m = 1".to_owned(), vec!["effect[0].share is 2"]),
+        (
+            "kind = \"turf\"\nblades = 2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 5".to_owned(),
+            vec!["effect[0].blades is 2", "0 (flat carpet) to 1"],
+        ),
+        (
+            "kind = \"turf\"\nblades = 0.2\nglint_share = 0.5\npaint = 0.4\nragged_mm = 5".to_owned(),
+            vec!["effect[0].glint_share is 0.5"],
+        ),
+        (
+            "kind = \"turf\"\nblades = 0.2\nglint_share = 0.003\npaint = -1\nragged_mm = 5".to_owned(),
+            vec!["effect[0].paint is -1"],
+        ),
+        (
+            "kind = \"turf\"\nblades = 0.2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 50".to_owned(),
+            vec!["effect[0].ragged_mm is 50"],
+        ),
+        (
+            "kind = \"sun_patches\"\ngain = 9\nshare = 0.5\nlength_m = 1.5\nedge_m = 0.2".to_owned(),
+            vec!["effect[0].gain is 9"],
+        ),
+        (
+            "kind = \"sun_patches\"\ngain = 2\nshare = 0.5\nlength_m = 1.5\nedge_m = 0".to_owned(),
+            vec!["effect[0].edge_m is 0"],
+        ),
+        (
+            "kind = \"optics\"\nstray_light = 0.9\nlateral_colour_px = 1".to_owned(),
+            vec!["effect[0].stray_light is 0.9"],
+        ),
+        ("kind = \"exposure_hunting\"\namplitude = 1\nperiod_s = 2".to_owned(), vec!["effect[0].amplitude is 1"]),
+        ("kind = \"exposure_hunting\"\namplitude = 0.4\nperiod_s = 0".to_owned(), vec!["effect[0].period_s is 0"]),
+        (
+            "kind = \"image_processing\"\ncolour_filter = true\nsharpening = 4".to_owned(),
+            vec!["effect[0].sharpening is 4"],
+        ),
         ("kind = \"calibration_error\"".to_owned(), vec!["effect[0] is a calibration_error of nothing"]),
         ("kind = \"calibration_error\"\nfocal_percent = 50".to_owned(), vec!["effect[0].focal_percent is 50"]),
     ] {
@@ -352,6 +386,10 @@ fn an_effect_that_does_nothing_is_refused() {
     for (effect, needed) in [
         ("kind = \"sensor_noise\"\nread_noise_dn = 0\nshot_noise_factor = 0", "read_noise_dn"),
         ("kind = \"worn_lines\"\nshare = 0\npatch_m = 0.3", "a share above 0"),
+        ("kind = \"sun_patches\"\ngain = 1\nshare = 0.5\nlength_m = 1.5\nedge_m = 0.2", "a gain above 1"),
+        ("kind = \"optics\"\nstray_light = 0\nlateral_colour_px = 0", "stray_light or lateral_colour_px above 0"),
+        ("kind = \"exposure_hunting\"\namplitude = 0\nperiod_s = 2", "an amplitude above 0"),
+        ("kind = \"image_processing\"\ncolour_filter = false\nsharpening = 0", "colour_filter, or sharpening above 0"),
         ("kind = \"light\"\ngain = 1", "a gain"),
         ("kind = \"light\"\ngain = 1.0\ncolour = [1, 1, 1]\ngradient_per_m = [0, -0.0]\ncamera_gain = 1", "a gain"),
         (
@@ -384,6 +422,11 @@ fn an_effect_that_does_nothing_is_refused() {
 fn what_acts_on_the_same_thing_stands_in_the_order_in_which_it_applies() {
     let light = "kind = \"light\"\ngain = 0.5";
     let worn = "kind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.3";
+    let turf = "kind = \"turf\"\nblades = 0.2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 5";
+    let sun = "kind = \"sun_patches\"\ngain = 2\nshare = 0.5\nlength_m = 1.5\nedge_m = 0.2";
+    let optics = "kind = \"optics\"\nstray_light = 0.1\nlateral_colour_px = 1";
+    let hunting = "kind = \"exposure_hunting\"\namplitude = 0.4\nperiod_s = 2";
+    let processing = "kind = \"image_processing\"\ncolour_filter = true\nsharpening = 1";
     let crowd = "kind = \"obstacles\"\nrandom = 2";
     let window = "kind = \"bright_window\"\nwall = \"+x\"\ncentre_m = 0\nwidth_m = 2\nsill_m = 1\nheight_m = 2\n\
                   brightness = 5";
@@ -391,9 +434,15 @@ fn what_acts_on_the_same_thing_stands_in_the_order_in_which_it_applies() {
     let taken = "kind = \"kidnapping\"\nto_m = [0, 0]\nto_yaw_deg = 0\nat_s = 5";
     let odometry = "kind = \"odometry_error\"\nscale_percent = 5\nyaw_drift_deg_per_m = 0\nnoise_m_per_m = 0";
     let imu = "kind = \"imu_error\"\nroll_bias_deg = 1\npitch_bias_deg = 0\nnoise_deg = 0\ngyro_noise_deg_s = 0";
-    super::common::straight_with(&[SWAY, taken, worn, light, window, crowd, odometry, noise, imu]);
+    super::common::straight_with(&[
+        SWAY, taken, turf, worn, sun, light, window, crowd, optics, hunting, odometry, noise, processing, imu,
+    ]);
     for (effects, first, then) in [
         ([light, worn], "worn_lines", "light"),
+        ([worn, turf], "turf", "worn_lines"),
+        ([light, sun], "sun_patches", "light"),
+        ([hunting, optics], "optics", "exposure_hunting"),
+        ([processing, noise], "sensor_noise", "image_processing"),
         ([crowd, light], "light", "obstacles"),
         ([crowd, window], "bright_window", "obstacles"),
         ([window, light], "light", "bright_window"),

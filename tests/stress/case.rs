@@ -137,7 +137,7 @@ impl fmt::Display for Case {
 }
 
 fn effects(draw: &mut Draw) -> Vec<String> {
-    let effects: [fn(&mut Draw) -> String; 15] = [
+    let effects: [fn(&mut Draw) -> String; 20] = [
         |d| {
             format!(
                 "kind = \"gait_sway\"\nroll_deg = {}\npitch_deg = {}\nlateral_m = {}\nvertical_m = {}\nstep_hz = {}",
@@ -178,7 +178,23 @@ fn effects(draw: &mut Draw) -> Vec<String> {
                 d.between(-0.5, 0.5)
             )
         },
+        |d| {
+            format!(
+                "kind = \"turf\"\nblades = {}\nglint_share = {}\npaint = {}\nragged_mm = {}",
+                d.between(0.0, 1.0),
+                d.between(0.0, 0.1),
+                d.between(0.0, 1.0),
+                d.between(0.0, 20.0)
+            )
+        },
         |d| format!("kind = \"worn_lines\"\nshare = {}\npatch_m = 0.5", d.between(0.0, 1.0)),
+        |d| {
+            let (gain, share) = (d.between(1.1, 4.0), d.between(0.1, 1.0));
+            format!(
+                "kind = \"sun_patches\"\ngain = {gain}\nshare = {share}\nlength_m = {}\nedge_m = 0.2",
+                d.between(0.2, 10.0)
+            )
+        },
         |d| {
             let gain = match d.below(3) {
                 0 => "{ uniform = [0.3, 2.0], per = \"frame\" }".to_owned(),
@@ -201,6 +217,20 @@ fn effects(draw: &mut Draw) -> Vec<String> {
         |d| format!("kind = \"obstacles\"\nrandom = {}", 1 + d.below(12)),
         |d| {
             format!("kind = \"shutter\"\nexposure_ms = {}\nreadout_ms = {}", d.between(0.1, 40.0), d.between(0.1, 50.0))
+        },
+        |d| {
+            format!(
+                "kind = \"optics\"\nstray_light = {}\nlateral_colour_px = {}",
+                d.between(0.01, 0.5),
+                d.between(0.0, 5.0)
+            )
+        },
+        |d| {
+            format!(
+                "kind = \"exposure_hunting\"\namplitude = {}\nperiod_s = {}",
+                d.between(0.1, 0.8),
+                d.between(0.1, 5.0)
+            )
         },
         |d| {
             format!(
@@ -237,6 +267,13 @@ fn effects(draw: &mut Draw) -> Vec<String> {
                 "kind = \"sensor_noise\"\nread_noise_dn = {}\nshot_noise_factor = {}",
                 d.between(0.0, 50.0),
                 d.between(0.0, 3.0)
+            )
+        },
+        |d| {
+            let colour_filter = d.one_of(&["true", "false"]);
+            format!(
+                "kind = \"image_processing\"\ncolour_filter = {colour_filter}\nsharpening = {}",
+                d.between(0.1, 3.0)
             )
         },
         |d| {

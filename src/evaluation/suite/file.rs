@@ -196,6 +196,7 @@ fn refuse(path: &Path, message: impl ToString) -> SuiteError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evaluation::suite::judge::Judged;
 
     fn refused(text: &str) -> String {
         Suite::parse(text, Path::new("s/suite.toml")).expect_err("refused").to_string()
@@ -213,6 +214,20 @@ mod tests {
         assert_eq!((a.limits.mean_cm, a.limits.valid_share), (Some(1.0), Some(0.9)));
         assert_eq!((x.source.as_path(), x.config.as_deref()), (Path::new("/b.mcap"), Some(Path::new("s/o.toml"))));
         assert_eq!((x.limits.mean_cm, x.limits.valid_share), (None, Some(0.9)));
+    }
+
+    #[test]
+    fn a_case_that_must_be_refused_has_no_limits_but_its_own() {
+        let text = "limits = { mean_cm = 1.0, valid_share = 0.9 }\n\
+                    [[case]]\nsource = \"b.toml\"\nlimits = { most_valid_share = 0 }\n";
+        let suite = Suite::parse(text, Path::new("s/suite.toml")).expect("a suite");
+        let own = Limits { most_valid_share: Some(0.0), ..Limits::default() };
+        assert_eq!(suite.cases[0].limits, own);
+        let mut judged = Judged::default();
+        for (valid_share, broken) in [(Some(0.0), 0), (Some(0.01), 1), (None, 1)] {
+            judged.valid_share = valid_share;
+            assert_eq!(own.broken(&judged).len(), broken, "{valid_share:?}");
+        }
     }
 
     #[test]
@@ -246,6 +261,8 @@ mod tests {
             (case("limits = { mean_cm = 1, max_cm = inf }"), vec!["limits.max_cm is inf"]),
             (case("limits = { valid_share = 0 }"), vec!["limits.valid_share is 0", "nothing can break"]),
             (case("limits = { valid_share = nan }"), vec!["limits.valid_share is NaN"]),
+            (case("limits = { most_valid_share = 1 }"), vec!["limits.most_valid_share is 1", "nothing can break"]),
+            (case("limits = { most_valid_share = -0.1 }"), vec!["limits.most_valid_share is -0.1", "0 to 1"]),
             (case("limits = { judged_share = 0.5 }"), vec!["no limit at all"]),
             (with("mean_cm = inf", ""), vec!["limits.mean_cm is inf"]),
             (with("mean_cm = 1", "limits = { mean_cm = inf }"), vec!["no limit at all"]),

@@ -20,6 +20,8 @@ pub struct Limits {
     pub ellipse95_share: Option<f64>,
     /// At least this share of the judged frames has a valid tag.
     pub valid_share: Option<f64>,
+    /// At most this share of the judged frames has a valid tag: for a case that must be refused. The suite's limits do not hold for it.
+    pub most_valid_share: Option<f64>,
     /// At least this share of the valid tags has a truth to be judged by; without it 0.9.
     pub judged_share: Option<f64>,
     /// The slowest, of all times that the case names in `recovery_from_s`.
@@ -32,6 +34,8 @@ pub struct Limits {
 const MOST_OF_THEM: f64 = 0.9;
 /// Limits from below; all others are from above.
 pub const LEAST: [&str; 3] = ["ellipse95_share", "valid_share", "judged_share"];
+/// Limits that are shares of what is judged.
+const SHARES: [&str; 4] = ["ellipse95_share", "valid_share", "most_valid_share", "judged_share"];
 
 /// A limit that was not kept.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -44,7 +48,7 @@ pub struct Broken {
 
 impl Limits {
     /// By name.
-    fn each_mut(&mut self) -> [(&'static str, &mut Option<f64>); 12] {
+    fn each_mut(&mut self) -> [(&'static str, &mut Option<f64>); 13] {
         [
             ("mean_cm", &mut self.mean_cm),
             ("median_cm", &mut self.median_cm),
@@ -55,6 +59,7 @@ impl Limits {
             ("pitch_median_deg", &mut self.pitch_median_deg),
             ("ellipse95_share", &mut self.ellipse95_share),
             ("valid_share", &mut self.valid_share),
+            ("most_valid_share", &mut self.most_valid_share),
             ("judged_share", &mut self.judged_share),
             ("recovered_within_s", &mut self.recovered_within_s),
             ("p99_ratio", &mut self.p99_ratio),
@@ -67,7 +72,7 @@ impl Limits {
 
     /// These over those of the suite; what nothing can break is gone.
     pub(super) fn over(mut self, suite: &Self) -> Self {
-        let mut suite = *suite;
+        let mut suite = if self.most_valid_share.is_some() { Self::default() } else { *suite };
         for ((name, own), (_, suite)) in self.each_mut().into_iter().zip(suite.each_mut()) {
             *own = own.or(*suite).filter(|value| !is_endless(name, *value));
         }
@@ -76,10 +81,10 @@ impl Limits {
 
     pub(super) fn check(&self) -> Result<(), String> {
         for (name, value) in self.named() {
-            if LEAST.contains(&name) && !(0.0..=1.0).contains(&value) {
+            if SHARES.contains(&name) && !(0.0..=1.0).contains(&value) {
                 return Err(format!("limits.{name} is {value}: it is 0 to 1"));
             }
-            if !LEAST.contains(&name) && (value.is_nan() || value <= 0.0) {
+            if !SHARES.contains(&name) && (value.is_nan() || value <= 0.0) {
                 return Err(format!("limits.{name} is {value}: it must be above 0"));
             }
         }
@@ -100,7 +105,7 @@ impl Limits {
 
     /// Whether the true poses are needed to tell.
     pub fn ask_for_truth(&self) -> bool {
-        Self { valid_share: None, p99_ratio: None, ..*self }.ask_for_something()
+        Self { valid_share: None, most_valid_share: None, p99_ratio: None, ..*self }.ask_for_something()
     }
 
     /// All but the time, which is measured later.
@@ -117,12 +122,13 @@ impl Limits {
             "pitch_median_deg" => error(c.pitch_deg.median),
             _ => judged.slowest_recovery_s(),
         };
-        let of_errors = self.named().filter(|(name, _)| *name != "p99_ratio" && !LEAST.contains(name));
+        let of_errors = self.named().filter(|(name, _)| *name != "p99_ratio" && !SHARES.contains(name));
         let mut broken: Vec<Broken> =
             of_errors.filter_map(|(name, allowed)| above(name, measured(name), allowed)).collect();
         let held = error(c.ellipse95_share);
         broken.extend(self.ellipse95_share.and_then(|allowed| below("ellipse95_share", held, allowed)));
         broken.extend(self.valid_share.and_then(|allowed| below("valid_share", judged.valid_share, allowed)));
+        broken.extend(self.most_valid_share.and_then(|most| above("most_valid_share", judged.valid_share, most)));
         if self.ask_for_truth() && c.valid > 0 {
             let share = c.judged as f64 / c.valid as f64;
             broken.extend(below("judged_share", Some(share), self.judged_share.unwrap_or(MOST_OF_THEM)));
@@ -147,5 +153,7 @@ fn below(limit: &'static str, value: Option<f64>, allowed: f64) -> Option<Broken
 
 fn is_endless(name: &str, value: f64) -> bool {
     // A judged_share of 0 takes away what holds without it.
-    value.is_infinite() || ["ellipse95_share", "valid_share"].contains(&name) && value == 0.0
+    value.is_infinite()
+        || name == "most_valid_share" && value == 1.0
+        || ["ellipse95_share", "valid_share"].contains(&name) && value == 0.0
 }

@@ -87,6 +87,13 @@ pub struct Agreement {
     pub half_seen_px: f64,
 }
 
+impl Agreement {
+    /// Share of the expected line places that fit, however thin the line is there.
+    pub fn share_of_places(&self) -> f64 {
+        self.fitting as f64 / self.expected.max(1) as f64
+    }
+}
+
 /// Of one field and lens; keeps what it works in from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Refiner {

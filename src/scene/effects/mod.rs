@@ -5,33 +5,43 @@
 mod bright_window;
 mod calibration_error;
 mod camera_fault;
+mod exposure_hunting;
 mod fall;
 mod gait_sway;
 mod head_motion;
+mod image_processing;
 mod imu_error;
 mod kidnapping;
 mod light;
 mod obstacles;
 mod odometry_error;
+mod optics;
 mod sensor_noise;
 mod serial_noise;
 mod shutter;
+mod sun_patches;
+mod turf;
 mod worn_lines;
 
 pub use bright_window::{BrightWindow, Wall};
 pub use calibration_error::CalibrationError;
 pub use camera_fault::CameraFault;
+pub use exposure_hunting::ExposureHunting;
 pub use fall::{Direction, Fall};
 pub use gait_sway::GaitSway;
 pub use head_motion::{HeadMotion, Joints};
+pub use image_processing::ImageProcessing;
 pub use imu_error::ImuError;
 pub use kidnapping::Kidnapping;
 pub use light::Light;
 pub use obstacles::{Figure, FigureShape, Obstacles};
 pub use odometry_error::{Jump, OdometryError, Span};
+pub use optics::Optics;
 pub use sensor_noise::SensorNoise;
 pub use serial_noise::SerialNoise;
 pub use shutter::Shutter;
+pub use sun_patches::SunPatches;
+pub use turf::Turf;
 pub use worn_lines::WornLines;
 
 pub(super) use fall::Tumble;
@@ -60,9 +70,14 @@ pub enum Effect {
     Light(Light),
     BrightWindow(BrightWindow),
     Obstacles(Obstacles),
+    Turf(Turf),
     WornLines(WornLines),
+    SunPatches(SunPatches),
     Shutter(Shutter),
+    Optics(Optics),
+    ExposureHunting(ExposureHunting),
     SensorNoise(SensorNoise),
+    ImageProcessing(ImageProcessing),
     CameraFault(CameraFault),
     OdometryError(OdometryError),
     ImuError(ImuError),
@@ -105,11 +120,23 @@ pub(super) fn check_may_change(range: &Range) -> Result<(), SceneError> {
 }
 
 /// What acts on the same thing, in the order in which it applies: the gait, the head upon it, and what interrupts both;
-/// paint, the light on it, the window and its sunlight, who stands before all that, the shutter, and the sensor; the yaw
-/// that odometry makes, and the IMU that tells it. All others have a thing of their own.
+/// turf, paint, sunlight on it, the hall's light, the window and its sunlight, who stands before all that, the shutter, the lens, the exposure, the
+/// sensor, and what the camera makes of it; the yaw that odometry makes, and the IMU that tells it. All others have a thing of their own.
 const CHAINS: [&[&str]; 3] = [
     &["gait_sway", "head_motion", "kidnapping", "fall"],
-    &["worn_lines", "light", "bright_window", "obstacles", "shutter", "sensor_noise"],
+    &[
+        "turf",
+        "worn_lines",
+        "sun_patches",
+        "light",
+        "bright_window",
+        "obstacles",
+        "shutter",
+        "optics",
+        "exposure_hunting",
+        "sensor_noise",
+        "image_processing",
+    ],
     &["odometry_error", "imu_error"],
 ];
 
@@ -136,6 +163,11 @@ impl Effect {
             Effect::Light(_) => "light",
             Effect::Obstacles(_) => "obstacles",
             Effect::WornLines(_) => "worn_lines",
+            Effect::ImageProcessing(_) => "image_processing",
+            Effect::ExposureHunting(_) => "exposure_hunting",
+            Effect::Optics(_) => "optics",
+            Effect::SunPatches(_) => "sun_patches",
+            Effect::Turf(_) => "turf",
             Effect::SensorNoise(_) => "sensor_noise",
             Effect::OdometryError(_) => "odometry_error",
             Effect::ImuError(_) => "imu_error",
@@ -156,6 +188,11 @@ impl Effect {
             Effect::Light(effect) => effect.role,
             Effect::Obstacles(effect) => effect.role,
             Effect::WornLines(effect) => effect.role,
+            Effect::ImageProcessing(effect) => effect.role,
+            Effect::ExposureHunting(effect) => effect.role,
+            Effect::Optics(effect) => effect.role,
+            Effect::SunPatches(effect) => effect.role,
+            Effect::Turf(effect) => effect.role,
             Effect::SensorNoise(effect) => effect.role,
             Effect::OdometryError(effect) => effect.role,
             Effect::ImuError(effect) => effect.role,
@@ -169,9 +206,14 @@ impl Effect {
             Effect::Light(_)
             | Effect::BrightWindow(_)
             | Effect::Obstacles(_)
+            | Effect::Turf(_)
             | Effect::WornLines(_)
+            | Effect::SunPatches(_)
             | Effect::Shutter(_)
-            | Effect::SensorNoise(_) => true,
+            | Effect::Optics(_)
+            | Effect::ExposureHunting(_)
+            | Effect::SensorNoise(_)
+            | Effect::ImageProcessing(_) => true,
             Effect::GaitSway(_)
             | Effect::HeadMotion(_)
             | Effect::Kidnapping(_)
@@ -195,6 +237,12 @@ impl Effect {
                 (effect.is_daylight(), "a gain or camera_gain other than 1, a gradient or a colour other than white")
             }
             Effect::WornLines(effect) => (effect.share == 0.0, "a share above 0"),
+            Effect::SunPatches(effect) => {
+                (effect.gain == 1.0 || effect.share == 0.0, "a gain above 1 and a share above 0")
+            }
+            Effect::Optics(effect) => (effect.is_perfect(), "stray_light or lateral_colour_px above 0"),
+            Effect::ExposureHunting(effect) => (effect.amplitude == 0.0, "an amplitude above 0"),
+            Effect::ImageProcessing(effect) => (effect.is_none(), "colour_filter, or sharpening above 0"),
             Effect::SensorNoise(effect) => (
                 effect.read_noise_dn == 0.0 && effect.shot_noise_factor == 0.0,
                 "read_noise_dn or shot_noise_factor above 0",
@@ -211,6 +259,7 @@ impl Effect {
             | Effect::Fall(_)
             | Effect::BrightWindow(_)
             | Effect::Obstacles(_)
+            | Effect::Turf(_)
             | Effect::Shutter(_)
             | Effect::CameraFault(_) => (false, ""),
         };
@@ -229,11 +278,18 @@ impl Effect {
     fn stage(&self) -> Stage {
         match self {
             Effect::GaitSway(_) | Effect::HeadMotion(_) | Effect::Kidnapping(_) | Effect::Fall(_) => Stage::Motion,
-            Effect::Light(_) | Effect::BrightWindow(_) | Effect::Obstacles(_) | Effect::WornLines(_) => Stage::World,
-            Effect::Shutter(_) => Stage::Exposure,
-            Effect::SensorNoise(_) | Effect::OdometryError(_) | Effect::ImuError(_) | Effect::CalibrationError(_) => {
-                Stage::Sensor
-            }
+            Effect::Turf(_)
+            | Effect::WornLines(_)
+            | Effect::SunPatches(_)
+            | Effect::Light(_)
+            | Effect::BrightWindow(_)
+            | Effect::Obstacles(_) => Stage::World,
+            Effect::Shutter(_) | Effect::Optics(_) | Effect::ExposureHunting(_) => Stage::Exposure,
+            Effect::SensorNoise(_)
+            | Effect::ImageProcessing(_)
+            | Effect::OdometryError(_)
+            | Effect::ImuError(_)
+            | Effect::CalibrationError(_) => Stage::Sensor,
             Effect::CameraFault(_) | Effect::SerialNoise(_) => Stage::Wire,
         }
     }
@@ -251,6 +307,11 @@ impl Effect {
             Effect::Light(effect) => effect.check(key),
             Effect::Obstacles(effect) => effect.check(key, field),
             Effect::WornLines(effect) => effect.check(key),
+            Effect::ImageProcessing(effect) => effect.check(key),
+            Effect::ExposureHunting(effect) => effect.check(key),
+            Effect::Optics(effect) => effect.check(key),
+            Effect::SunPatches(effect) => effect.check(key),
+            Effect::Turf(effect) => effect.check(key),
             Effect::SensorNoise(effect) => effect.check(key),
             Effect::OdometryError(effect) => effect.check(key),
             Effect::ImuError(effect) => effect.check(key),
@@ -279,8 +340,9 @@ pub(super) fn check(effects: &[Effect], field: &Field) -> Result<(), SceneError>
         }
         if before.iter().any(|other| other.stage() > effect.stage()) {
             let expected = "list effects in physical order: what moves the robot (gait_sway, head_motion, kidnapping, \
-                            fall), then what it sees (worn_lines, light, bright_window, obstacles), then the shutter, \
-                            then what sensors add (sensor_noise, odometry_error, imu_error, calibration_error), then \
+                            fall), then what it sees (turf, worn_lines, sun_patches, light, bright_window, obstacles), \
+                            then how it is exposed (shutter, optics, exposure_hunting), then what sensors add \
+                            (sensor_noise, image_processing, odometry_error, imu_error, calibration_error), then \
                             what the wires do (camera_fault, serial_noise)";
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }

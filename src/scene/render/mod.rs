@@ -20,6 +20,7 @@ mod solid;
 mod surface;
 mod tile;
 mod tiles;
+mod turf;
 mod wear;
 mod window;
 
@@ -38,7 +39,8 @@ use footprint::{GroundRow, Turned};
 use light::lit;
 use placed::View;
 use rays::RayTable;
-use surface::World;
+use surface::{Coat, World};
+use turf::{Sunlight, TurfLook};
 use wear::Wear;
 use window::Window;
 
@@ -69,7 +71,9 @@ impl Renderer {
         let rays = RayTable::new(scene.lens());
         let seed = scene.file().scene.seed;
         let wear = scene.worn_lines.as_ref().map(|effect| Wear::new(effect, seed));
-        let world = World::new(scene.field(), wear, seed);
+        let turf = scene.turf.as_ref().map(|effect| TurfLook::new(effect, seed));
+        let sun = scene.sun_patches.as_ref().map(|effect| Sunlight::new(effect, seed));
+        let world = World::new(scene.field(), Coat { turf, wear, sun }, seed);
         let crowd = scene.crowd.as_ref().map(|crowd| CrowdView::new(crowd, &rays));
         Self { scene: scene.clone(), rays, world, crowd }
     }
@@ -96,6 +100,9 @@ impl Renderer {
         if let Some(noise) = &now.noise {
             noise.apply(index, pixels);
         }
+        if let Some(processing) = &self.scene.image_processing {
+            processing.apply(self.rays.width(), pixels);
+        }
     }
 
     /// What reaches the sensor, without the sensor's own effects.
@@ -114,6 +121,13 @@ impl Renderer {
             Some(shutter) => self.expose_bands(shutter, &shot, pixels),
         };
         window::veil(pixels, veil);
+        if let Some(optics) = &self.scene.optics {
+            let lens = self.scene.lens().parameters();
+            optics.apply(width, [lens.cx, lens.cy], pixels);
+        }
+        if let Some(hunting) = &self.scene.exposure_hunting {
+            hunting.apply(time, pixels);
+        }
     }
 
     /// The empty hall by daylight, whatever the scene lists: what everything else is measured against.

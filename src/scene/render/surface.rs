@@ -9,6 +9,7 @@ use super::lines::LineMap;
 use super::shape::inside_rectangle;
 use super::sheet::{Canvas, Colour, Sheet};
 use super::tile::Tile;
+use super::turf::{Sunlight, TurfLook};
 use super::wear::Wear;
 use crate::geometry::Field;
 
@@ -18,8 +19,16 @@ pub(super) struct World {
     carpet: Sheet,
     fibres: Tile,
     lines: LineMap,
-    wear: Option<Wear>,
+    coat: Coat,
     pub(super) hall: Hall,
+}
+
+/// What lies on the bare carpet beside its lines.
+#[derive(Clone, Debug)]
+pub(super) struct Coat {
+    pub(super) turf: Option<TurfLook>,
+    pub(super) wear: Option<Wear>,
+    pub(super) sun: Option<Sunlight>,
 }
 
 const PAINT: Colour = [222.0, 226.0, 222.0];
@@ -32,14 +41,14 @@ const PAINT_GAIN: f32 = 0.18 / 128.0;
 const FLOOR_GAIN: f32 = 0.12 / 128.0;
 
 impl World {
-    pub(super) fn new(field: &Field, wear: Option<Wear>, seed: u64) -> Self {
+    pub(super) fn new(field: &Field, coat: Coat, seed: u64) -> Self {
         let half = field.carpet_half_extent();
         Self {
             carpet_half: half.as_vec2().to_array(),
             carpet: carpet(half, seed),
             fibres: Tile::new(seed, Purpose::Carpet, TEXELS_PER_METRE),
             lines: LineMap::new(field),
-            wear,
+            coat,
             hall: Hall::new(half, seed),
         }
     }
@@ -62,23 +71,33 @@ impl World {
         let mut colour = [0.0; 3];
         if on_carpet > 0.0 {
             let base = self.carpet.sample(p.x + self.carpet_half[0], p.y + self.carpet_half[1]);
-            let mut paint = self.lines.coverage(&p);
-            if let Some(wear) = &self.wear
+            let turf = self.coat.turf.as_ref();
+            let mut paint = match turf {
+                None => self.lines.coverage(&p),
+                Some(turf) => self.lines.coverage(&turf.strayed(&p)),
+            };
+            if let Some(wear) = &self.coat.wear
                 && paint > 0.0
             {
                 paint *= wear.left(&p);
             }
             let (gain, paint_gain) = (1.0 + CARPET_GAIN * fibre, paint * (1.0 + PAINT_GAIN * fibre));
             let bare_gain = (1.0 - paint) * gain;
-            colour = [
-                bare_gain * base[0] + paint_gain * PAINT[0],
-                bare_gain * base[1] + paint_gain * PAINT[1],
-                bare_gain * base[2] + paint_gain * PAINT[2],
-            ];
+            colour = match turf {
+                Some(turf) => turf.colour(&p, base, paint),
+                None => [
+                    bare_gain * base[0] + paint_gain * PAINT[0],
+                    bare_gain * base[1] + paint_gain * PAINT[1],
+                    bare_gain * base[2] + paint_gain * PAINT[2],
+                ],
+            };
         }
         if on_carpet < 1.0 {
             let gain = 1.0 + FLOOR_GAIN * fibre;
             colour = mix(self.hall.floor(p.x, p.y).map(|value| value * gain), colour, on_carpet);
+        }
+        if let Some(sun) = &self.coat.sun {
+            colour = sun.on(&p, colour);
         }
         if on_floor < 1.0 {
             colour = mix(self.hall.above_floor(camera, ray), colour, on_floor);
