@@ -50,9 +50,9 @@ impl Physical for SearchState {
 /// How much of a search is done in each frame, whatever the clock says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// The robot is lost: the whole grid within [`MOST_FRAMES`].
+    /// The robot is lost: the whole grid within 15 frames.
     Hurried,
-    /// A pose is believed: [`PLACES_AT_LEISURE`] a frame, so that frames take little longer than without a search.
+    /// A pose is believed: a fixed, small part in each frame, so that frames take little longer than without a search.
     Leisurely,
 }
 

@@ -104,7 +104,7 @@ impl PaintedMap {
     }
 
     /// Of the lines that a picture shows at any distance, the share that is painted where the pose `map_from_optical` puts them, each counted by its
-    /// length in the picture, as if [`BELIEVED_PX`] more had been explained. What may be the frame of a goal is left out.
+    /// length in the picture, as if 10 pixels more had been explained. What may be the frame of a goal is left out.
     pub fn explained_in_view(
         &self,
         ridges: &[Ridge],
