@@ -334,7 +334,7 @@ impl Found {
     fn is_trusted(&self, searched: bool) -> bool {
         let digits = if searched { TRUSTED_DIGITS_IF_SEARCHED } else { TRUSTED_DIGITS };
         let both_ways = self.lines.share.min(self.lines.foremost) * self.explained;
-        let faint = BOTH_WAYS_LESS_PER_PX * (self.lines.half_seen_px - 1.0).max(0.0);
+        let faint = BOTH_WAYS_LESS_PER_PX * self.lines.fainter_px();
         self.lines.digits >= digits && both_ways >= TRUSTED_BOTH_WAYS - faint
     }
 }

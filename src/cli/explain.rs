@@ -18,7 +18,7 @@ use crate::config::{Settings, load_field};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::refinement::offsets::Finding;
-use crate::localization::verdict::AGREES_DIGITS;
+use crate::localization::verdict::{AGREES_DIGITS, IN_VIEW};
 use crate::localization::{Evidence, Tried};
 
 /// Show why the tag of one frame, or the pose of one image, is what it is
@@ -236,7 +236,7 @@ fn told_of_image(located: &Located, evidence: Option<&Evidence>) -> Vec<String> 
 
 /// What was seen.
 fn seen(evidence: &Evidence) -> Vec<String> {
-    let Evidence { agreement, explained, contrast, noise, .. } = evidence;
+    let Evidence { agreement, explained, explained_in_view, contrast, noise, .. } = evidence;
     let mut lines = Vec::new();
     if contrast.is_finite() {
         lines.push(format!(
@@ -259,7 +259,11 @@ fn seen(evidence: &Evidence) -> Vec<String> {
         digits if digits < AGREES_DIGITS => "chance puts as many there".to_owned(),
         digits => format!("chance would put as many there once in 10^{digits:.0} pictures"),
     });
-    lines.push(format!("of the line seen {:.0} % is painted where the pose has it", 100.0 * explained.share));
+    lines.push(format!(
+        "of the line seen near the robot {:.0} % is painted where the pose has it, of all lines in view {:.0} %",
+        100.0 * explained.share,
+        100.0 * explained_in_view
+    ));
     lines
 }
 
@@ -277,6 +281,10 @@ fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
         "pose_unknown" => {
             "no place of the field explains this frame: if red marks lie beside painted lines in the picture, then field, lens or mount are \
              not what they are said to be; if magenta marks lie on real lines, the field is another"
+        }
+        "unconfirmed" if evidence.is_some_and(|evidence| evidence.explained_in_view < IN_VIEW) => {
+            "lines in view lie where the field has none: the robot is elsewhere, field, lens or mount are not what they are said to be, or \
+             something else on the carpet looks like a line"
         }
         "unconfirmed" => {
             "the pose fits, and needs more evidence: further frames that agree, or a place that is told (/initialpose)"
@@ -316,7 +324,7 @@ fn report(explained: &Explained) -> Value {
     });
     report["told"] = json!(explained.told);
     if let Some(Sight { evidence, .. }) = &explained.sight {
-        let Evidence { agreement, explained, contrast, noise, lines, shown, tried, .. } = evidence;
+        let Evidence { agreement, explained, explained_in_view, contrast, noise, lines, shown, tried, .. } = evidence;
         let lines: Vec<Value> = lines
             .iter()
             .map(|line| {
@@ -333,7 +341,7 @@ fn report(explained: &Explained) -> Value {
             "contrast": contrast.is_finite().then_some(contrast), "noise": noise,
             "expected": agreement.expected, "fitting": agreement.fitting, "share": agreement.share,
             "foremost": agreement.foremost, "digits": agreement.digits, "rms_px": agreement.rms_px,
-            "explained": explained.share, "shown_m2": explained.shown_m2,
+            "explained": explained.share, "explained_in_view": explained_in_view, "shown_m2": explained.shown_m2,
             "shown_places": shown.len(), "unexplained_places": unexplained,
             "lines": lines, "tried": tried,
         });

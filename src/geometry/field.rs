@@ -2,7 +2,7 @@
 
 use core::f64::consts::TAU;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -127,6 +127,17 @@ impl Field {
     pub fn carpet_half_extent(&self) -> DVec2 {
         let d = &self.dimensions;
         DVec2::new(d.length_m, d.width_m) / 2.0 + DVec2::splat(d.border_strip_m)
+    }
+
+    /// Axes of the goals' posts and crossbars, from one end to the other, in `map`: none if the field has no goals.
+    pub fn goal_bars(&self) -> Vec<[DVec3; 2]> {
+        let Some(goal) = self.dimensions.goal else { return Vec::new() };
+        let (line_x, half) = (self.dimensions.length_m / 2.0, goal.width_m / 2.0);
+        let bars = |x: f64| {
+            let [foot, top] = [0.0, goal.height_m].map(|z| move |y: f64| DVec3::new(x, y, z));
+            [[foot(-half), top(-half)], [foot(half), top(half)], [top(-half), top(half)]]
+        };
+        [-line_x, line_x].into_iter().flat_map(bars).collect()
     }
 
     pub fn on_carpet(&self, point: DVec2) -> bool {

@@ -5,9 +5,8 @@
 
 use glam::{DVec2, DVec3};
 
-use crate::geometry::field::Goal;
 use crate::geometry::{Field, Isometry, Lens};
-use crate::vision::{GroundTable, Ridge, WorkingScale};
+use crate::vision::{GroundTable, Ridge, Seen, WorkingScale};
 
 /// Distance from any place of the carpet to the nearest painted line.
 #[derive(Clone, Debug)]
@@ -17,7 +16,7 @@ pub struct PaintedMap {
     columns: usize,
     corner: DVec2,
     line_width_m: f64,
-    /// Of the goal at positive x: each bar of its frame from one end to the other.
+    /// Axes of the goals' frames, from one end to the other.
     goal_bars: Vec<[DVec3; 2]>,
     bar_diameter_m: f64,
 }
@@ -69,10 +68,9 @@ impl PaintedMap {
                 distances.push(libm::round(distance * PER_METRE) as u8);
             }
         }
-        let line_x = field.dimensions().length_m / 2.0;
-        let goal = field.dimensions().goal;
-        let goal_bars = goal.map(|goal| bars(goal, line_x)).unwrap_or_default();
-        let bar_diameter_m = goal.map_or(0.0, |goal| goal.post_diameter_m);
+        let mut goal_bars = field.goal_bars();
+        goal_bars.extend(ground_bars(field));
+        let bar_diameter_m = field.dimensions().goal.map_or(0.0, |goal| goal.post_diameter_m);
         Self { distances, columns, corner, line_width_m: field.line_width(), goal_bars, bar_diameter_m }
     }
 
@@ -104,14 +102,20 @@ impl PaintedMap {
     }
 
     /// Of the lines that a picture shows at any distance, the share that is painted where the pose `map_from_optical` puts them, each counted by its
-    /// length in the picture, as if 10 pixels more had been explained. What may be the frame of a goal is left out.
+    /// length in the picture, as if 10 pixels more had been explained. What may be the frame of a goal is left out. The picture was taken through
+    /// `lens` at `footprint_from_optical`.
     pub fn explained_in_view(
         &self,
-        ridges: &[Ridge],
+        seen: &Seen,
         lens: &Lens,
-        scale: WorkingScale,
+        footprint_from_optical: &Isometry,
         map_from_optical: &Isometry,
     ) -> f64 {
+        let ridges = seen.ridges(footprint_from_optical, lens.focal(), self.line_width_m);
+        self.share_of(&ridges, lens, seen.image.scale(), map_from_optical)
+    }
+
+    fn share_of(&self, ridges: &[Ridge], lens: &Lens, scale: WorkingScale, map_from_optical: &Isometry) -> f64 {
         let camera = map_from_optical.translation;
         let pixels_per_radian = lens.focal() * scale.factor();
         let (mut shown, mut explained) = (BELIEVED_PX, BELIEVED_PX);
@@ -138,13 +142,10 @@ impl PaintedMap {
         explained / shown
     }
 
-    /// Whether a bar of one of the goals may be what is seen on the way from the camera to the ground, give or take so much.
+    /// Whether the way from the camera to the ground comes within a bar's radius and so many metres of a goal's frame.
     fn may_be_goal(&self, camera: DVec3, ground: DVec3, within_m: f64) -> bool {
-        let mirrored = |at: DVec3| DVec3::new(-at.x, -at.y, at.z);
-        self.goal_bars.iter().any(|bar| {
-            let near = |way: [DVec3; 2]| distance_between(way, *bar) <= self.bar_diameter_m / 2.0 + within_m;
-            near([camera, ground]) || near([mirrored(camera), mirrored(ground)])
-        })
+        let reach_m = self.bar_diameter_m / 2.0 + within_m;
+        self.goal_bars.iter().any(|bar| distance_between([camera, ground], *bar) <= reach_m)
     }
 
     /// Of each place that shows a line clearly: its ray from the camera, along the axes of `map`, how certain it is, and whether a
@@ -176,20 +177,16 @@ impl PaintedMap {
     }
 }
 
-/// Posts and crossbar, and on the ground what holds the net: from each post to the back, and along it.
-fn bars(goal: Goal, line_x: f64) -> Vec<[DVec3; 2]> {
-    let (half_m, back_x) = (goal.width_m / 2.0, line_x + goal.depth_m);
-    let [left, right] = [half_m, -half_m].map(|y| DVec3::new(line_x, y, 0.0));
-    let [left_back, right_back] = [half_m, -half_m].map(|y| DVec3::new(back_x, y, 0.0));
-    let top = DVec3::new(0.0, 0.0, goal.height_m);
-    vec![
-        [left, left + top],
-        [right, right + top],
-        [left + top, right + top],
-        [left, left_back],
-        [right, right_back],
-        [left_back, right_back],
-    ]
+/// What holds the goals' nets on the ground: a bar from each post to the back, and one along it.
+fn ground_bars(field: &Field) -> Vec<[DVec3; 2]> {
+    let dimensions = field.dimensions();
+    let Some(goal) = dimensions.goal else { return Vec::new() };
+    let (line_x, half_m) = (dimensions.length_m / 2.0, goal.width_m / 2.0);
+    let bars = |side: f64| {
+        let [front, back] = [line_x, line_x + goal.depth_m].map(|x| move |y: f64| DVec3::new(side * x, y, 0.0));
+        [[front(half_m), back(half_m)], [front(-half_m), back(-half_m)], [back(-half_m), back(half_m)]]
+    };
+    [1.0, -1.0].into_iter().flat_map(bars).collect()
 }
 
 /// The shortest distance between two segments (C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9).
@@ -240,7 +237,7 @@ mod tests {
     #[test]
     fn every_line_in_view_is_explained_by_the_right_pose_and_few_by_a_wrong_one() {
         let painted = PaintedMap::new(&field());
-        let share = |ridges: &[Ridge], at| painted.explained_in_view(ridges, &lens(), WorkingScale::new(1), &at);
+        let share = |ridges: &[Ridge], at| painted.share_of(ridges, &lens(), WorkingScale::new(1), &at);
         for (x, y, yaw) in [(0.5, 0.3, 0.2), (-2.0, 1.0, 2.5), (3.0, -1.5, 0.4)] {
             let ridges = seen_from(&camera(x, y, yaw));
             assert!(ridges.len() > 60, "{}", ridges.len());
@@ -255,8 +252,7 @@ mod tests {
     #[test]
     fn what_lies_above_the_horizon_is_not_explained_and_nothing_seen_speaks_against_nothing() {
         let painted = PaintedMap::new(&field());
-        let share =
-            |ridges: &[Ridge]| painted.explained_in_view(ridges, &lens(), WorkingScale::new(1), &camera(0.0, 0.0, 0.0));
+        let share = |ridges: &[Ridge]| painted.share_of(ridges, &lens(), WorkingScale::new(1), &camera(0.0, 0.0, 0.0));
         assert_eq!(share(&[]), 1.0);
         let sky = Ridge { pixel: DVec2::new(320.0, 10.0), length_px: BELIEVED_PX };
         assert_eq!(share(&[sky]), 0.5);
@@ -279,12 +275,8 @@ mod tests {
                 .fold(f64::INFINITY, f64::min);
             let found = distance_between([a, b], [c, d]);
             assert!(found <= least + 1e-12 && found > least - 0.02, "{seed}: {found} instead of {least}");
-            assert!(
-                (distance_between([a, a], [c, d])
-                    - shares().map(|share| a.distance(c.lerp(d, share))).fold(f64::INFINITY, f64::min))
-                .abs()
-                    < 0.01
-            );
+            let of_a = shares().map(|share| a.distance(c.lerp(d, share))).fold(f64::INFINITY, f64::min);
+            assert!((distance_between([a, a], [c, d]) - of_a).abs() < 0.01, "{seed}: of a point");
         }
     }
 

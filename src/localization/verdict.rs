@@ -186,15 +186,15 @@ const AGREES_LESS_PER_PX: f64 = 0.04;
 const LESS_IF_HELD_FAST: f64 = 0.2;
 /// Once it has explained so much.
 const WELL_EXPLAINED: f64 = 0.95;
-/// So much of what a frame may leave unexplained near the robot may be there when a pose is confirmed: all of it if it was told, for a ball or
-/// sunlight may be a fourth of what little line is near.
+/// A frame that confirms a pose may leave this part of what any valid frame may leave unexplained near the robot. Of a pose that was told it is all:
+/// a ball or sunlight may be a fourth of what little line is near.
 const CONFIRMED_WITH_IF_TOLD: f64 = 1.0;
-/// Of one that was found little, and more where lines are faint: what stands out of turf like lines is blades and glints too.
+/// Of a pose that was found it is little, and more where lines are faint, since blades and glints of turf stand out as lines do.
 const CONFIRMED_WITH_IF_FOUND: f64 = 0.2;
 const MORE_PER_PX: f64 = 0.2;
 /// And of the lines that the picture shows at any distance, this share must be painted where the pose has them: right poses have 0.97 or more on
 /// carpet and 0.94 or more on turf in sun and shade (docs/lines.md).
-const IN_VIEW: f64 = 0.94;
+pub const IN_VIEW: f64 = 0.94;
 const BETTER_WITH: f64 = 0.2;
 
 impl Physical for Standing {
@@ -477,12 +477,11 @@ impl Standing {
         let foremost = foremost - FOREMOST_LESS_IF_FOUND_AGAIN * again;
         let usual = self.usual_foremost.map_or(0.0, |usual| usual - USUAL_LESS_IF_FOUND - LESS_IF_FOUND_AGAIN * again);
         let share = SHARE_IF_FOUND - SHARE_LESS_PER_PX * lines.half_seen_px;
-        let fainter_px = (lines.half_seen_px - 1.0).max(0.0);
         Needed {
             digits: if is_alone { DIGITS_IF_FOUND_AGAIN } else { DIGITS_IF_FOUND },
             foremost: if self.was_told { foremost } else { foremost.max(usual) },
             share: (share - LESS_IF_FOUND_AGAIN * again).max(CONTRADICTED),
-            unexplained: CONFIRMED_WITH_IF_FOUND + MORE_PER_PX * fainter_px + MORE_IF_FOUND_AGAIN * again,
+            unexplained: CONFIRMED_WITH_IF_FOUND + MORE_PER_PX * lines.fainter_px() + MORE_IF_FOUND_AGAIN * again,
         }
     }
 
@@ -493,7 +492,7 @@ impl Standing {
 
 /// The share of the expected lines that would fit if all were as clear as on well painted carpet.
 fn share_if_clear(lines: &Agreement) -> f64 {
-    (lines.share + FAINT_SHARE_PER_PX * (lines.half_seen_px - 1.0).max(0.0)).min(1.0)
+    (lines.share + FAINT_SHARE_PER_PX * lines.fainter_px()).min(1.0)
 }
 
 /// What a frame has to show to confirm a pose.
@@ -501,7 +500,7 @@ struct Needed {
     digits: f64,
     foremost: f64,
     share: f64,
-    /// At most, of what a single frame may leave unexplained.
+    /// As a part of what a valid frame may leave unexplained near the robot.
     unexplained: f64,
 }
 
@@ -553,7 +552,7 @@ pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> boo
 /// test alone may fail this one. docs/design.md says how often right poses do, and on which walks.
 fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
-    let faint = AGREES_LESS_PER_PX * (lines.half_seen_px - 1.0).max(0.0);
+    let faint = AGREES_LESS_PER_PX * lines.fainter_px();
     let least = if fix.adrift { AGREES_ALONE } else { AGREES_BOTH_WAYS - faint };
     lines.expected < FEWEST_EXPECTED || lines.share.min(lines.foremost) * fix.explained.share >= least
 }

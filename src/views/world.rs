@@ -50,17 +50,8 @@ const APRON_M: f64 = 0.5;
 
 impl World {
     pub fn new(field: &Field) -> Self {
-        let mut bars = Vec::new();
-        let dimensions = field.dimensions();
-        if let Some(goal) = dimensions.goal {
-            let (half, radius) = (goal.width_m / 2.0, goal.post_diameter_m / 2.0);
-            for x in [-dimensions.length_m / 2.0, dimensions.length_m / 2.0] {
-                let top = |y: f64| DVec3::new(x, y, goal.height_m);
-                let posts = [-half, half].map(|y| Bar { from: DVec3::new(x, y, 0.0), to: top(y), radius });
-                bars.extend(posts);
-                bars.push(Bar { from: top(-half), to: top(half), radius });
-            }
-        }
+        let radius = field.dimensions().goal.map_or(0.0, |goal| goal.post_diameter_m / 2.0);
+        let bars = field.goal_bars().into_iter().map(|[from, to]| Bar { from, to, radius }).collect();
         Self { ground_half: field.carpet_half_extent() + DVec2::splat(APRON_M), bars }
     }
 

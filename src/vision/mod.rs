@@ -60,8 +60,9 @@ pub struct Seen {
     pub image: LineImage,
     pub glance: Glance,
     contrast: LineContrast,
-    /// Of the working image.
+    /// Of the working image, and the columns of its rows.
     chroma: Chroma,
+    chroma_stride: usize,
     making: ground::Making,
     /// NaN where no floor is.
     floor: Vec<DVec2>,
@@ -82,6 +83,7 @@ impl Seen {
         let found = ridges::Ridges {
             contrast: &self.contrast,
             chroma: &self.chroma,
+            chroma_stride: self.chroma_stride,
             floor: &self.floor,
             on_carpet: &self.on_carpet,
             scale: self.image.scale(),
@@ -171,12 +173,25 @@ impl Vision {
     ) {
         seen.glance = Glance::of(picture);
         let Seen {
-            table, lines, image, contrast, chroma, making, floor, on_carpet, reduction, learning, border, ..
+            table,
+            lines,
+            image,
+            contrast,
+            chroma,
+            chroma_stride,
+            making,
+            floor,
+            on_carpet,
+            reduction,
+            learning,
+            border,
+            ..
         } = seen;
         let working = picture.reduced(self.reduction, reduction);
         let scale = WorkingScale::new(self.reduction);
         contrast.start(working);
         chroma.clone_from(&working.chroma);
+        *chroma_stride = working.width.div_ceil(2);
         self.find_floor(footprint_from_optical, floor);
         let carpet = self.learn_carpet(working, contrast, floor, learning);
         let surfaces = &mut image.surfaces;

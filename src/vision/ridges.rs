@@ -20,6 +20,8 @@ pub(super) struct Ridges<'a> {
     pub(super) contrast: &'a LineContrast,
     /// Of the working image.
     pub(super) chroma: &'a Chroma,
+    /// Columns of each row of `chroma`.
+    pub(super) chroma_stride: usize,
     /// On the ground of the robot, of each cell of the coarse image; NaN where no floor is.
     pub(super) floor: &'a [DVec2],
     pub(super) on_carpet: &'a [bool],
@@ -34,17 +36,17 @@ pub(super) struct Ridges<'a> {
     pub(super) pixels_per_radian: f64,
 }
 
-/// Share of the contrast of a line so wide that makes a place one, ...
+/// A ridge has at least this share of the contrast of a line of its width.
 const CLEAR: f64 = 0.5;
-/// ... and of its own contrast that it stands out to both sides, and at most falls short of it along the line.
+/// A ridge stands out to both sides by at least this share of its contrast, and its line does so a little farther along.
 const BESIDE: f64 = 0.5;
 /// Contrast that no carpet has.
 const LEAST_CONTRAST: f64 = 0.04;
-/// Paint has less of the carpet's hue than the carpet beside it, by at least this share of it: a strip of sunlight has not.
+/// Paint is paler than the carpet beside it: it lacks at least this share of the carpet's hue. A strip of sunlight keeps its hue.
 const PALER: f64 = 0.2;
 /// A carpet of less hue than this is as good as gray, and tells nothing by its colour.
 const LEAST_HUE: f64 = 0.06;
-/// Working pixels that a hue is averaged over: there is carpet in that of a thinner line.
+/// A hue is averaged over so many working pixels. Of a thinner line that includes carpet, so it must lack less in proportion.
 const HUE_PX: f64 = 6.0;
 /// Thinner lines than this are not looked for: working pixels.
 const THINNEST_PX: f64 = 1.5;
@@ -80,7 +82,7 @@ impl Ridges<'_> {
         ridges
     }
 
-    /// Of a line there, the geometric mean of one along the view and one across it. `None` for one too thin or wide to tell.
+    /// How wide a line there would look: the geometric mean of one along the view and one across it. `None` if that is too thin or too wide.
     fn width_px(&self, at: DVec2) -> Option<f64> {
         let slant = libm::hypot(at.distance(self.foot), self.height_m);
         let per_metre = self.pixels_per_radian * libm::sqrt(self.height_m.max(0.01) / (slant * slant * slant));
@@ -133,12 +135,10 @@ impl Ridges<'_> {
         if self.chroma.is_empty() || !(1..width - 1).contains(&u) || !(1..height - 1).contains(&v) {
             return None;
         }
-        // A chroma plane of an odd width has one column more.
-        let stride = blue.len() / height;
         let (mut chroma, mut luma) = (DVec2::ZERO, 0.0);
         for row in v - 1..=v + 1 {
             for column in u - 1..=u + 1 {
-                let at = row * stride + column;
+                let at = row * self.chroma_stride + column;
                 chroma += DVec2::new(f64::from(blue[at]) - 128.0, f64::from(red[at]) - 128.0);
                 luma += f64::from(half[row * width + column]) / 4.0;
             }
@@ -165,10 +165,11 @@ mod tests {
         let mut contrast = LineContrast::default();
         contrast.start(picture);
         contrast.finish(&vec![Surface::Carpet; contrast.width * contrast.height], &[]);
-        let (columns, rows) = coarse_size(WIDTH, HEIGHT);
+        let (columns, rows) = coarse_size(picture.width, picture.height);
         let found = Ridges {
             contrast: &contrast,
             chroma: &picture.chroma,
+            chroma_stride: picture.width.div_ceil(2),
             floor: &vec![DVec2::new(0.4, 0.0); columns * rows],
             on_carpet: &vec![true; columns * rows],
             scale: WorkingScale::new(1),
@@ -213,12 +214,16 @@ mod tests {
     #[test]
     fn paint_is_a_line_and_a_strip_of_sunlight_on_green_carpet_is_none() {
         let (carpet, sunny, painted) = ([40, 70, 42], [104, 182, 109], [150, 156, 148]);
-        let picture = |strip: [u8; 3]| {
-            let pixels = (0..HEIGHT * WIDTH).flat_map(|at| if (at % WIDTH).abs_diff(160) < 5 { strip } else { carpet });
-            Picture::from_rgb(WIDTH, HEIGHT, &pixels.collect::<Vec<u8>>()).expect("a picture")
-        };
-        assert!(ridges_in(&picture(painted)).len() > 200);
-        assert_eq!(ridges_in(&picture(sunny)), []);
+        // Of an odd size as well, whose planes of colour are half a pixel larger.
+        for (width, height) in [(WIDTH, HEIGHT), (WIDTH + 1, HEIGHT - 1)] {
+            let picture = |strip: [u8; 3]| {
+                let pixels =
+                    (0..height * width).flat_map(|at| if (at % width).abs_diff(160) < 5 { strip } else { carpet });
+                Picture::from_rgb(width, height, &pixels.collect::<Vec<u8>>()).expect("a picture")
+            };
+            assert!(ridges_in(&picture(painted)).len() > 200, "{width} x {height}");
+            assert_eq!(ridges_in(&picture(sunny)), [], "{width} x {height}");
+        }
     }
 
     #[test]
@@ -228,6 +233,7 @@ mod tests {
         let ridges = Ridges {
             contrast: &contrast,
             chroma: &Chroma::default(),
+            chroma_stride: 0,
             floor: &[],
             on_carpet: &[],
             scale: WorkingScale::new(1),

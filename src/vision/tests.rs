@@ -359,7 +359,7 @@ fn ridges_lie_on_painted_lines_as_far_as_four_metres_with_every_lens() {
         let ridges = direct.seen.ridges(&place(), lens.focal(), LINE_WIDTH_M);
         let map_from_optical = robot.to_isometry() * place();
         let painted = crate::localization::painted::PaintedMap::new(&field());
-        let share = painted.explained_in_view(&ridges, &lens, WorkingScale::new(1), &map_from_optical);
+        let share = painted.explained_in_view(&direct.seen, &lens, &place(), &map_from_optical);
         assert!(share > 0.97, "{name}: {share}");
         // Painted places in view, 5 cm of line each, and those that a ridge is near.
         let points =

@@ -18,6 +18,8 @@ use crate::vision::Seen;
 pub struct Evidence {
     pub agreement: Agreement,
     pub explained: Explained,
+    /// Share of the lines in view, at any distance, that the field has where the pose puts them.
+    pub explained_in_view: f64,
     /// Line contrast of the best lines in view, as a share of the carpet's brightness; infinite if nothing can be a line.
     pub contrast: f64,
     /// Standard deviation of plain carpet where lines are looked for, as a share of its brightness.
@@ -59,17 +61,19 @@ impl Evidence {
         let lens = refiner.lens();
         let optical_from_map = map_from_optical.inverse();
         let mut shown = Vec::new();
-        let mut carpet = Vec::new();
+        let (mut carpet, mut explained_in_view) = (Vec::new(), 1.0);
         if let Some(place) = footprint_from_optical {
             painted.each_shown(seen.lines(), place, map_from_optical, |ray, _, is_painted| {
                 let pixel = lens.project(optical_from_map.transform_vector(ray));
                 shown.extend(pixel.map(|pixel| (pixel, is_painted)));
             });
+            explained_in_view = painted.explained_in_view(seen, lens, place, map_from_optical);
             carpet = border(seen.border(), place, |place: DVec3| lens.project(place));
         }
         Self {
             agreement: Agreement::default(),
             explained: Explained::default(),
+            explained_in_view,
             contrast: f64::from(seen.image.full_contrast()),
             noise: f64::from(seen.image.noise()),
             lines: refiner.inspect(&seen.image, map_from_optical),

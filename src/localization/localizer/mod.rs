@@ -323,10 +323,8 @@ impl Localizer {
             fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
             // Nothing else than confirming a pose asks for it.
             if matches!(self.state.standing.confidence, Confidence::Unconfirmed(_)) {
-                let lens = self.refiner.lens();
-                let ridges = seen.ridges(place, lens.focal(), self.field.line_width());
-                let scale = seen.image.scale();
-                fix.explained_in_view = self.painted.explained_in_view(&ridges, lens, scale, &fix.map_from_optical);
+                let (lens, pose) = (self.refiner.lens(), &fix.map_from_optical);
+                fix.explained_in_view = self.painted.explained_in_view(seen, lens, place, pose);
             }
         }
         let at = self.state.track.as_ref().map_or(fix.estimate.best, Track::pose);

@@ -92,6 +92,11 @@ impl Agreement {
     pub fn share_of_places(&self) -> f64 {
         self.fitting as f64 / self.expected.max(1) as f64
     }
+
+    /// Pixels by which the width of a line that shows half the time exceeds that on well painted carpet, which is about one.
+    pub fn fainter_px(&self) -> f64 {
+        (self.half_seen_px - 1.0).max(0.0)
+    }
 }
 
 /// Of one field and lens; keeps what it works in from frame to frame.

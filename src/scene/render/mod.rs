@@ -39,7 +39,7 @@ use footprint::{GroundRow, Turned};
 use light::lit;
 use placed::View;
 use rays::RayTable;
-use surface::{Coat, World};
+use surface::{GroundEffects, World};
 use turf::{Sunlight, TurfLook};
 use wear::Wear;
 use window::Window;
@@ -73,7 +73,7 @@ impl Renderer {
         let wear = scene.worn_lines.as_ref().map(|effect| Wear::new(effect, seed));
         let turf = scene.turf.as_ref().map(|effect| TurfLook::new(effect, seed));
         let sun = scene.sun_patches.as_ref().map(|effect| Sunlight::new(effect, seed));
-        let world = World::new(scene.field(), Coat { turf, wear, sun }, seed);
+        let world = World::new(scene.field(), GroundEffects { turf, wear, sun }, seed);
         let crowd = scene.crowd.as_ref().map(|crowd| CrowdView::new(crowd, &rays));
         Self { scene: scene.clone(), rays, world, crowd }
     }

@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::super::stream::{Purpose, Stream};
-use super::footprint::GroundRow;
+use super::footprint::{GroundPoint, GroundRow};
 use super::hall::Hall;
 use super::lines::LineMap;
 use super::shape::inside_rectangle;
@@ -19,13 +19,13 @@ pub(super) struct World {
     carpet: Sheet,
     fibres: Tile,
     lines: LineMap,
-    coat: Coat,
+    effects: GroundEffects,
     pub(super) hall: Hall,
 }
 
-/// What lies on the bare carpet beside its lines.
+/// What a scene's effects change of the ground.
 #[derive(Clone, Debug)]
-pub(super) struct Coat {
+pub(super) struct GroundEffects {
     pub(super) turf: Option<TurfLook>,
     pub(super) wear: Option<Wear>,
     pub(super) sun: Option<Sunlight>,
@@ -41,14 +41,14 @@ const PAINT_GAIN: f32 = 0.18 / 128.0;
 const FLOOR_GAIN: f32 = 0.12 / 128.0;
 
 impl World {
-    pub(super) fn new(field: &Field, coat: Coat, seed: u64) -> Self {
+    pub(super) fn new(field: &Field, effects: GroundEffects, seed: u64) -> Self {
         let half = field.carpet_half_extent();
         Self {
             carpet_half: half.as_vec2().to_array(),
             carpet: carpet(half, seed),
             fibres: Tile::new(seed, Purpose::Carpet, TEXELS_PER_METRE),
             lines: LineMap::new(field),
-            coat,
+            effects,
             hall: Hall::new(half, seed),
         }
     }
@@ -71,12 +71,10 @@ impl World {
         let mut colour = [0.0; 3];
         if on_carpet > 0.0 {
             let base = self.carpet.sample(p.x + self.carpet_half[0], p.y + self.carpet_half[1]);
-            let turf = self.coat.turf.as_ref();
-            let mut paint = match turf {
-                None => self.lines.coverage(&p),
-                Some(turf) => self.lines.coverage(&turf.strayed(&p)),
-            };
-            if let Some(wear) = &self.coat.wear
+            let turf = self.effects.turf.as_ref();
+            let [aside_x, aside_y] = turf.map_or([0.0; 2], |turf| turf.stray(p.x, p.y, p.size2));
+            let mut paint = self.lines.coverage(&GroundPoint { x: p.x + aside_x, y: p.y + aside_y, ..p });
+            if let Some(wear) = &self.effects.wear
                 && paint > 0.0
             {
                 paint *= wear.left(&p);
@@ -84,7 +82,7 @@ impl World {
             let (gain, paint_gain) = (1.0 + CARPET_GAIN * fibre, paint * (1.0 + PAINT_GAIN * fibre));
             let bare_gain = (1.0 - paint) * gain;
             colour = match turf {
-                Some(turf) => turf.colour(&p, base, paint),
+                Some(turf) => turf.colour(p.x, p.y, p.size2, base, paint),
                 None => [
                     bare_gain * base[0] + paint_gain * PAINT[0],
                     bare_gain * base[1] + paint_gain * PAINT[1],
@@ -96,8 +94,8 @@ impl World {
             let gain = 1.0 + FLOOR_GAIN * fibre;
             colour = mix(self.hall.floor(p.x, p.y).map(|value| value * gain), colour, on_carpet);
         }
-        if let Some(sun) = &self.coat.sun {
-            colour = sun.on(&p, colour);
+        if let Some(sun) = &self.effects.sun {
+            colour = sun.on(p.x, p.y, colour);
         }
         if on_floor < 1.0 {
             colour = mix(self.hall.above_floor(camera, ray), colour, on_floor);

@@ -17,6 +17,9 @@ struct Level {
     values: Vec<u8>,
 }
 
+/// Standard deviation of a tile's values, about, around 128.
+pub(super) const SPREAD: f32 = 40.0;
+
 /// A power of two: coordinates wrap by masking.
 const SIDE: usize = 1024;
 const MANTISSA_BITS: u32 = 23;

@@ -2,30 +2,29 @@
 
 use super::super::effects::{SunPatches, Turf};
 use super::super::stream::{self, Purpose, Stream};
-use super::footprint::GroundPoint;
 use super::sheet::Colour;
-use super::tile::Tile;
+use super::tile::{SPREAD, Tile};
 
 #[derive(Clone, Debug)]
 pub(super) struct TurfLook {
     blades: Tile,
+    /// How far paint strays in x and in y.
     strays: [Tile; 2],
-    /// For each unit of a tile around 128.
+    /// Change of brightness, as a share, for each unit of the tile's value.
     blade_gain: f32,
+    /// Metres for each unit of a tile's value.
     ragged_m: f32,
     paint: Colour,
-    /// Share of the paint that blades which stand out of it hide where they are darkest.
-    shows_through: f32,
+    /// Share of the paint that the darkest blades hide.
+    hidden_share: f32,
     glint_share: f32,
     glints: u64,
 }
 
 /// Blades are a few millimetres wide.
 const TEXELS_PER_METRE: f32 = 256.0;
-/// Edges stray over centimetres.
+/// Edges stray within centimetres, and lines are straight over metres.
 const STRAY_TEXELS_PER_METRE: f32 = 640.0;
-/// A tile's values are 128 +- about this.
-const SPREAD: f32 = 40.0;
 /// Against flat carpet: turf is darker, and its green less bright.
 const TINT: Colour = [0.80, 0.66, 0.80];
 const THIN_PAINT: Colour = [104.0, 116.0, 104.0];
@@ -36,7 +35,8 @@ const GLINT: f32 = 220.0;
 
 impl TurfLook {
     pub(super) fn new(effect: &Turf, seed: u64) -> Self {
-        let tile = |part: u64, texels| Tile::new(seed.wrapping_add(part), Purpose::Turf, texels);
+        let key = |part: u64| Stream::new(seed, Purpose::Turf, part).key();
+        let tile = |part: u64, texels| Tile::new(key(part), Purpose::Turf, texels);
         let share = effect.paint as f32;
         Self {
             blades: tile(0, TEXELS_PER_METRE),
@@ -44,25 +44,26 @@ impl TurfLook {
             blade_gain: effect.blades as f32 / SPREAD,
             ragged_m: effect.ragged_mm as f32 * 1e-3 / SPREAD,
             paint: core::array::from_fn(|c| THIN_PAINT[c] + (GOOD_PAINT[c] - THIN_PAINT[c]) * share),
-            shows_through: 0.6 * (1.0 - share),
+            hidden_share: 0.6 * (1.0 - share),
             glint_share: effect.glint_share as f32,
-            glints: Stream::new(seed, Purpose::Turf, 3).key(),
+            glints: key(3),
         }
     }
 
-    /// Where the paint lies whose coverage counts at this place.
-    pub(super) fn strayed(&self, p: &GroundPoint) -> GroundPoint {
-        let [x, y] = [0, 1].map(|axis| self.ragged_m * (self.strays[axis].sample(p.x, p.y, 0.5 * p.size2) - 128.0));
-        GroundPoint { x: p.x + x, y: p.y + y, ..*p }
+    /// By how much the paint at this place has strayed from where it should be, metres. `size2` is the square of the pixel's footprint.
+    // Never inlined, here and below, and by value: what few scenes have shall not crowd the pixel loop.
+    #[inline(never)]
+    pub(super) fn stray(&self, x: f32, y: f32, size2: f32) -> [f32; 2] {
+        [0, 1].map(|axis| self.ragged_m * (self.strays[axis].sample(x, y, 0.5 * size2) - 128.0))
     }
 
-    /// Of turf as bright as `base` if it were flat carpet, so much of which is painted.
+    /// Of turf as bright as `base` if it were flat carpet, of which the share `paint` is painted.
     #[inline(never)]
-    pub(super) fn colour(&self, p: &GroundPoint, base: Colour, paint: f32) -> Colour {
-        let blade = self.blades.sample(p.x, p.y, 0.5 * p.size2) - 128.0;
+    pub(super) fn colour(&self, x: f32, y: f32, size2: f32, base: Colour, paint: f32) -> Colour {
+        let blade = self.blades.sample(x, y, 0.5 * size2) - 128.0;
         let gain = (1.0 + self.blade_gain * blade).max(0.15);
-        let paint = paint * (1.0 - self.shows_through * (0.5 - blade / (2.0 * SPREAD)).clamp(0.0, 1.0));
-        let glint = if self.glint_share > 0.0 { self.glint(p) } else { 0.0 };
+        let paint = paint * (1.0 - self.hidden_share * (0.5 - blade / (2.0 * SPREAD)).clamp(0.0, 1.0));
+        let glint = if self.glint_share > 0.0 { self.glint(x, y, size2) } else { 0.0 };
         core::array::from_fn(|c| {
             let bare = base[c] * TINT[c] * gain;
             // Paint is as rough as what it lies on, but shades less.
@@ -71,16 +72,15 @@ impl TurfLook {
         })
     }
 
-    fn glint(&self, p: &GroundPoint) -> f32 {
-        let cell = |at: f32| i64::from((at / GLINT_M).floor() as i32) as u64;
-        let hash = stream::at(self.glints, cell(p.x).wrapping_mul(0x1_0000_0001) ^ cell(p.y).rotate_left(32));
-        let drawn = (hash >> 40) as f32 / (1u64 << 24) as f32;
+    fn glint(&self, x: f32, y: f32, size2: f32) -> f32 {
+        let [(column, _), (row, _)] = [x, y].map(|at| split(at / GLINT_M));
+        let (drawn, hash) = drawn(self.glints, column, row);
         if drawn >= self.glint_share {
             return 0.0;
         }
-        // A pixel of more ground than that sees it the less, ...
-        let seen = (2.0 * GLINT_M * GLINT_M / p.size2).min(1.0);
-        // ... and not all blades are turned to the lamps alike.
+        // A pixel that covers more ground than the glint shows it fainter in proportion.
+        let seen = (2.0 * GLINT_M * GLINT_M / size2).min(1.0);
+        // Blades are turned towards the lamps more or less.
         GLINT * seen * (hash & 0xff) as f32 / 255.0
     }
 }
@@ -113,24 +113,31 @@ impl Sunlight {
         }
     }
 
+    /// What of this colour is there in the sun.
     #[inline(never)]
-    pub(super) fn on(&self, p: &GroundPoint, colour: Colour) -> Colour {
+    pub(super) fn on(&self, x: f32, y: f32, colour: Colour) -> Colour {
         let [dx, dy] = self.direction;
-        let (along, across) = (p.x * dx + p.y * dy, p.y * dx - p.x * dy);
-        let (column, u) = split(along / self.length_m);
-        let (row, v) = split(across / (0.5 * self.length_m));
-        let hash = stream::at(self.panes, (column as u64).wrapping_mul(0x1_0000_0001) ^ (row as u64).rotate_left(32));
-        if (hash >> 40) as f32 / (1u64 << 24) as f32 >= self.share {
+        let (column, u) = split((x * dx + y * dy) / self.length_m);
+        let (row, v) = split((y * dx - x * dy) / (0.5 * self.length_m));
+        let (drawn, _) = drawn(self.panes, column, row);
+        if drawn >= self.share {
             return colour;
         }
-        let fades = |inside_m: f32| {
-            let t = (inside_m / self.edge_m).clamp(0.0, 1.0);
-            t * t * (3.0 - 2.0 * t)
-        };
-        let inside = |share: f32, length_m: f32| fades(share.min(1.0 - share) * length_m);
+        let inside = |share: f32, length_m: f32| smooth((share.min(1.0 - share) * length_m / self.edge_m).min(1.0));
         let lit = self.more * inside(u, self.length_m) * inside(v, 0.5 * self.length_m);
         core::array::from_fn(|c| colour[c] * (1.0 + lit * WARMTH[c]))
     }
+}
+
+/// A number from 0 to 1 for a cell of a grid, and the bits that it was made from, of which the lowest 40 are free.
+fn drawn(key: u64, column: i64, row: i64) -> (f32, u64) {
+    let hash = stream::at(key, (column as u64).wrapping_mul(0x1_0000_0001) ^ (row as u64).rotate_left(32));
+    ((hash >> 40) as f32 / (1u64 << 24) as f32, hash)
+}
+
+/// From 0 to 1 without a corner at either end.
+fn smooth(t: f32) -> f32 {
+    t * t * (3.0 - 2.0 * t)
 }
 
 /// The whole number below, and what is left.

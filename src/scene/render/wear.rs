@@ -3,7 +3,7 @@
 use super::super::effects::WornLines;
 use super::super::stream::Purpose;
 use super::footprint::GroundPoint;
-use super::tile::Tile;
+use super::tile::{SPREAD, Tile};
 
 #[derive(Clone, Debug)]
 pub(super) struct Wear {
@@ -13,8 +13,6 @@ pub(super) struct Wear {
 
 /// Texels of the tile's largest features.
 const PATCH_TEXELS: f64 = 128.0;
-/// The tile's values are 128 +- about this.
-const SPREAD: f32 = 40.0;
 
 impl Wear {
     pub(super) fn new(effect: &WornLines, seed: u64) -> Self {
