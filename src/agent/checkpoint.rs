@@ -35,7 +35,7 @@ pub enum CheckpointError {
 
 const MAGIC: &[u8; 8] = b"RSIMCKPT";
 /// Counts up with every change of what is stored.
-pub const VERSION: u32 = 20;
+pub const VERSION: u32 = 21;
 const HEADER: usize = 8 + 4 + 4;
 /// A checkpoint of 2^20 particles is 40 MB.
 pub(super) const MAX_BYTES: usize = 256 << 20;

@@ -10,7 +10,7 @@ use super::section::Section;
 use super::settings::{SettingsArguments, UsageError};
 use super::{Outcome, output, paths};
 use crate::agent::{Footage, FootageOptions};
-use crate::evaluation::contrast::{self, PAINT, Quality, Step, Variant, WRONG_CM};
+use crate::evaluation::contrast::{self, Detection, PAINT, Quality, Step, Variant, WIDTHS_PX, WRONG_CM};
 use crate::evaluation::cost::Knobs;
 use crate::evaluation::{Summary, truth};
 use crate::sensors::scene;
@@ -19,8 +19,9 @@ use crate::sensors::scene;
 ///
 /// Renders the walk of a scene ten times, with ever less paint on its lines, from well painted to none, and tags it with and
 /// without refinement, by both observation models, and with more particles and line points. For each step: contrast of the lines
-/// over the carpet's noise, share of valid tags, their error, and how many of them are wrong (more than 12 cm off). The scene has
-/// an effect of the kind worn_lines, whose share is varied.
+/// over the carpet's noise, share of valid tags, their error, and how many of them are wrong (more than 12 cm off); and, seen from the true
+/// poses, how many places of lines stand out more than 99 and 90 % of the carpet beside them. The scene has an effect of the kind
+/// worn_lines, whose share is varied.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim contrast replay/scenes/worn-lines.toml -o contrast/")]
 pub struct ContrastArguments {
@@ -91,7 +92,9 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
         });
         let tags = tags.collect::<anyhow::Result<Vec<_>>>()?;
         let noise = Summary::of(&noises).median;
-        steps.push(Step { paint, contrast_to_noise: if noise > 0.0 { paint * full / noise } else { 0.0 }, tags });
+        let contrast_to_noise = if noise > 0.0 { paint * full / noise } else { 0.0 };
+        let places = Detection::of(&footage.responses(&truth)?);
+        steps.push(Step { paint, contrast_to_noise, tags, places });
     }
     progress.finish();
     let name = arguments.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -118,7 +121,7 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
 fn csv(variants: &[Variant], steps: &[Step]) -> String {
     let mut text =
         "paint,contrast_to_noise,variant,frames,valid,wrong,mean_cm,p95_cm,max_cm,ellipse95_share\n".to_owned();
-    for Step { paint, contrast_to_noise, tags } in steps {
+    for Step { paint, contrast_to_noise, tags, .. } in steps {
         for (Variant { name, .. }, quality) in variants.iter().zip(tags) {
             let Quality { frames, valid, wrong, position_cm: p, ellipse95_share } = quality;
             let _ = writeln!(
@@ -144,12 +147,37 @@ fn for_people(variants: &[Variant], steps: &[Step]) -> String {
     let mut text = format!("{:>6} {:>9}", "paint", "contrast");
     variants.iter().for_each(|variant| text.push_str(&format!("  {:>26}", variant.name)));
     text.push_str(&format!("\n{:>6} {:>9}\n", "left", "to noise"));
-    for Step { paint, contrast_to_noise, tags } in steps {
+    for Step { paint, contrast_to_noise, tags, .. } in steps {
         text.push_str(&format!("{:>4.0} % {contrast_to_noise:>9.2}", 100.0 * paint));
         tags.iter().for_each(|quality| text.push_str(&format!("  {:>26}", cell(quality))));
         text.push('\n');
     }
+    let _ = writeln!(text, "\n{PLACES}:\n");
+    let _ = write!(text, "{:>6} {:>9}", "paint", "contrast");
+    widths().for_each(|width| text.push_str(&format!("  {width:>18}")));
+    text.push_str(&format!("\n{:>6} {:>9}\n", "left", "to noise"));
+    for Step { paint, contrast_to_noise, places, .. } in steps {
+        text.push_str(&format!("{:>4.0} % {contrast_to_noise:>9.2}", 100.0 * paint));
+        places.iter().for_each(|detection| text.push_str(&format!("  {:>18}", found(detection))));
+        text.push('\n');
+    }
     text
+}
+
+const PLACES: &str = "Seen from the true poses: share of the line places that stand out more than 99 % and more than 90 % of the places on plain \
+                      carpet beside lines, and how often a line's stands out more than carpet's (area under the curve, 0.5 by chance)";
+
+fn widths() -> impl Iterator<Item = String> {
+    let ends = WIDTHS_PX.iter().skip(1).map(|to| format!(" to {to}")).chain([" and wider".to_owned()]);
+    WIDTHS_PX.iter().zip(ends).map(|(from, to)| format!("{from}{to} px"))
+}
+
+fn found(detection: &Detection) -> String {
+    let Detection { places, found_at_1_percent, found_at_10_percent, area } = detection;
+    match places {
+        0 => "none".to_owned(),
+        _ => format!("{:.0}, {:.0} %, {area:.2}", 100.0 * found_at_1_percent, 100.0 * found_at_10_percent),
+    }
 }
 
 fn markdown(scene: &str, frames: usize, variants: &[Variant], steps: &[Step]) -> String {
@@ -161,9 +189,18 @@ fn markdown(scene: &str, frames: usize, variants: &[Variant], steps: &[Step]) ->
     variants.iter().for_each(|variant| text.push_str(&format!(" {} |", variant.name)));
     text.push_str("\n| --- | --- |");
     text.push_str(&" --- |".repeat(variants.len()));
-    for Step { paint, contrast_to_noise, tags } in steps {
+    for Step { paint, contrast_to_noise, tags, .. } in steps {
         text.push_str(&format!("\n| {:.0} % | {contrast_to_noise:.2} |", 100.0 * paint));
         tags.iter().for_each(|quality| text.push_str(&format!(" {} |", cell(quality))));
+    }
+    let _ =
+        write!(text, "\n\n{PLACES}, by the width that the line is drawn with.\n\n| paint left | contrast to noise |");
+    widths().for_each(|width| text.push_str(&format!(" {width} |")));
+    text.push_str("\n| --- | --- |");
+    text.push_str(&" --- |".repeat(WIDTHS_PX.len()));
+    for Step { paint, contrast_to_noise, places, .. } in steps {
+        text.push_str(&format!("\n| {:.0} % | {contrast_to_noise:.2} |", 100.0 * paint));
+        places.iter().for_each(|detection| text.push_str(&format!(" {} |", found(detection))));
     }
     text
 }

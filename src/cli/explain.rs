@@ -58,7 +58,7 @@ pub fn run(arguments: &ExplainArguments, json: bool) -> anyhow::Result<Outcome> 
         let inputs: Vec<_> = named.iter().map(PathBuf::as_path).chain([arguments.source.as_path()]).collect();
         check_output(picture, &inputs)?;
     }
-    let settings = arguments.settings.resolve()?;
+    let settings = arguments.settings.resolve_for(&arguments.source)?;
     let is_image = arguments
         .source
         .extension()

@@ -70,7 +70,7 @@ pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
 
 fn replayed(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from).min(MAX_THREADS);
-    let settings = arguments.settings.resolve()?;
+    let settings = arguments.settings.resolve_for(&arguments.source)?;
     if let Some(initial) = &arguments.initial {
         let name = field_of(&arguments.source, &settings)?;
         check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;

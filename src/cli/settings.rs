@@ -1,6 +1,6 @@
 //! The config file and the same keys on the command line.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use glam::DVec2;
@@ -66,6 +66,21 @@ impl SettingsArguments {
         // Where they make no sense nothing is read after the config.
         let named = self.resolve().map_or_else(|_| Vec::new(), |settings| inputs::files_of(&settings));
         config.chain(named).collect()
+    }
+
+    /// As [`Self::resolve`], for a log or scene. A scene names its own field: one on the command line would be without effect.
+    pub fn resolve_for(&self, source: &Path) -> anyhow::Result<Settings> {
+        let is_field = |assignment: &String| assignment.split('=').next().is_some_and(|key| key.trim() == "field");
+        let is_named = self.field.is_some() || self.set.iter().any(is_field);
+        if is_named && source.extension().is_some_and(|ending| ending == "toml") {
+            let scene = source.display();
+            return Err(UsageError(format!(
+                "--field is of a log, and {scene} is a scene, which names its field itself: `field` in its [scene]; `realitysim sim` \
+                 makes a log of it"
+            ))
+            .into());
+        }
+        self.resolve()
     }
 
     /// Defaults, then the file, then the command line; checked once.

@@ -13,6 +13,7 @@ use super::{Summary, Tagged};
 use crate::agent::Attempt;
 use crate::config::Model;
 use crate::geometry::Isometry;
+use crate::localization::refinement::offsets::Response;
 
 /// Share of the paint that is left, from well painted to none.
 pub const PAINT: [f64; 10] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.0];
@@ -52,6 +53,56 @@ pub struct Step {
     pub contrast_to_noise: f64,
     /// In the order of the variants.
     pub tags: Vec<Quality>,
+    /// In the order of [`WIDTHS_PX`].
+    pub places: Vec<Detection>,
+}
+
+/// Lines are told apart by how wide they are drawn, in pixels: from this to the next.
+pub const WIDTHS_PX: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
+
+/// How well line places are told from plain carpet by how far they stand out: the receiver operating characteristic of the matched filter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Detection {
+    pub places: usize,
+    /// Share of the line places that stand out more than 99 % of the carpet's.
+    pub found_at_1_percent: f64,
+    /// More than 90 %.
+    pub found_at_10_percent: f64,
+    /// How often a line place stands out more than one of carpet: the area under the curve, 0.5 by chance.
+    pub area: f64,
+}
+
+impl Detection {
+    /// Of each class of width.
+    pub fn of(responses: &[Response]) -> Vec<Self> {
+        let ends = WIDTHS_PX.into_iter().skip(1).chain([f64::INFINITY]);
+        let classes = WIDTHS_PX.into_iter().zip(ends).map(|(from, to)| {
+            let of_class = responses.iter().filter(|response| (from..to).contains(&response.width_px));
+            let (mut lines, mut carpet): (Vec<f64>, Vec<f64>) =
+                of_class.map(|response| (response.line, response.carpet)).unzip();
+            lines.sort_by(f64::total_cmp);
+            carpet.sort_by(f64::total_cmp);
+            Self::of_sorted(&lines, &carpet)
+        });
+        classes.collect()
+    }
+
+    fn of_sorted(lines: &[f64], carpet: &[f64]) -> Self {
+        let count = lines.len();
+        let share = |of: usize| of as f64 / count.max(1) as f64;
+        let above = |threshold: f64| share(count - lines.partition_point(|line| *line <= threshold));
+        let found_at = |alarms: f64| {
+            let at = ((1.0 - alarms) * carpet.len() as f64) as usize;
+            carpet.get(at.min(carpet.len().saturating_sub(1))).map_or(0.0, |threshold| above(*threshold))
+        };
+        let won: f64 = carpet.iter().map(|carpet| above(*carpet)).sum();
+        Self {
+            places: count,
+            found_at_1_percent: found_at(0.01),
+            found_at_10_percent: found_at(0.1),
+            area: won / carpet.len().max(1) as f64,
+        }
+    }
 }
 
 /// What one variant made of one step's frames.
@@ -144,6 +195,24 @@ mod tests {
     }
 
     #[test]
+    fn what_stands_out_alike_is_told_apart_by_chance_and_what_never_does_always() {
+        let of = |line: &dyn Fn(f64) -> f64| {
+            let responses = (0..1000).map(f64::from);
+            let responses: Vec<_> =
+                responses.map(|at| Response { width_px: 3.0, line: line(at), carpet: (at * 7.0) % 1000.0 }).collect();
+            Detection::of(&responses)
+        };
+        let [_, alike, _, none] = of(&|at| at)[..] else { panic!("a detection for each class") };
+        assert!((alike.area - 0.5).abs() < 0.01 && (alike.found_at_10_percent - 0.1).abs() < 0.01, "{alike:?}");
+        assert_eq!((alike.places, none.places), (1000, 0));
+        let apart = of(&|at| at + 2000.0)[1];
+        assert_eq!((apart.area, apart.found_at_1_percent), (1.0, 1.0));
+        // Half of the lines stand out of all carpet, the others of none.
+        let half = of(&|at| if at < 500.0 { 2000.0 } else { -1.0 })[1];
+        assert_eq!((half.area, half.found_at_1_percent, half.found_at_10_percent), (0.5, 0.5, 0.5));
+    }
+
+    #[test]
     fn a_tag_is_wrong_if_it_is_valid_and_far_off() {
         let truth: Vec<(i64, Isometry)> = (0..4).map(|frame| (frame * 100_000_000, Isometry::IDENTITY)).collect();
         let run = [attempt(0, 0.01, true), attempt(1, 0.13, true), attempt(2, 3.0, false), attempt(3, 0.11, true)];
@@ -156,8 +225,12 @@ mod tests {
     fn both_charts_show_every_variant() {
         let variants = variants(Knobs::of(&Settings::default()));
         let quality = Quality { frames: 10, valid: 5, position_cm: Summary::of(&[1.0]), ..Quality::default() };
-        let steps =
-            [4.0, 1.0, 0.0].map(|contrast_to_noise| Step { paint: 0.5, contrast_to_noise, tags: vec![quality; 6] });
+        let steps = [4.0, 1.0, 0.0].map(|contrast_to_noise| Step {
+            paint: 0.5,
+            contrast_to_noise,
+            tags: vec![quality; 6],
+            places: Vec::new(),
+        });
         let svg = chart(&variants, &steps, "faint lines");
         assert!(svg.starts_with("<svg ") && svg.trim_end().ends_with("</svg>"));
         for variant in variants {

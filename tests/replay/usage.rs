@@ -60,7 +60,8 @@ fn an_argument_that_makes_no_sense_is_named() {
 fn the_start_on_a_scene_is_held_to_the_scene_s_field() {
     let room = Room::new();
     room.write_scene("scene.toml", |text| text);
-    let run = room.run("replay scene.toml -o captures --field adult-2020 --initial 6,0,0");
+    room.write("robot.toml", "field = \"adult-2020\"\n");
+    let run = room.run("replay scene.toml -o captures --config robot.toml --initial 6,0,0");
     run.fails(2, &["--initial is 6,0", "kid-2009"]);
 }
 

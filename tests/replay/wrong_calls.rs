@@ -7,7 +7,7 @@ use super::support::{CAPTURES, Room, session_name};
 /// The call, its exit code, and what the message says.
 type Wrong = (&'static str, i32, &'static [&'static str]);
 
-const WRONG: [Wrong; 60] = [
+const WRONG: [Wrong; 62] = [
     // Names.
     ("replya log.mcap -o out", 2, &["unrecognized subcommand 'replya'", "replay"]),
     ("replay log.mcap -o out --feild kid-2009", 2, &["--feild", "--field"]),
@@ -21,6 +21,12 @@ const WRONG: [Wrong; 60] = [
     ("replay log.mcap -o out --model gaus", 2, &["--model", "did you mean `gauss`?"]),
     ("replay scene_mistyped.toml -o out", 2, &["scene_mistyped.toml", "`sead`: did you mean `seed`?"]),
     ("check suite_mistyped.toml", 2, &["`limts`: did you mean `limits`?"]),
+    ("replay scene_mistyped.toml -o out --field kid-2009", 2, &["--field is of a log", "names its field itself"]),
+    (
+        "explain scene_mistyped.toml --frame 1 --set field=kid-2009",
+        2,
+        &["--field is of a log", "names its field itself"],
+    ),
     // Numbers.
     ("replay log.mcap -o out --particles many", 2, &["--particles", "a whole number, 0 or more, is needed"]),
     ("replay log.mcap -o out --seed -1", 2, &["-1"]),

@@ -137,7 +137,7 @@ fn of_each_effect() {
         ),
         ("bright_window", vec![window], vec![], 60),
         ("obstacles", vec!["kind = \"obstacles\"\nrandom = 10"], vec![], 60),
-        ("turf", vec!["kind = \"turf\"\nblades = 0.2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 5"], vec![], 60),
+        ("turf", vec!["kind = \"turf\"\nblades = 0.14\nglint_share = 0.003\npaint = 0.4\nragged_mm = 3.5"], vec![], 60),
         (
             "sun_patches",
             vec!["kind = \"sun_patches\"\ngain = 2\nshare = 0.5\nlength_m = 1.5\nedge_m = 0.2"],

@@ -98,7 +98,7 @@ fn an_absent_effect_changes_no_bit() {
 const LIGHT: &str = "kind = \"light\"\ngain = 0.3\ngradient_per_m = [0.1, 0.05]\ncolour = [1.0, 0.9, 0.8]";
 const OBSTACLES: &str = "kind = \"obstacles\"\nrandom = 6";
 const WORN: &str = "kind = \"worn_lines\"\nshare = 0.4\npatch_m = 0.3";
-const TURF: &str = "kind = \"turf\"\nblades = 0.2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 5";
+const TURF: &str = "kind = \"turf\"\nblades = 0.14\nglint_share = 0.003\npaint = 0.4\nragged_mm = 3.5";
 const SUN: &str = "kind = \"sun_patches\"\ngain = 2\nshare = 0.5\nlength_m = 1.5\nedge_m = 0.2";
 const OPTICS: &str = "kind = \"optics\"\nstray_light = 0.1\nlateral_colour_px = 1";
 const HUNTING: &str = "kind = \"exposure_hunting\"\namplitude = 0.4\nperiod_s = 2";

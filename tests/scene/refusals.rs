@@ -112,19 +112,19 @@ fn effects_out_of_range_name_key_and_value() {
         (format!("{imu}mount_roll_deg = 200"), vec!["effect[0].mount_roll_deg is 200"]),
         ("kind = \"worn_lines\"\nshare = 2\npatch_m = 1".to_owned(), vec!["effect[0].share is 2"]),
         (
-            "kind = \"turf\"\nblades = 2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 5".to_owned(),
+            "kind = \"turf\"\nblades = 2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 3.5".to_owned(),
             vec!["effect[0].blades is 2", "0 (flat carpet) to 1"],
         ),
         (
-            "kind = \"turf\"\nblades = 0.2\nglint_share = 0.5\npaint = 0.4\nragged_mm = 5".to_owned(),
+            "kind = \"turf\"\nblades = 0.14\nglint_share = 0.5\npaint = 0.4\nragged_mm = 3.5".to_owned(),
             vec!["effect[0].glint_share is 0.5"],
         ),
         (
-            "kind = \"turf\"\nblades = 0.2\nglint_share = 0.003\npaint = -1\nragged_mm = 5".to_owned(),
+            "kind = \"turf\"\nblades = 0.14\nglint_share = 0.003\npaint = -1\nragged_mm = 3.5".to_owned(),
             vec!["effect[0].paint is -1"],
         ),
         (
-            "kind = \"turf\"\nblades = 0.2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 50".to_owned(),
+            "kind = \"turf\"\nblades = 0.14\nglint_share = 0.003\npaint = 0.4\nragged_mm = 50".to_owned(),
             vec!["effect[0].ragged_mm is 50"],
         ),
         (
@@ -422,7 +422,7 @@ fn an_effect_that_does_nothing_is_refused() {
 fn what_acts_on_the_same_thing_stands_in_the_order_in_which_it_applies() {
     let light = "kind = \"light\"\ngain = 0.5";
     let worn = "kind = \"worn_lines\"\nshare = 0.5\npatch_m = 0.3";
-    let turf = "kind = \"turf\"\nblades = 0.2\nglint_share = 0.003\npaint = 0.4\nragged_mm = 5";
+    let turf = "kind = \"turf\"\nblades = 0.14\nglint_share = 0.003\npaint = 0.4\nragged_mm = 3.5";
     let sun = "kind = \"sun_patches\"\ngain = 2\nshare = 0.5\nlength_m = 1.5\nedge_m = 0.2";
     let optics = "kind = \"optics\"\nstray_light = 0.1\nlateral_colour_px = 1";
     let hunting = "kind = \"exposure_hunting\"\namplitude = 0.4\nperiod_s = 2";

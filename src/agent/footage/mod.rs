@@ -14,8 +14,10 @@ use super::setup::{Eyes, SetupError};
 use super::stages::{NotSeen, view};
 use super::tagger::Tagger;
 use crate::config::Settings;
-use crate::geometry::{Field, Lens, Pose2};
+use crate::geometry::{Field, Isometry, Lens, Pose2};
 use crate::localization::LocalizerState;
+use crate::localization::refinement::Refiner;
+use crate::localization::refinement::offsets::Response;
 use crate::recording::Loss;
 use crate::ros2::messages::FrameTag;
 use crate::scene::Scene;
@@ -161,6 +163,21 @@ impl Footage {
     /// What of the source could not be used.
     pub fn losses(&self) -> &[Loss] {
         &self.losses
+    }
+
+    /// How far lines and the carpet beside them stand out, seen from where the camera truly was; `truth` is of `camera_link`, in time order.
+    pub fn responses(&self, truth: &[(i64, Isometry)]) -> Result<Vec<Response>, SetupError> {
+        let eyes = Eyes::new(&self.settings, &self.lens, self.field.line_width())?;
+        let refiner = Refiner::new(&self.field, &self.lens);
+        let mut seen = Seen::default();
+        let mut responses = Vec::new();
+        for Shot { robot, picture, stamp_ns } in &self.shots {
+            let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
+            let Ok(at) = truth.binary_search_by_key(stamp_ns, |(stamp, _)| *stamp) else { continue };
+            eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
+            responses.extend(refiner.responses(&seen.image, &(truth[at].1 * Isometry::link_from_optical())));
+        }
+        Ok(responses)
     }
 
     /// Contrast of the best lines in view and noise of plain carpet, as shares of the carpet's brightness: of each frame that shows lines.

@@ -480,7 +480,9 @@ impl Localizer {
             refined = nearby;
         }
         let mut prediction = prediction;
-        let surprised = surprise(&prediction.prior, &refined.pose_moved()) > SURPRISE && agrees(&refined.lines);
+        let agree = agrees(&refined.lines);
+        let slips = agree && self.state.track.as_mut().is_some_and(|track| track.slips(&prediction.prior, &refined));
+        let surprised = (slips || surprise(&prediction.prior, &refined.pose_moved()) > SURPRISE) && agree;
         if surprised {
             // Lines agree with each other but not with the prediction: odometry or IMU were wronger than they claim.
             if let Some(track) = &mut self.state.track {

@@ -24,7 +24,7 @@ use crate::geometry::{Field, Isometry, Lens, Projector, Twist};
 use crate::vision::LineImage;
 use chance::Test;
 use miscalibration::{Miscalibration, UNSEEN_M_PER_S, unfelt_rad_per_s};
-use offsets::{Counts, Eye, Inspected, Sight};
+use offsets::{Counts, Eye, Inspected, Response, Sight};
 
 pub use points::LinePoints;
 
@@ -55,6 +55,9 @@ pub struct Refined {
     pub map_from_optical: Isometry,
     /// Of the errors of pose and lens, given the prior: positive definite, never larger than the prior's.
     pub covariance: ErrorCovariance,
+    /// Of the errors of the pose beside that: because lines are painted elsewhere than the field's description has them. The next frame sees
+    /// the same paint, so that this does not fade from frame to frame.
+    pub by_paint: Matrix6<f64>,
     /// The error vector of pose and lens relative to the prior's.
     pub moved: Errors,
     /// Of the least squares in units of the prior, in the 1-norm: 1 if the lines say nothing, and about how much better the best known is
@@ -142,6 +145,12 @@ impl Refiner {
         offsets::inspect(&self.points, image, eye, map_from_optical)
     }
 
+    /// How far lines, and the carpet beside them, stand out of this picture, if the camera is where this pose has it.
+    pub fn responses(&self, image: &LineImage, map_from_optical: &Isometry) -> Vec<Response> {
+        let eye = Eye { projector: &self.projector, off: &Miscalibration::NONE, twist: &Twist::ZERO };
+        offsets::responses(&self.points, image, eye, map_from_optical)
+    }
+
     /// As if the prior's mean were nearly right: lines are looked for close to where it has them, so that none is taken for its
     /// neighbour. The cost is that of [`Self::refine`], by which the better of the two is known.
     pub fn refine_nearby(&mut self, image: &LineImage, prior: &Prior) -> Option<Refined> {
@@ -211,14 +220,15 @@ impl Refiner {
         }
         let (counts, solution, solved_with) = last?;
         let [.., scale] = SCALES;
-        let solve::Joint { moved, covariance, condition } =
+        let solve::Joint { moved, covariance, by_paint, condition } =
             solve::joint(prior, sights, &moved, scale, [solved_with, solution.residuals.noise()])?;
-        let is_finite = moved.iter().chain(covariance.iter()).all(|value| value.is_finite());
+        let is_finite = moved.iter().chain(&covariance).chain(&by_paint).all(|value| value.is_finite());
         let map_from_optical = moved_pose(&prior.map_from_optical, &pose_part(&moved));
         let fitting = solution.residuals.fitting;
         is_finite.then(|| Refined {
             map_from_optical,
             covariance,
+            by_paint,
             condition,
             moved,
             cost: solution.cost + counts.missed as f64 * solve::MISS_COST,
@@ -281,8 +291,9 @@ impl Prior {
 }
 
 impl Refined {
+    /// Of all that the pose can be wrong by.
     pub fn pose_covariance(&self) -> Matrix6<f64> {
-        pose_block(&self.covariance)
+        pose_block(&self.covariance) + self.by_paint
     }
 
     pub fn pose_moved(&self) -> Vector6<f64> {

@@ -159,6 +159,46 @@ pub fn inspect(points: &LinePoints, image: &LineImage, eye: Eye, map_from_optica
     inspected
 }
 
+/// How far a place of a line stands out, and how far plain carpet beside it does, each looked for within [`LEAST_REACH_PX`]: in standard
+/// deviations of plain carpet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Response {
+    /// Of the line as drawn.
+    pub width_px: f64,
+    pub line: f64,
+    pub carpet: f64,
+}
+
+/// Plain carpet is looked at so many line widths beside a line, ...
+const BESIDE: f64 = 4.0;
+/// ... and must be so many from any other.
+const CLEAR_OF_LINES: f64 = 3.0;
+
+/// How every place of a line answers to the matched filter from where the camera truly was, with carpet as near to it as can be told from it.
+pub fn responses(points: &LinePoints, image: &LineImage, eye: Eye, map_from_optical: &Isometry) -> Vec<Response> {
+    let mut responses = Vec::new();
+    let Some(paint) = Paint::of(image).filter(|paint| paint.noise() > 0.0) else { return responses };
+    let width_m = points.line_width_m;
+    each_place(points, image, eye, map_from_optical, APART_PX, |_, point, expected| {
+        let answer = |strip: &Strip| {
+            let profile = Profile::across(strip, image, LEAST_REACH_PX)?;
+            let (at, response) = profile.best();
+            let is_carpet = !profile.hides(image, at) && paint.are_carpet(profile.flanks(at));
+            is_carpet.then_some(response / paint.noise())
+        };
+        let clear = |side: &f64| {
+            points.distance(point.position + point.normal * (side * BESIDE * width_m)) > CLEAR_OF_LINES * width_m
+        };
+        let Some(side) = [1.0, -1.0].into_iter().find(clear) else { return };
+        let Strip { middle, direction, width_px } = expected.strip;
+        let beside = Strip { middle: middle + direction * (side * BESIDE * width_px), direction, width_px };
+        if let (Some(line), Some(carpet)) = (answer(&expected.strip), answer(&beside)) {
+            responses.push(Response { width_px, line, carpet });
+        }
+    });
+    responses
+}
+
 /// Every place of a line that the pose would have drawn in the image, at least so many pixels from the one before it on its line.
 pub(super) fn each_place(
     points: &LinePoints,

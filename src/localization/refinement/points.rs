@@ -43,4 +43,9 @@ impl LinePoints {
             .collect();
         Self { strokes, line_width_m }
     }
+
+    /// Metres to the nearest place of a line.
+    pub(super) fn distance(&self, at: DVec2) -> f64 {
+        self.strokes.iter().flatten().map(|point| point.position.distance(at)).fold(f64::INFINITY, f64::min)
+    }
 }

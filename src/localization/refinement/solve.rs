@@ -22,6 +22,7 @@ pub(super) struct Solution {
 pub(super) struct Joint {
     pub(super) moved: Errors,
     pub(super) covariance: ErrorCovariance,
+    pub(super) by_paint: Matrix6<f64>,
     pub(super) condition: f64,
 }
 
@@ -65,6 +66,11 @@ pub(super) const SHARED: f64 = 2.0;
 /// A line that is off as a whole counts as one measurement, and for what lines share: of the square of its sum.
 const WHOLE_LINES: f64 = 2.0;
 const MOST_CORRELATION: f64 = 0.85;
+/// How far a line is painted from where the field's description has it, as a whole: one standard deviation. Like the consider parameters of
+/// Schmidt's filter it is not solved for, as no frame can tell it from an error of the pose, and counts in the covariance.
+pub(super) const PAINT_M: f64 = 0.001;
+/// The displacements of so many lines are told apart; of more, the last share one.
+const LINES_APART: usize = 32;
 /// What a line that should be seen and is not costs, as much as one far off.
 pub(super) const MISS_COST: f64 = 0.5;
 
@@ -163,7 +169,7 @@ fn joint_with<const M: usize, const N: usize, const W: usize>(
     let mut from = Errors::zeros();
     from.fixed_rows_mut::<6>(0).copy_from(moved);
     let y = spread.solve_lower_triangular(&from)?;
-    let lines = with_lens::<M, N, W>(prior, (&spread, unseen), sights, moved, scale, noise);
+    let (lines, pulls) = with_lens::<M, N, W>(prior, (&spread, unseen), sights, moved, scale, noise);
     // Both noises are factors of each row's weight.
     let weight = (noise.sigma_px / measured.sigma_px) * libm::sqrt(noise.correlated / measured.correlated);
     let mut back = SVector::<f64, N>::zeros();
@@ -174,11 +180,32 @@ fn joint_with<const M: usize, const N: usize, const W: usize>(
     Some(Joint {
         moved: spread * (y + step.fixed_rows::<UNKNOWNS>(0)),
         covariance: covariance(&inverse, &spread),
+        by_paint: by_paint(&pulls, weight * weight, &inverse, &spread),
         condition: condition(&shown.r(), &inverse),
     })
 }
 
-/// What the lines alone say of pose, lens and unseen motion.
+/// Covariance of the pose's error because lines are painted beside where the field's description has them: the solution moves as each pulls at
+/// it, and each is off by its own.
+fn by_paint<const N: usize>(
+    pulls: &Pulls<N>,
+    weight: f64,
+    inverse: &SMatrix<f64, N, N>,
+    spread: &ErrorCovariance,
+) -> Matrix6<f64> {
+    let mut covariance = Matrix6::zeros();
+    for pull in pulls.iter().filter(|pull| pull.norm_squared() > 0.0) {
+        let moved = inverse * (inverse.tr_mul(pull) * (weight * PAINT_M));
+        let moved = (spread * moved.fixed_rows::<UNKNOWNS>(0)).fixed_rows::<6>(0).into_owned();
+        covariance += moved * moved.transpose();
+    }
+    covariance
+}
+
+/// Of each line, the gradient of the cost by the unknowns for each metre that it is painted aside.
+type Pulls<const N: usize> = [SVector<f64, N>; LINES_APART];
+
+/// What the lines alone say of pose, lens and unseen motion, and how each of them would pull if it were painted elsewhere.
 fn with_lens<const M: usize, const N: usize, const W: usize>(
     prior: &Prior,
     (spread, unseen): (&ErrorCovariance, &SMatrix<f64, M, M>),
@@ -186,8 +213,9 @@ fn with_lens<const M: usize, const N: usize, const W: usize>(
     moved: &Vector6<f64>,
     scale: f64,
     noise: Noise,
-) -> Triangular<N, W> {
+) -> (Triangular<N, W>, Pulls<N>) {
     let pose = moved_pose(&prior.map_from_optical, moved);
+    let mut pulls: Pulls<N> = [SVector::zeros(); LINES_APART];
     let turn = DMat3::from_quat(pose.rotation);
     let into_camera = turn.transpose();
     let mut rows = Rows::none();
@@ -203,8 +231,12 @@ fn with_lens<const M: usize, const N: usize, const W: usize>(
         row[..UNKNOWNS].copy_from_slice(&weighing.row(&by_pose_and_lens, spread));
         row[UNKNOWNS..].copy_from_slice(&weighing.row(&core::array::from_fn(|i| by_motion[i / 3][i % 3]), unseen));
         rows.push(&row, -weighing.weight * off.radians);
+        // A line that moves aside is drawn as if the camera had moved the other way.
+        let aside = sight.tangent.cross(DVec3::Z);
+        let by_aside = -aside.dot(DVec3::from_slice(&off.by_pose));
+        pulls[sight.line.min(LINES_APART - 1)] += SVector::from(row) * (weighing.weight * by_aside);
     }
-    rows.finish()
+    (rows.finish(), pulls)
 }
 
 /// In the 1-norm, as LAPACK's `trcon` has it, of pose and lens: how many digits the solution can lose. At least 1.

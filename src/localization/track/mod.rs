@@ -5,9 +5,13 @@
 //! is not part of the state: the state predicts it ([`Track::prior`]), the frame's refinement measures it, and
 //! what that says of the state follows by conditioning ([`Track::update`]), as in a Kalman filter.
 
+mod slip;
+
 use glam::{DQuat, DVec2, DVec3};
 use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
+
+pub use slip::Slip;
 
 use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{ErrorCovariance, Errors, OF_LENS, Prior, Refined, UNKNOWNS};
@@ -143,6 +147,7 @@ pub struct Track {
     covariance: Covariance,
     /// Since a refined pose was last learnt from.
     unlearnt_s: f64,
+    slip: Slip,
 }
 
 /// Where the track puts the camera, and what is needed to learn from the difference.
@@ -179,7 +184,7 @@ impl Physical for Track {
         // A variance may be as large as the square of the largest number.
         let is_covariance = self.covariance.diagonal().iter().all(|variance| *variance >= 0.0)
             && self.covariance.iter().all(|value| value.abs() <= MOST * MOST);
-        self.mean.as_slice().is_possible() && is_covariance && self.unlearnt_s >= 0.0
+        self.mean.as_slice().is_possible() && is_covariance && self.unlearnt_s >= 0.0 && self.slip.is_possible()
     }
 }
 
@@ -205,13 +210,19 @@ impl Track {
             model.lens_shift,
             model.readout_s,
         ]);
-        Self { mean, covariance: Covariance::from_diagonal(&sigmas.component_mul(&sigmas)), unlearnt_s: 0.0 }
+        Self {
+            mean,
+            covariance: Covariance::from_diagonal(&sigmas.component_mul(&sigmas)),
+            unlearnt_s: 0.0,
+            slip: Slip::default(),
+        }
     }
 
     /// Elsewhere, but with what was learnt of the robot.
     pub fn moved_to(&self, pose: Pose2, xy_m: f64, yaw_rad: f64) -> Self {
         let mut moved = self.clone();
         moved.mean.fixed_rows_mut::<3>(0).copy_from_slice(&[pose.x, pose.y, pose.yaw]);
+        moved.slip = Slip::default();
         for (index, sigma) in [(X, xy_m), (Y, xy_m), (YAW, yaw_rad)] {
             moved.forget(index, sigma);
         }
@@ -424,6 +435,11 @@ impl Track {
             left[index] = if share > SAYS_MORE { 0.0 } else { 1.0 - news };
         }
         left
+    }
+
+    /// Whether lines and odometry have told of different walks for some frames, this one the last of them.
+    pub fn slips(&mut self, prior: &Prior, refined: &Refined) -> bool {
+        self.slip.note(self.mean[YAW], prior, refined)
     }
 
     /// Odometry was wronger than it claims: the path is as uncertain as the lines have shown it to be wrong.

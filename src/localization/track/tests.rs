@@ -1,5 +1,7 @@
 //! A robot that walks, and what is learnt of it.
 
+use nalgebra::Matrix6;
+
 use super::*;
 use crate::localization::refinement::{Agreement, error_between};
 
@@ -26,6 +28,7 @@ fn walked(frames: usize, odometry: impl Fn(Pose2) -> Option<Pose2>, gyro: impl F
         let refined = Refined {
             map_from_optical: camera(&truth),
             covariance: ErrorCovariance::identity() * 1e-8,
+            by_paint: Matrix6::zeros(),
             moved,
             cost: 0.0,
             condition: 1.0,
@@ -83,6 +86,7 @@ fn told_again(mut track: Track, stretch: f64, sigma: f64, rate_hz: usize, second
         let mut refined = Refined {
             map_from_optical: prediction.prior.map_from_optical,
             covariance: prediction.prior.covariance,
+            by_paint: Matrix6::zeros(),
             moved: Errors::zeros(),
             cost: 0.0,
             condition: 1.0,
@@ -147,6 +151,7 @@ fn the_covariance_stays_one_whatever_is_doubted() {
         let refined = Refined {
             map_from_optical: prediction.prior.map_from_optical,
             covariance: ErrorCovariance::identity() * 1e-12,
+            by_paint: Matrix6::zeros(),
             moved: off,
             cost: 0.0,
             condition: 1.0,

@@ -17,8 +17,10 @@ struct Level {
     values: Vec<u8>,
 }
 
-/// Standard deviation of a tile's values, about, around 128.
-pub(super) const SPREAD: f32 = 40.0;
+/// Standard deviation of a tile's values.
+pub(super) const SPREAD: f32 = 27.7;
+/// Five of six values lie within so much of 128.
+pub(super) const REACH: f32 = 40.0;
 
 /// A power of two: coordinates wrap by masking.
 const SIDE: usize = 1024;
@@ -34,6 +36,12 @@ impl Tile {
             levels.push(next);
         }
         Self { levels, texels_per_metre }
+    }
+
+    /// Of its finest values.
+    pub(super) fn mean(&self) -> f32 {
+        let values = &self.levels[0].values;
+        values.iter().map(|value| u64::from(*value)).sum::<u64>() as f32 / values.len() as f32
     }
 
     /// Around 128; `size2` is the square of the footprint in metres. Between two levels a mix of both, so that no
@@ -108,6 +116,27 @@ fn add_octave(sum: &mut [f64], stream: &mut Stream, cell: usize, share: f64) {
                 a + (b - a) * tx
             };
             *value += mix(top) + (mix(bottom) - mix(top)) * ty;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_spread_as_far_as_they_are_said_to() {
+        for seed in 0..5 {
+            let tile = Tile::new(seed, Purpose::Turf, 256.0);
+            let values: Vec<f32> = tile.levels[0].values.iter().map(|value| f32::from(*value)).collect();
+            let of = |count: usize| count as f32 / values.len() as f32;
+            let mean = tile.mean();
+            let squares: f64 = values.iter().map(|value| f64::from((value - mean).powi(2))).sum();
+            let spread = (squares / values.len() as f64).sqrt() as f32;
+            assert!((spread / SPREAD - 1.0).abs() < 0.02, "{spread}");
+            assert!((mean - 128.0).abs() < 4.0, "{mean}");
+            let within = of(values.iter().filter(|value| (**value - 128.0).abs() < REACH).count());
+            assert!((within - 5.0 / 6.0).abs() < 0.02, "{within}");
         }
     }
 }

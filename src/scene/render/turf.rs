@@ -3,13 +3,13 @@
 use super::super::effects::{SunPatches, Turf};
 use super::super::stream::{self, Purpose, Stream};
 use super::sheet::Colour;
-use super::tile::{SPREAD, Tile};
+use super::tile::{REACH, SPREAD, Tile};
 
 #[derive(Clone, Debug)]
 pub(super) struct TurfLook {
     blades: Tile,
-    /// How far paint strays in x and in y.
-    strays: [Tile; 2],
+    /// How far paint strays in x and in y, and the value that is no stray: lines lie, on the whole, where the field's description has them.
+    strays: [(Tile, f32); 2],
     /// Change of brightness, as a share, for each unit of the tile's value.
     blade_gain: f32,
     /// Metres for each unit of a tile's value.
@@ -40,7 +40,11 @@ impl TurfLook {
         let share = effect.paint as f32;
         Self {
             blades: tile(0, TEXELS_PER_METRE),
-            strays: [tile(1, STRAY_TEXELS_PER_METRE), tile(2, STRAY_TEXELS_PER_METRE)],
+            strays: [1, 2].map(|part| {
+                let stray = tile(part, STRAY_TEXELS_PER_METRE);
+                let mean = stray.mean();
+                (stray, mean)
+            }),
             blade_gain: effect.blades as f32 / SPREAD,
             ragged_m: effect.ragged_mm as f32 * 1e-3 / SPREAD,
             paint: core::array::from_fn(|c| THIN_PAINT[c] + (GOOD_PAINT[c] - THIN_PAINT[c]) * share),
@@ -54,7 +58,10 @@ impl TurfLook {
     // Never inlined, here and below, and by value: what few scenes have shall not crowd the pixel loop.
     #[inline(never)]
     pub(super) fn stray(&self, x: f32, y: f32, size2: f32) -> [f32; 2] {
-        [0, 1].map(|axis| self.ragged_m * (self.strays[axis].sample(x, y, 0.5 * size2) - 128.0))
+        [0, 1].map(|axis| {
+            let (stray, mean) = &self.strays[axis];
+            self.ragged_m * (stray.sample(x, y, 0.5 * size2) - mean)
+        })
     }
 
     /// Of turf as bright as `base` if it were flat carpet, of which the share `paint` is painted.
@@ -62,7 +69,7 @@ impl TurfLook {
     pub(super) fn colour(&self, x: f32, y: f32, size2: f32, base: Colour, paint: f32) -> Colour {
         let blade = self.blades.sample(x, y, 0.5 * size2) - 128.0;
         let gain = (1.0 + self.blade_gain * blade).max(0.15);
-        let paint = paint * (1.0 - self.hidden_share * (0.5 - blade / (2.0 * SPREAD)).clamp(0.0, 1.0));
+        let paint = paint * (1.0 - self.hidden_share * (0.5 - blade / (2.0 * REACH)).clamp(0.0, 1.0));
         let glint = if self.glint_share > 0.0 { self.glint(x, y, size2) } else { 0.0 };
         core::array::from_fn(|c| {
             let bare = base[c] * TINT[c] * gain;

@@ -3,7 +3,7 @@
 use super::super::effects::WornLines;
 use super::super::stream::Purpose;
 use super::footprint::GroundPoint;
-use super::tile::{SPREAD, Tile};
+use super::tile::{REACH, Tile};
 
 #[derive(Clone, Debug)]
 pub(super) struct Wear {
@@ -29,7 +29,7 @@ impl Wear {
     }
 
     fn left_at(&self, x: f32, y: f32, size2: f32) -> f32 {
-        let noise = (self.patches.sample(x, y, 0.5 * size2) - 128.0) / SPREAD;
+        let noise = (self.patches.sample(x, y, 0.5 * size2) - 128.0) / REACH;
         let left =
             if self.share <= 0.5 { 1.0 - self.share * (1.0 + noise) } else { (1.0 - self.share) * (1.0 - noise) };
         left.clamp(0.0, 1.0)

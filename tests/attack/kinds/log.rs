@@ -129,10 +129,6 @@ impl Damage<'_> {
             0..=5 => {
                 let Some(target) = Target::drawn(draw, &messages[first]) else { return messages };
                 hit.iter().enumerate().for_each(|(already, at)| target.apply(&mut messages[*at], already));
-                // A weakness that is known: see docs/attack.md.
-                if topic == ODOMETRY && hit.len() == of_topic.len() {
-                    self.trusted = false;
-                }
                 format!("{} {:?}", target.name, target.change)
             }
             6 => {

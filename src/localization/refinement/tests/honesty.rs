@@ -103,6 +103,50 @@ fn where_a_camera_was_that_swayed_unseen_while_rows_were_read_is_known_as_well_a
     }
 }
 
+/// Lines painted beside where the description has them: what is stated beside the noise is what they move the pose by, no more and no less.
+#[test]
+fn lines_painted_elsewhere_move_the_pose_as_far_as_is_said() {
+    const DRAWS: u64 = 800;
+    const SIGMA_PX: f64 = 0.05;
+    let start = prior(camera(0.0, 0.0, 0.1));
+    let factor = start.pose_covariance().cholesky().expect("a prior").l();
+    let noise = Noise { sigma_px: SIGMA_PX, correlated: 1.0 };
+    let [.., scale] = SCALES;
+    let (mut held, mut held_by_noise_alone, mut nees) = (0.0, 0.0, 0.0);
+    for seed in 0..DRAWS {
+        let off: Vector6<f64> = factor * Vector6::from_fn(|i, _| normal(seed + 80_000, i));
+        let truth = moved_pose(&start.map_from_optical, &off);
+        let painted: Vec<Vec<_>> = corner()
+            .into_iter()
+            .enumerate()
+            .map(|(line, places)| {
+                let aside = places[0].1.cross(DVec3::Z) * (solve::PAINT_M * normal(seed + 90_000, line));
+                places.into_iter().map(|(point, tangent)| (point + aside, tangent)).collect()
+            })
+            .collect();
+        let mut seen = sights(&truth, &painted, |index| SIGMA_PX * normal(seed, index));
+        for (sight, (point, _)) in seen.iter_mut().zip(corner().concat()) {
+            sight.point = point;
+        }
+        let solution = solve::solve(&start, &seen, &Vector6::zeros(), SCALES[0], noise).expect("a solution");
+        let joint = solve::joint(&start, &seen, &solution.moved, scale, [noise; 2]).expect("a covariance");
+        assert!(SymmetricEigen::new(joint.by_paint).eigenvalues.min() > -1e-12, "{}", joint.by_paint);
+        let error = pose_part(&joint.moved) - off;
+        let xy = Vector2::new(error[0], error[1]);
+        let by_noise = pose_block(&joint.covariance);
+        let within = |covariance: &Matrix6<f64>| {
+            let plane: Matrix2<f64> = covariance.fixed_view::<2, 2>(0, 0).into();
+            f64::from(u8::from(xy.dot(&(plane.try_inverse().expect("regular") * xy)) < 5.991)) / DRAWS as f64
+        };
+        let all = by_noise + joint.by_paint;
+        (held, held_by_noise_alone) = (held + within(&all), held_by_noise_alone + within(&by_noise));
+        nees += error.dot(&(all.try_inverse().expect("regular") * error)) / 6.0 / DRAWS as f64;
+    }
+    println!("held {held:.3}, NEES {nees:.2}; without the paint {held_by_noise_alone:.3}");
+    assert!((0.90..=0.99).contains(&held) && (0.8..1.3).contains(&nees), "{held} {nees}");
+    assert!(held_by_noise_alone < 0.8, "{held_by_noise_alone}");
+}
+
 /// How honest a pose is on average.
 #[derive(Clone, Copy, Debug, Default)]
 struct Honesty {
