@@ -1,11 +1,9 @@
 //! Reality Sim: real camera images for any pose on the field.
 //!
-//! The rooms, in the order in which data passes; a room may use those above it, not those below
-//! (docs/architecture.md has the map).
+//! The rooms stand in the order in which data passes. A room may use those above it, not those below
+//! (docs/architecture.md has the map; the test `no_room_uses_one_below_it` holds it).
 
 pub mod geometry;
-
-pub mod config;
 
 pub mod vision;
 
@@ -15,9 +13,11 @@ pub mod localization;
 
 pub mod smoothing;
 
-pub mod scene;
-
 pub mod ros2;
+
+pub mod config;
+
+pub mod scene;
 
 pub mod sensors;
 
@@ -27,16 +27,15 @@ pub mod sync;
 
 pub mod agent;
 
-pub mod evaluation;
-
 pub mod database;
+
+pub mod evaluation;
 
 pub mod service;
 
-pub mod cli;
+pub mod playback;
 
-mod plain_file;
-mod vectorised;
+pub mod cli;
 
 // What integration tests and unit tests share.
 #[cfg(test)]

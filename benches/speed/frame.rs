@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use realitysim::agent::{Footage, FootageOptions};
-use realitysim::config::{Settings, SimdPath};
+use realitysim::config::Settings;
+use realitysim::localization::SimdPath;
 
 use super::measure::{Times, told};
 

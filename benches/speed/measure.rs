@@ -3,8 +3,7 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use realitysim::config::SimdPath;
-use realitysim::localization::kernel;
+use realitysim::localization::{SimdPath, kernel};
 
 pub struct Bench {
     rounds: usize,

@@ -1,9 +1,8 @@
 //! One rendered frame, and what is known of it.
 
 use glam::DVec3;
-use realitysim::config::{Formula, Model};
 use realitysim::geometry::{Euler, Field, Isometry, Lens, Pose2};
-use realitysim::localization::observation;
+use realitysim::localization::{Formula, Model, observation};
 use realitysim::scene::Renderer;
 use realitysim::sensors::scene;
 use realitysim::vision::{Picture, Seen, Vision, VisionSettings};

@@ -14,12 +14,12 @@ use thiserror::Error;
 use super::error::ReplayError;
 use super::replay::{Progress, ReplayOptions, replay};
 use crate::config::Settings;
-use crate::recording::topic;
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::mcap_write::{ChannelId, LogWriter, RawChannel, WriteError};
+use crate::ros2::topics;
 use crate::sensors::encode;
-use crate::sensors::log::{self as logs, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
-use crate::sensors::scene::{DRAWN_TOPIC, is_drawn_for_episode};
+use crate::sensors::log::{self as logs, LogError, LogSource, StoredCheckpoint};
+use crate::sensors::scene::is_drawn_for_episode;
 
 #[derive(Clone, Debug)]
 pub struct CutOptions {
@@ -163,7 +163,7 @@ fn copy_until(files: &[PathBuf], to_ns: i64, truth: &str, output: &Path) -> Resu
         if message.log_time_ns > to_ns.saturating_add(2 * BEHIND_NS) {
             break;
         }
-        let is_of_frame = is_frame(&message) || [topic::FRAME_TAG, truth].contains(&message.channel.topic.as_str());
+        let is_of_frame = is_frame(&message) || [topics::FRAME_TAG, truth].contains(&message.channel.topic.as_str());
         let until_ns = if is_of_frame { to_ns } else { to_ns.saturating_add(BEHIND_NS) };
         if message.log_time_ns <= until_ns {
             last_ns = last_ns.max(message.log_time_ns);
@@ -184,7 +184,7 @@ fn truth_from(log: &Path, topic: &str, from_ns: i64) -> Result<Vec<LogMessage>, 
 
 /// What a scene's log says once at its start.
 fn drawn_for_episode(files: &[PathBuf]) -> Result<Option<LogMessage>, LogError> {
-    let mut told = LogSource::new(files.to_vec(), Selection::topics([DRAWN_TOPIC]));
+    let mut told = LogSource::new(files.to_vec(), Selection::topics([topics::SCENE_DRAWN]));
     told.find(|message| message.as_ref().map_or(true, is_drawn_for_episode)).transpose()
 }
 
@@ -256,7 +256,7 @@ impl LogCopy {
     fn attach(&mut self, state: &[u8]) -> Result<(), CutError> {
         let Some(writer) = &mut self.writer else { return Ok(()) };
         writer
-            .attach(CHECKPOINT_NAME, "application/octet-stream", 0, state)
+            .attach(topics::CHECKPOINT_ATTACHMENT, "application/octet-stream", 0, state)
             .map_err(|source| CutError::Write { path: self.path.clone(), source })
     }
 

@@ -2,7 +2,7 @@
 
 use super::durations::Durations;
 use crate::ros2::messages::{DiagnosticStatus, FrameTag, KeyValue};
-use crate::sensors::log::DIAGNOSTICS_NAME;
+use crate::ros2::topics::DIAGNOSTICS_PREFIX;
 
 /// Of all frames, and of those since the last report.
 #[derive(Clone, Debug, Default)]
@@ -54,7 +54,7 @@ impl EffortTally {
         let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
         DiagnosticStatus {
             level: if late { DiagnosticStatus::WARN } else { DiagnosticStatus::OK },
-            name: format!("{DIAGNOSTICS_NAME}localization"),
+            name: format!("{DIAGNOSTICS_PREFIX}localization"),
             message,
             hardware_id: robot.to_owned(),
             values: vec![

@@ -18,9 +18,8 @@ use crate::localization::filter::always;
 use crate::localization::{Evidence, LocalizerState};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::FrameTag;
-use crate::sensors::intake;
-use crate::sensors::scene;
 use crate::sensors::synchroniser::{Frame, InitialPose, Synchroniser};
+use crate::sensors::{intake, scene};
 use crate::vision::{Picture, Seen};
 
 #[derive(Clone, Debug)]
@@ -160,7 +159,7 @@ impl<'a> Walk<'a> {
         };
         tag.sequence = self.options.frame;
         Explanation {
-            map_from_camera: intake::isometry(&tag.pose.pose.position, &tag.pose.pose.orientation),
+            map_from_camera: Isometry::from(tag.pose.pose),
             tag,
             lens: self.setup.eyes.vision.lens().clone(),
             field: self.setup.field.clone(),

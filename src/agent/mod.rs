@@ -15,7 +15,6 @@ pub mod foresight;
 pub mod live;
 mod opened;
 mod pipeline;
-pub mod play;
 mod prelude;
 pub mod refining;
 pub mod replay;

@@ -8,13 +8,14 @@ use super::error::ReplayError;
 use super::prelude::Prelude;
 use super::setup::{Setup, SetupError};
 use crate::config::Settings;
-use crate::recording::{Loss, missing_parts, topic};
+use crate::recording::{Loss, missing_parts};
 use crate::ros2::mcap_read::{LogMessage, Selection, Survey};
 use crate::ros2::messages::{CompressedImage, FrameTag, Message, Odometry};
+use crate::ros2::topics::{self, CHECKPOINT_ATTACHMENT};
 use crate::scene::Scene;
-use crate::sensors::log::{self as logs, CHECKPOINT_NAME, LogError, LogSource, StoredCheckpoint};
+use crate::sensors::log::{self as logs, LogError, LogSource, StoredCheckpoint};
 use crate::sensors::scene::SceneSource;
-use crate::sensors::topics;
+use crate::sensors::topic_resolution;
 
 pub(super) struct OpenLog {
     pub setup: Setup,
@@ -39,7 +40,7 @@ pub(super) fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayErr
     let surveys = logs::surveys(&files)?;
     let stored = stored_state(&files, &surveys)?;
     let mut types = logs::topic_types(&surveys);
-    let lacks_images = topics::image(&settings.topics.image, &types).is_err();
+    let lacks_images = topic_resolution::image(&settings.topics.image, &types).is_err();
     let lacks_odometry = !types.values().any(|types| types.contains(Odometry::TYPE));
     if stored.is_of_capture {
         // Of a time when the camera or the odometry sent nothing, for which recording did not end; what else was measured then is
@@ -115,7 +116,7 @@ const MAX_DECISIONS: usize = 1 << 20;
 
 /// Of a log that is no capture, nothing. What cannot be read will be told when the log is replayed.
 fn decisions(files: &[PathBuf]) -> Decisions {
-    let tags = LogSource::with_outputs(files.to_vec(), Selection::topics([topic::FRAME_TAG]));
+    let tags = LogSource::with_outputs(files.to_vec(), Selection::topics([topics::FRAME_TAG]));
     let tags = tags.flatten().filter_map(|message| FrameTag::decode(&message.data).ok());
     let decided = tags.map(|tag| (tag.header.stamp.to_nanoseconds(), tag.capped.then_some(tag.stopped_at)));
     decided.take(MAX_DECISIONS).collect()
@@ -142,7 +143,7 @@ fn stored_state(files: &[PathBuf], surveys: &[Survey]) -> Result<StoredState, Re
         Ok(checkpoint) => return Ok(StoredState { checkpoint: Some(checkpoint), ..of_capture }),
         Err(error) => error,
     };
-    let what = format!("its attachment {CHECKPOINT_NAME}: {error}; {BEGAN_ANEW}");
+    let what = format!("its attachment {CHECKPOINT_ATTACHMENT}: {error}; {BEGAN_ANEW}");
     Ok(match error {
         // Not lost, only of another time.
         CheckpointError::Version { .. } => {

@@ -17,21 +17,21 @@ use super::error::AgentError;
 use super::foresight::Foresight;
 use super::setup::{Eyes, Setup};
 use super::stages::{Looked, Looking};
-use super::state::{STATE_FILE, Start};
+use super::state::Start;
 use super::tagger::Tagger;
 use super::tally::Tally;
 use super::warnings::{self, AttitudeSource};
 use crate::config::{Settings, Topics};
-use crate::geometry::{Field, FieldDimensions, LensParameters, PoseGrid};
+use crate::geometry::{Field, FieldDimensions, Isometry, LensParameters, PoseGrid};
 use crate::recording::storage::Disk;
 use crate::recording::{
-    Counts, Ended, LiveInfo, RecorderStatus, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning, Writing,
-    folder_name, write_coverage,
+    Counts, Ended, LiveInfo, RecorderStatus, STATE_FILE, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning,
+    Writing, folder_name, write_coverage,
 };
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{DiagnosticArray, FrameTag};
+use crate::ros2::topics;
 use crate::sensors::intake;
-use crate::sensors::log::CHECKPOINT_NAME;
 use crate::sensors::synchroniser::Synchroniser;
 
 /// Where a pipeline writes, and how it works.
@@ -355,7 +355,7 @@ impl Pipeline {
         self.tally.begun_anew = self.tagger.begun_anew();
         self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
-        let pose = tag.valid.then(|| intake::isometry(&tag.pose.pose.position, &tag.pose.pose.orientation));
+        let pose = tag.valid.then(|| Isometry::from(tag.pose.pose));
         let keeps = self.thinning.keeps(frame.stamp_ns, pose.as_ref(), tag.pose.sigma_xy_m());
         if let Some(session) = &mut self.session {
             match (self.thinning.thins(), keeps) {
@@ -409,7 +409,7 @@ impl Pipeline {
     }
 
     fn segment_state(&self, log_time_ns: i64) -> Result<SegmentState, AgentError> {
-        Ok(SegmentState { log_time_ns, name: CHECKPOINT_NAME, state: self.checkpoint()? })
+        Ok(SegmentState { log_time_ns, name: topics::CHECKPOINT_ATTACHMENT, state: self.checkpoint()? })
     }
 
     fn checkpoint(&self) -> Result<Vec<u8>, AgentError> {

@@ -10,7 +10,7 @@ use crate::ros2::messages::{CameraInfo, Imu, JointState, Message, TFMessage};
 use crate::sensors::intake::{self, Input};
 use crate::sensors::log::LogError;
 use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
-use crate::sensors::topics::{TopicTypes, resolve};
+use crate::sensors::topic_resolution::{TopicTypes, resolve};
 
 pub struct Prelude {
     pub topics: Topics,

@@ -7,26 +7,22 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix6, Vector6};
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::error::ReplayError;
 use super::opened::{self, OpenLog};
 use super::stages::view;
-use crate::evaluation::capture::{EvaluationError, Readout, read_tags};
 use crate::geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use crate::localization::refinement::LinePoints;
 use crate::localization::refinement::miscalibration::Miscalibration;
 use crate::localization::refinement::offsets::{Eye, Sight, measure};
-use crate::plain_file;
 use crate::recording::{
-    Loss, REFINED_FOLDER, RecordingError, SESSION_FILE, SessionInfo, captures_within, read_info, topic,
-    write_atomically,
+    Loss, REFINED_FOLDER, REFINED_INFO, REFINED_TAGS, Readout, ReadoutError, RecordingError, RefinedConstant,
+    RefinedInfo, SESSION_FILE, SessionInfo, captures_within, read_info, read_tags, write_atomically,
 };
-use crate::ros2::messages::{FrameTag, Message, PoseWithCovarianceStamped};
-use crate::ros2::{Durability, LogWriter, WriteError};
-use crate::sensors::intake::{self, isometry};
-use crate::sensors::scene::{header, pose};
+use crate::ros2::messages::{FrameTag, Header, Message, Pose, PoseWithCovarianceStamped};
+use crate::ros2::{Durability, LogWriter, WriteError, topics};
+use crate::sensors::intake;
 use crate::sensors::synchroniser::{Frame as SensorFrame, Synchroniser};
 use crate::smoothing::alignment::{Look, matches};
 use crate::smoothing::{CONSTANTS, Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, held_out_rms_px, smooth};
@@ -58,7 +54,7 @@ pub enum RefineError {
     #[error(transparent)]
     Recording(#[from] RecordingError),
     #[error(transparent)]
-    Tags(#[from] EvaluationError),
+    Tags(#[from] ReadoutError),
     #[error(transparent)]
     Replay(#[from] ReplayError),
     #[error("the lens: {0}")]
@@ -69,45 +65,6 @@ pub enum RefineError {
     Write(#[from] WriteError),
 }
 
-/// What stands beside refined tags: the lens that they belong to, and how it was found.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RefinedInfo {
-    pub lens: LensParameters,
-    pub constants: Vec<Found>,
-    pub frames: usize,
-    pub rms_px: [f64; 2],
-    /// The same of lines that took no part, before and after: see [`held_out_rms_px`].
-    #[serde(default)]
-    pub held_out_px: [f64; 2],
-}
-
-/// By this share lines that took no part must fit better for refined tags to be preferred: what is less may be chance.
-const BETTER: f64 = 0.01;
-
-impl RefinedInfo {
-    /// Whether the refined tags are to be used in place of those that were recorded.
-    pub fn is_better(&self) -> bool {
-        let [before, after] = self.held_out_px;
-        after < (1.0 - BETTER) * before
-    }
-}
-
-/// A constant of the walk.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Found {
-    pub name: String,
-    pub unit: String,
-    /// To be added to what was believed.
-    pub value: f64,
-    /// Standard deviations before the walk and after it.
-    pub believed: f64,
-    pub known: f64,
-    /// The walk says more about it than was believed before.
-    pub observable: bool,
-}
-
-pub const REFINED_INFO: &str = "refined.json";
-const TAGS: &str = "0000.mcap";
 /// Lines are looked for twice: from the tags, and from what came of them.
 const PASSES: usize = 2;
 /// How wrong a pose may be in the first pass, and in the next: metres and radians.
@@ -133,7 +90,7 @@ pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64))
     let valid = tags.iter().filter(|tag| tag.valid);
     let mut poses: HashMap<i64, Isometry> = valid
         .map(|tag| {
-            let map_from_link = isometry(&tag.pose.pose.position, &tag.pose.pose.orientation);
+            let map_from_link = Isometry::from(tag.pose.pose);
             (tag.header.stamp.to_nanoseconds(), map_from_link * Isometry::link_from_optical())
         })
         .collect();
@@ -261,8 +218,8 @@ fn look(
 fn retagged(tag: &FrameTag, map_from_link: &Isometry, covariance: &Matrix6<f64>) -> FrameTag {
     let euler = map_from_link.euler();
     let mut tag = FrameTag { yaw: euler.yaw, pitch: euler.pitch, roll: euler.roll, refined: true, ..tag.clone() };
-    tag.pose.pose = pose(map_from_link);
-    tag.mirror_pose = pose(&map_from_link.mirrored());
+    tag.pose.pose = Pose::from(*map_from_link);
+    tag.mirror_pose = Pose::from(map_from_link.mirrored());
     for row in 0..6 {
         (0..6).for_each(|column| tag.pose.covariance[6 * row + column] = covariance[(row, column)]);
     }
@@ -278,7 +235,7 @@ impl Refining {
         // readout of a camera that turns by a radian per second.
         let a_pixel = 1.0 / self.lens.fx;
         let systematic = [a_pixel, 1.0, 1.0, a_pixel, a_pixel, a_pixel, height_m * a_pixel, a_pixel];
-        let found = (0..CONSTANTS).map(|i| Found {
+        let found = (0..CONSTANTS).map(|i| RefinedConstant {
             name: NAMES[i].0.to_owned(),
             unit: NAMES[i].1.to_owned(),
             value: values[i],
@@ -305,22 +262,23 @@ impl Refining {
             move |source| RefineError::Io { path, source }
         };
         fs::create_dir_all(&folder).map_err(failed(&folder))?;
-        let active = folder.join(format!("{TAGS}.active"));
+        let active = folder.join(format!("{REFINED_TAGS}.active"));
         let file = File::create(&active).map_err(failed(&active))?;
         let mut log = LogWriter::new(BufWriter::new(file))?;
-        let tags = log.add_channel::<FrameTag>(topic::FRAME_TAG, Durability::Volatile)?;
-        let poses = log.add_channel::<PoseWithCovarianceStamped>(topic::POSE, Durability::Volatile)?;
+        let tags = log.add_channel::<FrameTag>(topics::FRAME_TAG, Durability::Volatile)?;
+        let poses = log.add_channel::<PoseWithCovarianceStamped>(topics::POSE, Durability::Volatile)?;
         for (sequence, tag) in self.refined.iter().enumerate() {
             let stamp_ns = tag.header.stamp.to_nanoseconds();
             log.write(tags, sequence as u32, stamp_ns, stamp_ns, &tag.encode())?;
             if tag.valid {
-                let pose = PoseWithCovarianceStamped { header: header(stamp_ns, &tag.header.frame_id), pose: tag.pose };
+                let pose =
+                    PoseWithCovarianceStamped { header: Header::at(stamp_ns, &tag.header.frame_id), pose: tag.pose };
                 log.write(poses, sequence as u32, stamp_ns, stamp_ns, &pose.encode())?;
             }
         }
         let file = log.finish()?.into_inner().map_err(|error| failed(&active)(error.into_error()))?;
         file.sync_all().map_err(failed(&active))?;
-        let path = folder.join(TAGS);
+        let path = folder.join(REFINED_TAGS);
         let info = serde_json::to_vec_pretty(&self.info()).map_err(|error| failed(&folder)(error.into()))?;
         // Tags of an earlier run must not stand beside the lens of this one.
         match fs::remove_file(&path) {
@@ -331,18 +289,4 @@ impl Refining {
         fs::rename(&active, &path).map_err(failed(&path))?;
         Ok(folder)
     }
-}
-
-/// A lens and a dozen constants take some KiB.
-const MAX_INFO_BYTES: u64 = 4 << 20;
-
-/// The lens that a capture's refined tags belong to, if it has any.
-pub fn refined_info(capture: &Path) -> Result<Option<RefinedInfo>, RefineError> {
-    let path = capture.join(REFINED_FOLDER).join(REFINED_INFO);
-    if !capture.join(REFINED_FOLDER).join(TAGS).is_file() {
-        return Ok(None);
-    }
-    let failed = |source| RefineError::Io { path: path.clone(), source };
-    let text = plain_file::read(&path, MAX_INFO_BYTES).map_err(failed)?;
-    serde_json::from_slice(&text).map(Some).map_err(|error| failed(error.into()))
 }

@@ -13,7 +13,7 @@ use crate::ros2::messages::CameraInfo;
 use crate::sensors::body_mask;
 use crate::sensors::log::LogError;
 use crate::sensors::synchroniser::{Expected, SynchroniserState};
-use crate::sensors::topics::TopicError;
+use crate::sensors::topic_resolution::TopicError;
 use crate::sensors::transforms::{ChainError, Head};
 use crate::vision::{BodyMask, Vision, VisionSettings};
 

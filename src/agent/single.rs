@@ -4,7 +4,6 @@ use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
 use serde::Serialize;
 
-use crate::config::{Formula, Model, SimdPath};
 use crate::geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::filter::always;
 use crate::localization::global::{self, Candidate, Pace, Search, SearchState, Wanted};
@@ -13,8 +12,8 @@ use crate::localization::observation::default_alpha;
 use crate::localization::painted::PaintedMap;
 use crate::localization::refinement::{Agreement, Prior, Refiner, error_between};
 use crate::localization::{
-    Effort, Evidence, Filter, FilterSettings, FilterState, MotionModel, Observation, Sampling, Spread, Support, Tried,
-    observation,
+    Effort, Evidence, Filter, FilterSettings, FilterState, Formula, Model, MotionModel, Observation, Sampling,
+    SimdPath, Spread, Support, Tried, observation,
 };
 use crate::vision::{BodyMask, Picture, Seen, Vision, VisionSettings};
 

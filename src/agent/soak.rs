@@ -18,10 +18,9 @@ use crate::recording::{
 };
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
-use crate::ros2::messages::{CompressedImage, FrameTag, Imu, Message};
+use crate::ros2::messages::{CompressedImage, FrameTag, Header, Imu, Message};
+use crate::ros2::topics;
 use crate::sensors::host_clock::utc_offset_ns;
-use crate::sensors::log::CHECKPOINT_NAME;
-use crate::sensors::scene::header;
 
 #[derive(Clone, Debug)]
 pub struct SoakOptions {
@@ -81,7 +80,7 @@ pub fn soak(options: &SoakOptions, each: &mut dyn FnMut(&RecorderStatus)) -> Res
 }
 
 fn state(log_time_ns: i64) -> SegmentState {
-    SegmentState { log_time_ns, name: CHECKPOINT_NAME, state: vec![0x5a; STATE_BYTES] }
+    SegmentState { log_time_ns, name: topics::CHECKPOINT_ATTACHMENT, state: vec![0x5a; STATE_BYTES] }
 }
 
 fn processor_time() -> Duration {
@@ -140,7 +139,7 @@ impl Stream {
         // As little to be packed as a JPEG is.
         let data =
             (0..options.frame_bytes as u64).map(|i| (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 56) as u8).collect();
-        let header = header(start_ns, &options.settings.frames.camera_optical);
+        let header = Header::at(start_ns, &options.settings.frames.camera_optical);
         Self {
             start_ns,
             frame_every: Duration::from_secs(1) / options.frames_per_s.max(1),
@@ -166,13 +165,13 @@ impl Stream {
     fn write_due(&mut self, now: Duration, session: &mut SessionWriter) -> Result<(), RecordingError> {
         while let Some(every) = self.imu_every.filter(|every| *every * self.measurements <= now) {
             let at_ns = self.start_ns + (every * self.measurements).as_nanos() as i64;
-            let imu = Imu { header: header(at_ns, "base_link"), ..Imu::default() };
+            let imu = Imu { header: Header::at(at_ns, "base_link"), ..Imu::default() };
             self.pass(1, at_ns, imu.encode(), session)?;
             self.measurements += 1;
         }
         while self.frame_every * self.frames <= now {
             let at_ns = self.start_ns + (self.frame_every * self.frames).as_nanos() as i64;
-            let stamp = header(at_ns, "");
+            let stamp = Header::at(at_ns, "");
             self.image.header.stamp = stamp.stamp;
             let pose = on_a_circle(self.frame_every * self.frames);
             if self.thinning.keeps(at_ns, Some(&pose.to_isometry()), 0.0) {

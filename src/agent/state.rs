@@ -7,14 +7,11 @@ use super::budget::Decisions;
 use super::checkpoint::{Checkpoint, MAX_BYTES};
 use super::foresight::Foresight;
 use super::tagger::Tagger;
-use crate::config::Settings;
+use crate::config::{Settings, plain_file};
 use crate::geometry::{Field, Lens, Pose2};
 use crate::localization::LocalizerState;
-use crate::plain_file;
+use crate::recording::STATE_FILE;
 use crate::sensors::synchroniser::{InitialPose, SynchroniserState};
-
-/// The state that an agent leaves behind, in the folder of all captures.
-pub const STATE_FILE: &str = "last_state.bin";
 
 /// What is known when the first message comes.
 #[derive(Clone, Debug, Default)]

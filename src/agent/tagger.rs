@@ -1,15 +1,14 @@
 //! From what a frame shows to its tag: localization's answer as the message that is written.
 
-use crate::config::{Formula, Model, MotionSource, Settings};
+use crate::config::{MotionSource, Settings};
 use crate::geometry::{Field, Isometry, Lens};
 use crate::localization::filter::always;
 use crate::localization::observation::default_alpha;
 use crate::localization::{
-    Evidence, FilterSettings, Fix, LensOff, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Moment, Observation,
-    Sampling, Spread, TrackModel, Validity,
+    Evidence, FilterSettings, Fix, Formula, LensOff, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Model,
+    Moment, Observation, Sampling, Spread, TrackModel, Validity,
 };
-use crate::ros2::messages::{FrameTag, Stamp};
-use crate::sensors::scene::{header, pose};
+use crate::ros2::messages::{FrameTag, Header, Pose, Stamp};
 use crate::sensors::synchroniser::{Anchor, InitialPose, RobotAt};
 use crate::vision::Seen;
 
@@ -162,7 +161,7 @@ impl Tagger {
         let best = estimate.best.to_isometry() * footprint_from_camera;
         let euler = map_from_camera.euler();
         let mut tag = FrameTag {
-            header: header(stamp_ns, &self.map_frame),
+            header: Header::at(stamp_ns, &self.map_frame),
             child_frame_id: self.camera_frame.clone(),
             valid: fix.doubt.is_none(),
             reason: fix.doubt.unwrap_or_default().to_owned(),
@@ -186,9 +185,9 @@ impl Tagger {
             spread_m: estimate.spread_m,
             spread_yaw_rad: estimate.spread_yaw_rad,
             ambiguous: fix.ambiguous,
-            mirror_pose: pose(&map_from_camera.mirrored()),
+            mirror_pose: Pose::from(map_from_camera.mirrored()),
             residual: support.share,
-            best_particle: pose(&best),
+            best_particle: Pose::from(best),
             refined: fix.refined,
             lines_expected: fix.agreement.expected as u32,
             lines_fitting: fix.agreement.fitting as u32,
@@ -200,7 +199,7 @@ impl Tagger {
             odometry_until: Stamp::from_nanoseconds(robot.odometry_until_ns.unwrap_or(0)),
             ..FrameTag::default()
         };
-        tag.pose.pose = pose(&map_from_camera);
+        tag.pose.pose = Pose::from(map_from_camera);
         for row in 0..6 {
             for column in 0..6 {
                 tag.pose.covariance[6 * row + column] = fix.covariance[(row, column)];

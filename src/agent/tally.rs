@@ -7,9 +7,8 @@ use super::stages::NotSeen;
 use crate::recording::Counts;
 use crate::ros2::cdr::CdrError;
 use crate::ros2::mcap_read::LogMessage;
-use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
-use crate::sensors::log::DIAGNOSTICS_NAME;
-use crate::sensors::scene::header;
+use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Header, KeyValue};
+use crate::ros2::topics::DIAGNOSTICS_PREFIX;
 use crate::sensors::synchroniser::{Frame, RobotAt};
 
 #[derive(Clone, Debug, Default)]
@@ -102,13 +101,13 @@ impl Tally {
         }
         let recorder = DiagnosticStatus {
             level: if conserved { DiagnosticStatus::OK } else { DiagnosticStatus::ERROR },
-            name: format!("{DIAGNOSTICS_NAME}recorder"),
+            name: format!("{DIAGNOSTICS_PREFIX}recorder"),
             message: if conserved { "captured = written + thinned + dropped" } else { "frames are unaccounted for" }
                 .to_owned(),
             hardware_id: robot.to_owned(),
             values,
         };
         let localization = self.effort.diagnostics(robot, budget_ms);
-        DiagnosticArray { header: header(log_time_ns, ""), status: vec![recorder, localization] }
+        DiagnosticArray { header: Header::at(log_time_ns, ""), status: vec![recorder, localization] }
     }
 }

@@ -8,10 +8,10 @@ use serde::Serialize;
 
 use super::{Outcome, output};
 use crate::config::Topics;
-use crate::evaluation::capture::{Readout, read_poses, read_tags, read_truth, tagged};
+use crate::evaluation::capture::{read_poses, read_truth, tagged};
 use crate::evaluation::{Comparison, Tagged, compare, mirrored, up_to_mirror};
 use crate::geometry::Isometry;
-use crate::recording::Loss;
+use crate::recording::{Loss, Readout, read_tags};
 
 /// Judge the tags of a capture against the truth
 ///

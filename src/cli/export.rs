@@ -12,10 +12,10 @@ use serde::Serialize;
 use super::paths::{cannot_write, check_old, check_output, make_folder};
 use super::settings::UsageError;
 use super::{Outcome, output};
-use crate::evaluation::capture::{Readout, losses, read_tags};
-use crate::recording::{Loss, read_info, topic};
+use crate::recording::{Loss, Readout, losses, read_info, read_tags};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
+use crate::ros2::topics;
 use crate::sensors::decode;
 use crate::sensors::log::{self, LogSource};
 
@@ -138,7 +138,7 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
         waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
     }
     // The tags again, so that what is lost of them counts here as well.
-    let selection = Selection::topics([image_topic.as_str(), topic::FRAME_TAG]);
+    let selection = Selection::topics([image_topic.as_str(), topics::FRAME_TAG]);
     let mut source = LogSource::with_outputs(log::files_of(capture)?, selection);
     let mut progress = output::Progress::new("exporting");
     let (mut written, mut unreadable, mut first_error) = (0, 0, None);

@@ -19,6 +19,7 @@ use crate::evaluation::contrast::WRONG_CM;
 use crate::evaluation::falsify::{Control, Falsehood, falsehoods};
 use crate::evaluation::truth;
 use crate::geometry::Isometry;
+use crate::recording::ReadoutError;
 use crate::sensors::scene;
 
 /// Find out whether tags can be wrong and valid
@@ -138,7 +139,7 @@ fn truth_of(path: &Path, settings: &Settings) -> anyhow::Result<Vec<(i64, Isomet
         return Ok(truth::of_scene(&scene::load(path)?));
     }
     match read_truth(path, &settings.topics.ground_truth) {
-        Err(EvaluationError::NoMessages { .. }) => Err(UsageError(format!(
+        Err(EvaluationError::Readout(ReadoutError::NoMessages { .. })) => Err(UsageError(format!(
             "{}: it has no ground truth on {}, against which valid tags could be judged; a scene has one",
             path.display(),
             settings.topics.ground_truth

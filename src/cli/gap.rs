@@ -14,10 +14,10 @@ use super::{Outcome, detector, output};
 use crate::config::Settings;
 use crate::database::{Gallery, Wanted};
 use crate::evaluation::drawing;
-use crate::evaluation::views::{Detection, Detector, likeness};
+use crate::evaluation::views::{Detection, Detector};
 use crate::geometry::Isometry;
 use crate::scene::{Renderer, Scene, SceneFile};
-use crate::views::{Camera, MAX_FAR_M, Method, NOTHING, Raster, SURE, Target, World};
+use crate::views::{Camera, MAX_FAR_M, Method, NOTHING, Raster, SURE, Target, World, similarity};
 use crate::vision::Picture;
 
 /// Measure the gap between recorded, made-up and rendered images
@@ -203,7 +203,7 @@ impl Judge<'_> {
             form,
             images: 1,
             detection: self.own.look(&picture, &self.pose),
-            psnr_db: likeness(&self.recorded.pixels, &image.pixels, image.width, &self.ground, &shown).psnr_db,
+            psnr_db: similarity(&self.recorded.pixels, &image.pixels, image.width, &self.ground, &shown).psnr_db,
             histogram: histogram_distance(&self.recorded.pixels, &image.pixels, &shown),
             detector: self.arguments.detector.as_deref().map(|command| ask(command, image)).transpose()?,
         })

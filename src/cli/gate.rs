@@ -10,12 +10,12 @@ use serde_json::Value;
 use super::junit::{self, TestCase};
 use super::{Outcome, output, paths};
 use crate::agent::ReplayReport;
-use crate::evaluation::capture::read_tags;
+use crate::config::plain_file;
 use crate::evaluation::reference::{
     Difference, Frames, Identity, MAX_REFERENCE_BYTES, Reference, Verdict, compare, settings_that_matter,
 };
 use crate::geometry::Pose2;
-use crate::plain_file;
+use crate::recording::read_tags;
 
 #[derive(Args)]
 pub struct GateArguments {

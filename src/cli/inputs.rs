@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::config::{Settings, field_file, field_seen_from, lens_file, lens_seen_from};
+use crate::config::{Settings, field_file, field_seen_from, lens_file, lens_seen_from, plain_file};
 use crate::database::Catalogue;
 use crate::evaluation::suite::Suite;
-use crate::plain_file;
 use crate::recording::{read_info, session_holding};
 use crate::scene::SceneFile;
 

@@ -8,7 +8,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 
 use super::{Outcome, output, paths};
-use crate::plain_file;
+use crate::config::plain_file;
 
 /// Put the recorder in place as a service of this machine (as root)
 ///

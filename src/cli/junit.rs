@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::settings::UsageError;
 use super::{output, paths};
-use crate::plain_file;
+use crate::config::plain_file;
 
 /// One test; it has passed if it has no fault.
 pub struct TestCase {

@@ -2,8 +2,7 @@
 
 use std::fs;
 
-use crate::config::SimdPath;
-use crate::localization::kernel;
+use crate::localization::{SimdPath, kernel};
 
 /// Enough to know what to expect elsewhere.
 pub fn described(path: SimdPath) -> String {

@@ -9,9 +9,10 @@ use serde::Serialize;
 use super::section::Section;
 use super::values::any_whole;
 use super::{Outcome, machine, output, paths};
-use crate::config::{Settings, SimdPath};
+use crate::config::Settings;
 use crate::evaluation::Summary;
 use crate::evaluation::paper::{METHODS, PAPER_PARTICLES, PAPER_WALK_CM, Paper, Plan, Run, charts, reproduce};
+use crate::localization::SimdPath;
 
 /// Repeat the paper's experiments on rendered scenes
 ///

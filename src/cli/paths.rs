@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::inputs::with_what_they_name;
 use super::settings::UsageError;
-use crate::plain_file;
+use crate::config::plain_file;
 use crate::recording::{cannot_be_made, session_holding};
 use crate::sensors::video_out::is_device_name;
 

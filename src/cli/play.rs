@@ -10,10 +10,9 @@ use super::settings::UsageError;
 use super::values::{any_whole, whole};
 use super::{Outcome, output};
 use crate::agent::live::stop_flag;
-use crate::agent::play::{PlayOptions, PlaySource, Played, play};
-use crate::config::Settings;
+use crate::config::{Settings, plain_file};
 use crate::geometry::{Euler, Isometry};
-use crate::plain_file;
+use crate::playback::{PlayOptions, PlaySource, Played, play};
 
 /// Play a capture, or a way through a database, to where a robot's devices are
 ///

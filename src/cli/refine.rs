@@ -9,14 +9,14 @@ use super::paths::{check_output, temporary, write};
 use super::settings::UsageError;
 use super::values::whole;
 use super::{Outcome, output};
-use crate::agent::refining::{Found, RefinedInfo, Refining, refine};
+use crate::agent::refining::{Refining, refine};
 use crate::config::Settings;
 use crate::database::{DatabaseError, Gallery, TagLimits, add, leave_one_out};
 use crate::evaluation::Summary;
 use crate::evaluation::capture::read_truth;
 use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
+use crate::recording::{RefinedConstant, RefinedInfo};
 use crate::ros2::messages::FrameTag;
-use crate::sensors::intake::isometry;
 use crate::smoothing::{Constants, Model};
 
 /// Improve a capture's tags afterwards, from all frames together
@@ -53,7 +53,7 @@ struct Report {
     tags: usize,
     before: Judged,
     after: Judged,
-    constants: Vec<Found>,
+    constants: Vec<RefinedConstant>,
     /// `db add` takes the refined tags.
     preferred: bool,
     output: PathBuf,
@@ -120,7 +120,7 @@ fn errors(tags: &[FrameTag], stamps_ns: &[i64], truth: &[(i64, Isometry)]) -> Op
         let stamp = tag.header.stamp.to_nanoseconds();
         let at = truth.binary_search_by_key(&stamp, |(stamp, _)| *stamp);
         if let (Ok(at), Ok(_)) = (at, stamps_ns.binary_search(&stamp)) {
-            let pose = isometry(&tag.pose.pose.position, &tag.pose.pose.orientation);
+            let pose = Isometry::from(tag.pose.pose);
             centimetres.push(100.0 * pose.translation.distance(truth[at].1.translation));
             degrees.push(crate::views::angle_between(&pose, &truth[at].1).to_degrees());
         }
@@ -180,7 +180,7 @@ fn lens_file(lens: &LensParameters) -> String {
     };
     let fov = fov_deg.map_or(String::new(), |fov| format!("fov_deg = {fov:?}\n"));
     format!(
-        "# Found by `realitysim refine`\ntitle = \"Refined\"\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\n\
+        "# RefinedConstant by `realitysim refine`\ntitle = \"Refined\"\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\n\
          cx = {cx:?}\ncy = {cy:?}\n{model}{fov}"
     )
 }
@@ -193,7 +193,7 @@ fn robot_file(refining: &Refining, lens: &Path) -> String {
     let mount = &refining.info.settings.mount;
     let constants = refining.smoothed.constants;
     let mut text =
-        "# Found by `realitysim refine` from one walk. What the walk does not show stays as it was believed:\n"
+        "# RefinedConstant by `realitysim refine` from one walk. What the walk does not show stays as it was believed:\n"
             .to_owned();
     for found in refining.info().constants {
         let says = if found.observable { "observed" } else { "not observable in this walk" };
@@ -253,7 +253,7 @@ fn told(report: &Report) -> String {
         judged.angle_deg.as_ref().map_or("-".to_owned(), |s| format!("{:.3}", s.median))
     });
     row("views of the ground, median dB", &|judged| median(&judged.view_psnr_db));
-    for Found { name, unit, value, known, observable, .. } in &report.constants {
+    for RefinedConstant { name, unit, value, known, observable, .. } in &report.constants {
         let doubt = match *observable {
             false => "  (not observable in this walk)",
             true if name.starts_with("tilt") => "  (of mount and IMU together)",

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::paths;
 use super::settings::UsageError;
-use crate::plain_file;
+use crate::config::plain_file;
 
 /// A page of documentation takes some ten KiB.
 const MAX_DOCUMENT_BYTES: u64 = 16 << 20;

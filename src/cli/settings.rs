@@ -9,8 +9,9 @@ use thiserror::Error;
 use super::inputs;
 use super::values::{any_number, any_whole};
 use crate::config::wording::plain;
-use crate::config::{Formula, Model, MotionSource, Settings, SimdPath};
+use crate::config::{MotionSource, Settings};
 use crate::geometry::{Field, Physical, Pose2};
+use crate::localization::{Formula, Model, SimdPath};
 
 #[derive(Debug, Error)]
 #[error("{0}")]

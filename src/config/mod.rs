@@ -5,6 +5,7 @@
 mod error;
 pub mod fields;
 pub mod lenses;
+pub mod plain_file;
 pub mod settings;
 mod source;
 pub(crate) mod wording;
@@ -16,7 +17,7 @@ pub use lenses::{
     load_lens, load_lens_for_image, parse_lens,
 };
 pub use settings::{
-    BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, Formula, FrameNames, HeadSettings, LEAST_BUDGET_MS,
-    Model, MotionModel, MotionSource, MountSettings, RecordingSettings, SerialPortSettings, SerialSettings, Settings,
-    SimdPath, ThinningMode, ThinningSettings, Topics, ViewsSettings,
+    BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, FrameNames, HeadSettings, LEAST_BUDGET_MS,
+    MotionSource, MountSettings, RecordingSettings, SerialPortSettings, SerialSettings, Settings, ThinningMode,
+    ThinningSettings, Topics, ViewsSettings,
 };

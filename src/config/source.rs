@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use include_dir::Dir;
 
 use super::ConfigError;
-use crate::plain_file;
+use crate::config::plain_file;
 
 /// A settings file is a few KiB; whoever passes a recording by mistake should not wait for it to be read.
 const MAX_BYTES: u64 = 1 << 20;

@@ -8,16 +8,15 @@ use serde::Serialize;
 
 use super::catalogue::{Catalogue, Source, TagLimits};
 use super::circle::circle_deg;
-use super::darkening;
 use super::error::{DatabaseError, io};
 use super::gallery::without_rim;
-use super::goals;
 use super::index::{Index, path_of, write_index};
 use super::inputs::sources_of;
 use super::masks::{self, Masks};
 use super::pixels::read_bytes;
 use super::record::Record;
 use super::sources::{self, Read};
+use super::{darkening, goals};
 use crate::geometry::{Field, FieldDimensions, LensParameters};
 use crate::recording::Loss;
 

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::error::{DatabaseError, io};
 use super::index::{Index, path_of};
+use crate::config::plain_file;
 use crate::geometry::{FieldDimensions, LensParameters};
-use crate::plain_file;
 use crate::recording::write_atomically;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

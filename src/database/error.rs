@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use crate::config::ConfigError;
-use crate::evaluation::capture::EvaluationError;
 use crate::geometry::{FieldError, LensError};
-use crate::recording::{Loss, RecordingError};
+use crate::recording::{Loss, ReadoutError, RecordingError};
 use crate::sensors::log::LogError;
 use crate::views::ViewError;
 
@@ -52,7 +51,7 @@ pub enum DatabaseError {
     #[error(transparent)]
     Config(#[from] ConfigError),
     #[error(transparent)]
-    Tags(#[from] EvaluationError),
+    Tags(#[from] ReadoutError),
     #[error(transparent)]
     Session(#[from] RecordingError),
     #[error(transparent)]

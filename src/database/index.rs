@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use super::error::{DatabaseError, io};
 use super::record::{RECORD_BYTES, Record};
 use super::tree::{self, Metric, Search, Split};
+use crate::config::plain_file;
 use crate::geometry::{Isometry, Physical};
-use crate::plain_file;
 
 /// An index that has been read. The file is never changed: a new one takes its place.
 #[derive(Debug)]

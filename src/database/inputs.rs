@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use super::catalogue::Catalogue;
 use super::error::{DatabaseError, io};
 use super::sources::is_source;
-use crate::agent::state::STATE_FILE;
-use crate::recording::DISK_FILE;
+use crate::recording::{DISK_FILE, STATE_FILE};
 
 /// What recorders keep beside their captures, and `captures/*` names too.
 const BESIDE_CAPTURES: [&str; 2] = [STATE_FILE, DISK_FILE];

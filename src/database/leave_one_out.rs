@@ -2,8 +2,7 @@
 
 use super::error::DatabaseError;
 use super::gallery::{Gallery, Wanted};
-use crate::evaluation::views::likeness;
-use crate::views::{Method, SURE, Surface, Target, World};
+use crate::views::{Method, SURE, Surface, Target, World, similarity};
 
 /// PSNR on the ground, dB, of `wanted` images spread evenly over the database; those that no other image shows are left out. Exposure is not
 /// evened out beyond what a view does by itself.
@@ -42,9 +41,9 @@ pub fn leave_one_out(
             .collect();
         let both: Vec<bool> =
             shown.pixels.iter().zip(&real.pixels).map(|(a, b)| a[3] == SURE && b[3] == SURE).collect();
-        let likeness = likeness(&real.pixels, &shown.pixels, width, &ground, &both);
-        if likeness.compared > 0.0 {
-            found.push(likeness.psnr_db);
+        let similarity = similarity(&real.pixels, &shown.pixels, width, &ground, &both);
+        if similarity.compared > 0.0 {
+            found.push(similarity.psnr_db);
         }
     }
     Ok(found)

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::catalogue::{Catalogue, Source};
 use super::error::DatabaseError;
-use crate::plain_file;
+use crate::config::plain_file;
 use crate::recording::write_atomically;
 use crate::sensors::mask;
 use crate::vision::BodyMask;

@@ -10,8 +10,8 @@ use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
 use super::record::Form;
+use crate::config::plain_file;
 use crate::geometry::lens::{MAX_PIXELS, MAX_SIDE, is_image_size};
-use crate::plain_file;
 use crate::ros2::messages::ImageView;
 use crate::sensors::decode;
 

@@ -13,15 +13,13 @@ use super::error::{DatabaseError, io};
 use super::lit::Lit;
 use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
-use crate::agent::refining::{RefinedInfo, refined_info};
-use crate::config::load_lens_for_image;
-use crate::evaluation::capture::{EvaluationError, Readout, losses, read_tags};
+use crate::config::{load_lens_for_image, plain_file};
 use crate::geometry::{Euler, FieldDimensions, Isometry, LensParameters};
-use crate::plain_file;
-use crate::recording::{Loss, REFINED_FOLDER, SESSION_FILE, read_info};
+use crate::recording::{
+    Loss, REFINED_FOLDER, Readout, ReadoutError, RefinedInfo, SESSION_FILE, losses, read_info, read_tags, refined_info,
+};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
-use crate::sensors::intake::isometry;
 use crate::sensors::log::{self, LogSource};
 use crate::sensors::{body_mask, decode};
 use crate::views::{LEAST_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M};
@@ -84,13 +82,13 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
     let tags_from = if refined.is_some() { &refined_folder } else { &path };
     let Readout { found: tags, mut losses, .. } = match read_tags(tags_from) {
         // Of a time when the camera was away.
-        Err(EvaluationError::NoMessages { loss: None, .. }) => {
+        Err(ReadoutError::NoMessages { loss: None, .. }) => {
             Readout { found: Vec::new(), losses: Vec::new(), warnings: Vec::new() }
         }
         tags => tags?,
     };
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
-    let is_somewhere = |tag: &&FrameTag| isometry(&tag.pose.pose.position, &tag.pose.pose.orientation).is_finite();
+    let is_somewhere = |tag: &&FrameTag| Isometry::from(tag.pose.pose).is_finite();
     let (mut ambiguous, mut imprecise) = (0, 0);
     for tag in tags.iter().filter(|tag| tag.valid).filter(is_somewhere) {
         if tag.ambiguous && !limits.ambiguous {
@@ -203,7 +201,7 @@ fn record_of(tag: &FrameTag, file: u32, offset: u64, bytes: &[u8], form: Form) -
         sigma_m: sigma(0, 7),
         sigma_rad: sigma(21, 28).max(sigma(35, 35)),
         form,
-        ..Record::at(&isometry(&tag.pose.pose.position, &tag.pose.pose.orientation))
+        ..Record::at(&Isometry::from(tag.pose.pose))
     }
 }
 

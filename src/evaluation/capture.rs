@@ -1,30 +1,27 @@
 //! Tags and truth out of logs.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use thiserror::Error;
 
 use super::compare::Tagged;
 use crate::config::{HeadSettings, Topics};
 use crate::geometry::Isometry;
-use crate::recording::{Loss, missing_parts, topic};
-use crate::ros2::cdr::CdrError;
-use crate::ros2::mcap_read::{Damage, LogMessage, Selection};
+use crate::recording::{Readout, ReadoutError, losses, read_topic};
+use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{
     FrameTag, Header, Message, Odometry, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
 };
-use crate::sensors::intake::{self, Input, isometry};
+use crate::sensors::intake::{self, Input};
 use crate::sensors::log::{self, LogError, LogSource};
-use crate::sensors::topics::{self, TopicError};
+use crate::sensors::topic_resolution::{self, TopicError};
 
 #[derive(Debug, Error)]
 pub enum EvaluationError {
     #[error(transparent)]
+    Readout(#[from] ReadoutError),
+    #[error(transparent)]
     Log(#[from] LogError),
-    #[error("{path}: no message on {topic}: {hint}{}", loss.as_ref().map(|l| format!(" ({l})")).unwrap_or_default())]
-    NoMessages { path: String, topic: String, hint: Box<str>, loss: Option<Loss> },
-    #[error("{path}: {topic}: {source}")]
-    Message { path: String, topic: String, source: CdrError },
     #[error(
         "{path}: {topic} is of type {type_name}: poses are geometry_msgs/msg/PoseStamped, \
          PoseWithCovarianceStamped or nav_msgs/msg/Odometry"
@@ -34,36 +31,9 @@ pub enum EvaluationError {
     Topic { path: String, source: TopicError },
 }
 
-/// What could be read, and what is lost of it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Readout<T> {
-    pub found: Vec<T>,
-    pub losses: Vec<Loss>,
-    /// Why what was found may not be what it is taken for.
-    pub warnings: Vec<String>,
-}
-
-/// All tags of a capture (a folder or one of its segments), in the order of the frames.
-pub fn read_tags(path: &Path) -> Result<Readout<FrameTag>, EvaluationError> {
-    let read = read_topic(
-        path,
-        topic::FRAME_TAG,
-        "is it a capture, and of a time with frames? `realitysim replay` makes one",
-    )?;
-    let tag = |message: &LogMessage| {
-        FrameTag::decode(&message.data).map_err(|source| EvaluationError::Message {
-            path: path.display().to_string(),
-            topic: topic::FRAME_TAG.to_owned(),
-            source,
-        })
-    };
-    let found = read.found.iter().map(tag).collect::<Result<_, _>>()?;
-    Ok(Readout { found, losses: read.losses, warnings: read.warnings })
-}
-
 /// The true poses of `camera_link` in time order.
 pub fn read_truth(path: &Path, name: &str) -> Result<Readout<(i64, Isometry)>, EvaluationError> {
-    let read = read_topic(path, name, "name the topic of the true poses with topics.ground_truth or --truth-topic")?;
+    let read = read_poses_of(path, name, "name the topic of the true poses with topics.ground_truth or --truth-topic")?;
     let posed = |message: &LogMessage| stamped_pose(path, message).map(|(tag, _)| (tag.stamp_ns, tag.pose));
     let mut found = read.found.iter().map(posed).collect::<Result<Vec<_>, _>>()?;
     found.sort_by_key(|(stamp, _)| *stamp);
@@ -73,7 +43,7 @@ pub fn read_truth(path: &Path, name: &str) -> Result<Readout<(i64, Isometry)>, E
 
 /// Poses of `camera_link` in `map` that somebody else computed, in time order: they say of none that it is not valid.
 pub fn read_poses(path: &Path, name: &str) -> Result<Readout<Tagged>, EvaluationError> {
-    let read = read_topic(path, name, "name the topic of the poses to judge")?;
+    let read = read_poses_of(path, name, "name the topic of the poses to judge")?;
     let posed = read.found.iter().map(|message| stamped_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
     let mut warnings: Vec<String> = Vec::new();
     for (_, [parent, child]) in &posed {
@@ -106,7 +76,7 @@ const MAX_WARNINGS: usize = 8;
 pub fn read_frame_times(path: &Path, wanted: &Topics) -> Result<Readout<i64>, EvaluationError> {
     let files = log::files_of(path)?;
     let types = log::topic_types(&log::surveys(&files)?);
-    let image = topics::image(&wanted.image, &types)
+    let image = topic_resolution::image(&wanted.image, &types)
         .map_err(|source| EvaluationError::Topic { path: path.display().to_string(), source })?;
     let topics = Topics { image, ..wanted.clone() };
     let mut source = LogSource::new(files, Selection::topics([topics.image.clone()]));
@@ -122,34 +92,18 @@ pub fn read_frame_times(path: &Path, wanted: &Topics) -> Result<Readout<i64>, Ev
     Ok(Readout { found, losses: losses(path, source.damage()), warnings: Vec::new() })
 }
 
-/// What is missing of a capture by its manifest, and what its readers met.
-pub fn losses(path: &Path, damage: &[(PathBuf, Damage)]) -> Vec<Loss> {
-    let mut losses = missing_parts(path);
-    damage.iter().for_each(|(file, damage)| Loss::of_damage(file, damage).join(&mut losses));
-    losses
-}
-
 pub fn tagged(tag: &FrameTag) -> Tagged {
     Tagged {
         stamp_ns: tag.header.stamp.to_nanoseconds(),
         valid: tag.valid,
-        pose: isometry(&tag.pose.pose.position, &tag.pose.pose.orientation),
+        pose: Isometry::from(tag.pose.pose),
         covariance: in_plane(&tag.pose),
         ambiguous: tag.ambiguous,
     }
 }
 
-fn read_topic(path: &Path, name: &str, hint: &'static str) -> Result<Readout<LogMessage>, EvaluationError> {
-    let mut source = LogSource::with_outputs(log::files_of(path)?, Selection::topics([name]));
-    let found = source.by_ref().collect::<Result<Vec<_>, _>>()?;
-    let losses = losses(path, source.damage());
-    if !found.is_empty() {
-        return Ok(Readout { found, losses, warnings: Vec::new() });
-    }
-    let hint = if name == topic::FRAME_TAG { hint.to_owned() } else { format!("{hint}{}", poses_in(path)) };
-    let (path, topic) = (path.display().to_string(), name.to_owned());
-    let hint = hint.into_boxed_str();
-    Err(EvaluationError::NoMessages { path, topic, hint, loss: losses.into_iter().next() })
+fn read_poses_of(path: &Path, name: &str, hint: &str) -> Result<Readout<LogMessage>, ReadoutError> {
+    read_topic(path, name, || format!("{hint}{}", poses_in(path)))
 }
 
 const POSE_TYPES: [&str; 3] = [PoseStamped::TYPE, PoseWithCovarianceStamped::TYPE, Odometry::TYPE];
@@ -169,7 +123,7 @@ fn poses_in(path: &Path) -> String {
 
 /// With the covariance of those types that have one; else it is zero. And in which frame it says that it is, and of which.
 fn stamped_pose(path: &Path, message: &LogMessage) -> Result<(Tagged, [String; 2]), EvaluationError> {
-    let failed = |source| EvaluationError::Message {
+    let failed = |source| ReadoutError::Message {
         path: path.display().to_string(),
         topic: message.channel.topic.clone(),
         source,
@@ -198,7 +152,7 @@ fn stamped_pose(path: &Path, message: &LogMessage) -> Result<(Tagged, [String; 2
     let tagged = Tagged {
         stamp_ns: header.stamp.to_nanoseconds(),
         valid: true,
-        pose: isometry(&pose.pose.position, &pose.pose.orientation),
+        pose: Isometry::from(pose.pose),
         covariance: in_plane(&pose),
         ambiguous: false,
     };

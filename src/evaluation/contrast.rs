@@ -11,8 +11,8 @@ use super::cost::Knobs;
 use super::drawing::chart::{Axis, Chart, Layer, Line, Mark, Scale};
 use super::{Summary, Tagged};
 use crate::agent::Attempt;
-use crate::config::Model;
 use crate::geometry::Isometry;
+use crate::localization::Model;
 use crate::localization::refinement::offsets::Response;
 
 /// Share of the paint that is left, from well painted to none.

@@ -10,6 +10,7 @@ pub mod physical;
 pub mod polynomial;
 pub mod pose;
 mod pose_grid;
+pub mod vectorised;
 
 pub use field::{Field, FieldDimensions, FieldError, FieldPoint};
 pub use lens::{Lens, LensError, LensModel, LensParameters, Projector};

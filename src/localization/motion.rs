@@ -1,9 +1,42 @@
 //! Prediction from the previous frame: every particle makes the step that odometry reports, plus its own error.
 
+use serde::{Deserialize, Serialize};
+
 use super::particles::{Particles, Spread};
 use super::random::{Purpose, TOGETHER, normals};
-pub use crate::config::MotionModel;
 use crate::geometry::{Pose2, wrap_angle};
+
+/// How wrong a step of odometry can be. Walking robots slip: 10 to 30 % is normal.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MotionModel {
+    /// Error of the distance walked, as a share of it.
+    pub distance_share: f64,
+    /// Error of the turn, as a share of it.
+    pub turn_share: f64,
+    /// Error of the direction, radians for each metre walked.
+    pub turn_rad_per_m: f64,
+    /// What is added each second even when standing.
+    pub drift_m_per_sqrt_s: f64,
+    pub drift_rad_per_sqrt_s: f64,
+    /// With `motion = "random_walk"`: how fast the robot is.
+    pub walk_m_per_s: f64,
+    pub turn_rad_per_s: f64,
+}
+
+impl Default for MotionModel {
+    fn default() -> Self {
+        Self {
+            distance_share: 0.25,
+            turn_share: 0.2,
+            turn_rad_per_m: 0.2,
+            drift_m_per_sqrt_s: 0.04,
+            drift_rad_per_sqrt_s: 0.035,
+            walk_m_per_s: 0.4,
+            turn_rad_per_s: 1.0,
+        }
+    }
+}
 
 /// `step` is `footprint_then_from_footprint_now` as odometry has it, `seconds` the time it took.
 pub fn predict(model: &MotionModel, particles: &mut Particles, step: Pose2, seconds: f64, seed: u64, frame: u64) {

@@ -12,8 +12,9 @@
 
 use glam::DVec2;
 
+pub use super::kernel::SimdPath;
 use super::kernel::{self, Points};
-pub use crate::config::{Formula, Model, SimdPath};
+pub use super::observation_model::{Formula, Model};
 use crate::geometry::{Field, Pose2, wrap_angle};
 use crate::vision::{GroundTable, Reading};
 

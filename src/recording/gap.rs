@@ -3,12 +3,11 @@
 use std::sync::Arc;
 
 use super::entry::Gap;
-use super::topic;
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
-use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, KeyValue, Message};
-use crate::sensors::log::DIAGNOSTICS_NAME;
-use crate::sensors::scene::header;
+use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Message};
+use crate::ros2::topics;
+use crate::ros2::topics::DIAGNOSTICS_PREFIX;
 
 /// Behind the program's name.
 const NAME: &str = "gap";
@@ -20,14 +19,14 @@ pub(super) struct GapMessages {
 
 impl GapMessages {
     pub fn new(robot: &str) -> Self {
-        Self { channel: own_channel::<DiagnosticArray>(topic::DIAGNOSTICS), robot: robot.to_owned() }
+        Self { channel: own_channel::<DiagnosticArray>(topics::DIAGNOSTICS), robot: robot.to_owned() }
     }
 
     pub fn message(&self, gap: &Gap) -> LogMessage {
         let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
         let status = DiagnosticStatus {
             level: DiagnosticStatus::WARN,
-            name: format!("{DIAGNOSTICS_NAME}{NAME}"),
+            name: format!("{DIAGNOSTICS_PREFIX}{NAME}"),
             message: format!("{} frames and {} other messages were not recorded", gap.frames, gap.messages),
             hardware_id: self.robot.clone(),
             values: vec![
@@ -39,7 +38,7 @@ impl GapMessages {
                 value("last_ns", gap.last_ns.to_string()),
             ],
         };
-        let report = DiagnosticArray { header: header(gap.last_ns, ""), status: vec![status] };
+        let report = DiagnosticArray { header: Header::at(gap.last_ns, ""), status: vec![status] };
         LogMessage {
             channel: Arc::clone(&self.channel),
             sequence: 0,
@@ -57,11 +56,11 @@ pub(super) fn own_channel<M: Message>(topic: &str) -> Arc<Channel> {
 
 /// The gaps that a message tells.
 pub(super) fn gaps_in(message: &LogMessage) -> Vec<Gap> {
-    if message.channel.topic != topic::DIAGNOSTICS {
+    if message.channel.topic != topics::DIAGNOSTICS {
         return Vec::new();
     }
     let Ok(report) = DiagnosticArray::decode(&message.data) else { return Vec::new() };
-    let is_gap = |status: &&DiagnosticStatus| status.name.strip_prefix(DIAGNOSTICS_NAME) == Some(NAME);
+    let is_gap = |status: &&DiagnosticStatus| status.name.strip_prefix(DIAGNOSTICS_PREFIX) == Some(NAME);
     report.status.iter().filter(is_gap).filter_map(gap).collect()
 }
 

@@ -14,6 +14,7 @@ mod identity;
 mod manifest;
 mod pace;
 mod recorder;
+mod refined;
 mod release;
 mod repair;
 mod retention;
@@ -24,6 +25,7 @@ mod shared;
 mod simulation;
 mod status;
 pub mod storage;
+mod tags;
 mod thinning;
 mod turn;
 mod verify;
@@ -48,12 +50,14 @@ pub use manifest::{
 };
 pub use pace::loss_bound_ms;
 pub use recorder::folder_name;
+pub use refined::{REFINED_INFO, REFINED_TAGS, RefinedConstant, RefinedInfo, refined_info};
 pub use release::{Releasable, releasable};
 pub use repair::{Repaired, repair, sessions_of};
 pub use retention::Evicted;
 pub use segment::{ACTIVE, is_segment_name};
 pub use session::{Ended, SegmentState, SessionWriter, Writing};
 pub use status::{Fault, RecorderStatus, Stopped};
+pub use tags::{Readout, ReadoutError, losses, read_tags, read_topic};
 pub use thinning::Thinning;
 pub use turn::Turn;
 pub use verify::{Verified, verify};
@@ -73,6 +77,9 @@ pub fn captures_within(folder: &Path) -> String {
     }
 }
 
+/// The state that a run of the filter leaves behind for the next one, in the folder of all captures.
+pub const STATE_FILE: &str = "last_state.bin";
+
 /// The old content or the new, never a part.
 pub fn write_atomically(path: &Path, content: &[u8]) -> Result<(), RecordingError> {
     storage::write_atomically(&storage::Disk, path, content)
@@ -82,16 +89,4 @@ pub fn write_atomically(path: &Path, content: &[u8]) -> Result<(), RecordingErro
 pub fn sync_folder(folder: &Path) -> Result<(), RecordingError> {
     use storage::Storage;
     storage::Disk.sync_folder(folder).map_err(|source| RecordingError::io(folder, source))
-}
-
-/// Topics that a capture adds to what was recorded.
-pub mod topic {
-    /// `geometry_msgs/PoseWithCovarianceStamped`, valid tags only.
-    pub const POSE: &str = "/camera/pose";
-    /// `realitysim_msgs/FrameTag`, one per frame.
-    pub const FRAME_TAG: &str = "/frame_tag";
-    /// `realitysim_msgs/FrameTag`, of no frame and marked so: while there are none.
-    pub const PREDICTED_TAG: &str = "/predicted_tag";
-    /// `diagnostic_msgs/DiagnosticArray`, one per second, and one for each gap.
-    pub const DIAGNOSTICS: &str = "/diagnostics";
 }

@@ -16,11 +16,11 @@ use super::recorder::{Plan, Recorder};
 use super::shared::{Room, Shared, Waiting};
 use super::status::RecorderStatus;
 use super::storage::Storage;
-use super::topic;
 use super::writer::{Limits, Writer};
 use crate::config::RecordingSettings;
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::messages::{DiagnosticArray, FrameTag, Header, Message, PoseWithCovarianceStamped};
+use crate::ros2::topics;
 
 pub struct SessionWriter {
     storage: Arc<dyn Storage>,
@@ -153,22 +153,22 @@ impl SessionWriter {
     pub fn tag(&mut self, log_time_ns: i64, map_frame: &str, tag: &FrameTag) -> Result<(), RecordingError> {
         let position = &tag.pose.pose.position;
         let at = tag.valid.then_some([position.x, position.y]);
-        self.own(topic::FRAME_TAG, log_time_ns, tag, Kind::Tag(at))?;
+        self.own(topics::FRAME_TAG, log_time_ns, tag, Kind::Tag(at))?;
         if tag.valid {
             let header = Header { stamp: tag.header.stamp, frame_id: map_frame.to_owned() };
             let pose = PoseWithCovarianceStamped { header, pose: tag.pose };
-            self.own(topic::POSE, log_time_ns, &pose, Kind::Other)?;
+            self.own(topics::POSE, log_time_ns, &pose, Kind::Other)?;
         }
         Ok(())
     }
 
     /// Of no frame: where odometry has the camera while there is none.
     pub fn predicted_tag(&mut self, log_time_ns: i64, tag: &FrameTag) -> Result<(), RecordingError> {
-        self.own(topic::PREDICTED_TAG, log_time_ns, tag, Kind::Other)
+        self.own(topics::PREDICTED_TAG, log_time_ns, tag, Kind::Other)
     }
 
     pub fn diagnostics(&mut self, log_time_ns: i64, report: &DiagnosticArray) -> Result<(), RecordingError> {
-        self.own(topic::DIAGNOSTICS, log_time_ns, report, Kind::Other)
+        self.own(topics::DIAGNOSTICS, log_time_ns, report, Kind::Other)
     }
 
     /// Frames that the camera made and that never came here: a gap of the log.

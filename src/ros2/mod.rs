@@ -4,6 +4,7 @@ pub mod cdr;
 pub mod mcap_read;
 pub mod mcap_write;
 pub mod messages;
+pub mod topics;
 
 pub use cdr::CdrError;
 pub use mcap_read::{

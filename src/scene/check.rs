@@ -6,11 +6,10 @@ use core::ops::RangeInclusive;
 use glam::DVec2;
 use thiserror::Error;
 
-use super::contradictions;
-use super::effects;
 use super::file::{CameraSection, InitialPose, Route, SceneFile, Still, Walk};
 use super::places::Places;
 use super::ranges::{Per, Range, Template};
+use super::{contradictions, effects};
 use crate::geometry::{Field, FieldError, LensError};
 
 #[derive(Clone, Debug, Error, PartialEq)]

@@ -7,11 +7,10 @@ use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use toml::de::DeTable;
 
-use super::SceneError;
 use super::effects::Effect;
-use super::misread;
 use super::places::Places;
 use super::ranges::{Range, Template};
+use super::{SceneError, misread};
 use crate::config::wording::in_words;
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]

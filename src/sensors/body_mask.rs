@@ -6,7 +6,7 @@ use std::path::Path;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::decode::MAX_IMAGE_FILE_BYTES;
-use crate::plain_file;
+use crate::config::plain_file;
 use crate::vision::BodyMask;
 
 /// A session keeps its masks, and a body has few edges.

@@ -9,7 +9,7 @@ use crate::ros2::cdr::{CdrError, CdrReader, Wire};
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::messages::{
     CameraInfo, CompressedImage, CompressedImageView, Header, Image, ImageView, Imu, JointState, Message, Odometry,
-    PoseWithCovarianceStamped, Quaternion, Stamp, TFMessage, Transform, Vector3,
+    PoseWithCovarianceStamped, Stamp, TFMessage,
 };
 
 /// A measurement, or a frame whose pixels stay in the message.
@@ -94,7 +94,7 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
     }
     if is(&topics.odometry, Odometry::TYPE) {
         let odometry = Odometry::decode(data)?;
-        let odom_from_footprint = isometry(&odometry.pose.pose.position, &odometry.pose.pose.orientation);
+        let odom_from_footprint = Isometry::from(odometry.pose.pose);
         if !odom_from_footprint.is_possible() {
             return Ok(Input::Impossible);
         }
@@ -105,12 +105,12 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
         let imu = Imu::decode(data)?;
         // A quaternion of zeros is how drivers that know no attitude leave the field.
         let measured = imu.orientation_covariance[0] != -1.0;
-        let orientation = measured.then(|| quaternion(&imu.orientation)).filter(|q| q.length_squared() != 0.0);
+        let orientation = measured.then(|| DQuat::from(imu.orientation)).filter(|q| q.length_squared() != 0.0);
         return Ok(Input::Imu {
             stamp_ns: imu.header.stamp.to_nanoseconds(),
             frame_id: imu.header.frame_id,
             orientation,
-            turn_rate: (imu.angular_velocity_covariance[0] != -1.0).then(|| vector(&imu.angular_velocity)),
+            turn_rate: (imu.angular_velocity_covariance[0] != -1.0).then(|| DVec3::from(imu.angular_velocity)),
         });
     }
     if is(&topics.joints, JointState::TYPE) {
@@ -130,15 +130,15 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
                 stamp_ns: t.header.stamp.to_nanoseconds(),
                 parent: plain(t.header.frame_id),
                 child: plain(t.child_frame_id),
-                parent_from_child: transform(&t.transform),
+                parent_from_child: t.transform.into(),
             })
             .collect();
         return Ok(Input::Transforms { latched: topic == topics.tf_static, transforms });
     }
     if is(&topics.initial_pose, PoseWithCovarianceStamped::TYPE) {
         let initial = PoseWithCovarianceStamped::decode(data)?;
-        let pose = &initial.pose.pose;
-        let map_from_footprint = isometry(&pose.position, &pose.orientation);
+        let pose = initial.pose.pose;
+        let map_from_footprint = Isometry::from(pose);
         if !map_from_footprint.is_possible() {
             return Ok(Input::Impossible);
         }
@@ -195,30 +195,4 @@ impl StatedDeviations {
 /// ROS 1 names start with a slash; ROS 2's do not.
 fn plain(frame: String) -> String {
     frame.strip_prefix('/').map(str::to_owned).unwrap_or(frame)
-}
-
-pub fn quaternion(q: &Quaternion) -> DQuat {
-    DQuat::from_array([q.x, q.y, q.z, q.w].map(settled))
-}
-
-fn transform(t: &Transform) -> Isometry {
-    rigid(quaternion(&t.rotation), vector(&t.translation))
-}
-
-fn vector(v: &Vector3) -> DVec3 {
-    DVec3::from_array([v.x, v.y, v.z].map(settled))
-}
-
-pub fn isometry(position: &crate::ros2::messages::Point, orientation: &Quaternion) -> Isometry {
-    rigid(quaternion(orientation), DVec3::from_array([position.x, position.y, position.z].map(settled)))
-}
-
-/// A quaternion of zeros is taken for no rotation. One that is not [`Physical`] stays as it is, so that the whole can be told to be
-/// impossible.
-fn rigid(rotation: DQuat, translation: DVec3) -> Isometry {
-    if rotation.is_possible() || rotation == DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0) {
-        Isometry::new(rotation, translation)
-    } else {
-        Isometry { rotation, translation }
-    }
 }

@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::file_kind::{FileKind, START_BYTES};
-use super::topics::TopicTypes;
-use crate::plain_file;
+use super::topic_resolution::TopicTypes;
+use crate::config::plain_file;
 use crate::ros2::mcap_read::{
     Damage, LogMessage, LogReader, ReadError, Selection, Survey, attachments, examine, survey,
 };
 use crate::ros2::messages::{DiagnosticArray, Message};
+use crate::ros2::topics;
 
 #[derive(Debug, Error)]
 pub enum LogError {
@@ -43,14 +44,6 @@ fn instead(within: &[PathBuf]) -> String {
     }
     format!("name one of the captures or bags in it: {}{more}", names.join(", "))
 }
-
-/// What only an earlier replay writes: never an input of the next one.
-const OUTPUT_TOPICS: [&str; 3] = ["/camera/pose", "/frame_tag", "/predicted_tag"];
-const DIAGNOSTICS: &str = "/diagnostics";
-/// What our own entries of that topic, which robots use as well, begin with.
-pub const DIAGNOSTICS_NAME: &str = "realitysim: ";
-/// The checkpoint's name among a segment's attachments.
-pub const CHECKPOINT_NAME: &str = "filter_state";
 
 /// Files in the order of their names, which is the order of time in bags and captures.
 pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
@@ -160,8 +153,11 @@ impl Iterator for LogSource {
 /// Whether an earlier replay added this message.
 fn is_output(message: &LogMessage) -> bool {
     let topic = message.channel.topic.as_str();
-    let ours = |report: DiagnosticArray| report.status.iter().any(|status| status.name.starts_with(DIAGNOSTICS_NAME));
-    OUTPUT_TOPICS.contains(&topic) || (topic == DIAGNOSTICS && DiagnosticArray::decode(&message.data).is_ok_and(ours))
+    let ours = |report: DiagnosticArray| {
+        report.status.iter().any(|status| status.name.starts_with(topics::DIAGNOSTICS_PREFIX))
+    };
+    topics::OUTPUTS.contains(&topic)
+        || (topic == topics::DIAGNOSTICS && DiagnosticArray::decode(&message.data).is_ok_and(ours))
 }
 
 fn open(path: &Path, selection: Selection) -> Result<LogReader<BufReader<File>>, LogError> {
@@ -242,10 +238,10 @@ pub enum StoredCheckpoint {
 }
 
 pub fn checkpoint(path: &Path, survey: &Survey) -> Result<StoredCheckpoint, LogError> {
-    if !survey.attachments.iter().any(|name| name == CHECKPOINT_NAME) {
+    if !survey.attachments.iter().any(|name| name == topics::CHECKPOINT_ATTACHMENT) {
         return Ok(StoredCheckpoint::None);
     }
     let found = attachments(buffered(path)?).map_err(|source| LogError::Read { path: path.to_owned(), source })?;
-    let found = found.list.into_iter().find(|attachment| attachment.name == CHECKPOINT_NAME);
+    let found = found.list.into_iter().find(|attachment| attachment.name == topics::CHECKPOINT_ATTACHMENT);
     Ok(found.map_or(StoredCheckpoint::Damaged, |found| StoredCheckpoint::Bytes(found.data)))
 }

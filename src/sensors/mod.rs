@@ -20,7 +20,7 @@ pub mod scene;
 pub mod serial;
 pub mod stale_socket;
 pub mod synchroniser;
-pub mod topics;
+pub mod topic_resolution;
 pub mod transforms;
 #[cfg(feature = "v4l2")]
 pub mod v4l2;

@@ -5,23 +5,22 @@ use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::{DQuat, DVec3};
 use jpeg_encoder::ColorType;
 use thiserror::Error;
 
-use crate::config::{Topics, field_seen_from, lens_seen_from, load_field, load_lens};
-use crate::geometry::{Isometry, LensModel, LensParameters};
-use crate::plain_file;
+use crate::config::{Topics, field_seen_from, lens_seen_from, load_field, load_lens, plain_file};
+use crate::geometry::Isometry;
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
 use crate::ros2::messages::{
     CameraInfo, CompressedImage, DiagnosticArray, DiagnosticStatus, Header, Image, Imu, JointState, KeyValue, Message,
-    Odometry, Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion, Stamp, TFMessage, Transform,
-    TransformStamped, Vector3,
+    Odometry, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion, TFMessage, Transform, TransformStamped,
+    Vector3,
 };
+use crate::ros2::topics;
 use crate::scene::{Drawn, Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile};
 use crate::sensors::encode::{EncodeError, jpeg};
-use crate::sensors::topics::TopicTypes;
+use crate::sensors::topic_resolution::TopicTypes;
 
 #[derive(Debug, Error)]
 pub enum SceneSourceError {
@@ -147,8 +146,8 @@ impl<'a> SceneSource<'a> {
             values: values.collect(),
             ..Default::default()
         };
-        let told = DiagnosticArray { header: header(stamp_ns, ""), status: vec![status] };
-        let message = self.message(DRAWN_TOPIC, stamp_ns, &told);
+        let told = DiagnosticArray { header: Header::at(stamp_ns, ""), status: vec![status] };
+        let message = self.message(topics::SCENE_DRAWN, stamp_ns, &told);
         self.waiting.push_back(message);
     }
 
@@ -166,12 +165,12 @@ impl<'a> SceneSource<'a> {
 
     fn event(&mut self, event: SceneEvent) -> Result<(), SceneSourceError> {
         let stamp = event.stamp_ns;
-        let header = |frame: &str| header(stamp, frame);
+        let header = |frame: &str| Header::at(stamp, frame);
         let topics = self.topics.clone();
         let mut message = match event.kind {
             SceneEventKind::InitialPose(estimate) => {
                 let mut initial = PoseWithCovarianceStamped { header: header("map"), ..Default::default() };
-                initial.pose.pose = pose(&estimate.map_from_base_footprint.to_isometry());
+                initial.pose.pose = Pose::from(estimate.map_from_base_footprint.to_isometry());
                 for (index, variance) in [(0, 0.01), (7, 0.01), (35, 0.0025)] {
                     initial.pose.covariance[index] = variance;
                 }
@@ -180,7 +179,7 @@ impl<'a> SceneSource<'a> {
             SceneEventKind::Odometry(step) => {
                 let mut odometry = Odometry { header: header("odom"), ..Default::default() };
                 odometry.child_frame_id = "base_footprint".to_owned();
-                odometry.pose.pose = pose(&step.odom_from_base_footprint.to_isometry());
+                odometry.pose.pose = Pose::from(step.odom_from_base_footprint.to_isometry());
                 odometry.twist.twist.linear = Vector3 { x: step.twist.x, y: step.twist.y, z: 0.0 };
                 odometry.twist.twist.angular = Vector3 { x: 0.0, y: 0.0, z: step.twist.yaw };
                 self.message(&topics.odometry, stamp, &odometry)
@@ -188,9 +187,9 @@ impl<'a> SceneSource<'a> {
             SceneEventKind::Imu(measured) => {
                 let imu = Imu {
                     header: header("base_link"),
-                    orientation: quaternion(measured.orientation),
-                    angular_velocity: vector(measured.angular_velocity),
-                    linear_acceleration: vector(measured.linear_acceleration),
+                    orientation: Quaternion::from(measured.orientation),
+                    angular_velocity: Vector3::from(measured.angular_velocity),
+                    linear_acceleration: Vector3::from(measured.linear_acceleration),
                     ..Default::default()
                 };
                 self.message(&topics.imu, stamp, &imu)
@@ -205,7 +204,7 @@ impl<'a> SceneSource<'a> {
                 self.message(&topics.joints, stamp, &joints)
             }
             SceneEventKind::Frame { index, map_from_camera_link } => {
-                let truth = PoseStamped { header: header("map"), pose: pose(&map_from_camera_link) };
+                let truth = PoseStamped { header: header("map"), pose: Pose::from(map_from_camera_link) };
                 let truth = self.message(&topics.ground_truth, stamp, &truth);
                 self.waiting.push_back(truth);
                 self.tell_drawn(stamp, "drawn for this frame", &self.scene.drawn_for(index));
@@ -223,7 +222,7 @@ impl<'a> SceneSource<'a> {
         let mut pixels = std::mem::take(&mut self.pixels);
         self.renderer.render(index, &mut pixels);
         let (width, height) = (self.renderer.width(), self.renderer.height());
-        let header = header(stamp_ns, OPTICAL);
+        let header = Header::at(stamp_ns, OPTICAL);
         let message = match self.scene.file().camera.jpeg_quality {
             Some(quality) => {
                 let mut data = jpeg(&pixels, width as usize, height as usize, ColorType::Rgb, quality)?;
@@ -251,7 +250,6 @@ impl<'a> SceneSource<'a> {
 
 const OPTICAL: &str = "camera_optical_frame";
 /// What the scene left open and was drawn: for the whole scene at its start, for a frame with the frame.
-pub const DRAWN_TOPIC: &str = "/scene/drawn";
 const DRAWN_FOR_EPISODE: &str = "drawn for the episode";
 /// Where images go that were not compressed.
 const RAW_TOPIC: &str = "/camera/image_raw";
@@ -271,9 +269,9 @@ impl Iterator for SceneSource<'_> {
     }
 }
 
-/// Whether a message of [`DRAWN_TOPIC`] holds for the whole scene.
+/// Whether a message of [`topics::SCENE_DRAWN`] holds for the whole scene.
 pub fn is_drawn_for_episode(message: &LogMessage) -> bool {
-    message.channel.topic == DRAWN_TOPIC
+    message.channel.topic == topics::SCENE_DRAWN
         && DiagnosticArray::decode(&message.data)
             .is_ok_and(|told| told.status.iter().any(|status| status.message == DRAWN_FOR_EPISODE))
 }
@@ -290,12 +288,9 @@ fn flip_a_bit(data: &mut [u8], which: u64) {
 fn transforms(scene: &Scene) -> TFMessage {
     let mount = scene.announced_mount();
     let step = |parent: &str, child: &str, parent_from_child: &Isometry| TransformStamped {
-        header: header(START_STAMP_NS, parent),
+        header: Header::at(START_STAMP_NS, parent),
         child_frame_id: child.to_owned(),
-        transform: Transform {
-            translation: vector(parent_from_child.translation),
-            rotation: quaternion(parent_from_child.rotation),
-        },
+        transform: Transform::from(*parent_from_child),
     };
     TFMessage {
         transforms: vec![
@@ -307,43 +302,5 @@ fn transforms(scene: &Scene) -> TFMessage {
 }
 
 fn camera_info(scene: &Scene) -> CameraInfo {
-    camera_info_of(scene.announced_lens(), header(START_STAMP_NS, OPTICAL))
-}
-
-/// ROS knows no equisolid lens: it goes by its own name, which only this program reads.
-pub fn camera_info_of(lens: &LensParameters, header: Header) -> CameraInfo {
-    let (distortion_model, d) = match lens.model {
-        LensModel::KannalaBrandt { k } => ("equidistant", k.to_vec()),
-        LensModel::Equisolid => ("equisolid", Vec::new()),
-        LensModel::PlumbBob { d } => ("plumb_bob", d.to_vec()),
-    };
-    let LensParameters { width, height, fx, fy, cx, cy, .. } = *lens;
-    CameraInfo {
-        header,
-        height,
-        width,
-        distortion_model: distortion_model.to_owned(),
-        d,
-        k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p: [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
-        ..Default::default()
-    }
-}
-
-pub fn header(stamp_ns: i64, frame: &str) -> Header {
-    Header { stamp: Stamp::from_nanoseconds(stamp_ns), frame_id: frame.to_owned() }
-}
-
-pub fn pose(isometry: &Isometry) -> Pose {
-    let DVec3 { x, y, z } = isometry.translation;
-    Pose { position: Point { x, y, z }, orientation: quaternion(isometry.rotation) }
-}
-
-pub fn quaternion(q: DQuat) -> Quaternion {
-    Quaternion { x: q.x, y: q.y, z: q.z, w: q.w }
-}
-
-fn vector(v: DVec3) -> Vector3 {
-    Vector3 { x: v.x, y: v.y, z: v.z }
+    CameraInfo::of_lens(scene.announced_lens(), Header::at(START_STAMP_NS, OPTICAL))
 }

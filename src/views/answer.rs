@@ -7,7 +7,7 @@ use super::raster::{NOTHING, Pyramid, Raster, SURE};
 use super::target::Target;
 use super::{Camera, Vignetting, World};
 use crate::geometry::Isometry;
-use crate::vectorised::vectorised;
+use crate::geometry::vectorised::vectorised;
 
 /// The camera asked for.
 #[derive(Clone, Copy, Debug)]

@@ -9,7 +9,7 @@ use super::raster::{NOTHING, Raster, SURE};
 use super::sample::{Pixels, read_cell};
 use super::target::{Target, between, corners};
 use super::weights::Weights;
-use crate::vectorised::{rounded, vectorised};
+use crate::geometry::vectorised::{rounded, vectorised};
 
 /// The picture, and how many of its pixels each source has.
 #[derive(Clone, Debug, PartialEq)]

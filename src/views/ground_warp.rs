@@ -8,13 +8,12 @@
 
 use glam::{DMat3, DVec2, DVec3, Vec2};
 
-use super::Candidate;
 use super::camera::{AREA, CELL};
-use super::optical;
 use super::raster::{NOTHING, UNSURE};
 use super::target::{Looks, SOFT_EDGE_PX, Target, between, cells, corners, goal_cells, sureness, turned};
 use super::world::{Goals, Hit, Surface};
-use crate::vectorised::vectorised;
+use super::{Candidate, optical};
+use crate::geometry::vectorised::vectorised;
 
 /// The map into one source.
 #[derive(Clone, Debug)]

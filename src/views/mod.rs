@@ -17,6 +17,7 @@ mod photometry;
 pub mod quadratic;
 mod raster;
 mod sample;
+mod similarity;
 mod target;
 mod weights;
 mod world;
@@ -33,6 +34,7 @@ pub use ground_warp::Warp;
 pub use moving::{Scenery, mark_moving};
 pub use photometry::{Gain, Vignetting};
 pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
+pub use similarity::{Similarity, similarity};
 pub use target::Target;
 pub use world::{Surface, World};
 

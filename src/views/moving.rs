@@ -5,9 +5,8 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
-use super::optical;
 use super::raster::{Raster, SURE, UNSURE};
-use super::{Camera, TagError, World};
+use super::{Camera, TagError, World, optical};
 use crate::geometry::{Field, Isometry};
 use crate::vision::carpet::{Learning, Sample, Surface};
 

@@ -7,7 +7,7 @@ use super::optical;
 use super::raster::{NOTHING, SURE, UNSURE};
 use super::world::{Goals, Hit, Surface, World};
 use crate::geometry::Isometry;
-use crate::vectorised::vectorised;
+use crate::geometry::vectorised::vectorised;
 
 /// The wanted view: what its rays meet. One for all sources.
 #[derive(Clone, Debug)]

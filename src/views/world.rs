@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3, Vec3};
 
 use super::camera::AREA;
 use crate::geometry::Field;
-use crate::vectorised::vectorised;
+use crate::geometry::vectorised::vectorised;
 
 /// Known geometry, in `map`.
 #[derive(Clone, Debug, PartialEq)]

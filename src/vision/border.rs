@@ -10,8 +10,8 @@ use glam::{DVec2, DVec3, Vec3};
 
 use super::WorkingScale;
 use super::carpet::Surface;
+use crate::geometry::vectorised::vectorised;
 use crate::geometry::{Isometry, Projector};
-use crate::vectorised::vectorised;
 
 /// A convex polygon on the ground of `base_footprint`, counter-clockwise; without corners while no edge can be told.
 #[derive(Clone, Debug, Default)]

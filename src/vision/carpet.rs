@@ -1,7 +1,7 @@
 //! The carpet's colour, learnt in each frame anew.
 
 use super::picture::{Chroma, Picture};
-use crate::vectorised::vectorised;
+use crate::geometry::vectorised::vectorised;
 
 /// Hue is Cb and Cr over luma: what stays when the light changes. Here in parts of 2^14.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,7 +6,7 @@ use super::ground::{NEUTRAL, SIDE};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 use super::reading::{self, Reading};
 use super::{WorkingScale, distance};
-use crate::vectorised::{rounded, vectorised};
+use crate::geometry::vectorised::{rounded, vectorised};
 
 /// The frame's full contrast is learnt where lines show at least this well, against the best place in view, ...
 const CLEAR: f32 = 0.5;

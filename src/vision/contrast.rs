@@ -10,7 +10,7 @@ use glam::DVec2;
 
 use super::carpet::Surface;
 use super::picture::Picture;
-use crate::vectorised::{rounded, vectorised};
+use crate::geometry::vectorised::{rounded, vectorised};
 
 /// Half-resolution maps: pixel (i, j) averages the picture's pixels 2i, 2i+1 x 2j, 2j+1.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,7 +1,7 @@
 //! What tells a picture from the one before, and whether it shows anything at all.
 
 use super::Picture;
-use crate::vectorised::vectorised;
+use crate::geometry::vectorised::vectorised;
 
 /// Of every eighth row.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

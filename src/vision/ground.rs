@@ -9,7 +9,7 @@ use super::cells::{ByRange, Cells};
 use super::contrast::{LineContrast, PARTS, UNITS};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 use super::{Reading, VisionSettings, WorkingScale, distance};
-use crate::vectorised::vectorised;
+use crate::geometry::vectorised::vectorised;
 
 /// Cells along each side of the table.
 pub const SIDE: usize = 320;

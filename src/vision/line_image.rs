@@ -4,7 +4,7 @@ use super::WorkingScale;
 use super::carpet::Surface;
 use super::contrast::{STRAY_LEVELS, coarse_middle, coarse_size};
 use super::picture::Picture;
-use crate::vectorised::{rounded, vectorised};
+use crate::geometry::vectorised::{rounded, vectorised};
 
 /// Places of a profile that are calculated together.
 const TOGETHER: usize = 16;

@@ -1,6 +1,6 @@
 //! A decoded picture: luma, and chroma at half the resolution where there is colour.
 
-use crate::vectorised::vectorised;
+use crate::geometry::vectorised::vectorised;
 
 /// Row by row from the top left.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

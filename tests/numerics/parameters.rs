@@ -1,8 +1,9 @@
 //! Settings at the ends of what is possible work; what is impossible is refused by name.
 
-use realitysim::config::{Formula, Model, Settings};
+use realitysim::config::Settings;
 use realitysim::geometry::Pose2;
 use realitysim::localization::observation::reading;
+use realitysim::localization::{Formula, Model};
 use realitysim::ros2::messages::FrameTag;
 use realitysim::vision::Reading;
 

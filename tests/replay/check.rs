@@ -1,8 +1,7 @@
 //! A suite of logs and scenes, held to its limits.
 
 use mcap::WriteOptions;
-use realitysim::ros2::messages::PoseStamped;
-use realitysim::ros2::messages::{Odometry, PoseWithCovarianceStamped};
+use realitysim::ros2::messages::{Odometry, PoseStamped, PoseWithCovarianceStamped};
 
 use super::support::{IMAGE, Room, TRUTH, changed, decode_all, foreign_log, message, on, own_log, walk, without};
 

@@ -5,9 +5,9 @@ use std::fs;
 use glam::DVec3;
 use realitysim::config::load_field;
 use realitysim::database::{Catalogue, Gallery, Wanted};
-use realitysim::evaluation::views::{Lawn, likeness};
+use realitysim::evaluation::views::Lawn;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
-use realitysim::views::{Camera, Method, SURE, Vignetting};
+use realitysim::views::{Camera, Method, SURE, Vignetting, similarity};
 
 use super::database::{CAMERA_INFO, POSES, open, walked};
 use super::support::Room;
@@ -76,7 +76,7 @@ fn a_lens_that_darkens_is_measured_and_its_views_are_the_better_for_it() {
             Wanted { map_from_link: pose(wanted), method, camera, max_distance_m, may_be_stored: true, without };
         let shown = gallery.view(&asked).expect("a view").answer.image;
         let both: Vec<bool> = shown.pixels.iter().map(|pixel| pixel[3] == SURE).collect();
-        likeness(&truth, &shown.pixels, 320, &ground, &both).psnr_db
+        similarity(&truth, &shown.pixels, 320, &ground, &both).psnr_db
     };
     let with = psnr(&open(&room), None);
     let ignored = Catalogue { sources: vec![], ..catalogue.clone() };

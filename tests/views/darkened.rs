@@ -1,7 +1,7 @@
 //! Exposure and the lens's darkening are taken out.
 
-use realitysim::evaluation::views::{Lawn, likeness};
-use realitysim::views::{Camera, Pyramid, Raster, SURE, Vignetting, World, view};
+use realitysim::evaluation::views::Lawn;
+use realitysim::views::{Camera, Pyramid, Raster, SURE, Vignetting, World, similarity, view};
 
 use super::{candidate, field, lens, pose, request};
 
@@ -37,7 +37,7 @@ fn other_exposures_and_dark_corners_are_balanced() {
         request.vignetting = vignetting;
         let answer = view(&request, &sources).expect("a view");
         let shown: Vec<bool> = answer.image.pixels.iter().map(|pixel| pixel[3] == SURE).collect();
-        likeness(&truth.pixels, &answer.image.pixels, 320, &ground, &shown)
+        similarity(&truth.pixels, &answer.image.pixels, 320, &ground, &shown)
     };
     let (known, ignored) = (score(dark, 3), score(Vignetting::default(), 3));
     println!("lens known {known:?}, ignored {ignored:?}");

@@ -1,7 +1,7 @@
 //! Goals stand where they should.
 
-use realitysim::evaluation::views::{Lawn, likeness};
-use realitysim::views::{Camera, NOTHING, Pyramid, Surface, Target, World, view};
+use realitysim::evaluation::views::Lawn;
+use realitysim::views::{Camera, NOTHING, Pyramid, Surface, Target, World, similarity, view};
 
 use super::{candidate, field, lens, pose, request};
 
@@ -22,7 +22,7 @@ fn posts_and_crossbar_are_drawn_where_they_stand() {
     let score = |world: &World| {
         let answer = view(&request(&camera, wanted, world), &sources).expect("a view");
         let shown: Vec<bool> = answer.image.pixels.iter().map(|pixel| pixel[3] != NOTHING).collect();
-        likeness(&truth.pixels, &answer.image.pixels, 320, &on_goal, &shown)
+        similarity(&truth.pixels, &answer.image.pixels, 320, &on_goal, &shown)
     };
     let (with, without) = (score(&world), score(&World::without_goals(&field)));
     println!("with goals {with:?}, without {without:?}");

@@ -1,12 +1,11 @@
 //! What stands in a source's way is found, and shown from another source or said to be unsure.
 
 use realitysim::config::load_field;
-use realitysim::evaluation::views::likeness;
 use realitysim::geometry::Isometry;
 use realitysim::scene::{Renderer, Scene, SceneFile};
 use realitysim::views::{
     Camera, Candidate, NOTHING, Pyramid, Raster, SURE, Scenery, Surface, TagError, Target, UNSURE, World, mark_moving,
-    view,
+    similarity, view,
 };
 
 use super::{candidate, field, lens, pose, request};
@@ -68,8 +67,8 @@ fn composed(sources: &[(&Renderer, Isometry, u64)], wanted: &Isometry, marked: b
     let answer = view(&request(&camera, *wanted, &world), &candidates).expect("a view");
     let truth = picture(&hall(""), &camera, wanted, 0);
     let shown: Vec<bool> = answer.image.pixels.iter().map(|pixel| pixel[3] != NOTHING).collect();
-    let likeness = likeness(&truth.pixels, &answer.image.pixels, camera.width(), &ground(&camera, wanted), &shown);
-    Composed { psnr_db: likeness.psnr_db, sure_share: answer.sure_share, image: answer.image }
+    let similarity = similarity(&truth.pixels, &answer.image.pixels, camera.width(), &ground(&camera, wanted), &shown);
+    Composed { psnr_db: similarity.psnr_db, sure_share: answer.sure_share, image: answer.image }
 }
 
 const ROBOT: &str =

@@ -11,13 +11,12 @@ use super::messages::Messages;
 use crate::config::Settings;
 use crate::geometry::Isometry;
 use crate::ros2::mcap_read::LogMessage;
-use crate::ros2::messages::FrameTag;
+use crate::ros2::messages::{FrameTag, Header};
 use crate::sensors::camera::{
     CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Frame, ImageMessage, Negotiated,
     Republished, StampClock, driver_of, image_message,
 };
 use crate::sensors::host_clock::monotonic_ns;
-use crate::sensors::scene::header;
 use crate::sensors::serial::{PortEvent, PortOptions, Pose, run};
 
 /// What a device has to say.
@@ -204,7 +203,7 @@ impl CameraThread {
         let delay_ns = (capture.delay_ms * 1e6) as i64;
         let clock = frame.clock;
         let stamp_ns = frame.stamp_ns.saturating_add(self.clock_ns).saturating_sub(delay_ns);
-        let header = header(stamp_ns, &self.settings.frames.camera_optical);
+        let header = Header::at(stamp_ns, &self.settings.frames.camera_optical);
         let quality = (capture.jpeg_quality > 0).then_some(capture.jpeg_quality);
         let topic = self.settings.topics.image.as_str();
         let (message, room) = match image_message(frame, camera, quality, header) {

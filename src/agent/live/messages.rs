@@ -10,10 +10,10 @@ use crate::geometry::{Euler, Isometry, Pose2};
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
 use crate::ros2::messages::{
-    Imu, JointState, Message, Odometry, PoseWithCovarianceStamped, TFMessage, Transform, TransformStamped, Vector3,
+    Header, Imu, JointState, Message, Odometry, Pose, PoseWithCovarianceStamped, Quaternion, TFMessage, Transform,
+    TransformStamped, Vector3,
 };
 use crate::sensors::mavlink::Content;
-use crate::sensors::scene::{header, pose, quaternion};
 
 /// Makes messages of one source: channels are made once.
 #[derive(Default)]
@@ -40,39 +40,39 @@ impl Messages {
         match content {
             Content::Attitude(attitude) => {
                 let mut imu = Imu {
-                    header: header(stamp_ns, &frames.base_link),
-                    orientation: quaternion(attitude.world_from_body),
-                    angular_velocity: vector(attitude.angular_velocity),
+                    header: Header::at(stamp_ns, &frames.base_link),
+                    orientation: Quaternion::from(attitude.world_from_body),
+                    angular_velocity: Vector3::from(attitude.angular_velocity),
                     ..Imu::default()
                 };
                 imu.linear_acceleration_covariance[0] = NOT_MEASURED;
                 Some(self.message(&topics.imu, false, &imu))
             }
             Content::Inertial(inertial) => {
-                let mut imu = Imu { header: header(stamp_ns, &frames.base_link), ..Imu::default() };
+                let mut imu = Imu { header: Header::at(stamp_ns, &frames.base_link), ..Imu::default() };
                 imu.orientation_covariance[0] = NOT_MEASURED;
                 match inertial.acceleration {
-                    Some(acceleration) => imu.linear_acceleration = vector(acceleration),
+                    Some(acceleration) => imu.linear_acceleration = Vector3::from(acceleration),
                     None => imu.linear_acceleration_covariance[0] = NOT_MEASURED,
                 }
                 match inertial.angular_velocity {
-                    Some(velocity) => imu.angular_velocity = vector(velocity),
+                    Some(velocity) => imu.angular_velocity = Vector3::from(velocity),
                     None => imu.angular_velocity_covariance[0] = NOT_MEASURED,
                 }
                 Some(self.message(&format!("{}_raw", topics.imu), false, &imu))
             }
             Content::Odometry(step) => {
-                let mut odometry = Odometry { header: header(stamp_ns, &frames.odom), ..Odometry::default() };
+                let mut odometry = Odometry { header: Header::at(stamp_ns, &frames.odom), ..Odometry::default() };
                 odometry.child_frame_id = frames.base_footprint.clone();
-                odometry.pose.pose = pose(&step.odom_from_body);
+                odometry.pose.pose = Pose::from(step.odom_from_body);
                 odometry.pose.covariance = step.pose_covariance;
-                odometry.twist.twist.linear = vector(step.velocity);
-                odometry.twist.twist.angular = vector(step.angular_velocity);
+                odometry.twist.twist.linear = Vector3::from(step.velocity);
+                odometry.twist.twist.angular = Vector3::from(step.angular_velocity);
                 Some(self.message(&topics.odometry, false, &odometry))
             }
             Content::Head(angles) => {
                 let joints = JointState {
-                    header: header(stamp_ns, ""),
+                    header: Header::at(stamp_ns, ""),
                     name: vec![head.pan_joint.clone(), head.tilt_joint.clone()],
                     position: vec![angles.pan, angles.tilt],
                     ..JointState::default()
@@ -98,11 +98,11 @@ pub struct Names {
 pub fn transforms(stamp_ns: i64, torso_height_m: f64, mount: &MountSettings, frames: &FrameNames) -> TFMessage {
     let [roll, pitch, yaw] = mount.camera_rpy_deg.map(f64::to_radians);
     let step = |parent: &str, child: &str, parent_from_child: Isometry| TransformStamped {
-        header: header(stamp_ns, parent),
+        header: Header::at(stamp_ns, parent),
         child_frame_id: child.to_owned(),
         transform: Transform {
-            translation: vector(parent_from_child.translation),
-            rotation: quaternion(parent_from_child.rotation),
+            translation: Vector3::from(parent_from_child.translation),
+            rotation: Quaternion::from(parent_from_child.rotation),
         },
     };
     let torso = Isometry::new(DQuat::IDENTITY, DVec3::new(0.0, 0.0, torso_height_m));
@@ -118,11 +118,7 @@ pub fn transforms(stamp_ns: i64, torso_height_m: f64, mount: &MountSettings, fra
 
 /// Where somebody says that the robot stands.
 pub fn initial_pose(stamp_ns: i64, map_from_footprint: &Pose2, frames: &FrameNames) -> PoseWithCovarianceStamped {
-    let mut message = PoseWithCovarianceStamped { header: header(stamp_ns, &frames.map), ..Default::default() };
-    message.pose.pose = pose(&map_from_footprint.to_isometry());
+    let mut message = PoseWithCovarianceStamped { header: Header::at(stamp_ns, &frames.map), ..Default::default() };
+    message.pose.pose = Pose::from(map_from_footprint.to_isometry());
     message
-}
-
-fn vector(v: DVec3) -> Vector3 {
-    Vector3 { x: v.x, y: v.y, z: v.z }
 }

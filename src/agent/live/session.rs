@@ -15,9 +15,8 @@ use crate::agent::warnings::AttitudeSource;
 use crate::geometry::{LensParameters, Pose2};
 use crate::recording::{LiveInfo, Writing, robot_id};
 use crate::ros2::mcap_read::LogMessage;
-use crate::ros2::messages::{CameraInfo, TFMessage};
+use crate::ros2::messages::{CameraInfo, Header, TFMessage};
 use crate::sensors::intake::{self, Input};
-use crate::sensors::scene::{camera_info_of, header};
 use crate::sensors::synchroniser::{Expected, Synchroniser, SynchroniserState};
 
 /// Tags between the pipeline and whoever wants poses.
@@ -137,7 +136,7 @@ pub(super) fn setup(
     let height = settings.mount.torso_height_m.ok_or(RecordError::NoMount)?;
     let topics = settings.topics.clone();
     let constants: TFMessage = transforms(now_ns, height, &settings.mount, &settings.frames);
-    let info: CameraInfo = camera_info_of(lens, header(now_ns, &settings.frames.camera_optical));
+    let info: CameraInfo = CameraInfo::of_lens(lens, Header::at(now_ns, &settings.frames.camera_optical));
     let mut messages = Messages::default();
     let constants = messages.message(&topics.tf_static, true, &constants);
     let calibration = messages.message(&topics.camera_info, true, &info);

@@ -11,10 +11,9 @@ use super::meters::{BudgetUse, FilterUse, Rates, Validity};
 use super::port::Port;
 use crate::geometry::{PoseGrid, longest_axis};
 use crate::recording::{Counts, RecorderStatus};
-use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, KeyValue};
+use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Header, KeyValue};
+use crate::ros2::topics::DIAGNOSTICS_PREFIX;
 use crate::sensors::camera::StampClock;
-use crate::sensors::log::DIAGNOSTICS_NAME;
-use crate::sensors::scene::header;
 use crate::sensors::serial::LineStatus;
 
 #[derive(Clone, Debug, Default, Serialize)]
@@ -162,13 +161,13 @@ impl Status {
             let wrong = port.wrong();
             DiagnosticStatus {
                 level: if wrong.is_some() { DiagnosticStatus::WARN } else { DiagnosticStatus::OK },
-                name: format!("{DIAGNOSTICS_NAME}port {device}"),
+                name: format!("{DIAGNOSTICS_PREFIX}port {device}"),
                 message: wrong.unwrap_or("open").to_owned(),
                 hardware_id: robot.to_owned(),
                 values,
             }
         });
-        DiagnosticArray { header: header(now_ns, ""), status: status.collect() }
+        DiagnosticArray { header: Header::at(now_ns, ""), status: status.collect() }
     }
 }
 
@@ -176,12 +175,12 @@ impl Status {
 pub fn note(now_ns: i64, robot: &str, about: &str, what: &str, said: &str) -> DiagnosticArray {
     let status = DiagnosticStatus {
         level: if matches!(what, "mark" | "recovered") { DiagnosticStatus::OK } else { DiagnosticStatus::WARN },
-        name: format!("{DIAGNOSTICS_NAME}{about}"),
+        name: format!("{DIAGNOSTICS_PREFIX}{about}"),
         message: said.to_owned(),
         hardware_id: robot.to_owned(),
         values: vec![value("event", what)],
     };
-    DiagnosticArray { header: header(now_ns, ""), status: vec![status] }
+    DiagnosticArray { header: Header::at(now_ns, ""), status: vec![status] }
 }
 
 fn value(key: &str, value: impl ToString) -> KeyValue {

@@ -20,6 +20,7 @@ use crate::evaluation::compare::truth_at;
 use crate::evaluation::cost::{self, Knobs, Wish};
 use crate::evaluation::truth;
 use crate::geometry::{Isometry, Pose2};
+use crate::recording::ReadoutError;
 use crate::sensors::scene;
 use crate::vision::automatic_reduction;
 use report::{Report, Yardstick};
@@ -166,7 +167,7 @@ fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result
         return Ok(truth::of_scene(&scene::load(&arguments.source)?));
     }
     match read_truth(&arguments.source, topic) {
-        Err(EvaluationError::NoMessages { .. }) => Ok(Vec::new()),
+        Err(EvaluationError::Readout(ReadoutError::NoMessages { .. })) => Ok(Vec::new()),
         truth => Ok(truth?.found),
     }
 }

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::config::Model;
 use crate::evaluation::cost::{self, Advice, Knobs, Row, Wish};
+use crate::localization::Model;
 use crate::recording::Loss;
 
 pub struct Report {

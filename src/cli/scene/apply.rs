@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use crate::cli::values::any_whole;
 use crate::cli::{Outcome, output, paths};
-use crate::plain_file;
+use crate::config::plain_file;
 use crate::scene::Scene;
 use crate::sensors::encode::jpeg;
 use crate::sensors::{decode, scene};

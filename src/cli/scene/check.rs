@@ -7,9 +7,9 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::cli::{Outcome, machine, output};
-use crate::config::SimdPath;
 use crate::evaluation::calibration::REFERENCE_MS;
 use crate::evaluation::effect_cost::{self, SceneCost};
+use crate::localization::SimdPath;
 use crate::scene::{Role, Scene};
 use crate::sensors::scene;
 

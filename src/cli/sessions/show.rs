@@ -12,13 +12,13 @@ use crate::cli::paths::{check_output, save};
 use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output};
 use crate::database::coverage_picture;
-use crate::geometry::{Field, PoseGrid};
+use crate::geometry::{Field, Isometry, PoseGrid};
 use crate::recording::catalogue::session_at;
-use crate::recording::{ManifestLine, Session, SessionInfo, read_coverage, read_info, topic};
+use crate::recording::{ManifestLine, Session, SessionInfo, read_coverage, read_info};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::{FrameTag, Message};
+use crate::ros2::topics;
 use crate::sensors::decode;
-use crate::sensors::intake::isometry;
 use crate::sensors::log::LogSource;
 use crate::sync::known_sources;
 
@@ -162,7 +162,7 @@ fn coverage_of(session: &Session, info: &SessionInfo) -> Option<PoseGrid> {
     let files = session.segments.keys().map(|name| session.folder.join(name)).collect();
     let image = info.settings.topics.image.as_str();
     let (mut images, mut tags) = (BTreeSet::new(), Vec::new());
-    for message in LogSource::with_outputs(files, Selection::topics([image, topic::FRAME_TAG])).map_while(Result::ok) {
+    for message in LogSource::with_outputs(files, Selection::topics([image, topics::FRAME_TAG])).map_while(Result::ok) {
         if message.channel.topic == image {
             images.extend(decode::stamp_ns(&message));
         } else {
@@ -170,7 +170,7 @@ fn coverage_of(session: &Session, info: &SessionInfo) -> Option<PoseGrid> {
         }
     }
     for tag in tags.iter().filter(|tag| tag.valid && images.contains(&tag.header.stamp.to_nanoseconds())) {
-        grid.add(&isometry(&tag.pose.pose.position, &tag.pose.pose.orientation));
+        grid.add(&Isometry::from(tag.pose.pose));
     }
     Some(grid)
 }

@@ -3,22 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::within;
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Model {
-    #[default]
-    Gauss,
-    Distance,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Formula {
-    #[default]
-    Corrected,
-    Paper,
-}
+use crate::localization::{Formula, Model, SimdPath};
 
 /// No frame can be located in less.
 pub const LEAST_BUDGET_MS: f64 = 0.1;
@@ -31,19 +16,6 @@ pub enum MotionSource {
     Odometry,
     /// Nothing is known but how fast the robot can be.
     RandomWalk,
-}
-
-/// Which instructions the kernel uses; the result is the same.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum SimdPath {
-    /// The fastest that this processor has.
-    #[default]
-    Auto,
-    Scalar,
-    Sse2,
-    Avx2,
-    Neon,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

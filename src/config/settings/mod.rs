@@ -18,11 +18,11 @@ use serde::{Deserialize, Serialize};
 use super::source::read;
 use super::wording::in_words;
 use super::{ConfigError, field_seen_from, lens_seen_from};
+use crate::localization::MotionModel;
 
 pub use camera::{BodyMaskFile, CameraSettings};
-pub use filter::{FilterConfig, Formula, LEAST_BUDGET_MS, Model, MotionSource, SimdPath};
+pub use filter::{FilterConfig, LEAST_BUDGET_MS, MotionSource};
 pub use live::{CaptureSettings, MountSettings, SerialPortSettings, SerialSettings};
-pub use motion::MotionModel;
 pub use names::{FrameNames, HeadSettings, Topics};
 pub use recording::RecordingSettings;
 pub use thinning::{ThinningMode, ThinningSettings};
@@ -77,7 +77,7 @@ impl Settings {
     /// Says which key is impossible, and what would be possible.
     pub fn check(&self) -> Result<(), String> {
         self.filter.check()?;
-        self.motion.check()?;
+        motion::check(&self.motion)?;
         self.camera.check()?;
         let named =
             !self.robot.is_empty() && self.robot.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c));

@@ -5,8 +5,8 @@ use glam::DVec2;
 use super::advice::{Advice, Wish};
 use super::front::front;
 use super::row::{FINEST_CM, Row};
-use crate::config::Model;
 use crate::evaluation::drawing::chart::{Across, Axis, Chart, Layer, Line, Mark, Note, Rule, Scale};
+use crate::localization::Model;
 
 const REFINED: &str = "#1f77b4";
 const PLAIN: &str = "#c2571a";

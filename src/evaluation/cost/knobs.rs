@@ -4,7 +4,8 @@ use core::fmt;
 
 use serde::Serialize;
 
-use crate::config::{Model, Settings};
+use crate::config::Settings;
+use crate::localization::Model;
 
 /// The settings that decide about time and accuracy.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -6,8 +6,8 @@ use super::experiment::{Paper, Run};
 use super::method::{METHODS, Method};
 use super::scenes::WALK_M_PER_S;
 use super::{PAPER_DISTANCE, PAPER_GAUSS, PAPER_PARTICLES, PAPER_WALK_CM};
-use crate::config::{Formula, Model};
 use crate::evaluation::drawing::chart::{Across, Axis, Chart, Layer, Line, Mark, Note, Rule, Scale};
+use crate::localization::{Formula, Model};
 
 /// File names and contents.
 pub fn charts(paper: &Paper) -> [(&'static str, String); 3] {

@@ -1,7 +1,8 @@
 //! The ways to locate that are compared.
 
 use super::{PAPER_DISTANCE, PAPER_GAUSS, Reported};
-use crate::config::{Formula, Model, Settings};
+use crate::config::Settings;
+use crate::localization::{Formula, Model};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Method {

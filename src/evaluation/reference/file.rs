@@ -8,7 +8,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use super::identity::Identity;
-use crate::plain_file;
+use crate::config::plain_file;
 use crate::ros2::messages::FrameTag;
 
 #[derive(Debug, Error)]

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::ReferenceError;
+use crate::config::plain_file;
 use crate::geometry::Pose2;
-use crate::plain_file;
 use crate::recording::{SessionInfo, read_info};
 use crate::sensors::log::files_of;
 use crate::sensors::scene::MAX_SCENE_BYTES;

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use super::limits::Limits;
+use crate::config::plain_file;
 use crate::config::wording::in_words;
-use crate::plain_file;
 
 #[derive(Debug, Error)]
 #[error("{file}: {message}")]

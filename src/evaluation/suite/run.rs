@@ -14,14 +14,12 @@ use super::limits::Broken;
 use super::timing::p99_ratio;
 use crate::agent::{FootageOptions, ReplayError, ReplayOptions, replay};
 use crate::config::{ConfigError, Settings};
-use crate::evaluation::capture::{
-    EvaluationError, Readout, read_frame_times, read_poses, read_tags, read_truth, tagged,
-};
+use crate::evaluation::capture::{EvaluationError, read_frame_times, read_poses, read_truth, tagged};
 use crate::evaluation::compare::Tagged;
 use crate::evaluation::reference::{self, Frames, Identity, Reference, ReferenceError, Verdict, settings_that_matter};
 use crate::evaluation::truth;
 use crate::geometry::Isometry;
-use crate::recording::Loss;
+use crate::recording::{Loss, Readout, ReadoutError, read_tags};
 use crate::sensors::scene::{self, SceneSourceError};
 
 #[derive(Clone, Debug)]
@@ -81,6 +79,8 @@ enum CaseError {
     Replay(#[from] ReplayError),
     #[error(transparent)]
     Evaluation(#[from] EvaluationError),
+    #[error(transparent)]
+    Tags(#[from] ReadoutError),
     #[error("limits.valid_share is of the camera's frames: {0}; let source or truth be a log that has them")]
     NoFrames(EvaluationError),
     #[error(transparent)]

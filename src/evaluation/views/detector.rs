@@ -3,8 +3,8 @@
 use glam::DVec2;
 use serde::Serialize;
 
-use crate::config::SimdPath;
 use crate::geometry::{Field, Isometry, Lens, Pose2};
+use crate::localization::SimdPath;
 use crate::localization::kernel::{Points, sum_levels};
 use crate::vision::{GroundTable, Picture, Reading, Vision, VisionSettings};
 

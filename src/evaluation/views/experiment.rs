@@ -6,13 +6,12 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::lawn::Lawn;
-use super::likeness::{Likeness, likeness};
 use crate::geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
 use crate::views::paper::{Correspondences, Posed, correspondences};
 use crate::views::quadratic::Quadratic;
 use crate::views::{
-    Camera, Candidate, Method, Pyramid, Request, SURE, Surface, TagError, Target, ViewError, ViewSettings, Vignetting,
-    Warp, World, view,
+    Camera, Candidate, Method, Pyramid, Request, SURE, Similarity, Surface, TagError, Target, ViewError, ViewSettings,
+    Vignetting, Warp, World, similarity, view,
 };
 
 /// How far the sources are from the view.
@@ -146,8 +145,8 @@ impl Bench {
             let answer = view(&request, &candidates[..count])?;
             let shown: Vec<bool> = answer.image.pixels.iter().map(|pixel| pixel[3] == SURE).collect();
             let both: Vec<bool> = shown.iter().zip(&seen).map(|(shown, seen)| *shown && *seen).collect();
-            let of = |mask: &[bool]| likeness(&truth.pixels, &answer.image.pixels, width, &ground, mask);
-            let Likeness { psnr_db, ssim, .. } = of(&both);
+            let of = |mask: &[bool]| similarity(&truth.pixels, &answer.image.pixels, width, &ground, mask);
+            let Similarity { psnr_db, ssim, .. } = of(&both);
             Ok(Scores { psnr_db, ssim, covered: of(&shown).compared })
         };
         let [from, to] = [sources[0].0, wanted].map(|map_from_link| Posed { camera: &self.camera, map_from_link });

@@ -3,11 +3,9 @@
 mod detector;
 mod experiment;
 mod lawn;
-mod likeness;
 mod pairs;
 
 pub use detector::{Detection, Detector};
 pub use experiment::{Displacement, Plan, Row, Scores, displacements};
 pub use lawn::Lawn;
-pub use likeness::{Likeness, likeness};
 pub use pairs::{Pair, PairError, pairs};

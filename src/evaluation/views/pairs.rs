@@ -5,14 +5,12 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use thiserror::Error;
 
-use super::likeness::likeness;
-use crate::config::{ConfigError, load_lens_for_image};
+use crate::config::{ConfigError, load_lens_for_image, plain_file};
 use crate::geometry::{Field, Isometry, Lens, LensParameters};
-use crate::plain_file;
 use crate::sensors::decode::MAX_IMAGE_FILE_BYTES;
 use crate::views::{
     Camera, Candidate, Made, Method, NOTHING, Pyramid, Raster, Request, TagError, ViewError, ViewSettings, Vignetting,
-    World, view,
+    World, similarity, view,
 };
 
 /// One image as seen through the other.
@@ -126,8 +124,8 @@ fn pair(source: &Image, target: &Image, field: &Field) -> Result<Pair, PairError
         .collect();
     let width = target.camera.width();
     let wanted = target.camera.shows();
-    let raw = likeness(&target.pixels.pixels, &answer.image.pixels, width, wanted, &shown);
-    let gained = likeness(&target.pixels.pixels, &scaled, width, wanted, &shown);
+    let raw = similarity(&target.pixels.pixels, &answer.image.pixels, width, wanted, &shown);
+    let gained = similarity(&target.pixels.pixels, &scaled, width, wanted, &shown);
     let overlap = shown.iter().filter(|shown| **shown).count();
     let (raw_db, gain_db, gain_ssim) = (raw.psnr_db, gained.psnr_db, gained.ssim);
     Ok(Pair { source: source.id, target: target.id, overlap, raw_db, gain_db, gain_ssim })

@@ -13,11 +13,25 @@ mod rotation;
 #[cfg(target_arch = "x86_64")]
 mod sse2;
 
-pub use crate::config::SimdPath;
+use serde::{Deserialize, Serialize};
+
 use crate::geometry::Pose2;
 use crate::vision::GroundTable;
 use crate::vision::ground::SIDE;
 pub use points::Points;
+
+/// Which instructions the kernel uses; the result is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SimdPath {
+    /// The fastest that this processor has.
+    #[default]
+    Auto,
+    Scalar,
+    Sse2,
+    Avx2,
+    Neon,
+}
 
 /// Points that a look-up leaves out or takes together.
 pub const LANES: usize = 8;

@@ -9,7 +9,7 @@ use core::convert::Infallible;
 
 use rand::TryRng;
 
-use crate::vectorised::vectorised;
+use crate::geometry::vectorised::vectorised;
 
 /// Keeps the streams of one seed apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! Quantiles of the normal distribution: Wichura, "Algorithm AS 241", Applied Statistics 37 (1988), PPND16, relative
 //! error about 1e-16. Six times of seven it needs neither a logarithm nor a root.
 
-use crate::vectorised::vectorised;
+use crate::geometry::vectorised::vectorised;
 
 const CENTRE: ([f64; 8], [f64; 8]) = (
     [

@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::super::gap::gaps_in;
 use super::super::manifest::{Counts, ManifestLine, PoseBox, TopicEntry};
 use super::super::recorder::note_gap;
-use super::super::topic;
 use crate::config::{Settings, ThinningMode};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{FrameTag, Message};
+use crate::ros2::topics;
 use crate::sensors::decode::stamp_ns;
 use crate::sensors::intake::is_frame;
 
@@ -53,7 +53,7 @@ impl<'a> Account<'a> {
             self.counts.written += 1;
             self.images.extend(thins.then(|| stamp_ns(message).ok()).flatten());
         }
-        if message.channel.topic == topic::FRAME_TAG {
+        if message.channel.topic == topics::FRAME_TAG {
             self.counts.tagged += 1;
             let tag = FrameTag::decode(&message.data).ok();
             let stamp = tag.as_ref().map(|tag| tag.header.stamp.to_nanoseconds());

@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::recording::entry::{Entry, Kind};
 use crate::recording::shared::{Next, Room, Shared};
 use crate::ros2::mcap_read::{Channel, LogMessage};
-use crate::ros2::messages::{CompressedImage, FrameTag, Imu, Message, Odometry, PoseWithCovarianceStamped};
+use crate::ros2::messages::{CompressedImage, FrameTag, Header, Imu, Message, Odometry, PoseWithCovarianceStamped};
 
 const ROOM: Room = Room { frames_bytes: 1 << 20, reserve_bytes: 64 << 20 };
 
@@ -31,7 +31,7 @@ fn next(shared: &Shared) -> Option<Entry> {
 fn a_minute_of_measurements_and_tags_waits_while_frames_are_dropped() {
     let reserve = crate::config::RecordingSettings::default().reserve_mb as usize;
     let shared = Shared::new(Room { reserve_bytes: reserve << 20, ..ROOM });
-    let tag = FrameTag { header: crate::sensors::scene::header(0, "camera_link"), ..FrameTag::default() };
+    let tag = FrameTag { header: Header::at(0, "camera_link"), ..FrameTag::default() };
     for millisecond in 0..60_000_i64 {
         let at_ns = millisecond * 1_000_000;
         if millisecond % 2 == 0 {

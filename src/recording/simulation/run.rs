@@ -14,9 +14,9 @@ use crate::recording::recorder::{Plan, Recorder};
 use crate::recording::segment::segment_index;
 use crate::recording::shared::{Room, Shared, Waiting};
 use crate::recording::storage::{Kind as Listed, Storage, write_atomically};
-use crate::recording::topic;
 use crate::ros2::mcap_read::{Channel, LogMessage, LogReader, Selection};
 use crate::ros2::messages::{CompressedImage, FrameTag, Imu, Message, TFMessage};
+use crate::ros2::topics;
 
 pub const CAPTURES: &str = "/captures";
 pub const SYNC_INTERVAL: Duration = Duration::from_millis(200);
@@ -211,7 +211,7 @@ fn channels() -> &'static [Arc<Channel>; 4] {
     CHANNELS.get_or_init(|| {
         [
             of::<CompressedImage>(IMAGE),
-            of::<FrameTag>(topic::FRAME_TAG),
+            of::<FrameTag>(topics::FRAME_TAG),
             of::<TFMessage>(LATCHED),
             of::<Imu>("/imu/data"),
         ]

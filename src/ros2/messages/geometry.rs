@@ -1,11 +1,10 @@
 //! geometry_msgs, tf2_msgs and nav_msgs.
 
-use glam::{DQuat, DVec3};
 use serde::{Serialize, Serializer};
 
 use super::message;
 use super::time::Header;
-use crate::geometry::{Isometry, longest_axis};
+use crate::geometry::longest_axis;
 use crate::ros2::cdr::wire_struct;
 
 wire_struct! {
@@ -182,69 +181,6 @@ impl Default for PoseWithCovariance {
 impl Default for TwistWithCovariance {
     fn default() -> Self {
         Self { twist: Twist::default(), covariance: [0.0; 36] }
-    }
-}
-
-impl From<DVec3> for Point {
-    fn from(v: DVec3) -> Self {
-        Self { x: v.x, y: v.y, z: v.z }
-    }
-}
-
-impl From<Point> for DVec3 {
-    fn from(p: Point) -> Self {
-        Self::new(p.x, p.y, p.z)
-    }
-}
-
-impl From<DVec3> for Vector3 {
-    fn from(v: DVec3) -> Self {
-        Self { x: v.x, y: v.y, z: v.z }
-    }
-}
-
-impl From<Vector3> for DVec3 {
-    fn from(v: Vector3) -> Self {
-        Self::new(v.x, v.y, v.z)
-    }
-}
-
-impl From<DQuat> for Quaternion {
-    fn from(q: DQuat) -> Self {
-        Self { x: q.x, y: q.y, z: q.z, w: q.w }
-    }
-}
-
-impl From<Quaternion> for DQuat {
-    /// As it stands: a message may hold one that is not of unit length.
-    fn from(q: Quaternion) -> Self {
-        Self::from_xyzw(q.x, q.y, q.z, q.w)
-    }
-}
-
-impl From<Isometry> for Pose {
-    fn from(isometry: Isometry) -> Self {
-        Self { position: isometry.translation.into(), orientation: isometry.rotation.into() }
-    }
-}
-
-impl From<Pose> for Isometry {
-    /// The rotation is normalised.
-    fn from(pose: Pose) -> Self {
-        Self::new(pose.orientation.into(), pose.position.into())
-    }
-}
-
-impl From<Isometry> for Transform {
-    fn from(isometry: Isometry) -> Self {
-        Self { translation: isometry.translation.into(), rotation: isometry.rotation.into() }
-    }
-}
-
-impl From<Transform> for Isometry {
-    /// The rotation is normalised.
-    fn from(transform: Transform) -> Self {
-        Self::new(transform.rotation.into(), transform.translation.into())
     }
 }
 

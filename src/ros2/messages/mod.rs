@@ -1,5 +1,6 @@
 //! The ROS 2 messages that logs hold. Field names, order and units are ROS's (REP 103: metres, radians, seconds).
 
+mod conversion;
 mod diagnostics;
 mod frame_tag;
 mod geometry;

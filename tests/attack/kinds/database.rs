@@ -8,10 +8,9 @@ use realitysim::database::{Gallery, Index, Wanted, coverage};
 use realitysim::geometry::{Euler, Isometry};
 use realitysim::views::Method;
 
-use crate::bytes;
 use crate::case::{Case, Class, Finding, Outcome, Taken};
 use crate::judge::files;
-use crate::text;
+use crate::{bytes, text};
 
 /// Magic and version, then a checksum of everything behind the header.
 const CHECKSUM: usize = 12;

@@ -9,12 +9,11 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::bytes;
 use crate::case::{Case, Class, Finding, Outcome, Taken};
 use crate::draw::Draw;
 use crate::support::LENS;
-use crate::text;
 use crate::worker::{MAX_MEMORY_MB, peak_mb_of};
+use crate::{bytes, text};
 
 const CONFIG: &str = "robot = \"r1\"\n[camera]\nlens = \"lens.toml\"\n[capture]\ndevice = \"unix:camera.sock\"\n[mount]\n\
     torso_height_m = 0.38\ncamera_xyz_m = [0.04, 0.0, 0.11]\ncamera_rpy_deg = [0.0, 17.0, 0.0]\n[recording]\nfloor_mb = 1\n\

@@ -11,11 +11,10 @@ use realitysim::geometry::Isometry;
 use realitysim::ros2::messages::{CompressedImage, PoseStamped};
 use serde_json::Value;
 
-use crate::bytes;
 use crate::case::{Case, Class, Finding, Outcome, Taken};
 use crate::judge::files;
 use crate::support::{IMAGE, LENS, TRUTH, decode_all};
-use crate::text;
+use crate::{bytes, text};
 
 /// A little less than a case may take, so that the child does not outlive it.
 const MAX_RUN: Duration = Duration::from_secs(50);

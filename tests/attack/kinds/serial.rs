@@ -6,10 +6,9 @@ use mavlink::Message as _;
 use mavlink::dialects::common::MavMessage;
 use realitysim::config::Settings;
 use realitysim::geometry::Isometry;
-use realitysim::ros2::messages::{Imu, Odometry, Stamp, Vector3};
+use realitysim::ros2::messages::{Imu, Odometry, Pose, Quaternion, Stamp, Vector3};
 use realitysim::ros2::{LogMessage, Message};
 use realitysim::sensors::mavlink::{Content, RobotSide};
-use realitysim::sensors::scene::{pose, quaternion};
 use realitysim::sensors::serial::Line;
 
 use crate::bytes;
@@ -130,7 +129,7 @@ fn measured([imu, odometry]: [&LogMessage; 2], sent: &[Sent], first_ns: i64) -> 
             Content::Attitude(attitude) => {
                 let mut content = Imu::decode(&imu.data).expect("sound");
                 content.header.stamp = stamp;
-                content.orientation = quaternion(attitude.world_from_body);
+                content.orientation = Quaternion::from(attitude.world_from_body);
                 content.angular_velocity = to(attitude.angular_velocity);
                 let q = attitude.world_from_body;
                 (imu, content.encode(), [q.length(), attitude.angular_velocity.length()])
@@ -138,7 +137,7 @@ fn measured([imu, odometry]: [&LogMessage; 2], sent: &[Sent], first_ns: i64) -> 
             Content::Odometry(step) => {
                 let mut content = Odometry::decode(&odometry.data).expect("sound");
                 content.header.stamp = stamp;
-                content.pose.pose = pose(&step.odom_from_body);
+                content.pose.pose = Pose::from(step.odom_from_body);
                 let Isometry { rotation, translation } = step.odom_from_body;
                 (odometry, content.encode(), [rotation.length(), translation.length()])
             }

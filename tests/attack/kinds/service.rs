@@ -9,11 +9,10 @@ use rustix::net::sockopt::{Timeout, set_socket_timeout};
 use rustix::net::{AddressFamily, SocketFlags, SocketType, bind, connect, socket_with};
 use serde_json::Value;
 
-use crate::bytes;
 use crate::case::{Case, Class, Finding, Outcome, Taken};
 use crate::draw::Draw;
-use crate::text;
 use crate::worker::{MAX_MEMORY_MB, peak_mb_of};
+use crate::{bytes, text};
 
 /// Ends with the process that runs cases.
 pub struct Served {

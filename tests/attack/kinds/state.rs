@@ -4,8 +4,8 @@ use std::fs;
 
 use realitysim::agent::Checkpoint;
 use realitysim::agent::checkpoint::VERSION;
-use realitysim::agent::state::STATE_FILE;
 use realitysim::config::Settings;
+use realitysim::recording::STATE_FILE;
 
 use crate::bytes;
 use crate::case::{Case, Class, Finding, Outcome, Taken};

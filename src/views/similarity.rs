@@ -2,7 +2,7 @@
 
 /// Peak signal to noise ratio in dB and structural similarity (Wang 2004, gray, Gaussian window of sigma 1.5).
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Likeness {
+pub struct Similarity {
     pub psnr_db: f64,
     /// Mean over the places whose whole window lies in the mask; NaN if there is none.
     pub ssim: f64,
@@ -17,7 +17,7 @@ const C1: f64 = 6.5025;
 const C2: f64 = 58.5225;
 
 /// Of pictures of the same width, R, G, B and anything; `shown` of those `wanted` are compared.
-pub fn likeness(a: &[[u8; 4]], b: &[[u8; 4]], width: usize, wanted: &[bool], shown: &[bool]) -> Likeness {
+pub fn similarity(a: &[[u8; 4]], b: &[[u8; 4]], width: usize, wanted: &[bool], shown: &[bool]) -> Similarity {
     assert!(a.len() == b.len() && a.len() == wanted.len() && a.len() == shown.len(), "pictures of one size");
     let mask: Vec<bool> = wanted.iter().zip(shown).map(|(wanted, shown)| *wanted && *shown).collect();
     let (mut squares, mut count) = (0.0, 0usize);
@@ -27,7 +27,7 @@ pub fn likeness(a: &[[u8; 4]], b: &[[u8; 4]], width: usize, wanted: &[bool], sho
     }
     let psnr_db = 10.0 * (255.0 * 255.0 * 3.0 * count as f64 / squares.max(1e-12)).log10();
     let wanted = wanted.iter().filter(|wanted| **wanted).count();
-    Likeness { psnr_db, ssim: ssim(a, b, width, &mask), compared: count as f64 / wanted.max(1) as f64 }
+    Similarity { psnr_db, ssim: ssim(a, b, width, &mask), compared: count as f64 / wanted.max(1) as f64 }
 }
 
 fn ssim(a: &[[u8; 4]], b: &[[u8; 4]], width: usize, mask: &[bool]) -> f64 {
@@ -82,13 +82,13 @@ mod tests {
         let picture: Vec<[u8; 4]> = (0..900u32).map(|i| [(i * 7 % 200) as u8, (i * 13 % 180) as u8, 90, 255]).collect();
         let brighter: Vec<[u8; 4]> = picture.iter().map(|p| [p[0] + 10, p[1] + 10, p[2] + 10, 255]).collect();
         let all = [true; 900];
-        let same = likeness(&picture, &picture, 30, &all, &all);
+        let same = similarity(&picture, &picture, 30, &all, &all);
         assert!(same.psnr_db > 100.0 && (same.ssim - 1.0).abs() < 1e-12 && same.compared == 1.0);
         // 20 log10(255 / 10).
-        let off = likeness(&picture, &brighter, 30, &all, &all);
+        let off = similarity(&picture, &brighter, 30, &all, &all);
         assert!((off.psnr_db - 28.1308).abs() < 1e-3, "{off:?}");
         assert!(off.ssim < 1.0 && off.ssim > 0.9);
         let half: Vec<bool> = (0..900).map(|i| i < 450).collect();
-        assert_eq!(likeness(&picture, &brighter, 30, &all, &half).compared, 0.5);
+        assert_eq!(similarity(&picture, &brighter, 30, &all, &half).compared, 0.5);
     }
 }

@@ -9,7 +9,7 @@
 /// No function of a closure, because the compiler leaves a large one where it is: compiled once, for every processor.
 macro_rules! vectorised {
     ($(const $number:ident: $number_kind:ty,)? |$($name:ident: $kind:ty),* $(,)?| $body:block) => {
-        $crate::vectorised::vectorised!($(const $number: $number_kind,)? |$($name: $kind),*| -> () $body)
+        $crate::geometry::vectorised::vectorised!($(const $number: $number_kind,)? |$($name: $kind),*| -> () $body)
     };
     ($(const $number:ident: $number_kind:ty,)? |$($name:ident: $kind:ty),* $(,)?| -> $out:ty $body:block) => {{
         #[inline(always)]
