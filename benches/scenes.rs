@@ -10,7 +10,7 @@ use std::fmt::Write;
 use std::process::{Command, ExitCode};
 
 use realitysim::scene::{Renderer, START_STAMP_NS, Scene};
-use realitysim::sensors::scene;
+use realitysim::log_input::scene;
 
 /// A shelf scene with all the effects that another one has cut off.
 const BASE: &str = include_str!("../replay/scenes/straight.toml");

@@ -1,46 +1,25 @@
 //! Reality Sim: real camera images for any pose on the field.
 //!
-//! The rooms stand in the order in which data passes. A room may use those above it, not those below
-//! (docs/architecture.md has the map; the test `no_room_uses_one_below_it` holds it).
+//! The libraries are crates of their own under `crates/`; this crate is the program: its commands, the live recorder, the doctor that
+//! looks at a robot's devices, and the playback to devices. What the libraries offer is found here under their short names.
 
-pub mod geometry;
-
-pub mod vision;
-
-pub mod views;
-
-pub mod localization;
-
-pub mod smoothing;
-
-pub mod ros2;
-
-pub mod config;
-
-pub mod scene;
-
-pub mod sensors;
-
-pub mod recording;
-
-pub mod sync;
-
-pub mod agent;
-
-pub mod database;
-
-pub mod evaluation;
-
-pub mod service;
-
-pub mod playback;
+pub use realitysim_config as config;
+pub use realitysim_database as database;
+pub use realitysim_devices as devices;
+pub use realitysim_evaluation as evaluation;
+pub use realitysim_geometry as geometry;
+pub use realitysim_localization as localization;
+pub use realitysim_log_input as log_input;
+pub use realitysim_recording as recording;
+pub use realitysim_ros2 as ros2;
+pub use realitysim_scene as scene;
+pub use realitysim_service as service;
+pub use realitysim_tagging as tagging;
+pub use realitysim_views as views;
+pub use realitysim_vision as vision;
 
 pub mod cli;
-
-// What integration tests and unit tests share.
-#[cfg(test)]
-#[path = "../tests/numerics/exact.rs"]
-mod exact;
-#[cfg(test)]
-#[path = "../tests/numerics/measured.rs"]
-mod measured;
+pub mod doctor;
+pub mod live;
+pub mod playback;
+pub mod soak;

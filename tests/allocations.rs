@@ -7,9 +7,9 @@ use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use realitysim::agent::{Footage, FootageOptions};
+use realitysim::tagging::{Footage, FootageOptions};
 use realitysim::config::Settings;
-use realitysim::sensors::camera::{
+use realitysim::devices::camera::{
     BufferInfo, CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Negotiated, PixelFormat,
 };
 
@@ -19,6 +19,8 @@ thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
+// An allocator is unsafe by its trait.
+#[allow(unsafe_code)]
 // SAFETY: every call is passed on to the system's allocator as it came.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {

@@ -2,7 +2,7 @@
 
 use mavlink::MessageData;
 use mavlink::dialects::common::*;
-use realitysim::sensors::mavlink::FRAME_OVERHEAD_BYTES;
+use realitysim::devices::mavlink::FRAME_OVERHEAD_BYTES;
 
 /// Message, bytes on the wire at most, and how often it is sent a second: the small set, the full set.
 fn sets() -> [(&'static str, usize, [usize; 2]); 6] {

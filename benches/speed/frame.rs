@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use realitysim::agent::{Footage, FootageOptions};
+use realitysim::tagging::{Footage, FootageOptions};
 use realitysim::config::Settings;
 use realitysim::localization::SimdPath;
 

@@ -7,7 +7,7 @@ use glam::DVec2;
 
 use super::paths::{check_output, make_folder, save};
 use super::{Outcome, eval, output, sim};
-use crate::agent::{ReplayOptions, replay};
+use crate::tagging::{ReplayOptions, replay};
 use crate::config::Settings;
 use crate::evaluation::capture::{read_truth, tagged};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
@@ -15,8 +15,8 @@ use crate::evaluation::{Comparison, Tagged, compare};
 use crate::geometry::{Field, Isometry, Lens};
 use crate::recording::{read_info, read_tags};
 use crate::ros2::mcap_read::Selection;
-use crate::sensors::log::{LogSource, files_of};
-use crate::sensors::{decode, scene};
+use crate::log_input::log::{LogSource, files_of};
+use crate::log_input::{decode, scene};
 
 /// See a robot walk a field and every frame of its camera tagged
 ///

@@ -6,7 +6,7 @@ use clap::Args;
 
 use super::settings::SettingsArguments;
 use super::{Outcome, output};
-use crate::agent::doctor::{Finding, estimate_delay, examine};
+use crate::doctor::{Finding, estimate_delay, examine};
 
 /// Try every part that a recording needs: config, camera, serial ports, clocks, disk
 ///

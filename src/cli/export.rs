@@ -16,8 +16,8 @@ use crate::recording::{Loss, Readout, losses, read_info, read_tags};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
 use crate::ros2::topics;
-use crate::sensors::decode;
-use crate::sensors::log::{self, LogSource};
+use crate::log_input::decode;
+use crate::log_input::log::{self, LogSource};
 
 /// Write a capture's tags or frames in a form that other programs read
 ///

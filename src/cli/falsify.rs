@@ -12,7 +12,7 @@ use super::section::Section;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::{above_zero, whole};
 use super::{Outcome, output};
-use crate::agent::{Footage, FootageOptions};
+use crate::tagging::{Footage, FootageOptions};
 use crate::config::Settings;
 use crate::evaluation::capture::{EvaluationError, read_truth};
 use crate::evaluation::contrast::WRONG_CM;
@@ -20,7 +20,7 @@ use crate::evaluation::falsify::{Control, Falsehood, falsehoods};
 use crate::evaluation::truth;
 use crate::geometry::Isometry;
 use crate::recording::ReadoutError;
-use crate::sensors::scene;
+use crate::log_input::scene;
 
 /// Find out whether tags can be wrong and valid
 ///

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::junit::{self, TestCase};
 use super::{Outcome, output, paths};
-use crate::agent::ReplayReport;
+use crate::tagging::ReplayReport;
 use crate::config::plain_file;
 use crate::evaluation::reference::{
     Difference, Frames, Identity, MAX_REFERENCE_BYTES, Reference, Verdict, compare, settings_that_matter,

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::{Outcome, output};
 use crate::recording::{Loss, missing_parts};
 use crate::ros2::mcap_read::Survey;
-use crate::sensors::log;
+use crate::log_input::log;
 
 /// What a log, bag or capture holds, or what a camera offers
 ///
@@ -140,7 +140,7 @@ fn is_device(path: &Path) -> bool {
 
 #[cfg(feature = "v4l2")]
 fn camera(path: &Path, json: bool) -> anyhow::Result<Outcome> {
-    let offer = crate::sensors::v4l2::offer(path)?;
+    let offer = crate::devices::v4l2::offer(path)?;
     if json {
         output::json(&offer)?;
         return Ok(Outcome::Whole);

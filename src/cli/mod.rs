@@ -47,15 +47,15 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::agent::live::RecordError;
-use crate::agent::{ReplayError, SetupError};
+use crate::live::RecordError;
+use crate::tagging::{ReplayError, SetupError};
 use crate::config::ConfigError;
 use crate::evaluation::reference::ReferenceError;
 use crate::evaluation::suite::SuiteError;
 use crate::recording::Loss;
 use crate::scene::SceneError;
 use crate::service::ServeError;
-use crate::sync::SyncError;
+use crate::recording::sync::SyncError;
 
 /// Tags every camera frame of a soccer robot with the pose of its camera.
 #[derive(Parser)]

@@ -9,7 +9,7 @@ use super::paths::{cannot_read, check_output};
 use super::settings::UsageError;
 use super::values::{any_whole, whole};
 use super::{Outcome, output};
-use crate::agent::live::stop_flag;
+use crate::live::stop_flag;
 use crate::config::{Settings, plain_file};
 use crate::geometry::{Euler, Isometry};
 use crate::playback::{PlayOptions, PlaySource, Played, play};

@@ -9,8 +9,8 @@ use serde_json::Value;
 use super::settings::{SettingsArguments, UsageError, check_initial, planar_pose};
 use super::values::whole;
 use super::{Outcome, output};
-use crate::agent::foresight::NO_FRAME;
-use crate::agent::live::{RecordOptions, ask, poses, record, stop_flag};
+use crate::tagging::foresight::NO_FRAME;
+use crate::live::{RecordOptions, ask, poses, record, stop_flag};
 use crate::config::load_field;
 use crate::geometry::{Field, Pose2};
 

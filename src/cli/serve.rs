@@ -11,10 +11,10 @@ use super::paths::cannot_read;
 use super::settings::UsageError;
 use super::values::{address, number, whole};
 use super::{Outcome, output};
-use crate::agent::live::stop_flag;
+use crate::live::stop_flag;
 use crate::config::{Settings, lens_names, load_lens, plain_file};
 use crate::geometry::LensParameters;
-use crate::sensors::scene;
+use crate::log_input::scene;
 use crate::service::{ServeOptions, serve};
 use crate::views::{FAR_M, MAX_FAR_M};
 

@@ -10,7 +10,7 @@ use serde_json::json;
 use super::settings::SettingsArguments;
 use super::values::{any_number, whole};
 use super::{Outcome, output};
-use crate::agent::{SoakOptions, soak};
+use crate::soak::{SoakOptions, soak};
 
 /// Record a made-up stream in real time: does this disk keep up, and what does recording cost?
 ///

@@ -10,9 +10,9 @@ use jiff::{ToSpan, Zoned};
 use super::settings::{UsageError, numbers};
 use super::values::whole;
 use super::{Outcome, output};
-use crate::agent::live::stop_flag;
+use crate::live::stop_flag;
 use crate::recording::SESSION_FILE;
-use crate::sync::{Event, Options, Report, SSH, Selection, Source, Store, SyncError, Within, round};
+use crate::recording::sync::{Event, Options, Report, SSH, Selection, Source, Store, SyncError, Within, round};
 
 /// Fetch recordings from a robot, or from a stick
 ///

@@ -11,7 +11,7 @@ use super::photo::{self, OtherInputs, PhotoArguments};
 use super::settings::{check_initial, planar_pose};
 use super::values::any_whole;
 use super::{Outcome, output};
-use crate::agent::single::{Fit, Found, Located};
+use crate::tagging::single::{Fit, Found, Located};
 use crate::config::{field_names, load_field};
 use crate::evaluation::drawing;
 use crate::geometry::{Field, Pose2};

@@ -17,7 +17,7 @@ use crate::database::{Gallery, Shown, Wanted};
 use crate::evaluation::drawing;
 use crate::geometry::{Euler, Isometry, Lens};
 use crate::scene::Stage;
-use crate::sensors::scene;
+use crate::log_input::scene;
 use crate::views::{
     Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method, NOTHING, Raster,
     UNSURE, World,

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use realitysim::agent::ReplayReport;
-use realitysim::agent::state::last_state;
+use realitysim::tagging::ReplayReport;
+use realitysim::tagging::state::last_state;
 use realitysim::ros2::messages::{DiagnosticArray, FrameTag};
 use realitysim::ros2::{LogMessage, LogReader, Message, Selection};
 

@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use realitysim::agent::{ReplayOptions, ReplayReport, replay};
+use realitysim::tagging::{ReplayOptions, ReplayReport, replay};
 use realitysim::config::Settings;
 use realitysim::database;
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::PoseStamped;
-use realitysim::sensors::scene::{SceneSource, parse};
+use realitysim::log_input::scene::{SceneSource, parse};
 
 use crate::kinds::orders::Recorder;
 use crate::kinds::service::Served;

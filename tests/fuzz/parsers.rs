@@ -11,7 +11,7 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use mavlink::Message as _;
 use mavlink::dialects::common::MavMessage;
-use realitysim::agent::{Checkpoint, Tagger};
+use realitysim::tagging::{Checkpoint, Tagger};
 use realitysim::config::lenses::LensWanted;
 use realitysim::config::{Settings, Topics, field_names, load_field, parse_field, parse_lens};
 use realitysim::database::{Gallery, Index, Metric, write_index};
@@ -25,9 +25,9 @@ use realitysim::ros2::messages::{
 };
 use realitysim::ros2::{Channel, LogMessage, LogReader, Message, Selection, attachments, examine, survey};
 use realitysim::scene::{Renderer, Scene, SceneFile};
-use realitysim::sensors::serial::Line;
-use realitysim::sensors::synchroniser::Synchroniser;
-use realitysim::sensors::{decode, intake};
+use realitysim::devices::serial::Line;
+use realitysim::log_input::synchroniser::Synchroniser;
+use realitysim::log_input::{decode, intake};
 
 pub type Target = (&'static str, fn(&[u8]));
 
@@ -239,7 +239,7 @@ pub fn gate(bytes: &[u8]) {
 pub fn checkpoint(bytes: &[u8]) {
     let _ = Checkpoint::decode(bytes);
     let mut whole = b"RSIMCKPT".to_vec();
-    whole.extend(realitysim::agent::checkpoint::VERSION.to_le_bytes());
+    whole.extend(realitysim::tagging::checkpoint::VERSION.to_le_bytes());
     whole.extend(crc32fast::hash(bytes).to_le_bytes());
     whole.extend(bytes);
     let Ok(checkpoint) = Checkpoint::decode(&whole) else { return };

@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 
 use realitysim::ros2::Message;
 use realitysim::ros2::messages::CompressedImage;
-use realitysim::sensors::mavlink::Content;
-use realitysim::sensors::serial::{PortEvent, PortOptions, run};
+use realitysim::devices::mavlink::Content;
+use realitysim::devices::serial::{PortEvent, PortOptions, run};
 
 use crate::replay::support::{IMAGE, ODOMETRY, Room, on, read_capture, session_name};
 use crate::serial::Cable;

@@ -13,7 +13,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::{CompressedImageView, Imu, Message, Odometry};
-use realitysim::sensors::host_clock::monotonic_ns;
+use realitysim::devices::host_clock::monotonic_ns;
 
 use crate::replay::support::{IMAGE, IMU, ODOMETRY};
 use crate::serial::Cable;

@@ -2,8 +2,8 @@
 
 use std::process::Command;
 
-use realitysim::sensors::camera::{CameraOptions, Capture, CaptureEvent, CaptureRules, SocketCamera};
-use realitysim::sensors::host_clock::monotonic_ns;
+use realitysim::devices::camera::{CameraOptions, Capture, CaptureEvent, CaptureRules, SocketCamera};
+use realitysim::devices::host_clock::monotonic_ns;
 
 use crate::replay::support::{IMAGE, on, walk};
 

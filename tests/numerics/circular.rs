@@ -7,8 +7,8 @@ use realitysim::localization::estimate::estimate;
 use realitysim::localization::particles::{Particles, Spread};
 use realitysim::localization::weights::normalise;
 
-use super::exact::{Exact, exact, rounded};
-use super::measured::largest_error;
+use realitysim_test_support::exact::{Exact, exact, rounded};
+use realitysim_test_support::measured::largest_error;
 
 fn estimate_of(particles: &Particles) -> realitysim::localization::Estimate {
     estimate(particles, &normalise(&particles.log_weights))

@@ -14,7 +14,7 @@ use realitysim::localization::weights::normalise;
 use realitysim::scene::{Renderer, Scene, SceneFile};
 use realitysim::vision::{GroundTable, Picture, Reading, Vision, VisionSettings};
 
-use super::measured::largest_error;
+use realitysim_test_support::measured::largest_error;
 
 fn field() -> Field {
     Field::new(load_field("kid-2009").expect("a shipped field")).expect("possible")

@@ -12,7 +12,7 @@ use realitysim::localization::refinement::{Prior, Refined, Refiner, error_betwee
 use realitysim::scene::{Renderer, Scene, SceneFile};
 use realitysim::vision::{Picture, Reading, Seen, Vision, VisionSettings};
 
-use super::measured::largest_error;
+use realitysim_test_support::measured::largest_error;
 
 struct Bench {
     renderer: Renderer,

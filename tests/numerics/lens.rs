@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use realitysim::config::load_lens;
 use realitysim::geometry::{Lens, LensModel, LensParameters, Projector};
 
-use super::measured::largest_error;
+use realitysim_test_support::measured::largest_error;
 
 /// Each shipped lens, and others at the edge of what their models can do.
 pub fn lenses() -> Vec<(String, Lens)> {

@@ -2,12 +2,10 @@
 //! docs/numerics.md is their table, `table` holds it to the tests.
 
 mod circular;
-mod exact;
 mod images;
 mod laws;
 mod least_squares;
 mod lens;
-mod measured;
 mod oracles;
 mod parameters;
 mod poses;

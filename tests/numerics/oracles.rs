@@ -5,9 +5,9 @@ use realitysim::geometry::{Lens, LensModel};
 use realitysim::localization::random::{Purpose, Stream};
 use realitysim::localization::weights::normalise;
 
-use super::exact::{Exact, exact, rounded};
+use realitysim_test_support::exact::{Exact, exact, rounded};
 use super::lens::lenses;
-use super::measured::largest_error;
+use realitysim_test_support::measured::largest_error;
 
 fn relative_error(found: f64, truth: &Exact) -> f64 {
     rounded(&((exact(found) - truth) / truth)).abs()

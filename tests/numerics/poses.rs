@@ -7,7 +7,7 @@ use glam::DQuat;
 use realitysim::config::Settings;
 use realitysim::geometry::{Euler, Isometry, Pose2};
 
-use super::measured::largest_error;
+use realitysim_test_support::measured::largest_error;
 use super::support::{Robot, assert_sound, place, small_lens};
 
 fn robot(pose: Pose2, camera: Isometry) -> Robot {

@@ -3,8 +3,8 @@
 use glam::DVec2;
 use realitysim::views::quadratic::{FitError, Quadratic};
 
-use super::exact::{Exact, exact, rounded};
-use super::measured::largest_error;
+use realitysim_test_support::exact::{Exact, exact, rounded};
+use realitysim_test_support::measured::largest_error;
 
 type Pair = (DVec2, DVec2);
 

@@ -4,7 +4,7 @@ use realitysim::localization::random::{Purpose, Stream};
 use realitysim::localization::resampling::{Copies, MAX_PARTICLES, residual};
 use realitysim::localization::weights::normalise;
 
-use super::measured::largest_error;
+use realitysim_test_support::measured::largest_error;
 
 fn draw(log_weights: &[f64], draws: usize, seed: u64) -> Vec<u32> {
     let mut copies = Copies::default();

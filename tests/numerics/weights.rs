@@ -6,8 +6,8 @@ use realitysim::localization::particles::{Particles, Spread};
 use realitysim::localization::random::{Purpose, Stream};
 use realitysim::localization::weights::{normalise, pairwise_sum};
 
-use super::exact::{exact, rounded};
-use super::measured::largest_error;
+use realitysim_test_support::exact::{exact, rounded};
+use realitysim_test_support::measured::largest_error;
 
 #[test]
 fn three_hundred_points_at_three_sigma_do_not_underflow() {

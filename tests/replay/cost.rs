@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use realitysim::agent::{Footage, FootageOptions};
+use realitysim::tagging::{Footage, FootageOptions};
 use realitysim::config::Settings;
 use realitysim::ros2::messages::{CompressedImage, FrameTag, PoseStamped};
 use serde_json::Value;

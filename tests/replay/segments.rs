@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use realitysim::agent::checkpoint::VERSION;
+use realitysim::tagging::checkpoint::VERSION;
 use realitysim::ros2::messages::FrameTag;
 use realitysim::ros2::{LogMessage, LogWriter, attachments};
 

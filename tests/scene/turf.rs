@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 use realitysim::geometry::{Euler, Isometry, Lens, LensModel, LensParameters};
 use realitysim::scene::Renderer;
-use realitysim::sensors::decode::picture_of_size;
+use realitysim::log_input::decode::picture_of_size;
 use realitysim::vision::{Picture, Reading, Vision, VisionSettings};
 
 use crate::replay::support::read_log;
@@ -86,7 +86,7 @@ fn path_traced(name: &str, f: f64, [cx, cy]: [f64; 2], k: [f64; 4]) -> Statistic
 }
 
 fn rendered(name: &str) -> Statistics {
-    let scene = realitysim::sensors::scene::load(format!("replay/scenes/{name}.toml")).expect("a possible scene");
+    let scene = realitysim::log_input::scene::load(format!("replay/scenes/{name}.toml")).expect("a possible scene");
     let renderer = Renderer::new(&scene);
     let mut pixels = Vec::new();
     let all: Vec<Statistics> = [5, 15, 25, 35]

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 
 use mavlink::dialects::common::{ATTITUDE_QUATERNION_DATA, MavMessage};
 use mavlink::{MAVLinkV2MessageRaw, MavHeader};
-use realitysim::sensors::clock::Source;
-use realitysim::sensors::mavlink::Content;
-use realitysim::sensors::serial::{LineStatus, Measured, PortEvent, PortOptions, SerialError, run};
+use realitysim::devices::clock::Source;
+use realitysim::devices::mavlink::Content;
+use realitysim::devices::serial::{LineStatus, Measured, PortEvent, PortOptions, SerialError, run};
 use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 

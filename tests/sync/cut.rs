@@ -5,7 +5,7 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use realitysim::sync::{Options, Selection, Source, Store, round};
+use realitysim::recording::sync::{Options, Selection, Source, Store, round};
 
 use super::site::{Site, Synced, contents, finish_segment, noise};
 

@@ -11,8 +11,8 @@ use crate::cli::values::any_whole;
 use crate::cli::{Outcome, output, paths};
 use crate::config::plain_file;
 use crate::scene::Scene;
-use crate::sensors::encode::jpeg;
-use crate::sensors::{decode, scene};
+use crate::log_input::encode::jpeg;
+use crate::log_input::{decode, scene};
 
 /// Apply a scene's effects to a stored image, for tests of vision code
 ///

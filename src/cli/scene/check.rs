@@ -11,7 +11,7 @@ use crate::evaluation::calibration::REFERENCE_MS;
 use crate::evaluation::effect_cost::{self, SceneCost};
 use crate::localization::SimdPath;
 use crate::scene::{Role, Scene};
-use crate::sensors::scene;
+use crate::log_input::scene;
 
 /// Check a scene file; print its effects, all numbers as drawn, and what each costs per frame
 ///

@@ -11,7 +11,7 @@ use crate::cli::values::{any_number, any_whole};
 use crate::cli::{Outcome, output, paths};
 use crate::recording::catalogue::sessions_in;
 use crate::recording::saturating_sum;
-use crate::sync::{Decision, Goal, Removal};
+use crate::recording::sync::{Decision, Goal, Removal};
 
 /// Delete sessions that another store has, whole and verified
 ///

@@ -18,9 +18,9 @@ use crate::recording::{ManifestLine, Session, SessionInfo, read_coverage, read_i
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::{FrameTag, Message};
 use crate::ros2::topics;
-use crate::sensors::decode;
-use crate::sensors::log::LogSource;
-use crate::sync::known_sources;
+use crate::log_input::decode;
+use crate::log_input::log::LogSource;
+use crate::recording::sync::known_sources;
 
 /// One session: its segments, what became of its frames, who has it
 #[derive(Args)]

@@ -8,8 +8,8 @@ use realitysim::config::Settings;
 use realitysim::geometry::Isometry;
 use realitysim::ros2::messages::{Imu, Odometry, Pose, Quaternion, Stamp, Vector3};
 use realitysim::ros2::{LogMessage, Message};
-use realitysim::sensors::mavlink::{Content, RobotSide};
-use realitysim::sensors::serial::Line;
+use realitysim::devices::mavlink::{Content, RobotSide};
+use realitysim::devices::serial::Line;
 
 use crate::bytes;
 use crate::case::{Case, Class, Finding, Outcome};

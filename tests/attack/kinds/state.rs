@@ -2,8 +2,8 @@
 
 use std::fs;
 
-use realitysim::agent::Checkpoint;
-use realitysim::agent::checkpoint::VERSION;
+use realitysim::tagging::Checkpoint;
+use realitysim::tagging::checkpoint::VERSION;
 use realitysim::config::Settings;
 use realitysim::recording::STATE_FILE;
 

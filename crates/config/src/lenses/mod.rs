@@ -1,0 +1,169 @@
+//! Lens files of four formats, told apart by their content: this crate's own TOML (`config/cameras/*.toml`; a new
+//! file there is a new camera), ROS camera_calibration YAML, Kalibr camchain YAML and VisualMesh YAML.
+
+mod distortion;
+mod kalibr;
+mod own;
+mod ros;
+mod visual_mesh;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use include_dir::{Dir, include_dir};
+use serde::de::{DeserializeOwned, IgnoredAny};
+
+use super::source::{Shipped, Source};
+use super::{ConfigError, LensFileError};
+use realitysim_geometry::{Isometry, Lens, LensParameters};
+
+pub use ros::lens_from_camera_info;
+
+static FOLDER: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/../../config/cameras");
+const SHIPPED: Shipped = Shipped { kind: "camera", folder: &FOLDER };
+
+/// A lens file that has been checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LensFile {
+    /// For people: what the file calls its camera.
+    pub title: String,
+    pub format: LensFormat,
+    pub lens: Lens,
+    /// Only a VisualMesh file says where its camera was.
+    pub visual_mesh_pose: Option<VisualMeshPose>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LensFormat {
+    Own,
+    Ros,
+    Kalibr,
+    VisualMesh,
+}
+
+/// `Hoc` of a VisualMesh file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VisualMeshPose {
+    /// From `camera_link` axes (x forward, y left, z up) to a world with z up and the ground at z = 0, its origin
+    /// below the camera. The heading is relative to other images of the same place at best.
+    pub world_from_camera_link: Isometry,
+}
+
+/// What the reader of a lens file knows beside the file.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LensWanted<'a> {
+    /// One of a Kalibr file's cameras; without it, `cam0`.
+    pub camera: Option<&'a str>,
+    /// Width and height of the image that the lens is for, pixels.
+    pub image_size: Option<[u32; 2]>,
+}
+
+/// The shipped cameras.
+pub fn lens_names() -> Vec<String> {
+    SHIPPED.names()
+}
+
+/// The lens in a file, or a shipped one. `file#cam1` is the camera `cam1` of a Kalibr file.
+pub fn load_lens(path_or_name: &str) -> Result<LensFile, ConfigError> {
+    load(path_or_name, None)
+}
+
+/// The lens for an image of this size: a VisualMesh file needs to be told, the others must agree.
+pub fn load_lens_for_image(path_or_name: &str, width: u32, height: u32) -> Result<LensFile, ConfigError> {
+    load(path_or_name, Some([width, height]))
+}
+
+/// What a file at `path` means by this: its paths start at its own folder.
+pub fn lens_seen_from(path: &Path, path_or_name: &str) -> String {
+    let (file, camera) = split_camera(path_or_name);
+    let seen = SHIPPED.seen_from(path, file);
+    camera.map_or_else(|| seen.clone(), |camera| format!("{seen}#{camera}"))
+}
+
+/// The file that is read for it; none of a shipped lens.
+pub fn lens_file(path_or_name: &str) -> Option<PathBuf> {
+    SHIPPED.file(split_camera(path_or_name).0)
+}
+
+fn load(path_or_name: &str, image_size: Option<[u32; 2]>) -> Result<LensFile, ConfigError> {
+    let (path, camera) = split_camera(path_or_name);
+    let Source { name, text } = SHIPPED.load(path)?;
+    parse_lens(&text, &name, LensWanted { camera, image_size })
+}
+
+/// The same from text; `name` is for messages.
+pub fn parse_lens(text: &str, name: &str, wanted: LensWanted) -> Result<LensFile, ConfigError> {
+    let read = || -> Result<LensFile, LensFileError> {
+        let content = read(text, wanted)?;
+        if let Some(image) = wanted.image_size {
+            let file = [content.parameters.width, content.parameters.height];
+            if file != image {
+                return Err(LensFileError::ImageSize { file, image });
+            }
+        }
+        let Content { title, format, parameters, visual_mesh_pose } = content;
+        Ok(LensFile { title, format, lens: Lens::new(parameters)?, visual_mesh_pose })
+    };
+    read().map_err(|source| ConfigError::Lens { file: name.to_owned(), source })
+}
+
+/// What a format's reader makes of a file; not checked yet.
+struct Content {
+    title: String,
+    format: LensFormat,
+    parameters: LensParameters,
+    visual_mesh_pose: Option<VisualMeshPose>,
+}
+
+fn read(text: &str, wanted: LensWanted) -> Result<Content, LensFileError> {
+    let format = format(text)?;
+    if let (Some(camera), false) = (wanted.camera, format == LensFormat::Kalibr) {
+        return Err(LensFileError::value("#", camera, "only a Kalibr file has several cameras: leave it out"));
+    }
+    match format {
+        LensFormat::Own => own::read(text),
+        LensFormat::Ros => ros::read(text),
+        LensFormat::Kalibr => kalibr::read(text, wanted.camera.unwrap_or("cam0")),
+        LensFormat::VisualMesh => visual_mesh::read(text, wanted.image_size),
+    }
+}
+
+fn format(text: &str) -> Result<LensFormat, LensFileError> {
+    if looks_like_toml(text) {
+        return Ok(LensFormat::Own);
+    }
+    let keys: BTreeMap<String, IgnoredAny> = yaml(text)?;
+    let has = |key| keys.contains_key(key);
+    if has("image_width") || has("camera_matrix") {
+        Ok(LensFormat::Ros)
+    } else if keys.keys().any(|key| is_camera_key(key)) {
+        Ok(LensFormat::Kalibr)
+    } else if has("projection") || has("focal_length") {
+        Ok(LensFormat::VisualMesh)
+    } else {
+        Err(LensFileError::UnknownFormat)
+    }
+}
+
+/// By the first line that says something: `key = value` or `[table]` against `key: value`.
+fn looks_like_toml(text: &str) -> bool {
+    let line = text.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#')).unwrap_or("");
+    line.starts_with('[') || line.split_once('=').is_some_and(|(key, _)| !key.contains(':'))
+}
+
+fn yaml<T: DeserializeOwned>(text: &str) -> Result<T, LensFileError> {
+    serde_saphyr::from_str(text).map_err(|error| LensFileError::Syntax(error.to_string().trim_end().to_owned()))
+}
+
+/// `path#cam1`; any other `#` belongs to the path.
+fn split_camera(path: &str) -> (&str, Option<&str>) {
+    match path.rsplit_once('#') {
+        Some((file, camera)) if is_camera_key(camera) => (file, Some(camera)),
+        _ => (path, None),
+    }
+}
+
+/// Kalibr's names: cam0, cam1 and so on.
+fn is_camera_key(key: &str) -> bool {
+    key.strip_prefix("cam").is_some_and(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()))
+}

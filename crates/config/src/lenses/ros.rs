@@ -1,0 +1,75 @@
+//! ROS: the YAML files of camera_calibration, and the same facts in a `sensor_msgs/CameraInfo`.
+
+use serde::Deserialize;
+
+use super::distortion::Keys;
+use super::{Content, LensFileError, LensFormat, yaml};
+use realitysim_geometry::LensParameters;
+
+#[derive(Deserialize)]
+struct File {
+    camera_name: Option<String>,
+    image_width: u32,
+    image_height: u32,
+    camera_matrix: Matrix,
+    distortion_model: String,
+    distortion_coefficients: Option<Matrix>,
+}
+
+#[derive(Deserialize)]
+struct Matrix {
+    data: Vec<f64>,
+}
+
+/// The lens of a `sensor_msgs/CameraInfo`; [`realitysim_geometry::Lens::new`] checks the rest. Images that are binned or
+/// cut (`binning_x`, `roi`) have another lens: the caller refuses them.
+pub fn lens_from_camera_info(
+    width: u32,
+    height: u32,
+    distortion_model: &str,
+    d: &[f64],
+    k: &[f64; 9],
+) -> Result<LensParameters, LensFileError> {
+    let keys = Keys { model: "distortion_model", coefficients: "d" };
+    parameters([width, height], "k", k, &keys, distortion_model, d)
+}
+
+pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
+    let file: File = yaml(text)?;
+    let key = "camera_matrix.data";
+    let Ok(matrix) = <&[f64; 9]>::try_from(file.camera_matrix.data.as_slice()) else {
+        let count = format!("{} numbers", file.camera_matrix.data.len());
+        return Err(LensFileError::value(key, count, "it must have 9: fx, 0, cx, 0, fy, cy, 0, 0, 1"));
+    };
+    let keys = Keys { model: "distortion_model", coefficients: "distortion_coefficients.data" };
+    let d = file.distortion_coefficients.map(|matrix| matrix.data).unwrap_or_default();
+    let parameters = parameters([file.image_width, file.image_height], key, matrix, &keys, &file.distortion_model, &d)?;
+    let title = file.camera_name.unwrap_or_else(|| "ROS camera".into());
+    Ok(Content { title, format: LensFormat::Ros, parameters, visual_mesh_pose: None })
+}
+
+fn parameters(
+    [width, height]: [u32; 2],
+    matrix_key: &str,
+    matrix: &[f64; 9],
+    keys: &Keys,
+    model: &str,
+    d: &[f64],
+) -> Result<LensParameters, LensFileError> {
+    let &[fx, skew, cx, below_fx, fy, cy, bottom @ ..] = matrix;
+    for (index, focal) in [(0, fx), (4, fy)] {
+        if focal == 0.0 {
+            let expected = "a focal length is above 0 pixels; zero says that the camera has not been calibrated";
+            return Err(LensFileError::value(format!("{matrix_key}[{index}]"), focal, expected));
+        }
+    }
+    for (index, value, wanted) in
+        [(1, skew, 0.0), (3, below_fx, 0.0), (6, bottom[0], 0.0), (7, bottom[1], 0.0), (8, bottom[2], 1.0)]
+    {
+        if value != wanted {
+            let expected = format!("it must be {wanted}: no supported lens has skew or a scaled matrix");
+            return Err(LensFileError::value(format!("{matrix_key}[{index}]"), value, expected));
+        }
+    }
+    Ok(LensParameters { width, height, fx, fy, cx, cy, model: keys.ros(model, d)?, fov_deg: None })
+}

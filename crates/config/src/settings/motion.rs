@@ -1,0 +1,19 @@
+//! `[motion]`: what odometry is worth.
+
+use super::within;
+use realitysim_localization::MotionModel;
+
+pub(super) fn check(motion: &MotionModel) -> Result<(), String> {
+    for (key, value) in [
+        ("motion.distance_share", motion.distance_share),
+        ("motion.turn_share", motion.turn_share),
+        ("motion.turn_rad_per_m", motion.turn_rad_per_m),
+        ("motion.drift_m_per_sqrt_s", motion.drift_m_per_sqrt_s),
+        ("motion.drift_rad_per_sqrt_s", motion.drift_rad_per_sqrt_s),
+        ("motion.walk_m_per_s", motion.walk_m_per_s),
+        ("motion.turn_rad_per_s", motion.turn_rad_per_s),
+    ] {
+        within(key, value, 0.0, 100.0)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,318 @@
+//! Making and keeping a database. A change writes a new index beside the old one, and then the catalogue that names it:
+//! whoever reads meanwhile has all of the old or all of the new.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::catalogue::{Catalogue, Source, TagLimits};
+use super::circle::circle_deg;
+use super::error::{DatabaseError, io};
+use super::gallery::without_rim;
+use super::index::{Index, path_of, write_index};
+use super::inputs::sources_of;
+use super::masks::{self, Masks};
+use super::pixels::read_bytes;
+use super::record::Record;
+use super::sources::{self, Read};
+use super::{darkening, goals};
+use realitysim_geometry::{Field, FieldDimensions, LensParameters};
+use realitysim_recording::Loss;
+
+/// What came of adding.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Added {
+    pub images: u64,
+    pub left_out: u64,
+    /// Of these, for a valid tag that does not know which half of the field it is in.
+    pub ambiguous: u64,
+    /// Of these, those whose valid tag is known worse than the limit.
+    pub imprecise: u64,
+    pub losses: Vec<Loss>,
+    /// Sources that nothing came of, and why.
+    pub empty: Vec<Loss>,
+}
+
+/// How many images have been read.
+pub type Progress<'a> = &'a mut dyn FnMut(u64);
+
+/// Adds captures and folders of images; if there is no image in any of them, nothing is changed, and why is told. `field` is for folders, which do not name theirs; a database has one field.
+pub fn add(
+    folder: &Path,
+    paths: &[PathBuf],
+    field: Option<&FieldDimensions>,
+    limits: TagLimits,
+    progress: Progress,
+) -> Result<Added, DatabaseError> {
+    fs::create_dir_all(folder).map_err(io(folder))?;
+    let _alone = alone(folder)?;
+    let known = match Catalogue::read(folder) {
+        Ok(catalogue) => Some(catalogue),
+        Err(DatabaseError::None { .. }) => None,
+        Err(error) => return Err(error),
+    };
+    let mut records = match &known {
+        Some(catalogue) => Index::open(&path_of(folder, catalogue.index))?.records().collect(),
+        None => Vec::new(),
+    };
+    let mut catalogue = known;
+    let mut added = Added::default();
+    for path in sources_of(paths, catalogue.as_ref())? {
+        let read = sources::read(&path, limits, progress)?;
+        take(folder, &mut catalogue, &mut records, read, field, &mut added)?;
+    }
+    if added.images == 0 {
+        return Err(DatabaseError::Nothing([added.losses, added.empty].concat()));
+    }
+    if let Some(catalogue) = catalogue {
+        publish(folder, catalogue, records)?;
+    }
+    Ok(added)
+}
+
+/// Reads every source again: as if the database had just been made. One that cannot be read stays in its list, without images.
+pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError> {
+    is_database(folder)?;
+    let _alone = alone(folder)?;
+    let old = Catalogue::read(folder)?;
+    let mut catalogue = Some(Catalogue { sources: Vec::new(), ..old.clone() });
+    let (mut records, mut added) = (Vec::new(), Added::default());
+    for source in &old.sources {
+        match sources::read(&source.path, source.limits, progress) {
+            Ok(read) => take(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
+            Err(error) => {
+                added.losses.push(Loss::new(&source.path, error.to_string()));
+                // It may only be away: a later rebuild looks for it again.
+                let empty = Source { images: 0, left_out: 0, ..source.clone() };
+                catalogue.get_or_insert_with(|| Catalogue::new(old.field.clone())).sources.push(empty);
+            }
+        }
+    }
+    publish(folder, catalogue.unwrap_or(old), records)?;
+    Ok(added)
+}
+
+/// Takes a source out; its files are not touched.
+pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
+    is_database(folder)?;
+    let _alone = alone(folder)?;
+    let mut catalogue = Catalogue::read(folder)?;
+    let absolute = path.canonicalize().or_else(|_| std::path::absolute(path)).map_err(io(path))?;
+    let unknown = || {
+        let known: Vec<String> = catalogue.sources.iter().map(|source| source.path.display().to_string()).collect();
+        DatabaseError::Unknown { path: path.to_owned(), known: known.join(", ") }
+    };
+    let gone = catalogue.position(&absolute).ok_or_else(unknown)?;
+    let index = Index::open(&path_of(folder, catalogue.index))?;
+    let keep = |mut record: Record| {
+        let source = record.source as usize;
+        record.source -= u32::from(source > gone);
+        (source != gone).then_some(record)
+    };
+    let records: Vec<Record> = index.records().filter_map(keep).collect();
+    let removed = (index.len() - records.len()) as u64;
+    catalogue.sources.remove(gone);
+    publish(folder, catalogue, records)?;
+    Ok(removed)
+}
+
+/// Nothing is put into a folder that is none.
+fn is_database(folder: &Path) -> Result<(), DatabaseError> {
+    Catalogue::read(folder).map(drop)
+}
+
+/// Two changes at a time would lose one of them: whoever changes a database holds this file's lock, which goes with the process.
+/// Readers need none.
+fn alone(folder: &Path) -> Result<fs::File, DatabaseError> {
+    let path = folder.join(LOCK);
+    match fs::metadata(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            return Err(DatabaseError::None { path: folder.to_owned() });
+        }
+        _ => {}
+    }
+    let file = fs::File::options().write(true).create(true).truncate(false).open(&path).map_err(io(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(fs::TryLockError::WouldBlock) => Err(DatabaseError::Busy { path: folder.to_owned() }),
+        Err(fs::TryLockError::Error(error)) => Err(io(&path)(error)),
+    }
+}
+
+const LOCK: &str = "database.lock";
+
+fn take(
+    folder: &Path,
+    catalogue: &mut Option<Catalogue>,
+    records: &mut Vec<Record>,
+    read: Read,
+    field: Option<&FieldDimensions>,
+    added: &mut Added,
+) -> Result<(), DatabaseError> {
+    let Read { mut source, records: found, field: own, ambiguous, imprecise, losses, empty, lit, bodies } = read;
+    let at = source.path.clone();
+    let path = || at.clone();
+    let wanted = own.as_ref().or(field);
+    let catalogue = match (catalogue, wanted) {
+        (Some(known), Some(wanted)) if !known.sources.is_empty() && !wanted.is_same_as(&known.field) => {
+            let (found, known) = (wanted.title.clone(), known.field.title.clone());
+            return Err(DatabaseError::OtherField { path: path(), found, known });
+        }
+        (Some(known), Some(wanted)) if known.sources.is_empty() => {
+            known.field = checked(wanted, &at)?;
+            known
+        }
+        (Some(known), _) => known,
+        (none, Some(wanted)) => none.insert(Catalogue::new(checked(wanted, &at)?)),
+        (None, None) => {
+            let what = "a folder of images does not say on which field it was taken: name it with --field".to_owned();
+            return Err(DatabaseError::Source { path: path(), what });
+        }
+    };
+    let number = catalogue.sources.len() as u32;
+    added.images += source.images;
+    added.left_out += source.left_out;
+    added.ambiguous += ambiguous;
+    added.imprecise += imprecise;
+    added.losses.extend(losses);
+    added.empty.extend(empty);
+    if let Some(mask) = lit.mask(source.lens.width as usize) {
+        let shows: Vec<bool> = mask.iter().map(|pixel| *pixel > 0).collect();
+        let circle_deg = circle_deg(&source.lens, &without_rim(&shows, source.lens.width as usize));
+        source.lens.fov_deg =
+            circle_deg.map(|found| narrower(found, &source.lens, &catalogue.sources)).or(source.lens.fov_deg);
+        source.dark = Some(masks::write_dark(folder, &source, mask)?);
+    }
+    if !bodies.is_empty() {
+        let masks = bodies.iter().map(|body| masks::write_body(folder, &source, body));
+        source.body_masks = masks.collect::<Result<_, _>>()?;
+    }
+    source.darkening = darkening::measured(folder, &source, &found, &catalogue.field)?;
+    if source.goals && catalogue.field.goal.is_some() {
+        source.goals = goals::stand(folder, &source, &found, &catalogue.field)?.unwrap_or(true);
+    }
+    records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
+    catalogue.sources.push(source);
+    Ok(())
+}
+
+/// The circle that was found, or a narrower one that the lens states; that of the same lens in another source, if it is as good as
+/// the same: what is known of a lens is kept in memory once.
+fn narrower(found_deg: f64, lens: &LensParameters, others: &[Source]) -> f64 {
+    let fov_deg = found_deg.min(lens.fov_deg.unwrap_or(f64::INFINITY));
+    let of_others = others.iter().filter(|other| other.lens.maps_as(lens)).filter_map(|other| other.lens.fov_deg);
+    of_others.into_iter().find(|other| (other - fov_deg).abs() <= SAME_CIRCLE_DEG).unwrap_or(fov_deg)
+}
+
+/// Circles of one lens, as two captures show them.
+const SAME_CIRCLE_DEG: f64 = 2.0;
+
+fn checked(field: &FieldDimensions, path: &Path) -> Result<FieldDimensions, DatabaseError> {
+    let failed = |source| DatabaseError::Field { path: path.to_owned(), source };
+    Field::new(field.clone()).map(|field| field.dimensions().clone()).map_err(failed)
+}
+
+fn publish(folder: &Path, mut catalogue: Catalogue, records: Vec<Record>) -> Result<(), DatabaseError> {
+    let old = path_of(folder, catalogue.index);
+    catalogue.index += 1;
+    write_index(&path_of(folder, catalogue.index), records)?;
+    catalogue.write(folder)?;
+    // Those who have read it keep it; a name that stays behind does no harm.
+    let _ = fs::remove_file(old);
+    masks::remove_all_but(folder, &catalogue);
+    Ok(())
+}
+
+/// What a database holds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Stats {
+    pub images: usize,
+    pub field: String,
+    pub sources: Vec<Source>,
+    pub index_bytes: usize,
+    /// Least and greatest x, y, z of `camera_link`, metres; `null` without images.
+    pub box_m: Option<[[f32; 3]; 2]>,
+    /// Medians of the tags' standard deviations, of those that say so.
+    pub sigma_m: Option<f32>,
+    pub sigma_deg: Option<f32>,
+    /// Images whose poses come without their accuracy.
+    pub without_sigma: usize,
+}
+
+pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
+    let (catalogue, index) = Catalogue::with_index(folder)?;
+    let mut extent: Option<[[f32; 3]; 2]> = None;
+    let (mut metres, mut radians) = (Vec::with_capacity(index.len()), Vec::with_capacity(index.len()));
+    for record in index.records() {
+        let [low, high] = extent.unwrap_or([record.place; 2]);
+        let side = |of: fn(f32, f32) -> f32, known: [f32; 3]| core::array::from_fn(|i| of(known[i], record.place[i]));
+        extent = Some([side(f32::min, low), side(f32::max, high)]);
+        if record.says_how_good_it_is() {
+            metres.push(record.sigma_m);
+            radians.push(record.sigma_rad);
+        }
+    }
+    let without_sigma = index.len() - metres.len();
+    let median = |mut values: Vec<f32>| {
+        values.sort_by(f32::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    Ok(Stats {
+        images: index.len(),
+        field: catalogue.field.title.clone(),
+        sources: catalogue.sources,
+        index_bytes: index.bytes(),
+        box_m: extent,
+        sigma_m: median(metres),
+        sigma_deg: median(radians).map(f32::to_degrees),
+        without_sigma,
+    })
+}
+
+/// What a look at every byte found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Checked {
+    pub images: usize,
+    pub sound: usize,
+    pub losses: Vec<Loss>,
+}
+
+/// Reads every image and compares it with what was indexed. A damaged index is an error.
+pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseError> {
+    let (catalogue, index) = Catalogue::with_index(folder)?;
+    let mut checked = Checked { images: index.len(), sound: 0, losses: Vec::new() };
+    for error in catalogue.sources.iter().filter_map(|source| Masks::read(folder, source).err()) {
+        checked.losses.push(Loss::new(folder, error.to_string()));
+    }
+    let mut wrong: std::collections::BTreeMap<PathBuf, (u64, String)> = Default::default();
+    for (number, record) in index.records().enumerate() {
+        match bytes_of(&catalogue, &record) {
+            Ok(_) => checked.sound += 1,
+            Err((path, what)) => wrong.entry(path).or_insert((0, what)).0 += 1,
+        }
+        progress(number as u64 + 1);
+    }
+    let told = |(path, (count, what)): (PathBuf, (u64, String))| Loss::new(&path, format!("{count} images: {what}"));
+    checked.losses.extend(wrong.into_iter().map(told));
+    Ok(checked)
+}
+
+/// The bytes of an image, if they are what was indexed; else the file and what is wrong.
+pub(super) fn bytes_of(catalogue: &Catalogue, record: &Record) -> Result<Vec<u8>, (PathBuf, String)> {
+    let file = catalogue.sources.get(record.source as usize).and_then(|source| source.file(record.file));
+    let file =
+        file.ok_or_else(|| (PathBuf::from("index"), "names a file that the catalogue does not know".to_owned()))?;
+    let bytes = match read_bytes(&file, record.offset, record.length) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            return Err((file, "gone since it was indexed".to_owned()));
+        }
+        Err(error) => return Err((file, format!("cannot be read: {error}"))),
+    };
+    if crc32fast::hash(&bytes) == record.crc {
+        Ok(bytes)
+    } else {
+        Err((file, "changed since it was indexed".to_owned()))
+    }
+}

@@ -1,0 +1,410 @@
+//! Answers to requests: the nearest images are found, decoded, kept in memory for the next request, and made into a view.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use glam::DVec2;
+
+use super::build::bytes_of;
+use super::catalogue::{Catalogue, MAX_TRIES, Source};
+use super::choice::{Without, choose};
+use super::error::DatabaseError;
+use super::index::{Index, Neighbour};
+use super::masks::Masks;
+use super::pixels::colours;
+use super::record::{Form, Record};
+use super::tree::Metric;
+use realitysim_config::ViewsSettings;
+use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
+use realitysim_views::{
+    Answer, Camera, Candidate, Footprint, Made, Method, Pyramid, Raster, Request, Scenery, ViewSettings, Vignetting,
+    World, check_pose, mark_moving, view,
+};
+use realitysim_vision::BodyMask;
+
+/// A database that is open. Can be shared between threads.
+#[derive(Debug)]
+pub struct Gallery {
+    folder: PathBuf,
+    catalogue: Catalogue,
+    index: Index,
+    settings: ViewsSettings,
+    field: Field,
+    world: World,
+    /// One for each source, those of one lens the same.
+    cameras: Vec<Arc<Camera>>,
+    /// By source: which pixels show the world.
+    shows: Vec<Vec<bool>>,
+    decoded: Mutex<Decoded>,
+}
+
+/// What is asked for.
+#[derive(Clone, Debug)]
+pub struct Wanted {
+    /// `camera_link` in `map`.
+    pub map_from_link: Isometry,
+    pub method: Method,
+    /// Without it, that of the nearest image.
+    pub camera: Option<Arc<Camera>>,
+    pub max_distance_m: f64,
+    /// Whether an image that was taken there is the answer as it is; not if a scene is put upon it.
+    pub may_be_stored: bool,
+    /// Records that are not to be used: for leaving one out.
+    pub without: Vec<usize>,
+}
+
+/// A view and where it came from.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    pub answer: Answer,
+    /// The picture's.
+    pub camera: Arc<Camera>,
+    /// The stored image as it was recorded, if that is the answer and it is a JPEG or PNG.
+    pub stored: Option<Vec<u8>>,
+    /// Images that should have been used and could not be read; the next ones took their place.
+    pub unreadable: Vec<String>,
+}
+
+/// Pixels at the edge of the lens's circle that a codec and the lens itself have mixed with black.
+const RIM_PX: usize = 3;
+/// Images that cannot be read are passed over, but not for ever.
+const MAX_UNREADABLE: usize = 32;
+
+impl Gallery {
+    /// Who changes the database takes away what nothing needs any more: whoever has read the catalogue just before reads it again.
+    pub fn open(folder: &Path, settings: &ViewsSettings) -> Result<Self, DatabaseError> {
+        for _ in 0..MAX_TRIES {
+            let (catalogue, index) = Catalogue::with_index(folder)?;
+            let number = catalogue.index;
+            match Self::of(folder, settings, catalogue, index) {
+                Err(_) if Catalogue::read(folder)?.index != number => {}
+                opened => return opened,
+            }
+        }
+        Err(DatabaseError::Busy { path: folder.to_owned() })
+    }
+
+    fn of(folder: &Path, settings: &ViewsSettings, catalogue: Catalogue, index: Index) -> Result<Self, DatabaseError> {
+        let field = Field::new(catalogue.field.clone())
+            .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
+        let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
+        let (mut cameras, mut shows) = (Vec::new(), Vec::new());
+        for source in &catalogue.sources {
+            let known = by_lens.iter().find(|(lens, _)| **lens == source.lens).map(|(_, camera)| Arc::clone(camera));
+            let camera = match known {
+                Some(camera) => camera,
+                None => {
+                    let lens = Lens::new(source.lens.clone())
+                        .map_err(|error| DatabaseError::Lens { path: source.path.clone(), source: error })?;
+                    let camera = Arc::new(Camera::new(&lens));
+                    by_lens.push((&source.lens, Arc::clone(&camera)));
+                    camera
+                }
+            };
+            shows.push(shown_by(folder, source, &camera)?);
+            cameras.push(camera);
+        }
+        let any_goals = catalogue.sources.iter().any(|source| source.goals);
+        let world = if settings.goals && any_goals { World::new(&field) } else { World::without_goals(&field) };
+        let decoded = Mutex::new(Decoded::new(settings.cache_mb << 20));
+        let settings = settings.clone();
+        Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, decoded })
+    }
+
+    /// The same database as it is now, if it has been changed since this gallery was opened.
+    pub fn reopened(&self) -> Result<Option<Self>, DatabaseError> {
+        let now = Catalogue::read(&self.folder)?;
+        if now.index == self.catalogue.index {
+            return Ok(None);
+        }
+        Self::open(&self.folder, &self.settings).map(Some)
+    }
+
+    pub fn index(&self) -> &Index {
+        &self.index
+    }
+
+    pub fn field(&self) -> &Field {
+        &self.field
+    }
+
+    /// What stands where, for views.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    pub fn catalogue(&self) -> &Catalogue {
+        &self.catalogue
+    }
+
+    /// The camera that an image was taken with.
+    pub fn camera(&self, record: &Record) -> Option<&Arc<Camera>> {
+        self.camera_of(record.source)
+    }
+
+    pub(super) fn camera_of(&self, source: u32) -> Option<&Arc<Camera>> {
+        self.cameras.get(source as usize)
+    }
+
+    /// Memory of decoded images.
+    pub fn decoded_bytes(&self) -> usize {
+        self.decoded().bytes
+    }
+
+    pub fn metric(&self) -> Metric {
+        let ViewsSettings { metre_counts, direction_counts, roll_counts, .. } = self.settings;
+        Metric { per_m: metre_counts, per_direction: direction_counts, per_roll: roll_counts }
+    }
+
+    /// That of the nearest image.
+    pub fn nearest_camera(&self, map_from_link: &Isometry) -> Option<&Arc<Camera>> {
+        let nearest = self.index.nearest(map_from_link, 1, &self.metric());
+        self.camera(&self.index.record(nearest.first()?.number))
+    }
+
+    fn choose(&self, wanted: &Wanted, without: &Without) -> Vec<Neighbour> {
+        let pose = &wanted.map_from_link;
+        let Some(camera) = wanted.camera.as_ref().or_else(|| self.nearest_camera(pose)) else { return Vec::new() };
+        let footprint = Footprint::new(camera, pose, &self.world);
+        choose(self, pose, &footprint, self.settings.sources, without)
+    }
+
+    pub fn view(&self, wanted: &Wanted) -> Result<Shown, DatabaseError> {
+        if self.index.is_empty() {
+            return Err(DatabaseError::Empty);
+        }
+        check_pose(&wanted.map_from_link)?;
+        let mut without = Without { records: wanted.without.clone(), sources: Vec::new(), files: Vec::new() };
+        let mut unreadable = Vec::new();
+        loop {
+            let chosen = self.choose(wanted, &without);
+            if let Some(shown) = self.stored(wanted, &chosen)? {
+                return Ok(shown);
+            }
+            let images: Vec<(usize, Result<Arc<Pyramid>, String>)> =
+                chosen.iter().map(|neighbour| (neighbour.number, self.image(neighbour.number))).collect();
+            let failed: Vec<(usize, &String)> =
+                images.iter().filter_map(|(number, image)| Some((*number, image.as_ref().err()?))).collect();
+            if failed.is_empty() || unreadable.len() >= MAX_UNREADABLE {
+                return self.make(wanted, images, unreadable);
+            }
+            for (number, what) in failed {
+                let Record { source, file, .. } = self.index.record(number);
+                if without.sources.contains(&source) || without.files.contains(&(source, file)) {
+                    continue;
+                }
+                let gone = |path: &Path| format!("{}: gone since it was indexed", path.display());
+                let known = self.catalogue.sources.get(source as usize);
+                let path = known.and_then(|source| source.file(file));
+                // All of what is away are, however many they are.
+                match (known.map(|source| &source.path).filter(|path| !path.exists()), path) {
+                    (Some(away), _) => {
+                        without.sources.push(source);
+                        unreadable.push(gone(away));
+                    }
+                    (None, Some(away)) if !away.exists() => {
+                        without.files.push((source, file));
+                        unreadable.push(gone(&away));
+                    }
+                    _ => {
+                        without.records.push(number);
+                        unreadable.push(what.clone());
+                    }
+                }
+            }
+        }
+    }
+
+    /// The nearest image itself, if it was taken where the request is with the camera asked for. Nothing is decoded but
+    /// what is handed out.
+    fn stored(&self, wanted: &Wanted, chosen: &[Neighbour]) -> Result<Option<Shown>, DatabaseError> {
+        for neighbour in chosen {
+            let record = self.index.record(neighbour.number);
+            let Some(own) = self.camera(&record) else { continue };
+            let camera = wanted.camera.as_ref().unwrap_or(own);
+            let request = self.request(wanted, camera);
+            let same = camera.lens().parameters().draws_as(own.lens().parameters());
+            if !same || !request.is_within(&record.pose()) || wanted.method == Method::Nearest {
+                continue;
+            }
+            let (Ok(bytes), Ok(image)) = (bytes_of(&self.catalogue, &record), self.image(neighbour.number)) else {
+                continue;
+            };
+            let candidate = self.candidate(neighbour.number, &record, own, &image);
+            let answer = view(&request, &[candidate])?;
+            let stored = (answer.made == Made::Stored && record.form == Form::File).then_some(bytes);
+            return Ok(Some(Shown { answer, camera: Arc::clone(camera), stored, unreadable: Vec::new() }));
+        }
+        Ok(None)
+    }
+
+    fn make(
+        &self,
+        wanted: &Wanted,
+        images: Vec<(usize, Result<Arc<Pyramid>, String>)>,
+        unreadable: Vec<String>,
+    ) -> Result<Shown, DatabaseError> {
+        let readable: Vec<(usize, Record, Arc<Pyramid>)> = images
+            .into_iter()
+            .filter_map(|(number, image)| Some((number, self.index.record(number), image.ok()?)))
+            .collect();
+        let candidates: Vec<Candidate> = readable
+            .iter()
+            .filter_map(|(number, record, image)| Some(self.candidate(*number, record, self.camera(record)?, image)))
+            .collect();
+        let nearest = readable.first().and_then(|(_, record, _)| self.camera(record));
+        let camera = match (&wanted.camera, nearest) {
+            (Some(camera), _) | (None, Some(camera)) => Arc::clone(camera),
+            (None, None) => {
+                let what = unreadable.first().cloned().unwrap_or_else(|| "no image can be read".to_owned());
+                return Err(DatabaseError::Image { path: self.folder.clone(), what });
+            }
+        };
+        let answer = view(&self.request(wanted, &camera), &candidates)?;
+        let camera = match (answer.made, nearest) {
+            // Unchanged, whatever was asked for.
+            (Made::Nearest, Some(own)) => Arc::clone(own),
+            _ => camera,
+        };
+        Ok(Shown { answer, camera, stored: None, unreadable })
+    }
+
+    fn request<'a>(&'a self, wanted: &Wanted, camera: &'a Camera) -> Request<'a> {
+        Request {
+            camera,
+            map_from_link: wanted.map_from_link,
+            method: wanted.method,
+            world: &self.world,
+            vignetting: self.darkening_of(camera.lens().parameters()),
+            settings: ViewSettings {
+                sources: self.settings.sources,
+                // Nothing is as near as that.
+                stored_within_m: if wanted.may_be_stored { self.settings.stored_within_m } else { -1.0 },
+                stored_within_rad: self.settings.stored_within_deg.to_radians(),
+                max_distance_m: wanted.max_distance_m,
+            },
+        }
+    }
+
+    fn candidate<'a>(&self, number: usize, record: &Record, camera: &'a Camera, image: &'a Pyramid) -> Candidate<'a> {
+        Candidate {
+            id: number as u64,
+            camera,
+            map_from_link: record.pose(),
+            image,
+            tag: record.tag(),
+            vignetting: self.darkening(record.source as usize),
+        }
+    }
+
+    /// As it was measured when the source was added.
+    fn darkening(&self, source: usize) -> Vignetting {
+        let measured = self.catalogue.sources.get(source).and_then(|source| source.darkening);
+        measured.map_or_else(Vignetting::default, |k| Vignetting { k })
+    }
+
+    /// That of the first source with this lens, at whatever size; a lens that took no image darkens nothing.
+    fn darkening_of(&self, lens: &LensParameters) -> Vignetting {
+        let size = [Some(lens.width), Some(lens.height)];
+        let is_same = |source: &Source| source.lens.maps_as(lens) || source.lens.resized(size).maps_as(lens);
+        let source = self.catalogue.sources.iter().position(|source| source.darkening.is_some() && is_same(source));
+        source.map_or_else(Vignetting::default, |source| self.darkening(source))
+    }
+
+    /// An image, decoded; the error names its file.
+    pub fn image(&self, number: usize) -> Result<Arc<Pyramid>, String> {
+        if let Some(image) = self.decoded().get(number) {
+            return Ok(image);
+        }
+        let record = self.index.record(number);
+        let bytes = bytes_of(&self.catalogue, &record).map_err(|(path, what)| format!("{}: {what}", path.display()))?;
+        let image = Arc::new(self.decode(&record, &bytes)?);
+        self.decoded().put(number, &image);
+        Ok(image)
+    }
+
+    fn decode(&self, record: &Record, bytes: &[u8]) -> Result<Pyramid, String> {
+        let shows = self.shows.get(record.source as usize);
+        let shows = shows.ok_or("the index names a source that the catalogue does not know")?;
+        let colours = colours(bytes, record.form)?;
+        let raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, shows);
+        let mut raster = raster.ok_or("its pixels do not fit its lens")?;
+        if let Some(camera) = self.camera(record).filter(|_| self.settings.mask_moving) {
+            let (map_from_link, tag) = (record.pose(), record.tag());
+            let (field, world) = (&self.field, &self.world);
+            mark_moving(&mut raster, &Scenery { camera, map_from_link, tag, field, world });
+        }
+        Ok(Pyramid::new(raster))
+    }
+
+    /// A thread that panicked while it held the images has left them whole: they are only put in and taken out.
+    fn decoded(&self) -> MutexGuard<'_, Decoded> {
+        self.decoded.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Which pixels of a source's images show the world: those that the lens draws, that were ever lit, and that are not
+/// its robot's own body; the soft rim of the lens's circle left out.
+pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Result<Vec<bool>, DatabaseError> {
+    let width = source.lens.width as usize;
+    let shown = |masks: &[BodyMask]| -> Vec<bool> {
+        let pixel = |index: usize| DVec2::new((index % width) as f64, (index / width) as f64);
+        let drawn = camera.shows().iter().enumerate();
+        drawn.map(|(index, drawn)| *drawn && !masks.iter().any(|mask| mask.hides(pixel(index)))).collect()
+    };
+    let Masks { dark, bodies } = Masks::read(folder, source)?;
+    let lit = without_rim(&shown(dark.as_slice()), width);
+    Ok(lit.iter().zip(shown(&bodies)).map(|(lit, body)| *lit && body).collect())
+}
+
+/// Takes away what is within [`RIM_PX`] of a pixel that shows nothing; the image's border is no rim.
+pub(super) fn without_rim(shows: &[bool], width: usize) -> Vec<bool> {
+    let height = shows.len() / width;
+    let near = |at: usize, end: usize| at.saturating_sub(RIM_PX)..(at + RIM_PX + 1).min(end);
+    let rows: Vec<bool> =
+        (0..shows.len()).map(|i| near(i % width, width).all(|u| shows[i / width * width + u])).collect();
+    (0..shows.len()).map(|i| near(i / width, height).all(|v| rows[v * width + i % width])).collect()
+}
+
+/// Decoded images, the longest unused ones given up first.
+#[derive(Debug)]
+struct Decoded {
+    images: HashMap<usize, (u64, Arc<Pyramid>)>,
+    by_use: BTreeMap<u64, usize>,
+    uses: u64,
+    bytes: usize,
+    most_bytes: u64,
+}
+
+impl Decoded {
+    fn new(most_bytes: u64) -> Self {
+        Self { images: HashMap::new(), by_use: BTreeMap::new(), uses: 0, bytes: 0, most_bytes }
+    }
+
+    fn get(&mut self, number: usize) -> Option<Arc<Pyramid>> {
+        let (used, image) = self.images.get_mut(&number)?;
+        self.by_use.remove(used);
+        self.uses += 1;
+        *used = self.uses;
+        self.by_use.insert(self.uses, number);
+        Some(Arc::clone(image))
+    }
+
+    fn put(&mut self, number: usize, image: &Arc<Pyramid>) {
+        self.uses += 1;
+        self.bytes += image.bytes();
+        if let Some((used, old)) = self.images.insert(number, (self.uses, Arc::clone(image))) {
+            self.by_use.remove(&used);
+            self.bytes -= old.bytes();
+        }
+        self.by_use.insert(self.uses, number);
+        while self.bytes as u64 > self.most_bytes
+            && let Some((_, oldest)) = self.by_use.pop_first()
+        {
+            if let Some((_, image)) = self.images.remove(&oldest) {
+                self.bytes -= image.bytes();
+            }
+        }
+    }
+}

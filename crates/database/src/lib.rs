@@ -1,0 +1,34 @@
+//! The image database: images that stay where they were recorded, found by the pose of their camera.
+//!
+//! The rim around [`realitysim_views`]: files, a memory map, decoded images. [`Gallery`] answers requests; [`add`],
+//! [`remove`], [`rebuild`] and [`verify`] keep the database, which a gallery may be reading meanwhile. Formats:
+//! docs/formats.md.
+
+mod build;
+mod catalogue;
+mod choice;
+mod circle;
+mod coverage;
+mod darkening;
+mod error;
+mod gallery;
+mod goals;
+mod index;
+mod inputs;
+mod leave_one_out;
+mod lit;
+mod masks;
+mod pixels;
+mod record;
+mod sources;
+mod tree;
+
+pub use build::{Added, Checked, Stats, add, rebuild, remove, stats, verify};
+pub use catalogue::{Catalogue, Source, SourceKind, TagLimits};
+pub use coverage::{coverage, coverage_picture};
+pub use error::DatabaseError;
+pub use gallery::{Gallery, Shown, Wanted};
+pub use index::{Index, Neighbour, write_index};
+pub use leave_one_out::leave_one_out;
+pub use record::Record;
+pub use tree::Metric;

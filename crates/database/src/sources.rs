@@ -1,0 +1,400 @@
+//! Captures and folders of images, read into records.
+
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::fs;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+use std::thread;
+
+use glam::DVec3;
+
+use super::catalogue::{Source, SourceKind, TagLimits};
+use super::error::{DatabaseError, io};
+use super::lit::Lit;
+use super::pixels::{colours, quality, read_bytes};
+use super::record::{Form, Record};
+use realitysim_config::{load_lens_for_image, plain_file};
+use realitysim_geometry::{Euler, FieldDimensions, Isometry, LensParameters};
+use realitysim_recording::{
+    Loss, REFINED_FOLDER, Readout, ReadoutError, RefinedInfo, SESSION_FILE, losses, read_info, read_tags, refined_info,
+};
+use realitysim_ros2::mcap_read::{LogMessage, Selection};
+use realitysim_ros2::messages::{CompressedImageView, FrameTag};
+use realitysim_log_input::log::{self, LogSource};
+use realitysim_log_input::{body_mask, decode};
+use realitysim_views::{LEAST_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M};
+use realitysim_vision::BodyMask;
+
+/// A source with its images.
+pub(super) struct Read {
+    pub(super) source: Source,
+    /// Their `source` is for the catalogue to say.
+    pub(super) records: Vec<Record>,
+    /// `None` if the source does not say.
+    pub(super) field: Option<FieldDimensions>,
+    /// Left out although their tag is valid: it does not know which half of the field it is in.
+    pub(super) ambiguous: u64,
+    /// The same, known worse than the limit.
+    pub(super) imprecise: u64,
+    pub(super) losses: Vec<Loss>,
+    /// If there is no record, why.
+    pub(super) empty: Option<Loss>,
+    pub(super) lit: Lit,
+    /// What is the robot's own body, if the source says so itself.
+    pub(super) bodies: Vec<BodyMask>,
+}
+
+const POSES: &str = "poses.csv";
+const POSES_HEAD: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg";
+const CAMERA: &str = "camera_info.yaml";
+/// Of a folder of images, if its robot is in them: dark where.
+const MASK: &str = "body_mask.png";
+/// Of its pixels: no robot is as large.
+const ALL_HIDDEN: f64 = 0.95;
+/// Images decoded at a time: bounds memory.
+const MAX_BATCH: usize = 64;
+
+/// A capture or a folder of images.
+pub(super) fn is_source(path: &Path) -> bool {
+    path.join(POSES).is_file() || path.join(SESSION_FILE).is_file()
+}
+
+/// A capture, one of its segments, or a folder with `poses.csv`. `done` hears of images.
+pub(super) fn read(path: &Path, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+    let path = path.canonicalize().map_err(io(path))?;
+    if path.join(POSES).is_file() { read_folder(path, done) } else { read_capture(path, limits, done) }
+}
+
+fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+    let folder = if path.is_dir() { path.as_path() } else { path.parent().unwrap_or(&path) };
+    if !folder.join(SESSION_FILE).is_file() {
+        let what = "neither a capture (with session.json) nor a folder of images (with poses.csv); `realitysim replay LOG -o DIR` \
+                    makes a capture of a log";
+        return Err(DatabaseError::Source { path, what: what.to_owned() });
+    }
+    let info = read_info(folder)?;
+    let refined = match refined_info(&path) {
+        // What is no better by lines that took no part is left alone.
+        Ok(refined) => refined.filter(RefinedInfo::is_better),
+        Err(error) => return Err(DatabaseError::Source { path, what: error.to_string() }),
+    };
+    let refined_folder = folder.join(REFINED_FOLDER);
+    let tags_from = if refined.is_some() { &refined_folder } else { &path };
+    let Readout { found: tags, mut losses, .. } = match read_tags(tags_from) {
+        // Of a time when the camera was away.
+        Err(ReadoutError::NoMessages { loss: None, .. }) => {
+            Readout { found: Vec::new(), losses: Vec::new(), warnings: Vec::new() }
+        }
+        tags => tags?,
+    };
+    let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
+    let is_somewhere = |tag: &&FrameTag| Isometry::from(tag.pose.pose).is_finite();
+    let (mut ambiguous, mut imprecise) = (0, 0);
+    for tag in tags.iter().filter(|tag| tag.valid).filter(is_somewhere) {
+        if tag.ambiguous && !limits.ambiguous {
+            ambiguous += 1;
+            continue;
+        }
+        let sigma_m = tag.pose.sigma_xy_m();
+        if sigma_m.is_nan() || sigma_m > limits.sigma_m {
+            imprecise += 1;
+            continue;
+        }
+        waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
+    }
+    let files = log::files_of(&path)?;
+    // Refined tags belong to the lens that was found with them.
+    let lens = refined.map_or(info.lens, |refined| refined.lens);
+    let topic = info.settings.topics.image.clone();
+    let mut log = LogSource::with_outputs(files.clone(), Selection::topics([topic.as_str()]));
+    let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), Lit::default());
+    let (mut other_sizes, mut images) = (0, 0_u64);
+    let size = [lens.width as usize, lens.height as usize];
+    loop {
+        let message = log.next().transpose()?;
+        if message.is_none() || batch.len() == MAX_BATCH {
+            let misfits = look_at(&mut batch, size, &mut records, &mut lit);
+            left_out += misfits.all;
+            other_sizes += misfits.other_sizes;
+            done(records.len() as u64);
+        }
+        let Some(message) = message else { break };
+        images += 1;
+        let tag = decode::stamp_ns(&message).ok().and_then(|stamp| waiting.get_mut(&stamp)?.pop_front());
+        let place =
+            log.place().and_then(|(file, at)| Some((files.iter().position(|known| *known == *file)? as u32, at)));
+        match (tag, place, stored(&message)) {
+            (Some(tag), Some((file, at)), Some((within, bytes, form))) => {
+                batch.push((record_of(tag, file, at + within, bytes, form), bytes.to_vec()));
+            }
+            (Some(_), None, _) => {
+                let what = "its images are compressed once more and cannot be found by their place: record it anew with \
+                            `realitysim replay`";
+                return Err(DatabaseError::Source { path, what: what.to_owned() });
+            }
+            _ => left_out += 1,
+        }
+    }
+    losses.extend(
+        self::losses(&path, log.damage()).into_iter().filter(|loss| !losses.contains(loss)).collect::<Vec<_>>(),
+    );
+    if other_sizes > 0 {
+        let what = format!("{other_sizes} images are not of the size of its lens, {} x {}: left out", size[0], size[1]);
+        losses.push(Loss::new(&path, what));
+    }
+    let empty = records.is_empty().then(|| {
+        let valid = tags.iter().filter(|tag| tag.valid).count();
+        let what = match (images, valid, tags.len()) {
+            (0, ..) => format!(
+                "no image on {topic}, where its session.json (settings.topics.image) says that they are; `realitysim replay` makes a capture of \
+                 its segments anew"
+            ),
+            (_, 0, tags) => format!("none of its {tags} tags is valid"),
+            (_, valid, _) if imprecise == valid as u64 => {
+                format!("none of its {valid} valid tags is known to {} m (--max-sigma takes others)", limits.sigma_m)
+            }
+            (_, valid, _) if ambiguous == valid as u64 => {
+                format!("none of its {valid} valid tags knows which half of the field it is in (--ambiguous takes them)")
+            }
+            _ => format!("none of its {images} images on {topic} has a valid tag, the size of its lens, and decodes"),
+        };
+        Loss::new(&path, what)
+    });
+    let relative = |file: &PathBuf| file.strip_prefix(&path).map(Path::to_owned).unwrap_or_default();
+    let source = Source {
+        kind: SourceKind::Capture,
+        lens,
+        files: files.iter().map(relative).collect(),
+        dark: None,
+        darkening: None,
+        // Those of a capture that has none of its own lie where it was made.
+        body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
+        images: records.len() as u64,
+        left_out,
+        limits,
+        // Scenes are drawn without.
+        goals: !info.source.is_some_and(|source| source.ends_with(".toml")),
+        path,
+    };
+    let bodies = info.body_masks.iter().filter_map(|runs| BodyMask::from_runs(size[0], size[1], runs)).collect();
+    Ok(Read { source, records, field: Some(info.field), ambiguous, imprecise, losses, empty, lit, bodies })
+}
+
+/// Where in a message the stored bytes begin, these, and what they are.
+fn stored(message: &LogMessage) -> Option<(u64, &[u8], Form)> {
+    if message.channel.type_name != "sensor_msgs/msg/CompressedImage" {
+        return Some((0, &message.data, Form::RosImage));
+    }
+    let image = CompressedImageView::decode(&message.data).ok()?.data;
+    Some(((image.as_ptr() as usize - message.data.as_ptr() as usize) as u64, image, Form::File))
+}
+
+fn record_of(tag: &FrameTag, file: u32, offset: u64, bytes: &[u8], form: Form) -> Record {
+    let covariance = &tag.pose.covariance;
+    let sigma = |a: usize, b: usize| libm::sqrt(covariance[a].max(covariance[b]).max(0.0)) as f32;
+    Record {
+        file,
+        offset,
+        length: bytes.len() as u32,
+        crc: crc32fast::hash(bytes),
+        stamp_ns: tag.header.stamp.to_nanoseconds(),
+        sigma_m: sigma(0, 7),
+        sigma_rad: sigma(21, 28).max(sigma(35, 35)),
+        form,
+        ..Record::at(&Isometry::from(tag.pose.pose))
+    }
+}
+
+/// Images that are left out: all that do not decode or are of another size than their lens, and the latter.
+#[derive(Clone, Copy, Debug, Default)]
+struct Misfits {
+    all: u64,
+    other_sizes: u64,
+}
+
+/// Decodes a batch with all processors.
+fn look_at(
+    batch: &mut Vec<(Record, Vec<u8>)>,
+    [width, height]: [usize; 2],
+    records: &mut Vec<Record>,
+    lit: &mut Lit,
+) -> Misfits {
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    let share = batch.len().div_ceil(threads).max(1);
+    let (before, mut other_sizes) = (records.len(), 0);
+    thread::scope(|scope| {
+        let look = |part: &[(Record, Vec<u8>)]| -> (Vec<Record>, Lit, u64) {
+            let (mut lit, mut others) = (Lit::default(), 0);
+            let good = part.iter().filter_map(|(record, bytes)| {
+                let colours = colours(bytes, record.form).ok()?;
+                let (sharpness, brightness) = quality(&colours);
+                let fits = colours.width == width && colours.height == height;
+                others += u64::from(!fits);
+                fits.then(|| {
+                    lit.add(&colours.rgb);
+                    Record { sharpness, brightness, ..*record }
+                })
+            });
+            (good.collect(), lit, others)
+        };
+        let workers: Vec<_> = batch.chunks(share).map(|part| scope.spawn(move || look(part))).collect();
+        for worker in workers {
+            // A decoder that panics costs its part of the batch, which counts as left out.
+            if let Ok((found, more, others)) = worker.join() {
+                records.extend(found);
+                lit.join(&more);
+                other_sizes += others;
+            }
+        }
+    });
+    let all = (batch.len() - (records.len() - before)) as u64;
+    batch.clear();
+    Misfits { all, other_sizes }
+}
+
+/// A line for each image takes some hundred bytes: of two million images.
+const MAX_TABLE_BYTES: u64 = 256 << 20;
+
+fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+    let table = path.join(POSES);
+    let text = plain_file::read_text(&table, MAX_TABLE_BYTES).map_err(io(&table))?;
+    let wrong =
+        |line: usize, what: String| DatabaseError::Source { path: table.clone(), what: format!("line {line}: {what}") };
+    let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
+    match lines.next() {
+        Some((_, head)) if head == POSES_HEAD => {}
+        found => {
+            let found = found.map_or("", |(_, head)| head).to_owned();
+            return Err(wrong(1, format!("the head is {found:?}, and {POSES_HEAD:?} is needed")));
+        }
+    }
+    let (mut files, mut records, mut losses, mut batch) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut lens, mut left_out, mut lit) = (None, 0, Lit::default());
+    for (line, text) in lines.filter(|(_, text)| !text.is_empty()) {
+        let (name, pose) = row(text).map_err(|what| wrong(line, what))?;
+        let file = path.join(&name);
+        let inside = name.components().all(|part| matches!(part, std::path::Component::Normal(_)));
+        if !inside {
+            return Err(wrong(line, format!("{} does not lie in this folder", name.display())));
+        }
+        let read = |meta: fs::Metadata| read_bytes(&file, 0, meta.len().min(u64::from(u32::MAX)) as u32);
+        let bytes = match fs::metadata(&file).and_then(read) {
+            Ok(bytes) => bytes,
+            Err(error) => {
+                losses.push(Loss::new(&file, format!("cannot be read: {error}")));
+                left_out += 1;
+                continue;
+            }
+        };
+        if lens.is_none() {
+            lens = match colours(&bytes, Form::File) {
+                Ok(first) => Some(camera_of(&path, &file, [first.width as u32, first.height as u32])?),
+                Err(what) => {
+                    losses.push(Loss::new(&file, what));
+                    left_out += 1;
+                    continue;
+                }
+            };
+        }
+        let mut record = record_of(&FrameTag::default(), files.len() as u32, 0, &bytes, Form::File);
+        record.set_pose(&pose);
+        files.push(name);
+        batch.push((record, bytes));
+        if batch.len() == MAX_BATCH {
+            finish(&mut batch, &lens, &mut records, &mut lit);
+            done(records.len() as u64);
+        }
+    }
+    finish(&mut batch, &lens, &mut records, &mut lit);
+    done(records.len() as u64);
+    let good: HashSet<u32> = records.iter().map(|record| record.file).collect();
+    for (_, name) in files.iter().enumerate().filter(|(number, _)| !good.contains(&(*number as u32))) {
+        let [width, height] = lens.as_ref().map_or([0; 2], |lens: &LensParameters| [lens.width, lens.height]);
+        losses.push(Loss::new(&path.join(name), format!("does not decode as a picture of {width} x {height}")));
+        left_out += 1;
+    }
+    let lens = lens.ok_or_else(|| DatabaseError::Source {
+        path: path.clone(),
+        what: format!("{POSES} names no image that can be read"),
+    })?;
+    let bodies = body_of(&path, &lens)?.into_iter().collect();
+    let empty = records.is_empty().then(|| Loss::new(&path, "none of its images can be read"));
+    let (kind, images) = (SourceKind::Folder, records.len() as u64);
+    let source = Source {
+        kind,
+        path,
+        lens,
+        files,
+        body_masks: Vec::new(),
+        dark: None,
+        darkening: None,
+        images,
+        left_out,
+        limits: TagLimits::default(),
+        goals: true,
+    };
+    Ok(Read { source, records, field: None, ambiguous: 0, imprecise: 0, losses, empty, lit, bodies })
+}
+
+fn finish(batch: &mut Vec<(Record, Vec<u8>)>, lens: &Option<LensParameters>, records: &mut Vec<Record>, lit: &mut Lit) {
+    let Some(lens) = lens else { return };
+    look_at(batch, [lens.width as usize, lens.height as usize], records, lit);
+}
+
+/// `camera_info.yaml` beside the images, for one of this size.
+fn camera_of(folder: &Path, image: &Path, [width, height]: [u32; 2]) -> Result<LensParameters, DatabaseError> {
+    let path = folder.join(CAMERA);
+    if !path.is_file() {
+        let what = format!("without {CAMERA}, as ROS camera_calibration writes it, nobody knows the lens");
+        return Err(DatabaseError::Source { path: folder.to_owned(), what });
+    }
+    let file = load_lens_for_image(&path.display().to_string(), width, height).map_err(|error| {
+        DatabaseError::Source { path: folder.to_owned(), what: format!("{error} (as {} is)", image.display()) }
+    })?;
+    Ok(file.lens.parameters().clone())
+}
+
+/// `None` where nothing of that name lies beside the images.
+fn body_of(folder: &Path, lens: &LensParameters) -> Result<Option<BodyMask>, DatabaseError> {
+    let path = folder.join(MASK);
+    let Ok(there) = path.symlink_metadata() else { return Ok(None) };
+    let read = || -> Result<BodyMask, String> {
+        // To open a pipe would wait for ever.
+        if !there.is_file() && !path.is_file() {
+            return Err("not a plain file".to_owned());
+        }
+        let mask = body_mask(&path.display().to_string(), lens.width, lens.height)?;
+        let hidden = mask.to_gray().iter().filter(|pixel| **pixel == 0).count() as f64;
+        match hidden / (f64::from(lens.width) * f64::from(lens.height)) {
+            ALL_HIDDEN.. => Err("hides nearly all of the picture: the robot is dark in it, the rest bright".to_owned()),
+            0.0 => Err("hides nothing: the robot is dark in it, the rest bright".to_owned()),
+            _ => Ok(mask),
+        }
+    };
+    read().map(Some).map_err(|what| DatabaseError::Image { path, what })
+}
+
+/// A file's name and the pose of its `camera_link`.
+fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
+    let cells: Vec<&str> = text.split(',').map(str::trim).collect();
+    let [name, numbers @ ..] = cells.as_slice() else { return Err("empty".to_owned()) };
+    let numbers: Vec<f64> = numbers
+        .iter()
+        .map(|cell| cell.parse().ok().filter(|x: &f64| x.is_finite()).ok_or(format!("{cell:?} is no number")))
+        .collect::<Result<_, _>>()?;
+    let [x, y, z, yaw, pitch, roll] = numbers[..] else {
+        return Err(format!("{} cells, and 7 are needed: {POSES_HEAD}", cells.len()));
+    };
+    let within = |name: &str, value: f64, range: RangeInclusive<f64>| {
+        let (low, high) = (range.start(), range.end());
+        if range.contains(&value) { Ok(()) } else { Err(format!("{name} is {value}: {low} to {high} is possible")) }
+    };
+    within("x", x, -MAX_PLACE_M..=MAX_PLACE_M)?;
+    within("y", y, -MAX_PLACE_M..=MAX_PLACE_M)?;
+    within("z", z, LEAST_HEIGHT_M..=MOST_HEIGHT_M)?;
+    for (name, angle) in [("yaw_deg", yaw), ("pitch_deg", pitch), ("roll_deg", roll)] {
+        within(name, angle, -MAX_TURN_DEG..=MAX_TURN_DEG)?;
+    }
+    let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
+    Ok((PathBuf::from(name), Isometry::from_euler(euler, DVec3::new(x, y, z))))
+}

@@ -1,0 +1,165 @@
+//! Tags and truth out of logs.
+
+use std::path::Path;
+
+use thiserror::Error;
+
+use super::compare::Tagged;
+use realitysim_config::{HeadSettings, Topics};
+use realitysim_geometry::Isometry;
+use realitysim_recording::{Readout, ReadoutError, losses, read_topic};
+use realitysim_ros2::mcap_read::{LogMessage, Selection};
+use realitysim_ros2::messages::{
+    FrameTag, Header, Message, Odometry, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
+};
+use realitysim_log_input::intake::{self, Input};
+use realitysim_log_input::log::{self, LogError, LogSource};
+use realitysim_log_input::topic_resolution::{self, TopicError};
+
+#[derive(Debug, Error)]
+pub enum EvaluationError {
+    #[error(transparent)]
+    Readout(#[from] ReadoutError),
+    #[error(transparent)]
+    Log(#[from] LogError),
+    #[error(
+        "{path}: {topic} is of type {type_name}: poses are geometry_msgs/msg/PoseStamped, \
+         PoseWithCovarianceStamped or nav_msgs/msg/Odometry"
+    )]
+    Type { path: String, topic: String, type_name: String },
+    #[error("{path}: {source}")]
+    Topic { path: String, source: TopicError },
+}
+
+/// The true poses of `camera_link` in time order.
+pub fn read_truth(path: &Path, name: &str) -> Result<Readout<(i64, Isometry)>, EvaluationError> {
+    let read = read_poses_of(path, name, "name the topic of the true poses with topics.ground_truth or --truth-topic")?;
+    let posed = |message: &LogMessage| stamped_pose(path, message).map(|(tag, _)| (tag.stamp_ns, tag.pose));
+    let mut found = read.found.iter().map(posed).collect::<Result<Vec<_>, _>>()?;
+    found.sort_by_key(|(stamp, _)| *stamp);
+    found.dedup_by_key(|(stamp, _)| *stamp);
+    Ok(Readout { found, losses: read.losses, warnings: read.warnings })
+}
+
+/// Poses of `camera_link` in `map` that somebody else computed, in time order: they say of none that it is not valid.
+pub fn read_poses(path: &Path, name: &str) -> Result<Readout<Tagged>, EvaluationError> {
+    let read = read_poses_of(path, name, "name the topic of the poses to judge")?;
+    let posed = read.found.iter().map(|message| stamped_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
+    let mut warnings: Vec<String> = Vec::new();
+    for (_, [parent, child]) in &posed {
+        // Many programs leave them empty, which says nothing.
+        let is = |said: &str, meant: &str| said.is_empty() || said.trim_start_matches('/') == meant;
+        if is(parent, MAP) && is(child, CAMERA) {
+            continue;
+        }
+        let child = if child.is_empty() { String::new() } else { format!(" of {child:?}") };
+        let warning = format!(
+            "{}: {name}: it says that its poses are{child} in {parent:?}; they are judged as poses of \"{CAMERA}\" in \"{MAP}\"",
+            path.display()
+        );
+        if !warnings.contains(&warning) && warnings.len() < MAX_WARNINGS {
+            warnings.push(warning);
+        }
+    }
+    let mut found: Vec<Tagged> = posed.into_iter().map(|(tag, _)| tag).collect();
+    found.sort_by_key(|tag| tag.stamp_ns);
+    Ok(Readout { found, losses: read.losses, warnings })
+}
+
+/// What poses to be judged are of, and in.
+const CAMERA: &str = "camera_link";
+const MAP: &str = "map";
+/// Of one topic: more say the same.
+const MAX_WARNINGS: usize = 8;
+
+/// When the camera took the frames of a log, in time order.
+pub fn read_frame_times(path: &Path, wanted: &Topics) -> Result<Readout<i64>, EvaluationError> {
+    let files = log::files_of(path)?;
+    let types = log::topic_types(&log::surveys(&files)?);
+    let image = topic_resolution::image(&wanted.image, &types)
+        .map_err(|source| EvaluationError::Topic { path: path.display().to_string(), source })?;
+    let topics = Topics { image, ..wanted.clone() };
+    let mut source = LogSource::new(files, Selection::topics([topics.image.clone()]));
+    let mut found = Vec::new();
+    for message in source.by_ref() {
+        // One that does not say when it was taken is none for anybody.
+        if let Ok(Input::Frame { stamp_ns, .. }) = intake::read(&message?, &topics, &HeadSettings::default()) {
+            found.push(stamp_ns);
+        }
+    }
+    found.sort_unstable();
+    found.dedup();
+    Ok(Readout { found, losses: losses(path, source.damage()), warnings: Vec::new() })
+}
+
+pub fn tagged(tag: &FrameTag) -> Tagged {
+    Tagged {
+        stamp_ns: tag.header.stamp.to_nanoseconds(),
+        valid: tag.valid,
+        pose: Isometry::from(tag.pose.pose),
+        covariance: in_plane(&tag.pose),
+        ambiguous: tag.ambiguous,
+    }
+}
+
+fn read_poses_of(path: &Path, name: &str, hint: &str) -> Result<Readout<LogMessage>, ReadoutError> {
+    read_topic(path, name, || format!("{hint}{}", poses_in(path)))
+}
+
+const POSE_TYPES: [&str; 3] = [PoseStamped::TYPE, PoseWithCovarianceStamped::TYPE, Odometry::TYPE];
+
+/// Which topics of a log could have been meant, behind a colon.
+fn poses_in(path: &Path) -> String {
+    let surveys = log::files_of(path).and_then(|files| log::surveys(&files)).unwrap_or_default();
+    let types = log::topic_types(&surveys);
+    let is_pose = |kinds: &std::collections::BTreeSet<String>| POSE_TYPES.iter().any(|kind| kinds.contains(*kind));
+    let topics: Vec<&str> = types.iter().filter(|(_, kinds)| is_pose(kinds)).map(|(topic, _)| topic.as_str()).collect();
+    if topics.is_empty() {
+        "; it holds no poses at all".to_owned()
+    } else {
+        format!(": it holds poses on {}", topics.join(", "))
+    }
+}
+
+/// With the covariance of those types that have one; else it is zero. And in which frame it says that it is, and of which.
+fn stamped_pose(path: &Path, message: &LogMessage) -> Result<(Tagged, [String; 2]), EvaluationError> {
+    let failed = |source| ReadoutError::Message {
+        path: path.display().to_string(),
+        topic: message.channel.topic.clone(),
+        source,
+    };
+    let (header, child, pose): (Header, String, PoseWithCovariance) = match message.channel.type_name.as_str() {
+        "geometry_msgs/msg/PoseStamped" => {
+            let stamped = PoseStamped::decode(&message.data).map_err(failed)?;
+            (stamped.header, String::new(), PoseWithCovariance { pose: stamped.pose, covariance: [0.0; 36] })
+        }
+        "geometry_msgs/msg/PoseWithCovarianceStamped" => {
+            let stamped = PoseWithCovarianceStamped::decode(&message.data).map_err(failed)?;
+            (stamped.header, String::new(), stamped.pose)
+        }
+        "nav_msgs/msg/Odometry" => {
+            let odometry = Odometry::decode(&message.data).map_err(failed)?;
+            (odometry.header, odometry.child_frame_id, odometry.pose)
+        }
+        other => {
+            return Err(EvaluationError::Type {
+                path: path.display().to_string(),
+                topic: message.channel.topic.clone(),
+                type_name: other.to_owned(),
+            });
+        }
+    };
+    let tagged = Tagged {
+        stamp_ns: header.stamp.to_nanoseconds(),
+        valid: true,
+        pose: Isometry::from(pose.pose),
+        covariance: in_plane(&pose),
+        ambiguous: false,
+    };
+    Ok((tagged, [header.frame_id, child]))
+}
+
+/// xx, xy, yy.
+fn in_plane(pose: &PoseWithCovariance) -> [f64; 3] {
+    [pose.covariance[0], pose.covariance[1], pose.covariance[7]]
+}

@@ -1,0 +1,85 @@
+//! The picture of a sweep: the front over the faded cloud.
+
+use glam::DVec2;
+
+use super::advice::{Advice, Wish};
+use super::front::front;
+use super::row::{FINEST_CM, Row};
+use crate::drawing::chart::{Across, Axis, Chart, Layer, Line, Mark, Note, Rule, Scale};
+use realitysim_localization::Model;
+
+const REFINED: &str = "#1f77b4";
+const PLAIN: &str = "#c2571a";
+const FRONT: &str = "#2a2c2e";
+const CHOSEN: &str = "#b3261e";
+
+/// As SVG; `title` names the log.
+pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Wish, title: &str) -> String {
+    // Against a reference run an error can be 0, which has no place on a logarithmic axis.
+    let place = |row: &Row| DVec2::new(row.p99_ms, row.position_cm.mean.max(FINEST_CM));
+    let on = front(&rows.iter().map(Row::point).collect::<Vec<_>>());
+    let judged: Vec<(&Row, bool)> = rows.iter().zip(on).filter(|(row, _)| row.judged > 0).collect();
+    let on_front: Vec<&Row> = judged.iter().filter(|(_, on)| *on).map(|(row, _)| *row).collect();
+    let kinds = [
+        ("Gauss, refined", Model::Gauss, true, REFINED, Mark::Disc),
+        ("distance, refined", Model::Distance, true, REFINED, Mark::Square),
+        ("Gauss, best particle", Model::Gauss, false, PLAIN, Mark::Disc),
+        ("distance, best particle", Model::Distance, false, PLAIN, Mark::Square),
+    ];
+    let mut layers = Vec::new();
+    layers.push(Layer {
+        name: Some("Pareto front".to_owned()),
+        colour: FRONT,
+        mark: None,
+        line: Some(Line::Solid),
+        opacity: 1.0,
+        points: on_front.iter().map(|row| place(row)).collect(),
+    });
+    for (name, model, refinement, colour, mark) in kinds {
+        let of_kind = |row: &&Row| row.knobs.model == model && row.knobs.refinement == refinement;
+        let cloud: Vec<DVec2> =
+            judged.iter().filter(|(_, on)| !on).map(|(row, _)| *row).filter(of_kind).map(place).collect();
+        let points: Vec<DVec2> = on_front.iter().copied().filter(of_kind).map(place).collect();
+        layers.push(Layer { name: None, colour, mark: Some(mark), line: None, opacity: 0.28, points: cloud });
+        layers.push(Layer { name: Some(name.to_owned()), colour, mark: Some(mark), line: None, opacity: 1.0, points });
+    }
+    if let Some(row) = advice.and_then(|advice| rows.get(advice.row)) {
+        layers.push(Layer {
+            name: Some("recommended".to_owned()),
+            colour: CHOSEN,
+            mark: Some(Mark::Target),
+            line: None,
+            opacity: 1.0,
+            points: vec![place(row)],
+        });
+    }
+    let budget = wish.budget_ms.map(|at| Rule { across: Across::X, at, name: format!("budget {at} ms") });
+    let accuracy = wish.accuracy_cm.map(|at| Rule { across: Across::Y, at, name: format!("{at} cm wanted") });
+    let axis = |label: &str| Axis { label: label.to_owned(), scale: Scale::Logarithmic };
+    let chart = Chart {
+        title: title.to_owned(),
+        x: axis("time for a frame, p99 in ms"),
+        y: axis("mean position error in cm"),
+        layers,
+        rules: budget.into_iter().chain(accuracy).collect(),
+        notes: on_front.iter().map(|row| Note { at: place(row), words: words(row) }).collect(),
+    };
+    chart.to_svg()
+}
+
+/// What colour and mark do not say.
+fn words(row: &Row) -> String {
+    let knobs = &row.knobs;
+    let most = if knobs.adaptive { "\u{2264} " } else { "" };
+    let mut words = format!("{most}{} \u{d7} {}", knobs.particles, knobs.iterations);
+    if knobs.line_points != 350 {
+        words.push_str(&format!(", {} points", knobs.line_points));
+    }
+    if knobs.image_reduction > 0 {
+        words.push_str(&format!(", image 1/{}", knobs.image_reduction));
+    }
+    if knobs.budget_ms > 0.0 {
+        words.push_str(", capped");
+    }
+    words
+}

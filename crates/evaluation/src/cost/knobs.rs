@@ -1,0 +1,157 @@
+//! What is turned in the search for a good bargain, and which settings are tried.
+
+use core::fmt;
+
+use serde::Serialize;
+
+use realitysim_config::Settings;
+use realitysim_localization::Model;
+
+/// The settings that decide about time and accuracy.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Knobs {
+    pub model: Model,
+    pub particles: usize,
+    pub iterations: usize,
+    /// Particles and iterations are the most.
+    pub adaptive: bool,
+    pub line_points: usize,
+    /// As in the config: 0 is automatic.
+    pub image_reduction: usize,
+    pub refinement: bool,
+    /// As in the config: 0 is none.
+    pub budget_ms: f64,
+}
+
+impl Knobs {
+    pub fn of(settings: &Settings) -> Self {
+        let f = &settings.filter;
+        Self {
+            model: f.model,
+            particles: f.particles,
+            iterations: f.iterations,
+            adaptive: f.adaptive,
+            line_points: f.line_points,
+            image_reduction: f.image_reduction,
+            refinement: f.refinement,
+            // What a setting costs is asked, not what can be saved of it.
+            budget_ms: 0.0,
+        }
+    }
+
+    /// These settings, turned to these knobs.
+    pub fn set(&self, settings: &Settings, seed: u64) -> Settings {
+        let mut settings = settings.clone();
+        let f = &mut settings.filter;
+        f.model = self.model;
+        f.particles = self.particles;
+        f.iterations = self.iterations;
+        f.adaptive = self.adaptive;
+        f.line_points = self.line_points;
+        f.image_reduction = self.image_reduction;
+        f.refinement = self.refinement;
+        f.budget_ms = self.budget_ms;
+        f.seed = seed;
+        settings
+    }
+}
+
+impl fmt::Display for Knobs {
+    fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+        let model = match self.model {
+            Model::Gauss => "gauss",
+            Model::Distance => "distance",
+        };
+        let up_to = if self.adaptive { "up to " } else { "" };
+        write!(
+            formatter,
+            "{model}, {up_to}{} particles x {}, {} points",
+            self.particles, self.iterations, self.line_points
+        )?;
+        if self.image_reduction > 0 {
+            write!(formatter, ", image 1/{}", self.image_reduction)?;
+        }
+        write!(formatter, ", {}", if self.refinement { "refined" } else { "best particle" })?;
+        if self.budget_ms > 0.0 { write!(formatter, ", no frame longer than {} ms", self.budget_ms) } else { Ok(()) }
+    }
+}
+
+/// The most that `[filter] image_reduction` allows.
+const COARSEST: usize = 8;
+
+/// The configured settings first, then about forty others: the number of particles through its whole range, every other
+/// knob at a few places, and some settings that save everywhere. `automatic` is the reduction that the lens gets by itself.
+pub fn plan(configured: Knobs, automatic: usize) -> Vec<Knobs> {
+    let base =
+        Knobs { model: Model::Gauss, particles: 200, iterations: 5, adaptive: false, line_points: 350, ..configured };
+    let refined = Knobs { refinement: true, ..base };
+    let plain = Knobs { refinement: false, particles: 800, ..base };
+    let distance = |knobs: Knobs| Knobs { model: Model::Distance, ..knobs };
+    let usual = if configured.image_reduction == 0 { automatic } else { configured.image_reduction };
+    let coarser = |knobs: Knobs| Knobs { image_reduction: (2 * usual).min(COARSEST), ..knobs };
+
+    let mut rows = vec![configured];
+    rows.extend([25, 50, 100, 200, 400, 800, 1600].map(|particles| Knobs { particles, ..refined }));
+    let adaptive = Knobs { particles: 800, adaptive: true, ..refined };
+    rows.extend([adaptive, Knobs { line_points: 200, ..adaptive }, Knobs { refinement: false, ..adaptive }]);
+    rows.extend([50, 100, 200, 400, 800, 1600, 3200].map(|particles| Knobs { particles, ..plain }));
+    rows.extend([100, 400, 800].map(|particles| distance(Knobs { particles, ..refined })));
+    rows.extend([200, 800].map(|particles| distance(Knobs { particles, ..plain })));
+    rows.extend([1, 2, 3, 10].map(|iterations| Knobs { iterations, ..refined }));
+    rows.extend([2, 10].map(|iterations| Knobs { iterations, ..plain }));
+    rows.extend([100, 200, 700].map(|line_points| Knobs { line_points, ..refined }));
+    rows.extend([100, 700].map(|line_points| Knobs { line_points, ..plain }));
+    rows.extend([refined, plain, Knobs { particles: 800, ..refined }].map(coarser));
+    if usual > 1 {
+        rows.extend([refined, plain].map(|knobs| Knobs { image_reduction: usual / 2, ..knobs }));
+    }
+    let sparing = Knobs { particles: 50, iterations: 2, line_points: 150, ..refined };
+    rows.extend([sparing, coarser(sparing), Knobs { particles: 25, iterations: 1, line_points: 100, ..refined }]);
+
+    let mut unique: Vec<Knobs> = Vec::new();
+    for row in rows {
+        if !unique.contains(&row) {
+            unique.push(row);
+        }
+    }
+    unique
+}
+
+/// What stands in for a truth that nobody knows: far more of everything than any row has.
+pub fn reference(configured: Knobs) -> Knobs {
+    Knobs {
+        model: Model::Gauss,
+        particles: 4000,
+        iterations: 10,
+        adaptive: false,
+        line_points: 700,
+        image_reduction: configured.image_reduction,
+        refinement: true,
+        budget_ms: 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_is_a_possible_setting_and_stands_once() {
+        for automatic in [1, 2, 8] {
+            for reduction in [0, 1, 8] {
+                let mut settings = Settings::default();
+                settings.filter.image_reduction = reduction;
+                let configured = Knobs::of(&settings);
+                let rows = plan(configured, automatic);
+                assert_eq!(rows[0], configured);
+                assert!((32..=48).contains(&rows.len()), "{}", rows.len());
+                for (index, row) in rows.iter().enumerate() {
+                    assert!(!rows[..index].contains(row), "{row}");
+                    let set = row.set(&settings, 3);
+                    assert_eq!(set.check(), Ok(()), "{row}");
+                    assert_eq!((Knobs::of(&set), set.filter.seed), (*row, 3));
+                }
+            }
+        }
+    }
+}

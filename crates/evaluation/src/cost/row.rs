@@ -1,0 +1,168 @@
+//! What one setting has shown.
+
+use serde::Serialize;
+
+use super::front::Point;
+use super::knobs::Knobs;
+use realitysim_tagging::Attempt;
+use crate::Tagged;
+use crate::capture::tagged;
+use crate::compare::{Comparison, compare, up_to_mirror};
+use crate::statistics::{Summary, quantile};
+use realitysim_geometry::Isometry;
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    #[serde(flatten)]
+    pub knobs: Knobs,
+    /// From the decoded image to the tag. Each frame counts with the fastest of its runs: the seeds hardly change the work,
+    /// so what makes the others slower is the machine.
+    pub p50_ms: f64,
+    pub p99_ms: f64,
+    /// Of valid tags, in x and y, averaged over the seeds.
+    pub position_cm: Summary,
+    pub yaw_deg: Summary,
+    /// Standard deviation of the mean position error from seed to seed.
+    pub scatter_cm: f64,
+    /// Share of the frames with a valid tag.
+    pub valid_share: f64,
+    /// Valid tags with a truth at their time, of all seeds together.
+    pub judged: usize,
+    /// It tags clearly fewer frames than others, most likely leaving out the hard ones.
+    pub evasive: bool,
+}
+
+/// Below a tenth of a millimetre no row is better than another.
+pub(super) const FINEST_CM: f64 = 0.01;
+
+impl Row {
+    /// `runs` are one seed each, over the same frames.
+    pub fn of(knobs: Knobs, runs: &[Vec<Attempt>], truth: &[(i64, Isometry)]) -> Self {
+        let (mut position, mut yaw) = (Vec::new(), Vec::new());
+        let (mut frames, mut valid, mut judged) = (0, 0, 0);
+        for run in runs {
+            let comparison = judge(run, truth);
+            frames += comparison.frames;
+            valid += comparison.valid;
+            judged += comparison.judged;
+            // A seed of which nothing could be judged says nothing.
+            if comparison.judged > 0 {
+                position.push(comparison.position_cm);
+                yaw.push(comparison.yaw_deg);
+            }
+        }
+        let milliseconds = frame_times(runs);
+        Self {
+            knobs,
+            p50_ms: quantile(&milliseconds, 0.5),
+            p99_ms: quantile(&milliseconds, 0.99),
+            scatter_cm: deviation(&position.iter().map(|summary| summary.mean).collect::<Vec<_>>()),
+            position_cm: average(&position),
+            yaw_deg: average(&yaw),
+            valid_share: valid as f64 / frames.max(1) as f64,
+            judged,
+            evasive: false,
+        }
+    }
+
+    /// What it is worth, errors rounded to a tenth of a millimetre. Rows that were not judged or evade judgement do not count.
+    pub fn point(&self) -> Point {
+        let counts = self.judged > 0 && !self.evasive;
+        let error_cm = libm::round(self.position_cm.mean / FINEST_CM) * FINEST_CM;
+        Point { time_ms: self.p99_ms, error_cm: if counts { error_cm } else { f64::INFINITY } }
+    }
+}
+
+/// A filter that had to find its place by itself cannot know in which half of the field it is: of an ambiguous tag the
+/// nearer of both poses counts.
+fn judge(run: &[Attempt], truth: &[(i64, Isometry)]) -> Comparison {
+    let tags: Vec<Tagged> = run.iter().map(|attempt| tagged(&attempt.tag)).collect();
+    compare(&up_to_mirror(&tags, truth), truth)
+}
+
+/// Sorted: of each frame in which something was seen, the least of the runs.
+fn frame_times(runs: &[Vec<Attempt>]) -> Vec<f64> {
+    let frames = runs.iter().map(Vec::len).min().unwrap_or(0);
+    let of_frame = |frame: usize| {
+        let seen = runs.iter().map(|run| &run[frame]).filter(|attempt| attempt.seen);
+        seen.map(|attempt| attempt.tag.elapsed_ms).min_by(f64::total_cmp)
+    };
+    let mut times: Vec<f64> = (0..frames).filter_map(of_frame).collect();
+    times.sort_by(f64::total_cmp);
+    times
+}
+
+/// All zero of none.
+fn average(summaries: &[Summary]) -> Summary {
+    let count = summaries.len().max(1) as f64;
+    let mean = |of: fn(&Summary) -> f64| summaries.iter().map(of).fold(0.0, |sum, value| sum + value) / count;
+    Summary {
+        mean: mean(|summary| summary.mean),
+        median: mean(|summary| summary.median),
+        p95: mean(|summary| summary.p95),
+        max: summaries.iter().map(|summary| summary.max).fold(0.0, f64::max),
+    }
+}
+
+/// Of a sample; 0 of one.
+fn deviation(values: &[f64]) -> f64 {
+    let count = values.len() as f64;
+    if values.len() < 2 {
+        return 0.0;
+    }
+    let mean = values.iter().sum::<f64>() / count;
+    libm::sqrt(values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (count - 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use realitysim_config::Settings;
+    use realitysim_ros2::messages::{FrameTag, Stamp};
+
+    fn attempt(frame: i64, x: f64, elapsed_ms: f64, valid: bool) -> Attempt {
+        let mut tag = FrameTag { valid, elapsed_ms, ..FrameTag::default() };
+        tag.header.stamp = Stamp::from_nanoseconds(frame * 100_000_000);
+        tag.pose.pose.position.x = x;
+        tag.pose.pose.orientation.w = 1.0;
+        Attempt { tag, seen: true }
+    }
+
+    #[test]
+    fn seeds_are_averaged_and_single_slow_frames_left_out() {
+        let truth: Vec<(i64, Isometry)> = (0..2).map(|frame| (frame * 100_000_000, Isometry::IDENTITY)).collect();
+        // The third frame has no truth, and the second seed's second frame was slow once.
+        let run = |x: f64, slow: f64| {
+            vec![
+                attempt(0, x, 1.0, true),
+                attempt(1, x, slow, true),
+                attempt(20, 9.0, 3.0, true),
+                attempt(21, 9.0, 4.0, false),
+            ]
+        };
+        let runs = [run(0.01, 2.0), run(0.02, 50.0), run(0.03, 2.0)];
+        let row = Row::of(Knobs::of(&Settings::default()), &runs, &truth);
+        assert!((row.position_cm.mean - 2.0).abs() < 1e-9 && (row.scatter_cm - 1.0).abs() < 1e-9);
+        assert_eq!((row.judged, row.valid_share), (6, 0.75));
+        assert!((row.p50_ms - 2.5).abs() < 1e-9 && row.p99_ms < 4.0 + 1e-9, "{row:?}");
+        assert_eq!(row.point(), Point { time_ms: row.p99_ms, error_cm: 2.0 });
+    }
+
+    #[test]
+    fn who_found_his_place_alone_may_be_in_the_other_half() {
+        let at = Isometry::IDENTITY * Isometry::new(glam::DQuat::IDENTITY, glam::DVec3::new(-1.0, 0.0, 0.0));
+        let mut run = vec![attempt(0, 1.0, 1.0, true)];
+        let truth = [(0, at)];
+        let knobs = Knobs::of(&Settings::default());
+        assert!((Row::of(knobs, std::slice::from_ref(&run), &truth).position_cm.mean - 200.0).abs() < 1e-9);
+        run[0].tag.ambiguous = true;
+        assert!(Row::of(knobs, &[run], &truth).position_cm.mean < 1e-9);
+    }
+
+    #[test]
+    fn what_was_not_judged_does_not_count() {
+        let row = Row::of(Knobs::of(&Settings::default()), &[vec![attempt(0, 0.0, 1.0, false)]], &[]);
+        assert!(!row.point().counts());
+        assert!(!Row::of(row.knobs, &[], &[]).point().counts());
+    }
+}

@@ -1,0 +1,95 @@
+//! Trying all settings on the same frames, with several seeds.
+
+use super::knobs::Knobs;
+use super::row::Row;
+use realitysim_tagging::Attempt;
+use crate::capture::tagged;
+use realitysim_geometry::Isometry;
+
+/// One of the best tags this much fewer frames than another evades: its errors are those of easier frames.
+const EVASION: f64 = 0.02;
+
+/// Tries one setting with one seed: the caller has frames and a clock.
+pub type Measure<'a, E> = &'a mut dyn FnMut(&Knobs, u64) -> Result<Vec<Attempt>, E>;
+
+/// All settings with the first seed, then all with the next: what slows the machine down for a while hits all alike, and
+/// only one of each setting's runs.
+pub fn sweep<E>(
+    settings: &[Knobs],
+    seeds: &[u64],
+    truth: &[(i64, Isometry)],
+    measure: Measure<E>,
+) -> Result<Vec<Row>, E> {
+    let mut runs: Vec<Vec<Vec<Attempt>>> = vec![Vec::new(); settings.len()];
+    for seed in seeds {
+        for (knobs, runs) in settings.iter().zip(&mut runs) {
+            runs.push(measure(knobs, *seed)?);
+        }
+    }
+    let mut rows: Vec<Row> = settings.iter().zip(&runs).map(|(knobs, runs)| Row::of(*knobs, runs, truth)).collect();
+    let most = rows.iter().map(|row| row.valid_share).fold(0.0, f64::max);
+    for row in &mut rows {
+        row.evasive = row.valid_share < most - EVASION;
+    }
+    rows.sort_by(|a, b| a.p99_ms.total_cmp(&b.p99_ms));
+    Ok(rows)
+}
+
+/// The valid tags of a run, as if they were the truth.
+pub fn as_truth(run: &[Attempt]) -> Vec<(i64, Isometry)> {
+    let mut truth: Vec<(i64, Isometry)> = run
+        .iter()
+        .map(|attempt| tagged(&attempt.tag))
+        .filter(|tag| tag.valid)
+        .map(|tag| (tag.stamp_ns, tag.pose))
+        .collect();
+    truth.sort_by_key(|(stamp_ns, _)| *stamp_ns);
+    truth.dedup_by_key(|(stamp_ns, _)| *stamp_ns);
+    truth
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use realitysim_config::Settings;
+    use crate::cost::plan;
+    use realitysim_ros2::messages::{FrameTag, Stamp};
+
+    fn run(knobs: &Knobs, seed: u64) -> Vec<Attempt> {
+        let attempt = |frame: i64| {
+            // Few particles tag few frames, but those well.
+            let valid = knobs.particles > 50 || frame < 5;
+            let mut tag = FrameTag { valid, elapsed_ms: knobs.particles as f64 / 100.0, ..FrameTag::default() };
+            tag.header.stamp = Stamp::from_nanoseconds(frame * 100_000_000);
+            tag.pose.pose.position.x = if knobs.particles > 50 { 0.01 + seed as f64 * 1e-4 } else { 0.0 };
+            tag.pose.pose.orientation.w = 1.0;
+            Attempt { tag, seen: true }
+        };
+        (0..10).map(attempt).collect()
+    }
+
+    #[test]
+    fn every_setting_meets_every_seed_and_evasion_is_noticed() {
+        let settings = plan(Knobs::of(&Settings::default()), 1);
+        let truth: Vec<(i64, Isometry)> = (0..10).map(|frame| (frame * 100_000_000, Isometry::IDENTITY)).collect();
+        let mut asked = Vec::new();
+        let rows = sweep::<()>(&settings, &[1, 2], &truth, &mut |knobs, seed| {
+            asked.push((*knobs, seed));
+            Ok(run(knobs, seed))
+        });
+        let rows = rows.expect("measured");
+        assert_eq!((rows.len(), asked.len()), (settings.len(), 2 * settings.len()));
+        assert!(asked[..settings.len()].iter().all(|(_, seed)| *seed == 1));
+        assert!(rows.windows(2).all(|pair| pair[0].p99_ms <= pair[1].p99_ms));
+        for row in &rows {
+            assert_eq!(row.evasive, row.knobs.particles <= 50, "{row:?}");
+        }
+        assert_eq!(sweep(&settings, &[1], &truth, &mut |_, _| Err("broken")).expect_err("passed on"), "broken");
+    }
+
+    #[test]
+    fn only_valid_tags_are_taken_for_the_truth() {
+        let knobs = Knobs { particles: 10, ..Knobs::of(&Settings::default()) };
+        assert_eq!(as_truth(&run(&knobs, 1)).len(), 5);
+    }
+}

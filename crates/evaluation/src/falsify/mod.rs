@@ -1,0 +1,145 @@
+//! Negative controls: the frames of a walk, tagged while something false is said of them. No tag may then be valid and wrong.
+//!
+//! [`falsehoods`] lists what is said, [`Falsehood::tag`] tags the frames under it, [`Control`] is the count.
+
+mod pictures;
+
+use serde::Serialize;
+
+use super::contrast::Quality;
+use realitysim_tagging::{Attempt, Claims, Footage, SetupError};
+use realitysim_config::{Settings, field_names, load_field};
+use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
+pub use pictures::{Distortion, Noise};
+
+/// How far off pictures, mount and lens are said to be: from what a careless calibration leaves to what is clearly wrong, and none so
+/// far that no line is found.
+const SHIFT_SHARES: [[f64; 2]; 4] = [[0.0, 0.05], [0.0, 0.1], [0.0, -0.1], [0.1, 0.0]];
+const SCALES: [f64; 4] = [0.9, 0.95, 1.05, 1.1];
+const TURNS_DEG: [f64; 4] = [-6.0, -3.0, 3.0, 6.0];
+const HIGHER_M: [f64; 4] = [-0.10, -0.05, 0.05, 0.10];
+
+/// Something false, said of every frame of a walk.
+#[derive(Clone, Debug)]
+pub enum Falsehood {
+    /// Nothing: what the truth gives, for comparison.
+    Nothing,
+    /// The robot walks on another field.
+    Field { name: String, field: Field },
+    /// The lens has so many times its focal length.
+    Focal { scale: f64, lens: Lens },
+    /// The camera stands so much higher, metres.
+    Mount { higher_m: f64 },
+    /// The picture is not that of the camera.
+    Picture(Distortion),
+}
+
+/// All falsehoods that can be said of these frames, after the truth: every shipped field of other dimensions, other focal lengths
+/// and heights, and pictures shifted, scaled, turned, and replaced by noise.
+pub fn falsehoods(field: &Field, lens: &Lens) -> Vec<Falsehood> {
+    let mut all = vec![Falsehood::Nothing];
+    for name in field_names() {
+        let other = load_field(&name).ok().filter(|other| !other.is_same_as(field.dimensions()));
+        if let Some(field) = other.and_then(|dimensions| Field::new(dimensions).ok()) {
+            all.push(Falsehood::Field { name, field });
+        }
+    }
+    for scale in SCALES {
+        let own = lens.parameters();
+        let parameters = LensParameters { fx: own.fx * scale, fy: own.fy * scale, ..own.clone() };
+        all.extend(Lens::new(parameters).ok().map(|lens| Falsehood::Focal { scale, lens }));
+    }
+    all.extend(HIGHER_M.map(|higher_m| Falsehood::Mount { higher_m }));
+    let height = f64::from(lens.height());
+    let shifts = SHIFT_SHARES.map(|by| Distortion::Shift { by_px: by.map(|share| libm::round(share * height) as i32) });
+    let turns = TURNS_DEG.map(|by_deg| Distortion::Turn { by_rad: by_deg.to_radians() });
+    let noises = [Noise::Uniform, Noise::Blurred, Noise::Scrambled].map(Distortion::Noise);
+    let scales = SCALES.map(|by| Distortion::Scale { by });
+    all.extend(shifts.into_iter().chain(scales).chain(turns).chain(noises).map(Falsehood::Picture));
+    all
+}
+
+impl Falsehood {
+    /// For people: what is said, in a few words.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Nothing => "the truth".to_owned(),
+            Self::Field { name, .. } => format!("field {name}"),
+            Self::Focal { scale, .. } => format!("focal length {:+.0} %", 100.0 * (scale - 1.0)),
+            Self::Mount { higher_m } => format!("camera {:+.0} cm in height", 100.0 * higher_m),
+            Self::Picture(distortion) => distortion.name(),
+        }
+    }
+
+    pub fn is_true(&self) -> bool {
+        matches!(self, Self::Nothing)
+    }
+
+    /// Tags the frames as if it were so; with `start_is_unknown` nobody has said where the robot begins.
+    pub fn tag(
+        &self,
+        footage: &Footage,
+        settings: &Settings,
+        start_is_unknown: bool,
+        progress: &mut dyn FnMut(usize),
+    ) -> Result<Vec<Attempt>, SetupError> {
+        let distorted = |index: usize, picture: &_| match self {
+            Self::Picture(distortion) => distortion.apply(index, picture),
+            _ => Clone::clone(picture),
+        };
+        let mut claims = Claims { start_is_unknown, ..Claims::default() };
+        match self {
+            Self::Nothing => {}
+            Self::Field { field, .. } => claims.field = Some(field),
+            Self::Focal { lens, .. } => claims.lens = Some(lens),
+            Self::Mount { higher_m } => claims.higher_m = *higher_m,
+            Self::Picture(_) => claims.picture = Some(&distorted),
+        }
+        footage.try_out_claiming(settings, &claims, progress)
+    }
+}
+
+/// What came of one falsehood.
+#[derive(Clone, Debug, Serialize)]
+pub struct Control {
+    pub said: String,
+    /// It is no falsehood.
+    pub is_true: bool,
+    pub start_is_unknown: bool,
+    pub frames: usize,
+    pub valid: usize,
+    /// Valid, and more than 12 cm off in x and y.
+    pub wrong: usize,
+    /// Of the valid tags, the largest error, centimetres.
+    pub max_cm: f64,
+}
+
+impl Control {
+    pub fn of(falsehood: &Falsehood, start_is_unknown: bool, run: &[Attempt], truth: &[(i64, Isometry)]) -> Self {
+        let Quality { frames, valid, wrong, position_cm, .. } = Quality::of(run, truth);
+        let max_cm = position_cm.max;
+        Self { said: falsehood.name(), is_true: falsehood.is_true(), start_is_unknown, frames, valid, wrong, max_cm }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use realitysim_config::load_lens;
+
+    #[test]
+    fn every_other_shipped_field_is_tried_and_the_own_one_is_not() {
+        let own = Field::new(load_field("kid-2009").expect("shipped")).expect("checked");
+        let lens = load_lens("equisolid-640").expect("shipped").lens;
+        let said: Vec<String> = falsehoods(&own, &lens).iter().map(Falsehood::name).collect();
+        assert_eq!(said[0], "the truth");
+        assert!(said.contains(&"field kid-2020".to_owned()) && !said.contains(&"field kid-2009".to_owned()));
+        assert!(
+            said.contains(&"focal length +10 %".to_owned()) && said.contains(&"camera -10 cm in height".to_owned())
+        );
+        let mut names = said.clone();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), said.len(), "each has a name of its own: {said:?}");
+    }
+}

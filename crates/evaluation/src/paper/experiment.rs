@@ -1,0 +1,189 @@
+//! Every method on the same frames.
+
+use serde::Serialize;
+use thiserror::Error;
+
+use super::method::{METHODS, Method};
+use super::scenes::{self, START_XY_M, START_YAW_RAD, SceneFailure};
+use realitysim_tagging::{Attempt, Footage, FootageOptions, ReplayError, SetupError};
+use realitysim_config::Settings;
+use crate::capture::tagged;
+use crate::compare::truth_at;
+use crate::statistics::{Summary, quantile};
+use crate::{Tagged, truth};
+use realitysim_geometry::{Isometry, Pose2, wrap_angle};
+use realitysim_localization::random::{Purpose, Stream};
+use realitysim_scene::Scene;
+use realitysim_log_input::synchroniser::InitialPose;
+
+/// How much is done.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    pub grid_m: f64,
+    pub walk_m: f64,
+    pub walk_hz: f64,
+    /// The walk is tracked this many times: a filter that loses itself does so now and then.
+    pub walk_seeds: u64,
+    /// Of Fig. 9; Table 2 and Fig. 10 have those of the paper.
+    pub particles: Vec<usize>,
+}
+
+impl Plan {
+    /// As in the paper.
+    pub fn full() -> Self {
+        Self { grid_m: 0.3, walk_m: 5.8, walk_hz: 10.0, walk_seeds: 5, particles: vec![50, 100, 200, 400, 800, 1600] }
+    }
+
+    /// The same in a few seconds: shows that all works, says little.
+    pub fn quick() -> Self {
+        Self { grid_m: 1.2, walk_m: 1.0, walk_hz: 5.0, walk_seeds: 2, particles: vec![100, 800] }
+    }
+}
+
+/// One method over one set of frames. Every frame counts, whatever the filter thinks of it: the paper has no invalid tags.
+#[derive(Clone, Debug, Serialize)]
+pub struct Run {
+    #[serde(serialize_with = "name")]
+    pub method: Method,
+    pub particles: usize,
+    pub position_cm: Summary,
+    pub yaw_deg: Summary,
+    /// From the decoded image to the tag.
+    pub p50_ms: f64,
+    pub p99_ms: f64,
+    /// Mean error with each seed.
+    pub seed_means_cm: Vec<f64>,
+    /// Of each frame with the first seed.
+    #[serde(skip)]
+    pub errors_cm: Vec<f64>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Paper {
+    pub grid_m: f64,
+    /// Frames of the still truth set and of the walk.
+    pub still_frames: usize,
+    pub walk_frames: usize,
+    pub walk_hz: f64,
+    /// Fig. 9 and Table 2.
+    pub still: Vec<Run>,
+    /// Fig. 10.
+    pub walk: Vec<Run>,
+}
+
+#[derive(Debug, Error)]
+pub enum PaperError {
+    #[error(transparent)]
+    Scene(#[from] SceneFailure),
+    #[error(transparent)]
+    Footage(#[from] ReplayError),
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+}
+
+/// What is being done, how far it has come, and how far it goes.
+pub type Progress<'a> = &'a mut dyn FnMut(&'static str, u64, Option<u64>);
+
+pub fn reproduce(plan: &Plan, settings: &Settings, progress: Progress) -> Result<Paper, PaperError> {
+    let (still_frames, still) = still(plan, settings, progress)?;
+    let (walk_frames, walk) = walk(plan, settings, progress)?;
+    Ok(Paper { grid_m: plan.grid_m, still_frames, walk_frames, walk_hz: plan.walk_hz, still, walk })
+}
+
+fn still(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize, Vec<Run>), PaperError> {
+    let (scene, places) = scenes::still(plan.grid_m)?;
+    let mut settings = settings.clone();
+    settings.filter.initial_xy_m = START_XY_M;
+    settings.filter.initial_yaw_deg = START_YAW_RAD.to_degrees();
+    let starts: Vec<InitialPose> = (0..places).map(|index| start(&scene, index, settings.filter.seed)).collect();
+    // The last place is seen once more when the scene ends.
+    let footage = render(&scene, &settings, Some(places as f64 - 0.5), progress)?.apart(&starts);
+    let in_fig9 = plan.particles.iter().flat_map(|particles| METHODS.map(|method| (method, *particles)));
+    let wanted: Vec<(Method, usize)> =
+        in_fig9.filter(|(method, particles)| method.in_fig9 || *particles == super::PAPER_PARTICLES).collect();
+    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, 1, "standing", progress)?;
+    Ok((footage.frames(), runs))
+}
+
+fn walk(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize, Vec<Run>), PaperError> {
+    let scene = scenes::walk(plan.walk_m, plan.walk_hz)?;
+    let footage = render(&scene, settings, None, progress)?;
+    let wanted = METHODS.map(|method| (method, super::PAPER_PARTICLES));
+    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, plan.walk_seeds, "walking", progress)?;
+    Ok((footage.frames(), runs))
+}
+
+fn render(scene: &Scene, settings: &Settings, for_s: Option<f64>, progress: Progress) -> Result<Footage, ReplayError> {
+    let source = scene.file().scene.title.clone().into();
+    let options = FootageOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s };
+    Footage::of_scene(scene, &options, &mut |done, total| progress("rendering", done, total))
+}
+
+fn runs(
+    footage: &Footage,
+    truth: &[(i64, Isometry)],
+    wanted: &[(Method, usize)],
+    seeds: u64,
+    what: &'static str,
+    progress: Progress,
+) -> Result<Vec<Run>, SetupError> {
+    let (mut done, total) = (0, (wanted.len() * footage.frames()) as u64 * seeds);
+    let mut runs = Vec::new();
+    for (method, particles) in wanted {
+        let mut attempts = Vec::new();
+        for seed in 0..seeds {
+            let mut settings = method.settings(footage.settings(), *particles);
+            settings.filter.seed = settings.filter.seed.wrapping_add(seed);
+            attempts.push(footage.try_out(&settings, &mut |_| {
+                done += 1;
+                progress(what, done, Some(total));
+            })?);
+        }
+        runs.push(Run::of(*method, *particles, &attempts, truth));
+    }
+    Ok(runs)
+}
+
+/// Around the truth at a place of the grid: the same for every method.
+fn start(scene: &Scene, index: usize, seed: u64) -> InitialPose {
+    let mut draw = Stream::new(seed, Purpose::Start, index as u64, 0, 0);
+    let truth = scene.truth(index as f64).map_from_base_footprint;
+    let [dx, dy, turn] = [draw.normal(), draw.normal(), draw.normal()];
+    let map_from_footprint =
+        Pose2::new(truth.x + START_XY_M * dx, truth.y + START_XY_M * dy, wrap_angle(truth.yaw + START_YAW_RAD * turn));
+    InitialPose { map_from_footprint, xy_m: None, yaw_rad: None }
+}
+
+impl Run {
+    /// `attempts` are one seed each.
+    fn of(method: Method, particles: usize, attempts: &[Vec<Attempt>], truth: &[(i64, Isometry)]) -> Self {
+        let judged: Vec<Vec<(f64, f64)>> =
+            attempts.iter().map(|run| run.iter().filter_map(|attempt| errors(attempt, truth)).collect()).collect();
+        let (all_cm, all_deg): (Vec<f64>, Vec<f64>) = judged.iter().flatten().copied().unzip();
+        let errors_cm = |run: &Vec<(f64, f64)>| run.iter().map(|(cm, _)| *cm).collect::<Vec<f64>>();
+        let mut times: Vec<f64> = attempts.iter().flatten().map(|attempt| attempt.tag.elapsed_ms).collect();
+        times.sort_by(f64::total_cmp);
+        Self {
+            method,
+            particles,
+            position_cm: Summary::of(&all_cm),
+            yaw_deg: Summary::of(&all_deg),
+            p50_ms: quantile(&times, 0.5),
+            p99_ms: quantile(&times, 0.99),
+            seed_means_cm: judged.iter().map(|run| Summary::of(&errors_cm(run)).mean).collect(),
+            errors_cm: judged.first().map(errors_cm).unwrap_or_default(),
+        }
+    }
+}
+
+/// Of position in cm and of yaw in degrees, whether the filter calls the tag valid or not.
+fn errors(attempt: &Attempt, truth: &[(i64, Isometry)]) -> Option<(f64, f64)> {
+    let Tagged { stamp_ns, pose, .. } = tagged(&attempt.tag);
+    let wanted = truth_at(truth, stamp_ns)?;
+    let off = (pose.translation - wanted.translation).truncate().length();
+    Some((100.0 * off, wrap_angle(pose.euler().yaw - wanted.euler().yaw).abs().to_degrees()))
+}
+
+fn name<S: serde::Serializer>(method: &Method, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(method.name)
+}

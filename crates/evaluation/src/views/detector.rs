@@ -1,0 +1,93 @@
+//! What the project's own line detector makes of a picture whose camera's pose is known.
+
+use glam::DVec2;
+use serde::Serialize;
+
+use realitysim_geometry::{Field, Isometry, Lens, Pose2};
+use realitysim_localization::SimdPath;
+use realitysim_localization::kernel::{Points, sum_levels};
+use realitysim_vision::{GroundTable, Picture, Reading, Vision, VisionSettings};
+
+/// The line contrast of [`Vision`], asked where lines should be and where none should be.
+#[derive(Clone, Debug)]
+pub struct Detector {
+    vision: Vision,
+    on_lines: Vec<DVec2>,
+    off_lines: Vec<DVec2>,
+}
+
+/// Shares of places within reach that the camera sees.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Detection {
+    /// Mean response on lines, 0 to 1.
+    pub response: f64,
+    /// Places on lines that respond less than three tenths of the largest response.
+    pub missed: f64,
+    /// Places away from lines that respond more.
+    pub false_lines: f64,
+    /// Places on lines that were asked.
+    pub places: usize,
+}
+
+/// Of the largest response.
+const LEAST: f64 = 0.3;
+/// Nearer than this to the camera's foot point: farther lines are a pixel wide.
+const WITHIN_M: f64 = 3.0;
+const POINTS: usize = 700;
+/// Between the places without lines, and from these to the next line.
+const SPACING_M: f64 = 0.1;
+const CLEAR_M: f64 = 0.15;
+/// Less is not seen: outside of the picture, beyond the carpet.
+const SEEN: f64 = 0.5;
+
+impl Detector {
+    pub fn new(lens: &Lens, field: &Field) -> Self {
+        let settings = VisionSettings {
+            reading: Reading::Contrast,
+            line_width_m: field.line_width(),
+            range_m: 0.0,
+            tilt_sigma_rad: 0.005,
+            nearest_reach_m: 0.25,
+            reduction: 0,
+        };
+        let half = field.carpet_half_extent();
+        let count = 2.0 * half / SPACING_M;
+        let grid = (0..count.x as usize).flat_map(|x| (0..count.y as usize).map(move |y| (x, y)));
+        let place = |(x, y): (usize, usize)| (DVec2::new(x as f64, y as f64) + DVec2::splat(0.5)) * SPACING_M - half;
+        let clear = |place: &DVec2| field.distance_to_centre_line(*place) > CLEAR_M;
+        Self {
+            vision: Vision::new(lens, settings),
+            on_lines: field.points(POINTS).iter().map(|point| point.position).collect(),
+            off_lines: grid.map(place).filter(clear).collect(),
+        }
+    }
+
+    pub fn look(&self, picture: &Picture, map_from_link: &Isometry) -> Detection {
+        let foot = Pose2::from_isometry(map_from_link);
+        let footprint_from_link = foot.to_isometry().inverse() * *map_from_link;
+        let seen = self.vision.look(picture, &(footprint_from_link * Isometry::link_from_optical()), None);
+        let on = responses(seen.lines(), &self.on_lines, &foot);
+        let off = responses(seen.lines(), &self.off_lines, &foot);
+        let share = |of: &[f64], which: fn(f64) -> bool| {
+            of.iter().filter(|response| which(**response)).count() as f64 / of.len().max(1) as f64
+        };
+        Detection {
+            response: on.iter().sum::<f64>() / on.len().max(1) as f64,
+            missed: share(&on, |response| response < LEAST),
+            false_lines: share(&off, |response| response > LEAST),
+            places: on.len(),
+        }
+    }
+}
+
+/// 0 to 1, of the places that the camera sees.
+fn responses(table: &GroundTable, places: &[DVec2], foot: &Pose2) -> Vec<f64> {
+    let robot_from_map = foot.inverse().to_affine();
+    let near = places.iter().filter(|place| place.distance(DVec2::new(foot.x, foot.y)) < WITHIN_M);
+    let seen = near.filter(|place| table.seen(robot_from_map.transform_point2(**place)) > SEEN);
+    let response = |place: &DVec2| {
+        let sum = sum_levels(SimdPath::Auto, table, &Points::new([*place]), foot);
+        ((sum + f64::from(table.readings().zero)) / 255.0).clamp(0.0, 1.0)
+    };
+    seen.map(response).collect()
+}

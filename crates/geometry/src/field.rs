@@ -1,0 +1,342 @@
+//! The soccer field as lines on the ground: in `map`, x towards one goal, y left, metres.
+
+use core::f64::consts::TAU;
+
+use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// A field file (`config/fields/*.toml`). Lengths are measured between the centre lines of the painted lines.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FieldDimensions {
+    /// For people.
+    pub title: String,
+    /// Goal line to goal line.
+    pub length_m: f64,
+    /// Touchline to touchline.
+    pub width_m: f64,
+    pub line_width_m: f64,
+    /// Carpet outside the lines.
+    pub border_strip_m: f64,
+    pub centre_circle_diameter_m: f64,
+    pub goal_area: Option<Area>,
+    pub penalty_area: Option<Area>,
+    pub penalty_mark_from_goal_line_m: Option<f64>,
+    /// Length of the strokes of the crosses on the penalty marks (and the centre, if `centre_mark`).
+    pub mark_size_m: f64,
+    pub centre_mark: bool,
+    pub goal: Option<Goal>,
+}
+
+/// A box in front of a goal: `depth_m` from the goal line, `width_m` along it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Area {
+    pub depth_m: f64,
+    pub width_m: f64,
+}
+
+/// Both goals stand with their posts' centres on the goal line.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Goal {
+    pub width_m: f64,
+    pub height_m: f64,
+    pub depth_m: f64,
+    pub post_diameter_m: f64,
+}
+
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{key} is {value}: {expected}")]
+pub struct FieldError {
+    pub key: &'static str,
+    pub value: f64,
+    pub expected: &'static str,
+}
+
+/// The centre line of one painted line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stroke {
+    Segment { from: DVec2, to: DVec2 },
+    Circle { centre: DVec2, radius: f64 },
+}
+
+/// A point on the centre line of a painted line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FieldPoint {
+    pub position: DVec2,
+    /// Unit vector across the line.
+    pub normal: DVec2,
+    /// Metres of painted line that this point stands for.
+    pub length: f64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field {
+    dimensions: FieldDimensions,
+    strokes: Vec<Stroke>,
+}
+
+impl FieldDimensions {
+    /// Titles are for people.
+    pub fn is_same_as(&self, other: &Self) -> bool {
+        Self { title: String::new(), ..self.clone() } == Self { title: String::new(), ..other.clone() }
+    }
+}
+
+impl Field {
+    pub fn new(dimensions: FieldDimensions) -> Result<Self, FieldError> {
+        check(&dimensions)?;
+        let strokes = strokes(&dimensions);
+        Ok(Self { dimensions, strokes })
+    }
+
+    pub fn dimensions(&self) -> &FieldDimensions {
+        &self.dimensions
+    }
+
+    pub fn strokes(&self) -> &[Stroke] {
+        &self.strokes
+    }
+
+    /// The strokes as they are painted: an end that meets another line reaches to that line's far edge, so that corners
+    /// are full. Ends are square.
+    pub fn painted(&self) -> Vec<Stroke> {
+        let half_width = self.line_width() / 2.0;
+        let meets = |which: usize, end: DVec2| {
+            let mut strokes = self.strokes.iter().enumerate();
+            strokes.any(|(other, stroke)| other != which && stroke.distance(end) < half_width / 2.0)
+        };
+        let painted = |(which, stroke): (usize, &Stroke)| match *stroke {
+            Stroke::Segment { from, to } => {
+                let along = (to - from).normalize_or(DVec2::X);
+                let reach = |end| if meets(which, end) { half_width } else { 0.0 };
+                Stroke::Segment { from: from - along * reach(from), to: to + along * reach(to) }
+            }
+            circle => circle,
+        };
+        self.strokes.iter().enumerate().map(painted).collect()
+    }
+
+    pub fn line_width(&self) -> f64 {
+        self.dimensions.line_width_m
+    }
+
+    /// Half length and half width of the carpet, border strip included.
+    pub fn carpet_half_extent(&self) -> DVec2 {
+        let d = &self.dimensions;
+        DVec2::new(d.length_m, d.width_m) / 2.0 + DVec2::splat(d.border_strip_m)
+    }
+
+    /// Axes of the goals' posts and crossbars, from one end to the other, in `map`: none if the field has no goals.
+    pub fn goal_bars(&self) -> Vec<[DVec3; 2]> {
+        let Some(goal) = self.dimensions.goal else { return Vec::new() };
+        let (line_x, half) = (self.dimensions.length_m / 2.0, goal.width_m / 2.0);
+        let bars = |x: f64| {
+            let [foot, top] = [0.0, goal.height_m].map(|z| move |y: f64| DVec3::new(x, y, z));
+            [[foot(-half), top(-half)], [foot(half), top(half)], [top(-half), top(half)]]
+        };
+        [-line_x, line_x].into_iter().flat_map(bars).collect()
+    }
+
+    pub fn on_carpet(&self, point: DVec2) -> bool {
+        point.abs().cmple(self.carpet_half_extent()).all()
+    }
+
+    /// Metres from the point to the nearest painted line's centre line.
+    pub fn distance_to_centre_line(&self, point: DVec2) -> f64 {
+        self.strokes.iter().map(|stroke| stroke.distance(point)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// About `count` points, evenly spaced along all lines; every stroke gets at least two.
+    pub fn points(&self, count: usize) -> Vec<FieldPoint> {
+        let total: f64 = self.strokes.iter().map(Stroke::length).sum();
+        let spacing = total / count.max(1) as f64;
+        self.strokes.iter().flat_map(|stroke| stroke.points(spacing)).collect()
+    }
+}
+
+impl Stroke {
+    pub fn length(&self) -> f64 {
+        match *self {
+            Stroke::Segment { from, to } => from.distance(to),
+            Stroke::Circle { radius, .. } => TAU * radius,
+        }
+    }
+
+    /// Distance of a point from the centre line.
+    pub fn distance(&self, point: DVec2) -> f64 {
+        match *self {
+            Stroke::Segment { from, to } => {
+                let along = to - from;
+                let t = ((point - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+                point.distance(from + along * t)
+            }
+            Stroke::Circle { centre, radius } => (point.distance(centre) - radius).abs(),
+        }
+    }
+
+    /// Points in the middle of equal pieces, so that no point sits on a corner.
+    /// Evenly spaced, at least two.
+    pub fn points(&self, spacing: f64) -> Vec<FieldPoint> {
+        let pieces = libm::round(self.length() / spacing).max(2.0);
+        let length = self.length() / pieces;
+        (0..pieces as usize)
+            .map(|piece| {
+                let t = (piece as f64 + 0.5) / pieces;
+                match *self {
+                    Stroke::Segment { from, to } => {
+                        FieldPoint { position: from.lerp(to, t), normal: (to - from).normalize().perp(), length }
+                    }
+                    Stroke::Circle { centre, radius } => {
+                        let (sin, cos) = libm::sincos(TAU * t);
+                        let normal = DVec2::new(cos, sin);
+                        FieldPoint { position: centre + normal * radius, normal, length }
+                    }
+                }
+            })
+            .collect()
+    }
+}
+
+fn strokes(d: &FieldDimensions) -> Vec<Stroke> {
+    let (x, y) = (d.length_m / 2.0, d.width_m / 2.0);
+    let segment = |ax, ay, bx, by| Stroke::Segment { from: DVec2::new(ax, ay), to: DVec2::new(bx, by) };
+    let mut strokes = vec![segment(-x, y, x, y), segment(-x, -y, x, -y), segment(0.0, -y, 0.0, y)];
+    if d.centre_circle_diameter_m > 0.0 {
+        strokes.push(Stroke::Circle { centre: DVec2::ZERO, radius: d.centre_circle_diameter_m / 2.0 });
+    }
+    let mut cross = |cx: f64| {
+        let half = d.mark_size_m / 2.0;
+        strokes.push(segment(cx - half, 0.0, cx + half, 0.0));
+        strokes.push(segment(cx, -half, cx, half));
+    };
+    if d.mark_size_m > 0.0 {
+        if let Some(from_goal_line) = d.penalty_mark_from_goal_line_m {
+            cross(-x + from_goal_line);
+            cross(x - from_goal_line);
+        }
+        // Only the dash across the halfway line shows.
+        if d.centre_mark {
+            let half = d.mark_size_m / 2.0;
+            strokes.push(segment(-half, 0.0, half, 0.0));
+        }
+    }
+    for side in [-1.0, 1.0] {
+        strokes.push(segment(side * x, -y, side * x, y));
+        for area in [d.goal_area, d.penalty_area].into_iter().flatten() {
+            let (front, half) = (side * (x - area.depth_m), area.width_m / 2.0);
+            strokes.push(segment(front, -half, front, half));
+            strokes.push(segment(side * x, half, front, half));
+            strokes.push(segment(side * x, -half, front, -half));
+        }
+    }
+    strokes
+}
+
+fn check(d: &FieldDimensions) -> Result<(), FieldError> {
+    let within = |key, value: f64, low: f64, high: f64, expected| {
+        if value.is_finite() && value >= low && value <= high {
+            Ok(())
+        } else {
+            Err(FieldError { key, value, expected })
+        }
+    };
+    within("length_m", d.length_m, 1.0, 200.0, "a field is 1 to 200 m long")?;
+    within("width_m", d.width_m, 1.0, 200.0, "a field is 1 to 200 m wide")?;
+    within("line_width_m", d.line_width_m, 0.005, 0.5, "a line is 0.005 to 0.5 m wide")?;
+    within("border_strip_m", d.border_strip_m, 0.0, 20.0, "0 to 20 m of carpet outside the lines")?;
+    within("mark_size_m", d.mark_size_m, 0.0, 1.0, "a mark is 0 to 1 m long")?;
+    let shorter = d.length_m.min(d.width_m);
+    within("centre_circle_diameter_m", d.centre_circle_diameter_m, 0.0, shorter, "the circle must fit on the field")?;
+    for (depth_key, width_key, area) in [
+        ("goal_area.depth_m", "goal_area.width_m", d.goal_area),
+        ("penalty_area.depth_m", "penalty_area.width_m", d.penalty_area),
+    ] {
+        if let Some(area) = area {
+            within(depth_key, area.depth_m, 0.05, d.length_m / 2.0, "the area must end before the halfway line")?;
+            within(width_key, area.width_m, 0.05, d.width_m, "the area must fit between the touchlines")?;
+        }
+    }
+    if let Some(mark) = d.penalty_mark_from_goal_line_m {
+        let expected = "the mark lies between goal line and halfway line";
+        within("penalty_mark_from_goal_line_m", mark, 0.05, d.length_m / 2.0, expected)?;
+    }
+    if let Some(goal) = d.goal {
+        within("goal.width_m", goal.width_m, 0.1, d.width_m, "the goal must fit between the touchlines")?;
+        within("goal.height_m", goal.height_m, 0.1, 10.0, "a goal is 0.1 to 10 m high")?;
+        within("goal.depth_m", goal.depth_m, 0.0, 10.0, "a goal is 0 to 10 m deep")?;
+        within("goal.post_diameter_m", goal.post_diameter_m, 0.01, 0.5, "a post is 0.01 to 0.5 m thick")?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The 6 x 4 m field of the paper.
+    fn kid_size_2013() -> FieldDimensions {
+        FieldDimensions {
+            title: "test".into(),
+            length_m: 6.0,
+            width_m: 4.0,
+            line_width_m: 0.05,
+            border_strip_m: 0.7,
+            centre_circle_diameter_m: 1.2,
+            goal_area: Some(Area { depth_m: 0.6, width_m: 2.2 }),
+            penalty_area: None,
+            penalty_mark_from_goal_line_m: Some(1.8),
+            mark_size_m: 0.1,
+            centre_mark: false,
+            goal: None,
+        }
+    }
+
+    #[test]
+    fn points_lie_on_lines_evenly() {
+        let field = Field::new(kid_size_2013()).expect("a good field");
+        let points = field.points(350);
+        assert!((340..=365).contains(&points.len()), "{}", points.len());
+        for point in &points {
+            assert!(field.distance_to_centre_line(point.position) < 1e-12);
+            assert!((point.normal.length() - 1.0).abs() < 1e-12);
+            let off = point.position + point.normal * 0.004;
+            // Another line may be nearer, where lines cross.
+            assert!(field.distance_to_centre_line(off) < 0.004 + 1e-12);
+        }
+    }
+
+    #[test]
+    fn corners_are_painted_full_and_free_ends_are_not_longer() {
+        let field = Field::new(kid_size_2013()).expect("a good field");
+        let ends: Vec<(DVec2, DVec2)> = field
+            .painted()
+            .iter()
+            .filter_map(|stroke| match *stroke {
+                Stroke::Segment { from, to } => Some((from, to)),
+                Stroke::Circle { .. } => None,
+            })
+            .collect();
+        assert!(ends.contains(&(DVec2::new(-3.025, 2.0), DVec2::new(3.025, 2.0))), "touchline: {ends:?}");
+        assert!(ends.contains(&(DVec2::new(-1.25, 0.0), DVec2::new(-1.15, 0.0))), "penalty mark: {ends:?}");
+    }
+
+    #[test]
+    fn the_field_looks_the_same_from_both_goals() {
+        let field = Field::new(kid_size_2013()).expect("a good field");
+        for point in field.points(200) {
+            assert!(field.distance_to_centre_line(-point.position) < 1e-12);
+        }
+    }
+
+    #[test]
+    fn an_impossible_field_names_its_key() {
+        let error = Field::new(FieldDimensions { width_m: -4.0, ..kid_size_2013() }).expect_err("refused");
+        assert!(error.to_string().starts_with("width_m is -4"));
+        let area = Some(Area { depth_m: 4.0, width_m: 2.0 });
+        let error = Field::new(FieldDimensions { goal_area: area, ..kid_size_2013() }).expect_err("refused");
+        assert_eq!(error.key, "goal_area.depth_m");
+    }
+}

@@ -1,0 +1,100 @@
+//! A camera that repeats its last picture, with new stamps, while the robot moves.
+
+use serde::{Deserialize, Serialize};
+
+use super::localizer::{Moment, SWAYS_RAD_PER_S};
+use realitysim_geometry::{Physical, Pose2, wrap_angle};
+
+/// The last picture that was another one than that before it, and how far the robot has moved since.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Frozen {
+    fingerprint: Option<u64>,
+    /// Of the frame before.
+    stamp_ns: i64,
+    odometry: Option<Pose2>,
+    walked_m: f64,
+    turned_rad: f64,
+    swayed_rad: f64,
+}
+
+impl Physical for Frozen {
+    fn is_possible(&self) -> bool {
+        let moved = [self.walked_m, self.turned_rad, self.swayed_rad];
+        self.odometry.is_possible() && moved.iter().all(|moved| moved.is_finite())
+    }
+}
+
+/// Less moves no line by as much as the camera's own noise changes the picture.
+const MOVED_M: f64 = 0.01;
+const TURNED_RAD: f64 = 0.01;
+const SWAYED_RAD: f64 = 0.02;
+/// Slower is a gyro's noise and bias, and a torso that stands.
+const TURNS_RAD_PER_S: f64 = 0.05;
+/// Odometry that goes farther from one frame to the next has jumped.
+const LONGEST_STEP_M: f64 = 0.3;
+
+impl Frozen {
+    /// Whether this picture cannot be of this moment.
+    pub fn judge(&mut self, moment: &Moment, fingerprint: u64) -> bool {
+        let before = core::mem::replace(&mut self.odometry, moment.odometry);
+        let seconds =
+            moment.stamp_ns.saturating_sub(core::mem::replace(&mut self.stamp_ns, moment.stamp_ns)) as f64 * 1e-9;
+        if self.fingerprint != Some(fingerprint) {
+            let Self { stamp_ns, odometry, .. } = *self;
+            *self = Self { fingerprint: Some(fingerprint), stamp_ns, odometry, ..Self::default() };
+            return false;
+        }
+        let step = before.zip(moment.odometry).map(|(then, now)| (then.distance(&now), wrap_angle(now.yaw - then.yaw)));
+        if let Some((walked_m, turned_rad)) = step.filter(|(walked_m, _)| *walked_m <= LONGEST_STEP_M) {
+            self.walked_m += walked_m;
+            let turned_rad = moment.turned_rad.unwrap_or(turned_rad);
+            self.turned_rad += if turned_rad.abs() > TURNS_RAD_PER_S * seconds { turned_rad } else { 0.0 };
+        }
+        let swayed_rad = moment.swayed_rad.unwrap_or(0.0);
+        self.swayed_rad += if swayed_rad > SWAYS_RAD_PER_S * seconds { swayed_rad } else { 0.0 };
+        self.walked_m > MOVED_M || self.turned_rad.abs() > TURNED_RAD || self.swayed_rad > SWAYED_RAD
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn moment(frame: u32, x: f64, turned_rad: f64, swayed_rad: f64) -> Moment {
+        Moment {
+            stamp_ns: i64::from(frame) * 33_000_000,
+            odometry: Some(Pose2::new(x, 0.0, 0.0)),
+            turned_rad: Some(turned_rad),
+            swayed_rad: Some(swayed_rad),
+            camera_twist: None,
+            turn_is_felt: true,
+            footprint_from_optical: None,
+            tilt_is_measured: true,
+            lean_rad: None,
+            stale: false,
+        }
+    }
+
+    #[test]
+    fn a_picture_that_comes_again_is_old_once_the_robot_has_moved() {
+        for (step_m, turned_rad, swayed_rad) in [(0.004, 0.0, 0.0), (0.0, 0.004, 0.0), (0.0, 0.0, 0.008)] {
+            let mut frozen = Frozen::default();
+            let mut judge = |frame: u32, picture| {
+                frozen.judge(&moment(frame, f64::from(frame) * step_m, turned_rad, swayed_rad), picture)
+            };
+            assert_eq!(
+                [judge(0, 1), judge(1, 2), judge(2, 2), judge(3, 2), judge(4, 2)],
+                [false, false, false, false, true]
+            );
+            assert!(!judge(5, 3), "a new one");
+        }
+    }
+
+    #[test]
+    fn who_stands_may_see_the_same_and_a_jump_of_odometry_is_no_walk() {
+        let mut frozen = Frozen::default();
+        assert!((0..1000).all(|frame| !frozen.judge(&moment(frame, 0.0, 3e-4, 1e-3), 7)));
+        assert!(!frozen.judge(&moment(1000, 100.0, 0.0, 0.0), 7));
+        assert!(!frozen.judge(&moment(1001, f64::NAN, f64::NAN, 0.0), 7));
+    }
+}

@@ -1,0 +1,131 @@
+//! What speaks for and against the pose of one frame: for people who want to know why a tag is what it is.
+
+use glam::{DVec2, DVec3};
+use serde::Serialize;
+
+use super::lost::Fitting;
+use super::{Fix, Localizer, Moment};
+use realitysim_geometry::Isometry;
+use crate::filter::{Effort, always};
+use crate::global::{Pace, SearchState, Wanted};
+use crate::painted::{Explained, PaintedMap};
+use crate::refinement::offsets::Inspected;
+use crate::refinement::{Agreement, Refiner};
+use realitysim_vision::Seen;
+
+/// Pixels are those of the full-size image, the first one's centre at (0, 0).
+#[derive(Clone, Debug)]
+pub struct Evidence {
+    pub agreement: Agreement,
+    pub explained: Explained,
+    /// Share of the lines in view, at any distance, that the field has where the pose puts them.
+    pub explained_in_view: f64,
+    /// Line contrast of the best lines in view, as a share of the carpet's brightness; infinite if nothing can be a line.
+    pub contrast: f64,
+    /// Standard deviation of plain carpet where lines are looked for, as a share of its brightness.
+    pub noise: f64,
+    /// Each place at which the pose has a line.
+    pub lines: Vec<Inspected>,
+    /// Each place of the floor that shows a line clearly, and whether the field has one there.
+    pub shown: Vec<(DVec2, bool)>,
+    /// Corners of the carpet as far as it is seen; none if its edge cannot be told.
+    pub carpet: Vec<DVec2>,
+    /// What a search of the whole field finds in this frame alone, best first. Each pose stands for its mirror pose as well.
+    pub tried: Vec<Tried>,
+}
+
+/// A pose of `base_footprint` that a search has tried.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Tried {
+    pub x: f64,
+    pub y: f64,
+    pub yaw_deg: f64,
+    /// By which candidates are ranked: visible lines that fit above half of them, times what is explained of those seen.
+    pub worth: f64,
+    /// Line places that fit.
+    pub fitting: usize,
+    /// Share of the line seen that the field has where the pose puts it.
+    pub explained: f64,
+}
+
+impl Evidence {
+    /// Of a pose in what is seen from it: `footprint_from_optical` is the place that it was looked from. Lines are looked for as if the
+    /// lens were as calibrated.
+    pub fn of_pose(
+        seen: &Seen,
+        refiner: &Refiner,
+        painted: &PaintedMap,
+        footprint_from_optical: Option<&Isometry>,
+        map_from_optical: &Isometry,
+    ) -> Self {
+        let lens = refiner.lens();
+        let optical_from_map = map_from_optical.inverse();
+        let mut shown = Vec::new();
+        let (mut carpet, mut explained_in_view) = (Vec::new(), 1.0);
+        if let Some(place) = footprint_from_optical {
+            painted.each_shown(seen.lines(), place, map_from_optical, |ray, _, is_painted| {
+                let pixel = lens.project(optical_from_map.transform_vector(ray));
+                shown.extend(pixel.map(|pixel| (pixel, is_painted)));
+            });
+            explained_in_view = painted.explained_in_view(seen, lens, place, map_from_optical);
+            carpet = border(seen.border(), place, |place: DVec3| lens.project(place));
+        }
+        Self {
+            agreement: Agreement::default(),
+            explained: Explained::default(),
+            explained_in_view,
+            contrast: f64::from(seen.image.full_contrast()),
+            noise: f64::from(seen.image.noise()),
+            lines: refiner.inspect(&seen.image, map_from_optical),
+            shown,
+            carpet,
+            tried: Vec::new(),
+        }
+    }
+}
+
+impl Localizer {
+    /// Of the frame that `fix` is the answer for.
+    pub fn evidence(&self, moment: &Moment, seen: &Seen, fix: &Fix) -> Evidence {
+        let place = moment.footprint_from_optical.as_ref();
+        Evidence {
+            agreement: fix.agreement,
+            explained: fix.explained,
+            tried: self.tried(moment, seen),
+            ..Evidence::of_pose(seen, &self.refiner, &self.painted, place, &fix.map_from_optical)
+        }
+    }
+
+    /// By a search that knows nothing of frames before.
+    fn tried(&self, moment: &Moment, seen: &Seen) -> Vec<Tried> {
+        let mut other = self.clone();
+        let mut effort = Effort::default();
+        let (mut state, observation) = (SearchState::default(), other.filter.observation());
+        let found = other.search.run(
+            observation,
+            &seen.table,
+            Wanted { candidates: SHOWN, pace: Pace::Hurried },
+            &mut state,
+            &mut effort,
+            &mut always,
+        );
+        other.state.fitting = Fitting::of(None, &found.unwrap_or_default());
+        other.fit(moment, seen, &mut effort, &mut always);
+        other.state.fitting.tried()
+    }
+}
+
+/// Candidates that are shown.
+const SHOWN: usize = 8;
+/// Pieces of each edge: a lens bends it.
+const PIECES: usize = 12;
+
+fn border(corners: &[DVec2], place: &Isometry, project: impl Fn(DVec3) -> Option<DVec2>) -> Vec<DVec2> {
+    let optical_from_footprint = place.inverse();
+    let next = corners.iter().cycle().skip(1);
+    let edges = corners
+        .iter()
+        .zip(next)
+        .flat_map(|(from, to)| (0..PIECES).map(move |piece| from.lerp(*to, piece as f64 / PIECES as f64)));
+    edges.filter_map(|at| project(optical_from_footprint.transform_point(at.extend(0.0)))).collect()
+}

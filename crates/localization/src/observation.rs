@@ -1,0 +1,203 @@
+//! How well a pose explains the frame: the field's line points, laid onto the ground table.
+//!
+//! Both models of the paper, each as printed and corrected (docs/paper.md says why the printed sums mislead):
+//!
+//! | model | as printed | corrected |
+//! | --- | --- | --- |
+//! | Gauss (Eq. 2) | exp(sum of blurred gray / alpha), alpha = -1000 | exp(sum of (line contrast - 1/4) x certainty / alpha) |
+//! | distance (Eq. 1) | exp(sum of distances to the nearest white pixel / alpha) | exp(sum of (3/4 - distance / reach) x certainty / alpha) |
+//!
+//! The corrected sums count a point that should be seen and is not against the pose, and a point that nobody could
+//! see (outside the image, beyond the carpet, behind the robot's body) as nothing.
+
+use glam::DVec2;
+
+pub use super::kernel::SimdPath;
+use super::kernel::{self, Points};
+pub use super::observation_model::{Formula, Model};
+use realitysim_geometry::{Field, Pose2, wrap_angle};
+use realitysim_vision::{GroundTable, Reading};
+
+/// What the ground table must hold for this model.
+pub fn reading(model: Model, formula: Formula) -> Reading {
+    match (model, formula) {
+        (Model::Gauss, Formula::Corrected) => Reading::Contrast,
+        (Model::Distance, Formula::Corrected) => Reading::Nearest,
+        (Model::Gauss, Formula::Paper) => Reading::Gray,
+        (Model::Distance, Formula::Paper) => Reading::NearestPixel,
+    }
+}
+
+/// The scale of the exponent that belongs to each formula: 1 point of 3 is independent of its neighbours; the
+/// paper prints -1000.
+pub fn default_alpha(formula: Formula) -> f64 {
+    match formula {
+        Formula::Corrected => 3.0,
+        Formula::Paper => -1000.0,
+    }
+}
+
+#[derive(Clone, Debug)]
+pub struct Observation {
+    points: Points,
+    /// Where the points lie that the kernel takes together.
+    groups: Vec<Disc>,
+    positions: Vec<DVec2>,
+    formula: Formula,
+    alpha: f64,
+    /// Of the exponent, for a sum over points.
+    scale: f64,
+    /// What one point counts: how many times 10 cm of line it stands for.
+    per_point: f64,
+    path: SimdPath,
+}
+
+/// The corrected sums count line, not points: one for each 10 cm.
+const UNIT_M: f64 = 0.1;
+
+#[derive(Clone, Copy, Debug)]
+struct Disc {
+    centre: DVec2,
+    radius: f64,
+}
+
+impl Disc {
+    fn around(points: &[DVec2]) -> Self {
+        let centre = points.iter().sum::<DVec2>() / points.len().max(1) as f64;
+        Self { centre, radius: points.iter().map(|point| point.distance(centre)).fold(0.0, f64::max) }
+    }
+}
+
+/// All poses lie within these bounds of the middle one.
+#[derive(Clone, Copy, Debug)]
+struct Cloud {
+    middle: Pose2,
+    xy_m: f64,
+    yaw_rad: f64,
+}
+
+impl Cloud {
+    /// `None` if the poses are too far apart for the bounds to be of use.
+    fn around(poses: &[Pose2]) -> Option<Self> {
+        const WIDEST_RAD: f64 = 0.8;
+        let first = poses.first()?;
+        let count = poses.len() as f64;
+        let (mut x, mut y, mut turn) = (0.0, 0.0, 0.0);
+        for pose in poses {
+            x += pose.x;
+            y += pose.y;
+            turn += wrap_angle(pose.yaw - first.yaw);
+        }
+        let middle = Pose2::new(x / count, y / count, wrap_angle(first.yaw + turn / count));
+        let (mut square, mut yaw_rad) = (0.0f64, 0.0f64);
+        for pose in poses {
+            let (dx, dy) = (pose.x - middle.x, pose.y - middle.y);
+            square = square.max(dx * dx + dy * dy);
+            yaw_rad = yaw_rad.max(wrap_angle(pose.yaw - middle.yaw).abs());
+        }
+        // NaN fails.
+        (yaw_rad < WIDEST_RAD && square.is_finite()).then(|| Self { middle, xy_m: libm::sqrt(square), yaw_rad })
+    }
+}
+
+/// How much of what a pose predicts is there.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Support {
+    /// Share of the expected line contrast that was found, 0 to 1.
+    pub share: f64,
+    /// Painted line in view in units of 10 cm, counted by its certainty.
+    pub weight: f64,
+    /// Line points in view.
+    pub points: usize,
+}
+
+impl Observation {
+    /// `count` is about how many points stand for all lines of the field. The corrected formulas weigh each by the
+    /// line that it stands for, so that neither `count` nor the size of the field changes what a metre of line says.
+    pub fn new(field: &Field, count: usize, formula: Formula, alpha: f64, path: SimdPath) -> Self {
+        let points = field.points(count);
+        let length: f64 = points.iter().map(|point| point.length).sum();
+        let per_point = length / points.len().max(1) as f64 / UNIT_M;
+        let positions = points.iter().map(|point| point.position).collect();
+        Self::of(positions, formula, alpha, per_point, kernel::available(path))
+    }
+
+    /// With every `step`-th point, each of which counts for as many.
+    pub fn sparse(&self, step: usize) -> Self {
+        let positions: Vec<DVec2> = self.positions.iter().copied().step_by(step.max(1)).collect();
+        let per_point = self.per_point * self.positions.len() as f64 / positions.len().max(1) as f64;
+        Self::of(positions, self.formula, self.alpha, per_point, self.path)
+    }
+
+    fn of(positions: Vec<DVec2>, formula: Formula, alpha: f64, per_point: f64, path: SimdPath) -> Self {
+        let scale = match formula {
+            Formula::Corrected => per_point / alpha,
+            Formula::Paper => 1.0 / alpha,
+        };
+        Self {
+            points: Points::new(positions.iter().copied()),
+            groups: positions.chunks(kernel::LANES).map(Disc::around).collect(),
+            positions,
+            formula,
+            alpha,
+            scale,
+            per_point,
+            path,
+        }
+    }
+
+    /// Points on all lines together.
+    pub fn point_count(&self) -> usize {
+        self.points.len()
+    }
+
+    /// The line points that some of these poses may see: the others count as nothing.
+    pub fn look_near(&self, table: &GroundTable, poses: &[Pose2], near: &mut Points) {
+        self.look_within(table, Cloud::around(poses), near);
+    }
+
+    /// The same of all poses within `xy_m` and `yaw_rad` of one.
+    pub fn look_around(&self, table: &GroundTable, middle: &Pose2, xy_m: f64, yaw_rad: f64, near: &mut Points) {
+        self.look_within(table, Some(Cloud { middle: *middle, xy_m, yaw_rad }), near);
+    }
+
+    fn look_within(&self, table: &GroundTable, cloud: Option<Cloud>, near: &mut Points) {
+        let cloud = cloud.map(|cloud| (cloud.middle.inverse().to_affine(), cloud));
+        let visible = |group: &Disc| {
+            cloud.is_none_or(|(robot_from_map, Cloud { xy_m, yaw_rad, .. })| {
+                let at = robot_from_map.transform_point2(group.centre);
+                table.may_tell(at, group.radius + xy_m + yaw_rad * (at.length() + xy_m))
+            })
+        };
+        let groups = self.groups.iter().enumerate().filter(|(_, group)| visible(group));
+        near.select(&self.points, groups.map(|(index, _)| index));
+    }
+
+    /// As [`Self::log_likelihood`], of one of the poses that [`Self::look_near`] was told of.
+    pub fn log_likelihood_near(&self, table: &GroundTable, pose: &Pose2, near: &Points) -> f64 {
+        kernel::sum_levels(self.path, table, near, pose) * (table.readings().scale * self.scale)
+    }
+
+    /// Up to a constant of the frame.
+    pub fn log_likelihood(&self, table: &GroundTable, pose: &Pose2) -> f64 {
+        kernel::sum_levels(self.path, table, &self.points, pose) * (table.readings().scale * self.scale)
+    }
+
+    /// `lines` must hold [`Reading::Contrast`].
+    pub fn support(&self, lines: &GroundTable, pose: &Pose2) -> Support {
+        let readings = lines.readings();
+        let robot_from_map = pose.inverse().to_affine();
+        let (mut points, mut weight) = (0, 0.0);
+        for position in &self.positions {
+            let seen = lines.seen(robot_from_map.transform_point2(*position));
+            points += usize::from(seen > 0.0);
+            weight += seen;
+        }
+        if weight <= 0.0 {
+            return Support::default();
+        }
+        let sum = kernel::sum_levels(self.path, lines, &self.points, pose);
+        let share = ((sum / weight + f64::from(readings.zero)) / 255.0).clamp(0.0, 1.0);
+        Support { share, weight: weight * self.per_point, points }
+    }
+}

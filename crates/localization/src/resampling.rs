@@ -1,0 +1,162 @@
+//! Residual resampling, exact: weights become integers, so that counts add up by construction and no rounding can
+//! bias them.
+//!
+//! Weight i becomes q_i = round(2^40 w_i / w_max), S = sum q_i. Particle i is copied n_i = floor(N q_i / S) times; the
+//! R = N - sum n_i copies that remain are drawn on the remainders r_i = N q_i - n_i S, whose sum is exactly R S, at
+//! evenly spaced places (systematic), so that each count is n_i or n_i + 1.
+
+use super::random::Stream;
+use super::weights::Weights;
+
+const ONE: f64 = (1u64 << 40) as f64;
+/// 2^40 times more particles than this would not fit 64 bits.
+pub const MAX_PARTICLES: usize = 1 << 23;
+
+/// How often each particle is copied, and what it is worked out in.
+#[derive(Clone, Debug, Default)]
+pub struct Copies {
+    pub counts: Vec<u32>,
+    quanta: Vec<u64>,
+}
+
+/// The counts sum to `draws`.
+pub fn residual(weights: &Weights, draws: usize, stream: &mut Stream, copies: &mut Copies) {
+    assert!(weights.relative.len() <= MAX_PARTICLES && draws <= MAX_PARTICLES, "at most 2^23 particles");
+    let Copies { counts, quanta } = copies;
+    quantise(weights, quanta);
+    counts.clear();
+    if !quanta.is_empty() {
+        let total = quanta.iter().sum();
+        count(quanta, total, draws, stream.below(total), counts);
+    }
+}
+
+fn quantise(weights: &Weights, quanta: &mut Vec<u64>) {
+    quanta.clear();
+    quanta.extend(weights.relative.iter().map(|relative| (ONE * relative + 0.5) as u64));
+}
+
+/// `offset` is the first of the evenly spaced places, in 0..`total`.
+fn count(quanta: &[u64], total: u64, draws: usize, offset: u64, counts: &mut Vec<u32>) {
+    // One more copy wherever the running sum of remainders passes offset, offset + S, offset + 2 S, ...
+    let mut next = u128::from(offset);
+    let mut sum = 0u128;
+    counts.extend(quanta.iter().map(|quantum| {
+        // 23 bits times 41 fit.
+        let wanted = draws as u64 * quantum;
+        sum += u128::from(wanted % total);
+        let one_more = sum > next;
+        if one_more {
+            next += u128::from(total);
+        }
+        (wanted / total) as u32 + u32::from(one_more)
+    }));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::random::Purpose;
+    use super::super::weights::normalise;
+    use super::*;
+    use proptest::prelude::*;
+
+    fn counts(log_weights: &[f64], draws: usize, stream: &mut Stream) -> Vec<u32> {
+        let mut copies = Copies::default();
+        residual(&normalise(log_weights), draws, stream, &mut copies);
+        copies.counts
+    }
+
+    fn quantised(log_weights: &[f64]) -> Vec<u64> {
+        let mut quanta = Vec::new();
+        quantise(&normalise(log_weights), &mut quanta);
+        quanta
+    }
+
+    fn stream(seed: u64) -> Stream {
+        Stream::new(seed, Purpose::Resampling, 0, 0, 0)
+    }
+
+    #[test]
+    fn equal_weights_give_one_copy_each() {
+        for n in 1..=4096 {
+            assert!(counts(&vec![-3.7; n], n, &mut stream(n as u64)).iter().all(|count| *count == 1), "{n}");
+        }
+    }
+
+    #[test]
+    fn counts_average_to_the_weights() {
+        // The case in which a well-known library always returns (4, 0, 0, 0).
+        let shares = [0.55, 0.15, 0.10, 0.20];
+        let logs = shares.map(f64::ln);
+        let runs = 20_000;
+        let mut sums = [0u32; 4];
+        for seed in 0..runs {
+            for (sum, count) in sums.iter_mut().zip(counts(&logs, 4, &mut stream(seed))) {
+                *sum += count;
+            }
+        }
+        for (sum, share) in sums.iter().zip(shares) {
+            let mean = f64::from(*sum) / runs as f64;
+            assert!((mean - 4.0 * share).abs() < 0.02, "{mean} against {}", 4.0 * share);
+        }
+    }
+
+    /// Ten times 0.1 sum to less than 1: a draw beyond it finds no particle. Here no sum is rounded.
+    #[test]
+    fn the_first_and_the_last_place_find_their_particle() {
+        let tenths = (0..10).fold(0.0, |sum, _| sum + 0.1);
+        assert!(tenths < 1.0, "{tenths}");
+        for particles in 1..200u64 {
+            let logs: Vec<f64> = (0..particles).map(|i| -((i * 37 % 11) as f64) / 3.0).collect();
+            let quanta = quantised(&logs);
+            let total: u64 = quanta.iter().sum();
+            for draws in [1, 7, particles as usize, 1000] {
+                for offset in [0, 1, total / 2, total - 1] {
+                    let mut counts = Vec::new();
+                    count(&quanta, total, draws, offset, &mut counts);
+                    assert_eq!(counts.iter().sum::<u32>() as usize, draws, "{particles} {draws} {offset}");
+                }
+            }
+        }
+    }
+
+    /// Over all places the mean number of copies is N q / S to the last bit; q is what a weight is rounded to.
+    #[test]
+    fn expected_counts_are_the_weights() {
+        use realitysim_test_support::exact::{exact, rounded};
+        const DRAWS: usize = 800;
+        let logs: Vec<f64> = (0..DRAWS).map(|i| -40.0 * stream(i as u64).uniform().powi(3)).collect();
+        let quanta = quantised(&logs);
+        let total: u64 = quanta.iter().sum();
+        let shares: Vec<_> = logs.iter().map(|log| exact(*log).exp()).collect();
+        let sum = shares.iter().fold(exact(0.0), |sum, share| sum + share);
+        let errors = quanta.iter().zip(&shares).map(|(quantum, share)| {
+            // Whole numbers of 40 bits.
+            let expected = exact(DRAWS as f64) * exact(*quantum as f64) / exact(total as f64);
+            rounded(&(expected - exact(DRAWS as f64) * share / &sum)).abs()
+        });
+        let largest = errors.fold(0.0, f64::max);
+        realitysim_test_support::measured::largest_error(largest, 2e-12, "copies");
+    }
+
+    #[test]
+    fn unusable_weights_count_as_equal() {
+        for bad in [f64::NAN, f64::NEG_INFINITY] {
+            assert_eq!(counts(&[bad; 5], 5, &mut stream(1)), vec![1; 5]);
+        }
+        assert_eq!(counts(&[f64::INFINITY, 0.0, f64::NAN], 6, &mut stream(1)), vec![6, 0, 0]);
+    }
+
+    proptest! {
+        #[test]
+        fn counts_add_up_and_keep_the_whole_part(logs in proptest::collection::vec(-50.0..0.0f64, 1..80), draws in 0usize..300, seed in any::<u64>()) {
+            let counts = counts(&logs, draws, &mut stream(seed));
+            prop_assert_eq!(counts.iter().sum::<u32>() as usize, draws);
+            let sum: f64 = logs.iter().map(|x| x.exp()).sum();
+            for (count, log) in counts.iter().zip(&logs) {
+                let wanted = draws as f64 * log.exp() / sum;
+                prop_assert!(f64::from(*count) >= (wanted - 1e-6).floor() && f64::from(*count) <= (wanted + 1e-6).floor() + 1.0);
+            }
+        }
+    }
+}

@@ -1,0 +1,305 @@
+//! What the poses of a walk get wrong, and how that changes with them.
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+
+use super::chain::{Border, Chain, OWN, Own};
+use super::moving::Moving;
+use super::{CONSTANTS, Constants, Frame, Linearised, Place, same_ground};
+use realitysim_geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
+use crate::refinement::error_between;
+use crate::refinement::miscalibration::{UNSEEN_M_PER_S, row, unfelt_rad_per_s};
+
+/// Standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Model {
+    /// Of one place of a line of the best width, neighbours' common error included: pixels. More where lines lie off by more.
+    pub line_px: f64,
+    /// Of one patch of ground that two neighbouring images show, what all of a pair have in common included: pixels.
+    pub match_px: f64,
+    /// Of a tag, held loosely: what nothing else determines stays where it was.
+    pub tag_m: f64,
+    pub tag_rad: f64,
+    /// Of one frame's lean by IMU and mount, and of its height, beyond what is constant.
+    pub tilt_rad: f64,
+    pub height_m: f64,
+    /// Of a step between frames: sway of the camera over the feet, share of the distance and of the turn, and what is added with time.
+    pub sway_m: f64,
+    pub step_share: f64,
+    pub turn_share: f64,
+    pub gyro_share: f64,
+    pub drift_m_per_s: f64,
+    pub drift_rad_per_s: f64,
+    /// Of what is constant, as in [`Constants`].
+    pub constants: [f64; CONSTANTS],
+}
+
+impl Default for Model {
+    fn default() -> Self {
+        Self {
+            line_px: 0.16,
+            match_px: 0.4,
+            tag_m: 0.1,
+            tag_rad: 0.04,
+            tilt_rad: 0.4f64.to_radians(),
+            height_m: 0.006,
+            sway_m: 0.02,
+            step_share: 0.15,
+            turn_share: 0.15,
+            gyro_share: 0.02,
+            drift_m_per_s: 0.01,
+            drift_rad_per_s: 0.02,
+            constants: [0.01, 3.0, 3.0, 0.01, 0.012, 0.012, 0.015, 0.015],
+        }
+    }
+}
+
+/// Scale of the robust loss (Geman-McClure), in standard deviations.
+pub(super) const ROBUST: f64 = 4.0;
+/// Frames farther apart than this do not know each other's odometry.
+const LONGEST_STEP_NS: i64 = 1_000_000_000;
+/// How well a gyro knows how fast the camera turns.
+const FELT_RAD_PER_S: f64 = 0.02;
+/// No sensor is read faster: what it moves meanwhile has a variance.
+const LEAST_READOUT_S: f64 = 1e-4;
+/// For derivatives by differences.
+pub(super) const SMALL: f64 = 1e-6;
+/// Changes of lens and sensor small enough to be straight, large enough to be exact, by the place in [`Constants::values`].
+const FOCAL_STEP: (usize, f64) = (0, 1e-5);
+const CENTRE_STEPS: [(usize, f64); 2] = [(1, 1e-3), (2, 1e-3)];
+const K1_STEP: (usize, f64) = (3, 1e-5);
+const READOUT_STEP: (usize, f64) = (7, 1e-5);
+
+pub(super) fn linearise(
+    frames: &[Frame],
+    moving: &[Moving],
+    constants: &Constants,
+    believed: &LensParameters,
+    model: &Model,
+) -> Result<Linearised, LensError> {
+    let cameras = Cameras::new(constants, believed)?;
+    let mut chain = Chain::new(frames.len());
+    let (mut cost, mut squares, mut fitting) = (0.0, 0.0, 0usize);
+    let (mut robust_squares, mut all) = (0.0, 0usize);
+    for (i, (frame, here)) in frames.iter().zip(moving).enumerate() {
+        for place in &frame.places {
+            let Some(line) = cameras.line(place, here) else { continue };
+            let sigma_px = model.line_px * place.sigmas;
+            let off = line.off_rad * place.pixels_per_rad / sigma_px;
+            let square = off * off / (ROBUST * ROBUST);
+            cost += 0.5 * off * off / (1.0 + square);
+            robust_squares += off * off / (1.0 + square) * model.line_px * model.line_px;
+            all += 1;
+            let weight = 1.0 / (1.0 + square);
+            let scale = weight * place.pixels_per_rad / sigma_px;
+            chain.add(i, weight * off, &(line.by_frame * scale), &(line.by_camera * scale));
+            if off.abs() < ROBUST {
+                squares += (off * model.line_px) * (off * model.line_px);
+                fitting += 1;
+            }
+        }
+        cost += hold_to_tag(&mut chain, i, frame, here, constants, model);
+        cost += lean(&mut chain, i, frame, &here.pose, constants, model);
+        if let (Some(next), Some(there)) = (frames.get(i + 1), moving.get(i + 1)) {
+            cost += step(&mut chain, i, [frame, next], [here, there], model);
+            cost += same_ground::add(&mut chain, i, [frame, next], [here, there], &cameras, model);
+        }
+    }
+    for (i, (value, sigma)) in constants.values().iter().zip(model.constants).enumerate() {
+        let mut row = Border::zeros();
+        row[i] = 1.0 / sigma;
+        chain.add_common(value / sigma, &row);
+        cost += 0.5 * (value / sigma) * (value / sigma);
+    }
+    let [rms_px, robust_rms_px] =
+        [(squares, fitting), (robust_squares, all)].map(|(squares, count)| libm::sqrt(squares / count.max(1) as f64));
+    Ok(Linearised { chain, cost, rms_px, robust_rms_px })
+}
+
+/// The camera as it is, and changed a little in each of its constants.
+pub(super) struct Cameras {
+    pub(super) camera: Camera,
+    pub(super) changed: Vec<Changed>,
+}
+
+pub(super) struct Changed {
+    /// Place in [`Constants::values`], and by how much.
+    pub(super) constant: usize,
+    pub(super) step: f64,
+    pub(super) camera: Camera,
+}
+
+pub(super) struct Camera {
+    pub(super) lens: Lens,
+    readout_s: f64,
+}
+
+/// The angle between a line's plane and the ray on which it was seen, and how that changes.
+struct Line {
+    off_rad: f64,
+    by_frame: Own,
+    by_camera: Border,
+}
+
+impl Cameras {
+    fn new(constants: &Constants, believed: &LensParameters) -> Result<Self, LensError> {
+        let has_k1 = matches!(believed.model, LensModel::KannalaBrandt { .. });
+        let steps = [FOCAL_STEP].into_iter().chain(CENTRE_STEPS).chain(has_k1.then_some(K1_STEP)).chain([READOUT_STEP]);
+        let changed = steps.map(|(constant, step)| {
+            let mut border = Border::zeros();
+            border[constant] = step;
+            Ok(Changed { constant, step, camera: Camera::new(&constants.plus(&border), believed)? })
+        });
+        Ok(Self { camera: Camera::new(constants, believed)?, changed: changed.collect::<Result<_, LensError>>()? })
+    }
+
+    fn line(&self, place: &Place, moving: &Moving) -> Option<Line> {
+        let seen = self.camera.ray(place.pixel, moving)?;
+        let across = (place.point - seen.from).cross(place.tangent);
+        let length = across.length();
+        if length < 1e-6 {
+            return None;
+        }
+        let normal = across / length;
+        let off_rad = seen.along.dot(normal);
+        let turned = seen.along.cross(normal);
+        let moved = -place.tangent.cross(seen.along - normal * off_rad) / length;
+        let mut by_camera = Border::zeros();
+        for Changed { constant, step, camera } in &self.changed {
+            let other = camera.ray(place.pixel, moving)?;
+            by_camera[*constant] = ((other.along - seen.along).dot(normal) + moved.dot(other.from - seen.from)) / step;
+        }
+        let row = row(&self.camera.lens, place.pixel);
+        let [farther, rounder] = [moved, turned].map(|by| moving.pose.rotation.conjugate() * by * row);
+        let by_frame = own([moved, turned, farther, rounder]);
+        Some(Line { off_rad, by_frame, by_camera })
+    }
+}
+
+/// A ray in `map`.
+pub(super) struct Ray {
+    pub(super) from: DVec3,
+    /// Of length 1.
+    pub(super) along: DVec3,
+}
+
+impl Camera {
+    fn new(constants: &Constants, believed: &LensParameters) -> Result<Self, LensError> {
+        Ok(Self { lens: Lens::new(constants.lens(believed))?, readout_s: constants.readout_s })
+    }
+
+    /// Where the camera is when the row of a pixel is exposed.
+    pub(super) fn pose_at(&self, pixel: DVec2, moving: &Moving) -> Isometry {
+        moving.at(row(&self.lens, pixel), self.readout_s)
+    }
+
+    /// On which a pixel sees.
+    pub(super) fn ray(&self, pixel: DVec2, moving: &Moving) -> Option<Ray> {
+        let pose = self.pose_at(pixel, moving);
+        Some(Ray { from: pose.translation, along: pose.transform_vector(self.lens.unproject(pixel)?) })
+    }
+}
+
+/// Where the tag has it, and no farther in the time of the readout than feet, neck and gyro have it.
+fn hold_to_tag(chain: &mut Chain, i: usize, frame: &Frame, here: &Moving, constants: &Constants, model: &Model) -> f64 {
+    let tagged = error_between(&frame.map_from_optical, &here.pose);
+    let Twist { linear, angular } = here.farther;
+    let rad_per_s = if frame.turn_is_felt { FELT_RAD_PER_S } else { unfelt_rad_per_s(&frame.twist) };
+    let [way_m, turn_rad] =
+        [UNSEEN_M_PER_S, rad_per_s].map(|rate| rate * libm::hypot(constants.readout_s, LEAST_READOUT_S));
+    let mut cost = 0.0;
+    for k in 0..OWN {
+        let (off, sigma) = match k {
+            0..3 => (tagged[k], model.tag_m),
+            3..6 => (tagged[k], model.tag_rad),
+            6..9 => (linear[k - 6], way_m),
+            _ => (angular[k - 9], turn_rad),
+        };
+        let mut row = Own::zeros();
+        row[k] = 1.0 / sigma;
+        chain.add(i, off / sigma, &row, &Border::zeros());
+        cost += 0.5 * (off / sigma) * (off / sigma);
+    }
+    cost
+}
+
+/// A residual's derivatives by what is a frame's own.
+fn own(by: [DVec3; OWN / 3]) -> Own {
+    Own::from_fn(|k, _| by[k / 3][k % 3])
+}
+
+/// Up as IMU and mount have it in the camera, and the camera's height.
+fn lean(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, constants: &Constants, model: &Model) -> f64 {
+    let Some(place) = &frame.footprint_from_optical else { return 0.0 };
+    let tilt = DQuat::from_scaled_axis(DVec3::new(constants.tilt_x, 0.0, constants.tilt_z));
+    // What the mount calls up, seen from the camera as it is really mounted.
+    let believed = place.rotation.conjugate() * DVec3::Z;
+    let turn = DMat3::from_quat(pose.rotation * tilt);
+    let up = turn * believed;
+    let by_tilt = |axis: DVec3| turn * axis.cross(believed);
+    let (by_x, by_z) = (by_tilt(DVec3::X), by_tilt(DVec3::Z));
+    let mut cost = 0.0;
+    for (off, by_turn, by_tilts) in
+        [(up.x, DVec3::new(0.0, up.z, -up.y), [by_x.x, by_z.x]), (up.y, DVec3::new(-up.z, 0.0, up.x), [by_x.y, by_z.y])]
+    {
+        let row = own([DVec3::ZERO, by_turn / model.tilt_rad, DVec3::ZERO, DVec3::ZERO]);
+        let mut border = Border::zeros();
+        (border[4], border[5]) = (by_tilts[0] / model.tilt_rad, by_tilts[1] / model.tilt_rad);
+        chain.add(i, off / model.tilt_rad, &row, &border);
+        cost += 0.5 * (off / model.tilt_rad) * (off / model.tilt_rad);
+    }
+    let off = (pose.translation.z - place.translation.z - constants.height_m) / model.height_m;
+    let row = own([DVec3::Z / model.height_m, DVec3::ZERO, DVec3::ZERO, DVec3::ZERO]);
+    let mut border = Border::zeros();
+    border[6] = -1.0 / model.height_m;
+    chain.add(i, off, &row, &border);
+    cost + 0.5 * off * off
+}
+
+/// From one frame's feet to the next one's, against odometry and gyro.
+fn step(chain: &mut Chain, i: usize, frames: [&Frame; 2], moving: [&Moving; 2], model: &Model) -> f64 {
+    let [from, to] = frames;
+    let elapsed_ns = to.stamp_ns - from.stamp_ns;
+    let odometry = from.odometry.zip(to.odometry);
+    let (Some((before, after)), Some(place_from), Some(place_to)) =
+        (odometry, &from.footprint_from_optical, &to.footprint_from_optical)
+    else {
+        return 0.0;
+    };
+    if !(0..=LONGEST_STEP_NS).contains(&elapsed_ns) {
+        return 0.0;
+    }
+    let seconds = elapsed_ns as f64 * 1e-9;
+    let said = before.inverse().compose(&after);
+    let turned = to.turned_rad.unwrap_or(said.yaw);
+    let feet = |pose: &Isometry, place: &Isometry| Pose2::from_isometry(&(*pose * place.inverse()));
+    let off = |a: &Isometry, b: &Isometry| {
+        let step = feet(a, place_from).inverse().compose(&feet(b, place_to));
+        [step.x - said.x, step.y - said.y, wrap_angle(step.yaw - turned)]
+    };
+    let here = off(&moving[0].pose, &moving[1].pose);
+    let distance = libm::hypot(said.x, said.y);
+    let sigma_m = DVec2::new(model.sway_m, model.step_share * distance).length() + model.drift_m_per_s * seconds;
+    let turn_share = if to.turned_rad.is_some() { model.gyro_share } else { model.turn_share };
+    let sigma_rad = turn_share * turned.abs() + model.drift_rad_per_s * seconds + model.tilt_rad;
+    let sigmas = [sigma_m, sigma_m, sigma_rad];
+    let mut rows = [[Own::zeros(); 2]; 3];
+    for k in 0..6 {
+        let mut small = Own::zeros();
+        small[k] = SMALL;
+        let [from, to] = moving.map(|moving| moving.moved(&small).pose);
+        let moved = [off(&from, &moving[1].pose), off(&moving[0].pose, &to)];
+        for (row, sigma) in (0..3).zip(sigmas) {
+            (0..2).for_each(|which| rows[row][which][k] = wrap_angle(moved[which][row] - here[row]) / (SMALL * sigma));
+        }
+    }
+    let mut cost = 0.0;
+    for (row, (off, sigma)) in rows.iter().zip(here.iter().zip(sigmas)) {
+        let off = off / sigma;
+        // Feet slip: what is far off counts little.
+        let square = off * off / (ROBUST * ROBUST);
+        let weight = 1.0 / (1.0 + square);
+        chain.add_between(i, weight * off, &(row[0] * weight), &(row[1] * weight), &Border::zeros());
+        cost += 0.5 * off * off / (1.0 + square);
+    }
+    cost
+}

@@ -1,0 +1,247 @@
+//! A recorded log as the source of everything: one MCAP file, or a folder of them (a ROS 2 bag, a capture).
+
+use std::fs::File;
+use std::io::{self, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::file_kind::{FileKind, START_BYTES};
+use super::topic_resolution::TopicTypes;
+use realitysim_config::plain_file;
+use realitysim_ros2::mcap_read::{
+    Damage, LogMessage, LogReader, ReadError, Selection, Survey, attachments, examine, survey,
+};
+use realitysim_ros2::messages::{DiagnosticArray, Message};
+use realitysim_ros2::topics;
+
+#[derive(Debug, Error)]
+pub enum LogError {
+    #[error("{path}: {source}")]
+    Read { path: PathBuf, source: ReadError },
+    #[error("{path}: {source}")]
+    Open { path: PathBuf, source: std::io::Error },
+    #[error("{path}: an MCAP log is needed, and this file is {kind}")]
+    NoLog { path: PathBuf, kind: FileKind },
+    #[error("{path}: the folder holds no .mcap file: {}", instead(within))]
+    NoFiles { path: PathBuf, within: Vec<PathBuf> },
+}
+
+/// Folders that are named where one of them was meant.
+const MOST_NAMED: usize = 5;
+
+fn instead(within: &[PathBuf]) -> String {
+    let [first, ..] = within else {
+        return "name an MCAP file, a ROS 2 bag's folder or a capture's".to_owned();
+    };
+    let names: Vec<String> = within.iter().take(MOST_NAMED).map(|path| path.display().to_string()).collect();
+    let more = match within.len().saturating_sub(MOST_NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    if within.len() == 1 {
+        return format!("name the capture or bag in it, {}", first.display());
+    }
+    format!("name one of the captures or bags in it: {}{more}", names.join(", "))
+}
+
+/// Files in the order of their names, which is the order of time in bags and captures.
+pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
+    let failed = |source| LogError::Open { path: path.to_owned(), source };
+    if !std::fs::metadata(path).map_err(failed)?.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let mut files = segments_in(path).map_err(failed)?;
+    if files.is_empty() {
+        let folders = std::fs::read_dir(path).map_err(failed)?.flatten().map(|entry| entry.path());
+        let holds_logs = |folder: &PathBuf| segments_in(folder).is_ok_and(|files| !files.is_empty());
+        let mut within: Vec<PathBuf> = folders.filter(holds_logs).collect();
+        within.sort();
+        return Err(LogError::NoFiles { path: path.to_owned(), within });
+    }
+    // rosbag2 counts without leading zeros: ..._9.mcap comes before ..._10.mcap.
+    files.sort_by_key(|file| {
+        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default().to_owned();
+        let number = name.trim_end_matches(".active").trim_end_matches(".mcap");
+        let digits = number.len() - number.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+        (number[number.len() - digits..].parse::<u64>().unwrap_or(0), name)
+    });
+    Ok(files)
+}
+
+fn segments_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let file = entry?.path();
+        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        if name.ends_with(".mcap") || name.ends_with(".mcap.active") {
+            files.push(file);
+        }
+    }
+    Ok(files)
+}
+
+/// Messages of all files, one after the other.
+pub struct LogSource {
+    files: std::vec::IntoIter<PathBuf>,
+    open: Option<(PathBuf, LogReader<BufReader<File>>)>,
+    selection: Selection,
+    outputs: bool,
+    damage: Vec<(PathBuf, Damage)>,
+}
+
+impl LogSource {
+    /// Inputs only: what an earlier replay added is passed over.
+    pub fn new(files: Vec<PathBuf>, selection: Selection) -> Self {
+        Self { files: files.into_iter(), open: None, selection, outputs: false, damage: Vec::new() }
+    }
+
+    pub fn with_outputs(files: Vec<PathBuf>, selection: Selection) -> Self {
+        Self { outputs: true, ..Self::new(files, selection) }
+    }
+
+    /// What was found wrong in the files read so far; complete at the end.
+    pub fn damage(&self) -> &[(PathBuf, Damage)] {
+        &self.damage
+    }
+
+    /// The file of the message given out last, and where in it the message's data begin unless they are compressed.
+    pub fn place(&self) -> Option<(&Path, u64)> {
+        let (path, reader) = self.open.as_ref()?;
+        Some((path, reader.place()?))
+    }
+
+    fn close(&mut self) {
+        let Some((path, reader)) = self.open.take() else { return };
+        if !reader.damage().is_none() {
+            self.damage.push((path, reader.damage().clone()));
+        }
+    }
+}
+
+impl Iterator for LogSource {
+    type Item = Result<LogMessage, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if self.open.is_none() {
+                let path = self.files.next()?;
+                match open(&path, self.selection.clone()) {
+                    Ok(reader) => self.open = Some((path, reader)),
+                    Err(error) => match never_begun(&error) {
+                        Some(damage) => self.damage.push((path, damage)),
+                        None => return Some(Err(by_its_kind(error))),
+                    },
+                }
+                continue;
+            }
+            let (path, reader) = self.open.as_mut()?;
+            match reader.next() {
+                Some(Ok(message)) if !self.outputs && is_output(&message) => {}
+                Some(Ok(message)) => return Some(Ok(message)),
+                Some(Err(source)) => {
+                    let error = LogError::Read { path: path.clone(), source };
+                    self.close();
+                    return Some(Err(error));
+                }
+                None => self.close(),
+            }
+        }
+    }
+}
+
+/// Whether an earlier replay added this message.
+fn is_output(message: &LogMessage) -> bool {
+    let topic = message.channel.topic.as_str();
+    let ours = |report: DiagnosticArray| {
+        report.status.iter().any(|status| status.name.starts_with(topics::DIAGNOSTICS_PREFIX))
+    };
+    topics::OUTPUTS.contains(&topic)
+        || (topic == topics::DIAGNOSTICS && DiagnosticArray::decode(&message.data).is_ok_and(ours))
+}
+
+fn open(path: &Path, selection: Selection) -> Result<LogReader<BufReader<File>>, LogError> {
+    LogReader::open(buffered(path)?, selection).map_err(|source| LogError::Read { path: path.to_owned(), source })
+}
+
+fn buffered(path: &Path) -> Result<BufReader<File>, LogError> {
+    let failed = |source| LogError::Open { path: path.to_owned(), source };
+    Ok(BufReader::with_capacity(1 << 18, plain_file::open(path).map_err(failed)?))
+}
+
+/// What each file holds, by its index if it has one.
+pub fn surveys(files: &[PathBuf]) -> Result<Vec<Survey>, LogError> {
+    each(files, survey)
+}
+
+/// What each file holds, every byte of it read: all damage is found.
+pub fn examinations(files: &[PathBuf]) -> Result<Vec<Survey>, LogError> {
+    each(files, examine)
+}
+
+fn each(
+    files: &[PathBuf],
+    look: impl Fn(BufReader<File>) -> Result<Survey, ReadError>,
+) -> Result<Vec<Survey>, LogError> {
+    let looked = |path: &PathBuf| {
+        let looked = look(buffered(path)?).map_err(|source| LogError::Read { path: path.clone(), source });
+        looked.or_else(|error| match never_begun(&error) {
+            Some(damage) => Ok(Survey { damage, ..Survey::default() }),
+            None => Err(by_its_kind(error)),
+        })
+    };
+    files.iter().map(looked).collect()
+}
+
+/// A segment whose recorder was stopped before its first bytes were on disk is a torn one, not a foreign file.
+fn never_begun(error: &LogError) -> Option<Damage> {
+    let LogError::Read { path, source: ReadError::NotMcap { found } } = error else { return None };
+    let open = path.extension().is_some_and(|ending| ending == "active");
+    open.then(|| Damage { torn: true, first_error: Some(format!("found {found}")), ..Damage::default() })
+}
+
+/// What is no log is told by what it is.
+fn by_its_kind(error: LogError) -> LogError {
+    match error {
+        LogError::Read { path, source: ReadError::NotMcap { found } } => match start_of(&path) {
+            Ok(start) => LogError::NoLog { kind: FileKind::of(&start), path },
+            Err(_) => LogError::Read { path, source: ReadError::NotMcap { found } },
+        },
+        error => error,
+    }
+}
+
+fn start_of(path: &Path) -> Result<Vec<u8>, LogError> {
+    let mut start = Vec::new();
+    let read = buffered(path)?.take(START_BYTES as u64).read_to_end(&mut start);
+    read.map(|_| start).map_err(|source| LogError::Open { path: path.to_owned(), source })
+}
+
+/// Topics with at least one message, and their types.
+pub fn topic_types(surveys: &[Survey]) -> TopicTypes {
+    let mut types = TopicTypes::new();
+    for topic in surveys.iter().flat_map(|survey| &survey.topics) {
+        if topic.messages > 0 {
+            types.entry(topic.topic.clone()).or_default().insert(topic.type_name.clone());
+        }
+    }
+    types
+}
+
+/// The filter's state at the start of a capture's segment.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum StoredCheckpoint {
+    /// As in a log that is no capture.
+    None,
+    Damaged,
+    Bytes(Vec<u8>),
+}
+
+pub fn checkpoint(path: &Path, survey: &Survey) -> Result<StoredCheckpoint, LogError> {
+    if !survey.attachments.iter().any(|name| name == topics::CHECKPOINT_ATTACHMENT) {
+        return Ok(StoredCheckpoint::None);
+    }
+    let found = attachments(buffered(path)?).map_err(|source| LogError::Read { path: path.to_owned(), source })?;
+    let found = found.list.into_iter().find(|attachment| attachment.name == topics::CHECKPOINT_ATTACHMENT);
+    Ok(found.map_or(StoredCheckpoint::Damaged, |found| StoredCheckpoint::Bytes(found.data)))
+}

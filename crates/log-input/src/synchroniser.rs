@@ -1,0 +1,495 @@
+//! Brings frames and measurements together on the time of the exposure.
+//!
+//! Stamps of the headers count, not when a message was logged or in which order: a frame waits until odometry,
+//! attitude and joints have been heard of up to its exposure, or until waiting longer would be too late.
+
+use std::collections::VecDeque;
+
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::camera_twist::{Movers, camera_twist};
+use super::history::{History, Pushed, Sample};
+use super::intake::{Input, StampedTransform, StatedDeviations};
+use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
+use realitysim_config::FrameNames;
+use realitysim_geometry::{Physical, Pose2, Twist};
+use realitysim_ros2::mcap_read::LogMessage;
+
+/// A frame with what is known about the robot at its exposure.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    pub message: LogMessage,
+    pub stamp_ns: i64,
+    pub robot: RobotAt,
+    /// From when the robot's step counts.
+    pub since: Option<Since>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotAt {
+    pub odometry: Option<Pose2>,
+    /// The newest odometry that was used: it does not depend on how much more had arrived.
+    pub odometry_until_ns: Option<i64>,
+    pub place: Result<CameraPlace, ChainError>,
+    pub head: Option<Head>,
+    /// How far the robot has turned since the frame before by gyro, radians about the vertical, if that is known.
+    pub turned_rad: Option<f64>,
+    /// How far the torso has rolled and pitched since then, to and fro, radians, if a gyro knows.
+    pub swayed_rad: Option<f64>,
+    /// How `camera_optical_frame` moves at the exposure, by gyro, odometry and joints, if they know.
+    pub camera_twist: Option<Twist>,
+    /// A gyro has told how it turns; else odometry has, of the feet.
+    pub turn_is_felt: bool,
+    /// The newest of what was measured is older than [`STALE_NS`].
+    pub stale: bool,
+    /// Announced since the last frame.
+    pub initial_pose: Option<InitialPose>,
+    /// From where the robot's step counts, if not from the frame before.
+    pub anchor: Option<Anchor>,
+}
+
+/// Where odometry had the robot at a time of which there is no frame: when its place was told, or at the beginning.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Anchor {
+    pub stamp_ns: i64,
+    pub odometry: Pose2,
+    log_time_ns: i64,
+    /// How often odometry has begun anew since then.
+    begun: u32,
+}
+
+impl Anchor {
+    fn new(stamp_ns: i64, odometry: Pose2, log_time_ns: i64) -> Self {
+        Self { stamp_ns, odometry, log_time_ns, begun: 0 }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InitialPose {
+    pub map_from_footprint: Pose2,
+    pub xy_m: Option<f64>,
+    pub yaw_rad: Option<f64>,
+}
+
+/// Measurements older than this do not describe a walking robot any more.
+pub const STALE_NS: i64 = 250_000_000;
+/// An attitude from so long ago says nothing, and one that is so late neither: the torso is taken to stand upright.
+pub const GONE_NS: i64 = 2_000_000_000;
+/// A frame waits for measurements until the log is this much further.
+const MAX_WAIT_NS: i64 = 300_000_000;
+/// More waiting frames than this are processed with what there is.
+const MAX_WAITING: usize = 64;
+const MAX_WAITING_BYTES: usize = 256 << 20;
+
+/// A gyro that was heard longer ago says nothing of how fast a camera turns.
+const GYRO_AGE_NS: i64 = 30_000_000;
+/// Nor does a neck whose angles are not known at both times.
+const NECK_AGE_NS: i64 = 5_000_000;
+/// How fast neck and feet move is seen from two of their places, so far apart.
+const NECK_STEP_NS: i64 = 40_000_000;
+const FEET_STEP_NS: i64 = 100_000_000;
+
+/// The part that a checkpoint keeps.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SynchroniserState {
+    tree: TransformTree,
+    odometry: History<Pose2>,
+    odometry_in_tf: History<Pose2>,
+    attitude: History<DQuat>,
+    /// About the vertical, radians per second.
+    turn_rate: History<f64>,
+    /// About the horizontal, without a sign.
+    sway_rate: History<f64>,
+    /// About the axes of the torso.
+    torso_rate: History<DVec3>,
+    /// Of the last frame that was popped.
+    last_frame: Option<Since>,
+    pan: History<f64>,
+    tilt: History<f64>,
+    initial_pose: Option<InitialPose>,
+    /// Until the next frame.
+    anchor: Option<Anchor>,
+}
+
+/// From when the robot's step to the next frame counts.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Since {
+    /// When the last frame was exposed, or, if that was later, the place told; or odometry first heard.
+    pub stamp_ns: i64,
+    pub log_time_ns: i64,
+    /// How long the last frame came after the one before.
+    pub interval_ns: i64,
+    /// How often odometry has begun anew since then.
+    begun: u32,
+}
+
+#[derive(Clone, Debug)]
+pub struct Synchroniser {
+    names: FrameNames,
+    state: SynchroniserState,
+    waiting: VecDeque<(LogMessage, i64)>,
+    waiting_bytes: usize,
+    newest_log_ns: i64,
+    finished: bool,
+    expected: Expected,
+    too_late: u64,
+    impossible: u64,
+}
+
+/// What the log has messages of. Until the first of them, a frame waits for them as for later ones.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Expected {
+    pub imu: bool,
+    pub joints: bool,
+}
+
+impl Synchroniser {
+    pub fn new(names: FrameNames, state: SynchroniserState) -> Self {
+        Self {
+            names,
+            state,
+            waiting: VecDeque::new(),
+            waiting_bytes: 0,
+            newest_log_ns: i64::MIN,
+            finished: false,
+            expected: Expected::default(),
+            too_late: 0,
+            impossible: 0,
+        }
+    }
+
+    pub fn expect(&mut self, expected: Expected) {
+        self.expected = expected;
+    }
+
+    pub fn state(&self) -> &SynchroniserState {
+        &self.state
+    }
+
+    /// Measurements that came so late that they could not be used.
+    pub fn too_late(&self) -> u64 {
+        self.too_late
+    }
+
+    /// Measurements that no robot can have made, by their numbers: see [`Physical`].
+    pub fn impossible(&self) -> u64 {
+        self.impossible
+    }
+
+    /// From when the robot's step to the next frame counts.
+    pub fn since(&self) -> Option<Since> {
+        let of_anchor = |anchor: Anchor| {
+            let Anchor { stamp_ns, log_time_ns, begun, .. } = anchor;
+            Since { stamp_ns, log_time_ns, interval_ns: 0, begun }
+        };
+        self.state.anchor.map(of_anchor).or(self.state.last_frame)
+    }
+
+    /// Until when all is known of where the robot has walked: by odometry, and by a gyro that has not fallen silent.
+    pub fn walked_until_ns(&self) -> Option<i64> {
+        let walked_ns = self.state.odometry().settled_ns()?;
+        let turned_ns = self.state.turn_rate.settled_ns();
+        let is_heard = |turned_ns: &i64| walked_ns.saturating_sub(*turned_ns) <= STALE_NS;
+        Some(turned_ns.filter(is_heard).map_or(walked_ns, |turned_ns| turned_ns.min(walked_ns)))
+    }
+
+    /// Whether an attitude has ever been heard of.
+    pub fn knows_attitude(&self) -> bool {
+        !self.state.attitude.is_empty()
+    }
+
+    /// Refuses a mount that can never be right, by the names that the frames so far have taught.
+    pub fn check_mount(&self, more_may_come: bool) -> Result<(), ChainError> {
+        self.state.tree.check_constants(&self.names, more_may_come)
+    }
+
+    /// The log has come this far, with a frame that is being held back.
+    pub fn advance(&mut self, log_time_ns: i64) {
+        self.newest_log_ns = self.newest_log_ns.max(log_time_ns);
+    }
+
+    /// No frame is waiting.
+    pub fn is_idle(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
+    pub fn push(&mut self, message: &LogMessage, input: Input) {
+        self.advance(message.log_time_ns);
+        match input {
+            // Heard of once, even without what is needed of them: they are there.
+            Input::Imu { .. } => self.expected.imu = false,
+            Input::Joints { .. } => self.expected.joints = false,
+            _ => {}
+        }
+        match input {
+            Input::Frame { stamp_ns, frame_id } => {
+                // A log that names its optical frame otherwise is believed.
+                if !self.state.tree.knows(&self.names.camera_optical) && self.state.tree.knows(&frame_id) {
+                    self.names.camera_optical = frame_id;
+                }
+                self.waiting_bytes += message.data.len();
+                self.waiting.push_back((message.clone(), stamp_ns));
+            }
+            Input::Odometry { stamp_ns, odom_from_footprint } => {
+                // Odometry of `/tf` counts no more, and may have begun elsewhere.
+                let is_first = self.state.odometry.is_empty();
+                let before = self.state.odometry().newest().map(|(_, odometry)| odometry);
+                let pushed = self.state.odometry.push(stamp_ns, odom_from_footprint);
+                let now = Anchor::new(stamp_ns, odom_from_footprint, message.log_time_ns);
+                self.anchor_at(now, before, is_first, pushed);
+                self.count(pushed);
+            }
+            Input::Imu { stamp_ns, orientation, turn_rate, frame_id } => {
+                let imu_from_base = self.state.tree.fixed_rotation(&frame_id, &self.names.base_link);
+                // Without an attitude the torso is taken as upright.
+                let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
+                let turn = turn_rate.map(|rate| {
+                    if !rate.is_possible() || !upright.is_possible() {
+                        return Pushed::Impossible;
+                    }
+                    self.state.torso_rate.push(stamp_ns, imu_from_base.conjugate() * rate);
+                    let rate = upright * rate;
+                    self.state.sway_rate.push(stamp_ns, libm::hypot(rate.x, rate.y));
+                    self.state.turn_rate.push(stamp_ns, rate.z)
+                });
+                let tilt =
+                    orientation.map(|orientation| self.state.attitude.push(stamp_ns, orientation * imu_from_base));
+                self.count_message([tilt, turn]);
+            }
+            Input::Joints { stamp_ns, pan, tilt } => {
+                let pan = pan.map(|pan| self.state.pan.push(stamp_ns, pan));
+                let tilt = tilt.map(|tilt| self.state.tilt.push(stamp_ns, tilt));
+                self.count_message([pan, tilt]);
+            }
+            Input::Transforms { latched, transforms } => {
+                self.take_transforms(latched, transforms, message.log_time_ns);
+            }
+            Input::InitialPose { map_from_footprint, deviations, .. } => {
+                let (xy_m, yaw_rad) = match deviations {
+                    StatedDeviations::Of { xy_m, yaw_rad } => (Some(xy_m), Some(yaw_rad)),
+                    StatedDeviations::None => (None, None),
+                    // The place is believed, as well as any that comes without.
+                    StatedDeviations::Impossible => {
+                        self.count(Pushed::Impossible);
+                        (None, None)
+                    }
+                };
+                self.state.initial_pose = Some(InitialPose { map_from_footprint, xy_m, yaw_rad });
+                let anchor = |(stamp_ns, odometry)| Anchor::new(stamp_ns, odometry, message.log_time_ns);
+                self.state.anchor = self.state.odometry().newest().map(anchor);
+            }
+            Input::Impossible => self.count(Pushed::Impossible),
+            Input::CameraInfo(_) | Input::Other => {}
+        }
+    }
+
+    /// The log has ended: nothing more will come that a frame could wait for.
+    pub fn finish(&mut self) {
+        self.finished = true;
+    }
+
+    /// The next frame of which all is known that will be known in time, in the order in which frames came.
+    pub fn pop(&mut self) -> Option<Frame> {
+        let (message, stamp_ns) = self.waiting.front()?;
+        let late = self.newest_log_ns.saturating_sub(message.log_time_ns) > MAX_WAIT_NS;
+        let crowded = self.waiting.len() > MAX_WAITING || self.waiting_bytes > MAX_WAITING_BYTES;
+        if !(self.finished || late || crowded || self.is_known_until(*stamp_ns)) {
+            return None;
+        }
+        let (message, stamp_ns) = self.waiting.pop_front()?;
+        self.waiting_bytes -= message.data.len();
+        let (robot, since) = (self.robot_next(stamp_ns), self.since());
+        self.has_seen(stamp_ns, message.log_time_ns);
+        Some(Frame { robot, message, stamp_ns, since })
+    }
+
+    /// What the next frame is to know of the robot, if it is exposed at that time.
+    pub fn robot_next(&self, stamp_ns: i64) -> RobotAt {
+        let Self { state, .. } = self;
+        let since_ns = self.since().map(|since| since.stamp_ns);
+        RobotAt { initial_pose: state.initial_pose, anchor: state.anchor, ..self.robot(since_ns, stamp_ns) }
+    }
+
+    /// The same of a time after that of which there is no frame either: turns count from `since_ns`.
+    pub fn robot_between(&self, since_ns: i64, stamp_ns: i64) -> RobotAt {
+        self.robot(Some(since_ns), stamp_ns)
+    }
+
+    fn has_seen(&mut self, stamp_ns: i64, log_time_ns: i64) {
+        let state = &mut self.state;
+        let interval_ns = state.last_frame.map_or(0, |last| stamp_ns.saturating_sub(last.stamp_ns));
+        state.last_frame = Some(Since { stamp_ns, log_time_ns, interval_ns, begun: 0 });
+        (state.initial_pose, state.anchor) = (None, None);
+    }
+
+    fn robot(&self, since_ns: Option<i64>, stamp_ns: i64) -> RobotAt {
+        let state = &self.state;
+        let odometry = state.odometry();
+        let attitude = state.attitude.at(stamp_ns).filter(|sample| sample.age_ns <= GONE_NS);
+        let head = state.head(stamp_ns);
+        let posture = Posture { attitude: attitude.map(|sample| sample.value), head };
+        let place = state.tree.camera_place(stamp_ns, &self.names, posture);
+        let torso_rate = self.torso_rate(stamp_ns);
+        let camera_twist = place.as_ref().ok().and_then(|place| self.camera_twist(stamp_ns, place, torso_rate));
+        let step = odometry.at(stamp_ns);
+        let ages = [
+            step.map(|s| s.age_ns),
+            attitude.map(|s| s.age_ns),
+            state.pan.at(stamp_ns).map(|s| s.age_ns),
+            state.tilt.at(stamp_ns).map(|s| s.age_ns),
+            place.as_ref().ok().map(|place| place.age_ns),
+        ];
+        RobotAt {
+            odometry: step.map(|sample| sample.value),
+            odometry_until_ns: odometry.until(stamp_ns),
+            place,
+            head,
+            turned_rad: since_ns.and_then(|since_ns| state.turn_rate.integral(since_ns, stamp_ns)),
+            swayed_rad: since_ns.and_then(|since_ns| state.sway_rate.integral(since_ns, stamp_ns)),
+            camera_twist,
+            turn_is_felt: torso_rate.is_some() && camera_twist.is_some(),
+            stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
+            initial_pose: None,
+            anchor: None,
+        }
+    }
+
+    /// About its own axes, radians per second, by gyro.
+    fn torso_rate(&self, stamp_ns: i64) -> Option<DVec3> {
+        let measured = |rate: &Sample<DVec3>| rate.age_ns <= GYRO_AGE_NS && rate.value != DVec3::ZERO;
+        Some(self.state.torso_rate.at(stamp_ns).filter(measured)?.value)
+    }
+
+    /// Without a gyro a torso turns as its feet do. `None` if the neck is not heard of.
+    fn camera_twist(&self, stamp_ns: i64, now: &CameraPlace, torso_rate: Option<DVec3>) -> Option<Twist> {
+        let state = &self.state;
+        let (neck_ns, feet_ns) = (stamp_ns.saturating_sub(NECK_STEP_NS), stamp_ns.saturating_sub(FEET_STEP_NS));
+        let is_heard = |joint: &History<f64>, at_ns: i64| {
+            joint.is_empty() || joint.at(at_ns).is_some_and(|angle| angle.age_ns <= NECK_AGE_NS)
+        };
+        if ![neck_ns, stamp_ns].iter().all(|at_ns| is_heard(&state.pan, *at_ns) && is_heard(&state.tilt, *at_ns)) {
+            return None;
+        }
+        let posture = Posture { attitude: None, head: state.head(neck_ns) };
+        let neck = state.tree.camera_place(neck_ns, &self.names, posture).ok()?.base_from_optical;
+        let odometry = |stamp_ns| state.odometry().at(stamp_ns).map(|sample| sample.value);
+        let feet = odometry(feet_ns).zip(odometry(stamp_ns)).map(|(then, now)| then.inverse().compose(&now));
+        let seconds = |step_ns: i64| step_ns as f64 * 1e-9;
+        let (feet, feet_s) = (feet.unwrap_or_default(), seconds(FEET_STEP_NS));
+        let movers = Movers {
+            torso_rate: torso_rate.unwrap_or(DVec3::Z * (feet.yaw / feet_s)),
+            neck: (neck, seconds(NECK_STEP_NS)),
+            feet: (feet, feet_s),
+        };
+        camera_twist(now, &movers)
+    }
+
+    fn is_known_until(&self, stamp_ns: i64) -> bool {
+        let state = &self.state;
+        let reaches = |settled: Option<i64>| settled.is_none_or(|settled| settled >= stamp_ns);
+        // What has never been heard of is waited for as long as the log allows: it may just start late.
+        let odometry = state.odometry().settled_ns().is_some_and(|settled| settled >= stamp_ns);
+        let unheard = (self.expected.imu && state.attitude.is_empty())
+            || (self.expected.joints && state.pan.is_empty() && state.tilt.is_empty());
+        odometry
+            && !unheard
+            && reaches(state.attitude.settled_ns())
+            && reaches(state.pan.settled_ns())
+            && reaches(state.tilt.settled_ns())
+            && state.tree.is_known_until(stamp_ns, &self.names)
+    }
+
+    fn take_transforms(&mut self, latched: bool, transforms: Vec<StampedTransform>, log_time_ns: i64) {
+        for t in transforms {
+            if t.child == self.names.base_footprint && t.parent == self.names.odom {
+                let odometry = Pose2::from_isometry(&t.parent_from_child);
+                let before = self.state.odometry_in_tf.newest().map(|(_, odometry)| odometry);
+                let pushed = self.state.odometry_in_tf.push(t.stamp_ns, odometry);
+                if self.state.odometry.is_empty() {
+                    self.anchor_at(Anchor::new(t.stamp_ns, odometry, log_time_ns), before, false, pushed);
+                }
+                self.count(pushed);
+            } else if latched {
+                self.state.tree.set_static(&t.parent, &t.child, t.parent_from_child);
+            } else {
+                let pushed = self.state.tree.push(t.stamp_ns, &t.parent, &t.child, t.parent_from_child);
+                self.count(pushed);
+            }
+        }
+    }
+
+    /// Takes odometry for the anchor that is still missing: nothing was heard before, or the place was told before. Where
+    /// odometry begins anew, by another clock or from elsewhere, the way walked up to there stays: `before` was its last.
+    fn anchor_at(&mut self, now: Anchor, before: Option<Pose2>, begins_anew: bool, pushed: Pushed) {
+        let state = &mut self.state;
+        let begins_anew = begins_anew || pushed == Pushed::ClockSetBack;
+        match (state.anchor, before) {
+            _ if pushed == Pushed::Impossible => {}
+            (None, _) if state.last_frame.is_none() || state.initial_pose.is_some() => state.anchor = Some(now),
+            (Some(anchor), Some(before)) if begins_anew => {
+                let walked = anchor.odometry.inverse().compose(&before);
+                let since_ns = now.log_time_ns.saturating_sub(anchor.log_time_ns);
+                state.anchor = Some(Anchor {
+                    stamp_ns: now.stamp_ns.saturating_sub(since_ns),
+                    odometry: now.odometry.compose(&walked.inverse()),
+                    log_time_ns: anchor.log_time_ns,
+                    begun: anchor.begun.wrapping_add(1),
+                });
+            }
+            _ => {}
+        }
+    }
+
+    /// One message counts once, whatever it holds.
+    fn count_message(&mut self, parts: [Option<Pushed>; 2]) {
+        let is_impossible = parts.contains(&Some(Pushed::Impossible));
+        let pushed = if is_impossible { Some(Pushed::Impossible) } else { parts.into_iter().flatten().next() };
+        pushed.into_iter().for_each(|pushed| self.count(pushed));
+    }
+
+    fn count(&mut self, pushed: Pushed) {
+        match pushed {
+            Pushed::TooLate => self.too_late += 1,
+            // The one before was counted, and is good after all.
+            Pushed::ClockSetBack => self.too_late = self.too_late.saturating_sub(1),
+            Pushed::Impossible => self.impossible += 1,
+            Pushed::Taken | Pushed::Known => {}
+        }
+    }
+}
+
+impl Physical for InitialPose {
+    fn is_possible(&self) -> bool {
+        self.map_from_footprint.is_possible() && self.xy_m.is_possible() && self.yaw_rad.is_possible()
+    }
+}
+
+impl Physical for SynchroniserState {
+    fn is_possible(&self) -> bool {
+        let Self { tree, odometry, odometry_in_tf, attitude, turn_rate, sway_rate, torso_rate, pan, tilt, .. } = self;
+        tree.is_possible()
+            && [odometry, odometry_in_tf].iter().all(|history| history.is_possible())
+            && [turn_rate, sway_rate, pan, tilt].iter().all(|history| history.is_possible())
+            && (attitude.is_possible() && torso_rate.is_possible())
+            && self.initial_pose.is_possible()
+            && self.anchor.is_none_or(|anchor| anchor.odometry.is_possible())
+    }
+}
+
+impl SynchroniserState {
+    fn head(&self, stamp_ns: i64) -> Option<Head> {
+        let [pan, tilt] = [&self.pan, &self.tilt].map(|joint| joint.at(stamp_ns).map(|sample| sample.value));
+        (pan.is_some() || tilt.is_some()).then(|| Head { pan: pan.unwrap_or(0.0), tilt: tilt.unwrap_or(0.0) })
+    }
+
+    /// A place that was told, and that no frame knows of yet.
+    pub fn pending(&self) -> Option<InitialPose> {
+        self.initial_pose
+    }
+
+    /// The odometry topic, or `/tf` where there is none.
+    fn odometry(&self) -> &History<Pose2> {
+        if self.odometry.is_empty() { &self.odometry_in_tf } else { &self.odometry }
+    }
+}

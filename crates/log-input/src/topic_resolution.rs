@@ -1,0 +1,149 @@
+//! Which topic of a log is which measurement.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use thiserror::Error;
+
+use realitysim_config::{MotionSource, Settings, Topics};
+
+/// Types of each topic that a log has messages of: mostly one.
+pub type TopicTypes = BTreeMap<String, BTreeSet<String>>;
+
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum TopicError {
+    #[error("no {what} on {wanted}: {}", hint(types, candidates, key))]
+    Missing { what: &'static str, wanted: String, types: &'static str, candidates: Vec<String>, key: &'static str },
+    #[error(
+        "no odometry on {wanted} and none in /tf: record it (nav_msgs/msg/Odometry), name its topic with \
+         topics.odometry, or replay with filter.motion = \"random_walk\" (--motion random_walk)"
+    )]
+    NoOdometry { wanted: String },
+}
+
+fn hint(types: &str, candidates: &[String], key: &str) -> String {
+    match candidates {
+        [] => format!("the log has no topic of type {types}"),
+        _ => format!("choose one with topics.{key}: {}", candidates.join(", ")),
+    }
+}
+
+const TRANSFORMS: [&str; 1] = ["tf2_msgs/msg/TFMessage"];
+const IMAGES: [&str; 2] = ["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"];
+
+/// The configured topics; where the log lacks one but has exactly one other of the right type, that one.
+pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> Result<Topics, TopicError> {
+    let mut topics = settings.topics.clone();
+    let find = |wanted: &str, types: &[&str]| find(log, wanted, types);
+    topics.image = image(&topics.image, log)?;
+    match find(&topics.camera_info, &["sensor_msgs/msg/CameraInfo"]) {
+        Ok(topic) => topics.camera_info = topic,
+        Err(_) if settings.camera.lens.is_some() => {}
+        Err(candidates) => {
+            return Err(TopicError::Missing {
+                what: "camera calibration",
+                wanted: settings.topics.camera_info.clone(),
+                types: "sensor_msgs/msg/CameraInfo (or give a lens file with camera.lens)",
+                candidates,
+                key: "camera_info",
+            });
+        }
+    }
+    // Some robots send constants on /tf as well: whether the chain is whole is checked where it is used.
+    match find(&topics.tf_static, &TRANSFORMS) {
+        // What moves must not be taken for constant because there is nothing else.
+        Ok(topic) if topic != topics.tf => topics.tf_static = topic,
+        Ok(_) => {}
+        Err(_) if log.contains_key(&topics.tf) => {}
+        Err(candidates) => {
+            return Err(TopicError::Missing {
+                what: "transforms",
+                wanted: settings.topics.tf_static.clone(),
+                types: TRANSFORMS[0],
+                candidates,
+                key: "tf_static",
+            });
+        }
+    }
+    if let Ok(topic) = find(&topics.imu, &["sensor_msgs/msg/Imu"]) {
+        topics.imu = topic;
+    }
+    match find(&topics.odometry, &["nav_msgs/msg/Odometry"]) {
+        Ok(topic) => topics.odometry = topic,
+        Err(_) if odometry_in_tf || settings.filter.motion == MotionSource::RandomWalk => {}
+        Err(candidates) if candidates.is_empty() => {
+            return Err(TopicError::NoOdometry { wanted: settings.topics.odometry.clone() });
+        }
+        Err(candidates) => {
+            return Err(TopicError::Missing {
+                what: "odometry",
+                wanted: settings.topics.odometry.clone(),
+                types: "nav_msgs/msg/Odometry",
+                candidates,
+                key: "odometry",
+            });
+        }
+    }
+    Ok(topics)
+}
+
+/// The camera's topic: the configured one, or the only one with images.
+pub fn image(wanted: &str, log: &TopicTypes) -> Result<String, TopicError> {
+    find(log, wanted, &IMAGES).map_err(|candidates| TopicError::Missing {
+        what: "camera images",
+        wanted: wanted.to_owned(),
+        types: "sensor_msgs/msg/CompressedImage or Image",
+        candidates,
+        key: "image",
+    })
+}
+
+/// The topic that is wanted, or the only one of these types; else all of these types.
+fn find(log: &TopicTypes, wanted: &str, types: &[&str]) -> Result<String, Vec<String>> {
+    let fits = |(_, kinds): &(&String, &BTreeSet<String>)| types.iter().any(|kind| kinds.contains(*kind));
+    if log.get_key_value(wanted).as_ref().is_some_and(fits) {
+        return Ok(wanted.to_owned());
+    }
+    let mut candidates: Vec<String> = log.iter().filter(fits).map(|(topic, _)| topic.clone()).collect();
+    match candidates.len() {
+        1 => candidates.pop().ok_or_else(Vec::new),
+        _ => Err(candidates),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn log(topics: &[(&str, &str)]) -> TopicTypes {
+        topics.iter().map(|(topic, kind)| ((*topic).to_owned(), [(*kind).to_owned()].into())).collect()
+    }
+
+    const WHOLE: [(&str, &str); 4] = [
+        ("/cam/raw", "sensor_msgs/msg/Image"),
+        ("/cam/info", "sensor_msgs/msg/CameraInfo"),
+        ("/tf_static", "tf2_msgs/msg/TFMessage"),
+        ("/walk", "nav_msgs/msg/Odometry"),
+    ];
+
+    #[test]
+    fn the_only_topic_of_a_type_is_taken() {
+        let topics = resolve(&Settings::default(), &log(&WHOLE), false).expect("all there");
+        assert_eq!((topics.image.as_str(), topics.odometry.as_str()), ("/cam/raw", "/walk"));
+    }
+
+    #[test]
+    fn what_is_missing_or_unclear_is_said() {
+        let without = |topic: &str| {
+            let rest: Vec<_> = WHOLE.into_iter().filter(|(name, _)| *name != topic).collect();
+            resolve(&Settings::default(), &log(&rest), false).expect_err("missing").to_string()
+        };
+        assert!(without("/walk").contains("random_walk"));
+        assert!(without("/cam/raw").contains("no camera images on /camera/image/compressed"));
+        assert!(without("/cam/info").contains("camera.lens"));
+        assert!(without("/tf_static").contains("tf2_msgs/msg/TFMessage"));
+        let mut two = log(&WHOLE);
+        two.insert("/cam2".into(), ["sensor_msgs/msg/Image".to_owned()].into());
+        let said = resolve(&Settings::default(), &two, false).expect_err("unclear").to_string();
+        assert!(said.contains("topics.image: /cam/raw, /cam2"), "{said}");
+    }
+}

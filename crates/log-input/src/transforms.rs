@@ -1,0 +1,400 @@
+//! The tree of `/tf` and `/tf_static`, and the way through it from the robot's footprint to its camera.
+
+use std::collections::BTreeMap;
+
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::history::{History, Pushed};
+use realitysim_config::FrameNames;
+use realitysim_geometry::physical::LONGEST_MOUNT_M;
+use realitysim_geometry::{Euler, Isometry, Physical};
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TransformTree {
+    /// By child frame: each frame has one parent.
+    edges: BTreeMap<String, Edge>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Edge {
+    parent: String,
+    transform: Transform,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+enum Transform {
+    Static(Isometry),
+    Moving(History<Isometry>),
+}
+
+/// What replaces parts of the chain that the log holds as constants.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Posture {
+    /// `base_link`'s attitude against gravity; its yaw is ignored.
+    pub attitude: Option<DQuat>,
+    /// Head joints, radians.
+    pub head: Option<Head>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Head {
+    pub pan: f64,
+    pub tilt: f64,
+}
+
+/// Where the camera is above `base_footprint`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraPlace {
+    pub footprint_from_link: Isometry,
+    pub footprint_from_optical: Isometry,
+    /// The torso's frame.
+    pub base_from_optical: Isometry,
+    /// Age of the oldest moving transform that was used.
+    pub age_ns: i64,
+    /// Something says how the torso is tilted: its attitude, or a moving transform on the way to it.
+    pub tilt_is_measured: bool,
+    /// Between the torso's axis and the vertical, radians, where that is measured.
+    pub lean_rad: Option<f64>,
+}
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ChainError {
+    #[error(
+        "no transform leads to {frame}: /tf_static (or /tf) must connect {from} to {to}, but the chain ends at {frame}"
+    )]
+    Broken { frame: String, from: String, to: String },
+    #[error("the transforms run in a circle at {frame}")]
+    Circle { frame: String },
+    #[error(
+        "the camera is {height_m:.3} m above the ground: the mount in /tf_static is zero or missing a translation \
+         ({base} to {camera} must give the camera's height)"
+    )]
+    NoHeight { height_m: f64, base: String, camera: String },
+    #[error(
+        "the transform to {frame} holds a number that is not finite, or leads more than {LONGEST_MOUNT_M} m away: /tf_static must \
+         give its place in metres"
+    )]
+    Impossible { frame: String },
+    #[error(
+        "{optical} does not look forward but {elevation_deg:.0} deg up: the rotation from {link} to {optical} is \
+         missing (REP 103: z forward, x right, y down)"
+    )]
+    LooksUp { optical: String, link: String, elevation_deg: f64 },
+}
+
+/// Lower than this no camera stands: the mount is missing.
+const MIN_HEIGHT_M: f64 = 0.02;
+/// A longer chain is a circle.
+const MAX_LINKS: usize = 64;
+/// More frames than any robot has; what comes beyond is left out.
+const MAX_FRAMES: usize = 4096;
+
+impl TransformTree {
+    pub fn set_static(&mut self, parent: &str, child: &str, parent_from_child: Isometry) {
+        self.insert(parent, child, Transform::Static(parent_from_child));
+    }
+
+    pub fn push(&mut self, stamp_ns: i64, parent: &str, child: &str, parent_from_child: Isometry) -> Pushed {
+        match self.edges.get_mut(child) {
+            Some(Edge { parent: known, transform: Transform::Moving(history) }) if known == parent => {
+                history.push(stamp_ns, parent_from_child)
+            }
+            _ => {
+                let mut history = History::default();
+                let pushed = history.push(stamp_ns, parent_from_child);
+                self.insert(parent, child, Transform::Moving(history));
+                pushed
+            }
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.edges.is_empty()
+    }
+
+    /// Whether every moving transform that is remembered is [`Physical`]. Constants are judged where they are used.
+    pub fn is_possible(&self) -> bool {
+        self.edges.values().all(|edge| match &edge.transform {
+            Transform::Static(_) => true,
+            Transform::Moving(history) => history.is_possible(),
+        })
+    }
+
+    pub fn knows(&self, frame: &str) -> bool {
+        self.edges.contains_key(frame)
+    }
+
+    /// Rotation `a_from_b` between two frames joined by constants; none where they are not.
+    pub fn fixed_rotation(&self, a: &str, b: &str) -> DQuat {
+        match (self.root_from(a), self.root_from(b)) {
+            (Some((root_a, from_a)), Some((root_b, from_b))) if root_a == root_b => from_a.conjugate() * from_b,
+            _ => DQuat::IDENTITY,
+        }
+    }
+
+    /// The farthest ancestor that constants lead to, and the rotation from there.
+    fn root_from(&self, frame: &str) -> Option<(String, DQuat)> {
+        let (mut here, mut rotation) = (frame.to_owned(), DQuat::IDENTITY);
+        for _ in 0..MAX_LINKS {
+            match self.edges.get(&here) {
+                Some(Edge { parent, transform: Transform::Static(constant) }) => {
+                    rotation = constant.rotation * rotation;
+                    here = parent.clone();
+                }
+                _ => return Some((here, rotation)),
+            }
+        }
+        None
+    }
+
+    /// Whether every moving transform of the chain has been heard of up to `stamp_ns`.
+    pub fn is_known_until(&self, stamp_ns: i64, names: &FrameNames) -> bool {
+        self.chain(&names.base_footprint, &names.camera_optical).map_or(true, |chain| {
+            chain.iter().all(|(_, edge)| match &edge.transform {
+                Transform::Static(_) => true,
+                Transform::Moving(history) => history.settled_ns().is_some_and(|settled| settled >= stamp_ns),
+            })
+        })
+    }
+
+    /// The camera's place at a time. Where the log moves the torso or head in `/tf`, that stands; where these are
+    /// constants, `posture` fills in the attitude of `base_link` and the head joints.
+    pub fn camera_place(&self, stamp_ns: i64, names: &FrameNames, posture: Posture) -> Result<CameraPlace, ChainError> {
+        let mut age_ns = 0;
+        let mut footprint_from_here = Isometry::IDENTITY;
+        let mut footprint_from_link = None;
+        let mut footprint_from_base = Isometry::IDENTITY;
+        let (mut tilt_is_measured, mut below_torso, mut lean_rad) = (false, false, None);
+        for (child, edge) in self.chain(&names.base_footprint, &names.camera_optical)? {
+            let step = match &edge.transform {
+                Transform::Moving(history) => {
+                    tilt_is_measured |= !below_torso;
+                    let sample = history
+                        .at(stamp_ns)
+                        .unwrap_or(super::history::Sample { value: Isometry::IDENTITY, age_ns: i64::MAX });
+                    age_ns = age_ns.max(sample.age_ns);
+                    sample.value
+                }
+                Transform::Static(constant) if child == names.base_link => {
+                    tilt_is_measured |= posture.attitude.is_some();
+                    with_attitude(*constant, posture.attitude)
+                }
+                Transform::Static(constant) if child == names.camera_link && edge.parent != names.base_footprint => {
+                    with_head(*constant, posture.head)
+                }
+                Transform::Static(constant) => *constant,
+            };
+            footprint_from_here = footprint_from_here * step;
+            if !is_mount(&step) || !is_mount(&footprint_from_here) {
+                return Err(ChainError::Impossible { frame: child.to_owned() });
+            }
+            if child == names.base_link {
+                below_torso = true;
+                footprint_from_base = footprint_from_here;
+                lean_rad =
+                    tilt_is_measured.then(|| libm::acos((footprint_from_here.rotation * DVec3::Z).z.clamp(-1.0, 1.0)));
+            }
+            if child == names.camera_link {
+                footprint_from_link = Some(footprint_from_here);
+            }
+        }
+        let footprint_from_optical = footprint_from_here;
+        let footprint_from_link =
+            footprint_from_link.unwrap_or_else(|| footprint_from_optical * Isometry::link_from_optical().inverse());
+        let base_from_optical = footprint_from_base.inverse() * footprint_from_optical;
+        Ok(CameraPlace {
+            footprint_from_link,
+            footprint_from_optical,
+            base_from_optical,
+            age_ns,
+            tilt_is_measured,
+            lean_rad,
+        })
+    }
+
+    /// A mount that can be right: the camera stands above the ground and does not stare at the ceiling.
+    pub fn check_mount(&self, stamp_ns: i64, names: &FrameNames) -> Result<(), ChainError> {
+        let place = self.camera_place(stamp_ns, names, Posture::default())?.footprint_from_optical;
+        let height_m = place.translation.z;
+        if height_m.is_nan() || height_m < MIN_HEIGHT_M {
+            let (base, camera) = (names.base_footprint.clone(), names.camera_link.clone());
+            return Err(ChainError::NoHeight { height_m, base, camera });
+        }
+        let elevation = libm::asin(place.transform_vector(DVec3::Z).z.clamp(-1.0, 1.0));
+        if elevation > 80f64.to_radians() {
+            let (optical, link) = (names.camera_optical.clone(), names.camera_link.clone());
+            return Err(ChainError::LooksUp { optical, link, elevation_deg: elevation.to_degrees() });
+        }
+        Ok(())
+    }
+
+    /// Refuses a chain that can never be right. One that moves, or that `/tf` may still complete (`more_may_come`), is
+    /// not judged: its frames are.
+    pub fn check_constants(&self, names: &FrameNames, more_may_come: bool) -> Result<(), ChainError> {
+        let chain = match self.chain(&names.base_footprint, &names.camera_optical) {
+            Err(ChainError::Broken { .. }) if more_may_come => return Ok(()),
+            chain => chain?,
+        };
+        let mut moving = false;
+        for (child, edge) in chain {
+            match &edge.transform {
+                Transform::Static(constant) if !is_mount(constant) => {
+                    return Err(ChainError::Impossible { frame: child.to_owned() });
+                }
+                Transform::Static(_) => {}
+                Transform::Moving(_) => moving = true,
+            }
+        }
+        if moving { Ok(()) } else { self.check_mount(0, names) }
+    }
+
+    fn insert(&mut self, parent: &str, child: &str, transform: Transform) {
+        if self.edges.len() < MAX_FRAMES || self.edges.contains_key(child) {
+            self.edges.insert(child.to_owned(), Edge { parent: parent.to_owned(), transform });
+        }
+    }
+
+    /// The edges from `top` down to `bottom`.
+    fn chain(&self, top: &str, bottom: &str) -> Result<Vec<(&str, &Edge)>, ChainError> {
+        let mut chain = Vec::new();
+        let mut here = bottom;
+        while here != top {
+            let Some((child, edge)) = self.edges.get_key_value(here) else {
+                let (from, to) = (top.to_owned(), bottom.to_owned());
+                return Err(ChainError::Broken { frame: here.to_owned(), from, to });
+            };
+            if chain.len() >= MAX_LINKS {
+                return Err(ChainError::Circle { frame: here.to_owned() });
+            }
+            chain.push((child.as_str(), edge));
+            here = &edge.parent;
+        }
+        chain.reverse();
+        Ok(chain)
+    }
+}
+
+/// Whether a part of a robot can be fixed to another part like this.
+fn is_mount(transform: &Isometry) -> bool {
+    transform.is_possible() && transform.translation.length() <= LONGEST_MOUNT_M
+}
+
+/// The torso's place, tilted as the IMU says: roll and pitch replace those of the constant, yaw stays.
+fn with_attitude(constant: Isometry, attitude: Option<DQuat>) -> Isometry {
+    let Some(attitude) = attitude else { return constant };
+    let tilt = Euler::from_rotation(attitude);
+    let yaw = constant.euler().yaw;
+    Isometry::from_euler(Euler { yaw, ..tilt }, constant.translation)
+}
+
+/// The camera on a head that pans about the torso's z and then tilts about its own y axis.
+fn with_head(constant: Isometry, head: Option<Head>) -> Isometry {
+    let Some(head) = head else { return constant };
+    let turn = Euler { yaw: head.pan, pitch: head.tilt, roll: 0.0 }.rotation();
+    Isometry::new(turn * constant.rotation, constant.translation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names() -> FrameNames {
+        FrameNames::default()
+    }
+
+    fn robot() -> TransformTree {
+        let mut tree = TransformTree::default();
+        let at = |x, z| Isometry::new(DQuat::IDENTITY, DVec3::new(x, 0.0, z));
+        let pitched = Isometry::from_euler(Euler { pitch: 0.3, ..Euler::default() }, DVec3::new(0.04, 0.0, 0.11));
+        tree.set_static("base_footprint", "base_link", at(0.0, 0.44));
+        tree.set_static("base_link", "camera_link", pitched);
+        tree.set_static("camera_link", "camera_optical_frame", Isometry::link_from_optical());
+        tree
+    }
+
+    #[test]
+    fn a_fixed_camera_stands_where_the_constants_say() {
+        let place = robot().camera_place(0, &names(), Posture::default()).expect("a whole chain");
+        assert!((place.footprint_from_link.translation - DVec3::new(0.04, 0.0, 0.55)).length() < 1e-12);
+        assert!((place.footprint_from_link.euler().pitch - 0.3).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_torso_s_tilt_moves_the_camera_and_its_yaw_does_not() {
+        let attitude = Some(Euler { yaw: 2.0, pitch: 0.1, roll: 0.0 }.rotation());
+        let place = robot().camera_place(0, &names(), Posture { attitude, head: None }).expect("a whole chain");
+        let euler = place.footprint_from_link.euler();
+        assert!((euler.pitch - 0.4).abs() < 1e-12 && euler.yaw.abs() < 1e-12);
+        let expected = DVec3::new(
+            0.04 * 0.1f64.cos() + 0.11 * 0.1f64.sin(),
+            0.0,
+            0.44 + 0.11 * 0.1f64.cos() - 0.04 * 0.1f64.sin(),
+        );
+        assert!((place.footprint_from_link.translation - expected).length() < 1e-12);
+    }
+
+    #[test]
+    fn a_head_pans_before_it_tilts() {
+        let head = Some(Head { pan: 0.7, tilt: 0.2 });
+        let place = robot().camera_place(0, &names(), Posture { attitude: None, head }).expect("a whole chain");
+        let expected = Euler { yaw: 0.7, pitch: 0.5, roll: 0.0 };
+        let got = place.footprint_from_link.euler();
+        assert!(
+            (got.yaw - expected.yaw).abs() < 1e-12
+                && (got.pitch - expected.pitch).abs() < 1e-12
+                && got.roll.abs() < 1e-12
+        );
+    }
+
+    #[test]
+    fn a_torso_that_moves_in_tf_is_not_tilted_twice() {
+        let mut tree = robot();
+        let tilted = Isometry::from_euler(Euler { pitch: 0.1, ..Euler::default() }, DVec3::new(0.0, 0.0, 0.44));
+        tree.push(50, "base_footprint", "base_link", tilted);
+        let attitude = Some(Euler { pitch: 0.5, ..Euler::default() }.rotation());
+        let place = tree.camera_place(50, &names(), Posture { attitude, head: None }).expect("a whole chain");
+        assert!((place.footprint_from_link.euler().pitch - 0.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_tilt_is_measured_by_an_attitude_or_by_what_moves_above_the_torso() {
+        let measured = |tree: &TransformTree, attitude: Option<DQuat>| {
+            let place = tree.camera_place(50, &names(), Posture { attitude, head: None });
+            place.expect("a whole chain").tilt_is_measured
+        };
+        assert_eq!([None, Some(DQuat::IDENTITY)].map(|attitude| measured(&robot(), attitude)), [false, true]);
+        let moving = |parent: &str, child: &str| {
+            let mut tree = robot();
+            tree.push(50, parent, child, Isometry::IDENTITY);
+            tree
+        };
+        assert!(measured(&moving("base_footprint", "base_link"), None));
+        assert!(!measured(&moving("base_link", "camera_link"), None), "only the head moves");
+        let mut without_torso = robot();
+        without_torso.set_static("base_footprint", "camera_link", Isometry::IDENTITY);
+        assert!(!measured(&without_torso, Some(DQuat::IDENTITY)), "the attitude has nothing to act on");
+    }
+
+    #[test]
+    fn what_is_missing_is_named() {
+        let mut tree = robot();
+        tree.edges.remove("base_link");
+        let error = tree.check_mount(0, &names()).expect_err("no base_link").to_string();
+        assert!(error.contains("the chain ends at base_link"), "{error}");
+        tree.set_static("camera_optical_frame", "base_link", Isometry::IDENTITY);
+        assert!(matches!(tree.check_mount(0, &names()), Err(ChainError::Circle { .. })));
+    }
+
+    #[test]
+    fn a_mount_of_zeros_is_refused() {
+        let mut tree = TransformTree::default();
+        tree.set_static("base_footprint", "base_link", Isometry::IDENTITY);
+        tree.set_static("base_link", "camera_link", Isometry::IDENTITY);
+        tree.set_static("camera_link", "camera_optical_frame", Isometry::IDENTITY);
+        assert!(matches!(tree.check_mount(0, &names()), Err(ChainError::NoHeight { .. })));
+        tree.set_static("base_footprint", "base_link", Isometry::new(DQuat::IDENTITY, DVec3::Z * 0.5));
+        assert!(matches!(tree.check_mount(0, &names()), Err(ChainError::LooksUp { .. })));
+    }
+}

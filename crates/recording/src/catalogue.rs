@@ -1,0 +1,347 @@
+//! Sessions as somebody else may have left them: moved, renamed, edited, partly deleted, with foreign files among them.
+//! Read without trust: no link is followed, nothing is changed, what is not understood is named and set aside.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::acknowledgement::{ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, is_receiver};
+use super::apart::is_probe;
+use super::coverage::COVERAGE_FILE;
+use super::identity::{Head, SessionId};
+use super::manifest::{
+    EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, RECEIVED_FILE, REFINED_FOLDER, SESSION_FILE,
+};
+use super::repair::{COPY, NOTES_FILE, is_damaged_name};
+use super::retention::{Evicted, evicted_segments};
+use super::segment::{ACTIVE, is_segment_name};
+pub use super::storage::Kind;
+use super::storage::{Disk, Storage, read_whole};
+
+/// What was found and is not used, and why.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct SetAside {
+    pub path: PathBuf,
+    pub why: String,
+}
+
+impl SetAside {
+    pub fn new(path: impl Into<PathBuf>, why: impl Into<String>) -> Self {
+        Self { path: path.into(), why: why.into() }
+    }
+}
+
+impl fmt::Display for SetAside {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.path.display(), self.why)
+    }
+}
+
+/// A session's folder.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Session {
+    pub folder: PathBuf,
+    /// The folder's own name.
+    pub name: String,
+    pub head: Head,
+    /// `session.json` as it stands.
+    pub head_bytes: Vec<u8>,
+    pub id: SessionId,
+    /// Of finished segments, in the manifest's order, each once.
+    pub lines: Vec<ManifestLine>,
+    /// Lines of the manifest beside these that are damaged, say too little, or contradict each other.
+    pub doubted: u64,
+    /// It has what is written last of all: every segment was in its manifest once.
+    pub has_ended: bool,
+    /// Plain files with segments' names, and their sizes.
+    pub segments: BTreeMap<String, u64>,
+    /// What this program removed since, and who has it.
+    pub evicted: BTreeMap<String, Evicted>,
+    /// A segment is being written, or was when the power went.
+    pub open: bool,
+    pub pinned: bool,
+    /// It holds what `refine` has made of it, which no sync copies.
+    pub is_refined: bool,
+    /// Of one that was synced into this folder.
+    pub received: Option<Received>,
+    pub acknowledged: Acknowledged,
+    pub set_aside: Vec<SetAside>,
+}
+
+/// `received.json`: how a session came here.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Received {
+    /// 1 from the recorder's own folder, 2 from a copy of it, and so on.
+    pub hops: u32,
+    /// The folder that received it, by its name as a receiver: its word is this copy's own.
+    #[serde(default)]
+    pub receiver: String,
+}
+
+/// A manifest has some hundred bytes a segment; what is larger is none.
+const MAX_MANIFEST_BYTES: u64 = 64 << 20;
+/// Of one session: a week of half-minute segments. What a manifest lists beyond is not believed.
+const MAX_SEGMENTS: usize = 20_000;
+/// `session.json` repeats a config, a field and a lens.
+const MAX_HEAD_BYTES: u64 = 4 << 20;
+/// A number.
+const MAX_RECEIVED_BYTES: u64 = 1024;
+/// More receivers' files than any team has.
+const MAX_RECEIVERS: usize = 256;
+/// File systems allow no longer names.
+const MAX_NAME_BYTES: usize = 255;
+
+/// All sessions in a folder of captures, by name, and what is no session.
+pub fn sessions_in(captures: &Path) -> io::Result<(Vec<Session>, Vec<SetAside>)> {
+    sessions_on(&Disk, captures)
+}
+
+/// One session; `Err` if the folder is none.
+pub fn session_at(folder: &Path) -> Result<Session, SetAside> {
+    session_on(&Disk, folder)
+}
+
+pub(super) fn sessions_on(storage: &dyn Storage, captures: &Path) -> io::Result<(Vec<Session>, Vec<SetAside>)> {
+    let (mut sessions, mut set_aside) = (Vec::new(), Vec::new());
+    for entry in storage.list(captures)? {
+        // Ours, or nobody's business.
+        if entry.name.starts_with('.') || entry.bytes().is_some() {
+            continue;
+        }
+        let path = captures.join(&entry.name);
+        if entry.kind == Kind::Link {
+            set_aside.push(SetAside::new(path, "a link: not followed"));
+            continue;
+        }
+        match session_on(storage, &path) {
+            Ok(session) => sessions.push(session),
+            Err(why) => set_aside.push(why),
+        }
+    }
+    sessions.sort_by(|a, b| a.name.cmp(&b.name));
+    set_aside.sort();
+    Ok((sessions, set_aside))
+}
+
+fn session_on(storage: &dyn Storage, folder: &Path) -> Result<Session, SetAside> {
+    let refused = |why: String| SetAside::new(folder, why);
+    let name = folder.file_name().and_then(|name| name.to_str()).filter(|name| is_plain_name(name));
+    let name = name.ok_or_else(|| refused("not a session's name".to_owned()))?.to_owned();
+    let head_bytes =
+        read_whole(storage, &folder.join(SESSION_FILE), MAX_HEAD_BYTES).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => refused(format!("no session: it has no {SESSION_FILE}")),
+            _ => refused(format!("{SESSION_FILE}: {error}")),
+        })?;
+    let head = Head::parse(&head_bytes).map_err(|why| refused(format!("{SESSION_FILE}: {why}")))?;
+    let mut set_aside = Vec::new();
+    let path = folder.join(MANIFEST_FILE);
+    let (lines, doubted) = match read_whole(storage, &path, MAX_MANIFEST_BYTES) {
+        Ok(bytes) => parse_manifest(&path, &bytes, &mut set_aside),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            set_aside
+                .push(SetAside::new(&path, "missing: nobody can say which segments are whole (`sessions repair`)"));
+            (Vec::new(), 0)
+        }
+        Err(error) => {
+            set_aside.push(SetAside::new(&path, error.to_string()));
+            (Vec::new(), 0)
+        }
+    };
+    let mut session = Session {
+        id: head.id(&head_bytes),
+        folder: folder.to_owned(),
+        name,
+        head,
+        head_bytes,
+        lines,
+        doubted,
+        has_ended: false,
+        segments: BTreeMap::new(),
+        evicted: evicted_segments(storage, folder),
+        open: false,
+        pinned: false,
+        is_refined: false,
+        received: read_received(storage, &folder.join(RECEIVED_FILE), &mut set_aside),
+        acknowledged: Acknowledged::new(),
+        set_aside,
+    };
+    for entry in storage.list(folder).map_err(|error| refused(error.to_string()))? {
+        if entry.name == ACK_FOLDER && entry.kind == Kind::Folder {
+            session.acknowledged = read_acknowledged(storage, &folder.join(ACK_FOLDER), &mut session.set_aside);
+        }
+        session.has_ended |= entry.name == METADATA_FILE && entry.bytes().is_some();
+        session.note(&entry.name, entry.kind);
+    }
+    session.set_aside.sort();
+    Ok(session)
+}
+
+impl Session {
+    /// How far from the recorder it is: only who is farther away may be relied on when something is deleted.
+    pub fn hops(&self) -> u32 {
+        self.received.as_ref().map_or(0, |received| received.hops)
+    }
+
+    /// Something that lies in the folder.
+    pub fn note(&mut self, name: &str, kind: Kind) {
+        let mut aside = |why: &str| self.set_aside.push(SetAside::new(self.folder.join(name), why));
+        match kind {
+            Kind::Link => aside("a link: not followed"),
+            Kind::File(bytes) if is_segment_name(name) => {
+                self.segments.insert(name.to_owned(), bytes);
+            }
+            Kind::File(_) if name == PIN_FILE => self.pinned = true,
+            Kind::File(_) if name.strip_suffix(ACTIVE).is_some_and(is_segment_name) => self.open = true,
+            Kind::File(_) if is_own_file(name) || is_probe(name.as_ref()) => {}
+            Kind::Folder if name == REFINED_FOLDER => self.is_refined = true,
+            Kind::Folder if name == ACK_FOLDER => {}
+            Kind::File(_) if is_damaged_name(name) => {
+                aside("set aside by `sessions repair`: for you to look at, and to delete");
+            }
+            _ => aside("not of this session: left alone"),
+        }
+    }
+
+    /// Promised by the manifest, not there as it was written, and not removed on purpose.
+    pub fn missing(&self) -> impl Iterator<Item = &ManifestLine> {
+        self.lines.iter().filter(|line| !self.has(line) && !self.has_evicted(line))
+    }
+
+    /// There, of the size that it was written with.
+    pub fn has(&self, line: &ManifestLine) -> bool {
+        self.segments.get(&line.name) == Some(&line.bytes)
+    }
+
+    /// Removed to make room, because another store had it.
+    pub fn has_evicted(&self, line: &ManifestLine) -> bool {
+        !self.segments.contains_key(&line.name)
+            && self.evicted.get(&line.name).is_some_and(|evicted| evicted.blake3 == line.blake3)
+    }
+}
+
+/// Beside segments.
+fn is_own_file(name: &str) -> bool {
+    const OWN: [&str; 7] =
+        [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE, NOTES_FILE];
+    // Beside those that are replaced as a whole.
+    let beside = |own: &str| Some(name) == Path::new(own).with_extension("new").to_str();
+    OWN.contains(&name) || OWN.iter().any(|own| beside(own)) || name.strip_suffix(COPY).is_some_and(is_segment_name)
+}
+
+/// One part of a path that stays where it is put and shows as it is.
+pub fn is_plain_name(name: &str) -> bool {
+    !name.is_empty()
+        && name.len() <= MAX_NAME_BYTES
+        && !name.starts_with('.')
+        && !name.chars().any(|c| c == '/' || c == '\\' || c.is_control())
+}
+
+/// Lines that say what they must, each segment once, and how many segments the others may be of; the last may be torn.
+fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> (Vec<ManifestLine>, u64) {
+    let text = String::from_utf8_lossy(bytes);
+    let mut lines: Vec<ManifestLine> = Vec::new();
+    let mut numbers: BTreeMap<String, usize> = BTreeMap::new();
+    let (mut unlike, mut damaged) = (BTreeSet::new(), 0);
+    let mut rest = text.split('\n').enumerate().peekable();
+    while let Some((index, text)) = rest.next() {
+        let mut aside = |why: String| set_aside.push(SetAside::new(path, format!("line {}: {why}", index + 1)));
+        match serde_json::from_str::<ManifestLine>(text) {
+            Ok(line) if !is_segment_name(&line.name) => aside(format!("{:?} is no segment's name", line.name)),
+            Ok(line) if line.blake3.len() != 64 || !line.blake3.bytes().all(|byte| byte.is_ascii_hexdigit()) => {
+                aside(format!("{} has no hash", line.name));
+                damaged += 1;
+            }
+            Ok(line) => match numbers.get(&line.name).map(|number| &lines[*number]) {
+                Some(known) if *known == line => {}
+                Some(_) => {
+                    aside(format!("{} stands twice, and not alike", line.name));
+                    unlike.insert(line.name);
+                }
+                None if lines.len() == MAX_SEGMENTS => {
+                    aside(format!("more than {MAX_SEGMENTS} segments, which no recording has: the rest is not read"));
+                    damaged += 1;
+                    break;
+                }
+                None => {
+                    numbers.insert(line.name.clone(), lines.len());
+                    lines.push(line);
+                }
+            },
+            // Being written, or torn by a power cut before it was whole.
+            Err(_) if rest.peek().is_none() => {}
+            Err(error) => {
+                aside(format!("damaged: {error}"));
+                damaged += 1;
+            }
+        }
+    }
+    lines.retain(|line| !unlike.contains(&line.name));
+    (lines, damaged + unlike.len() as u64)
+}
+
+/// One that makes no sense is as far away as can be: nobody may rely on anybody beyond it.
+fn read_received(storage: &dyn Storage, path: &Path, set_aside: &mut Vec<SetAside>) -> Option<Received> {
+    let parsed = match read_whole(storage, path, MAX_RECEIVED_BYTES) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return None,
+        Err(error) => Err(error.to_string()),
+        Ok(bytes) => serde_json::from_slice(&bytes).map_err(|error| error.to_string()),
+    };
+    Some(parsed.unwrap_or_else(|why| {
+        set_aside.push(SetAside::new(path, why));
+        Received { hops: u32::MAX, ..Received::default() }
+    }))
+}
+
+fn read_acknowledged(storage: &dyn Storage, folder: &Path, set_aside: &mut Vec<SetAside>) -> Acknowledged {
+    let mut all = Acknowledged::new();
+    for entry in storage.list(folder).unwrap_or_default() {
+        if is_probe(entry.name.as_ref()) {
+            continue;
+        }
+        let path = folder.join(&entry.name);
+        let receiver = entry.name.strip_suffix(ACK_ENDING).filter(|receiver| is_receiver(receiver));
+        let Some(receiver) = receiver.filter(|_| all.len() < MAX_RECEIVERS) else {
+            set_aside.push(SetAside::new(path, "not an acknowledgement: left alone"));
+            continue;
+        };
+        match read_whole(storage, &path, MAX_MANIFEST_BYTES) {
+            Ok(bytes) => {
+                all.insert(receiver.to_owned(), Acknowledgement::parse_all(&String::from_utf8_lossy(&bytes)));
+            }
+            Err(error) => set_aside.push(SetAside::new(path, error.to_string())),
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Counts;
+
+    #[test]
+    fn a_manifest_without_an_end_is_read_to_its_bound() {
+        let line = |number: usize| {
+            let line = ManifestLine {
+                name: format!("{number:04}.mcap"),
+                bytes: 1,
+                blake3: "0".repeat(64),
+                first_ns: 0,
+                last_ns: 0,
+                messages: 0,
+                frames: Counts::default(),
+                poses: None,
+                cut_bytes: None,
+            };
+            serde_json::to_string(&line).expect("a line") + "\n"
+        };
+        let text: String = (0..60_000).map(line).collect();
+        let mut set_aside = Vec::new();
+        let (lines, doubted) = parse_manifest(Path::new("manifest.jsonl"), text.as_bytes(), &mut set_aside);
+        assert_eq!((lines.len(), doubted, set_aside.len()), (MAX_SEGMENTS, 1, 1));
+        assert!(set_aside[0].why.contains("line 20001: more than 20000 segments"), "{set_aside:?}");
+    }
+}

@@ -1,0 +1,307 @@
+//! A segment that was never finished gets its end.
+//!
+//! What can be trusted of it goes through the writer again, which says what the whole file is: the same bytes, as far as
+//! they are there, and then index and footer. So only the end of the file is touched. If the bytes differ, the file is of
+//! another writer; if there is more behind what is damaged, it is worth keeping: both are copied instead.
+
+use std::collections::BTreeMap;
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::super::error::RecordingError;
+use super::super::hashing::Hashing;
+use super::super::manifest::{ManifestLine, TopicEntry};
+use super::super::storage::{Appending, Readable, Storage};
+use super::account::Account;
+use super::aside::{put, set_aside};
+use super::notes::{Cut, Notes};
+use realitysim_config::Settings;
+use realitysim_ros2::mcap_read::{
+    Damage, LogReader, Part, Piece, ReadError, Remains, Selection, examine, metadata_records, remains, sound_pieces,
+};
+use realitysim_ros2::mcap_write::{LogWriter, WriteError};
+
+/// Messages of each topic.
+pub(super) type Topics = BTreeMap<TopicEntry, u64>;
+
+/// What became of it.
+pub(super) enum Ended {
+    /// No message is in it.
+    Without(Remains),
+    Whole {
+        line: Box<ManifestLine>,
+        topics: Topics,
+        damage: Option<String>,
+        /// What it was copied from.
+        damaged: Option<PathBuf>,
+    },
+}
+
+/// What the file should end with is at most index and footer: some hundred bytes a chunk.
+const MAX_END_BYTES: usize = 32 << 20;
+/// Of the copy, until it is whole.
+pub(in crate) const COPY: &str = ".repair";
+
+/// Finishes `active` as `NAME`, which is not there; `limit` is where what was given up begins.
+pub(super) fn finish(
+    storage: &dyn Storage,
+    active: &Path,
+    name: &str,
+    limit: Option<u64>,
+    settings: &Settings,
+    notes: &mut Notes,
+) -> Result<Ended, RecordingError> {
+    let length = length(storage, active)?.min(limit.unwrap_or(u64::MAX));
+    let open = || open_until(storage, active, length);
+    let mut account = Account::new(settings);
+    let sink =
+        Compared { there: BufReader::new(open()?), same: 0, differs: false, end: Vec::new(), hash: Default::default() };
+    let (sink, sound) = through_writer(open()?, sink, &mut account).map_err(|error| error.at(active))?;
+    let others = salvaged(open()?).map_err(|error| error.at(active))?;
+    if account.messages() == 0 && others == 0 {
+        return Ok(Ended::Without(remains(open()?, sound.end).map_err(|error| Trouble::from(error).at(active))?));
+    }
+    let fails = |source| RecordingError::io(active, source);
+    let path = active.with_file_name(name);
+    let is_prefix = sink.same >= sound.end && sink.end.len() < MAX_END_BYTES;
+    if !is_prefix || others > account.messages() {
+        return copy(storage, active, &path, open()?, settings, sound.damage, notes);
+    }
+    let Compared { same, end, hash, .. } = sink;
+    let cut = length.saturating_sub(same);
+    let cut = notes.note(name, Cut { bytes: cut, damage: sound.damage.filter(|_| cut > 0) })?;
+    let file = storage.append(active).map_err(fails)?;
+    file.set_len(same).map_err(fails)?;
+    Appending(Arc::clone(&file)).write_all(&end).and_then(|()| file.sync()).map_err(fails)?;
+    put(storage, active, &path)?;
+    let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), cut.bytes);
+    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage, damaged: None })
+}
+
+/// What is said about a finished segment whose line is missing, and what of it makes no sense.
+pub(super) fn describe(
+    storage: &dyn Storage,
+    path: &Path,
+    name: &str,
+    settings: &Settings,
+    noted: Option<&Cut>,
+) -> Result<(ManifestLine, Topics, Option<String>), RecordingError> {
+    let fails = |source| RecordingError::io(path, source);
+    let mut hash = blake3::Hasher::new();
+    io::copy(&mut storage.read(path).map_err(fails)?, &mut hash).map_err(fails)?;
+    let mut account = Account::new(settings);
+    let mut read = || -> Result<Damage, Trouble> {
+        for message in LogReader::open(storage.read(path).map_err(ReadError::from)?, Selection::All)? {
+            account.note(&message?);
+        }
+        // Attachments too.
+        Ok(examine(storage.read(path).map_err(ReadError::from)?)?.damage)
+    };
+    let damage = read().map_err(|error| error.at(path))?;
+    let cut = damage.bytes_skipped.max(noted.map_or(0, |cut| cut.bytes));
+    let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), cut);
+    let said = match noted {
+        Some(cut) => Some(cut.said()),
+        None => (damage != Damage::default()).then(|| damage.to_string()),
+    };
+    Ok((line, topics, said))
+}
+
+/// All that can be read, in a new file; the old one is set aside.
+fn copy(
+    storage: &dyn Storage,
+    active: &Path,
+    path: &Path,
+    reader: impl Read + Seek,
+    settings: &Settings,
+    damage: Option<String>,
+    notes: &mut Notes,
+) -> Result<Ended, RecordingError> {
+    let beside = path.with_extension(format!("mcap{COPY}"));
+    let fails = |source| RecordingError::io(&beside, source);
+    let file = storage.create_over(&beside).map_err(fails)?;
+    let mut account = Account::new(settings);
+    let hashing = Hashing::new(Appending(Arc::clone(&file)));
+    let written = || -> Result<Hashing<Appending>, Trouble> {
+        let mut writer = LogWriter::new(hashing)?;
+        for attachment in realitysim_ros2::mcap_read::attachments(storage.read(active).map_err(ReadError::from)?)?.list {
+            writer.attach(&attachment.name, &attachment.media_type, attachment.log_time_ns, &attachment.data)?;
+        }
+        for record in metadata_records(storage.read(active).map_err(ReadError::from)?)? {
+            writer.metadata(&record.name, &record.values)?;
+        }
+        for message in LogReader::open(reader, Selection::All)? {
+            let message = message?;
+            let id = writer.add_raw_channel(&message.channel.as_ref().into())?;
+            writer.write(id, message.sequence, message.log_time_ns, message.publish_time_ns, &message.data)?;
+            account.note(&message);
+        }
+        Ok(writer.finish()?)
+    };
+    let (bytes, hash) = written().map_err(|error| error.at(&beside))?.end().map_err(fails)?;
+    file.sync().map_err(fails)?;
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let cut = length(storage, active)?.saturating_sub(bytes).max(1);
+    let cut = notes.note(&name, Cut { bytes: cut, damage })?;
+    // In this order: cut off in between, the next run does the same again.
+    put(storage, &beside, path)?;
+    let damaged = Some(set_aside(storage, active)?);
+    let (line, topics) = account.line(&name, bytes, hash, cut.bytes);
+    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage, damaged })
+}
+
+fn through_writer(
+    reader: impl Read + Seek,
+    sink: Compared,
+    account: &mut Account,
+) -> Result<(Compared, realitysim_ros2::mcap_read::Sound), Trouble> {
+    let mut writer = LogWriter::new(sink)?;
+    let sound = sound_pieces(reader, &mut |piece| -> Result<(), Trouble> {
+        match piece {
+            Piece::Attachment(attachment) => {
+                writer.attach(&attachment.name, &attachment.media_type, attachment.log_time_ns, &attachment.data)?;
+            }
+            Piece::Metadata(metadata) => writer.metadata(&metadata.name, &metadata.values)?,
+            Piece::Chunk(parts) => {
+                for part in parts {
+                    match part {
+                        Part::Channel(channel) => drop(writer.add_raw_channel(&channel.as_ref().into())?),
+                        Part::Message(message) => {
+                            let id = writer.add_raw_channel(&message.channel.as_ref().into())?;
+                            let [log_ns, publish_ns] = [message.log_time_ns, message.publish_time_ns];
+                            writer.write(id, message.sequence, log_ns, publish_ns, &message.data)?;
+                            account.note(&message);
+                        }
+                    }
+                }
+                writer.flush_chunk()?;
+            }
+        }
+        Ok(())
+    })?;
+    Ok((writer.finish()?, sound))
+}
+
+/// Messages that a reader gets out of it which passes over what is damaged.
+fn salvaged(reader: impl Read + Seek) -> Result<u64, Trouble> {
+    let reader = match LogReader::open(reader, Selection::All) {
+        Err(ReadError::NotMcap { .. }) => return Ok(0),
+        reader => reader?,
+    };
+    let mut messages = 0;
+    for message in reader {
+        message?;
+        messages += 1;
+    }
+    Ok(messages)
+}
+
+/// What the writer says against what is there.
+struct Compared {
+    there: BufReader<Until>,
+    same: u64,
+    differs: bool,
+    /// What is to stand where they differ.
+    end: Vec<u8>,
+    hash: blake3::Hasher,
+}
+
+impl Write for Compared {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.hash.update(bytes);
+        let mut equal = 0;
+        if !self.differs {
+            let mut there = vec![0; bytes.len()];
+            let read = read_up_to(&mut self.there, &mut there)?;
+            equal = there[..read].iter().zip(bytes).take_while(|(one, other)| one == other).count();
+            self.same += equal as u64;
+            self.differs = equal < bytes.len();
+        }
+        if self.end.len() < MAX_END_BYTES {
+            self.end.extend(&bytes[equal..]);
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn read_up_to(reader: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
+    let mut done = 0;
+    while done < buffer.len() {
+        match reader.read(&mut buffer[done..])? {
+            0 => break,
+            read => done += read,
+        }
+    }
+    Ok(done)
+}
+
+/// A file as if it ended there.
+struct Until {
+    file: Box<dyn Readable>,
+    position: u64,
+    length: u64,
+}
+
+fn length(storage: &dyn Storage, path: &Path) -> Result<u64, RecordingError> {
+    let length = storage.read(path).and_then(|mut file| file.seek(SeekFrom::End(0)));
+    length.map_err(|source| RecordingError::io(path, source))
+}
+
+fn open_until(storage: &dyn Storage, path: &Path, length: u64) -> Result<Until, RecordingError> {
+    let file = storage.read(path).map_err(|source| RecordingError::io(path, source))?;
+    Ok(Until { file, position: 0, length })
+}
+
+impl Read for Until {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let left = usize::try_from(self.length.saturating_sub(self.position)).unwrap_or(usize::MAX);
+        let wanted = buffer.len().min(left);
+        let read = self.file.read(&mut buffer[..wanted])?;
+        self.position += read as u64;
+        Ok(read)
+    }
+}
+
+impl Seek for Until {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let to = match to {
+            SeekFrom::End(from) => SeekFrom::Start(self.length.saturating_add_signed(from)),
+            SeekFrom::Current(by) => SeekFrom::Start(self.position.saturating_add_signed(by)),
+            to @ SeekFrom::Start(_) => to,
+        };
+        self.position = self.file.seek(to)?;
+        Ok(self.position)
+    }
+}
+
+/// Of reading or of writing.
+enum Trouble {
+    Read(ReadError),
+    Write(WriteError),
+}
+
+impl Trouble {
+    fn at(self, path: &Path) -> RecordingError {
+        match self {
+            Self::Read(source) => RecordingError::Read { path: path.to_owned(), source },
+            Self::Write(source) => RecordingError::log(path, source),
+        }
+    }
+}
+
+impl From<ReadError> for Trouble {
+    fn from(error: ReadError) -> Self {
+        Self::Read(error)
+    }
+}
+
+impl From<WriteError> for Trouble {
+    fn from(error: WriteError) -> Self {
+        Self::Write(error)
+    }
+}

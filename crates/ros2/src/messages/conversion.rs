@@ -1,0 +1,112 @@
+//! From the types of geometry to messages and back.
+//!
+//! What a message says may be anything a robot's software has written into it. A number is read with
+//! [`settled`], so that no denormal and no signed zero reaches a product; what is not finite stays so, for the caller to refuse with
+//! [`Physical::is_possible`].
+
+use glam::{DQuat, DVec3};
+
+use super::{CameraInfo, Header, Point, Pose, Quaternion, Stamp, Transform, Vector3};
+use realitysim_geometry::physical::settled;
+use realitysim_geometry::{Isometry, LensModel, LensParameters, Physical};
+
+impl Header {
+    /// `stamp_ns` counts nanoseconds since the epoch of whatever clock stamps the log.
+    pub fn at(stamp_ns: i64, frame_id: &str) -> Self {
+        Self { stamp: Stamp::from_nanoseconds(stamp_ns), frame_id: frame_id.to_owned() }
+    }
+}
+
+impl From<DVec3> for Vector3 {
+    fn from(DVec3 { x, y, z }: DVec3) -> Self {
+        Self { x, y, z }
+    }
+}
+
+impl From<DVec3> for Point {
+    fn from(DVec3 { x, y, z }: DVec3) -> Self {
+        Self { x, y, z }
+    }
+}
+
+impl From<DQuat> for Quaternion {
+    fn from(DQuat { x, y, z, w }: DQuat) -> Self {
+        Self { x, y, z, w }
+    }
+}
+
+impl From<Isometry> for Pose {
+    fn from(isometry: Isometry) -> Self {
+        Self { position: isometry.translation.into(), orientation: isometry.rotation.into() }
+    }
+}
+
+impl From<Isometry> for Transform {
+    fn from(isometry: Isometry) -> Self {
+        Self { translation: isometry.translation.into(), rotation: isometry.rotation.into() }
+    }
+}
+
+impl From<Vector3> for DVec3 {
+    fn from(v: Vector3) -> Self {
+        Self::from_array([v.x, v.y, v.z].map(settled))
+    }
+}
+
+impl From<Point> for DVec3 {
+    fn from(p: Point) -> Self {
+        Self::from_array([p.x, p.y, p.z].map(settled))
+    }
+}
+
+impl From<Quaternion> for DQuat {
+    /// The quaternion as it was written: not normalised.
+    fn from(q: Quaternion) -> Self {
+        Self::from_array([q.x, q.y, q.z, q.w].map(settled))
+    }
+}
+
+impl From<Pose> for Isometry {
+    fn from(pose: Pose) -> Self {
+        rigid(pose.orientation.into(), pose.position.into())
+    }
+}
+
+impl From<Transform> for Isometry {
+    fn from(transform: Transform) -> Self {
+        rigid(transform.rotation.into(), transform.translation.into())
+    }
+}
+
+/// A quaternion of zeros, which many drivers send for "not rotated", is taken for no rotation. One that is not [`Physical`] stays as it
+/// is, so that the whole pose can be refused.
+fn rigid(rotation: DQuat, translation: DVec3) -> Isometry {
+    if rotation.is_possible() || rotation == DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0) {
+        Isometry::new(rotation, translation)
+    } else {
+        Isometry { rotation, translation }
+    }
+}
+
+impl CameraInfo {
+    /// The calibration message of a lens. ROS knows no equisolid lens: it goes by its own name, which only this program reads.
+    pub fn of_lens(lens: &LensParameters, header: Header) -> Self {
+        let (distortion_model, d) = match lens.model {
+            LensModel::KannalaBrandt { k } => ("equidistant", k.to_vec()),
+            LensModel::Equisolid => ("equisolid", Vec::new()),
+            LensModel::PlumbBob { d } => ("plumb_bob", d.to_vec()),
+        };
+        let LensParameters { width, height, fx, fy, cx, cy, .. } = *lens;
+        Self {
+            header,
+            height,
+            width,
+            distortion_model: distortion_model.to_owned(),
+            d,
+            k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            p: [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+            ..Default::default()
+        }
+    }
+}

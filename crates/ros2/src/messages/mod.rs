@@ -1,0 +1,70 @@
+//! The ROS 2 messages that logs hold. Field names, order and units are ROS's (REP 103: metres, radians, seconds).
+
+mod conversion;
+mod diagnostics;
+mod frame_tag;
+mod geometry;
+mod image;
+mod sensors;
+mod time;
+
+use super::cdr::{CdrError, CdrReader, CdrWriter, Wire};
+
+pub use diagnostics::{DiagnosticArray, DiagnosticStatus, KeyValue};
+pub use frame_tag::FrameTag;
+pub use geometry::{
+    Odometry, Point, Pose, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, TFMessage,
+    Transform, TransformStamped, Twist, TwistWithCovariance, Vector3,
+};
+pub use image::{CompressedImage, CompressedImageView, Image, ImageView};
+pub use sensors::{CameraInfo, Imu, JointState, RegionOfInterest};
+pub use time::{Header, Stamp};
+
+/// A message that can stand on a topic of its own.
+pub trait Message: Wire {
+    /// `package/msg/Name`.
+    const TYPE: &'static str;
+
+    /// The definition in `ros2msg` form, nested types included, so that any reader can decode the log.
+    const DEFINITION: &'static str;
+
+    fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
+        let mut reader = CdrReader::new(bytes)?;
+        let message = Self::read(&mut reader)?;
+        reader.finish()?;
+        Ok(message)
+    }
+
+    /// Replaces what the buffer holds.
+    fn encode_into(&self, buffer: &mut Vec<u8>) {
+        self.write(&mut CdrWriter::new(buffer));
+    }
+
+    fn encode(&self) -> Vec<u8> {
+        let mut buffer = Vec::new();
+        self.encode_into(&mut buffer);
+        buffer
+    }
+}
+
+/// Implements [`Message`] from the files in `definitions/`.
+macro_rules! message {
+    ($name:ident is $package:literal / $file:literal $(, needs $nested:literal)* $(,)?) => {
+        impl $crate::messages::Message for $name {
+            const TYPE: &'static str = concat!($package, "/msg/", $file);
+            const DEFINITION: &'static str = concat!(
+                include_str!(concat!("definitions/", $package, "/", $file, ".msg")),
+                $(
+                    "================================================================================\nMSG: ",
+                    $nested,
+                    "\n",
+                    include_str!(concat!("definitions/", $nested, ".msg")),
+                )*
+            );
+        }
+    };
+}
+use message;
+
+#[cfg(test)]
+mod tests;

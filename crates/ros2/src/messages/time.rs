@@ -1,0 +1,66 @@
+//! Stamps and headers.
+
+use serde::Serialize;
+
+use crate::cdr::wire_struct;
+
+const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
+
+wire_struct! {
+    /// builtin_interfaces/Time: time since the epoch of whatever clock the log uses.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+    pub struct Stamp {
+        /// Seconds, rounded down.
+        pub sec: i32,
+        /// Nanoseconds on top of `sec`, below 10^9.
+        pub nanosec: u32,
+    }
+}
+
+wire_struct! {
+    /// std_msgs/Header.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+    pub struct Header {
+        /// When the data was taken, not when it was logged.
+        pub stamp: Stamp,
+        /// The frame in which the data is given.
+        pub frame_id: String,
+    }
+}
+
+impl Stamp {
+    pub const MIN: Self = Self { sec: i32::MIN, nanosec: 0 };
+    pub const MAX: Self = Self { sec: i32::MAX, nanosec: 999_999_999 };
+
+    /// Times that ROS cannot express (before 1901, after January 2038) become the nearest that it can.
+    pub fn from_nanoseconds(nanoseconds: i64) -> Self {
+        let seconds = nanoseconds.div_euclid(NANOSECONDS_PER_SECOND);
+        match i32::try_from(seconds) {
+            Ok(sec) => Self { sec, nanosec: nanoseconds.rem_euclid(NANOSECONDS_PER_SECOND) as u32 },
+            Err(_) if seconds < 0 => Self::MIN,
+            Err(_) => Self::MAX,
+        }
+    }
+
+    pub fn to_nanoseconds(self) -> i64 {
+        i64::from(self.sec) * NANOSECONDS_PER_SECOND + i64::from(self.nanosec)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nanoseconds_there_and_back() {
+        for nanoseconds in [0, 1, -1, 999_999_999, -1_000_000_001, 1_760_000_000_020_000_000] {
+            let stamp = Stamp::from_nanoseconds(nanoseconds);
+            assert_eq!(stamp.to_nanoseconds(), nanoseconds);
+            assert!(stamp.nanosec < 1_000_000_000);
+        }
+        assert_eq!(Stamp::from_nanoseconds(-1), Stamp { sec: -1, nanosec: 999_999_999 });
+        assert_eq!(Stamp::from_nanoseconds(i64::MAX), Stamp::MAX);
+        assert_eq!(Stamp::from_nanoseconds(i64::MIN), Stamp::MIN);
+        assert_eq!(Stamp { sec: i32::MAX, nanosec: u32::MAX }.to_nanoseconds(), 2_147_483_651_294_967_295);
+    }
+}

@@ -1,0 +1,112 @@
+//! What a camera makes of its sensor's values: colours from a mosaic of single-coloured pixels, and sharpening.
+
+use serde::Deserialize;
+
+use super::Role;
+use crate::SceneError;
+use crate::check::within;
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImageProcessing {
+    pub role: Option<Role>,
+    /// Each pixel has seen one colour, in Bayer's pattern RGGB; the others are the means of its neighbours.
+    pub colour_filter: bool,
+    /// What is taken away from a pixel of the mean of the nine around it, and given to itself: edges get a halo.
+    pub sharpening: f64,
+}
+
+impl ImageProcessing {
+    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+        within(format_args!("{key}.sharpening"), self.sharpening, 0.0..=3.0, "0 to 3")
+    }
+
+    pub(super) fn is_none(&self) -> bool {
+        !self.colour_filter && self.sharpening == 0.0
+    }
+
+    /// RGB, `width` pixels a row.
+    pub(crate) fn apply(&self, width: usize, pixels: &mut [u8]) {
+        if self.colour_filter {
+            demosaic(width, pixels);
+        }
+        if self.sharpening > 0.0 {
+            self.sharpen(width, pixels);
+        }
+    }
+
+    fn sharpen(&self, width: usize, pixels: &mut [u8]) {
+        let soft = pixels.to_vec();
+        let height = pixels.len() / 3 / width;
+        let amount = (256.0 * self.sharpening) as i32;
+        for v in 1..height.max(1) - 1 {
+            for index in 3 * (v * width + 1)..3 * ((v + 1) * width - 1) {
+                let across = |at: usize| [at - 3, at, at + 3].map(|at| i32::from(soft[at])).iter().sum::<i32>();
+                let sum = across(index - 3 * width) + across(index) + across(index + 3 * width);
+                let own = i32::from(soft[index]);
+                pixels[index] = (own + (amount * (9 * own - sum)) / (9 * 256)).clamp(0, 255) as u8;
+            }
+        }
+    }
+}
+
+/// The colour that a pixel sees.
+fn filter(u: usize, v: usize) -> usize {
+    [[0, 1], [1, 2]][v % 2][u % 2]
+}
+
+fn demosaic(width: usize, pixels: &mut [u8]) {
+    let height = pixels.len() / 3 / width;
+    let seen: Vec<u16> = pixels
+        .chunks_exact(3)
+        .enumerate()
+        .map(|(at, pixel)| u16::from(pixel[filter(at % width, at / width)]))
+        .collect();
+    for v in 1..height.max(1) - 1 {
+        for u in 1..width.max(1) - 1 {
+            let at = v * width + u;
+            let beside = (seen[at - 1] + seen[at + 1]).div_ceil(2);
+            let above = (seen[at - width] + seen[at + width]).div_ceil(2);
+            let cross = (seen[at - 1] + seen[at + 1] + seen[at - width] + seen[at + width] + 2) / 4;
+            let corners =
+                (seen[at - width - 1] + seen[at - width + 1] + seen[at + width - 1] + seen[at + width + 1] + 2) / 4;
+            let own = seen[at];
+            let colours = match (v % 2, u % 2) {
+                (0, 0) => [own, cross, corners],
+                (0, _) => [beside, own, above],
+                (_, 0) => [above, own, beside],
+                _ => [corners, cross, own],
+            };
+            pixels[3 * at..3 * at + 3].iter_mut().zip(colours).for_each(|(value, colour)| *value = colour as u8);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_of_one_colour_stays_as_it_is() {
+        let plain: Vec<u8> = [90, 120, 60].repeat(80);
+        let mut pixels = plain.clone();
+        ImageProcessing { role: None, colour_filter: true, sharpening: 2.0 }.apply(10, &mut pixels);
+        assert_eq!(pixels, plain);
+    }
+
+    #[test]
+    fn a_slope_of_light_comes_back_from_the_mosaic() {
+        let slope: Vec<u8> = (0..12 * 9).flat_map(|at| [(4 * (at % 12) + 6 * (at / 12)) as u8; 3]).collect();
+        let mut pixels = slope.clone();
+        ImageProcessing { role: None, colour_filter: true, sharpening: 0.0 }.apply(12, &mut pixels);
+        assert!(pixels.iter().zip(&slope).all(|(own, true_one)| own.abs_diff(*true_one) <= 1));
+    }
+
+    #[test]
+    fn an_edge_gets_a_halo_on_both_sides() {
+        let mut pixels: Vec<u8> = (0..8 * 5).flat_map(|at| [if at % 8 < 4 { 60 } else { 150 }; 3]).collect();
+        ImageProcessing { role: None, colour_filter: false, sharpening: 1.0 }.apply(8, &mut pixels);
+        let row: Vec<u8> = pixels[2 * 24..3 * 24].chunks_exact(3).map(|pixel| pixel[0]).collect();
+        assert_eq!(row, [60, 60, 60, 30, 180, 150, 150, 150]);
+    }
+}

@@ -1,0 +1,357 @@
+//! What makes a scene imperfect, one effect a file. An effect that the file does not list does not exist.
+//!
+//! Every effect draws from its own stream, so that adding one never changes what another does.
+
+mod bright_window;
+mod calibration_error;
+mod camera_fault;
+mod exposure_hunting;
+mod fall;
+mod gait_sway;
+mod head_motion;
+mod image_processing;
+mod imu_error;
+mod kidnapping;
+mod light;
+mod obstacles;
+mod odometry_error;
+mod optics;
+mod sensor_noise;
+mod serial_noise;
+mod shutter;
+mod sun_patches;
+mod turf;
+mod worn_lines;
+
+pub use bright_window::{BrightWindow, Wall};
+pub use calibration_error::CalibrationError;
+pub use camera_fault::CameraFault;
+pub use exposure_hunting::ExposureHunting;
+pub use fall::{Direction, Fall};
+pub use gait_sway::GaitSway;
+pub use head_motion::{HeadMotion, Joints};
+pub use image_processing::ImageProcessing;
+pub use imu_error::ImuError;
+pub use kidnapping::Kidnapping;
+pub use light::Light;
+pub use obstacles::{Figure, FigureShape, Obstacles};
+pub use odometry_error::{Jump, OdometryError, Span};
+pub use optics::Optics;
+pub use sensor_noise::SensorNoise;
+pub use serial_noise::SerialNoise;
+pub use shutter::Shutter;
+pub use sun_patches::SunPatches;
+pub use turf::Turf;
+pub use worn_lines::WornLines;
+
+pub(super) use fall::Tumble;
+pub(super) use gait_sway::{Sway, SwayModel};
+pub(super) use kidnapping::Carrying;
+pub(super) use light::LightModel;
+pub(super) use obstacles::{Crowd, Member};
+pub(super) use sensor_noise::NoiseModel;
+pub(super) use serial_noise::Fate;
+
+use serde::Deserialize;
+
+use super::SceneError;
+use super::check::refuse;
+use super::ranges::Range;
+use realitysim_geometry::Field;
+
+/// One `[[effect]]` of the scene file.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Effect {
+    GaitSway(GaitSway),
+    HeadMotion(HeadMotion),
+    Kidnapping(Kidnapping),
+    Fall(Fall),
+    Light(Light),
+    BrightWindow(BrightWindow),
+    Obstacles(Obstacles),
+    Turf(Turf),
+    WornLines(WornLines),
+    SunPatches(SunPatches),
+    Shutter(Shutter),
+    Optics(Optics),
+    ExposureHunting(ExposureHunting),
+    SensorNoise(SensorNoise),
+    ImageProcessing(ImageProcessing),
+    CameraFault(CameraFault),
+    OdometryError(OdometryError),
+    ImuError(ImuError),
+    CalibrationError(CalibrationError),
+    SerialNoise(SerialNoise),
+}
+
+/// Why an effect is in the scene: its task needs it, or it is there to keep the scene from being too clean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    Base,
+    Filler,
+}
+
+/// What may differ from frame to frame: what nothing else is built on, and no clock counts on. The way of a camera or a
+/// figure is one piece, paint stays as it is, a lens is announced once, and a fault begins once.
+const MAY_CHANGE: [(&str, &[&str]); 8] = [
+    ("head_motion", &["encoder_noise_deg"]),
+    ("light", &["gain", "gradient_per_m", "colour", "camera_gain"]),
+    ("bright_window", &["brightness", "glare", "sun_gain"]),
+    ("shutter", &["exposure_ms"]),
+    ("sensor_noise", &["read_noise_dn", "shot_noise_factor"]),
+    ("odometry_error", &["scale_percent", "noise_m_per_m"]),
+    ("imu_error", &["roll_bias_deg", "pitch_bias_deg", "noise_deg", "gyro_noise_deg_s"]),
+    ("serial_noise", &["lost_share", "corrupt_share"]),
+];
+
+/// Refuses a number that cannot be drawn for each frame, and names those that can.
+pub(super) fn check_may_change(range: &Range) -> Result<(), SceneError> {
+    let allowed = MAY_CHANGE.iter().find(|(kind, _)| *kind == range.kind).map_or(&[][..], |(_, keys)| keys);
+    // Of a list each element for itself.
+    let key = range.name.split('[').next().unwrap_or_default();
+    if allowed.contains(&key) {
+        return Ok(());
+    }
+    let can = if allowed.is_empty() { "nothing".to_owned() } else { format!("only {}", allowed.join(", ")) };
+    let expected = format!("of {} {can} can change with every frame; say per = \"episode\"", range.kind);
+    Err(refuse(&range.key, "drawn per frame", expected))
+}
+
+/// What acts on the same thing, in the order in which it applies: the gait, the head upon it, and what interrupts both;
+/// turf, paint, sunlight on it, the hall's light, the window and its sunlight, who stands before all that, the shutter, the lens, the exposure, the
+/// sensor, and what the camera makes of it; the yaw that odometry makes, and the IMU that tells it. All others have a thing of their own.
+const CHAINS: [&[&str]; 3] = [
+    &["gait_sway", "head_motion", "kidnapping", "fall"],
+    &[
+        "turf",
+        "worn_lines",
+        "sun_patches",
+        "light",
+        "bright_window",
+        "obstacles",
+        "shutter",
+        "optics",
+        "exposure_hunting",
+        "sensor_noise",
+        "image_processing",
+    ],
+    &["odometry_error", "imu_error"],
+];
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Stage {
+    Motion,
+    World,
+    Exposure,
+    Sensor,
+    Wire,
+}
+
+impl Effect {
+    pub fn name(&self) -> &'static str {
+        match self {
+            Effect::GaitSway(_) => "gait_sway",
+            Effect::HeadMotion(_) => "head_motion",
+            Effect::Kidnapping(_) => "kidnapping",
+            Effect::Fall(_) => "fall",
+            Effect::BrightWindow(_) => "bright_window",
+            Effect::Shutter(_) => "shutter",
+            Effect::CameraFault(_) => "camera_fault",
+            Effect::SerialNoise(_) => "serial_noise",
+            Effect::Light(_) => "light",
+            Effect::Obstacles(_) => "obstacles",
+            Effect::WornLines(_) => "worn_lines",
+            Effect::ImageProcessing(_) => "image_processing",
+            Effect::ExposureHunting(_) => "exposure_hunting",
+            Effect::Optics(_) => "optics",
+            Effect::SunPatches(_) => "sun_patches",
+            Effect::Turf(_) => "turf",
+            Effect::SensorNoise(_) => "sensor_noise",
+            Effect::OdometryError(_) => "odometry_error",
+            Effect::ImuError(_) => "imu_error",
+            Effect::CalibrationError(_) => "calibration_error",
+        }
+    }
+
+    pub fn role(&self) -> Option<Role> {
+        match self {
+            Effect::GaitSway(effect) => effect.role,
+            Effect::HeadMotion(effect) => effect.role,
+            Effect::Kidnapping(effect) => effect.role,
+            Effect::Fall(effect) => effect.role,
+            Effect::BrightWindow(effect) => effect.role,
+            Effect::Shutter(effect) => effect.role,
+            Effect::CameraFault(effect) => effect.role,
+            Effect::SerialNoise(effect) => effect.role,
+            Effect::Light(effect) => effect.role,
+            Effect::Obstacles(effect) => effect.role,
+            Effect::WornLines(effect) => effect.role,
+            Effect::ImageProcessing(effect) => effect.role,
+            Effect::ExposureHunting(effect) => effect.role,
+            Effect::Optics(effect) => effect.role,
+            Effect::SunPatches(effect) => effect.role,
+            Effect::Turf(effect) => effect.role,
+            Effect::SensorNoise(effect) => effect.role,
+            Effect::OdometryError(effect) => effect.role,
+            Effect::ImuError(effect) => effect.role,
+            Effect::CalibrationError(effect) => effect.role,
+        }
+    }
+
+    /// Whether it changes pixels of a frame whose camera stands where it stands. Others cost no time in a frame.
+    pub fn acts_on_image(&self) -> bool {
+        match self {
+            Effect::Light(_)
+            | Effect::BrightWindow(_)
+            | Effect::Obstacles(_)
+            | Effect::Turf(_)
+            | Effect::WornLines(_)
+            | Effect::SunPatches(_)
+            | Effect::Shutter(_)
+            | Effect::Optics(_)
+            | Effect::ExposureHunting(_)
+            | Effect::SensorNoise(_)
+            | Effect::ImageProcessing(_) => true,
+            Effect::GaitSway(_)
+            | Effect::HeadMotion(_)
+            | Effect::Kidnapping(_)
+            | Effect::Fall(_)
+            | Effect::CameraFault(_)
+            | Effect::OdometryError(_)
+            | Effect::ImuError(_)
+            | Effect::CalibrationError(_)
+            | Effect::SerialNoise(_) => false,
+        }
+    }
+
+    /// What it would need in order to do anything, if it does nothing.
+    pub(super) fn lacks(&self) -> Option<&'static str> {
+        let (does_nothing, needed) = match self {
+            Effect::GaitSway(effect) => (effect.is_still(), "an amplitude above 0"),
+            Effect::HeadMotion(effect) => {
+                (effect.is_still() && effect.encoder_noise_deg == 0.0, "an amplitude or encoder_noise_deg above 0")
+            }
+            Effect::Light(effect) => {
+                (effect.is_daylight(), "a gain or camera_gain other than 1, a gradient or a colour other than white")
+            }
+            Effect::WornLines(effect) => (effect.share == 0.0, "a share above 0"),
+            Effect::SunPatches(effect) => {
+                (effect.gain == 1.0 || effect.share == 0.0, "a gain above 1 and a share above 0")
+            }
+            Effect::Optics(effect) => (effect.is_perfect(), "stray_light or lateral_colour_px above 0"),
+            Effect::ExposureHunting(effect) => (effect.amplitude == 0.0, "an amplitude above 0"),
+            Effect::ImageProcessing(effect) => (effect.is_none(), "colour_filter, or sharpening above 0"),
+            Effect::SensorNoise(effect) => (
+                effect.read_noise_dn == 0.0 && effect.shot_noise_factor == 0.0,
+                "read_noise_dn or shot_noise_factor above 0",
+            ),
+            Effect::OdometryError(effect) => {
+                (effect.is_none(), "at least one of its keys other than 0, or freeze, missing or jump")
+            }
+            Effect::ImuError(effect) => (effect.is_none(), "at least one of its keys other than 0"),
+            Effect::CalibrationError(effect) => (effect.is_none(), "at least one of its keys other than 0"),
+            Effect::SerialNoise(effect) => {
+                (effect.lost_share == 0.0 && effect.corrupt_share == 0.0, "lost_share or corrupt_share above 0")
+            }
+            Effect::Kidnapping(_)
+            | Effect::Fall(_)
+            | Effect::BrightWindow(_)
+            | Effect::Obstacles(_)
+            | Effect::Turf(_)
+            | Effect::Shutter(_)
+            | Effect::CameraFault(_) => (false, ""),
+        };
+        does_nothing.then_some(needed)
+    }
+
+    /// Whether the camera moves while it exposes a frame.
+    pub(super) fn moves_camera(&self) -> bool {
+        match self {
+            Effect::GaitSway(effect) => !effect.is_still(),
+            Effect::HeadMotion(effect) => !effect.is_still(),
+            _ => false,
+        }
+    }
+
+    fn stage(&self) -> Stage {
+        match self {
+            Effect::GaitSway(_) | Effect::HeadMotion(_) | Effect::Kidnapping(_) | Effect::Fall(_) => Stage::Motion,
+            Effect::Turf(_)
+            | Effect::WornLines(_)
+            | Effect::SunPatches(_)
+            | Effect::Light(_)
+            | Effect::BrightWindow(_)
+            | Effect::Obstacles(_) => Stage::World,
+            Effect::Shutter(_) | Effect::Optics(_) | Effect::ExposureHunting(_) => Stage::Exposure,
+            Effect::SensorNoise(_)
+            | Effect::ImageProcessing(_)
+            | Effect::OdometryError(_)
+            | Effect::ImuError(_)
+            | Effect::CalibrationError(_) => Stage::Sensor,
+            Effect::CameraFault(_) | Effect::SerialNoise(_) => Stage::Wire,
+        }
+    }
+
+    fn check(&self, key: &str, field: &Field) -> Result<(), SceneError> {
+        match self {
+            Effect::GaitSway(effect) => effect.check(key),
+            Effect::HeadMotion(effect) => effect.check(key),
+            Effect::Kidnapping(effect) => effect.check(key, field),
+            Effect::Fall(effect) => effect.check(key),
+            Effect::BrightWindow(effect) => effect.check(key),
+            Effect::Shutter(effect) => effect.check(key),
+            Effect::CameraFault(effect) => effect.check(key),
+            Effect::SerialNoise(effect) => effect.check(key),
+            Effect::Light(effect) => effect.check(key),
+            Effect::Obstacles(effect) => effect.check(key, field),
+            Effect::WornLines(effect) => effect.check(key),
+            Effect::ImageProcessing(effect) => effect.check(key),
+            Effect::ExposureHunting(effect) => effect.check(key),
+            Effect::Optics(effect) => effect.check(key),
+            Effect::SunPatches(effect) => effect.check(key),
+            Effect::Turf(effect) => effect.check(key),
+            Effect::SensorNoise(effect) => effect.check(key),
+            Effect::OdometryError(effect) => effect.check(key),
+            Effect::ImuError(effect) => effect.check(key),
+            Effect::CalibrationError(effect) => effect.check(key),
+        }
+    }
+}
+
+pub(super) fn check(effects: &[Effect], field: &Field) -> Result<(), SceneError> {
+    for (index, effect) in effects.iter().enumerate() {
+        let key = format!("effect[{index}]");
+        effect.check(&key, field)?;
+        let before = &effects[..index];
+        if before.iter().any(|other| other.name() == effect.name()) {
+            let expected = "an effect of this kind is listed already; each kind acts once";
+            return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
+        }
+        for chain in CHAINS {
+            let place = |effect: &Effect| chain.iter().position(|name| *name == effect.name());
+            let Some(own) = place(effect) else { continue };
+            if let Some(later) = before.iter().find(|other| place(other) > Some(own) && other.stage() == effect.stage())
+            {
+                let expected = format!("it applies before {}: list {}, in this order", later.name(), chain.join(", "));
+                return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
+            }
+        }
+        if before.iter().any(|other| other.stage() > effect.stage()) {
+            let expected = "list effects in physical order: what moves the robot (gait_sway, head_motion, kidnapping, \
+                            fall), then what it sees (turf, worn_lines, sun_patches, light, bright_window, obstacles), \
+                            then how it is exposed (shutter, optics, exposure_hunting), then what sensors add \
+                            (sensor_noise, image_processing, odometry_error, imu_error, calibration_error), then \
+                            what the wires do (camera_fault, serial_noise)";
+            return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
+        }
+    }
+    Ok(())
+}
+
+/// From 0 to 1 without a jump in velocity or acceleration.
+fn ease(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    x * x * x * (10.0 + x * (6.0 * x - 15.0))
+}

@@ -1,0 +1,113 @@
+//! Noise of the image sensor: read noise everywhere, shot noise that grows with the root of the brightness.
+
+use std::sync::Arc;
+
+use serde::Deserialize;
+
+use super::Role;
+use crate::SceneError;
+use crate::check::within;
+use crate::stream::{self, Purpose, Stream};
+
+/// Digital numbers (DN): the 0 to 255 of the image.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorNoise {
+    pub role: Option<Role>,
+    /// Standard deviation in the dark.
+    pub read_noise_dn: f64,
+    /// Shot noise has this times the root of the value as its standard deviation: 0.15 gives 2.1 DN at 200 DN.
+    pub shot_noise_factor: f64,
+}
+
+/// Tables for the pixel loop: integers only, so that it is fast and the same everywhere.
+#[derive(Clone, Debug)]
+pub(crate) struct NoiseModel {
+    seed: u64,
+    /// Standard deviation at each value, in 1/256 DN.
+    deviation: Box<[i32; 256]>,
+    /// Equally likely values of a standard normal distribution, in 1/4096.
+    normal: Arc<[i16; NORMALS]>,
+}
+
+const NORMALS: usize = 4096;
+/// All is noise then; and the products of the pixel loop stay within 32 bits.
+const MOST_DN: f64 = 500.0;
+/// As many 12 bit table indices as 64 bits hold.
+const DRAWS_PER_HASH: usize = 5;
+
+impl SensorNoise {
+    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+        within(format_args!("{key}.read_noise_dn"), self.read_noise_dn, 0.0..=50.0, "0 to 50 DN")?;
+        within(format_args!("{key}.shot_noise_factor"), self.shot_noise_factor, 0.0..=3.0, "0 to 3")
+    }
+
+    /// `camera_gain` multiplies signal and noise alike: of the same image value it has made more noise.
+    pub(crate) fn model(&self, seed: u64, camera_gain: f64) -> NoiseModel {
+        let normal =
+            core::array::from_fn(|index| libm::round(quantile((index as f64 + 0.5) / NORMALS as f64) * 4096.0) as i16);
+        NoiseModel { seed, deviation: self.deviation(camera_gain), normal: Arc::new(normal) }
+    }
+
+    fn deviation(&self, camera_gain: f64) -> Box<[i32; 256]> {
+        let (read, shot) = (self.read_noise_dn * camera_gain, self.shot_noise_factor);
+        let variance = |value: usize| read * read + shot * shot * camera_gain * value as f64;
+        Box::new(core::array::from_fn(|value| (libm::sqrt(variance(value)).min(MOST_DN) * 256.0 + 0.5) as i32))
+    }
+}
+
+impl NoiseModel {
+    /// The same noise with other figures.
+    pub(crate) fn with(&self, effect: &SensorNoise, camera_gain: f64) -> Self {
+        Self { deviation: effect.deviation(camera_gain), ..self.clone() }
+    }
+
+    /// Depends on the frame and the pixels only.
+    pub(crate) fn apply(&self, frame: u64, pixels: &mut [u8]) {
+        let key = Stream::new(self.seed, Purpose::SensorNoise, frame).key();
+        for (counter, chunk) in pixels.chunks_mut(DRAWS_PER_HASH).enumerate() {
+            let mut bits = stream::at(key, counter as u64);
+            for value in chunk {
+                let normal = i32::from(self.normal[bits as usize % NORMALS]);
+                bits >>= 12;
+                // 1/256 times 1/4096 is 2^-20.
+                let noise = (self.deviation[usize::from(*value)] * normal + (1 << 19)) >> 20;
+                *value = (i32::from(*value) + noise).clamp(0, 255) as u8;
+            }
+        }
+    }
+}
+
+/// The value that a standard normal variable stays below with this probability, by bisection.
+fn quantile(probability: f64) -> f64 {
+    let (mut low, mut high) = (-8.0, 8.0);
+    for _ in 0..48 {
+        let middle = (low + high) / 2.0;
+        let below = 0.5 * libm::erfc(-middle * core::f64::consts::FRAC_1_SQRT_2);
+        if below < probability { low = middle } else { high = middle }
+    }
+    (low + high) / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn has_the_stated_deviation() {
+        let effect = SensorNoise { role: None, read_noise_dn: 1.5, shot_noise_factor: 0.2 };
+        let model = effect.model(3, 1.0);
+        for value in [40u8, 100, 180] {
+            let mut pixels = vec![value; 60_000];
+            model.apply(9, &mut pixels);
+            let n = pixels.len() as f64;
+            let errors = || pixels.iter().map(|p| f64::from(*p) - f64::from(value));
+            let mean = errors().sum::<f64>() / n;
+            let variance = errors().map(|e| e * e).sum::<f64>() / n;
+            // Rounding to whole DN adds 1/12.
+            let expected = 1.5 * 1.5 + 0.04 * f64::from(value) + 1.0 / 12.0;
+            assert!(mean.abs() < 0.05, "{mean}");
+            assert!((variance / expected - 1.0).abs() < 0.03, "{variance} for {expected}");
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! Painted lines and rectangles, and how much of a pixel they cover.
+
+use glam::DVec2;
+
+use super::footprint::{GroundPoint, tent_integral};
+use realitysim_geometry::Field;
+use realitysim_geometry::field::Stroke;
+
+/// A painted line of known width.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Shape {
+    /// `along` is a unit vector; ends are square.
+    Bar {
+        centre: [f32; 2],
+        along: [f32; 2],
+        half_length: f32,
+        half_width: f32,
+    },
+    Ring {
+        centre: [f32; 2],
+        radius: f32,
+        half_width: f32,
+    },
+}
+
+impl Shape {
+    pub(super) fn all(field: &Field) -> Vec<Shape> {
+        let half_width = (field.line_width() / 2.0) as f32;
+        let shape = |stroke| match stroke {
+            Stroke::Segment { from, to } => Shape::Bar {
+                centre: ((from + to) / 2.0).as_vec2().to_array(),
+                along: (to - from).normalize_or(DVec2::X).as_vec2().to_array(),
+                half_length: (from.distance(to) / 2.0) as f32,
+                half_width,
+            },
+            Stroke::Circle { centre, radius } => {
+                Shape::Ring { centre: centre.as_vec2().to_array(), radius: radius as f32, half_width }
+            }
+        };
+        field.painted().into_iter().map(shape).collect()
+    }
+
+    /// Whether any paint lies within `margin` of the square around `centre`.
+    pub(super) fn near(&self, centre: [f32; 2], half_side: f32, margin: f32) -> bool {
+        let reach = half_side * core::f32::consts::SQRT_2 + margin;
+        match *self {
+            Shape::Bar { centre: own, along, half_length, half_width } => {
+                let (x, y) = (centre[0] - own[0], centre[1] - own[1]);
+                let t = (x * along[0] + y * along[1]).abs() - half_length;
+                let s = (x * along[1] - y * along[0]).abs() - half_width;
+                t <= reach && s <= reach
+            }
+            Shape::Ring { centre: own, radius, half_width } => {
+                let from_centre = libm::hypotf(centre[0] - own[0], centre[1] - own[1]);
+                (from_centre - radius).abs() <= half_width + reach
+            }
+        }
+    }
+
+    /// The part of the pixel that is painted, 0 to 1.
+    #[inline]
+    pub(super) fn coverage(&self, p: &GroundPoint) -> f32 {
+        let reach = p.reach;
+        match *self {
+            Shape::Bar { centre, along, half_length, half_width } => {
+                let (x, y) = (p.x - centre[0], p.y - centre[1]);
+                let s = x * along[1] - y * along[0];
+                let t = x * along[0] + y * along[1];
+                if s.abs() > half_width + reach || t.abs() > half_length + reach {
+                    return 0.0;
+                }
+                let across = band(p, s, along[1], -along[0], half_width);
+                // Far from both ends the length does not matter.
+                if t.abs() < half_length - reach {
+                    across
+                } else {
+                    across * band(p, t, along[0], along[1], half_length)
+                }
+            }
+            Shape::Ring { centre, radius, half_width } => {
+                let (x, y) = (p.x - centre[0], p.y - centre[1]);
+                let from_centre = (x * x + y * y).sqrt();
+                let s = from_centre - radius;
+                if s.abs() > half_width + reach {
+                    return 0.0;
+                }
+                let scale = 1.0 / from_centre.max(1e-6);
+                band(p, s, x * scale, y * scale, half_width)
+            }
+        }
+    }
+}
+
+/// The part of the pixel between -`half` and +`half`, for a pixel at `s`.
+#[inline]
+fn band(p: &GroundPoint, s: f32, nx: f32, ny: f32, half: f32) -> f32 {
+    let (pixels, per_metre) = p.pixels_to(s, nx, ny);
+    let half = half * per_metre;
+    tent_integral(pixels + half) - tent_integral(pixels - half)
+}
+
+/// The part of the pixel inside the rectangle around the origin.
+#[inline]
+pub(super) fn inside_rectangle(p: &GroundPoint, half_x: f32, half_y: f32) -> f32 {
+    let reach = p.reach;
+    let (x, y) = (half_x - p.x.abs(), half_y - p.y.abs());
+    if x > reach && y > reach {
+        return 1.0;
+    }
+    if x < -reach || y < -reach {
+        return 0.0;
+    }
+    let (in_x, _) = p.pixels_to(x, -1f32.copysign(p.x), 0.0);
+    let (in_y, _) = p.pixels_to(y, 0.0, -1f32.copysign(p.y));
+    tent_integral(in_x) * tent_integral(in_y)
+}

@@ -1,0 +1,240 @@
+//! Many views with one request: `multipart/mixed`, each part as it is made, in the order asked for.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+
+use http_body_util::BodyExt;
+use hyper::body::{Body as HttpBody, Bytes, Frame};
+use hyper::header::{CONTENT_TYPE, HeaderValue};
+use hyper::{Response, StatusCode};
+use serde_json::{Map, Value};
+use tokio::sync::OwnedSemaphorePermit;
+use tokio::sync::mpsc::{Receiver, Sender, channel};
+use tokio::time::sleep;
+
+use super::answer::{PROBLEM, Reply};
+use super::connections::Seat;
+use super::encode::Form;
+use super::parameters::{Asked, Parameters};
+use super::stock::Picture;
+use super::{Refusal, Service};
+use realitysim_geometry::Isometry;
+
+/// Views of one request.
+const MAX_BATCH: usize = 1024;
+/// So long one may take; what is left then is refused.
+const MAX_TIME: Duration = Duration::from_secs(120);
+/// Parts made before the client has begun to take them.
+const MAX_AHEAD: usize = 1;
+const LOOK_FOR_ROOM_EVERY: Duration = Duration::from_millis(50);
+const BOUNDARY: &str = "realitysim-view-8f3b61c7d2a94e05";
+
+/// Views and how they are to be sent.
+pub(super) struct Batch {
+    /// Or what is wrong with one.
+    pub(super) asked: Vec<Result<Asked, Refusal>>,
+}
+
+impl Batch {
+    /// `{"poses": [...]}` or `{"from": ..., "to": ..., "count": n}`, beside them parameters for all.
+    pub(super) fn from_json(text: &[u8]) -> Result<Self, Refusal> {
+        let value: Value =
+            serde_json::from_slice(text).map_err(|error| Refusal::wrong(format!("not JSON: {error}")))?;
+        let Value::Object(mut object) = value else {
+            return Err(Refusal::wrong("an object is needed: {\"poses\": [{\"x\": 1, ...}, ...]}"));
+        };
+        let [poses, from, to, count] = ["poses", "from", "to", "count"].map(|name| object.remove(name));
+        let all = Parameters::from_json(&object)?;
+        let asked: Vec<Result<Asked, Refusal>> = match (poses, from, to, count) {
+            (Some(Value::Array(poses)), None, None, None) => {
+                within(poses.len())?;
+                poses.iter().enumerate().map(|(number, pose)| one(&format!("poses[{number}]"), pose, &all)).collect()
+            }
+            (None, Some(from), Some(to), Some(count)) => {
+                let refused =
+                    || Refusal::wrong(format!("count is {count}: a whole number from 1 to {MAX_BATCH} is possible"));
+                let whole = |count: &f64| count.fract() == 0.0 && (1.0..=MAX_BATCH as f64).contains(count);
+                let count = count.as_f64().filter(whole).map(|count| count as usize);
+                let count = count.ok_or_else(refused)?;
+                between(&one("from", &from, &all)?, &one("to", &to, &all)?, count).into_iter().map(Ok).collect()
+            }
+            _ => return Err(Refusal::wrong("either poses (a list), or from, to and count are needed")),
+        };
+        // What is wrong with all of them is wrong with the request.
+        match asked.first() {
+            Some(Err(refusal)) if asked.iter().all(Result::is_err) => Err(refusal.clone()),
+            _ => Ok(Self { asked }),
+        }
+    }
+
+    /// Views one after the other, sent as they come; `batch` is its right to be made.
+    pub(super) fn stream(
+        self,
+        service: Arc<Service>,
+        seat: Arc<Seat>,
+        batch: OwnedSemaphorePermit,
+        forms: Vec<Form>,
+    ) -> Reply {
+        let (send, receive) = channel(MAX_AHEAD);
+        tokio::spawn(async move {
+            make(&service, &seat, self.asked, forms, &send).await;
+            drop(batch);
+        });
+        let mut reply = Response::new(Parts(receive).boxed());
+        let kind = format!("multipart/mixed; boundary={BOUNDARY}");
+        if let Ok(kind) = HeaderValue::from_str(&kind) {
+            reply.headers_mut().insert(CONTENT_TYPE, kind);
+        }
+        reply
+    }
+}
+
+fn within(count: usize) -> Result<(), Refusal> {
+    let fits = (1..=MAX_BATCH).contains(&count);
+    if fits { Ok(()) } else { Err(Refusal::wrong(format!("{count} views: 1 to {MAX_BATCH} with one request"))) }
+}
+
+fn one(place: &str, pose: &Value, all: &Parameters) -> Result<Asked, Refusal> {
+    let at = |refusal: Refusal| Refusal { what: format!("{place}: {}", refusal.what), ..refusal };
+    let empty = Map::new();
+    let object = pose.as_object();
+    let own = Parameters::from_json(object.unwrap_or(&empty)).map_err(at)?;
+    own.over(all).asked().map_err(at)
+}
+
+/// Evenly from one pose to the other, both included: straight places, the shortest turn.
+fn between(from: &Asked, to: &Asked, count: usize) -> Vec<Asked> {
+    let (a, b) = (from.map_from_link, to.map_from_link);
+    let pose = |number: usize| {
+        let part = number as f64 / (count.max(2) - 1) as f64;
+        Isometry { translation: a.translation.lerp(b.translation, part), rotation: a.rotation.slerp(b.rotation, part) }
+    };
+    let one = |number: usize| Asked { map_from_link: pose(number), frame: from.frame + number as u64, ..from.clone() };
+    (0..count).map(one).collect()
+}
+
+/// Ends when the client has hung up.
+async fn make(
+    service: &Arc<Service>,
+    seat: &Arc<Seat>,
+    asked: Vec<Result<Asked, Refusal>>,
+    forms: Vec<Form>,
+    send: &Sender<Bytes>,
+) {
+    let started = Instant::now();
+    let forms: Arc<[Form]> = forms.into();
+    for asked in asked {
+        // Nothing is made before the client has taken what was made for it.
+        let Ok(room) = send.reserve().await else { return };
+        let picture = match asked {
+            Err(refusal) => Err(refusal),
+            Ok(asked) if started.elapsed() < MAX_TIME => one_of(service, asked, &forms).await,
+            Ok(_) => Err(too_late()),
+        };
+        let mut bytes = part(picture);
+        let held = loop {
+            match seat.hold(bytes) {
+                Ok(held) => break held,
+                Err(part_of_it) => bytes = part_of_it,
+            }
+            if started.elapsed() > MAX_TIME || send.is_closed() {
+                return;
+            }
+            sleep(LOOK_FOR_ROOM_EVERY).await;
+        };
+        room.send(held);
+    }
+    let _ = send.send(Bytes::from(format!("--{BOUNDARY}--\r\n"))).await;
+}
+
+async fn one_of(service: &Arc<Service>, asked: Asked, forms: &Arc<[Form]>) -> Result<Picture, Refusal> {
+    let inside = service.door.next_of_batch().await?;
+    let (shared, forms) = (Arc::clone(service), Arc::clone(forms));
+    inside.run(move || shared.picture(&asked, &forms)).await?
+}
+
+fn too_late() -> Refusal {
+    let what = format!("not made within {} s: ask for fewer with one request", MAX_TIME.as_secs());
+    Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what)
+}
+
+fn part(picture: Result<Picture, Refusal>) -> Vec<u8> {
+    let (status, kind, headers, content) = match picture {
+        Ok(picture) => (200, picture.form.media_type(), picture.headers, picture.bytes),
+        Err(refusal) => (refusal.status.as_u16(), PROBLEM, Vec::new(), refusal.problem()),
+    };
+    let mut part = format!(
+        "--{BOUNDARY}\r\ncontent-type: {kind}\r\ncontent-length: {}\r\nrealitysim-status: {status}\r\n",
+        content.len()
+    );
+    for (name, value) in headers {
+        part.push_str(&format!("{name}: {value}\r\n"));
+    }
+    part.push_str("\r\n");
+    let mut bytes = part.into_bytes();
+    bytes.extend(content);
+    bytes.extend(b"\r\n");
+    bytes
+}
+
+/// A body of what comes through a channel.
+struct Parts(Receiver<Bytes>);
+
+impl HttpBody for Parts {
+    type Data = Bytes;
+    type Error = std::io::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context) -> Poll<Option<Result<Frame<Bytes>, Self::Error>>> {
+        self.0.poll_recv(context).map(|bytes| bytes.map(|bytes| Ok(Frame::data(bytes))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_take_what_they_do_not_say_from_all() {
+        let text = r#"{"method": "paper", "z": 0.5, "poses": [{"x": 1, "y": 2, "yaw_deg": 3}, {"x": 1, "y": 2, "yaw_deg": 3, "method": "nearest"}]}"#;
+        let batch = Batch::from_json(text.as_bytes()).expect("right");
+        let methods: Vec<_> = batch.asked.iter().flatten().map(|asked| asked.method).collect();
+        assert_eq!(methods, [realitysim_views::Method::Paper, realitysim_views::Method::Nearest]);
+    }
+
+    #[test]
+    fn a_trajectory_begins_and_ends_where_it_should() {
+        let text = r#"{"z": 0.5, "from": {"x": 0, "y": 0, "yaw_deg": 170}, "to": {"x": 1, "y": 2, "yaw_deg": -170}, "count": 5}"#;
+        let asked = Batch::from_json(text.as_bytes()).expect("right").asked;
+        let asked: Vec<Asked> = asked.into_iter().flatten().collect();
+        let middle = asked[2].map_from_link;
+        assert!((middle.translation.x - 0.5).abs() < 1e-12 && asked.len() == 5);
+        assert!(
+            (middle.euler().yaw.abs() - core::f64::consts::PI).abs() < 1e-9,
+            "the short way round: {:?}",
+            middle.euler()
+        );
+        assert!((asked[4].map_from_link.translation.y - 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_place() {
+        for (text, words) in [
+            ("nonsense", "not JSON"),
+            ("[]", "an object is needed"),
+            ("{}", "either poses (a list), or from, to and count"),
+            (r#"{"poses": []}"#, "0 views: 1 to 1024"),
+            (r#"{"poses": [{"x": 1}, {"x": 1}]}"#, "poses[0]: y is missing"),
+            (r#"{"poses": [{"x": [1]}]}"#, "poses[0]: x: [1]: a number or a text is needed"),
+            (r#"{"poses": [1]}"#, "poses[0]: x is missing"),
+            (r#"{"from": {}, "to": {}, "count": 99999}"#, "count is 99999: a whole number from 1 to 1024"),
+            (r#"{"from": {}, "to": {}, "count": -1}"#, "count is -1"),
+            (r#"{"from": {}, "to": {}, "count": 1e9}"#, "count is 1000000000.0"),
+            (r#"{"from": {}, "to": {}, "count": "5"}"#, "count is \"5\""),
+        ] {
+            let refusal = Batch::from_json(text.as_bytes()).err().expect(text);
+            assert!(refusal.status == 400 && refusal.what.contains(words), "{text}: {}", refusal.what);
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! What a request may say, checked: from a query's names and values, or from JSON. Pure.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use serde_json::Value;
+
+use super::Refusal;
+use realitysim_geometry::{Euler, Isometry};
+use realitysim_views::{LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
+
+/// Every parameter of a view, and what is right for it.
+pub const PARAMETERS: [(&str, &str); 17] = [
+    ("x", "metres, -100 to 100: camera_link in map"),
+    ("y", "metres, -100 to 100"),
+    ("z", "metres above the ground, 0.02 to 20"),
+    ("yaw_deg", "degrees, -3600 to 3600"),
+    ("pitch_deg", "degrees, above 0 looks down; 0 if it is left out"),
+    ("roll_deg", "degrees; 0 if it is left out"),
+    ("method", "exact, paper or nearest"),
+    ("width", "pixels, 16 to 2048; without height the lens's proportions stay"),
+    ("height", "pixels, 16 to 2048"),
+    ("lens", "one of `lenses` of /v1/info; without it that of the nearest image"),
+    ("scene", "one of `scenes` of /v1/info: its figures are drawn, its effects on any image applied"),
+    ("figures", "draw or omit: whether the robots, people and balls that the scene places are drawn"),
+    ("frame", "as which frame of the scene, 0 to 4294967295"),
+    ("max_distance_m", "metres, 0 to 1000: how far away the nearest image may have been taken"),
+    ("outside", "refuse (404) or warn (the best there is, with a warning), when the nearest image is farther away"),
+    ("mask", "none, alpha (a fourth channel; not for JPEG) or only (one channel)"),
+    ("quality", "of a JPEG, 1 to 100"),
+];
+
+/// One view, asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Asked {
+    pub(super) map_from_link: Isometry,
+    pub(super) method: Method,
+    pub(super) size: [Option<u32>; 2],
+    pub(super) lens: Option<String>,
+    pub(super) scene: Option<String>,
+    pub(super) figures: bool,
+    pub(super) frame: u64,
+    pub(super) max_distance_m: Option<f64>,
+    pub(super) refuses: bool,
+    pub(super) mask: MaskWanted,
+    pub(super) quality: u8,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum MaskWanted {
+    #[default]
+    None,
+    Alpha,
+    Only,
+}
+
+/// Names and values as they came.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Parameters(BTreeMap<String, String>);
+
+const LEAST_SIDE: u32 = 16;
+/// Two of them make as many pixels as a view may have.
+const MAX_SIDE: u32 = 2048;
+const USUAL_QUALITY: u8 = 90;
+/// Of a value, in a message.
+const MOST_SHOWN: usize = 40;
+
+impl Parameters {
+    pub(super) fn from_query(query: &str) -> Result<Self, Refusal> {
+        let mut known = BTreeMap::new();
+        for (name, value) in form_urlencoded::parse(query.as_bytes()) {
+            if known.insert(name.clone().into_owned(), value.into_owned()).is_some() {
+                return Err(Refusal::wrong(format!("{}: given twice", short(&name))));
+            }
+        }
+        Ok(Self(known))
+    }
+
+    /// Numbers, texts and truths of a JSON object.
+    pub(super) fn from_json(object: &serde_json::Map<String, Value>) -> Result<Self, Refusal> {
+        let text = |(name, value): (&String, &Value)| match value {
+            Value::String(text) => Ok((name.clone(), text.clone())),
+            Value::Number(number) => Ok((name.clone(), number.to_string())),
+            other => Err(Refusal::wrong(format!(
+                "{}: {}: a number or a text is needed",
+                short(name),
+                short(&other.to_string())
+            ))),
+        };
+        object.iter().map(text).collect::<Result<_, _>>().map(Self)
+    }
+
+    /// Those of `self`, and of `all` where `self` says nothing.
+    pub(super) fn over(mut self, all: &Self) -> Self {
+        for (name, value) in &all.0 {
+            self.0.entry(name.clone()).or_insert_with(|| value.clone());
+        }
+        self
+    }
+
+    /// Refuses what is not among `known`.
+    pub(super) fn only(&self, known: &[&str]) -> Result<(), Refusal> {
+        match self.0.keys().find(|name| !known.contains(&name.as_str())) {
+            Some(name) => Err(Refusal::wrong(format!("{}: unknown: there are {}", short(name), known.join(", ")))),
+            None => Ok(()),
+        }
+    }
+
+    pub(super) fn number(&self, name: &str, low: f64, high: f64) -> Result<Option<f64>, Refusal> {
+        let Some(text) = self.0.get(name) else { return Ok(None) };
+        let value = text.trim().parse::<f64>().ok().filter(|value| (low..=high).contains(value));
+        value.map(Some).ok_or_else(|| wrong(name, text, &format!("a number from {low} to {high} is needed")))
+    }
+
+    pub(super) fn whole(&self, name: &str, low: u32, high: u32) -> Result<Option<u32>, Refusal> {
+        let Some(text) = self.0.get(name) else { return Ok(None) };
+        let value = whole(text.trim()).filter(|value| (low..=high).contains(value));
+        value.map(Some).ok_or_else(|| wrong(name, text, &format!("a whole number from {low} to {high} is needed")))
+    }
+
+    fn needed(&self, name: &str, low: f64, high: f64) -> Result<f64, Refusal> {
+        let right = PARAMETERS.iter().find(|(known, _)| *known == name).map_or("", |(_, right)| right);
+        self.number(name, low, high)?.ok_or_else(|| Refusal::wrong(format!("{name} is missing: {right}")))
+    }
+
+    fn choice<T: Copy>(&self, name: &str, choices: &[(&str, T)]) -> Result<T, Refusal> {
+        let Some(text) = self.0.get(name) else { return Ok(choices[0].1) };
+        let found = choices.iter().find(|(known, _)| known == text).map(|(_, value)| *value);
+        let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
+        found.ok_or_else(|| wrong(name, text, &format!("one of {} is needed", names.join(", "))))
+    }
+
+    pub(super) fn asked(&self) -> Result<Asked, Refusal> {
+        self.only(&PARAMETERS.map(|(name, _)| name))?;
+        let turn = |name: &str| Ok(self.number(name, -MAX_TURN_DEG, MAX_TURN_DEG)?.unwrap_or(0.0).to_radians());
+        let place = DVec3::new(
+            self.needed("x", -MAX_PLACE_M, MAX_PLACE_M)?,
+            self.needed("y", -MAX_PLACE_M, MAX_PLACE_M)?,
+            self.needed("z", LEAST_HEIGHT_M, MOST_HEIGHT_M)?,
+        );
+        let yaw = self.needed("yaw_deg", -MAX_TURN_DEG, MAX_TURN_DEG)?.to_radians();
+        let euler = Euler { yaw, pitch: turn("pitch_deg")?, roll: turn("roll_deg")? };
+        Ok(Asked {
+            map_from_link: Isometry::from_euler(euler, place),
+            method: self.choice(
+                "method",
+                &[("exact", Method::Exact), ("paper", Method::Paper), ("nearest", Method::Nearest)],
+            )?,
+            size: [self.whole("width", LEAST_SIDE, MAX_SIDE)?, self.whole("height", LEAST_SIDE, MAX_SIDE)?],
+            lens: self.0.get("lens").cloned(),
+            scene: self.0.get("scene").cloned(),
+            figures: self.choice("figures", &[("draw", true), ("omit", false)])?,
+            frame: self.whole("frame", 0, u32::MAX)?.unwrap_or(0).into(),
+            max_distance_m: self.number("max_distance_m", 0.0, MAX_FAR_M)?,
+            refuses: self.choice("outside", &[("refuse", true), ("warn", false)])?,
+            mask: self.choice(
+                "mask",
+                &[("none", MaskWanted::None), ("alpha", MaskWanted::Alpha), ("only", MaskWanted::Only)],
+            )?,
+            quality: self.whole("quality", 1, 100)?.map_or(USUAL_QUALITY, |quality| quality as u8),
+        })
+    }
+}
+
+/// JSON has one kind of number: 64.0 and 6.4e1 are whole.
+fn whole(text: &str) -> Option<u32> {
+    let exact =
+        text.parse::<f64>().ok().filter(|value| value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(value));
+    text.parse().ok().or_else(|| exact.map(|value| value as u32))
+}
+
+/// The name of something given at the start, or a refusal that says which there are.
+pub(super) fn named<'a, T>(name: &str, wanted: &str, known: &'a BTreeMap<String, T>) -> Result<&'a T, Refusal> {
+    known.get(wanted).ok_or_else(|| {
+        let names: Vec<&str> = known.keys().map(String::as_str).collect();
+        let names = if names.is_empty() { "none: see `realitysim serve --help`".to_owned() } else { names.join(", ") };
+        wrong(name, wanted, &format!("there is {names}"))
+    })
+}
+
+fn wrong(name: &str, value: &str, right: &str) -> Refusal {
+    Refusal::wrong(format!("{name} is {:?}: {right}", short(value)))
+}
+
+fn short(text: &str) -> String {
+    if text.chars().count() <= MOST_SHOWN {
+        text.to_owned()
+    } else {
+        text.chars().take(MOST_SHOWN).chain("...".chars()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn asked(query: &str) -> Result<Asked, Refusal> {
+        Parameters::from_query(query)?.asked()
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_what_would_be_right() {
+        for (query, words) in [
+            ("", "x is missing: metres, -100 to 100"),
+            ("x=1&y=2&z=0.5", "yaw_deg is missing: degrees"),
+            ("x=nan&y=2&z=0.5&yaw_deg=0", "x is \"nan\": a number from -100 to 100 is needed"),
+            ("x=inf&y=2&z=0.5&yaw_deg=0", "x is \"inf\""),
+            ("x=1&y=2&z=-3&yaw_deg=0", "z is \"-3\": a number from 0.02 to 20 is needed"),
+            ("x=1&x=2", "x: given twice"),
+            ("x=1&y=2&z=0.5&yaw_deg=0&width=9999", "width is \"9999\": a whole number from 16 to 2048 is needed"),
+            ("x=1&y=2&z=0.5&yaw_deg=0&method=best", "one of exact, paper, nearest is needed"),
+            ("x=1&y=2&z=0.5&yaw_deg=0&yaw=3", "yaw: unknown: there are x, y, z, yaw_deg"),
+        ] {
+            let refusal = asked(query).expect_err(query);
+            assert!(refusal.what.contains(words) && refusal.status == 400, "{query}: {}", refusal.what);
+        }
+    }
+
+    #[test]
+    fn a_query_and_its_json_ask_for_the_same() {
+        let query = asked("x=1&y=-2.5&z=0.5&yaw_deg=30&pitch_deg=10&method=paper&width=64&mask=only&outside=warn")
+            .expect("right");
+        let object = serde_json::json!({ "x": 1, "y": -2.5, "z": 0.5, "yaw_deg": 30, "pitch_deg": 10.0, "method": "paper",
+            "width": 64, "mask": "only", "outside": "warn" });
+        let json =
+            Parameters::from_json(object.as_object().expect("an object")).expect("values").asked().expect("right");
+        assert_eq!(query, json);
+        assert!(!query.refuses && query.mask == MaskWanted::Only && query.size == [Some(64), None]);
+    }
+
+    #[test]
+    fn whole_numbers_are_whole_however_they_are_written() {
+        for (text, value) in [("64", Some(64)), ("64.0", Some(64)), ("6.4e1", Some(64)), ("64.5", None), ("-1", None)] {
+            assert_eq!(whole(text), value, "{text}");
+        }
+        assert_eq!((whole("4294967295"), whole("4294967296"), whole("nan")), (Some(u32::MAX), None, None));
+    }
+
+    proptest! {
+        #[test]
+        fn no_query_panics(query in "[ -~]{0,200}", name in 0..PARAMETERS.len(), value in "\\PC{0,60}") {
+            let _ = asked(&query);
+            let mut form = form_urlencoded::Serializer::new(String::new());
+            form.append_pair(PARAMETERS[name].0, &value);
+            let refusal = asked(&form.finish()).expect_err("the pose is missing");
+            prop_assert!(refusal.what.len() < 400, "{}", refusal.what);
+        }
+    }
+}

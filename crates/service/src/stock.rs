@@ -1,0 +1,326 @@
+//! What views are made from: the database as it is now, lenses and scenes given at the start. No file is opened by a name that a
+//! client sends.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+
+use hyper::StatusCode;
+use serde_json::{Value, json};
+
+use super::Refusal;
+use super::encode::{self, Form};
+use super::parameters::{Asked, MaskWanted, Parameters, named};
+use realitysim_config::ViewsSettings;
+use realitysim_database::{DatabaseError, Gallery, Shown, Wanted, coverage, coverage_picture};
+use realitysim_geometry::{Lens, LensParameters};
+use realitysim_scene::{Scene, Stage};
+use realitysim_views::{Camera, Made, ViewError};
+
+pub(super) struct Stock {
+    gallery: RwLock<Arc<Gallery>>,
+    lenses: BTreeMap<String, LensParameters>,
+    scenes: BTreeMap<String, Scene>,
+    /// Lenses with their rays, the longest unused first.
+    cameras: Mutex<Vec<Arc<Camera>>>,
+    /// Scenes by name, prepared for a lens and with figures or without; the longest unused first.
+    stages: Mutex<Vec<(StageOf, Arc<Stage>)>>,
+    max_distance_m: f64,
+}
+
+/// Which scene, with its figures?, for which lens.
+type StageOf = (String, bool, LensParameters);
+
+/// A picture and what it says of itself.
+pub(super) struct Picture {
+    pub(super) bytes: Vec<u8>,
+    pub(super) form: Form,
+    pub(super) made: &'static str,
+    pub(super) headers: Vec<(&'static str, String)>,
+}
+
+/// Lenses prepared for views, beside those of the database.
+const MAX_CAMERAS: usize = 16;
+/// Scenes prepared for a lens.
+const MAX_STAGES: usize = 8;
+/// Pixels of all of either together, as long as there are two: each takes some 14 bytes.
+const MAX_KEPT_PIXELS: u64 = 1 << 23;
+/// Pixels of one view.
+const MAX_PIXELS: u64 = 1 << 22;
+/// Cells of a coverage: the paper's grid has 720,000 poses.
+const MAX_CELLS: f64 = 1e6;
+
+impl Stock {
+    pub(super) fn open(
+        folder: &Path,
+        settings: &ViewsSettings,
+        lenses: BTreeMap<String, LensParameters>,
+        scenes: BTreeMap<String, Scene>,
+        max_distance_m: f64,
+    ) -> Result<Self, DatabaseError> {
+        let gallery = RwLock::new(Arc::new(Gallery::open(folder, settings)?));
+        Ok(Self { gallery, lenses, scenes, cameras: Mutex::default(), stages: Mutex::default(), max_distance_m })
+    }
+
+    /// As it is now; who has it keeps it while it is replaced.
+    pub(super) fn gallery(&self) -> Arc<Gallery> {
+        Arc::clone(&self.gallery.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Whether the database had been changed.
+    pub(super) fn refresh(&self) -> Result<bool, DatabaseError> {
+        let Some(new) = self.gallery().reopened()? else { return Ok(false) };
+        *self.gallery.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(new);
+        Ok(true)
+    }
+
+    pub(super) fn picture(&self, asked: &Asked, forms: &[Form]) -> Result<Picture, Refusal> {
+        let gallery = self.gallery();
+        let camera = self.camera(&gallery, asked)?;
+        if let Some(name) = &asked.scene {
+            named("scene", name, &self.scenes)?;
+        }
+        let max_distance_m = asked.max_distance_m.unwrap_or(self.max_distance_m);
+        let wanted = Wanted {
+            map_from_link: asked.map_from_link,
+            method: asked.method,
+            camera,
+            max_distance_m: if asked.refuses { max_distance_m } else { f64::INFINITY },
+            may_be_stored: asked.scene.is_none(),
+            without: Vec::new(),
+        };
+        let mut shown = gallery.view(&wanted).map_err(|error| refusal(&error))?;
+        let effects = match &asked.scene {
+            Some(name) => self.apply(&gallery, name, asked, &mut shown)?,
+            None => Vec::new(),
+        };
+        let untouched = effects.is_empty() && asked.mask == MaskWanted::None;
+        let stored = shown.stored.take().filter(|bytes| untouched && forms.contains(&Form::of(bytes)));
+        let (form, (bytes, channels)) = match stored {
+            Some(bytes) => (Form::of(&bytes), (bytes, 3)),
+            None => (forms[0], encode::encode(&shown.answer.image, forms[0], asked.mask, asked.quality)?),
+        };
+        let mut headers = provenance(&gallery, &shown, channels);
+        if !effects.is_empty() {
+            headers.push(("realitysim-effects", effects.join(", ")));
+        }
+        headers.extend(shown.answer.warning(max_distance_m).map(|words| ("realitysim-warning", words)));
+        Ok(Picture { bytes, form, made: made(shown.answer.made), headers })
+    }
+
+    /// `None`: that of the nearest image.
+    fn camera(&self, gallery: &Gallery, asked: &Asked) -> Result<Option<Arc<Camera>>, Refusal> {
+        if asked.lens.is_none() && asked.size == [None; 2] {
+            return Ok(None);
+        }
+        let own = || {
+            let camera = gallery.nearest_camera(&asked.map_from_link);
+            camera.map(|camera| camera.lens().parameters().clone()).ok_or_else(|| refusal(&DatabaseError::Empty))
+        };
+        let lens = match &asked.lens {
+            Some(name) => named("lens", name, &self.lenses)?.clone(),
+            None => own()?,
+        };
+        let lens = lens.resized(asked.size);
+        if pixels_of(&lens) > MAX_PIXELS {
+            let (width, height) = (lens.width, lens.height);
+            let what = format!("width x height is {width} x {height}: at most {MAX_PIXELS} pixels are made");
+            return Err(Refusal::wrong(what));
+        }
+        let known = |cameras: &[Arc<Camera>]| cameras.iter().position(|camera| *camera.lens().parameters() == lens);
+        let mut cameras = self.cameras();
+        if let Some(at) = known(&cameras) {
+            let camera = cameras.remove(at);
+            cameras.push(Arc::clone(&camera));
+            return Ok(Some(camera));
+        }
+        // Not while others wait.
+        drop(cameras);
+        let checked = Lens::new(lens.clone()).map_err(|error| Refusal::wrong(format!("lens: {error}")))?;
+        let camera = Arc::new(Camera::new(&checked));
+        let mut cameras = self.cameras();
+        if known(&cameras).is_none() {
+            cameras.push(Arc::clone(&camera));
+        }
+        let pixels = |camera: &Arc<Camera>| pixels_of(camera.lens().parameters());
+        give_up(&mut cameras, MAX_CAMERAS, pixels);
+        Ok(Some(camera))
+    }
+
+    /// Which effects were applied.
+    fn apply(
+        &self,
+        gallery: &Gallery,
+        name: &str,
+        asked: &Asked,
+        shown: &mut Shown,
+    ) -> Result<Vec<&'static str>, Refusal> {
+        let scene = named("scene", name, &self.scenes)?;
+        let stage = self.stage(name, scene, asked.figures, shown.camera.lens());
+        stage.check(gallery.field()).map_err(|error| Refusal::wrong(format!("scene is {name:?}: {error}")))?;
+        stage.apply(asked.frame, &shown.camera, gallery.world(), &mut shown.answer);
+        Ok(stage.effects())
+    }
+
+    fn stage(&self, name: &str, scene: &Scene, figures: bool, lens: &Lens) -> Arc<Stage> {
+        let of = (name.to_owned(), figures, lens.parameters().clone());
+        let mut stages = self.stages();
+        if let Some(at) = stages.iter().position(|(known, _)| *known == of) {
+            let stage = stages.remove(at);
+            stages.push(stage.clone());
+            return stage.1;
+        }
+        // Not while others wait.
+        drop(stages);
+        let stage = Arc::new(Stage::new(scene, lens, figures));
+        let mut stages = self.stages();
+        if stages.iter().all(|(known, _)| *known != of) {
+            stages.push((of, Arc::clone(&stage)));
+        }
+        give_up(&mut stages, MAX_STAGES, |((_, _, lens), _)| pixels_of(lens));
+        stage
+    }
+
+    fn stages(&self) -> MutexGuard<'_, Vec<(StageOf, Arc<Stage>)>> {
+        self.stages.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn cameras(&self) -> MutexGuard<'_, Vec<Arc<Camera>>> {
+        self.cameras.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn info(&self) -> Value {
+        let gallery = self.gallery();
+        let names = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+        let sources = gallery.catalogue().sources.iter().enumerate().map(|(number, source)| {
+            json!({ "number": number, "name": names(&source.path), "images": source.images, "lens": source.lens })
+        });
+        json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "images": gallery.index().len(),
+            "index": gallery.catalogue().index,
+            "field": gallery.field().dimensions(),
+            "sources": sources.collect::<Vec<Value>>(),
+            "lenses": self.lenses,
+            "scenes": self.scenes.iter().map(|(name, scene)| (name.clone(), json!(scene.effects_on_views())))
+                .collect::<serde_json::Map<String, Value>>(),
+            "max_distance_m": self.max_distance_m,
+        })
+    }
+
+    /// Cells of x, y and yaw, and how many images each has.
+    pub(super) fn coverage(&self, parameters: &Parameters, picture: bool) -> Result<(Vec<u8>, &'static str), Refusal> {
+        parameters.only(&["cell_m", "headings"])?;
+        let cell_m = parameters.number("cell_m", 0.02, 5.0)?.unwrap_or(0.25);
+        let headings = parameters.whole("headings", 1, 360)?.unwrap_or(24);
+        let gallery = self.gallery();
+        let half = gallery.field().carpet_half_extent();
+        let cells = (2.0 * half.x / cell_m).ceil() * (2.0 * half.y / cell_m).ceil() * f64::from(headings);
+        if cells > MAX_CELLS {
+            let what = format!("cell_m and headings make {cells:.0} cells: at most {MAX_CELLS:.0} are counted");
+            return Err(Refusal::wrong(what));
+        }
+        let found = coverage(gallery.index(), gallery.field(), cell_m, headings as usize);
+        if picture {
+            let image = coverage_picture(&found, gallery.field());
+            let (width, height) = image.dimensions();
+            let pixels = image.into_raw().as_chunks::<3>().0.iter().map(|[r, g, b]| [*r, *g, *b, 255]).collect();
+            let raster = realitysim_views::Raster { width: width as usize, height: height as usize, pixels };
+            return Ok((encode::encode(&raster, Form::Png, MaskWanted::None, 0)?.0, Form::Png.media_type()));
+        }
+        let mut value = serde_json::to_value(&found).unwrap_or_default();
+        value["counts"] = json!(found.counts());
+        Ok((value.to_string().into_bytes(), "application/json"))
+    }
+}
+
+fn pixels_of(lens: &LensParameters) -> u64 {
+    u64::from(lens.width) * u64::from(lens.height)
+}
+
+/// The longest unused, until what is left is few and small enough.
+fn give_up<T>(kept: &mut Vec<T>, most: usize, pixels: impl Fn(&T) -> u64) {
+    while kept.len() > most || (kept.len() > 1 && kept.iter().map(&pixels).sum::<u64>() > MAX_KEPT_PIXELS) {
+        kept.remove(0);
+    }
+}
+
+pub(super) fn made(made: Made) -> &'static str {
+    match made {
+        Made::Stored => "stored",
+        Made::Nearest => "nearest",
+        Made::Warped => "warped",
+        Made::Composed => "composed",
+    }
+}
+
+fn provenance(gallery: &Gallery, shown: &Shown, channels: usize) -> Vec<(&'static str, String)> {
+    let answer = &shown.answer;
+    let source = |used: &realitysim_views::UsedSource| {
+        let record = gallery.index().record(used.id as usize);
+        json!({
+            "source": record.source,
+            "stamp_ns": record.stamp_ns,
+            "distance_m": rounded(used.distance_m),
+            "angle_deg": rounded(used.angle_rad.to_degrees()),
+            "share": rounded(used.share),
+        })
+    };
+    let sources: Vec<Value> = answer.sources.iter().map(source).collect();
+    let mut headers = vec![
+        ("realitysim-made", made(answer.made).to_owned()),
+        ("realitysim-sources", Value::from(sources).to_string()),
+        ("realitysim-valid-share", format!("{:.4}", answer.valid_share)),
+        ("realitysim-sure-share", format!("{:.4}", answer.sure_share)),
+        ("realitysim-width", answer.image.width.to_string()),
+        ("realitysim-height", answer.image.height.to_string()),
+        ("realitysim-channels", channels.to_string()),
+        ("realitysim-index", gallery.catalogue().index.to_string()),
+    ];
+    if let Some(pixels) = answer.expected_error_of_known_px() {
+        headers.push(("realitysim-expected-error-px", format!("{pixels:.3}")));
+    }
+    if !shown.unreadable.is_empty() {
+        headers.push(("realitysim-unreadable", shown.unreadable.len().to_string()));
+    }
+    headers
+}
+
+/// A tenth of a millimetre, of a millidegree, of a permille.
+fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}
+
+/// What went wrong, without the names of this machine's folders.
+fn refusal(error: &DatabaseError) -> Refusal {
+    let none = |what: String| Refusal::new(StatusCode::NOT_FOUND, what);
+    match error {
+        DatabaseError::Empty => none("the database has no image: add some with `realitysim db add`".to_owned()),
+        DatabaseError::View(wrong @ (ViewError::NotFinite | ViewError::Place { .. } | ViewError::Height { .. })) => {
+            Refusal::wrong(wrong.to_string())
+        }
+        DatabaseError::View(error) => none(error.to_string()),
+        _ => Refusal::new(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            "none of the images near this pose can be read: they vanished or changed since they were indexed; `realitysim db \
+             verify` names them, `realitysim db rebuild` mends the database",
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_not_used_for_longest_is_given_up_until_the_rest_is_few_and_small() {
+        let left = |mut kept: Vec<u64>, most: usize| {
+            give_up(&mut kept, most, |pixels| *pixels);
+            kept
+        };
+        assert_eq!(left(vec![1, 2, 3], 3), [1, 2, 3]);
+        assert_eq!(left(vec![1, 2, 3], 2), [2, 3]);
+        assert_eq!(left(vec![MAX_PIXELS, MAX_PIXELS, MAX_PIXELS], 16), [MAX_PIXELS; 2]);
+        assert_eq!(left(vec![7, MAX_KEPT_PIXELS + 1], 16), [MAX_KEPT_PIXELS + 1], "the one in use stays");
+    }
+}

@@ -1,0 +1,36 @@
+//! Between two sessions of one agent: nothing is recorded, and odometry goes on saying where the robot is.
+
+use super::foresight::Foresight;
+use super::state::Kept;
+use super::tagger::Tagger;
+use realitysim_config::{HeadSettings, Topics};
+use realitysim_ros2::mcap_read::LogMessage;
+use realitysim_log_input::intake;
+use realitysim_log_input::synchroniser::Synchroniser;
+
+/// Steps as they come, no frames.
+pub struct Between {
+    pub(super) topics: Topics,
+    pub(super) head: HeadSettings,
+    pub(super) synchroniser: Synchroniser,
+    pub(super) tagger: Tagger,
+    pub(super) foresight: Foresight,
+}
+
+impl Between {
+    pub fn take(&mut self, message: &LogMessage) {
+        if intake::is_frame(&message.channel, &self.topics) {
+            return;
+        }
+        let Ok(input) = intake::read(message, &self.topics, &self.head) else { return };
+        self.synchroniser.push(message, input);
+        if let Some(stamp_ns) = self.foresight.due(&self.synchroniser, message.log_time_ns) {
+            self.foresight.look(stamp_ns, &mut self.tagger, &self.synchroniser);
+        }
+    }
+
+    /// Where the next session goes on.
+    pub fn kept(self) -> Kept {
+        Kept::new(self.foresight, self.tagger.state(), self.synchroniser.state())
+    }
+}

@@ -1,0 +1,298 @@
+//! Frames of a log or scene, decoded and held in memory, so that settings can be tried on the same frames again and again.
+
+mod keeper;
+
+use std::borrow::Cow;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use super::budget::{Budget, Decisions};
+use super::error::ReplayError;
+use super::opened::{self, OpenLog};
+use super::replay::Progress;
+use super::setup::{Eyes, SetupError};
+use super::stages::{NotSeen, view};
+use super::tagger::Tagger;
+use realitysim_config::Settings;
+use realitysim_geometry::{Field, Isometry, Lens, Pose2};
+use realitysim_localization::LocalizerState;
+use realitysim_localization::refinement::Refiner;
+use realitysim_localization::refinement::offsets::Response;
+use realitysim_recording::Loss;
+use realitysim_ros2::messages::FrameTag;
+use realitysim_scene::Scene;
+use realitysim_log_input::scene;
+use realitysim_log_input::synchroniser::{Frame, InitialPose, RobotAt};
+use realitysim_vision::{Picture, Seen};
+use keeper::Keeper;
+
+#[derive(Clone, Debug)]
+pub struct FootageOptions {
+    /// An MCAP file, a folder of them, or a scene file (`.toml`).
+    pub source: PathBuf,
+    /// Also those with which the way to the first kept frame is tracked.
+    pub settings: Settings,
+    /// In place of what the log announces.
+    pub initial: Option<Pose2>,
+    /// Seconds after the log's first frame.
+    pub from_s: f64,
+    /// As long as memory allows, if nothing is said.
+    pub for_s: Option<f64>,
+}
+
+pub struct Footage {
+    settings: Settings,
+    lens: Lens,
+    field: Field,
+    start: Start,
+    shots: Vec<Shot>,
+    /// Each shot starts at a pose of its own and knows nothing of the others.
+    apart: bool,
+    /// Frames had to be left out behind the last one.
+    full: bool,
+    losses: Vec<Loss>,
+}
+
+/// What is known of the robot's place before the first frame.
+#[derive(Clone, Default)]
+struct Start {
+    state: LocalizerState,
+    initial: Option<Pose2>,
+}
+
+/// One frame, ready to be looked at.
+struct Shot {
+    stamp_ns: i64,
+    robot: RobotAt,
+    picture: Result<Picture, NotSeen>,
+}
+
+/// What is to be looked at in place of the picture of an index.
+pub type Redrawing<'a> = dyn Fn(usize, &Picture) -> Picture + Sync + 'a;
+
+/// What is to be believed of the frames, in place of what their source says. Nothing by default.
+#[derive(Clone, Copy, Default)]
+pub struct Claims<'a> {
+    pub field: Option<&'a Field>,
+    /// Of the same size as the pictures.
+    pub lens: Option<&'a Lens>,
+    /// How much higher the camera stands than the source says, metres.
+    pub higher_m: f64,
+    /// Nobody has said where the robot starts.
+    pub start_is_unknown: bool,
+    /// What is to be looked at in place of the picture of this index.
+    pub picture: Option<&'a Redrawing<'a>>,
+}
+
+/// What settings made of one frame.
+#[derive(Clone, Debug)]
+pub struct Attempt {
+    /// With the time from the decoded image to the tag, as a replay states it.
+    pub tag: FrameTag,
+    /// There was something to look at: the time means something.
+    pub seen: bool,
+}
+
+impl Footage {
+    pub fn load(options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
+        if options.source.extension().is_some_and(|ending| ending == "toml") {
+            Self::of_scene(&scene::load(&options.source)?, options, progress)
+        } else {
+            Self::of_log(options, progress)
+        }
+    }
+
+    /// `options.source` is only the scene's name.
+    pub fn of_scene(scene: &Scene, options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
+        let (setup, messages) = opened::scene(scene, &options.source, &options.settings)?;
+        let mut keeper = Keeper::new(options, setup, None);
+        keeper.take_all(messages, &mut |done| progress(done, Some(scene.frame_count())))?;
+        keeper.finish(&options.source)
+    }
+
+    fn of_log(options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
+        let OpenLog { setup, mut messages, checkpoint, frames, lost, .. } =
+            opened::log(&options.source, &options.settings)?;
+        let mut keeper = Keeper::new(options, setup, checkpoint);
+        let read = messages.by_ref().map(|message| message.map_err(ReplayError::from));
+        keeper.take_all(read, &mut |done| progress(done, Some(frames)))?;
+        let mut footage = keeper.finish(&options.source)?;
+        lost.into_iter().for_each(|loss| loss.join(&mut footage.losses));
+        for (file, damage) in messages.damage() {
+            Loss::of_damage(file, damage).join(&mut footage.losses);
+        }
+        Ok(footage)
+    }
+
+    /// The same frames, each on its own: tracking starts anew at each, at the pose given for it.
+    pub fn apart(mut self, starts: &[InitialPose]) -> Self {
+        for (shot, start) in self.shots.iter_mut().zip(starts) {
+            (shot.robot.initial_pose, shot.robot.anchor) = (Some(*start), None);
+        }
+        self.start = Start::default();
+        self.apart = true;
+        self
+    }
+
+    /// As the source wants them: a scene names its own field.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    pub fn field(&self) -> &Field {
+        &self.field
+    }
+
+    pub fn lens(&self) -> &Lens {
+        &self.lens
+    }
+
+    pub fn stamps_ns(&self) -> impl Iterator<Item = i64> + '_ {
+        self.shots.iter().map(|shot| shot.stamp_ns)
+    }
+
+    pub fn frames(&self) -> usize {
+        self.shots.len()
+    }
+
+    /// Memory ended before the frames did.
+    pub fn is_cut(&self) -> bool {
+        self.full
+    }
+
+    /// What of the source could not be used.
+    pub fn losses(&self) -> &[Loss] {
+        &self.losses
+    }
+
+    /// How far lines and the carpet beside them stand out, seen from where the camera truly was; `truth` is of `camera_link`, in time order.
+    pub fn responses(&self, truth: &[(i64, Isometry)]) -> Result<Vec<Response>, SetupError> {
+        let eyes = Eyes::new(&self.settings, &self.lens, self.field.line_width())?;
+        let refiner = Refiner::new(&self.field, &self.lens);
+        let mut seen = Seen::default();
+        let mut responses = Vec::new();
+        for Shot { robot, picture, stamp_ns } in &self.shots {
+            let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
+            let Ok(at) = truth.binary_search_by_key(stamp_ns, |(stamp, _)| *stamp) else { continue };
+            eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
+            responses.extend(refiner.responses(&seen.image, &(truth[at].1 * Isometry::link_from_optical())));
+        }
+        Ok(responses)
+    }
+
+    /// Contrast of the best lines in view and noise of plain carpet, as shares of the carpet's brightness: of each frame that shows lines.
+    pub fn contrasts(&self) -> Result<Vec<[f64; 2]>, SetupError> {
+        let eyes = Eyes::new(&self.settings, &self.lens, self.field.line_width())?;
+        let mut seen = Seen::default();
+        let mut contrasts = Vec::new();
+        for Shot { robot, picture, .. } in &self.shots {
+            let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
+            eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
+            let found = [seen.image.full_contrast(), seen.image.noise()].map(f64::from);
+            contrasts.extend(found.iter().all(|value| value.is_finite()).then_some(found));
+        }
+        Ok(contrasts)
+    }
+
+    /// Tags every frame with these settings, in one thread.
+    pub fn try_out(&self, settings: &Settings, progress: &mut dyn FnMut(usize)) -> Result<Vec<Attempt>, SetupError> {
+        self.try_out_claiming(settings, &Claims::default(), progress)
+    }
+
+    /// The same, with something else believed than what the source says.
+    pub fn try_out_claiming(
+        &self,
+        settings: &Settings,
+        claims: &Claims,
+        progress: &mut dyn FnMut(usize),
+    ) -> Result<Vec<Attempt>, SetupError> {
+        let (field, lens) = (claims.field.unwrap_or(&self.field), claims.lens.unwrap_or(&self.lens));
+        let eyes = Eyes::new(settings, lens, field.line_width())?;
+        let start = if claims.start_is_unknown { Start::default() } else { self.start.clone() };
+        let mut tracking = start.tagger(settings, field, lens);
+        let mut seen = Seen::default();
+        let mut budget = Budget::new(settings.filter.budget_ms, Decisions::new());
+        let mut attempts = Vec::with_capacity(self.shots.len());
+        for (index, shot) in self.shots.iter().enumerate() {
+            if self.apart {
+                let mut own = settings.clone();
+                own.filter.seed = settings.filter.seed.wrapping_add(index as u64);
+                tracking = start.tagger(&own, field, lens);
+            }
+            attempts.push(shot.tag(index, claims, &eyes, &mut tracking, &mut budget, &mut seen));
+            progress(index + 1);
+        }
+        Ok(attempts)
+    }
+}
+
+impl Start {
+    fn tagger(&self, settings: &Settings, field: &Field, lens: &Lens) -> Tagger {
+        let mut tagger = Tagger::new(settings, field.clone(), lens, self.state.clone());
+        if let Some(map_from_footprint) = self.initial {
+            tagger.start_at(&InitialPose { map_from_footprint, xy_m: None, yaw_rad: None });
+        }
+        tagger
+    }
+}
+
+impl Shot {
+    fn new(frame: Frame, lens: &Lens) -> Self {
+        let picture = if frame.robot.place.is_ok() { view(&frame.message, lens) } else { Err(NotSeen::NoPlace) };
+        Self { stamp_ns: frame.stamp_ns, robot: frame.robot, picture }
+    }
+
+    fn robot_as_claimed(&self, claims: &Claims) -> Cow<'_, RobotAt> {
+        if claims.higher_m == 0.0 && !claims.start_is_unknown {
+            return Cow::Borrowed(&self.robot);
+        }
+        let mut robot = self.robot.clone();
+        if let Ok(place) = &mut robot.place {
+            for pose in [&mut place.footprint_from_link, &mut place.footprint_from_optical] {
+                pose.translation.z += claims.higher_m;
+            }
+        }
+        if claims.start_is_unknown {
+            (robot.initial_pose, robot.anchor) = (None, None);
+        }
+        Cow::Owned(robot)
+    }
+
+    fn bytes(&self) -> usize {
+        let of = |picture: &Picture| picture.luma.len() + picture.chroma.blue.len() + picture.chroma.red.len();
+        self.picture.as_ref().map_or(0, of)
+    }
+
+    /// `seen` is only room to work in.
+    fn tag(
+        &self,
+        index: usize,
+        claims: &Claims,
+        eyes: &Eyes,
+        tagger: &mut Tagger,
+        budget: &mut Budget,
+        seen: &mut Seen,
+    ) -> Attempt {
+        let stamp_ns = &self.stamp_ns;
+        let robot = &*self.robot_as_claimed(claims);
+        let picture = match (&self.picture, claims.picture) {
+            (Ok(picture), Some(change)) => Ok(Cow::Owned(change(index, picture))),
+            (picture, _) => picture.as_ref().map(Cow::Borrowed),
+        };
+        let start = Instant::now();
+        let (mut tag, is_seen) = match (&picture, &robot.place) {
+            (Ok(picture), Ok(place)) => {
+                eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), seen);
+                let looked_ms = start.elapsed().as_secs_f64() * 1e3;
+                let mut allowance = budget.frame(*stamp_ns, looked_ms);
+                let tag = tagger.tag(*stamp_ns, robot, seen, &mut |weighed| allowance.may_go_on(weighed));
+                budget.learn(&allowance);
+                (tag, true)
+            }
+            (Err(unseen), _) => (tagger.tag_blind(*stamp_ns, robot, unseen.reason()), false),
+            (_, Err(_)) => (tagger.tag_blind(*stamp_ns, robot, NotSeen::NoPlace.reason()), false),
+        };
+        tag.elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
+        Attempt { tag, seen: is_seen }
+    }
+}

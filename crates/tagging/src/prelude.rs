@@ -1,0 +1,107 @@
+//! What a log says before its first frame: a first pass that touches calibration, transforms and one image only.
+
+use std::collections::BTreeMap;
+
+use super::setup::SetupError;
+use super::warnings::AttitudeSource;
+use realitysim_config::{Settings, Topics};
+use realitysim_ros2::mcap_read::{LogMessage, Selection};
+use realitysim_ros2::messages::{CameraInfo, Imu, JointState, Message, TFMessage};
+use realitysim_log_input::intake::{self, Input};
+use realitysim_log_input::log::LogError;
+use realitysim_log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
+use realitysim_log_input::topic_resolution::{TopicTypes, resolve};
+
+pub struct Prelude {
+    pub topics: Topics,
+    pub camera_info: Option<CameraInfo>,
+    /// Constants are known from the start, wherever in the log they stand.
+    pub synchroniser: SynchroniserState,
+    pub expected: Expected,
+    pub attitude: AttitudeSource,
+}
+
+/// More messages of one topic than this are not needed to know calibration and constants.
+const ENOUGH: u32 = 200;
+
+impl Prelude {
+    pub fn read(
+        settings: &Settings,
+        types: &TopicTypes,
+        messages: impl Fn(Selection) -> Box<dyn Iterator<Item = Result<LogMessage, LogError>>>,
+    ) -> Result<Self, SetupError> {
+        let configured = &settings.topics;
+        let wanted = types
+            .iter()
+            .filter(|(topic, kinds)| {
+                kinds.contains(CameraInfo::TYPE)
+                    || kinds.contains(TFMessage::TYPE)
+                    || **topic == configured.tf
+                    || **topic == configured.tf_static
+            })
+            .map(|(topic, _)| topic.clone());
+        let found: Vec<LogMessage> = first_of_each(messages(Selection::topics(wanted)))?;
+        let odometry_in_tf = found.iter().any(|message| moves_footprint(message, settings));
+        let topics = resolve(settings, types, odometry_in_tf)?;
+        let mut synchroniser = Synchroniser::new(settings.frames.clone(), SynchroniserState::default());
+        let mut camera_info = None;
+        for message in &found {
+            match intake::read(message, &topics, &settings.head) {
+                Ok(Input::CameraInfo(info)) => camera_info = camera_info.or(Some(*info)),
+                Ok(input @ Input::Transforms { latched: true, .. }) => synchroniser.push(message, input),
+                _ => {}
+            }
+        }
+        let first_frame = messages(Selection::topics([topics.image.clone()]))
+            .find(|message| message.as_ref().map_or(true, |message| intake::is_frame(&message.channel, &topics)));
+        check_mount(synchroniser.clone(), &found, first_frame.transpose()?.as_ref(), &topics, settings)?;
+        let has = |topic: &String, kind: &str| types.get(topic).is_some_and(|kinds| kinds.contains(kind));
+        let expected = Expected { imu: has(&topics.imu, Imu::TYPE), joints: has(&topics.joints, JointState::TYPE) };
+        let imus =
+            types.iter().filter(|(_, kinds)| kinds.contains(Imu::TYPE)).map(|(topic, _)| topic.clone()).collect();
+        let attitude = AttitudeSource { topic: topics.imu.clone(), all: imus };
+        Ok(Self { topics, camera_info, synchroniser: synchroniser.state().clone(), expected, attitude })
+    }
+}
+
+/// Whether the camera can be where the log says, before anything is written.
+fn check_mount(
+    mut synchroniser: Synchroniser,
+    found: &[LogMessage],
+    first_frame: Option<&LogMessage>,
+    topics: &Topics,
+    settings: &Settings,
+) -> Result<(), SetupError> {
+    // The first frame tells what its optical frame is called.
+    for message in found.iter().chain(first_frame) {
+        let input = intake::read(message, topics, &settings.head);
+        if let Ok(input @ (Input::Transforms { latched: false, .. } | Input::Frame { .. })) = input {
+            synchroniser.push(message, input);
+        }
+    }
+    let moving = found.iter().filter(|message| message.channel.topic == topics.tf).count();
+    Ok(synchroniser.check_mount(moving >= ENOUGH as usize)?)
+}
+
+fn first_of_each(messages: impl Iterator<Item = Result<LogMessage, LogError>>) -> Result<Vec<LogMessage>, LogError> {
+    let mut counts: BTreeMap<u16, u32> = BTreeMap::new();
+    let mut kept = Vec::new();
+    for message in messages {
+        let message = message?;
+        let count = counts.entry(message.channel.id).or_default();
+        *count += 1;
+        if *count <= ENOUGH {
+            kept.push(message);
+        }
+    }
+    Ok(kept)
+}
+
+fn moves_footprint(message: &LogMessage, settings: &Settings) -> bool {
+    let names = &settings.frames;
+    let is_step = |t: &intake::StampedTransform| t.parent == names.odom && t.child == names.base_footprint;
+    matches!(
+        intake::read(message, &settings.topics, &settings.head),
+        Ok(Input::Transforms { transforms, .. }) if transforms.iter().any(is_step)
+    )
+}

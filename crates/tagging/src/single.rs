@@ -1,0 +1,408 @@
+//! Where was a single image taken? Lens, tilt and height are known; x, y and yaw are looked for on a field.
+
+use glam::DVec3;
+use nalgebra::{Matrix6, Vector6};
+use serde::Serialize;
+
+use realitysim_geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
+use realitysim_localization::filter::always;
+use realitysim_localization::global::{self, Candidate, Pace, Search, SearchState, Wanted};
+use realitysim_localization::kernel::Points;
+use realitysim_localization::observation::default_alpha;
+use realitysim_localization::painted::PaintedMap;
+use realitysim_localization::refinement::{Agreement, Prior, Refiner, error_between};
+use realitysim_localization::{
+    Effort, Evidence, Filter, FilterSettings, FilterState, Formula, Model, MotionModel, Observation, Sampling,
+    SimdPath, Spread, Support, Tried, observation,
+};
+use realitysim_vision::{BodyMask, Picture, Seen, Vision, VisionSettings};
+
+/// What is known beforehand.
+#[derive(Clone, Debug)]
+pub struct Known {
+    pub lens: Lens,
+    /// Of `camera_link`; yaw is ignored.
+    pub attitude: Euler,
+    /// Standard deviation of its roll and pitch.
+    pub tilt_sigma_rad: f64,
+    /// Height of `camera_link` above the carpet.
+    pub height_m: f64,
+    /// About where `camera_link` is; without it the whole field is searched.
+    pub initial: Option<Pose2>,
+    pub body: Option<BodyMask>,
+}
+
+/// What an image shows of the ground: the same for every field.
+pub struct Look<'a> {
+    picture: &'a Picture,
+    vision: Vision,
+    /// With the attitude as given first, then with others.
+    views: Vec<View>,
+}
+
+struct View {
+    footprint_from_link: Isometry,
+    seen: Seen,
+}
+
+/// A pose that explains the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Found {
+    /// `camera_link` in `map`.
+    pub map_from_link: Isometry,
+    /// Fitted to the lines to a fraction of a pixel; else as the search over the field found it.
+    pub refined: bool,
+    pub lines: Agreement,
+    /// Share of the line seen that the field has where the pose puts it.
+    pub explained: f64,
+    /// Share of the expected line contrast that was found, 0 to 1.
+    pub share: f64,
+    /// Painted line in view in units of 10 cm, counted by its certainty.
+    pub weight: f64,
+    /// Of the lines and of the tilt, as far as it differs from the given one.
+    pub log_likelihood: f64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Located {
+    /// Best first; none if the image shows no line on the ground. Each pose's mirror image explains the image as well.
+    pub found: Vec<Found>,
+    /// Nobody said where, or about where, the camera was.
+    pub searched: bool,
+}
+
+/// How far the best pose may be trusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fit {
+    /// It explains the lines, and no other pose does so nearly as well.
+    Good,
+    /// It explains the lines, and so does a pose elsewhere.
+    Doubtful,
+    /// The lines are not explained, or there are hardly any: what was found means nothing.
+    None,
+}
+
+/// Share of the expected line contrast: with less, what was found means nothing.
+pub const LEAST_SHARE: f64 = 0.4;
+/// Certain line in view, in units of 10 cm.
+pub const LEAST_WEIGHT: f64 = 8.0;
+/// Digits against chance ([`Agreement::digits`]) of a pose that means something, and of one that may be trusted: on a whole field, with
+/// all its tilts and heights, some 10^11 poses are tried, and near an initial pose some 10^4.
+const LEAST_DIGITS: f64 = 4.0;
+const LEAST_DIGITS_IF_SEARCHED: f64 = 8.0;
+const TRUSTED_DIGITS: f64 = 8.0;
+const TRUSTED_DIGITS_IF_SEARCHED: f64 = 15.0;
+/// Share of the expected lines that fit, times share of the seen ones that are expected: lines of another place, or through another
+/// lens, lie beside where a pose has them. So much less for each pixel of the width that is seen half the time beyond the first.
+const TRUSTED_BOTH_WAYS: f64 = 0.75;
+const BOTH_WAYS_LESS_PER_PX: f64 = 0.1;
+/// Log likelihood by which the best must stand out.
+const CLEAR_BY: f64 = 2.0;
+
+/// Poses closer than this are one.
+const SAME_M: f64 = 0.4;
+const SAME_RAD: f64 = 0.3;
+
+/// How many explanations are kept.
+const KEPT: usize = 5;
+/// Of the tilt that a view is made with, what is left to the next one and the lens file's own error.
+const TILT_SIGMA_RAD: f64 = 0.005;
+/// Attitudes are tried so far apart, ...
+const TILT_STEP_RAD: f64 = 0.03;
+/// ... and so many standard deviations around the given one.
+const TILT_SIGMAS: f64 = 1.25;
+/// On every field that is played on.
+const LINE_WIDTH_M: f64 = 0.05;
+const LINE_POINTS: usize = 700;
+const SEARCH_MARGIN_M: f64 = 0.5;
+/// How far off a pose that was found may be before it is refined, and how wrong the given height.
+const START_M: f64 = 0.15;
+const START_RAD: f64 = 0.05;
+const HEIGHT_M: f64 = 0.005;
+/// Of a tilt that is known: the field is not quite as its file says, and the lens neither.
+const LEAST_TILT_SIGMA_RAD: f64 = 0.0005;
+/// What a refined pose needs: line places that fit, and their share of those expected. A field is hardly ever quite as its
+/// file says, and refining moves a pose no farther than its basin.
+const FEWEST_FITTING: usize = 15;
+const LEAST_FITTING_SHARE: f64 = 0.25;
+/// Around an initial pose.
+const INITIAL: Spread = Spread { xy_m: 0.3, yaw_rad: 0.15 };
+const INITIAL_PARTICLES: usize = 2000;
+const INITIAL_ITERATIONS: usize = 8;
+
+impl Known {
+    /// `base_footprint` is the point of the carpet below the camera, heading as the camera. So much more roll and pitch than given.
+    fn footprint_from_link(&self, [roll, pitch]: [f64; 2]) -> Isometry {
+        let tilt = Euler { yaw: 0.0, pitch: self.attitude.pitch + pitch, roll: self.attitude.roll + roll };
+        Isometry::from_euler(tilt, DVec3::new(0.0, 0.0, self.height_m))
+    }
+
+    /// What the image shows of the ground, with the attitude as given and, if that may be wrong, with some around it.
+    pub fn look<'a>(&self, picture: &'a Picture) -> Look<'a> {
+        let settings = VisionSettings {
+            reading: observation::reading(Model::Gauss, Formula::Corrected),
+            line_width_m: LINE_WIDTH_M,
+            range_m: 0.0,
+            tilt_sigma_rad: TILT_SIGMA_RAD,
+            nearest_reach_m: 0.25,
+            reduction: 0,
+        };
+        let vision = Vision::new(&self.lens, settings);
+        let views = tilts(self.tilt_sigma_rad).into_iter().map(|more| {
+            let footprint_from_link = self.footprint_from_link(more);
+            let seen = vision.look(picture, &(footprint_from_link * Isometry::link_from_optical()), self.body.as_ref());
+            View { footprint_from_link, seen }
+        });
+        Look { picture, views: views.collect(), vision: vision.clone() }
+    }
+
+    pub fn locate(&self, look: &Look, field: &Field, seed: u64) -> Located {
+        let alpha = default_alpha(Formula::Corrected);
+        let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
+        let mut search = Search::new(field, SEARCH_MARGIN_M, &observation);
+        let mut refiner = Refiner::new(field, &self.lens);
+        let painted = PaintedMap::new(field);
+        let mut found = Vec::new();
+        for view in &look.views {
+            let candidates = match self.initial {
+                None => {
+                    let (mut state, mut effort) = (SearchState::default(), Effort::default());
+                    let found = search.run(
+                        &observation,
+                        &view.seen.table,
+                        Wanted { candidates: KEPT, pace: Pace::Hurried },
+                        &mut state,
+                        &mut effort,
+                        &mut always,
+                    );
+                    found.unwrap_or_default()
+                }
+                Some(initial) => vec![around(&observation, &view.seen, initial, seed)],
+            };
+            found.extend(candidates.iter().map(|candidate| {
+                let start = candidate.pose.to_isometry() * view.footprint_from_link;
+                let unrefined = self.weighed(look, &observation, &painted, start, None);
+                let Some((pose, lines)) = self.refined(&mut refiner, &view.seen, &candidate.pose, &start) else {
+                    return unrefined;
+                };
+                let refined = self.weighed(look, &observation, &painted, pose, Some(lines));
+                // On a field that is not quite as its file says a refined pose may show less of the contrast than the one it
+                // came from: whichever shows more says whether this is the place.
+                let Found { share, weight, log_likelihood, .. } =
+                    if refined.log_likelihood >= unrefined.log_likelihood { refined } else { unrefined };
+                Found { share, weight, log_likelihood, ..refined }
+            }));
+        }
+        found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+        let found = found.into_iter();
+        let mut found = without_mirrors(found.filter(|found| found.weight > 0.0));
+        found.truncate(KEPT);
+        Located { found, searched: self.initial.is_none() }
+    }
+
+    /// What the image shows from the best pose, and all that were found: poses of the point below `camera_link`, their worth the log
+    /// likelihood.
+    pub fn evidence(&self, look: &Look, field: &Field, located: &Located) -> Option<Evidence> {
+        let best = located.found.first()?;
+        let map_from_optical = best.map_from_link * Isometry::link_from_optical();
+        let footprint_from_optical = best.place().to_isometry().inverse() * map_from_optical;
+        let seen = look.vision.look(look.picture, &footprint_from_optical, self.body.as_ref());
+        let (refiner, painted) = (Refiner::new(field, &self.lens), PaintedMap::new(field));
+        let tried = located.found.iter().map(|found| {
+            let Pose2 { x, y, yaw } = found.place();
+            let Found { log_likelihood: worth, explained, .. } = *found;
+            Tried { x, y, yaw_deg: yaw.to_degrees(), worth, fitting: found.lines.fitting, explained }
+        });
+        Some(Evidence {
+            agreement: best.lines,
+            explained: painted.explained(seen.lines(), &footprint_from_optical, &map_from_optical),
+            tried: tried.collect(),
+            ..Evidence::of_pose(&seen, &refiner, &painted, Some(&footprint_from_optical), &map_from_optical)
+        })
+    }
+
+    /// The pose that the lines fit best near a start, if enough of them do.
+    fn refined(
+        &self,
+        refiner: &mut Refiner,
+        seen: &Seen,
+        place: &Pose2,
+        start: &Isometry,
+    ) -> Option<(Isometry, Agreement)> {
+        let optical = Isometry::link_from_optical();
+        let given = place.to_isometry() * self.footprint_from_link([0.0; 2]) * optical;
+        let tilt = self.tilt_sigma_rad.max(LEAST_TILT_SIGMA_RAD);
+        let sigmas = |tilt: f64| Vector6::new(START_M, START_M, HEIGHT_M, tilt, tilt, START_RAD);
+        let covariance = |sigmas: Vector6<f64>| Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
+        let prior = Prior::of_pose(given, &covariance(sigmas(tilt)));
+        let reach = covariance(sigmas(tilt.min(0.6 * TILT_STEP_RAD)));
+        let start = error_between(&given, &(*start * optical));
+        let refined = refiner.refine_within(&seen.image, &prior, &start, &reach)?;
+        let lines = refined.lines;
+        let agrees = lines.fitting >= FEWEST_FITTING && lines.share > LEAST_FITTING_SHARE;
+        agrees.then(|| (refined.map_from_optical * optical.inverse(), lines))
+    }
+
+    /// What the image says of a pose, seen as from there.
+    fn weighed(
+        &self,
+        look: &Look,
+        observation: &Observation,
+        painted: &PaintedMap,
+        map_from_link: Isometry,
+        lines: Option<Agreement>,
+    ) -> Found {
+        let optical = Isometry::link_from_optical();
+        let place = Pose2::from_isometry(&map_from_link);
+        let footprint_from_optical = place.to_isometry().inverse() * map_from_link * optical;
+        let seen = look.vision.look(look.picture, &footprint_from_optical, self.body.as_ref());
+        let Support { share, weight, .. } = observation.support(seen.lines(), &place);
+        let explained = painted.explained(seen.lines(), &footprint_from_optical, &(map_from_link * optical)).share;
+        let tilt = map_from_link.euler();
+        let sigma = self.tilt_sigma_rad.max(LEAST_TILT_SIGMA_RAD);
+        let off = |found: f64, given: f64| wrap_angle(found - given) / sigma;
+        let (roll, pitch) = (off(tilt.roll, self.attitude.roll), off(tilt.pitch, self.attitude.pitch));
+        // A tilt is given right, or far off: a normal distribution's tails are too thin.
+        let unlikely = libm::log(1.0 + 0.5 * (roll * roll + pitch * pitch));
+        let log_likelihood = observation.log_likelihood(&seen.table, &place) - unlikely;
+        let (refined, lines) = (lines.is_some(), lines.unwrap_or_default());
+        Found { map_from_link, refined, lines, explained, share, weight, log_likelihood }
+    }
+}
+
+/// Roll and pitch beyond the given ones: none first.
+fn tilts(sigma_rad: f64) -> Vec<[f64; 2]> {
+    let most = TILT_SIGMAS * sigma_rad;
+    let steps = libm::round(most / TILT_STEP_RAD) as i32;
+    let mut tilts: Vec<[i32; 2]> = (-steps..=steps)
+        .flat_map(|roll| (-steps..=steps).map(move |pitch| [roll, pitch]))
+        .filter(|[roll, pitch]| roll * roll + pitch * pitch <= steps * steps + 1)
+        .collect();
+    tilts.sort_by_key(|[roll, pitch]| roll * roll + pitch * pitch);
+    tilts.into_iter().map(|tilt| tilt.map(|steps| f64::from(steps) * TILT_STEP_RAD)).collect()
+}
+
+/// Each pose stands for its mirror image too; near the halfway line a search finds both.
+fn without_mirrors(found: impl Iterator<Item = Found>) -> Vec<Found> {
+    let mut kept: Vec<Found> = Vec::new();
+    for candidate in found {
+        let mirror = candidate.place().mirrored();
+        let is_known = |known: &Found| {
+            let near = |pose: &Pose2| {
+                let place = known.place();
+                place.distance(pose) < SAME_M && wrap_angle(place.yaw - pose.yaw).abs() < SAME_RAD
+            };
+            near(&mirror) || near(&candidate.place())
+        };
+        if !kept.iter().any(is_known) {
+            kept.push(candidate);
+        }
+    }
+    kept
+}
+
+impl Located {
+    /// A pose elsewhere that explains the image nearly as well as the best.
+    pub fn rival(&self) -> Option<&Found> {
+        let [best, next, ..] = &self.found[..] else { return None };
+        (best.log_likelihood - next.log_likelihood < CLEAR_BY).then_some(next)
+    }
+
+    pub fn fit(&self) -> Fit {
+        match self.found[..] {
+            [best, ..] if !best.means_something(self.searched) => Fit::None,
+            [_, ..] if self.rival().is_some() => Fit::Doubtful,
+            [best, ..] if best.is_trusted(self.searched) => Fit::Good,
+            [_, ..] => Fit::Doubtful,
+            [] => Fit::None,
+        }
+    }
+}
+
+impl Found {
+    pub fn place(&self) -> Pose2 {
+        Pose2::from_isometry(&self.map_from_link)
+    }
+
+    fn means_something(&self, searched: bool) -> bool {
+        let digits = if searched { LEAST_DIGITS_IF_SEARCHED } else { LEAST_DIGITS };
+        self.share >= LEAST_SHARE && self.weight >= LEAST_WEIGHT && self.lines.digits >= digits
+    }
+
+    fn is_trusted(&self, searched: bool) -> bool {
+        let digits = if searched { TRUSTED_DIGITS_IF_SEARCHED } else { TRUSTED_DIGITS };
+        let both_ways = self.lines.share.min(self.lines.foremost) * self.explained;
+        let faint = BOTH_WAYS_LESS_PER_PX * self.lines.fainter_px();
+        self.lines.digits >= digits && both_ways >= TRUSTED_BOTH_WAYS - faint
+    }
+}
+
+fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> Candidate {
+    let settings = FilterSettings {
+        sampling: Sampling { particles: INITIAL_PARTICLES, iterations: INITIAL_ITERATIONS, adaptive: false, fewest: 0 },
+        motion: MotionModel::default(),
+        jitter: Spread { xy_m: 0.05, yaw_rad: 0.03 },
+        jitter_shrink: 0.7,
+        seed,
+    };
+    let mut filter = Filter::new(settings, observation.clone(), FilterState::default());
+    filter.restart(initial, INITIAL);
+    let still = Some(Pose2::default());
+    let best = filter.step(still, 0.0, &seen.table, &mut Effort::default(), &mut always).best;
+    let start = Candidate { pose: best, log_likelihood: observation.log_likelihood(&seen.table, &best) };
+    global::climb(observation, &seen.table, start, &mut Points::default(), &mut Effort::default())
+}
+
+#[cfg(test)]
+mod tests {
+    use core::f64::consts::PI;
+
+    use super::*;
+
+    /// Of which all is as it should be.
+    fn found(x: f64, y: f64, yaw: f64, log_likelihood: f64) -> Found {
+        let lines = Agreement { digits: 60.0, share: 0.9, foremost: 0.9, ..Agreement::default() };
+        let map_from_link = Pose2::new(x, y, yaw).to_isometry();
+        Found { map_from_link, refined: true, lines, explained: 0.9, share: 0.9, weight: 30.0, log_likelihood }
+    }
+
+    #[test]
+    fn a_pose_stands_for_its_mirror_and_for_its_neighbours() {
+        let (one, mirror) = (found(0.05, 0.02, 1.0, 9.0), found(-0.05, -0.02, 1.0 - PI, 9.0));
+        let (neighbour, other) = (found(0.1, 0.1, 1.1, 8.5), found(2.0, 0.02, 1.0, 8.0));
+        assert_eq!(without_mirrors([one, mirror, neighbour, other].into_iter()), [one, other]);
+    }
+
+    #[test]
+    fn a_fit_needs_contrast_line_digits_and_no_rival() {
+        let fit = |found: &[Found], searched| Located { found: found.to_vec(), searched }.fit();
+        let best = found(1.0, 1.0, 0.0, 9.0);
+        assert_eq!(fit(&[], true), Fit::None);
+        assert_eq!(fit(&[best], true), Fit::Good);
+        assert_eq!(fit(&[best, found(2.0, 1.0, 0.0, 4.0)], true), Fit::Good);
+        assert_eq!(fit(&[best, found(2.0, 1.0, 0.0, 8.5)], true), Fit::Doubtful);
+        assert_eq!(fit(&[Found { share: 0.3, ..best }], true), Fit::None);
+        assert_eq!(fit(&[Found { weight: 3.0, ..best }], true), Fit::None);
+        let digits = |digits| Found { lines: Agreement { digits, ..best.lines }, ..best };
+        let fits = [3.0, 6.0, 10.0, 20.0].map(|many| [true, false].map(|searched| fit(&[digits(many)], searched)));
+        assert_eq!(fits[0], [Fit::None, Fit::None], "by chance");
+        assert_eq!(fits[1], [Fit::None, Fit::Doubtful], "by chance, on a whole field");
+        assert_eq!(fits[2], [Fit::Doubtful, Fit::Good]);
+        assert_eq!(fits[3], [Fit::Good, Fit::Good]);
+        assert_eq!(fit(&[Found { explained: 0.6, ..best }], true), Fit::Doubtful, "lines that the field does not have");
+    }
+
+    #[test]
+    fn tilts_surround_the_given_one_as_far_as_it_may_be_wrong() {
+        assert_eq!(tilts(0.0), [[0.0, 0.0]]);
+        for sigma_rad in [0.02, 0.035, 0.087] {
+            let tilts = tilts(sigma_rad);
+            assert_eq!(tilts[0], [0.0, 0.0], "the given one first");
+            let sum = tilts.iter().fold([0.0, 0.0], |sum, tilt| [sum[0] + tilt[0], sum[1] + tilt[1]]);
+            assert!(sum[0].abs() < 1e-12 && sum[1].abs() < 1e-12, "as many to each side");
+            let most = tilts.iter().map(|tilt| tilt[0]).fold(0.0, f64::max);
+            assert!((most - TILT_SIGMAS * sigma_rad).abs() <= 0.5 * TILT_STEP_RAD, "{sigma_rad}: {most}");
+        }
+    }
+}

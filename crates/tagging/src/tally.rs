@@ -1,0 +1,113 @@
+//! What has happened so far: for `/diagnostics` while the agent runs, for the report at its end.
+
+use std::collections::BTreeMap;
+
+use super::effort::EffortTally;
+use super::stages::NotSeen;
+use realitysim_recording::Counts;
+use realitysim_ros2::cdr::CdrError;
+use realitysim_ros2::mcap_read::LogMessage;
+use realitysim_ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Header, KeyValue};
+use realitysim_ros2::topics::DIAGNOSTICS_PREFIX;
+use realitysim_log_input::synchroniser::{Frame, RobotAt};
+
+#[derive(Clone, Debug, Default)]
+pub struct Tally {
+    /// Tags made, whatever has become of them since: what the other counts of tags are a part of. Those of the recorder are of
+    /// tags that the disk has kept.
+    pub tags: u64,
+    /// Why tags are invalid, and how many.
+    pub invalid: BTreeMap<String, u64>,
+    /// Of each reason the first frame.
+    pub first_invalid: BTreeMap<String, u64>,
+    /// Messages, other than frames, whose bytes are not what their type says.
+    pub bad_messages: u64,
+    /// First image of which nothing could be seen, and why.
+    pub first_bad_image: Option<String>,
+    pub effort: EffortTally,
+    /// Poses while there were no frames.
+    pub predicted: u64,
+    /// Frames of which nobody said how the torso was tilted.
+    pub without_tilt: u64,
+    /// Particles' weights that were NaN or +inf.
+    pub unusable_weights: u64,
+    /// Measurements that no robot can have made, by their numbers.
+    pub impossible_measurements: u64,
+    /// Measurements that came too late to be sorted in.
+    pub late_measurements: u64,
+    /// Frames after which localization forgot everything, since a number was not finite.
+    pub begun_anew: u64,
+}
+
+impl Tally {
+    pub fn note_tag(&mut self, robot: &RobotAt, tag: &FrameTag, budget_ms: f64) {
+        self.tags += 1;
+        self.effort.note(tag, budget_ms);
+        self.without_tilt += u64::from(robot.place.as_ref().is_ok_and(|place| !place.tilt_is_measured));
+        if !tag.valid {
+            *self.invalid.entry(tag.reason.clone()).or_default() += 1;
+            self.first_invalid.entry(tag.reason.clone()).or_insert(tag.sequence);
+        }
+    }
+
+    pub fn note_unseen(&mut self, frame: &Frame, unseen: &NotSeen, sequence: u64) {
+        self.first_bad_image.get_or_insert_with(|| {
+            let what = match unseen {
+                NotSeen::Decode(error) => error.to_string(),
+                NotSeen::Size { image, lens } => {
+                    format!("{} x {} pixels, but the lens has {} x {}", image[0], image[1], lens[0], lens[1])
+                }
+                NotSeen::NoPlace => match &frame.robot.place {
+                    Err(error) => error.to_string(),
+                    Ok(_) => String::new(),
+                },
+            };
+            format!("{}, frame {sequence}: {what}", frame.message.channel.topic)
+        });
+    }
+
+    /// Of one whose stamp cannot be read.
+    pub fn note_bad_frame(&mut self, message: &LogMessage, error: &CdrError) {
+        let LogMessage { channel, log_time_ns, .. } = message;
+        self.first_bad_image
+            .get_or_insert_with(|| format!("{}, frame logged at {log_time_ns} ns: {error}", channel.topic));
+    }
+
+    /// Of the recorder; of localization since the last time this was asked.
+    pub fn diagnostics(
+        &mut self,
+        log_time_ns: i64,
+        robot: &str,
+        counts: &Counts,
+        conserved: bool,
+        budget_ms: f64,
+    ) -> DiagnosticArray {
+        let value = |key: &str, value: u64| KeyValue { key: key.to_owned(), value: value.to_string() };
+        let mut values = vec![
+            value("frames_captured", counts.captured),
+            value("frames_written", counts.written),
+            value("frames_tagged", counts.tagged),
+            value("frames_valid", counts.valid),
+            value("frames_thinned", counts.thinned),
+            value("bad_messages", self.bad_messages),
+            value("late_measurements", self.late_measurements),
+            value("impossible_measurements", self.impossible_measurements),
+            value("unusable_weights", self.unusable_weights),
+            value("begun_anew", self.begun_anew),
+        ];
+        let causes = [("dropped", &counts.dropped), ("untagged", &counts.untagged), ("lost", &counts.lost)];
+        for (what, causes) in causes {
+            values.extend(causes.iter().map(|(cause, count)| value(&format!("{what}_{cause}"), *count)));
+        }
+        let recorder = DiagnosticStatus {
+            level: if conserved { DiagnosticStatus::OK } else { DiagnosticStatus::ERROR },
+            name: format!("{DIAGNOSTICS_PREFIX}recorder"),
+            message: if conserved { "captured = written + thinned + dropped" } else { "frames are unaccounted for" }
+                .to_owned(),
+            hardware_id: robot.to_owned(),
+            values,
+        };
+        let localization = self.effort.diagnostics(robot, budget_ms);
+        DiagnosticArray { header: Header::at(log_time_ns, ""), status: vec![recorder, localization] }
+    }
+}

@@ -1,0 +1,239 @@
+//! What a user will want to know although nothing failed.
+
+use std::collections::BTreeMap;
+
+use super::effort::EffortTally;
+use super::report::Quantiles;
+use realitysim_config::FrameNames;
+use realitysim_geometry::physical::MOST;
+use realitysim_localization::LensOff;
+use realitysim_ros2::messages::{Imu, Message};
+use realitysim_log_input::synchroniser::GONE_NS;
+
+/// What a tag's reason is when lines are seen and fit nowhere.
+const LOST: [&str; 5] = ["pose_unknown", "unconfirmed", "lines_disagree", "lines_unexplained", "not_standing"];
+/// And when hardly any are seen.
+const HARDLY_SEEN: [&str; 2] = ["few_lines", "spread"];
+/// Share of the frames that may take longer than the budget before it is called too small: what a busy machine does.
+const OVER_BUDGET: f64 = 0.05;
+/// A calibration is called wrong when it is off by so much, and by so many standard deviations.
+const LEAST_STRETCH: f64 = 0.003;
+const LEAST_PX: f64 = 1.0;
+const CLEAR_SIGMAS: f64 = 5.0;
+
+/// Whether a tag of this reason says that its frame fits nowhere on the field.
+pub fn is_unplaced(reason: &str) -> bool {
+    LOST.contains(&reason) || HARDLY_SEEN.contains(&reason)
+}
+
+/// Most frames show lines, but none that a robot on this field could see; or no tag at all is valid. `cause` says what is to be
+/// looked at.
+pub fn unplaced(
+    field: &str,
+    invalid: &BTreeMap<String, u64>,
+    tagged: u64,
+    cause: impl FnOnce() -> String,
+) -> Option<String> {
+    let of = |reasons: &[&str]| reasons.iter().map(|reason| invalid.get(*reason).copied().unwrap_or(0)).sum::<u64>();
+    let (lost, hardly_seen) = (of(&LOST), of(&HARDLY_SEEN));
+    let none_is_valid = invalid.values().sum::<u64>() == tagged;
+    let (count, though) = if 2 * lost > tagged {
+        (lost, ", though lines are seen")
+    } else if none_is_valid && 2 * (lost + hardly_seen) > tagged {
+        (lost + hardly_seen, "")
+    } else {
+        return None;
+    };
+    Some(format!("{count} of {tagged} frames could not be placed on the field {field}{though}: {}", cause()))
+}
+
+/// On a robot there is no time to find out more.
+pub fn possible_causes(budget_ms: f64) -> String {
+    let hurried = match budget_ms {
+        0.0 => String::new(),
+        budget_ms => format!(" Or is filter.budget_ms = {budget_ms} too small for a search of the field?"),
+    };
+    format!(
+        "is it the right field (field = ...), the right lens and the right mount of camera and IMU?{hurried} `realitysim replay` of \
+         what was recorded looks for the cause"
+    )
+}
+
+/// The camera's fault.
+pub fn no_picture(invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
+    let of = |reason: &str| invalid.get(reason).copied().unwrap_or(0);
+    let flaws = [
+        ("too_dark", "were black: is the lens covered, or the exposure far too short?"),
+        ("overexposed", "were mostly white: is the exposure or the gain far too high?"),
+        ("image_frozen", "showed the same picture again although the robot moved: does the camera stand still?"),
+    ];
+    let (reason, said) = flaws.into_iter().max_by_key(|(reason, _)| of(reason))?;
+    (10 * of(reason) > tagged).then(|| format!("{} of {tagged} frames {said}", of(reason)))
+}
+
+/// By its attitude the torso lay most of the time.
+pub fn never_upright(imu: &str, invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
+    let lay = invalid.get("fallen").copied().unwrap_or(0);
+    (2 * lay > tagged).then(|| {
+        format!(
+            "in {lay} of {tagged} frames the torso did not stand, by {imu}: is the IMU built in upside down or on its side? The \
+             transform from the torso to the IMU's frame in /tf_static says how"
+        )
+    })
+}
+
+/// The budget is too small for what cannot be left out.
+pub fn small_budget(budget_ms: f64, effort: &EffortTally, tagged: u64) -> Option<String> {
+    let over = effort.over_budget;
+    let Quantiles { p50, p99, .. } = effort.durations.quantiles();
+    (over as f64 > OVER_BUDGET * tagged as f64).then(|| {
+        format!(
+            "filter.budget_ms = {budget_ms}: {over} of {tagged} frames took longer (p50 {p50:.1}, p99 {p99:.1} ms), though \
+             {} had fewer particles for it: {}",
+            effort.capped,
+            if p50 > budget_ms { "seeing and refining alone take that long here" } else { "a busy machine, or searches" }
+        )
+    })
+}
+
+/// The lines say that the calibration is not that of this lens.
+pub fn wrong_lens(off: &LensOff) -> Option<String> {
+    let LensOff { stretch, centre_u_px, centre_v_px } = *off;
+    let is_clear = |(value, sigma): (f64, f64), least: f64| value.abs() > least.max(CLEAR_SIGMAS * sigma);
+    let is_off = is_clear(stretch, LEAST_STRETCH) || is_clear(centre_u_px, LEAST_PX) || is_clear(centre_v_px, LEAST_PX);
+    is_off.then(|| {
+        format!(
+            "by the field's lines the lens is not quite as it was calibrated: focal length {:+.2} %, centre {:+.1}, {:+.1} px. \
+             Tags allow for it, views do not; `realitysim refine --write-calibration` measures it from a whole walk",
+            stretch.0 * 100.0,
+            centre_u_px.0,
+            centre_v_px.0,
+        )
+    })
+}
+
+/// Likelihoods are finite, or minus infinity: the rest is a fault of this program, which tags have survived.
+pub fn unusable_weights(count: u64) -> Option<String> {
+    (count > 0).then(|| {
+        format!("{count} weights of particles were no numbers or infinite, and were left out: please report this log")
+    })
+}
+
+/// No robot can have measured it: a driver's or a filter's fault, which tags have survived.
+pub fn impossible_measurements(count: u64) -> Option<String> {
+    (count > 0).then(|| {
+        format!(
+            "{count} measurements hold numbers that are not finite, beyond {MOST:e} (metres, radians, radians per second), or \
+             no covariance: they were recorded, but not used"
+        )
+    })
+}
+
+/// A fault of this program, which cost the pose.
+pub fn begun_anew(count: u64) -> Option<String> {
+    (count > 0).then(|| {
+        format!("after {count} frames localization began anew, since a number was not finite: please report this log")
+    })
+}
+
+/// Where the attitude comes from, if it does.
+#[derive(Clone, Debug)]
+pub struct AttitudeSource {
+    /// `topics.imu`, chosen or found.
+    pub topic: String,
+    /// All topics of the log that an IMU is on.
+    pub all: Vec<String>,
+}
+
+impl AttitudeSource {
+    /// `unknown` of `frames` were tagged without knowing how the torso was tilted; `was_heard`: an attitude came at all.
+    pub fn warning(&self, unknown: u64, frames: u64, was_heard: bool, names: &FrameNames) -> Option<String> {
+        if unknown == 0 {
+            return None;
+        }
+        let Self { topic, all } = self;
+        let kind = Imu::TYPE;
+        let why = if was_heard && unknown == frames {
+            let FrameNames { base_footprint, base_link, .. } = names;
+            format!(
+                "the attitude on {topic} is that of {base_link}, and the transforms from {base_footprint} to the camera \
+                 do not pass through it: name the torso with frames.base_link"
+            )
+        } else if was_heard {
+            format!("{topic} had told no attitude yet, or none for {} s", GONE_NS / 1_000_000_000)
+        } else if all.contains(topic) {
+            format!(
+                "{topic} states no orientation (orientation_covariance[0] is -1, or the quaternion is zero): record the \
+                 topic of a filter that computes it, such as imu_filter_madgwick"
+            )
+        } else if all.is_empty() {
+            format!("the log has no topic of type {kind}: record the torso's attitude")
+        } else {
+            format!("{topic} is not of type {kind}: choose one with topics.imu: {}", all.join(", "))
+        };
+        let standing = "as if the torso stood upright, which costs several times the accuracy";
+        Some(format!("{unknown} of {frames} frames were tagged {standing}: {why}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn warning(all: &[&str], unknown: u64, was_heard: bool) -> String {
+        let all = all.iter().map(|topic| (*topic).to_owned()).collect();
+        let source = AttitudeSource { topic: "/imu/data".to_owned(), all };
+        source.warning(unknown, 9, was_heard, &FrameNames::default()).unwrap_or_default()
+    }
+
+    #[test]
+    fn a_field_is_doubted_when_lines_fit_nowhere() {
+        let invalid = |unexplained, few| {
+            BTreeMap::from([("lines_unexplained".to_owned(), unexplained), ("few_lines".to_owned(), few)])
+        };
+        let told =
+            |unexplained, few| unplaced("kid-2009", &invalid(unexplained, few), 100, || "is it the lens?".to_owned());
+        let said = told(51, 40).expect("told");
+        assert!(said.starts_with("51 of 100 frames could not be placed on the field kid-2009, though lines"), "{said}");
+        assert!(said.ends_with("are seen: is it the lens?"), "{said}");
+        assert_eq!(told(6, 90), None, "no lines are seen");
+        assert!(told(6, 94).expect("no tag is valid").starts_with("100 of 100 frames could not be placed"));
+        assert!(!possible_causes(0.0).contains("budget") && possible_causes(2.5).contains("filter.budget_ms = 2.5"));
+    }
+
+    #[test]
+    fn an_imu_by_which_the_robot_always_lies_is_doubted() {
+        let invalid = |lay| BTreeMap::from([("fallen".to_owned(), lay)]);
+        assert!(never_upright("/imu/data", &invalid(60), 100).expect("told").contains("by /imu/data"));
+        assert_eq!(never_upright("/imu/data", &invalid(40), 100), None, "it fell");
+    }
+
+    #[test]
+    fn a_lens_that_is_off_is_told_when_that_is_clear() {
+        let off = LensOff { stretch: (-0.006, 0.0002), centre_u_px: (0.4, 0.1), centre_v_px: (-0.2, 0.1) };
+        let said = wrong_lens(&off).expect("told");
+        assert!(said.contains("-0.60 %") && said.contains("+0.4, -0.2 px"), "{said}");
+        assert_eq!(wrong_lens(&LensOff { stretch: (-0.006, 0.002), ..off }), None, "not known well enough");
+        assert_eq!(wrong_lens(&LensOff { stretch: (-0.002, 0.0002), ..off }), None, "as calibrations are");
+        assert!(wrong_lens(&LensOff { stretch: (0.0, 0.001), centre_v_px: (1.4, 0.2), ..off }).is_some());
+    }
+
+    #[test]
+    fn faults_of_numbers_are_told_and_counted() {
+        assert_eq!(unusable_weights(0), None);
+        assert!(unusable_weights(7).expect("told").starts_with("7 weights"));
+        assert_eq!((impossible_measurements(0), begun_anew(0)), (None, None));
+        assert!(impossible_measurements(3).expect("told").starts_with("3 measurements"));
+        assert!(begun_anew(2).expect("told").starts_with("after 2 frames"));
+    }
+
+    #[test]
+    fn each_cause_has_its_remedy() {
+        assert_eq!(warning(&["/imu/data"], 0, true), "");
+        assert!(warning(&[], 9, false).contains("the log has no topic of type sensor_msgs/msg/Imu"));
+        assert!(warning(&["/a", "/b"], 9, false).contains("choose one with topics.imu: /a, /b"));
+        assert!(warning(&["/imu/data"], 9, false).contains("orientation_covariance[0]"));
+        assert!(warning(&["/imu/data"], 2, true).starts_with("2 of 9 frames"));
+        assert!(warning(&["/imu/data"], 9, true).contains("frames.base_link"));
+    }
+}

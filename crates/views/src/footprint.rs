@@ -1,0 +1,163 @@
+//! How much of a view an image can show: for choosing images that complete each other.
+
+use glam::DVec3;
+
+use super::camera::Camera;
+use super::optical;
+use super::world::World;
+use realitysim_geometry::Isometry;
+
+/// What a view shows, at places that are spread evenly over it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Footprint {
+    places: Vec<Place>,
+}
+
+/// In `map`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Place {
+    Ground {
+        at: DVec3,
+        /// From farther away, an image shows too little of it.
+        seen_within_m: f64,
+    },
+    /// Along this ray.
+    Far(DVec3),
+}
+
+/// A bit for each place of a footprint.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Seen(u128);
+
+const MAX_PLACES: usize = u128::BITS as usize;
+/// An image from so many times the view's own distance is too coarse for it; from so near it never is.
+const COARSEST: f64 = 3.0;
+const NEAR_M: f64 = 0.5;
+/// Within 45 degrees of each other, places lie to one side.
+const ONE_SIDE: f64 = core::f64::consts::FRAC_1_SQRT_2;
+
+impl Footprint {
+    /// Of what `camera` shows from `map_from_link`.
+    pub fn new(camera: &Camera, map_from_link: &Isometry, world: &World) -> Self {
+        let map_from_optical = optical(map_from_link);
+        let (columns, rows) = camera.cells();
+        let (columns, rows) = (columns + 1, rows + 1);
+        let step = (1..).find(|step| columns.div_ceil(*step) * rows.div_ceil(*step) <= MAX_PLACES).unwrap_or(columns);
+        let nodes = (step / 2..rows).step_by(step).flat_map(|row| {
+            (step / 2..columns).step_by(step).map(move |column| camera.node_rays()[row * columns + column])
+        });
+        let place = |ray: DVec3| {
+            let ray = map_from_optical.transform_vector(ray);
+            match world.behind_goals(map_from_optical.translation, ray).on_ground() {
+                None => Place::Far(ray),
+                Some(inverse_distance) => {
+                    let at = (map_from_optical.translation + ray / inverse_distance).with_z(0.0);
+                    Place::Ground { at, seen_within_m: COARSEST * inverse_distance.recip().max(NEAR_M) }
+                }
+            }
+        };
+        // At the edge of what a lens is stated to hold for, it projects not all that it unprojects.
+        let drawn = nodes.filter(|ray| !ray.x.is_nan() && camera.projector().project_inside(*ray).is_some());
+        Self { places: drawn.map(place).collect() }
+    }
+
+    /// What of it an image that was taken with `camera` from `map_from_link` shows.
+    pub fn seen_by(&self, camera: &Camera, map_from_link: &Isometry) -> Seen {
+        let optical_from_map = optical(map_from_link).inverse();
+        let mut seen = 0;
+        for (number, place) in self.places.iter().enumerate() {
+            let at = match place {
+                Place::Far(ray) => optical_from_map.transform_vector(*ray),
+                Place::Ground { at, seen_within_m } => {
+                    let at = optical_from_map.transform_point(*at);
+                    if at.length_squared() > seen_within_m * seen_within_m {
+                        continue;
+                    }
+                    at
+                }
+            };
+            seen |= u128::from(camera.projector().project_inside(at).is_some()) << number;
+        }
+        Seen(seen)
+    }
+
+    /// Of what `seen` lacks, what lies towards one side, the one farthest from the middle: which places, and where they are
+    /// seen from `map_from_link`, a unit vector in `map`.
+    pub fn unseen(&self, map_from_link: &Isometry, seen: Seen) -> Option<(Seen, DVec3)> {
+        let from = optical(map_from_link).translation;
+        let forward = map_from_link.transform_vector(DVec3::X);
+        let ray = |place: &Place| match place {
+            Place::Far(ray) => *ray,
+            Place::Ground { at, .. } => (*at - from).normalize_or(forward),
+        };
+        let missing = || {
+            let places = self.places.iter().enumerate().filter(|(number, _)| seen.0 >> number & 1 == 0);
+            places.map(|(number, place)| (number, ray(place)))
+        };
+        let (_, outermost) = missing().min_by(|a, b| a.1.dot(forward).total_cmp(&b.1.dot(forward)))?;
+        let (mut part, mut sum) = (0, DVec3::ZERO);
+        for (number, ray) in missing().filter(|(_, ray)| ray.dot(outermost) >= ONE_SIDE) {
+            part |= 1 << number;
+            sum += ray;
+        }
+        Some((Seen(part), sum.normalize_or(outermost)))
+    }
+
+    /// Of all its places, the share that `seen` holds.
+    pub fn share(&self, seen: Seen) -> f64 {
+        f64::from(seen.0.count_ones()) / self.places.len().max(1) as f64
+    }
+}
+
+impl Seen {
+    pub fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    pub fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use realitysim_geometry::{Euler, Field};
+
+    fn camera() -> Camera {
+        Camera::new(&realitysim_config::load_lens("fisheye-640").expect("shipped").lens)
+    }
+
+    fn pose(x: f64, yaw_deg: f64, pitch_deg: f64) -> Isometry {
+        let euler = Euler { yaw: f64::to_radians(yaw_deg), pitch: f64::to_radians(pitch_deg), roll: 0.0 };
+        Isometry::from_euler(euler, DVec3::new(x, 0.0, 0.5))
+    }
+
+    #[test]
+    fn an_image_shows_all_of_its_own_view_and_little_of_what_lies_behind_it() {
+        let world = World::without_goals(&Field::new(realitysim_config::load_field("kid-2009").expect("a shipped field")).expect("a field"));
+        let camera = camera();
+        let footprint = Footprint::new(&camera, &pose(0.0, 0.0, 20.0), &world);
+        assert!((60..=128).contains(&footprint.places.len()), "{}", footprint.places.len());
+        let share = |pose: &Isometry| footprint.share(footprint.seen_by(&camera, pose));
+        assert_eq!(share(&pose(0.0, 0.0, 20.0)), 1.0);
+        let beside = share(&pose(0.1, 10.0, 20.0));
+        assert!((0.8..1.0).contains(&beside), "{beside}");
+        assert!(share(&pose(0.0, 180.0, 20.0)) < 0.4);
+        let (one, other) = (pose(0.0, 60.0, 20.0), pose(0.0, -60.0, 20.0));
+        let both = footprint.seen_by(&camera, &one).with(footprint.seen_by(&camera, &other));
+        assert!(footprint.share(both) > share(&one).max(share(&other)) + 0.1);
+        assert_eq!(both.without(both), Seen::default());
+    }
+
+    #[test]
+    fn what_is_far_is_seen_from_everywhere_and_the_ground_from_near_by() {
+        let world = World::without_goals(&Field::new(realitysim_config::load_field("kid-2009").expect("a shipped field")).expect("a field"));
+        let camera = camera();
+        let up = Footprint::new(&camera, &pose(0.0, 0.0, -89.0), &world);
+        let share = |footprint: &Footprint, pose: &Isometry| footprint.share(footprint.seen_by(&camera, pose));
+        assert!(share(&up, &pose(3.0, 0.0, -89.0)) > 0.95);
+        let down = Footprint::new(&camera, &pose(0.0, 0.0, 89.0), &world);
+        assert!(share(&down, &pose(3.0, 0.0, 89.0)) < 0.5);
+    }
+}

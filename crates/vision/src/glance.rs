@@ -1,0 +1,92 @@
+//! What tells a picture from the one before, and whether it shows anything at all.
+
+use super::Picture;
+use realitysim_geometry::multiversioned;
+
+/// Of every eighth row.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Glance {
+    /// Two pictures of a live camera never have the same: there is noise in them.
+    pub fingerprint: u64,
+    /// The brightest luma.
+    pub brightest: u8,
+    /// Pixels that are brighter than a closed lens gives, and of these those at the end of the scale.
+    pub lit: u32,
+    pub clipped: u32,
+}
+
+const EVERY: usize = 8;
+/// Brighter than what a closed lens gives, and the corners that a fisheye leaves black.
+const DARK: u8 = 16;
+const CLIPPED: u8 = 250;
+
+impl Glance {
+    pub fn of(picture: &Picture) -> Self {
+        let mut glance = Self::default();
+        for row in picture.luma.chunks_exact(picture.width.max(1)).step_by(EVERY) {
+            glance.add(row);
+            glance.fingerprint = fingerprint(glance.fingerprint, row);
+        }
+        glance
+    }
+
+    fn add(&mut self, row: &[u8]) {
+        let (brightest, lit, clipped) = multiversioned!(|row: &[u8]| -> (u8, u32, u32) {
+            let (mut brightest, mut lit, mut clipped) = (0, 0, 0);
+            for luma in row {
+                brightest = brightest.max(*luma);
+                lit += u32::from(*luma > DARK);
+                clipped += u32::from(*luma >= CLIPPED);
+            }
+            (brightest, lit, clipped)
+        });
+        self.brightest = self.brightest.max(brightest);
+        self.lit += lit;
+        self.clipped += clipped;
+    }
+
+    /// Why nothing can be seen in it, if that is plain.
+    pub fn flaw(&self) -> Option<&'static str> {
+        if self.brightest <= DARK {
+            Some("too_dark")
+        } else if 2 * self.clipped > self.lit {
+            Some("overexposed")
+        } else {
+            None
+        }
+    }
+}
+
+/// FNV-1a, eight bytes at a time.
+fn fingerprint(start: u64, row: &[u8]) -> u64 {
+    const PRIME: u64 = 0x0000_0100_0000_01b3;
+    const OFFSET: u64 = 0xcbf2_9ce4_8422_2325;
+    let (words, rest) = row.as_chunks::<8>();
+    let mixed = words.iter().fold(start ^ OFFSET, |hash, word| (hash ^ u64::from_le_bytes(*word)).wrapping_mul(PRIME));
+    rest.iter().fold(mixed, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(PRIME))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(luma: impl Fn(usize) -> u8) -> Picture {
+        Picture::from_gray(37, 20, (0..37 * 20).map(luma).collect()).expect("fits")
+    }
+
+    #[test]
+    fn one_pixel_of_a_row_that_is_looked_at_is_told() {
+        let one = Glance::of(&picture(|i| (i % 200) as u8));
+        let other = Glance::of(&picture(|i| if i == 8 * 37 + 36 { 0 } else { (i % 200) as u8 }));
+        assert_ne!(one.fingerprint, other.fingerprint);
+        assert_eq!(one, Glance::of(&picture(|i| (i % 200) as u8)));
+    }
+
+    #[test]
+    fn black_and_white_pictures_are_named_and_others_are_not() {
+        assert_eq!(Glance::of(&picture(|i| (i % 10) as u8)).flaw(), Some("too_dark"));
+        assert_eq!(Glance::of(&picture(|i| if i % 5 == 0 { 0 } else { 255 })).flaw(), Some("overexposed"));
+        assert_eq!(Glance::of(&picture(|i| if i % 3 == 0 { 255 } else { 60 })).flaw(), None);
+        assert_eq!(Glance::of(&picture(|i| if i % 3 == 0 { 20 } else { 0 })).flaw(), None, "a dim one");
+    }
+}

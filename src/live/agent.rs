@@ -1,0 +1,286 @@
+//! The thread between the devices and the pipeline: takes what comes, answers questions, obeys orders.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError};
+use glam::DVec2;
+use serde_json::json;
+
+use super::control::{Ask, Control, Order};
+use super::devices::{DeviceEvent, Devices};
+use super::messages::{Messages, Names};
+use super::meters::Meters;
+use super::port::PortNews;
+use super::status::{CoverageStatus, Status};
+use super::telling::Told;
+use super::watchdog::{Rounds, Watchdog};
+use super::{RecordError, RecordOptions};
+use crate::tagging::between::Between;
+use crate::tagging::foresight::NO_FRAME;
+use crate::tagging::pipeline::Pipeline;
+use crate::config::Settings;
+use crate::geometry::LensParameters;
+use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::FrameTag;
+use crate::devices::host_clock::monotonic_ns;
+use crate::devices::mavlink::Content;
+use crate::devices::serial::PortEvent;
+use crate::log_input::synchroniser::Expected;
+
+/// So long the ports are listened to before a session begins: clocks settle, and what the robot measures is known.
+const LISTEN: Duration = Duration::from_millis(1500);
+/// Before the first session.
+const LISTENING: &str = "listening";
+/// The longest that nothing is done.
+pub(super) const TICK: Duration = Duration::from_millis(50);
+
+pub(super) struct Agent<'a> {
+    pub(super) options: &'a RecordOptions,
+    pub(super) lens: LensParameters,
+    /// UTC minus monotonic clock.
+    pub(super) clock_ns: i64,
+    pub(super) devices: Devices,
+    pub(super) control: Control,
+    pub(super) names: Names,
+    pub(super) messages: Messages,
+    pub(super) session: Option<Pipeline>,
+    /// After a session, until the next one.
+    pub(super) between: Option<Between>,
+    /// From the field's centre to the carpet's edge, once a session has begun.
+    pub(super) carpet_half_m: Option<DVec2>,
+    /// A session, whether it still is or not.
+    pub(super) has_begun: bool,
+    pub(super) tags: Option<Receiver<FrameTag>>,
+    pub(super) heard: Expected,
+    pub(super) status: Status,
+    pub(super) meters: Meters,
+    pub(super) last_log_ns: i64,
+    pub(super) noted_ns: i64,
+    pub(super) watchdog: Watchdog,
+    pub(super) told: Told,
+    /// What was left of earlier sessions, as it is found.
+    pub(super) repairs: Receiver<String>,
+}
+
+impl<'a> Agent<'a> {
+    pub(super) fn new(
+        options: &'a RecordOptions,
+        lens: LensParameters,
+        clock_ns: i64,
+        devices: Devices,
+        control: Control,
+        repairs: Receiver<String>,
+    ) -> Self {
+        let Settings { topics, frames, head, .. } = options.settings.clone();
+        Self {
+            options,
+            lens,
+            clock_ns,
+            devices,
+            control,
+            names: Names { topics, frames, head },
+            messages: Messages::default(),
+            session: None,
+            between: None,
+            carpet_half_m: None,
+            has_begun: false,
+            tags: None,
+            heard: Expected::default(),
+            status: Status { state: LISTENING, ..Status::default() },
+            meters: Meters::default(),
+            last_log_ns: i64::MIN,
+            noted_ns: i64::MIN,
+            watchdog: Watchdog::default(),
+            told: Told::default(),
+            repairs,
+        }
+    }
+
+    pub(super) fn run(
+        &mut self,
+        events: &Receiver<DeviceEvent>,
+        stop: &AtomicBool,
+        say: &mut dyn FnMut(&str),
+    ) -> Result<(), RecordError> {
+        let listened = Instant::now();
+        let listen = if self.options.settings.serial.ports.is_empty() { Duration::ZERO } else { LISTEN };
+        while listened.elapsed() < listen && !stop.load(Ordering::Relaxed) {
+            self.step(events, say)?;
+        }
+        let wanted = self.status.state == LISTENING && !stop.load(Ordering::Relaxed);
+        let began = if wanted { self.begin(say) } else { Ok(()) };
+        let went_on = began.and_then(|()| {
+            // Only a supervisor that asked for it is told.
+            let _ = sd_notify::notify(&[sd_notify::NotifyState::Ready]);
+            while !stop.load(Ordering::Relaxed) {
+                self.step(events, say)?;
+                self.feed_watchdog();
+            }
+            Ok(())
+        });
+        let _ = sd_notify::notify(&[sd_notify::NotifyState::Stopping]);
+        self.end(say);
+        went_on
+    }
+
+    /// Whatever comes next, or the tick.
+    fn step(&mut self, events: &Receiver<DeviceEvent>, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+        match events.recv_timeout(TICK) {
+            Ok(event) => self.take(event, say)?,
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => std::thread::sleep(TICK),
+        }
+        while let Ok(order) = self.control.orders.try_recv() {
+            self.obey(order, say)?;
+        }
+        self.pass_tags_on();
+        self.tell_of_the_recorder(say);
+        for said in self.repairs.try_iter() {
+            say(&said);
+            self.status.repaired.push(said);
+        }
+        self.note_status()
+    }
+
+    /// To whoever listens.
+    pub(super) fn pass_tags_on(&mut self) {
+        for tag in self.tags.iter().flat_map(Receiver::try_iter) {
+            self.control.tell(&tag);
+            self.status.tagged(&tag);
+            if tag.reason != NO_FRAME {
+                self.meters.tagged(&tag);
+            }
+            self.devices.send(&tag, self.clock_ns);
+        }
+    }
+
+    fn take(&mut self, event: DeviceEvent, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+        match event {
+            DeviceEvent::CameraOpened(camera) => {
+                for why in &camera.refused {
+                    say(&format!("camera control {why}"));
+                }
+                say(&format!(
+                    "camera: {} {} {} x {}",
+                    camera.card,
+                    camera.format.fourcc(),
+                    camera.width,
+                    camera.height
+                ));
+                self.status.camera = json!(camera);
+                self.status.camera_lost = None;
+            }
+            DeviceEvent::CameraLost { cause, said } => {
+                say(&format!("{said}; it is tried again"));
+                self.status.camera_lost = Some(cause);
+                self.note("camera", cause, &said)?;
+            }
+            DeviceEvent::Dropped { cause, count } => {
+                if let Some(session) = &mut self.session {
+                    session.drop_frames(cause, count)?;
+                }
+            }
+            DeviceEvent::Frame { message, clock } => {
+                self.devices.waiting.fetch_sub(1, Ordering::Relaxed);
+                if self.status.camera_lost.take().is_some() {
+                    say("camera: frames again");
+                    self.note("camera", "recovered", "frames again")?;
+                }
+                self.status.stamp_clock = Some(clock);
+                self.log(message)?;
+            }
+            DeviceEvent::Port { device, event } => self.take_port(&device, event, say)?,
+        }
+        Ok(())
+    }
+
+    fn take_port(&mut self, device: &str, event: PortEvent, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+        match event {
+            PortEvent::Opened { low_latency } => {
+                if low_latency == Some(false) {
+                    say(&format!("{device}: its driver holds bytes back, and may not be told otherwise (udev rules)"));
+                }
+                self.status.port(device).opened(None);
+            }
+            PortEvent::Lost(error) => {
+                let said = error.to_string();
+                if self.status.port(device).opened(Some(said.clone())) {
+                    say(&format!("{said}; it is tried again"));
+                    self.note("serial", "lost", &said)?;
+                }
+            }
+            PortEvent::Status(line) => {
+                for PortNews { event, said } in self.status.port(device).counted(line) {
+                    say(&format!("{device}: {said}"));
+                    self.note("serial", event, &format!("{device}: {said}"))?;
+                }
+            }
+            PortEvent::Measured(measured) => {
+                self.heard.imu |= matches!(measured.content, Content::Attitude(_));
+                self.heard.joints |= matches!(measured.content, Content::Head(_));
+                if self.session.is_some() || self.between.is_some() {
+                    let stamp_ns = measured.stamp_ns.saturating_add(self.clock_ns);
+                    if let Some(message) = self.messages.measured(stamp_ns, &measured.content, &self.names) {
+                        self.log(message)?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn obey(&mut self, order: Order, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+        let done = match order.what {
+            Ask::Status => {
+                self.refresh();
+                let grid = self.session.as_ref().map(|session| session.coverage().clone());
+                self.status.coverage = grid.map(|grid| CoverageStatus { map: grid.text(), grid });
+                Ok(json!(self.status))
+            }
+            Ask::Mark(_) if self.session.is_none() => {
+                Ok(json!({ "error": "nothing is being recorded: the mark has no place" }))
+            }
+            Ask::Mark(text) => self.note("mark", "mark", &text).map(|()| json!({ "marked": text })),
+            Ask::Place(place) => self.place(&place),
+            Ask::Start => self.begin(say).map(|()| json!({ "state": self.status.state })),
+            Ask::Stop => {
+                self.end(say);
+                let Status { state, session, unfinished, .. } = &self.status;
+                Ok(json!({ "state": state, "session": session, "unfinished": unfinished }))
+            }
+        };
+        let answer = match &done {
+            Ok(value) => value.clone(),
+            Err(error) => json!({ "error": error.to_string() }),
+        };
+        let _ = order.answer.try_send(answer);
+        done.map(|_| ())
+    }
+
+    /// With the time at which it is taken: log times never go back.
+    pub(super) fn log(&mut self, mut message: LogMessage) -> Result<(), RecordError> {
+        let now_ns = (self.clock_ns + monotonic_ns()).max(self.last_log_ns);
+        self.last_log_ns = now_ns;
+        (message.log_time_ns, message.publish_time_ns) = (now_ns, now_ns);
+        match (&mut self.session, &mut self.between) {
+            (Some(session), _) => session.take(message)?,
+            (None, Some(between)) => between.take(&message),
+            (None, None) => {}
+        }
+        Ok(())
+    }
+
+    /// The agent's own thread is the one that is here.
+    fn feed_watchdog(&mut self) {
+        let camera = self.devices.rounds.load(Ordering::Relaxed);
+        let recorder = self.session.as_ref().and_then(Pipeline::recorder_rounds);
+        if self.watchdog.is_fed(Rounds { camera, recorder }, Instant::now()) {
+            let _ = sd_notify::notify(&[sd_notify::NotifyState::Watchdog]);
+        }
+    }
+
+    pub(super) fn now_ns(&self) -> i64 {
+        self.clock_ns.saturating_add(monotonic_ns())
+    }
+}

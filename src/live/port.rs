@@ -1,0 +1,182 @@
+//! How a serial port of a running agent is.
+
+use std::collections::VecDeque;
+
+use serde::Serialize;
+
+use crate::devices::mavlink::PortCounts;
+use crate::devices::serial::{LineStatus, Trouble};
+
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Port {
+    /// Why it is not open; `lost` counts messages.
+    pub closed: Option<String>,
+    /// What is wrong with what it carries, while it is open.
+    pub trouble: Option<PortTrouble>,
+    #[serde(flatten)]
+    pub line: Option<LineStatus>,
+    /// Of the last seconds, one each, the newest last.
+    #[serde(skip)]
+    before: VecDeque<PortCounts>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PortTrouble {
+    /// `silent`, `no_messages`, `echo`, `unusable`, `lost` or `noisy`.
+    pub cause: &'static str,
+    pub said: String,
+    #[serde(skip)]
+    is: Trouble,
+}
+
+/// So long something must be wrong to be told: a heartbeat comes once a second.
+const PATIENCE_S: usize = 3;
+/// So long a trouble is over when it is told to be: a line on the edge does not fill the journal.
+const SETTLED_S: usize = 10;
+
+impl Port {
+    /// Open, or why not; whether that is news.
+    pub fn opened(&mut self, closed: Option<String>) -> bool {
+        let news = self.closed != closed;
+        self.closed = closed;
+        self.trouble = None;
+        self.before.clear();
+        news
+    }
+
+    /// Once a second, what the port has carried; what of it is news.
+    pub fn counted(&mut self, line: LineStatus) -> Vec<PortNews> {
+        let mut news = self.clocks_that_began_anew(&line);
+        let last = self.trouble.take();
+        let found = self.within(PATIENCE_S, &line).or_else(|| {
+            let lasting = self.within(SETTLED_S, &line)?;
+            last.as_ref().is_some_and(|last| lasting.is_like(&last.is)).then_some(lasting)
+        });
+        if self.before.len() >= SETTLED_S {
+            self.before.pop_front();
+        }
+        self.before.push_back(line.counts.clone());
+        self.line = Some(line);
+
+        self.trouble = found.map(|is| PortTrouble { cause: is.cause(), said: is.to_string(), is });
+        match (&last, &self.trouble) {
+            (Some(last), Some(now)) if now.is.is_like(&last.is) => {}
+            (_, Some(now)) => {
+                news.push(PortNews { event: now.cause, said: format!("{}: {}", now.said, now.is.remedy()) });
+            }
+            (Some(_), None) => news.push(PortNews { event: "recovered", said: "all is well again".to_owned() }),
+            (None, None) => {}
+        }
+        news
+    }
+
+    fn clocks_that_began_anew(&self, now: &LineStatus) -> Vec<PortNews> {
+        let known = self.line.iter().flat_map(|line| &line.clocks);
+        let began = known.filter_map(|before| {
+            let now = now.clocks.iter().find(|now| (now.sender, now.base) == (before.sender, before.base))?;
+            (now.clock.restarts > before.clock.restarts).then(|| {
+                let (system, component) = (now.sender.system, now.sender.component);
+                let said =
+                    format!("the clock of {system}.{component} has jumped: it was set, or its device has started anew");
+                PortNews { event: "clock_jump", said }
+            })
+        });
+        began.collect()
+    }
+
+    /// Trouble of the last seconds, once there were enough of them.
+    fn within(&self, seconds: usize, now: &LineStatus) -> Option<Trouble> {
+        let enough = self.before.len() >= PATIENCE_S;
+        let at = self.before.len().saturating_sub(seconds);
+        let found = Trouble::since(self.before.get(at).filter(|_| enough)?, &now.counts)?;
+        // A device that starts anew counts its messages anew: what is missing once is no line that loses.
+        let counts: Vec<u64> = self.before.iter().map(|counts| counts.lost).chain([now.counts.lost]).collect();
+        let seconds_with_losses = counts.windows(2).filter(|pair| pair[1] > pair[0]).count();
+        let is_once = matches!(found, Trouble::Lost { .. }) && seconds_with_losses < 2;
+        (!is_once).then_some(found)
+    }
+
+    pub fn wrong(&self) -> Option<&str> {
+        self.closed.as_deref().or(self.trouble.as_ref().map(|trouble| trouble.said.as_str()))
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct PortNews {
+    pub event: &'static str,
+    pub said: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::devices::mavlink::FrameCounts;
+
+    fn line(bytes: u64, frames: u64, lost: u64) -> LineStatus {
+        let frames = FrameCounts { bytes, frames, ..FrameCounts::default() };
+        LineStatus { counts: PortCounts { frames, lost, ..PortCounts::default() }, ..LineStatus::default() }
+    }
+
+    fn events(port: &mut Port, lines: impl IntoIterator<Item = LineStatus>) -> Vec<Option<&'static str>> {
+        lines.into_iter().map(|line| port.counted(line).pop().map(|news| news.event)).collect()
+    }
+
+    #[test]
+    fn a_device_that_falls_silent_is_told_once_and_told_when_it_speaks_again() {
+        let mut port = Port::default();
+        assert!(!port.opened(None));
+        let spoke = (1..=5).map(|second| line(1_000 * second, 10 * second, 0));
+        assert_eq!(events(&mut port, spoke), [None; 5]);
+        assert_eq!(events(&mut port, vec![line(5_000, 50, 0); 5]), [None, None, Some("silent"), None, None]);
+        assert_eq!(port.wrong(), Some("silent"));
+        assert_eq!(events(&mut port, [line(6_000, 60, 0)]), [Some("recovered")]);
+        assert_eq!(port.wrong(), None);
+        assert!(port.opened(Some("gone".to_owned())) && !port.opened(Some("gone".to_owned())));
+        assert_eq!(port.wrong(), Some("gone"));
+    }
+
+    #[test]
+    fn a_line_that_loses_now_and_then_is_told_of_once() {
+        let mut port = Port::default();
+        let (mut frames, mut lost) = (0, 0);
+        let lines: Vec<LineStatus> = (0..60)
+            .map(|second| {
+                frames += 97;
+                lost += if second % 3 == 0 { 12 } else { 0 };
+                line(frames * 50, frames, lost)
+            })
+            .collect();
+        let told: Vec<&str> = events(&mut port, lines).into_iter().flatten().collect();
+        assert_eq!(told, ["lost"]);
+        let quiet = (1..=11).map(|second| line((frames + 97 * second) * 50, frames + 97 * second, lost));
+        let told: Vec<&str> = events(&mut port, quiet).into_iter().flatten().collect();
+        assert_eq!(told, ["recovered"]);
+    }
+
+    #[test]
+    fn a_device_that_starts_anew_is_told_of_as_that_and_not_as_losses() {
+        use crate::devices::clock::{ClockStatus, Source};
+        use crate::devices::mavlink::{Sender, TimeBase};
+        use crate::devices::serial::SenderClock;
+        let mut port = Port::default();
+        let clock = |restarts| SenderClock {
+            sender: Sender { system: 1, component: 1 },
+            base: TimeBase::Boot,
+            clock: ClockStatus {
+                source: Source::Timesync,
+                offset_ns: 0,
+                uncertainty_ns: 0,
+                drift_ppm: 0.0,
+                restarts,
+                exchanges: 9,
+            },
+        };
+        let mut told = Vec::new();
+        for second in 1..30 {
+            let (lost, restarts) = if second > 12 { (139, 1) } else { (0, 0) };
+            let line = LineStatus { clocks: vec![clock(restarts)], ..line(5_000 * second, 100 * second, lost) };
+            told.extend(port.counted(line).into_iter().map(|news| news.event));
+        }
+        assert_eq!(told, ["clock_jump"]);
+    }
+}

@@ -1,0 +1,152 @@
+//! How a session begins and ends while the agent runs.
+
+use crossbeam_channel::bounded;
+use serde_json::{Value, json};
+
+use super::agent::Agent;
+use super::messages::{Messages, initial_pose, transforms};
+use super::telling::Told;
+use super::{RecordError, RecordOptions};
+use crate::tagging::pipeline::{Pipeline, Recorded, Recording};
+use crate::tagging::prelude::Prelude;
+use crate::tagging::setup::{Setup, SetupError};
+use crate::tagging::state::{Start, last_state};
+use crate::tagging::warnings::AttitudeSource;
+use crate::geometry::{LensParameters, Pose2};
+use crate::recording::{LiveInfo, Writing, robot_id};
+use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::{CameraInfo, Header, TFMessage};
+use crate::log_input::intake::{self, Input};
+use crate::log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
+
+/// Tags between the pipeline and whoever wants poses.
+const MAX_TAGS: usize = 256;
+/// A robot may be told to stand beside the carpet.
+const OFF_CARPET_M: f64 = 1.0;
+
+impl Agent<'_> {
+    /// A session begins: what does not change comes first.
+    pub(super) fn begin(&mut self, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+        if self.session.is_some() {
+            return Ok(());
+        }
+        let now_ns = self.now_ns();
+        let (setup, constants) = setup(self.options, &self.lens, now_ns, self.heard)?;
+        self.carpet_half_m = Some(setup.field.carpet_half_extent());
+        // A session after the first goes on from where that one ended: what was said of the start holds no more.
+        let is_first = !core::mem::replace(&mut self.has_begun, true);
+        if !is_first {
+            self.status.begin_anew();
+        }
+        let warm = match self.between.take() {
+            Some(between) => Some(between.kept()),
+            None if self.options.warm_start => last_state(&self.options.captures).unwrap_or_else(|error| {
+                say(&format!("{error}; the filter begins without it"));
+                None
+            }),
+            None => None,
+        };
+        let (send, tags) = bounded(MAX_TAGS);
+        let bytes_per_s = self.options.settings.capture.bytes_per_s((self.lens.width, self.lens.height));
+        let recording = Recording {
+            captures: self.options.captures.clone(),
+            source: None,
+            threads: self.options.threads,
+            live: Some(LiveInfo {
+                robot_id: Some(robot_id()),
+                utc_offset_ns: self.clock_ns,
+                camera_delay_ns: (self.options.settings.capture.delay_ms * 1e6) as i64,
+                camera: self.status.camera.clone(),
+            }),
+            tags: Some(send),
+            writing: Writing::Behind { bytes_per_s },
+        };
+        self.session = Some(Pipeline::new(setup, Start { warm, ..Start::default() }, recording));
+        self.tags = Some(tags);
+        self.status.state = "recording";
+        let [transforms, info] = constants;
+        self.log(transforms)?;
+        self.log(info)?;
+        if let Some(initial) = self.options.initial.as_ref().filter(|_| is_first) {
+            self.tell_place(initial)?;
+        }
+        self.told = Told::default();
+        Ok(())
+    }
+
+    /// Somebody says where the robot is, at any time after the first session has begun.
+    pub(super) fn place(&mut self, place: &Pose2) -> Result<Value, RecordError> {
+        let Some(half) = self.carpet_half_m else {
+            return Ok(json!({ "error": "no session has begun: the place is named with --initial" }));
+        };
+        if place.x.abs() > half.x + OFF_CARPET_M || place.y.abs() > half.y + OFF_CARPET_M {
+            let what = format!(
+                "{},{} is not on the field: its carpet reaches {:.2} m from the centre in x and {:.2} m in y",
+                place.x, place.y, half.x, half.y
+            );
+            return Ok(json!({ "error": what, "usage": true }));
+        }
+        self.tell_place(place)?;
+        Ok(json!({ "place": [place.x, place.y, place.yaw.to_degrees()] }))
+    }
+
+    fn tell_place(&mut self, place: &Pose2) -> Result<(), RecordError> {
+        let message = initial_pose(self.now_ns(), place, &self.names.frames);
+        let message = self.messages.message(&self.names.topics.initial_pose.clone(), false, &message);
+        self.log(message)
+    }
+
+    /// The session becomes a whole capture, as far as the disk lets it: what it does not, `repair` does later.
+    pub(super) fn end(&mut self, say: &mut dyn FnMut(&str)) {
+        self.refresh();
+        self.status.state = "stopped";
+        let Some(session) = self.session.take() else { return };
+        let (recorded, ended, between) = session.pause();
+        self.between = Some(between);
+        // Of frames that were still looked at.
+        self.pass_tags_on();
+        if let Some(Recorded { session, counts, recorder, warnings, .. }) = recorded {
+            for warning in warnings {
+                say(&format!("warning: {warning}"));
+            }
+            if let Some(session) = session {
+                say(&format!("recorded {}", session.display()));
+                self.status.session = Some(session);
+            }
+            self.status.counts = counts;
+            self.status.recorder = recorder;
+        }
+        if let Err(error) = ended {
+            say(&format!(
+                "the session is not whole: {error}; the next start or `realitysim sessions repair` finishes it"
+            ));
+            self.status.unfinished = Some(error.to_string());
+        }
+    }
+}
+
+/// As the prelude of a log that begins with these constants, which come along.
+pub(super) fn setup(
+    options: &RecordOptions,
+    lens: &LensParameters,
+    now_ns: i64,
+    expected: Expected,
+) -> Result<(Setup, [LogMessage; 2]), RecordError> {
+    let settings = &options.settings;
+    let height = settings.mount.torso_height_m.ok_or(RecordError::NoMount)?;
+    let topics = settings.topics.clone();
+    let constants: TFMessage = transforms(now_ns, height, &settings.mount, &settings.frames);
+    let info: CameraInfo = CameraInfo::of_lens(lens, Header::at(now_ns, &settings.frames.camera_optical));
+    let mut messages = Messages::default();
+    let constants = messages.message(&topics.tf_static, true, &constants);
+    let calibration = messages.message(&topics.camera_info, true, &info);
+    let mut synchroniser = Synchroniser::new(settings.frames.clone(), SynchroniserState::default());
+    if let Ok(input @ Input::Transforms { .. }) = intake::read(&constants, &topics, &settings.head) {
+        synchroniser.push(&constants, input);
+    }
+    synchroniser.check_mount(false).map_err(SetupError::from)?;
+    let attitude = AttitudeSource { topic: topics.imu.clone(), all: vec![topics.imu.clone()] };
+    let prelude =
+        Prelude { topics, camera_info: Some(info), synchroniser: synchroniser.state().clone(), expected, attitude };
+    Ok((Setup::new(settings.clone(), prelude)?, [constants, calibration]))
+}

@@ -1,0 +1,115 @@
+//! What the agent tells: people, the log, and whoever asks for its status.
+
+use std::path::Path;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use super::RecordError;
+use super::agent::{Agent, TICK};
+use super::status::{self, PassedOn};
+use crate::tagging::pipeline::Pipeline;
+use crate::recording::{REMOVED, RecorderStatus, Stopped};
+use crate::ros2::messages::DiagnosticArray;
+
+const STATUS_EVERY_NS: i64 = 1_000_000_000;
+
+/// What people have heard of the recorder, and when.
+#[derive(Default)]
+pub(super) struct Told {
+    at: Option<Instant>,
+    recorder: RecorderStatus,
+    /// Why no frame is passed on to others.
+    not_passed_on: Option<String>,
+}
+
+impl Agent<'_> {
+    /// Where it is recorded, and what the disk does, as soon as it is known.
+    pub(super) fn tell_of_the_recorder(&mut self, say: &mut dyn FnMut(&str)) {
+        if self.told.at.is_some_and(|at| at.elapsed() < TICK) {
+            return;
+        }
+        let Some((_, recorder)) = self.session.as_ref().and_then(Pipeline::recorder) else { return };
+        let before = &self.told.recorder;
+        let removed = |status: &RecorderStatus| status.faults.get(REMOVED).copied().unwrap_or_default();
+        // It may be mended before anybody looks.
+        if removed(&recorder) > removed(before) {
+            let session = before.session.as_deref().unwrap_or(Path::new("the session")).display();
+            say(&format!("{session} was removed or moved while it was being recorded: its frames count as lost"));
+        }
+        if let Some(folder) = recorder.session.as_ref().filter(|folder| before.session.as_ref() != Some(folder)) {
+            say(&format!("recording {}", folder.display()));
+        }
+        if recorder.fault != before.fault {
+            match &recorder.fault {
+                Some(fault) => say(&format!("the disk: {}: {}; it is tried again", fault.cause, fault.said)),
+                None => say("the disk: all is written again"),
+            }
+        }
+        if recorder.stopped != before.stopped {
+            match &recorder.stopped {
+                Some(Stopped { cause, frames_only: true }) => say(&format!("{cause}: frames are not recorded")),
+                Some(Stopped { cause, .. }) => say(&format!("{cause}: nothing is recorded")),
+                None => say("there is room again: frames are recorded"),
+            }
+        }
+        if recorder.evicted_segments > before.evicted_segments {
+            let segments = recorder.evicted_segments - before.evicted_segments;
+            say(&format!("{segments} segments that a dev machine has were removed to make room"));
+        }
+        let not_passed_on = self.devices.republished.lost();
+        if not_passed_on != self.told.not_passed_on {
+            match &not_passed_on {
+                Some(why) => say(&format!("frames are not passed on: {why}; it is tried again")),
+                None => say("frames are passed on again"),
+            }
+        }
+        self.told = Told { at: Some(Instant::now()), recorder, not_passed_on };
+    }
+
+    pub(super) fn note(&mut self, about: &str, what: &str, said: &str) -> Result<(), RecordError> {
+        let report = status::note(self.now_ns(), &self.options.settings.robot, about, what, said);
+        self.write_report(&report)
+    }
+
+    pub(super) fn note_status(&mut self) -> Result<(), RecordError> {
+        let now_ns = self.now_ns();
+        if now_ns.saturating_sub(self.noted_ns) < STATUS_EVERY_NS {
+            return Ok(());
+        }
+        self.noted_ns = now_ns;
+        self.refresh();
+        self.meters.counted(now_ns, &self.status.counts);
+        let report = self.status.diagnostics(now_ns, &self.options.settings.robot);
+        self.write_report(&report)
+    }
+
+    fn write_report(&mut self, report: &DiagnosticArray) -> Result<(), RecordError> {
+        let log_time_ns = self.now_ns().max(self.last_log_ns);
+        self.last_log_ns = log_time_ns;
+        match &mut self.session {
+            Some(session) => Ok(session.note(log_time_ns, report)?),
+            None => Ok(()),
+        }
+    }
+
+    pub(super) fn refresh(&mut self) {
+        if let Some((counts, recorder)) = self.session.as_ref().and_then(Pipeline::recorder) {
+            self.status.session.clone_from(&recorder.session);
+            (self.status.counts, self.status.recorder) = (counts, recorder);
+        }
+        let status = &mut self.status;
+        status.grow_older();
+        status.camera_waiting = self.devices.waiting.load(Ordering::Relaxed);
+        status.rates = self.meters.rates();
+        status.budget = self.meters.budget(self.options.settings.filter.budget_ms);
+        status.validity = self.meters.validity();
+        status.filter = self.meters.filter();
+        let republished = &self.devices.republished;
+        status.republished = self.options.settings.capture.republish.as_ref().map(|device| PassedOn {
+            device: device.clone(),
+            passed: republished.passed(),
+            missed: republished.missed(),
+            lost: republished.lost(),
+        });
+    }
+}
