@@ -9,8 +9,8 @@
 use std::fmt::Write;
 use std::process::{Command, ExitCode};
 
-use realitysim::scene::{Renderer, START_STAMP_NS, Scene};
 use realitysim::log_input::scene;
+use realitysim::scene::{Renderer, START_STAMP_NS, Scene};
 
 /// A shelf scene with all the effects that another one has cut off.
 const BASE: &str = include_str!("../replay/scenes/straight.toml");

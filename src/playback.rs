@@ -11,15 +11,15 @@ use serialport::SerialPort;
 use thiserror::Error;
 
 use crate::database::{DatabaseError, Gallery, Wanted};
+use crate::devices::mavlink::RobotSide;
+use crate::devices::video_out::{OutputForm, VideoOut, VideoOutError, yuyv};
 use crate::geometry::{Isometry, Pose2};
+use crate::log_input::intake::{self, Input};
+use crate::log_input::log::{self, LogError, LogSource};
+use crate::log_input::{decode, encode};
 use crate::recording::{RecordingError, SESSION_FILE, captures_within, read_info};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::CompressedImageView;
-use crate::log_input::intake::{self, Input};
-use crate::log_input::log::{self, LogError, LogSource};
-use crate::devices::mavlink::RobotSide;
-use crate::devices::video_out::{OutputForm, VideoOut, VideoOutError, yuyv};
-use crate::log_input::{decode, encode};
 use crate::views::{FAR_M, Method};
 
 #[derive(Clone, Debug)]

@@ -8,8 +8,8 @@ use glam::DVec2;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
-use crate::tagging::error::AgentError;
 use crate::config::{Settings, load_field, load_lens};
+use crate::devices::host_clock::utc_offset_ns;
 use crate::geometry::{FieldDimensions, Pose2, PoseGrid};
 use crate::recording::storage::Disk;
 use crate::recording::{
@@ -20,7 +20,7 @@ use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
 use crate::ros2::messages::{CompressedImage, FrameTag, Header, Imu, Message};
 use crate::ros2::topics;
-use crate::devices::host_clock::utc_offset_ns;
+use crate::tagging::error::AgentError;
 
 #[derive(Clone, Debug)]
 pub struct SoakOptions {

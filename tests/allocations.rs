@@ -7,11 +7,11 @@ use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use realitysim::tagging::{Footage, FootageOptions};
 use realitysim::config::Settings;
 use realitysim::devices::camera::{
     BufferInfo, CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Negotiated, PixelFormat,
 };
+use realitysim::tagging::{Footage, FootageOptions};
 
 struct Counting;
 

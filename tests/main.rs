@@ -1,5 +1,6 @@
 //! Tests of the crate from outside, room by room.
 
+mod architecture;
 mod config;
 mod dev;
 mod fuzz;

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use realitysim::tagging::{Footage, FootageOptions};
 use realitysim::config::Settings;
 use realitysim::localization::SimdPath;
+use realitysim::tagging::{Footage, FootageOptions};
 
 use super::measure::{Times, told};
 

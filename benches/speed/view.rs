@@ -3,8 +3,8 @@
 use glam::DVec3;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, Pose2};
 use realitysim::localization::{Formula, Model, observation};
-use realitysim::scene::Renderer;
 use realitysim::log_input::scene;
+use realitysim::scene::Renderer;
 use realitysim::vision::{Picture, Seen, Vision, VisionSettings};
 
 pub struct View {

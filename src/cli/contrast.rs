@@ -9,11 +9,11 @@ use serde::Serialize;
 use super::section::Section;
 use super::settings::{SettingsArguments, UsageError};
 use super::{Outcome, output, paths};
-use crate::tagging::{Footage, FootageOptions};
 use crate::evaluation::contrast::{self, Detection, PAINT, Quality, Step, Variant, WIDTHS_PX, WRONG_CM};
 use crate::evaluation::cost::Knobs;
 use crate::evaluation::{Summary, truth};
 use crate::log_input::scene;
+use crate::tagging::{Footage, FootageOptions};
 
 /// Find out how faint lines may be
 ///

@@ -7,8 +7,8 @@ use clap::Args;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::{any_number, whole};
 use super::{Outcome, output, paths};
-use crate::tagging::cut::{self, CutOptions};
 use crate::recording::{read_info, session_holding};
+use crate::tagging::cut::{self, CutOptions};
 
 /// Cut a piece out of a long recording, as a log that replays to the same tags
 ///

@@ -7,16 +7,16 @@ use glam::DVec2;
 
 use super::paths::{check_output, make_folder, save};
 use super::{Outcome, eval, output, sim};
-use crate::tagging::{ReplayOptions, replay};
 use crate::config::Settings;
 use crate::evaluation::capture::{read_truth, tagged};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::evaluation::{Comparison, Tagged, compare};
 use crate::geometry::{Field, Isometry, Lens};
-use crate::recording::{read_info, read_tags};
-use crate::ros2::mcap_read::Selection;
 use crate::log_input::log::{LogSource, files_of};
 use crate::log_input::{decode, scene};
+use crate::recording::{read_info, read_tags};
+use crate::ros2::mcap_read::Selection;
+use crate::tagging::{ReplayOptions, replay};
 
 /// See a robot walk a field and every frame of its camera tagged
 ///

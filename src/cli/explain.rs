@@ -12,14 +12,14 @@ use super::replay::field_of;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::any_whole;
 use super::{Outcome, output, settings};
-use crate::tagging::explaining::{self, ExplainOptions, Explanation, Sight};
-use crate::tagging::single::{Fit, Located};
 use crate::config::{Settings, load_field};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::refinement::offsets::Finding;
 use crate::localization::verdict::{AGREES_DIGITS, IN_VIEW};
 use crate::localization::{Evidence, Tried};
+use crate::tagging::explaining::{self, ExplainOptions, Explanation, Sight};
+use crate::tagging::single::{Fit, Located};
 
 /// Show why the tag of one frame, or the pose of one image, is what it is
 ///

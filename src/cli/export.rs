@@ -12,12 +12,12 @@ use serde::Serialize;
 use super::paths::{cannot_write, check_old, check_output, make_folder};
 use super::settings::UsageError;
 use super::{Outcome, output};
+use crate::log_input::decode;
+use crate::log_input::log::{self, LogSource};
 use crate::recording::{Loss, Readout, losses, read_info, read_tags};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
 use crate::ros2::topics;
-use crate::log_input::decode;
-use crate::log_input::log::{self, LogSource};
 
 /// Write a capture's tags or frames in a form that other programs read
 ///

@@ -12,15 +12,15 @@ use super::section::Section;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::{above_zero, whole};
 use super::{Outcome, output};
-use crate::tagging::{Footage, FootageOptions};
 use crate::config::Settings;
 use crate::evaluation::capture::{EvaluationError, read_truth};
 use crate::evaluation::contrast::WRONG_CM;
 use crate::evaluation::falsify::{Control, Falsehood, falsehoods};
 use crate::evaluation::truth;
 use crate::geometry::Isometry;
-use crate::recording::ReadoutError;
 use crate::log_input::scene;
+use crate::recording::ReadoutError;
+use crate::tagging::{Footage, FootageOptions};
 
 /// Find out whether tags can be wrong and valid
 ///

@@ -9,13 +9,13 @@ use serde_json::Value;
 
 use super::junit::{self, TestCase};
 use super::{Outcome, output, paths};
-use crate::tagging::ReplayReport;
 use crate::config::plain_file;
 use crate::evaluation::reference::{
     Difference, Frames, Identity, MAX_REFERENCE_BYTES, Reference, Verdict, compare, settings_that_matter,
 };
 use crate::geometry::Pose2;
 use crate::recording::read_tags;
+use crate::tagging::ReplayReport;
 
 #[derive(Args)]
 pub struct GateArguments {

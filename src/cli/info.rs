@@ -6,9 +6,9 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{Outcome, output};
+use crate::log_input::log;
 use crate::recording::{Loss, missing_parts};
 use crate::ros2::mcap_read::Survey;
-use crate::log_input::log;
 
 /// What a log, bag or capture holds, or what a camera offers
 ///

@@ -47,15 +47,15 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::live::RecordError;
-use crate::tagging::{ReplayError, SetupError};
 use crate::config::ConfigError;
 use crate::evaluation::reference::ReferenceError;
 use crate::evaluation::suite::SuiteError;
+use crate::live::RecordError;
 use crate::recording::Loss;
+use crate::recording::sync::SyncError;
 use crate::scene::SceneError;
 use crate::service::ServeError;
-use crate::recording::sync::SyncError;
+use crate::tagging::{ReplayError, SetupError};
 
 /// Tags every camera frame of a soccer robot with the pose of its camera.
 #[derive(Parser)]

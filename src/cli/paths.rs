@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use super::inputs::with_what_they_name;
 use super::settings::UsageError;
 use crate::config::plain_file;
-use crate::recording::{cannot_be_made, session_holding};
 use crate::devices::video_out::is_device_name;
+use crate::recording::{cannot_be_made, session_holding};
 
 /// Refuses to write into a capture, which is never changed once it is there, over what is being read (the inputs and whatever
 /// files these name), or to make a file among the devices, where its name can only be a mistake.

@@ -9,9 +9,9 @@ use super::paths::{cannot_read, check_output};
 use super::settings::UsageError;
 use super::values::{any_whole, whole};
 use super::{Outcome, output};
-use crate::live::stop_flag;
 use crate::config::{Settings, plain_file};
 use crate::geometry::{Euler, Isometry};
+use crate::live::stop_flag;
 use crate::playback::{PlayOptions, PlaySource, Played, play};
 
 /// Play a capture, or a way through a database, to where a robot's devices are

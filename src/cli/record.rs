@@ -9,10 +9,10 @@ use serde_json::Value;
 use super::settings::{SettingsArguments, UsageError, check_initial, planar_pose};
 use super::values::whole;
 use super::{Outcome, output};
-use crate::tagging::foresight::NO_FRAME;
-use crate::live::{RecordOptions, ask, poses, record, stop_flag};
 use crate::config::load_field;
 use crate::geometry::{Field, Pose2};
+use crate::live::{RecordOptions, ask, poses, record, stop_flag};
+use crate::tagging::foresight::NO_FRAME;
 
 /// Where a service's runtime files are; a user's own recorder may be elsewhere.
 const SOCKET: &str = "/run/realitysim/control.sock";

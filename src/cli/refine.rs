@@ -9,15 +9,15 @@ use super::paths::{check_output, temporary, write};
 use super::settings::UsageError;
 use super::values::whole;
 use super::{Outcome, output};
-use crate::tagging::refining::{Refining, refine};
 use crate::config::Settings;
 use crate::database::{DatabaseError, Gallery, TagLimits, add, leave_one_out};
 use crate::evaluation::Summary;
 use crate::evaluation::capture::read_truth;
 use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
+use crate::localization::smoothing::{Constants, Model};
 use crate::recording::{RefinedConstant, RefinedInfo};
 use crate::ros2::messages::FrameTag;
-use crate::localization::smoothing::{Constants, Model};
+use crate::tagging::refining::{Refining, refine};
 
 /// Improve a capture's tags afterwards, from all frames together
 ///

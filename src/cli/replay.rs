@@ -7,10 +7,10 @@ use clap::Args;
 use super::gate::GateArguments;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, output, paths};
-use crate::tagging::{ReplayOptions, ReplayReport, replay};
 use crate::config::{Settings, load_field};
 use crate::geometry::{Field, Pose2};
 use crate::log_input::scene;
+use crate::tagging::{ReplayOptions, ReplayReport, replay};
 
 /// More only wait for each other.
 pub(super) const MAX_THREADS: usize = 64;

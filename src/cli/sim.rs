@@ -10,9 +10,9 @@ use serde::Serialize;
 
 use super::paths::{cannot_write, check_output, check_replaceable};
 use super::{Outcome, output};
+use crate::log_input::scene::{self, SceneSource};
 use crate::ros2::mcap_write::{LogWriter, RawChannel, WriteError};
 use crate::scene::Scene;
-use crate::log_input::scene::{self, SceneSource};
 
 /// Render a scene into a log with ground truth
 ///

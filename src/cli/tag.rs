@@ -11,10 +11,10 @@ use super::photo::{self, OtherInputs, PhotoArguments};
 use super::settings::{check_initial, planar_pose};
 use super::values::any_whole;
 use super::{Outcome, output};
-use crate::tagging::single::{Fit, Found, Located};
 use crate::config::{field_names, load_field};
 use crate::evaluation::drawing;
 use crate::geometry::{Field, Pose2};
+use crate::tagging::single::{Fit, Found, Located};
 
 /// Find the pose of a single image
 ///

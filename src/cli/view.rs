@@ -16,8 +16,8 @@ use crate::config::{Settings, load_lens};
 use crate::database::{Gallery, Shown, Wanted};
 use crate::evaluation::drawing;
 use crate::geometry::{Euler, Isometry, Lens};
-use crate::scene::Stage;
 use crate::log_input::scene;
+use crate::scene::Stage;
 use crate::views::{
     Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method, NOTHING, Raster,
     UNSURE, World,

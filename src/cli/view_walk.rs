@@ -15,13 +15,13 @@ use super::paths::{check_output, make_folder, save, write, write_bytes};
 use super::settings::planar_pose;
 use super::values::{number, whole};
 use super::{Outcome, output};
-use crate::tagging::single::Known;
 use crate::config::Settings;
 use crate::database::{Gallery, Wanted};
 use crate::evaluation::video::avi;
 use crate::evaluation::{Summary, drawing};
 use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
 use crate::log_input::encode::jpeg;
+use crate::tagging::single::Known;
 use crate::views::{LEAST_HEIGHT_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
 use crate::vision::Picture;
 

@@ -6,14 +6,14 @@ use glam::{DQuat, DVec3};
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::tagging::error::ReplayError;
-use crate::tagging::opened::{self, OpenLog};
 use crate::config::Settings;
-use crate::geometry::Lens;
-use crate::recording::read_info;
 use crate::devices::clock::{DelayError, Turn, estimate};
+use crate::geometry::Lens;
 use crate::log_input::decode;
 use crate::log_input::intake::{self, Input};
+use crate::recording::read_info;
+use crate::tagging::error::ReplayError;
+use crate::tagging::opened::{self, OpenLog};
 use crate::vision::Turning;
 
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -16,17 +16,17 @@ use super::status::{CoverageStatus, Status};
 use super::telling::Told;
 use super::watchdog::{Rounds, Watchdog};
 use super::{RecordError, RecordOptions};
-use crate::tagging::between::Between;
-use crate::tagging::foresight::NO_FRAME;
-use crate::tagging::pipeline::Pipeline;
 use crate::config::Settings;
-use crate::geometry::LensParameters;
-use crate::ros2::mcap_read::LogMessage;
-use crate::ros2::messages::FrameTag;
 use crate::devices::host_clock::monotonic_ns;
 use crate::devices::mavlink::Content;
 use crate::devices::serial::PortEvent;
+use crate::geometry::LensParameters;
 use crate::log_input::synchroniser::Expected;
+use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::FrameTag;
+use crate::tagging::between::Between;
+use crate::tagging::foresight::NO_FRAME;
+use crate::tagging::pipeline::Pipeline;
 
 /// So long the ports are listened to before a session begins: clocks settle, and what the robot measures is known.
 const LISTEN: Duration = Duration::from_millis(1500);

@@ -16,10 +16,10 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 
 use super::askers::{Askers, Place};
+use crate::devices::stale_socket::clear_away;
 use crate::geometry::{Physical, Pose2};
 use crate::recording::MAX_FINISH;
 use crate::ros2::messages::FrameTag;
-use crate::devices::stale_socket::clear_away;
 
 /// What the agent is to do, and where its answer goes.
 pub struct Order {

@@ -9,15 +9,15 @@ use glam::{DQuat, DVec3};
 
 use super::messages::Messages;
 use crate::config::Settings;
-use crate::geometry::Isometry;
-use crate::ros2::mcap_read::LogMessage;
-use crate::ros2::messages::{FrameTag, Header};
 use crate::devices::camera::{
     CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Frame, ImageMessage, Negotiated,
     Republished, StampClock, driver_of, image_message,
 };
 use crate::devices::host_clock::monotonic_ns;
 use crate::devices::serial::{PortEvent, PortOptions, Pose, run};
+use crate::geometry::Isometry;
+use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::{FrameTag, Header};
 
 /// What a device has to say.
 pub enum DeviceEvent {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use glam::{DQuat, DVec3};
 
 use crate::config::{FrameNames, HeadSettings, MountSettings, Topics};
+use crate::devices::mavlink::Content;
 use crate::geometry::{Euler, Isometry, Pose2};
 use crate::ros2::mcap_read::{Channel, LogMessage};
 use crate::ros2::mcap_write::{Durability, channel_metadata};
@@ -13,7 +14,6 @@ use crate::ros2::messages::{
     Header, Imu, JointState, Message, Odometry, Pose, PoseWithCovarianceStamped, Quaternion, TFMessage, Transform,
     TransformStamped, Vector3,
 };
-use crate::devices::mavlink::Content;
 
 /// Makes messages of one source: channels are made once.
 #[derive(Default)]

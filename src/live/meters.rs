@@ -4,9 +4,9 @@ use std::collections::VecDeque;
 
 use serde::Serialize;
 
-use crate::tagging::durations::Durations;
 use crate::recording::Counts;
 use crate::ros2::messages::FrameTag;
+use crate::tagging::durations::Durations;
 
 /// A second, by the counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]

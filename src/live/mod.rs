@@ -24,14 +24,14 @@ use thiserror::Error;
 pub use control::{ask, poses};
 pub use status::Status;
 
-use crate::tagging::error::AgentError;
-use crate::tagging::setup::SetupError;
 use crate::config::{ConfigError, Settings, load_lens};
+use crate::devices::host_clock::{monotonic_ns, utc_offset_ns};
 use crate::geometry::{LensError, LensParameters, Pose2};
+use crate::log_input::synchroniser::Expected;
 use crate::recording::storage::Disk;
 use crate::recording::{repair, session_holding, sessions_of};
-use crate::devices::host_clock::{monotonic_ns, utc_offset_ns};
-use crate::log_input::synchroniser::Expected;
+use crate::tagging::error::AgentError;
+use crate::tagging::setup::SetupError;
 use agent::Agent;
 use control::Control;
 use devices::{Devices, channel};

@@ -7,17 +7,17 @@ use super::agent::Agent;
 use super::messages::{Messages, initial_pose, transforms};
 use super::telling::Told;
 use super::{RecordError, RecordOptions};
+use crate::geometry::{LensParameters, Pose2};
+use crate::log_input::intake::{self, Input};
+use crate::log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
+use crate::recording::{LiveInfo, Writing, robot_id};
+use crate::ros2::mcap_read::LogMessage;
+use crate::ros2::messages::{CameraInfo, Header, TFMessage};
 use crate::tagging::pipeline::{Pipeline, Recorded, Recording};
 use crate::tagging::prelude::Prelude;
 use crate::tagging::setup::{Setup, SetupError};
 use crate::tagging::state::{Start, last_state};
 use crate::tagging::warnings::AttitudeSource;
-use crate::geometry::{LensParameters, Pose2};
-use crate::recording::{LiveInfo, Writing, robot_id};
-use crate::ros2::mcap_read::LogMessage;
-use crate::ros2::messages::{CameraInfo, Header, TFMessage};
-use crate::log_input::intake::{self, Input};
-use crate::log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
 
 /// Tags between the pipeline and whoever wants poses.
 const MAX_TAGS: usize = 256;

@@ -9,12 +9,12 @@ use serde_json::Value;
 
 use super::meters::{BudgetUse, FilterUse, Rates, Validity};
 use super::port::Port;
+use crate::devices::camera::StampClock;
+use crate::devices::serial::LineStatus;
 use crate::geometry::{PoseGrid, longest_axis};
 use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Header, KeyValue};
 use crate::ros2::topics::DIAGNOSTICS_PREFIX;
-use crate::devices::camera::StampClock;
-use crate::devices::serial::LineStatus;
 
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Status {

@@ -7,9 +7,9 @@ use std::time::Instant;
 use super::RecordError;
 use super::agent::{Agent, TICK};
 use super::status::{self, PassedOn};
-use crate::tagging::pipeline::Pipeline;
 use crate::recording::{REMOVED, RecorderStatus, Stopped};
 use crate::ros2::messages::DiagnosticArray;
+use crate::tagging::pipeline::Pipeline;
 
 const STATUS_EVERY_NS: i64 = 1_000_000_000;
 

@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use realitysim::tagging::{ReplayOptions, ReplayReport, replay};
 use realitysim::config::Settings;
 use realitysim::database;
+use realitysim::log_input::scene::{SceneSource, parse};
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::PoseStamped;
-use realitysim::log_input::scene::{SceneSource, parse};
+use realitysim::tagging::{ReplayOptions, ReplayReport, replay};
 
 use crate::kinds::orders::Recorder;
 use crate::kinds::service::Served;

@@ -11,13 +11,15 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use mavlink::Message as _;
 use mavlink::dialects::common::MavMessage;
-use realitysim::tagging::{Checkpoint, Tagger};
 use realitysim::config::lenses::LensWanted;
 use realitysim::config::{Settings, Topics, field_names, load_field, parse_field, parse_lens};
 use realitysim::database::{Gallery, Index, Metric, write_index};
+use realitysim::devices::serial::Line;
 use realitysim::evaluation::reference::Reference;
 use realitysim::evaluation::suite::Suite;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
+use realitysim::log_input::synchroniser::Synchroniser;
+use realitysim::log_input::{decode, intake};
 use realitysim::recording::{missing_parts, read_info};
 use realitysim::ros2::messages::{
     CameraInfo, CompressedImage, DiagnosticArray, FrameTag, Image, ImageView, Imu, JointState, Odometry, PoseStamped,
@@ -25,9 +27,7 @@ use realitysim::ros2::messages::{
 };
 use realitysim::ros2::{Channel, LogMessage, LogReader, Message, Selection, attachments, examine, survey};
 use realitysim::scene::{Renderer, Scene, SceneFile};
-use realitysim::devices::serial::Line;
-use realitysim::log_input::synchroniser::Synchroniser;
-use realitysim::log_input::{decode, intake};
+use realitysim::tagging::{Checkpoint, Tagger};
 
 pub type Target = (&'static str, fn(&[u8]));
 

@@ -5,13 +5,13 @@ use std::path::Path;
 
 use mavlink::dialects::common::*;
 use mavlink::{MAVLinkV2MessageRaw, MavHeader};
-use realitysim::tagging::{Checkpoint, Tagger};
 use realitysim::config::{Settings, field_names, lens_names, load_field, load_lens};
 use realitysim::database::{Catalogue, Record, Source, SourceKind, TagLimits, write_index};
 use realitysim::geometry::{Euler, Field, Isometry, Pose2};
+use realitysim::log_input::synchroniser::InitialPose;
 use realitysim::recording::{Counts, ManifestLine, PoseBox, SessionInfo};
 use realitysim::ros2::Selection;
-use realitysim::log_input::synchroniser::InitialPose;
+use realitysim::tagging::{Checkpoint, Tagger};
 
 use super::KEPT;
 use crate::config::other_formats::{KALIBR, ROS, VISUAL_MESH};

@@ -3,10 +3,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-use realitysim::ros2::Message;
-use realitysim::ros2::messages::CompressedImage;
 use realitysim::devices::mavlink::Content;
 use realitysim::devices::serial::{PortEvent, PortOptions, run};
+use realitysim::ros2::Message;
+use realitysim::ros2::messages::CompressedImage;
 
 use crate::replay::support::{IMAGE, ODOMETRY, Room, on, read_capture, session_name};
 use crate::serial::Cable;

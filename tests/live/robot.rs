@@ -11,9 +11,9 @@ use mavlink::dialects::common::{ATTITUDE_QUATERNION_DATA, MavFrame, MavMessage, 
 use mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkReader, MavlinkVersion};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
+use realitysim::devices::host_clock::monotonic_ns;
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::{CompressedImageView, Imu, Message, Odometry};
-use realitysim::devices::host_clock::monotonic_ns;
 
 use crate::replay::support::{IMAGE, IMU, ODOMETRY};
 use crate::serial::Cable;

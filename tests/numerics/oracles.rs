@@ -5,8 +5,8 @@ use realitysim::geometry::{Lens, LensModel};
 use realitysim::localization::random::{Purpose, Stream};
 use realitysim::localization::weights::normalise;
 
-use realitysim_test_support::exact::{Exact, exact, rounded};
 use super::lens::lenses;
+use realitysim_test_support::exact::{Exact, exact, rounded};
 use realitysim_test_support::measured::largest_error;
 
 fn relative_error(found: f64, truth: &Exact) -> f64 {

@@ -7,8 +7,8 @@ use glam::DQuat;
 use realitysim::config::Settings;
 use realitysim::geometry::{Euler, Isometry, Pose2};
 
-use realitysim_test_support::measured::largest_error;
 use super::support::{Robot, assert_sound, place, small_lens};
+use realitysim_test_support::measured::largest_error;
 
 fn robot(pose: Pose2, camera: Isometry) -> Robot {
     let mut robot = Robot::at(pose, &small_lens(), &Settings::default());

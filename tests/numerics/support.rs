@@ -1,15 +1,15 @@
 //! One robot on the shipped scene's field, with whatever picture or measurement a test wants to give it.
 
 use glam::{DVec2, DVec3};
-use realitysim::tagging::Tagger;
 use realitysim::config::{Settings, load_field, load_lens};
 use realitysim::geometry::{Euler, Field, Isometry, Lens, LensParameters, Pose2};
 use realitysim::localization::LocalizerState;
 use realitysim::localization::observation::reading;
-use realitysim::ros2::messages::FrameTag;
-use realitysim::scene::{Renderer, Scene, SceneFile};
 use realitysim::log_input::synchroniser::{InitialPose, RobotAt};
 use realitysim::log_input::transforms::CameraPlace;
+use realitysim::ros2::messages::FrameTag;
+use realitysim::scene::{Renderer, Scene, SceneFile};
+use realitysim::tagging::Tagger;
 use realitysim::vision::{Picture, Vision, VisionSettings};
 
 const SCENE: &str = include_str!("../../replay/scenes/straight.toml");

@@ -62,7 +62,7 @@ fn figure(text: &str) -> (String, String) {
 
 fn tests() -> BTreeMap<String, Vec<Test>> {
     let mut tests = BTreeMap::new();
-    for file in ["src", "tests"].iter().flat_map(|folder| rust_files(Path::new(folder))) {
+    for file in ["crates", "src", "tests"].iter().flat_map(|folder| rust_files(Path::new(folder))) {
         let text = fs::read_to_string(&file).expect("a source file");
         let lines: Vec<&str> = text.lines().collect();
         for (index, line) in lines.iter().enumerate() {

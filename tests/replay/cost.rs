@@ -2,9 +2,9 @@
 
 use std::fs;
 
-use realitysim::tagging::{Footage, FootageOptions};
 use realitysim::config::Settings;
 use realitysim::ros2::messages::{CompressedImage, FrameTag, PoseStamped};
+use realitysim::tagging::{Footage, FootageOptions};
 use serde_json::Value;
 
 use super::support::{IMAGE, Room, TRUTH, assert_same, changed, on, walk, without};

@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use realitysim::tagging::checkpoint::VERSION;
 use realitysim::ros2::messages::FrameTag;
 use realitysim::ros2::{LogMessage, LogWriter, attachments};
+use realitysim::tagging::checkpoint::VERSION;
 
 use super::support::{CAMERA_INFO, IMAGE, Room, TAG, TF_STATIC, assert_same, decode_all, on, read_log, segments, walk};
 

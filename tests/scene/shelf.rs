@@ -22,7 +22,7 @@ fn every_effect_is_called_for_by_a_scene_and_there_is_none_besides() {
     let called: BTreeSet<String> =
         shelf().iter().flat_map(|(_, scene)| scene.file().effects.iter().map(|e| e.name().to_owned())).collect();
     assert_eq!(called, effects());
-    let files: BTreeSet<String> = fs::read_dir("src/scene/effects")
+    let files: BTreeSet<String> = fs::read_dir("crates/scene/src/effects")
         .expect("a folder")
         .map(|file| file.expect("a file").path().file_stem().expect("a name").to_string_lossy().into_owned())
         .filter(|name| name != "mod")

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use glam::DVec3;
 use realitysim::geometry::{Euler, Isometry, Lens, LensModel, LensParameters};
-use realitysim::scene::Renderer;
 use realitysim::log_input::decode::picture_of_size;
+use realitysim::scene::Renderer;
 use realitysim::vision::{Picture, Reading, Vision, VisionSettings};
 
 use crate::replay::support::read_log;

@@ -3,11 +3,11 @@
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use realitysim::tagging::{ReplayOptions, replay};
 use realitysim::config::Settings;
+use realitysim::log_input::scene::{SceneSource, parse};
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::FrameTag;
-use realitysim::log_input::scene::{SceneSource, parse};
+use realitysim::tagging::{ReplayOptions, replay};
 
 use super::case::Case;
 use crate::numerics::support::unsound;

@@ -6,8 +6,8 @@ use thiserror::Error;
 
 use realitysim_config::ConfigError;
 use realitysim_geometry::{FieldError, LensError};
-use realitysim_recording::{Loss, ReadoutError, RecordingError};
 use realitysim_log_input::log::LogError;
+use realitysim_recording::{Loss, ReadoutError, RecordingError};
 use realitysim_views::ViewError;
 
 #[derive(Debug, Error)]

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use super::catalogue::{Catalogue, Source};
 use super::error::DatabaseError;
 use realitysim_config::plain_file;
-use realitysim_recording::write_atomically;
 use realitysim_log_input::mask;
+use realitysim_recording::write_atomically;
 use realitysim_vision::BodyMask;
 
 const DARK: &str = "dark-";

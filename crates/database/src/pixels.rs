@@ -12,8 +12,8 @@ use zune_jpeg::JpegDecoder;
 use super::record::Form;
 use realitysim_config::plain_file;
 use realitysim_geometry::lens::{MAX_PIXELS, MAX_SIDE, is_image_size};
-use realitysim_ros2::messages::ImageView;
 use realitysim_log_input::decode;
+use realitysim_ros2::messages::ImageView;
 
 /// Interleaved R, G, B.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -146,7 +146,7 @@ pub(super) mod tests {
     use super::*;
     use realitysim_geometry::Euler;
 
-    pub(in crate) fn record_at(x: f64, y: f64, z: f64, yaw: f64) -> Record {
+    pub(crate) fn record_at(x: f64, y: f64, z: f64, yaw: f64) -> Record {
         let euler = Euler { yaw, pitch: 0.5, roll: 0.01 };
         Record {
             source: 1,

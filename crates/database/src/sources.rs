@@ -15,13 +15,13 @@ use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
 use realitysim_config::{load_lens_for_image, plain_file};
 use realitysim_geometry::{Euler, FieldDimensions, Isometry, LensParameters};
+use realitysim_log_input::log::{self, LogSource};
+use realitysim_log_input::{body_mask, decode};
 use realitysim_recording::{
     Loss, REFINED_FOLDER, Readout, ReadoutError, RefinedInfo, SESSION_FILE, losses, read_info, read_tags, refined_info,
 };
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::messages::{CompressedImageView, FrameTag};
-use realitysim_log_input::log::{self, LogSource};
-use realitysim_log_input::{body_mask, decode};
 use realitysim_views::{LEAST_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M};
 use realitysim_vision::BodyMask;
 

@@ -7,14 +7,14 @@ use thiserror::Error;
 use super::compare::Tagged;
 use realitysim_config::{HeadSettings, Topics};
 use realitysim_geometry::Isometry;
+use realitysim_log_input::intake::{self, Input};
+use realitysim_log_input::log::{self, LogError, LogSource};
+use realitysim_log_input::topic_resolution::{self, TopicError};
 use realitysim_recording::{Readout, ReadoutError, losses, read_topic};
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::messages::{
     FrameTag, Header, Message, Odometry, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
 };
-use realitysim_log_input::intake::{self, Input};
-use realitysim_log_input::log::{self, LogError, LogSource};
-use realitysim_log_input::topic_resolution::{self, TopicError};
 
 #[derive(Debug, Error)]
 pub enum EvaluationError {

@@ -10,10 +10,10 @@ use super::compare::{compare, truth_at, up_to_mirror};
 use super::cost::Knobs;
 use super::drawing::chart::{Axis, Chart, Layer, Line, Mark, Scale};
 use super::{Summary, Tagged};
-use realitysim_tagging::Attempt;
 use realitysim_geometry::Isometry;
 use realitysim_localization::Model;
 use realitysim_localization::refinement::offsets::Response;
+use realitysim_tagging::Attempt;
 
 /// Share of the paint that is left, from well painted to none.
 pub const PAINT: [f64; 10] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.0];

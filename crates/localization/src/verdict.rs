@@ -577,11 +577,11 @@ mod tests {
     use nalgebra::Matrix3;
 
     use super::*;
-    use realitysim_config::load_field;
     use crate::estimate::Estimate;
     use crate::filter::Effort;
     use crate::observation::Support;
     use crate::painted::Explained;
+    use realitysim_config::load_field;
 
     fn needed(standing: &Standing) -> u32 {
         let mut found = *standing;

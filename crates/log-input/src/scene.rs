@@ -8,6 +8,8 @@ use std::sync::Arc;
 use jpeg_encoder::ColorType;
 use thiserror::Error;
 
+use crate::encode::{EncodeError, jpeg};
+use crate::topic_resolution::TopicTypes;
 use realitysim_config::{Topics, field_seen_from, lens_seen_from, load_field, load_lens, plain_file};
 use realitysim_geometry::Isometry;
 use realitysim_ros2::mcap_read::{Channel, LogMessage};
@@ -18,9 +20,9 @@ use realitysim_ros2::messages::{
     Vector3,
 };
 use realitysim_ros2::topics;
-use realitysim_scene::{Drawn, Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile};
-use crate::encode::{EncodeError, jpeg};
-use crate::topic_resolution::TopicTypes;
+use realitysim_scene::{
+    Drawn, Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile,
+};
 
 #[derive(Debug, Error)]
 pub enum SceneSourceError {

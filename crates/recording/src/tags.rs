@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::folder::{Loss, missing_parts};
+use realitysim_log_input::log::{LogError, LogSource, files_of};
 use realitysim_ros2::cdr::CdrError;
 use realitysim_ros2::mcap_read::{Damage, LogMessage, Selection};
 use realitysim_ros2::messages::{FrameTag, Message};
 use realitysim_ros2::topics;
-use realitysim_log_input::log::{LogError, LogSource, files_of};
 
 /// Why nothing could be read of a topic.
 #[derive(Debug, Error)]

@@ -27,7 +27,6 @@ pub use render::{Figures, Renderer};
 pub use stage::{Stage, StageError};
 pub use truth::{Mount, Truth, Twist};
 
-use realitysim_geometry::{Field, FieldDimensions, Lens, LensParameters};
 use changing::Changing;
 use effects::{
     CalibrationError, CameraFault, Carrying, Crowd, ExposureHunting, ImageProcessing, Optics, SunPatches, SwayModel,
@@ -36,6 +35,7 @@ use effects::{
 use glam::DVec2;
 use motion::Motion;
 use ranges::Per;
+use realitysim_geometry::{Field, FieldDimensions, Lens, LensParameters};
 
 /// The stamp of every scene's first event, in nanoseconds since 1970: a fixed day, so that recordings repeat.
 pub const START_STAMP_NS: i64 = 1_760_000_000_000_000_000;

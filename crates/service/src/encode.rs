@@ -6,9 +6,9 @@ use jpeg_encoder::ColorType;
 
 use super::Refusal;
 use super::parameters::MaskWanted;
+use hyper::StatusCode;
 use realitysim_log_input::encode::jpeg;
 use realitysim_views::Raster;
-use hyper::StatusCode;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Form {

@@ -4,9 +4,9 @@ use super::foresight::Foresight;
 use super::state::Kept;
 use super::tagger::Tagger;
 use realitysim_config::{HeadSettings, Topics};
-use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_log_input::intake;
 use realitysim_log_input::synchroniser::Synchroniser;
+use realitysim_ros2::mcap_read::LogMessage;
 
 /// Steps as they come, no frames.
 pub struct Between {

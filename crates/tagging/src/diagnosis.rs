@@ -9,9 +9,9 @@ use super::single::{Fit, Known};
 use super::stages::view;
 use realitysim_config::{Settings, Topics, field_names, lens_names, load_field, load_lens};
 use realitysim_geometry::{Euler, Field, Isometry, Lens, LensParameters};
-use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_log_input::synchroniser::Frame;
 use realitysim_log_input::transforms::Head;
+use realitysim_ros2::mcap_read::LogMessage;
 
 /// Frames that were not placed though something was seen in them, spread evenly over a recording of any length.
 #[derive(Debug, Default)]

@@ -6,9 +6,9 @@ use thiserror::Error;
 
 use super::checkpoint::CheckpointError;
 use super::setup::SetupError;
-use realitysim_recording::{Loss, RecordingError};
 use realitysim_log_input::log::LogError;
 use realitysim_log_input::scene::SceneSourceError;
+use realitysim_recording::{Loss, RecordingError};
 
 #[derive(Debug, Error)]
 pub enum AgentError {

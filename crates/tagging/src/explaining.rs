@@ -16,10 +16,10 @@ use realitysim_config::Settings;
 use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::filter::always;
 use realitysim_localization::{Evidence, LocalizerState};
-use realitysim_ros2::mcap_read::LogMessage;
-use realitysim_ros2::messages::FrameTag;
 use realitysim_log_input::synchroniser::{Frame, InitialPose, Synchroniser};
 use realitysim_log_input::{intake, scene};
+use realitysim_ros2::mcap_read::LogMessage;
+use realitysim_ros2::messages::FrameTag;
 use realitysim_vision::{Picture, Seen};
 
 #[derive(Clone, Debug)]

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 use super::tagger::Tagger;
 use realitysim_geometry::Physical;
 use realitysim_localization::LocalizerState;
-use realitysim_ros2::messages::FrameTag;
 use realitysim_log_input::history::KEEP_NS;
 use realitysim_log_input::synchroniser::{Frame, Since, Synchroniser};
+use realitysim_ros2::messages::FrameTag;
 
 /// In `reason` of a tag that belongs to no frame.
 pub const NO_FRAME: &str = "no_frame";

@@ -8,14 +8,14 @@ use super::error::ReplayError;
 use super::prelude::Prelude;
 use super::setup::{Setup, SetupError};
 use realitysim_config::Settings;
+use realitysim_log_input::log::{self as logs, LogError, LogSource, StoredCheckpoint};
+use realitysim_log_input::scene::SceneSource;
+use realitysim_log_input::topic_resolution;
 use realitysim_recording::{Loss, missing_parts};
 use realitysim_ros2::mcap_read::{LogMessage, Selection, Survey};
 use realitysim_ros2::messages::{CompressedImage, FrameTag, Message, Odometry};
 use realitysim_ros2::topics::{self, CHECKPOINT_ATTACHMENT};
 use realitysim_scene::Scene;
-use realitysim_log_input::log::{self as logs, LogError, LogSource, StoredCheckpoint};
-use realitysim_log_input::scene::SceneSource;
-use realitysim_log_input::topic_resolution;
 
 pub struct OpenLog {
     pub setup: Setup,

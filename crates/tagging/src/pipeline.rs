@@ -23,6 +23,8 @@ use super::tally::Tally;
 use super::warnings::{self, AttitudeSource};
 use realitysim_config::{Settings, Topics};
 use realitysim_geometry::{Field, FieldDimensions, Isometry, LensParameters, PoseGrid};
+use realitysim_log_input::intake;
+use realitysim_log_input::synchroniser::Synchroniser;
 use realitysim_recording::storage::Disk;
 use realitysim_recording::{
     Counts, Ended, LiveInfo, RecorderStatus, STATE_FILE, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning,
@@ -31,8 +33,6 @@ use realitysim_recording::{
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{DiagnosticArray, FrameTag};
 use realitysim_ros2::topics;
-use realitysim_log_input::intake;
-use realitysim_log_input::synchroniser::Synchroniser;
 
 /// Where a pipeline writes, and how it works.
 pub struct Recording {

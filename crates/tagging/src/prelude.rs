@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use super::setup::SetupError;
 use super::warnings::AttitudeSource;
 use realitysim_config::{Settings, Topics};
-use realitysim_ros2::mcap_read::{LogMessage, Selection};
-use realitysim_ros2::messages::{CameraInfo, Imu, JointState, Message, TFMessage};
 use realitysim_log_input::intake::{self, Input};
 use realitysim_log_input::log::LogError;
 use realitysim_log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use realitysim_log_input::topic_resolution::{TopicTypes, resolve};
+use realitysim_ros2::mcap_read::{LogMessage, Selection};
+use realitysim_ros2::messages::{CameraInfo, Imu, JointState, Message, TFMessage};
 
 pub struct Prelude {
     pub topics: Topics,

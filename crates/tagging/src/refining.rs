@@ -16,16 +16,18 @@ use realitysim_geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use realitysim_localization::refinement::LinePoints;
 use realitysim_localization::refinement::miscalibration::Miscalibration;
 use realitysim_localization::refinement::offsets::{Eye, Sight, measure};
+use realitysim_localization::smoothing::alignment::{Look, matches};
+use realitysim_localization::smoothing::{
+    CONSTANTS, Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, held_out_rms_px, smooth,
+};
+use realitysim_log_input::intake;
+use realitysim_log_input::synchroniser::{Frame as SensorFrame, Synchroniser};
 use realitysim_recording::{
     Loss, REFINED_FOLDER, REFINED_INFO, REFINED_TAGS, Readout, ReadoutError, RecordingError, RefinedConstant,
     RefinedInfo, SESSION_FILE, SessionInfo, captures_within, read_info, read_tags, write_atomically,
 };
 use realitysim_ros2::messages::{FrameTag, Header, Message, Pose, PoseWithCovarianceStamped};
 use realitysim_ros2::{Durability, LogWriter, WriteError, topics};
-use realitysim_log_input::intake;
-use realitysim_log_input::synchroniser::{Frame as SensorFrame, Synchroniser};
-use realitysim_localization::smoothing::alignment::{Look, matches};
-use realitysim_localization::smoothing::{CONSTANTS, Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, held_out_rms_px, smooth};
 use realitysim_vision::{Picture, Seen};
 
 /// A capture and what became of its tags.

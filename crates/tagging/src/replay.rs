@@ -14,9 +14,9 @@ use super::setup::Setup;
 use super::state::{Start, last_state};
 use realitysim_config::Settings;
 use realitysim_geometry::Pose2;
+use realitysim_log_input::scene;
 use realitysim_recording::{Writing, session_holding};
 use realitysim_ros2::mcap_read::LogMessage;
-use realitysim_log_input::scene;
 
 #[derive(Clone, Debug)]
 pub struct ReplayOptions {

@@ -9,12 +9,12 @@ use super::warnings::AttitudeSource;
 use realitysim_config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens};
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
 use realitysim_localization::observation;
-use realitysim_ros2::messages::CameraInfo;
 use realitysim_log_input::body_mask;
 use realitysim_log_input::log::LogError;
 use realitysim_log_input::synchroniser::{Expected, SynchroniserState};
 use realitysim_log_input::topic_resolution::TopicError;
 use realitysim_log_input::transforms::{ChainError, Head};
+use realitysim_ros2::messages::CameraInfo;
 use realitysim_vision::{BodyMask, Vision, VisionSettings};
 
 #[derive(Debug, Error)]

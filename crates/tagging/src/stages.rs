@@ -10,9 +10,9 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::setup::Eyes;
 use realitysim_geometry::Lens;
-use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_log_input::decode::{DecodeError, picture_of_size};
 use realitysim_log_input::synchroniser::Frame;
+use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_vision::{Picture, Seen};
 
 /// A frame after looking at it.

@@ -10,8 +10,8 @@ use super::tagger::Tagger;
 use realitysim_config::{Settings, plain_file};
 use realitysim_geometry::{Field, Lens, Pose2};
 use realitysim_localization::LocalizerState;
-use realitysim_recording::STATE_FILE;
 use realitysim_log_input::synchroniser::{InitialPose, SynchroniserState};
+use realitysim_recording::STATE_FILE;
 
 /// What is known when the first message comes.
 #[derive(Clone, Debug, Default)]

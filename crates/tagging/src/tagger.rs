@@ -8,8 +8,8 @@ use realitysim_localization::{
     Evidence, FilterSettings, Fix, Formula, LensOff, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Model,
     Moment, Observation, Sampling, Spread, TrackModel, Validity,
 };
-use realitysim_ros2::messages::{FrameTag, Header, Pose, Stamp};
 use realitysim_log_input::synchroniser::{Anchor, InitialPose, RobotAt};
+use realitysim_ros2::messages::{FrameTag, Header, Pose, Stamp};
 use realitysim_vision::Seen;
 
 #[derive(Clone, Debug)]

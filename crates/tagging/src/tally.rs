@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 
 use super::effort::EffortTally;
 use super::stages::NotSeen;
+use realitysim_log_input::synchroniser::{Frame, RobotAt};
 use realitysim_recording::Counts;
 use realitysim_ros2::cdr::CdrError;
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Header, KeyValue};
 use realitysim_ros2::topics::DIAGNOSTICS_PREFIX;
-use realitysim_log_input::synchroniser::{Frame, RobotAt};
 
 #[derive(Clone, Debug, Default)]
 pub struct Tally {

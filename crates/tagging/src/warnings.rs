@@ -7,8 +7,8 @@ use super::report::Quantiles;
 use realitysim_config::FrameNames;
 use realitysim_geometry::physical::MOST;
 use realitysim_localization::LensOff;
-use realitysim_ros2::messages::{Imu, Message};
 use realitysim_log_input::synchroniser::GONE_NS;
+use realitysim_ros2::messages::{Imu, Message};
 
 /// What a tag's reason is when lines are seen and fit nowhere.
 const LOST: [&str; 5] = ["pose_unknown", "unconfirmed", "lines_disagree", "lines_unexplained", "not_standing"];

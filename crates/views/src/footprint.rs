@@ -135,7 +135,9 @@ mod tests {
 
     #[test]
     fn an_image_shows_all_of_its_own_view_and_little_of_what_lies_behind_it() {
-        let world = World::without_goals(&Field::new(realitysim_config::load_field("kid-2009").expect("a shipped field")).expect("a field"));
+        let world = World::without_goals(
+            &Field::new(realitysim_config::load_field("kid-2009").expect("a shipped field")).expect("a field"),
+        );
         let camera = camera();
         let footprint = Footprint::new(&camera, &pose(0.0, 0.0, 20.0), &world);
         assert!((60..=128).contains(&footprint.places.len()), "{}", footprint.places.len());
@@ -152,7 +154,9 @@ mod tests {
 
     #[test]
     fn what_is_far_is_seen_from_everywhere_and_the_ground_from_near_by() {
-        let world = World::without_goals(&Field::new(realitysim_config::load_field("kid-2009").expect("a shipped field")).expect("a field"));
+        let world = World::without_goals(
+            &Field::new(realitysim_config::load_field("kid-2009").expect("a shipped field")).expect("a field"),
+        );
         let camera = camera();
         let up = Footprint::new(&camera, &pose(0.0, 0.0, -89.0), &world);
         let share = |footprint: &Footprint, pose: &Isometry| footprint.share(footprint.seen_by(&camera, pose));

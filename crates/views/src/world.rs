@@ -241,7 +241,13 @@ mod tests {
     #[test]
     fn many_rays_meet_what_each_of_them_meets() {
         let goal = Some(Goal { width_m: 1.5, height_m: 0.9, depth_m: 0.5, post_diameter_m: 0.1 });
-        let world = World::new(&Field::new(FieldDimensions { goal, ..realitysim_config::load_field("kid-2009").expect("a shipped field") }).expect("a field"));
+        let world = World::new(
+            &Field::new(FieldDimensions {
+                goal,
+                ..realitysim_config::load_field("kid-2009").expect("a shipped field")
+            })
+            .expect("a field"),
+        );
         let camera = DVec3::new(1.0, 0.3, 0.5);
         let goals = world.goals_from(camera, 0.004);
         let (mut met, mut different) = (0, 0);
@@ -275,7 +281,9 @@ mod tests {
     #[test]
     fn rays_meet_ground_goal_and_what_is_far() {
         let goal = Some(Goal { width_m: 1.5, height_m: 0.9, depth_m: 0.5, post_diameter_m: 0.1 });
-        let field = Field::new(FieldDimensions { goal, ..realitysim_config::load_field("kid-2009").expect("a shipped field") }).expect("a field");
+        let field =
+            Field::new(FieldDimensions { goal, ..realitysim_config::load_field("kid-2009").expect("a shipped field") })
+                .expect("a field");
         let world = World::new(&field);
         let camera = DVec3::new(1.0, 0.0, 0.5);
         let goals = world.goals_from(camera, 0.0);

@@ -167,10 +167,10 @@ impl Cells {
                     (&self.shown[cells.clone()], &mut levels[cells.clone()], &mut seen[cells.clone()]);
                 let strengths = (&gains[..shown.len()], &weights[..shown.len()]);
                 multiversioned!(|shown: &[i16],
-                             strengths: (&[f32], &[f32]),
-                             levels: &mut [u8],
-                             seen: &mut [u8],
-                             any: &mut [u8]| {
+                                 strengths: (&[f32], &[f32]),
+                                 levels: &mut [u8],
+                                 seen: &mut [u8],
+                                 any: &mut [u8]| {
                     let targets = levels.iter_mut().zip(seen).zip(any);
                     let sources = shown.iter().zip(strengths.0).zip(strengths.1);
                     for (((level, seen), any), ((shown, gain), weight)) in targets.zip(sources) {

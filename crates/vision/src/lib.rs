@@ -20,7 +20,6 @@ mod rotation;
 
 use glam::{DVec2, DVec3};
 
-use realitysim_geometry::{Isometry, Lens, Projector};
 pub use border::CarpetBorder;
 use carpet::Carpet;
 pub use contrast::LineContrast;
@@ -30,6 +29,7 @@ pub use ground_map::GroundMap;
 pub use line_image::LineImage;
 pub use mask::BodyMask;
 pub use picture::{Chroma, Picture, Reduction};
+use realitysim_geometry::{Isometry, Lens, Projector};
 pub use ridges::Ridge;
 pub use rotation::{Small, Turning};
 

@@ -12,7 +12,6 @@ use clap::Args;
 use super::section::Section;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, machine, output, paths};
-use crate::tagging::{Attempt, Footage, FootageOptions};
 use crate::cli::values::{above_zero, whole};
 use crate::config::{LEAST_BUDGET_MS, Settings};
 use crate::evaluation::capture::{EvaluationError, read_truth};
@@ -20,8 +19,9 @@ use crate::evaluation::compare::truth_at;
 use crate::evaluation::cost::{self, Knobs, Wish};
 use crate::evaluation::truth;
 use crate::geometry::{Isometry, Pose2};
-use crate::recording::ReadoutError;
 use crate::log_input::scene;
+use crate::recording::ReadoutError;
+use crate::tagging::{Attempt, Footage, FootageOptions};
 use crate::vision::automatic_reduction;
 use report::{Report, Yardstick};
 

@@ -10,9 +10,9 @@ use serde::Serialize;
 use crate::cli::values::any_whole;
 use crate::cli::{Outcome, output, paths};
 use crate::config::plain_file;
-use crate::scene::Scene;
 use crate::log_input::encode::jpeg;
 use crate::log_input::{decode, scene};
+use crate::scene::Scene;
 
 /// Apply a scene's effects to a stored image, for tests of vision code
 ///

@@ -10,8 +10,8 @@ use crate::cli::{Outcome, machine, output};
 use crate::evaluation::calibration::REFERENCE_MS;
 use crate::evaluation::effect_cost::{self, SceneCost};
 use crate::localization::SimdPath;
-use crate::scene::{Role, Scene};
 use crate::log_input::scene;
+use crate::scene::{Role, Scene};
 
 /// Check a scene file; print its effects, all numbers as drawn, and what each costs per frame
 ///

@@ -10,8 +10,8 @@ use serde::Serialize;
 use super::CapturesArguments;
 use crate::cli::{Outcome, output};
 use crate::recording::catalogue::sessions_in;
-use crate::recording::{Counts, ManifestLine, Session, SessionId, receiver_of, receivers_of, saturating_sum};
 use crate::recording::sync::{Known, known_sources};
+use crate::recording::{Counts, ManifestLine, Session, SessionId, receiver_of, receivers_of, saturating_sum};
 
 /// All sessions: start, duration, frames, validity, size, drops, and who has them
 #[derive(Args)]

@@ -15,8 +15,8 @@ use super::Outcome;
 use super::settings::UsageError;
 use crate::recording::catalogue::session_at;
 use crate::recording::storage::{Disk, Kind, Storage};
-use crate::recording::{ACTIVE, Loss, MANIFEST_FILE, SESSION_FILE, Session, is_segment_name, sessions_of};
 use crate::recording::sync::SERVICE_CAPTURES;
+use crate::recording::{ACTIVE, Loss, MANIFEST_FILE, SESSION_FILE, Session, is_segment_name, sessions_of};
 
 /// What recordings there are, on the robot and on the dev machine
 #[derive(Args)]

@@ -13,14 +13,14 @@ use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output};
 use crate::database::coverage_picture;
 use crate::geometry::{Field, Isometry, PoseGrid};
+use crate::log_input::decode;
+use crate::log_input::log::LogSource;
 use crate::recording::catalogue::session_at;
+use crate::recording::sync::known_sources;
 use crate::recording::{ManifestLine, Session, SessionInfo, read_coverage, read_info};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::{FrameTag, Message};
 use crate::ros2::topics;
-use crate::log_input::decode;
-use crate::log_input::log::LogSource;
-use crate::recording::sync::known_sources;
 
 /// One session: its segments, what became of its frames, who has it
 #[derive(Args)]

@@ -7,8 +7,8 @@ use super::CapturesArguments;
 use crate::cli::{Outcome, output};
 use crate::recording::catalogue::session_at;
 use crate::recording::storage::Disk;
-use crate::recording::{Loss, Verified, receiver_of, verify};
 use crate::recording::sync::{Store, SyncError};
+use crate::recording::{Loss, Verified, receiver_of, verify};
 
 /// Compare every segment's bytes with the manifest's hash
 ///

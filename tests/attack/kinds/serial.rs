@@ -5,11 +5,11 @@ use glam::{DQuat, DVec3};
 use mavlink::Message as _;
 use mavlink::dialects::common::MavMessage;
 use realitysim::config::Settings;
+use realitysim::devices::mavlink::{Content, RobotSide};
+use realitysim::devices::serial::Line;
 use realitysim::geometry::Isometry;
 use realitysim::ros2::messages::{Imu, Odometry, Pose, Quaternion, Stamp, Vector3};
 use realitysim::ros2::{LogMessage, Message};
-use realitysim::devices::mavlink::{Content, RobotSide};
-use realitysim::devices::serial::Line;
 
 use crate::bytes;
 use crate::case::{Case, Class, Finding, Outcome};

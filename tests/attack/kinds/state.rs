@@ -2,10 +2,10 @@
 
 use std::fs;
 
-use realitysim::tagging::Checkpoint;
-use realitysim::tagging::checkpoint::VERSION;
 use realitysim::config::Settings;
 use realitysim::recording::STATE_FILE;
+use realitysim::tagging::Checkpoint;
+use realitysim::tagging::checkpoint::VERSION;
 
 use crate::bytes;
 use crate::case::{Case, Class, Finding, Outcome, Taken};

@@ -8,8 +8,8 @@ use std::time::Duration;
 use serde::Serialize;
 use thiserror::Error;
 
-use realitysim_config::CaptureSettings;
 use crate::permission;
+use realitysim_config::CaptureSettings;
 
 /// Formats that can be recorded, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -3,8 +3,8 @@
 use jpeg_encoder::ColorType;
 
 use super::{Frame, Negotiated, PixelFormat};
-use realitysim_ros2::messages::{CompressedImage, Header, Image};
 use realitysim_log_input::encode::{EncodeError, jpeg};
+use realitysim_ros2::messages::{CompressedImage, Header, Image};
 
 pub enum ImageMessage {
     Compressed(CompressedImage),

@@ -1,8 +1,8 @@
 //! Odometry that goes on through the jumps of the device's estimate.
 
 use super::measurement::{DeviceTime, Step};
-use realitysim_geometry::Isometry;
 use glam::DQuat;
+use realitysim_geometry::Isometry;
 
 /// What turns a device's poses into those of one unbroken path.
 #[derive(Debug, Default)]

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use realitysim_geometry::Isometry;
 use crate::clock::{ClockStatus, DeviceClock};
 use crate::mavlink::{Content, Decoder, Outgoing, PortCounts, Sender, TimeBase};
+use realitysim_geometry::Isometry;
 
 /// A measurement, stamped by the host's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,12 +4,12 @@ use serde::Serialize;
 
 use super::front::Point;
 use super::knobs::Knobs;
-use realitysim_tagging::Attempt;
 use crate::Tagged;
 use crate::capture::tagged;
 use crate::compare::{Comparison, compare, up_to_mirror};
 use crate::statistics::{Summary, quantile};
 use realitysim_geometry::Isometry;
+use realitysim_tagging::Attempt;
 
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {

@@ -2,9 +2,9 @@
 
 use super::knobs::Knobs;
 use super::row::Row;
-use realitysim_tagging::Attempt;
 use crate::capture::tagged;
 use realitysim_geometry::Isometry;
+use realitysim_tagging::Attempt;
 
 /// One of the best tags this much fewer frames than another evades: its errors are those of easier frames.
 const EVASION: f64 = 0.02;
@@ -51,8 +51,8 @@ pub fn as_truth(run: &[Attempt]) -> Vec<(i64, Isometry)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use realitysim_config::Settings;
     use crate::cost::plan;
+    use realitysim_config::Settings;
     use realitysim_ros2::messages::{FrameTag, Stamp};
 
     fn run(knobs: &Knobs, seed: u64) -> Vec<Attempt> {

@@ -1,10 +1,10 @@
 use super::overlay::outline;
 use super::plot::Plot;
 use super::*;
-use realitysim_config::{load_field, load_lens};
-use realitysim_geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensModel, LensParameters};
 use glam::DVec3;
 use image::{Rgb, RgbImage};
+use realitysim_config::{load_field, load_lens};
+use realitysim_geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensModel, LensParameters};
 
 mod robust;
 

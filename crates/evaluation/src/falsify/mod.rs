@@ -7,10 +7,10 @@ mod pictures;
 use serde::Serialize;
 
 use super::contrast::Quality;
-use realitysim_tagging::{Attempt, Claims, Footage, SetupError};
+pub use pictures::{Distortion, Noise};
 use realitysim_config::{Settings, field_names, load_field};
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
-pub use pictures::{Distortion, Noise};
+use realitysim_tagging::{Attempt, Claims, Footage, SetupError};
 
 /// How far off pictures, mount and lens are said to be: from what a careless calibration leaves to what is clearly wrong, and none so
 /// far that no line is found.

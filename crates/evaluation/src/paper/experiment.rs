@@ -5,16 +5,16 @@ use thiserror::Error;
 
 use super::method::{METHODS, Method};
 use super::scenes::{self, START_XY_M, START_YAW_RAD, SceneFailure};
-use realitysim_tagging::{Attempt, Footage, FootageOptions, ReplayError, SetupError};
-use realitysim_config::Settings;
 use crate::capture::tagged;
 use crate::compare::truth_at;
 use crate::statistics::{Summary, quantile};
 use crate::{Tagged, truth};
+use realitysim_config::Settings;
 use realitysim_geometry::{Isometry, Pose2, wrap_angle};
 use realitysim_localization::random::{Purpose, Stream};
-use realitysim_scene::Scene;
 use realitysim_log_input::synchroniser::InitialPose;
+use realitysim_scene::Scene;
+use realitysim_tagging::{Attempt, Footage, FootageOptions, ReplayError, SetupError};
 
 /// How much is done.
 #[derive(Clone, Debug, PartialEq)]

@@ -9,9 +9,9 @@ use serde_json::Value;
 use super::ReferenceError;
 use realitysim_config::plain_file;
 use realitysim_geometry::Pose2;
-use realitysim_recording::{SessionInfo, read_info};
 use realitysim_log_input::log::files_of;
 use realitysim_log_input::scene::MAX_SCENE_BYTES;
+use realitysim_recording::{SessionInfo, read_info};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Identity {

@@ -12,15 +12,15 @@ use super::file::{Case, Suite};
 use super::judge::{Judged, judge, judge_poses};
 use super::limits::Broken;
 use super::timing::p99_ratio;
-use realitysim_tagging::{FootageOptions, ReplayError, ReplayOptions, replay};
-use realitysim_config::{ConfigError, Settings};
 use crate::capture::{EvaluationError, read_frame_times, read_poses, read_truth, tagged};
 use crate::compare::Tagged;
 use crate::reference::{self, Frames, Identity, Reference, ReferenceError, Verdict, settings_that_matter};
 use crate::truth;
+use realitysim_config::{ConfigError, Settings};
 use realitysim_geometry::Isometry;
-use realitysim_recording::{Loss, Readout, ReadoutError, read_tags};
 use realitysim_log_input::scene::{self, SceneSourceError};
+use realitysim_recording::{Loss, Readout, ReadoutError, read_tags};
+use realitysim_tagging::{FootageOptions, ReplayError, ReplayOptions, replay};
 
 #[derive(Clone, Debug)]
 pub struct Options {

@@ -2,10 +2,10 @@
 
 use std::time::Instant;
 
-use realitysim_tagging::{Footage, FootageOptions, ReplayError};
-use realitysim_config::Settings;
 use crate::calibration::Calibration;
 use crate::statistics::quantile;
+use realitysim_config::Settings;
+use realitysim_tagging::{Footage, FootageOptions, ReplayError};
 
 /// The best of so many passes over the frames counts: what disturbs the machine only ever adds.
 const PASSES: usize = 2;

@@ -18,10 +18,10 @@ mod sse2;
 
 use serde::{Deserialize, Serialize};
 
+pub use points::Points;
 use realitysim_geometry::Pose2;
 use realitysim_vision::GroundTable;
 use realitysim_vision::ground::SIDE;
-pub use points::Points;
 
 /// Which instructions the kernel uses; the result is the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -5,12 +5,12 @@ use serde::Serialize;
 
 use super::lost::Fitting;
 use super::{Fix, Localizer, Moment};
-use realitysim_geometry::Isometry;
 use crate::filter::{Effort, always};
 use crate::global::{Pace, SearchState, Wanted};
 use crate::painted::{Explained, PaintedMap};
 use crate::refinement::offsets::Inspected;
 use crate::refinement::{Agreement, Refiner};
+use realitysim_geometry::Isometry;
 use realitysim_vision::Seen;
 
 /// Pixels are those of the full-size image, the first one's centre at (0, 0).

@@ -6,13 +6,13 @@ use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
 use super::{Localizer, Moment, Tried};
-use realitysim_geometry::{Physical, Pose2, wrap_angle};
 use crate::filter::{Effort, MayGoOn};
 use crate::global::{Candidate, Pace, Wanted};
 use crate::particles::Spread;
 use crate::refinement::Refined;
 use crate::track::Track;
 use crate::verdict::{CONTRADICTED, Confidence, agrees, convinces, is_whole};
+use realitysim_geometry::{Physical, Pose2, wrap_angle};
 use realitysim_vision::Seen;
 
 /// While lost, only every so many frames pay for a search.

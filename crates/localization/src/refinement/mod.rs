@@ -20,11 +20,11 @@ mod triangular;
 use glam::DVec3;
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
-use realitysim_geometry::{Field, Isometry, Lens, Projector, Twist};
-use realitysim_vision::LineImage;
 use chance::Test;
 use miscalibration::{Miscalibration, UNSEEN_M_PER_S, unfelt_rad_per_s};
 use offsets::{Counts, Eye, Inspected, Response, Sight};
+use realitysim_geometry::{Field, Isometry, Lens, Projector, Twist};
+use realitysim_vision::LineImage;
 
 pub use points::LinePoints;
 

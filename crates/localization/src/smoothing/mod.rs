@@ -16,10 +16,10 @@ mod same_ground;
 use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
-use realitysim_geometry::{Isometry, LensError, LensModel, LensParameters, Pose2, Twist};
 use crate::refinement::offsets::{Eye, Sight};
 use chain::{Border, Chain, Solution};
 use moving::Moving;
+use realitysim_geometry::{Isometry, LensError, LensModel, LensParameters, Pose2, Twist};
 
 pub use residuals::Model;
 

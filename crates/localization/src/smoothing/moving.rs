@@ -5,8 +5,8 @@ use nalgebra::Vector6;
 
 use super::Frame;
 use super::chain::Own;
-use realitysim_geometry::{Isometry, Twist};
 use crate::refinement::moved_pose;
+use realitysim_geometry::{Isometry, Twist};
 
 /// A moving camera: what is looked for of a frame. Its unknowns are the six of the pose's error, and how much farther it goes along its
 /// own axes, and turns about them, from the first row's time to the last's than is told.

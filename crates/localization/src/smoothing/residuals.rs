@@ -5,9 +5,9 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use super::chain::{Border, Chain, OWN, Own};
 use super::moving::Moving;
 use super::{CONSTANTS, Constants, Frame, Linearised, Place, same_ground};
-use realitysim_geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
 use crate::refinement::error_between;
 use crate::refinement::miscalibration::{UNSEEN_M_PER_S, row, unfelt_rad_per_s};
+use realitysim_geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
 
 /// Standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,9 +3,9 @@
 use nalgebra::Vector6;
 
 use super::*;
-use realitysim_geometry::{Euler, Lens};
 use crate::refinement::miscalibration::row;
 use crate::refinement::{error_between, moved_pose};
+use realitysim_geometry::{Euler, Lens};
 
 const COUNT: usize = 30;
 

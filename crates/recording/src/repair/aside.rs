@@ -12,7 +12,7 @@ const DAMAGED: &str = ".damaged";
 const MAX_DAMAGED_NAMES: u32 = 1000;
 
 /// `0000.mcap.damaged`, `0000.mcap.damaged-2` and so on.
-pub(in crate) fn is_damaged_name(name: &str) -> bool {
+pub(crate) fn is_damaged_name(name: &str) -> bool {
     let Some((segment, number)) = name.split_once(DAMAGED) else { return false };
     let is_number = |digits: &str| !digits.starts_with('0') && digits.parse::<u32>().is_ok_and(|number| number > 1);
     is_segment_name(segment) && (number.is_empty() || number.strip_prefix('-').is_some_and(is_number))

@@ -10,7 +10,7 @@ use super::super::error::RecordingError;
 use super::super::storage::{Storage, read_small, write_atomically};
 
 /// In the session's folder while it is being repaired.
-pub(in crate) const NOTES_FILE: &str = "repairing.json";
+pub(crate) const NOTES_FILE: &str = "repairing.json";
 /// A segment takes some hundred bytes of it.
 const MAX_NOTES_BYTES: u64 = 4 << 20;
 

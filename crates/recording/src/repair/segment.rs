@@ -41,7 +41,7 @@ pub(super) enum Ended {
 /// What the file should end with is at most index and footer: some hundred bytes a chunk.
 const MAX_END_BYTES: usize = 32 << 20;
 /// Of the copy, until it is whole.
-pub(in crate) const COPY: &str = ".repair";
+pub(crate) const COPY: &str = ".repair";
 
 /// Finishes `active` as `NAME`, which is not there; `limit` is where what was given up begins.
 pub(super) fn finish(
@@ -125,7 +125,8 @@ fn copy(
     let hashing = Hashing::new(Appending(Arc::clone(&file)));
     let written = || -> Result<Hashing<Appending>, Trouble> {
         let mut writer = LogWriter::new(hashing)?;
-        for attachment in realitysim_ros2::mcap_read::attachments(storage.read(active).map_err(ReadError::from)?)?.list {
+        for attachment in realitysim_ros2::mcap_read::attachments(storage.read(active).map_err(ReadError::from)?)?.list
+        {
             writer.attach(&attachment.name, &attachment.media_type, attachment.log_time_ns, &attachment.data)?;
         }
         for record in metadata_records(storage.read(active).map_err(ReadError::from)?)? {

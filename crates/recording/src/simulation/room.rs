@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::disk::{SimulatedDisk, Trouble};
-use realitysim_config::RecordingSettings;
 use crate::acknowledgement::{ACK_FOLDER, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER};
 use crate::manifest::{Counts, MANIFEST_FILE, ManifestLine, PIN_FILE, SESSION_FILE};
 use crate::retention::{Limits, Retention, Seen};
 use crate::shared::Allowed;
 use crate::storage::{Storage, write_atomically};
+use realitysim_config::RecordingSettings;
 
 const CAPTURES: &str = "/captures";
 const MEBIBYTE: usize = 1 << 20;

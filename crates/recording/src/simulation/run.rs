@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use super::dice::Dice;
 use super::disk::{SimulatedDisk, Trouble};
-use realitysim_config::{Settings, load_field, load_lens};
 use crate::entry::{Beginning, Entry, Kind};
 use crate::folder::manifest_lines;
 use crate::manifest::{Counts, FORMAT_VERSION, SESSION_FILE, SessionInfo};
@@ -14,6 +13,7 @@ use crate::recorder::{Plan, Recorder};
 use crate::segment::segment_index;
 use crate::shared::{Room, Shared, Waiting};
 use crate::storage::{Kind as Listed, Storage, write_atomically};
+use realitysim_config::{Settings, load_field, load_lens};
 use realitysim_ros2::mcap_read::{Channel, LogMessage, LogReader, Selection};
 use realitysim_ros2::messages::{CompressedImage, FrameTag, Imu, Message, TFMessage};
 use realitysim_ros2::topics;

@@ -4,8 +4,8 @@ use serde::{Serialize, Serializer};
 
 use super::message;
 use super::time::Header;
-use realitysim_geometry::longest_axis;
 use crate::cdr::wire_struct;
+use realitysim_geometry::longest_axis;
 
 wire_struct! {
     /// geometry_msgs/Point, metres.

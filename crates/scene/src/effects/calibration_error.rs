@@ -4,9 +4,9 @@ use glam::DVec2;
 use serde::Deserialize;
 
 use super::Role;
-use realitysim_geometry::{Euler, Isometry, Lens, LensParameters};
 use crate::check::{refuse, within};
 use crate::{Mount, SceneError};
+use realitysim_geometry::{Euler, Isometry, Lens, LensParameters};
 
 /// Added to the truth where it is announced (`CameraInfo`, `/tf_static`). Images and true poses stay what they are.
 #[derive(Clone, Debug, PartialEq, Deserialize)]

@@ -4,10 +4,10 @@ use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
 use super::{Carrying, Role, ease};
-use realitysim_geometry::{Field, Isometry, Pose2};
 use crate::SceneError;
 use crate::check::within;
 use crate::motion::Motion;
+use realitysim_geometry::{Field, Isometry, Pose2};
 
 /// Its feet stay where they are until it stands up again, moved and turned by what it rolled meanwhile. Odometry counts
 /// steps and knows nothing of it; the IMU feels it.
@@ -80,7 +80,7 @@ impl Fall {
         within(format_args!("{key}.turned_deg"), self.turned_deg, -180.0..=180.0, "-180 to 180 degrees")
     }
 
-    pub(in crate) fn model(&self, key: &str, motion: &Motion, field: &Field) -> Result<Carrying, SceneError> {
+    pub(crate) fn model(&self, key: &str, motion: &Motion, field: &Field) -> Result<Carrying, SceneError> {
         let [x, y] = self.moved_m;
         let moved = Pose2::new(x, y, self.turned_deg.to_radians());
         let duration = self.fall_s + self.lie_s + self.rise_s;

@@ -5,10 +5,10 @@ use core::f64::consts::TAU;
 use serde::Deserialize;
 
 use super::Role;
-use realitysim_geometry::Euler;
 use crate::SceneError;
 use crate::check::within;
 use crate::stream::{Purpose, Stream};
+use realitysim_geometry::Euler;
 
 /// Amplitudes, half of peak to peak. Both joints swing as a sine and start in the middle.
 #[derive(Clone, Debug, PartialEq, Deserialize)]

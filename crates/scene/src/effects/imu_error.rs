@@ -5,11 +5,11 @@ use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
 use super::Role;
-use realitysim_geometry::Euler;
 use crate::SceneError;
 use crate::check::within;
 use crate::events::Imu;
 use crate::stream::{Purpose, Stream};
+use realitysim_geometry::Euler;
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]

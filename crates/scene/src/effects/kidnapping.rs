@@ -3,10 +3,10 @@
 use serde::Deserialize;
 
 use super::{Role, Tumble, ease};
-use realitysim_geometry::{Field, Isometry, Pose2, wrap_angle};
 use crate::SceneError;
 use crate::check::{inside, refuse, within};
 use crate::motion::{Motion, Travel};
+use realitysim_geometry::{Field, Isometry, Pose2, wrap_angle};
 
 /// The walk stops meanwhile and goes on from the new pose: what was straight ahead is straight ahead again.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -53,7 +53,7 @@ impl Kidnapping {
         Ok(())
     }
 
-    pub(in crate) fn model(&self, key: &str, motion: &Motion, field: &Field) -> Result<Carrying, SceneError> {
+    pub(crate) fn model(&self, key: &str, motion: &Motion, field: &Field) -> Result<Carrying, SceneError> {
         let end = motion.duration();
         within(format_args!("{key}.at_s"), self.at_s, 0.0..=end, &format!("the route takes {end:.2} s"))?;
         let [x, y] = self.to_m;
@@ -72,7 +72,7 @@ impl Kidnapping {
 
 impl Carrying {
     /// It falls where it is, and stands up at `to`.
-    pub(in crate) fn tumbling(
+    pub(crate) fn tumbling(
         key: &str,
         at: f64,
         duration: f64,
@@ -115,7 +115,7 @@ impl Carrying {
     }
 
     /// `travel` is the route's, at [`Carrying::route_time`].
-    pub(in crate) fn travel(&self, time: f64, travel: Travel) -> Travel {
+    pub(crate) fn travel(&self, time: f64, travel: Travel) -> Travel {
         if time < self.at {
             return travel;
         }

@@ -6,10 +6,10 @@ use glam::DVec2;
 use serde::Deserialize;
 
 use super::Role;
-use realitysim_geometry::{Field, Pose2};
 use crate::SceneError;
 use crate::check::{refuse, within};
 use crate::stream::{Purpose, Stream};
+use realitysim_geometry::{Field, Pose2};
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -4,10 +4,10 @@
 use serde::Deserialize;
 
 use super::Role;
-use realitysim_geometry::Pose2;
 use crate::SceneError;
 use crate::check::within;
 use crate::stream::{Purpose, Stream};
+use realitysim_geometry::Pose2;
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -109,7 +109,7 @@ impl OdometryError {
 }
 
 impl Span {
-    pub(in crate) fn overlaps(&self, other: &Self) -> bool {
+    pub(crate) fn overlaps(&self, other: &Self) -> bool {
         self.from_s < other.from_s + other.for_s && other.from_s < self.from_s + self.for_s
     }
 

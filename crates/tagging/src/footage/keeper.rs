@@ -10,10 +10,10 @@ use crate::setup::Setup;
 use crate::stages::NotSeen;
 use crate::tagger::Tagger;
 use realitysim_localization::LocalizerState;
-use realitysim_recording::Loss;
-use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_log_input::intake;
 use realitysim_log_input::synchroniser::{Frame, Synchroniser};
+use realitysim_recording::Loss;
+use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_vision::Seen;
 
 /// A filter follows from frame to frame, so that frames in a row are needed, and that many are enough to compare settings.

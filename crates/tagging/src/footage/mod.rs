@@ -13,18 +13,18 @@ use super::replay::Progress;
 use super::setup::{Eyes, SetupError};
 use super::stages::{NotSeen, view};
 use super::tagger::Tagger;
+use keeper::Keeper;
 use realitysim_config::Settings;
 use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::LocalizerState;
 use realitysim_localization::refinement::Refiner;
 use realitysim_localization::refinement::offsets::Response;
+use realitysim_log_input::scene;
+use realitysim_log_input::synchroniser::{Frame, InitialPose, RobotAt};
 use realitysim_recording::Loss;
 use realitysim_ros2::messages::FrameTag;
 use realitysim_scene::Scene;
-use realitysim_log_input::scene;
-use realitysim_log_input::synchroniser::{Frame, InitialPose, RobotAt};
 use realitysim_vision::{Picture, Seen};
-use keeper::Keeper;
 
 #[derive(Clone, Debug)]
 pub struct FootageOptions {

@@ -7,8 +7,8 @@ use super::miscalibration::{Miscalibration, UNFELT_RAD_PER_S, UNSEEN_M_PER_S, ro
 use super::offsets::Sight;
 use super::solve::{self, Noise, Solution};
 use super::{Errors, Prior, SCALES, error_between, moved_pose, pose_block, pose_part};
-use realitysim_geometry::{Euler, Isometry, Lens, LensModel, LensParameters, Twist};
 use crate::random::{Purpose, Stream};
+use realitysim_geometry::{Euler, Isometry, Lens, LensModel, LensParameters, Twist};
 
 mod exact;
 mod honesty;
