@@ -14,8 +14,8 @@ use crate::database::{DatabaseError, Gallery, Wanted};
 use crate::devices::mavlink::RobotSide;
 use crate::devices::video_out::{OutputForm, VideoOut, VideoOutError, yuyv};
 use crate::geometry::{Isometry, Pose2};
-use crate::log_input::intake::{self, Input};
 use crate::log_input::log::{self, LogError, LogSource};
+use crate::log_input::measurement::{self, Input};
 use crate::log_input::{decode, encode};
 use crate::recording::{RecordingError, SESSION_FILE, captures_within, read_info};
 use crate::ros2::mcap_read::Selection;
@@ -134,7 +134,7 @@ fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Play
     for message in messages {
         let message = message?;
         let since_ns = message.log_time_ns.saturating_sub(*first_ns.get_or_insert(message.log_time_ns));
-        let event = match intake::read(&message, topics, &info.settings.head) {
+        let event = match measurement::read(&message, topics, &info.settings.head) {
             Ok(Input::Frame { .. }) => image_of(&message).map(Event::Image),
             Ok(Input::Odometry { odom_from_footprint, .. }) => Some(Event::Odometry(odom_from_footprint)),
             Ok(Input::Imu { orientation: Some(q), turn_rate, .. }) => Some(Event::Attitude(q, turn_rate)),

@@ -4,7 +4,7 @@ use core::f64::consts::TAU;
 
 use glam::{DVec2, DVec3};
 use realitysim::geometry::Pose2;
-use realitysim::localization::global::{Candidate, Pace, Search, SearchState, Wanted};
+use realitysim::localization::global_search::{Candidate, Pace, Search, SearchState, Wanted};
 use realitysim::localization::kernel::{Points, available, sum_levels};
 use realitysim::localization::observation::default_alpha;
 use realitysim::localization::{Effort, Formula, Observation, Particles, SimdPath, Spread};

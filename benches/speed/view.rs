@@ -3,7 +3,7 @@
 use glam::DVec3;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, Pose2};
 use realitysim::localization::{Formula, Model, observation};
-use realitysim::log_input::scene;
+use realitysim::log_input::scene_source;
 use realitysim::scene::Renderer;
 use realitysim::vision::{Picture, Seen, Vision, VisionSettings};
 
@@ -21,7 +21,7 @@ pub struct View {
 impl View {
     /// 640 x 480, near the centre circle.
     pub fn new() -> Self {
-        let scene = scene::load("replay/scenes/straight.toml").expect("a scene of the shelf");
+        let scene = scene_source::load("replay/scenes/straight.toml").expect("a scene of the shelf");
         let lens = scene.lens().clone();
         let field = scene.field().clone();
         let pose = Pose2::new(-1.4, 0.3, 0.2);

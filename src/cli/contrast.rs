@@ -6,13 +6,13 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::settings::{SettingsArguments, UsageError};
 use super::{Outcome, output, paths};
 use crate::evaluation::contrast::{self, Detection, PAINT, Quality, Step, Variant, WIDTHS_PX, WRONG_CM};
 use crate::evaluation::cost::Knobs;
 use crate::evaluation::{Summary, truth};
-use crate::log_input::scene;
+use crate::log_input::scene_source;
 use crate::tagging::{Footage, FootageOptions};
 
 /// Find out how faint lines may be
@@ -56,7 +56,7 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
     let named = arguments.settings.files();
     let inputs = named.iter().chain([&arguments.scene]).map(PathBuf::as_path);
     paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;
-    let scene = scene::load(&arguments.scene)?;
+    let scene = scene_source::load(&arguments.scene)?;
     let options = FootageOptions {
         source: arguments.scene.clone(),
         settings: settings.clone(),

@@ -13,7 +13,7 @@ use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::evaluation::{Comparison, Tagged, compare};
 use crate::geometry::{Field, Isometry, Lens};
 use crate::log_input::log::{LogSource, files_of};
-use crate::log_input::{decode, scene};
+use crate::log_input::{decode, scene_source};
 use crate::recording::{read_info, read_tags};
 use crate::ros2::mcap_read::Selection;
 use crate::tagging::{ReplayOptions, replay};
@@ -45,8 +45,8 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
     let folder = &arguments.output;
     check_output(folder, &[])?;
     let scene = match &arguments.scene {
-        Some(path) => scene::load(path)?,
-        None => scene::parse(SCENE, "the built-in demo")?,
+        Some(path) => scene_source::load(path)?,
+        None => scene_source::parse(SCENE, "the built-in demo")?,
     };
     make_folder(folder)?;
     let log = folder.join("walk.mcap");

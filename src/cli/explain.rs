@@ -15,11 +15,11 @@ use super::{Outcome, output, settings};
 use crate::config::{Settings, load_field};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
-use crate::localization::refinement::offsets::Finding;
-use crate::localization::verdict::{AGREES_DIGITS, IN_VIEW};
+use crate::localization::refinement::line_measurement::Finding;
+use crate::localization::validation::{AGREES_DIGITS, IN_VIEW};
 use crate::localization::{Evidence, Tried};
-use crate::tagging::explaining::{self, ExplainOptions, Explanation, Sight};
-use crate::tagging::single::{Fit, Located};
+use crate::tagging::explanation::{self, ExplainOptions, Explanation, Sight};
+use crate::tagging::single_image::{Fit, Located};
 
 /// Show why the tag of one frame, or the pose of one image, is what it is
 ///
@@ -105,7 +105,7 @@ fn of_frame(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<
     }
     let options = ExplainOptions { source: arguments.source.clone(), settings, initial: arguments.initial, frame };
     let mut progress = output::Progress::new("tagging");
-    let explanation = explaining::explain(&options, &mut |done, total| progress.set(done, total));
+    let explanation = explanation::explain(&options, &mut |done, total| progress.set(done, total));
     progress.finish();
     let explanation = explanation?;
     let told = told(&explanation);

@@ -8,7 +8,7 @@ use std::thread;
 use clap::Args;
 use serde::Serialize;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::{above_zero, whole};
 use super::{Outcome, output};
@@ -18,7 +18,7 @@ use crate::evaluation::contrast::WRONG_CM;
 use crate::evaluation::falsify::{Control, Falsehood, falsehoods};
 use crate::evaluation::truth;
 use crate::geometry::Isometry;
-use crate::log_input::scene;
+use crate::log_input::scene_source;
 use crate::recording::ReadoutError;
 use crate::tagging::{Footage, FootageOptions};
 
@@ -136,7 +136,7 @@ fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, thre
 
 fn truth_of(path: &Path, settings: &Settings) -> anyhow::Result<Vec<(i64, Isometry)>> {
     if path.extension().is_some_and(|ending| ending == "toml") {
-        return Ok(truth::of_scene(&scene::load(path)?));
+        return Ok(truth::of_scene(&scene_source::load(path)?));
     }
     match read_truth(path, &settings.topics.ground_truth) {
         Err(EvaluationError::Readout(ReadoutError::NoMessages { .. })) => Err(UsageError(format!(

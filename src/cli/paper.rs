@@ -6,9 +6,9 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::values::any_whole;
-use super::{Outcome, machine, output, paths};
+use super::{Outcome, host_info, output, paths};
 use crate::config::Settings;
 use crate::evaluation::Summary;
 use crate::evaluation::paper::{METHODS, PAPER_PARTICLES, PAPER_WALK_CM, Paper, Plan, Run, charts, reproduce};
@@ -51,7 +51,7 @@ struct Report<'a> {
 }
 
 pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
-    let (started, waited_s) = (Instant::now(), machine::waited_s());
+    let (started, waited_s) = (Instant::now(), host_info::waited_s());
     let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "paper")).transpose()?;
     let folder = &arguments.output;
     paths::check_output(folder, &[])?;
@@ -75,9 +75,9 @@ pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
         bar.finish();
     }
     let wall_s = started.elapsed().as_secs_f64();
-    let waited_s = machine::waited_s().zip(waited_s).map(|(now, before)| now - before);
-    let warning = machine::busy_warning(waited_s, wall_s);
-    let machine = machine::described(SimdPath::Auto);
+    let waited_s = host_info::waited_s().zip(waited_s).map(|(now, before)| now - before);
+    let warning = host_info::busy_warning(waited_s, wall_s);
+    let machine = host_info::described(SimdPath::Auto);
     let report = Report {
         paper: &paper,
         quick: arguments.quick,

@@ -3,7 +3,7 @@
 use std::io::{Error, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-use super::inputs::with_what_they_name;
+use super::input_files::with_what_they_name;
 use super::settings::UsageError;
 use crate::config::plain_file;
 use crate::devices::video_out::is_device_name;

@@ -12,7 +12,7 @@ use super::values::any_number;
 use crate::config::{load_lens_for_image, plain_file};
 use crate::geometry::{Euler, Pose2};
 use crate::log_input::{body_mask, decode};
-use crate::tagging::single::{Found, Known, LEAST_SHARE, LEAST_WEIGHT};
+use crate::tagging::single_image::{Found, Known, LEAST_SHARE, LEAST_WEIGHT};
 use crate::vision::Picture;
 
 #[derive(Args)]

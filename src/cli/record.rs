@@ -12,7 +12,7 @@ use super::{Outcome, output};
 use crate::config::load_field;
 use crate::geometry::{Field, Pose2};
 use crate::live::{RecordOptions, ask, poses, record, stop_flag};
-use crate::tagging::foresight::NO_FRAME;
+use crate::tagging::dead_reckoning::NO_FRAME;
 
 /// Where a service's runtime files are; a user's own recorder may be elsewhere.
 const SOCKET: &str = "/run/realitysim/control.sock";

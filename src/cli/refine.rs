@@ -17,7 +17,7 @@ use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
 use crate::localization::smoothing::{Constants, Model};
 use crate::recording::{RefinedConstant, RefinedInfo};
 use crate::ros2::messages::FrameTag;
-use crate::tagging::refining::{Refining, refine};
+use crate::tagging::offline_refinement::{Refining, refine};
 
 /// Improve a capture's tags afterwards, from all frames together
 ///

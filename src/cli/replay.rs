@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::gate::GateArguments;
+use super::reference_check::GateArguments;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, output, paths};
 use crate::config::{Settings, load_field};
 use crate::geometry::{Field, Pose2};
-use crate::log_input::scene;
+use crate::log_input::scene_source;
 use crate::tagging::{ReplayOptions, ReplayReport, replay};
 
 /// More only wait for each other.
@@ -134,7 +134,7 @@ fn threads(text: &str) -> Result<usize, String> {
 /// A scene brings its own.
 pub(super) fn field_of(source: &Path, settings: &Settings) -> anyhow::Result<String> {
     match source.extension() {
-        Some(ending) if ending == "toml" => Ok(scene::load(source)?.file().scene.field.clone()),
+        Some(ending) if ending == "toml" => Ok(scene_source::load(source)?.file().scene.field.clone()),
         _ => Ok(settings.field.clone()),
     }
 }

@@ -14,7 +14,7 @@ use super::{Outcome, output};
 use crate::config::{Settings, lens_names, load_lens, plain_file};
 use crate::geometry::LensParameters;
 use crate::live::stop_flag;
-use crate::log_input::scene;
+use crate::log_input::scene_source;
 use crate::service::{ServeOptions, serve};
 use crate::views::{FAR_M, MAX_FAR_M};
 
@@ -60,7 +60,7 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
     let mut scenes = BTreeMap::new();
     for path in &arguments.scene {
         let name = Path::new(path).file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        if scenes.insert(name.clone(), scene::load(path)?).is_some() {
+        if scenes.insert(name.clone(), scene_source::load(path)?).is_some() {
             return Err(UsageError(format!("--scene {path}: there is another scene named {name}")).into());
         }
     }

@@ -6,7 +6,7 @@ use clap::Args;
 use glam::DVec2;
 use thiserror::Error;
 
-use super::inputs;
+use super::input_files;
 use super::values::{any_number, any_whole};
 use crate::config::wording::plain;
 use crate::config::{MotionSource, Settings};
@@ -65,7 +65,7 @@ impl SettingsArguments {
     pub fn files(&self) -> Vec<PathBuf> {
         let config = self.config.iter().map(PathBuf::from);
         // Where they make no sense nothing is read after the config.
-        let named = self.resolve().map_or_else(|_| Vec::new(), |settings| inputs::files_of(&settings));
+        let named = self.resolve().map_or_else(|_| Vec::new(), |settings| input_files::files_of(&settings));
         config.chain(named).collect()
     }
 

@@ -14,7 +14,7 @@ use super::{Outcome, output};
 use crate::config::{field_names, load_field};
 use crate::evaluation::drawing;
 use crate::geometry::{Field, Pose2};
-use crate::tagging::single::{Fit, Found, Located};
+use crate::tagging::single_image::{Fit, Found, Located};
 
 /// Find the pose of a single image
 ///

@@ -16,7 +16,7 @@ use crate::config::{Settings, load_lens};
 use crate::database::{Gallery, Shown, Wanted};
 use crate::evaluation::drawing;
 use crate::geometry::{Euler, Isometry, Lens};
-use crate::log_input::scene;
+use crate::log_input::scene_source;
 use crate::scene::Stage;
 use crate::views::{
     Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method, NOTHING, Raster,
@@ -169,7 +169,7 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
         check_output(path, &named.chain([arguments.db.as_path()]).collect::<Vec<_>>())?;
     }
     let mut wanted = wanted(arguments);
-    let scene = arguments.scene.as_deref().map(scene::load).transpose()?;
+    let scene = arguments.scene.as_deref().map(scene_source::load).transpose()?;
     let gallery = Gallery::open(&arguments.db, &settings.views)?;
     wanted.camera = camera(arguments, &gallery, &wanted)?;
     let mut shown = gallery.view(&wanted)?;

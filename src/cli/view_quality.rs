@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::{Outcome, output};
 use crate::config::load_field;
 use crate::evaluation::views::{Pair, Plan, Row, Scores, displacements, pairs};

@@ -21,7 +21,7 @@ use crate::evaluation::video::avi;
 use crate::evaluation::{Summary, drawing};
 use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
 use crate::log_input::encode::jpeg;
-use crate::tagging::single::Known;
+use crate::tagging::single_image::Known;
 use crate::views::{LEAST_HEIGHT_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
 use crate::vision::Picture;
 

@@ -6,7 +6,7 @@ use super::{Finding, bad, good};
 use crate::config::{Settings, load_field, load_lens};
 use crate::scene::{Scene, SceneFile};
 use crate::tagging::durations::Durations;
-use crate::tagging::footage::{Footage, FootageOptions};
+use crate::tagging::frame_cache::{Footage, FootageOptions};
 
 /// Of the time between two frames, for tagging; decoding, recording and the team's own programs need the rest.
 const MOST_SHARE: f64 = 0.5;

@@ -10,10 +10,10 @@ use crate::config::Settings;
 use crate::devices::clock::{DelayError, Turn, estimate};
 use crate::geometry::Lens;
 use crate::log_input::decode;
-use crate::log_input::intake::{self, Input};
+use crate::log_input::measurement::{self, Input};
 use crate::recording::read_info;
 use crate::tagging::error::ReplayError;
-use crate::tagging::opened::{self, OpenLog};
+use crate::tagging::input_source::{self, OpenLog};
 use crate::vision::Turning;
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -51,7 +51,7 @@ const MAX_FRAMES: usize = 2700;
 pub fn estimate_delay(path: &Path, settings: &Settings) -> Result<DelayReport, DelayReportError> {
     let log = newest_capture(path)?;
     let configured_ns = read_info(&log).ok().and_then(|info| info.live).map_or(0, |live| live.camera_delay_ns) as f64;
-    let opened = opened::log(&log, settings)?;
+    let opened = input_source::log(&log, settings)?;
     let heard = Heard::of(opened)?;
     let found = estimate(&heard.turns, |from, to| heard.turned(from, to))
         .map_err(|source| DelayReportError::Delay { log: log.clone(), source })?;
@@ -93,7 +93,7 @@ impl Heard {
         let (mut last, mut frames) = (None, 0);
         for message in messages {
             let message = message?;
-            match intake::read(&message, &setup.topics, &setup.settings.head) {
+            match measurement::read(&message, &setup.topics, &setup.settings.head) {
                 Ok(Input::Imu { stamp_ns, orientation: Some(orientation), .. }) => {
                     heard.attitudes.push((stamp_ns, orientation));
                 }

@@ -15,7 +15,7 @@ use parking::Listeners;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 
-use super::askers::{Askers, Place};
+use super::control_clients::{Askers, Place};
 use crate::devices::stale_socket::clear_away;
 use crate::geometry::{Physical, Pose2};
 use crate::recording::MAX_FINISH;

@@ -1,15 +1,15 @@
 //! The agent on a robot: devices in, the same pipeline as a replay's, a capture out.
 
-mod agent;
-mod askers;
 mod control;
+mod control_clients;
 mod devices;
+mod event_loop;
 mod messages;
-mod meters;
-mod port;
-mod session;
+mod notifications;
+mod port_events;
+mod rates;
+mod session_control;
 mod status;
-mod telling;
 mod watchdog;
 
 use std::path::{Path, PathBuf};
@@ -32,10 +32,10 @@ use crate::recording::storage::Disk;
 use crate::recording::{repair, session_holding, sessions_of};
 use crate::tagging::error::AgentError;
 use crate::tagging::setup::SetupError;
-use agent::Agent;
 use control::Control;
 use devices::{Devices, channel};
-use session::setup;
+use event_loop::Agent;
+use session_control::setup;
 
 #[derive(Clone, Debug)]
 pub struct RecordOptions {

@@ -7,8 +7,8 @@ use std::time::Instant;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::meters::{BudgetUse, FilterUse, Rates, Validity};
-use super::port::Port;
+use super::port_events::Port;
+use super::rates::{BudgetUse, FilterUse, Rates, Validity};
 use crate::devices::camera::StampClock;
 use crate::devices::serial::LineStatus;
 use crate::geometry::{PoseGrid, longest_axis};

@@ -86,7 +86,8 @@ fn path_traced(name: &str, f: f64, [cx, cy]: [f64; 2], k: [f64; 4]) -> Statistic
 }
 
 fn rendered(name: &str) -> Statistics {
-    let scene = realitysim::log_input::scene::load(format!("replay/scenes/{name}.toml")).expect("a possible scene");
+    let scene =
+        realitysim::log_input::scene_source::load(format!("replay/scenes/{name}.toml")).expect("a possible scene");
     let renderer = Renderer::new(&scene);
     let mut pixels = Vec::new();
     let all: Vec<Statistics> = [5, 15, 25, 35]

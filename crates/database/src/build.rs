@@ -7,16 +7,16 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::catalogue::{Catalogue, Source, TagLimits};
-use super::circle::circle_deg;
 use super::error::{DatabaseError, io};
-use super::gallery::without_rim;
+use super::image_circle::circle_deg;
+use super::image_database::without_rim;
 use super::index::{Index, path_of, write_index};
-use super::inputs::sources_of;
+use super::input_files::sources_of;
 use super::masks::{self, Masks};
 use super::pixels::read_bytes;
 use super::record::Record;
 use super::sources::{self, Read};
-use super::{darkening, goals};
+use super::{goals, vignetting};
 use realitysim_geometry::{Field, FieldDimensions, LensParameters};
 use realitysim_recording::Loss;
 
@@ -188,7 +188,7 @@ fn take(
         let masks = bodies.iter().map(|body| masks::write_body(folder, &source, body));
         source.body_masks = masks.collect::<Result<_, _>>()?;
     }
-    source.darkening = darkening::measured(folder, &source, &found, &catalogue.field)?;
+    source.darkening = vignetting::measured(folder, &source, &found, &catalogue.field)?;
     if source.goals && catalogue.field.goal.is_some() {
         source.goals = goals::stand(folder, &source, &found, &catalogue.field)?.unwrap_or(true);
     }

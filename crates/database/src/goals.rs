@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::catalogue::Source;
 use super::error::DatabaseError;
-use super::gallery::shown_by;
+use super::image_database::shown_by;
 use super::pixels::{colours, read_bytes};
 use super::record::Record;
 use realitysim_geometry::{Field, FieldDimensions, Lens};

@@ -8,8 +8,8 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::error::{DatabaseError, io};
+use super::kd_tree::{self, Metric, Search, Split};
 use super::record::{RECORD_BYTES, Record};
-use super::tree::{self, Metric, Search, Split};
 use realitysim_config::plain_file;
 use realitysim_geometry::{Isometry, Physical};
 
@@ -40,7 +40,7 @@ const MAX_IMAGES: usize = 1 << 24;
 
 /// Orders the records and writes the index, forced to disk.
 pub fn write_index(path: &Path, mut records: Vec<Record>) -> Result<(), DatabaseError> {
-    let splits = tree::build(&mut records);
+    let splits = kd_tree::build(&mut records);
     let mut crc = crc32fast::Hasher::new();
     let parts = || {
         let splits = splits.iter().map(|split| {
@@ -149,7 +149,7 @@ impl Index {
 }
 
 fn records_at(count: usize) -> usize {
-    HEADER_BYTES + SPLIT_BYTES * tree::leaves(count).max(1)
+    HEADER_BYTES + SPLIT_BYTES * kd_tree::leaves(count).max(1)
 }
 
 /// Of an index of so many images.

@@ -1,7 +1,7 @@
 //! How good a database's views are by its own images: each in turn is left out and made of the others.
 
 use super::error::DatabaseError;
-use super::gallery::{Gallery, Wanted};
+use super::image_database::{Gallery, Wanted};
 use realitysim_views::{Method, SURE, Surface, Target, World, similarity};
 
 /// PSNR on the ground, dB, of `wanted` images spread evenly over the database; those that no other image shows are left out. Exposure is not

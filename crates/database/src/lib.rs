@@ -6,29 +6,29 @@
 
 mod build;
 mod catalogue;
-mod choice;
-mod circle;
 mod coverage;
-mod darkening;
 mod error;
-mod gallery;
 mod goals;
+mod image_circle;
+mod image_database;
 mod index;
-mod inputs;
+mod input_files;
+mod kd_tree;
 mod leave_one_out;
-mod lit;
+mod lit_pixels;
 mod masks;
 mod pixels;
 mod record;
+mod source_selection;
 mod sources;
-mod tree;
+mod vignetting;
 
 pub use build::{Added, Checked, Stats, add, rebuild, remove, stats, verify};
 pub use catalogue::{Catalogue, Source, SourceKind, TagLimits};
 pub use coverage::{coverage, coverage_picture};
 pub use error::DatabaseError;
-pub use gallery::{Gallery, Shown, Wanted};
+pub use image_database::{Gallery, Shown, Wanted};
 pub use index::{Index, Neighbour, write_index};
+pub use kd_tree::Metric;
 pub use leave_one_out::leave_one_out;
 pub use record::Record;
-pub use tree::Metric;

@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use super::catalogue::{Source, SourceKind, TagLimits};
 use super::error::{DatabaseError, io};
-use super::lit::Lit;
+use super::lit_pixels::Lit;
 use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
 use realitysim_config::{load_lens_for_image, plain_file};

@@ -12,7 +12,7 @@ use super::drawing::chart::{Axis, Chart, Layer, Line, Mark, Scale};
 use super::{Summary, Tagged};
 use realitysim_geometry::Isometry;
 use realitysim_localization::Model;
-use realitysim_localization::refinement::offsets::Response;
+use realitysim_localization::refinement::line_measurement::Response;
 use realitysim_tagging::Attempt;
 
 /// Share of the paint that is left, from well painted to none.

@@ -6,7 +6,7 @@
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
-use super::calibration::{Calibration, REFERENCE_MS};
+use super::cpu_yardstick::{Calibration, REFERENCE_MS};
 use realitysim_scene::{Renderer, Scene, SceneError};
 
 #[derive(Clone, Debug, Serialize)]

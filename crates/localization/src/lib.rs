@@ -4,26 +4,26 @@
 //! Pure: time, measurements and the seed are arguments; no I/O, clock, thread or global randomness.
 
 pub mod estimate;
+mod fall_detection;
 pub mod filter;
-mod frozen;
-pub mod global;
+mod frozen_image;
+pub mod global_search;
 pub mod kernel;
-mod known;
+mod last_known_pose;
+pub mod line_distance_map;
 pub mod localizer;
 pub mod motion;
 pub mod observation;
 mod observation_model;
-pub mod painted;
 pub mod particles;
-mod posture;
 pub mod random;
 pub mod refinement;
+mod relocalization_trigger;
 pub mod resampling;
 pub mod sampling;
-mod second_look;
+pub mod slow_states;
 pub mod smoothing;
-pub mod track;
-pub mod verdict;
+pub mod validation;
 pub mod weights;
 
 pub use estimate::Estimate;
@@ -35,5 +35,5 @@ pub use observation::{Observation, Support};
 pub use observation_model::{Formula, Model};
 pub use particles::{Particles, Spread};
 pub use sampling::Sampling;
-pub use track::{Track, TrackModel};
-pub use verdict::{Confidence, Validity};
+pub use slow_states::{Track, TrackModel};
+pub use validation::{Confidence, Validity};

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::camera_twist::{Movers, camera_twist};
 use super::history::{History, Pushed, Sample};
-use super::intake::{Input, StampedTransform, StatedDeviations};
+use super::measurement::{Input, StampedTransform, StatedDeviations};
 use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
 use realitysim_config::FrameNames;
 use realitysim_geometry::{Physical, Pose2, Twist};

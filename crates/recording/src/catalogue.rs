@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::acknowledgement::{ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, is_receiver};
-use super::apart::is_probe;
 use super::coverage::COVERAGE_FILE;
+use super::distinct_folders::is_probe;
 use super::identity::{Head, SessionId};
 use super::manifest::{
     EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, RECEIVED_FILE, REFINED_FOLDER, SESSION_FILE,

@@ -2,17 +2,19 @@
 //! promised of them, and how it is tested: docs/recording.md.
 
 mod acknowledgement;
-mod apart;
 pub mod catalogue;
 mod coverage;
+mod disk_latency;
+mod distinct_folders;
 mod entry;
 mod error;
 mod folder;
+mod folder_lock;
 mod gap;
 mod hashing;
 mod identity;
 mod manifest;
-mod pace;
+mod record_queue;
 mod recorder;
 mod refined;
 mod release;
@@ -20,17 +22,15 @@ mod repair;
 mod retention;
 mod segment;
 mod session;
-mod shared;
 #[cfg(test)]
 mod simulation;
 mod status;
 pub mod storage;
 pub mod sync;
+mod sync_schedule;
 mod tags;
 mod thinning;
-mod turn;
 mod verify;
-mod worst_stall;
 mod writer;
 
 use std::path::Path;
@@ -39,17 +39,18 @@ pub use acknowledgement::{
     ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER, is_receiver, receiver_of,
     receivers_of, silence,
 };
-pub use apart::{NotApart, is_probe, prove_apart};
 pub use catalogue::{Received, Session, SetAside};
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
+pub use disk_latency::{DISK_FILE, DiskMeasured};
+pub use distinct_folders::{NotApart, is_probe, prove_apart};
 pub use error::{REMOVED, RecordingError, cannot_be_made};
 pub use folder::{Loss, missing_parts, read_info, session_holding};
+pub use folder_lock::Turn;
 pub use identity::{Head, SessionId, robot_id};
 pub use manifest::{
     Counts, EVICTED_FILE, FORMAT_VERSION, LiveInfo, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, PoseBox,
     RECEIVED_FILE, REFINED_FOLDER, SESSION_FILE, SessionInfo, saturating_sum,
 };
-pub use pace::loss_bound_ms;
 pub use recorder::folder_name;
 pub use refined::{REFINED_INFO, REFINED_TAGS, RefinedConstant, RefinedInfo, refined_info};
 pub use release::{Releasable, releasable};
@@ -58,11 +59,10 @@ pub use retention::Evicted;
 pub use segment::{ACTIVE, is_segment_name};
 pub use session::{Ended, SegmentState, SessionWriter, Writing};
 pub use status::{Fault, RecorderStatus, Stopped};
+pub use sync_schedule::loss_bound_ms;
 pub use tags::{Readout, ReadoutError, losses, read_tags, read_topic};
 pub use thinning::Thinning;
-pub use turn::Turn;
 pub use verify::{Verified, verify};
-pub use worst_stall::{DISK_FILE, DiskMeasured};
 pub use writer::MAX_FINISH;
 
 /// For whoever has named the folder of all captures where one of them was meant: which there are, behind a semicolon.

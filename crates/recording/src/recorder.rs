@@ -18,10 +18,10 @@ use super::identity::SessionId;
 use super::manifest::{
     Counts, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
 };
-use super::pace::Pace;
+use super::record_queue::{Had, Shared, Waiting};
 use super::segment::{Cut, Finished, Segment, Unfinished};
-use super::shared::{Had, Shared, Waiting};
 use super::storage::{Appending, Storage, StoredFile, write_atomically};
+use super::sync_schedule::Pace;
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{CameraInfo, Message};
 

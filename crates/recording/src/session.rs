@@ -12,8 +12,8 @@ use super::entry::{Beginning, Entry, Kind};
 use super::error::RecordingError;
 use super::gap::own_channel;
 use super::manifest::{Counts, SessionInfo};
+use super::record_queue::{Room, Shared, Waiting};
 use super::recorder::{Plan, Recorder};
-use super::shared::{Room, Shared, Waiting};
 use super::status::RecorderStatus;
 use super::storage::Storage;
 use super::writer::{Limits, Writer};
@@ -71,7 +71,7 @@ impl SessionWriter {
         };
         let bytes_per_s = if let Writing::Behind { bytes_per_s } = writing { bytes_per_s } else { 0 };
         let room = Room {
-            frames_bytes: super::worst_stall::queue_bytes(storage.as_ref(), captures, &settings, bytes_per_s),
+            frames_bytes: super::disk_latency::queue_bytes(storage.as_ref(), captures, &settings, bytes_per_s),
             reserve_bytes: mebibytes(settings.reserve_mb),
         };
         let shared = Arc::new(Shared::new(room));

@@ -7,10 +7,10 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 
 use super::error::RecordingError;
+use super::record_queue::{Allowed, Next, Shared};
 use super::recorder::Recorder;
 pub(super) use super::retention::Limits;
 use super::retention::Retention;
-use super::shared::{Allowed, Next, Shared};
 use super::status::Fault;
 use super::storage::Storage;
 

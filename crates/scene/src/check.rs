@@ -7,9 +7,9 @@ use glam::DVec2;
 use thiserror::Error;
 
 use super::file::{CameraSection, InitialPose, Route, SceneFile, Still, Walk};
-use super::places::Places;
+use super::key_lines::Places;
 use super::ranges::{Per, Range, Template};
-use super::{contradictions, effects};
+use super::{consistency, effects};
 use realitysim_geometry::{Field, FieldError, LensError};
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -69,7 +69,7 @@ pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
         within("scene.initial_pose.yaw_deg", error.yaw_deg, -180.0..=180.0, "-180 to 180 degrees off")?;
     }
     effects::check(&file.effects, field)?;
-    contradictions::check(file)
+    consistency::check(file)
 }
 
 /// Places between the ends of every range that are tried. Most numbers are bounded by their ends; but a robot that is

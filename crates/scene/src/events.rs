@@ -4,10 +4,10 @@ use std::borrow::Cow;
 
 use glam::{DQuat, DVec3};
 
-use super::changing::Changing;
 use super::effects::{Fate, HeadMotion, ImuError, Joints, OdometryError};
 use super::file::InitialPose;
 use super::motion::Travel;
+use super::per_frame::Changing;
 use super::truth::{Truth, Twist};
 use super::{START_STAMP_NS, Scene};
 use realitysim_geometry::{Isometry, Pose2, wrap_angle};

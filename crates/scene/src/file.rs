@@ -8,9 +8,9 @@ use serde::{Deserialize, Deserializer};
 use toml::de::DeTable;
 
 use super::effects::Effect;
-use super::places::Places;
+use super::key_lines::Places;
 use super::ranges::{Range, Template};
-use super::{SceneError, misread};
+use super::{SceneError, error_spans};
 use realitysim_config::wording::in_words;
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -126,7 +126,7 @@ impl SceneFile {
             (places, template)
         };
         let text = template.filled(|range| template.value(range, 0));
-        let file: Self = toml::from_str(&text).map_err(|error| told(misread::nearer(error, &text)))?;
+        let file: Self = toml::from_str(&text).map_err(|error| told(error_spans::nearer(error, &text)))?;
         Ok(Self { places, template: Some(template), ..file })
     }
 

@@ -3,20 +3,20 @@
 //! Pure: everything is a function of file, field and lens. [`Scene::truth`] is the robot's pose at any time,
 //! [`Scene::events`] what its sensors send, [`Renderer`] what its camera sees.
 
-mod changing;
 mod check;
-mod contradictions;
+mod consistency;
 pub mod effects;
+mod error_spans;
 mod events;
 pub mod file;
-mod misread;
+mod key_lines;
 mod motion;
-mod places;
+mod per_frame;
 mod ranges;
 mod render;
-mod stage;
 mod stream;
 mod truth;
+mod view_overlay;
 
 pub use check::SceneError;
 pub use effects::{Effect, Joints, Role};
@@ -24,16 +24,16 @@ pub use events::{Events, Imu, InitialPoseEstimate, Odometry, SceneEvent, SceneEv
 pub use file::{InitialPose, Route, SceneFile};
 pub use ranges::Drawn;
 pub use render::{Figures, Renderer};
-pub use stage::{Stage, StageError};
 pub use truth::{Mount, Truth, Twist};
+pub use view_overlay::{Stage, StageError};
 
-use changing::Changing;
 use effects::{
     CalibrationError, CameraFault, Carrying, Crowd, ExposureHunting, ImageProcessing, Optics, SunPatches, SwayModel,
     Turf, WornLines,
 };
 use glam::DVec2;
 use motion::Motion;
+use per_frame::Changing;
 use ranges::Per;
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensParameters};
 
@@ -78,7 +78,7 @@ impl Scene {
         let lens = Lens::new(lens)?;
         // Before what was drawn: a message has the number that stands in the file.
         check::ranges(&file, |file| Self::assemble(file, field.clone(), lens.clone()).map(drop))?;
-        contradictions::do_something(&file.effects)?;
+        consistency::do_something(&file.effects)?;
         let template = file.template.clone();
         Self::assemble(file, field, lens).map_err(|error| match &template {
             Some(template) => error.with(template, |range| template.value(range, 0)),
@@ -113,7 +113,7 @@ impl Scene {
             scene.add(&format!("effect[{index}]"), effect)?;
         }
         check::duration(scene.duration_s())?;
-        contradictions::times(&scene.file, scene.duration_s())?;
+        consistency::times(&scene.file, scene.duration_s())?;
         Ok(scene)
     }
 

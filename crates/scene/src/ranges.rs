@@ -10,7 +10,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::SceneError;
 use super::check::refuse;
-use super::places::Places;
+use super::key_lines::Places;
 use super::stream::{self, Purpose, Stream};
 
 /// The file's text with the places where numbers have to be filled in.

@@ -14,11 +14,11 @@ use tokio::sync::OwnedSemaphorePermit;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::time::sleep;
 
-use super::answer::{PROBLEM, Reply};
 use super::connections::Seat;
 use super::encode::Form;
 use super::parameters::{Asked, Parameters};
-use super::stock::Picture;
+use super::response::{PROBLEM, Reply};
+use super::view_service::Picture;
 use super::{Refusal, Service};
 use realitysim_geometry::Isometry;
 

@@ -3,18 +3,18 @@
 //! `Service` holds the database and answers requests; [`serve`] listens, with limits on everything a client can do.
 //! Views are made by a few threads behind a bounded queue: over load some requests are refused, and the others are as fast as ever.
 
-mod answer;
+mod admission;
 mod batch;
 mod connections;
-mod door;
 mod encode;
 mod guard;
 mod metrics;
 mod parameters;
-mod patient;
+mod response;
 mod routes;
 mod server;
-mod stock;
+mod view_service;
+mod write_timeout;
 
 pub use parameters::PARAMETERS;
 pub use server::{ServeError, ServeOptions, serve};
@@ -24,14 +24,14 @@ pub const OPENAPI: &str = include_str!("openapi.json");
 
 use std::sync::Arc;
 
-use answer::{Refusal, Reply};
 use metrics::Metrics;
-use stock::Stock;
+use response::{Refusal, Reply};
+use view_service::Stock;
 
 /// What all connections share.
 struct Service {
     stock: Stock,
     metrics: Metrics,
-    door: door::Door,
+    door: admission::Door,
     connections: Arc<connections::Connections>,
 }

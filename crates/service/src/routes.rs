@@ -11,13 +11,13 @@ use hyper::header::{ACCEPT, CONTENT_TYPE};
 use hyper::{Request, StatusCode};
 use tokio::time::timeout;
 
-use super::answer::{bytes, finish, json_reply, put};
 use super::batch::Batch;
 use super::connections::Seat;
 use super::encode::{Form, accepted};
 use super::guard::{Guard, list, text};
 use super::parameters::{Asked, MaskWanted, Parameters};
-use super::stock::Picture;
+use super::response::{bytes, finish, json_reply, put};
+use super::view_service::Picture;
 use super::{OPENAPI, Refusal, Reply, Service};
 
 const ROUTES: [&str; 6] = ["/v1/view", "/v1/views", "/v1/info", "/v1/coverage", "/metrics", "/openapi.json"];

@@ -17,13 +17,13 @@ use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
 use super::Service;
+use super::admission::Door;
 use super::connections::Seat;
-use super::door::Door;
 use super::guard::Guard;
 use super::metrics::Metrics;
-use super::patient::Patient;
 use super::routes::{answer, refresh};
-use super::stock::Stock;
+use super::view_service::Stock;
+use super::write_timeout::Patient;
 use realitysim_config::ViewsSettings;
 use realitysim_database::DatabaseError;
 use realitysim_geometry::LensParameters;

@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::foresight::Foresight;
+use super::dead_reckoning::Foresight;
 use realitysim_geometry::Physical;
 use realitysim_localization::LocalizerState;
 use realitysim_log_input::synchroniser::SynchroniserState;

@@ -16,7 +16,7 @@ use super::replay::{Progress, ReplayOptions, replay};
 use realitysim_config::Settings;
 use realitysim_log_input::encode;
 use realitysim_log_input::log::{self as logs, LogError, LogSource, StoredCheckpoint};
-use realitysim_log_input::scene::is_drawn_for_episode;
+use realitysim_log_input::scene_source::is_drawn_for_episode;
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::mcap_write::{ChannelId, LogWriter, RawChannel, WriteError};
 use realitysim_ros2::topics;

@@ -4,9 +4,9 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
+use super::perception_pool::view;
 use super::setup::Eyes;
-use super::single::{Fit, Known};
-use super::stages::view;
+use super::single_image::{Fit, Known};
 use realitysim_config::{Settings, Topics, field_names, lens_names, load_field, load_lens};
 use realitysim_geometry::{Euler, Field, Isometry, Lens, LensParameters};
 use realitysim_log_input::synchroniser::Frame;

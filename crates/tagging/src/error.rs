@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::checkpoint::CheckpointError;
 use super::setup::SetupError;
 use realitysim_log_input::log::LogError;
-use realitysim_log_input::scene::SceneSourceError;
+use realitysim_log_input::scene_source::SceneSourceError;
 use realitysim_recording::{Loss, RecordingError};
 
 #[derive(Debug, Error)]

@@ -1,33 +1,33 @@
 //! The agent: what comes from the sensors goes through the filter into the capture.
 
-pub mod between;
 mod budget;
 pub mod checkpoint;
 pub mod cut;
+pub mod dead_reckoning;
 mod diagnosis;
 pub mod durations;
-mod effort;
 pub mod error;
-pub mod explaining;
-pub mod footage;
-pub mod foresight;
-pub mod opened;
+pub mod explanation;
+mod filter_stats;
+pub mod frame_cache;
+pub mod input_source;
+pub mod inter_session;
+pub mod log_scan;
+pub mod offline_refinement;
+mod perception_pool;
 pub mod pipeline;
-pub mod prelude;
-pub mod refining;
 pub mod replay;
 mod report;
+mod run_stats;
 pub mod setup;
-pub mod single;
-mod stages;
-pub mod state;
+pub mod single_image;
 pub mod tagger;
-mod tally;
+pub mod warm_start;
 pub mod warnings;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::{AgentError, ReplayError};
-pub use footage::{Attempt, Claims, Footage, FootageOptions};
+pub use frame_cache::{Attempt, Claims, Footage, FootageOptions};
 pub use replay::{ReplayOptions, replay};
 pub use report::ReplayReport;
 pub use setup::SetupError;

@@ -9,21 +9,21 @@ use std::time::Instant;
 
 use crossbeam_channel::Sender;
 
-use super::between::Between;
 use super::budget::Budget;
 use super::checkpoint::Checkpoint;
+use super::dead_reckoning::Foresight;
 use super::diagnosis::{Given, Unplaced};
 use super::error::AgentError;
-use super::foresight::Foresight;
+use super::inter_session::Between;
+use super::perception_pool::{Looked, Looking};
+use super::run_stats::Tally;
 use super::setup::{Eyes, Setup};
-use super::stages::{Looked, Looking};
-use super::state::Start;
 use super::tagger::Tagger;
-use super::tally::Tally;
+use super::warm_start::Start;
 use super::warnings::{self, AttitudeSource};
 use realitysim_config::{Settings, Topics};
 use realitysim_geometry::{Field, FieldDimensions, Isometry, LensParameters, PoseGrid};
-use realitysim_log_input::intake;
+use realitysim_log_input::measurement;
 use realitysim_log_input::synchroniser::Synchroniser;
 use realitysim_recording::storage::Disk;
 use realitysim_recording::{
@@ -150,7 +150,7 @@ impl Pipeline {
         }
         self.pause_if_due(log_time_ns)?;
         let held_back = self.must_pause(log_time_ns) || !self.held.is_empty();
-        if held_back && intake::is_frame(&message.channel, &self.topics) {
+        if held_back && measurement::is_frame(&message.channel, &self.topics) {
             self.synchroniser.advance(log_time_ns);
             self.held.push_back(message);
         } else {
@@ -259,16 +259,16 @@ impl Pipeline {
     /// Writes a message and takes what it measures.
     fn record(&mut self, message: LogMessage) -> Result<(), AgentError> {
         let topics = &self.topics;
-        let is_frame = intake::is_frame(&message.channel, topics);
+        let is_frame = measurement::is_frame(&message.channel, topics);
         let latched = message.channel.topic == topics.tf_static || message.channel.topic == topics.camera_info;
-        let input = intake::read(&message, topics, &self.settings.head);
+        let input = measurement::read(&message, topics, &self.settings.head);
         // Whether a frame is worth its bytes is known with its tag; one that can have none is written as it comes.
         let waits = is_frame && input.is_ok() && self.thinning.thins();
         if let (Some(session), false) = (&mut self.session, waits) {
             session.pass(&message, is_frame, latched)?;
         }
         match input {
-            Ok(intake::Input::InitialPose { .. }) if self.initial_is_given => {}
+            Ok(measurement::Input::InitialPose { .. }) if self.initial_is_given => {}
             Ok(input) => self.synchroniser.push(&message, input),
             Err(error) if is_frame => {
                 self.tally.note_bad_frame(&message, &error);
@@ -473,8 +473,8 @@ impl Pipeline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::opened;
-    use realitysim_log_input::scene;
+    use crate::input_source;
+    use realitysim_log_input::scene_source;
 
     const SCENE: &str = include_str!("../../../tests/replay/scene.toml");
     const LENS: &str = include_str!("../../../tests/replay/lens.toml");
@@ -487,11 +487,11 @@ mod tests {
         let without_imu = SCENE.split("[imu]").next().expect("a scene").replace("[-1.1, 0.3]", "[-1.6, 0.2]");
         std::fs::write(&path, without_imu).expect("written");
         std::fs::write(folder.path().join("lens.toml"), LENS).expect("written");
-        let scene = scene::load(&path).expect("a scene");
+        let scene = scene_source::load(&path).expect("a scene");
         // What the disk has confirmed is in the first of two segments at least.
         let mut settings = Settings::default();
         settings.recording.segment_s = 1;
-        let (setup, messages) = opened::scene(&scene, &path, &settings).expect("opened");
+        let (setup, messages) = input_source::scene(&scene, &path, &settings).expect("opened");
         let captures = folder.path().join("captures");
         let recording = Recording {
             captures: captures.clone(),

@@ -7,14 +7,14 @@ use std::time::{Duration, Instant};
 use super::budget::Decisions;
 use super::checkpoint::Checkpoint;
 use super::error::ReplayError;
-use super::opened::{self, BEGAN_ANEW, OpenLog};
+use super::input_source::{self, BEGAN_ANEW, OpenLog};
 use super::pipeline::{Pipeline, Recorded, Recording};
 use super::report::{ReplayReport, file_damage};
 use super::setup::Setup;
-use super::state::{Start, last_state};
+use super::warm_start::{Start, last_state};
 use realitysim_config::Settings;
 use realitysim_geometry::Pose2;
-use realitysim_log_input::scene;
+use realitysim_log_input::scene_source;
 use realitysim_recording::{Writing, session_holding};
 use realitysim_ros2::mcap_read::LogMessage;
 
@@ -49,7 +49,7 @@ pub fn replay(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 
 fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
     let OpenLog { setup, mut messages, checkpoint, frames, lost, warnings, decided } =
-        opened::log(&options.source, &options.settings)?;
+        input_source::log(&options.source, &options.settings)?;
     let mut run = Run::new(options, setup, checkpoint, decided);
     run.report.lost.extend(lost);
     run.report.warnings.extend(warnings);
@@ -60,8 +60,8 @@ fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 }
 
 fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
-    let scene = scene::load(&options.source)?;
-    let (setup, messages) = opened::scene(&scene, &options.source, &options.settings)?;
+    let scene = scene_source::load(&options.source)?;
+    let (setup, messages) = input_source::scene(&scene, &options.source, &options.settings)?;
     let total = Some(scene.frame_count());
     Run::new(options, setup, None, Decisions::new()).through(messages, &mut |done| progress(done, total))
 }

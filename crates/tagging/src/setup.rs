@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use super::prelude::Prelude;
+use super::log_scan::Prelude;
 use super::warnings::AttitudeSource;
 use realitysim_config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens};
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};

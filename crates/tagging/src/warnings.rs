@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::effort::EffortTally;
+use super::filter_stats::EffortTally;
 use super::report::Quantiles;
 use realitysim_config::FrameNames;
 use realitysim_geometry::physical::MOST;

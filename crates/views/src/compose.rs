@@ -1,13 +1,13 @@
 //! One image of several sources: for each pixel the best of them, with feathered seams.
 
 use super::Candidate;
-use super::answer::Request;
 use super::camera::{AREA, CELL, Camera};
 use super::ground_warp::{Patch, Warp};
 use super::photometry::{Gain, factors};
 use super::raster::{NOTHING, Raster, SURE};
 use super::sample::{Pixels, read_cell};
-use super::target::{Target, between, corners};
+use super::synthesized_view::Request;
+use super::target_rays::{Target, between, corners};
 use super::weights::Weights;
 use realitysim_geometry::multiversion::rounded;
 use realitysim_geometry::multiversioned;

@@ -10,7 +10,7 @@ use glam::{DMat3, DVec2, DVec3, Vec2};
 
 use super::camera::{AREA, CELL};
 use super::raster::{NOTHING, UNSURE};
-use super::target::{Looks, SOFT_EDGE_PX, Target, between, cells, corners, goal_cells, sureness, turned};
+use super::target_rays::{Looks, SOFT_EDGE_PX, Target, between, cells, corners, goal_cells, sureness, turned};
 use super::world::{Goals, Hit, Surface};
 use super::{Candidate, optical};
 use realitysim_geometry::multiversioned;

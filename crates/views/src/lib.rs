@@ -3,39 +3,39 @@
 //! Pure: poses, lenses and pixels in, pixels out. [`view`] is the method; which images are offered to it is for
 //! [`realitysim_database`] to say. Every answer tells what it was made of and how far it can be trusted: [`Answer`].
 
-mod answer;
-mod beneath;
 mod camera;
 mod compose;
-mod darkening;
-mod footprint;
-mod goals;
+mod coverage_mask;
+mod dynamic_mask;
+mod goal_check;
 mod ground_warp;
-mod moving;
+mod occlusion_fill;
 pub mod paper;
 mod photometry;
 pub mod quadratic;
 mod raster;
 mod sample;
 mod similarity;
-mod target;
+mod synthesized_view;
+mod target_rays;
+mod vignetting;
 mod weights;
 mod world;
 
-pub use answer::{
-    Answer, Candidate, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method,
-    Request, TagError, UsedSource, ViewError, ViewSettings, angle_between, check_pose,
-};
 pub use camera::Camera;
-pub use darkening::{Overlap, darkening, overlap};
-pub use footprint::{Footprint, Seen};
-pub use goals::Bars;
+pub use coverage_mask::{Footprint, Seen};
+pub use dynamic_mask::{Scenery, mark_moving};
+pub use goal_check::Bars;
 pub use ground_warp::Warp;
-pub use moving::{Scenery, mark_moving};
 pub use photometry::{Gain, Vignetting};
 pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
 pub use similarity::{Similarity, similarity};
-pub use target::Target;
+pub use synthesized_view::{
+    Answer, Candidate, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method,
+    Request, TagError, UsedSource, ViewError, ViewSettings, angle_between, check_pose,
+};
+pub use target_rays::Target;
+pub use vignetting::{Overlap, darkening, overlap};
 pub use world::{Surface, World};
 
 use realitysim_geometry::Isometry;
@@ -65,7 +65,7 @@ pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewE
             let gains = photometry::balance(&target, &warps, chosen);
             let mut composed = compose::compose(request, &target, &warps, chosen, &gains);
             if chosen.iter().any(|source| source.image.has_moving()) {
-                beneath::fill(&mut composed, request, &target, &warps, chosen, &gains);
+                occlusion_fill::fill(&mut composed, request, &target, &warps, chosen, &gains);
             }
             request.refuse_little(Answer::composed(request, &target, chosen, composed)?)
         }

@@ -3,11 +3,11 @@
 
 use glam::{DVec2, DVec3};
 
-use super::answer::{Answer, Candidate, Request, ViewError};
 use super::quadratic::Quadratic;
 use super::raster::{NOTHING, Raster, SURE, UNSURE};
 use super::sample::read;
-use super::target::Target;
+use super::synthesized_view::{Answer, Candidate, Request, ViewError};
+use super::target_rays::Target;
 use super::world::{Surface, World};
 use super::{Camera, optical};
 use realitysim_geometry::Isometry;

@@ -5,7 +5,7 @@ use super::camera::CELL;
 use super::ground_warp::Warp;
 use super::raster::SURE;
 use super::sample::read;
-use super::target::Target;
+use super::target_rays::Target;
 use realitysim_geometry::Lens;
 
 /// Relative illumination 1 + k1 r^2 + k2 r^4 + k3 r^6; r is the distance from the image's centre as a share of half

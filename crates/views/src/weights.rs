@@ -4,7 +4,7 @@ use super::Candidate;
 use super::camera::AREA;
 use super::ground_warp::Warp;
 use super::raster::SURE;
-use super::target::Target;
+use super::target_rays::Target;
 use super::world::Surface;
 
 /// Sources whose score is within this share of the best one's are mixed: the width of a seam.

@@ -5,9 +5,9 @@
 
 use glam::DVec2;
 
-use super::cells::{ByRange, Cells};
 use super::contrast::{LineContrast, PARTS, UNITS};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
+use super::ground_table_fill::{ByRange, Cells};
 use super::{Reading, VisionSettings, WorkingScale, distance};
 use realitysim_geometry::multiversioned;
 

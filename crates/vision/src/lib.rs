@@ -3,18 +3,18 @@
 //! Pure, and ignorant of where the robot is: everything here is in image or robot (`base_footprint`)
 //! coordinates. The chain for one frame is [`Vision::look`].
 
+mod bilinear;
 pub mod border;
 pub mod carpet;
-mod cells;
 pub mod contrast;
 pub mod distance;
-mod glance;
 pub mod ground;
 pub mod ground_map;
+mod ground_table_fill;
+mod image_summary;
 pub mod line_image;
 pub mod mask;
 pub mod picture;
-mod reading;
 mod ridges;
 mod rotation;
 
@@ -23,9 +23,9 @@ use glam::{DVec2, DVec3};
 pub use border::CarpetBorder;
 use carpet::Carpet;
 pub use contrast::LineContrast;
-pub use glance::Glance;
 pub use ground::{GroundTable, Readings};
 pub use ground_map::GroundMap;
+pub use image_summary::Glance;
 pub use line_image::LineImage;
 pub use mask::BodyMask;
 pub use picture::{Chroma, Picture, Reduction};

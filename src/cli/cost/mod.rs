@@ -9,9 +9,9 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
-use super::{Outcome, machine, output, paths};
+use super::{Outcome, host_info, output, paths};
 use crate::cli::values::{above_zero, whole};
 use crate::config::{LEAST_BUDGET_MS, Settings};
 use crate::evaluation::capture::{EvaluationError, read_truth};
@@ -19,7 +19,7 @@ use crate::evaluation::compare::truth_at;
 use crate::evaluation::cost::{self, Knobs, Wish};
 use crate::evaluation::truth;
 use crate::geometry::{Isometry, Pose2};
-use crate::log_input::scene;
+use crate::log_input::scene_source;
 use crate::recording::ReadoutError;
 use crate::tagging::{Attempt, Footage, FootageOptions};
 use crate::vision::automatic_reduction;
@@ -135,7 +135,7 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
         noise_cm,
         wish,
         advice,
-        machine: machine::described(configured.filter.simd),
+        machine: host_info::described(configured.filter.simd),
         command: command(),
         warnings: busy.into_iter().collect(),
         losses: footage.losses().to_vec(),
@@ -164,7 +164,7 @@ fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result
         return Ok(read_truth(log, topic)?.found);
     }
     if arguments.source.extension().is_some_and(|ending| ending == "toml") {
-        return Ok(truth::of_scene(&scene::load(&arguments.source)?));
+        return Ok(truth::of_scene(&scene_source::load(&arguments.source)?));
     }
     match read_truth(&arguments.source, topic) {
         Err(EvaluationError::Readout(ReadoutError::NoMessages { .. })) => Ok(Vec::new()),
@@ -202,7 +202,7 @@ impl<'a> Trials<'a> {
             done: 0,
             reasons: BTreeMap::new(),
             started: Instant::now(),
-            waited_s: machine::waited_s(),
+            waited_s: host_info::waited_s(),
         }
     }
 
@@ -254,8 +254,8 @@ impl<'a> Trials<'a> {
     /// A warning if the times cannot be trusted.
     fn finish(&mut self) -> Option<String> {
         self.progress.finish();
-        let waited_s = machine::waited_s().zip(self.waited_s).map(|(now, before)| now - before);
-        machine::busy_warning(waited_s, self.started.elapsed().as_secs_f64())
+        let waited_s = host_info::waited_s().zip(self.waited_s).map(|(now, before)| now - before);
+        host_info::busy_warning(waited_s, self.started.elapsed().as_secs_f64())
     }
 
     /// Why tags were invalid, the most frequent first.

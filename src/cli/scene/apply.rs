@@ -11,7 +11,7 @@ use crate::cli::values::any_whole;
 use crate::cli::{Outcome, output, paths};
 use crate::config::plain_file;
 use crate::log_input::encode::jpeg;
-use crate::log_input::{decode, scene};
+use crate::log_input::{decode, scene_source};
 use crate::scene::Scene;
 
 /// Apply a scene's effects to a stored image, for tests of vision code
@@ -50,7 +50,7 @@ const USUAL_QUALITY: u8 = 90;
 pub fn run(arguments: &ApplyArguments, json: bool) -> anyhow::Result<Outcome> {
     let ApplyArguments { image, output: path, frame, .. } = arguments;
     paths::check_output(path, &[image, Path::new(&arguments.scene)])?;
-    let scene = scene::load(&arguments.scene)?;
+    let scene = scene_source::load(&arguments.scene)?;
     let stored =
         plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| paths::cannot_read(image, error))?;
     let (applied, left_out) = scene.effects_on_images();

@@ -6,11 +6,11 @@ use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
 
-use crate::cli::{Outcome, machine, output};
-use crate::evaluation::calibration::REFERENCE_MS;
+use crate::cli::{Outcome, host_info, output};
+use crate::evaluation::cpu_yardstick::REFERENCE_MS;
 use crate::evaluation::effect_cost::{self, SceneCost};
 use crate::localization::SimdPath;
-use crate::log_input::scene;
+use crate::log_input::scene_source;
 use crate::scene::{Role, Scene};
 
 /// Check a scene file; print its effects, all numbers as drawn, and what each costs per frame
@@ -63,7 +63,7 @@ struct EffectReport {
 const ATTEMPTS: usize = 3;
 
 pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
-    let scene = scene::load(&arguments.scene)?;
+    let scene = scene_source::load(&arguments.scene)?;
     let cost = measured(&scene, arguments.max_ms)?;
     let reference_ms = cost.reference_ms();
     let SceneCost { bare_ms, effects, total_ms, loop_ms } = cost;
@@ -89,7 +89,7 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
         loop_ms,
         reference_ms,
         max_ms: arguments.max_ms,
-        machine: machine::described(SimdPath::Auto),
+        machine: host_info::described(SimdPath::Auto),
     };
     if json {
         output::json(&report)?

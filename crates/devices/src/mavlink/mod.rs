@@ -6,10 +6,10 @@
 mod axes;
 mod framing;
 mod measurement;
-mod numbered;
 mod outgoing;
 mod resets;
 mod robot;
+mod sequence_counter;
 #[cfg(test)]
 mod tests;
 

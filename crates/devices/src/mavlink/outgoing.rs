@@ -4,7 +4,7 @@ use glam::DVec3;
 use mavlink::dialects::common::{MavEstimatorType, MavFrame, MavMessage, MavType, ODOMETRY_DATA, TIMESYNC_DATA};
 
 use super::Sender;
-use super::numbered::{Numbered, w_first};
+use super::sequence_counter::{Numbered, w_first};
 use realitysim_geometry::Isometry;
 
 /// Frames in the name of one component, numbered.

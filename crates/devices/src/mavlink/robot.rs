@@ -6,7 +6,7 @@ use mavlink::dialects::common::{
 };
 
 use super::axes::{ENU_FROM_NED, FLU_FROM_FRD, flu_from_frd};
-use super::numbered::{Numbered, w_first};
+use super::sequence_counter::{Numbered, w_first};
 use realitysim_geometry::Isometry;
 
 /// Frames in the name of a robot's autopilot, numbered. Times count from its start, and are never 0.

@@ -3,8 +3,8 @@
 mod latency;
 mod line;
 mod port;
-mod trouble;
+mod port_health;
 
 pub use line::{Line, LineStatus, Measured, Pose, SenderClock};
 pub use port::{PortEvent, PortOptions, SerialError, run};
-pub use trouble::Trouble;
+pub use port_health::Trouble;

@@ -2,8 +2,8 @@
 
 use glam::DVec2;
 
-use super::advice::{Advice, Wish};
-use super::front::front;
+use super::pareto_front::front;
+use super::recommendation::{Advice, Wish};
 use super::row::{FINEST_CM, Row};
 use crate::drawing::chart::{Across, Axis, Chart, Layer, Line, Mark, Note, Rule, Scale};
 use realitysim_localization::Model;

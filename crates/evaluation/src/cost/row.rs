@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-use super::front::Point;
-use super::knobs::Knobs;
+use super::pareto_front::Point;
+use super::sweep_point::Knobs;
 use crate::Tagged;
 use crate::capture::tagged;
 use crate::compare::{Comparison, compare, up_to_mirror};

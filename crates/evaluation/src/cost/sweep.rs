@@ -1,7 +1,7 @@
 //! Trying all settings on the same frames, with several seeds.
 
-use super::knobs::Knobs;
 use super::row::Row;
+use super::sweep_point::Knobs;
 use crate::capture::tagged;
 use realitysim_geometry::Isometry;
 use realitysim_tagging::Attempt;

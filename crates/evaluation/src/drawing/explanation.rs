@@ -8,7 +8,7 @@ use super::canvas::{Canvas, Ink};
 use super::overlay::outline;
 use realitysim_geometry::{Field, Isometry, Lens};
 use realitysim_localization::Evidence;
-use realitysim_localization::refinement::offsets::Finding;
+use realitysim_localization::refinement::line_measurement::Finding;
 
 /// Pictures narrower than this are drawn larger, so that marks of a pixel can be told apart.
 const LEAST_WIDTH_PX: u32 = 1_000;

@@ -4,7 +4,6 @@
 //! [`chart`] is numbers against numbers. Pure: pictures in and out, no files. Odd input (nothing to draw, NaN, a lens that sees no line) makes a plainer
 //! picture, never an error.
 
-mod beside;
 mod canvas;
 pub mod chart;
 mod explanation;
@@ -14,13 +13,14 @@ mod paint;
 mod panels;
 mod plot;
 mod routes;
+mod side_by_side;
 mod text;
 
-pub use beside::{beside, side_by_side};
 pub use explanation::{LEGEND, explanation};
 pub use field_map::field_map;
 pub use overlay::overlay;
 pub use panels::panels;
+pub use side_by_side::{beside, side_by_side};
 
 use glam::DVec2;
 

@@ -10,7 +10,7 @@ use super::ReferenceError;
 use realitysim_config::plain_file;
 use realitysim_geometry::Pose2;
 use realitysim_log_input::log::files_of;
-use realitysim_log_input::scene::MAX_SCENE_BYTES;
+use realitysim_log_input::scene_source::MAX_SCENE_BYTES;
 use realitysim_recording::{SessionInfo, read_info};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -18,7 +18,7 @@ use crate::reference::{self, Frames, Identity, Reference, ReferenceError, Verdic
 use crate::truth;
 use realitysim_config::{ConfigError, Settings};
 use realitysim_geometry::Isometry;
-use realitysim_log_input::scene::{self, SceneSourceError};
+use realitysim_log_input::scene_source::{self, SceneSourceError};
 use realitysim_recording::{Loss, Readout, ReadoutError, read_tags};
 use realitysim_tagging::{FootageOptions, ReplayError, ReplayOptions, replay};
 
@@ -228,7 +228,7 @@ fn frame_times(case: &Case, settings: &Settings, report: &mut CaseReport) -> Res
 
 fn truth_of(case: &Case, settings: &Settings, report: &mut CaseReport) -> Result<Vec<(i64, Isometry)>, CaseError> {
     if case.truth.is_none() && case.source.extension().is_some_and(|ending| ending == "toml") {
-        return Ok(truth::of_scene(&scene::load(&case.source)?));
+        return Ok(truth::of_scene(&scene_source::load(&case.source)?));
     }
     let log = case.truth.as_ref().unwrap_or(&case.source);
     Ok(report.found(read_truth(log, &settings.topics.ground_truth)?))

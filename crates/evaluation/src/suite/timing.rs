@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use crate::calibration::Calibration;
+use crate::cpu_yardstick::Calibration;
 use crate::statistics::quantile;
 use realitysim_config::Settings;
 use realitysim_tagging::{Footage, FootageOptions, ReplayError};

@@ -5,7 +5,7 @@ use core::f64::consts::TAU;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::lawn::Lawn;
+use super::truth_renderer::Lawn;
 use realitysim_geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
 use realitysim_views::paper::{Correspondences, Posed, correspondences};
 use realitysim_views::quadratic::Quadratic;

@@ -2,10 +2,10 @@
 
 mod detector;
 mod experiment;
-mod lawn;
 mod pairs;
+mod truth_renderer;
 
 pub use detector::{Detection, Detector};
 pub use experiment::{Displacement, Plan, Row, Scores, displacements};
-pub use lawn::Lawn;
 pub use pairs::{Pair, PairError, pairs};
+pub use truth_renderer::Lawn;

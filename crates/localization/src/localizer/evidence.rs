@@ -3,12 +3,12 @@
 use glam::{DVec2, DVec3};
 use serde::Serialize;
 
-use super::lost::Fitting;
+use super::relocalization::Fitting;
 use super::{Fix, Localizer, Moment};
 use crate::filter::{Effort, always};
-use crate::global::{Pace, SearchState, Wanted};
-use crate::painted::{Explained, PaintedMap};
-use crate::refinement::offsets::Inspected;
+use crate::global_search::{Pace, SearchState, Wanted};
+use crate::line_distance_map::{Explained, PaintedMap};
+use crate::refinement::line_measurement::Inspected;
 use crate::refinement::{Agreement, Refiner};
 use realitysim_geometry::Isometry;
 use realitysim_vision::Seen;

@@ -2,26 +2,26 @@
 //! a pose is believed.
 
 mod evidence;
-mod lost;
+mod relocalization;
 
 pub use evidence::{Evidence, Tried};
-pub use lost::Fitting;
 use nalgebra::{Matrix6, Vector6};
+pub use relocalization::Fitting;
 use serde::{Deserialize, Serialize};
 
 use super::estimate::Estimate;
+use super::fall_detection::{Posture, Stand};
 use super::filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
-use super::frozen::Frozen;
-use super::global::{Search, SearchState};
-use super::known::Known;
+use super::frozen_image::Frozen;
+use super::global_search::{Search, SearchState};
+use super::last_known_pose::Known;
+use super::line_distance_map::{Explained, PaintedMap};
 use super::observation::{Observation, Support};
-use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
-use super::posture::{Posture, Stand};
 use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{self, Agreement, OF_LENS, Prior, Refined, Refiner};
-use super::track::{Prediction, Step, Track, TrackModel};
-use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost, stands};
+use super::slow_states::{Prediction, Step, Track, TrackModel};
+use super::validation::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost, stands};
 use realitysim_geometry::{Field, Isometry, Lens, Physical, Pose2, Twist, wrap_angle};
 use realitysim_vision::Seen;
 
@@ -186,7 +186,7 @@ impl Localizer {
         observation: Observation,
         state: LocalizerState,
     ) -> Self {
-        let search = Search::new(&field, lost::SEARCH_MARGIN_M, &observation);
+        let search = Search::new(&field, relocalization::SEARCH_MARGIN_M, &observation);
         let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
         Self {
             refiner: Refiner::new(&field, lens),

@@ -8,21 +8,21 @@
 //! the order of a ROS covariance: x, y, z, rotation about x, y, z. Four more are those of lens and sensor: how much longer the focal length
 //! is (share), how far the axis lies off (u, v, widths of the image), how long it takes from reading the first row to the last (s).
 
-mod chance;
+mod false_alarms;
+pub mod line_measurement;
 pub mod miscalibration;
-pub mod offsets;
 mod paint;
 mod points;
 mod profile;
+mod qr_accumulator;
 mod solve;
-mod triangular;
 
 use glam::DVec3;
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
-use chance::Test;
+use false_alarms::Test;
+use line_measurement::{Counts, Eye, Inspected, Response, Sight};
 use miscalibration::{Miscalibration, UNSEEN_M_PER_S, unfelt_rad_per_s};
-use offsets::{Counts, Eye, Inspected, Response, Sight};
 use realitysim_geometry::{Field, Isometry, Lens, Projector, Twist};
 use realitysim_vision::LineImage;
 
@@ -142,13 +142,13 @@ impl Refiner {
     /// What a picture shows of the lines that a camera would see from this pose.
     pub fn inspect(&self, image: &LineImage, map_from_optical: &Isometry) -> Vec<Inspected> {
         let eye = Eye { projector: &self.projector, off: &Miscalibration::NONE, twist: &Twist::ZERO };
-        offsets::inspect(&self.points, image, eye, map_from_optical)
+        line_measurement::inspect(&self.points, image, eye, map_from_optical)
     }
 
     /// How far lines, and the carpet beside them, stand out of this picture, if the camera is where this pose has it.
     pub fn responses(&self, image: &LineImage, map_from_optical: &Isometry) -> Vec<Response> {
         let eye = Eye { projector: &self.projector, off: &Miscalibration::NONE, twist: &Twist::ZERO };
-        offsets::responses(&self.points, image, eye, map_from_optical)
+        line_measurement::responses(&self.points, image, eye, map_from_optical)
     }
 
     /// As if the prior's mean were nearly right: lines are looked for close to where it has them, so that none is taken for its
@@ -185,7 +185,8 @@ impl Refiner {
     /// With what is to be said against chance.
     fn tested(&self, image: &LineImage, prior: &Prior, mut refined: Refined) -> Refined {
         let eye = Eye { projector: &self.projector, off: &prior.lens, twist: &prior.twist };
-        let Test { foremost, digits, half_seen_px } = chance::test(&self.points, image, eye, &refined.map_from_optical);
+        let Test { foremost, digits, half_seen_px } =
+            false_alarms::test(&self.points, image, eye, &refined.map_from_optical);
         refined.lines = Agreement { foremost, digits, half_seen_px, ..refined.lines };
         refined
     }
@@ -207,7 +208,7 @@ impl Refiner {
         for scale in &SCALES[usize::from(!wide)..] {
             let pose = moved_pose(&prior.map_from_optical, &moved);
             let eye = Eye { projector, off: &prior.lens, twist: &prior.twist };
-            let counts = offsets::measure(points, image, eye, &pose, &covariance, sights);
+            let counts = line_measurement::measure(points, image, eye, &pose, &covariance, sights);
             let solution = solve::solve(prior, sights, &moved, *scale, noise)?;
             moved = solution.moved;
             let (solved_with, measured) = (noise, solution.residuals.noise());

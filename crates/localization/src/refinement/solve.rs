@@ -7,8 +7,8 @@
 use glam::{DMat3, DVec3};
 use nalgebra::{Cholesky, Matrix3, Matrix6, SMatrix, SVector, Vector6};
 
-use super::offsets::Sight;
-use super::triangular::{Rows, Triangular};
+use super::line_measurement::Sight;
+use super::qr_accumulator::{Rows, Triangular};
 use super::{ErrorCovariance, Errors, OF_LENS, Prior, UNKNOWNS, moved_pose};
 
 pub(super) struct Solution {

@@ -16,7 +16,7 @@ mod same_ground;
 use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
-use crate::refinement::offsets::{Eye, Sight};
+use crate::refinement::line_measurement::{Eye, Sight};
 use chain::{Border, Chain, Solution};
 use moving::Moving;
 use realitysim_geometry::{Isometry, LensError, LensModel, LensParameters, Pose2, Twist};

@@ -2,13 +2,13 @@
 //!
 //! Every step leaves something that the next run can go on from; a second run changes nothing.
 
-mod account;
-mod aside;
-mod listing;
-mod notes;
+mod foreign_segments;
+mod manifest_repair;
+mod quarantine;
+mod repair_journal;
 mod report;
 mod segment;
-mod strangers;
+mod segment_counts;
 mod unfinished;
 
 use std::collections::BTreeMap;
@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-pub(super) use self::aside::is_damaged_name;
-pub(super) use self::notes::NOTES_FILE;
-use self::notes::Notes;
+pub(super) use self::quarantine::is_damaged_name;
+pub(super) use self::repair_journal::NOTES_FILE;
+use self::repair_journal::Notes;
 pub use self::report::Repaired;
 pub(super) use self::segment::COPY;
 use super::error::RecordingError;

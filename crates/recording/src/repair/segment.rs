@@ -13,9 +13,9 @@ use super::super::error::RecordingError;
 use super::super::hashing::Hashing;
 use super::super::manifest::{ManifestLine, TopicEntry};
 use super::super::storage::{Appending, Readable, Storage};
-use super::account::Account;
-use super::aside::{put, set_aside};
-use super::notes::{Cut, Notes};
+use super::quarantine::{put, set_aside};
+use super::repair_journal::{Cut, Notes};
+use super::segment_counts::Account;
 use realitysim_config::Settings;
 use realitysim_ros2::mcap_read::{
     Damage, LogReader, Part, Piece, ReadError, Remains, Selection, examine, metadata_records, remains, sound_pieces,

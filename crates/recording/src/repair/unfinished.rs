@@ -9,8 +9,8 @@ use super::super::folder::Loss;
 use super::super::segment::{ACTIVE, CUT_BYTES, CUT_RECORD, CUT_SEGMENT, is_segment_name};
 use super::super::storage::Listed;
 use super::Work;
-use super::aside::set_aside;
-use super::notes::Cut;
+use super::quarantine::set_aside;
+use super::repair_journal::Cut;
 use super::segment::{Ended, finish};
 use realitysim_ros2::mcap_read::{Remains, metadata_records};
 

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use super::super::storage::{Kind, Listed, Readable, Space, Storage, StoredFile};
-use super::dice::Dice;
+use super::prng::Dice;
 
 const SECTOR: usize = 512;
 

@@ -1,12 +1,12 @@
 //! The recorder on a disk that fails on purpose: what docs/recording.md promises, for thousands of seeds.
 
-mod dice;
 mod disk;
+mod disk_full;
 mod faults;
+mod foreign_input;
+mod prng;
 mod queue;
-mod room;
 mod run;
-mod strange;
 
 use std::io::ErrorKind;
 use std::path::Path;
@@ -15,8 +15,8 @@ use std::time::Duration;
 use super::repair::repair;
 use super::storage::Storage;
 use super::verify::verify;
-use dice::Dice;
 use disk::{Failure, SimulatedDisk, Trouble};
+use prng::Dice;
 use run::{CAPTURES, Run, Scripted, script, session};
 
 /// What holds for every disk that works again: the capture is whole, and holds what was confirmed.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::entry::{Entry, Kind};
-use crate::shared::{Next, Room, Shared};
+use crate::record_queue::{Next, Room, Shared};
 use realitysim_ros2::mcap_read::{Channel, LogMessage};
 use realitysim_ros2::messages::{CompressedImage, FrameTag, Header, Imu, Message, Odometry, PoseWithCovarianceStamped};
 

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use super::dice::Dice;
 use super::disk::{SimulatedDisk, Trouble};
+use super::prng::Dice;
 use crate::entry::{Beginning, Entry, Kind};
 use crate::folder::manifest_lines;
 use crate::manifest::{Counts, FORMAT_VERSION, SESSION_FILE, SessionInfo};
+use crate::record_queue::{Room, Shared, Waiting};
 use crate::recorder::{Plan, Recorder};
 use crate::segment::segment_index;
-use crate::shared::{Room, Shared, Waiting};
 use crate::storage::{Kind as Listed, Storage, write_atomically};
 use realitysim_config::{Settings, load_field, load_lens};
 use realitysim_ros2::mcap_read::{Channel, LogMessage, LogReader, Selection};

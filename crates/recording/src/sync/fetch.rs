@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::desk::Desk;
 use super::error::SyncError;
-use super::look::look;
 use super::plan::{Item, Plan};
-use super::round::{Event, Report};
 use super::rsync::{Ended, Rsync};
+use super::scan::look;
+use super::source_state::Desk;
 use super::store::{Placed, Store};
+use super::sync_pass::{Event, Report};
 use crate::{Session, SetAside, receivers_of};
 
 /// Tries in a row that bring nothing before the link is given up.

@@ -13,11 +13,11 @@ use std::sync::{Mutex, PoisonError};
 use rustix::fs::{Mode, OFlags};
 use serde::{Deserialize, Serialize};
 
-use super::desk::Desk;
 use super::error::{SyncError, io};
 use super::name::receiver;
 use super::plan::{Item, Why};
 use super::source::Source;
+use super::source_state::Desk;
 use crate::catalogue::{session_at, sessions_in};
 use crate::storage::{open_plain, read_plain};
 use crate::{

@@ -1,7 +1,7 @@
 //! What a robot or a person is made of.
 
 use super::super::effects::{FigureShape, Member};
-use super::sheet::Colour;
+use super::macro_texture::Colour;
 use super::solid::{Hit, Solid};
 
 /// In the figure's own frame: x ahead, y left, z up from the ground.

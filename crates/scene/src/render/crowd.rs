@@ -5,9 +5,9 @@ use core::ops::Range;
 use super::super::effects::{Crowd, Member};
 use super::body::Body;
 use super::fixed::byte;
-use super::placed::{Placed, View};
+use super::macro_texture::Colour;
+use super::posed_figure::{Placed, View};
 use super::rays::RayTable;
-use super::sheet::Colour;
 use super::solid::Hit;
 use super::tiles::{Tile, Tiles};
 

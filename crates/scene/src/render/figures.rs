@@ -4,7 +4,7 @@ use glam::DMat3;
 
 use super::super::Scene;
 use super::crowd::CrowdView;
-use super::placed::View;
+use super::posed_figure::View;
 use super::rays::RayTable;
 use realitysim_geometry::{Isometry, Lens};
 

@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::super::stream::{Purpose, Stream};
-use super::sheet::{Canvas, Colour, Sheet};
+use super::macro_texture::{Canvas, Colour, Sheet};
 
 #[derive(Clone, Debug)]
 pub(super) struct Hall {

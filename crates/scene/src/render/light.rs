@@ -1,7 +1,7 @@
 //! The light in which everything is seen.
 
 use super::super::effects::LightModel;
-use super::sheet::Colour;
+use super::macro_texture::Colour;
 
 /// `place` is x and y of what is lit. By daylight nothing is computed, and colours keep their bits.
 #[inline]

@@ -2,7 +2,7 @@
 
 use super::super::effects::{SunPatches, Turf};
 use super::super::stream::{self, Purpose, Stream};
-use super::sheet::Colour;
+use super::macro_texture::Colour;
 use super::tile::{REACH, SPREAD, Tile};
 
 #[derive(Clone, Debug)]

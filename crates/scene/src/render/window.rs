@@ -3,7 +3,7 @@
 use super::super::effects::{BrightWindow, Wall};
 use super::fixed::byte;
 use super::footprint::Turned;
-use super::placed::View;
+use super::posed_figure::View;
 
 #[derive(Clone, Debug)]
 pub(super) struct Window {

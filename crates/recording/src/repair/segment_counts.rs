@@ -7,7 +7,7 @@ use super::super::manifest::{Counts, ManifestLine, PoseBox, TopicEntry};
 use super::super::recorder::note_gap;
 use realitysim_config::{Settings, ThinningMode};
 use realitysim_log_input::decode::stamp_ns;
-use realitysim_log_input::intake::is_frame;
+use realitysim_log_input::measurement::is_frame;
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{FrameTag, Message};
 use realitysim_ros2::topics;

@@ -3,20 +3,20 @@
 use crossbeam_channel::bounded;
 use serde_json::{Value, json};
 
-use super::agent::Agent;
+use super::event_loop::Agent;
 use super::messages::{Messages, initial_pose, transforms};
-use super::telling::Told;
+use super::notifications::Told;
 use super::{RecordError, RecordOptions};
 use crate::geometry::{LensParameters, Pose2};
-use crate::log_input::intake::{self, Input};
+use crate::log_input::measurement::{self, Input};
 use crate::log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use crate::recording::{LiveInfo, Writing, robot_id};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CameraInfo, Header, TFMessage};
+use crate::tagging::log_scan::Prelude;
 use crate::tagging::pipeline::{Pipeline, Recorded, Recording};
-use crate::tagging::prelude::Prelude;
 use crate::tagging::setup::{Setup, SetupError};
-use crate::tagging::state::{Start, last_state};
+use crate::tagging::warm_start::{Start, last_state};
 use crate::tagging::warnings::AttitudeSource;
 
 /// Tags between the pipeline and whoever wants poses.
@@ -141,7 +141,7 @@ pub(super) fn setup(
     let constants = messages.message(&topics.tf_static, true, &constants);
     let calibration = messages.message(&topics.camera_info, true, &info);
     let mut synchroniser = Synchroniser::new(settings.frames.clone(), SynchroniserState::default());
-    if let Ok(input @ Input::Transforms { .. }) = intake::read(&constants, &topics, &settings.head) {
+    if let Ok(input @ Input::Transforms { .. }) = measurement::read(&constants, &topics, &settings.head) {
         synchroniser.push(&constants, input);
     }
     synchroniser.check_mount(false).map_err(SetupError::from)?;

@@ -3,8 +3,8 @@
 use super::super::effects::{LightModel, Member};
 use super::body::Body;
 use super::light::lit;
+use super::macro_texture::Colour;
 use super::rays::RayTable;
-use super::sheet::Colour;
 use super::solid::Hit;
 use super::tiles::Ball;
 

@@ -6,7 +6,7 @@
 //! are only compared with their own neighbours. Of n places k hit the middle by chance with a probability of at most
 //! exp(-n KL(k/n, p)), KL being the relative entropy of two coins (Hoeffding's bound).
 
-use super::offsets::{Eye, each_place};
+use super::line_measurement::{Eye, each_place};
 use super::paint::Paint;
 use super::points::LinePoints;
 use super::share;

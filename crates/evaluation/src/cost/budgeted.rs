@@ -1,8 +1,8 @@
 //! The best bargains once more, with a budget that each frame keeps: the few that search the field do so bit by bit.
 
-use super::front::front;
-use super::knobs::Knobs;
+use super::pareto_front::front;
 use super::row::Row;
+use super::sweep_point::Knobs;
 
 /// No row that counts keeps the budget.
 pub fn is_exceeded(rows: &[Row], budget_ms: f64) -> bool {

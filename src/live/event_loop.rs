@@ -10,10 +10,10 @@ use serde_json::json;
 use super::control::{Ask, Control, Order};
 use super::devices::{DeviceEvent, Devices};
 use super::messages::{Messages, Names};
-use super::meters::Meters;
-use super::port::PortNews;
+use super::notifications::Told;
+use super::port_events::PortNews;
+use super::rates::Meters;
 use super::status::{CoverageStatus, Status};
-use super::telling::Told;
 use super::watchdog::{Rounds, Watchdog};
 use super::{RecordError, RecordOptions};
 use crate::config::Settings;
@@ -24,8 +24,8 @@ use crate::geometry::LensParameters;
 use crate::log_input::synchroniser::Expected;
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::FrameTag;
-use crate::tagging::between::Between;
-use crate::tagging::foresight::NO_FRAME;
+use crate::tagging::dead_reckoning::NO_FRAME;
+use crate::tagging::inter_session::Between;
 use crate::tagging::pipeline::Pipeline;
 
 /// So long the ports are listened to before a session begins: clocks settle, and what the robot measures is known.

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::front::Point;
+use super::pareto_front::Point;
 use super::row::Row;
 
 /// What the user can afford, or needs.
@@ -163,7 +163,7 @@ fn told(points: &[Point], row: usize, reason: Reason, noise_cm: f64, wish: &Wish
 
 #[cfg(test)]
 mod tests {
-    use super::super::front::front;
+    use super::super::pareto_front::front;
     use super::*;
     use proptest::prelude::*;
 

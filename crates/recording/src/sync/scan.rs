@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::desk::Desk;
 use super::error::SyncError;
 use super::listing::Entry;
-use super::round::Report;
 use super::rsync::{Ended, Rsync};
+use super::source_state::Desk;
+use super::sync_pass::Report;
 use crate::catalogue::{Kind, is_plain_name, sessions_in};
 use crate::{Session, SetAside, is_segment_name};
 

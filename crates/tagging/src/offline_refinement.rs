@@ -10,17 +10,17 @@ use nalgebra::{Matrix6, Vector6};
 use thiserror::Error;
 
 use super::error::ReplayError;
-use super::opened::{self, OpenLog};
-use super::stages::view;
+use super::input_source::{self, OpenLog};
+use super::perception_pool::view;
 use realitysim_geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use realitysim_localization::refinement::LinePoints;
+use realitysim_localization::refinement::line_measurement::{Eye, Sight, measure};
 use realitysim_localization::refinement::miscalibration::Miscalibration;
-use realitysim_localization::refinement::offsets::{Eye, Sight, measure};
 use realitysim_localization::smoothing::alignment::{Look, matches};
 use realitysim_localization::smoothing::{
     CONSTANTS, Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, held_out_rms_px, smooth,
 };
-use realitysim_log_input::intake;
+use realitysim_log_input::measurement;
 use realitysim_log_input::synchroniser::{Frame as SensorFrame, Synchroniser};
 use realitysim_recording::{
     Loss, REFINED_FOLDER, REFINED_INFO, REFINED_TAGS, Readout, ReadoutError, RecordingError, RefinedConstant,
@@ -149,7 +149,8 @@ fn look(
     (metres, radians): (f64, f64),
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<(Vec<Frame>, Vec<Loss>), RefineError> {
-    let OpenLog { setup, mut messages, checkpoint, frames: count, lost, .. } = opened::log(capture, &info.settings)?;
+    let OpenLog { setup, mut messages, checkpoint, frames: count, lost, .. } =
+        input_source::log(capture, &info.settings)?;
     let known = checkpoint.map_or_else(|| setup.synchroniser.clone(), |checkpoint| checkpoint.synchroniser);
     let mut synchroniser = Synchroniser::new(setup.settings.frames.clone(), known);
     synchroniser.expect(setup.expected);
@@ -199,7 +200,7 @@ fn look(
             continue;
         }
         // What cannot be read could not be read when the capture was made, and was told then.
-        if let Ok(input) = intake::read(&message, &setup.topics, &setup.settings.head) {
+        if let Ok(input) = measurement::read(&message, &setup.topics, &setup.settings.head) {
             synchroniser.push(&message, input);
         }
         while let Some(frame) = synchroniser.pop() {

@@ -1,6 +1,6 @@
 //! Frames of a log or scene, decoded and held in memory, so that settings can be tried on the same frames again and again.
 
-mod keeper;
+mod collector;
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -8,18 +8,18 @@ use std::time::Instant;
 
 use super::budget::{Budget, Decisions};
 use super::error::ReplayError;
-use super::opened::{self, OpenLog};
+use super::input_source::{self, OpenLog};
+use super::perception_pool::{NotSeen, view};
 use super::replay::Progress;
 use super::setup::{Eyes, SetupError};
-use super::stages::{NotSeen, view};
 use super::tagger::Tagger;
-use keeper::Keeper;
+use collector::Keeper;
 use realitysim_config::Settings;
 use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::LocalizerState;
 use realitysim_localization::refinement::Refiner;
-use realitysim_localization::refinement::offsets::Response;
-use realitysim_log_input::scene;
+use realitysim_localization::refinement::line_measurement::Response;
+use realitysim_log_input::scene_source;
 use realitysim_log_input::synchroniser::{Frame, InitialPose, RobotAt};
 use realitysim_recording::Loss;
 use realitysim_ros2::messages::FrameTag;
@@ -96,7 +96,7 @@ pub struct Attempt {
 impl Footage {
     pub fn load(options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
         if options.source.extension().is_some_and(|ending| ending == "toml") {
-            Self::of_scene(&scene::load(&options.source)?, options, progress)
+            Self::of_scene(&scene_source::load(&options.source)?, options, progress)
         } else {
             Self::of_log(options, progress)
         }
@@ -104,7 +104,7 @@ impl Footage {
 
     /// `options.source` is only the scene's name.
     pub fn of_scene(scene: &Scene, options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
-        let (setup, messages) = opened::scene(scene, &options.source, &options.settings)?;
+        let (setup, messages) = input_source::scene(scene, &options.source, &options.settings)?;
         let mut keeper = Keeper::new(options, setup, None);
         keeper.take_all(messages, &mut |done| progress(done, Some(scene.frame_count())))?;
         keeper.finish(&options.source)
@@ -112,7 +112,7 @@ impl Footage {
 
     fn of_log(options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
         let OpenLog { setup, mut messages, checkpoint, frames, lost, .. } =
-            opened::log(&options.source, &options.settings)?;
+            input_source::log(&options.source, &options.settings)?;
         let mut keeper = Keeper::new(options, setup, checkpoint);
         let read = messages.by_ref().map(|message| message.map_err(ReplayError::from));
         keeper.take_all(read, &mut |done| progress(done, Some(frames)))?;

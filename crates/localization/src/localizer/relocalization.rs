@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 
 use super::{Localizer, Moment, Tried};
 use crate::filter::{Effort, MayGoOn};
-use crate::global::{Candidate, Pace, Wanted};
+use crate::global_search::{Candidate, Pace, Wanted};
 use crate::particles::Spread;
 use crate::refinement::Refined;
-use crate::track::Track;
-use crate::verdict::{CONTRADICTED, Confidence, agrees, convinces, is_whole};
+use crate::slow_states::Track;
+use crate::validation::{CONTRADICTED, Confidence, agrees, convinces, is_whole};
 use realitysim_geometry::{Physical, Pose2, wrap_angle};
 use realitysim_vision::Seen;
 

@@ -1,12 +1,12 @@
 //! Where every source has something in the way there is nothing else to show than that.
 
-use super::answer::{Candidate, Request};
 use super::compose::Composed;
 use super::ground_warp::Warp;
 use super::photometry::Gain;
 use super::raster::{NOTHING, UNSURE};
 use super::sample::read;
-use super::target::Target;
+use super::synthesized_view::{Candidate, Request};
+use super::target_rays::Target;
 
 /// Fills what the composition has left black with what the sources have marked as moving, nearest first: better than
 /// black, and unsure.

@@ -7,17 +7,17 @@ use std::path::PathBuf;
 
 use super::checkpoint::Checkpoint;
 use super::error::ReplayError;
-use super::opened::{self, OpenLog};
+use super::input_source::{self, OpenLog};
+use super::perception_pool::view;
 use super::replay::Progress;
 use super::setup::Setup;
-use super::stages::view;
 use super::tagger::Tagger;
 use realitysim_config::Settings;
 use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::filter::always;
 use realitysim_localization::{Evidence, LocalizerState};
 use realitysim_log_input::synchroniser::{Frame, InitialPose, Synchroniser};
-use realitysim_log_input::{intake, scene};
+use realitysim_log_input::{measurement, scene_source};
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::FrameTag;
 use realitysim_vision::{Picture, Seen};
@@ -53,11 +53,11 @@ pub struct Sight {
 /// Errors are those of a replay, or that there is no such frame.
 pub fn explain(options: &ExplainOptions, progress: Progress) -> Result<Explanation, ReplayError> {
     if options.source.extension().is_some_and(|ending| ending == "toml") {
-        let scene = scene::load(&options.source)?;
-        let (setup, messages) = opened::scene(&scene, &options.source, &options.settings)?;
+        let scene = scene_source::load(&options.source)?;
+        let (setup, messages) = input_source::scene(&scene, &options.source, &options.settings)?;
         return Walk::new(options, setup, None).through(messages, progress);
     }
-    let OpenLog { setup, mut messages, checkpoint, .. } = opened::log(&options.source, &options.settings)?;
+    let OpenLog { setup, mut messages, checkpoint, .. } = input_source::log(&options.source, &options.settings)?;
     Walk::new(options, setup, checkpoint)
         .through(messages.by_ref().map(|message| message.map_err(ReplayError::from)), progress)
 }
@@ -98,8 +98,8 @@ impl<'a> Walk<'a> {
             if message.channel.topic == self.setup.topics.ground_truth {
                 continue;
             }
-            match intake::read(&message, &self.setup.topics, &self.setup.settings.head) {
-                Ok(intake::Input::InitialPose { .. }) if self.options.initial.is_some() => {}
+            match measurement::read(&message, &self.setup.topics, &self.setup.settings.head) {
+                Ok(measurement::Input::InitialPose { .. }) if self.options.initial.is_some() => {}
                 Ok(input) => self.synchroniser.push(&message, input),
                 // What cannot be read is told by a replay.
                 Err(_) => {}

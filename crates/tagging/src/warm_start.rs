@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::budget::Decisions;
 use super::checkpoint::{Checkpoint, MAX_BYTES};
-use super::foresight::Foresight;
+use super::dead_reckoning::Foresight;
 use super::tagger::Tagger;
 use realitysim_config::{Settings, plain_file};
 use realitysim_geometry::{Field, Lens, Pose2};

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::effort::EffortTally;
-use super::stages::NotSeen;
+use super::filter_stats::EffortTally;
+use super::perception_pool::NotSeen;
 use realitysim_log_input::synchroniser::{Frame, RobotAt};
 use realitysim_recording::Counts;
 use realitysim_ros2::cdr::CdrError;

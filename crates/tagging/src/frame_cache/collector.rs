@@ -6,11 +6,11 @@ use super::super::budget::Budget;
 use super::{Claims, Footage, FootageOptions, Shot, Start};
 use crate::checkpoint::Checkpoint;
 use crate::error::ReplayError;
+use crate::perception_pool::NotSeen;
 use crate::setup::Setup;
-use crate::stages::NotSeen;
 use crate::tagger::Tagger;
 use realitysim_localization::LocalizerState;
-use realitysim_log_input::intake;
+use realitysim_log_input::measurement;
 use realitysim_log_input::synchroniser::{Frame, Synchroniser};
 use realitysim_recording::Loss;
 use realitysim_ros2::mcap_read::LogMessage;
@@ -79,8 +79,8 @@ impl Keeper {
             if message.channel.topic == self.setup.topics.ground_truth {
                 continue;
             }
-            match intake::read(&message, &self.setup.topics, &self.setup.settings.head) {
-                Ok(intake::Input::InitialPose { .. }) if self.start.initial.is_some() => {}
+            match measurement::read(&message, &self.setup.topics, &self.setup.settings.head) {
+                Ok(measurement::Input::InitialPose { .. }) if self.start.initial.is_some() => {}
                 Ok(input) => self.synchroniser.push(&message, input),
                 Err(_) => self.bad_messages += 1,
             }

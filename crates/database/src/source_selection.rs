@@ -4,10 +4,10 @@ use core::cmp::Ordering;
 
 use glam::DVec3;
 
-use super::gallery::Gallery;
+use super::image_database::Gallery;
 use super::index::Neighbour;
+use super::kd_tree::Metric;
 use super::record::Record;
-use super::tree::Metric;
 use realitysim_geometry::{Euler, Isometry};
 use realitysim_views::{Footprint, Seen};
 

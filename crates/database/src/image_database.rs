@@ -8,13 +8,13 @@ use glam::DVec2;
 
 use super::build::bytes_of;
 use super::catalogue::{Catalogue, MAX_TRIES, Source};
-use super::choice::{Without, choose};
 use super::error::DatabaseError;
 use super::index::{Index, Neighbour};
+use super::kd_tree::Metric;
 use super::masks::Masks;
 use super::pixels::colours;
 use super::record::{Form, Record};
-use super::tree::Metric;
+use super::source_selection::{Without, choose};
 use realitysim_config::ViewsSettings;
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
 use realitysim_views::{

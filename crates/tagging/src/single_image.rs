@@ -6,10 +6,10 @@ use serde::Serialize;
 
 use realitysim_geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
 use realitysim_localization::filter::always;
-use realitysim_localization::global::{self, Candidate, Pace, Search, SearchState, Wanted};
+use realitysim_localization::global_search::{self, Candidate, Pace, Search, SearchState, Wanted};
 use realitysim_localization::kernel::Points;
+use realitysim_localization::line_distance_map::PaintedMap;
 use realitysim_localization::observation::default_alpha;
-use realitysim_localization::painted::PaintedMap;
 use realitysim_localization::refinement::{Agreement, Prior, Refiner, error_between};
 use realitysim_localization::{
     Effort, Evidence, Filter, FilterSettings, FilterState, Formula, Model, MotionModel, Observation, Sampling,
@@ -351,7 +351,7 @@ fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> 
     let still = Some(Pose2::default());
     let best = filter.step(still, 0.0, &seen.table, &mut Effort::default(), &mut always).best;
     let start = Candidate { pose: best, log_likelihood: observation.log_likelihood(&seen.table, &best) };
-    global::climb(observation, &seen.table, start, &mut Points::default(), &mut Effort::default())
+    global_search::climb(observation, &seen.table, start, &mut Points::default(), &mut Effort::default())
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::ground_warp::Warp;
 use super::photometry::reading;
-use super::target::Target;
+use super::target_rays::Target;
 use super::world::Surface;
 use super::{Candidate, Vignetting, World};
 

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use super::disk::{SimulatedDisk, Trouble};
 use crate::acknowledgement::{ACK_FOLDER, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER};
 use crate::manifest::{Counts, MANIFEST_FILE, ManifestLine, PIN_FILE, SESSION_FILE};
+use crate::record_queue::Allowed;
 use crate::retention::{Limits, Retention, Seen};
-use crate::shared::Allowed;
 use crate::storage::{Storage, write_atomically};
 use realitysim_config::RecordingSettings;
 

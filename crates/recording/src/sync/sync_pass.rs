@@ -8,14 +8,14 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use super::desk::Desk;
 use super::error::SyncError;
 use super::fetch::Work;
-use super::look::{Seen, look};
 use super::plan::{Plan, plan};
 use super::rsync::{Ended, Rsync};
+use super::scan::{Seen, look};
 use super::selection::Selection;
 use super::source::Source;
+use super::source_state::Desk;
 use super::store::Store;
 use crate::{ACK_FOLDER, NotApart, Session, SessionId, SetAside, prove_apart};
 

@@ -1,10 +1,10 @@
 //! Between two sessions of one agent: nothing is recorded, and odometry goes on saying where the robot is.
 
-use super::foresight::Foresight;
-use super::state::Kept;
+use super::dead_reckoning::Foresight;
 use super::tagger::Tagger;
+use super::warm_start::Kept;
 use realitysim_config::{HeadSettings, Topics};
-use realitysim_log_input::intake;
+use realitysim_log_input::measurement;
 use realitysim_log_input::synchroniser::Synchroniser;
 use realitysim_ros2::mcap_read::LogMessage;
 
@@ -19,10 +19,10 @@ pub struct Between {
 
 impl Between {
     pub fn take(&mut self, message: &LogMessage) {
-        if intake::is_frame(&message.channel, &self.topics) {
+        if measurement::is_frame(&message.channel, &self.topics) {
             return;
         }
-        let Ok(input) = intake::read(message, &self.topics, &self.head) else { return };
+        let Ok(input) = measurement::read(message, &self.topics, &self.head) else { return };
         self.synchroniser.push(message, input);
         if let Some(stamp_ns) = self.foresight.due(&self.synchroniser, message.log_time_ns) {
             self.foresight.look(stamp_ns, &mut self.tagger, &self.synchroniser);

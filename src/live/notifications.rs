@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use super::RecordError;
-use super::agent::{Agent, TICK};
+use super::event_loop::{Agent, TICK};
 use super::status::{self, PassedOn};
 use crate::recording::{REMOVED, RecorderStatus, Stopped};
 use crate::ros2::messages::DiagnosticArray;

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::ground_warp::Warp;
 use super::raster::{NOTHING, Pyramid, Raster, SURE};
-use super::target::Target;
+use super::target_rays::Target;
 use super::{Camera, Vignetting, World};
 use realitysim_geometry::Isometry;
 use realitysim_geometry::multiversioned;

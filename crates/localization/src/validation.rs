@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::localizer::{Fix, Moment};
 use super::refinement::Agreement;
-use super::second_look::SecondLook;
+use super::relocalization_trigger::SecondLook;
 use realitysim_geometry::{Field, Isometry, Physical, Pose2, longest_axis, wrap_angle};
 
 /// What a pose needs to be believed.
@@ -579,8 +579,8 @@ mod tests {
     use super::*;
     use crate::estimate::Estimate;
     use crate::filter::Effort;
+    use crate::line_distance_map::Explained;
     use crate::observation::Support;
-    use crate::painted::Explained;
     use realitysim_config::load_field;
 
     fn needed(standing: &Standing) -> u32 {

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use super::setup::SetupError;
 use super::warnings::AttitudeSource;
 use realitysim_config::{Settings, Topics};
-use realitysim_log_input::intake::{self, Input};
 use realitysim_log_input::log::LogError;
+use realitysim_log_input::measurement::{self, Input};
 use realitysim_log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use realitysim_log_input::topic_resolution::{TopicTypes, resolve};
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
@@ -46,14 +46,14 @@ impl Prelude {
         let mut synchroniser = Synchroniser::new(settings.frames.clone(), SynchroniserState::default());
         let mut camera_info = None;
         for message in &found {
-            match intake::read(message, &topics, &settings.head) {
+            match measurement::read(message, &topics, &settings.head) {
                 Ok(Input::CameraInfo(info)) => camera_info = camera_info.or(Some(*info)),
                 Ok(input @ Input::Transforms { latched: true, .. }) => synchroniser.push(message, input),
                 _ => {}
             }
         }
         let first_frame = messages(Selection::topics([topics.image.clone()]))
-            .find(|message| message.as_ref().map_or(true, |message| intake::is_frame(&message.channel, &topics)));
+            .find(|message| message.as_ref().map_or(true, |message| measurement::is_frame(&message.channel, &topics)));
         check_mount(synchroniser.clone(), &found, first_frame.transpose()?.as_ref(), &topics, settings)?;
         let has = |topic: &String, kind: &str| types.get(topic).is_some_and(|kinds| kinds.contains(kind));
         let expected = Expected { imu: has(&topics.imu, Imu::TYPE), joints: has(&topics.joints, JointState::TYPE) };
@@ -74,7 +74,7 @@ fn check_mount(
 ) -> Result<(), SetupError> {
     // The first frame tells what its optical frame is called.
     for message in found.iter().chain(first_frame) {
-        let input = intake::read(message, topics, &settings.head);
+        let input = measurement::read(message, topics, &settings.head);
         if let Ok(input @ (Input::Transforms { latched: false, .. } | Input::Frame { .. })) = input {
             synchroniser.push(message, input);
         }
@@ -99,9 +99,9 @@ fn first_of_each(messages: impl Iterator<Item = Result<LogMessage, LogError>>) -
 
 fn moves_footprint(message: &LogMessage, settings: &Settings) -> bool {
     let names = &settings.frames;
-    let is_step = |t: &intake::StampedTransform| t.parent == names.odom && t.child == names.base_footprint;
+    let is_step = |t: &measurement::StampedTransform| t.parent == names.odom && t.child == names.base_footprint;
     matches!(
-        intake::read(message, &settings.topics, &settings.head),
+        measurement::read(message, &settings.topics, &settings.head),
         Ok(Input::Transforms { transforms, .. }) if transforms.iter().any(is_step)
     )
 }
