@@ -10,12 +10,12 @@ use serde::Serialize;
 use serialport::SerialPort;
 use thiserror::Error;
 
-use crate::database::{DatabaseError, Gallery, Wanted};
+use crate::database::{DatabaseError, ImageDatabase, ViewQuery};
 use crate::devices::mavlink::RobotSide;
 use crate::devices::video_out::{OutputForm, VideoOut, VideoOutError, yuyv};
 use crate::geometry::{Isometry, Pose2};
 use crate::log_input::log::{self, LogError, LogSource};
-use crate::log_input::measurement::{self, Input};
+use crate::log_input::measurement::{self, Measurement};
 use crate::log_input::{decode, encode};
 use crate::recording::{RecordingError, SESSION_FILE, captures_within, read_info};
 use crate::ros2::mcap_read::Selection;
@@ -114,7 +114,7 @@ pub fn play(options: &PlayOptions, stop: &AtomicBool) -> Result<Played, PlayErro
     match &options.source {
         PlaySource::Capture(path) => capture(options, path, stop),
         PlaySource::Trajectory { poses, database, settings } => {
-            let gallery = Gallery::open(database, settings)?;
+            let gallery = ImageDatabase::open(database, settings)?;
             trajectory(options, poses, &gallery, stop)
         }
     }
@@ -135,9 +135,9 @@ fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Play
         let message = message?;
         let since_ns = message.log_time_ns.saturating_sub(*first_ns.get_or_insert(message.log_time_ns));
         let event = match measurement::read(&message, topics, &info.settings.head) {
-            Ok(Input::Frame { .. }) => image_of(&message).map(Event::Image),
-            Ok(Input::Odometry { odom_from_footprint, .. }) => Some(Event::Odometry(odom_from_footprint)),
-            Ok(Input::Imu { orientation: Some(q), turn_rate, .. }) => Some(Event::Attitude(q, turn_rate)),
+            Ok(Measurement::Frame { .. }) => image_of(&message).map(Event::Image),
+            Ok(Measurement::Odometry { odom_from_footprint, .. }) => Some(Event::Odometry(odom_from_footprint)),
+            Ok(Measurement::Imu { orientation: Some(q), turn_rate, .. }) => Some(Event::Attitude(q, turn_rate)),
             _ => None,
         };
         if let Some(event) = event
@@ -178,13 +178,13 @@ fn jpeg(rgb: &[u8], width: usize, height: usize) -> Option<Vec<u8>> {
 fn trajectory(
     options: &PlayOptions,
     poses: &[(f64, Isometry)],
-    gallery: &Gallery,
+    gallery: &ImageDatabase,
     stop: &AtomicBool,
 ) -> Result<Played, PlayError> {
     let mut stage: Option<Stage> = None;
     let mut camera = None;
     for (seconds, pose) in poses {
-        let wanted = Wanted {
+        let wanted = ViewQuery {
             map_from_link: *pose,
             method: Method::Exact,
             camera: camera.clone(),
@@ -227,8 +227,8 @@ fn trajectory(
 struct Stage<'a> {
     options: &'a PlayOptions,
     size: (u32, u32),
-    video: Away<VideoOut>,
-    serial: Away<Box<dyn SerialPort>>,
+    video: ReconnectingDevice<VideoOut>,
+    serial: ReconnectingDevice<Box<dyn SerialPort>>,
     robot: RobotSide,
     started: Instant,
     /// Time of the recording that was passed over.
@@ -246,8 +246,8 @@ impl<'a> Stage<'a> {
         Ok(Self {
             options,
             size: (width, height),
-            video: Away::new(video),
-            serial: Away::new(serial),
+            video: ReconnectingDevice::new(video),
+            serial: ReconnectingDevice::new(serial),
             robot: RobotSide::new(options.system),
             started: Instant::now(),
             skipped: Duration::ZERO,
@@ -351,14 +351,14 @@ fn port((device, baud): &(String, u32)) -> Result<Box<dyn SerialPort>, PlayError
 }
 
 /// A device that may go away and come back.
-struct Away<T> {
+struct ReconnectingDevice<T> {
     device: Option<T>,
     /// It was there once.
     wanted: bool,
     tried: Instant,
 }
 
-impl<T> Away<T> {
+impl<T> ReconnectingDevice<T> {
     fn new(device: Option<T>) -> Self {
         Self { wanted: device.is_some(), device, tried: Instant::now() }
     }

@@ -5,7 +5,7 @@ use realitysim::geometry::{Euler, Field, Isometry, Lens, Pose2};
 use realitysim::localization::{Formula, Model, observation};
 use realitysim::log_input::scene_source;
 use realitysim::scene::Renderer;
-use realitysim::vision::{Picture, Seen, Vision, VisionSettings};
+use realitysim::vision::{Observations, Picture, Vision, VisionSettings};
 
 pub struct View {
     pub lens: Lens,
@@ -15,7 +15,7 @@ pub struct View {
     /// Where the robot stands.
     pub pose: Pose2,
     pub vision: Vision,
-    pub seen: Seen,
+    pub seen: Observations,
 }
 
 impl View {

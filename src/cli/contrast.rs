@@ -10,10 +10,10 @@ use super::doc_section::Section;
 use super::settings::{SettingsArguments, UsageError};
 use super::{Outcome, output, paths};
 use crate::evaluation::contrast::{self, Detection, PAINT, Quality, Step, Variant, WIDTHS_PX, WRONG_CM};
-use crate::evaluation::cost::Knobs;
+use crate::evaluation::cost::SweepPoint;
 use crate::evaluation::{Summary, truth};
 use crate::log_input::scene_source;
-use crate::tagging::{Footage, FootageOptions};
+use crate::tagging::{FrameCache, FrameCacheOptions};
 
 /// Find out how faint lines may be
 ///
@@ -57,14 +57,14 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
     let inputs = named.iter().chain([&arguments.scene]).map(PathBuf::as_path);
     paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;
     let scene = scene_source::load(&arguments.scene)?;
-    let options = FootageOptions {
+    let options = FrameCacheOptions {
         source: arguments.scene.clone(),
         settings: settings.clone(),
         initial: None,
         from_s: 0.0,
         for_s: Some(SECONDS),
     };
-    let variants = contrast::variants(Knobs::of(&settings));
+    let variants = contrast::variants(SweepPoint::of(&settings));
     let mut progress = output::Progress::new("tagging");
     let mut done = 0;
     let (mut steps, mut full_contrast) = (Vec::new(), None);
@@ -75,7 +75,7 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
                 UsageError(format!("{name}: it has no effect of the kind worn_lines, whose share is varied")).into()
             );
         };
-        let footage = Footage::of_scene(&faded, &options, &mut |_, _| {})?;
+        let footage = FrameCache::of_scene(&faded, &options, &mut |_, _| {})?;
         let truth = truth::of_scene(&faded);
         let (contrasts, noises): (Vec<f64>, Vec<f64>) =
             footage.contrasts()?.into_iter().map(|[contrast, noise]| (contrast, noise)).unzip();

@@ -17,9 +17,9 @@ use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::refinement::line_measurement::Finding;
 use crate::localization::validation::{AGREES_DIGITS, IN_VIEW};
-use crate::localization::{Evidence, Tried};
+use crate::localization::{Evidence, TriedPose};
 use crate::tagging::explanation::{self, ExplainOptions, Explanation, Sight};
-use crate::tagging::single_image::{Fit, Located};
+use crate::tagging::single_image::{FitQuality, ImageLocation};
 
 /// Show why the tag of one frame, or the pose of one image, is what it is
 ///
@@ -147,7 +147,7 @@ fn text(explained: &Explained, picture: Option<&Path>) -> String {
         lines.push("\nthe whole field, searched for this picture alone:".to_owned());
         lines.push("       x m     y m   yaw deg   worth  places that fit  explained".to_owned());
         lines.extend(evidence.tried.iter().map(|tried| {
-            let Tried { x, y, yaw_deg, worth, fitting, explained } = tried;
+            let TriedPose { x, y, yaw_deg, worth, fitting, explained } = tried;
             format!("  {x:8.2}{y:8.2}{yaw_deg:10.1}{worth:8.1}{fitting:17}{:9.0} %", 100.0 * explained)
         }));
     }
@@ -207,29 +207,29 @@ fn told(explanation: &Explanation) -> Vec<String> {
 }
 
 /// The same of an image.
-fn told_of_image(located: &Located, evidence: Option<&Evidence>) -> Vec<String> {
+fn told_of_image(located: &ImageLocation, evidence: Option<&Evidence>) -> Vec<String> {
     let fit = located.fit();
     let mut lines = vec![match fit {
-        Fit::Good => "the fit is good".to_owned(),
-        Fit::Doubtful => "the fit is doubtful".to_owned(),
-        Fit::None => "no pose found".to_owned(),
+        FitQuality::Good => "the fit is good".to_owned(),
+        FitQuality::Doubtful => "the fit is doubtful".to_owned(),
+        FitQuality::None => "no pose found".to_owned(),
     }];
     lines.extend(evidence.into_iter().flat_map(seen));
     match (fit, located.rival()) {
-        (Fit::None, _) => lines.push(photo::why_none(located.found.first())),
-        (Fit::Doubtful, Some(rival)) => {
+        (FitQuality::None, _) => lines.push(photo::why_none(located.found.first())),
+        (FitQuality::Doubtful, Some(rival)) => {
             let Pose2 { x, y, yaw } = rival.place();
             let yaw_deg = yaw.to_degrees();
             lines.push(format!(
                 "the pose at {x:.2}, {y:.2}, yaw {yaw_deg:.0} deg explains the lines nearly as well: say about where it was (--initial)"
             ));
         }
-        (Fit::Doubtful, None) => lines.push(
+        (FitQuality::Doubtful, None) => lines.push(
             "the pose explains too little: lines that should be seen are not (red), or lines are seen where the field has none (magenta). \
              If red marks lie beside painted lines, check --lens, --attitude and --height; if magenta ones lie on real lines, --field"
                 .to_owned(),
         ),
-        (Fit::Good, _) => {}
+        (FitQuality::Good, _) => {}
     }
     lines
 }

@@ -20,7 +20,7 @@ use crate::evaluation::truth;
 use crate::geometry::Isometry;
 use crate::log_input::scene_source;
 use crate::recording::ReadoutError;
-use crate::tagging::{Footage, FootageOptions};
+use crate::tagging::{FrameCache, FrameCacheOptions};
 
 /// Find out whether tags can be wrong and valid
 ///
@@ -90,7 +90,7 @@ pub fn run(arguments: &FalsifyArguments, json: bool) -> anyhow::Result<Outcome> 
 }
 
 fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, threads: usize) -> anyhow::Result<Source> {
-    let options = FootageOptions {
+    let options = FrameCacheOptions {
         source: path.to_owned(),
         settings: settings.clone(),
         initial: None,
@@ -98,7 +98,7 @@ fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, thre
         for_s: arguments.for_s,
     };
     let truth = truth_of(path, settings)?;
-    let footage = Footage::load(&options, &mut |_, _| {})?;
+    let footage = FrameCache::load(&options, &mut |_, _| {})?;
     let falsehoods = falsehoods(footage.field(), footage.lens());
     let tasks: Vec<(&Falsehood, bool)> =
         [false, true].iter().flat_map(|unknown| falsehoods.iter().map(|said| (said, *unknown))).collect();

@@ -12,7 +12,7 @@ use super::paths::{check_output, save};
 use super::values::{number, whole};
 use super::{Outcome, detector, output};
 use crate::config::Settings;
-use crate::database::{Gallery, Wanted};
+use crate::database::{ImageDatabase, ViewQuery};
 use crate::evaluation::drawing;
 use crate::evaluation::views::{Detection, Detector};
 use crate::geometry::Isometry;
@@ -77,7 +77,7 @@ pub fn run(arguments: &GapArguments, json: bool) -> anyhow::Result<Outcome> {
     if let Some(path) = &arguments.output {
         check_output(path, &[&arguments.db])?;
     }
-    let gallery = Gallery::open(&arguments.db, &settings.views)?;
+    let gallery = ImageDatabase::open(&arguments.db, &settings.views)?;
     let count = gallery.index().len();
     anyhow::ensure!(count > 0, crate::database::DatabaseError::Empty);
     let frames = usize::from(arguments.frames).min(count);
@@ -130,7 +130,7 @@ pub fn run(arguments: &GapArguments, json: bool) -> anyhow::Result<Outcome> {
 type Forms = (Arc<Camera>, Isometry, Vec<Raster>);
 
 /// The same place in all forms; `None` where no other image is near.
-fn forms(gallery: &Gallery, number: usize, apart: f64) -> anyhow::Result<Option<Forms>> {
+fn forms(gallery: &ImageDatabase, number: usize, apart: f64) -> anyhow::Result<Option<Forms>> {
     let record = gallery.index().record(number);
     let (pose, camera) = (record.pose(), gallery.camera(&record).context("an image of an unknown source")?);
     let recorded = gallery.image(number).map_err(anyhow::Error::msg)?;
@@ -144,7 +144,7 @@ fn forms(gallery: &Gallery, number: usize, apart: f64) -> anyhow::Result<Option<
     let mut images = vec![recorded.full().clone()];
     for method in [Method::Exact, Method::Paper, Method::Nearest] {
         let camera = Some(Arc::clone(camera));
-        let wanted = Wanted {
+        let wanted = ViewQuery {
             map_from_link: pose,
             method,
             camera,
@@ -185,7 +185,7 @@ poses = [[0.0, 0.0, 0.0]]
 hold_s = 1.0
 "#;
 
-fn rendered(gallery: &Gallery, camera: &Camera, pose: &Isometry) -> anyhow::Result<Raster> {
+fn rendered(gallery: &ImageDatabase, camera: &Camera, pose: &Isometry) -> anyhow::Result<Raster> {
     let lens = camera.lens().parameters().clone();
     let scene = Scene::build(SceneFile::from_toml(SCENE)?, gallery.field().dimensions().clone(), lens)?;
     let mut rgb = Vec::new();

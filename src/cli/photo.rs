@@ -12,7 +12,7 @@ use super::values::any_number;
 use crate::config::{load_lens_for_image, plain_file};
 use crate::geometry::{Euler, Pose2};
 use crate::log_input::{body_mask, decode};
-use crate::tagging::single_image::{Found, Known, LEAST_SHARE, LEAST_WEIGHT};
+use crate::tagging::single_image::{ImagePrior, LEAST_SHARE, LEAST_WEIGHT, PoseHypothesis};
 use crate::vision::Picture;
 
 #[derive(Args)]
@@ -51,7 +51,7 @@ impl PhotoArguments {
     }
 
     /// Reads the image, its lens and mask.
-    pub fn open(&self, image: &Path, beside: &OtherInputs) -> anyhow::Result<(Picture, Known)> {
+    pub fn open(&self, image: &Path, beside: &OtherInputs) -> anyhow::Result<(Picture, ImagePrior)> {
         let bytes = plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| cannot_read(image, error))?;
         let picture = decode::compressed(&bytes).with_context(|| image.display().to_string())?;
         let (width, height) = (picture.width as u32, picture.height as u32);
@@ -68,7 +68,7 @@ impl PhotoArguments {
             None => None,
         };
         let tilt_sigma_rad = self.attitude_sigma.unwrap_or(ATTITUDE_SIGMA_DEG).to_radians();
-        let known = Known { lens: lens.lens, attitude, tilt_sigma_rad, height_m, initial: beside.initial, body };
+        let known = ImagePrior { lens: lens.lens, attitude, tilt_sigma_rad, height_m, initial: beside.initial, body };
         Ok((picture, known))
     }
 
@@ -96,7 +96,7 @@ pub fn rgb(picture: &Picture) -> anyhow::Result<RgbImage> {
 }
 
 /// Why the best pose means nothing.
-pub fn why_none(best: Option<&Found>) -> String {
+pub fn why_none(best: Option<&PoseHypothesis>) -> String {
     let found = match best {
         None => "there is no line of a field where the ground is in view".to_owned(),
         Some(best) if best.share >= LEAST_SHARE && best.weight >= LEAST_WEIGHT => {

@@ -10,14 +10,14 @@ use super::settings::UsageError;
 use super::values::whole;
 use super::{Outcome, output};
 use crate::config::Settings;
-use crate::database::{DatabaseError, Gallery, TagLimits, add, leave_one_out};
+use crate::database::{DatabaseError, ImageDatabase, TagLimits, add, leave_one_out};
 use crate::evaluation::Summary;
 use crate::evaluation::capture::read_truth;
 use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
 use crate::localization::smoothing::{Constants, Model};
 use crate::recording::{RefinedConstant, RefinedInfo};
 use crate::ros2::messages::FrameTag;
-use crate::tagging::offline_refinement::{Refining, refine};
+use crate::tagging::offline_refinement::{OfflineRefinement, refine};
 
 /// Improve a capture's tags afterwards, from all frames together
 ///
@@ -156,12 +156,12 @@ fn psnr(capture: &Path, views: usize) -> anyhow::Result<Option<Summary>> {
         added => added?,
     };
     let settings = crate::config::ViewsSettings { goals: false, ..Settings::default().views };
-    let gallery = Gallery::open(&db, &settings)?;
+    let gallery = ImageDatabase::open(&db, &settings)?;
     let found = leave_one_out(&gallery, views, &mut |_| ())?;
     Ok((!found.is_empty()).then(|| Summary::of(&found)))
 }
 
-fn calibration(refining: &Refining, path: &Path) -> anyhow::Result<()> {
+fn calibration(refining: &OfflineRefinement, path: &Path) -> anyhow::Result<()> {
     let lens_path = path.with_file_name(format!(
         "{}-lens.toml",
         path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
@@ -189,7 +189,7 @@ fn lens_file(lens: &LensParameters) -> String {
 const TILT: &str = "# The tilt is that of the camera against what the IMU calls level: one walk cannot tell a tilted mount from a tilted IMU,\n\
                     # and a pose needs both together only. With another IMU, or one that was set level anew, it is to be found again.\n";
 
-fn robot_file(refining: &Refining, lens: &Path) -> String {
+fn robot_file(refining: &OfflineRefinement, lens: &Path) -> String {
     let mount = &refining.info.settings.mount;
     let constants = refining.smoothed.constants;
     let mut text =

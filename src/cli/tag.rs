@@ -14,7 +14,7 @@ use super::{Outcome, output};
 use crate::config::{field_names, load_field};
 use crate::evaluation::drawing;
 use crate::geometry::{Field, Pose2};
-use crate::tagging::single_image::{Fit, Found, Located};
+use crate::tagging::single_image::{FitQuality, ImageLocation, PoseHypothesis};
 
 /// Find the pose of a single image
 ///
@@ -60,7 +60,7 @@ const LINES: [u8; 3] = [230, 30, 60];
 #[derive(Serialize)]
 struct Report {
     field: String,
-    fit: Fit,
+    fit: FitQuality,
     /// `camera_link` in `map`; without any line in view null.
     best: Option<Explanation>,
     mirror: Option<Pose>,
@@ -74,7 +74,7 @@ struct Report {
     fields: Vec<FieldResult>,
 }
 
-/// Numbers without a unit are shares, 0 to 1, unless [`Found`] says otherwise.
+/// Numbers without a unit are shares, 0 to 1, unless [`PoseHypothesis`] says otherwise.
 #[derive(Clone, Copy, Serialize)]
 struct Explanation {
     pose: Pose,
@@ -92,7 +92,7 @@ struct Explanation {
 }
 
 impl Explanation {
-    fn of(found: &Found) -> Self {
+    fn of(found: &PoseHypothesis) -> Self {
         Self {
             pose: Pose::of(&found.place()),
             refined: found.refined,
@@ -143,8 +143,8 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         let located = known.locate(&look, &field, arguments.seed);
         (name, field, located)
     };
-    let mut results: Vec<(String, Field, Located)> = fields.into_iter().map(locate).collect();
-    let score = |located: &Located| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
+    let mut results: Vec<(String, Field, ImageLocation)> = fields.into_iter().map(locate).collect();
+    let score = |located: &ImageLocation| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
     results.sort_by(|a, b| score(&b.2).total_cmp(&score(&a.2)));
     let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", shown()) };
     let best = located.found.first();
@@ -165,21 +165,21 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         fields: results
             .iter()
             .filter_map(|(field, _, located)| {
-                let Found { log_likelihood, share, .. } = *located.found.first()?;
+                let PoseHypothesis { log_likelihood, share, .. } = *located.found.first()?;
                 Some(FieldResult { field: field.clone(), log_likelihood, share })
             })
             .collect(),
     };
     if json {
         output::json(&report)?
-    } else if report.fit != Fit::None
+    } else if report.fit != FitQuality::None
         && let Some(text) = for_people(&report)
     {
         output::lines(&text)?
     }
     match report.fit {
-        Fit::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::why_none(best)),
-        Fit::Good | Fit::Doubtful => Ok(Outcome::Whole),
+        FitQuality::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::why_none(best)),
+        FitQuality::Good | FitQuality::Doubtful => Ok(Outcome::Whole),
     }
 }
 
@@ -237,7 +237,7 @@ fn for_people(report: &Report) -> Option<String> {
             best.log_likelihood - next.log_likelihood
         ));
     }
-    if report.fit == Fit::Doubtful {
+    if report.fit == FitQuality::Doubtful {
         text.push_str("doubtful: it explains too little of the lines, or another pose explains them nearly as well\n");
     }
     for field in &report.fields {

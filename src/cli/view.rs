@@ -13,14 +13,14 @@ use super::paths::{check_output, save, write_bytes};
 use super::values::{any_whole, number, whole};
 use super::{Outcome, output};
 use crate::config::{Settings, load_lens};
-use crate::database::{Gallery, Shown, Wanted};
+use crate::database::{ImageDatabase, ViewQuery, ViewResult};
 use crate::evaluation::drawing;
 use crate::geometry::{Euler, Isometry, Lens};
 use crate::log_input::scene_source;
-use crate::scene::Stage;
+use crate::scene::ViewOverlay;
 use crate::views::{
-    Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method, NOTHING, Raster,
-    UNSURE, World,
+    Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method, NOTHING, Provenance,
+    Raster, UNSURE, World,
 };
 
 /// Show what the camera would see from a pose, from a database of recorded images
@@ -170,11 +170,11 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     let mut wanted = wanted(arguments);
     let scene = arguments.scene.as_deref().map(scene_source::load).transpose()?;
-    let gallery = Gallery::open(&arguments.db, &settings.views)?;
+    let gallery = ImageDatabase::open(&arguments.db, &settings.views)?;
     wanted.camera = camera(arguments, &gallery, &wanted)?;
     let mut shown = gallery.view(&wanted)?;
-    let stage = scene.map(|scene| Stage::new(&scene, shown.camera.lens(), arguments.figures == Figures::Draw));
-    let apply = |shown: &mut Shown| {
+    let stage = scene.map(|scene| ViewOverlay::new(&scene, shown.camera.lens(), arguments.figures == Figures::Draw));
+    let apply = |shown: &mut ViewResult| {
         stage.as_ref().map_or_else(Vec::new, |stage| apply(stage, arguments.frame, gallery.world(), shown))
     };
     if let Some(stage) = &stage {
@@ -207,10 +207,10 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if report.unreadable.is_empty() { Outcome::Whole } else { Outcome::DataLost })
 }
 
-fn wanted(arguments: &ViewArguments) -> Wanted {
+fn wanted(arguments: &ViewArguments) -> ViewQuery {
     let ViewArguments { x, y, z, yaw, pitch, roll, max_distance, outside, .. } = *arguments;
     let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
-    Wanted {
+    ViewQuery {
         map_from_link: Isometry::from_euler(euler, DVec3::new(x, y, z)),
         method: arguments.method.into(),
         camera: None,
@@ -221,7 +221,11 @@ fn wanted(arguments: &ViewArguments) -> Wanted {
 }
 
 /// The lens asked for, in the size asked for; `None` is that of the nearest image as it is.
-fn camera(arguments: &ViewArguments, gallery: &Gallery, wanted: &Wanted) -> anyhow::Result<Option<Arc<Camera>>> {
+fn camera(
+    arguments: &ViewArguments,
+    gallery: &ImageDatabase,
+    wanted: &ViewQuery,
+) -> anyhow::Result<Option<Arc<Camera>>> {
     let size = [arguments.width, arguments.height];
     let given = arguments.lens.as_deref().map(load_lens).transpose()?.map(|file| file.lens.parameters().clone());
     let nearest = || {
@@ -237,7 +241,7 @@ fn camera(arguments: &ViewArguments, gallery: &Gallery, wanted: &Wanted) -> anyh
 }
 
 /// Which effects were applied. A view that is changed is no stored image any more.
-fn apply(stage: &Stage, frame: u64, world: &World, shown: &mut Shown) -> Vec<&'static str> {
+fn apply(stage: &ViewOverlay, frame: u64, world: &World, shown: &mut ViewResult) -> Vec<&'static str> {
     let effects = stage.effects();
     if !effects.is_empty() {
         shown.stored = None;
@@ -247,7 +251,7 @@ fn apply(stage: &Stage, frame: u64, world: &World, shown: &mut Shown) -> Vec<&'s
 }
 
 /// A stored image keeps its bytes if the name asks for what it is.
-fn write(shown: &Shown, path: &std::path::Path) -> anyhow::Result<()> {
+fn write(shown: &ViewResult, path: &std::path::Path) -> anyhow::Result<()> {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     match &shown.stored {
         Some(bytes) if is_of(bytes, &ending) => write_bytes(path, bytes),
@@ -274,17 +278,17 @@ fn mask(raster: &Raster) -> RgbImage {
 
 /// Nearest, paper, exact and the exact view's mask.
 fn beside_each_other<T>(
-    gallery: &Gallery,
-    wanted: &Wanted,
-    exact: &Shown,
-    apply: impl Fn(&mut Shown) -> T,
+    gallery: &ImageDatabase,
+    wanted: &ViewQuery,
+    exact: &ViewResult,
+    apply: impl Fn(&mut ViewResult) -> T,
 ) -> anyhow::Result<RgbImage> {
     let mut panels = Vec::new();
     for (name, method) in
         [("nearest image", Method::Nearest), ("paper (Eq. 3-4)", Method::Paper), ("exact", Method::Exact)]
     {
         let camera = Some(Arc::clone(&exact.camera));
-        let shown = gallery.view(&Wanted { method, camera, ..wanted.clone() });
+        let shown = gallery.view(&ViewQuery { method, camera, ..wanted.clone() });
         let (image, caption) = match shown {
             Ok(mut shown) => {
                 apply(&mut shown);
@@ -318,7 +322,7 @@ fn beside_each_other<T>(
     Ok(drawing::panels(&panels, 2))
 }
 
-fn report(gallery: &Gallery, shown: &Shown, arguments: &ViewArguments) -> Report {
+fn report(gallery: &ImageDatabase, shown: &ViewResult, arguments: &ViewArguments) -> Report {
     let answer = &shown.answer;
     let source = |used: &crate::views::UsedSource| {
         let record = gallery.index().record(used.id as usize);
@@ -335,10 +339,10 @@ fn report(gallery: &Gallery, shown: &Shown, arguments: &ViewArguments) -> Report
     Report {
         output: arguments.output.clone(),
         made: match answer.made {
-            Made::Stored => "stored",
-            Made::Nearest => "nearest",
-            Made::Warped => "warped",
-            Made::Composed => "composed",
+            Provenance::Stored => "stored",
+            Provenance::Nearest => "nearest",
+            Provenance::Warped => "warped",
+            Provenance::Composed => "composed",
         },
         sources: answer.sources.iter().map(source).collect(),
         valid_share: answer.valid_share,

@@ -16,12 +16,12 @@ use super::settings::planar_pose;
 use super::values::{number, whole};
 use super::{Outcome, output};
 use crate::config::Settings;
-use crate::database::{Gallery, Wanted};
+use crate::database::{ImageDatabase, ViewQuery};
 use crate::evaluation::video::avi;
 use crate::evaluation::{Summary, drawing};
 use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
 use crate::log_input::encode::jpeg;
-use crate::tagging::single_image::Known;
+use crate::tagging::single_image::ImagePrior;
 use crate::views::{LEAST_HEIGHT_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
 use crate::vision::Picture;
 
@@ -100,7 +100,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     let folder = &arguments.output;
     check_output(folder, &[&arguments.db])?;
     make_folder(folder)?;
-    let gallery = Gallery::open(&arguments.db, &settings.views)?;
+    let gallery = ImageDatabase::open(&arguments.db, &settings.views)?;
     anyhow::ensure!(!gallery.index().is_empty(), crate::database::DatabaseError::Empty);
     let (from, to) = way(arguments, &gallery);
     let (mean_z, mean_pitch) = posture(&gallery);
@@ -117,7 +117,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
         };
         let attitude = Euler { yaw: asked.yaw, pitch, roll: 0.0 };
         let map_from_link = Isometry::from_euler(attitude, DVec3::new(asked.x, asked.y, z));
-        let wanted = Wanted {
+        let wanted = ViewQuery {
             map_from_link,
             method: Method::Exact,
             camera: camera.clone(),
@@ -129,7 +129,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
         let image = &shown.answer.image;
         let (width, height, rgb) = (image.width, image.height, image.to_rgb());
         jpegs.push(jpeg(&rgb, width, height, ColorType::Rgb, QUALITY)?);
-        let known = Known {
+        let known = ImagePrior {
             lens: shown.camera.lens().clone(),
             attitude,
             tilt_sigma_rad: 0.0,
@@ -141,7 +141,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
         let located = known.locate(&known.look(&picture), gallery.field(), 1);
         let found = located.found.first().filter(|found| found.refined).map(|found| found.place());
         let made = match shown.answer.made {
-            crate::views::Made::Stored => "stored",
+            crate::views::Provenance::Stored => "stored",
             _ => "made",
         };
         steps.push(Step { asked, found, made, valid_share: shown.answer.valid_share });
@@ -184,14 +184,14 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     Ok(Outcome::Whole)
 }
 
-fn way(arguments: &ViewWalkArguments, gallery: &Gallery) -> (Pose2, Pose2) {
+fn way(arguments: &ViewWalkArguments, gallery: &ImageDatabase) -> (Pose2, Pose2) {
     let d = gallery.field().dimensions();
     let paper = |x: f64, y: f64, yaw: f64| Pose2 { x: 0.5 * x - d.length_m / 2.0, y: 0.5 * y - d.width_m / 2.0, yaw };
     (arguments.from.unwrap_or(paper(0.0, 3.0, 0.0)), arguments.to.unwrap_or(paper(8.0, 6.0, 4.0)))
 }
 
 /// Mean height and pitch of the database's images.
-fn posture(gallery: &Gallery) -> (f64, f64) {
+fn posture(gallery: &ImageDatabase) -> (f64, f64) {
     let count = gallery.index().len() as f64;
     let (mut z, mut pitch) = (0.0, 0.0);
     for record in gallery.index().records() {

@@ -6,7 +6,7 @@ use super::{Finding, bad, good};
 use crate::config::{Settings, load_field, load_lens};
 use crate::scene::{Scene, SceneFile};
 use crate::tagging::durations::Durations;
-use crate::tagging::frame_cache::{Footage, FootageOptions};
+use crate::tagging::frame_cache::{FrameCache, FrameCacheOptions};
 
 /// Of the time between two frames, for tagging; decoding, recording and the team's own programs need the rest.
 const MOST_SHARE: f64 = 0.5;
@@ -15,14 +15,14 @@ const MOST_SHARE: f64 = 0.5;
 pub(super) fn headroom(settings: &Settings) -> Option<Finding> {
     let what = format!("processor with {} threads", std::thread::available_parallelism().map_or(1, usize::from));
     let scene = scene(settings)?;
-    let options = FootageOptions {
+    let options = FrameCacheOptions {
         source: PathBuf::from("a made-up walk"),
         settings: settings.clone(),
         initial: None,
         from_s: 0.0,
         for_s: None,
     };
-    let tried = Footage::of_scene(&scene, &options, &mut |_, _| {})
+    let tried = FrameCache::of_scene(&scene, &options, &mut |_, _| {})
         .map_err(|error| error.to_string())
         .and_then(|footage| footage.try_out(settings, &mut |_| {}).map_err(|error| error.to_string()));
     let attempts = match tried {

@@ -10,7 +10,7 @@ use crate::config::Settings;
 use crate::devices::clock::{DelayError, Turn, estimate};
 use crate::geometry::Lens;
 use crate::log_input::decode;
-use crate::log_input::measurement::{self, Input};
+use crate::log_input::measurement::{self, Measurement};
 use crate::recording::read_info;
 use crate::tagging::error::ReplayError;
 use crate::tagging::input_source::{self, OpenLog};
@@ -94,14 +94,14 @@ impl Heard {
         for message in messages {
             let message = message?;
             match measurement::read(&message, &setup.topics, &setup.settings.head) {
-                Ok(Input::Imu { stamp_ns, orientation: Some(orientation), .. }) => {
+                Ok(Measurement::Imu { stamp_ns, orientation: Some(orientation), .. }) => {
                     heard.attitudes.push((stamp_ns, orientation));
                 }
-                Ok(Input::Joints { stamp_ns, pan, tilt }) => {
+                Ok(Measurement::Joints { stamp_ns, pan, tilt }) => {
                     let head = DQuat::from_rotation_z(pan.unwrap_or(0.0)) * DQuat::from_rotation_y(tilt.unwrap_or(0.0));
                     heard.heads.push((stamp_ns, head));
                 }
-                Ok(Input::Frame { stamp_ns, .. }) if frames < MAX_FRAMES => {
+                Ok(Measurement::Frame { stamp_ns, .. }) if frames < MAX_FRAMES => {
                     frames += 1;
                     let now = decode::picture_of_size(&message, size).ok().and_then(|picture| turning.small(&picture));
                     if let (Some((from_ns, before)), Some(now)) = (&last, &now)

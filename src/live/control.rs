@@ -23,11 +23,11 @@ use crate::ros2::messages::FrameTag;
 
 /// What the agent is to do, and where its answer goes.
 pub struct Order {
-    pub what: Ask,
+    pub what: ControlCommand,
     pub answer: Sender<Value>,
 }
 
-pub enum Ask {
+pub enum ControlCommand {
     Status,
     Mark(String),
     /// `base_footprint` in `map`.
@@ -148,11 +148,11 @@ fn converse(place: &Place, orders: &Sender<Order>, listeners: &Listeners) -> io:
         };
         let (word, text) = line.trim().split_once(' ').unwrap_or((line.trim(), ""));
         let what = match word {
-            "status" => Ask::Status,
-            "mark" if !text.trim().is_empty() => Ask::Mark(text.to_owned()),
-            "place" if let Some(place) = place_of(text) => Ask::Place(place),
-            "start" => Ask::Start,
-            "stop" => Ask::Stop,
+            "status" => ControlCommand::Status,
+            "mark" if !text.trim().is_empty() => ControlCommand::Mark(text.to_owned()),
+            "place" if let Some(place) = place_of(text) => ControlCommand::Place(place),
+            "start" => ControlCommand::Start,
+            "stop" => ControlCommand::Stop,
             "poses" => match place.listens() {
                 Ok(()) => return stream(asker, listeners),
                 Err(what) => return writeln!(asker, "{}", json!({ "error": what })),

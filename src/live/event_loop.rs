@@ -7,11 +7,11 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 use glam::DVec2;
 use serde_json::json;
 
-use super::control::{Ask, Control, Order};
+use super::control::{Control, ControlCommand, Order};
 use super::devices::{DeviceEvent, Devices};
 use super::messages::{Messages, Names};
-use super::notifications::Told;
-use super::port_events::PortNews;
+use super::notifications::Announced;
+use super::port_events::PortUpdate;
 use super::rates::Meters;
 use super::status::{CoverageStatus, Status};
 use super::watchdog::{Rounds, Watchdog};
@@ -25,7 +25,7 @@ use crate::log_input::synchroniser::Expected;
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::FrameTag;
 use crate::tagging::dead_reckoning::NO_FRAME;
-use crate::tagging::inter_session::Between;
+use crate::tagging::inter_session::IdleOdometry;
 use crate::tagging::pipeline::Pipeline;
 
 /// So long the ports are listened to before a session begins: clocks settle, and what the robot measures is known.
@@ -46,7 +46,7 @@ pub(super) struct Agent<'a> {
     pub(super) messages: Messages,
     pub(super) session: Option<Pipeline>,
     /// After a session, until the next one.
-    pub(super) between: Option<Between>,
+    pub(super) between: Option<IdleOdometry>,
     /// From the field's centre to the carpet's edge, once a session has begun.
     pub(super) carpet_half_m: Option<DVec2>,
     /// A session, whether it still is or not.
@@ -58,7 +58,7 @@ pub(super) struct Agent<'a> {
     pub(super) last_log_ns: i64,
     pub(super) noted_ns: i64,
     pub(super) watchdog: Watchdog,
-    pub(super) told: Told,
+    pub(super) told: Announced,
     /// What was left of earlier sessions, as it is found.
     pub(super) repairs: Receiver<String>,
 }
@@ -92,7 +92,7 @@ impl<'a> Agent<'a> {
             last_log_ns: i64::MIN,
             noted_ns: i64::MIN,
             watchdog: Watchdog::default(),
-            told: Told::default(),
+            told: Announced::default(),
             repairs,
         }
     }
@@ -211,7 +211,7 @@ impl<'a> Agent<'a> {
                 }
             }
             PortEvent::Status(line) => {
-                for PortNews { event, said } in self.status.port(device).counted(line) {
+                for PortUpdate { event, said } in self.status.port(device).counted(line) {
                     say(&format!("{device}: {said}"));
                     self.note("serial", event, &format!("{device}: {said}"))?;
                 }
@@ -232,19 +232,19 @@ impl<'a> Agent<'a> {
 
     fn obey(&mut self, order: Order, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
         let done = match order.what {
-            Ask::Status => {
+            ControlCommand::Status => {
                 self.refresh();
                 let grid = self.session.as_ref().map(|session| session.coverage().clone());
                 self.status.coverage = grid.map(|grid| CoverageStatus { map: grid.text(), grid });
                 Ok(json!(self.status))
             }
-            Ask::Mark(_) if self.session.is_none() => {
+            ControlCommand::Mark(_) if self.session.is_none() => {
                 Ok(json!({ "error": "nothing is being recorded: the mark has no place" }))
             }
-            Ask::Mark(text) => self.note("mark", "mark", &text).map(|()| json!({ "marked": text })),
-            Ask::Place(place) => self.place(&place),
-            Ask::Start => self.begin(say).map(|()| json!({ "state": self.status.state })),
-            Ask::Stop => {
+            ControlCommand::Mark(text) => self.note("mark", "mark", &text).map(|()| json!({ "marked": text })),
+            ControlCommand::Place(place) => self.place(&place),
+            ControlCommand::Start => self.begin(say).map(|()| json!({ "state": self.status.state })),
+            ControlCommand::Stop => {
                 self.end(say);
                 let Status { state, session, unfinished, .. } = &self.status;
                 Ok(json!({ "state": state, "session": session, "unfinished": unfinished }))

@@ -15,7 +15,7 @@ const STATUS_EVERY_NS: i64 = 1_000_000_000;
 
 /// What people have heard of the recorder, and when.
 #[derive(Default)]
-pub(super) struct Told {
+pub(super) struct Announced {
     at: Option<Instant>,
     recorder: RecorderStatus,
     /// Why no frame is passed on to others.
@@ -63,7 +63,7 @@ impl Agent<'_> {
                 None => say("frames are passed on again"),
             }
         }
-        self.told = Told { at: Some(Instant::now()), recorder, not_passed_on };
+        self.told = Announced { at: Some(Instant::now()), recorder, not_passed_on };
     }
 
     pub(super) fn note(&mut self, about: &str, what: &str, said: &str) -> Result<(), RecordError> {

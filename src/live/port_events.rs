@@ -45,7 +45,7 @@ impl Port {
     }
 
     /// Once a second, what the port has carried; what of it is news.
-    pub fn counted(&mut self, line: LineStatus) -> Vec<PortNews> {
+    pub fn counted(&mut self, line: LineStatus) -> Vec<PortUpdate> {
         let mut news = self.clocks_that_began_anew(&line);
         let last = self.trouble.take();
         let found = self.within(PATIENCE_S, &line).or_else(|| {
@@ -62,15 +62,15 @@ impl Port {
         match (&last, &self.trouble) {
             (Some(last), Some(now)) if now.is.is_like(&last.is) => {}
             (_, Some(now)) => {
-                news.push(PortNews { event: now.cause, said: format!("{}: {}", now.said, now.is.remedy()) });
+                news.push(PortUpdate { event: now.cause, said: format!("{}: {}", now.said, now.is.remedy()) });
             }
-            (Some(_), None) => news.push(PortNews { event: "recovered", said: "all is well again".to_owned() }),
+            (Some(_), None) => news.push(PortUpdate { event: "recovered", said: "all is well again".to_owned() }),
             (None, None) => {}
         }
         news
     }
 
-    fn clocks_that_began_anew(&self, now: &LineStatus) -> Vec<PortNews> {
+    fn clocks_that_began_anew(&self, now: &LineStatus) -> Vec<PortUpdate> {
         let known = self.line.iter().flat_map(|line| &line.clocks);
         let began = known.filter_map(|before| {
             let now = now.clocks.iter().find(|now| (now.sender, now.base) == (before.sender, before.base))?;
@@ -78,7 +78,7 @@ impl Port {
                 let (system, component) = (now.sender.system, now.sender.component);
                 let said =
                     format!("the clock of {system}.{component} has jumped: it was set, or its device has started anew");
-                PortNews { event: "clock_jump", said }
+                PortUpdate { event: "clock_jump", said }
             })
         });
         began.collect()
@@ -102,7 +102,7 @@ impl Port {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct PortNews {
+pub struct PortUpdate {
     pub event: &'static str,
     pub said: String,
 }

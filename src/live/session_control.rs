@@ -5,18 +5,18 @@ use serde_json::{Value, json};
 
 use super::event_loop::Agent;
 use super::messages::{Messages, initial_pose, transforms};
-use super::notifications::Told;
+use super::notifications::Announced;
 use super::{RecordError, RecordOptions};
 use crate::geometry::{LensParameters, Pose2};
-use crate::log_input::measurement::{self, Input};
+use crate::log_input::measurement::{self, Measurement};
 use crate::log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use crate::recording::{LiveInfo, Writing, robot_id};
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{CameraInfo, Header, TFMessage};
-use crate::tagging::log_scan::Prelude;
+use crate::tagging::log_scan::StreamInfo;
 use crate::tagging::pipeline::{Pipeline, Recorded, Recording};
 use crate::tagging::setup::{Setup, SetupError};
-use crate::tagging::warm_start::{Start, last_state};
+use crate::tagging::warm_start::{InitialState, last_state};
 use crate::tagging::warnings::AttitudeSource;
 
 /// Tags between the pipeline and whoever wants poses.
@@ -61,7 +61,7 @@ impl Agent<'_> {
             tags: Some(send),
             writing: Writing::Behind { bytes_per_s },
         };
-        self.session = Some(Pipeline::new(setup, Start { warm, ..Start::default() }, recording));
+        self.session = Some(Pipeline::new(setup, InitialState { warm, ..InitialState::default() }, recording));
         self.tags = Some(tags);
         self.status.state = "recording";
         let [transforms, info] = constants;
@@ -70,7 +70,7 @@ impl Agent<'_> {
         if let Some(initial) = self.options.initial.as_ref().filter(|_| is_first) {
             self.tell_place(initial)?;
         }
-        self.told = Told::default();
+        self.told = Announced::default();
         Ok(())
     }
 
@@ -141,12 +141,12 @@ pub(super) fn setup(
     let constants = messages.message(&topics.tf_static, true, &constants);
     let calibration = messages.message(&topics.camera_info, true, &info);
     let mut synchroniser = Synchroniser::new(settings.frames.clone(), SynchroniserState::default());
-    if let Ok(input @ Input::Transforms { .. }) = measurement::read(&constants, &topics, &settings.head) {
+    if let Ok(input @ Measurement::Transforms { .. }) = measurement::read(&constants, &topics, &settings.head) {
         synchroniser.push(&constants, input);
     }
     synchroniser.check_mount(false).map_err(SetupError::from)?;
     let attitude = AttitudeSource { topic: topics.imu.clone(), all: vec![topics.imu.clone()] };
     let prelude =
-        Prelude { topics, camera_info: Some(info), synchroniser: synchroniser.state().clone(), expected, attitude };
+        StreamInfo { topics, camera_info: Some(info), synchroniser: synchroniser.state().clone(), expected, attitude };
     Ok((Setup::new(settings.clone(), prelude)?, [constants, calibration]))
 }

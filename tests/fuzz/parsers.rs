@@ -13,7 +13,7 @@ use mavlink::Message as _;
 use mavlink::dialects::common::MavMessage;
 use realitysim::config::lenses::LensWanted;
 use realitysim::config::{Settings, Topics, field_names, load_field, parse_field, parse_lens};
-use realitysim::database::{Gallery, Index, Metric, write_index};
+use realitysim::database::{ImageDatabase, Index, Metric, write_index};
 use realitysim::devices::serial::Line;
 use realitysim::evaluation::reference::Reference;
 use realitysim::evaluation::suite::Suite;
@@ -249,7 +249,7 @@ pub fn checkpoint(bytes: &[u8]) {
     let lens = Lens::new(small_lens()).expect("a lens");
     let mut tagger = Tagger::new(&settings, field, &lens, checkpoint.tagger);
     let mut synchroniser = Synchroniser::new(settings.frames.clone(), checkpoint.synchroniser);
-    let input = measurement::Input::Frame { stamp_ns: 2_000_000_000, frame_id: "camera".to_owned() };
+    let input = measurement::Measurement::Frame { stamp_ns: 2_000_000_000, frame_id: "camera".to_owned() };
     let channel = Arc::new(Channel::of::<CompressedImage>(1, &settings.topics.image, Default::default()));
     let message = LogMessage { channel, sequence: 0, log_time_ns: 1, publish_time_ns: 1, data: Vec::new() };
     synchroniser.push(&message, input);
@@ -288,5 +288,5 @@ pub fn capture(bytes: &[u8]) {
     }
     write_index(&folder.path().join("index-000001.bin"), Vec::new()).expect("written");
     let _ = (read_info(folder.path()), missing_parts(folder.path()));
-    let _ = Gallery::open(folder.path(), &Settings::default().views);
+    let _ = ImageDatabase::open(folder.path(), &Settings::default().views);
 }

@@ -6,7 +6,7 @@ use glam::DVec3;
 use realitysim::geometry::{Euler, Isometry, Lens, LensModel, LensParameters};
 use realitysim::log_input::decode::picture_of_size;
 use realitysim::scene::Renderer;
-use realitysim::vision::{Picture, Reading, Vision, VisionSettings};
+use realitysim::vision::{Picture, TableQuantity, Vision, VisionSettings};
 
 use crate::replay::support::read_log;
 
@@ -29,7 +29,7 @@ struct Statistics {
 
 fn statistics(picture: &Picture, lens: &Lens) -> Statistics {
     let settings = VisionSettings {
-        reading: Reading::Contrast,
+        reading: TableQuantity::Contrast,
         line_width_m: 0.05,
         range_m: 0.0,
         tilt_sigma_rad: 0.01,

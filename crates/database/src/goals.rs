@@ -8,7 +8,7 @@ use super::image_database::shown_by;
 use super::pixels::{colours, read_bytes};
 use super::record::Record;
 use realitysim_geometry::{Field, FieldDimensions, Lens};
-use realitysim_views::{Bars, Camera, Raster, World};
+use realitysim_views::{Camera, GoalBars, Raster, World};
 
 /// Images that are looked at, spread evenly over the source.
 const MOST_IMAGES: usize = 80;
@@ -31,14 +31,14 @@ pub(super) fn stand(
     let world = World::new(&field);
     let camera = Camera::new(&lens);
     let shows = shown_by(folder, source, &camera)?;
-    let seen_in = |record: &Record| -> Option<Bars> {
+    let seen_in = |record: &Record| -> Option<GoalBars> {
         let bytes = read_bytes(&source.file(record.file)?, record.offset, record.length).ok()?;
         let colours = colours(&bytes, record.form).ok()?;
         let raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, &shows)?;
-        Some(Bars::seen(&camera, &record.pose(), &raster, &world))
+        Some(GoalBars::seen(&camera, &record.pose(), &raster, &world))
     };
     let step = records.len().div_ceil(MOST_IMAGES).max(1);
-    let seen = records.iter().step_by(step).filter_map(seen_in).fold(Bars::default(), |sum, seen| Bars {
+    let seen = records.iter().step_by(step).filter_map(seen_in).fold(GoalBars::default(), |sum, seen| GoalBars {
         places: sum.places + seen.places,
         standing: sum.standing + seen.standing,
     });

@@ -14,18 +14,18 @@ use super::kd_tree::Metric;
 use super::masks::Masks;
 use super::pixels::colours;
 use super::record::{Form, Record};
-use super::source_selection::{Without, choose};
+use super::source_selection::{Exclusions, choose};
 use realitysim_config::ViewsSettings;
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
 use realitysim_views::{
-    Answer, Camera, Candidate, Footprint, Made, Method, Pyramid, Raster, Request, Scenery, ViewSettings, Vignetting,
-    World, check_pose, mark_moving, view,
+    Camera, Candidate, CoverageMask, Method, Provenance, Pyramid, Raster, Request, Scenery, SynthesizedView,
+    ViewSettings, Vignetting, World, check_pose, mark_moving, view,
 };
 use realitysim_vision::BodyMask;
 
 /// A database that is open. Can be shared between threads.
 #[derive(Debug)]
-pub struct Gallery {
+pub struct ImageDatabase {
     folder: PathBuf,
     catalogue: Catalogue,
     index: Index,
@@ -41,7 +41,7 @@ pub struct Gallery {
 
 /// What is asked for.
 #[derive(Clone, Debug)]
-pub struct Wanted {
+pub struct ViewQuery {
     /// `camera_link` in `map`.
     pub map_from_link: Isometry,
     pub method: Method,
@@ -56,8 +56,8 @@ pub struct Wanted {
 
 /// A view and where it came from.
 #[derive(Clone, Debug)]
-pub struct Shown {
-    pub answer: Answer,
+pub struct ViewResult {
+    pub answer: SynthesizedView,
     /// The picture's.
     pub camera: Arc<Camera>,
     /// The stored image as it was recorded, if that is the answer and it is a JPEG or PNG.
@@ -71,7 +71,7 @@ const RIM_PX: usize = 3;
 /// Images that cannot be read are passed over, but not for ever.
 const MAX_UNREADABLE: usize = 32;
 
-impl Gallery {
+impl ImageDatabase {
     /// Who changes the database takes away what nothing needs any more: whoever has read the catalogue just before reads it again.
     pub fn open(folder: &Path, settings: &ViewsSettings) -> Result<Self, DatabaseError> {
         for _ in 0..MAX_TRIES {
@@ -163,19 +163,19 @@ impl Gallery {
         self.camera(&self.index.record(nearest.first()?.number))
     }
 
-    fn choose(&self, wanted: &Wanted, without: &Without) -> Vec<Neighbour> {
+    fn choose(&self, wanted: &ViewQuery, without: &Exclusions) -> Vec<Neighbour> {
         let pose = &wanted.map_from_link;
         let Some(camera) = wanted.camera.as_ref().or_else(|| self.nearest_camera(pose)) else { return Vec::new() };
-        let footprint = Footprint::new(camera, pose, &self.world);
+        let footprint = CoverageMask::new(camera, pose, &self.world);
         choose(self, pose, &footprint, self.settings.sources, without)
     }
 
-    pub fn view(&self, wanted: &Wanted) -> Result<Shown, DatabaseError> {
+    pub fn view(&self, wanted: &ViewQuery) -> Result<ViewResult, DatabaseError> {
         if self.index.is_empty() {
             return Err(DatabaseError::Empty);
         }
         check_pose(&wanted.map_from_link)?;
-        let mut without = Without { records: wanted.without.clone(), sources: Vec::new(), files: Vec::new() };
+        let mut without = Exclusions { records: wanted.without.clone(), sources: Vec::new(), files: Vec::new() };
         let mut unreadable = Vec::new();
         loop {
             let chosen = self.choose(wanted, &without);
@@ -218,7 +218,7 @@ impl Gallery {
 
     /// The nearest image itself, if it was taken where the request is with the camera asked for. Nothing is decoded but
     /// what is handed out.
-    fn stored(&self, wanted: &Wanted, chosen: &[Neighbour]) -> Result<Option<Shown>, DatabaseError> {
+    fn stored(&self, wanted: &ViewQuery, chosen: &[Neighbour]) -> Result<Option<ViewResult>, DatabaseError> {
         for neighbour in chosen {
             let record = self.index.record(neighbour.number);
             let Some(own) = self.camera(&record) else { continue };
@@ -233,18 +233,18 @@ impl Gallery {
             };
             let candidate = self.candidate(neighbour.number, &record, own, &image);
             let answer = view(&request, &[candidate])?;
-            let stored = (answer.made == Made::Stored && record.form == Form::File).then_some(bytes);
-            return Ok(Some(Shown { answer, camera: Arc::clone(camera), stored, unreadable: Vec::new() }));
+            let stored = (answer.made == Provenance::Stored && record.form == Form::File).then_some(bytes);
+            return Ok(Some(ViewResult { answer, camera: Arc::clone(camera), stored, unreadable: Vec::new() }));
         }
         Ok(None)
     }
 
     fn make(
         &self,
-        wanted: &Wanted,
+        wanted: &ViewQuery,
         images: Vec<(usize, Result<Arc<Pyramid>, String>)>,
         unreadable: Vec<String>,
-    ) -> Result<Shown, DatabaseError> {
+    ) -> Result<ViewResult, DatabaseError> {
         let readable: Vec<(usize, Record, Arc<Pyramid>)> = images
             .into_iter()
             .filter_map(|(number, image)| Some((number, self.index.record(number), image.ok()?)))
@@ -264,13 +264,13 @@ impl Gallery {
         let answer = view(&self.request(wanted, &camera), &candidates)?;
         let camera = match (answer.made, nearest) {
             // Unchanged, whatever was asked for.
-            (Made::Nearest, Some(own)) => Arc::clone(own),
+            (Provenance::Nearest, Some(own)) => Arc::clone(own),
             _ => camera,
         };
-        Ok(Shown { answer, camera, stored: None, unreadable })
+        Ok(ViewResult { answer, camera, stored: None, unreadable })
     }
 
-    fn request<'a>(&'a self, wanted: &Wanted, camera: &'a Camera) -> Request<'a> {
+    fn request<'a>(&'a self, wanted: &ViewQuery, camera: &'a Camera) -> Request<'a> {
         Request {
             camera,
             map_from_link: wanted.map_from_link,

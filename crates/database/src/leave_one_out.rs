@@ -1,13 +1,13 @@
 //! How good a database's views are by its own images: each in turn is left out and made of the others.
 
 use super::error::DatabaseError;
-use super::image_database::{Gallery, Wanted};
+use super::image_database::{ImageDatabase, ViewQuery};
 use realitysim_views::{Method, SURE, Surface, Target, World, similarity};
 
 /// PSNR on the ground, dB, of `wanted` images spread evenly over the database; those that no other image shows are left out. Exposure is not
 /// evened out beyond what a view does by itself.
 pub fn leave_one_out(
-    gallery: &Gallery,
+    gallery: &ImageDatabase,
     wanted: usize,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Vec<f64>, DatabaseError> {
@@ -20,7 +20,7 @@ pub fn leave_one_out(
         let record = gallery.index().record(number);
         let (Some(camera), Ok(image)) = (gallery.camera(&record), gallery.image(number)) else { continue };
         let pose = record.pose();
-        let asked = Wanted {
+        let asked = ViewQuery {
             map_from_link: pose,
             method: Method::Exact,
             camera: Some(camera.clone()),

@@ -1,6 +1,6 @@
 //! The image database: images that stay where they were recorded, found by the pose of their camera.
 //!
-//! The rim around [`realitysim_views`]: files, a memory map, decoded images. [`Gallery`] answers requests; [`add`],
+//! The rim around [`realitysim_views`]: files, a memory map, decoded images. [`ImageDatabase`] answers requests; [`add`],
 //! [`remove`], [`rebuild`] and [`verify`] keep the database, which a gallery may be reading meanwhile. Formats:
 //! docs/formats.md.
 
@@ -27,7 +27,7 @@ pub use build::{Added, Checked, Stats, add, rebuild, remove, stats, verify};
 pub use catalogue::{Catalogue, Source, SourceKind, TagLimits};
 pub use coverage::{coverage, coverage_picture};
 pub use error::DatabaseError;
-pub use image_database::{Gallery, Shown, Wanted};
+pub use image_database::{ImageDatabase, ViewQuery, ViewResult};
 pub use index::{Index, Neighbour, write_index};
 pub use kd_tree::Metric;
 pub use leave_one_out::leave_one_out;

@@ -2,7 +2,7 @@
 
 /// How many of its images light each pixel.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Lit {
+pub(super) struct LitPixels {
     by: Vec<u32>,
     images: u32,
 }
@@ -15,7 +15,7 @@ const LEAST_DARK: f64 = 3.0;
 /// Of the images, so many may light a pixel where the lens draws nothing: the first one of some cameras is gray all over.
 const FLASHES: u32 = 50;
 
-impl Lit {
+impl LitPixels {
     pub(super) fn add(&mut self, rgb: &[u8]) {
         self.by.resize(rgb.len() / 3, 0);
         let (triples, _) = rgb.as_chunks::<3>();
@@ -70,7 +70,7 @@ mod tests {
         (0..WIDTH * HEIGHT).flat_map(|at| [light(at % WIDTH, at / WIDTH); 3]).collect()
     }
 
-    fn hidden(lit: &Lit) -> Vec<usize> {
+    fn hidden(lit: &LitPixels) -> Vec<usize> {
         let mask = lit.mask(WIDTH).expect("something is dark, and not all");
         (0..mask.len()).filter(|at| mask[*at] == 0).collect()
     }
@@ -83,22 +83,22 @@ mod tests {
     fn only_what_is_dark_from_the_border_inwards_is_left_out() {
         // A corner, and a bag in the middle of the picture.
         let is_dark = |u: usize, v: usize| u + v < 3 || ((4..6).contains(&u) && (2..4).contains(&v));
-        let mut lit = Lit::default();
+        let mut lit = LitPixels::default();
         lit.add(&picture(|u, v| if is_dark(u, v) { 3 } else { 90 }));
         assert_eq!(hidden(&lit), corner());
-        let mut all = Lit::default();
+        let mut all = LitPixels::default();
         all.add(&picture(|_, _| 0));
         assert_eq!(all.mask(WIDTH), None);
     }
 
     #[test]
     fn a_night_is_no_darkness_and_a_flash_no_light() {
-        let mut night = Lit::default();
+        let mut night = LitPixels::default();
         night.add(&picture(|u, v| if u + v < 3 { 1 } else { 9 }));
         assert_eq!(hidden(&night), corner());
-        let mut flash = Lit::default();
+        let mut flash = LitPixels::default();
         for image in 0..60 {
-            let mut one = Lit::default();
+            let mut one = LitPixels::default();
             one.add(&picture(|u, v| if u + v < 3 && image != 1 { 3 } else { 128 }));
             flash.join(&one);
         }

@@ -4,12 +4,12 @@ use core::cmp::Ordering;
 
 use glam::DVec3;
 
-use super::image_database::Gallery;
+use super::image_database::ImageDatabase;
 use super::index::Neighbour;
 use super::kd_tree::Metric;
 use super::record::Record;
 use realitysim_geometry::{Euler, Isometry};
-use realitysim_views::{Footprint, Seen};
+use realitysim_views::{CoverageMask, PlaceMask};
 
 /// Neighbours looked at for each image that is used.
 const LOOKED_AT: usize = 8;
@@ -35,18 +35,18 @@ const QUALITY: f64 = 0.25;
 
 /// The images that a view of this pose is made from, near and good ones first. `footprint` is of the view.
 pub(super) fn choose(
-    gallery: &Gallery,
+    gallery: &ImageDatabase,
     pose: &Isometry,
-    footprint: &Footprint,
+    footprint: &CoverageMask,
     wanted: usize,
-    without: &Without,
+    without: &Exclusions,
 ) -> Vec<Neighbour> {
     let metric = gallery.metric();
     let aside = Metric { per_direction: DIRECTION_COUNTS_ASIDE * metric.per_direction, ..metric };
     let mut near = Near { gallery, pose, footprint, ranked: Vec::new(), different: Vec::new() };
     near.look(without, pose, LOOKED_AT * wanted, &metric);
     let mut choice = near.complete(wanted);
-    let mut hopeless = Seen::default();
+    let mut hopeless = PlaceMask::default();
     for _ in 0..ASIDE {
         if footprint.share(choice.shown.with(hopeless)) >= ENOUGH {
             break;
@@ -87,16 +87,16 @@ struct Image {
 }
 
 /// What is not to be used.
-pub(super) struct Without {
+pub(super) struct Exclusions {
     pub(super) records: Vec<usize>,
     pub(super) sources: Vec<u32>,
     /// By source and number.
     pub(super) files: Vec<(u32, u32)>,
 }
 
-impl Without {
+impl Exclusions {
     /// Asks for more until enough of them may be used.
-    fn nearest(&self, gallery: &Gallery, pose: &Isometry, count: usize, by: &Metric) -> Vec<(Neighbour, Record)> {
+    fn nearest(&self, gallery: &ImageDatabase, pose: &Isometry, count: usize, by: &Metric) -> Vec<(Neighbour, Record)> {
         let mut asked = count + self.records.len();
         loop {
             let near = gallery.index().nearest(pose, asked, by);
@@ -118,24 +118,24 @@ impl Without {
 
 /// Images near a pose, and what they show of its view.
 struct Near<'a> {
-    gallery: &'a Gallery,
+    gallery: &'a ImageDatabase,
     pose: &'a Isometry,
-    footprint: &'a Footprint,
+    footprint: &'a CoverageMask,
     /// Near and good ones first.
     ranked: Vec<Image>,
     /// Those among them that do not show the same as a better one.
-    different: Vec<(Image, Seen)>,
+    different: Vec<(Image, PlaceMask)>,
 }
 
 #[derive(Default)]
 struct Choice {
     images: Vec<Image>,
-    shown: Seen,
+    shown: PlaceMask,
 }
 
 impl Near<'_> {
     /// Adds the images nearest to a pose, which need not be the one that the view is of.
-    fn look(&mut self, without: &Without, from: &Isometry, count: usize, by: &Metric) {
+    fn look(&mut self, without: &Exclusions, from: &Isometry, count: usize, by: &Metric) {
         let metric = self.gallery.metric();
         let known = self.ranked.len();
         for (neighbour, record) in without.nearest(self.gallery, from, count, by) {
@@ -167,7 +167,7 @@ impl Near<'_> {
         let Some((first, mut shown)) = self.different.first().copied() else { return Choice::default() };
         let mut images = vec![first];
         while images.len() < wanted {
-            let added = |seen: &Seen| footprint.share(seen.without(shown));
+            let added = |seen: &PlaceMask| footprint.share(seen.without(shown));
             let most = self.different.iter().map(|(_, seen)| added(seen)).fold(0.0, f64::max);
             let enough = (NEARLY_AS_MUCH * most).max(WORTHWHILE);
             let Some((image, more)) = self.different.iter().find(|(_, seen)| added(seen) >= enough) else { break };

@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use super::catalogue::{Source, SourceKind, TagLimits};
 use super::error::{DatabaseError, io};
-use super::lit_pixels::Lit;
+use super::lit_pixels::LitPixels;
 use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
 use realitysim_config::{load_lens_for_image, plain_file};
@@ -39,7 +39,7 @@ pub(super) struct Read {
     pub(super) losses: Vec<Loss>,
     /// If there is no record, why.
     pub(super) empty: Option<Loss>,
-    pub(super) lit: Lit,
+    pub(super) lit: LitPixels,
     /// What is the robot's own body, if the source says so itself.
     pub(super) bodies: Vec<BodyMask>,
 }
@@ -107,7 +107,7 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
     let lens = refined.map_or(info.lens, |refined| refined.lens);
     let topic = info.settings.topics.image.clone();
     let mut log = LogSource::with_outputs(files.clone(), Selection::topics([topic.as_str()]));
-    let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), Lit::default());
+    let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), LitPixels::default());
     let (mut other_sizes, mut images) = (0, 0_u64);
     let size = [lens.width as usize, lens.height as usize];
     loop {
@@ -217,14 +217,14 @@ fn look_at(
     batch: &mut Vec<(Record, Vec<u8>)>,
     [width, height]: [usize; 2],
     records: &mut Vec<Record>,
-    lit: &mut Lit,
+    lit: &mut LitPixels,
 ) -> Misfits {
     let threads = thread::available_parallelism().map_or(1, usize::from);
     let share = batch.len().div_ceil(threads).max(1);
     let (before, mut other_sizes) = (records.len(), 0);
     thread::scope(|scope| {
-        let look = |part: &[(Record, Vec<u8>)]| -> (Vec<Record>, Lit, u64) {
-            let (mut lit, mut others) = (Lit::default(), 0);
+        let look = |part: &[(Record, Vec<u8>)]| -> (Vec<Record>, LitPixels, u64) {
+            let (mut lit, mut others) = (LitPixels::default(), 0);
             let good = part.iter().filter_map(|(record, bytes)| {
                 let colours = colours(bytes, record.form).ok()?;
                 let (sharpness, brightness) = quality(&colours);
@@ -269,7 +269,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         }
     }
     let (mut files, mut records, mut losses, mut batch) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let (mut lens, mut left_out, mut lit) = (None, 0, Lit::default());
+    let (mut lens, mut left_out, mut lit) = (None, 0, LitPixels::default());
     for (line, text) in lines.filter(|(_, text)| !text.is_empty()) {
         let (name, pose) = row(text).map_err(|what| wrong(line, what))?;
         let file = path.join(&name);
@@ -336,7 +336,12 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
     Ok(Read { source, records, field: None, ambiguous: 0, imprecise: 0, losses, empty, lit, bodies })
 }
 
-fn finish(batch: &mut Vec<(Record, Vec<u8>)>, lens: &Option<LensParameters>, records: &mut Vec<Record>, lit: &mut Lit) {
+fn finish(
+    batch: &mut Vec<(Record, Vec<u8>)>,
+    lens: &Option<LensParameters>,
+    records: &mut Vec<Record>,
+    lit: &mut LitPixels,
+) {
     let Some(lens) = lens else { return };
     look_at(batch, [lens.width as usize, lens.height as usize], records, lit);
 }

@@ -8,7 +8,7 @@ use super::compare::Tagged;
 use realitysim_config::{HeadSettings, Topics};
 use realitysim_geometry::Isometry;
 use realitysim_log_input::log::{self, LogError, LogSource};
-use realitysim_log_input::measurement::{self, Input};
+use realitysim_log_input::measurement::{self, Measurement};
 use realitysim_log_input::topic_resolution::{self, TopicError};
 use realitysim_recording::{Readout, ReadoutError, losses, read_topic};
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
@@ -83,7 +83,8 @@ pub fn read_frame_times(path: &Path, wanted: &Topics) -> Result<Readout<i64>, Ev
     let mut found = Vec::new();
     for message in source.by_ref() {
         // One that does not say when it was taken is none for anybody.
-        if let Ok(Input::Frame { stamp_ns, .. }) = measurement::read(&message?, &topics, &HeadSettings::default()) {
+        if let Ok(Measurement::Frame { stamp_ns, .. }) = measurement::read(&message?, &topics, &HeadSettings::default())
+        {
             found.push(stamp_ns);
         }
     }

@@ -7,13 +7,13 @@ use serde::Serialize;
 
 use super::capture::tagged;
 use super::compare::{compare, truth_at, up_to_mirror};
-use super::cost::Knobs;
+use super::cost::SweepPoint;
 use super::drawing::chart::{Axis, Chart, Layer, Line, Mark, Scale};
 use super::{Summary, Tagged};
 use realitysim_geometry::Isometry;
 use realitysim_localization::Model;
 use realitysim_localization::refinement::line_measurement::Response;
-use realitysim_tagging::Attempt;
+use realitysim_tagging::Trial;
 
 /// Share of the paint that is left, from well painted to none.
 pub const PAINT: [f64; 10] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.0];
@@ -26,13 +26,14 @@ pub const WRONG_CM: f64 = 12.0;
 pub struct Variant {
     pub name: &'static str,
     #[serde(flatten)]
-    pub knobs: Knobs,
+    pub knobs: SweepPoint,
 }
 
 /// Both observation models with and without refinement, and the default model with four times the particles and twice the points.
-pub fn variants(configured: Knobs) -> [Variant; 6] {
-    let of = |model, refinement| Knobs { model, refinement, ..configured };
-    let more = |knobs: Knobs| Knobs { particles: 4 * knobs.particles, line_points: 2 * knobs.line_points, ..knobs };
+pub fn variants(configured: SweepPoint) -> [Variant; 6] {
+    let of = |model, refinement| SweepPoint { model, refinement, ..configured };
+    let more =
+        |knobs: SweepPoint| SweepPoint { particles: 4 * knobs.particles, line_points: 2 * knobs.line_points, ..knobs };
     let (gauss, plain) = (of(Model::Gauss, true), of(Model::Gauss, false));
     [
         Variant { name: "gauss, refined", knobs: gauss },
@@ -119,7 +120,7 @@ pub struct Quality {
 }
 
 impl Quality {
-    pub fn of(run: &[Attempt], truth: &[(i64, Isometry)]) -> Self {
+    pub fn of(run: &[Trial], truth: &[(i64, Isometry)]) -> Self {
         let tags: Vec<Tagged> = run.iter().map(|attempt| tagged(&attempt.tag)).collect();
         let tags = up_to_mirror(&tags, truth);
         let is_wrong = |tag: &&Tagged| {
@@ -187,11 +188,11 @@ mod tests {
     use realitysim_config::Settings;
     use realitysim_ros2::messages::{FrameTag, Stamp};
 
-    fn attempt(frame: i64, x: f64, valid: bool) -> Attempt {
+    fn attempt(frame: i64, x: f64, valid: bool) -> Trial {
         let mut tag = FrameTag { valid, ..FrameTag::default() };
         tag.header.stamp = Stamp::from_nanoseconds(frame * 100_000_000);
         (tag.pose.pose.position.x, tag.pose.pose.orientation.w) = (x, 1.0);
-        Attempt { tag, seen: true }
+        Trial { tag, seen: true }
     }
 
     #[test]
@@ -223,7 +224,7 @@ mod tests {
 
     #[test]
     fn both_charts_show_every_variant() {
-        let variants = variants(Knobs::of(&Settings::default()));
+        let variants = variants(SweepPoint::of(&Settings::default()));
         let quality = Quality { frames: 10, valid: 5, position_cm: Summary::of(&[1.0]), ..Quality::default() };
         let steps = [4.0, 1.0, 0.0].map(|contrast_to_noise| Step {
             paint: 0.5,

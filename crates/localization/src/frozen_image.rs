@@ -2,12 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::localizer::{Moment, SWAYS_RAD_PER_S};
+use super::localizer::{FrameSensors, SWAYS_RAD_PER_S};
 use realitysim_geometry::{Physical, Pose2, wrap_angle};
 
 /// The last picture that was another one than that before it, and how far the robot has moved since.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Frozen {
+pub struct FrozenImageDetector {
     fingerprint: Option<u64>,
     /// Of the frame before.
     stamp_ns: i64,
@@ -17,7 +17,7 @@ pub struct Frozen {
     swayed_rad: f64,
 }
 
-impl Physical for Frozen {
+impl Physical for FrozenImageDetector {
     fn is_possible(&self) -> bool {
         let moved = [self.walked_m, self.turned_rad, self.swayed_rad];
         self.odometry.is_possible() && moved.iter().all(|moved| moved.is_finite())
@@ -33,9 +33,9 @@ const TURNS_RAD_PER_S: f64 = 0.05;
 /// Odometry that goes farther from one frame to the next has jumped.
 const LONGEST_STEP_M: f64 = 0.3;
 
-impl Frozen {
+impl FrozenImageDetector {
     /// Whether this picture cannot be of this moment.
-    pub fn judge(&mut self, moment: &Moment, fingerprint: u64) -> bool {
+    pub fn judge(&mut self, moment: &FrameSensors, fingerprint: u64) -> bool {
         let before = core::mem::replace(&mut self.odometry, moment.odometry);
         let seconds =
             moment.stamp_ns.saturating_sub(core::mem::replace(&mut self.stamp_ns, moment.stamp_ns)) as f64 * 1e-9;
@@ -60,8 +60,8 @@ impl Frozen {
 mod tests {
     use super::*;
 
-    fn moment(frame: u32, x: f64, turned_rad: f64, swayed_rad: f64) -> Moment {
-        Moment {
+    fn moment(frame: u32, x: f64, turned_rad: f64, swayed_rad: f64) -> FrameSensors {
+        FrameSensors {
             stamp_ns: i64::from(frame) * 33_000_000,
             odometry: Some(Pose2::new(x, 0.0, 0.0)),
             turned_rad: Some(turned_rad),
@@ -78,7 +78,7 @@ mod tests {
     #[test]
     fn a_picture_that_comes_again_is_old_once_the_robot_has_moved() {
         for (step_m, turned_rad, swayed_rad) in [(0.004, 0.0, 0.0), (0.0, 0.004, 0.0), (0.0, 0.0, 0.008)] {
-            let mut frozen = Frozen::default();
+            let mut frozen = FrozenImageDetector::default();
             let mut judge = |frame: u32, picture| {
                 frozen.judge(&moment(frame, f64::from(frame) * step_m, turned_rad, swayed_rad), picture)
             };
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn who_stands_may_see_the_same_and_a_jump_of_odometry_is_no_walk() {
-        let mut frozen = Frozen::default();
+        let mut frozen = FrozenImageDetector::default();
         assert!((0..1000).all(|frame| !frozen.judge(&moment(frame, 0.0, 3e-4, 1e-3), 7)));
         assert!(!frozen.judge(&moment(1000, 100.0, 0.0, 0.0), 7));
         assert!(!frozen.judge(&moment(1001, f64::NAN, f64::NAN, 0.0), 7));

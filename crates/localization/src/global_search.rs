@@ -20,7 +20,7 @@ pub struct Candidate {
 
 /// Looks for a robot on one field.
 #[derive(Clone, Debug)]
-pub struct Search {
+pub struct GlobalSearch {
     /// In an order in which any part of them covers the field evenly.
     places: Vec<[f64; 2]>,
     /// Fewer line points: enough to tell where it is worth looking closer.
@@ -58,7 +58,7 @@ pub enum Pace {
 
 /// What a search is to find, and how fast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Wanted {
+pub struct SearchRequest {
     /// So many of the best poses.
     pub candidates: usize,
     pub pace: Pace,
@@ -124,7 +124,7 @@ const AROUND_TURNS: i32 = 5;
 const CLIMB: (f64, f64) = (0.05, 0.026);
 const HALVINGS: usize = 8;
 
-impl Search {
+impl GlobalSearch {
     /// Over the carpet and `margin_m` around it. A field looks the same from both goals: each pose stands for its
     /// mirror pose as well.
     pub fn new(field: &Field, margin_m: f64, observation: &Observation) -> Self {
@@ -144,7 +144,7 @@ impl Search {
         &mut self,
         observation: &Observation,
         table: &GroundTable,
-        Wanted { candidates, pace }: Wanted,
+        SearchRequest { candidates, pace }: SearchRequest,
         state: &mut SearchState,
         effort: &mut Effort,
         may_go_on: &mut MayGoOn,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use realitysim_geometry::{Physical, Pose2, wrap_angle};
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Known {
+pub struct LastKnownPose {
     pose: Pose2,
     /// For how long neither a gyro nor lines have followed its turns, seconds: whoever fell, or was carried, may have been turned
     /// round.
@@ -31,7 +31,7 @@ const LONGEST_UNFOLLOWED_S: f64 = 1.0;
 const WALKS_M_PER_S: f64 = 0.4;
 const TURNS_RAD_PER_S: f64 = 0.25;
 
-impl Physical for Known {
+impl Physical for LastKnownPose {
     fn is_possible(&self) -> bool {
         let Self { pose, unfollowed_s, has_fallen: _, sigma_m, away_s } = self;
         // It may never have been followed: infinitely long.
@@ -39,7 +39,7 @@ impl Physical for Known {
     }
 }
 
-impl Known {
+impl LastKnownPose {
     /// By lines.
     pub fn at(pose: Pose2) -> Self {
         Self::told(pose, 0.0)
@@ -112,7 +112,7 @@ mod tests {
     fn who_gets_up_where_it_fell_is_in_its_half_and_who_may_have_been_turned_or_carried_in_either() {
         let at = Pose2::new(0.1, -0.2, 1.0);
         let fell = |by_gyro: bool| {
-            let mut known = Known::at(at);
+            let mut known = LastKnownPose::at(at);
             known.carry_on(&Pose2::new(0.0, 0.0, 2.5), 1.5, by_gyro);
             known.fell();
             known
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn who_is_elsewhere_at_once_without_a_fall_may_be_in_either_half() {
-        let known = Known::at(Pose2::default());
+        let known = LastKnownPose::at(Pose2::default());
         assert!(known.leads_to(&Pose2::new(0.2, 0.1, 0.15)), "it stumbled");
         for put in [Pose2::new(0.3, 0.2, 0.0), Pose2::new(0.1, 0.0, 0.3)] {
             let mut fallen = known;
@@ -137,10 +137,10 @@ mod tests {
 
     #[test]
     fn whose_turns_neither_gyro_nor_lines_have_followed_for_a_second_may_be_in_either_half() {
-        let walks = |known: &mut Known, by_gyro: bool| {
+        let walks = |known: &mut LastKnownPose, by_gyro: bool| {
             (0..12).for_each(|_| known.carry_on(&Pose2::default(), 0.1, by_gyro));
         };
-        let mut known = Known::at(Pose2::default());
+        let mut known = LastKnownPose::at(Pose2::default());
         walks(&mut known, true);
         assert!(!known.may_be_mirrored() && known.leads_to(&Pose2::default()));
         walks(&mut known, false);
@@ -152,17 +152,20 @@ mod tests {
 
     #[test]
     fn a_place_that_was_told_holds_without_a_gyro_until_lines_say_more() {
-        let mut known = Known::told(Pose2::default(), 0.15);
+        let mut known = LastKnownPose::told(Pose2::default(), 0.15);
         known.carry_on(&Pose2::new(0.1, 0.0, 0.1), 3.0, false);
         assert!(!known.may_be_mirrored());
         assert!(known.leads_to(&Pose2::new(0.3, 0.1, 0.3)));
         assert!(!known.is_far_from(&Pose2::new(0.6, 0.2, 0.0)) && known.is_far_from(&Pose2::new(0.8, 0.0, 0.0)));
-        assert!(!Known::told(Pose2::default(), 0.5).is_far_from(&Pose2::new(1.4, 0.0, 0.0)), "it was told less well");
+        assert!(
+            !LastKnownPose::told(Pose2::default(), 0.5).is_far_from(&Pose2::new(1.4, 0.0, 0.0)),
+            "it was told less well"
+        );
     }
 
     #[test]
     fn the_longer_nobody_counts_the_farther_it_may_be_and_never_the_other_way_round() {
-        let mut known = Known::at(Pose2::default());
+        let mut known = LastKnownPose::at(Pose2::default());
         known.was_away(3.0);
         assert!(known.leads_to(&Pose2::new(1.2, 0.9, -0.7)));
         assert!(!known.leads_to(&Pose2::new(2.0, 0.0, 0.0)));

@@ -6,11 +6,11 @@
 use glam::{DVec2, DVec3};
 
 use realitysim_geometry::{Field, Isometry, Lens};
-use realitysim_vision::{GroundTable, Ridge, Seen, WorkingScale};
+use realitysim_vision::{GroundTable, Observations, Ridge, WorkingScale};
 
 /// Distance from any place of the carpet to the nearest painted line.
 #[derive(Clone, Debug)]
-pub struct PaintedMap {
+pub struct LineDistanceMap {
     /// Millimetres over ten, row by row from the corner of least x and y.
     distances: Vec<u8>,
     columns: usize,
@@ -23,7 +23,7 @@ pub struct PaintedMap {
 
 /// Of the places that show a line clearly.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Explained {
+pub struct ExplainedLines {
     /// Square metres, each counted by its certainty.
     pub shown_m2: f64,
     /// Share of these that lie on or beside a painted line, 0 to 1, as if a metre of line more had been explained: one
@@ -31,7 +31,7 @@ pub struct Explained {
     pub share: f64,
 }
 
-impl Default for Explained {
+impl Default for ExplainedLines {
     /// Nothing is seen.
     fn default() -> Self {
         Self { shown_m2: 0.0, share: 1.0 }
@@ -55,7 +55,7 @@ const BESIDE_PX: f64 = 1.5;
 /// Line in a picture, in pixels, that is as good as explained.
 const BELIEVED_PX: f64 = 10.0;
 
-impl PaintedMap {
+impl LineDistanceMap {
     pub fn new(field: &Field) -> Self {
         let corner = -field.carpet_half_extent() - DVec2::splat(MARGIN_M);
         let cells = |half: f64| libm::ceil(-2.0 * half / CELL_M) as usize + 1;
@@ -91,14 +91,14 @@ impl PaintedMap {
         lines: &GroundTable,
         footprint_from_optical: &Isometry,
         map_from_optical: &Isometry,
-    ) -> Explained {
+    ) -> ExplainedLines {
         let (mut shown, mut explained) = (0.0, 0.0);
         self.each_shown(lines, footprint_from_optical, map_from_optical, |_, weight, is_painted| {
             shown += weight;
             explained += if is_painted { weight } else { 0.0 };
         });
         let m2 = lines.clear_line_m2();
-        Explained { shown_m2: shown * m2, share: (explained * m2 + BELIEVED_M2) / (shown * m2 + BELIEVED_M2) }
+        ExplainedLines { shown_m2: shown * m2, share: (explained * m2 + BELIEVED_M2) / (shown * m2 + BELIEVED_M2) }
     }
 
     /// Of the lines that a picture shows at any distance, the share that is painted where the pose `map_from_optical` puts them, each counted by its
@@ -106,7 +106,7 @@ impl PaintedMap {
     /// `lens` at `footprint_from_optical`.
     pub fn explained_in_view(
         &self,
-        seen: &Seen,
+        seen: &Observations,
         lens: &Lens,
         footprint_from_optical: &Isometry,
         map_from_optical: &Isometry,
@@ -236,7 +236,7 @@ mod tests {
 
     #[test]
     fn every_line_in_view_is_explained_by_the_right_pose_and_few_by_a_wrong_one() {
-        let painted = PaintedMap::new(&field());
+        let painted = LineDistanceMap::new(&field());
         let share = |ridges: &[Ridge], at| painted.share_of(ridges, &lens(), WorkingScale::new(1), &at);
         for (x, y, yaw) in [(0.5, 0.3, 0.2), (-2.0, 1.0, 2.5), (3.0, -1.5, 0.4)] {
             let ridges = seen_from(&camera(x, y, yaw));
@@ -251,7 +251,7 @@ mod tests {
 
     #[test]
     fn what_lies_above_the_horizon_is_not_explained_and_nothing_seen_speaks_against_nothing() {
-        let painted = PaintedMap::new(&field());
+        let painted = LineDistanceMap::new(&field());
         let share = |ridges: &[Ridge]| painted.share_of(ridges, &lens(), WorkingScale::new(1), &camera(0.0, 0.0, 0.0));
         assert_eq!(share(&[]), 1.0);
         let sky = Ridge { pixel: DVec2::new(320.0, 10.0), length_px: BELIEVED_PX };
@@ -283,7 +283,7 @@ mod tests {
     #[test]
     fn a_goal_s_bars_speak_for_and_against_nothing() {
         let field = Field::new(load_field("kid-2020").expect("shipped")).expect("checked");
-        let painted = PaintedMap::new(&field);
+        let painted = LineDistanceMap::new(&field);
         let goal = field.dimensions().goal.expect("kid-2020 has goals");
         let (line_x, half_m) = (field.dimensions().length_m / 2.0, goal.width_m / 2.0);
         for side in [1.0, -1.0] {

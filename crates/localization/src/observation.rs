@@ -16,15 +16,15 @@ pub use super::kernel::SimdPath;
 use super::kernel::{self, Points};
 pub use super::observation_model::{Formula, Model};
 use realitysim_geometry::{Field, Pose2, wrap_angle};
-use realitysim_vision::{GroundTable, Reading};
+use realitysim_vision::{GroundTable, TableQuantity};
 
 /// What the ground table must hold for this model.
-pub fn reading(model: Model, formula: Formula) -> Reading {
+pub fn reading(model: Model, formula: Formula) -> TableQuantity {
     match (model, formula) {
-        (Model::Gauss, Formula::Corrected) => Reading::Contrast,
-        (Model::Distance, Formula::Corrected) => Reading::Nearest,
-        (Model::Gauss, Formula::Paper) => Reading::Gray,
-        (Model::Distance, Formula::Paper) => Reading::NearestPixel,
+        (Model::Gauss, Formula::Corrected) => TableQuantity::Contrast,
+        (Model::Distance, Formula::Corrected) => TableQuantity::Nearest,
+        (Model::Gauss, Formula::Paper) => TableQuantity::Gray,
+        (Model::Distance, Formula::Paper) => TableQuantity::NearestPixel,
     }
 }
 
@@ -183,7 +183,7 @@ impl Observation {
         kernel::sum_levels(self.path, table, &self.points, pose) * (table.readings().scale * self.scale)
     }
 
-    /// `lines` must hold [`Reading::Contrast`].
+    /// `lines` must hold [`TableQuantity::Contrast`].
     pub fn support(&self, lines: &GroundTable, pose: &Pose2) -> Support {
         let readings = lines.readings();
         let robot_from_map = pose.inverse().to_affine();

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use realitysim_geometry::Physical;
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SecondLook {
+pub struct RelocalizationTrigger {
     /// Of the line places expected those that fit, over about [`MEAN_S`].
     share: Option<f64>,
     /// As if all lines were clear: where they are faint, of those that are there fewer fit.
@@ -49,7 +49,7 @@ const OWED_IF_PUT: u32 = 5;
 /// Between looks that are owed.
 const PAUSE_IF_OWED_S: f64 = 0.4;
 
-impl Default for SecondLook {
+impl Default for RelocalizationTrigger {
     fn default() -> Self {
         Self {
             share: None,
@@ -65,7 +65,7 @@ impl Default for SecondLook {
     }
 }
 
-impl Physical for SecondLook {
+impl Physical for RelocalizationTrigger {
     fn is_possible(&self) -> bool {
         let times = [self.waited_s, self.pause_s, self.doubted_s];
         self.share.is_possible()
@@ -76,7 +76,7 @@ impl Physical for SecondLook {
     }
 }
 
-impl SecondLook {
+impl RelocalizationTrigger {
     /// At a pose that was found by search.
     pub fn found() -> Self {
         Self { owed: OWED_IF_FOUND, ..Self::default() }
@@ -151,7 +151,12 @@ mod tests {
     use super::*;
 
     /// When looks are due, in seconds, at 10 Hz.
-    fn looks(mut look: SecondLook, seconds: f64, share: impl Fn(f64) -> Option<f64>, doubted: bool) -> Vec<f64> {
+    fn looks(
+        mut look: RelocalizationTrigger,
+        seconds: f64,
+        share: impl Fn(f64) -> Option<f64>,
+        doubted: bool,
+    ) -> Vec<f64> {
         let mut due = Vec::new();
         for frame in 1..=(seconds * 10.0) as u32 {
             let at = f64::from(frame) / 10.0;
@@ -166,27 +171,28 @@ mod tests {
 
     #[test]
     fn a_pose_whose_lines_are_there_is_left_alone() {
-        assert_eq!(looks(SecondLook::default(), 60.0, |_| Some(0.95), false), [0.0; 0]);
+        assert_eq!(looks(RelocalizationTrigger::default(), 60.0, |_| Some(0.95), false), [0.0; 0]);
     }
 
     #[test]
     fn a_pose_that_was_found_is_tried_three_times() {
-        let looks = looks(SecondLook::found(), 60.0, |_| Some(0.95), false);
+        let looks = looks(RelocalizationTrigger::found(), 60.0, |_| Some(0.95), false);
         assert!(looks.len() == 3 && looks[2] < 1.5, "{looks:?}");
     }
 
     #[test]
     fn missing_lines_are_looked_into_ever_more_rarely_until_more_are_missing() {
-        let crowd = looks(SecondLook::default(), 60.0, |_| Some(0.75), false);
+        let crowd = looks(RelocalizationTrigger::default(), 60.0, |_| Some(0.75), false);
         assert!(crowd.len() <= 6 && crowd[0] <= 1.1, "{crowd:?}");
-        let carried = looks(SecondLook::default(), 60.0, |at| Some(if at < 40.0 { 0.8 } else { 0.55 }), false);
+        let carried =
+            looks(RelocalizationTrigger::default(), 60.0, |at| Some(if at < 40.0 { 0.8 } else { 0.55 }), false);
         assert!(carried.iter().any(|at| (40.0..41.2).contains(at)), "{carried:?}");
     }
 
     #[test]
     fn a_frame_as_of_a_robot_that_was_put_elsewhere_is_looked_into_at_once_and_again() {
         let put = |share: f64, surprised: bool| {
-            let mut look = SecondLook::default();
+            let mut look = RelocalizationTrigger::default();
             (0..30).for_each(|_| look.note(0.1, Some([0.98; 2]), false, false));
             look.note(0.1, Some([share; 2]), false, surprised);
             (look.is_due() && look.is_urgent(), look)
@@ -199,7 +205,7 @@ mod tests {
     #[test]
     fn who_may_have_been_put_elsewhere_is_doubted_until_lines_are_back_or_nothing_better_was_found() {
         let put = || {
-            let mut look = SecondLook::default();
+            let mut look = RelocalizationTrigger::default();
             (0..30).for_each(|_| look.note(0.1, Some([0.98; 2]), false, false));
             assert!(!look.may_be_elsewhere());
             look.note(0.1, Some([0.86; 2]), false, true);
@@ -222,6 +228,6 @@ mod tests {
 
     #[test]
     fn frames_that_show_nothing_are_looked_into_as_well() {
-        assert!(looks(SecondLook::default(), 3.0, |_| None, true)[0] <= 1.6);
+        assert!(looks(RelocalizationTrigger::default(), 3.0, |_| None, true)[0] <= 1.6);
     }
 }

@@ -4,9 +4,9 @@ use glam::DVec3;
 use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
-use super::localizer::{Fix, Moment};
+use super::localizer::{Fix, FrameSensors};
 use super::refinement::Agreement;
-use super::relocalization_trigger::SecondLook;
+use super::relocalization_trigger::RelocalizationTrigger;
 use realitysim_geometry::{Field, Isometry, Physical, Pose2, longest_axis, wrap_angle};
 
 /// What a pose needs to be believed.
@@ -56,7 +56,7 @@ pub struct Standing {
     found_again: u32,
     /// Looks in a row, from wherever, that had no better pose to offer.
     in_a_row: u32,
-    second_look: SecondLook,
+    second_look: RelocalizationTrigger,
     /// Poses of late that were found or told, and that the next frames contradicted: see [`CONFIRMATIONS`].
     refuted: f64,
     /// For how long the pose has been confirmed, seconds.
@@ -231,7 +231,7 @@ impl Standing {
 
     /// A pose that was found by search.
     pub fn found(&mut self) {
-        let (confidence, second_look) = (Confidence::Unconfirmed(self.confirmations()), SecondLook::found());
+        let (confidence, second_look) = (Confidence::Unconfirmed(self.confirmations()), RelocalizationTrigger::found());
         *self = Self { confidence, second_look, ..self.remembered() };
     }
 
@@ -311,7 +311,7 @@ impl Standing {
     }
 
     /// Why the pose is not to be used, and what that means for the next frames; `seconds` since the last one.
-    pub fn judge(&mut self, rules: &Rules, moment: &Moment, fix: &Fix, seconds: f64) -> Option<&'static str> {
+    pub fn judge(&mut self, rules: &Rules, moment: &FrameSensors, fix: &Fix, seconds: f64) -> Option<&'static str> {
         if fix.agreement.fitting >= MANY && fix.explained.share >= WELL_EXPLAINED {
             self.has_explained = true;
         }
@@ -389,14 +389,14 @@ impl Standing {
         }
     }
 
-    fn complaint(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
+    fn complaint(&self, rules: &Rules, moment: &FrameSensors, fix: &Fix) -> Option<&'static str> {
         held(self.confidence != Confidence::Nowhere, "pose_unknown")
             .or_else(|| held(!moment.stale || rules.random_walk, "sensors_stale"))
             .or_else(|| held(moment.odometry.is_some() || rules.random_walk, "no_odometry"))
             .or_else(|| self.complaint_of_lines(rules, moment, fix))
     }
 
-    fn complaint_of_lines(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> Option<&'static str> {
+    fn complaint_of_lines(&self, rules: &Rules, moment: &FrameSensors, fix: &Fix) -> Option<&'static str> {
         let Validity { share, points, spread_m, refined_m, explained } = *rules.valid;
         let half = rules.field.carpet_half_extent();
         let at = fix.map_from_optical.translation;
@@ -424,7 +424,7 @@ impl Standing {
     }
 
     /// All says that the lines in view are those of the confirmed pose, even where nothing else is known.
-    pub fn is_in_view(&self, rules: &Rules, moment: &Moment, fix: &Fix) -> bool {
+    pub fn is_in_view(&self, rules: &Rules, moment: &FrameSensors, fix: &Fix) -> bool {
         let holds_fast = (self.holds_fast(fix) && !fix.surprised) || !rules.refinement;
         self.is_tracking() && holds_fast && self.complaint_of_lines(rules, moment, fix).is_none()
     }
@@ -485,7 +485,7 @@ impl Standing {
         }
     }
 
-    fn agreed_lately(&self, moment: &Moment) -> bool {
+    fn agreed_lately(&self, moment: &FrameSensors) -> bool {
         self.agreed_ns.is_some_and(|then| moment.stamp_ns.saturating_sub(then) <= LONGEST_COAST_NS)
     }
 }
@@ -524,7 +524,7 @@ fn share_of(part: f64, least: f64) -> f64 {
 }
 
 /// The camera is where IMU, joints and mount put that of a robot that stands: by its height and tilt.
-pub fn stands(moment: &Moment, map_from_optical: &Isometry) -> bool {
+pub fn stands(moment: &FrameSensors, map_from_optical: &Isometry) -> bool {
     let Some(place) = moment.footprint_from_optical else { return true };
     let down = |pose: &Isometry| pose.rotation.conjugate() * DVec3::NEG_Z;
     let (nominal, found) = (down(&place), down(map_from_optical));
@@ -579,7 +579,7 @@ mod tests {
     use super::*;
     use crate::estimate::Estimate;
     use crate::filter::Effort;
-    use crate::line_distance_map::Explained;
+    use crate::line_distance_map::ExplainedLines;
     use crate::observation::Support;
     use realitysim_config::load_field;
 
@@ -669,7 +669,7 @@ mod tests {
                 foremost: 1.0,
                 half_seen_px: 1.0,
             },
-            explained: Explained { shown_m2: 1.0, share: 1.0 },
+            explained: ExplainedLines { shown_m2: 1.0, share: 1.0 },
             explained_in_view: 1.0,
             effort: Effort::default(),
             ambiguous: false,
@@ -688,7 +688,7 @@ mod tests {
         let field = Field::new(load_field("kid-2009").expect("shipped")).expect("checked");
         let valid = Validity { share: 0.35, points: 6.0, spread_m: 0.2, refined_m: 0.15, explained: 0.5 };
         let rules = Rules { valid: &valid, field: &field, refinement: true, random_walk: false };
-        let moment = Moment {
+        let moment = FrameSensors {
             stamp_ns: 0,
             odometry: Some(Pose2::new(0.0, 0.0, 0.0)),
             turned_rad: None,

@@ -7,7 +7,7 @@ use realitysim_geometry::{Isometry, Pose2, Twist};
 
 /// What moves the camera.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Movers {
+pub(super) struct RateSources {
     /// Of the torso about its own axes, radians per second.
     pub(super) torso_rate: DVec3,
     /// `base_link` from `camera_optical_frame`, so many seconds ago.
@@ -22,8 +22,8 @@ const FASTEST_FEET_M_PER_S: f64 = 3.0;
 const FASTEST_RAD_PER_S: f64 = 15.0;
 
 /// Of `camera_optical_frame`, along its own axes. `None` if what is said cannot be.
-pub(super) fn camera_twist(now: &CameraPlace, movers: &Movers) -> Option<Twist> {
-    let Movers { torso_rate, neck: (neck, neck_s), feet: (feet, feet_s) } = *movers;
+pub(super) fn camera_twist(now: &CameraPlace, movers: &RateSources) -> Option<Twist> {
+    let RateSources { torso_rate, neck: (neck, neck_s), feet: (feet, feet_s) } = *movers;
     let optical_from_base = now.base_from_optical.rotation.conjugate();
     let optical_from_footprint = now.footprint_from_optical.rotation.conjugate();
     let neck_moved = neck.inverse() * now.base_from_optical;
@@ -92,7 +92,7 @@ mod tests {
 
         fn twist(&self) -> Option<Twist> {
             let (neck_s, feet_s) = (1e-5, 0.1);
-            let movers = Movers {
+            let movers = RateSources {
                 torso_rate: self.rolls,
                 neck: (self.base_from_optical(-neck_s), neck_s),
                 feet: (self.feet(-feet_s).inverse().compose(&self.feet(0.0)), feet_s),

@@ -14,7 +14,7 @@ use realitysim_ros2::messages::{
 
 /// A measurement, or a frame whose pixels stay in the message.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Input {
+pub enum Measurement {
     Frame {
         stamp_ns: i64,
         frame_id: String,
@@ -81,7 +81,7 @@ pub fn is_frame(channel: &Channel, topics: &Topics) -> bool {
 
 /// Reads one message. An error means that its bytes are not what its type says; a frame is one as long as it says when
 /// it was exposed.
-pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Result<Input, CdrError> {
+pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Result<Measurement, CdrError> {
     let topic = message.channel.topic.as_str();
     let data = message.data.as_slice();
     // One topic may carry several types, of which one is meant. A log that names no types is believed.
@@ -90,23 +90,23 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
     };
     if is_frame(&message.channel, topics) {
         let header = frame_header(&message.channel.type_name, data)?;
-        return Ok(Input::Frame { stamp_ns: header.stamp.to_nanoseconds(), frame_id: header.frame_id });
+        return Ok(Measurement::Frame { stamp_ns: header.stamp.to_nanoseconds(), frame_id: header.frame_id });
     }
     if is(&topics.odometry, Odometry::TYPE) {
         let odometry = Odometry::decode(data)?;
         let odom_from_footprint = Isometry::from(odometry.pose.pose);
         if !odom_from_footprint.is_possible() {
-            return Ok(Input::Impossible);
+            return Ok(Measurement::Impossible);
         }
         let odom_from_footprint = Pose2::from_isometry(&odom_from_footprint);
-        return Ok(Input::Odometry { stamp_ns: odometry.header.stamp.to_nanoseconds(), odom_from_footprint });
+        return Ok(Measurement::Odometry { stamp_ns: odometry.header.stamp.to_nanoseconds(), odom_from_footprint });
     }
     if is(&topics.imu, Imu::TYPE) {
         let imu = Imu::decode(data)?;
         // A quaternion of zeros is how drivers that know no attitude leave the field.
         let measured = imu.orientation_covariance[0] != -1.0;
         let orientation = measured.then(|| DQuat::from(imu.orientation)).filter(|q| q.length_squared() != 0.0);
-        return Ok(Input::Imu {
+        return Ok(Measurement::Imu {
             stamp_ns: imu.header.stamp.to_nanoseconds(),
             frame_id: imu.header.frame_id,
             orientation,
@@ -120,7 +120,7 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
             joints.position.get(index).copied().map(settled)
         };
         let (pan, tilt) = (angle(&head.pan_joint), angle(&head.tilt_joint));
-        return Ok(Input::Joints { stamp_ns: joints.header.stamp.to_nanoseconds(), pan, tilt });
+        return Ok(Measurement::Joints { stamp_ns: joints.header.stamp.to_nanoseconds(), pan, tilt });
     }
     if is(&topics.tf, TFMessage::TYPE) || is(&topics.tf_static, TFMessage::TYPE) {
         let transforms = TFMessage::decode(data)?.transforms;
@@ -133,25 +133,25 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
                 parent_from_child: t.transform.into(),
             })
             .collect();
-        return Ok(Input::Transforms { latched: topic == topics.tf_static, transforms });
+        return Ok(Measurement::Transforms { latched: topic == topics.tf_static, transforms });
     }
     if is(&topics.initial_pose, PoseWithCovarianceStamped::TYPE) {
         let initial = PoseWithCovarianceStamped::decode(data)?;
         let pose = initial.pose.pose;
         let map_from_footprint = Isometry::from(pose);
         if !map_from_footprint.is_possible() {
-            return Ok(Input::Impossible);
+            return Ok(Measurement::Impossible);
         }
-        return Ok(Input::InitialPose {
+        return Ok(Measurement::InitialPose {
             stamp_ns: initial.header.stamp.to_nanoseconds(),
             map_from_footprint: Pose2::from_isometry(&map_from_footprint),
             deviations: StatedDeviations::of(&initial.pose.covariance),
         });
     }
     if is(&topics.camera_info, CameraInfo::TYPE) {
-        return Ok(Input::CameraInfo(Box::new(CameraInfo::decode(data)?)));
+        return Ok(Measurement::CameraInfo(Box::new(CameraInfo::decode(data)?)));
     }
-    Ok(Input::Other)
+    Ok(Measurement::Other)
 }
 
 fn frame_header(type_name: &str, data: &[u8]) -> Result<Header, CdrError> {

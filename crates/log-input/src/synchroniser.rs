@@ -8,9 +8,9 @@ use std::collections::VecDeque;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::camera_twist::{Movers, camera_twist};
+use super::camera_twist::{RateSources, camera_twist};
 use super::history::{History, Pushed, Sample};
-use super::measurement::{Input, StampedTransform, StatedDeviations};
+use super::measurement::{Measurement, StampedTransform, StatedDeviations};
 use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
 use realitysim_config::FrameNames;
 use realitysim_geometry::{Physical, Pose2, Twist};
@@ -21,13 +21,13 @@ use realitysim_ros2::mcap_read::LogMessage;
 pub struct Frame {
     pub message: LogMessage,
     pub stamp_ns: i64,
-    pub robot: RobotAt,
+    pub robot: RobotState,
     /// From when the robot's step counts.
-    pub since: Option<Since>,
+    pub since: Option<StepOrigin>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct RobotAt {
+pub struct RobotState {
     pub odometry: Option<Pose2>,
     /// The newest odometry that was used: it does not depend on how much more had arrived.
     pub odometry_until_ns: Option<i64>,
@@ -46,12 +46,12 @@ pub struct RobotAt {
     /// Announced since the last frame.
     pub initial_pose: Option<InitialPose>,
     /// From where the robot's step counts, if not from the frame before.
-    pub anchor: Option<Anchor>,
+    pub anchor: Option<OdometryOrigin>,
 }
 
 /// Where odometry had the robot at a time of which there is no frame: when its place was told, or at the beginning.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Anchor {
+pub struct OdometryOrigin {
     pub stamp_ns: i64,
     pub odometry: Pose2,
     log_time_ns: i64,
@@ -59,7 +59,7 @@ pub struct Anchor {
     begun: u32,
 }
 
-impl Anchor {
+impl OdometryOrigin {
     fn new(stamp_ns: i64, odometry: Pose2, log_time_ns: i64) -> Self {
         Self { stamp_ns, odometry, log_time_ns, begun: 0 }
     }
@@ -104,17 +104,17 @@ pub struct SynchroniserState {
     /// About the axes of the torso.
     torso_rate: History<DVec3>,
     /// Of the last frame that was popped.
-    last_frame: Option<Since>,
+    last_frame: Option<StepOrigin>,
     pan: History<f64>,
     tilt: History<f64>,
     initial_pose: Option<InitialPose>,
     /// Until the next frame.
-    anchor: Option<Anchor>,
+    anchor: Option<OdometryOrigin>,
 }
 
 /// From when the robot's step to the next frame counts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Since {
+pub struct StepOrigin {
     /// When the last frame was exposed, or, if that was later, the place told; or odometry first heard.
     pub stamp_ns: i64,
     pub log_time_ns: i64,
@@ -178,10 +178,10 @@ impl Synchroniser {
     }
 
     /// From when the robot's step to the next frame counts.
-    pub fn since(&self) -> Option<Since> {
-        let of_anchor = |anchor: Anchor| {
-            let Anchor { stamp_ns, log_time_ns, begun, .. } = anchor;
-            Since { stamp_ns, log_time_ns, interval_ns: 0, begun }
+    pub fn since(&self) -> Option<StepOrigin> {
+        let of_anchor = |anchor: OdometryOrigin| {
+            let OdometryOrigin { stamp_ns, log_time_ns, begun, .. } = anchor;
+            StepOrigin { stamp_ns, log_time_ns, interval_ns: 0, begun }
         };
         self.state.anchor.map(of_anchor).or(self.state.last_frame)
     }
@@ -214,16 +214,16 @@ impl Synchroniser {
         self.waiting.is_empty()
     }
 
-    pub fn push(&mut self, message: &LogMessage, input: Input) {
+    pub fn push(&mut self, message: &LogMessage, input: Measurement) {
         self.advance(message.log_time_ns);
         match input {
             // Heard of once, even without what is needed of them: they are there.
-            Input::Imu { .. } => self.expected.imu = false,
-            Input::Joints { .. } => self.expected.joints = false,
+            Measurement::Imu { .. } => self.expected.imu = false,
+            Measurement::Joints { .. } => self.expected.joints = false,
             _ => {}
         }
         match input {
-            Input::Frame { stamp_ns, frame_id } => {
+            Measurement::Frame { stamp_ns, frame_id } => {
                 // A log that names its optical frame otherwise is believed.
                 if !self.state.tree.knows(&self.names.camera_optical) && self.state.tree.knows(&frame_id) {
                     self.names.camera_optical = frame_id;
@@ -231,16 +231,16 @@ impl Synchroniser {
                 self.waiting_bytes += message.data.len();
                 self.waiting.push_back((message.clone(), stamp_ns));
             }
-            Input::Odometry { stamp_ns, odom_from_footprint } => {
+            Measurement::Odometry { stamp_ns, odom_from_footprint } => {
                 // Odometry of `/tf` counts no more, and may have begun elsewhere.
                 let is_first = self.state.odometry.is_empty();
                 let before = self.state.odometry().newest().map(|(_, odometry)| odometry);
                 let pushed = self.state.odometry.push(stamp_ns, odom_from_footprint);
-                let now = Anchor::new(stamp_ns, odom_from_footprint, message.log_time_ns);
+                let now = OdometryOrigin::new(stamp_ns, odom_from_footprint, message.log_time_ns);
                 self.anchor_at(now, before, is_first, pushed);
                 self.count(pushed);
             }
-            Input::Imu { stamp_ns, orientation, turn_rate, frame_id } => {
+            Measurement::Imu { stamp_ns, orientation, turn_rate, frame_id } => {
                 let imu_from_base = self.state.tree.fixed_rotation(&frame_id, &self.names.base_link);
                 // Without an attitude the torso is taken as upright.
                 let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
@@ -257,15 +257,15 @@ impl Synchroniser {
                     orientation.map(|orientation| self.state.attitude.push(stamp_ns, orientation * imu_from_base));
                 self.count_message([tilt, turn]);
             }
-            Input::Joints { stamp_ns, pan, tilt } => {
+            Measurement::Joints { stamp_ns, pan, tilt } => {
                 let pan = pan.map(|pan| self.state.pan.push(stamp_ns, pan));
                 let tilt = tilt.map(|tilt| self.state.tilt.push(stamp_ns, tilt));
                 self.count_message([pan, tilt]);
             }
-            Input::Transforms { latched, transforms } => {
+            Measurement::Transforms { latched, transforms } => {
                 self.take_transforms(latched, transforms, message.log_time_ns);
             }
-            Input::InitialPose { map_from_footprint, deviations, .. } => {
+            Measurement::InitialPose { map_from_footprint, deviations, .. } => {
                 let (xy_m, yaw_rad) = match deviations {
                     StatedDeviations::Of { xy_m, yaw_rad } => (Some(xy_m), Some(yaw_rad)),
                     StatedDeviations::None => (None, None),
@@ -276,11 +276,11 @@ impl Synchroniser {
                     }
                 };
                 self.state.initial_pose = Some(InitialPose { map_from_footprint, xy_m, yaw_rad });
-                let anchor = |(stamp_ns, odometry)| Anchor::new(stamp_ns, odometry, message.log_time_ns);
+                let anchor = |(stamp_ns, odometry)| OdometryOrigin::new(stamp_ns, odometry, message.log_time_ns);
                 self.state.anchor = self.state.odometry().newest().map(anchor);
             }
-            Input::Impossible => self.count(Pushed::Impossible),
-            Input::CameraInfo(_) | Input::Other => {}
+            Measurement::Impossible => self.count(Pushed::Impossible),
+            Measurement::CameraInfo(_) | Measurement::Other => {}
         }
     }
 
@@ -305,25 +305,25 @@ impl Synchroniser {
     }
 
     /// What the next frame is to know of the robot, if it is exposed at that time.
-    pub fn robot_next(&self, stamp_ns: i64) -> RobotAt {
+    pub fn robot_next(&self, stamp_ns: i64) -> RobotState {
         let Self { state, .. } = self;
         let since_ns = self.since().map(|since| since.stamp_ns);
-        RobotAt { initial_pose: state.initial_pose, anchor: state.anchor, ..self.robot(since_ns, stamp_ns) }
+        RobotState { initial_pose: state.initial_pose, anchor: state.anchor, ..self.robot(since_ns, stamp_ns) }
     }
 
     /// The same of a time after that of which there is no frame either: turns count from `since_ns`.
-    pub fn robot_between(&self, since_ns: i64, stamp_ns: i64) -> RobotAt {
+    pub fn robot_between(&self, since_ns: i64, stamp_ns: i64) -> RobotState {
         self.robot(Some(since_ns), stamp_ns)
     }
 
     fn has_seen(&mut self, stamp_ns: i64, log_time_ns: i64) {
         let state = &mut self.state;
         let interval_ns = state.last_frame.map_or(0, |last| stamp_ns.saturating_sub(last.stamp_ns));
-        state.last_frame = Some(Since { stamp_ns, log_time_ns, interval_ns, begun: 0 });
+        state.last_frame = Some(StepOrigin { stamp_ns, log_time_ns, interval_ns, begun: 0 });
         (state.initial_pose, state.anchor) = (None, None);
     }
 
-    fn robot(&self, since_ns: Option<i64>, stamp_ns: i64) -> RobotAt {
+    fn robot(&self, since_ns: Option<i64>, stamp_ns: i64) -> RobotState {
         let state = &self.state;
         let odometry = state.odometry();
         let attitude = state.attitude.at(stamp_ns).filter(|sample| sample.age_ns <= GONE_NS);
@@ -340,7 +340,7 @@ impl Synchroniser {
             state.tilt.at(stamp_ns).map(|s| s.age_ns),
             place.as_ref().ok().map(|place| place.age_ns),
         ];
-        RobotAt {
+        RobotState {
             odometry: step.map(|sample| sample.value),
             odometry_until_ns: odometry.until(stamp_ns),
             place,
@@ -377,7 +377,7 @@ impl Synchroniser {
         let feet = odometry(feet_ns).zip(odometry(stamp_ns)).map(|(then, now)| then.inverse().compose(&now));
         let seconds = |step_ns: i64| step_ns as f64 * 1e-9;
         let (feet, feet_s) = (feet.unwrap_or_default(), seconds(FEET_STEP_NS));
-        let movers = Movers {
+        let movers = RateSources {
             torso_rate: torso_rate.unwrap_or(DVec3::Z * (feet.yaw / feet_s)),
             neck: (neck, seconds(NECK_STEP_NS)),
             feet: (feet, feet_s),
@@ -407,7 +407,7 @@ impl Synchroniser {
                 let before = self.state.odometry_in_tf.newest().map(|(_, odometry)| odometry);
                 let pushed = self.state.odometry_in_tf.push(t.stamp_ns, odometry);
                 if self.state.odometry.is_empty() {
-                    self.anchor_at(Anchor::new(t.stamp_ns, odometry, log_time_ns), before, false, pushed);
+                    self.anchor_at(OdometryOrigin::new(t.stamp_ns, odometry, log_time_ns), before, false, pushed);
                 }
                 self.count(pushed);
             } else if latched {
@@ -421,7 +421,7 @@ impl Synchroniser {
 
     /// Takes odometry for the anchor that is still missing: nothing was heard before, or the place was told before. Where
     /// odometry begins anew, by another clock or from elsewhere, the way walked up to there stays: `before` was its last.
-    fn anchor_at(&mut self, now: Anchor, before: Option<Pose2>, begins_anew: bool, pushed: Pushed) {
+    fn anchor_at(&mut self, now: OdometryOrigin, before: Option<Pose2>, begins_anew: bool, pushed: Pushed) {
         let state = &mut self.state;
         let begins_anew = begins_anew || pushed == Pushed::ClockSetBack;
         match (state.anchor, before) {
@@ -430,7 +430,7 @@ impl Synchroniser {
             (Some(anchor), Some(before)) if begins_anew => {
                 let walked = anchor.odometry.inverse().compose(&before);
                 let since_ns = now.log_time_ns.saturating_sub(anchor.log_time_ns);
-                state.anchor = Some(Anchor {
+                state.anchor = Some(OdometryOrigin {
                     stamp_ns: now.stamp_ns.saturating_sub(since_ns),
                     odometry: now.odometry.compose(&walked.inverse()),
                     log_time_ns: anchor.log_time_ns,

@@ -10,9 +10,9 @@ use std::path::Path;
 
 /// Until it is dropped, or the process ends.
 #[derive(Debug)]
-pub struct Turn(#[expect(dead_code, reason = "the lock ends with the open file")] File);
+pub struct FolderLock(#[expect(dead_code, reason = "the lock ends with the open file")] File);
 
-impl Turn {
+impl FolderLock {
     /// Waits for it.
     pub fn in_folder(captures: &Path) -> io::Result<Self> {
         let folder = File::open(captures)?;

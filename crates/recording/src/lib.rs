@@ -45,7 +45,7 @@ pub use disk_latency::{DISK_FILE, DiskMeasured};
 pub use distinct_folders::{NotApart, is_probe, prove_apart};
 pub use error::{REMOVED, RecordingError, cannot_be_made};
 pub use folder::{Loss, missing_parts, read_info, session_holding};
-pub use folder_lock::Turn;
+pub use folder_lock::FolderLock;
 pub use identity::{Head, SessionId, robot_id};
 pub use manifest::{
     Counts, EVICTED_FILE, FORMAT_VERSION, LiveInfo, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, PoseBox,

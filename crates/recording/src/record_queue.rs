@@ -25,20 +25,20 @@ pub(super) const QUEUE_FULL: &str = "queue_full";
 
 /// Memory between agent and disk, what is written but not yet synced included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Room {
+pub(super) struct QueueLimits {
     pub frames_bytes: usize,
     pub reserve_bytes: usize,
 }
 
-pub(super) struct Shared {
+pub(super) struct RecordQueue {
     state: Mutex<State>,
     filled: Condvar,
-    room: Room,
+    room: QueueLimits,
     rounds: AtomicU64,
 }
 
 /// An entry, and when it came.
-pub(super) struct Waiting {
+pub(super) struct QueuedEntry {
     pub entry: Entry,
     pub taken: Duration,
 }
@@ -103,7 +103,7 @@ pub(super) enum Allowed {
 
 #[derive(Default)]
 struct State {
-    queue: VecDeque<Waiting>,
+    queue: VecDeque<QueuedEntry>,
     /// Held by what is queued, and by what is not yet synced.
     frames_bytes: usize,
     others_bytes: usize,
@@ -123,15 +123,15 @@ struct State {
 
 /// What the recorder's thread is to do.
 pub(super) enum Next {
-    Write(Waiting),
+    Write(QueuedEntry),
     /// Nothing came in the time given.
     Idle,
     /// Nothing will come any more.
     Closed,
 }
 
-impl Shared {
-    pub fn new(room: Room) -> Self {
+impl RecordQueue {
+    pub fn new(room: QueueLimits) -> Self {
         let status = RecorderStatus { queue_limit_bytes: room.frames_bytes + room.reserve_bytes, ..Default::default() };
         Self {
             state: Mutex::new(State { status, ..State::default() }),
@@ -158,7 +158,7 @@ impl Shared {
                 state.push_gap(taken);
             }
             state.counts.captured += u64::from(entry.is_frame());
-            state.push(Waiting { entry, taken });
+            state.push(QueuedEntry { entry, taken });
         }
         drop(state);
         self.filled.notify_one();
@@ -401,7 +401,7 @@ impl State {
         }
     }
 
-    fn push(&mut self, waiting: Waiting) {
+    fn push(&mut self, waiting: QueuedEntry) {
         self.hold(&waiting.entry);
         self.frames_queued += u64::from(waiting.entry.is_frame());
         self.queue.push_back(waiting);
@@ -473,7 +473,7 @@ impl State {
     fn push_gap(&mut self, taken: Duration) {
         if let Some(gap) = self.gap.take() {
             self.gaps_queued += 1;
-            self.push(Waiting { entry: Entry::Gap(gap), taken });
+            self.push(QueuedEntry { entry: Entry::Gap(gap), taken });
         }
     }
 }

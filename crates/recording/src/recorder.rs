@@ -18,7 +18,7 @@ use super::identity::SessionId;
 use super::manifest::{
     Counts, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
 };
-use super::record_queue::{Had, Shared, Waiting};
+use super::record_queue::{Had, QueuedEntry, RecordQueue};
 use super::segment::{Cut, Finished, Segment, Unfinished};
 use super::storage::{Appending, Storage, StoredFile, write_atomically};
 use super::sync_schedule::Pace;
@@ -39,7 +39,7 @@ pub(super) struct Plan {
 
 pub(super) struct Recorder {
     storage: Arc<dyn Storage>,
-    shared: Arc<Shared>,
+    shared: Arc<RecordQueue>,
     plan: Plan,
     folder: Option<PathBuf>,
     /// Session file and manifest are there.
@@ -85,7 +85,7 @@ enum Whereabouts {
 }
 
 struct Kept {
-    waiting: Waiting,
+    waiting: QueuedEntry,
     /// Counted when it was first written; it may be written again.
     is_counted: bool,
 }
@@ -102,7 +102,7 @@ const LEAST_UNSYNCED_BYTES: usize = 4 << 10;
 const PATIENCE: Duration = Duration::from_secs(5);
 
 impl Recorder {
-    pub fn new(storage: Arc<dyn Storage>, shared: Arc<Shared>, plan: Plan) -> Self {
+    pub fn new(storage: Arc<dyn Storage>, shared: Arc<RecordQueue>, plan: Plan) -> Self {
         let gaps = GapMessages::new(&plan.info.robot);
         let pace = Pace::new(plan.sync_interval);
         Self {
@@ -134,7 +134,7 @@ impl Recorder {
     }
 
     /// Whatever comes back, the entry is kept: [`go_on`](Self::go_on) tries again.
-    pub fn take(&mut self, waiting: Waiting) -> Result<(), RecordingError> {
+    pub fn take(&mut self, waiting: QueuedEntry) -> Result<(), RecordingError> {
         if let Entry::State(path, data) = &waiting.entry {
             let written = write_atomically(self.storage.as_ref(), path, data);
             self.shared.release(&waiting.entry);
@@ -513,7 +513,7 @@ impl Recorder {
         let entry = Entry::Gap(gap);
         self.shared.take_at_once(&entry);
         let taken = self.storage.now();
-        self.kept.push_front(Kept { waiting: Waiting { entry, taken }, is_counted: true });
+        self.kept.push_front(Kept { waiting: QueuedEntry { entry, taken }, is_counted: true });
     }
 
     fn note_cut(&mut self, cut: Cut) {

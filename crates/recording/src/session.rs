@@ -12,7 +12,7 @@ use super::entry::{Beginning, Entry, Kind};
 use super::error::RecordingError;
 use super::gap::own_channel;
 use super::manifest::{Counts, SessionInfo};
-use super::record_queue::{Room, Shared, Waiting};
+use super::record_queue::{QueueLimits, QueuedEntry, RecordQueue};
 use super::recorder::{Plan, Recorder};
 use super::status::RecorderStatus;
 use super::storage::Storage;
@@ -25,7 +25,7 @@ use realitysim_ros2::topics;
 pub struct SessionWriter {
     storage: Arc<dyn Storage>,
     settings: RecordingSettings,
-    shared: Arc<Shared>,
+    shared: Arc<RecordQueue>,
     recorder: Where,
     own: BTreeMap<&'static str, Arc<Channel>>,
     /// The latest log time when the open segment began.
@@ -70,11 +70,11 @@ impl SessionWriter {
             is_synced_from: matches!(writing, Writing::Behind { .. }),
         };
         let bytes_per_s = if let Writing::Behind { bytes_per_s } = writing { bytes_per_s } else { 0 };
-        let room = Room {
+        let room = QueueLimits {
             frames_bytes: super::disk_latency::queue_bytes(storage.as_ref(), captures, &settings, bytes_per_s),
             reserve_bytes: mebibytes(settings.reserve_mb),
         };
-        let shared = Arc::new(Shared::new(room));
+        let shared = Arc::new(RecordQueue::new(room));
         let recorder = Recorder::new(Arc::clone(&storage), Arc::clone(&shared), plan);
         let recorder = match writing {
             Writing::Here => Where::Here(Box::new(recorder)),
@@ -232,10 +232,10 @@ impl SessionWriter {
             Where::Here(recorder) => {
                 self.shared.take_at_once(&entry);
                 if let Entry::State(..) = entry {
-                    return recorder.take(Waiting { entry, taken });
+                    return recorder.take(QueuedEntry { entry, taken });
                 }
                 // Once more, into a new segment: one error must not end a session.
-                recorder.take(Waiting { entry, taken }).or_else(|_| recorder.go_on())?;
+                recorder.take(QueuedEntry { entry, taken }).or_else(|_| recorder.go_on())?;
                 recorder.sync_if_due().or_else(|_| recorder.go_on())
             }
             Where::Behind(_) => {

@@ -7,7 +7,7 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 
 use super::error::RecordingError;
-use super::record_queue::{Allowed, Next, Shared};
+use super::record_queue::{Allowed, Next, RecordQueue};
 use super::recorder::Recorder;
 pub(super) use super::retention::Limits;
 use super::retention::Retention;
@@ -15,7 +15,7 @@ use super::status::Fault;
 use super::storage::Storage;
 
 pub(super) struct Writer {
-    shared: Arc<Shared>,
+    shared: Arc<RecordQueue>,
     ended: Receiver<Result<PathBuf, RecordingError>>,
 }
 
@@ -29,7 +29,7 @@ pub const MAX_FINISH: Duration = Duration::from_secs(10);
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 impl Writer {
-    pub fn start(recorder: Recorder, shared: Arc<Shared>, storage: Arc<dyn Storage>, limits: Limits) -> Self {
+    pub fn start(recorder: Recorder, shared: Arc<RecordQueue>, storage: Arc<dyn Storage>, limits: Limits) -> Self {
         let (send, ended) = bounded(1);
         let retention = Retention::new(Arc::clone(&storage), limits);
         let run = Run { recorder, shared: Arc::clone(&shared), storage, retention, looked: None, retry: RETRY };
@@ -54,7 +54,7 @@ impl Writer {
 
 struct Run {
     recorder: Recorder,
-    shared: Arc<Shared>,
+    shared: Arc<RecordQueue>,
     storage: Arc<dyn Storage>,
     retention: Retention,
     looked: Option<Duration>,

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use glam::{DQuat, DVec3};
 
-use super::effects::{Fate, HeadMotion, ImuError, Joints, OdometryError};
+use super::effects::{DeliveryOutcome, HeadMotion, ImuError, Joints, OdometryError};
 use super::file::InitialPose;
 use super::motion::Travel;
 use super::per_frame::Changing;
@@ -117,9 +117,9 @@ impl Iterator for Events<'_> {
             self.advance(seconds(offset_ns));
             if let Some(kind) = self.event(ORDER[which], seconds(offset_ns), index) {
                 let corrupt = match self.fate(ORDER[which], index) {
-                    Fate::Whole => None,
-                    Fate::Lost => continue,
-                    Fate::Corrupt(which) => Some(which),
+                    DeliveryOutcome::Whole => None,
+                    DeliveryOutcome::Lost => continue,
+                    DeliveryOutcome::Corrupt(which) => Some(which),
                 };
                 return Some(SceneEvent { stamp_ns: START_STAMP_NS + offset_ns, kind, corrupt });
             }
@@ -139,15 +139,15 @@ impl Events<'_> {
     }
 
     /// What the wire makes of it.
-    fn fate(&self, source: Source, index: u64) -> Fate {
+    fn fate(&self, source: Source, index: u64) -> DeliveryOutcome {
         let line = match source {
-            Source::InitialPose | Source::Frame => return Fate::Whole,
+            Source::InitialPose | Source::Frame => return DeliveryOutcome::Whole,
             Source::Odometry => 1,
             Source::Imu => 2,
             Source::Joints => 3,
         };
         let seed = self.scene.file.scene.seed;
-        self.now.serial_noise.as_ref().map_or(Fate::Whole, |noise| noise.fate(seed, line, index))
+        self.now.serial_noise.as_ref().map_or(DeliveryOutcome::Whole, |noise| noise.fate(seed, line, index))
     }
 
     /// None where a sensor says nothing.

@@ -25,7 +25,7 @@ pub use file::{InitialPose, Route, SceneFile};
 pub use ranges::Drawn;
 pub use render::{Figures, Renderer};
 pub use truth::{Mount, Truth, Twist};
-pub use view_overlay::{Stage, StageError};
+pub use view_overlay::{StageError, ViewOverlay};
 
 use effects::{
     CalibrationError, CameraFault, Carrying, Crowd, ExposureHunting, ImageProcessing, Optics, SunPatches, SwayModel,
@@ -185,7 +185,7 @@ impl Scene {
         (names(on_any), names(others))
     }
 
-    /// Those that a view made of recorded images can have: [`Stage`].
+    /// Those that a view made of recorded images can have: [`ViewOverlay`].
     pub fn effects_on_views(&self) -> Vec<&'static str> {
         let figures = self.crowd.is_some().then_some("obstacles");
         figures.into_iter().chain(self.effects_on_images().0).collect()

@@ -5,11 +5,11 @@ use thiserror::Error;
 
 use super::{Figures, Scene};
 use realitysim_geometry::{Field, Lens};
-use realitysim_views::{Answer, Camera, SURE, World};
+use realitysim_views::{Camera, SURE, SynthesizedView, World};
 
 /// What a scene adds to views through one lens: its figures where they stand, then light and noise over all of it.
 #[derive(Clone, Debug)]
-pub struct Stage {
+pub struct ViewOverlay {
     scene: Scene,
     figures: Option<Figures>,
 }
@@ -24,7 +24,7 @@ pub struct StageError {
     images: String,
 }
 
-impl Stage {
+impl ViewOverlay {
     /// Without `figures` those that the scene places are left out.
     pub fn new(scene: &Scene, lens: &Lens, figures: bool) -> Self {
         let figures = if figures { Figures::new(scene, lens) } else { None };
@@ -50,7 +50,7 @@ impl Stage {
 
     /// As if the view were this frame of the scene. `camera` has the lens that the stage was made for, `world` is what
     /// the view was made with: a goal hides who stands behind it.
-    pub fn apply(&self, frame: u64, camera: &Camera, world: &World, answer: &mut Answer) {
+    pub fn apply(&self, frame: u64, camera: &Camera, world: &World, answer: &mut SynthesizedView) {
         if self.effects().is_empty() {
             return;
         }

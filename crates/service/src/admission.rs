@@ -7,9 +7,9 @@ use hyper::StatusCode;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::timeout;
 
-use super::Refusal;
+use super::HttpProblem;
 
-pub(super) struct Door {
+pub(super) struct AdmissionControl {
     /// Inside: at work or waiting.
     inside: Arc<Semaphore>,
     batches: Arc<Semaphore>,
@@ -25,7 +25,7 @@ const MAX_WAIT: Duration = Duration::from_secs(5);
 /// Batches under way, each with one view at work or waiting; a further one waits for its beginning.
 const MAX_BATCHES: usize = 8;
 
-impl Door {
+impl AdmissionControl {
     pub(super) fn new(threads: usize) -> Self {
         let most_inside = threads + MAX_WAITING;
         let [inside, batches, at_work] = [most_inside, MAX_BATCHES, threads].map(|most| Arc::new(Semaphore::new(most)));
@@ -33,17 +33,17 @@ impl Door {
     }
 
     /// A thread's worth of work, or a refusal at once when too many wait. Who hangs up while waiting leaves the queue.
-    pub(super) async fn enter(&self) -> Result<Inside, Refusal> {
+    pub(super) async fn enter(&self) -> Result<WorkPermit, HttpProblem> {
         let place = Arc::clone(&self.inside).try_acquire_owned();
         let place = place.map_err(|_| busy("too many requests are waiting: come back in a second"))?;
         match timeout(MAX_WAIT, Arc::clone(&self.at_work).acquire_owned()).await {
-            Ok(Ok(work)) => Ok(Inside { _place: Some(place), _work: work }),
+            Ok(Ok(work)) => Ok(WorkPermit { _place: Some(place), _work: work }),
             _ => Err(busy("no thread became free in time: come back in a second")),
         }
     }
 
     /// The right to make many views, each of which [waits for its turn](Self::next_of_batch).
-    pub(super) async fn begin_batch(&self) -> Result<OwnedSemaphorePermit, Refusal> {
+    pub(super) async fn begin_batch(&self) -> Result<OwnedSemaphorePermit, HttpProblem> {
         match timeout(MAX_WAIT, Arc::clone(&self.batches).acquire_owned()).await {
             Ok(Ok(batch)) => Ok(batch),
             _ => Err(busy("too many batches are under way: come back in a second")),
@@ -52,9 +52,9 @@ impl Door {
 
     /// A thread's worth of work for one view of a batch, behind those that came before it: a batch holds no thread while its
     /// client reads.
-    pub(super) async fn next_of_batch(&self) -> Result<Inside, Refusal> {
+    pub(super) async fn next_of_batch(&self) -> Result<WorkPermit, HttpProblem> {
         let work = Arc::clone(&self.at_work).acquire_owned().await;
-        work.map(|work| Inside { _place: None, _work: work }).map_err(|_| busy("the service ends"))
+        work.map(|work| WorkPermit { _place: None, _work: work }).map_err(|_| busy("the service ends"))
     }
 
     /// Requests inside.
@@ -63,23 +63,27 @@ impl Door {
     }
 }
 
-fn busy(what: &str) -> Refusal {
-    Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what)
+fn busy(what: &str) -> HttpProblem {
+    HttpProblem::new(StatusCode::SERVICE_UNAVAILABLE, what)
 }
 
 /// The right to use a thread, for as long as it is held.
-pub(super) struct Inside {
+pub(super) struct WorkPermit {
     _place: Option<OwnedSemaphorePermit>,
     _work: OwnedSemaphorePermit,
 }
 
-impl Inside {
+impl WorkPermit {
     /// Does it in a thread of its own; a panic is an error of this request alone.
-    pub(super) async fn run<T: Send + 'static>(self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Refusal> {
+    pub(super) async fn run<T: Send + 'static>(
+        self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, HttpProblem> {
         let done = tokio::task::spawn_blocking(move || {
             let _inside = self;
             work()
         });
-        done.await.map_err(|_| Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, "this request made the service stumble"))
+        done.await
+            .map_err(|_| HttpProblem::new(StatusCode::INTERNAL_SERVER_ERROR, "this request made the service stumble"))
     }
 }

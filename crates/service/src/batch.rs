@@ -16,10 +16,10 @@ use tokio::time::sleep;
 
 use super::connections::Seat;
 use super::encode::Form;
-use super::parameters::{Asked, Parameters};
+use super::parameters::{Parameters, ViewRequest};
 use super::response::{PROBLEM, Reply};
 use super::view_service::Picture;
-use super::{Refusal, Service};
+use super::{HttpProblem, Service};
 use realitysim_geometry::Isometry;
 
 /// Views of one request.
@@ -34,33 +34,34 @@ const BOUNDARY: &str = "realitysim-view-8f3b61c7d2a94e05";
 /// Views and how they are to be sent.
 pub(super) struct Batch {
     /// Or what is wrong with one.
-    pub(super) asked: Vec<Result<Asked, Refusal>>,
+    pub(super) asked: Vec<Result<ViewRequest, HttpProblem>>,
 }
 
 impl Batch {
     /// `{"poses": [...]}` or `{"from": ..., "to": ..., "count": n}`, beside them parameters for all.
-    pub(super) fn from_json(text: &[u8]) -> Result<Self, Refusal> {
+    pub(super) fn from_json(text: &[u8]) -> Result<Self, HttpProblem> {
         let value: Value =
-            serde_json::from_slice(text).map_err(|error| Refusal::wrong(format!("not JSON: {error}")))?;
+            serde_json::from_slice(text).map_err(|error| HttpProblem::wrong(format!("not JSON: {error}")))?;
         let Value::Object(mut object) = value else {
-            return Err(Refusal::wrong("an object is needed: {\"poses\": [{\"x\": 1, ...}, ...]}"));
+            return Err(HttpProblem::wrong("an object is needed: {\"poses\": [{\"x\": 1, ...}, ...]}"));
         };
         let [poses, from, to, count] = ["poses", "from", "to", "count"].map(|name| object.remove(name));
         let all = Parameters::from_json(&object)?;
-        let asked: Vec<Result<Asked, Refusal>> = match (poses, from, to, count) {
+        let asked: Vec<Result<ViewRequest, HttpProblem>> = match (poses, from, to, count) {
             (Some(Value::Array(poses)), None, None, None) => {
                 within(poses.len())?;
                 poses.iter().enumerate().map(|(number, pose)| one(&format!("poses[{number}]"), pose, &all)).collect()
             }
             (None, Some(from), Some(to), Some(count)) => {
-                let refused =
-                    || Refusal::wrong(format!("count is {count}: a whole number from 1 to {MAX_BATCH} is possible"));
+                let refused = || {
+                    HttpProblem::wrong(format!("count is {count}: a whole number from 1 to {MAX_BATCH} is possible"))
+                };
                 let whole = |count: &f64| count.fract() == 0.0 && (1.0..=MAX_BATCH as f64).contains(count);
                 let count = count.as_f64().filter(whole).map(|count| count as usize);
                 let count = count.ok_or_else(refused)?;
                 between(&one("from", &from, &all)?, &one("to", &to, &all)?, count).into_iter().map(Ok).collect()
             }
-            _ => return Err(Refusal::wrong("either poses (a list), or from, to and count are needed")),
+            _ => return Err(HttpProblem::wrong("either poses (a list), or from, to and count are needed")),
         };
         // What is wrong with all of them is wrong with the request.
         match asked.first() {
@@ -91,13 +92,13 @@ impl Batch {
     }
 }
 
-fn within(count: usize) -> Result<(), Refusal> {
+fn within(count: usize) -> Result<(), HttpProblem> {
     let fits = (1..=MAX_BATCH).contains(&count);
-    if fits { Ok(()) } else { Err(Refusal::wrong(format!("{count} views: 1 to {MAX_BATCH} with one request"))) }
+    if fits { Ok(()) } else { Err(HttpProblem::wrong(format!("{count} views: 1 to {MAX_BATCH} with one request"))) }
 }
 
-fn one(place: &str, pose: &Value, all: &Parameters) -> Result<Asked, Refusal> {
-    let at = |refusal: Refusal| Refusal { what: format!("{place}: {}", refusal.what), ..refusal };
+fn one(place: &str, pose: &Value, all: &Parameters) -> Result<ViewRequest, HttpProblem> {
+    let at = |refusal: HttpProblem| HttpProblem { what: format!("{place}: {}", refusal.what), ..refusal };
     let empty = Map::new();
     let object = pose.as_object();
     let own = Parameters::from_json(object.unwrap_or(&empty)).map_err(at)?;
@@ -105,13 +106,14 @@ fn one(place: &str, pose: &Value, all: &Parameters) -> Result<Asked, Refusal> {
 }
 
 /// Evenly from one pose to the other, both included: straight places, the shortest turn.
-fn between(from: &Asked, to: &Asked, count: usize) -> Vec<Asked> {
+fn between(from: &ViewRequest, to: &ViewRequest, count: usize) -> Vec<ViewRequest> {
     let (a, b) = (from.map_from_link, to.map_from_link);
     let pose = |number: usize| {
         let part = number as f64 / (count.max(2) - 1) as f64;
         Isometry { translation: a.translation.lerp(b.translation, part), rotation: a.rotation.slerp(b.rotation, part) }
     };
-    let one = |number: usize| Asked { map_from_link: pose(number), frame: from.frame + number as u64, ..from.clone() };
+    let one =
+        |number: usize| ViewRequest { map_from_link: pose(number), frame: from.frame + number as u64, ..from.clone() };
     (0..count).map(one).collect()
 }
 
@@ -119,7 +121,7 @@ fn between(from: &Asked, to: &Asked, count: usize) -> Vec<Asked> {
 async fn make(
     service: &Arc<Service>,
     seat: &Arc<Seat>,
-    asked: Vec<Result<Asked, Refusal>>,
+    asked: Vec<Result<ViewRequest, HttpProblem>>,
     forms: Vec<Form>,
     send: &Sender<Bytes>,
 ) {
@@ -149,18 +151,18 @@ async fn make(
     let _ = send.send(Bytes::from(format!("--{BOUNDARY}--\r\n"))).await;
 }
 
-async fn one_of(service: &Arc<Service>, asked: Asked, forms: &Arc<[Form]>) -> Result<Picture, Refusal> {
+async fn one_of(service: &Arc<Service>, asked: ViewRequest, forms: &Arc<[Form]>) -> Result<Picture, HttpProblem> {
     let inside = service.door.next_of_batch().await?;
     let (shared, forms) = (Arc::clone(service), Arc::clone(forms));
     inside.run(move || shared.picture(&asked, &forms)).await?
 }
 
-fn too_late() -> Refusal {
+fn too_late() -> HttpProblem {
     let what = format!("not made within {} s: ask for fewer with one request", MAX_TIME.as_secs());
-    Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what)
+    HttpProblem::new(StatusCode::SERVICE_UNAVAILABLE, what)
 }
 
-fn part(picture: Result<Picture, Refusal>) -> Vec<u8> {
+fn part(picture: Result<Picture, HttpProblem>) -> Vec<u8> {
     let (status, kind, headers, content) = match picture {
         Ok(picture) => (200, picture.form.media_type(), picture.headers, picture.bytes),
         Err(refusal) => (refusal.status.as_u16(), PROBLEM, Vec::new(), refusal.problem()),
@@ -207,7 +209,7 @@ mod tests {
     fn a_trajectory_begins_and_ends_where_it_should() {
         let text = r#"{"z": 0.5, "from": {"x": 0, "y": 0, "yaw_deg": 170}, "to": {"x": 1, "y": 2, "yaw_deg": -170}, "count": 5}"#;
         let asked = Batch::from_json(text.as_bytes()).expect("right").asked;
-        let asked: Vec<Asked> = asked.into_iter().flatten().collect();
+        let asked: Vec<ViewRequest> = asked.into_iter().flatten().collect();
         let middle = asked[2].map_from_link;
         assert!((middle.translation.x - 0.5).abs() < 1e-12 && asked.len() == 5);
         assert!(

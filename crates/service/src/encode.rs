@@ -4,7 +4,7 @@ use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use jpeg_encoder::ColorType;
 
-use super::Refusal;
+use super::HttpProblem;
 use super::parameters::MaskWanted;
 use hyper::StatusCode;
 use realitysim_log_input::encode::jpeg;
@@ -34,7 +34,7 @@ impl Form {
 }
 
 /// The forms that a client takes, best first; without `Accept` any will do.
-pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<Form>, Refusal> {
+pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<Form>, HttpProblem> {
     // What stands first is sent where the client has no wish.
     let possible: &[Form] = match mask {
         MaskWanted::None => &[Form::Jpeg, Form::Png, Form::Raw],
@@ -64,20 +64,25 @@ pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<For
     });
     if forms.is_empty() {
         let names: Vec<&str> = possible.iter().map(|form| form.media_type()).collect();
-        return Err(Refusal::new(StatusCode::NOT_ACCEPTABLE, format!("Accept: there is {}", names.join(", "))));
+        return Err(HttpProblem::new(StatusCode::NOT_ACCEPTABLE, format!("Accept: there is {}", names.join(", "))));
     }
     Ok(forms)
 }
 
 /// The picture in a form, and how many channels it has.
-pub(super) fn encode(image: &Raster, form: Form, mask: MaskWanted, quality: u8) -> Result<(Vec<u8>, usize), Refusal> {
+pub(super) fn encode(
+    image: &Raster,
+    form: Form,
+    mask: MaskWanted,
+    quality: u8,
+) -> Result<(Vec<u8>, usize), HttpProblem> {
     let (width, height) = (image.width, image.height);
     let (pixels, channels) = match mask {
         MaskWanted::None => (image.to_rgb(), 3),
         MaskWanted::Alpha => (image.pixels.as_flattened().to_vec(), 4),
         MaskWanted::Only => (image.mask(), 1),
     };
-    let failed = |what: String| Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, what);
+    let failed = |what: String| HttpProblem::new(StatusCode::INTERNAL_SERVER_ERROR, what);
     let mut bytes = Vec::new();
     match form {
         Form::Raw => bytes = pixels,

@@ -5,7 +5,7 @@ use core::net::IpAddr;
 use hyper::header::{AUTHORIZATION, HOST, HeaderName, ORIGIN};
 use hyper::{Request, StatusCode, Version};
 
-use super::Refusal;
+use super::HttpProblem;
 
 #[derive(Clone)]
 pub(super) enum Guard {
@@ -20,7 +20,7 @@ pub(super) enum Guard {
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
 impl Guard {
-    pub(super) fn check<B>(&self, request: &Request<B>) -> Result<(), Refusal> {
+    pub(super) fn check<B>(&self, request: &Request<B>) -> Result<(), HttpProblem> {
         let host = host(request)?;
         match self {
             Self::Token(token) => {
@@ -29,10 +29,10 @@ impl Guard {
                 // Hashes are compared in constant time.
                 let right = sent.is_some_and(|sent| blake3::hash(sent.trim().as_bytes()) == *token);
                 let what = "a token is needed: `Authorization: Bearer TOKEN`";
-                if right { Ok(()) } else { Err(Refusal::new(StatusCode::UNAUTHORIZED, what)) }
+                if right { Ok(()) } else { Err(HttpProblem::new(StatusCode::UNAUTHORIZED, what)) }
             }
             Self::Loopback => {
-                let forbidden = |what: String| Err(Refusal::new(StatusCode::FORBIDDEN, what));
+                let forbidden = |what: String| Err(HttpProblem::new(StatusCode::FORBIDDEN, what));
                 if !is_loopback(&host) {
                     return forbidden(format!(
                         "the host {host:?} is not this machine: without a token only localhost is answered"
@@ -57,25 +57,25 @@ impl Guard {
 }
 
 /// The host that a request is for, with its port: one, and in ASCII. HTTP/1.0 may say none (RFC 9112, section 3.2).
-fn host<B>(request: &Request<B>) -> Result<String, Refusal> {
+fn host<B>(request: &Request<B>) -> Result<String, HttpProblem> {
     let sent = text(request, &HOST)?;
     // Of a target with a host of its own, that one counts.
     let host = request.uri().authority().map(|own| own.as_str().to_owned()).or_else(|| sent.clone());
     match host {
         Some(host) if sent.is_some() || request.version() < Version::HTTP_11 => Ok(host),
         None if request.version() < Version::HTTP_11 => Ok(String::new()),
-        _ => Err(Refusal::wrong("Host is missing: HTTP/1.1 wants it")),
+        _ => Err(HttpProblem::wrong("Host is missing: HTTP/1.1 wants it")),
     }
 }
 
 /// Of a header that may come once.
-pub(super) fn text<B>(request: &Request<B>, name: &HeaderName) -> Result<Option<String>, Refusal> {
+pub(super) fn text<B>(request: &Request<B>, name: &HeaderName) -> Result<Option<String>, HttpProblem> {
     let mut values = request.headers().get_all(name).iter();
     let Some(value) = values.next() else { return Ok(None) };
     if values.next().is_some() {
-        return Err(Refusal::wrong(format!("{name} comes more than once")));
+        return Err(HttpProblem::wrong(format!("{name} comes more than once")));
     }
-    let value = value.to_str().map_err(|_| Refusal::wrong(format!("{name} is not ASCII text")))?;
+    let value = value.to_str().map_err(|_| HttpProblem::wrong(format!("{name} is not ASCII text")))?;
     Ok(Some(value.trim().to_owned()))
 }
 

@@ -25,13 +25,13 @@ pub const OPENAPI: &str = include_str!("openapi.json");
 use std::sync::Arc;
 
 use metrics::Metrics;
-use response::{Refusal, Reply};
-use view_service::Stock;
+use response::{HttpProblem, Reply};
+use view_service::ViewService;
 
 /// What all connections share.
 struct Service {
-    stock: Stock,
+    stock: ViewService,
     metrics: Metrics,
-    door: admission::Door,
+    door: admission::AdmissionControl,
     connections: Arc<connections::Connections>,
 }

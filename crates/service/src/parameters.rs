@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use serde_json::Value;
 
-use super::Refusal;
+use super::HttpProblem;
 use realitysim_geometry::{Euler, Isometry};
 use realitysim_views::{LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
 
@@ -32,7 +32,7 @@ pub const PARAMETERS: [(&str, &str); 17] = [
 
 /// One view, asked for.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Asked {
+pub(super) struct ViewRequest {
     pub(super) map_from_link: Isometry,
     pub(super) method: Method,
     pub(super) size: [Option<u32>; 2],
@@ -66,22 +66,22 @@ const USUAL_QUALITY: u8 = 90;
 const MOST_SHOWN: usize = 40;
 
 impl Parameters {
-    pub(super) fn from_query(query: &str) -> Result<Self, Refusal> {
+    pub(super) fn from_query(query: &str) -> Result<Self, HttpProblem> {
         let mut known = BTreeMap::new();
         for (name, value) in form_urlencoded::parse(query.as_bytes()) {
             if known.insert(name.clone().into_owned(), value.into_owned()).is_some() {
-                return Err(Refusal::wrong(format!("{}: given twice", short(&name))));
+                return Err(HttpProblem::wrong(format!("{}: given twice", short(&name))));
             }
         }
         Ok(Self(known))
     }
 
     /// Numbers, texts and truths of a JSON object.
-    pub(super) fn from_json(object: &serde_json::Map<String, Value>) -> Result<Self, Refusal> {
+    pub(super) fn from_json(object: &serde_json::Map<String, Value>) -> Result<Self, HttpProblem> {
         let text = |(name, value): (&String, &Value)| match value {
             Value::String(text) => Ok((name.clone(), text.clone())),
             Value::Number(number) => Ok((name.clone(), number.to_string())),
-            other => Err(Refusal::wrong(format!(
+            other => Err(HttpProblem::wrong(format!(
                 "{}: {}: a number or a text is needed",
                 short(name),
                 short(&other.to_string())
@@ -99,38 +99,38 @@ impl Parameters {
     }
 
     /// Refuses what is not among `known`.
-    pub(super) fn only(&self, known: &[&str]) -> Result<(), Refusal> {
+    pub(super) fn only(&self, known: &[&str]) -> Result<(), HttpProblem> {
         match self.0.keys().find(|name| !known.contains(&name.as_str())) {
-            Some(name) => Err(Refusal::wrong(format!("{}: unknown: there are {}", short(name), known.join(", ")))),
+            Some(name) => Err(HttpProblem::wrong(format!("{}: unknown: there are {}", short(name), known.join(", ")))),
             None => Ok(()),
         }
     }
 
-    pub(super) fn number(&self, name: &str, low: f64, high: f64) -> Result<Option<f64>, Refusal> {
+    pub(super) fn number(&self, name: &str, low: f64, high: f64) -> Result<Option<f64>, HttpProblem> {
         let Some(text) = self.0.get(name) else { return Ok(None) };
         let value = text.trim().parse::<f64>().ok().filter(|value| (low..=high).contains(value));
         value.map(Some).ok_or_else(|| wrong(name, text, &format!("a number from {low} to {high} is needed")))
     }
 
-    pub(super) fn whole(&self, name: &str, low: u32, high: u32) -> Result<Option<u32>, Refusal> {
+    pub(super) fn whole(&self, name: &str, low: u32, high: u32) -> Result<Option<u32>, HttpProblem> {
         let Some(text) = self.0.get(name) else { return Ok(None) };
         let value = whole(text.trim()).filter(|value| (low..=high).contains(value));
         value.map(Some).ok_or_else(|| wrong(name, text, &format!("a whole number from {low} to {high} is needed")))
     }
 
-    fn needed(&self, name: &str, low: f64, high: f64) -> Result<f64, Refusal> {
+    fn needed(&self, name: &str, low: f64, high: f64) -> Result<f64, HttpProblem> {
         let right = PARAMETERS.iter().find(|(known, _)| *known == name).map_or("", |(_, right)| right);
-        self.number(name, low, high)?.ok_or_else(|| Refusal::wrong(format!("{name} is missing: {right}")))
+        self.number(name, low, high)?.ok_or_else(|| HttpProblem::wrong(format!("{name} is missing: {right}")))
     }
 
-    fn choice<T: Copy>(&self, name: &str, choices: &[(&str, T)]) -> Result<T, Refusal> {
+    fn choice<T: Copy>(&self, name: &str, choices: &[(&str, T)]) -> Result<T, HttpProblem> {
         let Some(text) = self.0.get(name) else { return Ok(choices[0].1) };
         let found = choices.iter().find(|(known, _)| known == text).map(|(_, value)| *value);
         let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
         found.ok_or_else(|| wrong(name, text, &format!("one of {} is needed", names.join(", "))))
     }
 
-    pub(super) fn asked(&self) -> Result<Asked, Refusal> {
+    pub(super) fn asked(&self) -> Result<ViewRequest, HttpProblem> {
         self.only(&PARAMETERS.map(|(name, _)| name))?;
         let turn = |name: &str| Ok(self.number(name, -MAX_TURN_DEG, MAX_TURN_DEG)?.unwrap_or(0.0).to_radians());
         let place = DVec3::new(
@@ -140,7 +140,7 @@ impl Parameters {
         );
         let yaw = self.needed("yaw_deg", -MAX_TURN_DEG, MAX_TURN_DEG)?.to_radians();
         let euler = Euler { yaw, pitch: turn("pitch_deg")?, roll: turn("roll_deg")? };
-        Ok(Asked {
+        Ok(ViewRequest {
             map_from_link: Isometry::from_euler(euler, place),
             method: self.choice(
                 "method",
@@ -170,7 +170,7 @@ fn whole(text: &str) -> Option<u32> {
 }
 
 /// The name of something given at the start, or a refusal that says which there are.
-pub(super) fn named<'a, T>(name: &str, wanted: &str, known: &'a BTreeMap<String, T>) -> Result<&'a T, Refusal> {
+pub(super) fn named<'a, T>(name: &str, wanted: &str, known: &'a BTreeMap<String, T>) -> Result<&'a T, HttpProblem> {
     known.get(wanted).ok_or_else(|| {
         let names: Vec<&str> = known.keys().map(String::as_str).collect();
         let names = if names.is_empty() { "none: see `realitysim serve --help`".to_owned() } else { names.join(", ") };
@@ -178,8 +178,8 @@ pub(super) fn named<'a, T>(name: &str, wanted: &str, known: &'a BTreeMap<String,
     })
 }
 
-fn wrong(name: &str, value: &str, right: &str) -> Refusal {
-    Refusal::wrong(format!("{name} is {:?}: {right}", short(value)))
+fn wrong(name: &str, value: &str, right: &str) -> HttpProblem {
+    HttpProblem::wrong(format!("{name} is {:?}: {right}", short(value)))
 }
 
 fn short(text: &str) -> String {
@@ -195,7 +195,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn asked(query: &str) -> Result<Asked, Refusal> {
+    fn asked(query: &str) -> Result<ViewRequest, HttpProblem> {
         Parameters::from_query(query)?.asked()
     }
 

@@ -17,7 +17,7 @@ pub(super) type Reply = Response<Body>;
 
 /// A request that is not answered with what it asked for, and why.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Refusal {
+pub(super) struct HttpProblem {
     pub(super) status: StatusCode,
     /// What is wrong and what would be right.
     pub(super) what: String,
@@ -28,7 +28,7 @@ pub(super) struct Refusal {
 /// RFC 9457.
 pub(super) const PROBLEM: &str = "application/problem+json";
 
-impl Refusal {
+impl HttpProblem {
     pub(super) fn new(status: StatusCode, what: impl Into<String>) -> Self {
         Self { status, what: what.into(), allowed: None }
     }

@@ -15,10 +15,10 @@ use super::batch::Batch;
 use super::connections::Seat;
 use super::encode::{Form, accepted};
 use super::guard::{Guard, list, text};
-use super::parameters::{Asked, MaskWanted, Parameters};
+use super::parameters::{MaskWanted, Parameters, ViewRequest};
 use super::response::{bytes, finish, json_reply, put};
 use super::view_service::Picture;
-use super::{OPENAPI, Refusal, Reply, Service};
+use super::{HttpProblem, OPENAPI, Reply, Service};
 
 const ROUTES: [&str; 6] = ["/v1/view", "/v1/views", "/v1/info", "/v1/coverage", "/metrics", "/openapi.json"];
 /// Of a batch: a thousand poses have some hundred kilobytes.
@@ -27,7 +27,7 @@ const MAX_BODY_TIME: Duration = Duration::from_secs(10);
 
 impl Service {
     /// A view and its bytes; counted and timed.
-    pub(super) fn picture(&self, asked: &Asked, forms: &[Form]) -> Result<Picture, Refusal> {
+    pub(super) fn picture(&self, asked: &ViewRequest, forms: &[Form]) -> Result<Picture, HttpProblem> {
         let started = Instant::now();
         let mut picture = self.stock.picture(asked, forms)?;
         let took = started.elapsed();
@@ -50,7 +50,7 @@ pub(super) async fn answer(
         (Ok(()), Some(route)) => dispatch(&service, &seat, route, request).await,
         (Ok(()), None) => {
             let what = format!("there is no such path: there are {}", ROUTES.join(", "));
-            Err(Refusal::new(StatusCode::NOT_FOUND, what))
+            Err(HttpProblem::new(StatusCode::NOT_FOUND, what))
         }
     };
     let reply = reply.unwrap_or_else(|refusal| refusal.reply());
@@ -63,10 +63,10 @@ async fn dispatch(
     seat: &Arc<Seat>,
     route: &'static str,
     request: Request<Incoming>,
-) -> Result<Reply, Refusal> {
+) -> Result<Reply, HttpProblem> {
     let allowed = if route == "/v1/views" { "POST" } else { "GET, HEAD" };
     if !allowed.split(", ").any(|method| request.method() == method) {
-        return Err(Refusal::method(route, allowed));
+        return Err(HttpProblem::method(route, allowed));
     }
     let parameters = Parameters::from_query(request.uri().query().unwrap_or_default())?;
     match route {
@@ -98,7 +98,7 @@ async fn view(
     seat: &Arc<Seat>,
     parameters: &Parameters,
     request: &Request<Incoming>,
-) -> Result<Reply, Refusal> {
+) -> Result<Reply, HttpProblem> {
     let asked = parameters.asked()?;
     let forms = accepted(list(request, &ACCEPT).as_deref(), asked.mask)?;
     let shared = Arc::clone(service);
@@ -108,9 +108,9 @@ async fn view(
     Ok(reply)
 }
 
-fn hold(seat: &Arc<Seat>, bytes: Vec<u8>) -> Result<Bytes, Refusal> {
+fn hold(seat: &Arc<Seat>, bytes: Vec<u8>) -> Result<Bytes, HttpProblem> {
     let what = "clients have not taken too many answers yet: come back in a second";
-    seat.hold(bytes).map_err(|_| Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what))
+    seat.hold(bytes).map_err(|_| HttpProblem::new(StatusCode::SERVICE_UNAVAILABLE, what))
 }
 
 async fn views(
@@ -118,18 +118,18 @@ async fn views(
     seat: &Arc<Seat>,
     parameters: &Parameters,
     request: Request<Incoming>,
-) -> Result<Reply, Refusal> {
+) -> Result<Reply, HttpProblem> {
     parameters.only(&[])?;
     let kind = text(&request, &CONTENT_TYPE)?.unwrap_or_default();
     let is_json = kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"));
     if !is_json {
         let what = format!("Content-Type is {kind:?}: application/json is needed");
-        return Err(Refusal::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, what));
+        return Err(HttpProblem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, what));
     }
     let accept = list(&request, &ACCEPT).filter(|accept| !accept.contains("multipart/"));
     let too_large = || {
         let what = format!("the body has more than {MAX_BODY_BYTES} bytes: ask for fewer views");
-        Refusal::new(StatusCode::PAYLOAD_TOO_LARGE, what)
+        HttpProblem::new(StatusCode::PAYLOAD_TOO_LARGE, what)
     };
     // What is announced need not be waited for.
     if request.body().size_hint().lower() > MAX_BODY_BYTES as u64 {
@@ -137,10 +137,10 @@ async fn views(
     }
     let body = Limited::new(request.into_body(), MAX_BODY_BYTES);
     let body = timeout(MAX_BODY_TIME, body.collect()).await;
-    let body = body.map_err(|_| Refusal::new(StatusCode::REQUEST_TIMEOUT, "the body did not come in time"))?;
+    let body = body.map_err(|_| HttpProblem::new(StatusCode::REQUEST_TIMEOUT, "the body did not come in time"))?;
     let body = body.map_err(|error| match error.downcast_ref::<http_body_util::LengthLimitError>() {
         Some(_) => too_large(),
-        None => Refusal::wrong(format!("the body did not come whole: {error}")),
+        None => HttpProblem::wrong(format!("the body did not come whole: {error}")),
     })?;
     let batch = Batch::from_json(&body.to_bytes())?;
     let alpha = |mask| {
@@ -156,7 +156,7 @@ async fn coverage(
     seat: &Arc<Seat>,
     parameters: Parameters,
     request: &Request<Incoming>,
-) -> Result<Reply, Refusal> {
+) -> Result<Reply, HttpProblem> {
     let picture = list(request, &ACCEPT).is_some_and(|accept| accept.contains("image/png"));
     let shared = Arc::clone(service);
     let work = move || shared.stock.coverage(&parameters, picture);

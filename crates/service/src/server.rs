@@ -17,13 +17,13 @@ use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
 use super::Service;
-use super::admission::Door;
+use super::admission::AdmissionControl;
 use super::connections::Seat;
 use super::guard::Guard;
 use super::metrics::Metrics;
 use super::routes::{answer, refresh};
-use super::view_service::Stock;
-use super::write_timeout::Patient;
+use super::view_service::ViewService;
+use super::write_timeout::WriteTimeout;
 use realitysim_config::ViewsSettings;
 use realitysim_database::DatabaseError;
 use realitysim_geometry::LensParameters;
@@ -90,9 +90,13 @@ pub fn serve(
         None => return Err(ServeError::NoToken(options.listen)),
     };
     let ServeOptions { database, listen, threads, settings, lenses, scenes, max_distance_m, .. } = options;
-    let stock = Stock::open(&database, &settings, lenses, scenes, max_distance_m)?;
-    let service =
-        Arc::new(Service { stock, metrics: Metrics::default(), door: Door::new(threads), connections: Arc::default() });
+    let stock = ViewService::open(&database, &settings, lenses, scenes, max_distance_m)?;
+    let service = Arc::new(Service {
+        stock,
+        metrics: Metrics::default(),
+        door: AdmissionControl::new(threads),
+        connections: Arc::default(),
+    });
     // Connections need one thread, views `threads`, the look for changes one.
     let runtime = Builder::new_current_thread().enable_all().max_blocking_threads(threads + 1).build()?;
     runtime.block_on(async {
@@ -146,7 +150,7 @@ async fn converse(
     mut ended: watch::Receiver<bool>,
 ) {
     let _ = stream.set_nodelay(true);
-    let stream = TokioIo::new(Patient::new(stream, Arc::clone(&seat)));
+    let stream = TokioIo::new(WriteTimeout::new(stream, Arc::clone(&seat)));
     let asker = Arc::clone(&seat);
     let answering = service_fn(move |request| answer(Arc::clone(&service), guard.clone(), Arc::clone(&asker), request));
     let connection = http1::Builder::new()

@@ -8,23 +8,23 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use hyper::StatusCode;
 use serde_json::{Value, json};
 
-use super::Refusal;
+use super::HttpProblem;
 use super::encode::{self, Form};
-use super::parameters::{Asked, MaskWanted, Parameters, named};
+use super::parameters::{MaskWanted, Parameters, ViewRequest, named};
 use realitysim_config::ViewsSettings;
-use realitysim_database::{DatabaseError, Gallery, Shown, Wanted, coverage, coverage_picture};
+use realitysim_database::{DatabaseError, ImageDatabase, ViewQuery, ViewResult, coverage, coverage_picture};
 use realitysim_geometry::{Lens, LensParameters};
-use realitysim_scene::{Scene, Stage};
-use realitysim_views::{Camera, Made, ViewError};
+use realitysim_scene::{Scene, ViewOverlay};
+use realitysim_views::{Camera, Provenance, ViewError};
 
-pub(super) struct Stock {
-    gallery: RwLock<Arc<Gallery>>,
+pub(super) struct ViewService {
+    gallery: RwLock<Arc<ImageDatabase>>,
     lenses: BTreeMap<String, LensParameters>,
     scenes: BTreeMap<String, Scene>,
     /// Lenses with their rays, the longest unused first.
     cameras: Mutex<Vec<Arc<Camera>>>,
     /// Scenes by name, prepared for a lens and with figures or without; the longest unused first.
-    stages: Mutex<Vec<(StageOf, Arc<Stage>)>>,
+    stages: Mutex<Vec<(StageOf, Arc<ViewOverlay>)>>,
     max_distance_m: f64,
 }
 
@@ -50,7 +50,7 @@ const MAX_PIXELS: u64 = 1 << 22;
 /// Cells of a coverage: the paper's grid has 720,000 poses.
 const MAX_CELLS: f64 = 1e6;
 
-impl Stock {
+impl ViewService {
     pub(super) fn open(
         folder: &Path,
         settings: &ViewsSettings,
@@ -58,12 +58,12 @@ impl Stock {
         scenes: BTreeMap<String, Scene>,
         max_distance_m: f64,
     ) -> Result<Self, DatabaseError> {
-        let gallery = RwLock::new(Arc::new(Gallery::open(folder, settings)?));
+        let gallery = RwLock::new(Arc::new(ImageDatabase::open(folder, settings)?));
         Ok(Self { gallery, lenses, scenes, cameras: Mutex::default(), stages: Mutex::default(), max_distance_m })
     }
 
     /// As it is now; who has it keeps it while it is replaced.
-    pub(super) fn gallery(&self) -> Arc<Gallery> {
+    pub(super) fn gallery(&self) -> Arc<ImageDatabase> {
         Arc::clone(&self.gallery.read().unwrap_or_else(PoisonError::into_inner))
     }
 
@@ -74,14 +74,14 @@ impl Stock {
         Ok(true)
     }
 
-    pub(super) fn picture(&self, asked: &Asked, forms: &[Form]) -> Result<Picture, Refusal> {
+    pub(super) fn picture(&self, asked: &ViewRequest, forms: &[Form]) -> Result<Picture, HttpProblem> {
         let gallery = self.gallery();
         let camera = self.camera(&gallery, asked)?;
         if let Some(name) = &asked.scene {
             named("scene", name, &self.scenes)?;
         }
         let max_distance_m = asked.max_distance_m.unwrap_or(self.max_distance_m);
-        let wanted = Wanted {
+        let wanted = ViewQuery {
             map_from_link: asked.map_from_link,
             method: asked.method,
             camera,
@@ -109,7 +109,7 @@ impl Stock {
     }
 
     /// `None`: that of the nearest image.
-    fn camera(&self, gallery: &Gallery, asked: &Asked) -> Result<Option<Arc<Camera>>, Refusal> {
+    fn camera(&self, gallery: &ImageDatabase, asked: &ViewRequest) -> Result<Option<Arc<Camera>>, HttpProblem> {
         if asked.lens.is_none() && asked.size == [None; 2] {
             return Ok(None);
         }
@@ -125,7 +125,7 @@ impl Stock {
         if pixels_of(&lens) > MAX_PIXELS {
             let (width, height) = (lens.width, lens.height);
             let what = format!("width x height is {width} x {height}: at most {MAX_PIXELS} pixels are made");
-            return Err(Refusal::wrong(what));
+            return Err(HttpProblem::wrong(what));
         }
         let known = |cameras: &[Arc<Camera>]| cameras.iter().position(|camera| *camera.lens().parameters() == lens);
         let mut cameras = self.cameras();
@@ -136,7 +136,7 @@ impl Stock {
         }
         // Not while others wait.
         drop(cameras);
-        let checked = Lens::new(lens.clone()).map_err(|error| Refusal::wrong(format!("lens: {error}")))?;
+        let checked = Lens::new(lens.clone()).map_err(|error| HttpProblem::wrong(format!("lens: {error}")))?;
         let camera = Arc::new(Camera::new(&checked));
         let mut cameras = self.cameras();
         if known(&cameras).is_none() {
@@ -150,19 +150,19 @@ impl Stock {
     /// Which effects were applied.
     fn apply(
         &self,
-        gallery: &Gallery,
+        gallery: &ImageDatabase,
         name: &str,
-        asked: &Asked,
-        shown: &mut Shown,
-    ) -> Result<Vec<&'static str>, Refusal> {
+        asked: &ViewRequest,
+        shown: &mut ViewResult,
+    ) -> Result<Vec<&'static str>, HttpProblem> {
         let scene = named("scene", name, &self.scenes)?;
         let stage = self.stage(name, scene, asked.figures, shown.camera.lens());
-        stage.check(gallery.field()).map_err(|error| Refusal::wrong(format!("scene is {name:?}: {error}")))?;
+        stage.check(gallery.field()).map_err(|error| HttpProblem::wrong(format!("scene is {name:?}: {error}")))?;
         stage.apply(asked.frame, &shown.camera, gallery.world(), &mut shown.answer);
         Ok(stage.effects())
     }
 
-    fn stage(&self, name: &str, scene: &Scene, figures: bool, lens: &Lens) -> Arc<Stage> {
+    fn stage(&self, name: &str, scene: &Scene, figures: bool, lens: &Lens) -> Arc<ViewOverlay> {
         let of = (name.to_owned(), figures, lens.parameters().clone());
         let mut stages = self.stages();
         if let Some(at) = stages.iter().position(|(known, _)| *known == of) {
@@ -172,7 +172,7 @@ impl Stock {
         }
         // Not while others wait.
         drop(stages);
-        let stage = Arc::new(Stage::new(scene, lens, figures));
+        let stage = Arc::new(ViewOverlay::new(scene, lens, figures));
         let mut stages = self.stages();
         if stages.iter().all(|(known, _)| *known != of) {
             stages.push((of, Arc::clone(&stage)));
@@ -181,7 +181,7 @@ impl Stock {
         stage
     }
 
-    fn stages(&self) -> MutexGuard<'_, Vec<(StageOf, Arc<Stage>)>> {
+    fn stages(&self) -> MutexGuard<'_, Vec<(StageOf, Arc<ViewOverlay>)>> {
         self.stages.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -209,7 +209,11 @@ impl Stock {
     }
 
     /// Cells of x, y and yaw, and how many images each has.
-    pub(super) fn coverage(&self, parameters: &Parameters, picture: bool) -> Result<(Vec<u8>, &'static str), Refusal> {
+    pub(super) fn coverage(
+        &self,
+        parameters: &Parameters,
+        picture: bool,
+    ) -> Result<(Vec<u8>, &'static str), HttpProblem> {
         parameters.only(&["cell_m", "headings"])?;
         let cell_m = parameters.number("cell_m", 0.02, 5.0)?.unwrap_or(0.25);
         let headings = parameters.whole("headings", 1, 360)?.unwrap_or(24);
@@ -218,7 +222,7 @@ impl Stock {
         let cells = (2.0 * half.x / cell_m).ceil() * (2.0 * half.y / cell_m).ceil() * f64::from(headings);
         if cells > MAX_CELLS {
             let what = format!("cell_m and headings make {cells:.0} cells: at most {MAX_CELLS:.0} are counted");
-            return Err(Refusal::wrong(what));
+            return Err(HttpProblem::wrong(what));
         }
         let found = coverage(gallery.index(), gallery.field(), cell_m, headings as usize);
         if picture {
@@ -245,16 +249,16 @@ fn give_up<T>(kept: &mut Vec<T>, most: usize, pixels: impl Fn(&T) -> u64) {
     }
 }
 
-pub(super) fn made(made: Made) -> &'static str {
+pub(super) fn made(made: Provenance) -> &'static str {
     match made {
-        Made::Stored => "stored",
-        Made::Nearest => "nearest",
-        Made::Warped => "warped",
-        Made::Composed => "composed",
+        Provenance::Stored => "stored",
+        Provenance::Nearest => "nearest",
+        Provenance::Warped => "warped",
+        Provenance::Composed => "composed",
     }
 }
 
-fn provenance(gallery: &Gallery, shown: &Shown, channels: usize) -> Vec<(&'static str, String)> {
+fn provenance(gallery: &ImageDatabase, shown: &ViewResult, channels: usize) -> Vec<(&'static str, String)> {
     let answer = &shown.answer;
     let source = |used: &realitysim_views::UsedSource| {
         let record = gallery.index().record(used.id as usize);
@@ -292,15 +296,15 @@ fn rounded(value: f64) -> f64 {
 }
 
 /// What went wrong, without the names of this machine's folders.
-fn refusal(error: &DatabaseError) -> Refusal {
-    let none = |what: String| Refusal::new(StatusCode::NOT_FOUND, what);
+fn refusal(error: &DatabaseError) -> HttpProblem {
+    let none = |what: String| HttpProblem::new(StatusCode::NOT_FOUND, what);
     match error {
         DatabaseError::Empty => none("the database has no image: add some with `realitysim db add`".to_owned()),
         DatabaseError::View(wrong @ (ViewError::NotFinite | ViewError::Place { .. } | ViewError::Height { .. })) => {
-            Refusal::wrong(wrong.to_string())
+            HttpProblem::wrong(wrong.to_string())
         }
         DatabaseError::View(error) => none(error.to_string()),
-        _ => Refusal::new(
+        _ => HttpProblem::new(
             StatusCode::INTERNAL_SERVER_ERROR,
             "none of the images near this pose can be read: they vanished or changed since they were indexed; `realitysim db \
              verify` names them, `realitysim db rebuild` mends the database",

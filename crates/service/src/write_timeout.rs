@@ -18,7 +18,7 @@ const MAX_STALL: Duration = Duration::from_secs(10);
 /// Bytes a second that a client has to take on average while the service waits for it.
 const LEAST_RATE: f64 = 65_536.0;
 
-pub(super) struct Patient {
+pub(super) struct WriteTimeout {
     stream: TcpStream,
     seat: Arc<Seat>,
     credit: Credit,
@@ -41,7 +41,7 @@ impl Credit {
     }
 }
 
-impl Patient {
+impl WriteTimeout {
     pub(super) fn new(stream: TcpStream, seat: Arc<Seat>) -> Self {
         let (credit, exhausted) = (Credit(MAX_STALL), Box::pin(sleep(MAX_STALL)));
         Self { stream, seat, credit, exhausted, waits_since: None }
@@ -67,13 +67,13 @@ impl Patient {
     }
 }
 
-impl AsyncRead for Patient {
+impl AsyncRead for WriteTimeout {
     fn poll_read(mut self: Pin<&mut Self>, context: &mut Context, buffer: &mut ReadBuf) -> Poll<io::Result<()>> {
         Pin::new(&mut self.stream).poll_read(context, buffer)
     }
 }
 
-impl AsyncWrite for Patient {
+impl AsyncWrite for WriteTimeout {
     fn poll_write(mut self: Pin<&mut Self>, context: &mut Context, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let done = Pin::new(&mut self.stream).poll_write(context, bytes);
         self.within_time(context, done)

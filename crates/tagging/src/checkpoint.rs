@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::dead_reckoning::Foresight;
+use super::dead_reckoning::DeadReckoning;
 use realitysim_geometry::Physical;
 use realitysim_localization::LocalizerState;
 use realitysim_log_input::synchroniser::SynchroniserState;
@@ -14,7 +14,7 @@ use realitysim_log_input::synchroniser::SynchroniserState;
 pub struct Checkpoint {
     pub tagger: LocalizerState,
     pub synchroniser: SynchroniserState,
-    pub foresight: Foresight,
+    pub foresight: DeadReckoning,
     /// Frames of the session so far.
     pub frames: u64,
 }
@@ -97,7 +97,7 @@ mod tests {
         Checkpoint {
             tagger: LocalizerState { filter, ..LocalizerState::default() },
             synchroniser: SynchroniserState::default(),
-            foresight: Foresight::default(),
+            foresight: DeadReckoning::default(),
             frames: 12,
         }
     }

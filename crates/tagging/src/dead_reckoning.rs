@@ -8,7 +8,7 @@ use super::tagger::Tagger;
 use realitysim_geometry::Physical;
 use realitysim_localization::LocalizerState;
 use realitysim_log_input::history::KEEP_NS;
-use realitysim_log_input::synchroniser::{Frame, Since, Synchroniser};
+use realitysim_log_input::synchroniser::{Frame, StepOrigin, Synchroniser};
 use realitysim_ros2::messages::FrameTag;
 
 /// In `reason` of a tag that belongs to no frame.
@@ -21,24 +21,24 @@ const INTERVALS: i64 = 3;
 const EVERY_NS: i64 = 100_000_000;
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Foresight {
-    ahead: Option<Ahead>,
+pub struct DeadReckoning {
+    ahead: Option<Propagated>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Ahead {
-    since: Since,
+struct Propagated {
+    since: StepOrigin,
     stamp_ns: i64,
     localizer: LocalizerState,
 }
 
-impl Physical for Foresight {
+impl Physical for DeadReckoning {
     fn is_possible(&self) -> bool {
         self.ahead.as_ref().is_none_or(|ahead| ahead.localizer.is_possible())
     }
 }
 
-impl Foresight {
+impl DeadReckoning {
     /// A frame has come. After a gap longer than measurements are kept for, it counts from the last of the poses that were foreseen:
     /// step by step is known what one long step, of which nobody has the gyro's turns any more, is not.
     pub fn meet(&mut self, frame: &mut Frame, tagger: &mut Tagger, synchroniser: &Synchroniser) {
@@ -81,7 +81,7 @@ impl Foresight {
         };
         // What happens until it is known again is one step.
         robot.place.as_ref().ok()?;
-        let ahead = self.ahead.get_or_insert_with(|| Ahead { since, stamp_ns, localizer: tagger.state() });
+        let ahead = self.ahead.get_or_insert_with(|| Propagated { since, stamp_ns, localizer: tagger.state() });
         ahead.stamp_ns = stamp_ns;
         tagger.foresee(stamp_ns, &robot, &mut ahead.localizer, NO_FRAME)
     }

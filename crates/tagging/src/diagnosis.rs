@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use super::perception_pool::view;
-use super::setup::Eyes;
-use super::single_image::{Fit, Known};
+use super::setup::FramePerception;
+use super::single_image::{FitQuality, ImagePrior};
 use realitysim_config::{Settings, Topics, field_names, lens_names, load_field, load_lens};
 use realitysim_geometry::{Euler, Field, Isometry, Lens, LensParameters};
 use realitysim_log_input::synchroniser::Frame;
@@ -15,7 +15,7 @@ use realitysim_ros2::mcap_read::LogMessage;
 
 /// Frames that were not placed though something was seen in them, spread evenly over a recording of any length.
 #[derive(Debug, Default)]
-pub struct Unplaced {
+pub struct UnplacedFrames {
     frames: Vec<Sample>,
     /// How many there have been.
     count: u64,
@@ -36,7 +36,7 @@ const MOST: usize = 6;
 /// Of fewer nothing is said: a pose needs some frames to be confirmed, whatever is right.
 const FEWEST: usize = 3;
 
-impl Unplaced {
+impl UnplacedFrames {
     pub fn note(&mut self, frame: &Frame) {
         let Ok(place) = &frame.robot.place else { return };
         let every = self.every.max(1);
@@ -60,11 +60,11 @@ impl Unplaced {
 }
 
 /// What was said of the robot and its field.
-pub struct Given<'a> {
+pub struct DiagnosisInput<'a> {
     pub settings: &'a Settings,
     pub topics: &'a Topics,
     pub field: &'a Field,
-    pub eyes: &'a Eyes,
+    pub eyes: &'a FramePerception,
     /// To look with.
     pub threads: usize,
 }
@@ -119,9 +119,9 @@ const SCALES: i32 = 5;
 /// Of the lenses and mounts, those that explain most of two frames are tried with all.
 const CLOSER: usize = 3;
 
-impl Given<'_> {
+impl DiagnosisInput<'_> {
     /// What is most probably wrong, in a sentence or two; `None` if there are too few frames to tell.
-    pub fn cause(&self, unplaced: &Unplaced) -> Option<String> {
+    pub fn cause(&self, unplaced: &UnplacedFrames) -> Option<String> {
         let all: Vec<&Sample> = unplaced.frames.iter().collect();
         if all.len() < FEWEST {
             return None;
@@ -214,13 +214,13 @@ impl Given<'_> {
         let found = in_parallel(self.threads, changes.len() * samples.len(), |index| {
             self.look(&changes[index / samples.len()], samples[index % samples.len()])
         });
-        let of = |(change, found): (&Change, &[Option<(Fit, f64)>])| {
+        let of = |(change, found): (&Change, &[Option<(FitQuality, f64)>])| {
             let found = found.iter().flatten();
-            let count = |is: fn(Fit) -> bool| found.clone().filter(|(fit, _)| is(*fit)).count();
+            let count = |is: fn(FitQuality) -> bool| found.clone().filter(|(fit, _)| is(*fit)).count();
             Tried {
                 change: change.clone(),
-                fits: count(|fit| fit != Fit::None),
-                clear: count(|fit| fit == Fit::Good),
+                fits: count(|fit| fit != FitQuality::None),
+                clear: count(|fit| fit == FitQuality::Good),
                 log_likelihood: found.map(|(_, log_likelihood)| log_likelihood.max(0.0)).sum(),
             }
         };
@@ -228,7 +228,7 @@ impl Given<'_> {
     }
 
     /// `None` where the image or the field cannot be read, or nothing is found in it.
-    fn look(&self, change: &Change, sample: &Sample) -> Option<(Fit, f64)> {
+    fn look(&self, change: &Change, sample: &Sample) -> Option<(FitQuality, f64)> {
         let given = self.eyes.vision.lens();
         let lens = match change {
             Change::Lens(name) => load_lens(name).ok()?.lens,
@@ -253,7 +253,7 @@ impl Given<'_> {
         let picture = view(&sample.message, &lens).ok()?;
         let body = self.eyes.body(sample.head).cloned();
         let attitude = Euler { yaw: 0.0, pitch, roll };
-        let known = Known { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
+        let known = ImagePrior { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
         let located =
             known.locate(&known.look(&picture), other.as_ref().unwrap_or(self.field), self.settings.filter.seed);
         Some((located.fit(), located.found.first()?.log_likelihood))

@@ -20,7 +20,7 @@ use realitysim_log_input::synchroniser::{Frame, InitialPose, Synchroniser};
 use realitysim_log_input::{measurement, scene_source};
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::FrameTag;
-use realitysim_vision::{Picture, Seen};
+use realitysim_vision::{Observations, Picture};
 
 #[derive(Clone, Debug)]
 pub struct ExplainOptions {
@@ -68,7 +68,7 @@ struct Walk<'a> {
     setup: Setup,
     synchroniser: Synchroniser,
     tagger: Tagger,
-    seen: Seen,
+    seen: Observations,
     frames: u64,
 }
 
@@ -85,7 +85,7 @@ impl<'a> Walk<'a> {
         if let Some(map_from_footprint) = options.initial {
             tagger.start_at(&InitialPose { map_from_footprint, xy_m: None, yaw_rad: None });
         }
-        Self { options, setup, synchroniser, tagger, seen: Seen::default(), frames: 0 }
+        Self { options, setup, synchroniser, tagger, seen: Observations::default(), frames: 0 }
     }
 
     fn through(
@@ -99,7 +99,7 @@ impl<'a> Walk<'a> {
                 continue;
             }
             match measurement::read(&message, &self.setup.topics, &self.setup.settings.head) {
-                Ok(measurement::Input::InitialPose { .. }) if self.options.initial.is_some() => {}
+                Ok(measurement::Measurement::InitialPose { .. }) if self.options.initial.is_some() => {}
                 Ok(input) => self.synchroniser.push(&message, input),
                 // What cannot be read is told by a replay.
                 Err(_) => {}

@@ -6,16 +6,16 @@ use realitysim_ros2::topics::DIAGNOSTICS_PREFIX;
 
 /// Of all frames, and of those since the last report.
 #[derive(Clone, Debug, Default)]
-pub struct EffortTally {
+pub struct FilterStats {
     /// From the decoded image to the tag.
     pub durations: Durations,
     pub capped: u64,
     pub over_budget: u64,
-    lately: Lately,
+    lately: RecentFilterStats,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-struct Lately {
+struct RecentFilterStats {
     frames: u64,
     capped: u64,
     over_budget: u64,
@@ -23,7 +23,7 @@ struct Lately {
     spread_m: f64,
 }
 
-impl EffortTally {
+impl FilterStats {
     pub fn note(&mut self, tag: &FrameTag, budget_ms: f64) {
         self.durations.note(tag.elapsed_ms);
         self.capped += u64::from(tag.capped);
@@ -39,7 +39,7 @@ impl EffortTally {
 
     /// Begins the next stretch.
     pub fn diagnostics(&mut self, robot: &str, budget_ms: f64) -> DiagnosticStatus {
-        let Lately { frames, capped, over_budget, particles, spread_m } = core::mem::take(&mut self.lately);
+        let RecentFilterStats { frames, capped, over_budget, particles, spread_m } = core::mem::take(&mut self.lately);
         let share = |count: u64| count as f64 / frames.max(1) as f64;
         let quantiles = self.durations.quantiles();
         let late = share(over_budget) > 0.5;
@@ -80,7 +80,7 @@ mod tests {
 
     #[test]
     fn a_budget_that_cannot_be_kept_is_told_with_what_was_reached() {
-        let mut tally = EffortTally::default();
+        let mut tally = FilterStats::default();
         (0..10).for_each(|_| tally.note(&tag(3.0, true), 1.0));
         let status = tally.diagnostics("r", 1.0);
         assert_eq!(status.level, DiagnosticStatus::WARN);
@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn each_report_is_of_the_time_since_the_last() {
-        let mut tally = EffortTally::default();
+        let mut tally = FilterStats::default();
         (0..10).for_each(|_| tally.note(&tag(3.0, true), 1.0));
         tally.diagnostics("r", 1.0);
         (0..10).for_each(|_| tally.note(&tag(0.9, false), 1.0));

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::budget::Decisions;
 use super::checkpoint::{Checkpoint, CheckpointError};
 use super::error::ReplayError;
-use super::log_scan::Prelude;
+use super::log_scan::StreamInfo;
 use super::setup::{Setup, SetupError};
 use realitysim_config::Settings;
 use realitysim_log_input::log::{self as logs, LogError, LogSource, StoredCheckpoint};
@@ -59,7 +59,7 @@ pub fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
         missing.iter().cloned().chain(damaged).collect()
     };
     let all = files.clone();
-    let prelude = Prelude::read(settings, &types, move |selection| Box::new(LogSource::new(all.clone(), selection)))
+    let prelude = StreamInfo::read(settings, &types, move |selection| Box::new(LogSource::new(all.clone(), selection)))
         .map_err(|error| setup_error(path, error, lost()))?;
     let frames = surveys.iter().flat_map(|survey| &survey.topics).filter(|topic| topic.topic == prelude.topics.image);
     let frames = frames.map(|topic| topic.messages).sum();
@@ -95,9 +95,10 @@ pub(super) fn scene<'a>(
         first.push(message);
     }
     let known = first.clone();
-    let setup = Prelude::read(&settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))
-        .and_then(|prelude| Setup::new(settings, prelude))
-        .map_err(|error| setup_error(name, error, Vec::new()))?;
+    let setup =
+        StreamInfo::read(&settings, &types, move |_| Box::new(known.clone().into_iter().map(Ok::<_, LogError>)))
+            .and_then(|prelude| Setup::new(settings, prelude))
+            .map_err(|error| setup_error(name, error, Vec::new()))?;
     let messages = first.into_iter().map(Ok).chain(source.map(|message| message.map_err(ReplayError::from)));
     Ok((setup, messages))
 }

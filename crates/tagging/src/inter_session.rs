@@ -1,23 +1,23 @@
 //! Between two sessions of one agent: nothing is recorded, and odometry goes on saying where the robot is.
 
-use super::dead_reckoning::Foresight;
+use super::dead_reckoning::DeadReckoning;
 use super::tagger::Tagger;
-use super::warm_start::Kept;
+use super::warm_start::WarmState;
 use realitysim_config::{HeadSettings, Topics};
 use realitysim_log_input::measurement;
 use realitysim_log_input::synchroniser::Synchroniser;
 use realitysim_ros2::mcap_read::LogMessage;
 
 /// Steps as they come, no frames.
-pub struct Between {
+pub struct IdleOdometry {
     pub(super) topics: Topics,
     pub(super) head: HeadSettings,
     pub(super) synchroniser: Synchroniser,
     pub(super) tagger: Tagger,
-    pub(super) foresight: Foresight,
+    pub(super) foresight: DeadReckoning,
 }
 
-impl Between {
+impl IdleOdometry {
     pub fn take(&mut self, message: &LogMessage) {
         if measurement::is_frame(&message.channel, &self.topics) {
             return;
@@ -30,7 +30,7 @@ impl Between {
     }
 
     /// Where the next session goes on.
-    pub fn kept(self) -> Kept {
-        Kept::new(self.foresight, self.tagger.state(), self.synchroniser.state())
+    pub fn kept(self) -> WarmState {
+        WarmState::new(self.foresight, self.tagger.state(), self.synchroniser.state())
     }
 }

@@ -27,7 +27,7 @@ pub mod warnings;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::{AgentError, ReplayError};
-pub use frame_cache::{Attempt, Claims, Footage, FootageOptions};
+pub use frame_cache::{Claims, FrameCache, FrameCacheOptions, Trial};
 pub use replay::{ReplayOptions, replay};
 pub use report::ReplayReport;
 pub use setup::SetupError;

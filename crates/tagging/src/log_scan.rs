@@ -6,13 +6,13 @@ use super::setup::SetupError;
 use super::warnings::AttitudeSource;
 use realitysim_config::{Settings, Topics};
 use realitysim_log_input::log::LogError;
-use realitysim_log_input::measurement::{self, Input};
+use realitysim_log_input::measurement::{self, Measurement};
 use realitysim_log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use realitysim_log_input::topic_resolution::{TopicTypes, resolve};
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::messages::{CameraInfo, Imu, JointState, Message, TFMessage};
 
-pub struct Prelude {
+pub struct StreamInfo {
     pub topics: Topics,
     pub camera_info: Option<CameraInfo>,
     /// Constants are known from the start, wherever in the log they stand.
@@ -24,7 +24,7 @@ pub struct Prelude {
 /// More messages of one topic than this are not needed to know calibration and constants.
 const ENOUGH: u32 = 200;
 
-impl Prelude {
+impl StreamInfo {
     pub fn read(
         settings: &Settings,
         types: &TopicTypes,
@@ -47,8 +47,8 @@ impl Prelude {
         let mut camera_info = None;
         for message in &found {
             match measurement::read(message, &topics, &settings.head) {
-                Ok(Input::CameraInfo(info)) => camera_info = camera_info.or(Some(*info)),
-                Ok(input @ Input::Transforms { latched: true, .. }) => synchroniser.push(message, input),
+                Ok(Measurement::CameraInfo(info)) => camera_info = camera_info.or(Some(*info)),
+                Ok(input @ Measurement::Transforms { latched: true, .. }) => synchroniser.push(message, input),
                 _ => {}
             }
         }
@@ -75,7 +75,7 @@ fn check_mount(
     // The first frame tells what its optical frame is called.
     for message in found.iter().chain(first_frame) {
         let input = measurement::read(message, topics, &settings.head);
-        if let Ok(input @ (Input::Transforms { latched: false, .. } | Input::Frame { .. })) = input {
+        if let Ok(input @ (Measurement::Transforms { latched: false, .. } | Measurement::Frame { .. })) = input {
             synchroniser.push(message, input);
         }
     }
@@ -102,6 +102,6 @@ fn moves_footprint(message: &LogMessage, settings: &Settings) -> bool {
     let is_step = |t: &measurement::StampedTransform| t.parent == names.odom && t.child == names.base_footprint;
     matches!(
         measurement::read(message, &settings.topics, &settings.head),
-        Ok(Input::Transforms { transforms, .. }) if transforms.iter().any(is_step)
+        Ok(Measurement::Transforms { transforms, .. }) if transforms.iter().any(is_step)
     )
 }

@@ -14,7 +14,7 @@ use super::input_source::{self, OpenLog};
 use super::perception_pool::view;
 use realitysim_geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use realitysim_localization::refinement::LinePoints;
-use realitysim_localization::refinement::line_measurement::{Eye, Sight, measure};
+use realitysim_localization::refinement::line_measurement::{CameraModel, LineMeasurement, measure};
 use realitysim_localization::refinement::miscalibration::Miscalibration;
 use realitysim_localization::smoothing::alignment::{Look, matches};
 use realitysim_localization::smoothing::{
@@ -28,10 +28,10 @@ use realitysim_recording::{
 };
 use realitysim_ros2::messages::{FrameTag, Header, Message, Pose, PoseWithCovarianceStamped};
 use realitysim_ros2::{Durability, LogWriter, WriteError, topics};
-use realitysim_vision::{Picture, Seen};
+use realitysim_vision::{Observations, Picture};
 
 /// A capture and what became of its tags.
-pub struct Refining {
+pub struct OfflineRefinement {
     pub info: SessionInfo,
     /// As they were recorded.
     pub tags: Vec<FrameTag>,
@@ -82,7 +82,11 @@ const OBSERVED: f64 = 0.5;
 const SYSTEMATIC_PX: f64 = 0.08;
 
 /// `progress` hears of frames looked at, and of how many there are.
-pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64)) -> Result<Refining, RefineError> {
+pub fn refine(
+    capture: &Path,
+    model: &Model,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<OfflineRefinement, RefineError> {
     if !capture.join(SESSION_FILE).is_file() {
         return Err(RefineError::NotACapture(capture.to_owned()));
     }
@@ -128,7 +132,7 @@ pub fn refine(capture: &Path, model: &Model, progress: &mut dyn FnMut(u64, u64))
         Some((pose, covariance)) if tag.valid => retagged(tag, pose, covariance),
         _ => tag.clone(),
     });
-    Ok(Refining {
+    Ok(OfflineRefinement {
         refined: refined.collect(),
         tags,
         lens: constants.lens(&info.lens),
@@ -159,7 +163,8 @@ fn look(
     let square = |sigma: f64| sigma * sigma;
     let [m, r] = [metres, radians].map(square);
     let covariance = Matrix6::from_diagonal(&Vector6::new(m, m, m, r, r, r));
-    let (mut seen, mut sights, mut frames, mut number): (Seen, Vec<Sight>, Vec<Frame>, u64) = Default::default();
+    let (mut seen, mut sights, mut frames, mut number): (Observations, Vec<LineMeasurement>, Vec<Frame>, u64) =
+        Default::default();
     let mut before: Option<(i64, Isometry, Picture)> = None;
     let mut take = |frame: SensorFrame, frames: &mut Vec<Frame>| {
         number += 1;
@@ -170,7 +175,7 @@ fn look(
         if let (Ok(place), Ok(picture)) = (&frame.robot.place, view(&frame.message, setup.eyes.vision.lens())) {
             let body = setup.eyes.body(frame.robot.head);
             setup.eyes.vision.look_again(&picture, &place.footprint_from_optical, body, &mut seen);
-            let eye = Eye { projector: &projector, off: &off, twist: &twist };
+            let eye = CameraModel { projector: &projector, off: &off, twist: &twist };
             measure(&points, &seen.image, eye, pose, &covariance, &mut sights);
             let every = sights.len().div_ceil(MAX_PLACES).max(1);
             places.extend(sights.iter().step_by(every).filter_map(|sight| Place::new(sight, &eye, pose)));
@@ -229,7 +234,7 @@ fn retagged(tag: &FrameTag, map_from_link: &Isometry, covariance: &Matrix6<f64>)
     tag
 }
 
-impl Refining {
+impl OfflineRefinement {
     pub fn info(&self) -> RefinedInfo {
         let Smoothed { constants, believed, known, rms_px, .. } = &self.smoothed;
         let values = constants.values();

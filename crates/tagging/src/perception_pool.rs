@@ -8,24 +8,24 @@ use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
-use super::setup::Eyes;
+use super::setup::FramePerception;
 use realitysim_geometry::Lens;
 use realitysim_log_input::decode::{DecodeError, picture_of_size};
 use realitysim_log_input::synchroniser::Frame;
 use realitysim_ros2::mcap_read::LogMessage;
-use realitysim_vision::{Picture, Seen};
+use realitysim_vision::{Observations, Picture};
 
 /// A frame after looking at it.
-pub struct Looked {
+pub struct PerceivedFrame {
     pub frame: Frame,
-    pub seen: Result<Seen, NotSeen>,
+    pub seen: Result<Observations, PerceptionError>,
     /// Milliseconds from the decoded image to the ground table.
     pub look_ms: f64,
 }
 
 /// Why nothing could be seen.
 #[derive(Debug)]
-pub enum NotSeen {
+pub enum PerceptionError {
     Decode(DecodeError),
     Size {
         image: [usize; 2],
@@ -35,7 +35,7 @@ pub enum NotSeen {
     NoPlace,
 }
 
-impl NotSeen {
+impl PerceptionError {
     /// As in a tag's `reason`.
     pub fn reason(&self) -> &'static str {
         match self {
@@ -52,23 +52,23 @@ const AHEAD: usize = 2;
 struct Job {
     frame: Frame,
     /// Of a frame that is done with: its buffers are used again.
-    spare: Seen,
-    reply: Sender<Looked>,
+    spare: Observations,
+    reply: Sender<PerceivedFrame>,
 }
 
 /// Frames in, looked-at frames out, in the same order.
-pub struct Looking {
-    eyes: Arc<Eyes>,
+pub struct PerceptionPool {
+    eyes: Arc<FramePerception>,
     jobs: Option<Sender<Job>>,
     workers: Vec<std::thread::JoinHandle<()>>,
-    pending: VecDeque<Receiver<Looked>>,
+    pending: VecDeque<Receiver<PerceivedFrame>>,
     limit: usize,
-    spares: Vec<Seen>,
+    spares: Vec<Observations>,
 }
 
-impl Looking {
+impl PerceptionPool {
     /// With one thread everything happens in the caller's.
-    pub fn new(eyes: Arc<Eyes>, threads: usize) -> Self {
+    pub fn new(eyes: Arc<FramePerception>, threads: usize) -> Self {
         if threads <= 1 {
             return Self {
                 eyes,
@@ -96,7 +96,7 @@ impl Looking {
     }
 
     /// Takes a frame and, once enough are under way, hands back the oldest.
-    pub fn push(&mut self, frame: Frame) -> Option<Looked> {
+    pub fn push(&mut self, frame: Frame) -> Option<PerceivedFrame> {
         let spare = self.spares.pop().unwrap_or_default();
         let Some(jobs) = &self.jobs else { return Some(look(&self.eyes, frame, spare)) };
         let (reply, result) = bounded(1);
@@ -107,19 +107,19 @@ impl Looking {
     }
 
     /// What a frame has shown is not needed any more.
-    pub fn give_back(&mut self, seen: Seen) {
+    pub fn give_back(&mut self, seen: Observations) {
         if self.spares.len() < self.limit {
             self.spares.push(seen);
         }
     }
 
     /// The oldest frame under way.
-    pub fn pop(&mut self) -> Option<Looked> {
+    pub fn pop(&mut self) -> Option<PerceivedFrame> {
         self.pending.pop_front().and_then(|result| result.recv().ok())
     }
 }
 
-impl Drop for Looking {
+impl Drop for PerceptionPool {
     fn drop(&mut self) {
         self.jobs = None;
         for worker in self.workers.drain(..) {
@@ -129,23 +129,25 @@ impl Drop for Looking {
     }
 }
 
-fn look(eyes: &Eyes, frame: Frame, mut seen: Seen) -> Looked {
+fn look(eyes: &FramePerception, frame: Frame, mut seen: Observations) -> PerceivedFrame {
     let Ok(place) = frame.robot.place.clone() else {
-        return Looked { frame, seen: Err(NotSeen::NoPlace), look_ms: 0.0 };
+        return PerceivedFrame { frame, seen: Err(PerceptionError::NoPlace), look_ms: 0.0 };
     };
     let picture = match view(&frame.message, eyes.vision.lens()) {
         Ok(picture) => picture,
-        Err(unseen) => return Looked { frame, seen: Err(unseen), look_ms: 0.0 },
+        Err(unseen) => return PerceivedFrame { frame, seen: Err(unseen), look_ms: 0.0 },
     };
     let start = Instant::now();
     eyes.vision.look_again(&picture, &place.footprint_from_optical, eyes.body(frame.robot.head), &mut seen);
-    Looked { look_ms: start.elapsed().as_secs_f64() * 1e3, frame, seen: Ok(seen) }
+    PerceivedFrame { look_ms: start.elapsed().as_secs_f64() * 1e3, frame, seen: Ok(seen) }
 }
 
 /// The picture of a frame's message, if it is one that the lens can have made.
-pub(super) fn view(message: &LogMessage, lens: &Lens) -> Result<Picture, NotSeen> {
+pub(super) fn view(message: &LogMessage, lens: &Lens) -> Result<Picture, PerceptionError> {
     picture_of_size(message, [lens.width() as usize, lens.height() as usize]).map_err(|error| match error {
-        DecodeError::OtherSize { found, .. } => NotSeen::Size { image: found, lens: [lens.width(), lens.height()] },
-        error => NotSeen::Decode(error),
+        DecodeError::OtherSize { found, .. } => {
+            PerceptionError::Size { image: found, lens: [lens.width(), lens.height()] }
+        }
+        error => PerceptionError::Decode(error),
     })
 }

@@ -11,15 +11,15 @@ use crossbeam_channel::Sender;
 
 use super::budget::Budget;
 use super::checkpoint::Checkpoint;
-use super::dead_reckoning::Foresight;
-use super::diagnosis::{Given, Unplaced};
+use super::dead_reckoning::DeadReckoning;
+use super::diagnosis::{DiagnosisInput, UnplacedFrames};
 use super::error::AgentError;
-use super::inter_session::Between;
-use super::perception_pool::{Looked, Looking};
-use super::run_stats::Tally;
-use super::setup::{Eyes, Setup};
+use super::inter_session::IdleOdometry;
+use super::perception_pool::{PerceivedFrame, PerceptionPool};
+use super::run_stats::RunStats;
+use super::setup::{FramePerception, Setup};
 use super::tagger::Tagger;
-use super::warm_start::Start;
+use super::warm_start::InitialState;
 use super::warnings::{self, AttitudeSource};
 use realitysim_config::{Settings, Topics};
 use realitysim_geometry::{Field, FieldDimensions, Isometry, LensParameters, PoseGrid};
@@ -53,7 +53,7 @@ pub struct Recorded {
     pub session: Option<PathBuf>,
     pub counts: Counts,
     pub recorder: RecorderStatus,
-    pub tally: Tally,
+    pub tally: RunStats,
     pub warnings: Vec<String>,
 }
 
@@ -66,7 +66,7 @@ pub struct Pipeline {
     dimensions: FieldDimensions,
     attitude: AttitudeSource,
     synchroniser: Synchroniser,
-    looking: Looking,
+    looking: PerceptionPool,
     tagger: Tagger,
     budget: Budget,
     session: Option<SessionWriter>,
@@ -75,16 +75,16 @@ pub struct Pipeline {
     initial_is_given: bool,
     /// Tagged, those before the checkpoint included: the next tag's number.
     sequence: u64,
-    tally: Tally,
+    tally: RunStats,
     last_state_ns: i64,
     last_diagnostics_ns: i64,
     /// Frames that came while the agent waits for a pause between two frames.
     held: VecDeque<LogMessage>,
     /// Where the robot is while no frames come.
-    foresight: Foresight,
-    eyes: Arc<Eyes>,
+    foresight: DeadReckoning,
+    eyes: Arc<FramePerception>,
     /// Of a replay: a robot has no time to look for causes.
-    unplaced: Option<Unplaced>,
+    unplaced: Option<UnplacedFrames>,
 }
 
 /// How often, in log time, the state is saved.
@@ -94,7 +94,7 @@ const DIAGNOSTICS_EVERY_NS: i64 = 1_000_000_000;
 const NO_STAMP: &str = "no_stamp";
 
 impl Pipeline {
-    pub fn new(setup: Setup, start: Start, recording: Recording) -> Self {
+    pub fn new(setup: Setup, start: InitialState, recording: Recording) -> Self {
         let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude } = setup;
         let thinning = settings.recording.thinning.clone();
         let grid = PoseGrid::new(field.carpet_half_extent(), thinning.cell_m, usize::from(thinning.headings));
@@ -102,7 +102,7 @@ impl Pipeline {
         let budget = Budget::new(settings.filter.budget_ms, start.decided);
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
         let (state, foresight) = start.checkpoint.map_or_else(
-            || (synchroniser, Foresight::default()),
+            || (synchroniser, DeadReckoning::default()),
             |checkpoint| (checkpoint.synchroniser, checkpoint.foresight),
         );
         let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);
@@ -114,20 +114,20 @@ impl Pipeline {
             dimensions,
             attitude,
             synchroniser,
-            looking: Looking::new(Arc::clone(&eyes), recording.threads),
+            looking: PerceptionPool::new(Arc::clone(&eyes), recording.threads),
             tagger,
             budget,
             session: None,
             thinning: Thinning::new(thinning, grid),
             initial_is_given: start.initial.is_some(),
             sequence,
-            tally: Tally::default(),
+            tally: RunStats::default(),
             last_state_ns: i64::MIN,
             last_diagnostics_ns: i64::MIN,
             held: VecDeque::new(),
             foresight,
             eyes,
-            unplaced: recording.live.is_none().then(Unplaced::default),
+            unplaced: recording.live.is_none().then(UnplacedFrames::default),
             settings,
             recording,
         }
@@ -194,10 +194,10 @@ impl Pipeline {
     }
 
     /// The same, and what goes on until another session begins.
-    pub fn pause(mut self) -> (Option<Recorded>, Result<(), AgentError>, Between) {
+    pub fn pause(mut self) -> (Option<Recorded>, Result<(), AgentError>, IdleOdometry) {
         let (recorded, ended) = self.conclude();
         let Self { topics, settings, synchroniser, tagger, foresight, .. } = self;
-        (recorded, ended, Between { topics, head: settings.head, synchroniser, tagger, foresight })
+        (recorded, ended, IdleOdometry { topics, head: settings.head, synchroniser, tagger, foresight })
     }
 
     fn conclude(&mut self) -> (Option<Recorded>, Result<(), AgentError>) {
@@ -243,7 +243,7 @@ impl Pipeline {
         let Some((unplaced, field)) = self.unplaced.as_ref().zip(Field::new(self.dimensions.clone()).ok()) else {
             return warnings::possible_causes(settings.filter.budget_ms);
         };
-        let given = Given { settings, topics, field: &field, eyes, threads: self.recording.threads };
+        let given = DiagnosisInput { settings, topics, field: &field, eyes, threads: self.recording.threads };
         given.cause(unplaced).unwrap_or_else(|| "these are too few to find out why".to_owned())
     }
 
@@ -268,7 +268,7 @@ impl Pipeline {
             session.pass(&message, is_frame, latched)?;
         }
         match input {
-            Ok(measurement::Input::InitialPose { .. }) if self.initial_is_given => {}
+            Ok(measurement::Measurement::InitialPose { .. }) if self.initial_is_given => {}
             Ok(input) => self.synchroniser.push(&message, input),
             Err(error) if is_frame => {
                 self.tally.note_bad_frame(&message, &error);
@@ -325,8 +325,8 @@ impl Pipeline {
         Ok(())
     }
 
-    fn tag(&mut self, looked: Looked) -> Result<(), AgentError> {
-        let Looked { frame, seen, look_ms } = looked;
+    fn tag(&mut self, looked: PerceivedFrame) -> Result<(), AgentError> {
+        let PerceivedFrame { frame, seen, look_ms } = looked;
         let start = Instant::now();
         let mut allowance = self.budget.frame(frame.stamp_ns, look_ms);
         let mut tag = match &seen {
@@ -501,7 +501,7 @@ mod tests {
             tags: None,
             writing: Writing::Here,
         };
-        let mut pipeline = Pipeline::new(setup, Start::default(), recording);
+        let mut pipeline = Pipeline::new(setup, InitialState::default(), recording);
         for message in messages {
             pipeline.take(message.expect("a message")).expect("taken");
         }

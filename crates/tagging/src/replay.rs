@@ -11,7 +11,7 @@ use super::input_source::{self, BEGAN_ANEW, OpenLog};
 use super::pipeline::{Pipeline, Recorded, Recording};
 use super::report::{ReplayReport, file_damage};
 use super::setup::Setup;
-use super::warm_start::{Start, last_state};
+use super::warm_start::{InitialState, last_state};
 use realitysim_config::Settings;
 use realitysim_geometry::Pose2;
 use realitysim_log_input::scene_source;
@@ -97,7 +97,7 @@ impl Run {
             report.warnings.push(format!("{error}; {BEGAN_ANEW}, and replaces it"));
             None
         });
-        let start = Start { checkpoint, warm, initial: options.initial, decided };
+        let start = InitialState { checkpoint, warm, initial: options.initial, decided };
         let pace = options.realtime.then(Pace::default);
         Self { pipeline: Pipeline::new(setup, start, recording), report, pace }
     }

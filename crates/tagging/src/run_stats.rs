@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::filter_stats::EffortTally;
-use super::perception_pool::NotSeen;
-use realitysim_log_input::synchroniser::{Frame, RobotAt};
+use super::filter_stats::FilterStats;
+use super::perception_pool::PerceptionError;
+use realitysim_log_input::synchroniser::{Frame, RobotState};
 use realitysim_recording::Counts;
 use realitysim_ros2::cdr::CdrError;
 use realitysim_ros2::mcap_read::LogMessage;
@@ -12,7 +12,7 @@ use realitysim_ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Hea
 use realitysim_ros2::topics::DIAGNOSTICS_PREFIX;
 
 #[derive(Clone, Debug, Default)]
-pub struct Tally {
+pub struct RunStats {
     /// Tags made, whatever has become of them since: what the other counts of tags are a part of. Those of the recorder are of
     /// tags that the disk has kept.
     pub tags: u64,
@@ -24,7 +24,7 @@ pub struct Tally {
     pub bad_messages: u64,
     /// First image of which nothing could be seen, and why.
     pub first_bad_image: Option<String>,
-    pub effort: EffortTally,
+    pub effort: FilterStats,
     /// Poses while there were no frames.
     pub predicted: u64,
     /// Frames of which nobody said how the torso was tilted.
@@ -39,8 +39,8 @@ pub struct Tally {
     pub begun_anew: u64,
 }
 
-impl Tally {
-    pub fn note_tag(&mut self, robot: &RobotAt, tag: &FrameTag, budget_ms: f64) {
+impl RunStats {
+    pub fn note_tag(&mut self, robot: &RobotState, tag: &FrameTag, budget_ms: f64) {
         self.tags += 1;
         self.effort.note(tag, budget_ms);
         self.without_tilt += u64::from(robot.place.as_ref().is_ok_and(|place| !place.tilt_is_measured));
@@ -50,14 +50,14 @@ impl Tally {
         }
     }
 
-    pub fn note_unseen(&mut self, frame: &Frame, unseen: &NotSeen, sequence: u64) {
+    pub fn note_unseen(&mut self, frame: &Frame, unseen: &PerceptionError, sequence: u64) {
         self.first_bad_image.get_or_insert_with(|| {
             let what = match unseen {
-                NotSeen::Decode(error) => error.to_string(),
-                NotSeen::Size { image, lens } => {
+                PerceptionError::Decode(error) => error.to_string(),
+                PerceptionError::Size { image, lens } => {
                     format!("{} x {} pixels, but the lens has {} x {}", image[0], image[1], lens[0], lens[1])
                 }
-                NotSeen::NoPlace => match &frame.robot.place {
+                PerceptionError::NoPlace => match &frame.robot.place {
                     Err(error) => error.to_string(),
                     Ok(_) => String::new(),
                 },

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use super::log_scan::Prelude;
+use super::log_scan::StreamInfo;
 use super::warnings::AttitudeSource;
 use realitysim_config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens};
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
@@ -47,7 +47,7 @@ pub struct Setup {
     pub lens: LensParameters,
     pub dimensions: FieldDimensions,
     pub field: Field,
-    pub eyes: Arc<Eyes>,
+    pub eyes: Arc<FramePerception>,
     pub expected: Expected,
     /// The transforms that are constant.
     pub synchroniser: SynchroniserState,
@@ -55,18 +55,18 @@ pub struct Setup {
 }
 
 impl Setup {
-    pub fn new(settings: Settings, prelude: Prelude) -> Result<Self, SetupError> {
+    pub fn new(settings: Settings, prelude: StreamInfo) -> Result<Self, SetupError> {
         let lens = lens(&settings, &prelude)?;
         let (field, dimensions) = field(&settings)?;
-        let eyes = Arc::new(Eyes::new(&settings, &lens, field.line_width())?);
-        let Prelude { topics, expected, synchroniser, attitude, .. } = prelude;
+        let eyes = Arc::new(FramePerception::new(&settings, &lens, field.line_width())?);
+        let StreamInfo { topics, expected, synchroniser, attitude, .. } = prelude;
         let lens = lens.parameters().clone();
         Ok(Self { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude })
     }
 }
 
 /// Everything about seeing, ready for use.
-pub struct Eyes {
+pub struct FramePerception {
     pub vision: Vision,
     bodies: Vec<BodyRange>,
 }
@@ -78,7 +78,7 @@ struct BodyRange {
 }
 
 /// The configured lens file, else what the log says of its camera.
-fn lens(settings: &Settings, prelude: &Prelude) -> Result<Lens, SetupError> {
+fn lens(settings: &Settings, prelude: &StreamInfo) -> Result<Lens, SetupError> {
     let mut parameters: LensParameters = match (&settings.camera.lens, &prelude.camera_info) {
         (Some(file), _) => load_lens(file)?.lens.parameters().clone(),
         (None, Some(info)) => lens_of(info, &prelude.topics.camera_info)?,
@@ -106,7 +106,7 @@ fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {
     Ok((field, dimensions))
 }
 
-impl Eyes {
+impl FramePerception {
     pub fn new(settings: &Settings, lens: &Lens, line_width_m: f64) -> Result<Self, SetupError> {
         let f = &settings.filter;
         let bodies = settings

@@ -6,20 +6,20 @@ use serde::Serialize;
 
 use realitysim_geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
 use realitysim_localization::filter::always;
-use realitysim_localization::global_search::{self, Candidate, Pace, Search, SearchState, Wanted};
+use realitysim_localization::global_search::{self, Candidate, GlobalSearch, Pace, SearchRequest, SearchState};
 use realitysim_localization::kernel::Points;
-use realitysim_localization::line_distance_map::PaintedMap;
+use realitysim_localization::line_distance_map::LineDistanceMap;
 use realitysim_localization::observation::default_alpha;
 use realitysim_localization::refinement::{Agreement, Prior, Refiner, error_between};
 use realitysim_localization::{
     Effort, Evidence, Filter, FilterSettings, FilterState, Formula, Model, MotionModel, Observation, Sampling,
-    SimdPath, Spread, Support, Tried, observation,
+    SimdPath, Spread, Support, TriedPose, observation,
 };
-use realitysim_vision::{BodyMask, Picture, Seen, Vision, VisionSettings};
+use realitysim_vision::{BodyMask, Observations, Picture, Vision, VisionSettings};
 
 /// What is known beforehand.
 #[derive(Clone, Debug)]
-pub struct Known {
+pub struct ImagePrior {
     pub lens: Lens,
     /// Of `camera_link`; yaw is ignored.
     pub attitude: Euler,
@@ -42,12 +42,12 @@ pub struct Look<'a> {
 
 struct View {
     footprint_from_link: Isometry,
-    seen: Seen,
+    seen: Observations,
 }
 
 /// A pose that explains the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Found {
+pub struct PoseHypothesis {
     /// `camera_link` in `map`.
     pub map_from_link: Isometry,
     /// Fitted to the lines to a fraction of a pixel; else as the search over the field found it.
@@ -64,9 +64,9 @@ pub struct Found {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct Located {
+pub struct ImageLocation {
     /// Best first; none if the image shows no line on the ground. Each pose's mirror image explains the image as well.
-    pub found: Vec<Found>,
+    pub found: Vec<PoseHypothesis>,
     /// Nobody said where, or about where, the camera was.
     pub searched: bool,
 }
@@ -74,7 +74,7 @@ pub struct Located {
 /// How far the best pose may be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Fit {
+pub enum FitQuality {
     /// It explains the lines, and no other pose does so nearly as well.
     Good,
     /// It explains the lines, and so does a pose elsewhere.
@@ -131,7 +131,7 @@ const INITIAL: Spread = Spread { xy_m: 0.3, yaw_rad: 0.15 };
 const INITIAL_PARTICLES: usize = 2000;
 const INITIAL_ITERATIONS: usize = 8;
 
-impl Known {
+impl ImagePrior {
     /// `base_footprint` is the point of the carpet below the camera, heading as the camera. So much more roll and pitch than given.
     fn footprint_from_link(&self, [roll, pitch]: [f64; 2]) -> Isometry {
         let tilt = Euler { yaw: 0.0, pitch: self.attitude.pitch + pitch, roll: self.attitude.roll + roll };
@@ -157,12 +157,12 @@ impl Known {
         Look { picture, views: views.collect(), vision: vision.clone() }
     }
 
-    pub fn locate(&self, look: &Look, field: &Field, seed: u64) -> Located {
+    pub fn locate(&self, look: &Look, field: &Field, seed: u64) -> ImageLocation {
         let alpha = default_alpha(Formula::Corrected);
         let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
-        let mut search = Search::new(field, SEARCH_MARGIN_M, &observation);
+        let mut search = GlobalSearch::new(field, SEARCH_MARGIN_M, &observation);
         let mut refiner = Refiner::new(field, &self.lens);
-        let painted = PaintedMap::new(field);
+        let painted = LineDistanceMap::new(field);
         let mut found = Vec::new();
         for view in &look.views {
             let candidates = match self.initial {
@@ -171,7 +171,7 @@ impl Known {
                     let found = search.run(
                         &observation,
                         &view.seen.table,
-                        Wanted { candidates: KEPT, pace: Pace::Hurried },
+                        SearchRequest { candidates: KEPT, pace: Pace::Hurried },
                         &mut state,
                         &mut effort,
                         &mut always,
@@ -189,30 +189,30 @@ impl Known {
                 let refined = self.weighed(look, &observation, &painted, pose, Some(lines));
                 // On a field that is not quite as its file says a refined pose may show less of the contrast than the one it
                 // came from: whichever shows more says whether this is the place.
-                let Found { share, weight, log_likelihood, .. } =
+                let PoseHypothesis { share, weight, log_likelihood, .. } =
                     if refined.log_likelihood >= unrefined.log_likelihood { refined } else { unrefined };
-                Found { share, weight, log_likelihood, ..refined }
+                PoseHypothesis { share, weight, log_likelihood, ..refined }
             }));
         }
         found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
         let found = found.into_iter();
         let mut found = without_mirrors(found.filter(|found| found.weight > 0.0));
         found.truncate(KEPT);
-        Located { found, searched: self.initial.is_none() }
+        ImageLocation { found, searched: self.initial.is_none() }
     }
 
     /// What the image shows from the best pose, and all that were found: poses of the point below `camera_link`, their worth the log
     /// likelihood.
-    pub fn evidence(&self, look: &Look, field: &Field, located: &Located) -> Option<Evidence> {
+    pub fn evidence(&self, look: &Look, field: &Field, located: &ImageLocation) -> Option<Evidence> {
         let best = located.found.first()?;
         let map_from_optical = best.map_from_link * Isometry::link_from_optical();
         let footprint_from_optical = best.place().to_isometry().inverse() * map_from_optical;
         let seen = look.vision.look(look.picture, &footprint_from_optical, self.body.as_ref());
-        let (refiner, painted) = (Refiner::new(field, &self.lens), PaintedMap::new(field));
+        let (refiner, painted) = (Refiner::new(field, &self.lens), LineDistanceMap::new(field));
         let tried = located.found.iter().map(|found| {
             let Pose2 { x, y, yaw } = found.place();
-            let Found { log_likelihood: worth, explained, .. } = *found;
-            Tried { x, y, yaw_deg: yaw.to_degrees(), worth, fitting: found.lines.fitting, explained }
+            let PoseHypothesis { log_likelihood: worth, explained, .. } = *found;
+            TriedPose { x, y, yaw_deg: yaw.to_degrees(), worth, fitting: found.lines.fitting, explained }
         });
         Some(Evidence {
             agreement: best.lines,
@@ -226,7 +226,7 @@ impl Known {
     fn refined(
         &self,
         refiner: &mut Refiner,
-        seen: &Seen,
+        seen: &Observations,
         place: &Pose2,
         start: &Isometry,
     ) -> Option<(Isometry, Agreement)> {
@@ -249,10 +249,10 @@ impl Known {
         &self,
         look: &Look,
         observation: &Observation,
-        painted: &PaintedMap,
+        painted: &LineDistanceMap,
         map_from_link: Isometry,
         lines: Option<Agreement>,
-    ) -> Found {
+    ) -> PoseHypothesis {
         let optical = Isometry::link_from_optical();
         let place = Pose2::from_isometry(&map_from_link);
         let footprint_from_optical = place.to_isometry().inverse() * map_from_link * optical;
@@ -267,7 +267,7 @@ impl Known {
         let unlikely = libm::log(1.0 + 0.5 * (roll * roll + pitch * pitch));
         let log_likelihood = observation.log_likelihood(&seen.table, &place) - unlikely;
         let (refined, lines) = (lines.is_some(), lines.unwrap_or_default());
-        Found { map_from_link, refined, lines, explained, share, weight, log_likelihood }
+        PoseHypothesis { map_from_link, refined, lines, explained, share, weight, log_likelihood }
     }
 }
 
@@ -284,11 +284,11 @@ fn tilts(sigma_rad: f64) -> Vec<[f64; 2]> {
 }
 
 /// Each pose stands for its mirror image too; near the halfway line a search finds both.
-fn without_mirrors(found: impl Iterator<Item = Found>) -> Vec<Found> {
-    let mut kept: Vec<Found> = Vec::new();
+fn without_mirrors(found: impl Iterator<Item = PoseHypothesis>) -> Vec<PoseHypothesis> {
+    let mut kept: Vec<PoseHypothesis> = Vec::new();
     for candidate in found {
         let mirror = candidate.place().mirrored();
-        let is_known = |known: &Found| {
+        let is_known = |known: &PoseHypothesis| {
             let near = |pose: &Pose2| {
                 let place = known.place();
                 place.distance(pose) < SAME_M && wrap_angle(place.yaw - pose.yaw).abs() < SAME_RAD
@@ -302,25 +302,25 @@ fn without_mirrors(found: impl Iterator<Item = Found>) -> Vec<Found> {
     kept
 }
 
-impl Located {
+impl ImageLocation {
     /// A pose elsewhere that explains the image nearly as well as the best.
-    pub fn rival(&self) -> Option<&Found> {
+    pub fn rival(&self) -> Option<&PoseHypothesis> {
         let [best, next, ..] = &self.found[..] else { return None };
         (best.log_likelihood - next.log_likelihood < CLEAR_BY).then_some(next)
     }
 
-    pub fn fit(&self) -> Fit {
+    pub fn fit(&self) -> FitQuality {
         match self.found[..] {
-            [best, ..] if !best.means_something(self.searched) => Fit::None,
-            [_, ..] if self.rival().is_some() => Fit::Doubtful,
-            [best, ..] if best.is_trusted(self.searched) => Fit::Good,
-            [_, ..] => Fit::Doubtful,
-            [] => Fit::None,
+            [best, ..] if !best.means_something(self.searched) => FitQuality::None,
+            [_, ..] if self.rival().is_some() => FitQuality::Doubtful,
+            [best, ..] if best.is_trusted(self.searched) => FitQuality::Good,
+            [_, ..] => FitQuality::Doubtful,
+            [] => FitQuality::None,
         }
     }
 }
 
-impl Found {
+impl PoseHypothesis {
     pub fn place(&self) -> Pose2 {
         Pose2::from_isometry(&self.map_from_link)
     }
@@ -338,7 +338,7 @@ impl Found {
     }
 }
 
-fn around(observation: &Observation, seen: &Seen, initial: Pose2, seed: u64) -> Candidate {
+fn around(observation: &Observation, seen: &Observations, initial: Pose2, seed: u64) -> Candidate {
     let settings = FilterSettings {
         sampling: Sampling { particles: INITIAL_PARTICLES, iterations: INITIAL_ITERATIONS, adaptive: false, fewest: 0 },
         motion: MotionModel::default(),
@@ -361,10 +361,10 @@ mod tests {
     use super::*;
 
     /// Of which all is as it should be.
-    fn found(x: f64, y: f64, yaw: f64, log_likelihood: f64) -> Found {
+    fn found(x: f64, y: f64, yaw: f64, log_likelihood: f64) -> PoseHypothesis {
         let lines = Agreement { digits: 60.0, share: 0.9, foremost: 0.9, ..Agreement::default() };
         let map_from_link = Pose2::new(x, y, yaw).to_isometry();
-        Found { map_from_link, refined: true, lines, explained: 0.9, share: 0.9, weight: 30.0, log_likelihood }
+        PoseHypothesis { map_from_link, refined: true, lines, explained: 0.9, share: 0.9, weight: 30.0, log_likelihood }
     }
 
     #[test]
@@ -376,21 +376,25 @@ mod tests {
 
     #[test]
     fn a_fit_needs_contrast_line_digits_and_no_rival() {
-        let fit = |found: &[Found], searched| Located { found: found.to_vec(), searched }.fit();
+        let fit = |found: &[PoseHypothesis], searched| ImageLocation { found: found.to_vec(), searched }.fit();
         let best = found(1.0, 1.0, 0.0, 9.0);
-        assert_eq!(fit(&[], true), Fit::None);
-        assert_eq!(fit(&[best], true), Fit::Good);
-        assert_eq!(fit(&[best, found(2.0, 1.0, 0.0, 4.0)], true), Fit::Good);
-        assert_eq!(fit(&[best, found(2.0, 1.0, 0.0, 8.5)], true), Fit::Doubtful);
-        assert_eq!(fit(&[Found { share: 0.3, ..best }], true), Fit::None);
-        assert_eq!(fit(&[Found { weight: 3.0, ..best }], true), Fit::None);
-        let digits = |digits| Found { lines: Agreement { digits, ..best.lines }, ..best };
+        assert_eq!(fit(&[], true), FitQuality::None);
+        assert_eq!(fit(&[best], true), FitQuality::Good);
+        assert_eq!(fit(&[best, found(2.0, 1.0, 0.0, 4.0)], true), FitQuality::Good);
+        assert_eq!(fit(&[best, found(2.0, 1.0, 0.0, 8.5)], true), FitQuality::Doubtful);
+        assert_eq!(fit(&[PoseHypothesis { share: 0.3, ..best }], true), FitQuality::None);
+        assert_eq!(fit(&[PoseHypothesis { weight: 3.0, ..best }], true), FitQuality::None);
+        let digits = |digits| PoseHypothesis { lines: Agreement { digits, ..best.lines }, ..best };
         let fits = [3.0, 6.0, 10.0, 20.0].map(|many| [true, false].map(|searched| fit(&[digits(many)], searched)));
-        assert_eq!(fits[0], [Fit::None, Fit::None], "by chance");
-        assert_eq!(fits[1], [Fit::None, Fit::Doubtful], "by chance, on a whole field");
-        assert_eq!(fits[2], [Fit::Doubtful, Fit::Good]);
-        assert_eq!(fits[3], [Fit::Good, Fit::Good]);
-        assert_eq!(fit(&[Found { explained: 0.6, ..best }], true), Fit::Doubtful, "lines that the field does not have");
+        assert_eq!(fits[0], [FitQuality::None, FitQuality::None], "by chance");
+        assert_eq!(fits[1], [FitQuality::None, FitQuality::Doubtful], "by chance, on a whole field");
+        assert_eq!(fits[2], [FitQuality::Doubtful, FitQuality::Good]);
+        assert_eq!(fits[3], [FitQuality::Good, FitQuality::Good]);
+        assert_eq!(
+            fit(&[PoseHypothesis { explained: 0.6, ..best }], true),
+            FitQuality::Doubtful,
+            "lines that the field does not have"
+        );
     }
 
     #[test]

@@ -5,12 +5,12 @@ use realitysim_geometry::{Field, Isometry, Lens};
 use realitysim_localization::filter::always;
 use realitysim_localization::observation::default_alpha;
 use realitysim_localization::{
-    Evidence, FilterSettings, Fix, Formula, LensOff, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Model,
-    Moment, Observation, Sampling, Spread, TrackModel, Validity,
+    Evidence, FilterSettings, Fix, Formula, FrameSensors, LensOff, Localizer, LocalizerSettings, LocalizerState,
+    MayGoOn, Model, Observation, Sampling, SlowStateModel, Spread, Validity,
 };
-use realitysim_log_input::synchroniser::{Anchor, InitialPose, RobotAt};
+use realitysim_log_input::synchroniser::{InitialPose, OdometryOrigin, RobotState};
 use realitysim_ros2::messages::{FrameTag, Header, Pose, Stamp};
-use realitysim_vision::Seen;
+use realitysim_vision::Observations;
 
 #[derive(Clone, Debug)]
 pub struct Tagger {
@@ -41,7 +41,7 @@ impl Tagger {
                 jitter_shrink: f.jitter_shrink,
                 seed: f.seed,
             },
-            track: TrackModel::default(),
+            track: SlowStateModel::default(),
             refinement: f.refinement,
             random_walk: f.motion == MotionSource::RandomWalk,
             initial,
@@ -99,14 +99,14 @@ impl Tagger {
 
     /// The tag of a frame of which something was seen. `sequence`, clocks and times are the caller's to fill in.
     /// `may_go_on` says when time is up.
-    pub fn tag(&mut self, stamp_ns: i64, robot: &RobotAt, seen: &Seen, may_go_on: &mut MayGoOn) -> FrameTag {
+    pub fn tag(&mut self, stamp_ns: i64, robot: &RobotState, seen: &Observations, may_go_on: &mut MayGoOn) -> FrameTag {
         self.begin_anew(robot);
         let fix = self.localizer.look(&moment(stamp_ns, robot), seen, may_go_on);
         self.compose(stamp_ns, robot, &fix)
     }
 
     /// As [`Self::tag`], with what speaks for and against it.
-    pub fn explain(&mut self, stamp_ns: i64, robot: &RobotAt, seen: &Seen) -> (FrameTag, Evidence) {
+    pub fn explain(&mut self, stamp_ns: i64, robot: &RobotState, seen: &Observations) -> (FrameTag, Evidence) {
         self.begin_anew(robot);
         let moment = moment(stamp_ns, robot);
         let fix = self.localizer.look(&moment, seen, &mut always);
@@ -115,7 +115,7 @@ impl Tagger {
     }
 
     /// The tag of a frame of which nothing could be seen: where odometry puts the robot, marked invalid.
-    pub fn tag_blind(&mut self, stamp_ns: i64, robot: &RobotAt, reason: &'static str) -> FrameTag {
+    pub fn tag_blind(&mut self, stamp_ns: i64, robot: &RobotState, reason: &'static str) -> FrameTag {
         self.begin_anew(robot);
         let fix = self.localizer.coast(&moment(stamp_ns, robot), reason);
         self.compose(stamp_ns, robot, &fix)
@@ -126,7 +126,7 @@ impl Tagger {
     pub fn foresee(
         &mut self,
         stamp_ns: i64,
-        robot: &RobotAt,
+        robot: &RobotState,
         ahead: &mut LocalizerState,
         reason: &'static str,
     ) -> Option<FrameTag> {
@@ -142,16 +142,16 @@ impl Tagger {
     }
 
     /// Where somebody has said where the robot is, or nothing is known of the time before.
-    fn begin_anew(&mut self, robot: &RobotAt) {
+    fn begin_anew(&mut self, robot: &RobotState) {
         if let Some(initial) = &robot.initial_pose {
             self.start_at(initial);
         }
-        if let Some(Anchor { stamp_ns, odometry, .. }) = robot.anchor {
+        if let Some(OdometryOrigin { stamp_ns, odometry, .. }) = robot.anchor {
             self.localizer.count_from(stamp_ns, odometry);
         }
     }
 
-    fn compose(&self, stamp_ns: i64, robot: &RobotAt, fix: &Fix) -> FrameTag {
+    fn compose(&self, stamp_ns: i64, robot: &RobotState, fix: &Fix) -> FrameTag {
         let Fix { estimate, support, .. } = fix;
         let place = robot.place.as_ref();
         let footprint_from_camera = place.map_or(Isometry::IDENTITY, |place| place.footprint_from_link);
@@ -209,8 +209,8 @@ impl Tagger {
     }
 }
 
-fn moment(stamp_ns: i64, robot: &RobotAt) -> Moment {
-    Moment {
+fn moment(stamp_ns: i64, robot: &RobotState) -> FrameSensors {
+    FrameSensors {
         stamp_ns,
         odometry: robot.odometry,
         turned_rad: robot.turned_rad,

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::budget::Decisions;
 use super::checkpoint::{Checkpoint, MAX_BYTES};
-use super::dead_reckoning::Foresight;
+use super::dead_reckoning::DeadReckoning;
 use super::tagger::Tagger;
 use realitysim_config::{Settings, plain_file};
 use realitysim_geometry::{Field, Lens, Pose2};
@@ -15,11 +15,11 @@ use realitysim_recording::STATE_FILE;
 
 /// What is known when the first message comes.
 #[derive(Clone, Debug, Default)]
-pub struct Start {
+pub struct InitialState {
     /// Of the segment that is replayed: exact.
     pub checkpoint: Option<Checkpoint>,
     /// Of the last agent: the robot may have been carried since.
-    pub warm: Option<Kept>,
+    pub warm: Option<WarmState>,
     /// In place of what the log announces.
     pub initial: Option<Pose2>,
     /// Of the agent that recorded what is replayed.
@@ -28,15 +28,15 @@ pub struct Start {
 
 /// What an agent leaves to the next one.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Kept {
+pub struct WarmState {
     state: LocalizerState,
     /// A place that somebody said, after what the state is of.
     told: Option<InitialPose>,
 }
 
-impl Kept {
+impl WarmState {
     /// What was foreseen without frames knows more than what the last one left.
-    pub(super) fn new(foresight: Foresight, tagger: LocalizerState, synchroniser: &SynchroniserState) -> Self {
+    pub(super) fn new(foresight: DeadReckoning, tagger: LocalizerState, synchroniser: &SynchroniserState) -> Self {
         match foresight.state() {
             Some(state) => Self { state, told: None },
             None => Self { state: tagger, told: synchroniser.pending() },
@@ -44,7 +44,7 @@ impl Kept {
     }
 }
 
-impl Start {
+impl InitialState {
     pub(super) fn tagger(&self, settings: &Settings, field: Field, lens: &Lens) -> Tagger {
         let exact = self.checkpoint.as_ref().map(|checkpoint| checkpoint.tagger.clone());
         let mut tagger = match &self.warm {
@@ -63,7 +63,7 @@ impl Start {
 }
 
 /// The state that the last agent left in `captures`, or why there is none to go on from. A first start has none.
-pub fn last_state(captures: &Path) -> Result<Option<Kept>, String> {
+pub fn last_state(captures: &Path) -> Result<Option<WarmState>, String> {
     let path = captures.join(STATE_FILE);
     let why = |what: String| format!("{}: {what}", path.display());
     let file = match plain_file::open(&path) {
@@ -73,5 +73,5 @@ pub fn last_state(captures: &Path) -> Result<Option<Kept>, String> {
     let mut bytes = Vec::new();
     file.take(MAX_BYTES as u64).read_to_end(&mut bytes).map_err(|error| why(error.to_string()))?;
     let saved = Checkpoint::decode(&bytes).map_err(|error| why(error.to_string()))?;
-    Ok(Some(Kept::new(saved.foresight, saved.tagger, &saved.synchroniser)))
+    Ok(Some(WarmState::new(saved.foresight, saved.tagger, &saved.synchroniser)))
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::filter_stats::EffortTally;
+use super::filter_stats::FilterStats;
 use super::report::Quantiles;
 use realitysim_config::FrameNames;
 use realitysim_geometry::physical::MOST;
@@ -83,7 +83,7 @@ pub fn never_upright(imu: &str, invalid: &BTreeMap<String, u64>, tagged: u64) ->
 }
 
 /// The budget is too small for what cannot be left out.
-pub fn small_budget(budget_ms: f64, effort: &EffortTally, tagged: u64) -> Option<String> {
+pub fn small_budget(budget_ms: f64, effort: &FilterStats, tagged: u64) -> Option<String> {
     let over = effort.over_budget;
     let Quantiles { p50, p99, .. } = effort.durations.quantiles();
     (over as f64 > OVER_BUDGET * tagged as f64).then(|| {

@@ -9,7 +9,7 @@ use realitysim_geometry::Isometry;
 
 /// What a view shows, at places that are spread evenly over it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Footprint {
+pub struct CoverageMask {
     places: Vec<Place>,
 }
 
@@ -27,7 +27,7 @@ enum Place {
 
 /// A bit for each place of a footprint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Seen(u128);
+pub struct PlaceMask(u128);
 
 const MAX_PLACES: usize = u128::BITS as usize;
 /// An image from so many times the view's own distance is too coarse for it; from so near it never is.
@@ -36,7 +36,7 @@ const NEAR_M: f64 = 0.5;
 /// Within 45 degrees of each other, places lie to one side.
 const ONE_SIDE: f64 = core::f64::consts::FRAC_1_SQRT_2;
 
-impl Footprint {
+impl CoverageMask {
     /// Of what `camera` shows from `map_from_link`.
     pub fn new(camera: &Camera, map_from_link: &Isometry, world: &World) -> Self {
         let map_from_optical = optical(map_from_link);
@@ -62,7 +62,7 @@ impl Footprint {
     }
 
     /// What of it an image that was taken with `camera` from `map_from_link` shows.
-    pub fn seen_by(&self, camera: &Camera, map_from_link: &Isometry) -> Seen {
+    pub fn seen_by(&self, camera: &Camera, map_from_link: &Isometry) -> PlaceMask {
         let optical_from_map = optical(map_from_link).inverse();
         let mut seen = 0;
         for (number, place) in self.places.iter().enumerate() {
@@ -78,12 +78,12 @@ impl Footprint {
             };
             seen |= u128::from(camera.projector().project_inside(at).is_some()) << number;
         }
-        Seen(seen)
+        PlaceMask(seen)
     }
 
     /// Of what `seen` lacks, what lies towards one side, the one farthest from the middle: which places, and where they are
     /// seen from `map_from_link`, a unit vector in `map`.
-    pub fn unseen(&self, map_from_link: &Isometry, seen: Seen) -> Option<(Seen, DVec3)> {
+    pub fn unseen(&self, map_from_link: &Isometry, seen: PlaceMask) -> Option<(PlaceMask, DVec3)> {
         let from = optical(map_from_link).translation;
         let forward = map_from_link.transform_vector(DVec3::X);
         let ray = |place: &Place| match place {
@@ -100,16 +100,16 @@ impl Footprint {
             part |= 1 << number;
             sum += ray;
         }
-        Some((Seen(part), sum.normalize_or(outermost)))
+        Some((PlaceMask(part), sum.normalize_or(outermost)))
     }
 
     /// Of all its places, the share that `seen` holds.
-    pub fn share(&self, seen: Seen) -> f64 {
+    pub fn share(&self, seen: PlaceMask) -> f64 {
         f64::from(seen.0.count_ones()) / self.places.len().max(1) as f64
     }
 }
 
-impl Seen {
+impl PlaceMask {
     pub fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
@@ -139,7 +139,7 @@ mod tests {
             &Field::new(realitysim_config::load_field("kid-2009").expect("a shipped field")).expect("a field"),
         );
         let camera = camera();
-        let footprint = Footprint::new(&camera, &pose(0.0, 0.0, 20.0), &world);
+        let footprint = CoverageMask::new(&camera, &pose(0.0, 0.0, 20.0), &world);
         assert!((60..=128).contains(&footprint.places.len()), "{}", footprint.places.len());
         let share = |pose: &Isometry| footprint.share(footprint.seen_by(&camera, pose));
         assert_eq!(share(&pose(0.0, 0.0, 20.0)), 1.0);
@@ -149,7 +149,7 @@ mod tests {
         let (one, other) = (pose(0.0, 60.0, 20.0), pose(0.0, -60.0, 20.0));
         let both = footprint.seen_by(&camera, &one).with(footprint.seen_by(&camera, &other));
         assert!(footprint.share(both) > share(&one).max(share(&other)) + 0.1);
-        assert_eq!(both.without(both), Seen::default());
+        assert_eq!(both.without(both), PlaceMask::default());
     }
 
     #[test]
@@ -158,10 +158,10 @@ mod tests {
             &Field::new(realitysim_config::load_field("kid-2009").expect("a shipped field")).expect("a field"),
         );
         let camera = camera();
-        let up = Footprint::new(&camera, &pose(0.0, 0.0, -89.0), &world);
-        let share = |footprint: &Footprint, pose: &Isometry| footprint.share(footprint.seen_by(&camera, pose));
+        let up = CoverageMask::new(&camera, &pose(0.0, 0.0, -89.0), &world);
+        let share = |footprint: &CoverageMask, pose: &Isometry| footprint.share(footprint.seen_by(&camera, pose));
         assert!(share(&up, &pose(3.0, 0.0, -89.0)) > 0.95);
-        let down = Footprint::new(&camera, &pose(0.0, 0.0, 89.0), &world);
+        let down = CoverageMask::new(&camera, &pose(0.0, 0.0, 89.0), &world);
         assert!(share(&down, &pose(3.0, 0.0, 89.0)) < 0.5);
     }
 }

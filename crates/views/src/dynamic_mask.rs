@@ -59,7 +59,7 @@ enum Place {
 
 /// Marks what stands in the way. Returns whether there is anything.
 pub fn mark_moving(image: &mut Raster, scenery: &Scenery) -> bool {
-    let small = Small::of(image, scenery);
+    let small = Thumbnail::of(image, scenery);
     let Some(things) = small.things(scenery) else { return false };
     let things = small.with_what_reaches_higher(things);
     let mut any = false;
@@ -75,7 +75,7 @@ pub fn mark_moving(image: &mut Raster, scenery: &Scenery) -> bool {
 }
 
 /// A small copy of the image: directions, places and colours.
-struct Small {
+struct Thumbnail {
     width: usize,
     height: usize,
     /// Of the image's pixels that one stands for.
@@ -91,7 +91,7 @@ struct Small {
     colours: Vec<(u16, [u8; 2])>,
 }
 
-impl Small {
+impl Thumbnail {
     fn of(image: &Raster, scenery: &Scenery) -> Self {
         let side = (image.width / COLUMNS).max(LEAST_SIDE);
         let (width, height) = (image.width / side, image.height / side);

@@ -10,7 +10,7 @@ use realitysim_geometry::Isometry;
 
 /// Places along posts and crossbars that images show large enough.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Bars {
+pub struct GoalBars {
     pub places: u64,
     /// Of these, brighter or darker than what is seen to either side: a bar is, and wall, carpet and hall are not.
     pub standing: u64,
@@ -25,7 +25,7 @@ const BESIDE_PX: f64 = 2.5;
 const DIFFERS: f64 = 0.08;
 const LEAST_LIGHT: f64 = 20.0;
 
-impl Bars {
+impl GoalBars {
     /// Where an image from `map_from_link` shows those of `world`.
     pub fn seen(camera: &Camera, map_from_link: &Isometry, image: &Raster, world: &World) -> Self {
         let optical_from_map = optical(map_from_link).inverse();

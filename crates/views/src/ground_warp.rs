@@ -10,7 +10,7 @@ use glam::{DMat3, DVec2, DVec3, Vec2};
 
 use super::camera::{AREA, CELL};
 use super::raster::{NOTHING, UNSURE};
-use super::target_rays::{Looks, SOFT_EDGE_PX, Target, between, cells, corners, goal_cells, sureness, turned};
+use super::target_rays::{RayHits, SOFT_EDGE_PX, Target, between, cells, corners, goal_cells, sureness, turned};
 use super::world::{Goals, Hit, Surface};
 use super::{Candidate, optical};
 use realitysim_geometry::multiversioned;
@@ -219,7 +219,7 @@ impl<'a> Warp<'a> {
     }
 
     /// Where the source draws what the view's rays meet, unless a goal hides it there.
-    fn draw_all(&self, looks: &Looks) -> Patch {
+    fn draw_all(&self, looks: &RayHits) -> Patch {
         let mut patch = self.drawn(looks);
         if self.goal_cells.is_empty() {
             return patch;
@@ -235,7 +235,7 @@ impl<'a> Warp<'a> {
 
     /// In which directions the source sees what the view's rays meet, in `map`.
     #[inline(always)]
-    fn seen(&self, looks: &Looks) -> [[f32; AREA]; 3] {
+    fn seen(&self, looks: &RayHits) -> [[f32; AREA]; 3] {
         let apart = (self.target.place - self.place).as_vec3();
         let [mut x, mut y, mut z] = looks.rays;
         for (i, nearness) in looks.inverse_distances.iter().enumerate() {
@@ -246,9 +246,9 @@ impl<'a> Warp<'a> {
         [x, y, z]
     }
 
-    fn drawn(&self, looks: &Looks) -> Patch {
+    fn drawn(&self, looks: &RayHits) -> Patch {
         let warp = self;
-        multiversioned!(|warp: &Warp, looks: &Looks| -> Patch {
+        multiversioned!(|warp: &Warp, looks: &RayHits| -> Patch {
             let seen = turned(&warp.source_from_map, &warp.seen(looks));
             let [u, v] = warp.source.camera.projector().project_all(&seen);
             let mut sure = looks.sure;

@@ -1,7 +1,7 @@
 //! Views: what the camera would have seen from a pose that was never recorded, made from images that were.
 //!
 //! Pure: poses, lenses and pixels in, pixels out. [`view`] is the method; which images are offered to it is for
-//! [`realitysim_database`] to say. Every answer tells what it was made of and how far it can be trusted: [`Answer`].
+//! [`realitysim_database`] to say. Every answer tells what it was made of and how far it can be trusted: [`SynthesizedView`].
 
 mod camera;
 mod compose;
@@ -23,16 +23,16 @@ mod weights;
 mod world;
 
 pub use camera::Camera;
-pub use coverage_mask::{Footprint, Seen};
+pub use coverage_mask::{CoverageMask, PlaceMask};
 pub use dynamic_mask::{Scenery, mark_moving};
-pub use goal_check::Bars;
+pub use goal_check::GoalBars;
 pub use ground_warp::Warp;
 pub use photometry::{Gain, Vignetting};
 pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
 pub use similarity::{Similarity, similarity};
 pub use synthesized_view::{
-    Answer, Candidate, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method,
-    Request, TagError, UsedSource, ViewError, ViewSettings, angle_between, check_pose,
+    Candidate, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method, Provenance, Request,
+    SynthesizedView, TagError, UsedSource, ViewError, ViewSettings, angle_between, check_pose,
 };
 pub use target_rays::Target;
 pub use vignetting::{Overlap, darkening, overlap};
@@ -48,15 +48,15 @@ use realitysim_geometry::Isometry;
 /// paper    : the first candidate through a quadratic map (Eq. 3-4), its holes filled by the reverse map
 /// exact    : every candidate through ground, goals and both lenses; the best of them for each pixel
 /// ```
-pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewError> {
+pub fn view(request: &Request, candidates: &[Candidate]) -> Result<SynthesizedView, ViewError> {
     check_pose(&request.map_from_link)?;
     let nearest = candidates.first().ok_or(ViewError::NoCandidates)?;
     request.refuse_far(nearest)?;
     if request.is_stored_as(nearest) {
-        return Ok(Answer::unchanged(Made::Stored, request, nearest));
+        return Ok(SynthesizedView::unchanged(Provenance::Stored, request, nearest));
     }
     match request.method {
-        Method::Nearest => Ok(Answer::unchanged(Made::Nearest, request, nearest)),
+        Method::Nearest => Ok(SynthesizedView::unchanged(Provenance::Nearest, request, nearest)),
         Method::Paper => paper::view(request, nearest),
         Method::Exact => {
             let chosen = &candidates[..candidates.len().min(request.settings.sources)];
@@ -67,7 +67,7 @@ pub fn view(request: &Request, candidates: &[Candidate]) -> Result<Answer, ViewE
             if chosen.iter().any(|source| source.image.has_moving()) {
                 occlusion_fill::fill(&mut composed, request, &target, &warps, chosen, &gains);
             }
-            request.refuse_little(Answer::composed(request, &target, chosen, composed)?)
+            request.refuse_little(SynthesizedView::composed(request, &target, chosen, composed)?)
         }
     }
 }

@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use super::quadratic::Quadratic;
 use super::raster::{NOTHING, Raster, SURE, UNSURE};
 use super::sample::read;
-use super::synthesized_view::{Answer, Candidate, Request, ViewError};
+use super::synthesized_view::{Candidate, Request, SynthesizedView, ViewError};
 use super::target_rays::Target;
 use super::world::{Surface, World};
 use super::{Camera, optical};
@@ -34,7 +34,7 @@ pub struct Posed<'a> {
     pub map_from_link: Isometry,
 }
 
-pub(super) fn view(request: &Request, source: &Candidate) -> Result<Answer, ViewError> {
+pub(super) fn view(request: &Request, source: &Candidate) -> Result<SynthesizedView, ViewError> {
     let from = Posed { camera: source.camera, map_from_link: source.map_from_link };
     let to = Posed { camera: request.camera, map_from_link: request.map_from_link };
     let pairs = correspondences(&from, &to, request.world, PAPER);
@@ -52,7 +52,7 @@ pub(super) fn view(request: &Request, source: &Candidate) -> Result<Answer, View
             Some(_) => pixel[3] = pixel[3].min(UNSURE),
         }
     }
-    Ok(Answer::warped(request, source, image, forward.residual().rms_px))
+    Ok(SynthesizedView::warped(request, source, image, forward.residual().rms_px))
 }
 
 /// Pixels of the source and of the wanted view that show the same place of the ground.

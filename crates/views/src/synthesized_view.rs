@@ -79,7 +79,7 @@ pub struct TagError {
 
 /// How an answer came about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Made {
+pub enum Provenance {
     /// A recorded image, unchanged: it was taken where the request is.
     Stored,
     /// A recorded image, unchanged, though it was taken elsewhere.
@@ -91,10 +91,10 @@ pub enum Made {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct Answer {
+pub struct SynthesizedView {
     /// Its fourth channel is the mask of what is sure.
     pub image: Raster,
-    pub made: Made,
+    pub made: Provenance,
     /// Where its camera stands: as asked, or where the image was taken if it is unchanged.
     pub map_from_link: Isometry,
     /// Those that show in it, nearest first.
@@ -190,7 +190,7 @@ impl Request<'_> {
     }
 
     /// Near by, and looking elsewhere, is no better than far away.
-    pub(super) fn refuse_little(&self, answer: Answer) -> Result<Answer, ViewError> {
+    pub(super) fn refuse_little(&self, answer: SynthesizedView) -> Result<SynthesizedView, ViewError> {
         let share = answer.valid_share;
         let is_poor = self.settings.max_distance_m.is_finite() && share < LEAST;
         if is_poor { Err(ViewError::TooLittle { share }) } else { Ok(answer) }
@@ -227,20 +227,20 @@ pub fn angle_between(a: &Isometry, b: &Isometry) -> f64 {
     2.0 * libm::atan2(turn.xyz().length(), turn.w.abs())
 }
 
-impl Answer {
+impl SynthesizedView {
     /// `expected_error_px`, where there is known geometry that it can be said of.
     pub fn expected_error_of_known_px(&self) -> Option<f64> {
         (self.sure_share > 0.0).then_some(self.expected_error_px)
     }
 
-    pub(super) fn unchanged(made: Made, request: &Request, source: &Candidate) -> Self {
+    pub(super) fn unchanged(made: Provenance, request: &Request, source: &Candidate) -> Self {
         let image = source.image.full().clone();
         // Of what was asked for, also where the source's own picture ends before it.
-        let camera = if made == Made::Stored { request.camera } else { source.camera };
+        let camera = if made == Provenance::Stored { request.camera } else { source.camera };
         let (valid_share, sure_share) = shares(camera, &image);
         let error = match made {
             // Each place is shown where the source's camera had it.
-            Made::Nearest => {
+            Provenance::Nearest => {
                 let target = Target::new(request.camera, &request.map_from_link, request.world);
                 Warp::new(&target, source).rms_shift_px()
             }
@@ -255,7 +255,7 @@ impl Answer {
         let (valid_share, sure_share) = shares(request.camera, &image);
         let expected_error_px = libm::hypot(map_error_px, Nearness::of(request).tag_error_px(&source.tag));
         let (map_from_link, sources) = (request.map_from_link, vec![request.used(source, 1.0)]);
-        Self { image, made: Made::Warped, map_from_link, sources, valid_share, sure_share, expected_error_px }
+        Self { image, made: Provenance::Warped, map_from_link, sources, valid_share, sure_share, expected_error_px }
     }
 
     /// Why it is to be doubted: all of its images were taken farther away than `far_m`, or they show little of it.
@@ -301,7 +301,7 @@ impl Answer {
             .filter(|(_, share)| **share > 0.0)
             .map(|(candidate, share)| request.used(candidate, *share))
             .collect();
-        let made = if sources.len() > 1 { Made::Composed } else { Made::Warped };
+        let made = if sources.len() > 1 { Provenance::Composed } else { Provenance::Warped };
         let map_from_link = request.map_from_link;
         Ok(Self { image, made, map_from_link, sources, valid_share, sure_share, expected_error_px })
     }

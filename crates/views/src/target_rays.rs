@@ -21,14 +21,14 @@ pub struct Target<'a> {
     /// At the corners of the cells; `None` where the lens draws nothing.
     pub(super) nodes: Vec<Option<(DVec3, Hit)>>,
     /// The same for projecting many at a time; filled up with rays that nothing draws.
-    pub(super) node_looks: Vec<Looks>,
+    pub(super) node_looks: Vec<RayHits>,
     /// By cell: where surfaces meet, at the lens's edge, and where a goal stands, what each pixel meets.
-    pub(super) mixed: Vec<Option<Box<Looks>>>,
+    pub(super) mixed: Vec<Option<Box<RayHits>>>,
 }
 
 /// What the pixels of a cell meet, row by row.
 #[derive(Clone, Debug)]
-pub(super) struct Looks {
+pub(super) struct RayHits {
     /// Unit rays in `map`, x, y and z apart; NaN where the lens draws nothing.
     pub(super) rays: [[f32; AREA]; 3],
     /// 1/m along the ray.
@@ -40,13 +40,13 @@ pub(super) struct Looks {
 }
 
 /// Nothing is drawn.
-impl Default for Looks {
+impl Default for RayHits {
     fn default() -> Self {
         Self { rays: [[f32::NAN; AREA]; 3], inverse_distances: [0.0; AREA], sure: [NOTHING; AREA], goal: [false; AREA] }
     }
 }
 
-impl Looks {
+impl RayHits {
     fn of_nodes(nodes: &[Option<(DVec3, Hit)>]) -> Self {
         let mut looks = Self::default();
         for (i, (ray, hit)) in nodes.iter().enumerate().filter_map(|(i, node)| Some((i, node.as_ref()?))) {
@@ -75,7 +75,7 @@ impl<'a> Target<'a> {
         let (columns, rows) = camera.cells();
         let goals = goal_cells(camera, &map_from_optical, world);
         let seen_goals = world.goals_from(place, SOFT_EDGE_PX / camera.lens().focal());
-        let node_looks = nodes.chunks(AREA).map(Looks::of_nodes).collect();
+        let node_looks = nodes.chunks(AREA).map(RayHits::of_nodes).collect();
         let (map_from_optical, goals_seen, mixed) = (rotation, seen_goals, Vec::new());
         let mut target = Self { camera, world, goals: goals_seen, place, map_from_optical, nodes, node_looks, mixed };
         let looks = |(index, cell): (usize, (usize, usize))| {
@@ -112,8 +112,8 @@ impl<'a> Target<'a> {
         u < self.camera.width() && v < self.camera.height() && self.camera.shows()[v * self.camera.width() + u]
     }
 
-    pub(super) fn looks(&self, (column, row): (usize, usize), goal: bool) -> Looks {
-        let mut looks = Looks::default();
+    pub(super) fn looks(&self, (column, row): (usize, usize), goal: bool) -> RayHits {
+        let mut looks = RayHits::default();
         self.camera.cell_rays(column, row, &mut looks.rays);
         self.meet(&mut looks);
         if goal {
@@ -123,9 +123,9 @@ impl<'a> Target<'a> {
     }
 
     /// Turns the camera's rays into those of `map`, and finds what they meet, goals left out: as [`World::behind_goals`].
-    fn meet(&self, looks: &mut Looks) {
+    fn meet(&self, looks: &mut RayHits) {
         let target = self;
-        multiversioned!(|target: &Target, looks: &mut Looks| {
+        multiversioned!(|target: &Target, looks: &mut RayHits| {
             let [x, y, z] = turned(&target.map_from_optical, &looks.rays);
             let (place, half) = (target.place.as_vec3(), target.world.ground_half().as_vec2());
             for i in 0..AREA {
@@ -142,7 +142,7 @@ impl<'a> Target<'a> {
         });
     }
 
-    fn meet_goals(&self, looks: &mut Looks) {
+    fn meet_goals(&self, looks: &mut RayHits) {
         let met = self.goals.met_by_all(&looks.rays);
         for (i, distance) in met.into_iter().enumerate() {
             if looks.sure[i] != NOTHING && distance.is_finite() && distance * looks.inverse_distances[i] < 1.0 {

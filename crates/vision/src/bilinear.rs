@@ -9,7 +9,7 @@ use super::ground::SIDE;
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 
 /// A map of at least 2 x 2 pixels.
-pub(super) struct Reading<'a> {
+pub(super) struct SampledImage<'a> {
     pub(super) image: &'a [i16],
     pub(super) width: usize,
     pub(super) height: usize,
@@ -19,7 +19,7 @@ pub(super) struct Reading<'a> {
 const LANES: usize = 8;
 
 /// Cells that the camera does not see keep what they hold.
-pub(super) fn read(reading: &Reading, map: &GroundMap, to_working: WorkingScale, shown: &mut [i16]) {
+pub(super) fn read(reading: &SampledImage, map: &GroundMap, to_working: WorkingScale, shown: &mut [i16]) {
     // The vector path reads without further checks, and counts pixels in 32 bits.
     assert!(reading.width >= 2 && reading.height >= 2, "each cell is read from 2 x 2 pixels");
     assert_eq!(Some(reading.image.len()), reading.width.checked_mul(reading.height), "the image has another size");
@@ -78,8 +78,8 @@ fn each_eight(
     }
 }
 
-fn plain(reading: &Reading, us: &[f32; LANES], vs: &[f32; LANES]) -> [i16; LANES] {
-    let Reading { image, width, height } = *reading;
+fn plain(reading: &SampledImage, us: &[f32; LANES], vs: &[f32; LANES]) -> [i16; LANES] {
+    let SampledImage { image, width, height } = *reading;
     let (last_u, last_v) = ((width - 1) as f32, (height - 1) as f32);
     core::array::from_fn(|lane| {
         let (u, v) = (clamped(us[lane], last_u), clamped(vs[lane], last_v));
@@ -104,12 +104,12 @@ fn clamped(value: f32, last: f32) -> f32 {
 mod x86 {
     use core::arch::x86_64::*;
 
-    use super::{GroundMap, LANES, Reading, WorkingScale, each_eight};
+    use super::{GroundMap, LANES, SampledImage, WorkingScale, each_eight};
 
     /// # Safety
     /// The processor must have AVX2, and the image `width` x `height` pixels, at least 2 x 2.
     #[target_feature(enable = "avx2")]
-    pub(super) unsafe fn read(reading: &Reading, map: &GroundMap, to_working: WorkingScale, shown: &mut [i16]) {
+    pub(super) unsafe fn read(reading: &SampledImage, map: &GroundMap, to_working: WorkingScale, shown: &mut [i16]) {
         // SAFETY: as the caller says.
         each_eight(map, to_working, shown, |us, vs| unsafe { eight(reading, us, vs) });
     }
@@ -117,8 +117,8 @@ mod x86 {
     /// # Safety
     /// The processor must have AVX2, and the image `width` x `height` pixels, at least 2 x 2.
     #[target_feature(enable = "avx2")]
-    pub(super) unsafe fn eight(reading: &Reading, us: &[f32; LANES], vs: &[f32; LANES]) -> [i16; LANES] {
-        let Reading { image, width, height } = *reading;
+    pub(super) unsafe fn eight(reading: &SampledImage, us: &[f32; LANES], vs: &[f32; LANES]) -> [i16; LANES] {
+        let SampledImage { image, width, height } = *reading;
         let zero = _mm256_setzero_ps();
         let (last_u, last_v) = (_mm256_set1_ps((width - 1) as f32), _mm256_set1_ps((height - 1) as f32));
         // SAFETY: both arrays hold eight floats.
@@ -167,7 +167,7 @@ mod tests {
     fn read_nothing_of(width: usize, height: usize) {
         let image = vec![0; width * height];
         let mut shown = vec![0; SIDE * SIDE];
-        read(&Reading { image: &image, width, height }, &GroundMap::default(), WorkingScale::new(1), &mut shown);
+        read(&SampledImage { image: &image, width, height }, &GroundMap::default(), WorkingScale::new(1), &mut shown);
     }
 
     #[test]
@@ -191,7 +191,7 @@ mod tests {
             let image: Vec<i16> = (0..width * height)
                 .map(|i| (((i as u32).wrapping_mul(2_654_435_761) ^ seed) >> 16) as i16 / 8)
                 .collect();
-            let reading = Reading { image: &image, width, height };
+            let reading = SampledImage { image: &image, width, height };
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: the processor has AVX2, and the image has the size that it says.
                 prop_assert_eq!(unsafe { x86::eight(&reading, &us, &vs) }, plain(&reading, &us, &vs));

@@ -8,7 +8,7 @@ use glam::DVec2;
 use super::contrast::{LineContrast, PARTS, UNITS};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 use super::ground_table_fill::{ByRange, Cells};
-use super::{Reading, VisionSettings, WorkingScale, distance};
+use super::{TableQuantity, VisionSettings, WorkingScale, distance};
 use realitysim_geometry::multiversioned;
 
 /// Cells along each side of the table.
@@ -81,7 +81,7 @@ impl Making {
         by_range.fill(map, line_width_m, pixels_per_radian * to_working.factor, settings.tilt_sigma_rad);
         let full = cells.full_contrast(map, by_range);
         cells.levels(full, map, by_range, levels, (&mut table.seen, &mut table.spans));
-        if settings.reading == Reading::Contrast {
+        if settings.reading == TableQuantity::Contrast {
             *lines = None;
             table.pack(levels, map.cell_m(), SHARES);
             return full;
@@ -91,13 +91,13 @@ impl Making {
         lines.spans.clone_from(&table.spans);
         lines.pack(levels, map.cell_m(), SHARES);
         match settings.reading {
-            Reading::Contrast => {}
-            Reading::Nearest => {
+            TableQuantity::Contrast => {}
+            TableQuantity::Nearest => {
                 table.pack(&cells.nearest_levels(full, map, by_range, settings.nearest_reach_m), map.cell_m(), SHARES);
             }
-            Reading::Gray | Reading::NearestPixel => {
+            TableQuantity::Gray | TableQuantity::NearestPixel => {
                 let source = match settings.reading {
-                    Reading::Gray => image.narrow.iter().map(|value| *value as i16).collect::<Vec<i16>>(),
+                    TableQuantity::Gray => image.narrow.iter().map(|value| *value as i16).collect::<Vec<i16>>(),
                     _ => nearest_pixel(image, full),
                 };
                 plain.read(&source, image.width, image.height, map, to_working);

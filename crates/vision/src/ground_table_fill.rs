@@ -1,6 +1,6 @@
 //! What the image shows at each cell of the ground table, and how much that says about a painted line.
 
-use super::bilinear::{self, Reading};
+use super::bilinear::{self, SampledImage};
 use super::carpet::Surface;
 use super::contrast::{self, PARTS, UNITS};
 use super::ground::{NEUTRAL, SIDE};
@@ -63,7 +63,7 @@ impl Cells {
         if width < 2 || height < 2 {
             return;
         }
-        bilinear::read(&Reading { image, width, height }, map, to_working, &mut self.shown);
+        bilinear::read(&SampledImage { image, width, height }, map, to_working, &mut self.shown);
         for (row, [from, to]) in self.shown.chunks_exact_mut(SIDE).zip(&map.columns) {
             row[..*from].fill(UNSEEN);
             row[*to..].fill(UNSEEN);

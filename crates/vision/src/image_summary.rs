@@ -5,7 +5,7 @@ use realitysim_geometry::multiversioned;
 
 /// Of every eighth row.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Glance {
+pub struct ImageSummary {
     /// Two pictures of a live camera never have the same: there is noise in them.
     pub fingerprint: u64,
     /// The brightest luma.
@@ -20,7 +20,7 @@ const EVERY: usize = 8;
 const DARK: u8 = 16;
 const CLIPPED: u8 = 250;
 
-impl Glance {
+impl ImageSummary {
     pub fn of(picture: &Picture) -> Self {
         let mut glance = Self::default();
         for row in picture.luma.chunks_exact(picture.width.max(1)).step_by(EVERY) {
@@ -76,17 +76,17 @@ mod tests {
 
     #[test]
     fn one_pixel_of_a_row_that_is_looked_at_is_told() {
-        let one = Glance::of(&picture(|i| (i % 200) as u8));
-        let other = Glance::of(&picture(|i| if i == 8 * 37 + 36 { 0 } else { (i % 200) as u8 }));
+        let one = ImageSummary::of(&picture(|i| (i % 200) as u8));
+        let other = ImageSummary::of(&picture(|i| if i == 8 * 37 + 36 { 0 } else { (i % 200) as u8 }));
         assert_ne!(one.fingerprint, other.fingerprint);
-        assert_eq!(one, Glance::of(&picture(|i| (i % 200) as u8)));
+        assert_eq!(one, ImageSummary::of(&picture(|i| (i % 200) as u8)));
     }
 
     #[test]
     fn black_and_white_pictures_are_named_and_others_are_not() {
-        assert_eq!(Glance::of(&picture(|i| (i % 10) as u8)).flaw(), Some("too_dark"));
-        assert_eq!(Glance::of(&picture(|i| if i % 5 == 0 { 0 } else { 255 })).flaw(), Some("overexposed"));
-        assert_eq!(Glance::of(&picture(|i| if i % 3 == 0 { 255 } else { 60 })).flaw(), None);
-        assert_eq!(Glance::of(&picture(|i| if i % 3 == 0 { 20 } else { 0 })).flaw(), None, "a dim one");
+        assert_eq!(ImageSummary::of(&picture(|i| (i % 10) as u8)).flaw(), Some("too_dark"));
+        assert_eq!(ImageSummary::of(&picture(|i| if i % 5 == 0 { 0 } else { 255 })).flaw(), Some("overexposed"));
+        assert_eq!(ImageSummary::of(&picture(|i| if i % 3 == 0 { 255 } else { 60 })).flaw(), None);
+        assert_eq!(ImageSummary::of(&picture(|i| if i % 3 == 0 { 20 } else { 0 })).flaw(), None, "a dim one");
     }
 }

@@ -25,7 +25,7 @@ use carpet::Carpet;
 pub use contrast::LineContrast;
 pub use ground::{GroundTable, Readings};
 pub use ground_map::GroundMap;
-pub use image_summary::Glance;
+pub use image_summary::ImageSummary;
 pub use line_image::LineImage;
 pub use mask::BodyMask;
 pub use picture::{Chroma, Picture, Reduction};
@@ -35,7 +35,7 @@ pub use rotation::{Small, Turning};
 
 /// What the ground table is to hold; one per observation model and formula.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reading {
+pub enum TableQuantity {
     /// Line contrast, 0 where the carpet is plain (corrected Eq. 2).
     Contrast,
     /// Distance to the nearest white place, in metres on the ground (corrected Eq. 1).
@@ -51,14 +51,14 @@ const RANGE_OF_HEIGHT: f64 = 7.3;
 
 /// What one frame shows. Its buffers, and those that it was made with, can be used again for another frame.
 #[derive(Clone, Debug, Default)]
-pub struct Seen {
+pub struct Observations {
     /// What the observation model asked for.
     pub table: GroundTable,
     /// Line contrast, if that is something else: tells how much of what a pose predicts is there.
     pub lines: Option<GroundTable>,
     /// What refinement measures in.
     pub image: LineImage,
-    pub glance: Glance,
+    pub glance: ImageSummary,
     contrast: LineContrast,
     /// Of the working image, and the columns of its rows.
     chroma: Chroma,
@@ -72,7 +72,7 @@ pub struct Seen {
     border: CarpetBorder,
 }
 
-impl Seen {
+impl Observations {
     pub fn lines(&self) -> &GroundTable {
         self.lines.as_ref().unwrap_or(&self.table)
     }
@@ -115,7 +115,7 @@ pub struct Vision {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisionSettings {
-    pub reading: Reading,
+    pub reading: TableQuantity,
     /// Of the field's painted lines.
     pub line_width_m: f64,
     /// Half the side of the ground table; 0: by the camera's height.
@@ -157,8 +157,8 @@ impl Vision {
 
     /// What one frame shows of the ground, `footprint_from_optical` being the camera's place above the robot's
     /// footprint; `body` hides the robot itself. A camera that sees no ground gives tables without information.
-    pub fn look(&self, picture: &Picture, footprint_from_optical: &Isometry, body: Option<&BodyMask>) -> Seen {
-        let mut seen = Seen::default();
+    pub fn look(&self, picture: &Picture, footprint_from_optical: &Isometry, body: Option<&BodyMask>) -> Observations {
+        let mut seen = Observations::default();
         self.look_again(picture, footprint_from_optical, body, &mut seen);
         seen
     }
@@ -169,10 +169,10 @@ impl Vision {
         picture: &Picture,
         footprint_from_optical: &Isometry,
         body: Option<&BodyMask>,
-        seen: &mut Seen,
+        seen: &mut Observations,
     ) {
-        seen.glance = Glance::of(picture);
-        let Seen {
+        seen.glance = ImageSummary::of(picture);
+        let Observations {
             table,
             lines,
             image,

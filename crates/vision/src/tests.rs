@@ -92,7 +92,7 @@ fn painted(lens: &Lens, robot: &Pose2) -> Picture {
 /// Everything that vision knows of one frame, and the same once more in f64.
 struct Direct {
     lens: Lens,
-    seen: Seen,
+    seen: Observations,
     /// Line contrast at half resolution.
     contrast: Vec<f64>,
 }
@@ -100,7 +100,7 @@ struct Direct {
 impl Direct {
     fn new(lens: &Lens, robot: &Pose2) -> Self {
         let settings = VisionSettings {
-            reading: Reading::Contrast,
+            reading: TableQuantity::Contrast,
             line_width_m: LINE_WIDTH_M,
             range_m: 0.0,
             tilt_sigma_rad: TILT_SIGMA_RAD,
@@ -161,7 +161,7 @@ impl Direct {
 }
 
 /// [`LineContrast`] without integers: the same blurs, on the same surfaces and carpet.
-fn contrast_in_f64(seen: &Seen) -> Vec<f64> {
+fn contrast_in_f64(seen: &Observations) -> Vec<f64> {
     let LineContrast { width, height, half, contrast, .. } = &seen.contrast;
     let (width, height) = (*width, *height);
     let half: Vec<f64> = half.iter().map(|sum| f64::from(*sum) / 4.0).collect();

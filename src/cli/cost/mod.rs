@@ -16,12 +16,12 @@ use crate::cli::values::{above_zero, whole};
 use crate::config::{LEAST_BUDGET_MS, Settings};
 use crate::evaluation::capture::{EvaluationError, read_truth};
 use crate::evaluation::compare::truth_at;
-use crate::evaluation::cost::{self, Knobs, Wish};
+use crate::evaluation::cost::{self, Requirements, SweepPoint};
 use crate::evaluation::truth;
 use crate::geometry::{Isometry, Pose2};
 use crate::log_input::scene_source;
 use crate::recording::ReadoutError;
-use crate::tagging::{Attempt, Footage, FootageOptions};
+use crate::tagging::{FrameCache, FrameCacheOptions, Trial};
 use crate::vision::automatic_reduction;
 use report::{Report, Yardstick};
 
@@ -82,10 +82,10 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;
     paths::make_folder(&arguments.output)?;
     let wish = match (arguments.budget_ms, arguments.accuracy_cm) {
-        (None, None) => Wish { budget_ms: Some(DEFAULT_BUDGET_MS), accuracy_cm: None },
-        (budget_ms, accuracy_cm) => Wish { budget_ms, accuracy_cm },
+        (None, None) => Requirements { budget_ms: Some(DEFAULT_BUDGET_MS), accuracy_cm: None },
+        (budget_ms, accuracy_cm) => Requirements { budget_ms, accuracy_cm },
     };
-    let options = FootageOptions {
+    let options = FrameCacheOptions {
         source: arguments.source.clone(),
         settings: configured.clone(),
         initial: arguments.initial,
@@ -93,7 +93,7 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
         for_s: arguments.for_s,
     };
     let mut progress = output::Progress::new("reading");
-    let footage = Footage::load(&options, &mut |done, total| progress.set(done, total))?;
+    let footage = FrameCache::load(&options, &mut |done, total| progress.set(done, total))?;
     progress.finish();
     if let Some(initial) = &arguments.initial {
         check_initial(initial, &footage.settings().field, footage.field())?;
@@ -130,7 +130,7 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
         frames_judged: footage.stamps_ns().filter(|stamp_ns| truth_at(&truth, *stamp_ns).is_some()).count(),
         seeds,
         automatic_reduction: trials.automatic,
-        configured: Knobs::of(&configured),
+        configured: SweepPoint::of(&configured),
         rows,
         noise_cm,
         wish,
@@ -174,8 +174,8 @@ fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result
 
 /// The frames, the settings to try on them, and how far that has come.
 struct Trials<'a> {
-    footage: &'a Footage,
-    plan: Vec<Knobs>,
+    footage: &'a FrameCache,
+    plan: Vec<SweepPoint>,
     seeds: Vec<u64>,
     automatic: usize,
     progress: output::Progress,
@@ -188,10 +188,10 @@ struct Trials<'a> {
 }
 
 impl<'a> Trials<'a> {
-    fn new(footage: &'a Footage, seeds: u64) -> Self {
+    fn new(footage: &'a FrameCache, seeds: u64) -> Self {
         let settings = footage.settings();
         let automatic = automatic_reduction(footage.lens());
-        let plan = cost::plan(Knobs::of(settings), automatic);
+        let plan = cost::plan(SweepPoint::of(settings), automatic);
         Self {
             total: plan.len() as u64 * seeds * footage.frames() as u64,
             seeds: (0..seeds).map(|index| settings.filter.seed.wrapping_add(index)).collect(),
@@ -211,7 +211,7 @@ impl<'a> Trials<'a> {
         if self.footage.stamps_ns().any(|stamp_ns| truth_at(&known, stamp_ns).is_some()) {
             return Ok((Yardstick::GroundTruth, known));
         }
-        let reference = cost::reference(Knobs::of(self.footage.settings()));
+        let reference = cost::reference(SweepPoint::of(self.footage.settings()));
         self.total += self.footage.frames() as u64;
         let run = self.run(&reference, self.seeds.first().copied().unwrap_or_default())?;
         let elsewhere = !known.is_empty();
@@ -238,7 +238,7 @@ impl<'a> Trials<'a> {
         cost::sweep(&plan, &seeds, truth, &mut |knobs, seed| self.run(knobs, seed))
     }
 
-    fn run(&mut self, knobs: &Knobs, seed: u64) -> anyhow::Result<Vec<Attempt>> {
+    fn run(&mut self, knobs: &SweepPoint, seed: u64) -> anyhow::Result<Vec<Trial>> {
         let settings = knobs.set(self.footage.settings(), seed);
         let Self { progress, done, total, .. } = self;
         let attempts = self.footage.try_out(&settings, &mut |_| {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::evaluation::cost::{self, Advice, Knobs, Row, Wish};
+use crate::evaluation::cost::{self, Advice, Requirements, Row, SweepPoint};
 use crate::localization::Model;
 use crate::recording::Loss;
 
@@ -20,11 +20,11 @@ pub struct Report {
     pub seeds: usize,
     /// What `image_reduction = 0` means with this lens.
     pub automatic_reduction: usize,
-    pub configured: Knobs,
+    pub configured: SweepPoint,
     /// The fastest first.
     pub rows: Vec<Row>,
     pub noise_cm: f64,
-    pub wish: Wish,
+    pub wish: Requirements,
     pub advice: Advice,
     pub machine: String,
     pub command: String,
@@ -42,7 +42,7 @@ pub enum Yardstick {
     GroundTruth,
     /// The valid tags of a long run with these settings; `elsewhere`: there is a truth, but of other times.
     Reference {
-        settings: Knobs,
+        settings: SweepPoint,
         elsewhere: bool,
     },
 }
@@ -67,7 +67,7 @@ pub struct Json<'a> {
     seeds: usize,
     rows: Vec<Line<'a>>,
     noise_cm: f64,
-    wish: Wish,
+    wish: Requirements,
     recommended: Recommended<'a>,
     machine: &'a str,
     warnings: &'a [String],
@@ -202,7 +202,7 @@ impl Report {
         format!("{frames} frames of {source}{cut}, {by}.")
     }
 
-    fn image(&self, knobs: &Knobs) -> String {
+    fn image(&self, knobs: &SweepPoint) -> String {
         let reduction = if knobs.image_reduction == 0 { self.automatic_reduction } else { knobs.image_reduction };
         format!("1/{reduction}")
     }
@@ -258,6 +258,6 @@ pub fn model_name(model: Model) -> &'static str {
 }
 
 /// With a sign where it is the most.
-fn particles(knobs: &Knobs) -> String {
+fn particles(knobs: &SweepPoint) -> String {
     format!("{}{}", if knobs.adaptive { "\u{2264}" } else { "" }, knobs.particles)
 }

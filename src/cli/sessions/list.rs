@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::CapturesArguments;
 use crate::cli::{Outcome, output};
 use crate::recording::catalogue::sessions_in;
-use crate::recording::sync::{Known, known_sources};
+use crate::recording::sync::{KnownSource, known_sources};
 use crate::recording::{Counts, ManifestLine, Session, SessionId, receiver_of, receivers_of, saturating_sum};
 
 /// All sessions: start, duration, frames, validity, size, drops, and who has them
@@ -147,14 +147,14 @@ fn rows(folder: &Path) -> anyhow::Result<(Vec<Row>, Vec<String>)> {
 }
 
 /// Of a session that is at a source only.
-pub(super) fn row_of_what_is_there(there: &Session, captures: &Path, known: &[Known]) -> Row {
+pub(super) fn row_of_what_is_there(there: &Session, captures: &Path, known: &[KnownSource]) -> Row {
     let nothing_here = Session { segments: BTreeMap::new(), lines: Vec::new(), ..there.clone() };
     let Row { frames, valid_share, duration_s, cut_bytes, .. } = row(there, None);
     Row { frames, valid_share, duration_s, cut_bytes, ..row_with_sources(&nothing_here, captures, known) }
 }
 
 /// Of a session in this folder of captures, with what is known of where it comes from.
-pub(super) fn row_with_sources(session: &Session, captures: &Path, known: &[Known]) -> Row {
+pub(super) fn row_with_sources(session: &Session, captures: &Path, known: &[KnownSource]) -> Row {
     let own = receiver_of(captures);
     let mut row = row(session, own.as_deref());
     for known in known {

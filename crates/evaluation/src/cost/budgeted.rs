@@ -2,7 +2,7 @@
 
 use super::pareto_front::front;
 use super::row::Row;
-use super::sweep_point::Knobs;
+use super::sweep_point::SweepPoint;
 
 /// No row that counts keeps the budget.
 pub fn is_exceeded(rows: &[Row], budget_ms: f64) -> bool {
@@ -10,10 +10,10 @@ pub fn is_exceeded(rows: &[Row], budget_ms: f64) -> bool {
 }
 
 /// The settings on the front, capped.
-pub fn capped(rows: &[Row], budget_ms: f64) -> Vec<Knobs> {
+pub fn capped(rows: &[Row], budget_ms: f64) -> Vec<SweepPoint> {
     let on_front = front(&rows.iter().map(Row::point).collect::<Vec<_>>());
     let bargains = rows.iter().zip(on_front).filter(|(_, on_front)| *on_front);
-    bargains.map(|(row, _)| Knobs { budget_ms, ..row.knobs }).collect()
+    bargains.map(|(row, _)| SweepPoint { budget_ms, ..row.knobs }).collect()
 }
 
 #[cfg(test)]
@@ -24,7 +24,7 @@ mod tests {
     #[test]
     fn what_is_on_the_front_is_tried_with_a_budget_if_nothing_else_keeps_it() {
         let row = |particles: usize, p99_ms: f64, mean_cm: f64| {
-            let knobs = Knobs { particles, ..Knobs::of(&Settings::default()) };
+            let knobs = SweepPoint { particles, ..SweepPoint::of(&Settings::default()) };
             let mut row = Row { p99_ms, judged: 9, ..Row::of(knobs, &[], &[]) };
             row.position_cm.mean = mean_cm;
             row

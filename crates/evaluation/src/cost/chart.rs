@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::pareto_front::front;
-use super::recommendation::{Advice, Wish};
+use super::recommendation::{Advice, Requirements};
 use super::row::{FINEST_CM, Row};
 use crate::drawing::chart::{Across, Axis, Chart, Layer, Line, Mark, Note, Rule, Scale};
 use realitysim_localization::Model;
@@ -14,7 +14,7 @@ const FRONT: &str = "#2a2c2e";
 const CHOSEN: &str = "#b3261e";
 
 /// As SVG; `title` names the log.
-pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Wish, title: &str) -> String {
+pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Requirements, title: &str) -> String {
     // Against a reference run an error can be 0, which has no place on a logarithmic axis.
     let place = |row: &Row| DVec2::new(row.p99_ms, row.position_cm.mean.max(FINEST_CM));
     let on = front(&rows.iter().map(Row::point).collect::<Vec<_>>());

@@ -7,7 +7,7 @@ use super::row::Row;
 
 /// What the user can afford, or needs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Wish {
+pub struct Requirements {
     /// Of nearly every frame: held against p99.
     pub budget_ms: Option<f64>,
     /// Of the mean position error.
@@ -48,7 +48,7 @@ pub fn noise_cm(rows: &[Row], seeds: usize) -> f64 {
 }
 
 /// None if no row counts.
-pub fn advise(rows: &[Row], noise_cm: f64, wish: &Wish) -> Option<Advice> {
+pub fn advise(rows: &[Row], noise_cm: f64, wish: &Requirements) -> Option<Advice> {
     let points: Vec<Point> = rows.iter().map(Row::point).collect();
     let (row, reason) = choose(&points, noise_cm, wish)?;
     let point = points[row];
@@ -79,7 +79,7 @@ enum Reason {
 }
 
 /// The chosen point lies on the front: every set it is the cheapest of holds whatever dominates one of its points.
-fn choose(points: &[Point], noise_cm: f64, wish: &Wish) -> Option<(usize, Reason)> {
+fn choose(points: &[Point], noise_cm: f64, wish: &Requirements) -> Option<(usize, Reason)> {
     let all: Vec<usize> = (0..points.len()).filter(|index| points[*index].counts()).collect();
     let within = |of: &[usize], time_ms: f64, error_cm: f64| -> Vec<usize> {
         let holds = |index: &&usize| points[**index].time_ms <= time_ms && points[**index].error_cm <= error_cm;
@@ -118,7 +118,7 @@ fn order(a: (f64, f64), b: (f64, f64)) -> core::cmp::Ordering {
     a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
 }
 
-fn told(points: &[Point], row: usize, reason: Reason, noise_cm: f64, wish: &Wish) -> String {
+fn told(points: &[Point], row: usize, reason: Reason, noise_cm: f64, wish: &Requirements) -> String {
     let Point { time_ms, error_cm } = points[row];
     let (budget, accuracy) = (wish.budget_ms.unwrap_or(0.0), wish.accuracy_cm.unwrap_or(0.0));
     let has = format!("{error_cm:.2} cm at {time_ms:.1} ms (p99)");
@@ -175,7 +175,7 @@ mod tests {
 
     fn chosen(budget_ms: Option<f64>, accuracy_cm: Option<f64>) -> (usize, Reason) {
         let points: Vec<Point> = CURVE.map(|(time, error)| point(time, error)).to_vec();
-        choose(&points, 0.05, &Wish { budget_ms, accuracy_cm }).expect("points that count")
+        choose(&points, 0.05, &Requirements { budget_ms, accuracy_cm }).expect("points that count")
     }
 
     #[test]
@@ -189,7 +189,7 @@ mod tests {
         assert_eq!(chosen(Some(8.0), Some(0.7)), (2, Reason::AsGoodAs(3)));
         assert_eq!(chosen(Some(0.5), Some(0.7)), (4, Reason::ReachesLate));
         assert_eq!(chosen(Some(0.5), Some(0.1)), (0, Reason::Fastest));
-        assert_eq!(choose(&[point(1.0, f64::INFINITY)], 0.05, &Wish::default()), None);
+        assert_eq!(choose(&[point(1.0, f64::INFINITY)], 0.05, &Requirements::default()), None);
     }
 
     proptest! {
@@ -204,7 +204,7 @@ mod tests {
                 .into_iter()
                 .map(|(time, error, counts)| point(time.round(), if counts { error.round() } else { f64::INFINITY }))
                 .collect();
-            let wish = Wish { budget_ms: budget, accuracy_cm: accuracy };
+            let wish = Requirements { budget_ms: budget, accuracy_cm: accuracy };
             match choose(&points, noise, &wish) {
                 Some((row, reason)) => {
                     prop_assert!(front(&points)[row]);

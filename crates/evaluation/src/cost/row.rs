@@ -3,18 +3,18 @@
 use serde::Serialize;
 
 use super::pareto_front::Point;
-use super::sweep_point::Knobs;
+use super::sweep_point::SweepPoint;
 use crate::Tagged;
 use crate::capture::tagged;
 use crate::compare::{Comparison, compare, up_to_mirror};
 use crate::statistics::{Summary, quantile};
 use realitysim_geometry::Isometry;
-use realitysim_tagging::Attempt;
+use realitysim_tagging::Trial;
 
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
     #[serde(flatten)]
-    pub knobs: Knobs,
+    pub knobs: SweepPoint,
     /// From the decoded image to the tag. Each frame counts with the fastest of its runs: the seeds hardly change the work,
     /// so what makes the others slower is the machine.
     pub p50_ms: f64,
@@ -37,7 +37,7 @@ pub(super) const FINEST_CM: f64 = 0.01;
 
 impl Row {
     /// `runs` are one seed each, over the same frames.
-    pub fn of(knobs: Knobs, runs: &[Vec<Attempt>], truth: &[(i64, Isometry)]) -> Self {
+    pub fn of(knobs: SweepPoint, runs: &[Vec<Trial>], truth: &[(i64, Isometry)]) -> Self {
         let (mut position, mut yaw) = (Vec::new(), Vec::new());
         let (mut frames, mut valid, mut judged) = (0, 0, 0);
         for run in runs {
@@ -75,13 +75,13 @@ impl Row {
 
 /// A filter that had to find its place by itself cannot know in which half of the field it is: of an ambiguous tag the
 /// nearer of both poses counts.
-fn judge(run: &[Attempt], truth: &[(i64, Isometry)]) -> Comparison {
+fn judge(run: &[Trial], truth: &[(i64, Isometry)]) -> Comparison {
     let tags: Vec<Tagged> = run.iter().map(|attempt| tagged(&attempt.tag)).collect();
     compare(&up_to_mirror(&tags, truth), truth)
 }
 
 /// Sorted: of each frame in which something was seen, the least of the runs.
-fn frame_times(runs: &[Vec<Attempt>]) -> Vec<f64> {
+fn frame_times(runs: &[Vec<Trial>]) -> Vec<f64> {
     let frames = runs.iter().map(Vec::len).min().unwrap_or(0);
     let of_frame = |frame: usize| {
         let seen = runs.iter().map(|run| &run[frame]).filter(|attempt| attempt.seen);
@@ -120,12 +120,12 @@ mod tests {
     use realitysim_config::Settings;
     use realitysim_ros2::messages::{FrameTag, Stamp};
 
-    fn attempt(frame: i64, x: f64, elapsed_ms: f64, valid: bool) -> Attempt {
+    fn attempt(frame: i64, x: f64, elapsed_ms: f64, valid: bool) -> Trial {
         let mut tag = FrameTag { valid, elapsed_ms, ..FrameTag::default() };
         tag.header.stamp = Stamp::from_nanoseconds(frame * 100_000_000);
         tag.pose.pose.position.x = x;
         tag.pose.pose.orientation.w = 1.0;
-        Attempt { tag, seen: true }
+        Trial { tag, seen: true }
     }
 
     #[test]
@@ -141,7 +141,7 @@ mod tests {
             ]
         };
         let runs = [run(0.01, 2.0), run(0.02, 50.0), run(0.03, 2.0)];
-        let row = Row::of(Knobs::of(&Settings::default()), &runs, &truth);
+        let row = Row::of(SweepPoint::of(&Settings::default()), &runs, &truth);
         assert!((row.position_cm.mean - 2.0).abs() < 1e-9 && (row.scatter_cm - 1.0).abs() < 1e-9);
         assert_eq!((row.judged, row.valid_share), (6, 0.75));
         assert!((row.p50_ms - 2.5).abs() < 1e-9 && row.p99_ms < 4.0 + 1e-9, "{row:?}");
@@ -153,7 +153,7 @@ mod tests {
         let at = Isometry::IDENTITY * Isometry::new(glam::DQuat::IDENTITY, glam::DVec3::new(-1.0, 0.0, 0.0));
         let mut run = vec![attempt(0, 1.0, 1.0, true)];
         let truth = [(0, at)];
-        let knobs = Knobs::of(&Settings::default());
+        let knobs = SweepPoint::of(&Settings::default());
         assert!((Row::of(knobs, std::slice::from_ref(&run), &truth).position_cm.mean - 200.0).abs() < 1e-9);
         run[0].tag.ambiguous = true;
         assert!(Row::of(knobs, &[run], &truth).position_cm.mean < 1e-9);
@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn what_was_not_judged_does_not_count() {
-        let row = Row::of(Knobs::of(&Settings::default()), &[vec![attempt(0, 0.0, 1.0, false)]], &[]);
+        let row = Row::of(SweepPoint::of(&Settings::default()), &[vec![attempt(0, 0.0, 1.0, false)]], &[]);
         assert!(!row.point().counts());
         assert!(!Row::of(row.knobs, &[], &[]).point().counts());
     }

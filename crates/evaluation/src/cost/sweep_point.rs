@@ -9,7 +9,7 @@ use realitysim_localization::Model;
 
 /// The settings that decide about time and accuracy.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Knobs {
+pub struct SweepPoint {
     pub model: Model,
     pub particles: usize,
     pub iterations: usize,
@@ -23,7 +23,7 @@ pub struct Knobs {
     pub budget_ms: f64,
 }
 
-impl Knobs {
+impl SweepPoint {
     pub fn of(settings: &Settings) -> Self {
         let f = &settings.filter;
         Self {
@@ -56,7 +56,7 @@ impl Knobs {
     }
 }
 
-impl fmt::Display for Knobs {
+impl fmt::Display for SweepPoint {
     fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
         let model = match self.model {
             Model::Gauss => "gauss",
@@ -81,34 +81,40 @@ const COARSEST: usize = 8;
 
 /// The configured settings first, then about forty others: the number of particles through its whole range, every other
 /// knob at a few places, and some settings that save everywhere. `automatic` is the reduction that the lens gets by itself.
-pub fn plan(configured: Knobs, automatic: usize) -> Vec<Knobs> {
-    let base =
-        Knobs { model: Model::Gauss, particles: 200, iterations: 5, adaptive: false, line_points: 350, ..configured };
-    let refined = Knobs { refinement: true, ..base };
-    let plain = Knobs { refinement: false, particles: 800, ..base };
-    let distance = |knobs: Knobs| Knobs { model: Model::Distance, ..knobs };
+pub fn plan(configured: SweepPoint, automatic: usize) -> Vec<SweepPoint> {
+    let base = SweepPoint {
+        model: Model::Gauss,
+        particles: 200,
+        iterations: 5,
+        adaptive: false,
+        line_points: 350,
+        ..configured
+    };
+    let refined = SweepPoint { refinement: true, ..base };
+    let plain = SweepPoint { refinement: false, particles: 800, ..base };
+    let distance = |knobs: SweepPoint| SweepPoint { model: Model::Distance, ..knobs };
     let usual = if configured.image_reduction == 0 { automatic } else { configured.image_reduction };
-    let coarser = |knobs: Knobs| Knobs { image_reduction: (2 * usual).min(COARSEST), ..knobs };
+    let coarser = |knobs: SweepPoint| SweepPoint { image_reduction: (2 * usual).min(COARSEST), ..knobs };
 
     let mut rows = vec![configured];
-    rows.extend([25, 50, 100, 200, 400, 800, 1600].map(|particles| Knobs { particles, ..refined }));
-    let adaptive = Knobs { particles: 800, adaptive: true, ..refined };
-    rows.extend([adaptive, Knobs { line_points: 200, ..adaptive }, Knobs { refinement: false, ..adaptive }]);
-    rows.extend([50, 100, 200, 400, 800, 1600, 3200].map(|particles| Knobs { particles, ..plain }));
-    rows.extend([100, 400, 800].map(|particles| distance(Knobs { particles, ..refined })));
-    rows.extend([200, 800].map(|particles| distance(Knobs { particles, ..plain })));
-    rows.extend([1, 2, 3, 10].map(|iterations| Knobs { iterations, ..refined }));
-    rows.extend([2, 10].map(|iterations| Knobs { iterations, ..plain }));
-    rows.extend([100, 200, 700].map(|line_points| Knobs { line_points, ..refined }));
-    rows.extend([100, 700].map(|line_points| Knobs { line_points, ..plain }));
-    rows.extend([refined, plain, Knobs { particles: 800, ..refined }].map(coarser));
+    rows.extend([25, 50, 100, 200, 400, 800, 1600].map(|particles| SweepPoint { particles, ..refined }));
+    let adaptive = SweepPoint { particles: 800, adaptive: true, ..refined };
+    rows.extend([adaptive, SweepPoint { line_points: 200, ..adaptive }, SweepPoint { refinement: false, ..adaptive }]);
+    rows.extend([50, 100, 200, 400, 800, 1600, 3200].map(|particles| SweepPoint { particles, ..plain }));
+    rows.extend([100, 400, 800].map(|particles| distance(SweepPoint { particles, ..refined })));
+    rows.extend([200, 800].map(|particles| distance(SweepPoint { particles, ..plain })));
+    rows.extend([1, 2, 3, 10].map(|iterations| SweepPoint { iterations, ..refined }));
+    rows.extend([2, 10].map(|iterations| SweepPoint { iterations, ..plain }));
+    rows.extend([100, 200, 700].map(|line_points| SweepPoint { line_points, ..refined }));
+    rows.extend([100, 700].map(|line_points| SweepPoint { line_points, ..plain }));
+    rows.extend([refined, plain, SweepPoint { particles: 800, ..refined }].map(coarser));
     if usual > 1 {
-        rows.extend([refined, plain].map(|knobs| Knobs { image_reduction: usual / 2, ..knobs }));
+        rows.extend([refined, plain].map(|knobs| SweepPoint { image_reduction: usual / 2, ..knobs }));
     }
-    let sparing = Knobs { particles: 50, iterations: 2, line_points: 150, ..refined };
-    rows.extend([sparing, coarser(sparing), Knobs { particles: 25, iterations: 1, line_points: 100, ..refined }]);
+    let sparing = SweepPoint { particles: 50, iterations: 2, line_points: 150, ..refined };
+    rows.extend([sparing, coarser(sparing), SweepPoint { particles: 25, iterations: 1, line_points: 100, ..refined }]);
 
-    let mut unique: Vec<Knobs> = Vec::new();
+    let mut unique: Vec<SweepPoint> = Vec::new();
     for row in rows {
         if !unique.contains(&row) {
             unique.push(row);
@@ -118,8 +124,8 @@ pub fn plan(configured: Knobs, automatic: usize) -> Vec<Knobs> {
 }
 
 /// What stands in for a truth that nobody knows: far more of everything than any row has.
-pub fn reference(configured: Knobs) -> Knobs {
-    Knobs {
+pub fn reference(configured: SweepPoint) -> SweepPoint {
+    SweepPoint {
         model: Model::Gauss,
         particles: 4000,
         iterations: 10,
@@ -141,7 +147,7 @@ mod tests {
             for reduction in [0, 1, 8] {
                 let mut settings = Settings::default();
                 settings.filter.image_reduction = reduction;
-                let configured = Knobs::of(&settings);
+                let configured = SweepPoint::of(&settings);
                 let rows = plan(configured, automatic);
                 assert_eq!(rows[0], configured);
                 assert!((32..=48).contains(&rows.len()), "{}", rows.len());
@@ -149,7 +155,7 @@ mod tests {
                     assert!(!rows[..index].contains(row), "{row}");
                     let set = row.set(&settings, 3);
                     assert_eq!(set.check(), Ok(()), "{row}");
-                    assert_eq!((Knobs::of(&set), set.filter.seed), (*row, 3));
+                    assert_eq!((SweepPoint::of(&set), set.filter.seed), (*row, 3));
                 }
             }
         }

@@ -10,7 +10,7 @@ use super::contrast::Quality;
 pub use pictures::{Distortion, Noise};
 use realitysim_config::{Settings, field_names, load_field};
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
-use realitysim_tagging::{Attempt, Claims, Footage, SetupError};
+use realitysim_tagging::{Claims, FrameCache, SetupError, Trial};
 
 /// How far off pictures, mount and lens are said to be: from what a careless calibration leaves to what is clearly wrong, and none so
 /// far that no line is found.
@@ -78,11 +78,11 @@ impl Falsehood {
     /// Tags the frames as if it were so; with `start_is_unknown` nobody has said where the robot begins.
     pub fn tag(
         &self,
-        footage: &Footage,
+        footage: &FrameCache,
         settings: &Settings,
         start_is_unknown: bool,
         progress: &mut dyn FnMut(usize),
-    ) -> Result<Vec<Attempt>, SetupError> {
+    ) -> Result<Vec<Trial>, SetupError> {
         let distorted = |index: usize, picture: &_| match self {
             Self::Picture(distortion) => distortion.apply(index, picture),
             _ => Clone::clone(picture),
@@ -115,7 +115,7 @@ pub struct Control {
 }
 
 impl Control {
-    pub fn of(falsehood: &Falsehood, start_is_unknown: bool, run: &[Attempt], truth: &[(i64, Isometry)]) -> Self {
+    pub fn of(falsehood: &Falsehood, start_is_unknown: bool, run: &[Trial], truth: &[(i64, Isometry)]) -> Self {
         let Quality { frames, valid, wrong, position_cm, .. } = Quality::of(run, truth);
         let max_cm = position_cm.max;
         Self { said: falsehood.name(), is_true: falsehood.is_true(), start_is_unknown, frames, valid, wrong, max_cm }

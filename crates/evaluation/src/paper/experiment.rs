@@ -14,7 +14,7 @@ use realitysim_geometry::{Isometry, Pose2, wrap_angle};
 use realitysim_localization::random::{Purpose, Stream};
 use realitysim_log_input::synchroniser::InitialPose;
 use realitysim_scene::Scene;
-use realitysim_tagging::{Attempt, Footage, FootageOptions, ReplayError, SetupError};
+use realitysim_tagging::{FrameCache, FrameCacheOptions, ReplayError, SetupError, Trial};
 
 /// How much is done.
 #[derive(Clone, Debug, PartialEq)]
@@ -113,14 +113,19 @@ fn walk(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize, 
     Ok((footage.frames(), runs))
 }
 
-fn render(scene: &Scene, settings: &Settings, for_s: Option<f64>, progress: Progress) -> Result<Footage, ReplayError> {
+fn render(
+    scene: &Scene,
+    settings: &Settings,
+    for_s: Option<f64>,
+    progress: Progress,
+) -> Result<FrameCache, ReplayError> {
     let source = scene.file().scene.title.clone().into();
-    let options = FootageOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s };
-    Footage::of_scene(scene, &options, &mut |done, total| progress("rendering", done, total))
+    let options = FrameCacheOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s };
+    FrameCache::of_scene(scene, &options, &mut |done, total| progress("rendering", done, total))
 }
 
 fn runs(
-    footage: &Footage,
+    footage: &FrameCache,
     truth: &[(i64, Isometry)],
     wanted: &[(Method, usize)],
     seeds: u64,
@@ -156,7 +161,7 @@ fn start(scene: &Scene, index: usize, seed: u64) -> InitialPose {
 
 impl Run {
     /// `attempts` are one seed each.
-    fn of(method: Method, particles: usize, attempts: &[Vec<Attempt>], truth: &[(i64, Isometry)]) -> Self {
+    fn of(method: Method, particles: usize, attempts: &[Vec<Trial>], truth: &[(i64, Isometry)]) -> Self {
         let judged: Vec<Vec<(f64, f64)>> =
             attempts.iter().map(|run| run.iter().filter_map(|attempt| errors(attempt, truth)).collect()).collect();
         let (all_cm, all_deg): (Vec<f64>, Vec<f64>) = judged.iter().flatten().copied().unzip();
@@ -177,7 +182,7 @@ impl Run {
 }
 
 /// Of position in cm and of yaw in degrees, whether the filter calls the tag valid or not.
-fn errors(attempt: &Attempt, truth: &[(i64, Isometry)]) -> Option<(f64, f64)> {
+fn errors(attempt: &Trial, truth: &[(i64, Isometry)]) -> Option<(f64, f64)> {
     let Tagged { stamp_ns, pose, .. } = tagged(&attempt.tag);
     let wanted = truth_at(truth, stamp_ns)?;
     let off = (pose.translation - wanted.translation).truncate().length();

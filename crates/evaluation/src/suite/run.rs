@@ -20,7 +20,7 @@ use realitysim_config::{ConfigError, Settings};
 use realitysim_geometry::Isometry;
 use realitysim_log_input::scene_source::{self, SceneSourceError};
 use realitysim_recording::{Loss, Readout, ReadoutError, read_tags};
-use realitysim_tagging::{FootageOptions, ReplayError, ReplayOptions, replay};
+use realitysim_tagging::{FrameCacheOptions, ReplayError, ReplayOptions, replay};
 
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -241,7 +241,7 @@ fn measure_time(case: &Case, report: &mut CaseReport, watcher: &dyn Watcher) {
     }
     watcher.timing(&case.name);
     let measured = settings(case).map_err(CaseError::from).and_then(|settings| {
-        let options = FootageOptions {
+        let options = FrameCacheOptions {
             source: case.source.clone(),
             settings: settings.clone(),
             initial: None,

@@ -5,15 +5,15 @@ use std::time::Instant;
 use crate::cpu_yardstick::Calibration;
 use crate::statistics::quantile;
 use realitysim_config::Settings;
-use realitysim_tagging::{Footage, FootageOptions, ReplayError};
+use realitysim_tagging::{FrameCache, FrameCacheOptions, ReplayError};
 
 /// The best of so many passes over the frames counts: what disturbs the machine only ever adds.
 const PASSES: usize = 2;
 
 /// 99 of 100 frames take no longer than this many times the calibration loop, of which 99 of 100 runs count as well:
 /// they alternate with the frames, so that whatever else the machine does slows both.
-pub fn p99_ratio(options: &FootageOptions, settings: &Settings) -> Result<f64, ReplayError> {
-    let footage = Footage::load(options, &mut |_, _| ())?;
+pub fn p99_ratio(options: &FrameCacheOptions, settings: &Settings) -> Result<f64, ReplayError> {
+    let footage = FrameCache::load(options, &mut |_, _| ())?;
     let settings = Settings { field: footage.settings().field.clone(), ..settings.clone() };
     let calibration = Calibration::new();
     let mut best = f64::INFINITY;

@@ -6,7 +6,7 @@ use serde::Serialize;
 use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::SimdPath;
 use realitysim_localization::kernel::{Points, sum_levels};
-use realitysim_vision::{GroundTable, Picture, Reading, Vision, VisionSettings};
+use realitysim_vision::{GroundTable, Picture, TableQuantity, Vision, VisionSettings};
 
 /// The line contrast of [`Vision`], asked where lines should be and where none should be.
 #[derive(Clone, Debug)]
@@ -43,7 +43,7 @@ const SEEN: f64 = 0.5;
 impl Detector {
     pub fn new(lens: &Lens, field: &Field) -> Self {
         let settings = VisionSettings {
-            reading: Reading::Contrast,
+            reading: TableQuantity::Contrast,
             line_width_m: field.line_width(),
             range_m: 0.0,
             tilt_sigma_rad: 0.005,

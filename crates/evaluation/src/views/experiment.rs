@@ -5,7 +5,7 @@ use core::f64::consts::TAU;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::truth_renderer::Lawn;
+use super::truth_renderer::TruthRenderer;
 use realitysim_geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
 use realitysim_views::paper::{Correspondences, Posed, correspondences};
 use realitysim_views::quadratic::Quadratic;
@@ -79,8 +79,11 @@ const PITCH_RAD: f64 = 30.0 / 180.0 * core::f64::consts::PI;
 
 pub fn displacements(field: &Field, plan: &Plan, progress: &mut dyn FnMut(u64, u64)) -> Result<Vec<Row>, ViewError> {
     let Ok(lens) = Lens::new(lens()) else { return Ok(Vec::new()) };
-    let bench =
-        Bench { camera: Camera::new(&lens), world: World::without_goals(field), lawn: Lawn::new(field, &lens, false) };
+    let bench = Bench {
+        camera: Camera::new(&lens),
+        world: World::without_goals(field),
+        lawn: TruthRenderer::new(field, &lens, false),
+    };
     let total = (plan.displacements.len() * plan.poses) as u64;
     let mut done = 0;
     let mut rows = Vec::new();
@@ -99,7 +102,7 @@ pub fn displacements(field: &Field, plan: &Plan, progress: &mut dyn FnMut(u64, u
 struct Bench {
     camera: Camera,
     world: World,
-    lawn: Lawn,
+    lawn: TruthRenderer,
 }
 
 impl Bench {

@@ -8,4 +8,4 @@ mod truth_renderer;
 pub use detector::{Detection, Detector};
 pub use experiment::{Displacement, Plan, Row, Scores, displacements};
 pub use pairs::{Pair, PairError, pairs};
-pub use truth_renderer::Lawn;
+pub use truth_renderer::TruthRenderer;

@@ -9,8 +9,8 @@ use realitysim_config::{ConfigError, load_lens_for_image, plain_file};
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
 use realitysim_log_input::decode::MAX_IMAGE_FILE_BYTES;
 use realitysim_views::{
-    Camera, Candidate, Made, Method, NOTHING, Pyramid, Raster, Request, TagError, ViewError, ViewSettings, Vignetting,
-    World, similarity, view,
+    Camera, Candidate, Method, NOTHING, Provenance, Pyramid, Raster, Request, TagError, ViewError, ViewSettings,
+    Vignetting, World, similarity, view,
 };
 
 /// One image as seen through the other.
@@ -108,7 +108,7 @@ fn pair(source: &Image, target: &Image, field: &Field) -> Result<Pair, PairError
         settings: ViewSettings { stored_within_m: -1.0, ..ViewSettings::default() },
     };
     let answer = view(&request, &[candidate])?;
-    debug_assert_eq!(answer.made, Made::Warped);
+    debug_assert_eq!(answer.made, Provenance::Warped);
     let shown: Vec<bool> = answer.image.pixels.iter().map(|pixel| pixel[3] != NOTHING).collect();
     let gain: [f64; 3] = core::array::from_fn(|c| {
         let both = || answer.image.pixels.iter().zip(&target.pixels.pixels).filter(|(a, _)| a[3] != NOTHING);

@@ -10,7 +10,7 @@ use realitysim_views::{NOTHING, Raster, SURE};
 
 /// A camera on the lawn.
 #[derive(Clone, Debug)]
-pub struct Lawn {
+pub struct TruthRenderer {
     width: usize,
     height: usize,
     /// Unit rays in `camera_optical_frame`, [`RAYS`] squared for each pixel; NaN where the lens draws nothing.
@@ -35,7 +35,7 @@ const GRASS: [f64; 3] = [62.0, 118.0, 58.0];
 const PAINT: [f64; 3] = [225.0, 228.0, 225.0];
 const POST: [f64; 3] = [240.0, 240.0, 240.0];
 
-impl Lawn {
+impl TruthRenderer {
     pub fn new(field: &Field, lens: &Lens, goals: bool) -> Self {
         let (width, height) = (lens.width() as usize, lens.height() as usize);
         let mut rays = Vec::with_capacity(width * height * RAYS * RAYS);

@@ -3,21 +3,21 @@
 use glam::{DVec2, DVec3};
 use serde::Serialize;
 
-use super::relocalization::Fitting;
-use super::{Fix, Localizer, Moment};
+use super::relocalization::CandidateRefinement;
+use super::{Fix, FrameSensors, Localizer};
 use crate::filter::{Effort, always};
-use crate::global_search::{Pace, SearchState, Wanted};
-use crate::line_distance_map::{Explained, PaintedMap};
+use crate::global_search::{Pace, SearchRequest, SearchState};
+use crate::line_distance_map::{ExplainedLines, LineDistanceMap};
 use crate::refinement::line_measurement::Inspected;
 use crate::refinement::{Agreement, Refiner};
 use realitysim_geometry::Isometry;
-use realitysim_vision::Seen;
+use realitysim_vision::Observations;
 
 /// Pixels are those of the full-size image, the first one's centre at (0, 0).
 #[derive(Clone, Debug)]
 pub struct Evidence {
     pub agreement: Agreement,
-    pub explained: Explained,
+    pub explained: ExplainedLines,
     /// Share of the lines in view, at any distance, that the field has where the pose puts them.
     pub explained_in_view: f64,
     /// Line contrast of the best lines in view, as a share of the carpet's brightness; infinite if nothing can be a line.
@@ -31,12 +31,12 @@ pub struct Evidence {
     /// Corners of the carpet as far as it is seen; none if its edge cannot be told.
     pub carpet: Vec<DVec2>,
     /// What a search of the whole field finds in this frame alone, best first. Each pose stands for its mirror pose as well.
-    pub tried: Vec<Tried>,
+    pub tried: Vec<TriedPose>,
 }
 
 /// A pose of `base_footprint` that a search has tried.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Tried {
+pub struct TriedPose {
     pub x: f64,
     pub y: f64,
     pub yaw_deg: f64,
@@ -52,9 +52,9 @@ impl Evidence {
     /// Of a pose in what is seen from it: `footprint_from_optical` is the place that it was looked from. Lines are looked for as if the
     /// lens were as calibrated.
     pub fn of_pose(
-        seen: &Seen,
+        seen: &Observations,
         refiner: &Refiner,
-        painted: &PaintedMap,
+        painted: &LineDistanceMap,
         footprint_from_optical: Option<&Isometry>,
         map_from_optical: &Isometry,
     ) -> Self {
@@ -72,7 +72,7 @@ impl Evidence {
         }
         Self {
             agreement: Agreement::default(),
-            explained: Explained::default(),
+            explained: ExplainedLines::default(),
             explained_in_view,
             contrast: f64::from(seen.image.full_contrast()),
             noise: f64::from(seen.image.noise()),
@@ -86,7 +86,7 @@ impl Evidence {
 
 impl Localizer {
     /// Of the frame that `fix` is the answer for.
-    pub fn evidence(&self, moment: &Moment, seen: &Seen, fix: &Fix) -> Evidence {
+    pub fn evidence(&self, moment: &FrameSensors, seen: &Observations, fix: &Fix) -> Evidence {
         let place = moment.footprint_from_optical.as_ref();
         Evidence {
             agreement: fix.agreement,
@@ -97,19 +97,19 @@ impl Localizer {
     }
 
     /// By a search that knows nothing of frames before.
-    fn tried(&self, moment: &Moment, seen: &Seen) -> Vec<Tried> {
+    fn tried(&self, moment: &FrameSensors, seen: &Observations) -> Vec<TriedPose> {
         let mut other = self.clone();
         let mut effort = Effort::default();
         let (mut state, observation) = (SearchState::default(), other.filter.observation());
         let found = other.search.run(
             observation,
             &seen.table,
-            Wanted { candidates: SHOWN, pace: Pace::Hurried },
+            SearchRequest { candidates: SHOWN, pace: Pace::Hurried },
             &mut state,
             &mut effort,
             &mut always,
         );
-        other.state.fitting = Fitting::of(None, &found.unwrap_or_default());
+        other.state.fitting = CandidateRefinement::of(None, &found.unwrap_or_default());
         other.fit(moment, seen, &mut effort, &mut always);
         other.state.fitting.tried()
     }

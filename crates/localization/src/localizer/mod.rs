@@ -4,31 +4,31 @@
 mod evidence;
 mod relocalization;
 
-pub use evidence::{Evidence, Tried};
+pub use evidence::{Evidence, TriedPose};
 use nalgebra::{Matrix6, Vector6};
-pub use relocalization::Fitting;
+pub use relocalization::CandidateRefinement;
 use serde::{Deserialize, Serialize};
 
 use super::estimate::Estimate;
-use super::fall_detection::{Posture, Stand};
+use super::fall_detection::{FallDetector, FallState};
 use super::filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
-use super::frozen_image::Frozen;
-use super::global_search::{Search, SearchState};
-use super::last_known_pose::Known;
-use super::line_distance_map::{Explained, PaintedMap};
+use super::frozen_image::FrozenImageDetector;
+use super::global_search::{GlobalSearch, SearchState};
+use super::last_known_pose::LastKnownPose;
+use super::line_distance_map::{ExplainedLines, LineDistanceMap};
 use super::observation::{Observation, Support};
 use super::particles::Spread;
 use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{self, Agreement, OF_LENS, Prior, Refined, Refiner};
-use super::slow_states::{Prediction, Step, Track, TrackModel};
+use super::slow_states::{Prediction, SlowStateFilter, SlowStateModel, Step};
 use super::validation::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost, stands};
 use realitysim_geometry::{Field, Isometry, Lens, Physical, Pose2, Twist, wrap_angle};
-use realitysim_vision::Seen;
+use realitysim_vision::Observations;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalizerSettings {
     pub filter: FilterSettings,
-    pub track: TrackModel,
+    pub track: SlowStateModel,
     /// Whether poses are refined; without it the best particle is the answer.
     pub refinement: bool,
     /// There is no odometry, on purpose.
@@ -41,17 +41,17 @@ pub struct LocalizerSettings {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LocalizerState {
     pub filter: FilterState,
-    pub track: Option<Track>,
+    pub track: Option<SlowStateFilter>,
     /// Time and odometry of the last frame, or of what came after it that steps count from.
     pub last: Option<(i64, Option<Pose2>)>,
     pub standing: Standing,
-    pub posture: Posture,
-    pub frozen: Frozen,
+    pub posture: FallDetector,
+    pub frozen: FrozenImageDetector,
     /// For how long nothing has said how far the robot walked, seconds.
     pub adrift_s: f64,
-    pub known: Option<Known>,
+    pub known: Option<LastKnownPose>,
     pub search: SearchState,
-    pub fitting: Fitting,
+    pub fitting: CandidateRefinement,
     /// The pose was found without being told which half of the field it is in.
     pub ambiguous: bool,
 }
@@ -69,7 +69,7 @@ impl Physical for LocalizerState {
 
 /// What else than the image is known of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moment {
+pub struct FrameSensors {
     pub stamp_ns: i64,
     pub odometry: Option<Pose2>,
     /// Since the frame before, by gyro.
@@ -119,7 +119,7 @@ pub struct Fix {
     /// Of a pose that is to be confirmed: its lines fit better through another lens, or from a camera that no mount puts there.
     pub misfits: bool,
     pub agreement: Agreement,
-    pub explained: Explained,
+    pub explained: ExplainedLines,
     /// Of a pose that is to be confirmed: the share of the lines in the picture, however far, that are painted where it has them, 0 to 1.
     pub explained_in_view: f64,
     pub effort: Effort,
@@ -166,9 +166,9 @@ impl LocalizerSettings {
 pub struct Localizer {
     field: Field,
     refiner: Refiner,
-    painted: PaintedMap,
+    painted: LineDistanceMap,
     filter: Filter,
-    search: Search,
+    search: GlobalSearch,
     settings: LocalizerSettings,
     state: LocalizerState,
     /// How often the state was no state of a robot, and was begun anew.
@@ -186,11 +186,11 @@ impl Localizer {
         observation: Observation,
         state: LocalizerState,
     ) -> Self {
-        let search = Search::new(&field, relocalization::SEARCH_MARGIN_M, &observation);
+        let search = GlobalSearch::new(&field, relocalization::SEARCH_MARGIN_M, &observation);
         let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
         Self {
             refiner: Refiner::new(&field, lens),
-            painted: PaintedMap::new(&field),
+            painted: LineDistanceMap::new(&field),
             field,
             filter,
             search,
@@ -261,7 +261,7 @@ impl Localizer {
         if seconds > LONGEST_AWAY_S {
             self.state.standing.was_away();
             self.state.ambiguous |= self.state.standing.confidence != Confidence::Nowhere;
-            self.state.known.iter_mut().for_each(Known::is_past);
+            self.state.known.iter_mut().for_each(LastKnownPose::is_past);
         } else {
             self.state.known.iter_mut().for_each(|known| known.was_away(seconds));
         }
@@ -270,19 +270,19 @@ impl Localizer {
     /// Somebody says where the robot is.
     pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
         self.place(pose, spread);
-        self.state.known = Some(Known::told(pose, spread.xy_m));
+        self.state.known = Some(LastKnownPose::told(pose, spread.xy_m));
         self.state.standing.told();
         self.state.ambiguous = false;
     }
 
     /// One frame of which something was seen. `may_go_on` says when time is up: see [`MayGoOn`].
-    pub fn look(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
+    pub fn look(&mut self, moment: &FrameSensors, seen: &Observations, may_go_on: &mut MayGoOn) -> Fix {
         let fix = self.look_unchecked(moment, seen, may_go_on);
         self.checked(fix, moment)
     }
 
     /// What is not finite leaves with its frame: neither its pose nor what was remembered of it is used again.
-    fn checked(&mut self, fix: Fix, moment: &Moment) -> Fix {
+    fn checked(&mut self, fix: Fix, moment: &FrameSensors) -> Fix {
         let is_sound = self.state.is_possible() && self.filter.state().particles.is_possible();
         if is_sound && fix.is_possible() {
             return fix;
@@ -297,7 +297,7 @@ impl Localizer {
         fix
     }
 
-    fn look_unchecked(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
+    fn look_unchecked(&mut self, moment: &FrameSensors, seen: &Observations, may_go_on: &mut MayGoOn) -> Fix {
         if self.lies(moment) {
             return self.drift(moment, "fallen");
         }
@@ -327,7 +327,7 @@ impl Localizer {
                 fix.explained_in_view = self.painted.explained_in_view(seen, lens, place, pose);
             }
         }
-        let at = self.state.track.as_ref().map_or(fix.estimate.best, Track::pose);
+        let at = self.state.track.as_ref().map_or(fix.estimate.best, SlowStateFilter::pose);
         fix.strays = self.state.known.is_some_and(|known| known.is_far_from(&at));
         let rules = self.settings.rules(&self.field);
         fix.doubt = self.state.standing.judge(&rules, moment, &fix, seconds);
@@ -341,13 +341,13 @@ impl Localizer {
             known.is_seen();
         }
         if fix.doubt.is_none() {
-            self.state.known = self.state.track.as_ref().map(|track| Known::at(track.pose()));
+            self.state.known = self.state.track.as_ref().map(|track| LastKnownPose::at(track.pose()));
         }
         fix
     }
 
     /// One frame of which nothing could be seen: where odometry puts the robot.
-    pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
+    pub fn coast(&mut self, moment: &FrameSensors, reason: &'static str) -> Fix {
         let reason = if self.lies(moment) { "fallen" } else { reason };
         let fix = self.drift(moment, reason);
         self.checked(fix, moment)
@@ -355,7 +355,7 @@ impl Localizer {
 
     /// Where odometry puts the robot at a time of which there is no frame. `None` where the place was not known, or is not
     /// any more.
-    pub fn foresee(&mut self, moment: &Moment, reason: &'static str) -> Option<Fix> {
+    pub fn foresee(&mut self, moment: &FrameSensors, reason: &'static str) -> Option<Fix> {
         let fix = self.coast(moment, reason);
         (fix.doubt != Some(NUMERICAL_FAULT) && self.state.standing.is_known() && !is_lost(&fix.covariance))
             .then_some(fix)
@@ -369,19 +369,19 @@ impl Localizer {
     }
 
     /// On the floor, or on its way there or up again. Whoever has got up may be somewhere else.
-    fn lies(&mut self, moment: &Moment) -> bool {
+    fn lies(&mut self, moment: &FrameSensors) -> bool {
         let stand = self.state.posture.judge(moment.stamp_ns, moment.lean_rad);
-        if stand == Stand::HasRisen {
+        if stand == FallState::HasRisen {
             self.state.standing.confidence = Confidence::Nowhere;
         }
-        let is_down = stand == Stand::Fallen;
+        let is_down = stand == FallState::Fallen;
         if is_down {
-            self.state.known.iter_mut().for_each(Known::fell);
+            self.state.known.iter_mut().for_each(LastKnownPose::fell);
         }
         is_down
     }
 
-    fn drift(&mut self, moment: &Moment, reason: &'static str) -> Fix {
+    fn drift(&mut self, moment: &FrameSensors, reason: &'static str) -> Fix {
         let step = self.step_to(moment);
         let walked = self.walked(&step);
         self.carry_on(&step);
@@ -394,7 +394,7 @@ impl Localizer {
     }
 
     /// What the sensors say of the robot's step since the last frame.
-    fn step_to(&mut self, moment: &Moment) -> Step {
+    fn step_to(&mut self, moment: &FrameSensors) -> Step {
         let odometry = moment.odometry.filter(Physical::is_possible);
         let last = self.state.last.replace((moment.stamp_ns, odometry));
         let Some((last_ns, last_odometry)) = last else {
@@ -452,16 +452,16 @@ impl Localizer {
         let Spread { xy_m, yaw_rad } = spread;
         self.state.track = Some(match &self.state.track {
             Some(track) => track.moved_to(pose, xy_m, yaw_rad).with_lens_doubted(&self.settings.track),
-            None => Track::around(pose, xy_m, yaw_rad, &self.settings.track),
+            None => SlowStateFilter::around(pose, xy_m, yaw_rad, &self.settings.track),
         });
     }
 
-    fn refine(&mut self, moment: &Moment, seen: &Seen, estimate: Estimate, support: Support) -> Fix {
+    fn refine(&mut self, moment: &FrameSensors, seen: &Observations, estimate: Estimate, support: Support) -> Fix {
         let prediction = self.prediction(moment);
         let (Some(prediction), true) = (prediction, self.settings.refinement) else {
             return self.predicted(moment, estimate, support);
         };
-        let track_pose = self.state.track.as_ref().map_or(estimate.best, Track::pose);
+        let track_pose = self.state.track.as_ref().map_or(estimate.best, SlowStateFilter::pose);
         let turned = wrap_angle(estimate.best.yaw - track_pose.yaw).abs();
         let is_elsewhere = estimate.best.distance(&track_pose) > OTHER_BASIN_M || turned > OTHER_BASIN_RAD;
         let other = moment.footprint_from_optical.filter(|_| is_elsewhere).map(|place| {
@@ -520,7 +520,7 @@ impl Localizer {
             adrift: self.state.adrift_s > 0.0,
             misfits,
             agreement: refined.lines,
-            explained: Explained::default(),
+            explained: ExplainedLines::default(),
             explained_in_view: 1.0,
             effort: Effort::default(),
             ambiguous: self.state.ambiguous,
@@ -530,7 +530,7 @@ impl Localizer {
 
     /// Whether the lines, with lens and mount let go, say that one of them is not what it is said to be: then some pose in the neighbourhood of
     /// the right one has most lines, each beside where it should be.
-    fn misfits(&mut self, moment: &Moment, seen: &Seen, prior: &Prior, refined: &Refined) -> bool {
+    fn misfits(&mut self, moment: &FrameSensors, seen: &Observations, prior: &Prior, refined: &Refined) -> bool {
         let Some(unbound) = self.refiner.refine_unbound(&seen.image, prior, refined) else { return false };
         let stretch = prior.lens.stretch + unbound.moved[OF_LENS];
         let sigma = libm::sqrt(unbound.covariance[(OF_LENS, OF_LENS)]);
@@ -539,25 +539,25 @@ impl Localizer {
         stretch.abs() > MOST_STRETCH.max(2.0 * sigma) || (is_better && !stands(moment, &unbound.map_from_optical))
     }
 
-    fn prediction(&self, moment: &Moment) -> Option<Prediction> {
+    fn prediction(&self, moment: &FrameSensors) -> Option<Prediction> {
         let prediction = self.prediction_by(self.state.track.as_ref()?, moment)?;
         Some(if self.state.standing.is_tracking() { prediction } else { prediction.with_lens_known() })
     }
 
-    fn prediction_by(&self, track: &Track, moment: &Moment) -> Option<Prediction> {
+    fn prediction_by(&self, track: &SlowStateFilter, moment: &FrameSensors) -> Option<Prediction> {
         let mut prediction = track.prior(&moment.footprint_from_optical?, &self.model(moment));
         prediction.prior.twist = moment.camera_twist.unwrap_or_default();
         prediction.prior.turn_is_felt = moment.turn_is_felt;
         Some(prediction)
     }
 
-    fn model(&self, moment: &Moment) -> TrackModel {
+    fn model(&self, moment: &FrameSensors) -> SlowStateModel {
         let model = self.settings.track;
-        if moment.tilt_is_measured { model } else { TrackModel { tilt_noise_rad: UNMEASURED_TILT_RAD, ..model } }
+        if moment.tilt_is_measured { model } else { SlowStateModel { tilt_noise_rad: UNMEASURED_TILT_RAD, ..model } }
     }
 
     /// Without refinement: the best particle's camera; or where the track puts it.
-    fn predicted(&self, moment: &Moment, estimate: Estimate, support: Support) -> Fix {
+    fn predicted(&self, moment: &FrameSensors, estimate: Estimate, support: Support) -> Fix {
         let place = moment.footprint_from_optical.unwrap_or(Isometry::IDENTITY);
         let (map_from_optical, covariance) = match self.prediction(moment).filter(|_| self.settings.refinement) {
             Some(prediction) => (prediction.prior.map_from_optical, prediction.prior.pose_covariance()),
@@ -574,7 +574,7 @@ impl Localizer {
             adrift: self.state.adrift_s > 0.0,
             misfits: false,
             agreement: Agreement::default(),
-            explained: Explained::default(),
+            explained: ExplainedLines::default(),
             explained_in_view: 1.0,
             effort: Effort::default(),
             ambiguous: self.state.ambiguous,
@@ -584,7 +584,7 @@ impl Localizer {
 
     /// Particles and track follow one robot: where they part, the one that the lines support less starts over around
     /// the other.
-    fn reconcile(&mut self, seen: &Seen, fix: &Fix) {
+    fn reconcile(&mut self, seen: &Observations, fix: &Fix) {
         let Some(track) = self.state.track.as_ref().filter(|_| self.settings.refinement) else { return };
         let (pose, best) = (track.pose(), fix.estimate.best);
         if pose.distance(&best) < APART_M && wrap_angle(pose.yaw - best.yaw).abs() < APART_M {

@@ -5,15 +5,15 @@ use std::collections::VecDeque;
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
-use super::{Localizer, Moment, Tried};
+use super::{FrameSensors, Localizer, TriedPose};
 use crate::filter::{Effort, MayGoOn};
-use crate::global_search::{Candidate, Pace, Wanted};
+use crate::global_search::{Candidate, Pace, SearchRequest};
 use crate::particles::Spread;
 use crate::refinement::Refined;
-use crate::slow_states::Track;
+use crate::slow_states::SlowStateFilter;
 use crate::validation::{CONTRADICTED, Confidence, agrees, convinces, is_whole};
 use realitysim_geometry::{Physical, Pose2, wrap_angle};
-use realitysim_vision::Seen;
+use realitysim_vision::Observations;
 
 /// While lost, only every so many frames pay for a search.
 const SEARCH_EVERY: u64 = 3;
@@ -53,8 +53,8 @@ impl Localizer {
     /// somewhere else now than it was believed to be; `walked` since the last frame.
     pub(super) fn search(
         &mut self,
-        moment: &Moment,
-        seen: &Seen,
+        moment: &FrameSensors,
+        seen: &Observations,
         walked: Option<Pose2>,
         effort: &mut Effort,
         may_go_on: &mut MayGoOn,
@@ -77,7 +77,7 @@ impl Localizer {
             let found = self.search.run(
                 observation,
                 table,
-                Wanted { candidates: CANDIDATES, pace },
+                SearchRequest { candidates: CANDIDATES, pace },
                 state,
                 effort,
                 &mut may_go_on,
@@ -85,9 +85,9 @@ impl Localizer {
             // A look that takes its time leaves nothing out.
             effort.capped &= is_hurried || before.capped;
             let Some(found) = found else { return false };
-            let now = |track: &Track| track.pose().compose(&walked.unwrap_or_default());
+            let now = |track: &SlowStateFilter| track.pose().compose(&walked.unwrap_or_default());
             let believed = self.state.track.as_ref().map(now).filter(|_| has_pose && self.settings.refinement);
-            self.state.fitting = Fitting::of(believed, &found);
+            self.state.fitting = CandidateRefinement::of(believed, &found);
             if !is_hurried {
                 return false;
             }
@@ -102,7 +102,7 @@ impl Localizer {
                 self.settle(is_tracking)
             }
         };
-        self.state.fitting = Fitting::default();
+        self.state.fitting = CandidateRefinement::default();
         let Some(pose) = best else { return false };
         let pose = self.state.known.map_or(pose, |known| known.nearer_of(pose));
         self.state.ambiguous |= !self.state.known.is_some_and(|known| known.leads_to(&pose));
@@ -113,7 +113,7 @@ impl Localizer {
 
     /// Where to start over, if anywhere, now that all candidates are fitted.
     fn settle(&mut self, is_tracking: bool) -> Option<Pose2> {
-        let Fitting { believed, fits, .. } = &self.state.fitting;
+        let CandidateRefinement { believed, fits, .. } = &self.state.fitting;
         let best = only_best(fits);
         let Some(believed) = *believed else { return best };
         let again = |pose: &Pose2| is_near(pose, &believed, AGAIN_M, AGAIN_RAD);
@@ -123,7 +123,7 @@ impl Localizer {
             return best.filter(|_| !found_again);
         }
         let own = fits.iter().find(|fit| again(&fit.pose));
-        let beaten = |by: &&Fit| {
+        let beaten = |by: &&ScoredPose| {
             // Where too few lines fit the place believed, another one's need not explain all that is seen.
             own.map_or(by.convinces || by.is_whole, |own| {
                 let needed = if by.convinces { BEATEN } else { OUTSHONE };
@@ -143,7 +143,7 @@ impl Localizer {
         best
     }
 
-    fn best_supported(&self, seen: &Seen) -> Option<Pose2> {
+    fn best_supported(&self, seen: &Observations) -> Option<Pose2> {
         let valid = &self.settings.valid;
         self.state.fitting.left.front().copied().filter(|pose| {
             let support = self.filter.observation().support(seen.lines(), pose);
@@ -152,7 +152,13 @@ impl Localizer {
     }
 
     /// Refines the candidates; whether that is all. The best are first then.
-    pub(super) fn fit(&mut self, moment: &Moment, seen: &Seen, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
+    pub(super) fn fit(
+        &mut self,
+        moment: &FrameSensors,
+        seen: &Observations,
+        effort: &mut Effort,
+        may_go_on: &mut MayGoOn,
+    ) -> bool {
         let Some(place) = moment.footprint_from_optical else { return false };
         let mut index = 0;
         while let Some(pose) = self.state.fitting.left.pop_front() {
@@ -168,7 +174,7 @@ impl Localizer {
                 let pose = Pose2::from_isometry(&(map_from_optical * place.inverse()));
                 let convinces = convinces(&lines, explained, self.settings.valid.explained);
                 let is_whole = is_whole(&lines);
-                self.state.fitting.fits.push(Fit {
+                self.state.fitting.fits.push(ScoredPose {
                     worth,
                     pose,
                     fitting: lines.fitting,
@@ -185,7 +191,7 @@ impl Localizer {
         self.state.fitting.left.is_empty()
     }
 
-    fn refine_candidate(&mut self, moment: &Moment, seen: &Seen, pose: &Pose2) -> Option<Refined> {
+    fn refine_candidate(&mut self, moment: &FrameSensors, seen: &Observations, pose: &Pose2) -> Option<Refined> {
         let model = self.model(moment);
         let Spread { xy_m, yaw_rad } = self.settings.initial;
         let track = match &self.state.track {
@@ -194,7 +200,7 @@ impl Localizer {
                 track.moved_to(*pose, xy_m, yaw_rad).with_lean_forgotten(&model)
             }
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),
-            None => Track::around(*pose, xy_m, yaw_rad, &model),
+            None => SlowStateFilter::around(*pose, xy_m, yaw_rad, &model),
         };
         let prediction = self.prediction_by(&track, moment)?.with_lens_known();
         self.refiner.refine(&seen.image, &prediction.prior, &[Vector6::zeros()])
@@ -203,20 +209,20 @@ impl Localizer {
 
 /// Candidates that are being refined, over several frames where time is short: the pose believed so far, and what was found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Fitting {
+pub struct CandidateRefinement {
     left: VecDeque<Pose2>,
     believed: Option<Pose2>,
-    fits: Vec<Fit>,
+    fits: Vec<ScoredPose>,
 }
 
-impl Physical for Fitting {
+impl Physical for CandidateRefinement {
     fn is_possible(&self) -> bool {
-        let is_fit = |fit: &Fit| fit.pose.is_possible() && fit.worth.is_finite() && fit.explained.is_finite();
+        let is_fit = |fit: &ScoredPose| fit.pose.is_possible() && fit.worth.is_finite() && fit.explained.is_finite();
         self.left.iter().all(Physical::is_possible) && self.believed.is_possible() && self.fits.iter().all(is_fit)
     }
 }
 
-impl Fitting {
+impl CandidateRefinement {
     pub(super) fn of(believed: Option<Pose2>, found: &[Candidate]) -> Self {
         let left = believed.into_iter().chain(found.iter().map(|candidate| candidate.pose)).collect();
         Self { left, believed, fits: Vec::new() }
@@ -227,10 +233,10 @@ impl Fitting {
     }
 
     /// The poses that were refined, the best first.
-    pub(super) fn tried(&self) -> Vec<Tried> {
+    pub(super) fn tried(&self) -> Vec<TriedPose> {
         let tried = self.fits.iter().map(|fit| {
-            let Fit { pose: Pose2 { x, y, yaw }, worth, fitting, explained, .. } = *fit;
-            Tried { x, y, yaw_deg: yaw.to_degrees(), worth, fitting, explained }
+            let ScoredPose { pose: Pose2 { x, y, yaw }, worth, fitting, explained, .. } = *fit;
+            TriedPose { x, y, yaw_deg: yaw.to_degrees(), worth, fitting, explained }
         });
         tried.collect()
     }
@@ -244,7 +250,7 @@ impl Fitting {
 
 /// A pose and what speaks for it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-struct Fit {
+struct ScoredPose {
     worth: f64,
     pose: Pose2,
     /// Line places.
@@ -257,9 +263,9 @@ struct Fit {
 }
 
 /// The best one, unless another place explains the frame nearly as well.
-fn only_best(fits: &[Fit]) -> Option<Pose2> {
+fn only_best(fits: &[ScoredPose]) -> Option<Pose2> {
     let best = fits.first()?;
-    let rivals = |other: &Fit| {
+    let rivals = |other: &ScoredPose| {
         other.worth > RIVALS * best.worth && !is_near(&other.pose, &best.pose, ELSEWHERE_M, ELSEWHERE_RAD)
     };
     (!fits.iter().any(rivals)).then_some(best.pose)

@@ -6,7 +6,7 @@
 //! are only compared with their own neighbours. Of n places k hit the middle by chance with a probability of at most
 //! exp(-n KL(k/n, p)), KL being the relative entropy of two coins (Hoeffding's bound).
 
-use super::line_measurement::{Eye, each_place};
+use super::line_measurement::{CameraModel, each_place};
 use super::paint::Paint;
 use super::points::LinePoints;
 use super::share;
@@ -30,7 +30,7 @@ pub(super) struct Test {
     pub(super) half_seen_px: f64,
 }
 
-pub(super) fn test(points: &LinePoints, image: &LineImage, eye: Eye, map_from_optical: &Isometry) -> Test {
+pub(super) fn test(points: &LinePoints, image: &LineImage, eye: CameraModel, map_from_optical: &Isometry) -> Test {
     let Some(paint) = Paint::of(image) else { return Test::default() };
     let (mut places, mut hits, mut by_chance) = (0.0, 0.0, 0.0);
     let (mut visible, mut foremost) = (0.0, 0.0);

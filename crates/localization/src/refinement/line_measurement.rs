@@ -12,7 +12,7 @@ use realitysim_vision::LineImage;
 
 /// A place of a line, found in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sight {
+pub struct LineMeasurement {
     /// Unit ray in `camera_optical_frame`.
     pub ray: DVec3,
     /// The place of the field's line, in `map`.
@@ -39,13 +39,13 @@ pub struct Sight {
 
 /// How places come to be drawn: by the lens, what it has wrong, and how it moves while rows are read.
 #[derive(Clone, Copy)]
-pub struct Eye<'a> {
+pub struct CameraModel<'a> {
     pub projector: &'a Projector,
     pub off: &'a Miscalibration,
     pub twist: &'a Twist,
 }
 
-impl Eye<'_> {
+impl CameraModel<'_> {
     /// How far what stands still at `place`, in the middle row's time, has gone by when this [`row`] is read: to first order.
     pub fn moved_until_read(&self, place: DVec3, row: f64) -> DVec3 {
         self.twist.passing(place) * (self.off.readout_s * row)
@@ -87,10 +87,10 @@ const FOREMOST_MORE_PER_PX: f64 = 0.45;
 pub fn measure(
     points: &LinePoints,
     image: &LineImage,
-    eye: Eye,
+    eye: CameraModel,
     map_from_optical: &Isometry,
     covariance: &Matrix6<f64>,
-    sights: &mut Vec<Sight>,
+    sights: &mut Vec<LineMeasurement>,
 ) -> Counts {
     sights.clear();
     let mut counts = Counts::default();
@@ -142,7 +142,12 @@ pub enum Finding {
 }
 
 /// Looks for every line in view close to where the pose has it.
-pub fn inspect(points: &LinePoints, image: &LineImage, eye: Eye, map_from_optical: &Isometry) -> Vec<Inspected> {
+pub fn inspect(
+    points: &LinePoints,
+    image: &LineImage,
+    eye: CameraModel,
+    map_from_optical: &Isometry,
+) -> Vec<Inspected> {
     let mut inspected = Vec::new();
     let Some(paint) = Paint::of(image) else { return inspected };
     each_place(points, image, eye, map_from_optical, APART_PX, |_, _, expected| {
@@ -175,7 +180,12 @@ const BESIDE: f64 = 4.0;
 const CLEAR_OF_LINES: f64 = 3.0;
 
 /// How every place of a line answers to the matched filter from where the camera truly was, with carpet as near to it as can be told from it.
-pub fn responses(points: &LinePoints, image: &LineImage, eye: Eye, map_from_optical: &Isometry) -> Vec<Response> {
+pub fn responses(
+    points: &LinePoints,
+    image: &LineImage,
+    eye: CameraModel,
+    map_from_optical: &Isometry,
+) -> Vec<Response> {
     let mut responses = Vec::new();
     let Some(paint) = Paint::of(image).filter(|paint| paint.noise() > 0.0) else { return responses };
     let width_m = points.line_width_m;
@@ -203,7 +213,7 @@ pub fn responses(points: &LinePoints, image: &LineImage, eye: Eye, map_from_opti
 pub(super) fn each_place(
     points: &LinePoints,
     image: &LineImage,
-    eye: Eye,
+    eye: CameraModel,
     map_from_optical: &Isometry,
     apart_px: f64,
     mut visit: impl FnMut(usize, &LinePoint, &Expected),
@@ -298,7 +308,7 @@ impl Expected {
         line_width_m: f64,
         (centre, pixel): (DVec3, DVec2),
         image: &LineImage,
-        eye: Eye,
+        eye: CameraModel,
         from_carpet: &FromCarpet,
     ) -> Option<Self> {
         let half = |direction: DVec2| from_carpet.vector(direction * (line_width_m / 2.0));
@@ -350,8 +360,8 @@ impl Expected {
         (REACH_SIGMAS * sigma * self.pixels_per_rad()).clamp(LEAST_REACH_PX, MOST_REACH_PX)
     }
 
-    fn sight(&self, line: usize, point: &LinePoint, found: Found, follows: bool, paint: Paint) -> Sight {
-        Sight {
+    fn sight(&self, line: usize, point: &LinePoint, found: Found, follows: bool, paint: Paint) -> LineMeasurement {
+        LineMeasurement {
             ray: (self.ray + self.across * (found.offset_px / self.strip.width_px)).normalize(),
             point: point.position.extend(0.0),
             tangent: DVec3::new(-point.normal.y, point.normal.x, 0.0),

@@ -21,7 +21,7 @@ use glam::DVec3;
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
 use false_alarms::Test;
-use line_measurement::{Counts, Eye, Inspected, Response, Sight};
+use line_measurement::{CameraModel, Counts, Inspected, LineMeasurement, Response};
 use miscalibration::{Miscalibration, UNSEEN_M_PER_S, unfelt_rad_per_s};
 use realitysim_geometry::{Field, Isometry, Lens, Projector, Twist};
 use realitysim_vision::LineImage;
@@ -107,7 +107,7 @@ impl Agreement {
 pub struct Refiner {
     points: LinePoints,
     projector: Projector,
-    sights: Vec<Sight>,
+    sights: Vec<LineMeasurement>,
 }
 
 /// Scale of the robust loss, in standard deviations of one measurement, from the first round of measuring to the last. The
@@ -141,13 +141,13 @@ impl Refiner {
 
     /// What a picture shows of the lines that a camera would see from this pose.
     pub fn inspect(&self, image: &LineImage, map_from_optical: &Isometry) -> Vec<Inspected> {
-        let eye = Eye { projector: &self.projector, off: &Miscalibration::NONE, twist: &Twist::ZERO };
+        let eye = CameraModel { projector: &self.projector, off: &Miscalibration::NONE, twist: &Twist::ZERO };
         line_measurement::inspect(&self.points, image, eye, map_from_optical)
     }
 
     /// How far lines, and the carpet beside them, stand out of this picture, if the camera is where this pose has it.
     pub fn responses(&self, image: &LineImage, map_from_optical: &Isometry) -> Vec<Response> {
-        let eye = Eye { projector: &self.projector, off: &Miscalibration::NONE, twist: &Twist::ZERO };
+        let eye = CameraModel { projector: &self.projector, off: &Miscalibration::NONE, twist: &Twist::ZERO };
         line_measurement::responses(&self.points, image, eye, map_from_optical)
     }
 
@@ -184,7 +184,7 @@ impl Refiner {
 
     /// With what is to be said against chance.
     fn tested(&self, image: &LineImage, prior: &Prior, mut refined: Refined) -> Refined {
-        let eye = Eye { projector: &self.projector, off: &prior.lens, twist: &prior.twist };
+        let eye = CameraModel { projector: &self.projector, off: &prior.lens, twist: &prior.twist };
         let Test { foremost, digits, half_seen_px } =
             false_alarms::test(&self.points, image, eye, &refined.map_from_optical);
         refined.lines = Agreement { foremost, digits, half_seen_px, ..refined.lines };
@@ -207,7 +207,7 @@ impl Refiner {
         let wide = reach[(3, 3)].max(reach[(4, 4)]) > WIDE_RAD * WIDE_RAD;
         for scale in &SCALES[usize::from(!wide)..] {
             let pose = moved_pose(&prior.map_from_optical, &moved);
-            let eye = Eye { projector, off: &prior.lens, twist: &prior.twist };
+            let eye = CameraModel { projector, off: &prior.lens, twist: &prior.twist };
             let counts = line_measurement::measure(points, image, eye, &pose, &covariance, sights);
             let solution = solve::solve(prior, sights, &moved, *scale, noise)?;
             moved = solution.moved;

@@ -7,7 +7,7 @@
 use glam::{DMat3, DVec3};
 use nalgebra::{Cholesky, Matrix3, Matrix6, SMatrix, SVector, Vector6};
 
-use super::line_measurement::Sight;
+use super::line_measurement::LineMeasurement;
 use super::qr_accumulator::{Rows, Triangular};
 use super::{ErrorCovariance, Errors, OF_LENS, Prior, UNKNOWNS, moved_pose};
 
@@ -78,7 +78,7 @@ pub(super) const MISS_COST: f64 = 0.5;
 /// deviations of one measurement. `None` if the prior is no covariance.
 pub(super) fn solve(
     prior: &Prior,
-    sights: &[Sight],
+    sights: &[LineMeasurement],
     start: &Vector6<f64>,
     scale: f64,
     noise: Noise,
@@ -113,7 +113,7 @@ pub(super) fn solve(
 #[cfg(test)]
 pub(super) fn step(
     prior: &Prior,
-    sights: &[Sight],
+    sights: &[LineMeasurement],
     start: &Vector6<f64>,
     scale: f64,
     noise: Noise,
@@ -128,7 +128,7 @@ pub(super) fn step(
 /// sensor was read, and have turned if no gyro tells: that is solved for with them, and forgotten.
 pub(super) fn joint(
     prior: &Prior,
-    sights: &[Sight],
+    sights: &[LineMeasurement],
     moved: &Vector6<f64>,
     scale: f64,
     noises: [Noise; 2],
@@ -146,7 +146,7 @@ pub(super) fn joint(
 fn unfelt(
     prior: &Prior,
     way: &Matrix3<f64>,
-    sights: &[Sight],
+    sights: &[LineMeasurement],
     moved: &Vector6<f64>,
     scale: f64,
     noises: [Noise; 2],
@@ -160,7 +160,7 @@ fn unfelt(
 fn joint_with<const M: usize, const N: usize, const W: usize>(
     prior: &Prior,
     unseen: &SMatrix<f64, M, M>,
-    sights: &[Sight],
+    sights: &[LineMeasurement],
     moved: &Vector6<f64>,
     scale: f64,
     [noise, measured]: [Noise; 2],
@@ -209,7 +209,7 @@ type Pulls<const N: usize> = [SVector<f64, N>; LINES_APART];
 fn with_lens<const M: usize, const N: usize, const W: usize>(
     prior: &Prior,
     (spread, unseen): (&ErrorCovariance, &SMatrix<f64, M, M>),
-    sights: &[Sight],
+    sights: &[LineMeasurement],
     moved: &Vector6<f64>,
     scale: f64,
     noise: Noise,
@@ -287,7 +287,14 @@ const WITH_WAY: usize = UNKNOWNS + 3;
 const WITH_MOTION: usize = WITH_WAY + 3;
 
 impl Linearised {
-    fn at(prior: &Prior, spread: &Matrix6<f64>, sights: &[Sight], y: &Vector6<f64>, scale: f64, noise: Noise) -> Self {
+    fn at(
+        prior: &Prior,
+        spread: &Matrix6<f64>,
+        sights: &[LineMeasurement],
+        y: &Vector6<f64>,
+        scale: f64,
+        noise: Noise,
+    ) -> Self {
         let pose = moved_pose(&prior.map_from_optical, &(spread * y));
         let turn = DMat3::from_quat(pose.rotation);
         let mut rows = Rows::identity(&-y);
@@ -345,7 +352,7 @@ struct Weighing {
 }
 
 impl Weighing {
-    fn of(sight: &Sight, off_rad: f64, scale: f64, noise: Noise) -> Self {
+    fn of(sight: &LineMeasurement, off_rad: f64, scale: f64, noise: Noise) -> Self {
         let sigma_rad = noise.sigma_px * sight.sigmas / sight.pixels_per_rad;
         let deviation = off_rad / sigma_rad;
         let u = deviation / scale;
@@ -375,7 +382,7 @@ struct Off {
     normal: DVec3,
 }
 
-impl Sight {
+impl LineMeasurement {
     fn off(&self, map_from_optical: &DMat3, camera: DVec3) -> Option<Off> {
         let ray = *map_from_optical * self.ray;
         let across = (self.point - camera).cross(self.tangent);

@@ -2,8 +2,8 @@
 //! IMU, mount and lens.
 //!
 //! A frame's camera pose scatters about what these say (the torso sways at every step, the IMU is noisy), so it
-//! is not part of the state: the state predicts it ([`Track::prior`]), the frame's refinement measures it, and
-//! what that says of the state follows by conditioning ([`Track::update`]), as in a Kalman filter.
+//! is not part of the state: the state predicts it ([`SlowStateFilter::prior`]), the frame's refinement measures it, and
+//! what that says of the state follows by conditioning ([`SlowStateFilter::update`]), as in a Kalman filter.
 
 mod slip;
 
@@ -44,7 +44,7 @@ type State = SVector<f64, STATES>;
 
 /// Standard deviations of what the track does not follow, and of how fast what it follows changes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrackModel {
+pub struct SlowStateModel {
     /// Sideways, forwards and vertical sway of the camera at each step of the gait, metres.
     pub sway_m: DVec3,
     /// Error of one frame's attitude: IMU noise and time error.
@@ -74,7 +74,7 @@ pub struct TrackModel {
     pub gyro_rad_per_sqrt_s: f64,
 }
 
-impl Default for TrackModel {
+impl Default for SlowStateModel {
     fn default() -> Self {
         Self {
             sway_m: DVec3::new(0.006, 0.014, 0.006),
@@ -142,7 +142,7 @@ struct Turn {
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Track {
+pub struct SlowStateFilter {
     mean: State,
     covariance: Covariance,
     /// Since a refined pose was last learnt from.
@@ -179,7 +179,7 @@ impl Prediction {
     }
 }
 
-impl Physical for Track {
+impl Physical for SlowStateFilter {
     fn is_possible(&self) -> bool {
         // A variance may be as large as the square of the largest number.
         let is_covariance = self.covariance.diagonal().iter().all(|variance| *variance >= 0.0)
@@ -188,9 +188,9 @@ impl Physical for Track {
     }
 }
 
-impl Track {
+impl SlowStateFilter {
     /// Around a pose, knowing nothing of the slow errors.
-    pub fn around(pose: Pose2, xy_m: f64, yaw_rad: f64, model: &TrackModel) -> Self {
+    pub fn around(pose: Pose2, xy_m: f64, yaw_rad: f64, model: &SlowStateModel) -> Self {
         let mut mean = State::zeros();
         mean.fixed_rows_mut::<3>(0).copy_from_slice(&[pose.x, pose.y, pose.yaw]);
         let sigmas = State::from([
@@ -230,7 +230,7 @@ impl Track {
     }
 
     /// What was learnt of the lens may have been learnt from a wrong place: it is as uncertain as at the start.
-    pub fn with_lens_doubted(mut self, model: &TrackModel) -> Self {
+    pub fn with_lens_doubted(mut self, model: &SlowStateModel) -> Self {
         let sigmas = [model.lens_stretch, model.lens_shift, model.lens_shift, model.readout_s];
         for (index, sigma) in LENS.into_iter().zip(sigmas) {
             self.forget(index, sigma);
@@ -239,7 +239,7 @@ impl Track {
     }
 
     /// As if nothing had been learnt of how the camera leans and how high it is.
-    pub fn with_lean_forgotten(mut self, model: &TrackModel) -> Self {
+    pub fn with_lean_forgotten(mut self, model: &SlowStateModel) -> Self {
         let (torso, mount) = (model.torso_tilt_rad, model.mount_tilt_rad);
         let sigmas = [torso, torso, mount, mount, model.height_m];
         for (index, sigma) in [TORSO_ROLL, TORSO_PITCH, MOUNT_ROLL, MOUNT_PITCH, HEIGHT].into_iter().zip(sigmas) {
@@ -269,7 +269,7 @@ impl Track {
     }
 
     /// Where the step has no odometry the robot may have walked as far as `reach_m` and turned by `reach_rad`.
-    pub fn predict(&mut self, step: &Step, model: &TrackModel, reach_m: f64, reach_rad: f64) {
+    pub fn predict(&mut self, step: &Step, model: &SlowStateModel, reach_m: f64, reach_rad: f64) {
         let seconds = step.seconds.max(0.0);
         self.unlearnt_s += seconds;
         let root = libm::sqrt(seconds);
@@ -333,7 +333,7 @@ impl Track {
     }
 
     /// A gyro knows better than feet that slip, unless the two speak of different robots: then either may be right.
-    fn by_gyro(&self, turned_rad: f64, seconds: f64, by_odometry: &Turn, model: &TrackModel) -> Turn {
+    fn by_gyro(&self, turned_rad: f64, seconds: f64, by_odometry: &Turn, model: &SlowStateModel) -> Turn {
         let turn_rad = self.turned(turned_rad, seconds);
         let apart = (turn_rad - by_odometry.turn_rad).abs();
         let usual = APART_SIGMAS * by_odometry.sigma_rad + model.turn_scale * by_odometry.turn_rad.abs();
@@ -343,7 +343,7 @@ impl Track {
     }
 
     /// Where the camera should be, `footprint_from_optical` being its place by IMU, joints and mount.
-    pub fn prior(&self, footprint_from_optical: &Isometry, model: &TrackModel) -> Prediction {
+    pub fn prior(&self, footprint_from_optical: &Isometry, model: &SlowStateModel) -> Prediction {
         let footprint = self.pose();
         let nominal = footprint.to_isometry() * *footprint_from_optical;
         let torso = DQuat::from_rotation_z(footprint.yaw);
@@ -451,7 +451,7 @@ impl Track {
 }
 
 /// One frame's own error about the path, in `map`.
-fn scatter(model: &TrackModel, yaw: f64) -> ErrorCovariance {
+fn scatter(model: &SlowStateModel, yaw: f64) -> ErrorCovariance {
     let (sin, cos) = libm::sincos(yaw);
     let (ahead, aside) = (model.sway_m.x * model.sway_m.x, model.sway_m.y * model.sway_m.y);
     let tilt = model.tilt_noise_rad * model.tilt_noise_rad;

@@ -5,7 +5,7 @@ use nalgebra::Matrix6;
 use super::*;
 use crate::refinement::{Agreement, error_between};
 
-const MODEL: fn() -> TrackModel = TrackModel::default;
+const MODEL: fn() -> SlowStateModel = SlowStateModel::default;
 
 fn camera(pose: &Pose2) -> Isometry {
     let place = Isometry::from_euler(realitysim_geometry::Euler { yaw: 0.0, pitch: 0.3, roll: 0.0 }, DVec3::Z * 0.5);
@@ -13,10 +13,14 @@ fn camera(pose: &Pose2) -> Isometry {
 }
 
 /// Walks a circle; each frame's lines say exactly where the camera is.
-fn walked(frames: usize, odometry: impl Fn(Pose2) -> Option<Pose2>, gyro: impl Fn(f64) -> Option<f64>) -> Track {
+fn walked(
+    frames: usize,
+    odometry: impl Fn(Pose2) -> Option<Pose2>,
+    gyro: impl Fn(f64) -> Option<f64>,
+) -> SlowStateFilter {
     let step = Pose2::new(0.025, 0.0, 0.05);
     let mut truth = Pose2::new(0.3, -0.2, 0.1);
-    let mut track = Track::around(truth, 0.05, 0.05, &MODEL());
+    let mut track = SlowStateFilter::around(truth, 0.05, 0.05, &MODEL());
     let place = Pose2::default().to_isometry().inverse() * camera(&Pose2::default());
     for _ in 0..frames {
         truth = truth.compose(&step);
@@ -60,12 +64,12 @@ fn a_gyro_s_bias_is_learnt_and_odometry_s_turn_does_not_matter_then() {
 
 #[test]
 fn a_gyro_that_contradicts_odometry_leaves_both_possible() {
-    let mut track = Track::around(Pose2::default(), 0.01, 0.01, &MODEL());
+    let mut track = SlowStateFilter::around(Pose2::default(), 0.01, 0.01, &MODEL());
     let told = Step { odometry: Some(Pose2::default()), turned_rad: Some(0.4), seconds: 0.1 };
     track.predict(&told, &MODEL(), 0.04, 0.1);
     let (_, yaw_sigma) = track.spread();
     assert!((track.pose().yaw - 0.4).abs() < 1e-12 && (0.39..0.5).contains(&yaw_sigma), "{yaw_sigma}");
-    let mut agreed = Track::around(Pose2::default(), 0.01, 0.01, &MODEL());
+    let mut agreed = SlowStateFilter::around(Pose2::default(), 0.01, 0.01, &MODEL());
     let turn = Pose2::new(0.0, 0.0, 0.39);
     agreed.predict(&Step { odometry: Some(turn), ..told }, &MODEL(), 0.04, 0.1);
     assert!(agreed.spread().1 < 0.02, "{}", agreed.spread().1);
@@ -73,12 +77,12 @@ fn a_gyro_that_contradicts_odometry_leaves_both_possible() {
 
 /// So many frames a second that all say the same of the lens, each with this standard deviation: what is believed then, and how firmly.
 fn told_of_the_lens(stretch: f64, sigma: f64, rate_hz: usize, seconds: usize) -> (f64, f64) {
-    let track = Track::around(Pose2::default(), 0.05, 0.05, &MODEL());
+    let track = SlowStateFilter::around(Pose2::default(), 0.05, 0.05, &MODEL());
     let track = told_again(track, stretch, sigma, rate_hz, seconds);
     (track.lens().stretch, track.lens_sigmas()[0])
 }
 
-fn told_again(mut track: Track, stretch: f64, sigma: f64, rate_hz: usize, seconds: usize) -> Track {
+fn told_again(mut track: SlowStateFilter, stretch: f64, sigma: f64, rate_hz: usize, seconds: usize) -> SlowStateFilter {
     for _ in 0..rate_hz * seconds {
         track.predict(&Step { seconds: 1.0 / rate_hz as f64, ..Step::none() }, &MODEL(), 0.04, 0.1);
         let prediction = track.prior(&camera(&Pose2::default()), &MODEL());
@@ -115,7 +119,7 @@ fn what_frames_have_in_common_counts_by_time_and_not_by_frames() {
 
 #[test]
 fn what_was_learnt_of_the_lens_from_a_wrong_place_is_learnt_anew_from_the_right_one() {
-    let wrong = told_again(Track::around(Pose2::default(), 0.05, 0.05, &MODEL()), 0.01, 0.001, 10, 20);
+    let wrong = told_again(SlowStateFilter::around(Pose2::default(), 0.05, 0.05, &MODEL()), 0.01, 0.001, 10, 20);
     let elsewhere = wrong.moved_to(Pose2::new(1.0, 0.0, 0.0), 0.05, 0.05);
     let stays = told_again(elsewhere.clone(), 0.0, 0.001, 10, 1).lens().stretch;
     let again = told_again(elsewhere.with_lens_doubted(&MODEL()), 0.0, 0.001, 10, 1).lens().stretch;
@@ -128,7 +132,8 @@ fn what_was_learnt_of_the_lean_in_a_wrong_place_is_forgotten_and_nothing_else() 
     for index in [TORSO_ROLL, TORSO_PITCH, MOUNT_ROLL, MOUNT_PITCH, HEIGHT] {
         track.mean[index] = 0.01;
     }
-    let (anew, begun) = (track.clone().with_lean_forgotten(&MODEL()), Track::around(track.pose(), 0.0, 0.0, &MODEL()));
+    let (anew, begun) =
+        (track.clone().with_lean_forgotten(&MODEL()), SlowStateFilter::around(track.pose(), 0.0, 0.0, &MODEL()));
     for index in 0..STATES {
         let of = if (TORSO_ROLL..=HEIGHT).contains(&index) { &begun } else { &track };
         assert_eq!(

@@ -16,7 +16,7 @@ mod same_ground;
 use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
-use crate::refinement::line_measurement::{Eye, Sight};
+use crate::refinement::line_measurement::{CameraModel, LineMeasurement};
 use chain::{Border, Chain, Solution};
 use moving::Moving;
 use realitysim_geometry::{Isometry, LensError, LensModel, LensParameters, Pose2, Twist};
@@ -170,8 +170,8 @@ impl Constants {
 
 impl Place {
     /// What was measured by this eye at this pose; `None` where its lens draws nothing.
-    pub fn new(sight: &Sight, eye: &Eye, map_from_optical: &Isometry) -> Option<Self> {
-        let Sight { ray, point, tangent, sigmas, pixels_per_rad, row, .. } = *sight;
+    pub fn new(sight: &LineMeasurement, eye: &CameraModel, map_from_optical: &Isometry) -> Option<Self> {
+        let LineMeasurement { ray, point, tangent, sigmas, pixels_per_rad, row, .. } = *sight;
         let place = ray * point.distance(map_from_optical.translation);
         let drawn = place + eye.moved_until_read(place, row);
         Some(Self { pixel: eye.projector.lens().project(drawn)?, point, tangent, sigmas, pixels_per_rad })

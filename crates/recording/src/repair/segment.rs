@@ -15,7 +15,7 @@ use super::super::manifest::{ManifestLine, TopicEntry};
 use super::super::storage::{Appending, Readable, Storage};
 use super::quarantine::{put, set_aside};
 use super::repair_journal::{Cut, Notes};
-use super::segment_counts::Account;
+use super::segment_counts::SegmentCounts;
 use realitysim_config::Settings;
 use realitysim_ros2::mcap_read::{
     Damage, LogReader, Part, Piece, ReadError, Remains, Selection, examine, metadata_records, remains, sound_pieces,
@@ -54,7 +54,7 @@ pub(super) fn finish(
 ) -> Result<Ended, RecordingError> {
     let length = length(storage, active)?.min(limit.unwrap_or(u64::MAX));
     let open = || open_until(storage, active, length);
-    let mut account = Account::new(settings);
+    let mut account = SegmentCounts::new(settings);
     let sink =
         Compared { there: BufReader::new(open()?), same: 0, differs: false, end: Vec::new(), hash: Default::default() };
     let (sink, sound) = through_writer(open()?, sink, &mut account).map_err(|error| error.at(active))?;
@@ -90,7 +90,7 @@ pub(super) fn describe(
     let fails = |source| RecordingError::io(path, source);
     let mut hash = blake3::Hasher::new();
     io::copy(&mut storage.read(path).map_err(fails)?, &mut hash).map_err(fails)?;
-    let mut account = Account::new(settings);
+    let mut account = SegmentCounts::new(settings);
     let mut read = || -> Result<Damage, Trouble> {
         for message in LogReader::open(storage.read(path).map_err(ReadError::from)?, Selection::All)? {
             account.note(&message?);
@@ -121,7 +121,7 @@ fn copy(
     let beside = path.with_extension(format!("mcap{COPY}"));
     let fails = |source| RecordingError::io(&beside, source);
     let file = storage.create_over(&beside).map_err(fails)?;
-    let mut account = Account::new(settings);
+    let mut account = SegmentCounts::new(settings);
     let hashing = Hashing::new(Appending(Arc::clone(&file)));
     let written = || -> Result<Hashing<Appending>, Trouble> {
         let mut writer = LogWriter::new(hashing)?;
@@ -155,7 +155,7 @@ fn copy(
 fn through_writer(
     reader: impl Read + Seek,
     sink: Compared,
-    account: &mut Account,
+    account: &mut SegmentCounts,
 ) -> Result<(Compared, realitysim_ros2::mcap_read::Sound), Trouble> {
     let mut writer = LogWriter::new(sink)?;
     let sound = sound_pieces(reader, &mut |piece| -> Result<(), Trouble> {

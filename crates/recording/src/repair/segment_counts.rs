@@ -12,7 +12,7 @@ use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{FrameTag, Message};
 use realitysim_ros2::topics;
 
-pub(super) struct Account<'a> {
+pub(super) struct SegmentCounts<'a> {
     settings: &'a Settings,
     /// Stamps of images and of tags, if frames are thinned: each image stands before its tag then.
     images: BTreeSet<i64>,
@@ -24,7 +24,7 @@ pub(super) struct Account<'a> {
     by_topic: BTreeMap<TopicEntry, u64>,
 }
 
-impl<'a> Account<'a> {
+impl<'a> SegmentCounts<'a> {
     pub fn new(settings: &'a Settings) -> Self {
         Self {
             settings,

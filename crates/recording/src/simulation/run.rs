@@ -9,7 +9,7 @@ use super::prng::Dice;
 use crate::entry::{Beginning, Entry, Kind};
 use crate::folder::manifest_lines;
 use crate::manifest::{Counts, FORMAT_VERSION, SESSION_FILE, SessionInfo};
-use crate::record_queue::{Room, Shared, Waiting};
+use crate::record_queue::{QueueLimits, QueuedEntry, RecordQueue};
 use crate::recorder::{Plan, Recorder};
 use crate::segment::segment_index;
 use crate::storage::{Kind as Listed, Storage, write_atomically};
@@ -27,7 +27,7 @@ const FRAME: Duration = Duration::from_millis(33);
 
 pub struct Run {
     pub disk: SimulatedDisk,
-    pub shared: Arc<Shared>,
+    pub shared: Arc<RecordQueue>,
     pub script: Vec<Scripted>,
     recorder: Option<Recorder>,
     taken: usize,
@@ -95,7 +95,8 @@ pub fn script(seed: u64) -> Vec<Scripted> {
 impl Run {
     pub fn new(seed: u64, trouble: Trouble) -> Self {
         let disk = SimulatedDisk::new(seed, trouble);
-        let shared = Arc::new(Shared::new(Room { frames_bytes: usize::MAX / 4, reserve_bytes: usize::MAX / 4 }));
+        let shared =
+            Arc::new(RecordQueue::new(QueueLimits { frames_bytes: usize::MAX / 4, reserve_bytes: usize::MAX / 4 }));
         let plan = Plan {
             captures: CAPTURES.into(),
             name: "2026-01-01T00-00-00Z-robot".to_owned(),
@@ -142,7 +143,7 @@ impl Run {
             times.push(taken);
             self.shared.take_at_once(&entry);
             self.taken += 1;
-            let mut done = recorder.take(Waiting { entry, taken }).and_then(|()| recorder.sync_if_due());
+            let mut done = recorder.take(QueuedEntry { entry, taken }).and_then(|()| recorder.sync_if_due());
             let was_sound = done.is_ok();
             // The thread goes on trying while others come; here some tries are enough, and the next entry tries again.
             for _ in 0..3 {

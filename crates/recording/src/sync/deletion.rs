@@ -12,7 +12,7 @@ use super::error::{SyncError, io};
 use super::prune::{Copy, Decision, Goal, decide};
 use super::store::{Store, is_as_recorded};
 use crate::catalogue::{session_at, sessions_in};
-use crate::{Session, Turn, is_probe, prove_apart, receiver_of, silence, sync_folder};
+use crate::{FolderLock, Session, is_probe, prove_apart, receiver_of, silence, sync_folder};
 
 /// What may go from `captures`, and why. What lies in one of `copies` whole, by its hash, counts as being elsewhere.
 pub struct Removal<'a> {
@@ -92,7 +92,7 @@ impl<'a> Removal<'a> {
     fn hide(&self, session: &Session, relies_on_copy: bool) -> Result<Option<PathBuf>, SyncError> {
         let Self { captures, copies, .. } = self;
         let folders: Vec<&Path> = [*captures].into_iter().chain(copies.iter().map(PathBuf::as_path)).collect();
-        let turns = Turn::in_folders(&folders).map_err(io(captures))?;
+        let turns = FolderLock::in_folders(&folders).map_err(io(captures))?;
         let relied_on = self.found.get(&session.folder).filter(|_| relies_on_copy);
         let is_as_found = || relied_on.is_none_or(FoundCopy::is_as_found);
         // The folders may be others than those that were looked at: a disk goes, another comes under its name.
@@ -128,7 +128,7 @@ fn take_back(
     captures: &Path,
     copy: &Path,
     relies_on_copy: bool,
-    turns: &[Turn],
+    turns: &[FolderLock],
 ) -> Result<(), SyncError> {
     // A folder without a name has given nobody its word.
     let own = receiver_of(captures).unwrap_or_default();
@@ -146,7 +146,7 @@ fn take_back(
 
 /// What a prune that was killed had begun to delete.
 fn finish_earlier(captures: &Path) -> Result<(), SyncError> {
-    let _turn = Turn::in_folder(captures).map_err(io(captures))?;
+    let _turn = FolderLock::in_folder(captures).map_err(io(captures))?;
     for entry in fs::read_dir(captures).map_err(io(captures))?.flatten() {
         let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
         if is_folder && entry.file_name().to_string_lossy().starts_with(HIDDEN) {

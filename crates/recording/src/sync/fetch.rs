@@ -10,8 +10,8 @@ use super::error::SyncError;
 use super::plan::{Item, Plan};
 use super::rsync::{Ended, Rsync};
 use super::scan::look;
-use super::source_state::Desk;
-use super::store::{Placed, Store};
+use super::source_state::SourceState;
+use super::store::{Store, VerifyOutcome};
 use super::sync_pass::{Event, Report};
 use crate::{Session, SetAside, receivers_of};
 
@@ -23,7 +23,7 @@ const MAX_DAMAGED: u32 = 2;
 
 pub(super) struct Work<'a> {
     pub(super) store: &'a Store,
-    pub(super) desk: &'a Desk,
+    pub(super) desk: &'a SourceState,
     pub(super) rsync: &'a Rsync<'a>,
     pub(super) there: &'a [Session],
     pub(super) report: Report,
@@ -40,7 +40,7 @@ impl Work<'_> {
         let mut waiting: BTreeMap<String, &Item> = BTreeMap::new();
         let mut order = Vec::new();
         for item in &plan.items {
-            if !item.is_fetched() && self.store.verify(item, self.head_of(item))? == Placed::Verified {
+            if !item.is_fetched() && self.store.verify(item, self.head_of(item))? == VerifyOutcome::Verified {
                 self.report.verified += 1;
                 continue;
             }
@@ -146,12 +146,12 @@ impl Work<'_> {
             let item = item.filter(|item| is_long_enough(&item.staged(desk), item));
             if let (Some(item), None) = (item, &trouble) {
                 match self.store.place(&item.staged(desk), item, self.head_of(item)) {
-                    Ok(Placed::Verified) => {
+                    Ok(VerifyOutcome::Verified) => {
                         self.count(item);
                         waiting.borrow_mut().remove(path);
                     }
                     // Perhaps rsync has seen it too and is at it again: looked at once more when it has ended.
-                    Ok(Placed::Damaged) => {}
+                    Ok(VerifyOutcome::Damaged) => {}
                     Err(error) => trouble = Some(error),
                 }
             }
@@ -176,12 +176,12 @@ impl Work<'_> {
             let staged = item.staged(self.desk);
             if is_long_enough(&staged, item) {
                 match self.store.place(&staged, item, self.head_of(item))? {
-                    Placed::Verified => {
+                    VerifyOutcome::Verified => {
                         self.count(item);
                         waiting.remove(&path);
                         continue;
                     }
-                    Placed::Damaged if ended_well => {
+                    VerifyOutcome::Damaged if ended_well => {
                         fs::remove_file(&staged).map_err(|source| SyncError::Io { path: staged.clone(), source })?;
                         let times = self.damaged.entry(path.clone()).or_default();
                         *times += 1;
@@ -194,7 +194,7 @@ impl Work<'_> {
                         waiting.remove(&path);
                         continue;
                     }
-                    Placed::Damaged => continue,
+                    VerifyOutcome::Damaged => continue,
                 }
             }
             if ended_well {
@@ -242,7 +242,7 @@ fn is_long_enough(staged: &Path, item: &Item) -> bool {
 }
 
 /// Bytes that still have to come.
-fn staging(waiting: &BTreeMap<String, &Item>, desk: &Desk, most: u64) -> u64 {
+fn staging(waiting: &BTreeMap<String, &Item>, desk: &SourceState, most: u64) -> u64 {
     let missing = |item: &&Item| {
         let staged = fs::metadata(item.staged(desk)).map_or(0, |metadata| metadata.len());
         item.line.bytes.saturating_sub(staged)

@@ -18,11 +18,11 @@ mod sync_pass;
 
 pub use deletion::Removal;
 pub use error::SyncError;
-pub use plan::{Item, Plan, Why, plan};
+pub use plan::{Item, Plan, TransferReason, plan};
 pub use prune::{Decision, Goal};
 pub use rsync::SSH;
 pub use selection::{Selection, Within, valid_share};
 pub use source::{SERVICE_CAPTURES, Source};
-pub use source_state::{Known, known_sources};
+pub use source_state::{KnownSource, known_sources};
 pub use store::{Pruned, Store, is_as_recorded};
 pub use sync_pass::{Event, Options, Report, SessionReport, round};

@@ -17,11 +17,11 @@ pub struct Item {
     /// How far the source is from the recorder.
     pub hops: u32,
     pub line: ManifestLine,
-    pub why: Why,
+    pub why: TransferReason,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Why {
+pub enum TransferReason {
     /// Not here.
     Fetch,
     /// Here, of the right size, but nobody has looked at it.
@@ -61,7 +61,7 @@ impl Plan {
 
     /// Still to come over the link.
     pub fn bytes(&self) -> u64 {
-        self.items.iter().filter(|item| item.why != Why::Verify).map(|item| item.line.bytes).sum()
+        self.items.iter().filter(|item| item.why != TransferReason::Verify).map(|item| item.line.bytes).sum()
     }
 }
 
@@ -165,13 +165,13 @@ fn plan_segment(
             plan.done.push((session.id.clone(), line.clone()));
             return;
         }
-        Some(size) if *size == line.bytes => Why::Verify,
-        Some(_) => Why::Replace,
-        None => Why::Fetch,
+        Some(size) if *size == line.bytes => TransferReason::Verify,
+        Some(_) => TransferReason::Replace,
+        None => TransferReason::Fetch,
     };
     let path = session.folder.join(&line.name);
     match session.segments.get(&line.name) {
-        _ if why == Why::Verify => {}
+        _ if why == TransferReason::Verify => {}
         Some(size) if *size == line.bytes => {}
         Some(size) => {
             let why = format!("has {size} bytes, and its manifest says {}: cut or changed", line.bytes);
@@ -310,7 +310,7 @@ mod tests {
             let fates = plan.items.len() + plan.done.len() + plan.lost.len() + plan.elsewhere.len();
             prop_assert_eq!(fates, cases.len());
             for item in &plan.items {
-                prop_assert!(item.why == Why::Verify || there.segments.get(&item.line.name) == Some(&10));
+                prop_assert!(item.why == TransferReason::Verify || there.segments.get(&item.line.name) == Some(&10));
             }
             let gone = cases.iter().filter(|case| case.acknowledged && case.here != Some(10)).count();
             prop_assert_eq!(plan.withdrawn.len(), gone, "what is acknowledged is here or taken back");

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::error::SyncError;
 use super::listing::Entry;
 use super::rsync::{Ended, Rsync};
-use super::source_state::Desk;
+use super::source_state::SourceState;
 use super::sync_pass::Report;
 use crate::catalogue::{Kind, is_plain_name, sessions_in};
 use crate::{Session, SetAside, is_segment_name};
@@ -19,7 +19,7 @@ pub(super) struct Seen {
     pub stamps: BTreeMap<String, String>,
 }
 
-pub(super) fn look(rsync: &Rsync, desk: &Desk, report: &mut Report) -> Result<Seen, SyncError> {
+pub(super) fn look(rsync: &Rsync, desk: &SourceState, report: &mut Report) -> Result<Seen, SyncError> {
     // What became a link there would stay here as it was.
     desk.forget_acknowledgements()?;
     // In this order: a recorder gives a segment its name before its line, so that what the manifest lists is there when the

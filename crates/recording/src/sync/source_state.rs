@@ -19,7 +19,7 @@ use crate::{ACK_ENDING, ACK_FOLDER, SYNC_FOLDER, Session, SessionId, write_atomi
 
 /// One source's place; nobody else has it as long as this lives.
 #[derive(Debug)]
-pub struct Desk {
+pub struct SourceState {
     pub known: PathBuf,
     pub incoming: PathBuf,
     _lock: File,
@@ -27,7 +27,7 @@ pub struct Desk {
 
 /// A source that was synced from before.
 #[derive(Debug)]
-pub struct Known {
+pub struct KnownSource {
     pub source: String,
     /// When it was last looked at, by this machine's clock.
     pub seen: Option<Timestamp>,
@@ -51,7 +51,7 @@ const SOURCE_FILE: &str = "source.json";
 /// For what a sync that was killed left running.
 const MAX_WAIT: Duration = Duration::from_secs(5);
 
-impl Desk {
+impl SourceState {
     /// Waits for a sync of the same source to end, but not for long.
     pub(super) fn open(state: &Path, source: &Source) -> Result<Self, SyncError> {
         let place = state.join(source.key());
@@ -111,7 +111,7 @@ impl Desk {
 }
 
 /// What was known at the last sync of each source that this folder was filled from; nothing of a folder that was not.
-pub fn known_sources(captures: &Path) -> Vec<Known> {
+pub fn known_sources(captures: &Path) -> Vec<KnownSource> {
     let mut all = Vec::new();
     for place in fs::read_dir(captures.join(SYNC_FOLDER)).into_iter().flatten().flatten() {
         let Ok(bytes) = read_plain(&place.path().join(SOURCE_FILE), MAX_SMALL_BYTES) else { continue };
@@ -120,7 +120,7 @@ pub fn known_sources(captures: &Path) -> Vec<Known> {
         // Written last of all, by whoever recorded, repaired or fetched the whole of it.
         let has_ended = |it: &&Session| !open.iter().any(|id| id == it.id.as_str()) && it.has_ended;
         let ended = sessions.iter().filter(has_ended).map(|session| session.id.clone()).collect();
-        all.push(Known { source, seen: seen.and_then(|text| text.parse().ok()), sessions, ended });
+        all.push(KnownSource { source, seen: seen.and_then(|text| text.parse().ok()), sessions, ended });
     }
     all.sort_by(|a, b| a.source.cmp(&b.source));
     all

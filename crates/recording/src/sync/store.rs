@@ -15,14 +15,14 @@ use serde::{Deserialize, Serialize};
 
 use super::error::{SyncError, io};
 use super::name::receiver;
-use super::plan::{Item, Why};
+use super::plan::{Item, TransferReason};
 use super::source::Source;
-use super::source_state::Desk;
+use super::source_state::SourceState;
 use crate::catalogue::{session_at, sessions_in};
 use crate::storage::{open_plain, read_plain};
 use crate::{
-    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, RECEIVED_FILE,
-    Received, SESSION_FILE, SYNC_FOLDER, Session, SetAside, Turn, session_holding, silence, sync_folder,
+    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, FolderLock, MANIFEST_FILE, METADATA_FILE, ManifestLine,
+    RECEIVED_FILE, Received, SESSION_FILE, SYNC_FOLDER, Session, SetAside, session_holding, silence, sync_folder,
     write_atomically,
 };
 
@@ -45,7 +45,7 @@ pub struct Store {
 
 /// What became of a file that came.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Placed {
+pub enum VerifyOutcome {
     Verified,
     /// Its hash is another; it is not put in place.
     Damaged,
@@ -64,12 +64,12 @@ impl Store {
             return Err(SyncError::IntoCapture { captures: captures.to_owned(), session });
         }
         fs::create_dir_all(captures).map_err(io(captures))?;
-        let turn = Turn::in_folder(captures).map_err(io(captures))?;
+        let turn = FolderLock::in_folder(captures).map_err(io(captures))?;
         Self::in_turn(captures, &[turn])
     }
 
     /// By whoever has the folder's turn, among others perhaps.
-    pub(super) fn in_turn(captures: &Path, _turns: &[Turn]) -> Result<Self, SyncError> {
+    pub(super) fn in_turn(captures: &Path, _turns: &[FolderLock]) -> Result<Self, SyncError> {
         let state = captures.join(SYNC_FOLDER);
         fs::create_dir_all(&state).map_err(io(&state))?;
         real_folder(&state)?;
@@ -101,8 +101,8 @@ impl Store {
         append(&path, &(line + "\n")).map_err(io(&path))
     }
 
-    pub fn desk(&self, source: &Source) -> Result<Desk, SyncError> {
-        Desk::open(&self.state, source)
+    pub fn desk(&self, source: &Source) -> Result<SourceState, SyncError> {
+        SourceState::open(&self.state, source)
     }
 
     /// A file that came damaged, as its source had it.
@@ -125,9 +125,9 @@ impl Store {
 
     /// Forces the file onto the disk, reads it back, compares, and only then gives it its name, a line in the manifest, and
     /// an acknowledgement: whatever stops us in between, nothing is acknowledged that is not there.
-    pub fn place(&self, staged: &Path, item: &Item, head: &[u8]) -> Result<Placed, SyncError> {
+    pub fn place(&self, staged: &Path, item: &Item, head: &[u8]) -> Result<VerifyOutcome, SyncError> {
         if !is_as_recorded(staged, &item.line).map_err(io(staged))? {
-            return Ok(Placed::Damaged);
+            return Ok(VerifyOutcome::Damaged);
         }
         let _turn = self.turn()?;
         let folder = self.session_folder(item, head)?;
@@ -138,27 +138,27 @@ impl Store {
                 sync_folder(&folder)?;
                 self.vouch(&folder, &item.line)?;
                 fs::remove_file(staged).map_err(io(staged))?;
-                return Ok(Placed::Verified);
+                return Ok(VerifyOutcome::Verified);
             }
             move_aside(&path)?;
         }
         fs::rename(staged, &path).map_err(io(&path))?;
         sync_folder(&folder)?;
         self.vouch(&folder, &item.line)?;
-        Ok(Placed::Verified)
+        Ok(VerifyOutcome::Verified)
     }
 
     /// Of a file that is in its place already.
-    pub fn verify(&self, item: &Item, head: &[u8]) -> Result<Placed, SyncError> {
+    pub fn verify(&self, item: &Item, head: &[u8]) -> Result<VerifyOutcome, SyncError> {
         let _turn = self.turn()?;
         let folder = self.session_folder(item, head)?;
         let path = folder.join(&item.line.name);
         if !is_as_recorded(&path, &item.line).map_err(io(&path))? {
-            return Ok(Placed::Damaged);
+            return Ok(VerifyOutcome::Damaged);
         }
         sync_folder(&folder)?;
         self.vouch(&folder, &item.line)?;
-        Ok(Placed::Verified)
+        Ok(VerifyOutcome::Verified)
     }
 
     /// What describes a session whose segments are all here.
@@ -293,8 +293,8 @@ impl Store {
         append_within(folder, ACK_FOLDER, &name, &ack.to_line()).map_err(io(&path))
     }
 
-    fn turn(&self) -> Result<Turn, SyncError> {
-        Turn::in_folder(&self.captures).map_err(io(&self.captures))
+    fn turn(&self) -> Result<FolderLock, SyncError> {
+        FolderLock::in_folder(&self.captures).map_err(io(&self.captures))
     }
 }
 
@@ -389,12 +389,12 @@ pub(super) fn real_folder(path: &Path) -> Result<(), SyncError> {
 
 impl Item {
     /// Where it is while it is not whole.
-    pub(super) fn staged(&self, desk: &Desk) -> PathBuf {
+    pub(super) fn staged(&self, desk: &SourceState) -> PathBuf {
         desk.incoming.join(&self.there).join(&self.line.name)
     }
 
     pub(super) fn is_fetched(&self) -> bool {
-        self.why != Why::Verify
+        self.why != TransferReason::Verify
     }
 }
 

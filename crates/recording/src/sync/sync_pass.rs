@@ -15,7 +15,7 @@ use super::rsync::{Ended, Rsync};
 use super::scan::{Seen, look};
 use super::selection::Selection;
 use super::source::Source;
-use super::source_state::Desk;
+use super::source_state::SourceState;
 use super::store::Store;
 use crate::{ACK_FOLDER, NotApart, Session, SessionId, SetAside, prove_apart};
 
@@ -158,7 +158,7 @@ fn fail(report: &mut Report, result: Result<(), SyncError>) {
 }
 
 /// The oldest come first; what does not fit any more is not begun.
-fn leave_out_what_has_no_room(plan: &mut Plan, store: &Store, desk: &Desk) -> u64 {
+fn leave_out_what_has_no_room(plan: &mut Plan, store: &Store, desk: &SourceState) -> u64 {
     let Some(free) = store.free_bytes() else { return 0 };
     let (mut room, mut left_out) = (free.saturating_sub(ROOM_LEFT_BYTES), 0);
     plan.items.retain(|item| {
@@ -179,7 +179,7 @@ fn leave_out_what_has_no_room(plan: &mut Plan, store: &Store, desk: &Desk) -> u6
 fn finish(
     options: &Options,
     store: &Store,
-    desk: &Desk,
+    desk: &SourceState,
     rsync: &Rsync,
     there: &[Session],
     plan: &Plan,
@@ -223,7 +223,7 @@ fn finish(
 fn acknowledge(
     options: &Options,
     store: &Store,
-    desk: &Desk,
+    desk: &SourceState,
     rsync: &Rsync,
     session: &Session,
     ours: Option<&Session>,

@@ -50,7 +50,7 @@ pub(super) use kidnapping::Carrying;
 pub(super) use light::LightModel;
 pub(super) use obstacles::{Crowd, Member};
 pub(super) use sensor_noise::NoiseModel;
-pub(super) use serial_noise::Fate;
+pub(super) use serial_noise::DeliveryOutcome;
 
 use serde::Deserialize;
 

@@ -21,7 +21,7 @@ pub struct SerialNoise {
 
 /// What becomes of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Fate {
+pub(crate) enum DeliveryOutcome {
     Whole,
     Lost,
     /// With a number that says which bit.
@@ -35,14 +35,14 @@ impl SerialNoise {
     }
 
     /// `line` tells the senders apart.
-    pub(crate) fn fate(&self, seed: u64, line: u64, index: u64) -> Fate {
+    pub(crate) fn fate(&self, seed: u64, line: u64, index: u64) -> DeliveryOutcome {
         let mut stream = Stream::new(seed, Purpose::SerialNoise, line << 48 | index);
         if stream.uniform() < self.lost_share {
-            Fate::Lost
+            DeliveryOutcome::Lost
         } else if stream.uniform() < self.corrupt_share {
-            Fate::Corrupt(stream.next_u64())
+            DeliveryOutcome::Corrupt(stream.next_u64())
         } else {
-            Fate::Whole
+            DeliveryOutcome::Whole
         }
     }
 }

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use super::super::budget::Budget;
-use super::{Claims, Footage, FootageOptions, Shot, Start};
+use super::{CachedFrame, Claims, FrameCache, FrameCacheOptions, Start};
 use crate::checkpoint::Checkpoint;
 use crate::error::ReplayError;
-use crate::perception_pool::NotSeen;
+use crate::perception_pool::PerceptionError;
 use crate::setup::Setup;
 use crate::tagger::Tagger;
 use realitysim_localization::LocalizerState;
@@ -14,7 +14,7 @@ use realitysim_log_input::measurement;
 use realitysim_log_input::synchroniser::{Frame, Synchroniser};
 use realitysim_recording::Loss;
 use realitysim_ros2::mcap_read::LogMessage;
-use realitysim_vision::Seen;
+use realitysim_vision::Observations;
 
 /// A filter follows from frame to frame, so that frames in a row are needed, and that many are enough to compare settings.
 const MAX_FRAMES: usize = 300;
@@ -22,17 +22,17 @@ const MAX_FOOTAGE_BYTES: usize = 1 << 30;
 
 /// Takes messages and keeps the frames of the window; those before it are tracked, so that the first kept one is not
 /// met without a pose.
-pub(super) struct Keeper {
+pub(super) struct FrameCollector {
     setup: Setup,
     synchroniser: Synchroniser,
     start: Start,
     lead_in: Option<Tagger>,
-    seen: Seen,
+    seen: Observations,
     from_ns: i64,
     for_ns: Option<i64>,
     first_ns: Option<i64>,
     last_ns: i64,
-    shots: Vec<Shot>,
+    shots: Vec<CachedFrame>,
     bytes: usize,
     frames: u64,
     full: bool,
@@ -40,8 +40,8 @@ pub(super) struct Keeper {
     bad_messages: u64,
 }
 
-impl Keeper {
-    pub(super) fn new(options: &FootageOptions, setup: Setup, checkpoint: Option<Checkpoint>) -> Self {
+impl FrameCollector {
+    pub(super) fn new(options: &FrameCacheOptions, setup: Setup, checkpoint: Option<Checkpoint>) -> Self {
         let (state, known) = match checkpoint {
             Some(checkpoint) => (checkpoint.tagger, checkpoint.synchroniser),
             None => (LocalizerState::default(), setup.synchroniser.clone()),
@@ -55,7 +55,7 @@ impl Keeper {
             synchroniser,
             start,
             lead_in: None,
-            seen: Seen::default(),
+            seen: Observations::default(),
             from_ns: nanoseconds(options.from_s),
             for_ns: options.for_s.map(nanoseconds),
             first_ns: None,
@@ -80,7 +80,7 @@ impl Keeper {
                 continue;
             }
             match measurement::read(&message, &self.setup.topics, &self.setup.settings.head) {
-                Ok(measurement::Input::InitialPose { .. }) if self.start.initial.is_some() => {}
+                Ok(measurement::Measurement::InitialPose { .. }) if self.start.initial.is_some() => {}
                 Ok(input) => self.synchroniser.push(&message, input),
                 Err(_) => self.bad_messages += 1,
             }
@@ -109,7 +109,14 @@ impl Keeper {
             let Setup { settings, field, eyes, .. } = &self.setup;
             let lens = eyes.vision.lens();
             let tagger = self.lead_in.get_or_insert_with(|| self.start.tagger(settings, field, lens));
-            Shot::new(frame, lens).tag(0, &Claims::default(), eyes, tagger, &mut Budget::default(), &mut self.seen);
+            CachedFrame::new(frame, lens).tag(
+                0,
+                &Claims::default(),
+                eyes,
+                tagger,
+                &mut Budget::default(),
+                &mut self.seen,
+            );
             return;
         }
         self.past |= self.for_ns.is_some_and(|length_ns| since_ns - self.from_ns >= length_ns);
@@ -120,7 +127,7 @@ impl Keeper {
             (self.full, self.past) = (true, true);
             return;
         }
-        let shot = Shot::new(frame, self.setup.eyes.vision.lens());
+        let shot = CachedFrame::new(frame, self.setup.eyes.vision.lens());
         self.bytes += shot.bytes();
         self.shots.push(shot);
     }
@@ -132,13 +139,15 @@ impl Keeper {
             Loss::new(source, what).join(&mut losses);
         }
         let broken = || self.shots.iter().filter_map(|shot| shot.picture.as_ref().err());
-        if let Some(NotSeen::Decode(error)) = broken().find(|unseen| matches!(unseen, NotSeen::Decode(_))) {
+        if let Some(PerceptionError::Decode(error)) =
+            broken().find(|unseen| matches!(unseen, PerceptionError::Decode(_)))
+        {
             Loss::new(source, format!("images do not decode, the first because {error}")).join(&mut losses);
         }
         losses
     }
 
-    pub(super) fn finish(self, source: &Path) -> Result<Footage, ReplayError> {
+    pub(super) fn finish(self, source: &Path) -> Result<FrameCache, ReplayError> {
         if self.shots.is_empty() {
             let told = match self.first_ns {
                 None => "there is none".to_owned(),
@@ -155,7 +164,7 @@ impl Keeper {
             None => self.start,
         };
         let Setup { settings, field, eyes, .. } = self.setup;
-        Ok(Footage {
+        Ok(FrameCache {
             lens: eyes.vision.lens().clone(),
             settings,
             field,

@@ -9,25 +9,25 @@ use std::time::Instant;
 use super::budget::{Budget, Decisions};
 use super::error::ReplayError;
 use super::input_source::{self, OpenLog};
-use super::perception_pool::{NotSeen, view};
+use super::perception_pool::{PerceptionError, view};
 use super::replay::Progress;
-use super::setup::{Eyes, SetupError};
+use super::setup::{FramePerception, SetupError};
 use super::tagger::Tagger;
-use collector::Keeper;
+use collector::FrameCollector;
 use realitysim_config::Settings;
 use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::LocalizerState;
 use realitysim_localization::refinement::Refiner;
 use realitysim_localization::refinement::line_measurement::Response;
 use realitysim_log_input::scene_source;
-use realitysim_log_input::synchroniser::{Frame, InitialPose, RobotAt};
+use realitysim_log_input::synchroniser::{Frame, InitialPose, RobotState};
 use realitysim_recording::Loss;
 use realitysim_ros2::messages::FrameTag;
 use realitysim_scene::Scene;
-use realitysim_vision::{Picture, Seen};
+use realitysim_vision::{Observations, Picture};
 
 #[derive(Clone, Debug)]
-pub struct FootageOptions {
+pub struct FrameCacheOptions {
     /// An MCAP file, a folder of them, or a scene file (`.toml`).
     pub source: PathBuf,
     /// Also those with which the way to the first kept frame is tracked.
@@ -40,12 +40,12 @@ pub struct FootageOptions {
     pub for_s: Option<f64>,
 }
 
-pub struct Footage {
+pub struct FrameCache {
     settings: Settings,
     lens: Lens,
     field: Field,
     start: Start,
-    shots: Vec<Shot>,
+    shots: Vec<CachedFrame>,
     /// Each shot starts at a pose of its own and knows nothing of the others.
     apart: bool,
     /// Frames had to be left out behind the last one.
@@ -61,10 +61,10 @@ struct Start {
 }
 
 /// One frame, ready to be looked at.
-struct Shot {
+struct CachedFrame {
     stamp_ns: i64,
-    robot: RobotAt,
-    picture: Result<Picture, NotSeen>,
+    robot: RobotState,
+    picture: Result<Picture, PerceptionError>,
 }
 
 /// What is to be looked at in place of the picture of an index.
@@ -86,15 +86,15 @@ pub struct Claims<'a> {
 
 /// What settings made of one frame.
 #[derive(Clone, Debug)]
-pub struct Attempt {
+pub struct Trial {
     /// With the time from the decoded image to the tag, as a replay states it.
     pub tag: FrameTag,
     /// There was something to look at: the time means something.
     pub seen: bool,
 }
 
-impl Footage {
-    pub fn load(options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
+impl FrameCache {
+    pub fn load(options: &FrameCacheOptions, progress: Progress) -> Result<Self, ReplayError> {
         if options.source.extension().is_some_and(|ending| ending == "toml") {
             Self::of_scene(&scene_source::load(&options.source)?, options, progress)
         } else {
@@ -103,17 +103,17 @@ impl Footage {
     }
 
     /// `options.source` is only the scene's name.
-    pub fn of_scene(scene: &Scene, options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
+    pub fn of_scene(scene: &Scene, options: &FrameCacheOptions, progress: Progress) -> Result<Self, ReplayError> {
         let (setup, messages) = input_source::scene(scene, &options.source, &options.settings)?;
-        let mut keeper = Keeper::new(options, setup, None);
+        let mut keeper = FrameCollector::new(options, setup, None);
         keeper.take_all(messages, &mut |done| progress(done, Some(scene.frame_count())))?;
         keeper.finish(&options.source)
     }
 
-    fn of_log(options: &FootageOptions, progress: Progress) -> Result<Self, ReplayError> {
+    fn of_log(options: &FrameCacheOptions, progress: Progress) -> Result<Self, ReplayError> {
         let OpenLog { setup, mut messages, checkpoint, frames, lost, .. } =
             input_source::log(&options.source, &options.settings)?;
-        let mut keeper = Keeper::new(options, setup, checkpoint);
+        let mut keeper = FrameCollector::new(options, setup, checkpoint);
         let read = messages.by_ref().map(|message| message.map_err(ReplayError::from));
         keeper.take_all(read, &mut |done| progress(done, Some(frames)))?;
         let mut footage = keeper.finish(&options.source)?;
@@ -167,11 +167,11 @@ impl Footage {
 
     /// How far lines and the carpet beside them stand out, seen from where the camera truly was; `truth` is of `camera_link`, in time order.
     pub fn responses(&self, truth: &[(i64, Isometry)]) -> Result<Vec<Response>, SetupError> {
-        let eyes = Eyes::new(&self.settings, &self.lens, self.field.line_width())?;
+        let eyes = FramePerception::new(&self.settings, &self.lens, self.field.line_width())?;
         let refiner = Refiner::new(&self.field, &self.lens);
-        let mut seen = Seen::default();
+        let mut seen = Observations::default();
         let mut responses = Vec::new();
-        for Shot { robot, picture, stamp_ns } in &self.shots {
+        for CachedFrame { robot, picture, stamp_ns } in &self.shots {
             let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
             let Ok(at) = truth.binary_search_by_key(stamp_ns, |(stamp, _)| *stamp) else { continue };
             eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
@@ -182,10 +182,10 @@ impl Footage {
 
     /// Contrast of the best lines in view and noise of plain carpet, as shares of the carpet's brightness: of each frame that shows lines.
     pub fn contrasts(&self) -> Result<Vec<[f64; 2]>, SetupError> {
-        let eyes = Eyes::new(&self.settings, &self.lens, self.field.line_width())?;
-        let mut seen = Seen::default();
+        let eyes = FramePerception::new(&self.settings, &self.lens, self.field.line_width())?;
+        let mut seen = Observations::default();
         let mut contrasts = Vec::new();
-        for Shot { robot, picture, .. } in &self.shots {
+        for CachedFrame { robot, picture, .. } in &self.shots {
             let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
             eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
             let found = [seen.image.full_contrast(), seen.image.noise()].map(f64::from);
@@ -195,7 +195,7 @@ impl Footage {
     }
 
     /// Tags every frame with these settings, in one thread.
-    pub fn try_out(&self, settings: &Settings, progress: &mut dyn FnMut(usize)) -> Result<Vec<Attempt>, SetupError> {
+    pub fn try_out(&self, settings: &Settings, progress: &mut dyn FnMut(usize)) -> Result<Vec<Trial>, SetupError> {
         self.try_out_claiming(settings, &Claims::default(), progress)
     }
 
@@ -205,12 +205,12 @@ impl Footage {
         settings: &Settings,
         claims: &Claims,
         progress: &mut dyn FnMut(usize),
-    ) -> Result<Vec<Attempt>, SetupError> {
+    ) -> Result<Vec<Trial>, SetupError> {
         let (field, lens) = (claims.field.unwrap_or(&self.field), claims.lens.unwrap_or(&self.lens));
-        let eyes = Eyes::new(settings, lens, field.line_width())?;
+        let eyes = FramePerception::new(settings, lens, field.line_width())?;
         let start = if claims.start_is_unknown { Start::default() } else { self.start.clone() };
         let mut tracking = start.tagger(settings, field, lens);
-        let mut seen = Seen::default();
+        let mut seen = Observations::default();
         let mut budget = Budget::new(settings.filter.budget_ms, Decisions::new());
         let mut attempts = Vec::with_capacity(self.shots.len());
         for (index, shot) in self.shots.iter().enumerate() {
@@ -236,13 +236,14 @@ impl Start {
     }
 }
 
-impl Shot {
+impl CachedFrame {
     fn new(frame: Frame, lens: &Lens) -> Self {
-        let picture = if frame.robot.place.is_ok() { view(&frame.message, lens) } else { Err(NotSeen::NoPlace) };
+        let picture =
+            if frame.robot.place.is_ok() { view(&frame.message, lens) } else { Err(PerceptionError::NoPlace) };
         Self { stamp_ns: frame.stamp_ns, robot: frame.robot, picture }
     }
 
-    fn robot_as_claimed(&self, claims: &Claims) -> Cow<'_, RobotAt> {
+    fn robot_as_claimed(&self, claims: &Claims) -> Cow<'_, RobotState> {
         if claims.higher_m == 0.0 && !claims.start_is_unknown {
             return Cow::Borrowed(&self.robot);
         }
@@ -268,11 +269,11 @@ impl Shot {
         &self,
         index: usize,
         claims: &Claims,
-        eyes: &Eyes,
+        eyes: &FramePerception,
         tagger: &mut Tagger,
         budget: &mut Budget,
-        seen: &mut Seen,
-    ) -> Attempt {
+        seen: &mut Observations,
+    ) -> Trial {
         let stamp_ns = &self.stamp_ns;
         let robot = &*self.robot_as_claimed(claims);
         let picture = match (&self.picture, claims.picture) {
@@ -290,9 +291,9 @@ impl Shot {
                 (tag, true)
             }
             (Err(unseen), _) => (tagger.tag_blind(*stamp_ns, robot, unseen.reason()), false),
-            (_, Err(_)) => (tagger.tag_blind(*stamp_ns, robot, NotSeen::NoPlace.reason()), false),
+            (_, Err(_)) => (tagger.tag_blind(*stamp_ns, robot, PerceptionError::NoPlace.reason()), false),
         };
         tag.elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
-        Attempt { tag, seen: is_seen }
+        Trial { tag, seen: is_seen }
     }
 }

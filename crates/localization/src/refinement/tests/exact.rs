@@ -10,7 +10,7 @@ struct Oracle<'a, const N: usize> {
     prior: &'a Prior,
     /// Lower triangular factor of the prior's covariance.
     spread: [[Exact; N]; N],
-    sights: &'a [Sight],
+    sights: &'a [LineMeasurement],
     scale: f64,
     noise: Noise,
 }
@@ -43,7 +43,7 @@ fn turned(v: &Vector, turn: &Vector) -> Vector {
 }
 
 impl<'a, const N: usize> Oracle<'a, N> {
-    fn new(prior: &'a Prior, sights: &'a [Sight], scale: f64, noise: Noise) -> Self {
+    fn new(prior: &'a Prior, sights: &'a [LineMeasurement], scale: f64, noise: Noise) -> Self {
         let mut spread: [[Exact; N]; N] = core::array::from_fn(|_| core::array::from_fn(|_| exact(0.0)));
         for i in 0..N {
             for j in 0..=i {

@@ -14,7 +14,7 @@ proptest! {
     fn more_lines_never_widen_the_covariance(seed in 0u64..1000, few in 1usize..40) {
         let start = prior_with_lens(camera(0.0, 0.0, 0.0));
         let all = sights(&start.map_from_optical, &corner(), pixel_noise(seed));
-        let covariance = |sights: &[Sight]| {
+        let covariance = |sights: &[LineMeasurement]| {
             solve::joint(&start, sights, &Vector6::zeros(), SCALES[1], [Noise::USUAL; 2]).expect("a covariance").covariance
         };
         let (less, more) = (covariance(&all[..few]), covariance(&all));
@@ -32,9 +32,9 @@ proptest! {
         let start = prior(camera(0.1, 0.0, 0.2));
         let truth = moved_pose(&start.map_from_optical, &Vector6::new(0.04, -0.03, 0.004, 0.005, -0.004, 0.02));
         let here = sights(&truth, &corner(), pixel_noise(seed));
-        let there: Vec<Sight> = here
+        let there: Vec<LineMeasurement> = here
             .iter()
-            .map(|sight| Sight {
+            .map(|sight| LineMeasurement {
                 point: moved_by.transform_point(sight.point),
                 tangent: moved_by.transform_vector(sight.tangent),
                 ..*sight

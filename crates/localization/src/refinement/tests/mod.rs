@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix6, SymmetricEigen, Vector2, Vector6};
 
-use super::line_measurement::Sight;
+use super::line_measurement::LineMeasurement;
 use super::miscalibration::{Miscalibration, UNFELT_RAD_PER_S, UNSEEN_M_PER_S, row};
 use super::solve::{self, Noise, Solution};
 use super::{Errors, Prior, SCALES, error_between, moved_pose, pose_block, pose_part};
@@ -70,7 +70,11 @@ fn corner() -> Vec<Vec<(DVec3, DVec3)>> {
 }
 
 /// What a camera sees of them: each ray off its line by `noise(index)` pixels across, and anywhere along it.
-fn sights(truth: &Isometry, lines: &[Vec<(DVec3, DVec3)>], mut noise: impl FnMut(usize) -> f64) -> Vec<Sight> {
+fn sights(
+    truth: &Isometry,
+    lines: &[Vec<(DVec3, DVec3)>],
+    mut noise: impl FnMut(usize) -> f64,
+) -> Vec<LineMeasurement> {
     let mut sights = Vec::new();
     for (line, places) in lines.iter().enumerate() {
         for (index, (point, tangent)) in places.iter().enumerate() {
@@ -78,7 +82,7 @@ fn sights(truth: &Isometry, lines: &[Vec<(DVec3, DVec3)>], mut noise: impl FnMut
             let to = (*point + *tangent * along - truth.translation).normalize();
             let across = (*point - truth.translation).cross(*tangent).normalize();
             let ray = (to + across * (noise(sights.len()) / PIXELS_PER_RAD)).normalize();
-            sights.push(Sight {
+            sights.push(LineMeasurement {
                 ray: truth.rotation.conjugate() * ray,
                 row: 0.0,
                 distance: 1.0,
@@ -122,7 +126,7 @@ fn pixel_noise(seed: u64) -> impl FnMut(usize) -> f64 {
 }
 
 /// As a frame is refined: wide loss, then narrow, with the noise that the frame shows.
-fn solved(prior: &Prior, sights: &[Sight]) -> (Solution, Matrix6<f64>, f64) {
+fn solved(prior: &Prior, sights: &[LineMeasurement]) -> (Solution, Matrix6<f64>, f64) {
     let [_, wide, narrow] = SCALES;
     let first = solve::solve(prior, sights, &Vector6::zeros(), wide, Noise::USUAL).expect("a solution");
     let noise = Noise { correlated: Noise::USUAL.correlated, ..first.residuals.noise() };

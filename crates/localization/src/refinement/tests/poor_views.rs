@@ -26,7 +26,7 @@ fn collinear_points_few_points_and_none_leave_what_was_known() {
     let truth = moved_pose(&start.map_from_optical, &Vector6::new(0.03, -0.04, 0.004, 0.005, -0.004, 0.02));
     let all = sights(&truth, &corner(), pixel_noise(4));
     for count in [0, 1, 2, 3, 5] {
-        let few: Vec<Sight> = all.iter().step_by(9).take(count).copied().collect();
+        let few: Vec<LineMeasurement> = all.iter().step_by(9).take(count).copied().collect();
         let (solution, covariance, condition) = solved(&start, &few);
         assert_sound(&start, &solution, &covariance, condition);
         if count == 0 {
@@ -61,7 +61,8 @@ fn a_field_a_million_metres_away_is_refined_as_well_as_one_here() {
     let start = camera(0.0, 0.0, 0.0);
     let truth = moved_pose(&start, &Vector6::new(0.06, -0.05, 0.004, 0.005, -0.004, 0.03));
     let here = sights(&truth, &corner(), pixel_noise(5));
-    let there: Vec<Sight> = here.iter().map(|sight| Sight { point: sight.point + far, ..*sight }).collect();
+    let there: Vec<LineMeasurement> =
+        here.iter().map(|sight| LineMeasurement { point: sight.point + far, ..*sight }).collect();
     let (near, near_covariance, _) = solved(&prior(start), &here);
     let (distant, covariance, condition) = solved(&prior(shift(start)), &there);
     assert_sound(&prior(shift(start)), &distant, &covariance, condition);
