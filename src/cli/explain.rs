@@ -16,8 +16,8 @@ use crate::config::{Settings, load_field};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::refinement::line_measurement::Finding;
-use crate::localization::validation::{AGREES_DIGITS, IN_VIEW};
-use crate::localization::{Evidence, TriedPose};
+use crate::localization::validation::THRESHOLDS;
+use crate::localization::{Evidence, Rejection, TriedPose};
 use crate::tagging::explanation::{self, ExplainOptions, Explanation, Sight};
 use crate::tagging::single_image::{FitQuality, ImageLocation};
 
@@ -256,7 +256,7 @@ fn seen(evidence: &Evidence) -> Vec<String> {
         100.0 * agreement.foremost
     ));
     lines.push(match agreement.digits {
-        digits if digits < AGREES_DIGITS => "chance puts as many there".to_owned(),
+        digits if digits < THRESHOLDS.agrees_digits => "chance puts as many there".to_owned(),
         digits => format!("chance would put as many there once in 10^{digits:.0} pictures"),
     });
     lines.push(format!(
@@ -270,48 +270,55 @@ fn seen(evidence: &Evidence) -> Vec<String> {
 /// What a reason asks for.
 fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
     let sees_no_line = evidence.is_some_and(|evidence| evidence.lines.is_empty() || !evidence.contrast.is_finite());
-    let is_chance = evidence.is_some_and(|evidence| evidence.agreement.digits < AGREES_DIGITS);
-    match reason {
-        "pose_unknown" | "few_lines" if sees_no_line => {
+    let is_chance = evidence.is_some_and(|evidence| evidence.agreement.digits < THRESHOLDS.agrees_digits);
+    let Some(rejection) = Rejection::from_reason(reason) else {
+        return "docs/formats.md says what this reason means";
+    };
+    match rejection {
+        Rejection::PoseUnknown | Rejection::FewLines if sees_no_line => {
             "no line is in view: turn the head towards lines, or check that the camera sees the carpet at all"
         }
-        "pose_unknown" if is_chance => {
+        Rejection::PoseUnknown if is_chance => {
             "nothing in the picture lies where the field's lines would be more often than by chance: it shows none of them, or is too noisy"
         }
-        "pose_unknown" => {
+        Rejection::PoseUnknown => {
             "no place of the field explains this frame: if red marks lie beside painted lines in the picture, then field, lens or mount are \
              not what they are said to be; if magenta marks lie on real lines, the field is another"
         }
-        "unconfirmed" if evidence.is_some_and(|evidence| evidence.explained_in_view < IN_VIEW) => {
+        Rejection::Unconfirmed
+            if evidence.is_some_and(|evidence| evidence.explained_in_view < THRESHOLDS.explained_in_view) =>
+        {
             "lines in view lie where the field has none: the robot is elsewhere, field, lens or mount are not what they are said to be, or \
              something else on the carpet looks like a line"
         }
-        "unconfirmed" => {
+        Rejection::Unconfirmed => {
             "the pose fits, and needs more evidence: further frames that agree, or a place that is told (/initialpose)"
         }
-        "few_lines" => "too few lines are in view to follow the pose: it is carried on by odometry alone",
-        "lines_disagree" => {
+        Rejection::FewLines => "too few lines are in view to follow the pose: it is carried on by odometry alone",
+        Rejection::LinesDisagree => {
             "lines that should be seen are not (red): something hides them, the robot is elsewhere, or field, lens or mount are wrong"
         }
-        "lines_unexplained" => {
+        Rejection::LinesUnexplained => {
             "lines are seen where the field has none (magenta): tape or another field's lines on the carpet, or the robot is elsewhere"
         }
-        "not_standing" => {
+        Rejection::NotStanding => {
             "the lines put the camera higher, lower or more tilted than IMU and mount say: check the mount's height and pitch"
         }
-        "spread" => "the lines in view leave the position open along one direction: see filter.valid_refined_m",
-        "off_field" => "the pose lies more than a metre beyond the carpet",
-        "sensors_stale" => {
+        Rejection::Spread => {
+            "the lines in view leave the position open along one direction: see filter.valid_refined_m"
+        }
+        Rejection::OffField => "the pose lies more than a metre beyond the carpet",
+        Rejection::SensorsStale => {
             "odometry or IMU are older than 250 ms at this frame: check that they are sent and how their clocks run"
         }
-        "no_odometry" => "there is no odometry for this time",
-        "fallen" => "the IMU says that the robot leans or lies",
-        "too_dark" => "the picture is black: exposure, lens cap, cable",
-        "overexposed" => "more than half of the picture is white: exposure",
-        "image_frozen" => "the same picture came again although the robot moved: the camera hangs",
-        "image_broken" => "the image does not decode",
-        "image_size" => "the image is not of the lens's size: another lens file, or another size of the camera",
-        "no_transform" => "the camera's place on the robot is not known: /tf_static, or [mount] in the config",
+        Rejection::NoOdometry => "there is no odometry for this time",
+        Rejection::Fallen => "the IMU says that the robot leans or lies",
+        Rejection::TooDark => "the picture is black: exposure, lens cap, cable",
+        Rejection::Overexposed => "more than half of the picture is white: exposure",
+        Rejection::ImageFrozen => "the same picture came again although the robot moved: the camera hangs",
+        Rejection::ImageBroken => "the image does not decode",
+        Rejection::ImageSize => "the image is not of the lens's size: another lens file, or another size of the camera",
+        Rejection::NoTransform => "the camera's place on the robot is not known: /tf_static, or [mount] in the config",
         _ => "docs/formats.md says what this reason means",
     }
 }

@@ -12,7 +12,7 @@ use super::{Outcome, output};
 use crate::config::load_field;
 use crate::geometry::{Field, Pose2};
 use crate::live::{RecordOptions, ask, poses, record, stop_flag};
-use crate::tagging::dead_reckoning::NO_FRAME;
+use crate::localization::Rejection;
 
 /// Where a service's runtime files are; a user's own recorder may be elsewhere.
 const SOCKET: &str = "/run/realitysim/control.sock";
@@ -288,11 +288,13 @@ fn for_people(status: &Value) -> String {
     }
     if let Some(tag) = status["last_tag"].as_object() {
         let float = |key: &str| tag[key].as_f64().unwrap_or(f64::NAN);
-        let what = match tag["reason"].as_str() {
-            Some(NO_FRAME) if tag["ambiguous"] == true => {
+        let reason = tag["reason"].as_str();
+        let is_predicted = reason == Some(Rejection::NoFrame.as_str());
+        let what = match reason {
+            Some(_) if is_predicted && tag["ambiguous"] == true => {
                 "predicted, for want of frames; the mirror pose is as likely".to_owned()
             }
-            Some(NO_FRAME) => "predicted, for want of frames".to_owned(),
+            Some(_) if is_predicted => "predicted, for want of frames".to_owned(),
             Some(reason) if tag["valid"] != true => format!("{reason}, {:.1} ms", float("elapsed_ms")),
             _ if tag["ambiguous"] == true => format!("valid up to the mirror, {:.1} ms", float("elapsed_ms")),
             _ => format!("valid, {:.1} ms", float("elapsed_ms")),

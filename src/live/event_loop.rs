@@ -21,10 +21,10 @@ use crate::devices::host_clock::monotonic_ns;
 use crate::devices::mavlink::Content;
 use crate::devices::serial::PortEvent;
 use crate::geometry::LensParameters;
+use crate::localization::Rejection;
 use crate::log_input::synchroniser::Expected;
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::FrameTag;
-use crate::tagging::dead_reckoning::NO_FRAME;
 use crate::tagging::inter_session::IdleOdometry;
 use crate::tagging::pipeline::Pipeline;
 
@@ -148,7 +148,7 @@ impl<'a> Agent<'a> {
         for tag in self.tags.iter().flat_map(Receiver::try_iter) {
             self.control.tell(&tag);
             self.status.tagged(&tag);
-            if tag.reason != NO_FRAME {
+            if tag.reason != Rejection::NoFrame.as_str() {
                 self.meters.tagged(&tag);
             }
             self.devices.send(&tag, self.clock_ns);

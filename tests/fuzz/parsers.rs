@@ -18,6 +18,7 @@ use realitysim::devices::serial::Line;
 use realitysim::evaluation::reference::Reference;
 use realitysim::evaluation::suite::Suite;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
+use realitysim::localization::Rejection;
 use realitysim::log_input::synchroniser::Synchroniser;
 use realitysim::log_input::{decode, measurement};
 use realitysim::recording::{missing_parts, read_info};
@@ -255,7 +256,7 @@ pub fn checkpoint(bytes: &[u8]) {
     synchroniser.push(&message, input);
     synchroniser.finish();
     while let Some(frame) = synchroniser.pop() {
-        let tag = tagger.tag_blind(frame.stamp_ns, &frame.robot, "no_lines");
+        let tag = tagger.tag_blind(frame.stamp_ns, &frame.robot, Rejection::FewLines);
         assert!(!tag.valid);
     }
 }

@@ -6,13 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use super::tagger::Tagger;
 use realitysim_geometry::Physical;
-use realitysim_localization::LocalizerState;
+use realitysim_localization::{LocalizerState, Rejection};
 use realitysim_log_input::history::KEEP_NS;
 use realitysim_log_input::synchroniser::{Frame, StepOrigin, Synchroniser};
 use realitysim_ros2::messages::FrameTag;
 
-/// In `reason` of a tag that belongs to no frame.
-pub const NO_FRAME: &str = "no_frame";
 /// Without a frame for so long (since the last one, since the place was told, or since odometry was first heard), and for
 /// so many times as long as from the frame before it to the last one, poses are foreseen.
 const GAP_NS: i64 = 1_000_000_000;
@@ -83,6 +81,6 @@ impl DeadReckoning {
         robot.place.as_ref().ok()?;
         let ahead = self.ahead.get_or_insert_with(|| Propagated { since, stamp_ns, localizer: tagger.state() });
         ahead.stamp_ns = stamp_ns;
-        tagger.foresee(stamp_ns, &robot, &mut ahead.localizer, NO_FRAME)
+        tagger.foresee(stamp_ns, &robot, &mut ahead.localizer, Rejection::NoFrame)
     }
 }

@@ -15,7 +15,7 @@ use super::tagger::Tagger;
 use realitysim_config::Settings;
 use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::filter::always;
-use realitysim_localization::{Evidence, LocalizerState};
+use realitysim_localization::{Evidence, LocalizerState, Rejection};
 use realitysim_log_input::synchroniser::{Frame, InitialPose, Synchroniser};
 use realitysim_log_input::{measurement, scene_source};
 use realitysim_ros2::mcap_read::LogMessage;
@@ -140,10 +140,10 @@ impl<'a> Walk<'a> {
         };
     }
 
-    fn look(&mut self, frame: &Frame) -> Result<Picture, &'static str> {
-        let Ok(place) = &frame.robot.place else { return Err("no_transform") };
+    fn look(&mut self, frame: &Frame) -> Result<Picture, Rejection> {
+        let Ok(place) = &frame.robot.place else { return Err(Rejection::NoTransform) };
         let vision = &self.setup.eyes.vision;
-        let picture = view(&frame.message, vision.lens()).map_err(|unseen| unseen.reason())?;
+        let picture = view(&frame.message, vision.lens()).map_err(|unseen| unseen.rejection())?;
         let body = self.setup.eyes.body(frame.robot.head);
         vision.look_again(&picture, &place.footprint_from_optical, body, &mut self.seen);
         Ok(picture)

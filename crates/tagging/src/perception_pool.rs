@@ -10,6 +10,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::setup::FramePerception;
 use realitysim_geometry::Lens;
+use realitysim_localization::Rejection;
 use realitysim_log_input::decode::{DecodeError, picture_of_size};
 use realitysim_log_input::synchroniser::Frame;
 use realitysim_ros2::mcap_read::LogMessage;
@@ -36,12 +37,11 @@ pub enum PerceptionError {
 }
 
 impl PerceptionError {
-    /// As in a tag's `reason`.
-    pub fn reason(&self) -> &'static str {
+    pub fn rejection(&self) -> Rejection {
         match self {
-            Self::Decode(_) => "image_broken",
-            Self::Size { .. } => "image_size",
-            Self::NoPlace => "no_transform",
+            Self::Decode(_) => Rejection::ImageBroken,
+            Self::Size { .. } => Rejection::ImageSize,
+            Self::NoPlace => Rejection::NoTransform,
         }
     }
 }

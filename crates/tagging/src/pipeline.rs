@@ -336,7 +336,7 @@ impl Pipeline {
             }
             Err(unseen) => {
                 self.tally.note_unseen(&frame, unseen, self.sequence);
-                self.tagger.tag_blind(frame.stamp_ns, &frame.robot, unseen.reason())
+                self.tagger.tag_blind(frame.stamp_ns, &frame.robot, unseen.rejection())
             }
         };
         tag.sequence = self.sequence;

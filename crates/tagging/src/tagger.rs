@@ -6,7 +6,7 @@ use realitysim_localization::filter::always;
 use realitysim_localization::observation::default_alpha;
 use realitysim_localization::{
     Evidence, FilterSettings, Fix, Formula, FrameSensors, LensOff, Localizer, LocalizerSettings, LocalizerState,
-    MayGoOn, Model, Observation, Sampling, SlowStateModel, Spread, Validity,
+    MayGoOn, Model, Observation, Rejection, Sampling, SlowStateModel, Spread, Validity,
 };
 use realitysim_log_input::synchroniser::{InitialPose, OdometryOrigin, RobotState};
 use realitysim_ros2::messages::{FrameTag, Header, Pose, Stamp};
@@ -115,7 +115,7 @@ impl Tagger {
     }
 
     /// The tag of a frame of which nothing could be seen: where odometry puts the robot, marked invalid.
-    pub fn tag_blind(&mut self, stamp_ns: i64, robot: &RobotState, reason: &'static str) -> FrameTag {
+    pub fn tag_blind(&mut self, stamp_ns: i64, robot: &RobotState, reason: Rejection) -> FrameTag {
         self.begin_anew(robot);
         let fix = self.localizer.coast(&moment(stamp_ns, robot), reason);
         self.compose(stamp_ns, robot, &fix)
@@ -128,7 +128,7 @@ impl Tagger {
         stamp_ns: i64,
         robot: &RobotState,
         ahead: &mut LocalizerState,
-        reason: &'static str,
+        reason: Rejection,
     ) -> Option<FrameTag> {
         self.localizer.exchange(ahead);
         self.begin_anew(robot);
@@ -163,8 +163,8 @@ impl Tagger {
         let mut tag = FrameTag {
             header: Header::at(stamp_ns, &self.map_frame),
             child_frame_id: self.camera_frame.clone(),
-            valid: fix.doubt.is_none(),
-            reason: fix.doubt.unwrap_or_default().to_owned(),
+            valid: fix.rejection.is_none(),
+            reason: fix.rejection.map_or_else(String::new, |rejection| rejection.to_string()),
             model: match self.model {
                 Model::Gauss => "gauss",
                 Model::Distance => "distance",

@@ -6,14 +6,20 @@ use super::filter_stats::FilterStats;
 use super::report::Quantiles;
 use realitysim_config::FrameNames;
 use realitysim_geometry::physical::MOST;
-use realitysim_localization::LensOff;
+use realitysim_localization::{LensOff, Rejection};
 use realitysim_log_input::synchroniser::GONE_NS;
 use realitysim_ros2::messages::{Imu, Message};
 
 /// What a tag's reason is when lines are seen and fit nowhere.
-const LOST: [&str; 5] = ["pose_unknown", "unconfirmed", "lines_disagree", "lines_unexplained", "not_standing"];
+const LOST: [Rejection; 5] = [
+    Rejection::PoseUnknown,
+    Rejection::Unconfirmed,
+    Rejection::LinesDisagree,
+    Rejection::LinesUnexplained,
+    Rejection::NotStanding,
+];
 /// And when hardly any are seen.
-const HARDLY_SEEN: [&str; 2] = ["few_lines", "spread"];
+const HARDLY_SEEN: [Rejection; 2] = [Rejection::FewLines, Rejection::Spread];
 /// Share of the frames that may take longer than the budget before it is called too small: what a busy machine does.
 const OVER_BUDGET: f64 = 0.05;
 /// A calibration is called wrong when it is off by so much, and by so many standard deviations.
@@ -23,7 +29,13 @@ const CLEAR_SIGMAS: f64 = 5.0;
 
 /// Whether a tag of this reason says that its frame fits nowhere on the field.
 pub fn is_unplaced(reason: &str) -> bool {
-    LOST.contains(&reason) || HARDLY_SEEN.contains(&reason)
+    Rejection::from_reason(reason)
+        .is_some_and(|rejection| LOST.contains(&rejection) || HARDLY_SEEN.contains(&rejection))
+}
+
+/// Tags that were rejected so.
+fn count(invalid: &BTreeMap<String, u64>, rejection: Rejection) -> u64 {
+    invalid.get(rejection.as_str()).copied().unwrap_or(0)
 }
 
 /// Most frames show lines, but none that a robot on this field could see; or no tag at all is valid. `cause` says what is to be
@@ -34,7 +46,7 @@ pub fn unplaced(
     tagged: u64,
     cause: impl FnOnce() -> String,
 ) -> Option<String> {
-    let of = |reasons: &[&str]| reasons.iter().map(|reason| invalid.get(*reason).copied().unwrap_or(0)).sum::<u64>();
+    let of = |rejections: &[Rejection]| rejections.iter().map(|rejection| count(invalid, *rejection)).sum::<u64>();
     let (lost, hardly_seen) = (of(&LOST), of(&HARDLY_SEEN));
     let none_is_valid = invalid.values().sum::<u64>() == tagged;
     let (count, though) = if 2 * lost > tagged {
@@ -61,19 +73,22 @@ pub fn possible_causes(budget_ms: f64) -> String {
 
 /// The camera's fault.
 pub fn no_picture(invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
-    let of = |reason: &str| invalid.get(reason).copied().unwrap_or(0);
-    let flaws = [
-        ("too_dark", "were black: is the lens covered, or the exposure far too short?"),
-        ("overexposed", "were mostly white: is the exposure or the gain far too high?"),
-        ("image_frozen", "showed the same picture again although the robot moved: does the camera stand still?"),
+    let of = |rejection| count(invalid, rejection);
+    let defects = [
+        (Rejection::TooDark, "were black: is the lens covered, or the exposure far too short?"),
+        (Rejection::Overexposed, "were mostly white: is the exposure or the gain far too high?"),
+        (
+            Rejection::ImageFrozen,
+            "showed the same picture again although the robot moved: does the camera stand still?",
+        ),
     ];
-    let (reason, said) = flaws.into_iter().max_by_key(|(reason, _)| of(reason))?;
-    (10 * of(reason) > tagged).then(|| format!("{} of {tagged} frames {said}", of(reason)))
+    let (rejection, said) = defects.into_iter().max_by_key(|(rejection, _)| of(*rejection))?;
+    (10 * of(rejection) > tagged).then(|| format!("{} of {tagged} frames {said}", of(rejection)))
 }
 
 /// By its attitude the torso lay most of the time.
 pub fn never_upright(imu: &str, invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
-    let lay = invalid.get("fallen").copied().unwrap_or(0);
+    let lay = count(invalid, Rejection::Fallen);
     (2 * lay > tagged).then(|| {
         format!(
             "in {lay} of {tagged} frames the torso did not stand, by {imu}: is the IMU built in upside down or on its side? The \

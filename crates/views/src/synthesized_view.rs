@@ -6,8 +6,7 @@ use super::ground_warp::Warp;
 use super::raster::{NOTHING, Pyramid, Raster, SURE};
 use super::target_rays::Target;
 use super::{Camera, Vignetting, World};
-use realitysim_geometry::Isometry;
-use realitysim_geometry::multiversioned;
+use realitysim_geometry::{Isometry, multiversioned};
 
 /// The camera asked for.
 #[derive(Clone, Copy, Debug)]

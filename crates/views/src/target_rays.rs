@@ -6,8 +6,7 @@ use super::camera::{AREA, CELL, Camera};
 use super::optical;
 use super::raster::{NOTHING, SURE, UNSURE};
 use super::world::{Goals, Hit, Surface, World};
-use realitysim_geometry::Isometry;
-use realitysim_geometry::multiversioned;
+use realitysim_geometry::{Isometry, multiversioned};
 
 /// The wanted view: what its rays meet. One for all sources.
 #[derive(Clone, Debug)]

@@ -3,8 +3,7 @@
 use glam::{DVec2, DVec3, Vec3};
 
 use super::camera::AREA;
-use realitysim_geometry::Field;
-use realitysim_geometry::multiversioned;
+use realitysim_geometry::{Field, multiversioned};
 
 /// Known geometry, in `map`.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,8 +10,7 @@ use glam::{DVec2, DVec3, Vec3};
 
 use super::WorkingScale;
 use super::carpet::Surface;
-use realitysim_geometry::multiversioned;
-use realitysim_geometry::{Isometry, Projector};
+use realitysim_geometry::{Isometry, Projector, multiversioned};
 
 /// A convex polygon on the ground of `base_footprint`, counter-clockwise; without corners while no edge can be told.
 #[derive(Clone, Debug, Default)]

@@ -20,6 +20,15 @@ const EVERY: usize = 8;
 const DARK: u8 = 16;
 const CLIPPED: u8 = 250;
 
+/// Why nothing can be seen in a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageDefect {
+    /// It is black.
+    TooDark,
+    /// More than half of what is lit is white.
+    Overexposed,
+}
+
 impl ImageSummary {
     pub fn of(picture: &Picture) -> Self {
         let mut glance = Self::default();
@@ -46,11 +55,11 @@ impl ImageSummary {
     }
 
     /// Why nothing can be seen in it, if that is plain.
-    pub fn flaw(&self) -> Option<&'static str> {
+    pub fn defect(&self) -> Option<ImageDefect> {
         if self.brightest <= DARK {
-            Some("too_dark")
+            Some(ImageDefect::TooDark)
         } else if 2 * self.clipped > self.lit {
-            Some("overexposed")
+            Some(ImageDefect::Overexposed)
         } else {
             None
         }
@@ -84,9 +93,12 @@ mod tests {
 
     #[test]
     fn black_and_white_pictures_are_named_and_others_are_not() {
-        assert_eq!(ImageSummary::of(&picture(|i| (i % 10) as u8)).flaw(), Some("too_dark"));
-        assert_eq!(ImageSummary::of(&picture(|i| if i % 5 == 0 { 0 } else { 255 })).flaw(), Some("overexposed"));
-        assert_eq!(ImageSummary::of(&picture(|i| if i % 3 == 0 { 255 } else { 60 })).flaw(), None);
-        assert_eq!(ImageSummary::of(&picture(|i| if i % 3 == 0 { 20 } else { 0 })).flaw(), None, "a dim one");
+        assert_eq!(ImageSummary::of(&picture(|i| (i % 10) as u8)).defect(), Some(ImageDefect::TooDark));
+        assert_eq!(
+            ImageSummary::of(&picture(|i| if i % 5 == 0 { 0 } else { 255 })).defect(),
+            Some(ImageDefect::Overexposed)
+        );
+        assert_eq!(ImageSummary::of(&picture(|i| if i % 3 == 0 { 255 } else { 60 })).defect(), None);
+        assert_eq!(ImageSummary::of(&picture(|i| if i % 3 == 0 { 20 } else { 0 })).defect(), None, "a dim one");
     }
 }

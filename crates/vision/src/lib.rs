@@ -25,7 +25,7 @@ use carpet::Carpet;
 pub use contrast::LineContrast;
 pub use ground::{GroundTable, Readings};
 pub use ground_map::GroundMap;
-pub use image_summary::ImageSummary;
+pub use image_summary::{ImageDefect, ImageSummary};
 pub use line_image::LineImage;
 pub use mask::BodyMask;
 pub use picture::{Chroma, Picture, Reduction};
@@ -58,7 +58,7 @@ pub struct Observations {
     pub lines: Option<GroundTable>,
     /// What refinement measures in.
     pub image: LineImage,
-    pub glance: ImageSummary,
+    pub summary: ImageSummary,
     contrast: LineContrast,
     /// Of the working image, and the columns of its rows.
     chroma: Chroma,
@@ -171,7 +171,7 @@ impl Vision {
         body: Option<&BodyMask>,
         seen: &mut Observations,
     ) {
-        seen.glance = ImageSummary::of(picture);
+        seen.summary = ImageSummary::of(picture);
         let Observations {
             table,
             lines,

@@ -20,10 +20,11 @@ use super::observation::{Observation, Support};
 use super::particles::Spread;
 use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{self, Agreement, OF_LENS, Prior, Refined, Refiner};
+use super::rejection::Rejection;
 use super::slow_states::{Prediction, SlowStateFilter, SlowStateModel, Step};
-use super::validation::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost, stands};
+use super::validation::{PoseValidator, Rules, TrackingState, Validity, agrees, is_contradicted, is_lost, stands};
 use realitysim_geometry::{Field, Isometry, Lens, Physical, Pose2, Twist, wrap_angle};
-use realitysim_vision::Observations;
+use realitysim_vision::{ImageDefect, Observations};
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalizerSettings {
@@ -44,7 +45,7 @@ pub struct LocalizerState {
     pub track: Option<SlowStateFilter>,
     /// Time and odometry of the last frame, or of what came after it that steps count from.
     pub last: Option<(i64, Option<Pose2>)>,
-    pub standing: Standing,
+    pub validator: PoseValidator,
     pub posture: FallDetector,
     pub frozen: FrozenImageDetector,
     /// For how long nothing has said how far the robot walked, seconds.
@@ -58,11 +59,11 @@ pub struct LocalizerState {
 
 impl Physical for LocalizerState {
     fn is_possible(&self) -> bool {
-        let Self { filter, track, last, standing, posture: _, frozen, adrift_s, known, search, fitting, ambiguous: _ } =
+        let Self { filter, track, last, validator, posture: _, frozen, adrift_s, known, search, fitting, ambiguous: _ } =
             self;
         let odometry = last.and_then(|(_, odometry)| odometry);
         (filter.particles.is_possible() && track.is_possible() && odometry.is_possible())
-            && (standing.is_possible() && frozen.is_possible() && adrift_s.is_possible())
+            && (validator.is_possible() && frozen.is_possible() && adrift_s.is_possible())
             && (known.is_possible() && search.is_possible() && fitting.is_possible())
     }
 }
@@ -126,7 +127,7 @@ pub struct Fix {
     /// The mirror pose is as likely.
     pub ambiguous: bool,
     /// Why the pose is not to be used; `None` when it is.
-    pub doubt: Option<&'static str>,
+    pub rejection: Option<Rejection>,
 }
 
 /// A restarted robot may have been carried: the cloud is widened by this.
@@ -156,6 +157,14 @@ const MOST_STRETCH: f64 = 0.03;
 /// Squared deviation from the prediction, per unknown, above which the prediction is doubted.
 const SURPRISE: f64 = 3.0;
 
+/// Why nothing can be seen in the picture, if that is plain.
+fn defect(seen: &Observations) -> Option<Rejection> {
+    seen.summary.defect().map(|defect| match defect {
+        ImageDefect::TooDark => Rejection::TooDark,
+        ImageDefect::Overexposed => Rejection::Overexposed,
+    })
+}
+
 impl LocalizerSettings {
     fn rules<'a>(&'a self, field: &'a Field) -> Rules<'a> {
         Rules { valid: &self.valid, field, refinement: self.refinement, random_walk: self.random_walk }
@@ -174,9 +183,6 @@ pub struct Localizer {
     /// How often the state was no state of a robot, and was begun anew.
     begun_anew: u64,
 }
-
-/// Why a frame's pose is not to be used: what came of it was not finite, and everything was forgotten.
-pub const NUMERICAL_FAULT: &str = "numerical_fault";
 
 impl Localizer {
     pub fn new(
@@ -237,11 +243,11 @@ impl Localizer {
 
     /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
     pub fn resume(&mut self) {
-        if self.state.standing.confidence != Confidence::Nowhere {
+        if self.state.validator.tracking != TrackingState::Lost {
             self.filter.widen(RESTART);
             self.state.track =
                 self.state.track.as_ref().map(|track| track.moved_to(track.pose(), RESTART.xy_m, RESTART.yaw_rad));
-            self.state.standing.kept();
+            self.state.validator.restored();
         }
         self.state.last = self.state.last.map(|(stamp_ns, _)| (stamp_ns, None));
     }
@@ -250,7 +256,7 @@ impl Localizer {
     pub fn count_from(&mut self, stamp_ns: i64, odometry: Pose2) {
         let last = self.state.last.replace((stamp_ns, Some(odometry)));
         let (last_ns, heard) = last.unzip();
-        if heard.flatten().is_none() && !self.state.standing.was_told() {
+        if heard.flatten().is_none() && !self.state.validator.was_announced() {
             let away_s = last_ns.map_or(f64::INFINITY, |last_ns| stamp_ns.abs_diff(last_ns) as f64 * 1e-9);
             self.was_away(away_s);
         }
@@ -259,8 +265,8 @@ impl Localizer {
     /// For so long nobody has counted the robot's steps.
     fn was_away(&mut self, seconds: f64) {
         if seconds > LONGEST_AWAY_S {
-            self.state.standing.was_away();
-            self.state.ambiguous |= self.state.standing.confidence != Confidence::Nowhere;
+            self.state.validator.odometry_lost();
+            self.state.ambiguous |= self.state.validator.tracking != TrackingState::Lost;
             self.state.known.iter_mut().for_each(LastKnownPose::is_past);
         } else {
             self.state.known.iter_mut().for_each(|known| known.was_away(seconds));
@@ -271,7 +277,7 @@ impl Localizer {
     pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
         self.place(pose, spread);
         self.state.known = Some(LastKnownPose::told(pose, spread.xy_m));
-        self.state.standing.told();
+        self.state.validator.announced();
         self.state.ambiguous = false;
     }
 
@@ -293,16 +299,16 @@ impl Localizer {
         let last = self.state.last.map(|(stamp_ns, _)| (stamp_ns, None));
         self.state = LocalizerState { last, ..LocalizerState::default() };
         let mut fix = self.predicted(moment, Estimate::unknown(), Support::default());
-        fix.doubt = Some(NUMERICAL_FAULT);
+        fix.rejection = Some(Rejection::NumericalFault);
         fix
     }
 
     fn look_unchecked(&mut self, moment: &FrameSensors, seen: &Observations, may_go_on: &mut MayGoOn) -> Fix {
         if self.lies(moment) {
-            return self.drift(moment, "fallen");
+            return self.drift(moment, Rejection::Fallen);
         }
-        if self.state.frozen.judge(moment, seen.glance.fingerprint) {
-            return self.drift(moment, seen.glance.flaw().unwrap_or("image_frozen"));
+        if self.state.frozen.judge(moment, seen.summary.fingerprint) {
+            return self.drift(moment, defect(seen).unwrap_or(Rejection::ImageFrozen));
         }
         let mut effort = Effort::default();
         let mut step = self.step_to(moment);
@@ -322,7 +328,7 @@ impl Localizer {
         if let Some(place) = &moment.footprint_from_optical {
             fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
             // Nothing else than confirming a pose asks for it.
-            if matches!(self.state.standing.confidence, Confidence::Unconfirmed(_)) {
+            if matches!(self.state.validator.tracking, TrackingState::Candidate { .. }) {
                 let (lens, pose) = (self.refiner.lens(), &fix.map_from_optical);
                 fix.explained_in_view = self.painted.explained_in_view(seen, lens, place, pose);
             }
@@ -330,35 +336,37 @@ impl Localizer {
         let at = self.state.track.as_ref().map_or(fix.estimate.best, SlowStateFilter::pose);
         fix.strays = self.state.known.is_some_and(|known| known.is_far_from(&at));
         let rules = self.settings.rules(&self.field);
-        fix.doubt = self.state.standing.judge(&rules, moment, &fix, seconds);
-        if matches!(fix.doubt, Some("pose_unknown" | "few_lines" | "lines_disagree")) {
-            fix.doubt = seen.glance.flaw().or(fix.doubt);
+        fix.rejection = self.state.validator.judge(&rules, moment, &fix, seconds);
+        if matches!(fix.rejection, Some(Rejection::PoseUnknown | Rejection::FewLines | Rejection::LinesDisagree)) {
+            fix.rejection = defect(seen).or(fix.rejection);
         }
-        let is_in_view = self.state.standing.is_in_view(&rules, moment, &fix);
-        if let Some(known) = self.state.known.as_mut().filter(|_| is_in_view || fix.doubt.is_none()) {
+        let is_in_view = self.state.validator.is_in_view(&rules, moment, &fix);
+        if let Some(known) = self.state.known.as_mut().filter(|_| is_in_view || fix.rejection.is_none()) {
             self.state.ambiguous |= known.may_be_mirrored();
             fix.ambiguous = self.state.ambiguous;
             known.is_seen();
         }
-        if fix.doubt.is_none() {
+        if fix.rejection.is_none() {
             self.state.known = self.state.track.as_ref().map(|track| LastKnownPose::at(track.pose()));
         }
         fix
     }
 
     /// One frame of which nothing could be seen: where odometry puts the robot.
-    pub fn coast(&mut self, moment: &FrameSensors, reason: &'static str) -> Fix {
-        let reason = if self.lies(moment) { "fallen" } else { reason };
+    pub fn coast(&mut self, moment: &FrameSensors, reason: Rejection) -> Fix {
+        let reason = if self.lies(moment) { Rejection::Fallen } else { reason };
         let fix = self.drift(moment, reason);
         self.checked(fix, moment)
     }
 
     /// Where odometry puts the robot at a time of which there is no frame. `None` where the place was not known, or is not
     /// any more.
-    pub fn foresee(&mut self, moment: &FrameSensors, reason: &'static str) -> Option<Fix> {
+    pub fn foresee(&mut self, moment: &FrameSensors, reason: Rejection) -> Option<Fix> {
         let fix = self.coast(moment, reason);
-        (fix.doubt != Some(NUMERICAL_FAULT) && self.state.standing.is_known() && !is_lost(&fix.covariance))
-            .then_some(fix)
+        (fix.rejection != Some(Rejection::NumericalFault)
+            && self.state.validator.is_known()
+            && !is_lost(&fix.covariance))
+        .then_some(fix)
     }
 
     /// Goes on from another state, and hands out its own.
@@ -372,7 +380,7 @@ impl Localizer {
     fn lies(&mut self, moment: &FrameSensors) -> bool {
         let stand = self.state.posture.judge(moment.stamp_ns, moment.lean_rad);
         if stand == FallState::HasRisen {
-            self.state.standing.confidence = Confidence::Nowhere;
+            self.state.validator.tracking = TrackingState::Lost;
         }
         let is_down = stand == FallState::Fallen;
         if is_down {
@@ -381,7 +389,7 @@ impl Localizer {
         is_down
     }
 
-    fn drift(&mut self, moment: &FrameSensors, reason: &'static str) -> Fix {
+    fn drift(&mut self, moment: &FrameSensors, reason: Rejection) -> Fix {
         let step = self.step_to(moment);
         let walked = self.walked(&step);
         self.carry_on(&step);
@@ -389,7 +397,7 @@ impl Localizer {
         self.predict(&step);
         let mut fix = self.predicted(moment, estimate, Support::default());
         fix.effort.particles = self.filter.state().particles.len() as u32;
-        fix.doubt = Some(reason);
+        fix.rejection = Some(reason);
         fix
     }
 
@@ -473,7 +481,7 @@ impl Localizer {
         let Some(mut refined) = self.refiner.refine(&seen.image, &prediction.prior, starts) else {
             return self.predicted(moment, estimate, support);
         };
-        if self.state.standing.falls_short(&refined.lines)
+        if self.state.validator.falls_short(&refined.lines)
             && let Some(nearby) = self.refiner.refine_nearby(&seen.image, &prediction.prior)
             && nearby.cost < refined.cost
         {
@@ -496,7 +504,7 @@ impl Localizer {
         }
         let agrees = agrees(&refined.lines);
         if agrees {
-            self.state.standing.agreed(moment.stamp_ns);
+            self.state.validator.agreed(moment.stamp_ns);
         }
         if agrees && let Some(track) = &mut self.state.track {
             track.update(&prediction, &refined);
@@ -507,7 +515,7 @@ impl Localizer {
             fix.agreement = refined.lines;
             return fix;
         }
-        let misfits = matches!(self.state.standing.confidence, Confidence::Unconfirmed(_))
+        let misfits = matches!(self.state.validator.tracking, TrackingState::Candidate { .. })
             && self.misfits(moment, seen, &prediction.prior, &refined);
         Fix {
             estimate,
@@ -524,7 +532,7 @@ impl Localizer {
             explained_in_view: 1.0,
             effort: Effort::default(),
             ambiguous: self.state.ambiguous,
-            doubt: None,
+            rejection: None,
         }
     }
 
@@ -541,7 +549,7 @@ impl Localizer {
 
     fn prediction(&self, moment: &FrameSensors) -> Option<Prediction> {
         let prediction = self.prediction_by(self.state.track.as_ref()?, moment)?;
-        Some(if self.state.standing.is_tracking() { prediction } else { prediction.with_lens_known() })
+        Some(if self.state.validator.is_tracking() { prediction } else { prediction.with_lens_known() })
     }
 
     fn prediction_by(&self, track: &SlowStateFilter, moment: &FrameSensors) -> Option<Prediction> {
@@ -578,7 +586,7 @@ impl Localizer {
             explained_in_view: 1.0,
             effort: Effort::default(),
             ambiguous: self.state.ambiguous,
-            doubt: None,
+            rejection: None,
         }
     }
 

@@ -11,7 +11,7 @@ use crate::global_search::{Candidate, Pace, SearchRequest};
 use crate::particles::Spread;
 use crate::refinement::Refined;
 use crate::slow_states::SlowStateFilter;
-use crate::validation::{CONTRADICTED, Confidence, agrees, convinces, is_whole};
+use crate::validation::{THRESHOLDS, TrackingState, agrees, convinces, is_whole};
 use realitysim_geometry::{Physical, Pose2, wrap_angle};
 use realitysim_vision::Observations;
 
@@ -39,13 +39,13 @@ impl Localizer {
     pub(super) fn must_search(&self) -> bool {
         let is_under_way = self.state.search.is_under_way() || self.state.fitting.is_under_way();
         let is_turn = is_under_way || self.filter.state().steps.is_multiple_of(SEARCH_EVERY);
-        match self.state.standing.confidence {
-            Confidence::Nowhere => is_turn,
-            Confidence::Unconfirmed(_) => {
-                self.filter.state().particles.is_empty() || is_under_way || self.state.standing.is_unconvincing()
+        match self.state.validator.tracking {
+            TrackingState::Lost => is_turn,
+            TrackingState::Candidate { .. } => {
+                self.filter.state().particles.is_empty() || is_under_way || self.state.validator.is_unconvincing()
             }
-            Confidence::Tracking(_) if self.state.standing.is_lost() => true,
-            Confidence::Tracking(_) => is_turn && (is_under_way || self.state.standing.is_to_be_tried()),
+            TrackingState::Tracking { .. } if self.state.validator.is_lost() => true,
+            TrackingState::Tracking { .. } => is_turn && (is_under_way || self.state.validator.relocalization_is_due()),
         }
     }
 
@@ -59,15 +59,15 @@ impl Localizer {
         effort: &mut Effort,
         may_go_on: &mut MayGoOn,
     ) -> bool {
-        let confidence = self.state.standing.confidence;
-        let is_tracking = matches!(confidence, Confidence::Tracking(_)) && !self.state.standing.is_lost();
-        let has_pose = (is_tracking || matches!(confidence, Confidence::Unconfirmed(_)))
+        let tracking = self.state.validator.tracking;
+        let is_tracking = matches!(tracking, TrackingState::Tracking { .. }) && !self.state.validator.is_lost();
+        let has_pose = (is_tracking || matches!(tracking, TrackingState::Candidate { .. }))
             && !self.filter.state().particles.is_empty();
         if !has_pose {
-            self.state.standing.confidence = Confidence::Nowhere;
+            self.state.validator.tracking = TrackingState::Lost;
         }
         let before = Effort { ..*effort };
-        let is_hurried = !is_tracking || self.state.standing.is_urgent();
+        let is_hurried = !is_tracking || self.state.validator.is_urgent();
         // A look that takes its time does in each frame what has to be done in one, and no more.
         let pace = if is_hurried { Pace::Hurried } else { Pace::Leisurely };
         let mut may_go_on = |weighed: u32| is_hurried && may_go_on(weighed);
@@ -107,7 +107,7 @@ impl Localizer {
         let pose = self.state.known.map_or(pose, |known| known.nearer_of(pose));
         self.state.ambiguous |= !self.state.known.is_some_and(|known| known.leads_to(&pose));
         self.place(pose, self.settings.initial);
-        self.state.standing.found();
+        self.state.validator.found_by_search();
         true
     }
 
@@ -119,7 +119,7 @@ impl Localizer {
         let again = |pose: &Pose2| is_near(pose, &believed, AGAIN_M, AGAIN_RAD);
         if !is_tracking {
             let found_again = best.as_ref().is_some_and(again);
-            self.state.standing.looked_again(believed, found_again);
+            self.state.validator.field_was_searched(believed, found_again);
             return best.filter(|_| !found_again);
         }
         let own = fits.iter().find(|fit| again(&fit.pose));
@@ -133,12 +133,12 @@ impl Localizer {
             })
         };
         let Some(better) = fits.first().filter(beaten) else {
-            self.state.standing.has_been_tried();
+            self.state.validator.found_nothing_better();
             return None;
         };
         // Where several are better nobody knows which it is, but not this one.
         if best.is_none() && !again(&better.pose) {
-            self.state.standing.confidence = Confidence::Nowhere;
+            self.state.validator.tracking = TrackingState::Lost;
         }
         best
     }
@@ -170,7 +170,7 @@ impl Localizer {
                 && agrees(&lines)
             {
                 let explained = self.painted.explained(seen.lines(), &place, &map_from_optical).share;
-                let worth = lines.visible * (lines.share - CONTRADICTED) * explained;
+                let worth = lines.visible * (lines.share - THRESHOLDS.contradicted_share) * explained;
                 let pose = Pose2::from_isometry(&(map_from_optical * place.inverse()));
                 let convinces = convinces(&lines, explained, self.settings.valid.explained);
                 let is_whole = is_whole(&lines);
@@ -196,7 +196,7 @@ impl Localizer {
         let Spread { xy_m, yaw_rad } = self.settings.initial;
         let track = match &self.state.track {
             // Where it was believed to be, wrongly, it may have learnt to lean.
-            Some(track) if !matches!(self.state.standing.confidence, Confidence::Unconfirmed(_)) => {
+            Some(track) if !matches!(self.state.validator.tracking, TrackingState::Candidate { .. }) => {
                 track.moved_to(*pose, xy_m, yaw_rad).with_lean_forgotten(&model)
             }
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),

@@ -290,8 +290,8 @@ impl CachedFrame {
                 budget.learn(&allowance);
                 (tag, true)
             }
-            (Err(unseen), _) => (tagger.tag_blind(*stamp_ns, robot, unseen.reason()), false),
-            (_, Err(_)) => (tagger.tag_blind(*stamp_ns, robot, PerceptionError::NoPlace.reason()), false),
+            (Err(unseen), _) => (tagger.tag_blind(*stamp_ns, robot, unseen.rejection()), false),
+            (_, Err(_)) => (tagger.tag_blind(*stamp_ns, robot, PerceptionError::NoPlace.rejection()), false),
         };
         tag.elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
         Trial { tag, seen: is_seen }
