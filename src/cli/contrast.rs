@@ -1,4 +1,4 @@
-//! `realitysim contrast`
+//! Command `realitysim contrast`: measures how faint lines may be until tags fail.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -38,8 +38,8 @@ pub struct ContrastArguments {
     settings: SettingsArguments,
 }
 
-/// Frames from the scene's start: as many as show a walk, and few enough to be tagged sixty times.
-const SECONDS: f64 = 15.0;
+/// Seconds of the scene that are used, from its start: enough to show a walk, and few enough to be tagged sixty times.
+const MEASURED_S: f64 = 15.0;
 
 #[derive(Serialize)]
 struct Report<'a> {
@@ -62,7 +62,7 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
         settings: settings.clone(),
         initial: None,
         from_s: 0.0,
-        for_s: Some(SECONDS),
+        for_s: Some(MEASURED_S),
     };
     let variants = contrast::variants(SweepPoint::of(&settings));
     let mut progress = output::Progress::new("tagging");
@@ -79,7 +79,8 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
         let truth = truth::of_scene(&faded);
         let (contrasts, noises): (Vec<f64>, Vec<f64>) =
             footage.contrasts()?.into_iter().map(|[contrast, noise]| (contrast, noise)).unzip();
-        // What faint lines stand out by is known from the paint better than from pictures in which they cannot be found.
+        // The contrast of faint lines is computed from the paint; a measurement in images where they cannot be found is
+        // worse.
         let full = *full_contrast.get_or_insert_with(|| Summary::of(&contrasts).median);
         let total = (PAINT.len() * variants.len() * footage.frames()) as u64;
         let tags = variants.iter().map(|variant| {
@@ -134,7 +135,7 @@ fn csv(variants: &[Variant], steps: &[Step]) -> String {
     text
 }
 
-/// Share of valid tags, their mean error, and how many of them are wrong.
+/// Share of valid tags, their mean error, and the number of wrong tags.
 fn cell(quality: &Quality) -> String {
     let wrong = if quality.wrong > 0 { format!(", {} wrong", quality.wrong) } else { String::new() };
     match quality.valid {

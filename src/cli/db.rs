@@ -1,4 +1,4 @@
-//! `realitysim db`
+//! Command `realitysim db`: keeps an image database.
 
 use std::path::{Path, PathBuf};
 
@@ -107,9 +107,9 @@ struct CoverageArguments {
     headings: u16,
 }
 
-/// Of the paper's database.
+/// Poses of the paper's database.
 const PAPER_POSES: u32 = 720_000;
-/// Of a coverage: thirty times the paper's grid, 80 MB.
+/// Largest coverage grid: thirty times the paper's, 80 MB.
 const MAX_CELLS: f64 = 20e6;
 
 fn sigma(text: &str) -> Result<f64, String> {

@@ -1,4 +1,4 @@
-//! `realitysim demo`
+//! Command `realitysim demo`: renders a walk, tags it and draws the result.
 
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ pub struct DemoArguments {
 
 const SCENE: &str = include_str!("../../replay/scenes/demo.toml");
 
-/// Which frame is drawn, as a share of the walk.
+/// Frame that is drawn, as a share of the valid tags.
 const SHOWN_AT: f64 = 0.4;
 const MAP_PX: u32 = 620;
 const PALE: [u8; 3] = [255, 235, 120];
@@ -89,7 +89,7 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if report.data_was_lost() { Outcome::DataLost } else { Outcome::Whole })
 }
 
-/// The field from above with both routes, beside one frame with the projected lines.
+/// Draws the field from above with both routes, beside one frame with the projected lines.
 fn draw(
     session: &Path,
     tags: &[Tagged],
@@ -136,7 +136,7 @@ fn draw(
     save(&picture, path)
 }
 
-/// The image that a tag belongs to.
+/// Finds the image that a tag belongs to.
 fn frame<'a>(session: &Path, topic: &str, tag: &'a Tagged) -> anyhow::Result<Option<(image::RgbImage, &'a Tagged)>> {
     let raw = "/camera/image_raw";
     for message in LogSource::new(files_of(session)?, Selection::topics([topic, raw])) {

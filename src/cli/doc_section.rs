@@ -1,4 +1,4 @@
-//! A part of a document that a command writes: between two marks, so that the rest stays as people wrote it.
+//! A section of a document that a command writes. It lies between two marks, and the rest of the document stays as it is.
 
 use std::path::{Path, PathBuf};
 
@@ -6,14 +6,14 @@ use super::paths;
 use super::settings::UsageError;
 use crate::config::plain_file;
 
-/// A page of documentation takes some ten KiB.
+/// Largest document that is read; a page of documentation takes some ten KiB.
 const MAX_DOCUMENT_BYTES: u64 = 16 << 20;
 
-/// A document with a place for what `realitysim NAME` has to say.
+/// A document with a section for the output of `realitysim NAME`.
 pub struct Section {
     path: PathBuf,
     text: String,
-    /// Bytes between the marks.
+    /// Byte range between the marks.
     inside: std::ops::Range<usize>,
 }
 
@@ -22,19 +22,20 @@ fn marks(name: &str) -> [String; 2] {
 }
 
 impl Section {
-    /// Before long work, so that a document without marks is refused at once.
+    /// Reads the document. Called before long work, so that a document without marks is refused at once.
     pub fn open(path: &Path, name: &str) -> anyhow::Result<Self> {
         let text = plain_file::read_text(path, MAX_DOCUMENT_BYTES).map_err(|error| paths::cannot_read(path, error))?;
         let inside = find(&text, name).map_err(|error| UsageError(format!("{}: {error}", path.display())))?;
         Ok(Self { path: path.to_owned(), text, inside })
     }
 
+    /// Replaces the section.
     pub fn write(&self, content: &str) -> anyhow::Result<()> {
         let (before, after) = (&self.text[..self.inside.start], &self.text[self.inside.end..]);
         paths::write(&self.path, &format!("{before}\n\n{}\n\n{after}", content.trim_matches('\n')))
     }
 
-    /// A file that lies beside the document, for its pictures.
+    /// Path of a file in the document's folder, for its pictures.
     pub fn beside(&self, name: &str) -> PathBuf {
         self.path.with_file_name(name)
     }

@@ -1,4 +1,4 @@
-//! `realitysim explain`
+//! Command `realitysim explain`: shows why the tag of a frame is what it is.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::paths::{check_output, save};
 use super::photo::{self, OtherInputs, PhotoArguments};
-use super::replay::field_of;
+use super::replay::source_field_name;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::any_whole;
 use super::{Outcome, output, settings};
@@ -75,22 +75,22 @@ pub fn run(arguments: &ExplainArguments, json: bool) -> anyhow::Result<Outcome> 
     Ok(Outcome::Whole)
 }
 
-/// What is told, drawn and reported of a frame or an image.
+/// Result for a frame or an image, to be printed, drawn and reported.
 struct Explained {
-    /// Of `camera_link`: where it is known.
+    /// Pose of `camera_link`, if it is known.
     map_from_camera: Option<Isometry>,
     lens: Lens,
     field: Field,
     sight: Option<Sight>,
-    /// In words.
+    /// Explanation in words, a line each.
     told: Vec<String>,
-    /// What only a frame, or only an image, has to report.
+    /// Fields of the JSON report that only a frame, or only an image, has.
     report: Value,
 }
 
 fn of_frame(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<Explained> {
     let source = arguments.source.display();
-    if let Some(name) = arguments.photo.given() {
+    if let Some(name) = arguments.photo.first_given() {
         return Err(UsageError(format!(
             "{name} is of an image, and {source} is none: a log says how its camera stood"
         ))
@@ -100,7 +100,7 @@ fn of_frame(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<
         return Err(UsageError(format!("--frame is missing: which frame of {source}, counted from 0")).into());
     };
     if let Some(initial) = &arguments.initial {
-        let name = field_of(&arguments.source, &settings)?;
+        let name = source_field_name(&arguments.source, &settings)?;
         settings::check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
     }
     let options = ExplainOptions { source: arguments.source.clone(), settings, initial: arguments.initial, frame };
@@ -108,7 +108,7 @@ fn of_frame(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<
     let explanation = explanation::explain(&options, &mut |done, total| progress.set(done, total));
     progress.finish();
     let explanation = explanation?;
-    let told = told(&explanation);
+    let told = explain_frame(&explanation);
     let Explanation { tag, lens, field, map_from_camera, sight } = explanation;
     let report = json!({
         "frame": tag.sequence, "valid": tag.valid, "reason": tag.reason, "ambiguous": tag.ambiguous, "refined": tag.refined,
@@ -134,7 +134,7 @@ fn of_image(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<
     let look = known.look(&picture);
     let located = known.locate(&look, &field, settings.filter.seed);
     let evidence = known.evidence(&look, &field, &located);
-    let told = told_of_image(&located, evidence.as_ref());
+    let told = explain_image(&located, evidence.as_ref());
     let report = json!({"fit": located.fit()});
     let map_from_camera = located.found.first().map(|best| best.map_from_link);
     let sight = evidence.map(|evidence| Sight { picture, evidence });
@@ -187,8 +187,8 @@ fn picture(explained: &Explained, sight: &Sight) -> anyhow::Result<image::RgbIma
     Ok(drawing::beside(&drawn, &map))
 }
 
-/// What is to be said of it: of the tag, of what was seen, and what to do.
-fn told(explanation: &Explanation) -> Vec<String> {
+/// Explains a frame: its tag, what was seen, and what to do.
+fn explain_frame(explanation: &Explanation) -> Vec<String> {
     let tag = &explanation.tag;
     let mut lines = vec![if tag.valid {
         format!("frame {} is valid", tag.sequence)
@@ -199,24 +199,24 @@ fn told(explanation: &Explanation) -> Vec<String> {
         lines.push(advice(&tag.reason, None).to_owned());
         return lines;
     };
-    lines.extend(seen(evidence));
+    lines.extend(describe_evidence(evidence));
     if !tag.valid {
         lines.push(advice(&tag.reason, Some(evidence)).to_owned());
     }
     lines
 }
 
-/// The same of an image.
-fn told_of_image(located: &ImageLocation, evidence: Option<&Evidence>) -> Vec<String> {
+/// Explains an image in the same way.
+fn explain_image(located: &ImageLocation, evidence: Option<&Evidence>) -> Vec<String> {
     let fit = located.fit();
     let mut lines = vec![match fit {
         FitQuality::Good => "the fit is good".to_owned(),
         FitQuality::Doubtful => "the fit is doubtful".to_owned(),
         FitQuality::None => "no pose found".to_owned(),
     }];
-    lines.extend(evidence.into_iter().flat_map(seen));
+    lines.extend(evidence.into_iter().flat_map(describe_evidence));
     match (fit, located.rival()) {
-        (FitQuality::None, _) => lines.push(photo::why_none(located.found.first())),
+        (FitQuality::None, _) => lines.push(photo::explain_no_pose(located.found.first())),
         (FitQuality::Doubtful, Some(rival)) => {
             let Pose2 { x, y, yaw } = rival.place();
             let yaw_deg = yaw.to_degrees();
@@ -234,8 +234,8 @@ fn told_of_image(located: &ImageLocation, evidence: Option<&Evidence>) -> Vec<St
     lines
 }
 
-/// What was seen.
-fn seen(evidence: &Evidence) -> Vec<String> {
+/// Describes what was seen.
+fn describe_evidence(evidence: &Evidence) -> Vec<String> {
     let Evidence { agreement, explained, explained_in_view, contrast, noise, .. } = evidence;
     let mut lines = Vec::new();
     if contrast.is_finite() {
@@ -267,7 +267,7 @@ fn seen(evidence: &Evidence) -> Vec<String> {
     lines
 }
 
-/// What a reason asks for.
+/// Says what to do about a rejection reason.
 fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
     let sees_no_line = evidence.is_some_and(|evidence| evidence.lines.is_empty() || !evidence.contrast.is_finite());
     let is_chance = evidence.is_some_and(|evidence| evidence.agreement.digits < THRESHOLDS.agrees_digits);

@@ -1,4 +1,4 @@
-//! `realitysim falsify`
+//! Command `realitysim falsify`: counts valid tags under false assumptions.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -52,7 +52,7 @@ pub struct FalsifyArguments {
 struct Report {
     sources: Vec<Source>,
     wrong_cm: f64,
-    /// Of all that is false.
+    /// Sums over all falsehoods.
     frames: usize,
     valid: usize,
     wrong: usize,
@@ -115,7 +115,7 @@ fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, thre
                 loop {
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     let Some((said, unknown)) = tasks.get(index) else { return };
-                    // Nobody may listen any more: the frames are tagged all the same.
+                    // The receiver may be gone; the frames are tagged all the same.
                     let run = said.tag(footage, footage.settings(), *unknown, &mut |_| {
                         let _ = say.send(());
                     });
@@ -180,7 +180,7 @@ impl Report {
         text + &self.summary()
     }
 
-    /// One row for each falsehood that left valid tags, and the counts of all.
+    /// Table with a row for each walk, counting the valid and wrong tags of its falsehoods.
     fn markdown(&self, arguments: &FalsifyArguments) -> String {
         let mut words: Vec<String> = arguments.sources.iter().map(|source| source.display().to_string()).collect();
         words.extend(arguments.for_s.map(|seconds| format!("--for {seconds}")));
@@ -206,7 +206,7 @@ impl Report {
     }
 }
 
-/// The same said with the start that is announced, and without.
+/// Pairs the result with the announced start and that without it, for each statement.
 fn pairs(controls: &[Control]) -> impl Iterator<Item = (&Control, &Control)> {
     let (told, untold) = controls.split_at(controls.len() / 2);
     told.iter().zip(untold)

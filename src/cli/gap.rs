@@ -1,4 +1,4 @@
-//! `realitysim gap`
+//! Command `realitysim gap`: compares recorded images with views and renderings.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -48,19 +48,20 @@ pub struct GapArguments {
     config: Option<String>,
 }
 
-/// Forms in the order of the table.
+/// Forms of an image, in the order of the table.
 const FORMS: [&str; 5] = ["recorded", "exact view", "paper's view", "nearest image", "rendered"];
 
-/// Means over the images.
+/// Means over the images in one form.
 #[derive(Clone, Debug, Default, Serialize)]
 struct Row {
     form: &'static str,
     images: usize,
     detection: Detection,
-    /// Against the recorded image: PSNR on the ground, and half the sum of the differences of both histograms of luma.
+    /// PSNR against the recorded image, on the ground.
     psnr_db: f64,
+    /// Half the sum of the differences between the luma histograms of this form and the recorded image.
     histogram: f64,
-    /// What the program named says.
+    /// Mean answer of the user's detector.
     detector: Option<f64>,
 }
 
@@ -126,15 +127,15 @@ pub fn run(arguments: &GapArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::Whole)
 }
 
-/// Camera, pose of `camera_link` in `map`, and the images in the order of [`FORMS`].
+/// Camera, pose of `camera_link` in `map`, and the images in the order of `FORMS`.
 type Forms = (Arc<Camera>, Isometry, Vec<Raster>);
 
-/// The same place in all forms; `None` where no other image is near.
+/// Makes all forms of one image. `None` if no view can be made, since no other image is near.
 fn forms(gallery: &ImageDatabase, number: usize, apart: f64) -> anyhow::Result<Option<Forms>> {
     let record = gallery.index().record(number);
     let (pose, camera) = (record.pose(), gallery.camera(&record).context("an image of an unknown source")?);
     let recorded = gallery.image(number).map_err(anyhow::Error::msg)?;
-    // Far more than a walk has within that distance.
+    // 512 neighbours are far more than a walk has within that distance.
     let near = gallery.index().nearest(&pose, 512, &gallery.metric());
     let held_out = |at: &crate::database::Neighbour| {
         gallery.index().record(at.number).pose().translation.distance(pose.translation) < apart
@@ -164,7 +165,7 @@ fn forms(gallery: &ImageDatabase, number: usize, apart: f64) -> anyhow::Result<O
     Ok(Some((Arc::clone(camera), pose, images)))
 }
 
-/// Stands where nobody asks for: only field, lens and texture count.
+/// Scene for the rendered form. Its route does not matter: only field, lens and texture count.
 const SCENE: &str = r#"
 [scene]
 title = "Rendered in place of a recorded image"
@@ -210,7 +211,7 @@ impl Judge<'_> {
     }
 }
 
-/// Of luma in 32 steps, 0 (the same) to 1 (nothing in common), where both show something.
+/// Distance of two luma histograms of 32 bins: 0 (equal) to 1 (nothing in common), over pixels that both images show.
 fn histogram_distance(a: &[[u8; 4]], b: &[[u8; 4]], shown: &[bool]) -> f64 {
     let mut counts = [[0f64; 2]; 32];
     for ((a, b), _) in a.iter().zip(b).zip(shown).filter(|(_, shown)| **shown) {
@@ -227,7 +228,7 @@ fn ask(command: &str, image: &Raster) -> anyhow::Result<f64> {
     let file = std::env::temp_dir().join(format!("realitysim-gap-{}.png", std::process::id()));
     let picture = RgbImage::from_raw(image.width as u32, image.height as u32, image.to_rgb()).unwrap_or_default();
     save(&picture, &file)?;
-    let number = detector::ask(command, &file);
+    let number = detector::run_detector(command, &file);
     let _ = std::fs::remove_file(&file);
     number
 }

@@ -1,11 +1,11 @@
-//! What times were measured on, and whether they can be trusted.
+//! The machine that times were measured on, and whether the times can be trusted.
 
 use std::fs;
 
 use crate::localization::{SimdPath, kernel};
 
-/// Enough to know what to expect elsewhere.
-pub fn described(path: SimdPath) -> String {
+/// Describes the machine well enough to know what to expect elsewhere.
+pub fn describe(path: SimdPath) -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let path = match kernel::available(path) {
         SimdPath::Avx2 => "AVX2",
@@ -17,19 +17,19 @@ pub fn described(path: SimdPath) -> String {
     format!("{cores}-core machine, {architecture} with {path}")
 }
 
-/// How long this thread has been ready to run and did not get a processor, if the system tells.
+/// Seconds for which this thread was ready to run and did not get a processor, if the system tells.
 pub fn waited_s() -> Option<f64> {
     let text = fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     Some(text.split_whitespace().nth(1)?.parse::<u64>().ok()? as f64 * 1e-9)
 }
 
-/// More than this share of the time waiting: whoever else is running is in the figures.
-const BUSY: f64 = 0.05;
+/// Share of the time spent waiting beyond which other programs have influenced the times.
+const BUSY_SHARE: f64 = 0.05;
 
-/// What to tell of times that were measured while waiting.
+/// Returns a warning about times that were measured on a busy machine.
 pub fn busy_warning(waited_s: Option<f64>, elapsed_s: f64) -> Option<String> {
     let share = waited_s? / elapsed_s.max(1e-9);
-    (share > BUSY).then(|| {
+    (share > BUSY_SHARE).then(|| {
         format!(
             "the machine was busy: {:.0} % of the time went into waiting for a processor, so times are too high; measure \
              again when nothing else runs",

@@ -1,4 +1,4 @@
-//! `realitysim paper`
+//! Command `realitysim paper`: repeats the paper's experiments on rendered scenes.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -77,7 +77,7 @@ pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
     let wall_s = started.elapsed().as_secs_f64();
     let waited_s = host_info::waited_s().zip(waited_s).map(|(now, before)| now - before);
     let warning = host_info::busy_warning(waited_s, wall_s);
-    let machine = host_info::described(SimdPath::Auto);
+    let machine = host_info::describe(SimdPath::Auto);
     let report = Report {
         paper: &paper,
         quick: arguments.quick,
@@ -160,7 +160,7 @@ fn row(run: &Run) -> String {
     format!("| {} | {mean:.2} | {median:.2} | {p95:.2} | {:.2} | {p50_ms:.1} |\n", method.name, yaw_deg.mean)
 }
 
-/// Mean error in cm, and the time, for each number of particles.
+/// Table of mean error in cm and time in ms for each number of particles.
 fn fig9(paper: &Paper) -> String {
     let mut counts: Vec<usize> = paper.still.iter().map(|run| run.particles).collect();
     counts.dedup();

@@ -1,4 +1,4 @@
-//! What `realitysim replay --check` adds: the tags held to a reference.
+//! Arguments of `realitysim replay --check`, which compares tags with a reference.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use crate::recording::read_tags;
 use crate::tagging::ReplayReport;
 
 #[derive(Args)]
-pub struct GateArguments {
+pub struct ReferenceArguments {
     /// Compare the tags with this reference, bit for bit; exit code 1 if they differ
     #[arg(long = "check", value_name = "REFERENCE")]
     pub reference: Option<PathBuf>,
@@ -34,8 +34,8 @@ pub struct GateArguments {
     junit: Option<PathBuf>,
 }
 
-/// Fields of a report; the rest is counted.
-const SHOWN: usize = 12;
+/// Differing fields that a report lists; of the rest it states the number.
+const LISTED_FIELDS: usize = 12;
 
 #[derive(Serialize)]
 struct Blessed<'a> {
@@ -53,8 +53,8 @@ struct Checked<'a> {
 
 const JUNIT_NAME: &str = "realitysim replay --check";
 
-impl GateArguments {
-    /// Before anything is written: `inputs` are what the replay reads.
+impl ReferenceArguments {
+    /// Checks the output paths before anything is written. `inputs` are the files that the replay reads.
     pub fn check_outputs(&self, inputs: &[&Path]) -> anyhow::Result<()> {
         let Some(path) = &self.reference else { return Ok(()) };
         if self.bless {
@@ -67,15 +67,15 @@ impl GateArguments {
         Ok(())
     }
 
-    /// Of a replay that never came to be judged.
-    pub fn tell_failure(&self, error: &anyhow::Error) {
+    /// Writes the JUnit file for a replay that failed before its tags were compared.
+    pub fn write_failure(&self, error: &anyhow::Error) {
         if let Some(junit) = &self.junit {
             junit::write_failure(junit, JUNIT_NAME, error);
         }
     }
 
-    /// Before long work. What cannot be read then will not be later.
-    pub fn open(&self) -> anyhow::Result<Option<Gate<'_>>> {
+    /// Reads the reference before long work, so that an unreadable one is refused at once.
+    pub fn open(&self) -> anyhow::Result<Option<ReferenceCheck<'_>>> {
         let Some(path) = &self.reference else { return Ok(None) };
         let reference = if self.bless {
             None
@@ -84,18 +84,18 @@ impl GateArguments {
                 plain_file::read_text(path, MAX_REFERENCE_BYTES).map_err(|error| paths::cannot_read(path, error))?;
             Some(Reference::parse(&text, &path.display().to_string())?)
         };
-        Ok(Some(Gate { arguments: self, path, reference }))
+        Ok(Some(ReferenceCheck { arguments: self, path, reference }))
     }
 }
 
-/// An open reference, or where one is to be written.
-pub struct Gate<'a> {
-    arguments: &'a GateArguments,
+/// A reference that was read, or the path that one is to be written to.
+pub struct ReferenceCheck<'a> {
+    arguments: &'a ReferenceArguments,
     path: &'a Path,
     reference: Option<Reference>,
 }
 
-impl Gate<'_> {
+impl ReferenceCheck<'_> {
     pub fn judge(
         &self,
         source: &Path,
@@ -156,13 +156,13 @@ fn for_people(verdict: &Verdict, reference: &str) -> String {
     }
     text.push_str(&format!("{} frames differ from {reference}\n\n", verdict.frames_differ));
     text.push_str("  field                                    frames  first  largest difference\n");
-    for difference in verdict.differences.iter().take(SHOWN) {
+    for difference in verdict.differences.iter().take(LISTED_FIELDS) {
         let Difference { field, frames, largest, first_frame, first: [then, now], .. } = difference;
         let by = largest.map_or_else(|| format!("{then} became {now}"), |largest| format!("{largest:.3e}"));
         text.push_str(&format!("  {field:<40} {frames:>6} {first_frame:>6}  {by}\n"));
     }
-    if verdict.differences.len() > SHOWN {
-        text.push_str(&format!("  and {} fields more\n", verdict.differences.len() - SHOWN));
+    if verdict.differences.len() > LISTED_FIELDS {
+        text.push_str(&format!("  and {} fields more\n", verdict.differences.len() - LISTED_FIELDS));
     }
     text.push_str("\nif that is meant to be: the same command with --bless");
     text

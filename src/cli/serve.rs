@@ -1,4 +1,4 @@
-//! `realitysim serve`
+//! Command `realitysim serve`: serves views of a database over HTTP.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -47,7 +47,8 @@ pub struct ServeArguments {
     /// A scene whose effects clients may ask for; its name is the file's without .toml
     #[arg(long, value_name = "FILE")]
     scene: Vec<String>,
-    /// Refuse when the nearest image was taken farther away than this, or images show less than a quarter of an exact view, if the client does not say
+    /// Refuse when the nearest image was taken farther away than this, or images show less than a quarter of an exact view,
+    /// if the client does not say
     #[arg(long, value_name = "M", default_value_t = FAR_M, value_parser = number(0.0..=MAX_FAR_M))]
     max_distance: f64,
     /// Robot config, for its section [views]
@@ -83,7 +84,7 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
             listening: SocketAddr,
             images: usize,
         }
-        // Who does not read it is served all the same.
+        // A closed standard output does not stop the service.
         let _ = if json {
             output::json(&Ready { listening: address, images })
         } else {
@@ -108,7 +109,7 @@ fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> 
     Ok(lenses)
 }
 
-/// Longer ones fit no header.
+/// Largest file with a token; a longer token fits no HTTP header.
 const MAX_TOKEN_BYTES: u64 = 4096;
 
 fn token(path: &Path) -> anyhow::Result<String> {

@@ -1,4 +1,4 @@
-//! `realitysim sim`
+//! Command `realitysim sim`: renders a scene into a log with ground truth.
 
 use std::collections::BTreeMap;
 use std::fs::File;

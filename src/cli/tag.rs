@@ -1,4 +1,4 @@
-//! `realitysim tag`
+//! Command `realitysim tag`: finds the pose of a single image.
 
 use std::path::{Path, PathBuf};
 
@@ -18,9 +18,9 @@ use crate::tagging::single_image::{FitQuality, ImageLocation, PoseHypothesis};
 
 /// Find the pose of a single image
 ///
-/// Lens and height are known, and the tilt to about two degrees; where the camera stood, which way it looked and how it was
-/// tilted is found from the field lines: over the whole field, or near --initial. A field looks the same from both goals: the mirror pose (-x, -y, yaw + 180)
-/// explains the image as well. Without --field all shipped fields are tried.
+/// Lens and height are known, and the tilt to about two degrees; where the camera stood, which way it looked and how it
+/// was tilted is found from the field lines: over the whole field, or near --initial. A field looks the same from both
+/// goals: the mirror pose (-x, -y, yaw + 180) explains the image as well. Without --field all shipped fields are tried.
 ///
 /// The fit is good, doubtful (it leaves much unexplained, or a pose elsewhere explains the image nearly as well) or none: no pose
 /// found, exit code 1.
@@ -55,31 +55,31 @@ pub struct TagArguments {
 }
 
 /// Colour of the projected lines.
-const LINES: [u8; 3] = [230, 30, 60];
+const LINE_COLOUR: [u8; 3] = [230, 30, 60];
 
 #[derive(Serialize)]
 struct Report {
     field: String,
     fit: FitQuality,
-    /// `camera_link` in `map`; without any line in view null.
+    /// Pose of `camera_link` in `map`; null without any line in view.
     best: Option<Explanation>,
     mirror: Option<Pose>,
-    /// Of the best.
+    /// Attitude and height of the best pose.
     roll_deg: f64,
     pitch_deg: f64,
     z: f64,
-    /// The next best explanation on the same field.
+    /// Second best pose on the same field.
     next: Option<Explanation>,
-    /// Of every field that was tried.
+    /// Best pose on each field that was tried.
     fields: Vec<FieldResult>,
 }
 
-/// Numbers without a unit are shares, 0 to 1, unless [`PoseHypothesis`] says otherwise.
+/// A pose with its scores. Numbers without a unit are shares, 0 to 1, unless [`PoseHypothesis`] says otherwise.
 #[derive(Clone, Copy, Serialize)]
 struct Explanation {
     pose: Pose,
     refined: bool,
-    /// Of the expected line places.
+    /// Share of the expected line places that fit.
     fitting: f64,
     foremost: f64,
     explained: f64,
@@ -150,7 +150,7 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     let best = located.found.first();
     if let (Some(path), Some(best)) = (&arguments.overlay, best) {
         let rgb = photo::rgb(&picture).with_context(shown)?;
-        save(&drawing::overlay(&rgb, &known.lens, &best.map_from_link, field, LINES), path)?;
+        save(&drawing::overlay(&rgb, &known.lens, &best.map_from_link, field, LINE_COLOUR), path)?;
     }
     let tilt = best.map_or(known.attitude, |best| best.map_from_link.euler());
     let report = Report {
@@ -178,19 +178,19 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&text)?
     }
     match report.fit {
-        FitQuality::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::why_none(best)),
+        FitQuality::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::explain_no_pose(best)),
         FitQuality::Good | FitQuality::Doubtful => Ok(Outcome::Whole),
     }
 }
 
-/// Everything that is read, so that the overlay is not written over it.
+/// All files that are read, over which the overlay must not be written.
 fn inputs(arguments: &TagArguments) -> Vec<&Path> {
     let named = [Some(&arguments.lens), arguments.body_mask.as_ref(), arguments.field.as_ref()];
     let named = named.into_iter().flatten().map(Path::new);
     named.chain([arguments.image.as_path()]).collect()
 }
 
-/// The fields to try: those on which --initial can be, if it is given.
+/// Fields to try. With --initial, only those that have that pose on or near their carpet.
 fn fields(arguments: &TagArguments) -> anyhow::Result<Vec<(String, Field)>> {
     let names = arguments.field.clone().map_or_else(field_names, |name| vec![name]);
     let mut fields = Vec::new();
@@ -208,7 +208,7 @@ fn fields(arguments: &TagArguments) -> anyhow::Result<Vec<(String, Field)>> {
     }
 }
 
-/// Nothing where there is no best.
+/// Describes the result; `None` without a best pose.
 fn for_people(report: &Report) -> Option<String> {
     let Report { best: Some(best), mirror: Some(mirror), .. } = report else { return None };
     let mut text = format!(

@@ -1,4 +1,4 @@
-//! `realitysim view-quality`
+//! Command `realitysim view-quality`: measures the quality of views.
 
 use std::path::PathBuf;
 

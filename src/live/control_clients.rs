@@ -1,62 +1,69 @@
-//! The connections to a recorder's socket, of which there are few, so that none of them can keep others out.
+//! Bounds the connections to the control socket so that no client can keep others out.
 
 use std::collections::BTreeMap;
 use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Connections at one time.
+/// Connections that can be open at one time.
 const MAX_ASKERS: usize = 16;
-/// Of them, those that listen to poses; the others are for orders.
+/// Connections that may listen to poses; the rest are kept for commands.
 const MAX_LISTENERS: usize = 12;
 
+/// The open connections, shared by their threads.
 #[derive(Default)]
-pub(super) struct Askers(Mutex<Table>);
+pub(super) struct Clients(Mutex<Table>);
 
 #[derive(Default)]
 struct Table {
-    /// By number: the oldest first.
-    askers: BTreeMap<u64, Asker>,
+    /// By connection number, so the oldest comes first.
+    clients: BTreeMap<u64, Client>,
     next: u64,
 }
 
-struct Asker {
+struct Client {
     stream: Arc<UnixStream>,
-    doing: Doing,
+    activity: Activity,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Doing {
+enum Activity {
     Nothing,
-    /// An order of it is being carried out.
+    /// One of its commands is being carried out.
     Waiting,
     Listening,
 }
 
-/// One of the connections, until it is dropped.
-pub(super) struct Place {
-    askers: Arc<Askers>,
+/// A connection's slot in the table; dropping it frees the slot.
+pub(super) struct ClientSlot {
+    clients: Arc<Clients>,
     number: u64,
     pub(super) stream: Arc<UnixStream>,
 }
 
-impl Askers {
-    /// If all are taken, the oldest connection without an order under way is closed for this one. `Err` with the words for it
-    /// if there is none.
-    pub(super) fn admit(self: &Arc<Self>, stream: UnixStream) -> Result<Place, (UnixStream, String)> {
+impl Clients {
+    /// Gives a slot to a new connection.
+    ///
+    /// If all slots are taken, the oldest connection without a command under way is closed. If there is none, `Err` returns
+    /// the stream and the refusal for its client.
+    pub(super) fn admit(self: &Arc<Self>, stream: UnixStream) -> Result<ClientSlot, (UnixStream, String)> {
         let mut table = self.table();
-        if table.askers.len() >= MAX_ASKERS {
-            let idle = table.askers.iter().find(|(_, asker)| asker.doing == Doing::Nothing).map(|(number, _)| *number);
-            match idle.and_then(|number| table.askers.remove(&number)) {
-                // Its thread sees the end.
-                Some(asker) => drop(asker.stream.shutdown(Shutdown::Both)),
+        if table.clients.len() >= MAX_ASKERS {
+            let idle = table
+                .clients
+                .iter()
+                .find(|(_, client)| client.activity == Activity::Nothing)
+                .map(|(number, _)| *number);
+            match idle.and_then(|number| table.clients.remove(&number)) {
+                // The shutdown ends that connection's thread.
+                Some(client) => drop(client.stream.shutdown(Shutdown::Both)),
                 None => return Err((stream, format!("{MAX_ASKERS} others are asking already: try again later"))),
             }
         }
         let (number, stream) = (table.next, Arc::new(stream));
         table.next += 1;
-        table.askers.insert(number, Asker { stream: Arc::clone(&stream), doing: Doing::Nothing });
-        Ok(Place { askers: Arc::clone(self), number, stream })
+        table.clients.insert(number, Client { stream: Arc::clone(&stream), activity: Activity::Nothing });
+        Ok(ClientSlot { clients: Arc::clone(self), number, stream })
     }
 
     fn table(&self) -> MutexGuard<'_, Table> {
@@ -64,37 +71,37 @@ impl Askers {
     }
 }
 
-impl Place {
-    /// While it works, the connection is not given to others.
-    pub(super) fn waiting<T>(&self, work: impl FnOnce() -> T) -> T {
-        self.becomes(Doing::Waiting);
+impl ClientSlot {
+    /// Runs `work` while the connection is marked as waiting, so that its slot is not given to others.
+    pub(super) fn while_waiting<T>(&self, work: impl FnOnce() -> T) -> T {
+        self.set_activity(Activity::Waiting);
         let done = work();
-        self.becomes(Doing::Nothing);
+        self.set_activity(Activity::Nothing);
         done
     }
 
-    /// `Err` with the words for it if there are too many already.
-    pub(super) fn listens(&self) -> Result<(), String> {
-        let mut table = self.askers.table();
-        if table.askers.values().filter(|asker| asker.doing == Doing::Listening).count() >= MAX_LISTENERS {
+    /// Marks the connection as listening to poses; `Err` has the refusal if there are too many listeners.
+    pub(super) fn start_listening(&self) -> Result<(), String> {
+        let mut table = self.clients.table();
+        if table.clients.values().filter(|client| client.activity == Activity::Listening).count() >= MAX_LISTENERS {
             return Err(format!("{MAX_LISTENERS} others listen to poses already: try again later"));
         }
-        if let Some(asker) = table.askers.get_mut(&self.number) {
-            asker.doing = Doing::Listening;
+        if let Some(client) = table.clients.get_mut(&self.number) {
+            client.activity = Activity::Listening;
         }
         Ok(())
     }
 
-    fn becomes(&self, doing: Doing) {
-        if let Some(asker) = self.askers.table().askers.get_mut(&self.number) {
-            asker.doing = doing;
+    fn set_activity(&self, activity: Activity) {
+        if let Some(client) = self.clients.table().clients.get_mut(&self.number) {
+            client.activity = activity;
         }
     }
 }
 
-impl Drop for Place {
+impl Drop for ClientSlot {
     fn drop(&mut self) {
-        self.askers.table().askers.remove(&self.number);
+        self.clients.table().clients.remove(&self.number);
     }
 }
 
@@ -103,41 +110,41 @@ mod tests {
     use super::*;
     use std::io::Read;
 
-    /// Both ends.
+    /// Both ends of a connection.
     fn pair() -> (UnixStream, UnixStream) {
         UnixStream::pair().expect("two ends")
     }
 
     #[test]
-    fn the_oldest_that_asks_nothing_gives_way() {
-        let askers = Arc::<Askers>::default();
-        let (mut ends, mut places) = (Vec::new(), Vec::new());
+    fn the_oldest_idle_connection_gives_way() {
+        let clients = Arc::<Clients>::default();
+        let (mut ends, mut slots) = (Vec::new(), Vec::new());
         for _ in 0..MAX_ASKERS {
-            let (end, asker) = pair();
+            let (end, client) = pair();
             ends.push(end);
-            places.push(askers.admit(asker).expect("room"));
+            slots.push(clients.admit(client).expect("room"));
         }
-        places[0].becomes(Doing::Waiting);
-        places[1].listens().expect("the only one");
-        askers.admit(pair().1).expect("the place of the third");
+        slots[0].set_activity(Activity::Waiting);
+        slots[1].start_listening().expect("the only one");
+        clients.admit(pair().1).expect("the slot of the third");
         assert_eq!(ends[2].read(&mut [0; 1]).expect("closed"), 0);
         ends[0].set_nonblocking(true).expect("set");
         assert!(ends[0].read(&mut [0; 1]).is_err(), "still open");
-        places.drain(2..);
-        assert_eq!(askers.table().askers.len(), 2);
+        slots.drain(2..);
+        assert_eq!(clients.table().clients.len(), 2);
     }
 
     #[test]
     fn listeners_leave_room_for_orders() {
-        let askers = Arc::<Askers>::default();
-        let places: Vec<Place> = (0..MAX_ASKERS).map(|_| askers.admit(pair().1).expect("room")).collect();
-        let listening = places.iter().filter(|place| place.listens().is_ok()).count();
+        let clients = Arc::<Clients>::default();
+        let slots: Vec<ClientSlot> = (0..MAX_ASKERS).map(|_| clients.admit(pair().1).expect("room")).collect();
+        let listening = slots.iter().filter(|slot| slot.start_listening().is_ok()).count();
         assert_eq!(listening, MAX_LISTENERS);
-        let orders = &places[MAX_LISTENERS..];
-        orders.iter().for_each(|place| place.becomes(Doing::Waiting));
-        let (_, words) = askers.admit(pair().1).err().expect("all are at work");
+        let orders = &slots[MAX_LISTENERS..];
+        orders.iter().for_each(|slot| slot.set_activity(Activity::Waiting));
+        let (_, words) = clients.admit(pair().1).err().expect("all are at work");
         assert!(words.contains("16 others are asking"), "{words}");
-        assert_eq!(orders[0].waiting(|| 7), 7);
-        askers.admit(pair().1).expect("one has got its answer");
+        assert_eq!(orders[0].while_waiting(|| 7), 7);
+        clients.admit(pair().1).expect("one has got its answer");
     }
 }

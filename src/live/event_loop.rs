@@ -1,4 +1,4 @@
-//! The thread between the devices and the pipeline: takes what comes, answers questions, obeys orders.
+//! The recorder's event loop, between devices and pipeline: takes device events, answers commands, feeds the watchdog.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -28,42 +28,44 @@ use crate::ros2::messages::FrameTag;
 use crate::tagging::inter_session::IdleOdometry;
 use crate::tagging::pipeline::Pipeline;
 
-/// So long the ports are listened to before a session begins: clocks settle, and what the robot measures is known.
-const LISTEN: Duration = Duration::from_millis(1500);
-/// Before the first session.
+/// Time for which the ports are heard before the first session begins: clocks settle, and it becomes known what the robot
+/// measures.
+const INITIAL_LISTENING: Duration = Duration::from_millis(1500);
+/// State before the first session.
 const LISTENING: &str = "listening";
-/// The longest that nothing is done.
+/// Longest wait for an event, and so for a command.
 pub(super) const TICK: Duration = Duration::from_millis(50);
 
-pub(super) struct Agent<'a> {
+/// State of the live recorder.
+pub(super) struct LiveRecorder<'a> {
     pub(super) options: &'a RecordOptions,
     pub(super) lens: LensParameters,
-    /// UTC minus monotonic clock.
+    /// UTC minus monotonic clock, nanoseconds.
     pub(super) clock_ns: i64,
     pub(super) devices: Devices,
     pub(super) control: Control,
     pub(super) names: Names,
     pub(super) messages: Messages,
     pub(super) session: Option<Pipeline>,
-    /// After a session, until the next one.
+    /// Follows odometry between the end of one session and the start of the next.
     pub(super) between: Option<IdleOdometry>,
-    /// From the field's centre to the carpet's edge, once a session has begun.
+    /// Half extent of the carpet, metres, known once a session has begun.
     pub(super) carpet_half_m: Option<DVec2>,
-    /// A session, whether it still is or not.
-    pub(super) has_begun: bool,
+    /// Whether any session has begun, even if it has ended since.
+    pub(super) had_session: bool,
     pub(super) tags: Option<Receiver<FrameTag>>,
     pub(super) heard: Expected,
     pub(super) status: Status,
     pub(super) meters: Meters,
     pub(super) last_log_ns: i64,
-    pub(super) noted_ns: i64,
+    pub(super) status_logged_ns: i64,
     pub(super) watchdog: Watchdog,
-    pub(super) told: Announced,
-    /// What was left of earlier sessions, as it is found.
+    pub(super) announced: Announced,
+    /// Messages about the repair of earlier sessions, sent as they are repaired.
     pub(super) repairs: Receiver<String>,
 }
 
-impl<'a> Agent<'a> {
+impl<'a> LiveRecorder<'a> {
     pub(super) fn new(
         options: &'a RecordOptions,
         lens: LensParameters,
@@ -84,19 +86,20 @@ impl<'a> Agent<'a> {
             session: None,
             between: None,
             carpet_half_m: None,
-            has_begun: false,
+            had_session: false,
             tags: None,
             heard: Expected::default(),
             status: Status { state: LISTENING, ..Status::default() },
             meters: Meters::default(),
             last_log_ns: i64::MIN,
-            noted_ns: i64::MIN,
+            status_logged_ns: i64::MIN,
             watchdog: Watchdog::default(),
-            told: Announced::default(),
+            announced: Announced::default(),
             repairs,
         }
     }
 
+    /// Records until `stop`. Ends the session also when an error occurs.
     pub(super) fn run(
         &mut self,
         events: &Receiver<DeviceEvent>,
@@ -104,14 +107,14 @@ impl<'a> Agent<'a> {
         say: &mut dyn FnMut(&str),
     ) -> Result<(), RecordError> {
         let listened = Instant::now();
-        let listen = if self.options.settings.serial.ports.is_empty() { Duration::ZERO } else { LISTEN };
+        let listen = if self.options.settings.serial.ports.is_empty() { Duration::ZERO } else { INITIAL_LISTENING };
         while listened.elapsed() < listen && !stop.load(Ordering::Relaxed) {
             self.step(events, say)?;
         }
         let wanted = self.status.state == LISTENING && !stop.load(Ordering::Relaxed);
-        let began = if wanted { self.begin(say) } else { Ok(()) };
+        let began = if wanted { self.begin_session(say) } else { Ok(()) };
         let went_on = began.and_then(|()| {
-            // Only a supervisor that asked for it is told.
+            // Notifies systemd; without a supervisor that asked for it this does nothing.
             let _ = sd_notify::notify(&[sd_notify::NotifyState::Ready]);
             while !stop.load(Ordering::Relaxed) {
                 self.step(events, say)?;
@@ -120,42 +123,42 @@ impl<'a> Agent<'a> {
             Ok(())
         });
         let _ = sd_notify::notify(&[sd_notify::NotifyState::Stopping]);
-        self.end(say);
+        self.end_session(say);
         went_on
     }
 
-    /// Whatever comes next, or the tick.
+    /// Handles the next device event, or a tick without one, then commands, tags and status.
     fn step(&mut self, events: &Receiver<DeviceEvent>, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
         match events.recv_timeout(TICK) {
-            Ok(event) => self.take(event, say)?,
+            Ok(event) => self.handle_event(event, say)?,
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => std::thread::sleep(TICK),
         }
         while let Ok(order) = self.control.orders.try_recv() {
-            self.obey(order, say)?;
+            self.handle_command(order, say)?;
         }
-        self.pass_tags_on();
-        self.tell_of_the_recorder(say);
+        self.forward_tags();
+        self.announce_recorder_changes(say);
         for said in self.repairs.try_iter() {
             say(&said);
             self.status.repaired.push(said);
         }
-        self.note_status()
+        self.log_status()
     }
 
-    /// To whoever listens.
-    pub(super) fn pass_tags_on(&mut self) {
+    /// Passes new tags to `poses` clients, status, meters and serial ports.
+    pub(super) fn forward_tags(&mut self) {
         for tag in self.tags.iter().flat_map(Receiver::try_iter) {
             self.control.tell(&tag);
-            self.status.tagged(&tag);
+            self.status.set_last_tag(&tag);
             if tag.reason != Rejection::NoFrame.as_str() {
-                self.meters.tagged(&tag);
+                self.meters.note_tag(&tag);
             }
-            self.devices.send(&tag, self.clock_ns);
+            self.devices.send_tag(&tag, self.clock_ns);
         }
     }
 
-    fn take(&mut self, event: DeviceEvent, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+    fn handle_event(&mut self, event: DeviceEvent, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
         match event {
             DeviceEvent::CameraOpened(camera) => {
                 for why in &camera.refused {
@@ -174,7 +177,7 @@ impl<'a> Agent<'a> {
             DeviceEvent::CameraLost { cause, said } => {
                 say(&format!("{said}; it is tried again"));
                 self.status.camera_lost = Some(cause);
-                self.note("camera", cause, &said)?;
+                self.log_event("camera", cause, &said)?;
             }
             DeviceEvent::Dropped { cause, count } => {
                 if let Some(session) = &mut self.session {
@@ -185,35 +188,40 @@ impl<'a> Agent<'a> {
                 self.devices.waiting.fetch_sub(1, Ordering::Relaxed);
                 if self.status.camera_lost.take().is_some() {
                     say("camera: frames again");
-                    self.note("camera", "recovered", "frames again")?;
+                    self.log_event("camera", "recovered", "frames again")?;
                 }
                 self.status.stamp_clock = Some(clock);
                 self.log(message)?;
             }
-            DeviceEvent::Port { device, event } => self.take_port(&device, event, say)?,
+            DeviceEvent::Port { device, event } => self.handle_port_event(&device, event, say)?,
         }
         Ok(())
     }
 
-    fn take_port(&mut self, device: &str, event: PortEvent, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+    fn handle_port_event(
+        &mut self,
+        device: &str,
+        event: PortEvent,
+        say: &mut dyn FnMut(&str),
+    ) -> Result<(), RecordError> {
         match event {
             PortEvent::Opened { low_latency } => {
                 if low_latency == Some(false) {
                     say(&format!("{device}: its driver holds bytes back, and may not be told otherwise (udev rules)"));
                 }
-                self.status.port(device).opened(None);
+                self.status.port(device).set_closed(None);
             }
             PortEvent::Lost(error) => {
                 let said = error.to_string();
-                if self.status.port(device).opened(Some(said.clone())) {
+                if self.status.port(device).set_closed(Some(said.clone())) {
                     say(&format!("{said}; it is tried again"));
-                    self.note("serial", "lost", &said)?;
+                    self.log_event("serial", "lost", &said)?;
                 }
             }
             PortEvent::Status(line) => {
-                for PortUpdate { event, said } in self.status.port(device).counted(line) {
+                for PortUpdate { event, said } in self.status.port(device).update(line) {
                     say(&format!("{device}: {said}"));
-                    self.note("serial", event, &format!("{device}: {said}"))?;
+                    self.log_event("serial", event, &format!("{device}: {said}"))?;
                 }
             }
             PortEvent::Measured(measured) => {
@@ -230,10 +238,10 @@ impl<'a> Agent<'a> {
         Ok(())
     }
 
-    fn obey(&mut self, order: Order, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+    fn handle_command(&mut self, order: Order, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
         let done = match order.what {
             ControlCommand::Status => {
-                self.refresh();
+                self.refresh_status();
                 let grid = self.session.as_ref().map(|session| session.coverage().clone());
                 self.status.coverage = grid.map(|grid| CoverageStatus { map: grid.text(), grid });
                 Ok(json!(self.status))
@@ -241,11 +249,11 @@ impl<'a> Agent<'a> {
             ControlCommand::Mark(_) if self.session.is_none() => {
                 Ok(json!({ "error": "nothing is being recorded: the mark has no place" }))
             }
-            ControlCommand::Mark(text) => self.note("mark", "mark", &text).map(|()| json!({ "marked": text })),
-            ControlCommand::Place(place) => self.place(&place),
-            ControlCommand::Start => self.begin(say).map(|()| json!({ "state": self.status.state })),
+            ControlCommand::Mark(text) => self.log_event("mark", "mark", &text).map(|()| json!({ "marked": text })),
+            ControlCommand::Place(place) => self.take_announced_pose(&place),
+            ControlCommand::Start => self.begin_session(say).map(|()| json!({ "state": self.status.state })),
             ControlCommand::Stop => {
-                self.end(say);
+                self.end_session(say);
                 let Status { state, session, unfinished, .. } = &self.status;
                 Ok(json!({ "state": state, "session": session, "unfinished": unfinished }))
             }
@@ -258,7 +266,8 @@ impl<'a> Agent<'a> {
         done.map(|_| ())
     }
 
-    /// With the time at which it is taken: log times never go back.
+    /// Gives the message the present time and passes it to the session, or to the odometry between sessions. Log times
+    /// never decrease.
     pub(super) fn log(&mut self, mut message: LogMessage) -> Result<(), RecordError> {
         let now_ns = (self.clock_ns + monotonic_ns()).max(self.last_log_ns);
         self.last_log_ns = now_ns;
@@ -271,15 +280,16 @@ impl<'a> Agent<'a> {
         Ok(())
     }
 
-    /// The agent's own thread is the one that is here.
+    /// Feeds systemd's watchdog if the camera's thread and the recorder's go on. This thread goes on if it gets here.
     fn feed_watchdog(&mut self) {
         let camera = self.devices.rounds.load(Ordering::Relaxed);
         let recorder = self.session.as_ref().and_then(Pipeline::recorder_rounds);
-        if self.watchdog.is_fed(Rounds { camera, recorder }, Instant::now()) {
+        if self.watchdog.check_progress(Rounds { camera, recorder }, Instant::now()) {
             let _ = sd_notify::notify(&[sd_notify::NotifyState::Watchdog]);
         }
     }
 
+    /// UTC in nanoseconds.
     pub(super) fn now_ns(&self) -> i64 {
         self.clock_ns.saturating_add(monotonic_ns())
     }

@@ -1,37 +1,38 @@
-//! What the agent tells: people, the log, and whoever asks for its status.
+//! Reports of the live recorder: to people, to the log, and to clients that ask for its status.
 
 use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use super::RecordError;
-use super::event_loop::{Agent, TICK};
+use super::event_loop::{LiveRecorder, TICK};
 use super::status::{self, PassedOn};
 use crate::recording::{REMOVED, RecorderStatus, Stopped};
 use crate::ros2::messages::DiagnosticArray;
 use crate::tagging::pipeline::Pipeline;
 
-const STATUS_EVERY_NS: i64 = 1_000_000_000;
+/// How often the status is written to the log, nanoseconds.
+const STATUS_INTERVAL_NS: i64 = 1_000_000_000;
 
-/// What people have heard of the recorder, and when.
+/// Recorder state that people have been told of, and when.
 #[derive(Default)]
 pub(super) struct Announced {
     at: Option<Instant>,
     recorder: RecorderStatus,
-    /// Why no frame is passed on to others.
+    /// Why frames cannot be passed on to another video device, if they cannot.
     not_passed_on: Option<String>,
 }
 
-impl Agent<'_> {
-    /// Where it is recorded, and what the disk does, as soon as it is known.
-    pub(super) fn tell_of_the_recorder(&mut self, say: &mut dyn FnMut(&str)) {
-        if self.told.at.is_some_and(|at| at.elapsed() < TICK) {
+impl LiveRecorder<'_> {
+    /// Tells people of changes in where and whether the session is written, as soon as they are known.
+    pub(super) fn announce_recorder_changes(&mut self, say: &mut dyn FnMut(&str)) {
+        if self.announced.at.is_some_and(|at| at.elapsed() < TICK) {
             return;
         }
         let Some((_, recorder)) = self.session.as_ref().and_then(Pipeline::recorder) else { return };
-        let before = &self.told.recorder;
+        let before = &self.announced.recorder;
         let removed = |status: &RecorderStatus| status.faults.get(REMOVED).copied().unwrap_or_default();
-        // It may be mended before anybody looks.
+        // Compared by count, since the fault may be mended before anybody looks.
         if removed(&recorder) > removed(before) {
             let session = before.session.as_deref().unwrap_or(Path::new("the session")).display();
             say(&format!("{session} was removed or moved while it was being recorded: its frames count as lost"));
@@ -57,28 +58,30 @@ impl Agent<'_> {
             say(&format!("{segments} segments that a dev machine has were removed to make room"));
         }
         let not_passed_on = self.devices.republished.lost();
-        if not_passed_on != self.told.not_passed_on {
+        if not_passed_on != self.announced.not_passed_on {
             match &not_passed_on {
                 Some(why) => say(&format!("frames are not passed on: {why}; it is tried again")),
                 None => say("frames are passed on again"),
             }
         }
-        self.told = Announced { at: Some(Instant::now()), recorder, not_passed_on };
+        self.announced = Announced { at: Some(Instant::now()), recorder, not_passed_on };
     }
 
-    pub(super) fn note(&mut self, about: &str, what: &str, said: &str) -> Result<(), RecordError> {
-        let report = status::note(self.now_ns(), &self.options.settings.robot, about, what, said);
+    /// Writes an event to the log.
+    pub(super) fn log_event(&mut self, about: &str, what: &str, said: &str) -> Result<(), RecordError> {
+        let report = status::event_report(self.now_ns(), &self.options.settings.robot, about, what, said);
         self.write_report(&report)
     }
 
-    pub(super) fn note_status(&mut self) -> Result<(), RecordError> {
+    /// Writes the status to the log, once a second.
+    pub(super) fn log_status(&mut self) -> Result<(), RecordError> {
         let now_ns = self.now_ns();
-        if now_ns.saturating_sub(self.noted_ns) < STATUS_EVERY_NS {
+        if now_ns.saturating_sub(self.status_logged_ns) < STATUS_INTERVAL_NS {
             return Ok(());
         }
-        self.noted_ns = now_ns;
-        self.refresh();
-        self.meters.counted(now_ns, &self.status.counts);
+        self.status_logged_ns = now_ns;
+        self.refresh_status();
+        self.meters.update_rates(now_ns, &self.status.counts);
         let report = self.status.diagnostics(now_ns, &self.options.settings.robot);
         self.write_report(&report)
     }
@@ -92,13 +95,14 @@ impl Agent<'_> {
         }
     }
 
-    pub(super) fn refresh(&mut self) {
+    /// Brings the status up to date with session, devices and meters.
+    pub(super) fn refresh_status(&mut self) {
         if let Some((counts, recorder)) = self.session.as_ref().and_then(Pipeline::recorder) {
             self.status.session.clone_from(&recorder.session);
             (self.status.counts, self.status.recorder) = (counts, recorder);
         }
         let status = &mut self.status;
-        status.grow_older();
+        status.update_age();
         status.camera_waiting = self.devices.waiting.load(Ordering::Relaxed);
         status.rates = self.meters.rates();
         status.budget = self.meters.budget(self.options.settings.filter.budget_ms);

@@ -1,4 +1,4 @@
-//! How a serial port of a running agent is.
+//! Health of the serial ports of a running recorder.
 
 use std::collections::VecDeque;
 
@@ -7,19 +7,21 @@ use serde::Serialize;
 use crate::devices::mavlink::PortCounts;
 use crate::devices::serial::{LineStatus, Trouble};
 
+/// State of one serial port; part of `realitysim status`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Port {
-    /// Why it is not open; `lost` counts messages.
+    /// Why the port is not open, if it is not.
     pub closed: Option<String>,
-    /// What is wrong with what it carries, while it is open.
+    /// What is wrong with the data on it, while it is open.
     pub trouble: Option<PortTrouble>,
     #[serde(flatten)]
     pub line: Option<LineStatus>,
-    /// Of the last seconds, one each, the newest last.
+    /// Counts of the last seconds, one entry each, the newest last.
     #[serde(skip)]
-    before: VecDeque<PortCounts>,
+    history: VecDeque<PortCounts>,
 }
 
+/// A lasting fault of an open port.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PortTrouble {
     /// `silent`, `no_messages`, `echo`, `unusable`, `lost` or `noisy`.
@@ -29,33 +31,33 @@ pub struct PortTrouble {
     is: Trouble,
 }
 
-/// So long something must be wrong to be told: a heartbeat comes once a second.
-const PATIENCE_S: usize = 3;
-/// So long a trouble is over when it is told to be: a line on the edge does not fill the journal.
-const SETTLED_S: usize = 10;
+/// Seconds that a fault must last until it is reported: a heartbeat comes once a second.
+const MIN_TROUBLE_S: usize = 3;
+/// Seconds without a fault until it is reported as over, so that a marginal line does not fill the journal.
+const MIN_QUIET_S: usize = 10;
 
 impl Port {
-    /// Open, or why not; whether that is news.
-    pub fn opened(&mut self, closed: Option<String>) -> bool {
+    /// Sets whether the port is open, or why not. Returns whether this changed.
+    pub fn set_closed(&mut self, closed: Option<String>) -> bool {
         let news = self.closed != closed;
         self.closed = closed;
         self.trouble = None;
-        self.before.clear();
+        self.history.clear();
         news
     }
 
-    /// Once a second, what the port has carried; what of it is news.
-    pub fn counted(&mut self, line: LineStatus) -> Vec<PortUpdate> {
-        let mut news = self.clocks_that_began_anew(&line);
+    /// Takes the port's counts, once a second. Returns the changes to report.
+    pub fn update(&mut self, line: LineStatus) -> Vec<PortUpdate> {
+        let mut news = self.restarted_clocks(&line);
         let last = self.trouble.take();
-        let found = self.within(PATIENCE_S, &line).or_else(|| {
-            let lasting = self.within(SETTLED_S, &line)?;
+        let found = self.trouble_within(MIN_TROUBLE_S, &line).or_else(|| {
+            let lasting = self.trouble_within(MIN_QUIET_S, &line)?;
             last.as_ref().is_some_and(|last| lasting.is_like(&last.is)).then_some(lasting)
         });
-        if self.before.len() >= SETTLED_S {
-            self.before.pop_front();
+        if self.history.len() >= MIN_QUIET_S {
+            self.history.pop_front();
         }
-        self.before.push_back(line.counts.clone());
+        self.history.push_back(line.counts.clone());
         self.line = Some(line);
 
         self.trouble = found.map(|is| PortTrouble { cause: is.cause(), said: is.to_string(), is });
@@ -70,7 +72,8 @@ impl Port {
         news
     }
 
-    fn clocks_that_began_anew(&self, now: &LineStatus) -> Vec<PortUpdate> {
+    /// Reports the senders whose clock has restarted since the last counts.
+    fn restarted_clocks(&self, now: &LineStatus) -> Vec<PortUpdate> {
         let known = self.line.iter().flat_map(|line| &line.clocks);
         let began = known.filter_map(|before| {
             let now = now.clocks.iter().find(|now| (now.sender, now.base) == (before.sender, before.base))?;
@@ -84,23 +87,25 @@ impl Port {
         began.collect()
     }
 
-    /// Trouble of the last seconds, once there were enough of them.
-    fn within(&self, seconds: usize, now: &LineStatus) -> Option<Trouble> {
-        let enough = self.before.len() >= PATIENCE_S;
-        let at = self.before.len().saturating_sub(seconds);
-        let found = Trouble::since(self.before.get(at).filter(|_| enough)?, &now.counts)?;
-        // A device that starts anew counts its messages anew: what is missing once is no line that loses.
-        let counts: Vec<u64> = self.before.iter().map(|counts| counts.lost).chain([now.counts.lost]).collect();
+    /// Fault over the last `seconds`; `None` until `MIN_TROUBLE_S` seconds of counts are there.
+    fn trouble_within(&self, seconds: usize, now: &LineStatus) -> Option<Trouble> {
+        let enough = self.history.len() >= MIN_TROUBLE_S;
+        let at = self.history.len().saturating_sub(seconds);
+        let found = Trouble::since(self.history.get(at).filter(|_| enough)?, &now.counts)?;
+        // A device that restarts also restarts its message numbers, so one second with missing messages is no lossy line.
+        let counts: Vec<u64> = self.history.iter().map(|counts| counts.lost).chain([now.counts.lost]).collect();
         let seconds_with_losses = counts.windows(2).filter(|pair| pair[1] > pair[0]).count();
         let is_once = matches!(found, Trouble::Lost { .. }) && seconds_with_losses < 2;
         (!is_once).then_some(found)
     }
 
-    pub fn wrong(&self) -> Option<&str> {
+    /// The present fault in words, if there is one.
+    pub fn problem(&self) -> Option<&str> {
         self.closed.as_deref().or(self.trouble.as_ref().map(|trouble| trouble.said.as_str()))
     }
 }
 
+/// A change of a port that is logged and told.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PortUpdate {
     pub event: &'static str,
@@ -118,25 +123,25 @@ mod tests {
     }
 
     fn events(port: &mut Port, lines: impl IntoIterator<Item = LineStatus>) -> Vec<Option<&'static str>> {
-        lines.into_iter().map(|line| port.counted(line).pop().map(|news| news.event)).collect()
+        lines.into_iter().map(|line| port.update(line).pop().map(|news| news.event)).collect()
     }
 
     #[test]
-    fn a_device_that_falls_silent_is_told_once_and_told_when_it_speaks_again() {
+    fn silence_of_a_device_is_reported_once_and_so_is_its_end() {
         let mut port = Port::default();
-        assert!(!port.opened(None));
+        assert!(!port.set_closed(None));
         let spoke = (1..=5).map(|second| line(1_000 * second, 10 * second, 0));
         assert_eq!(events(&mut port, spoke), [None; 5]);
         assert_eq!(events(&mut port, vec![line(5_000, 50, 0); 5]), [None, None, Some("silent"), None, None]);
-        assert_eq!(port.wrong(), Some("silent"));
+        assert_eq!(port.problem(), Some("silent"));
         assert_eq!(events(&mut port, [line(6_000, 60, 0)]), [Some("recovered")]);
-        assert_eq!(port.wrong(), None);
-        assert!(port.opened(Some("gone".to_owned())) && !port.opened(Some("gone".to_owned())));
-        assert_eq!(port.wrong(), Some("gone"));
+        assert_eq!(port.problem(), None);
+        assert!(port.set_closed(Some("gone".to_owned())) && !port.set_closed(Some("gone".to_owned())));
+        assert_eq!(port.problem(), Some("gone"));
     }
 
     #[test]
-    fn a_line_that_loses_now_and_then_is_told_of_once() {
+    fn a_line_that_loses_now_and_then_is_reported_once() {
         let mut port = Port::default();
         let (mut frames, mut lost) = (0, 0);
         let lines: Vec<LineStatus> = (0..60)
@@ -154,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_starts_anew_is_told_of_as_that_and_not_as_losses() {
+    fn a_restarted_device_is_reported_as_that_and_not_as_losses() {
         use crate::devices::clock::{ClockStatus, Source};
         use crate::devices::mavlink::{Sender, TimeBase};
         use crate::devices::serial::SenderClock;
@@ -175,7 +180,7 @@ mod tests {
         for second in 1..30 {
             let (lost, restarts) = if second > 12 { (139, 1) } else { (0, 0) };
             let line = LineStatus { clocks: vec![clock(restarts)], ..line(5_000 * second, 100 * second, lost) };
-            told.extend(port.counted(line).into_iter().map(|news| news.event));
+            told.extend(port.update(line).into_iter().map(|news| news.event));
         }
         assert_eq!(told, ["clock_jump"]);
     }

@@ -1,4 +1,4 @@
-//! What a running agent does in a second, and how well: rates, time used, how many tags are valid.
+//! Rates, computing time and validity of the running recorder's frames.
 
 use std::collections::VecDeque;
 
@@ -8,7 +8,7 @@ use crate::recording::Counts;
 use crate::ros2::messages::FrameTag;
 use crate::tagging::durations::Durations;
 
-/// A second, by the counts.
+/// Rates over the last second, from the session's counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Rates {
     pub captured_hz: f64,
@@ -16,66 +16,68 @@ pub struct Rates {
     pub tagged_hz: f64,
 }
 
-/// Milliseconds from the decoded image to the tag.
+/// Time from the decoded image to the tag, milliseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct BudgetUse {
-    /// As configured; 0: none.
+    /// Configured budget; 0 without one.
     pub budget_ms: f64,
     pub p50_ms: f64,
     pub p99_ms: f64,
     pub max_ms: f64,
 }
 
-/// Of the last frames.
+/// Valid tags among the last `RECENT_FRAMES` frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Validity {
     pub frames: usize,
     pub valid: usize,
 }
 
-/// Of the last frames, as [`Validity`].
+/// Effort of the particle filter over the same frames as [`Validity`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct FilterUse {
-    /// On average.
+    /// Mean number of particles.
     pub particles: f64,
-    /// Share of the frames for which time was up before the filter was done.
+    /// Share of the frames whose time budget ended before the filter was done.
     pub capped: f64,
-    /// Of the particles of the last frame: standard deviation of their place.
+    /// Standard deviation of the particles' positions at the last frame, metres.
     pub spread_m: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Recent {
+struct RecentTag {
     valid: bool,
     capped: bool,
     particles: u32,
     spread_m: f64,
 }
 
+/// Accumulates what the status shows of rates, time and validity.
 #[derive(Debug, Default)]
 pub struct Meters {
-    read: Option<(i64, Counts)>,
+    last_counts: Option<(i64, Counts)>,
     rates: Rates,
     durations: Durations,
-    recent: VecDeque<Recent>,
+    recent: VecDeque<RecentTag>,
 }
 
-/// Frames that shares and means are of.
-const RECENT: usize = 100;
+/// Frames that shares and means are taken over.
+const RECENT_FRAMES: usize = 100;
 
 impl Meters {
-    pub fn tagged(&mut self, tag: &FrameTag) {
+    /// Takes a frame's tag.
+    pub fn note_tag(&mut self, tag: &FrameTag) {
         self.durations.note(tag.elapsed_ms);
         let FrameTag { valid, capped, particles, spread_m, .. } = *tag;
-        self.recent.push_back(Recent { valid, capped, particles, spread_m });
-        if self.recent.len() > RECENT {
+        self.recent.push_back(RecentTag { valid, capped, particles, spread_m });
+        if self.recent.len() > RECENT_FRAMES {
             self.recent.pop_front();
         }
     }
 
-    /// Once a second.
-    pub fn counted(&mut self, now_ns: i64, counts: &Counts) {
-        if let Some((then_ns, then)) = &self.read {
+    /// Takes the session's counts, once a second.
+    pub fn update_rates(&mut self, now_ns: i64, counts: &Counts) {
+        if let Some((then_ns, then)) = &self.last_counts {
             let seconds = now_ns.saturating_sub(*then_ns) as f64 * 1e-9;
             let rate =
                 |now: u64, then: u64| if seconds > 0.0 { now.saturating_sub(then) as f64 / seconds } else { 0.0 };
@@ -85,7 +87,7 @@ impl Meters {
                 tagged_hz: rate(counts.tagged, then.tagged),
             };
         }
-        self.read = Some((now_ns, counts.clone()));
+        self.last_counts = Some((now_ns, counts.clone()));
     }
 
     pub fn rates(&self) -> Rates {
@@ -116,19 +118,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rates_are_of_the_last_second_and_validity_of_the_last_hundred_frames() {
+    fn rates_cover_a_second_and_validity_a_hundred_frames() {
         let mut meters = Meters::default();
         let counts = |captured, written, tagged| Counts { captured, written, tagged, ..Counts::default() };
-        meters.counted(0, &counts(100, 90, 80));
-        meters.counted(2_000_000_000, &counts(160, 120, 100));
+        meters.update_rates(0, &counts(100, 90, 80));
+        meters.update_rates(2_000_000_000, &counts(160, 120, 100));
         assert_eq!(meters.rates(), Rates { captured_hz: 30.0, written_hz: 15.0, tagged_hz: 10.0 });
         // Another session counts from zero.
-        meters.counted(3_000_000_000, &counts(10, 5, 0));
+        meters.update_rates(3_000_000_000, &counts(10, 5, 0));
         assert_eq!(meters.rates(), Rates::default());
         for number in 0..150 {
             let (valid, particles, spread_m) = (number >= 100, 100 + number % 2, 0.01 * f64::from(number));
             let capped = number % 4 == 0;
-            meters.tagged(&FrameTag { valid, capped, particles, spread_m, elapsed_ms: 7.0, ..FrameTag::default() });
+            meters.note_tag(&FrameTag { valid, capped, particles, spread_m, elapsed_ms: 7.0, ..FrameTag::default() });
         }
         assert_eq!(meters.filter(), FilterUse { particles: 100.5, capped: 0.25, spread_m: 1.49 });
         assert_eq!(meters.validity(), Validity { frames: 100, valid: 50 });

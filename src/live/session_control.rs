@@ -1,9 +1,9 @@
-//! How a session begins and ends while the agent runs.
+//! Begin and end of a session while the recorder runs.
 
 use crossbeam_channel::bounded;
 use serde_json::{Value, json};
 
-use super::event_loop::Agent;
+use super::event_loop::LiveRecorder;
 use super::messages::{Messages, initial_pose, transforms};
 use super::notifications::Announced;
 use super::{RecordError, RecordOptions};
@@ -19,24 +19,24 @@ use crate::tagging::setup::{Setup, SetupError};
 use crate::tagging::warm_start::{InitialState, last_state};
 use crate::tagging::warnings::AttitudeSource;
 
-/// Tags between the pipeline and whoever wants poses.
+/// Tags that can wait between the pipeline and the event loop.
 const MAX_TAGS: usize = 256;
-/// A robot may be told to stand beside the carpet.
-const OFF_CARPET_M: f64 = 1.0;
+/// Distance beyond the carpet's edge that an announced pose may have, metres: a robot may start beside the carpet.
+const OFF_CARPET_TOLERANCE_M: f64 = 1.0;
 
-impl Agent<'_> {
-    /// A session begins: what does not change comes first.
-    pub(super) fn begin(&mut self, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
+impl LiveRecorder<'_> {
+    /// Begins a session, unless one is under way. Its first messages are the constant transforms and the calibration.
+    pub(super) fn begin_session(&mut self, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
         if self.session.is_some() {
             return Ok(());
         }
         let now_ns = self.now_ns();
         let (setup, constants) = setup(self.options, &self.lens, now_ns, self.heard)?;
         self.carpet_half_m = Some(setup.field.carpet_half_extent());
-        // A session after the first goes on from where that one ended: what was said of the start holds no more.
-        let is_first = !core::mem::replace(&mut self.has_begun, true);
+        // A session after the first goes on from where that one ended, so the pose announced for the start does not hold.
+        let is_first = !core::mem::replace(&mut self.had_session, true);
         if !is_first {
-            self.status.begin_anew();
+            self.status.begin_session();
         }
         let warm = match self.between.take() {
             Some(between) => Some(between.kept()),
@@ -68,43 +68,44 @@ impl Agent<'_> {
         self.log(transforms)?;
         self.log(info)?;
         if let Some(initial) = self.options.initial.as_ref().filter(|_| is_first) {
-            self.tell_place(initial)?;
+            self.log_initial_pose(initial)?;
         }
-        self.told = Announced::default();
+        self.announced = Announced::default();
         Ok(())
     }
 
-    /// Somebody says where the robot is, at any time after the first session has begun.
-    pub(super) fn place(&mut self, place: &Pose2) -> Result<Value, RecordError> {
+    /// Takes an announced pose at any time after the first session has begun, and returns the answer for its sender.
+    pub(super) fn take_announced_pose(&mut self, place: &Pose2) -> Result<Value, RecordError> {
         let Some(half) = self.carpet_half_m else {
             return Ok(json!({ "error": "no session has begun: the place is named with --initial" }));
         };
-        if place.x.abs() > half.x + OFF_CARPET_M || place.y.abs() > half.y + OFF_CARPET_M {
+        if place.x.abs() > half.x + OFF_CARPET_TOLERANCE_M || place.y.abs() > half.y + OFF_CARPET_TOLERANCE_M {
             let what = format!(
                 "{},{} is not on the field: its carpet reaches {:.2} m from the centre in x and {:.2} m in y",
                 place.x, place.y, half.x, half.y
             );
             return Ok(json!({ "error": what, "usage": true }));
         }
-        self.tell_place(place)?;
+        self.log_initial_pose(place)?;
         Ok(json!({ "place": [place.x, place.y, place.yaw.to_degrees()] }))
     }
 
-    fn tell_place(&mut self, place: &Pose2) -> Result<(), RecordError> {
+    /// Logs the announced pose as a message on the topic of initial poses.
+    fn log_initial_pose(&mut self, place: &Pose2) -> Result<(), RecordError> {
         let message = initial_pose(self.now_ns(), place, &self.names.frames);
         let message = self.messages.message(&self.names.topics.initial_pose.clone(), false, &message);
         self.log(message)
     }
 
-    /// The session becomes a whole capture, as far as the disk lets it: what it does not, `repair` does later.
-    pub(super) fn end(&mut self, say: &mut dyn FnMut(&str)) {
-        self.refresh();
+    /// Ends the session and completes its capture as far as the disk allows; `sessions repair` can do the rest later.
+    pub(super) fn end_session(&mut self, say: &mut dyn FnMut(&str)) {
+        self.refresh_status();
         self.status.state = "stopped";
         let Some(session) = self.session.take() else { return };
         let (recorded, ended, between) = session.pause();
         self.between = Some(between);
-        // Of frames that were still looked at.
-        self.pass_tags_on();
+        // Tags of frames that were still being looked at.
+        self.forward_tags();
         if let Some(Recorded { session, counts, recorder, warnings, .. }) = recorded {
             for warning in warnings {
                 say(&format!("warning: {warning}"));
@@ -125,7 +126,8 @@ impl Agent<'_> {
     }
 }
 
-/// As the prelude of a log that begins with these constants, which come along.
+/// Makes the setup that a replay would read from a log beginning with these constants (transforms, calibration); returns
+/// both.
 pub(super) fn setup(
     options: &RecordOptions,
     lens: &LensParameters,

@@ -1,4 +1,4 @@
-//! Answers to requests: the nearest images are found, decoded, kept in memory for the next request, and made into a view.
+//! Answers requests for views: selects images, decodes them, keeps them in memory, and makes a view of them.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use realitysim_views::{
 };
 use realitysim_vision::BodyMask;
 
-/// A database that is open. Can be shared between threads.
+/// An open database. It can be shared between threads.
 #[derive(Debug)]
 pub struct ImageDatabase {
     folder: PathBuf,
@@ -32,47 +32,52 @@ pub struct ImageDatabase {
     settings: ViewsSettings,
     field: Field,
     world: World,
-    /// One for each source, those of one lens the same.
+    /// The camera of each source; sources with the same lens share one.
     cameras: Vec<Arc<Camera>>,
-    /// By source: which pixels show the world.
+    /// For each source, whether each pixel shows the world.
     shows: Vec<Vec<bool>>,
     decoded: Mutex<Decoded>,
 }
 
-/// What is asked for.
+/// A request for a view.
 #[derive(Clone, Debug)]
 pub struct ViewQuery {
-    /// `camera_link` in `map`.
+    /// Pose of `camera_link` in `map`.
     pub map_from_link: Isometry,
+    /// How the view is made.
     pub method: Method,
-    /// Without it, that of the nearest image.
+    /// The camera of the view; without it, that of the nearest image.
     pub camera: Option<Arc<Camera>>,
+    /// Largest distance of the nearest image from the pose, metres.
     pub max_distance_m: f64,
-    /// Whether an image that was taken there is the answer as it is; not if a scene is put upon it.
+    /// Whether an image taken at this pose may be the answer unchanged. It may not if a scene is drawn over the view.
     pub may_be_stored: bool,
-    /// Records that are not to be used: for leaving one out.
+    /// Numbers of records that are not used, for leaving an image out.
     pub without: Vec<usize>,
 }
 
-/// A view and where it came from.
+/// A view, and how it was made.
 #[derive(Clone, Debug)]
 pub struct ViewResult {
+    /// The view.
     pub answer: SynthesizedView,
-    /// The picture's.
+    /// The camera of the view's picture.
     pub camera: Arc<Camera>,
-    /// The stored image as it was recorded, if that is the answer and it is a JPEG or PNG.
+    /// The bytes of the stored image, if that is the answer and it is a JPEG or PNG.
     pub stored: Option<Vec<u8>>,
-    /// Images that should have been used and could not be read; the next ones took their place.
+    /// Files of images that were selected but could not be read, with the reason. Other images took their place.
     pub unreadable: Vec<String>,
 }
 
-/// Pixels at the edge of the lens's circle that a codec and the lens itself have mixed with black.
+/// Width of the band at the edge of the lens's circle that lens and codec have mixed with black, pixels.
 const RIM_PX: usize = 3;
-/// Images that cannot be read are passed over, but not for ever.
+/// Most unreadable images that are passed over for one view.
 const MAX_UNREADABLE: usize = 32;
 
 impl ImageDatabase {
-    /// Who changes the database takes away what nothing needs any more: whoever has read the catalogue just before reads it again.
+    /// Opens the database in a folder.
+    ///
+    /// A concurrent change removes files that the new catalogue does not name; then the catalogue is read again.
     pub fn open(folder: &Path, settings: &ViewsSettings) -> Result<Self, DatabaseError> {
         for _ in 0..MAX_TRIES {
             let (catalogue, index) = Catalogue::with_index(folder)?;
@@ -112,7 +117,7 @@ impl ImageDatabase {
         Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, decoded })
     }
 
-    /// The same database as it is now, if it has been changed since this gallery was opened.
+    /// Opens the database again if it has been changed since this one was opened.
     pub fn reopened(&self) -> Result<Option<Self>, DatabaseError> {
         let now = Catalogue::read(&self.folder)?;
         if now.index == self.catalogue.index {
@@ -121,19 +126,22 @@ impl ImageDatabase {
         Self::open(&self.folder, &self.settings).map(Some)
     }
 
+    /// The index.
     pub fn index(&self) -> &Index {
         &self.index
     }
 
+    /// The field.
     pub fn field(&self) -> &Field {
         &self.field
     }
 
-    /// What stands where, for views.
+    /// The surfaces that views are made of: ground and, if images show them, goals.
     pub fn world(&self) -> &World {
         &self.world
     }
 
+    /// The catalogue.
     pub fn catalogue(&self) -> &Catalogue {
         &self.catalogue
     }
@@ -147,22 +155,24 @@ impl ImageDatabase {
         self.cameras.get(source as usize)
     }
 
-    /// Memory of decoded images.
+    /// Bytes of the decoded images in memory.
     pub fn decoded_bytes(&self) -> usize {
         self.decoded().bytes
     }
 
+    /// The distance between poses by which images are selected, with the weights of the settings.
     pub fn metric(&self) -> Metric {
         let ViewsSettings { metre_counts, direction_counts, roll_counts, .. } = self.settings;
         Metric { per_m: metre_counts, per_direction: direction_counts, per_roll: roll_counts }
     }
 
-    /// That of the nearest image.
+    /// The camera of the nearest image.
     pub fn nearest_camera(&self, map_from_link: &Isometry) -> Option<&Arc<Camera>> {
         let nearest = self.index.nearest(map_from_link, 1, &self.metric());
         self.camera(&self.index.record(nearest.first()?.number))
     }
 
+    /// Selects the images for a view, the nearest and best first.
     fn choose(&self, wanted: &ViewQuery, without: &Exclusions) -> Vec<Neighbour> {
         let pose = &wanted.map_from_link;
         let Some(camera) = wanted.camera.as_ref().or_else(|| self.nearest_camera(pose)) else { return Vec::new() };
@@ -170,6 +180,9 @@ impl ImageDatabase {
         choose(self, pose, &footprint, self.settings.sources, without)
     }
 
+    /// Answers a request. Images that cannot be read are replaced by others, up to a limit.
+    ///
+    /// Fails if the database is empty, the pose is impossible, or no view can be made of the images.
     pub fn view(&self, wanted: &ViewQuery) -> Result<ViewResult, DatabaseError> {
         if self.index.is_empty() {
             return Err(DatabaseError::Empty);
@@ -197,7 +210,7 @@ impl ImageDatabase {
                 let gone = |path: &Path| format!("{}: gone since it was indexed", path.display());
                 let known = self.catalogue.sources.get(source as usize);
                 let path = known.and_then(|source| source.file(file));
-                // All of what is away are, however many they are.
+                // If a whole source or file is gone, all of its images are excluded at once.
                 match (known.map(|source| &source.path).filter(|path| !path.exists()), path) {
                     (Some(away), _) => {
                         without.sources.push(source);
@@ -216,8 +229,8 @@ impl ImageDatabase {
         }
     }
 
-    /// The nearest image itself, if it was taken where the request is with the camera asked for. Nothing is decoded but
-    /// what is handed out.
+    /// The stored image itself as the answer, if one of the selected images was taken at the requested pose with the
+    /// requested camera. Only that image is decoded.
     fn stored(&self, wanted: &ViewQuery, chosen: &[Neighbour]) -> Result<Option<ViewResult>, DatabaseError> {
         for neighbour in chosen {
             let record = self.index.record(neighbour.number);
@@ -239,6 +252,7 @@ impl ImageDatabase {
         Ok(None)
     }
 
+    /// Makes a view of the images that could be read.
     fn make(
         &self,
         wanted: &ViewQuery,
@@ -263,7 +277,7 @@ impl ImageDatabase {
         };
         let answer = view(&self.request(wanted, &camera), &candidates)?;
         let camera = match (answer.made, nearest) {
-            // Unchanged, whatever was asked for.
+            // The nearest image is returned unchanged, so it keeps its own camera.
             (Provenance::Nearest, Some(own)) => Arc::clone(own),
             _ => camera,
         };
@@ -279,7 +293,7 @@ impl ImageDatabase {
             vignetting: self.darkening_of(camera.lens().parameters()),
             settings: ViewSettings {
                 sources: self.settings.sources,
-                // Nothing is as near as that.
+                // No image is as near as a negative distance.
                 stored_within_m: if wanted.may_be_stored { self.settings.stored_within_m } else { -1.0 },
                 stored_within_rad: self.settings.stored_within_deg.to_radians(),
                 max_distance_m: wanted.max_distance_m,
@@ -298,13 +312,13 @@ impl ImageDatabase {
         }
     }
 
-    /// As it was measured when the source was added.
+    /// The vignetting of a source, as it was measured when the source was added.
     fn darkening(&self, source: usize) -> Vignetting {
         let measured = self.catalogue.sources.get(source).and_then(|source| source.darkening);
         measured.map_or_else(Vignetting::default, |k| Vignetting { k })
     }
 
-    /// That of the first source with this lens, at whatever size; a lens that took no image darkens nothing.
+    /// The vignetting of a lens: that of the first source with the same lens at any image size, or none.
     fn darkening_of(&self, lens: &LensParameters) -> Vignetting {
         let size = [Some(lens.width), Some(lens.height)];
         let is_same = |source: &Source| source.lens.maps_as(lens) || source.lens.resized(size).maps_as(lens);
@@ -312,7 +326,7 @@ impl ImageDatabase {
         source.map_or_else(Vignetting::default, |source| self.darkening(source))
     }
 
-    /// An image, decoded; the error names its file.
+    /// The decoded image with this record number. The error names its file.
     pub fn image(&self, number: usize) -> Result<Arc<Pyramid>, String> {
         if let Some(image) = self.decoded().get(number) {
             return Ok(image);
@@ -338,14 +352,14 @@ impl ImageDatabase {
         Ok(Pyramid::new(raster))
     }
 
-    /// A thread that panicked while it held the images has left them whole: they are only put in and taken out.
+    /// Locks the decoded images. They are consistent even if a thread has panicked while it held the lock.
     fn decoded(&self) -> MutexGuard<'_, Decoded> {
         self.decoded.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Which pixels of a source's images show the world: those that the lens draws, that were ever lit, and that are not
-/// its robot's own body; the soft rim of the lens's circle left out.
+/// Whether each pixel of a source's images shows the world: the lens draws it, an image has ever lit it, and it is neither the
+/// robot's own body nor in the soft rim of the lens's circle.
 pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Result<Vec<bool>, DatabaseError> {
     let width = source.lens.width as usize;
     let shown = |masks: &[BodyMask]| -> Vec<bool> {
@@ -358,7 +372,7 @@ pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Resul
     Ok(lit.iter().zip(shown(&bodies)).map(|(lit, body)| *lit && body).collect())
 }
 
-/// Takes away what is within [`RIM_PX`] of a pixel that shows nothing; the image's border is no rim.
+/// Excludes the pixels within [`RIM_PX`] of a pixel that shows nothing. The border of the image is not a rim.
 pub(super) fn without_rim(shows: &[bool], width: usize) -> Vec<bool> {
     let height = shows.len() / width;
     let near = |at: usize, end: usize| at.saturating_sub(RIM_PX)..(at + RIM_PX + 1).min(end);
@@ -367,19 +381,21 @@ pub(super) fn without_rim(shows: &[bool], width: usize) -> Vec<bool> {
     (0..shows.len()).map(|i| near(i / width, height).all(|v| rows[v * width + i % width])).collect()
 }
 
-/// Decoded images, the longest unused ones given up first.
+/// A cache of decoded images, from which the least recently used ones are removed first.
 #[derive(Debug)]
 struct Decoded {
+    /// Time of the last use (a count of uses) and image, by record number.
     images: HashMap<usize, (u64, Arc<Pyramid>)>,
+    /// Record numbers by time of the last use.
     by_use: BTreeMap<u64, usize>,
     uses: u64,
     bytes: usize,
-    most_bytes: u64,
+    max_bytes: u64,
 }
 
 impl Decoded {
-    fn new(most_bytes: u64) -> Self {
-        Self { images: HashMap::new(), by_use: BTreeMap::new(), uses: 0, bytes: 0, most_bytes }
+    fn new(max_bytes: u64) -> Self {
+        Self { images: HashMap::new(), by_use: BTreeMap::new(), uses: 0, bytes: 0, max_bytes }
     }
 
     fn get(&mut self, number: usize) -> Option<Arc<Pyramid>> {
@@ -399,7 +415,7 @@ impl Decoded {
             self.bytes -= old.bytes();
         }
         self.by_use.insert(self.uses, number);
-        while self.bytes as u64 > self.most_bytes
+        while self.bytes as u64 > self.max_bytes
             && let Some((_, oldest)) = self.by_use.pop_first()
         {
             if let Some((_, image)) = self.images.remove(&oldest) {

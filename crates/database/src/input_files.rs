@@ -1,4 +1,4 @@
-//! What stands behind the names that are given to `db add`.
+//! Resolves the paths given to `db add` into sources.
 
 use std::path::{Path, PathBuf};
 
@@ -7,11 +7,13 @@ use super::error::{DatabaseError, io};
 use super::sources::is_source;
 use realitysim_recording::{DISK_FILE, STATE_FILE};
 
-/// What recorders keep beside their captures, and `captures/*` names too.
+/// Files that recorders keep beside their captures. The shell's `captures/*` includes them, so they are skipped.
 const BESIDE_CAPTURES: [&str; 2] = [STATE_FILE, DISK_FILE];
 
-/// Captures and folders of images, each once, none of them known: a folder of captures stands for those in it that the
-/// database does not have.
+/// The captures and folders of images to add, as absolute paths, each once.
+///
+/// A folder of captures stands for those in it that the database does not have. A capture or folder of images that the
+/// database has is an error.
 pub(super) fn sources_of(paths: &[PathBuf], known: Option<&Catalogue>) -> Result<Vec<PathBuf>, DatabaseError> {
     let mut found: Vec<PathBuf> = Vec::new();
     for path in paths {
@@ -35,7 +37,7 @@ pub(super) fn sources_of(paths: &[PathBuf], known: Option<&Catalogue>) -> Result
     Ok(found)
 }
 
-/// By name; none of a capture, a folder of images or a file.
+/// The sources directly in a folder, sorted by name; empty if the path itself is a source or a file.
 fn captures_in(path: &Path) -> Result<Vec<PathBuf>, DatabaseError> {
     if is_source(path) || !path.is_dir() {
         return Ok(Vec::new());

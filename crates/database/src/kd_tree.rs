@@ -1,57 +1,67 @@
-//! Nearest neighbours among poses: a balanced k-d tree over places and viewing directions, in the order of the records.
+//! Nearest neighbours among poses by a balanced k-d tree over positions and viewing directions.
 //!
-//! Leaves are runs of records, and a node's two halves meet at the middle leaf of its run, so that the tree is one
-//! array beside the records: nothing to load, and the weights of the metric are chosen when it is asked.
+//! The leaves are runs of records, and the two halves of a node meet at the middle leaf of its run. So the tree is one array
+//! of splits beside the records, and the weights of the metric can be chosen for each search.
 
 use glam::{DQuat, DVec3};
 
 use super::record::Record;
 use realitysim_geometry::Isometry;
 
-/// The distance between two poses: the root of the sum of the squares of the metres, of the chord between both viewing
-/// directions and of the twist about them in radians, each times its weight.
+/// A distance between two poses: the root of the sum of three squares, each term times its weight.
+///
+/// The terms are the distance of the positions, the chord between the viewing directions (unit vectors), and the twist about
+/// the viewing direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Metric {
+    /// Weight of a metre of distance.
     pub per_m: f64,
+    /// Weight of the chord between the viewing directions, which is 0 to 2.
     pub per_direction: f64,
+    /// Weight of a radian of twist about the viewing direction.
     pub per_roll: f64,
 }
 
-/// Where a node's run is cut in two.
+/// The split of a node's run into two halves.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Split {
-    /// 0 to 2: x, y, z of the place; 3 to 5: of the viewing direction.
+    /// The coordinate that is split: 0 to 2 are x, y, z of the position, 3 to 5 those of the viewing direction.
     pub(super) dimension: u32,
+    /// Value of the coordinate at which the second half begins.
     pub(super) value: f32,
 }
 
+/// Number of records in a leaf.
 pub(super) const LEAF: usize = 24;
 const DIMENSIONS: usize = 6;
 
-/// What the tree looks at.
+/// Position and viewing direction, the coordinates of the tree.
 pub(super) type Point = [f32; DIMENSIONS];
 
+/// The coordinates of a pose.
 pub(super) fn point(place: [f32; 3], rotation: [f32; 4]) -> Point {
     let [x, y, z, w] = rotation;
-    // The first column of the rotation matrix.
+    // The camera looks along x, so the viewing direction is the first column of the rotation matrix.
     let forward = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)];
     [place[0], place[1], place[2], forward[0], forward[1], forward[2]]
 }
 
+/// Number of leaves of a tree of this many records.
 pub(super) fn leaves(count: usize) -> usize {
     count.div_ceil(LEAF)
 }
 
-/// Puts the records into the tree's order; one split for each border between leaves, the first one unused.
+/// Brings the records into the tree's order and returns one split for each leaf; split i lies before leaf i, and the first
+/// one is unused.
 pub(super) fn build(records: &mut [Record]) -> Vec<Split> {
     let count = leaves(records.len());
     let mut splits = vec![Split::default(); count.max(1)];
-    cut(records, 0, count, &mut splits);
+    split_run(records, 0, count, &mut splits);
     splits
 }
 
-/// `records` are those of the leaves `first` to `end`.
-fn cut(records: &mut [Record], first: usize, end: usize, splits: &mut [Split]) {
+/// Splits the run of the leaves from `first` up to `end` recursively. `records` are the records of these leaves.
+fn split_run(records: &mut [Record], first: usize, end: usize, splits: &mut [Split]) {
     if end - first < 2 {
         return;
     }
@@ -62,10 +72,11 @@ fn cut(records: &mut [Record], first: usize, end: usize, splits: &mut [Split]) {
     let (_, pivot, _) = records.select_nth_unstable_by(at, |a, b| of(a).total_cmp(&of(b)));
     splits[middle] = Split { dimension: dimension as u32, value: of(pivot) };
     let (low, high) = records.split_at_mut(at);
-    cut(low, first, middle, splits);
-    cut(high, middle, end, splits);
+    split_run(low, first, middle, splits);
+    split_run(high, middle, end, splits);
 }
 
+/// The coordinate in which the records differ most.
 fn widest(records: &[Record]) -> usize {
     let (mut low, mut high) = ([f32::INFINITY; DIMENSIONS], [f32::NEG_INFINITY; DIMENSIONS]);
     for record in records {
@@ -79,14 +90,18 @@ fn widest(records: &[Record]) -> usize {
 
 /// A search for the nearest records.
 pub(super) struct Search<'a, F, G> {
+    /// Number of records.
     pub(super) count: usize,
+    /// Gives the split before a leaf.
     pub(super) split: F,
+    /// Gives the pose of a record.
     pub(super) pose: G,
     pub(super) metric: &'a Metric,
+    /// Number of neighbours to find.
     pub(super) wanted: usize,
 }
 
-/// Place and rotation of a record.
+/// Position (metres) and rotation (unit quaternion x, y, z, w) of a record.
 pub(super) type Pose = ([f32; 3], [f32; 4]);
 
 struct Query {
@@ -96,7 +111,7 @@ struct Query {
 }
 
 impl<F: Fn(usize) -> Split, G: Fn(usize) -> Pose> Search<'_, F, G> {
-    /// Squared distances and records, nearest first.
+    /// Squared distances and numbers of the nearest records, nearest first.
     pub(super) fn nearest(&self, pose: &Isometry) -> Vec<(f64, usize)> {
         let forward = pose.transform_vector(DVec3::X);
         let place = pose.translation;
@@ -113,7 +128,9 @@ impl<F: Fn(usize) -> Split, G: Fn(usize) -> Pose> Search<'_, F, G> {
         found
     }
 
-    /// `off` is how far the query lies outside of the run's box, squared and weighted, along each dimension.
+    /// Searches the run of the leaves from `first` up to `end`.
+    ///
+    /// `off` is the squared and weighted distance of the query from the run's box along each dimension.
     fn descend(
         &self,
         query: &Query,
@@ -139,6 +156,7 @@ impl<F: Fn(usize) -> Split, G: Fn(usize) -> Pose> Search<'_, F, G> {
         }
     }
 
+    /// Inserts a record into `found` if it is among the nearest so far.
     fn take(&self, query: &Query, index: usize, found: &mut Vec<(f64, usize)>) {
         let (place, rotation) = (self.pose)(index);
         let point = point(place, rotation);
@@ -166,13 +184,13 @@ impl<F: Fn(usize) -> Split, G: Fn(usize) -> Pose> Search<'_, F, G> {
     }
 }
 
-/// The part of a rotation that turns about the viewing direction (x), 0 to pi.
+/// The twist of a rotation about the viewing direction (x), radians, 0 to pi.
 fn twist(turn: DQuat) -> f64 {
     2.0 * libm::atan2(turn.x.abs(), turn.w.abs())
 }
 
 impl Metric {
-    /// The distance that the search goes by.
+    /// The distance between two poses.
     pub fn distance(&self, a: &Isometry, b: &Isometry) -> f64 {
         let metres = self.per_m * a.translation.distance(b.translation);
         let chord = self.per_direction * a.transform_vector(DVec3::X).distance(b.transform_vector(DVec3::X));
@@ -180,7 +198,7 @@ impl Metric {
         libm::sqrt(metres * metres + chord * chord + twist * twist)
     }
 
-    /// Whether the distance is at least this. Mostly place and viewing direction tell, which is quick.
+    /// Whether two poses are at least this distance apart. The positions alone usually decide, which is quick.
     pub fn is_apart(&self, a: &Isometry, b: &Isometry, distance: f64) -> bool {
         let square = distance * distance;
         let metres = self.per_m * self.per_m * a.translation.distance_squared(b.translation);

@@ -1,51 +1,56 @@
-//! Which pixels of a source's images are ever lit.
+//! Finds the pixels that are never lit in the images of a source.
 
-/// How many of its images light each pixel.
+/// Counts the images in which each pixel is lit.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct LitPixels {
-    by: Vec<u32>,
+    counts: Vec<u32>,
     images: u32,
 }
 
-/// Darker than this, or than this share of the picture's own brightness, a pixel is not lit; codecs and sensors make black noise
-/// of less than the last.
+/// Value (0 to 255) from which a pixel is lit in a bright picture.
 const DARK: f64 = 16.0;
+/// Share of the picture's brightness from which a pixel is lit in a dark picture.
 const DARK_SHARE: f64 = 0.17;
-const LEAST_DARK: f64 = 3.0;
-/// Of the images, so many may light a pixel where the lens draws nothing: the first one of some cameras is gray all over.
+/// Smallest value from which a pixel is lit; the noise of sensors and codecs in black is lower.
+const MIN_DARK: f64 = 3.0;
+/// One in this many images may light a pixel where the lens draws nothing. The first image of some cameras is gray all over.
 const FLASHES: u32 = 50;
 
 impl LitPixels {
+    /// Counts the lit pixels of a picture of interleaved R, G, B.
     pub(super) fn add(&mut self, rgb: &[u8]) {
-        self.by.resize(rgb.len() / 3, 0);
+        self.counts.resize(rgb.len() / 3, 0);
         let (triples, _) = rgb.as_chunks::<3>();
         let brightest = |[r, g, b]: &[u8; 3]| *r.max(g).max(b);
-        // Of bright pixels above all: how much is black says nothing of the light.
+        // The mean weighted by the values themselves, because the share of black pixels says nothing about the light.
         let (sum, squares) = triples.iter().map(brightest).fold((0u64, 0u64), |(sum, squares), light| {
             (sum + u64::from(light), squares + u64::from(light) * u64::from(light))
         });
         let light = squares as f64 / sum.max(1) as f64;
-        let dark = (DARK_SHARE * light).clamp(LEAST_DARK, DARK) as u8;
-        for (by, pixel) in self.by.iter_mut().zip(triples) {
-            *by += u32::from(brightest(pixel) >= dark);
+        let dark = (DARK_SHARE * light).clamp(MIN_DARK, DARK) as u8;
+        for (count, pixel) in self.counts.iter_mut().zip(triples) {
+            *count += u32::from(brightest(pixel) >= dark);
         }
         self.images += 1;
     }
 
+    /// Adds the counts of other pictures of the same size.
     pub(super) fn join(&mut self, other: &Self) {
-        self.by.resize(self.by.len().max(other.by.len()), 0);
-        self.by.iter_mut().zip(&other.by).for_each(|(by, more)| *by += more);
+        self.counts.resize(self.counts.len().max(other.counts.len()), 0);
+        self.counts.iter_mut().zip(&other.counts).for_each(|(count, more)| *count += more);
         self.images += other.images;
     }
 
-    /// Black where it is always dark from the border of the image inwards, white elsewhere; `None` if that is everywhere or
-    /// nowhere. What is dark within the picture, in a few images of a bag say, is part of the world.
+    /// A mask that is black where the images are always dark from the border inwards, and white elsewhere.
+    ///
+    /// `None` if that is everywhere or nowhere. Dark pixels within the picture are part of the world, such as a bag in a
+    /// source of a few images.
     pub(super) fn mask(&self, width: usize) -> Option<Vec<u8>> {
-        let (count, width) = (self.by.len(), width.max(1));
+        let (count, width) = (self.counts.len(), width.max(1));
         let mut mask = vec![255; count];
         let is_border =
             |at: &usize| at.is_multiple_of(width) || at % width == width - 1 || *at < width || at + width >= count;
-        let is_dark = |at: usize| self.by[at] <= self.images / FLASHES;
+        let is_dark = |at: usize| self.counts[at] <= self.images / FLASHES;
         let mut found: Vec<usize> = (0..count).filter(is_border).collect();
         while let Some(at) = found.pop() {
             if mask[at] == 255 && is_dark(at) {

@@ -1,4 +1,4 @@
-//! Which images a view is made from: near, good, and such that together they show all of it.
+//! Selects the images that a view is made of: near, good, and together showing as much of the view as possible.
 
 use core::cmp::Ordering;
 
@@ -11,49 +11,55 @@ use super::record::Record;
 use realitysim_geometry::{Euler, Isometry};
 use realitysim_views::{CoverageMask, PlaceMask};
 
-/// Neighbours looked at for each image that is used.
-const LOOKED_AT: usize = 8;
-/// And for each that look to where those show nothing: half the way there, and straight at it.
-const LOOKED_AT_ASIDE: usize = 3;
-const TURNS: [f64; 2] = [0.5, 1.0];
-/// The images of a walk lie densely: of those that look there, one farther off is worth more than near ones that do not.
-const DIRECTION_COUNTS_ASIDE: f64 = 4.0;
-/// As long as something is unseen, so often.
-const ASIDE: usize = 4;
-/// Where images show this share of the view, no others are looked for.
+/// Number of neighbours considered for each image that is wanted.
+const CANDIDATES: usize = 8;
+/// Number of neighbours considered for each image that is wanted when images of an unseen part are searched.
+const ASIDE_CANDIDATES: usize = 3;
+/// Directions of the search for an unseen part: shares of the turn from the view's direction to that part.
+const ASIDE_TURNS: [f64; 2] = [0.5, 1.0];
+/// Factor of the metric's weight of the direction in that search. The images of a walk lie densely, and a farther image that
+/// looks there is worth more than a near one that does not.
+const ASIDE_DIRECTION_WEIGHT: f64 = 4.0;
+/// Most searches for unseen parts.
+const ASIDE_SEARCHES: usize = 4;
+/// Share of the view from which no further images are searched.
 const ENOUGH: f64 = 0.97;
-/// An image is taken for what it adds from this share of the view on...
+/// Least share of the view that an image must add to be selected for it.
 const WORTHWHILE: f64 = 0.03;
-/// ...and rather than a farther one, if it adds this share of what that one does.
+/// Share of the largest addition from which a nearer image is preferred to the one that adds most.
 const NEARLY_AS_MUCH: f64 = 0.7;
-/// One nearer to another image than this share of its own distance shows little that the other does not.
+/// Least distance of an image from the selected ones, as a share of its distance from the view. A nearer one adds little.
 const APART: f64 = 0.5;
-/// Images nearer to each other than this share of their distance show the same: only the better one is asked what it shows.
+/// Distance between images, as a share of their distance from the view, below which both show the same. Then only the better
+/// one is examined.
 const ALIKE: f64 = 0.1;
-/// Of two images about as near, the better one is taken: how much nearer a worse one may seem, at most.
+/// Share by which the distance of the worst possible image is lengthened, so that the better of two equally near images is
+/// selected.
 const QUALITY: f64 = 0.25;
 
-/// The images that a view of this pose is made from, near and good ones first. `footprint` is of the view.
+/// The images that a view from `pose` is made of, near and good ones first.
+///
+/// `footprint` is the coverage mask of the view, `wanted` the number of images, `without` what is excluded.
 pub(super) fn choose(
-    gallery: &ImageDatabase,
+    database: &ImageDatabase,
     pose: &Isometry,
     footprint: &CoverageMask,
     wanted: usize,
     without: &Exclusions,
 ) -> Vec<Neighbour> {
-    let metric = gallery.metric();
-    let aside = Metric { per_direction: DIRECTION_COUNTS_ASIDE * metric.per_direction, ..metric };
-    let mut near = Near { gallery, pose, footprint, ranked: Vec::new(), different: Vec::new() };
-    near.look(without, pose, LOOKED_AT * wanted, &metric);
+    let metric = database.metric();
+    let aside = Metric { per_direction: ASIDE_DIRECTION_WEIGHT * metric.per_direction, ..metric };
+    let mut near = Near { database, pose, footprint, ranked: Vec::new(), different: Vec::new() };
+    near.look(without, pose, CANDIDATES * wanted, &metric);
     let mut choice = near.complete(wanted);
     let mut hopeless = PlaceMask::default();
-    for _ in 0..ASIDE {
+    for _ in 0..ASIDE_SEARCHES {
         if footprint.share(choice.shown.with(hopeless)) >= ENOUGH {
             break;
         }
         let Some((part, toward)) = footprint.unseen(pose, choice.shown.with(hopeless)) else { break };
-        for turn in TURNS {
-            near.look(without, &turned(pose, toward, turn), LOOKED_AT_ASIDE * wanted, &aside);
+        for turn in ASIDE_TURNS {
+            near.look(without, &turned(pose, toward, turn), ASIDE_CANDIDATES * wanted, &aside);
         }
         let better = near.complete(wanted);
         if footprint.share(better.shown) < footprint.share(choice.shown) + WORTHWHILE {
@@ -62,11 +68,11 @@ pub(super) fn choose(
             choice = better;
         }
     }
-    choice.images.sort_by(|a, b| a.seems_m.total_cmp(&b.seems_m));
+    choice.images.sort_by(|a, b| a.ranked_distance.total_cmp(&b.ranked_distance));
     choice.images.into_iter().map(|image| image.neighbour).collect()
 }
 
-/// As upright as before, this part of the way to looking along `toward`.
+/// The pose turned towards the direction `toward` by a share `part` of the way, with the same roll.
 fn turned(pose: &Isometry, toward: DVec3, part: f64) -> Isometry {
     let forward = pose.transform_vector(DVec3::X);
     let along = forward.lerp(toward, part).normalize_or(toward);
@@ -75,33 +81,45 @@ fn turned(pose: &Isometry, toward: DVec3, part: f64) -> Isometry {
     Isometry::from_euler(euler, pose.translation)
 }
 
+/// An image near the view.
 #[derive(Clone, Copy, Debug)]
 struct Image {
-    /// Its distance is from the view.
+    /// The record, with its distance from the view.
     neighbour: Neighbour,
     source: u32,
     pose: Isometry,
-    /// Its distance, longer for a worse image.
-    seems_m: f64,
+    /// The distance from the view, lengthened for a worse image.
+    ranked_distance: f64,
+    /// 0 for a good image, up to 1.
     badness: f64,
 }
 
-/// What is not to be used.
+/// Images that are not used.
 pub(super) struct Exclusions {
+    /// Numbers of records.
     pub(super) records: Vec<usize>,
+    /// Numbers of sources.
     pub(super) sources: Vec<u32>,
-    /// By source and number.
+    /// Pairs of source and file numbers.
     pub(super) files: Vec<(u32, u32)>,
 }
 
 impl Exclusions {
-    /// Asks for more until enough of them may be used.
-    fn nearest(&self, gallery: &ImageDatabase, pose: &Isometry, count: usize, by: &Metric) -> Vec<(Neighbour, Record)> {
+    /// The `count` nearest images that are not excluded, or fewer if there are no more.
+    ///
+    /// The index is asked for more and more neighbours until enough of them may be used.
+    fn nearest(
+        &self,
+        database: &ImageDatabase,
+        pose: &Isometry,
+        count: usize,
+        by: &Metric,
+    ) -> Vec<(Neighbour, Record)> {
         let mut asked = count + self.records.len();
         loop {
-            let near = gallery.index().nearest(pose, asked, by);
+            let near = database.index().nearest(pose, asked, by);
             let all = near.len() < asked;
-            let known = near.into_iter().map(|neighbour| (neighbour, gallery.index().record(neighbour.number)));
+            let known = near.into_iter().map(|neighbour| (neighbour, database.index().record(neighbour.number)));
             let usable = |(neighbour, record): &(Neighbour, Record)| {
                 !self.records.contains(&neighbour.number)
                     && !self.sources.contains(&record.source)
@@ -116,17 +134,18 @@ impl Exclusions {
     }
 }
 
-/// Images near a pose, and what they show of its view.
+/// Images near a view, and what they show of it.
 struct Near<'a> {
-    gallery: &'a ImageDatabase,
+    database: &'a ImageDatabase,
     pose: &'a Isometry,
     footprint: &'a CoverageMask,
-    /// Near and good ones first.
+    /// All images, near and good ones first.
     ranked: Vec<Image>,
-    /// Those among them that do not show the same as a better one.
+    /// The images that do not show the same as a better one, with the part of the view that they show.
     different: Vec<(Image, PlaceMask)>,
 }
 
+/// Selected images, and the part of the view that they show together.
 #[derive(Default)]
 struct Choice {
     images: Vec<Image>,
@@ -134,24 +153,24 @@ struct Choice {
 }
 
 impl Near<'_> {
-    /// Adds the images nearest to a pose, which need not be the one that the view is of.
+    /// Adds the images nearest to a pose, which need not be the pose of the view.
     fn look(&mut self, without: &Exclusions, from: &Isometry, count: usize, by: &Metric) {
-        let metric = self.gallery.metric();
+        let metric = self.database.metric();
         let known = self.ranked.len();
-        for (neighbour, record) in without.nearest(self.gallery, from, count, by) {
+        for (neighbour, record) in without.nearest(self.database, from, count, by) {
             if self.ranked[..known].iter().any(|image| image.neighbour.number == neighbour.number) {
                 continue;
             }
             let pose = record.pose();
             let neighbour = Neighbour { distance: metric.distance(self.pose, &pose), ..neighbour };
             let badness = badness(&record);
-            let seems_m = neighbour.distance * (1.0 + QUALITY * badness);
-            self.ranked.push(Image { neighbour, source: record.source, pose, seems_m, badness });
+            let ranked_distance = neighbour.distance * (1.0 + QUALITY * badness);
+            self.ranked.push(Image { neighbour, source: record.source, pose, ranked_distance, badness });
         }
         self.ranked[known..].sort_by(Image::order);
         for image in &self.ranked[known..] {
             if is_apart(&metric, image, ALIKE, self.different.iter().map(|(image, _)| image))
-                && let Some(camera) = self.gallery.camera_of(image.source)
+                && let Some(camera) = self.database.camera_of(image.source)
             {
                 self.different.push((*image, self.footprint.seen_by(camera, &image.pose)));
             }
@@ -160,9 +179,10 @@ impl Near<'_> {
         self.different.sort_by(|a, b| Image::order(&a.0, &b.0));
     }
 
-    /// The first one, then those that add something, then those that are near and not all on one side.
+    /// Selects `wanted` images: the best one, then those that add to what is shown, then near ones apart from the others, and
+    /// last any near ones.
     fn complete(&self, wanted: usize) -> Choice {
-        let metric = self.gallery.metric();
+        let metric = self.database.metric();
         let footprint = self.footprint;
         let Some((first, mut shown)) = self.different.first().copied() else { return Choice::default() };
         let mut images = vec![first];
@@ -190,18 +210,18 @@ impl Near<'_> {
 }
 
 impl Image {
-    /// Near and good ones first.
+    /// Order in which near and good images come first.
     fn order(&self, other: &Self) -> Ordering {
-        self.seems_m.total_cmp(&other.seems_m).then(self.badness.total_cmp(&other.badness))
+        self.ranked_distance.total_cmp(&other.ranked_distance).then(self.badness.total_cmp(&other.badness))
     }
 }
 
-/// From all of them, by this share of its own distance.
+/// Whether an image is apart from all others by at least this share of its distance from the view.
 fn is_apart<'a>(metric: &Metric, image: &Image, share: f64, mut others: impl Iterator<Item = &'a Image>) -> bool {
     others.all(|other| metric.is_apart(&image.pose, &other.pose, share * image.neighbour.distance))
 }
 
-/// 0 for a good tag and a picture that is neither dark, nor blown out, nor blurred, up to 1.
+/// How bad an image is: 0 for an accurate tag and a picture that is neither dark nor overexposed nor blurred, up to 1.
 fn badness(record: &Record) -> f64 {
     let tag = (record.tag().position_m / 0.05).min(1.0);
     let light = match record.brightness {
@@ -227,7 +247,7 @@ mod tests {
         for worse in [of(0.02, 0.1, 120.0), of(0.001, 0.01, 120.0), of(0.001, 0.1, 10.0), of(0.001, 0.1, 250.0)] {
             assert!(worse > good + 0.1, "{worse} {good}");
         }
-        // What nobody knows is worse than what is known to be good.
+        // An unknown accuracy is worse than a good one.
         assert!(of(0.0, 0.1, 120.0) > good + 0.05);
     }
 }

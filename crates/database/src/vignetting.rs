@@ -1,4 +1,4 @@
-//! A source's lens, judged by its own images: how much it darkens towards the border.
+//! Measures how a source's lens darkens its images towards the border, from the images themselves.
 
 use std::path::Path;
 
@@ -13,25 +13,29 @@ use realitysim_views::{
     overlap,
 };
 
-/// Pairs of images that are compared.
-const MOST_PAIRS: usize = 24;
-/// Fewer images do not show what is the lens's and what the ground's.
-const FEWEST_IMAGES: usize = 8;
-/// Others that are looked at as partner of one image.
+/// Number of pairs of images that are compared.
+const PAIRS: usize = 24;
+/// Fewest images of a source. With fewer, the darkening of the lens cannot be told from the brightness of the ground.
+const MIN_IMAGES: usize = 8;
+/// Number of images considered as the partner of one image.
 const PARTNERS: usize = 400;
-/// The same ground lies at another radius when the camera has turned or gone on, and is still seen when neither is too much.
+/// Rotation between the images of a pair. The same ground must lie at another radius and still be in view.
 const BETWEEN_RAD: core::ops::RangeInclusive<f64> = 0.2..=1.4;
-const MOST_APART_M: f64 = 1.0;
+/// Distance below which the images of a pair must lie.
+const PAIR_DISTANCE_M: f64 = 1.0;
+/// Distance above which the images of a pair need not differ in rotation.
 const AHEAD_M: f64 = 0.35;
 
-/// `None` if nothing can be told. `records` are the source's, in the order of their files.
-pub(super) fn measured(
+/// The coefficients k1 to k3 of the source's vignetting, or `None` if they cannot be measured.
+///
+/// `records` are those of the source, in the order of their files.
+pub(super) fn measure(
     folder: &Path,
     source: &Source,
     records: &[Record],
     field: &FieldDimensions,
 ) -> Result<Option<[f64; 3]>, DatabaseError> {
-    if records.len() < FEWEST_IMAGES {
+    if records.len() < MIN_IMAGES {
         return Ok(None);
     }
     let lens = Lens::new(source.lens.clone())
@@ -65,22 +69,23 @@ pub(super) fn measured(
     Ok(darkening(&pairs).map(|vignetting| vignetting.k))
 }
 
-/// Images spread evenly over the source, each with one that shows its ground at other radii.
+/// Pairs of images: one of several spread evenly over the source, and one that shows the same ground at other radii.
 fn partners(records: &[Record]) -> Vec<(&Record, &Record)> {
     let count = records.len();
     let pair = |which: usize| {
-        let first = &records[(2 * which + 1) * count / (2 * MOST_PAIRS)];
+        let first = &records[(2 * which + 1) * count / (2 * PAIRS)];
         let pose = first.pose();
         let others = (0..PARTNERS.min(count)).map(|step| &records[step * count / PARTNERS.min(count)]);
         let wish = |other: &Record| {
             let place = other.pose();
             let (apart_m, turned) = (place.translation.distance(pose.translation), angle_between(&place, &pose));
             let differs = BETWEEN_RAD.contains(&turned) || apart_m > AHEAD_M;
-            // Half a radian and little way between is best.
-            (differs && apart_m < MOST_APART_M && turned < *BETWEEN_RAD.end()).then(|| apart_m + (turned - 0.6).abs())
+            // The best partner is turned by 0.6 rad and near.
+            (differs && apart_m < PAIR_DISTANCE_M && turned < *BETWEEN_RAD.end())
+                .then(|| apart_m + (turned - 0.6).abs())
         };
         let best = others.filter_map(|other| Some((wish(other)?, other))).min_by(|a, b| a.0.total_cmp(&b.0));
         best.map(|(_, second)| (first, second))
     };
-    (0..MOST_PAIRS.min(count)).filter_map(pair).collect()
+    (0..PAIRS.min(count)).filter_map(pair).collect()
 }

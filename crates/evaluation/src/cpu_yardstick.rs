@@ -1,16 +1,19 @@
-//! A fixed loop: what something takes in units of it holds on a slow machine and on a busy one.
+//! A fixed loop as the unit of processor time: a ratio to it is comparable between slow, fast and busy machines.
 
 use std::hint::black_box;
 
-/// What the loop takes on the machine of docs/scenes.md. Limits in people's files are in its milliseconds: never change it.
+/// Time of the calibration loop on the machine of docs/scenes.md, milliseconds.
+///
+/// Limits in files of users are in these milliseconds: the value must never change.
 pub const REFERENCE_MS: f64 = 2.5;
-/// Words of the loop's table: 256 KiB, of which a core's own caches hold some.
+/// Number of 32-bit words of the table: 256 KiB, part of which fits the caches of a core.
 const TABLE: usize = 1 << 16;
-/// Look-ups of one loop: a millisecond or two.
+/// Number of look-ups of one run, which takes one or two milliseconds.
 const LOOKUPS: usize = 1 << 19;
 
-/// Like the filter's kernel: look-ups at places that depend on each other, integer sums. Part of every figure that was
-/// ever stated: never change it.
+/// A loop that resembles the kernel of the filter: table look-ups that depend on each other, and integer sums.
+///
+/// All published ratios are in units of it: it must never change.
 pub(super) struct Calibration {
     table: Vec<u32>,
 }
@@ -21,6 +24,7 @@ impl Calibration {
         Self { table }
     }
 
+    /// Runs the loop once.
     pub(super) fn run(&self) {
         let mut place = 1u32;
         for _ in 0..LOOKUPS {

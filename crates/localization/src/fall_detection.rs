@@ -1,41 +1,49 @@
-//! Whether the robot stands, by how far its IMU says that the torso leans.
+//! Detects falls from the lean of the torso, which the IMU measures.
 //!
-//! Lines tell a fall late: on the way down, and on the floor, too few are in view to contradict anything.
+//! Lines reveal a fall late: on the way down, and on the floor, too few are in view to contradict a pose.
 
 use serde::{Deserialize, Serialize};
 
-/// What the leans so far say.
+/// Follows the robot through falls, frame by frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FallDetector {
     fall: Option<Fall>,
 }
 
+/// A fall that has not ended.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct Fall {
+    /// Time at which the torso first leant too far.
     began_ns: i64,
-    /// When the torso was last seen to lean too far to stand.
+    /// Time at which the torso last leant too far for a standing robot.
     leant_ns: i64,
 }
 
+/// Posture of the robot in one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FallState {
+    /// The robot stands.
     Stands,
+    /// The robot is falling, lies on the floor or is getting up.
     Fallen,
-    /// Stands again, and may have been moved meanwhile.
+    /// The robot stands again since this frame, and may have been moved meanwhile.
     HasRisen,
 }
 
-/// No gait leans the torso so far: beyond it a humanoid falls.
+/// Lean beyond which a humanoid falls: no gait leans the torso so far. Radians.
 const FALLING_RAD: f64 = 0.52;
-/// Who has got up leans less than this for so long.
+/// Lean below which a fallen robot is upright again, radians.
 const UPRIGHT_RAD: f64 = 0.35;
+/// Time for which a fallen robot must be upright until it counts as standing, nanoseconds.
 const UPRIGHT_NS: i64 = 500_000_000;
-/// A torso that seemed to lean for no longer than this has not moved the robot.
+/// A lean that lasts no longer than this is a measurement error: it has not moved the robot. Nanoseconds.
 const BLINK_NS: i64 = 150_000_000;
 
 impl FallDetector {
-    /// `lean_rad`: between the torso's axis and the vertical; none where nothing measures it, which says nothing.
-    pub fn judge(&mut self, stamp_ns: i64, lean_rad: Option<f64>) -> FallState {
+    /// Takes the lean of one frame and returns the posture.
+    ///
+    /// `lean_rad` is the angle between the torso's axis and the vertical; `None`, where nothing measures it, changes nothing.
+    pub fn update(&mut self, stamp_ns: i64, lean_rad: Option<f64>) -> FallState {
         let Some(lean_rad) = lean_rad else {
             return if self.fall.is_some() { FallState::Fallen } else { FallState::Stands };
         };
@@ -49,7 +57,7 @@ impl FallDetector {
         if lean_rad > UPRIGHT_RAD {
             fall.leant_ns = stamp_ns;
         }
-        // A clock that was set back must not keep the robot down.
+        // Negative where the clock was set back, which must not prolong the fall.
         let upright_ns = stamp_ns.saturating_sub(fall.leant_ns);
         if (0..UPRIGHT_NS).contains(&upright_ns) {
             return FallState::Fallen;
@@ -67,11 +75,11 @@ mod tests {
     fn judged(leans_deg: &[(usize, f64)]) -> Vec<FallState> {
         let mut posture = FallDetector::default();
         let leans = leans_deg.iter().flat_map(|(frames, lean)| std::iter::repeat_n(*lean, *frames));
-        leans.enumerate().map(|(at, lean)| posture.judge(at as i64 * 100_000_000, Some(lean.to_radians()))).collect()
+        leans.enumerate().map(|(at, lean)| posture.update(at as i64 * 100_000_000, Some(lean.to_radians()))).collect()
     }
 
     #[test]
-    fn who_walks_stands_and_who_leans_on_his_way_up_does_not_yet() {
+    fn a_walking_robot_stands_and_one_that_is_getting_up_does_not_yet() {
         assert!(judged(&[(5, 3.0), (5, 18.0), (5, 25.0)]).iter().all(|stand| *stand == FallState::Stands));
         let fall = judged(&[(5, 3.0), (2, 45.0), (9, 90.0), (3, 25.0), (9, 5.0)]);
         assert!(fall[..5].iter().all(|stand| *stand == FallState::Stands));
@@ -81,17 +89,17 @@ mod tests {
     }
 
     #[test]
-    fn a_blink_is_no_fall() {
+    fn a_lean_of_one_frame_is_no_fall() {
         let blink = judged(&[(5, 3.0), (1, 60.0), (9, 3.0)]);
         assert!(!blink.contains(&FallState::HasRisen) && blink[14] == FallState::Stands, "{blink:?}");
     }
 
     #[test]
-    fn what_nothing_measures_says_nothing_and_a_clock_set_back_ends_it() {
+    fn a_missing_lean_changes_nothing_and_a_clock_set_back_ends_a_fall() {
         let mut posture = FallDetector::default();
-        assert_eq!(posture.judge(0, None), FallState::Stands);
-        posture.judge(5_000_000_000, Some(1.0));
-        assert_eq!(posture.judge(5_100_000_000, None), FallState::Fallen);
-        assert_ne!(posture.judge(1_000_000_000, Some(0.0)), FallState::Fallen);
+        assert_eq!(posture.update(0, None), FallState::Stands);
+        posture.update(5_000_000_000, Some(1.0));
+        assert_eq!(posture.update(5_100_000_000, None), FallState::Fallen);
+        assert_ne!(posture.update(1_000_000_000, Some(0.0)), FallState::Fallen);
     }
 }

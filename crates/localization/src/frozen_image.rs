@@ -1,19 +1,24 @@
-//! A camera that repeats its last picture, with new stamps, while the robot moves.
+//! Detects a camera that repeats its last picture, with new stamps, while the robot moves.
 
 use serde::{Deserialize, Serialize};
 
 use super::localizer::{FrameSensors, SWAYS_RAD_PER_S};
 use realitysim_geometry::{Physical, Pose2, wrap_angle};
 
-/// The last picture that was another one than that before it, and how far the robot has moved since.
+/// Remembers the picture that the camera shows, and how far the robot has moved since it first came.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FrozenImageDetector {
+    /// Hash of the picture.
     fingerprint: Option<u64>,
-    /// Of the frame before.
+    /// Time of the previous frame.
     stamp_ns: i64,
+    /// Odometry of the previous frame.
     odometry: Option<Pose2>,
+    /// Distance walked since the picture first came.
     walked_m: f64,
+    /// Turn since the picture first came.
     turned_rad: f64,
+    /// Sum of the torso's roll and pitch, to and fro, since the picture first came.
     swayed_rad: f64,
 }
 
@@ -24,18 +29,22 @@ impl Physical for FrozenImageDetector {
     }
 }
 
-/// Less moves no line by as much as the camera's own noise changes the picture.
+/// Distance walked that must change the picture: less moves lines by less than the camera's noise changes the picture. Metres.
 const MOVED_M: f64 = 0.01;
+/// Turn that must change the picture, radians.
 const TURNED_RAD: f64 = 0.01;
+/// Sway of the torso that must change the picture, radians.
 const SWAYED_RAD: f64 = 0.02;
-/// Slower is a gyro's noise and bias, and a torso that stands.
+/// Slower turns may be noise and bias of the gyro while the robot stands, radians per second.
 const TURNS_RAD_PER_S: f64 = 0.05;
-/// Odometry that goes farther from one frame to the next has jumped.
+/// A longer step of odometry between two frames is a jump of its origin and not counted, metres.
 const LONGEST_STEP_M: f64 = 0.3;
 
 impl FrozenImageDetector {
-    /// Whether this picture cannot be of this moment.
-    pub fn judge(&mut self, moment: &FrameSensors, fingerprint: u64) -> bool {
+    /// Takes one frame and returns whether its picture is stale: the same as before although the robot has moved since.
+    ///
+    /// `fingerprint` is a hash of the picture.
+    pub fn detect_freeze(&mut self, moment: &FrameSensors, fingerprint: u64) -> bool {
         let before = core::mem::replace(&mut self.odometry, moment.odometry);
         let seconds =
             moment.stamp_ns.saturating_sub(core::mem::replace(&mut self.stamp_ns, moment.stamp_ns)) as f64 * 1e-9;
@@ -76,11 +85,11 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_comes_again_is_old_once_the_robot_has_moved() {
+    fn a_repeated_picture_is_stale_once_the_robot_has_moved() {
         for (step_m, turned_rad, swayed_rad) in [(0.004, 0.0, 0.0), (0.0, 0.004, 0.0), (0.0, 0.0, 0.008)] {
             let mut frozen = FrozenImageDetector::default();
             let mut judge = |frame: u32, picture| {
-                frozen.judge(&moment(frame, f64::from(frame) * step_m, turned_rad, swayed_rad), picture)
+                frozen.detect_freeze(&moment(frame, f64::from(frame) * step_m, turned_rad, swayed_rad), picture)
             };
             assert_eq!(
                 [judge(0, 1), judge(1, 2), judge(2, 2), judge(3, 2), judge(4, 2)],
@@ -91,10 +100,10 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_may_see_the_same_and_a_jump_of_odometry_is_no_walk() {
+    fn a_standing_robot_may_see_the_same_and_an_odometry_jump_is_no_walk() {
         let mut frozen = FrozenImageDetector::default();
-        assert!((0..1000).all(|frame| !frozen.judge(&moment(frame, 0.0, 3e-4, 1e-3), 7)));
-        assert!(!frozen.judge(&moment(1000, 100.0, 0.0, 0.0), 7));
-        assert!(!frozen.judge(&moment(1001, f64::NAN, f64::NAN, 0.0), 7));
+        assert!((0..1000).all(|frame| !frozen.detect_freeze(&moment(frame, 0.0, 3e-4, 1e-3), 7)));
+        assert!(!frozen.detect_freeze(&moment(1000, 100.0, 0.0, 0.0), 7));
+        assert!(!frozen.detect_freeze(&moment(1001, f64::NAN, f64::NAN, 0.0), 7));
     }
 }

@@ -1,5 +1,7 @@
-//! Where on the whole field could this frame have been taken? From coarse to fine: a grid of poses on a table in which
-//! every line is widened to the grid's step, then the best of them on the table itself.
+//! Search of the whole field for poses that explain a frame.
+//!
+//! The search goes from coarse to fine. A grid of poses is weighed on a ground table in which every line is widened to the grid's
+//! step; from the best of them it climbs to local maxima of the table itself.
 
 use core::f64::consts::TAU;
 
@@ -11,33 +13,36 @@ use super::observation::Observation;
 use realitysim_geometry::{Field, Physical, Pose2, wrap_angle};
 use realitysim_vision::GroundTable;
 
-/// A local best of the search.
+/// A pose that the search has found.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
+    /// Pose of `base_footprint` in `map`.
     pub pose: Pose2,
+    /// Log likelihood of the frame at this pose, up to a constant of the frame.
     pub log_likelihood: f64,
 }
 
-/// Looks for a robot on one field.
+/// Searches one field for a robot.
 #[derive(Clone, Debug)]
 pub struct GlobalSearch {
-    /// In an order in which any part of them covers the field evenly.
+    /// Positions of the grid, in an order in which any part of them covers the field evenly.
     places: Vec<[f64; 2]>,
-    /// Fewer line points: enough to tell where it is worth looking closer.
+    /// An observation model with fewer line points, which suffices to tell where a closer look is worthwhile.
     sparse: Observation,
+    /// The frame's ground table with widened lines.
     widened: GroundTable,
-    /// Line points in view of the poses at hand.
+    /// Line points in view of the poses that are weighed.
     near: Points,
 }
 
-/// A search that takes several frames.
+/// Progress of a search that takes several frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SearchState {
-    /// Places of the grid.
+    /// Number of positions of the grid that have been tried.
     tried: u32,
-    /// The best of these so far; once all places have been tried, the best that are apart.
+    /// The best poses so far; once all positions have been tried, the best that are distinct.
     found: Vec<Candidate>,
-    /// Of these, how many have been climbed from; `None` before all places have been tried.
+    /// Number of `found` poses that have been climbed from; `None` before all positions have been tried.
     climbed: Option<u32>,
 }
 
@@ -47,86 +52,99 @@ impl Physical for SearchState {
     }
 }
 
-/// How much of a search is done in each frame, whatever the clock says.
+/// How much of a search is done in each frame at least, whatever the clock says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// The robot is lost: the whole grid within 15 frames.
+    /// The robot is lost: the whole grid is tried within 15 frames.
     Hurried,
-    /// A pose is believed: a fixed, small part in each frame, so that frames take little longer than without a search.
+    /// A pose is believed: a fixed, small part is tried in each frame, so that frames take little longer than without a search.
     Leisurely,
 }
 
 /// What a search is to find, and how fast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SearchRequest {
-    /// So many of the best poses.
+    /// Number of poses wanted, at most.
     pub candidates: usize,
+    /// How much is done in each frame.
     pub pace: Pace,
 }
 
 impl Pace {
-    fn fewest_places(self, of: usize) -> usize {
+    /// Positions to try in each frame at least, of a grid of `count`.
+    fn min_places(self, count: usize) -> usize {
         match self {
-            Self::Hurried => of.div_ceil(MOST_FRAMES),
+            Self::Hurried => count.div_ceil(GRID_FRAMES),
             Self::Leisurely => PLACES_AT_LEISURE,
         }
     }
 
-    fn fewest_climbed(self) -> usize {
+    /// Poses to climb from in each frame at least.
+    fn min_climbed(self) -> usize {
         match self {
-            Self::Hurried => FEWEST_CLIMBED,
+            Self::Hurried => MIN_CLIMBED,
             Self::Leisurely => CLIMBED_AT_LEISURE,
         }
     }
 }
 
 impl SearchState {
+    /// Whether a search has begun and not ended.
     pub fn is_under_way(&self) -> bool {
         self.tried > 0
     }
 
-    /// The robot has walked since the last frame.
-    pub fn carry_on(&mut self, walked: &Pose2) {
+    /// Moves the poses found so far by the robot's step since the last frame.
+    pub fn move_by(&mut self, walked: &Pose2) {
         for candidate in &mut self.found {
             candidate.pose = candidate.pose.compose(walked);
         }
     }
 }
 
-/// The grid. What half a step moves a line, [`WIDENED_M`] makes up for.
+/// Step of the grid in x and y, metres. [`WIDENED_M`] makes up for what half a step moves a line.
 const STEP_M: f64 = 0.15;
+/// Number of headings at each position of the grid.
 const TURNS: usize = 80;
-/// Neighbouring headings of which the line points in view are looked up together.
-const BESIDE: usize = 8;
+/// Neighbouring headings for which the line points in view are selected together.
+const HEADINGS_TOGETHER: usize = 8;
+/// Widening of every line on each side for the grid, metres.
 const WIDENED_M: f64 = 0.07;
-/// One in so many line points is looked at on the grid.
-const SPARSE: usize = 3;
-/// Whatever the clock says, the grid is done with after so many frames: 1.5 s at 10 Hz.
-const MOST_FRAMES: usize = 15;
-/// Places of the grid that are tried in a frame where nothing hurries: 6,000 poses.
+/// On the grid one in so many line points is used.
+const SPARSE_STEP: usize = 3;
+/// Number of frames within which a hurried search has tried the grid, whatever the clock says: 1.5 s at 10 Hz.
+const GRID_FRAMES: usize = 15;
+/// Positions of the grid that a leisurely search tries in a frame: 6,000 poses.
 const PLACES_AT_LEISURE: usize = 75;
-/// Poses of the grid that are kept, and of these, how many are climbed from.
-const CLOSER: usize = 600;
+/// Number of the best grid poses that are kept.
+const KEPT_ON_GRID: usize = 600;
+/// Number of distinct grid poses that are climbed from.
 const CLIMBED: usize = 60;
-/// Climbed from in one frame whatever the clock says.
-const FEWEST_CLIMBED: usize = 6;
+/// Number of poses that a hurried search climbs from in a frame, whatever the clock says.
+const MIN_CLIMBED: usize = 6;
+/// Number of poses that a leisurely search climbs from in a frame.
 const CLIMBED_AT_LEISURE: usize = 3;
-/// Candidates closer than this are one.
+/// Poses closer than this, and turned by less than [`SAME_RAD`], are the same candidate, metres.
 const SAME_M: f64 = 0.4;
+/// See [`SAME_M`]; radians.
 const SAME_RAD: f64 = 0.3;
-/// Steps of the fine grid around where the widened lines fit best, about as far as a line is wide, and how many of them to
-/// each side.
+/// Step of the fine grid around the best pose of the widened lines, metres: about the width of a line.
 const AROUND_M: f64 = 0.05;
+/// Step of the fine grid in yaw, radians.
 const AROUND_RAD: f64 = 0.02;
+/// Steps of the fine grid to each side in x and y.
 const AROUND_STEPS: i32 = 2;
+/// Steps of the fine grid to each side in yaw.
 const AROUND_TURNS: i32 = 5;
-/// Metres and radians of the first steps of climbing, and how often they are halved.
+/// First steps of climbing: metres and radians.
 const CLIMB: (f64, f64) = (0.05, 0.026);
+/// Number of step lengths that climbing uses, each half of the one before.
 const HALVINGS: usize = 8;
 
 impl GlobalSearch {
-    /// Over the carpet and `margin_m` around it. A field looks the same from both goals: each pose stands for its
-    /// mirror pose as well.
+    /// Makes a search over half of the carpet and `margin_m` around it.
+    ///
+    /// A field looks the same from both goals, so each pose stands for its mirror pose as well.
     pub fn new(field: &Field, margin_m: f64, observation: &Observation) -> Self {
         let half = field.carpet_half_extent();
         let steps = |half: f64| libm::ceil((half + margin_m) / STEP_M) as i32;
@@ -136,10 +154,15 @@ impl GlobalSearch {
             .collect();
         let stride = golden_stride(grid.len());
         let places = (0..grid.len()).map(|index| grid[index * stride % grid.len()]).collect();
-        Self { places, sparse: observation.sparse(SPARSE), widened: GroundTable::default(), near: Points::default() }
+        Self {
+            places,
+            sparse: observation.sparse(SPARSE_STEP),
+            widened: GroundTable::default(),
+            near: Points::default(),
+        }
     }
 
-    /// The best poses, best first. `None` if time is up before: then `state` knows where the next frame goes on.
+    /// Returns the best poses, best first, or `None` if time is up before: then the next frame goes on from `state`.
     pub fn run(
         &mut self,
         observation: &Observation,
@@ -155,66 +178,67 @@ impl GlobalSearch {
         }
         let SearchState { found, climbed, .. } = state;
         let climbed = climbed.get_or_insert(0);
-        // The best first.
+        // `found` is sorted, so the best poses come first.
         for (index, candidate) in found.iter_mut().skip(*climbed as usize).enumerate() {
-            if index >= pace.fewest_climbed() && !may_go_on(effort.weighed) {
+            if index >= pace.min_climbed() && !may_go_on(effort.weighed) {
                 effort.capped = true;
                 return None;
             }
             *climbed += 1;
-            // Half a step of the grid away from the right pose the table itself says little: only its widened lines do,
-            // and these not exactly.
+            // Half a step of the grid away from the right pose, the table itself has no gradient towards it; widened lines do,
+            // but their maximum is not exact.
             let points = &mut self.near;
             let near = climb(&self.sparse, &self.widened, *candidate, points, effort);
             let nearest = best_around(observation, table, &near.pose, points, effort);
             *candidate = climb(observation, table, nearest, points, effort);
         }
         let mut found = core::mem::take(state).found;
-        best_of(&mut found, CLIMBED);
-        Some(apart(&found, candidates))
+        keep_best(&mut found, CLIMBED);
+        Some(distinct(&found, candidates))
     }
 
-    /// Whether all places have been tried: then the best of them are left that are apart.
+    /// Tries positions of the grid until time is up. Returns whether all have been tried: then `state` holds the best distinct poses.
     fn try_grid(&mut self, pace: Pace, state: &mut SearchState, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
         let SearchState { tried, found, .. } = state;
-        let (mut done, least) = (0, pace.fewest_places(self.places.len()));
+        let (mut done, least) = (0, pace.min_places(self.places.len()));
         for [x, y] in self.places.get(*tried as usize..).unwrap_or_default() {
             let mut headings: [Candidate; TURNS] = core::array::from_fn(|turn| {
                 let pose = Pose2::new(*x, *y, wrap_angle(TAU * turn as f64 / TURNS as f64));
                 Candidate { pose, log_likelihood: 0.0 }
             });
-            for beside in headings.chunks_mut(BESIDE) {
-                let poses: [Pose2; BESIDE] = core::array::from_fn(|index| beside[index].pose);
+            for beside in headings.chunks_mut(HEADINGS_TOGETHER) {
+                let poses: [Pose2; HEADINGS_TOGETHER] = core::array::from_fn(|index| beside[index].pose);
                 self.sparse.look_near(&self.widened, &poses, &mut self.near);
                 for Candidate { pose, log_likelihood } in beside {
                     *log_likelihood = self.sparse.log_likelihood_near(&self.widened, pose, &self.near);
                 }
             }
-            found.extend(two_best(&headings));
+            found.extend(two_best_headings(&headings));
             effort.weighed += TURNS as u32;
             *tried += 1;
             done += 1;
             if done >= least && !may_go_on(effort.weighed) {
                 effort.capped = true;
-                best_of(found, CLOSER);
+                keep_best(found, KEPT_ON_GRID);
                 return false;
             }
         }
-        best_of(found, CLOSER);
-        *found = apart(found, CLIMBED);
+        keep_best(found, KEPT_ON_GRID);
+        *found = distinct(found, CLIMBED);
         true
     }
 }
 
 impl Candidate {
-    /// `near` are the points in view.
+    /// Weighs a pose. `near` are the line points in view.
     fn of(pose: Pose2, observation: &Observation, table: &GroundTable, near: &Points) -> Self {
         Self { pose, log_likelihood: observation.log_likelihood_near(table, &pose, near) }
     }
 }
 
-/// A step through `count` places that visits all of them and, at any time, has visited them evenly: about the golden
-/// section of their number, and without a divisor in common with it.
+/// A stride through `count` positions that visits all of them and, at any time, has visited them evenly.
+///
+/// It is about the golden section of `count` and coprime to it.
 fn golden_stride(count: usize) -> usize {
     const GOLDEN: f64 = 0.618_033_988_749_895;
     let coprime = |stride: &usize| {
@@ -228,8 +252,8 @@ fn golden_stride(count: usize) -> usize {
     (start..).find(coprime).unwrap_or(1)
 }
 
-/// Of the headings at one place, the best and the best of those that are no neighbours of it.
-fn two_best(headings: &[Candidate]) -> impl Iterator<Item = Candidate> {
+/// The best heading at one position, and the best of those farther than [`SAME_RAD`] from it.
+fn two_best_headings(headings: &[Candidate]) -> impl Iterator<Item = Candidate> {
     let better = |a: &Candidate, b: &Candidate| a.log_likelihood.total_cmp(&b.log_likelihood);
     let first = headings.iter().copied().max_by(better);
     let second = first.and_then(|first| {
@@ -239,13 +263,14 @@ fn two_best(headings: &[Candidate]) -> impl Iterator<Item = Candidate> {
     first.into_iter().chain(second)
 }
 
-fn best_of(candidates: &mut Vec<Candidate>, count: usize) {
+/// Sorts candidates, best first, and keeps the first `count`.
+fn keep_best(candidates: &mut Vec<Candidate>, count: usize) {
     candidates.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
     candidates.truncate(count);
 }
 
-/// Of candidates in their order, those that are no neighbours of one before them or of its mirror pose.
-fn apart(candidates: &[Candidate], count: usize) -> Vec<Candidate> {
+/// The first `count` candidates that are not close to one before them, or to its mirror pose.
+fn distinct(candidates: &[Candidate], count: usize) -> Vec<Candidate> {
     let mut kept: Vec<Candidate> = Vec::new();
     for candidate in candidates {
         let mirrored = candidate.pose.mirrored();
@@ -262,7 +287,7 @@ fn apart(candidates: &[Candidate], count: usize) -> Vec<Candidate> {
     kept
 }
 
-/// Of the poses of a fine grid around one. `near` is only room to work in.
+/// The best pose of a fine grid around `pose`. `near` is a buffer.
 fn best_around(
     observation: &Observation,
     table: &GroundTable,
@@ -289,7 +314,7 @@ fn best_around(
     best
 }
 
-/// Steps along each axis while that helps, then with half the step. `near` is only room to work in.
+/// Climbs from `start` to a local maximum: steps along each axis while that helps, then halves the step. `near` is a buffer.
 pub fn climb(
     observation: &Observation,
     table: &GroundTable,
@@ -297,12 +322,12 @@ pub fn climb(
     near: &mut Points,
     effort: &mut Effort,
 ) -> Candidate {
-    /// Rounds of one step length: enough to cross the distance between two points of the grid several times.
+    /// Rounds of one step length, enough to cross the distance between two points of the grid several times.
     const ROUNDS: u32 = 8;
     let mut best = start;
     let (mut step, mut turn) = CLIMB;
     for _ in 0..HALVINGS {
-        // A round may go one step along each axis.
+        // A round may go one step along each axis, so this is the farthest that one step length leads.
         let (reach_m, reach_rad) = (1.5 * f64::from(ROUNDS + 1) * step, f64::from(ROUNDS + 1) * turn);
         observation.look_around(table, &best.pose, reach_m, reach_rad, near);
         for _ in 0..ROUNDS {
@@ -337,12 +362,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn any_part_of_the_places_covers_the_field_and_the_whole_all_of_them() {
+    fn a_part_of_the_visits_covers_the_grid_evenly_and_all_cover_it_whole() {
         for count in [1, 2, 6, 7, 100, 840, 841] {
             let stride = golden_stride(count);
             let mut visited: Vec<usize> = (0..count).map(|index| index * stride % count).collect();
             if count > 50 {
-                // No gap in the first tenth is wider than four times the mean one.
+                // No gap between the first tenth of the visits is wider than four times their mean distance.
                 let mut first: Vec<usize> = visited[..count / 10].to_vec();
                 first.sort();
                 assert!(first.windows(2).all(|pair| pair[1] - pair[0] <= 40), "{count}");

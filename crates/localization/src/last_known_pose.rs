@@ -1,100 +1,111 @@
-//! Where the robot was when it last knew, carried on since: of two mirror poses it tells which is meant.
+//! The last pose that was known, moved on by odometry and gyro since then.
+//!
+//! The lines of a field do not tell its halves apart. This pose decides which of two mirror poses is meant.
 
 use serde::{Deserialize, Serialize};
 
 use realitysim_geometry::{Physical, Pose2, wrap_angle};
 
+/// The last known pose of `base_footprint` in `map`, carried on to the present.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LastKnownPose {
     pose: Pose2,
-    /// For how long neither a gyro nor lines have followed its turns, seconds: whoever fell, or was carried, may have been turned
-    /// round.
+    /// Time for which neither a gyro nor lines have followed the robot's turns, seconds. A robot that fell, or was carried, may have
+    /// been turned round in that time. Infinite when the pose has expired.
     unfollowed_s: f64,
-    /// It has lain on the floor since then.
+    /// Whether the robot has lain on the floor since then.
     has_fallen: bool,
-    /// How well it was known, standard deviation.
+    /// Standard deviation of an announced pose, metres; 0 for a pose that lines have confirmed.
     sigma_m: f64,
-    /// For how long nobody has counted anything, and why it may be farther off.
+    /// Time for which no odometry was heard, seconds.
     away_s: f64,
 }
 
-/// So far from where odometry and gyro have it a robot that keeps standing slips, ...
+/// Distance from where odometry and gyro have it that a robot may slip without falling, metres.
 const STUMBLES_M: f64 = 0.25;
+/// Turn from where odometry and gyro have it that a robot may slip without falling, radians.
 const STUMBLES_RAD: f64 = 0.2;
-/// ... and one that fell gets up.
+/// Distance by which a robot that fell may be off when it has got up, metres.
 const SLIPS_M: f64 = 0.6;
+/// Turn by which a robot that fell may be off when it has got up, radians.
 const SLIPS_RAD: f64 = 0.35;
-const TOLD_SIGMAS: f64 = 3.0;
-/// It takes longer to lift a robot, turn it round and put it down elsewhere: 1.5 s at least.
+/// Standard deviations of an announced pose within which the robot must be.
+const ANNOUNCED_SIGMAS: f64 = 3.0;
+/// Time without gyro or lines after which the robot may face the other way, seconds. To lift a robot, turn it round and put it down
+/// elsewhere takes 1.5 s at least.
 const LONGEST_UNFOLLOWED_S: f64 = 1.0;
-/// So fast it may have walked and turned in the meantime.
+/// Speed at which the robot may have walked while no odometry was heard, metres per second.
 const WALKS_M_PER_S: f64 = 0.4;
+/// Rate at which the robot may have turned while no odometry was heard, radians per second.
 const TURNS_RAD_PER_S: f64 = 0.25;
 
 impl Physical for LastKnownPose {
     fn is_possible(&self) -> bool {
         let Self { pose, unfollowed_s, has_fallen: _, sigma_m, away_s } = self;
-        // It may never have been followed: infinitely long.
+        // An infinite `unfollowed_s` is allowed: the pose has expired.
         pose.is_possible() && *unfollowed_s >= 0.0 && sigma_m.is_possible() && *away_s >= 0.0
     }
 }
 
 impl LastKnownPose {
-    /// By lines.
+    /// A pose that lines have confirmed.
     pub fn at(pose: Pose2) -> Self {
-        Self::told(pose, 0.0)
+        Self::announced(pose, 0.0)
     }
 
-    pub fn told(pose: Pose2, sigma_m: f64) -> Self {
+    /// A pose that somebody has announced, with its standard deviation in metres.
+    pub fn announced(pose: Pose2, sigma_m: f64) -> Self {
         Self { pose, unfollowed_s: 0.0, has_fallen: false, sigma_m, away_s: 0.0 }
     }
 
-    /// By the next step, of whose turn a gyro knows or not. Who has just been put down and told where is not carried before lines
-    /// have said anything.
-    pub fn carry_on(&mut self, step: &Pose2, seconds: f64, by_gyro: bool) {
+    /// Moves the pose by the robot's next step, which took `seconds`. `by_gyro`: a gyro has measured its turn.
+    ///
+    /// An announced pose needs no gyro: a robot that was just put down is not carried before lines have confirmed it.
+    pub fn move_by(&mut self, step: &Pose2, seconds: f64, by_gyro: bool) {
         self.pose = self.pose.compose(step);
         let is_followed = by_gyro || self.sigma_m > 0.0;
         self.unfollowed_s += if is_followed { 0.0 } else { seconds };
     }
 
-    /// Lines are where it leads.
-    pub fn is_seen(&mut self) {
+    /// Notes that lines have confirmed the pose: the robot has not been turned round.
+    pub fn confirm_by_lines(&mut self) {
         self.unfollowed_s = 0.0;
     }
 
-    /// It may have been carried to its mirror pose and nobody would know.
+    /// Whether the robot may have been carried to its mirror pose unnoticed.
     pub fn may_be_mirrored(&self) -> bool {
         self.unfollowed_s > LONGEST_UNFOLLOWED_S
     }
 
-    pub fn fell(&mut self) {
+    /// Notes that the robot has fallen.
+    pub fn note_fall(&mut self) {
         self.has_fallen = true;
     }
 
-    /// Nobody has counted its steps.
-    pub fn was_away(&mut self, seconds: f64) {
+    /// Notes that no odometry was heard for so many seconds.
+    pub fn note_absence(&mut self, seconds: f64) {
         self.away_s += seconds;
     }
 
-    /// Nobody has counted its steps for longer than that says anything.
-    pub fn is_past(&mut self) {
+    /// Marks the pose as expired: no odometry was heard for too long.
+    pub fn expire(&mut self) {
         self.unfollowed_s = f64::INFINITY;
     }
 
-    /// Whether a pose is farther from it than who told it can have meant.
+    /// Whether `pose` is farther away than slipping and the error of an announced pose explain.
     pub fn is_far_from(&self, pose: &Pose2) -> bool {
-        pose.distance(&self.pose) > SLIPS_M.max(TOLD_SIGMAS * self.sigma_m)
+        pose.distance(&self.pose) > SLIPS_M.max(ANNOUNCED_SIGMAS * self.sigma_m)
     }
 
-    /// The one of two mirror poses that is nearer.
-    pub fn nearer_of(&self, pose: Pose2) -> Pose2 {
+    /// `pose` or its mirror pose, whichever is nearer.
+    pub fn nearer_mirror(&self, pose: Pose2) -> Pose2 {
         let apart = |other: &Pose2| other.distance(&self.pose) + wrap_angle(other.yaw - self.pose.yaw).abs();
         let mirrored = pose.mirrored();
         if apart(&mirrored) < apart(&pose) { mirrored } else { pose }
     }
 
-    /// Whether a robot that is there has not been carried: then it is in the half of the field that it was in.
-    pub fn leads_to(&self, pose: &Pose2) -> bool {
+    /// Whether the robot can have come to `pose` by itself, so that it is still in the half of the field that it was in.
+    pub fn is_consistent_with(&self, pose: &Pose2) -> bool {
         let turned = wrap_angle(pose.yaw - self.pose.yaw).abs();
         let is_vague = self.has_fallen || self.away_s > 0.0 || self.sigma_m > 0.0;
         let (slips_m, slips_rad) = if is_vague { (SLIPS_M, SLIPS_RAD) } else { (STUMBLES_M, STUMBLES_RAD) };
@@ -109,69 +120,75 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_gets_up_where_it_fell_is_in_its_half_and_who_may_have_been_turned_or_carried_in_either() {
+    fn a_robot_that_rises_where_it_fell_is_in_its_half_unless_turned() {
         let at = Pose2::new(0.1, -0.2, 1.0);
         let fell = |by_gyro: bool| {
             let mut known = LastKnownPose::at(at);
-            known.carry_on(&Pose2::new(0.0, 0.0, 2.5), 1.5, by_gyro);
-            known.fell();
+            known.move_by(&Pose2::new(0.0, 0.0, 2.5), 1.5, by_gyro);
+            known.note_fall();
             known
         };
         let turned = Pose2 { yaw: wrap_angle(3.7), ..at };
-        assert!(fell(true).leads_to(&turned) && !fell(true).leads_to(&at), "a gyro has seen it turn");
-        assert!(!fell(false).leads_to(&turned), "nothing has");
-        assert!(!fell(true).leads_to(&Pose2 { x: 1.0, ..turned }), "carried");
-        assert_eq!(fell(true).nearer_of(turned.mirrored()), turned.mirrored().mirrored());
+        assert!(
+            fell(true).is_consistent_with(&turned) && !fell(true).is_consistent_with(&at),
+            "a gyro has seen it turn"
+        );
+        assert!(!fell(false).is_consistent_with(&turned), "nothing has");
+        assert!(!fell(true).is_consistent_with(&Pose2 { x: 1.0, ..turned }), "carried");
+        assert_eq!(fell(true).nearer_mirror(turned.mirrored()), turned.mirrored().mirrored());
     }
 
     #[test]
-    fn who_is_elsewhere_at_once_without_a_fall_may_be_in_either_half() {
+    fn a_robot_that_is_suddenly_elsewhere_may_be_in_either_half() {
         let known = LastKnownPose::at(Pose2::default());
-        assert!(known.leads_to(&Pose2::new(0.2, 0.1, 0.15)), "it stumbled");
+        assert!(known.is_consistent_with(&Pose2::new(0.2, 0.1, 0.15)), "it stumbled");
         for put in [Pose2::new(0.3, 0.2, 0.0), Pose2::new(0.1, 0.0, 0.3)] {
             let mut fallen = known;
-            fallen.fell();
-            assert!(!known.leads_to(&put) && fallen.leads_to(&put));
+            fallen.note_fall();
+            assert!(!known.is_consistent_with(&put) && fallen.is_consistent_with(&put));
         }
     }
 
     #[test]
-    fn whose_turns_neither_gyro_nor_lines_have_followed_for_a_second_may_be_in_either_half() {
+    fn a_second_of_unmeasured_turns_leaves_either_half_possible() {
         let walks = |known: &mut LastKnownPose, by_gyro: bool| {
-            (0..12).for_each(|_| known.carry_on(&Pose2::default(), 0.1, by_gyro));
+            (0..12).for_each(|_| known.move_by(&Pose2::default(), 0.1, by_gyro));
         };
         let mut known = LastKnownPose::at(Pose2::default());
         walks(&mut known, true);
-        assert!(!known.may_be_mirrored() && known.leads_to(&Pose2::default()));
+        assert!(!known.may_be_mirrored() && known.is_consistent_with(&Pose2::default()));
         walks(&mut known, false);
-        assert!(known.may_be_mirrored() && !known.leads_to(&Pose2::default()));
-        known.is_seen();
-        known.carry_on(&Pose2::default(), 0.9, false);
+        assert!(known.may_be_mirrored() && !known.is_consistent_with(&Pose2::default()));
+        known.confirm_by_lines();
+        known.move_by(&Pose2::default(), 0.9, false);
         assert!(!known.may_be_mirrored(), "lines have shown it in between");
     }
 
     #[test]
-    fn a_place_that_was_told_holds_without_a_gyro_until_lines_say_more() {
-        let mut known = LastKnownPose::told(Pose2::default(), 0.15);
-        known.carry_on(&Pose2::new(0.1, 0.0, 0.1), 3.0, false);
+    fn an_announced_pose_holds_without_a_gyro() {
+        let mut known = LastKnownPose::announced(Pose2::default(), 0.15);
+        known.move_by(&Pose2::new(0.1, 0.0, 0.1), 3.0, false);
         assert!(!known.may_be_mirrored());
-        assert!(known.leads_to(&Pose2::new(0.3, 0.1, 0.3)));
+        assert!(known.is_consistent_with(&Pose2::new(0.3, 0.1, 0.3)));
         assert!(!known.is_far_from(&Pose2::new(0.6, 0.2, 0.0)) && known.is_far_from(&Pose2::new(0.8, 0.0, 0.0)));
         assert!(
-            !LastKnownPose::told(Pose2::default(), 0.5).is_far_from(&Pose2::new(1.4, 0.0, 0.0)),
-            "it was told less well"
+            !LastKnownPose::announced(Pose2::default(), 0.5).is_far_from(&Pose2::new(1.4, 0.0, 0.0)),
+            "it was announced less exactly"
         );
     }
 
     #[test]
-    fn the_longer_nobody_counts_the_farther_it_may_be_and_never_the_other_way_round() {
+    fn time_without_odometry_widens_what_is_possible_but_never_to_the_mirror() {
         let mut known = LastKnownPose::at(Pose2::default());
-        known.was_away(3.0);
-        assert!(known.leads_to(&Pose2::new(1.2, 0.9, -0.7)));
-        assert!(!known.leads_to(&Pose2::new(2.0, 0.0, 0.0)));
-        known.was_away(1.0);
-        assert!(!known.leads_to(&Pose2::new(0.0, 0.0, 1.7)), "beyond a right angle the mirror pose is as near");
-        known.is_past();
-        assert!(!known.leads_to(&Pose2::default()));
+        known.note_absence(3.0);
+        assert!(known.is_consistent_with(&Pose2::new(1.2, 0.9, -0.7)));
+        assert!(!known.is_consistent_with(&Pose2::new(2.0, 0.0, 0.0)));
+        known.note_absence(1.0);
+        assert!(
+            !known.is_consistent_with(&Pose2::new(0.0, 0.0, 1.7)),
+            "beyond a right angle the mirror pose is as near"
+        );
+        known.expire();
+        assert!(!known.is_consistent_with(&Pose2::default()));
     }
 }

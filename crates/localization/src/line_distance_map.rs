@@ -1,61 +1,66 @@
-//! The other way round: of the line that a frame shows, how much is painted where the pose puts it?
+//! Of the lines that a frame shows, how much is painted where the pose puts them?
 //!
-//! The observation asks whether the field's lines are seen; on the wrong field, or in a place that only looks like the
-//! right one, many are, and beside them lines that the field does not have.
+//! This is the reverse of the observation model, which asks whether the field's lines are seen. On the wrong field, or at a pose that
+//! only looks like the right one, many are, but the frame also shows lines that the field does not have.
 
 use glam::{DVec2, DVec3};
 
 use realitysim_geometry::{Field, Isometry, Lens};
 use realitysim_vision::{GroundTable, Observations, Ridge, WorkingScale};
 
-/// Distance from any place of the carpet to the nearest painted line.
+/// A map of the carpet that holds the distance from each cell to the nearest painted line.
 #[derive(Clone, Debug)]
 pub struct LineDistanceMap {
-    /// Millimetres over ten, row by row from the corner of least x and y.
+    /// Distances to the nearest line's centre in centimetres, row by row from the corner of smallest x and y.
     distances: Vec<u8>,
     columns: usize,
+    /// Position of the first cell's centre in `map`.
     corner: DVec2,
     line_width_m: f64,
-    /// Axes of the goals' frames, from one end to the other.
+    /// Axes of the bars of the goals, from one end to the other, in `map`.
     goal_bars: Vec<[DVec3; 2]>,
     bar_diameter_m: f64,
 }
 
-/// Of the places that show a line clearly.
+/// How much of the clearly seen line a pose explains.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExplainedLines {
-    /// Square metres, each counted by its certainty.
+    /// Area of the floor that shows a line clearly, each part counted by its certainty, square metres.
     pub shown_m2: f64,
-    /// Share of these that lie on or beside a painted line, 0 to 1, as if a metre of line more had been explained: one
-    /// spot on the carpet says little where few lines are in view.
+    /// Share of that area which lies on or beside a painted line, 0 to 1.
+    ///
+    /// A metre of explained line is added to both, since one spot on the carpet says little where few lines are in view.
     pub share: f64,
 }
 
 impl Default for ExplainedLines {
-    /// Nothing is seen.
+    /// No line is seen.
     fn default() -> Self {
         Self { shown_m2: 0.0, share: 1.0 }
     }
 }
 
+/// Side of a cell, metres.
 const CELL_M: f64 = 0.04;
-/// Lines are looked for beyond the carpet's edge as well: there are none.
+/// The map covers this much beyond the carpet's edge, where there are no lines, metres.
 const MARGIN_M: f64 = 0.5;
-/// Farther is all the same.
+/// Larger distances are stored as this one, metres.
 const FARTHEST_M: f64 = 2.5;
+/// Stored units per metre.
 const PER_METRE: f64 = 100.0;
-/// A metre of line.
-const BELIEVED_M2: f64 = 0.05;
-/// A place shows a line as long as it lies so close to one: half the paint's width and its blur, ...
+/// Area that is taken as explained beforehand: a metre of line, square metres.
+const PRIOR_M2: f64 = 0.05;
+/// Distance from a line's centre within which it explains a place, in line widths: half the paint's width and its blur.
 const BESIDE_WIDTHS: f64 = 1.2;
-/// ... and what the rest of the pose's error does to far places: metres for each metre of distance.
+/// Addition to that distance for the remaining error of the pose, metres for each metre from the camera.
 const BESIDE_PER_M: f64 = 0.03;
-/// In a picture, pixels that blur and the pose's error move a line by.
+/// Addition to that distance in a picture, where blur and the error of the pose move a line, pixels.
 const BESIDE_PX: f64 = 1.5;
-/// Line in a picture, in pixels, that is as good as explained.
-const BELIEVED_PX: f64 = 10.0;
+/// Length of line in a picture that is taken as explained beforehand, pixels.
+const PRIOR_PX: f64 = 10.0;
 
 impl LineDistanceMap {
+    /// Computes the map of a field.
     pub fn new(field: &Field) -> Self {
         let corner = -field.carpet_half_extent() - DVec2::splat(MARGIN_M);
         let cells = |half: f64| libm::ceil(-2.0 * half / CELL_M) as usize + 1;
@@ -74,7 +79,7 @@ impl LineDistanceMap {
         Self { distances, columns, corner, line_width_m: field.line_width(), goal_bars, bar_diameter_m }
     }
 
-    /// Metres to the nearest line's centre, to 3 cm.
+    /// Distance to the nearest line's centre, to 3 cm, metres.
     fn distance(&self, at: DVec2) -> f64 {
         let (u, v) = ((at.x - self.corner.x) / CELL_M + 0.5, (at.y - self.corner.y) / CELL_M + 0.5);
         // NaN fails.
@@ -85,7 +90,9 @@ impl LineDistanceMap {
         self.distances.get(index).map_or(FARTHEST_M, |distance| f64::from(*distance) / PER_METRE)
     }
 
-    /// `lines` was made with the camera at `footprint_from_optical`, while its pose is `map_from_optical`.
+    /// How much of the line that the ground table `lines` shows is explained by the pose `map_from_optical`.
+    ///
+    /// `footprint_from_optical` is the camera's place that `lines` was made with.
     pub fn explained(
         &self,
         lines: &GroundTable,
@@ -98,12 +105,13 @@ impl LineDistanceMap {
             explained += if is_painted { weight } else { 0.0 };
         });
         let m2 = lines.clear_line_m2();
-        ExplainedLines { shown_m2: shown * m2, share: (explained * m2 + BELIEVED_M2) / (shown * m2 + BELIEVED_M2) }
+        ExplainedLines { shown_m2: shown * m2, share: (explained * m2 + PRIOR_M2) / (shown * m2 + PRIOR_M2) }
     }
 
-    /// Of the lines that a picture shows at any distance, the share that is painted where the pose `map_from_optical` puts them, each counted by its
-    /// length in the picture, as if 10 pixels more had been explained. What may be the frame of a goal is left out. The picture was taken through
-    /// `lens` at `footprint_from_optical`.
+    /// Share of the lines in a picture, at any distance, that are painted where the pose `map_from_optical` puts them.
+    ///
+    /// Each counts by its length in the picture, and 10 pixels of explained line are added. Lines that may be the frame of a goal are left
+    /// out. The picture was taken through `lens` at `footprint_from_optical`.
     pub fn explained_in_view(
         &self,
         seen: &Observations,
@@ -115,10 +123,11 @@ impl LineDistanceMap {
         self.share_of(&ridges, lens, seen.image.scale(), map_from_optical)
     }
 
+    /// [`Self::explained_in_view`] of given ridges.
     fn share_of(&self, ridges: &[Ridge], lens: &Lens, scale: WorkingScale, map_from_optical: &Isometry) -> f64 {
         let camera = map_from_optical.translation;
         let pixels_per_radian = lens.focal() * scale.factor();
-        let (mut shown, mut explained) = (BELIEVED_PX, BELIEVED_PX);
+        let (mut shown, mut explained) = (PRIOR_PX, PRIOR_PX);
         for Ridge { pixel, length_px } in ridges {
             let Some(ray) = lens.unproject(*pixel) else { continue };
             let ray = map_from_optical.transform_vector(ray);
@@ -128,7 +137,7 @@ impl LineDistanceMap {
             }
             let reach = -camera.z / ray.z;
             let ground = camera + ray * reach;
-            // A pixel is so long on the ground, along the view.
+            // Length of a pixel on the ground, along the line of sight.
             let slant = camera.distance(ground);
             let per_px = slant * slant / (camera.z.max(0.01) * pixels_per_radian);
             let beside = BESIDE_WIDTHS * self.line_width_m + BESIDE_PX * per_px;
@@ -142,14 +151,14 @@ impl LineDistanceMap {
         explained / shown
     }
 
-    /// Whether the way from the camera to the ground comes within a bar's radius and so many metres of a goal's frame.
+    /// Whether the ray from the camera to the ground passes a bar of a goal, to within its radius and `within_m` metres.
     fn may_be_goal(&self, camera: DVec3, ground: DVec3, within_m: f64) -> bool {
         let reach_m = self.bar_diameter_m / 2.0 + within_m;
         self.goal_bars.iter().any(|bar| distance_between([camera, ground], *bar) <= reach_m)
     }
 
-    /// Of each place that shows a line clearly: its ray from the camera, along the axes of `map`, how certain it is, and whether a
-    /// line is painted there.
+    /// Calls `visit` for each place that shows a line clearly: with its ray from the camera along the axes of `map`, its certainty from
+    /// 0 to 1, and whether a line is painted there.
     pub fn each_shown(
         &self,
         lines: &GroundTable,
@@ -162,7 +171,7 @@ impl LineDistanceMap {
         let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| map_from_table.transform_vector(axis));
         let seen_from = footprint_from_optical.translation;
         for (at, weight) in lines.clear_lines() {
-            // The ray through that place of the table, to where it meets the floor from the refined pose.
+            // The ray through that place of the table, which from the refined pose meets the floor at `ground`.
             let (dx, dy) = (at.x - seen_from.x, at.y - seen_from.y);
             let ray = x * dx + y * dy - z * seen_from.z;
             if ray.z >= 0.0 {
@@ -177,7 +186,7 @@ impl LineDistanceMap {
     }
 }
 
-/// What holds the goals' nets on the ground: a bar from each post to the back, and one along it.
+/// The bars that hold the goals' nets on the ground: one from each post to the back, and one along the back.
 fn ground_bars(field: &Field) -> Vec<[DVec3; 2]> {
     let dimensions = field.dimensions();
     let Some(goal) = dimensions.goal else { return Vec::new() };
@@ -194,7 +203,7 @@ fn distance_between([one_from, one_to]: [DVec3; 2], [other_from, other_to]: [DVe
     let (one, other, between) = (one_to - one_from, other_to - other_from, one_from - other_from);
     let (one_squared, other_squared) = (one.length_squared(), other.length_squared());
     let (along_one, along_other, both) = (one.dot(between), other.dot(between), one.dot(other));
-    // Places on both, 0 to 1. What has no length or is parallel is cut off by the clamps: NaN is at 0.
+    // Positions on both segments, 0 to 1. Segments without length or parallel ones divide by 0: the clamp takes NaN as 0.
     let clamped = |share: f64| if share >= 0.0 { share.min(1.0) } else { 0.0 };
     let on_one = (both * along_other - along_one * other_squared) / (one_squared * other_squared - both * both);
     let on_other = (both * clamped(on_one) + along_other) / other_squared;
@@ -225,7 +234,7 @@ mod tests {
             * Isometry::link_from_optical()
     }
 
-    /// What is seen from there of the lines within 4 m.
+    /// The lines within 4 m, as the camera sees them.
     fn seen_from(map_from_optical: &Isometry) -> Vec<Ridge> {
         let optical_from_map = map_from_optical.inverse();
         let near = |at: &DVec3| at.distance(map_from_optical.translation) < 4.0;
@@ -235,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn every_line_in_view_is_explained_by_the_right_pose_and_few_by_a_wrong_one() {
+    fn the_right_pose_explains_every_line_in_view_and_a_wrong_one_few() {
         let painted = LineDistanceMap::new(&field());
         let share = |ridges: &[Ridge], at| painted.share_of(ridges, &lens(), WorkingScale::new(1), &at);
         for (x, y, yaw) in [(0.5, 0.3, 0.2), (-2.0, 1.0, 2.5), (3.0, -1.5, 0.4)] {
@@ -250,11 +259,11 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_above_the_horizon_is_not_explained_and_nothing_seen_speaks_against_nothing() {
+    fn lines_above_the_horizon_are_unexplained_and_no_lines_are_no_evidence() {
         let painted = LineDistanceMap::new(&field());
         let share = |ridges: &[Ridge]| painted.share_of(ridges, &lens(), WorkingScale::new(1), &camera(0.0, 0.0, 0.0));
         assert_eq!(share(&[]), 1.0);
-        let sky = Ridge { pixel: DVec2::new(320.0, 10.0), length_px: BELIEVED_PX };
+        let sky = Ridge { pixel: DVec2::new(320.0, 10.0), length_px: PRIOR_PX };
         assert_eq!(share(&[sky]), 0.5);
         let outside = Ridge { pixel: DVec2::new(-5000.0, f64::NAN), ..sky };
         assert!(share(&[outside]).is_finite());
@@ -281,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_goal_s_bars_speak_for_and_against_nothing() {
+    fn the_bars_of_a_goal_are_left_out() {
         let field = Field::new(load_field("kid-2020").expect("shipped")).expect("checked");
         let painted = LineDistanceMap::new(&field);
         let goal = field.dimensions().goal.expect("kid-2020 has goals");

@@ -1,4 +1,4 @@
-//! Why a frame's pose is not to be used.
+//! Reasons for which a frame's pose is not to be used.
 
 use core::fmt;
 
@@ -21,7 +21,7 @@ pub enum Rejection {
     LinesDisagree,
     /// Lines are seen that the field does not have where the pose puts them.
     LinesUnexplained,
-    /// The torso leans as that of a robot which lies or falls.
+    /// The torso leans as that of a robot that lies or falls.
     Fallen,
     /// The lines put the camera higher, lower or more tilted than that of a standing robot.
     NotStanding,
@@ -50,6 +50,7 @@ pub enum Rejection {
 }
 
 impl Rejection {
+    /// All reasons.
     pub const ALL: [Self; 20] = [
         Self::PoseUnknown,
         Self::Unconfirmed,
@@ -73,7 +74,7 @@ impl Rejection {
         Self::NoTransform,
     ];
 
-    /// As it stands in `reason` of a tag.
+    /// The word that stands for this rejection in `reason` of a tag.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::PoseUnknown => "pose_unknown",
@@ -99,7 +100,7 @@ impl Rejection {
         }
     }
 
-    /// The rejection that a tag's `reason` names; `None` of a valid tag's, which is empty, and of one that another version wrote.
+    /// The rejection that a tag's `reason` names. `None` for a valid tag, whose reason is empty, and for a word of another version.
     pub fn from_reason(reason: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|rejection| rejection.as_str() == reason)
     }

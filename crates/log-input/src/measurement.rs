@@ -1,4 +1,4 @@
-//! What each message of a log means to the agent, by topic and type.
+//! Decodes a message of a log into a measurement, by its topic and type.
 
 use glam::{DQuat, DVec3};
 
@@ -15,76 +15,106 @@ use realitysim_ros2::messages::{
 /// A measurement, or a frame whose pixels stay in the message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Measurement {
+    /// An image of the camera, compressed or raw.
     Frame {
+        /// Time of the exposure, nanoseconds.
         stamp_ns: i64,
+        /// Coordinate frame of the camera, as the message names it.
         frame_id: String,
     },
+    /// The calibration of the camera's lens.
     CameraInfo(Box<CameraInfo>),
-    /// `map`-independent pose of `base_footprint` as the robot counts its steps.
+    /// Pose of `base_footprint` as the robot counts its steps; it knows nothing of `map`.
     Odometry {
+        /// Time of the measurement, nanoseconds.
         stamp_ns: i64,
+        /// Position in metres and heading in radians, in the coordinate frame `odom`.
         odom_from_footprint: Pose2,
     },
-    /// `orientation` of `frame_id` against gravity, if the sensor measures it.
+    /// A sample of the inertial measurement unit.
     Imu {
+        /// Time of the measurement, nanoseconds.
         stamp_ns: i64,
+        /// Coordinate frame of the sensor.
         frame_id: String,
+        /// Orientation of `frame_id` against gravity, if the sensor measures it.
         orientation: Option<DQuat>,
         /// Radians per second about the axes of `frame_id`, if the sensor measures it.
         turn_rate: Option<DVec3>,
     },
+    /// Angles of the head's joints.
     Joints {
+        /// Time of the measurement, nanoseconds.
         stamp_ns: i64,
+        /// Angle of the pan joint, radians, if the message has it.
         pan: Option<f64>,
+        /// Angle of the tilt joint, radians, if the message has it.
         tilt: Option<f64>,
     },
+    /// Transforms of `/tf` or `/tf_static`.
     Transforms {
+        /// Whether they came on `/tf_static` and hold for good.
         latched: bool,
+        /// The transforms, in the order of the message.
         transforms: Vec<StampedTransform>,
     },
+    /// A pose that somebody announces.
     InitialPose {
+        /// Time of the header, nanoseconds.
         stamp_ns: i64,
+        /// Position in metres and heading in radians, in the coordinate frame `map`.
         map_from_footprint: Pose2,
+        /// Standard deviations that the message states for the pose.
         deviations: StatedDeviations,
     },
-    /// No robot can have measured it: a number in it is not finite, or out of all range. Recorded, and counted.
+    /// A measurement that no robot can have made: a number in it is not finite, or out of all range. It is recorded and counted.
     Impossible,
-    /// Recorded, but nothing to the filter.
+    /// A message that is recorded, and that the filter does not use.
     Other,
 }
 
-/// What a message says of its own pose's standard deviations.
+/// The standard deviations that a message states for the pose in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StatedDeviations {
+    /// The message states none: its variances are zero.
     None,
-    /// Along the longer of x and y, and of the heading.
+    /// The message states these.
     Of {
+        /// Of the position, metres: the larger of those of x and y.
         xy_m: f64,
+        /// Of the heading, radians.
         yaw_rad: f64,
     },
     /// The numbers are no covariance: not finite, negative, not positive semi-definite, or wider than any field.
     Impossible,
 }
 
+/// One transform of `/tf` or `/tf_static`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StampedTransform {
+    /// Time at which it holds, nanoseconds.
     pub stamp_ns: i64,
+    /// Name of the parent coordinate frame, without a leading slash.
     pub parent: String,
+    /// Name of the child coordinate frame, without a leading slash.
     pub child: String,
+    /// Turns coordinates of `child` into those of `parent`, metres.
     pub parent_from_child: Isometry,
 }
 
-/// Whether a message is a camera's image: another type on the same topic is none.
+/// Returns whether messages of a channel are images of the camera: its topic is the camera's and its type is that of an image.
 pub fn is_frame(channel: &Channel, topics: &Topics) -> bool {
     channel.topic == topics.image && [CompressedImage::TYPE, Image::TYPE].contains(&channel.type_name.as_str())
 }
 
-/// Reads one message. An error means that its bytes are not what its type says; a frame is one as long as it says when
-/// it was exposed.
+/// Decodes one message. `head` names the head's joints.
+///
+/// An error means that the bytes of the message are not what its type says. A damaged image still is a frame as long as
+/// its stamp can be read.
 pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Result<Measurement, CdrError> {
     let topic = message.channel.topic.as_str();
     let data = message.data.as_slice();
-    // One topic may carry several types, of which one is meant. A log that names no types is believed.
+    // A topic may carry several types; only the expected one is read. Where a log names no types, the topic decides.
     let is = |wanted: &str, kind: &str| {
         topic == wanted && (message.channel.type_name == kind || message.channel.type_name.is_empty())
     };
@@ -128,8 +158,8 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
             .into_iter()
             .map(|t| StampedTransform {
                 stamp_ns: t.header.stamp.to_nanoseconds(),
-                parent: plain(t.header.frame_id),
-                child: plain(t.child_frame_id),
+                parent: strip_slash(t.header.frame_id),
+                child: strip_slash(t.child_frame_id),
                 parent_from_child: t.transform.into(),
             })
             .collect();
@@ -145,7 +175,7 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
         return Ok(Measurement::InitialPose {
             stamp_ns: initial.header.stamp.to_nanoseconds(),
             map_from_footprint: Pose2::from_isometry(&map_from_footprint),
-            deviations: StatedDeviations::of(&initial.pose.covariance),
+            deviations: StatedDeviations::from_covariance(&initial.pose.covariance),
         });
     }
     if is(&topics.camera_info, CameraInfo::TYPE) {
@@ -154,6 +184,7 @@ pub fn read(message: &LogMessage, topics: &Topics, head: &HeadSettings) -> Resul
     Ok(Measurement::Other)
 }
 
+/// Returns the header of an image message; of a damaged one only the stamp.
 fn frame_header(type_name: &str, data: &[u8]) -> Result<Header, CdrError> {
     let header = if type_name == Image::TYPE {
         ImageView::decode(data).map(|image| image.header)
@@ -163,25 +194,26 @@ fn frame_header(type_name: &str, data: &[u8]) -> Result<Header, CdrError> {
     header.or_else(|error| stamp_of_torn(data).map(|stamp| Header { stamp, ..Header::default() }).ok_or(error))
 }
 
-/// The stamp is the first thing in a frame, and often whole where the rest is not.
+/// Returns the stamp of an image message that is damaged further back: the stamp comes first and is often whole.
 fn stamp_of_torn(data: &[u8]) -> Option<Stamp> {
     let stamp = Stamp::read(&mut CdrReader::new(data).ok()?).ok()?;
-    // What is zero was never written.
+    // A stamp of zero was never written.
     (stamp.nanosec < 1_000_000_000 && stamp != Stamp::default()).then_some(stamp)
 }
 
-/// Wider than any field: a standard deviation of 100 m, and of 100 rad.
+/// Largest variance that is believed, m² or rad²: a standard deviation of 100 m or 100 rad is wider than any field.
 const MOST_VARIANCE: f64 = 1e4;
-/// By so much the square of a covariance may exceed the product of its variances: rounding.
-const ROUNDING: f64 = 1e-6;
+/// Share by which the square of a covariance may exceed the product of its variances because of rounding.
+const ROUNDING_SHARE: f64 = 1e-6;
 
 impl StatedDeviations {
-    /// Of the covariance of a ROS pose: x, y, z, and rotations about them, row by row. All zeros state nothing.
-    fn of(covariance: &[f64; 36]) -> Self {
+    /// Takes the standard deviations from the covariance of a ROS pose: 6 x 6, row by row, of x, y, z and the rotations
+    /// about them. Variances of zero state nothing.
+    fn from_covariance(covariance: &[f64; 36]) -> Self {
         let [xx, xy, yx, yy, yaw] = [0, 1, 6, 7, 35].map(|index| settled(covariance[index]));
         let variances = [xx, yy, yaw];
         let is_covariance = variances.iter().all(|variance| (0.0..=MOST_VARIANCE).contains(variance))
-            && [xy, yx].iter().all(|both| both * both <= xx * yy * (1.0 + ROUNDING));
+            && [xy, yx].iter().all(|both| both * both <= xx * yy * (1.0 + ROUNDING_SHARE));
         if !is_covariance {
             Self::Impossible
         } else if variances == [0.0; 3] {
@@ -192,7 +224,7 @@ impl StatedDeviations {
     }
 }
 
-/// ROS 1 names start with a slash; ROS 2's do not.
-fn plain(frame: String) -> String {
+/// Removes the slash that names of coordinate frames begin with in ROS 1, and not in ROS 2.
+fn strip_slash(frame: String) -> String {
     frame.strip_prefix('/').map(str::to_owned).unwrap_or(frame)
 }

@@ -1,4 +1,4 @@
-//! A scene in place of the hardware: its events as the messages that a robot would have logged.
+//! Renders a scene in place of the hardware: its events become the messages that a robot would have logged.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io::ErrorKind;
@@ -24,19 +24,39 @@ use realitysim_scene::{
     Drawn, Events, Renderer, START_STAMP_NS, Scene, SceneError, SceneEvent, SceneEventKind, SceneFile,
 };
 
+/// Why a scene cannot be read or rendered.
 #[derive(Debug, Error)]
 pub enum SceneSourceError {
+    /// The scene is not valid.
     #[error("{path}: {source}")]
-    Scene { path: String, source: SceneError },
+    Scene {
+        /// Name of the scene file.
+        path: String,
+        /// What is wrong with it.
+        source: SceneError,
+    },
+    /// The scene file cannot be read.
     #[error("{path}: {}", unreadable(source))]
-    Open { path: String, source: std::io::Error },
-    /// `place` is the file, and the line if it is known.
+    Open {
+        /// Name of the scene file.
+        path: String,
+        /// What the operating system says.
+        source: std::io::Error,
+    },
+    /// The field or lens that the scene names cannot be loaded.
     #[error("{place}: {source}")]
-    Config { place: String, source: realitysim_config::ConfigError },
+    Config {
+        /// The scene file, and the line if it is known.
+        place: String,
+        /// What is wrong with the field or lens.
+        source: realitysim_config::ConfigError,
+    },
+    /// A rendered image cannot be encoded.
     #[error(transparent)]
     Encode(#[from] EncodeError),
 }
 
+/// Says why a scene file cannot be read, in words for the person who named it.
 fn unreadable(error: &std::io::Error) -> String {
     match error.kind() {
         ErrorKind::IsADirectory => "it is a folder, and a scene is a file (replay/scenes has some)".to_owned(),
@@ -45,10 +65,10 @@ fn unreadable(error: &std::io::Error) -> String {
     }
 }
 
-/// A scene with hundreds of effects and events takes some ten KiB.
+/// Largest scene file, bytes. One with hundreds of effects and events takes some ten KiB.
 pub const MAX_SCENE_BYTES: u64 = 1 << 20;
 
-/// A scene file with the field and lens that it names.
+/// Loads a scene file with the field and lens that it names.
 pub fn load(path: impl AsRef<Path>) -> Result<Scene, SceneSourceError> {
     let path = path.as_ref();
     let name = path.display().to_string();
@@ -58,7 +78,7 @@ pub fn load(path: impl AsRef<Path>) -> Result<Scene, SceneSourceError> {
     }
 }
 
-/// The same from text; `name` is for messages, and where paths in it start.
+/// Builds a scene from the text of a scene file. `name` is the file's path: errors show it, and paths in the text start there.
 pub fn parse(text: &str, name: &str) -> Result<Scene, SceneSourceError> {
     let scene = |source| SceneSourceError::Scene { path: name.to_owned(), source };
     let mut file = SceneFile::from_toml(text).map_err(scene)?;
@@ -73,7 +93,7 @@ pub fn parse(text: &str, name: &str) -> Result<Scene, SceneSourceError> {
     Scene::build(file, field, lens.lens.parameters().clone()).map_err(scene)
 }
 
-/// All messages of a scene in time order, on the default topics; the truth among them.
+/// Iterator over all messages of a scene in the order of time, on the default topics, the ground truth included.
 pub struct SceneSource<'a> {
     scene: &'a Scene,
     renderer: Renderer,
@@ -85,6 +105,7 @@ pub struct SceneSource<'a> {
 }
 
 impl<'a> SceneSource<'a> {
+    /// Creates a source that begins with the constant messages: transforms, calibration, and what was drawn for the scene.
     pub fn new(scene: &'a Scene) -> Self {
         let topics = Topics::default();
         let mut source = Self {
@@ -101,24 +122,24 @@ impl<'a> SceneSource<'a> {
             source.message(&source.topics.camera_info.clone(), START_STAMP_NS, &camera_info(scene)),
         ];
         source.waiting.extend(constants);
-        source.tell_drawn(START_STAMP_NS, DRAWN_FOR_EPISODE, &scene.drawn());
+        source.push_drawn(START_STAMP_NS, DRAWN_FOR_EPISODE, &scene.drawn());
         source
     }
 
-    /// What the log of this scene would have on its topics, without rendering it.
+    /// Returns the topics that the log of this scene would have, with their types, without rendering it.
     pub fn topic_types(scene: &Scene) -> TopicTypes {
         let (topics, file) = (Topics::default(), scene.file());
         let mut types = TopicTypes::new();
-        let mut there = |topic: &str, kind: &str| types.entry(topic.to_owned()).or_default().insert(kind.to_owned());
-        there(&topics.tf_static, TFMessage::TYPE);
-        there(&topics.camera_info, CameraInfo::TYPE);
+        let mut add = |topic: &str, kind: &str| types.entry(topic.to_owned()).or_default().insert(kind.to_owned());
+        add(&topics.tf_static, TFMessage::TYPE);
+        add(&topics.camera_info, CameraInfo::TYPE);
         let image = match file.camera.jpeg_quality {
             Some(_) => (topics.image.as_str(), CompressedImage::TYPE),
             None => (RAW_TOPIC, Image::TYPE),
         };
         let senders = 1 + usize::from(file.odometry.is_some()) + usize::from(file.imu.is_some());
         let mut heard: BTreeSet<&str> = BTreeSet::new();
-        // What the wires lose may be the first messages, or all.
+        // Messages may be lost in the scene, the first ones or all of a sensor, so the events themselves are looked at.
         for event in scene.events() {
             let (topic, kind) = match event.kind {
                 SceneEventKind::InitialPose(_) => continue,
@@ -127,7 +148,7 @@ impl<'a> SceneSource<'a> {
                 SceneEventKind::Joints(_) => (topics.joints.as_str(), JointState::TYPE),
                 SceneEventKind::Frame { .. } => image,
             };
-            there(topic, kind);
+            add(topic, kind);
             heard.insert(topic);
             if heard.len() == senders + usize::from(scene.has_joints()) {
                 break;
@@ -136,8 +157,8 @@ impl<'a> SceneSource<'a> {
         types
     }
 
-    /// Of a scene that leaves nothing open there is no such message.
-    fn tell_drawn(&mut self, stamp_ns: i64, what_for: &str, drawn: &[Drawn]) {
+    /// Queues the message that says which values were drawn at random; none if the scene leaves nothing open.
+    fn push_drawn(&mut self, stamp_ns: i64, what_for: &str, drawn: &[Drawn]) {
         if drawn.is_empty() {
             return;
         }
@@ -153,6 +174,7 @@ impl<'a> SceneSource<'a> {
         self.waiting.push_back(message);
     }
 
+    /// Makes a message on a topic, whose channel is created at its first message.
     fn message<M: Message>(&mut self, topic: &str, stamp_ns: i64, message: &M) -> LogMessage {
         let next_id = self.channels.len() as u16 + 1;
         let constant = topic == self.topics.tf_static || topic == self.topics.camera_info;
@@ -165,7 +187,8 @@ impl<'a> SceneSource<'a> {
         LogMessage { channel, sequence: 0, log_time_ns: stamp_ns, publish_time_ns: stamp_ns, data }
     }
 
-    fn event(&mut self, event: SceneEvent) -> Result<(), SceneSourceError> {
+    /// Queues the messages of one event.
+    fn push_event(&mut self, event: SceneEvent) -> Result<(), SceneSourceError> {
         let stamp = event.stamp_ns;
         let header = |frame: &str| Header::at(stamp, frame);
         let topics = self.topics.clone();
@@ -209,7 +232,7 @@ impl<'a> SceneSource<'a> {
                 let truth = PoseStamped { header: header("map"), pose: Pose::from(map_from_camera_link) };
                 let truth = self.message(&topics.ground_truth, stamp, &truth);
                 self.waiting.push_back(truth);
-                self.tell_drawn(stamp, "drawn for this frame", &self.scene.drawn_for(index));
+                self.push_drawn(stamp, "drawn for this frame", &self.scene.drawn_for(index));
                 self.frame(index, stamp)?
             }
         };
@@ -220,6 +243,7 @@ impl<'a> SceneSource<'a> {
         Ok(())
     }
 
+    /// Renders a frame into its message, compressed or raw, cut short if the scene says that it is torn.
     fn frame(&mut self, index: u64, stamp_ns: i64) -> Result<LogMessage, SceneSourceError> {
         let mut pixels = std::mem::take(&mut self.pixels);
         self.renderer.render(index, &mut pixels);
@@ -250,10 +274,11 @@ impl<'a> SceneSource<'a> {
     }
 }
 
+/// Coordinate frame of the camera's images.
 const OPTICAL: &str = "camera_optical_frame";
-/// What the scene left open and was drawn: for the whole scene at its start, for a frame with the frame.
+/// Marks the message with the values that were drawn for the whole scene, at its start.
 const DRAWN_FOR_EPISODE: &str = "drawn for the episode";
-/// Where images go that were not compressed.
+/// Topic of images that are not compressed.
 const RAW_TOPIC: &str = "/camera/image_raw";
 
 impl Iterator for SceneSource<'_> {
@@ -264,21 +289,21 @@ impl Iterator for SceneSource<'_> {
             return Some(Ok(message));
         }
         let event = self.events.next()?;
-        match self.event(event) {
+        match self.push_event(event) {
             Ok(()) => self.waiting.pop_front().map(Ok),
             Err(error) => Some(Err(error)),
         }
     }
 }
 
-/// Whether a message of [`topics::SCENE_DRAWN`] holds for the whole scene.
+/// Returns whether a message of [`topics::SCENE_DRAWN`] holds for the whole scene, not for one frame.
 pub fn is_drawn_for_episode(message: &LogMessage) -> bool {
     message.channel.topic == topics::SCENE_DRAWN
         && DiagnosticArray::decode(&message.data)
             .is_ok_and(|told| told.status.iter().any(|status| status.message == DRAWN_FOR_EPISODE))
 }
 
-/// Anywhere behind the encapsulation's four bytes: a stamp, a name, a value.
+/// Flips one bit anywhere behind the four bytes of the encapsulation: in a stamp, a name or a value.
 fn flip_a_bit(data: &mut [u8], which: u64) {
     let bits = 8 * data.len().saturating_sub(4) as u64;
     if bits > 0 {
@@ -287,6 +312,7 @@ fn flip_a_bit(data: &mut [u8], which: u64) {
     }
 }
 
+/// Returns the constant transforms of the mount, as the scene announces them.
 fn transforms(scene: &Scene) -> TFMessage {
     let mount = scene.announced_mount();
     let step = |parent: &str, child: &str, parent_from_child: &Isometry| TransformStamped {
@@ -303,6 +329,7 @@ fn transforms(scene: &Scene) -> TFMessage {
     }
 }
 
+/// Returns the calibration of the lens, as the scene announces it.
 fn camera_info(scene: &Scene) -> CameraInfo {
     CameraInfo::of_lens(scene.announced_lens(), Header::at(START_STAMP_NS, OPTICAL))
 }

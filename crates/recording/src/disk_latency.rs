@@ -1,46 +1,53 @@
-//! How long the disk stands still at worst, as `doctor` measured it, and how much memory that asks for.
+//! How long the disk stalls at worst, as `doctor` has measured it, and how much memory the queue of frames needs for
+//! that.
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::error::RecordingError;
-use super::session::mebibytes;
+use super::session_writer::mebibytes;
 use super::storage::{Storage, read_small, write_atomically};
 use realitysim_config::RecordingSettings;
 
-/// Beside the sessions.
+/// File with a [`DiskMeasured`], in the folder of all captures.
 pub const DISK_FILE: &str = "disk.json";
 
-/// What `doctor` found out about the disk.
+/// Measurement of the disk by `doctor`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DiskMeasured {
+    /// Size of the blocks that were written, bytes.
     pub block_bytes: u64,
+    /// Typical time to write and sync a block, ms.
     pub typical_ms: f64,
+    /// Longest time to write and sync a block, ms.
     pub worst_ms: f64,
 }
 
-/// A file that is larger is not ours.
+/// Largest `disk.json`, bytes.
 const MAX_DISK_FILE_BYTES: u64 = 4096;
-/// Without a measurement.
+/// Memory of the queue without a measurement, MiB.
 const QUEUE_MB: u64 = 64;
-/// A measurement never asks for less or more.
+/// Least and greatest memory that a measurement asks for, MiB.
 const QUEUE_MB_RANGE: [f64; 2] = [32.0, 512.0];
 
 impl DiskMeasured {
+    /// Writes the measurement into the folder of all captures.
     pub fn save(&self, storage: &dyn Storage, captures: &Path) -> Result<(), RecordingError> {
         write_atomically(storage, &captures.join(DISK_FILE), &serde_json::to_vec(self)?)
     }
 
-    /// `None` if there is none, or none that makes sense.
+    /// Reads the measurement; `None` if there is none, or none that makes sense.
     pub fn load(storage: &dyn Storage, captures: &Path) -> Option<Self> {
         let bytes = read_small(storage, &captures.join(DISK_FILE), MAX_DISK_FILE_BYTES).ok()??;
         let measured: Self = serde_json::from_slice(&bytes).ok()?;
         (measured.worst_ms.is_finite() && measured.worst_ms >= 0.0).then_some(measured)
     }
 
-    /// Memory for frames: what is set, or twice what comes while the disk stands still, as a second stall may follow before the
-    /// first is worked off.
+    /// Memory for frames, MiB: the setting, or without one twice what arrives during the worst stall, since a second
+    /// stall may follow before the first is worked off.
+    ///
+    /// `bytes_per_s` is the rate at which frames arrive, bytes a second.
     pub fn queue_mb(&self, settings: &RecordingSettings, bytes_per_s: u64) -> u64 {
         match settings.queue_mb {
             0 => (2.0 * self.stalled_mb(bytes_per_s)).ceil().clamp(QUEUE_MB_RANGE[0], QUEUE_MB_RANGE[1]) as u64,
@@ -48,17 +55,18 @@ impl DiskMeasured {
         }
     }
 
-    /// Whether such a queue holds what comes in the worst stall.
+    /// Whether a queue of `queue_mb` MiB holds what arrives during the worst stall.
     pub fn fits(&self, queue_mb: u64, bytes_per_s: u64) -> bool {
         self.stalled_mb(bytes_per_s) <= queue_mb as f64
     }
 
+    /// What arrives during the worst stall, MiB.
     fn stalled_mb(&self, bytes_per_s: u64) -> f64 {
         bytes_per_s as f64 * self.worst_ms / 1e3 / f64::from(1 << 20)
     }
 }
 
-/// Memory for frames.
+/// Memory for frames, bytes, from the settings and the measurement of this disk.
 pub(super) fn queue_bytes(
     storage: &dyn Storage,
     captures: &Path,

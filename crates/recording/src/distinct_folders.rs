@@ -1,33 +1,46 @@
-//! Whether two folders are different storage, proven by effect.
+//! Proof, by writing, that two folders are different storage.
 //!
-//! Device and inode numbers do not say: an overlay, NFS, sshfs or Samba of the own machine shows a folder a second time under
-//! numbers of its own, and what is deleted in one is gone from the other.
+//! Device and inode numbers do not tell: an overlay, NFS, sshfs or Samba of the same machine shows a folder a second
+//! time under other numbers, and what is deleted in one is gone from the other.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-/// Begins the names of files that are written to find out, and removed at once. One that a kill has left means nothing.
+/// Beginning of the names of probe files, which are removed at once. A probe that a killed process has left means
+/// nothing.
 const PROBE: &str = ".storage-probe-";
-/// Letters and digits behind it: nobody has looked for that name before, so that no cache has an answer.
+/// Letters and digits behind [`PROBE`]: the name is new each time, so that no cache has an answer for it.
 const RANDOM_LETTERS: usize = 32;
 
-/// Whether a file is only there to find out.
+/// Whether a file of this name is a probe.
 pub fn is_probe(name: &std::ffi::OsStr) -> bool {
     name.as_encoded_bytes().starts_with(PROBE.as_bytes())
 }
 
-/// Why what lies in one folder does not count as a copy of what lies in the other.
+/// Why the content of one folder does not count as a copy of the other's.
 #[derive(Debug, Error)]
 pub enum NotApart {
+    /// Both paths lead to the same folder.
     #[error("{} is {} by another way: a file that is written into one appears in the other", .0.display(), .1.display())]
     Same(PathBuf, PathBuf),
+    /// A folder could not be written or read, so that nothing is proven.
     #[error("nobody can tell whether {} is {} by another way: {folder}: {source}", .folders[0].display(), .folders[1].display(), folder = .folder.display())]
-    Unproven { folders: [PathBuf; 2], folder: PathBuf, source: io::Error },
+    Unproven {
+        /// Both folders.
+        folders: [PathBuf; 2],
+        /// The folder that failed.
+        folder: PathBuf,
+        /// Error of the operating system.
+        source: io::Error,
+    },
 }
 
-/// Writes a file of a random name into each folder and looks for it in the other.
+/// Proves that two folders are different storage: writes a probe file into each and looks for it in the other.
+///
+/// The error is [`NotApart::Same`] if the probe appears, and [`NotApart::Unproven`] if a folder cannot be written or
+/// read.
 pub fn prove_apart(a: &Path, b: &Path) -> Result<(), NotApart> {
     let folders = || [a.to_owned(), b.to_owned()];
     let unproven = |folder: &Path| {
@@ -38,7 +51,7 @@ pub fn prove_apart(a: &Path, b: &Path) -> Result<(), NotApart> {
         let mut probes = tempfile::Builder::new();
         let probe = probes.prefix(PROBE).rand_bytes(RANDOM_LETTERS).tempfile_in(from).map_err(unproven(from))?;
         let name = probe.path().file_name().unwrap_or_default();
-        // By its name and in the list of names: a network's file system may remember either.
+        // It is looked up by name and in the listing: a network file system may cache either.
         let is_there = match to.join(name).symlink_metadata() {
             Ok(_) => true,
             Err(error) if error.kind() == io::ErrorKind::NotFound => false,

@@ -1,26 +1,27 @@
-//! Whose turn it is in a folder of captures.
+//! The lock of a folder of captures.
 //!
-//! Segments are deleted where somebody else's word says that they may be, and words are given and taken back while that is
-//! so. Whoever does either (recorder, sync, prune) looks, decides and acts in one turn: what was seen before it holds no longer.
+//! Recorder, sync and prune delete segments because of acknowledgements, and give and take acknowledgements. Each of
+//! them reads, decides and acts while it holds this lock: what was read before may no longer be true.
 
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-/// Until it is dropped, or the process ends.
+/// Exclusive lock of a folder of captures, held until it is dropped or the process ends.
 #[derive(Debug)]
 pub struct FolderLock(#[expect(dead_code, reason = "the lock ends with the open file")] File);
 
 impl FolderLock {
-    /// Waits for it.
+    /// Waits for the lock of one folder.
     pub fn in_folder(captures: &Path) -> io::Result<Self> {
         let folder = File::open(captures)?;
         folder.lock()?;
         Ok(Self(folder))
     }
 
-    /// In all of them at once, in an order that is the same for everybody, so that no two wait for each other.
+    /// Waits for the locks of several folders. All callers lock them in the same order, by device and inode, so that
+    /// no two wait for each other.
     pub fn in_folders(captures: &[&Path]) -> io::Result<Vec<Self>> {
         let open = |folder: &&Path| {
             let file = File::open(folder)?;

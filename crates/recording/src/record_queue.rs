@@ -1,7 +1,8 @@
-//! Between the agent, which must never wait for a disk, and the recorder's thread, which does nothing else: a queue that
-//! is bounded in bytes, and the account of every frame.
+//! The queue between the agent, which must never wait for a disk, and the recorder's thread, which does nothing else.
+//! It is bounded in bytes and keeps the account of every frame.
 //!
-//! Frames have the queue; everything else may use what they leave, and a reserve beside it that no frame gets into.
+//! Frames have a memory of their own. Everything else may use what they leave, and a reserve beside it that no frame
+//! gets into.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -14,48 +15,55 @@ use super::manifest::Counts;
 use super::status::{Fault, RecorderStatus};
 use realitysim_ros2::mcap_read::LogMessage;
 
-/// A gap that goes on is written again after this time.
+/// Log time after which a gap that goes on is written again, ns.
 const GAP_EVERY_NS: i64 = 1_000_000_000;
-/// Gaps that wait to be written: causes that alternate while a disk stands still share one beyond that.
+/// Most gaps that wait to be written. Beyond that, causes that alternate while a disk stalls share one gap.
 const MAX_GAPS: usize = 256;
-/// Their cause then.
+/// Cause of a gap that several causes share.
 const SEVERAL: &str = "several";
-/// The queue is full.
+/// Cause of a drop while the disk works but is too slow.
 pub(super) const QUEUE_FULL: &str = "queue_full";
 
-/// Memory between agent and disk, what is written but not yet synced included.
+/// Memory between agent and disk, including what is written but not yet synced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct QueueLimits {
+    /// Memory for frames, bytes.
     pub frames_bytes: usize,
+    /// Further memory, for everything but frames, bytes.
     pub reserve_bytes: usize,
 }
 
+/// The queue and its account, shared by both threads.
 pub(super) struct RecordQueue {
     state: Mutex<State>,
+    /// Signals that an entry has arrived, or that the queue was closed.
     filled: Condvar,
     room: QueueLimits,
+    /// Number of rounds of the recorder's thread.
     rounds: AtomicU64,
 }
 
-/// An entry, and when it came.
+/// An entry and when it arrived.
 pub(super) struct QueuedEntry {
     pub entry: Entry,
+    /// Time of arrival, by the storage's clock.
     pub taken: Duration,
 }
 
-/// What the disk had confirmed of a folder, by what it is.
+/// Number of messages of a folder that the disk has confirmed, by kind.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Had {
+pub(super) struct ConfirmedContent {
     frames: u64,
     tags: u64,
     valid: u64,
-    /// Neither frames nor tags.
+    /// Messages that are neither frames nor tags.
     others: u64,
-    /// Log times of the first and the last.
+    /// Log times of the first and the last message, ns.
     times_ns: Option<(i64, i64)>,
 }
 
-impl Had {
+impl ConfirmedContent {
+    /// Counts an entry that the disk has confirmed.
     pub fn add(&mut self, entry: &Entry) {
         let Entry::Message(message, kind) = entry else { return };
         match kind {
@@ -69,6 +77,7 @@ impl Had {
         self.times_ns = joined(self.times_ns, Some((message.log_time_ns, message.log_time_ns)));
     }
 
+    /// Adds other content.
     pub fn join(&mut self, other: Self) {
         self.frames += other.frames;
         self.tags += other.tags;
@@ -77,7 +86,7 @@ impl Had {
         self.times_ns = joined(self.times_ns, other.times_ns);
     }
 
-    /// That all of it is lost; `None` of nothing.
+    /// Gap that says that all of this is lost; `None` if there is nothing.
     pub fn gap(&self, cause: &str) -> Option<Gap> {
         let (first_ns, last_ns) = self.times_ns?;
         let messages = self.tags + self.others;
@@ -85,6 +94,7 @@ impl Had {
     }
 }
 
+/// Smallest interval that contains both.
 fn joined(a: Option<(i64, i64)>, b: Option<(i64, i64)>) -> Option<(i64, i64)> {
     match (a, b) {
         (Some((a0, a1)), Some((b0, b1))) => Some((a0.min(b0), a1.max(b1))),
@@ -92,41 +102,46 @@ fn joined(a: Option<(i64, i64)>, b: Option<(i64, i64)>) -> Option<(i64, i64)> {
     }
 }
 
-/// What the disk allows.
+/// What may be written, given the room on the disk. A restriction names its cause.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Allowed {
+    /// Everything may be written.
     #[default]
     All,
+    /// Everything but frames may be written.
     NoFrames(&'static str),
+    /// Nothing may be written.
     Nothing(&'static str),
 }
 
 #[derive(Default)]
 struct State {
     queue: VecDeque<QueuedEntry>,
-    /// Held by what is queued, and by what is not yet synced.
+    /// Memory of frames that are queued or not yet synced, bytes.
     frames_bytes: usize,
+    /// Memory of other entries that are queued or not yet synced, bytes.
     others_bytes: usize,
     frames_queued: u64,
-    /// Out of the queue and not yet written.
+    /// Frames that are out of the queue and not yet written.
     frames_in_hand: u64,
     gaps_queued: usize,
     counts: Counts,
-    /// Not yet in the queue: it may grow.
+    /// The gap that goes on. It is not yet in the queue, since it may grow.
     gap: Option<Gap>,
     allowed: Allowed,
     closed: bool,
-    /// The recorder has begun another folder, whose first segment has no state of the filter.
-    wants_beginning: bool,
+    /// Whether the recorder has begun another folder, whose first segment lacks the state of the filter.
+    is_segment_requested: bool,
     status: RecorderStatus,
 }
 
-/// What the recorder's thread is to do.
+/// What the recorder's thread is to do next.
 pub(super) enum Next {
+    /// Write this entry.
     Write(QueuedEntry),
-    /// Nothing came in the time given.
+    /// Nothing: no entry came in the time given.
     Idle,
-    /// Nothing will come any more.
+    /// End the session: no entry will come any more.
     Closed,
 }
 
@@ -141,7 +156,7 @@ impl RecordQueue {
         }
     }
 
-    /// Takes it if there is room, or counts it and leaves a gap.
+    /// Takes an entry if there is room; otherwise counts it as dropped and extends a gap.
     pub fn offer(&self, entry: Entry, taken: Duration) {
         let mut state = self.lock();
         state.note_thinned(&entry);
@@ -164,7 +179,7 @@ impl RecordQueue {
         self.filled.notify_one();
     }
 
-    /// Frames that never became messages.
+    /// Counts frames that never became messages.
     pub fn drop_frames(&self, cause: &str, frames: u64, log_time_ns: i64, now: Duration) {
         let mut state = self.lock();
         state.counts.captured += frames;
@@ -172,11 +187,13 @@ impl RecordQueue {
         state.open_gap(cause, [frames, 0, 0], log_time_ns, now);
     }
 
+    /// Cause why an entry is refused; `None` if it is taken.
     fn refusal(&self, state: &State, entry: &Entry) -> Option<&'static str> {
         let held = state.frames_bytes + state.others_bytes + entry.bytes();
         let cause = || state.status.fault.as_ref().map_or(QUEUE_FULL, |fault| fault.cause);
         match (entry, state.allowed) {
-            // A state is worth nothing once there is a newer one, and a segment's beginning is not to be lost.
+            // A state file is soon replaced by a newer one, so it may be left out. The beginning of a segment must
+            // not be lost.
             (Entry::Begin(_), Allowed::All | Allowed::NoFrames(_)) => None,
             (Entry::State(..), Allowed::All) => (held > self.room.frames_bytes).then(cause),
             (Entry::State(..), Allowed::NoFrames(why)) => Some(why),
@@ -192,6 +209,7 @@ impl RecordQueue {
         }
     }
 
+    /// Waits for the next entry, at most so long.
     pub fn next(&self, within: Duration) -> Next {
         let mut state = self.lock();
         if state.queue.is_empty() && !state.closed {
@@ -211,12 +229,12 @@ impl RecordQueue {
         }
     }
 
-    /// When that came which waits longest.
+    /// When the oldest queued entry arrived.
     pub fn next_taken(&self) -> Option<Duration> {
         self.lock().queue.front().map(|waiting| waiting.taken)
     }
 
-    /// Waits, unless nothing will come any more.
+    /// Waits for so long, or until the queue is closed.
     pub fn pause(&self, time: Duration) {
         let state = self.lock();
         if !state.closed {
@@ -224,7 +242,7 @@ impl RecordQueue {
         }
     }
 
-    /// Nothing more is offered; a gap at the end is written too.
+    /// Closes the queue: nothing more is offered. A gap at the end is still written.
     pub fn close(&self, now: Duration) {
         let mut state = self.lock();
         state.push_gap(now);
@@ -233,22 +251,24 @@ impl RecordQueue {
         self.filled.notify_all();
     }
 
-    /// The recorder's thread has got round once more.
-    pub fn go_round(&self) {
+    /// Counts a round of the recorder's thread.
+    pub fn count_round(&self) {
         self.rounds.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// It stands still if that thread does, be it at the disk.
+    /// Number of rounds of the recorder's thread. It stands still while that thread does, also while it waits for the
+    /// disk.
     pub fn rounds(&self) -> u64 {
         self.rounds.load(Ordering::Relaxed)
     }
 
+    /// Whether the queue is closed.
     pub fn is_closed(&self) -> bool {
         self.lock().closed
     }
 
-    /// Written for the first time.
-    pub fn written(&self, entry: &Entry) {
+    /// Counts an entry that is written for the first time.
+    pub fn count_written(&self, entry: &Entry) {
         let mut state = self.lock();
         match entry {
             Entry::Message(_, Kind::Frame) => {
@@ -264,8 +284,8 @@ impl RecordQueue {
         }
     }
 
-    /// Taken, but not to be had any more: never written, or written where nobody knows whether it arrived.
-    pub fn lost(&self, entry: &Entry, was_written: bool, cause: &str) {
+    /// Counts an entry that was taken and is lost: it was never written, or nobody knows whether it arrived.
+    pub fn count_lost(&self, entry: &Entry, was_written: bool, cause: &str) {
         let mut state = self.lock();
         match entry {
             Entry::Message(_, Kind::Frame) => {
@@ -288,49 +308,49 @@ impl RecordQueue {
         }
     }
 
-    /// Written and confirmed, and then removed by somebody.
-    pub fn removed(&self, had: &Had, cause: &str) {
+    /// Counts content that the disk had confirmed and that somebody has removed.
+    pub fn count_removed(&self, content: &ConfirmedContent, cause: &str) {
         let mut state = self.lock();
         let State { counts, status, .. } = &mut *state;
-        counts.written = counts.written.saturating_sub(had.frames);
-        counts.tagged = counts.tagged.saturating_sub(had.tags);
-        counts.valid = counts.valid.saturating_sub(had.valid);
-        status.frames_synced = status.frames_synced.saturating_sub(had.frames);
-        status.frames_refused += had.frames;
+        counts.written = counts.written.saturating_sub(content.frames);
+        counts.tagged = counts.tagged.saturating_sub(content.tags);
+        counts.valid = counts.valid.saturating_sub(content.valid);
+        status.frames_synced = status.frames_synced.saturating_sub(content.frames);
+        status.frames_refused += content.frames;
         let sums = [
-            (had.frames, &mut counts.dropped),
-            (had.tags, &mut counts.untagged),
-            (had.tags + had.others, &mut counts.lost),
+            (content.frames, &mut counts.dropped),
+            (content.tags, &mut counts.untagged),
+            (content.tags + content.others, &mut counts.lost),
         ];
         for (lost, sum) in sums.into_iter().filter(|(lost, _)| *lost > 0) {
             *sum.entry(cause.to_owned()).or_default() += lost;
         }
     }
 
-    /// Another folder begins.
-    pub fn begin_anew(&self) {
-        self.lock().wants_beginning = true;
+    /// Asks for a segment with the state of the filter, because another folder begins.
+    pub fn request_segment(&self) {
+        self.lock().is_segment_requested = true;
     }
 
-    /// Whether a segment is to begin for that reason; asked for once.
-    pub fn wants_beginning(&self) -> bool {
-        self.lock().wants_beginning
+    /// Whether such a segment is asked for.
+    pub fn is_segment_requested(&self) -> bool {
+        self.lock().is_segment_requested
     }
 
-    /// A segment begins.
-    pub fn begins(&self) {
-        self.lock().wants_beginning = false;
+    /// Notes that a segment begins.
+    pub fn note_segment_begun(&self) {
+        self.lock().is_segment_requested = false;
     }
 
-    /// Written and synced: the memory is free again.
+    /// Frees the memory of an entry that is written and synced.
     pub fn release(&self, entry: &Entry) {
         let mut state = self.lock();
         let held = if entry.is_frame() { &mut state.frames_bytes } else { &mut state.others_bytes };
         *held = held.saturating_sub(entry.bytes());
     }
 
-    /// For a recorder that is called by the agent itself.
-    pub fn take_at_once(&self, entry: &Entry) {
+    /// Accounts for an entry that the caller writes itself, without the queue.
+    pub fn hold_unqueued(&self, entry: &Entry) {
         let mut state = self.lock();
         state.note_thinned(entry);
         state.hold(entry);
@@ -339,31 +359,37 @@ impl RecordQueue {
         state.frames_in_hand += frame;
     }
 
-    /// The gap that waits, if any: for a recorder that is called by the agent itself.
+    /// Takes the gap that goes on, if there is one, to write it without the queue.
     pub fn take_gap(&self) -> Option<Gap> {
         self.lock().gap.take()
     }
 
+    /// Sets what may be written.
     pub fn allow(&self, allowed: Allowed) {
         self.lock().allowed = allowed;
     }
 
+    /// What may be written.
     pub fn allowed(&self) -> Allowed {
         self.lock().allowed
     }
 
+    /// Frames and lost messages so far.
     pub fn counts(&self) -> Counts {
         self.lock().counts.clone()
     }
 
+    /// Folder of the session, once it has been made.
     pub fn folder(&self) -> Option<PathBuf> {
         self.lock().status.session.clone()
     }
 
+    /// Changes the status.
     pub fn update(&self, change: impl FnOnce(&mut RecorderStatus)) {
         change(&mut self.lock().status);
     }
 
+    /// Sets or clears the fault; one that is set is counted by its cause.
     pub fn set_fault(&self, fault: Option<Fault>) {
         let mut state = self.lock();
         if let Some(fault) = &fault {
@@ -372,24 +398,26 @@ impl RecordQueue {
         state.status.fault = fault;
     }
 
+    /// Status, with the memory and the frames of this moment.
     pub fn status(&self) -> RecorderStatus {
         self.lock().status()
     }
 
-    /// Of one moment.
+    /// Counts and status of the same moment.
     pub fn account(&self) -> (Counts, RecorderStatus) {
         let state = self.lock();
         (state.counts.clone(), state.status())
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // Counts are changed in single steps: they are right even if a thread panicked while it held them.
+        // A panic of the other thread leaves the counts right, since they change in single steps.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl State {
-    /// `captured = written + thinned + dropped + still in memory`, each counted in a place of its own.
+    /// Status of this moment. It checks `captured = written + thinned + dropped + still in memory`, each of which is
+    /// counted in a place of its own.
     fn status(&self) -> RecorderStatus {
         let frames_waiting = self.frames_queued + self.frames_in_hand;
         let dropped: u64 = self.counts.dropped.values().sum();
@@ -401,24 +429,27 @@ impl State {
         }
     }
 
+    /// Appends an entry to the queue.
     fn push(&mut self, waiting: QueuedEntry) {
         self.hold(&waiting.entry);
         self.frames_queued += u64::from(waiting.entry.is_frame());
         self.queue.push_back(waiting);
     }
 
-    /// Nothing can become of it any more: it counts at once, whether a segment hears of it or not.
+    /// Counts a frame that was thinned out. It counts at once, since nothing more can become of it.
     fn note_thinned(&mut self, entry: &Entry) {
         let thinned = u64::from(matches!(entry, Entry::Thinned));
         self.counts.captured += thinned;
         self.counts.thinned += thinned;
     }
 
+    /// Accounts for the memory of an entry.
     fn hold(&mut self, entry: &Entry) {
         let held = if entry.is_frame() { &mut self.frames_bytes } else { &mut self.others_bytes };
         *held += entry.bytes();
     }
 
+    /// Counts an entry that is not taken, and extends the gap.
     fn refuse(&mut self, entry: &Entry, cause: &str, log_time_ns: Option<i64>) {
         match entry {
             Entry::Message(LogMessage { log_time_ns, .. }, Kind::Frame) => {
@@ -448,7 +479,8 @@ impl State {
         }
     }
 
-    /// For so many frames, other messages, and tags among these.
+    /// Extends the gap, or begins one for another cause. `lost` are numbers of frames, of other messages, and of tags
+    /// among these.
     fn open_gap(&mut self, cause: &str, lost: [u64; 3], log_time_ns: i64, now: Duration) {
         match &mut self.gap {
             Some(gap) if gap.cause != cause && self.gaps_queued >= MAX_GAPS => SEVERAL.clone_into(&mut gap.cause),
@@ -470,6 +502,7 @@ impl State {
         gap.last_ns = gap.last_ns.max(log_time_ns);
     }
 
+    /// Appends the gap that goes on to the queue, if there is one.
     fn push_gap(&mut self, taken: Duration) {
         if let Some(gap) = self.gap.take() {
             self.gaps_queued += 1;

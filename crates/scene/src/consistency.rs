@@ -1,10 +1,11 @@
-//! What cannot all be so at once, and what would change nothing: mistakes in a scene file.
+//! Checks of entries against each other: contradictions, and effects that would change nothing.
 
 use super::SceneError;
-use super::check::{refuse, within};
+use super::check::{check_range, refuse};
 use super::effects::{Effect, OdometryError};
 use super::file::{Route, SceneFile};
 
+/// Checks that effects have what they need and do not contradict each other.
 pub(super) fn check(file: &SceneFile) -> Result<(), SceneError> {
     has_something_to_act_on(file)?;
     for (index, effect) in file.effects.iter().enumerate() {
@@ -18,7 +19,7 @@ pub(super) fn check(file: &SceneFile) -> Result<(), SceneError> {
                     file.camera.rate_hz
                 );
                 let takes_ms = shutter.exposure_ms + shutter.readout_ms;
-                within(format_args!("{key}.exposure_ms, with readout_ms,"), takes_ms, 0.0..=period_ms, &expected)?;
+                check_range(format_args!("{key}.exposure_ms, with readout_ms,"), takes_ms, 0.0..=period_ms, &expected)?;
             }
             Effect::OdometryError(OdometryError { freeze: Some(freeze), missing: Some(missing), .. })
                 if freeze.overlaps(missing) =>
@@ -37,8 +38,8 @@ pub(super) fn check(file: &SceneFile) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// What would never come about: the scene is over before.
-pub(super) fn times(file: &SceneFile, end: f64) -> Result<(), SceneError> {
+/// Checks that no fault begins after `end`, the end of the scene in seconds.
+pub(super) fn check_times(file: &SceneFile, end: f64) -> Result<(), SceneError> {
     let begins = |key: String, time: f64| {
         if time < end { Ok(()) } else { Err(refuse(key, time, format_args!("below {end:.2} s, where the scene ends"))) }
     };
@@ -58,8 +59,10 @@ pub(super) fn times(file: &SceneFile, end: f64) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// An effect whose numbers change nothing only looks like one. The end of a range may be nothing.
-pub(super) fn do_something(effects: &[Effect]) -> Result<(), SceneError> {
+/// Checks that every effect changes something with its values.
+///
+/// This is not checked at the ends of ranges, which may be values that change nothing.
+pub(super) fn check_effects_do_something(effects: &[Effect]) -> Result<(), SceneError> {
     for (index, effect) in effects.iter().enumerate() {
         if let Some(needed) = effect.lacks() {
             let value = format!("a {} of nothing", effect.name());
@@ -70,7 +73,7 @@ pub(super) fn do_something(effects: &[Effect]) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// An effect that could change nothing is a mistake in the file.
+/// Checks that the scene has what each effect acts on. An effect without it would change nothing.
 fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
     let lists = |name: &str| file.effects.iter().any(|effect| effect.name() == name);
     for (index, effect) in file.effects.iter().enumerate() {
@@ -93,7 +96,7 @@ fn has_something_to_act_on(file: &SceneFile) -> Result<(), SceneError> {
             Effect::HeadMotion(_) => {
                 (file.imu.is_some(), "joints are sent at the rate of the section [imu], which is absent")
             }
-            // The IMU's yaw is the odometry's, so the error shows there too.
+            // The yaw of the IMU comes from the odometry, so the error shows there, too.
             Effect::OdometryError(_) => (
                 file.odometry.is_some() || file.imu.is_some(),
                 "it needs the section [odometry] or [imu], both are absent",

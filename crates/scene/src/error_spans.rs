@@ -1,5 +1,7 @@
-//! Where a scene file is wrong within a table whose `kind` says what it holds. serde reads such a table twice, and knows of
-//! the second time only where it begins.
+//! Exact positions of errors in tables with a `kind` (routes and effects).
+//!
+//! serde first buffers such a table to find its kind and then deserializes it a second time. For an error in the second
+//! pass it knows only where the table begins.
 
 use serde::de::DeserializeOwned;
 use toml::Spanned;
@@ -12,8 +14,8 @@ use super::effects::{
 };
 use super::file::{Still, Walk};
 
-/// The same error with the place of the key that is wrong, if it can be found.
-pub(super) fn nearer(error: Error, text: &str) -> Error {
+/// The same error with the position of the wrong key, if that can be found.
+pub(super) fn locate(error: Error, text: &str) -> Error {
     let found = DeTable::parse(text).ok().and_then(|table| {
         let mut table = table.into_inner();
         let effects = match table.remove("effect").map(Spanned::into_inner) {
@@ -21,45 +23,47 @@ pub(super) fn nearer(error: Error, text: &str) -> Error {
             _ => Vec::new(),
         };
         let route = table.remove("route");
-        route.into_iter().chain(effects).filter_map(of_its_kind).find(|own| own.message() == error.message())
+        route.into_iter().chain(effects).filter_map(error_of_its_kind).find(|own| own.message() == error.message())
     });
     let Some(mut found) = found else { return error };
     found.set_input(Some(text));
     found
 }
 
-fn of_its_kind(table: Spanned<DeValue>) -> Option<Error> {
+/// The error that deserializing a route or effect as its kind gives, if any.
+fn error_of_its_kind(table: Spanned<DeValue>) -> Option<Error> {
     let span = table.span();
     let DeValue::Table(mut table) = table.into_inner() else { return None };
     let kind = table.remove("kind")?;
     let keys = ValueDeserializer::from(Spanned::new(span, DeValue::Table(table)));
     match kind.get_ref().as_str()? {
-        "walk" => of::<Walk>(keys),
-        "still" => of::<Still>(keys),
-        "gait_sway" => of::<GaitSway>(keys),
-        "head_motion" => of::<HeadMotion>(keys),
-        "kidnapping" => of::<Kidnapping>(keys),
-        "fall" => of::<Fall>(keys),
-        "light" => of::<Light>(keys),
-        "bright_window" => of::<BrightWindow>(keys),
-        "obstacles" => of::<Obstacles>(keys),
-        "worn_lines" => of::<WornLines>(keys),
-        "image_processing" => of::<ImageProcessing>(keys),
-        "exposure_hunting" => of::<ExposureHunting>(keys),
-        "optics" => of::<Optics>(keys),
-        "sun_patches" => of::<SunPatches>(keys),
-        "turf" => of::<Turf>(keys),
-        "shutter" => of::<Shutter>(keys),
-        "sensor_noise" => of::<SensorNoise>(keys),
-        "camera_fault" => of::<CameraFault>(keys),
-        "odometry_error" => of::<OdometryError>(keys),
-        "imu_error" => of::<ImuError>(keys),
-        "calibration_error" => of::<CalibrationError>(keys),
-        "serial_noise" => of::<SerialNoise>(keys),
+        "walk" => error_of::<Walk>(keys),
+        "still" => error_of::<Still>(keys),
+        "gait_sway" => error_of::<GaitSway>(keys),
+        "head_motion" => error_of::<HeadMotion>(keys),
+        "kidnapping" => error_of::<Kidnapping>(keys),
+        "fall" => error_of::<Fall>(keys),
+        "light" => error_of::<Light>(keys),
+        "bright_window" => error_of::<BrightWindow>(keys),
+        "obstacles" => error_of::<Obstacles>(keys),
+        "worn_lines" => error_of::<WornLines>(keys),
+        "image_processing" => error_of::<ImageProcessing>(keys),
+        "exposure_hunting" => error_of::<ExposureHunting>(keys),
+        "optics" => error_of::<Optics>(keys),
+        "sun_patches" => error_of::<SunPatches>(keys),
+        "turf" => error_of::<Turf>(keys),
+        "shutter" => error_of::<Shutter>(keys),
+        "sensor_noise" => error_of::<SensorNoise>(keys),
+        "camera_fault" => error_of::<CameraFault>(keys),
+        "odometry_error" => error_of::<OdometryError>(keys),
+        "imu_error" => error_of::<ImuError>(keys),
+        "calibration_error" => error_of::<CalibrationError>(keys),
+        "serial_noise" => error_of::<SerialNoise>(keys),
         _ => None,
     }
 }
 
-fn of<T: DeserializeOwned>(keys: ValueDeserializer) -> Option<Error> {
+/// The error that deserializing as `T` gives, if any.
+fn error_of<T: DeserializeOwned>(keys: ValueDeserializer) -> Option<Error> {
     T::deserialize(keys).err()
 }

@@ -1,4 +1,4 @@
-//! Effects whose numbers may differ from frame to frame (`per = "frame"`).
+//! Effects whose values may differ from frame to frame (`per = "frame"`).
 
 use std::borrow::Cow;
 
@@ -9,7 +9,7 @@ use super::effects::{
 use super::file::SceneFile;
 use super::ranges::Per;
 
-/// What these effects do from one frame to the next.
+/// The effects whose values may differ from frame to frame, with their values in one frame. Absent effects are `None`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Changing {
     pub(super) head: Option<HeadMotion>,
@@ -23,7 +23,9 @@ pub(super) struct Changing {
 }
 
 impl Changing {
-    /// Effects come in physical order, so that each finds what it builds on. One that was there is replaced.
+    /// Adds an effect or replaces the one of the same kind. Other effects are ignored.
+    ///
+    /// Effects are added in physical order, so that each finds those that it builds on.
     pub(super) fn add(&mut self, effect: &Effect, seed: u64) {
         match effect {
             Effect::HeadMotion(effect) => self.head = Some(effect.clone()),
@@ -57,15 +59,15 @@ impl Changing {
 }
 
 impl Scene {
-    /// With the numbers that are drawn for this frame. Costs nothing where none are.
+    /// The effects with the values that are drawn for this frame. If no value is drawn per frame, nothing is copied.
     pub(super) fn at_frame(&self, frame: u64) -> Cow<'_, Changing> {
-        let Some(template) = self.file.template.as_ref().filter(|template| template.has(Per::Frame)) else {
+        let Some(template) = self.file.template.as_ref().filter(|template| template.has_ranges_per(Per::Frame)) else {
             return Cow::Borrowed(&self.changing);
         };
-        // Both ends were read when the scene was built, so what is between them can be.
+        // Both ends of each range were read when the scene was built, so every value between them can be read, too.
         let effects = SceneFile::effects_with(template, |range| template.value(range, frame)).unwrap_or_default();
         let mut now = self.changing.clone();
-        // A scene with its first effects alone has the text of all.
+        // A scene that was reduced to its first effects still has the text of all.
         effects.iter().take(self.file.effects.len()).for_each(|effect| now.add(effect, self.file.scene.seed));
         Cow::Owned(now)
     }

@@ -1,4 +1,4 @@
-//! A scene's effects upon a view that was made of recorded images.
+//! The effects of a scene applied to a view that was made of recorded images.
 
 use glam::DVec3;
 use thiserror::Error;
@@ -7,13 +7,14 @@ use super::{Figures, Scene};
 use realitysim_geometry::{Field, Lens};
 use realitysim_views::{Camera, SURE, SynthesizedView, World};
 
-/// What a scene adds to views through one lens: its figures where they stand, then light and noise over all of it.
+/// Applies a scene to views through one lens: it draws the figures of the scene, then light and noise over the image.
 #[derive(Clone, Debug)]
 pub struct ViewOverlay {
     scene: Scene,
     figures: Option<Figures>,
 }
 
+/// The figures of a scene stand on another field than the one in the images.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
     "the scene's figures stand on the field {scene:?}, and the images were taken on {images:?}: leave the figures out, or \
@@ -25,13 +26,13 @@ pub struct StageError {
 }
 
 impl ViewOverlay {
-    /// Without `figures` those that the scene places are left out.
+    /// Prepares the overlay for views through `lens`. If `figures` is false, the figures of the scene are left out.
     pub fn new(scene: &Scene, lens: &Lens, figures: bool) -> Self {
         let figures = if figures { Figures::new(scene, lens) } else { None };
         Self { scene: scene.clone(), figures }
     }
 
-    /// Figures stand at places of their scene's field: the images must be of the same.
+    /// Checks that the images show the field of the scene, because its figures have positions on that field.
     pub fn check(&self, images: &Field) -> Result<(), StageError> {
         let [scene, images] = [self.scene.field(), images].map(Field::dimensions);
         if self.figures.is_none() || scene.is_same_as(images) {
@@ -40,7 +41,7 @@ impl ViewOverlay {
         Err(StageError { scene: scene.title.clone(), images: images.title.clone() })
     }
 
-    /// Names of the effects that it applies.
+    /// Names of the effects that the overlay applies.
     pub fn effects(&self) -> Vec<&'static str> {
         match self.figures {
             Some(_) => self.scene.effects_on_views(),
@@ -48,8 +49,10 @@ impl ViewOverlay {
         }
     }
 
-    /// As if the view were this frame of the scene. `camera` has the lens that the stage was made for, `world` is what
-    /// the view was made with: a goal hides who stands behind it.
+    /// Applies the effects to a view as if it were frame `frame` of the scene.
+    ///
+    /// `camera` has the lens that the overlay was made for. `world` is the one that the view was made with: its goals
+    /// hide figures that stand behind them.
     pub fn apply(&self, frame: u64, camera: &Camera, world: &World, answer: &mut SynthesizedView) {
         if self.effects().is_empty() {
             return;
@@ -70,7 +73,7 @@ impl ViewOverlay {
             pixel[..3].copy_from_slice(rgb);
         }
         for (pixel, shown) in answer.image.pixels.iter_mut().zip(shown.iter().flatten()) {
-            // Where a figure stands is known.
+            // A pixel that shows a figure is certain.
             if *shown {
                 pixel[3] = SURE;
             }

@@ -1,4 +1,4 @@
-//! How many requests are worked on, how many wait, and that others are told to come back.
+//! Limits how many requests are worked on and how many wait; further ones are told to come back.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,30 +9,36 @@ use tokio::time::timeout;
 
 use super::HttpProblem;
 
+/// The limits on requests.
 pub(super) struct AdmissionControl {
-    /// Inside: at work or waiting.
+    /// Permits of requests that are at work or wait.
     inside: Arc<Semaphore>,
+    /// Permits of batches.
     batches: Arc<Semaphore>,
+    /// Permits of threads.
     at_work: Arc<Semaphore>,
-    most_inside: usize,
+    /// Number of permits of `inside`.
+    max_inside: usize,
 }
 
-/// Requests that wait for a thread; with more, a client is told to come back.
+/// Largest number of requests that wait for a thread; further ones are refused.
 const MAX_WAITING: usize = 32;
-/// So long one waits.
+/// Longest wait for a thread, or for the beginning of a batch.
 const MAX_WAIT: Duration = Duration::from_secs(5);
 
-/// Batches under way, each with one view at work or waiting; a further one waits for its beginning.
+/// Largest number of batches under way, each with one view at work or waiting; a further one waits to begin.
 const MAX_BATCHES: usize = 8;
 
 impl AdmissionControl {
+    /// Creates the limits for a number of threads that make views.
     pub(super) fn new(threads: usize) -> Self {
-        let most_inside = threads + MAX_WAITING;
-        let [inside, batches, at_work] = [most_inside, MAX_BATCHES, threads].map(|most| Arc::new(Semaphore::new(most)));
-        Self { inside, batches, at_work, most_inside }
+        let max_inside = threads + MAX_WAITING;
+        let [inside, batches, at_work] =
+            [max_inside, MAX_BATCHES, threads].map(|permits| Arc::new(Semaphore::new(permits)));
+        Self { inside, batches, at_work, max_inside }
     }
 
-    /// A thread's worth of work, or a refusal at once when too many wait. Who hangs up while waiting leaves the queue.
+    /// Waits for a thread. Refuses at once if too many requests wait; a client that hangs up leaves the queue.
     pub(super) async fn enter(&self) -> Result<WorkPermit, HttpProblem> {
         let place = Arc::clone(&self.inside).try_acquire_owned();
         let place = place.map_err(|_| busy("too many requests are waiting: come back in a second"))?;
@@ -42,7 +48,7 @@ impl AdmissionControl {
         }
     }
 
-    /// The right to make many views, each of which [waits for its turn](Self::next_of_batch).
+    /// Waits for the right to make many views, each of which [waits for its turn](Self::next_of_batch).
     pub(super) async fn begin_batch(&self) -> Result<OwnedSemaphorePermit, HttpProblem> {
         match timeout(MAX_WAIT, Arc::clone(&self.batches).acquire_owned()).await {
             Ok(Ok(batch)) => Ok(batch),
@@ -50,31 +56,31 @@ impl AdmissionControl {
         }
     }
 
-    /// A thread's worth of work for one view of a batch, behind those that came before it: a batch holds no thread while its
-    /// client reads.
+    /// Waits for a thread for one view of a batch, in the order of coming. A batch holds no thread while its client reads.
     pub(super) async fn next_of_batch(&self) -> Result<WorkPermit, HttpProblem> {
         let work = Arc::clone(&self.at_work).acquire_owned().await;
         work.map(|work| WorkPermit { _place: None, _work: work }).map_err(|_| busy("the service ends"))
     }
 
-    /// Requests inside.
+    /// Returns the number of requests that are at work or wait.
     pub(super) fn inside(&self) -> usize {
-        self.most_inside - self.inside.available_permits()
+        self.max_inside - self.inside.available_permits()
     }
 }
 
+/// Refusal that tells a client to come back.
 fn busy(what: &str) -> HttpProblem {
     HttpProblem::new(StatusCode::SERVICE_UNAVAILABLE, what)
 }
 
-/// The right to use a thread, for as long as it is held.
+/// The right to use a thread while this is held.
 pub(super) struct WorkPermit {
     _place: Option<OwnedSemaphorePermit>,
     _work: OwnedSemaphorePermit,
 }
 
 impl WorkPermit {
-    /// Does it in a thread of its own; a panic is an error of this request alone.
+    /// Does the work in a thread of its own. A panic is an error of this request alone.
     pub(super) async fn run<T: Send + 'static>(
         self,
         work: impl FnOnce() -> T + Send + 'static,

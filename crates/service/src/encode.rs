@@ -1,4 +1,4 @@
-//! Pixels as a client wants them: JPEG, PNG or raw, by its `Accept`.
+//! Encodes pixels as the client's `Accept` asks for: JPEG, PNG or raw.
 
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -10,6 +10,7 @@ use hyper::StatusCode;
 use realitysim_log_input::encode::jpeg;
 use realitysim_views::Raster;
 
+/// The form of an encoded image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Form {
     Jpeg,
@@ -27,15 +28,15 @@ impl Form {
         }
     }
 
-    /// Of stored bytes.
+    /// Returns the form of a stored image.
     pub(super) fn of(bytes: &[u8]) -> Self {
         if bytes.starts_with(b"\x89PNG") { Self::Png } else { Self::Jpeg }
     }
 }
 
-/// The forms that a client takes, best first; without `Accept` any will do.
+/// Returns the forms that a client accepts and that are possible with this mask, best first. Without `Accept` all are accepted.
 pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<Form>, HttpProblem> {
-    // What stands first is sent where the client has no wish.
+    // The first is sent if the client has no preference.
     let possible: &[Form] = match mask {
         MaskWanted::None => &[Form::Jpeg, Form::Png, Form::Raw],
         MaskWanted::Alpha | MaskWanted::Only => &[Form::Png, Form::Raw],
@@ -69,7 +70,7 @@ pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<For
     Ok(forms)
 }
 
-/// The picture in a form, and how many channels it has.
+/// Encodes a picture. Returns its bytes and number of channels. `quality` is that of a JPEG.
 pub(super) fn encode(
     image: &Raster,
     form: Form,

@@ -1,4 +1,4 @@
-//! What goes back: bytes with a type and headers, or a refusal in words.
+//! Makes replies: bytes with a type and headers, or a refusal in words.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -9,44 +9,50 @@ use hyper::header::{ALLOW, CONNECTION, CONTENT_TYPE, HeaderName, HeaderValue, RE
 use hyper::{Response, StatusCode};
 use serde_json::json;
 
-use super::connections::UnderWay;
+use super::connections::ActiveRequest;
 
-/// A body that comes at once or bit by bit. Errors end the connection: a client sees that the rest is missing.
+/// The body of a reply, whole or in parts. An error ends the connection, so that the client sees that the rest is missing.
 pub(super) type Body = BoxBody<Bytes, std::io::Error>;
+/// The reply to a request.
 pub(super) type Reply = Response<Body>;
 
-/// A request that is not answered with what it asked for, and why.
+/// Why a request is refused.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct HttpProblem {
     pub(super) status: StatusCode,
-    /// What is wrong and what would be right.
+    /// What is wrong, and what would be right.
     pub(super) what: String,
-    /// The methods that a path is asked with, when it was another.
+    /// The methods that the path allows, if the request had another.
     pub(super) allowed: Option<&'static str>,
 }
 
-/// RFC 9457.
+/// Media type of a refusal (RFC 9457).
 pub(super) const PROBLEM: &str = "application/problem+json";
 
 impl HttpProblem {
+    /// Creates a refusal with this status.
     pub(super) fn new(status: StatusCode, what: impl Into<String>) -> Self {
         Self { status, what: what.into(), allowed: None }
     }
 
+    /// Creates a refusal of a wrong request (status 400).
     pub(super) fn wrong(what: impl Into<String>) -> Self {
         Self::new(StatusCode::BAD_REQUEST, what)
     }
 
+    /// Creates a refusal of a method that the path does not allow (status 405).
     pub(super) fn method(route: &str, allowed: &'static str) -> Self {
         let what = format!("{route} is asked with {}", allowed.replace(", ", " or "));
         Self { allowed: Some(allowed), ..Self::new(StatusCode::METHOD_NOT_ALLOWED, what) }
     }
 
+    /// Returns the refusal as a JSON document.
     pub(super) fn problem(&self) -> Vec<u8> {
         let title = self.status.canonical_reason().unwrap_or("Error");
         json!({ "title": title, "status": self.status.as_u16(), "detail": self.what }).to_string().into_bytes()
     }
 
+    /// Returns the refusal as a reply.
     pub(super) fn reply(&self) -> Reply {
         let mut reply = bytes(self.status, PROBLEM, self.problem());
         let mut add = |name, value| reply.headers_mut().insert(name, HeaderValue::from_static(value));
@@ -60,6 +66,7 @@ impl HttpProblem {
     }
 }
 
+/// Returns a reply with this content.
 pub(super) fn bytes(status: StatusCode, content_type: &'static str, content: impl Into<Bytes>) -> Reply {
     let body = Full::new(content.into()).map_err(|never| match never {}).boxed();
     let mut reply = Response::new(body);
@@ -68,26 +75,28 @@ pub(super) fn bytes(status: StatusCode, content_type: &'static str, content: imp
     reply
 }
 
+/// Returns a JSON document as a reply.
 pub(super) fn json_reply(value: &serde_json::Value) -> Reply {
     bytes(StatusCode::OK, "application/json", value.to_string())
 }
 
-/// Under way until a client has taken the whole of it, whatever it consists of; and for pages of this service alone.
-pub(super) fn finish(reply: Reply, under_way: UnderWay) -> Reply {
-    let mut reply = reply.map(|body| Counted { body, _under_way: under_way }.boxed());
+/// Completes a reply: its request counts as active until the client has taken all of it, and only pages of this service may use it.
+pub(super) fn finish(reply: Reply, active: ActiveRequest) -> Reply {
+    let mut reply = reply.map(|body| Counted { body, _active: active }.boxed());
     let headers = reply.headers_mut();
     headers.insert("x-content-type-options", HeaderValue::from_static("nosniff"));
     headers.insert("cross-origin-resource-policy", HeaderValue::from_static("same-origin"));
-    // A client that may not ask keeps no place.
+    // The connection of a client that may not ask is closed.
     if matches!(reply.status(), StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN) {
         reply.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
     }
     reply
 }
 
+/// A body whose request counts as active until it is dropped.
 struct Counted {
     body: Body,
-    _under_way: UnderWay,
+    _active: ActiveRequest,
 }
 
 impl HttpBody for Counted {
@@ -107,8 +116,8 @@ impl HttpBody for Counted {
     }
 }
 
-/// Headers of ours; what cannot stand in a header is left out.
-pub(super) fn put(reply: &mut Reply, headers: &[(&'static str, String)]) {
+/// Adds headers to a reply. A value that is not valid in a header is left out.
+pub(super) fn put_headers(reply: &mut Reply, headers: &[(&'static str, String)]) {
     for (name, value) in headers {
         if let Ok(value) = HeaderValue::from_str(value) {
             reply.headers_mut().insert(HeaderName::from_static(name), value);

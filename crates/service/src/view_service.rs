@@ -1,5 +1,6 @@
-//! What views are made from: the database as it is now, lenses and scenes given at the start. No file is opened by a name that a
-//! client sends.
+//! Makes views from the database, and from the lenses and scenes given at the start.
+//!
+//! No file is opened by a name that a client sends.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,40 +18,47 @@ use realitysim_geometry::{Lens, LensParameters};
 use realitysim_scene::{Scene, ViewOverlay};
 use realitysim_views::{Camera, Provenance, ViewError};
 
+/// Makes views, and keeps what is expensive to prepare for them.
 pub(super) struct ViewService {
+    /// The database as it is now.
     gallery: RwLock<Arc<ImageDatabase>>,
+    /// Lenses that clients may name.
     lenses: BTreeMap<String, LensParameters>,
+    /// Scenes that clients may name.
     scenes: BTreeMap<String, Scene>,
-    /// Lenses with their rays, the longest unused first.
+    /// Lenses with their rays, the least recently used first.
     cameras: Mutex<Vec<Arc<Camera>>>,
-    /// Scenes by name, prepared for a lens and with figures or without; the longest unused first.
-    stages: Mutex<Vec<(StageOf, Arc<ViewOverlay>)>>,
+    /// Scenes prepared for a lens, the least recently used first.
+    stages: Mutex<Vec<(StageKey, Arc<ViewOverlay>)>>,
+    /// Largest distance of a view from the nearest image, metres, if the client does not state one.
     max_distance_m: f64,
 }
 
-/// Which scene, with its figures?, for which lens.
-type StageOf = (String, bool, LensParameters);
+/// Key of a prepared scene: its name, whether its figures are drawn, and the lens.
+type StageKey = (String, bool, LensParameters);
 
-/// A picture and what it says of itself.
+/// An encoded view, and the headers that describe it.
 pub(super) struct Picture {
     pub(super) bytes: Vec<u8>,
     pub(super) form: Form,
+    /// How the view was made.
     pub(super) made: &'static str,
     pub(super) headers: Vec<(&'static str, String)>,
 }
 
-/// Lenses prepared for views, beside those of the database.
+/// Largest number of lenses kept prepared, beside those of the database.
 const MAX_CAMERAS: usize = 16;
-/// Scenes prepared for a lens.
+/// Largest number of scenes kept prepared, each for one lens.
 const MAX_STAGES: usize = 8;
-/// Pixels of all of either together, as long as there are two: each takes some 14 bytes.
+/// Largest number of pixels of all prepared lenses, and of all prepared scenes, if there is more than one; each takes some 14 bytes.
 const MAX_KEPT_PIXELS: u64 = 1 << 23;
-/// Pixels of one view.
+/// Largest number of pixels of one view.
 const MAX_PIXELS: u64 = 1 << 22;
-/// Cells of a coverage: the paper's grid has 720,000 poses.
+/// Largest number of cells of a coverage: the paper's grid has 720,000 poses.
 const MAX_CELLS: f64 = 1e6;
 
 impl ViewService {
+    /// Opens the database in a folder.
     pub(super) fn open(
         folder: &Path,
         settings: &ViewsSettings,
@@ -62,18 +70,19 @@ impl ViewService {
         Ok(Self { gallery, lenses, scenes, cameras: Mutex::default(), stages: Mutex::default(), max_distance_m })
     }
 
-    /// As it is now; who has it keeps it while it is replaced.
+    /// Returns the database as it is now. Callers keep it while it is replaced.
     pub(super) fn gallery(&self) -> Arc<ImageDatabase> {
         Arc::clone(&self.gallery.read().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Whether the database had been changed.
+    /// Reopens the database if it has changed. Returns whether it had.
     pub(super) fn refresh(&self) -> Result<bool, DatabaseError> {
         let Some(new) = self.gallery().reopened()? else { return Ok(false) };
         *self.gallery.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(new);
         Ok(true)
     }
 
+    /// Makes a view and encodes it in the best of the accepted forms.
     pub(super) fn picture(&self, asked: &ViewRequest, forms: &[Form]) -> Result<Picture, HttpProblem> {
         let gallery = self.gallery();
         let camera = self.camera(&gallery, asked)?;
@@ -108,7 +117,7 @@ impl ViewService {
         Ok(Picture { bytes, form, made: made(shown.answer.made), headers })
     }
 
-    /// `None`: that of the nearest image.
+    /// Returns the camera that is asked for; `None` for that of the nearest image.
     fn camera(&self, gallery: &ImageDatabase, asked: &ViewRequest) -> Result<Option<Arc<Camera>>, HttpProblem> {
         if asked.lens.is_none() && asked.size == [None; 2] {
             return Ok(None);
@@ -134,7 +143,7 @@ impl ViewService {
             cameras.push(Arc::clone(&camera));
             return Ok(Some(camera));
         }
-        // Not while others wait.
+        // The camera is prepared without the lock.
         drop(cameras);
         let checked = Lens::new(lens.clone()).map_err(|error| HttpProblem::wrong(format!("lens: {error}")))?;
         let camera = Arc::new(Camera::new(&checked));
@@ -143,11 +152,11 @@ impl ViewService {
             cameras.push(Arc::clone(&camera));
         }
         let pixels = |camera: &Arc<Camera>| pixels_of(camera.lens().parameters());
-        give_up(&mut cameras, MAX_CAMERAS, pixels);
+        evict(&mut cameras, MAX_CAMERAS, pixels);
         Ok(Some(camera))
     }
 
-    /// Which effects were applied.
+    /// Applies a scene to a view. Returns the names of the effects that were applied.
     fn apply(
         &self,
         gallery: &ImageDatabase,
@@ -162,26 +171,27 @@ impl ViewService {
         Ok(stage.effects())
     }
 
+    /// Returns a scene prepared for a lens.
     fn stage(&self, name: &str, scene: &Scene, figures: bool, lens: &Lens) -> Arc<ViewOverlay> {
-        let of = (name.to_owned(), figures, lens.parameters().clone());
+        let key = (name.to_owned(), figures, lens.parameters().clone());
         let mut stages = self.stages();
-        if let Some(at) = stages.iter().position(|(known, _)| *known == of) {
+        if let Some(at) = stages.iter().position(|(known, _)| *known == key) {
             let stage = stages.remove(at);
             stages.push(stage.clone());
             return stage.1;
         }
-        // Not while others wait.
+        // The scene is prepared without the lock.
         drop(stages);
         let stage = Arc::new(ViewOverlay::new(scene, lens, figures));
         let mut stages = self.stages();
-        if stages.iter().all(|(known, _)| *known != of) {
-            stages.push((of, Arc::clone(&stage)));
+        if stages.iter().all(|(known, _)| *known != key) {
+            stages.push((key, Arc::clone(&stage)));
         }
-        give_up(&mut stages, MAX_STAGES, |((_, _, lens), _)| pixels_of(lens));
+        evict(&mut stages, MAX_STAGES, |((_, _, lens), _)| pixels_of(lens));
         stage
     }
 
-    fn stages(&self) -> MutexGuard<'_, Vec<(StageOf, Arc<ViewOverlay>)>> {
+    fn stages(&self) -> MutexGuard<'_, Vec<(StageKey, Arc<ViewOverlay>)>> {
         self.stages.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -189,6 +199,7 @@ impl ViewService {
         self.cameras.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Returns what the service has: sources, lenses, scenes, field.
     pub(super) fn info(&self) -> Value {
         let gallery = self.gallery();
         let names = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
@@ -208,7 +219,7 @@ impl ViewService {
         })
     }
 
-    /// Cells of x, y and yaw, and how many images each has.
+    /// Counts images by cells of x, y and yaw. Returns JSON or a picture as PNG, and its media type.
     pub(super) fn coverage(
         &self,
         parameters: &Parameters,
@@ -238,17 +249,19 @@ impl ViewService {
     }
 }
 
+/// Returns the number of pixels of a lens's images.
 fn pixels_of(lens: &LensParameters) -> u64 {
     u64::from(lens.width) * u64::from(lens.height)
 }
 
-/// The longest unused, until what is left is few and small enough.
-fn give_up<T>(kept: &mut Vec<T>, most: usize, pixels: impl Fn(&T) -> u64) {
-    while kept.len() > most || (kept.len() > 1 && kept.iter().map(&pixels).sum::<u64>() > MAX_KEPT_PIXELS) {
+/// Removes the least recently used until at most `max_count` are left, with at most [`MAX_KEPT_PIXELS`] unless it is one.
+fn evict<T>(kept: &mut Vec<T>, max_count: usize, pixels: impl Fn(&T) -> u64) {
+    while kept.len() > max_count || (kept.len() > 1 && kept.iter().map(&pixels).sum::<u64>() > MAX_KEPT_PIXELS) {
         kept.remove(0);
     }
 }
 
+/// Returns the word for how a view was made.
 pub(super) fn made(made: Provenance) -> &'static str {
     match made {
         Provenance::Stored => "stored",
@@ -258,6 +271,7 @@ pub(super) fn made(made: Provenance) -> &'static str {
     }
 }
 
+/// Returns the headers that describe a view.
 fn provenance(gallery: &ImageDatabase, shown: &ViewResult, channels: usize) -> Vec<(&'static str, String)> {
     let answer = &shown.answer;
     let source = |used: &realitysim_views::UsedSource| {
@@ -290,12 +304,12 @@ fn provenance(gallery: &ImageDatabase, shown: &ViewResult, channels: usize) -> V
     headers
 }
 
-/// A tenth of a millimetre, of a millidegree, of a permille.
+/// Rounds to four decimals: a tenth of a millimetre, of a millidegree, of a permille.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
-/// What went wrong, without the names of this machine's folders.
+/// Turns an error of the database into an answer that does not name folders of this machine.
 fn refusal(error: &DatabaseError) -> HttpProblem {
     let none = |what: String| HttpProblem::new(StatusCode::NOT_FOUND, what);
     match error {
@@ -317,9 +331,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_not_used_for_longest_is_given_up_until_the_rest_is_few_and_small() {
-        let left = |mut kept: Vec<u64>, most: usize| {
-            give_up(&mut kept, most, |pixels| *pixels);
+    fn the_least_recently_used_is_evicted_until_few_and_small_are_left() {
+        let left = |mut kept: Vec<u64>, max_count: usize| {
+            evict(&mut kept, max_count, |pixels| *pixels);
             kept
         };
         assert_eq!(left(vec![1, 2, 3], 3), [1, 2, 3]);

@@ -1,4 +1,4 @@
-//! A connection whose other end may be slow, but not for ever: what was made for a client that does not read stays in memory.
+//! Limits how slowly a client may take its answers, because they stay in memory until then.
 
 use std::future::Future;
 use std::io;
@@ -13,21 +13,23 @@ use tokio::time::{Instant, Sleep, sleep};
 
 use super::connections::Seat;
 
-/// So long a write may wait until the first byte is taken, and for all bytes together beyond what [`LEAST_RATE`] allows for.
+/// Longest wait of a write until the first byte is taken, and for all bytes together beyond what [`MIN_RATE_BYTES_S`] allows for.
 const MAX_STALL: Duration = Duration::from_secs(10);
-/// Bytes a second that a client has to take on average while the service waits for it.
-const LEAST_RATE: f64 = 65_536.0;
+/// Smallest average rate at which a client must take bytes while the service waits for it, bytes per second.
+const MIN_RATE_BYTES_S: f64 = 65_536.0;
 
+/// A connection that fails with `TimedOut` if its client takes bytes too slowly.
 pub(super) struct WriteTimeout {
     stream: TcpStream,
     seat: Arc<Seat>,
     credit: Credit,
+    /// Ends when the credit of the write that waits is used up.
     exhausted: Pin<Box<Sleep>>,
-    /// Since when a write has been waiting.
+    /// Time since which a write has been waiting.
     waits_since: Option<Instant>,
 }
 
-/// How much longer a client is waited for: waiting uses it up, and bytes that are taken earn it back.
+/// Time that the service will still wait for a client: waiting uses it up, and bytes that are taken earn it back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Credit(Duration);
 
@@ -37,7 +39,7 @@ impl Credit {
     }
 
     fn after_taking(self, bytes: usize) -> Self {
-        Self((self.0 + Duration::from_secs_f64(bytes as f64 / LEAST_RATE)).min(MAX_STALL))
+        Self((self.0 + Duration::from_secs_f64(bytes as f64 / MIN_RATE_BYTES_S)).min(MAX_STALL))
     }
 }
 
@@ -47,6 +49,7 @@ impl WriteTimeout {
         Self { stream, seat, credit, exhausted, waits_since: None }
     }
 
+    /// Applies the limit to the result of a write.
     fn within_time(&mut self, context: &mut Context, done: Poll<io::Result<usize>>) -> Poll<io::Result<usize>> {
         if let Poll::Ready(taken) = done {
             if let Some(since) = self.waits_since.take() {
@@ -54,7 +57,7 @@ impl WriteTimeout {
             }
             if let Ok(bytes) = taken {
                 self.credit = self.credit.after_taking(bytes);
-                self.seat.took(bytes);
+                self.seat.record_taken(bytes);
             }
             return Poll::Ready(taken);
         }
@@ -105,7 +108,7 @@ impl AsyncWrite for WriteTimeout {
 mod tests {
     use super::*;
 
-    /// The time for which a client is waited for that takes `bytes` every `period`.
+    /// Returns the time after which a client that takes `bytes` every `period` is given up; `None` if it never is.
     fn patience(bytes: usize, period: Duration) -> Option<Duration> {
         let mut credit = Credit(MAX_STALL);
         (0..10_000u32).find_map(|number| {
@@ -122,9 +125,9 @@ mod tests {
         assert_eq!(patience(1, Duration::from_secs(11)), Some(MAX_STALL));
         let dripping = patience(1, Duration::from_secs(9)).expect("given up");
         assert!(dripping < 2 * MAX_STALL, "{dripping:?}");
-        let half = patience(LEAST_RATE as usize / 2, Duration::from_secs(1)).expect("given up");
+        let half = patience(MIN_RATE_BYTES_S as usize / 2, Duration::from_secs(1)).expect("given up");
         assert!((half.as_secs_f64() - 20.0).abs() < 1.5, "{half:?}");
-        assert_eq!(patience(LEAST_RATE as usize, Duration::from_secs(1)), None);
+        assert_eq!(patience(MIN_RATE_BYTES_S as usize, Duration::from_secs(1)), None);
     }
 
     #[test]

@@ -1,14 +1,14 @@
-//! One frame of a log or scene: what was seen in it, and what speaks for and against its tag.
+//! Explains the tag of one frame of a log or scene: what was seen, and the evidence for and against the pose.
 //!
-//! The frames before it are tagged as a replay without a time budget tags them; poses that a replay predicts where no frame comes for
-//! long are left out.
+//! The frames before it are tagged as a replay without a time budget tags them, but without the poses that a replay predicts
+//! in long gaps between frames.
 
 use std::path::PathBuf;
 
 use super::checkpoint::Checkpoint;
 use super::error::ReplayError;
 use super::input_source::{self, OpenLog};
-use super::perception_pool::view;
+use super::perception_pool::decode_picture;
 use super::replay::Progress;
 use super::setup::Setup;
 use super::tagger::Tagger;
@@ -22,48 +22,55 @@ use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::FrameTag;
 use realitysim_vision::{Observations, Picture};
 
+/// The frame to explain.
 #[derive(Clone, Debug)]
 pub struct ExplainOptions {
     /// An MCAP file, a folder of them, or a scene file (`.toml`).
     pub source: PathBuf,
+    /// Settings of the agent.
     pub settings: Settings,
-    /// In place of what the log announces.
+    /// Pose of `base_footprint` in `map` to start at, in place of what the log announces.
     pub initial: Option<Pose2>,
-    /// Counted from 0; all before it are tagged as a replay tags them.
+    /// Number of the frame, counted from 0. The frames before it are tagged first.
     pub frame: u64,
 }
 
 /// The tag of one frame, and what it follows from.
 pub struct Explanation {
+    /// The tag.
     pub tag: FrameTag,
+    /// The lens.
     pub lens: Lens,
+    /// The field.
     pub field: Field,
-    /// Of `camera_link`, in the tag.
+    /// The tag's pose of `camera_link` in `map`.
     pub map_from_camera: Isometry,
-    /// Where something could be seen.
+    /// Picture and evidence; `None` if the image could not be used.
     pub sight: Option<Sight>,
 }
 
-/// The frame's picture, and what was made of it.
+/// A frame's picture, and the evidence found in it.
 pub struct Sight {
+    /// The picture.
     pub picture: Picture,
+    /// The evidence for and against the tag.
     pub evidence: Evidence,
 }
 
-/// Errors are those of a replay, or that there is no such frame.
+/// Explains the tag of one frame. Errors are those of a replay, or that there is no such frame.
 pub fn explain(options: &ExplainOptions, progress: Progress) -> Result<Explanation, ReplayError> {
     if options.source.extension().is_some_and(|ending| ending == "toml") {
         let scene = scene_source::load(&options.source)?;
         let (setup, messages) = input_source::scene(&scene, &options.source, &options.settings)?;
-        return Walk::new(options, setup, None).through(messages, progress);
+        return ReplayToFrame::new(options, setup, None).through(messages, progress);
     }
     let OpenLog { setup, mut messages, checkpoint, .. } = input_source::log(&options.source, &options.settings)?;
-    Walk::new(options, setup, checkpoint)
+    ReplayToFrame::new(options, setup, checkpoint)
         .through(messages.by_ref().map(|message| message.map_err(ReplayError::from)), progress)
 }
 
-/// The way to the frame.
-struct Walk<'a> {
+/// A replay up to the frame.
+struct ReplayToFrame<'a> {
     options: &'a ExplainOptions,
     setup: Setup,
     synchroniser: Synchroniser,
@@ -72,8 +79,8 @@ struct Walk<'a> {
     frames: u64,
 }
 
-impl<'a> Walk<'a> {
-    /// From where a capture's segment begins, if there is a checkpoint.
+impl<'a> ReplayToFrame<'a> {
+    /// Starts from the checkpoint of a capture's segment if there is one.
     fn new(options: &'a ExplainOptions, setup: Setup, checkpoint: Option<Checkpoint>) -> Self {
         let (state, known) = match checkpoint {
             Some(checkpoint) => (checkpoint.tagger, checkpoint.synchroniser),
@@ -101,16 +108,16 @@ impl<'a> Walk<'a> {
             match measurement::read(&message, &self.setup.topics, &self.setup.settings.head) {
                 Ok(measurement::Measurement::InitialPose { .. }) if self.options.initial.is_some() => {}
                 Ok(input) => self.synchroniser.push(&message, input),
-                // What cannot be read is told by a replay.
+                // A replay reports messages that cannot be read.
                 Err(_) => {}
             }
-            if let Some(explanation) = self.go_on(progress) {
+            if let Some(explanation) = self.process_ready_frames(progress) {
                 return Ok(explanation);
             }
         }
         self.synchroniser.finish();
         let source = self.options.source.display();
-        self.go_on(progress).ok_or_else(|| {
+        self.process_ready_frames(progress).ok_or_else(|| {
             let told = format!(
                 "{source}: there is no frame {}; they are 0 to {}",
                 self.options.frame,
@@ -120,36 +127,39 @@ impl<'a> Walk<'a> {
         })
     }
 
-    fn go_on(&mut self, progress: Progress) -> Option<Explanation> {
+    /// Tags the frames whose measurements are complete; returns the explanation once the wanted frame is reached.
+    fn process_ready_frames(&mut self, progress: Progress) -> Option<Explanation> {
         while let Some(frame) = self.synchroniser.pop() {
             let is_asked_for = self.frames == self.options.frame;
             self.frames += 1;
             progress(self.frames, Some(self.options.frame + 1));
             if is_asked_for {
-                return Some(self.explained(&frame));
+                return Some(self.explain(&frame));
             }
-            self.pass(&frame);
+            self.track(&frame);
         }
         None
     }
 
-    fn pass(&mut self, frame: &Frame) {
+    /// Tags a frame before the wanted one.
+    fn track(&mut self, frame: &Frame) {
         match self.look(frame) {
             Ok(_) => self.tagger.tag(frame.stamp_ns, &frame.robot, &self.seen, &mut always),
             Err(reason) => self.tagger.tag_blind(frame.stamp_ns, &frame.robot, reason),
         };
     }
 
+    /// Looks at a frame's image; what it shows goes into `seen`.
     fn look(&mut self, frame: &Frame) -> Result<Picture, Rejection> {
         let Ok(place) = &frame.robot.place else { return Err(Rejection::NoTransform) };
         let vision = &self.setup.eyes.vision;
-        let picture = view(&frame.message, vision.lens()).map_err(|unseen| unseen.rejection())?;
+        let picture = decode_picture(&frame.message, vision.lens()).map_err(|unseen| unseen.rejection())?;
         let body = self.setup.eyes.body(frame.robot.head);
         vision.look_again(&picture, &place.footprint_from_optical, body, &mut self.seen);
         Ok(picture)
     }
 
-    fn explained(&mut self, frame: &Frame) -> Explanation {
+    fn explain(&mut self, frame: &Frame) -> Explanation {
         let (mut tag, sight) = match self.look(frame) {
             Ok(picture) => {
                 let (tag, evidence) = self.tagger.explain(frame.stamp_ns, &frame.robot, &self.seen);

@@ -1,17 +1,19 @@
-//! What localization costs and gives, for those who watch a robot record.
+//! Times, particles and spread of localization, for diagnostics and reports.
 
 use super::durations::Durations;
 use realitysim_ros2::messages::{DiagnosticStatus, FrameTag, KeyValue};
 use realitysim_ros2::topics::DIAGNOSTICS_PREFIX;
 
-/// Of all frames, and of those since the last report.
+/// Statistics of all frames, and of those since the last diagnostics.
 #[derive(Clone, Debug, Default)]
 pub struct FilterStats {
-    /// From the decoded image to the tag.
+    /// Times from the decoded image to the tag.
     pub durations: Durations,
+    /// Number of frames with fewer particles or iterations than wanted because time was up.
     pub capped: u64,
+    /// Number of frames that took longer than the budget.
     pub over_budget: u64,
-    lately: RecentFilterStats,
+    recent: RecentFilterStats,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -24,22 +26,23 @@ struct RecentFilterStats {
 }
 
 impl FilterStats {
+    /// Counts a frame by its tag. `budget_ms` is 0 if there is no budget.
     pub fn note(&mut self, tag: &FrameTag, budget_ms: f64) {
         self.durations.note(tag.elapsed_ms);
         self.capped += u64::from(tag.capped);
         let over_budget = budget_ms > 0.0 && tag.elapsed_ms > budget_ms;
         self.over_budget += u64::from(over_budget);
-        let lately = &mut self.lately;
-        lately.frames += 1;
-        lately.capped += u64::from(tag.capped);
-        lately.over_budget += u64::from(over_budget);
-        lately.particles += u64::from(tag.particles);
-        lately.spread_m = tag.spread_m;
+        let recent = &mut self.recent;
+        recent.frames += 1;
+        recent.capped += u64::from(tag.capped);
+        recent.over_budget += u64::from(over_budget);
+        recent.particles += u64::from(tag.particles);
+        recent.spread_m = tag.spread_m;
     }
 
-    /// Begins the next stretch.
+    /// The diagnostics of localization since the last call.
     pub fn diagnostics(&mut self, robot: &str, budget_ms: f64) -> DiagnosticStatus {
-        let RecentFilterStats { frames, capped, over_budget, particles, spread_m } = core::mem::take(&mut self.lately);
+        let RecentFilterStats { frames, capped, over_budget, particles, spread_m } = core::mem::take(&mut self.recent);
         let share = |count: u64| count as f64 / frames.max(1) as f64;
         let quantiles = self.durations.quantiles();
         let late = share(over_budget) > 0.5;

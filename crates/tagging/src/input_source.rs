@@ -1,4 +1,4 @@
-//! A log or a scene, opened: what must be known before its first frame, then its messages.
+//! Opens a log or a scene: what must be known before the first frame, then the messages.
 
 use std::path::{Path, PathBuf};
 
@@ -17,20 +17,27 @@ use realitysim_ros2::messages::{CompressedImage, FrameTag, Message, Odometry};
 use realitysim_ros2::topics::{self, CHECKPOINT_ATTACHMENT};
 use realitysim_scene::Scene;
 
+/// A log that is ready to be read.
 pub struct OpenLog {
+    /// Topics, lens, field and transforms.
     pub setup: Setup,
+    /// The log's messages.
     pub messages: LogSource,
-    /// Of a capture's segment.
+    /// Checkpoint at the beginning of the log, if it is a segment of a capture.
     pub checkpoint: Option<Checkpoint>,
-    /// How many there should be.
+    /// Number of frames that the log states.
     pub frames: u64,
-    /// What is known to be missing before anything is read.
+    /// Parts of the log that are known to be missing before a message is read.
     pub lost: Vec<Loss>,
+    /// Findings that a user will want to know, as sentences.
     pub warnings: Vec<String>,
-    /// What the recording agent's clock decided, if a budget is set.
+    /// Recorded stops of the time budget; empty if the settings have no budget.
     pub decided: Decisions,
 }
 
+/// Opens an MCAP file, a folder of them, or a capture.
+///
+/// Fails if there is no file, if a file cannot be read, or if topics, lens, field or mount cannot be determined.
 pub fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
     let missing = missing_parts(path);
     let files = logs::files_of(path).map_err(|error| match error {
@@ -43,8 +50,7 @@ pub fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
     let lacks_images = topic_resolution::image(&settings.topics.image, &types).is_err();
     let lacks_odometry = !types.values().any(|types| types.contains(Odometry::TYPE));
     if stored.is_of_capture {
-        // Of a time when the camera or the odometry sent nothing, for which recording did not end; what else was measured then is
-        // whole.
+        // The camera or the odometry may have sent nothing during this segment. The other measurements are still of use.
         let mut expect = |topic: &str, name: &str| types.entry(topic.to_owned()).or_default().insert(name.to_owned());
         if lacks_images {
             expect(&settings.topics.image, CompressedImage::TYPE);
@@ -75,7 +81,7 @@ pub fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
     })
 }
 
-/// With all messages of the scene; `name` is for messages to people.
+/// The setup of a scene and all its messages. `name` is for error texts.
 pub(super) fn scene<'a>(
     scene: &'a Scene,
     name: &Path,
@@ -84,7 +90,7 @@ pub(super) fn scene<'a>(
     let mut settings = settings.clone();
     settings.field = scene.file().scene.field.clone();
     let mut source = SceneSource::new(scene);
-    // Constants come first: they are all that the agent must know beforehand.
+    // The constants come before the first image; they are all that must be known beforehand.
     let mut first: Vec<LogMessage> = Vec::new();
     let types = SceneSource::topic_types(scene);
     let mut has_image = false;
@@ -103,7 +109,7 @@ pub(super) fn scene<'a>(
     Ok((setup, messages))
 }
 
-/// Says in which log or scene something is wrong, if it is there, and what of it was lost.
+/// Adds the log or scene and its losses to an error that lies in the log or scene.
 fn setup_error(source: &Path, error: SetupError, lost: Vec<Loss>) -> ReplayError {
     match error {
         SetupError::Log(error) => ReplayError::Log(error),
@@ -112,10 +118,12 @@ fn setup_error(source: &Path, error: SetupError, lost: Vec<Loss>) -> ReplayError
     }
 }
 
-/// Frames remembered: ten hours at 30 Hz, 40 MB. Later ones are decided by the clock.
+/// Most frames whose recorded stops are remembered: ten hours at 30 Hz, 40 MB. The clock decides for later frames.
 const MAX_DECISIONS: usize = 1 << 20;
 
-/// Of a log that is no capture, nothing. What cannot be read will be told when the log is replayed.
+/// The recorded stops of the time budget, from the tags in the files; empty if the log is not a capture.
+///
+/// Messages that cannot be read are skipped here; the replay reports them.
 fn decisions(files: &[PathBuf]) -> Decisions {
     let tags = LogSource::with_outputs(files.to_vec(), Selection::topics([topics::FRAME_TAG]));
     let tags = tags.flatten().filter_map(|message| FrameTag::decode(&message.data).ok());
@@ -123,7 +131,7 @@ fn decisions(files: &[PathBuf]) -> Decisions {
     decided.take(MAX_DECISIONS).collect()
 }
 
-/// What a segment of a capture brings along of the filter's state, or why that is of no use.
+/// The checkpoint that a segment of a capture holds, or why it cannot be used.
 #[derive(Default)]
 struct StoredState {
     is_of_capture: bool,
@@ -146,7 +154,7 @@ fn stored_state(files: &[PathBuf], surveys: &[Survey]) -> Result<StoredState, Re
     };
     let what = format!("its attachment {CHECKPOINT_ATTACHMENT}: {error}; {BEGAN_ANEW}");
     Ok(match error {
-        // Not lost, only of another time.
+        // A checkpoint of another version is not a loss of data.
         CheckpointError::Version { .. } => {
             StoredState { warning: Some(format!("{}: {what}", path.display())), ..of_capture }
         }
@@ -154,4 +162,5 @@ fn stored_state(files: &[PathBuf], surveys: &[Survey]) -> Result<StoredState, Re
     })
 }
 
+/// End of the message about a checkpoint or state file that cannot be used.
 pub(super) const BEGAN_ANEW: &str = "the filter began without it";

@@ -1,4 +1,4 @@
-//! Between two sessions of one agent: nothing is recorded, and odometry goes on saying where the robot is.
+//! Follows odometry between two sessions of one agent, while nothing is recorded.
 
 use super::dead_reckoning::DeadReckoning;
 use super::tagger::Tagger;
@@ -8,29 +8,30 @@ use realitysim_log_input::measurement;
 use realitysim_log_input::synchroniser::Synchroniser;
 use realitysim_ros2::mcap_read::LogMessage;
 
-/// Steps as they come, no frames.
+/// The parts of a paused pipeline that keep track of the robot by odometry alone.
 pub struct IdleOdometry {
     pub(super) topics: Topics,
     pub(super) head: HeadSettings,
     pub(super) synchroniser: Synchroniser,
     pub(super) tagger: Tagger,
-    pub(super) foresight: DeadReckoning,
+    pub(super) dead_reckoning: DeadReckoning,
 }
 
 impl IdleOdometry {
+    /// Takes a message in the order of arrival. Frames and messages that do not decode are ignored.
     pub fn take(&mut self, message: &LogMessage) {
         if measurement::is_frame(&message.channel, &self.topics) {
             return;
         }
         let Ok(input) = measurement::read(message, &self.topics, &self.head) else { return };
         self.synchroniser.push(message, input);
-        if let Some(stamp_ns) = self.foresight.due(&self.synchroniser, message.log_time_ns) {
-            self.foresight.look(stamp_ns, &mut self.tagger, &self.synchroniser);
+        if let Some(stamp_ns) = self.dead_reckoning.next_due_ns(&self.synchroniser, message.log_time_ns) {
+            self.dead_reckoning.predict(stamp_ns, &mut self.tagger, &self.synchroniser);
         }
     }
 
-    /// Where the next session goes on.
+    /// The state that the next session starts from.
     pub fn kept(self) -> WarmState {
-        WarmState::new(self.foresight, self.tagger.state(), self.synchroniser.state())
+        WarmState::new(self.dead_reckoning, self.tagger.state(), self.synchroniser.state())
     }
 }

@@ -1,4 +1,4 @@
-//! What a log says before its first frame: a first pass that touches calibration, transforms and one image only.
+//! A first pass over a log, before its first frame: it reads calibration, transforms and one image only.
 
 use std::collections::BTreeMap;
 
@@ -12,19 +12,27 @@ use realitysim_log_input::topic_resolution::{TopicTypes, resolve};
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::messages::{CameraInfo, Imu, JointState, Message, TFMessage};
 
+/// What a stream of messages says about topics, calibration and constant transforms.
 pub struct StreamInfo {
+    /// The topics of the settings, with those that were found in place of missing ones.
     pub topics: Topics,
+    /// The first calibration message, if there is one.
     pub camera_info: Option<CameraInfo>,
-    /// Constants are known from the start, wherever in the log they stand.
+    /// State with the constant transforms, which count from the start wherever in the log they stand.
     pub synchroniser: SynchroniserState,
+    /// Kinds of measurements that the stream has, so that frames wait for them.
     pub expected: Expected,
+    /// Where the torso's attitude comes from.
     pub attitude: AttitudeSource,
 }
 
-/// More messages of one topic than this are not needed to know calibration and constants.
+/// Messages of each calibration and transform channel that are read; more are not needed to know the constants.
 const ENOUGH: u32 = 200;
 
 impl StreamInfo {
+    /// Reads the calibration and transforms of a stream, resolves its topics and checks the camera's mount.
+    ///
+    /// `types` are the message types of each topic; `messages` gives the messages of a selection of topics from the start.
     pub fn read(
         settings: &Settings,
         types: &TopicTypes,
@@ -64,7 +72,7 @@ impl StreamInfo {
     }
 }
 
-/// Whether the camera can be where the log says, before anything is written.
+/// Checks that the transforms can lead to the camera, before anything is written.
 fn check_mount(
     mut synchroniser: Synchroniser,
     found: &[LogMessage],
@@ -72,7 +80,7 @@ fn check_mount(
     topics: &Topics,
     settings: &Settings,
 ) -> Result<(), SetupError> {
-    // The first frame tells what its optical frame is called.
+    // The first frame names the coordinate frame of the camera.
     for message in found.iter().chain(first_frame) {
         let input = measurement::read(message, topics, &settings.head);
         if let Ok(input @ (Measurement::Transforms { latched: false, .. } | Measurement::Frame { .. })) = input {
@@ -83,6 +91,7 @@ fn check_mount(
     Ok(synchroniser.check_mount(moving >= ENOUGH as usize)?)
 }
 
+/// The first [`ENOUGH`] messages of each channel.
 fn first_of_each(messages: impl Iterator<Item = Result<LogMessage, LogError>>) -> Result<Vec<LogMessage>, LogError> {
     let mut counts: BTreeMap<u16, u32> = BTreeMap::new();
     let mut kept = Vec::new();
@@ -97,6 +106,7 @@ fn first_of_each(messages: impl Iterator<Item = Result<LogMessage, LogError>>) -
     Ok(kept)
 }
 
+/// Whether a message has the transform from `odom` to `base_footprint`, which is odometry.
 fn moves_footprint(message: &LogMessage, settings: &Settings) -> bool {
     let names = &settings.frames;
     let is_step = |t: &measurement::StampedTransform| t.parent == names.odom && t.child == names.base_footprint;

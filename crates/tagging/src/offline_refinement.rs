@@ -1,5 +1,7 @@
-//! A capture's tags made better from all its frames together: reads the capture, lets [`realitysim_localization::smoothing`] think, writes the result beside
-//! the tags that were recorded, which stay as they are.
+//! Refines the tags of a whole capture from all its frames together.
+//!
+//! The capture is read, [`realitysim_localization::smoothing`] fits all poses and the constants of lens and mount at once, and
+//! the result is written beside the recorded tags, which stay as they are.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -11,7 +13,7 @@ use thiserror::Error;
 
 use super::error::ReplayError;
 use super::input_source::{self, OpenLog};
-use super::perception_pool::view;
+use super::perception_pool::decode_picture;
 use realitysim_geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use realitysim_localization::refinement::LinePoints;
 use realitysim_localization::refinement::line_measurement::{CameraModel, LineMeasurement, measure};
@@ -30,58 +32,76 @@ use realitysim_ros2::messages::{FrameTag, Header, Message, Pose, PoseWithCovaria
 use realitysim_ros2::{Durability, LogWriter, WriteError, topics};
 use realitysim_vision::{Observations, Picture};
 
-/// A capture and what became of its tags.
+/// A capture with its refined tags.
 pub struct OfflineRefinement {
+    /// The capture's `session.json`.
     pub info: SessionInfo,
-    /// As they were recorded.
+    /// The recorded tags.
     pub tags: Vec<FrameTag>,
-    /// The same with better poses where that was possible.
+    /// The same tags, with refined poses where that was possible.
     pub refined: Vec<FrameTag>,
+    /// The fit of all frames.
     pub smoothed: Smoothed,
     /// See [`RefinedInfo::held_out_px`].
     pub held_out_px: [f64; 2],
-    /// As it is found to be.
+    /// The lens with the fitted constants.
     pub lens: LensParameters,
-    /// Stamps of the frames that took part.
+    /// Stamps of the frames that took part, nanoseconds.
     pub stamps_ns: Vec<i64>,
+    /// Parts of the capture that could not be read.
     pub losses: Vec<Loss>,
 }
 
+/// Why a capture cannot be refined.
 #[derive(Debug, Error)]
 pub enum RefineError {
+    /// The folder has no `session.json`.
     #[error("{}: a capture's folder is needed, and there is no session.json{}", .0.display(), captures_within(.0))]
     NotACapture(PathBuf),
+    /// No frame with a valid tag shows lines.
     #[error("{}: it has no valid tag with lines: nothing can be refined", .0.display())]
     NoFrames(PathBuf),
+    /// The capture cannot be read, or the result cannot be written.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// The tags cannot be read.
     #[error(transparent)]
     Tags(#[from] ReadoutError),
+    /// The capture's messages cannot be replayed.
     #[error(transparent)]
     Replay(#[from] ReplayError),
+    /// The fitted constants make no possible lens.
     #[error("the lens: {0}")]
     Lens(#[from] LensError),
+    /// A file of the result cannot be written.
     #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: std::io::Error },
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// The log of refined tags cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
 
-/// Lines are looked for twice: from the tags, and from what came of them.
+/// Number of passes: lines are measured around the recorded tags first, then around the refined poses.
 const PASSES: usize = 2;
-/// How wrong a pose may be in the first pass, and in the next: metres and radians.
+/// Standard deviations of position (metres) and rotation (radians) with which lines are searched, for each pass.
 const REACH: [(f64, f64); PASSES] = [(0.02, 0.008), (0.006, 0.003)];
-/// Of one frame; the lines of a field have two thousand places at most, every few pixels of them tell the same.
+/// Most line places of one frame. A field has two thousand at most, and those a few pixels apart tell the same.
 const MAX_PLACES: usize = 400;
-/// Frames of one capture: an hour at 30 Hz, with all their places 3 GB.
+/// Most frames of one capture: an hour at 30 Hz, with all their places 3 GB.
 const MAX_FRAMES: usize = 108_000;
-/// A constant that is known to less than this share of what was believed has been observed.
+/// A constant counts as observed if its standard deviation is below this share of the prior's.
 const OBSERVED: f64 = 0.5;
-/// By so much all lines together may be seen beside where they are, whatever their number: paint, light, a lens that is no
-/// polynomial. No walk knows a constant better than what moves lines by this.
+/// Systematic error of all lines together, pixels, whatever their number: paint, light, a lens that is no polynomial. No
+/// constant is known better than what moves lines by this much.
 const SYSTEMATIC_PX: f64 = 0.08;
 
-/// `progress` hears of frames looked at, and of how many there are.
+/// Refines the tags of a capture. `progress` gets the number of frames looked at and the number of all frames, both over
+/// all passes.
 pub fn refine(
     capture: &Path,
     model: &Model,
@@ -104,14 +124,14 @@ pub fn refine(
     let mut constants = Constants::default();
     let mut done: Option<(Vec<Frame>, Smoothed)> = None;
     for (pass, reach) in REACH.iter().enumerate() {
-        let looked = look(capture, &info, &constants, &poses, *reach, &mut |frame, frames| {
+        let measured = measure_lines(capture, &info, &constants, &poses, *reach, &mut |frame, frames| {
             progress(pass as u64 * frames + frame, PASSES as u64 * frames);
         })?;
-        let (mut frames, more) = looked;
+        let (mut frames, more) = measured;
         if pass == 0 {
             losses.extend(more.into_iter().filter(|loss| !losses.contains(loss)).collect::<Vec<_>>());
         }
-        // Where lines are looked for is one thing, what the tags said another.
+        // The second pass searches lines around refined poses, but the pose as tagged stays the recorded one.
         frames.iter_mut().for_each(|frame| frame.map_from_optical = tagged[&frame.stamp_ns]);
         if frames.iter().all(|frame| frame.places.is_empty()) {
             return Err(RefineError::NoFrames(capture.to_owned()));
@@ -144,8 +164,10 @@ pub fn refine(
     })
 }
 
-/// Every frame with a valid tag, and the lines found around these poses.
-fn look(
+/// All frames with a valid tag, with the lines measured around `poses`, and the losses of the capture.
+///
+/// `poses` are those of `camera_optical_frame` in `map` by stamp; the last pair are the standard deviations to search with.
+fn measure_lines(
     capture: &Path,
     info: &SessionInfo,
     found: &Constants,
@@ -172,7 +194,8 @@ fn look(
         let Some(pose) = poses.get(&frame.stamp_ns).filter(|_| frames.len() < MAX_FRAMES) else { return };
         let (mut places, mut overlap) = (Vec::new(), None);
         let twist = frame.robot.camera_twist.unwrap_or_default();
-        if let (Ok(place), Ok(picture)) = (&frame.robot.place, view(&frame.message, setup.eyes.vision.lens())) {
+        if let (Ok(place), Ok(picture)) = (&frame.robot.place, decode_picture(&frame.message, setup.eyes.vision.lens()))
+        {
             let body = setup.eyes.body(frame.robot.head);
             setup.eyes.vision.look_again(&picture, &place.footprint_from_optical, body, &mut seen);
             let eye = CameraModel { projector: &projector, off: &off, twist: &twist };
@@ -204,7 +227,7 @@ fn look(
         if message.channel.topic == setup.topics.ground_truth {
             continue;
         }
-        // What cannot be read could not be read when the capture was made, and was told then.
+        // Messages that cannot be read were reported when the capture was made.
         if let Ok(input) = measurement::read(&message, &setup.topics, &setup.settings.head) {
             synchroniser.push(&message, input);
         }
@@ -223,6 +246,7 @@ fn look(
     Ok((frames, losses))
 }
 
+/// The tag with a refined pose and its covariance.
 fn retagged(tag: &FrameTag, map_from_link: &Isometry, covariance: &Matrix6<f64>) -> FrameTag {
     let euler = map_from_link.euler();
     let mut tag = FrameTag { yaw: euler.yaw, pitch: euler.pitch, roll: euler.roll, refined: true, ..tag.clone() };
@@ -235,12 +259,14 @@ fn retagged(tag: &FrameTag, map_from_link: &Isometry, covariance: &Matrix6<f64>)
 }
 
 impl OfflineRefinement {
+    /// The lens, the constants with their uncertainties, and the residuals, as they are stored beside the refined tags.
     pub fn info(&self) -> RefinedInfo {
         let Smoothed { constants, believed, known, rms_px, .. } = &self.smoothed;
         let values = constants.values();
         let height_m = self.smoothed.map_from_optical.first().map_or(0.0, |pose| pose.translation.z.abs());
-        // Focal length, k1 and tilts in shares of the focal length, the centre in pixels, the height by ground seen at 45 degrees,
-        // readout of a camera that turns by a radian per second.
+        // The change of each constant that moves lines by one pixel. Focal length, k1 and tilts are shares of the focal length,
+        // the centre is in pixels; the height counts for ground seen at 45 degrees, the readout time for a camera that turns by
+        // one radian per second.
         let a_pixel = 1.0 / self.lens.fx;
         let systematic = [a_pixel, 1.0, 1.0, a_pixel, a_pixel, a_pixel, height_m * a_pixel, a_pixel];
         let found = (0..CONSTANTS).map(|i| RefinedConstant {
@@ -261,8 +287,9 @@ impl OfflineRefinement {
         }
     }
 
-    /// Puts the refined tags into the capture's folder `refined`, in place of earlier ones. Nothing that was recorded is
-    /// touched; a half-written folder is never read.
+    /// Writes the refined tags into the capture's folder `refined`, in place of earlier ones, and returns the folder.
+    ///
+    /// Recorded files are not touched. The tags get their name last, so that a half-written folder is never read.
     pub fn write(&self, capture: &Path) -> Result<PathBuf, RefineError> {
         let folder = capture.join(REFINED_FOLDER);
         let failed = |path: &Path| {
@@ -288,7 +315,7 @@ impl OfflineRefinement {
         file.sync_all().map_err(failed(&active))?;
         let path = folder.join(REFINED_TAGS);
         let info = serde_json::to_vec_pretty(&self.info()).map_err(|error| failed(&folder)(error.into()))?;
-        // Tags of an earlier run must not stand beside the lens of this one.
+        // The tags of an earlier run are removed first: they must not stand beside the lens of this one.
         match fs::remove_file(&path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(&path)(error)),
             _ => {}

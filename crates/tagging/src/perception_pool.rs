@@ -1,6 +1,6 @@
-//! The part of a frame's work that needs nothing of the frames before it, on as many threads as wanted.
+//! Looks at images on a pool of threads: the part of the work that does not depend on earlier frames.
 //!
-//! Frames go to a pool of workers and are taken back in their order, so that the number of threads changes no bit.
+//! Frames are taken back in the order in which they went in, so that the number of threads changes no bit of a tag.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -16,27 +16,34 @@ use realitysim_log_input::synchroniser::Frame;
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_vision::{Observations, Picture};
 
-/// A frame after looking at it.
+/// A frame with the result of looking at its image.
 pub struct PerceivedFrame {
+    /// The frame.
     pub frame: Frame,
+    /// What the image shows, or why it cannot be used.
     pub seen: Result<Observations, PerceptionError>,
-    /// Milliseconds from the decoded image to the ground table.
+    /// Time from the decoded image to the ground table, milliseconds.
     pub look_ms: f64,
 }
 
-/// Why nothing could be seen.
+/// Why an image could not be used.
 #[derive(Debug)]
 pub enum PerceptionError {
+    /// The image does not decode.
     Decode(DecodeError),
+    /// The image is not of the size that the lens is calibrated for.
     Size {
+        /// Width and height of the image, pixels.
         image: [usize; 2],
+        /// Width and height of the lens's images, pixels.
         lens: [u32; 2],
     },
-    /// The camera's place is not known: the message is in the frame.
+    /// The camera's place on the robot is not known. The frame's `robot.place` holds the error.
     NoPlace,
 }
 
 impl PerceptionError {
+    /// The reason that the frame's tag states.
     pub fn rejection(&self) -> Rejection {
         match self {
             Self::Decode(_) => Rejection::ImageBroken,
@@ -51,12 +58,12 @@ const AHEAD: usize = 2;
 
 struct Job {
     frame: Frame,
-    /// Of a frame that is done with: its buffers are used again.
+    /// Observations of an earlier frame, whose buffers are used again.
     spare: Observations,
     reply: Sender<PerceivedFrame>,
 }
 
-/// Frames in, looked-at frames out, in the same order.
+/// A pool of threads that takes frames and gives them back with what their images show, in the same order.
 pub struct PerceptionPool {
     eyes: Arc<FramePerception>,
     jobs: Option<Sender<Job>>,
@@ -67,7 +74,7 @@ pub struct PerceptionPool {
 }
 
 impl PerceptionPool {
-    /// With one thread everything happens in the caller's.
+    /// A pool of `threads` threads. With one thread, the work is done in the caller's.
     pub fn new(eyes: Arc<FramePerception>, threads: usize) -> Self {
         if threads <= 1 {
             return Self {
@@ -86,8 +93,8 @@ impl PerceptionPool {
                 let (eyes, queue) = (Arc::clone(&eyes), queue.clone());
                 std::thread::spawn(move || {
                     for job in queue {
-                        // Nobody waits any more when the replay has been given up.
-                        let _ = job.reply.send(look(&eyes, job.frame, job.spare));
+                        // Sending fails only if the replay has been given up.
+                        let _ = job.reply.send(perceive(&eyes, job.frame, job.spare));
                     }
                 })
             })
@@ -98,22 +105,22 @@ impl PerceptionPool {
     /// Takes a frame and, once enough are under way, hands back the oldest.
     pub fn push(&mut self, frame: Frame) -> Option<PerceivedFrame> {
         let spare = self.spares.pop().unwrap_or_default();
-        let Some(jobs) = &self.jobs else { return Some(look(&self.eyes, frame, spare)) };
+        let Some(jobs) = &self.jobs else { return Some(perceive(&self.eyes, frame, spare)) };
         let (reply, result) = bounded(1);
-        // The workers live as long as this end of the channel.
+        // Sending cannot fail: the workers live as long as this end of the channel.
         let _ = jobs.send(Job { frame, spare, reply });
         self.pending.push_back(result);
         if self.pending.len() >= self.limit { self.pop() } else { None }
     }
 
-    /// What a frame has shown is not needed any more.
+    /// Returns the observations of a finished frame, so that their buffers are used again.
     pub fn give_back(&mut self, seen: Observations) {
         if self.spares.len() < self.limit {
             self.spares.push(seen);
         }
     }
 
-    /// The oldest frame under way.
+    /// Waits for the oldest frame under way and takes it back; `None` if there is none.
     pub fn pop(&mut self) -> Option<PerceivedFrame> {
         self.pending.pop_front().and_then(|result| result.recv().ok())
     }
@@ -129,11 +136,12 @@ impl Drop for PerceptionPool {
     }
 }
 
-fn look(eyes: &FramePerception, frame: Frame, mut seen: Observations) -> PerceivedFrame {
+/// Decodes a frame's image and looks at it. `seen` gives the buffers.
+fn perceive(eyes: &FramePerception, frame: Frame, mut seen: Observations) -> PerceivedFrame {
     let Ok(place) = frame.robot.place.clone() else {
         return PerceivedFrame { frame, seen: Err(PerceptionError::NoPlace), look_ms: 0.0 };
     };
-    let picture = match view(&frame.message, eyes.vision.lens()) {
+    let picture = match decode_picture(&frame.message, eyes.vision.lens()) {
         Ok(picture) => picture,
         Err(unseen) => return PerceivedFrame { frame, seen: Err(unseen), look_ms: 0.0 },
     };
@@ -142,8 +150,8 @@ fn look(eyes: &FramePerception, frame: Frame, mut seen: Observations) -> Perceiv
     PerceivedFrame { look_ms: start.elapsed().as_secs_f64() * 1e3, frame, seen: Ok(seen) }
 }
 
-/// The picture of a frame's message, if it is one that the lens can have made.
-pub(super) fn view(message: &LogMessage, lens: &Lens) -> Result<Picture, PerceptionError> {
+/// Decodes the picture of a frame's message and checks that it has the size of the lens.
+pub(super) fn decode_picture(message: &LogMessage, lens: &Lens) -> Result<Picture, PerceptionError> {
     picture_of_size(message, [lens.width() as usize, lens.height() as usize]).map_err(|error| match error {
         DecodeError::OtherSize { found, .. } => {
             PerceptionError::Size { image: found, lens: [lens.width(), lens.height()] }

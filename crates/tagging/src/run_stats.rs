@@ -1,4 +1,4 @@
-//! What has happened so far: for `/diagnostics` while the agent runs, for the report at its end.
+//! Statistics of a run: for `/diagnostics` while the agent runs, and for the report at its end.
 
 use std::collections::BTreeMap;
 
@@ -11,35 +11,38 @@ use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Header, KeyValue};
 use realitysim_ros2::topics::DIAGNOSTICS_PREFIX;
 
+/// Counts of tags and of messages that could not be used.
 #[derive(Clone, Debug, Default)]
 pub struct RunStats {
-    /// Tags made, whatever has become of them since: what the other counts of tags are a part of. Those of the recorder are of
-    /// tags that the disk has kept.
+    /// Number of tags made, which the other counts of tags are parts of. The recorder counts only those that the disk has
+    /// kept.
     pub tags: u64,
-    /// Why tags are invalid, and how many.
+    /// Number of invalid tags by reason.
     pub invalid: BTreeMap<String, u64>,
-    /// Of each reason the first frame.
+    /// The first frame with each reason, counted from 0.
     pub first_invalid: BTreeMap<String, u64>,
-    /// Messages, other than frames, whose bytes are not what their type says.
+    /// Number of messages, other than frames, that do not decode as their type.
     pub bad_messages: u64,
-    /// First image of which nothing could be seen, and why.
+    /// Description of the first image that could not be used.
     pub first_bad_image: Option<String>,
+    /// Times and particles of the frames.
     pub effort: FilterStats,
-    /// Poses while there were no frames.
+    /// Number of poses predicted while no frame came.
     pub predicted: u64,
-    /// Frames of which nobody said how the torso was tilted.
+    /// Number of frames for which the tilt of the torso was not measured.
     pub without_tilt: u64,
-    /// Particles' weights that were NaN or +inf.
+    /// Number of particle weights that were NaN or +inf.
     pub unusable_weights: u64,
-    /// Measurements that no robot can have made, by their numbers.
+    /// Number of measurements with physically impossible numbers.
     pub impossible_measurements: u64,
-    /// Measurements that came too late to be sorted in.
+    /// Number of measurements that came too late to be sorted in.
     pub late_measurements: u64,
-    /// Frames after which localization forgot everything, since a number was not finite.
+    /// Number of frames after which the localizer started from nothing because a number was not finite.
     pub begun_anew: u64,
 }
 
 impl RunStats {
+    /// Counts a tag.
     pub fn note_tag(&mut self, robot: &RobotState, tag: &FrameTag, budget_ms: f64) {
         self.tags += 1;
         self.effort.note(tag, budget_ms);
@@ -50,6 +53,7 @@ impl RunStats {
         }
     }
 
+    /// Remembers why a frame's image could not be used, if it is the first one.
     pub fn note_unseen(&mut self, frame: &Frame, unseen: &PerceptionError, sequence: u64) {
         self.first_bad_image.get_or_insert_with(|| {
             let what = match unseen {
@@ -66,14 +70,16 @@ impl RunStats {
         });
     }
 
-    /// Of one whose stamp cannot be read.
+    /// Remembers a frame whose stamp cannot be read, if it is the first image that cannot be used.
     pub fn note_bad_frame(&mut self, message: &LogMessage, error: &CdrError) {
         let LogMessage { channel, log_time_ns, .. } = message;
         self.first_bad_image
             .get_or_insert_with(|| format!("{}, frame logged at {log_time_ns} ns: {error}", channel.topic));
     }
 
-    /// Of the recorder; of localization since the last time this was asked.
+    /// Diagnostics of the recorder since the start, and of localization since the last call.
+    ///
+    /// `conserved` says whether every captured frame is accounted for.
     pub fn diagnostics(
         &mut self,
         log_time_ns: i64,

@@ -1,4 +1,4 @@
-//! Where was a single image taken? Lens, tilt and height are known; x, y and yaw are looked for on a field.
+//! Locates a single image: lens, tilt and height of the camera are known, x, y and yaw on the field are searched.
 
 use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
@@ -17,29 +17,32 @@ use realitysim_localization::{
 };
 use realitysim_vision::{BodyMask, Observations, Picture, Vision, VisionSettings};
 
-/// What is known beforehand.
+/// What is known about the camera before the image is looked at.
 #[derive(Clone, Debug)]
 pub struct ImagePrior {
+    /// The lens.
     pub lens: Lens,
-    /// Of `camera_link`; yaw is ignored.
+    /// Attitude of `camera_link`; yaw is ignored.
     pub attitude: Euler,
-    /// Standard deviation of its roll and pitch.
+    /// Standard deviation of roll and pitch of the attitude.
     pub tilt_sigma_rad: f64,
     /// Height of `camera_link` above the carpet.
     pub height_m: f64,
-    /// About where `camera_link` is; without it the whole field is searched.
+    /// Approximate pose of `camera_link` in `map`; without it the whole field is searched.
     pub initial: Option<Pose2>,
+    /// Pixels that show the robot's own body.
     pub body: Option<BodyMask>,
 }
 
-/// What an image shows of the ground: the same for every field.
+/// What an image shows of the ground, which is the same for every field.
 pub struct Look<'a> {
     picture: &'a Picture,
     vision: Vision,
-    /// With the attitude as given first, then with others.
+    /// The observations with each attitude that is tried, the given one first.
     views: Vec<View>,
 }
 
+/// The observations with one attitude of the camera.
 struct View {
     footprint_from_link: Isometry,
     seen: Observations,
@@ -48,26 +51,29 @@ struct View {
 /// A pose that explains the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseHypothesis {
-    /// `camera_link` in `map`.
+    /// Pose of `camera_link` in `map`.
     pub map_from_link: Isometry,
-    /// Fitted to the lines to a fraction of a pixel; else as the search over the field found it.
+    /// Whether the pose is fitted to the lines to a fraction of a pixel. Otherwise it is as the search found it.
     pub refined: bool,
+    /// How far the lines agree with the pose.
     pub lines: Agreement,
-    /// Share of the line seen that the field has where the pose puts it.
+    /// Share of the lines seen that the field has where the pose puts them.
     pub explained: f64,
     /// Share of the expected line contrast that was found, 0 to 1.
     pub share: f64,
-    /// Painted line in view in units of 10 cm, counted by its certainty.
+    /// Length of painted line in view, each piece weighted by its certainty, in units of 10 cm.
     pub weight: f64,
-    /// Of the lines and of the tilt, as far as it differs from the given one.
+    /// Log likelihood of the lines, and of the tilt as far as it differs from the given one.
     pub log_likelihood: f64,
 }
 
+/// The result of locating an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageLocation {
-    /// Best first; none if the image shows no line on the ground. Each pose's mirror image explains the image as well.
+    /// The poses found, best first; empty if the image shows no line on the ground. The mirror image of each pose explains the
+    /// image as well.
     pub found: Vec<PoseHypothesis>,
-    /// Nobody said where, or about where, the camera was.
+    /// Whether the whole field was searched, because no approximate pose was given.
     pub searched: bool,
 }
 
@@ -75,70 +81,80 @@ pub struct ImageLocation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FitQuality {
-    /// It explains the lines, and no other pose does so nearly as well.
+    /// The pose explains the lines, and no other pose does so nearly as well.
     Good,
-    /// It explains the lines, and so does a pose elsewhere.
+    /// The pose explains the lines, but a pose elsewhere does so too, or the evidence is too weak to trust it.
     Doubtful,
-    /// The lines are not explained, or there are hardly any: what was found means nothing.
+    /// The lines are not explained, or there are hardly any: the pose means nothing.
     None,
 }
 
-/// Share of the expected line contrast: with less, what was found means nothing.
+/// Least share of the expected line contrast for a pose to mean something.
 pub const LEAST_SHARE: f64 = 0.4;
-/// Certain line in view, in units of 10 cm.
+/// Least [`PoseHypothesis::weight`] for a pose to mean something, in units of 10 cm of line.
 pub const LEAST_WEIGHT: f64 = 8.0;
-/// Digits against chance ([`Agreement::digits`]) of a pose that means something, and of one that may be trusted: on a whole field, with
-/// all its tilts and heights, some 10^11 poses are tried, and near an initial pose some 10^4.
-const LEAST_DIGITS: f64 = 4.0;
-const LEAST_DIGITS_IF_SEARCHED: f64 = 8.0;
+/// Least digits against chance ([`Agreement::digits`]) of a pose that means something, near an initial pose.
+///
+/// A search of the whole field with all tilts and heights tries some 10^11 poses, one near an initial pose some 10^4.
+const MIN_DIGITS: f64 = 4.0;
+/// Least digits against chance of a pose that means something, after a search of the whole field.
+const MIN_DIGITS_IF_SEARCHED: f64 = 8.0;
+/// Digits against chance from which a pose near an initial pose is trusted.
 const TRUSTED_DIGITS: f64 = 8.0;
+/// Digits against chance from which a pose is trusted after a search of the whole field.
 const TRUSTED_DIGITS_IF_SEARCHED: f64 = 15.0;
-/// Share of the expected lines that fit, times share of the seen ones that are expected: lines of another place, or through another
-/// lens, lie beside where a pose has them. So much less for each pixel of the width that is seen half the time beyond the first.
+/// Least product of the share of expected lines that fit and the share of seen lines that are expected, for a trusted pose.
+/// With a wrong pose or lens, lines lie beside where they are expected.
 const TRUSTED_BOTH_WAYS: f64 = 0.75;
+/// Decrease of [`TRUSTED_BOTH_WAYS`] for each pixel beyond the first of the width of a line that is seen half the time.
 const BOTH_WAYS_LESS_PER_PX: f64 = 0.1;
-/// Log likelihood by which the best must stand out.
+/// Difference in log likelihood by which the best pose must exceed every other.
 const CLEAR_BY: f64 = 2.0;
 
-/// Poses closer than this are one.
+/// Poses closer than this, in metres and radians, are the same.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;
 
-/// How many explanations are kept.
+/// Most poses that are returned.
 const KEPT: usize = 5;
-/// Of the tilt that a view is made with, what is left to the next one and the lens file's own error.
+/// Standard deviation of the tilt of one view: what remains to the next view, and the error of the lens file.
 const TILT_SIGMA_RAD: f64 = 0.005;
-/// Attitudes are tried so far apart, ...
+/// Step between the attitudes that are tried.
 const TILT_STEP_RAD: f64 = 0.03;
-/// ... and so many standard deviations around the given one.
+/// Range of the attitudes that are tried around the given one, standard deviations.
 const TILT_SIGMAS: f64 = 1.25;
-/// On every field that is played on.
+/// Width of the lines on every field that is played on.
 const LINE_WIDTH_M: f64 = 0.05;
+/// Number of points that stand for all lines of the field.
 const LINE_POINTS: usize = 700;
+/// Width of the band around the carpet in which poses are searched too.
 const SEARCH_MARGIN_M: f64 = 0.5;
-/// How far off a pose that was found may be before it is refined, and how wrong the given height.
+/// Standard deviations of a pose that the search found, before it is refined, and of the given height.
 const START_M: f64 = 0.15;
 const START_RAD: f64 = 0.05;
 const HEIGHT_M: f64 = 0.005;
-/// Of a tilt that is known: the field is not quite as its file says, and the lens neither.
-const LEAST_TILT_SIGMA_RAD: f64 = 0.0005;
-/// What a refined pose needs: line places that fit, and their share of those expected. A field is hardly ever quite as its
-/// file says, and refining moves a pose no farther than its basin.
-const FEWEST_FITTING: usize = 15;
-const LEAST_FITTING_SHARE: f64 = 0.25;
-/// Around an initial pose.
+/// Smallest standard deviation of the tilt, also if it is known exactly: field and lens differ a little from their files.
+const MIN_TILT_SIGMA_RAD: f64 = 0.0005;
+/// Fewest line places that must fit a refined pose.
+const MIN_FITTING: usize = 15;
+/// Least share of the expected line places that must fit a refined pose. Fields differ from their files, and refinement
+/// moves a pose no farther than its basin.
+const MIN_FITTING_SHARE: f64 = 0.25;
+/// Spread of the particles around an initial pose.
 const INITIAL: Spread = Spread { xy_m: 0.3, yaw_rad: 0.15 };
 const INITIAL_PARTICLES: usize = 2000;
 const INITIAL_ITERATIONS: usize = 8;
 
 impl ImagePrior {
-    /// `base_footprint` is the point of the carpet below the camera, heading as the camera. So much more roll and pitch than given.
+    /// Pose of `camera_link` in `base_footprint`, the point of the carpet below the camera with the camera's heading.
+    ///
+    /// `roll` and `pitch` are added to those of the attitude, radians.
     fn footprint_from_link(&self, [roll, pitch]: [f64; 2]) -> Isometry {
         let tilt = Euler { yaw: 0.0, pitch: self.attitude.pitch + pitch, roll: self.attitude.roll + roll };
         Isometry::from_euler(tilt, DVec3::new(0.0, 0.0, self.height_m))
     }
 
-    /// What the image shows of the ground, with the attitude as given and, if that may be wrong, with some around it.
+    /// Looks at a picture with the given attitude and, if that may be wrong, with others around it.
     pub fn look<'a>(&self, picture: &'a Picture) -> Look<'a> {
         let settings = VisionSettings {
             reading: observation::reading(Model::Gauss, Formula::Corrected),
@@ -157,6 +173,7 @@ impl ImagePrior {
         Look { picture, views: views.collect(), vision: vision.clone() }
     }
 
+    /// Finds the poses on a field that explain what the image shows. `seed` is for the particles around an initial pose.
     pub fn locate(&self, look: &Look, field: &Field, seed: u64) -> ImageLocation {
         let alpha = default_alpha(Formula::Corrected);
         let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
@@ -178,7 +195,7 @@ impl ImagePrior {
                     );
                     found.unwrap_or_default()
                 }
-                Some(initial) => vec![around(&observation, &view.seen, initial, seed)],
+                Some(initial) => vec![search_around(&observation, &view.seen, initial, seed)],
             };
             found.extend(candidates.iter().map(|candidate| {
                 let start = candidate.pose.to_isometry() * view.footprint_from_link;
@@ -187,8 +204,8 @@ impl ImagePrior {
                     return unrefined;
                 };
                 let refined = self.weighed(look, &observation, &painted, pose, Some(lines));
-                // On a field that is not quite as its file says a refined pose may show less of the contrast than the one it
-                // came from: whichever shows more says whether this is the place.
+                // On a field that differs from its file, a refined pose may show less contrast than the one that it came from.
+                // The better of both is used to judge the pose.
                 let PoseHypothesis { share, weight, log_likelihood, .. } =
                     if refined.log_likelihood >= unrefined.log_likelihood { refined } else { unrefined };
                 PoseHypothesis { share, weight, log_likelihood, ..refined }
@@ -201,8 +218,9 @@ impl ImagePrior {
         ImageLocation { found, searched: self.initial.is_none() }
     }
 
-    /// What the image shows from the best pose, and all that were found: poses of the point below `camera_link`, their worth the log
-    /// likelihood.
+    /// The evidence for the best pose, with all poses found as the poses that were tried; `None` if none was found.
+    ///
+    /// Tried poses are those of the point below `camera_link`; their worth is the log likelihood.
     pub fn evidence(&self, look: &Look, field: &Field, located: &ImageLocation) -> Option<Evidence> {
         let best = located.found.first()?;
         let map_from_optical = best.map_from_link * Isometry::link_from_optical();
@@ -222,7 +240,7 @@ impl ImagePrior {
         })
     }
 
-    /// The pose that the lines fit best near a start, if enough of them do.
+    /// Refines a pose of `camera_link` to the lines near it; `None` if too few of them fit.
     fn refined(
         &self,
         refiner: &mut Refiner,
@@ -232,7 +250,7 @@ impl ImagePrior {
     ) -> Option<(Isometry, Agreement)> {
         let optical = Isometry::link_from_optical();
         let given = place.to_isometry() * self.footprint_from_link([0.0; 2]) * optical;
-        let tilt = self.tilt_sigma_rad.max(LEAST_TILT_SIGMA_RAD);
+        let tilt = self.tilt_sigma_rad.max(MIN_TILT_SIGMA_RAD);
         let sigmas = |tilt: f64| Vector6::new(START_M, START_M, HEIGHT_M, tilt, tilt, START_RAD);
         let covariance = |sigmas: Vector6<f64>| Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
         let prior = Prior::of_pose(given, &covariance(sigmas(tilt)));
@@ -240,11 +258,11 @@ impl ImagePrior {
         let start = error_between(&given, &(*start * optical));
         let refined = refiner.refine_within(&seen.image, &prior, &start, &reach)?;
         let lines = refined.lines;
-        let agrees = lines.fitting >= FEWEST_FITTING && lines.share > LEAST_FITTING_SHARE;
+        let agrees = lines.fitting >= MIN_FITTING && lines.share > MIN_FITTING_SHARE;
         agrees.then(|| (refined.map_from_optical * optical.inverse(), lines))
     }
 
-    /// What the image says of a pose, seen as from there.
+    /// Judges a pose by the image, whose ground is computed as seen from that pose.
     fn weighed(
         &self,
         look: &Look,
@@ -260,10 +278,10 @@ impl ImagePrior {
         let Support { share, weight, .. } = observation.support(seen.lines(), &place);
         let explained = painted.explained(seen.lines(), &footprint_from_optical, &(map_from_link * optical)).share;
         let tilt = map_from_link.euler();
-        let sigma = self.tilt_sigma_rad.max(LEAST_TILT_SIGMA_RAD);
+        let sigma = self.tilt_sigma_rad.max(MIN_TILT_SIGMA_RAD);
         let off = |found: f64, given: f64| wrap_angle(found - given) / sigma;
         let (roll, pitch) = (off(tilt.roll, self.attitude.roll), off(tilt.pitch, self.attitude.pitch));
-        // A tilt is given right, or far off: a normal distribution's tails are too thin.
+        // A distribution with heavy tails, because a given tilt is either right or far off.
         let unlikely = libm::log(1.0 + 0.5 * (roll * roll + pitch * pitch));
         let log_likelihood = observation.log_likelihood(&seen.table, &place) - unlikely;
         let (refined, lines) = (lines.is_some(), lines.unwrap_or_default());
@@ -271,7 +289,7 @@ impl ImagePrior {
     }
 }
 
-/// Roll and pitch beyond the given ones: none first.
+/// The changes of roll and pitch that are tried, radians, in order of their size; the first is no change.
 fn tilts(sigma_rad: f64) -> Vec<[f64; 2]> {
     let most = TILT_SIGMAS * sigma_rad;
     let steps = libm::round(most / TILT_STEP_RAD) as i32;
@@ -283,7 +301,7 @@ fn tilts(sigma_rad: f64) -> Vec<[f64; 2]> {
     tilts.into_iter().map(|tilt| tilt.map(|steps| f64::from(steps) * TILT_STEP_RAD)).collect()
 }
 
-/// Each pose stands for its mirror image too; near the halfway line a search finds both.
+/// Removes poses that are near an earlier one or near its mirror image. Near the halfway line a search finds both.
 fn without_mirrors(found: impl Iterator<Item = PoseHypothesis>) -> Vec<PoseHypothesis> {
     let mut kept: Vec<PoseHypothesis> = Vec::new();
     for candidate in found {
@@ -303,12 +321,13 @@ fn without_mirrors(found: impl Iterator<Item = PoseHypothesis>) -> Vec<PoseHypot
 }
 
 impl ImageLocation {
-    /// A pose elsewhere that explains the image nearly as well as the best.
+    /// The second best pose, if it explains the image nearly as well as the best one.
     pub fn rival(&self) -> Option<&PoseHypothesis> {
         let [best, next, ..] = &self.found[..] else { return None };
         (best.log_likelihood - next.log_likelihood < CLEAR_BY).then_some(next)
     }
 
+    /// How far the best pose may be trusted.
     pub fn fit(&self) -> FitQuality {
         match self.found[..] {
             [best, ..] if !best.means_something(self.searched) => FitQuality::None,
@@ -321,12 +340,13 @@ impl ImageLocation {
 }
 
 impl PoseHypothesis {
+    /// The pose projected onto the ground: x, y and yaw of `camera_link` in `map`.
     pub fn place(&self) -> Pose2 {
         Pose2::from_isometry(&self.map_from_link)
     }
 
     fn means_something(&self, searched: bool) -> bool {
-        let digits = if searched { LEAST_DIGITS_IF_SEARCHED } else { LEAST_DIGITS };
+        let digits = if searched { MIN_DIGITS_IF_SEARCHED } else { MIN_DIGITS };
         self.share >= LEAST_SHARE && self.weight >= LEAST_WEIGHT && self.lines.digits >= digits
     }
 
@@ -338,7 +358,8 @@ impl PoseHypothesis {
     }
 }
 
-fn around(observation: &Observation, seen: &Observations, initial: Pose2, seed: u64) -> Candidate {
+/// The best candidate near an initial pose: a particle filter on the one image, then a climb to the maximum.
+fn search_around(observation: &Observation, seen: &Observations, initial: Pose2, seed: u64) -> Candidate {
     let settings = FilterSettings {
         sampling: Sampling { particles: INITIAL_PARTICLES, iterations: INITIAL_ITERATIONS, adaptive: false, fewest: 0 },
         motion: MotionModel::default(),
@@ -360,7 +381,7 @@ mod tests {
 
     use super::*;
 
-    /// Of which all is as it should be.
+    /// A hypothesis at which every measure is good.
     fn found(x: f64, y: f64, yaw: f64, log_likelihood: f64) -> PoseHypothesis {
         let lines = Agreement { digits: 60.0, share: 0.9, foremost: 0.9, ..Agreement::default() };
         let map_from_link = Pose2::new(x, y, yaw).to_isometry();

@@ -1,4 +1,4 @@
-//! Where the filter goes on from, and what it leaves behind for the next start.
+//! The state that the filter starts from, and the state that it leaves for the next start.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -16,35 +16,36 @@ use realitysim_recording::STATE_FILE;
 /// What is known when the first message comes.
 #[derive(Clone, Debug, Default)]
 pub struct InitialState {
-    /// Of the segment that is replayed: exact.
+    /// Checkpoint of the segment that is replayed, from which the tags are exactly those recorded.
     pub checkpoint: Option<Checkpoint>,
-    /// Of the last agent: the robot may have been carried since.
+    /// State that the last agent left. The robot may have been carried since.
     pub warm: Option<WarmState>,
-    /// In place of what the log announces.
+    /// Pose of `base_footprint` in `map` to start at, in place of what the log announces.
     pub initial: Option<Pose2>,
-    /// Of the agent that recorded what is replayed.
+    /// Stops of the time budget that the recording agent stored with its tags.
     pub decided: Decisions,
 }
 
-/// What an agent leaves to the next one.
+/// The state that an agent leaves to the next one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WarmState {
     state: LocalizerState,
-    /// A place that somebody said, after what the state is of.
-    told: Option<InitialPose>,
+    /// A pose announced later than the time of the state.
+    announced: Option<InitialPose>,
 }
 
 impl WarmState {
-    /// What was foreseen without frames knows more than what the last one left.
-    pub(super) fn new(foresight: DeadReckoning, tagger: LocalizerState, synchroniser: &SynchroniserState) -> Self {
-        match foresight.state() {
-            Some(state) => Self { state, told: None },
-            None => Self { state: tagger, told: synchroniser.pending() },
+    /// The state of the dead reckoning if poses were being predicted, otherwise that after the last frame.
+    pub(super) fn new(dead_reckoning: DeadReckoning, tagger: LocalizerState, synchroniser: &SynchroniserState) -> Self {
+        match dead_reckoning.state() {
+            Some(state) => Self { state, announced: None },
+            None => Self { state: tagger, announced: synchroniser.pending() },
         }
     }
 }
 
 impl InitialState {
+    /// A tagger that starts from this state. A given initial pose takes precedence, then the last agent's state.
     pub(super) fn tagger(&self, settings: &Settings, field: Field, lens: &Lens) -> Tagger {
         let exact = self.checkpoint.as_ref().map(|checkpoint| checkpoint.tagger.clone());
         let mut tagger = match &self.warm {
@@ -53,7 +54,7 @@ impl InitialState {
         };
         if let Some(warm) = &self.warm {
             tagger.resume();
-            warm.told.iter().for_each(|told| tagger.start_at(told));
+            warm.announced.iter().for_each(|pose| tagger.start_at(pose));
         }
         if let Some(map_from_footprint) = self.initial {
             tagger.start_at(&InitialPose { map_from_footprint, xy_m: None, yaw_rad: None });
@@ -62,7 +63,9 @@ impl InitialState {
     }
 }
 
-/// The state that the last agent left in `captures`, or why there is none to go on from. A first start has none.
+/// The state that the last agent left in the folder `captures`; `None` if there is none, as before a first start.
+///
+/// The error says why the file cannot be used.
 pub fn last_state(captures: &Path) -> Result<Option<WarmState>, String> {
     let path = captures.join(STATE_FILE);
     let why = |what: String| format!("{}: {what}", path.display());

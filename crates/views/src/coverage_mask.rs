@@ -1,4 +1,4 @@
-//! How much of a view an image can show: for choosing images that complete each other.
+//! Coverage of a view by recorded images, for choosing images that complement each other.
 
 use glam::DVec3;
 
@@ -7,37 +7,39 @@ use super::optical;
 use super::world::World;
 use realitysim_geometry::Isometry;
 
-/// What a view shows, at places that are spread evenly over it.
+/// Sample points spread evenly over a view, with which images are asked how much of the view they show.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CoverageMask {
     places: Vec<Place>,
 }
 
-/// In `map`.
+/// A sample point in `map`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Place {
+    /// A point of the ground.
     Ground {
         at: DVec3,
-        /// From farther away, an image shows too little of it.
+        /// Largest distance, metres, from which an image shows the point well enough.
         seen_within_m: f64,
     },
-    /// Along this ray.
+    /// The direction of something far away, a unit vector.
     Far(DVec3),
 }
 
-/// A bit for each place of a footprint.
+/// A set of sample points, one bit for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PlaceMask(u128);
 
 const MAX_PLACES: usize = u128::BITS as usize;
-/// An image from so many times the view's own distance is too coarse for it; from so near it never is.
+/// An image taken from more than this many times the view's own distance is too coarse for the view ...
 const COARSEST: f64 = 3.0;
+/// ... unless it was taken from within this many metres.
 const NEAR_M: f64 = 0.5;
-/// Within 45 degrees of each other, places lie to one side.
+/// Cosine of the angle within which points lie to one side: 45 degrees.
 const ONE_SIDE: f64 = core::f64::consts::FRAC_1_SQRT_2;
 
 impl CoverageMask {
-    /// Of what `camera` shows from `map_from_link`.
+    /// Samples the view of `camera` from `map_from_link`, its pose of `camera_link` in `map`.
     pub fn new(camera: &Camera, map_from_link: &Isometry, world: &World) -> Self {
         let map_from_optical = optical(map_from_link);
         let (columns, rows) = camera.cells();
@@ -56,12 +58,12 @@ impl CoverageMask {
                 }
             }
         };
-        // At the edge of what a lens is stated to hold for, it projects not all that it unprojects.
+        // At the edge of its field of view, a lens does not project everything that it unprojects.
         let drawn = nodes.filter(|ray| !ray.x.is_nan() && camera.projector().project_inside(*ray).is_some());
         Self { places: drawn.map(place).collect() }
     }
 
-    /// What of it an image that was taken with `camera` from `map_from_link` shows.
+    /// The sample points that an image shows which was taken with `camera` from `map_from_link`.
     pub fn seen_by(&self, camera: &Camera, map_from_link: &Isometry) -> PlaceMask {
         let optical_from_map = optical(map_from_link).inverse();
         let mut seen = 0;
@@ -81,8 +83,10 @@ impl CoverageMask {
         PlaceMask(seen)
     }
 
-    /// Of what `seen` lacks, what lies towards one side, the one farthest from the middle: which places, and where they are
-    /// seen from `map_from_link`, a unit vector in `map`.
+    /// The missing points around the one that is farthest from the view's axis.
+    ///
+    /// Returns those points that `seen` lacks and that lie within 45 degrees of the outermost one, and their mean direction
+    /// from `map_from_link`, a unit vector in `map`. `None` if no point is missing.
     pub fn unseen(&self, map_from_link: &Isometry, seen: PlaceMask) -> Option<(PlaceMask, DVec3)> {
         let from = optical(map_from_link).translation;
         let forward = map_from_link.transform_vector(DVec3::X);
@@ -103,17 +107,19 @@ impl CoverageMask {
         Some((PlaceMask(part), sum.normalize_or(outermost)))
     }
 
-    /// Of all its places, the share that `seen` holds.
+    /// The share of all sample points that `seen` holds.
     pub fn share(&self, seen: PlaceMask) -> f64 {
         f64::from(seen.0.count_ones()) / self.places.len().max(1) as f64
     }
 }
 
 impl PlaceMask {
+    /// The union of both sets.
     pub fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
+    /// The points of this set that `other` lacks.
     pub fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }

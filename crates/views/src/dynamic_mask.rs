@@ -1,7 +1,8 @@
-//! What stands on the carpet in a recorded image and was not painted there: robots, people, balls, hands.
+//! Detection of what stands on the carpet in a recorded image: robots, people, balls, hands.
 //!
-//! Nobody says where such things are, but the image does: its pose tells which pixels look at the carpet and where lines are
-//! painted, and what is neither carpet-coloured nor white on a line stands in the way. Found on a small copy; what has been found is [`UNSURE`] from then on, and views take other images there.
+//! The pose of an image tells which pixels look at the carpet and where lines are painted. A pixel that is neither of the
+//! carpet's colour nor white on a line shows an obstacle. Obstacles are found on a thumbnail and marked [`UNSURE`] in the
+//! image, so that views take other images there.
 
 use glam::{DMat3, DVec2, DVec3};
 
@@ -10,61 +11,65 @@ use super::{Camera, TagError, World, optical};
 use realitysim_geometry::{Field, Isometry};
 use realitysim_vision::carpet::{Learning, Sample, Surface};
 
-/// Where an image was taken, and of what.
+/// The pose of a recorded image and the scene that it shows.
 #[derive(Clone, Copy, Debug)]
 pub struct Scenery<'a> {
+    /// Lens that took the image.
     pub camera: &'a Camera,
-    /// `camera_link` in `map`.
+    /// Pose of `camera_link` in `map`.
     pub map_from_link: Isometry,
+    /// Uncertainty of that pose.
     pub tag: TagError,
+    /// The field with its lines.
     pub field: &'a Field,
+    /// Known geometry, with the goals that stand there.
     pub world: &'a World,
 }
 
-/// Columns of the small copy: a degree each of a wide fisheye.
+/// Columns of the thumbnail: one for about each degree of a wide fisheye.
 const COLUMNS: usize = 160;
-/// Pixels of the image that one of the small copy stands for, each way, at least.
-const LEAST_SIDE: usize = 2;
-/// The carpet's colour is learnt within this range.
+/// Smallest side, in pixels of the image, of the block that one pixel of the thumbnail stands for.
+const MIN_BLOCK_SIDE: usize = 2;
+/// The carpet's colour is learnt from points within this distance, metres.
 const LEARN_WITHIN_M: f64 = 2.5;
-/// Every so many of its places are enough for that.
+/// Every n-th of these points is used.
 const LEARN_EVERY: usize = 3;
-/// How far paint and carpet's end may be from where they should be, beside the tag's error and the pixel's size.
-const PLAY_M: f64 = 0.03;
-/// Of the size of a pixel of the small copy: how soft an edge is.
+/// Tolerance for the places of paint and of the carpet's edge, in addition to the tag's error and the pixel's size.
+const TOLERANCE_M: f64 = 0.03;
+/// Softness of edges, in pixels of the thumbnail.
 const SOFT_EDGE: f64 = 1.5;
-/// Of the nine around it, so many make a place one of a thing's: specks are noise.
-const ENOUGH_AROUND: usize = 5;
-/// Pixels of the small copy by which a thing is taken to be wider than it was found: soft edges.
-const WIDER: usize = 2;
-/// With more of the carpet hidden than this its colour was not understood.
+/// At least this many of the 3 x 3 pixels around a place must show an obstacle; fewer are noise.
+const MIN_NEIGHBOURS: usize = 5;
+/// Obstacles are widened by this many pixels of the thumbnail, because their edges are soft.
+const DILATION: usize = 2;
+/// If a larger share of the carpet seems hidden, its colour was not learnt correctly and nothing is marked.
 const MOST_HIDDEN: f64 = 0.6;
-/// A thing that reaches the carpet's end in view goes on above it, up to this height: a robot's.
+/// An obstacle that reaches the visible end of the carpet is extended above it up to this height, metres: a robot's.
 const HEIGHT_M: f64 = 1.0;
-/// Rows of the small copy within which it reaches the end.
-const NEAR_THE_END: f64 = 4.0;
-/// Dark places are things on a carpet that is brighter than this.
+/// An obstacle reaches the end of the carpet if it comes within this many rows of the thumbnail.
+const END_ROWS: f64 = 4.0;
+/// Dark pixels count as obstacles if the carpet's median luma is above this.
 const BRIGHT_CARPET: f32 = 32.0;
 
-/// What a pixel of the small copy looks at.
+/// The part of the scene that a pixel of the thumbnail looks at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Place {
-    /// The carpet, unless a thing stands before it; metres by which it may be misplaced.
-    Carpet { at: DVec2, play_m: f64 },
-    /// Carpet's end, hall, sky.
+    /// The carpet, unless an obstacle stands before it. The point may be off by `tolerance_m` metres.
+    Carpet { at: DVec2, tolerance_m: f64 },
+    /// Beyond the carpet: its edge, the hall, the sky.
     Beyond,
-    /// Lens's surround, the robot itself.
+    /// Nothing of the world: outside of the lens's circle, or the robot itself.
     Nothing,
 }
 
-/// Marks what stands in the way. Returns whether there is anything.
+/// Marks the pixels of `image` that show an obstacle as [`UNSURE`] and returns whether there are any.
 pub fn mark_moving(image: &mut Raster, scenery: &Scenery) -> bool {
-    let small = Thumbnail::of(image, scenery);
-    let Some(things) = small.things(scenery) else { return false };
-    let things = small.with_what_reaches_higher(things);
+    let thumbnail = Thumbnail::of(image, scenery);
+    let Some(obstacles) = thumbnail.find_obstacles(scenery) else { return false };
+    let obstacles = thumbnail.extended_upwards(obstacles);
     let mut any = false;
-    for (index, _) in things.iter().enumerate().filter(|(_, thing)| **thing) {
-        for pixel in small.pixels(index) {
+    for (index, _) in obstacles.iter().enumerate().filter(|(_, obstacle)| **obstacle) {
+        for pixel in thumbnail.pixels(index) {
             if image.pixels[pixel][3] == SURE {
                 image.pixels[pixel][3] = UNSURE;
                 any = true;
@@ -74,32 +79,35 @@ pub fn mark_moving(image: &mut Raster, scenery: &Scenery) -> bool {
     any
 }
 
-/// A small copy of the image: directions, places and colours.
+/// A small copy of an image: directions, what they look at, and colours.
 struct Thumbnail {
     width: usize,
     height: usize,
-    /// Of the image's pixels that one stands for.
+    /// Side of the block of image pixels that one pixel stands for.
     side: usize,
+    /// Width of the image, pixels.
     full_width: usize,
-    /// Of the camera.
+    /// Position of the camera in `map`, metres.
     from: DVec3,
-    /// Between neighbours, radians.
+    /// Angle between neighbouring pixels, radians.
     step_rad: f64,
+    /// Unit rays in `map`; NaN where the lens draws nothing.
     rays: Vec<DVec3>,
     places: Vec<Place>,
-    /// Sum of four luma, and chroma around 128.
+    /// Four times the luma, and chroma around 128.
     colours: Vec<(u16, [u8; 2])>,
 }
 
 impl Thumbnail {
+    /// Downscales `image`.
     fn of(image: &Raster, scenery: &Scenery) -> Self {
-        let side = (image.width / COLUMNS).max(LEAST_SIDE);
+        let side = (image.width / COLUMNS).max(MIN_BLOCK_SIDE);
         let (width, height) = (image.width / side, image.height / side);
         let pose = optical(&scenery.map_from_link);
         let (from, turn) = (pose.translation, DMat3::from_quat(pose.rotation));
         let step_rad = side as f64 / scenery.camera.lens().focal();
         let half = scenery.field.carpet_half_extent();
-        let mut small = Self {
+        let mut thumbnail = Self {
             width,
             height,
             side,
@@ -113,26 +121,26 @@ impl Thumbnail {
         for index in 0..width * height {
             let (left, top) = (index % width * side, index / width * side);
             let ray = scenery.camera.ray(left + side / 2, top + side / 2).map(|ray| turn * ray);
-            let colour = small.colour(image, index);
+            let colour = thumbnail.colour(image, index);
             let place = match ray {
-                Some(ray) if colour.is_some() => small.place(ray, half, &scenery.tag),
+                Some(ray) if colour.is_some() => thumbnail.place(ray, half, &scenery.tag),
                 _ => Place::Nothing,
             };
-            small.rays.push(ray.unwrap_or(DVec3::NAN));
-            small.places.push(place);
-            small.colours.push(colour.unwrap_or_default());
+            thumbnail.rays.push(ray.unwrap_or(DVec3::NAN));
+            thumbnail.places.push(place);
+            thumbnail.colours.push(colour.unwrap_or_default());
         }
-        small
+        thumbnail
     }
 
-    /// Those of the image.
+    /// The image pixels that a pixel of the thumbnail stands for.
     fn pixels(&self, index: usize) -> impl Iterator<Item = usize> + use<> {
         let (side, width) = (self.side, self.full_width);
         let first = index / self.width * side * width + index % self.width * side;
         (0..side).flat_map(move |row| first + row * width..first + row * width + side)
     }
 
-    /// Four times the mean luma, and mean chroma (JFIF's conversion); `None` if not all of it is shown.
+    /// Four times the mean luma, and the mean chroma (JFIF's conversion); `None` unless all of the block is sure.
     fn colour(&self, image: &Raster, index: usize) -> Option<(u16, [u8; 2])> {
         let (mut sum, mut shown) = ([0u32; 3], true);
         for [r, g, b, sure] in self.pixels(index).map(|pixel| image.pixels[pixel]) {
@@ -148,6 +156,7 @@ impl Thumbnail {
         shown.then_some((luma as u16, chroma))
     }
 
+    /// The part of the scene that a ray looks at; `half` are the half extents of the carpet.
     fn place(&self, ray: DVec3, half: DVec2, tag: &TagError) -> Place {
         let height = self.from.z;
         let distance = -height / ray.z;
@@ -155,14 +164,18 @@ impl Thumbnail {
             return Place::Beyond;
         }
         let at = (self.from + ray * distance).truncate();
-        // A turn by one radian moves the place by d^2 / z.
+        // A rotation by one radian moves the point by d^2 / z.
         let per_rad = distance * distance / height;
-        let play_m = PLAY_M + tag.position_m + per_rad * (SOFT_EDGE * self.step_rad + tag.rotation_rad);
-        if at.abs().cmple(half - DVec2::splat(play_m)).all() { Place::Carpet { at, play_m } } else { Place::Beyond }
+        let tolerance_m = TOLERANCE_M + tag.position_m + per_rad * (SOFT_EDGE * self.step_rad + tag.rotation_rad);
+        if at.abs().cmple(half - DVec2::splat(tolerance_m)).all() {
+            Place::Carpet { at, tolerance_m }
+        } else {
+            Place::Beyond
+        }
     }
 
-    /// What stands before the carpet, specks left out; `None` if there is nothing, or nobody can tell.
-    fn things(&self, scenery: &Scenery) -> Option<Vec<bool>> {
+    /// The pixels that show an obstacle before the carpet, without specks. `None` if there are none or the carpet's colour is unclear.
+    fn find_obstacles(&self, scenery: &Scenery) -> Option<Vec<bool>> {
         let near = self.from.truncate();
         let samples = || {
             let on_carpet = self.places.iter().zip(&self.colours).filter(|(place, _)| {
@@ -175,83 +188,94 @@ impl Thumbnail {
         let carpet = Learning::default().learn(samples())?;
         let mut lumas: Vec<f32> = samples().map(|sample| sample.luma).collect();
         let middle = lumas.len() / 2;
-        let dark_is_a_thing = *lumas.select_nth_unstable_by(middle, f32::total_cmp).1 > BRIGHT_CARPET;
+        let dark_is_obstacle = *lumas.select_nth_unstable_by(middle, f32::total_cmp).1 > BRIGHT_CARPET;
         let half_line = scenery.field.line_width() / 2.0;
         let goals = scenery.world.goals_from(self.from, SOFT_EDGE * self.step_rad + scenery.tag.rotation_rad);
-        let is_thing = |index: usize| {
-            let Place::Carpet { at, play_m } = self.places[index] else { return false };
+        let is_obstacle = |index: usize| {
+            let Place::Carpet { at, tolerance_m } = self.places[index] else { return false };
             let (four, chroma) = self.colours[index];
-            let thing = match carpet.classify(four, chroma) {
+            let obstacle = match carpet.classify(four, chroma) {
                 Surface::Carpet => false,
                 Surface::Other => true,
-                Surface::Dark => dark_is_a_thing,
-                Surface::White => scenery.field.distance_to_centre_line(at) > half_line + play_m,
+                Surface::Dark => dark_is_obstacle,
+                Surface::White => scenery.field.distance_to_centre_line(at) > half_line + tolerance_m,
             };
-            thing && !goals.are_met_by(self.rays[index])
+            obstacle && !goals.intersects(self.rays[index])
         };
-        let found: Vec<bool> = (0..self.places.len()).map(is_thing).collect();
+        let found: Vec<bool> = (0..self.places.len()).map(is_obstacle).collect();
         let solid: Vec<bool> = (0..found.len()).map(|index| found[index] && self.is_solid(&found, index)).collect();
-        let hidden = solid.iter().filter(|thing| **thing).count();
+        let hidden = solid.iter().filter(|obstacle| **obstacle).count();
         let carpet = self.places.iter().filter(|place| matches!(place, Place::Carpet { .. })).count();
-        let told = hidden > 0 && (hidden as f64) < MOST_HIDDEN * carpet as f64;
-        told.then(|| self.widened(&solid))
+        let is_plausible = hidden > 0 && (hidden as f64) < MOST_HIDDEN * carpet as f64;
+        is_plausible.then(|| self.widened(&solid))
     }
 
+    /// Whether enough of the pixels around this one show an obstacle.
     fn is_solid(&self, found: &[bool], index: usize) -> bool {
         let (column, row) = (index % self.width, index / self.width);
         let near = |at: usize, end: usize| at.saturating_sub(1)..(at + 2).min(end);
         let around = near(row, self.height).flat_map(|r| near(column, self.width).map(move |c| r * self.width + c));
-        around.filter(|at| found[*at]).count() >= ENOUGH_AROUND
+        around.filter(|at| found[*at]).count() >= MIN_NEIGHBOURS
     }
 
-    fn widened(&self, things: &[bool]) -> Vec<bool> {
-        let near = |at: usize, end: usize| at.saturating_sub(WIDER)..(at + WIDER + 1).min(end);
+    /// The obstacles, dilated.
+    fn widened(&self, obstacles: &[bool]) -> Vec<bool> {
+        let near = |at: usize, end: usize| at.saturating_sub(DILATION)..(at + DILATION + 1).min(end);
         let (width, height) = (self.width, self.height);
-        let rows: Vec<bool> =
-            (0..things.len()).map(|i| things[i / width * width..][near(i % width, width)].contains(&true)).collect();
-        (0..things.len()).map(|i| near(i / width, height).any(|v| rows[v * width + i % width])).collect()
+        let rows: Vec<bool> = (0..obstacles.len())
+            .map(|i| obstacles[i / width * width..][near(i % width, width)].contains(&true))
+            .collect();
+        (0..obstacles.len()).map(|i| near(i / width, height).any(|v| rows[v * width + i % width])).collect()
     }
 
-    /// Heads and shoulders stand before what is far: above a thing that reaches the carpet's end in view.
-    fn with_what_reaches_higher(&self, mut things: Vec<bool>) -> Vec<bool> {
-        let mut towards = vec![Towards::default(); HEADINGS];
+    /// Adds what is above an obstacle that reaches the visible end of the carpet: heads and shoulders stand before what is far.
+    fn extended_upwards(&self, mut obstacles: Vec<bool>) -> Vec<bool> {
+        let mut profile = vec![HeadingProfile::default(); HEADINGS];
         for (index, place) in self.places.iter().enumerate() {
             let Place::Carpet { at, .. } = place else { continue };
-            let towards = &mut towards[heading(self.rays[index])];
+            let profile = &mut profile[heading(self.rays[index])];
             let slope = slope(self.rays[index]);
-            towards.carpet_until = towards.carpet_until.max(slope);
-            if things[index] {
-                towards.thing_until = towards.thing_until.max(slope);
-                towards.foot_m = towards.foot_m.min(at.distance(self.from.truncate()));
+            profile.max_carpet_slope = profile.max_carpet_slope.max(slope);
+            if obstacles[index] {
+                profile.max_obstacle_slope = profile.max_obstacle_slope.max(slope);
+                profile.nearest_foot_m = profile.nearest_foot_m.min(at.distance(self.from.truncate()));
             }
         }
         for (index, place) in self.places.iter().enumerate().filter(|(_, place)| **place == Place::Beyond) {
-            let towards = &towards[heading(self.rays[index])];
-            let reaches = towards.thing_until >= towards.carpet_until - NEAR_THE_END * self.step_rad;
-            let top = (HEIGHT_M - self.from.z) / towards.foot_m;
-            things[index] |= *place == Place::Beyond && reaches && slope(self.rays[index]) <= top;
+            let profile = &profile[heading(self.rays[index])];
+            let reaches = profile.max_obstacle_slope >= profile.max_carpet_slope - END_ROWS * self.step_rad;
+            let top = (HEIGHT_M - self.from.z) / profile.nearest_foot_m;
+            obstacles[index] |= *place == Place::Beyond && reaches && slope(self.rays[index]) <= top;
         }
-        things
+        obstacles
     }
 }
 
-/// What is known of one heading from the camera: slopes are height over distance, downwards below 0.
+/// Extents of carpet and obstacles in one heading from the camera. A slope is height over distance, negative downwards.
 #[derive(Clone, Copy, Debug)]
-struct Towards {
-    carpet_until: f64,
-    thing_until: f64,
-    foot_m: f64,
+struct HeadingProfile {
+    /// Largest slope at which the carpet is seen.
+    max_carpet_slope: f64,
+    /// Largest slope at which an obstacle is seen before the carpet.
+    max_obstacle_slope: f64,
+    /// Distance to the nearest foot of an obstacle, metres.
+    nearest_foot_m: f64,
 }
 
-impl Default for Towards {
+impl Default for HeadingProfile {
     fn default() -> Self {
-        Self { carpet_until: f64::NEG_INFINITY, thing_until: f64::NEG_INFINITY, foot_m: f64::INFINITY }
+        Self {
+            max_carpet_slope: f64::NEG_INFINITY,
+            max_obstacle_slope: f64::NEG_INFINITY,
+            nearest_foot_m: f64::INFINITY,
+        }
     }
 }
 
+/// Number of headings that are told apart.
 const HEADINGS: usize = 480;
 
-/// Which of [`HEADINGS`]: by the angle on a square instead of a circle, which needs no arc tangent.
+/// The index of a ray's heading, by the angle on a square instead of a circle, which needs no arc tangent.
 fn heading(ray: DVec3) -> usize {
     let length = ray.x.abs() + ray.y.abs();
     if length == 0.0 {
@@ -262,6 +286,7 @@ fn heading(ray: DVec3) -> usize {
     ((around / 4.0 * HEADINGS as f64) as usize).min(HEADINGS - 1)
 }
 
+/// Height over distance along a ray.
 fn slope(ray: DVec3) -> f64 {
     ray.z / ray.truncate().length().max(1e-9)
 }

@@ -1,4 +1,4 @@
-//! Whether goals stand where the field file has them, by what images show there.
+//! A check, by what images show, whether goals stand where the field file has them.
 
 use glam::{DVec2, DVec3};
 
@@ -8,32 +8,35 @@ use super::raster::{NOTHING, Raster};
 use super::world::World;
 use realitysim_geometry::Isometry;
 
-/// Places along posts and crossbars that images show large enough.
+/// Counts of points along posts and crossbars that images show large enough.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GoalBars {
+    /// Points that were looked at.
     pub places: u64,
-    /// Of these, brighter or darker than what is seen to either side: a bar is, and wall, carpet and hall are not.
+    /// Those brighter or darker than what is seen to both sides, as a bar is and wall, carpet and hall are not.
     pub standing: u64,
 }
 
-/// Nearer and larger than that a bar is looked for.
+/// Bars farther away than this, in metres, are not looked at ...
 const FARTHEST_M: f64 = 6.0;
-const LEAST_RADIUS_PX: f64 = 1.2;
-/// How far beside the bar's edge its surroundings are looked at.
+/// ... nor those of a smaller radius in the image.
+const MIN_RADIUS_PX: f64 = 1.2;
+/// Distance from the bar's edge at which its surroundings are sampled.
 const BESIDE_PX: f64 = 2.5;
-/// Of the brightness there, by so much a bar differs on both sides.
-const DIFFERS: f64 = 0.08;
-const LEAST_LIGHT: f64 = 20.0;
+/// A bar must differ from both sides by this share of their mean brightness ...
+const MIN_CONTRAST: f64 = 0.08;
+/// ... which is taken to be at least this many gray levels.
+const MIN_BRIGHTNESS: f64 = 20.0;
 
 impl GoalBars {
-    /// Where an image from `map_from_link` shows those of `world`.
+    /// Counts the points of the bars of `world` in an image that was taken from `map_from_link`.
     pub fn seen(camera: &Camera, map_from_link: &Isometry, image: &Raster, world: &World) -> Self {
         let optical_from_map = optical(map_from_link).inverse();
         let mut seen = Self::default();
         for bar in world.bars() {
             let places: Vec<DVec3> = bar.places().map(|place| optical_from_map.transform_point(place)).collect();
             for (place, next) in places.iter().zip(&places[1..]) {
-                if let Some(differs) = differs(camera, image, place, next, bar.radius()) {
+                if let Some(differs) = stands_out(camera, image, place, next, bar.radius()) {
                     seen.places += 1;
                     seen.standing += u64::from(differs);
                 }
@@ -43,23 +46,24 @@ impl GoalBars {
     }
 }
 
-/// `None` where it is not seen, or too small.
-fn differs(camera: &Camera, image: &Raster, place: &DVec3, next: &DVec3, radius_m: f64) -> Option<bool> {
+/// Whether a bar differs from its surroundings at `place`, in `camera_optical_frame`; `None` if it is not visible or too small.
+fn stands_out(camera: &Camera, image: &Raster, place: &DVec3, next: &DVec3, radius_m: f64) -> Option<bool> {
     let distance = place.length();
     let radius_px = camera.lens().focal() * radius_m / distance;
-    if distance > FARTHEST_M || radius_px < LEAST_RADIUS_PX {
+    if distance > FARTHEST_M || radius_px < MIN_RADIUS_PX {
         return None;
     }
     let pixel = camera.projector().project_inside(*place)?;
     let along = (camera.projector().project(*next)? - pixel).try_normalize()?;
-    let light = |off_px: f64| light(image, pixel + along.perp() * off_px);
+    let brightness = |off_px: f64| brightness(image, pixel + along.perp() * off_px);
     let aside = radius_px + BESIDE_PX;
-    let [bar, one, other] = [light(0.0)?, light(-aside)?, light(aside)?];
-    let least = DIFFERS * ((one + other) / 2.0).max(LEAST_LIGHT);
+    let [bar, one, other] = [brightness(0.0)?, brightness(-aside)?, brightness(aside)?];
+    let least = MIN_CONTRAST * ((one + other) / 2.0).max(MIN_BRIGHTNESS);
     Some((bar - one).min(bar - other) > least || (one - bar).min(other - bar) > least)
 }
 
-fn light(image: &Raster, at: DVec2) -> Option<f64> {
+/// Mean of red, green and blue at a pixel; `None` where the image shows nothing.
+fn brightness(image: &Raster, at: DVec2) -> Option<f64> {
     let at = at.round();
     if at.x < 0.0 || at.y < 0.0 || at.x >= image.width as f64 || at.y >= image.height as f64 {
         return None;

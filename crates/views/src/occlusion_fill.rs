@@ -1,4 +1,4 @@
-//! Where every source has something in the way there is nothing else to show than that.
+//! Filling of pixels that are hidden in every source.
 
 use super::compose::Composed;
 use super::ground_warp::Warp;
@@ -8,8 +8,8 @@ use super::sample::read;
 use super::synthesized_view::{Candidate, Request};
 use super::target_rays::Target;
 
-/// Fills what the composition has left black with what the sources have marked as moving, nearest first: better than
-/// black, and unsure.
+/// Fills pixels that the composition has left black with those that the nearest source has marked as moving. They are marked
+/// unsure, which is better than black.
 pub(super) fn fill(
     composed: &mut Composed,
     request: &Request,

@@ -1,4 +1,4 @@
-//! What is asked for, what it is made from, and what the answer says of itself.
+//! The interface of view synthesis: requests, candidate images, results and errors.
 
 use thiserror::Error;
 
@@ -8,39 +8,46 @@ use super::target_rays::Target;
 use super::{Camera, Vignetting, World};
 use realitysim_geometry::{Isometry, multiversioned};
 
-/// The camera asked for.
+/// A request for one view.
 #[derive(Clone, Copy, Debug)]
 pub struct Request<'a> {
+    /// Lens of the wanted view.
     pub camera: &'a Camera,
-    /// `camera_link` in `map`.
+    /// Pose of `camera_link` in `map`.
     pub map_from_link: Isometry,
+    /// The method to use.
     pub method: Method,
+    /// Known geometry.
     pub world: &'a World,
-    /// How the wanted lens darkens its image towards the border.
+    /// Vignetting of the wanted lens.
     pub vignetting: Vignetting,
+    /// Numbers of sources and distances that are allowed.
     pub settings: ViewSettings,
 }
 
+/// A method of making views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
-    /// Ground plane and goals through both lenses, the best source for each pixel.
+    /// Maps through ground plane, goals and both lenses, taking the best source for each pixel.
     #[default]
     Exact,
-    /// A quadratic map from the nearest image, Eq. 3-4 of the paper.
+    /// Warps the nearest image by a quadratic map, Eq. 3-4 of the paper.
     Paper,
-    /// The nearest image as it is.
+    /// Returns the nearest image unchanged.
     Nearest,
 }
 
+/// Limits on the sources of a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewSettings {
-    /// At most so many images make a view.
+    /// Largest number of images that a view is made of.
     pub sources: usize,
-    /// An image this near is the answer itself.
+    /// An image within this distance, in metres, and `stored_within_rad` is the answer itself.
     pub stored_within_m: f64,
+    /// Largest angle, in radians, at which a stored image is the answer itself.
     pub stored_within_rad: f64,
-    /// Farther from the nearest image the request is refused.
-    /// Exact views that show little are refused with it, too; infinite: whatever there is.
+    /// A request farther than this from the nearest image is refused, metres. If it is finite, exact views that show too
+    /// little are refused as well; infinity accepts whatever there is.
     pub max_distance_m: f64,
 }
 
@@ -55,121 +62,154 @@ impl Default for ViewSettings {
     }
 }
 
-/// A recorded image that may serve.
+/// A recorded image that a view may be made of.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate<'a> {
-    /// The caller's own.
+    /// Identifier of the caller's choice.
     pub id: u64,
+    /// Lens that took the image.
     pub camera: &'a Camera,
-    /// `camera_link` in `map`.
+    /// Pose of `camera_link` in `map`.
     pub map_from_link: Isometry,
-    /// Of the camera's size.
+    /// The image, of the camera's size.
     pub image: &'a Pyramid,
+    /// Uncertainty of `map_from_link`.
     pub tag: TagError,
+    /// Vignetting of the lens that took the image.
     pub vignetting: Vignetting,
 }
 
-/// Standard deviation of a tag.
+/// Standard deviations of a tag.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TagError {
+    /// Standard deviation of the position, metres.
     pub position_m: f64,
+    /// Standard deviation of the orientation, radians.
     pub rotation_rad: f64,
 }
 
-/// How an answer came about.
+/// The way in which a view came about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Provenance {
-    /// A recorded image, unchanged: it was taken where the request is.
+    /// A recorded image, unchanged, taken at the requested pose.
     Stored,
-    /// A recorded image, unchanged, though it was taken elsewhere.
+    /// A recorded image, unchanged, although it was taken elsewhere.
     Nearest,
-    /// From one image.
+    /// Made from one image.
     Warped,
-    /// From several.
+    /// Made from several images.
     Composed,
 }
 
+/// A view and what is known about its quality.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SynthesizedView {
-    /// Its fourth channel is the mask of what is sure.
+    /// The pixels. The fourth channel is the mask: [`SURE`](super::SURE), [`UNSURE`](super::UNSURE) or [`NOTHING`](super::NOTHING).
     pub image: Raster,
+    /// The way in which the view came about.
     pub made: Provenance,
-    /// Where its camera stands: as asked, or where the image was taken if it is unchanged.
+    /// Pose of `camera_link` in `map`: as requested, or where an unchanged image was taken.
     pub map_from_link: Isometry,
-    /// Those that show in it, nearest first.
+    /// The images that appear in the view, nearest first.
     pub sources: Vec<UsedSource>,
-    /// Share of the pixels which the lens draws that show something.
+    /// Share of the pixels drawn by the lens that show something.
     pub valid_share: f64,
-    /// Share of them that show known geometry: ground or goal.
+    /// Share of the pixels drawn by the lens that show known geometry: ground or goal.
     pub sure_share: f64,
-    /// How far from its right place, in pixels (root mean square), known geometry is expected to be shown; by the tags'
-    /// errors and the map's own.
+    /// Expected displacement of known geometry, root mean square in pixels, due to the tags' errors and to the map itself.
     pub expected_error_px: f64,
 }
 
+/// An image that appears in a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UsedSource {
+    /// Identifier of the [`Candidate`].
     pub id: u64,
-    /// From the pose asked for.
+    /// Distance from the requested position, metres.
     pub distance_m: f64,
-    /// Between both orientations.
+    /// Angle between both orientations, radians.
     pub angle_rad: f64,
-    /// Of the view.
+    /// Share of the view that the image contributes.
     pub share: f64,
 }
 
+/// The reason why there is no view.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ViewError {
+    /// No candidate was given.
     #[error("there is no image to make a view from")]
     NoCandidates,
+    /// The requested pose contains NaN or infinity.
     #[error("the pose asked for is not finite: give x, y, z in metres and yaw, pitch, roll in degrees")]
     NotFinite,
+    /// The requested camera is too low or too high.
     #[error(
         "the camera asked for is {z:.3} m above the ground: views are made from {LEAST_HEIGHT_M} to {MOST_HEIGHT_M} m"
     )]
-    Height { z: f64 },
+    Height {
+        /// Requested height, metres.
+        z: f64,
+    },
+    /// The requested position is outside of the allowed range.
     #[error(
         "the camera asked for is at x = {x:.6}, y = {y:.6} m: views are made from -{MAX_PLACE_M} to {MAX_PLACE_M} m in both"
     )]
-    Place { x: f64, y: f64 },
+    Place {
+        /// Requested x in `map`, metres.
+        x: f64,
+        /// Requested y in `map`, metres.
+        y: f64,
+    },
+    /// The nearest image was taken too far away.
     #[error(
         "the nearest image was taken {distance_m:.2} m away, farther than the {max_m} m that are allowed: record \
          there, or allow more"
     )]
-    TooFar { distance_m: f64, max_m: f64 },
+    TooFar {
+        /// Distance to the nearest image, metres.
+        distance_m: f64,
+        /// Largest allowed distance, metres.
+        max_m: f64,
+    },
+    /// The images show too little of the view.
     #[error(
         "images show {:.0} % of this view, less than the {:.0} % that an answer within a distance needs: record there, \
          looking that way, or take what there is (--outside warn; of the service, outside=warn)",
         100.0 * share,
-        100.0 * LEAST
+        100.0 * MIN_SHOWN_SHARE
     )]
-    TooLittle { share: f64 },
+    TooLittle {
+        /// Share of the view that they show.
+        share: f64,
+    },
+    /// The images show nothing of the view.
     #[error("no image shows anything of this view")]
     NothingSeen,
+    /// The quadratic map of [`Method::Paper`] cannot be fitted.
     #[error("the quadratic map cannot be fitted: {0}")]
     Fit(#[from] super::quadratic::FitError),
 }
 
-/// Lower, rays graze the ground.
+/// Smallest height of a requested camera, metres: below it, rays graze the ground.
 pub const LEAST_HEIGHT_M: f64 = 0.02;
-/// No camera in a hall hangs higher.
+/// Largest height of a requested camera, metres: no camera in a hall hangs higher.
 pub const MOST_HEIGHT_M: f64 = 20.0;
-/// The largest x and y, whoever asks: no hall is larger.
+/// Largest absolute x and y of a requested camera, metres: no hall is larger.
 pub const MAX_PLACE_M: f64 = 100.0;
-/// The largest angle, whoever asks: ten turns.
+/// Largest absolute angle that a request may state, degrees: ten turns.
 pub const MAX_TURN_DEG: f64 = 3600.0;
-/// All images farther away than this: there is no view, or a doubtful one, unless somebody says otherwise.
+/// Default of the largest distance to the nearest image, metres. Beyond it a view is refused or carries a warning.
 pub const FAR_M: f64 = 1.0;
-/// The largest distance to the nearest image that somebody may allow.
+/// Largest value that may be set for that distance, metres.
 pub const MAX_FAR_M: f64 = 1000.0;
-/// An answer that shows less of what its lens draws is to be doubted.
-const LITTLE: f64 = 0.5;
-/// One that shows less than this is none, where a distance is allowed for.
-const LEAST: f64 = 0.25;
-/// Of a map that is interpolated on a grid, root mean square.
+/// A view that shows a smaller share of what its lens draws carries a warning.
+const MIN_TRUSTED_SHARE: f64 = 0.5;
+/// A view that shows a smaller share is refused if a distance limit is set.
+const MIN_SHOWN_SHARE: f64 = 0.25;
+/// Error of a map that is interpolated on a grid, root mean square, pixels.
 const GRID_ERROR_PX: f64 = 0.04;
 
-/// Whether a view can be asked for from this pose of `camera_link` at all.
+/// Checks that a view can be requested from this pose of `camera_link`.
 pub fn check_pose(map_from_link: &Isometry) -> Result<(), ViewError> {
     if !map_from_link.is_finite() {
         return Err(ViewError::NotFinite);
@@ -188,10 +228,10 @@ impl Request<'_> {
         if distance_m <= max_m { Ok(()) } else { Err(ViewError::TooFar { distance_m, max_m }) }
     }
 
-    /// Near by, and looking elsewhere, is no better than far away.
-    pub(super) fn refuse_little(&self, answer: SynthesizedView) -> Result<SynthesizedView, ViewError> {
+    /// Refuses an exact view that shows too little: a near camera that looks elsewhere is no better than a far one.
+    pub(super) fn refuse_sparse(&self, answer: SynthesizedView) -> Result<SynthesizedView, ViewError> {
         let share = answer.valid_share;
-        let is_poor = self.settings.max_distance_m.is_finite() && share < LEAST;
+        let is_poor = self.settings.max_distance_m.is_finite() && share < MIN_SHOWN_SHARE;
         if is_poor { Err(ViewError::TooLittle { share }) } else { Ok(answer) }
     }
 
@@ -199,12 +239,13 @@ impl Request<'_> {
         self.map_from_link.translation.distance(map_from_link.translation)
     }
 
+    /// Whether the candidate's image, taken with an equal lens at the same pose, is the answer.
     pub(super) fn is_stored_as(&self, candidate: &Candidate) -> bool {
         self.is_within(&candidate.map_from_link)
             && self.camera.lens().parameters().draws_as(candidate.camera.lens().parameters())
     }
 
-    /// Whether an image taken there is the answer, if its lens is the one asked for.
+    /// Whether an image taken at `map_from_link` is the answer itself, if its lens is the requested one.
     pub fn is_within(&self, map_from_link: &Isometry) -> bool {
         self.distance_m(map_from_link) <= self.settings.stored_within_m
             && angle_between(&self.map_from_link, map_from_link) <= self.settings.stored_within_rad
@@ -220,25 +261,26 @@ impl Request<'_> {
     }
 }
 
-/// The angle of the rotation from one orientation to the other, radians.
+/// The angle of the rotation between two orientations, radians.
 pub fn angle_between(a: &Isometry, b: &Isometry) -> f64 {
     let turn = a.rotation.conjugate() * b.rotation;
     2.0 * libm::atan2(turn.xyz().length(), turn.w.abs())
 }
 
 impl SynthesizedView {
-    /// `expected_error_px`, where there is known geometry that it can be said of.
+    /// `expected_error_px`, or `None` if the view shows no known geometry.
     pub fn expected_error_of_known_px(&self) -> Option<f64> {
         (self.sure_share > 0.0).then_some(self.expected_error_px)
     }
 
+    /// The image of `source` as a view, unchanged.
     pub(super) fn unchanged(made: Provenance, request: &Request, source: &Candidate) -> Self {
         let image = source.image.full().clone();
-        // Of what was asked for, also where the source's own picture ends before it.
+        // A stored image is judged by the requested lens, even if its own picture ends earlier.
         let camera = if made == Provenance::Stored { request.camera } else { source.camera };
         let (valid_share, sure_share) = shares(camera, &image);
         let error = match made {
-            // Each place is shown where the source's camera had it.
+            // Every point of the ground is shown where the source's camera saw it.
             Provenance::Nearest => {
                 let target = Target::new(request.camera, &request.map_from_link, request.world);
                 Warp::new(&target, source).rms_shift_px()
@@ -250,6 +292,7 @@ impl SynthesizedView {
         Self { image, made, map_from_link, sources, valid_share, sure_share, expected_error_px }
     }
 
+    /// A view warped from one source, whose map has this error in pixels (root mean square).
     pub(super) fn warped(request: &Request, source: &Candidate, image: Raster, map_error_px: f64) -> Self {
         let (valid_share, sure_share) = shares(request.camera, &image);
         let expected_error_px = libm::hypot(map_error_px, Nearness::of(request).tag_error_px(&source.tag));
@@ -257,24 +300,25 @@ impl SynthesizedView {
         Self { image, made: Provenance::Warped, map_from_link, sources, valid_share, sure_share, expected_error_px }
     }
 
-    /// Why it is to be doubted: all of its images were taken farther away than `far_m`, or they show little of it.
+    /// A warning if all sources were taken farther away than `far_m` metres, or if they show little of the view.
     pub fn warning(&self, far_m: f64) -> Option<String> {
         let nearest_m = self.sources.iter().map(|source| source.distance_m).fold(f64::INFINITY, f64::min);
         match nearest_m > far_m {
             _ if self.sources.is_empty() => Some("no image shows anything of this view".to_owned()),
             true => Some(format!("the nearest image was taken {nearest_m:.2} m away, farther than {far_m} m")),
-            false if self.valid_share < LITTLE => {
+            false if self.valid_share < MIN_TRUSTED_SHARE => {
                 Some(format!("images show {:.0} % of it only: they look elsewhere", 100.0 * self.valid_share))
             }
             false => None,
         }
     }
 
-    /// Counts anew what is shown, after something was drawn over it. `camera` is the picture's.
+    /// Recomputes the shares after something was drawn over the image. `camera` is that of the image.
     pub fn recount(&mut self, camera: &Camera) {
         (self.valid_share, self.sure_share) = shares(camera, &self.image);
     }
 
+    /// A view composed of several candidates.
     pub(super) fn composed(
         request: &Request,
         target: &Target,
@@ -306,7 +350,7 @@ impl SynthesizedView {
     }
 }
 
-/// Of the pixels that the lens draws: those that show something, and those that are sure.
+/// Shares of the pixels drawn by the lens that show something and that are sure.
 fn shares(camera: &Camera, image: &Raster) -> (f64, f64) {
     let shown = camera.shows();
     let [drawn, valid, sure] = multiversioned!(|shown: &[bool], image: &Raster| -> [f64; 3] {
@@ -322,14 +366,16 @@ fn shares(camera: &Camera, image: &Raster) -> (f64, f64) {
     (valid / drawn.max(1.0), sure / drawn.max(1.0))
 }
 
-/// How near the ground in view is: what a tag's error means in pixels.
+/// Nearness of the visible ground, which turns the error of a tag into pixels.
 struct Nearness {
+    /// Focal length, pixels.
     focal: f64,
-    /// 1/m^2, over the ground in view.
+    /// Mean square of the inverse distances of the visible ground, 1/m^2.
     mean_square: f64,
 }
 
 impl Nearness {
+    /// Nearness of the ground that the requested view shows.
     fn of(request: &Request) -> Self {
         let map_from_optical = super::optical(&request.map_from_link);
         let place = map_from_optical.translation;
@@ -339,7 +385,7 @@ impl Nearness {
         Self::new(request.camera, hits.filter_map(|hit| hit.on_ground()))
     }
 
-    /// By inverse distances along rays that meet the ground, 1/m.
+    /// Nearness from the inverse distances along rays that meet the ground, 1/m.
     fn new(camera: &Camera, inverse_distances: impl Iterator<Item = f64>) -> Self {
         let (mut sum, mut count) = (0.0, 0usize);
         inverse_distances.for_each(|inverse| {
@@ -349,7 +395,7 @@ impl Nearness {
         Self { focal: camera.lens().focal(), mean_square: sum / count.max(1) as f64 }
     }
 
-    /// How far a tag that is wrong by its standard deviation moves the ground, root mean square.
+    /// Displacement of the ground, root mean square in pixels, if the tag is wrong by one standard deviation.
     fn tag_error_px(&self, tag: &TagError) -> f64 {
         let square = tag.rotation_rad * tag.rotation_rad + tag.position_m * tag.position_m * self.mean_square;
         self.focal * libm::sqrt(square)

@@ -1,9 +1,9 @@
-//! How much a lens darkens its images towards their border, measured from the images themselves.
+//! Measurement of a lens's vignetting from the images that it took.
 //!
-//! The same place of the ground lies nearer to the centre in one image than in another; what it loses on the way out is the lens's,
-//! what is the same for all places of a pair is the exposure's. The illumination is a polynomial in the squared distance
-//! from the centre ([`Vignetting`]; the form of PTLens and Goldman 2010, "Vignette and exposure calibration"), fitted to the logarithms of all pairs by
-//! Gauss-Newton with a robust loss (Geman-McClure).
+//! The same point of the ground lies nearer to the centre in one image than in another. Brightness that it loses on the way
+//! out is due to the lens; a factor common to all points of a pair is due to exposure. The illumination is a polynomial in
+//! the squared distance from the centre ([`Vignetting`]; the form of PTLens and of Goldman 2010, "Vignette and exposure
+//! calibration"), fitted to the logarithms of all pairs by Gauss-Newton with a robust loss (Geman-McClure).
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
@@ -13,34 +13,35 @@ use super::target_rays::Target;
 use super::world::Surface;
 use super::{Candidate, Vignetting, World};
 
-/// A place of the ground that two images show.
+/// A point of the ground that two images show.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Overlap {
-    /// Squared distance from each image's centre, as a share of half the diagonal's.
+    /// Squared distance from the centre of each image, as a share of half the diagonal's square.
     pub r2: [f64; 2],
-    /// Brightness in each.
+    /// Brightness in each image, gray levels.
     pub light: [f64; 2],
 }
 
-/// Fewer common places of a pair say nothing about its exposures.
-const FEWEST: usize = 60;
-/// Fewer places in all say nothing about the lens.
-const FEWEST_IN_ALL: usize = 2000;
-/// Of the places of all pairs, so many lie within the widest radius that is believed.
+/// A pair with fewer common points is ignored.
+const MIN_PLACES_IN_PAIR: usize = 60;
+/// Fewer points over all pairs give no result.
+const MIN_PLACES: usize = 2000;
+/// The widest radius that is trusted is the one within which this share of all points lies.
 const WIDEST_SHARE: f64 = 0.98;
 /// A lens that darkens less than this at the widest radius is taken to darken nothing ...
-const LEAST_DARKENING: f64 = 0.04;
-/// ... and so is one whose darkening is not as many standard deviations away from none.
-const LEAST_SIGMAS: f64 = 6.0;
-/// Neighbouring places share their grain and their error: so many of them count as one.
-const ALIKE: f64 = 8.0;
-/// Between the illumination at the widest radius and at the border; outside of it no lens lies.
-const BELIEVABLE: core::ops::RangeInclusive<f64> = 0.12..=1.01;
-/// Scale of the robust loss: the median deviation times this.
-const ROBUST: f64 = 3.0;
+const MIN_DARKENING: f64 = 0.04;
+/// ... as is one whose darkening is fewer standard deviations away from zero.
+const MIN_SIGMAS: f64 = 6.0;
+/// Neighbouring points share grain and errors: this many count as one independent point.
+const CORRELATED_PLACES: f64 = 8.0;
+/// Range of illumination, from the centre to the border, that lenses have.
+const ILLUMINATION_RANGE: core::ops::RangeInclusive<f64> = 0.12..=1.01;
+/// Scale of the robust loss, in median deviations.
+const ROBUST_SCALE: f64 = 3.0;
+/// Largest number of Gauss-Newton iterations.
 const ROUNDS: usize = 12;
 
-/// Places that both images show on the ground, at the corners of the first one's cells. `world` should be without goals.
+/// Points of the ground that both images show, at the corners of the first one's cells. `world` should be without goals.
 pub fn overlap(first: &Candidate, second: &Candidate, world: &World) -> Vec<Overlap> {
     let target = Target::new(first.camera, &first.map_from_link, world);
     let (own, other) = (Warp::new(&target, first), Warp::new(&target, second));
@@ -56,27 +57,27 @@ pub fn overlap(first: &Candidate, second: &Candidate, world: &World) -> Vec<Over
     (0..target.node_count()).filter_map(place).collect()
 }
 
-/// The lens's illumination by pairs of its images; `None` if they show none, or too little to tell.
+/// The vignetting of a lens from pairs of its images. `None` if it has none, or if there are too few points to tell.
 pub fn darkening(pairs: &[Vec<Overlap>]) -> Option<Vignetting> {
-    let pairs: Vec<&Vec<Overlap>> = pairs.iter().filter(|pair| pair.len() >= FEWEST).collect();
+    let pairs: Vec<&Vec<Overlap>> = pairs.iter().filter(|pair| pair.len() >= MIN_PLACES_IN_PAIR).collect();
     let mut radii: Vec<f64> = pairs.iter().flat_map(|pair| pair.iter().flat_map(|place| place.r2)).collect();
-    if radii.len() < 2 * FEWEST_IN_ALL {
+    if radii.len() < 2 * MIN_PLACES {
         return None;
     }
     radii.sort_by(f64::total_cmp);
     let widest = radii[(radii.len() as f64 * WIDEST_SHARE) as usize];
-    // Terms that the radii do not hold make polynomials that no lens has: then fewer of them are asked for.
+    // Too many terms for the radii at hand give polynomials that no lens has: fewer terms are tried then.
     (1..=3).rev().find_map(|terms| {
         let (vignetting, sigma) = fit(&pairs, terms, widest)?;
         let at = |r2: f64| vignetting.illumination(r2);
-        let sound = (0..=20).all(|i| BELIEVABLE.contains(&at(f64::from(i) / 20.0)));
+        let sound = (0..=20).all(|i| ILLUMINATION_RANGE.contains(&at(f64::from(i) / 20.0)));
         let darkening = 1.0 - at(widest);
-        let shows = darkening > LEAST_DARKENING && darkening > LEAST_SIGMAS * sigma;
+        let shows = darkening > MIN_DARKENING && darkening > MIN_SIGMAS * sigma;
         sound.then(|| shows.then_some(vignetting))
     })?
 }
 
-/// With so many terms; and the standard deviation of the illumination at the widest radius.
+/// Fits this many terms. Returns them with the standard deviation of the illumination at the widest radius.
 fn fit(pairs: &[&Vec<Overlap>], terms: usize, widest: f64) -> Option<(Vignetting, f64)> {
     let mut found = Vignetting::default();
     let mut sigma = 0.0;
@@ -85,7 +86,7 @@ fn fit(pairs: &[&Vec<Overlap>], terms: usize, widest: f64) -> Option<(Vignetting
             let [a, b] = place.r2.map(|r2| libm::log(found.illumination(r2)));
             libm::log(place.light[0] / place.light[1]) - (a - b)
         };
-        // Exposure: the median of the pair.
+        // The exposure is the median over the pair.
         let residuals: Vec<Vec<f64>> = pairs
             .iter()
             .map(|pair| {
@@ -94,7 +95,7 @@ fn fit(pairs: &[&Vec<Overlap>], terms: usize, widest: f64) -> Option<(Vignetting
                 off.into_iter().map(|off| off - exposure).collect()
             })
             .collect();
-        let scale = ROBUST * median(residuals.iter().flatten().map(|off| off.abs()).collect()).max(1e-4);
+        let scale = ROBUST_SCALE * median(residuals.iter().flatten().map(|off| off.abs()).collect()).max(1e-4);
         let (mut normal, mut right) = (DMatrix::zeros(terms, terms), DVector::zeros(terms));
         let (mut squares, mut weights) = (0.0, 0.0);
         for (pair, residuals) in pairs.iter().zip(&residuals) {
@@ -102,9 +103,9 @@ fn fit(pairs: &[&Vec<Overlap>], terms: usize, widest: f64) -> Option<(Vignetting
                 let share = 1.0 / (1.0 + (off / scale) * (off / scale));
                 share * share
             };
-            let rows: Vec<DVector<f64>> = pair.iter().map(|place| slope(&found, place, terms)).collect();
+            let rows: Vec<DVector<f64>> = pair.iter().map(|place| derivatives(&found, place, terms)).collect();
             let sum: f64 = residuals.iter().map(|off| weight(*off)).sum();
-            // The exposure is free: what all of a pair have in common says nothing.
+            // The exposure is a free unknown: what all points of a pair have in common is removed.
             let (mut mean, mut mean_off) = (DVector::zeros(terms), 0.0);
             for (row, off) in rows.iter().zip(residuals) {
                 mean += row * (weight(*off) / sum);
@@ -125,7 +126,7 @@ fn fit(pairs: &[&Vec<Overlap>], terms: usize, widest: f64) -> Option<(Vignetting
             return None;
         }
         let at_widest = DVector::from_fn(terms, |i, _| libm::pow(widest, (i + 1) as f64));
-        let variance = at_widest.dot(&solved.solve(&at_widest)) * ALIKE * squares / weights.max(1.0);
+        let variance = at_widest.dot(&solved.solve(&at_widest)) * CORRELATED_PLACES * squares / weights.max(1.0);
         sigma = libm::sqrt(variance);
         if step.norm() < 1e-5 {
             break;
@@ -134,8 +135,8 @@ fn fit(pairs: &[&Vec<Overlap>], terms: usize, widest: f64) -> Option<(Vignetting
     Some((found, sigma))
 }
 
-/// How the logarithm of a place's ratio changes with each coefficient.
-fn slope(vignetting: &Vignetting, place: &Overlap, terms: usize) -> DVector<f64> {
+/// Derivatives of the logarithm of a point's brightness ratio by each coefficient.
+fn derivatives(vignetting: &Vignetting, place: &Overlap, terms: usize) -> DVector<f64> {
     let [a, b] = place.r2.map(|r2| (r2, vignetting.illumination(r2)));
     let power = |(r2, light): (f64, f64), i: usize| libm::pow(r2, (i + 1) as f64) / light;
     DVector::from_fn(terms, |i, _| power(a, i) - power(b, i))
@@ -151,7 +152,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Places of a pair at all radii, with grain, an exposure and some that show something else.
+    /// Points of a pair at all radii, with grain, an exposure, and outliers.
     fn pair(vignetting: &Vignetting, exposure: f64, grain: f64, seed: u32) -> Vec<Overlap> {
         let noise = |i: u32| {
             f64::from(i.wrapping_mul(2_654_435_761).rotate_left(13).wrapping_mul(40_503) >> 8) / f64::from(1 << 24)

@@ -1,39 +1,42 @@
-//! Reads the half-resolution map at every cell of the ground table: bilinearly, the two surface bits from the nearest
-//! pixel. The plain path defines what the other computes, to the bit.
+//! Reads a half-resolution image at every cell of the ground table.
+//!
+//! Values are interpolated bilinearly, the two surface bits are those of the nearest pixel. The AVX2 path gives the same bits as the
+//! plain path.
 
-// Gathers from an image whose bounds are checked once for a whole patch.
+// The AVX2 path gathers pixels without checks; the size of the image is checked once.
 #![allow(unsafe_code)]
 
 use super::WorkingScale;
 use super::ground::SIDE;
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
 
-/// A map of at least 2 x 2 pixels.
+/// A half-resolution image of at least 2 x 2 pixels, row by row, with the surface in the two lowest bits of each value.
 pub(super) struct SampledImage<'a> {
     pub(super) image: &'a [i16],
     pub(super) width: usize,
     pub(super) height: usize,
 }
 
-/// Pixels of eight cells: two rows of a block pair would do as well, but cells of one row are written together.
+/// Number of cells that are read together. They lie in one row, across a pair of blocks, so that they are written together.
 const LANES: usize = 8;
 
-/// Cells that the camera does not see keep what they hold.
+/// Reads the image at each cell into `shown`, row by row. Cells that the camera does not see keep their value.
 pub(super) fn read(reading: &SampledImage, map: &GroundMap, to_working: WorkingScale, shown: &mut [i16]) {
-    // The vector path reads without further checks, and counts pixels in 32 bits.
+    // The AVX2 path reads without further checks, and counts pixels in 32 bits.
     assert!(reading.width >= 2 && reading.height >= 2, "each cell is read from 2 x 2 pixels");
     assert_eq!(Some(reading.image.len()), reading.width.checked_mul(reading.height), "the image has another size");
     assert!(i32::try_from(reading.image.len()).is_ok(), "the image has more pixels than 32 bits count");
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2; the image has the size that it says, which is at least 2 x 2.
+        // SAFETY: the processor has AVX2; the image has the stated size, which is at least 2 x 2.
         return unsafe { x86::read(reading, map, to_working, shown) };
     }
-    each_eight(map, to_working, shown, |us, vs| plain(reading, us, vs));
+    for_each_eight(map, to_working, shown, |us, vs| plain(reading, us, vs));
 }
 
+/// Calls `eight` with the half-resolution pixel coordinates of eight cells at a time, and stores what it returns.
 #[inline(always)]
-fn each_eight(
+fn for_each_eight(
     map: &GroundMap,
     to_working: WorkingScale,
     shown: &mut [i16],
@@ -44,7 +47,7 @@ fn each_eight(
     let offset = (to_working.offset * 0.5 - 0.25) as f32;
     let (mut us, mut vs) = ([0.0f32; LANES], [0.0f32; LANES]);
     for block_row in 0..BLOCKS {
-        // Blocks in pairs: eight cells of one row.
+        // A pair of blocks has eight cells in each row.
         for block_column in (0..BLOCKS).step_by(LANES / BLOCK) {
             let pair = [map.corners(block_row, block_column), map.corners(block_row, block_column + 1)];
             if pair.iter().all(Option::is_none) {
@@ -78,6 +81,7 @@ fn each_eight(
     }
 }
 
+/// Interpolates at eight pixel coordinates, without vector instructions.
 fn plain(reading: &SampledImage, us: &[f32; LANES], vs: &[f32; LANES]) -> [i16; LANES] {
     let SampledImage { image, width, height } = *reading;
     let (last_u, last_v) = ((width - 1) as f32, (height - 1) as f32);
@@ -88,13 +92,14 @@ fn plain(reading: &SampledImage, us: &[f32; LANES], vs: &[f32; LANES]) -> [i16; 
         let at = iv * width + iu;
         let (upper, lower) = ([image[at], image[at + 1]], [image[at + width], image[at + width + 1]]);
         let nearest = if fv >= 0.5 { lower } else { upper }[usize::from(fu >= 0.5)];
-        // The surface bits of the four pixels are noise of less than a quarter of a gray level.
+        // The surface bits, which are not masked here, add less than a quarter of a gray level.
         let blend = |pair: [i16; 2]| f32::from(pair[0]) + (f32::from(pair[1]) - f32::from(pair[0])) * fu;
         let (upper, lower) = (blend(upper), blend(lower));
         ((upper + (lower - upper) * fv) as i16 & !3) | (nearest & 3)
     })
 }
 
+/// Clamps to [0, `last`]; NaN becomes 0.
 fn clamped(value: f32, last: f32) -> f32 {
     let value = if value > 0.0 { value } else { 0.0 };
     if value < last { value } else { last }
@@ -104,16 +109,20 @@ fn clamped(value: f32, last: f32) -> f32 {
 mod x86 {
     use core::arch::x86_64::*;
 
-    use super::{GroundMap, LANES, SampledImage, WorkingScale, each_eight};
+    use super::{GroundMap, LANES, SampledImage, WorkingScale, for_each_eight};
 
+    /// Does the same as [`super::read`].
+    ///
     /// # Safety
     /// The processor must have AVX2, and the image `width` x `height` pixels, at least 2 x 2.
     #[target_feature(enable = "avx2")]
     pub(super) unsafe fn read(reading: &SampledImage, map: &GroundMap, to_working: WorkingScale, shown: &mut [i16]) {
-        // SAFETY: as the caller says.
-        each_eight(map, to_working, shown, |us, vs| unsafe { eight(reading, us, vs) });
+        // SAFETY: guaranteed by the caller.
+        for_each_eight(map, to_working, shown, |us, vs| unsafe { eight(reading, us, vs) });
     }
 
+    /// Does the same as [`super::plain`], to the bit.
+    ///
     /// # Safety
     /// The processor must have AVX2, and the image `width` x `height` pixels, at least 2 x 2.
     #[target_feature(enable = "avx2")]
@@ -123,7 +132,7 @@ mod x86 {
         let (last_u, last_v) = (_mm256_set1_ps((width - 1) as f32), _mm256_set1_ps((height - 1) as f32));
         // SAFETY: both arrays hold eight floats.
         let (u, v) = unsafe { (_mm256_loadu_ps(us.as_ptr()), _mm256_loadu_ps(vs.as_ptr())) };
-        // Of a NaN and a number these return the second operand: the number.
+        // If an operand is NaN, these instructions return the second one, which is a number.
         let u = _mm256_min_ps(_mm256_max_ps(u, zero), last_u);
         let v = _mm256_min_ps(_mm256_max_ps(v, zero), last_v);
         let iu = _mm256_min_epi32(_mm256_cvttps_epi32(u), _mm256_set1_epi32(width as i32 - 2));
@@ -193,7 +202,7 @@ mod tests {
                 .collect();
             let reading = SampledImage { image: &image, width, height };
             if std::arch::is_x86_feature_detected!("avx2") {
-                // SAFETY: the processor has AVX2, and the image has the size that it says.
+                // SAFETY: the processor has AVX2, and the image has the stated size.
                 prop_assert_eq!(unsafe { x86::eight(&reading, &us, &vs) }, plain(&reading, &us, &vs));
             }
         }

@@ -1,4 +1,4 @@
-//! What the image shows at each cell of the ground table, and how much that says about a painted line.
+//! Filling the ground table: what the image shows at each cell, and how much that says about a painted line.
 
 use super::bilinear::{self, SampledImage};
 use super::carpet::Surface;
@@ -9,47 +9,56 @@ use super::{WorkingScale, distance};
 use realitysim_geometry::multiversion::rounded;
 use realitysim_geometry::multiversioned;
 
-/// The frame's full contrast is learnt where lines show at least this well, against the best place in view, ...
-const CLEAR: f32 = 0.5;
-/// ... on at least this many cells.
-const FEWEST_CELLS: usize = 50;
-/// Every so many cells are looked at for it, all where that leaves fewer than these.
+/// The full contrast is learnt from cells whose line strength is at least this share of the best one in view.
+const MIN_STRENGTH_SHARE: f32 = 0.5;
+/// Number of cells below which no full contrast is learnt.
+const MIN_CELLS: usize = 50;
+/// Number of sampled cells below which every cell is used.
 const ENOUGH_CELLS: usize = 500;
+/// Step in cells at which the full contrast is sampled first.
 const LEARN_STEP: usize = 23;
-/// Line contrast of the faintest lines, and noise of the smoothest carpet; a line is so many times the noise.
-const LEAST_CONTRAST: f32 = 0.06;
-const LEAST_NOISE: f32 = 0.006;
-const ABOVE_NOISE: f32 = 5.0;
-/// A square of this side is never mostly white where lines are: a crossing fills under half of it.
+/// Line contrast of the faintest lines.
+const MIN_CONTRAST: f32 = 0.06;
+/// Noise of the smoothest carpet, in line contrast.
+const MIN_NOISE: f32 = 0.006;
+/// Smallest ratio of full contrast to noise.
+const MIN_CONTRAST_TO_NOISE: f32 = 5.0;
+/// Side of the square in which white cells are counted to find blobs, metres.
 const BLOB_M: f64 = 0.25;
+/// Share of white cells in that square above which it is a blob. A crossing of lines fills under half of it.
 const BLOB_SHARE: f32 = 0.55;
 
-/// What the image shows at each cell: line contrast as [`contrast::LineContrast`] holds it, surface bits included. A cell
-/// outside of the view or of the carpet shows an occluder.
+/// What the image shows at each cell of the ground table.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cells {
+    /// Line contrast of each cell, row by row, as [`contrast::LineContrast`] holds it, surface bits included. A cell outside of the view
+    /// or of the carpet shows an occluder.
     pub(super) shown: Vec<i16>,
+    /// White cells of each block.
     blobs: Vec<u16>,
     sums: Vec<u16>,
-    /// Contrast and how strongly a line would show, of some cells.
+    /// For the sampled cells the contrast of a line of the best width and the line strength.
     samples: Vec<(f32, f32)>,
 }
 
-/// How places at a distance are to be read; by the squared distance from the point below the camera.
+/// Tables of line strength and weight by the squared distance from the point below the camera.
 #[derive(Clone, Debug, Default)]
-pub(super) struct ByRange {
-    /// How strongly a painted line shows, against one of the best width.
+pub(super) struct RangeTables {
+    /// Line contrast of a painted line at each distance, as a share of that of a line of the best width.
     strengths: Vec<f32>,
-    /// How much such a place counts.
+    /// How much a cell at each distance counts, 0 to 1.
     weights: Vec<f32>,
+    /// Number of entries for each square metre.
     per_square_metre: f64,
 }
 
+/// Content of a cell that is not seen.
 const UNSEEN: i16 = Surface::Other as i16;
+/// Number of steps of the tables by distance.
 const STEPS: usize = 512;
 
 impl Cells {
-    /// Reads the half-resolution map at each cell: bilinearly, surface bits from the nearest pixel.
+    /// Reads a half-resolution image at each cell: values bilinearly, surface bits from the nearest pixel.
     pub(super) fn read(
         &mut self,
         image: &[i16],
@@ -70,7 +79,7 @@ impl Cells {
         }
     }
 
-    /// White areas wider than lines are (a ball, a robot, a sheet of paper) show no line, nor do their edges.
+    /// Marks white areas that are wider than lines (a ball, a robot, a sheet of paper) and their edges as unseen.
     pub(super) fn hide_blobs(&mut self, cell_m: f64) {
         let reach = (libm::round(BLOB_M / 2.0 / cell_m / BLOCK as f64) as usize).max(1);
         let side = (2 * reach + 1) * BLOCK;
@@ -102,24 +111,25 @@ impl Cells {
         }
     }
 
-    /// The line contrast of a line of the best width, from the frame itself: the brightest few per cent of what is seen, but
-    /// well above the noise of plain carpet.
-    pub(super) fn full_contrast(&mut self, map: &GroundMap, by_range: &ByRange) -> f32 {
+    /// Estimates the full contrast, that of a line of the best width, from the frame itself.
+    ///
+    /// It is the 98th percentile of what is seen, but well above the noise of plain carpet. It is infinite if too little is seen.
+    pub(super) fn full_contrast(&mut self, map: &GroundMap, range_tables: &RangeTables) -> f32 {
         let Self { shown, samples: values, .. } = self;
         for step in [LEARN_STEP, 1] {
             values.clear();
             values.extend((0..SIDE * SIDE).step_by(step).filter(|cell| is_seen(shown[*cell])).map(|cell| {
-                let strength = by_range.strength(map.square_range(cell / SIDE / BLOCK, cell % SIDE / BLOCK));
+                let strength = range_tables.strength(map.square_range(cell / SIDE / BLOCK, cell % SIDE / BLOCK));
                 (contrast(shown[cell]) / strength, strength)
             }));
             let clearest = values.iter().map(|(_, strength)| *strength).fold(0.0, f32::max);
-            values.retain(|(_, strength)| *strength > CLEAR * clearest);
-            // A view of a square metre needs every cell.
+            values.retain(|(_, strength)| *strength > MIN_STRENGTH_SHARE * clearest);
+            // A view of about a square metre needs every cell.
             if values.len() >= ENOUGH_CELLS {
                 break;
             }
         }
-        if values.len() < FEWEST_CELLS {
+        if values.len() < MIN_CELLS {
             return f32::INFINITY;
         }
         let mut nth = |share: f64| {
@@ -127,18 +137,19 @@ impl Cells {
             values.select_nth_unstable_by(index, |a, b| a.0.total_cmp(&b.0)).1.0
         };
         let (low, middle, high) = (nth(0.16), nth(0.5), nth(0.98));
-        let noise = (middle - low).max(LEAST_NOISE);
-        high.max(ABOVE_NOISE * noise).max(LEAST_CONTRAST)
+        let noise = (middle - low).max(MIN_NOISE);
+        high.max(MIN_CONTRAST_TO_NOISE * noise).max(MIN_CONTRAST)
     }
 
-    /// Line contrast as levels: below a quarter of a full line's a place speaks against a line, above it for one; what is
-    /// unseen says nothing. `seen` gets how much each place counts, `spans` the columns of each row of blocks outside of
-    /// which nothing is seen.
+    /// Turns line contrast into levels.
+    ///
+    /// A cell with less than a quarter of the full contrast speaks against a line, one with more for a line; an unseen cell is
+    /// neutral. `seen` receives how much each cell counts, `spans` the columns of each row of blocks outside of which nothing is seen.
     pub(super) fn levels(
         &self,
         full: f32,
         map: &GroundMap,
-        by_range: &ByRange,
+        range_tables: &RangeTables,
         levels: &mut Vec<u8>,
         (seen, spans): (&mut Vec<u8>, &mut Vec<[u16; 2]>),
     ) {
@@ -156,8 +167,8 @@ impl Cells {
             let of_blocks = gains.as_chunks_mut::<BLOCK>().0.iter_mut().zip(weights.as_chunks_mut::<BLOCK>().0);
             for ((gains, weights), block_column) in of_blocks.zip(blocks) {
                 let square = map.square_range(block_row, block_column);
-                gains.fill(255.0 / (full * by_range.strength(square) * PARTS));
-                weights.fill(by_range.weight(square));
+                gains.fill(255.0 / (full * range_tables.strength(square) * PARTS));
+                weights.fill(range_tables.weight(square));
             }
             let mut any = [0u8; SIDE];
             let any = &mut any[..used.len()];
@@ -190,42 +201,51 @@ impl Cells {
         }
     }
 
-    /// The same with the distance to the nearest place that shows at least half a line in place of contrast.
-    pub(super) fn nearest_levels(&self, full: f32, map: &GroundMap, by_range: &ByRange, reach_m: f64) -> Vec<u8> {
+    /// Turns the distance to the nearest cell with at least half a line's contrast into levels.
+    ///
+    /// At a distance of `reach_m` and more a cell speaks against a line.
+    pub(super) fn nearest_levels(
+        &self,
+        full: f32,
+        map: &GroundMap,
+        range_tables: &RangeTables,
+        reach_m: f64,
+    ) -> Vec<u8> {
         let reach = (libm::ceil(reach_m / map.cell_m()) as usize).clamp(1, 60);
         let square = |cell: usize| map.square_range(cell / SIDE / BLOCK, cell % SIDE / BLOCK);
         let seen = |cell: usize| is_seen(self.shown[cell]);
         let is_line =
-            |cell: usize| seen(cell) && contrast(self.shown[cell]) >= 0.5 * full * by_range.strength(square(cell));
+            |cell: usize| seen(cell) && contrast(self.shown[cell]) >= 0.5 * full * range_tables.strength(square(cell));
         let white: Vec<bool> = (0..SIDE * SIDE).map(is_line).collect();
         let nearest = distance::nearest(&white, SIDE, SIDE, reach);
         let neutral = f32::from(NEUTRAL);
         let level = |cell: usize| {
             let share = 1.0 - (nearest[cell] / reach as f32).min(1.0);
-            (neutral + (share * 255.0 - neutral) * by_range.weight(square(cell)) + 0.5) as u8
+            (neutral + (share * 255.0 - neutral) * range_tables.weight(square(cell)) + 0.5) as u8
         };
         (0..SIDE * SIDE).map(|cell| if seen(cell) { level(cell) } else { NEUTRAL }).collect()
     }
 
-    /// Whatever was read, in whole units: blurred gray, or distances in the image. What is unseen is 0.
+    /// Turns blurred gray or distances in the image into levels, in whole gray levels or pixels; cells that `seen` does not show are 0.
     pub(super) fn plain_levels(&self, seen: &Cells) -> Vec<u8> {
         let level = |cell: usize| (f32::from(self.shown[cell]) / UNITS + 0.5) as u8;
         (0..SIDE * SIDE).map(|cell| if is_seen(seen.shown[cell]) { level(cell) } else { 0 }).collect()
     }
 }
 
+/// Whether a cell shows carpet or a line.
 #[inline(always)]
 fn is_seen(shown: i16) -> bool {
     !contrast::surface(shown).is_occluder()
 }
 
-/// Line contrast, as a share of the carpet's brightness.
+/// The line contrast of a cell, as a share of the carpet's brightness.
 #[inline(always)]
 fn contrast(shown: i16) -> f32 {
     f32::from(shown & !3) * (1.0 / PARTS)
 }
 
-/// Sums over the square of 2 `reach` + 1 blocks around each.
+/// Replaces each block's number by the sum over the square of 2 `reach` + 1 blocks around it.
 fn box_sums(blocks: &mut [u16], scratch: &mut Vec<u16>, reach: usize) {
     scratch.clear();
     scratch.resize(blocks.len(), 0);
@@ -253,10 +273,12 @@ fn box_sums(blocks: &mut [u16], scratch: &mut Vec<u16>, reach: usize) {
     }
 }
 
-impl ByRange {
-    /// Weights: a place that the expected tilt error moves by more than a line's width says little: its weight falls
-    /// with the shift (h^2 + r^2) / h x sigma. Strengths: a far line is thinner than a pixel, a near one wider than the
-    /// wide blur; of lines across and along the view the geometric mean is taken.
+impl RangeTables {
+    /// Fills both tables.
+    ///
+    /// The strength follows from the width at which a line is drawn: a far line is thinner than a pixel, a near one wider than the
+    /// wide blur. The geometric mean of lines across and along the view is taken. The weight is the strength, less where the
+    /// expected tilt error moves a point by more than a line's width: by (h^2 + r^2) / h x sigma, for height h and distance r.
     pub(super) fn fill(&mut self, map: &GroundMap, line_width_m: f64, pixels_per_radian: f64, tilt_sigma_rad: f64) {
         let height = map.height_m.max(0.01);
         let farthest = 2.0 * (2.0 * map.range_m) * (2.0 * map.range_m);
@@ -274,11 +296,13 @@ impl ByRange {
         }
     }
 
+    /// Strength of a line at a squared distance in square metres.
     #[inline(always)]
     fn strength(&self, square_range: f64) -> f32 {
         self.strengths[((square_range * self.per_square_metre) as usize).min(STEPS)]
     }
 
+    /// Weight of a cell at a squared distance in square metres.
     #[inline(always)]
     fn weight(&self, square_range: f64) -> f32 {
         self.weights[((square_range * self.per_square_metre) as usize).min(STEPS)]

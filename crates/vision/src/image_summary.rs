@@ -1,44 +1,49 @@
-//! What tells a picture from the one before, and whether it shows anything at all.
+//! A summary of a picture: a fingerprint that tells it from others, and whether it is exposed well enough to show anything.
 
 use super::Picture;
 use realitysim_geometry::multiversioned;
 
-/// Of every eighth row.
+/// The summary of a picture, from every eighth row.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ImageSummary {
-    /// Two pictures of a live camera never have the same: there is noise in them.
+    /// Hash of the luma. Noise makes it differ between any two pictures of a live camera.
     pub fingerprint: u64,
-    /// The brightest luma.
+    /// Largest luma.
     pub brightest: u8,
-    /// Pixels that are brighter than a closed lens gives, and of these those at the end of the scale.
+    /// Number of pixels that are brighter than those of a covered lens.
     pub lit: u32,
+    /// Number of pixels that are at the end of the scale.
     pub clipped: u32,
 }
 
-const EVERY: usize = 8;
-/// Brighter than what a closed lens gives, and the corners that a fisheye leaves black.
+/// Step between the rows that are looked at.
+const ROW_STEP: usize = 8;
+/// Largest luma of a covered lens, and of the corners that a fisheye leaves black.
 const DARK: u8 = 16;
+/// Smallest luma that counts as the end of the scale.
 const CLIPPED: u8 = 250;
 
-/// Why nothing can be seen in a picture.
+/// The reason why a picture shows nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageDefect {
-    /// It is black.
+    /// The picture is black.
     TooDark,
-    /// More than half of what is lit is white.
+    /// More than half of the lit pixels are at the end of the scale.
     Overexposed,
 }
 
 impl ImageSummary {
+    /// Summarises a picture.
     pub fn of(picture: &Picture) -> Self {
-        let mut glance = Self::default();
-        for row in picture.luma.chunks_exact(picture.width.max(1)).step_by(EVERY) {
-            glance.add(row);
-            glance.fingerprint = fingerprint(glance.fingerprint, row);
+        let mut summary = Self::default();
+        for row in picture.luma.chunks_exact(picture.width.max(1)).step_by(ROW_STEP) {
+            summary.add(row);
+            summary.fingerprint = fingerprint(summary.fingerprint, row);
         }
-        glance
+        summary
     }
 
+    /// Counts the pixels of a row.
     fn add(&mut self, row: &[u8]) {
         let (brightest, lit, clipped) = multiversioned!(|row: &[u8]| -> (u8, u32, u32) {
             let (mut brightest, mut lit, mut clipped) = (0, 0, 0);
@@ -54,7 +59,7 @@ impl ImageSummary {
         self.clipped += clipped;
     }
 
-    /// Why nothing can be seen in it, if that is plain.
+    /// The reason why the picture shows nothing, if it obviously does not.
     pub fn defect(&self) -> Option<ImageDefect> {
         if self.brightest <= DARK {
             Some(ImageDefect::TooDark)
@@ -66,7 +71,7 @@ impl ImageSummary {
     }
 }
 
-/// FNV-1a, eight bytes at a time.
+/// Continues a hash with a row: FNV-1a, but eight bytes at a time.
 fn fingerprint(start: u64, row: &[u8]) -> u64 {
     const PRIME: u64 = 0x0000_0100_0000_01b3;
     const OFFSET: u64 = 0xcbf2_9ce4_8422_2325;

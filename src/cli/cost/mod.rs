@@ -1,4 +1,4 @@
-//! `realitysim cost`
+//! Command `realitysim cost`: measures what accuracy costs in time, and recommends settings.
 
 mod files;
 mod report;
@@ -135,7 +135,7 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
         noise_cm,
         wish,
         advice,
-        machine: host_info::described(configured.filter.simd),
+        machine: host_info::describe(configured.filter.simd),
         command: command(),
         warnings: busy.into_iter().collect(),
         losses: footage.losses().to_vec(),
@@ -157,7 +157,7 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if report.advice.fails() { Outcome::NotReached } else { Outcome::of(&report.losses) })
 }
 
-/// The true poses that come with the source, or in the log named; none if there are none.
+/// Returns the true poses of the source, or of the log named for them; an empty list if there are none.
 fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result<Vec<(i64, Isometry)>> {
     let topic = &settings.topics.ground_truth;
     if let Some(log) = &arguments.truth {
@@ -172,7 +172,7 @@ fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result
     }
 }
 
-/// The frames, the settings to try on them, and how far that has come.
+/// A sweep under way: the frames, the settings to try on them, and its progress.
 struct Trials<'a> {
     footage: &'a FrameCache,
     plan: Vec<SweepPoint>,
@@ -181,7 +181,7 @@ struct Trials<'a> {
     progress: output::Progress,
     done: u64,
     total: u64,
-    /// Why tags were invalid.
+    /// Counts of the reasons for invalid tags.
     reasons: BTreeMap<String, u64>,
     started: Instant,
     waited_s: Option<f64>,
@@ -206,7 +206,7 @@ impl<'a> Trials<'a> {
         }
     }
 
-    /// The truth if it says something of these frames, else a long run's tags.
+    /// Returns the truth if it covers some of these frames, else the tags of a long run.
     fn yardstick(&mut self, known: Vec<(i64, Isometry)>) -> anyhow::Result<(Yardstick, Vec<(i64, Isometry)>)> {
         if self.footage.stamps_ns().any(|stamp_ns| truth_at(&known, stamp_ns).is_some()) {
             return Ok((Yardstick::GroundTruth, known));
@@ -219,13 +219,13 @@ impl<'a> Trials<'a> {
     }
 
     fn sweep(&mut self, truth: &[(i64, Isometry)]) -> anyhow::Result<Vec<cost::Row>> {
-        // The first frames of a process pay for memory that later ones find.
+        // The first frames of a process are slower, since they allocate memory that later ones reuse.
         let (plan, seeds) = (self.plan.clone(), self.seeds.clone());
         cost::sweep(&plan, &seeds, truth, &mut |knobs, seed| self.run(knobs, seed))
     }
 
-    /// The best bargains once more, each frame ending in time. They are compared with each other in how many frames they tag: a
-    /// search that takes several frames costs tags, and nothing else keeps the budget.
+    /// Repeats the best rows with the budget in force, so that each frame ends in time. They compete by the number of
+    /// frames tagged: a search that takes several frames costs tags, and nothing else keeps the budget.
     fn sweep_capped(
         &mut self,
         rows: &[cost::Row],
@@ -251,14 +251,14 @@ impl<'a> Trials<'a> {
         Ok(attempts)
     }
 
-    /// A warning if the times cannot be trusted.
+    /// Returns a warning if the machine was too busy for the times to be trusted.
     fn finish(&mut self) -> Option<String> {
         self.progress.finish();
         let waited_s = host_info::waited_s().zip(self.waited_s).map(|(now, before)| now - before);
         host_info::busy_warning(waited_s, self.started.elapsed().as_secs_f64())
     }
 
-    /// Why tags were invalid, the most frequent first.
+    /// The most frequent reasons for invalid tags, at most three.
     fn reasons(&self) -> String {
         let mut reasons: Vec<(&String, &u64)> = self.reasons.iter().collect();
         reasons.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
@@ -267,7 +267,7 @@ impl<'a> Trials<'a> {
     }
 }
 
-/// As it was called, without where the program lies.
+/// The command line without the folder of the program.
 fn command() -> String {
     let arguments = std::env::args().skip(1);
     std::iter::once("realitysim".to_owned()).chain(arguments).collect::<Vec<_>>().join(" ")

@@ -1,4 +1,6 @@
-//! Odometry, attitude and head from microcontrollers on serial lines.
+//! Reads odometry, attitude and head angles from microcontrollers on serial lines.
+//!
+//! [`run`] opens a port and keeps it open; [`Line`] turns its bytes into measurements.
 
 mod latency;
 mod line;

@@ -1,42 +1,54 @@
-//! What is wrong with a port that is open, by what it has carried in a while.
+//! Finds out what is wrong with an open port, by what it has carried in a while.
 
 use std::fmt;
 
 use crate::mavlink::PortCounts;
 
+/// What is wrong with a port.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trouble {
+    /// No byte came.
     Silent,
-    /// Bytes, and no message among them.
+    /// Bytes came, but no message.
     NoMessages {
+        /// Number of bytes.
         bytes: u64,
     },
-    /// Messages of this program's own name: it hears itself, or another device bears its name.
+    /// Messages came under this program's own name: it receives itself, or another device has its name.
     Echo {
+        /// Number of such messages.
         messages: u64,
     },
-    /// Sound messages whose content is of no use.
+    /// Messages came with a right checksum and a content that cannot be used.
     Unusable {
+        /// Why they cannot be used.
         reason: &'static str,
+        /// Number of such messages.
         messages: u64,
     },
+    /// Messages are missing.
     Lost {
+        /// Number of missing messages.
         messages: u64,
+        /// Number of messages that were sent.
         of: u64,
     },
+    /// Bytes belong to no valid message.
     Noisy {
+        /// Number of such bytes.
         skipped: u64,
+        /// Number of all bytes.
         bytes: u64,
     },
 }
 
-/// A share of lost messages that a good line stays below.
+/// Largest share of lost messages on a good line.
 const MAX_LOST: f64 = 0.01;
-/// Of skipped bytes: those of the message in the middle of which one begins to listen are some.
+/// Largest share of skipped bytes on a good line. Some are skipped because reading begins in the middle of a message.
 const MAX_SKIPPED: f64 = 0.05;
 
 impl Trouble {
-    /// The worst of what the port has carried since `before`.
+    /// Returns the worst trouble of the port since `before`; `None` if all is well.
     pub fn since(before: &PortCounts, now: &PortCounts) -> Option<Self> {
         let bytes = now.frames.bytes.saturating_sub(before.frames.bytes);
         let messages = now.frames.frames.saturating_sub(before.frames.frames);
@@ -61,14 +73,15 @@ impl Trouble {
         let (of, skipped) = (messages + lost, now.frames.bytes_skipped.saturating_sub(before.frames.bytes_skipped));
         let damaged = now.frames.crc_failures.saturating_sub(before.frames.crc_failures);
         let is_lossy = lost as f64 > MAX_LOST * of as f64;
-        // What noise has hit is missing too: where checksums fail, no other rate helps.
+        // Messages hit by noise are missing, too. If at least half of the lost ones have failed checksums, the line is noisy,
+        // and a higher baud rate would not help.
         if skipped as f64 > MAX_SKIPPED * bytes as f64 || (is_lossy && 2 * damaged >= lost) {
             return Some(Self::Noisy { skipped, bytes });
         }
         is_lossy.then_some(Self::Lost { messages: lost, of })
     }
 
-    /// Of which kind, whatever its numbers: what is news and what is not.
+    /// Returns whether it is of the same kind, whatever its numbers. A trouble of the same kind is no news.
     pub fn is_like(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Unusable { reason: one, .. }, Self::Unusable { reason: other, .. }) => one == other,
@@ -76,7 +89,7 @@ impl Trouble {
         }
     }
 
-    /// In the status and in logs.
+    /// Returns the word for this trouble in the status and in logs.
     pub fn cause(&self) -> &'static str {
         match self {
             Self::Silent => "silent",
@@ -88,6 +101,7 @@ impl Trouble {
         }
     }
 
+    /// Returns what to check or change.
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::Silent => "is the device switched on, and are its lines crossed (TX to RX)?",

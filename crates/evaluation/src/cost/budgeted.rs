@@ -1,15 +1,16 @@
-//! The best bargains once more, with a budget that each frame keeps: the few that search the field do so bit by bit.
+//! Rows of the Pareto front tried again with a time budget for each frame. With one, the search over the whole field is
+//! spread over several frames.
 
 use super::pareto_front::front;
 use super::row::Row;
 use super::sweep_point::SweepPoint;
 
-/// No row that counts keeps the budget.
+/// Returns whether no row that counts keeps the budget.
 pub fn is_exceeded(rows: &[Row], budget_ms: f64) -> bool {
     !rows.iter().map(Row::point).any(|point| point.counts() && point.time_ms <= budget_ms)
 }
 
-/// The settings on the front, capped.
+/// Returns the settings on the Pareto front with `budget_ms` as their budget.
 pub fn capped(rows: &[Row], budget_ms: f64) -> Vec<SweepPoint> {
     let on_front = front(&rows.iter().map(Row::point).collect::<Vec<_>>());
     let bargains = rows.iter().zip(on_front).filter(|(_, on_front)| *on_front);
@@ -22,7 +23,7 @@ mod tests {
     use realitysim_config::Settings;
 
     #[test]
-    fn what_is_on_the_front_is_tried_with_a_budget_if_nothing_else_keeps_it() {
+    fn rows_of_the_front_get_the_budget_that_no_row_keeps() {
         let row = |particles: usize, p99_ms: f64, mean_cm: f64| {
             let knobs = SweepPoint { particles, ..SweepPoint::of(&Settings::default()) };
             let mut row = Row { p99_ms, judged: 9, ..Row::of(knobs, &[], &[]) };
@@ -34,6 +35,6 @@ mod tests {
         let tried: Vec<_> = capped(&rows, 8.0).iter().map(|knobs| (knobs.particles, knobs.budget_ms)).collect();
         assert_eq!(tried, [(1, 8.0), (2, 8.0)]);
         rows[0].evasive = true;
-        assert!(is_exceeded(&rows, 9.0), "it does not count");
+        assert!(is_exceeded(&rows, 9.0), "an evasive row does not count");
     }
 }

@@ -1,7 +1,7 @@
-//! What accuracy costs in time: settings tried on the same frames, judged, and one of them recommended.
+//! The cost of accuracy: settings of the filter tried on the same frames, judged, and one of them recommended.
 //!
-//! [`plan`] says which settings, [`sweep`] tries and judges them, [`front`] tells which are worth their time,
-//! [`advise`] which to take, [`chart`] draws it. Clocks and frames are the caller's.
+//! [`plan`] lists the settings, [`sweep`](fn@sweep) tries and judges them, [`front`] finds the Pareto-optimal ones,
+//! [`advise`] recommends one, [`chart`](fn@chart) draws all. The caller has the clock and the frames.
 
 mod budgeted;
 mod chart;

@@ -1,26 +1,28 @@
-//! Which rows are worth their time: none is both faster and more accurate.
+//! The Pareto front of a sweep: rows than which no other row is both faster and more accurate.
 
-/// A row as the chart shows it.
+/// Time and error of a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
+    /// 99 % quantile of the time for a frame, milliseconds.
     pub time_ms: f64,
-    /// Infinite for a row that does not count.
+    /// Mean position error, centimetres; infinite for a row that does not count.
     pub error_cm: f64,
 }
 
 impl Point {
+    /// Returns whether time and error are finite.
     pub fn counts(&self) -> bool {
         self.time_ms.is_finite() && self.error_cm.is_finite()
     }
 
-    /// At least as good in both, better in one.
+    /// Returns whether this point is at least as good as `other` in time and error, and better in one of them.
     fn dominates(&self, other: &Self) -> bool {
         let (faster, sharper) = (self.time_ms <= other.time_ms, self.error_cm <= other.error_cm);
         faster && sharper && (self.time_ms < other.time_ms || self.error_cm < other.error_cm)
     }
 }
 
-/// Whether each point lies on the Pareto front.
+/// Returns for each point whether it lies on the Pareto front.
 pub fn front(points: &[Point]) -> Vec<bool> {
     let undominated = |point: &Point| !points.iter().any(|other| other.counts() && other.dominates(point));
     points.iter().map(|point| point.counts() && undominated(point)).collect()

@@ -1,42 +1,47 @@
-//! Which row to take, and why.
+//! The recommended row of a sweep, and the reason for it.
 
 use serde::Serialize;
 
 use super::pareto_front::Point;
 use super::row::Row;
 
-/// What the user can afford, or needs.
+/// Requirements of the user on time and accuracy.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Requirements {
-    /// Of nearly every frame: held against p99.
+    /// Largest time for a frame, milliseconds; compared with the 99 % quantile.
     pub budget_ms: Option<f64>,
-    /// Of the mean position error.
+    /// Largest mean position error, centimetres.
     pub accuracy_cm: Option<f64>,
 }
 
+/// A recommended row.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Advice {
     /// Index of the row.
     pub row: usize,
+    /// Explanation for people.
     pub why: String,
-    /// Whether the row keeps the budget and reaches the accuracy; none where nothing was asked.
+    /// Whether the row keeps the budget; `None` if none was asked for.
     pub keeps_budget: Option<bool>,
+    /// Whether the row reaches the accuracy; `None` if none was asked for.
     pub reaches_accuracy: Option<bool>,
 }
 
 impl Advice {
-    /// Nothing that was asked for can be had.
+    /// Returns whether something was asked for and the row meets none of it.
     pub fn fails(&self) -> bool {
         let asked = [self.keeps_budget, self.reaches_accuracy];
         asked.iter().any(Option::is_some) && !asked.contains(&Some(true))
     }
 }
 
-/// Differences below this are not worth a millisecond, whatever the seeds say.
-const LEAST_NOISE_CM: f64 = 0.05;
+/// Smallest noise that is assumed, centimetres: smaller differences in error are not worth a millisecond.
+const MIN_NOISE_CM: f64 = 0.05;
 
-/// How far apart the mean errors of two rows must be to be told apart: two standard errors of their difference, the scatter
-/// over the seeds being that of the more scattered one of the best row and the middle one.
+/// Returns the difference in mean error, centimetres, from which on two rows count as different.
+///
+/// Two standard errors of the difference. The scatter over the seeds is the larger of that of the best row and the
+/// median over the rows.
 pub fn noise_cm(rows: &[Row], seeds: usize) -> f64 {
     let mut counting: Vec<&Row> = rows.iter().filter(|row| row.point().counts()).collect();
     counting.sort_by(|a, b| a.position_cm.mean.total_cmp(&b.position_cm.mean));
@@ -44,17 +49,17 @@ pub fn noise_cm(rows: &[Row], seeds: usize) -> f64 {
     let mut scatters: Vec<f64> = counting.iter().map(|row| row.scatter_cm).collect();
     scatters.sort_by(f64::total_cmp);
     let middle = scatters.get(scatters.len() / 2).copied().unwrap_or(0.0);
-    (2.0 * libm::sqrt(2.0 / seeds.max(1) as f64) * best.max(middle)).max(LEAST_NOISE_CM)
+    (2.0 * libm::sqrt(2.0 / seeds.max(1) as f64) * best.max(middle)).max(MIN_NOISE_CM)
 }
 
-/// None if no row counts.
+/// Recommends a row; `None` if no row counts.
 pub fn advise(rows: &[Row], noise_cm: f64, wish: &Requirements) -> Option<Advice> {
     let points: Vec<Point> = rows.iter().map(Row::point).collect();
     let (row, reason) = choose(&points, noise_cm, wish)?;
     let point = points[row];
     let keeps_budget = wish.budget_ms.map(|budget_ms| point.time_ms <= budget_ms);
     let reaches_accuracy = wish.accuracy_cm.map(|accuracy_cm| point.error_cm <= accuracy_cm);
-    let mut why = format!("{}: {}.", rows[row].knobs, told(&points, row, reason, noise_cm, wish));
+    let mut why = format!("{}: {}.", rows[row].knobs, explain(&points, row, reason, noise_cm, wish));
     if rows[row].knobs.budget_ms > 0.0 {
         let [capped, most] = [rows[row].valid_share, rows.iter().map(|row| row.valid_share).fold(0.0, f64::max)]
             .map(|share| 100.0 * share);
@@ -65,20 +70,23 @@ pub fn advise(rows: &[Row], noise_cm: f64, wish: &Requirements) -> Option<Advice
     Some(Advice { row, why, keeps_budget, reaches_accuracy })
 }
 
-/// Why a row was chosen.
+/// The reason why a row was chosen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Reason {
-    /// The cheapest that is as good as the best one, whose index this is, among those allowed.
+    /// The cheapest allowed row that is within noise of the best allowed row, whose index this is.
     AsGoodAs(usize),
-    /// The cheapest that reaches the accuracy.
+    /// The cheapest row that reaches the accuracy.
     Reaches,
-    /// The same, but over the budget, which nothing keeps.
+    /// The cheapest row that reaches the accuracy, over the budget, which no row keeps.
     ReachesLate,
-    /// Nothing keeps the budget: the fastest.
+    /// The fastest row, as none keeps the budget.
     Fastest,
 }
 
-/// The chosen point lies on the front: every set it is the cheapest of holds whatever dominates one of its points.
+/// Chooses a point; `None` if none counts.
+///
+/// It lies on the Pareto front: each set of which it is the cheapest also contains whatever dominates one of its
+/// points.
 fn choose(points: &[Point], noise_cm: f64, wish: &Requirements) -> Option<(usize, Reason)> {
     let all: Vec<usize> = (0..points.len()).filter(|index| points[*index].counts()).collect();
     let within = |of: &[usize], time_ms: f64, error_cm: f64| -> Vec<usize> {
@@ -97,7 +105,7 @@ fn choose(points: &[Point], noise_cm: f64, wish: &Requirements) -> Option<(usize
             return Some((row, Reason::ReachesLate));
         }
     }
-    let Some(best) = sharpest(points, &affordable) else {
+    let Some(best) = most_accurate(points, &affordable) else {
         return cheapest(points, &all).map(|row| (row, Reason::Fastest));
     };
     let as_good = within(&affordable, f64::INFINITY, points[best].error_cm + noise_cm);
@@ -109,7 +117,7 @@ fn cheapest(points: &[Point], of: &[usize]) -> Option<usize> {
     of.iter().copied().min_by(|a, b| order(key(a), key(b)))
 }
 
-fn sharpest(points: &[Point], of: &[usize]) -> Option<usize> {
+fn most_accurate(points: &[Point], of: &[usize]) -> Option<usize> {
     let key = |index: &usize| (points[*index].error_cm, points[*index].time_ms);
     of.iter().copied().min_by(|a, b| order(key(a), key(b)))
 }
@@ -118,7 +126,8 @@ fn order(a: (f64, f64), b: (f64, f64)) -> core::cmp::Ordering {
     a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
 }
 
-fn told(points: &[Point], row: usize, reason: Reason, noise_cm: f64, wish: &Requirements) -> String {
+/// Explains the choice in a sentence.
+fn explain(points: &[Point], row: usize, reason: Reason, noise_cm: f64, wish: &Requirements) -> String {
     let Point { time_ms, error_cm } = points[row];
     let (budget, accuracy) = (wish.budget_ms.unwrap_or(0.0), wish.accuracy_cm.unwrap_or(0.0));
     let has = format!("{error_cm:.2} cm at {time_ms:.1} ms (p99)");
@@ -179,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rules_in_their_order() {
+    fn the_rules_apply_in_their_order() {
         assert_eq!(chosen(Some(8.0), None), (2, Reason::AsGoodAs(3)));
         assert_eq!(chosen(Some(2.5), None), (1, Reason::AsGoodAs(1)));
         assert_eq!(chosen(Some(0.5), None), (0, Reason::Fastest));
@@ -208,8 +217,8 @@ mod tests {
             match choose(&points, noise, &wish) {
                 Some((row, reason)) => {
                     prop_assert!(front(&points)[row]);
-                    // A sentence can be made of everything.
-                    let text = told(&points, row, reason, noise, &wish);
+                    // The explanation holds finite numbers only.
+                    let text = explain(&points, row, reason, noise, &wish);
                     prop_assert!(!text.contains("inf") && !text.contains("NaN"), "{}", text);
                     let affordable = |p: &&Point| p.counts() && p.time_ms <= budget.unwrap_or(f64::INFINITY);
                     if points.iter().filter(affordable).count() > 0 {

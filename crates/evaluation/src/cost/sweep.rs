@@ -1,4 +1,4 @@
-//! Trying all settings on the same frames, with several seeds.
+//! Runs of all settings on the same frames, with several seeds.
 
 use super::row::Row;
 use super::sweep_point::SweepPoint;
@@ -6,14 +6,21 @@ use crate::capture::tagged;
 use realitysim_geometry::Isometry;
 use realitysim_tagging::Trial;
 
-/// One of the best tags this much fewer frames than another evades: its errors are those of easier frames.
+/// Difference in the share of valid tags to the best row beyond which a row is evasive: its errors are those of easier
+/// frames.
 const EVASION: f64 = 0.02;
 
-/// Tries one setting with one seed: the caller has frames and a clock.
+/// Callback that runs one setting with one seed and returns the result of each frame.
 pub type Measure<'a, E> = &'a mut dyn FnMut(&SweepPoint, u64) -> Result<Vec<Trial>, E>;
 
-/// All settings with the first seed, then all with the next: what slows the machine down for a while hits all alike, and
-/// only one of each setting's runs.
+/// Runs every setting with every seed and returns the judged rows, sorted by the 99 % quantile of their times.
+///
+/// All settings run with the first seed, then all with the next: what slows the machine down for a while affects all
+/// settings alike, and only one run of each. `truth` is in order of time.
+///
+/// # Errors
+///
+/// Returns the first error of `measure`.
 pub fn sweep<E>(
     settings: &[SweepPoint],
     seeds: &[u64],
@@ -27,15 +34,15 @@ pub fn sweep<E>(
         }
     }
     let mut rows: Vec<Row> = settings.iter().zip(&runs).map(|(knobs, runs)| Row::of(*knobs, runs, truth)).collect();
-    let most = rows.iter().map(|row| row.valid_share).fold(0.0, f64::max);
+    let best_share = rows.iter().map(|row| row.valid_share).fold(0.0, f64::max);
     for row in &mut rows {
-        row.evasive = row.valid_share < most - EVASION;
+        row.evasive = row.valid_share < best_share - EVASION;
     }
     rows.sort_by(|a, b| a.p99_ms.total_cmp(&b.p99_ms));
     Ok(rows)
 }
 
-/// The valid tags of a run, as if they were the truth.
+/// Returns the valid tags of a run in the form of a truth: times in nanoseconds and poses, in order of time.
 pub fn as_truth(run: &[Trial]) -> Vec<(i64, Isometry)> {
     let mut truth: Vec<(i64, Isometry)> = run
         .iter()
@@ -57,7 +64,7 @@ mod tests {
 
     fn run(knobs: &SweepPoint, seed: u64) -> Vec<Trial> {
         let attempt = |frame: i64| {
-            // Few particles tag few frames, but those well.
+            // A setting with few particles tags only half of the frames, with small errors.
             let valid = knobs.particles > 50 || frame < 5;
             let mut tag = FrameTag { valid, elapsed_ms: knobs.particles as f64 / 100.0, ..FrameTag::default() };
             tag.header.stamp = Stamp::from_nanoseconds(frame * 100_000_000);
@@ -69,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn every_setting_meets_every_seed_and_evasion_is_noticed() {
+    fn every_setting_runs_with_every_seed_and_evasion_is_noticed() {
         let settings = plan(SweepPoint::of(&Settings::default()), 1);
         let truth: Vec<(i64, Isometry)> = (0..10).map(|frame| (frame * 100_000_000, Isometry::IDENTITY)).collect();
         let mut asked = Vec::new();

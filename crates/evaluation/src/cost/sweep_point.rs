@@ -1,4 +1,4 @@
-//! What is turned in the search for a good bargain, and which settings are tried.
+//! The filter settings that a sweep varies, and the list of those that are tried.
 
 use core::fmt;
 
@@ -7,23 +7,29 @@ use serde::Serialize;
 use realitysim_config::Settings;
 use realitysim_localization::Model;
 
-/// The settings that decide about time and accuracy.
+/// The settings of the filter that decide about time and accuracy.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SweepPoint {
+    /// Observation model.
     pub model: Model,
+    /// Number of particles.
     pub particles: usize,
+    /// Number of iterations of the filter per frame.
     pub iterations: usize,
-    /// Particles and iterations are the most.
+    /// Whether `particles` and `iterations` are upper limits, of which the filter uses what it needs.
     pub adaptive: bool,
+    /// Number of points on the lines of the field.
     pub line_points: usize,
-    /// As in the config: 0 is automatic.
+    /// Factor by which images are reduced, as `[filter] image_reduction`: 0 is automatic.
     pub image_reduction: usize,
+    /// Whether poses are refined by least squares.
     pub refinement: bool,
-    /// As in the config: 0 is none.
+    /// Time budget of a frame in milliseconds, as `[filter] budget_ms`: 0 is none.
     pub budget_ms: f64,
 }
 
 impl SweepPoint {
+    /// Takes the setting out of a configuration, without its budget.
     pub fn of(settings: &Settings) -> Self {
         let f = &settings.filter;
         Self {
@@ -34,12 +40,12 @@ impl SweepPoint {
             line_points: f.line_points,
             image_reduction: f.image_reduction,
             refinement: f.refinement,
-            // What a setting costs is asked, not what can be saved of it.
+            // A sweep measures the full cost of a setting, which a budget would cut.
             budget_ms: 0.0,
         }
     }
 
-    /// These settings, turned to these knobs.
+    /// Returns `settings` with this setting and `seed`.
     pub fn set(&self, settings: &Settings, seed: u64) -> Settings {
         let mut settings = settings.clone();
         let f = &mut settings.filter;
@@ -76,11 +82,13 @@ impl fmt::Display for SweepPoint {
     }
 }
 
-/// The most that `[filter] image_reduction` allows.
+/// Largest value that `[filter] image_reduction` allows.
 const COARSEST: usize = 8;
 
-/// The configured settings first, then about forty others: the number of particles through its whole range, every other
-/// knob at a few places, and some settings that save everywhere. `automatic` is the reduction that the lens gets by itself.
+/// Lists the settings of a sweep: the configured one first, then about forty others.
+///
+/// The number of particles goes through its whole range, every other setting takes a few values, and some rows are
+/// cheap in everything. `automatic` is the image reduction that the lens gets by default.
 pub fn plan(configured: SweepPoint, automatic: usize) -> Vec<SweepPoint> {
     let base = SweepPoint {
         model: Model::Gauss,
@@ -123,7 +131,8 @@ pub fn plan(configured: SweepPoint, automatic: usize) -> Vec<SweepPoint> {
     unique
 }
 
-/// What stands in for a truth that nobody knows: far more of everything than any row has.
+/// Returns the setting whose tags replace a truth that is not known: far more particles, iterations and points than
+/// other rows.
 pub fn reference(configured: SweepPoint) -> SweepPoint {
     SweepPoint {
         model: Model::Gauss,
@@ -142,7 +151,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_row_is_a_possible_setting_and_stands_once() {
+    fn every_row_is_an_allowed_setting_and_occurs_once() {
         for automatic in [1, 2, 8] {
             for reduction in [0, 1, 8] {
                 let mut settings = Settings::default();

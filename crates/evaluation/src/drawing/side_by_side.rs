@@ -1,4 +1,4 @@
-//! Two pictures in one.
+//! Two pictures beside each other.
 
 use glam::DVec2;
 use image::imageops::{self, FilterType};
@@ -8,16 +8,19 @@ use super::canvas::Canvas;
 use super::plot::TEXT;
 use super::text;
 
-/// Together at most this large: fits a README.
+/// Largest width of the page, pixels: fits a README.
 const WIDTH_PX: u32 = 1_600;
+/// Largest height of the page, pixels.
 const HEIGHT_PX: u32 = 620;
+/// Space around the pictures, pixels.
 const MARGIN_PX: u32 = 14;
 const TEXT_SIZE: f64 = 19.0;
 const LINE_PX: u32 = 27;
+/// Largest number of lines of a caption.
 const MOST_LINES: usize = 4;
 const PAGE: [u8; 3] = [255, 255, 255];
 
-/// Both pictures as large as they are, upper edges aligned.
+/// Joins two pictures without scaling, with aligned upper edges.
 pub fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
     let size = (left.width() + right.width(), left.height().max(right.height()));
     let mut page = RgbImage::from_pixel(size.0, size.1, Rgb(PAGE));
@@ -26,9 +29,9 @@ pub fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
     page
 }
 
-/// Both pictures at the same height, the caption below: at most 1600 x 620 pixels.
+/// Joins two pictures at the same height, with the caption below: at most 1600 x 620 pixels.
 ///
-/// A field map 720 px wide fits beside a camera image about as it is, so that its letters stay sharp.
+/// A field map 720 px wide fits beside a camera image almost without scaling, so that its letters stay sharp.
 pub fn side_by_side(left: &RgbImage, right: &RgbImage, caption: &str) -> RgbImage {
     let mut lines = text::wrap(TEXT_SIZE, caption, f64::from(WIDTH_PX - 2 * MARGIN_PX));
     lines.truncate(MOST_LINES);

@@ -1,4 +1,5 @@
-//! How good views are: rendered truth, real pairs of images, and the numbers.
+//! Evaluation of synthesized views: against rendered truth ([`displacements`]), against real pairs of images
+//! ([`pairs`](fn@pairs)), and with the line detector ([`Detector`]).
 
 mod detector;
 mod experiment;

@@ -1,41 +1,50 @@
-//! The truth that views are judged by: a lawn with lines and goals, every pixel the mean of 4 x 4 exact rays.
+//! Renderer of the truth that views are judged by: a lawn with lines and goals, every pixel the mean of 4 x 4 exact
+//! rays.
 //!
-//! Not the scenes' renderer, which filters by the pixel's footprint as a camera with soft optics would and so makes
-//! pictures that are easier to warp: here a pixel is as sharp as a pixel can be, and the grass has 2.5 mm blades.
+//! The renderer of scenes filters by the footprint of a pixel, as a camera with soft optics would, and so makes
+//! pictures that are easier to warp. Here a pixel is as sharp as possible, and the grass has blades of 2.5 mm.
 
 use glam::{DMat3, DVec2, DVec3};
 
 use realitysim_geometry::{Field, Isometry, Lens};
 use realitysim_views::{NOTHING, Raster, SURE};
 
-/// A camera on the lawn.
+/// A camera on a lawn with the lines of a field.
 #[derive(Clone, Debug)]
 pub struct TruthRenderer {
     width: usize,
     height: usize,
-    /// Unit rays in `camera_optical_frame`, [`RAYS`] squared for each pixel; NaN where the lens draws nothing.
+    /// Unit rays in `camera_optical_frame`, [`RAYS`] squared for each pixel; NaN where the lens shows nothing.
     rays: Vec<[f32; 3]>,
     texture: Texture,
+    /// Ends of the axes of goal posts and crossbars in `map`, metres.
     posts: Vec<[DVec3; 2]>,
+    /// Radius of posts and crossbars, metres.
     post_radius: f64,
 }
 
+/// Colours of the carpet, seen from above.
 #[derive(Clone, Debug)]
 struct Texture {
+    /// Number of texels along x.
     columns: usize,
+    /// Half extent of the carpet, metres.
     half: DVec2,
     texels: Vec<[u8; 3]>,
 }
 
+/// Number of rays along each side of a pixel.
 const RAYS: usize = 4;
+/// Side of a texel, metres.
 const TEXEL_M: f64 = 0.0025;
-/// Cells of the noise in texels, and how strong each is.
+/// Cell size in texels and strength in percent of each octave of the noise.
 const OCTAVES: [(usize, f64); 4] = [(2, 18.0), (6, 21.0), (24, 15.0), (96, 10.0)];
 const GRASS: [f64; 3] = [62.0, 118.0, 58.0];
 const PAINT: [f64; 3] = [225.0, 228.0, 225.0];
 const POST: [f64; 3] = [240.0, 240.0, 240.0];
 
 impl TruthRenderer {
+    /// Prepares pictures of a field through a lens, with or without goals.
     pub fn new(field: &Field, lens: &Lens, goals: bool) -> Self {
         let (width, height) = (lens.width() as usize, lens.height() as usize);
         let mut rays = Vec::with_capacity(width * height * RAYS * RAYS);
@@ -63,7 +72,7 @@ impl TruthRenderer {
         Self { width, height, rays, texture: Texture::new(field), posts, post_radius }
     }
 
-    /// What the camera sees from there, and which pixels show the lawn and nothing else.
+    /// Renders the view from a pose of `camera_link` in `map`, and tells which pixels show nothing but the lawn.
     pub fn render(&self, map_from_link: &Isometry) -> (Raster, Vec<bool>) {
         let pose = *map_from_link * Isometry::link_from_optical();
         let (camera, rotation) = (pose.translation, DMat3::from_quat(pose.rotation));
@@ -92,10 +101,11 @@ impl TruthRenderer {
         (image, ground)
     }
 
+    /// Returns the colour that a ray meets, and whether that is the lawn.
     fn colour(&self, camera: DVec3, ray: DVec3) -> ([f64; 3], bool) {
         let to_ground = -camera.z / ray.z;
         let ground = (to_ground > 0.0).then_some(to_ground);
-        let post = self.posts.iter().filter_map(|post| meets(*post, self.post_radius, camera, ray));
+        let post = self.posts.iter().filter_map(|post| intersect_bar(*post, self.post_radius, camera, ray));
         if let Some(post) = post.min_by(f64::total_cmp)
             && ground.is_none_or(|ground| post < ground)
         {
@@ -104,7 +114,7 @@ impl TruthRenderer {
         let place = ground.map(|distance| (camera + ray * distance).truncate());
         match place.and_then(|place| self.texture.at(place)) {
             Some(colour) => (colour, true),
-            // A hall with soft stripes.
+            // Beyond the carpet there is a hall with soft stripes.
             None => {
                 let around = libm::atan2(ray.y, ray.x);
                 let light = 120.0 + 40.0 * libm::sin(14.0 * around) + 50.0 * ray.z;
@@ -114,8 +124,8 @@ impl TruthRenderer {
     }
 }
 
-/// The distance to a round bar with flat ends.
-fn meets([from, to]: [DVec3; 2], radius: f64, camera: DVec3, ray: DVec3) -> Option<f64> {
+/// Returns the distance along a ray to a round bar with flat ends; `None` if the ray misses it.
+fn intersect_bar([from, to]: [DVec3; 2], radius: f64, camera: DVec3, ray: DVec3) -> Option<f64> {
     let axis = (to - from).normalize();
     let across = |v: DVec3| v - axis * v.dot(axis);
     let (d, o) = (across(ray), across(camera - from));
@@ -154,7 +164,7 @@ impl Texture {
         Self { columns, half, texels: texels.collect() }
     }
 
-    /// Bilinear; `None` off the carpet.
+    /// Returns the bilinearly interpolated colour at a point in `map`; `None` off the carpet.
     fn at(&self, place: DVec2) -> Option<[f64; 3]> {
         let at = (place + self.half) / TEXEL_M - DVec2::splat(0.5);
         let rows = self.texels.len() / self.columns;
@@ -173,9 +183,9 @@ impl Texture {
     }
 }
 
-/// Bilinear noise between lattice points; `strength` is the largest value.
+/// Adds bilinear noise between lattice points; `strength` is its largest value.
 fn add_octave(noise: &mut [f32], columns: usize, octave: u32, cell: usize, strength: f64) {
-    let lattice = |x: usize, y: usize| hashed(x as u32, y as u32, octave) * strength as f32;
+    let lattice = |x: usize, y: usize| hash_noise(x as u32, y as u32, octave) * strength as f32;
     for (index, value) in noise.iter_mut().enumerate() {
         let (column, row) = (index % columns, index / columns);
         let (x, y) = (column / cell, row / cell);
@@ -186,8 +196,8 @@ fn add_octave(noise: &mut [f32], columns: usize, octave: u32, cell: usize, stren
     }
 }
 
-/// -1 to 1, the same for the same place.
-fn hashed(x: u32, y: u32, octave: u32) -> f32 {
+/// Returns a hash of a lattice point, -1 to 1.
+fn hash_noise(x: u32, y: u32, octave: u32) -> f32 {
     let mut h = x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ octave.wrapping_mul(0xc2b2_ae3d);
     for _ in 0..2 {
         h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);

@@ -1,5 +1,6 @@
-//! From frame to frame: particles find the basin, refinement finds the pose, and both must agree with the lines before
-//! a pose is believed.
+//! Localization from frame to frame.
+//!
+//! Particles find the basin of attraction, refinement finds the pose in it, and both must agree with the lines before the pose is believed.
 
 mod evidence;
 mod relocalization;
@@ -26,34 +27,47 @@ use super::validation::{PoseValidator, Rules, TrackingState, Validity, agrees, i
 use realitysim_geometry::{Field, Isometry, Lens, Physical, Pose2, Twist, wrap_angle};
 use realitysim_vision::{ImageDefect, Observations};
 
+/// Settings of a [`Localizer`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalizerSettings {
+    /// Settings of the particle filter.
     pub filter: FilterSettings,
+    /// Noise of the slow states and of the prediction that refinement starts from.
     pub track: SlowStateModel,
-    /// Whether poses are refined; without it the best particle is the answer.
+    /// Whether poses are refined; otherwise the best particle is the answer.
     pub refinement: bool,
-    /// There is no odometry, on purpose.
+    /// Whether there is no odometry, on purpose.
     pub random_walk: bool,
-    /// Around a pose that was announced or found.
+    /// Spread of the particles around a pose that was announced or found.
     pub initial: Spread,
+    /// Limits that a pose must keep to be believed.
     pub valid: Validity,
 }
 
+/// Everything that the next frame depends on; a checkpoint keeps it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LocalizerState {
+    /// State of the particle filter.
     pub filter: FilterState,
+    /// Pose and slow states that refinement follows, called the track; `None` before the first pose.
     pub track: Option<SlowStateFilter>,
-    /// Time and odometry of the last frame, or of what came after it that steps count from.
+    /// Time (ns) and odometry that the next step is measured from: those of the last frame, or later ones.
     pub last: Option<(i64, Option<Pose2>)>,
+    /// What the frames so far say about the pose.
     pub validator: PoseValidator,
+    /// Follows the robot through falls.
     pub posture: FallDetector,
+    /// Recognises a camera that repeats its picture.
     pub frozen: FrozenImageDetector,
-    /// For how long nothing has said how far the robot walked, seconds.
+    /// Time for which nothing has measured how far the robot walked, seconds.
     pub adrift_s: f64,
+    /// The last pose that was known, carried on since then.
     pub known: Option<LastKnownPose>,
+    /// Search of the field under way.
     pub search: SearchState,
+    /// Candidates of the last search that are being refined.
     pub fitting: CandidateRefinement,
-    /// The pose was found without being told which half of the field it is in.
+    /// Whether the mirror pose is as likely: the pose was found without knowing which half of the field the robot is in.
     pub ambiguous: bool,
 }
 
@@ -68,97 +82,107 @@ impl Physical for LocalizerState {
     }
 }
 
-/// What else than the image is known of a frame.
+/// What sensors other than the camera say at the time of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameSensors {
+    /// Time of the frame, nanoseconds.
     pub stamp_ns: i64,
+    /// Pose of `base_footprint` by odometry, if known.
     pub odometry: Option<Pose2>,
-    /// Since the frame before, by gyro.
+    /// Turn of the robot since the last frame by gyro, radians.
     pub turned_rad: Option<f64>,
-    /// How far the torso has rolled and pitched since then, to and fro, by gyro.
+    /// Sum of the torso's roll and pitch, to and fro, since the last frame by gyro, radians.
     pub swayed_rad: Option<f64>,
-    /// How the camera moves, if something says so.
+    /// Motion of the camera, if something measures it.
     pub camera_twist: Option<Twist>,
-    /// It turns as a gyro has told.
+    /// Whether a gyro has measured the rotation in `camera_twist`.
     pub turn_is_felt: bool,
-    /// By IMU, joints and mount.
+    /// Pose of the camera in `base_footprint`, by IMU, joints and mount.
     pub footprint_from_optical: Option<Isometry>,
-    /// Something measures the torso's tilt; without it a walking torso sways unseen.
+    /// Whether the torso's tilt is measured; otherwise a walking torso sways unseen.
     pub tilt_is_measured: bool,
-    /// Between the torso's axis and the vertical, if something measures it.
+    /// Angle between the torso's axis and the vertical, if measured, radians.
     pub lean_rad: Option<f64>,
-    /// What was measured is too old to describe a moving robot.
+    /// Whether a measurement is too old to describe a moving robot.
     pub stale: bool,
 }
 
-/// How a lens differs from its calibration by what has been seen, each with its standard deviation.
+/// Estimated differences of a lens from its calibration, each with its standard deviation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LensOff {
     /// Share by which the focal length is longer.
     pub stretch: (f64, f64),
+    /// Shift of the optical centre along u, pixels.
     pub centre_u_px: (f64, f64),
+    /// Shift of the optical centre along v, pixels.
     pub centre_v_px: (f64, f64),
 }
 
 /// The answer for one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fix {
-    /// Of the particles; poses of `base_footprint`.
+    /// Estimate of the particles: `base_footprint` in `map`.
     pub estimate: Estimate,
+    /// How much of the line that the best particle predicts is seen.
     pub support: Support,
-    /// The refined pose, or where the track puts the camera when nothing could be refined.
+    /// Pose of the camera: refined, or predicted when nothing could be refined.
     pub map_from_optical: Isometry,
-    /// x, y, z, rotation about x, y, z of `map`.
+    /// Covariance of that pose: x, y, z (m) and rotation about x, y, z (rad) of `map`.
     pub covariance: Matrix6<f64>,
+    /// Whether the pose was refined by lines of this frame.
     pub refined: bool,
-    /// The lines say that the camera is not where odometry and IMU have it, by more than these admit.
+    /// Whether lines put the camera farther from where odometry and IMU have it than their errors admit.
     pub surprised: bool,
-    /// The pose is farther from where the robot was last known to be than it can have come.
+    /// Whether the pose is farther from where the robot was last known to be than it can have come.
     pub strays: bool,
-    /// Nothing says how far the robot has walked since the last frame.
+    /// Whether nothing has measured how far the robot walked since the last frame.
     pub adrift: bool,
-    /// Of a pose that is to be confirmed: its lines fit better through another lens, or from a camera that no mount puts there.
+    /// Whether the lines of a candidate fit better through another lens, or from a camera where no mount puts it.
     pub misfits: bool,
+    /// How well the expected lines are where the pose has them.
     pub agreement: Agreement,
+    /// How much of the seen line near the robot the pose explains.
     pub explained: ExplainedLines,
-    /// Of a pose that is to be confirmed: the share of the lines in the picture, however far, that are painted where it has them, 0 to 1.
+    /// Share of the lines in the picture, at any distance, that are painted where a candidate has them, 0 to 1; 1 if not computed.
     pub explained_in_view: f64,
+    /// What the frame has cost.
     pub effort: Effort,
-    /// The mirror pose is as likely.
+    /// Whether the mirror pose is as likely.
     pub ambiguous: bool,
     /// Why the pose is not to be used; `None` when it is.
     pub rejection: Option<Rejection>,
 }
 
-/// A restarted robot may have been carried: the cloud is widened by this.
-const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
-/// After as long as this a place that was kept over a restart is one among many, in either half of the field: in four seconds a
-/// robot walks a metre, or is picked up.
+/// Spread that is added to the particles at a restart, since the robot may have been carried.
+const RESTART_SPREAD: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
+/// Longest absence of odometry, seconds, after which a pose kept over a restart still counts. In four seconds a robot walks a
+/// metre, or is picked up, and may then be in either half of the field.
 const LONGEST_AWAY_S: f64 = 4.0;
-/// Longer gaps say nothing more about where the robot went.
+/// Longest step between frames, seconds: a longer gap says nothing more about where the robot went.
 const LONGEST_STEP_S: f64 = 5.0;
-/// No humanoid walks this fast: odometry that says so has jumped.
+/// Highest speed, metres per second: no humanoid walks this fast, so odometry that says so has jumped.
 const FASTEST_M_PER_S: f64 = 3.0;
 /// A torso that rolls and pitches faster than this on average walks, or marches on the spot: 5 degrees a second.
 pub(super) const SWAYS_RAD_PER_S: f64 = 0.09;
-/// Who walks goes on walking: for so long steps of which nothing is known add up as if they were one.
+/// Longest time without odometry, seconds, for which unknown steps add up in one direction: a walking robot goes on walking.
 const LONGEST_ADRIFT_S: f64 = 0.5;
-/// A gyro that says more is broken or counts in degrees.
+/// Highest turning rate, radians per second: a gyro that shows more is broken or counts in degrees.
 const FASTEST_RAD_PER_S: f64 = 10.0;
-/// How far a walking torso that nothing measures leans from upright: 2.5 degrees.
+/// Standard deviation of a walking torso's tilt where nothing measures it: 2.5 degrees.
 const UNMEASURED_TILT_RAD: f64 = 0.044;
-/// A best particle farther than this from the predicted pose is refined from as well.
+/// Distance of the best particle from the predicted pose above which refinement starts from both, metres.
 const OTHER_BASIN_M: f64 = 0.12;
+/// The same for the heading, radians.
 const OTHER_BASIN_RAD: f64 = 0.06;
-/// Track and particles that differ by more are not about the same place: the one that fits better wins.
-const APART_M: f64 = 0.4;
-/// A lens whose focal length is off by more was not calibrated.
+/// Distance (m) and turn (rad) between track and particles above which they follow different poses: the one that fits better wins.
+const APART: f64 = 0.4;
+/// Largest deviation of the focal length, as a share, of a lens that was calibrated.
 const MOST_STRETCH: f64 = 0.03;
 /// Squared deviation from the prediction, per unknown, above which the prediction is doubted.
 const SURPRISE: f64 = 3.0;
 
-/// Why nothing can be seen in the picture, if that is plain.
-fn defect(seen: &Observations) -> Option<Rejection> {
+/// The rejection of a picture in which nothing can be seen for a plain reason.
+fn image_rejection(seen: &Observations) -> Option<Rejection> {
     seen.summary.defect().map(|defect| match defect {
         ImageDefect::TooDark => Rejection::TooDark,
         ImageDefect::Overexposed => Rejection::Overexposed,
@@ -171,6 +195,7 @@ impl LocalizerSettings {
     }
 }
 
+/// Localizes one camera on one field, frame by frame.
 #[derive(Clone, Debug)]
 pub struct Localizer {
     field: Field,
@@ -179,12 +204,14 @@ pub struct Localizer {
     filter: Filter,
     search: GlobalSearch,
     settings: LocalizerSettings,
+    /// The state without that of the filter, which `filter` holds.
     state: LocalizerState,
-    /// How often the state was no state of a robot, and was begun anew.
+    /// Number of times that the state was not finite and was reset.
     begun_anew: u64,
 }
 
 impl Localizer {
+    /// Makes a localizer that goes on from `state`.
     pub fn new(
         settings: LocalizerSettings,
         field: Field,
@@ -206,30 +233,32 @@ impl Localizer {
         }
     }
 
-    /// What a checkpoint keeps.
+    /// The state after the last frame, which a checkpoint keeps.
     pub fn state(&self) -> LocalizerState {
         LocalizerState { filter: self.filter.state().clone(), ..self.state.clone() }
     }
 
+    /// The settings that the localizer was made with.
     pub fn settings(&self) -> &LocalizerSettings {
         &self.settings
     }
 
+    /// The observation model that weighs particles.
     pub fn observation(&self) -> &Observation {
         self.filter.observation()
     }
 
-    /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
+    /// Number of weights of particles so far that were NaN or +inf. Any other number than 0 shows a fault of the program.
     pub fn unusable_weights(&self) -> u64 {
         self.filter.unusable_weights()
     }
 
-    /// Frames so far after which everything was forgotten, since numbers had become none.
+    /// Number of frames so far after which the state was reset, since a number was not finite.
     pub fn begun_anew(&self) -> u64 {
         self.begun_anew
     }
 
-    /// How the lens differs from its calibration.
+    /// Estimated differences of the lens from its calibration; `None` before the first pose.
     pub fn lens_off(&self) -> Option<LensOff> {
         let track = self.state.track.as_ref()?;
         let (Miscalibration { stretch, shift, .. }, [of_stretch, of_u, of_v, _]) = (track.lens(), track.lens_sigmas());
@@ -241,54 +270,57 @@ impl Localizer {
         })
     }
 
-    /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
+    /// Resumes after a restart: the pose is kept, but the robot may have been carried, and odometry begins anew.
     pub fn resume(&mut self) {
         if self.state.validator.tracking != TrackingState::Lost {
-            self.filter.widen(RESTART);
-            self.state.track =
-                self.state.track.as_ref().map(|track| track.moved_to(track.pose(), RESTART.xy_m, RESTART.yaw_rad));
-            self.state.validator.restored();
+            self.filter.widen(RESTART_SPREAD);
+            self.state.track = self
+                .state
+                .track
+                .as_ref()
+                .map(|track| track.moved_to(track.pose(), RESTART_SPREAD.xy_m, RESTART_SPREAD.yaw_rad));
+            self.state.validator.start_restored();
         }
         self.state.last = self.state.last.map(|(stamp_ns, _)| (stamp_ns, None));
     }
 
-    /// The next step is from where odometry had the robot at that time.
+    /// Sets time and odometry that the next step is measured from.
     pub fn count_from(&mut self, stamp_ns: i64, odometry: Pose2) {
         let last = self.state.last.replace((stamp_ns, Some(odometry)));
         let (last_ns, heard) = last.unzip();
         if heard.flatten().is_none() && !self.state.validator.was_announced() {
             let away_s = last_ns.map_or(f64::INFINITY, |last_ns| stamp_ns.abs_diff(last_ns) as f64 * 1e-9);
-            self.was_away(away_s);
+            self.note_absence(away_s);
         }
     }
 
-    /// For so long nobody has counted the robot's steps.
-    fn was_away(&mut self, seconds: f64) {
+    /// Notes that no odometry was heard for so many seconds.
+    fn note_absence(&mut self, seconds: f64) {
         if seconds > LONGEST_AWAY_S {
-            self.state.validator.odometry_lost();
+            self.state.validator.drop_restored();
             self.state.ambiguous |= self.state.validator.tracking != TrackingState::Lost;
-            self.state.known.iter_mut().for_each(LastKnownPose::is_past);
+            self.state.known.iter_mut().for_each(LastKnownPose::expire);
         } else {
-            self.state.known.iter_mut().for_each(|known| known.was_away(seconds));
+            self.state.known.iter_mut().for_each(|known| known.note_absence(seconds));
         }
     }
 
-    /// Somebody says where the robot is.
+    /// Starts over at a pose of `base_footprint` in `map` that somebody has announced.
     pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
-        self.place(pose, spread);
-        self.state.known = Some(LastKnownPose::told(pose, spread.xy_m));
-        self.state.validator.announced();
+        self.restart_at(pose, spread);
+        self.state.known = Some(LastKnownPose::announced(pose, spread.xy_m));
+        self.state.validator.start_announced();
         self.state.ambiguous = false;
     }
 
-    /// One frame of which something was seen. `may_go_on` says when time is up: see [`MayGoOn`].
+    /// Localizes one frame whose image was looked at. `may_go_on` decides when time is up: see [`MayGoOn`].
     pub fn look(&mut self, moment: &FrameSensors, seen: &Observations, may_go_on: &mut MayGoOn) -> Fix {
         let fix = self.look_unchecked(moment, seen, may_go_on);
-        self.checked(fix, moment)
+        self.reset_unless_finite(fix, moment)
     }
 
-    /// What is not finite leaves with its frame: neither its pose nor what was remembered of it is used again.
-    fn checked(&mut self, fix: Fix, moment: &FrameSensors) -> Fix {
+    /// Resets the state and rejects the frame if a number of either is not finite, so that it is not used again.
+    fn reset_unless_finite(&mut self, fix: Fix, moment: &FrameSensors) -> Fix {
         let is_sound = self.state.is_possible() && self.filter.state().particles.is_possible();
         if is_sound && fix.is_possible() {
             return fix;
@@ -298,36 +330,37 @@ impl Localizer {
         self.filter.exchange(&mut nothing);
         let last = self.state.last.map(|(stamp_ns, _)| (stamp_ns, None));
         self.state = LocalizerState { last, ..LocalizerState::default() };
-        let mut fix = self.predicted(moment, Estimate::unknown(), Support::default());
+        let mut fix = self.predicted_fix(moment, Estimate::unknown(), Support::default());
         fix.rejection = Some(Rejection::NumericalFault);
         fix
     }
 
+    /// [`Self::look`] without the check for numbers that are not finite.
     fn look_unchecked(&mut self, moment: &FrameSensors, seen: &Observations, may_go_on: &mut MayGoOn) -> Fix {
-        if self.lies(moment) {
-            return self.drift(moment, Rejection::Fallen);
+        if self.detect_fall(moment) {
+            return self.dead_reckon(moment, Rejection::Fallen);
         }
-        if self.state.frozen.judge(moment, seen.summary.fingerprint) {
-            return self.drift(moment, defect(seen).unwrap_or(Rejection::ImageFrozen));
+        if self.state.frozen.detect_freeze(moment, seen.summary.fingerprint) {
+            return self.dead_reckon(moment, image_rejection(seen).unwrap_or(Rejection::ImageFrozen));
         }
         let mut effort = Effort::default();
-        let mut step = self.step_to(moment);
+        let mut step = self.measure_step(moment);
         let seconds = step.seconds;
-        let mut walked = self.walked(&step);
-        self.carry_on(&step);
+        let mut walked = self.particle_step(&step);
+        self.move_hypotheses(&step);
         if self.must_search() && self.search(moment, seen, walked, &mut effort, may_go_on) {
-            // What was found in this image is where the robot is now.
+            // The pose was found in this image, so it needs no step.
             (step, walked) = (Step::none(), Some(Pose2::default()));
         }
         let estimate = self.filter.step(walked, step.seconds, &seen.table, &mut effort, may_go_on);
         let support = self.filter.observation().support(seen.lines(), &estimate.best);
-        self.predict(&step);
+        self.predict_track(&step);
         let mut fix = self.refine(moment, seen, estimate, support);
         self.reconcile(seen, &fix);
         fix.effort = effort;
         if let Some(place) = &moment.footprint_from_optical {
             fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
-            // Nothing else than confirming a pose asks for it.
+            // Only the confirmation of a candidate needs it.
             if matches!(self.state.validator.tracking, TrackingState::Candidate { .. }) {
                 let (lens, pose) = (self.refiner.lens(), &fix.map_from_optical);
                 fix.explained_in_view = self.painted.explained_in_view(seen, lens, place, pose);
@@ -338,13 +371,13 @@ impl Localizer {
         let rules = self.settings.rules(&self.field);
         fix.rejection = self.state.validator.judge(&rules, moment, &fix, seconds);
         if matches!(fix.rejection, Some(Rejection::PoseUnknown | Rejection::FewLines | Rejection::LinesDisagree)) {
-            fix.rejection = defect(seen).or(fix.rejection);
+            fix.rejection = image_rejection(seen).or(fix.rejection);
         }
         let is_in_view = self.state.validator.is_in_view(&rules, moment, &fix);
         if let Some(known) = self.state.known.as_mut().filter(|_| is_in_view || fix.rejection.is_none()) {
             self.state.ambiguous |= known.may_be_mirrored();
             fix.ambiguous = self.state.ambiguous;
-            known.is_seen();
+            known.confirm_by_lines();
         }
         if fix.rejection.is_none() {
             self.state.known = self.state.track.as_ref().map(|track| LastKnownPose::at(track.pose()));
@@ -352,15 +385,14 @@ impl Localizer {
         fix
     }
 
-    /// One frame of which nothing could be seen: where odometry puts the robot.
+    /// Localizes one frame in which nothing could be seen: by odometry alone. The frame is rejected for `reason`, or for a fall.
     pub fn coast(&mut self, moment: &FrameSensors, reason: Rejection) -> Fix {
-        let reason = if self.lies(moment) { Rejection::Fallen } else { reason };
-        let fix = self.drift(moment, reason);
-        self.checked(fix, moment)
+        let reason = if self.detect_fall(moment) { Rejection::Fallen } else { reason };
+        let fix = self.dead_reckon(moment, reason);
+        self.reset_unless_finite(fix, moment)
     }
 
-    /// Where odometry puts the robot at a time of which there is no frame. `None` where the place was not known, or is not
-    /// any more.
+    /// Where odometry puts the robot at a time without a frame. `None` if the pose was not known, or has become too uncertain.
     pub fn foresee(&mut self, moment: &FrameSensors, reason: Rejection) -> Option<Fix> {
         let fix = self.coast(moment, reason);
         (fix.rejection != Some(Rejection::NumericalFault)
@@ -369,40 +401,41 @@ impl Localizer {
         .then_some(fix)
     }
 
-    /// Goes on from another state, and hands out its own.
+    /// Swaps the localizer's state with `state`.
     pub fn exchange(&mut self, state: &mut LocalizerState) {
         self.filter.exchange(&mut self.state.filter);
         core::mem::swap(&mut self.state, state);
         self.filter.exchange(&mut self.state.filter);
     }
 
-    /// On the floor, or on its way there or up again. Whoever has got up may be somewhere else.
-    fn lies(&mut self, moment: &FrameSensors) -> bool {
-        let stand = self.state.posture.judge(moment.stamp_ns, moment.lean_rad);
+    /// Whether the robot is falling, lies on the floor or is getting up. After that its pose counts as lost, since it may have moved.
+    fn detect_fall(&mut self, moment: &FrameSensors) -> bool {
+        let stand = self.state.posture.update(moment.stamp_ns, moment.lean_rad);
         if stand == FallState::HasRisen {
             self.state.validator.tracking = TrackingState::Lost;
         }
         let is_down = stand == FallState::Fallen;
         if is_down {
-            self.state.known.iter_mut().for_each(LastKnownPose::fell);
+            self.state.known.iter_mut().for_each(LastKnownPose::note_fall);
         }
         is_down
     }
 
-    fn drift(&mut self, moment: &FrameSensors, reason: Rejection) -> Fix {
-        let step = self.step_to(moment);
-        let walked = self.walked(&step);
-        self.carry_on(&step);
+    /// Carries the pose on by odometry and gyro alone.
+    fn dead_reckon(&mut self, moment: &FrameSensors, reason: Rejection) -> Fix {
+        let step = self.measure_step(moment);
+        let walked = self.particle_step(&step);
+        self.move_hypotheses(&step);
         let estimate = self.filter.coast(walked, step.seconds);
-        self.predict(&step);
-        let mut fix = self.predicted(moment, estimate, Support::default());
+        self.predict_track(&step);
+        let mut fix = self.predicted_fix(moment, estimate, Support::default());
         fix.effort.particles = self.filter.state().particles.len() as u32;
         fix.rejection = Some(reason);
         fix
     }
 
-    /// What the sensors say of the robot's step since the last frame.
-    fn step_to(&mut self, moment: &FrameSensors) -> Step {
+    /// The robot's step since the last frame, as far as sensors can be trusted. The next step is measured from this frame.
+    fn measure_step(&mut self, moment: &FrameSensors) -> Step {
         let odometry = moment.odometry.filter(Physical::is_possible);
         let last = self.state.last.replace((moment.stamp_ns, odometry));
         let Some((last_ns, last_odometry)) = last else {
@@ -412,7 +445,7 @@ impl Localizer {
         if self.settings.random_walk {
             return Step { odometry: None, turned_rad: None, seconds };
         }
-        // Odometry that stands still to the last bit says something only if the body is known to stand still too.
+        // Odometry that is the same to the last bit counts only if the torso is known to stand still too.
         let stands = moment.swayed_rad.is_some_and(|swayed| swayed <= SWAYS_RAD_PER_S * seconds);
         let odometry = last_odometry.zip(odometry).filter(|(before, now)| before != now || stands);
         let odometry = odometry.map(|(before, now)| before.inverse().compose(&now));
@@ -421,28 +454,30 @@ impl Localizer {
         Step { odometry: odometry.filter(possible), turned_rad, seconds }
     }
 
-    /// The same for the particles, which follow no gyro of their own.
-    fn walked(&self, step: &Step) -> Option<Pose2> {
-        let turned = self.turned(step);
+    /// The step for the particles: odometry, whose turn is replaced by that of the gyro if there is one.
+    fn particle_step(&self, step: &Step) -> Option<Pose2> {
+        let turned = self.gyro_turn(step);
         step.odometry.map(|odometry| Pose2 { yaw: turned.unwrap_or(odometry.yaw), ..odometry })
     }
 
-    /// By gyro.
-    fn turned(&self, step: &Step) -> Option<f64> {
+    /// The robot's turn by gyro, corrected for its bias, radians.
+    fn gyro_turn(&self, step: &Step) -> Option<f64> {
         step.turned_rad.and_then(|turned| Some(self.state.track.as_ref()?.turned(turned, step.seconds)))
     }
 
-    /// Who falls or is carried turns although no odometry says so.
-    fn carry_on(&mut self, step: &Step) {
-        let turned = self.turned(step);
+    /// Moves the last known pose and the search's candidates by the step. Without odometry they turn by gyro: a robot that falls or is
+    /// carried turns although odometry does not show it.
+    fn move_hypotheses(&mut self, step: &Step) {
+        let turned = self.gyro_turn(step);
         let walked = step.odometry.unwrap_or_default();
         let walked = Pose2 { yaw: turned.unwrap_or(walked.yaw), ..walked };
-        self.state.known.iter_mut().for_each(|known| known.carry_on(&walked, step.seconds, turned.is_some()));
-        self.state.search.carry_on(&walked);
-        self.state.fitting.carry_on(&walked);
+        self.state.known.iter_mut().for_each(|known| known.move_by(&walked, step.seconds, turned.is_some()));
+        self.state.search.move_by(&walked);
+        self.state.fitting.move_by(&walked);
     }
 
-    fn predict(&mut self, step: &Step) {
+    /// Predicts the track. Where odometry is missing, its uncertainty grows by how far the robot can walk.
+    fn predict_track(&mut self, step: &Step) {
         let LocalizerSettings { track: model, filter, random_walk, .. } = &self.settings;
         let before_s = self.state.adrift_s;
         let unheard = step.odometry.is_none() && !random_walk;
@@ -454,7 +489,8 @@ impl Localizer {
         }
     }
 
-    fn place(&mut self, pose: Pose2, spread: Spread) {
+    /// Starts particles and track over around a pose.
+    fn restart_at(&mut self, pose: Pose2, spread: Spread) {
         (self.state.search, self.state.fitting) = Default::default();
         self.filter.restart(pose, spread);
         let Spread { xy_m, yaw_rad } = spread;
@@ -464,10 +500,11 @@ impl Localizer {
         });
     }
 
+    /// Refines the predicted pose by the lines of the frame, and updates the track with the result.
     fn refine(&mut self, moment: &FrameSensors, seen: &Observations, estimate: Estimate, support: Support) -> Fix {
         let prediction = self.prediction(moment);
         let (Some(prediction), true) = (prediction, self.settings.refinement) else {
-            return self.predicted(moment, estimate, support);
+            return self.predicted_fix(moment, estimate, support);
         };
         let track_pose = self.state.track.as_ref().map_or(estimate.best, SlowStateFilter::pose);
         let turned = wrap_angle(estimate.best.yaw - track_pose.yaw).abs();
@@ -479,9 +516,9 @@ impl Localizer {
         let starts = [Vector6::zeros(), other.unwrap_or_default()];
         let starts = &starts[..1 + usize::from(other.is_some())];
         let Some(mut refined) = self.refiner.refine(&seen.image, &prediction.prior, starts) else {
-            return self.predicted(moment, estimate, support);
+            return self.predicted_fix(moment, estimate, support);
         };
-        if self.state.validator.falls_short(&refined.lines)
+        if self.state.validator.has_lost_lines(&refined.lines)
             && let Some(nearby) = self.refiner.refine_nearby(&seen.image, &prediction.prior)
             && nearby.cost < refined.cost
         {
@@ -492,7 +529,7 @@ impl Localizer {
         let slips = agree && self.state.track.as_mut().is_some_and(|track| track.slips(&prediction.prior, &refined));
         let surprised = (slips || surprise(&prediction.prior, &refined.pose_moved()) > SURPRISE) && agree;
         if surprised {
-            // Lines agree with each other but not with the prediction: odometry or IMU were wronger than they claim.
+            // Lines agree with each other but not with the prediction: errors of odometry or IMU are larger than assumed.
             if let Some(track) = &mut self.state.track {
                 track.doubt(&refined.moved);
             }
@@ -504,19 +541,19 @@ impl Localizer {
         }
         let agrees = agrees(&refined.lines);
         if agrees {
-            self.state.validator.agreed(moment.stamp_ns);
+            self.state.validator.note_agreement(moment.stamp_ns);
         }
         if agrees && let Some(track) = &mut self.state.track {
             track.update(&prediction, &refined);
         }
         if !agrees && !is_contradicted(&refined.lines) {
-            // Too little in view to move the pose.
-            let mut fix = self.predicted(moment, estimate, support);
+            // Too little is in view to correct the pose.
+            let mut fix = self.predicted_fix(moment, estimate, support);
             fix.agreement = refined.lines;
             return fix;
         }
         let misfits = matches!(self.state.validator.tracking, TrackingState::Candidate { .. })
-            && self.misfits(moment, seen, &prediction.prior, &refined);
+            && self.fits_better_unbound(moment, seen, &prediction.prior, &refined);
         Fix {
             estimate,
             support,
@@ -536,9 +573,16 @@ impl Localizer {
         }
     }
 
-    /// Whether the lines, with lens and mount let go, say that one of them is not what it is said to be: then some pose in the neighbourhood of
-    /// the right one has most lines, each beside where it should be.
-    fn misfits(&mut self, moment: &FrameSensors, seen: &Observations, prior: &Prior, refined: &Refined) -> bool {
+    /// Whether a refinement that leaves lens and mount free contradicts one of them.
+    ///
+    /// If one is not what it is said to be, some pose in the neighbourhood of the right one has most lines, each beside where it should be.
+    fn fits_better_unbound(
+        &mut self,
+        moment: &FrameSensors,
+        seen: &Observations,
+        prior: &Prior,
+        refined: &Refined,
+    ) -> bool {
         let Some(unbound) = self.refiner.refine_unbound(&seen.image, prior, refined) else { return false };
         let stretch = prior.lens.stretch + unbound.moved[OF_LENS];
         let sigma = libm::sqrt(unbound.covariance[(OF_LENS, OF_LENS)]);
@@ -547,25 +591,28 @@ impl Localizer {
         stretch.abs() > MOST_STRETCH.max(2.0 * sigma) || (is_better && !stands(moment, &unbound.map_from_optical))
     }
 
+    /// The prediction of the camera's pose by the track; the lens counts as known until the pose is confirmed.
     fn prediction(&self, moment: &FrameSensors) -> Option<Prediction> {
-        let prediction = self.prediction_by(self.state.track.as_ref()?, moment)?;
+        let prediction = self.prediction_of(self.state.track.as_ref()?, moment)?;
         Some(if self.state.validator.is_tracking() { prediction } else { prediction.with_lens_known() })
     }
 
-    fn prediction_by(&self, track: &SlowStateFilter, moment: &FrameSensors) -> Option<Prediction> {
+    /// The prediction of the camera's pose by a given track.
+    fn prediction_of(&self, track: &SlowStateFilter, moment: &FrameSensors) -> Option<Prediction> {
         let mut prediction = track.prior(&moment.footprint_from_optical?, &self.model(moment));
         prediction.prior.twist = moment.camera_twist.unwrap_or_default();
         prediction.prior.turn_is_felt = moment.turn_is_felt;
         Some(prediction)
     }
 
+    /// The noise of the slow states for this frame.
     fn model(&self, moment: &FrameSensors) -> SlowStateModel {
         let model = self.settings.track;
         if moment.tilt_is_measured { model } else { SlowStateModel { tilt_noise_rad: UNMEASURED_TILT_RAD, ..model } }
     }
 
-    /// Without refinement: the best particle's camera; or where the track puts it.
-    fn predicted(&self, moment: &FrameSensors, estimate: Estimate, support: Support) -> Fix {
+    /// The answer without refinement by lines: the track's prediction, or the camera of the best particle if poses are not refined.
+    fn predicted_fix(&self, moment: &FrameSensors, estimate: Estimate, support: Support) -> Fix {
         let place = moment.footprint_from_optical.unwrap_or(Isometry::IDENTITY);
         let (map_from_optical, covariance) = match self.prediction(moment).filter(|_| self.settings.refinement) {
             Some(prediction) => (prediction.prior.map_from_optical, prediction.prior.pose_covariance()),
@@ -590,12 +637,11 @@ impl Localizer {
         }
     }
 
-    /// Particles and track follow one robot: where they part, the one that the lines support less starts over around
-    /// the other.
+    /// Brings particles and track together: if they follow different poses, the one that lines support less starts over at the other.
     fn reconcile(&mut self, seen: &Observations, fix: &Fix) {
         let Some(track) = self.state.track.as_ref().filter(|_| self.settings.refinement) else { return };
         let (pose, best) = (track.pose(), fix.estimate.best);
-        if pose.distance(&best) < APART_M && wrap_angle(pose.yaw - best.yaw).abs() < APART_M {
+        if pose.distance(&best) < APART && wrap_angle(pose.yaw - best.yaw).abs() < APART {
             return;
         }
         let own = self.filter.observation().support(seen.lines(), &pose);
@@ -622,7 +668,7 @@ impl Physical for Fix {
     }
 }
 
-/// Squared deviation from the prior per unknown, in its own units: 1 is expected.
+/// Squared Mahalanobis distance of a correction from the prior, per unknown: 1 is expected.
 fn surprise(prior: &Prior, moved: &Vector6<f64>) -> f64 {
     prior.pose_covariance().cholesky().map_or(0.0, |factor| moved.dot(&factor.solve(moved)) / 6.0)
 }

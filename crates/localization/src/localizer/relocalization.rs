@@ -1,4 +1,4 @@
-//! Lost: the whole field is tried, and what fits the frame best, refined, is where the robot starts over.
+//! Relocalization: the whole field is searched, the candidates are refined, and the robot starts over where the frame fits best.
 
 use std::collections::VecDeque;
 
@@ -15,27 +15,31 @@ use crate::validation::{THRESHOLDS, TrackingState, agrees, convinces, is_whole};
 use realitysim_geometry::{Physical, Pose2, wrap_angle};
 use realitysim_vision::Observations;
 
-/// While lost, only every so many frames pay for a search.
+/// A new search begins only in one of this many frames.
 const SEARCH_EVERY: u64 = 3;
-/// A pose a little off the carpet is possible.
+/// Margin around the carpet in which the robot is searched for, metres.
 pub(super) const SEARCH_MARGIN_M: f64 = 0.3;
+/// Number of candidates that a search is asked for.
 const CANDIDATES: usize = 16;
-/// Of these, how many are refined in a frame whatever the clock says.
-const FEWEST_FITTED: usize = 3;
-/// A pose so far from the best one, and from its mirror pose, that explains so much of what that does: the frame does not
-/// say which it is.
+/// Number of candidates that are refined in a frame, whatever the clock says.
+const MIN_REFINED: usize = 3;
+/// Distance beyond which a candidate is another pose than the best one and its mirror pose, metres.
 const ELSEWHERE_M: f64 = 0.5;
+/// Turn beyond which a candidate is another pose than the best one and its mirror pose, radians.
 const ELSEWHERE_RAD: f64 = 0.5;
-const RIVALS: f64 = 0.9;
-/// A pose that was believed is left for one that explains the frame so much better.
-const BEATEN: f64 = 0.8;
-/// Or so much better, where the frame shows much that no pose explains.
-const OUTSHONE: f64 = 0.6;
-/// As near to the pose believed so far its own refinement would have come.
+/// Share of the best pose's worth above which another pose is a rival: the frame does not decide between them.
+const RIVAL_SHARE: f64 = 0.9;
+/// A believed pose is left for one if its worth is below this share of the other's.
+const BEATEN_SHARE: f64 = 0.8;
+/// The same share if the other pose is not convincing by itself, since the frame shows much that no pose explains.
+const OUTSHONE_SHARE: f64 = 0.6;
+/// Distance within which refinement of the believed pose may end: such a pose is the same again, metres.
 const AGAIN_M: f64 = 0.15;
+/// See [`AGAIN_M`]; radians.
 const AGAIN_RAD: f64 = 0.1;
 
 impl Localizer {
+    /// Whether the whole field is to be searched in this frame.
     pub(super) fn must_search(&self) -> bool {
         let is_under_way = self.state.search.is_under_way() || self.state.fitting.is_under_way();
         let is_turn = is_under_way || self.filter.state().steps.is_multiple_of(SEARCH_EVERY);
@@ -49,8 +53,9 @@ impl Localizer {
         }
     }
 
-    /// Tries the whole field. Of the two mirror poses the one nearer to the last known pose is taken. Whether the robot is
-    /// somewhere else now than it was believed to be; `walked` since the last frame.
+    /// Searches the whole field, or goes on with a search under way. Returns whether the robot starts over at a pose that was found.
+    ///
+    /// Of two mirror poses, the one nearer to the last known pose is taken. `walked` is the robot's step since the last frame.
     pub(super) fn search(
         &mut self,
         moment: &FrameSensors,
@@ -68,7 +73,7 @@ impl Localizer {
         }
         let before = Effort { ..*effort };
         let is_hurried = !is_tracking || self.state.validator.is_urgent();
-        // A look that takes its time does in each frame what has to be done in one, and no more.
+        // A leisurely search does in each frame what must be done in one, and no more.
         let pace = if is_hurried { Pace::Hurried } else { Pace::Leisurely };
         let mut may_go_on = |weighed: u32| is_hurried && may_go_on(weighed);
         if !self.state.fitting.is_under_way() {
@@ -82,7 +87,7 @@ impl Localizer {
                 effort,
                 &mut may_go_on,
             );
-            // A look that takes its time leaves nothing out.
+            // A leisurely search leaves nothing out, so it does not count as capped.
             effort.capped &= is_hurried || before.capped;
             let Some(found) = found else { return false };
             let now = |track: &SlowStateFilter| track.pose().compose(&walked.unwrap_or_default());
@@ -95,54 +100,55 @@ impl Localizer {
         let best = match self.settings.refinement {
             false => self.best_supported(seen),
             true => {
-                if !self.fit(moment, seen, effort, &mut may_go_on) {
+                if !self.refine_candidates(moment, seen, effort, &mut may_go_on) {
                     effort.capped |= is_hurried;
                     return false;
                 }
-                self.settle(is_tracking)
+                self.choose_pose(is_tracking)
             }
         };
         self.state.fitting = CandidateRefinement::default();
         let Some(pose) = best else { return false };
-        let pose = self.state.known.map_or(pose, |known| known.nearer_of(pose));
-        self.state.ambiguous |= !self.state.known.is_some_and(|known| known.leads_to(&pose));
-        self.place(pose, self.settings.initial);
-        self.state.validator.found_by_search();
+        let pose = self.state.known.map_or(pose, |known| known.nearer_mirror(pose));
+        self.state.ambiguous |= !self.state.known.is_some_and(|known| known.is_consistent_with(&pose));
+        self.restart_at(pose, self.settings.initial);
+        self.state.validator.start_found();
         true
     }
 
-    /// Where to start over, if anywhere, now that all candidates are fitted.
-    fn settle(&mut self, is_tracking: bool) -> Option<Pose2> {
+    /// The pose to start over at, if any, when all candidates are refined.
+    fn choose_pose(&mut self, is_tracking: bool) -> Option<Pose2> {
         let CandidateRefinement { believed, fits, .. } = &self.state.fitting;
-        let best = only_best(fits);
+        let best = best_without_rival(fits);
         let Some(believed) = *believed else { return best };
-        let again = |pose: &Pose2| is_near(pose, &believed, AGAIN_M, AGAIN_RAD);
+        let again = |pose: &Pose2| is_near_or_mirrored(pose, &believed, AGAIN_M, AGAIN_RAD);
         if !is_tracking {
             let found_again = best.as_ref().is_some_and(again);
-            self.state.validator.field_was_searched(believed, found_again);
+            self.state.validator.note_search(believed, found_again);
             return best.filter(|_| !found_again);
         }
         let own = fits.iter().find(|fit| again(&fit.pose));
         let beaten = |by: &&ScoredPose| {
-            // Where too few lines fit the place believed, another one's need not explain all that is seen.
+            // If too few lines fit the believed pose, a better one need not explain all that is seen.
             own.map_or(by.convinces || by.is_whole, |own| {
-                let needed = if by.convinces { BEATEN } else { OUTSHONE };
+                let needed = if by.convinces { BEATEN_SHARE } else { OUTSHONE_SHARE };
                 own.worth < needed * by.worth
                     && own.fitting <= by.fitting
                     && (by.convinces || own.explained <= by.explained)
             })
         };
         let Some(better) = fits.first().filter(beaten) else {
-            self.state.validator.found_nothing_better();
+            self.state.validator.note_fruitless_search();
             return None;
         };
-        // Where several are better nobody knows which it is, but not this one.
+        // If several poses are better, it is unknown which is right, but the believed one is wrong.
         if best.is_none() && !again(&better.pose) {
             self.state.validator.tracking = TrackingState::Lost;
         }
         best
     }
 
+    /// Without refinement: the best candidate, if the frame supports it well enough.
     fn best_supported(&self, seen: &Observations) -> Option<Pose2> {
         let valid = &self.settings.valid;
         self.state.fitting.left.front().copied().filter(|pose| {
@@ -151,8 +157,8 @@ impl Localizer {
         })
     }
 
-    /// Refines the candidates; whether that is all. The best are first then.
-    pub(super) fn fit(
+    /// Refines candidates until time is up and sorts them, best first. Returns whether all are refined.
+    pub(super) fn refine_candidates(
         &mut self,
         moment: &FrameSensors,
         seen: &Observations,
@@ -163,10 +169,10 @@ impl Localizer {
         let mut index = 0;
         while let Some(pose) = self.state.fitting.left.pop_front() {
             index += 1;
-            // Every question to the clock has a number of its own.
+            // A refinement counts as one pose, so that no two calls of `may_go_on` have the same argument.
             effort.weighed += 1;
             if let Some(Refined { lines, map_from_optical, .. }) = self.refine_candidate(moment, seen, &pose)
-                // A picture without lines fits everywhere, best where none are to be seen: no reason to go there.
+                // A picture without lines fits everywhere, best where none are expected, which is no evidence.
                 && agrees(&lines)
             {
                 let explained = self.painted.explained(seen.lines(), &place, &map_from_optical).share;
@@ -183,7 +189,7 @@ impl Localizer {
                     is_whole,
                 });
             }
-            if index >= FEWEST_FITTED && !may_go_on(effort.weighed) {
+            if index >= MIN_REFINED && !may_go_on(effort.weighed) {
                 break;
             }
         }
@@ -191,27 +197,31 @@ impl Localizer {
         self.state.fitting.left.is_empty()
     }
 
+    /// Refines one candidate by least squares.
     fn refine_candidate(&mut self, moment: &FrameSensors, seen: &Observations, pose: &Pose2) -> Option<Refined> {
         let model = self.model(moment);
         let Spread { xy_m, yaw_rad } = self.settings.initial;
         let track = match &self.state.track {
-            // Where it was believed to be, wrongly, it may have learnt to lean.
+            // At a wrong pose the filter may have learnt a wrong lean.
             Some(track) if !matches!(self.state.validator.tracking, TrackingState::Candidate { .. }) => {
                 track.moved_to(*pose, xy_m, yaw_rad).with_lean_forgotten(&model)
             }
             Some(track) => track.moved_to(*pose, xy_m, yaw_rad),
             None => SlowStateFilter::around(*pose, xy_m, yaw_rad, &model),
         };
-        let prediction = self.prediction_by(&track, moment)?.with_lens_known();
+        let prediction = self.prediction_of(&track, moment)?.with_lens_known();
         self.refiner.refine(&seen.image, &prediction.prior, &[Vector6::zeros()])
     }
 }
 
-/// Candidates that are being refined, over several frames where time is short: the pose believed so far, and what was found.
+/// Candidates that are being refined, over several frames where time is short.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CandidateRefinement {
+    /// Candidates that are not refined yet; the believed pose comes first.
     left: VecDeque<Pose2>,
+    /// The pose believed so far, if any.
     believed: Option<Pose2>,
+    /// Candidates that are refined and agree with the lines.
     fits: Vec<ScoredPose>,
 }
 
@@ -223,17 +233,19 @@ impl Physical for CandidateRefinement {
 }
 
 impl CandidateRefinement {
+    /// The believed pose and the candidates of a search, to be refined.
     pub(super) fn of(believed: Option<Pose2>, found: &[Candidate]) -> Self {
         let left = believed.into_iter().chain(found.iter().map(|candidate| candidate.pose)).collect();
         Self { left, believed, fits: Vec::new() }
     }
 
+    /// Whether candidates are left to refine.
     fn is_under_way(&self) -> bool {
         !self.left.is_empty()
     }
 
     /// The poses that were refined, the best first.
-    pub(super) fn tried(&self) -> Vec<TriedPose> {
+    pub(super) fn tried_poses(&self) -> Vec<TriedPose> {
         let tried = self.fits.iter().map(|fit| {
             let ScoredPose { pose: Pose2 { x, y, yaw }, worth, fitting, explained, .. } = *fit;
             TriedPose { x, y, yaw_deg: yaw.to_degrees(), worth, fitting, explained }
@@ -241,41 +253,45 @@ impl CandidateRefinement {
         tried.collect()
     }
 
-    /// The robot has walked since the last frame.
-    pub(super) fn carry_on(&mut self, walked: &Pose2) {
+    /// Moves all poses by the robot's step since the last frame.
+    pub(super) fn move_by(&mut self, walked: &Pose2) {
         let poses = self.left.iter_mut().chain(&mut self.believed).chain(self.fits.iter_mut().map(|fit| &mut fit.pose));
         poses.for_each(|pose| *pose = pose.compose(walked));
     }
 }
 
-/// A pose and what speaks for it.
+/// A refined pose and what speaks for it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct ScoredPose {
+    /// See [`TriedPose::worth`].
     worth: f64,
     pose: Pose2,
-    /// Line places.
+    /// Number of line places that fit.
     fitting: usize,
-    /// Share of the line seen.
+    /// Share of the seen line that the pose explains.
     explained: f64,
+    /// Whether lines are good enough to leave a believed pose for this one.
     convinces: bool,
-    /// Hardly a line is missing, whatever it leaves unexplained.
+    /// Whether hardly a line is missing, however much is unexplained.
     is_whole: bool,
 }
 
-/// The best one, unless another place explains the frame nearly as well.
-fn only_best(fits: &[ScoredPose]) -> Option<Pose2> {
+/// The best pose, unless another one explains the frame nearly as well.
+fn best_without_rival(fits: &[ScoredPose]) -> Option<Pose2> {
     let best = fits.first()?;
     let rivals = |other: &ScoredPose| {
-        other.worth > RIVALS * best.worth && !is_near(&other.pose, &best.pose, ELSEWHERE_M, ELSEWHERE_RAD)
+        other.worth > RIVAL_SHARE * best.worth
+            && !is_near_or_mirrored(&other.pose, &best.pose, ELSEWHERE_M, ELSEWHERE_RAD)
     };
     (!fits.iter().any(rivals)).then_some(best.pose)
 }
 
-fn is_at(one: &Pose2, other: &Pose2, within_m: f64, within_rad: f64) -> bool {
+/// Whether two poses are within `within_m` and `within_rad` of each other.
+fn is_near(one: &Pose2, other: &Pose2, within_m: f64, within_rad: f64) -> bool {
     one.distance(other) <= within_m && wrap_angle(one.yaw - other.yaw).abs() <= within_rad
 }
 
-/// Up to the mirror: on the halfway line a pose and its mirror pose are neighbours.
-fn is_near(one: &Pose2, other: &Pose2, within_m: f64, within_rad: f64) -> bool {
-    is_at(one, other, within_m, within_rad) || is_at(one, &other.mirrored(), within_m, within_rad)
+/// Whether two poses are near each other, or one is near the other's mirror pose.
+fn is_near_or_mirrored(one: &Pose2, other: &Pose2, within_m: f64, within_rad: f64) -> bool {
+    is_near(one, other, within_m, within_rad) || is_near(one, &other.mirrored(), within_m, within_rad)
 }

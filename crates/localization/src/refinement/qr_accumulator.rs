@@ -1,20 +1,21 @@
-//! Least squares by orthogonal factorisation, some rows at a time.
+//! Least squares by orthogonal (QR) factorisation, accumulated a block of rows at a time.
 
 use nalgebra::{SMatrix, SVector};
 
-/// Upper triangular R and right side d of the rows so far: minimise |R y - d|. A row is N coefficients, the right side, and as many
-/// zeros as make W numbers: what vectors are made of.
+/// Upper triangular R and right side d of the rows so far: minimise |R y - d|. A row holds N coefficients, the right side, and
+/// zeros up to W numbers, for the sake of vector instructions.
 #[derive(Clone, Debug)]
 pub(super) struct Triangular<const N: usize, const W: usize> {
     r: [[f64; W]; N],
 }
 
+/// Rows that are factorised together.
 const AT_ONCE: usize = 32;
 
-/// A column of rows is taken for zero below this sum of squares: an entry of 1e-140 against the prior's 1.
+/// A column with a smaller sum of squares is taken for zero: entries of 1e-140 beside the prior's 1.
 const SMALLEST_SQUARE: f64 = 1e-280;
 
-/// Rows on their way into a triangle.
+/// Collects rows into blocks and reduces each to a triangle.
 pub(super) struct Rows<const N: usize, const W: usize> {
     triangle: Triangular<N, W>,
     waiting: [[f64; W]; AT_ONCE],
@@ -22,11 +23,12 @@ pub(super) struct Rows<const N: usize, const W: usize> {
 }
 
 impl<const N: usize, const W: usize> Rows<N, W> {
+    /// Starts without any row.
     pub(super) fn none() -> Self {
         Self::beside(Triangular { r: [[0.0; W]; N] })
     }
 
-    /// N rows that say y = `y`, each with weight 1.
+    /// Starts with N rows of weight 1 that say y = `y`.
     pub(super) fn identity(y: &SVector<f64, N>) -> Self {
         Self::beside(Triangular::identity(y))
     }
@@ -35,6 +37,7 @@ impl<const N: usize, const W: usize> Rows<N, W> {
         Self { triangle, waiting: [[0.0; W]; AT_ONCE], count: 0 }
     }
 
+    /// Adds one row.
     pub(super) fn push(&mut self, coefficients: &[f64; N], right: f64) {
         let row = &mut self.waiting[self.count];
         row[..N].copy_from_slice(coefficients);
@@ -47,6 +50,7 @@ impl<const N: usize, const W: usize> Rows<N, W> {
         }
     }
 
+    /// Reduces the rows that are left.
     pub(super) fn finish(mut self) -> Triangular<N, W> {
         self.triangle.reflect(&mut self.waiting[..self.count]);
         self.triangle
@@ -64,14 +68,14 @@ impl<const N: usize, const W: usize> Triangular<N, W> {
         Self { r }
     }
 
-    /// Each row with this weight, and N more that say y = `y`.
+    /// A copy with all rows scaled by `weight`, and N more of weight 1 that say y = `y`.
     pub(super) fn weighed(&self, weight: f64, y: &SVector<f64, N>) -> Self {
         let mut all = Self::identity(y);
         all.reflect(&mut self.r.map(|row| row.map(|value| weight * value)));
         all
     }
 
-    /// N more rows that say y = 0, each with this weight.
+    /// A copy with N more rows of this weight that say y = 0.
     pub(super) fn damped(&self, weight: f64) -> Self {
         let mut rows = [[0.0; W]; N];
         for (i, row) in rows.iter_mut().enumerate() {
@@ -82,8 +86,8 @@ impl<const N: usize, const W: usize> Triangular<N, W> {
         damped
     }
 
-    /// Householder reflections, one a column, that turn the rows into the triangle; what is left of them is of no use. Rounding
-    /// errors do not grow with the number of rows.
+    /// Reduces `rows` into the triangle by Householder reflections, one for each column. What is left in `rows` is of no use.
+    /// Rounding errors do not grow with the number of rows.
     fn reflect(&mut self, rows: &mut [[f64; W]]) {
         for column in 0..N {
             let mut products = [0.0; W];
@@ -93,13 +97,13 @@ impl<const N: usize, const W: usize> Triangular<N, W> {
                 }
             }
             let (square, corner) = (products[column], self.r[column][column]);
-            // Beside the prior's rows, whose entries are 1, numbers whose squares underflow change no digit; divided by, they
-            // would make infinite ones.
+            // Squares that underflow change no digit beside the prior's rows, whose entries are 1; divided by, they would give
+            // infinities.
             if square < SMALLEST_SQUARE {
                 continue;
             }
             let length = libm::sqrt(corner * corner + square);
-            // corner - length without cancellation, as corner is positive.
+            // This is corner - length without cancellation, as corner is positive.
             let first = -square / (corner + length);
             let scale = 2.0 / (first * first + square);
             let mut shares = [0.0; W];
@@ -116,11 +120,13 @@ impl<const N: usize, const W: usize> Triangular<N, W> {
         }
     }
 
+    /// The solution y.
     pub(super) fn solve(&self) -> SVector<f64, N> {
         self.solve_from(0)
     }
 
-    /// The unknowns from `first` on; those before follow them as if they had been solved for already.
+    /// Solves as if the unknowns before `first` had been solved for already: their right sides are taken for zero, and they follow
+    /// the others.
     pub(super) fn solve_from(&self, first: usize) -> SVector<f64, N> {
         let mut y = SVector::zeros();
         for i in (0..N).rev() {
@@ -131,7 +137,7 @@ impl<const N: usize, const W: usize> Triangular<N, W> {
         y
     }
 
-    /// Inverse of R: the covariance is its product with its own transpose.
+    /// Inverse of R. The covariance is its product with its own transpose.
     pub(super) fn inverse(&self) -> SMatrix<f64, N, N> {
         let mut inverse = SMatrix::zeros();
         for column in 0..N {
@@ -155,7 +161,7 @@ mod tests {
 
     use super::*;
 
-    /// Three unknowns, of which rows like these tell, beside a prior.
+    /// The solution for three unknowns from these rows and an identity prior.
     fn solved(rows: &[([f64; 3], f64)]) -> [f64; 3] {
         let mut all = Rows::<3, 4>::identity(&SVector::zeros());
         rows.iter().for_each(|(coefficients, right)| all.push(coefficients, *right));

@@ -1,9 +1,8 @@
-//! What is followed from frame to frame beside the particles: the robot's path and the slow errors of odometry,
-//! IMU, mount and lens.
+//! A filter for the robot's path and for the slowly changing errors of odometry, IMU, mount and lens.
 //!
-//! A frame's camera pose scatters about what these say (the torso sways at every step, the IMU is noisy), so it
-//! is not part of the state: the state predicts it ([`SlowStateFilter::prior`]), the frame's refinement measures it, and
-//! what that says of the state follows by conditioning ([`SlowStateFilter::update`]), as in a Kalman filter.
+//! The pose of the camera in one frame scatters about what these states predict, since the torso sways at every step and the
+//! IMU is noisy. It is therefore not a state itself. The states predict it ([`SlowStateFilter::prior`]), refinement measures
+//! it, and the states are conditioned on the result ([`SlowStateFilter::update`]), as in a Kalman filter.
 
 mod slip;
 
@@ -18,9 +17,9 @@ use super::refinement::{ErrorCovariance, Errors, OF_LENS, Prior, Refined, UNKNOW
 use realitysim_geometry::physical::MOST;
 use realitysim_geometry::{Isometry, Physical, Pose2, Twist, wrap_angle};
 
-/// x, y, yaw of `base_footprint`; roll and pitch error of the torso's attitude; of the camera's mount; the camera's height
-/// error; relative error of odometry's distance and of its turn; the gyro's bias; the lens's stretch and shift; the sensor's
-/// readout.
+/// Number of states: x, y, yaw of `base_footprint`; errors of the torso's roll and pitch, of the mount's roll and pitch, and of
+/// the camera's height; relative errors of odometry's distance and turn; bias of the gyro; stretch and shift of the lens;
+/// readout time of the sensor.
 const STATES: usize = 15;
 const X: usize = 0;
 const Y: usize = 1;
@@ -37,40 +36,52 @@ const STRETCH: usize = 11;
 const SHIFT_U: usize = 12;
 const SHIFT_V: usize = 13;
 const READOUT: usize = 14;
+/// The states that belong to lens and sensor, in the order of [`Errors`].
 const LENS: [usize; 4] = [STRETCH, SHIFT_U, SHIFT_V, READOUT];
 
 type Covariance = SMatrix<f64, STATES, STATES>;
 type State = SVector<f64, STATES>;
 
-/// Standard deviations of what the track does not follow, and of how fast what it follows changes.
+/// Standard deviations of the noise between frames and of the states at the start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlowStateModel {
-    /// Sideways, forwards and vertical sway of the camera at each step of the gait, metres.
+    /// Sway of the camera at each step of the gait, one standard deviation in metres: forwards, sideways, vertical.
     pub sway_m: DVec3,
-    /// Error of one frame's attitude: IMU noise and time error.
+    /// Error of one frame's roll and pitch, radians: IMU noise and time error.
     pub tilt_noise_rad: f64,
+    /// Error of one frame's yaw, radians.
     pub yaw_noise_rad: f64,
-    /// At the start: errors of the torso's attitude, of the mount, of the camera's height, of odometry's scales, of the
-    /// gyro.
+    /// Initial error of the torso's roll and pitch by the IMU, radians.
     pub torso_tilt_rad: f64,
+    /// Initial error of the mount's roll and pitch, radians.
     pub mount_tilt_rad: f64,
+    /// Initial error of the camera's height, metres.
     pub height_m: f64,
+    /// Initial relative error of odometry's distance.
     pub distance_scale: f64,
+    /// Initial relative error of odometry's turn.
     pub turn_scale: f64,
+    /// Initial bias of the gyro, rad/s.
     pub gyro_bias_rad_per_s: f64,
+    /// Initial relative error of the focal length.
     pub lens_stretch: f64,
-    /// Widths of the image.
+    /// Initial shift of the principal point, widths of the image.
     pub lens_shift: f64,
+    /// Initial error of the readout time, seconds.
     pub readout_s: f64,
-    /// Error of one step of odometry beyond its scale: share of the distance, radians per metre and share of the turn, and
-    /// what is added with time.
+    /// Error of one step of odometry beyond its scale, as a share of the distance.
     pub step_share: f64,
+    /// Error of one step's rotation beyond its scale, as a share of the rotation.
     pub turn_share: f64,
+    /// Error of one step's rotation for each metre walked, radians.
     pub turn_rad_per_m: f64,
+    /// Error of position that grows with time.
     pub drift_m_per_sqrt_s: f64,
+    /// Error of heading that grows with time.
     pub drift_rad_per_sqrt_s: f64,
-    /// Error of a turn by gyro beyond its bias: share of the turn, and what is added with time.
+    /// Error of a rotation by gyro beyond its bias, as a share of the rotation.
     pub gyro_share: f64,
+    /// Error of a rotation by gyro that grows with time.
     pub gyro_rad_per_sqrt_s: f64,
 }
 
@@ -100,7 +111,7 @@ impl Default for SlowStateModel {
     }
 }
 
-/// How much the slow errors may change: per root of a second.
+/// Random walks of the slow states, per root of a second.
 const TILT_WALK_RAD: f64 = 0.0005;
 const HEIGHT_WALK_M: f64 = 0.0005;
 const SCALE_WALK: f64 = 0.01;
@@ -108,67 +119,73 @@ const GYRO_WALK: f64 = 0.001;
 const STRETCH_WALK: f64 = 3e-5;
 const SHIFT_WALK: f64 = 1e-5;
 const READOUT_WALK: f64 = 1e-5;
-/// Frames have errors of line finding in common, for about so long: what one says of the lens counts by the time since the one before,
-/// as a share of this. Only a frame that says more than all before it counts in full.
-const NEWS_S: f64 = 2.0;
-const SAYS_MORE: f64 = 0.5;
-/// Gyro and odometry farther apart than this, in the latter's standard deviations, contradict each other.
+/// Time over which frames share errors of line finding. The lens is learnt from a frame with the share of this time that has
+/// passed since the last one.
+const SHARED_ERROR_S: f64 = 2.0;
+/// A frame that narrows the variance of a lens state by more than this share counts in full.
+const FULL_UPDATE_SHARE: f64 = 0.5;
+/// Gyro and odometry contradict each other beyond this many standard deviations of odometry.
 const APART_SIGMAS: f64 = 4.0;
-/// Odometry off by more than this is broken, not scaled.
+/// Largest relative error of odometry: beyond it odometry is broken, not scaled.
 const MOST_SCALE: f64 = 0.5;
-/// A calibration so wrong is that of another lens.
+/// Largest error of the calibration: beyond it the calibration is that of another lens.
 const MOST_LENS: f64 = 0.05;
 
-/// What the sensors say of the robot's step since the last frame.
+/// Motion of the robot since the last frame, by its sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// `footprint_then_from_footprint_now`, if odometry knows.
+    /// `footprint_then_from_footprint_now` by odometry, if it is known.
     pub odometry: Option<Pose2>,
-    /// About the vertical, by gyro.
+    /// Rotation about the vertical by gyro, radians.
     pub turned_rad: Option<f64>,
+    /// Time since the last frame.
     pub seconds: f64,
 }
 
 impl Step {
+    /// No motion in no time.
     pub fn none() -> Self {
         Self { odometry: Some(Pose2::default()), turned_rad: None, seconds: 0.0 }
     }
 }
 
+/// A rotation about the vertical with its standard deviation.
 #[derive(Clone, Copy, Debug)]
 struct Turn {
     turn_rad: f64,
     sigma_rad: f64,
 }
 
+/// Gaussian estimate of the robot's path and of the slow errors of its sensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SlowStateFilter {
     mean: State,
     covariance: Covariance,
-    /// Since a refined pose was last learnt from.
+    /// Time since a refined pose was last learnt from.
     unlearnt_s: f64,
     slip: Slip,
 }
 
-/// Where the track puts the camera, and what is needed to learn from the difference.
+/// The predicted pose of the camera, with what is needed to learn from its refinement.
 #[derive(Clone, Debug)]
 pub struct Prediction {
+    /// The prior for refinement.
     pub prior: Prior,
-    /// How the camera pose's error depends on the state's.
+    /// Derivatives of the camera pose's error by the states.
     sensitivity: SMatrix<f64, UNKNOWNS, STATES>,
-    /// What of the covariance is the frame's own.
+    /// The part of the prior's covariance that is the frame's own and not due to the states.
     scatter: ErrorCovariance,
 }
 
 impl Prediction {
-    /// The same, the lens being taken for what it is believed to be: seen from a wrong place every lens is wrong.
+    /// The same prediction with the lens fixed at its believed errors: seen from a wrong pose, every lens looks wrong.
     pub fn with_lens_known(mut self) -> Self {
         self.prior.take_lens_as_known();
         self.sensitivity.fixed_rows_mut::<{ LENS.len() }>(OF_LENS).fill(0.0);
         self
     }
 
-    /// The same, the frame's own error in height and tilt being as large as the lines have shown.
+    /// The same prediction with the frame's own error in height and tilt widened to what the lines have shown.
     pub fn doubted(mut self, moved: &Errors) -> Self {
         for index in [2, 3, 4] {
             let variance = moved[index] * moved[index];
@@ -189,7 +206,7 @@ impl Physical for SlowStateFilter {
 }
 
 impl SlowStateFilter {
-    /// Around a pose, knowing nothing of the slow errors.
+    /// A filter at a pose with these standard deviations, which has learnt nothing about the slow errors.
     pub fn around(pose: Pose2, xy_m: f64, yaw_rad: f64, model: &SlowStateModel) -> Self {
         let mut mean = State::zeros();
         mean.fixed_rows_mut::<3>(0).copy_from_slice(&[pose.x, pose.y, pose.yaw]);
@@ -218,7 +235,7 @@ impl SlowStateFilter {
         }
     }
 
-    /// Elsewhere, but with what was learnt of the robot.
+    /// The filter at another pose, with what was learnt about the slow errors.
     pub fn moved_to(&self, pose: Pose2, xy_m: f64, yaw_rad: f64) -> Self {
         let mut moved = self.clone();
         moved.mean.fixed_rows_mut::<3>(0).copy_from_slice(&[pose.x, pose.y, pose.yaw]);
@@ -229,7 +246,7 @@ impl SlowStateFilter {
         moved
     }
 
-    /// What was learnt of the lens may have been learnt from a wrong place: it is as uncertain as at the start.
+    /// The filter with the lens as uncertain as at the start, since it may have been learnt at a wrong pose.
     pub fn with_lens_doubted(mut self, model: &SlowStateModel) -> Self {
         let sigmas = [model.lens_stretch, model.lens_shift, model.lens_shift, model.readout_s];
         for (index, sigma) in LENS.into_iter().zip(sigmas) {
@@ -238,7 +255,7 @@ impl SlowStateFilter {
         self
     }
 
-    /// As if nothing had been learnt of how the camera leans and how high it is.
+    /// The filter without what was learnt about the tilts of torso and mount and about the camera's height.
     pub fn with_lean_forgotten(mut self, model: &SlowStateModel) -> Self {
         let (torso, mount) = (model.torso_tilt_rad, model.mount_tilt_rad);
         let sigmas = [torso, torso, mount, mount, model.height_m];
@@ -249,18 +266,19 @@ impl SlowStateFilter {
         self
     }
 
-    /// One state is as uncertain as this, whatever the others are.
+    /// Sets the standard deviation of one state and removes its correlations.
     fn forget(&mut self, index: usize, sigma: f64) {
         self.covariance.row_mut(index).fill(0.0);
         self.covariance.column_mut(index).fill(0.0);
         self.covariance[(index, index)] = sigma * sigma;
     }
 
+    /// The pose of `base_footprint` in `map`.
     pub fn pose(&self) -> Pose2 {
         Pose2::new(self.mean[X], self.mean[Y], self.mean[YAW])
     }
 
-    /// Standard deviation of the path's place (along its longer axis) and heading.
+    /// Standard deviations of the position, along its longer axis (m), and of the heading (rad).
     pub fn spread(&self) -> (f64, f64) {
         let c = &self.covariance;
         let (mean, half) = (0.5 * (c[(X, X)] + c[(Y, Y)]), 0.5 * (c[(X, X)] - c[(Y, Y)]));
@@ -268,7 +286,8 @@ impl SlowStateFilter {
         (libm::sqrt(largest.max(0.0)), libm::sqrt(c[(YAW, YAW)].max(0.0)))
     }
 
-    /// Where the step has no odometry the robot may have walked as far as `reach_m` and turned by `reach_rad`.
+    /// Predicts the states after `step`. Without odometry the robot may have walked `reach_m` and turned `reach_rad`, one standard
+    /// deviation each.
     pub fn predict(&mut self, step: &Step, model: &SlowStateModel, reach_m: f64, reach_rad: f64) {
         let seconds = step.seconds.max(0.0);
         self.unlearnt_s += seconds;
@@ -283,7 +302,7 @@ impl SlowStateFilter {
             }
             None => (Pose2::default(), reach_m, Turn { turn_rad: 0.0, sigma_rad: reach_rad }),
         };
-        let by_gyro = step.turned_rad.map(|turned| self.by_gyro(turned, seconds, &by_odometry, model));
+        let by_gyro = step.turned_rad.map(|turned| self.turn_by_gyro(turned, seconds, &by_odometry, model));
         let turn = by_gyro.unwrap_or(by_odometry);
         let step = walked;
         let (sin, cos) = libm::sincos(self.mean[YAW]);
@@ -304,7 +323,7 @@ impl SlowStateFilter {
         self.covariance = transition * self.covariance * transition.transpose();
         let mut add = |index: usize, variance: f64, most: f64| {
             let grown = self.covariance[(index, index)] + variance;
-            // What was believed at the start is never doubted further.
+            // A slow error never becomes less certain than at the start.
             self.covariance[(index, index)] = grown.min(most.max(self.covariance[(index, index)]));
         };
         add(X, xy * xy, f64::INFINITY);
@@ -327,13 +346,14 @@ impl SlowStateFilter {
         add(GYRO, GYRO_WALK * GYRO_WALK * seconds, model.gyro_bias_rad_per_s * model.gyro_bias_rad_per_s);
     }
 
-    /// What a gyro says, less its bias, radians.
+    /// The rotation that a gyro measured, without its estimated bias, radians.
     pub fn turned(&self, turned_rad: f64, seconds: f64) -> f64 {
         turned_rad - self.mean[GYRO] * seconds
     }
 
-    /// A gyro knows better than feet that slip, unless the two speak of different robots: then either may be right.
-    fn by_gyro(&self, turned_rad: f64, seconds: f64, by_odometry: &Turn, model: &SlowStateModel) -> Turn {
+    /// The rotation by gyro. It is preferred to that of feet, which slip. If both contradict each other, it is as uncertain as they
+    /// are apart.
+    fn turn_by_gyro(&self, turned_rad: f64, seconds: f64, by_odometry: &Turn, model: &SlowStateModel) -> Turn {
         let turn_rad = self.turned(turned_rad, seconds);
         let apart = (turn_rad - by_odometry.turn_rad).abs();
         let usual = APART_SIGMAS * by_odometry.sigma_rad + model.turn_scale * by_odometry.turn_rad.abs();
@@ -342,13 +362,13 @@ impl SlowStateFilter {
         Turn { turn_rad, sigma_rad: libm::hypot(own, doubt) }
     }
 
-    /// Where the camera should be, `footprint_from_optical` being its place by IMU, joints and mount.
+    /// Predicts the camera's pose. `footprint_from_optical` is its pose on the robot by IMU, joints and mount.
     pub fn prior(&self, footprint_from_optical: &Isometry, model: &SlowStateModel) -> Prediction {
         let footprint = self.pose();
         let nominal = footprint.to_isometry() * *footprint_from_optical;
         let torso = DQuat::from_rotation_z(footprint.yaw);
         let ahead = nominal.rotation * DVec3::Z;
-        // A camera that looks straight down has no heading: the robot's will do.
+        // A camera that looks straight down has no heading: the robot's is used.
         let heading = if ahead.truncate().length() > 1e-3 { libm::atan2(ahead.y, ahead.x) } else { footprint.yaw };
         let camera = DQuat::from_rotation_z(heading);
         let axes = [
@@ -389,7 +409,7 @@ impl SlowStateFilter {
         }
     }
 
-    /// How the lens differs from its calibration.
+    /// The estimated errors of lens and sensor.
     pub fn lens(&self) -> Miscalibration {
         Miscalibration {
             stretch: self.mean[STRETCH],
@@ -398,18 +418,18 @@ impl SlowStateFilter {
         }
     }
 
-    /// Their standard deviations, in the order of [`Errors`].
+    /// Standard deviations of the errors of lens and sensor, in the order of [`Errors`].
     pub fn lens_sigmas(&self) -> [f64; 4] {
         LENS.map(|index| libm::sqrt(self.covariance[(index, index)].max(0.0)))
     }
 
-    /// What a refined pose says of the state. Of the lens only a part of it is taken, as in the partial-update Schmidt-Kalman filter
-    /// (Brink 2017): what is left is put back into its covariance.
+    /// Conditions the states on a refined pose. What it says about the lens is taken in part only, as in the partial-update
+    /// Schmidt-Kalman filter (Brink 2017): the covariance keeps what is not taken.
     pub fn update(&mut self, prediction: &Prediction, refined: &Refined) {
         let Some(information) = prediction.prior.covariance.cholesky() else { return };
         let gain = self.covariance * prediction.sensitivity.transpose() * information.inverse();
         let narrowed = gain * (prediction.prior.covariance - refined.covariance) * gain.transpose();
-        let left = self.left_of_lens(&narrowed);
+        let left = self.untaken_shares(&narrowed);
         self.unlearnt_s = 0.0;
         self.mean += (gain * refined.moved).component_mul(&(State::repeat(1.0) - left));
         self.mean[YAW] = wrap_angle(self.mean[YAW]);
@@ -418,7 +438,7 @@ impl SlowStateFilter {
         for (index, most) in most {
             self.mean[index] = self.mean[index].clamp(-most, most);
         }
-        // A sum of squares (Joseph's form): no rounding makes it anything but a covariance.
+        // Joseph's form, a sum of squares: it stays positive semidefinite under rounding.
         let kept = Covariance::identity() - gain * prediction.sensitivity;
         let learnt = gain * (prediction.scatter + refined.covariance) * gain.transpose();
         let left = Covariance::from_diagonal(&left);
@@ -426,23 +446,23 @@ impl SlowStateFilter {
         self.covariance = (covariance + covariance.transpose()) * 0.5;
     }
 
-    /// Which share of what a frame says of each state is not taken; `narrowed` is what the covariance would lose by it.
-    fn left_of_lens(&self, narrowed: &Covariance) -> State {
-        let news = (self.unlearnt_s / NEWS_S).min(1.0);
+    /// The share of a frame's information that is not taken, for each state. `narrowed` is what the covariance would lose by it.
+    fn untaken_shares(&self, narrowed: &Covariance) -> State {
+        let news = (self.unlearnt_s / SHARED_ERROR_S).min(1.0);
         let mut left = State::zeros();
         for index in LENS {
             let share = narrowed[(index, index)] / self.covariance[(index, index)];
-            left[index] = if share > SAYS_MORE { 0.0 } else { 1.0 - news };
+            left[index] = if share > FULL_UPDATE_SHARE { 0.0 } else { 1.0 - news };
         }
         left
     }
 
-    /// Whether lines and odometry have told of different walks for some frames, this one the last of them.
+    /// Takes in a frame's deviation, and returns whether lines and odometry have disagreed for some frames up to this one.
     pub fn slips(&mut self, prior: &Prior, refined: &Refined) -> bool {
-        self.slip.note(self.mean[YAW], prior, refined)
+        self.slip.update(self.mean[YAW], prior, refined)
     }
 
-    /// Odometry was wronger than it claims: the path is as uncertain as the lines have shown it to be wrong.
+    /// Widens the path's uncertainty by what the lines have shown it to be wrong, since odometry is worse than it claims.
     pub fn doubt(&mut self, moved: &Errors) {
         for (index, off) in [(X, moved[0]), (Y, moved[1]), (YAW, moved[5])] {
             self.covariance[(index, index)] += off * off;
@@ -450,7 +470,7 @@ impl SlowStateFilter {
     }
 }
 
-/// One frame's own error about the path, in `map`.
+/// Covariance of one frame's own error about the path, in `map`.
 fn scatter(model: &SlowStateModel, yaw: f64) -> ErrorCovariance {
     let (sin, cos) = libm::sincos(yaw);
     let (ahead, aside) = (model.sway_m.x * model.sway_m.x, model.sway_m.y * model.sway_m.y);

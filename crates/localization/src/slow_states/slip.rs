@@ -1,10 +1,10 @@
-//! Feet that slip, or odometry that stands still: lines and odometry tell of different walks, frame after frame, by less than a single frame
-//! shows.
+//! Detection of feet that slip and of odometry that stands still: lines and odometry disagree in frame after frame, by less than
+//! a single frame shows.
 //!
-//! What the lines move the predicted pose by has a known covariance, that of the prior less that of the refined pose, and is independent from
-//! frame to frame if the prediction is what it claims to be (the innovations of a Kalman filter are white). Their sum, each
-//! in units of its standard deviation and along the robot's axes, grows by chance as the root of their number; if odometry is wrong
-//! it grows with the number itself.
+//! The deviation by which the lines move the predicted pose has a known covariance: the prior's less the refined pose's. Such
+//! deviations are independent from frame to frame if the prediction is right (the innovations of a Kalman filter are white).
+//! Their sum, along the robot's axes and in standard deviations, then grows as the root of their number. If odometry is
+//! wrong, it grows with the number itself.
 
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -12,37 +12,38 @@ use serde::{Deserialize, Serialize};
 use super::super::refinement::{Prior, Refined};
 use realitysim_geometry::Physical;
 
-/// The latest frames' deviations from the prediction, forwards and to the left, in standard deviations, each counted less than the one after it.
+/// Exponentially weighted sum of the frames' deviations from the prediction, in standard deviations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Slip {
+    /// The sum, forwards and to the left.
     sum: [f64; 2],
-    /// Of the sum, if the deviations are independent.
+    /// Variance of the sum if the deviations are independent.
     variance: f64,
 }
 
-/// What a frame counts one frame later. The variance of the sum stays below four.
-const FADES: f64 = 0.85;
-/// Squared standard deviations of the sum: three in a million sums of independent ones exceed it.
-const CERTAIN: f64 = 25.0;
-/// Where lines tell hardly anything the covariance of what they move is taken for this share of the prior's.
-const LEAST_TOLD: f64 = 0.05;
+/// Factor by which the sum fades from frame to frame. The variance of the sum stays below four.
+const FADE_FACTOR: f64 = 0.85;
+/// Squared standard deviations of the sum beyond which it is a slip: three in a million sums of independent deviations exceed it.
+const SLIP_THRESHOLD: f64 = 25.0;
+/// The covariance of a deviation is increased by this share of the prior's, for frames whose lines say hardly anything.
+const MIN_TOLD_SHARE: f64 = 0.05;
 
 impl Slip {
-    /// Takes in a frame's deviation, of a robot with this heading (rad), and judges by all so far.
-    pub(super) fn note(&mut self, yaw_rad: f64, prior: &Prior, refined: &Refined) -> bool {
+    /// Adds the deviation of a frame in which the robot has this heading, and returns whether the sum shows a slip.
+    pub(super) fn update(&mut self, yaw_rad: f64, prior: &Prior, refined: &Refined) -> bool {
         let [before, after] =
             [&prior.covariance, &refined.covariance].map(|all| -> Matrix2<f64> { all.fixed_view::<2, 2>(0, 0).into() });
         let (sin, cos) = libm::sincos(yaw_rad);
         let into_robot = Matrix2::new(cos, sin, -sin, cos);
-        let told = into_robot * (before - after + before * LEAST_TOLD) * into_robot.transpose();
+        let told = into_robot * (before - after + before * MIN_TOLD_SHARE) * into_robot.transpose();
         let moved = into_robot * Vector2::new(refined.moved[0], refined.moved[1]);
         let Some(own) = told.cholesky().and_then(|factor| factor.l().solve_lower_triangular(&moved)) else {
             return false;
         };
-        self.variance = FADES * FADES * self.variance + 1.0;
-        self.sum = [0, 1].map(|axis| FADES * self.sum[axis] + own[axis]);
+        self.variance = FADE_FACTOR * FADE_FACTOR * self.variance + 1.0;
+        self.sum = [0, 1].map(|axis| FADE_FACTOR * self.sum[axis] + own[axis]);
         let [ahead, aside] = self.sum;
-        (ahead * ahead + aside * aside) / self.variance > CERTAIN
+        (ahead * ahead + aside * aside) / self.variance > SLIP_THRESHOLD
     }
 }
 
@@ -62,7 +63,7 @@ mod tests {
     use super::*;
     use realitysim_geometry::Isometry;
 
-    /// Known to a centimetre before looking, and to 6 mm after.
+    /// A frame known to 1 cm before looking and to 6 mm after, which the lines moved by `x` and `y` metres.
     fn moved(x: f64, y: f64) -> (Prior, Refined) {
         let pose = Isometry::new(glam::DQuat::IDENTITY, DVec3::Z);
         let prior = Prior::of_pose(pose, &Matrix6::from_diagonal(&Vector6::repeat(1e-4)));
@@ -81,7 +82,7 @@ mod tests {
     }
 
     /// Standard deviation of what a frame moves: sqrt(1 - 0.36) cm.
-    const MOVES_M: f64 = 0.008;
+    const SIGMA_M: f64 = 0.008;
 
     #[test]
     fn deviations_as_the_covariances_say_are_taken_for_no_slip() {
@@ -89,9 +90,9 @@ mod tests {
         for seed in 0..200 {
             let mut slip = Slip::default();
             for frame in 0..500 {
-                let draw = |axis| MOVES_M * Stream::new(seed, Purpose::Start, frame, axis, 0).normal();
+                let draw = |axis| SIGMA_M * Stream::new(seed, Purpose::Start, frame, axis, 0).normal();
                 let (prior, refined) = moved(draw(0), draw(1));
-                certain += u32::from(slip.note(0.3 * frame as f64, &prior, &refined));
+                certain += u32::from(slip.update(0.3 * frame as f64, &prior, &refined));
             }
             assert!(slip.is_possible());
         }
@@ -99,15 +100,15 @@ mod tests {
     }
 
     #[test]
-    fn small_deviations_to_one_side_of_the_robot_are_a_slip_after_some_frames() {
+    fn small_deviations_to_one_side_become_a_slip_after_some_frames() {
         for (share, within) in [(2.0, 10), (3.0, 4), (4.0, 3)] {
-            // A robot that turns while it goes.
+            // A robot that turns while it walks.
             let mut slip = Slip::default();
             let found = (0..within).any(|frame| {
                 let yaw_rad = 0.1 * f64::from(frame);
                 let (sin, cos) = yaw_rad.sin_cos();
-                let (prior, refined) = moved(share * MOVES_M * cos, share * MOVES_M * sin);
-                slip.note(yaw_rad, &prior, &refined)
+                let (prior, refined) = moved(share * SIGMA_M * cos, share * SIGMA_M * sin);
+                slip.update(yaw_rad, &prior, &refined)
             });
             assert!(found, "{share} standard deviations, {within} frames");
         }

@@ -1,4 +1,4 @@
-//! A robot that walks, and what is learnt of it.
+//! Tests of what the filter learns about a walking robot.
 
 use nalgebra::Matrix6;
 
@@ -12,7 +12,7 @@ fn camera(pose: &Pose2) -> Isometry {
     pose.to_isometry() * place * Isometry::link_from_optical()
 }
 
-/// Walks a circle; each frame's lines say exactly where the camera is.
+/// The filter after a walk along a circle, in which each frame's lines show exactly where the camera is.
 fn walked(
     frames: usize,
     odometry: impl Fn(Pose2) -> Option<Pose2>,
@@ -45,7 +45,7 @@ fn walked(
 
 #[test]
 fn odometry_s_scales_are_learnt_while_walking() {
-    // It says 20 % too much of the way and 15 % too little of the turn.
+    // Odometry says 20 % too much of the distance and 15 % too little of the turn.
     let track = walked(150, |step| Some(Pose2::new(1.2 * step.x, 0.0, 0.85 * step.yaw)), |_| None);
     assert!((track.mean[DISTANCE] - (1.0 / 1.2 - 1.0)).abs() < 0.02, "{}", track.mean[DISTANCE]);
     assert!((track.mean[TURN] - (1.0 / 0.85 - 1.0)).abs() < 0.05, "{}", track.mean[TURN]);
@@ -75,7 +75,7 @@ fn a_gyro_that_contradicts_odometry_leaves_both_possible() {
     assert!(agreed.spread().1 < 0.02, "{}", agreed.spread().1);
 }
 
-/// So many frames a second that all say the same of the lens, each with this standard deviation: what is believed then, and how firmly.
+/// Stretch of the lens and its standard deviation after frames that all measure the same `stretch`, each with this `sigma`.
 fn told_of_the_lens(stretch: f64, sigma: f64, rate_hz: usize, seconds: usize) -> (f64, f64) {
     let track = SlowStateFilter::around(Pose2::default(), 0.05, 0.05, &MODEL());
     let track = told_again(track, stretch, sigma, rate_hz, seconds);
@@ -107,7 +107,7 @@ const STRETCH_ROW: usize = 6;
 
 #[test]
 fn what_frames_have_in_common_counts_by_time_and_not_by_frames() {
-    // One frame says more than the calibration: it counts at once.
+    // A frame that says more than the calibration counts at once.
     let (stretch, sigma) = told_of_the_lens(0.004, 0.001, 1, 1);
     assert!((stretch - 0.004).abs() < 0.0003 && sigma < 0.0011, "{stretch} {sigma}");
     let [slow, fast] = [10, 100].map(|rate_hz| told_of_the_lens(0.004, 0.001, rate_hz, 30));
@@ -118,7 +118,7 @@ fn what_frames_have_in_common_counts_by_time_and_not_by_frames() {
 }
 
 #[test]
-fn what_was_learnt_of_the_lens_from_a_wrong_place_is_learnt_anew_from_the_right_one() {
+fn a_doubted_lens_is_learnt_anew_at_the_right_pose() {
     let wrong = told_again(SlowStateFilter::around(Pose2::default(), 0.05, 0.05, &MODEL()), 0.01, 0.001, 10, 20);
     let elsewhere = wrong.moved_to(Pose2::new(1.0, 0.0, 0.0), 0.05, 0.05);
     let stays = told_again(elsewhere.clone(), 0.0, 0.001, 10, 1).lens().stretch;
@@ -127,7 +127,7 @@ fn what_was_learnt_of_the_lens_from_a_wrong_place_is_learnt_anew_from_the_right_
 }
 
 #[test]
-fn what_was_learnt_of_the_lean_in_a_wrong_place_is_forgotten_and_nothing_else() {
+fn forgetting_the_lean_changes_no_other_state() {
     let mut track = walked(60, Some, Some);
     for index in [TORSO_ROLL, TORSO_PITCH, MOUNT_ROLL, MOUNT_PITCH, HEIGHT] {
         track.mean[index] = 0.01;

@@ -1,4 +1,4 @@
-//! Whether a pose is to be believed, and when the robot is to be looked for elsewhere.
+//! Decides whether a pose is believed, and when the robot is searched for elsewhere.
 
 mod thresholds;
 mod tracking_state;
@@ -17,61 +17,67 @@ pub use thresholds::{THRESHOLDS, ValidationThresholds};
 use tracking_state::FrameVerdict;
 pub use tracking_state::TrackingState;
 
-/// What a pose needs to be believed.
+/// Limits, set by the user, that a pose must keep to be believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Validity {
-    /// Share of the expected line contrast (particles) or of the expected line places (refinement) that is there.
+    /// Smallest share of the expected line contrast that is found, without refinement.
     pub share: f64,
-    /// Painted line in view in units of 10 cm, counted by its certainty.
+    /// Least painted line in view, in units of 10 cm, counted by its certainty, without refinement.
     pub points: f64,
-    /// Standard deviation of the position along its longer axis: of the particles, and of the refined pose.
+    /// Largest standard deviation of the particles' position along its longer axis, without refinement, metres.
     pub spread_m: f64,
+    /// Largest standard deviation of a refined pose's position along its longer axis, metres.
     pub refined_m: f64,
-    /// Share of the line seen that the field has where the pose puts it.
+    /// Smallest share of the seen line that the field has where the pose puts it, with refinement.
     pub explained: f64,
 }
 
-/// What the frames so far say of the pose.
+/// What the frames so far say about the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseValidator {
+    /// How far lines have confirmed the pose.
     pub tracking: TrackingState,
-    /// When lines last agreed with the pose.
+    /// Time at which lines last agreed with the pose.
     agreed_ns: Option<i64>,
-    /// Lines have agreed with the pose both ways, with hardly one too many.
+    /// Whether some frame had many lines that fit, and hardly one that the pose does not explain.
     has_explained: bool,
-    /// What frames have counted towards the next whole one that the pose needs.
+    /// Fraction of a frame that frames have counted towards the next whole one that the pose needs.
     counted: f64,
-    /// Somebody said where the robot is.
+    /// Whether somebody announced the pose.
     was_announced: bool,
-    /// It was known before the restart.
+    /// Whether the pose was known before a restart.
     was_restored: bool,
-    /// Frames in a row whose lines speak for a pose that needs confirming, but not clearly enough.
+    /// Number of frames whose lines do not clearly confirm a candidate.
     unconvincing: u32,
-    /// Where the whole field was last tried for a better pose, and how often, each time from elsewhere, there was none.
+    /// Pose believed when the field was last searched for a better one.
     last_searched_at: Option<Pose2>,
+    /// Number of searches in a row, each from another pose, that found no better one.
     found_again: u32,
-    /// Looks in a row, from wherever, that had no better pose to offer.
+    /// Number of searches in a row, from any pose, that found no better one.
     in_a_row: u32,
     trigger: RelocalizationTrigger,
-    /// Poses of late that were found or told, and that the next frames contradicted: see [`THRESHOLDS.confirmations`].
+    /// Number of recent poses, found or announced, that the next frames contradicted; older ones count less. See
+    /// [`ValidationThresholds::confirmations`].
     refuted: f64,
-    /// For how long the pose has been confirmed, seconds.
+    /// Time for which the pose has been confirmed, seconds.
     confirmed_s: f64,
-    /// For how long poses have been confirmed that were not contradicted soon: field, lens and mount are what they are said to be.
+    /// Time for which poses were confirmed that were not contradicted soon, seconds: field, lens and mount are as they are said to be.
     proven_s: f64,
-    /// Of confirmed frames so far, the share of the expected lines that stand out most where the pose has them: with this paint, lens and
-    /// turf it is what to expect of a right pose.
+    /// Mean share of the expected lines, over confirmed frames, that stand out most where the pose has them: what to expect of a right
+    /// pose with this paint, lens and turf.
     usual_foremost: Option<f64>,
 }
 
-/// What does not change from frame to frame.
+/// Rules of validation, which do not change from frame to frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Rules<'a> {
+    /// Limits set by the user.
     pub valid: &'a Validity,
+    /// The field.
     pub field: &'a Field,
-    /// Poses are refined.
+    /// Whether poses are refined.
     pub refinement: bool,
-    /// There is no odometry, on purpose.
+    /// Whether there is no odometry, on purpose.
     pub random_walk: bool,
 }
 
@@ -88,77 +94,77 @@ impl Physical for PoseValidator {
 }
 
 impl PoseValidator {
-    /// A pose that was kept over a restart.
-    pub fn restored(&mut self) {
+    /// Starts over with a pose that was kept over a restart.
+    pub fn start_restored(&mut self) {
         let was_restored = self.is_known();
-        // Field, lens and mount may be others now.
+        // Field, lens and mount may be others after a restart.
         self.proven_s = 0.0;
-        self.found_by_search();
+        self.start_found();
         self.was_restored = was_restored;
     }
 
-    /// By somebody, who has not been proven wrong.
+    /// Whether somebody announced the pose, and no search has replaced it.
     pub fn was_announced(&self) -> bool {
         self.was_announced
     }
 
-    /// And since then the robot may have walked where it liked.
-    pub fn odometry_lost(&mut self) {
+    /// Forgets that the pose was known before a restart: without odometry since then, the robot may be anywhere.
+    pub fn drop_restored(&mut self) {
         self.was_restored = false;
     }
 
-    /// A pose that was found by search.
-    pub fn found_by_search(&mut self) {
+    /// Starts over with a pose that was found by search.
+    pub fn start_found(&mut self) {
         let tracking = TrackingState::Candidate { missing: self.confirmations() };
-        *self = Self { tracking, trigger: RelocalizationTrigger::found(), ..self.remembered() };
+        *self = Self { tracking, trigger: RelocalizationTrigger::after_search(), ..self.remembered() };
     }
 
-    /// A pose that somebody announced.
-    pub fn announced(&mut self) {
+    /// Starts over with a pose that somebody announced.
+    pub fn start_announced(&mut self) {
         let tracking = TrackingState::Candidate { missing: self.confirmations() / THRESHOLDS.confirmations };
         *self = Self { tracking, was_announced: true, ..self.remembered() };
     }
 
-    /// What does not depend on where the robot is.
+    /// The part of the state that does not depend on where the robot is.
     fn remembered(&self) -> Self {
         let Self { agreed_ns, usual_foremost, refuted, proven_s, .. } = *self;
         Self { agreed_ns, usual_foremost, refuted, proven_s, ..Self::default() }
     }
 
-    /// Frames with good lines that a pose needs now.
+    /// Number of frames with good lines that a new pose needs.
     fn confirmations(&self) -> u32 {
         let doubts = 1.0 + self.refuted / (1.0 + self.proven_s / THRESHOLDS.proof_s);
         (f64::from(THRESHOLDS.confirmations) * doubts * libm::sqrt(doubts)).min(THRESHOLDS.max_confirmations) as u32
     }
 
-    /// Lines speak for the pose, and not clearly: is there a better one?
+    /// Whether so many frames did not confirm a candidate clearly that a better pose is to be searched for.
     pub fn is_unconvincing(&self) -> bool {
         let is_first = !self.was_announced && self.last_searched_at.is_none();
         self.unconvincing >= if is_first { THRESHOLDS.unconvincing_first } else { THRESHOLDS.unconvincing_later }
     }
 
-    /// The pose is believed; is there a better one all the same?
+    /// Whether the field is to be searched for a better pose although this one is believed.
     pub fn relocalization_is_due(&self) -> bool {
         self.trigger.is_due()
     }
 
-    /// Something has just changed: the sooner it is tried the better.
+    /// Whether such a search is urgent, since something has just changed.
     pub fn is_urgent(&self) -> bool {
         self.trigger.is_urgent()
     }
 
-    /// Lines are missing that were there a moment ago: have some been taken for their neighbours?
-    pub fn falls_short(&self, lines: &Agreement) -> bool {
-        lines.expected >= THRESHOLDS.min_expected && self.trigger.falls_to(lines.share_of_places())
+    /// Whether lines are missing that were there in the last frames, so that some may have been taken for their neighbours.
+    pub fn has_lost_lines(&self, lines: &Agreement) -> bool {
+        lines.expected >= THRESHOLDS.min_expected && self.trigger.is_drop(lines.share_of_places())
     }
 
-    /// There was none.
-    pub fn found_nothing_better(&mut self) {
-        self.trigger.looked();
+    /// Notes a search for a pose better than a believed one that found none.
+    pub fn note_fruitless_search(&mut self) {
+        self.trigger.note_fruitless_search();
     }
 
-    /// The whole field was tried while the robot was believed to be at `pose`.
-    pub fn field_was_searched(&mut self, pose: Pose2, found_again: bool) {
+    /// Notes a search of the whole field for a pose better than the candidate `pose`. `found_again`: it found `pose` itself.
+    pub fn note_search(&mut self, pose: Pose2, found_again: bool) {
         self.unconvincing = 0;
         let is_new = self.last_searched_at.is_none_or(|last| {
             pose.distance(&last) > THRESHOLDS.elsewhere_m
@@ -171,7 +177,8 @@ impl PoseValidator {
         }
     }
 
-    /// Lines have confirmed the pose, and have not taken that back; or, as long as there were none, somebody else has.
+    /// Whether the pose is known: lines have confirmed it and not taken that back, or it was announced or restored and lines have
+    /// not decided yet.
     pub fn is_known(&self) -> bool {
         match self.tracking {
             TrackingState::Lost => false,
@@ -180,16 +187,17 @@ impl PoseValidator {
         }
     }
 
-    /// The pose has been contradicted too often.
+    /// Whether the pose has been contradicted too often.
     pub fn is_lost(&self) -> bool {
         matches!(self.tracking, TrackingState::Tracking { contradictions } if contradictions >= THRESHOLDS.lost_after)
     }
 
-    pub fn agreed(&mut self, stamp_ns: i64) {
+    /// Notes that lines agreed with the pose at `stamp_ns`.
+    pub fn note_agreement(&mut self, stamp_ns: i64) {
         self.agreed_ns = Some(stamp_ns);
     }
 
-    /// Why the pose is not to be used, and what that means for the next frames; `seconds` since the last one.
+    /// Judges a frame, `seconds` after the last one, and updates the state. Returns why its pose is not to be used, if so.
     pub fn judge(&mut self, rules: &Rules, moment: &FrameSensors, fix: &Fix, seconds: f64) -> Option<Rejection> {
         if fix.agreement.fitting >= THRESHOLDS.many_places && fix.explained.share >= THRESHOLDS.well_explained {
             self.has_explained = true;
@@ -197,7 +205,7 @@ impl PoseValidator {
         let rejection = self.rejection(rules, moment, fix);
         let shares = (fix.agreement.expected >= THRESHOLDS.min_expected)
             .then(|| [fix.agreement.share_of_places(), share_if_clear(&fix.agreement)]);
-        self.trigger.note(
+        self.trigger.note_frame(
             seconds,
             shares,
             matches!(rejection, Some(Rejection::Spread | Rejection::FewLines)),
@@ -205,8 +213,8 @@ impl PoseValidator {
         );
         let contradicted = match rejection {
             Some(Rejection::LinesDisagree | Rejection::NotStanding | Rejection::OffField) => true,
-            // Something white stands before a place that is right all the same.
-            Some(Rejection::LinesUnexplained) => !self.holds_fast(fix),
+            // Something white may stand in view of a pose that is right all the same.
+            Some(Rejection::LinesUnexplained) => !self.is_well_established(fix),
             _ => false,
         };
         self.note_proof(contradicted, seconds);
@@ -231,7 +239,7 @@ impl PoseValidator {
         rejection
     }
 
-    /// What the frame says of the pose, once it is known whether it is rejected, and whether that contradicts the pose.
+    /// What the frame says about the pose. `rejection`: why the frame is rejected, if it is; `contradicted`: that contradicts the pose.
     fn verdict(&mut self, rules: &Rules, fix: &Fix, rejection: Option<Rejection>, contradicted: bool) -> FrameVerdict {
         if rules.refinement && is_lost(&fix.covariance) {
             return FrameVerdict::Uncertain;
@@ -241,13 +249,13 @@ impl PoseValidator {
         }
         let TrackingState::Candidate { missing } = self.tracking else { return FrameVerdict::Agrees { frames: 1 } };
         if !self.confirms(rules, fix) {
-            // A pose whose lines speak against it now and then is not confirmed by a lucky frame.
+            // Frames that speak against the pose are counted, so that a lucky frame now and then does not confirm it.
             let has_lines = fix.agreement.expected >= THRESHOLDS.min_expected;
             return FrameVerdict::Unconvincing {
                 against: has_lines && missing < THRESHOLDS.max_missing_by_unconvincing,
             };
         }
-        // Carried, or found in a wrong place: lines and odometry do not tell of one walk.
+        // Lines and odometry show different motions: the robot is carried, or the pose is wrong.
         if fix.surprised && !self.was_announced {
             return FrameVerdict::Surprises { needed: self.confirmations() };
         }
@@ -258,7 +266,7 @@ impl PoseValidator {
         FrameVerdict::Agrees { frames: frames as u32 }
     }
 
-    /// Before this frame's verdict: what it says of field, lens and mount.
+    /// Updates what frames say about field, lens and mount, before this frame's verdict.
     fn note_proof(&mut self, contradicted: bool, seconds: f64) {
         self.refuted *= libm::exp(-seconds / THRESHOLDS.refuted_forgotten_s);
         match self.tracking {
@@ -281,6 +289,7 @@ impl PoseValidator {
         }
     }
 
+    /// The reason why the frame's pose is not to be used, by sensors and lines.
     fn rejection(&self, rules: &Rules, moment: &FrameSensors, fix: &Fix) -> Option<Rejection> {
         reject_unless(self.tracking != TrackingState::Lost, Rejection::PoseUnknown)
             .or_else(|| reject_unless(!moment.stale || rules.random_walk, Rejection::SensorsStale))
@@ -288,6 +297,7 @@ impl PoseValidator {
             .or_else(|| self.rejection_by_lines(rules, moment, fix))
     }
 
+    /// The reason why the frame's pose is not to be used, by what the image shows.
     fn rejection_by_lines(&self, rules: &Rules, moment: &FrameSensors, fix: &Fix) -> Option<Rejection> {
         let Validity { share, points, spread_m, refined_m, explained } = *rules.valid;
         let half = rules.field.carpet_half_extent();
@@ -302,14 +312,14 @@ impl PoseValidator {
                         .or_else(|| reject_unless(fix.estimate.spread_m <= spread_m, Rejection::Spread));
                 }
                 let least_explained =
-                    if self.holds_fast(fix) { explained - THRESHOLDS.held_fast_relief } else { explained };
+                    if self.is_well_established(fix) { explained - THRESHOLDS.held_fast_relief } else { explained };
                 reject_unless(!fix.refined || stands(moment, &fix.map_from_optical), Rejection::NotStanding)
                     .or_else(|| reject_unless(!is_contradicted(&fix.agreement), Rejection::LinesDisagree))
                     .or_else(|| reject_unless(fix.explained.share >= least_explained, Rejection::LinesUnexplained))
                     .or_else(|| {
                         reject_unless(
                             !self.is_tracking()
-                                || (self.is_usual(fix) && (self.holds_fast(fix) || agrees_both_ways(fix))),
+                                || (self.is_usual(fix) && (self.is_well_established(fix) || agrees_both_ways(fix))),
                             Rejection::LinesDisagree,
                         )
                     })
@@ -324,19 +334,20 @@ impl PoseValidator {
             })
     }
 
-    /// All says that the lines in view are those of the confirmed pose, even where nothing else is known.
+    /// Whether the lines in view are certainly those of the confirmed pose, even if sensors are missing.
     pub fn is_in_view(&self, rules: &Rules, moment: &FrameSensors, fix: &Fix) -> bool {
-        let holds_fast = (self.holds_fast(fix) && !fix.surprised) || !rules.refinement;
-        self.is_tracking() && holds_fast && self.rejection_by_lines(rules, moment, fix).is_none()
+        let is_certain = (self.is_well_established(fix) && !fix.surprised) || !rules.refinement;
+        self.is_tracking() && is_certain && self.rejection_by_lines(rules, moment, fix).is_none()
     }
 
-    /// A confirmed pose of which all but a few lines are seen where they should be, and that has explained all it saw.
-    fn holds_fast(&self, fix: &Fix) -> bool {
+    /// Whether the pose is confirmed, all but a few of its lines are seen where they should be, and it once explained nearly all
+    /// that was seen.
+    fn is_well_established(&self, fix: &Fix) -> bool {
         let lines = &fix.agreement;
         self.is_tracking() && self.has_explained && is_whole(lines)
     }
 
-    /// Lines stand out where the pose has them about as they have in frames before.
+    /// Whether lines stand out where the pose has them about as much as in the frames before.
     fn is_usual(&self, fix: &Fix) -> bool {
         let is_new = !self.was_announced && self.proven_s < THRESHOLDS.proven_s;
         let less = match (fix.adrift, is_new) {
@@ -349,16 +360,17 @@ impl PoseValidator {
             || self.usual_foremost.is_none_or(|usual| lines.foremost >= usual - less)
     }
 
-    /// The pose has been confirmed.
+    /// Whether the pose has been confirmed.
     pub fn is_tracking(&self) -> bool {
         matches!(self.tracking, TrackingState::Tracking { .. })
     }
 
+    /// Whether the frame is good enough to confirm a candidate.
     fn confirms(&self, rules: &Rules, fix: &Fix) -> bool {
         let lines = &fix.agreement;
-        // Lines that lead elsewhere than somebody said need to be as many as if nobody had.
-        let is_told = self.was_announced && !fix.strays;
-        let needed = if is_told { Needed::IF_TOLD } else { self.needed_if_found(lines) };
+        // Lines that lead away from the announced pose must be as good as if nobody had announced one.
+        let is_as_announced = self.was_announced && !fix.strays;
+        let needed = if is_as_announced { ConfirmationNeeds::ANNOUNCED } else { self.needed_if_found(lines) };
         !rules.refinement
             || (lines.digits >= needed.digits.max(THRESHOLDS.digits_per_place * lines.expected as f64)
                 && lines.rms_px <= THRESHOLDS.confirmed_rms_px
@@ -369,10 +381,9 @@ impl PoseValidator {
                 && fix.explained.share >= share_of(needed.unexplained.min(1.0), rules.valid.explained))
     }
 
-    /// Of a pose that was found by search, in a frame with such lines.
-    fn needed_if_found(&self, lines: &Agreement) -> Needed {
-        // Of a robot that stands still nothing new is seen; that no rival comes up twice in a row makes up for few lines, not for
-        // missing ones.
+    /// What a frame with these lines must show to confirm a pose that was found by search.
+    fn needed_if_found(&self, lines: &Agreement) -> ConfirmationNeeds {
+        // A robot that stands still sees nothing new. Two searches in a row without a rival make up for few lines, not for missing ones.
         let is_alone = self.found_again > 0 || self.in_a_row >= THRESHOLDS.rivals_missing_in_a_row;
         let again = f64::from(self.found_again);
         let foremost = (THRESHOLDS.found_foremost - THRESHOLDS.found_foremost_per_px * lines.half_seen_px)
@@ -382,7 +393,7 @@ impl PoseValidator {
             .usual_foremost
             .map_or(0.0, |usual| usual - THRESHOLDS.usual_margin_found - THRESHOLDS.found_again_share_relief * again);
         let share = THRESHOLDS.found_share - THRESHOLDS.found_share_per_px * lines.half_seen_px;
-        Needed {
+        ConfirmationNeeds {
             digits: if is_alone { THRESHOLDS.found_again_digits } else { THRESHOLDS.found_digits },
             foremost: if self.was_announced { foremost } else { foremost.max(usual) },
             share: (share - THRESHOLDS.found_again_share_relief * again).max(THRESHOLDS.contradicted_share),
@@ -392,27 +403,31 @@ impl PoseValidator {
         }
     }
 
+    /// Whether lines agreed with the pose a short time ago.
     fn agreed_lately(&self, moment: &FrameSensors) -> bool {
         self.agreed_ns.is_some_and(|then| moment.stamp_ns.saturating_sub(then) <= THRESHOLDS.max_coast_ns)
     }
 }
 
-/// The share of the expected lines that would fit if all were as clear as on well painted carpet.
+/// The share of the expected lines that would fit if all were as clear as on a well painted carpet.
 fn share_if_clear(lines: &Agreement) -> f64 {
     (lines.share + THRESHOLDS.faint_share_per_px * lines.fainter_px()).min(1.0)
 }
 
-/// What a frame has to show to confirm a pose.
-struct Needed {
+/// What a frame must show to confirm a pose.
+struct ConfirmationNeeds {
+    /// Digits against chance.
     digits: f64,
+    /// Share of the expected lines that stand out most where the pose has them.
     foremost: f64,
+    /// Share of the expected lines that fit.
     share: f64,
-    /// As a part of what a valid frame may leave unexplained near the robot.
+    /// Unexplained line near the robot, as a part of what a valid frame may have.
     unexplained: f64,
 }
 
-impl Needed {
-    const IF_TOLD: Self = Self {
+impl ConfirmationNeeds {
+    const ANNOUNCED: Self = Self {
         digits: THRESHOLDS.announced_digits,
         foremost: THRESHOLDS.announced_foremost,
         share: THRESHOLDS.announced_share,
@@ -420,17 +435,17 @@ impl Needed {
     };
 }
 
-/// The rejection, unless its condition holds.
+/// The rejection, unless `is_held`.
 fn reject_unless(is_held: bool, rejection: Rejection) -> Option<Rejection> {
     (!is_held).then_some(rejection)
 }
 
-/// The share that has to be explained where only `part` of what a single frame may leave over is allowed.
+/// The share that must be explained where only `part` of the unexplained line is allowed that a share of `least` leaves.
 fn share_of(part: f64, least: f64) -> f64 {
     1.0 - part * (1.0 - least)
 }
 
-/// The camera is where IMU, joints and mount put that of a robot that stands: by its height and tilt.
+/// Whether the camera's height and tilt are those that IMU, joints and mount give for a standing robot.
 pub fn stands(moment: &FrameSensors, map_from_optical: &Isometry) -> bool {
     let Some(place) = moment.footprint_from_optical else { return true };
     let down = |pose: &Isometry| pose.rotation.conjugate() * DVec3::NEG_Z;
@@ -440,27 +455,28 @@ pub fn stands(moment: &FrameSensors, map_from_optical: &Isometry) -> bool {
     rise.abs() <= THRESHOLDS.max_rise_m && nominal.cross(found).length() <= libm::sin(most_rad)
 }
 
-/// Enough lines are where the pose has them.
+/// Whether enough lines are where the pose has them.
 pub fn agrees(lines: &Agreement) -> bool {
     lines.fitting >= THRESHOLDS.min_fitting
         && lines.share > THRESHOLDS.contradicted_share
         && lines.digits >= THRESHOLDS.agrees_digits
 }
 
-/// Hardly one is missing.
+/// Whether many lines fit and hardly one is missing.
 pub fn is_whole(lines: &Agreement) -> bool {
     lines.fitting >= THRESHOLDS.many_places && lines.share >= THRESHOLDS.nearly_all_share
 }
 
-/// Enough to leave a pose for it that was believed.
+/// Whether the lines of a pose are good enough to leave a believed pose for it.
 pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> bool {
     lines.fitting >= THRESHOLDS.many_places
         && lines.share >= THRESHOLDS.better_share
         && explained >= share_of(THRESHOLDS.better_unexplained, least_explained)
 }
 
-/// Lines that should be seen and are not, and lines that are seen and should not be, say the same together: a pose that passes each
-/// test alone may fail this one. docs/design.md says how often right poses do, and on which walks.
+/// Whether lines agree with the pose both ways: those that should be seen are, and those that are seen should be.
+///
+/// A pose that passes each test alone may fail this joint one. docs/design.md says how often right poses do, and on which walks.
 fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
     let faint = THRESHOLDS.both_ways_per_px * lines.fainter_px();
@@ -468,17 +484,17 @@ fn agrees_both_ways(fix: &Fix) -> bool {
     lines.expected < THRESHOLDS.min_expected || lines.share.min(lines.foremost) * fix.explained.share >= least
 }
 
-/// Too many lines are not.
+/// Whether too many lines are not where the pose has them.
 pub fn is_contradicted(lines: &Agreement) -> bool {
     lines.expected >= THRESHOLDS.min_expected && lines.share < THRESHOLDS.contradicted_share
 }
 
-/// Too uncertain to be a place.
+/// Whether a pose is too uncertain to be of use.
 pub fn is_lost(covariance: &Matrix6<f64>) -> bool {
     longest_axis_of(covariance) > THRESHOLDS.lost_sigma_m
 }
 
-/// Standard deviation of x, y along the longer axis.
+/// Standard deviation of x and y along the longer axis, metres.
 fn longest_axis_of(covariance: &Matrix6<f64>) -> f64 {
     longest_axis(covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)])
 }
@@ -494,19 +510,20 @@ mod tests {
     use crate::observation::Support;
     use realitysim_config::load_field;
 
+    /// Number of frames that a found pose needs.
     fn needed(validator: &PoseValidator) -> u32 {
         let mut found = *validator;
-        found.found_by_search();
+        found.start_found();
         match found.tracking {
             TrackingState::Candidate { missing } => missing,
             other => panic!("{other:?}"),
         }
     }
 
-    /// So many poses in a row that the next frame contradicts.
+    /// The validator after `poses` poses in a row that the next frame contradicted.
     fn refuted(mut validator: PoseValidator, poses: usize) -> PoseValidator {
         for _ in 0..poses {
-            validator.found_by_search();
+            validator.start_found();
             validator.note_proof(true, 0.1);
         }
         validator
@@ -527,13 +544,13 @@ mod tests {
 
     #[test]
     fn a_pose_that_was_announced_and_is_wrong_counts_as_three() {
-        let mut told = PoseValidator::default();
-        told.announced();
-        told.note_proof(true, 0.1);
-        assert!(needed(&told).abs_diff(needed(&refuted(PoseValidator::default(), 3))) <= 1);
+        let mut announced = PoseValidator::default();
+        announced.start_announced();
+        announced.note_proof(true, 0.1);
+        assert!(needed(&announced).abs_diff(needed(&refuted(PoseValidator::default(), 3))) <= 1);
     }
 
-    /// On the field for some seconds, then carried: refuted poses count less, unless the seconds were few and ended in contradiction.
+    /// The robot is tracked for some seconds, then carried: refuted poses count less, unless the seconds were few and ended in contradiction.
     #[test]
     fn a_robot_that_has_been_on_its_field_is_believed_sooner() {
         let tracked = |frames: u32| {
@@ -595,7 +612,7 @@ mod tests {
         fix
     }
 
-    /// What is said of these frames, a tenth of a second apart.
+    /// The rejections of these frames, a tenth of a second apart.
     fn judged(validator: &mut PoseValidator, frames: &[Fix]) -> Vec<Option<Rejection>> {
         let field = Field::new(load_field("kid-2009").expect("shipped")).expect("checked");
         let valid = Validity { share: 0.35, points: 6.0, spread_m: 0.2, refined_m: 0.15, explained: 0.5 };
@@ -619,7 +636,7 @@ mod tests {
     fn a_found_pose_needs_three_frames_of_forty_digits_or_more_with_fewer() {
         for (digits, frames) in [(80.0, 3), (THRESHOLDS.frame_digits, 3), (THRESHOLDS.frame_digits / 2.0, 6)] {
             let mut validator = PoseValidator::default();
-            validator.found_by_search();
+            validator.start_found();
             let said = judged(&mut validator, &vec![changed(|fix| fix.agreement.digits = digits); frames]);
             assert!(
                 said[..frames - 1].iter().all(|rejection| *rejection == Some(Rejection::Unconfirmed)),
@@ -630,7 +647,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_of_elsewhere_never_confirm() {
+    fn poor_frames_never_confirm_a_pose() {
         let poor = [
             changed(|fix| fix.agreement.rms_px = THRESHOLDS.confirmed_rms_px + 0.01),
             changed(|fix| fix.agreement.digits = THRESHOLDS.digits_per_place * 100.0 - 0.1),
@@ -638,18 +655,18 @@ mod tests {
             changed(|fix| fix.misfits = true),
             changed(|fix| fix.explained_in_view = THRESHOLDS.explained_in_view - 0.01),
         ];
-        for told in [false, true] {
+        for is_announced in [false, true] {
             for fix in &poor {
                 let mut validator = PoseValidator::default();
-                if told {
-                    validator.announced()
+                if is_announced {
+                    validator.start_announced()
                 } else {
-                    validator.found_by_search()
+                    validator.start_found()
                 }
                 let said = judged(&mut validator, &vec![fix.clone(); 200]);
                 assert!(
                     said.iter().all(|rejection| *rejection == Some(Rejection::Unconfirmed)),
-                    "told: {told}, {fix:?}"
+                    "announced: {is_announced}, {fix:?}"
                 );
             }
         }
@@ -659,7 +676,7 @@ mod tests {
     fn a_lucky_frame_among_poor_ones_confirms_nothing() {
         let frames: Vec<Fix> = (0..200).map(|index| changed(|fix| fix.misfits = index % 2 == 0)).collect();
         let mut validator = PoseValidator::default();
-        validator.found_by_search();
+        validator.start_found();
         assert!(judged(&mut validator, &frames).iter().all(|rejection| *rejection == Some(Rejection::Unconfirmed)));
     }
 
@@ -674,7 +691,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_are_missing_call_for_a_trigger_unless_they_are_too_faint_to_be_seen() {
+    fn missing_lines_trigger_a_search_unless_they_are_too_faint() {
         for (half_seen_px, share, is_due) in
             [(1.0, 0.95, false), (1.0, 0.75, true), (2.7, 0.75, false), (2.7, 0.5, true)]
         {

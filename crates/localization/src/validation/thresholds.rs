@@ -1,155 +1,160 @@
 //! Limits of the decision whether a pose is believed.
 //!
-//! They were set by what right and wrong poses show on the walks and path-traced halls of docs/lines.md, which also says how often each kind of
-//! false pose passes them (`realitysim falsify`).
+//! They were set by what right and wrong poses show on the walks and path-traced halls of docs/lines.md, which also says how often
+//! each kind of false pose passes them (`realitysim falsify`).
 
 /// Limits of the decision whether a pose is believed. Shares are of 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ValidationThresholds {
     // What confirms a candidate.
-    /// Frames with good lines that a pose needs which was found by search or restored after a restart, as long as no
-    /// pose has been refuted. On another field, or through another lens, some place looks right for a while again and
-    /// again, until its lines contradict it. So each refuted pose makes field, lens and mount more doubtful: after r
-    /// of them a pose needs 3 (1 + r)^1.5 frames, which is 8 after one, 15 after two and a hundred after ten.
+    /// Number of frames with good lines that a pose needs which was found by search or restored after a restart, as long as no
+    /// pose has been refuted.
+    ///
+    /// On another field, or through another lens, some place looks right for a while again and again, until its lines
+    /// contradict it. So each refuted pose makes field, lens and mount more doubtful: after r of them a pose needs
+    /// 3 (1 + r)^1.5 frames, which is 8 after one, 15 after two and a hundred after ten.
     pub confirmations: u32,
-    /// An announced pose that is refuted counts as so many: it should have been right.
+    /// Number of refuted poses that one refuted announced pose counts for: it should have been right.
     pub refuted_if_announced: f64,
-    /// Seconds. A pose that was confirmed for so long was right, and its robot was carried.
+    /// Time, seconds, for which a pose must have been confirmed to have been right: when it is contradicted later, the robot was carried.
     pub proven_s: f64,
-    /// Seconds. Each of them on a confirmed pose makes refuted poses count less: field, lens and mount are as they
-    /// were said to be.
+    /// Time constant, seconds, by which time on a confirmed pose lessens the count of refuted poses: field, lens and mount
+    /// are as they were said to be.
     pub proof_s: f64,
-    /// Seconds, after which refuted poses count a third.
+    /// Time, seconds, after which a refuted pose counts a third.
     pub refuted_forgotten_s: f64,
-    /// Frames that speak against a candidate ask for one more frame each, until so many are missing.
+    /// Each frame that speaks against a candidate asks for one more frame, until this many are missing.
     pub max_missing_by_unconvincing: u32,
-    /// Frames that a pose needs at most, whatever was refuted.
+    /// Largest number of frames that a pose needs, however many were refuted.
     pub max_confirmations: f64,
     /// Digits against chance ([`Agreement::digits`](crate::refinement::Agreement::digits)) that a frame needs to
-    /// confirm an announced pose: within what somebody has said some 10^4 poses differ. docs/lines.md derives these
+    /// confirm an announced pose: within the error of an announcement some 10^4 poses differ. docs/lines.md derives these
     /// limits.
     pub announced_digits: f64,
-    /// The same of a pose that was found by search: on a whole field, with all tilts and heights, some 10^11 poses
-    /// differ.
+    /// Digits that a frame needs to confirm a pose found by search: on a whole field, with all tilts and heights, some
+    /// 10^11 poses differ.
     pub found_digits: f64,
-    /// The same of a pose that a second search of the field has found again.
+    /// Digits that a frame needs to confirm a pose that a second search of the field has found again.
     pub found_again_digits: f64,
-    /// And least digits for each line place: right poses have 0.14 or more on worn turf, and 0.3 to 0.6 on carpet.
+    /// Digits per expected line place that a frame needs besides: right poses have 0.14 or more on worn turf, and 0.3 to 0.6
+    /// on carpet.
     pub digits_per_place: f64,
-    /// Root mean square distance of the found line places from where a pose has them that is to be confirmed, in
-    /// pixels of the picture that is looked at, 200 of which are about a radian. Right poses have 0.05 on carpet and
-    /// up to 0.33 on worn turf; through another lens, or from another height, some pose in the neighbourhood has most
-    /// lines, each beside where it should be.
+    /// Largest root mean square distance of the found line places from where a pose has them, for a frame that confirms it, in
+    /// pixels of the working image, 200 of which are about a radian.
+    ///
+    /// Right poses have 0.05 on carpet and up to 0.33 on worn turf. Through another lens, or from another height, some pose in
+    /// the neighbourhood has most lines, each beside where it should be.
     pub confirmed_rms_px: f64,
-    /// Share of the expected lines that must stand out most where an announced pose has them. Little has to be shown
-    /// but that nothing contradicts it: in sun and shade some fainter lines do not show.
+    /// Share of the expected lines that must stand out most where an announced pose has them. It is small, since it is enough
+    /// that nothing contradicts the pose: in sun and shade some fainter lines do not show.
     pub announced_foremost: f64,
     /// Share of the expected lines that must fit an announced pose.
     pub announced_share: f64,
-    /// Share of the expected lines that must stand out most where a found pose has them, less the next for each pixel
-    /// of the line width that is seen half the time: where lines are faint, fewer of them show in right places too.
+    /// Share of the expected lines that must stand out most where a found pose has them, before
+    /// [`Self::found_foremost_per_px`] is subtracted.
     pub found_foremost: f64,
-    /// See above; per pixel.
+    /// Reduction of [`Self::found_foremost`] for each pixel of the line width that is seen half the time: where lines are
+    /// faint, fewer of them show at right poses too.
     pub found_foremost_per_px: f64,
-    /// What right poses have on worn turf: the share above falls no lower.
+    /// Smallest value of that share after the reduction: what right poses have on worn turf.
     pub min_found_foremost: f64,
-    /// Share of the expected lines that must fit a found pose, less the next for each pixel of that width.
+    /// Share of the expected lines that must fit a found pose, before [`Self::found_share_per_px`] is subtracted.
     pub found_share: f64,
-    /// See above; per pixel.
+    /// Reduction of [`Self::found_share`] for each pixel of the line width that is seen half the time.
     pub found_share_per_px: f64,
-    /// Part of what any valid frame may leave unexplained near the robot that a frame may leave which confirms an
-    /// announced pose. It is all: a ball or sunlight may be a fourth of what little line is near.
+    /// Part of the unexplained line that any valid frame may have near the robot which a frame may have that confirms an
+    /// announced pose. It is all of it: a ball or sunlight may be a fourth of the little line that is near.
     pub announced_unexplained: f64,
-    /// The same of a found pose, and the next more for each pixel of that width beyond the first, since blades and
-    /// glints of turf stand out as lines do.
+    /// The same part for a found pose, before [`Self::unexplained_per_px`] is added.
     pub found_unexplained: f64,
-    /// See above; per pixel.
+    /// Addition to [`Self::found_unexplained`] for each pixel beyond the first of the line width that is seen half the time,
+    /// since blades and glints of turf stand out as lines do.
     pub unexplained_per_px: f64,
     /// Share of the lines in the picture, at any distance, that must be painted where the pose has them. Right poses
     /// have 0.97 or more on carpet and 0.94 or more on turf in sun and shade (docs/lines.md).
     pub explained_in_view: f64,
-    /// A frame counts fully towards confirming a found pose if it has so many digits, else as much less as it has
-    /// fewer: few lines look the same in several places.
+    /// Digits with which a frame counts fully towards confirming a found pose. With fewer it counts in proportion: few lines
+    /// look the same in several places.
     pub frame_digits: f64,
-    /// Frames that do not convince, before the whole field is tried for a better pose: the first time after a search.
+    /// Number of unconvincing frames after which the field is searched for a better pose, the first time after a search.
     pub unconvincing_first: u32,
-    /// The same afterwards, and of an announced pose.
+    /// Number of unconvincing frames for the further times, and for an announced pose.
     pub unconvincing_later: u32,
-    /// Metres. Trying the field again from as near says nothing new, ...
+    /// Distance from the last searched pose, metres, from which another search of the field is new evidence.
     pub elsewhere_m: f64,
-    /// ... or from a heading as near, in radians, ...
+    /// Turn from the last searched pose, radians, from which another search of the field is new evidence.
     pub elsewhere_rad: f64,
-    /// ... unless there was no better pose so often in a row.
+    /// Number of searches in a row without a better pose that are evidence wherever they were made.
     pub rivals_missing_in_a_row: u32,
-    /// Each time that the whole field had no better pose to offer, so much less has to fit: behind others, or with a
-    /// lens that is not quite as it was calibrated, lines are missing in right places too.
+    /// Reduction of the share of lines that must fit, for each search that found no better pose: behind others, or with a
+    /// lens that is not quite as calibrated, lines are missing at right poses too.
     pub found_again_share_relief: f64,
-    /// And so much more may be left unexplained, as a part of what any valid frame may.
+    /// Addition to the part that may be left unexplained, for each search that found no better pose.
     pub found_again_unexplained_relief: f64,
-    /// And so much less has to stand out most.
+    /// Reduction of the share of lines that must stand out most, for each search that found no better pose.
     pub found_again_foremost_relief: f64,
     // What contradicts a pose, and what agrees with it.
-    /// Fewer line places say nothing for or against a pose.
+    /// Smallest number of expected line places that say anything for or against a pose.
     pub min_expected: usize,
-    /// Line places that must fit for a frame to agree with a pose.
+    /// Smallest number of fitting line places with which a frame agrees with a pose.
     pub min_fitting: usize,
     /// Digits against chance that a frame needs to agree with a pose: chance does so once in 10^4 frames
     /// (docs/lines.md).
     pub agrees_digits: f64,
-    /// With a smaller share of fitting places the lines contradict the pose.
+    /// Share of fitting places below which the lines contradict the pose.
     pub contradicted_share: f64,
-    /// Root mean square distance of the line places of a confirmed pose, pixels: see the same of one that is to be
-    /// confirmed.
+    /// Largest root mean square distance of the line places of a confirmed pose, pixels of the working image; see
+    /// [`Self::confirmed_rms_px`].
     pub believed_rms_px: f64,
-    /// Line places that are many.
+    /// Number of fitting line places that are many.
     pub many_places: usize,
-    /// Share of fitting ones with which hardly a line is missing.
+    /// Share of fitting places with which hardly a line is missing.
     pub nearly_all_share: f64,
     /// Share of the expected lines that do not fit at right poses because they are faint, for each pixel of the line
     /// width that is seen half the time, beyond the first. Right poses have 0.95 and more on carpet, and 0.75 on turf
     /// where that width is 2.7 pixels.
     pub faint_share_per_px: f64,
-    /// The usual share of lines that stand out most follows each confirmed frame by this part of the difference.
+    /// Part of the difference by which the usual share of lines that stand out most follows each confirmed frame.
     pub usual_rate: f64,
-    /// A confirmed pose is contradicted where fewer lines stand out than usual, by this share.
+    /// Drop of the share of lines that stand out most below the usual one that contradicts a confirmed pose.
     pub usual_margin: f64,
-    /// The same where nothing but its lines has followed the pose since the last frame.
+    /// The same drop where nothing but lines has followed the pose since the last frame.
     pub usual_margin_adrift: f64,
-    /// The same of a pose that is found by search.
+    /// The same drop for a pose that is found by search.
     pub usual_margin_found: f64,
-    /// The same of one that has not been confirmed for long: where a goal's surroundings have led elsewhere, the next
-    /// lines that come into view are missing.
+    /// The same drop for a pose that has not been confirmed for long: where a goal's surroundings have led to a wrong pose, the
+    /// next lines that come into view are missing.
     pub usual_margin_new: f64,
-    /// Least share of the expected lines that fit, times the share of the seen lines that are expected.
+    /// Smallest product of the share of expected lines that fit and the share of seen lines that are expected.
     pub both_ways: f64,
-    /// The same where nothing but the lines says where the robot has gone since the last frame: half a metre farther
-    /// on other lines fit too.
+    /// The same product where nothing but lines tells where the robot has gone since the last frame: half a metre farther
+    /// on, other lines fit too.
     pub both_ways_adrift: f64,
-    /// And so much less for each pixel of the line width that is seen half the time, beyond the first.
+    /// Reduction of [`Self::both_ways`] for each pixel of the line width that is seen half the time, beyond the first.
     pub both_ways_per_px: f64,
-    /// So much more may be left unexplained where a confirmed pose explains nearly all that it expects.
+    /// Reduction of the share that must be explained, where a confirmed pose has nearly all the lines that it expects.
     pub held_fast_relief: f64,
-    /// Share of the seen lines that it must have explained once for that.
+    /// Share of the seen lines that a pose must have explained once to get [`Self::held_fast_relief`].
     pub well_explained: f64,
-    /// Metres by which no mount and no gait moves the camera of a standing robot up or down: five standard deviations
+    /// Height, metres, by which no mount and no gait moves the camera of a standing robot up or down: five standard deviations
     /// of what is expected.
     pub max_rise_m: f64,
-    /// The same of its tilt, radians.
+    /// Tilt, radians, by which no mount and no gait moves the camera of a standing robot.
     pub max_tilt_rad: f64,
-    /// The same without an IMU, radians.
+    /// The same tilt without an IMU, radians.
     pub max_unmeasured_tilt_rad: f64,
     // When a pose is given up.
-    /// Frames in a row whose lines contradict a confirmed pose before the field is searched: 0.3 s at 10 Hz.
+    /// Number of frames in a row whose lines contradict a confirmed pose before the field is searched: 0.3 s at 10 Hz.
     pub lost_after: u32,
-    /// Standard deviation along the longer axis, metres, of what is no pose any more.
+    /// Standard deviation of the position along its longer axis, metres, above which the robot is lost.
     pub lost_sigma_m: f64,
-    /// How far from the carpet a camera may be, metres.
+    /// Largest distance of a camera from the carpet, metres.
     pub off_field_m: f64,
-    /// For so long a pose is believed without lines that agree, nanoseconds.
+    /// Longest time for which a pose is believed without lines that agree, nanoseconds.
     pub max_coast_ns: i64,
     /// Share of fitting lines that a pose needs before a confirmed one is left for it.
     pub better_share: f64,
-    /// Part of what any valid frame may leave unexplained that such a pose may leave.
+    /// Part of the unexplained line of any valid frame that such a pose may have.
     pub better_unexplained: f64,
 }
 

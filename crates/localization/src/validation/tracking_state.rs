@@ -1,35 +1,49 @@
-//! How far the lines have confirmed the pose: a state machine that each frame moves by one step.
+//! Tracking state: how far lines have confirmed the pose, as a state machine that makes one step per frame.
 
 use serde::{Deserialize, Serialize};
 
-/// How far the lines have confirmed the pose.
+/// How far lines have confirmed the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TrackingState {
     /// It is not known where the robot is: the whole field is searched.
     #[default]
     Lost,
-    /// There is a pose that so many more frames must confirm before it is used.
-    Candidate { missing: u32 },
-    /// The pose is confirmed. Frames whose lines contradicted it, less those that have agreed since, are counted: while there are any, it is
-    /// not used.
-    Tracking { contradictions: u32 },
+    /// There is a pose, which must be confirmed before it is used.
+    Candidate {
+        /// Number of frames that must still confirm the pose.
+        missing: u32,
+    },
+    /// The pose is confirmed. It is not used while there are contradictions.
+    Tracking {
+        /// Number of frames whose lines contradicted the pose, less those that have agreed since.
+        contradictions: u32,
+    },
 }
 
-/// What one frame says of the pose.
+/// What one frame says about the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameVerdict {
-    /// The pose has become so uncertain that it is none.
+    /// The pose has become too uncertain to be of use.
     Uncertain,
     /// The frame's lines, or the camera's height and tilt, speak against the pose.
     Contradicts,
-    /// The frame is rejected for something that says nothing for or against the pose.
+    /// The frame is rejected for a reason that says nothing for or against the pose.
     Silent,
-    /// The frame is accepted, but what it shows does not confirm a candidate; `against`: it had lines enough to do so.
-    Unconvincing { against: bool },
-    /// The frame is accepted, and lines and odometry tell of different walks: a candidate needs this many frames from now on.
-    Surprises { needed: u32 },
-    /// The frame is accepted, and confirms a candidate as so many frames do.
-    Agrees { frames: u32 },
+    /// The frame is accepted, but what it shows does not confirm a candidate.
+    Unconvincing {
+        /// Whether the frame had enough lines to confirm the pose, so that it counts against it.
+        against: bool,
+    },
+    /// The frame is accepted, but lines and odometry show different motions.
+    Surprises {
+        /// Number of frames that a candidate needs from now on.
+        needed: u32,
+    },
+    /// The frame is accepted, and confirms a candidate.
+    Agrees {
+        /// Number of frames that it counts for.
+        frames: u32,
+    },
 }
 
 impl TrackingState {

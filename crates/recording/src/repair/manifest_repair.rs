@@ -1,4 +1,4 @@
-//! The manifest: lines that are missing, damaged, or contradict each other.
+//! Repair of the manifest: lines that are missing, damaged, or contradict each other.
 
 use std::collections::BTreeSet;
 
@@ -10,18 +10,19 @@ use super::super::retention::evicted_segments;
 use super::super::segment::{ACTIVE, segment_index, segment_name};
 use super::super::storage::{read_small, write_atomically};
 use super::super::verify::hash;
-use super::Work;
+use super::SessionRepair;
 use super::segment::describe;
 
-/// Missing segments in a row that are named one by one.
+/// Most missing segments in a row that are named one by one.
 const MAX_NAMED: usize = 16;
 
-impl Work<'_> {
+impl SessionRepair<'_> {
+    /// Makes the manifest list every segment of the folder once, in order.
     pub(super) fn complete_manifest(&mut self) -> Result<(), RecordingError> {
         let path = self.session.join(MANIFEST_FILE);
         let fails = |source| RecordingError::io(&path, source);
         let (mut lines, damaged) = all_lines(self.storage, self.session).map_err(fails)?;
-        self.keep_the_true_lines(&mut lines)?;
+        self.resolve_contradictions(&mut lines)?;
         for name in self.files(|name| !name.ends_with(ACTIVE))? {
             if lines.iter().any(|line| line.name == name) {
                 continue;
@@ -30,12 +31,12 @@ impl Work<'_> {
                 Some(line) => line,
                 None => {
                     let file = self.session.join(&name);
-                    if let Some(why) = self.stranger(&name)? {
+                    if let Some(why) = self.foreign_reason(&name)? {
                         self.repaired.set_aside.push(SetAside::new(&file, why));
                         continue;
                     }
                     let (line, topics, damage) =
-                        describe(self.storage, &file, &name, &self.info.settings, self.notes.of(&name))?;
+                        describe(self.storage, &file, &name, &self.info.settings, self.journal.of(&name))?;
                     self.repaired.lost.extend(damage.map(|said| Loss::new(&file, said)));
                     self.topics.insert(name.clone(), topics);
                     line
@@ -44,7 +45,7 @@ impl Work<'_> {
             lines.push(line);
             self.repaired.listed.push(name);
         }
-        self.tell_lost_lines(&lines, &damaged);
+        self.report_lost_lines(&lines, &damaged);
         lines.sort_by_key(|line| segment_index(&line.name));
         let mut text = Vec::new();
         for line in &lines {
@@ -53,7 +54,7 @@ impl Work<'_> {
         }
         let old = read_small(self.storage, &path, u64::MAX).map_err(fails)?;
         if old.is_none() {
-            self.name_missing_numbers(&lines)?;
+            self.report_missing_segments(&lines)?;
         }
         if old.as_ref() != Some(&text) {
             write_atomically(self.storage, &path, &text)?;
@@ -62,11 +63,11 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// What damaged lines were of and is not here. Their segments that are here have new lines now.
-    fn tell_lost_lines(&mut self, lines: &[ManifestLine], damaged: &[DamagedLine]) {
+    /// Reports segments of damaged lines that are not here. Segments that are here have got new lines.
+    fn report_lost_lines(&mut self, lines: &[ManifestLine], damaged: &[DamagedLine]) {
         let evicted = evicted_segments(self.storage, self.session);
         let of_damaged: Vec<&String> = damaged.iter().filter_map(|line| line.name.as_ref()).collect();
-        // Nobody can say which line was of which; one that was never finished had none.
+        // It is unknown which segment a line without a name stood for. Segments that were never finished had no line.
         let is_explained = |name: &&String| !of_damaged.contains(name) && !self.repaired.finished.contains(name);
         let mut explained = self.repaired.listed.iter().filter(is_explained).count();
         let mut lost = Vec::new();
@@ -78,14 +79,14 @@ impl Work<'_> {
             explained = explained.saturating_sub(usize::from(line.name.is_none()));
             if is_lost {
                 let file = self.session.join(line.name.as_deref().unwrap_or(MANIFEST_FILE));
-                lost.push(Loss::new(&file, format!("{MANIFEST_FILE}: {}; its segment is not here", line.said())));
+                lost.push(Loss::new(&file, format!("{MANIFEST_FILE}: {}; its segment is not here", line.describe())));
             }
         }
         self.repaired.lost.append(&mut lost);
     }
 
-    /// Of lines that contradict each other, the one that the file bears out; all of them, if it bears out none.
-    fn keep_the_true_lines(&mut self, lines: &mut Vec<ManifestLine>) -> Result<(), RecordingError> {
+    /// Of lines that contradict each other, keeps the one whose hash is that of the file; all of them, if none is.
+    fn resolve_contradictions(&mut self, lines: &mut Vec<ManifestLine>) -> Result<(), RecordingError> {
         let mut unlike: Vec<ManifestLine> = Vec::new();
         for line in lines.drain(..) {
             if !unlike.contains(&line) {
@@ -115,8 +116,9 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Where there was no manifest. With one, a number may be missing: a segment that could not be begun has used it up.
-    fn name_missing_numbers(&mut self, lines: &[ManifestLine]) -> Result<(), RecordingError> {
+    /// Reports gaps in the numbers of segments, for a session without a manifest. With a manifest, a missing number
+    /// is no loss: a segment that could not be begun has used it up.
+    fn report_missing_segments(&mut self, lines: &[ManifestLine]) -> Result<(), RecordingError> {
         let (given_up, evicted) = (self.cuts()?, evicted_segments(self.storage, self.session));
         let mut next = 0;
         for index in lines.iter().filter_map(|line| segment_index(&line.name)) {

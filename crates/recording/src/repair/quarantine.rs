@@ -1,4 +1,4 @@
-//! Names under which `repair` sets aside what it does not keep: never that of a file which is there.
+//! Names under which `repair` sets aside what it does not keep. A file that is there is never replaced.
 
 use std::path::{Path, PathBuf};
 
@@ -6,19 +6,19 @@ use super::super::error::RecordingError;
 use super::super::segment::{ACTIVE, is_segment_name};
 use super::super::storage::Storage;
 
-/// What a segment was copied from, or what lay in its place: kept for people to look at.
+/// End of the name of a segment that was copied or whose place was taken; it is kept for people to look at.
 const DAMAGED: &str = ".damaged";
-/// Of one segment, beside each other.
+/// Most files of one segment that are set aside.
 const MAX_DAMAGED_NAMES: u32 = 1000;
 
-/// `0000.mcap.damaged`, `0000.mcap.damaged-2` and so on.
+/// Whether a name is `0000.mcap.damaged`, `0000.mcap.damaged-2` and so on.
 pub(crate) fn is_damaged_name(name: &str) -> bool {
     let Some((segment, number)) = name.split_once(DAMAGED) else { return false };
     let is_number = |digits: &str| !digits.starts_with('0') && digits.parse::<u32>().is_ok_and(|number| number > 1);
     is_segment_name(segment) && (number.is_empty() || number.strip_prefix('-').is_some_and(is_number))
 }
 
-/// Gives an unfinished segment the first of these names that nobody has.
+/// Renames an unfinished segment to the first of these names that is free, and returns the new path.
 pub(super) fn set_aside(storage: &dyn Storage, active: &Path) -> Result<PathBuf, RecordingError> {
     let folder = active.parent().unwrap_or(Path::new("."));
     let name = active.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
@@ -32,11 +32,12 @@ pub(super) fn set_aside(storage: &dyn Storage, active: &Path) -> Result<PathBuf,
     let free = names.find(|name| !there.iter().any(|entry| entry.name == *name));
     let free = free.ok_or_else(|| RecordingError::io(active, std::io::ErrorKind::AlreadyExists.into()))?;
     let free = folder.join(free);
-    put(storage, active, &free)?;
+    rename_durably(storage, active, &free)?;
     Ok(free)
 }
 
-pub(super) fn put(storage: &dyn Storage, from: &Path, to: &Path) -> Result<(), RecordingError> {
+/// Renames a file and makes the new name survive a power cut.
+pub(super) fn rename_durably(storage: &dyn Storage, from: &Path, to: &Path) -> Result<(), RecordingError> {
     let folder = to.parent().unwrap_or(Path::new("."));
     storage
         .rename(from, to)

@@ -1,10 +1,10 @@
-//! A segment's line of the manifest, from what the segment holds.
+//! Counts of a segment: makes its manifest line from what it holds.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::super::gap::gaps_in;
 use super::super::manifest::{Counts, ManifestLine, PoseBox, TopicEntry};
-use super::super::recorder::note_gap;
+use super::super::recorder::count_gap;
 use realitysim_config::{Settings, ThinningMode};
 use realitysim_log_input::decode::stamp_ns;
 use realitysim_log_input::measurement::is_frame;
@@ -12,11 +12,14 @@ use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{FrameTag, Message};
 use realitysim_ros2::topics;
 
+/// Counts of the messages of one segment.
 pub(super) struct SegmentCounts<'a> {
     settings: &'a Settings,
-    /// Stamps of images and of tags, if frames are thinned: each image stands before its tag then.
+    /// Stamps of images that no tag was found for yet, ns, if frames are thinned: each image stands before its tag
+    /// then.
     images: BTreeSet<i64>,
-    untold: u64,
+    /// Tags whose image is missing.
+    tags_without_image: u64,
     counts: Counts,
     poses: Option<PoseBox>,
     times: Option<(i64, i64)>,
@@ -25,11 +28,12 @@ pub(super) struct SegmentCounts<'a> {
 }
 
 impl<'a> SegmentCounts<'a> {
+    /// Begins with an empty segment.
     pub fn new(settings: &'a Settings) -> Self {
         Self {
             settings,
             images: BTreeSet::new(),
-            untold: 0,
+            tags_without_image: 0,
             counts: Counts::default(),
             poses: None,
             times: None,
@@ -38,10 +42,12 @@ impl<'a> SegmentCounts<'a> {
         }
     }
 
+    /// Number of messages.
     pub fn messages(&self) -> u64 {
         self.messages
     }
 
+    /// Counts a message.
     pub fn note(&mut self, message: &LogMessage) {
         let at_ns = message.log_time_ns;
         self.times = Some(self.times.map_or((at_ns, at_ns), |(first, last)| (first.min(at_ns), last.max(at_ns))));
@@ -57,7 +63,7 @@ impl<'a> SegmentCounts<'a> {
             self.counts.tagged += 1;
             let tag = FrameTag::decode(&message.data).ok();
             let stamp = tag.as_ref().map(|tag| tag.header.stamp.to_nanoseconds());
-            self.untold += u64::from(thins && stamp.is_some_and(|stamp| !self.images.remove(&stamp)));
+            self.tags_without_image += u64::from(thins && stamp.is_some_and(|stamp| !self.images.remove(&stamp)));
             if let Some(tag) = tag.filter(|tag| tag.valid) {
                 self.counts.valid += 1;
                 let position = &tag.pose.pose.position;
@@ -65,10 +71,12 @@ impl<'a> SegmentCounts<'a> {
             }
         }
         for gap in gaps_in(message) {
-            note_gap(&mut self.counts, &gap);
+            count_gap(&mut self.counts, &gap);
         }
     }
 
+    /// Makes the manifest line and the numbers of messages by topic. `bytes` and `blake3` are size and hash of the
+    /// file, `cut` the bytes that a repair could not keep.
     pub fn line(
         mut self,
         name: &str,
@@ -76,8 +84,8 @@ impl<'a> SegmentCounts<'a> {
         blake3: String,
         cut: u64,
     ) -> (ManifestLine, BTreeMap<TopicEntry, u64>) {
-        // A tag without its image: thinned out, if no gap says that the image was dropped.
-        self.counts.thinned = self.untold.saturating_sub(self.counts.all_dropped());
+        // A tag without its image was thinned out, unless a gap says that the image was dropped.
+        self.counts.thinned = self.tags_without_image.saturating_sub(self.counts.all_dropped());
         self.counts.captured += self.counts.thinned;
         let (first_ns, last_ns) = self.times.unwrap_or_default();
         let line = ManifestLine {

@@ -1,4 +1,4 @@
-//! What goes when the disk fills up, in which order, and what never goes.
+//! Tests of what is removed when the disk fills up, in which order, and what never is.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use super::disk::{SimulatedDisk, Trouble};
 use crate::acknowledgement::{ACK_FOLDER, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER};
 use crate::manifest::{Counts, MANIFEST_FILE, ManifestLine, PIN_FILE, SESSION_FILE};
 use crate::record_queue::Allowed;
-use crate::retention::{Limits, Retention, Seen};
+use crate::retention::{Limits, Retention, SpaceCheck};
 use crate::storage::{Storage, write_atomically};
 use realitysim_config::RecordingSettings;
 
@@ -42,7 +42,7 @@ fn line(name: &str) -> ManifestLine {
     }
 }
 
-/// A session of two segments of a mebibyte each; the receivers have what they acknowledge.
+/// Adds a session of two segments of a mebibyte each; the receiver `laptop` has acknowledged those that are named.
 fn add(disk: &SimulatedDisk, name: &str, acknowledged: &[&str], is_pinned: bool) -> PathBuf {
     let session = Path::new(CAPTURES).join(name);
     disk.create_folder(&session).unwrap();
@@ -65,14 +65,15 @@ fn add(disk: &SimulatedDisk, name: &str, acknowledged: &[&str], is_pinned: bool)
     session
 }
 
-/// With so much of the disk still free.
-fn look(disk: &SimulatedDisk, settings: &RecordingSettings, free_mb: f64, session: Option<&Path>) -> Seen {
+/// Checks the disk while `free_mb` MiB of it are free.
+fn look(disk: &SimulatedDisk, settings: &RecordingSettings, free_mb: f64, session: Option<&Path>) -> SpaceCheck {
     let used: usize = disk.snapshot().values().map(Vec::len).sum();
     let capacity_bytes = Some(used as u64 + (free_mb * MEBIBYTE as f64) as u64);
     disk.trouble(Trouble { capacity_bytes, ..Trouble::default() });
-    Retention::new(Arc::new(disk.clone()), Limits::new(Path::new(CAPTURES), settings)).look(session)
+    Retention::new(Arc::new(disk.clone()), Limits::new(Path::new(CAPTURES), settings)).check_space(session)
 }
 
+/// Segments that were removed.
 fn evicted(disk: &SimulatedDisk) -> Vec<String> {
     let snapshot = disk.snapshot();
     let all = snapshot.keys().filter(|path| path.file_name().is_some_and(|name| name == MANIFEST_FILE));
@@ -105,7 +106,7 @@ fn what_is_acknowledged_goes_oldest_first_and_pinned_last() {
         expected.sort_unstable();
         assert_eq!(evicted(&disk), expected);
     }
-    // What nobody has stays, whatever that costs.
+    // A segment that no other store has stays, whatever that costs.
     let seen = look(&disk, &settings(), 3.5, None);
     assert_eq!((seen.allowed, seen.evicted.len()), (Allowed::NoFrames("disk_full"), 0));
     assert_eq!(look(&disk, &settings(), 0.9, None).allowed, Allowed::Nothing("disk_full"));
@@ -114,7 +115,8 @@ fn what_is_acknowledged_goes_oldest_first_and_pinned_last() {
 #[test]
 fn only_what_is_verified_as_it_stands_may_go() {
     let (disk, other, third) = (disk(), disk(), disk());
-    // Another hash, another size, a name that leads out, a line that was cut.
+    // An acknowledgement with another hash, one with another size, one whose name leads out of the folder, and one
+    // that was cut.
     let session = add(&disk, "a", &["0000.mcap"], false);
     let [first, second] = ["0000.mcap", "0001.mcap"].map(|name| Acknowledgement::of(&line(name)));
     let lines = [
@@ -137,7 +139,8 @@ fn only_what_is_verified_as_it_stands_may_go() {
     }
 }
 
-/// A prune that has found its last copy here deletes its own, and takes back the word by which this one could go.
+/// A prune that has found its last copy here deletes its own, and takes back the acknowledgement by which this one
+/// could be removed.
 #[test]
 fn nothing_goes_while_somebody_else_has_the_folder_s_turn() {
     let disk = disk();
@@ -150,7 +153,7 @@ fn nothing_goes_while_somebody_else_has_the_folder_s_turn() {
     assert!(disk.lock(Path::new(CAPTURES)).unwrap().is_some(), "given back");
 }
 
-/// On a dev machine that records into the folder that it syncs into.
+/// A development machine may record into the folder that it syncs into.
 #[test]
 fn the_folders_own_word_as_a_receiver_frees_nothing() {
     let disk = disk();

@@ -1,4 +1,5 @@
-//! What `repair` finds that the recorder did not leave like this: flipped bits, stale copies, foreign files, edited manifests.
+//! Tests of `repair` on what the recorder would not have left: flipped bits, stale copies, foreign files, edited
+//! manifests.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,10 +14,11 @@ use super::run::{self, CAPTURES, Run};
 use realitysim_ros2::mcap_read::attachments;
 use realitysim_ros2::mcap_write::LogWriter;
 
+/// A session that was recorded without trouble.
 struct Whole {
     run: Run,
     session: PathBuf,
-    /// Its first segment.
+    /// Content of its first segment.
     content: Vec<u8>,
 }
 
@@ -28,14 +30,14 @@ impl Whole {
         Self { run, session, content }
     }
 
-    /// The session with this alone, never finished.
+    /// A disk with the session and this content as its only segment, never finished.
     fn with_active(&self, content: &[u8]) -> SimulatedDisk {
         let disk = SimulatedDisk::new(0, Trouble::default());
         run::put(&disk, CAPTURES, &self.session, &self.run.disk, content);
         disk
     }
 
-    /// The session as it was recorded.
+    /// A disk with the session as it was recorded.
     fn recorded(&self) -> SimulatedDisk {
         let disk = SimulatedDisk::new(0, Trouble::default());
         disk.create_folder(Path::new(CAPTURES)).unwrap();
@@ -49,7 +51,7 @@ impl Whole {
     }
 
     fn put(&self, disk: &SimulatedDisk, name: &str, content: &[u8]) {
-        // Not by `write_atomically`, which takes another ending for its own.
+        // `write_atomically` cannot be used: it replaces the name's ending for its temporary file.
         let file = disk.create_over(&self.session.join(name)).unwrap();
         let mut written = 0;
         while written < content.len() {
@@ -75,7 +77,7 @@ fn damage_before_the_chunks_of_an_unfinished_segment_costs_no_chunk() {
     let messages = run::read_file(&whole.run.disk, &whole.session.join("0000.mcap")).len();
     let first_chunk = chunks(&whole.content)[0];
     assert!(first_chunk > 60 && messages > 10, "{first_chunk} {messages}");
-    // The lengths of header and attachment, and all between; a wrong one may fit into the file.
+    // This covers the lengths of header and attachment, and everything between. A wrong length may fit into the file.
     for byte in 8..first_chunk {
         for bit in [0, 2, 5] {
             let mut damaged = whole.content.clone();
@@ -94,9 +96,9 @@ fn damage_before_the_chunks_of_an_unfinished_segment_costs_no_chunk() {
     assert_eq!(run::read_file(&disk, &whole.session.join("0000.mcap")).len(), messages);
 }
 
-/// Attachments hold what a replay starts from.
+/// Attachments are compared as well, since a replay starts from them.
 #[test]
-fn a_byte_that_changed_in_a_finished_segment_without_a_line_is_told_or_changes_nothing_that_is_read() {
+fn a_changed_byte_in_an_unlisted_segment_is_told_or_harmless() {
     let whole = Whole::new();
     let path = whole.session.join("0000.mcap");
     let read = |disk: &SimulatedDisk| {
@@ -191,7 +193,7 @@ fn what_gives_no_message_goes_only_if_it_is_the_beginning_of_a_log() {
         let repaired = whole.repair(&disk);
         assert_eq!((repaired.lost.len(), repaired.removed.len()), (0, 1), "{repaired:?}");
     }
-    // A chunk that was begun: it held something.
+    // A chunk that was begun held something.
     let disk = whole.with_active(&whole.content[..first_chunk + 50]);
     let repaired = whole.repair(&disk);
     assert_eq!((repaired.lost.len(), repaired.removed.len()), (1, 1), "{repaired:?}");
@@ -256,7 +258,7 @@ fn a_damaged_line_of_a_manifest_is_mended_or_told() {
     }
 }
 
-/// Where they begin.
+/// Positions of the chunks of a log.
 fn chunks(log: &[u8]) -> Vec<usize> {
     let mut found = Vec::new();
     let mut at = 8;

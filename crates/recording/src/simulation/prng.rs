@@ -1,5 +1,6 @@
-//! Random numbers of a seed (SplitMix64, Steele et al. 2014).
+//! Pseudorandom numbers from a seed (SplitMix64, Steele et al. 2014).
 
+/// The generator.
 pub struct Dice(u64);
 
 impl Dice {
@@ -15,6 +16,7 @@ impl Dice {
         z ^ (z >> 31)
     }
 
+    /// Number from 0 to `limit` - 1.
     pub fn below(&mut self, limit: u64) -> u64 {
         self.next() % limit
     }

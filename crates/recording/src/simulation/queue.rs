@@ -1,4 +1,4 @@
-//! What waits for a disk that stands still.
+//! Tests of the queue while the disk stalls.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,7 +26,7 @@ fn next(shared: &RecordQueue) -> Option<Entry> {
     }
 }
 
-/// At the shipped sizes; the reserve is that of config/robot.toml.
+/// The sizes are those of the shipped settings; the reserve is that of config/robot.toml.
 #[test]
 fn a_minute_of_measurements_and_tags_waits_while_frames_are_dropped() {
     let reserve = realitysim_config::RecordingSettings::default().reserve_mb as usize;
@@ -75,7 +75,7 @@ fn a_gap_stands_between_what_came_before_and_after() {
     (0..20).for_each(|at_ns| shared.offer(frame(at_ns), Duration::ZERO));
     let mut written = 0;
     while let Some(entry) = next(&shared) {
-        shared.written(&entry);
+        shared.count_written(&entry);
         shared.release(&entry);
         written += 1;
     }

@@ -1,5 +1,7 @@
-//! Sessions go from a folder of captures: decided on with all the time that reading takes, and once more looked at, in the
-//! folders' turn, when they do.
+//! Deletion of sessions from a folder of captures.
+//!
+//! It is decided without a lock, since reading takes long, and checked again under the locks of all folders right
+//! before a session is deleted.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -14,13 +16,16 @@ use super::store::{Store, is_as_recorded};
 use crate::catalogue::{session_at, sessions_in};
 use crate::{FolderLock, Session, is_probe, prove_apart, receiver_of, silence, sync_folder};
 
-/// What may go from `captures`, and why. What lies in one of `copies` whole, by its hash, counts as being elsewhere.
+/// What may be deleted from a folder of captures, and why.
+///
+/// A session that lies whole, by its hashes, in one of the folders `copies` counts as being elsewhere.
 pub struct Removal<'a> {
     captures: &'a Path,
     copies: &'a [PathBuf],
     sessions: &'a [Session],
-    /// Of a session that was found whole in a copy, the copy's files as they were then.
+    /// Copies that were found whole, by the session's folder, with their files as they were then.
     found: BTreeMap<PathBuf, FoundCopy>,
+    /// What is to become of each session.
     pub decisions: Vec<Decision>,
 }
 
@@ -38,16 +43,19 @@ struct Found {
     stamp: Stamp,
 }
 
-/// Device, inode, size and the last change of either content or name: another stamp may be another content.
+/// Device, inode, size and the last change of content or name (s, ns). Another stamp may mean other content.
 type Stamp = (u64, u64, u64, i64, i64);
 
+/// Reason why a session stays that changed between decision and deletion.
 const CHANGED: &str = "changed while it was looked at: prune again";
-/// What is on its way out is hidden under this and the session's id.
+/// Beginning of the hidden name of a session that is being deleted; its id follows.
 const HIDDEN: &str = ".pruned-";
 
 impl<'a> Removal<'a> {
-    /// Reads every segment of the copies that matters. Nothing is changed, but that a file is written into both folders of a
-    /// session, and removed, to prove that they are not one.
+    /// Decides on every session, and reads for that every segment of the copies that matters.
+    ///
+    /// Nothing is changed, except that a probe file is written into both folders of a session, and removed, to prove
+    /// that they are different storage.
     pub fn plan(captures: &'a Path, copies: &'a [PathBuf], sessions: &'a [Session], goal: &Goal) -> Self {
         let found = RefCell::new(BTreeMap::new());
         let copy_of = |session: &Session| {
@@ -68,7 +76,7 @@ impl<'a> Removal<'a> {
         Self { captures, copies, sessions, found: found.into_inner(), decisions }
     }
 
-    /// Deletes what was decided on. What is not as it was any more stays, and says so.
+    /// Deletes what was decided on. A session that has changed since stays, and its decision says so.
     pub fn carry_out(&mut self) -> Result<(), SyncError> {
         finish_earlier(self.captures)?;
         for index in 0..self.decisions.len() {
@@ -87,15 +95,17 @@ impl<'a> Removal<'a> {
         Ok(())
     }
 
-    /// Gone from sight in one step. Nobody else deletes in these folders meanwhile, nor relies on what does: each would be the
-    /// other's last copy.
+    /// Hides a session in one step, by renaming its folder; `None` if something has changed since the decision.
+    ///
+    /// Under the locks of all folders nobody else deletes a copy that this deletion relies on, or relies on the one
+    /// that is deleted.
     fn hide(&self, session: &Session, relies_on_copy: bool) -> Result<Option<PathBuf>, SyncError> {
         let Self { captures, copies, .. } = self;
         let folders: Vec<&Path> = [*captures].into_iter().chain(copies.iter().map(PathBuf::as_path)).collect();
         let turns = FolderLock::in_folders(&folders).map_err(io(captures))?;
         let relied_on = self.found.get(&session.folder).filter(|_| relies_on_copy);
         let is_as_found = || relied_on.is_none_or(FoundCopy::is_as_found);
-        // The folders may be others than those that were looked at: a disk goes, another comes under its name.
+        // The folders may be others than before: a disk may be unplugged and another appear under its name.
         let is_apart = relied_on.is_none_or(|copy| prove_apart(&session.folder, &copy.folder).is_ok());
         if !session_at(&session.folder).is_ok_and(|now| now == *session) || !is_as_found() || !is_apart {
             return Ok(None);
@@ -105,13 +115,13 @@ impl<'a> Removal<'a> {
             take_back(session, captures, copy, relies_on_copy, &turns)?;
         }
         if receiver_of(captures).is_some() {
-            // A sync does not fetch it again unasked.
+            // So that a sync does not fetch the session again unasked.
             Store::in_turn(captures, &turns)?.note_pruned(session)?;
         }
         let hidden = captures.join(format!("{HIDDEN}{}", session.id.as_str()));
         fs::rename(&session.folder, &hidden).map_err(io(&session.folder))?;
-        // Whoever does not know of turns has no way to it any more; what came in the last moment stays with the session.
-        // And the copy must be where it was although this has gone.
+        // A program that does not use the locks cannot reach the session any more. If it has changed something in the
+        // last moment, the session stays; so it does if the copy is not where it was, now that this folder is hidden.
         if names_in(&hidden).map_err(io(&hidden))? != held || !is_as_found() {
             fs::rename(&hidden, &session.folder).map_err(io(&hidden))?;
             return Ok(None);
@@ -121,8 +131,11 @@ impl<'a> Removal<'a> {
     }
 }
 
-/// Before the session goes: what the copy may have relied on it for holds no longer; and if it goes because the copy was found
-/// whole, the copy relies on nobody any more, since everybody else may rely on what goes.
+/// Corrects the acknowledgements in a copy before the session is deleted.
+///
+/// What the copy has on record from this folder holds no longer. If the session is deleted because the copy was found
+/// whole, all acknowledgements in the copy are taken back, since other stores may rely on the session that is
+/// deleted.
 fn take_back(
     session: &Session,
     captures: &Path,
@@ -130,7 +143,7 @@ fn take_back(
     relies_on_copy: bool,
     turns: &[FolderLock],
 ) -> Result<(), SyncError> {
-    // A folder without a name has given nobody its word.
+    // A folder without a name as a receiver has acknowledged nothing.
     let own = receiver_of(captures).unwrap_or_default();
     let (others, _) = sessions_in(copy).map_err(io(copy))?;
     for other in others.iter().filter(|other| other.id == session.id) {
@@ -144,7 +157,7 @@ fn take_back(
     Ok(())
 }
 
-/// What a prune that was killed had begun to delete.
+/// Deletes what a prune that was killed had hidden.
 fn finish_earlier(captures: &Path) -> Result<(), SyncError> {
     let _turn = FolderLock::in_folder(captures).map_err(io(captures))?;
     for entry in fs::read_dir(captures).map_err(io(captures))?.flatten() {
@@ -156,8 +169,8 @@ fn finish_earlier(captures: &Path) -> Result<(), SyncError> {
     Ok(())
 }
 
-/// The other folder's session, if every segment that is here lies there as it was recorded, in another file; or why that is no
-/// copy.
+/// Finds the session in another folder of captures, with every segment as it was recorded and in another file; the
+/// error says why what was found does not count as a copy.
 fn copy_in(session: &Session, copy: &Path) -> Result<Option<FoundCopy>, String> {
     let Ok((others, _)) = sessions_in(copy) else { return Ok(None) };
     let Some(other) = others.into_iter().find(|other| other.id == session.id) else { return Ok(None) };
@@ -166,6 +179,7 @@ fn copy_in(session: &Session, copy: &Path) -> Result<Option<FoundCopy>, String> 
     Ok(files.map(|files| FoundCopy { folder: other.folder, files }))
 }
 
+/// Files of the other session, if each segment lies there as it was recorded.
 fn whole_in(session: &Session, other: &Session) -> Option<Vec<Found>> {
     let here = session.lines.iter().filter(|line| session.segments.contains_key(&line.name));
     let found = here.map(|line| {
@@ -178,6 +192,7 @@ fn whole_in(session: &Session, other: &Session) -> Option<Vec<Found>> {
 }
 
 impl FoundCopy {
+    /// Whether no file has changed since it was read.
     fn is_as_found(&self) -> bool {
         self.files.iter().all(|file| stamp(&file.path).is_ok_and(|now| now == file.stamp))
     }
@@ -188,9 +203,10 @@ fn stamp(path: &Path) -> io::Result<Stamp> {
     Ok((is.dev(), is.ino(), is.len(), is.ctime(), is.ctime_nsec()))
 }
 
+/// Names of the entries of a folder, sorted.
 fn names_in(folder: &Path) -> io::Result<Vec<std::ffi::OsString>> {
     let mut names = fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name())).collect::<io::Result<Vec<_>>>()?;
-    // Somebody else's proof that this folder is none of theirs comes and goes.
+    // Probe files of other programs come and go.
     names.retain(|name| !is_probe(name));
     names.sort();
     Ok(names)

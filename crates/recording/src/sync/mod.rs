@@ -1,5 +1,8 @@
-//! Recordings from a robot, or from a stick, into a folder of captures: planned purely (`plan`), carried by rsync
-//! (`rsync`), verified and put in place by us (`store`), one round after the other (`round`: `look`, plan, `fetch`, acknowledge).
+//! Synchronization: copies recordings from a robot, or from a memory stick, into a folder of captures.
+//!
+//! One pass ([`round`]) looks at the source (`scan`), plans what is missing here ([`plan()`], pure), lets rsync carry
+//! it (`rsync`, `fetch`), verifies each segment and puts it in place (`store`), and acknowledges to the source what
+//! is here. [`Removal`] deletes sessions that lie somewhere else as well.
 
 mod deletion;
 mod error;

@@ -1,4 +1,4 @@
-//! What is at the source.
+//! Scan of a source: its sessions, and what lies in their folders.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,27 +12,28 @@ use crate::catalogue::{Kind, is_plain_name, sessions_in};
 use crate::{Session, SetAside, is_segment_name};
 
 /// A source at one moment.
-pub(super) struct Seen {
-    /// What they say of themselves, and what lies in their folders.
+pub(super) struct SourceScan {
+    /// Sessions at the source, with the files in their folders.
     pub sessions: Vec<Session>,
-    /// Sizes and times of files, by their paths: only whether they change says anything.
+    /// Sizes and times of files, by path, as rsync prints them: they only tell whether a file has changed.
     pub stamps: BTreeMap<String, String>,
 }
 
-pub(super) fn look(rsync: &Rsync, desk: &SourceState, report: &mut Report) -> Result<Seen, SyncError> {
-    // What became a link there would stay here as it was.
-    desk.forget_acknowledgements()?;
-    // In this order: a recorder gives a segment its name before its line, so that what the manifest lists is there when the
-    // folder is looked at.
-    if let Ended::Partly(said) = rsync.heads(&desk.known)? {
+/// Scans a source: fetches what describes its sessions, then lists their folders.
+pub(super) fn scan(rsync: &Rsync, source_state: &SourceState, report: &mut Report) -> Result<SourceScan, SyncError> {
+    // An acknowledgement that became a link at the source would otherwise stay here as it was.
+    source_state.forget_acknowledgements()?;
+    // In this order: a recorder renames a segment before it writes the line, so that what the manifest lists is there
+    // when the folder is listed.
+    if let Ended::Partly(said) = rsync.heads(&source_state.known)? {
         report.set_aside.push(SetAside::new(rsync.source.shown(), said));
     }
     let (entries, ended) = rsync.list()?;
     let shown = PathBuf::from(rsync.source.shown());
     let as_there =
-        |path: &Path| path.strip_prefix(&desk.known).map_or_else(|_| path.to_owned(), |rest| shown.join(rest));
-    let (mut sessions, strange) =
-        sessions_in(&desk.known).map_err(|source| SyncError::Io { path: desk.known.clone(), source })?;
+        |path: &Path| path.strip_prefix(&source_state.known).map_or_else(|_| path.to_owned(), |rest| shown.join(rest));
+    let (mut sessions, strange) = sessions_in(&source_state.known)
+        .map_err(|source| SyncError::Io { path: source_state.known.clone(), source })?;
     report.set_aside.extend(strange.into_iter().map(|it| SetAside::new(as_there(&it.path), it.why)));
     for session in &mut sessions {
         session.folder = as_there(&session.folder);
@@ -55,25 +56,26 @@ pub(super) fn look(rsync: &Rsync, desk: &SourceState, report: &mut Report) -> Re
         let (folder, name) = entry.path.split_once('/').map_or((entry.path.as_str(), None), |(a, b)| (a, Some(b)));
         let session = sessions.iter_mut().find(|session| session.name == folder);
         if let (None, Some(name), Kind::File(_)) = (&session, name, entry.kind) {
-            // Recorded once, and nobody can say any more what it should be.
+            // The segment belongs to no session that can be read, so that nobody can say what it should be.
             report.left_there += u64::from(is_plain_name(folder) && is_segment_name(name));
         }
         match (session, name, entry.kind) {
-            // A link there is no folder to acknowledge into.
+            // A link there is not a folder to acknowledge into.
             (Some(session), Some(name), kind) => session.note(name, kind),
             (_, None, Kind::Link | Kind::Other) => {
                 report.set_aside.push(SetAside::new(shown.join(folder), "a link or a device: not followed"));
             }
-            (None, None, Kind::Folder) if !is_plain_name(folder) || !desk.known.join(folder).exists() => {
+            (None, None, Kind::Folder) if !is_plain_name(folder) || !source_state.known.join(folder).exists() => {
                 report.set_aside.push(SetAside::new(shown.join(folder), "no session: left alone"));
             }
             _ => {}
         }
     }
-    Ok(Seen { sessions, stamps })
+    Ok(SourceScan { sessions, stamps })
 }
 
-/// What could not be looked into is not empty: nothing is said of it, and nothing taken back.
+/// Leaves out sessions whose folder could not be listed: such a folder is not empty, and nothing is taken back
+/// because of it.
 fn leave_out_unread(sessions: &mut Vec<Session>, entries: &[Entry], said: &str) -> Vec<SetAside> {
     let is_read = |session: &Session| {
         entries.iter().any(|entry| entry.path.split_once('/').is_some_and(|(folder, _)| folder == session.name))

@@ -1,5 +1,5 @@
-//! What is known of a source: what its sessions say of themselves (`known/`), what is not whole yet (`incoming/`), and when it
-//! was last looked at.
+//! What is known of a source: descriptions of its sessions (`known/`), segments that are not whole yet (`incoming/`),
+//! and when it was last looked at.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -17,10 +17,12 @@ use crate::catalogue::sessions_in;
 use crate::storage::read_plain;
 use crate::{ACK_ENDING, ACK_FOLDER, SYNC_FOLDER, Session, SessionId, write_atomically};
 
-/// One source's place; nobody else has it as long as this lives.
+/// The place of one source in a store. It is locked as long as this value lives.
 #[derive(Debug)]
 pub struct SourceState {
+    /// Folder with the descriptions of the source's sessions.
     pub known: PathBuf,
+    /// Folder with segments that are not whole yet.
     pub incoming: PathBuf,
     _lock: File,
 }
@@ -28,31 +30,34 @@ pub struct SourceState {
 /// A source that was synced from before.
 #[derive(Debug)]
 pub struct KnownSource {
+    /// The source, as people write it.
     pub source: String,
     /// When it was last looked at, by this machine's clock.
     pub seen: Option<Timestamp>,
-    /// As they were then.
+    /// Its sessions as they were then.
     pub sessions: Vec<Session>,
-    /// Those that were ended then: no segment comes any more.
+    /// Those of its sessions that had ended then: they get no more segments.
     pub ended: BTreeSet<SessionId>,
 }
 
+/// Content of `source.json`.
 #[derive(Serialize, Deserialize)]
 struct SourceNote {
     source: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     seen: Option<String>,
-    /// Sessions with a segment that was being written.
+    /// Sessions that had a segment being written.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     open: Vec<String>,
 }
 
+/// File with a [`SourceNote`].
 const SOURCE_FILE: &str = "source.json";
-/// For what a sync that was killed left running.
+/// Longest time to wait for the rsync of a sync that was killed.
 const MAX_WAIT: Duration = Duration::from_secs(5);
 
 impl SourceState {
-    /// Waits for a sync of the same source to end, but not for long.
+    /// Opens the place of a source. If another sync of the source is running, this waits for up to [`MAX_WAIT`].
     pub(super) fn open(state: &Path, source: &Source) -> Result<Self, SyncError> {
         let place = state.join(source.key());
         let (known, incoming) = (place.join("known"), place.join("incoming"));
@@ -69,16 +74,17 @@ impl SourceState {
             }
             std::thread::sleep(MAX_WAIT / 50);
         }
-        // rsync inherits it: if we are killed and it is not, nobody touches the files that it still writes.
+        // rsync inherits the lock: if this program is killed and rsync is not, nobody touches the files that rsync
+        // still writes.
         rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()).map_err(|error| io(&path)(error.into()))?;
-        let desk = Self { known, incoming, _lock: lock };
+        let source_state = Self { known, incoming, _lock: lock };
         if !place.join(SOURCE_FILE).exists() {
-            desk.note(&SourceNote { source: source.shown(), seen: None, open: Vec::new() })?;
+            source_state.note(&SourceNote { source: source.shown(), seen: None, open: Vec::new() })?;
         }
-        Ok(desk)
+        Ok(source_state)
     }
 
-    /// What the source was known to have been told.
+    /// Deletes the copies of the source's acknowledgements.
     pub(super) fn forget_acknowledgements(&self) -> Result<(), SyncError> {
         for session in fs::read_dir(&self.known).into_iter().flatten().flatten() {
             let acks = session.path().join(ACK_FOLDER);
@@ -89,7 +95,7 @@ impl SourceState {
         Ok(())
     }
 
-    /// What the source looked like just now.
+    /// Notes when the source was looked at, and which of its sessions were open.
     pub(super) fn note_seen(&self, source: &Source, there: &[Session]) -> Result<(), SyncError> {
         let open = there.iter().filter(|session| session.open).map(|session| session.id.as_str().to_owned());
         self.note(&SourceNote {
@@ -99,25 +105,26 @@ impl SourceState {
         })
     }
 
+    /// Writes `source.json`.
     fn note(&self, note: &SourceNote) -> Result<(), SyncError> {
         let text = serde_json::to_vec(note).map_err(crate::RecordingError::from)?;
         Ok(write_atomically(&self.known.with_file_name(SOURCE_FILE), &text)?)
     }
 
-    /// An empty file of the name of our acknowledgements.
-    pub(super) fn nothing(&self, receiver: &str) -> PathBuf {
+    /// Path of an empty file that replaces this store's acknowledgements at the source.
+    pub(super) fn empty_acknowledgements(&self, receiver: &str) -> PathBuf {
         self.known.with_file_name(format!("{receiver}{ACK_ENDING}"))
     }
 }
 
-/// What was known at the last sync of each source that this folder was filled from; nothing of a folder that was not.
+/// Lists the sources that a folder of captures was synced from, as they were at their last sync.
 pub fn known_sources(captures: &Path) -> Vec<KnownSource> {
     let mut all = Vec::new();
     for place in fs::read_dir(captures.join(SYNC_FOLDER)).into_iter().flatten().flatten() {
         let Ok(bytes) = read_plain(&place.path().join(SOURCE_FILE), MAX_SMALL_BYTES) else { continue };
         let Ok(SourceNote { source, seen, open }) = serde_json::from_slice(&bytes) else { continue };
         let Ok((sessions, _)) = sessions_in(&place.path().join("known")) else { continue };
-        // Written last of all, by whoever recorded, repaired or fetched the whole of it.
+        // `metadata.yaml` is written last, by the recorder, by a repair, or by a sync that has everything.
         let has_ended = |it: &&Session| !open.iter().any(|id| id == it.id.as_str()) && it.has_ended;
         let ended = sessions.iter().filter(has_ended).map(|session| session.id.clone()).collect();
         all.push(KnownSource { source, seen: seen.and_then(|text| text.parse().ok()), sessions, ended });

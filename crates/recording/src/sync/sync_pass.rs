@@ -1,4 +1,4 @@
-//! One round: what is there, what is missing here, fetch, verify, put in place, acknowledge.
+//! One pass of a sync: scan, plan, fetch, verify, put in place, acknowledge.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,89 +9,119 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::error::SyncError;
-use super::fetch::Work;
+use super::fetch::Fetcher;
 use super::plan::{Plan, plan};
 use super::rsync::{Ended, Rsync};
-use super::scan::{Seen, look};
+use super::scan::{SourceScan, scan};
 use super::selection::Selection;
 use super::source::Source;
 use super::source_state::SourceState;
 use super::store::Store;
 use crate::{ACK_FOLDER, NotApart, Session, SessionId, SetAside, prove_apart};
 
+/// What to sync, and how.
 #[derive(Clone, Debug)]
 pub struct Options {
+    /// Where the recordings are.
     pub source: Source,
+    /// Which segments are wanted.
     pub selection: Selection,
-    /// The command that opens a shell on the robot, as for `rsync -e`.
+    /// Command that opens a shell on the robot, as for `rsync -e`.
     pub ssh: String,
-    /// Tell the source what is here, so that it may delete it.
+    /// Whether to tell the source what is here, so that it may delete it.
     pub acknowledge: bool,
 }
 
 /// What people want to know as it happens.
 #[derive(Debug)]
 pub enum Event<'a> {
-    /// Before anything is fetched.
-    Planned { sessions: usize, plan: &'a Plan },
-    /// Bytes of this round that are here, and how many there will be.
-    Progress { done: u64, total: u64 },
-    /// The link broke, and it is tried again.
-    Again { said: &'a str },
+    /// The plan is made, and nothing is fetched yet.
+    Planned {
+        /// Number of sessions at the source.
+        sessions: usize,
+        /// The plan.
+        plan: &'a Plan,
+    },
+    /// Some bytes have come.
+    Progress {
+        /// Bytes of this pass that are here.
+        done: u64,
+        /// Bytes of this pass.
+        total: u64,
+    },
+    /// The link broke, and is tried again.
+    Again {
+        /// Text of the error.
+        said: &'a str,
+    },
 }
 
+/// Result of a pass.
 #[derive(Debug, Default, Serialize)]
 pub struct Report {
+    /// The source, as people write it.
     pub source: String,
-    /// This store's name in acknowledgements.
+    /// Name of this store in acknowledgements.
     pub receiver: String,
+    /// What is here of each session.
     pub sessions: Vec<SessionReport>,
-    /// Segments that came, and their bytes.
+    /// Segments that were transferred.
     pub fetched: u64,
+    /// Bytes of these segments.
     pub fetched_bytes: u64,
-    /// Segments that were here and are verified now.
+    /// Segments that were here already and are verified now.
     pub verified: u64,
     /// Segments that were here and verified before.
     pub already: u64,
-    /// Wanted and still not here.
+    /// Segments that are wanted and still not here.
     pub missing: u64,
-    /// Finished and not fetched, since what their manifest says of them is not believed, or their session has no head.
+    /// Finished segments that are not fetched, since their manifest is not believed, or their session has no
+    /// `session.json`.
     pub left_there: u64,
-    /// Not fetched, since the disk has no room for them.
+    /// Bytes of segments that are not fetched, since the disk has no room for them.
     pub no_room_bytes: u64,
     /// Whether the source knows of everything that is here.
     pub acknowledged: bool,
-    /// Sessions there that this folder is not farther from the recorder with: who may not delete on our word.
+    /// Sessions that are not acknowledged, since this folder is not farther from the recorder than the source, which
+    /// must not delete because of it.
     pub withheld: Vec<String>,
-    /// Can be had nowhere any more, or not as it was recorded.
+    /// Segments that no store has any more, or not as they were recorded.
     pub lost: Vec<SetAside>,
-    /// Gone from the source; who has them.
+    /// Segments that the source does not have any more, with the receivers that have them.
     pub elsewhere: Vec<(PathBuf, Vec<String>)>,
-    /// Not understood and left alone.
+    /// What is not understood and left alone.
     pub set_aside: Vec<SetAside>,
-    /// Robots of one name.
+    /// Names that several robots share, with a description of each robot.
     pub namesakes: BTreeMap<String, Vec<String>>,
+    /// Duration of the pass, s.
     pub wall_s: f64,
-    /// Why it ended before its end.
+    /// Why the pass ended early; `None` if it did not.
     pub failed: Option<String>,
-    /// The link's fault: worth another round.
+    /// Whether the link is at fault, so that another pass may succeed.
     #[serde(skip)]
     pub is_link: bool,
 }
 
+/// What is here of one session.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SessionReport {
-    /// Its folder's name here.
+    /// Name of its folder here.
     pub session: String,
+    /// Identity of the session.
     pub id: SessionId,
-    /// Here and verified, of so many finished ones at the source.
+    /// Segments that are here and verified.
     pub segments: u64,
+    /// Finished segments at the source.
     pub of: u64,
 }
 
-/// Left free on the disk.
+/// Bytes that are left free on the disk.
 const ROOM_LEFT_BYTES: u64 = 64 << 20;
 
+/// Runs one pass of a sync.
+///
+/// `tell` is called with each [`Event`]; the pass ends early when `stop` is set. What fails after the plan is made
+/// stands in [`Report::failed`]; earlier failures are errors.
 pub fn round(
     options: &Options,
     store: &Store,
@@ -99,17 +129,17 @@ pub fn round(
     tell: &mut dyn FnMut(Event),
 ) -> Result<Report, SyncError> {
     let began = Instant::now();
-    // Before a desk is made: a folder is known by where it really lies.
+    // This is checked first, since the source's state is kept under the real path of its folder.
     if !options.source.is_remote() && !Path::new(&options.source.folder).is_dir() {
         let said = "there is no such folder".to_owned();
         return Err(SyncError::Absent { source_name: options.source.shown(), said });
     }
-    let desk = store.desk(&options.source)?;
+    let source_state = store.open_source_state(&options.source)?;
     let rsync = Rsync { source: &options.source, ssh: &options.ssh, stop };
     let mut report =
         Report { source: options.source.shown(), receiver: store.receiver().to_owned(), ..Report::default() };
-    let Seen { sessions: there, stamps } = look(&rsync, &desk, &mut report)?;
-    // What a listing that was broken off does not name is not lost.
+    let SourceScan { sessions: there, stamps } = scan(&rsync, &source_state, &mut report)?;
+    // A listing that was interrupted is incomplete: what it does not name is not lost.
     if stop.load(Ordering::Relaxed) {
         return Ok(report);
     }
@@ -119,13 +149,13 @@ pub fn round(
         let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
         return Err(SyncError::NoSuchSession { source_name: options.source.shown(), asked: asked.clone(), there });
     }
-    desk.note_seen(&options.source, &there)?;
+    source_state.note_seen(&options.source, &there)?;
     let (here, strange) = store.sessions()?;
     report.set_aside.extend(strange);
     let pruned: Vec<SessionId> =
         there.iter().map(|s| s.id.clone()).filter(|id| store.pruned().iter().any(|p| p.id == id.as_str())).collect();
     let mut plan = plan(&there, &here, &store.occupied(), store.receiver(), &pruned, &options.selection);
-    report.no_room_bytes = leave_out_what_has_no_room(&mut plan, store, &desk);
+    report.no_room_bytes = skip_without_room(&mut plan, store, &source_state);
     tell(Event::Planned { sessions: there.len(), plan: &plan });
     for (folder, ack) in &plan.withdrawn {
         store.withdraw(folder, std::slice::from_ref(ack))?;
@@ -137,12 +167,21 @@ pub fn round(
     report.set_aside.append(&mut plan.set_aside);
     report.namesakes = std::mem::take(&mut plan.namesakes);
     let (damaged, not_had) = (BTreeMap::new(), Vec::new());
-    let mut work = Work { store, desk: &desk, rsync: &rsync, there: &there, report, damaged, not_had, stamps: &stamps };
+    let mut work = Fetcher {
+        store,
+        source_state: &source_state,
+        rsync: &rsync,
+        there: &there,
+        report,
+        damaged,
+        not_had,
+        stamps: &stamps,
+    };
     let fetched = work.fetch(&plan, tell);
     let mut report = work.report;
     fail(&mut report, fetched);
-    // Whatever went wrong: what is here is here, and the source may know it.
-    let acknowledged = finish(options, store, &desk, &rsync, &there, &plan, &mut report);
+    // Whatever went wrong, the source may know of the segments that are here.
+    let acknowledged = finish(options, store, &source_state, &rsync, &there, &plan, &mut report);
     fail(&mut report, acknowledged);
     report.set_aside.sort();
     report.set_aside.dedup();
@@ -150,6 +189,7 @@ pub fn round(
     Ok(report)
 }
 
+/// Notes the first failure.
 fn fail(report: &mut Report, result: Result<(), SyncError>) {
     if let (Err(error), None) = (result, &report.failed) {
         report.is_link = error.is_link();
@@ -157,12 +197,13 @@ fn fail(report: &mut Report, result: Result<(), SyncError>) {
     }
 }
 
-/// The oldest come first; what does not fit any more is not begun.
-fn leave_out_what_has_no_room(plan: &mut Plan, store: &Store, desk: &SourceState) -> u64 {
+/// Leaves out segments for which the disk has no room, and returns their bytes. The oldest segments come first; after
+/// the first that does not fit, none is begun.
+fn skip_without_room(plan: &mut Plan, store: &Store, source_state: &SourceState) -> u64 {
     let Some(free) = store.free_bytes() else { return 0 };
     let (mut room, mut left_out) = (free.saturating_sub(ROOM_LEFT_BYTES), 0);
     plan.items.retain(|item| {
-        let staged = fs::metadata(item.staged(desk)).map_or(0, |metadata| metadata.len());
+        let staged = fs::metadata(item.staged(source_state)).map_or(0, |metadata| metadata.len());
         let needed = if item.is_fetched() { item.line.bytes.saturating_sub(staged) } else { 0 };
         let fits = needed <= room && left_out == 0;
         if fits {
@@ -175,11 +216,11 @@ fn leave_out_what_has_no_room(plan: &mut Plan, store: &Store, desk: &SourceState
     left_out
 }
 
-/// Sessions that are whole now get what describes them, and the source hears of what is here.
+/// Completes sessions whose segments are all here, and acknowledges to the source what is here.
 fn finish(
     options: &Options,
     store: &Store,
-    desk: &SourceState,
+    source_state: &SourceState,
     rsync: &Rsync,
     there: &[Session],
     plan: &Plan,
@@ -194,36 +235,38 @@ fn finish(
             let verified = session.lines.iter().filter(|line| acks.iter().any(|ack| ack.is_of(line))).count() as u64;
             let of = session.lines.len() as u64;
             if let Some(ours) = ours.filter(|_| verified == of && !session.open) {
-                store.complete(&ours.name, &desk.known.join(&session.name))?;
+                store.complete(&ours.name, &source_state.known.join(&session.name))?;
             }
             let (session, id) = (ours.map_or(folder, |ours| &ours.name).clone(), session.id.clone());
             report.sessions.push(SessionReport { session, id, segments: verified, of });
         }
         let told = session.acknowledged.get(store.receiver()).map_or(&[][..], Vec::as_slice);
-        // Each relies only on who is farther from the recorder, so the farthest that ever had it relies on nobody: without
-        // this two folders could each delete on the other's word.
+        // Each store relies only on stores that are farther from the recorder, so that the farthest one relies on
+        // nobody. Otherwise two folders could each delete because of the other's acknowledgement.
         let relies = ours.filter(|ours| ours.hops() > session.hops());
         let may_hear = if relies.is_some() { acks } else { &[] };
         if options.acknowledge && acks != may_hear {
             report.withheld.push(session.name.clone());
         }
-        // Who may rely on us is not relied on: it may have given its word when it was farther from the recorder than now.
+        // A store that may rely on this one is not relied on: it may have acknowledged when it was farther from the
+        // recorder than it is now.
         if let (Some(ours), Some(theirs)) = (relies, &session.received) {
             store.no_longer_rely_on(ours, &theirs.receiver)?;
         }
         if options.acknowledge && told != may_hear {
-            acknowledge(options, store, desk, rsync, session, relies)?;
+            acknowledge(options, store, source_state, rsync, session, relies)?;
         }
     }
     report.acknowledged = options.acknowledge && !rsync.stop.load(Ordering::Relaxed);
     Ok(())
 }
 
-/// Of a session that is not here any more: that nothing is.
+/// Replaces this store's acknowledgements of a session at the source. If the session is not here any more, they
+/// become empty.
 fn acknowledge(
     options: &Options,
     store: &Store,
-    desk: &SourceState,
+    source_state: &SourceState,
     rsync: &Rsync,
     session: &Session,
     ours: Option<&Session>,
@@ -234,7 +277,7 @@ fn acknowledge(
     }
     if let (false, Some(ours)) = (options.source.is_remote(), ours) {
         let there = Path::new(&options.source.folder).join(&session.name);
-        // Where only `ack/` may be written, that folder proves as much.
+        // Where only `ack/` may be written, a probe in that folder proves as much.
         let apart = prove_apart(&there, &ours.folder).or_else(|why| match why {
             NotApart::Unproven { .. } => prove_apart(&there.join(ACK_FOLDER), &ours.folder.join(ACK_FOLDER)),
             same @ NotApart::Same(..) => Err(same),
@@ -246,7 +289,7 @@ fn acknowledge(
     let file = match ours {
         Some(ours) => store.acknowledgements(&ours.name),
         None => {
-            let nothing = desk.nothing(store.receiver());
+            let nothing = source_state.empty_acknowledgements(store.receiver());
             fs::write(&nothing, "").map_err(|source| SyncError::Io { path: nothing.clone(), source })?;
             nothing
         }

@@ -1,10 +1,12 @@
-//! A coloured sheet that covers its surface once: the large-scale look.
+//! Large-scale coloured textures that cover their surface once, without repetition.
 
 use super::super::stream::Stream;
 use super::fixed::{ONE, fixed};
 
+/// Red, green and blue, 0 to 255.
 pub(super) type Colour = [f32; 3];
 
+/// A finished texture, packed for fast sampling.
 #[derive(Clone, Debug)]
 pub(super) struct Sheet {
     columns: usize,
@@ -14,7 +16,7 @@ pub(super) struct Sheet {
     texels: Vec<u64>,
 }
 
-/// A sheet being painted, in full precision.
+/// A texture under construction, in full precision.
 #[derive(Clone, Debug)]
 pub(super) struct Canvas {
     pub(super) columns: usize,
@@ -23,13 +25,14 @@ pub(super) struct Canvas {
     colours: Vec<[f64; 3]>,
 }
 
-/// 8 bits of colour and two weights of [`FRACTION_BITS`] each fill 20.
+/// Bits per colour channel. 8 bits of colour and two weights of [`FRACTION_BITS`](super::fixed::FRACTION_BITS) fill 20.
 const LANE: u32 = 21;
 
+/// Maximum number of texels along a side. Textures of huge surfaces get coarser.
 const MOST_TEXELS_PER_SIDE: f64 = 4096.0;
 
 impl Sheet {
-    /// The colour at (x, y) metres from the sheet's corner; beyond its edges it goes on as at the edge.
+    /// Colour at (x, y), metres from the corner. Beyond the edges the colour is that of the edge.
     #[inline]
     pub(super) fn sample(&self, x: f32, y: f32) -> Colour {
         let place = |metres: f32, count: usize| {
@@ -51,7 +54,7 @@ impl Sheet {
 }
 
 impl Canvas {
-    /// At least `texel_m` fine, unless the surface is huge.
+    /// A canvas of one colour. Texels have a side of `texel_m`, or more on a huge surface.
     pub(super) fn new(width_m: f64, height_m: f64, texel_m: f64, colour: [f64; 3]) -> Self {
         let texel_m = texel_m.max(width_m.max(height_m) / MOST_TEXELS_PER_SIDE);
         let count = |metres: f64| (libm::ceil(metres / texel_m) as usize).max(2);
@@ -59,7 +62,7 @@ impl Canvas {
         Self { columns, rows, texel_m, colours: vec![colour; columns * rows] }
     }
 
-    /// Changes every texel, given its place in metres.
+    /// Calls `change` for every texel with its position in metres and its colour.
     pub(super) fn paint(&mut self, mut change: impl FnMut(f64, f64, &mut [f64; 3])) {
         for (at, colour) in self.colours.iter_mut().enumerate() {
             let (column, row) = (at % self.columns, at / self.columns);
@@ -67,6 +70,7 @@ impl Canvas {
         }
     }
 
+    /// Fills a rectangle, metres, with one colour.
     pub(super) fn rectangle(&mut self, from: [f64; 2], to: [f64; 2], colour: [f64; 3]) {
         let texel = |metres: f64, count: usize| (libm::round(metres / self.texel_m).max(0.0) as usize).min(count);
         let (left, right) = (texel(from[0], self.columns), texel(to[0], self.columns));
@@ -76,7 +80,7 @@ impl Canvas {
         }
     }
 
-    /// Multiplies by 1 +- `share`, smoothly over `scale_m`.
+    /// Multiplies colours by smooth noise from 1 - `share` to 1 + `share` with features of `scale_m` metres.
     pub(super) fn mottle(&mut self, stream: &mut Stream, scale_m: f64, share: f64) {
         let side = (self.columns.max(self.rows) as f64 * self.texel_m / scale_m) as usize + 2;
         let lattice: Vec<f64> = (0..side * side).map(|_| stream.between(-share, share)).collect();
@@ -95,7 +99,7 @@ impl Canvas {
         });
     }
 
-    /// Softens edges: a mean over three texels along both axes, `times` over.
+    /// Softens edges by a mean over three texels along both axes, repeated `times` times.
     pub(super) fn blur(&mut self, times: usize) {
         let (columns, rows) = (self.columns, self.rows);
         for _ in 0..times {
@@ -114,6 +118,7 @@ impl Canvas {
         }
     }
 
+    /// Packs the canvas into a texture.
     pub(super) fn finish(self) -> Sheet {
         let byte = |value: f64| libm::round(value).clamp(0.0, 255.0) as u64;
         let texel = |c: &[f64; 3]| byte(c[0]) | byte(c[1]) << LANE | byte(c[2]) << (2 * LANE);

@@ -1,4 +1,4 @@
-//! From the messages of a log or scene to the frames that are kept.
+//! Collects the frames of a cache from the messages of a log or scene.
 
 use std::path::Path;
 
@@ -16,12 +16,13 @@ use realitysim_recording::Loss;
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_vision::Observations;
 
-/// A filter follows from frame to frame, so that frames in a row are needed, and that many are enough to compare settings.
+/// Most frames of a cache. The filter needs consecutive frames, and this many are enough to compare settings.
 const MAX_FRAMES: usize = 300;
+/// Most bytes of decoded pictures in a cache.
 const MAX_FOOTAGE_BYTES: usize = 1 << 30;
 
-/// Takes messages and keeps the frames of the window; those before it are tracked, so that the first kept one is not
-/// met without a pose.
+/// Takes messages and keeps the frames of a window of time. Frames before the window are tracked, so that the pose is known
+/// at its first frame.
 pub(super) struct FrameCollector {
     setup: Setup,
     synchroniser: Synchroniser,
@@ -32,10 +33,12 @@ pub(super) struct FrameCollector {
     for_ns: Option<i64>,
     first_ns: Option<i64>,
     last_ns: i64,
-    shots: Vec<CachedFrame>,
+    cached: Vec<CachedFrame>,
     bytes: usize,
     frames: u64,
+    /// A limit of frames or bytes was reached within the window.
     full: bool,
+    /// No further frame is kept.
     past: bool,
     bad_messages: u64,
 }
@@ -60,7 +63,7 @@ impl FrameCollector {
             for_ns: options.for_s.map(nanoseconds),
             first_ns: None,
             last_ns: i64::MIN,
-            shots: Vec::new(),
+            cached: Vec::new(),
             bytes: 0,
             frames: 0,
             full: false,
@@ -84,17 +87,18 @@ impl FrameCollector {
                 Ok(input) => self.synchroniser.push(&message, input),
                 Err(_) => self.bad_messages += 1,
             }
-            self.take_known(progress);
+            self.take_ready_frames(progress);
             if self.past {
                 return Ok(());
             }
         }
         self.synchroniser.finish();
-        self.take_known(progress);
+        self.take_ready_frames(progress);
         Ok(())
     }
 
-    fn take_known(&mut self, progress: &mut dyn FnMut(u64)) {
+    /// Takes the frames whose measurements are complete.
+    fn take_ready_frames(&mut self, progress: &mut dyn FnMut(u64)) {
         while let Some(frame) = self.synchroniser.pop() {
             self.frames += 1;
             self.take(frame);
@@ -123,13 +127,13 @@ impl FrameCollector {
         if self.past {
             return;
         }
-        if self.shots.len() >= MAX_FRAMES || self.bytes >= MAX_FOOTAGE_BYTES {
+        if self.cached.len() >= MAX_FRAMES || self.bytes >= MAX_FOOTAGE_BYTES {
             (self.full, self.past) = (true, true);
             return;
         }
-        let shot = CachedFrame::new(frame, self.setup.eyes.vision.lens());
-        self.bytes += shot.bytes();
-        self.shots.push(shot);
+        let frame = CachedFrame::new(frame, self.setup.eyes.vision.lens());
+        self.bytes += frame.bytes();
+        self.cached.push(frame);
     }
 
     fn losses(&self, source: &Path) -> Vec<Loss> {
@@ -138,7 +142,7 @@ impl FrameCollector {
             let what = format!("{} messages are not what their type says", self.bad_messages);
             Loss::new(source, what).join(&mut losses);
         }
-        let broken = || self.shots.iter().filter_map(|shot| shot.picture.as_ref().err());
+        let broken = || self.cached.iter().filter_map(|frame| frame.picture.as_ref().err());
         if let Some(PerceptionError::Decode(error)) =
             broken().find(|unseen| matches!(unseen, PerceptionError::Decode(_)))
         {
@@ -148,7 +152,7 @@ impl FrameCollector {
     }
 
     pub(super) fn finish(self, source: &Path) -> Result<FrameCache, ReplayError> {
-        if self.shots.is_empty() {
+        if self.cached.is_empty() {
             let told = match self.first_ns {
                 None => "there is none".to_owned(),
                 Some(first_ns) => {
@@ -169,7 +173,7 @@ impl FrameCollector {
             settings,
             field,
             start,
-            shots: self.shots,
+            frames: self.cached,
             apart: false,
             full: self.full,
             losses,

@@ -1,4 +1,4 @@
-//! Frames of a log or scene, decoded and held in memory, so that settings can be tried on the same frames again and again.
+//! Frames of a log or scene, decoded and held in memory, so that settings can be tried on the same frames repeatedly.
 
 mod collector;
 
@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::budget::{Budget, Decisions};
 use super::error::ReplayError;
 use super::input_source::{self, OpenLog};
-use super::perception_pool::{PerceptionError, view};
+use super::perception_pool::{PerceptionError, decode_picture};
 use super::replay::Progress;
 use super::setup::{FramePerception, SetupError};
 use super::tagger::Tagger;
@@ -26,74 +26,80 @@ use realitysim_ros2::messages::FrameTag;
 use realitysim_scene::Scene;
 use realitysim_vision::{Observations, Picture};
 
+/// Which frames to hold.
 #[derive(Clone, Debug)]
 pub struct FrameCacheOptions {
     /// An MCAP file, a folder of them, or a scene file (`.toml`).
     pub source: PathBuf,
-    /// Also those with which the way to the first kept frame is tracked.
+    /// Settings of the source; frames before the window are tracked with them.
     pub settings: Settings,
-    /// In place of what the log announces.
+    /// Pose of `base_footprint` in `map` to start at, in place of what the log announces.
     pub initial: Option<Pose2>,
-    /// Seconds after the log's first frame.
+    /// Start of the window, seconds after the log's first frame.
     pub from_s: f64,
-    /// As long as memory allows, if nothing is said.
+    /// Length of the window, seconds; `None` is as long as memory allows.
     pub for_s: Option<f64>,
 }
 
+/// Consecutive frames in memory, with the pose known before the first of them.
 pub struct FrameCache {
     settings: Settings,
     lens: Lens,
     field: Field,
     start: Start,
-    shots: Vec<CachedFrame>,
-    /// Each shot starts at a pose of its own and knows nothing of the others.
+    frames: Vec<CachedFrame>,
+    /// Whether each frame starts at a pose of its own and nothing is carried over from the others.
     apart: bool,
-    /// Frames had to be left out behind the last one.
+    /// Whether later frames of the window had to be left out.
     full: bool,
     losses: Vec<Loss>,
 }
 
-/// What is known of the robot's place before the first frame.
+/// What is known of the robot's pose before the first frame.
 #[derive(Clone, Default)]
 struct Start {
     state: LocalizerState,
     initial: Option<Pose2>,
 }
 
-/// One frame, ready to be looked at.
+/// One frame with its decoded picture.
 struct CachedFrame {
     stamp_ns: i64,
     robot: RobotState,
     picture: Result<Picture, PerceptionError>,
 }
 
-/// What is to be looked at in place of the picture of an index.
+/// Function from a frame's index and picture to the picture that is used in its place.
 pub type Redrawing<'a> = dyn Fn(usize, &Picture) -> Picture + Sync + 'a;
 
-/// What is to be believed of the frames, in place of what their source says. Nothing by default.
+/// Assumptions that replace what the source of the frames says. The default replaces nothing.
 #[derive(Clone, Copy, Default)]
 pub struct Claims<'a> {
+    /// Another field.
     pub field: Option<&'a Field>,
-    /// Of the same size as the pictures.
+    /// Another lens, for pictures of the same size.
     pub lens: Option<&'a Lens>,
-    /// How much higher the camera stands than the source says, metres.
+    /// How much higher the camera is taken to be than the source says, metres.
     pub higher_m: f64,
-    /// Nobody has said where the robot starts.
+    /// Whether the pose at the start is taken to be unknown.
     pub start_is_unknown: bool,
-    /// What is to be looked at in place of the picture of this index.
+    /// Makes the pictures that are used in place of the recorded ones.
     pub picture: Option<&'a Redrawing<'a>>,
 }
 
-/// What settings made of one frame.
+/// The result of one frame with some settings.
 #[derive(Clone, Debug)]
 pub struct Trial {
-    /// With the time from the decoded image to the tag, as a replay states it.
+    /// The tag, with the time from the decoded image to the tag as a replay states it.
     pub tag: FrameTag,
-    /// There was something to look at: the time means something.
+    /// Whether the image could be used. Otherwise the time means nothing.
     pub seen: bool,
 }
 
 impl FrameCache {
+    /// Loads frames from a log or a scene.
+    ///
+    /// Fails as a replay does, and if there is no frame in the window.
     pub fn load(options: &FrameCacheOptions, progress: Progress) -> Result<Self, ReplayError> {
         if options.source.extension().is_some_and(|ending| ending == "toml") {
             Self::of_scene(&scene_source::load(&options.source)?, options, progress)
@@ -102,7 +108,7 @@ impl FrameCache {
         }
     }
 
-    /// `options.source` is only the scene's name.
+    /// Loads frames from a scene. `options.source` is only its name for error texts.
     pub fn of_scene(scene: &Scene, options: &FrameCacheOptions, progress: Progress) -> Result<Self, ReplayError> {
         let (setup, messages) = input_source::scene(scene, &options.source, &options.settings)?;
         let mut keeper = FrameCollector::new(options, setup, None);
@@ -124,54 +130,61 @@ impl FrameCache {
         Ok(footage)
     }
 
-    /// The same frames, each on its own: tracking starts anew at each, at the pose given for it.
+    /// The same frames, each on its own: tracking starts over at each frame, at the pose given for it.
     pub fn apart(mut self, starts: &[InitialPose]) -> Self {
-        for (shot, start) in self.shots.iter_mut().zip(starts) {
-            (shot.robot.initial_pose, shot.robot.anchor) = (Some(*start), None);
+        for (frame, start) in self.frames.iter_mut().zip(starts) {
+            (frame.robot.initial_pose, frame.robot.anchor) = (Some(*start), None);
         }
         self.start = Start::default();
         self.apart = true;
         self
     }
 
-    /// As the source wants them: a scene names its own field.
+    /// The settings of the source, in which a scene has set its own field.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
+    /// The field of the source.
     pub fn field(&self) -> &Field {
         &self.field
     }
 
+    /// The lens of the source.
     pub fn lens(&self) -> &Lens {
         &self.lens
     }
 
+    /// Stamps of the frames, nanoseconds.
     pub fn stamps_ns(&self) -> impl Iterator<Item = i64> + '_ {
-        self.shots.iter().map(|shot| shot.stamp_ns)
+        self.frames.iter().map(|frame| frame.stamp_ns)
     }
 
+    /// Number of frames.
     pub fn frames(&self) -> usize {
-        self.shots.len()
+        self.frames.len()
     }
 
-    /// Memory ended before the frames did.
+    /// Whether frames of the window were left out because of the limits on memory.
     pub fn is_cut(&self) -> bool {
         self.full
     }
 
-    /// What of the source could not be used.
+    /// Parts of the source that could not be used.
     pub fn losses(&self) -> &[Loss] {
         &self.losses
     }
 
-    /// How far lines and the carpet beside them stand out, seen from where the camera truly was; `truth` is of `camera_link`, in time order.
+    /// How strongly lines and the carpet beside them stand out in the images, measured from the true poses.
+    ///
+    /// `truth` holds stamps in nanoseconds, in order, and poses of `camera_link` in `map`. Frames without a true pose are
+    /// left out.
     pub fn responses(&self, truth: &[(i64, Isometry)]) -> Result<Vec<Response>, SetupError> {
         let eyes = FramePerception::new(&self.settings, &self.lens, self.field.line_width())?;
         let refiner = Refiner::new(&self.field, &self.lens);
         let mut seen = Observations::default();
         let mut responses = Vec::new();
-        for CachedFrame { robot, picture, stamp_ns } in &self.shots {
+        for CachedFrame { robot, picture, stamp_ns } in &self.frames {
             let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
             let Ok(at) = truth.binary_search_by_key(stamp_ns, |(stamp, _)| *stamp) else { continue };
             eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
@@ -180,12 +193,13 @@ impl FrameCache {
         Ok(responses)
     }
 
-    /// Contrast of the best lines in view and noise of plain carpet, as shares of the carpet's brightness: of each frame that shows lines.
+    /// Contrast of the best lines in view and noise of plain carpet for each frame that shows lines, as shares of the
+    /// carpet's brightness.
     pub fn contrasts(&self) -> Result<Vec<[f64; 2]>, SetupError> {
         let eyes = FramePerception::new(&self.settings, &self.lens, self.field.line_width())?;
         let mut seen = Observations::default();
         let mut contrasts = Vec::new();
-        for CachedFrame { robot, picture, .. } in &self.shots {
+        for CachedFrame { robot, picture, .. } in &self.frames {
             let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
             eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
             let found = [seen.image.full_contrast(), seen.image.noise()].map(f64::from);
@@ -199,7 +213,7 @@ impl FrameCache {
         self.try_out_claiming(settings, &Claims::default(), progress)
     }
 
-    /// The same, with something else believed than what the source says.
+    /// Like [`Self::try_out`], under other assumptions than those of the source.
     pub fn try_out_claiming(
         &self,
         settings: &Settings,
@@ -212,14 +226,14 @@ impl FrameCache {
         let mut tracking = start.tagger(settings, field, lens);
         let mut seen = Observations::default();
         let mut budget = Budget::new(settings.filter.budget_ms, Decisions::new());
-        let mut attempts = Vec::with_capacity(self.shots.len());
-        for (index, shot) in self.shots.iter().enumerate() {
+        let mut attempts = Vec::with_capacity(self.frames.len());
+        for (index, frame) in self.frames.iter().enumerate() {
             if self.apart {
                 let mut own = settings.clone();
                 own.filter.seed = settings.filter.seed.wrapping_add(index as u64);
                 tracking = start.tagger(&own, field, lens);
             }
-            attempts.push(shot.tag(index, claims, &eyes, &mut tracking, &mut budget, &mut seen));
+            attempts.push(frame.tag(index, claims, &eyes, &mut tracking, &mut budget, &mut seen));
             progress(index + 1);
         }
         Ok(attempts)
@@ -238,11 +252,15 @@ impl Start {
 
 impl CachedFrame {
     fn new(frame: Frame, lens: &Lens) -> Self {
-        let picture =
-            if frame.robot.place.is_ok() { view(&frame.message, lens) } else { Err(PerceptionError::NoPlace) };
+        let picture = if frame.robot.place.is_ok() {
+            decode_picture(&frame.message, lens)
+        } else {
+            Err(PerceptionError::NoPlace)
+        };
         Self { stamp_ns: frame.stamp_ns, robot: frame.robot, picture }
     }
 
+    /// The robot's state with the assumptions applied.
     fn robot_as_claimed(&self, claims: &Claims) -> Cow<'_, RobotState> {
         if claims.higher_m == 0.0 && !claims.start_is_unknown {
             return Cow::Borrowed(&self.robot);
@@ -259,12 +277,13 @@ impl CachedFrame {
         Cow::Owned(robot)
     }
 
+    /// Bytes of the decoded picture.
     fn bytes(&self) -> usize {
         let of = |picture: &Picture| picture.luma.len() + picture.chroma.blue.len() + picture.chroma.red.len();
         self.picture.as_ref().map_or(0, of)
     }
 
-    /// `seen` is only room to work in.
+    /// Looks at the frame and tags it. `seen` is a buffer.
     fn tag(
         &self,
         index: usize,

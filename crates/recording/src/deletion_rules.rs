@@ -1,19 +1,26 @@
-//! What may go to make room, and in which order: the one policy of the recorder and of `sessions prune`. Pure.
+//! Which segments may be deleted to make room, and in which order.
+//!
+//! The recorder and `sessions prune` share this policy. It is pure: no file, no clock.
 
 use super::acknowledgement::receivers_of;
 use super::catalogue::Session;
 use super::manifest::ManifestLine;
 
-/// A session, and its segments that lie here as they were written and that another store has, each with its name.
+/// A session, and those of its segments that may be deleted.
 #[derive(Clone, Debug)]
 pub struct Releasable<'a> {
+    /// The session.
     pub session: &'a Session,
+    /// Segments that lie here as they were written and that another store has, each with the receiver that has it.
     pub segments: Vec<(&'a ManifestLine, &'a str)>,
 }
 
-/// Oldest first, pinned last. `own` is this folder's own name as a receiver, whose word does not count: it is what would go.
-/// Nor does that of the folder which received the session, if it was moved from there. Where something was received and these
-/// names are gone, nobody's word counts: one of them may be this folder's.
+/// Orders sessions for deletion, oldest first and pinned ones last, and lists their segments that another store has.
+///
+/// `own` is this folder's own name as a receiver. Its acknowledgement does not count, since it stands for the very
+/// copy that would be deleted. The acknowledgement of the folder that received the session does not count either, if
+/// the session was moved here from there. If the session was received and these names are unknown, no acknowledgement
+/// counts: one of them may be this folder's own.
 pub fn releasable<'a>(sessions: impl IntoIterator<Item = &'a Session>, own: Option<&'a str>) -> Vec<Releasable<'a>> {
     let mut order: Vec<&Session> = sessions.into_iter().collect();
     order.sort_by(|a, b| (a.pinned, &a.head.started, &a.name).cmp(&(b.pinned, &b.head.started, &b.name)));

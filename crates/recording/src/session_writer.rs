@@ -1,7 +1,7 @@
-//! A session as the agent sees it: messages and tags in, one folder out.
+//! The recording of one session: messages and tags go in, one folder comes out.
 //!
-//! Either the caller writes itself and is told what fails, as a replay does, or a thread of its own does all writing and
-//! the caller never waits, whatever the disk does, as on a robot.
+//! There are two ways to write. In a replay the caller writes, waits for the disk, and gets every error. On a robot a
+//! thread writes, and the caller never waits, whatever the disk does.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -22,37 +22,52 @@ use realitysim_ros2::mcap_read::{Channel, LogMessage};
 use realitysim_ros2::messages::{DiagnosticArray, FrameTag, Header, Message, PoseWithCovarianceStamped};
 use realitysim_ros2::topics;
 
+/// Writes one session: its folder, its segments and its manifest.
+///
+/// Messages of the source are passed with [`pass`](Self::pass), tags with [`tag`](Self::tag). The caller asks
+/// [`is_segment_full`](Self::is_segment_full) and begins segments with [`next_segment`](Self::next_segment).
+/// [`finish`](Self::finish) makes the session whole.
 pub struct SessionWriter {
     storage: Arc<dyn Storage>,
     settings: RecordingSettings,
     shared: Arc<RecordQueue>,
-    recorder: Where,
+    recorder: RecorderSlot,
+    /// Channels of the topics that a recording adds, by topic.
     own: BTreeMap<&'static str, Arc<Channel>>,
-    /// The latest log time when the open segment began.
+    /// Latest log time when the open segment began, ns.
     first_ns: i64,
+    /// Bytes of the messages given to the open segment.
     bytes: u64,
+    /// Latest log time of the session, ns.
     last_ns: i64,
 }
 
-enum Where {
-    Here(Box<Recorder>),
-    Behind(Writer),
+/// The recorder, in the caller's thread or in one of its own.
+enum RecorderSlot {
+    Inline(Box<Recorder>),
+    Threaded(Writer),
 }
 
-/// Who writes.
+/// Which thread writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Writing {
-    /// The caller, who is told what fails.
+    /// The caller's thread; the caller gets every error.
     Here,
-    /// A thread. Nothing fails for the caller; what is lost is counted. `bytes_per_s` is what frames will take.
-    Behind { bytes_per_s: u64 },
+    /// A thread of its own. No call fails; what is lost is counted.
+    Behind {
+        /// Rate at which frames will arrive, bytes a second; it sets the size of the queue.
+        bytes_per_s: u64,
+    },
 }
 
-/// Of a message's record, beside its data.
+/// Bytes of a message's record in the file besides its data.
 const RECORD_BYTES: u64 = 31;
 
 impl SessionWriter {
-    /// Makes `captures/<name>/` (with a suffix if that is taken) and its first segment, which opens with `state`.
+    /// Creates `captures/<name>/` (with a suffix if that name is taken) and its first segment, which begins with
+    /// `state`.
+    ///
+    /// With [`Writing::Behind`] the folder appears later, once the recorder's thread has made it.
     pub fn create(
         storage: Arc<dyn Storage>,
         captures: &Path,
@@ -77,10 +92,10 @@ impl SessionWriter {
         let shared = Arc::new(RecordQueue::new(room));
         let recorder = Recorder::new(Arc::clone(&storage), Arc::clone(&shared), plan);
         let recorder = match writing {
-            Writing::Here => Where::Here(Box::new(recorder)),
+            Writing::Here => RecorderSlot::Inline(Box::new(recorder)),
             Writing::Behind { .. } => {
                 let limits = Limits::new(captures, &settings);
-                Where::Behind(Writer::start(recorder, Arc::clone(&shared), Arc::clone(&storage), limits))
+                RecorderSlot::Threaded(Writer::start(recorder, Arc::clone(&shared), Arc::clone(&storage), limits))
             }
         };
         let mut session = Self {
@@ -97,49 +112,54 @@ impl SessionWriter {
         Ok(session)
     }
 
-    /// Where it is recorded, once that is known.
+    /// Folder of the session; `None` until it has been made.
     pub fn folder(&self) -> Option<PathBuf> {
         self.shared.folder()
     }
 
-    /// Frames of all segments so far.
+    /// Frames and lost messages of all segments so far.
     pub fn counts(&self) -> Counts {
         self.shared.counts()
     }
 
+    /// State of the recorder: memory held, faults, free space.
     pub fn status(&self) -> RecorderStatus {
         self.shared.status()
     }
 
-    /// Counts the rounds of the recorder's thread, if it has one of its own.
+    /// Number of rounds that the recorder's thread has made; `None` if the caller writes. A watchdog sees by it that
+    /// the thread goes on.
     pub fn rounds(&self) -> Option<u64> {
-        matches!(self.recorder, Where::Behind(_)).then(|| self.shared.rounds())
+        matches!(self.recorder, RecorderSlot::Threaded(_)).then(|| self.shared.rounds())
     }
 
-    /// Both, of one moment.
+    /// Counts and status of the same moment.
     pub fn account(&self) -> (Counts, RecorderStatus) {
         self.shared.account()
     }
 
-    /// Whether the segment has lasted or grown long enough. It lasts from the latest log time before it to the latest one in it:
-    /// times in no order make no segments.
+    /// Whether the open segment has lasted or grown long enough.
+    ///
+    /// Its duration runs from the latest log time before it to the latest one in it, so that log times out of order
+    /// begin no segments.
     pub fn is_segment_full(&self, log_time_ns: i64) -> bool {
         let age_ns = self.last_ns.max(log_time_ns).saturating_sub(self.first_ns);
         let seconds = i64::try_from(self.settings.segment_s).unwrap_or(i64::MAX);
         age_ns >= seconds.saturating_mul(1_000_000_000)
             || self.bytes >= self.settings.segment_mb << 20
-            || self.shared.wants_beginning()
+            || self.shared.is_segment_requested()
     }
 
-    /// Finishes the open segment and begins the next with the constants and the filter's state.
+    /// Finishes the open segment and begins the next, which opens with the filter's state and the latched messages.
     pub fn next_segment(&mut self, state: SegmentState) -> Result<(), RecordingError> {
         let SegmentState { log_time_ns, name, state } = state;
         (self.first_ns, self.bytes) = (self.last_ns.max(log_time_ns), 0);
-        self.shared.begins();
+        self.shared.note_segment_begun();
         self.put(Entry::Begin(Beginning { log_time_ns, name: name.to_owned(), state }))
     }
 
-    /// A message of the source, untouched; `latched` ones open every later segment as well.
+    /// Records a message of the source with its bytes unchanged. Latched messages (calibration, constant transforms)
+    /// also open every later segment.
     pub fn pass(&mut self, message: &LogMessage, is_frame: bool, latched: bool) -> Result<(), RecordingError> {
         let kind = match (is_frame, latched) {
             (true, _) => Kind::Frame,
@@ -149,7 +169,7 @@ impl SessionWriter {
         self.write(message.clone(), kind)
     }
 
-    /// One per frame; the pose topic gets the valid ones.
+    /// Records the tag of a frame on `/frame_tag`; a valid tag goes to the pose topic as well.
     pub fn tag(&mut self, log_time_ns: i64, map_frame: &str, tag: &FrameTag) -> Result<(), RecordingError> {
         let position = &tag.pose.pose.position;
         let at = tag.valid.then_some([position.x, position.y]);
@@ -162,19 +182,20 @@ impl SessionWriter {
         Ok(())
     }
 
-    /// Of no frame: where odometry has the camera while there is none.
+    /// Records the pose that odometry gives while no frame comes.
     pub fn predicted_tag(&mut self, log_time_ns: i64, tag: &FrameTag) -> Result<(), RecordingError> {
         self.own(topics::PREDICTED_TAG, log_time_ns, tag, Kind::Other)
     }
 
+    /// Records a report on the topic of diagnostics.
     pub fn diagnostics(&mut self, log_time_ns: i64, report: &DiagnosticArray) -> Result<(), RecordingError> {
         self.own(topics::DIAGNOSTICS, log_time_ns, report, Kind::Other)
     }
 
-    /// Frames that the camera made and that never came here: a gap of the log.
+    /// Counts frames that the camera made and that never arrived, as a gap of the log.
     pub fn drop_frames(&mut self, cause: &str, count: u64) -> Result<(), RecordingError> {
         self.shared.drop_frames(cause, count, self.last_ns, self.storage.now());
-        if let Where::Here(_) = self.recorder
+        if let RecorderSlot::Inline(_) = self.recorder
             && let Some(gap) = self.shared.take_gap()
         {
             self.put(Entry::Gap(gap))?;
@@ -182,32 +203,34 @@ impl SessionWriter {
         Ok(())
     }
 
-    /// A frame that is tagged and not written, as asked.
+    /// Counts a frame that is tagged but not written, because thinning asks for it.
     pub fn thin_frame(&mut self) -> Result<(), RecordingError> {
         self.put(Entry::Thinned)
     }
 
-    /// A frame that can have no tag.
+    /// Counts a frame that can have no tag, by cause.
     pub fn leave_untagged(&mut self, cause: &str) -> Result<(), RecordingError> {
         self.put(Entry::Untagged(cause.to_owned()))
     }
 
-    /// A small file, replaced as a whole.
+    /// Replaces a small file as a whole, in order with the messages.
     pub fn replace(&mut self, path: PathBuf, content: Vec<u8>) -> Result<(), RecordingError> {
         self.put(Entry::State(path, content))
     }
 
-    /// Finishes the last segment and writes `metadata.yaml`. What the disk did not take is counted, whether that succeeds or not.
+    /// Finishes the last segment and writes `metadata.yaml`. What the disk did not take is counted, whether that
+    /// succeeds or not.
     pub fn finish(self) -> Ended {
         let Self { recorder, shared, storage, .. } = self;
         let folder = match recorder {
-            Where::Here(mut recorder) => recorder.finish().or_else(|_| recorder.finish()),
-            Where::Behind(writer) => writer.finish(storage.now()),
+            RecorderSlot::Inline(mut recorder) => recorder.finish().or_else(|_| recorder.finish()),
+            RecorderSlot::Threaded(writer) => writer.finish(storage.now()),
         };
         let (counts, status) = shared.account();
         Ended { folder, counts, status }
     }
 
+    /// Records a message on one of the topics that a recording adds.
     fn own<M: Message>(
         &mut self,
         topic: &'static str,
@@ -229,16 +252,16 @@ impl SessionWriter {
     fn put(&mut self, entry: Entry) -> Result<(), RecordingError> {
         let taken = self.storage.now();
         match &mut self.recorder {
-            Where::Here(recorder) => {
-                self.shared.take_at_once(&entry);
+            RecorderSlot::Inline(recorder) => {
+                self.shared.hold_unqueued(&entry);
                 if let Entry::State(..) = entry {
                     return recorder.take(QueuedEntry { entry, taken });
                 }
-                // Once more, into a new segment: one error must not end a session.
-                recorder.take(QueuedEntry { entry, taken }).or_else(|_| recorder.go_on())?;
-                recorder.sync_if_due().or_else(|_| recorder.go_on())
+                // A second try goes into a new segment: one error must not end a session.
+                recorder.take(QueuedEntry { entry, taken }).or_else(|_| recorder.write_pending())?;
+                recorder.sync_if_due().or_else(|_| recorder.write_pending())
             }
-            Where::Behind(_) => {
+            RecorderSlot::Threaded(_) => {
                 self.shared.offer(entry, taken);
                 Ok(())
             }
@@ -246,22 +269,28 @@ impl SessionWriter {
     }
 }
 
-/// What a session ended with.
+/// Result of a session that was finished.
 #[derive(Debug)]
 pub struct Ended {
-    /// Where it is; `Err` if the disk did not let it become whole.
+    /// The session's folder; `Err` if the disk did not let it become whole.
     pub folder: Result<PathBuf, RecordingError>,
+    /// Frames and lost messages of the whole session.
     pub counts: Counts,
+    /// State of the recorder at the end.
     pub status: RecorderStatus,
 }
 
-/// The filter's state where a segment begins.
+/// State of the filter at the beginning of a segment, from which the segment can be replayed alone.
 pub struct SegmentState {
+    /// Log time of the segment's beginning, ns.
     pub log_time_ns: i64,
+    /// Name of the attachment that holds the state.
     pub name: &'static str,
+    /// The state, as the filter encodes it.
     pub state: Vec<u8>,
 }
 
+/// Converts mebibytes to bytes.
 pub(super) fn mebibytes(count: u64) -> usize {
     usize::try_from(count << 20).unwrap_or(usize::MAX)
 }
