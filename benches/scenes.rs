@@ -1,5 +1,5 @@
 //! What scenes cost, counted in instructions: `cargo bench --bench scenes`. Needs valgrind, and fails without; `-- --if-possible`
-//! does not. `-- --write docs/scenes.md` puts the table between that document's marks.
+//! does not. `-- --write docs/reference/scenes.md` puts the table between that document's marks.
 //!
 //! Instructions do not depend on what else the machine does. Counted are a few frames, and everything that the robot's
 //! other sensors send meanwhile; what acts once begins within that time. Setting up is counted apart and taken off. Fails if

@@ -136,7 +136,7 @@ fn rendered_turf_is_like_path_traced_turf() {
     }
 }
 
-/// Prints the table of docs/scenes.md.
+/// Prints the table of docs/reference/scenes.md.
 #[test]
 #[ignore = "prints a table"]
 fn statistics_side_by_side() {

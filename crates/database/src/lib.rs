@@ -19,7 +19,7 @@
 //! # let poses = "file,x,y,z,yaw_deg,pitch_deg,roll_deg\na.png,0.1,0.2,0.5,10,20,0\n";
 //! # std::fs::write(images.join("poses.csv"), poses)?;
 //! # let camera = "image_width: 320\nimage_height: 240\ncamera_matrix: {data: [102.5, 0, 160, 0, 102.5, 120, 0, 0, 1]}\n\
-//! #     distortion_model: equidistant\ndistortion_coefficients: {data: [0, 0, 0, 0]}\n";
+//! #     distortion_model: equidistant\ndistortion_coefficients: {data: [-0.012, 0.003, -0.0008, 0.0]}\n";
 //! # std::fs::write(images.join("camera_info.yaml"), camera)?;
 //! let db = folder.path().join("db");
 //! let field = realitysim_config::load_field("kid-2020")?;

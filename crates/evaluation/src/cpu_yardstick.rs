@@ -2,7 +2,7 @@
 
 use std::hint::black_box;
 
-/// Time of the calibration loop on the machine of docs/scenes.md, milliseconds.
+/// Time of the calibration loop on the machine of docs/reference/scenes.md, milliseconds.
 ///
 /// Limits in files of users are in these milliseconds: the value must never change.
 pub const REFERENCE_MS: f64 = 2.5;

@@ -1,6 +1,6 @@
 //! The observation model: how well a pose explains the frame, by the field's line points laid onto the ground table.
 //!
-//! There are the two models of the paper, each as printed and corrected (docs/paper.md says why the printed sums mislead):
+//! There are the two models of the paper, each as printed and corrected (docs/explanation/paper.md says why the printed sums mislead):
 //!
 //! | model | as printed | corrected |
 //! | --- | --- | --- |

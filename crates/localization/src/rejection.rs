@@ -4,7 +4,7 @@ use core::fmt;
 
 use serde::{Serialize, Serializer};
 
-/// The reason that makes a tag invalid. docs/formats.md has them in words.
+/// The reason that makes a tag invalid. docs/reference/formats.md has them in words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Rejection {
     /// The robot has not been found, and nobody has said where it is.

@@ -34,7 +34,7 @@ pub struct RelocalizationTrigger {
 }
 
 /// Share of fitting line places above which the pose is hardly ever a wrong one: of windows of ten frames with a wrong pose 9 %
-/// have more, of those with the right one 83 % (docs/design.md says on which walks).
+/// have more, of those with the right one 83 %.
 const CONVINCING: f64 = 0.9;
 /// Time constant of the mean share, seconds.
 const MEAN_S: f64 = 0.5;

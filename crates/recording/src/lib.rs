@@ -7,7 +7,7 @@
 //! sessions to another machine, which acknowledges them. Only what was acknowledged is deleted to make room
 //! ([`releasable`]). [`storage`] separates all this from the disk, so that the tests can simulate one that fails.
 //!
-//! Layout and order of writes: docs/formats.md. What is promised, and how that is tested: docs/recording.md.
+//! Layout and order of writes: docs/reference/formats.md. What is promised, and how that is tested: docs/explanation/recording.md.
 //!
 //! ```rust
 //! # use std::sync::Arc;

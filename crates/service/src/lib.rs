@@ -1,4 +1,4 @@
-//! Serves views of an image database over HTTP: `realitysim serve`. docs/service.md describes the service for its users.
+//! Serves views of an image database over HTTP: `realitysim serve`. docs/howto/simulator.md describes the service for its users.
 //!
 //! [`serve`] listens until it is told to stop, with limits on everything that a client can do. Views are made by a few threads
 //! behind a bounded queue: under overload some requests are refused, and the others are answered as fast as before. Changes of

@@ -1,7 +1,7 @@
 //! Helpers that the tests of several crates share; no program depends on this crate.
 //!
 //! [`exact`] is an oracle: it evaluates a formula with 256 bits, and a test compares the result in `f64` with it. [`measured`]
-//! holds the largest error that a test found against the figure that docs/numerics.md states for it.
+//! holds the largest error that a test found against the figure that docs/reference/numerics.md states for it.
 //!
 //! ```rust
 //! use realitysim_test_support::{exact::{exact, rounded}, measured::largest_error};

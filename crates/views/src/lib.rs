@@ -6,7 +6,7 @@
 //! [`Target`] what the rays of the wanted view meet, and a [`Warp`] the map from the wanted view into one source image.
 //! [`mark_moving`] masks robots and people in a recorded image, and [`darkening`] measures a lens's vignetting.
 //!
-//! The crate is pure: poses, lenses and pixels go in, pixels come out. The methods are described in `docs/views.md`.
+//! The crate is pure: poses, lenses and pixels go in, pixels come out. The methods are described in `docs/explanation/views.md`.
 //!
 //! ```rust
 //! use realitysim_geometry::{Euler, Field, Isometry};

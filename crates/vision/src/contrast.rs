@@ -1,7 +1,7 @@
 //! Line contrast: how much brighter a pixel is than the carpet around it, as a share of the carpet's brightness.
 //!
 //! It is a narrow blur (sigma 2.1 px) minus a wide one (sigma 12 px), over the wide one. Plain carpet gives 0 whatever its
-//! brightness and whatever the light's gradient, which makes a sum over points a fair measure (docs/paper.md, Eq. 2).
+//! brightness and whatever the light's gradient, which makes a sum over points a fair measure (docs/explanation/paper.md, Eq. 2).
 //! Paint gives the same in sun and shade: light multiplies carpet and paint alike, and the camera's gamma keeps ratios.
 //! The narrow blur is computed at a half, the wide one at an eighth of the resolution, both in integers. The quotient is one division
 //! in IEEE arithmetic, so that every processor gives the same bits.

@@ -56,7 +56,7 @@ use realitysim_geometry::{Isometry, Lens, Projector};
 pub use ridges::Ridge;
 pub use rotation::{Small, Turning};
 
-/// The quantity that the ground table holds: one for each observation model and formula (docs/paper.md).
+/// The quantity that the ground table holds: one for each observation model and formula (docs/explanation/paper.md).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TableQuantity {
     /// Line contrast, 0 on plain carpet (corrected Eq. 2).

@@ -1,6 +1,6 @@
 //! The settings of a robot, as in `config/robot.toml`; the command line uses the same keys.
 //!
-//! Every key has a default that works, so an empty file is a valid config. docs/formats.md lists keys, ranges and meanings.
+//! Every key has a default that works, so an empty file is a valid config. docs/reference/formats.md lists keys, ranges and meanings.
 
 mod camera;
 mod filter;

@@ -35,7 +35,7 @@ impl OutputDevice {
         let path = &self.path;
         match error.raw_os_error() {
             Some(code) if code == rustix::io::Errno::NOTTY.raw_os_error() => io::Error::other(format!(
-                "{path} is no video device that takes frames (docs/hardware.md: v4l2loopback)"
+                "{path} is no video device that takes frames (docs/howto/robot.md: v4l2loopback)"
             )),
             _ => io::Error::new(error.kind(), format!("{path}: {error}")),
         }

@@ -1,4 +1,4 @@
-//! Receives frames from another process that has the camera and shares it. docs/formats.md describes the format.
+//! Receives frames from another process that has the camera and shares it. docs/reference/formats.md describes the format.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read};

@@ -107,7 +107,7 @@ impl Trouble {
             Self::Silent => "is the device switched on, and are its lines crossed (TX to RX)?",
             Self::NoMessages { .. } => "is the port's baud rate the device's, and MAVLink 2 its protocol?",
             Self::Echo { .. } => "are the port's own TX and RX joined, or does another device send as component 197?",
-            Self::Unusable { .. } => "see docs/hardware.md for what each message must hold",
+            Self::Unusable { .. } => "see docs/howto/robot.md for what each message must hold",
             Self::Lost { .. } => "the line is too slow for what is sent: a higher baud rate, or lower rates",
             Self::Noisy { .. } => "the line is noisy: shorter or shielded wires, a common ground, a lower baud rate",
         }

@@ -1,4 +1,4 @@
-//! Contrast of painted lines and noise of the carpet in one picture: docs/lines.md.
+//! Contrast of painted lines and noise of the carpet in one picture: docs/explanation/lines.md.
 
 use realitysim_vision::LineImage;
 use realitysim_vision::contrast::{BEST_RESPONSE, STRAY_LEVELS};

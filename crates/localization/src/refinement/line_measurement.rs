@@ -437,7 +437,7 @@ impl Expected {
 }
 
 /// Standard deviation of the place of a line of this width, relative to the best width, sqrt([`THIN_PX`] [`WIDE_PX`]). Fitted
-/// to the deviations of line places in ten logs (docs/design.md).
+/// to the deviations of line places in ten logs.
 fn sigmas(width_px: f64) -> f64 {
     let (thin, wide) = (THIN_PX / width_px, width_px / WIDE_PX);
     libm::sqrt((1.0 + thin * thin + wide * wide) / (1.0 + 2.0 * THIN_PX / WIDE_PX))

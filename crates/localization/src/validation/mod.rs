@@ -476,7 +476,7 @@ pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> boo
 
 /// Whether lines agree with the pose both ways: those that should be seen are, and those that are seen should be.
 ///
-/// A pose that passes each test alone may fail this joint one. docs/design.md says how often right poses do, and on which walks.
+/// A pose that passes each test alone may fail this joint one.
 fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
     let faint = THRESHOLDS.both_ways_per_px * lines.fainter_px();

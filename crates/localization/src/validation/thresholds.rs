@@ -1,6 +1,6 @@
 //! Limits of the decision whether a pose is believed.
 //!
-//! They were set by what right and wrong poses show on the walks and path-traced halls of docs/lines.md, which also says how often
+//! They were set by what right and wrong poses show on the walks and path-traced halls of docs/explanation/lines.md, which also says how often
 //! each kind of false pose passes them (`realitysim falsify`).
 
 /// Limits of the decision whether a pose is believed. Shares are of 0 to 1.
@@ -28,7 +28,7 @@ pub struct ValidationThresholds {
     /// Largest number of frames that a pose needs, however many were refuted.
     pub max_confirmations: f64,
     /// Digits against chance ([`Agreement::digits`](crate::refinement::Agreement::digits)) that a frame needs to
-    /// confirm an announced pose: within the error of an announcement some 10^4 poses differ. docs/lines.md derives these
+    /// confirm an announced pose: within the error of an announcement some 10^4 poses differ. docs/explanation/lines.md derives these
     /// limits.
     pub announced_digits: f64,
     /// Digits that a frame needs to confirm a pose found by search: on a whole field, with all tilts and heights, some
@@ -71,7 +71,7 @@ pub struct ValidationThresholds {
     /// since blades and glints of turf stand out as lines do.
     pub unexplained_per_px: f64,
     /// Share of the lines in the picture, at any distance, that must be painted where the pose has them. Right poses
-    /// have 0.97 or more on carpet and 0.94 or more on turf in sun and shade (docs/lines.md).
+    /// have 0.97 or more on carpet and 0.94 or more on turf in sun and shade (docs/explanation/lines.md).
     pub explained_in_view: f64,
     /// Digits with which a frame counts fully towards confirming a found pose. With fewer it counts in proportion: few lines
     /// look the same in several places.
@@ -99,7 +99,7 @@ pub struct ValidationThresholds {
     /// Smallest number of fitting line places with which a frame agrees with a pose.
     pub min_fitting: usize,
     /// Digits against chance that a frame needs to agree with a pose: chance does so once in 10^4 frames
-    /// (docs/lines.md).
+    /// (docs/explanation/lines.md).
     pub agrees_digits: f64,
     /// Share of fitting places below which the lines contradict the pose.
     pub contradicted_share: f64,

@@ -1,4 +1,4 @@
-//! The recorder on a simulated disk that fails on purpose: tests, for thousands of seeds, of what docs/recording.md
+//! The recorder on a simulated disk that fails on purpose: tests, for thousands of seeds, of what docs/explanation/recording.md
 //! promises.
 
 mod disk;
