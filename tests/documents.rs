@@ -57,9 +57,10 @@ fn collect(folder: &Path, all: &mut BTreeSet<PathBuf>) {
 /// Targets of links and pictures within the repository. What stands in a block of code is no link.
 fn links(text: &str) -> impl Iterator<Item = &str> {
     let prose = text.lines().filter(|line| !line.starts_with("    "));
-    prose.flat_map(|line| line.split("](").skip(1)).filter_map(|rest| rest.split(')').next()).filter(|target| {
-        !target.is_empty() && !target.contains("://") && !target.starts_with("mailto:")
-    })
+    prose
+        .flat_map(|line| line.split("](").skip(1))
+        .filter_map(|rest| rest.split(')').next())
+        .filter(|target| !target.is_empty() && !target.contains("://") && !target.starts_with("mailto:"))
 }
 
 /// Headings as the anchors that renderers of Markdown make of them.

@@ -183,7 +183,7 @@ fn found(detection: &Detection) -> String {
 
 fn markdown(scene: &str, frames: usize, variants: &[Variant], steps: &[Step]) -> String {
     let mut text = format!(
-        "    realitysim contrast {scene} --write-docs docs/lines.md\n\n{frames} frames in each step. Valid tags, their mean error, and how many \
+        "    realitysim contrast {scene} --write-docs docs/explanation/lines.md\n\n{frames} frames in each step. Valid tags, their mean error, and how many \
          of them are more than 12 cm off.\n\n![Share of valid tags and their error against line contrast to noise](contrast.svg)\n\n\
          | paint left | contrast to noise |"
     );

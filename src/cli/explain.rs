@@ -272,7 +272,7 @@ fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
     let sees_no_line = evidence.is_some_and(|evidence| evidence.lines.is_empty() || !evidence.contrast.is_finite());
     let is_chance = evidence.is_some_and(|evidence| evidence.agreement.digits < THRESHOLDS.agrees_digits);
     let Some(rejection) = Rejection::from_reason(reason) else {
-        return "docs/formats.md says what this reason means";
+        return "docs/reference/formats.md says what this reason means";
     };
     match rejection {
         Rejection::PoseUnknown | Rejection::FewLines if sees_no_line => {
@@ -319,7 +319,7 @@ fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
         Rejection::ImageBroken => "the image does not decode",
         Rejection::ImageSize => "the image is not of the lens's size: another lens file, or another size of the camera",
         Rejection::NoTransform => "the camera's place on the robot is not known: /tf_static, or [mount] in the config",
-        _ => "docs/formats.md says what this reason means",
+        _ => "docs/reference/formats.md says what this reason means",
     }
 }
 

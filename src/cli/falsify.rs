@@ -185,7 +185,7 @@ impl Report {
         let mut words: Vec<String> = arguments.sources.iter().map(|source| source.display().to_string()).collect();
         words.extend(arguments.for_s.map(|seconds| format!("--for {seconds}")));
         let mut text = format!(
-            "    realitysim falsify {} --write-docs docs/lines.md\n\n| walk | frames | falsehoods | frames in all | valid | wrong |\n\
+            "    realitysim falsify {} --write-docs docs/explanation/lines.md\n\n| walk | frames | falsehoods | frames in all | valid | wrong |\n\
              | --- | --- | --- | --- | --- | --- |\n",
             words.join(" ")
         );

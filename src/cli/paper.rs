@@ -18,7 +18,7 @@ use crate::localization::SimdPath;
 ///
 /// Fig. 9 (error and time against the number of particles) and Table 2 (distance against Gauss) on images taken standing on
 /// a grid of 30 cm, Fig. 10 on a straight walk; with the formulas as printed, corrected, and refined as this program does
-/// by default. Field, camera and particles are those of the paper. docs/paper.md says what comes out, and why.
+/// by default. Field, camera and particles are those of the paper. docs/explanation/paper.md says what comes out, and why.
 ///
 /// Writes paper.md (the results as Markdown), paper.csv and three pictures. Takes some minutes; --quick takes seconds.
 #[derive(Args)]

@@ -181,7 +181,7 @@ fn lens_file(lens: &LensParameters) -> String {
     };
     let fov = fov_deg.map_or(String::new(), |fov| format!("fov_deg = {fov:?}\n"));
     format!(
-        "# RefinedConstant by `realitysim refine`\ntitle = \"Refined\"\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\n\
+        "# Found by `realitysim refine`\ntitle = \"Refined\"\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\n\
          cx = {cx:?}\ncy = {cy:?}\n{model}{fov}"
     )
 }
@@ -194,7 +194,7 @@ fn robot_file(refining: &OfflineRefinement, lens: &Path) -> String {
     let mount = &refining.info.settings.mount;
     let constants = refining.smoothed.constants;
     let mut text =
-        "# RefinedConstant by `realitysim refine` from one walk. What the walk does not show stays as it was believed:\n"
+        "# Found by `realitysim refine` from one walk. What the walk does not show stays as it was believed:\n"
             .to_owned();
     for found in refining.info().constants {
         let says = if found.observable { "observed" } else { "not observable in this walk" };

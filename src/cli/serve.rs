@@ -20,7 +20,7 @@ use crate::views::{FAR_M, MAX_FAR_M};
 
 /// Serve views of a database over HTTP, for simulators and vision code
 ///
-/// GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/service.md). The database may be
+/// GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/howto/simulator.md). The database may be
 /// changed meanwhile. Ends with SIGINT or SIGTERM.
 #[derive(Args)]
 #[command(after_long_help = concat!(

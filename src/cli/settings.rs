@@ -34,7 +34,7 @@ pub struct SettingsArguments {
     /// Observation model: gauss (Eq. 2 of the paper) or distance (Eq. 1).
     #[arg(long, value_name = "gauss|distance", value_parser = word::<Model>)]
     model: Option<Model>,
-    /// corrected, or paper: as printed (docs/paper.md says what that does).
+    /// corrected, or paper: as printed (docs/explanation/paper.md says what that does).
     #[arg(long, value_name = "corrected|paper", value_parser = word::<Formula>)]
     formula: Option<Formula>,
     /// Number of particles (N of the paper).

@@ -18,7 +18,7 @@ use crate::recording::sync::{Event, Options, Report, SSH, Selection, Source, Sto
 ///
 /// Finished segments only; each is verified by its hash, forced onto the disk and only then acknowledged: what is
 /// acknowledged may be deleted on the robot. A sync that broke goes on where it broke; one that is run twice copies
-/// nothing. Needs rsync on both sides. docs/sync.md says what holds whatever goes wrong.
+/// nothing. Needs rsync on both sides. docs/howto/sync.md says what holds whatever goes wrong.
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Examples:",

@@ -55,7 +55,7 @@ fn bad(what: impl Into<String>, said: impl Into<String>, remedy: impl Into<Strin
 
 fn check_config(settings: &Settings) -> Vec<Finding> {
     let lens = match settings.camera.lens.as_deref().map(load_lens) {
-        None => bad("lens", "none is named", "calibrate, and name the file in camera.lens (docs/hardware.md)"),
+        None => bad("lens", "none is named", "calibrate, and name the file in camera.lens (docs/howto/robot.md)"),
         Some(Err(error)) => bad("lens", error.to_string(), "correct the file or camera.lens"),
         Some(Ok(file)) => good("lens", format!("{} x {}", file.lens.width(), file.lens.height())),
     };
@@ -75,7 +75,7 @@ fn check_config(settings: &Settings) -> Vec<Finding> {
         let masks = settings.camera.body_mask.iter();
         findings.extend(masks.map(|mask| match body_mask(&mask.png, width, height) {
             Err(error) => {
-                bad(format!("body mask {}", mask.png), error, "paint it anew (docs/hardware.md), or leave it out")
+                bad(format!("body mask {}", mask.png), error, "paint it anew (docs/howto/robot.md), or leave it out")
             }
             Ok(hides) => {
                 let share =

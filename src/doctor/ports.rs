@@ -135,7 +135,7 @@ fn report_robot<'a>(ports: impl Iterator<Item = (&'a str, &'a PortCounts)>) -> F
         missing => bad(
             "measurements",
             all,
-            format!("no port carries {}: docs/hardware.md says what to send", missing.join(" or ")),
+            format!("no port carries {}: docs/howto/robot.md says what to send", missing.join(" or ")),
         ),
     }
 }

@@ -54,9 +54,9 @@ pub struct RecordOptions {
 /// Why a recording cannot begin or go on.
 #[derive(Debug, Error)]
 pub enum RecordError {
-    #[error("mount.torso_height_m is not set: `record` must know where the camera is (docs/hardware.md)")]
+    #[error("mount.torso_height_m is not set: `record` must know where the camera is (docs/howto/robot.md)")]
     NoMount,
-    #[error("camera.lens is not set: `record` must know the camera's lens and size (docs/hardware.md)")]
+    #[error("camera.lens is not set: `record` must know the camera's lens and size (docs/howto/robot.md)")]
     NoLens,
     #[error("{captures}: the folder belongs to the capture {session}: name another with --output")]
     IntoCapture { captures: PathBuf, session: PathBuf },

@@ -4,7 +4,7 @@
 //! [`Catalogue`] of their sources. [`add`], [`remove`], [`rebuild`] and [`verify`] maintain it, also while others read it.
 //! [`ImageDatabase`] answers requests: it selects images, decodes them, and has [`realitysim_views`] make the view.
 //! [`leave_one_out`] measures the quality of the views, [`coverage`] shows the poses that images exist of. The formats of the
-//! files are described in docs/formats.md.
+//! files are described in docs/reference/formats.md.
 //!
 //! This example makes a database of one image and asks for the view at that image's pose:
 //!

@@ -34,6 +34,7 @@
 mod acknowledgement;
 pub mod catalogue;
 mod coverage;
+mod deletion_rules;
 mod disk_latency;
 mod distinct_folders;
 mod entry;
@@ -47,7 +48,6 @@ mod manifest;
 mod record_queue;
 mod recorder;
 mod refined;
-mod deletion_rules;
 mod repair;
 mod retention;
 mod segment;
@@ -71,6 +71,7 @@ pub use acknowledgement::{
 };
 pub use catalogue::{Received, Session, SetAside};
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
+pub use deletion_rules::{Releasable, releasable};
 pub use disk_latency::{DISK_FILE, DiskMeasured};
 pub use distinct_folders::{NotApart, is_probe, prove_apart};
 pub use error::{REMOVED, RecordingError, cannot_be_made};
@@ -83,7 +84,6 @@ pub use manifest::{
 };
 pub use recorder::folder_name;
 pub use refined::{REFINED_INFO, REFINED_TAGS, RefinedConstant, RefinedInfo, refined_info};
-pub use deletion_rules::{Releasable, releasable};
 pub use repair::{Repaired, repair, sessions_of};
 pub use retention::Evicted;
 pub use segment::{ACTIVE, is_segment_name};

@@ -19,7 +19,7 @@ use crate::scene::{Role, Scene};
 /// now, on this machine, of one thread's processor: the best of five times on six frames, with and without each effect.
 ///
 /// A limit must hold on every machine, so --max-ms is not held against these, but against what they would be on the machine
-/// of docs/scenes.md, by how fast a fixed loop runs here meanwhile.
+/// of docs/reference/scenes.md, by how fast a fixed loop runs here meanwhile.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim scene check replay/scenes/crowded.toml")]
 pub struct CheckArguments {
