@@ -18,7 +18,7 @@ use crate::evaluation::contrast::WRONG_CM;
 use crate::evaluation::falsify::{Control, Falsehood, falsehoods};
 use crate::evaluation::truth;
 use crate::geometry::Isometry;
-use crate::log_input::scene_source;
+use crate::log_input::{InputSource, scene_source};
 use crate::recording::ReadoutError;
 use crate::tagging::{FrameCache, FrameCacheOptions};
 
@@ -135,7 +135,7 @@ fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, thre
 }
 
 fn truth_of(path: &Path, settings: &Settings) -> anyhow::Result<Vec<(i64, Isometry)>> {
-    if path.extension().is_some_and(|ending| ending == "toml") {
+    if InputSource::is_scene(path) {
         return Ok(truth::of_scene(&scene_source::load(path)?));
     }
     match read_truth(path, &settings.topics.ground_truth) {

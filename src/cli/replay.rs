@@ -9,7 +9,7 @@ use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, output, paths};
 use crate::config::{Settings, load_field};
 use crate::geometry::{Field, Pose2};
-use crate::log_input::scene_source;
+use crate::log_input::{InputSource, scene_source};
 use crate::tagging::{ReplayOptions, ReplayReport, replay};
 
 /// Most threads; more would only wait for each other.
@@ -133,9 +133,9 @@ fn threads(text: &str) -> Result<usize, String> {
 
 /// Name of the source's field: a scene has its own.
 pub(super) fn source_field_name(source: &Path, settings: &Settings) -> anyhow::Result<String> {
-    match source.extension() {
-        Some(ending) if ending == "toml" => Ok(scene_source::load(source)?.file().scene.field.clone()),
-        _ => Ok(settings.field.clone()),
+    match InputSource::of(source) {
+        InputSource::Scene => Ok(scene_source::load(source)?.file().scene.field.clone()),
+        InputSource::Log => Ok(settings.field.clone()),
     }
 }
 

@@ -12,6 +12,7 @@ use crate::config::wording::plain;
 use crate::config::{MotionSource, Settings};
 use crate::geometry::{Field, Physical, Pose2};
 use crate::localization::{Formula, Model, SimdPath};
+use crate::log_input::InputSource;
 
 #[derive(Debug, Error)]
 #[error("{0}")]
@@ -73,7 +74,7 @@ impl SettingsArguments {
     pub fn resolve_for(&self, source: &Path) -> anyhow::Result<Settings> {
         let is_field = |assignment: &String| assignment.split('=').next().is_some_and(|key| key.trim() == "field");
         let is_named = self.field.is_some() || self.set.iter().any(is_field);
-        if is_named && source.extension().is_some_and(|ending| ending == "toml") {
+        if is_named && InputSource::is_scene(source) {
             let scene = source.display();
             return Err(UsageError(format!(
                 "--field is of a log, and {scene} is a scene, which names its field itself: `field` in its [scene]; `realitysim sim` \

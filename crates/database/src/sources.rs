@@ -16,7 +16,7 @@ use super::record::{Form, Record};
 use realitysim_config::{load_lens_for_image, plain_file};
 use realitysim_geometry::{Euler, FieldDimensions, Isometry, LensParameters};
 use realitysim_log_input::log::{self, LogSource};
-use realitysim_log_input::{body_mask, decode};
+use realitysim_log_input::{InputSource, body_mask, decode};
 use realitysim_recording::{
     Loss, REFINED_FOLDER, Readout, ReadoutError, RefinedInfo, SESSION_FILE, losses, read_info, read_tags, refined_info,
 };
@@ -178,7 +178,7 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
         left_out,
         limits,
         // Scenes are rendered without goals.
-        goals: !info.source.is_some_and(|source| source.ends_with(".toml")),
+        goals: !info.source.is_some_and(|source| InputSource::is_scene(Path::new(&source))),
         path,
     };
     let bodies = info.body_masks.iter().filter_map(|runs| BodyMask::from_runs(size[0], size[1], runs)).collect();

@@ -33,6 +33,7 @@ pub mod decode;
 pub mod encode;
 pub mod file_kind;
 pub mod history;
+mod input_source;
 pub mod log;
 pub mod measurement;
 pub mod scene_source;
@@ -41,3 +42,4 @@ pub mod topic_resolution;
 pub mod transforms;
 
 pub use body_mask::{body_mask, mask};
+pub use input_source::InputSource;

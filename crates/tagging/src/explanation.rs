@@ -17,7 +17,7 @@ use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::filter::always;
 use realitysim_localization::{Evidence, LocalizerState, Rejection};
 use realitysim_log_input::synchroniser::{Frame, InitialPose, Synchroniser};
-use realitysim_log_input::{measurement, scene_source};
+use realitysim_log_input::{InputSource, measurement, scene_source};
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::FrameTag;
 use realitysim_vision::{Observations, Picture};
@@ -59,7 +59,7 @@ pub struct Sight {
 
 /// Explains the tag of one frame. Errors are those of a replay, or that there is no such frame.
 pub fn explain(options: &ExplainOptions, progress: Progress) -> Result<Explanation, ReplayError> {
-    if options.source.extension().is_some_and(|ending| ending == "toml") {
+    if InputSource::is_scene(&options.source) {
         let scene = scene_source::load(&options.source)?;
         let (setup, messages) = input_source::scene(&scene, &options.source, &options.settings)?;
         return ReplayToFrame::new(options, setup, None).through(messages, progress);

@@ -14,7 +14,7 @@ use super::setup::Setup;
 use super::warm_start::{InitialState, last_state};
 use realitysim_config::Settings;
 use realitysim_geometry::Pose2;
-use realitysim_log_input::scene_source;
+use realitysim_log_input::{InputSource, scene_source};
 use realitysim_recording::{Writing, session_holding};
 use realitysim_ros2::mcap_read::LogMessage;
 
@@ -47,11 +47,7 @@ pub fn replay(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
     if let Some(session) = session_holding(&options.captures) {
         return Err(ReplayError::IntoCapture { captures: options.captures.clone(), session });
     }
-    if options.source.extension().is_some_and(|ending| ending == "toml") {
-        replay_scene(options, progress)
-    } else {
-        replay_log(options, progress)
-    }
+    if InputSource::is_scene(&options.source) { replay_scene(options, progress) } else { replay_log(options, progress) }
 }
 
 fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {

@@ -19,7 +19,7 @@ use crate::evaluation::compare::truth_at;
 use crate::evaluation::cost::{self, Requirements, SweepPoint};
 use crate::evaluation::truth;
 use crate::geometry::{Isometry, Pose2};
-use crate::log_input::scene_source;
+use crate::log_input::{InputSource, scene_source};
 use crate::recording::ReadoutError;
 use crate::tagging::{FrameCache, FrameCacheOptions, Trial};
 use crate::vision::automatic_reduction;
@@ -163,7 +163,7 @@ fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result
     if let Some(log) = &arguments.truth {
         return Ok(read_truth(log, topic)?.found);
     }
-    if arguments.source.extension().is_some_and(|ending| ending == "toml") {
+    if InputSource::is_scene(&arguments.source) {
         return Ok(truth::of_scene(&scene_source::load(&arguments.source)?));
     }
     match read_truth(&arguments.source, topic) {

@@ -9,6 +9,7 @@ use serde_json::Value;
 use super::ReferenceError;
 use realitysim_config::plain_file;
 use realitysim_geometry::Pose2;
+use realitysim_log_input::InputSource;
 use realitysim_log_input::log::files_of;
 use realitysim_log_input::scene_source::MAX_SCENE_BYTES;
 use realitysim_recording::{SessionInfo, read_info};
@@ -89,7 +90,7 @@ pub fn settings_that_matter(session: &Path) -> Result<Value, ReferenceError> {
 /// Hashes the files of a log, or the content of a scene with its field and lens.
 fn hash(source: &Path, info: &SessionInfo) -> io::Result<String> {
     let mut hasher = blake3::Hasher::new();
-    if source.extension().is_some_and(|ending| ending == "toml") {
+    if InputSource::is_scene(source) {
         // The parsed content is hashed: comments and layout change nothing. Field and lens are hashed by content, too.
         let scene: toml::Table =
             toml::from_str(&plain_file::read_text(source, MAX_SCENE_BYTES)?).map_err(io::Error::other)?;

@@ -18,6 +18,7 @@ use crate::reference::{self, Frames, Identity, Reference, ReferenceError, Verdic
 use crate::truth;
 use realitysim_config::{ConfigError, Settings};
 use realitysim_geometry::Isometry;
+use realitysim_log_input::InputSource;
 use realitysim_log_input::scene_source::{self, SceneSourceError};
 use realitysim_recording::{Loss, Readout, ReadoutError, read_tags};
 use realitysim_tagging::{FrameCacheOptions, ReplayError, ReplayOptions, replay};
@@ -244,7 +245,7 @@ fn frame_times(case: &Case, settings: &Settings, report: &mut CaseReport) -> Res
 
 /// Returns the true poses: those of the scene, or those in the log.
 fn truth_of(case: &Case, settings: &Settings, report: &mut CaseReport) -> Result<Vec<(i64, Isometry)>, CaseError> {
-    if case.truth.is_none() && case.source.extension().is_some_and(|ending| ending == "toml") {
+    if case.truth.is_none() && InputSource::is_scene(&case.source) {
         return Ok(truth::of_scene(&scene_source::load(&case.source)?));
     }
     let log = case.truth.as_ref().unwrap_or(&case.source);

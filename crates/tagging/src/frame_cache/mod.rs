@@ -19,8 +19,8 @@ use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::LocalizerState;
 use realitysim_localization::refinement::Refiner;
 use realitysim_localization::refinement::line_measurement::Response;
-use realitysim_log_input::scene_source;
 use realitysim_log_input::synchroniser::{Frame, InitialPose, RobotState};
+use realitysim_log_input::{InputSource, scene_source};
 use realitysim_recording::Loss;
 use realitysim_ros2::messages::FrameTag;
 use realitysim_scene::Scene;
@@ -101,7 +101,7 @@ impl FrameCache {
     ///
     /// Fails as a replay does, and if there is no frame in the window.
     pub fn load(options: &FrameCacheOptions, progress: Progress) -> Result<Self, ReplayError> {
-        if options.source.extension().is_some_and(|ending| ending == "toml") {
+        if InputSource::is_scene(&options.source) {
             Self::of_scene(&scene_source::load(&options.source)?, options, progress)
         } else {
             Self::of_log(options, progress)
