@@ -1,7 +1,7 @@
 //! Evaluation of tags and views against the truth.
 //!
 //! [`compare()`] judges tags against true poses; [`capture`] reads both from logs, [`truth`] takes true poses from a
-//! scene. [`suite`] runs many logs and scenes with limits, and [`reference`] holds a replay to the tags of an earlier
+//! scene. [`suite`] runs many logs and scenes with limits, and [`mod@reference`] holds a replay to the tags of an earlier
 //! one bit for bit.
 //! [`cost`] measures what accuracy costs in time. [`contrast`] measures how tags degrade as lines fade, [`falsify`]
 //! what they do under false assumptions, [`paper`] repeats the experiments of the paper, and [`views`] scores
