@@ -20,7 +20,7 @@ use crate::tagging::{ReplayOptions, replay};
 
 /// See a robot walk a field and every frame of its camera tagged
 ///
-/// Renders a scene into a log, replays the log through the agent, judges the tags against the truth and draws a
+/// Renders a scene into a log, replays the log, judges the tags against the truth and draws a
 /// picture. Needs no hardware and no network.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim demo -o demo/")]

@@ -224,7 +224,7 @@ fn for_people(status: &Value) -> String {
         allowed => format!(" of {allowed} ms"),
     };
     lines.push(format!(
-        "last second: {:.1} captured, {:.1} written, {:.1} tagged; {} of 16 frames wait for the agent",
+        "last second: {:.1} captured, {:.1} written, {:.1} tagged; {} of 16 frames wait to be taken",
         rate("captured_hz"),
         rate("written_hz"),
         rate("tagged_hz"),
