@@ -1,5 +1,5 @@
 //! What scenes cost, counted in instructions: `cargo bench --bench scenes`. Needs valgrind, and fails without; `-- --if-possible`
-//! does not. `-- --write docs/scenes.md` puts the table between that document's marks.
+//! does not. `-- --write docs/reference/scenes.md` puts the table between that document's marks.
 //!
 //! Instructions do not depend on what else the machine does. Counted are a few frames, and everything that the robot's
 //! other sensors send meanwhile; what acts once begins within that time. Setting up is counted apart and taken off. Fails if
@@ -9,7 +9,7 @@
 use std::fmt::Write;
 use std::process::{Command, ExitCode};
 
-use realitysim::log_input::scene;
+use realitysim::log_input::scene_source;
 use realitysim::scene::{Renderer, START_STAMP_NS, Scene};
 
 /// A shelf scene with all the effects that another one has cut off.
@@ -175,7 +175,7 @@ fn render(what: &str) {
     let (what, frames, effects) = (part(), part().parse::<u64>().expect("a number"), part());
     let plain = BASE.split("[[effect]]").next().expect("a first part");
     let entries = if effects.is_empty() { String::new() } else { format!("\n[[effect]]\n{effects}\n") };
-    let scene = scene::parse(&format!("{plain}{entries}"), "bench").expect("a scene");
+    let scene = scene_source::parse(&format!("{plain}{entries}"), "bench").expect("a scene");
     let renderer = Renderer::new(&scene);
     let mut pixels = Vec::new();
     if what == BARE {

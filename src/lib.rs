@@ -1,7 +1,8 @@
 //! Reality Sim: real camera images for any pose on the field.
 //!
-//! The libraries are crates of their own under `crates/`; this crate is the program: its commands, the live recorder, the doctor that
-//! looks at a robot's devices, and the playback to devices. What the libraries offer is found here under their short names.
+//! This crate is the program: its commands ([`cli`]), the live recorder ([`live`]), the check of a robot's devices ([`doctor`]), the
+//! load test of the recorder ([`soak`]) and the playback to devices ([`playback`]). The libraries are crates of their own under
+//! `crates/`; they are re-exported here under their short names.
 
 pub use realitysim_config as config;
 pub use realitysim_database as database;

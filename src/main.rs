@@ -1,4 +1,4 @@
-//! See [`realitysim::cli`].
+//! Entry point of the program; its commands are in [`realitysim::cli`].
 
 use std::process::ExitCode;
 

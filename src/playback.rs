@@ -1,4 +1,4 @@
-//! A recording played back in its own time, to where a robot's devices are: software that runs on a robot runs on it unchanged.
+//! Plays a recording in real time to the devices of a robot, so that the robot's software runs on it unchanged.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -10,34 +10,36 @@ use serde::Serialize;
 use serialport::SerialPort;
 use thiserror::Error;
 
-use crate::database::{DatabaseError, Gallery, Wanted};
+use crate::database::{DatabaseError, ImageDatabase, ViewQuery};
 use crate::devices::mavlink::RobotSide;
 use crate::devices::video_out::{OutputForm, VideoOut, VideoOutError, yuyv};
 use crate::geometry::{Isometry, Pose2};
-use crate::log_input::intake::{self, Input};
 use crate::log_input::log::{self, LogError, LogSource};
+use crate::log_input::measurement::{self, Measurement};
 use crate::log_input::{decode, encode};
 use crate::recording::{RecordingError, SESSION_FILE, captures_within, read_info};
 use crate::ros2::mcap_read::Selection;
 use crate::ros2::messages::CompressedImageView;
 use crate::views::{FAR_M, Method};
 
+/// What to play, and where to.
 #[derive(Clone, Debug)]
 pub struct PlayOptions {
     pub source: PlaySource,
     pub video: Option<PathBuf>,
     /// Device and baud rate.
     pub serial: Option<(String, u32)>,
-    /// How much faster than it was recorded.
+    /// Speed relative to the recording.
     pub speed: f64,
-    /// MAVLink's number of the robot.
+    /// MAVLink system number of the robot.
     pub system: u8,
 }
 
+/// Where images and motion come from.
 #[derive(Clone, Debug)]
 pub enum PlaySource {
     Capture(PathBuf),
-    /// Seconds and poses of `camera_link`: images come from a database.
+    /// Seconds and poses of `camera_link` in `map`; the images are views of a database.
     Trajectory {
         poses: Vec<(f64, Isometry)>,
         database: PathBuf,
@@ -45,17 +47,17 @@ pub enum PlaySource {
     },
 }
 
-/// What was played.
+/// Counts of what was played.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Played {
     pub images: u64,
     pub odometry: u64,
     pub attitudes: u64,
-    /// Could not be written, since the device was away; or no view could be made there.
+    /// Events that could not be written because the device was away, and poses of which no view could be made.
     pub lost: u64,
-    /// Came more than `LATE` after their time.
+    /// Events that were played more than `LATE` after their time.
     pub late: u64,
-    /// Views that are to be doubted, and why the first one is.
+    /// Views with a warning; `doubt` is the first warning.
     pub doubtful: u64,
     pub doubt: Option<String>,
     pub seconds: f64,
@@ -89,7 +91,7 @@ pub enum PlayError {
     Nothing { path: PathBuf, what: String },
 }
 
-/// Something that happens at a time.
+/// An event to be played at its time.
 enum Event {
     Image(Vec<u8>),
     Odometry(Pose2),
@@ -97,30 +99,30 @@ enum Event {
 }
 
 const LATE: Duration = Duration::from_millis(100);
-/// The longest sleep: so late a stop is noticed.
-const NAP: Duration = Duration::from_millis(20);
-/// A gap in a recording is not waited for longer.
+/// Longest sleep, and so the delay until a stop is noticed.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Longer gaps in a recording are cut to this.
 const MAX_GAP: Duration = Duration::from_secs(2);
-/// A device that went away is looked for this often.
-const AGAIN_AFTER: Duration = Duration::from_millis(500);
+/// Time between two attempts to reopen a device that went away.
+const REOPEN_INTERVAL: Duration = Duration::from_millis(500);
 const HEARTBEAT_EVERY: Duration = Duration::from_secs(1);
 const SERIAL_TIMEOUT: Duration = Duration::from_millis(200);
-/// Device times count from here: 0 means that there is none.
+/// Device time at the start: a device time of 0 means that there is none.
 const BOOT_NS: i64 = 1_000_000_000;
-const QUALITY: u8 = 90;
+const JPEG_QUALITY: u8 = 90;
 
-/// Plays until the end or `stop`.
+/// Plays until the end of the source or until `stop`.
 pub fn play(options: &PlayOptions, stop: &AtomicBool) -> Result<Played, PlayError> {
     match &options.source {
-        PlaySource::Capture(path) => capture(options, path, stop),
+        PlaySource::Capture(path) => play_capture(options, path, stop),
         PlaySource::Trajectory { poses, database, settings } => {
-            let gallery = Gallery::open(database, settings)?;
-            trajectory(options, poses, &gallery, stop)
+            let gallery = ImageDatabase::open(database, settings)?;
+            play_trajectory(options, poses, &gallery, stop)
         }
     }
 }
 
-fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Played, PlayError> {
+fn play_capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Played, PlayError> {
     let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
     if !folder.join(SESSION_FILE).is_file() {
         return Err(PlayError::NotACapture(path.to_owned()));
@@ -129,24 +131,24 @@ fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Play
     let topics = &info.settings.topics;
     let wanted = [topics.image.as_str(), topics.odometry.as_str(), topics.imu.as_str()];
     let messages = LogSource::new(log::files_of(path)?, Selection::topics(wanted));
-    let mut stage = Stage::new(options, [info.lens.width, info.lens.height], stop)?;
+    let mut player = Player::new(options, [info.lens.width, info.lens.height], stop)?;
     let mut first_ns = None;
     for message in messages {
         let message = message?;
         let since_ns = message.log_time_ns.saturating_sub(*first_ns.get_or_insert(message.log_time_ns));
-        let event = match intake::read(&message, topics, &info.settings.head) {
-            Ok(Input::Frame { .. }) => image_of(&message).map(Event::Image),
-            Ok(Input::Odometry { odom_from_footprint, .. }) => Some(Event::Odometry(odom_from_footprint)),
-            Ok(Input::Imu { orientation: Some(q), turn_rate, .. }) => Some(Event::Attitude(q, turn_rate)),
+        let event = match measurement::read(&message, topics, &info.settings.head) {
+            Ok(Measurement::Frame { .. }) => image_of(&message).map(Event::Image),
+            Ok(Measurement::Odometry { odom_from_footprint, .. }) => Some(Event::Odometry(odom_from_footprint)),
+            Ok(Measurement::Imu { orientation: Some(q), turn_rate, .. }) => Some(Event::Attitude(q, turn_rate)),
             _ => None,
         };
         if let Some(event) = event
-            && !stage.play(since_ns, &event, stop)
+            && !player.play(since_ns, &event, stop)
         {
             break;
         }
     }
-    let played = stage.played();
+    let played = player.played();
     if played.is_nothing() && !stop.load(Ordering::Relaxed) {
         let images = options.video.iter().map(|_| format!("no image on {}", topics.image));
         let steps =
@@ -158,7 +160,7 @@ fn capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result<Play
     Ok(played)
 }
 
-/// The stored JPEG itself, or one made of raw pixels.
+/// Returns the stored JPEG, or one encoded from raw pixels.
 fn image_of(message: &crate::ros2::mcap_read::LogMessage) -> Option<Vec<u8>> {
     if message.channel.type_name == "sensor_msgs/msg/CompressedImage" {
         let image = CompressedImageView::decode(&message.data).ok()?;
@@ -171,20 +173,21 @@ fn image_of(message: &crate::ros2::mcap_read::LogMessage) -> Option<Vec<u8>> {
 }
 
 fn jpeg(rgb: &[u8], width: usize, height: usize) -> Option<Vec<u8>> {
-    encode::jpeg(rgb, width, height, ColorType::Rgb, QUALITY).ok()
+    encode::jpeg(rgb, width, height, ColorType::Rgb, JPEG_QUALITY).ok()
 }
 
-/// Odometry is the camera's own way over the ground: nothing says where its feet are.
-fn trajectory(
+/// Plays views along a trajectory. Odometry is the camera's own pose over the ground, since nothing says where the feet
+/// are.
+fn play_trajectory(
     options: &PlayOptions,
     poses: &[(f64, Isometry)],
-    gallery: &Gallery,
+    gallery: &ImageDatabase,
     stop: &AtomicBool,
 ) -> Result<Played, PlayError> {
-    let mut stage: Option<Stage> = None;
+    let mut player: Option<Player> = None;
     let mut camera = None;
     for (seconds, pose) in poses {
-        let wanted = Wanted {
+        let wanted = ViewQuery {
             map_from_link: *pose,
             method: Method::Exact,
             camera: camera.clone(),
@@ -192,11 +195,11 @@ fn trajectory(
             may_be_stored: true,
             without: Vec::new(),
         };
-        let shown = match (gallery.view(&wanted), &mut stage) {
+        let shown = match (gallery.view(&wanted), &mut player) {
             (Ok(shown), _) => shown,
-            // As when a camera drops a frame: the robot goes on.
-            (Err(DatabaseError::View(_) | DatabaseError::Image { .. }), Some(stage)) => {
-                stage.played.lost += 1;
+            // Counted as a frame that a camera drops: the walk goes on.
+            (Err(DatabaseError::View(_) | DatabaseError::Image { .. }), Some(player)) => {
+                player.played.lost += 1;
                 continue;
             }
             (Err(error), _) => return Err(error.into()),
@@ -206,48 +209,48 @@ fn trajectory(
         camera.get_or_insert_with(|| shown.camera.clone());
         let stored = shown.stored.filter(|bytes| bytes.starts_with(&[0xff, 0xd8]));
         let bytes = stored.or_else(|| jpeg(&image.to_rgb(), width, height));
-        let stage = match &mut stage {
-            Some(stage) => stage,
-            none => none.insert(Stage::new(options, [width as u32, height as u32], stop)?),
+        let player = match &mut player {
+            Some(player) => player,
+            none => none.insert(Player::new(options, [width as u32, height as u32], stop)?),
         };
         if let Some(why) = shown.answer.warning(FAR_M) {
-            stage.played.doubtful += 1;
-            stage.played.doubt.get_or_insert(why);
+            player.played.doubtful += 1;
+            player.played.doubt.get_or_insert(why);
         }
         let since_ns = (seconds * 1e9) as i64;
         let events = [Some(Event::Odometry(Pose2::from_isometry(pose))), bytes.map(Event::Image)];
-        if !events.iter().flatten().all(|event| stage.play(since_ns, event, stop)) {
+        if !events.iter().flatten().all(|event| player.play(since_ns, event, stop)) {
             break;
         }
     }
-    Ok(stage.map(|stage| stage.played()).unwrap_or_default())
+    Ok(player.map(|player| player.played()).unwrap_or_default())
 }
 
-/// Both devices, and the clock.
-struct Stage<'a> {
+/// The output devices and the playback clock.
+struct Player<'a> {
     options: &'a PlayOptions,
     size: (u32, u32),
-    video: Away<VideoOut>,
-    serial: Away<Box<dyn SerialPort>>,
+    video: ReconnectingDevice<VideoOut>,
+    serial: ReconnectingDevice<Box<dyn SerialPort>>,
     robot: RobotSide,
     started: Instant,
-    /// Time of the recording that was passed over.
+    /// Time of the recording that was left out in gaps.
     skipped: Duration,
     last: Duration,
     beat: Option<Instant>,
     played: Played,
 }
 
-impl<'a> Stage<'a> {
-    /// What is not there at the start is an error: it may be a wrong name.
+impl<'a> Player<'a> {
+    /// Opens the devices. One that is absent at the start is an error, since its name may be wrong.
     fn new(options: &'a PlayOptions, [width, height]: [u32; 2], stop: &AtomicBool) -> Result<Self, PlayError> {
-        let video = options.video.as_ref().map(|path| video(path, [width, height], stop)).transpose()?;
-        let serial = options.serial.as_ref().map(port).transpose()?;
+        let video = options.video.as_ref().map(|path| open_video(path, [width, height], stop)).transpose()?;
+        let serial = options.serial.as_ref().map(open_port).transpose()?;
         Ok(Self {
             options,
             size: (width, height),
-            video: Away::new(video),
-            serial: Away::new(serial),
+            video: ReconnectingDevice::new(video),
+            serial: ReconnectingDevice::new(serial),
             robot: RobotSide::new(options.system),
             started: Instant::now(),
             skipped: Duration::ZERO,
@@ -257,7 +260,7 @@ impl<'a> Stage<'a> {
         })
     }
 
-    /// Waits for the event's time; whether it goes on.
+    /// Waits for the event's time and writes it. Returns whether to go on.
     fn play(&mut self, since_ns: i64, event: &Event, stop: &AtomicBool) -> bool {
         let recorded = Duration::from_nanos(since_ns.max(0) as u64);
         let gap = recorded.saturating_sub(self.last);
@@ -272,7 +275,7 @@ impl<'a> Stage<'a> {
             if wait.is_zero() {
                 break;
             }
-            std::thread::sleep(wait.min(NAP));
+            std::thread::sleep(wait.min(POLL_INTERVAL));
         }
         self.played.late += u64::from(due.elapsed() > LATE);
         self.write(since_ns.saturating_add(BOOT_NS), event);
@@ -315,10 +318,10 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// `None`: there is no such device, on purpose.
+    /// Writes to the serial port. `None` if no serial port is asked for, else whether it was written.
     fn send(&mut self, bytes: &[u8]) -> Option<bool> {
         let options = self.options;
-        let open = || port(options.serial.as_ref()?).ok();
+        let open = || open_port(options.serial.as_ref()?).ok();
         self.serial.with(open, |serial| serial.write_all(bytes))
     }
 
@@ -335,35 +338,36 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// Whoever is to read a pipe may come later.
-fn video(path: &Path, [width, height]: [u32; 2], stop: &AtomicBool) -> Result<VideoOut, VideoOutError> {
+/// Opens the video output. Waits for the reader of a pipe, which may come later.
+fn open_video(path: &Path, [width, height]: [u32; 2], stop: &AtomicBool) -> Result<VideoOut, VideoOutError> {
     loop {
         match VideoOut::open(path, width, height) {
-            Err(error) if error.nobody_reads() && !stop.load(Ordering::Relaxed) => std::thread::sleep(NAP),
+            Err(error) if error.nobody_reads() && !stop.load(Ordering::Relaxed) => std::thread::sleep(POLL_INTERVAL),
             opened => return opened,
         }
     }
 }
 
-fn port((device, baud): &(String, u32)) -> Result<Box<dyn SerialPort>, PlayError> {
+fn open_port((device, baud): &(String, u32)) -> Result<Box<dyn SerialPort>, PlayError> {
     let opened = serialport::new(device, *baud).timeout(SERIAL_TIMEOUT).open();
     opened.map_err(|source| PlayError::Serial { device: device.clone(), source })
 }
 
 /// A device that may go away and come back.
-struct Away<T> {
+struct ReconnectingDevice<T> {
     device: Option<T>,
-    /// It was there once.
+    /// Whether the device is asked for: it was open at the start.
     wanted: bool,
     tried: Instant,
 }
 
-impl<T> Away<T> {
+impl<T> ReconnectingDevice<T> {
     fn new(device: Option<T>) -> Self {
         Self { wanted: device.is_some(), device, tried: Instant::now() }
     }
 
-    /// Whether it was done; `None` if nobody wants the device.
+    /// Runs `work` on the device, reopening it if need be. Returns whether that worked; `None` if the device is not asked
+    /// for.
     fn with(
         &mut self,
         open: impl FnOnce() -> Option<T>,
@@ -372,7 +376,7 @@ impl<T> Away<T> {
         if !self.wanted {
             return None;
         }
-        if self.device.is_none() && self.tried.elapsed() >= AGAIN_AFTER {
+        if self.device.is_none() && self.tried.elapsed() >= REOPEN_INTERVAL {
             self.tried = Instant::now();
             self.device = open();
         }

@@ -1,4 +1,4 @@
-//! The recorder alone, under a stream as a robot makes it: does it keep up, and at what cost?
+//! Load test of the recorder: a synthetic stream in real time shows whether it keeps up, and at what cost.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -22,6 +22,7 @@ use crate::ros2::messages::{CompressedImage, FrameTag, Header, Imu, Message};
 use crate::ros2::topics;
 use crate::tagging::error::AgentError;
 
+/// What a load test records, and for how long.
 #[derive(Clone, Debug)]
 pub struct SoakOptions {
     pub captures: PathBuf,
@@ -32,30 +33,32 @@ pub struct SoakOptions {
     pub imu_per_s: u32,
 }
 
+/// Result of a load test.
 #[derive(Clone, Debug, Serialize)]
 pub struct SoakReport {
     pub session: PathBuf,
     pub seconds: f64,
     pub counts: Counts,
     pub bytes_per_s: f64,
-    /// Of one processor core, the making of the stream included.
+    /// Processor time divided by the test's duration. It includes the making of the stream.
     pub core_share: f64,
     pub recorder: RecorderStatus,
 }
 
-/// A filter's state of usual size.
+/// Size of a filter state, as a checkpoint holds it.
 const STATE_BYTES: usize = 64 << 10;
-/// How often `each` is told.
-const TELL_EVERY: Duration = Duration::from_millis(100);
+/// How often `each` is called.
+const STATUS_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Records made-up frames, measurements and tags in real time.
+/// Records synthetic frames, measurements and tags in real time. `each` gets the recorder's state now and then.
 pub fn soak(options: &SoakOptions, each: &mut dyn FnMut(&RecorderStatus)) -> Result<SoakReport, AgentError> {
     let start_ns = utc_offset_ns() + crate::devices::host_clock::monotonic_ns();
     let (name, info) = info(options, start_ns)?;
     let mut stream = Stream::new(options, start_ns, &info.field);
     let bytes_per_s = u64::from(options.frames_per_s) * options.frame_bytes as u64;
     let writing = Writing::Behind { bytes_per_s };
-    let mut session = SessionWriter::create(Arc::new(Disk), &options.captures, &name, &info, state(start_ns), writing)?;
+    let mut session =
+        SessionWriter::create(Arc::new(Disk), &options.captures, &name, &info, segment_state(start_ns), writing)?;
     let (began, used) = (Instant::now(), processor_time());
     let mut told = began;
     while began.elapsed() < options.duration {
@@ -63,10 +66,10 @@ pub fn soak(options: &SoakOptions, each: &mut dyn FnMut(&RecorderStatus)) -> Res
         std::thread::sleep(due.saturating_sub(began.elapsed()));
         let now_ns = start_ns + began.elapsed().as_nanos() as i64;
         if session.is_segment_full(now_ns) {
-            session.next_segment(state(now_ns))?;
+            session.next_segment(segment_state(now_ns))?;
         }
         stream.write_due(began.elapsed(), &mut session)?;
-        if told.elapsed() >= TELL_EVERY {
+        if told.elapsed() >= STATUS_INTERVAL {
             told = Instant::now();
             each(&session.status());
         }
@@ -79,7 +82,7 @@ pub fn soak(options: &SoakOptions, each: &mut dyn FnMut(&RecorderStatus)) -> Res
     Ok(SoakReport { session, seconds, counts, bytes_per_s: stream.bytes as f64 / seconds, core_share, recorder })
 }
 
-fn state(log_time_ns: i64) -> SegmentState {
+fn segment_state(log_time_ns: i64) -> SegmentState {
     SegmentState { log_time_ns, name: topics::CHECKPOINT_ATTACHMENT, state: vec![0x5a; STATE_BYTES] }
 }
 
@@ -109,13 +112,13 @@ fn info(options: &SoakOptions, start_ns: i64) -> Result<(String, SessionInfo), A
     Ok((format!("{}-soak", started.strftime("%Y-%m-%dT%H-%M-%SZ")), info))
 }
 
-/// A robot that walks in circles, one in half a minute.
-fn on_a_circle(time: Duration) -> Pose2 {
+/// Pose on a circle of 2 m radius, once around in half a minute.
+fn circle_pose(time: Duration) -> Pose2 {
     let angle = time.as_secs_f64() * std::f64::consts::TAU / 30.0;
     Pose2::new(2.0 * angle.cos(), 2.0 * angle.sin(), angle + std::f64::consts::FRAC_PI_2)
 }
 
-/// What comes when.
+/// The synthetic messages and their times.
 struct Stream {
     start_ns: i64,
     frame_every: Duration,
@@ -136,7 +139,7 @@ impl Stream {
         let thinning = options.settings.recording.thinning.clone();
         let half = DVec2::new(field.length_m, field.width_m) / 2.0;
         let grid = PoseGrid::new(half, thinning.cell_m, usize::from(thinning.headings));
-        // As little to be packed as a JPEG is.
+        // Bytes of high entropy, which compress as badly as a JPEG.
         let data =
             (0..options.frame_bytes as u64).map(|i| (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 56) as u8).collect();
         let header = Header::at(start_ns, &options.settings.frames.camera_optical);
@@ -173,7 +176,7 @@ impl Stream {
             let at_ns = self.start_ns + (self.frame_every * self.frames).as_nanos() as i64;
             let stamp = Header::at(at_ns, "");
             self.image.header.stamp = stamp.stamp;
-            let pose = on_a_circle(self.frame_every * self.frames);
+            let pose = circle_pose(self.frame_every * self.frames);
             if self.thinning.keeps(at_ns, Some(&pose.to_isometry()), 0.0) {
                 self.pass(0, at_ns, self.image.encode(), session)?;
             } else {

@@ -11,7 +11,7 @@ use realitysim::config::Settings;
 use realitysim::devices::camera::{
     BufferInfo, CameraError, CameraOptions, Capture, CaptureEvent, CaptureRules, Driver, Negotiated, PixelFormat,
 };
-use realitysim::tagging::{Footage, FootageOptions};
+use realitysim::tagging::{FrameCache, FrameCacheOptions};
 
 struct Counting;
 
@@ -125,14 +125,14 @@ fn capturing_a_steady_stream_allocates_nothing() {
 /// Looking, filtering and refining allocate nothing; a tag's names (frames, model, formula) are strings of its own.
 #[test]
 fn tagging_a_frame_allocates_the_names_in_its_tag_and_nothing_else() {
-    let options = FootageOptions {
+    let options = FrameCacheOptions {
         source: PathBuf::from("replay/scenes/straight.toml"),
         settings: Settings::default(),
         initial: None,
         from_s: 0.0,
         for_s: Some(4.0),
     };
-    let footage = Footage::load(&options, &mut |_, _| {}).expect("a scene of the shelf");
+    let footage = FrameCache::load(&options, &mut |_, _| {}).expect("a scene of the shelf");
     let (mut counts, mut last) = (Vec::with_capacity(100), 0);
     footage
         .try_out(footage.settings(), &mut |_| {

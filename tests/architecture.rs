@@ -1,4 +1,4 @@
-//! The crates depend on one another as docs/architecture.md says.
+//! The crates depend on one another as docs/explanation/architecture.md says.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -55,9 +55,9 @@ fn the_core_is_built_of_mathematics_alone() {
     assert!(others.is_empty(), "the core depends on {others:?}");
 }
 
-/// The rows of the table of crates in docs/architecture.md, in its order.
+/// The rows of the table of crates in docs/explanation/architecture.md, in its order.
 fn rows() -> Vec<String> {
-    let text = fs::read_to_string("docs/architecture.md").expect("docs/architecture.md");
+    let text = fs::read_to_string("docs/explanation/architecture.md").expect("docs/explanation/architecture.md");
     let table =
         text.lines().skip_while(|line| !line.starts_with("| crate |")).skip(2).take_while(|line| line.starts_with('|'));
     let name = |line: &str| line.split('`').nth(1).expect("a crate's name").to_owned();
@@ -73,7 +73,7 @@ fn no_crate_uses_one_below_it() {
     assert_eq!(
         stated,
         &folders - &BTreeSet::from(["test-support".to_owned()]),
-        "docs/architecture.md has a row for each crate"
+        "docs/explanation/architecture.md has a row for each crate"
     );
     for (place, name) in rows.iter().enumerate().filter(|(_, name)| *name != "realitysim") {
         let manifest = fs::read_to_string(format!("crates/{name}/Cargo.toml")).expect("a manifest");

@@ -1,4 +1,4 @@
-//! docs/hardware.md says what the wire says.
+//! docs/howto/robot.md says what the wire says.
 
 use mavlink::MessageData;
 use mavlink::dialects::common::*;
@@ -32,8 +32,8 @@ fn the_cost_on_the_wire_is_what_the_table_says() {
         let share = |set: usize| (total(set) * 10 * 100).div_ceil(baud);
         rows.push(format!("| of {baud} baud | | {} % | {} % |", share(0), share(1)));
     }
-    let text = std::fs::read_to_string("docs/hardware.md").unwrap();
+    let text = std::fs::read_to_string("docs/howto/robot.md").unwrap();
     for row in rows {
-        assert!(text.lines().any(|line| line == row), "docs/hardware.md lacks\n{row}");
+        assert!(text.lines().any(|line| line == row), "docs/howto/robot.md lacks\n{row}");
     }
 }

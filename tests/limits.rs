@@ -1,4 +1,4 @@
-//! docs/limits.md says what the source says.
+//! docs/reference/limits.md says what the source says.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -12,11 +12,11 @@ fn the_table_of_limits_is_right_and_whole() {
     let stated = stated();
     let found: Constants = source_folders().iter().flat_map(|folder| constants(folder)).collect();
     for (key, value) in &stated {
-        assert_eq!(found.get(key), Some(value), "docs/limits.md: {key:?}");
+        assert_eq!(found.get(key), Some(value), "docs/reference/limits.md: {key:?}");
     }
     let is_limit = |name: &str| name.starts_with("MAX_");
     let left_out: Vec<_> = found.keys().filter(|key| is_limit(&key.1) && !stated.contains_key(*key)).collect();
-    assert!(left_out.is_empty(), "docs/limits.md lacks {left_out:?}");
+    assert!(left_out.is_empty(), "docs/reference/limits.md lacks {left_out:?}");
     assert!(found.keys().filter(|key| is_limit(&key.1)).count() > 20, "the source was not read");
 }
 
@@ -26,15 +26,15 @@ fn the_table_of_limits_is_right_and_whole() {
 fn files_are_read_through_one_door() {
     const OWN: [&str; 11] = [
         "crates/config/src/plain_file.rs",
-        "src/cli/machine.rs",
+        "src/cli/host_info.rs",
         "crates/recording/src/identity.rs",
         "crates/recording/src/storage/disk.rs",
-        "crates/recording/src/turn.rs",
+        "crates/recording/src/folder_lock.rs",
         "crates/devices/src/permission.rs",
         "crates/devices/src/serial/latency.rs",
         "crates/devices/src/serial/port.rs",
         "crates/devices/src/video_out.rs",
-        "crates/recording/src/sync/desk.rs",
+        "crates/recording/src/sync/source_state.rs",
         "crates/recording/src/sync/store.rs",
     ];
     const DOORS: [&str; 6] =
@@ -51,7 +51,7 @@ fn files_are_read_through_one_door() {
 
 /// Rows of the form: | `NAME` | `value` | `file` | why |
 fn stated() -> Constants {
-    let text = fs::read_to_string("docs/limits.md").expect("docs/limits.md");
+    let text = fs::read_to_string("docs/reference/limits.md").expect("docs/reference/limits.md");
     let mut rows = Constants::new();
     for line in text.lines().filter(|line| line.starts_with("| `")) {
         let cells: Vec<&str> = line.trim_matches('|').split('|').map(str::trim).collect();

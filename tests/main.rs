@@ -3,6 +3,7 @@
 mod architecture;
 mod config;
 mod dev;
+mod documents;
 mod fuzz;
 mod hardware;
 mod limits;

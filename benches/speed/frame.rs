@@ -4,19 +4,19 @@ use std::path::PathBuf;
 
 use realitysim::config::Settings;
 use realitysim::localization::SimdPath;
-use realitysim::tagging::{Footage, FootageOptions};
+use realitysim::tagging::{FrameCache, FrameCacheOptions};
 
 use super::measure::{Times, told};
 
 pub fn run(quick: bool) {
-    let options = FootageOptions {
+    let options = FrameCacheOptions {
         source: PathBuf::from("replay/scenes/straight.toml"),
         settings: Settings::default(),
         initial: None,
         from_s: 0.0,
         for_s: Some(if quick { 2.0 } else { 15.0 }),
     };
-    let footage = Footage::load(&options, &mut |_, _| {}).expect("a scene of the shelf");
+    let footage = FrameCache::load(&options, &mut |_, _| {}).expect("a scene of the shelf");
     let times = |adaptive: bool, simd: SimdPath| {
         let mut settings = footage.settings().clone();
         (settings.filter.adaptive, settings.filter.simd) = (adaptive, simd);

@@ -4,7 +4,7 @@ use core::f64::consts::TAU;
 
 use glam::{DVec2, DVec3};
 use realitysim::geometry::Pose2;
-use realitysim::localization::global::{Candidate, Pace, Search, SearchState, Wanted};
+use realitysim::localization::global_search::{Candidate, GlobalSearch, Pace, SearchRequest, SearchState};
 use realitysim::localization::kernel::{Points, available, sum_levels};
 use realitysim::localization::observation::default_alpha;
 use realitysim::localization::{Effort, Formula, Observation, Particles, SimdPath, Spread};
@@ -83,7 +83,7 @@ fn search(bench: &mut Bench, view: &View) {
     let alpha = default_alpha(Formula::Corrected);
     let observation = Observation::new(&view.field, POINTS, Formula::Corrected, alpha, SimdPath::Auto);
     let table = &view.seen.table;
-    let mut search = Search::new(&view.field, 0.3, &observation);
+    let mut search = GlobalSearch::new(&view.field, 0.3, &observation);
     let half = view.field.carpet_half_extent();
     let everywhere = || {
         let steps = |half: f64| ((half + 0.3) / 0.1).ceil() as i32;
@@ -96,7 +96,7 @@ fn search(bench: &mut Bench, view: &View) {
             .max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
     };
     bench.compare("search of the field, coarse to fine; every 10 cm and 3 deg", None, everywhere, || {
-        let wanted = Wanted { candidates: 4, pace: Pace::Hurried };
+        let wanted = SearchRequest { candidates: 4, pace: Pace::Hurried };
         search.run(&observation, table, wanted, &mut SearchState::default(), &mut Effort::default(), &mut |_| true)
     });
 }

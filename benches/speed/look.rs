@@ -1,14 +1,14 @@
 //! From the picture to the ground table.
 
 use glam::{DVec2, DVec3};
-use realitysim::vision::Seen;
+use realitysim::vision::Observations;
 use realitysim::vision::ground::SIDE;
 
 use super::measure::Bench;
 use super::view::View;
 
 pub fn run(bench: &mut Bench, view: &View) {
-    let mut seen = Seen::default();
+    let mut seen = Observations::default();
     bench.compare(
         "gray, contrast, border, table; only the table, lens at each cell",
         None,

@@ -3,9 +3,9 @@
 use glam::DVec3;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, Pose2};
 use realitysim::localization::{Formula, Model, observation};
-use realitysim::log_input::scene;
+use realitysim::log_input::scene_source;
 use realitysim::scene::Renderer;
-use realitysim::vision::{Picture, Seen, Vision, VisionSettings};
+use realitysim::vision::{Observations, Picture, Vision, VisionSettings};
 
 pub struct View {
     pub lens: Lens,
@@ -15,13 +15,13 @@ pub struct View {
     /// Where the robot stands.
     pub pose: Pose2,
     pub vision: Vision,
-    pub seen: Seen,
+    pub seen: Observations,
 }
 
 impl View {
     /// 640 x 480, near the centre circle.
     pub fn new() -> Self {
-        let scene = scene::load("replay/scenes/straight.toml").expect("a scene of the shelf");
+        let scene = scene_source::load("replay/scenes/straight.toml").expect("a scene of the shelf");
         let lens = scene.lens().clone();
         let field = scene.field().clone();
         let pose = Pose2::new(-1.4, 0.3, 0.2);

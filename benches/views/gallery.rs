@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use realitysim::config::ViewsSettings;
-use realitysim::database::{Catalogue, Gallery, TagLimits, Wanted, add};
+use realitysim::database::{Catalogue, ImageDatabase, TagLimits, ViewQuery, add};
 use realitysim::geometry::Isometry;
 use realitysim::views::Method;
 
@@ -29,8 +29,8 @@ pub fn run(rounds: usize, text: &mut String) {
     catalogue.sources.iter_mut().for_each(|source| source.goals = true);
     catalogue.write(&db).expect("a database");
     let settings = ViewsSettings::default();
-    let open = || Gallery::open(&db, &settings).expect("a database");
-    let wanted = |map_from_link: Isometry| Wanted {
+    let open = || ImageDatabase::open(&db, &settings).expect("a database");
+    let wanted = |map_from_link: Isometry| ViewQuery {
         map_from_link,
         method: Method::Exact,
         camera: None,
@@ -47,7 +47,7 @@ pub fn run(rounds: usize, text: &mut String) {
         let pose = between(i);
         Isometry { rotation: glam::DQuat::from_rotation_z(2.1) * pose.rotation, ..pose }
     };
-    let timed = |gallery: &Gallery, pose: Isometry, jpeg: bool| {
+    let timed = |gallery: &ImageDatabase, pose: Isometry, jpeg: bool| {
         let started = Instant::now();
         let shown = gallery.view(&wanted(pose)).expect("a view");
         if jpeg {

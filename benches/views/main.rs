@@ -1,4 +1,4 @@
-//! What views and their database cost: `cargo bench --bench views`. `-- --quick` takes seconds, `-- --write docs/views.md` puts the
+//! What views and their database cost: `cargo bench --bench views`. `-- --quick` takes seconds, `-- --write docs/explanation/views.md` puts the
 //! tables between that document's marks.
 //!
 //! OpenCV's `remap` does the same map in the same run, taking turns, if `REALITYSIM_PYTHON` names an interpreter that has it

@@ -1,4 +1,4 @@
-//! `realitysim check`
+//! Command `realitysim check`: judges the tags of a suite of logs and scenes against limits.
 
 use std::path::PathBuf;
 
@@ -52,7 +52,7 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
         paths::check_output(output, &[&arguments.suite])?;
     }
     arguments.junit.as_deref().map_or(Ok(()), junit::check_folder)?;
-    let outcome = suite.map_err(anyhow::Error::from).and_then(|suite| judged(arguments, suite, json));
+    let outcome = suite.map_err(anyhow::Error::from).and_then(|suite| run_suite(arguments, suite, json));
     if let (Some(junit), Err(error)) = (&arguments.junit, &outcome) {
         junit::write_failure(junit, JUNIT_NAME, error);
     }
@@ -61,7 +61,7 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
 
 const JUNIT_NAME: &str = "realitysim check";
 
-fn judged(arguments: &CheckArguments, mut suite: Suite, json: bool) -> anyhow::Result<Outcome> {
+fn run_suite(arguments: &CheckArguments, mut suite: Suite, json: bool) -> anyhow::Result<Outcome> {
     let started = std::time::Instant::now();
     if !arguments.only.is_empty() {
         suite.cases.retain(|case| arguments.only.iter().any(|text| case.name.contains(text)));
@@ -71,7 +71,7 @@ fn judged(arguments: &CheckArguments, mut suite: Suite, json: bool) -> anyhow::R
             return Err(super::settings::UsageError(message).into());
         }
     }
-    // Removed when it goes out of scope.
+    // A temporary folder is removed when this goes out of scope.
     let mut temporary = None;
     let captures = match &arguments.output {
         Some(folder) => {
@@ -82,7 +82,7 @@ fn judged(arguments: &CheckArguments, mut suite: Suite, json: bool) -> anyhow::R
     };
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let options = Options { captures, jobs: arguments.jobs.map_or(cores, usize::from) };
-    let mut cases = suite::run(&suite, &options, &Told);
+    let mut cases = suite::run(&suite, &options, &ProgressPrinter);
     if temporary.is_some() {
         cases.iter_mut().for_each(|case| case.capture = None);
     }
@@ -109,9 +109,9 @@ fn judged(arguments: &CheckArguments, mut suite: Suite, json: bool) -> anyhow::R
     })
 }
 
-struct Told;
+struct ProgressPrinter;
 
-impl Watcher for Told {
+impl Watcher for ProgressPrinter {
     fn done(&self, done: usize, total: usize, report: &CaseReport) {
         eprintln!("{done}/{total}  {}  {} ({:.1} s)", report.name, verdict(report), report.wall_s);
     }
@@ -130,7 +130,7 @@ fn verdict(case: &CaseReport) -> &'static str {
     }
 }
 
-/// One line for each limit that was broken, or for what went wrong.
+/// Describes each broken limit, or what went wrong, in a line.
 fn faults(case: &CaseReport) -> Vec<String> {
     let broken = case.broken.iter().map(|Broken { limit, value, allowed }| {
         let value = value.map_or_else(|| "not there".to_owned(), |value| format!("{value:.4}"));
@@ -145,10 +145,10 @@ fn faults(case: &CaseReport) -> Vec<String> {
         format!("{limit} is {value}, allowed is {bound} {allowed}{why}")
     });
     let lost = case.lost.iter().map(ToString::to_string);
-    case.error.iter().cloned().chain(broken).chain(unlike_reference(case)).chain(lost).collect()
+    case.error.iter().cloned().chain(broken).chain(describe_reference_difference(case)).chain(lost).collect()
 }
 
-fn unlike_reference(case: &CaseReport) -> Option<String> {
+fn describe_reference_difference(case: &CaseReport) -> Option<String> {
     let verdict = case.reference.as_ref().filter(|verdict| !verdict.same)?;
     if verdict.frames != verdict.frames_of_reference {
         return Some(format!("reference: {} frames, it has {}", verdict.frames, verdict.frames_of_reference));

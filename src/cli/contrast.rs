@@ -1,4 +1,4 @@
-//! `realitysim contrast`
+//! Command `realitysim contrast`: measures how faint lines may be until tags fail.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -6,14 +6,14 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::settings::{SettingsArguments, UsageError};
 use super::{Outcome, output, paths};
 use crate::evaluation::contrast::{self, Detection, PAINT, Quality, Step, Variant, WIDTHS_PX, WRONG_CM};
-use crate::evaluation::cost::Knobs;
+use crate::evaluation::cost::SweepPoint;
 use crate::evaluation::{Summary, truth};
-use crate::log_input::scene;
-use crate::tagging::{Footage, FootageOptions};
+use crate::log_input::scene_source;
+use crate::tagging::{FrameCache, FrameCacheOptions};
 
 /// Find out how faint lines may be
 ///
@@ -38,8 +38,8 @@ pub struct ContrastArguments {
     settings: SettingsArguments,
 }
 
-/// Frames from the scene's start: as many as show a walk, and few enough to be tagged sixty times.
-const SECONDS: f64 = 15.0;
+/// Seconds of the scene that are used, from its start: enough to show a walk, and few enough to be tagged sixty times.
+const MEASURED_S: f64 = 15.0;
 
 #[derive(Serialize)]
 struct Report<'a> {
@@ -56,15 +56,15 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
     let named = arguments.settings.files();
     let inputs = named.iter().chain([&arguments.scene]).map(PathBuf::as_path);
     paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;
-    let scene = scene::load(&arguments.scene)?;
-    let options = FootageOptions {
+    let scene = scene_source::load(&arguments.scene)?;
+    let options = FrameCacheOptions {
         source: arguments.scene.clone(),
         settings: settings.clone(),
         initial: None,
         from_s: 0.0,
-        for_s: Some(SECONDS),
+        for_s: Some(MEASURED_S),
     };
-    let variants = contrast::variants(Knobs::of(&settings));
+    let variants = contrast::variants(SweepPoint::of(&settings));
     let mut progress = output::Progress::new("tagging");
     let mut done = 0;
     let (mut steps, mut full_contrast) = (Vec::new(), None);
@@ -75,11 +75,12 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
                 UsageError(format!("{name}: it has no effect of the kind worn_lines, whose share is varied")).into()
             );
         };
-        let footage = Footage::of_scene(&faded, &options, &mut |_, _| {})?;
+        let footage = FrameCache::of_scene(&faded, &options, &mut |_, _| {})?;
         let truth = truth::of_scene(&faded);
         let (contrasts, noises): (Vec<f64>, Vec<f64>) =
             footage.contrasts()?.into_iter().map(|[contrast, noise]| (contrast, noise)).unzip();
-        // What faint lines stand out by is known from the paint better than from pictures in which they cannot be found.
+        // The contrast of faint lines is computed from the paint; a measurement in images where they cannot be found is
+        // worse.
         let full = *full_contrast.get_or_insert_with(|| Summary::of(&contrasts).median);
         let total = (PAINT.len() * variants.len() * footage.frames()) as u64;
         let tags = variants.iter().map(|variant| {
@@ -134,7 +135,7 @@ fn csv(variants: &[Variant], steps: &[Step]) -> String {
     text
 }
 
-/// Share of valid tags, their mean error, and how many of them are wrong.
+/// Share of valid tags, their mean error, and the number of wrong tags.
 fn cell(quality: &Quality) -> String {
     let wrong = if quality.wrong > 0 { format!(", {} wrong", quality.wrong) } else { String::new() };
     match quality.valid {
@@ -182,7 +183,7 @@ fn found(detection: &Detection) -> String {
 
 fn markdown(scene: &str, frames: usize, variants: &[Variant], steps: &[Step]) -> String {
     let mut text = format!(
-        "    realitysim contrast {scene} --write-docs docs/lines.md\n\n{frames} frames in each step. Valid tags, their mean error, and how many \
+        "    realitysim contrast {scene} --write-docs docs/explanation/lines.md\n\n{frames} frames in each step. Valid tags, their mean error, and how many \
          of them are more than 12 cm off.\n\n![Share of valid tags and their error against line contrast to noise](contrast.svg)\n\n\
          | paint left | contrast to noise |"
     );

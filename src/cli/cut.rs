@@ -1,4 +1,4 @@
-//! `realitysim cut`
+//! Command `realitysim cut`: cuts a piece out of a log so that it replays to the same tags.
 
 use std::path::{Path, PathBuf};
 
@@ -43,7 +43,7 @@ pub struct CutArguments {
 
 pub fn run(arguments: &CutArguments, json: bool) -> anyhow::Result<Outcome> {
     let CutArguments { source, from, to, .. } = arguments;
-    // Not for a NaN.
+    // Written so that a NaN is refused, too.
     if !(*from >= 0.0 && to > from && to.is_finite()) {
         return Err(UsageError(format!(
             "--from {from} --to {to}: the piece must begin at 0 or later, and end after that"

@@ -1,4 +1,4 @@
-//! `realitysim db`
+//! Command `realitysim db`: keeps an image database.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use super::settings::UsageError;
 use super::values::whole;
 use super::{Outcome, output};
 use crate::config::{Settings, load_field};
-use crate::database::{self, Added, Checked, Gallery, Stats, TagLimits};
+use crate::database::{self, Added, Checked, ImageDatabase, Stats, TagLimits};
 use crate::geometry::PoseGrid;
 
 /// Keep an image database: captures' images, found by the pose of their camera
@@ -107,9 +107,9 @@ struct CoverageArguments {
     headings: u16,
 }
 
-/// Of the paper's database.
+/// Poses of the paper's database.
 const PAPER_POSES: u32 = 720_000;
-/// Of a coverage: thirty times the paper's grid, 80 MB.
+/// Largest coverage grid: thirty times the paper's, 80 MB.
 const MAX_CELLS: f64 = 20e6;
 
 fn sigma(text: &str) -> Result<f64, String> {
@@ -253,7 +253,7 @@ fn report_checked(checked: &Checked, json: bool) -> anyhow::Result<Outcome> {
 }
 
 fn coverage(arguments: &CoverageArguments, json: bool) -> anyhow::Result<Outcome> {
-    let gallery = Gallery::open(&arguments.db, &Settings::default().views)?;
+    let gallery = ImageDatabase::open(&arguments.db, &Settings::default().views)?;
     let half = gallery.field().carpet_half_extent() / arguments.cell;
     let cells = 4.0 * half.x * half.y * f64::from(arguments.headings);
     if cells > MAX_CELLS {

@@ -1,4 +1,4 @@
-//! `realitysim demo`
+//! Command `realitysim demo`: renders a walk, tags it and draws the result.
 
 use std::path::{Path, PathBuf};
 
@@ -13,14 +13,14 @@ use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::evaluation::{Comparison, Tagged, compare};
 use crate::geometry::{Field, Isometry, Lens};
 use crate::log_input::log::{LogSource, files_of};
-use crate::log_input::{decode, scene};
+use crate::log_input::{decode, scene_source};
 use crate::recording::{read_info, read_tags};
 use crate::ros2::mcap_read::Selection;
 use crate::tagging::{ReplayOptions, replay};
 
 /// See a robot walk a field and every frame of its camera tagged
 ///
-/// Renders a scene into a log, replays the log through the agent, judges the tags against the truth and draws a
+/// Renders a scene into a log, replays the log, judges the tags against the truth and draws a
 /// picture. Needs no hardware and no network.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim demo -o demo/")]
@@ -35,7 +35,7 @@ pub struct DemoArguments {
 
 const SCENE: &str = include_str!("../../replay/scenes/demo.toml");
 
-/// Which frame is drawn, as a share of the walk.
+/// Frame that is drawn, as a share of the valid tags.
 const SHOWN_AT: f64 = 0.4;
 const MAP_PX: u32 = 620;
 const PALE: [u8; 3] = [255, 235, 120];
@@ -45,8 +45,8 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
     let folder = &arguments.output;
     check_output(folder, &[])?;
     let scene = match &arguments.scene {
-        Some(path) => scene::load(path)?,
-        None => scene::parse(SCENE, "the built-in demo")?,
+        Some(path) => scene_source::load(path)?,
+        None => scene_source::parse(SCENE, "the built-in demo")?,
     };
     make_folder(folder)?;
     let log = folder.join("walk.mcap");
@@ -89,7 +89,7 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if report.data_was_lost() { Outcome::DataLost } else { Outcome::Whole })
 }
 
-/// The field from above with both routes, beside one frame with the projected lines.
+/// Draws the field from above with both routes, beside one frame with the projected lines.
 fn draw(
     session: &Path,
     tags: &[Tagged],
@@ -136,7 +136,7 @@ fn draw(
     save(&picture, path)
 }
 
-/// The image that a tag belongs to.
+/// Finds the image that a tag belongs to.
 fn frame<'a>(session: &Path, topic: &str, tag: &'a Tagged) -> anyhow::Result<Option<(image::RgbImage, &'a Tagged)>> {
     let raw = "/camera/image_raw";
     for message in LogSource::new(files_of(session)?, Selection::topics([topic, raw])) {

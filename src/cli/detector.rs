@@ -1,4 +1,4 @@
-//! A detector of the user's own: a command that is given a picture's name and prints a number.
+//! Runs a detector of the user's own: a command that gets a picture's file name and prints a number.
 
 use std::io::Read;
 use std::os::unix::process::CommandExt;
@@ -9,13 +9,13 @@ use std::time::Duration;
 
 use anyhow::Context;
 
-/// So long it may look at one picture.
+/// Time within which the command must answer for one picture.
 const MAX_TIME: Duration = Duration::from_secs(60);
-/// More is no number.
+/// Longest output that can still be one number, bytes.
 const MAX_ANSWER_BYTES: u64 = 4096;
 
-/// Runs `command` in a shell, the picture's name as its last argument; the one finite number that it prints.
-pub fn ask(command: &str, picture: &Path) -> anyhow::Result<f64> {
+/// Runs `command` in a shell with the picture's name as its last argument. Returns the one finite number that it prints.
+pub fn run_detector(command: &str, picture: &Path) -> anyhow::Result<f64> {
     let failed = |what: String| anyhow::anyhow!("--detector {command:?}: {what}");
     let mut process = Command::new("sh")
         .args(["-c", &format!("{command} \"$1\""), "sh"])
@@ -36,7 +36,7 @@ pub fn ask(command: &str, picture: &Path) -> anyhow::Result<f64> {
     let answer = receive.recv_timeout(MAX_TIME);
     let whole = matches!(&answer, Ok(Ok(answer)) if answer.len() as u64 <= MAX_ANSWER_BYTES);
     if !whole {
-        // With all that it has started.
+        // Ends the command with all processes that it has started.
         let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
     }
     let status = process.wait().map_err(|error| failed(error.to_string()))?;
@@ -59,7 +59,7 @@ mod tests {
 
     #[test]
     fn one_number_is_an_answer_and_nothing_else_is() {
-        let ask = |command: &str| ask(command, Path::new("/a picture.png")).map_err(|error| error.to_string());
+        let ask = |command: &str| run_detector(command, Path::new("/a picture.png")).map_err(|error| error.to_string());
         assert_eq!(ask("echo 2.5; true"), Ok(2.5));
         assert_eq!(ask("echo found 7 lines in"), Ok(7.0));
         for (command, said) in [

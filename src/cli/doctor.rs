@@ -1,4 +1,4 @@
-//! `realitysim doctor`
+//! Command `realitysim doctor`: checks whether a robot is ready to record.
 
 use std::path::PathBuf;
 
@@ -54,8 +54,8 @@ pub fn run(arguments: &DoctorArguments, json: bool) -> anyhow::Result<Outcome> {
 
 fn for_people(finding: &Finding) -> String {
     let Finding { what, good, said, remedy } = finding;
-    let said = output::in_our_words(said);
-    // The device is named before it, as in `camera /dev/video0`.
+    let said = output::reword_system_errors(said);
+    // The device's name stands in `what` already, as in `camera /dev/video0`.
     let alone = what.split_once(' ').and_then(|(_, device)| said.strip_prefix(device)?.strip_prefix(": "));
     let said = alone.unwrap_or(&said);
     if *good { format!("+ {what}: {said}") } else { format!("- {what}: {said}\n    {remedy}") }

@@ -1,4 +1,4 @@
-//! `realitysim eval`
+//! Command `realitysim eval`: compares the tags of a capture with the true poses.
 
 use std::path::PathBuf;
 
@@ -41,16 +41,17 @@ pub struct EvalArguments {
     truth_topic: String,
 }
 
-/// A median beyond this is no error of tagging: it is about another walk, or another half of the field.
-const NO_TAGGING_ERROR_CM: f64 = 100.0;
+/// A larger median error does not come from tagging: the truth is that of another walk, or the tags are in the other half
+/// of the field.
+const IMPLAUSIBLE_MEDIAN_CM: f64 = 100.0;
 
 #[derive(Serialize)]
 struct Report<'a> {
     #[serde(flatten)]
     comparison: &'a Comparison,
-    /// Of the ambiguous tags, those that hold the true pose as their mirror pose.
+    /// Ambiguous tags whose mirror pose is the true one.
     in_the_other_half: usize,
-    /// Why these errors may be of something else than the tags.
+    /// Reason why these errors may not be those of the tags.
     warning: Option<String>,
     lost: Vec<Loss>,
 }
@@ -73,7 +74,7 @@ pub fn run(arguments: &EvalArguments, json: bool) -> anyhow::Result<Outcome> {
             span(truth.iter().map(|(stamp_ns, _)| *stamp_ns))
         );
     }
-    let doubt = doubt(&comparison, &tags, &truth).map(|doubt| format!("{}: {doubt}", arguments.truth.display()));
+    let doubt = doubt_reason(&comparison, &tags, &truth).map(|doubt| format!("{}: {doubt}", arguments.truth.display()));
     let warnings: Vec<String> = warnings.into_iter().chain(doubt).collect();
     output::losses(&lost);
     warnings.iter().for_each(|warning| eprintln!("realitysim: warning: {warning}"));
@@ -94,12 +95,12 @@ fn judged_poses(arguments: &EvalArguments) -> anyhow::Result<Readout<Tagged>> {
     Ok(Readout { found: found.iter().map(tagged).collect(), losses, warnings })
 }
 
-fn doubt(comparison: &Comparison, tags: &[Tagged], truth: &[(i64, Isometry)]) -> Option<String> {
+fn doubt_reason(comparison: &Comparison, tags: &[Tagged], truth: &[(i64, Isometry)]) -> Option<String> {
     let median = comparison.position_cm.median;
-    if median < NO_TAGGING_ERROR_CM {
+    if median < IMPLAUSIBLE_MEDIAN_CM {
         return None;
     }
-    if compare(&mirrored(tags), truth).position_cm.median < NO_TAGGING_ERROR_CM.min(median / 2.0) {
+    if compare(&mirrored(tags), truth).position_cm.median < IMPLAUSIBLE_MEDIAN_CM.min(median / 2.0) {
         return Some(
             "the tags are in the other half of the field, which looks the same: say where the robot starts, \
              with --initial or on /initialpose"
@@ -112,7 +113,7 @@ fn doubt(comparison: &Comparison, tags: &[Tagged], truth: &[(i64, Isometry)]) ->
     ))
 }
 
-/// From the first time to the last, in UTC.
+/// First to last time, in UTC.
 fn span(times: impl Iterator<Item = i64> + Clone) -> String {
     let utc = |ns: Option<i64>| {
         let time = jiff::Timestamp::from_nanosecond(i128::from(ns.unwrap_or(0))).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! `realitysim explain`
+//! Command `realitysim explain`: shows why the tag of a frame is what it is.
 
 use std::path::{Path, PathBuf};
 
@@ -8,18 +8,18 @@ use serde_json::{Value, json};
 
 use super::paths::{check_output, save};
 use super::photo::{self, OtherInputs, PhotoArguments};
-use super::replay::field_of;
+use super::replay::source_field_name;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::any_whole;
 use super::{Outcome, output, settings};
 use crate::config::{Settings, load_field};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
-use crate::localization::refinement::offsets::Finding;
-use crate::localization::verdict::{AGREES_DIGITS, IN_VIEW};
-use crate::localization::{Evidence, Tried};
-use crate::tagging::explaining::{self, ExplainOptions, Explanation, Sight};
-use crate::tagging::single::{Fit, Located};
+use crate::localization::refinement::line_measurement::Finding;
+use crate::localization::validation::THRESHOLDS;
+use crate::localization::{Evidence, Rejection, TriedPose};
+use crate::tagging::explanation::{self, ExplainOptions, Explanation, Sight};
+use crate::tagging::single_image::{FitQuality, ImageLocation};
 
 /// Show why the tag of one frame, or the pose of one image, is what it is
 ///
@@ -75,22 +75,22 @@ pub fn run(arguments: &ExplainArguments, json: bool) -> anyhow::Result<Outcome> 
     Ok(Outcome::Whole)
 }
 
-/// What is told, drawn and reported of a frame or an image.
+/// Result for a frame or an image, to be printed, drawn and reported.
 struct Explained {
-    /// Of `camera_link`: where it is known.
+    /// Pose of `camera_link`, if it is known.
     map_from_camera: Option<Isometry>,
     lens: Lens,
     field: Field,
     sight: Option<Sight>,
-    /// In words.
+    /// Explanation in words, a line each.
     told: Vec<String>,
-    /// What only a frame, or only an image, has to report.
+    /// Fields of the JSON report that only a frame, or only an image, has.
     report: Value,
 }
 
 fn of_frame(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<Explained> {
     let source = arguments.source.display();
-    if let Some(name) = arguments.photo.given() {
+    if let Some(name) = arguments.photo.first_given() {
         return Err(UsageError(format!(
             "{name} is of an image, and {source} is none: a log says how its camera stood"
         ))
@@ -100,15 +100,15 @@ fn of_frame(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<
         return Err(UsageError(format!("--frame is missing: which frame of {source}, counted from 0")).into());
     };
     if let Some(initial) = &arguments.initial {
-        let name = field_of(&arguments.source, &settings)?;
+        let name = source_field_name(&arguments.source, &settings)?;
         settings::check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
     }
     let options = ExplainOptions { source: arguments.source.clone(), settings, initial: arguments.initial, frame };
     let mut progress = output::Progress::new("tagging");
-    let explanation = explaining::explain(&options, &mut |done, total| progress.set(done, total));
+    let explanation = explanation::explain(&options, &mut |done, total| progress.set(done, total));
     progress.finish();
     let explanation = explanation?;
-    let told = told(&explanation);
+    let told = explain_frame(&explanation);
     let Explanation { tag, lens, field, map_from_camera, sight } = explanation;
     let report = json!({
         "frame": tag.sequence, "valid": tag.valid, "reason": tag.reason, "ambiguous": tag.ambiguous, "refined": tag.refined,
@@ -134,7 +134,7 @@ fn of_image(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<
     let look = known.look(&picture);
     let located = known.locate(&look, &field, settings.filter.seed);
     let evidence = known.evidence(&look, &field, &located);
-    let told = told_of_image(&located, evidence.as_ref());
+    let told = explain_image(&located, evidence.as_ref());
     let report = json!({"fit": located.fit()});
     let map_from_camera = located.found.first().map(|best| best.map_from_link);
     let sight = evidence.map(|evidence| Sight { picture, evidence });
@@ -147,7 +147,7 @@ fn text(explained: &Explained, picture: Option<&Path>) -> String {
         lines.push("\nthe whole field, searched for this picture alone:".to_owned());
         lines.push("       x m     y m   yaw deg   worth  places that fit  explained".to_owned());
         lines.extend(evidence.tried.iter().map(|tried| {
-            let Tried { x, y, yaw_deg, worth, fitting, explained } = tried;
+            let TriedPose { x, y, yaw_deg, worth, fitting, explained } = tried;
             format!("  {x:8.2}{y:8.2}{yaw_deg:10.1}{worth:8.1}{fitting:17}{:9.0} %", 100.0 * explained)
         }));
     }
@@ -187,8 +187,8 @@ fn picture(explained: &Explained, sight: &Sight) -> anyhow::Result<image::RgbIma
     Ok(drawing::beside(&drawn, &map))
 }
 
-/// What is to be said of it: of the tag, of what was seen, and what to do.
-fn told(explanation: &Explanation) -> Vec<String> {
+/// Explains a frame: its tag, what was seen, and what to do.
+fn explain_frame(explanation: &Explanation) -> Vec<String> {
     let tag = &explanation.tag;
     let mut lines = vec![if tag.valid {
         format!("frame {} is valid", tag.sequence)
@@ -199,43 +199,43 @@ fn told(explanation: &Explanation) -> Vec<String> {
         lines.push(advice(&tag.reason, None).to_owned());
         return lines;
     };
-    lines.extend(seen(evidence));
+    lines.extend(describe_evidence(evidence));
     if !tag.valid {
         lines.push(advice(&tag.reason, Some(evidence)).to_owned());
     }
     lines
 }
 
-/// The same of an image.
-fn told_of_image(located: &Located, evidence: Option<&Evidence>) -> Vec<String> {
+/// Explains an image in the same way.
+fn explain_image(located: &ImageLocation, evidence: Option<&Evidence>) -> Vec<String> {
     let fit = located.fit();
     let mut lines = vec![match fit {
-        Fit::Good => "the fit is good".to_owned(),
-        Fit::Doubtful => "the fit is doubtful".to_owned(),
-        Fit::None => "no pose found".to_owned(),
+        FitQuality::Good => "the fit is good".to_owned(),
+        FitQuality::Doubtful => "the fit is doubtful".to_owned(),
+        FitQuality::None => "no pose found".to_owned(),
     }];
-    lines.extend(evidence.into_iter().flat_map(seen));
+    lines.extend(evidence.into_iter().flat_map(describe_evidence));
     match (fit, located.rival()) {
-        (Fit::None, _) => lines.push(photo::why_none(located.found.first())),
-        (Fit::Doubtful, Some(rival)) => {
+        (FitQuality::None, _) => lines.push(photo::explain_no_pose(located.found.first())),
+        (FitQuality::Doubtful, Some(rival)) => {
             let Pose2 { x, y, yaw } = rival.place();
             let yaw_deg = yaw.to_degrees();
             lines.push(format!(
                 "the pose at {x:.2}, {y:.2}, yaw {yaw_deg:.0} deg explains the lines nearly as well: say about where it was (--initial)"
             ));
         }
-        (Fit::Doubtful, None) => lines.push(
+        (FitQuality::Doubtful, None) => lines.push(
             "the pose explains too little: lines that should be seen are not (red), or lines are seen where the field has none (magenta). \
              If red marks lie beside painted lines, check --lens, --attitude and --height; if magenta ones lie on real lines, --field"
                 .to_owned(),
         ),
-        (Fit::Good, _) => {}
+        (FitQuality::Good, _) => {}
     }
     lines
 }
 
-/// What was seen.
-fn seen(evidence: &Evidence) -> Vec<String> {
+/// Describes what was seen.
+fn describe_evidence(evidence: &Evidence) -> Vec<String> {
     let Evidence { agreement, explained, explained_in_view, contrast, noise, .. } = evidence;
     let mut lines = Vec::new();
     if contrast.is_finite() {
@@ -256,7 +256,7 @@ fn seen(evidence: &Evidence) -> Vec<String> {
         100.0 * agreement.foremost
     ));
     lines.push(match agreement.digits {
-        digits if digits < AGREES_DIGITS => "chance puts as many there".to_owned(),
+        digits if digits < THRESHOLDS.agrees_digits => "chance puts as many there".to_owned(),
         digits => format!("chance would put as many there once in 10^{digits:.0} pictures"),
     });
     lines.push(format!(
@@ -267,52 +267,59 @@ fn seen(evidence: &Evidence) -> Vec<String> {
     lines
 }
 
-/// What a reason asks for.
+/// Says what to do about a rejection reason.
 fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
     let sees_no_line = evidence.is_some_and(|evidence| evidence.lines.is_empty() || !evidence.contrast.is_finite());
-    let is_chance = evidence.is_some_and(|evidence| evidence.agreement.digits < AGREES_DIGITS);
-    match reason {
-        "pose_unknown" | "few_lines" if sees_no_line => {
+    let is_chance = evidence.is_some_and(|evidence| evidence.agreement.digits < THRESHOLDS.agrees_digits);
+    let Some(rejection) = Rejection::from_reason(reason) else {
+        return "docs/reference/formats.md says what this reason means";
+    };
+    match rejection {
+        Rejection::PoseUnknown | Rejection::FewLines if sees_no_line => {
             "no line is in view: turn the head towards lines, or check that the camera sees the carpet at all"
         }
-        "pose_unknown" if is_chance => {
+        Rejection::PoseUnknown if is_chance => {
             "nothing in the picture lies where the field's lines would be more often than by chance: it shows none of them, or is too noisy"
         }
-        "pose_unknown" => {
+        Rejection::PoseUnknown => {
             "no place of the field explains this frame: if red marks lie beside painted lines in the picture, then field, lens or mount are \
              not what they are said to be; if magenta marks lie on real lines, the field is another"
         }
-        "unconfirmed" if evidence.is_some_and(|evidence| evidence.explained_in_view < IN_VIEW) => {
+        Rejection::Unconfirmed
+            if evidence.is_some_and(|evidence| evidence.explained_in_view < THRESHOLDS.explained_in_view) =>
+        {
             "lines in view lie where the field has none: the robot is elsewhere, field, lens or mount are not what they are said to be, or \
              something else on the carpet looks like a line"
         }
-        "unconfirmed" => {
+        Rejection::Unconfirmed => {
             "the pose fits, and needs more evidence: further frames that agree, or a place that is told (/initialpose)"
         }
-        "few_lines" => "too few lines are in view to follow the pose: it is carried on by odometry alone",
-        "lines_disagree" => {
+        Rejection::FewLines => "too few lines are in view to follow the pose: it is carried on by odometry alone",
+        Rejection::LinesDisagree => {
             "lines that should be seen are not (red): something hides them, the robot is elsewhere, or field, lens or mount are wrong"
         }
-        "lines_unexplained" => {
+        Rejection::LinesUnexplained => {
             "lines are seen where the field has none (magenta): tape or another field's lines on the carpet, or the robot is elsewhere"
         }
-        "not_standing" => {
+        Rejection::NotStanding => {
             "the lines put the camera higher, lower or more tilted than IMU and mount say: check the mount's height and pitch"
         }
-        "spread" => "the lines in view leave the position open along one direction: see filter.valid_refined_m",
-        "off_field" => "the pose lies more than a metre beyond the carpet",
-        "sensors_stale" => {
+        Rejection::Spread => {
+            "the lines in view leave the position open along one direction: see filter.valid_refined_m"
+        }
+        Rejection::OffField => "the pose lies more than a metre beyond the carpet",
+        Rejection::SensorsStale => {
             "odometry or IMU are older than 250 ms at this frame: check that they are sent and how their clocks run"
         }
-        "no_odometry" => "there is no odometry for this time",
-        "fallen" => "the IMU says that the robot leans or lies",
-        "too_dark" => "the picture is black: exposure, lens cap, cable",
-        "overexposed" => "more than half of the picture is white: exposure",
-        "image_frozen" => "the same picture came again although the robot moved: the camera hangs",
-        "image_broken" => "the image does not decode",
-        "image_size" => "the image is not of the lens's size: another lens file, or another size of the camera",
-        "no_transform" => "the camera's place on the robot is not known: /tf_static, or [mount] in the config",
-        _ => "docs/formats.md says what this reason means",
+        Rejection::NoOdometry => "there is no odometry for this time",
+        Rejection::Fallen => "the IMU says that the robot leans or lies",
+        Rejection::TooDark => "the picture is black: exposure, lens cap, cable",
+        Rejection::Overexposed => "more than half of the picture is white: exposure",
+        Rejection::ImageFrozen => "the same picture came again although the robot moved: the camera hangs",
+        Rejection::ImageBroken => "the image does not decode",
+        Rejection::ImageSize => "the image is not of the lens's size: another lens file, or another size of the camera",
+        Rejection::NoTransform => "the camera's place on the robot is not known: /tf_static, or [mount] in the config",
+        _ => "docs/reference/formats.md says what this reason means",
     }
 }
 

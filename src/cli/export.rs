@@ -1,4 +1,4 @@
-//! `realitysim export`
+//! Command `realitysim export`: writes tags or frames in formats of other programs.
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::{self, File};
@@ -91,7 +91,7 @@ fn tum(tags: &[FrameTag], path: &Path) -> anyhow::Result<usize> {
     Ok(written)
 }
 
-/// Whether a file begins with a line as [`tum`] writes it.
+/// Whether a file begins with a line as `tum` writes it.
 fn is_tum(old: &[u8]) -> bool {
     let line = String::from_utf8_lossy(old).lines().next().unwrap_or_default().to_owned();
     line.split(' ').filter(|number| number.parse::<f64>().is_ok()).count() == TUM_COLUMNS
@@ -99,7 +99,7 @@ fn is_tum(old: &[u8]) -> bool {
 
 const TUM_COLUMNS: usize = 8;
 
-/// A row of `tags.csv` and a line of `tags.jsonl`.
+/// A row of `tags.csv`, which is also a line of `tags.jsonl`.
 #[derive(Serialize)]
 struct Row<'a> {
     file: String,
@@ -119,12 +119,13 @@ struct Row<'a> {
 
 const CSV_HEAD: &str = "file,stamp_ns,valid,reason,x,y,z,yaw_deg,pitch_deg,roll_deg,sigma_xy_m,sigma_yaw_deg,ambiguous";
 
-/// Returns how many frames were written, and what could not be.
+/// Writes each tagged frame to a file, with `tags.csv` and `tags.jsonl`. Returns the number of frames written, and what was
+/// lost.
 fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(usize, Vec<Loss>)> {
     let image_topic = image_topic(capture)?;
     let failed = |error| cannot_write(folder, error);
     make_folder(folder)?;
-    // What another export has written would stand among the files of this one.
+    // Files of another export would mix with those of this one.
     if fs::read_dir(folder).map_err(failed)?.next().is_some() {
         let what = "is not empty, and an export needs a folder of its own: name another, or remove what is in it first";
         return Err(UsageError(format!("{}: {what}", folder.display())).into());
@@ -132,12 +133,12 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
     let mut csv = BufWriter::new(File::create(folder.join("tags.csv")).map_err(failed)?);
     let mut jsonl = BufWriter::new(File::create(folder.join("tags.jsonl")).map_err(failed)?);
     writeln!(csv, "{CSV_HEAD}").map_err(failed)?;
-    // A frame or a tag may be lost: they find each other by their stamp, those of the same stamp in their order.
+    // A frame or a tag may be lost, so they are matched by their stamp; those of the same stamp in their order.
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
     for tag in tags {
         waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
     }
-    // The tags again, so that what is lost of them counts here as well.
+    // The tags are read again with the images, so that damage to them is counted, too.
     let selection = Selection::topics([image_topic.as_str(), topics::FRAME_TAG]);
     let mut source = LogSource::with_outputs(log::files_of(capture)?, selection);
     let mut progress = output::Progress::new("exporting");
@@ -149,7 +150,7 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
         }
         let tag = match decode::stamp_ns(&message) {
             Ok(stamp_ns) => waiting.get_mut(&stamp_ns).and_then(VecDeque::pop_front),
-            // The agent could not tell when it was taken either: it has no tag.
+            // Replay could not read the stamp either, so this frame has no tag.
             Err(_) => None,
         };
         let Some(tag) = tag else { continue };
@@ -192,7 +193,7 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
     Ok((written, lost))
 }
 
-/// How a frame's file name ends, and its bytes.
+/// Returns the ending of a frame's file name, and the file's bytes.
 fn file_of(message: &LogMessage) -> anyhow::Result<(&'static str, Vec<u8>)> {
     if message.channel.type_name != "sensor_msgs/msg/CompressedImage" {
         return Ok(("png", png(message)?));
@@ -231,7 +232,7 @@ fn row(file: String, tag: &FrameTag) -> Row<'_> {
     }
 }
 
-/// The session's own word for it, else the default.
+/// Returns the topic that the session's settings name; without it, the only topic of images.
 fn image_topic(capture: &Path) -> anyhow::Result<String> {
     let folder = if capture.is_dir() { Some(capture) } else { capture.parent() };
     let configured = folder.and_then(|folder| read_info(folder).ok());

@@ -1,4 +1,4 @@
-//! `realitysim falsify`
+//! Command `realitysim falsify`: counts valid tags under false assumptions.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -8,7 +8,7 @@ use std::thread;
 use clap::Args;
 use serde::Serialize;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::{above_zero, whole};
 use super::{Outcome, output};
@@ -18,9 +18,9 @@ use crate::evaluation::contrast::WRONG_CM;
 use crate::evaluation::falsify::{Control, Falsehood, falsehoods};
 use crate::evaluation::truth;
 use crate::geometry::Isometry;
-use crate::log_input::scene;
+use crate::log_input::{InputSource, scene_source};
 use crate::recording::ReadoutError;
-use crate::tagging::{Footage, FootageOptions};
+use crate::tagging::{FrameCache, FrameCacheOptions};
 
 /// Find out whether tags can be wrong and valid
 ///
@@ -52,7 +52,7 @@ pub struct FalsifyArguments {
 struct Report {
     sources: Vec<Source>,
     wrong_cm: f64,
-    /// Of all that is false.
+    /// Sums over all falsehoods.
     frames: usize,
     valid: usize,
     wrong: usize,
@@ -90,7 +90,7 @@ pub fn run(arguments: &FalsifyArguments, json: bool) -> anyhow::Result<Outcome> 
 }
 
 fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, threads: usize) -> anyhow::Result<Source> {
-    let options = FootageOptions {
+    let options = FrameCacheOptions {
         source: path.to_owned(),
         settings: settings.clone(),
         initial: None,
@@ -98,7 +98,7 @@ fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, thre
         for_s: arguments.for_s,
     };
     let truth = truth_of(path, settings)?;
-    let footage = Footage::load(&options, &mut |_, _| {})?;
+    let footage = FrameCache::load(&options, &mut |_, _| {})?;
     let falsehoods = falsehoods(footage.field(), footage.lens());
     let tasks: Vec<(&Falsehood, bool)> =
         [false, true].iter().flat_map(|unknown| falsehoods.iter().map(|said| (said, *unknown))).collect();
@@ -115,7 +115,7 @@ fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, thre
                 loop {
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     let Some((said, unknown)) = tasks.get(index) else { return };
-                    // Nobody may listen any more: the frames are tagged all the same.
+                    // The receiver may be gone; the frames are tagged all the same.
                     let run = said.tag(footage, footage.settings(), *unknown, &mut |_| {
                         let _ = say.send(());
                     });
@@ -135,8 +135,8 @@ fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, thre
 }
 
 fn truth_of(path: &Path, settings: &Settings) -> anyhow::Result<Vec<(i64, Isometry)>> {
-    if path.extension().is_some_and(|ending| ending == "toml") {
-        return Ok(truth::of_scene(&scene::load(path)?));
+    if InputSource::is_scene(path) {
+        return Ok(truth::of_scene(&scene_source::load(path)?));
     }
     match read_truth(path, &settings.topics.ground_truth) {
         Err(EvaluationError::Readout(ReadoutError::NoMessages { .. })) => Err(UsageError(format!(
@@ -180,12 +180,12 @@ impl Report {
         text + &self.summary()
     }
 
-    /// One row for each falsehood that left valid tags, and the counts of all.
+    /// Table with a row for each walk, counting the valid and wrong tags of its falsehoods.
     fn markdown(&self, arguments: &FalsifyArguments) -> String {
         let mut words: Vec<String> = arguments.sources.iter().map(|source| source.display().to_string()).collect();
         words.extend(arguments.for_s.map(|seconds| format!("--for {seconds}")));
         let mut text = format!(
-            "    realitysim falsify {} --write-docs docs/lines.md\n\n| walk | frames | falsehoods | frames in all | valid | wrong |\n\
+            "    realitysim falsify {} --write-docs docs/explanation/lines.md\n\n| walk | frames | falsehoods | frames in all | valid | wrong |\n\
              | --- | --- | --- | --- | --- | --- |\n",
             words.join(" ")
         );
@@ -206,7 +206,7 @@ impl Report {
     }
 }
 
-/// The same said with the start that is announced, and without.
+/// Pairs the result with the announced start and that without it, for each statement.
 fn pairs(controls: &[Control]) -> impl Iterator<Item = (&Control, &Control)> {
     let (told, untold) = controls.split_at(controls.len() / 2);
     told.iter().zip(untold)

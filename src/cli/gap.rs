@@ -1,4 +1,4 @@
-//! `realitysim gap`
+//! Command `realitysim gap`: compares recorded images with views and renderings.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use super::paths::{check_output, save};
 use super::values::{number, whole};
 use super::{Outcome, detector, output};
 use crate::config::Settings;
-use crate::database::{Gallery, Wanted};
+use crate::database::{ImageDatabase, ViewQuery};
 use crate::evaluation::drawing;
 use crate::evaluation::views::{Detection, Detector};
 use crate::geometry::Isometry;
@@ -48,19 +48,20 @@ pub struct GapArguments {
     config: Option<String>,
 }
 
-/// Forms in the order of the table.
+/// Forms of an image, in the order of the table.
 const FORMS: [&str; 5] = ["recorded", "exact view", "paper's view", "nearest image", "rendered"];
 
-/// Means over the images.
+/// Means over the images in one form.
 #[derive(Clone, Debug, Default, Serialize)]
 struct Row {
     form: &'static str,
     images: usize,
     detection: Detection,
-    /// Against the recorded image: PSNR on the ground, and half the sum of the differences of both histograms of luma.
+    /// PSNR against the recorded image, on the ground.
     psnr_db: f64,
+    /// Half the sum of the differences between the luma histograms of this form and the recorded image.
     histogram: f64,
-    /// What the program named says.
+    /// Mean answer of the user's detector.
     detector: Option<f64>,
 }
 
@@ -77,7 +78,7 @@ pub fn run(arguments: &GapArguments, json: bool) -> anyhow::Result<Outcome> {
     if let Some(path) = &arguments.output {
         check_output(path, &[&arguments.db])?;
     }
-    let gallery = Gallery::open(&arguments.db, &settings.views)?;
+    let gallery = ImageDatabase::open(&arguments.db, &settings.views)?;
     let count = gallery.index().len();
     anyhow::ensure!(count > 0, crate::database::DatabaseError::Empty);
     let frames = usize::from(arguments.frames).min(count);
@@ -126,15 +127,15 @@ pub fn run(arguments: &GapArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::Whole)
 }
 
-/// Camera, pose of `camera_link` in `map`, and the images in the order of [`FORMS`].
+/// Camera, pose of `camera_link` in `map`, and the images in the order of `FORMS`.
 type Forms = (Arc<Camera>, Isometry, Vec<Raster>);
 
-/// The same place in all forms; `None` where no other image is near.
-fn forms(gallery: &Gallery, number: usize, apart: f64) -> anyhow::Result<Option<Forms>> {
+/// Makes all forms of one image. `None` if no view can be made, since no other image is near.
+fn forms(gallery: &ImageDatabase, number: usize, apart: f64) -> anyhow::Result<Option<Forms>> {
     let record = gallery.index().record(number);
     let (pose, camera) = (record.pose(), gallery.camera(&record).context("an image of an unknown source")?);
     let recorded = gallery.image(number).map_err(anyhow::Error::msg)?;
-    // Far more than a walk has within that distance.
+    // 512 neighbours are far more than a walk has within that distance.
     let near = gallery.index().nearest(&pose, 512, &gallery.metric());
     let held_out = |at: &crate::database::Neighbour| {
         gallery.index().record(at.number).pose().translation.distance(pose.translation) < apart
@@ -144,7 +145,7 @@ fn forms(gallery: &Gallery, number: usize, apart: f64) -> anyhow::Result<Option<
     let mut images = vec![recorded.full().clone()];
     for method in [Method::Exact, Method::Paper, Method::Nearest] {
         let camera = Some(Arc::clone(camera));
-        let wanted = Wanted {
+        let wanted = ViewQuery {
             map_from_link: pose,
             method,
             camera,
@@ -164,7 +165,7 @@ fn forms(gallery: &Gallery, number: usize, apart: f64) -> anyhow::Result<Option<
     Ok(Some((Arc::clone(camera), pose, images)))
 }
 
-/// Stands where nobody asks for: only field, lens and texture count.
+/// Scene for the rendered form. Its route does not matter: only field, lens and texture count.
 const SCENE: &str = r#"
 [scene]
 title = "Rendered in place of a recorded image"
@@ -185,7 +186,7 @@ poses = [[0.0, 0.0, 0.0]]
 hold_s = 1.0
 "#;
 
-fn rendered(gallery: &Gallery, camera: &Camera, pose: &Isometry) -> anyhow::Result<Raster> {
+fn rendered(gallery: &ImageDatabase, camera: &Camera, pose: &Isometry) -> anyhow::Result<Raster> {
     let lens = camera.lens().parameters().clone();
     let scene = Scene::build(SceneFile::from_toml(SCENE)?, gallery.field().dimensions().clone(), lens)?;
     let mut rgb = Vec::new();
@@ -210,7 +211,7 @@ impl Judge<'_> {
     }
 }
 
-/// Of luma in 32 steps, 0 (the same) to 1 (nothing in common), where both show something.
+/// Distance of two luma histograms of 32 bins: 0 (equal) to 1 (nothing in common), over pixels that both images show.
 fn histogram_distance(a: &[[u8; 4]], b: &[[u8; 4]], shown: &[bool]) -> f64 {
     let mut counts = [[0f64; 2]; 32];
     for ((a, b), _) in a.iter().zip(b).zip(shown).filter(|(_, shown)| **shown) {
@@ -227,7 +228,7 @@ fn ask(command: &str, image: &Raster) -> anyhow::Result<f64> {
     let file = std::env::temp_dir().join(format!("realitysim-gap-{}.png", std::process::id()));
     let picture = RgbImage::from_raw(image.width as u32, image.height as u32, image.to_rgb()).unwrap_or_default();
     save(&picture, &file)?;
-    let number = detector::ask(command, &file);
+    let number = detector::run_detector(command, &file);
     let _ = std::fs::remove_file(&file);
     number
 }

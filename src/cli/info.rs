@@ -1,4 +1,4 @@
-//! `realitysim info`
+//! Command `realitysim info`: lists the contents of a log, or the formats of a camera.
 
 use std::path::{Path, PathBuf};
 
@@ -26,10 +26,10 @@ pub struct InfoArguments {
 
 #[derive(Serialize)]
 struct Info {
-    /// Every byte was read, not only the index.
+    /// Every byte was read, as opposed to the index alone.
     checked: bool,
     files: Vec<FileInfo>,
-    /// What a capture's manifest lists and is not there as it was written.
+    /// Segments of a capture's manifest that are missing or not as they were written.
     lost: Vec<Loss>,
     duration_s: f64,
     messages: u64,
@@ -132,7 +132,7 @@ fn file_info(file: &Path, survey: &Survey, checked: bool) -> FileInfo {
     }
 }
 
-/// There, or where it would be.
+/// Whether the path is a device, or, if nothing is there, lies under `/dev`.
 fn is_device(path: &Path) -> bool {
     use std::os::unix::fs::FileTypeExt;
     std::fs::metadata(path).map_or(path.starts_with("/dev"), |metadata| metadata.file_type().is_char_device())

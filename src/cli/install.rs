@@ -1,4 +1,4 @@
-//! `realitysim install`
+//! Command `realitysim install`: installs the recorder as a service of this machine.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ const FILES: [(&str, &str); 4] = [
 const CONFIG: (&str, &str) = ("etc/realitysim/robot.toml", include_str!("../../config/robot.toml"));
 const PROGRAM: &str = "usr/bin/realitysim";
 
-/// What makes them known, in this order.
+/// Commands that make the system read the files, in this order.
 const COMMANDS: [&[&str]; 5] = [
     &["systemd-sysusers", "/usr/lib/sysusers.d/realitysim.conf"],
     &["systemd-tmpfiles", "--create", "/usr/lib/tmpfiles.d/realitysim.conf"],
@@ -40,7 +40,7 @@ const COMMANDS: [&[&str]; 5] = [
     &["udevadm", "trigger", "--subsystem-match=video4linux", "--subsystem-match=tty"],
 ];
 
-/// With all of its debugging information.
+/// Largest program file, with all of its debugging information.
 const MAX_PROGRAM_BYTES: u64 = 1 << 30;
 
 pub fn run(arguments: &InstallArguments) -> anyhow::Result<Outcome> {
@@ -65,7 +65,7 @@ pub fn run(arguments: &InstallArguments) -> anyhow::Result<Outcome> {
     Ok(Outcome::Whole)
 }
 
-/// Beside first, then renamed: a program that runs is not written over.
+/// Writes beside the file, then renames: a running program cannot be written over.
 fn write(path: &Path, content: &[u8], mode: u32) -> anyhow::Result<()> {
     let failed = |error| paths::cannot_write(path, error);
     if let Some(folder) = path.parent() {
@@ -77,7 +77,7 @@ fn write(path: &Path, content: &[u8], mode: u32) -> anyhow::Result<()> {
     std::fs::rename(&beside, path).map_err(failed)
 }
 
-/// For all to enter, whatever the umask of who installs.
+/// Makes the folders, accessible to all users whatever the umask.
 fn create_folders(folder: &Path) -> std::io::Result<()> {
     let new: Vec<&Path> =
         folder.ancestors().take_while(|folder| !folder.as_os_str().is_empty() && !folder.exists()).collect();

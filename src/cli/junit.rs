@@ -1,4 +1,4 @@
-//! JUnit XML, as CI servers read it: the part of it that all of them understand.
+//! Writes JUnit XML for CI servers, restricted to the part that all of them read.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::settings::UsageError;
 use super::{output, paths};
 use crate::config::plain_file;
 
-/// One test; it has passed if it has no fault.
+/// One test case; it passes if it has no faults.
 pub struct TestCase {
     pub name: String,
     pub seconds: f64,
@@ -38,7 +38,7 @@ pub fn document(suite: &str, tests: &[TestCase]) -> String {
     text
 }
 
-/// Before long work: what could not be written then.
+/// Checks before long work that the file's folder exists.
 pub fn check_folder(path: &Path) -> Result<(), UsageError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     match folder {
@@ -49,10 +49,10 @@ pub fn check_folder(path: &Path) -> Result<(), UsageError> {
     }
 }
 
-/// A run that did not come to its tests has failed: a file of an earlier run must not stand for it. Nobody knows what such
-/// a run would have read, so nothing else is written over.
+/// Writes a failed test for a run that did not get to its tests, so that no earlier result stands for it. It is not known
+/// what such a run would have read, so nothing but a result is written over.
 pub fn write_failure(path: &Path, suite: &str, error: &anyhow::Error) {
-    // Written already: only whoever read our output has gone.
+    // The result is written already: only the reader of standard output has gone.
     if output::is_broken_pipe(error) {
         return;
     }
@@ -66,7 +66,7 @@ pub fn write_failure(path: &Path, suite: &str, error: &anyhow::Error) {
     }
 }
 
-/// Of a hundred thousand cases.
+/// Largest old result that is read: that of a hundred thousand cases.
 const MAX_RESULT_BYTES: u64 = 64 << 20;
 
 fn is_free_or_a_result(path: &Path) -> bool {
@@ -74,7 +74,7 @@ fn is_free_or_a_result(path: &Path) -> bool {
         || plain_file::read(path, MAX_RESULT_BYTES).is_ok_and(|bytes| bytes.is_empty() || bytes.starts_with(b"<?xml"))
 }
 
-/// For text and attributes alike. XML knows no control characters but tab and line ends.
+/// Escapes text for elements and attributes alike. XML allows no control characters but tab and line ends.
 fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for letter in text.chars() {

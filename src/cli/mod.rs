@@ -1,6 +1,7 @@
-//! Commands: arguments to plain data, errors to exit codes, results to people or programs.
+//! Command line: turns arguments into plain data, errors into exit codes, and results into text for people or JSON for
+//! programs.
 //!
-//! Exit codes: 0 done, 1 failed, 2 wrong usage or config, 3 done but data was lost.
+//! Exit codes are 0 when done, 1 when something failed, 2 for wrong usage or config, 3 when done but data was lost.
 
 mod check;
 mod contrast;
@@ -9,28 +10,28 @@ mod cut;
 mod db;
 mod demo;
 mod detector;
+mod doc_section;
 mod doctor;
 mod eval;
 mod explain;
 mod export;
 mod falsify;
 mod gap;
-mod gate;
+mod host_info;
 mod info;
-mod inputs;
+mod input_files;
 mod install;
 mod junit;
-mod machine;
 mod output;
 mod paper;
 mod paths;
 mod photo;
 mod play;
 mod record;
+mod reference_check;
 mod refine;
 mod replay;
 mod scene;
-mod section;
 mod serve;
 mod sessions;
 mod settings;
@@ -80,7 +81,7 @@ enum Command {
     Scene(scene::SceneArguments),
     Record(Box<record::RecordArguments>),
     #[command(flatten)]
-    Order(record::Order),
+    Recorder(record::RecorderCommand),
     Sync(Box<sync::SyncArguments>),
     Sessions(sessions::SessionsArguments),
     Doctor(Box<doctor::DoctorArguments>),
@@ -109,11 +110,14 @@ enum Command {
     Demo(demo::DemoArguments),
 }
 
-/// Done, done with losses, or done with a result that is not what was asked for.
+/// How a command ended without an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
+    /// All of it is done.
     Whole,
+    /// Done, but data was lost.
     DataLost,
+    /// Done, but the result is not what was asked for.
     NotReached,
 }
 
@@ -123,6 +127,7 @@ impl Outcome {
     }
 }
 
+/// Runs the command that the process was called with, and returns its exit code.
 pub fn run() -> ExitCode {
     let arguments = Arguments::parse();
     let json = arguments.json;
@@ -135,7 +140,7 @@ pub fn run() -> ExitCode {
         Command::Install(arguments) => install::run(&arguments),
         Command::Soak(arguments) => soak::run(&arguments, json),
         Command::Doctor(arguments) => doctor::run(&arguments, json),
-        Command::Order(order) => record::order(&order, json),
+        Command::Recorder(command) => record::send_command(&command, json),
         Command::Sim(arguments) => sim::run(&arguments, json),
         Command::Eval(arguments) => eval::run(&arguments, json),
         Command::Explain(arguments) => explain::run(&arguments, json),
@@ -164,16 +169,16 @@ pub fn run() -> ExitCode {
         Ok(Outcome::NotReached) => ExitCode::from(1),
         Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            output::say(&told(&error));
+            output::say(&error_text(&error));
             ExitCode::from(if is_usage(&error) { 2 } else { 1 })
         }
     }
 }
 
-/// The causes in a row; many errors say their cause themselves, which is not said again.
-fn told(error: &anyhow::Error) -> String {
+/// Joins an error and its causes; a cause that is quoted already is not repeated.
+fn error_text(error: &anyhow::Error) -> String {
     let mut text = String::new();
-    for cause in error.chain().map(|cause| output::in_our_words(cause.to_string().trim_end())) {
+    for cause in error.chain().map(|cause| output::reword_system_errors(cause.to_string().trim_end())) {
         if text.is_empty() {
             text = cause;
         } else if !text.contains(&cause) {
@@ -183,7 +188,7 @@ fn told(error: &anyhow::Error) -> String {
     text
 }
 
-/// A config or an argument is wrong, rather than the world.
+/// Whether a config or an argument is wrong, as opposed to the input or the machine.
 fn is_usage(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| {
         cause.is::<ConfigError>()
@@ -222,7 +227,7 @@ mod tests {
 
     use super::*;
 
-    /// Of the program and all its commands, with what stands before each.
+    /// Visits the program and all its commands, each with its full name.
     fn each(command: &Command, before: &str, look: &mut dyn FnMut(&str, &Command)) {
         let name = format!("{before} {}", command.get_name());
         look(name.trim(), command);
@@ -239,7 +244,7 @@ mod tests {
             assert!(!examples.is_empty(), "{name} --help has no example:\n{help}");
             for example in examples {
                 assert!(example.starts_with(name), "{name}: {example}");
-                // Words in quotes have no blanks for the parser.
+                // A quoted text is one word for the parser.
                 let words = example.split('"').enumerate().flat_map(|(index, part)| match index % 2 {
                     0 => part.split_whitespace().map(str::to_owned).collect(),
                     _ => vec![part.to_owned()],
@@ -270,6 +275,6 @@ mod tests {
     fn the_system_s_words_are_translated() {
         let missing = std::fs::read("there/is/none").expect_err("not there");
         let error = anyhow::Error::new(missing).context("there/is/none");
-        assert_eq!(told(&error), "there/is/none: there is no such file or folder");
+        assert_eq!(error_text(&error), "there/is/none: there is no such file or folder");
     }
 }

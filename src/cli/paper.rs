@@ -1,4 +1,4 @@
-//! `realitysim paper`
+//! Command `realitysim paper`: repeats the paper's experiments on rendered scenes.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -6,9 +6,9 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::values::any_whole;
-use super::{Outcome, machine, output, paths};
+use super::{Outcome, host_info, output, paths};
 use crate::config::Settings;
 use crate::evaluation::Summary;
 use crate::evaluation::paper::{METHODS, PAPER_PARTICLES, PAPER_WALK_CM, Paper, Plan, Run, charts, reproduce};
@@ -18,7 +18,7 @@ use crate::localization::SimdPath;
 ///
 /// Fig. 9 (error and time against the number of particles) and Table 2 (distance against Gauss) on images taken standing on
 /// a grid of 30 cm, Fig. 10 on a straight walk; with the formulas as printed, corrected, and refined as this program does
-/// by default. Field, camera and particles are those of the paper. docs/paper.md says what comes out, and why.
+/// by default. Field, camera and particles are those of the paper. docs/explanation/paper.md says what comes out, and why.
 ///
 /// Writes paper.md (the results as Markdown), paper.csv and three pictures. Takes some minutes; --quick takes seconds.
 #[derive(Args)]
@@ -51,7 +51,7 @@ struct Report<'a> {
 }
 
 pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
-    let (started, waited_s) = (Instant::now(), machine::waited_s());
+    let (started, waited_s) = (Instant::now(), host_info::waited_s());
     let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "paper")).transpose()?;
     let folder = &arguments.output;
     paths::check_output(folder, &[])?;
@@ -75,9 +75,9 @@ pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
         bar.finish();
     }
     let wall_s = started.elapsed().as_secs_f64();
-    let waited_s = machine::waited_s().zip(waited_s).map(|(now, before)| now - before);
-    let warning = machine::busy_warning(waited_s, wall_s);
-    let machine = machine::described(SimdPath::Auto);
+    let waited_s = host_info::waited_s().zip(waited_s).map(|(now, before)| now - before);
+    let warning = host_info::busy_warning(waited_s, wall_s);
+    let machine = host_info::describe(SimdPath::Auto);
     let report = Report {
         paper: &paper,
         quick: arguments.quick,
@@ -160,7 +160,7 @@ fn row(run: &Run) -> String {
     format!("| {} | {mean:.2} | {median:.2} | {p95:.2} | {:.2} | {p50_ms:.1} |\n", method.name, yaw_deg.mean)
 }
 
-/// Mean error in cm, and the time, for each number of particles.
+/// Table of mean error in cm and time in ms for each number of particles.
 fn fig9(paper: &Paper) -> String {
     let mut counts: Vec<usize> = paper.still.iter().map(|run| run.particles).collect();
     counts.dedup();

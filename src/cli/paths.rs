@@ -1,16 +1,16 @@
-//! Where results may go, and the file system's errors in words that say what to do.
+//! Rules on where results may be written, and file errors in words that say what to do.
 
 use std::io::{Error, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-use super::inputs::with_what_they_name;
+use super::input_files::with_named_files;
 use super::settings::UsageError;
 use crate::config::plain_file;
 use crate::devices::video_out::is_device_name;
 use crate::recording::{cannot_be_made, session_holding};
 
-/// Refuses to write into a capture, which is never changed once it is there, over what is being read (the inputs and whatever
-/// files these name), or to make a file among the devices, where its name can only be a mistake.
+/// Refuses an output that can only be a mistake: inside a capture, which never changes once it is written; over a file that
+/// is read (an input, or a file that an input names); or a new file among the devices.
 pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<(), UsageError> {
     let refused = |why: String| Err(UsageError(format!("{}: {why}: choose another place", output.display())));
     if let Some(session) = session_holding(output) {
@@ -19,11 +19,11 @@ pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<(), UsageError> {
     if is_device_name(output) && output.metadata().is_err() {
         return refused("there is no such device, and no file is made in its place".to_owned());
     }
-    // What does not exist yet lies where its nearest existing folder lies.
+    // A path that does not exist yet lies in its nearest existing folder.
     let place = std::path::absolute(output).ok().and_then(|path| nearest_existing(&path));
-    for input in &with_what_they_name(inputs) {
+    for input in &with_named_files(inputs) {
         let Ok(read) = input.canonicalize() else {
-            // What is not there yet would be read once it is written.
+            // An input that does not exist yet would be read after it is written.
             if is_same_place(output, input) {
                 return refused(format!("is {}, which is to be read", input.display()));
             }
@@ -38,7 +38,7 @@ pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<(), UsageError> {
     Ok(())
 }
 
-/// Of files that need not be there.
+/// Whether two paths are the same; the files need not exist.
 fn is_same_place(a: &Path, b: &Path) -> bool {
     let place = |path: &Path| {
         let path = std::path::absolute(path).ok()?;
@@ -59,7 +59,7 @@ pub fn cannot_read(path: &Path, error: Error) -> anyhow::Error {
         ErrorKind::NotADirectory => "a part of its path is a file, not a folder".to_owned(),
         _ => error.to_string(),
     };
-    told(path, "cannot be read", why, error)
+    file_error(path, "cannot be read", why, error)
 }
 
 pub fn cannot_write(path: &Path, error: Error) -> anyhow::Error {
@@ -73,27 +73,27 @@ pub fn cannot_write(path: &Path, error: Error) -> anyhow::Error {
         ErrorKind::ReadOnlyFilesystem => "the disk can only be read".to_owned(),
         _ => error.to_string(),
     };
-    told(path, "cannot be written", why, error)
+    file_error(path, "cannot be written", why, error)
 }
 
-/// A text, with the same words for the same errors.
+/// Writes a text file; see [`write_bytes`].
 pub fn write(path: &Path, content: &str) -> anyhow::Result<()> {
     write_bytes(path, content.as_bytes())
 }
 
-/// Of any kind; over no file of another kind.
+/// Writes a file, unless it would replace one of another kind.
 pub fn write_bytes(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     check_replaceable(path, content)?;
     std::fs::write(path, content).map_err(|error| cannot_write(path, error))
 }
 
-/// So much of a file says what kind it is: the magic of a log or a picture, the first word of a text.
+/// Bytes at the start of a file that tell its kind: the magic of a log or a picture, or the first word of a text.
 const KIND_BYTES: usize = 8;
-/// What tells JPEGs apart comes right behind this.
+/// The same for JPEGs, which differ from each other right behind these bytes.
 const JPEG_BYTES: usize = 3;
 
-/// Refuses to replace a file that does not begin as what is to be written begins: it was named by mistake. An empty file, a pipe
-/// and a device may be written into.
+/// Refuses to replace a file that begins differently from the new content, since it was probably named by mistake. An empty
+/// file, a pipe or a device may be written into.
 pub fn check_replaceable(path: &Path, content: &[u8]) -> Result<(), UsageError> {
     let kind = if content.starts_with(JPEG) { JPEG_BYTES } else { KIND_BYTES };
     check_old(path, |old| old.iter().zip(content).take(kind).all(|(old, new)| old == new))
@@ -101,14 +101,14 @@ pub fn check_replaceable(path: &Path, content: &[u8]) -> Result<(), UsageError> 
 
 const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
 
-/// The same where a beginning of the old file says more than its first bytes.
+/// Refuses to replace a file unless `is_ours` accepts its first `MAX_OLD_BYTES` bytes.
 pub fn check_old(path: &Path, is_ours: impl Fn(&[u8]) -> bool) -> Result<(), UsageError> {
     if !path.is_file() {
         return Ok(());
     }
     let mut old = Vec::new();
     let read = plain_file::open(path).and_then(|file| file.take(MAX_OLD_BYTES).read_to_end(&mut old));
-    // What may not be read is somebody else's, too.
+    // A file that may not be read is not ours either.
     if read.is_ok() && (old.is_empty() || is_ours(&old)) {
         return Ok(());
     }
@@ -116,25 +116,25 @@ pub fn check_old(path: &Path, is_ours: impl Fn(&[u8]) -> bool) -> Result<(), Usa
     Err(UsageError(format!("{}: {what}", path.display())))
 }
 
-/// Of an old file: more than a line of ours.
+/// Bytes of an old file that are looked at: more than a line of ours.
 const MAX_OLD_BYTES: u64 = 1024;
 
-/// A folder to write into, made if it is not there.
+/// Makes a folder to write into, if it is not there.
 pub fn make_folder(path: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(path).map_err(|error| match error.kind() {
         ErrorKind::NotFound | ErrorKind::PermissionDenied => {
-            told(path, "cannot be written", cannot_be_made(&error), error)
+            file_error(path, "cannot be written", cannot_be_made(&error), error)
         }
         _ => cannot_write(path, error),
     })
 }
 
-/// A folder for what nobody asked to keep: it goes when this goes out of scope.
+/// Makes a temporary folder, which is removed when the value goes out of scope.
 pub fn temporary() -> anyhow::Result<tempfile::TempDir> {
     tempfile::tempdir().map_err(|error| cannot_write(&std::env::temp_dir(), error))
 }
 
-/// A picture, with the same words for the same errors.
+/// Saves a picture as PNG or JPEG, unless it would replace a file of another kind.
 pub fn save(picture: &image::RgbImage, path: &Path) -> anyhow::Result<()> {
     let is_picture = |old: &[u8]| old.starts_with(b"\x89PNG") || old.starts_with(JPEG);
     check_old(path, is_picture)?;
@@ -147,8 +147,8 @@ pub fn save(picture: &image::RgbImage, path: &Path) -> anyhow::Result<()> {
     })
 }
 
-/// The system's own words are left out where ours say the same.
-fn told(path: &Path, what: &str, why: String, error: Error) -> anyhow::Error {
+/// An error with our reason; the system's text is kept as its cause where the reason is that text.
+fn file_error(path: &Path, what: &str, why: String, error: Error) -> anyhow::Error {
     let shown = format!("{}: {what}: {why}", path.display());
     if why == error.to_string() { anyhow::Error::new(error).context(shown) } else { anyhow::Error::msg(shown) }
 }

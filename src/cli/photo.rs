@@ -1,4 +1,4 @@
-//! A single image, and what is known of how it was taken.
+//! A single image and the prior knowledge of how it was taken.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use super::values::any_number;
 use crate::config::{load_lens_for_image, plain_file};
 use crate::geometry::{Euler, Pose2};
 use crate::log_input::{body_mask, decode};
-use crate::tagging::single::{Found, Known, LEAST_SHARE, LEAST_WEIGHT};
+use crate::tagging::single_image::{ImagePrior, LEAST_SHARE, LEAST_WEIGHT, PoseHypothesis};
 use crate::vision::Picture;
 
 #[derive(Args)]
@@ -28,20 +28,20 @@ pub struct PhotoArguments {
     height: Option<f64>,
 }
 
-/// Standard deviation of a tilt of which nothing is said.
+/// Standard deviation of roll and pitch if none is given, degrees.
 const ATTITUDE_SIGMA_DEG: f64 = 2.0;
 
-/// What a command reads besides the image.
+/// Inputs of a command besides the image.
 pub struct OtherInputs<'a> {
     pub lens: &'a str,
     pub body_mask: Option<&'a str>,
-    /// About where `camera_link` is.
+    /// Approximate pose of `camera_link`.
     pub initial: Option<Pose2>,
 }
 
 impl PhotoArguments {
-    /// The first of them that is given.
-    pub fn given(&self) -> Option<&'static str> {
+    /// Name of the first argument that is given, if any.
+    pub fn first_given(&self) -> Option<&'static str> {
         let given = [
             (self.attitude.is_some(), "--attitude"),
             (self.attitude_sigma.is_some(), "--attitude-sigma"),
@@ -51,7 +51,7 @@ impl PhotoArguments {
     }
 
     /// Reads the image, its lens and mask.
-    pub fn open(&self, image: &Path, beside: &OtherInputs) -> anyhow::Result<(Picture, Known)> {
+    pub fn open(&self, image: &Path, beside: &OtherInputs) -> anyhow::Result<(Picture, ImagePrior)> {
         let bytes = plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| cannot_read(image, error))?;
         let picture = decode::compressed(&bytes).with_context(|| image.display().to_string())?;
         let (width, height) = (picture.width as u32, picture.height as u32);
@@ -68,7 +68,7 @@ impl PhotoArguments {
             None => None,
         };
         let tilt_sigma_rad = self.attitude_sigma.unwrap_or(ATTITUDE_SIGMA_DEG).to_radians();
-        let known = Known { lens: lens.lens, attitude, tilt_sigma_rad, height_m, initial: beside.initial, body };
+        let known = ImagePrior { lens: lens.lens, attitude, tilt_sigma_rad, height_m, initial: beside.initial, body };
         Ok((picture, known))
     }
 
@@ -89,14 +89,14 @@ impl PhotoArguments {
     }
 }
 
-/// Its pixels, to draw on.
+/// Returns the picture's pixels, to draw on.
 pub fn rgb(picture: &Picture) -> anyhow::Result<RgbImage> {
     RgbImage::from_raw(picture.width as u32, picture.height as u32, picture.to_rgb())
         .context("the picture's pixels do not fit its size")
 }
 
-/// Why the best pose means nothing.
-pub fn why_none(best: Option<&Found>) -> String {
+/// Explains why even the best pose is not accepted.
+pub fn explain_no_pose(best: Option<&PoseHypothesis>) -> String {
     let found = match best {
         None => "there is no line of a field where the ground is in view".to_owned(),
         Some(best) if best.share >= LEAST_SHARE && best.weight >= LEAST_WEIGHT => {

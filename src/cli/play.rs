@@ -1,4 +1,4 @@
-//! `realitysim play`
+//! Command `realitysim play`: plays a capture or trajectory to a robot's devices.
 
 use std::path::{Path, PathBuf};
 
@@ -40,7 +40,7 @@ pub struct PlayArguments {
     #[arg(long, value_name = "DIR")]
     db: Option<PathBuf>,
     /// Times as fast as it was, 0.01 to 100
-    #[arg(long, value_name = "TIMES", default_value_t = 1.0, value_parser = times)]
+    #[arg(long, value_name = "TIMES", default_value_t = 1.0, value_parser = speed_factor)]
     speed: f64,
     /// MAVLink's number of the robot
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole(1..=255u8))]
@@ -50,11 +50,11 @@ pub struct PlayArguments {
     config: Option<String>,
 }
 
-/// A day.
+/// Longest trajectory, seconds: a day.
 const MAX_S: f64 = 86_400.0;
 const HEAD: &str = "t,x,y,z,yaw_deg,pitch_deg,roll_deg";
 
-fn times(text: &str) -> Result<f64, String> {
+fn speed_factor(text: &str) -> Result<f64, String> {
     let value: Option<f64> = text.parse().ok().filter(|value| (0.01..=100.0).contains(value));
     value.ok_or_else(|| "0.01 to 100".to_owned())
 }
@@ -69,7 +69,7 @@ pub fn run(arguments: &PlayArguments, json: bool) -> anyhow::Result<Outcome> {
     let source = match (source.extension().is_some_and(|ending| ending == "csv"), db) {
         (false, None) => PlaySource::Capture(source.clone()),
         (true, Some(db)) => {
-            PlaySource::Trajectory { poses: trajectory(source)?, database: db.clone(), settings: settings.views }
+            PlaySource::Trajectory { poses: read_trajectory(source)?, database: db.clone(), settings: settings.views }
         }
         (true, None) => {
             return Err(UsageError("a way needs the database that its images come from: --db".to_owned()).into());
@@ -95,10 +95,10 @@ pub fn run(arguments: &PlayArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if played.lost > 0 { Outcome::DataLost } else { Outcome::Whole })
 }
 
-/// A way of a million poses or more.
+/// Largest file of a trajectory, enough for a million poses.
 const MAX_TABLE_BYTES: u64 = 256 << 20;
 
-fn trajectory(path: &Path) -> anyhow::Result<Vec<(f64, Isometry)>> {
+fn read_trajectory(path: &Path) -> anyhow::Result<Vec<(f64, Isometry)>> {
     let text = plain_file::read_text(path, MAX_TABLE_BYTES).map_err(|error| cannot_read(path, error))?;
     let wrong = |line: usize, what: String| UsageError(format!("{}: line {line}: {what}", path.display()));
     let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, line)| (i + 1, line.trim()));

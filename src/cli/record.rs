@@ -1,4 +1,4 @@
-//! `realitysim record`, and questions and orders to one that runs.
+//! Command `realitysim record`, and the commands that talk to a running recorder.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -12,9 +12,9 @@ use super::{Outcome, output};
 use crate::config::load_field;
 use crate::geometry::{Field, Pose2};
 use crate::live::{RecordOptions, ask, poses, record, stop_flag};
-use crate::tagging::foresight::NO_FRAME;
+use crate::localization::Rejection;
 
-/// Where a service's runtime files are; a user's own recorder may be elsewhere.
+/// Control socket of the service; a user's own recorder may have another.
 const SOCKET: &str = "/run/realitysim/control.sock";
 
 /// Record a live camera and tag every frame, on the robot
@@ -66,7 +66,8 @@ pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if recorder_lost_data(&status) { Outcome::DataLost } else { Outcome::Whole })
 }
 
-/// Not what the camera dropped, but what was there and could not be written; of any of its sessions.
+/// Whether recorded data was lost in any of the recorder's sessions. Frames that the camera dropped do not count, data that
+/// could not be written does.
 fn recorder_lost_data(status: &Value) -> bool {
     let earlier = &status["earlier"];
     let lost = |counts: &Value| counts["lost"].as_object().is_some_and(|causes| !causes.is_empty());
@@ -79,19 +80,19 @@ fn recorder_lost_data(status: &Value) -> bool {
         || refused(earlier)
 }
 
-/// How is it, what happened, begin, end, where am I.
+/// Commands to a running recorder.
 #[derive(Subcommand)]
-pub enum Order {
+pub enum RecorderCommand {
     /// How a running recorder is: rates, drops, ports and clocks, the last pose
     #[command(after_long_help = "Example:\n  realitysim status")]
-    Status(At),
+    Status(SocketArguments),
     /// Put a note into the running log
     #[command(after_long_help = "Example:\n  realitysim mark \"second half begins\"")]
     Mark {
         /// What happened
         text: String,
         #[command(flatten)]
-        at: At,
+        at: SocketArguments,
     },
     /// Say where the robot is: `base_footprint` in `map`, as after kick-off or when it was carried
     #[command(after_long_help = "Example:\n  realitysim place 1.2,-0.3,90")]
@@ -101,34 +102,34 @@ pub enum Order {
         #[arg(value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
         pose: Pose2,
         #[command(flatten)]
-        at: At,
+        at: SocketArguments,
     },
     /// Begin a session in a recorder that runs
     #[command(after_long_help = "Example:\n  realitysim start")]
-    Start(At),
+    Start(SocketArguments),
     /// End its session; the recorder goes on running
     #[command(after_long_help = "Example:\n  realitysim stop")]
-    Stop(At),
+    Stop(SocketArguments),
     /// Every tag as it is made, a line of JSON each
     #[command(after_long_help = "Example:\n  realitysim poses")]
-    Poses(At),
+    Poses(SocketArguments),
 }
 
 #[derive(Args)]
-pub struct At {
+pub struct SocketArguments {
     /// The recorder's socket
     #[arg(long, value_name = "PATH", default_value = SOCKET)]
     socket: PathBuf,
 }
 
-pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
-    let (line, at) = match order {
-        Order::Status(at) => ("status".to_owned(), at),
-        Order::Mark { text, at } => (format!("mark {text}"), at),
-        Order::Place { pose, at } => (format!("place {},{},{}", pose.x, pose.y, pose.yaw.to_degrees()), at),
-        Order::Start(at) => ("start".to_owned(), at),
-        Order::Stop(at) => ("stop".to_owned(), at),
-        Order::Poses(at) => {
+pub fn send_command(command: &RecorderCommand, json: bool) -> anyhow::Result<Outcome> {
+    let (line, at) = match command {
+        RecorderCommand::Status(at) => ("status".to_owned(), at),
+        RecorderCommand::Mark { text, at } => (format!("mark {text}"), at),
+        RecorderCommand::Place { pose, at } => (format!("place {},{},{}", pose.x, pose.y, pose.yaw.to_degrees()), at),
+        RecorderCommand::Start(at) => ("start".to_owned(), at),
+        RecorderCommand::Stop(at) => ("stop".to_owned(), at),
+        RecorderCommand::Poses(at) => {
             let stop = std::sync::atomic::AtomicBool::new(false);
             let mut stdout = std::io::stdout().lock();
             let mut printed = Ok(());
@@ -137,7 +138,7 @@ pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
                 if printed.is_err() { Err(std::io::ErrorKind::Interrupted.into()) } else { Ok(()) }
             });
             match (printed, listened) {
-                // Whoever reads has had enough.
+                // The reader of the output has ended.
                 (Err(error), _) if error.kind() == std::io::ErrorKind::BrokenPipe => {}
                 (Err(error), _) => anyhow::bail!("standard output: {error}"),
                 (Ok(()), listened) => listened.map_err(|error| unreachable_recorder(at, &error))?,
@@ -153,12 +154,12 @@ pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
     }
     if json {
         output::json(&answer)?;
-    } else if matches!(order, Order::Status(_)) {
+    } else if matches!(command, RecorderCommand::Status(_)) {
         output::lines(&for_people(&answer))?;
     } else if let Some(session) = answer["session"].as_str() {
         output::lines(session)?;
     }
-    match answer["unfinished"].as_str().filter(|_| matches!(order, Order::Stop(_))) {
+    match answer["unfinished"].as_str().filter(|_| matches!(command, RecorderCommand::Stop(_))) {
         None => Ok(Outcome::Whole),
         Some(why) => {
             eprintln!("realitysim: the session is not whole: {why}");
@@ -167,7 +168,7 @@ pub fn order(order: &Order, json: bool) -> anyhow::Result<Outcome> {
     }
 }
 
-fn unreachable_recorder(at: &At, error: &std::io::Error) -> anyhow::Error {
+fn unreachable_recorder(at: &SocketArguments, error: &std::io::Error) -> anyhow::Error {
     let socket = at.socket.display();
     match error.kind() {
         std::io::ErrorKind::NotFound | std::io::ErrorKind::ConnectionRefused => {
@@ -223,7 +224,7 @@ fn for_people(status: &Value) -> String {
         allowed => format!(" of {allowed} ms"),
     };
     lines.push(format!(
-        "last second: {:.1} captured, {:.1} written, {:.1} tagged; {} of 16 frames wait for the agent",
+        "last second: {:.1} captured, {:.1} written, {:.1} tagged; {} of 16 frames wait to be taken",
         rate("captured_hz"),
         rate("written_hz"),
         rate("tagged_hz"),
@@ -288,11 +289,13 @@ fn for_people(status: &Value) -> String {
     }
     if let Some(tag) = status["last_tag"].as_object() {
         let float = |key: &str| tag[key].as_f64().unwrap_or(f64::NAN);
-        let what = match tag["reason"].as_str() {
-            Some(NO_FRAME) if tag["ambiguous"] == true => {
+        let reason = tag["reason"].as_str();
+        let is_predicted = reason == Some(Rejection::NoFrame.as_str());
+        let what = match reason {
+            Some(_) if is_predicted && tag["ambiguous"] == true => {
                 "predicted, for want of frames; the mirror pose is as likely".to_owned()
             }
-            Some(NO_FRAME) => "predicted, for want of frames".to_owned(),
+            Some(_) if is_predicted => "predicted, for want of frames".to_owned(),
             Some(reason) if tag["valid"] != true => format!("{reason}, {:.1} ms", float("elapsed_ms")),
             _ if tag["ambiguous"] == true => format!("valid up to the mirror, {:.1} ms", float("elapsed_ms")),
             _ => format!("valid, {:.1} ms", float("elapsed_ms")),
@@ -312,7 +315,7 @@ fn for_people(status: &Value) -> String {
     lines.join("\n")
 }
 
-/// What is in memory, what a power cut would cost, and what the disk does.
+/// Describes the recorder's queue, what a power cut would cost, and the state of the disk.
 fn recorder_for_people(recorder: &Value) -> Vec<String> {
     let ms = |key: &str| recorder[key].as_f64().unwrap_or(0.0);
     let mebibytes = |key: &str| recorder[key].as_f64().unwrap_or(0.0) / f64::from(1 << 20);

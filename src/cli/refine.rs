@@ -1,4 +1,4 @@
-//! `realitysim refine`
+//! Command `realitysim refine`: improves the tags of a whole capture afterwards.
 
 use std::path::{Path, PathBuf};
 
@@ -10,14 +10,14 @@ use super::settings::UsageError;
 use super::values::whole;
 use super::{Outcome, output};
 use crate::config::Settings;
-use crate::database::{DatabaseError, Gallery, TagLimits, add, leave_one_out};
+use crate::database::{DatabaseError, ImageDatabase, TagLimits, add, leave_one_out};
 use crate::evaluation::Summary;
 use crate::evaluation::capture::read_truth;
 use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
 use crate::localization::smoothing::{Constants, Model};
 use crate::recording::{RefinedConstant, RefinedInfo};
 use crate::ros2::messages::FrameTag;
-use crate::tagging::refining::{Refining, refine};
+use crate::tagging::offline_refinement::{OfflineRefinement, refine};
 
 /// Improve a capture's tags afterwards, from all frames together
 ///
@@ -54,21 +54,21 @@ struct Report {
     before: Judged,
     after: Judged,
     constants: Vec<RefinedConstant>,
-    /// `db add` takes the refined tags.
+    /// Whether `db add` takes the refined tags.
     preferred: bool,
     output: PathBuf,
 }
 
-/// Medians say it; the rest is for those who want to know.
+/// Quality of a set of tags.
 #[derive(Default, Serialize)]
 struct Judged {
-    /// Of the line places that fit.
+    /// RMS distance of line places that fit, pixels.
     rms_px: f64,
-    /// The same of places that took no part.
+    /// The same for line places that took no part in the fit.
     held_out_px: f64,
     position_cm: Option<Summary>,
     angle_deg: Option<Summary>,
-    /// Left out and made of the others.
+    /// PSNR of images that are left out and made from the others.
     view_psnr_db: Option<Summary>,
 }
 
@@ -90,31 +90,31 @@ pub fn run(arguments: &RefineArguments, json: bool) -> anyhow::Result<Outcome> {
     let views = usize::from(*views);
     let judged = |capture: &Path, tags: &[FrameTag], which: usize| -> anyhow::Result<Judged> {
         let (rms_px, held_out_px) = (rms_px[which], held_out_px[which]);
-        let truth = truth.as_ref().map(|truth| errors(tags, &refining.stamps_ns, &truth.found));
+        let truth = truth.as_ref().map(|truth| pose_errors(tags, &refining.stamps_ns, &truth.found));
         let (position_cm, angle_deg) = truth.flatten().unzip();
-        // Of tags that a database does not take, there are no views.
-        let view_psnr_db = if views > 0 && (which == 0 || preferred) { psnr(capture, views)? } else { None };
+        // There are no views of tags that a database does not take.
+        let view_psnr_db = if views > 0 && (which == 0 || preferred) { view_psnr(capture, views)? } else { None };
         Ok(Judged { rms_px, held_out_px, position_cm, angle_deg, view_psnr_db })
     };
-    let recorded = as_recorded(capture)?;
+    let recorded = without_refinement(capture)?;
     let before = judged(recorded.path(), &refining.tags, 0)?;
     let folder = refining.write(capture)?;
     let after = judged(capture, &refining.refined, 1)?;
     if let Some(path) = write_calibration {
-        calibration(&refining, path)?;
+        write_calibration_files(&refining, path)?;
     }
     output::losses(&refining.losses);
     let report = Report { frames, tags: refining.tags.len(), before, after, constants, preferred, output: folder };
     if json {
         output::json(&report)?;
     } else {
-        output::lines(told(&report).trim_end())?;
+        output::lines(text_report(&report).trim_end())?;
     }
     Ok(Outcome::of(&refining.losses))
 }
 
-/// Position in cm and angle in degrees of the tags that took part, by truths of the same time.
-fn errors(tags: &[FrameTag], stamps_ns: &[i64], truth: &[(i64, Isometry)]) -> Option<(Summary, Summary)> {
+/// Errors of position (cm) and angle (degrees) of the tags that took part, against true poses with the same stamp.
+fn pose_errors(tags: &[FrameTag], stamps_ns: &[i64], truth: &[(i64, Isometry)]) -> Option<(Summary, Summary)> {
     let (mut centimetres, mut degrees) = (Vec::new(), Vec::new());
     for tag in tags.iter().filter(|tag| tag.valid) {
         let stamp = tag.header.stamp.to_nanoseconds();
@@ -128,9 +128,9 @@ fn errors(tags: &[FrameTag], stamps_ns: &[i64], truth: &[(i64, Isometry)]) -> Op
     (!centimetres.is_empty()).then(|| (Summary::of(&centimetres), Summary::of(&degrees)))
 }
 
-/// The capture without the tags of an earlier refinement, which would be taken for those that were recorded; these stay where they are
-/// until better ones are there.
-fn as_recorded(capture: &Path) -> std::io::Result<tempfile::TempDir> {
+/// Makes a temporary capture without the tags of an earlier refinement, which would else be taken for the recorded ones.
+/// They stay in place until better ones are there.
+fn without_refinement(capture: &Path) -> std::io::Result<tempfile::TempDir> {
     let folder = tempfile::tempdir()?;
     for entry in std::fs::read_dir(capture)? {
         let (name, path) = entry.map(|entry| (entry.file_name(), entry.path()))?;
@@ -138,30 +138,31 @@ fn as_recorded(capture: &Path) -> std::io::Result<tempfile::TempDir> {
         if name.to_string_lossy().contains(".mcap") {
             std::os::unix::fs::symlink(path.canonicalize()?, to)?;
         } else if path.is_file() {
-            // What describes a capture is read from no link.
+            // Files that describe a capture are not read through links, so they are copied.
             std::fs::copy(path, to)?;
         }
     }
     Ok(folder)
 }
 
-/// With the capture's tags as they are now. Rendered captures have no goals, and real ones are judged by their ground alone.
-fn psnr(capture: &Path, views: usize) -> anyhow::Result<Option<Summary>> {
+/// PSNR of views with the capture's present tags. Goals are left out: rendered captures have none, and real ones are judged
+/// by the ground.
+fn view_psnr(capture: &Path, views: usize) -> anyhow::Result<Option<Summary>> {
     let folder = temporary()?;
     let db = folder.path().join("db");
-    // A walk in the wrong half is as consistent in itself.
+    // Ambiguous tags are included: a walk in the wrong half is as consistent in itself.
     let limits = TagLimits { ambiguous: true, ..TagLimits::default() };
     match add(&db, &[capture.to_owned()], None, limits, &mut |_| ()) {
         Err(DatabaseError::Nothing(_)) => return Ok(None),
         added => added?,
     };
     let settings = crate::config::ViewsSettings { goals: false, ..Settings::default().views };
-    let gallery = Gallery::open(&db, &settings)?;
+    let gallery = ImageDatabase::open(&db, &settings)?;
     let found = leave_one_out(&gallery, views, &mut |_| ())?;
     Ok((!found.is_empty()).then(|| Summary::of(&found)))
 }
 
-fn calibration(refining: &Refining, path: &Path) -> anyhow::Result<()> {
+fn write_calibration_files(refining: &OfflineRefinement, path: &Path) -> anyhow::Result<()> {
     let lens_path = path.with_file_name(format!(
         "{}-lens.toml",
         path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
@@ -180,20 +181,20 @@ fn lens_file(lens: &LensParameters) -> String {
     };
     let fov = fov_deg.map_or(String::new(), |fov| format!("fov_deg = {fov:?}\n"));
     format!(
-        "# RefinedConstant by `realitysim refine`\ntitle = \"Refined\"\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\n\
+        "# Found by `realitysim refine`\ntitle = \"Refined\"\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\n\
          cx = {cx:?}\ncy = {cy:?}\n{model}{fov}"
     )
 }
 
-/// For whoever takes the tilt for the mount's alone.
-const TILT: &str = "# The tilt is that of the camera against what the IMU calls level: one walk cannot tell a tilted mount from a tilted IMU,\n\
+/// Comment in the robot file that explains whose tilt it is.
+const TILT_COMMENT: &str = "# The tilt is that of the camera against what the IMU calls level: one walk cannot tell a tilted mount from a tilted IMU,\n\
                     # and a pose needs both together only. With another IMU, or one that was set level anew, it is to be found again.\n";
 
-fn robot_file(refining: &Refining, lens: &Path) -> String {
+fn robot_file(refining: &OfflineRefinement, lens: &Path) -> String {
     let mount = &refining.info.settings.mount;
     let constants = refining.smoothed.constants;
     let mut text =
-        "# RefinedConstant by `realitysim refine` from one walk. What the walk does not show stays as it was believed:\n"
+        "# Found by `realitysim refine` from one walk. What the walk does not show stays as it was believed:\n"
             .to_owned();
     for found in refining.info().constants {
         let says = if found.observable { "observed" } else { "not observable in this walk" };
@@ -202,10 +203,11 @@ fn robot_file(refining: &Refining, lens: &Path) -> String {
             found.name, found.value, found.unit, found.known, found.believed
         ));
     }
-    text.push_str(TILT);
+    text.push_str(TILT_COMMENT);
     let name = lens.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     text.push_str(&format!("[camera]\nlens = {name:?}\n"));
-    // `record` makes the transforms of its config's mount; any other capture has them from its log, whatever a config says.
+    // `record` makes the transforms from its config's mount. Any other capture has them from its log, whatever a config
+    // says.
     match mount.torso_height_m.filter(|_| refining.info.live.is_some()) {
         Some(height) => {
             let [roll, pitch, yaw] = corrected(mount.camera_rpy_deg, &constants);
@@ -228,18 +230,19 @@ fn robot_file(refining: &Refining, lens: &Path) -> String {
     text
 }
 
-/// Roll, pitch, yaw of `camera_link` with the tilt that was found; the tilt is about the camera's optical axes.
+/// Roll, pitch and yaw of `camera_link`, degrees, corrected by the tilt that was found, which is about the camera's optical
+/// axes.
 fn corrected([roll, pitch, yaw]: [f64; 3], constants: &Constants) -> [f64; 3] {
     let believed = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
     let link_from_optical = Isometry::link_from_optical().rotation;
-    // The mount's up is the tilt's inverse away from the camera's.
+    // The tilt turns the camera against up; the mount needs the inverse rotation.
     let tilt = glam::DQuat::from_scaled_axis(glam::DVec3::new(constants.tilt_x, 0.0, constants.tilt_z)).conjugate();
     let turned = believed.rotation() * link_from_optical * tilt * link_from_optical.conjugate();
     let found = Euler::from_rotation(turned);
     [found.roll, found.pitch, found.yaw].map(f64::to_degrees)
 }
 
-fn told(report: &Report) -> String {
+fn text_report(report: &Report) -> String {
     let mut text = format!("{} of {} tags refined\n", report.frames, report.tags);
     let median =
         |summary: &Option<Summary>| summary.as_ref().map_or("-".to_owned(), |summary| format!("{:.2}", summary.median));

@@ -1,18 +1,18 @@
-//! `realitysim replay`
+//! Command `realitysim replay`: tags every frame of a log or scene.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::gate::GateArguments;
+use super::reference_check::ReferenceArguments;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, output, paths};
 use crate::config::{Settings, load_field};
 use crate::geometry::{Field, Pose2};
-use crate::log_input::scene;
+use crate::log_input::{InputSource, scene_source};
 use crate::tagging::{ReplayOptions, ReplayReport, replay};
 
-/// More only wait for each other.
+/// Most threads; more would only wait for each other.
 pub(super) const MAX_THREADS: usize = 64;
 
 /// Tag every frame of a log or scene and write a capture
@@ -55,7 +55,7 @@ pub struct ReplayArguments {
     #[arg(long, conflicts_with = "reference")]
     warm_start: bool,
     #[command(flatten)]
-    gate: GateArguments,
+    gate: ReferenceArguments,
     #[command(flatten)]
     settings: SettingsArguments,
 }
@@ -64,19 +64,19 @@ pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
     let named = arguments.settings.files();
     let inputs: Vec<&Path> = named.iter().map(PathBuf::as_path).chain([arguments.source.as_path()]).collect();
     arguments.gate.check_outputs(&inputs)?;
-    let outcome = replayed(arguments, json);
-    outcome.inspect_err(|error| arguments.gate.tell_failure(error))
+    let outcome = replay_and_report(arguments, json);
+    outcome.inspect_err(|error| arguments.gate.write_failure(error))
 }
 
-fn replayed(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
+fn replay_and_report(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from).min(MAX_THREADS);
     let settings = arguments.settings.resolve_for(&arguments.source)?;
     if let Some(initial) = &arguments.initial {
-        let name = field_of(&arguments.source, &settings)?;
+        let name = source_field_name(&arguments.source, &settings)?;
         check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
     }
     let gate = arguments.gate.open()?;
-    // Removed when it goes out of scope.
+    // A temporary folder is removed when this goes out of scope.
     let mut temporary = None;
     let captures = match &arguments.output {
         Some(folder) => folder.clone(),
@@ -94,7 +94,7 @@ fn replayed(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> 
     let mut progress = output::Progress::new("tagging");
     let report = replay(&options, &mut |done, total| progress.set(done, total))?;
     progress.finish();
-    tell(&report);
+    print_problems(&report);
     if let Some(gate) = gate {
         let judged = gate.judge(&arguments.source, &report, arguments.initial, json)?;
         return Ok(if judged == Outcome::Whole { outcome(&report) } else { judged });
@@ -104,7 +104,7 @@ fn replayed(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> 
     } else {
         output::lines(&for_people(&report))?
     }
-    if !json && let Some((reason, count, frame)) = dominant(&report) {
+    if !json && let Some((reason, count, frame)) = main_reason(&report) {
         eprintln!(
             "realitysim: {count} of {} tags are invalid as {reason}: `realitysim explain {} --frame {frame}`, with the same settings, shows why",
             report.tagged,
@@ -114,10 +114,10 @@ fn replayed(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> 
     Ok(outcome(&report))
 }
 
-/// One in so many invalid tags is a reason to point at what explains them.
-const MANY_INVALID: u64 = 5;
+/// If more than one tag in this many is invalid, the program points at `realitysim explain`.
+const MANY_INVALID_DIVISOR: u64 = 5;
 
-/// Tags are what was asked for: without a valid one nothing was reached.
+/// Outcome of a replay; without a valid tag its goal is not reached.
 fn outcome(report: &ReplayReport) -> Outcome {
     match (report.is_in_vain(), report.data_was_lost()) {
         (true, _) => Outcome::NotReached,
@@ -131,11 +131,11 @@ fn threads(text: &str) -> Result<usize, String> {
     threads.ok_or_else(|| format!("it must be 1 to {MAX_THREADS}"))
 }
 
-/// A scene brings its own.
-pub(super) fn field_of(source: &Path, settings: &Settings) -> anyhow::Result<String> {
-    match source.extension() {
-        Some(ending) if ending == "toml" => Ok(scene::load(source)?.file().scene.field.clone()),
-        _ => Ok(settings.field.clone()),
+/// Name of the source's field: a scene has its own.
+pub(super) fn source_field_name(source: &Path, settings: &Settings) -> anyhow::Result<String> {
+    match InputSource::of(source) {
+        InputSource::Scene => Ok(scene_source::load(source)?.file().scene.field.clone()),
+        InputSource::Log => Ok(settings.field.clone()),
     }
 }
 
@@ -167,15 +167,15 @@ pub fn for_people(report: &ReplayReport) -> String {
     text
 }
 
-/// Of many invalid tags the most frequent reason, how often it is, and its first frame.
-fn dominant(report: &ReplayReport) -> Option<(&str, u64, u64)> {
+/// Most frequent reason for invalid tags, its count and its first frame, if many tags are invalid.
+fn main_reason(report: &ReplayReport) -> Option<(&str, u64, u64)> {
     let invalid: u64 = report.invalid.values().sum();
     let (reason, count) = report.invalid.iter().max_by_key(|(_, count)| **count)?;
-    (MANY_INVALID * invalid > report.tagged)
+    (MANY_INVALID_DIVISOR * invalid > report.tagged)
         .then(|| (reason.as_str(), *count, report.first_invalid.get(reason).copied().unwrap_or(0)))
 }
 
-/// Why tags are invalid, the most frequent first.
+/// Reasons for invalid tags with their counts, the most frequent first.
 fn reasons(report: &ReplayReport) -> String {
     let mut reasons: Vec<(&String, &u64)> = report.invalid.iter().collect();
     reasons.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
@@ -183,8 +183,8 @@ fn reasons(report: &ReplayReport) -> String {
     reasons.join(", ")
 }
 
-/// Warnings, then what was lost.
-fn tell(report: &ReplayReport) {
+/// Prints warnings and losses on standard error.
+fn print_problems(report: &ReplayReport) {
     if report.is_in_vain() {
         eprintln!("realitysim: none of the {} tags is valid: {}", report.tagged, reasons(report));
     }

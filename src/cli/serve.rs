@@ -1,4 +1,4 @@
-//! `realitysim serve`
+//! Command `realitysim serve`: serves views of a database over HTTP.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -14,13 +14,13 @@ use super::{Outcome, output};
 use crate::config::{Settings, lens_names, load_lens, plain_file};
 use crate::geometry::LensParameters;
 use crate::live::stop_flag;
-use crate::log_input::scene;
+use crate::log_input::scene_source;
 use crate::service::{ServeOptions, serve};
 use crate::views::{FAR_M, MAX_FAR_M};
 
 /// Serve views of a database over HTTP, for simulators and vision code
 ///
-/// GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/service.md). The database may be
+/// GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/howto/simulator.md). The database may be
 /// changed meanwhile. Ends with SIGINT or SIGTERM.
 #[derive(Args)]
 #[command(after_long_help = concat!(
@@ -47,7 +47,8 @@ pub struct ServeArguments {
     /// A scene whose effects clients may ask for; its name is the file's without .toml
     #[arg(long, value_name = "FILE")]
     scene: Vec<String>,
-    /// Refuse when the nearest image was taken farther away than this, or images show less than a quarter of an exact view, if the client does not say
+    /// Refuse when the nearest image was taken farther away than this, or images show less than a quarter of an exact view,
+    /// if the client does not say
     #[arg(long, value_name = "M", default_value_t = FAR_M, value_parser = number(0.0..=MAX_FAR_M))]
     max_distance: f64,
     /// Robot config, for its section [views]
@@ -60,7 +61,7 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
     let mut scenes = BTreeMap::new();
     for path in &arguments.scene {
         let name = Path::new(path).file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        if scenes.insert(name.clone(), scene::load(path)?).is_some() {
+        if scenes.insert(name.clone(), scene_source::load(path)?).is_some() {
             return Err(UsageError(format!("--scene {path}: there is another scene named {name}")).into());
         }
     }
@@ -83,7 +84,7 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
             listening: SocketAddr,
             images: usize,
         }
-        // Who does not read it is served all the same.
+        // A closed standard output does not stop the service.
         let _ = if json {
             output::json(&Ready { listening: address, images })
         } else {
@@ -108,7 +109,7 @@ fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> 
     Ok(lenses)
 }
 
-/// Longer ones fit no header.
+/// Largest file with a token; a longer token fits no HTTP header.
 const MAX_TOKEN_BYTES: u64 = 4096;
 
 fn token(path: &Path) -> anyhow::Result<String> {

@@ -1,4 +1,4 @@
-//! The config file and the same keys on the command line.
+//! Settings from the config file and from the same keys on the command line.
 
 use std::path::{Path, PathBuf};
 
@@ -6,12 +6,13 @@ use clap::Args;
 use glam::DVec2;
 use thiserror::Error;
 
-use super::inputs;
+use super::input_files;
 use super::values::{any_number, any_whole};
 use crate::config::wording::plain;
 use crate::config::{MotionSource, Settings};
 use crate::geometry::{Field, Physical, Pose2};
 use crate::localization::{Formula, Model, SimdPath};
+use crate::log_input::InputSource;
 
 #[derive(Debug, Error)]
 #[error("{0}")]
@@ -34,7 +35,7 @@ pub struct SettingsArguments {
     /// Observation model: gauss (Eq. 2 of the paper) or distance (Eq. 1).
     #[arg(long, value_name = "gauss|distance", value_parser = word::<Model>)]
     model: Option<Model>,
-    /// corrected, or paper: as printed (docs/paper.md says what that does).
+    /// corrected, or paper: as printed (docs/explanation/paper.md says what that does).
     #[arg(long, value_name = "corrected|paper", value_parser = word::<Formula>)]
     formula: Option<Formula>,
     /// Number of particles (N of the paper).
@@ -61,19 +62,19 @@ pub struct SettingsArguments {
 }
 
 impl SettingsArguments {
-    /// All files that they name, the config's own among them.
+    /// All files that the arguments name, the config itself among them.
     pub fn files(&self) -> Vec<PathBuf> {
         let config = self.config.iter().map(PathBuf::from);
-        // Where they make no sense nothing is read after the config.
-        let named = self.resolve().map_or_else(|_| Vec::new(), |settings| inputs::files_of(&settings));
+        // If the arguments are wrong, no file but the config is read.
+        let named = self.resolve().map_or_else(|_| Vec::new(), |settings| input_files::files_named_in(&settings));
         config.chain(named).collect()
     }
 
-    /// As [`Self::resolve`], for a log or scene. A scene names its own field: one on the command line would be without effect.
+    /// Like [`Self::resolve`], for a log or scene. A scene names its own field, so one on the command line is refused.
     pub fn resolve_for(&self, source: &Path) -> anyhow::Result<Settings> {
         let is_field = |assignment: &String| assignment.split('=').next().is_some_and(|key| key.trim() == "field");
         let is_named = self.field.is_some() || self.set.iter().any(is_field);
-        if is_named && source.extension().is_some_and(|ending| ending == "toml") {
+        if is_named && InputSource::is_scene(source) {
             let scene = source.display();
             return Err(UsageError(format!(
                 "--field is of a log, and {scene} is a scene, which names its field itself: `field` in its [scene]; `realitysim sim` \
@@ -84,7 +85,7 @@ impl SettingsArguments {
         self.resolve()
     }
 
-    /// Defaults, then the file, then the command line; checked once.
+    /// Takes defaults, then the file, then the command line, and checks the result once.
     pub fn resolve(&self) -> anyhow::Result<Settings> {
         let mut settings = match &self.config {
             Some(path) => Settings::load(path)?,
@@ -116,7 +117,7 @@ fn replace<T: Clone>(value: &mut T, given: &Option<T>) {
     }
 }
 
-/// `a.b=value`, the value written as in TOML; a bare word is taken as a string.
+/// Sets the key of `a.b=value`. The value is written as in TOML; a bare word is a string.
 fn with_key(settings: Settings, assignment: &str) -> anyhow::Result<Settings> {
     let (key, value) = assignment
         .split_once('=')
@@ -141,10 +142,10 @@ fn word<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
     T::deserialize(value).map_err(|error| plain(&error.to_string()))
 }
 
-/// How far off its carpet a robot may start.
+/// Distance beyond the carpet's edge at which a robot may start, metres.
 const START_OFF_CARPET_M: f64 = 1.0;
 
-/// Whether a robot or camera can stand there; the error says how far the field reaches.
+/// Checks that a robot or camera can stand there; the error states the extent of the field.
 pub fn check_initial(initial: &Pose2, name: &str, field: &Field) -> Result<(), UsageError> {
     let half = field.carpet_half_extent();
     let reach = half + DVec2::splat(START_OFF_CARPET_M);
@@ -158,12 +159,13 @@ pub fn check_initial(initial: &Pose2, name: &str, field: &Field) -> Result<(), U
     )))
 }
 
-/// `x,y,yaw_deg` in metres and degrees.
+/// Parses `x,y,yaw_deg` in metres and degrees.
 pub fn planar_pose(text: &str) -> Result<Pose2, String> {
     let [x, y, yaw_deg] = numbers::<3>(text, "x,y,yaw_deg")?;
     Ok(Pose2::new(x, y, yaw_deg.to_radians()))
 }
 
+/// Parses `N` numbers with commas between them.
 pub fn numbers<const N: usize>(text: &str, form: &str) -> Result<[f64; N], String> {
     let numbers: Vec<f64> = text
         .split(',')

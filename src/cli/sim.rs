@@ -1,4 +1,4 @@
-//! `realitysim sim`
+//! Command `realitysim sim`: renders a scene into a log with ground truth.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::paths::{cannot_write, check_output, check_replaceable};
 use super::{Outcome, output};
-use crate::log_input::scene::{self, SceneSource};
+use crate::log_input::scene_source::{self, SceneSource};
 use crate::ros2::mcap_write::{LogWriter, RawChannel, WriteError};
 use crate::scene::Scene;
 
@@ -39,7 +39,7 @@ pub struct Report {
 
 pub fn run(arguments: &SimArguments, json: bool) -> anyhow::Result<Outcome> {
     check_output(&arguments.output, &[Path::new(&arguments.scene)])?;
-    let report = render(&scene::load(&arguments.scene)?, &arguments.output)?;
+    let report = render(&scene_source::load(&arguments.scene)?, &arguments.output)?;
     if json {
         output::json(&report)?;
     } else {

@@ -1,4 +1,4 @@
-//! How well the recorder keeps up on this disk.
+//! Command `realitysim soak`: load test of the recorder on this disk.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -44,7 +44,7 @@ pub struct SoakArguments {
     settings: SettingsArguments,
 }
 
-/// A day.
+/// Longest load test, seconds: a day.
 const MAX_SECONDS: f64 = 86_400.0;
 
 pub fn run(arguments: &SoakArguments, json: bool) -> anyhow::Result<Outcome> {
@@ -59,7 +59,7 @@ pub fn run(arguments: &SoakArguments, json: bool) -> anyhow::Result<Outcome> {
     let mut stdout = std::io::stdout();
     let report = soak(&options, &mut |state| {
         if arguments.states {
-            // Who does not listen any more does not stop it.
+            // A closed standard output does not stop the test.
             let _ = writeln!(stdout, "{}", json!(state));
         }
     })?;

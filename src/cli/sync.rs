@@ -1,4 +1,4 @@
-//! `realitysim sync`
+//! Command `realitysim sync`: fetches recordings from a robot.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,7 +18,7 @@ use crate::recording::sync::{Event, Options, Report, SSH, Selection, Source, Sto
 ///
 /// Finished segments only; each is verified by its hash, forced onto the disk and only then acknowledged: what is
 /// acknowledged may be deleted on the robot. A sync that broke goes on where it broke; one that is run twice copies
-/// nothing. Needs rsync on both sides. docs/sync.md says what holds whatever goes wrong.
+/// nothing. Needs rsync on both sides. docs/howto/sync.md says what holds whatever goes wrong.
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Examples:",
@@ -59,7 +59,7 @@ pub struct SyncArguments {
     no_acknowledge: bool,
 }
 
-/// Between two looks for a robot that is away.
+/// Longest wait between two attempts to reach a robot that is away.
 const MAX_PAUSE: Duration = Duration::from_secs(60);
 const TICK: Duration = Duration::from_millis(100);
 
@@ -85,24 +85,24 @@ pub fn run(arguments: &SyncArguments, json: bool) -> anyhow::Result<Outcome> {
     if arguments.watch {
         return watch(&options, &store, Duration::from_secs(arguments.every), &stop, json);
     }
-    let report = one(&options, &store, &stop)?;
-    tell(&report, &store, json)?;
+    let report = sync_once(&options, &store, &stop)?;
+    print_report(&report, &store, json)?;
     Ok(outcome(&report, stop.load(Ordering::Relaxed)))
 }
 
-/// Round after round: a robot that goes away is waited for.
+/// Syncs again and again, and waits for a robot that goes away.
 fn watch(options: &Options, store: &Store, every: Duration, stop: &AtomicBool, json: bool) -> anyhow::Result<Outcome> {
     let (mut pause, mut away, mut lost) = (every, None, false);
     while !stop.load(Ordering::Relaxed) {
-        let failed = match one(options, store, stop) {
+        let failed = match sync_once(options, store, stop) {
             Ok(report) => {
                 lost |= !report.lost.is_empty();
                 if report.fetched + report.verified > 0 {
-                    tell(&report, store, json)?;
+                    print_report(&report, store, json)?;
                 }
                 report.failed
             }
-            // The session may be about to begin, the stick to be put in again, the other sync to end.
+            // All of these can end: the session may begin, the stick be put in again, the other sync end.
             Err(
                 error @ (SyncError::NoSuchSession { .. }
                 | SyncError::Link { .. }
@@ -127,7 +127,7 @@ fn watch(options: &Options, store: &Store, every: Duration, stop: &AtomicBool, j
     Ok(if lost { Outcome::DataLost } else { Outcome::Whole })
 }
 
-fn one(options: &Options, store: &Store, stop: &AtomicBool) -> Result<Report, SyncError> {
+fn sync_once(options: &Options, store: &Store, stop: &AtomicBool) -> Result<Report, SyncError> {
     let mut progress = output::Transfer::new();
     let result = round(options, store, stop, &mut |event| match event {
         Event::Planned { sessions, plan } => {
@@ -176,7 +176,7 @@ fn outcome(report: &Report, stopped: bool) -> Outcome {
     }
 }
 
-fn tell(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
+fn print_report(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
     for it in &report.set_aside {
         output::say(&format!("set aside: {it}"));
     }
@@ -187,7 +187,7 @@ fn tell(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
         output::say(&format!("lost: {it}"));
     }
     for (robot, machines) in &report.namesakes {
-        let robot = output::plain(robot);
+        let robot = output::without_control_characters(robot);
         eprintln!(
             "realitysim: {} robots call themselves {robot}: {} (give each its own `robot = ` in its config)",
             machines.len(),
@@ -237,16 +237,17 @@ fn tell(report: &Report, store: &Store, json: bool) -> anyhow::Result<()> {
     output::lines(&lines.join("\n"))
 }
 
-/// A day (UTC) or a moment.
+/// Parses the beginning of a time range: a day (UTC) or a moment.
 fn begin_ns(text: &str) -> Result<i64, String> {
     time_ns(text, Ok)
 }
 
+/// Parses the end of a time range; a day counts as a whole.
 fn end_ns(text: &str) -> Result<i64, String> {
     time_ns(text, |day| day.tomorrow().and_then(|next| next.checked_sub(1.nanoseconds())))
 }
 
-/// A day stands for a moment of it in UTC.
+/// Parses a moment, or a day (UTC) for which `of_day` gives the moment.
 fn time_ns(text: &str, of_day: impl Fn(Zoned) -> Result<Zoned, jiff::Error>) -> Result<i64, String> {
     let moment = text.parse::<jiff::Timestamp>().or_else(|_| {
         let day: jiff::civil::Date = text.parse()?;

@@ -1,4 +1,4 @@
-//! `realitysim tag`
+//! Command `realitysim tag`: finds the pose of a single image.
 
 use std::path::{Path, PathBuf};
 
@@ -14,13 +14,13 @@ use super::{Outcome, output};
 use crate::config::{field_names, load_field};
 use crate::evaluation::drawing;
 use crate::geometry::{Field, Pose2};
-use crate::tagging::single::{Fit, Found, Located};
+use crate::tagging::single_image::{FitQuality, ImageLocation, PoseHypothesis};
 
 /// Find the pose of a single image
 ///
-/// Lens and height are known, and the tilt to about two degrees; where the camera stood, which way it looked and how it was
-/// tilted is found from the field lines: over the whole field, or near --initial. A field looks the same from both goals: the mirror pose (-x, -y, yaw + 180)
-/// explains the image as well. Without --field all shipped fields are tried.
+/// Lens and height are known, and the tilt to about two degrees; where the camera stood, which way it looked and how it
+/// was tilted is found from the field lines: over the whole field, or near --initial. A field looks the same from both
+/// goals: the mirror pose (-x, -y, yaw + 180) explains the image as well. Without --field all shipped fields are tried.
 ///
 /// The fit is good, doubtful (it leaves much unexplained, or a pose elsewhere explains the image nearly as well) or none: no pose
 /// found, exit code 1.
@@ -55,31 +55,31 @@ pub struct TagArguments {
 }
 
 /// Colour of the projected lines.
-const LINES: [u8; 3] = [230, 30, 60];
+const LINE_COLOUR: [u8; 3] = [230, 30, 60];
 
 #[derive(Serialize)]
 struct Report {
     field: String,
-    fit: Fit,
-    /// `camera_link` in `map`; without any line in view null.
+    fit: FitQuality,
+    /// Pose of `camera_link` in `map`; null without any line in view.
     best: Option<Explanation>,
     mirror: Option<Pose>,
-    /// Of the best.
+    /// Attitude and height of the best pose.
     roll_deg: f64,
     pitch_deg: f64,
     z: f64,
-    /// The next best explanation on the same field.
+    /// Second best pose on the same field.
     next: Option<Explanation>,
-    /// Of every field that was tried.
+    /// Best pose on each field that was tried.
     fields: Vec<FieldResult>,
 }
 
-/// Numbers without a unit are shares, 0 to 1, unless [`Found`] says otherwise.
+/// A pose with its scores. Numbers without a unit are shares, 0 to 1, unless [`PoseHypothesis`] says otherwise.
 #[derive(Clone, Copy, Serialize)]
 struct Explanation {
     pose: Pose,
     refined: bool,
-    /// Of the expected line places.
+    /// Share of the expected line places that fit.
     fitting: f64,
     foremost: f64,
     explained: f64,
@@ -92,7 +92,7 @@ struct Explanation {
 }
 
 impl Explanation {
-    fn of(found: &Found) -> Self {
+    fn of(found: &PoseHypothesis) -> Self {
         Self {
             pose: Pose::of(&found.place()),
             refined: found.refined,
@@ -143,14 +143,14 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         let located = known.locate(&look, &field, arguments.seed);
         (name, field, located)
     };
-    let mut results: Vec<(String, Field, Located)> = fields.into_iter().map(locate).collect();
-    let score = |located: &Located| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
+    let mut results: Vec<(String, Field, ImageLocation)> = fields.into_iter().map(locate).collect();
+    let score = |located: &ImageLocation| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
     results.sort_by(|a, b| score(&b.2).total_cmp(&score(&a.2)));
     let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", shown()) };
     let best = located.found.first();
     if let (Some(path), Some(best)) = (&arguments.overlay, best) {
         let rgb = photo::rgb(&picture).with_context(shown)?;
-        save(&drawing::overlay(&rgb, &known.lens, &best.map_from_link, field, LINES), path)?;
+        save(&drawing::overlay(&rgb, &known.lens, &best.map_from_link, field, LINE_COLOUR), path)?;
     }
     let tilt = best.map_or(known.attitude, |best| best.map_from_link.euler());
     let report = Report {
@@ -165,32 +165,32 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         fields: results
             .iter()
             .filter_map(|(field, _, located)| {
-                let Found { log_likelihood, share, .. } = *located.found.first()?;
+                let PoseHypothesis { log_likelihood, share, .. } = *located.found.first()?;
                 Some(FieldResult { field: field.clone(), log_likelihood, share })
             })
             .collect(),
     };
     if json {
         output::json(&report)?
-    } else if report.fit != Fit::None
+    } else if report.fit != FitQuality::None
         && let Some(text) = for_people(&report)
     {
         output::lines(&text)?
     }
     match report.fit {
-        Fit::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::why_none(best)),
-        Fit::Good | Fit::Doubtful => Ok(Outcome::Whole),
+        FitQuality::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::explain_no_pose(best)),
+        FitQuality::Good | FitQuality::Doubtful => Ok(Outcome::Whole),
     }
 }
 
-/// Everything that is read, so that the overlay is not written over it.
+/// All files that are read, over which the overlay must not be written.
 fn inputs(arguments: &TagArguments) -> Vec<&Path> {
     let named = [Some(&arguments.lens), arguments.body_mask.as_ref(), arguments.field.as_ref()];
     let named = named.into_iter().flatten().map(Path::new);
     named.chain([arguments.image.as_path()]).collect()
 }
 
-/// The fields to try: those on which --initial can be, if it is given.
+/// Fields to try. With --initial, only those that have that pose on or near their carpet.
 fn fields(arguments: &TagArguments) -> anyhow::Result<Vec<(String, Field)>> {
     let names = arguments.field.clone().map_or_else(field_names, |name| vec![name]);
     let mut fields = Vec::new();
@@ -208,7 +208,7 @@ fn fields(arguments: &TagArguments) -> anyhow::Result<Vec<(String, Field)>> {
     }
 }
 
-/// Nothing where there is no best.
+/// Describes the result; `None` without a best pose.
 fn for_people(report: &Report) -> Option<String> {
     let Report { best: Some(best), mirror: Some(mirror), .. } = report else { return None };
     let mut text = format!(
@@ -237,7 +237,7 @@ fn for_people(report: &Report) -> Option<String> {
             best.log_likelihood - next.log_likelihood
         ));
     }
-    if report.fit == Fit::Doubtful {
+    if report.fit == FitQuality::Doubtful {
         text.push_str("doubtful: it explains too little of the lines, or another pose explains them nearly as well\n");
     }
     for field in &report.fields {

@@ -1,4 +1,4 @@
-//! Values of arguments. Whatever is given in place of a right one, the message says what would be right.
+//! Parsers for values of arguments. Each error says which value would be right.
 
 use std::net::SocketAddr;
 use std::ops::RangeInclusive;
@@ -6,17 +6,17 @@ use std::str::FromStr;
 
 use clap::builder::TypedValueParser;
 
-/// What can be read, compared and shown.
+/// A number type that can be parsed, compared and shown.
 pub trait Number: Clone + FromStr + PartialOrd + ToString + Send + Sync + 'static {}
 
 impl<T: Clone + FromStr + PartialOrd + ToString + Send + Sync + 'static> Number for T {}
 
-/// A number of a range, its ends included.
+/// Accepts a number in a range, both ends included.
 pub fn number(range: RangeInclusive<f64>) -> impl TypedValueParser<Value = f64> {
     within(range, "a number")
 }
 
-/// A whole number of a range, its ends included.
+/// Accepts a whole number in a range, both ends included.
 pub fn whole<T: Number>(range: RangeInclusive<T>) -> impl TypedValueParser<Value = T> {
     within(range, "a whole number")
 }
@@ -30,22 +30,23 @@ fn within<T: Number>(range: RangeInclusive<T>, kind: &'static str) -> impl Typed
     }
 }
 
+/// Accepts a finite number above 0.
 pub fn above_zero(text: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0);
     value.ok_or_else(|| "expected a number above 0".to_owned())
 }
 
-/// One whose range is checked with what it belongs to.
+/// Accepts any number; its range is checked by the command.
 pub fn any_number(text: &str) -> Result<f64, String> {
     text.trim().parse().map_err(|_| "a number is needed".to_owned())
 }
 
-/// The same, of what is counted.
+/// Accepts any whole number; its range is checked by the command.
 pub fn any_whole<T: FromStr>(text: &str) -> Result<T, String> {
     text.trim().parse().map_err(|_| "a whole number, 0 or more, is needed".to_owned())
 }
 
-/// Where to listen.
+/// Accepts a socket address; `localhost` stands for 127.0.0.1.
 pub fn address(text: &str) -> Result<SocketAddr, String> {
     let numeric = text.replacen("localhost:", "127.0.0.1:", 1);
     numeric.parse().map_err(|_| {

@@ -1,4 +1,4 @@
-//! `realitysim view`
+//! Command `realitysim view`: shows a view from a database of recorded images.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,14 +13,14 @@ use super::paths::{check_output, save, write_bytes};
 use super::values::{any_whole, number, whole};
 use super::{Outcome, output};
 use crate::config::{Settings, load_lens};
-use crate::database::{Gallery, Shown, Wanted};
+use crate::database::{ImageDatabase, ViewQuery, ViewResult};
 use crate::evaluation::drawing;
 use crate::geometry::{Euler, Isometry, Lens};
-use crate::log_input::scene;
-use crate::scene::Stage;
+use crate::log_input::scene_source;
+use crate::scene::ViewOverlay;
 use crate::views::{
-    Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Made, Method, NOTHING, Raster,
-    UNSURE, World,
+    Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method, NOTHING, Provenance,
+    Raster, UNSURE, World,
 };
 
 /// Show what the camera would see from a pose, from a database of recorded images
@@ -59,7 +59,7 @@ pub struct ViewArguments {
     output: PathBuf,
     /// How the view is made: through both lenses, by the paper's map, or the nearest image unchanged
     #[arg(long, default_value = "exact")]
-    method: Way,
+    method: ViewMethod,
     /// Lens of the view: a shipped camera (config/cameras) or a lens file; without it, that of the nearest image
     #[arg(long, value_name = "FILE")]
     lens: Option<String>,
@@ -104,8 +104,8 @@ fn turn() -> impl TypedValueParser<Value = f64> {
     number(-MAX_TURN_DEG..=MAX_TURN_DEG)
 }
 
-/// Images that cannot be read, each in a line of its own.
-const MOST_TOLD: usize = 3;
+/// Unreadable images that are named, each in a line of its own.
+const LISTED_UNREADABLE: usize = 3;
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum Figures {
@@ -120,18 +120,18 @@ enum Outside {
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum Way {
+enum ViewMethod {
     Exact,
     Paper,
     Nearest,
 }
 
-impl From<Way> for Method {
-    fn from(way: Way) -> Self {
-        match way {
-            Way::Exact => Self::Exact,
-            Way::Paper => Self::Paper,
-            Way::Nearest => Self::Nearest,
+impl From<ViewMethod> for Method {
+    fn from(method: ViewMethod) -> Self {
+        match method {
+            ViewMethod::Exact => Self::Exact,
+            ViewMethod::Paper => Self::Paper,
+            ViewMethod::Nearest => Self::Nearest,
         }
     }
 }
@@ -143,12 +143,12 @@ struct Report {
     sources: Vec<Source>,
     valid_share: f64,
     sure_share: f64,
-    /// `None` where there is no known geometry that it could be said of.
+    /// `None` if no known geometry is in view, of which an error could be stated.
     expected_error_px: Option<f64>,
-    /// Of the scene, those that were applied.
+    /// Effects of the scene that were applied.
     effects: Vec<&'static str>,
     unreadable: Vec<String>,
-    /// Why the view is to be doubted.
+    /// Reason to doubt the view.
     warning: Option<String>,
 }
 
@@ -168,21 +168,21 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
         let named = [&arguments.scene, &arguments.config].into_iter().flatten().map(Path::new);
         check_output(path, &named.chain([arguments.db.as_path()]).collect::<Vec<_>>())?;
     }
-    let mut wanted = wanted(arguments);
-    let scene = arguments.scene.as_deref().map(scene::load).transpose()?;
-    let gallery = Gallery::open(&arguments.db, &settings.views)?;
+    let mut wanted = view_query(arguments);
+    let scene = arguments.scene.as_deref().map(scene_source::load).transpose()?;
+    let gallery = ImageDatabase::open(&arguments.db, &settings.views)?;
     wanted.camera = camera(arguments, &gallery, &wanted)?;
     let mut shown = gallery.view(&wanted)?;
-    let stage = scene.map(|scene| Stage::new(&scene, shown.camera.lens(), arguments.figures == Figures::Draw));
-    let apply = |shown: &mut Shown| {
-        stage.as_ref().map_or_else(Vec::new, |stage| apply(stage, arguments.frame, gallery.world(), shown))
+    let overlay = scene.map(|scene| ViewOverlay::new(&scene, shown.camera.lens(), arguments.figures == Figures::Draw));
+    let apply = |shown: &mut ViewResult| {
+        overlay.as_ref().map_or_else(Vec::new, |overlay| apply(overlay, arguments.frame, gallery.world(), shown))
     };
-    if let Some(stage) = &stage {
-        stage.check(gallery.field())?;
+    if let Some(overlay) = &overlay {
+        overlay.check(gallery.field())?;
     }
     let effects = apply(&mut shown);
     if arguments.side_by_side {
-        save(&beside_each_other(&gallery, &wanted, &shown, apply)?, &arguments.output)?;
+        save(&side_by_side_panels(&gallery, &wanted, &shown, apply)?, &arguments.output)?;
     } else {
         write(&shown, &arguments.output)?;
     }
@@ -193,13 +193,13 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     if json {
         output::json(&report)?;
     } else {
-        output::lines(&told(&report))?;
+        output::lines(&text_report(&report))?;
     }
-    for what in report.unreadable.iter().take(MOST_TOLD).chain(&report.warning) {
+    for what in report.unreadable.iter().take(LISTED_UNREADABLE).chain(&report.warning) {
         output::say(what);
     }
-    if report.unreadable.len() > MOST_TOLD {
-        let more = report.unreadable.len() - MOST_TOLD;
+    if report.unreadable.len() > LISTED_UNREADABLE {
+        let more = report.unreadable.len() - LISTED_UNREADABLE;
         eprintln!(
             "realitysim: and {more} more that cannot be read: --json names them, `realitysim db verify` finds all"
         );
@@ -207,10 +207,10 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if report.unreadable.is_empty() { Outcome::Whole } else { Outcome::DataLost })
 }
 
-fn wanted(arguments: &ViewArguments) -> Wanted {
+fn view_query(arguments: &ViewArguments) -> ViewQuery {
     let ViewArguments { x, y, z, yaw, pitch, roll, max_distance, outside, .. } = *arguments;
     let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
-    Wanted {
+    ViewQuery {
         map_from_link: Isometry::from_euler(euler, DVec3::new(x, y, z)),
         method: arguments.method.into(),
         camera: None,
@@ -220,8 +220,12 @@ fn wanted(arguments: &ViewArguments) -> Wanted {
     }
 }
 
-/// The lens asked for, in the size asked for; `None` is that of the nearest image as it is.
-fn camera(arguments: &ViewArguments, gallery: &Gallery, wanted: &Wanted) -> anyhow::Result<Option<Arc<Camera>>> {
+/// Camera with the lens and size asked for; `None` stands for that of the nearest image.
+fn camera(
+    arguments: &ViewArguments,
+    gallery: &ImageDatabase,
+    wanted: &ViewQuery,
+) -> anyhow::Result<Option<Arc<Camera>>> {
     let size = [arguments.width, arguments.height];
     let given = arguments.lens.as_deref().map(load_lens).transpose()?.map(|file| file.lens.parameters().clone());
     let nearest = || {
@@ -236,26 +240,26 @@ fn camera(arguments: &ViewArguments, gallery: &Gallery, wanted: &Wanted) -> anyh
     Ok(Some(Arc::new(Camera::new(&Lens::new(lens.resized(size))?))))
 }
 
-/// Which effects were applied. A view that is changed is no stored image any more.
-fn apply(stage: &Stage, frame: u64, world: &World, shown: &mut Shown) -> Vec<&'static str> {
-    let effects = stage.effects();
+/// Applies the scene and returns the effects. A view that was changed no longer counts as a stored image.
+fn apply(overlay: &ViewOverlay, frame: u64, world: &World, shown: &mut ViewResult) -> Vec<&'static str> {
+    let effects = overlay.effects();
     if !effects.is_empty() {
         shown.stored = None;
-        stage.apply(frame, &shown.camera, world, &mut shown.answer);
+        overlay.apply(frame, &shown.camera, world, &mut shown.answer);
     }
     effects
 }
 
-/// A stored image keeps its bytes if the name asks for what it is.
-fn write(shown: &Shown, path: &std::path::Path) -> anyhow::Result<()> {
+/// Writes the view. A stored image is written byte for byte if the file's ending fits its format.
+fn write(shown: &ViewResult, path: &std::path::Path) -> anyhow::Result<()> {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     match &shown.stored {
-        Some(bytes) if is_of(bytes, &ending) => write_bytes(path, bytes),
+        Some(bytes) if has_format(bytes, &ending) => write_bytes(path, bytes),
         _ => save(&picture(&shown.answer.image), path),
     }
 }
 
-fn is_of(bytes: &[u8], ending: &str) -> bool {
+fn has_format(bytes: &[u8], ending: &str) -> bool {
     match ending {
         "png" => bytes.starts_with(b"\x89PNG"),
         "jpg" | "jpeg" => bytes.starts_with(&[0xff, 0xd8]),
@@ -272,19 +276,19 @@ fn mask(raster: &Raster) -> RgbImage {
     RgbImage::from_raw(raster.width as u32, raster.height as u32, rgb).unwrap_or_default()
 }
 
-/// Nearest, paper, exact and the exact view's mask.
-fn beside_each_other<T>(
-    gallery: &Gallery,
-    wanted: &Wanted,
-    exact: &Shown,
-    apply: impl Fn(&mut Shown) -> T,
+/// Puts four panels together: nearest image, paper's view, exact view, and the exact view's mask.
+fn side_by_side_panels<T>(
+    gallery: &ImageDatabase,
+    wanted: &ViewQuery,
+    exact: &ViewResult,
+    apply: impl Fn(&mut ViewResult) -> T,
 ) -> anyhow::Result<RgbImage> {
     let mut panels = Vec::new();
     for (name, method) in
         [("nearest image", Method::Nearest), ("paper (Eq. 3-4)", Method::Paper), ("exact", Method::Exact)]
     {
         let camera = Some(Arc::clone(&exact.camera));
-        let shown = gallery.view(&Wanted { method, camera, ..wanted.clone() });
+        let shown = gallery.view(&ViewQuery { method, camera, ..wanted.clone() });
         let (image, caption) = match shown {
             Ok(mut shown) => {
                 apply(&mut shown);
@@ -318,7 +322,7 @@ fn beside_each_other<T>(
     Ok(drawing::panels(&panels, 2))
 }
 
-fn report(gallery: &Gallery, shown: &Shown, arguments: &ViewArguments) -> Report {
+fn report(gallery: &ImageDatabase, shown: &ViewResult, arguments: &ViewArguments) -> Report {
     let answer = &shown.answer;
     let source = |used: &crate::views::UsedSource| {
         let record = gallery.index().record(used.id as usize);
@@ -335,10 +339,10 @@ fn report(gallery: &Gallery, shown: &Shown, arguments: &ViewArguments) -> Report
     Report {
         output: arguments.output.clone(),
         made: match answer.made {
-            Made::Stored => "stored",
-            Made::Nearest => "nearest",
-            Made::Warped => "warped",
-            Made::Composed => "composed",
+            Provenance::Stored => "stored",
+            Provenance::Nearest => "nearest",
+            Provenance::Warped => "warped",
+            Provenance::Composed => "composed",
         },
         sources: answer.sources.iter().map(source).collect(),
         valid_share: answer.valid_share,
@@ -350,7 +354,7 @@ fn report(gallery: &Gallery, shown: &Shown, arguments: &ViewArguments) -> Report
     }
 }
 
-fn told(report: &Report) -> String {
+fn text_report(report: &Report) -> String {
     let shows = match report.expected_error_px {
         Some(error) => format!("{:.1} % known geometry), expected error {error:.1} px", 100.0 * report.sure_share),
         None => "no known geometry: nothing can be said of its error)".to_owned(),

@@ -1,11 +1,11 @@
-//! `realitysim view-quality`
+//! Command `realitysim view-quality`: measures the quality of views.
 
 use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::{Outcome, output};
 use crate::config::load_field;
 use crate::evaluation::views::{Pair, Plan, Row, Scores, displacements, pairs};
@@ -15,7 +15,7 @@ use crate::geometry::Field;
 ///
 /// Views of a rendered lawn, made from images taken a known way off, against the truth: the nearest image unchanged, the
 /// paper's quadratic map, and the exact map from one and from four images. With --pairs also real images that were taken
-/// from one place. docs/views.md says what comes out.
+/// from one place. docs/explanation/views.md says what comes out.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim view-quality --quick")]
 pub struct ViewQualityArguments {

@@ -1,4 +1,4 @@
-//! `realitysim view-walk`
+//! Command `realitysim view-walk`: makes views along a straight path.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -16,12 +16,12 @@ use super::settings::planar_pose;
 use super::values::{number, whole};
 use super::{Outcome, output};
 use crate::config::Settings;
-use crate::database::{Gallery, Wanted};
+use crate::database::{ImageDatabase, ViewQuery};
 use crate::evaluation::video::avi;
 use crate::evaluation::{Summary, drawing};
 use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
 use crate::log_input::encode::jpeg;
-use crate::tagging::single::Known;
+use crate::tagging::single_image::ImagePrior;
 use crate::views::{LEAST_HEIGHT_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
 use crate::vision::Picture;
 
@@ -63,14 +63,14 @@ pub struct ViewWalkArguments {
 struct Report {
     views: usize,
     stored: usize,
-    /// Where the lines say that the view is, less where it was asked for.
+    /// Pose found from the view's lines against the pose asked for.
     position_cm: Option<Summary>,
     yaw_deg: Option<Summary>,
-    /// Between neighbouring views: how much that difference changes, which is what the eye sees as a jump.
+    /// Change of that difference between neighbouring views, which the eye sees as a jump.
     jump_cm: Option<Summary>,
-    /// Views whose lines do not tell where they are.
+    /// Views whose pose could not be found from their lines.
     not_found: usize,
-    /// Of the lens's picture, that a view shows at all.
+    /// Share of the lens's image that the views fill.
     valid_share: Shares,
     output: PathBuf,
 }
@@ -88,9 +88,9 @@ struct Step {
     valid_share: f64,
 }
 
-const PER_SECOND: u32 = 15;
-const QUALITY: u8 = 90;
-/// Small pictures of the sheet, and how many.
+const FRAMES_PER_S: u32 = 15;
+const JPEG_QUALITY: u8 = 90;
+/// Width and number of the small pictures on the sheet.
 const THUMB_PX: u32 = 320;
 const THUMBS: usize = 15;
 const THUMB_COLUMNS: u32 = 5;
@@ -100,10 +100,10 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     let folder = &arguments.output;
     check_output(folder, &[&arguments.db])?;
     make_folder(folder)?;
-    let gallery = Gallery::open(&arguments.db, &settings.views)?;
+    let gallery = ImageDatabase::open(&arguments.db, &settings.views)?;
     anyhow::ensure!(!gallery.index().is_empty(), crate::database::DatabaseError::Empty);
-    let (from, to) = way(arguments, &gallery);
-    let (mean_z, mean_pitch) = posture(&gallery);
+    let (from, to) = end_poses(arguments, &gallery);
+    let (mean_z, mean_pitch) = mean_height_and_pitch(&gallery);
     let (z, pitch) = (arguments.z.unwrap_or(mean_z), arguments.pitch.map_or(mean_pitch, f64::to_radians));
     let frames = usize::from(arguments.frames);
     let (mut steps, mut jpegs, mut thumbs, mut camera) = (Vec::new(), Vec::new(), Vec::new(), None);
@@ -117,7 +117,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
         };
         let attitude = Euler { yaw: asked.yaw, pitch, roll: 0.0 };
         let map_from_link = Isometry::from_euler(attitude, DVec3::new(asked.x, asked.y, z));
-        let wanted = Wanted {
+        let wanted = ViewQuery {
             map_from_link,
             method: Method::Exact,
             camera: camera.clone(),
@@ -128,8 +128,8 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
         let shown = gallery.view(&wanted)?;
         let image = &shown.answer.image;
         let (width, height, rgb) = (image.width, image.height, image.to_rgb());
-        jpegs.push(jpeg(&rgb, width, height, ColorType::Rgb, QUALITY)?);
-        let known = Known {
+        jpegs.push(jpeg(&rgb, width, height, ColorType::Rgb, JPEG_QUALITY)?);
+        let known = ImagePrior {
             lens: shown.camera.lens().clone(),
             attitude,
             tilt_sigma_rad: 0.0,
@@ -141,7 +141,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
         let located = known.locate(&known.look(&picture), gallery.field(), 1);
         let found = located.found.first().filter(|found| found.refined).map(|found| found.place());
         let made = match shown.answer.made {
-            crate::views::Made::Stored => "stored",
+            crate::views::Provenance::Stored => "stored",
             _ => "made",
         };
         steps.push(Step { asked, found, made, valid_share: shown.answer.valid_share });
@@ -158,7 +158,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     save(&drawing::panels(&thumbs, THUMB_COLUMNS), &folder.join("sheet.png"))?;
     let camera = camera.context("no view was made")?;
     let video =
-        avi(&jpegs, camera.width() as u32, camera.height() as u32, PER_SECOND).context("too long for an AVI")?;
+        avi(&jpegs, camera.width() as u32, camera.height() as u32, FRAMES_PER_S).context("too long for an AVI")?;
     let path = folder.join("walk.avi");
     write_bytes(&path, &video)?;
     write(&folder.join("walk.csv"), &csv(&steps))?;
@@ -184,14 +184,14 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     Ok(Outcome::Whole)
 }
 
-fn way(arguments: &ViewWalkArguments, gallery: &Gallery) -> (Pose2, Pose2) {
+fn end_poses(arguments: &ViewWalkArguments, gallery: &ImageDatabase) -> (Pose2, Pose2) {
     let d = gallery.field().dimensions();
     let paper = |x: f64, y: f64, yaw: f64| Pose2 { x: 0.5 * x - d.length_m / 2.0, y: 0.5 * y - d.width_m / 2.0, yaw };
     (arguments.from.unwrap_or(paper(0.0, 3.0, 0.0)), arguments.to.unwrap_or(paper(8.0, 6.0, 4.0)))
 }
 
-/// Mean height and pitch of the database's images.
-fn posture(gallery: &Gallery) -> (f64, f64) {
+/// Mean height (m) and pitch (rad) of the database's images.
+fn mean_height_and_pitch(gallery: &ImageDatabase) -> (f64, f64) {
     let count = gallery.index().len() as f64;
     let (mut z, mut pitch) = (0.0, 0.0);
     for record in gallery.index().records() {

@@ -1,4 +1,4 @@
-//! What the camera offers, and what of it comes.
+//! Checks of the camera: the formats it offers, and whether the configured stream arrives.
 
 use std::time::Instant;
 
@@ -9,8 +9,8 @@ use crate::devices::camera::{
 };
 use crate::devices::host_clock::monotonic_ns;
 
-/// All formats, sizes and rates of a camera that can be asked; of another, the other line speaks.
-pub(super) fn offer(settings: &Settings) -> Option<Finding> {
+/// Lists the formats, sizes and rates of a V4L2 camera. `None` if the camera cannot be asked; `check_stream` reports on it then.
+pub(super) fn list_formats(settings: &Settings) -> Option<Finding> {
     let device = settings.capture.device.as_str();
     if device.starts_with(SCHEME) {
         return None;
@@ -23,8 +23,8 @@ pub(super) fn offer(settings: &Settings) -> Option<Finding> {
     None
 }
 
-/// Whether what is configured comes.
-pub(super) fn camera(settings: &Settings, size: (u32, u32)) -> Finding {
+/// Checks that frames arrive as configured.
+pub(super) fn check_stream(settings: &Settings, size: (u32, u32)) -> Finding {
     let capture = &settings.capture;
     let options = CameraOptions::new(capture, size);
     let what = format!("camera {}", capture.device);
@@ -32,13 +32,13 @@ pub(super) fn camera(settings: &Settings, size: (u32, u32)) -> Finding {
         return good(what, "frames come from another process: not tried");
     }
     match driver_of(&capture.device, None) {
-        Ok(driver) => watch(what, driver, options),
+        Ok(driver) => measure_stream(what, driver, options),
         Err(error) => bad(what, error.to_string(), "build it with the feature v4l2, which is on by default"),
     }
 }
 
-/// The size that is asked for is the lens's.
-pub(super) fn without_a_lens(settings: &Settings) -> Finding {
+/// Reports on the camera when no lens is configured: the lens says which size to ask for, so no stream can be tried.
+pub(super) fn check_without_lens(settings: &Settings) -> Finding {
     let device = &settings.capture.device;
     let what = format!("camera {device}");
     #[cfg(feature = "v4l2")]
@@ -50,8 +50,8 @@ pub(super) fn without_a_lens(settings: &Settings) -> Finding {
     bad(what, "not tried: no lens says how large its images are", "name the lens file in camera.lens first")
 }
 
-/// Rate, drops and stamps of what comes in a few seconds.
-fn watch(what: String, driver: Box<dyn Driver>, options: CameraOptions) -> Finding {
+/// Measures rate, drops and stamps of the frames that arrive in a few seconds.
+fn measure_stream(what: String, driver: Box<dyn Driver>, options: CameraOptions) -> Finding {
     let wanted_hz = options.rate_hz;
     let mut capture = Capture::new(driver, CaptureRules { options, max_rate_hz: None });
     let (mut camera, mut stamps, mut dropped, mut lost): (Option<Negotiated>, Vec<i64>, u64, Option<CameraError>) =

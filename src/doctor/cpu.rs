@@ -1,4 +1,5 @@
-//! Whether this processor follows the camera: a made-up walk seen through the robot's own lens, tagged with its own settings.
+//! Checks whether the processor keeps up with the camera: tags a rendered walk seen through the robot's lens, with its
+//! settings.
 
 use std::path::PathBuf;
 
@@ -6,23 +7,25 @@ use super::{Finding, bad, good};
 use crate::config::{Settings, load_field, load_lens};
 use crate::scene::{Scene, SceneFile};
 use crate::tagging::durations::Durations;
-use crate::tagging::footage::{Footage, FootageOptions};
+use crate::tagging::frame_cache::{FrameCache, FrameCacheOptions};
 
-/// Of the time between two frames, for tagging; decoding, recording and the team's own programs need the rest.
-const MOST_SHARE: f64 = 0.5;
+/// Share of the time between two frames that tagging may take. Decoding, recording and the team's own programs need the
+/// rest.
+const TAGGING_SHARE: f64 = 0.5;
 
-/// None without lens or mount, about which other lines speak.
-pub(super) fn headroom(settings: &Settings) -> Option<Finding> {
+/// Compares the time a tag takes with the time between frames. `None` without lens or mount, on which other findings
+/// report.
+pub(super) fn check_headroom(settings: &Settings) -> Option<Finding> {
     let what = format!("processor with {} threads", std::thread::available_parallelism().map_or(1, usize::from));
-    let scene = scene(settings)?;
-    let options = FootageOptions {
+    let scene = build_scene(settings)?;
+    let options = FrameCacheOptions {
         source: PathBuf::from("a made-up walk"),
         settings: settings.clone(),
         initial: None,
         from_s: 0.0,
         for_s: None,
     };
-    let tried = Footage::of_scene(&scene, &options, &mut |_, _| {})
+    let tried = FrameCache::of_scene(&scene, &options, &mut |_, _| {})
         .map_err(|error| error.to_string())
         .and_then(|footage| footage.try_out(settings, &mut |_| {}).map_err(|error| error.to_string()));
     let attempts = match tried {
@@ -45,17 +48,17 @@ pub(super) fn headroom(settings: &Settings) -> Option<Finding> {
         times.p99,
         (100.0 * (1.0 - times.p50 / between_ms)).max(0.0)
     );
-    Some(if times.p50 <= MOST_SHARE * between_ms {
+    Some(if times.p50 <= TAGGING_SHARE * between_ms {
         good(what, said)
     } else {
-        let most_ms = MOST_SHARE * between_ms;
+        let most_ms = TAGGING_SHARE * between_ms;
         let remedy = format!("set filter.budget_ms to {most_ms:.0} or less, or capture.max_rate_hz lower");
         bad(what, said, remedy)
     })
 }
 
-/// Ten frames a second for four seconds, through the field's centre.
-fn scene(settings: &Settings) -> Option<Scene> {
+/// Scene of a walk through the field's centre: ten frames a second for four seconds.
+fn build_scene(settings: &Settings) -> Option<Scene> {
     let lens = load_lens(settings.camera.lens.as_deref()?).ok()?.lens;
     let field = load_field(&settings.field).ok()?;
     let mount = &settings.mount;

@@ -1,4 +1,4 @@
-//! How much later than its exposures the camera's stamps are, from a recording in which head or body turned.
+//! Estimates the delay of the camera's stamps against its exposures, from a recording in which head or body turned.
 
 use std::path::{Path, PathBuf};
 
@@ -10,26 +10,28 @@ use crate::config::Settings;
 use crate::devices::clock::{DelayError, Turn, estimate};
 use crate::geometry::Lens;
 use crate::log_input::decode;
-use crate::log_input::intake::{self, Input};
+use crate::log_input::measurement::{self, Measurement};
 use crate::recording::read_info;
 use crate::tagging::error::ReplayError;
-use crate::tagging::opened::{self, OpenLog};
+use crate::tagging::input_source::{self, OpenLog};
 use crate::vision::Turning;
 
+/// Result of `realitysim doctor --estimate-delay`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DelayReport {
     pub log: PathBuf,
-    /// Pairs of frames.
+    /// Pairs of frames between which the camera turned.
     pub turns: usize,
-    /// What was subtracted from the stamps when this was recorded.
+    /// Delay that was subtracted from the stamps when this was recorded, milliseconds.
     pub configured_ms: f64,
-    /// What `capture.delay_ms` should be.
+    /// Value that `capture.delay_ms` should have.
     pub delay_ms: f64,
-    /// Two standard deviations.
+    /// Two standard deviations, milliseconds.
     pub uncertainty_ms: f64,
     pub correlation: f64,
 }
 
+/// Why no delay could be estimated.
 #[derive(Debug, Error)]
 pub enum DelayReportError {
     #[error("{captures}: no capture in it: record one while head or body turns left and right")]
@@ -40,20 +42,20 @@ pub enum DelayReportError {
     Delay { log: PathBuf, source: DelayError },
 }
 
-/// Frames farther apart say too little of when the turn was.
+/// Longest time between two frames: over a longer one, a turn says too little of when it happened.
 const MAX_BETWEEN_NS: i64 = 150_000_000;
-/// Attitudes farther apart are not connected.
+/// Longest time between two attitudes that are interpolated.
 const MAX_GAP_NS: i64 = 100_000_000;
 /// Frames that are looked at: a minute and a half at 30 a second.
 const MAX_FRAMES: usize = 2700;
 
-/// Of a log or capture; of a folder of captures, the newest.
+/// Estimates the delay from a log or capture; in a folder of captures, from the newest.
 pub fn estimate_delay(path: &Path, settings: &Settings) -> Result<DelayReport, DelayReportError> {
     let log = newest_capture(path)?;
     let configured_ns = read_info(&log).ok().and_then(|info| info.live).map_or(0, |live| live.camera_delay_ns) as f64;
-    let opened = opened::log(&log, settings)?;
-    let heard = Heard::of(opened)?;
-    let found = estimate(&heard.turns, |from, to| heard.turned(from, to))
+    let opened = input_source::log(&log, settings)?;
+    let rotations = Rotations::of(opened)?;
+    let found = estimate(&rotations.turns, |from, to| rotations.carrier_turn(from, to))
         .map_err(|source| DelayReportError::Delay { log: log.clone(), source })?;
     Ok(DelayReport {
         log,
@@ -70,68 +72,69 @@ fn newest_capture(path: &Path) -> Result<PathBuf, DelayReportError> {
         return Ok(path.to_owned());
     }
     let entries = std::fs::read_dir(path).into_iter().flatten().filter_map(Result::ok).map(|entry| entry.path());
-    // Their names begin with the time.
+    // The names begin with the time.
     let newest = entries.filter(|folder| folder.join("session.json").is_file()).max();
     newest.ok_or_else(|| DelayReportError::NoCapture { captures: path.to_owned() })
 }
 
-/// What a recording says of turns.
+/// Rotations in a recording: between frames, of the body, and of the head.
 #[derive(Default)]
-struct Heard {
+struct Rotations {
     turns: Vec<Turn>,
     attitudes: Vec<(i64, DQuat)>,
     heads: Vec<(i64, DQuat)>,
 }
 
-impl Heard {
+impl Rotations {
     fn of(opened: OpenLog) -> Result<Self, ReplayError> {
         let OpenLog { setup, messages, .. } = opened;
-        let mut heard = Self::default();
-        let Ok(lens) = Lens::new(setup.lens.clone()) else { return Ok(heard) };
+        let mut rotations = Self::default();
+        let Ok(lens) = Lens::new(setup.lens.clone()) else { return Ok(rotations) };
         let turning = Turning::new(&lens);
         let size = [lens.width() as usize, lens.height() as usize];
         let (mut last, mut frames) = (None, 0);
         for message in messages {
             let message = message?;
-            match intake::read(&message, &setup.topics, &setup.settings.head) {
-                Ok(Input::Imu { stamp_ns, orientation: Some(orientation), .. }) => {
-                    heard.attitudes.push((stamp_ns, orientation));
+            match measurement::read(&message, &setup.topics, &setup.settings.head) {
+                Ok(Measurement::Imu { stamp_ns, orientation: Some(orientation), .. }) => {
+                    rotations.attitudes.push((stamp_ns, orientation));
                 }
-                Ok(Input::Joints { stamp_ns, pan, tilt }) => {
+                Ok(Measurement::Joints { stamp_ns, pan, tilt }) => {
                     let head = DQuat::from_rotation_z(pan.unwrap_or(0.0)) * DQuat::from_rotation_y(tilt.unwrap_or(0.0));
-                    heard.heads.push((stamp_ns, head));
+                    rotations.heads.push((stamp_ns, head));
                 }
-                Ok(Input::Frame { stamp_ns, .. }) if frames < MAX_FRAMES => {
+                Ok(Measurement::Frame { stamp_ns, .. }) if frames < MAX_FRAMES => {
                     frames += 1;
                     let now = decode::picture_of_size(&message, size).ok().and_then(|picture| turning.small(&picture));
                     if let (Some((from_ns, before)), Some(now)) = (&last, &now)
                         && (1..=MAX_BETWEEN_NS).contains(&(stamp_ns - from_ns))
                         && let Some(turn) = turning.between(before, now)
                     {
-                        heard.turns.push(Turn { from_ns: *from_ns, to_ns: stamp_ns, angle: turn.length() });
+                        rotations.turns.push(Turn { from_ns: *from_ns, to_ns: stamp_ns, angle: turn.length() });
                     }
                     last = now.map(|now| (stamp_ns, now));
                 }
                 _ => {}
             }
         }
-        heard.attitudes.sort_by_key(|(ns, _)| *ns);
-        heard.heads.sort_by_key(|(ns, _)| *ns);
-        Ok(heard)
+        rotations.attitudes.sort_by_key(|(ns, _)| *ns);
+        rotations.heads.sort_by_key(|(ns, _)| *ns);
+        Ok(rotations)
     }
 
-    /// The angle between what carries the camera at two times. A head that was never heard of does not move.
-    fn turned(&self, from_ns: i64, to_ns: i64) -> Option<f64> {
+    /// Angle in radians that the camera's carrier turned between two times. Without joint states the head counts as still.
+    fn carrier_turn(&self, from_ns: i64, to_ns: i64) -> Option<f64> {
         let carried = |ns: i64| {
-            let head = if self.heads.is_empty() { DQuat::IDENTITY } else { at(&self.heads, ns)? };
-            Some(at(&self.attitudes, ns)? * head)
+            let head = if self.heads.is_empty() { DQuat::IDENTITY } else { interpolate(&self.heads, ns)? };
+            Some(interpolate(&self.attitudes, ns)? * head)
         };
         let turn: DVec3 = (carried(from_ns)?.conjugate() * carried(to_ns)?).to_scaled_axis();
         Some(turn.length())
     }
 }
 
-fn at(samples: &[(i64, DQuat)], ns: i64) -> Option<DQuat> {
+/// Interpolated rotation at a time; `None` outside the samples or in a gap longer than `MAX_GAP_NS`.
+fn interpolate(samples: &[(i64, DQuat)], ns: i64) -> Option<DQuat> {
     let after = samples.partition_point(|(sample_ns, _)| *sample_ns < ns);
     let (b_ns, b) = samples.get(after)?;
     let (a_ns, a) = samples.get(after.checked_sub(1)?)?;

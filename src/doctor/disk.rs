@@ -1,4 +1,4 @@
-//! How long the disk stands still, and what of a recording that puts at risk.
+//! Measures how long disk writes take, and what a recording loses with such a disk.
 
 use std::fs::File;
 use std::io::Write;
@@ -8,27 +8,27 @@ use std::time::Instant;
 
 use rustix::fs::{Mode, OFlags};
 
-use super::{Finding, bad, good, size};
+use super::{Finding, bad, good, image_size};
 use crate::config::Settings;
 use crate::recording::storage::Disk;
 use crate::recording::{DiskMeasured, loss_bound_ms};
 
-/// As much as a second of camera frames, as often as tells the worst from the usual.
+/// Size of one write: about a second of camera frames. There are enough writes to tell the worst from the typical.
 const DISK_BLOCK_BYTES: usize = 512 << 10;
 const DISK_BLOCKS: usize = 40;
-/// Of a recording, in a power cut.
-const MOST_LOST_MS: f64 = 1000.0;
+/// Longest recording that a power cut may cost, milliseconds, for a good finding.
+const ACCEPTED_LOSS_MS: f64 = 1000.0;
 
-pub(super) fn disk(settings: &Settings, captures: &Path) -> Finding {
+pub(super) fn check_disk(settings: &Settings, captures: &Path) -> Finding {
     let what = format!("disk {}", captures.display());
-    let [typical_ms, worst_ms] = match slowest_write_ms(captures) {
+    let [typical_ms, worst_ms] = match measure_writes_ms(captures) {
         Err(error) => return bad(what, error.to_string(), "the recorder's user must be able to write there"),
         Ok(measured) => measured,
     };
     let measured = DiskMeasured { block_bytes: DISK_BLOCK_BYTES as u64, typical_ms, worst_ms };
-    // The recorder makes its queue of it; without it, it takes a usual one.
+    // The recorder sizes its queue from this measurement; without it, it assumes a usual disk.
     let noted = measured.save(&Disk, captures).map_or_else(|error| format!(" ({error})"), |()| String::new());
-    let bytes_per_s = size(settings).map_or(0, |size| settings.capture.bytes_per_s(size));
+    let bytes_per_s = image_size(settings).map_or(0, |size| settings.capture.bytes_per_s(size));
     let queue_mb = measured.queue_mb(&settings.recording, bytes_per_s);
     let cut_ms = loss_bound_ms(settings.recording.sync_interval_ms as f64, worst_ms);
     let said = format!(
@@ -42,16 +42,16 @@ pub(super) fn disk(settings: &Settings, captures: &Path) -> Finding {
             said,
             "a faster disk, a larger recording.queue_mb or fewer frames: they are dropped while it stands still",
         )
-    } else if cut_ms > MOST_LOST_MS {
+    } else if cut_ms > ACCEPTED_LOSS_MS {
         bad(what, said, "a faster disk: with this one, a power cut costs more than a second")
     } else {
         good(what, said)
     }
 }
 
-fn slowest_write_ms(captures: &Path) -> std::io::Result<[f64; 2]> {
+fn measure_writes_ms(captures: &Path) -> std::io::Result<[f64; 2]> {
     make_folder(captures)?;
-    // A new file, whatever others have put there: root may be asking, in a folder that is not its own.
+    // A new file only: the doctor may run as root in a folder where others can place links.
     let path = captures.join(format!("doctor-{}.tmp", std::process::id()));
     let mut file = File::create_new(&path)?;
     let mut times = Vec::with_capacity(DISK_BLOCKS);
@@ -72,7 +72,8 @@ fn slowest_write_ms(captures: &Path) -> std::io::Result<[f64; 2]> {
     Ok([times[DISK_BLOCKS / 2], times[DISK_BLOCKS - 1]])
 }
 
-/// Whoever asks, root perhaps: it belongs to whom the folder above belongs to, the recorder on a robot.
+/// Makes the captures folder and gives each new folder the owner of the existing folder above: the recorder's user, even if
+/// root runs this.
 fn make_folder(captures: &Path) -> std::io::Result<()> {
     let captures = std::path::absolute(captures)?;
     let above = captures.ancestors().find(|folder| folder.exists()).and_then(|folder| folder.metadata().ok());
@@ -80,7 +81,8 @@ fn make_folder(captures: &Path) -> std::io::Result<()> {
     std::fs::create_dir_all(&captures)?;
     if let Some(above) = above {
         for made in missing {
-            // Nobody but root may give folders away, and nobody else has to. What is no folder by now is none that was made here.
+            // Only root may give folders away, and only root needs to. `DIRECTORY` and `NOFOLLOW` refuse a path that was
+            // replaced meanwhile.
             let folder = rustix::fs::open(made, OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC, Mode::empty());
             let _ = folder.map(|folder| std::os::unix::fs::fchown(folder, Some(above.uid()), Some(above.gid())));
         }
@@ -100,7 +102,7 @@ mod tests {
         let captures = room.path().join("captures");
         std::fs::create_dir(&captures).unwrap();
         std::os::unix::fs::symlink(&precious, captures.join(format!("doctor-{}.tmp", std::process::id()))).unwrap();
-        assert!(slowest_write_ms(&captures).is_err());
+        assert!(measure_writes_ms(&captures).is_err());
         assert_eq!(std::fs::read(&precious).unwrap(), b"mine");
     }
 

@@ -1,4 +1,4 @@
-//! Is this robot ready to record? Every part tried for a moment, with what to do about what is wrong.
+//! Checks whether a robot is ready to record: tries each part for a moment and says how to mend what is wrong.
 
 mod camera;
 mod cpu;
@@ -22,25 +22,26 @@ pub struct Finding {
     pub what: String,
     pub good: bool,
     pub said: String,
-    /// What to do; empty when all is well.
+    /// What to do about it; empty if the finding is good.
     pub remedy: String,
 }
 
-/// No robot sees more of itself.
-const MOST_HIDDEN: f64 = 0.8;
-/// So long each device is listened to.
+/// Share of the image that a plausible body mask hides at most; a larger one is probably inverted.
+const PLAUSIBLE_HIDDEN_SHARE: f64 = 0.8;
+/// Time for which each device is observed.
 const LISTEN: Duration = Duration::from_secs(3);
 
+/// Examines config, camera, serial ports, processor and disk, in this order.
 pub fn examine(settings: &Settings, captures: &Path) -> Vec<Finding> {
-    let mut findings = config(settings);
-    findings.extend(camera::offer(settings));
-    findings.push(match size(settings) {
-        Some(size) => camera::camera(settings, size),
-        None => camera::without_a_lens(settings),
+    let mut findings = check_config(settings);
+    findings.extend(camera::list_formats(settings));
+    findings.push(match image_size(settings) {
+        Some(size) => camera::check_stream(settings, size),
+        None => camera::check_without_lens(settings),
     });
-    findings.extend(ports::ports(&settings.serial));
-    findings.extend(cpu::headroom(settings));
-    findings.push(disk::disk(settings, captures));
+    findings.extend(ports::check_ports(&settings.serial));
+    findings.extend(cpu::check_headroom(settings));
+    findings.push(disk::check_disk(settings, captures));
     findings
 }
 
@@ -52,9 +53,9 @@ fn bad(what: impl Into<String>, said: impl Into<String>, remedy: impl Into<Strin
     Finding { what: what.into(), good: false, said: said.into(), remedy: remedy.into() }
 }
 
-fn config(settings: &Settings) -> Vec<Finding> {
+fn check_config(settings: &Settings) -> Vec<Finding> {
     let lens = match settings.camera.lens.as_deref().map(load_lens) {
-        None => bad("lens", "none is named", "calibrate, and name the file in camera.lens (docs/hardware.md)"),
+        None => bad("lens", "none is named", "calibrate, and name the file in camera.lens (docs/howto/robot.md)"),
         Some(Err(error)) => bad("lens", error.to_string(), "correct the file or camera.lens"),
         Some(Ok(file)) => good("lens", format!("{} x {}", file.lens.width(), file.lens.height())),
     };
@@ -70,18 +71,18 @@ fn config(settings: &Settings) -> Vec<Finding> {
         }
     };
     let mut findings = vec![lens, field, mount];
-    if let Some((width, height)) = size(settings) {
+    if let Some((width, height)) = image_size(settings) {
         let masks = settings.camera.body_mask.iter();
         findings.extend(masks.map(|mask| match body_mask(&mask.png, width, height) {
             Err(error) => {
-                bad(format!("body mask {}", mask.png), error, "paint it anew (docs/hardware.md), or leave it out")
+                bad(format!("body mask {}", mask.png), error, "paint it anew (docs/howto/robot.md), or leave it out")
             }
             Ok(hides) => {
                 let share =
                     hides.to_gray().iter().filter(|value| **value == 0).count() as f64 / f64::from(width * height);
                 let (what, said) =
                     (format!("body mask {}", mask.png), format!("hides {:.0} % of the image", 100.0 * share));
-                if share < MOST_HIDDEN {
+                if share < PLAUSIBLE_HIDDEN_SHARE {
                     good(what, said)
                 } else {
                     bad(what, said, "dark pixels hide: is it inverted?")
@@ -92,7 +93,7 @@ fn config(settings: &Settings) -> Vec<Finding> {
     findings
 }
 
-fn size(settings: &Settings) -> Option<(u32, u32)> {
+fn image_size(settings: &Settings) -> Option<(u32, u32)> {
     let lens = load_lens(settings.camera.lens.as_deref()?).ok()?.lens;
     Some((lens.width(), lens.height()))
 }

@@ -1,4 +1,4 @@
-//! What speaks on the serial ports, and whether together it is what a recording needs.
+//! Checks what arrives on the serial ports, and whether it is what a recording needs.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,13 +8,13 @@ use crate::config::SerialSettings;
 use crate::devices::mavlink::{PortCounts, TimeBase};
 use crate::devices::serial::{LineStatus, PortEvent, PortOptions, SenderClock, SerialError, Trouble, run};
 
-/// Without these, no walk can be followed; from whichever port they come.
+/// Messages without which a walk cannot be followed, from any port, with their names for people.
 const NEEDED: [(&str, &str); 2] = [("ODOMETRY", "odometry"), ("ATTITUDE_QUATERNION", "attitude")];
-/// Of a head that turns; a robot may have none.
+/// Message of a turning head; a robot may have none.
 const HEAD: (&str, &str) = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "head");
 
-/// A line for each port, and one for the robot.
-pub(super) fn ports(serial: &SerialSettings) -> Vec<Finding> {
+/// Reports on each port, and on all ports together.
+pub(super) fn check_ports(serial: &SerialSettings) -> Vec<Finding> {
     if serial.ports.is_empty() {
         return vec![bad("serial", "no port is named", "name the microcontrollers' ports in serial.ports")];
     }
@@ -24,8 +24,8 @@ pub(super) fn ports(serial: &SerialSettings) -> Vec<Finding> {
         system: serial.system_id,
         poses: None,
     });
-    // All at once: the wait is of one.
-    let heard: Vec<(PortOptions, Heard)> = std::thread::scope(|scope| {
+    // The ports are heard in parallel, so the wait is that of one.
+    let heard: Vec<(PortOptions, PortResult)> = std::thread::scope(|scope| {
         let listening: Vec<_> = options
             .map(|options| {
                 scope.spawn(move || {
@@ -36,16 +36,16 @@ pub(super) fn ports(serial: &SerialSettings) -> Vec<Finding> {
             .collect();
         listening.into_iter().filter_map(|thread| thread.join().ok()).collect()
     });
-    let mut findings: Vec<Finding> = heard.iter().map(|(options, heard)| port(options, heard)).collect();
-    findings.push(robot(
+    let mut findings: Vec<Finding> = heard.iter().map(|(options, heard)| report_port(options, heard)).collect();
+    findings.push(report_robot(
         heard.iter().filter_map(|(options, heard)| Some((options.device.as_str(), &heard.as_ref().ok()?.counts))),
     ));
     findings
 }
 
-type Heard = Result<LineStatus, SerialError>;
+type PortResult = Result<LineStatus, SerialError>;
 
-fn listen(options: &PortOptions) -> Heard {
+fn listen(options: &PortOptions) -> PortResult {
     let stop = AtomicBool::new(false);
     let (mut status, mut lost) = (None, None);
     std::thread::scope(|scope| {
@@ -66,7 +66,7 @@ fn listen(options: &PortOptions) -> Heard {
     }
 }
 
-fn port(options: &PortOptions, heard: &Heard) -> Finding {
+fn report_port(options: &PortOptions, heard: &PortResult) -> Finding {
     let what = format!("serial {} at {} baud", options.device, options.baud);
     let LineStatus { counts, clocks, .. } = match heard {
         Err(error) => {
@@ -85,8 +85,8 @@ fn port(options: &PortOptions, heard: &Heard) -> Finding {
         Ok(status) => status,
     };
     let mut said: Vec<String> =
-        counts.used.iter().map(|(name, count)| format!("{name} {:.0} Hz", hz(*count))).collect();
-    said.extend(clocks.iter().map(clock));
+        counts.used.iter().map(|(name, count)| format!("{name} {:.0} Hz", rate_hz(*count))).collect();
+    said.extend(clocks.iter().map(describe_clock));
     match Trouble::since(&PortCounts::default(), counts) {
         Some(trouble) => {
             said.insert(0, trouble.to_string());
@@ -96,11 +96,11 @@ fn port(options: &PortOptions, heard: &Heard) -> Finding {
     }
 }
 
-fn hz(count: u64) -> f64 {
+fn rate_hz(count: u64) -> f64 {
     count as f64 / LISTEN.as_secs_f64()
 }
 
-fn clock(of: &SenderClock) -> String {
+fn describe_clock(of: &SenderClock) -> String {
     let counts_from = match of.base {
         TimeBase::Boot => "its start",
         TimeBase::Unix => "1970",
@@ -115,12 +115,12 @@ fn clock(of: &SenderClock) -> String {
     )
 }
 
-/// Who sends what, and what nobody sends.
-fn robot<'a>(ports: impl Iterator<Item = (&'a str, &'a PortCounts)>) -> Finding {
+/// Reports which port sends each measurement, and which measurements are missing.
+fn report_robot<'a>(ports: impl Iterator<Item = (&'a str, &'a PortCounts)>) -> Finding {
     let mut senders: BTreeMap<&str, Vec<String>> = BTreeMap::new();
     for (device, counts) in ports {
         for (name, count) in &counts.used {
-            senders.entry(name).or_default().push(format!("{:.0} Hz from {device}", hz(*count)));
+            senders.entry(name).or_default().push(format!("{:.0} Hz from {device}", rate_hz(*count)));
         }
     }
     let said = |(name, what): (&str, &str)| match senders.get(name) {
@@ -135,7 +135,7 @@ fn robot<'a>(ports: impl Iterator<Item = (&'a str, &'a PortCounts)>) -> Finding 
         missing => bad(
             "measurements",
             all,
-            format!("no port carries {}: docs/hardware.md says what to send", missing.join(" or ")),
+            format!("no port carries {}: docs/howto/robot.md says what to send", missing.join(" or ")),
         ),
     }
 }
@@ -151,10 +151,10 @@ mod tests {
     #[test]
     fn two_boards_are_one_robot() {
         let (a, b) = (counts(&[("ODOMETRY", 150)]), counts(&[("ATTITUDE_QUATERNION", 300)]));
-        let found = robot([("/dev/a", &a), ("/dev/b", &b)].into_iter());
+        let found = report_robot([("/dev/a", &a), ("/dev/b", &b)].into_iter());
         assert!(found.good, "{found:?}");
         assert_eq!(found.said, "odometry 50 Hz from /dev/a, attitude 100 Hz from /dev/b, no head");
-        let found = robot([("/dev/a", &a)].into_iter());
+        let found = report_robot([("/dev/a", &a)].into_iter());
         assert!(!found.good && found.remedy.contains("no port carries ATTITUDE_QUATERNION:"), "{found:?}");
     }
 }

@@ -1,6 +1,7 @@
-//! Questions and orders to a running agent, over a Unix socket: a line in, a line of JSON out.
+//! Control socket of a running recorder: a Unix socket that takes one command a line and answers with one line of JSON.
 //!
-//! `status`, `mark TEXT`, `start`, `stop`; `poses` answers with a line for each tag until the asker hangs up.
+//! Commands are `status`, `mark TEXT`, `place X,Y,YAW_DEG`, `start` and `stop`. `poses` is answered with a line for each
+//! tag until the client hangs up.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -11,53 +12,54 @@ use std::thread::Builder;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use parking::Listeners;
+use listeners::Listeners;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 
-use super::askers::{Askers, Place};
+use super::control_clients::{ClientSlot, Clients};
 use crate::devices::stale_socket::clear_away;
 use crate::geometry::{Physical, Pose2};
 use crate::recording::MAX_FINISH;
 use crate::ros2::messages::FrameTag;
 
-/// What the agent is to do, and where its answer goes.
+/// A command for the event loop, and the channel that takes its answer.
 pub struct Order {
-    pub what: Ask,
+    pub what: ControlCommand,
     pub answer: Sender<Value>,
 }
 
-pub enum Ask {
+/// Commands that clients of the control socket can give.
+pub enum ControlCommand {
     Status,
     Mark(String),
-    /// `base_footprint` in `map`.
+    /// The robot stands at this pose of `base_footprint` in `map`.
     Place(Pose2),
     Start,
     Stop,
 }
 
-/// Orders that wait for the agent.
+/// Commands that can wait for the event loop.
 const MAX_ORDERS: usize = 16;
-/// A longer line is no order.
+/// Longest command line that is accepted, bytes.
 const MAX_ORDER_BYTES: usize = 4096;
-/// After the last tag of a recorder that ends.
-const LAST_WORD: &str = r#"{"ended":true}"#;
-/// A connection on which no order comes to its end within this time is closed.
+/// Line that `poses` clients get after the last tag, when the recorder ends.
+const END_LINE: &str = r#"{"ended":true}"#;
+/// Time within which a client must send a complete command; after that its connection is closed.
 const MAX_SILENCE: Duration = Duration::from_secs(60);
-/// Until the next connection is accepted after one could not be: descriptors may be short for a moment.
-const ACCEPT_AGAIN: Duration = Duration::from_millis(100);
-/// How often a listener to poses is looked after while there are none.
-const LOOK_AFTER: Duration = Duration::from_millis(250);
-/// So long the agent may take to answer: longer than a session takes that ends on a disk which takes nothing.
-const ANSWER_WITHIN: Duration = MAX_FINISH.saturating_add(Duration::from_secs(5));
-/// So long listeners to poses have for the last ones, when the recorder ends.
-const LAST_WORDS: Duration = Duration::from_millis(500);
-/// Of an order that is too long, what is still taken of it, so that who sends it comes to hear why it was not.
+/// Wait after a failed `accept`, since file descriptors may be short for a moment.
+const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(100);
+/// How often a `poses` connection is checked for a hang-up while there are no tags.
+const HANG_UP_CHECK_INTERVAL: Duration = Duration::from_millis(250);
+/// Time that the event loop has to answer a command. Longer than it takes to end a session on a disk that accepts nothing.
+const ANSWER_TIMEOUT: Duration = MAX_FINISH.saturating_add(Duration::from_secs(5));
+/// Time that `poses` clients have to take the last tags when the recorder ends.
+const CLOSING_TIME: Duration = Duration::from_millis(500);
+/// Bytes of an overlong command that are read and dropped, so that its sender gets to read the refusal.
 const MAX_SWALLOWED_BYTES: u64 = 1 << 20;
-/// Tags that a slow reader of poses may be behind; it misses those beyond.
+/// Tags that wait for a slow reader of `poses`; the reader misses those beyond.
 const MAX_TAGS_BEHIND: usize = 64;
 
-/// Where orders come in. The socket goes away with it.
+/// The listening control socket. Dropping it ends the accepting thread and removes the socket file.
 pub struct Control {
     path: PathBuf,
     pub orders: Receiver<Order>,
@@ -66,6 +68,9 @@ pub struct Control {
 }
 
 impl Control {
+    /// Binds the socket and starts the thread that accepts connections.
+    ///
+    /// Fails with `AddrInUse` if another recorder answers on the socket; a stale socket file is removed.
     pub fn listen(path: &Path) -> io::Result<Self> {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
@@ -79,12 +84,12 @@ impl Control {
         let listeners = Arc::<Listeners>::default();
         let ended = Arc::<AtomicBool>::default();
         let (shared, is_over) = (Arc::clone(&listeners), Arc::clone(&ended));
-        let accepting = move || accept(&listener, &send, &shared, &is_over);
+        let accepting = move || accept_clients(&listener, &send, &shared, &is_over);
         Builder::new().name("control".to_owned()).spawn(accepting)?;
         Ok(Self { path: path.to_owned(), orders, listeners, ended })
     }
 
-    /// To everybody who wants poses.
+    /// Sends the tag to every `poses` client.
     pub fn tell(&self, tag: &FrameTag) {
         self.listeners.tell(tag);
     }
@@ -93,95 +98,96 @@ impl Control {
 impl Drop for Control {
     fn drop(&mut self) {
         self.ended.store(true, Ordering::Relaxed);
-        // Wakes the thread that accepts.
+        // This connection wakes the accepting thread.
         let _ = UnixStream::connect(&self.path);
-        self.listeners.close(LAST_WORDS);
+        self.listeners.close(CLOSING_TIME);
         let _ = std::fs::remove_file(&self.path);
     }
 }
 
-/// Every connection gets a thread, until the recorder ends. Whatever goes wrong with one, the next is accepted.
-fn accept(listener: &UnixListener, orders: &Sender<Order>, listeners: &Arc<Listeners>, ended: &AtomicBool) {
-    let askers = Arc::<Askers>::default();
+/// Accepts connections until the recorder ends and gives each a thread. An error on one connection does not stop the next.
+fn accept_clients(listener: &UnixListener, orders: &Sender<Order>, listeners: &Arc<Listeners>, ended: &AtomicBool) {
+    let clients = Arc::<Clients>::default();
     while !ended.load(Ordering::Relaxed) {
-        let Ok((asker, _)) = listener.accept() else {
-            std::thread::sleep(ACCEPT_AGAIN);
+        let Ok((client, _)) = listener.accept() else {
+            std::thread::sleep(ACCEPT_RETRY_DELAY);
             continue;
         };
-        match askers.admit(asker) {
-            Err((asker, what)) => {
-                // What does not fit into its buffer at once is not waited for.
-                let _ = asker.set_nonblocking(true);
-                let _ = writeln!(&asker, "{}", json!({ "error": what }));
+        match clients.admit(client) {
+            Err((client, what)) => {
+                // The refusal is dropped if it does not fit into the socket's buffer: nothing waits for this client.
+                let _ = client.set_nonblocking(true);
+                let _ = writeln!(&client, "{}", json!({ "error": what }));
             }
-            Ok(place) => {
+            Ok(slot) => {
                 let (orders, listeners) = (orders.clone(), Arc::clone(listeners));
-                // Without a thread it is closed: its place is dropped.
+                // If no thread can be started, the connection is closed, since its slot is dropped.
                 let _ = Builder::new().name("asker".to_owned()).spawn(move || {
-                    // An error ends this connection: its other end has gone, or has been told.
-                    let _ = converse(&place, &orders, &listeners);
+                    // An error ends this connection only: its client has gone, or has been told.
+                    let _ = converse(&slot, &orders, &listeners);
                 });
             }
         }
     }
 }
 
-fn converse(place: &Place, orders: &Sender<Order>, listeners: &Listeners) -> io::Result<()> {
-    let mut asker: &UnixStream = &place.stream;
-    asker.set_write_timeout(Some(ANSWER_WITHIN))?;
-    let mut reader = BufReader::new(Within { stream: asker, deadline: Instant::now() });
+/// Reads commands from one client and answers them until the client hangs up.
+fn converse(slot: &ClientSlot, orders: &Sender<Order>, listeners: &Listeners) -> io::Result<()> {
+    let mut client: &UnixStream = &slot.stream;
+    client.set_write_timeout(Some(ANSWER_TIMEOUT))?;
+    let mut reader = BufReader::new(DeadlineReader { stream: client, deadline: Instant::now() });
     loop {
         let mut line = Vec::new();
         reader.get_mut().deadline = Instant::now() + MAX_SILENCE;
         if reader.by_ref().take(MAX_ORDER_BYTES as u64 + 1).read_until(b'\n', &mut line)? == 0 {
             return Ok(());
         }
-        // Its rest is no order of its own.
+        // The rest of an overlong line must not be taken for another command.
         if line.len() > MAX_ORDER_BYTES {
-            writeln!(asker, "{}", json!({ "error": format!("an order has at most {MAX_ORDER_BYTES} bytes") }))?;
-            reader.get_mut().deadline = Instant::now() + LAST_WORDS;
+            writeln!(client, "{}", json!({ "error": format!("an order has at most {MAX_ORDER_BYTES} bytes") }))?;
+            reader.get_mut().deadline = Instant::now() + CLOSING_TIME;
             io::copy(&mut reader.take(MAX_SWALLOWED_BYTES), &mut io::sink())?;
             return Ok(());
         }
         let Ok(line) = str::from_utf8(&line) else {
-            return writeln!(asker, "{}", json!({ "error": "an order is UTF-8 text" }));
+            return writeln!(client, "{}", json!({ "error": "an order is UTF-8 text" }));
         };
         let (word, text) = line.trim().split_once(' ').unwrap_or((line.trim(), ""));
         let what = match word {
-            "status" => Ask::Status,
-            "mark" if !text.trim().is_empty() => Ask::Mark(text.to_owned()),
-            "place" if let Some(place) = place_of(text) => Ask::Place(place),
-            "start" => Ask::Start,
-            "stop" => Ask::Stop,
-            "poses" => match place.listens() {
-                Ok(()) => return stream(asker, listeners),
-                Err(what) => return writeln!(asker, "{}", json!({ "error": what })),
+            "status" => ControlCommand::Status,
+            "mark" if !text.trim().is_empty() => ControlCommand::Mark(text.to_owned()),
+            "place" if let Some(place) = parse_place(text) => ControlCommand::Place(place),
+            "start" => ControlCommand::Start,
+            "stop" => ControlCommand::Stop,
+            "poses" => match slot.start_listening() {
+                Ok(()) => return stream_tags(client, listeners),
+                Err(what) => return writeln!(client, "{}", json!({ "error": what })),
             },
             _ => {
                 writeln!(
-                    asker,
+                    client,
                     "{}",
                     json!({ "error": "expected status, mark TEXT, place X,Y,YAW_DEG, start, stop or poses" })
                 )?;
                 continue;
             }
         };
-        let value = place.waiting(|| {
+        let value = slot.while_waiting(|| {
             let (answer, answered) = bounded(1);
-            orders.send_timeout(Order { what, answer }, ANSWER_WITHIN).ok()?;
-            answered.recv_timeout(ANSWER_WITHIN).ok()
+            orders.send_timeout(Order { what, answer }, ANSWER_TIMEOUT).ok()?;
+            answered.recv_timeout(ANSWER_TIMEOUT).ok()
         });
-        writeln!(asker, "{}", value.unwrap_or_else(|| json!({ "error": "the recorder does not answer" })))?;
+        writeln!(client, "{}", value.unwrap_or_else(|| json!({ "error": "the recorder does not answer" })))?;
     }
 }
 
-/// Reads until a deadline, however many bytes come meanwhile.
-struct Within<'a> {
+/// Reader that fails with `TimedOut` at a deadline, however many bytes arrive until then.
+struct DeadlineReader<'a> {
     stream: &'a UnixStream,
     deadline: Instant,
 }
 
-impl Read for Within<'_> {
+impl Read for DeadlineReader<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let left = self.deadline.saturating_duration_since(Instant::now());
         if left.is_zero() {
@@ -192,41 +198,43 @@ impl Read for Within<'_> {
     }
 }
 
-/// Metres and degrees.
-fn place_of(text: &str) -> Option<Pose2> {
+/// Parses `X,Y,YAW_DEG` (metres and degrees); `None` if it is not a possible pose.
+fn parse_place(text: &str) -> Option<Pose2> {
     let numbers: Vec<f64> = text.split(',').map(|part| part.trim().parse().ok()).collect::<Option<_>>()?;
     let [x, y, yaw_deg] = numbers[..] else { return None };
     Some(Pose2::new(x, y, yaw_deg.to_radians())).filter(Physical::is_possible)
 }
 
-fn stream(mut asker: &UnixStream, listeners: &Listeners) -> io::Result<()> {
+/// Writes a line of JSON for each tag until the client hangs up or the recorder ends.
+fn stream_tags(mut client: &UnixStream, listeners: &Listeners) -> io::Result<()> {
     let Some((tags, _listening)) = listeners.add() else { return Ok(()) };
     loop {
-        match tags.recv_timeout(LOOK_AFTER) {
+        match tags.recv_timeout(HANG_UP_CHECK_INTERVAL) {
             Ok(tag) => {
                 let mut line = serde_json::to_vec(&tag)?;
                 line.push(b'\n');
-                asker.write_all(&line)?;
+                client.write_all(&line)?;
             }
-            Err(RecvTimeoutError::Timeout) if has_hung_up(asker)? => return Ok(()),
+            Err(RecvTimeoutError::Timeout) if has_hung_up(client)? => return Ok(()),
             Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return writeln!(asker, "{LAST_WORD}"),
+            Err(RecvTimeoutError::Disconnected) => return writeln!(client, "{END_LINE}"),
         }
     }
 }
 
-/// One that has said all it will, as `echo poses | socat` does, still listens.
-fn has_hung_up(asker: &UnixStream) -> io::Result<bool> {
-    let mut ends = [PollFd::new(asker, PollFlags::empty())];
+/// Whether the client has closed its connection. One that only ended its sending side, as `echo poses | socat` does, still
+/// listens.
+fn has_hung_up(client: &UnixStream) -> io::Result<bool> {
+    let mut ends = [PollFd::new(client, PollFlags::empty())];
     poll(&mut ends, Some(&Timespec { tv_sec: 0, tv_nsec: 0 }))?;
     Ok(ends[0].revents().intersects(PollFlags::HUP | PollFlags::ERR))
 }
 
-/// One question to the recorder behind a socket, and its answer.
+/// Sends one command to the recorder behind the socket and returns its answer.
 pub fn ask(path: &Path, line: &str) -> io::Result<Value> {
     let mut stream = UnixStream::connect(path)?;
-    stream.set_read_timeout(Some(2 * ANSWER_WITHIN))?;
-    // Who has no room for another asker, or for so long an order, says so before all of it has come.
+    stream.set_read_timeout(Some(2 * ANSWER_TIMEOUT))?;
+    // A recorder that refuses another client, or an overlong line, answers before it has read everything.
     let sent = writeln!(stream, "{}", line.replace('\n', " "));
     let mut answer = String::new();
     if BufReader::new(stream).read_line(&mut answer)? == 0 {
@@ -236,14 +244,16 @@ pub fn ask(path: &Path, line: &str) -> io::Result<Value> {
     Ok(serde_json::from_str(&answer)?)
 }
 
-/// Every tag from now on, a line of JSON each, until the recorder ends. One that is killed does not say so.
+/// Calls `take` with every tag from here on, a line of JSON each, until the recorder ends or `stop` is set.
+///
+/// A recorder that is killed closes the connection without a last line, which is the error `UnexpectedEof`.
 pub fn poses(path: &Path, stop: &AtomicBool, mut take: impl FnMut(&str) -> io::Result<()>) -> io::Result<()> {
     let mut stream = UnixStream::connect(path)?;
-    // Who has no room for another asker says so at once.
+    // A recorder that refuses another client answers at once, possibly before the command is written.
     let asked = writeln!(stream, "poses");
     for (number, line) in BufReader::new(stream).lines().enumerate() {
         let line = line?;
-        if line == LAST_WORD {
+        if line == END_LINE {
             return Ok(());
         }
         if number == 0
@@ -261,8 +271,8 @@ pub fn poses(path: &Path, stop: &AtomicBool, mut take: impl FnMut(&str) -> io::R
     Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the recorder was killed, or broke off"))
 }
 
-mod parking {
-    //! Who wants poses.
+mod listeners {
+    //! The clients that listen to poses.
 
     use std::sync::atomic::{AtomicUsize, Ordering};
     use std::sync::{Arc, Mutex};
@@ -270,8 +280,9 @@ mod parking {
 
     use super::{FrameTag, MAX_TAGS_BEHIND, Receiver, Sender, bounded};
 
+    /// Fans tags out to the clients of `poses`.
     pub struct Listeners {
-        /// `None` once there will be no more tags.
+        /// `None` once no more tags will come.
         all: Mutex<Option<Vec<Sender<FrameTag>>>>,
         listening: Arc<AtomicUsize>,
     }
@@ -282,25 +293,27 @@ mod parking {
         }
     }
 
-    /// One that still listens.
-    pub struct Listening(Arc<AtomicUsize>);
+    /// Counts its client as listening until it is dropped.
+    pub struct ListenerGuard(Arc<AtomicUsize>);
 
-    impl Drop for Listening {
+    impl Drop for ListenerGuard {
         fn drop(&mut self) {
             self.0.fetch_sub(1, Ordering::Release);
         }
     }
 
     impl Listeners {
-        pub fn add(&self) -> Option<(Receiver<FrameTag>, Listening)> {
+        /// Registers a client; `None` if no more tags will come.
+        pub fn add(&self) -> Option<(Receiver<FrameTag>, ListenerGuard)> {
             let (send, receive) = bounded(MAX_TAGS_BEHIND);
-            // Counted before it can be told anything.
+            // Counted before its sender is registered, so that `close` waits for it.
             self.listening.fetch_add(1, Ordering::Release);
-            let listening = Listening(Arc::clone(&self.listening));
+            let listening = ListenerGuard(Arc::clone(&self.listening));
             self.all.lock().ok()?.as_mut()?.push(send);
             Some((receive, listening))
         }
 
+        /// Queues the tag for every client. A client whose queue is full misses it; one that has gone is removed.
         pub fn tell(&self, tag: &FrameTag) {
             let Ok(mut all) = self.all.lock() else { return };
             all.iter_mut().for_each(|all| {
@@ -311,7 +324,7 @@ mod parking {
             });
         }
 
-        /// They get what they were told and go; who reads nothing is not waited for longer than this.
+        /// Ends all streams and waits, at most for `within`, until the clients have read what is queued for them.
         pub fn close(&self, within: Duration) {
             if let Ok(mut all) = self.all.lock() {
                 *all = None;

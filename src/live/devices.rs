@@ -1,4 +1,4 @@
-//! The threads at the devices: one for the camera, one for each serial port.
+//! Threads that read the devices: one for the camera, one for each serial port.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -19,14 +19,14 @@ use crate::geometry::Isometry;
 use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::{FrameTag, Header};
 
-/// What a device has to say.
+/// Something that a device thread reports to the event loop.
 pub enum DeviceEvent {
     CameraOpened(Negotiated),
     CameraLost {
         cause: &'static str,
         said: String,
     },
-    /// Frames that the camera made and that do not come.
+    /// Frames that the camera made and that were dropped on the way.
     Dropped {
         cause: &'static str,
         count: u64,
@@ -41,33 +41,35 @@ pub enum DeviceEvent {
     },
 }
 
-/// Events between the devices and the agent: at 1 kHz of measurements, a second.
+/// Events that can wait between the devices and the event loop: one second of measurements at 1 kHz.
 const MAX_EVENTS: usize = 1024;
-/// Frames among them: with more, the agent is behind and the newest are dropped.
+/// Frames among them. With more, the event loop is behind and the newest frames are dropped.
 const MAX_FRAMES: u64 = 16;
 
-/// Poses that wait for a port: a slower one misses some.
+/// Poses that can wait for a serial port; a slower port misses some.
 const MAX_POSES: usize = 4;
 
+/// Channel from the device threads to the event loop.
 pub fn channel() -> (Sender<DeviceEvent>, crossbeam_channel::Receiver<DeviceEvent>) {
     crossbeam_channel::bounded(MAX_EVENTS)
 }
 
+/// Handles of the device threads.
 pub struct Devices {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
-    /// Counts the rounds of the camera's thread: it stands still if the thread does.
+    /// Rounds of the camera's thread. The watchdog notices when the count stands still.
     pub rounds: Arc<AtomicU64>,
-    /// Frames sent and not yet taken.
+    /// Frames that were sent and not yet taken by the event loop.
     pub waiting: Arc<AtomicU64>,
-    /// What became of the frames that are passed on to others.
+    /// Counts and state of the frames that are passed on to another video device.
     pub republished: Arc<Republished>,
-    /// To the ports that want poses.
+    /// Senders to the ports that want poses.
     poses: Vec<Sender<Pose>>,
 }
 
 impl Devices {
-    /// `size` is the lens's.
+    /// Starts all device threads. `size` is the lens's width and height in pixels, `clock_ns` is UTC minus monotonic clock, nanoseconds.
     pub fn start(settings: &Settings, size: (u32, u32), clock_ns: i64, events: &Sender<DeviceEvent>) -> Self {
         let (stop, rounds, waiting) = (Arc::new(AtomicBool::new(false)), Arc::default(), Arc::default());
         let (mut threads, mut poses) = (Vec::new(), Vec::new());
@@ -84,7 +86,7 @@ impl Devices {
             let (stop, events) = (Arc::clone(&stop), events.clone());
             threads.push(std::thread::spawn(move || {
                 run(&options, &stop, |event| {
-                    // Measurements are small and must not be lost: the port's thread waits.
+                    // Measurements are small and must not be lost: the port's thread waits for room in the channel.
                     let _ = events.send(DeviceEvent::Port { device: options.device.clone(), event });
                 });
             }));
@@ -99,12 +101,12 @@ impl Devices {
             republished: Arc::default(),
         };
         let republished = Arc::clone(&camera.republished);
-        threads.push(std::thread::spawn(move || camera.start(size)));
+        threads.push(std::thread::spawn(move || camera.run(size)));
         Self { stop, threads, rounds, waiting, republished, poses }
     }
 
-    /// To the devices that want it; one that is not there misses it.
-    pub fn send(&self, tag: &FrameTag, utc_offset_ns: i64) {
+    /// Sends a valid tag to the ports that want poses; a port whose queue is full misses it.
+    pub fn send_tag(&self, tag: &FrameTag, utc_offset_ns: i64) {
         if self.poses.is_empty() || !tag.valid {
             return;
         }
@@ -119,14 +121,16 @@ impl Devices {
         }
     }
 
+    /// Asks all threads to end.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }
 
-    /// After [`stop`](Self::stop), while the events are still being taken or nobody takes them any more.
+    /// Waits for the threads. Call it after [`stop`](Self::stop), while the events are still being taken or after their
+    /// receiver is dropped.
     pub fn join(self) {
         for thread in self.threads {
-            // One that panicked has already said so.
+            // A thread that panicked has already printed its message.
             let _ = thread.join();
         }
     }
@@ -134,7 +138,7 @@ impl Devices {
 
 struct CameraThread {
     settings: Settings,
-    /// UTC minus monotonic clock.
+    /// UTC minus monotonic clock, nanoseconds.
     clock_ns: i64,
     stop: Arc<AtomicBool>,
     rounds: Arc<AtomicU64>,
@@ -144,19 +148,19 @@ struct CameraThread {
 }
 
 impl CameraThread {
-    fn start(self, size: (u32, u32)) {
+    fn run(self, size: (u32, u32)) {
         let capture = &self.settings.capture;
         let options = CameraOptions::new(capture, size);
         let max_rate_hz = (capture.max_rate_hz > 0.0).then_some(capture.max_rate_hz);
         let rules = CaptureRules { options, max_rate_hz };
         let republish = capture.republish.as_deref().map(|device| (device, Arc::clone(&self.republished)));
         match driver_of(&rules.options.device, republish) {
-            Ok(driver) => self.run(Capture::new(driver, rules)),
-            Err(error) => self.lost(&error),
+            Ok(driver) => self.capture_frames(Capture::new(driver, rules)),
+            Err(error) => self.report_lost(&error),
         }
     }
 
-    fn run(self, mut capture: Capture<Box<dyn Driver>>) {
+    fn capture_frames(self, mut capture: Capture<Box<dyn Driver>>) {
         let (mut messages, mut negotiated, mut done) = (Messages::default(), None, Vec::new());
         let mut last: Option<&'static str> = None;
         while !self.stop.load(Ordering::Relaxed) {
@@ -165,18 +169,18 @@ impl CameraThread {
             capture.step(monotonic_ns, |event| match event {
                 CaptureEvent::Opened(camera) => {
                     if negotiated.as_ref() != Some(&camera) {
-                        self.tell(DeviceEvent::CameraOpened(camera.clone()));
+                        self.send_event(DeviceEvent::CameraOpened(camera.clone()));
                     }
                     negotiated = Some(camera);
                 }
                 CaptureEvent::Lost { error, .. } => {
-                    // Once for each cause, not with every try.
+                    // Each cause is reported once, not at every retry.
                     if last.replace(error.cause()) != Some(error.cause()) {
-                        self.lost(&error);
+                        self.report_lost(&error);
                     }
                 }
                 CaptureEvent::Dropped(drop, count) => {
-                    self.tell(DeviceEvent::Dropped { cause: drop.cause(), count });
+                    self.send_event(DeviceEvent::Dropped { cause: drop.cause(), count });
                 }
                 CaptureEvent::Frame(frame) => {
                     last = None;
@@ -189,14 +193,14 @@ impl CameraThread {
         }
     }
 
-    fn lost(&self, error: &CameraError) {
-        self.tell(DeviceEvent::CameraLost { cause: error.cause(), said: error.to_string() });
+    fn report_lost(&self, error: &CameraError) {
+        self.send_event(DeviceEvent::CameraLost { cause: error.cause(), said: error.to_string() });
     }
 
-    /// The frame's room, when it is not needed any more.
+    /// Turns a frame into a message and sends it. Returns the frame's buffer, if there is one to be used again.
     fn deliver(&self, frame: Frame, camera: &Negotiated, messages: &mut Messages) -> Option<Vec<u8>> {
         if self.waiting.load(Ordering::Relaxed) >= MAX_FRAMES {
-            self.tell(DeviceEvent::Dropped { cause: "queue", count: 1 });
+            self.send_event(DeviceEvent::Dropped { cause: "queue", count: 1 });
             return Some(frame.data);
         }
         let capture = &self.settings.capture;
@@ -210,17 +214,19 @@ impl CameraThread {
             Ok(ImageMessage::Compressed(image)) => (messages.message(topic, false, &image), image.data),
             Ok(ImageMessage::Raw(image)) => (messages.message(topic, false, &image), image.data),
             Err(_) => {
-                self.tell(DeviceEvent::Dropped { cause: "encode", count: 1 });
+                self.send_event(DeviceEvent::Dropped { cause: "encode", count: 1 });
                 return None;
             }
         };
         self.waiting.fetch_add(1, Ordering::Relaxed);
-        self.tell(DeviceEvent::Frame { message, clock });
+        self.send_event(DeviceEvent::Frame { message, clock });
         Some(room)
     }
 
-    fn tell(&self, event: DeviceEvent) {
-        // A full channel means that the agent is behind by a second: waiting here makes the camera count its drops.
+    /// Sends an event, waiting while the channel is full.
+    fn send_event(&self, event: DeviceEvent) {
+        // A full channel means that the event loop is behind by a second. Waiting here makes the camera count its own
+        // drops.
         let mut event = event;
         while let Err(TrySendError::Full(back)) = self.events.try_send(event) {
             if self.stop.load(Ordering::Relaxed) {

@@ -1,4 +1,4 @@
-//! Live measurements as the ROS 2 messages that a robot would have logged.
+//! Converts live measurements to the ROS 2 messages that a robot would have logged.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,14 +15,14 @@ use crate::ros2::messages::{
     TransformStamped, Vector3,
 };
 
-/// Makes messages of one source: channels are made once.
+/// Makes messages and keeps one channel for each topic and type.
 #[derive(Default)]
 pub struct Messages {
     channels: BTreeMap<(String, &'static str), Arc<Channel>>,
 }
 
 impl Messages {
-    /// `latched` for what late subscribers need too. Log times are given when the message is taken.
+    /// Makes a message; `latched` for what late subscribers need too. Its log time is set when the event loop takes it.
     pub fn message<M: Message>(&mut self, topic: &str, latched: bool, message: &M) -> LogMessage {
         let id = u16::try_from(self.channels.len() + 1).unwrap_or(u16::MAX);
         let durability = if latched { Durability::TransientLocal } else { Durability::Volatile };
@@ -34,7 +34,7 @@ impl Messages {
         LogMessage { channel, sequence: 0, log_time_ns: 0, publish_time_ns: 0, data }
     }
 
-    /// Of one measurement; none of what is not recorded. `stamp_ns` is UTC.
+    /// Converts one measurement; `None` for content that is not recorded. `stamp_ns` is UTC.
     pub fn measured(&mut self, stamp_ns: i64, content: &Content, names: &Names) -> Option<LogMessage> {
         let Names { topics, frames, head } = names;
         match content {
@@ -84,17 +84,17 @@ impl Messages {
     }
 }
 
-/// The first element of a covariance says so (sensor_msgs/Imu).
+/// First element of the covariance of a quantity that is not measured (sensor_msgs/Imu).
 const NOT_MEASURED: f64 = -1.0;
 
-/// What things are called.
+/// Names of topics, coordinate frames and head joints.
 pub struct Names {
     pub topics: Topics,
     pub frames: FrameNames,
     pub head: HeadSettings,
 }
 
-/// The chain of the mount, as `/tf_static` says it.
+/// Transforms from `base_footprint` to the camera's optical frame, as `/tf_static` carries them.
 pub fn transforms(stamp_ns: i64, torso_height_m: f64, mount: &MountSettings, frames: &FrameNames) -> TFMessage {
     let [roll, pitch, yaw] = mount.camera_rpy_deg.map(f64::to_radians);
     let step = |parent: &str, child: &str, parent_from_child: Isometry| TransformStamped {
@@ -116,7 +116,7 @@ pub fn transforms(stamp_ns: i64, torso_height_m: f64, mount: &MountSettings, fra
     }
 }
 
-/// Where somebody says that the robot stands.
+/// Message for a pose that somebody announces, as on `/initialpose`.
 pub fn initial_pose(stamp_ns: i64, map_from_footprint: &Pose2, frames: &FrameNames) -> PoseWithCovarianceStamped {
     let mut message = PoseWithCovarianceStamped { header: Header::at(stamp_ns, &frames.map), ..Default::default() };
     message.pose.pose = Pose::from(map_from_footprint.to_isometry());

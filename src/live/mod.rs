@@ -1,15 +1,15 @@
-//! The agent on a robot: devices in, the same pipeline as a replay's, a capture out.
+//! Live recorder of a robot: reads devices, runs the same pipeline as a replay, writes a capture.
 
-mod agent;
-mod askers;
 mod control;
+mod control_clients;
 mod devices;
+mod event_loop;
 mod messages;
-mod meters;
-mod port;
-mod session;
+mod notifications;
+mod port_events;
+mod rates;
+mod session_control;
 mod status;
-mod telling;
 mod watchdog;
 
 use std::path::{Path, PathBuf};
@@ -32,29 +32,31 @@ use crate::recording::storage::Disk;
 use crate::recording::{repair, session_holding, sessions_of};
 use crate::tagging::error::AgentError;
 use crate::tagging::setup::SetupError;
-use agent::Agent;
 use control::Control;
 use devices::{Devices, channel};
-use session::setup;
+use event_loop::LiveRecorder;
+use session_control::setup;
 
+/// What `realitysim record` is asked to do.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
     pub captures: PathBuf,
     pub settings: Settings,
-    /// Pose of `base_footprint` at the start.
+    /// Announced pose of `base_footprint` in `map` at the start.
     pub initial: Option<Pose2>,
     pub threads: usize,
-    /// Go on from the state that the last agent left behind.
+    /// Go on from the filter state that the last recorder left behind.
     pub warm_start: bool,
-    /// Where questions and orders come in.
+    /// Path of the control socket.
     pub socket: PathBuf,
 }
 
+/// Why a recording cannot begin or go on.
 #[derive(Debug, Error)]
 pub enum RecordError {
-    #[error("mount.torso_height_m is not set: `record` must know where the camera is (docs/hardware.md)")]
+    #[error("mount.torso_height_m is not set: `record` must know where the camera is (docs/howto/robot.md)")]
     NoMount,
-    #[error("camera.lens is not set: `record` must know the camera's lens and size (docs/hardware.md)")]
+    #[error("camera.lens is not set: `record` must know the camera's lens and size (docs/howto/robot.md)")]
     NoLens,
     #[error("{captures}: the folder belongs to the capture {session}: name another with --output")]
     IntoCapture { captures: PathBuf, session: PathBuf },
@@ -70,29 +72,29 @@ pub enum RecordError {
     Agent(#[from] AgentError),
 }
 
-/// Repaired sessions that are told of.
+/// Messages about repaired sessions that can wait for the event loop.
 const MAX_REPAIRS_TOLD: usize = 64;
 
-/// Records until `stop`; `say` gets what people want to know as it happens.
+/// Records until `stop` and returns the last status. `say` gets messages for people as they come up.
 pub fn record(options: &RecordOptions, stop: &AtomicBool, say: &mut dyn FnMut(&str)) -> Result<Value, RecordError> {
     if let Some(session) = session_holding(&options.captures) {
         return Err(RecordError::IntoCapture { captures: options.captures.clone(), session });
     }
-    let lens = lens(&options.settings)?;
+    let lens = configured_lens(&options.settings)?;
     let clock_ns = utc_offset_ns();
     let (send, events) = channel();
     let control = Control::listen(&options.socket)
         .map_err(|source| RecordError::Socket { path: options.socket.clone(), source })?;
-    // What cannot be right is refused before a device is touched.
+    // A wrong setup is refused before a device is touched.
     setup(options, &lens, clock_ns + monotonic_ns(), Expected::default())?;
     let repairs = repair_in_the_background(&options.captures);
     let devices = Devices::start(&options.settings, (lens.width, lens.height), clock_ns, &send);
     drop(send);
-    let mut agent = Agent::new(options, lens, clock_ns, devices, control, repairs);
-    let recorded = agent.run(&events, stop, say);
-    let Agent { devices, mut status, .. } = agent;
+    let mut recorder = LiveRecorder::new(options, lens, clock_ns, devices, control, repairs);
+    let recorded = recorder.run(&events, stop, say);
+    let LiveRecorder { devices, mut status, .. } = recorder;
     devices.stop();
-    // Their last words are not recorded any more: the session is whole.
+    // Events that arrive from here on are not recorded: the session has ended.
     drop(events);
     devices.join();
     recorded?;
@@ -100,15 +102,16 @@ pub fn record(options: &RecordOptions, stop: &AtomicBool, say: &mut dyn FnMut(&s
     Ok(json!(status))
 }
 
-fn lens(settings: &Settings) -> Result<LensParameters, RecordError> {
+/// Parameters of the configured lens.
+fn configured_lens(settings: &Settings) -> Result<LensParameters, RecordError> {
     let file = settings.camera.lens.as_ref().ok_or(RecordError::NoLens)?;
     Ok(load_lens(file)?.lens.parameters().clone())
 }
 
-/// What a crash has left of earlier sessions is finished beside the recording, which does not wait for it.
+/// Repairs earlier sessions that a crash left unfinished, in a thread of its own, and returns its messages.
 fn repair_in_the_background(captures: &Path) -> Receiver<String> {
     let (send, repairs) = bounded(MAX_REPAIRS_TOLD);
-    // Those that are there before this one begins.
+    // Listed here, so that the session about to begin is not among them.
     let sessions = sessions_of(&Disk, captures);
     std::thread::spawn(move || {
         for session in sessions {
@@ -117,31 +120,31 @@ fn repair_in_the_background(captures: &Path) -> Receiver<String> {
                 Ok(repaired) => repaired.to_string(),
                 Err(error) => format!("an earlier session is not whole, and cannot be repaired: {error}"),
             };
-            // Who has no time to hear it can ask `sessions repair`.
+            // A message that finds no room is dropped; `sessions repair` shows the same.
             let _ = send.try_send(said);
         }
     });
     repairs
 }
 
-/// A flag that is set by SIGINT and SIGTERM.
+/// Returns a flag that SIGINT and SIGTERM set. A second signal ends the process at once.
 pub fn stop_flag() -> std::io::Result<Arc<AtomicBool>> {
-    let (stop, again) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+    let (stop, end_at_once) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        // A second one ends at once.
-        signal_hook::flag::register_conditional_default(signal, Arc::clone(&again))?;
+        // `end_at_once` becomes true some time after the first signal; from then on a signal has its default effect.
+        signal_hook::flag::register_conditional_default(signal, Arc::clone(&end_at_once))?;
         signal_hook::flag::register(signal, Arc::clone(&stop))?;
     }
     let stopped = Arc::clone(&stop);
     std::thread::spawn(move || {
         while !stopped.load(Ordering::Relaxed) {
-            std::thread::sleep(ONE_WISH / 4);
+            std::thread::sleep(SIGNAL_GROUPING_TIME / 4);
         }
-        std::thread::sleep(ONE_WISH);
-        again.store(true, Ordering::Relaxed);
+        std::thread::sleep(SIGNAL_GROUPING_TIME);
+        end_at_once.store(true, Ordering::Relaxed);
     });
     Ok(stop)
 }
 
-/// Signals within this time are one: `timeout` and a terminal may send theirs to the process and to its group.
-const ONE_WISH: Duration = Duration::from_millis(200);
+/// Signals within this time count as one: `timeout` and a terminal may send theirs to the process and to its group.
+const SIGNAL_GROUPING_TIME: Duration = Duration::from_millis(200);

@@ -1,4 +1,4 @@
-//! How a running agent is: for `realitysim status` and for the log.
+//! Status of a running recorder, for `realitysim status` and for the log.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -7,8 +7,8 @@ use std::time::Instant;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::meters::{BudgetUse, FilterUse, Rates, Validity};
-use super::port::Port;
+use super::port_events::Port;
+use super::rates::{BudgetUse, FilterUse, Rates, Validity};
 use crate::devices::camera::StampClock;
 use crate::devices::serial::LineStatus;
 use crate::geometry::{PoseGrid, longest_axis};
@@ -16,6 +16,7 @@ use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Header, KeyValue};
 use crate::ros2::topics::DIAGNOSTICS_PREFIX;
 
+/// Answer to `realitysim status`, also the result of `realitysim record`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Status {
     /// `listening` (before the first session), `recording`, `stopped` or `ended`.
@@ -23,81 +24,86 @@ pub struct Status {
     pub session: Option<PathBuf>,
     pub counts: Counts,
     pub recorder: RecorderStatus,
-    /// Why the last session is not whole.
+    /// Why the last session is not complete.
     pub unfinished: Option<String>,
-    /// Of the sessions of this recorder that have ended before this one.
+    /// Sums over the sessions of this process that ended before the present one.
     pub earlier: Earlier,
-    /// What was left of earlier recorders' sessions.
+    /// Messages about sessions of earlier recorders that were repaired.
     pub repaired: Vec<String>,
-    /// What the camera agreed to.
+    /// Format, size and controls that the camera agreed to.
     pub camera: Value,
-    /// Why there is none at the moment.
+    /// Cause of the camera's absence, while it is absent.
     pub camera_lost: Option<&'static str>,
     pub stamp_clock: Option<StampClock>,
-    /// Of the last second.
+    /// Rates over the last second.
     pub rates: Rates,
-    /// Frames between camera and agent, of at most 16; between agent and disk: `recorder`.
+    /// Frames waiting between camera and event loop, at most 16. `recorder` counts those between event loop and disk.
     pub camera_waiting: u64,
-    /// Of the frames that are passed on to other programs, if they are.
+    /// Frames passed on to other programs, if that is configured.
     pub republished: Option<PassedOn>,
     pub budget: BudgetUse,
     pub validity: Validity,
     pub filter: FilterUse,
     pub ports: BTreeMap<String, Port>,
-    /// Or a prediction, while there are no frames: its `reason` is `no_frame`.
+    /// Latest tag. While no frames come it is a prediction with `reason` `no_frame`.
     pub last_tag: Option<LastTag>,
-    /// Which cells of the pose grid the session has images of.
+    /// Cells of the pose grid that the session has images of.
     pub coverage: Option<CoverageStatus>,
 }
 
+/// Sums over earlier sessions of the same process.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Earlier {
     pub sessions: u64,
     pub counts: Counts,
     pub frames_refused: u64,
-    /// Those that are not whole.
+    /// Sessions that could not be completed.
     pub unfinished: u64,
 }
 
+/// Coverage of the pose grid, as numbers and as a map.
 #[derive(Clone, Debug, Serialize)]
 pub struct CoverageStatus {
     #[serde(flatten)]
     pub grid: PoseGrid,
-    /// The field from above, a letter for each cell: `PoseGrid::text`.
+    /// The field from above, a letter for each cell, made by `PoseGrid::text`.
     pub map: Vec<String>,
 }
 
+/// Frames passed on to another video device.
 #[derive(Clone, Debug, Serialize)]
 pub struct PassedOn {
     pub device: String,
     pub passed: u64,
-    /// Nobody read them, or the device was not there.
+    /// Frames that nobody read, or for which the device was absent.
     pub missed: u64,
     pub lost: Option<String>,
 }
 
+/// Summary of the latest tag.
 #[derive(Clone, Debug, Serialize)]
 pub struct LastTag {
     pub sequence: u64,
     pub valid: bool,
     pub reason: String,
-    /// The mirror pose is as likely.
+    /// The mirror pose explains the frame as well.
     pub ambiguous: bool,
-    /// Standard deviation of the place, along its longer axis.
+    /// Standard deviation of the position along its longer axis, metres.
     pub sigma_m: f64,
     pub x_m: f64,
     pub y_m: f64,
     pub yaw_rad: f64,
     pub elapsed_ms: f64,
-    /// Since it came.
+    /// Time since the tag came, seconds.
     pub age_s: f64,
     #[serde(skip)]
     came: Instant,
 }
 
 impl Status {
-    /// What was counted of the session before is kept: at the end it is asked whether anything was lost.
-    pub fn begin_anew(&mut self) {
+    /// Adds the counts of the last session to `earlier` and clears them: at the end the sums show whether anything was
+    /// lost.
+    pub fn begin_session(&mut self) {
         let earlier = &mut self.earlier;
         earlier.sessions += 1;
         earlier.counts.add(&core::mem::take(&mut self.counts));
@@ -106,13 +112,14 @@ impl Status {
         (self.session, self.last_tag) = (None, None);
     }
 
-    pub fn grow_older(&mut self) {
+    /// Updates the age of the latest tag.
+    pub fn update_age(&mut self) {
         if let Some(last) = &mut self.last_tag {
             last.age_s = last.came.elapsed().as_secs_f64();
         }
     }
 
-    pub fn tagged(&mut self, tag: &FrameTag) {
+    pub fn set_last_tag(&mut self, tag: &FrameTag) {
         let (position, covariance) = (&tag.pose.pose.position, &tag.pose.covariance);
         self.last_tag = Some(LastTag {
             sequence: tag.sequence,
@@ -133,7 +140,7 @@ impl Status {
         self.ports.entry(device.to_owned()).or_default()
     }
 
-    /// Clocks and counts of the ports, once a second.
+    /// Makes the diagnostics message with counts and clocks of the ports.
     pub fn diagnostics(&self, now_ns: i64, robot: &str) -> DiagnosticArray {
         let status = self.ports.iter().map(|(device, port)| {
             let mut values = Vec::new();
@@ -158,7 +165,7 @@ impl Status {
                     values.push(value(&of("restarts"), clock.clock.restarts));
                 }
             }
-            let wrong = port.wrong();
+            let wrong = port.problem();
             DiagnosticStatus {
                 level: if wrong.is_some() { DiagnosticStatus::WARN } else { DiagnosticStatus::OK },
                 name: format!("{DIAGNOSTICS_PREFIX}port {device}"),
@@ -171,8 +178,8 @@ impl Status {
     }
 }
 
-/// One thing that happened.
-pub fn note(now_ns: i64, robot: &str, about: &str, what: &str, said: &str) -> DiagnosticArray {
+/// Makes the diagnostics message for one event.
+pub fn event_report(now_ns: i64, robot: &str, about: &str, what: &str, said: &str) -> DiagnosticArray {
     let status = DiagnosticStatus {
         level: if matches!(what, "mark" | "recovered") { DiagnosticStatus::OK } else { DiagnosticStatus::WARN },
         name: format!("{DIAGNOSTICS_PREFIX}{about}"),

@@ -1,33 +1,34 @@
-//! Whether what must go on does go on: systemd begins the recorder anew when it is not told so.
+//! Decides when systemd's watchdog is fed. systemd restarts the recorder when it is not.
 
 use std::time::{Duration, Instant};
 
-/// Who goes round, by counts that stand still when they do.
+/// Round counters of the watched threads; a counter stands still when its thread does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rounds {
     pub camera: u64,
-    /// While there is a session.
+    /// Counter of the recording thread, while there is a session.
     pub recorder: Option<u64>,
 }
 
-/// Of the camera's thread and the recorder's; the agent's own is the one that asks.
+/// Watches the camera's thread and the recording thread. The event loop is the caller.
 #[derive(Debug, Default)]
 pub struct Watchdog {
     fed: Rounds,
-    recorder_went_round: Option<Instant>,
+    recorder_progress_at: Option<Instant>,
 }
 
-/// A disk that stands still for this long does not come back. Until then the recorder is waited for: beginning anew would cost
-/// what it holds, and bring nothing.
+/// A disk that stands still for this long does not come back. Until then the recording thread is waited for: a restart
+/// would lose what it holds and gain nothing.
 const MAX_STALL: Duration = Duration::from_secs(60);
 
 impl Watchdog {
-    /// Whether both got on since this was last true.
-    pub fn is_fed(&mut self, rounds: Rounds, now: Instant) -> bool {
+    /// Returns whether the watchdog is to be fed: the camera's thread made progress since the last feeding, and the
+    /// recording thread does not stall.
+    pub fn check_progress(&mut self, rounds: Rounds, now: Instant) -> bool {
         if rounds.recorder.is_none() || rounds.recorder != self.fed.recorder {
-            (self.fed.recorder, self.recorder_went_round) = (rounds.recorder, Some(now));
+            (self.fed.recorder, self.recorder_progress_at) = (rounds.recorder, Some(now));
         }
-        let stalls = self.recorder_went_round.is_some_and(|went| now.duration_since(went) >= MAX_STALL);
+        let stalls = self.recorder_progress_at.is_some_and(|went| now.duration_since(went) >= MAX_STALL);
         let fed = rounds.camera != self.fed.camera && !stalls;
         if fed {
             self.fed.camera = rounds.camera;
@@ -41,10 +42,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_fed_while_camera_and_recorder_both_go_round_and_a_stall_is_waited_for() {
+    fn it_is_fed_while_both_threads_progress_or_a_stall_is_short() {
         let (mut watchdog, began) = (Watchdog::default(), Instant::now());
         let mut fed = |camera, recorder, after_s| {
-            watchdog.is_fed(Rounds { camera, recorder }, began + Duration::from_secs(after_s))
+            watchdog.check_progress(Rounds { camera, recorder }, began + Duration::from_secs(after_s))
         };
         assert!(fed(1, None, 0), "no session: the camera is enough");
         assert!(!fed(1, None, 1), "the camera's thread hangs");

@@ -21,7 +21,7 @@ use crate::kinds::{self, KINDS, Kind};
 use crate::support::own_log;
 use crate::walks::{Walk, Walks, options, replayed};
 
-const DOCUMENT: &str = include_str!("../../docs/attack.md");
+const DOCUMENT: &str = include_str!("../../docs/explanation/attack.md");
 /// Without being asked for more: what `cargo test` waits for.
 const USUAL_S: u64 = 10;
 /// A case that takes longer hangs. Where no frame can be placed a replay ends with a search for the cause, which takes seconds.
@@ -63,7 +63,7 @@ pub fn run() -> ExitCode {
         seconds => (seconds, std::thread::available_parallelism().map_or(1, usize::from)),
     };
     for Kind { name, .. } in &KINDS {
-        assert!(DOCUMENT.contains(&format!("\n| {name} | ")), "docs/attack.md lacks a row of {name}");
+        assert!(DOCUMENT.contains(&format!("\n| {name} | ")), "docs/explanation/attack.md lacks a row of {name}");
     }
     sound_logs_are_tagged(folder.path());
     let campaign = Campaign {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use realitysim::ros2::messages::{DiagnosticArray, FrameTag};
 use realitysim::ros2::{LogMessage, LogReader, Message, Selection};
 use realitysim::tagging::ReplayReport;
-use realitysim::tagging::state::last_state;
+use realitysim::tagging::warm_start::last_state;
 
 use crate::case::{Class, Finding, Outcome, Taken};
 use crate::fields::fields;

@@ -1,4 +1,4 @@
-//! Damaged inputs of every kind against the program: `./dev attack`. docs/attack.md says what is attacked and what counts as a
+//! Damaged inputs of every kind against the program: `./dev attack`. docs/explanation/attack.md says what is attacked and what counts as a
 //! finding.
 //!
 //! The campaign runs its cases in processes of their own (this same binary again), whose memory is bounded: whatever a case does

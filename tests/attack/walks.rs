@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use realitysim::config::Settings;
 use realitysim::database;
-use realitysim::log_input::scene::{SceneSource, parse};
+use realitysim::log_input::scene_source::{SceneSource, parse};
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::PoseStamped;
 use realitysim::tagging::{ReplayOptions, ReplayReport, replay};

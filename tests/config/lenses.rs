@@ -66,7 +66,7 @@ fn a_wrong_file_of_ours_names_the_key() {
         ("\"kannala_brandt\"", "\"equisolid\"", "equisolid takes no coefficients: remove it"),
         ("\"kannala_brandt\"", "\"plumb_bob\"", "plumb_bob takes d: remove it"),
         ("k = [", "#", "k is missing: it must have four numbers"),
-        ("fx = 205.0", "fx = -205.0", "fx is -205: a focal length must be a positive number of pixels"),
+        ("fx = 205.0", "fx = -205.0", "fx is -205.0: a focal length must be a positive number of pixels"),
         ("fov_deg = 200.0", "fov = 200.0", "unknown field `fov`"),
         ("width = 640", "width = -640", "-640"),
         ("0.003", "-0.3", "the distortion polynomial turns back"),

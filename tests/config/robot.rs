@@ -1,4 +1,4 @@
-//! `config/robot.toml` and docs/formats.md name the same keys.
+//! `config/robot.toml` and docs/reference/formats.md name the same keys.
 
 use std::collections::BTreeSet;
 
@@ -21,7 +21,7 @@ fn shipped() -> BTreeSet<String> {
 
 /// First column of the table in the section "Robot config"; the first key of a row says the section of all.
 fn documented() -> BTreeSet<String> {
-    let text = std::fs::read_to_string("docs/formats.md").expect("docs/formats.md");
+    let text = std::fs::read_to_string("docs/reference/formats.md").expect("docs/reference/formats.md");
     let section = text.split("\n## Robot config").nth(1).expect("the section").split("\n## ").next().expect("its text");
     let mut keys = BTreeSet::new();
     for row in section.lines().filter(|line| line.starts_with("| `")) {
@@ -30,7 +30,7 @@ fn documented() -> BTreeSet<String> {
         let prefix = names[0].rsplit_once('.').map_or(String::new(), |(prefix, _)| format!("{prefix}."));
         for name in names {
             let key = if name.contains('.') || prefix.is_empty() { name.to_owned() } else { format!("{prefix}{name}") };
-            assert!(keys.insert(key), "docs/formats.md names {name} twice");
+            assert!(keys.insert(key), "docs/reference/formats.md names {name} twice");
         }
     }
     keys
@@ -41,6 +41,6 @@ fn every_key_of_the_shipped_config_is_documented_and_no_other() {
     let (shipped, documented) = (shipped(), documented());
     assert!(shipped.len() > 50, "{shipped:?}");
     let only = |a: &BTreeSet<String>, b: &BTreeSet<String>| a.difference(b).cloned().collect::<Vec<_>>();
-    assert_eq!(only(&shipped, &documented), [""; 0], "docs/formats.md lacks these");
+    assert_eq!(only(&shipped, &documented), [""; 0], "docs/reference/formats.md lacks these");
     assert_eq!(only(&documented, &shipped), [""; 0], "config/robot.toml lacks these");
 }

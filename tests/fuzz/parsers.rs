@@ -13,13 +13,14 @@ use mavlink::Message as _;
 use mavlink::dialects::common::MavMessage;
 use realitysim::config::lenses::LensWanted;
 use realitysim::config::{Settings, Topics, field_names, load_field, parse_field, parse_lens};
-use realitysim::database::{Gallery, Index, Metric, write_index};
+use realitysim::database::{ImageDatabase, Index, Metric, write_index};
 use realitysim::devices::serial::Line;
 use realitysim::evaluation::reference::Reference;
 use realitysim::evaluation::suite::Suite;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
+use realitysim::localization::Rejection;
 use realitysim::log_input::synchroniser::Synchroniser;
-use realitysim::log_input::{decode, intake};
+use realitysim::log_input::{decode, measurement};
 use realitysim::recording::{missing_parts, read_info};
 use realitysim::ros2::messages::{
     CameraInfo, CompressedImage, DiagnosticArray, FrameTag, Image, ImageView, Imu, JointState, Odometry, PoseStamped,
@@ -53,7 +54,7 @@ pub fn mcap(bytes: &[u8]) {
         let Ok(mut log) = LogReader::open(Cursor::new(bytes), selection) else { continue };
         // Many index entries may lead to the same chunk.
         for message in log.by_ref().take(2000).map_while(Result::ok) {
-            let _ = intake::read(&message, &topics, &Settings::default().head);
+            let _ = measurement::read(&message, &topics, &Settings::default().head);
             assert!(message.data.len() as u64 <= realitysim::ros2::cdr::MAX_MESSAGE_BYTES as u64);
         }
         let _ = log.damage();
@@ -91,7 +92,7 @@ fn message<M: Message>(data: &[u8], topic: &str) {
     let channel = Arc::new(Channel::of::<M>(1, topic, Default::default()));
     let message = LogMessage { channel, sequence: 0, log_time_ns: 1, publish_time_ns: 1, data: data.to_vec() };
     let mut synchroniser = Synchroniser::new(settings.frames.clone(), Default::default());
-    if let Ok(input) = intake::read(&message, &settings.topics, &settings.head) {
+    if let Ok(input) = measurement::read(&message, &settings.topics, &settings.head) {
         synchroniser.push(&message, input);
     }
     synchroniser.finish();
@@ -249,13 +250,13 @@ pub fn checkpoint(bytes: &[u8]) {
     let lens = Lens::new(small_lens()).expect("a lens");
     let mut tagger = Tagger::new(&settings, field, &lens, checkpoint.tagger);
     let mut synchroniser = Synchroniser::new(settings.frames.clone(), checkpoint.synchroniser);
-    let input = intake::Input::Frame { stamp_ns: 2_000_000_000, frame_id: "camera".to_owned() };
+    let input = measurement::Measurement::Frame { stamp_ns: 2_000_000_000, frame_id: "camera".to_owned() };
     let channel = Arc::new(Channel::of::<CompressedImage>(1, &settings.topics.image, Default::default()));
     let message = LogMessage { channel, sequence: 0, log_time_ns: 1, publish_time_ns: 1, data: Vec::new() };
     synchroniser.push(&message, input);
     synchroniser.finish();
     while let Some(frame) = synchroniser.pop() {
-        let tag = tagger.tag_blind(frame.stamp_ns, &frame.robot, "no_lines");
+        let tag = tagger.tag_blind(frame.stamp_ns, &frame.robot, Rejection::FewLines);
         assert!(!tag.valid);
     }
 }
@@ -288,5 +289,5 @@ pub fn capture(bytes: &[u8]) {
     }
     write_index(&folder.path().join("index-000001.bin"), Vec::new()).expect("written");
     let _ = (read_info(folder.path()), missing_parts(folder.path()));
-    let _ = Gallery::open(folder.path(), &Settings::default().views);
+    let _ = ImageDatabase::open(folder.path(), &Settings::default().views);
 }

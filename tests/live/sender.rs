@@ -1,4 +1,4 @@
-//! The example of docs/formats.md, as it stands there: a team's own process that shares its camera with the recorder.
+//! The example of docs/reference/formats.md, as it stands there: a team's own process that shares its camera with the recorder.
 
 use std::process::Command;
 
@@ -24,7 +24,7 @@ fn ten_lines_of_python_are_a_camera() {
     for (number, image) in images.iter().enumerate() {
         std::fs::write(room.path().join(format!("{number}.jpg")), image).expect("written");
     }
-    let text = std::fs::read_to_string("docs/formats.md").expect("docs");
+    let text = std::fs::read_to_string("docs/reference/formats.md").expect("docs");
     let (_, example) = text.split_once("```python\nimport socket, struct, time\n").expect("the example");
     let (example, _) = example.split_once("```").expect("its end");
     let socket = room.path().join("camera.sock");

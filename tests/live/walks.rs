@@ -40,7 +40,7 @@ fn a_walk_is_tagged_live_and_its_capture_gives_the_same_tags() {
     let said = recorder.room.run("status --socket control.sock");
     for part in [
         "last second:",
-        "wait for the agent",
+        "wait to be taken",
         "wait for the disk",
         "ms each",
         "of the last",

@@ -12,7 +12,7 @@ use realitysim::localization::random::{Purpose, Stream};
 use realitysim::localization::resampling::{Copies, residual};
 use realitysim::localization::weights::normalise;
 use realitysim::scene::{Renderer, Scene, SceneFile};
-use realitysim::vision::{GroundTable, Picture, Reading, Vision, VisionSettings};
+use realitysim::vision::{GroundTable, Picture, TableQuantity, Vision, VisionSettings};
 
 use realitysim_test_support::measured::largest_error;
 
@@ -35,7 +35,7 @@ fn table() -> &'static GroundTable {
         renderer.render_from(&(STANDS.to_isometry() * link), 0, &mut pixels);
         let picture = Picture::from_rgb(640, 480, &pixels).expect("a picture");
         let settings = VisionSettings {
-            reading: Reading::Contrast,
+            reading: TableQuantity::Contrast,
             line_width_m: field().line_width(),
             range_m: 0.0,
             tilt_sigma_rad: 0.012,

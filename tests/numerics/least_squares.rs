@@ -10,7 +10,7 @@ use realitysim::geometry::{Euler, Field, Isometry};
 use realitysim::localization::random::{Purpose, Stream};
 use realitysim::localization::refinement::{Prior, Refined, Refiner, error_between, moved_pose};
 use realitysim::scene::{Renderer, Scene, SceneFile};
-use realitysim::vision::{Picture, Reading, Seen, Vision, VisionSettings};
+use realitysim::vision::{Observations, Picture, TableQuantity, Vision, VisionSettings};
 
 use realitysim_test_support::measured::largest_error;
 
@@ -30,7 +30,7 @@ fn bench() -> &'static Bench {
         let scene = Scene::build(file, dimensions.clone(), lens.parameters().clone()).expect("possible");
         let field = Field::new(dimensions).expect("possible");
         let settings = VisionSettings {
-            reading: Reading::Contrast,
+            reading: TableQuantity::Contrast,
             line_width_m: field.line_width(),
             range_m: 0.0,
             tilt_sigma_rad: 0.012,
@@ -46,7 +46,7 @@ fn bench() -> &'static Bench {
 }
 
 impl Bench {
-    fn seen(&self, map_from_optical: &Isometry, index: u64) -> Seen {
+    fn seen(&self, map_from_optical: &Isometry, index: u64) -> Observations {
         let link = *map_from_optical * Isometry::link_from_optical().inverse();
         let mut pixels = Vec::new();
         self.renderer.render_from(&link, index, &mut pixels);
@@ -58,7 +58,7 @@ impl Bench {
         self.vision.look(&picture, &(footprint * Isometry::link_from_optical()), None)
     }
 
-    fn refined(&self, seen: &Seen, prior: &Prior, starts: &[Vector6<f64>]) -> Refined {
+    fn refined(&self, seen: &Observations, prior: &Prior, starts: &[Vector6<f64>]) -> Refined {
         let refined = self.refiner.clone().refine(&seen.image, prior, starts).expect("a covariance");
         let c = &refined.covariance;
         assert!(c.iter().chain(&refined.moved).all(|value| value.is_finite()) && refined.cost.is_finite());

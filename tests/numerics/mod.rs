@@ -1,5 +1,5 @@
 //! Hard cases of the numbers: each fails in a well-known library, or could fail here. One file, one kind of case;
-//! docs/numerics.md is their table, `table` holds it to the tests.
+//! docs/reference/numerics.md is their table, `table` holds it to the tests.
 
 mod circular;
 mod images;

@@ -5,7 +5,7 @@ use realitysim::geometry::Pose2;
 use realitysim::localization::observation::reading;
 use realitysim::localization::{Formula, Model};
 use realitysim::ros2::messages::FrameTag;
-use realitysim::vision::Reading;
+use realitysim::vision::TableQuantity;
 
 use super::support::{Robot, small_lens};
 
@@ -46,10 +46,10 @@ fn every_alpha_from_a_millionth_to_a_billion_gives_weights() {
 fn no_two_choices_of_a_config_can_be_mixed_up() {
     let parsed = |lines: &str| Settings::parse(&format!("[filter]\n{lines}"), "robot.toml");
     for (model, formula, expected) in [
-        ("gauss", "corrected", Reading::Contrast),
-        ("distance", "corrected", Reading::Nearest),
-        ("gauss", "paper", Reading::Gray),
-        ("distance", "paper", Reading::NearestPixel),
+        ("gauss", "corrected", TableQuantity::Contrast),
+        ("distance", "corrected", TableQuantity::Nearest),
+        ("gauss", "paper", TableQuantity::Gray),
+        ("distance", "paper", TableQuantity::NearestPixel),
     ] {
         let settings = parsed(&format!("formula = \"{formula}\"\nmodel = \"{model}\"")).expect("possible");
         assert_eq!(reading(settings.filter.model, settings.filter.formula), expected, "{model} {formula}");

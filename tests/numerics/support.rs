@@ -3,9 +3,9 @@
 use glam::{DVec2, DVec3};
 use realitysim::config::{Settings, load_field, load_lens};
 use realitysim::geometry::{Euler, Field, Isometry, Lens, LensParameters, Pose2};
-use realitysim::localization::LocalizerState;
 use realitysim::localization::observation::reading;
-use realitysim::log_input::synchroniser::{InitialPose, RobotAt};
+use realitysim::localization::{LocalizerState, Rejection};
+use realitysim::log_input::synchroniser::{InitialPose, RobotState};
 use realitysim::log_input::transforms::CameraPlace;
 use realitysim::ros2::messages::FrameTag;
 use realitysim::scene::{Renderer, Scene, SceneFile};
@@ -131,8 +131,8 @@ impl Robot {
         Picture::from_rgb(width, height, &pixels).expect("a picture")
     }
 
-    fn told(&self) -> RobotAt {
-        RobotAt {
+    fn told(&self) -> RobotState {
+        RobotState {
             odometry: self.odometry,
             odometry_until_ns: Some(self.stamp_ns),
             place: Ok(CameraPlace {
@@ -178,7 +178,7 @@ impl Robot {
     /// What it makes of odometry alone.
     pub fn foresee(&mut self, ahead: &mut LocalizerState) -> Option<FrameTag> {
         let told = self.told();
-        let tag = self.tagger.foresee(self.stamp_ns, &told, ahead, "no_frame");
+        let tag = self.tagger.foresee(self.stamp_ns, &told, ahead, Rejection::NoFrame);
         tag.iter().for_each(assert_sound);
         tag
     }

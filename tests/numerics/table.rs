@@ -1,11 +1,11 @@
-//! docs/numerics.md says what the tests say: each test that it names exists, and each figure is the one that its test
+//! docs/reference/numerics.md says what the tests say: each test that it names exists, and each figure is the one that its test
 //! asserts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-const DOCUMENT: &str = "docs/numerics.md";
+const DOCUMENT: &str = "docs/reference/numerics.md";
 /// Every test of this folder has its row.
 const FOLDER: &str = "tests/numerics";
 

@@ -6,7 +6,7 @@ use std::process::Command;
 use realitysim::config::{LensWanted, parse_lens};
 use realitysim::geometry::{Pose2, wrap_angle};
 
-/// The field that fits these images best of those shipped (docs/paper.md).
+/// The field that fits these images best of those shipped (docs/explanation/paper.md).
 const FIELD: &str = "kid-2014";
 
 struct Found {

@@ -1,4 +1,4 @@
-//! The workflow of docs/ci.md, step by step, on a sample repository.
+//! The workflow of docs/howto/ci.md, step by step, on a sample repository.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use tempfile::TempDir;
 
 use super::support::walk;
 
-const GUIDE: &str = include_str!("../../docs/ci.md");
+const GUIDE: &str = include_str!("../../docs/howto/ci.md");
 
 /// A team's repository with its log, as checked out by a server.
 struct Repository {

@@ -4,7 +4,7 @@ use std::fs;
 
 use realitysim::config::Settings;
 use realitysim::ros2::messages::{CompressedImage, FrameTag, PoseStamped};
-use realitysim::tagging::{Footage, FootageOptions};
+use realitysim::tagging::{FrameCache, FrameCacheOptions};
 use serde_json::Value;
 
 use super::support::{IMAGE, Room, TRUTH, assert_same, changed, on, walk, without};
@@ -74,8 +74,8 @@ fn frames_that_are_kept_get_the_tags_of_a_replay() {
     let room = Room::with_walk();
     let settings = Settings::default();
     let source = room.path("log.mcap");
-    let options = FootageOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s: None };
-    let footage = Footage::load(&options, &mut |_, _| {}).unwrap();
+    let options = FrameCacheOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s: None };
+    let footage = FrameCache::load(&options, &mut |_, _| {}).unwrap();
     for _ in 0..2 {
         let attempts = footage.try_out(&settings, &mut |_| {}).unwrap();
         let tags: Vec<FrameTag> = (attempts.into_iter().zip(&walk().tags))

@@ -4,8 +4,8 @@ use std::fs;
 
 use glam::DVec3;
 use realitysim::config::load_field;
-use realitysim::database::{Catalogue, Gallery, Wanted};
-use realitysim::evaluation::views::Lawn;
+use realitysim::database::{Catalogue, ImageDatabase, ViewQuery};
+use realitysim::evaluation::views::TruthRenderer;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
 use realitysim::views::{Camera, Method, SURE, Vignetting, similarity};
 
@@ -26,7 +26,7 @@ fn pose([x, y, yaw_deg]: [f64; 3]) -> Isometry {
 }
 
 /// A lawn as a lens with this darkening shows it.
-fn picture(lawn: &Lawn, camera: &Camera, place: [f64; 3], dark: &Vignetting) -> (image::RgbImage, Vec<bool>) {
+fn picture(lawn: &TruthRenderer, camera: &Camera, place: [f64; 3], dark: &Vignetting) -> (image::RgbImage, Vec<bool>) {
     let (raster, ground) = lawn.render(&pose(place));
     let picture = image::RgbImage::from_fn(320, 240, |u, v| {
         let light = dark.at(camera.lens(), f64::from(u), f64::from(v));
@@ -41,7 +41,7 @@ fn a_lens_that_darkens_is_measured_and_its_views_are_the_better_for_it() {
     let (room, lens) = (Room::new(), lens());
     let field = Field::new(load_field("kid-2009").expect("shipped")).expect("a field");
     let (lawn, camera, dark) =
-        (Lawn::new(&field, &lens, false), Camera::new(&lens), Vignetting { k: [-0.45, 0.08, 0.0] });
+        (TruthRenderer::new(&field, &lens, false), Camera::new(&lens), Vignetting { k: [-0.45, 0.08, 0.0] });
     let places: Vec<[f64; 3]> = (0..14)
         .map(|i| {
             let part = |step: f64| ((f64::from(i) + 0.5) * step).fract();
@@ -69,11 +69,11 @@ fn a_lens_that_darkens_is_measured_and_its_views_are_the_better_for_it() {
     let wanted = [0.05, 0.1, -5.0];
     let (truth, ground) = picture(&lawn, &camera, wanted, &dark);
     let truth: Vec<[u8; 4]> = truth.pixels().map(|pixel| [pixel.0[0], pixel.0[1], pixel.0[2], SURE]).collect();
-    let psnr = |gallery: &Gallery, width: Option<u32>| {
+    let psnr = |gallery: &ImageDatabase, width: Option<u32>| {
         let camera = width.map(|_| std::sync::Arc::new(Camera::new(&lens)));
         let (method, max_distance_m, without) = (Method::Exact, f64::INFINITY, Vec::new());
         let asked =
-            Wanted { map_from_link: pose(wanted), method, camera, max_distance_m, may_be_stored: true, without };
+            ViewQuery { map_from_link: pose(wanted), method, camera, max_distance_m, may_be_stored: true, without };
         let shown = gallery.view(&asked).expect("a view").answer.image;
         let both: Vec<bool> = shown.pixels.iter().map(|pixel| pixel[3] == SURE).collect();
         similarity(&truth, &shown.pixels, 320, &ground, &both).psnr_db

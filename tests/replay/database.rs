@@ -4,7 +4,7 @@ use std::fs;
 
 use image::RgbImage;
 use realitysim::config::Settings;
-use realitysim::database::Gallery;
+use realitysim::database::ImageDatabase;
 use realitysim::ros2::messages::CompressedImage;
 use realitysim::ros2::{LogMessage, Message};
 use realitysim::views::{Surface, Target, World};
@@ -28,7 +28,7 @@ pub fn walked() -> (Room, Vec<LogMessage>) {
     (room, images)
 }
 
-fn at(gallery: &Gallery, number: usize) -> (String, i64) {
+fn at(gallery: &ImageDatabase, number: usize) -> (String, i64) {
     let record = gallery.index().record(number);
     let (pose, euler) = (record.pose(), record.pose().euler());
     let [yaw, pitch, roll] = [euler.yaw, euler.pitch, euler.roll].map(f64::to_degrees);
@@ -36,8 +36,8 @@ fn at(gallery: &Gallery, number: usize) -> (String, i64) {
     (format!("--x {} --y {} --z {} --yaw {yaw} --pitch {pitch} --roll {roll}", p.x, p.y, p.z), record.stamp_ns)
 }
 
-pub fn open(room: &Room) -> Gallery {
-    Gallery::open(&room.path("db"), &Settings::default().views).expect("a database")
+pub fn open(room: &Room) -> ImageDatabase {
+    ImageDatabase::open(&room.path("db"), &Settings::default().views).expect("a database")
 }
 
 #[test]
@@ -396,7 +396,7 @@ fn goals_stand_where_images_show_them() {
     }
     room.write("painted/poses.csv", poses);
     room.run("db add painted --db other --field kid-2009").succeeds();
-    let other = Gallery::open(&room.path("other"), &Settings::default().views).expect("a database");
+    let other = ImageDatabase::open(&room.path("other"), &Settings::default().views).expect("a database");
     assert!(other.catalogue().sources[0].goals);
     assert!(!room.run("db stats --db other").stdout.contains("without goals"));
     assert!(room.run("db stats --db db").stdout.contains("without goals"));
@@ -565,7 +565,8 @@ fn whoever_opens_a_database_that_changes_has_the_old_one_or_the_new() {
     std::thread::scope(|scope| {
         let changing = scope.spawn(change);
         while !changing.is_finished() {
-            let gallery = Gallery::open(&room.path("db"), &Settings::default().views).expect("the old one or the new");
+            let gallery =
+                ImageDatabase::open(&room.path("db"), &Settings::default().views).expect("the old one or the new");
             assert!((1..=2).contains(&gallery.index().len()));
             opened += 1;
         }

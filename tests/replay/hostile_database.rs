@@ -4,7 +4,7 @@ use std::fs;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use realitysim::config::Settings;
-use realitysim::database::{DatabaseError, Gallery, TagLimits, add, remove, stats};
+use realitysim::database::{DatabaseError, ImageDatabase, TagLimits, add, remove, stats};
 
 use super::database::{CAMERA_INFO, POSES, walked};
 use super::support::Room;
@@ -67,7 +67,7 @@ fn opening_never_meets_a_database_between_two_of_its_states() {
             }
         });
         while !done.load(Ordering::Relaxed) {
-            let images = Gallery::open(&db, &Settings::default().views).expect("whole").index().len();
+            let images = ImageDatabase::open(&db, &Settings::default().views).expect("whole").index().len();
             assert!((1..=2).contains(&images));
             // Faster, and so more often between two states.
             for _ in 0..50 {

@@ -51,7 +51,7 @@ fn refined_tags_are_nearer_to_the_truth_and_nothing_recorded_is_touched() {
     assert_eq!(again["after"]["position_cm"], report["after"]["position_cm"]);
     // The database takes the refined ones.
     room.run(&format!("db add {session} --db db")).succeeds();
-    let gallery = realitysim::database::Gallery::open(&room.path("db"), &settings.views).expect("a database");
+    let gallery = realitysim::database::ImageDatabase::open(&room.path("db"), &settings.views).expect("a database");
     let info = fs::read(replayed.session.join("refined/refined.json")).expect("written");
     let info: serde_json::Value = serde_json::from_slice(&info).expect("JSON");
     let refined: LensParameters = serde_json::from_value(info["lens"].clone()).expect("a lens");

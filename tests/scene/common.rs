@@ -72,7 +72,10 @@ pub fn shelf() -> Vec<(String, Scene)> {
     paths.sort();
     let named = |path: &std::path::PathBuf| {
         let name = path.file_stem().expect("a name").to_string_lossy().into_owned();
-        (name, realitysim::log_input::scene::load(path.to_str().expect("a plain path")).expect("a possible scene"))
+        (
+            name,
+            realitysim::log_input::scene_source::load(path.to_str().expect("a plain path")).expect("a possible scene"),
+        )
     };
     paths.iter().map(named).collect()
 }

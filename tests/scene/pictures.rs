@@ -1,4 +1,4 @@
-//! The pictures of docs/scenes.md, without and with each effect:
+//! The pictures of docs/reference/scenes.md, without and with each effect:
 //! `cargo test --release scene::pictures -- --ignored`.
 
 use std::fs::File;
@@ -109,7 +109,7 @@ fn save(name: &str, without: &RgbImage, with: &RgbImage) {
     image::imageops::replace(&mut both, &left, 0, 0);
     image::imageops::replace(&mut both, &right, i64::from(left.width()) + 6, 0);
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let file = File::create(root.join(format!("docs/scenes/{name}.jpg"))).expect("docs/scenes");
+    let file = File::create(root.join(format!("docs/reference/scenes/{name}.jpg"))).expect("docs/scenes");
     JpegEncoder::new_with_quality(file, QUALITY).encode_image(&both).expect("written");
     both.save(root.join(format!("target/scene-look/{name}.png"))).expect("written");
 }
@@ -118,7 +118,7 @@ fn save(name: &str, without: &RgbImage, with: &RgbImage) {
 #[ignore = "for eyes, not for machines"]
 fn of_each_effect() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    for folder in ["docs/scenes", "target/scene-look"] {
+    for folder in ["docs/reference/scenes", "target/scene-look"] {
         std::fs::create_dir_all(root.join(folder)).expect("a folder");
     }
     let still = build(STRAIGHT, &[]);

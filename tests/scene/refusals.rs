@@ -233,7 +233,7 @@ fn the_impossible_is_refused_with_its_line_and_what_is_possible() {
 #[test]
 fn unknown_effects_fields_and_lenses_are_named_with_those_there_are() {
     let load = |from: &str, to: &str| {
-        let refused = realitysim::log_input::scene::parse(&STRAIGHT.replacen(from, to, 1), "s.toml");
+        let refused = realitysim::log_input::scene_source::parse(&STRAIGHT.replacen(from, to, 1), "s.toml");
         (refused.expect_err("must be refused").to_string(), STRAIGHT.lines().position(|line| line.contains(from)))
     };
     for (from, to, words) in [

@@ -32,14 +32,14 @@ fn every_effect_is_called_for_by_a_scene_and_there_is_none_besides() {
 
 #[test]
 fn every_effect_has_its_picture_and_its_cost_in_the_documentation() {
-    let text = fs::read_to_string("docs/scenes.md").expect("readable");
+    let text = fs::read_to_string("docs/reference/scenes.md").expect("readable");
     let costs = text.split("## What a frame costs").nth(1).expect("a part about costs");
     for effect in effects() {
         let section = text.split(&format!("### `{effect}`\n")).nth(1).unwrap_or_else(|| panic!("{effect} has no part"));
         let section = section.split("\n#").next().unwrap_or_default();
         let picture = format!("scenes/{effect}.jpg");
         assert!(section.contains(&format!("]({picture})")), "{effect} has no picture");
-        assert!(Path::new("docs").join(&picture).is_file(), "{picture} is not there");
+        assert!(Path::new("docs/reference").join(&picture).is_file(), "{picture} is not there");
         assert!(costs.contains(&format!("`{effect}`")), "what does {effect} cost?");
     }
 }
@@ -47,9 +47,9 @@ fn every_effect_has_its_picture_and_its_cost_in_the_documentation() {
 /// The figures come from commands that are there and are named beside them.
 #[test]
 fn the_commands_that_give_the_costs_are_named_beside_them() {
-    let text = fs::read_to_string("docs/scenes.md").expect("readable");
+    let text = fs::read_to_string("docs/reference/scenes.md").expect("readable");
     let costs = text.split("## What a frame costs").nth(1).expect("a part about costs");
-    assert!(costs.contains("cargo bench --bench scenes -- --write docs/scenes.md"));
+    assert!(costs.contains("cargo bench --bench scenes -- --write docs/reference/scenes.md"));
     let manifest = fs::read_to_string("Cargo.toml").expect("readable");
     assert!(manifest.contains("[[bench]]\nname = \"scenes\"\n"));
     let counted = costs.split("<!-- begin: bench scenes -->").nth(1).expect("a mark");

@@ -41,7 +41,7 @@ fn of_all_effects_these_are_for_stored_images() {
     applied.extend(even);
     assert_eq!(applied, BTreeSet::from(["light", "sensor_noise"]), "each is gated below");
     assert!(left_out.contains("light"), "with a gradient");
-    let text = fs::read_to_string("docs/scenes.md").expect("readable");
+    let text = fs::read_to_string("docs/reference/scenes.md").expect("readable");
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(text.contains("`light` without a gradient and `sensor_noise`, which mean the same on any image"));
 }

@@ -6,7 +6,7 @@ use glam::DVec3;
 use realitysim::geometry::{Euler, Isometry, Lens, LensModel, LensParameters};
 use realitysim::log_input::decode::picture_of_size;
 use realitysim::scene::Renderer;
-use realitysim::vision::{Picture, Reading, Vision, VisionSettings};
+use realitysim::vision::{Picture, TableQuantity, Vision, VisionSettings};
 
 use crate::replay::support::read_log;
 
@@ -29,7 +29,7 @@ struct Statistics {
 
 fn statistics(picture: &Picture, lens: &Lens) -> Statistics {
     let settings = VisionSettings {
-        reading: Reading::Contrast,
+        reading: TableQuantity::Contrast,
         line_width_m: 0.05,
         range_m: 0.0,
         tilt_sigma_rad: 0.01,
@@ -86,7 +86,8 @@ fn path_traced(name: &str, f: f64, [cx, cy]: [f64; 2], k: [f64; 4]) -> Statistic
 }
 
 fn rendered(name: &str) -> Statistics {
-    let scene = realitysim::log_input::scene::load(format!("replay/scenes/{name}.toml")).expect("a possible scene");
+    let scene =
+        realitysim::log_input::scene_source::load(format!("replay/scenes/{name}.toml")).expect("a possible scene");
     let renderer = Renderer::new(&scene);
     let mut pixels = Vec::new();
     let all: Vec<Statistics> = [5, 15, 25, 35]
@@ -135,7 +136,7 @@ fn rendered_turf_is_like_path_traced_turf() {
     }
 }
 
-/// Prints the table of docs/scenes.md.
+/// Prints the table of docs/reference/scenes.md.
 #[test]
 #[ignore = "prints a table"]
 fn statistics_side_by_side() {

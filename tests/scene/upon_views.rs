@@ -3,10 +3,10 @@
 use glam::DVec3;
 use realitysim::geometry::field::Goal;
 use realitysim::geometry::{Euler, Field, FieldDimensions, Isometry, Lens};
-use realitysim::scene::{Figures, Renderer, Scene, SceneFile, Stage};
+use realitysim::scene::{Figures, Renderer, Scene, SceneFile, ViewOverlay};
 use realitysim::views::{
-    Answer, Camera, Candidate, Method, Pyramid, Raster, Request, SURE, Surface, TagError, Target, ViewSettings,
-    Vignetting, World, view,
+    Camera, Candidate, Method, Pyramid, Raster, Request, SURE, Surface, SynthesizedView, TagError, Target,
+    ViewSettings, Vignetting, World, view,
 };
 
 use super::common::{STRAIGHT, fisheye_640, kid_2009, plain, straight_with, with_effects};
@@ -53,7 +53,7 @@ fn what_stands_nearer_than_a_figure_hides_it_and_its_shadow() {
 
 /// A view of gray ground, and the pieces that it was made with.
 /// The camera is 1.4 m before the goal line, 0.5 m high.
-fn with_view<T>(field: &Field, use_it: impl FnOnce(&Camera, &World, Answer) -> T) -> T {
+fn with_view<T>(field: &Field, use_it: impl FnOnce(&Camera, &World, SynthesizedView) -> T) -> T {
     let camera = Camera::new(&Lens::new(fisheye_640()).expect("good"));
     let world = World::new(field);
     let euler = Euler { yaw: 0.0, pitch: 0.2, roll: 0.0 };
@@ -92,7 +92,7 @@ fn a_goal_of_the_view_hides_who_stands_behind_it_and_not_who_stands_before_it() 
             let bars: Vec<usize> = (0..answer.image.pixels.len())
                 .filter(|i| target.surface(i % width, i / width) == Some(Surface::Goal))
                 .collect();
-            Stage::new(&scene, camera.lens(), true).apply(0, camera, world, &mut answer);
+            ViewOverlay::new(&scene, camera.lens(), true).apply(0, camera, world, &mut answer);
             let is_violet = |i: &&usize| answer.image.pixels[**i][1] < 30;
             (bars.iter().filter(is_violet).count(), bars.len(), answer)
         })
@@ -113,7 +113,7 @@ fn figures_are_drawn_or_left_out_and_only_upon_their_own_field() {
     let scene =
         scene_on(&dimensions, "{ shape = \"robot\", position_m = [2.7, 0.1], height_m = 0.8, colour = [250, 0, 250] }");
     let lens = Lens::new(fisheye_640()).expect("good");
-    let (drawn, omitted) = (Stage::new(&scene, &lens, true), Stage::new(&scene, &lens, false));
+    let (drawn, omitted) = (ViewOverlay::new(&scene, &lens, true), ViewOverlay::new(&scene, &lens, false));
     assert_eq!((drawn.effects(), omitted.effects()), (vec!["obstacles"], vec![]));
     with_view(&field, |camera, world, answer| {
         let (mut with, mut without) = (answer.clone(), answer.clone());

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use super::Served;
-use super::client::{Answer, connect, exchange, get, get_with};
+use super::client::{SynthesizedView, connect, exchange, get, get_with};
 
 const HERE: &str = "/v1/view?x=0.22&y=0.2&z=0.5&yaw_deg=11&pitch_deg=20";
 
@@ -39,7 +39,7 @@ fn garbage_is_refused_and_the_next_client_served() {
         let _ = stream.shutdown(std::net::Shutdown::Write);
         let mut bytes = Vec::new();
         let _ = stream.read_to_end(&mut bytes);
-        if let Some(answer) = Answer::parse(&bytes) {
+        if let Some(answer) = SynthesizedView::parse(&bytes) {
             assert!((400..500).contains(&answer.status), "{:?}: {answer:?}", String::from_utf8_lossy(request));
         }
         assert_eq!(get(served.address, HERE).status, 200);
@@ -176,7 +176,7 @@ fn beyond_loopback_a_token_is_needed() {
 fn a_client_that_may_not_ask_keeps_no_connection() {
     let served = Served::new("");
     let refused = exchange(served.address, b"GET /v1/info HTTP/1.1\r\nHost: evil.example\r\n\r\n");
-    let answer = Answer::parse(&refused).expect("an answer, and the connection closed behind it");
+    let answer = SynthesizedView::parse(&refused).expect("an answer, and the connection closed behind it");
     assert_eq!((answer.status, answer.header("connection")), (403, "close"));
 }
 
@@ -190,7 +190,7 @@ fn a_page_of_another_site_is_not_answered_and_one_of_its_own_is() {
         let request = format!(
             "POST /v1/views HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{headers}Content-Length: {length}\r\n\r\n{body}"
         );
-        let answer = Answer::parse(&exchange(served.address, request.as_bytes())).expect("an answer");
+        let answer = SynthesizedView::parse(&exchange(served.address, request.as_bytes())).expect("an answer");
         assert_eq!(answer.header("cross-origin-resource-policy"), "same-origin");
         answer.status
     };
@@ -225,6 +225,6 @@ fn an_index_that_is_cut_while_it_is_served_changes_no_answer() {
 fn a_body_that_is_announced_too_large_is_not_waited_for() {
     let (served, asked) = (Served::new(""), Instant::now());
     let head = "POST /v1/views HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: application/json\r\nContent-Length: 99999999999\r\n\r\n{}";
-    let answer = Answer::parse(&exchange(served.address, head.as_bytes())).expect("an answer");
+    let answer = SynthesizedView::parse(&exchange(served.address, head.as_bytes())).expect("an answer");
     assert!(answer.status == 413 && asked.elapsed().as_secs() < 8, "{} after {:?}", answer.status, asked.elapsed());
 }

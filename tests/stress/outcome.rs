@@ -4,7 +4,7 @@ use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use realitysim::config::Settings;
-use realitysim::log_input::scene::{SceneSource, parse};
+use realitysim::log_input::scene_source::{SceneSource, parse};
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::FrameTag;
 use realitysim::tagging::{ReplayOptions, replay};

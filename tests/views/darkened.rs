@@ -1,6 +1,6 @@
 //! Exposure and the lens's darkening are taken out.
 
-use realitysim::evaluation::views::Lawn;
+use realitysim::evaluation::views::TruthRenderer;
 use realitysim::views::{Camera, Pyramid, Raster, SURE, Vignetting, World, similarity, view};
 
 use super::{candidate, field, lens, pose, request};
@@ -19,7 +19,8 @@ fn darkened(raster: &Raster, camera: &Camera, gain: [f64; 3], vignetting: &Vigne
 #[test]
 fn other_exposures_and_dark_corners_are_balanced() {
     let (field, lens) = (field(), lens());
-    let (camera, lawn, world) = (Camera::new(&lens), Lawn::new(&field, &lens, false), World::without_goals(&field));
+    let (camera, lawn, world) =
+        (Camera::new(&lens), TruthRenderer::new(&field, &lens, false), World::without_goals(&field));
     let dark = Vignetting { k: [-0.5, 0.1, 0.0] };
     let wanted = pose(0.2, 0.1, 15.0);
     let (truth, ground) = lawn.render(&wanted);

@@ -4,8 +4,8 @@ use glam::{DVec2, DVec3};
 use proptest::prelude::*;
 use realitysim::geometry::{Euler, Isometry, Lens, LensModel, LensParameters};
 use realitysim::views::{
-    Camera, Candidate, Made, Method, NOTHING, Pyramid, Raster, SURE, Surface, Target, UNSURE, ViewError, ViewSettings,
-    Warp, World, view,
+    Camera, Candidate, Method, NOTHING, Provenance, Pyramid, Raster, SURE, Surface, Target, UNSURE, ViewError,
+    ViewSettings, Warp, World, view,
 };
 
 use super::{candidate, field, lens, pose, request};
@@ -116,10 +116,10 @@ fn an_image_that_only_shows_what_moves_is_named_too() {
     ];
     let answer = view(&request(&camera, pose(0.5, 0.5, 0.0), &world), &sources).expect("a view");
     let named: Vec<u64> = answer.sources.iter().map(|used| used.id).collect();
-    assert_eq!((named, answer.made), (vec![0, 1], Made::Composed));
+    assert_eq!((named, answer.made), (vec![0, 1], Provenance::Composed));
     assert!((0.005..0.2).contains(&answer.sources[1].share), "{:?}", answer.sources);
     let alone = view(&request(&camera, pose(0.5, 0.5, 0.0), &world), &sources[..1]).expect("a view");
-    assert!(alone.valid_share < answer.valid_share && alone.made == Made::Warped);
+    assert!(alone.valid_share < answer.valid_share && alone.made == Provenance::Warped);
 }
 
 /// The nearer image is brighter at the edge of its circle than it should be: that is not shown up to the edge, where the other
@@ -158,7 +158,7 @@ fn a_view_from_where_an_image_was_taken_is_that_image() {
     let (place, image) = (pose(0.5, 0.5, 10.0), Pyramid::new(raster.clone()));
     let wanted = request(&camera, place, &world);
     let stored = view(&wanted, &[candidate(&camera, place, &image)]).expect("a view");
-    assert_eq!((stored.made, &stored.image), (realitysim::views::Made::Stored, &raster));
+    assert_eq!((stored.made, &stored.image), (realitysim::views::Provenance::Stored, &raster));
     // Through the map as well, but for pixels at the image's border.
     let mut through = wanted;
     through.settings.stored_within_m = -1.0;

@@ -1,6 +1,6 @@
 //! Goals stand where they should.
 
-use realitysim::evaluation::views::Lawn;
+use realitysim::evaluation::views::TruthRenderer;
 use realitysim::views::{Camera, NOTHING, Pyramid, Surface, Target, World, similarity, view};
 
 use super::{candidate, field, lens, pose, request};
@@ -8,7 +8,7 @@ use super::{candidate, field, lens, pose, request};
 #[test]
 fn posts_and_crossbar_are_drawn_where_they_stand() {
     let (field, lens) = (field(), lens());
-    let (camera, lawn) = (Camera::new(&lens), Lawn::new(&field, &lens, true));
+    let (camera, lawn) = (Camera::new(&lens), TruthRenderer::new(&field, &lens, true));
     let wanted = pose(1.4, 0.1, 5.0);
     let (truth, _) = lawn.render(&wanted);
     let places = [pose(1.25, -0.15, 0.0), pose(1.3, 0.35, 8.0)];

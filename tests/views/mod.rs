@@ -47,7 +47,7 @@ pub fn request<'a>(camera: &'a Camera, map_from_link: Isometry, world: &'a World
     Request { camera, map_from_link, method, world, vignetting, settings }
 }
 
-/// The figures of docs/views.md, from fewer poses: paper and exact map, one source and four.
+/// The figures of docs/explanation/views.md, from fewer poses: paper and exact map, one source and four.
 #[test]
 fn views_of_a_lawn_reach_their_figures() {
     let row = |metres, yaw_deg| Displacement { metres, yaw_deg };

@@ -72,7 +72,7 @@ mkdir -p "$target/extra"
 cp v4l2loopback.ko "$target/extra/"
 depmod -b "$root" "$version"
 printf '%s\n' vivid v4l2loopback >"$root/etc/modules-load.d/camera.conf"
-# A webcam, and beside it an input to which the output's frames come (docs/hardware.md, virtual machine).
+# A webcam, and beside it an input to which the output's frames come (docs/howto/robot.md, virtual machine).
 printf '%s\n' 'options vivid n_devs=1 node_types=0x101 num_inputs=2 input_types=0xc num_outputs=1 output_types=1' \
     'options v4l2loopback video_nr=10 exclusive_caps=1 max_buffers=8' >"$root/etc/modprobe.d/camera.conf"
 

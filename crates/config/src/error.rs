@@ -1,62 +1,134 @@
-//! What can be wrong with a settings file, in words that name the file, the key and what would be right.
+//! Errors of settings, field and lens files. Their texts name the file and the key, and say what would be right.
 
 use std::io;
 
 use thiserror::Error;
 
-use super::wording::meant;
+use super::wording::closest_name;
 use realitysim_geometry::{FieldError, LensError};
 
+/// An error of a settings, field or lens file. `file` is its path, or its name if the file is shipped.
 #[derive(Debug, Error)]
 pub enum ConfigError {
+    /// The file cannot be opened or read.
     #[error("{file}: cannot be read: {source}")]
-    Read { file: String, source: io::Error },
+    Read {
+        /// Path of the file.
+        file: String,
+        /// Error of the operating system.
+        source: io::Error,
+    },
+    /// The file is larger than a settings file may be.
     #[error("{file}: larger than {max_kib} KiB: no settings file is")]
-    TooLarge { file: String, max_kib: u64 },
+    TooLarge {
+        /// Path of the file.
+        file: String,
+        /// Largest size of a settings file, KiB.
+        max_kib: u64,
+    },
+    /// The file is not UTF-8 text.
     #[error("{file}: not UTF-8 text: a settings file is TOML or YAML")]
-    NotText { file: String },
-    /// Neither a file nor a shipped name.
+    NotText {
+        /// Path of the file.
+        file: String,
+    },
+    /// The name is neither that of a file nor that of a shipped one.
     #[error("no {kind} is called {name:?}{}: give the path of a file or one of {}", did_you_mean(name, known), known.join(", "))]
-    Unknown { kind: &'static str, name: String, known: Vec<String> },
-    /// The parser's message, which names the line and the key.
+    Unknown {
+        /// Kind of file that was looked for: `field` or `camera`.
+        kind: &'static str,
+        /// Name that was given.
+        name: String,
+        /// Names of all shipped files of this kind.
+        known: Vec<String>,
+    },
+    /// The text is not TOML, or has an unknown key or a value of a wrong type.
     #[error("{file}: {message}")]
-    Syntax { file: String, message: String },
+    Syntax {
+        /// Path or name of the file.
+        file: String,
+        /// Message of the parser, which names the line and the key.
+        message: String,
+    },
+    /// A value of a settings file is out of its range.
     #[error("{file}: {message}")]
-    Value { file: String, message: String },
+    Value {
+        /// Path or name of the file.
+        file: String,
+        /// Message that names the key and its range.
+        message: String,
+    },
+    /// A dimension of a field file is impossible.
     #[error("{file}: {source}")]
-    Field { file: String, source: FieldError },
+    Field {
+        /// Path or name of the file.
+        file: String,
+        /// Error that names the dimension.
+        source: FieldError,
+    },
+    /// A lens file is wrong.
     #[error("{file}: {source}")]
-    Lens { file: String, source: LensFileError },
+    Lens {
+        /// Path or name of the file.
+        file: String,
+        /// Error that names the key.
+        source: LensFileError,
+    },
 }
 
 fn did_you_mean(name: &str, known: &[String]) -> String {
-    let meant = meant(name, known.iter().map(String::as_str));
-    meant.map_or_else(String::new, |name| format!(" (did you mean {name}?)"))
+    let closest = closest_name(name, known.iter().map(String::as_str));
+    closest.map_or_else(String::new, |name| format!(" (did you mean {name}?)"))
 }
 
-/// What can be wrong with what a lens file or a `sensor_msgs/CameraInfo` says.
+/// An error in what a lens file or a `sensor_msgs/CameraInfo` says.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum LensFileError {
+    /// The text cannot be parsed; the message is that of the parser.
     #[error("{0}")]
     Syntax(String),
+    /// The text is of none of the four formats.
     #[error(
         "not a lens file of a known format: this crate's TOML begins with `key = value`, ROS camera_calibration YAML \
          has image_width and camera_matrix, Kalibr has cam0, VisualMesh has projection and focal_length"
     )]
     UnknownFormat,
+    /// The value of a key is impossible or not supported.
     #[error("{key} is {found}: {expected}")]
-    Value { key: String, found: String, expected: String },
+    Value {
+        /// Key as the file writes it.
+        key: String,
+        /// Value that was found.
+        found: String,
+        /// Sentence that says what would be right.
+        expected: String,
+    },
+    /// A key, or a camera of a Kalibr file, is missing.
     #[error("{key} is missing: {expected}")]
-    Missing { key: String, expected: String },
+    Missing {
+        /// Key, or name of the camera.
+        key: String,
+        /// Sentence that says what would be right.
+        expected: String,
+    },
+    /// The lens is calibrated for another image size.
     #[error("the lens is for images of {} x {}, but the image has {} x {}", file[0], file[1], image[0], image[1])]
-    ImageSize { file: [u32; 2], image: [u32; 2] },
+    ImageSize {
+        /// Width and height that the file states, pixels.
+        file: [u32; 2],
+        /// Width and height of the image, pixels.
+        image: [u32; 2],
+    },
+    /// A VisualMesh file was read without the size of its image.
     #[error("a VisualMesh file does not say how large its image is: the image must be given along with it")]
     ImageSizeUnknown,
+    /// The parameters describe an impossible lens.
     #[error(transparent)]
     Lens(#[from] LensError),
 }
 
 impl LensFileError {
+    /// Makes a [`Self::Value`] of anything that can be printed.
     pub(super) fn value(key: impl Into<String>, found: impl ToString, expected: impl Into<String>) -> Self {
         Self::Value { key: key.into(), found: found.to_string(), expected: expected.into() }
     }

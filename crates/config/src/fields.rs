@@ -1,4 +1,4 @@
-//! Field files: `config/fields/*.toml`. A new file there is a new field.
+//! Field files in TOML. Each file in `config/fields` is built into the program as a field of that name.
 
 use std::path::{Path, PathBuf};
 
@@ -12,28 +12,30 @@ use realitysim_geometry::{Field, FieldDimensions};
 static FOLDER: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/../../config/fields");
 const SHIPPED: Shipped = Shipped { kind: "field", folder: &FOLDER };
 
-/// The shipped fields.
+/// Returns the names of the shipped fields, in alphabetic order.
 pub fn field_names() -> Vec<String> {
     SHIPPED.names()
 }
 
-/// The dimensions in a file, or of a shipped field; checked, so [`Field::new`] accepts them.
+/// Loads the dimensions of a field from a file, or those of a shipped field.
+///
+/// They are checked: [`Field::new`] accepts them.
 pub fn load_field(path_or_name: &str) -> Result<FieldDimensions, ConfigError> {
     let source = SHIPPED.load(path_or_name)?;
     parse_field(&source.text, &source.name)
 }
 
-/// The file that is read for it; none of a shipped field.
+/// Returns the file that [`load_field`] would read, or `None` if it would take a shipped field.
 pub fn field_file(path_or_name: &str) -> Option<PathBuf> {
     SHIPPED.file(path_or_name)
 }
 
-/// What a file at `path` means by this: its paths start at its own folder.
+/// Resolves a field that the file at `path` names: a relative path starts at the folder of that file.
 pub fn field_seen_from(path: &Path, path_or_name: &str) -> String {
     SHIPPED.seen_from(path, path_or_name)
 }
 
-/// The same from text; `name` is for messages.
+/// Parses and checks the text of a field file. Error messages show `name`.
 pub fn parse_field(text: &str, name: &str) -> Result<FieldDimensions, ConfigError> {
     let syntax = |error: toml::de::Error| ConfigError::Syntax { file: name.to_owned(), message: in_words(&error) };
     let dimensions: FieldDimensions = toml::from_str(text).map_err(syntax)?;

@@ -1,6 +1,26 @@
-//! Settings from files: parsed, checked once, then plain data.
+//! Settings, field and lens files: parsed, checked once, then plain data.
 //!
-//! `parse_*` take text and a name for messages; `load_*` take a path or the name of a file shipped in `config/`.
+//! [`Settings`] is the config of a robot, [`load_field`] gives the dimensions of a field, and [`load_lens`] the lens of a
+//! camera from any of four file formats. Functions called `load_*` take a path, or the name of a file that is shipped in
+//! `config/` and built into the program. Functions called `parse_*` take text, and a name that error messages show. Errors
+//! ([`ConfigError`]) name the file and the key, and say what would be right. [`plain_file`] opens any file that a user names.
+//!
+//! ```rust
+//! use realitysim_config::{Settings, load_field, load_lens};
+//!
+//! let settings = Settings::parse("field = 'kid-2020'\n[filter]\nparticles = 400", "robot.toml")?;
+//! assert_eq!(settings.filter.particles, 400);
+//! assert_eq!(settings.filter.iterations, 5, "a key that is not given keeps its default");
+//!
+//! let field = load_field(&settings.field)?;
+//! assert_eq!([field.length_m, field.width_m], [9.0, 6.0]);
+//! let lens = load_lens("fisheye-640")?.lens;
+//! assert_eq!([lens.width(), lens.height()], [640, 480]);
+//!
+//! let error = Settings::parse("[filter]\nparticels = 400", "robot.toml").unwrap_err();
+//! assert!(error.to_string().contains("did you mean `particles`?"));
+//! # Ok::<(), realitysim_config::ConfigError>(())
+//! ```
 
 mod error;
 pub mod fields;

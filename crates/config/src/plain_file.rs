@@ -1,7 +1,7 @@
-//! Files that somebody named: opened without waiting, and read with a bound.
+//! Opens files that a user names, without waiting, and reads them up to a limit.
 //!
-//! A path may name a pipe that nobody writes into, a device without an end, or far more than any such file holds. What is no
-//! plain file is refused in words that say what it is, before a byte of it is read.
+//! A path may name a pipe that nobody writes into, a device without an end, or a file far larger than expected. Anything but
+//! a plain file is refused before a byte of it is read, and the error says what it is.
 
 use std::fs::{File, FileType, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Result};
@@ -10,17 +10,25 @@ use std::path::Path;
 
 use rustix::fs::OFlags;
 
-/// Opens a plain file, through links.
+/// Opens a plain file for reading, following links.
+///
+/// # Errors
+///
+/// Fails if the file cannot be opened, or is a folder, pipe, socket or device.
 pub fn open(path: &Path) -> Result<File> {
-    // Asked before opening, because opening alone may change a device, and once more of what was opened.
-    check(std::fs::metadata(path)?.file_type())?;
+    // The type is checked before opening, because opening alone may change a device, and again on the opened file.
+    check_is_plain(std::fs::metadata(path)?.file_type())?;
     let without_waiting = (OFlags::NONBLOCK | OFlags::NOCTTY).bits() as i32;
     let file = OpenOptions::new().read(true).custom_flags(without_waiting).open(path)?;
-    check(file.metadata()?.file_type())?;
+    check_is_plain(file.metadata()?.file_type())?;
     Ok(file)
 }
 
-/// All bytes of a plain file that holds at most `max_bytes`.
+/// Reads all bytes of a plain file.
+///
+/// # Errors
+///
+/// Fails as [`open`] does, and if the file holds more than `max_bytes`.
 pub fn read(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
     let file = open(path)?;
     let too_large = || Error::other(format!("it is larger than {max_bytes} bytes, and no such file is"));
@@ -28,17 +36,22 @@ pub fn read(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
         return Err(too_large());
     }
     let mut bytes = Vec::new();
-    // A file may grow meanwhile, and one of the kernel does not say how long it is.
+    // A file may grow while it is read, and a file of the kernel (/proc) states a length of 0.
     file.take(max_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > max_bytes { Err(too_large()) } else { Ok(bytes) }
 }
 
-/// The text of a plain file that holds at most `max_bytes`.
+/// Reads the UTF-8 text of a plain file.
+///
+/// # Errors
+///
+/// Fails as [`read`] does, and if the bytes are not UTF-8.
 pub fn read_text(path: &Path, max_bytes: u64) -> Result<String> {
     String::from_utf8(read(path, max_bytes)?).map_err(|_| Error::new(ErrorKind::InvalidData, "it is not UTF-8 text"))
 }
 
-fn check(kind: FileType) -> Result<()> {
+/// Refuses every type of file but a plain one, with an error that names the type.
+fn check_is_plain(kind: FileType) -> Result<()> {
     let found = match kind {
         kind if kind.is_file() => return Ok(()),
         kind if kind.is_dir() => return Err(ErrorKind::IsADirectory.into()),
@@ -59,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_plain_file_is_refused_by_what_it_is() {
+    fn anything_but_a_plain_file_is_refused_and_named() {
         let folder = tempfile::tempdir().expect("a folder");
         let pipe = folder.path().join("pipe");
         mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).expect("a pipe");
@@ -83,10 +96,10 @@ mod tests {
         assert_eq!(read_text(&path, 5).expect("five bytes"), "12345");
         let refused = read(&path, 4).expect_err("too large").to_string();
         assert!(refused.contains("larger than 4 bytes"), "{refused}");
-        // Of two gigabytes that take no room on the disk.
+        // A sparse file of two gigabytes takes no room on the disk.
         File::options().write(true).open(&path).expect("there").set_len(2 << 30).expect("longer");
         read(&path, 1 << 20).expect_err("too large");
-        // Of a file that claims to be empty.
+        // A file of the kernel claims to be empty.
         assert!(!read(Path::new("/proc/self/stat"), 1 << 16).expect("readable").is_empty());
         read(Path::new("/proc/self/stat"), 3).expect_err("too large");
         fs::write(&path, [0xff, 0xfe]).expect("written");

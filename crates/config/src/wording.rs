@@ -1,6 +1,6 @@
-//! What is wrong with a TOML file, in words for people who have never seen the program's types.
+//! Rewords the errors of the TOML parser for people who have never seen the program's types.
 
-/// The parser's message: the place, the line, and what is wrong with it.
+/// Returns the parser's message in plain words: the place, the line, and what is wrong with it.
 pub fn in_words(error: &toml::de::Error) -> String {
     let text = error.to_string();
     let text = text.trim_end();
@@ -10,11 +10,11 @@ pub fn in_words(error: &toml::de::Error) -> String {
     }
 }
 
-/// One of serde's messages. A name that is not known is followed by the one that was probably meant.
+/// Rewords one of serde's messages. An unknown name is followed by the known one that was probably meant.
 pub fn plain(message: &str) -> String {
-    if let Some((unknown, known)) = unknown(message) {
-        let meant = meant(unknown, known.split('`').skip(1).step_by(2));
-        return match meant {
+    if let Some((unknown, known)) = split_unknown_name(message) {
+        let closest = closest_name(unknown, known.split('`').skip(1).step_by(2));
+        return match closest {
             Some(name) if message.starts_with(FIELD) => format!("{FIELD}{unknown}`: did you mean `{name}`?"),
             Some(name) => format!("{message}: did you mean `{name}`?"),
             None => message.to_owned(),
@@ -24,32 +24,35 @@ pub fn plain(message: &str) -> String {
     let Some(found) = found.strip_prefix("invalid type: ").or_else(|| found.strip_prefix("invalid value: ")) else {
         return message.to_owned();
     };
-    // What follows says where.
+    // The lines below the first say where the error is.
     let (expected, rest) = expected.split_once('\n').map_or((expected, ""), |(expected, rest)| (expected, rest));
     let rest = if rest.is_empty() { String::new() } else { format!("\n{rest}") };
-    format!("{} is needed, and this is {}{rest}", wanted(expected), given(found))
+    format!("{} is needed, and this is {}{rest}", describe_expected(expected), describe_found(found))
 }
 
+/// Start of serde's message about an unknown key.
 const FIELD: &str = "unknown field `";
+/// Start of serde's message about an unknown value of an enumeration.
 const VARIANT: &str = "unknown variant `";
 
-/// The name that is not known, and the list of those that are.
-fn unknown(message: &str) -> Option<(&str, &str)> {
+/// Splits a message about an unknown name into that name and the list of known ones.
+fn split_unknown_name(message: &str) -> Option<(&str, &str)> {
     let rest = message.strip_prefix(FIELD).or_else(|| message.strip_prefix(VARIANT))?;
     rest.split_once('`')
 }
 
-/// Likeness of 0 to 1 from which a name is taken for another one, mistyped.
-const ALIKE: f64 = 0.8;
+/// Smallest Jaro-Winkler similarity, 0 to 1, at which a name is taken for a mistyped known one.
+const MIN_SIMILARITY: f64 = 0.8;
 
-/// The name among these that was probably meant.
-pub(crate) fn meant<'a>(given: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    let alike = names.map(|name| (name, strsim::jaro_winkler(given, name)));
-    let best = alike.max_by(|a, b| a.1.total_cmp(&b.1));
-    best.filter(|(_, likeness)| *likeness >= ALIKE).map(|(name, _)| name)
+/// Returns the known name that was probably meant: the most similar one, if it is similar enough.
+pub(crate) fn closest_name<'a>(given: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    let candidates = names.map(|name| (name, strsim::jaro_winkler(given, name)));
+    let best = candidates.max_by(|a, b| a.1.total_cmp(&b.1));
+    best.filter(|(_, similarity)| *similarity >= MIN_SIMILARITY).map(|(name, _)| name)
 }
 
-fn wanted(expected: &str) -> &str {
+/// Rewords what serde expected: types become words.
+fn describe_expected(expected: &str) -> &str {
     match expected {
         "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more,",
         "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
@@ -63,7 +66,8 @@ fn wanted(expected: &str) -> &str {
     }
 }
 
-fn given(found: &str) -> String {
+/// Rewords what serde found: a type and a value, or a type alone.
+fn describe_found(found: &str) -> String {
     let named = |what: &str, value: &str| format!("{what} {}", value.trim_matches('`'));
     match found.split_once(' ') {
         Some(("string", value)) => format!("the text {value}"),
@@ -81,12 +85,12 @@ mod tests {
     use super::*;
     use crate::Settings;
 
-    fn said(text: &str) -> String {
+    fn error_of(text: &str) -> String {
         Settings::parse(text, "robot.toml").expect_err("refused").to_string()
     }
 
     #[test]
-    fn what_is_wrong_is_said_without_the_names_of_types() {
+    fn errors_are_worded_without_the_names_of_types() {
         for (text, words) in [
             ("[fitler]\n", "unknown field `fitler`: did you mean `filter`?"),
             ("[filter]\nparticels = 3\n", "line 2, column 1"),
@@ -99,17 +103,17 @@ mod tests {
             ("filter = 3\n", "a table is needed, and this is the number 3"),
             ("[filter]\nmodel = \"gaus\"\n", "expected `gauss` or `distance`: did you mean `gauss`?"),
         ] {
-            let said = said(text);
+            let said = error_of(text);
             assert!(said.contains(words), "{text}: {said}");
             assert!(!said.contains("usize") && !said.contains("f64"), "{said}");
         }
     }
 
     #[test]
-    fn what_is_like_nothing_that_is_known_is_taken_for_nothing() {
+    fn only_a_similar_name_is_suggested() {
         let fields = ["kid-2009", "kid-2014", "spl-2020"];
-        assert_eq!(meant("kid2014", fields.into_iter()), Some("kid-2014"));
-        assert_eq!(meant("moon", fields.into_iter()), None);
+        assert_eq!(closest_name("kid2014", fields.into_iter()), Some("kid-2014"));
+        assert_eq!(closest_name("moon", fields.into_iter()), None);
         assert_eq!(plain("something else"), "something else");
     }
 }

@@ -1,5 +1,7 @@
-//! Making and keeping a database. A change writes a new index beside the old one, and then the catalogue that names it:
-//! whoever reads meanwhile has all of the old or all of the new.
+//! Creates and changes databases.
+//!
+//! A change writes a new index beside the old one, and then the catalogue that names it. A concurrent reader therefore has
+//! either all of the old content or all of the new.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,37 +9,43 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::catalogue::{Catalogue, Source, TagLimits};
-use super::circle::circle_deg;
 use super::error::{DatabaseError, io};
-use super::gallery::without_rim;
+use super::image_circle::circle_deg;
+use super::image_database::without_rim;
 use super::index::{Index, path_of, write_index};
-use super::inputs::sources_of;
+use super::input_files::sources_of;
 use super::masks::{self, Masks};
 use super::pixels::read_bytes;
 use super::record::Record;
 use super::sources::{self, Read};
-use super::{darkening, goals};
+use super::{goals, vignetting};
 use realitysim_geometry::{Field, FieldDimensions, LensParameters};
 use realitysim_recording::Loss;
 
-/// What came of adding.
+/// The result of [`add`] and [`rebuild`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Added {
+    /// Number of images in the database that came from these sources.
     pub images: u64,
+    /// Number of images that were left out.
     pub left_out: u64,
-    /// Of these, for a valid tag that does not know which half of the field it is in.
+    /// Number of images left out because their valid tag does not know which half of the field it is in.
     pub ambiguous: u64,
-    /// Of these, those whose valid tag is known worse than the limit.
+    /// Number of images left out because the standard deviation of their valid tag exceeds the limit.
     pub imprecise: u64,
+    /// Parts of the sources that could not be read.
     pub losses: Vec<Loss>,
-    /// Sources that nothing came of, and why.
+    /// Sources without a usable image, with the reason.
     pub empty: Vec<Loss>,
 }
 
-/// How many images have been read.
+/// Callback that gets the number of images read so far.
 pub type Progress<'a> = &'a mut dyn FnMut(u64);
 
-/// Adds captures and folders of images; if there is no image in any of them, nothing is changed, and why is told. `field` is for folders, which do not name theirs; a database has one field.
+/// Adds captures and folders of images to a database, which is created if there is none.
+///
+/// `field` is for folders of images, which do not name theirs. A database has one field, and sources from another are an
+/// error. If no source has a usable image, nothing is changed, and the error says why.
 pub fn add(
     folder: &Path,
     paths: &[PathBuf],
@@ -46,7 +54,7 @@ pub fn add(
     progress: Progress,
 ) -> Result<Added, DatabaseError> {
     fs::create_dir_all(folder).map_err(io(folder))?;
-    let _alone = alone(folder)?;
+    let _lock = lock(folder)?;
     let known = match Catalogue::read(folder) {
         Ok(catalogue) => Some(catalogue),
         Err(DatabaseError::None { .. }) => None,
@@ -60,7 +68,7 @@ pub fn add(
     let mut added = Added::default();
     for path in sources_of(paths, catalogue.as_ref())? {
         let read = sources::read(&path, limits, progress)?;
-        take(folder, &mut catalogue, &mut records, read, field, &mut added)?;
+        add_source(folder, &mut catalogue, &mut records, read, field, &mut added)?;
     }
     if added.images == 0 {
         return Err(DatabaseError::Nothing([added.losses, added.empty].concat()));
@@ -71,19 +79,20 @@ pub fn add(
     Ok(added)
 }
 
-/// Reads every source again: as if the database had just been made. One that cannot be read stays in its list, without images.
+/// Reads every source again, as if the database were created anew. A source that cannot be read stays in the catalogue,
+/// without images.
 pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError> {
-    is_database(folder)?;
-    let _alone = alone(folder)?;
+    require_database(folder)?;
+    let _lock = lock(folder)?;
     let old = Catalogue::read(folder)?;
     let mut catalogue = Some(Catalogue { sources: Vec::new(), ..old.clone() });
     let (mut records, mut added) = (Vec::new(), Added::default());
     for source in &old.sources {
         match sources::read(&source.path, source.limits, progress) {
-            Ok(read) => take(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
+            Ok(read) => add_source(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
             Err(error) => {
                 added.losses.push(Loss::new(&source.path, error.to_string()));
-                // It may only be away: a later rebuild looks for it again.
+                // The source may be unreachable for now: a later rebuild looks for it again.
                 let empty = Source { images: 0, left_out: 0, ..source.clone() };
                 catalogue.get_or_insert_with(|| Catalogue::new(old.field.clone())).sources.push(empty);
             }
@@ -93,10 +102,10 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
     Ok(added)
 }
 
-/// Takes a source out; its files are not touched.
+/// Removes a source from a database and returns the number of its images. The source's files are not touched.
 pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
-    is_database(folder)?;
-    let _alone = alone(folder)?;
+    require_database(folder)?;
+    let _lock = lock(folder)?;
     let mut catalogue = Catalogue::read(folder)?;
     let absolute = path.canonicalize().or_else(|_| std::path::absolute(path)).map_err(io(path))?;
     let unknown = || {
@@ -117,14 +126,15 @@ pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
     Ok(removed)
 }
 
-/// Nothing is put into a folder that is none.
-fn is_database(folder: &Path) -> Result<(), DatabaseError> {
+/// Fails if the folder holds no database, so that not even a lock file is put into a wrong folder.
+fn require_database(folder: &Path) -> Result<(), DatabaseError> {
     Catalogue::read(folder).map(drop)
 }
 
-/// Two changes at a time would lose one of them: whoever changes a database holds this file's lock, which goes with the process.
-/// Readers need none.
-fn alone(folder: &Path) -> Result<fs::File, DatabaseError> {
+/// Locks a database for a change, because of two concurrent changes one would be lost.
+///
+/// The lock ends with the file handle or the process. Readers need none.
+fn lock(folder: &Path) -> Result<fs::File, DatabaseError> {
     let path = folder.join(LOCK);
     match fs::metadata(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
@@ -142,7 +152,8 @@ fn alone(folder: &Path) -> Result<fs::File, DatabaseError> {
 
 const LOCK: &str = "database.lock";
 
-fn take(
+/// Adds a source that was read to catalogue and records: checks its field, measures its lens, and writes its masks.
+fn add_source(
     folder: &Path,
     catalogue: &mut Option<Catalogue>,
     records: &mut Vec<Record>,
@@ -181,65 +192,74 @@ fn take(
         let shows: Vec<bool> = mask.iter().map(|pixel| *pixel > 0).collect();
         let circle_deg = circle_deg(&source.lens, &without_rim(&shows, source.lens.width as usize));
         source.lens.fov_deg =
-            circle_deg.map(|found| narrower(found, &source.lens, &catalogue.sources)).or(source.lens.fov_deg);
+            circle_deg.map(|found| fov_with_circle(found, &source.lens, &catalogue.sources)).or(source.lens.fov_deg);
         source.dark = Some(masks::write_dark(folder, &source, mask)?);
     }
     if !bodies.is_empty() {
         let masks = bodies.iter().map(|body| masks::write_body(folder, &source, body));
         source.body_masks = masks.collect::<Result<_, _>>()?;
     }
-    source.darkening = darkening::measured(folder, &source, &found, &catalogue.field)?;
+    source.darkening = vignetting::measure(folder, &source, &found, &catalogue.field)?;
     if source.goals && catalogue.field.goal.is_some() {
-        source.goals = goals::stand(folder, &source, &found, &catalogue.field)?.unwrap_or(true);
+        source.goals = goals::are_present(folder, &source, &found, &catalogue.field)?.unwrap_or(true);
     }
     records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
     catalogue.sources.push(source);
     Ok(())
 }
 
-/// The circle that was found, or a narrower one that the lens states; that of the same lens in another source, if it is as good as
-/// the same: what is known of a lens is kept in memory once.
-fn narrower(found_deg: f64, lens: &LensParameters, others: &[Source]) -> f64 {
+/// The full angle of view of a lens, degrees: the circle found in its images, or a narrower one that the lens states.
+///
+/// If another source with the same lens has nearly the same angle, that is used, so that both share one lens in memory.
+fn fov_with_circle(found_deg: f64, lens: &LensParameters, others: &[Source]) -> f64 {
     let fov_deg = found_deg.min(lens.fov_deg.unwrap_or(f64::INFINITY));
     let of_others = others.iter().filter(|other| other.lens.maps_as(lens)).filter_map(|other| other.lens.fov_deg);
     of_others.into_iter().find(|other| (other - fov_deg).abs() <= SAME_CIRCLE_DEG).unwrap_or(fov_deg)
 }
 
-/// Circles of one lens, as two captures show them.
+/// Difference up to which the circles found in two captures are of the same lens, degrees of the full angle.
 const SAME_CIRCLE_DEG: f64 = 2.0;
 
+/// The field's dimensions, if they are possible.
 fn checked(field: &FieldDimensions, path: &Path) -> Result<FieldDimensions, DatabaseError> {
     let failed = |source| DatabaseError::Field { path: path.to_owned(), source };
     Field::new(field.clone()).map(|field| field.dimensions().clone()).map_err(failed)
 }
 
+/// Makes a change visible: writes the new index, then the catalogue that names it, and removes what is no longer used.
 fn publish(folder: &Path, mut catalogue: Catalogue, records: Vec<Record>) -> Result<(), DatabaseError> {
     let old = path_of(folder, catalogue.index);
     catalogue.index += 1;
     write_index(&path_of(folder, catalogue.index), records)?;
     catalogue.write(folder)?;
-    // Those who have read it keep it; a name that stays behind does no harm.
+    // Readers hold the old index in memory, and a file that stays behind does no harm.
     let _ = fs::remove_file(old);
     masks::remove_all_but(folder, &catalogue);
     Ok(())
 }
 
-/// What a database holds.
+/// Statistics of a database.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Stats {
+    /// Number of images.
     pub images: usize,
+    /// Title of the field.
     pub field: String,
+    /// The captures and folders that the images are in.
     pub sources: Vec<Source>,
+    /// Size of the index, bytes.
     pub index_bytes: usize,
-    /// Least and greatest x, y, z of `camera_link`, metres; `null` without images.
+    /// Least and greatest x, y, z of `camera_link` in `map`, metres; `null` without images.
     pub box_m: Option<[[f32; 3]; 2]>,
-    /// Medians of the tags' standard deviations, of those that say so.
+    /// Median standard deviation of the position, metres, over the images whose tags state one.
     pub sigma_m: Option<f32>,
+    /// Median standard deviation of the rotation, degrees, over the images whose tags state one.
     pub sigma_deg: Option<f32>,
-    /// Images whose poses come without their accuracy.
+    /// Number of images whose pose has no stated accuracy.
     pub without_sigma: usize,
 }
 
+/// Computes the statistics of a database from its index.
 pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
     let (catalogue, index) = Catalogue::with_index(folder)?;
     let mut extent: Option<[[f32; 3]; 2]> = None;
@@ -270,15 +290,18 @@ pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
     })
 }
 
-/// What a look at every byte found.
+/// The result of [`verify`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Checked {
+    /// Number of images in the index.
     pub images: usize,
+    /// Number of images whose bytes are as they were indexed.
     pub sound: usize,
+    /// Files that are missing or changed, and masks that cannot be read.
     pub losses: Vec<Loss>,
 }
 
-/// Reads every image and compares it with what was indexed. A damaged index is an error.
+/// Reads the bytes of every image and compares their checksum with the index. A damaged index is an error.
 pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseError> {
     let (catalogue, index) = Catalogue::with_index(folder)?;
     let mut checked = Checked { images: index.len(), sound: 0, losses: Vec::new() };
@@ -298,7 +321,7 @@ pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseErro
     Ok(checked)
 }
 
-/// The bytes of an image, if they are what was indexed; else the file and what is wrong.
+/// The bytes of an image, if they are as they were indexed. The error holds the file and what is wrong.
 pub(super) fn bytes_of(catalogue: &Catalogue, record: &Record) -> Result<Vec<u8>, (PathBuf, String)> {
     let file = catalogue.sources.get(record.source as usize).and_then(|source| source.file(record.file));
     let file =

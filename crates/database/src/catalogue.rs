@@ -1,5 +1,6 @@
-//! `database.json`: what a database was made of, and which index belongs to it. Replacing this file is the moment at
-//! which a change takes effect.
+//! The catalogue `database.json`: the sources of a database, and the index that belongs to it.
+//!
+//! A change takes effect at the moment when this file is replaced.
 
 use std::path::{Path, PathBuf};
 
@@ -11,49 +12,59 @@ use realitysim_config::plain_file;
 use realitysim_geometry::{FieldDimensions, LensParameters};
 use realitysim_recording::write_atomically;
 
+/// The content of `database.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Catalogue {
+    /// Version of the file's format.
     pub format: u32,
-    /// Of the index file; counts up with every change.
+    /// Number of the index file; it counts up with every change.
     pub index: u64,
+    /// The field that all images were taken on.
     pub field: FieldDimensions,
+    /// The sources, in the order in which records number them.
     pub sources: Vec<Source>,
 }
 
 /// A capture or a folder of images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Source {
+    /// Whether it is a capture or a folder.
     pub kind: SourceKind,
-    /// Absolute.
+    /// Absolute path of the capture, of one of its segments, or of the folder.
     pub path: PathBuf,
+    /// The lens of the images.
     pub lens: LensParameters,
-    /// Relative to `path`; empty if `path` is the file itself.
+    /// The files with images, relative to `path`; an empty path if `path` is the file itself.
     pub files: Vec<PathBuf>,
-    /// PNGs that hide the robot's own body, whatever its head does: in the database's folder, or with their whole path.
+    /// PNGs that mask the robot's own body at any position of its head: file names in the database's folder, or absolute
+    /// paths.
     pub body_masks: Vec<String>,
-    /// A PNG in the database's folder, black where no image was ever lit: outside of the lens's circle.
+    /// A PNG in the database's folder that is black where no image was ever lit, outside the lens's circle.
     pub dark: Option<String>,
-    /// How the lens darkens its images towards their border, if that shows in them: k1 to k3 of
+    /// How the lens darkens its images towards their border, if it could be measured: k1 to k3 of
     /// [`realitysim_views::Vignetting`].
     #[serde(default)]
     pub darkening: Option<[f64; 3]>,
+    /// Number of images in the index.
     pub images: u64,
-    /// Frames without a valid tag, those whose tag keeps not within `limits`, and those that do not decode.
+    /// Number of frames left out: without a valid tag, with a tag beyond `limits`, or with an image that does not decode or
+    /// fit the lens.
     pub left_out: u64,
+    /// The limits that tags had to keep.
     #[serde(default)]
     pub limits: TagLimits,
-    /// Whether the field's goals may have stood there: not in a rendered scene.
-    #[serde(default = "usually")]
+    /// Whether the field's goals may have stood there. They do not in a rendered scene.
+    #[serde(default = "default_true")]
     pub goals: bool,
 }
 
-/// What a capture's valid tags need to count.
+/// Limits that the valid tags of a capture must keep for their images to be added.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct TagLimits {
-    /// Those too that do not know which half of the field they are in.
+    /// Whether tags count that do not know which half of the field they are in.
     pub ambiguous: bool,
-    /// Standard deviation of x, y along its longer axis, at most.
+    /// Largest standard deviation of x, y along its longer axis, metres.
     pub sigma_m: f64,
 }
 
@@ -63,29 +74,34 @@ impl Default for TagLimits {
     }
 }
 
-fn usually() -> bool {
+fn default_true() -> bool {
     true
 }
 
+/// The kind of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SourceKind {
+    /// A capture or one of its segments.
     Capture,
+    /// A folder of images with `poses.csv`.
     Folder,
 }
 
-/// A database that changes faster than it can be opened is not opened.
+/// Most attempts to open a database while others change it.
 pub(super) const MAX_TRIES: usize = 100;
-/// Some hundred bytes for each source.
+/// Largest catalogue that is read; a source takes some hundred bytes.
 const MAX_CATALOGUE_BYTES: u64 = 64 << 20;
 const FORMAT: u32 = 1;
 const FILE: &str = "database.json";
 
 impl Catalogue {
+    /// A catalogue without sources.
     pub fn new(field: FieldDimensions) -> Self {
         Self { format: FORMAT, index: 0, field, sources: Vec::new() }
     }
 
+    /// Reads the catalogue of the database in a folder.
     pub fn read(folder: &Path) -> Result<Self, DatabaseError> {
         let path = folder.join(FILE);
         let text = match plain_file::read_text(&path, MAX_CATALOGUE_BYTES) {
@@ -103,7 +119,9 @@ impl Catalogue {
         Ok(catalogue)
     }
 
-    /// With its index, as both are now: who changes the database takes the old index away after the new catalogue is there.
+    /// Reads the catalogue and its index.
+    ///
+    /// A concurrent change removes the old index after it has written the new catalogue; then both are read again.
     pub fn with_index(folder: &Path) -> Result<(Self, Index), DatabaseError> {
         let mut tries = 0;
         loop {
@@ -116,19 +134,21 @@ impl Catalogue {
         }
     }
 
-    /// The old content or the new, never a part.
+    /// Replaces the file atomically: it holds the old content or the new, never a part.
     pub fn write(&self, folder: &Path) -> Result<(), DatabaseError> {
         let path = folder.join(FILE);
         let text = serde_json::to_vec_pretty(self).map_err(|error| io(&path)(error.into()))?;
         Ok(write_atomically(&path, &text)?)
     }
 
+    /// The number of the source with this absolute path.
     pub fn position(&self, path: &Path) -> Option<usize> {
         self.sources.iter().position(|source| source.path == path)
     }
 }
 
 impl Source {
+    /// The absolute path of the file with this number.
     pub fn file(&self, number: u32) -> Option<PathBuf> {
         let name = self.files.get(number as usize)?;
         Some(if name.as_os_str().is_empty() { self.path.clone() } else { self.path.join(name) })

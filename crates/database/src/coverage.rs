@@ -1,4 +1,4 @@
-//! Which poses a database has images of: cells of x, y and yaw, filled or missing.
+//! Coverage of a database: a grid of x, y and yaw whose cells count images, and a picture of it.
 
 use glam::DVec2;
 use image::{Rgb, RgbImage};
@@ -6,16 +6,19 @@ use image::{Rgb, RgbImage};
 use super::index::Index;
 use realitysim_geometry::{Field, PoseGrid};
 
-/// Side of a cell in the picture; less where the picture would become larger than [`MAX_SIDE_PX`].
+/// Side of a cell in the picture. It is smaller if the picture would become larger than [`MAX_SIDE_PX`].
 const CELL_PX: usize = 26;
+/// Longest side of the picture.
 const MAX_SIDE_PX: usize = 4096;
+/// Colour of poses without images.
 const MISSING: [u8; 3] = [222, 226, 222];
 const CARPET: [u8; 3] = [246, 248, 246];
 const LINE: [u8; 3] = [120, 150, 120];
-/// One image, and many.
+/// Colours of poses with one image and with the most images; those between are mixed on a logarithmic scale.
 const ONE: [f64; 3] = [150.0, 205.0, 150.0];
 const MANY: [f64; 3] = [10.0, 95.0, 45.0];
 
+/// Counts the images of each pose: cells of side `cell_m` metres on the carpet, each with `sectors` headings.
 pub fn coverage(index: &Index, field: &Field, cell_m: f64, sectors: usize) -> PoseGrid {
     let mut grid = PoseGrid::new(field.carpet_half_extent(), cell_m, sectors);
     for record in index.records() {
@@ -24,7 +27,7 @@ pub fn coverage(index: &Index, field: &Field, cell_m: f64, sectors: usize) -> Po
     grid
 }
 
-/// The field from above, y up; each cell a disc whose sectors are the headings, dark where there are images.
+/// Draws the field from above, y up. Each cell is a disc whose sectors are the headings, darker the more images there are.
 pub fn coverage_picture(grid: &PoseGrid, field: &Field) -> RgbImage {
     let cell_px = (MAX_SIDE_PX / grid.columns.max(grid.rows)).clamp(1, CELL_PX);
     let (width, height) = (grid.columns * cell_px, grid.rows * cell_px);

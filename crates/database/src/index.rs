@@ -1,19 +1,19 @@
-//! The index as a file: a header, the tree's splits, the records in the tree's order.
+//! The index file: a header, the splits of a k-d tree, and the records in the tree's order.
 //!
-//! It is read whole and checked when it is opened: 80 bytes for an image are little, and what happens to the file afterwards,
-//! from another program or a failing disk, changes nothing for those who have it open.
+//! The file is read whole and checked when it is opened. An image takes only 80 bytes, and later changes of the file by
+//! another program or a failing disk do not affect a reader.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::error::{DatabaseError, io};
+use super::kd_tree::{self, Metric, Search, Split};
 use super::record::{RECORD_BYTES, Record};
-use super::tree::{self, Metric, Search, Split};
 use realitysim_config::plain_file;
 use realitysim_geometry::{Isometry, Physical};
 
-/// An index that has been read. The file is never changed: a new one takes its place.
+/// An index in memory. Index files are never changed, only replaced by new ones.
 #[derive(Debug)]
 pub struct Index {
     bytes: Vec<u8>,
@@ -24,23 +24,24 @@ pub struct Index {
 /// An image near a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
-    /// By the metric.
+    /// Distance from the pose by the [`Metric`].
     pub distance: f64,
-    /// Number of the record.
+    /// Number of the image's record.
     pub number: usize,
 }
 
 const MAGIC: &[u8; 8] = b"RSIMVIEW";
 const VERSION: u32 = 1;
-/// Magic, version, CRC-32 of everything behind the header, number of records.
+/// Bytes of the header: magic number, version, CRC-32 of everything behind the header, number of records.
 const HEADER_BYTES: usize = 24;
+/// Bytes of a split: dimension and value.
 const SPLIT_BYTES: usize = 8;
-/// More images than any field will ever see, 1.4 GB of index; larger counts are damage.
+/// Most images of an index, 1.4 GB. A larger count is taken for damage.
 const MAX_IMAGES: usize = 1 << 24;
 
-/// Orders the records and writes the index, forced to disk.
+/// Brings the records into the tree's order, writes the index, and forces it to disk.
 pub fn write_index(path: &Path, mut records: Vec<Record>) -> Result<(), DatabaseError> {
-    let splits = tree::build(&mut records);
+    let splits = kd_tree::build(&mut records);
     let mut crc = crc32fast::Hasher::new();
     let parts = || {
         let splits = splits.iter().map(|split| {
@@ -69,7 +70,7 @@ pub fn write_index(path: &Path, mut records: Vec<Record>) -> Result<(), Database
 }
 
 impl Index {
-    /// Reads the file, whose length, checksum and poses must be right.
+    /// Reads an index file. Its version, length and checksum must be right, and all poses possible.
     pub fn open(path: &Path) -> Result<Self, DatabaseError> {
         let damaged = |what: &str| DatabaseError::Damaged { path: path.to_owned(), what: what.to_owned() };
         let bytes = plain_file::read(path, bytes_of(MAX_IMAGES) as u64).map_err(io(path))?;
@@ -99,23 +100,27 @@ impl Index {
         }
     }
 
+    /// Number of images.
     pub fn len(&self) -> usize {
         self.count
     }
 
+    /// Whether there is no image.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// As long as the file.
+    /// Size of the index file, bytes.
     pub fn bytes(&self) -> usize {
         self.bytes.len()
     }
 
+    /// The record with this number. Panics if there is none.
     pub fn record(&self, number: usize) -> Record {
         Record::from_bytes(self.raw(number))
     }
 
+    /// All records, in the order of their numbers.
     pub fn records(&self) -> impl Iterator<Item = Record> + '_ {
         (0..self.count).map(|number| self.record(number))
     }
@@ -126,7 +131,7 @@ impl Index {
         &records[number]
     }
 
-    /// The images nearest to a pose of `camera_link`, nearest first.
+    /// The `wanted` images nearest to a pose of `camera_link` in `map`, nearest first.
     pub fn nearest(&self, pose: &Isometry, wanted: usize, metric: &Metric) -> Vec<Neighbour> {
         let (splits, _) = self.bytes[HEADER_BYTES..self.records_at].as_chunks::<SPLIT_BYTES>();
         let search = Search {
@@ -148,16 +153,17 @@ impl Index {
     }
 }
 
+/// Where the records begin in an index of this many images, bytes.
 fn records_at(count: usize) -> usize {
-    HEADER_BYTES + SPLIT_BYTES * tree::leaves(count).max(1)
+    HEADER_BYTES + SPLIT_BYTES * kd_tree::leaves(count).max(1)
 }
 
-/// Of an index of so many images.
+/// Size of an index of this many images, bytes.
 fn bytes_of(count: usize) -> usize {
     records_at(count) + RECORD_BYTES * count
 }
 
-/// Where the index of this number lies.
+/// The path of the index file with this number.
 pub(super) fn path_of(folder: &Path, number: u64) -> PathBuf {
     folder.join(format!("index-{number:06}.bin"))
 }

@@ -1,26 +1,29 @@
-//! How good a database's views are by its own images: each in turn is left out and made of the others.
+//! Measures the quality of a database's views with its own images: an image is left out and made of the others.
 
 use super::error::DatabaseError;
-use super::gallery::{Gallery, Wanted};
+use super::image_database::{ImageDatabase, ViewQuery};
 use realitysim_views::{Method, SURE, Surface, Target, World, similarity};
 
-/// PSNR on the ground, dB, of `wanted` images spread evenly over the database; those that no other image shows are left out. Exposure is not
-/// evened out beyond what a view does by itself.
+/// PSNR on the ground, dB, between images and their views made of the other images.
+///
+/// `wanted` images are taken, spread evenly over the database. Those that cannot be read, or whose ground no other image
+/// shows, are left out. Exposure is not compensated beyond what the view does itself. `progress` gets the number of images so
+/// far.
 pub fn leave_one_out(
-    gallery: &Gallery,
+    database: &ImageDatabase,
     wanted: usize,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Vec<f64>, DatabaseError> {
-    let count = gallery.index().len();
+    let count = database.index().len();
     let wanted = wanted.min(count);
     let mut found = Vec::new();
     for which in 0..wanted {
         let number = (2 * which + 1) * count / (2 * wanted);
         progress(which as u64 + 1);
-        let record = gallery.index().record(number);
-        let (Some(camera), Ok(image)) = (gallery.camera(&record), gallery.image(number)) else { continue };
+        let record = database.index().record(number);
+        let (Some(camera), Ok(image)) = (database.camera(&record), database.image(number)) else { continue };
         let pose = record.pose();
-        let asked = Wanted {
+        let asked = ViewQuery {
             map_from_link: pose,
             method: Method::Exact,
             camera: Some(camera.clone()),
@@ -28,12 +31,12 @@ pub fn leave_one_out(
             may_be_stored: true,
             without: vec![number],
         };
-        let shown = match gallery.view(&asked) {
+        let shown = match database.view(&asked) {
             Ok(shown) => shown.answer.image,
             Err(DatabaseError::View(_) | DatabaseError::Image { .. }) => continue,
             Err(error) => return Err(error),
         };
-        let world = World::without_goals(gallery.field());
+        let world = World::without_goals(database.field());
         let target = Target::new(camera, &pose, &world);
         let (width, real) = (camera.width(), image.full());
         let ground: Vec<bool> = (0..width * camera.height())

@@ -1,4 +1,4 @@
-//! What of a source's images shows nothing: PNGs beside the index, named by their content.
+//! Masks of the pixels that do not show the world: PNGs in the database's folder, named by their content.
 
 use std::fs;
 use std::io::Cursor;
@@ -14,17 +14,17 @@ use realitysim_vision::BodyMask;
 const DARK: &str = "dark-";
 const BODY: &str = "body-";
 
-/// Where no image was ever lit.
+/// Writes the mask of pixels that no image has lit, and returns its file name.
 pub(super) fn write_dark(folder: &Path, source: &Source, gray: Vec<u8>) -> Result<String, DatabaseError> {
     write(folder, source, DARK, gray)
 }
 
-/// The robot's own.
+/// Writes a mask of the robot's own body, and returns its file name.
 pub(super) fn write_body(folder: &Path, source: &Source, body: &BodyMask) -> Result<String, DatabaseError> {
     write(folder, source, BODY, body.to_gray())
 }
 
-/// The same content has the same name: what an older catalogue names stays as it is, whoever is reading it.
+/// Writes a mask under a name made of its checksum, so that a file that an older catalogue names is never changed.
 fn write(folder: &Path, source: &Source, what: &str, gray: Vec<u8>) -> Result<String, DatabaseError> {
     let name = format!("{what}{:08x}.png", crc32fast::hash(&gray));
     let path = folder.join(&name);
@@ -39,16 +39,19 @@ fn write(folder: &Path, source: &Source, what: &str, gray: Vec<u8>) -> Result<St
     Ok(name)
 }
 
-/// Of one source, read: where it is dark, and its bodies.
+/// The masks of one source.
 pub(super) struct Masks {
+    /// The pixels that no image has lit.
     pub(super) dark: Option<BodyMask>,
+    /// The pixels that show the robot's own body.
     pub(super) bodies: Vec<BodyMask>,
 }
 
 impl Masks {
+    /// Reads the masks of a source of the database in `folder`.
     pub(super) fn read(folder: &Path, source: &Source) -> Result<Self, DatabaseError> {
         let read = |name: &String| {
-            // One of a capture that has none of its own keeps its whole path.
+            // A name that is an absolute path is a file outside the database; joining keeps it.
             let path = folder.join(name);
             let mask = mask(&path.display().to_string(), source.lens.width, source.lens.height);
             mask.map_err(|what| DatabaseError::Damaged { path, what })
@@ -60,7 +63,9 @@ impl Masks {
     }
 }
 
-/// Those of sources that are gone, and of additions that came to nothing; whoever has just read an older catalogue reads it again.
+/// Removes the masks that the catalogue does not name: those of removed sources and of failed additions.
+///
+/// A reader that has just read an older catalogue reads the catalogue again.
 pub(super) fn remove_all_but(folder: &Path, catalogue: &Catalogue) {
     let masks = |source: &Source| source.dark.iter().chain(&source.body_masks).cloned().collect::<Vec<String>>();
     let used: Vec<String> = catalogue.sources.iter().flat_map(masks).collect();

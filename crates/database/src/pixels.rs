@@ -1,4 +1,4 @@
-//! From stored bytes to colours, in full: pictures for the filter have half of the chroma, views want all of it.
+//! Decodes stored images in full colour. Pictures for the filter have half of the chroma, views need all of it.
 
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -15,18 +15,19 @@ use realitysim_geometry::lens::{MAX_PIXELS, MAX_SIDE, is_image_size};
 use realitysim_log_input::decode;
 use realitysim_ros2::messages::ImageView;
 
-/// Interleaved R, G, B.
+/// A decoded image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Colours {
     pub(super) width: usize,
     pub(super) height: usize,
+    /// Interleaved R, G, B, row by row.
     pub(super) rgb: Vec<u8>,
 }
 
-/// No stored frame comes near it.
+/// Largest stored image, bytes; no recorded frame comes near it.
 const MAX_STORED_BYTES: u32 = 256 << 20;
 
-/// The bytes of one image out of its file.
+/// Reads the bytes of one image from its file.
 pub(super) fn read_bytes(path: &Path, offset: u64, length: u32) -> io::Result<Vec<u8>> {
     if length > MAX_STORED_BYTES {
         return Err(io::Error::new(io::ErrorKind::InvalidData, format!("{length} bytes are no image")));
@@ -38,7 +39,7 @@ pub(super) fn read_bytes(path: &Path, offset: u64, length: u32) -> io::Result<Ve
     if bytes.len() == length as usize { Ok(bytes) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
 }
 
-/// The error says what is wrong with the bytes.
+/// Decodes an image. The error says what is wrong with the bytes.
 pub(super) fn colours(bytes: &[u8], form: Form) -> Result<Colours, String> {
     match form {
         Form::RosImage => {
@@ -61,7 +62,7 @@ fn jpeg(bytes: &[u8]) -> Result<Colours, String> {
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(said)?;
     let (width, height) = decoder.dimensions().ok_or("no size")?;
-    possible(width as u64, height as u64)?;
+    check_size(width as u64, height as u64)?;
     let rgb = decoder.decode().map_err(said)?;
     if rgb.len() == 3 * width * height { Ok(Colours { width, height, rgb }) } else { Err("not in colour".to_owned()) }
 }
@@ -73,19 +74,20 @@ fn png(bytes: &[u8]) -> Result<Colours, String> {
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(|error| error.to_string())?;
     let (width, height) = decoder.dimensions();
-    possible(width.into(), height.into())?;
+    check_size(width.into(), height.into())?;
     let image = DynamicImage::from_decoder(decoder).map_err(|error| error.to_string())?.into_rgb8();
     Ok(Colours { width: image.width() as usize, height: image.height() as usize, rgb: image.into_raw() })
 }
 
-/// Asked of the head, before any pixel is decoded.
-fn possible(width: u64, height: u64) -> Result<(), String> {
+/// Checks the size that an image's header states, before any pixel is decoded.
+fn check_size(width: u64, height: u64) -> Result<(), String> {
     let what = || format!("{width} x {height} pixels: at most {MAX_PIXELS} are decoded");
     if is_image_size(width, height) { Ok(()) } else { Err(what()) }
 }
 
-/// Sharpness (mean absolute second difference of green along the rows over the mean) and brightness (mean of green), of
-/// the pixels that are not black.
+/// Sharpness and brightness of an image, over the pixels that are not black.
+///
+/// Sharpness is the mean absolute second difference of green along the rows over the mean of green, brightness is that mean.
 pub(super) fn quality(colours: &Colours) -> (f32, f32) {
     let (mut sum, mut bends, mut count) = (0u64, 0u64, 0u64);
     for row in colours.rgb.chunks_exact(3 * colours.width).step_by(2) {

@@ -1,59 +1,67 @@
-//! One image of the index: where its bytes are, where its camera was, how good it is. 80 bytes, little-endian.
+//! A record of the index: the pose, the quality and the stored bytes of one image. It takes 80 bytes, little-endian.
 
 use glam::{DQuat, DVec3};
 
 use realitysim_geometry::{Isometry, Physical};
 use realitysim_views::TagError;
 
+/// One image of the index.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Record {
-    /// `camera_link` in `map`: metres, unit quaternion x, y, z, w.
+    /// Position of `camera_link` in `map`, metres.
     pub place: [f32; 3],
+    /// Rotation of `camera_link` in `map`, unit quaternion x, y, z, w.
     pub rotation: [f32; 4],
-    /// Of the catalogue's sources, and of that source's files.
+    /// Number of the source in the catalogue.
     pub source: u32,
+    /// Number of the file in its source.
     pub file: u32,
-    /// Where in the file its bytes begin, and how many there are.
+    /// Where the image's bytes begin in the file.
     pub offset: u64,
+    /// Number of the image's bytes.
     pub length: u32,
-    /// CRC-32 of these bytes: what changed after indexing is noticed.
+    /// CRC-32 of the image's bytes, by which a change after indexing is noticed.
     pub crc: u32,
+    /// Time of exposure, nanoseconds; 0 for an image of a folder.
     pub stamp_ns: i64,
-    /// Standard deviations of the tag; 0 where nobody said.
+    /// Standard deviation of the position, metres; 0 if unknown.
     pub sigma_m: f32,
+    /// Standard deviation of the rotation, radians; 0 if unknown.
     pub sigma_rad: f32,
-    /// Mean absolute second difference of luma over its mean: higher is sharper.
+    /// Mean absolute second difference of green over its mean; higher is sharper.
     pub sharpness: f32,
-    /// Mean luma, 0 to 255.
+    /// Mean of green, 0 to 255.
     pub brightness: f32,
+    /// What the bytes are.
     pub form: Form,
 }
 
-/// What the bytes are.
+/// The form of an image's stored bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
-    /// A JPEG or PNG.
+    /// A JPEG or PNG file.
     File,
     /// A `sensor_msgs/Image` in CDR.
     RosImage,
 }
 
+/// Size of a record in the index.
 pub(super) const RECORD_BYTES: usize = 80;
 
-/// What poses that nobody knows the accuracy of are taken to be: measured with care, by hand.
+/// The accuracy assumed for poses that state none, as if measured carefully by hand.
 const ASSUMED: TagError = TagError { position_m: 0.01, rotation_rad: 0.25 * core::f64::consts::PI / 180.0 };
 
 impl Physical for Record {
     fn is_possible(&self) -> bool {
         let length = self.rotation.iter().map(|part| f64::from(*part).powi(2)).sum::<f64>().sqrt();
-        // As far as a tag can be off in any hall; 0 is said of poses whose accuracy nobody knows.
+        // A tag cannot be off by more in any hall. 0 stands for an unknown accuracy.
         let sigmas = [self.sigma_m, self.sigma_rad].iter().all(|sigma| (0.0..=1000.0).contains(sigma));
         sigmas && self.place.iter().all(|metres| f64::from(*metres).is_possible()) && (0.99..1.01).contains(&length)
     }
 }
 
 impl Record {
-    /// Of no image yet.
+    /// A record with a pose of `camera_link` in `map` and no image.
     pub fn at(pose: &Isometry) -> Self {
         let mut record = Self {
             place: [0.0; 3],
@@ -74,13 +82,14 @@ impl Record {
         record
     }
 
+    /// The pose of `camera_link` in `map`.
     pub fn pose(&self) -> Isometry {
         let [x, y, z] = self.place.map(f64::from);
         let [qx, qy, qz, qw] = self.rotation.map(f64::from);
         Isometry::new(DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(x, y, z))
     }
 
-    /// Of images whose poses come without their accuracy: what is assumed.
+    /// The accuracy of the pose, or an assumed one if the pose states none.
     pub fn tag(&self) -> TagError {
         match self.says_how_good_it_is() {
             true => TagError { position_m: f64::from(self.sigma_m), rotation_rad: f64::from(self.sigma_rad) },
@@ -88,6 +97,7 @@ impl Record {
         }
     }
 
+    /// Whether the pose states its accuracy.
     pub fn says_how_good_it_is(&self) -> bool {
         self.sigma_m > 0.0 || self.sigma_rad > 0.0
     }
@@ -117,7 +127,7 @@ impl Record {
         bytes
     }
 
-    /// Any bytes are a record; what makes no sense is noticed where it is used.
+    /// Reads a record. Any bytes are a record; impossible values are noticed where they are used.
     pub(super) fn from_bytes(bytes: &[u8; RECORD_BYTES]) -> Self {
         let word = |at: usize| -> [u8; 4] { core::array::from_fn(|i| bytes[at + i]) };
         let long = |at: usize| -> [u8; 8] { core::array::from_fn(|i| bytes[at + i]) };

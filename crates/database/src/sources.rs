@@ -1,4 +1,4 @@
-//! Captures and folders of images, read into records.
+//! Reads captures and folders of images into records.
 
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::fs;
@@ -10,13 +10,13 @@ use glam::DVec3;
 
 use super::catalogue::{Source, SourceKind, TagLimits};
 use super::error::{DatabaseError, io};
-use super::lit::Lit;
+use super::lit_pixels::LitPixels;
 use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
 use realitysim_config::{load_lens_for_image, plain_file};
 use realitysim_geometry::{Euler, FieldDimensions, Isometry, LensParameters};
 use realitysim_log_input::log::{self, LogSource};
-use realitysim_log_input::{body_mask, decode};
+use realitysim_log_input::{InputSource, body_mask, decode};
 use realitysim_recording::{
     Loss, REFINED_FOLDER, Readout, ReadoutError, RefinedInfo, SESSION_FILE, losses, read_info, read_tags, refined_info,
 };
@@ -25,41 +25,46 @@ use realitysim_ros2::messages::{CompressedImageView, FrameTag};
 use realitysim_views::{LEAST_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M};
 use realitysim_vision::BodyMask;
 
-/// A source with its images.
+/// A source that was read, with its images.
 pub(super) struct Read {
     pub(super) source: Source,
-    /// Their `source` is for the catalogue to say.
+    /// The images. The number of their source is set when they are added to the catalogue.
     pub(super) records: Vec<Record>,
-    /// `None` if the source does not say.
+    /// The source's field; `None` if the source does not name it.
     pub(super) field: Option<FieldDimensions>,
-    /// Left out although their tag is valid: it does not know which half of the field it is in.
+    /// Number of images left out because their valid tag does not know which half of the field it is in.
     pub(super) ambiguous: u64,
-    /// The same, known worse than the limit.
+    /// Number of images left out because the standard deviation of their valid tag exceeds the limit.
     pub(super) imprecise: u64,
+    /// Parts that could not be read.
     pub(super) losses: Vec<Loss>,
-    /// If there is no record, why.
+    /// Why there is no record, if there is none.
     pub(super) empty: Option<Loss>,
-    pub(super) lit: Lit,
-    /// What is the robot's own body, if the source says so itself.
+    /// The pixels that the images light.
+    pub(super) lit: LitPixels,
+    /// Masks of the robot's own body that the source itself holds.
     pub(super) bodies: Vec<BodyMask>,
 }
 
+/// The file of a folder of images with their poses.
 const POSES: &str = "poses.csv";
+/// The first line of that file.
 const POSES_HEAD: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg";
+/// The file of a folder of images with its lens.
 const CAMERA: &str = "camera_info.yaml";
-/// Of a folder of images, if its robot is in them: dark where.
+/// The file of a folder of images that is dark where they show the robot's own body.
 const MASK: &str = "body_mask.png";
-/// Of its pixels: no robot is as large.
+/// Share of the pixels from which a body mask is refused, because no robot hides so much.
 const ALL_HIDDEN: f64 = 0.95;
-/// Images decoded at a time: bounds memory.
+/// Most images that are held to be decoded together, which bounds the memory.
 const MAX_BATCH: usize = 64;
 
-/// A capture or a folder of images.
+/// Whether a path is a capture or a folder of images.
 pub(super) fn is_source(path: &Path) -> bool {
     path.join(POSES).is_file() || path.join(SESSION_FILE).is_file()
 }
 
-/// A capture, one of its segments, or a folder with `poses.csv`. `done` hears of images.
+/// Reads a capture, one of its segments, or a folder with `poses.csv`. `done` gets the number of images so far.
 pub(super) fn read(path: &Path, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let path = path.canonicalize().map_err(io(path))?;
     if path.join(POSES).is_file() { read_folder(path, done) } else { read_capture(path, limits, done) }
@@ -74,14 +79,14 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
     }
     let info = read_info(folder)?;
     let refined = match refined_info(&path) {
-        // What is no better by lines that took no part is left alone.
+        // Refined tags are used only if they fit held-out lines better than the recorded ones.
         Ok(refined) => refined.filter(RefinedInfo::is_better),
         Err(error) => return Err(DatabaseError::Source { path, what: error.to_string() }),
     };
     let refined_folder = folder.join(REFINED_FOLDER);
     let tags_from = if refined.is_some() { &refined_folder } else { &path };
     let Readout { found: tags, mut losses, .. } = match read_tags(tags_from) {
-        // Of a time when the camera was away.
+        // The camera may have sent nothing during this segment.
         Err(ReadoutError::NoMessages { loss: None, .. }) => {
             Readout { found: Vec::new(), losses: Vec::new(), warnings: Vec::new() }
         }
@@ -103,17 +108,17 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
         waiting.entry(tag.header.stamp.to_nanoseconds()).or_default().push_back(tag);
     }
     let files = log::files_of(&path)?;
-    // Refined tags belong to the lens that was found with them.
+    // Refined tags belong to the lens that was fitted with them.
     let lens = refined.map_or(info.lens, |refined| refined.lens);
     let topic = info.settings.topics.image.clone();
     let mut log = LogSource::with_outputs(files.clone(), Selection::topics([topic.as_str()]));
-    let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), Lit::default());
+    let (mut records, mut left_out, mut batch, mut lit) = (Vec::new(), 0, Vec::new(), LitPixels::default());
     let (mut other_sizes, mut images) = (0, 0_u64);
     let size = [lens.width as usize, lens.height as usize];
     loop {
         let message = log.next().transpose()?;
         if message.is_none() || batch.len() == MAX_BATCH {
-            let misfits = look_at(&mut batch, size, &mut records, &mut lit);
+            let misfits = decode_batch(&mut batch, size, &mut records, &mut lit);
             left_out += misfits.all;
             other_sizes += misfits.other_sizes;
             done(records.len() as u64);
@@ -167,20 +172,20 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
         files: files.iter().map(relative).collect(),
         dark: None,
         darkening: None,
-        // Those of a capture that has none of its own lie where it was made.
+        // A capture without stored masks names the files of the machine where it was made.
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
         images: records.len() as u64,
         left_out,
         limits,
-        // Scenes are drawn without.
-        goals: !info.source.is_some_and(|source| source.ends_with(".toml")),
+        // Scenes are rendered without goals.
+        goals: !info.source.is_some_and(|source| InputSource::is_scene(Path::new(&source))),
         path,
     };
     let bodies = info.body_masks.iter().filter_map(|runs| BodyMask::from_runs(size[0], size[1], runs)).collect();
     Ok(Read { source, records, field: Some(info.field), ambiguous, imprecise, losses, empty, lit, bodies })
 }
 
-/// Where in a message the stored bytes begin, these, and what they are.
+/// The stored image in a message: where its bytes begin, the bytes, and their form.
 fn stored(message: &LogMessage) -> Option<(u64, &[u8], Form)> {
     if message.channel.type_name != "sensor_msgs/msg/CompressedImage" {
         return Some((0, &message.data, Form::RosImage));
@@ -189,6 +194,8 @@ fn stored(message: &LogMessage) -> Option<(u64, &[u8], Form)> {
     Some(((image.as_ptr() as usize - message.data.as_ptr() as usize) as u64, image, Form::File))
 }
 
+/// A record of a tag and its stored image, without the image's quality. Standard deviations are the larger ones of x and y, and
+/// of the three rotations.
 fn record_of(tag: &FrameTag, file: u32, offset: u64, bytes: &[u8], form: Form) -> Record {
     let covariance = &tag.pose.covariance;
     let sigma = |a: usize, b: usize| libm::sqrt(covariance[a].max(covariance[b]).max(0.0)) as f32;
@@ -205,26 +212,28 @@ fn record_of(tag: &FrameTag, file: u32, offset: u64, bytes: &[u8], form: Form) -
     }
 }
 
-/// Images that are left out: all that do not decode or are of another size than their lens, and the latter.
+/// Numbers of images that are left out of a batch.
 #[derive(Clone, Copy, Debug, Default)]
 struct Misfits {
+    /// Images that do not decode or do not have the size of their lens.
     all: u64,
+    /// Images that do not have the size of their lens.
     other_sizes: u64,
 }
 
-/// Decodes a batch with all processors.
-fn look_at(
+/// Decodes a batch on all processors, and adds the good images to `records` and `lit`.
+fn decode_batch(
     batch: &mut Vec<(Record, Vec<u8>)>,
     [width, height]: [usize; 2],
     records: &mut Vec<Record>,
-    lit: &mut Lit,
+    lit: &mut LitPixels,
 ) -> Misfits {
     let threads = thread::available_parallelism().map_or(1, usize::from);
     let share = batch.len().div_ceil(threads).max(1);
     let (before, mut other_sizes) = (records.len(), 0);
     thread::scope(|scope| {
-        let look = |part: &[(Record, Vec<u8>)]| -> (Vec<Record>, Lit, u64) {
-            let (mut lit, mut others) = (Lit::default(), 0);
+        let look = |part: &[(Record, Vec<u8>)]| -> (Vec<Record>, LitPixels, u64) {
+            let (mut lit, mut others) = (LitPixels::default(), 0);
             let good = part.iter().filter_map(|(record, bytes)| {
                 let colours = colours(bytes, record.form).ok()?;
                 let (sharpness, brightness) = quality(&colours);
@@ -239,7 +248,7 @@ fn look_at(
         };
         let workers: Vec<_> = batch.chunks(share).map(|part| scope.spawn(move || look(part))).collect();
         for worker in workers {
-            // A decoder that panics costs its part of the batch, which counts as left out.
+            // If a decoder panics, its part of the batch counts as left out.
             if let Ok((found, more, others)) = worker.join() {
                 records.extend(found);
                 lit.join(&more);
@@ -252,9 +261,10 @@ fn look_at(
     Misfits { all, other_sizes }
 }
 
-/// A line for each image takes some hundred bytes: of two million images.
+/// Largest `poses.csv`: a line takes some hundred bytes, so it has two million images.
 const MAX_TABLE_BYTES: u64 = 256 << 20;
 
+/// Reads a folder of images with `poses.csv` and `camera_info.yaml`.
 fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let table = path.join(POSES);
     let text = plain_file::read_text(&table, MAX_TABLE_BYTES).map_err(io(&table))?;
@@ -269,7 +279,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         }
     }
     let (mut files, mut records, mut losses, mut batch) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let (mut lens, mut left_out, mut lit) = (None, 0, Lit::default());
+    let (mut lens, mut left_out, mut lit) = (None, 0, LitPixels::default());
     for (line, text) in lines.filter(|(_, text)| !text.is_empty()) {
         let (name, pose) = row(text).map_err(|what| wrong(line, what))?;
         let file = path.join(&name);
@@ -301,11 +311,11 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         files.push(name);
         batch.push((record, bytes));
         if batch.len() == MAX_BATCH {
-            finish(&mut batch, &lens, &mut records, &mut lit);
+            decode_folder_batch(&mut batch, &lens, &mut records, &mut lit);
             done(records.len() as u64);
         }
     }
-    finish(&mut batch, &lens, &mut records, &mut lit);
+    decode_folder_batch(&mut batch, &lens, &mut records, &mut lit);
     done(records.len() as u64);
     let good: HashSet<u32> = records.iter().map(|record| record.file).collect();
     for (_, name) in files.iter().enumerate().filter(|(number, _)| !good.contains(&(*number as u32))) {
@@ -336,12 +346,18 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
     Ok(Read { source, records, field: None, ambiguous: 0, imprecise: 0, losses, empty, lit, bodies })
 }
 
-fn finish(batch: &mut Vec<(Record, Vec<u8>)>, lens: &Option<LensParameters>, records: &mut Vec<Record>, lit: &mut Lit) {
+/// Decodes a batch of a folder's images, once the lens is known from the first readable one.
+fn decode_folder_batch(
+    batch: &mut Vec<(Record, Vec<u8>)>,
+    lens: &Option<LensParameters>,
+    records: &mut Vec<Record>,
+    lit: &mut LitPixels,
+) {
     let Some(lens) = lens else { return };
-    look_at(batch, [lens.width as usize, lens.height as usize], records, lit);
+    decode_batch(batch, [lens.width as usize, lens.height as usize], records, lit);
 }
 
-/// `camera_info.yaml` beside the images, for one of this size.
+/// Reads the lens from `camera_info.yaml` beside the images, for images of this size.
 fn camera_of(folder: &Path, image: &Path, [width, height]: [u32; 2]) -> Result<LensParameters, DatabaseError> {
     let path = folder.join(CAMERA);
     if !path.is_file() {
@@ -354,12 +370,12 @@ fn camera_of(folder: &Path, image: &Path, [width, height]: [u32; 2]) -> Result<L
     Ok(file.lens.parameters().clone())
 }
 
-/// `None` where nothing of that name lies beside the images.
+/// Reads the body mask beside the images; `None` if there is none.
 fn body_of(folder: &Path, lens: &LensParameters) -> Result<Option<BodyMask>, DatabaseError> {
     let path = folder.join(MASK);
     let Ok(there) = path.symlink_metadata() else { return Ok(None) };
     let read = || -> Result<BodyMask, String> {
-        // To open a pipe would wait for ever.
+        // Opening a named pipe would block.
         if !there.is_file() && !path.is_file() {
             return Err("not a plain file".to_owned());
         }
@@ -374,7 +390,7 @@ fn body_of(folder: &Path, lens: &LensParameters) -> Result<Option<BodyMask>, Dat
     read().map(Some).map_err(|what| DatabaseError::Image { path, what })
 }
 
-/// A file's name and the pose of its `camera_link`.
+/// Parses a line of `poses.csv`: the file's name, and the pose of `camera_link` in `map`.
 fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
     let cells: Vec<&str> = text.split(',').map(str::trim).collect();
     let [name, numbers @ ..] = cells.as_slice() else { return Err("empty".to_owned()) };

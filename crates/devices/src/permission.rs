@@ -1,9 +1,9 @@
-//! Who may open a device.
+//! Tells who may open a device, and what to do without permission.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-/// The group that a device belongs to; None where only root may open it.
+/// Returns the group whose members may open a device; `None` where only root may.
 pub fn group_of(device: &Path) -> Option<String> {
     let device = std::fs::metadata(device).ok()?;
     let group = device.gid();
@@ -11,14 +11,14 @@ pub fn group_of(device: &Path) -> Option<String> {
         return None;
     }
     let groups = std::fs::read_to_string("/etc/group").ok()?;
-    Some(name_of(&groups, group).map_or_else(|| group.to_string(), str::to_owned))
+    Some(group_name(&groups, group).map_or_else(|| group.to_string(), str::to_owned))
 }
 
-/// The group's bits of a mode.
+/// Bits of a file's mode that let its group read and write.
 const READ_AND_WRITE: u32 = 0o060;
 
-/// In the lines of group(5).
-fn name_of(groups: &str, group: u32) -> Option<&str> {
+/// Finds the name of a group by its number in the lines of /etc/group, see group(5).
+fn group_name(groups: &str, group: u32) -> Option<&str> {
     groups.lines().find_map(|line| {
         let mut fields = line.split(':');
         let name = fields.next()?;
@@ -26,7 +26,7 @@ fn name_of(groups: &str, group: u32) -> Option<&str> {
     })
 }
 
-/// What somebody without permission is to do; `usual` is the group that udev gives such devices to.
+/// Says what to do without permission. `usual` is the group that udev gives such devices to.
 pub fn remedy(device: &Path, usual: &str) -> String {
     match group_of(device) {
         Some(group) => format!("your user must be in the group {group}: sudo usermod -aG {group} $USER"),
@@ -41,9 +41,9 @@ mod tests {
     #[test]
     fn a_group_has_a_name() {
         let groups = "root:x:0:\ndialout:x:20:soccer,coach\nvideo:x:44:\nbroken\n";
-        assert_eq!(name_of(groups, 20), Some("dialout"));
-        assert_eq!(name_of(groups, 44), Some("video"));
-        assert_eq!(name_of(groups, 45), None);
+        assert_eq!(group_name(groups, 20), Some("dialout"));
+        assert_eq!(group_name(groups, 44), Some("video"));
+        assert_eq!(group_name(groups, 45), None);
     }
 
     #[test]

@@ -1,14 +1,14 @@
-//! What a process that was killed leaves of its Unix socket.
+//! Removes the Unix socket that a killed process has left behind.
 
 use std::io;
 use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 
-/// Removes a socket on which nobody listens any more. One that somebody listens on stays, for `bind` to say so.
+/// Removes a socket on which nobody listens any more. One that is in use stays, and `bind` will fail on it.
 ///
 /// # Errors
-/// `AlreadyExists` for what is no socket, which is left alone.
+/// `AlreadyExists` if there is something else at the path, which is left alone.
 pub fn clear_away(path: &Path) -> io::Result<()> {
     let Ok(there) = std::fs::symlink_metadata(path) else { return Ok(()) };
     if !there.file_type().is_socket() {

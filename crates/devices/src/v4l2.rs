@@ -1,4 +1,4 @@
-//! What a camera on Video4Linux offers.
+//! Asks a Video4Linux camera for its formats, sizes and rates.
 
 use std::path::Path;
 
@@ -8,43 +8,68 @@ use v4l::Device;
 use v4l::frameinterval::FrameIntervalEnum;
 use v4l::video::Capture;
 
+/// What a camera says about itself.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CameraOffer {
+    /// Name of the camera.
     pub card: String,
+    /// Name of its kernel driver.
     pub driver: String,
+    /// Where it is connected, for example a USB port.
     pub bus: String,
+    /// The formats that it offers.
     pub formats: Vec<FormatOffer>,
 }
 
+/// One pixel format of a camera.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FormatOffer {
-    /// `MJPG`, `YUYV`, ...
+    /// Four-character code of the format: `MJPG`, `YUYV`, ...
     pub fourcc: String,
+    /// Name of the format, as the driver gives it.
     pub description: String,
+    /// The image sizes in this format, 64 at most.
     pub sizes: Vec<SizeOffer>,
 }
 
+/// One image size of a camera.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SizeOffer {
+    /// Width, pixels.
     pub width: u32,
+    /// Height, pixels.
     pub height: u32,
+    /// The frame rates at this size, Hz, 64 at most; of a range the two ends.
     pub rates_hz: Vec<f64>,
 }
 
+/// Why a camera cannot be asked.
 #[derive(Debug, Error)]
 pub enum CameraError {
+    /// The device cannot be opened.
     #[error("{path}: {source}{}", if source.kind() == std::io::ErrorKind::PermissionDenied {
         " (your user must be in the group video: sudo usermod -aG video $USER)"
     } else {
         ""
     })]
-    Open { path: String, source: std::io::Error },
+    Open {
+        /// The device.
+        path: String,
+        /// What the operating system says.
+        source: std::io::Error,
+    },
+    /// The device does not answer as a camera does.
     #[error("{path}: not a camera that this program can ask: {source}")]
-    Query { path: String, source: std::io::Error },
+    Query {
+        /// The device.
+        path: String,
+        /// What the operating system says.
+        source: std::io::Error,
+    },
 }
 
 impl CameraOffer {
-    /// In one line: `YUYV 640x480 (30, 15), 320x240 (30); MJPG ...`, rates in Hz.
+    /// Returns the formats in one line: `YUYV 640x480 (30, 15), 320x240 (30); MJPG ...`, rates in Hz.
     pub fn summary(&self) -> String {
         let size = |size: &SizeOffer| {
             let rates: Vec<String> = size.rates_hz.iter().take(MOST_IN_A_LINE).map(|hz| format!("{hz:.0}")).collect();
@@ -62,11 +87,13 @@ impl CameraOffer {
     }
 }
 
+/// Largest number of sizes of a format, and of rates of a size, in that line.
 const MOST_IN_A_LINE: usize = 12;
 
-/// More sizes or rates than this are not listed: some drivers list every multiple of 8.
+/// Largest number of sizes or rates that are listed: some drivers offer every multiple of 8.
 const MOST: usize = 64;
 
+/// Asks the camera at this path what it offers.
 pub fn offer(path: &Path) -> Result<CameraOffer, CameraError> {
     let shown = || path.display().to_string();
     let device = Device::with_path(path).map_err(|source| CameraError::Open { path: shown(), source })?;
@@ -93,6 +120,7 @@ pub fn offer(path: &Path) -> Result<CameraOffer, CameraError> {
     Ok(CameraOffer { card: capabilities.card, driver: capabilities.driver, bus: capabilities.bus, formats })
 }
 
+/// Lists the frame rates at one size, Hz; of a range the two ends.
 fn rates(device: &Device, fourcc: v4l::FourCC, width: u32, height: u32) -> Vec<f64> {
     let intervals = device.enum_frameintervals(fourcc, width, height).unwrap_or_default();
     let rate = |f: v4l::Fraction| (f.numerator > 0).then(|| f64::from(f.denominator) / f64::from(f.numerator));

@@ -1,4 +1,4 @@
-//! Pictures to where a camera's would come from: a V4L2 output (v4l2loopback, vivid), a new file or a pipe.
+//! Writes pictures to where those of a camera would come from: a V4L2 output (v4l2loopback, vivid), a new file or a pipe.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
@@ -9,48 +9,70 @@ use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::io::Errno;
 use thiserror::Error;
 
-/// What is written of each picture.
+/// The form in which each picture is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OutputForm {
-    /// The JPEG as it is.
+    /// The JPEG file as it is.
     Mjpeg,
-    /// Two pixels in four bytes: Y U Y V.
+    /// Raw pixels, two in four bytes: Y U Y V.
     Yuyv,
 }
 
+/// An open output for pictures.
 pub struct VideoOut {
     writer: Box<dyn Write + Send>,
+    /// The form in which it takes pictures.
     pub form: OutputForm,
 }
 
+/// Why an output cannot be opened.
 #[derive(Debug, Error)]
 pub enum VideoOutError {
+    /// The operating system refuses to open or create it.
     #[error("{}: {source}{}", path.display(), if source.kind() == io::ErrorKind::PermissionDenied {
         " (your user must be in the group video: sudo usermod -aG video $USER)"
     } else {
         ""
     })]
-    Open { path: PathBuf, source: io::Error },
+    Open {
+        /// The device, pipe or file.
+        path: PathBuf,
+        /// What the operating system says.
+        source: io::Error,
+    },
+    /// The device takes none of the forms.
     #[error("{}: takes neither MJPG nor YUYV of {width} x {height}: is it a v4l2loopback device, and free?", path.display())]
-    Format { path: PathBuf, width: u32, height: u32 },
+    Format {
+        /// The device.
+        path: PathBuf,
+        /// Width of the pictures, pixels.
+        width: u32,
+        /// Height of the pictures, pixels.
+        height: u32,
+    },
+    /// The name is that of a device, and there is none.
     #[error(
-        "{}: there is no such device (docs/hardware.md: v4l2loopback; `realitysim info DEVICE` shows what one can), and no file is made in its \
+        "{}: there is no such device (docs/howto/robot.md: v4l2loopback; `realitysim info DEVICE` shows what one can), and no file is made in its \
          place", .0.display()
     )]
     NoDevice(PathBuf),
+    /// There is a file already, and it is not written over.
     #[error("{}: is there already, and no file is written over: name a new file, a pipe or a V4L2 output", .0.display())]
     Taken(PathBuf),
+    /// The program was built without the feature `v4l2`.
     #[error("{}: this build knows no V4L2 devices: build it with the feature v4l2", .0.display())]
     NoV4l2(PathBuf),
 }
 
 impl VideoOut {
-    /// A device or a pipe that is there, or a file that is not: none is written over, and none made where devices are.
+    /// Opens an existing V4L2 device or pipe, or creates a file. `width` and `height` are those of the pictures, pixels.
+    ///
+    /// No file is written over, and none is created among devices.
     pub fn open(path: &Path, width: u32, height: u32) -> Result<Self, VideoOutError> {
         let opened = |source| VideoOutError::Open { path: path.to_owned(), source };
         let file = match path.metadata().map(|meta| meta.file_type()) {
-            Ok(kind) if kind.is_char_device() => return device(path, width, height),
-            Ok(kind) if kind.is_fifo() => pipe(path).map_err(opened)?,
+            Ok(kind) if kind.is_char_device() => return open_device(path, width, height),
+            Ok(kind) if kind.is_fifo() => open_pipe(path).map_err(opened)?,
             Ok(_) => return Err(VideoOutError::Taken(path.to_owned())),
             Err(_) if is_device_name(path) => return Err(VideoOutError::NoDevice(path.to_owned())),
             Err(_) => OpenOptions::new().write(true).create_new(true).open(path).map_err(opened)?,
@@ -58,25 +80,26 @@ impl VideoOut {
         Ok(Self { writer: Box::new(file), form: OutputForm::Mjpeg })
     }
 
-    /// One picture in [`Self::form`], whole: a device takes each write for one.
+    /// Writes one whole picture in the form [`Self::form`]. A device takes each write for a picture.
     pub fn show(&mut self, picture: &[u8]) -> io::Result<()> {
         self.writer.write_all(picture)
     }
 }
 
-/// Whether it would lie, or its link leads, among the devices, where a file of this name could only be a mistake.
+/// Returns whether a path, or the link there, leads into `/dev`, where a file could only be a mistake; `/dev/shm` is allowed.
 pub fn is_device_name(path: &Path) -> bool {
     let path = path.read_link().map_or_else(|_| path.to_owned(), |to| path.parent().unwrap_or(path).join(to));
     let folder = std::path::absolute(path).ok().and_then(|path| path.parent()?.canonicalize().ok());
     folder.is_some_and(|folder| folder.starts_with(DEVICES) && !folder.starts_with(SHARED_MEMORY))
 }
 
+/// Folder of the devices.
 const DEVICES: &str = "/dev";
-/// In it, but a place for files.
+/// A folder within it that is a place for files.
 const SHARED_MEMORY: &str = "/dev/shm";
 
-/// One that nobody reads yet is not waited for.
-fn pipe(path: &Path) -> io::Result<File> {
+/// Opens a pipe for writing. It fails at once if nobody reads from it.
+fn open_pipe(path: &Path) -> io::Result<File> {
     let without_waiting = OFlags::NONBLOCK.bits() as i32;
     let file = OpenOptions::new().write(true).custom_flags(without_waiting).open(path)?;
     let flags = fcntl_getfl(&file)?;
@@ -85,21 +108,22 @@ fn pipe(path: &Path) -> io::Result<File> {
 }
 
 impl VideoOutError {
-    /// A pipe without a reader.
+    /// Returns whether the output is a pipe without a reader.
     pub fn nobody_reads(&self) -> bool {
         matches!(self, Self::Open { source, .. } if source.raw_os_error() == Some(Errno::NXIO.raw_os_error()))
     }
 }
 
+/// Opens a V4L2 output in the first form that it takes.
 #[cfg(feature = "v4l2")]
-fn device(path: &Path, width: u32, height: u32) -> Result<VideoOut, VideoOutError> {
+fn open_device(path: &Path, width: u32, height: u32) -> Result<VideoOut, VideoOutError> {
     use v4l::video::Output;
     use v4l::{Device, Format, FourCC};
     let opened = |source| VideoOutError::Open { path: path.to_owned(), source };
     let device = Device::with_path(path).map_err(opened)?;
     for (code, form) in [(b"MJPG", OutputForm::Mjpeg), (b"YUYV", OutputForm::Yuyv)] {
         let mut format = Format::new(width, height, FourCC::new(code));
-        // As much as any JPEG of this size has; raw pictures have their own size.
+        // No JPEG of these dimensions is larger; raw pictures have exactly this size.
         format.size = width * height * 2;
         let given = Output::set_format(&device, &format);
         if given.is_ok_and(|given| given.fourcc == format.fourcc && (given.width, given.height) == (width, height)) {
@@ -110,11 +134,11 @@ fn device(path: &Path, width: u32, height: u32) -> Result<VideoOut, VideoOutErro
 }
 
 #[cfg(not(feature = "v4l2"))]
-fn device(path: &Path, _width: u32, _height: u32) -> Result<VideoOut, VideoOutError> {
+fn open_device(path: &Path, _width: u32, _height: u32) -> Result<VideoOut, VideoOutError> {
     Err(VideoOutError::NoV4l2(path.to_owned()))
 }
 
-/// R G B to Y U Y V, BT.601, chroma of each pair from its mean; an odd last column is left out.
+/// Converts RGB into Y U Y V by BT.601, with full range. The chroma of a pair is that of its mean; an odd last column is left out.
 pub fn yuyv(rgb: &[u8], width: usize) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(rgb.len() / 3 * 2);
     for row in rgb.chunks_exact(3 * width) {

@@ -1,4 +1,4 @@
-//! Tags and truth out of logs.
+//! Reading of tags, other poses and the truth from logs.
 
 use std::path::Path;
 
@@ -7,8 +7,8 @@ use thiserror::Error;
 use super::compare::Tagged;
 use realitysim_config::{HeadSettings, Topics};
 use realitysim_geometry::Isometry;
-use realitysim_log_input::intake::{self, Input};
 use realitysim_log_input::log::{self, LogError, LogSource};
+use realitysim_log_input::measurement::{self, Measurement};
 use realitysim_log_input::topic_resolution::{self, TopicError};
 use realitysim_recording::{Readout, ReadoutError, losses, read_topic};
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
@@ -16,38 +16,57 @@ use realitysim_ros2::messages::{
     FrameTag, Header, Message, Odometry, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
 };
 
+/// Reason why poses or frame times cannot be read from a log.
 #[derive(Debug, Error)]
 pub enum EvaluationError {
+    /// The topic cannot be read.
     #[error(transparent)]
     Readout(#[from] ReadoutError),
+    /// The log cannot be read.
     #[error(transparent)]
     Log(#[from] LogError),
+    /// The topic holds no poses.
     #[error(
         "{path}: {topic} is of type {type_name}: poses are geometry_msgs/msg/PoseStamped, \
          PoseWithCovarianceStamped or nav_msgs/msg/Odometry"
     )]
-    Type { path: String, topic: String, type_name: String },
+    Type {
+        /// Log that was read.
+        path: String,
+        /// Name of the topic.
+        topic: String,
+        /// ROS 2 type of its messages.
+        type_name: String,
+    },
+    /// The topic of the camera's images cannot be determined.
     #[error("{path}: {source}")]
-    Topic { path: String, source: TopicError },
+    Topic {
+        /// Log that was read.
+        path: String,
+        /// The problem with the topic.
+        source: TopicError,
+    },
 }
 
-/// The true poses of `camera_link` in time order.
+/// Reads the true poses of `camera_link` from topic `name`, with times in nanoseconds and in order of time.
 pub fn read_truth(path: &Path, name: &str) -> Result<Readout<(i64, Isometry)>, EvaluationError> {
     let read = read_poses_of(path, name, "name the topic of the true poses with topics.ground_truth or --truth-topic")?;
-    let posed = |message: &LogMessage| stamped_pose(path, message).map(|(tag, _)| (tag.stamp_ns, tag.pose));
+    let posed = |message: &LogMessage| decode_pose(path, message).map(|(tag, _)| (tag.stamp_ns, tag.pose));
     let mut found = read.found.iter().map(posed).collect::<Result<Vec<_>, _>>()?;
     found.sort_by_key(|(stamp, _)| *stamp);
     found.dedup_by_key(|(stamp, _)| *stamp);
     Ok(Readout { found, losses: read.losses, warnings: read.warnings })
 }
 
-/// Poses of `camera_link` in `map` that somebody else computed, in time order: they say of none that it is not valid.
+/// Reads poses of `camera_link` in `map` that another program computed, in order of time.
+///
+/// The messages carry no validity: all poses count as valid. Frame identifiers that name something else give a warning.
 pub fn read_poses(path: &Path, name: &str) -> Result<Readout<Tagged>, EvaluationError> {
     let read = read_poses_of(path, name, "name the topic of the poses to judge")?;
-    let posed = read.found.iter().map(|message| stamped_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
+    let posed = read.found.iter().map(|message| decode_pose(path, message)).collect::<Result<Vec<_>, _>>()?;
     let mut warnings: Vec<String> = Vec::new();
     for (_, [parent, child]) in &posed {
-        // Many programs leave them empty, which says nothing.
+        // Many programs leave the identifiers empty, which says nothing.
         let is = |said: &str, meant: &str| said.is_empty() || said.trim_start_matches('/') == meant;
         if is(parent, MAP) && is(child, CAMERA) {
             continue;
@@ -66,13 +85,14 @@ pub fn read_poses(path: &Path, name: &str) -> Result<Readout<Tagged>, Evaluation
     Ok(Readout { found, losses: read.losses, warnings })
 }
 
-/// What poses to be judged are of, and in.
+/// Coordinate frame that judged poses are poses of.
 const CAMERA: &str = "camera_link";
+/// Coordinate frame that judged poses are expressed in.
 const MAP: &str = "map";
-/// Of one topic: more say the same.
+/// Largest number of different warnings about one topic.
 const MAX_WARNINGS: usize = 8;
 
-/// When the camera took the frames of a log, in time order.
+/// Reads the times at which the camera took the frames of a log, nanoseconds, in ascending order.
 pub fn read_frame_times(path: &Path, wanted: &Topics) -> Result<Readout<i64>, EvaluationError> {
     let files = log::files_of(path)?;
     let types = log::topic_types(&log::surveys(&files)?);
@@ -82,8 +102,9 @@ pub fn read_frame_times(path: &Path, wanted: &Topics) -> Result<Readout<i64>, Ev
     let mut source = LogSource::new(files, Selection::topics([topics.image.clone()]));
     let mut found = Vec::new();
     for message in source.by_ref() {
-        // One that does not say when it was taken is none for anybody.
-        if let Ok(Input::Frame { stamp_ns, .. }) = intake::read(&message?, &topics, &HeadSettings::default()) {
+        // A frame whose time cannot be read is not counted.
+        if let Ok(Measurement::Frame { stamp_ns, .. }) = measurement::read(&message?, &topics, &HeadSettings::default())
+        {
             found.push(stamp_ns);
         }
     }
@@ -92,24 +113,26 @@ pub fn read_frame_times(path: &Path, wanted: &Topics) -> Result<Readout<i64>, Ev
     Ok(Readout { found, losses: losses(path, source.damage()), warnings: Vec::new() })
 }
 
+/// Converts a `FrameTag` message to the form that [`compare()`](crate::compare()) judges.
 pub fn tagged(tag: &FrameTag) -> Tagged {
     Tagged {
         stamp_ns: tag.header.stamp.to_nanoseconds(),
         valid: tag.valid,
         pose: Isometry::from(tag.pose.pose),
-        covariance: in_plane(&tag.pose),
+        covariance: xy_covariance(&tag.pose),
         ambiguous: tag.ambiguous,
     }
 }
 
+/// Reads all messages of a topic. If it is missing, the error gives `hint` and the topics with poses.
 fn read_poses_of(path: &Path, name: &str, hint: &str) -> Result<Readout<LogMessage>, ReadoutError> {
-    read_topic(path, name, || format!("{hint}{}", poses_in(path)))
+    read_topic(path, name, || format!("{hint}{}", list_pose_topics(path)))
 }
 
 const POSE_TYPES: [&str; 3] = [PoseStamped::TYPE, PoseWithCovarianceStamped::TYPE, Odometry::TYPE];
 
-/// Which topics of a log could have been meant, behind a colon.
-fn poses_in(path: &Path) -> String {
+/// Lists the topics of a log that hold poses, as the end of an error message.
+fn list_pose_topics(path: &Path) -> String {
     let surveys = log::files_of(path).and_then(|files| log::surveys(&files)).unwrap_or_default();
     let types = log::topic_types(&surveys);
     let is_pose = |kinds: &std::collections::BTreeSet<String>| POSE_TYPES.iter().any(|kind| kinds.contains(*kind));
@@ -121,8 +144,10 @@ fn poses_in(path: &Path) -> String {
     }
 }
 
-/// With the covariance of those types that have one; else it is zero. And in which frame it says that it is, and of which.
-fn stamped_pose(path: &Path, message: &LogMessage) -> Result<(Tagged, [String; 2]), EvaluationError> {
+/// Decodes a message with a pose; returns it with the names of its parent and child coordinate frames.
+///
+/// The covariance is zero for message types without one.
+fn decode_pose(path: &Path, message: &LogMessage) -> Result<(Tagged, [String; 2]), EvaluationError> {
     let failed = |source| ReadoutError::Message {
         path: path.display().to_string(),
         topic: message.channel.topic.clone(),
@@ -153,13 +178,13 @@ fn stamped_pose(path: &Path, message: &LogMessage) -> Result<(Tagged, [String; 2
         stamp_ns: header.stamp.to_nanoseconds(),
         valid: true,
         pose: Isometry::from(pose.pose),
-        covariance: in_plane(&pose),
+        covariance: xy_covariance(&pose),
         ambiguous: false,
     };
     Ok((tagged, [header.frame_id, child]))
 }
 
-/// xx, xy, yy.
-fn in_plane(pose: &PoseWithCovariance) -> [f64; 3] {
+/// Returns the covariance of x and y, square metres: xx, xy, yy.
+fn xy_covariance(pose: &PoseWithCovariance) -> [f64; 3] {
     [pose.covariance[0], pose.covariance[1], pose.covariance[7]]
 }

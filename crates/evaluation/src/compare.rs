@@ -1,4 +1,4 @@
-//! Tags against the truth.
+//! Comparison of tags with the truth: errors of position and attitude, and consistency of the covariance.
 
 use core::f64::consts::PI;
 
@@ -9,48 +9,58 @@ use serde::Serialize;
 use super::statistics::Summary;
 use realitysim_geometry::{Euler, Isometry, wrap_angle};
 
-/// One judged pose of `camera_link` in `map`.
+/// A pose of `camera_link` in `map` that is judged.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tagged {
+    /// Time of the frame, nanoseconds.
     pub stamp_ns: i64,
+    /// Whether the tag is valid. Only valid tags are judged.
     pub valid: bool,
+    /// Pose of `camera_link` in `map`.
     pub pose: Isometry,
-    /// Of x and y, metres squared: xx, xy, yy.
+    /// Covariance of x and y, square metres: xx, xy, yy.
     pub covariance: [f64; 3],
-    /// It may as well be the mirror pose.
+    /// Whether the mirrored pose, in the other half of the field, fits as well.
     pub ambiguous: bool,
 }
 
-/// What `eval` prints.
+/// Errors of a set of tags; what `realitysim eval` prints.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Comparison {
+    /// Number of tags, valid or not.
     pub frames: usize,
+    /// Number of valid tags.
     pub valid: usize,
-    /// Valid tags without a truth near their time.
+    /// Number of valid tags without a true pose near their time.
     pub without_truth: usize,
-    /// All other valid tags: what follows is about them, and 0 without any.
+    /// Number of valid tags with a true pose. The errors below are over these, and 0 if there are none.
     pub judged: usize,
-    /// Of these, tags that say that they may as well be in the other half of the field.
+    /// Number of judged tags that are ambiguous.
     pub ambiguous: usize,
-    /// Distance in x and y.
+    /// Distance to the truth in x and y, centimetres.
     pub position_cm: Summary,
+    /// Absolute error of yaw, degrees.
     pub yaw_deg: Summary,
-    /// Angle between the two up axes.
+    /// Angle between the estimated and the true up axis, degrees.
     pub tilt_deg: Summary,
+    /// Absolute error of roll, degrees.
     pub roll_deg: Summary,
+    /// Absolute error of pitch, degrees.
     pub pitch_deg: Summary,
-    /// Share of the tags whose 95 % ellipse holds the truth.
+    /// Share of the judged tags whose 95 % ellipse in x and y contains the truth.
     pub ellipse95_share: f64,
-    /// Mean of the squared error in x, y in units of the covariance: 2 if that is right.
+    /// Normalized estimation error squared of x and y, averaged over the judged tags: 2 if the covariance is right.
     pub nees: f64,
 }
 
-/// A truth farther than this from a tag's time says nothing about it.
+/// Largest distance in time between a tag and a true pose that judges it, nanoseconds.
 const LONGEST_GAP_NS: i64 = 200_000_000;
-/// A valid 2-dimensional normal deviation lies within this squared distance 95 % of the time.
+/// 95 % quantile of the chi-square distribution with two degrees of freedom.
 const CHI_SQUARE_95: f64 = 5.991_464_547_107_979;
 
-/// Judges valid tags; `truth` is in time order.
+/// Judges the valid tags against the truth.
+///
+/// `truth` holds times in nanoseconds and poses of `camera_link` in `map`, in order of time.
 pub fn compare(tags: &[Tagged], truth: &[(i64, Isometry)]) -> Comparison {
     let (mut position, mut yaw, mut tilt, mut roll, mut pitch) = (vec![], vec![], vec![], vec![], vec![]);
     let (mut squared, mut held) = (Vec::new(), 0usize);
@@ -89,13 +99,15 @@ pub fn compare(tags: &[Tagged], truth: &[(i64, Isometry)]) -> Comparison {
     result
 }
 
-/// The same tags as if the robot had taken one goal for the other: the field looks the same from both.
+/// Turns all tags by half a turn about the centre of the field, which looks the same from both halves.
 pub fn mirrored(tags: &[Tagged]) -> Vec<Tagged> {
     let half_turn = Isometry::from_euler(Euler { yaw: PI, pitch: 0.0, roll: 0.0 }, DVec3::ZERO);
     tags.iter().map(|tag| Tagged { pose: half_turn * tag.pose, ..tag.clone() }).collect()
 }
 
-/// An ambiguous tag holds two poses: the one nearer to the truth. All others as they are.
+/// Replaces each ambiguous tag by its mirrored pose where that is nearer to the truth.
+///
+/// Other tags, and those without a true pose, are returned unchanged.
 pub fn up_to_mirror(tags: &[Tagged], truth: &[(i64, Isometry)]) -> Vec<Tagged> {
     let off = |tag: &Tagged| Some((tag.pose.translation - truth_at(truth, tag.stamp_ns)?.translation).length());
     let nearer = |(tag, turned): (&Tagged, Tagged)| if off(&turned) < off(tag) { turned } else { tag.clone() };
@@ -105,7 +117,9 @@ pub fn up_to_mirror(tags: &[Tagged], truth: &[(i64, Isometry)]) -> Vec<Tagged> {
         .collect()
 }
 
-/// Between the two nearest true poses.
+/// Returns the true pose at a time, interpolated between the true poses before and after it.
+///
+/// `truth` is in order of time. The result is `None` if no true pose is near enough in time.
 pub fn truth_at(truth: &[(i64, Isometry)], stamp_ns: i64) -> Option<Isometry> {
     let after = truth.partition_point(|(stamp, _)| *stamp < stamp_ns);
     let near = |index: Option<usize>| {
@@ -114,13 +128,14 @@ pub fn truth_at(truth: &[(i64, Isometry)], stamp_ns: i64) -> Option<Isometry> {
     };
     match (near(after.checked_sub(1)), near(Some(after))) {
         (Some((t0, a)), Some((t1, b))) => Some(a.interpolate(&b, (stamp_ns - t0) as f64 / (t1 - t0).max(1) as f64)),
-        // At the ends only a truth of the very same time counts; stamps are rounded to a microsecond by some tools.
+        // Beside a gap only a true pose of the same time counts. Some tools round stamps to a microsecond.
         (a, b) => a.or(b).filter(|(stamp, _)| stamp.abs_diff(stamp_ns) < 1_000).map(|(_, pose)| pose),
     }
 }
 
+/// Returns the angle between the up axes of two attitudes, radians.
 fn angle_between_up(a: DQuat, b: DQuat) -> f64 {
-    // Rows, not columns: where "up" of the map lies in the camera, which yaw does not change.
+    // The up axis of the map in coordinates of the camera: yaw does not change it.
     let (a, b) = (a.conjugate() * DVec3::Z, b.conjugate() * DVec3::Z);
     libm::atan2(a.cross(b).length(), a.dot(b))
 }
@@ -134,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_what_they_were_made_to_be() {
+    fn errors_equal_those_that_were_put_in() {
         let truth = vec![(0, at(0.0, 0.0, 0.3)), (100, at(1.0, 0.0, 0.3))];
         let tag =
             |stamp_ns, pose| Tagged { stamp_ns, valid: true, pose, covariance: [0.01, 0.0, 0.01], ambiguous: false };
@@ -151,13 +166,13 @@ mod tests {
         assert!((c.yaw_deg.max - 0.1f64.to_degrees()).abs() < 1e-9);
         assert!((c.tilt_deg.max - 0.1f64.to_degrees()).abs() < 1e-9);
         assert!((c.pitch_deg.max - 0.1f64.to_degrees()).abs() < 1e-9);
-        // 0.3 m at a sigma of 0.1 m lies outside of 95 %.
+        // An error of 0.3 m at a standard deviation of 0.1 m lies outside of the 95 % ellipse.
         assert!((c.ellipse95_share - 2.0 / 3.0).abs() < 1e-12);
         assert!((c.nees - (0.09 + 9.0) / 3.0).abs() < 1e-9);
     }
 
     #[test]
-    fn tags_in_the_other_half_are_right_when_mirrored() {
+    fn tags_in_the_other_half_are_right_once_mirrored() {
         let truth = vec![(0, at(1.0, 0.0, 0.3)), (100, at(1.5, 0.0, 0.3))];
         let tag = |stamp_ns, x: f64, ambiguous| {
             let pose = at(x, PI, 0.3);
@@ -165,7 +180,7 @@ mod tests {
         };
         let tags = [tag(0, -1.0, true), tag(100, -1.5, false)];
         assert!(compare(&tags, &truth).position_cm.median > 200.0);
-        // Only one that says so may be there.
+        // Only the ambiguous tag may be in the other half.
         let folded = compare(&up_to_mirror(&tags, &truth), &truth);
         assert!((folded.position_cm.max - 300.0).abs() < 1e-9 && (folded.position_cm.mean - 150.0).abs() < 1e-9);
         assert_eq!(folded.ambiguous, 1);

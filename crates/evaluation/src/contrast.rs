@@ -1,38 +1,44 @@
-//! How tags fare as lines fade: one walk, painted ever more faintly, tagged by several variants of the filter.
+//! Quality of tags as lines fade: the frames of one walk, painted ever more faintly, tagged by several variants of the
+//! filter.
 //!
-//! [`PAINT`] has the steps, [`variants`] the settings, [`Quality::of`] judges a run, [`chart`] draws all. Frames are the caller's.
+//! [`PAINT`] has the steps, [`variants`] the settings, [`Quality::of`] judges a run, [`chart`] draws all steps. The
+//! caller renders the frames.
 
 use glam::DVec2;
 use serde::Serialize;
 
 use super::capture::tagged;
 use super::compare::{compare, truth_at, up_to_mirror};
-use super::cost::Knobs;
+use super::cost::SweepPoint;
 use super::drawing::chart::{Axis, Chart, Layer, Line, Mark, Scale};
 use super::{Summary, Tagged};
 use realitysim_geometry::Isometry;
 use realitysim_localization::Model;
-use realitysim_localization::refinement::offsets::Response;
-use realitysim_tagging::Attempt;
+use realitysim_localization::refinement::line_measurement::Response;
+use realitysim_tagging::Trial;
 
-/// Share of the paint that is left, from well painted to none.
+/// Shares of the paint that is left, from fully painted to none.
 pub const PAINT: [f64; 10] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.0];
 
-/// A valid tag this far off is wrong: the program's claim is to have none.
+/// Error in x and y beyond which a valid tag is wrong, centimetres. The program claims to have no wrong tags.
 pub const WRONG_CM: f64 = 12.0;
 
-/// A way to tag the same frames.
+/// Named filter settings that the same frames are tagged with.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Variant {
+    /// Name for tables and legends.
     pub name: &'static str,
+    /// Settings of the filter.
     #[serde(flatten)]
-    pub knobs: Knobs,
+    pub knobs: SweepPoint,
 }
 
-/// Both observation models with and without refinement, and the default model with four times the particles and twice the points.
-pub fn variants(configured: Knobs) -> [Variant; 6] {
-    let of = |model, refinement| Knobs { model, refinement, ..configured };
-    let more = |knobs: Knobs| Knobs { particles: 4 * knobs.particles, line_points: 2 * knobs.line_points, ..knobs };
+/// Returns both observation models with and without refinement, and the default model with four times the particles and
+/// twice the line points.
+pub fn variants(configured: SweepPoint) -> [Variant; 6] {
+    let of = |model, refinement| SweepPoint { model, refinement, ..configured };
+    let more =
+        |knobs: SweepPoint| SweepPoint { particles: 4 * knobs.particles, line_points: 2 * knobs.line_points, ..knobs };
     let (gauss, plain) = (of(Model::Gauss, true), of(Model::Gauss, false));
     [
         Variant { name: "gauss, refined", knobs: gauss },
@@ -44,36 +50,38 @@ pub fn variants(configured: Knobs) -> [Variant; 6] {
     ]
 }
 
-/// One step of fading.
+/// Results of all variants at one share of paint.
 #[derive(Clone, Debug, Serialize)]
 pub struct Step {
-    /// Share of the paint that is left.
+    /// Share of the paint that is left, 0 to 1.
     pub paint: f64,
-    /// Contrast of the lines over the noise of plain carpet.
+    /// Contrast of the lines in standard deviations of plain carpet.
     pub contrast_to_noise: f64,
-    /// In the order of the variants.
+    /// Counts and errors of the tags, in the order of the variants.
     pub tags: Vec<Quality>,
-    /// In the order of [`WIDTHS_PX`].
+    /// Detection of line places, in the order of [`WIDTHS_PX`].
     pub places: Vec<Detection>,
 }
 
-/// Lines are told apart by how wide they are drawn, in pixels: from this to the next.
+/// Lower limits of the classes of line width in the image, pixels; each class ends where the next begins.
 pub const WIDTHS_PX: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 
-/// How well line places are told from plain carpet by how far they stand out: the receiver operating characteristic of the matched filter.
+/// Separation of line places from plain carpet by the response of the matched filter: its receiver operating
+/// characteristic (ROC).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Detection {
+    /// Number of line places.
     pub places: usize,
-    /// Share of the line places that stand out more than 99 % of the carpet's.
+    /// Share of the line places with a larger response than 99 % of the places on carpet.
     pub found_at_1_percent: f64,
-    /// More than 90 %.
+    /// Share of the line places with a larger response than 90 % of the places on carpet.
     pub found_at_10_percent: f64,
-    /// How often a line place stands out more than one of carpet: the area under the curve, 0.5 by chance.
+    /// Area under the ROC curve: how often a line place has a larger response than a place on carpet, 0.5 by chance.
     pub area: f64,
 }
 
 impl Detection {
-    /// Of each class of width.
+    /// Computes the detection of each class of [`WIDTHS_PX`].
     pub fn of(responses: &[Response]) -> Vec<Self> {
         let ends = WIDTHS_PX.into_iter().skip(1).chain([f64::INFINITY]);
         let classes = WIDTHS_PX.into_iter().zip(ends).map(|(from, to)| {
@@ -87,6 +95,7 @@ impl Detection {
         classes.collect()
     }
 
+    /// Computes the detection from ascending responses on lines and on carpet.
     fn of_sorted(lines: &[f64], carpet: &[f64]) -> Self {
         let count = lines.len();
         let share = |of: usize| of as f64 / count.max(1) as f64;
@@ -105,21 +114,24 @@ impl Detection {
     }
 }
 
-/// What one variant made of one step's frames.
+/// Counts and errors of the tags of one run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Quality {
+    /// Number of frames.
     pub frames: usize,
+    /// Number of valid tags.
     pub valid: usize,
-    /// Valid, and more than [`WRONG_CM`] off.
+    /// Number of valid tags that are more than [`WRONG_CM`] off.
     pub wrong: usize,
-    /// Of valid tags, in x and y; an ambiguous tag counts with the nearer of its two poses.
+    /// Errors of the valid tags in x and y, centimetres. Of an ambiguous tag the nearer of its two poses counts.
     pub position_cm: Summary,
-    /// Share of them whose 95 % ellipse holds the truth.
+    /// Share of the judged tags whose 95 % ellipse contains the truth.
     pub ellipse95_share: f64,
 }
 
 impl Quality {
-    pub fn of(run: &[Attempt], truth: &[(i64, Isometry)]) -> Self {
+    /// Judges a run; `truth` is in order of time.
+    pub fn of(run: &[Trial], truth: &[(i64, Isometry)]) -> Self {
         let tags: Vec<Tagged> = run.iter().map(|attempt| tagged(&attempt.tag)).collect();
         let tags = up_to_mirror(&tags, truth);
         let is_wrong = |tag: &&Tagged| {
@@ -136,11 +148,13 @@ impl Quality {
         }
     }
 
+    /// Returns the share of the frames that have a valid tag.
     pub fn valid_share(&self) -> f64 {
         self.valid as f64 / self.frames.max(1) as f64
     }
 }
 
+/// Colour, mark and line of each variant, in the order of [`variants`].
 const COLOURS: [(&str, Mark, Line); 6] = [
     ("#1f77b4", Mark::Disc, Line::Solid),
     ("#1f77b4", Mark::Disc, Line::Dashed),
@@ -150,7 +164,9 @@ const COLOURS: [(&str, Mark, Line); 6] = [
     ("#c2571a", Mark::Square, Line::Solid),
 ];
 
-/// Share of valid tags above, their mean error below, as one SVG. The step without paint has no place on a logarithmic axis.
+/// Draws the share of valid tags above and their mean error below, as one SVG.
+///
+/// The step without paint has no place on the logarithmic axis.
 pub fn chart(variants: &[Variant], steps: &[Step], title: &str) -> String {
     let layers = |value: &dyn Fn(&Quality) -> f64| -> Vec<Layer> {
         let layer = |(index, (variant, (colour, mark, line))): (usize, (&Variant, (&'static str, Mark, Line)))| {
@@ -187,15 +203,15 @@ mod tests {
     use realitysim_config::Settings;
     use realitysim_ros2::messages::{FrameTag, Stamp};
 
-    fn attempt(frame: i64, x: f64, valid: bool) -> Attempt {
+    fn attempt(frame: i64, x: f64, valid: bool) -> Trial {
         let mut tag = FrameTag { valid, ..FrameTag::default() };
         tag.header.stamp = Stamp::from_nanoseconds(frame * 100_000_000);
         (tag.pose.pose.position.x, tag.pose.pose.orientation.w) = (x, 1.0);
-        Attempt { tag, seen: true }
+        Trial { tag, seen: true }
     }
 
     #[test]
-    fn what_stands_out_alike_is_told_apart_by_chance_and_what_never_does_always() {
+    fn the_roc_area_is_half_for_equal_responses_and_one_for_separate_ones() {
         let of = |line: &dyn Fn(f64) -> f64| {
             let responses = (0..1000).map(f64::from);
             let responses: Vec<_> =
@@ -207,7 +223,7 @@ mod tests {
         assert_eq!((alike.places, none.places), (1000, 0));
         let apart = of(&|at| at + 2000.0)[1];
         assert_eq!((apart.area, apart.found_at_1_percent), (1.0, 1.0));
-        // Half of the lines stand out of all carpet, the others of none.
+        // Half of the lines respond more than all carpet, the others less.
         let half = of(&|at| if at < 500.0 { 2000.0 } else { -1.0 })[1];
         assert_eq!((half.area, half.found_at_1_percent, half.found_at_10_percent), (0.5, 0.5, 0.5));
     }
@@ -223,7 +239,7 @@ mod tests {
 
     #[test]
     fn both_charts_show_every_variant() {
-        let variants = variants(Knobs::of(&Settings::default()));
+        let variants = variants(SweepPoint::of(&Settings::default()));
         let quality = Quality { frames: 10, valid: 5, position_cm: Summary::of(&[1.0]), ..Quality::default() };
         let steps = [4.0, 1.0, 0.0].map(|contrast_to_noise| Step {
             paint: 0.5,

@@ -1,48 +1,56 @@
-//! What each effect of a scene costs in every frame.
+//! Rendering time of each effect of a scene.
 //!
-//! Time of the processor, in one thread: while others run, nothing is counted. A fixed loop in between tells how fast the
-//! machine is just then.
+//! Times are processor time of one thread, which does not grow while other programs run. The calibration loop runs in
+//! between and tells how fast the machine is at that moment.
 
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
-use super::calibration::{Calibration, REFERENCE_MS};
+use super::cpu_yardstick::{Calibration, REFERENCE_MS};
 use realitysim_scene::{Renderer, Scene, SceneError};
 
+/// Rendering times of a scene, milliseconds of processor time for a frame.
 #[derive(Clone, Debug, Serialize)]
 pub struct SceneCost {
-    /// Without any effect.
+    /// Time without any effect.
     pub bare_ms: f64,
-    /// In the order of the file; what each adds to those before it.
+    /// Rendering time of each effect, added to that of those before it, in the order of the scene file.
     pub effects: Vec<EffectCost>,
+    /// Time with all effects.
     pub total_ms: f64,
-    /// What the calibration loop took meanwhile.
+    /// Shortest time of the calibration loop during the measurement.
     pub loop_ms: f64,
 }
 
 impl SceneCost {
-    /// What a frame would take on the machine whose loop takes [`REFERENCE_MS`]: the same on a slow or busy one.
+    /// Returns the time for a frame, milliseconds, scaled to the machine whose calibration loop takes [`REFERENCE_MS`].
     pub fn reference_ms(&self) -> f64 {
         self.total_ms * REFERENCE_MS / self.loop_ms
     }
 }
 
+/// Rendering time of one effect.
 #[derive(Clone, Debug, Serialize)]
 pub struct EffectCost {
+    /// Name of the effect.
     pub kind: &'static str,
-    /// None of an effect that changes no pixel.
+    /// Added time for a frame, milliseconds; `None` for an effect that changes no pixel.
     pub ms: Option<f64>,
 }
 
-/// Frames that are rendered, spread over the scene.
+/// Number of frames that are rendered, spread over the scene.
 const FRAMES: u64 = 6;
-/// The shortest time counts: what disturbs only ever adds.
+/// Number of measurements of each frame. The shortest counts: disturbances only add time.
 const ROUNDS: usize = 5;
 
-/// In one thread, from the same poses with and without each effect.
+/// Measures the rendering times of a scene in one thread, from the same poses with and without each effect.
+///
+/// # Errors
+///
+/// Fails if the scene cannot be built with only some of its effects.
 pub fn measure(scene: &Scene) -> Result<SceneCost, SceneError> {
     let effects = &scene.file().effects;
-    // Without any effect, then up to each that acts on images.
+    // The number of effects: none, then up to and including each effect that acts on images.
     let acting = (0..effects.len()).filter(|index| effects[*index].acts_on_image());
     let counts: Vec<usize> = core::iter::once(0).chain(acting.map(|index| index + 1)).collect();
     let renderers: Vec<Renderer> = counts
@@ -79,7 +87,7 @@ pub fn measure(scene: &Scene) -> Result<SceneCost, SceneError> {
     })
 }
 
-/// Of this thread.
+/// Returns the processor time of this thread for some work, milliseconds.
 fn processor_ms(work: impl FnOnce()) -> f64 {
     let now_ms = || {
         let time = clock_gettime(ClockId::ThreadCPUTime);

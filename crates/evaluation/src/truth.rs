@@ -1,9 +1,9 @@
-//! Where the true poses of a sweep or an experiment come from.
+//! True poses of rendered scenes.
 
 use realitysim_geometry::Isometry;
 use realitysim_scene::{Scene, SceneEventKind};
 
-/// True poses of `camera_link` at every frame of a scene.
+/// Returns the true pose of `camera_link` in `map` at every frame of a scene, with its time in nanoseconds.
 pub fn of_scene(scene: &Scene) -> Vec<(i64, Isometry)> {
     let pose = |kind| match kind {
         SceneEventKind::Frame { map_from_camera_link, .. } => Some(map_from_camera_link),

@@ -1,11 +1,13 @@
-//! Pictures one after the other: Motion JPEG in AVI (Microsoft's RIFF), which every player shows.
+//! Videos as Motion JPEG in AVI (RIFF of Microsoft), which every player shows.
 
-/// An AVI of JPEGs of one size; `None` for more than its 32-bit lengths can tell.
+/// Joins JPEG images of one size to an AVI file; `None` if its 32-bit lengths overflow.
+///
+/// `width` and `height` are pixels, `per_second` is the frame rate in Hz.
 pub fn avi(jpegs: &[Vec<u8>], width: u32, height: u32, per_second: u32) -> Option<Vec<u8>> {
     let largest = u32::try_from(jpegs.iter().map(Vec::len).max().unwrap_or(0)).ok()?;
     let frames = u32::try_from(jpegs.len()).ok()?;
     let words = |values: &[u32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
-    // Microseconds a frame, bytes a second, padding, flags (has an index), frames, .. streams, largest chunk, size.
+    // Microseconds per frame, bytes per second, padding, flags (has an index), frames, .. streams, largest chunk, size.
     let main = words(&[1_000_000 / per_second.max(1), 0, 0, 0x10, frames, 0, 1, largest, width, height, 0, 0, 0, 0]);
     let mut stream = b"vidsMJPG".to_vec();
     stream.extend(words(&[0, 0, 0, 1, per_second, 0, frames, largest, u32::MAX, 0]));
@@ -18,7 +20,7 @@ pub fn avi(jpegs: &[Vec<u8>], width: u32, height: u32, per_second: u32) -> Optio
     let hdrl = list(b"hdrl", &[chunk(b"avih", &main)?, strl].concat())?;
     let (mut movie, mut index) = (Vec::new(), Vec::new());
     for jpeg in jpegs {
-        // From the list's own name on; every frame stands alone.
+        // Offsets count from the name of the list `movi`. Flag 0x10: every frame is a key frame.
         index.extend(b"00dc");
         index.extend(words(&[0x10, u32::try_from(movie.len()).ok()?.checked_add(4)?, jpeg.len() as u32]));
         movie.extend(chunk(b"00dc", jpeg)?);
@@ -28,16 +30,18 @@ pub fn avi(jpegs: &[Vec<u8>], width: u32, height: u32, per_second: u32) -> Optio
     chunk(b"RIFF", &all)
 }
 
+/// Makes a RIFF chunk; `None` if its length overflows.
 fn chunk(name: &[u8; 4], content: &[u8]) -> Option<Vec<u8>> {
     let length = u32::try_from(content.len()).ok()?;
     let mut bytes = [name.as_slice(), &length.to_le_bytes(), content].concat();
-    // Chunks begin at even places.
+    // Chunks begin at even offsets.
     if bytes.len() % 2 == 1 {
         bytes.push(0);
     }
     Some(bytes)
 }
 
+/// Makes a RIFF list; `None` if its length overflows.
 fn list(name: &[u8; 4], content: &[u8]) -> Option<Vec<u8>> {
     chunk(b"LIST", &[name.as_slice(), content].concat())
 }

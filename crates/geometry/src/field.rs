@@ -1,4 +1,6 @@
-//! The soccer field as lines on the ground: in `map`, x towards one goal, y left, metres.
+//! The soccer field as painted lines on the ground.
+//!
+//! Coordinates are those of `map`: the origin at the field's centre, x towards one goal, y left, metres.
 
 use core::f64::consts::TAU;
 
@@ -6,72 +8,105 @@ use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// A field file (`config/fields/*.toml`). Lengths are measured between the centre lines of the painted lines.
+/// The dimensions of a field, as a field file (`config/fields/*.toml`) states them.
+///
+/// Lengths are measured between the centre lines of the painted lines. [`Field::new`] checks them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FieldDimensions {
-    /// For people.
+    /// Name of the field, shown to people only.
     pub title: String,
-    /// Goal line to goal line.
+    /// Distance from goal line to goal line, metres.
     pub length_m: f64,
-    /// Touchline to touchline.
+    /// Distance from touchline to touchline, metres.
     pub width_m: f64,
+    /// Width of every painted line, metres.
     pub line_width_m: f64,
-    /// Carpet outside the lines.
+    /// Width of the carpet outside the lines, metres.
     pub border_strip_m: f64,
+    /// Diameter of the centre circle, metres; 0 if there is none.
     pub centre_circle_diameter_m: f64,
+    /// Goal area in front of each goal, if it is painted.
     pub goal_area: Option<Area>,
+    /// Penalty area in front of each goal, if it is painted.
     pub penalty_area: Option<Area>,
+    /// Distance of each penalty mark from its goal line, metres, if the marks are painted.
     pub penalty_mark_from_goal_line_m: Option<f64>,
-    /// Length of the strokes of the crosses on the penalty marks (and the centre, if `centre_mark`).
+    /// Length of the strokes of the penalty marks' crosses, and of the centre mark, metres.
     pub mark_size_m: f64,
+    /// Whether the centre of the field has a mark.
     pub centre_mark: bool,
+    /// Both goals, if they stand on the field.
     pub goal: Option<Goal>,
 }
 
-/// A box in front of a goal: `depth_m` from the goal line, `width_m` along it.
+/// A rectangle painted in front of each goal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Area {
+    /// Extent from the goal line into the field, metres.
     pub depth_m: f64,
+    /// Extent along the goal line, metres.
     pub width_m: f64,
 }
 
-/// Both goals stand with their posts' centres on the goal line.
+/// The dimensions of both goals. The centres of their posts stand on the goal line.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Goal {
+    /// Distance between the posts' axes, metres.
     pub width_m: f64,
+    /// Height of the crossbar's axis, metres.
     pub height_m: f64,
+    /// Extent from the goal line backwards, metres.
     pub depth_m: f64,
+    /// Diameter of posts and crossbar, metres.
     pub post_diameter_m: f64,
 }
 
+/// A dimension that no field can have.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{key} is {value}: {expected}")]
 pub struct FieldError {
+    /// Key of the dimension in the field file, such as `goal_area.depth_m`.
     pub key: &'static str,
+    /// The refused value, metres.
     pub value: f64,
+    /// What would be right, as a sentence for people.
     pub expected: &'static str,
 }
 
-/// The centre line of one painted line.
+/// The centre line of one painted line, in `map`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stroke {
-    Segment { from: DVec2, to: DVec2 },
-    Circle { centre: DVec2, radius: f64 },
+    /// A straight line.
+    Segment {
+        /// One end, metres.
+        from: DVec2,
+        /// The other end, metres.
+        to: DVec2,
+    },
+    /// A full circle.
+    Circle {
+        /// Centre, metres.
+        centre: DVec2,
+        /// Radius, metres.
+        radius: f64,
+    },
 }
 
 /// A point on the centre line of a painted line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FieldPoint {
+    /// Position in `map`, metres.
     pub position: DVec2,
     /// Unit vector across the line.
     pub normal: DVec2,
-    /// Metres of painted line that this point stands for.
+    /// Length of painted line that this point represents, metres.
     pub length: f64,
 }
 
+/// A soccer field whose dimensions have been checked, with its painted lines.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
     dimensions: FieldDimensions,
@@ -79,29 +114,36 @@ pub struct Field {
 }
 
 impl FieldDimensions {
-    /// Titles are for people.
+    /// Whether both describe the same field; titles are ignored.
     pub fn is_same_as(&self, other: &Self) -> bool {
         Self { title: String::new(), ..self.clone() } == Self { title: String::new(), ..other.clone() }
     }
 }
 
 impl Field {
+    /// Checks the dimensions and lays out the painted lines.
+    ///
+    /// # Errors
+    /// [`FieldError`] names the first dimension that is out of range or does not fit the others.
     pub fn new(dimensions: FieldDimensions) -> Result<Self, FieldError> {
-        check(&dimensions)?;
-        let strokes = strokes(&dimensions);
+        validate(&dimensions)?;
+        let strokes = layout(&dimensions);
         Ok(Self { dimensions, strokes })
     }
 
+    /// The dimensions that the field was made from.
     pub fn dimensions(&self) -> &FieldDimensions {
         &self.dimensions
     }
 
+    /// The centre lines of all painted lines; they end at the centre lines of the lines that they meet.
     pub fn strokes(&self) -> &[Stroke] {
         &self.strokes
     }
 
-    /// The strokes as they are painted: an end that meets another line reaches to that line's far edge, so that corners
-    /// are full. Ends are square.
+    /// The strokes as they are painted, with square ends.
+    ///
+    /// An end that meets another line is extended by half a line's width, to that line's far edge, so that corners are full.
     pub fn painted(&self) -> Vec<Stroke> {
         let half_width = self.line_width() / 2.0;
         let meets = |which: usize, end: DVec2| {
@@ -119,17 +161,18 @@ impl Field {
         self.strokes.iter().enumerate().map(painted).collect()
     }
 
+    /// Width of the painted lines, metres.
     pub fn line_width(&self) -> f64 {
         self.dimensions.line_width_m
     }
 
-    /// Half length and half width of the carpet, border strip included.
+    /// Half the length (x) and half the width (y) of the carpet, border strip included, metres.
     pub fn carpet_half_extent(&self) -> DVec2 {
         let d = &self.dimensions;
         DVec2::new(d.length_m, d.width_m) / 2.0 + DVec2::splat(d.border_strip_m)
     }
 
-    /// Axes of the goals' posts and crossbars, from one end to the other, in `map`: none if the field has no goals.
+    /// The axes of the goals' posts and crossbars, each as its two ends in `map`, metres. Empty if the field has no goals.
     pub fn goal_bars(&self) -> Vec<[DVec3; 2]> {
         let Some(goal) = self.dimensions.goal else { return Vec::new() };
         let (line_x, half) = (self.dimensions.length_m / 2.0, goal.width_m / 2.0);
@@ -140,16 +183,17 @@ impl Field {
         [-line_x, line_x].into_iter().flat_map(bars).collect()
     }
 
+    /// Whether a point of `map` lies on the carpet, border strip included.
     pub fn on_carpet(&self, point: DVec2) -> bool {
         point.abs().cmple(self.carpet_half_extent()).all()
     }
 
-    /// Metres from the point to the nearest painted line's centre line.
+    /// Distance from a point of `map` to the centre line of the nearest painted line, metres.
     pub fn distance_to_centre_line(&self, point: DVec2) -> f64 {
         self.strokes.iter().map(|stroke| stroke.distance(point)).fold(f64::INFINITY, f64::min)
     }
 
-    /// About `count` points, evenly spaced along all lines; every stroke gets at least two.
+    /// Samples about `count` points, evenly spaced along all lines; every stroke gets at least two.
     pub fn points(&self, count: usize) -> Vec<FieldPoint> {
         let total: f64 = self.strokes.iter().map(Stroke::length).sum();
         let spacing = total / count.max(1) as f64;
@@ -158,6 +202,7 @@ impl Field {
 }
 
 impl Stroke {
+    /// Length of the centre line, metres.
     pub fn length(&self) -> f64 {
         match *self {
             Stroke::Segment { from, to } => from.distance(to),
@@ -165,7 +210,7 @@ impl Stroke {
         }
     }
 
-    /// Distance of a point from the centre line.
+    /// Distance of a point of `map` from the centre line, metres.
     pub fn distance(&self, point: DVec2) -> f64 {
         match *self {
             Stroke::Segment { from, to } => {
@@ -177,8 +222,9 @@ impl Stroke {
         }
     }
 
-    /// Points in the middle of equal pieces, so that no point sits on a corner.
-    /// Evenly spaced, at least two.
+    /// Samples evenly spaced points, about `spacing` metres apart, at least two.
+    ///
+    /// Each point lies in the middle of one of equal pieces, so that none lies on a corner.
     pub fn points(&self, spacing: f64) -> Vec<FieldPoint> {
         let pieces = libm::round(self.length() / spacing).max(2.0);
         let length = self.length() / pieces;
@@ -200,7 +246,8 @@ impl Stroke {
     }
 }
 
-fn strokes(d: &FieldDimensions) -> Vec<Stroke> {
+/// Lays out the centre lines of a field.
+fn layout(d: &FieldDimensions) -> Vec<Stroke> {
     let (x, y) = (d.length_m / 2.0, d.width_m / 2.0);
     let segment = |ax, ay, bx, by| Stroke::Segment { from: DVec2::new(ax, ay), to: DVec2::new(bx, by) };
     let mut strokes = vec![segment(-x, y, x, y), segment(-x, -y, x, -y), segment(0.0, -y, 0.0, y)];
@@ -217,7 +264,7 @@ fn strokes(d: &FieldDimensions) -> Vec<Stroke> {
             cross(-x + from_goal_line);
             cross(x - from_goal_line);
         }
-        // Only the dash across the halfway line shows.
+        // The halfway line covers the other stroke of this cross.
         if d.centre_mark {
             let half = d.mark_size_m / 2.0;
             strokes.push(segment(-half, 0.0, half, 0.0));
@@ -235,7 +282,8 @@ fn strokes(d: &FieldDimensions) -> Vec<Stroke> {
     strokes
 }
 
-fn check(d: &FieldDimensions) -> Result<(), FieldError> {
+/// Checks each dimension against its range and against those that it has to fit into.
+fn validate(d: &FieldDimensions) -> Result<(), FieldError> {
     let within = |key, value: f64, low: f64, high: f64, expected| {
         if value.is_finite() && value >= low && value <= high {
             Ok(())
@@ -303,7 +351,7 @@ mod tests {
             assert!(field.distance_to_centre_line(point.position) < 1e-12);
             assert!((point.normal.length() - 1.0).abs() < 1e-12);
             let off = point.position + point.normal * 0.004;
-            // Another line may be nearer, where lines cross.
+            // Where lines cross, another line may be nearer.
             assert!(field.distance_to_centre_line(off) < 0.004 + 1e-12);
         }
     }

@@ -1,12 +1,16 @@
-//! Loops compiled twice, for every x86-64 processor and for those with AVX2. The operations and their order are the
-//! same, and the compiler fuses none, so the results are too.
+//! Loops that are compiled twice: for every x86-64 processor, and for those with AVX2.
+//!
+//! Both versions have the same operations in the same order, and the compiler fuses none of them, so they give the same bits.
 
-/// Runs a loop, compiled for the best instructions that this processor has. It is written as a closure of the local variables
-/// that it uses, with their types: `multiversioned!(|sums: &mut [u16], row: &[u8]| { ... })`; a constant of the function around
-/// it stands before: `multiversioned!(const SIDE: usize, |row: &[u8]| { ... })`. What it calls must be
-/// `#[inline(always)]` to be compiled along.
+/// Runs a loop in the version for the best instructions that this processor has.
 ///
-/// No function of a closure, because the compiler leaves a large one where it is: compiled once, for every processor.
+/// The loop is written as a closure over the local variables that it uses, with their types:
+/// `multiversioned!(|sums: &mut [u16], row: &[u8]| { ... })`. A constant parameter of the surrounding function is named first:
+/// `multiversioned!(const SIDE: usize, |row: &[u8]| { ... })`. Functions that the loop calls must be `#[inline(always)]`, or they
+/// are compiled only once.
+///
+/// This is a macro because a function that takes a closure would not do: the compiler does not inline a large closure, which
+/// would then be compiled once, for every processor.
 #[macro_export]
 macro_rules! multiversioned {
     ($(const $number:ident: $number_kind:ty,)? |$($name:ident: $kind:ty),* $(,)?| $body:block) => {
@@ -33,8 +37,10 @@ macro_rules! multiversioned {
     }};
 }
 
-/// To the nearest whole number, of values from 0 to 2^22. A conversion looks after what no number holds, which the compiler
-/// makes no vectors of; here the addition rounds, because f32 has no halves above 2^23.
+/// Rounds a value from 0 to 2^22 to the nearest integer.
+///
+/// An `as` conversion handles values out of range, which the compiler does not vectorise. Here the addition rounds, because
+/// f32 has no fractions above 2^23.
 #[inline(always)]
 pub fn rounded(value: f32) -> u32 {
     (value + 8_388_608.0).to_bits() & 0x7f_ffff

@@ -1,26 +1,30 @@
-//! The range of numbers that can describe a robot. What a sensor, a file or an operator says beyond it is a fault, which is counted
-//! and left out before it enters any calculation: squares and products of numbers within the range neither overflow nor underflow.
+//! The range of numbers that can describe a robot.
+//!
+//! A value outside of it, from a sensor, a file or an operator, is a fault. It is counted and left out before it enters any
+//! calculation. Squares and products of numbers within the range neither overflow nor underflow.
 
 use glam::{DQuat, DVec3};
 
 use super::{Isometry, Pose2};
 
-/// Metres, radians and radians per second beyond which nothing is believed. Coordinates of a map projection reach a million metres.
+/// Largest magnitude of a measurement that is believed, in metres, radians or radians per second.
+///
+/// Coordinates of a map projection reach a million metres.
 pub const MOST: f64 = 2e6;
-/// Nothing on a robot is longer, and no camera is higher above the ground: metres.
+/// Largest length of anything on a robot, and largest height of a camera above the ground, metres.
 pub const LONGEST_MOUNT_M: f64 = 100.0;
-/// A smaller number is zero to any sensor. Its square still is far above the smallest normal number.
+/// Smallest magnitude that is told from zero. Its square is still far above the smallest normal number.
 pub const LEAST: f64 = 1e-30;
-/// Lengths of a quaternion that still has a direction.
+/// Lengths of a quaternion whose direction is still defined.
 const QUATERNION_LENGTHS: core::ops::Range<f64> = 1e-12..1e12;
 
-/// Something measured, told or remembered that can be checked against what is physically possible.
+/// A value from outside that can be checked against what is physically possible for a robot.
 pub trait Physical {
-    /// Whether every number is finite and within the range of a robot.
+    /// Whether every number is finite and within the range that a robot can have.
     fn is_possible(&self) -> bool;
 }
 
-/// Numbers that no sensor can tell from zero are zero, denormal ones among them.
+/// Replaces a number of smaller magnitude than [`LEAST`], denormal ones included, by zero; other numbers stay as they are.
 pub fn settled(value: f64) -> f64 {
     if value.abs() < LEAST && value != 0.0 { 0.0 } else { value }
 }

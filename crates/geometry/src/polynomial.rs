@@ -1,14 +1,16 @@
-//! Where a polynomial first turns negative or zero: tells how far a lens polynomial is monotonic.
+//! The smallest argument at which a polynomial is no longer positive.
+//!
+//! Applied to the derivative of a lens polynomial, it tells up to which angle the lens is monotonic.
 
-/// `coefficients[i]` belongs to x^i.
+/// Evaluates a polynomial by Horner's scheme; `coefficients[i]` is the factor of x^i.
 pub fn evaluate(coefficients: &[f64], x: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
 }
 
-/// The smallest x in [0, `end`] with p(x) <= 0, or `None` if p stays positive there.
+/// Finds the smallest x in [0, `end`] with p(x) <= 0, or `None` if p is positive in the whole interval.
 ///
 /// Between neighbouring roots of its derivative a polynomial is monotonic, so bisection between them finds
-/// every sign change; a dip that only touches zero shows at the root of the derivative itself.
+/// every sign change. A minimum that only touches zero is found at the root of the derivative itself.
 pub fn first_non_positive(coefficients: &[f64], end: f64) -> Option<f64> {
     let mut stops = real_roots(&derivative(coefficients), end);
     stops.push(end);
@@ -29,7 +31,7 @@ fn derivative(coefficients: &[f64]) -> Vec<f64> {
     coefficients.iter().enumerate().skip(1).map(|(power, c)| power as f64 * c).collect()
 }
 
-/// The points of (0, end) where p changes sign, ascending.
+/// Finds the points of (0, `end`) at which p changes its sign, in ascending order.
 fn real_roots(coefficients: &[f64], end: f64) -> Vec<f64> {
     if coefficients.len() < 2 {
         return Vec::new();
@@ -47,10 +49,10 @@ fn real_roots(coefficients: &[f64], end: f64) -> Vec<f64> {
     roots
 }
 
-/// The sign change between `low` and `high`, to the last bit; the end on the side of `high`.
+/// Bisects the sign change between `low` and `high` to the last bit, and returns the end on the side of `high`.
 fn bisect(coefficients: &[f64], mut low: f64, mut high: f64) -> f64 {
     let positive_at_low = evaluate(coefficients, low) > 0.0;
-    // 2^-1100 of the interval is below the smallest number: this limit is never what ends the loop.
+    // 2^-1100 of the interval is below the smallest number, so the loop always ends by the `break`.
     for _ in 0..1100 {
         let middle = low + (high - low) / 2.0;
         if middle <= low || middle >= high {
@@ -68,7 +70,7 @@ mod tests {
 
     #[test]
     fn a_dip_between_the_ends_is_found() {
-        // (x - 1)(x - 1.001) + tiny offsets: positive at 0 and 2, negative only in between.
+        // (x - 1)(x - 1.001): positive at 0 and 2, negative only between the roots.
         let p = [1.001, -2.001, 1.0];
         let x = first_non_positive(&p, 2.0).expect("the dip");
         assert!((x - 1.0).abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! Cells of x, y and heading over the carpet, and how many images each has.
+//! A grid of x, y and heading over the carpet that counts the images taken from each cell.
 
 use core::f64::consts::TAU;
 
@@ -7,31 +7,33 @@ use serde::Serialize;
 
 use super::Isometry;
 
-/// How many images there are of each place and heading of a camera.
+/// Number of images for each position and heading of a camera, over the carpet.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PoseGrid {
-    /// Side of a cell.
+    /// Side of a cell, metres.
     pub cell_m: f64,
-    /// Headings told apart, counted from x towards y.
+    /// Number of headings that are told apart; sector 0 begins at x, the next lie towards y.
     pub sectors: usize,
-    /// Along x and along y.
+    /// Number of cells along x.
     pub columns: usize,
+    /// Number of cells along y.
     pub rows: usize,
-    /// columns x rows x sectors.
+    /// Number of cells: columns x rows x sectors.
     pub cells: usize,
-    /// Those with at least one image.
+    /// Number of cells with at least one image.
     pub filled: usize,
-    /// Images that lie off the carpet.
+    /// Number of images whose camera was off the carpet.
     pub outside: usize,
-    /// How many images each cell has: by row, column, sector.
+    /// Number of images of each cell, ordered by row, column, sector.
     #[serde(skip)]
     counts: Vec<u32>,
+    /// Half the extent of the carpet along x and y, metres.
     #[serde(skip)]
     half: DVec2,
 }
 
 impl PoseGrid {
-    /// `half` is half the carpet's extent, m; the cells' side is `cell_m` > 0, headings `sectors` > 0.
+    /// Makes an empty grid over a carpet of half extent `half` (metres), with cells of side `cell_m` > 0 and `sectors` > 0 headings.
     pub fn new(half: DVec2, cell_m: f64, sectors: usize) -> Self {
         let count = |half: f64| (libm::ceil(2.0 * half / cell_m) as usize).max(1);
         let (columns, rows) = (count(half.x), count(half.y));
@@ -39,14 +41,14 @@ impl PoseGrid {
         Self { cell_m, sectors, columns, rows, cells, filled: 0, outside: 0, counts: vec![0; cells], half }
     }
 
-    /// With these counts, as [`Self::counts`] gives them; `None` if they are not of this grid.
+    /// Makes a grid from counts as [`Self::counts`] gives them; `None` if their number does not fit the grid.
     pub fn with_counts(half: DVec2, cell_m: f64, sectors: usize, counts: Vec<u32>) -> Option<Self> {
         let grid = Self::new(half, cell_m, sectors);
         let filled = counts.iter().filter(|count| **count > 0).count();
         (counts.len() == grid.cells).then_some(Self { filled, counts, ..grid })
     }
 
-    /// One more image from this pose of `camera_link` in `map`.
+    /// Counts one more image, taken from this pose of `camera_link` in `map`.
     pub fn add(&mut self, pose: &Isometry) {
         match self.cell_of(pose) {
             Some(cell) => {
@@ -57,27 +59,29 @@ impl PoseGrid {
         }
     }
 
-    /// Images of the cell of this pose; `None` off the carpet.
+    /// Number of images in the cell of a pose of `camera_link` in `map`; `None` off the carpet.
     pub fn images_at(&self, pose: &Isometry) -> Option<u32> {
         self.cell_of(pose).map(|cell| self.counts[cell])
     }
 
-    /// By row, column, sector.
+    /// Number of images of each cell, ordered by row, column, sector.
     pub fn counts(&self) -> &[u32] {
         &self.counts
     }
 
-    /// Images in the cell of a column and row that look into the sector of this heading, rad.
+    /// Number of images at a column and row, in the sector of a heading in radians.
     pub fn count(&self, column: usize, row: usize, heading: f64) -> u32 {
         self.counts[(row * self.columns + column) * self.sectors + self.sector(heading)]
     }
 
+    /// Half the extent of the carpet along x and y, metres.
     pub fn half_extent(&self) -> DVec2 {
         self.half
     }
 
-    /// The field from above, y up, a letter for each cell: `.` without an image, else the number of headings that have one,
-    /// `+` for ten and more, `#` for all.
+    /// Draws the field from above as text, y up, one character for each column and row.
+    ///
+    /// `.` stands for no image, `#` for images in all headings, else the number of headings that have an image, `+` for ten and more.
     pub fn text(&self) -> Vec<String> {
         let letter = |row: usize, column: usize| {
             let cell = (row * self.columns + column) * self.sectors;
@@ -91,7 +95,9 @@ impl PoseGrid {
         (0..self.rows).rev().map(|row| (0..self.columns).map(|column| letter(row, column)).collect()).collect()
     }
 
-    /// Of one heading, a character for each place, y up: how many images, `.` of none, `+` of ten and more.
+    /// Draws one sector of headings as text, y up, one character for each column and row.
+    ///
+    /// The character is the number of images, `.` for none, `+` for ten and more.
     pub fn text_of_sector(&self, sector: usize) -> Vec<String> {
         let letter =
             |row: usize, column: usize| match self.counts[(row * self.columns + column) * self.sectors + sector] {
@@ -101,11 +107,12 @@ impl PoseGrid {
         (0..self.rows).rev().map(|row| (0..self.columns).map(|column| letter(row, column)).collect()).collect()
     }
 
-    /// Places of which there is an image with this heading.
+    /// Number of columns and rows that have at least one image in this sector.
     pub fn filled_in_sector(&self, sector: usize) -> usize {
         self.counts.iter().skip(sector).step_by(self.sectors).filter(|count| **count > 0).count()
     }
 
+    /// Index into `counts` of the cell of a pose; `None` off the carpet.
     fn cell_of(&self, pose: &Isometry) -> Option<usize> {
         let at = (pose.translation.truncate() + self.half) / self.cell_m;
         let forward = pose.transform_vector(DVec3::X);
@@ -116,6 +123,7 @@ impl PoseGrid {
         })
     }
 
+    /// Index of the sector of a heading in radians.
     fn sector(&self, heading: f64) -> usize {
         let turn = (heading / TAU).rem_euclid(1.0);
         ((turn * self.sectors as f64) as usize).min(self.sectors - 1)

@@ -11,21 +11,26 @@ use realitysim_geometry::{Pose2, wrap_angle};
 pub struct Estimate {
     /// The particle of the highest weight: the paper's answer.
     pub best: Pose2,
-    /// Of x, y, yaw, about the best particle, over the particles near it.
+    /// Covariance of x, y (m) and yaw (rad) about the best particle, over the particles near it.
     pub covariance: Matrix3<f64>,
-    /// Standard deviation along the longer axis.
+    /// Standard deviation of the position along its longer axis, metres.
     pub spread_m: f64,
+    /// Standard deviation of yaw, radians.
     pub spread_yaw_rad: f64,
+    /// Effective sample size: the reciprocal of the sum of squared normalised weights, between 1 and the number of particles.
     pub effective_sample_size: f64,
-    /// Log of the mean weight.
+    /// Natural logarithm of the mean weight.
     pub evidence: f64,
+    /// Whether no particle had a usable weight.
     pub degenerate: bool,
 }
 
-/// Particles farther than this from the best one belong to another hypothesis.
+/// Particles farther than this from the best one belong to another hypothesis, metres.
 const NEAR_M: f64 = 0.5;
+/// Particles turned by more than this from the best one belong to another hypothesis, radians.
 const NEAR_RAD: f64 = 0.5;
 
+/// Estimates the pose from particles and their normalised weights: the best particle, and the covariance of those near it.
 pub fn estimate(particles: &Particles, weights: &Weights) -> Estimate {
     let best = particles.poses.get(weights.best).copied().unwrap_or_default();
     let mut covariance = Matrix3::zeros();
@@ -55,15 +60,17 @@ pub fn estimate(particles: &Particles, weights: &Weights) -> Estimate {
     }
 }
 
-/// Standard deviations of what the particles do not hold: height (m), roll and pitch (rad).
+/// Standard deviation of the height, which particles do not hold, metres.
 const HEIGHT_SIGMA_M: f64 = 0.01;
+/// Standard deviation of roll and pitch, which particles do not hold, radians.
 const TILT_SIGMA_RAD: f64 = 0.012;
-/// Floor of the covariance in x, y (m) and yaw (rad): what the unknown tilt does to a pose.
+/// Standard deviation of x and y that the unknown tilt adds, metres.
 const POSITION_FLOOR_M: f64 = 0.025;
+/// Standard deviation of yaw that the unknown tilt adds, radians.
 const YAW_FLOOR_RAD: f64 = 0.008;
 
 impl Estimate {
-    /// Of a set without particles.
+    /// The estimate of a filter that has no particles.
     pub fn unknown() -> Self {
         Self {
             best: Pose2::default(),
@@ -76,7 +83,9 @@ impl Estimate {
         }
     }
 
-    /// Order x, y, z, rotation about x, y, z; the fixed parts are what the particles do not estimate.
+    /// The 6 x 6 covariance of x, y, z (m) and of the rotation about x, y, z (rad).
+    ///
+    /// Particles give x, y and yaw, to which a floor is added; height, roll and pitch have fixed variances.
     pub fn pose_covariance(&self) -> Matrix6<f64> {
         let mut result = Matrix6::zeros();
         let from = [0, 1, 5];

@@ -1,4 +1,4 @@
-//! The filter's loop, as the paper has it.
+//! The particle filter of the paper: predict by odometry, then weigh and resample in rounds.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,62 +14,71 @@ use super::weights::{self, Weights};
 use realitysim_geometry::Pose2;
 use realitysim_vision::GroundTable;
 
+/// Settings of the particle filter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilterSettings {
+    /// Numbers of particles and of rounds.
     pub sampling: Sampling,
+    /// Error of the prediction by odometry.
     pub motion: MotionModel,
-    /// Noise added after the first resampling of a frame; each further one adds `jitter_shrink` of the one before.
+    /// Noise added to the particles after the first round of a frame.
     pub jitter: Spread,
+    /// Factor by which the noise shrinks from round to round.
     pub jitter_shrink: f64,
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
-/// What a frame has cost so far, in poses weighed: the same on every machine.
+/// What a frame has cost so far, in poses weighed, which is the same on every machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Effort {
-    /// That the estimate is made of: those of the last round.
+    /// Particles of the last round, which the estimate is made of.
     pub particles: u32,
+    /// Rounds of weighing and resampling.
     pub iterations: u32,
-    /// In all rounds, and in searching the field.
+    /// Poses weighed in all rounds and in searching the field.
     pub weighed: u32,
-    /// Less was weighed than wanted, because time was up.
+    /// Whether fewer poses were weighed than wanted because time was up.
     pub capped: bool,
 }
 
-/// Says whether a frame that has weighed so many poses may go on. Asked before every [`BLOCK`] poses, so that a
-/// clock can be behind it; a frame is the same again if it says the same again.
+/// Decides whether a frame may go on; the argument is the number of poses weighed so far.
+///
+/// It is called before every [`BLOCK`] poses, so that it may ask a clock. Equal answers give equal results.
 pub type MayGoOn<'a> = dyn FnMut(u32) -> bool + 'a;
 
-/// No limit.
+/// A [`MayGoOn`] without a limit.
 pub fn always(_weighed: u32) -> bool {
     true
 }
 
-/// Poses weighed between two looks at the clock: some ten microseconds.
+/// Poses weighed between two calls of [`MayGoOn`]: some ten microseconds of work.
 pub const BLOCK: usize = 64;
 
-/// All that the next frame depends on.
+/// Everything that the next frame depends on.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FilterState {
+    /// The particles after the last frame.
     pub particles: Particles,
-    /// Frames so far: part of the key of every random number.
+    /// Number of frames so far, a part of the key of every random number.
     pub steps: u64,
 }
 
+/// The particle filter of the robot's pose.
 #[derive(Clone, Debug)]
 pub struct Filter {
     settings: FilterSettings,
     observation: Observation,
     state: FilterState,
     workspace: Workspace,
-    /// Weights so far that were NaN or +inf.
+    /// Number of weights so far that were NaN or +inf.
     unusable_weights: u64,
 }
 
-/// What a frame is worked out in, kept from frame to frame: a steady state allocates nothing.
+/// Buffers that are kept from frame to frame, so that a steady state allocates nothing.
 #[derive(Clone, Debug, Default)]
 struct Workspace {
-    /// The line points that are looked at.
+    /// Line points that some particle may see.
     near: Points,
     weights: Weights,
     bins: Bins,
@@ -78,44 +87,50 @@ struct Workspace {
 }
 
 impl Filter {
+    /// Makes a filter that goes on from `state`.
     pub fn new(settings: FilterSettings, observation: Observation, state: FilterState) -> Self {
         Self { settings, observation, state, workspace: Workspace::default(), unusable_weights: 0 }
     }
 
+    /// The settings that the filter was made with.
     pub fn settings(&self) -> &FilterSettings {
         &self.settings
     }
 
+    /// The observation model that weighs particles.
     pub fn observation(&self) -> &Observation {
         &self.observation
     }
 
+    /// The state after the last frame.
     pub fn state(&self) -> &FilterState {
         &self.state
     }
 
-    /// Goes on from there, and hands over where it was.
+    /// Swaps the filter's state with `state`.
     pub fn exchange(&mut self, state: &mut FilterState) {
         core::mem::swap(&mut self.state, state);
     }
 
-    /// Weights since it was made that were NaN or +inf, which no likelihood is.
+    /// Number of weights, since the filter was made, that were NaN or +inf, which no likelihood can be.
     pub fn unusable_weights(&self) -> u64 {
         self.unusable_weights
     }
 
-    /// Starts over around a pose.
+    /// Replaces all particles by new ones around `pose`.
     pub fn restart(&mut self, pose: Pose2, spread: Spread) {
         let FilterSettings { sampling, seed, .. } = self.settings;
         self.state.particles = Particles::around(pose, spread, sampling.particles, seed, self.state.steps);
     }
 
-    /// Widens the set where it stands.
+    /// Adds noise to every particle.
     pub fn widen(&mut self, spread: Spread) {
         self.state.particles.scatter(spread, self.settings.seed, Purpose::Start, self.state.steps, 0);
     }
 
-    /// One frame: what odometry says of the `seconds` since the last one, then what the camera sees.
+    /// Processes one frame: predicts the particles, then weighs and resamples them by the ground table of the camera.
+    ///
+    /// `step` is the robot's motion since the last frame, `seconds` ago, as odometry has it (`None` without odometry).
     pub fn step(
         &mut self,
         step: Option<Pose2>,
@@ -149,7 +164,7 @@ impl Filter {
         }
     }
 
-    /// A frame that shows nothing: the particles only move.
+    /// Processes a frame that shows nothing: particles are predicted and keep their weights.
     pub fn coast(&mut self, step: Option<Pose2>, seconds: f64) -> Estimate {
         self.predict(step, seconds);
         let weights = &mut self.workspace.weights;
@@ -157,7 +172,7 @@ impl Filter {
         estimate(&self.state.particles, weights)
     }
 
-    /// `step` as odometry has it; without odometry each particle goes its own way.
+    /// Moves the particles by `step`, or by a random walk if there is no odometry.
     fn predict(&mut self, step: Option<Pose2>, seconds: f64) {
         let FilterSettings { motion, seed, .. } = self.settings;
         let FilterState { particles, steps } = &mut self.state;
@@ -168,7 +183,7 @@ impl Filter {
         }
     }
 
-    /// Particles for which there is no time are dropped: every so many, so that what remains stands for the whole.
+    /// Weighs the particles. Those for which there is no time are dropped at regular intervals, so that the rest represents the whole set.
     fn weigh(&mut self, table: &GroundTable, effort: &mut Effort, may_go_on: &mut MayGoOn) {
         let Particles { poses, log_weights } = &mut self.state.particles;
         let near = &mut self.workspace.near;
@@ -176,7 +191,7 @@ impl Filter {
         let blocks = poses.len().div_ceil(BLOCK).max(1);
         let mut weighed = 0;
         for block in 0..blocks {
-            // The first block is what a frame costs at least.
+            // The first block is weighed in any case.
             if block > 0 && !may_go_on(effort.weighed) {
                 effort.capped = true;
                 break;
@@ -203,7 +218,7 @@ impl Filter {
     }
 }
 
-/// Keeps the first `kept` of every `step` values.
+/// Keeps the first `kept` values of every `step` values.
 fn keep_each<T>(values: &mut Vec<T>, step: usize, kept: usize) {
     let mut index = 0;
     values.retain(|_| {

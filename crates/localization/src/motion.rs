@@ -1,4 +1,4 @@
-//! Prediction from the previous frame: every particle makes the step that odometry reports, plus its own error.
+//! Prediction from the previous frame: every particle makes the step that odometry reports, plus a random error of its own.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use super::particles::{Particles, Spread};
 use super::random::{Purpose, TOGETHER, normals};
 use realitysim_geometry::{Pose2, wrap_angle};
 
-/// How wrong a step of odometry can be. Walking robots slip: 10 to 30 % is normal.
+/// Standard deviations of a step of odometry. Walking robots slip: 10 to 30 % is normal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MotionModel {
@@ -14,13 +14,15 @@ pub struct MotionModel {
     pub distance_share: f64,
     /// Error of the turn, as a share of it.
     pub turn_share: f64,
-    /// Error of the direction, radians for each metre walked.
+    /// Error of the heading, radians for each metre walked.
     pub turn_rad_per_m: f64,
-    /// What is added each second even when standing.
+    /// Error of the position that grows with time, even when standing, metres per root of a second.
     pub drift_m_per_sqrt_s: f64,
+    /// Error of the heading that grows with time, even when standing, radians per root of a second.
     pub drift_rad_per_sqrt_s: f64,
-    /// With `motion = "random_walk"`: how fast the robot is.
+    /// Speed of the robot where there is no odometry (`motion = "random_walk"`), metres per second.
     pub walk_m_per_s: f64,
+    /// Turning rate of the robot where there is no odometry, radians per second.
     pub turn_rad_per_s: f64,
 }
 
@@ -38,7 +40,9 @@ impl Default for MotionModel {
     }
 }
 
-/// `step` is `footprint_then_from_footprint_now` as odometry has it, `seconds` the time it took.
+/// Moves each particle by a step of odometry and a random error.
+///
+/// `step` is `footprint_then_from_footprint_now` as odometry has it, `seconds` the time it took. `seed` and `frame` key the random numbers.
 pub fn predict(model: &MotionModel, particles: &mut Particles, step: Pose2, seconds: f64, seed: u64, frame: u64) {
     let distance = libm::hypot(step.x, step.y);
     let root = libm::sqrt(seconds.max(0.0));
@@ -48,13 +52,14 @@ pub fn predict(model: &MotionModel, particles: &mut Particles, step: Pose2, seco
     diffuse(particles, step, Spread { xy_m: xy, yaw_rad: turn }, seed, frame);
 }
 
-/// Without odometry: each particle goes its own way, as far as the robot can get.
+/// Moves each particle by a random walk, as far as the robot can get in `seconds` without odometry.
 pub fn wander(model: &MotionModel, particles: &mut Particles, seconds: f64, seed: u64, frame: u64) {
     let seconds = seconds.max(0.0);
     let spread = Spread { xy_m: model.walk_m_per_s * seconds, yaw_rad: model.turn_rad_per_s * seconds };
     diffuse(particles, Pose2::default(), spread, seed, frame);
 }
 
+/// Moves each particle by `step` and normal noise of standard deviation `spread`, both along the particle's own axes.
 fn diffuse(particles: &mut Particles, step: Pose2, spread: Spread, seed: u64, frame: u64) {
     for (block, poses) in particles.poses.chunks_mut(TOGETHER).enumerate() {
         let [dx, dy, turn] = normals(seed, Purpose::Motion, frame, 0, (block * TOGETHER) as u32);

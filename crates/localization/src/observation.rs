@@ -1,6 +1,6 @@
-//! How well a pose explains the frame: the field's line points, laid onto the ground table.
+//! The observation model: how well a pose explains the frame, by the field's line points laid onto the ground table.
 //!
-//! Both models of the paper, each as printed and corrected (docs/paper.md says why the printed sums mislead):
+//! There are the two models of the paper, each as printed and corrected (docs/explanation/paper.md says why the printed sums mislead):
 //!
 //! | model | as printed | corrected |
 //! | --- | --- | --- |
@@ -16,20 +16,19 @@ pub use super::kernel::SimdPath;
 use super::kernel::{self, Points};
 pub use super::observation_model::{Formula, Model};
 use realitysim_geometry::{Field, Pose2, wrap_angle};
-use realitysim_vision::{GroundTable, Reading};
+use realitysim_vision::{GroundTable, TableQuantity};
 
-/// What the ground table must hold for this model.
-pub fn reading(model: Model, formula: Formula) -> Reading {
+/// The quantity that the ground table must hold for this model.
+pub fn reading(model: Model, formula: Formula) -> TableQuantity {
     match (model, formula) {
-        (Model::Gauss, Formula::Corrected) => Reading::Contrast,
-        (Model::Distance, Formula::Corrected) => Reading::Nearest,
-        (Model::Gauss, Formula::Paper) => Reading::Gray,
-        (Model::Distance, Formula::Paper) => Reading::NearestPixel,
+        (Model::Gauss, Formula::Corrected) => TableQuantity::Contrast,
+        (Model::Distance, Formula::Corrected) => TableQuantity::Nearest,
+        (Model::Gauss, Formula::Paper) => TableQuantity::Gray,
+        (Model::Distance, Formula::Paper) => TableQuantity::NearestPixel,
     }
 }
 
-/// The scale of the exponent that belongs to each formula: 1 point of 3 is independent of its neighbours; the
-/// paper prints -1000.
+/// Default scale alpha of the exponent. Corrected: 3, since one point of 3 is independent of its neighbours; the paper prints -1000.
 pub fn default_alpha(formula: Formula) -> f64 {
     match formula {
         Formula::Corrected => 3.0,
@@ -37,24 +36,28 @@ pub fn default_alpha(formula: Formula) -> f64 {
     }
 }
 
+/// An observation model for one field.
 #[derive(Clone, Debug)]
 pub struct Observation {
+    /// The line points as the kernel reads them.
     points: Points,
-    /// Where the points lie that the kernel takes together.
+    /// A disc around each group of [`kernel::LANES`] points.
     groups: Vec<Disc>,
+    /// The line points in `map`.
     positions: Vec<DVec2>,
     formula: Formula,
     alpha: f64,
-    /// Of the exponent, for a sum over points.
+    /// Factor from the sum over points to the log likelihood.
     scale: f64,
-    /// What one point counts: how many times 10 cm of line it stands for.
+    /// Length of line that one point stands for, in units of 10 cm.
     per_point: f64,
     path: SimdPath,
 }
 
-/// The corrected sums count line, not points: one for each 10 cm.
+/// Length of line that counts as one in the corrected sums, metres.
 const UNIT_M: f64 = 0.1;
 
+/// A disc on the floor, in `map`.
 #[derive(Clone, Copy, Debug)]
 struct Disc {
     centre: DVec2,
@@ -68,7 +71,7 @@ impl Disc {
     }
 }
 
-/// All poses lie within these bounds of the middle one.
+/// A set of poses: all lie within `xy_m` and `yaw_rad` of the middle one.
 #[derive(Clone, Copy, Debug)]
 struct Cloud {
     middle: Pose2,
@@ -100,7 +103,7 @@ impl Cloud {
     }
 }
 
-/// How much of what a pose predicts is there.
+/// How much of the line that a pose predicts is seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Support {
     /// Share of the expected line contrast that was found, 0 to 1.
@@ -112,8 +115,10 @@ pub struct Support {
 }
 
 impl Observation {
-    /// `count` is about how many points stand for all lines of the field. The corrected formulas weigh each by the
-    /// line that it stands for, so that neither `count` nor the size of the field changes what a metre of line says.
+    /// Makes the model for a field, all lines of which are represented by about `count` points.
+    ///
+    /// The corrected formulas weigh each point by the line that it stands for, so that neither `count` nor the size of the field changes
+    /// what a metre of line says.
     pub fn new(field: &Field, count: usize, formula: Formula, alpha: f64, path: SimdPath) -> Self {
         let points = field.points(count);
         let length: f64 = points.iter().map(|point| point.length).sum();
@@ -122,7 +127,7 @@ impl Observation {
         Self::of(positions, formula, alpha, per_point, kernel::available(path))
     }
 
-    /// With every `step`-th point, each of which counts for as many.
+    /// The same model with every `step`-th point only, each of which counts `step` times as much.
     pub fn sparse(&self, step: usize) -> Self {
         let positions: Vec<DVec2> = self.positions.iter().copied().step_by(step.max(1)).collect();
         let per_point = self.per_point * self.positions.len() as f64 / positions.len().max(1) as f64;
@@ -146,17 +151,17 @@ impl Observation {
         }
     }
 
-    /// Points on all lines together.
+    /// Number of points on all lines together.
     pub fn point_count(&self) -> usize {
         self.points.len()
     }
 
-    /// The line points that some of these poses may see: the others count as nothing.
+    /// Collects in `near` the line points that some of `poses` may see. The others add nothing to a sum.
     pub fn look_near(&self, table: &GroundTable, poses: &[Pose2], near: &mut Points) {
         self.look_within(table, Cloud::around(poses), near);
     }
 
-    /// The same of all poses within `xy_m` and `yaw_rad` of one.
+    /// Collects in `near` the line points that some pose within `xy_m` and `yaw_rad` of `middle` may see.
     pub fn look_around(&self, table: &GroundTable, middle: &Pose2, xy_m: f64, yaw_rad: f64, near: &mut Points) {
         self.look_within(table, Some(Cloud { middle: *middle, xy_m, yaw_rad }), near);
     }
@@ -173,17 +178,17 @@ impl Observation {
         near.select(&self.points, groups.map(|(index, _)| index));
     }
 
-    /// As [`Self::log_likelihood`], of one of the poses that [`Self::look_near`] was told of.
+    /// [`Self::log_likelihood`] of one of the poses for which [`Self::look_near`] collected `near`.
     pub fn log_likelihood_near(&self, table: &GroundTable, pose: &Pose2, near: &Points) -> f64 {
         kernel::sum_levels(self.path, table, near, pose) * (table.readings().scale * self.scale)
     }
 
-    /// Up to a constant of the frame.
+    /// Log likelihood of the frame if the robot is at `pose`, up to a constant that is the same for all poses.
     pub fn log_likelihood(&self, table: &GroundTable, pose: &Pose2) -> f64 {
         kernel::sum_levels(self.path, table, &self.points, pose) * (table.readings().scale * self.scale)
     }
 
-    /// `lines` must hold [`Reading::Contrast`].
+    /// How much of the line that `pose` predicts is seen. `lines` must hold [`TableQuantity::Contrast`].
     pub fn support(&self, lines: &GroundTable, pose: &Pose2) -> Support {
         let readings = lines.readings();
         let robot_from_map = pose.inverse().to_affine();

@@ -1,21 +1,25 @@
-//! Samples of the robot's pose: x, y, yaw of `base_footprint` in `map`.
+//! Particles: samples of the robot's pose, x, y and yaw of `base_footprint` in `map`.
 
 use serde::{Deserialize, Serialize};
 
 use super::random::{Purpose, TOGETHER, normals};
 use realitysim_geometry::{Physical, Pose2, wrap_angle};
 
+/// A set of weighted particles.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Particles {
+    /// Pose of each particle.
     pub poses: Vec<Pose2>,
-    /// Natural logarithm, not normalised: 0 for all means all alike.
+    /// Natural logarithm of each particle's weight, not normalised: if all are 0, all particles weigh the same.
     pub log_weights: Vec<f64>,
 }
 
-/// Standard deviations along the robot's own axes.
+/// Standard deviations of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
+    /// Standard deviation of x and of y, metres.
     pub xy_m: f64,
+    /// Standard deviation of yaw, radians.
     pub yaw_rad: f64,
 }
 
@@ -27,21 +31,24 @@ impl Physical for Particles {
 }
 
 impl Particles {
+    /// Number of particles.
     pub fn len(&self) -> usize {
         self.poses.len()
     }
 
+    /// Whether there are no particles.
     pub fn is_empty(&self) -> bool {
         self.poses.is_empty()
     }
 
+    /// Draws `count` particles around `pose`, all of the same weight. `seed` and `step` key the random numbers.
     pub fn around(pose: Pose2, spread: Spread, count: usize, seed: u64, step: u64) -> Self {
         let mut particles = Self { poses: vec![pose; count], log_weights: vec![0.0; count] };
         particles.scatter(spread, seed, Purpose::Start, step, 0);
         particles
     }
 
-    /// Adds normal noise to every pose, in its own frame.
+    /// Adds normal noise to every pose. `seed`, `purpose`, `step` and `iteration` key the random numbers.
     pub fn scatter(&mut self, spread: Spread, seed: u64, purpose: Purpose, step: u64, iteration: u32) {
         for (block, poses) in self.poses.chunks_mut(TOGETHER).enumerate() {
             let [dx, dy, turn] = normals(seed, purpose, step, iteration, (block * TOGETHER) as u32);
@@ -53,7 +60,7 @@ impl Particles {
         }
     }
 
-    /// Replaces the set by `counts[i]` copies of particle i, all of the same weight; the old set is left in `spare`.
+    /// Replaces the set by `counts[i]` copies of particle i, all of the same weight. The old poses are left in `spare`.
     pub fn duplicate(&mut self, counts: &[u32], spare: &mut Vec<Pose2>) {
         spare.clear();
         for (pose, count) in self.poses.iter().zip(counts) {

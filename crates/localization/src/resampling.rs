@@ -1,25 +1,27 @@
-//! Residual resampling, exact: weights become integers, so that counts add up by construction and no rounding can
-//! bias them.
+//! Exact residual resampling: weights become integers, so that counts add up by construction and no rounding can bias them.
 //!
 //! Weight i becomes q_i = round(2^40 w_i / w_max), S = sum q_i. Particle i is copied n_i = floor(N q_i / S) times; the
-//! R = N - sum n_i copies that remain are drawn on the remainders r_i = N q_i - n_i S, whose sum is exactly R S, at
-//! evenly spaced places (systematic), so that each count is n_i or n_i + 1.
+//! R = N - sum n_i copies that remain are drawn by systematic sampling on the remainders r_i = N q_i - n_i S, whose sum
+//! is exactly R S. Each count is therefore n_i or n_i + 1.
 
 use super::random::Stream;
 use super::weights::Weights;
 
+/// Integer weight of the best particle.
 const ONE: f64 = (1u64 << 40) as f64;
-/// 2^40 times more particles than this would not fit 64 bits.
+/// Largest number of particles: the sum of more weights of 40 bits each would not fit 64 bits.
 pub const MAX_PARTICLES: usize = 1 << 23;
 
-/// How often each particle is copied, and what it is worked out in.
+/// Number of copies of each particle, with the buffer of its computation.
 #[derive(Clone, Debug, Default)]
 pub struct Copies {
+    /// How often each particle is copied.
     pub counts: Vec<u32>,
+    /// Integer weights.
     quanta: Vec<u64>,
 }
 
-/// The counts sum to `draws`.
+/// Draws `draws` particles by their weights, with one random number of `stream`. The counts in `copies` sum to `draws`.
 pub fn residual(weights: &Weights, draws: usize, stream: &mut Stream, copies: &mut Copies) {
     assert!(weights.relative.len() <= MAX_PARTICLES && draws <= MAX_PARTICLES, "at most 2^23 particles");
     let Copies { counts, quanta } = copies;
@@ -31,18 +33,19 @@ pub fn residual(weights: &Weights, draws: usize, stream: &mut Stream, copies: &m
     }
 }
 
+/// Converts relative weights to integers, 2^40 for the best particle.
 fn quantise(weights: &Weights, quanta: &mut Vec<u64>) {
     quanta.clear();
     quanta.extend(weights.relative.iter().map(|relative| (ONE * relative + 0.5) as u64));
 }
 
-/// `offset` is the first of the evenly spaced places, in 0..`total`.
+/// Counts the copies of each particle. `offset` is the first of the evenly spaced sampling places, in 0..`total`.
 fn count(quanta: &[u64], total: u64, draws: usize, offset: u64, counts: &mut Vec<u32>) {
     // One more copy wherever the running sum of remainders passes offset, offset + S, offset + 2 S, ...
     let mut next = u128::from(offset);
     let mut sum = 0u128;
     counts.extend(quanta.iter().map(|quantum| {
-        // 23 bits times 41 fit.
+        // 23 bits times 41 bits fit into 64.
         let wanted = draws as u64 * quantum;
         sum += u128::from(wanted % total);
         let one_more = sum > next;
@@ -101,7 +104,7 @@ mod tests {
         }
     }
 
-    /// Ten times 0.1 sum to less than 1: a draw beyond it finds no particle. Here no sum is rounded.
+    /// In floating point, ten times 0.1 sum to less than 1, and a draw beyond that sum finds no particle. Integer sums are exact.
     #[test]
     fn the_first_and_the_last_place_find_their_particle() {
         let tenths = (0..10).fold(0.0, |sum, _| sum + 0.1);
@@ -120,7 +123,7 @@ mod tests {
         }
     }
 
-    /// Over all places the mean number of copies is N q / S to the last bit; q is what a weight is rounded to.
+    /// The mean number of copies over all offsets is exactly N q / S, where q is the integer weight: only rounding to q makes an error.
     #[test]
     fn expected_counts_are_the_weights() {
         use realitysim_test_support::exact::{exact, rounded};
@@ -131,7 +134,7 @@ mod tests {
         let shares: Vec<_> = logs.iter().map(|log| exact(*log).exp()).collect();
         let sum = shares.iter().fold(exact(0.0), |sum, share| sum + share);
         let errors = quanta.iter().zip(&shares).map(|(quantum, share)| {
-            // Whole numbers of 40 bits.
+            // Integers of 40 bits are exact in f64.
             let expected = exact(DRAWS as f64) * exact(*quantum as f64) / exact(total as f64);
             rounded(&(expected - exact(DRAWS as f64) * share / &sum)).abs()
         });

@@ -1,57 +1,60 @@
-//! How many particles and how many rounds a frame needs.
+//! Decides how many particles and how many rounds a frame needs.
 //!
-//! KLD-sampling (D. Fox, "Adapting the sample size in particle filters through KLD-sampling", IJRR 22, 2003): as many
+//! KLD-sampling (D. Fox, "Adapting the sample size in particle filters through KLD-sampling", IJRR 22, 2003) takes as many
 //! particles as keep the error of the sampled distribution below a bound, by the number of bins that it fills.
-//! Rounds of weighting and resampling go on until the effective sample size says that the particles lie as the weights do.
+//! Rounds of weighing and resampling go on until the effective sample size shows that the particles are distributed as the weights are.
 
 use super::particles::Particles;
 use super::weights::Weights;
 use realitysim_geometry::Pose2;
 
+/// Numbers of particles and of rounds, fixed or adaptive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sampling {
-    /// N of the paper; with [`Self::adaptive`] the most.
+    /// Number of particles, N of the paper; the largest number if [`Self::adaptive`].
     pub particles: usize,
-    /// T of the paper; with [`Self::adaptive`] the most.
+    /// Number of rounds, T of the paper; the largest number if [`Self::adaptive`].
     pub iterations: usize,
-    /// Fewer where fewer do, down to [`Self::fewest`] particles.
+    /// Whether fewer particles and rounds are used where they suffice.
     pub adaptive: bool,
+    /// Smallest number of particles if [`Self::adaptive`].
     pub fewest: usize,
 }
 
-/// Bound of the Kullback-Leibler distance between the particles and what they stand for, ...
+/// Bound of the Kullback-Leibler distance between the particles and the distribution that they represent.
 const KLD_ERROR: f64 = 0.1;
-/// ... kept with a probability of 99 %: the standard normal quantile.
+/// Standard normal quantile of the probability with which that bound is kept: 99 %.
 const KLD_QUANTILE: f64 = 2.326_347_874_040_841;
-/// Bins as wide as the basin of refinement.
+/// Width of a bin in x and y, metres: that of the basin of refinement.
 const BIN_M: f64 = 0.1;
+/// Number of bins in yaw.
 const BINS_PER_TURN: f64 = 72.0;
-/// A bin counts if a full set would put half a particle there.
-const LEAST_COPIES: f64 = 0.5;
-/// Effective share of the particles above which another round would change little.
-const SETTLED: f64 = 0.5;
+/// A bin counts if a full set would put this many particles there.
+const MIN_COPIES: f64 = 0.5;
+/// Effective sample size, as a share of the particles, above which another round would change little.
+const SETTLED_SHARE: f64 = 0.5;
 
 impl Sampling {
-    /// How many particles the next round or frame needs.
+    /// Number of particles that the next round or frame needs.
     pub fn needed(&self, particles: &Particles, weights: &Weights, bins: &mut Bins) -> usize {
         if !self.adaptive {
             return self.particles;
         }
         let fewest = self.fewest.min(self.particles);
-        let bins = bins.filled(particles, weights, LEAST_COPIES / self.particles as f64);
+        let bins = bins.filled(particles, weights, MIN_COPIES / self.particles as f64);
         (libm::ceil(kld_bound(bins, KLD_ERROR, KLD_QUANTILE)).min(self.particles as f64) as usize)
             .clamp(fewest, self.particles)
     }
 
-    /// No further round after this one, the `round`-th, is needed.
+    /// Whether no round is needed after the `round`-th, counted from 1.
     pub fn is_settled(&self, round: usize, weights: &Weights) -> bool {
-        let settled = weights.effective_sample_size >= SETTLED * weights.shares.len() as f64;
+        let settled = weights.effective_sample_size >= SETTLED_SHARE * weights.shares.len() as f64;
         round >= self.iterations || (self.adaptive && settled)
     }
 }
 
-/// Particles that keep the distance below `error`, with the probability of the normal `quantile`, if `bins` are filled
-/// (Eq. 7 of the source). None are needed for one bin or less.
+/// Number of particles that keep the Kullback-Leibler distance below `error`, with the probability of the normal `quantile`,
+/// if `bins` are filled (Eq. 7 of the source); 0 for one bin or less.
 pub fn kld_bound(bins: usize, error: f64, quantile: f64) -> f64 {
     if bins <= 1 {
         return 0.0;
@@ -62,26 +65,27 @@ pub fn kld_bound(bins: usize, error: f64, quantile: f64) -> f64 {
     freedom / (2.0 * error) * root * root * root
 }
 
-/// Bins of x, y and yaw, and what they are counted in.
+/// Counts bins of x, y and yaw, in a buffer that is kept.
 #[derive(Clone, Debug, Default)]
 pub struct Bins {
-    /// A particle's bin, its number, its share.
+    /// Bin, number and share of the weight of each particle.
     entries: Vec<([i32; 3], u32, f64)>,
 }
 
 impl Bins {
-    /// Those whose particles have more than `least` of the weight together.
+    /// Number of bins whose particles together have at least the share `least` of the weight.
     fn filled(&mut self, particles: &Particles, weights: &Weights, least: f64) -> usize {
         let entries = particles.poses.iter().zip(&weights.shares).zip(0..);
         self.entries.clear();
         self.entries.extend(entries.map(|((pose, share), number)| (bin(pose), number, *share)));
-        // Shares are added up in the particles' order.
+        // Within a bin shares are added in the particles' order, so that the sum is always the same.
         self.entries.sort_unstable_by_key(|(bin, number, _)| (*bin, *number));
         let of_bins = self.entries.chunk_by(|a, b| a.0 == b.0);
         of_bins.filter(|bin| bin.iter().map(|(_, _, share)| share).sum::<f64>() >= least).count()
     }
 }
 
+/// The bin that a pose lies in.
 fn bin(pose: &Pose2) -> [i32; 3] {
     // Casts saturate, NaN is 0.
     let cell = |x: f64| libm::floor(x) as i32;

@@ -1,32 +1,34 @@
-//! Weights in the log domain: normalised without underflow, whatever comes in.
+//! Normalisation of log weights, without underflow and for any input.
 
-/// What a set of log weights says, normalised.
+/// Normalised weights of a set of particles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Weights {
-    /// Sum is 1.
+    /// Weights scaled so that their sum is 1.
     pub shares: Vec<f64>,
-    /// The same with the largest as 1.
+    /// Weights scaled so that the largest is 1.
     pub relative: Vec<f64>,
-    /// Index of the largest.
+    /// Index of the largest weight.
     pub best: usize,
-    /// 1 / sum of squares: between 1 and N.
+    /// Effective sample size, 1 / sum of squared shares: between 1 and the number of particles.
     pub effective_sample_size: f64,
-    /// Log of the mean of the raw weights.
+    /// Natural logarithm of the mean of the raw weights.
     pub evidence: f64,
-    /// No weight was usable: all were taken as equal.
+    /// Whether no weight was usable, so that all were taken as equal.
     pub degenerate: bool,
-    /// Weights that are NaN or +inf: what no likelihood is.
+    /// Number of log weights that are NaN or +inf, which no likelihood can be.
     pub unusable: usize,
 }
 
-/// NaN counts as impossible; +inf as the set of the best, alike.
+/// Normalises natural logarithms of weights.
+///
+/// NaN counts as weight 0. Weights of +inf share the whole weight equally.
 pub fn normalise(log_weights: &[f64]) -> Weights {
     let mut weights = Weights::default();
     normalise_into(log_weights, &mut weights);
     weights
 }
 
-/// As [`normalise`], into the buffer of weights that are done with.
+/// [`normalise`] into the buffers of `weights`.
 pub fn normalise_into(log_weights: &[f64], weights: &mut Weights) {
     let count = log_weights.len();
     let Weights { shares, relative, best, effective_sample_size, evidence, degenerate, unusable } = weights;
@@ -40,13 +42,13 @@ pub fn normalise_into(log_weights: &[f64], weights: &mut Weights) {
         relative.resize(count, 1.0);
         shares.resize(count, 1.0 / count.max(1) as f64);
         (*best, *effective_sample_size) = (0, count as f64);
-        // No particles, no evidence for or against.
+        // An empty set gives no evidence for or against anything.
         *evidence = if count == 0 { 0.0 } else { f64::NEG_INFINITY };
         return;
     }
     relative.extend(log_weights.iter().map(|value| {
         let value = clean(*value);
-        // Not exp(inf - inf).
+        // Avoids exp(inf - inf), which is NaN.
         if value == highest { 1.0 } else { libm::exp(value - highest) }
     }));
     let sum = pairwise_sum(relative);
@@ -56,11 +58,12 @@ pub fn normalise_into(log_weights: &[f64], weights: &mut Weights) {
     *evidence = if highest == f64::INFINITY { highest } else { highest + libm::log(sum / count as f64) };
 }
 
-/// Halves until 64 remain: the rounding error grows with log n instead of n.
+/// Sums by halves down to 64 values, so that the rounding error grows with log n instead of n.
 pub fn pairwise_sum(values: &[f64]) -> f64 {
     pairwise_sum_of(values, |value| value)
 }
 
+/// [`pairwise_sum`] of a function of the values.
 fn pairwise_sum_of(values: &[f64], of: impl Fn(f64) -> f64 + Copy) -> f64 {
     if values.len() <= 64 {
         return values.iter().map(|value| of(*value)).sum();
@@ -75,7 +78,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn nothing_usable_means_all_alike() {
+    fn without_a_usable_weight_all_are_equal() {
         for bad in [f64::NEG_INFINITY, f64::NAN] {
             let w = normalise(&[bad; 4]);
             assert!(w.degenerate);

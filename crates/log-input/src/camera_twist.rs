@@ -1,29 +1,29 @@
-//! How fast the camera moves while an image is taken, by gyro, feet and neck.
+//! Computes how fast the camera moves while an image is taken, from gyro, feet and neck.
 
 use glam::DVec3;
 
 use super::transforms::CameraPlace;
 use realitysim_geometry::{Isometry, Pose2, Twist};
 
-/// What moves the camera.
+/// The motions that move the camera.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Movers {
-    /// Of the torso about its own axes, radians per second.
+pub(super) struct RateSources {
+    /// Turn rate of the torso about its own axes, radians per second.
     pub(super) torso_rate: DVec3,
-    /// `base_link` from `camera_optical_frame`, so many seconds ago.
+    /// An earlier `base_from_optical`, and how many seconds ago it was.
     pub(super) neck: (Isometry, f64),
-    /// `footprint_then_from_footprint_now`, from so many seconds ago.
+    /// The present pose of the feet in their earlier coordinate frame, and how many seconds ago that was.
     pub(super) feet: (Pose2, f64),
 }
 
-/// Feet that were faster have been put elsewhere.
+/// Largest speed of the feet, metres per second. Odometry that is faster has jumped, and counts as standing.
 const FASTEST_FEET_M_PER_S: f64 = 3.0;
-/// No image shows lines while a camera turns faster than this.
+/// Largest turn rate of a camera, radians per second. In a faster turn no image shows lines.
 const FASTEST_RAD_PER_S: f64 = 15.0;
 
-/// Of `camera_optical_frame`, along its own axes. `None` if what is said cannot be.
-pub(super) fn camera_twist(now: &CameraPlace, movers: &Movers) -> Option<Twist> {
-    let Movers { torso_rate, neck: (neck, neck_s), feet: (feet, feet_s) } = *movers;
+/// Computes the velocity of `camera_optical_frame` along its own axes; `None` if it is not finite or turns too fast.
+pub(super) fn camera_twist(now: &CameraPlace, sources: &RateSources) -> Option<Twist> {
+    let RateSources { torso_rate, neck: (neck, neck_s), feet: (feet, feet_s) } = *sources;
     let optical_from_base = now.base_from_optical.rotation.conjugate();
     let optical_from_footprint = now.footprint_from_optical.rotation.conjugate();
     let neck_moved = neck.inverse() * now.base_from_optical;
@@ -46,7 +46,7 @@ mod tests {
     use super::*;
     use realitysim_geometry::Euler;
 
-    /// A robot that walks, sways, turns and looks round, each evenly.
+    /// A robot that walks, sways, turns and looks around, each at a constant speed.
     #[derive(Clone, Copy, Debug)]
     struct Robot {
         walks: DVec2,
@@ -68,7 +68,7 @@ mod tests {
             head * camera * Isometry::link_from_optical()
         }
 
-        /// The torso turns about its own axes, with the feet.
+        /// The torso turns about its own axes, and stands on the feet.
         fn footprint_from_base(&self, seconds: f64) -> Isometry {
             let turned = self.leans.rotation() * DQuat::from_scaled_axis(self.rolls * seconds);
             Isometry::new(turned, DVec3::new(0.0, 0.0, 0.38))
@@ -92,12 +92,12 @@ mod tests {
 
         fn twist(&self) -> Option<Twist> {
             let (neck_s, feet_s) = (1e-5, 0.1);
-            let movers = Movers {
+            let sources = RateSources {
                 torso_rate: self.rolls,
                 neck: (self.base_from_optical(-neck_s), neck_s),
                 feet: (self.feet(-feet_s).inverse().compose(&self.feet(0.0)), feet_s),
             };
-            camera_twist(&self.place(), &movers)
+            camera_twist(&self.place(), &sources)
         }
     }
 
@@ -116,7 +116,7 @@ mod tests {
     }
 
     proptest! {
-        /// What stands still goes by as fast as the kinematics' own differences say.
+        /// A resting point passes the camera as fast as differences of the kinematics say.
         #[test]
         fn places_pass_as_they_do_before_the_moving_camera(robot in robots(), at in (-2.0..2.0, -1.0..1.0, 0.3..3.0)) {
             let seconds = 1e-5;

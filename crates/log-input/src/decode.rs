@@ -1,4 +1,4 @@
-//! Pixels of a frame's message into a picture.
+//! Decodes the image in a frame's message into a picture.
 
 use image::error::{LimitError, LimitErrorKind};
 use image::{DynamicImage, ImageDecoder};
@@ -15,47 +15,82 @@ use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{CompressedImageView, ImageView};
 use realitysim_vision::Picture;
 
-/// A JPEG or PNG in a file of its own: no camera's comes near it.
+/// Largest JPEG or PNG file that is read, bytes: no image of a camera comes near it.
 pub const MAX_IMAGE_FILE_BYTES: u64 = 256 << 20;
 
+/// Why an image cannot be decoded.
 #[derive(Debug, Error)]
 pub enum DecodeError {
+    /// The bytes of the message are not those of its type.
     #[error("the message is not what its type says: {0}")]
     Message(#[from] CdrError),
+    /// The type of the message is not that of an image.
     #[error("{type_name} holds no image: sensor_msgs/msg/CompressedImage or Image is needed")]
-    Type { type_name: String },
+    Type {
+        /// The type that the message has.
+        type_name: String,
+    },
+    /// The JPEG is damaged or of a kind that is not supported; the decoder's reason.
     #[error("the JPEG does not decode: {0}")]
     Jpeg(String),
+    /// The PNG is damaged or too large.
     #[error("the PNG does not decode: {0}")]
     Png(image::ImageError),
+    /// The compressed image is of another format.
     #[error("the image is neither JPEG nor PNG, it is {0}")]
     Format(FileKind),
+    /// The raw image has an encoding that is not supported.
     #[error("encoding {0:?}: supported are mono8, rgb8, bgr8, yuv422_yuy2 and bayer_rggb8, bggr8, gbrg8, grbg8")]
     Encoding(String),
+    /// The image is not of the wanted size.
     #[error("{} x {} pixels, where {} x {} are wanted", found[0], found[1], wanted[0], wanted[1])]
-    OtherSize { found: [usize; 2], wanted: [usize; 2] },
+    OtherSize {
+        /// Width and height of the image, pixels.
+        found: [usize; 2],
+        /// Width and height that are wanted, pixels.
+        wanted: [usize; 2],
+    },
+    /// The image has more pixels than are decoded.
     #[error("{} x {} pixels: at most {MAX_PIXELS} are decoded", found[0], found[1])]
-    TooLarge { found: [usize; 2] },
+    TooLarge {
+        /// Width and height of the image, pixels.
+        found: [usize; 2],
+    },
+    /// The stated size of the image does not fit its bytes.
     #[error("{width} x {height} pixels of {encoding} with step {step} do not fit {bytes} bytes")]
-    Size { width: u32, height: u32, encoding: String, step: u32, bytes: usize },
+    Size {
+        /// Width, pixels.
+        width: u32,
+        /// Height, pixels.
+        height: u32,
+        /// Pixel encoding, as ROS names it.
+        encoding: String,
+        /// Length of a row, bytes.
+        step: u32,
+        /// Number of bytes that there are.
+        bytes: usize,
+    },
 }
 
+/// Decodes the image of a `CompressedImage` or `Image` message.
 pub fn picture(message: &LogMessage) -> Result<Picture, DecodeError> {
-    picture_if(message, &any_possible)
+    picture_if(message, &accept_any_possible)
 }
 
-/// The picture, if it has this width and height. The head says how many pixels there are, and a head of a few bytes may
-/// claim a gigabyte of them: another size is refused before any pixel is decoded.
+/// Decodes the image of a message if it has the width and height `wanted`, pixels.
+///
+/// A header of a few bytes may claim a gigabyte of pixels, so an image of another size is refused before any pixel is decoded.
 pub fn picture_of_size(message: &LogMessage, wanted: [usize; 2]) -> Result<Picture, DecodeError> {
     picture_if(message, &|found| if found == wanted { Ok(()) } else { Err(DecodeError::OtherSize { found, wanted }) })
 }
 
-fn any_possible(found: [usize; 2]) -> Result<(), DecodeError> {
+/// Accepts every size that the project can work with.
+fn accept_any_possible(found: [usize; 2]) -> Result<(), DecodeError> {
     let [width, height] = found.map(|side| side as u64);
     if is_image_size(width, height) { Ok(()) } else { Err(DecodeError::TooLarge { found }) }
 }
 
-/// Whether an image of this width and height is to be decoded.
+/// Decides by width and height whether an image is decoded.
 type Accept<'a> = &'a dyn Fn([usize; 2]) -> Result<(), DecodeError>;
 
 fn picture_if(message: &LogMessage, accept: Accept) -> Result<Picture, DecodeError> {
@@ -70,7 +105,7 @@ fn picture_if(message: &LogMessage, accept: Accept) -> Result<Picture, DecodeErr
     }
 }
 
-/// When the frame of this message was exposed.
+/// Returns the time of exposure of the frame in this message, nanoseconds.
 pub fn stamp_ns(message: &LogMessage) -> Result<i64, DecodeError> {
     let header = match message.channel.type_name.as_str() {
         "sensor_msgs/msg/CompressedImage" => CompressedImageView::decode(&message.data)?.header,
@@ -80,9 +115,9 @@ pub fn stamp_ns(message: &LogMessage) -> Result<i64, DecodeError> {
     Ok(header.stamp.to_nanoseconds())
 }
 
-/// JPEG or PNG, told apart by their first bytes: `format` fields are not to be relied on.
+/// Decodes a JPEG or PNG. They are told apart by their first bytes, since `format` fields are not reliable.
 pub fn compressed(data: &[u8]) -> Result<Picture, DecodeError> {
-    compressed_if(data, &any_possible)
+    compressed_if(data, &accept_any_possible)
 }
 
 fn compressed_if(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
@@ -95,14 +130,14 @@ fn compressed_if(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     }
 }
 
-/// Luma and chroma as the file holds them: the conversion to RGB and back is saved.
+/// Decodes a JPEG into luma and chroma as the file holds them, which saves the conversion to RGB and back.
 fn jpeg(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
-    // Some of its messages end in a newline.
+    // Some messages of the decoder end in a newline.
     let bad = |message: String| DecodeError::Jpeg(message.trim_end().to_owned());
     let limits = DecoderOptions::default()
         .set_max_width(MAX_SIDE as usize)
         .set_max_height(MAX_SIDE as usize)
-        // A torn image must be refused, not filled up with gray.
+        // A truncated image is refused instead of being filled up with gray.
         .set_strict_mode(true);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), limits);
     decoder.decode_headers().map_err(|error| bad(error.to_string()))?;
@@ -117,6 +152,7 @@ fn jpeg(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     picture.ok_or_else(|| bad("its pixels do not fit its size".to_owned()))
 }
 
+/// Decodes a PNG, gray or in colour.
 fn png(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     let mut reader = image::ImageReader::with_format(std::io::Cursor::new(data), image::ImageFormat::Png);
     let mut limits = image::Limits::default();
@@ -127,7 +163,7 @@ fn png(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     let (width, height) = decoder.dimensions();
     let (width, height) = (width as usize, height as usize);
     accept([width, height])?;
-    if bytes_allowed.is_some_and(|most| decoder.total_bytes() > most) {
+    if bytes_allowed.is_some_and(|allowed| decoder.total_bytes() > allowed) {
         return Err(DecodeError::Png(image::ImageError::Limits(LimitError::from_kind(
             LimitErrorKind::InsufficientMemory,
         ))));
@@ -147,7 +183,7 @@ fn png(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     })
 }
 
-/// Pixels that no codec has touched.
+/// Converts an uncompressed image into a picture. The error names an encoding or size that is not possible.
 pub fn raw(image: &ImageView) -> Result<Picture, DecodeError> {
     let size = || DecodeError::Size {
         width: image.width,
@@ -186,7 +222,7 @@ pub fn raw(image: &ImageView) -> Result<Picture, DecodeError> {
     picture.ok_or_else(size)
 }
 
-/// Y0 U Y1 V: two pixels share their chroma.
+/// Converts rows of YUYV (bytes Y0 U Y1 V), where two pixels share their chroma, into a picture.
 fn yuy2<'a>(width: usize, height: usize, rows: impl Iterator<Item = &'a [u8]>) -> Option<Picture> {
     let pixels = rows.flat_map(|row| {
         row.chunks(4).flat_map(|quad| {
@@ -197,7 +233,7 @@ fn yuy2<'a>(width: usize, height: usize, rows: impl Iterator<Item = &'a [u8]>) -
     Picture::from_ycbcr(width, height, &pixels.collect::<Vec<u8>>())
 }
 
-/// Column and row of the first red pixel: the names read the first two rows from left to right.
+/// Returns column and row of the first red pixel: the names list the first two rows from left to right.
 fn first_red(encoding: &str) -> [usize; 2] {
     match encoding {
         "bayer_bggr8" => [1, 1],
@@ -207,7 +243,7 @@ fn first_red(encoding: &str) -> [usize; 2] {
     }
 }
 
-/// Bilinear: each missing colour is the mean of its nearest neighbours of that colour.
+/// Converts a Bayer mosaic into RGB bilinearly: a missing colour is the mean of the nearest neighbours of that colour.
 fn demosaic(width: usize, height: usize, rows: &[&[u8]], [red_u, red_v]: [usize; 2]) -> Vec<u8> {
     let colour_at = |u: usize, v: usize| match ((v + red_v) % 2, (u + red_u) % 2) {
         (0, 0) => 0,
@@ -226,7 +262,7 @@ fn demosaic(width: usize, height: usize, rows: &[&[u8]], [red_u, red_v]: [usize;
                 let columns = u.saturating_sub(1)..(u + 2).min(width);
                 for (nv, row) in rows.iter().enumerate().take((v + 2).min(height)).skip(v.saturating_sub(1)) {
                     for nu in columns.clone() {
-                        // Green lies beside, red and blue beside or diagonally: a green pixel's diagonals are green too.
+                        // Missing green is taken from the four direct neighbours, red and blue from all eight.
                         let beside = colour != 1 || nu == u || nv == v;
                         if beside && colour_at(nu, nv) == colour {
                             sum += u32::from(row[nu]);
@@ -298,7 +334,7 @@ mod tests {
         assert!(matches!(raw(&view("rgba16", 1, 1, 8, &[0; 8])), Err(DecodeError::Encoding(_))));
     }
 
-    /// The JPEG ends behind its head: were a pixel decoded, the error would be that there is none.
+    /// The JPEG ends after its header: if a pixel were decoded, the error would say that there is none.
     #[test]
     fn another_size_is_refused_before_a_pixel_is_decoded() {
         let noise: Vec<u8> = (0..64 * 64 * 3).map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();

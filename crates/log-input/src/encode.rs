@@ -1,4 +1,4 @@
-//! Pixels as JPEG, and a frame's message with its image in fewer bytes.
+//! Encodes pixels as JPEG, and makes the image in a frame's message smaller.
 
 use std::sync::Arc;
 
@@ -9,15 +9,23 @@ use super::decode;
 use realitysim_ros2::mcap_read::{Channel, LogMessage};
 use realitysim_ros2::messages::{CompressedImage, Image, Message};
 
+/// Why an image cannot be encoded.
 #[derive(Debug, Error)]
 pub enum EncodeError {
+    /// A side is longer than JPEG allows.
     #[error("{width} x {height} pixels are too many for a JPEG: 65535 x 65535 at most")]
-    Size { width: usize, height: usize },
+    Size {
+        /// Width, pixels.
+        width: usize,
+        /// Height, pixels.
+        height: usize,
+    },
+    /// The encoder refuses the image.
     #[error("the frame does not encode: {0}")]
     Jpeg(#[from] EncodingError),
 }
 
-/// Rows of `pixels` without gaps; `quality` 1 to 100.
+/// Encodes pixels as JPEG. The rows of `pixels` follow each other without gaps; `quality` is 1 to 100.
 pub fn jpeg(
     pixels: &[u8],
     width: usize,
@@ -26,14 +34,15 @@ pub fn jpeg(
     quality: u8,
 ) -> Result<Vec<u8>, EncodeError> {
     let side = |pixels: usize| u16::try_from(pixels).map_err(|_| EncodeError::Size { width, height });
-    // Few images need more than a byte for eight values.
+    // Few images need more than one byte for eight values.
     let mut data = Vec::with_capacity(pixels.len() / 8);
     Encoder::new(&mut data, quality).encode(pixels, side(width)?, side(height)?, colour)?;
     Ok(data)
 }
 
-/// As a JPEG of this quality, 1 to 100, on the same topic; a raw image becomes a compressed one. None of an image that
-/// does not decode, or would not get smaller: it stays what it is.
+/// Re-encodes the image of a message as JPEG of this quality, 1 to 100, on the same topic.
+///
+/// A raw image becomes a compressed one. `None` where the image does not decode or would not get smaller: it stays as it is.
 pub fn as_jpeg(message: &LogMessage, quality: u8) -> Option<LogMessage> {
     let picture = decode::picture(message).ok()?;
     let header = match message.channel.type_name.as_str() {

@@ -1,15 +1,15 @@
-//! What kind of file somebody has named, by its first bytes, and who takes such a one.
+//! Recognizes the kind of a file by its first bytes, and says what can be done with such a file.
 
 use std::fmt;
 
-/// So many bytes tell.
+/// Number of bytes at the start of a file by which its kind is recognized.
 pub const START_BYTES: usize = 16;
 
-/// What a file is, as its first bytes say.
+/// The kind of a file in words, with advice where there is some; made to follow "this file is" in an error.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileKind(String);
 
-/// Offset of the bytes, the bytes, what they say, and what can be done with such a file.
+/// For each kind: offset of its magic bytes, these bytes, its name, and what can be done with such a file.
 const KINDS: [(usize, &[u8], &str, &str); 19] = [
     (0, b"\x89MCAP0\r\n", "an MCAP log", "`realitysim replay` takes it"),
     (0, b"\xff\xd8\xff", "a JPEG picture", "`realitysim tag` finds the pose of a single picture"),
@@ -41,14 +41,15 @@ const KINDS: [(usize, &[u8], &str, &str); 19] = [
     (0, b"%PDF", "a PDF document", ""),
     (0, b"RIFF", "a RIFF file", ""),
 ];
-/// Where a file has no bytes like these, but letters.
+/// Name of a file that has none of the magic bytes and is text.
 const TEXT: &str = "a text";
+/// Name of a file without any byte.
 const EMPTY: &str = "an empty file";
-/// Of an unknown kind, as many are shown.
-const SHOWN: usize = 8;
+/// Number of first bytes that are printed for a file of an unknown kind.
+const SHOWN_BYTES: usize = 8;
 
 impl FileKind {
-    /// Of the first bytes of a file, or all that there are.
+    /// Returns the kind of the file that begins with `start`: its first [`START_BYTES`] bytes, or all if it has fewer.
     pub fn of(start: &[u8]) -> Self {
         let begins = |(offset, bytes, ..): &&(usize, &[u8], &str, &str)| {
             start.get(*offset..).is_some_and(|rest| rest.starts_with(bytes))
@@ -59,7 +60,7 @@ impl FileKind {
             None if start.is_empty() => EMPTY.to_owned(),
             None if is_text(start) => TEXT.to_owned(),
             None => {
-                let bytes: Vec<String> = start.iter().take(SHOWN).map(|byte| format!("{byte:02x}")).collect();
+                let bytes: Vec<String> = start.iter().take(SHOWN_BYTES).map(|byte| format!("{byte:02x}")).collect();
                 format!("of a kind that is not known here (its first bytes are {})", bytes.join(" "))
             }
         })
@@ -72,7 +73,7 @@ impl fmt::Display for FileKind {
     }
 }
 
-/// A letter may be cut off at the end.
+/// Returns whether these bytes are UTF-8 text without control characters. The last character may be cut off.
 fn is_text(start: &[u8]) -> bool {
     let whole = match core::str::from_utf8(start) {
         Ok(text) => text,

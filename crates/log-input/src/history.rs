@@ -1,4 +1,4 @@
-//! The recent past of one measurement, read at any time in between.
+//! Stores the recent past of one measurement, and interpolates it at any time.
 
 use std::collections::VecDeque;
 
@@ -7,51 +7,57 @@ use serde::{Deserialize, Serialize};
 
 use realitysim_geometry::{Isometry, Physical, Pose2, wrap_angle};
 
-/// Something that can be read between two samples.
+/// A value that can be interpolated between two samples.
 pub trait Interpolate: Copy + Physical {
+    /// Returns the value at `fraction` of the way from `self` (0) to `other` (1).
     fn interpolate(&self, other: &Self, fraction: f64) -> Self;
 }
 
-/// Samples in the order of their stamps, whatever the order they came in; the oldest forgotten.
+/// Recent samples of a measurement in the order of their stamps, whatever the order in which they came.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History<T> {
+    /// Stamp in nanoseconds, and value.
     samples: VecDeque<(i64, T)>,
-    /// How far the latest of the late ones came behind the newest.
+    /// The farthest that a sample has come behind the newest, nanoseconds.
     disorder_ns: i64,
-    /// From long before the newest: too late, unless the next one shows that the clock was set back.
+    /// A sample from long before the newest. It is too late unless the next one shows that the clock was set back.
     stray: Option<(i64, T)>,
 }
 
-/// Older samples are forgotten: no frame waits this long.
+/// Span of time that samples are kept for, nanoseconds: no frame waits this long.
 pub const KEEP_NS: i64 = 5_000_000_000;
-/// At most this many are kept, whatever their rate: five seconds at 4 kHz.
+/// Largest number of samples kept, whatever their rate: five seconds at 4 kHz.
 const KEEP_SAMPLES: usize = 20_000;
-/// A sample that is older than the newest by no more than this is sorted in. Two in a row from before mean that the
-/// clock was set back: what was known means nothing any more.
+/// A sample that is older than the newest by at most this, nanoseconds, is sorted in. Two older ones in a row mean that
+/// the clock was set back, and all samples before them are dropped.
 const RESET_NS: i64 = 1_000_000_000;
-/// Two samples farther apart than this are not connected by a straight line; the nearer one is taken.
+/// Largest distance of two samples that are interpolated, nanoseconds. Beyond it the nearer one is taken.
 const BRIDGE_NS: i64 = 500_000_000;
 
-/// A rate is not integrated over gaps longer than this.
+/// Longest gap between samples that a rate is integrated over, nanoseconds.
 const GAP_NS: i64 = 100_000_000;
 
-/// What became of a sample.
+/// What became of a sample that was pushed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pushed {
+    /// It is stored.
     Taken,
-    /// One of the same time is there already.
+    /// A sample of the same time is stored already; this one is dropped.
     Known,
     /// No robot can have measured it: see [`Physical`].
     Impossible,
+    /// It is more than a second older than the newest; it is dropped.
     TooLate,
-    /// The clock was set back: this one and the one before, which seemed too late, are the new beginning.
+    /// The clock was set back. This sample and the one before, which seemed too late, are the new beginning.
     ClockSetBack,
 }
 
-/// A value and how old it is: 0 when it lies between two samples.
+/// A value at a time that was asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample<T> {
+    /// The value, interpolated or that of the nearest sample.
     pub value: T,
+    /// Distance in time of the sample that was taken, nanoseconds; 0 if the value is interpolated.
     pub age_ns: i64,
 }
 
@@ -68,6 +74,7 @@ impl<T: Physical> Physical for History<T> {
 }
 
 impl<T: Interpolate> History<T> {
+    /// Stores a sample, unless it is impossible or too late, and forgets old ones.
     pub fn push(&mut self, stamp_ns: i64, value: T) -> Pushed {
         if !value.is_possible() {
             return Pushed::Impossible;
@@ -76,11 +83,11 @@ impl<T: Interpolate> History<T> {
         let newest = self.newest_ns().unwrap_or(i64::MIN);
         if stamp_ns > newest {
             self.samples.push_back((stamp_ns, value));
-            self.forget();
+            self.forget_old();
             return Pushed::Taken;
         }
         if stamp_ns >= newest.saturating_sub(RESET_NS) {
-            return self.sort_in(stamp_ns, value);
+            return self.insert_sorted(stamp_ns, value);
         }
         match stray {
             Some(stray) if stamp_ns > stray.0 && stamp_ns - stray.0 <= RESET_NS => {
@@ -94,26 +101,27 @@ impl<T: Interpolate> History<T> {
         }
     }
 
-    fn sort_in(&mut self, stamp_ns: i64, value: T) -> Pushed {
+    fn insert_sorted(&mut self, stamp_ns: i64, value: T) -> Pushed {
         let place = self.samples.partition_point(|(stamp, _)| *stamp < stamp_ns);
         if self.samples.get(place).is_some_and(|(stamp, _)| *stamp == stamp_ns) {
             return Pushed::Known;
         }
         self.disorder_ns = self.newest_ns().map_or(0, |newest| self.disorder_ns.max(newest - stamp_ns));
         self.samples.insert(place, (stamp_ns, value));
-        self.forget();
+        self.forget_old();
         Pushed::Taken
     }
 
-    fn forget(&mut self) {
+    /// Drops samples beyond the span and number that are kept.
+    fn forget_old(&mut self) {
         let oldest_kept = self.newest_ns().map_or(i64::MIN, |newest| newest.saturating_sub(KEEP_NS));
-        // The last sample before the kept span stays: a frame just inside it needs both neighbours.
+        // The last sample before the span stays: a frame just inside the span needs both neighbours.
         while self.samples.len() > KEEP_SAMPLES || self.samples.get(1).is_some_and(|(stamp, _)| *stamp < oldest_kept) {
             self.samples.pop_front();
         }
     }
 
-    /// Until when nothing is missing any more, if samples come no later than they have come so far.
+    /// Returns the time up to which nothing is missing, if samples come no later than they have come so far, nanoseconds.
     pub fn settled_ns(&self) -> Option<i64> {
         self.newest_ns().map(|newest| newest - self.disorder_ns)
     }
@@ -122,22 +130,23 @@ impl<T: Interpolate> History<T> {
         self.newest().map(|(stamp, _)| stamp)
     }
 
-    /// With its stamp.
+    /// Returns the newest sample with its stamp.
     pub fn newest(&self) -> Option<(i64, T)> {
         self.samples.back().copied()
     }
 
+    /// Returns whether there is no sample.
     pub fn is_empty(&self) -> bool {
         self.samples.is_empty()
     }
 
-    /// The newest sample that [`at`](Self::at) this time looks at: the first that is not before it, else the last.
+    /// Returns the stamp of the newest sample that [`at`](Self::at) uses: the first one not before the time, else the last.
     pub fn until(&self, stamp_ns: i64) -> Option<i64> {
         let after = self.samples.partition_point(|(stamp, _)| *stamp < stamp_ns);
         self.samples.get(after).map(|(stamp, _)| *stamp).or(self.newest_ns())
     }
 
-    /// The value at a time: interpolated, or the nearest sample's outside of what is known.
+    /// Returns the value at a time: interpolated, or that of the nearest sample outside of the known span and in gaps.
     pub fn at(&self, stamp_ns: i64) -> Option<Sample<T>> {
         let after = self.samples.partition_point(|(stamp, _)| *stamp < stamp_ns);
         let held =
@@ -158,8 +167,10 @@ impl<T: Interpolate> History<T> {
 }
 
 impl History<f64> {
-    /// Integral of a rate over a stretch of time, in its unit times seconds; `None` where samples lie farther apart
-    /// than 0.1 s, or where every one is exactly zero: nothing measures there.
+    /// Integrates a rate over a span of time by the trapezoidal rule; the result is in its unit times seconds.
+    ///
+    /// `None` where the span is not covered, where samples lie farther apart than 0.1 s, or where every sample is exactly
+    /// zero, which means that no sensor measures it.
     pub fn integral(&self, from_ns: i64, to_ns: i64) -> Option<f64> {
         if to_ns < from_ns {
             return None;
@@ -298,13 +309,13 @@ mod tests {
             history.push(stamp * 1_000_000, 1.0);
         }
         let known = history.clone();
-        // Each alone between others: of a second sender whose clock is wrong.
+        // Each one stands alone between others: a second sender has a wrong clock.
         for stamp in [0, 5_030, 10, 5_040] {
             let pushed = history.push(stamp * 1_000_000, 2.0);
             assert_eq!(pushed, if stamp < 5_000 { Pushed::TooLate } else { Pushed::Taken }, "{stamp}");
         }
         assert_eq!(history.at(5_015_000_000), known.at(5_015_000_000));
-        // In a row, but not one clock's.
+        // Two in a row that are not of one clock.
         assert_eq!([900, 30].map(|ms| history.push(ms * 1_000_000, 2.0)), [Pushed::TooLate; 2]);
     }
 

@@ -1,7 +1,31 @@
-//! Logs and rendered scenes as a robot's measurements, brought together in time.
+//! Reads logs and rendered scenes as a robot's measurements, and brings these together in time.
 //!
-//! Whatever the source, a consumer gets [`LogMessage`](realitysim_ros2::mcap_read::LogMessage)s: a scene and a recorded log take the
-//! same way.
+//! A source is an iterator of [`LogMessage`](realitysim_ros2::mcap_read::LogMessage)s: [`log::LogSource`] reads MCAP files,
+//! [`scene_source::SceneSource`] renders a scene into the messages that a robot would have logged. What follows is the
+//! same for both. [`topic_resolution`] finds out which topic carries which measurement, [`measurement::read`] decodes one
+//! message, and a [`synchroniser::Synchroniser`] gives out each frame with the robot's state at its exposure.
+//! [`decode`] and [`encode`] convert between a frame's bytes and its pixels.
+//!
+//! ```rust
+//! use realitysim_config::{FrameNames, HeadSettings, Topics};
+//! use realitysim_log_input::scene_source::{self, SceneSource};
+//! use realitysim_log_input::{measurement, synchroniser::Synchroniser};
+//!
+//! let scene = scene_source::load("../../replay/scenes/demo.toml")?;
+//! let mut synchroniser = Synchroniser::new(FrameNames::default(), Default::default());
+//! let mut frames = Vec::new();
+//! for message in SceneSource::new(&scene).take(100) {
+//!     let message = message?;
+//!     let measured = measurement::read(&message, &Topics::default(), &HeadSettings::default())?;
+//!     synchroniser.push(&message, measured);
+//!     frames.extend(std::iter::from_fn(|| synchroniser.pop()));
+//! }
+//! let robot = &frames[0].robot;
+//! assert!(robot.odometry.is_some(), "where the robot's own odometry had it");
+//! let camera = robot.place.clone()?;
+//! assert!(camera.footprint_from_optical.translation.z > 0.3, "metres above the ground");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod body_mask;
 mod camera_twist;
@@ -9,11 +33,13 @@ pub mod decode;
 pub mod encode;
 pub mod file_kind;
 pub mod history;
-pub mod intake;
+mod input_source;
 pub mod log;
-pub mod scene;
+pub mod measurement;
+pub mod scene_source;
 pub mod synchroniser;
 pub mod topic_resolution;
 pub mod transforms;
 
 pub use body_mask::{body_mask, mask};
+pub use input_source::InputSource;

@@ -1,4 +1,4 @@
-//! A recorded log as the source of everything: one MCAP file, or a folder of them (a ROS 2 bag, a capture).
+//! Reads a recorded log: one MCAP file, or a folder of them (a ROS 2 bag, a capture).
 
 use std::fs::File;
 use std::io::{self, BufReader, Read};
@@ -15,22 +15,48 @@ use realitysim_ros2::mcap_read::{
 use realitysim_ros2::messages::{DiagnosticArray, Message};
 use realitysim_ros2::topics;
 
+/// Why a log cannot be read.
 #[derive(Debug, Error)]
 pub enum LogError {
+    /// A file's content cannot be read as MCAP.
     #[error("{path}: {source}")]
-    Read { path: PathBuf, source: ReadError },
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the reader found.
+        source: ReadError,
+    },
+    /// A file or folder cannot be opened.
     #[error("{path}: {source}")]
-    Open { path: PathBuf, source: std::io::Error },
+    Open {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the operating system says.
+        source: std::io::Error,
+    },
+    /// A file is of another kind.
     #[error("{path}: an MCAP log is needed, and this file is {kind}")]
-    NoLog { path: PathBuf, kind: FileKind },
-    #[error("{path}: the folder holds no .mcap file: {}", instead(within))]
-    NoFiles { path: PathBuf, within: Vec<PathBuf> },
+    NoLog {
+        /// The file.
+        path: PathBuf,
+        /// The kind of the file, by its first bytes.
+        kind: FileKind,
+    },
+    /// A folder holds no MCAP file.
+    #[error("{path}: the folder holds no .mcap file: {}", instead_of(within))]
+    NoFiles {
+        /// The folder.
+        path: PathBuf,
+        /// The folders in it that hold MCAP files.
+        within: Vec<PathBuf>,
+    },
 }
 
-/// Folders that are named where one of them was meant.
+/// Largest number of folders that an error lists.
 const MOST_NAMED: usize = 5;
 
-fn instead(within: &[PathBuf]) -> String {
+/// Says what to name instead of a folder without logs; `within` are the folders in it that hold some.
+fn instead_of(within: &[PathBuf]) -> String {
     let [first, ..] = within else {
         return "name an MCAP file, a ROS 2 bag's folder or a capture's".to_owned();
     };
@@ -45,7 +71,9 @@ fn instead(within: &[PathBuf]) -> String {
     format!("name one of the captures or bags in it: {}{more}", names.join(", "))
 }
 
-/// Files in the order of their names, which is the order of time in bags and captures.
+/// Lists the MCAP files of a log in the order of their numbers, which in bags and captures is the order of time.
+///
+/// `path` is one file, or a folder whose `.mcap` and `.mcap.active` files are listed.
 pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
     let failed = |source| LogError::Open { path: path.to_owned(), source };
     if !std::fs::metadata(path).map_err(failed)?.is_dir() {
@@ -59,7 +87,7 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
         within.sort();
         return Err(LogError::NoFiles { path: path.to_owned(), within });
     }
-    // rosbag2 counts without leading zeros: ..._9.mcap comes before ..._10.mcap.
+    // rosbag2 numbers files without leading zeros: ..._9.mcap comes before ..._10.mcap.
     files.sort_by_key(|file| {
         let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default().to_owned();
         let number = name.trim_end_matches(".active").trim_end_matches(".mcap");
@@ -69,6 +97,7 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
     Ok(files)
 }
 
+/// Lists the MCAP files directly in a folder, in any order.
 fn segments_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder)? {
@@ -81,31 +110,32 @@ fn segments_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Messages of all files, one after the other.
+/// Iterator over the messages of several MCAP files, one file after the other.
 pub struct LogSource {
     files: std::vec::IntoIter<PathBuf>,
     open: Option<(PathBuf, LogReader<BufReader<File>>)>,
     selection: Selection,
-    outputs: bool,
+    with_outputs: bool,
     damage: Vec<(PathBuf, Damage)>,
 }
 
 impl LogSource {
-    /// Inputs only: what an earlier replay added is passed over.
+    /// Reads what the robot recorded; messages that an earlier replay added are left out.
     pub fn new(files: Vec<PathBuf>, selection: Selection) -> Self {
-        Self { files: files.into_iter(), open: None, selection, outputs: false, damage: Vec::new() }
+        Self { files: files.into_iter(), open: None, selection, with_outputs: false, damage: Vec::new() }
     }
 
+    /// Reads all messages, also those that an earlier replay added.
     pub fn with_outputs(files: Vec<PathBuf>, selection: Selection) -> Self {
-        Self { outputs: true, ..Self::new(files, selection) }
+        Self { with_outputs: true, ..Self::new(files, selection) }
     }
 
-    /// What was found wrong in the files read so far; complete at the end.
+    /// Returns the damage found in the files that were read to their end; complete when the iterator has ended.
     pub fn damage(&self) -> &[(PathBuf, Damage)] {
         &self.damage
     }
 
-    /// The file of the message given out last, and where in it the message's data begin unless they are compressed.
+    /// Returns the file of the last message, and the offset in bytes where its data begin; `None` if they are compressed.
     pub fn place(&self) -> Option<(&Path, u64)> {
         let (path, reader) = self.open.as_ref()?;
         Some((path, reader.place()?))
@@ -128,16 +158,16 @@ impl Iterator for LogSource {
                 let path = self.files.next()?;
                 match open(&path, self.selection.clone()) {
                     Ok(reader) => self.open = Some((path, reader)),
-                    Err(error) => match never_begun(&error) {
+                    Err(error) => match unwritten_segment(&error) {
                         Some(damage) => self.damage.push((path, damage)),
-                        None => return Some(Err(by_its_kind(error))),
+                        None => return Some(Err(with_file_kind(error))),
                     },
                 }
                 continue;
             }
             let (path, reader) = self.open.as_mut()?;
             match reader.next() {
-                Some(Ok(message)) if !self.outputs && is_output(&message) => {}
+                Some(Ok(message)) if !self.with_outputs && is_output(&message) => {}
                 Some(Ok(message)) => return Some(Ok(message)),
                 Some(Err(source)) => {
                     let error = LogError::Read { path: path.clone(), source };
@@ -150,7 +180,7 @@ impl Iterator for LogSource {
     }
 }
 
-/// Whether an earlier replay added this message.
+/// Returns whether an earlier replay added this message.
 fn is_output(message: &LogMessage) -> bool {
     let topic = message.channel.topic.as_str();
     let ours = |report: DiagnosticArray| {
@@ -169,41 +199,44 @@ fn buffered(path: &Path) -> Result<BufReader<File>, LogError> {
     Ok(BufReader::with_capacity(1 << 18, plain_file::open(path).map_err(failed)?))
 }
 
-/// What each file holds, by its index if it has one.
+/// Surveys what each file holds, by its index if it has one.
 pub fn surveys(files: &[PathBuf]) -> Result<Vec<Survey>, LogError> {
-    each(files, survey)
+    survey_each(files, survey)
 }
 
-/// What each file holds, every byte of it read: all damage is found.
+/// Surveys what each file holds by reading every byte, which finds all damage.
 pub fn examinations(files: &[PathBuf]) -> Result<Vec<Survey>, LogError> {
-    each(files, examine)
+    survey_each(files, examine)
 }
 
-fn each(
+/// Surveys each file with `look`; a segment of which nothing was written counts as damaged.
+fn survey_each(
     files: &[PathBuf],
     look: impl Fn(BufReader<File>) -> Result<Survey, ReadError>,
 ) -> Result<Vec<Survey>, LogError> {
     let looked = |path: &PathBuf| {
         let looked = look(buffered(path)?).map_err(|source| LogError::Read { path: path.clone(), source });
-        looked.or_else(|error| match never_begun(&error) {
+        looked.or_else(|error| match unwritten_segment(&error) {
             Some(damage) => Ok(Survey { damage, ..Survey::default() }),
-            None => Err(by_its_kind(error)),
+            None => Err(with_file_kind(error)),
         })
     };
     files.iter().map(looked).collect()
 }
 
-/// A segment whose recorder was stopped before its first bytes were on disk is a torn one, not a foreign file.
-fn never_begun(error: &LogError) -> Option<Damage> {
+/// Returns the damage of a segment whose recorder was stopped before its first bytes were on disk.
+///
+/// Such a file ends in `.active` and is a torn segment, not a file of another kind.
+fn unwritten_segment(error: &LogError) -> Option<Damage> {
     let LogError::Read { path, source: ReadError::NotMcap { found } } = error else { return None };
     let open = path.extension().is_some_and(|ending| ending == "active");
     open.then(|| Damage { torn: true, first_error: Some(format!("found {found}")), ..Damage::default() })
 }
 
-/// What is no log is told by what it is.
-fn by_its_kind(error: LogError) -> LogError {
+/// Adds to the error about a file that is no MCAP log what kind of file it is.
+fn with_file_kind(error: LogError) -> LogError {
     match error {
-        LogError::Read { path, source: ReadError::NotMcap { found } } => match start_of(&path) {
+        LogError::Read { path, source: ReadError::NotMcap { found } } => match read_start(&path) {
             Ok(start) => LogError::NoLog { kind: FileKind::of(&start), path },
             Err(_) => LogError::Read { path, source: ReadError::NotMcap { found } },
         },
@@ -211,13 +244,14 @@ fn by_its_kind(error: LogError) -> LogError {
     }
 }
 
-fn start_of(path: &Path) -> Result<Vec<u8>, LogError> {
+/// Reads the first bytes of a file, by which its kind is recognized.
+fn read_start(path: &Path) -> Result<Vec<u8>, LogError> {
     let mut start = Vec::new();
     let read = buffered(path)?.take(START_BYTES as u64).read_to_end(&mut start);
     read.map(|_| start).map_err(|source| LogError::Open { path: path.to_owned(), source })
 }
 
-/// Topics with at least one message, and their types.
+/// Collects the topics that have at least one message, with their types.
 pub fn topic_types(surveys: &[Survey]) -> TopicTypes {
     let mut types = TopicTypes::new();
     for topic in surveys.iter().flat_map(|survey| &survey.topics) {
@@ -228,15 +262,18 @@ pub fn topic_types(surveys: &[Survey]) -> TopicTypes {
     types
 }
 
-/// The filter's state at the start of a capture's segment.
+/// The checkpoint in a segment of a capture: the state of the filter at the segment's start.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StoredCheckpoint {
-    /// As in a log that is no capture.
+    /// There is none, as in a log that is no capture.
     None,
+    /// There is one, and it cannot be read.
     Damaged,
+    /// The bytes of the checkpoint, not decoded.
     Bytes(Vec<u8>),
 }
 
+/// Reads the checkpoint of a segment; `survey` is that of the same file.
 pub fn checkpoint(path: &Path, survey: &Survey) -> Result<StoredCheckpoint, LogError> {
     if !survey.attachments.iter().any(|name| name == topics::CHECKPOINT_ATTACHMENT) {
         return Ok(StoredCheckpoint::None);

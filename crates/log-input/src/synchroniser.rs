@@ -1,16 +1,16 @@
 //! Brings frames and measurements together on the time of the exposure.
 //!
-//! Stamps of the headers count, not when a message was logged or in which order: a frame waits until odometry,
-//! attitude and joints have been heard of up to its exposure, or until waiting longer would be too late.
+//! The stamps in the headers count, not when or in which order messages were logged. A frame waits until odometry,
+//! attitude and joints are known up to its exposure, or until waiting longer would be too late.
 
 use std::collections::VecDeque;
 
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::camera_twist::{Movers, camera_twist};
+use super::camera_twist::{RateSources, camera_twist};
 use super::history::{History, Pushed, Sample};
-use super::intake::{Input, StampedTransform, StatedDeviations};
+use super::measurement::{Measurement, StampedTransform, StatedDeviations};
 use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
 use realitysim_config::FrameNames;
 use realitysim_geometry::{Physical, Pose2, Twist};
@@ -19,111 +19,131 @@ use realitysim_ros2::mcap_read::LogMessage;
 /// A frame with what is known about the robot at its exposure.
 #[derive(Clone, Debug)]
 pub struct Frame {
+    /// The message with the image, not decoded.
     pub message: LogMessage,
+    /// Time of the exposure, nanoseconds.
     pub stamp_ns: i64,
-    pub robot: RobotAt,
-    /// From when the robot's step counts.
-    pub since: Option<Since>,
+    /// State of the robot at the exposure.
+    pub robot: RobotState,
+    /// Time from which the robot's step up to this frame counts.
+    pub since: Option<StepOrigin>,
 }
 
+/// What is known of the robot at one time, mostly the exposure of a frame.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RobotAt {
+pub struct RobotState {
+    /// Pose of `base_footprint` in `odom`, metres and radians, if there is any odometry.
     pub odometry: Option<Pose2>,
-    /// The newest odometry that was used: it does not depend on how much more had arrived.
+    /// Stamp of the newest odometry that was used, nanoseconds; it does not depend on how much more had arrived.
     pub odometry_until_ns: Option<i64>,
+    /// Pose of the camera above `base_footprint`, or why the transforms do not give it.
     pub place: Result<CameraPlace, ChainError>,
+    /// Angles of the head, if its joints are known.
     pub head: Option<Head>,
-    /// How far the robot has turned since the frame before by gyro, radians about the vertical, if that is known.
+    /// Turn about the vertical since the frame before, radians, if a gyro measured it.
     pub turned_rad: Option<f64>,
-    /// How far the torso has rolled and pitched since then, to and fro, radians, if a gyro knows.
+    /// Angle by which the torso has rolled and pitched since then, both ways added up, radians, if a gyro measured it.
     pub swayed_rad: Option<f64>,
-    /// How `camera_optical_frame` moves at the exposure, by gyro, odometry and joints, if they know.
+    /// Velocity of `camera_optical_frame` along its own axes, by gyro, odometry and joints, if they are known.
     pub camera_twist: Option<Twist>,
-    /// A gyro has told how it turns; else odometry has, of the feet.
+    /// Whether a gyro measured how the camera turns; otherwise `camera_twist` has the turn of the feet by odometry.
     pub turn_is_felt: bool,
-    /// The newest of what was measured is older than [`STALE_NS`].
+    /// Whether the odometry, an attitude, a joint angle or a transform that was used is older than [`STALE_NS`].
     pub stale: bool,
-    /// Announced since the last frame.
+    /// The pose that was announced since the last frame.
     pub initial_pose: Option<InitialPose>,
-    /// From where the robot's step counts, if not from the frame before.
-    pub anchor: Option<Anchor>,
+    /// Where the robot's step begins, if not at the frame before.
+    pub anchor: Option<OdometryOrigin>,
 }
 
-/// Where odometry had the robot at a time of which there is no frame: when its place was told, or at the beginning.
+/// The odometry at a time of which there is no frame: when a pose was announced, or when odometry was first heard.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Anchor {
+pub struct OdometryOrigin {
+    /// That time, nanoseconds.
     pub stamp_ns: i64,
+    /// Pose of `base_footprint` in `odom` at that time, metres and radians.
     pub odometry: Pose2,
+    /// Log time of the message that set it, nanoseconds.
     log_time_ns: i64,
-    /// How often odometry has begun anew since then.
+    /// Number of times that odometry has begun anew since then.
     begun: u32,
 }
 
-impl Anchor {
+impl OdometryOrigin {
     fn new(stamp_ns: i64, odometry: Pose2, log_time_ns: i64) -> Self {
         Self { stamp_ns, odometry, log_time_ns, begun: 0 }
     }
 }
 
+/// An announced pose with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InitialPose {
+    /// Pose of `base_footprint` in `map`, metres and radians.
     pub map_from_footprint: Pose2,
+    /// Standard deviation of the position, metres, if it was stated.
     pub xy_m: Option<f64>,
+    /// Standard deviation of the heading, radians, if it was stated.
     pub yaw_rad: Option<f64>,
 }
 
-/// Measurements older than this do not describe a walking robot any more.
+/// Age beyond which a measurement does not describe a walking robot any more, nanoseconds.
 pub const STALE_NS: i64 = 250_000_000;
-/// An attitude from so long ago says nothing, and one that is so late neither: the torso is taken to stand upright.
+/// Distance in time beyond which an attitude is not used, nanoseconds; the torso is taken to stand upright.
 pub const GONE_NS: i64 = 2_000_000_000;
-/// A frame waits for measurements until the log is this much further.
+/// Log time for which a frame waits for measurements, nanoseconds.
 const MAX_WAIT_NS: i64 = 300_000_000;
-/// More waiting frames than this are processed with what there is.
+/// Largest number of frames that wait. With more, the oldest goes on with what there is.
 const MAX_WAITING: usize = 64;
+/// Largest size of the frames that wait, bytes. With more, the oldest goes on with what there is.
 const MAX_WAITING_BYTES: usize = 256 << 20;
 
-/// A gyro that was heard longer ago says nothing of how fast a camera turns.
+/// Age beyond which a gyro sample does not say how fast the camera turns, nanoseconds.
 const GYRO_AGE_NS: i64 = 30_000_000;
-/// Nor does a neck whose angles are not known at both times.
+/// Distance in time beyond which a joint angle does not say where the neck was, nanoseconds.
 const NECK_AGE_NS: i64 = 5_000_000;
-/// How fast neck and feet move is seen from two of their places, so far apart.
+/// Time between the two poses that the speed of the neck is computed from, nanoseconds.
 const NECK_STEP_NS: i64 = 40_000_000;
+/// Time between the two poses that the speed of the feet is computed from, nanoseconds.
 const FEET_STEP_NS: i64 = 100_000_000;
 
-/// The part that a checkpoint keeps.
+/// The part of a [`Synchroniser`] that a checkpoint stores: transforms, and the recent past of each measurement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SynchroniserState {
     tree: TransformTree,
     odometry: History<Pose2>,
     odometry_in_tf: History<Pose2>,
     attitude: History<DQuat>,
-    /// About the vertical, radians per second.
+    /// Turn rate of the torso about the vertical, radians per second.
     turn_rate: History<f64>,
-    /// About the horizontal, without a sign.
+    /// Magnitude of the torso's turn rate about horizontal axes, radians per second.
     sway_rate: History<f64>,
-    /// About the axes of the torso.
+    /// Turn rate of the torso about its own axes, radians per second.
     torso_rate: History<DVec3>,
-    /// Of the last frame that was popped.
-    last_frame: Option<Since>,
+    /// The last frame that was popped.
+    last_frame: Option<StepOrigin>,
     pan: History<f64>,
     tilt: History<f64>,
     initial_pose: Option<InitialPose>,
-    /// Until the next frame.
-    anchor: Option<Anchor>,
+    /// Where the step to the next frame begins, if not at the last one.
+    anchor: Option<OdometryOrigin>,
 }
 
-/// From when the robot's step to the next frame counts.
+/// The time from which the robot's step to the next frame counts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Since {
-    /// When the last frame was exposed, or, if that was later, the place told; or odometry first heard.
+pub struct StepOrigin {
+    /// Exposure of the last frame, or the later announcement of a pose, or the first odometry; nanoseconds.
     pub stamp_ns: i64,
+    /// Log time of that message, nanoseconds.
     pub log_time_ns: i64,
-    /// How long the last frame came after the one before.
+    /// Time between the last frame and the one before, nanoseconds; 0 if not known.
     pub interval_ns: i64,
-    /// How often odometry has begun anew since then.
+    /// Number of times that odometry has begun anew since then.
     begun: u32,
 }
 
+/// Collects measurements and frames, and gives out each frame with the robot's state at its exposure.
+///
+/// [`push`](Self::push) every message, [`pop`](Self::pop) frames until there is none, [`finish`](Self::finish) at the end.
 #[derive(Clone, Debug)]
 pub struct Synchroniser {
     names: FrameNames,
@@ -137,14 +157,17 @@ pub struct Synchroniser {
     impossible: u64,
 }
 
-/// What the log has messages of. Until the first of them, a frame waits for them as for later ones.
+/// The sensors that a log has messages of. A frame waits for the first message of such a sensor, too.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Expected {
+    /// Whether there are messages of the inertial measurement unit.
     pub imu: bool,
+    /// Whether there are joint angles.
     pub joints: bool,
 }
 
 impl Synchroniser {
+    /// Creates a synchroniser that goes on from `state`; `names` are those of the coordinate frames.
     pub fn new(names: FrameNames, state: SynchroniserState) -> Self {
         Self {
             names,
@@ -159,34 +182,36 @@ impl Synchroniser {
         }
     }
 
+    /// States which sensors will be heard of.
     pub fn expect(&mut self, expected: Expected) {
         self.expected = expected;
     }
 
+    /// Returns the part that a checkpoint stores.
     pub fn state(&self) -> &SynchroniserState {
         &self.state
     }
 
-    /// Measurements that came so late that they could not be used.
+    /// Returns the number of measurements that came too late to be used.
     pub fn too_late(&self) -> u64 {
         self.too_late
     }
 
-    /// Measurements that no robot can have made, by their numbers: see [`Physical`].
+    /// Returns the number of measurements whose numbers no robot can have measured: see [`Physical`].
     pub fn impossible(&self) -> u64 {
         self.impossible
     }
 
-    /// From when the robot's step to the next frame counts.
-    pub fn since(&self) -> Option<Since> {
-        let of_anchor = |anchor: Anchor| {
-            let Anchor { stamp_ns, log_time_ns, begun, .. } = anchor;
-            Since { stamp_ns, log_time_ns, interval_ns: 0, begun }
+    /// Returns the time from which the robot's step to the next frame counts; `None` before the first frame or odometry.
+    pub fn since(&self) -> Option<StepOrigin> {
+        let of_anchor = |anchor: OdometryOrigin| {
+            let OdometryOrigin { stamp_ns, log_time_ns, begun, .. } = anchor;
+            StepOrigin { stamp_ns, log_time_ns, interval_ns: 0, begun }
         };
         self.state.anchor.map(of_anchor).or(self.state.last_frame)
     }
 
-    /// Until when all is known of where the robot has walked: by odometry, and by a gyro that has not fallen silent.
+    /// Returns the time up to which the robot's walk is known, nanoseconds: by odometry, and by a gyro that is still heard.
     pub fn walked_until_ns(&self) -> Option<i64> {
         let walked_ns = self.state.odometry().settled_ns()?;
         let turned_ns = self.state.turn_rate.settled_ns();
@@ -194,55 +219,58 @@ impl Synchroniser {
         Some(turned_ns.filter(is_heard).map_or(walked_ns, |turned_ns| turned_ns.min(walked_ns)))
     }
 
-    /// Whether an attitude has ever been heard of.
+    /// Returns whether there has been any attitude.
     pub fn knows_attitude(&self) -> bool {
         !self.state.attitude.is_empty()
     }
 
-    /// Refuses a mount that can never be right, by the names that the frames so far have taught.
+    /// Checks the mount with the names of coordinate frames that the frames so far have used.
+    ///
+    /// The error says why the mount can never be right. `more_may_come` says that the transforms may be incomplete.
     pub fn check_mount(&self, more_may_come: bool) -> Result<(), ChainError> {
         self.state.tree.check_constants(&self.names, more_may_come)
     }
 
-    /// The log has come this far, with a frame that is being held back.
+    /// Tells that the log has come to this time, by a message that is not pushed yet.
     pub fn advance(&mut self, log_time_ns: i64) {
         self.newest_log_ns = self.newest_log_ns.max(log_time_ns);
     }
 
-    /// No frame is waiting.
+    /// Returns whether no frame is waiting.
     pub fn is_idle(&self) -> bool {
         self.waiting.is_empty()
     }
 
-    pub fn push(&mut self, message: &LogMessage, input: Input) {
+    /// Takes one message with the measurement that was decoded from it.
+    pub fn push(&mut self, message: &LogMessage, input: Measurement) {
         self.advance(message.log_time_ns);
         match input {
-            // Heard of once, even without what is needed of them: they are there.
-            Input::Imu { .. } => self.expected.imu = false,
-            Input::Joints { .. } => self.expected.joints = false,
+            // One message is enough to know that the sensor exists, even if it lacks what is needed.
+            Measurement::Imu { .. } => self.expected.imu = false,
+            Measurement::Joints { .. } => self.expected.joints = false,
             _ => {}
         }
         match input {
-            Input::Frame { stamp_ns, frame_id } => {
-                // A log that names its optical frame otherwise is believed.
+            Measurement::Frame { stamp_ns, frame_id } => {
+                // If the log has no coordinate frame of the configured name, the frame's own name is used.
                 if !self.state.tree.knows(&self.names.camera_optical) && self.state.tree.knows(&frame_id) {
                     self.names.camera_optical = frame_id;
                 }
                 self.waiting_bytes += message.data.len();
                 self.waiting.push_back((message.clone(), stamp_ns));
             }
-            Input::Odometry { stamp_ns, odom_from_footprint } => {
-                // Odometry of `/tf` counts no more, and may have begun elsewhere.
+            Measurement::Odometry { stamp_ns, odom_from_footprint } => {
+                // From the first message on the odometry in `/tf` is ignored; it may have another origin.
                 let is_first = self.state.odometry.is_empty();
                 let before = self.state.odometry().newest().map(|(_, odometry)| odometry);
                 let pushed = self.state.odometry.push(stamp_ns, odom_from_footprint);
-                let now = Anchor::new(stamp_ns, odom_from_footprint, message.log_time_ns);
-                self.anchor_at(now, before, is_first, pushed);
+                let now = OdometryOrigin::new(stamp_ns, odom_from_footprint, message.log_time_ns);
+                self.update_anchor(now, before, is_first, pushed);
                 self.count(pushed);
             }
-            Input::Imu { stamp_ns, orientation, turn_rate, frame_id } => {
+            Measurement::Imu { stamp_ns, orientation, turn_rate, frame_id } => {
                 let imu_from_base = self.state.tree.fixed_rotation(&frame_id, &self.names.base_link);
-                // Without an attitude the torso is taken as upright.
+                // Without an attitude the torso is taken to be upright.
                 let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
                 let turn = turn_rate.map(|rate| {
                     if !rate.is_possible() || !upright.is_possible() {
@@ -257,39 +285,39 @@ impl Synchroniser {
                     orientation.map(|orientation| self.state.attitude.push(stamp_ns, orientation * imu_from_base));
                 self.count_message([tilt, turn]);
             }
-            Input::Joints { stamp_ns, pan, tilt } => {
+            Measurement::Joints { stamp_ns, pan, tilt } => {
                 let pan = pan.map(|pan| self.state.pan.push(stamp_ns, pan));
                 let tilt = tilt.map(|tilt| self.state.tilt.push(stamp_ns, tilt));
                 self.count_message([pan, tilt]);
             }
-            Input::Transforms { latched, transforms } => {
+            Measurement::Transforms { latched, transforms } => {
                 self.take_transforms(latched, transforms, message.log_time_ns);
             }
-            Input::InitialPose { map_from_footprint, deviations, .. } => {
+            Measurement::InitialPose { map_from_footprint, deviations, .. } => {
                 let (xy_m, yaw_rad) = match deviations {
                     StatedDeviations::Of { xy_m, yaw_rad } => (Some(xy_m), Some(yaw_rad)),
                     StatedDeviations::None => (None, None),
-                    // The place is believed, as well as any that comes without.
+                    // The pose is believed as if it came without deviations.
                     StatedDeviations::Impossible => {
                         self.count(Pushed::Impossible);
                         (None, None)
                     }
                 };
                 self.state.initial_pose = Some(InitialPose { map_from_footprint, xy_m, yaw_rad });
-                let anchor = |(stamp_ns, odometry)| Anchor::new(stamp_ns, odometry, message.log_time_ns);
+                let anchor = |(stamp_ns, odometry)| OdometryOrigin::new(stamp_ns, odometry, message.log_time_ns);
                 self.state.anchor = self.state.odometry().newest().map(anchor);
             }
-            Input::Impossible => self.count(Pushed::Impossible),
-            Input::CameraInfo(_) | Input::Other => {}
+            Measurement::Impossible => self.count(Pushed::Impossible),
+            Measurement::CameraInfo(_) | Measurement::Other => {}
         }
     }
 
-    /// The log has ended: nothing more will come that a frame could wait for.
+    /// Tells that the log has ended and no frame needs to wait any longer.
     pub fn finish(&mut self) {
         self.finished = true;
     }
 
-    /// The next frame of which all is known that will be known in time, in the order in which frames came.
+    /// Returns the next frame, in the order in which frames came, once all is known that will be known in time.
     pub fn pop(&mut self) -> Option<Frame> {
         let (message, stamp_ns) = self.waiting.front()?;
         let late = self.newest_log_ns.saturating_sub(message.log_time_ns) > MAX_WAIT_NS;
@@ -300,30 +328,32 @@ impl Synchroniser {
         let (message, stamp_ns) = self.waiting.pop_front()?;
         self.waiting_bytes -= message.data.len();
         let (robot, since) = (self.robot_next(stamp_ns), self.since());
-        self.has_seen(stamp_ns, message.log_time_ns);
+        self.begin_step(stamp_ns, message.log_time_ns);
         Some(Frame { robot, message, stamp_ns, since })
     }
 
-    /// What the next frame is to know of the robot, if it is exposed at that time.
-    pub fn robot_next(&self, stamp_ns: i64) -> RobotAt {
+    /// Returns the state of the robot for a next frame that is exposed at `stamp_ns`.
+    pub fn robot_next(&self, stamp_ns: i64) -> RobotState {
         let Self { state, .. } = self;
         let since_ns = self.since().map(|since| since.stamp_ns);
-        RobotAt { initial_pose: state.initial_pose, anchor: state.anchor, ..self.robot(since_ns, stamp_ns) }
+        RobotState { initial_pose: state.initial_pose, anchor: state.anchor, ..self.robot(since_ns, stamp_ns) }
     }
 
-    /// The same of a time after that of which there is no frame either: turns count from `since_ns`.
-    pub fn robot_between(&self, since_ns: i64, stamp_ns: i64) -> RobotAt {
+    /// Returns the state of the robot at `stamp_ns` where there is no frame at `since_ns` either; turns count from then.
+    pub fn robot_between(&self, since_ns: i64, stamp_ns: i64) -> RobotState {
         self.robot(Some(since_ns), stamp_ns)
     }
 
-    fn has_seen(&mut self, stamp_ns: i64, log_time_ns: i64) {
+    /// Lets the next step begin at the frame that has just been given out.
+    fn begin_step(&mut self, stamp_ns: i64, log_time_ns: i64) {
         let state = &mut self.state;
         let interval_ns = state.last_frame.map_or(0, |last| stamp_ns.saturating_sub(last.stamp_ns));
-        state.last_frame = Some(Since { stamp_ns, log_time_ns, interval_ns, begun: 0 });
+        state.last_frame = Some(StepOrigin { stamp_ns, log_time_ns, interval_ns, begun: 0 });
         (state.initial_pose, state.anchor) = (None, None);
     }
 
-    fn robot(&self, since_ns: Option<i64>, stamp_ns: i64) -> RobotAt {
+    /// Returns the state of the robot at `stamp_ns`, with turns since `since_ns`, and without announced pose and anchor.
+    fn robot(&self, since_ns: Option<i64>, stamp_ns: i64) -> RobotState {
         let state = &self.state;
         let odometry = state.odometry();
         let attitude = state.attitude.at(stamp_ns).filter(|sample| sample.age_ns <= GONE_NS);
@@ -340,7 +370,7 @@ impl Synchroniser {
             state.tilt.at(stamp_ns).map(|s| s.age_ns),
             place.as_ref().ok().map(|place| place.age_ns),
         ];
-        RobotAt {
+        RobotState {
             odometry: step.map(|sample| sample.value),
             odometry_until_ns: odometry.until(stamp_ns),
             place,
@@ -355,13 +385,15 @@ impl Synchroniser {
         }
     }
 
-    /// About its own axes, radians per second, by gyro.
+    /// Returns the torso's turn rate about its own axes by gyro, radians per second; `None` if that is old or exactly zero.
     fn torso_rate(&self, stamp_ns: i64) -> Option<DVec3> {
         let measured = |rate: &Sample<DVec3>| rate.age_ns <= GYRO_AGE_NS && rate.value != DVec3::ZERO;
         Some(self.state.torso_rate.at(stamp_ns).filter(measured)?.value)
     }
 
-    /// Without a gyro a torso turns as its feet do. `None` if the neck is not heard of.
+    /// Returns how the camera moves. Without a gyro the torso is taken to turn with the feet.
+    ///
+    /// `None` if the robot has neck joints whose angles are not known, or if the velocity is impossible.
     fn camera_twist(&self, stamp_ns: i64, now: &CameraPlace, torso_rate: Option<DVec3>) -> Option<Twist> {
         let state = &self.state;
         let (neck_ns, feet_ns) = (stamp_ns.saturating_sub(NECK_STEP_NS), stamp_ns.saturating_sub(FEET_STEP_NS));
@@ -377,18 +409,19 @@ impl Synchroniser {
         let feet = odometry(feet_ns).zip(odometry(stamp_ns)).map(|(then, now)| then.inverse().compose(&now));
         let seconds = |step_ns: i64| step_ns as f64 * 1e-9;
         let (feet, feet_s) = (feet.unwrap_or_default(), seconds(FEET_STEP_NS));
-        let movers = Movers {
+        let sources = RateSources {
             torso_rate: torso_rate.unwrap_or(DVec3::Z * (feet.yaw / feet_s)),
             neck: (neck, seconds(NECK_STEP_NS)),
             feet: (feet, feet_s),
         };
-        camera_twist(now, &movers)
+        camera_twist(now, &sources)
     }
 
+    /// Returns whether all measurements are known up to `stamp_ns`.
     fn is_known_until(&self, stamp_ns: i64) -> bool {
         let state = &self.state;
         let reaches = |settled: Option<i64>| settled.is_none_or(|settled| settled >= stamp_ns);
-        // What has never been heard of is waited for as long as the log allows: it may just start late.
+        // Odometry that has never been heard is waited for as long as the log allows: it may only start late.
         let odometry = state.odometry().settled_ns().is_some_and(|settled| settled >= stamp_ns);
         let unheard = (self.expected.imu && state.attitude.is_empty())
             || (self.expected.joints && state.pan.is_empty() && state.tilt.is_empty());
@@ -400,6 +433,7 @@ impl Synchroniser {
             && state.tree.is_known_until(stamp_ns, &self.names)
     }
 
+    /// Takes transforms into the tree; that from `odom` to `base_footprint` is odometry.
     fn take_transforms(&mut self, latched: bool, transforms: Vec<StampedTransform>, log_time_ns: i64) {
         for t in transforms {
             if t.child == self.names.base_footprint && t.parent == self.names.odom {
@@ -407,7 +441,7 @@ impl Synchroniser {
                 let before = self.state.odometry_in_tf.newest().map(|(_, odometry)| odometry);
                 let pushed = self.state.odometry_in_tf.push(t.stamp_ns, odometry);
                 if self.state.odometry.is_empty() {
-                    self.anchor_at(Anchor::new(t.stamp_ns, odometry, log_time_ns), before, false, pushed);
+                    self.update_anchor(OdometryOrigin::new(t.stamp_ns, odometry, log_time_ns), before, false, pushed);
                 }
                 self.count(pushed);
             } else if latched {
@@ -419,9 +453,11 @@ impl Synchroniser {
         }
     }
 
-    /// Takes odometry for the anchor that is still missing: nothing was heard before, or the place was told before. Where
-    /// odometry begins anew, by another clock or from elsewhere, the way walked up to there stays: `before` was its last.
-    fn anchor_at(&mut self, now: Anchor, before: Option<Pose2>, begins_anew: bool, pushed: Pushed) {
+    /// Makes new odometry the anchor if one is missing: nothing was heard before, or a pose was announced before odometry.
+    ///
+    /// Where odometry begins anew, with another clock or origin, the anchor is moved so that the way walked so far stays;
+    /// `before` was the last odometry until then.
+    fn update_anchor(&mut self, now: OdometryOrigin, before: Option<Pose2>, begins_anew: bool, pushed: Pushed) {
         let state = &mut self.state;
         let begins_anew = begins_anew || pushed == Pushed::ClockSetBack;
         match (state.anchor, before) {
@@ -430,7 +466,7 @@ impl Synchroniser {
             (Some(anchor), Some(before)) if begins_anew => {
                 let walked = anchor.odometry.inverse().compose(&before);
                 let since_ns = now.log_time_ns.saturating_sub(anchor.log_time_ns);
-                state.anchor = Some(Anchor {
+                state.anchor = Some(OdometryOrigin {
                     stamp_ns: now.stamp_ns.saturating_sub(since_ns),
                     odometry: now.odometry.compose(&walked.inverse()),
                     log_time_ns: anchor.log_time_ns,
@@ -441,17 +477,18 @@ impl Synchroniser {
         }
     }
 
-    /// One message counts once, whatever it holds.
+    /// Counts what became of a message of two parts once.
     fn count_message(&mut self, parts: [Option<Pushed>; 2]) {
         let is_impossible = parts.contains(&Some(Pushed::Impossible));
         let pushed = if is_impossible { Some(Pushed::Impossible) } else { parts.into_iter().flatten().next() };
         pushed.into_iter().for_each(|pushed| self.count(pushed));
     }
 
+    /// Counts what became of a measurement.
     fn count(&mut self, pushed: Pushed) {
         match pushed {
             Pushed::TooLate => self.too_late += 1,
-            // The one before was counted, and is good after all.
+            // The sample before was counted as too late, and is valid after all.
             Pushed::ClockSetBack => self.too_late = self.too_late.saturating_sub(1),
             Pushed::Impossible => self.impossible += 1,
             Pushed::Taken | Pushed::Known => {}
@@ -478,17 +515,18 @@ impl Physical for SynchroniserState {
 }
 
 impl SynchroniserState {
+    /// Returns the angles of the head, if at least one joint is known.
     fn head(&self, stamp_ns: i64) -> Option<Head> {
         let [pan, tilt] = [&self.pan, &self.tilt].map(|joint| joint.at(stamp_ns).map(|sample| sample.value));
         (pan.is_some() || tilt.is_some()).then(|| Head { pan: pan.unwrap_or(0.0), tilt: tilt.unwrap_or(0.0) })
     }
 
-    /// A place that was told, and that no frame knows of yet.
+    /// Returns the announced pose that no frame has been given out with yet.
     pub fn pending(&self) -> Option<InitialPose> {
         self.initial_pose
     }
 
-    /// The odometry topic, or `/tf` where there is none.
+    /// Returns the odometry of its topic, or that of `/tf` where there is none.
     fn odometry(&self) -> &History<Pose2> {
         if self.odometry.is_empty() { &self.odometry_in_tf } else { &self.odometry }
     }

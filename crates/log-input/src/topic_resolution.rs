@@ -1,4 +1,4 @@
-//! Which topic of a log is which measurement.
+//! Finds out which topic of a log carries which measurement.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,20 +6,38 @@ use thiserror::Error;
 
 use realitysim_config::{MotionSource, Settings, Topics};
 
-/// Types of each topic that a log has messages of: mostly one.
+/// For each topic that a log has messages of, the names of their types: mostly one.
 pub type TopicTypes = BTreeMap<String, BTreeSet<String>>;
 
+/// Why the topics of a log cannot be assigned.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TopicError {
+    /// The topic of a measurement is missing, and not exactly one other has the right type.
     #[error("no {what} on {wanted}: {}", hint(types, candidates, key))]
-    Missing { what: &'static str, wanted: String, types: &'static str, candidates: Vec<String>, key: &'static str },
+    Missing {
+        /// The measurement, in words.
+        what: &'static str,
+        /// The configured topic.
+        wanted: String,
+        /// The types that it may have, in words.
+        types: &'static str,
+        /// The topics of the log that have such a type.
+        candidates: Vec<String>,
+        /// The key under `topics` in the settings that chooses one.
+        key: &'static str,
+    },
+    /// The log has no odometry, and the settings do not say that it goes without.
     #[error(
         "no odometry on {wanted} and none in /tf: record it (nav_msgs/msg/Odometry), name its topic with \
          topics.odometry, or replay with filter.motion = \"random_walk\" (--motion random_walk)"
     )]
-    NoOdometry { wanted: String },
+    NoOdometry {
+        /// The configured topic.
+        wanted: String,
+    },
 }
 
+/// Says how to choose among the candidates.
 fn hint(types: &str, candidates: &[String], key: &str) -> String {
     match candidates {
         [] => format!("the log has no topic of type {types}"),
@@ -30,7 +48,9 @@ fn hint(types: &str, candidates: &[String], key: &str) -> String {
 const TRANSFORMS: [&str; 1] = ["tf2_msgs/msg/TFMessage"];
 const IMAGES: [&str; 2] = ["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"];
 
-/// The configured topics; where the log lacks one but has exactly one other of the right type, that one.
+/// Returns the topics to read: the configured ones, and where the log lacks one, the only other topic of the right type.
+///
+/// `odometry_in_tf` says that `/tf` has odometry, so that no topic for it is needed.
 pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> Result<Topics, TopicError> {
     let mut topics = settings.topics.clone();
     let find = |wanted: &str, types: &[&str]| find(log, wanted, types);
@@ -48,9 +68,9 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
             });
         }
     }
-    // Some robots send constants on /tf as well: whether the chain is whole is checked where it is used.
+    // Some robots send constant transforms on /tf, too. Whether the chain is complete is checked where it is used.
     match find(&topics.tf_static, &TRANSFORMS) {
-        // What moves must not be taken for constant because there is nothing else.
+        // Moving transforms must not be taken for constant ones because the log has no others.
         Ok(topic) if topic != topics.tf => topics.tf_static = topic,
         Ok(_) => {}
         Err(_) if log.contains_key(&topics.tf) => {}
@@ -86,7 +106,7 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
     Ok(topics)
 }
 
-/// The camera's topic: the configured one, or the only one with images.
+/// Returns the topic of the camera's images: the configured one, or the only one of such a type.
 pub fn image(wanted: &str, log: &TopicTypes) -> Result<String, TopicError> {
     find(log, wanted, &IMAGES).map_err(|candidates| TopicError::Missing {
         what: "camera images",
@@ -97,7 +117,7 @@ pub fn image(wanted: &str, log: &TopicTypes) -> Result<String, TopicError> {
     })
 }
 
-/// The topic that is wanted, or the only one of these types; else all of these types.
+/// Returns the wanted topic if it has one of these types, or the only topic that has; the error lists all that have.
 fn find(log: &TopicTypes, wanted: &str, types: &[&str]) -> Result<String, Vec<String>> {
     let fits = |(_, kinds): &(&String, &BTreeSet<String>)| types.iter().any(|kind| kinds.contains(*kind));
     if log.get_key_value(wanted).as_ref().is_some_and(fits) {

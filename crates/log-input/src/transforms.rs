@@ -1,4 +1,4 @@
-//! The tree of `/tf` and `/tf_static`, and the way through it from the robot's footprint to its camera.
+//! The tree of transforms of `/tf` and `/tf_static`, and the chain through it from the robot's footprint to its camera.
 
 use std::collections::BTreeMap;
 
@@ -11,9 +11,10 @@ use realitysim_config::FrameNames;
 use realitysim_geometry::physical::LONGEST_MOUNT_M;
 use realitysim_geometry::{Euler, Isometry, Physical};
 
+/// The transforms between coordinate frames, constant ones and the recent past of moving ones.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TransformTree {
-    /// By child frame: each frame has one parent.
+    /// Edge to the parent, by the name of the child frame: each frame has one parent.
     edges: BTreeMap<String, Edge>,
 }
 
@@ -29,73 +30,113 @@ enum Transform {
     Moving(History<Isometry>),
 }
 
-/// What replaces parts of the chain that the log holds as constants.
+/// Measurements that replace parts of the chain which the log has as constants.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Posture {
-    /// `base_link`'s attitude against gravity; its yaw is ignored.
+    /// Attitude of `base_link` against gravity; its yaw is ignored.
     pub attitude: Option<DQuat>,
-    /// Head joints, radians.
+    /// Angles of the head's joints.
     pub head: Option<Head>,
 }
 
+/// Angles of the head's joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Head {
+    /// Angle about the torso's z axis, radians, positive to the left.
     pub pan: f64,
+    /// Angle about the panned head's y axis, radians, positive downwards.
     pub tilt: f64,
 }
 
-/// Where the camera is above `base_footprint`.
+/// The pose of the camera above `base_footprint`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraPlace {
+    /// Pose of `camera_link` in `base_footprint`, metres.
     pub footprint_from_link: Isometry,
+    /// Pose of `camera_optical_frame` in `base_footprint`, metres.
     pub footprint_from_optical: Isometry,
-    /// The torso's frame.
+    /// Pose of `camera_optical_frame` in `base_link`, the torso's coordinate frame, metres.
     pub base_from_optical: Isometry,
-    /// Age of the oldest moving transform that was used.
+    /// Age of the oldest moving transform that was used, nanoseconds.
     pub age_ns: i64,
-    /// Something says how the torso is tilted: its attitude, or a moving transform on the way to it.
+    /// Whether the tilt of the torso is measured: by its attitude, or by a moving transform on the way to it.
     pub tilt_is_measured: bool,
-    /// Between the torso's axis and the vertical, radians, where that is measured.
+    /// Angle between the torso's axis and the vertical, radians, where the tilt is measured.
     pub lean_rad: Option<f64>,
 }
 
+/// Why the transforms do not give the pose of the camera.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ChainError {
+    /// A transform of the chain is missing.
     #[error(
         "no transform leads to {frame}: /tf_static (or /tf) must connect {from} to {to}, but the chain ends at {frame}"
     )]
-    Broken { frame: String, from: String, to: String },
+    Broken {
+        /// The coordinate frame without a parent.
+        frame: String,
+        /// The coordinate frame at which the chain should begin.
+        from: String,
+        /// The coordinate frame at which the chain ends.
+        to: String,
+    },
+    /// The chain is longer than any real one: it is a circle.
     #[error("the transforms run in a circle at {frame}")]
-    Circle { frame: String },
+    Circle {
+        /// A coordinate frame in the circle.
+        frame: String,
+    },
+    /// The camera stands on the ground or below it.
     #[error(
         "the camera is {height_m:.3} m above the ground: the mount in /tf_static is zero or missing a translation \
          ({base} to {camera} must give the camera's height)"
     )]
-    NoHeight { height_m: f64, base: String, camera: String },
+    NoHeight {
+        /// Height of the camera above the ground, metres.
+        height_m: f64,
+        /// Name of the coordinate frame on the ground.
+        base: String,
+        /// Name of the camera's coordinate frame.
+        camera: String,
+    },
+    /// A transform is not finite or too long.
     #[error(
         "the transform to {frame} holds a number that is not finite, or leads more than {LONGEST_MOUNT_M} m away: /tf_static must \
          give its place in metres"
     )]
-    Impossible { frame: String },
+    Impossible {
+        /// The child coordinate frame of the transform.
+        frame: String,
+    },
+    /// The camera looks up more steeply than 80 degrees.
     #[error(
         "{optical} does not look forward but {elevation_deg:.0} deg up: the rotation from {link} to {optical} is \
          missing (REP 103: z forward, x right, y down)"
     )]
-    LooksUp { optical: String, link: String, elevation_deg: f64 },
+    LooksUp {
+        /// Name of the optical coordinate frame.
+        optical: String,
+        /// Name of the camera's coordinate frame.
+        link: String,
+        /// Angle of the optical axis above the horizon, degrees.
+        elevation_deg: f64,
+    },
 }
 
-/// Lower than this no camera stands: the mount is missing.
+/// Smallest height of a camera above the ground, metres. Below it the mount is missing.
 const MIN_HEIGHT_M: f64 = 0.02;
-/// A longer chain is a circle.
+/// Largest number of transforms in a chain. A longer one is a circle.
 const MAX_LINKS: usize = 64;
-/// More frames than any robot has; what comes beyond is left out.
+/// Largest number of coordinate frames, more than any robot has. Further ones are left out.
 const MAX_FRAMES: usize = 4096;
 
 impl TransformTree {
+    /// Sets a constant transform.
     pub fn set_static(&mut self, parent: &str, child: &str, parent_from_child: Isometry) {
         self.insert(parent, child, Transform::Static(parent_from_child));
     }
 
+    /// Adds a sample of a moving transform; where the frame had a constant one or another parent, that is replaced.
     pub fn push(&mut self, stamp_ns: i64, parent: &str, child: &str, parent_from_child: Isometry) -> Pushed {
         match self.edges.get_mut(child) {
             Some(Edge { parent: known, transform: Transform::Moving(history) }) if known == parent => {
@@ -110,11 +151,12 @@ impl TransformTree {
         }
     }
 
+    /// Returns whether there is no transform.
     pub fn is_empty(&self) -> bool {
         self.edges.is_empty()
     }
 
-    /// Whether every moving transform that is remembered is [`Physical`]. Constants are judged where they are used.
+    /// Returns whether every moving transform is [`Physical`]. Constants are checked where they are used.
     pub fn is_possible(&self) -> bool {
         self.edges.values().all(|edge| match &edge.transform {
             Transform::Static(_) => true,
@@ -122,11 +164,12 @@ impl TransformTree {
         })
     }
 
+    /// Returns whether a coordinate frame has a transform to a parent.
     pub fn knows(&self, frame: &str) -> bool {
         self.edges.contains_key(frame)
     }
 
-    /// Rotation `a_from_b` between two frames joined by constants; none where they are not.
+    /// Returns the rotation `a_from_b` between two coordinate frames, or the identity if constants do not connect them.
     pub fn fixed_rotation(&self, a: &str, b: &str) -> DQuat {
         match (self.root_from(a), self.root_from(b)) {
             (Some((root_a, from_a)), Some((root_b, from_b))) if root_a == root_b => from_a.conjugate() * from_b,
@@ -134,7 +177,7 @@ impl TransformTree {
         }
     }
 
-    /// The farthest ancestor that constants lead to, and the rotation from there.
+    /// Returns the farthest ancestor that constants lead to, and the rotation from there; `None` in a circle.
     fn root_from(&self, frame: &str) -> Option<(String, DQuat)> {
         let (mut here, mut rotation) = (frame.to_owned(), DQuat::IDENTITY);
         for _ in 0..MAX_LINKS {
@@ -149,7 +192,7 @@ impl TransformTree {
         None
     }
 
-    /// Whether every moving transform of the chain has been heard of up to `stamp_ns`.
+    /// Returns whether every moving transform of the chain is known up to `stamp_ns`; true where there is no chain.
     pub fn is_known_until(&self, stamp_ns: i64, names: &FrameNames) -> bool {
         self.chain(&names.base_footprint, &names.camera_optical).map_or(true, |chain| {
             chain.iter().all(|(_, edge)| match &edge.transform {
@@ -159,8 +202,10 @@ impl TransformTree {
         })
     }
 
-    /// The camera's place at a time. Where the log moves the torso or head in `/tf`, that stands; where these are
-    /// constants, `posture` fills in the attitude of `base_link` and the head joints.
+    /// Returns the pose of the camera at a time.
+    ///
+    /// Where `/tf` moves the torso or head, its transforms are used. Where these are constants, `posture` fills in the
+    /// attitude of `base_link` and the angles of the head.
     pub fn camera_place(&self, stamp_ns: i64, names: &FrameNames, posture: Posture) -> Result<CameraPlace, ChainError> {
         let mut age_ns = 0;
         let mut footprint_from_here = Isometry::IDENTITY;
@@ -214,7 +259,7 @@ impl TransformTree {
         })
     }
 
-    /// A mount that can be right: the camera stands above the ground and does not stare at the ceiling.
+    /// Checks that the mount can be right: the camera stands above the ground and does not look up steeply.
     pub fn check_mount(&self, stamp_ns: i64, names: &FrameNames) -> Result<(), ChainError> {
         let place = self.camera_place(stamp_ns, names, Posture::default())?.footprint_from_optical;
         let height_m = place.translation.z;
@@ -230,8 +275,9 @@ impl TransformTree {
         Ok(())
     }
 
-    /// Refuses a chain that can never be right. One that moves, or that `/tf` may still complete (`more_may_come`), is
-    /// not judged: its frames are.
+    /// Checks that the chain can be right.
+    ///
+    /// A chain that moves, or that `/tf` may still complete (`more_may_come`), passes here; it is checked at each frame.
     pub fn check_constants(&self, names: &FrameNames, more_may_come: bool) -> Result<(), ChainError> {
         let chain = match self.chain(&names.base_footprint, &names.camera_optical) {
             Err(ChainError::Broken { .. }) if more_may_come => return Ok(()),
@@ -250,13 +296,14 @@ impl TransformTree {
         if moving { Ok(()) } else { self.check_mount(0, names) }
     }
 
+    /// Stores an edge, unless there are too many coordinate frames.
     fn insert(&mut self, parent: &str, child: &str, transform: Transform) {
         if self.edges.len() < MAX_FRAMES || self.edges.contains_key(child) {
             self.edges.insert(child.to_owned(), Edge { parent: parent.to_owned(), transform });
         }
     }
 
-    /// The edges from `top` down to `bottom`.
+    /// Returns the edges from `top` down to `bottom`, each with the name of its child frame.
     fn chain(&self, top: &str, bottom: &str) -> Result<Vec<(&str, &Edge)>, ChainError> {
         let mut chain = Vec::new();
         let mut here = bottom;
@@ -276,12 +323,12 @@ impl TransformTree {
     }
 }
 
-/// Whether a part of a robot can be fixed to another part like this.
+/// Returns whether a part of a robot can be mounted on another part like this: finite, and at most 100 m away.
 fn is_mount(transform: &Isometry) -> bool {
     transform.is_possible() && transform.translation.length() <= LONGEST_MOUNT_M
 }
 
-/// The torso's place, tilted as the IMU says: roll and pitch replace those of the constant, yaw stays.
+/// Tilts the torso as the IMU says: roll and pitch replace those of the constant, yaw stays.
 fn with_attitude(constant: Isometry, attitude: Option<DQuat>) -> Isometry {
     let Some(attitude) = attitude else { return constant };
     let tilt = Euler::from_rotation(attitude);
@@ -289,7 +336,7 @@ fn with_attitude(constant: Isometry, attitude: Option<DQuat>) -> Isometry {
     Isometry::from_euler(Euler { yaw, ..tilt }, constant.translation)
 }
 
-/// The camera on a head that pans about the torso's z and then tilts about its own y axis.
+/// Turns the camera with a head that pans about the torso's z axis and then tilts about its own y axis.
 fn with_head(constant: Isometry, head: Option<Head>) -> Isometry {
     let Some(head) = head else { return constant };
     let turn = Euler { yaw: head.pan, pitch: head.tilt, roll: 0.0 }.rotation();

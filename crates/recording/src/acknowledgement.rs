@@ -1,4 +1,4 @@
-//! `ack/<receiver>.jsonl` in a session's folder: what another store has, whole and verified.
+//! Acknowledgements: `ack/<receiver>.jsonl` in a session's folder says what another store has, whole and verified.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,48 +10,56 @@ use super::error::RecordingError;
 use super::manifest::ManifestLine;
 use super::storage::{Disk, Storage, read_small, write_atomically};
 
+/// Folder in a session's folder with one file of acknowledgements per receiver.
 pub const ACK_FOLDER: &str = "ack";
+/// End of the name of a file of acknowledgements, behind the receiver's name.
 pub const ACK_ENDING: &str = ".jsonl";
-/// In a folder of captures, what `sync` needs beside the sessions; hidden, so that `captures/*` are sessions.
+/// Folder in a folder of captures with what `sync` needs beside the sessions. It is hidden, so that `captures/*` are
+/// sessions.
 pub const SYNC_FOLDER: &str = ".sync";
-/// In it, the folder's name as a receiver.
+/// File in [`SYNC_FOLDER`] with the name of the folder of captures as a receiver.
 pub const RECEIVER_FILE: &str = "receiver";
-/// A line with a name.
+/// Largest file with a receiver's name, bytes: one line.
 const MAX_RECEIVER_FILE_BYTES: u64 = 1024;
 
-/// A line: this file is there, on its disk, with this hash.
+/// One line of acknowledgement: the receiver has this file on its disk, with this hash.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Acknowledgement {
+    /// Name of the segment.
     pub file: String,
+    /// BLAKE3 hash of the file, hexadecimal.
     pub blake3: String,
+    /// Size of the file, bytes.
     pub bytes: u64,
 }
 
-/// Of each receiver what it has.
+/// Acknowledgements of a session, by receiver.
 pub type Acknowledged = BTreeMap<String, Vec<Acknowledgement>>;
 
 impl Acknowledgement {
+    /// Acknowledgement of the segment that a line of the manifest describes.
     pub fn of(line: &ManifestLine) -> Self {
         Self { file: line.name.clone(), blake3: line.blake3.clone(), bytes: line.bytes }
     }
 
-    /// Whole lines only: what was torn by a cut acknowledges nothing.
+    /// Parses a file of acknowledgements. A line that a power cut has torn acknowledges nothing.
     pub fn parse_all(text: &str) -> Vec<Self> {
         text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
     }
 
+    /// Line of JSON with its line feed.
     pub fn to_line(&self) -> String {
-        // Two strings and a number.
+        // Encoding two strings and a number cannot fail.
         serde_json::to_string(self).map_or_else(|_| String::new(), |line| line + "\n")
     }
 
-    /// Name, size and hash: an acknowledgement of other content is none.
+    /// Whether name, size and hash are those of the line: an acknowledgement of other content does not count.
     pub fn is_of(&self, line: &ManifestLine) -> bool {
         self.file == line.name && self.blake3 == line.blake3 && self.bytes == line.bytes
     }
 }
 
-/// A store's word for the session is not relied on here any more.
+/// Empties a receiver's acknowledgements in a session's folder, so that nothing is deleted because of them any more.
 pub fn silence(session: &Session, receiver: &str) -> Result<(), RecordingError> {
     if session.acknowledged.get(receiver).is_none_or(Vec::is_empty) {
         return Ok(());
@@ -59,23 +67,24 @@ pub fn silence(session: &Session, receiver: &str) -> Result<(), RecordingError> 
     write_atomically(&Disk, &session.folder.join(ACK_FOLDER).join(format!("{receiver}{ACK_ENDING}")), b"")
 }
 
-/// Who has this segment.
+/// Receivers that have this segment.
 pub fn receivers_of<'a>(line: &'a ManifestLine, all: &'a Acknowledged) -> impl Iterator<Item = &'a str> {
     all.iter().filter(|(_, acks)| acks.iter().any(|ack| ack.is_of(line))).map(|(receiver, _)| receiver.as_str())
 }
 
-/// The folder's name as a receiver, if anything was ever synced into it.
+/// Name of a folder of captures as a receiver; `None` if nothing was ever synced into it.
 pub fn receiver_of(captures: &Path) -> Option<String> {
     receiver_on(&Disk, captures)
 }
 
+/// Does the same as [`receiver_of`] on any storage.
 pub(super) fn receiver_on(storage: &dyn Storage, captures: &Path) -> Option<String> {
     let path = captures.join(SYNC_FOLDER).join(RECEIVER_FILE);
     let bytes = read_small(storage, &path, MAX_RECEIVER_FILE_BYTES).ok()??;
     Some(String::from_utf8_lossy(&bytes).trim().to_owned()).filter(|name| is_receiver(name))
 }
 
-/// What may be part of a file's name: of a receiver.
+/// Whether a name may be a receiver's, and so part of the name of a file.
 pub fn is_receiver(name: &str) -> bool {
     !name.is_empty()
         && name.len() <= MAX_RECEIVER_BYTES
@@ -83,7 +92,7 @@ pub fn is_receiver(name: &str) -> bool {
         && name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c))
 }
 
-/// A host's name has at most 64, and a number comes behind it.
+/// Longest name of a receiver, bytes: a host's name has at most 64, and a number follows it.
 const MAX_RECEIVER_BYTES: usize = 100;
 
 #[cfg(test)]

@@ -1,5 +1,7 @@
-//! Sessions as somebody else may have left them: moved, renamed, edited, partly deleted, with foreign files among them.
-//! Read without trust: no link is followed, nothing is changed, what is not understood is named and set aside.
+//! Sessions as they are found in a folder of captures.
+//!
+//! Others may have moved, renamed, edited or partly deleted them, or put foreign files among them. So nothing is
+//! trusted: no link is followed, nothing is changed, and what is not understood is named and set aside.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -9,26 +11,29 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::acknowledgement::{ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, is_receiver};
-use super::apart::is_probe;
 use super::coverage::COVERAGE_FILE;
+use super::distinct_folders::is_probe;
 use super::identity::{Head, SessionId};
 use super::manifest::{
     EVICTED_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, PIN_FILE, RECEIVED_FILE, REFINED_FOLDER, SESSION_FILE,
 };
-use super::repair::{COPY, NOTES_FILE, is_damaged_name};
+use super::repair::{COPY, JOURNAL_FILE, is_damaged_name};
 use super::retention::{Evicted, evicted_segments};
 use super::segment::{ACTIVE, is_segment_name};
 pub use super::storage::Kind;
 use super::storage::{Disk, Storage, read_whole};
 
-/// What was found and is not used, and why.
+/// Something that was found and is not used.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct SetAside {
+    /// File or folder.
     pub path: PathBuf,
+    /// Reason why it is not used.
     pub why: String,
 }
 
 impl SetAside {
+    /// Sets a path aside for a reason.
     pub fn new(path: impl Into<PathBuf>, why: impl Into<String>) -> Self {
         Self { path: path.into(), why: why.into() }
     }
@@ -40,74 +45,82 @@ impl fmt::Display for SetAside {
     }
 }
 
-/// A session's folder.
+/// A session's folder as it was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Session {
+    /// The folder.
     pub folder: PathBuf,
-    /// The folder's own name.
+    /// Name of the folder.
     pub name: String,
+    /// What `session.json` says of robot, start and format.
     pub head: Head,
-    /// `session.json` as it stands.
+    /// Content of `session.json`, unchanged.
     pub head_bytes: Vec<u8>,
+    /// Identity of the session.
     pub id: SessionId,
-    /// Of finished segments, in the manifest's order, each once.
+    /// Finished segments, in the order of the manifest, each once.
     pub lines: Vec<ManifestLine>,
-    /// Lines of the manifest beside these that are damaged, say too little, or contradict each other.
+    /// Number of further lines of the manifest that are damaged, incomplete, or contradict each other.
     pub doubted: u64,
-    /// It has what is written last of all: every segment was in its manifest once.
+    /// Whether `metadata.yaml` is there, which is written last: every segment was in the manifest once.
     pub has_ended: bool,
-    /// Plain files with segments' names, and their sizes.
+    /// Sizes of plain files that have a segment's name, bytes.
     pub segments: BTreeMap<String, u64>,
-    /// What this program removed since, and who has it.
+    /// Segments that this program has removed to make room, and who has them.
     pub evicted: BTreeMap<String, Evicted>,
-    /// A segment is being written, or was when the power went.
+    /// Whether a segment is being written, or was when the power failed.
     pub open: bool,
+    /// Whether the session is pinned.
     pub pinned: bool,
-    /// It holds what `refine` has made of it, which no sync copies.
+    /// Whether the folder holds a result of `refine`, which no sync copies.
     pub is_refined: bool,
-    /// Of one that was synced into this folder.
+    /// How the session came here; `None` if it was recorded here.
     pub received: Option<Received>,
+    /// What other stores have of the session.
     pub acknowledged: Acknowledged,
+    /// What is not understood in the folder.
     pub set_aside: Vec<SetAside>,
 }
 
-/// `received.json`: how a session came here.
+/// Content of `received.json`: how a session came here.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Received {
-    /// 1 from the recorder's own folder, 2 from a copy of it, and so on.
+    /// Number of copies between the recorder and this one: 1 if it was synced from the recorder's own folder, 2 if
+    /// from a copy of that, and so on.
     pub hops: u32,
-    /// The folder that received it, by its name as a receiver: its word is this copy's own.
+    /// Name, as a receiver, of the folder that received the session; its acknowledgement stands for this very copy.
     #[serde(default)]
     pub receiver: String,
 }
 
-/// A manifest has some hundred bytes a segment; what is larger is none.
+/// Largest manifest, bytes: it has some hundred bytes a segment.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
-/// Of one session: a week of half-minute segments. What a manifest lists beyond is not believed.
+/// Most segments of a session: a week of half-minute segments. What a manifest lists beyond is not believed.
 const MAX_SEGMENTS: usize = 20_000;
-/// `session.json` repeats a config, a field and a lens.
+/// Largest `session.json`, bytes: it holds a config, a field and a lens.
 const MAX_HEAD_BYTES: u64 = 4 << 20;
-/// A number.
+/// Largest `received.json`, bytes: a number and a name.
 const MAX_RECEIVED_BYTES: u64 = 1024;
-/// More receivers' files than any team has.
+/// Most files of acknowledgements of a session: more than any team has receivers.
 const MAX_RECEIVERS: usize = 256;
-/// File systems allow no longer names.
+/// Longest name, bytes: file systems allow no longer one.
 const MAX_NAME_BYTES: usize = 255;
 
-/// All sessions in a folder of captures, by name, and what is no session.
+/// Reads all sessions in a folder of captures, by name, and lists what is no session.
 pub fn sessions_in(captures: &Path) -> io::Result<(Vec<Session>, Vec<SetAside>)> {
     sessions_on(&Disk, captures)
 }
 
-/// One session; `Err` if the folder is none.
+/// Reads one session; `Err` if the folder is none.
 pub fn session_at(folder: &Path) -> Result<Session, SetAside> {
     session_on(&Disk, folder)
 }
 
+/// Does the same as [`sessions_in`] on any storage.
 pub(super) fn sessions_on(storage: &dyn Storage, captures: &Path) -> io::Result<(Vec<Session>, Vec<SetAside>)> {
     let (mut sessions, mut set_aside) = (Vec::new(), Vec::new());
     for entry in storage.list(captures)? {
-        // Ours, or nobody's business.
+        // Hidden entries belong to this program; plain files are none of its business.
         if entry.name.starts_with('.') || entry.bytes().is_some() {
             continue;
         }
@@ -126,6 +139,7 @@ pub(super) fn sessions_on(storage: &dyn Storage, captures: &Path) -> io::Result<
     Ok((sessions, set_aside))
 }
 
+/// Does the same as [`session_at`] on any storage.
 fn session_on(storage: &dyn Storage, folder: &Path) -> Result<Session, SetAside> {
     let refused = |why: String| SetAside::new(folder, why);
     let name = folder.file_name().and_then(|name| name.to_str()).filter(|name| is_plain_name(name));
@@ -180,12 +194,12 @@ fn session_on(storage: &dyn Storage, folder: &Path) -> Result<Session, SetAside>
 }
 
 impl Session {
-    /// How far from the recorder it is: only who is farther away may be relied on when something is deleted.
+    /// Number of copies between the recorder and this one. A deletion may rely only on a store with a greater number.
     pub fn hops(&self) -> u32 {
         self.received.as_ref().map_or(0, |received| received.hops)
     }
 
-    /// Something that lies in the folder.
+    /// Takes account of an entry of the session's folder.
     pub fn note(&mut self, name: &str, kind: Kind) {
         let mut aside = |why: &str| self.set_aside.push(SetAside::new(self.folder.join(name), why));
         match kind {
@@ -205,33 +219,33 @@ impl Session {
         }
     }
 
-    /// Promised by the manifest, not there as it was written, and not removed on purpose.
+    /// Segments that the manifest lists and that are not here as they were written, without those removed on purpose.
     pub fn missing(&self) -> impl Iterator<Item = &ManifestLine> {
         self.lines.iter().filter(|line| !self.has(line) && !self.has_evicted(line))
     }
 
-    /// There, of the size that it was written with.
+    /// Whether the segment is here with the size that it was written with.
     pub fn has(&self, line: &ManifestLine) -> bool {
         self.segments.get(&line.name) == Some(&line.bytes)
     }
 
-    /// Removed to make room, because another store had it.
+    /// Whether the segment was removed to make room, because another store had it.
     pub fn has_evicted(&self, line: &ManifestLine) -> bool {
         !self.segments.contains_key(&line.name)
             && self.evicted.get(&line.name).is_some_and(|evicted| evicted.blake3 == line.blake3)
     }
 }
 
-/// Beside segments.
+/// Whether a file beside the segments is one that this program writes.
 fn is_own_file(name: &str) -> bool {
     const OWN: [&str; 7] =
-        [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE, NOTES_FILE];
-    // Beside those that are replaced as a whole.
+        [SESSION_FILE, MANIFEST_FILE, METADATA_FILE, COVERAGE_FILE, EVICTED_FILE, RECEIVED_FILE, JOURNAL_FILE];
+    // A file that is replaced as a whole is written under this name first.
     let beside = |own: &str| Some(name) == Path::new(own).with_extension("new").to_str();
     OWN.contains(&name) || OWN.iter().any(|own| beside(own)) || name.strip_suffix(COPY).is_some_and(is_segment_name)
 }
 
-/// One part of a path that stays where it is put and shows as it is.
+/// Whether a name is a single part of a path, not hidden, and prints as it is.
 pub fn is_plain_name(name: &str) -> bool {
     !name.is_empty()
         && name.len() <= MAX_NAME_BYTES
@@ -239,7 +253,8 @@ pub fn is_plain_name(name: &str) -> bool {
         && !name.chars().any(|c| c == '/' || c == '\\' || c.is_control())
 }
 
-/// Lines that say what they must, each segment once, and how many segments the others may be of; the last may be torn.
+/// Parses a manifest that may be damaged: returns the valid lines, each segment once, and how many segments the other
+/// lines may stand for. A torn last line does not count.
 fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> (Vec<ManifestLine>, u64) {
     let text = String::from_utf8_lossy(bytes);
     let mut lines: Vec<ManifestLine> = Vec::new();
@@ -270,7 +285,7 @@ fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> (
                     lines.push(line);
                 }
             },
-            // Being written, or torn by a power cut before it was whole.
+            // The last line is being written, or a power cut has torn it.
             Err(_) if rest.peek().is_none() => {}
             Err(error) => {
                 aside(format!("damaged: {error}"));
@@ -282,7 +297,8 @@ fn parse_manifest(path: &Path, bytes: &[u8], set_aside: &mut Vec<SetAside>) -> (
     (lines, damaged + unlike.len() as u64)
 }
 
-/// One that makes no sense is as far away as can be: nobody may rely on anybody beyond it.
+/// Reads `received.json`. One that makes no sense counts as infinitely far from the recorder, so that this copy
+/// relies on nobody's acknowledgement.
 fn read_received(storage: &dyn Storage, path: &Path, set_aside: &mut Vec<SetAside>) -> Option<Received> {
     let parsed = match read_whole(storage, path, MAX_RECEIVED_BYTES) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return None,
@@ -295,6 +311,7 @@ fn read_received(storage: &dyn Storage, path: &Path, set_aside: &mut Vec<SetAsid
     }))
 }
 
+/// Reads all files of acknowledgements of a session.
 fn read_acknowledged(storage: &dyn Storage, folder: &Path, set_aside: &mut Vec<SetAside>) -> Acknowledged {
     let mut all = Acknowledged::new();
     for entry in storage.list(folder).unwrap_or_default() {

@@ -10,25 +10,28 @@ use super::storage::read_plain;
 use super::write_atomically;
 use realitysim_geometry::PoseGrid;
 
-/// Which cells of the pose grid have images, as a session leaves it.
+/// File in a session's folder with the number of images in each cell of the pose grid.
 pub const COVERAGE_FILE: &str = "coverage.json";
 
+/// Content of `coverage.json`.
 #[derive(Serialize, Deserialize)]
 struct Stored {
     cell_m: f64,
     headings: usize,
     half_extent_m: [f64; 2],
-    /// Valid tags when it was written: another number means that it is of a part of the session only.
+    /// Number of valid tags when the file was written. Another number means that the file covers only a part of the
+    /// session.
     valid: u64,
-    /// By row, column, heading.
+    /// Images of each cell, by row, column, heading.
     images: Vec<u32>,
 }
 
-/// As large as a grid of the finest cells of the largest field.
+/// Largest `coverage.json`, bytes: a grid of the finest cells of the largest field.
 const MAX_COVERAGE_BYTES: u64 = 256 << 20;
-/// Headings told apart.
+/// Largest number of headings that a stored grid may tell apart.
 const MAX_HEADINGS: usize = 360;
 
+/// Writes `coverage.json` into a session's folder; `valid` is the number of valid tags that the grid was made of.
 pub fn write_coverage(session: &Path, grid: &PoseGrid, valid: u64) -> Result<(), RecordingError> {
     let half_extent_m = grid.half_extent().to_array();
     let (cell_m, headings, images) = (grid.cell_m, grid.sectors, grid.counts().to_vec());
@@ -36,7 +39,8 @@ pub fn write_coverage(session: &Path, grid: &PoseGrid, valid: u64) -> Result<(),
     write_atomically(&session.join(COVERAGE_FILE), &serde_json::to_vec(&stored)?)
 }
 
-/// `None` if there is none, or one that is not of so many valid tags.
+/// Reads `coverage.json`; `None` if there is none, if it makes no sense, or if it was made of another number of valid
+/// tags.
 pub fn read_coverage(session: &Path, valid: u64) -> Option<PoseGrid> {
     let bytes = read_plain(&session.join(COVERAGE_FILE), MAX_COVERAGE_BYTES).ok()?;
     let stored: Stored = serde_json::from_slice(&bytes).ok()?;

@@ -1,4 +1,4 @@
-//! A session's folder as a reader finds it: what its manifest promises against what is there.
+//! What a session's manifest promises, compared with what its folder holds.
 
 use std::fmt;
 use std::fs;
@@ -14,31 +14,34 @@ use super::segment::{ACTIVE, is_segment_name};
 use super::storage::{Disk, Storage, open_plain, read_plain, read_small};
 use realitysim_ros2::mcap_read::Damage;
 
-/// A manifest has some hundred bytes a segment; what is larger is none.
+/// Largest manifest, bytes: it has some hundred bytes a segment.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
-/// `session.json` repeats a config, a field and a lens.
+/// Largest `session.json`, bytes: it holds a config, a field and a lens.
 const MAX_SESSION_BYTES: u64 = 4 << 20;
 
-/// Something of a recording that cannot be had any more.
+/// A part of a recording that cannot be read any more.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Loss {
+    /// The file that is damaged or missing.
     pub file: PathBuf,
+    /// What is lost, in words.
     pub what: String,
 }
 
 impl Loss {
+    /// Loss of a part of a file.
     pub fn new(file: &Path, what: impl Into<String>) -> Self {
         Self { file: file.to_owned(), what: what.into() }
     }
 
-    /// What a reader had to leave out of a file.
+    /// Loss that a reader met in a file.
     pub fn of_damage(file: &Path, damage: &Damage) -> Self {
         let open = file.extension().is_some_and(|ending| *ending == *ACTIVE.trim_start_matches('.'));
         let state = if open && damage.torn { "never finished" } else { "damaged" };
         Self::new(file, format!("{state}: {damage}"))
     }
 
-    /// Beside what is known of other files; what is known of the same file is said together.
+    /// Adds this loss to others; losses of the same file become one.
     pub fn join(self, losses: &mut Vec<Self>) {
         match losses.iter_mut().find(|known| known.file == self.file) {
             Some(known) => known.what = format!("{}; {}", known.what, self.what),
@@ -53,8 +56,10 @@ impl fmt::Display for Loss {
     }
 }
 
-/// Segments that the manifest lists and that are not there, or not as large as they were written; `capture` is a
-/// session's folder or one of its segments, which is then looked at alone. What has no manifest promises nothing.
+/// Lists segments of the manifest that are missing or have another size than they were written with.
+///
+/// `capture` is a session's folder, or one of its segments, which is then checked alone. A folder without a manifest
+/// has no losses.
 pub fn missing_parts(capture: &Path) -> Vec<Loss> {
     let (folder, only) = match (capture.is_dir(), capture.parent(), capture.file_name()) {
         (false, Some(folder), Some(name)) => (folder, Some(name)),
@@ -70,35 +75,39 @@ pub fn missing_parts(capture: &Path) -> Vec<Loss> {
     let mut losses = Vec::new();
     let (lines, damaged) = parse_lines(&text);
     for line in lines {
-        // What was removed on purpose is elsewhere.
+        // A segment that was removed to make room is in another store.
         let is_evicted = evicted.contains_key(&line.name) && !folder.join(&line.name).exists();
         if !is_evicted && only.is_none_or(|name| *name == *line.name) {
             losses.extend(loss_of(folder, &line));
         }
     }
     let told = damaged.into_iter().filter(|line| !line.is_last);
-    losses.extend(told.map(|line| Loss::new(&path, line.said())));
+    losses.extend(told.map(|line| Loss::new(&path, line.describe())));
     losses
 }
 
-/// A line of a manifest that makes no sense.
+/// A line of a manifest that does not parse.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct DamagedLine {
+    /// Number of the line, from 1.
     number: usize,
-    /// Of the segment, if that much can be read.
+    /// Name of the segment, if that much can be read.
     pub name: Option<String>,
-    /// The last one, without an end: a line is appended behind its segment's final name, and power may fail in between.
+    /// Whether it is the last line and has no end: a line is appended after its segment got its final name, and power
+    /// may fail in between.
     pub is_last: bool,
     error: String,
 }
 
 impl DamagedLine {
-    pub fn said(&self) -> String {
+    /// Describes the damage for people.
+    pub fn describe(&self) -> String {
         let of = self.name.as_ref().map_or(String::new(), |name| format!(" (that of {name})"));
         format!("line {} is damaged{of}: {}", self.number, self.error)
     }
 }
 
+/// Parses a manifest: its valid lines in order, and its damaged ones.
 fn parse_lines(text: &str) -> (Vec<ManifestLine>, Vec<DamagedLine>) {
     let (mut lines, mut damaged) = (Vec::new(), Vec::new());
     let mut rest = text.split('\n').enumerate().filter(|(_, line)| !line.trim().is_empty()).peekable();
@@ -114,18 +123,19 @@ fn parse_lines(text: &str) -> (Vec<ManifestLine>, Vec<DamagedLine>) {
     (lines, damaged)
 }
 
+/// Name of the segment in a damaged line.
 fn name_in(line: &str) -> Option<String> {
     let (_, rest) = line.split_once("\"name\":")?;
     let (name, _) = rest.trim_start().strip_prefix('"')?.split_once('"')?;
     is_segment_name(name).then(|| name.to_owned())
 }
 
-/// The lines of a manifest that make sense, in their order.
+/// Reads the valid lines of a manifest, in order.
 pub(super) fn manifest_lines(storage: &dyn Storage, session: &Path) -> io::Result<Vec<ManifestLine>> {
     Ok(all_lines(storage, session)?.0)
 }
 
-/// The same, and those that do not.
+/// Reads the valid and the damaged lines of a manifest, in order.
 pub(super) fn all_lines(storage: &dyn Storage, session: &Path) -> io::Result<(Vec<ManifestLine>, Vec<DamagedLine>)> {
     let text = read_small(storage, &session.join(MANIFEST_FILE), MAX_MANIFEST_BYTES)?.unwrap_or_default();
     Ok(parse_lines(&String::from_utf8_lossy(&text)))
@@ -137,6 +147,7 @@ fn read_manifest(path: &Path) -> io::Result<String> {
     Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
+/// Compares a line of the manifest with the file of its segment.
 fn loss_of(folder: &Path, line: &ManifestLine) -> Option<Loss> {
     let file = folder.join(&line.name);
     let ManifestLine { bytes, messages, frames, .. } = line;
@@ -152,14 +163,14 @@ fn loss_of(folder: &Path, line: &ManifestLine) -> Option<Loss> {
     Some(Loss { file, what })
 }
 
-/// The session's own account of itself.
+/// Reads `session.json` of a session.
 pub fn read_info(session: &Path) -> Result<SessionInfo, RecordingError> {
     let path = session.join(SESSION_FILE);
     let bytes = read_plain(&path, MAX_SESSION_BYTES).map_err(|source| RecordingError::io(&path, source))?;
     serde_json::from_slice(&bytes).map_err(|source| RecordingError::Info { path, source })
 }
 
-/// The session in whose folder this path lies, or would lie if it existed: nothing else may be written there.
+/// Finds the session in whose folder a path lies, or would lie if it existed. Nothing else may be written there.
 pub fn session_holding(path: &Path) -> Option<PathBuf> {
     let path = std::path::absolute(path).ok()?;
     let existing = path.ancestors().find_map(|ancestor| ancestor.canonicalize().ok())?;

@@ -1,4 +1,4 @@
-//! A gap as a message of the log, and back.
+//! Gaps as messages of the log: a gap is encoded as a diagnostic status and read back.
 
 use std::sync::Arc;
 
@@ -9,9 +9,10 @@ use realitysim_ros2::messages::{DiagnosticArray, DiagnosticStatus, Header, KeyVa
 use realitysim_ros2::topics;
 use realitysim_ros2::topics::DIAGNOSTICS_PREFIX;
 
-/// Behind the program's name.
+/// Name of the status behind the program's prefix.
 const NAME: &str = "gap";
 
+/// Encodes gaps as messages.
 pub(super) struct GapMessages {
     channel: Arc<Channel>,
     robot: String,
@@ -22,6 +23,7 @@ impl GapMessages {
         Self { channel: own_channel::<DiagnosticArray>(topics::DIAGNOSTICS), robot: robot.to_owned() }
     }
 
+    /// Message that reports a gap.
     pub fn message(&self, gap: &Gap) -> LogMessage {
         let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
         let status = DiagnosticStatus {
@@ -49,12 +51,12 @@ impl GapMessages {
     }
 }
 
-/// Of a topic that a capture adds.
+/// Channel of a topic that a recording adds.
 pub(super) fn own_channel<M: Message>(topic: &str) -> Arc<Channel> {
     Arc::new(Channel::of::<M>(0, topic, channel_metadata(Durability::Volatile)))
 }
 
-/// The gaps that a message tells.
+/// Gaps that a message reports; none if it is not a report of diagnostics.
 pub(super) fn gaps_in(message: &LogMessage) -> Vec<Gap> {
     if message.channel.topic != topics::DIAGNOSTICS {
         return Vec::new();
@@ -64,13 +66,14 @@ pub(super) fn gaps_in(message: &LogMessage) -> Vec<Gap> {
     report.status.iter().filter(is_gap).filter_map(gap).collect()
 }
 
+/// Decodes a gap; `None` if a value is missing or makes no sense.
 fn gap(status: &DiagnosticStatus) -> Option<Gap> {
     let text = |key: &str| status.values.iter().find(|pair| pair.key == key).map(|pair| pair.value.clone());
     Some(Gap {
         cause: text("cause")?,
         frames: text("frames")?.parse().ok()?,
         messages: text("messages")?.parse().ok()?,
-        // Earlier versions did not tell them apart.
+        // Earlier versions did not write this value.
         untagged: text("untagged").map_or(Some(0), |count| count.parse().ok())?,
         first_ns: text("first_ns")?.parse().ok()?,
         last_ns: text("last_ns")?.parse().ok()?,

@@ -1,25 +1,27 @@
-//! A file with the hash of all that was handed to it, so that the manifest's is of what was meant to be written.
+//! A writer that hashes the bytes handed to it, so that the hash in the manifest is that of what was meant to be
+//! written.
 
 use std::io::{self, BufWriter, Write};
 
-pub(super) struct Hashing<W: Write> {
+/// Buffered writer with the BLAKE3 hash of everything that was written.
+pub(super) struct HashingWriter<W: Write> {
     file: BufWriter<W>,
     hash: blake3::Hasher,
 }
 
-impl<W: Write> Hashing<W> {
+impl<W: Write> HashingWriter<W> {
     pub(super) fn new(file: W) -> Self {
         Self { file: BufWriter::with_capacity(1 << 16, file), hash: blake3::Hasher::new() }
     }
 
-    /// Everything handed on; length and hash.
+    /// Flushes the buffer and returns the number of bytes and their hash, hexadecimal.
     pub(super) fn end(mut self) -> io::Result<(u64, String)> {
         self.file.flush()?;
         Ok((self.hash.count(), self.hash.finalize().to_hex().to_string()))
     }
 }
 
-impl<W: Write> Write for Hashing<W> {
+impl<W: Write> Write for HashingWriter<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let taken = self.file.write(bytes)?;
         self.hash.update(&bytes[..taken]);

@@ -1,4 +1,4 @@
-//! Which session, which robot: names can be equal, and folders can be renamed; these numbers stay.
+//! Identities of sessions and robots. Names can be equal and folders can be renamed; these identities stay.
 
 use std::path::Path;
 
@@ -6,10 +6,12 @@ use serde::{Deserialize, Serialize};
 
 use super::manifest::FORMAT_VERSION;
 
-/// What another machine needs to know of a `session.json`, whatever settings its writer has: unknown keys are left alone.
+/// What another machine needs of a `session.json`, whatever settings its writer has: unknown keys are ignored.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Head {
+    /// Version of the format.
     pub format: u32,
+    /// Name of the robot.
     pub robot: String,
     /// UTC of the first message, RFC 3339.
     pub started: String,
@@ -25,15 +27,16 @@ struct LiveHead {
     robot_id: Option<String>,
 }
 
-/// Of a session: 32 hexadecimal digits.
+/// Identity of a session: 32 hexadecimal digits.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(transparent)]
 pub struct SessionId(String);
 
+/// Length of an identity, bytes.
 const ID_BYTES: usize = 16;
 
 impl Head {
-    /// `Err` says what is wrong with it.
+    /// Parses the content of a `session.json`; the error says what is wrong with it.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         #[derive(Deserialize)]
         struct Version {
@@ -46,7 +49,7 @@ impl Head {
         serde_json::from_slice(bytes).map_err(|error| error.to_string())
     }
 
-    /// The session's own number; of a session from before there were any, that of its `session.json`.
+    /// Identity of the session; for a `session.json` without one, a hash of its content, `bytes`.
     pub fn id(&self, bytes: &[u8]) -> SessionId {
         match &self.id {
             Some(id) if is_id(id) => SessionId(id.clone()),
@@ -54,19 +57,20 @@ impl Head {
         }
     }
 
-    /// Which machine recorded it; `None` of a replay.
+    /// Identity of the machine that recorded; `None` for a replay.
     pub fn robot_id(&self) -> Option<&str> {
         self.live.as_ref()?.robot_id.as_deref().filter(|id| is_id(id))
     }
 }
 
 impl SessionId {
-    /// Of a session that begins now.
+    /// Makes the identity of a session that begins.
     pub fn new() -> Self {
         let mut bytes = [0; ID_BYTES];
         match rustix::rand::getrandom(&mut bytes, rustix::rand::GetRandomFlags::empty()) {
             Ok(ID_BYTES) => {}
-            // A kernel without it: time and process are unique enough among a team's sessions.
+            // Where the kernel gives no random bytes, time and process number are unique enough among a team's
+            // sessions.
             _ => {
                 let now = jiff::Timestamp::now().as_nanosecond().to_le_bytes();
                 let seed = [now.as_slice(), &std::process::id().to_le_bytes()].concat();
@@ -76,11 +80,12 @@ impl SessionId {
         Self(hex(&bytes))
     }
 
+    /// The 32 hexadecimal digits.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
-    /// Enough of it to tell folders of one name apart.
+    /// The first six digits, enough to tell folders of one name apart.
     pub fn short(&self) -> &str {
         &self.0[..6]
     }
@@ -100,12 +105,15 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// This machine, as long as it keeps its system and its disks: robots that were set up from one image differ in the
-/// latter. A hash, since the numbers themselves are nobody's business.
+/// Identity of this machine, which stays as long as its system and its disks do.
+///
+/// Robots that were set up from one image differ in their disks. The identity is a hash, since the numbers of the
+/// parts are private.
 pub fn robot_id() -> String {
     robot_id_under(Path::new("/"))
 }
 
+/// Does the same as [`robot_id`] for a file system under `root`.
 fn robot_id_under(root: &Path) -> String {
     let mut parts: Vec<Vec<u8>> = ["etc/machine-id", "sys/firmware/devicetree/base/serial-number"]
         .iter()

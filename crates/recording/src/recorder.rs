@@ -1,7 +1,9 @@
-//! Entries to files: the one place that writes a session, whichever thread it runs in and whatever the disk does.
+//! The recorder: turns entries into files. It is the only place that writes a session, whichever thread it runs in
+//! and whatever the disk does.
 //!
-//! What is written is kept until the disk has confirmed it. If anything fails, the segment is given up where it was
-//! confirmed last, and the next try writes what is kept into a new one: no failed fsync is ever tried again on its file.
+//! An entry is kept in memory until the disk has confirmed it. If anything fails, the segment is given up at the
+//! point that was confirmed last, and the next attempt writes the kept entries into a new segment: a failed fsync is
+//! never repeated on the same file, because its success would prove nothing.
 
 use std::any::Any;
 use std::collections::{BTreeMap, VecDeque};
@@ -18,93 +20,106 @@ use super::identity::SessionId;
 use super::manifest::{
     Counts, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SessionInfo, TopicEntry, metadata_yaml,
 };
-use super::pace::Pace;
+use super::record_queue::{ConfirmedContent, QueuedEntry, RecordQueue};
 use super::segment::{Cut, Finished, Segment, Unfinished};
-use super::shared::{Had, Shared, Waiting};
 use super::storage::{Appending, Storage, StoredFile, write_atomically};
+use super::sync_schedule::SyncSchedule;
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{CameraInfo, Message};
 
-/// What a session is, before anything is written.
+/// What is to be recorded, and where.
 #[derive(Clone)]
 pub(super) struct Plan {
+    /// Folder of all captures.
     pub captures: PathBuf,
-    /// Of the folder, unless it is taken.
+    /// Name of the session's folder, unless it is taken.
     pub name: String,
+    /// Content of `session.json`.
     pub info: SessionInfo,
+    /// Longest time that an entry waits until the disk is asked to confirm it.
     pub sync_interval: Duration,
-    /// Others may fetch it, and say what they have.
+    /// Whether other machines may fetch the session and acknowledge it.
     pub is_synced_from: bool,
 }
 
+/// Writes the entries of a session to its files. If somebody removes the folder, it begins another session.
 pub(super) struct Recorder {
     storage: Arc<dyn Storage>,
-    shared: Arc<Shared>,
+    shared: Arc<RecordQueue>,
     plan: Plan,
+    /// Folder of the session, once it has been made.
     folder: Option<PathBuf>,
-    /// Session file and manifest are there.
+    /// Whether session file and manifest are there.
     is_ready: bool,
-    /// The file system that it was made on.
+    /// Number of the file system that the folder of captures was on when the session began.
     volume: Option<u64>,
-    /// What the disk has confirmed of the segments in `lines`, and of the open one.
-    had_before: Had,
-    had: Had,
-    /// Since when the session's folder is not there.
+    /// Content that the disk has confirmed of the finished segments, those in `lines`.
+    finished_content: ConfirmedContent,
+    /// Content that the disk has confirmed of the open segment.
+    open_content: ConfirmedContent,
+    /// Since when the session's folder cannot be found.
     away_since: Option<Duration>,
-    /// Tells `repair` to leave the folder alone.
+    /// Lock of the session, which tells `repair` to leave the folder alone.
     lock: Option<Box<dyn Any + Send>>,
     segment: Option<Segment>,
     next_index: u32,
-    /// Taken and not yet confirmed by the disk, oldest first; so many of them are written to the segment.
-    kept: VecDeque<Kept>,
+    /// Entries that were taken and are not yet confirmed by the disk, oldest first.
+    kept: VecDeque<UnconfirmedEntry>,
+    /// Number of these entries that are written to the open segment.
     written: usize,
-    /// Of the written ones.
+    /// Memory of the entries that are written, bytes.
     written_bytes: usize,
-    /// The disk is asked after so many of them. Little after a failure: a disk that takes a little keeps that little.
+    /// Size of a batch, bytes: when so much is written, the disk is asked to confirm it. It is small after a failure,
+    /// so that a disk with little room keeps at least that little.
     batch_bytes: usize,
-    /// Entries that the disk has confirmed so far.
+    /// Number of entries that the disk has confirmed.
     confirmed: u64,
-    /// Ends of earlier segments that no confirmed segment tells yet.
+    /// Ends of segments that were given up and that no confirmed segment mentions yet.
     cuts: Vec<Cut>,
     manifest: Option<Arc<dyn StoredFile>>,
+    /// Manifest lines of the finished segments.
     lines: Vec<ManifestLine>,
-    /// Messages of the segments in `lines`.
+    /// Messages of the finished segments, by topic.
     topics: BTreeMap<TopicEntry, u64>,
-    /// Calibration and constants, written again at the start of each segment.
+    /// Calibration and constant transforms, written again at the start of each segment.
     latched: Vec<LogMessage>,
     gaps: GapMessages,
-    pace: Pace,
+    schedule: SyncSchedule,
 }
 
-/// Where a folder is that was made here.
+/// What has become of a folder that the recorder has made.
 enum Whereabouts {
+    /// The folder is there.
     Here,
-    /// With the folder of all captures; it may come back.
+    /// The folder of all captures is gone as well, and may come back.
     Away,
+    /// Somebody has removed or moved the session's folder.
     Removed,
 }
 
-struct Kept {
-    waiting: Waiting,
-    /// Counted when it was first written; it may be written again.
+/// An entry that the disk has not confirmed.
+struct UnconfirmedEntry {
+    waiting: QueuedEntry,
+    /// Whether the entry has been counted: it may be written more than once.
     is_counted: bool,
 }
 
-/// More latched messages than this are not repeated in each segment.
+/// Most latched messages that are repeated in each segment.
 const MAX_LATCHED: usize = 256;
-/// Names tried before giving up: `name`, `name-2`, ...
+/// Most names tried for a session's folder: `name`, `name-2`, and so on.
 const MAX_SUFFIX: u32 = 10_000;
-/// With more than this not confirmed, the disk is asked before its time.
+/// Largest batch, bytes: with more not confirmed, the disk is asked before its time.
 const MAX_UNSYNCED_BYTES: usize = 32 << 20;
-/// After a failure it is asked with more than this, and then with twice as much each time that all goes well.
-const LEAST_UNSYNCED_BYTES: usize = 4 << 10;
-/// So long a folder of captures may be away before another is made in its place, on the same file system.
+/// Smallest batch, bytes: the size after a failure. It doubles with each batch that the disk confirms.
+const MIN_UNSYNCED_BYTES: usize = 4 << 10;
+/// Time that a folder of captures may be away before another is made in its place, on the same file system.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 impl Recorder {
-    pub fn new(storage: Arc<dyn Storage>, shared: Arc<Shared>, plan: Plan) -> Self {
+    /// Prepares a recorder; nothing is written before the first entry.
+    pub fn new(storage: Arc<dyn Storage>, shared: Arc<RecordQueue>, plan: Plan) -> Self {
         let gaps = GapMessages::new(&plan.info.robot);
-        let pace = Pace::new(plan.sync_interval);
+        let schedule = SyncSchedule::new(plan.sync_interval);
         Self {
             storage,
             shared,
@@ -112,8 +127,8 @@ impl Recorder {
             folder: None,
             is_ready: false,
             volume: None,
-            had_before: Had::default(),
-            had: Had::default(),
+            finished_content: ConfirmedContent::default(),
+            open_content: ConfirmedContent::default(),
             away_since: None,
             lock: None,
             segment: None,
@@ -129,95 +144,102 @@ impl Recorder {
             topics: BTreeMap::new(),
             latched: Vec::new(),
             gaps,
-            pace,
+            schedule,
         }
     }
 
-    /// Whatever comes back, the entry is kept: [`go_on`](Self::go_on) tries again.
-    pub fn take(&mut self, waiting: Waiting) -> Result<(), RecordingError> {
+    /// Takes an entry and writes it. The entry is kept even if this fails: [`write_pending`](Self::write_pending)
+    /// tries again.
+    ///
+    /// A small file ([`Entry::State`]) is written at once and not kept.
+    pub fn take(&mut self, waiting: QueuedEntry) -> Result<(), RecordingError> {
         if let Entry::State(path, data) = &waiting.entry {
             let written = write_atomically(self.storage.as_ref(), path, data);
             self.shared.release(&waiting.entry);
             return written;
         }
-        self.kept.push_back(Kept { waiting, is_counted: false });
-        self.go_on()
+        self.kept.push_back(UnconfirmedEntry { waiting, is_counted: false });
+        self.write_pending()
     }
 
     /// Writes what is not written yet, into a new segment if the last one was given up.
-    pub fn go_on(&mut self) -> Result<(), RecordingError> {
+    pub fn write_pending(&mut self) -> Result<(), RecordingError> {
         let done = self.write_all();
-        self.give_up_after(done)
+        self.give_up_on_error(done)
     }
 
+    /// Asks the disk to confirm what is written, if that is due.
     pub fn sync_if_due(&mut self) -> Result<(), RecordingError> {
-        if !self.pace.is_due(self.oldest(), self.shared.next_taken(), self.storage.now()) {
+        if !self.schedule.is_due(self.oldest_taken(), self.shared.next_taken(), self.storage.now()) {
             return Ok(());
         }
         let done = self.sync();
-        self.give_up_after(done)
+        self.give_up_on_error(done)
     }
 
-    /// So long until the next sync is due.
-    pub fn idle(&self) -> Duration {
-        self.pace.wait(self.oldest(), self.storage.now())
+    /// Time until the next sync is due.
+    pub fn time_to_sync(&self) -> Duration {
+        self.schedule.time_to_sync(self.oldest_taken(), self.storage.now())
     }
 
-    /// Everything confirmed, the segment whole. The next entry begins another.
-    pub fn rest(&mut self) -> Result<(), RecordingError> {
-        self.go_on()?;
+    /// Writes and confirms everything and finishes the open segment. The next entry begins another.
+    pub fn complete_segment(&mut self) -> Result<(), RecordingError> {
+        self.write_pending()?;
         if self.segment.is_none() {
             return Ok(());
         }
         let done = self.sync().and_then(|()| self.finish_segment());
-        self.give_up_after(done)
+        self.give_up_on_error(done)
     }
 
-    /// The session is whole. May be tried again if it fails.
+    /// Finishes the session and returns its folder. If this fails, it may be tried again.
     pub fn finish(&mut self) -> Result<PathBuf, RecordingError> {
-        self.rest()?;
-        let done = self.describe();
-        let folder = self.give_up_after(done)?;
+        self.complete_segment()?;
+        let done = self.write_metadata();
+        let folder = self.give_up_on_error(done)?;
         self.lock = None;
         Ok(folder)
     }
 
-    fn describe(&mut self) -> Result<PathBuf, RecordingError> {
+    /// Writes `metadata.yaml`.
+    fn write_metadata(&mut self) -> Result<PathBuf, RecordingError> {
         let folder = self.open_session()?;
         let yaml = metadata_yaml(&self.lines, &self.topics);
         write_atomically(self.storage.as_ref(), &folder.join(METADATA_FILE), yaml.as_bytes())?;
         Ok(folder)
     }
 
-    /// The disk never took what is left: it is counted as lost.
+    /// Gives up: counts everything that the disk never confirmed as lost, for this cause.
     pub fn abandon(mut self, cause: &str) {
-        for Kept { waiting, is_counted } in self.kept.drain(..) {
-            self.shared.lost(&waiting.entry, is_counted, cause);
+        for UnconfirmedEntry { waiting, is_counted } in self.kept.drain(..) {
+            self.shared.count_lost(&waiting.entry, is_counted, cause);
             self.shared.release(&waiting.entry);
         }
         drop(self.segment.take().map(Segment::give_up));
     }
 
+    /// Folder of the session, once it has been made.
     pub fn folder(&self) -> Option<&Path> {
         self.folder.as_deref()
     }
 
-    /// Entries that the disk has confirmed: a try that fails with more of them was worth it.
+    /// Number of entries that the disk has confirmed. An attempt that fails but raises this number was worth it.
     pub fn confirmed(&self) -> u64 {
         self.confirmed
     }
 
-    /// When the oldest entry came that the disk has not confirmed.
-    fn oldest(&self) -> Option<Duration> {
+    /// When the oldest entry arrived that the disk has not confirmed.
+    fn oldest_taken(&self) -> Option<Duration> {
         self.kept.front().map(|kept| kept.waiting.taken)
     }
 
-    /// Entries that the disk has not confirmed.
+    /// Number of entries that the disk has not confirmed.
     #[cfg(test)]
     pub fn kept(&self) -> usize {
         self.kept.len()
     }
 
+    /// Writes all kept entries, segment by segment, and syncs after each batch.
     fn write_all(&mut self) -> Result<(), RecordingError> {
         let folder = self.open_session()?;
         while let Some(kept) = self.kept.get(self.written) {
@@ -244,7 +266,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// The folder, made when it is needed first; each step can be repeated.
+    /// Makes folder, session file and manifest when they are needed first. Each step can be repeated after a failure.
     fn open_session(&mut self) -> Result<PathBuf, RecordingError> {
         let storage = self.storage.as_ref();
         let captures = &self.plan.captures;
@@ -266,9 +288,9 @@ impl Recorder {
             }
             write_atomically(storage, &folder.join(SESSION_FILE), &serde_json::to_vec_pretty(&self.plan.info)?)?;
             storage.sync_folder(captures).map_err(failed)?;
-            // The folder of all captures may be as new.
+            // The folder of all captures may be new as well.
             captures.parent().map_or(Ok(()), |parent| storage.sync_folder(parent)).map_err(failed)?;
-            // A repair that is at it will be done in a moment.
+            // A repair that holds the lock will soon be done, and the recorder tries again.
             let busy = || RecordingError::io(&folder, io::ErrorKind::ResourceBusy.into());
             self.lock = Some(storage.lock(&folder.join(SESSION_FILE)).map_err(failed)?.ok_or_else(busy)?);
             self.is_ready = true;
@@ -287,9 +309,11 @@ impl Recorder {
         Ok(folder)
     }
 
+    /// Begins a segment: identity of the session, state of the filter, ends of segments that were given up, latched
+    /// messages.
     fn begin_segment(&mut self, folder: &Path, beginning: Option<&Beginning>) -> Result<(), RecordingError> {
         let created = Segment::create(&self.storage, folder, self.next_index);
-        // A file that is in the way, as of a try that failed halfway, has used the number up as well.
+        // A file that is in the way, left by an attempt that failed halfway, uses up the number as well.
         if created.is_ok() || created.as_ref().is_err_and(RecordingError::already_exists) {
             self.next_index += 1;
         }
@@ -317,7 +341,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// The next entry that is not written yet.
+    /// Writes the next entry that is not written yet. A message that cannot be written at all becomes a gap.
     fn write(&mut self) -> Result<(), RecordingError> {
         let (Some(segment), Some(kept)) = (&mut self.segment, self.kept.get_mut(self.written)) else { return Ok(()) };
         let entry = &kept.waiting.entry;
@@ -325,7 +349,7 @@ impl Recorder {
             Entry::Message(message, kind) => {
                 match segment.write(message) {
                     Err(error) if error.is_of_the_message() => {
-                        self.shared.lost(entry, kept.is_counted, error.cause());
+                        self.shared.count_lost(entry, kept.is_counted, error.cause());
                         kept.waiting.entry = Entry::Gap(gap_of(message, *kind, error.cause()));
                         return self.write();
                     }
@@ -342,14 +366,14 @@ impl Recorder {
                         counts.valid += u64::from(at.is_some());
                         at.iter().for_each(|at| segment.valid_pose(*at));
                     }
-                    Kind::Latched => keep(&mut self.latched, message),
+                    Kind::Latched => remember_latched(&mut self.latched, message),
                     Kind::Other => {}
                 }
             }
             Entry::Gap(gap) => {
                 let message = self.gaps.message(gap);
                 segment.write(&message)?;
-                note_gap(&mut segment.counts, gap);
+                count_gap(&mut segment.counts, gap);
             }
             Entry::Untagged(cause) => *segment.counts.untagged.entry(cause.clone()).or_default() += 1,
             Entry::Thinned => {
@@ -360,36 +384,37 @@ impl Recorder {
         }
         if !kept.is_counted {
             kept.is_counted = true;
-            self.shared.written(&kept.waiting.entry);
+            self.shared.count_written(&kept.waiting.entry);
         }
         Ok(())
     }
 
-    /// What is written becomes what is confirmed.
+    /// Asks the disk to confirm the segment and forgets the entries that it holds.
     fn sync(&mut self) -> Result<(), RecordingError> {
         let Some(segment) = &mut self.segment else { return Ok(()) };
         segment.sync()?;
         let ended = self.storage.now();
         self.cuts.clear();
-        self.pace.confirmed(self.oldest().unwrap_or(ended), ended);
+        self.schedule.confirmed(self.oldest_taken().unwrap_or(ended), ended);
         let mut frames = 0;
-        for Kept { waiting, .. } in self.kept.drain(..self.written) {
+        for UnconfirmedEntry { waiting, .. } in self.kept.drain(..self.written) {
             frames += u64::from(waiting.entry.is_frame());
-            self.had.add(&waiting.entry);
+            self.open_content.add(&waiting.entry);
             self.shared.release(&waiting.entry);
         }
         self.confirmed += self.written as u64;
         (self.written, self.written_bytes) = (0, 0);
-        let pace = &self.pace;
+        let schedule = &self.schedule;
         self.shared.update(|status| {
             status.frames_synced += frames;
-            status.worst_stall_ms = pace.worst_stall_ms();
-            status.worst_unsynced_ms = pace.worst_unsynced_ms();
-            status.loss_bound_ms = pace.loss_bound_ms();
+            status.worst_stall_ms = schedule.worst_stall_ms();
+            status.worst_unsynced_ms = schedule.worst_unsynced_ms();
+            status.loss_bound_ms = schedule.loss_bound_ms();
         });
         Ok(())
     }
 
+    /// Finishes the open segment and notes it in the manifest.
     fn finish_segment(&mut self) -> Result<(), RecordingError> {
         let Some(segment) = self.segment.take() else { return Ok(()) };
         match segment.finish() {
@@ -402,7 +427,8 @@ impl Recorder {
         }
     }
 
-    /// The line stands in memory in any case: a manifest that failed is written anew.
+    /// Appends a segment to the manifest. The line stays in memory in any case: a manifest that could not be written
+    /// is written anew.
     fn note_finished(&mut self, Finished { line, topics }: Finished) -> Result<(), RecordingError> {
         for (topic, messages) in topics {
             *self.topics.entry(topic).or_default() += messages;
@@ -410,7 +436,7 @@ impl Recorder {
         let mut text = serde_json::to_vec(&line)?;
         text.push(b'\n');
         self.lines.push(line);
-        self.had_before.join(std::mem::take(&mut self.had));
+        self.finished_content.join(std::mem::take(&mut self.open_content));
         let Some(manifest) = self.manifest.take() else { return Ok(()) };
         let appended = io::Write::write_all(&mut Appending(Arc::clone(&manifest)), &text);
         match appended.and_then(|()| manifest.sync()) {
@@ -425,7 +451,9 @@ impl Recorder {
         }
     }
 
-    fn give_up_after<T>(&mut self, done: Result<T, RecordingError>) -> Result<T, RecordingError> {
+    /// Passes a success on; after an error gives up the open segment and finds out whether somebody has removed the
+    /// folder.
+    fn give_up_on_error<T>(&mut self, done: Result<T, RecordingError>) -> Result<T, RecordingError> {
         let error = match done {
             Ok(done) => {
                 self.away_since = None;
@@ -433,9 +461,9 @@ impl Recorder {
             }
             Err(error) => error,
         };
-        self.pace.failed();
+        self.schedule.failed();
         (self.written, self.written_bytes) = (0, 0);
-        self.batch_bytes = LEAST_UNSYNCED_BYTES;
+        self.batch_bytes = MIN_UNSYNCED_BYTES;
         let mut is_segment_removed = false;
         if let Some(segment) = self.segment.take() {
             is_segment_removed = segment.is_removed();
@@ -443,31 +471,34 @@ impl Recorder {
             self.note_cut(cut);
         }
         let Some(folder) = self.folder.clone() else { return Err(error) };
-        match self.whereabouts(&folder) {
+        match self.find_folder(&folder) {
             Whereabouts::Removed => {
-                self.begin_anew();
+                self.begin_new_session();
                 Err(RecordingError::Removed(folder))
             }
             Whereabouts::Away => Err(RecordingError::io(&folder, io::ErrorKind::NotFound.into())),
             Whereabouts::Here => {
                 if is_segment_removed {
-                    let had = std::mem::take(&mut self.had);
-                    self.tell_removed(had);
+                    let content = std::mem::take(&mut self.open_content);
+                    self.report_removed(content);
                 }
                 Err(error)
             }
         }
     }
 
-    /// Of the session's folder. If it is gone while that of all captures is there, on the same file system, somebody has removed or
-    /// moved it. Where the captures are gone as well they may come back, as a disk that was away: they are waited for.
-    fn whereabouts(&mut self, folder: &Path) -> Whereabouts {
+    /// Finds out what has become of the session's folder.
+    ///
+    /// If it is gone while the folder of all captures is there, on the same file system, somebody has removed or
+    /// moved it. If the folder of all captures is gone as well, it may come back, as a disk that was unplugged does,
+    /// and is waited for.
+    fn find_folder(&mut self, folder: &Path) -> Whereabouts {
         let (storage, captures) = (self.storage.as_ref(), &self.plan.captures);
         let is_missing =
             |error: io::Error| matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory);
         let is_gone = match self.is_ready {
             true => storage.read(&folder.join(SESSION_FILE)).is_err_and(is_missing),
-            // It has nothing in it yet.
+            // The session's file is not written yet, so the folder itself is looked for.
             false => storage.volume(folder).is_err_and(is_missing),
         };
         if !is_gone {
@@ -484,12 +515,12 @@ impl Recorder {
         if is_removed { Whereabouts::Removed } else { Whereabouts::Away }
     }
 
-    /// Another folder, with another identity: if the old one was only moved, there are two sessions. What was in it counts as lost,
-    /// and a gap in the new one tells so.
-    fn begin_anew(&mut self) {
-        let mut had = std::mem::take(&mut self.had_before);
-        had.join(std::mem::take(&mut self.had));
-        self.tell_removed(had);
+    /// Begins another session, with an identity of its own: if the old folder was only moved, there are two sessions.
+    /// The content of the old one counts as lost, and a gap in the new one says so.
+    fn begin_new_session(&mut self) {
+        let mut content = std::mem::take(&mut self.finished_content);
+        content.join(std::mem::take(&mut self.open_content));
+        self.report_removed(content);
         (self.folder, self.lock, self.manifest, self.away_since) = (None, None, None, None);
         (self.is_ready, self.next_index) = (false, 0);
         self.lines.clear();
@@ -503,35 +534,37 @@ impl Recorder {
             self.plan.info.started = started.to_string();
             self.plan.name = folder_name(started, &self.plan.info.robot);
         }
-        self.shared.begin_anew();
+        self.shared.request_segment();
     }
 
-    /// Behind what is kept and written no more, so that the gap stands before what comes after.
-    fn tell_removed(&mut self, had: Had) {
-        let Some(gap) = had.gap(REMOVED) else { return };
-        self.shared.removed(&had, REMOVED);
+    /// Counts removed content as lost and puts a gap in front of all entries that are not written yet.
+    fn report_removed(&mut self, content: ConfirmedContent) {
+        let Some(gap) = content.gap(REMOVED) else { return };
+        self.shared.count_removed(&content, REMOVED);
         let entry = Entry::Gap(gap);
-        self.shared.take_at_once(&entry);
+        self.shared.hold_unqueued(&entry);
         let taken = self.storage.now();
-        self.kept.push_front(Kept { waiting: Waiting { entry, taken }, is_counted: true });
+        self.kept.push_front(UnconfirmedEntry { waiting: QueuedEntry { entry, taken }, is_counted: true });
     }
 
+    /// Remembers where a segment that was given up ends.
     fn note_cut(&mut self, cut: Cut) {
         self.shared.update(|status| status.segments_given_up += 1);
         self.cuts.push(cut);
     }
 }
 
-/// Of a session's folder.
+/// Name of a session's folder: the time of its first message and the robot's name.
 pub fn folder_name(started: jiff::Timestamp, robot: &str) -> String {
     format!("{}-{robot}", started.strftime("%Y-%m-%dT%H-%M-%SZ"))
 }
 
-/// The parent of a plain name is the empty path.
+/// Path that can be opened: the parent of a plain name is the empty path, and stands for `.`.
 fn non_empty(path: &Path) -> &Path {
     if path.as_os_str().is_empty() { Path::new(".") } else { path }
 }
 
+/// Makes the session's folder, with a suffix if the name is taken.
 fn new_folder(storage: &dyn Storage, captures: &Path, name: &str) -> Result<PathBuf, RecordingError> {
     for suffix in 1..=MAX_SUFFIX {
         let folder = captures.join(if suffix == 1 { name.to_owned() } else { format!("{name}-{suffix}") });
@@ -545,7 +578,7 @@ fn new_folder(storage: &dyn Storage, captures: &Path, name: &str) -> Result<Path
     Err(RecordingError::Io { path: captures.join(name), source })
 }
 
-/// One that is there already is as good.
+/// Makes a folder that the group may write into; one that exists is as good.
 fn create_shared_folder(storage: &dyn Storage, path: &Path) -> Result<(), RecordingError> {
     match storage.create_shared_folder(path) {
         Err(source) if source.kind() != io::ErrorKind::AlreadyExists => {
@@ -555,8 +588,9 @@ fn create_shared_folder(storage: &dyn Storage, path: &Path) -> Result<(), Record
     }
 }
 
-/// Many drivers send calibration with every frame, and constants again and again: once is enough.
-fn keep(latched: &mut Vec<LogMessage>, message: &LogMessage) {
+/// Remembers a latched message. Many drivers send calibration with every frame, and constants again and again: one of
+/// each is enough.
+fn remember_latched(latched: &mut Vec<LogMessage>, message: &LogMessage) {
     let newest_only = message.channel.type_name == CameraInfo::TYPE;
     let is_known = |known: &LogMessage| {
         known.channel.topic == message.channel.topic && (newest_only || known.data == message.data)
@@ -568,7 +602,8 @@ fn keep(latched: &mut Vec<LogMessage>, message: &LogMessage) {
     }
 }
 
-pub(super) fn note_gap(counts: &mut Counts, gap: &Gap) {
+/// Adds what a gap says was dropped to the counts.
+pub(super) fn count_gap(counts: &mut Counts, gap: &Gap) {
     counts.captured += gap.frames;
     let sums =
         [(gap.frames, &mut counts.dropped), (gap.messages, &mut counts.lost), (gap.untagged, &mut counts.untagged)];
@@ -579,6 +614,7 @@ pub(super) fn note_gap(counts: &mut Counts, gap: &Gap) {
     }
 }
 
+/// Gap in place of a single message.
 fn gap_of(message: &LogMessage, kind: Kind, cause: &str) -> Gap {
     let frames = u64::from(kind == Kind::Frame);
     let at_ns = message.log_time_ns;

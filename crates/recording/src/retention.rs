@@ -1,4 +1,5 @@
-//! What may stay on the robot's disk: nothing goes that a dev machine has not acknowledged.
+//! What may stay on the robot's disk: the recorder makes room, but removes nothing that no other store has
+//! acknowledged.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -9,15 +10,15 @@ use serde::{Deserialize, Serialize};
 
 use super::acknowledgement::receiver_on;
 use super::catalogue::{Session, sessions_on};
+use super::deletion_rules::releasable;
 use super::error::RecordingError;
 use super::manifest::{EVICTED_FILE, ManifestLine};
-use super::release::releasable;
-use super::shared::Allowed;
+use super::record_queue::Allowed;
 use super::status::{RecorderStatus, Stopped};
 use super::storage::{Appending, Kind, Listed, Space, Storage, read_small};
 use realitysim_config::RecordingSettings;
 
-/// Of the config, in bytes.
+/// Limits of the disk's use, from the settings, in bytes; 0 means no limit.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Limits {
     captures: PathBuf,
@@ -27,26 +28,31 @@ pub(super) struct Limits {
     total_bytes: u64,
 }
 
-/// A line of `evicted.jsonl`: what was removed, and who has it.
+/// A line of `evicted.jsonl`: a segment that was removed, and the store that has it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Evicted {
+    /// Name of the segment.
     pub file: String,
+    /// Size of the file, bytes.
     pub bytes: u64,
+    /// BLAKE3 hash of the file, hexadecimal.
     pub blake3: String,
+    /// The store that has it, by its name as a receiver.
     pub receiver: String,
 }
 
-/// From this share of a quota on frames are left out: tags and measurements have the rest, and at the quota nothing is written.
+/// Share of a quota from which on frames are left out. Tags and measurements have the rest; at the quota nothing is
+/// written.
 const FRAMES_SHARE: f64 = 0.9;
-/// Below this share of the floor nothing is recorded any more, not even tags.
+/// Share of the floor below which nothing is recorded, not even tags.
 const HARD_SHARE: f64 = 0.25;
-/// Fewer free inodes than this count as no room.
-const FEWEST_INODES: u64 = 16;
-/// Segments removed at one look, so that the recorder is not kept waiting.
+/// Free inodes below which the disk counts as full.
+const MIN_FREE_INODES: u64 = 16;
+/// Most segments removed in one check, so that the recorder is not delayed.
 const MAX_EVICTED_AT_ONCE: usize = 8;
-/// Sessions whose sizes are summed up.
+/// Most sessions whose sizes are summed up.
 const MAX_SESSIONS: usize = 100_000;
-/// Where nothing may go, all sessions are looked through no more often than this.
+/// Least time between two searches through all sessions, while no segment may be removed.
 const SEARCH_EVERY: Duration = Duration::from_secs(10);
 
 impl Limits {
@@ -60,21 +66,26 @@ impl Limits {
         }
     }
 
+    /// Free bytes that are to be kept on a disk of this size.
     fn floor(&self, space: &Space) -> u64 {
         self.floor_bytes.max((space.total_bytes as f64 * self.floor_share) as u64)
     }
 }
 
-/// What a look at the disk found.
+/// Result of a check of the disk.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Seen {
+pub(super) struct SpaceCheck {
+    /// What may be written.
     pub allowed: Allowed,
+    /// Free bytes; `None` if the disk does not say.
     pub free_bytes: Option<u64>,
+    /// Segments that were removed.
     pub evicted: Vec<Evicted>,
 }
 
-impl Seen {
-    pub fn tell(&self, status: &mut RecorderStatus) {
+impl SpaceCheck {
+    /// Writes the result into the recorder's status.
+    pub fn report_to(&self, status: &mut RecorderStatus) {
         status.free_bytes = self.free_bytes;
         status.stopped = match self.allowed {
             Allowed::All => None,
@@ -86,29 +97,33 @@ impl Seen {
     }
 }
 
+/// Watches the room on the disk and removes acknowledged segments when there is too little.
 pub(super) struct Retention {
     storage: Arc<dyn Storage>,
     limits: Limits,
-    searched_in_vain: Option<Duration>,
+    /// When a search found no segment that may be removed.
+    last_futile_search: Option<Duration>,
 }
 
 impl Retention {
     pub fn new(storage: Arc<dyn Storage>, limits: Limits) -> Self {
-        Self { storage, limits, searched_in_vain: None }
+        Self { storage, limits, last_futile_search: None }
     }
 
-    /// Makes room if there is too little, as far as that is allowed. A disk that does not answer stops nothing here: the
-    /// recorder's own writes tell what is wrong.
-    pub fn look(&mut self, session: Option<&Path>) -> Seen {
-        let mut seen = Seen::default();
+    /// Checks the room on the disk, and makes room as far as that is allowed.
+    ///
+    /// A disk that does not answer allows everything here: the recorder's own writes tell what is wrong.
+    pub fn check_space(&mut self, session: Option<&Path>) -> SpaceCheck {
+        let mut seen = SpaceCheck::default();
         (seen.allowed, seen.free_bytes) = self.judge(session);
         if seen.allowed == Allowed::All || !frees_by_eviction(seen.allowed) {
             return seen;
         }
-        // While a prune or a sync has its turn here nothing goes: what it looks at would be another's last copy. At the next look.
+        // While a prune or a sync holds the lock, nothing is removed: it might be about to delete the other copy. The
+        // next check tries again.
         let Ok(Some(_turn)) = self.storage.lock(&self.limits.captures) else { return seen };
-        for going in self.going() {
-            let Ok(evicted) = going.evict(self.storage.as_ref()) else { continue };
+        for eviction in self.evictable_segments() {
+            let Ok(evicted) = eviction.evict(self.storage.as_ref()) else { continue };
             seen.evicted.push(evicted);
             (seen.allowed, seen.free_bytes) = self.judge(session);
             if seen.allowed == Allowed::All || seen.evicted.len() >= MAX_EVICTED_AT_ONCE {
@@ -118,6 +133,7 @@ impl Retention {
         seen
     }
 
+    /// Compares free room and quotas with their limits.
     fn judge(&self, session: Option<&Path>) -> (Allowed, Option<u64>) {
         let Limits { captures, session_bytes, total_bytes, .. } = &self.limits;
         let Ok(space) = self.storage.space(captures) else { return (Allowed::All, None) };
@@ -133,7 +149,7 @@ impl Retention {
             Allowed::Nothing(SESSION_QUOTA)
         } else if free < floor {
             Allowed::NoFrames("disk_full")
-        } else if space.free_inodes < FEWEST_INODES {
+        } else if space.free_inodes < MIN_FREE_INODES {
             Allowed::NoFrames("no_inodes")
         } else if of_all >= FRAMES_SHARE {
             Allowed::NoFrames(TOTAL_QUOTA)
@@ -145,31 +161,33 @@ impl Retention {
         (allowed, Some(free))
     }
 
+    /// Bytes of all sessions.
     fn used(&self) -> u64 {
         let folders = self.storage.list(&self.limits.captures).unwrap_or_default().into_iter();
         let folders = folders.filter(|entry| entry.kind == Kind::Folder).take(MAX_SESSIONS);
         folders.map(|entry| self.used_by(&self.limits.captures.join(entry.name))).sum()
     }
 
+    /// Bytes of one session.
     fn used_by(&self, session: &Path) -> u64 {
         self.storage.list(session).unwrap_or_default().iter().filter_map(Listed::bytes).sum()
     }
 
-    /// Segments that may go, in the order in which they do.
-    fn going(&mut self) -> VecDeque<Going> {
+    /// Segments that may be removed, in the order of removal.
+    fn evictable_segments(&mut self) -> VecDeque<Eviction> {
         let now = self.storage.now();
-        if self.searched_in_vain.is_some_and(|searched| now.saturating_sub(searched) < SEARCH_EVERY) {
+        if self.last_futile_search.is_some_and(|searched| now.saturating_sub(searched) < SEARCH_EVERY) {
             return VecDeque::new();
         }
         let captures = &self.limits.captures;
         let sessions = sessions_on(self.storage.as_ref(), captures).map(|(sessions, _)| sessions).unwrap_or_default();
         let own = receiver_on(self.storage.as_ref(), captures);
         let going = releasable(&sessions, own.as_deref()).into_iter().flat_map(|of| {
-            let going = |(line, receiver)| Going::new(of.session, line, receiver);
+            let going = |(line, receiver)| Eviction::new(of.session, line, receiver);
             of.segments.into_iter().map(going).collect::<Vec<_>>()
         });
-        let going: VecDeque<Going> = going.take(2 * MAX_EVICTED_AT_ONCE).collect();
-        self.searched_in_vain = going.is_empty().then_some(now);
+        let going: VecDeque<Eviction> = going.take(2 * MAX_EVICTED_AT_ONCE).collect();
+        self.last_futile_search = going.is_empty().then_some(now);
         going
     }
 }
@@ -177,23 +195,23 @@ impl Retention {
 const TOTAL_QUOTA: &str = "total_quota";
 const SESSION_QUOTA: &str = "session_quota";
 
-/// More room for one session is not made by removing others.
+/// Whether removing other sessions' segments can help; it does not help against the quota of one session.
 fn frees_by_eviction(allowed: Allowed) -> bool {
     !matches!(allowed, Allowed::NoFrames(SESSION_QUOTA) | Allowed::Nothing(SESSION_QUOTA))
 }
 
-/// Of a limit; 0 is none.
+/// Used share of a limit; 0 where there is no limit.
 fn share(limit: u64, used: impl FnOnce() -> u64) -> f64 {
     if limit == 0 { 0.0 } else { used() as f64 / limit as f64 }
 }
 
-/// A segment that may go.
-struct Going {
+/// A segment that may be removed.
+struct Eviction {
     session: PathBuf,
     evicted: Evicted,
 }
 
-impl Going {
+impl Eviction {
     fn new(session: &Session, line: &ManifestLine, receiver: &str) -> Self {
         let evicted = Evicted {
             file: line.name.clone(),
@@ -204,7 +222,8 @@ impl Going {
         Self { session: session.folder.clone(), evicted }
     }
 
-    /// Whatever fails, nothing is lost: it is noted first, and a file that is still there is not gone.
+    /// Notes the removal, then removes the file. If either fails, nothing is lost: a file that is still there does
+    /// not count as removed.
     fn evict(self, storage: &dyn Storage) -> Result<Evicted, RecordingError> {
         note(storage, &self.session, &self.evicted)?;
         let path = self.session.join(&self.evicted.file);
@@ -214,6 +233,7 @@ impl Going {
     }
 }
 
+/// Appends a line to `evicted.jsonl`, if it is not there already.
 fn note(storage: &dyn Storage, session: &Path, evicted: &Evicted) -> Result<(), RecordingError> {
     let path = session.join(EVICTED_FILE);
     let failed = |source| RecordingError::io(&path, source);
@@ -227,16 +247,16 @@ fn note(storage: &dyn Storage, session: &Path, evicted: &Evicted) -> Result<(), 
         file => file,
     };
     let file = file.map_err(failed)?;
-    // Behind a line that was torn.
+    // The line feed in front ends a line that a power cut has torn.
     let text = [b"\n".as_slice(), &text].concat();
     std::io::Write::write_all(&mut Appending(Arc::clone(&file)), &text).and_then(|()| file.sync()).map_err(failed)?;
     storage.sync_folder(session).map_err(failed)
 }
 
-/// A larger file of this kind is not read to its end.
+/// Largest `evicted.jsonl` that is read, bytes.
 const MAX_EVICTED_BYTES: u64 = 16 << 20;
 
-/// What was removed from a session because somebody has it.
+/// Segments of a session that were removed because another store has them.
 pub(super) fn evicted_segments(storage: &dyn Storage, session: &Path) -> BTreeMap<String, Evicted> {
     let bytes = read_small(storage, &session.join(EVICTED_FILE), MAX_EVICTED_BYTES).ok().flatten().unwrap_or_default();
     let lines = bytes.split(|byte| *byte == b'\n');

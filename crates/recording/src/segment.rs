@@ -1,4 +1,4 @@
-//! One file of a capture while it is being written.
+//! One segment of a session while it is being written.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -7,55 +7,63 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::error::RecordingError;
-use super::hashing::Hashing;
+use super::hashing::HashingWriter;
 use super::manifest::{Counts, ManifestLine, PoseBox, TopicEntry};
 use super::storage::{Storage, StoredFile};
 use realitysim_ros2::mcap_read::{Channel, LogMessage, MetadataRecord};
 use realitysim_ros2::mcap_write::{ChannelId, LogWriter, RawChannel};
 
-/// What the open file ends with until it is complete.
+/// End of the name of a segment that is not finished.
 pub const ACTIVE: &str = ".active";
-/// A metadata record of this name says that an earlier segment ends before its file does: what stood behind is repeated
-/// here, because the disk never said that it had it.
+/// Name of the metadata record that says where an earlier segment ends, if that is before the end of its file. What
+/// stood behind that point is repeated in this segment, because the disk had not confirmed it.
 pub(super) const CUT_RECORD: &str = "realitysim.cut";
-/// Metadata record at the beginning: of which session a segment is, wherever somebody may copy it to.
+/// Name of the metadata record at the beginning that says which session the segment belongs to, wherever it may be
+/// copied to.
 const SESSION_RECORD: &str = "realitysim.session";
+/// Key of the session's identity.
 const SESSION_ID: &str = "id";
-/// A log has no checksum for such records.
+/// Key of a hash of the identity: MCAP has no checksum for metadata records.
 const SESSION_HASH: &str = "blake3";
 
-/// Of which session a metadata record says that the segment is; nothing if it is another record, or damaged.
+/// Identity of the session that a metadata record names; `None` if it is another record, or damaged.
 pub(super) fn session_in(record: &MetadataRecord) -> Option<&str> {
     let id = record.values.get(SESSION_ID).filter(|_| record.name == SESSION_RECORD)?;
     (record.values.get(SESSION_HASH) == Some(&hash_of(id))).then_some(id)
 }
 
+/// First 16 hexadecimal digits of the BLAKE3 hash of an identity.
 fn hash_of(id: &str) -> String {
     blake3::hash(id.as_bytes()).to_hex()[..16].to_owned()
 }
+/// Key of the name of the segment that was given up.
 pub(super) const CUT_SEGMENT: &str = "segment";
+/// Key of the number of bytes that count of it.
 pub(super) const CUT_BYTES: &str = "bytes";
 
+/// Name of a finished segment, as `0000.mcap`.
 pub(super) fn segment_name(index: u32) -> String {
     format!("{index:04}.mcap")
 }
 
-/// The number of a segment's file, finished or not; `None` if the name is not one of ours.
+/// Number of a segment's file, finished or not; `None` if the name is not a segment's.
 pub(super) fn segment_index(name: &str) -> Option<u32> {
     let digits = name.strip_suffix(ACTIVE).unwrap_or(name).strip_suffix(".mcap")?;
     let plain = (4..=9).contains(&digits.len()) && digits.bytes().all(|byte| byte.is_ascii_digit());
     if plain { digits.parse().ok() } else { None }
 }
 
-/// `0000.mcap`: what the recorder calls a finished segment, and nothing else.
+/// Whether a name is that of a finished segment, as `0000.mcap`.
 pub fn is_segment_name(name: &str) -> bool {
     !name.ends_with(ACTIVE) && segment_index(name).is_some()
 }
 
-/// A segment that was given up: what lies behind these bytes may or may not be on the disk.
+/// End of a segment that was given up: what lies behind these bytes may or may not be on the disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Cut {
+    /// Name of the segment.
     pub name: String,
+    /// Bytes of the file that count.
     pub bytes: u64,
 }
 
@@ -68,35 +76,40 @@ impl Cut {
 
 /// Why a segment could not be finished, and what became of it.
 pub(super) enum Unfinished {
+    /// The segment was given up.
     GivenUp(Cut, RecordingError),
-    /// It has its final name, but the folder may forget that.
+    /// The segment has its final name, but a power cut may undo that.
     Renamed(Box<Finished>, RecordingError),
 }
 
-/// What is said about a segment that is whole.
+/// Description of a segment that is whole.
 pub(super) struct Finished {
     pub line: ManifestLine,
     pub topics: BTreeMap<TopicEntry, u64>,
 }
 
+/// A segment that is being written.
 pub(super) struct Segment {
     storage: Arc<dyn Storage>,
     folder: PathBuf,
     name: String,
-    writer: LogWriter<Hashing<Gate>>,
-    /// The same file, to force it to disk while the writer owns the other handle.
+    writer: LogWriter<HashingWriter<Gate>>,
+    /// A second handle of the file, to sync it while the writer owns the first.
     file: Arc<dyn StoredFile>,
+    /// Whether the writer may still write to the file.
     open: Arc<AtomicBool>,
-    /// The file system can tell whether the file still bears its name.
+    /// Whether the file system can tell if the file still has its name.
     tells_its_place: bool,
+    /// Channels of the source, and their numbers in the file.
     channels: Vec<(Arc<Channel>, ChannelId)>,
-    /// Messages, in the order of the channels' numbers in the file.
+    /// Number of messages of each channel, by its number in the file.
     written: BTreeMap<ChannelId, (Arc<Channel>, u64)>,
     pub(super) counts: Counts,
     poses: Option<PoseBox>,
     first_ns: Option<i64>,
     last_ns: i64,
     messages: u64,
+    /// Bytes that the disk has confirmed.
     synced_bytes: u64,
 }
 
@@ -108,13 +121,13 @@ impl Segment {
         let file = storage.create(&path).map_err(|source| RecordingError::io(&path, source))?;
         let open = Arc::new(AtomicBool::new(true));
         let gate = Gate { file: Arc::clone(&file), open: Arc::clone(&open) };
-        let hashing = Hashing::new(gate);
+        let hashing = HashingWriter::new(gate);
         let created = storage
             .sync_folder(folder)
             .map_err(|source| RecordingError::io(folder, source))
             .and_then(|()| LogWriter::new(hashing).map_err(|source| RecordingError::log(&path, source)));
         let writer = created.inspect_err(|_| {
-            // It holds nothing, and the next try takes another number.
+            // The file is empty, and the next attempt takes another number.
             let _ = storage.remove(&path);
         })?;
         let tells_its_place = file.is_at(&path).unwrap_or(false);
@@ -137,11 +150,13 @@ impl Segment {
         })
     }
 
+    /// Writes an attachment, such as the state of the filter.
     pub(super) fn attach(&mut self, name: &str, log_time_ns: i64, data: &[u8]) -> Result<(), RecordingError> {
         let written = self.writer.attach(name, "application/octet-stream", log_time_ns, data);
         written.map_err(|source| RecordingError::log(&self.active(), source))
     }
 
+    /// Writes which session the segment belongs to.
     pub(super) fn belongs_to(&mut self, session: &str) -> Result<(), RecordingError> {
         let values =
             BTreeMap::from([(SESSION_ID.to_owned(), session.to_owned()), (SESSION_HASH.to_owned(), hash_of(session))]);
@@ -149,12 +164,13 @@ impl Segment {
         written.map_err(|source| RecordingError::log(&self.active(), source))
     }
 
+    /// Writes where an earlier segment ends that was given up.
     pub(super) fn continues(&mut self, cut: &Cut) -> Result<(), RecordingError> {
         let written = self.writer.metadata(CUT_RECORD, &cut.record());
         written.map_err(|source| RecordingError::log(&self.active(), source))
     }
 
-    /// A message, its bytes untouched.
+    /// Writes a message with its bytes unchanged.
     pub(super) fn write(&mut self, message: &LogMessage) -> Result<(), RecordingError> {
         let LogMessage { channel, sequence, log_time_ns, publish_time_ns, data } = message;
         let written = self.channel_of(channel).and_then(|id| {
@@ -169,11 +185,13 @@ impl Segment {
         Ok(())
     }
 
+    /// Extends the box around valid tags by a position, metres in `map`.
     pub(super) fn valid_pose(&mut self, [x, y]: [f64; 2]) {
         self.poses = Some(PoseBox::around(self.poses, x, y));
     }
 
-    /// Closes the chunk and forces everything to disk. What is on the disk and bears no name any more is lost all the same.
+    /// Closes the chunk and forces everything to disk. This fails if the file was removed, since what has no name is
+    /// lost.
     pub(super) fn sync(&mut self) -> Result<(), RecordingError> {
         self.writer.flush_chunk().map_err(|source| RecordingError::log(&self.active(), source))?;
         self.file.sync().map_err(|source| RecordingError::io(&self.active(), source))?;
@@ -184,7 +202,9 @@ impl Segment {
         Ok(())
     }
 
-    /// After [`sync`](Self::sync): footer, onto disk, then the final name. Whoever sees that name sees a whole file.
+    /// Writes footer and index, forces them to disk, and gives the file its final name.
+    ///
+    /// It is called after [`sync`](Self::sync). A file with a final name is whole.
     pub(super) fn finish(self) -> Result<Finished, Unfinished> {
         let (active, path) = (self.active(), self.folder.join(&self.name));
         let Self { storage, folder, name, writer, written, file, open, synced_bytes, .. } = self;
@@ -228,32 +248,34 @@ impl Segment {
         }
     }
 
-    /// Whether somebody has removed or moved its file. A file system that does not answer says nothing.
+    /// Whether somebody has removed or moved the file. If the file system does not answer, it counts as there.
     pub(super) fn is_removed(&self) -> bool {
         self.tells_its_place && !self.file.is_at(&self.active()).unwrap_or(true)
     }
 
-    /// Nothing more is written to it, and nothing that was not synced is left in it if the disk allows that.
+    /// Ends the segment at what is confirmed: nothing more is written, and what was not synced is cut off if the disk
+    /// allows that.
     pub(super) fn give_up(self) -> Cut {
         self.open.store(false, Ordering::Relaxed);
         let _ = self.file.set_len(self.synced_bytes);
-        // What bears its name now, if it was removed, is somebody else's.
+        // If the file was removed, a file of that name is somebody else's.
         if self.synced_bytes == 0 && !self.is_removed() {
             let _ = self.storage.remove(&self.active());
         }
         Cut { name: self.name.clone(), bytes: self.synced_bytes }
     }
 
+    /// Path of the unfinished file.
     fn active(&self) -> PathBuf {
         self.folder.join(format!("{}{ACTIVE}", self.name))
     }
 
-    /// One channel for all of the source's that are the same but for their number.
+    /// Number in the file of a channel of the source. Channels that differ only in their number share one.
     fn channel_of(&mut self, channel: &Arc<Channel>) -> Result<ChannelId, realitysim_ros2::mcap_write::WriteError> {
         if let Some((_, id)) = self.channels.iter().find(|(known, _)| Arc::ptr_eq(known, channel)) {
             return Ok(*id);
         }
-        // The next file of the source has entries of its own, and so has each of several senders.
+        // Each file of the source, and each of several senders, has channels of its own.
         let known = self.channels.iter().find(|(known, _)| is_same(known, channel)).map(|(_, id)| *id);
         let id = match known {
             Some(id) => id,
@@ -264,12 +286,13 @@ impl Segment {
     }
 }
 
-/// Whether the file may take both for one.
+/// Whether two channels differ at most in their number.
 fn is_same(one: &Channel, other: &Channel) -> bool {
     *one == Channel { id: one.id, ..other.clone() }
 }
 
-/// The file until the segment is given up: what the writers above still hold must not reach it then.
+/// The file, closed to writes once the segment is given up: data that the writers above still buffer must not reach
+/// it.
 struct Gate {
     file: Arc<dyn StoredFile>,
     open: Arc<AtomicBool>,

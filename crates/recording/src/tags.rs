@@ -1,4 +1,4 @@
-//! Tags read back out of a capture.
+//! Reading of tags and other messages back out of a capture.
 
 use std::path::{Path, PathBuf};
 
@@ -14,25 +14,45 @@ use realitysim_ros2::topics;
 /// Why nothing could be read of a topic.
 #[derive(Debug, Error)]
 pub enum ReadoutError {
+    /// The log could not be opened or read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// `hint` says what may have been meant; `loss` is the first thing that is missing of the log.
+    /// The log has no message of the topic.
     #[error("{path}: no message on {topic}: {hint}{}", loss.as_ref().map(|l| format!(" ({l})")).unwrap_or_default())]
-    NoMessages { path: String, topic: String, hint: Box<str>, loss: Option<Loss> },
+    NoMessages {
+        /// The log.
+        path: String,
+        /// The topic.
+        topic: String,
+        /// What may have been meant instead.
+        hint: Box<str>,
+        /// The first part that is missing of the log, if there is one.
+        loss: Option<Loss>,
+    },
+    /// A message could not be decoded.
     #[error("{path}: {topic}: {source}")]
-    Message { path: String, topic: String, source: CdrError },
+    Message {
+        /// The log.
+        path: String,
+        /// The topic.
+        topic: String,
+        /// Error of the decoder.
+        source: CdrError,
+    },
 }
 
 /// What could be read of a log, and what is lost of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Readout<T> {
+    /// What was read, in the order of the log.
     pub found: Vec<T>,
+    /// Parts of the log that cannot be read.
     pub losses: Vec<Loss>,
-    /// Why what was found may not be what it is taken for.
+    /// Reasons why what was read may not be what it is taken for.
     pub warnings: Vec<String>,
 }
 
-/// All tags of a capture (a folder or one of its segments), in the order of the frames.
+/// Reads all tags of a capture (a folder or one of its segments), in the order of the frames.
 pub fn read_tags(path: &Path) -> Result<Readout<FrameTag>, ReadoutError> {
     let hint = || "is it a capture, and of a time with frames? `realitysim replay` makes one".to_owned();
     let read = read_topic(path, topics::FRAME_TAG, hint)?;
@@ -47,7 +67,9 @@ pub fn read_tags(path: &Path) -> Result<Readout<FrameTag>, ReadoutError> {
     Ok(Readout { found, losses: read.losses, warnings: read.warnings })
 }
 
-/// All messages of one topic of a log or capture, whatever their type. A log without any is an error, which ends with `hint`.
+/// Reads all messages of one topic of a log or capture, whatever their type.
+///
+/// A log without any is an error, which ends with `hint`.
 pub fn read_topic(path: &Path, name: &str, hint: impl FnOnce() -> String) -> Result<Readout<LogMessage>, ReadoutError> {
     let mut source = LogSource::with_outputs(files_of(path)?, Selection::topics([name]));
     let found = source.by_ref().collect::<Result<Vec<_>, _>>()?;
@@ -63,7 +85,7 @@ pub fn read_topic(path: &Path, name: &str, hint: impl FnOnce() -> String) -> Res
     })
 }
 
-/// What is missing of a capture by its manifest, and what its readers met.
+/// What is missing of a capture according to its manifest, together with the damage that its readers met.
 pub fn losses(path: &Path, damage: &[(PathBuf, Damage)]) -> Vec<Loss> {
     let mut losses = missing_parts(path);
     damage.iter().for_each(|(file, damage)| Loss::of_damage(file, damage).join(&mut losses));

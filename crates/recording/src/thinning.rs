@@ -1,20 +1,23 @@
-//! Which frames are worth their bytes. Pure: what was kept, and this frame's pose, decide.
+//! Thinning: which frames are worth their bytes.
+//!
+//! The decision is pure: it depends on the frames that were kept and on the pose of this one.
 
 use realitysim_config::{ThinningMode, ThinningSettings};
 use realitysim_geometry::{Isometry, PoseGrid};
 
-/// The memory of one session.
+/// Memory of thinning over one session.
 #[derive(Clone, Debug)]
 pub struct Thinning {
     settings: ThinningSettings,
-    /// Images kept whose pose is known.
+    /// Number of kept images of known pose, by cell.
     grid: PoseGrid,
+    /// Pose of the last frame that was kept and whose pose is known.
     last_kept: Option<Isometry>,
     rate: Rate,
     unknown: Rate,
 }
 
-/// Lets through what keeps a mean rate.
+/// Limiter that lets frames through at a mean rate.
 #[derive(Clone, Copy, Debug)]
 struct Rate {
     period_ns: i64,
@@ -23,29 +26,32 @@ struct Rate {
 }
 
 impl Thinning {
-    /// `grid` is empty, or says what earlier sessions have.
+    /// Begins a session; `grid` is empty, or holds the images of earlier sessions.
     pub fn new(settings: ThinningSettings, grid: PoseGrid) -> Self {
         let (rate, unknown) = (Rate::new(settings.rate_hz), Rate::new(settings.unknown_hz));
         Self { settings, grid, last_kept: None, rate, unknown }
     }
 
-    /// Whether frames wait for their tags before it is known if they are written.
+    /// Whether a frame has to be tagged before it is known if it is written.
     pub fn thins(&self) -> bool {
         self.settings.mode != ThinningMode::All
     }
 
+    /// Number of kept images, by cell.
     pub fn coverage(&self) -> &PoseGrid {
         &self.grid
     }
 
-    /// Whether the frame of this stamp is kept; `pose` of `camera_link` in `map` if its tag is valid, `sigma_m` its standard deviation in
-    /// x, y along the longer axis. Remembers it if so.
+    /// Whether the frame with this stamp is kept; a kept frame is remembered.
+    ///
+    /// `pose` is the pose of `camera_link` in `map`, if the tag is valid, and `sigma_m` the standard deviation of its
+    /// position along the longer axis in x and y, m.
     pub fn keeps(&mut self, stamp_ns: i64, pose: Option<&Isometry>, sigma_m: f64) -> bool {
         let known = pose.filter(|_| 100.0 * sigma_m <= self.settings.max_sigma_cm);
         let keeps = match (self.settings.mode, known) {
             (ThinningMode::All, _) => true,
             (ThinningMode::Rate, _) => self.rate.lets_through(stamp_ns),
-            // Whether it shows anything new is not known.
+            // Without a pose nobody knows whether the frame shows anything new.
             (_, None) => self.unknown.lets_through(stamp_ns),
             (ThinningMode::Novelty, Some(pose)) => self.is_new(pose),
             (ThinningMode::Coverage, Some(pose)) => self.is_wanted(pose) && self.is_new(pose),
@@ -57,7 +63,7 @@ impl Thinning {
         keeps
     }
 
-    /// Moved or turned far enough from the last one that was kept.
+    /// Whether the pose has moved or turned far enough from the last one that was kept.
     fn is_new(&self, pose: &Isometry) -> bool {
         self.last_kept.is_none_or(|last| {
             let between = last.rotation.conjugate() * pose.rotation;
@@ -67,7 +73,7 @@ impl Thinning {
         })
     }
 
-    /// The cell lacks images; off the carpet none is wanted.
+    /// Whether the cell of the pose lacks images; off the carpet none is wanted.
     fn is_wanted(&self, pose: &Isometry) -> bool {
         self.grid.images_at(pose).is_some_and(|images| images < self.settings.images_per_cell)
     }
@@ -79,7 +85,7 @@ impl Rate {
     }
 
     fn lets_through(&mut self, stamp_ns: i64) -> bool {
-        // A clock that was set back begins anew.
+        // After the clock was set back, the rate starts anew.
         let anew = self.last_ns.is_none_or(|last| stamp_ns < last);
         if !anew && stamp_ns < self.due_ns {
             return false;
@@ -115,14 +121,14 @@ mod tests {
         thinning.rate = Rate::new(7.0);
         let kept = (0..3_000).filter(|frame| thinning.keeps(frame * FRAME_NS, None, 0.0)).count();
         assert!((698..=702).contains(&kept), "{kept} in 100 s at 7 Hz");
-        // After a pause the frames that did not come are not made up for; a clock set back does not stop it.
+        // Frames that did not come during a pause are not made up for, and a clock that is set back does not stop it.
         let from = 1_000_000_000_000;
         assert!(thinning.keeps(from, None, 0.0) && !thinning.keeps(from + FRAME_NS, None, 0.0));
         assert!(thinning.keeps(0, None, 0.0));
     }
 
     #[test]
-    fn a_standing_robot_is_kept_once_and_a_walking_one_each_so_many_centimetres_or_degrees() {
+    fn novelty_keeps_a_standing_robot_once_and_a_walking_one_by_distance() {
         let mut thinning = thinning(ThinningMode::Novelty);
         let mut kept = |x: f64, yaw: f64| thinning.keeps(0, Some(&pose(x, yaw)), 0.01);
         assert!(kept(0.0, 0.0));

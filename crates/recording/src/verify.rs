@@ -1,4 +1,4 @@
-//! Whether a session is what its manifest says, byte for byte.
+//! Verification: whether a session is what its manifest says, byte for byte.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -13,20 +13,22 @@ use super::retention::evicted_segments;
 use super::segment::{ACTIVE, is_segment_name, segment_index};
 use super::storage::{Kind, Storage};
 
-/// What was found of one session.
+/// Result of verifying one session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Verified {
+    /// Folder of the session.
     pub session: PathBuf,
-    /// Segments whose bytes have the hash of the manifest.
+    /// Segments whose bytes have the hash that the manifest says.
     pub sound: u64,
+    /// Bytes of these segments.
     pub bytes: u64,
-    /// Removed because a dev machine has them.
+    /// Segments that were removed because another store has them.
     pub evicted: u64,
-    /// What is wrong, and of what.
+    /// What is not as the manifest says.
     pub wrong: Vec<Loss>,
 }
 
-/// Every segment is read; nothing is changed.
+/// Reads every segment of a session and compares it with the manifest. Nothing is changed.
 pub fn verify(storage: &dyn Storage, session: &Path) -> Result<Verified, RecordingError> {
     read_head(storage, session)?;
     let mut verified = Verified { session: session.to_owned(), ..Verified::default() };
@@ -35,10 +37,11 @@ pub fn verify(storage: &dyn Storage, session: &Path) -> Result<Verified, Recordi
     let files = storage.list(session).map_err(|source| RecordingError::io(session, source))?;
     let evicted = evicted_segments(storage, session);
     for line in damaged {
-        // Torn while it was appended: its segment is there, and told below. Where not even a name is left, none was gone yet.
+        // A torn last line is no loss if its segment is there, which is reported below. Without a name in it, no
+        // segment had been removed yet.
         let is_there = |name: &String| files.iter().any(|file| file.name == *name) || evicted.contains_key(name);
         if !line.is_last || !line.name.as_ref().is_none_or(is_there) {
-            verified.wrong.push(Loss::new(&path, line.said()));
+            verified.wrong.push(Loss::new(&path, line.describe()));
         }
     }
     for line in &lines {
@@ -87,6 +90,7 @@ pub fn verify(storage: &dyn Storage, session: &Path) -> Result<Verified, Recordi
     Ok(verified)
 }
 
+/// BLAKE3 hash of a file, hexadecimal.
 pub(super) fn hash(storage: &dyn Storage, path: &Path) -> io::Result<String> {
     let mut hash = blake3::Hasher::new();
     io::copy(&mut storage.read(path)?, &mut hash)?;

@@ -1,4 +1,4 @@
-//! The recorder's thread: it alone waits for the disk, tries again what failed, and watches how much room is left.
+//! The recorder's thread: it waits for the disk, repeats what failed, and watches the room on the disk.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -7,42 +7,52 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 
 use super::error::RecordingError;
+use super::record_queue::{Allowed, Next, RecordQueue};
 use super::recorder::Recorder;
 pub(super) use super::retention::Limits;
 use super::retention::Retention;
-use super::shared::{Allowed, Next, Shared};
 use super::status::Fault;
 use super::storage::Storage;
 
+/// Handle of the recorder's thread.
 pub(super) struct Writer {
-    shared: Arc<Shared>,
+    shared: Arc<RecordQueue>,
     ended: Receiver<Result<PathBuf, RecordingError>>,
 }
 
-/// A disk that refuses is asked again after this time, then after twice of it ...
-const RETRY: Duration = Duration::from_millis(100);
-/// ... up to this.
+/// Pause before a disk that refused is tried again; it doubles with each failure.
+const MIN_RETRY: Duration = Duration::from_millis(100);
+/// Longest pause before a disk that refused is tried again.
 const MAX_RETRY: Duration = Duration::from_secs(3);
-/// So long a disk may take to let a session end. Less than a service manager waits.
+/// Longest time for a disk to let a session end, less than a service manager waits.
 pub const MAX_FINISH: Duration = Duration::from_secs(10);
-/// How often the free space is looked at.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Time between two checks of the free room.
+const SPACE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 impl Writer {
-    pub fn start(recorder: Recorder, shared: Arc<Shared>, storage: Arc<dyn Storage>, limits: Limits) -> Self {
+    /// Starts the thread.
+    pub fn start(recorder: Recorder, shared: Arc<RecordQueue>, storage: Arc<dyn Storage>, limits: Limits) -> Self {
         let (send, ended) = bounded(1);
         let retention = Retention::new(Arc::clone(&storage), limits);
-        let run = Run { recorder, shared: Arc::clone(&shared), storage, retention, looked: None, retry: RETRY };
+        let run = WriterThread {
+            recorder,
+            shared: Arc::clone(&shared),
+            storage,
+            retention,
+            last_space_check: None,
+            retry: MIN_RETRY,
+        };
         std::thread::spawn(move || {
-            let _ = send.send(run.until_the_end());
+            let _ = send.send(run.run_to_end());
         });
         Self { shared, ended }
     }
 
-    /// Waits until all is written, but not for ever.
+    /// Waits until everything is written, at most a little longer than [`MAX_FINISH`]. `now` is the time of the
+    /// storage's clock.
     pub fn finish(self, now: Duration) -> Result<PathBuf, RecordingError> {
         self.shared.close(now);
-        match self.ended.recv_timeout(MAX_FINISH + LOOK_EVERY) {
+        match self.ended.recv_timeout(MAX_FINISH + SPACE_CHECK_INTERVAL) {
             Ok(ended) => ended,
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                 let path = self.shared.folder().unwrap_or_default();
@@ -52,21 +62,23 @@ impl Writer {
     }
 }
 
-struct Run {
+/// State of the recorder's thread.
+struct WriterThread {
     recorder: Recorder,
-    shared: Arc<Shared>,
+    shared: Arc<RecordQueue>,
     storage: Arc<dyn Storage>,
     retention: Retention,
-    looked: Option<Duration>,
+    last_space_check: Option<Duration>,
     retry: Duration,
 }
 
-impl Run {
-    fn until_the_end(mut self) -> Result<PathBuf, RecordingError> {
+impl WriterThread {
+    /// Writes entries as they come, and ends the session when the queue is closed.
+    fn run_to_end(mut self) -> Result<PathBuf, RecordingError> {
         loop {
-            self.shared.go_round();
-            self.look_at_the_room();
-            let done = match self.shared.next(self.recorder.idle().min(LOOK_EVERY)) {
+            self.shared.count_round();
+            self.check_space();
+            let done = match self.shared.next(self.recorder.time_to_sync().min(SPACE_CHECK_INTERVAL)) {
                 Next::Write(waiting) => self.recorder.take(waiting),
                 Next::Idle => Ok(()),
                 Next::Closed => break,
@@ -78,14 +90,14 @@ impl Run {
         self.finish()
     }
 
-    /// Until the disk takes everything that was taken, or nothing more will come.
+    /// Tries again until the disk takes everything, or the queue is closed.
     fn wait_for_the_disk(&mut self, error: &RecordingError) {
         self.note_fault(error);
         while !self.shared.is_closed() {
             self.shared.pause(self.retry);
             self.retry = (2 * self.retry).min(MAX_RETRY);
-            self.look_at_the_room();
-            match self.while_it_helps(Recorder::go_on) {
+            self.check_space();
+            match self.retry_while_progressing(Recorder::write_pending) {
                 Ok(()) => break,
                 Err(error) => self.note_fault(&error),
             }
@@ -93,36 +105,39 @@ impl Run {
         self.recover();
     }
 
-    /// Again and again, as long as each try gets some more onto the disk: a file that may not grow, little room.
-    fn while_it_helps<T>(
+    /// Repeats an attempt as long as each gets some more onto the disk, as where a file may not grow or there is
+    /// little room.
+    fn retry_while_progressing<T>(
         &mut self,
-        go_on: impl Fn(&mut Recorder) -> Result<T, RecordingError>,
+        attempt: impl Fn(&mut Recorder) -> Result<T, RecordingError>,
     ) -> Result<T, RecordingError> {
         loop {
-            self.shared.go_round();
+            self.shared.count_round();
             let before = self.recorder.confirmed();
-            let done = go_on(&mut self.recorder);
+            let done = attempt(&mut self.recorder);
             if done.is_ok() || self.recorder.confirmed() == before {
                 return done;
             }
         }
     }
 
+    /// Shows a fault in the status; one that is shown already is not counted again.
     fn note_fault(&self, error: &RecordingError) {
-        let fault = Fault { cause: self.named(error), said: error.to_string() };
+        let fault = Fault { cause: self.cause_of(error), said: error.to_string() };
         let known = self.shared.status().fault;
         if known.as_ref() != Some(&fault) {
             self.shared.set_fault(Some(fault));
         }
     }
 
+    /// Clears the fault.
     fn recover(&mut self) {
-        self.retry = RETRY;
+        self.retry = MIN_RETRY;
         self.shared.set_fault(None);
     }
 
-    /// A disk says that it is full when it has no room for another file's name, too.
-    fn named(&self, error: &RecordingError) -> &'static str {
+    /// Cause of an error. A disk without inodes reports that it is full, although it has room.
+    fn cause_of(&self, error: &RecordingError) -> &'static str {
         let folder = self.recorder.folder().and_then(Path::parent).unwrap_or(Path::new("."));
         match error.cause() {
             "disk_full" if self.storage.space(folder).is_ok_and(|space| space.free_inodes == 0) => "no_inodes",
@@ -130,33 +145,35 @@ impl Run {
         }
     }
 
-    fn look_at_the_room(&mut self) {
+    /// Checks the free room, if it is time, and makes the segment whole when nothing may be written any more.
+    fn check_space(&mut self) {
         let now = self.storage.now();
-        if self.looked.is_some_and(|looked| now.saturating_sub(looked) < LOOK_EVERY) {
+        if self.last_space_check.is_some_and(|last| now.saturating_sub(last) < SPACE_CHECK_INTERVAL) {
             return;
         }
-        self.looked = Some(now);
-        let seen = self.retention.look(self.recorder.folder());
+        self.last_space_check = Some(now);
+        let seen = self.retention.check_space(self.recorder.folder());
         let before = self.shared.allowed();
         self.shared.allow(seen.allowed);
-        self.shared.update(|status| seen.tell(status));
+        self.shared.update(|status| seen.report_to(status));
         if matches!(seen.allowed, Allowed::Nothing(_)) && !matches!(before, Allowed::Nothing(_)) {
-            // Whole while it still can be. What fails now is tried again with the next entry.
-            let _ = self.recorder.rest();
+            // The segment is made whole while there is room. What fails now is tried again with the next entry.
+            let _ = self.recorder.complete_segment();
         }
     }
 
+    /// Ends the session; after [`MAX_FINISH`] gives up, and counts what is left as lost.
     fn finish(mut self) -> Result<PathBuf, RecordingError> {
         let began = self.storage.now();
         loop {
-            match self.while_it_helps(Recorder::finish) {
+            match self.retry_while_progressing(Recorder::finish) {
                 Ok(folder) => return Ok(folder),
                 Err(error) if self.storage.now().saturating_sub(began) >= MAX_FINISH => {
                     self.note_fault(&error);
                     self.recorder.abandon(error.cause());
                     return Err(error);
                 }
-                Err(_) => std::thread::sleep(RETRY),
+                Err(_) => std::thread::sleep(MIN_RETRY),
             }
         }
     }

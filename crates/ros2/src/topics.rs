@@ -1,28 +1,29 @@
-//! Topics that this program writes, and the names that mark what it writes on a topic of others.
+//! Names of the topics that this program writes, and of its entries on topics that it shares with others.
 //!
-//! Topics that it reads are settings: every robot names its own.
+//! The topics that it reads are settings, because every robot has names of its own.
 
-/// `geometry_msgs/PoseWithCovarianceStamped`: the pose of `camera_link` in `map`, of valid tags only.
+/// Topic of the valid tags as `geometry_msgs/PoseWithCovarianceStamped`: the pose of `camera_link` in `map`.
 pub const POSE: &str = "/camera/pose";
 
-/// `realitysim_msgs/FrameTag`: one for each frame, valid or not.
+/// Topic of all tags as `realitysim_msgs/FrameTag`: one for each frame, valid or not.
 pub const FRAME_TAG: &str = "/frame_tag";
 
-/// `realitysim_msgs/FrameTag` of no frame, and marked so: what odometry alone says while no frame comes.
+/// Topic of dead reckoning as `realitysim_msgs/FrameTag`: poses by odometry alone while no frame comes, marked as not valid.
 pub const PREDICTED_TAG: &str = "/predicted_tag";
 
-/// `diagnostic_msgs/DiagnosticArray`: one each second, and one for each gap. Robots use this topic as well; entries of this program
-/// have names that begin with [`DIAGNOSTICS_PREFIX`].
+/// Topic of diagnostics as `diagnostic_msgs/DiagnosticArray`: one each second, and one for each gap.
+///
+/// Robots use this topic as well; names of entries of this program begin with [`DIAGNOSTICS_PREFIX`].
 pub const DIAGNOSTICS: &str = "/diagnostics";
 
-/// The start of the name of each `DiagnosticStatus` that this program writes.
+/// Start of the name of each `DiagnosticStatus` that this program writes.
 pub const DIAGNOSTICS_PREFIX: &str = "realitysim: ";
 
-/// `diagnostic_msgs/DiagnosticArray`: what a rendered scene drew at random, for the whole scene and for each frame.
+/// Topic of what a rendered scene drew at random, for the whole scene and for each frame: `diagnostic_msgs/DiagnosticArray`.
 pub const SCENE_DRAWN: &str = "/scene/drawn";
 
-/// Topics that only an earlier run of this program can have written: a replay leaves them out of its input.
+/// Topics that only an earlier run of this program can have written; a replay leaves them out of its input.
 pub const OUTPUTS: [&str; 3] = [POSE, FRAME_TAG, PREDICTED_TAG];
 
-/// The name of the filter's state among the attachments of a segment.
+/// Name of the attachment of a segment that holds the checkpoint: the state of the filter.
 pub const CHECKPOINT_ATTACHMENT: &str = "filter_state";

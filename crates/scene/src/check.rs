@@ -1,4 +1,4 @@
-//! What a scene file may say. Every refusal names the key, its value and what would be right.
+//! Checks of the values in a scene file. Every error names the key, its value and what would be right.
 
 use core::fmt::Display;
 use core::ops::RangeInclusive;
@@ -7,37 +7,50 @@ use glam::DVec2;
 use thiserror::Error;
 
 use super::file::{CameraSection, InitialPose, Route, SceneFile, Still, Walk};
-use super::places::Places;
+use super::key_lines::KeyLines;
 use super::ranges::{Per, Range, Template};
-use super::{contradictions, effects};
+use super::{consistency, effects};
 use realitysim_geometry::{Field, FieldError, LensError};
 
+/// Reason why a scene file is refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SceneError {
-    /// Not TOML, an unknown key, a missing key or a wrong type.
+    /// The text is not TOML, or a key is unknown, missing or of the wrong type.
     #[error("{0}")]
     Toml(String),
+    /// A value is out of range or contradicts another one.
     #[error("{}{key} is {value}: {expected}", line.map(|line| format!("line {line}: ")).unwrap_or_default())]
-    Value { line: Option<usize>, key: String, value: String, expected: String },
+    Value {
+        /// Line of the key in the file, from 1, if known.
+        line: Option<usize>,
+        /// Key, for example `effect[1].gain`.
+        key: String,
+        /// The value that is wrong.
+        value: String,
+        /// What would be right.
+        expected: String,
+    },
+    /// The field is not possible.
     #[error("field: {0}")]
     Field(#[from] FieldError),
+    /// The lens is not possible.
     #[error("lens: {0}")]
     Lens(#[from] LensError),
 }
 
 impl SceneError {
-    /// Says in which line of the file the key stands, if it does.
-    pub(super) fn at(self, places: &Places) -> Self {
+    /// Adds the line of the key, if it is in the file.
+    pub(super) fn with_line(self, key_lines: &KeyLines) -> Self {
         match self {
             Self::Value { line: None, key, value, expected } => {
-                Self::Value { line: places.line(&key), key, value, expected }
+                Self::Value { line: key_lines.line(&key), key, value, expected }
             }
             other => other,
         }
     }
 
-    /// Says with which numbers of the effect that is refused: nobody wrote these.
-    pub(super) fn with(self, template: &Template, value: impl Fn(&Range) -> f64) -> Self {
+    /// Adds the drawn values of the effect that is refused, because they do not stand in the file.
+    pub(super) fn with_drawn_values(self, template: &Template, value: impl Fn(&Range) -> f64) -> Self {
         let Self::Value { line, key, value: found, expected } = self else { return self };
         let effect = key.split([']', '.']).next().unwrap_or_default();
         let own = template.ranges.iter().filter(|range| range.key.starts_with(&format!("{effect}]")));
@@ -47,98 +60,116 @@ impl SceneError {
     }
 }
 
-/// Longer scenes would not fit any recording; a mistyped speed is the likely cause.
+/// Maximum duration of a scene, seconds. A longer one would not fit any recording, and a mistyped speed is the likely cause.
 const MAX_DURATION_S: f64 = 7200.0;
-/// A robot further outside the carpet would walk into the hall's clutter.
+/// Maximum distance of the robot from the carpet, metres. Farther out it would walk into the clutter of the hall.
 const MAX_OFF_CARPET_M: f64 = 1.0;
 
+/// Checks every value of a scene file by itself, and then its consistency.
 pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
-    camera(&file.camera)?;
+    check_camera(&file.camera)?;
     match &file.route {
         Route::Walk(walk) => check_walk(walk, field)?,
         Route::Still(still) => check_still(still, field)?,
     }
     for (key, section) in [("odometry.rate_hz", file.odometry), ("imu.rate_hz", file.imu)] {
         if let Some(section) = section {
-            within(key, section.rate_hz, 0.1..=1000.0, "0.1 to 1000 messages per second")?;
+            check_range(key, section.rate_hz, 0.1..=1000.0, "0.1 to 1000 messages per second")?;
         }
     }
     if let InitialPose::Off(error) = file.scene.initial_pose {
-        within("scene.initial_pose.x_m", error.x_m, -20.0..=20.0, "-20 to 20 m off")?;
-        within("scene.initial_pose.y_m", error.y_m, -20.0..=20.0, "-20 to 20 m off")?;
-        within("scene.initial_pose.yaw_deg", error.yaw_deg, -180.0..=180.0, "-180 to 180 degrees off")?;
+        check_range("scene.initial_pose.x_m", error.x_m, -20.0..=20.0, "-20 to 20 m off")?;
+        check_range("scene.initial_pose.y_m", error.y_m, -20.0..=20.0, "-20 to 20 m off")?;
+        check_range("scene.initial_pose.yaw_deg", error.yaw_deg, -180.0..=180.0, "-180 to 180 degrees off")?;
     }
     effects::check(&file.effects, field)?;
-    contradictions::check(file)
+    consistency::check(file)
 }
 
-/// Places between the ends of every range that are tried. Most numbers are bounded by their ends; but a robot that is
-/// turned may leave the field half-way, and one span of time may pass another.
+/// Number of samples between the ends of every range that are checked.
+///
+/// For most values it is enough to check both ends. But a robot that is turned may leave the field at an angle in
+/// between, and one span of time may overlap another.
 const PLACES: u64 = 128;
 
-/// What may be drawn must be possible from end to end, whatever else is drawn: a scene that is right with one seed is
-/// right with all. `possible` is asked about the file with ends of its ranges in place of these, and with places between.
-pub(super) fn ranges(
+/// Checks that every value that may be drawn is possible, so that a scene that is right with one seed is right with all.
+///
+/// `check_resolved` checks the file with values in place of its ranges. It is called with both ends of each range beside
+/// the lowest and the highest values of the others, and with [`PLACES`] samples in between.
+pub(super) fn check_ranges(
     file: &SceneFile,
-    possible: impl Fn(SceneFile) -> Result<(), SceneError>,
+    check_resolved: impl Fn(SceneFile) -> Result<(), SceneError>,
 ) -> Result<(), SceneError> {
     let Some(template) = &file.template else { return Ok(()) };
     for range in template.ranges.iter().filter(|range| range.per == Per::Frame) {
         effects::check_may_change(range)?;
     }
-    let tried = |value: &dyn Fn(&Range) -> f64| {
+    let check_with = |value: &dyn Fn(&Range) -> f64| {
         let mut effects = SceneFile::effects_with(template, value)?;
-        // A scene with its first effects alone has the text of all.
+        // A scene that was reduced to its first effects still has the text of all.
         effects.truncate(file.effects.len());
-        possible(SceneFile { effects, template: None, ..file.clone() })
+        check_resolved(SceneFile { effects, template: None, ..file.clone() })
     };
     let ends = |range: &Range| [range.low, range.high];
     for range in &template.ranges {
         for (own, others) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-            tried(&|other| ends(other)[if other == range { own } else { others }])?;
+            check_with(&|other| ends(other)[if other == range { own } else { others }])?;
         }
     }
-    if template.has(Per::Episode) {
-        for place in 0..PLACES {
-            let value = |range: &Range| template.between(range, place, PLACES);
-            tried(&value).map_err(|error| error.with(template, value))?;
+    if template.has_ranges_per(Per::Episode) {
+        for sample in 0..PLACES {
+            let value = |range: &Range| template.stratified_value(range, sample, PLACES);
+            check_with(&value).map_err(|error| error.with_drawn_values(template, value))?;
         }
     }
     Ok(())
 }
 
-pub(super) fn within(
+/// Returns an error unless `value` is in `range`. `expected` says in words what is right.
+pub(super) fn check_range(
     key: impl Display,
     value: f64,
     range: RangeInclusive<f64>,
     expected: &str,
 ) -> Result<(), SceneError> {
-    // A NaN is in no range.
+    // NaN is in no range and is refused.
     if range.contains(&value) { Ok(()) } else { Err(refuse(key, value, expected)) }
 }
 
+/// The error for a wrong value, without a line.
 pub(super) fn refuse(key: impl Display, value: impl Display, expected: impl Display) -> SceneError {
     SceneError::Value { line: None, key: key.to_string(), value: value.to_string(), expected: expected.to_string() }
 }
 
-pub(super) fn duration(seconds: f64) -> Result<(), SceneError> {
+/// Checks the duration of the scene.
+pub(super) fn check_duration(seconds: f64) -> Result<(), SceneError> {
     let expected = "shorten the route or speed up: a scene lasts at most 7200 s";
-    within("route's duration", seconds, 0.0..=MAX_DURATION_S, expected)
+    check_range("route's duration", seconds, 0.0..=MAX_DURATION_S, expected)
 }
 
-fn camera(camera: &CameraSection) -> Result<(), SceneError> {
-    within("camera.rate_hz", camera.rate_hz, 0.1..=1000.0, "0.1 to 1000 images per second")?;
+fn check_camera(camera: &CameraSection) -> Result<(), SceneError> {
+    check_range("camera.rate_hz", camera.rate_hz, 0.1..=1000.0, "0.1 to 1000 images per second")?;
     if let Some(quality) = camera.jpeg_quality {
-        within("camera.jpeg_quality", f64::from(quality), 1.0..=100.0, "1 to 100")?;
+        check_range("camera.jpeg_quality", f64::from(quality), 1.0..=100.0, "1 to 100")?;
     }
-    within("camera.torso_height_m", camera.torso_height_m, 0.05..=2.0, "the torso is 0.05 to 2 m above the ground")?;
+    check_range(
+        "camera.torso_height_m",
+        camera.torso_height_m,
+        0.05..=2.0,
+        "the torso is 0.05 to 2 m above the ground",
+    )?;
     for (axis, value) in ["x", "y", "z"].iter().zip(camera.mount_xyz_m) {
         let key = format_args!("camera.mount_xyz_m ({axis})").to_string();
-        within(key, value, -1.0..=1.0, "the camera is within 1 m of the torso")?;
+        check_range(key, value, -1.0..=1.0, "the camera is within 1 m of the torso")?;
     }
     let height = camera.torso_height_m + camera.mount_xyz_m[2];
-    within("camera height above the ground", height, 0.05..=3.0, "torso_height_m plus the mount's z is 0.05 to 3 m")?;
-    within("camera.mount_pitch_deg", camera.mount_pitch_deg, -90.0..=90.0, "-90 (up) to 90 (down) degrees")
+    check_range(
+        "camera height above the ground",
+        height,
+        0.05..=3.0,
+        "torso_height_m plus the mount's z is 0.05 to 3 m",
+    )?;
+    check_range("camera.mount_pitch_deg", camera.mount_pitch_deg, -90.0..=90.0, "-90 (up) to 90 (down) degrees")
 }
 
 fn check_walk(walk: &Walk, field: &Field) -> Result<(), SceneError> {
@@ -147,7 +178,7 @@ fn check_walk(walk: &Walk, field: &Field) -> Result<(), SceneError> {
         return Err(refuse("route.waypoints", format_args!("{} points long", points.len()), "2 to 1000 points"));
     }
     for (index, point) in points.iter().enumerate() {
-        inside(format_args!("route.waypoints[{index}]"), *point, field)?;
+        check_on_field(format_args!("route.waypoints[{index}]"), *point, field)?;
     }
     for (index, pair) in points.windows(2).enumerate() {
         let length = DVec2::from(pair[0]).distance(DVec2::from(pair[1]));
@@ -156,10 +187,10 @@ fn check_walk(walk: &Walk, field: &Field) -> Result<(), SceneError> {
             return Err(refuse(key, format_args!("{:?}", pair[1]), "at least 0.01 m from the waypoint before it"));
         }
     }
-    within("route.speed_m_s", walk.speed_m_s, 0.01..=5.0, "a robot walks at 0.01 to 5 m/s")?;
-    within("route.turn_deg_s", walk.turn_deg_s, 1.0..=720.0, "a robot turns at 1 to 720 degrees per second")?;
+    check_range("route.speed_m_s", walk.speed_m_s, 0.01..=5.0, "a robot walks at 0.01 to 5 m/s")?;
+    check_range("route.turn_deg_s", walk.turn_deg_s, 1.0..=720.0, "a robot turns at 1 to 720 degrees per second")?;
     match walk.start_yaw_deg {
-        Some(yaw) => within("route.start_yaw_deg", yaw, -360.0..=360.0, "-360 to 360 degrees"),
+        Some(yaw) => check_range("route.start_yaw_deg", yaw, -360.0..=360.0, "-360 to 360 degrees"),
         None => Ok(()),
     }
 }
@@ -170,14 +201,15 @@ fn check_still(still: &Still, field: &Field) -> Result<(), SceneError> {
         return Err(refuse("route.poses", format_args!("{count} poses long"), "1 to 100000 poses"));
     }
     for (index, [x, y, yaw]) in still.poses.iter().enumerate() {
-        inside(format_args!("route.poses[{index}]"), [*x, *y], field)?;
+        check_on_field(format_args!("route.poses[{index}]"), [*x, *y], field)?;
         let key = format_args!("route.poses[{index}] (yaw)").to_string();
-        within(key, *yaw, -360.0..=360.0, "-360 to 360 degrees")?;
+        check_range(key, *yaw, -360.0..=360.0, "-360 to 360 degrees")?;
     }
-    within("route.hold_s", still.hold_s, 0.001..=3600.0, "0.001 to 3600 s")
+    check_range("route.hold_s", still.hold_s, 0.001..=3600.0, "0.001 to 3600 s")
 }
 
-pub(super) fn inside(key: impl Display, point: [f64; 2], field: &Field) -> Result<(), SceneError> {
+/// Checks that a point [x, y] in `map`, metres, is on the carpet or at most [`MAX_OFF_CARPET_M`] beside it.
+pub(super) fn check_on_field(key: impl Display, point: [f64; 2], field: &Field) -> Result<(), SceneError> {
     let limit = field.carpet_half_extent() + DVec2::splat(MAX_OFF_CARPET_M);
     if DVec2::from(point).abs().cmple(limit).all() {
         return Ok(());

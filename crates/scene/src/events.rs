@@ -1,65 +1,76 @@
-//! What the robot's sensors send, in time order.
+//! The messages of the robot's sensors, in order of time.
 
 use std::borrow::Cow;
 
 use glam::{DQuat, DVec3};
 
-use super::changing::Changing;
-use super::effects::{Fate, HeadMotion, ImuError, Joints, OdometryError};
+use super::effects::{DeliveryOutcome, HeadMotion, ImuError, Joints, OdometryError};
 use super::file::InitialPose;
 use super::motion::Travel;
+use super::per_frame::Changing;
 use super::truth::{Truth, Twist};
 use super::{START_STAMP_NS, Scene};
 use realitysim_geometry::{Isometry, Pose2, wrap_angle};
 
+/// One message of a sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneEvent {
-    /// Nanoseconds since 1970.
+    /// Time of the measurement, nanoseconds since 1970.
     pub stamp_ns: i64,
+    /// Content of the message.
     pub kind: SceneEventKind,
-    /// It arrives with one bit flipped; which one follows from this number.
+    /// If present, the message arrives with one flipped bit, and this number selects the bit.
     pub corrupt: Option<u64>,
 }
 
+/// The content of a message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SceneEventKind {
+    /// Announced pose at the start.
     InitialPose(InitialPoseEstimate),
+    /// Odometry message.
     Odometry(Odometry),
+    /// IMU message.
     Imu(Imu),
-    /// Only if the head moves.
+    /// Measured joint angles of the head. They are sent only if the head moves.
     Joints(Joints),
-    /// The image itself comes from [`Renderer::render`](super::Renderer::render).
+    /// Camera image. [`Renderer::render`](super::Renderer::render) gives its pixels.
     Frame {
+        /// Number of the frame, from 0.
         index: u64,
+        /// True pose of the camera.
         map_from_camera_link: Isometry,
     },
 }
 
+/// An announced pose of the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InitialPoseEstimate {
+    /// Announced pose on the ground.
     pub map_from_base_footprint: Pose2,
 }
 
-/// `odom` is where the robot started.
+/// A measurement of the odometry. The coordinate frame `odom` is the pose at which the robot started.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Odometry {
+    /// Measured pose since the start.
     pub odom_from_base_footprint: Pose2,
-    /// In `base_footprint`.
+    /// Measured velocity, in `base_footprint`.
     pub twist: Twist,
 }
 
-/// Of `base_link`.
+/// A measurement of the IMU, in `base_link`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Imu {
-    /// Roll and pitch against gravity; the yaw is the odometry's, as on a robot without a compass.
+    /// Orientation: roll and pitch against gravity, yaw from the odometry, as on a robot without a compass.
     pub orientation: DQuat,
-    /// rad/s
+    /// Angular velocity, rad/s.
     pub angular_velocity: DVec3,
-    /// Gravity included: m/s^2.
+    /// Acceleration with gravity included, m/s^2.
     pub linear_acceleration: DVec3,
 }
 
-/// In the order in which events of the same stamp come: an estimate needs the state before the image.
+/// Order of events with the same stamp. Images come last because their pose estimate needs the other measurements.
 const ORDER: [Source; 5] = [Source::InitialPose, Source::Odometry, Source::Imu, Source::Joints, Source::Frame];
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,13 +82,15 @@ enum Source {
     Frame,
 }
 
+/// Iterator over the events of a scene, in order of time.
 #[derive(Clone, Debug)]
 pub struct Events<'a> {
     scene: &'a Scene,
     clocks: [Option<Clock>; 5],
     odometer: Odometer,
-    /// Of the frame that was last due: what sensors other than the camera draw for it, too.
+    /// Index of the frame that was last due. All sensors use the values drawn for this frame.
     frame: u64,
+    /// Effects with the values drawn for `frame`.
     now: Cow<'a, Changing>,
 }
 
@@ -109,17 +122,17 @@ impl Iterator for Events<'_> {
     fn next(&mut self) -> Option<SceneEvent> {
         loop {
             let due = |clock: &Option<Clock>| clock.as_ref().and_then(Clock::due_ns);
-            // The first of equals wins.
+            // Of events with the same stamp, the first in `ORDER` comes first.
             let (which, offset_ns) = (0..ORDER.len())
                 .filter_map(|which| due(&self.clocks[which]).map(|offset| (which, offset)))
                 .min_by_key(|(_, offset)| *offset)?;
             let index = self.clocks[which].as_mut()?.tick();
             self.advance(seconds(offset_ns));
             if let Some(kind) = self.event(ORDER[which], seconds(offset_ns), index) {
-                let corrupt = match self.fate(ORDER[which], index) {
-                    Fate::Whole => None,
-                    Fate::Lost => continue,
-                    Fate::Corrupt(which) => Some(which),
+                let corrupt = match self.delivery_outcome(ORDER[which], index) {
+                    DeliveryOutcome::Whole => None,
+                    DeliveryOutcome::Lost => continue,
+                    DeliveryOutcome::Corrupt(which) => Some(which),
                 };
                 return Some(SceneEvent { stamp_ns: START_STAMP_NS + offset_ns, kind, corrupt });
             }
@@ -128,8 +141,9 @@ impl Iterator for Events<'_> {
 }
 
 impl Events<'_> {
+    /// Updates the per-frame effects to the frame that is due at `time`, seconds.
     fn advance(&mut self, time: f64) {
-        // Where nothing is drawn per frame there is nothing to ask for.
+        // Borrowed effects have no values per frame and never change.
         if let Cow::Owned(_) = self.now {
             let frame = self.scene.frame_at(time);
             if frame != self.frame {
@@ -138,19 +152,19 @@ impl Events<'_> {
         }
     }
 
-    /// What the wire makes of it.
-    fn fate(&self, source: Source, index: u64) -> Fate {
+    /// Whether the message arrives whole, arrives corrupt or is lost on the serial line.
+    fn delivery_outcome(&self, source: Source, index: u64) -> DeliveryOutcome {
         let line = match source {
-            Source::InitialPose | Source::Frame => return Fate::Whole,
+            Source::InitialPose | Source::Frame => return DeliveryOutcome::Whole,
             Source::Odometry => 1,
             Source::Imu => 2,
             Source::Joints => 3,
         };
         let seed = self.scene.file.scene.seed;
-        self.now.serial_noise.as_ref().map_or(Fate::Whole, |noise| noise.fate(seed, line, index))
+        self.now.serial_noise.as_ref().map_or(DeliveryOutcome::Whole, |noise| noise.delivery_outcome(seed, line, index))
     }
 
-    /// None where a sensor says nothing.
+    /// Content of the message of `source`, or `None` if the sensor is silent at this time.
     fn event(&mut self, source: Source, time: f64, index: u64) -> Option<SceneEventKind> {
         let scene = self.scene;
         Some(match source {
@@ -195,16 +209,16 @@ fn imu(scene: &Scene, now: &Changing, time: f64, index: u64) -> Imu {
     euler.yaw = wrap_angle(travel.turned + drift * travel.walked);
     let measured = |error: &ImuError| error.measured(euler, angular_velocity, scene.file.scene.seed, index);
     let (euler, angular_velocity) = now.imu_error.as_ref().map_or((euler, angular_velocity), measured);
-    let told = Imu { orientation: euler.rotation(), angular_velocity, linear_acceleration };
-    now.imu_error.as_ref().map_or(told, |error| error.in_housing(told))
+    let imu = Imu { orientation: euler.rotation(), angular_velocity, linear_acceleration };
+    now.imu_error.as_ref().map_or(imu, |error| error.in_housing(imu))
 }
 
 fn joints(scene: &Scene, now: &Changing, time: f64, index: u64) -> Joints {
-    let told = |head: &HeadMotion| head.measured(time, scene.file.scene.seed, index);
-    now.head.as_ref().map_or_else(Joints::default, told)
+    let measured = |head: &HeadMotion| head.measured(time, scene.file.scene.seed, index);
+    now.head.as_ref().map_or_else(Joints::default, measured)
 }
 
-/// Adds up steps, because every step has its own error.
+/// An odometry that adds up steps, because every step has its own error.
 #[derive(Clone, Debug)]
 struct Odometer {
     pose: Pose2,
@@ -217,7 +231,7 @@ impl Odometer {
         let now = scene.travel(time);
         let mut twist = Twist { x: now.speed, y: 0.0, yaw: now.turn };
         match error {
-            // Not added up: without an error the truth itself.
+            // Without an error the true pose is taken, so that no rounding adds up.
             None => self.pose = now.start_from_base_footprint,
             Some(error) if error.is_frozen(time) => twist = Twist::default(),
             Some(error) => {
@@ -227,7 +241,7 @@ impl Odometer {
                 twist = Twist { x: twist.x * error.scale(), yaw: twist.yaw + error.yaw_drift() * twist.x, ..twist };
             }
         }
-        if let Some(jump) = error.and_then(|error| error.jumped(self.time, time)) {
+        if let Some(jump) = error.and_then(|error| error.jump_between(self.time, time)) {
             self.pose = self.pose.compose(&jump);
         }
         self.time = time;
@@ -236,7 +250,9 @@ impl Odometer {
     }
 }
 
-/// Ticks at a fixed rate from the start to the end, both included. Stamps come from the index, so none drifts.
+/// A clock that ticks at a fixed rate from the start to the end of the scene, both included.
+///
+/// Times are computed from the index of the tick, so they do not drift.
 #[derive(Clone, Debug)]
 pub(super) struct Clock {
     rate_hz: f64,
@@ -257,11 +273,12 @@ impl Clock {
         libm::round(index as f64 * 1e9 / self.rate_hz) as i64
     }
 
+    /// Time of a tick, seconds since the start.
     pub(super) fn time(&self, index: u64) -> f64 {
         seconds(self.offset_ns(index))
     }
 
-    /// The last tick by this time, or the first.
+    /// Index of the last tick at or before `time` (seconds), or 0 before the first tick.
     pub(super) fn last_by(&self, time: f64) -> u64 {
         let mut index = (time * self.rate_hz).max(0.0) as u64 + 1;
         while index > 0 && self.time(index) > time {
@@ -270,6 +287,7 @@ impl Clock {
         index
     }
 
+    /// Number of ticks from start to end.
     pub(super) fn count(&self) -> u64 {
         let mut count = (self.end_ns as f64 * 1e-9 * self.rate_hz) as u64;
         while self.offset_ns(count) <= self.end_ns {

@@ -1,4 +1,4 @@
-//! The scene file (`replay/scenes/*.toml`) as plain data. [`Scene::build`](super::Scene::build) checks it.
+//! The scene file (`replay/scenes/*.toml`) as plain data. [`Scene::build`](super::Scene::build) checks its values.
 
 use core::fmt;
 
@@ -8,150 +8,176 @@ use serde::{Deserialize, Deserializer};
 use toml::de::DeTable;
 
 use super::effects::Effect;
-use super::places::Places;
+use super::key_lines::KeyLines;
 use super::ranges::{Range, Template};
-use super::{SceneError, misread};
+use super::{SceneError, error_spans};
 use realitysim_config::wording::in_words;
 
+/// The contents of a scene file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneFile {
+    /// `[scene]`: title, seed, field and announced start.
     pub scene: SceneSection,
+    /// `[camera]`: lens, rate and mount.
     pub camera: CameraSection,
+    /// `[route]`: where the robot goes.
     pub route: Route,
-    /// Without it no odometry is sent.
+    /// `[odometry]`: rate of odometry messages. Without it no odometry is sent.
     pub odometry: Option<RateSection>,
-    /// Without it no IMU data is sent.
+    /// `[imu]`: rate of IMU messages. Without it no IMU data is sent.
     pub imu: Option<RateSection>,
-    /// In physical order: what moves the robot before what a sensor adds.
+    /// `[[effect]]`: imperfections in physical order, from what moves the robot to what sensors and wires add.
     #[serde(default, rename = "effect")]
     pub effects: Vec<Effect>,
-    /// Of a file that was read from a text.
+    /// Lines of the keys, if the file was read from a text.
     #[serde(skip)]
-    pub(super) places: Places,
-    /// Its text.
+    pub(super) key_lines: KeyLines,
+    /// Text of the file with its ranges, if it was read from a text.
     #[serde(skip)]
     pub(super) template: Option<Template>,
 }
 
+/// The section `[scene]`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneSection {
-    /// For people.
+    /// Title of the scene, for people.
     pub title: String,
-    /// Why the scene exists.
+    /// Reason why the scene exists, for people.
     pub task: String,
+    /// Seed of every random number of the scene.
     pub seed: u64,
-    /// Name of the field; the caller finds its dimensions.
+    /// Name of the field. The caller finds its dimensions.
     pub field: String,
+    /// Pose that the robot is toml_error at the start.
     #[serde(default)]
     pub initial_pose: InitialPose,
 }
 
+/// The section `[camera]`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraSection {
-    /// Name of the lens; the caller finds its parameters.
+    /// Name of the lens. The caller finds its parameters.
     pub lens: String,
+    /// Images per second.
     pub rate_hz: f64,
-    /// Without it the images are handed over raw.
+    /// Quality of JPEG images, 1 to 100. Without it the images are sent raw.
     pub jpeg_quality: Option<u8>,
-    /// Height of `base_link` above `base_footprint`, robot upright.
+    /// Height of `base_link` above `base_footprint` when the robot stands upright, metres.
     pub torso_height_m: f64,
-    /// `camera_link` in `base_link`.
+    /// Position of `camera_link` in `base_link`, metres.
     pub mount_xyz_m: [f64; 3],
-    /// Above 0 the camera looks down.
+    /// Pitch of the camera in the torso, degrees. Above 0 the camera looks down.
     pub mount_pitch_deg: f64,
 }
 
+/// The section `[route]`: how the robot moves over the field.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Route {
+    /// The robot walks along waypoints.
     Walk(Walk),
+    /// The robot stands at one pose after the other.
     Still(Still),
 }
 
-/// From waypoint to waypoint; corners are rounded as far as `turn_deg_s` demands.
+/// A walk from waypoint to waypoint. Corners are rounded as far as `turn_deg_s` demands.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Walk {
-    /// [x, y] in `map`.
+    /// Waypoints [x, y] in `map`, metres.
     pub waypoints: Vec<[f64; 2]>,
+    /// Walking speed, m/s.
     pub speed_m_s: f64,
+    /// Turn rate at corners, degrees per second.
     pub turn_deg_s: f64,
-    /// Without it the robot starts facing the second waypoint.
+    /// Yaw at the start in `map`, degrees. Without it the robot starts facing the second waypoint.
     pub start_yaw_deg: Option<f64>,
 }
 
-/// Standing at one pose after the other; the robot is carried in between, which odometry does not notice.
+/// Standing at one pose after the other. The robot is carried in between, which odometry does not notice.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Still {
-    /// [x in m, y in m, yaw in degrees] in `map`.
+    /// Poses [x in m, y in m, yaw in degrees] in `map`.
     pub poses: Vec<[f64; 3]>,
+    /// Time at each pose, seconds.
     pub hold_s: f64,
 }
 
+/// The section `[odometry]` or `[imu]`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RateSection {
+    /// Messages per second.
     pub rate_hz: f64,
 }
 
-/// What is announced as the robot's pose at the start: `"exact"`, `"none"` or the truth plus an error.
+/// The pose that is announced at the start: `"exact"`, `"none"` or a table with an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum InitialPose {
+    /// The true pose is announced.
     #[default]
     Exact,
+    /// No pose is announced.
     None,
+    /// The true pose plus an error is announced.
     Off(PoseError),
 }
 
-/// Added to the true pose: x and y in `map`.
+/// Error that is added to the true pose at the start.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseError {
+    /// Error along x of `map`, metres.
     pub x_m: f64,
+    /// Error along y of `map`, metres.
     pub y_m: f64,
+    /// Error of the yaw, degrees.
     pub yaw_deg: f64,
 }
 
 impl SceneFile {
-    /// Numbers that the text leaves open are drawn.
+    /// Reads a scene file. Numbers that the text leaves open (`{ uniform = [..], per = .. }`) are drawn from its seed.
+    ///
+    /// An error states the line and what would be right. Values are checked later, by [`Scene::build`](super::Scene::build).
     pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        let (places, template) = {
-            let table = DeTable::parse(text).map_err(told)?;
-            let places = Places::of(text, table.get_ref());
-            let template = Template::new(text, table.get_ref(), &places)?;
-            (places, template)
+        let (key_lines, template) = {
+            let table = DeTable::parse(text).map_err(toml_error)?;
+            let key_lines = KeyLines::find(text, table.get_ref());
+            let template = Template::new(text, table.get_ref(), &key_lines)?;
+            (key_lines, template)
         };
-        let text = template.filled(|range| template.value(range, 0));
-        let file: Self = toml::from_str(&text).map_err(|error| told(misread::nearer(error, &text)))?;
-        Ok(Self { places, template: Some(template), ..file })
+        let text = template.fill(|range| template.value(range, 0));
+        let file: Self = toml::from_str(&text).map_err(|error| toml_error(error_spans::locate(error, &text)))?;
+        Ok(Self { key_lines, template: Some(template), ..file })
     }
 
-    /// The effects with other numbers in place of what the file leaves open.
+    /// Reads the effects again with `value` in place of each range.
     pub(super) fn effects_with(template: &Template, value: impl Fn(&Range) -> f64) -> Result<Vec<Effect>, SceneError> {
-        Ok(toml::from_str::<Self>(&template.filled(value)).map_err(told)?.effects)
+        Ok(toml::from_str::<Self>(&template.fill(value)).map_err(toml_error)?.effects)
     }
 
-    /// The text with every number that was drawn once; ranges that are drawn for each frame stay. None of a file that
-    /// was not read from a text.
+    /// The text with every value that was drawn once per episode filled in. Ranges that are drawn for each frame stay.
+    ///
+    /// `None` for a file that was not read from a text.
     pub fn resolved(&self) -> Option<String> {
-        Some(self.template.as_ref()?.filled_for_the_episode())
+        Some(self.template.as_ref()?.fill_per_episode())
     }
 
-    /// In which line of its text a key stands, for example `camera.lens`.
+    /// Line of the text, from 1, that has the key (for example `camera.lens`) or the nearest table or list around it.
     pub fn line(&self, key: &str) -> Option<usize> {
-        self.places.line(key)
+        self.key_lines.line(key)
     }
 }
 
-fn told(error: toml::de::Error) -> SceneError {
+fn toml_error(error: toml::de::Error) -> SceneError {
     SceneError::Toml(in_words(&error))
 }
 
-/// By hand, because an untagged enum could not say which key of the table is wrong.
+/// Written by hand because an untagged enum could not report which key of the table is wrong.
 impl<'de> Deserialize<'de> for InitialPose {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct Forms;

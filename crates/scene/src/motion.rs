@@ -1,4 +1,4 @@
-//! The route as a pure function of time: pieces of constant velocity, straight, round or on the spot.
+//! The route as a pure function of time. It consists of pieces of constant velocity: straight lines, arcs and turns on the spot.
 
 use core::f64::consts::PI;
 
@@ -7,20 +7,23 @@ use glam::DVec2;
 use super::file::{Route, Still, Walk};
 use realitysim_geometry::{Pose2, wrap_angle};
 
+/// The motion of the robot along its route.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Motion {
     pieces: Vec<Piece>,
+    /// Seconds.
     duration: f64,
     /// False if the robot is carried from pose to pose.
     walks: bool,
 }
 
+/// A part of the route with constant speed and turn rate.
 #[derive(Clone, Debug, PartialEq)]
 struct Piece {
-    /// Seconds since the scene's start.
+    /// Start of the piece, seconds since the start of the scene.
     start: f64,
     duration: f64,
-    /// At the start; the yaw is not wrapped, so that it counts turns.
+    /// Pose at the start of the piece. The yaw is not wrapped, so that it counts turns.
     from: Pose2,
     /// Metres per second, forwards.
     speed: f64,
@@ -30,24 +33,27 @@ struct Piece {
     walked: f64,
 }
 
-/// The base on the ground at one time.
+/// Pose and motion of `base_footprint` at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Travel {
     pub(super) map_from_base_footprint: Pose2,
-    /// As odometry without any error would have it.
+    /// Pose since the start as odometry without any error measures it.
     pub(super) start_from_base_footprint: Pose2,
-    /// Turned since the start, not wrapped.
+    /// Angle turned since the start, radians, not wrapped.
     pub(super) turned: f64,
+    /// Distance walked since the start, metres.
     pub(super) walked: f64,
+    /// Forward speed, m/s.
     pub(super) speed: f64,
+    /// Turn rate to the left, rad/s.
     pub(super) turn: f64,
 }
 
 impl Motion {
     pub(super) fn new(route: &Route) -> Self {
         match route {
-            Route::Walk(walk) => walking(walk),
-            Route::Still(still) => standing(still),
+            Route::Walk(walk) => walking_motion(walk),
+            Route::Still(still) => standing_motion(still),
         }
     }
 
@@ -55,7 +61,7 @@ impl Motion {
         self.duration
     }
 
-    /// Before the start and after the end the robot stands.
+    /// Position on the route at `time`, seconds. Before the start and after the end the robot stands.
     pub(super) fn at(&self, time: f64) -> Travel {
         let clamped = time.clamp(0.0, self.duration);
         let index = self.pieces.partition_point(|piece| piece.start <= clamped).saturating_sub(1);
@@ -93,12 +99,13 @@ impl Travel {
 }
 
 impl Piece {
+    /// Pose `dt` seconds after the start of the piece.
     fn at(&self, dt: f64) -> Pose2 {
         let yaw = self.from.yaw + self.turn * dt;
         let (sin0, cos0) = libm::sincos(self.from.yaw);
         if self.turn == 0.0 {
-            let way = self.speed * dt;
-            return Pose2::new(self.from.x + way * cos0, self.from.y + way * sin0, yaw);
+            let distance = self.speed * dt;
+            return Pose2::new(self.from.x + distance * cos0, self.from.y + distance * sin0, yaw);
         }
         let radius = self.speed / self.turn;
         let (sin1, cos1) = libm::sincos(yaw);
@@ -106,7 +113,8 @@ impl Piece {
     }
 }
 
-fn standing(still: &Still) -> Motion {
+/// The motion of a route that stands at one pose after the other.
+fn standing_motion(still: &Still) -> Motion {
     let pieces: Vec<Piece> = still
         .poses
         .iter()
@@ -123,9 +131,11 @@ fn standing(still: &Still) -> Motion {
     Motion { duration: pieces.len() as f64 * still.hold_s, pieces, walks: false }
 }
 
-/// A corner becomes the arc that the turn rate demands at full speed. Where the legs are too short for that arc,
-/// the robot slows down to a tighter one, in the limit turning on the spot; the turn rate stays.
-fn walking(walk: &Walk) -> Motion {
+/// The motion of a walk. A corner becomes the arc that the turn rate demands at full speed.
+///
+/// Where the legs are too short for that arc, the robot slows down to a tighter one, in the limit a turn on the spot.
+/// The turn rate stays the same.
+fn walking_motion(walk: &Walk) -> Motion {
     let points: Vec<DVec2> = walk.waypoints.iter().map(|point| DVec2::from(*point)).collect();
     let legs: Vec<DVec2> = points.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let headings: Vec<f64> = legs.iter().map(|leg| libm::atan2(leg.y, leg.x)).collect();
@@ -135,7 +145,7 @@ fn walking(walk: &Walk) -> Motion {
     let start = points.first().copied().unwrap_or(DVec2::ZERO);
     let mut builder = Builder::new(Pose2::new(start.x, start.y, start_yaw));
     builder.arc(wrap_angle(first - start_yaw), 0.0, turn_rate);
-    // What the arc at the leg's start has used up already.
+    // Length of the leg that the arc at its start replaces.
     let mut used = 0.0;
     for (index, leg) in legs.iter().enumerate() {
         let length = leg.length();
@@ -156,6 +166,7 @@ fn walking(walk: &Walk) -> Motion {
     Motion { duration: builder.time, pieces: builder.pieces, walks: true }
 }
 
+/// A route under construction, with time, pose and distance at its end.
 struct Builder {
     pieces: Vec<Piece>,
     time: f64,
@@ -168,12 +179,14 @@ impl Builder {
         Self { pieces: Vec::new(), time: 0.0, pose, walked: 0.0 }
     }
 
+    /// Appends a straight line of `length` metres.
     fn straight(&mut self, length: f64, speed: f64) {
         if length > 1e-9 {
             self.push(length / speed, speed, 0.0);
         }
     }
 
+    /// Appends an arc of `angle` radians (above 0 to the left) with `radius` metres.
     fn arc(&mut self, angle: f64, radius: f64, turn_rate: f64) {
         if angle.abs() > 1e-9 {
             self.push(angle.abs() / turn_rate, radius * turn_rate, turn_rate.copysign(angle));

@@ -1,6 +1,6 @@
-//! Random numbers that depend only on (scene seed, what they are for, sample index): no draw ever moves another.
+//! Random numbers that depend only on the seed of the scene, their purpose and a sample index. No draw changes another.
 
-/// What a stream is for. The numbers are part of every recorded scene: never reuse or renumber one.
+/// The purpose of a stream. The numbers determine every recorded scene: never reuse or renumber one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
     Carpet = 1,
@@ -19,23 +19,24 @@ pub(super) enum Purpose {
     SunPatches = 14,
 }
 
-/// Counter-based: the n-th number is a hash of key and n.
+/// A counter-based random number generator: the n-th number is a hash of key and n.
 #[derive(Clone, Debug)]
 pub(super) struct Stream {
     key: u64,
     counter: u64,
 }
 
-/// 2^64 divided by the golden ratio: spreads neighbouring counters over all bits.
+/// 2^64 divided by the golden ratio. Multiplying by it spreads neighbouring counters over all bits.
 const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
 
 impl Stream {
+    /// The stream of one sample of one purpose.
     pub(super) fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
         let purpose_key = mix(mix(seed.wrapping_add(GOLDEN)) ^ (purpose as u64).wrapping_mul(0xD6E8_FEB8_6659_FD93));
         Self { key: mix(purpose_key.wrapping_add(index.wrapping_mul(GOLDEN))), counter: 0 }
     }
 
-    /// For kernels that count by themselves: their n-th number is `mix(key + n * GOLDEN)`.
+    /// Key of the stream, for loops that count by themselves: [`at`] gives their n-th number, `mix(key + n * GOLDEN)`.
     pub(super) fn key(&self) -> u64 {
         self.key
     }
@@ -45,16 +46,19 @@ impl Stream {
         at(self.key, self.counter)
     }
 
-    /// In [0, 1).
+    /// Uniformly distributed number in [0, 1).
     pub(super) fn uniform(&mut self) -> f64 {
         (self.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
     }
 
+    /// Uniformly distributed number x with `low` <= x < `high`.
     pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
-    /// Mean 0, standard deviation 1 (Box and Muller; the logarithm's argument is never 0).
+    /// Normally distributed number with mean 0 and standard deviation 1, by the Box-Muller transform.
+    ///
+    /// The argument of the logarithm is never 0.
     pub(super) fn gaussian(&mut self) -> f64 {
         let radius = libm::sqrt(-2.0 * libm::log(1.0 - self.uniform()));
         radius * libm::cos(core::f64::consts::TAU * self.uniform())
@@ -67,7 +71,7 @@ pub(super) fn at(key: u64, counter: u64) -> u64 {
     mix(key.wrapping_add(counter.wrapping_mul(GOLDEN)))
 }
 
-/// The finaliser of SplitMix64.
+/// The finalizer of SplitMix64.
 #[inline]
 fn mix(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -1,4 +1,4 @@
-//! Many views with one request: `multipart/mixed`, each part as it is made, in the order asked for.
+//! Answers one request with many views: `multipart/mixed`, each part sent as it is made, in the order of the request.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -14,62 +14,72 @@ use tokio::sync::OwnedSemaphorePermit;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::time::sleep;
 
-use super::answer::{PROBLEM, Reply};
 use super::connections::Seat;
 use super::encode::Form;
-use super::parameters::{Asked, Parameters};
-use super::stock::Picture;
-use super::{Refusal, Service};
+use super::parameters::{Parameters, ViewRequest};
+use super::response::{PROBLEM, Reply};
+use super::view_service::Picture;
+use super::{HttpProblem, Service};
 use realitysim_geometry::Isometry;
 
-/// Views of one request.
+/// Largest number of views of one request.
 const MAX_BATCH: usize = 1024;
-/// So long one may take; what is left then is refused.
+/// Longest time for a batch; views that are left then are refused.
 const MAX_TIME: Duration = Duration::from_secs(120);
-/// Parts made before the client has begun to take them.
+/// Number of parts that are made before the client has begun to take them.
 const MAX_AHEAD: usize = 1;
+/// Time between two tries to get room for a part.
 const LOOK_FOR_ROOM_EVERY: Duration = Duration::from_millis(50);
+/// Text between the parts of an answer.
 const BOUNDARY: &str = "realitysim-view-8f3b61c7d2a94e05";
 
-/// Views and how they are to be sent.
+/// The views of one request.
 pub(super) struct Batch {
-    /// Or what is wrong with one.
-    pub(super) asked: Vec<Result<Asked, Refusal>>,
+    /// The views in the order of the request; an error is what is wrong with one.
+    pub(super) asked: Vec<Result<ViewRequest, HttpProblem>>,
 }
 
 impl Batch {
-    /// `{"poses": [...]}` or `{"from": ..., "to": ..., "count": n}`, beside them parameters for all.
-    pub(super) fn from_json(text: &[u8]) -> Result<Self, Refusal> {
+    /// Reads `{"poses": [...]}` or `{"from": ..., "to": ..., "count": n}`. Parameters beside these hold for all views.
+    pub(super) fn from_json(text: &[u8]) -> Result<Self, HttpProblem> {
         let value: Value =
-            serde_json::from_slice(text).map_err(|error| Refusal::wrong(format!("not JSON: {error}")))?;
+            serde_json::from_slice(text).map_err(|error| HttpProblem::wrong(format!("not JSON: {error}")))?;
         let Value::Object(mut object) = value else {
-            return Err(Refusal::wrong("an object is needed: {\"poses\": [{\"x\": 1, ...}, ...]}"));
+            return Err(HttpProblem::wrong("an object is needed: {\"poses\": [{\"x\": 1, ...}, ...]}"));
         };
         let [poses, from, to, count] = ["poses", "from", "to", "count"].map(|name| object.remove(name));
         let all = Parameters::from_json(&object)?;
-        let asked: Vec<Result<Asked, Refusal>> = match (poses, from, to, count) {
+        let asked: Vec<Result<ViewRequest, HttpProblem>> = match (poses, from, to, count) {
             (Some(Value::Array(poses)), None, None, None) => {
-                within(poses.len())?;
-                poses.iter().enumerate().map(|(number, pose)| one(&format!("poses[{number}]"), pose, &all)).collect()
+                check_count(poses.len())?;
+                poses
+                    .iter()
+                    .enumerate()
+                    .map(|(number, pose)| read_pose(&format!("poses[{number}]"), pose, &all))
+                    .collect()
             }
             (None, Some(from), Some(to), Some(count)) => {
-                let refused =
-                    || Refusal::wrong(format!("count is {count}: a whole number from 1 to {MAX_BATCH} is possible"));
+                let refused = || {
+                    HttpProblem::wrong(format!("count is {count}: a whole number from 1 to {MAX_BATCH} is possible"))
+                };
                 let whole = |count: &f64| count.fract() == 0.0 && (1.0..=MAX_BATCH as f64).contains(count);
                 let count = count.as_f64().filter(whole).map(|count| count as usize);
                 let count = count.ok_or_else(refused)?;
-                between(&one("from", &from, &all)?, &one("to", &to, &all)?, count).into_iter().map(Ok).collect()
+                interpolate(&read_pose("from", &from, &all)?, &read_pose("to", &to, &all)?, count)
+                    .into_iter()
+                    .map(Ok)
+                    .collect()
             }
-            _ => return Err(Refusal::wrong("either poses (a list), or from, to and count are needed")),
+            _ => return Err(HttpProblem::wrong("either poses (a list), or from, to and count are needed")),
         };
-        // What is wrong with all of them is wrong with the request.
+        // If all views are wrong, the request is refused with the error of the first.
         match asked.first() {
             Some(Err(refusal)) if asked.iter().all(Result::is_err) => Err(refusal.clone()),
             _ => Ok(Self { asked }),
         }
     }
 
-    /// Views one after the other, sent as they come; `batch` is its right to be made.
+    /// Returns a reply whose views are made one after the other and sent as they come. `batch` is held until the end.
     pub(super) fn stream(
         self,
         service: Arc<Service>,
@@ -79,7 +89,7 @@ impl Batch {
     ) -> Reply {
         let (send, receive) = channel(MAX_AHEAD);
         tokio::spawn(async move {
-            make(&service, &seat, self.asked, forms, &send).await;
+            make_parts(&service, &seat, self.asked, forms, &send).await;
             drop(batch);
         });
         let mut reply = Response::new(Parts(receive).boxed());
@@ -91,53 +101,56 @@ impl Batch {
     }
 }
 
-fn within(count: usize) -> Result<(), Refusal> {
+/// Refuses too many views, and none.
+fn check_count(count: usize) -> Result<(), HttpProblem> {
     let fits = (1..=MAX_BATCH).contains(&count);
-    if fits { Ok(()) } else { Err(Refusal::wrong(format!("{count} views: 1 to {MAX_BATCH} with one request"))) }
+    if fits { Ok(()) } else { Err(HttpProblem::wrong(format!("{count} views: 1 to {MAX_BATCH} with one request"))) }
 }
 
-fn one(place: &str, pose: &Value, all: &Parameters) -> Result<Asked, Refusal> {
-    let at = |refusal: Refusal| Refusal { what: format!("{place}: {}", refusal.what), ..refusal };
+/// Reads one view; `place` says in a refusal where it stands.
+fn read_pose(place: &str, pose: &Value, all: &Parameters) -> Result<ViewRequest, HttpProblem> {
+    let at = |refusal: HttpProblem| HttpProblem { what: format!("{place}: {}", refusal.what), ..refusal };
     let empty = Map::new();
     let object = pose.as_object();
     let own = Parameters::from_json(object.unwrap_or(&empty)).map_err(at)?;
-    own.over(all).asked().map_err(at)
+    own.over(all).view_request().map_err(at)
 }
 
-/// Evenly from one pose to the other, both included: straight places, the shortest turn.
-fn between(from: &Asked, to: &Asked, count: usize) -> Vec<Asked> {
+/// Interpolates `count` views from one pose to another, both included: along a straight line, with the shortest turn.
+fn interpolate(from: &ViewRequest, to: &ViewRequest, count: usize) -> Vec<ViewRequest> {
     let (a, b) = (from.map_from_link, to.map_from_link);
     let pose = |number: usize| {
         let part = number as f64 / (count.max(2) - 1) as f64;
         Isometry { translation: a.translation.lerp(b.translation, part), rotation: a.rotation.slerp(b.rotation, part) }
     };
-    let one = |number: usize| Asked { map_from_link: pose(number), frame: from.frame + number as u64, ..from.clone() };
+    let one =
+        |number: usize| ViewRequest { map_from_link: pose(number), frame: from.frame + number as u64, ..from.clone() };
     (0..count).map(one).collect()
 }
 
-/// Ends when the client has hung up.
-async fn make(
+/// Makes the views and sends them as parts. Ends early when the client has hung up.
+async fn make_parts(
     service: &Arc<Service>,
     seat: &Arc<Seat>,
-    asked: Vec<Result<Asked, Refusal>>,
+    asked: Vec<Result<ViewRequest, HttpProblem>>,
     forms: Vec<Form>,
     send: &Sender<Bytes>,
 ) {
     let started = Instant::now();
     let forms: Arc<[Form]> = forms.into();
     for asked in asked {
-        // Nothing is made before the client has taken what was made for it.
+        // No view is made before the client has taken what was made for it.
         let Ok(room) = send.reserve().await else { return };
         let picture = match asked {
             Err(refusal) => Err(refusal),
-            Ok(asked) if started.elapsed() < MAX_TIME => one_of(service, asked, &forms).await,
+            Ok(asked) if started.elapsed() < MAX_TIME => make_view(service, asked, &forms).await,
             Ok(_) => Err(too_late()),
         };
         let mut bytes = part(picture);
         let held = loop {
             match seat.hold(bytes) {
                 Ok(held) => break held,
-                Err(part_of_it) => bytes = part_of_it,
+                Err(refused) => bytes = refused,
             }
             if started.elapsed() > MAX_TIME || send.is_closed() {
                 return;
@@ -149,18 +162,21 @@ async fn make(
     let _ = send.send(Bytes::from(format!("--{BOUNDARY}--\r\n"))).await;
 }
 
-async fn one_of(service: &Arc<Service>, asked: Asked, forms: &Arc<[Form]>) -> Result<Picture, Refusal> {
-    let inside = service.door.next_of_batch().await?;
+/// Makes one view of a batch when its turn comes.
+async fn make_view(service: &Arc<Service>, asked: ViewRequest, forms: &Arc<[Form]>) -> Result<Picture, HttpProblem> {
+    let inside = service.admission.next_of_batch().await?;
     let (shared, forms) = (Arc::clone(service), Arc::clone(forms));
     inside.run(move || shared.picture(&asked, &forms)).await?
 }
 
-fn too_late() -> Refusal {
+/// Refusal of a view that was not made in time.
+fn too_late() -> HttpProblem {
     let what = format!("not made within {} s: ask for fewer with one request", MAX_TIME.as_secs());
-    Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what)
+    HttpProblem::new(StatusCode::SERVICE_UNAVAILABLE, what)
 }
 
-fn part(picture: Result<Picture, Refusal>) -> Vec<u8> {
+/// Returns one part of the answer, with its headers: a view or a refusal.
+fn part(picture: Result<Picture, HttpProblem>) -> Vec<u8> {
     let (status, kind, headers, content) = match picture {
         Ok(picture) => (200, picture.form.media_type(), picture.headers, picture.bytes),
         Err(refusal) => (refusal.status.as_u16(), PROBLEM, Vec::new(), refusal.problem()),
@@ -179,7 +195,7 @@ fn part(picture: Result<Picture, Refusal>) -> Vec<u8> {
     bytes
 }
 
-/// A body of what comes through a channel.
+/// A body whose frames come through a channel.
 struct Parts(Receiver<Bytes>);
 
 impl HttpBody for Parts {
@@ -207,7 +223,7 @@ mod tests {
     fn a_trajectory_begins_and_ends_where_it_should() {
         let text = r#"{"z": 0.5, "from": {"x": 0, "y": 0, "yaw_deg": 170}, "to": {"x": 1, "y": 2, "yaw_deg": -170}, "count": 5}"#;
         let asked = Batch::from_json(text.as_bytes()).expect("right").asked;
-        let asked: Vec<Asked> = asked.into_iter().flatten().collect();
+        let asked: Vec<ViewRequest> = asked.into_iter().flatten().collect();
         let middle = asked[2].map_from_link;
         assert!((middle.translation.x - 0.5).abs() < 1e-12 && asked.len() == 5);
         assert!(

@@ -1,7 +1,7 @@
-//! Who is connected, what has been made for them and not been taken yet, and who has to go when others need the room.
+//! Keeps account of the connections and of answers that clients have not taken yet, and closes connections to make room.
 //!
-//! Places and memory are bounded for all clients together, and handed out so that nobody keeps others out by holding them: a new
-//! client takes the place of a connection on which nothing is asked, and an answer takes the memory of the slowest reader.
+//! The number of connections and the memory of answers are bounded for all clients together. No client can keep others out: a
+//! new client takes the place of a connection without a request, and a new answer takes the memory of the slowest reader's.
 
 use std::collections::BTreeMap;
 use std::net::IpAddr;
@@ -11,72 +11,79 @@ use std::time::{Duration, Instant};
 use hyper::body::Bytes;
 use tokio::sync::Notify;
 
-/// Connections at one time.
+/// Largest number of connections at one time.
 const MAX_CONNECTIONS: usize = 256;
-/// Those of one address. Loopback has no limit of its own: all programs of this machine share that address.
+/// Largest number of connections from one network. Loopback has no limit of its own, since all programs of this machine share it.
 const MAX_PER_ADDRESS: usize = 64;
-/// Bytes of all answers that have been made and not been taken yet: sixteen of the largest views.
+/// Largest size of all answers that clients have not taken yet, bytes: sixteen of the largest views.
 const MAX_UNSENT_BYTES: usize = 256 << 20;
-/// So long no reader is told to be slow.
-const LEAST_READING: Duration = Duration::from_secs(1);
+/// Time before which no reader counts as slow.
+const MIN_READING_TIME: Duration = Duration::from_secs(1);
 
+/// All connections of the service.
 #[derive(Default)]
 pub(super) struct Connections(Mutex<Table>);
 
 #[derive(Default)]
 struct Table {
-    /// By number: the oldest connection first.
+    /// Connections by number, the oldest first.
     peers: BTreeMap<u64, Peer>,
+    /// Number of the next connection.
     next: u64,
+    /// Size of all answers that were not taken yet.
     unsent_bytes: usize,
 }
 
+/// One connection.
 struct Peer {
     network: Network,
-    /// Asked, and not answered to the end.
+    /// Number of requests that are not answered to the end.
     requests: usize,
+    /// Size of its answers that were not taken yet.
     unsent_bytes: usize,
-    /// When the first of its unsent bytes were made, and what it has taken since.
+    /// Time at which the first of its unsent bytes were made.
     reading_since: Instant,
+    /// Bytes that it has taken since then.
     taken_bytes: u64,
+    /// Tells its task that the connection is to be closed.
     gone: Arc<Notify>,
 }
 
-/// What one client can have many addresses of.
+/// A network within which one client may have many addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Network {
     ThisMachine,
     V4([u8; 4]),
-    /// The first 64 bits.
+    /// The first 64 bits of the address.
     V6([u16; 4]),
 }
 
-/// A connection's place; free again when it is dropped.
+/// The place of one connection; it becomes free when this is dropped.
 pub(super) struct Seat {
     connections: Arc<Connections>,
     number: u64,
     gone: Arc<Notify>,
 }
 
-/// A request under way, for as long as it is held.
-pub(super) struct UnderWay(Arc<Seat>);
+/// A request that counts as active while this is held.
+pub(super) struct ActiveRequest(Arc<Seat>);
 
-/// Bytes that wait to be taken by a client.
+/// Bytes of an answer that a client has not taken yet.
 struct Unsent {
     bytes: Vec<u8>,
     seat: Arc<Seat>,
 }
 
 impl Connections {
-    /// A place for a new connection; `None` if every place is taken by one on which something is asked.
+    /// Gives a new connection a place; `None` if every place is taken by a connection with a request or an unsent answer.
     pub(super) fn admit(self: &Arc<Self>, address: IpAddr) -> Option<Arc<Seat>> {
         let network = Network::of(address);
         let mut table = self.table();
         let of_network = table.peers.values().filter(|peer| peer.network == network).count();
         let is_crowd = network != Network::ThisMachine && of_network >= MAX_PER_ADDRESS;
         if is_crowd || table.peers.len() >= MAX_CONNECTIONS {
-            let idlest = table.idlest(is_crowd.then_some(network))?;
-            table.send_away(idlest);
+            let idlest = table.find_idlest(is_crowd.then_some(network))?;
+            table.disconnect(idlest);
         }
         let number = table.next;
         table.next += 1;
@@ -93,10 +100,12 @@ impl Connections {
         Some(Arc::new(Seat { connections: Arc::clone(self), number, gone }))
     }
 
+    /// Returns the number of connections.
     pub(super) fn len(&self) -> usize {
         self.table().peers.len()
     }
 
+    /// Returns the size of all answers that were not taken yet, bytes.
     pub(super) fn unsent_bytes(&self) -> usize {
         self.table().unsent_bytes
     }
@@ -107,8 +116,10 @@ impl Connections {
 }
 
 impl Table {
-    /// The connection that its client misses least: nothing is asked on it, its network has most of them, and it is the oldest.
-    fn idlest(&self, of: Option<Network>) -> Option<u64> {
+    /// Finds the connection that its client needs least, of one network or of all.
+    ///
+    /// It has no request and no unsent answer; of these, it is the oldest one of the network with the most connections.
+    fn find_idlest(&self, of: Option<Network>) -> Option<u64> {
         let mut counts: BTreeMap<Network, usize> = BTreeMap::new();
         for peer in self.peers.values() {
             *counts.entry(peer.network).or_insert(0) += 1;
@@ -119,17 +130,17 @@ impl Table {
         first.map(|(number, _)| *number)
     }
 
-    /// Who has taken least of its answer in the time it had.
-    fn slowest(&self, now: Instant) -> Option<u64> {
+    /// Finds the connection that has taken its answers at the lowest rate.
+    fn find_slowest(&self, now: Instant) -> Option<u64> {
         let rate = |peer: &Peer| peer.taken_bytes as f64 / (now - peer.reading_since).as_secs_f64();
         let readers = self.peers.iter().filter(|(_, peer)| peer.unsent_bytes > 0);
-        let readers = readers.filter(|(_, peer)| now.saturating_duration_since(peer.reading_since) > LEAST_READING);
+        let readers = readers.filter(|(_, peer)| now.saturating_duration_since(peer.reading_since) > MIN_READING_TIME);
         let slowest = readers.min_by(|(_, a), (_, b)| rate(a).total_cmp(&rate(b)));
         slowest.map(|(number, _)| *number)
     }
 
-    /// What it holds is free for others at once, and its memory as soon as its task has been told.
-    fn send_away(&mut self, number: u64) {
+    /// Removes a connection. Its place and its share of the budget are free at once, its memory when its task has ended.
+    fn disconnect(&mut self, number: u64) {
         if let Some(peer) = self.peers.remove(&number) {
             self.unsent_bytes -= peer.unsent_bytes;
             peer.gone.notify_one();
@@ -138,23 +149,25 @@ impl Table {
 }
 
 impl Seat {
-    pub(super) fn request(self: &Arc<Self>) -> UnderWay {
+    /// Begins a request.
+    pub(super) fn request(self: &Arc<Self>) -> ActiveRequest {
         if let Some(peer) = self.connections.table().peers.get_mut(&self.number) {
             peer.requests += 1;
         }
-        UnderWay(Arc::clone(self))
+        ActiveRequest(Arc::clone(self))
     }
 
-    /// Counts an answer until its client has taken it. If all answers under way have no room for it, slow readers lose theirs;
-    /// `Err` with the same bytes if there are none.
+    /// Counts an answer until its client has taken it.
+    ///
+    /// If the budget of all answers is used up, slow readers are disconnected. `Err` returns the bytes if there are none.
     pub(super) fn hold(self: &Arc<Self>, bytes: Vec<u8>) -> Result<Bytes, Vec<u8>> {
         let mut table = self.connections.table();
         let now = Instant::now();
         while table.unsent_bytes + bytes.len() > MAX_UNSENT_BYTES {
-            let Some(slowest) = table.slowest(now) else { return Err(bytes) };
-            table.send_away(slowest);
+            let Some(slowest) = table.find_slowest(now) else { return Err(bytes) };
+            table.disconnect(slowest);
         }
-        // Who has been sent away meanwhile takes none of it.
+        // A connection that was removed meanwhile takes none of it.
         if let Some(peer) = table.peers.get_mut(&self.number) {
             if peer.unsent_bytes == 0 {
                 (peer.reading_since, peer.taken_bytes) = (now, 0);
@@ -165,25 +178,26 @@ impl Seat {
         Ok(Bytes::from_owner(Unsent { bytes, seat: Arc::clone(self) }))
     }
 
-    pub(super) fn took(&self, bytes: usize) {
+    /// Counts bytes that the client has taken.
+    pub(super) fn record_taken(&self, bytes: usize) {
         if let Some(peer) = self.connections.table().peers.get_mut(&self.number) {
             peer.taken_bytes += bytes as u64;
         }
     }
 
-    /// Comes back once the place is needed for others.
-    pub(super) async fn sent_away(&self) {
+    /// Waits until the connection is to be closed, because its place is needed.
+    pub(super) async fn disconnected(&self) {
         self.gone.notified().await;
     }
 }
 
 impl Drop for Seat {
     fn drop(&mut self) {
-        self.connections.table().send_away(self.number);
+        self.connections.table().disconnect(self.number);
     }
 }
 
-impl Drop for UnderWay {
+impl Drop for ActiveRequest {
     fn drop(&mut self) {
         if let Some(peer) = self.0.connections.table().peers.get_mut(&self.0.number) {
             peer.requests -= 1;
@@ -235,7 +249,7 @@ mod tests {
     const HERE: IpAddr = IpAddr::V4(std::net::Ipv4Addr::LOCALHOST);
 
     #[test]
-    fn a_newcomer_takes_the_place_of_the_oldest_connection_on_which_nothing_is_asked() {
+    fn a_newcomer_takes_the_place_of_the_oldest_idle_connection() {
         let connections = Arc::<Connections>::default();
         let seats: Vec<_> = (0..MAX_CONNECTIONS).map(|_| connections.admit(HERE).expect("a place")).collect();
         let asked: Vec<_> = seats[..2].iter().map(Seat::request).collect();
@@ -290,9 +304,9 @@ mod tests {
         assert_eq!(connections.unsent_bytes(), MAX_UNSENT_BYTES);
         assert!(fresh.hold(vec![0; 1]).is_err(), "both have only begun to read");
         for peer in connections.table().peers.values_mut() {
-            peer.reading_since -= 3 * LEAST_READING;
+            peer.reading_since -= 3 * MIN_READING_TIME;
         }
-        slow.took(1000);
+        slow.record_taken(1000);
         let third = fresh.hold(half()).expect("room");
         assert!(is_away(&slower) && !is_away(&slow));
         assert_eq!(connections.unsent_bytes(), MAX_UNSENT_BYTES);

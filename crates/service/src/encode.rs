@@ -1,15 +1,16 @@
-//! Pixels as a client wants them: JPEG, PNG or raw, by its `Accept`.
+//! Encodes pixels as the client's `Accept` asks for: JPEG, PNG or raw.
 
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use jpeg_encoder::ColorType;
 
-use super::Refusal;
+use super::HttpProblem;
 use super::parameters::MaskWanted;
 use hyper::StatusCode;
 use realitysim_log_input::encode::jpeg;
 use realitysim_views::Raster;
 
+/// The form of an encoded image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Form {
     Jpeg,
@@ -27,15 +28,15 @@ impl Form {
         }
     }
 
-    /// Of stored bytes.
+    /// Returns the form of a stored image.
     pub(super) fn of(bytes: &[u8]) -> Self {
         if bytes.starts_with(b"\x89PNG") { Self::Png } else { Self::Jpeg }
     }
 }
 
-/// The forms that a client takes, best first; without `Accept` any will do.
-pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<Form>, Refusal> {
-    // What stands first is sent where the client has no wish.
+/// Returns the forms that a client accepts and that are possible with this mask, best first. Without `Accept` all are accepted.
+pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<Form>, HttpProblem> {
+    // The first is sent if the client has no preference.
     let possible: &[Form] = match mask {
         MaskWanted::None => &[Form::Jpeg, Form::Png, Form::Raw],
         MaskWanted::Alpha | MaskWanted::Only => &[Form::Png, Form::Raw],
@@ -64,20 +65,25 @@ pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<For
     });
     if forms.is_empty() {
         let names: Vec<&str> = possible.iter().map(|form| form.media_type()).collect();
-        return Err(Refusal::new(StatusCode::NOT_ACCEPTABLE, format!("Accept: there is {}", names.join(", "))));
+        return Err(HttpProblem::new(StatusCode::NOT_ACCEPTABLE, format!("Accept: there is {}", names.join(", "))));
     }
     Ok(forms)
 }
 
-/// The picture in a form, and how many channels it has.
-pub(super) fn encode(image: &Raster, form: Form, mask: MaskWanted, quality: u8) -> Result<(Vec<u8>, usize), Refusal> {
+/// Encodes a picture. Returns its bytes and number of channels. `quality` is that of a JPEG.
+pub(super) fn encode(
+    image: &Raster,
+    form: Form,
+    mask: MaskWanted,
+    quality: u8,
+) -> Result<(Vec<u8>, usize), HttpProblem> {
     let (width, height) = (image.width, image.height);
     let (pixels, channels) = match mask {
         MaskWanted::None => (image.to_rgb(), 3),
         MaskWanted::Alpha => (image.pixels.as_flattened().to_vec(), 4),
         MaskWanted::Only => (image.mask(), 1),
     };
-    let failed = |what: String| Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, what);
+    let failed = |what: String| HttpProblem::new(StatusCode::INTERNAL_SERVER_ERROR, what);
     let mut bytes = Vec::new();
     match form {
         Form::Raw => bytes = pixels,

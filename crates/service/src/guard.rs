@@ -1,26 +1,29 @@
-//! Who may ask: the head of a request, checked before anything is done for it.
+//! Checks by the head of a request whether its sender may ask, before anything is done for it.
 
 use core::net::IpAddr;
 
 use hyper::header::{AUTHORIZATION, HOST, HeaderName, ORIGIN};
 use hyper::{Request, StatusCode, Version};
 
-use super::Refusal;
+use super::HttpProblem;
 
+/// The rule by which clients are admitted.
 #[derive(Clone)]
 pub(super) enum Guard {
-    /// Clients that send this token.
+    /// Clients that send the token with this hash.
     Token(blake3::Hash),
-    /// Programs of this machine, and pages of this service. A page in a browser that has a name of its own for this address is not
-    /// one of them, nor is one of another site that sends its requests here.
+    /// Programs of this machine, and pages of this service in a browser.
+    ///
+    /// Pages of other sites are refused, also if they have a name of their own for this address (DNS rebinding).
     Loopback,
 }
 
-/// What a browser says of the page that asks; programs send no such header.
+/// Header in which a browser states from where a page asks; programs do not send it.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
 impl Guard {
-    pub(super) fn check<B>(&self, request: &Request<B>) -> Result<(), Refusal> {
+    /// Refuses a request whose sender may not ask.
+    pub(super) fn check<B>(&self, request: &Request<B>) -> Result<(), HttpProblem> {
         let host = host(request)?;
         match self {
             Self::Token(token) => {
@@ -29,10 +32,10 @@ impl Guard {
                 // Hashes are compared in constant time.
                 let right = sent.is_some_and(|sent| blake3::hash(sent.trim().as_bytes()) == *token);
                 let what = "a token is needed: `Authorization: Bearer TOKEN`";
-                if right { Ok(()) } else { Err(Refusal::new(StatusCode::UNAUTHORIZED, what)) }
+                if right { Ok(()) } else { Err(HttpProblem::new(StatusCode::UNAUTHORIZED, what)) }
             }
             Self::Loopback => {
-                let forbidden = |what: String| Err(Refusal::new(StatusCode::FORBIDDEN, what));
+                let forbidden = |what: String| Err(HttpProblem::new(StatusCode::FORBIDDEN, what));
                 if !is_loopback(&host) {
                     return forbidden(format!(
                         "the host {host:?} is not this machine: without a token only localhost is answered"
@@ -56,41 +59,41 @@ impl Guard {
     }
 }
 
-/// The host that a request is for, with its port: one, and in ASCII. HTTP/1.0 may say none (RFC 9112, section 3.2).
-fn host<B>(request: &Request<B>) -> Result<String, Refusal> {
+/// Returns the host that a request is for, with its port. There must be one, in ASCII, except in HTTP/1.0 (RFC 9112, section 3.2).
+fn host<B>(request: &Request<B>) -> Result<String, HttpProblem> {
     let sent = text(request, &HOST)?;
-    // Of a target with a host of its own, that one counts.
+    // If the target of the request has a host, that one counts.
     let host = request.uri().authority().map(|own| own.as_str().to_owned()).or_else(|| sent.clone());
     match host {
         Some(host) if sent.is_some() || request.version() < Version::HTTP_11 => Ok(host),
         None if request.version() < Version::HTTP_11 => Ok(String::new()),
-        _ => Err(Refusal::wrong("Host is missing: HTTP/1.1 wants it")),
+        _ => Err(HttpProblem::wrong("Host is missing: HTTP/1.1 wants it")),
     }
 }
 
-/// Of a header that may come once.
-pub(super) fn text<B>(request: &Request<B>, name: &HeaderName) -> Result<Option<String>, Refusal> {
+/// Returns the value of a header that must not come more than once.
+pub(super) fn text<B>(request: &Request<B>, name: &HeaderName) -> Result<Option<String>, HttpProblem> {
     let mut values = request.headers().get_all(name).iter();
     let Some(value) = values.next() else { return Ok(None) };
     if values.next().is_some() {
-        return Err(Refusal::wrong(format!("{name} comes more than once")));
+        return Err(HttpProblem::wrong(format!("{name} comes more than once")));
     }
-    let value = value.to_str().map_err(|_| Refusal::wrong(format!("{name} is not ASCII text")))?;
+    let value = value.to_str().map_err(|_| HttpProblem::wrong(format!("{name} is not ASCII text")))?;
     Ok(Some(value.trim().to_owned()))
 }
 
-/// Of a header that is a list, which may come in several lines.
+/// Returns the value of a header that is a list, whose lines are joined.
 pub(super) fn list<B>(request: &Request<B>, name: &HeaderName) -> Option<String> {
     let lines: Vec<&str> = request.headers().get_all(name).iter().filter_map(|line| line.to_str().ok()).collect();
     (!lines.is_empty()).then(|| lines.join(", "))
 }
 
-/// Whether a page of this origin came from this service, by the name under which it is asked now.
+/// Returns whether an origin is this service, under the name by which it is asked.
 fn is_own(origin: &str, host: &str) -> bool {
     origin.strip_prefix("http://").is_some_and(|own| own.eq_ignore_ascii_case(host))
 }
 
-/// `localhost`, 127.x.x.x or `[::1]`, with or without a port; HTTP/1.0 sends none at all.
+/// Returns whether a host is `localhost`, 127.x.x.x or `[::1]`, with or without a port, or empty as in HTTP/1.0.
 fn is_loopback(host: &str) -> bool {
     let name = match host.rsplit_once(':') {
         Some((name, port)) if !port.is_empty() && port.bytes().all(|byte| byte.is_ascii_digit()) => name,

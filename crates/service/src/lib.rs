@@ -1,37 +1,61 @@
-//! Views over HTTP: `realitysim serve`. docs/service.md is for its users.
+//! Serves views of an image database over HTTP: `realitysim serve`. docs/howto/simulator.md describes the service for its users.
 //!
-//! `Service` holds the database and answers requests; [`serve`] listens, with limits on everything a client can do.
-//! Views are made by a few threads behind a bounded queue: over load some requests are refused, and the others are as fast as ever.
+//! [`serve`] listens until it is told to stop, with limits on everything that a client can do. Views are made by a few threads
+//! behind a bounded queue: under overload some requests are refused, and the others are answered as fast as before. Changes of
+//! the database are noticed while the service runs. [`PARAMETERS`] lists what a request for a view may state, and [`OPENAPI`]
+//! is the document that describes every path.
+//!
+//! ```rust,no_run
+//! use std::collections::BTreeMap;
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use realitysim_config::Settings;
+//! use realitysim_service::{ServeError, ServeOptions, serve};
+//!
+//! let options = ServeOptions {
+//!     database: "images".into(),
+//!     listen: ([127, 0, 0, 1], 8765).into(),
+//!     token: None,
+//!     threads: 2,
+//!     settings: Settings::default().views,
+//!     lenses: BTreeMap::new(),
+//!     scenes: BTreeMap::new(),
+//!     max_distance_m: 0.5,
+//! };
+//! let ready = |address, images| println!("http://{address} serves views of {images} images");
+//! serve(options, &AtomicBool::new(false), ready, |change| println!("{change}"))?;
+//! # Ok::<(), ServeError>(())
+//! ```
 
-mod answer;
+mod admission;
 mod batch;
 mod connections;
-mod door;
 mod encode;
 mod guard;
 mod metrics;
 mod parameters;
-mod patient;
+mod response;
 mod routes;
 mod server;
-mod stock;
+mod view_service;
+mod write_timeout;
 
 pub use parameters::PARAMETERS;
 pub use server::{ServeError, ServeOptions, serve};
 
-/// The OpenAPI document, as it is served.
+/// The OpenAPI document of the service, as JSON.
 pub const OPENAPI: &str = include_str!("openapi.json");
 
 use std::sync::Arc;
 
-use answer::{Refusal, Reply};
 use metrics::Metrics;
-use stock::Stock;
+use response::{HttpProblem, Reply};
+use view_service::ViewService;
 
-/// What all connections share.
+/// State that all connections share.
 struct Service {
-    stock: Stock,
+    views: ViewService,
     metrics: Metrics,
-    door: door::Door,
+    admission: admission::AdmissionControl,
     connections: Arc<connections::Connections>,
 }

@@ -1,4 +1,4 @@
-//! Counts for Prometheus, in its text format 0.0.4.
+//! Counts requests and times views for Prometheus, in its text format 0.0.4.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -6,33 +6,39 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
+/// The counts of the service.
 #[derive(Default)]
 pub(super) struct Metrics {
-    /// By route and status.
+    /// Number of requests by route and status.
     requests: Mutex<BTreeMap<(&'static str, u16), u64>>,
-    /// By how they were made.
+    /// Times of views by how they were made.
     views: Mutex<BTreeMap<&'static str, Histogram>>,
+    /// Number of changes of the database that were taken over.
     pub(super) reloads: AtomicU64,
+    /// Number of changes of the database that could not be read.
     pub(super) failed_reloads: AtomicU64,
 }
 
+/// A cumulative histogram of times.
 #[derive(Clone, Copy, Default)]
 struct Histogram {
-    /// Not more than the bound of its place.
+    /// Number of times up to each of [`BOUNDS_S`].
     counts: [u64; BOUNDS_S.len()],
     count: u64,
     sum_s: f64,
 }
 
+/// Upper bounds of the histogram's buckets, seconds.
 const BOUNDS_S: [f64; 10] = [0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.25, 1.0];
 
 impl Metrics {
+    /// Counts a request.
     pub(super) fn request(&self, route: &'static str, status: u16) {
         let mut requests = self.requests.lock().unwrap_or_else(PoisonError::into_inner);
         *requests.entry((route, status)).or_insert(0) += 1;
     }
 
-    /// From finding the nearest images to the last byte of the picture.
+    /// Counts a view. `took` is the time from finding the nearest images to the last byte of the picture.
     pub(super) fn view(&self, made: &'static str, took: Duration) {
         let mut views = self.views.lock().unwrap_or_else(PoisonError::into_inner);
         let histogram = views.entry(made).or_default();
@@ -47,7 +53,7 @@ impl Metrics {
             .for_each(|(count, _)| *count += 1);
     }
 
-    /// Beside what is counted here: the gauges of the rest of the service, each with its name, meaning and value.
+    /// Returns all counts as text. `gauges` are those of the rest of the service, each with its name, meaning and value.
     pub(super) fn text(&self, gauges: &[(&str, &str, usize)]) -> String {
         let mut text = String::new();
         head(&mut text, "requests_total", "counter", "Requests by route and status");
@@ -79,6 +85,7 @@ impl Metrics {
     }
 }
 
+/// Writes the lines that introduce a metric.
 fn head(text: &mut String, name: &str, kind: &str, help: &str) {
     let _ = writeln!(text, "# HELP realitysim_{name} {help}\n# TYPE realitysim_{name} {kind}");
 }

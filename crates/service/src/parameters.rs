@@ -1,15 +1,15 @@
-//! What a request may say, checked: from a query's names and values, or from JSON. Pure.
+//! Reads and checks the parameters of a request, from a query or from JSON. The module is pure.
 
 use std::collections::BTreeMap;
 
 use glam::DVec3;
 use serde_json::Value;
 
-use super::Refusal;
+use super::HttpProblem;
 use realitysim_geometry::{Euler, Isometry};
 use realitysim_views::{LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
 
-/// Every parameter of a view, and what is right for it.
+/// Name of every parameter of a view, and what is valid for it.
 pub const PARAMETERS: [(&str, &str); 17] = [
     ("x", "metres, -100 to 100: camera_link in map"),
     ("y", "metres, -100 to 100"),
@@ -30,58 +30,69 @@ pub const PARAMETERS: [(&str, &str); 17] = [
     ("quality", "of a JPEG, 1 to 100"),
 ];
 
-/// One view, asked for.
+/// A request for one view.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Asked {
+pub(super) struct ViewRequest {
     pub(super) map_from_link: Isometry,
     pub(super) method: Method,
+    /// Width and height, pixels, where they are stated.
     pub(super) size: [Option<u32>; 2],
     pub(super) lens: Option<String>,
     pub(super) scene: Option<String>,
+    /// Whether the figures of the scene are drawn.
     pub(super) figures: bool,
+    /// Number of the scene's frame.
     pub(super) frame: u64,
     pub(super) max_distance_m: Option<f64>,
+    /// Whether a view is refused that is farther than `max_distance_m` from the nearest image.
     pub(super) refuses: bool,
     pub(super) mask: MaskWanted,
     pub(super) quality: u8,
 }
 
+/// How the mask of valid pixels is sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum MaskWanted {
+    /// Not at all.
     #[default]
     None,
+    /// As a fourth channel.
     Alpha,
+    /// Alone, as one channel.
     Only,
 }
 
-/// Names and values as they came.
+/// Names and values of parameters, as they came.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Parameters(BTreeMap<String, String>);
 
-const LEAST_SIDE: u32 = 16;
-/// Two of them make as many pixels as a view may have.
+/// Smallest width or height of a view, pixels.
+const MIN_SIDE: u32 = 16;
+/// Largest width or height of a view, pixels. Its square is the largest number of pixels of a view.
 const MAX_SIDE: u32 = 2048;
-const USUAL_QUALITY: u8 = 90;
-/// Of a value, in a message.
-const MOST_SHOWN: usize = 40;
+/// Quality of a JPEG if the client does not state one.
+const DEFAULT_QUALITY: u8 = 90;
+/// Number of characters of a value that a message shows.
+const SHOWN_CHARS: usize = 40;
 
 impl Parameters {
-    pub(super) fn from_query(query: &str) -> Result<Self, Refusal> {
+    /// Reads the parameters of a query; a name must not be given twice.
+    pub(super) fn from_query(query: &str) -> Result<Self, HttpProblem> {
         let mut known = BTreeMap::new();
         for (name, value) in form_urlencoded::parse(query.as_bytes()) {
             if known.insert(name.clone().into_owned(), value.into_owned()).is_some() {
-                return Err(Refusal::wrong(format!("{}: given twice", short(&name))));
+                return Err(HttpProblem::wrong(format!("{}: given twice", short(&name))));
             }
         }
         Ok(Self(known))
     }
 
-    /// Numbers, texts and truths of a JSON object.
-    pub(super) fn from_json(object: &serde_json::Map<String, Value>) -> Result<Self, Refusal> {
+    /// Reads the parameters of a JSON object, whose values must be numbers or texts.
+    pub(super) fn from_json(object: &serde_json::Map<String, Value>) -> Result<Self, HttpProblem> {
         let text = |(name, value): (&String, &Value)| match value {
             Value::String(text) => Ok((name.clone(), text.clone())),
             Value::Number(number) => Ok((name.clone(), number.to_string())),
-            other => Err(Refusal::wrong(format!(
+            other => Err(HttpProblem::wrong(format!(
                 "{}: {}: a number or a text is needed",
                 short(name),
                 short(&other.to_string())
@@ -90,7 +101,7 @@ impl Parameters {
         object.iter().map(text).collect::<Result<_, _>>().map(Self)
     }
 
-    /// Those of `self`, and of `all` where `self` says nothing.
+    /// Adds those of `all` that `self` does not have.
     pub(super) fn over(mut self, all: &Self) -> Self {
         for (name, value) in &all.0 {
             self.0.entry(name.clone()).or_insert_with(|| value.clone());
@@ -98,39 +109,44 @@ impl Parameters {
         self
     }
 
-    /// Refuses what is not among `known`.
-    pub(super) fn only(&self, known: &[&str]) -> Result<(), Refusal> {
+    /// Refuses parameters that are not among `known`.
+    pub(super) fn only(&self, known: &[&str]) -> Result<(), HttpProblem> {
         match self.0.keys().find(|name| !known.contains(&name.as_str())) {
-            Some(name) => Err(Refusal::wrong(format!("{}: unknown: there are {}", short(name), known.join(", ")))),
+            Some(name) => Err(HttpProblem::wrong(format!("{}: unknown: there are {}", short(name), known.join(", ")))),
             None => Ok(()),
         }
     }
 
-    pub(super) fn number(&self, name: &str, low: f64, high: f64) -> Result<Option<f64>, Refusal> {
+    /// Returns a number within a range, if it is given.
+    pub(super) fn number(&self, name: &str, low: f64, high: f64) -> Result<Option<f64>, HttpProblem> {
         let Some(text) = self.0.get(name) else { return Ok(None) };
         let value = text.trim().parse::<f64>().ok().filter(|value| (low..=high).contains(value));
         value.map(Some).ok_or_else(|| wrong(name, text, &format!("a number from {low} to {high} is needed")))
     }
 
-    pub(super) fn whole(&self, name: &str, low: u32, high: u32) -> Result<Option<u32>, Refusal> {
+    /// Returns a whole number within a range, if it is given.
+    pub(super) fn whole(&self, name: &str, low: u32, high: u32) -> Result<Option<u32>, HttpProblem> {
         let Some(text) = self.0.get(name) else { return Ok(None) };
         let value = whole(text.trim()).filter(|value| (low..=high).contains(value));
         value.map(Some).ok_or_else(|| wrong(name, text, &format!("a whole number from {low} to {high} is needed")))
     }
 
-    fn needed(&self, name: &str, low: f64, high: f64) -> Result<f64, Refusal> {
+    /// Returns a number within a range that must be given.
+    fn needed(&self, name: &str, low: f64, high: f64) -> Result<f64, HttpProblem> {
         let right = PARAMETERS.iter().find(|(known, _)| *known == name).map_or("", |(_, right)| right);
-        self.number(name, low, high)?.ok_or_else(|| Refusal::wrong(format!("{name} is missing: {right}")))
+        self.number(name, low, high)?.ok_or_else(|| HttpProblem::wrong(format!("{name} is missing: {right}")))
     }
 
-    fn choice<T: Copy>(&self, name: &str, choices: &[(&str, T)]) -> Result<T, Refusal> {
+    /// Returns the value of one of several words; the first if none is given.
+    fn choice<T: Copy>(&self, name: &str, choices: &[(&str, T)]) -> Result<T, HttpProblem> {
         let Some(text) = self.0.get(name) else { return Ok(choices[0].1) };
         let found = choices.iter().find(|(known, _)| known == text).map(|(_, value)| *value);
         let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
         found.ok_or_else(|| wrong(name, text, &format!("one of {} is needed", names.join(", "))))
     }
 
-    pub(super) fn asked(&self) -> Result<Asked, Refusal> {
+    /// Checks all parameters of a view.
+    pub(super) fn view_request(&self) -> Result<ViewRequest, HttpProblem> {
         self.only(&PARAMETERS.map(|(name, _)| name))?;
         let turn = |name: &str| Ok(self.number(name, -MAX_TURN_DEG, MAX_TURN_DEG)?.unwrap_or(0.0).to_radians());
         let place = DVec3::new(
@@ -140,13 +156,13 @@ impl Parameters {
         );
         let yaw = self.needed("yaw_deg", -MAX_TURN_DEG, MAX_TURN_DEG)?.to_radians();
         let euler = Euler { yaw, pitch: turn("pitch_deg")?, roll: turn("roll_deg")? };
-        Ok(Asked {
+        Ok(ViewRequest {
             map_from_link: Isometry::from_euler(euler, place),
             method: self.choice(
                 "method",
                 &[("exact", Method::Exact), ("paper", Method::Paper), ("nearest", Method::Nearest)],
             )?,
-            size: [self.whole("width", LEAST_SIDE, MAX_SIDE)?, self.whole("height", LEAST_SIDE, MAX_SIDE)?],
+            size: [self.whole("width", MIN_SIDE, MAX_SIDE)?, self.whole("height", MIN_SIDE, MAX_SIDE)?],
             lens: self.0.get("lens").cloned(),
             scene: self.0.get("scene").cloned(),
             figures: self.choice("figures", &[("draw", true), ("omit", false)])?,
@@ -157,20 +173,20 @@ impl Parameters {
                 "mask",
                 &[("none", MaskWanted::None), ("alpha", MaskWanted::Alpha), ("only", MaskWanted::Only)],
             )?,
-            quality: self.whole("quality", 1, 100)?.map_or(USUAL_QUALITY, |quality| quality as u8),
+            quality: self.whole("quality", 1, 100)?.map_or(DEFAULT_QUALITY, |quality| quality as u8),
         })
     }
 }
 
-/// JSON has one kind of number: 64.0 and 6.4e1 are whole.
+/// Parses a whole number. Since JSON has one kind of number, 64.0 and 6.4e1 are whole, too.
 fn whole(text: &str) -> Option<u32> {
     let exact =
         text.parse::<f64>().ok().filter(|value| value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(value));
     text.parse().ok().or_else(|| exact.map(|value| value as u32))
 }
 
-/// The name of something given at the start, or a refusal that says which there are.
-pub(super) fn named<'a, T>(name: &str, wanted: &str, known: &'a BTreeMap<String, T>) -> Result<&'a T, Refusal> {
+/// Looks up a lens or scene by its name. The refusal lists the names that there are.
+pub(super) fn named<'a, T>(name: &str, wanted: &str, known: &'a BTreeMap<String, T>) -> Result<&'a T, HttpProblem> {
     known.get(wanted).ok_or_else(|| {
         let names: Vec<&str> = known.keys().map(String::as_str).collect();
         let names = if names.is_empty() { "none: see `realitysim serve --help`".to_owned() } else { names.join(", ") };
@@ -178,15 +194,17 @@ pub(super) fn named<'a, T>(name: &str, wanted: &str, known: &'a BTreeMap<String,
     })
 }
 
-fn wrong(name: &str, value: &str, right: &str) -> Refusal {
-    Refusal::wrong(format!("{name} is {:?}: {right}", short(value)))
+/// Refuses the value of a parameter, and says what is valid.
+fn wrong(name: &str, value: &str, right: &str) -> HttpProblem {
+    HttpProblem::wrong(format!("{name} is {:?}: {right}", short(value)))
 }
 
+/// Shortens a text for a message.
 fn short(text: &str) -> String {
-    if text.chars().count() <= MOST_SHOWN {
+    if text.chars().count() <= SHOWN_CHARS {
         text.to_owned()
     } else {
-        text.chars().take(MOST_SHOWN).chain("...".chars()).collect()
+        text.chars().take(SHOWN_CHARS).chain("...".chars()).collect()
     }
 }
 
@@ -195,8 +213,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn asked(query: &str) -> Result<Asked, Refusal> {
-        Parameters::from_query(query)?.asked()
+    fn asked(query: &str) -> Result<ViewRequest, HttpProblem> {
+        Parameters::from_query(query)?.view_request()
     }
 
     #[test]
@@ -223,8 +241,10 @@ mod tests {
             .expect("right");
         let object = serde_json::json!({ "x": 1, "y": -2.5, "z": 0.5, "yaw_deg": 30, "pitch_deg": 10.0, "method": "paper",
             "width": 64, "mask": "only", "outside": "warn" });
-        let json =
-            Parameters::from_json(object.as_object().expect("an object")).expect("values").asked().expect("right");
+        let json = Parameters::from_json(object.as_object().expect("an object"))
+            .expect("values")
+            .view_request()
+            .expect("right");
         assert_eq!(query, json);
         assert!(!query.refuses && query.mask == MaskWanted::Only && query.size == [Some(64), None]);
     }

@@ -1,4 +1,4 @@
-//! From a request to its answer.
+//! Answers a request: finds its route, reads its parameters, and makes the reply.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -11,25 +11,27 @@ use hyper::header::{ACCEPT, CONTENT_TYPE};
 use hyper::{Request, StatusCode};
 use tokio::time::timeout;
 
-use super::answer::{bytes, finish, json_reply, put};
 use super::batch::Batch;
 use super::connections::Seat;
 use super::encode::{Form, accepted};
 use super::guard::{Guard, list, text};
-use super::parameters::{Asked, MaskWanted, Parameters};
-use super::stock::Picture;
-use super::{OPENAPI, Refusal, Reply, Service};
+use super::parameters::{MaskWanted, Parameters, ViewRequest};
+use super::response::{bytes, finish, json_reply, put_headers};
+use super::view_service::Picture;
+use super::{HttpProblem, OPENAPI, Reply, Service};
 
+/// The paths of the service.
 const ROUTES: [&str; 6] = ["/v1/view", "/v1/views", "/v1/info", "/v1/coverage", "/metrics", "/openapi.json"];
-/// Of a batch: a thousand poses have some hundred kilobytes.
+/// Largest body of a batch, bytes: a thousand poses have some hundred kilobytes.
 const MAX_BODY_BYTES: usize = 1 << 20;
+/// Longest time for the body of a batch to come.
 const MAX_BODY_TIME: Duration = Duration::from_secs(10);
 
 impl Service {
-    /// A view and its bytes; counted and timed.
-    pub(super) fn picture(&self, asked: &Asked, forms: &[Form]) -> Result<Picture, Refusal> {
+    /// Makes and encodes a view, and counts and times it.
+    pub(super) fn picture(&self, asked: &ViewRequest, forms: &[Form]) -> Result<Picture, HttpProblem> {
         let started = Instant::now();
-        let mut picture = self.stock.picture(asked, forms)?;
+        let mut picture = self.views.picture(asked, forms)?;
         let took = started.elapsed();
         self.metrics.view(picture.made, took);
         picture.headers.push(("server-timing", format!("view;dur={:.3}", 1e3 * took.as_secs_f64())));
@@ -37,36 +39,38 @@ impl Service {
     }
 }
 
+/// Answers a request. A refusal is an answer, too.
 pub(super) async fn answer(
     service: Arc<Service>,
     guard: Guard,
     seat: Arc<Seat>,
     request: Request<Incoming>,
 ) -> Result<Reply, Infallible> {
-    let under_way = seat.request();
+    let active = seat.request();
     let route = ROUTES.into_iter().find(|route| *route == request.uri().path());
     let reply = match (guard.check(&request), route) {
         (Err(refusal), _) => Err(refusal),
         (Ok(()), Some(route)) => dispatch(&service, &seat, route, request).await,
         (Ok(()), None) => {
             let what = format!("there is no such path: there are {}", ROUTES.join(", "));
-            Err(Refusal::new(StatusCode::NOT_FOUND, what))
+            Err(HttpProblem::new(StatusCode::NOT_FOUND, what))
         }
     };
     let reply = reply.unwrap_or_else(|refusal| refusal.reply());
     service.metrics.request(route.unwrap_or("other"), reply.status().as_u16());
-    Ok(finish(reply, under_way))
+    Ok(finish(reply, active))
 }
 
+/// Hands an admitted request to its route.
 async fn dispatch(
     service: &Arc<Service>,
     seat: &Arc<Seat>,
     route: &'static str,
     request: Request<Incoming>,
-) -> Result<Reply, Refusal> {
+) -> Result<Reply, HttpProblem> {
     let allowed = if route == "/v1/views" { "POST" } else { "GET, HEAD" };
     if !allowed.split(", ").any(|method| request.method() == method) {
-        return Err(Refusal::method(route, allowed));
+        return Err(HttpProblem::method(route, allowed));
     }
     let parameters = Parameters::from_query(request.uri().query().unwrap_or_default())?;
     match route {
@@ -75,102 +79,107 @@ async fn dispatch(
         "/v1/coverage" => coverage(service, seat, parameters, &request).await,
         "/v1/info" => {
             parameters.only(&[])?;
-            Ok(json_reply(&service.stock.info()))
+            Ok(json_reply(&service.views.info()))
         }
         "/metrics" => Ok(bytes(StatusCode::OK, "text/plain; version=0.0.4", metrics(service))),
         _ => Ok(bytes(StatusCode::OK, "application/json", OPENAPI)),
     }
 }
 
+/// Returns the metrics as text.
 fn metrics(service: &Service) -> String {
-    let gallery = service.stock.gallery();
+    let gallery = service.views.gallery();
     service.metrics.text(&[
         ("connections", "Connections that are open", service.connections.len()),
-        ("requests_inside", "Requests at work or waiting for a thread", service.door.inside()),
+        ("requests_inside", "Requests at work or waiting for a thread", service.admission.inside()),
         ("unsent_bytes", "Memory of answers that clients have not taken yet", service.connections.unsent_bytes()),
         ("images", "Images in the database", gallery.index().len()),
         ("decoded_bytes", "Memory of decoded images", gallery.decoded_bytes()),
     ])
 }
 
+/// Answers `/v1/view`.
 async fn view(
     service: &Arc<Service>,
     seat: &Arc<Seat>,
     parameters: &Parameters,
     request: &Request<Incoming>,
-) -> Result<Reply, Refusal> {
-    let asked = parameters.asked()?;
+) -> Result<Reply, HttpProblem> {
+    let asked = parameters.view_request()?;
     let forms = accepted(list(request, &ACCEPT).as_deref(), asked.mask)?;
     let shared = Arc::clone(service);
-    let picture = service.door.enter().await?.run(move || shared.picture(&asked, &forms)).await??;
-    let mut reply = bytes(StatusCode::OK, picture.form.media_type(), hold(seat, picture.bytes)?);
-    put(&mut reply, &picture.headers);
+    let picture = service.admission.enter().await?.run(move || shared.picture(&asked, &forms)).await??;
+    let mut reply = bytes(StatusCode::OK, picture.form.media_type(), hold_answer(seat, picture.bytes)?);
+    put_headers(&mut reply, &picture.headers);
     Ok(reply)
 }
 
-fn hold(seat: &Arc<Seat>, bytes: Vec<u8>) -> Result<Bytes, Refusal> {
+/// Counts the bytes of an answer until the client has taken them; refuses it if there is no room.
+fn hold_answer(seat: &Arc<Seat>, bytes: Vec<u8>) -> Result<Bytes, HttpProblem> {
     let what = "clients have not taken too many answers yet: come back in a second";
-    seat.hold(bytes).map_err(|_| Refusal::new(StatusCode::SERVICE_UNAVAILABLE, what))
+    seat.hold(bytes).map_err(|_| HttpProblem::new(StatusCode::SERVICE_UNAVAILABLE, what))
 }
 
+/// Answers `/v1/views`: a batch.
 async fn views(
     service: &Arc<Service>,
     seat: &Arc<Seat>,
     parameters: &Parameters,
     request: Request<Incoming>,
-) -> Result<Reply, Refusal> {
+) -> Result<Reply, HttpProblem> {
     parameters.only(&[])?;
     let kind = text(&request, &CONTENT_TYPE)?.unwrap_or_default();
     let is_json = kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"));
     if !is_json {
         let what = format!("Content-Type is {kind:?}: application/json is needed");
-        return Err(Refusal::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, what));
+        return Err(HttpProblem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, what));
     }
     let accept = list(&request, &ACCEPT).filter(|accept| !accept.contains("multipart/"));
     let too_large = || {
         let what = format!("the body has more than {MAX_BODY_BYTES} bytes: ask for fewer views");
-        Refusal::new(StatusCode::PAYLOAD_TOO_LARGE, what)
+        HttpProblem::new(StatusCode::PAYLOAD_TOO_LARGE, what)
     };
-    // What is announced need not be waited for.
+    // A body that is announced as too large is refused before it comes.
     if request.body().size_hint().lower() > MAX_BODY_BYTES as u64 {
         return Err(too_large());
     }
     let body = Limited::new(request.into_body(), MAX_BODY_BYTES);
     let body = timeout(MAX_BODY_TIME, body.collect()).await;
-    let body = body.map_err(|_| Refusal::new(StatusCode::REQUEST_TIMEOUT, "the body did not come in time"))?;
+    let body = body.map_err(|_| HttpProblem::new(StatusCode::REQUEST_TIMEOUT, "the body did not come in time"))?;
     let body = body.map_err(|error| match error.downcast_ref::<http_body_util::LengthLimitError>() {
         Some(_) => too_large(),
-        None => Refusal::wrong(format!("the body did not come whole: {error}")),
+        None => HttpProblem::wrong(format!("the body did not come whole: {error}")),
     })?;
     let batch = Batch::from_json(&body.to_bytes())?;
     let alpha = |mask| {
         batch.asked.iter().flatten().map(|asked| asked.mask).find(|own| *own != MaskWanted::None).unwrap_or(mask)
     };
     let forms = accepted(accept.as_deref(), alpha(MaskWanted::None))?;
-    let begun = service.door.begin_batch().await?;
+    let begun = service.admission.begin_batch().await?;
     Ok(batch.stream(Arc::clone(service), Arc::clone(seat), begun, forms))
 }
 
+/// Answers `/v1/coverage` with JSON, or with a picture if the client asks for PNG.
 async fn coverage(
     service: &Arc<Service>,
     seat: &Arc<Seat>,
     parameters: Parameters,
     request: &Request<Incoming>,
-) -> Result<Reply, Refusal> {
+) -> Result<Reply, HttpProblem> {
     let picture = list(request, &ACCEPT).is_some_and(|accept| accept.contains("image/png"));
     let shared = Arc::clone(service);
-    let work = move || shared.stock.coverage(&parameters, picture);
-    let (content, kind) = service.door.enter().await?.run(work).await??;
-    Ok(bytes(StatusCode::OK, kind, hold(seat, content)?))
+    let work = move || shared.views.coverage(&parameters, picture);
+    let (content, kind) = service.admission.enter().await?.run(work).await??;
+    Ok(bytes(StatusCode::OK, kind, hold_answer(seat, content)?))
 }
 
-/// Takes over changes of the database.
+/// Reopens the database if it has changed. Returns what to report: the new number of images, or an error.
 pub(super) fn refresh(service: &Service) -> Option<String> {
-    match service.stock.refresh() {
+    match service.views.refresh() {
         Ok(false) => None,
         Ok(true) => {
             service.metrics.reloads.fetch_add(1, Ordering::Relaxed);
-            Some(format!("the database has changed: {} images", service.stock.gallery().index().len()))
+            Some(format!("the database has changed: {} images", service.views.gallery().index().len()))
         }
         Err(error) => {
             service.metrics.failed_reloads.fetch_add(1, Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! Listens, and sees to it that no client costs more than its share.
+//! Listens for clients, with limits that keep any of them from taking more than its share.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -17,64 +17,88 @@ use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
 use super::Service;
+use super::admission::AdmissionControl;
 use super::connections::Seat;
-use super::door::Door;
 use super::guard::Guard;
 use super::metrics::Metrics;
-use super::patient::Patient;
 use super::routes::{answer, refresh};
-use super::stock::Stock;
+use super::view_service::ViewService;
+use super::write_timeout::WriteTimeout;
 use realitysim_config::ViewsSettings;
 use realitysim_database::DatabaseError;
 use realitysim_geometry::LensParameters;
 use realitysim_scene::Scene;
 
+/// What to serve, and where.
 #[derive(Clone, Debug)]
 pub struct ServeOptions {
-    /// The database's folder.
+    /// Folder of the database.
     pub database: PathBuf,
+    /// Address and port to listen on; port 0 takes any free one.
     pub listen: SocketAddr,
-    /// Needed beyond loopback.
+    /// Token that clients must send; needed for any address but loopback.
     pub token: Option<String>,
-    /// Threads that make views.
+    /// Number of threads that make views.
     pub threads: usize,
+    /// Settings of the views.
     pub settings: ViewsSettings,
-    /// That clients may name.
+    /// Lenses that clients may name.
     pub lenses: BTreeMap<String, LensParameters>,
+    /// Scenes that clients may name.
     pub scenes: BTreeMap<String, Scene>,
-    /// Farther from the nearest image a view is refused, if the client does not say.
+    /// Largest distance of a view from the nearest image, metres, if the client does not state one.
     pub max_distance_m: f64,
 }
 
+/// Why the service cannot run.
 #[derive(Debug, Error)]
 pub enum ServeError {
+    /// Another address than loopback needs a token.
     #[error("--listen {0}: who can reach it could use it: give a token with --token-file")]
     NoToken(SocketAddr),
-    #[error("the token has {0} characters: at least {LEAST_TOKEN} are needed")]
+    /// The token is too short; its number of characters.
+    #[error("the token has {0} characters: at least {MIN_TOKEN_CHARS} are needed")]
     ShortToken(usize),
+    /// The address cannot be listened on.
     #[error("--listen {address}: {source}")]
-    Listen { address: SocketAddr, source: std::io::Error },
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// What the operating system says.
+        source: std::io::Error,
+    },
+    /// The threads of the service cannot be started.
     #[error(transparent)]
     Runtime(#[from] std::io::Error),
+    /// The database cannot be opened.
     #[error(transparent)]
     Database(#[from] DatabaseError),
 }
 
-/// So long a client may take for the head of its request, and between two requests.
+/// Longest time for the head of a request to come, and between two requests of a connection.
 const MAX_HEAD_TIME: Duration = Duration::from_secs(10);
+/// Largest head of a request, bytes.
 const MAX_HEAD_BYTES: usize = 16 << 10;
+/// Largest number of headers of a request.
 const MAX_HEADERS: usize = 64;
-/// Requests under way when the service ends have this long.
+/// Time that requests under way have to be answered when the service ends.
 const MAX_LAST_WORDS: Duration = Duration::from_secs(5);
+/// Time between two looks for changes of the database.
 const LOOK_FOR_CHANGES_EVERY: Duration = Duration::from_millis(500);
+/// Time between two looks at the stop flag.
 const LOOK_FOR_STOP_EVERY: Duration = Duration::from_millis(100);
+/// Time between two looks whether the last connection has gone.
 const LOOK_FOR_LAST_EVERY: Duration = Duration::from_millis(20);
-const LEAST_TOKEN: usize = 16;
-/// To a client for whom there is no place.
-const NO_PLACE: &[u8] =
+/// Smallest number of characters of a token.
+const MIN_TOKEN_CHARS: usize = 16;
+/// Answer to a client for which there is no free connection.
+const NO_CONNECTION_FREE: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 1\r\nConnection: close\r\nContent-Length: 0\r\n\r\n";
 
-/// Serves until `stop`. `ready` hears of the address that is listened on (port 0 is any), `say` of changes.
+/// Serves views until `stop` is set.
+///
+/// `ready` is called once with the address that is listened on and the number of images in the database. `say` is called with
+/// a text when the database has changed.
 pub fn serve(
     options: ServeOptions,
     stop: &AtomicBool,
@@ -82,7 +106,7 @@ pub fn serve(
     say: fn(&str),
 ) -> Result<(), ServeError> {
     let guard = match &options.token {
-        Some(token) if token.chars().count() < LEAST_TOKEN => {
+        Some(token) if token.chars().count() < MIN_TOKEN_CHARS => {
             return Err(ServeError::ShortToken(token.chars().count()));
         }
         Some(token) => Guard::Token(blake3::hash(token.as_bytes())),
@@ -90,32 +114,36 @@ pub fn serve(
         None => return Err(ServeError::NoToken(options.listen)),
     };
     let ServeOptions { database, listen, threads, settings, lenses, scenes, max_distance_m, .. } = options;
-    let stock = Stock::open(&database, &settings, lenses, scenes, max_distance_m)?;
-    let service =
-        Arc::new(Service { stock, metrics: Metrics::default(), door: Door::new(threads), connections: Arc::default() });
-    // Connections need one thread, views `threads`, the look for changes one.
+    let views = ViewService::open(&database, &settings, lenses, scenes, max_distance_m)?;
+    let service = Arc::new(Service {
+        views,
+        metrics: Metrics::default(),
+        admission: AdmissionControl::new(threads),
+        connections: Arc::default(),
+    });
+    // One thread serves the connections, `threads` make views, and one looks for changes.
     let runtime = Builder::new_current_thread().enable_all().max_blocking_threads(threads + 1).build()?;
     runtime.block_on(async {
         let failed = |source| ServeError::Listen { address: listen, source };
         let listener = TcpListener::bind(listen).await.map_err(failed)?;
-        ready(listener.local_addr().map_err(failed)?, service.stock.gallery().index().len());
-        let changes = tokio::spawn(follow(Arc::clone(&service), say));
+        ready(listener.local_addr().map_err(failed)?, service.views.gallery().index().len());
+        let changes = tokio::spawn(follow_changes(Arc::clone(&service), say));
         let connections = Arc::clone(&service.connections);
         let (end, ended) = watch::channel(false);
         loop {
             tokio::select! {
-                () = until(stop) => break,
+                () = wait_for_stop(stop) => break,
                 (stream, address) = accept(&listener) => match connections.admit(address.ip()) {
                     Some(seat) => {
-                        tokio::spawn(converse(Arc::clone(&service), guard.clone(), stream, seat, ended.clone()));
+                        tokio::spawn(serve_connection(Arc::clone(&service), guard.clone(), stream, seat, ended.clone()));
                     }
-                    // What fits into the socket at once, or nothing.
-                    None => drop(stream.try_write(NO_PLACE)),
+                    // The answer is sent only if the socket takes it at once.
+                    None => drop(stream.try_write(NO_CONNECTION_FREE)),
                 },
             }
         }
         changes.abort();
-        // Nobody listens if there is no connection.
+        // Sending fails if there is no connection.
         let _ = end.send(true);
         let all_gone = async {
             while connections.len() > 0 {
@@ -127,18 +155,19 @@ pub fn serve(
     })
 }
 
-/// The next client.
+/// Waits for the next client.
 async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
     loop {
         match listener.accept().await {
             Ok(accepted) => return accepted,
-            // Out of descriptors, or gone already: the next one may do better.
+            // There are no descriptors left, or the client has gone: the next one may succeed.
             Err(_) => sleep(LOOK_FOR_STOP_EVERY).await,
         }
     }
 }
 
-async fn converse(
+/// Serves one connection until it is closed, its place is needed, or the service ends.
+async fn serve_connection(
     service: Arc<Service>,
     guard: Guard,
     stream: TcpStream,
@@ -146,9 +175,10 @@ async fn converse(
     mut ended: watch::Receiver<bool>,
 ) {
     let _ = stream.set_nodelay(true);
-    let stream = TokioIo::new(Patient::new(stream, Arc::clone(&seat)));
-    let asker = Arc::clone(&seat);
-    let answering = service_fn(move |request| answer(Arc::clone(&service), guard.clone(), Arc::clone(&asker), request));
+    let stream = TokioIo::new(WriteTimeout::new(stream, Arc::clone(&seat)));
+    let own_seat = Arc::clone(&seat);
+    let answering =
+        service_fn(move |request| answer(Arc::clone(&service), guard.clone(), Arc::clone(&own_seat), request));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(MAX_HEAD_TIME)
@@ -156,10 +186,10 @@ async fn converse(
         .max_headers(MAX_HEADERS)
         .serve_connection(stream, answering);
     tokio::pin!(connection);
-    // What goes wrong with one client is its own: it has been told, or it has gone.
+    // An error of a connection needs no handling: its client has got an answer, or it has gone.
     tokio::select! {
         _ = connection.as_mut() => {}
-        () = seat.sent_away() => {}
+        () = seat.disconnected() => {}
         _ = ended.changed() => {
             connection.as_mut().graceful_shutdown();
             let _ = connection.await;
@@ -167,14 +197,15 @@ async fn converse(
     }
 }
 
-async fn until(stop: &AtomicBool) {
+/// Waits until `stop` is set.
+async fn wait_for_stop(stop: &AtomicBool) {
     while !stop.load(Ordering::Relaxed) {
         sleep(LOOK_FOR_STOP_EVERY).await;
     }
 }
 
-/// A damaged database is told once, not twice a second.
-async fn follow(service: Arc<Service>, say: fn(&str)) {
+/// Follows changes of the database for ever. The same error is reported once, not twice a second.
+async fn follow_changes(service: Arc<Service>, say: fn(&str)) {
     let mut last = None;
     loop {
         sleep(LOOK_FOR_CHANGES_EVERY).await;

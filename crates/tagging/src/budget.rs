@@ -1,24 +1,28 @@
-//! How long a frame may take. A frame that runs out of time weighs fewer poses; where it stopped is stored with its tag,
-//! so that a replay stops at the same place on any machine.
+//! The time budget of a frame.
+//!
+//! A frame that runs out of time weighs fewer poses. The number of poses at which it stopped is stored with its tag, so
+//! that a replay stops at the same pose on any machine.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-/// By a frame's exposure: after how many poses the clock stopped it, if it did.
+/// Recorded stops of a budget: from a frame's stamp in nanoseconds to the number of poses after which the clock stopped
+/// it, or `None` if it was not stopped.
 pub type Decisions = BTreeMap<i64, Option<u32>>;
 
+/// The time budget of all frames, and what has been learnt of how long the end of a frame takes.
 #[derive(Clone, Debug, Default)]
 pub struct Budget {
     limit: Option<Duration>,
-    /// Of the agent that recorded what is replayed.
+    /// Stops that the agent recorded when it made the log that is replayed.
     decided: Decisions,
-    /// What still has to be done when the last pose has been weighed: refinement, above all.
+    /// Time kept free for the work after the last pose has been weighed, which is mostly refinement.
     reserve: Duration,
-    /// What is done between two looks at the clock: the last of them may come just in time.
+    /// Time kept free for the poses that are weighed between two looks at the clock.
     stride: Duration,
 }
 
-/// One frame's part of the budget.
+/// The budget of one frame.
 #[derive(Clone, Debug)]
 pub struct Allowance {
     until: Until,
@@ -29,23 +33,27 @@ pub struct Allowance {
 
 #[derive(Clone, Copy, Debug)]
 enum Until {
+    /// No limit.
     Forever,
+    /// The clock decides.
     Time(Instant),
+    /// A recorded decision: stop after this many poses.
     Weighed(u32),
 }
 
-/// Of what the rest of a frame and a stride took at most, so much is forgotten with each frame: half in five seconds at 10 Hz.
-const FORGET: f64 = 0.986;
+/// Factor by which the learnt maxima decay with each frame: half in five seconds at 10 Hz.
+const DECAY_PER_FRAME: f64 = 0.986;
 
 impl Budget {
-    /// Milliseconds from the decoded image to the tag; 0 is no limit. What `decided` knows of a frame holds, else the
-    /// clock.
+    /// A budget of `limit_ms` milliseconds from the decoded image to the tag; 0 means no limit.
+    ///
+    /// A decision in `decided` takes precedence over the clock for its frame.
     pub fn new(limit_ms: f64, decided: Decisions) -> Self {
         let limit = (limit_ms > 0.0).then(|| Duration::from_secs_f64(limit_ms * 1e-3));
         Self { limit, decided, reserve: Duration::ZERO, stride: Duration::ZERO }
     }
 
-    /// A frame of which `looked_ms` have been spent.
+    /// The allowance of the frame with this stamp, of whose budget `looked_ms` milliseconds have been spent on vision.
     pub fn frame(&mut self, stamp_ns: i64, looked_ms: f64) -> Allowance {
         let now = Instant::now();
         let until = match (self.limit, self.decided.remove(&stamp_ns)) {
@@ -59,14 +67,15 @@ impl Budget {
         Allowance { until, stopped_at: None, last_asked: now, longest_stride: Duration::ZERO }
     }
 
-    /// The frame is done.
+    /// Learns from a finished frame how much time to keep free for the next ones.
     pub fn learn(&mut self, allowance: &Allowance) {
-        self.reserve = self.reserve.mul_f64(FORGET).max(allowance.last_asked.elapsed());
-        self.stride = self.stride.mul_f64(FORGET).max(allowance.longest_stride);
+        self.reserve = self.reserve.mul_f64(DECAY_PER_FRAME).max(allowance.last_asked.elapsed());
+        self.stride = self.stride.mul_f64(DECAY_PER_FRAME).max(allowance.longest_stride);
     }
 }
 
 impl Allowance {
+    /// Whether the frame may weigh more poses after `weighed` of them. Once it answers no, it always does.
     pub fn may_go_on(&mut self, weighed: u32) -> bool {
         if self.stopped_at.is_some() {
             return false;
@@ -85,7 +94,7 @@ impl Allowance {
         go_on
     }
 
-    /// After how many poses the frame was stopped.
+    /// The number of poses after which the frame was stopped, or `None` if it was not.
     pub fn stopped_at(&self) -> Option<u32> {
         self.stopped_at
     }

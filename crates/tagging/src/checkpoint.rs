@@ -1,46 +1,62 @@
-//! The agent's state between two frames, so that a replay can start at any segment and an agent that restarts goes on.
+//! The state of the agent between two frames, as bytes.
 //!
-//! Only this program reads it back: bincode, with a magic number, a version and a checksum in front.
+//! A replay can start at any segment with it, and a restarted agent continues from it. Only this program reads it back:
+//! the bytes are bincode behind a magic number, a version and a CRC-32 checksum.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::foresight::Foresight;
+use super::dead_reckoning::DeadReckoning;
 use realitysim_geometry::Physical;
 use realitysim_localization::LocalizerState;
 use realitysim_log_input::synchroniser::SynchroniserState;
 
+/// Everything that the next frame's tag depends on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Checkpoint {
+    /// State of the localizer: particles, track, validation.
     pub tagger: LocalizerState,
+    /// Recent measurements and known transforms.
     pub synchroniser: SynchroniserState,
-    pub foresight: Foresight,
-    /// Frames of the session so far.
+    /// Dead reckoning in progress, if no frame has come for some time.
+    pub foresight: DeadReckoning,
+    /// Number of frames tagged in the session so far.
     pub frames: u64,
 }
 
+/// Why bytes are not a usable checkpoint.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum CheckpointError {
+    /// The bytes do not begin with the magic number.
     #[error("not a checkpoint of this program")]
     Foreign,
+    /// Another version of the program wrote it.
     #[error("a checkpoint of version {found}; this program reads version {VERSION}")]
-    Version { found: u32 },
+    Version {
+        /// The version that the bytes state.
+        found: u32,
+    },
+    /// The bytes are cut, or do not match their checksum.
     #[error("the checkpoint is damaged: its checksum is wrong")]
     Damaged,
+    /// The checksum is right, but the content does not decode.
     #[error("the checkpoint does not decode: {0}")]
     Decode(String),
+    /// A number in it is not finite or beyond all physical bounds.
     #[error("the checkpoint holds a number that is not finite, or that no robot can have")]
     Impossible,
 }
 
 const MAGIC: &[u8; 8] = b"RSIMCKPT";
-/// Counts up with every change of what is stored.
+/// Version of the format; it counts up with every change of what is stored.
 pub const VERSION: u32 = 21;
+/// Bytes of magic number, version and checksum.
 const HEADER: usize = 8 + 4 + 4;
-/// A checkpoint of 2^20 particles is 40 MB.
+/// Most bytes that decoding may claim: a checkpoint of 2^20 particles has 40 MB.
 pub(super) const MAX_BYTES: usize = 256 << 20;
 
 impl Checkpoint {
+    /// The checkpoint as bytes.
     pub fn encode(&self) -> Result<Vec<u8>, CheckpointError> {
         let body = bincode::serde::encode_to_vec(self, bincode::config::standard())
             .map_err(|error| CheckpointError::Decode(error.to_string()))?;
@@ -52,6 +68,7 @@ impl Checkpoint {
         Ok(bytes)
     }
 
+    /// Reads a checkpoint and checks it: checksum, length, and that every number is physically possible.
     pub fn decode(bytes: &[u8]) -> Result<Self, CheckpointError> {
         let body = bytes.strip_prefix(MAGIC).ok_or(CheckpointError::Foreign)?;
         let (version, body) = word(body)?;
@@ -79,6 +96,7 @@ impl Physical for Checkpoint {
     }
 }
 
+/// Splits a little-endian `u32` off the front.
 fn word(bytes: &[u8]) -> Result<(u32, &[u8]), CheckpointError> {
     let (word, rest) = bytes.split_first_chunk::<4>().ok_or(CheckpointError::Damaged)?;
     Ok((u32::from_le_bytes(*word), rest))
@@ -97,7 +115,7 @@ mod tests {
         Checkpoint {
             tagger: LocalizerState { filter, ..LocalizerState::default() },
             synchroniser: SynchroniserState::default(),
-            foresight: Foresight::default(),
+            foresight: DeadReckoning::default(),
             frames: 12,
         }
     }

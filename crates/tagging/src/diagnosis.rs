@@ -1,25 +1,27 @@
-//! Why frames could not be placed on the field: some of them are looked at again, each alone as `realitysim tag` does it, with
-//! other fields, other lenses and other mounts. Nothing is assumed of how the robot moved.
+//! Finds out why frames could not be placed on the field.
+//!
+//! A few of the frames are located again, each alone as `realitysim tag` does it, with other fields, other lenses and other
+//! mounts. Nothing is assumed about how the robot moved.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use super::setup::Eyes;
-use super::single::{Fit, Known};
-use super::stages::view;
+use super::perception_pool::decode_picture;
+use super::setup::FramePerception;
+use super::single_image::{FitQuality, ImagePrior};
 use realitysim_config::{Settings, Topics, field_names, lens_names, load_field, load_lens};
 use realitysim_geometry::{Euler, Field, Isometry, Lens, LensParameters};
 use realitysim_log_input::synchroniser::Frame;
 use realitysim_log_input::transforms::Head;
 use realitysim_ros2::mcap_read::LogMessage;
 
-/// Frames that were not placed though something was seen in them, spread evenly over a recording of any length.
+/// Samples of the frames whose images could be used but not placed, spread evenly over a recording of any length.
 #[derive(Debug, Default)]
-pub struct Unplaced {
+pub struct UnplacedFrames {
     frames: Vec<Sample>,
-    /// How many there have been.
+    /// Number of frames so far.
     count: u64,
-    /// Twofold each time that there is no room: of so many frames one is kept.
+    /// One of this many frames is kept. It doubles each time that the samples are full.
     every: u64,
 }
 
@@ -30,18 +32,19 @@ struct Sample {
     head: Option<Head>,
 }
 
-/// Frames that are kept: enough to tell chance from cause, few enough to be searched for a hundred times.
-const MOST: usize = 6;
+/// Number of samples kept: enough to tell a cause from chance, few enough to be searched a hundred times.
+const SAMPLES: usize = 6;
 
-/// Of fewer nothing is said: a pose needs some frames to be confirmed, whatever is right.
-const FEWEST: usize = 3;
+/// Fewest samples for a diagnosis. Some frames are always unplaced, because a pose needs several frames to be confirmed.
+const MIN_SAMPLES: usize = 3;
 
-impl Unplaced {
+impl UnplacedFrames {
+    /// Takes an unplaced frame into account. Frames whose camera has no known place on the robot are ignored.
     pub fn note(&mut self, frame: &Frame) {
         let Ok(place) = &frame.robot.place else { return };
         let every = self.every.max(1);
         if self.count.is_multiple_of(every) {
-            if self.frames.len() >= MOST {
+            if self.frames.len() >= SAMPLES {
                 let mut index = 0;
                 self.frames.retain(|_| {
                     index += 1;
@@ -59,97 +62,110 @@ impl Unplaced {
     }
 }
 
-/// What was said of the robot and its field.
-pub struct Given<'a> {
+/// The configuration that the frames were tagged with.
+pub struct DiagnosisInput<'a> {
+    /// The settings.
     pub settings: &'a Settings,
+    /// The topics, which the text names.
     pub topics: &'a Topics,
+    /// The field.
     pub field: &'a Field,
-    pub eyes: &'a Eyes,
-    /// To look with.
+    /// Vision, lens and body masks.
+    pub eyes: &'a FramePerception,
+    /// Number of threads to use.
     pub threads: usize,
 }
 
-/// One thing that may be other than it was said to be.
+/// One deviation from the configuration that is tried.
 #[derive(Clone, Debug, PartialEq)]
 enum Change {
     Nothing,
     Field(String),
-    /// A shipped one.
+    /// The name of a shipped lens.
     Lens(String),
-    /// The focal length by this factor.
+    /// Factor of the focal length.
     Focal(f64),
-    /// Degrees farther down.
+    /// Additional pitch of the camera, degrees; positive is down.
     Pitch(f64),
-    /// Degrees.
+    /// Additional roll of the camera, degrees.
     Roll(f64),
-    /// The height above the carpet by this factor.
+    /// Factor of the camera's height above the carpet.
     Height(f64),
 }
 
-/// What frames say of it.
+/// How well the samples fit with one change.
 #[derive(Clone, Debug, PartialEq)]
 struct Tried {
     change: Change,
-    /// Frames in which some pose explains the lines.
+    /// Number of samples in which some pose explains the lines.
     fits: usize,
-    /// Of these, those in which no other pose does so nearly as well.
+    /// Number of these in which no other pose does so nearly as well.
     clear: usize,
-    /// Of all frames.
+    /// Sum of the log likelihoods of all samples, each at least 0.
     log_likelihood: f64,
 }
 
-/// How much more than what was said something must explain to be told as the cause. Measured: what is right explains 1.7 to 2.4
-/// times as much as a wrong field, a lens of another focal length or a mount that is off by more than three degrees.
-const CLEARLY: f64 = 1.5;
-/// While nothing explains so much more, and most frames fit nowhere else, what was said is not doubted. Of a hundred things that
-/// are tried one explains a little more by chance.
-const HARDLY: f64 = 1.25;
-/// Fields that explain nearly as much as the best one are told with it.
-const NEARLY: f64 = 0.9;
-/// So fine that between two steps more than half of what the right value explains is left.
+/// Ratio of log likelihoods, changed to unchanged, from which a change is named as the cause. Measured: the right
+/// configuration explains 1.7 to 2.4 times as much as a wrong field, a lens of another focal length or a mount that is off
+/// by more than three degrees.
+const CLEAR_RATIO: f64 = 1.5;
+/// Ratio up to which the configuration is not doubted, if most samples fit clearly with it. One of a hundred changes
+/// explains a little more by chance.
+const DOUBT_RATIO: f64 = 1.25;
+/// Share of the best field's log likelihood from which another field is named with it.
+const NEAR_SHARE: f64 = 0.9;
+/// Step between pitches that are tried. All steps are so fine that more than half of what the right value explains is left
+/// between two of them.
 const PITCH_DEG: f64 = 2.0;
-const PITCHES: i32 = 8;
+/// Number of pitches tried to each side.
+const PITCH_STEPS: i32 = 8;
+/// Step between rolls that are tried.
 const ROLL_DEG: f64 = 2.5;
-const ROLLS: i32 = 4;
+/// Number of rolls tried to each side.
+const ROLL_STEPS: i32 = 4;
+/// The roll of a camera that is mounted upside down.
 const UPSIDE_DOWN_DEG: f64 = 180.0;
-const TIMES: f64 = 1.07;
-/// Of an attitude that is tried.
+/// Ratio between neighbouring focal lengths and heights that are tried.
+const SCALE_RATIO: f64 = 1.07;
+/// Standard deviation of the tilt in each trial.
 const TILT_SIGMA_RAD: f64 = 0.005;
-const SCALES: i32 = 5;
-/// Of the lenses and mounts, those that explain most of two frames are tried with all.
-const CLOSER: usize = 3;
+/// Number of focal lengths and heights tried to each side.
+const SCALE_STEPS: i32 = 5;
+/// Number of lenses and of mounts, the best by two samples, that are tried with all samples.
+const FINALISTS: usize = 3;
 
-impl Given<'_> {
-    /// What is most probably wrong, in a sentence or two; `None` if there are too few frames to tell.
-    pub fn cause(&self, unplaced: &Unplaced) -> Option<String> {
+impl DiagnosisInput<'_> {
+    /// The most probable cause in one or two sentences, or `None` if there are too few frames to tell.
+    pub fn cause(&self, unplaced: &UnplacedFrames) -> Option<String> {
         let all: Vec<&Sample> = unplaced.frames.iter().collect();
-        if all.len() < FEWEST {
+        if all.len() < MIN_SAMPLES {
             return None;
         }
-        let own = self.tried(&[Change::Nothing], &all).remove(0);
+        let own = self.try_changes(&[Change::Nothing], &all).remove(0);
         let is_other = |name: &String| load_field(name).is_ok_and(|field| !field.is_same_as(self.field.dimensions()));
         let others = field_names().into_iter().filter(is_other).map(Change::Field);
-        let mut fields = self.tried(&others.collect::<Vec<_>>(), &all);
+        let mut fields = self.try_changes(&others.collect::<Vec<_>>(), &all);
         sort(&mut fields);
-        let is_clear = |tried: &Tried| fits_mostly(tried, all.len()) && explains_more(tried, &own, CLEARLY);
+        let is_clear = |tried: &Tried| fits_mostly(tried, all.len()) && explains_more(tried, &own, CLEAR_RATIO);
         if let Some(best) = fields.first().filter(|best| is_clear(best)) {
-            return Some(self.blames_field(best, &fields, &own, all.len()));
+            return Some(self.describe_field(best, &fields, &own, all.len()));
         }
         let two: Vec<&Sample> = [all.len() / 4, 3 * all.len() / 4].map(|index| all[index]).to_vec();
         let best_of = |changes: Vec<Change>| {
-            let mut tried = self.tried(&changes, &two);
+            let mut tried = self.try_changes(&changes, &two);
             sort(&mut tried);
-            let closer: Vec<Change> = tried.into_iter().take(CLOSER).map(|tried| tried.change).collect();
-            let mut tried = self.tried(&closer, &all);
+            let finalists: Vec<Change> = tried.into_iter().take(FINALISTS).map(|tried| tried.change).collect();
+            let mut tried = self.try_changes(&finalists, &all);
             sort(&mut tried);
             tried.into_iter().next()
         };
         let (lens, mount) = (best_of(self.lenses()), best_of(mounts()));
         let found: Vec<Tried> = [fields.into_iter().next(), lens, mount].into_iter().flatten().collect();
-        Some(self.told(&own, &found, all.len()))
+        Some(self.describe(&own, &found, all.len()))
     }
 
-    fn told(&self, own: &Tried, found: &[Tried], frames: usize) -> String {
+    /// The diagnosis as text. `own` is the unchanged configuration, `found` the best change of each kind.
+    fn describe(&self, own: &Tried, found: &[Tried], frames: usize) -> String {
         let looked_at = format!("of {frames} of these frames, each looked at alone,");
         let best = found.iter().max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood));
         let hurried = match self.settings.filter.budget_ms {
@@ -157,7 +173,7 @@ impl Given<'_> {
             budget_ms => format!(", or filter.budget_ms = {budget_ms} is too small for a search of the field"),
         };
         match best {
-            Some(best) if fits_mostly(best, frames) && explains_more(best, own, CLEARLY) => format!(
+            Some(best) if fits_mostly(best, frames) && explains_more(best, own, CLEAR_RATIO) => format!(
                 "most probably {} wrong: {looked_at} {} if {}, and {} as it was said, which explains {:.1} times less",
                 best.change.part(),
                 fit(best.fits),
@@ -165,14 +181,16 @@ impl Given<'_> {
                 own.fits,
                 times_more(best, own)
             ),
-            best if 2 * own.clear >= frames && !best.is_some_and(|best| explains_more(best, own, HARDLY)) => format!(
-                "most probably neither field, lens nor mount is wrong: {looked_at} {} as they were said. What remains is how the \
+            best if 2 * own.clear >= frames && !best.is_some_and(|best| explains_more(best, own, DOUBT_RATIO)) => {
+                format!(
+                    "most probably neither field, lens nor mount is wrong: {looked_at} {} as they were said. What remains is how the \
                  robot moved, by {} and {}, and when{hurried}",
-                fit(own.clear),
-                self.topics.odometry,
-                self.topics.imu,
-            ),
-            // Then nothing speaks of field, lens or mount.
+                    fit(own.clear),
+                    self.topics.odometry,
+                    self.topics.imu,
+                )
+            }
+            // No lines were found under any assumption: nothing can be said about field, lens or mount.
             _ if own.fits == 0 && found.iter().all(|tried| tried.fits == 0) => format!(
                 "the pictures show no lines of a field, or too faintly: {looked_at} none has a place on any field, through any lens or from \
                  any mount that was tried, whose lines lie there more often than by chance{hurried}"
@@ -190,8 +208,10 @@ impl Given<'_> {
         }
     }
 
-    fn blames_field(&self, best: &Tried, fields: &[Tried], own: &Tried, frames: usize) -> String {
-        let near = |tried: &&Tried| tried.log_likelihood > NEARLY * best.log_likelihood && fits_mostly(tried, frames);
+    /// The text for a wrong field, with the other fields that explain nearly as much.
+    fn describe_field(&self, best: &Tried, fields: &[Tried], own: &Tried, frames: usize) -> String {
+        let near =
+            |tried: &&Tried| tried.log_likelihood > NEAR_SHARE * best.log_likelihood && fits_mostly(tried, frames);
         let names = fields.iter().filter(near).filter_map(|tried| match &tried.change {
             Change::Field(name) => Some(name.as_str()),
             _ => None,
@@ -209,26 +229,28 @@ impl Given<'_> {
         )
     }
 
-    /// In the order of `changes`.
-    fn tried(&self, changes: &[Change], samples: &[&Sample]) -> Vec<Tried> {
+    /// Tries each change with the samples; the results are in the order of `changes`.
+    fn try_changes(&self, changes: &[Change], samples: &[&Sample]) -> Vec<Tried> {
         let found = in_parallel(self.threads, changes.len() * samples.len(), |index| {
-            self.look(&changes[index / samples.len()], samples[index % samples.len()])
+            self.locate(&changes[index / samples.len()], samples[index % samples.len()])
         });
-        let of = |(change, found): (&Change, &[Option<(Fit, f64)>])| {
+        let of = |(change, found): (&Change, &[Option<(FitQuality, f64)>])| {
             let found = found.iter().flatten();
-            let count = |is: fn(Fit) -> bool| found.clone().filter(|(fit, _)| is(*fit)).count();
+            let count = |is: fn(FitQuality) -> bool| found.clone().filter(|(fit, _)| is(*fit)).count();
             Tried {
                 change: change.clone(),
-                fits: count(|fit| fit != Fit::None),
-                clear: count(|fit| fit == Fit::Good),
+                fits: count(|fit| fit != FitQuality::None),
+                clear: count(|fit| fit == FitQuality::Good),
                 log_likelihood: found.map(|(_, log_likelihood)| log_likelihood.max(0.0)).sum(),
             }
         };
         changes.iter().zip(found.chunks(samples.len().max(1))).map(of).collect()
     }
 
-    /// `None` where the image or the field cannot be read, or nothing is found in it.
-    fn look(&self, change: &Change, sample: &Sample) -> Option<(Fit, f64)> {
+    /// Locates one sample with one change: how well the best pose fits, and its log likelihood.
+    ///
+    /// `None` if the image or the field cannot be read, or no pose is found.
+    fn locate(&self, change: &Change, sample: &Sample) -> Option<(FitQuality, f64)> {
         let given = self.eyes.vision.lens();
         let lens = match change {
             Change::Lens(name) => load_lens(name).ok()?.lens,
@@ -250,16 +272,16 @@ impl Given<'_> {
             Change::Field(name) => Some(Field::new(load_field(name).ok()?).ok()?),
             _ => None,
         };
-        let picture = view(&sample.message, &lens).ok()?;
+        let picture = decode_picture(&sample.message, &lens).ok()?;
         let body = self.eyes.body(sample.head).cloned();
         let attitude = Euler { yaw: 0.0, pitch, roll };
-        let known = Known { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
+        let known = ImagePrior { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
         let located =
             known.locate(&known.look(&picture), other.as_ref().unwrap_or(self.field), self.settings.filter.seed);
         Some((located.fit(), located.found.first()?.log_likelihood))
     }
 
-    /// Other focal lengths, and the shipped lenses with as many pixels.
+    /// The changes of the lens that are tried: the shipped lenses with as many pixels, and other focal lengths.
     fn lenses(&self) -> Vec<Change> {
         let own = self.eyes.vision.lens();
         let is_possible = |name: &String| {
@@ -273,19 +295,21 @@ impl Given<'_> {
     }
 }
 
+/// The changes of the mount that are tried: pitch, roll and height.
 fn mounts() -> Vec<Change> {
     let degrees =
         |most: i32, each: f64| (-most..=most).filter(|step| *step != 0).map(move |step| each * f64::from(step));
-    let pitches = degrees(PITCHES, PITCH_DEG).map(Change::Pitch);
-    let rolls = degrees(ROLLS, ROLL_DEG).chain([UPSIDE_DOWN_DEG]).map(Change::Roll);
+    let pitches = degrees(PITCH_STEPS, PITCH_DEG).map(Change::Pitch);
+    let rolls = degrees(ROLL_STEPS, ROLL_DEG).chain([UPSIDE_DOWN_DEG]).map(Change::Roll);
     pitches.chain(rolls).chain(scales().map(Change::Height)).collect()
 }
 
+/// The factors of focal length and height that are tried.
 fn scales() -> impl Iterator<Item = f64> {
-    (-SCALES..=SCALES).filter(|step| *step != 0).map(|step| libm::pow(TIMES, f64::from(step)))
+    (-SCALE_STEPS..=SCALE_STEPS).filter(|step| *step != 0).map(|step| libm::pow(SCALE_RATIO, f64::from(step)))
 }
 
-/// Those that explain most first.
+/// Sorts by log likelihood, greatest first.
 fn sort(tried: &mut [Tried]) {
     tried.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
 }
@@ -298,7 +322,7 @@ fn explains_more(tried: &Tried, own: &Tried, times: f64) -> bool {
     tried.log_likelihood > times * own.log_likelihood
 }
 
-/// For people: of what explains nothing at all, anything is many times more.
+/// The ratio of log likelihoods for texts, bounded because the divisor may be 0.
 fn times_more(tried: &Tried, own: &Tried) -> f64 {
     (tried.log_likelihood / own.log_likelihood.max(1e-9)).min(99.0)
 }
@@ -308,6 +332,7 @@ fn fit(count: usize) -> String {
 }
 
 impl Change {
+    /// The part of the configuration that is changed, as the subject of a sentence.
     fn part(&self) -> &'static str {
         match self {
             Self::Nothing | Self::Field(_) => "the field (field = ...) is",
@@ -335,7 +360,7 @@ impl core::fmt::Display for Change {
     }
 }
 
-/// What `work` makes of each index, in their order.
+/// Calls `work` for each index below `count` on several threads; the results are in the order of the indices.
 fn in_parallel<T: Send>(threads: usize, count: usize, work: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::with_capacity(count)));
     std::thread::scope(|scope| {

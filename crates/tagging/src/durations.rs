@@ -1,8 +1,8 @@
-//! How long frames took: quantiles of any number of durations in fixed memory.
+//! Quantiles of any number of durations in fixed memory.
 
 use super::report::Quantiles;
 
-/// Counts in bins of equal ratio: a quantile is right to 1 %, the maximum is exact.
+/// A histogram of durations with bins of equal ratio. Quantiles are right to 1 %, the maximum is exact.
 #[derive(Clone, Debug)]
 pub struct Durations {
     bins: Vec<u64>,
@@ -10,11 +10,11 @@ pub struct Durations {
     max_ms: f64,
 }
 
-/// The first bin's lower end; what is shorter counts there.
-const LEAST_MS: f64 = 1e-3;
-/// From the lower end of a bin to its upper: its middle is less than 1 % from either.
+/// Lower end of the first bin, milliseconds. Shorter durations count there.
+const MIN_MS: f64 = 1e-3;
+/// Ratio of the upper to the lower end of a bin, so that its middle is less than 1 % from either end.
 const RATIO: f64 = 1.02;
-/// Up to an hour and more; what is longer counts in the last.
+/// Number of bins, which reach beyond one hour. Longer durations count in the last one.
 const BINS: usize = 1120;
 
 impl Default for Durations {
@@ -24,26 +24,28 @@ impl Default for Durations {
 }
 
 impl Durations {
+    /// Counts a duration.
     pub fn note(&mut self, milliseconds: f64) {
-        // What is no number or below zero becomes the least.
-        let bin = libm::log(milliseconds.max(LEAST_MS) / LEAST_MS) / libm::log(RATIO);
+        // NaN and negative durations count in the first bin.
+        let bin = libm::log(milliseconds.max(MIN_MS) / MIN_MS) / libm::log(RATIO);
         self.bins[(bin as usize).min(BINS - 1)] += 1;
         self.count += 1;
         self.max_ms = self.max_ms.max(milliseconds);
     }
 
+    /// Median, 99th percentile and maximum, milliseconds; 0 if there is no duration.
     pub fn quantiles(&self) -> Quantiles {
         Quantiles { p50: self.quantile(0.5), p99: self.quantile(0.99), max: self.max_ms }
     }
 
-    /// The middle of the bin that holds the value of this rank, as a ratio.
+    /// The quantile of this share, milliseconds: the geometric middle of the bin that holds the value of its rank.
     fn quantile(&self, share: f64) -> f64 {
         let rank = (self.count.saturating_sub(1) as f64 * share).round() as u64;
         let mut below = 0;
         for (bin, count) in self.bins.iter().enumerate() {
             below += count;
             if below > rank {
-                let middle = LEAST_MS * libm::pow(RATIO, bin as f64 + 0.5);
+                let middle = MIN_MS * libm::pow(RATIO, bin as f64 + 0.5);
                 return middle.min(self.max_ms);
             }
         }
@@ -85,6 +87,6 @@ mod tests {
     #[test]
     fn what_no_frame_takes_is_counted_all_the_same() {
         let odd = of(&[f64::NAN, -1.0, 0.0, 1e-9, 1e12]);
-        assert!(odd.p50 <= 1.01 * LEAST_MS && odd.max == 1e12, "{odd:?}");
+        assert!(odd.p50 <= 1.01 * MIN_MS && odd.max == 1e12, "{odd:?}");
     }
 }

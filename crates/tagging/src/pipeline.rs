@@ -1,6 +1,7 @@
-//! From messages to a capture: every message written, every frame tagged as soon as all is known about it.
+//! The pipeline from messages to a capture: every message is written, and every frame is tagged as soon as the
+//! measurements around its exposure are there.
 //!
-//! Whoever has messages feeds it, in the order in which they came: a replay from a log or a scene.
+//! Messages are fed in the order of arrival, by a replay from a log or a scene, or by the live recorder.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -9,21 +10,21 @@ use std::time::Instant;
 
 use crossbeam_channel::Sender;
 
-use super::between::Between;
 use super::budget::Budget;
 use super::checkpoint::Checkpoint;
-use super::diagnosis::{Given, Unplaced};
+use super::dead_reckoning::DeadReckoning;
+use super::diagnosis::{DiagnosisInput, UnplacedFrames};
 use super::error::AgentError;
-use super::foresight::Foresight;
-use super::setup::{Eyes, Setup};
-use super::stages::{Looked, Looking};
-use super::state::Start;
+use super::inter_session::IdleOdometry;
+use super::perception_pool::{PerceivedFrame, PerceptionPool};
+use super::run_stats::RunStats;
+use super::setup::{FramePerception, Setup};
 use super::tagger::Tagger;
-use super::tally::Tally;
+use super::warm_start::InitialState;
 use super::warnings::{self, AttitudeSource};
 use realitysim_config::{Settings, Topics};
 use realitysim_geometry::{Field, FieldDimensions, Isometry, LensParameters, PoseGrid};
-use realitysim_log_input::intake;
+use realitysim_log_input::measurement;
 use realitysim_log_input::synchroniser::Synchroniser;
 use realitysim_recording::storage::Disk;
 use realitysim_recording::{
@@ -34,29 +35,37 @@ use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::{DiagnosticArray, FrameTag};
 use realitysim_ros2::topics;
 
-/// Where a pipeline writes, and how it works.
+/// Where and how a pipeline records.
 pub struct Recording {
+    /// Folder in which the session's own folder is made.
     pub captures: PathBuf,
-    /// What the messages come from, for `session.json`.
+    /// Name of the source of the messages, for `session.json`.
     pub source: Option<String>,
+    /// Number of threads that look at images.
     pub threads: usize,
-    /// Of a live recording.
+    /// Facts of a live recording; `None` for a replay.
     pub live: Option<LiveInfo>,
-    /// Who wants each tag as it is made; one that does not keep up misses some.
+    /// Receives each tag as it is made. A receiver that does not keep up misses tags.
     pub tags: Option<Sender<FrameTag>>,
+    /// The thread that writes files: the caller's, or one of its own.
     pub writing: Writing,
 }
 
-/// What a pipeline leaves behind.
+/// The result of a finished pipeline.
 pub struct Recorded {
-    /// `None` if the disk did not let it become whole.
+    /// Folder of the session; `None` if the disk failed before the session was whole.
     pub session: Option<PathBuf>,
+    /// What became of the frames.
     pub counts: Counts,
+    /// State of the recorder at the end.
     pub recorder: RecorderStatus,
-    pub tally: Tally,
+    /// Statistics of the tags and of the messages that could not be used.
+    pub tally: RunStats,
+    /// Findings that a user will want to know, as sentences.
     pub warnings: Vec<String>,
 }
 
+/// The chain from message to tag and capture.
 pub struct Pipeline {
     settings: Settings,
     topics: Topics,
@@ -66,43 +75,44 @@ pub struct Pipeline {
     dimensions: FieldDimensions,
     attitude: AttitudeSource,
     synchroniser: Synchroniser,
-    looking: Looking,
+    perception: PerceptionPool,
     tagger: Tagger,
     budget: Budget,
     session: Option<SessionWriter>,
     thinning: Thinning,
-    /// What the log announces does not count then.
+    /// The caller gave the initial pose, so poses announced in the log are ignored.
     initial_is_given: bool,
-    /// Tagged, those before the checkpoint included: the next tag's number.
+    /// The next tag's number: frames tagged so far, those before the checkpoint included.
     sequence: u64,
-    tally: Tally,
+    tally: RunStats,
     last_state_ns: i64,
     last_diagnostics_ns: i64,
-    /// Frames that came while the agent waits for a pause between two frames.
+    /// Frames held back until no frame is under way, so that a segment or the saved state can end between two frames.
     held: VecDeque<LogMessage>,
-    /// Where the robot is while no frames come.
-    foresight: Foresight,
-    eyes: Arc<Eyes>,
-    /// Of a replay: a robot has no time to look for causes.
-    unplaced: Option<Unplaced>,
+    dead_reckoning: DeadReckoning,
+    eyes: Arc<FramePerception>,
+    /// Samples for the diagnosis at the end; only in a replay, because a robot has no time for it.
+    unplaced: Option<UnplacedFrames>,
 }
 
-/// How often, in log time, the state is saved.
+/// Interval of log time at which the state is saved.
 const STATE_EVERY_NS: i64 = 1_000_000_000;
+/// Interval of log time at which diagnostics are written.
 const DIAGNOSTICS_EVERY_NS: i64 = 1_000_000_000;
-/// Why a frame has no tag: nobody can say when it was exposed.
+/// The cause of a frame without a tag whose stamp cannot be read.
 const NO_STAMP: &str = "no_stamp";
 
 impl Pipeline {
-    pub fn new(setup: Setup, start: Start, recording: Recording) -> Self {
+    /// A pipeline that has not taken a message. The session's folder is made with the first message.
+    pub fn new(setup: Setup, start: InitialState, recording: Recording) -> Self {
         let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude } = setup;
         let thinning = settings.recording.thinning.clone();
         let grid = PoseGrid::new(field.carpet_half_extent(), thinning.cell_m, usize::from(thinning.headings));
         let tagger = start.tagger(&settings, field, eyes.vision.lens());
         let budget = Budget::new(settings.filter.budget_ms, start.decided);
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
-        let (state, foresight) = start.checkpoint.map_or_else(
-            || (synchroniser, Foresight::default()),
+        let (state, dead_reckoning) = start.checkpoint.map_or_else(
+            || (synchroniser, DeadReckoning::default()),
             |checkpoint| (checkpoint.synchroniser, checkpoint.foresight),
         );
         let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);
@@ -114,30 +124,33 @@ impl Pipeline {
             dimensions,
             attitude,
             synchroniser,
-            looking: Looking::new(Arc::clone(&eyes), recording.threads),
+            perception: PerceptionPool::new(Arc::clone(&eyes), recording.threads),
             tagger,
             budget,
             session: None,
             thinning: Thinning::new(thinning, grid),
             initial_is_given: start.initial.is_some(),
             sequence,
-            tally: Tally::default(),
+            tally: RunStats::default(),
             last_state_ns: i64::MIN,
             last_diagnostics_ns: i64::MIN,
             held: VecDeque::new(),
-            foresight,
+            dead_reckoning,
             eyes,
-            unplaced: recording.live.is_none().then(Unplaced::default),
+            unplaced: recording.live.is_none().then(UnplacedFrames::default),
             settings,
             recording,
         }
     }
 
-    /// The number that the next frame's tag gets.
+    /// The number that the next frame's tag gets, counted from 0.
     pub fn sequence(&self) -> u64 {
         self.sequence
     }
 
+    /// Takes the next message, in the order of arrival: records it, and tags the frames that have become ready.
+    ///
+    /// Messages of the ground truth are ignored.
     pub fn take(&mut self, message: LogMessage) -> Result<(), AgentError> {
         if message.channel.topic == self.topics.ground_truth {
             return Ok(());
@@ -145,59 +158,60 @@ impl Pipeline {
         let log_time_ns = message.log_time_ns;
         if self.session.is_none() {
             self.session = Some(self.create_session(&message)?);
-            // Nothing is known yet: the last agent's state is worth more.
+            // The state that the last agent saved is not replaced at once: nothing is known yet.
             self.last_state_ns = log_time_ns;
         }
         self.pause_if_due(log_time_ns)?;
         let held_back = self.must_pause(log_time_ns) || !self.held.is_empty();
-        if held_back && intake::is_frame(&message.channel, &self.topics) {
+        if held_back && measurement::is_frame(&message.channel, &self.topics) {
             self.synchroniser.advance(log_time_ns);
             self.held.push_back(message);
         } else {
             self.record(message)?;
         }
-        self.look_at_known()?;
-        self.foresee(log_time_ns)
+        self.process_ready_frames()?;
+        self.predict_if_due(log_time_ns)
     }
 
-    /// Frames that never became messages.
+    /// Counts frames that were lost before they became messages, with the cause.
     pub fn drop_frames(&mut self, cause: &str, count: u64) -> Result<(), AgentError> {
         let Some(session) = &mut self.session else { return Ok(()) };
         Ok(session.drop_frames(cause, count)?)
     }
 
-    /// What a live recording has to say beside its messages; nothing before the first of them.
+    /// Records diagnostics of a live recording. Before the first message it does nothing.
     pub fn note(&mut self, log_time_ns: i64, report: &DiagnosticArray) -> Result<(), AgentError> {
         let Some(session) = &mut self.session else { return Ok(()) };
         Ok(session.diagnostics(log_time_ns, report)?)
     }
 
-    /// What became of the frames so far, and how the recorder is, once it has begun.
+    /// The frame counts so far and the recorder's state; `None` before the first message.
     pub fn recorder(&self) -> Option<(Counts, RecorderStatus)> {
         self.session.as_ref().map(SessionWriter::account)
     }
 
-    /// Counts the rounds of the recorder's thread, if there is one.
+    /// The number of rounds that the recorder's thread has made, if there is one: a sign of life for the watchdog.
     pub fn recorder_rounds(&self) -> Option<u64> {
         self.session.as_ref().and_then(SessionWriter::rounds)
     }
 
-    /// Of which poses there are images.
+    /// The grid of poses that images have been recorded at.
     pub fn coverage(&self) -> &PoseGrid {
         self.thinning.coverage()
     }
 
-    /// Nothing more will come: what is there becomes a whole capture, whatever went wrong, if it can. `None` if nothing
-    /// came at all.
+    /// Ends the recording: tags the remaining frames and completes the capture, as far as possible after an error.
+    ///
+    /// The first value is `None` if no message came.
     pub fn finish(mut self) -> (Option<Recorded>, Result<(), AgentError>) {
         self.conclude()
     }
 
-    /// The same, and what goes on until another session begins.
-    pub fn pause(mut self) -> (Option<Recorded>, Result<(), AgentError>, Between) {
+    /// Like [`Self::finish`], and returns what follows odometry until another session begins.
+    pub fn pause(mut self) -> (Option<Recorded>, Result<(), AgentError>, IdleOdometry) {
         let (recorded, ended) = self.conclude();
-        let Self { topics, settings, synchroniser, tagger, foresight, .. } = self;
-        (recorded, ended, Between { topics, head: settings.head, synchroniser, tagger, foresight })
+        let Self { topics, settings, synchroniser, tagger, dead_reckoning, .. } = self;
+        (recorded, ended, IdleOdometry { topics, head: settings.head, synchroniser, tagger, dead_reckoning })
     }
 
     fn conclude(&mut self) -> (Option<Recorded>, Result<(), AgentError>) {
@@ -209,7 +223,7 @@ impl Pipeline {
             Err(error) => (None, ended.and(Err(error.into()))),
         };
         if let Some(session) = &session {
-            // Without it the same is read from the tags.
+            // An error is ignored: without the file the coverage is computed from the tags.
             let _ = write_coverage(session, self.thinning.coverage(), counts.valid);
         }
         self.count_measurements();
@@ -218,7 +232,7 @@ impl Pipeline {
         (Some(Recorded { session, counts, recorder, tally, warnings }), ended)
     }
 
-    /// By what was tagged, not by what the disk has kept of it.
+    /// The warnings of the run. They count the tags that were made, also those that the disk has not kept.
     fn warnings(&self) -> Vec<String> {
         let Self { tally, settings, .. } = self;
         let Settings { field, filter, frames, topics, .. } = settings;
@@ -237,38 +251,38 @@ impl Pipeline {
         all.into_iter().flatten().collect()
     }
 
-    /// Why frames could not be placed.
+    /// The most probable cause of frames that could not be placed on the field.
     fn cause(&self) -> String {
         let Self { settings, topics, eyes, .. } = self;
         let Some((unplaced, field)) = self.unplaced.as_ref().zip(Field::new(self.dimensions.clone()).ok()) else {
             return warnings::possible_causes(settings.filter.budget_ms);
         };
-        let given = Given { settings, topics, field: &field, eyes, threads: self.recording.threads };
+        let given = DiagnosisInput { settings, topics, field: &field, eyes, threads: self.recording.threads };
         given.cause(unplaced).unwrap_or_else(|| "these are too few to find out why".to_owned())
     }
 
     fn end(&mut self) -> Result<(), AgentError> {
         self.synchroniser.finish();
-        self.look_at_known()?;
+        self.process_ready_frames()?;
         self.release_held()?;
-        self.look_at_known()?;
+        self.process_ready_frames()?;
         self.drain()?;
         if self.session.is_some() { self.save_state() } else { Ok(()) }
     }
 
-    /// Writes a message and takes what it measures.
+    /// Writes a message and passes its measurement to the synchroniser.
     fn record(&mut self, message: LogMessage) -> Result<(), AgentError> {
         let topics = &self.topics;
-        let is_frame = intake::is_frame(&message.channel, topics);
+        let is_frame = measurement::is_frame(&message.channel, topics);
         let latched = message.channel.topic == topics.tf_static || message.channel.topic == topics.camera_info;
-        let input = intake::read(&message, topics, &self.settings.head);
-        // Whether a frame is worth its bytes is known with its tag; one that can have none is written as it comes.
+        let input = measurement::read(&message, topics, &self.settings.head);
+        // With thinning, a frame is written or dropped when its tag is known; one that can have no tag is written at once.
         let waits = is_frame && input.is_ok() && self.thinning.thins();
         if let (Some(session), false) = (&mut self.session, waits) {
             session.pass(&message, is_frame, latched)?;
         }
         match input {
-            Ok(intake::Input::InitialPose { .. }) if self.initial_is_given => {}
+            Ok(measurement::Measurement::InitialPose { .. }) if self.initial_is_given => {}
             Ok(input) => self.synchroniser.push(&message, input),
             Err(error) if is_frame => {
                 self.tally.note_bad_frame(&message, &error);
@@ -281,26 +295,29 @@ impl Pipeline {
         Ok(())
     }
 
-    fn look_at_known(&mut self) -> Result<(), AgentError> {
+    /// Sends frames whose measurements are complete to the perception threads, and tags those that come back.
+    fn process_ready_frames(&mut self) -> Result<(), AgentError> {
         while let Some(mut frame) = self.synchroniser.pop() {
-            self.foresight.meet(&mut frame, &mut self.tagger, &self.synchroniser);
-            if let Some(looked) = self.looking.push(frame) {
+            self.dead_reckoning.end_with(&mut frame, &mut self.tagger, &self.synchroniser);
+            if let Some(looked) = self.perception.push(frame) {
                 self.tag(looked)?;
             }
         }
         Ok(())
     }
 
-    /// While no frame comes, odometry says where the robot is.
-    fn foresee(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
+    /// Writes a pose predicted from odometry if no frame has come for long enough.
+    fn predict_if_due(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
         if !(self.synchroniser.is_idle() && self.held.is_empty()) {
             return Ok(());
         }
-        let Some(stamp_ns) = self.foresight.due(&self.synchroniser, log_time_ns) else { return Ok(()) };
+        let Some(stamp_ns) = self.dead_reckoning.next_due_ns(&self.synchroniser, log_time_ns) else { return Ok(()) };
         self.drain()?;
-        let Some(mut tag) = self.foresight.look(stamp_ns, &mut self.tagger, &self.synchroniser) else { return Ok(()) };
+        let Some(mut tag) = self.dead_reckoning.predict(stamp_ns, &mut self.tagger, &self.synchroniser) else {
+            return Ok(());
+        };
         tag.sequence = self.sequence;
-        self.stamp(&mut tag, stamp_ns);
+        self.add_clocks_and_send(&mut tag, stamp_ns);
         self.tally.predicted += 1;
         match &mut self.session {
             Some(session) => Ok(session.predicted_tag(log_time_ns, &tag)?),
@@ -308,8 +325,8 @@ impl Pipeline {
         }
     }
 
-    /// By the other clocks, and off to whoever listens.
-    fn stamp(&self, tag: &mut FrameTag, stamp_ns: i64) {
+    /// Adds the stamps of the other clocks (UTC, kernel) to the tag and sends it to the receiver of live tags.
+    fn add_clocks_and_send(&self, tag: &mut FrameTag, stamp_ns: i64) {
         let live = self.recording.live.as_ref();
         tag.utc_offset_ns = live.map_or(0, |live| live.utc_offset_ns);
         tag.kernel_stamp_ns = stamp_ns + live.map_or(0, |live| live.camera_delay_ns - live.utc_offset_ns);
@@ -318,15 +335,17 @@ impl Pipeline {
         }
     }
 
+    /// Tags all frames that the perception threads still have.
     fn drain(&mut self) -> Result<(), AgentError> {
-        while let Some(looked) = self.looking.pop() {
+        while let Some(looked) = self.perception.pop() {
             self.tag(looked)?;
         }
         Ok(())
     }
 
-    fn tag(&mut self, looked: Looked) -> Result<(), AgentError> {
-        let Looked { frame, seen, look_ms } = looked;
+    /// Tags one frame, records the tag, and with thinning the frame's message if it is kept.
+    fn tag(&mut self, looked: PerceivedFrame) -> Result<(), AgentError> {
+        let PerceivedFrame { frame, seen, look_ms } = looked;
         let start = Instant::now();
         let mut allowance = self.budget.frame(frame.stamp_ns, look_ms);
         let mut tag = match &seen {
@@ -336,7 +355,7 @@ impl Pipeline {
             }
             Err(unseen) => {
                 self.tally.note_unseen(&frame, unseen, self.sequence);
-                self.tagger.tag_blind(frame.stamp_ns, &frame.robot, unseen.reason())
+                self.tagger.tag_blind(frame.stamp_ns, &frame.robot, unseen.rejection())
             }
         };
         tag.sequence = self.sequence;
@@ -347,9 +366,9 @@ impl Pipeline {
             unplaced.note(&frame);
         }
         if let Ok(seen) = seen {
-            self.looking.give_back(seen);
+            self.perception.give_back(seen);
         }
-        self.stamp(&mut tag, frame.stamp_ns);
+        self.add_clocks_and_send(&mut tag, frame.stamp_ns);
         self.sequence += 1;
         self.tally.unusable_weights = self.tagger.unusable_weights();
         self.tally.begun_anew = self.tagger.begun_anew();
@@ -368,7 +387,8 @@ impl Pipeline {
         self.report_diagnostics(log_time_ns)
     }
 
-    /// A segment is full, or the state is to be saved: both only where no frame is under way, so that they are exact.
+    /// Whether a segment is full or the state is due to be saved. Both wait until no frame is under way, so that the
+    /// checkpoint is exact.
     fn must_pause(&self, log_time_ns: i64) -> bool {
         self.is_segment_full(log_time_ns) || self.is_state_due(log_time_ns)
     }
@@ -381,8 +401,10 @@ impl Pipeline {
         log_time_ns.saturating_sub(self.last_state_ns) >= STATE_EVERY_NS
     }
 
-    /// Where measurements come later than the next frame there is always a frame waiting: further ones are held back
-    /// until there is none, which is a matter of milliseconds.
+    /// Begins a new segment or saves the state, if one is due and no frame is waiting.
+    ///
+    /// If measurements arrive later than the next frame, there is always a frame waiting. Therefore further frames are
+    /// held back until there is none, which takes milliseconds.
     fn pause_if_due(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
         if !self.must_pause(log_time_ns) || !self.synchroniser.is_idle() {
             return Ok(());
@@ -416,7 +438,7 @@ impl Pipeline {
         let checkpoint = Checkpoint {
             tagger: self.tagger.state(),
             synchroniser: self.synchroniser.state().clone(),
-            foresight: self.foresight.clone(),
+            foresight: self.dead_reckoning.clone(),
             frames: self.sequence,
         };
         checkpoint.encode().map_err(|source| AgentError::Checkpoint { path: STATE_FILE.into(), source })
@@ -439,7 +461,7 @@ impl Pipeline {
             robot: settings.robot.clone(),
             started: started.to_string(),
             source: self.recording.source.clone(),
-            // With the topics that were found: whoever reads the capture need not look for them again.
+            // With the topics that were found, so that a reader of the capture need not resolve them again.
             settings: Settings { topics: self.topics.clone(), ..settings.clone() },
             field: self.dimensions.clone(),
             lens: self.lens.clone(),
@@ -473,25 +495,25 @@ impl Pipeline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::opened;
-    use realitysim_log_input::scene;
+    use crate::input_source;
+    use realitysim_log_input::scene_source;
 
     const SCENE: &str = include_str!("../../../tests/replay/scene.toml");
     const LENS: &str = include_str!("../../../tests/replay/lens.toml");
 
-    /// Nothing says how its torso is tilted, which is told with the number of frames that it costs.
+    /// The scene has no IMU, so the warning about the unknown tilt states the number of frames.
     #[test]
-    fn warnings_count_the_frames_that_were_tagged_and_not_those_that_the_disk_has_kept() {
+    fn warnings_count_the_frames_tagged_and_not_those_kept_on_disk() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("scene.toml");
         let without_imu = SCENE.split("[imu]").next().expect("a scene").replace("[-1.1, 0.3]", "[-1.6, 0.2]");
         std::fs::write(&path, without_imu).expect("written");
         std::fs::write(folder.path().join("lens.toml"), LENS).expect("written");
-        let scene = scene::load(&path).expect("a scene");
-        // What the disk has confirmed is in the first of two segments at least.
+        let scene = scene_source::load(&path).expect("a scene");
+        // With segments of one second the disk has confirmed at least the first of two segments.
         let mut settings = Settings::default();
         settings.recording.segment_s = 1;
-        let (setup, messages) = opened::scene(&scene, &path, &settings).expect("opened");
+        let (setup, messages) = input_source::scene(&scene, &path, &settings).expect("opened");
         let captures = folder.path().join("captures");
         let recording = Recording {
             captures: captures.clone(),
@@ -501,11 +523,11 @@ mod tests {
             tags: None,
             writing: Writing::Here,
         };
-        let mut pipeline = Pipeline::new(setup, Start::default(), recording);
+        let mut pipeline = Pipeline::new(setup, InitialState::default(), recording);
         for message in messages {
             pipeline.take(message.expect("a message")).expect("taken");
         }
-        // Somebody removes what was recorded: another folder is begun, and the tags of the first are lost.
+        // The recorded folder is removed: the recorder begins another one, and the tags of the first are lost.
         for entry in std::fs::read_dir(&captures).expect("there") {
             let session = entry.expect("an entry").path();
             if session.is_dir() {

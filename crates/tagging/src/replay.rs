@@ -1,5 +1,5 @@
-//! A log or a scene through the pipeline: every frame tagged and written, as fast as the machine can or at the log's
-//! own pace.
+//! Replays a log or a scene through the pipeline: every frame is tagged and written, as fast as the machine can or at
+//! the log's own pace.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -7,49 +7,52 @@ use std::time::{Duration, Instant};
 use super::budget::Decisions;
 use super::checkpoint::Checkpoint;
 use super::error::ReplayError;
-use super::opened::{self, BEGAN_ANEW, OpenLog};
+use super::input_source::{self, BEGAN_ANEW, OpenLog};
 use super::pipeline::{Pipeline, Recorded, Recording};
 use super::report::{ReplayReport, file_damage};
 use super::setup::Setup;
-use super::state::{Start, last_state};
+use super::warm_start::{InitialState, last_state};
 use realitysim_config::Settings;
 use realitysim_geometry::Pose2;
-use realitysim_log_input::scene;
+use realitysim_log_input::{InputSource, scene_source};
 use realitysim_recording::{Writing, session_holding};
 use realitysim_ros2::mcap_read::LogMessage;
 
+/// What to replay, and how.
 #[derive(Clone, Debug)]
 pub struct ReplayOptions {
     /// An MCAP file, a folder of them, or a scene file (`.toml`).
     pub source: PathBuf,
+    /// Folder in which the session's own folder is made.
     pub captures: PathBuf,
+    /// Settings of the agent.
     pub settings: Settings,
-    /// In place of what the log announces.
+    /// Pose of `base_footprint` in `map` to start at, in place of what the log announces.
     pub initial: Option<Pose2>,
+    /// Number of threads that look at images; at least 1 is used.
     pub threads: usize,
-    /// Wait so that frames come as fast as they were taken.
+    /// Replay at the pace at which the log was recorded.
     pub realtime: bool,
     /// Go on from the state that the last replay into `captures` left behind.
     pub warm_start: bool,
 }
 
-/// Frames done so far, and how many there are if that is known.
+/// Callback that gets the number of frames done so far, and the number of all frames if it is known.
 pub type Progress<'a> = &'a mut dyn FnMut(u64, Option<u64>);
 
+/// Tags and records every frame of a log or scene.
+///
+/// Fails if the source cannot be opened, has no message, or breaks off; what came before the break is recorded.
 pub fn replay(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
     if let Some(session) = session_holding(&options.captures) {
         return Err(ReplayError::IntoCapture { captures: options.captures.clone(), session });
     }
-    if options.source.extension().is_some_and(|ending| ending == "toml") {
-        replay_scene(options, progress)
-    } else {
-        replay_log(options, progress)
-    }
+    if InputSource::is_scene(&options.source) { replay_scene(options, progress) } else { replay_log(options, progress) }
 }
 
 fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
     let OpenLog { setup, mut messages, checkpoint, frames, lost, warnings, decided } =
-        opened::log(&options.source, &options.settings)?;
+        input_source::log(&options.source, &options.settings)?;
     let mut run = Run::new(options, setup, checkpoint, decided);
     run.report.lost.extend(lost);
     run.report.warnings.extend(warnings);
@@ -60,13 +63,13 @@ fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 }
 
 fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
-    let scene = scene::load(&options.source)?;
-    let (setup, messages) = opened::scene(&scene, &options.source, &options.settings)?;
+    let scene = scene_source::load(&options.source)?;
+    let (setup, messages) = input_source::scene(&scene, &options.source, &options.settings)?;
     let total = Some(scene.frame_count());
     Run::new(options, setup, None, Decisions::new()).through(messages, &mut |done| progress(done, total))
 }
 
-/// A pipeline at the pace that was asked for, and what its report says from the start.
+/// A replay in progress.
 struct Run {
     pipeline: Pipeline,
     report: ReplayReport,
@@ -93,11 +96,11 @@ impl Run {
         };
         let warm = if options.warm_start { last_state(&options.captures) } else { Ok(None) };
         let warm = warm.unwrap_or_else(|error| {
-            // A robot that starts by itself must record, whatever its last end has left of the file.
+            // A robot that starts by itself must record, also when the last run has left a broken file.
             report.warnings.push(format!("{error}; {BEGAN_ANEW}, and replaces it"));
             None
         });
-        let start = Start { checkpoint, warm, initial: options.initial, decided };
+        let start = InitialState { checkpoint, warm, initial: options.initial, decided };
         let pace = options.realtime.then(Pace::default);
         Self { pipeline: Pipeline::new(setup, start, recording), report, pace }
     }
@@ -162,7 +165,7 @@ impl Run {
     }
 }
 
-/// Lets messages through no earlier after the first than they were logged after it.
+/// Delays each message until as much time has passed since the first message as in the log.
 #[derive(Default)]
 struct Pace {
     first: Option<(i64, Instant)>,

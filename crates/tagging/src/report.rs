@@ -1,4 +1,4 @@
-//! What a replay says when it is done.
+//! The report of a finished replay.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,81 +8,100 @@ use serde::Serialize;
 use realitysim_recording::Loss;
 use realitysim_ros2::mcap_read::Damage;
 
-/// What `replay` prints.
+/// The result of a replay, which `realitysim replay --json` prints.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ReplayReport {
+    /// Folder of the session.
     pub session: PathBuf,
+    /// Number of frames written.
     pub frames: u64,
+    /// Number of frames tagged.
     pub tagged: u64,
+    /// Number of valid tags.
     pub valid: u64,
-    /// Poses for which there was no frame, from odometry.
+    /// Number of poses that were predicted from odometry while no frame came.
     pub predicted: u64,
-    /// Tagged and not written, as `recording.thinning` asks.
+    /// Number of frames that were tagged but not written, as `recording.thinning` asks.
     pub thinned: u64,
+    /// Number of particles of each iteration.
     pub particles: usize,
+    /// Number of iterations of the filter for each frame.
     pub iterations: usize,
-    /// Particles and iterations are the most, not what each frame had.
+    /// Whether `particles` and `iterations` are upper bounds and each frame may have had fewer.
     pub adaptive: bool,
-    /// Frames with fewer particles or rounds than wanted: time was up.
+    /// Number of frames with fewer particles or iterations than wanted because time was up.
     pub capped: u64,
-    /// Frames that took longer than the budget all the same.
+    /// Number of frames that took longer than the budget.
     pub over_budget: u64,
+    /// Number of threads that looked at images.
     pub threads: usize,
-    /// From the decoded image to the tag.
+    /// Time from the decoded image to the tag, milliseconds.
     pub filter_ms: Quantiles,
+    /// Duration of the replay, seconds.
     pub wall_s: f64,
-    /// Why tags are invalid, and how many.
+    /// Number of invalid tags by reason.
     pub invalid: BTreeMap<String, u64>,
-    /// Of each reason the first frame, counted from 0.
+    /// The first frame with each reason, counted from 0.
     pub first_invalid: BTreeMap<String, u64>,
-    /// Frames that could have no tag, by cause.
+    /// Number of frames that could have no tag, by cause.
     pub untagged: BTreeMap<String, u64>,
-    /// Messages, other than frames, whose bytes are not what their type says.
+    /// Number of messages, other than frames, that do not decode as their type.
     pub bad_messages: u64,
-    /// Measurements that came too late to be sorted in.
+    /// Number of measurements that came too late to be sorted in.
     pub late_measurements: u64,
-    /// Measurements that no robot can have made, by their numbers: recorded, not used.
+    /// Number of measurements with physically impossible numbers. They are recorded, but not used.
     pub impossible_measurements: u64,
-    /// First image that did not decode, if any.
+    /// Description of the first image that could not be used, if any.
     pub first_bad_image: Option<String>,
-    /// What makes tags worse than they need be, and what else a user will want to know.
+    /// What makes tags worse than they could be, and what else a user will want to know.
     pub warnings: Vec<String>,
-    /// Parts of a capture that are not there.
+    /// Parts of a capture that are missing.
     pub lost: Vec<Loss>,
     /// Files of which parts were lost.
     pub damage: Vec<FileDamage>,
 }
 
+/// Quantiles of durations, milliseconds.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Quantiles {
+    /// Median.
     pub p50: f64,
+    /// 99th percentile.
     pub p99: f64,
+    /// Maximum.
     pub max: f64,
 }
 
+/// What could not be read of one MCAP file.
 #[derive(Clone, Debug, Serialize)]
 pub struct FileDamage {
+    /// The file.
     pub file: PathBuf,
+    /// Whether the end of the file is missing.
     pub torn: bool,
+    /// Number of chunks that could not be read.
     pub bad_chunks: u64,
+    /// Number of records that could not be read.
     pub bad_records: u64,
+    /// Number of bytes that belong to no readable record.
     pub bytes_skipped: u64,
+    /// The first error, if any.
     pub first_error: Option<String>,
 }
 
 impl ReplayReport {
-    /// What of the source's files could not be read.
+    /// All losses of the source: missing parts and damaged files.
     pub fn unread(&self) -> Vec<Loss> {
         let damaged = self.damage.iter().map(|damage| Loss::new(&damage.file, damage.to_string()));
         self.lost.iter().cloned().chain(damaged).collect()
     }
 
-    /// There were frames, and not one of them was placed.
+    /// Whether there were frames and none of them has a valid tag.
     pub fn is_in_vain(&self) -> bool {
         self.tagged > 0 && self.valid == 0
     }
 
-    /// Something of the source could not be replayed.
+    /// Whether a part of the source could not be replayed.
     pub fn data_was_lost(&self) -> bool {
         !(self.damage.is_empty() && self.lost.is_empty())
             || self.tagged < self.frames + self.thinned

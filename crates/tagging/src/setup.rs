@@ -1,10 +1,10 @@
-//! What must be known before the first frame, whatever it comes from: topics, lens, field, the robot's body.
+//! What must be known before the first frame of any source: topics, lens, field, masks of the robot's body.
 
 use std::sync::Arc;
 
 use thiserror::Error;
 
-use super::prelude::Prelude;
+use super::log_scan::StreamInfo;
 use super::warnings::AttitudeSource;
 use realitysim_config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens};
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
@@ -17,68 +17,104 @@ use realitysim_log_input::transforms::{ChainError, Head};
 use realitysim_ros2::messages::CameraInfo;
 use realitysim_vision::{BodyMask, Vision, VisionSettings};
 
+/// Why the pipeline cannot be set up.
 #[derive(Debug, Error)]
 pub enum SetupError {
+    /// The log cannot be read.
     #[error(transparent)]
     Log(#[from] LogError),
+    /// A topic is missing or ambiguous.
     #[error(transparent)]
     Topic(#[from] TopicError),
+    /// The field or lens file is wrong.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// The calibration message does not describe a lens.
     #[error("{topic}: {source}")]
-    CameraInfo { topic: String, source: LensFileError },
+    CameraInfo {
+        /// The topic of the calibration.
+        topic: String,
+        /// What is wrong.
+        source: LensFileError,
+    },
+    /// The calibration is of binned or cropped images.
     #[error("{topic}: binning or a region of interest is set: record whole images, or give a lens file of the part")]
-    CameraInfoPart { topic: String },
+    CameraInfoPart {
+        /// The topic of the calibration.
+        topic: String,
+    },
+    /// `camera.fov_deg` is not possible with this lens.
     #[error("camera.fov_deg: {0}")]
     Fov(#[from] LensError),
+    /// There is no calibration message, and the settings name no lens.
     #[error("{topic}: the log has no message that can be read")]
-    NoMessage { topic: String },
+    NoMessage {
+        /// The topic of the calibration.
+        topic: String,
+    },
+    /// The transforms cannot lead to the camera.
     #[error(transparent)]
     Mount(#[from] ChainError),
+    /// A mask of the robot's body cannot be used.
     #[error("{png}: {message}")]
-    BodyMask { png: String, message: String },
+    BodyMask {
+        /// The mask's file.
+        png: String,
+        /// What is wrong.
+        message: String,
+    },
 }
 
-/// All that the pipeline works with, checked.
+/// Everything that the pipeline needs before the first message, checked.
 pub struct Setup {
+    /// The settings.
     pub settings: Settings,
-    /// Of the settings, or those found in their place.
+    /// The topics of the settings, with those that were found in place of missing ones.
     pub topics: Topics,
+    /// The lens.
     pub lens: LensParameters,
+    /// Dimensions of the field, as its file states them.
     pub dimensions: FieldDimensions,
+    /// The field.
     pub field: Field,
-    pub eyes: Arc<Eyes>,
+    /// Vision and body masks, shared by threads.
+    pub eyes: Arc<FramePerception>,
+    /// Kinds of measurements that the source has, so that frames wait for them.
     pub expected: Expected,
-    /// The transforms that are constant.
+    /// State with the constant transforms.
     pub synchroniser: SynchroniserState,
+    /// Where the torso's attitude comes from.
     pub attitude: AttitudeSource,
 }
 
 impl Setup {
-    pub fn new(settings: Settings, prelude: Prelude) -> Result<Self, SetupError> {
+    /// Loads and checks lens, field and body masks for a source.
+    pub fn new(settings: Settings, prelude: StreamInfo) -> Result<Self, SetupError> {
         let lens = lens(&settings, &prelude)?;
         let (field, dimensions) = field(&settings)?;
-        let eyes = Arc::new(Eyes::new(&settings, &lens, field.line_width())?);
-        let Prelude { topics, expected, synchroniser, attitude, .. } = prelude;
+        let eyes = Arc::new(FramePerception::new(&settings, &lens, field.line_width())?);
+        let StreamInfo { topics, expected, synchroniser, attitude, .. } = prelude;
         let lens = lens.parameters().clone();
         Ok(Self { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude })
     }
 }
 
-/// Everything about seeing, ready for use.
-pub struct Eyes {
+/// What is needed to look at an image: vision for the lens, and the masks of the robot's body.
+pub struct FramePerception {
+    /// Vision for the lens.
     pub vision: Vision,
     bodies: Vec<BodyRange>,
 }
 
+/// A mask of the robot's body with the ranges of the head joints that it is for.
 struct BodyRange {
     mask: BodyMask,
     pan_rad: Option<[f64; 2]>,
     tilt_rad: Option<[f64; 2]>,
 }
 
-/// The configured lens file, else what the log says of its camera.
-fn lens(settings: &Settings, prelude: &Prelude) -> Result<Lens, SetupError> {
+/// The lens of the configured file, or else of the log's calibration.
+fn lens(settings: &Settings, prelude: &StreamInfo) -> Result<Lens, SetupError> {
     let mut parameters: LensParameters = match (&settings.camera.lens, &prelude.camera_info) {
         (Some(file), _) => load_lens(file)?.lens.parameters().clone(),
         (None, Some(info)) => lens_of(info, &prelude.topics.camera_info)?,
@@ -88,6 +124,7 @@ fn lens(settings: &Settings, prelude: &Prelude) -> Result<Lens, SetupError> {
     Ok(Lens::new(parameters)?)
 }
 
+/// The lens that a calibration message describes.
 fn lens_of(info: &CameraInfo, topic: &str) -> Result<LensParameters, SetupError> {
     let binned = info.binning_x > 1 || info.binning_y > 1;
     let roi = &info.roi;
@@ -106,7 +143,8 @@ fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {
     Ok((field, dimensions))
 }
 
-impl Eyes {
+impl FramePerception {
+    /// Prepares vision for a lens and a width of field lines, and loads the body masks of the settings.
     pub fn new(settings: &Settings, lens: &Lens, line_width_m: f64) -> Result<Self, SetupError> {
         let f = &settings.filter;
         let bodies = settings
@@ -131,12 +169,12 @@ impl Eyes {
         Ok(Self { vision: Vision::new(lens, vision), bodies })
     }
 
-    /// [`BodyMask::runs`] of all of them.
+    /// All body masks, each as [`BodyMask::runs`].
     pub fn body_masks(&self) -> Vec<Vec<u32>> {
         self.bodies.iter().map(|body| body.mask.runs()).collect()
     }
 
-    /// The first mask whose ranges hold the head.
+    /// The first mask whose ranges contain the head's joint angles; an unknown head counts as pan and tilt 0.
     pub fn body(&self, head: Option<Head>) -> Option<&BodyMask> {
         let head = head.unwrap_or(Head { pan: 0.0, tilt: 0.0 });
         let within =

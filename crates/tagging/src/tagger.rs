@@ -1,17 +1,18 @@
-//! From what a frame shows to its tag: localization's answer as the message that is written.
+//! Turns what a frame shows into its tag: runs the localizer and writes its answer as a message.
 
 use realitysim_config::{MotionSource, Settings};
 use realitysim_geometry::{Field, Isometry, Lens};
 use realitysim_localization::filter::always;
 use realitysim_localization::observation::default_alpha;
 use realitysim_localization::{
-    Evidence, FilterSettings, Fix, Formula, LensOff, Localizer, LocalizerSettings, LocalizerState, MayGoOn, Model,
-    Moment, Observation, Sampling, Spread, TrackModel, Validity,
+    Evidence, FilterSettings, Fix, Formula, FrameSensors, LensOff, Localizer, LocalizerSettings, LocalizerState,
+    MayGoOn, Model, Observation, Rejection, Sampling, SlowStateModel, Spread, Validity,
 };
-use realitysim_log_input::synchroniser::{Anchor, InitialPose, RobotAt};
+use realitysim_log_input::synchroniser::{InitialPose, OdometryOrigin, RobotState};
 use realitysim_ros2::messages::{FrameTag, Header, Pose, Stamp};
-use realitysim_vision::Seen;
+use realitysim_vision::Observations;
 
+/// A localizer together with the settings and names that its tags need.
 #[derive(Clone, Debug)]
 pub struct Tagger {
     localizer: Localizer,
@@ -23,6 +24,7 @@ pub struct Tagger {
 }
 
 impl Tagger {
+    /// A tagger that continues from `state`; the default state knows nothing.
     pub fn new(settings: &Settings, field: Field, lens: &Lens, state: LocalizerState) -> Self {
         let f = &settings.filter;
         let alpha = f.alpha.unwrap_or_else(|| default_alpha(f.formula));
@@ -41,7 +43,7 @@ impl Tagger {
                 jitter_shrink: f.jitter_shrink,
                 seed: f.seed,
             },
-            track: TrackModel::default(),
+            track: SlowStateModel::default(),
             refinement: f.refinement,
             random_walk: f.motion == MotionSource::RandomWalk,
             initial,
@@ -63,32 +65,33 @@ impl Tagger {
         }
     }
 
-    /// What a checkpoint keeps.
+    /// A copy of the localizer's state, as a checkpoint stores it.
     pub fn state(&self) -> LocalizerState {
         self.localizer.state()
     }
 
-    /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
+    /// Number of particle weights so far that were NaN or +inf. More than 0 is a fault of this program.
     pub fn unusable_weights(&self) -> u64 {
         self.localizer.unusable_weights()
     }
 
-    /// Frames so far after which everything was forgotten; see [`Localizer::begun_anew`].
+    /// Number of frames so far after which the localizer started from nothing; see [`Localizer::begun_anew`].
     pub fn begun_anew(&self) -> u64 {
         self.localizer.begun_anew()
     }
 
-    /// How the lens differs from its calibration.
+    /// How the lens differs from its calibration, by what has been seen; `None` before there is a track.
     pub fn lens_off(&self) -> Option<LensOff> {
         self.localizer.lens_off()
     }
 
-    /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
+    /// Prepares for going on after a restart: the pose is kept with a larger uncertainty, because the robot may have been
+    /// carried, and odometry starts at a new origin.
     pub fn resume(&mut self) {
         self.localizer.resume();
     }
 
-    /// Somebody says where the robot is.
+    /// Starts over at an announced pose. Its spread is at least that of the settings.
     pub fn start_at(&mut self, initial: &InitialPose) {
         let spread = Spread {
             xy_m: initial.xy_m.unwrap_or(0.0).max(self.initial.xy_m),
@@ -97,61 +100,67 @@ impl Tagger {
         self.localizer.start_at(initial.map_from_footprint, spread);
     }
 
-    /// The tag of a frame of which something was seen. `sequence`, clocks and times are the caller's to fill in.
-    /// `may_go_on` says when time is up.
-    pub fn tag(&mut self, stamp_ns: i64, robot: &RobotAt, seen: &Seen, may_go_on: &mut MayGoOn) -> FrameTag {
-        self.begin_anew(robot);
-        let fix = self.localizer.look(&moment(stamp_ns, robot), seen, may_go_on);
+    /// Tags a frame whose image could be used. The caller fills in `sequence`, clocks and times.
+    ///
+    /// `may_go_on` gets the number of poses weighed so far and says whether there is time for more.
+    pub fn tag(&mut self, stamp_ns: i64, robot: &RobotState, seen: &Observations, may_go_on: &mut MayGoOn) -> FrameTag {
+        self.apply_new_start(robot);
+        let fix = self.localizer.look(&sensors_at(stamp_ns, robot), seen, may_go_on);
         self.compose(stamp_ns, robot, &fix)
     }
 
-    /// As [`Self::tag`], with what speaks for and against it.
-    pub fn explain(&mut self, stamp_ns: i64, robot: &RobotAt, seen: &Seen) -> (FrameTag, Evidence) {
-        self.begin_anew(robot);
-        let moment = moment(stamp_ns, robot);
-        let fix = self.localizer.look(&moment, seen, &mut always);
-        let evidence = self.localizer.evidence(&moment, seen, &fix);
+    /// Like [`Self::tag`] without a time limit, and returns the evidence for and against the tag.
+    pub fn explain(&mut self, stamp_ns: i64, robot: &RobotState, seen: &Observations) -> (FrameTag, Evidence) {
+        self.apply_new_start(robot);
+        let sensors = sensors_at(stamp_ns, robot);
+        let fix = self.localizer.look(&sensors, seen, &mut always);
+        let evidence = self.localizer.evidence(&sensors, seen, &fix);
         (self.compose(stamp_ns, robot, &fix), evidence)
     }
 
-    /// The tag of a frame of which nothing could be seen: where odometry puts the robot, marked invalid.
-    pub fn tag_blind(&mut self, stamp_ns: i64, robot: &RobotAt, reason: &'static str) -> FrameTag {
-        self.begin_anew(robot);
-        let fix = self.localizer.coast(&moment(stamp_ns, robot), reason);
+    /// Tags a frame whose image could not be used: an invalid tag at the pose that odometry predicts.
+    pub fn tag_blind(&mut self, stamp_ns: i64, robot: &RobotState, reason: Rejection) -> FrameTag {
+        self.apply_new_start(robot);
+        let fix = self.localizer.coast(&sensors_at(stamp_ns, robot), reason);
         self.compose(stamp_ns, robot, &fix)
     }
 
-    /// Of no frame: where odometry puts the camera at that time, marked invalid; see [`Localizer::foresee`]. `ahead` is what
-    /// is remembered of that; it begins as [`state`](Self::state), and a frame may [go on from](Self::go_on_from) it.
+    /// Predicts the camera's pose at a time without a frame, as an invalid tag; see [`Localizer::foresee`].
+    ///
+    /// `ahead` is the state that the prediction propagates, in place of the tagger's own. It begins as a copy of
+    /// [`state`](Self::state), and a frame may [go on from](Self::go_on_from) it. `None` if the pose is not known well
+    /// enough.
     pub fn foresee(
         &mut self,
         stamp_ns: i64,
-        robot: &RobotAt,
+        robot: &RobotState,
         ahead: &mut LocalizerState,
-        reason: &'static str,
+        reason: Rejection,
     ) -> Option<FrameTag> {
         self.localizer.exchange(ahead);
-        self.begin_anew(robot);
-        let fix = self.localizer.foresee(&moment(stamp_ns, robot), reason);
+        self.apply_new_start(robot);
+        let fix = self.localizer.foresee(&sensors_at(stamp_ns, robot), reason);
         self.localizer.exchange(ahead);
         Some(self.compose(stamp_ns, robot, &fix?))
     }
 
+    /// Replaces the localizer's state.
     pub fn go_on_from(&mut self, mut state: LocalizerState) {
         self.localizer.exchange(&mut state);
     }
 
-    /// Where somebody has said where the robot is, or nothing is known of the time before.
-    fn begin_anew(&mut self, robot: &RobotAt) {
+    /// Applies an announced pose and a new origin of odometry, if the frame brings them.
+    fn apply_new_start(&mut self, robot: &RobotState) {
         if let Some(initial) = &robot.initial_pose {
             self.start_at(initial);
         }
-        if let Some(Anchor { stamp_ns, odometry, .. }) = robot.anchor {
+        if let Some(OdometryOrigin { stamp_ns, odometry, .. }) = robot.anchor {
             self.localizer.count_from(stamp_ns, odometry);
         }
     }
 
-    fn compose(&self, stamp_ns: i64, robot: &RobotAt, fix: &Fix) -> FrameTag {
+    /// The message for a fix: the localizer's optical frame becomes `camera_link`.
+    fn compose(&self, stamp_ns: i64, robot: &RobotState, fix: &Fix) -> FrameTag {
         let Fix { estimate, support, .. } = fix;
         let place = robot.place.as_ref();
         let footprint_from_camera = place.map_or(Isometry::IDENTITY, |place| place.footprint_from_link);
@@ -163,8 +172,8 @@ impl Tagger {
         let mut tag = FrameTag {
             header: Header::at(stamp_ns, &self.map_frame),
             child_frame_id: self.camera_frame.clone(),
-            valid: fix.doubt.is_none(),
-            reason: fix.doubt.unwrap_or_default().to_owned(),
+            valid: fix.rejection.is_none(),
+            reason: fix.rejection.map_or_else(String::new, |rejection| rejection.to_string()),
             model: match self.model {
                 Model::Gauss => "gauss",
                 Model::Distance => "distance",
@@ -209,8 +218,9 @@ impl Tagger {
     }
 }
 
-fn moment(stamp_ns: i64, robot: &RobotAt) -> Moment {
-    Moment {
+/// The robot's state in the form that the localizer takes.
+fn sensors_at(stamp_ns: i64, robot: &RobotState) -> FrameSensors {
+    FrameSensors {
         stamp_ns,
         odometry: robot.odometry,
         turned_rad: robot.turned_rad,

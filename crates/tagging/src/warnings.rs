@@ -1,40 +1,55 @@
-//! What a user will want to know although nothing failed.
+//! Warnings: findings that a user will want to know although nothing failed.
 
 use std::collections::BTreeMap;
 
-use super::effort::EffortTally;
+use super::filter_stats::FilterStats;
 use super::report::Quantiles;
 use realitysim_config::FrameNames;
 use realitysim_geometry::physical::MOST;
-use realitysim_localization::LensOff;
+use realitysim_localization::{LensOff, Rejection};
 use realitysim_log_input::synchroniser::GONE_NS;
 use realitysim_ros2::messages::{Imu, Message};
 
-/// What a tag's reason is when lines are seen and fit nowhere.
-const LOST: [&str; 5] = ["pose_unknown", "unconfirmed", "lines_disagree", "lines_unexplained", "not_standing"];
-/// And when hardly any are seen.
-const HARDLY_SEEN: [&str; 2] = ["few_lines", "spread"];
-/// Share of the frames that may take longer than the budget before it is called too small: what a busy machine does.
+/// Rejections of frames that show lines which fit nowhere.
+const LOST: [Rejection; 5] = [
+    Rejection::PoseUnknown,
+    Rejection::Unconfirmed,
+    Rejection::LinesDisagree,
+    Rejection::LinesUnexplained,
+    Rejection::NotStanding,
+];
+/// Rejections of frames that show hardly any lines.
+const HARDLY_SEEN: [Rejection; 2] = [Rejection::FewLines, Rejection::Spread];
+/// Share of the frames that may take longer than the budget without a warning, as on a busy machine.
 const OVER_BUDGET: f64 = 0.05;
-/// A calibration is called wrong when it is off by so much, and by so many standard deviations.
-const LEAST_STRETCH: f64 = 0.003;
-const LEAST_PX: f64 = 1.0;
+/// Share by which the focal length must differ from the calibration before a warning.
+const MIN_STRETCH: f64 = 0.003;
+/// Distance of the image centre from the calibrated one before a warning, pixels.
+const MIN_SHIFT_PX: f64 = 1.0;
+/// A deviation of the lens must also be this many standard deviations.
 const CLEAR_SIGMAS: f64 = 5.0;
 
-/// Whether a tag of this reason says that its frame fits nowhere on the field.
+/// Whether the reason of a tag means that its frame could not be placed on the field.
 pub fn is_unplaced(reason: &str) -> bool {
-    LOST.contains(&reason) || HARDLY_SEEN.contains(&reason)
+    Rejection::from_reason(reason)
+        .is_some_and(|rejection| LOST.contains(&rejection) || HARDLY_SEEN.contains(&rejection))
 }
 
-/// Most frames show lines, but none that a robot on this field could see; or no tag at all is valid. `cause` says what is to be
-/// looked at.
+/// Number of tags with this rejection.
+fn count(invalid: &BTreeMap<String, u64>, rejection: Rejection) -> u64 {
+    invalid.get(rejection.as_str()).copied().unwrap_or(0)
+}
+
+/// Warns if most frames show lines that fit nowhere on the field, or if no tag is valid and most frames could not be placed.
+///
+/// `cause` gives the end of the sentence; it is called only if there is a warning.
 pub fn unplaced(
     field: &str,
     invalid: &BTreeMap<String, u64>,
     tagged: u64,
     cause: impl FnOnce() -> String,
 ) -> Option<String> {
-    let of = |reasons: &[&str]| reasons.iter().map(|reason| invalid.get(*reason).copied().unwrap_or(0)).sum::<u64>();
+    let of = |rejections: &[Rejection]| rejections.iter().map(|rejection| count(invalid, *rejection)).sum::<u64>();
     let (lost, hardly_seen) = (of(&LOST), of(&HARDLY_SEEN));
     let none_is_valid = invalid.values().sum::<u64>() == tagged;
     let (count, though) = if 2 * lost > tagged {
@@ -47,7 +62,7 @@ pub fn unplaced(
     Some(format!("{count} of {tagged} frames could not be placed on the field {field}{though}: {}", cause()))
 }
 
-/// On a robot there is no time to find out more.
+/// The end of the warning of [`unplaced`] on a robot, which has no time for a diagnosis.
 pub fn possible_causes(budget_ms: f64) -> String {
     let hurried = match budget_ms {
         0.0 => String::new(),
@@ -59,21 +74,24 @@ pub fn possible_causes(budget_ms: f64) -> String {
     )
 }
 
-/// The camera's fault.
+/// Warns if more than a tenth of the images are black, overexposed or frozen.
 pub fn no_picture(invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
-    let of = |reason: &str| invalid.get(reason).copied().unwrap_or(0);
-    let flaws = [
-        ("too_dark", "were black: is the lens covered, or the exposure far too short?"),
-        ("overexposed", "were mostly white: is the exposure or the gain far too high?"),
-        ("image_frozen", "showed the same picture again although the robot moved: does the camera stand still?"),
+    let of = |rejection| count(invalid, rejection);
+    let defects = [
+        (Rejection::TooDark, "were black: is the lens covered, or the exposure far too short?"),
+        (Rejection::Overexposed, "were mostly white: is the exposure or the gain far too high?"),
+        (
+            Rejection::ImageFrozen,
+            "showed the same picture again although the robot moved: does the camera stand still?",
+        ),
     ];
-    let (reason, said) = flaws.into_iter().max_by_key(|(reason, _)| of(reason))?;
-    (10 * of(reason) > tagged).then(|| format!("{} of {tagged} frames {said}", of(reason)))
+    let (rejection, said) = defects.into_iter().max_by_key(|(rejection, _)| of(*rejection))?;
+    (10 * of(rejection) > tagged).then(|| format!("{} of {tagged} frames {said}", of(rejection)))
 }
 
-/// By its attitude the torso lay most of the time.
+/// Warns if the torso lay in most frames, by its attitude from the topic `imu`.
 pub fn never_upright(imu: &str, invalid: &BTreeMap<String, u64>, tagged: u64) -> Option<String> {
-    let lay = invalid.get("fallen").copied().unwrap_or(0);
+    let lay = count(invalid, Rejection::Fallen);
     (2 * lay > tagged).then(|| {
         format!(
             "in {lay} of {tagged} frames the torso did not stand, by {imu}: is the IMU built in upside down or on its side? The \
@@ -82,8 +100,8 @@ pub fn never_upright(imu: &str, invalid: &BTreeMap<String, u64>, tagged: u64) ->
     })
 }
 
-/// The budget is too small for what cannot be left out.
-pub fn small_budget(budget_ms: f64, effort: &EffortTally, tagged: u64) -> Option<String> {
+/// Warns if too many frames took longer than the budget.
+pub fn small_budget(budget_ms: f64, effort: &FilterStats, tagged: u64) -> Option<String> {
     let over = effort.over_budget;
     let Quantiles { p50, p99, .. } = effort.durations.quantiles();
     (over as f64 > OVER_BUDGET * tagged as f64).then(|| {
@@ -96,11 +114,12 @@ pub fn small_budget(budget_ms: f64, effort: &EffortTally, tagged: u64) -> Option
     })
 }
 
-/// The lines say that the calibration is not that of this lens.
+/// Warns if the field's lines show clearly that the lens differs from its calibration.
 pub fn wrong_lens(off: &LensOff) -> Option<String> {
     let LensOff { stretch, centre_u_px, centre_v_px } = *off;
     let is_clear = |(value, sigma): (f64, f64), least: f64| value.abs() > least.max(CLEAR_SIGMAS * sigma);
-    let is_off = is_clear(stretch, LEAST_STRETCH) || is_clear(centre_u_px, LEAST_PX) || is_clear(centre_v_px, LEAST_PX);
+    let is_off =
+        is_clear(stretch, MIN_STRETCH) || is_clear(centre_u_px, MIN_SHIFT_PX) || is_clear(centre_v_px, MIN_SHIFT_PX);
     is_off.then(|| {
         format!(
             "by the field's lines the lens is not quite as it was calibrated: focal length {:+.2} %, centre {:+.1}, {:+.1} px. \
@@ -112,14 +131,14 @@ pub fn wrong_lens(off: &LensOff) -> Option<String> {
     })
 }
 
-/// Likelihoods are finite, or minus infinity: the rest is a fault of this program, which tags have survived.
+/// Warns of particle weights that were NaN or +inf. They are a fault of this program and were left out.
 pub fn unusable_weights(count: u64) -> Option<String> {
     (count > 0).then(|| {
         format!("{count} weights of particles were no numbers or infinite, and were left out: please report this log")
     })
 }
 
-/// No robot can have measured it: a driver's or a filter's fault, which tags have survived.
+/// Warns of measurements that are physically impossible: a fault of a driver or of another filter. They were not used.
 pub fn impossible_measurements(count: u64) -> Option<String> {
     (count > 0).then(|| {
         format!(
@@ -129,24 +148,26 @@ pub fn impossible_measurements(count: u64) -> Option<String> {
     })
 }
 
-/// A fault of this program, which cost the pose.
+/// Warns of frames after which the localizer started from nothing, which is a fault of this program.
 pub fn begun_anew(count: u64) -> Option<String> {
     (count > 0).then(|| {
         format!("after {count} frames localization began anew, since a number was not finite: please report this log")
     })
 }
 
-/// Where the attitude comes from, if it does.
+/// Where the torso's attitude comes from.
 #[derive(Clone, Debug)]
 pub struct AttitudeSource {
-    /// `topics.imu`, chosen or found.
+    /// The topic `topics.imu`, configured or found.
     pub topic: String,
-    /// All topics of the log that an IMU is on.
+    /// All topics of the log with IMU messages.
     pub all: Vec<String>,
 }
 
 impl AttitudeSource {
-    /// `unknown` of `frames` were tagged without knowing how the torso was tilted; `was_heard`: an attitude came at all.
+    /// Warns if `unknown` of `frames` were tagged without a measured tilt of the torso, with the cause.
+    ///
+    /// `was_heard` says whether an attitude came at all.
     pub fn warning(&self, unknown: u64, frames: u64, was_heard: bool, names: &FrameNames) -> Option<String> {
         if unknown == 0 {
             return None;

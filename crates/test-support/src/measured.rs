@@ -1,11 +1,17 @@
-//! One rule for every largest error that a test measures and docs/numerics.md shows; the unit tests of the crate share it.
+//! The rule that every largest error obeys which a test measures and docs/reference/numerics.md states.
 
-/// Prints the largest error that was found and holds it to the table's figure: no larger, nor so much smaller that the
-/// figure would mislead. `tests/numerics/table.rs` compares figure and unit with the table.
-/// `REALITYSIM_MEASURE=1` only prints, so that one run shows all that changed.
+/// Prints the largest error that a test found and compares it with the figure in docs/reference/numerics.md.
+///
+/// The error must not exceed the figure, and must be at least a tenth of it, or the figure is out of date.
+/// `tests/numerics/table.rs` compares figure and unit with the table. With the environment variable `REALITYSIM_MEASURE`
+/// set, the function only prints, so that one run shows every change.
+///
+/// # Panics
+///
+/// Panics if the error and the figure do not agree.
 #[track_caller]
 pub fn largest_error(found: f64, figure: f64, unit: &str) {
-    println!("largest error found: {found:.3e} {unit}; docs/numerics.md says {figure:e} {unit}");
+    println!("largest error found: {found:.3e} {unit}; docs/reference/numerics.md says {figure:e} {unit}");
     if std::env::var_os("REALITYSIM_MEASURE").is_some() {
         return;
     }

@@ -1,28 +1,30 @@
-//! A lens prepared for views: the rays of all its pixels, known once and for all.
+//! A lens prepared for view synthesis: the rays of all its pixels, computed once.
 
 use glam::{DVec2, DVec3};
 
 use realitysim_geometry::{Lens, Projector};
 
-/// A lens with its rays. Making one takes some tens of milliseconds; it serves any number of views.
+/// A lens and the rays of its pixels. Construction takes some tens of milliseconds; one camera serves any number of views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     projector: Projector,
     /// Unit rays in `camera_optical_frame`, row by row; NaN where the lens draws nothing.
     rays: Vec<[f32; 3]>,
-    /// The same at the corners of the cells.
+    /// Unit rays at the corners of the cells, in `camera_optical_frame`; NaN where the lens draws nothing.
     nodes: Vec<DVec3>,
+    /// For each pixel: whether the lens draws it.
     shows: Vec<bool>,
-    /// By cell: it lies in the image, and all of it is drawn.
+    /// For each cell: whether it lies in the image and the lens draws all of it.
     full_cells: Vec<bool>,
 }
 
-/// Side of a cell, pixels: maps are calculated at its corners and interpolated within.
+/// Side of a cell in pixels. Maps are computed at the corners of cells and interpolated in between.
 pub(super) const CELL: usize = 8;
-/// Its pixels.
+/// Number of pixels in a cell.
 pub(super) const AREA: usize = CELL * CELL;
 
 impl Camera {
+    /// Computes the rays of all pixels of `lens`.
     pub fn new(lens: &Lens) -> Self {
         let (width, height) = (lens.width() as usize, lens.height() as usize);
         let ray = |u: usize, v: usize| lens.unproject(DVec2::new(u as f64, v as f64)).unwrap_or(DVec3::NAN);
@@ -41,19 +43,22 @@ impl Camera {
         Self { projector: Projector::new(lens), rays, nodes, shows, full_cells }
     }
 
+    /// The lens as calibrated.
     pub fn lens(&self) -> &Lens {
         self.projector.lens()
     }
 
+    /// Width of the image in pixels.
     pub fn width(&self) -> usize {
         self.lens().width() as usize
     }
 
+    /// Height of the image in pixels.
     pub fn height(&self) -> usize {
         self.lens().height() as usize
     }
 
-    /// Which pixels the lens draws, row by row.
+    /// For each pixel, row by row: whether the lens draws it.
     pub fn shows(&self) -> &[bool] {
         &self.shows
     }
@@ -67,17 +72,17 @@ impl Camera {
         &self.projector
     }
 
-    /// Columns and rows of cells; the last ones may reach over the edge.
+    /// Number of columns and rows of cells. The last column and row may reach beyond the image.
     pub(super) fn cells(&self) -> (usize, usize) {
         cells(self.width(), self.height())
     }
 
-    /// Corners of the cells, row by row, one more each way than cells.
+    /// Unit rays at the corners of the cells, row by row; one more corner than cells in each direction.
     pub(super) fn node_rays(&self) -> &[DVec3] {
         &self.nodes
     }
 
-    /// Those of a cell's pixels, x, y and z apart; what lies beyond the image's edge stays as it is.
+    /// Copies the rays of a cell's pixels into separate arrays of x, y and z. Entries beyond the image's edge keep their value.
     pub(super) fn cell_rays(&self, column: usize, row: usize, [xs, ys, zs]: &mut [[f32; AREA]; 3]) {
         let (left, top) = (column * CELL, row * CELL);
         let (width, count) = (self.width(), CELL.min(self.width() - left));
@@ -89,7 +94,7 @@ impl Camera {
         }
     }
 
-    /// The unit ray of a pixel in `camera_optical_frame`; `None` where the lens draws nothing.
+    /// The unit ray of a pixel in `camera_optical_frame`, or `None` where the lens draws nothing.
     pub fn ray(&self, u: usize, v: usize) -> Option<DVec3> {
         let [x, y, z] = self.rays[v * self.width() + u];
         (!x.is_nan()).then(|| DVec3::new(f64::from(x), f64::from(y), f64::from(z)))

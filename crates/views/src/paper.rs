@@ -1,40 +1,48 @@
-//! The view as the paper makes it: every pixel of the nearest image goes where the forward map puts it, and the pixels
-//! that none comes to are filled through the reverse map.
+//! The paper's method: the forward map moves every pixel of the nearest image into the view, and pixels that none reaches
+//! are read through the reverse map.
 
 use glam::{DVec2, DVec3};
 
-use super::answer::{Answer, Candidate, Request, ViewError};
 use super::quadratic::Quadratic;
 use super::raster::{NOTHING, Raster, SURE, UNSURE};
 use super::sample::read;
-use super::target::Target;
+use super::synthesized_view::{Candidate, Request, SynthesizedView, ViewError};
+use super::target_rays::Target;
 use super::world::{Surface, World};
 use super::{Camera, optical};
 use realitysim_geometry::Isometry;
 
-/// Where common points of the ground are taken for the fit.
+/// Choice of the common points of the ground for the fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Correspondences {
-    /// On a square grid of the field, metres apart: the ground near the camera counts little.
-    OnGround { spacing_m: f64 },
-    /// Under a square grid of the source's pixels: every part of the image counts the same.
-    InImage { spacing_px: usize },
+    /// A square grid on the field. The ground near the camera gets few points.
+    OnGround {
+        /// Distance between neighbouring points, metres.
+        spacing_m: f64,
+    },
+    /// Points under a square grid of the source's pixels. Every part of the image counts the same.
+    InImage {
+        /// Distance between neighbouring points, pixels.
+        spacing_px: usize,
+    },
 }
 
-/// As the paper has them.
+/// The choice of points in the paper.
 pub const PAPER: Correspondences = Correspondences::OnGround { spacing_m: 0.25 };
-/// Weak rays: ground farther away than this many camera heights is a streak below the horizon.
+/// Ground farther away than this many camera heights is left out: it is a streak below the horizon.
 const FARTHEST_HEIGHTS: f64 = 30.0;
 
-/// One camera at its place.
+/// A camera at a pose.
 #[derive(Clone, Copy, Debug)]
 pub struct Posed<'a> {
+    /// The lens.
     pub camera: &'a Camera,
-    /// `camera_link` in `map`.
+    /// Pose of `camera_link` in `map`.
     pub map_from_link: Isometry,
 }
 
-pub(super) fn view(request: &Request, source: &Candidate) -> Result<Answer, ViewError> {
+/// Makes the view that `request` asks for from `source` by two quadratic maps.
+pub(super) fn view(request: &Request, source: &Candidate) -> Result<SynthesizedView, ViewError> {
     let from = Posed { camera: source.camera, map_from_link: source.map_from_link };
     let to = Posed { camera: request.camera, map_from_link: request.map_from_link };
     let pairs = correspondences(&from, &to, request.world, PAPER);
@@ -45,17 +53,17 @@ pub(super) fn view(request: &Request, source: &Candidate) -> Result<Answer, View
     fill(&mut image, source, &reverse);
     let target = Target::new(to.camera, &to.map_from_link, request.world);
     for (index, pixel) in image.pixels.iter_mut().enumerate() {
-        // The map is of the ground: what it makes of the rest is a guess.
+        // The map is fitted to the ground: everything else is a guess.
         match target.surface(index % to.camera.width(), index / to.camera.width()) {
             None => *pixel = [0, 0, 0, NOTHING],
             Some(Surface::Ground) => {}
             Some(_) => pixel[3] = pixel[3].min(UNSURE),
         }
     }
-    Ok(Answer::warped(request, source, image, forward.residual().rms_px))
+    Ok(SynthesizedView::warped(request, source, image, forward.residual().rms_px))
 }
 
-/// Pixels of the source and of the wanted view that show the same place of the ground.
+/// Pairs of pixels, of the source and of the wanted view, that show the same point of the ground.
 pub fn correspondences(from: &Posed, to: &Posed, world: &World, how: Correspondences) -> Vec<(DVec2, DVec2)> {
     let (from_pose, to_pose) = (optical(&from.map_from_link), optical(&to.map_from_link));
     let drawn = |posed: &Posed, pose: &Isometry, place: DVec3| {
@@ -89,7 +97,7 @@ pub fn correspondences(from: &Posed, to: &Posed, world: &World, how: Corresponde
     }
 }
 
-/// Each pixel of the source to the nearest pixel of the view.
+/// Copies each sure pixel of the source to the nearest pixel of the view.
 fn splat(image: &mut Raster, source: &Candidate, forward: &Quadratic) {
     let full = source.image.full();
     for (index, pixel) in full.pixels.iter().enumerate().filter(|(_, pixel)| pixel[3] == SURE) {
@@ -100,6 +108,7 @@ fn splat(image: &mut Raster, source: &Candidate, forward: &Quadratic) {
     }
 }
 
+/// Reads pixels that are still empty through the reverse map.
 fn fill(image: &mut Raster, source: &Candidate, reverse: &Quadratic) {
     let width = image.width;
     for (index, pixel) in image.pixels.iter_mut().enumerate().filter(|(_, pixel)| pixel[3] == NOTHING) {

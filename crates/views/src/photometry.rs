@@ -1,76 +1,82 @@
-//! Brightness and colour: what a lens darkens towards its border, and one gain per channel from image to image.
+//! Brightness and colour: the vignetting of lenses, and one gain per channel between images.
 
 use super::Candidate;
 use super::camera::CELL;
 use super::ground_warp::Warp;
 use super::raster::SURE;
 use super::sample::read;
-use super::target::Target;
+use super::target_rays::Target;
 use realitysim_geometry::Lens;
 
-/// Relative illumination 1 + k1 r^2 + k2 r^4 + k3 r^6; r is the distance from the image's centre as a share of half
-/// the diagonal. All zero: the lens darkens nothing.
+/// Vignetting of a lens as relative illumination 1 + k1 r^2 + k2 r^4 + k3 r^6.
+///
+/// r is the distance from the image's centre as a share of half the diagonal. All zero: the lens darkens nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vignetting {
+    /// The coefficients k1, k2, k3.
     pub k: [f64; 3],
 }
 
-/// What a source's pixels are multiplied with, channel by channel.
+/// Factors by which a source's pixels are multiplied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gain {
+    /// Factors for red, green and blue.
     pub rgb: [f64; 3],
 }
 
 impl Gain {
+    /// Leaves brightness as it is.
     pub const NONE: Self = Self { rgb: [1.0; 3] };
 }
 
-/// Darker values are noise, brighter ones are cut off.
-const DARKEST: u8 = 6;
+/// Darker values are noise.
+const MIN_VALUE: u8 = 6;
+/// Brighter values are clipped.
 const BRIGHTEST: u8 = 249;
-/// Of the corners of the view's cells: enough of them, spread over the view, as a row's number of corners is no multiple.
-const EVERY: usize = 2;
-/// Fewer common places say nothing about gains.
-const FEWEST: usize = 25;
-/// No two exposures of a day differ by more.
+/// Every n-th corner of the view's cells is compared. The corners used still spread over the view, since rows have odd lengths.
+const CORNER_STEP: usize = 2;
+/// Fewer common points give no gain.
+const MIN_PLACES: usize = 25;
+/// Largest gain: no two exposures of a day differ by more.
 const MOST_GAIN: f64 = 8.0;
-/// Less than half a step of a bright pixel is none.
-const LEAST_CHANGE: f64 = 0.002;
-/// Copies a quarter of the size: means over grain and noise.
-const LEVEL: usize = 2;
+/// A gain that differs less from 1 is ignored: less than half a step of a bright pixel.
+const MIN_CHANGE: f64 = 0.002;
+/// Pyramid level that brightness is read at, a quarter of the size: a mean over grain and noise.
+const PYRAMID_LEVEL: usize = 2;
 
 impl Vignetting {
     fn is_none(&self) -> bool {
         self.k == [0.0; 3]
     }
 
-    /// At a pixel; never so dark that dividing by it would make noise of everything.
+    /// Relative illumination at a pixel, at least 0.1 so that dividing by it does not amplify noise without bound.
     pub fn at(&self, lens: &Lens, u: f64, v: f64) -> f64 {
-        // Most sources darken nothing that is known of, and this is asked at every corner of every cell.
+        // Most lenses have no known vignetting, and this runs for every corner of every cell.
         if self.is_none() { 1.0 } else { self.illumination(Self::r2(lens, u, v)) }
     }
 
-    /// Squared distance from the image's centre, as a share of half the diagonal's.
+    /// Squared distance of a pixel from the image's centre, as a share of half the diagonal's square.
     pub(super) fn r2(lens: &Lens, u: f64, v: f64) -> f64 {
         let (half_width, half_height) = (f64::from(lens.width()) / 2.0, f64::from(lens.height()) / 2.0);
         let (x, y) = (u + 0.5 - half_width, v + 0.5 - half_height);
         (x * x + y * y) / (half_width * half_width + half_height * half_height)
     }
 
+    /// Relative illumination at a squared relative distance from the centre.
     pub(super) fn illumination(&self, r2: f64) -> f64 {
         let [k1, k2, k3] = self.k;
         (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))).max(0.1)
     }
 }
 
-/// Gains that make every source as bright as the first, by what both show of the same ground.
+/// Gains that make every source as bright as the first one, from the ground that both show.
 pub(super) fn balance(target: &Target, warps: &[Warp], sources: &[Candidate]) -> Vec<Gain> {
     let (Some(first), Some(reference)) = (sources.first(), warps.first()) else { return Vec::new() };
     if sources.len() == 1 {
         return vec![Gain::NONE];
     }
     let places: Vec<(usize, [f64; 3])> = (0..target.node_count())
-        .step_by(EVERY)
+        .step_by(CORNER_STEP)
         .filter_map(|node| reading((reference, first), node).map(|reading| (node, reading)))
         .collect();
     let others = warps.iter().zip(sources).skip(1);
@@ -78,7 +84,7 @@ pub(super) fn balance(target: &Target, warps: &[Warp], sources: &[Candidate]) ->
     core::iter::once(Gain::NONE).chain(others.map(gain)).collect()
 }
 
-/// `places` are corners of the view's cells, and what the reference shows there.
+/// The gain of `other`. `places` are corners of the view's cells with the colour that the reference shows there.
 fn gain_between(places: &[(usize, [f64; 3])], other: (&Warp, &Candidate)) -> Option<Gain> {
     let (mut wanted, mut found, mut count) = ([0.0; 3], [0.0; 3], 0usize);
     for (node, a) in places {
@@ -90,22 +96,22 @@ fn gain_between(places: &[(usize, [f64; 3])], other: (&Warp, &Candidate)) -> Opt
         count += 1;
     }
     let rgb: [f64; 3] = core::array::from_fn(|c| (wanted[c] / found[c]).clamp(1.0 / MOST_GAIN, MOST_GAIN));
-    let shows = rgb.iter().any(|gain| (gain - 1.0).abs() > LEAST_CHANGE);
-    (count >= FEWEST && shows).then_some(Gain { rgb })
+    let shows = rgb.iter().any(|gain| (gain - 1.0).abs() > MIN_CHANGE);
+    (count >= MIN_PLACES && shows).then_some(Gain { rgb })
 }
 
-/// What a source shows at a corner of the view's cells, as it would be without its lens's darkening.
+/// The colour that a source shows at a corner of the view's cells, cleared of the lens's vignetting.
 pub(super) fn reading((warp, source): (&Warp, &Candidate), node: usize) -> Option<[f64; 3]> {
     let [u, v] = warp.node(node);
-    let (image, level) = source.image.level(LEVEL);
+    let (image, level) = source.image.level(PYRAMID_LEVEL);
     let scale = 1.0 / (1 << level) as f32;
     let [r, g, b, sure] = read(image, (u + 0.5) * scale - 0.5, (v + 0.5) * scale - 0.5);
-    let fits = sure == SURE && [r, g, b].iter().all(|value| (DARKEST..=BRIGHTEST).contains(value));
+    let fits = sure == SURE && [r, g, b].iter().all(|value| (MIN_VALUE..=BRIGHTEST).contains(value));
     let light = source.vignetting.at(source.camera.lens(), f64::from(u), f64::from(v));
     fits.then(|| [r, g, b].map(|value| f64::from(value) / light))
 }
 
-/// Factors at the corners of the cells: gain, and both lenses' darkening. `None` if nothing is to be done.
+/// Factors at the corners of the cells, from gain and both lenses' vignetting. `None` if all are 1.
 pub(super) fn factors(
     target: &Target,
     warp: &Warp,
@@ -122,7 +128,7 @@ pub(super) fn factors(
         let (column, row) = (node % (columns + 1), node / (columns + 1));
         let there = source.vignetting.at(source.camera.lens(), u, v);
         let here = wanted.at(target.camera().lens(), (column * CELL) as f64, (row * CELL) as f64);
-        // A corner that the source does not see has no darkening of its own.
+        // At a corner that the source does not show, its vignetting is unknown.
         let light = if u.is_nan() { 1.0 } else { here / there };
         gain.rgb.map(|gain| (gain * light) as f32)
     };

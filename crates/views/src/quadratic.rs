@@ -1,55 +1,68 @@
-//! The paper's map between two images, Eq. 3-4: each coordinate of the one is a quadratic polynomial of both
-//! coordinates of the other, fitted by least squares to points of the ground that both show.
+//! The paper's map between two images, Eq. 3-4: each coordinate in one image is a quadratic polynomial of both coordinates
+//! in the other, fitted by least squares to points of the ground that both show.
 
 use glam::DVec2;
 use nalgebra::{DMatrix, Matrix6, SMatrix};
 use thiserror::Error;
 
-/// 1, x, y, x^2, x y, y^2.
+/// Terms of the polynomial: 1, x, y, x^2, x y, y^2.
 const TERMS: usize = 6;
-/// Of the normalised system; ten times what views of a field have, and a fit through points on a line has far more.
+/// Largest condition number of the normalised system that is accepted. Views of a field have a tenth of it; points on a
+/// line have far more.
 const MOST_CONDITION: f64 = 1e3;
 
-/// From pixels to pixels.
+/// A quadratic map from pixels to pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quadratic {
-    from: Normal,
-    to: Normal,
-    /// Of x and of y, in normalised coordinates.
+    from: Normalization,
+    to: Normalization,
+    /// Coefficients for x and for y, in normalised coordinates.
     coefficients: [[f64; TERMS]; 2],
     condition: f64,
     residual: Residual,
 }
 
-/// How far the map's points lie from where they should, pixels.
+/// Distance between where the map puts points and where they should be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residual {
+    /// Root mean square, pixels.
     pub rms_px: f64,
+    /// Largest distance, pixels.
     pub max_px: f64,
 }
 
+/// The reason why a map cannot be fitted.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FitError {
+    /// There are fewer points than the polynomial has terms.
     #[error("{found} common points of the ground, and a quadratic map needs at least {TERMS}")]
-    FewPoints { found: usize },
+    FewPoints {
+        /// Number of points.
+        found: usize,
+    },
+    /// The points do not determine the polynomial.
     #[error(
         "the common points of the ground lie on a line or curve that leaves the map open (condition number \
          {condition:.1e}, at most {MOST_CONDITION:.0e} is usable)"
     )]
-    Degenerate { condition: f64 },
+    Degenerate {
+        /// Condition number of the normalised system.
+        condition: f64,
+    },
+    /// A coordinate is NaN or infinite.
     #[error("a point is not finite")]
     NotFinite,
 }
 
-/// Moves and scales points so that their mean is 0 and their root mean square distance from it the root of 2 (Hartley
-/// 1997): in raw pixels the normal equations have a condition number of 2e13.
+/// Translation and scaling that give points the mean 0 and the root mean square distance sqrt(2) from it (Hartley 1997). In
+/// raw pixels the normal equations have a condition number of 2e13.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Normal {
+struct Normalization {
     centre: DVec2,
     scale: f64,
 }
 
-impl Normal {
+impl Normalization {
     fn of(points: impl Iterator<Item = DVec2> + Clone) -> Self {
         let count = points.clone().count().max(1) as f64;
         let centre = points.clone().sum::<DVec2>() / count;
@@ -79,8 +92,8 @@ impl Quadratic {
         if pairs.len() < TERMS {
             return Err(FitError::FewPoints { found: pairs.len() });
         }
-        let from = Normal::of(pairs.iter().map(|pair| pair.0));
-        let to = Normal::of(pairs.iter().map(|pair| pair.1));
+        let from = Normalization::of(pairs.iter().map(|pair| pair.0));
+        let to = Normalization::of(pairs.iter().map(|pair| pair.1));
         let rows: Vec<[f64; TERMS]> = pairs.iter().map(|pair| terms(from.apply(pair.0))).collect();
         let wanted: Vec<DVec2> = pairs.iter().map(|pair| to.apply(pair.1)).collect();
         let system = DMatrix::from_fn(pairs.len(), TERMS, |row, column| rows[row][column]);
@@ -100,23 +113,24 @@ impl Quadratic {
         Ok(map)
     }
 
+    /// Maps a pixel.
     pub fn apply(&self, point: DVec2) -> DVec2 {
         let terms = terms(self.from.apply(point));
         let [x, y] = self.coefficients.map(|c| c.iter().zip(terms).map(|(c, t)| c * t).sum::<f64>());
         self.to.undo(DVec2::new(x, y))
     }
 
-    /// Of the normalised system, 1 is best.
+    /// Condition number of the normalised system; 1 is best.
     pub fn condition(&self) -> f64 {
         self.condition
     }
 
-    /// At the points that it was fitted to.
+    /// Residual at the points that the map was fitted to.
     pub fn residual(&self) -> Residual {
         self.residual
     }
 
-    /// At other points.
+    /// Residual at other points.
     pub fn residual_of(&self, pairs: &[(DVec2, DVec2)]) -> Residual {
         let squares = || pairs.iter().map(|(from, to)| self.apply(*from).distance_squared(*to));
         let mean = squares().sum::<f64>() / pairs.len().max(1) as f64;
@@ -139,7 +153,7 @@ mod tests {
             let truth = |p: DVec2| {
                 let q = (p - DVec2::new(320.0, 240.0)) / 320.0;
                 let at = |c: &[f64]| c.iter().zip(terms(q)).map(|(c, t)| c * t).sum::<f64>();
-                // The linear part is there, so that the map is one.
+                // The linear part makes the map invertible.
                 DVec2::new(100.0 * at(&c[..6]) + 2.0 * p.x, 100.0 * at(&c[6..]) + 2.0 * p.y)
             };
             let pairs: Vec<(DVec2, DVec2)> = grid().into_iter().map(|p| (p, truth(p))).collect();

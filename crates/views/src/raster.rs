@@ -1,30 +1,34 @@
-//! Colour pixels with what is known about them, and smaller copies of them.
+//! Colour images with a mask value for each pixel, and their pyramids.
 
 use realitysim_vision::distance::nearest;
 
-/// Red, green, blue and how sure the pixel is; row by row from the top left.
+/// A colour image with a mask: red, green, blue and mask value of each pixel.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Raster {
+    /// Width in pixels.
     pub width: usize,
+    /// Height in pixels.
     pub height: usize,
+    /// Row by row from the top left: red, green, blue, and [`SURE`], [`UNSURE`] or [`NOTHING`].
     pub pixels: Vec<[u8; 4]>,
 }
 
-/// The fourth value of a pixel that shows what it should: on known geometry, or recorded.
+/// Mask value of a pixel that shows what it should: known geometry, or a recorded image.
 pub const SURE: u8 = 255;
-/// Right in direction, but what it shows is not where the warp takes it to be: above the horizon, beyond the carpet; of a
-/// recorded image what stands on the carpet ([`super::mark_moving`]).
+/// Mask value of a pixel that is right in direction, but whose content is not where the warp takes it to be: above the
+/// horizon or beyond the carpet; in a recorded image, what stands on the carpet ([`super::mark_moving`]).
 pub const UNSURE: u8 = 128;
-/// Black, because no source shows it or the lens draws nothing there.
+/// Mask value of a black pixel: no source shows it, or the lens draws nothing there.
 pub const NOTHING: u8 = 0;
 
 impl Raster {
+    /// An image in which all pixels are black and show nothing.
     pub fn black(width: usize, height: usize) -> Self {
         Self { width, height, pixels: vec![[0, 0, 0, NOTHING]; width * height] }
     }
 
-    /// From interleaved R, G, B; `None` if their number does not fit. `shows` says which pixels show the world (the
-    /// others are outside of the lens's circle, or the robot's own body): as many as there are pixels.
+    /// An image from interleaved R, G, B. `shows` says for each pixel whether it shows the world; others lie outside of the
+    /// lens's circle or show the robot's own body. `None` if the lengths do not fit the size.
     pub fn from_rgb(width: usize, height: usize, rgb: &[u8], shows: &[bool]) -> Option<Self> {
         let count = width.checked_mul(height)?;
         if count == 0 || rgb.len() != count.checked_mul(3)? || shows.len() != count {
@@ -35,26 +39,26 @@ impl Raster {
         Some(Self { width, height, pixels: triples.iter().zip(shows).map(pixel).collect() })
     }
 
-    /// Interleaved R, G, B.
+    /// The colours as interleaved R, G, B.
     pub fn to_rgb(&self) -> Vec<u8> {
         self.pixels.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect()
     }
 
-    /// How sure each pixel is: [`SURE`], [`UNSURE`] or [`NOTHING`].
+    /// The mask: [`SURE`], [`UNSURE`] or [`NOTHING`] for each pixel.
     pub fn mask(&self) -> Vec<u8> {
         self.pixels.iter().map(|pixel| pixel[3]).collect()
     }
 
-    /// Whether bilinear reading finds four neighbours everywhere.
+    /// Whether bilinear reading finds four neighbours everywhere, with indices that fit 32 bits.
     #[cfg(target_arch = "x86_64")]
     pub(super) fn is_readable(&self) -> bool {
-        self.width >= LEAST_SIDE
-            && self.height >= LEAST_SIDE
+        self.width >= MIN_SIDE
+            && self.height >= MIN_SIDE
             && self.pixels.len() == self.width * self.height
             && self.pixels.len() <= i32::MAX as usize
     }
 
-    /// Half the size: means of 2 x 2 pixels, which show nothing if one of them does not.
+    /// A copy of half the size: means of 2 x 2 pixels, sure only if all four are.
     fn halved(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut pixels = Vec::with_capacity(width * height);
@@ -71,7 +75,7 @@ impl Raster {
     }
 }
 
-/// An image and its copies at half, a quarter and an eighth of its size, for views that shrink it.
+/// An image with copies of a half, a quarter and an eighth of its size, for views that shrink it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Pyramid {
     levels: Vec<Raster>,
@@ -79,28 +83,31 @@ pub struct Pyramid {
     inset: Inset,
 }
 
-/// How far from what it shows nothing of (outside the lens's circle, the body) the places of an image lie, by blocks of 8 x 8
-/// pixels. Empty where it shows all.
+/// For blocks of 8 x 8 pixels: the distance to the nearest pixel that shows nothing (outside the lens's circle, or the
+/// robot's body). Empty if every pixel shows something.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Inset {
     columns: usize,
     blocks_px: Vec<u8>,
 }
 
+/// Number of sizes in a pyramid.
 pub(super) const LEVELS: usize = 4;
-/// Bilinear reading needs two pixels each way.
-const LEAST_SIDE: usize = 2;
-/// Side of a block, pixels, and how many of them are looked at for what is not shown.
+/// Bilinear reading needs two pixels in each direction.
+const MIN_SIDE: usize = 2;
+/// Side of a block, pixels.
 const BLOCK: usize = 8;
+/// Distances are looked for up to this many blocks.
 const INSET_BLOCKS: usize = 3;
 
 impl Pyramid {
+    /// Computes the smaller copies of `full`.
     pub fn new(full: Raster) -> Self {
         let has_moving = full.pixels.iter().any(|pixel| pixel[3] == UNSURE);
         let inset = Inset::new(&full);
         let mut levels = vec![full];
         while levels.len() < LEVELS
-            && let Some(finer) = levels.last().filter(|l| l.width >= 2 * LEAST_SIDE && l.height >= 2 * LEAST_SIDE)
+            && let Some(finer) = levels.last().filter(|l| l.width >= 2 * MIN_SIDE && l.height >= 2 * MIN_SIDE)
         {
             let next = finer.halved();
             levels.push(next);
@@ -108,29 +115,30 @@ impl Pyramid {
         Self { levels, has_moving, inset }
     }
 
-    /// From a pixel to the nearest one that shows nothing, to some pixels; infinite where there is none within three blocks.
+    /// Approximate distance in pixels to the nearest pixel that shows nothing; infinite if there is none within three blocks.
     pub(super) fn inset_px(&self, u: usize, v: usize) -> f32 {
         let Inset { columns, blocks_px } = &self.inset;
         let block = v / BLOCK * columns + u / BLOCK;
         blocks_px.get(block).filter(|px| **px < u8::MAX).map_or(f32::INFINITY, |px| f32::from(*px))
     }
 
-    /// Whether something in it is marked as [`UNSURE`].
+    /// Whether any pixel is [`UNSURE`].
     pub(super) fn has_moving(&self) -> bool {
         self.has_moving
     }
 
+    /// The image in full size.
     pub fn full(&self) -> &Raster {
         &self.levels[0]
     }
 
-    /// The copy 2^`level` times smaller, or the smallest that there is; and its level.
+    /// The copy that is 2^`level` times smaller, or the smallest one, with its level.
     pub(super) fn level(&self, level: usize) -> (&Raster, usize) {
         let level = level.min(self.levels.len() - 1);
         (&self.levels[level], level)
     }
 
-    /// Bytes in memory.
+    /// Memory of the pixels, bytes.
     pub fn bytes(&self) -> usize {
         self.levels.iter().map(|level| 4 * level.pixels.len()).sum()
     }
@@ -148,7 +156,7 @@ impl Inset {
         if !hidden.contains(&true) {
             return Self::default();
         }
-        // From the middle of a block to the nearer side of the one that is hidden.
+        // From the middle of this block to the nearer side of the hidden one.
         let px = |blocks: f32| match blocks {
             far if far > INSET_BLOCKS as f32 => u8::MAX,
             blocks => ((blocks - 0.5).max(0.0) * BLOCK as f32) as u8,

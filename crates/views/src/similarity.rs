@@ -1,22 +1,30 @@
-//! How alike two pictures are where a mask says that they should be.
+//! Similarity of two pictures within a mask.
 
-/// Peak signal to noise ratio in dB and structural similarity (Wang 2004, gray, Gaussian window of sigma 1.5).
+/// Peak signal-to-noise ratio and structural similarity (Wang 2004, gray, Gaussian window of sigma 1.5).
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Similarity {
+    /// Peak signal-to-noise ratio, dB.
     pub psnr_db: f64,
-    /// Mean over the places whose whole window lies in the mask; NaN if there is none.
+    /// Mean structural similarity over the pixels whose whole window lies in the mask; NaN if there is none.
     pub ssim: f64,
     /// Share of the wanted pixels that were compared.
     pub compared: f64,
 }
 
-/// Window of 11 x 11.
+/// Half width of the window, pixels: it has 11 x 11.
 const REACH: usize = 5;
+/// Standard deviation of the window, pixels.
 const SIGMA: f64 = 1.5;
+/// (0.01 * 255)^2, as in Wang 2004.
 const C1: f64 = 6.5025;
+/// (0.03 * 255)^2.
 const C2: f64 = 58.5225;
 
-/// Of pictures of the same width, R, G, B and anything; `shown` of those `wanted` are compared.
+/// Compares two pictures of equal size, given as R, G, B and any fourth value. Pixels both `wanted` and `shown` are compared.
+///
+/// # Panics
+///
+/// If the slices differ in length.
 pub fn similarity(a: &[[u8; 4]], b: &[[u8; 4]], width: usize, wanted: &[bool], shown: &[bool]) -> Similarity {
     assert!(a.len() == b.len() && a.len() == wanted.len() && a.len() == shown.len(), "pictures of one size");
     let mask: Vec<bool> = wanted.iter().zip(shown).map(|(wanted, shown)| *wanted && *shown).collect();
@@ -30,6 +38,7 @@ pub fn similarity(a: &[[u8; 4]], b: &[[u8; 4]], width: usize, wanted: &[bool], s
     Similarity { psnr_db, ssim: ssim(a, b, width, &mask), compared: count as f64 / wanted.max(1) as f64 }
 }
 
+/// Mean structural similarity of the gray pictures.
 fn ssim(a: &[[u8; 4]], b: &[[u8; 4]], width: usize, mask: &[bool]) -> f64 {
     let gray = |p: &[[u8; 4]]| -> Vec<f64> {
         p.iter().map(|p| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2])).collect()
@@ -48,7 +57,7 @@ fn ssim(a: &[[u8; 4]], b: &[[u8; 4]], width: usize, mask: &[bool]) -> f64 {
     sum / count as f64
 }
 
-/// With the window; 0 beyond the edges, so that a mask's blur is 1 only where the window lies in it whole.
+/// Convolves a plane with the window. Beyond the edges it is 0, so that a mask's blur is 1 only where the whole window lies in it.
 fn blurred(plane: &[f64], width: usize) -> Vec<f64> {
     let kernel: Vec<f64> = {
         let raw: Vec<f64> =

@@ -1,30 +1,31 @@
-//! Which source is best where: weights at the corners of the view's cells.
+//! The weight of each source at the corners of the view's cells.
 
 use super::Candidate;
 use super::camera::AREA;
 use super::ground_warp::Warp;
 use super::raster::SURE;
-use super::target::Target;
+use super::target_rays::Target;
 use super::world::Surface;
 
-/// Sources whose score is within this share of the best one's are mixed: the width of a seam.
+/// Sources whose score is within this share of the best one's are blended: the width of a seam.
 const FEATHER: f32 = 0.04;
-/// A source counts half when it was taken this much farther away than on the spot: what is not quite where tag, lens and
-/// carpet have it is shown from nearly the right place by near ones.
+/// Distance between source and view, in metres, at which a source's score is halved. A nearer source shows things nearly
+/// where they belong even if tag, lens and carpet are not exact.
 const BASELINE_M: f64 = 0.15;
-/// Distance from the source's border (of the picture, of the lens's circle and of the body), in pixels, from which on it does
-/// not count.
+/// Distance in pixels from the source's border (of the picture, the lens's circle or the body) from which on the border
+/// does not lower the score.
 const BORDER_PX: f32 = 24.0;
-/// Beside what is far, a source counts half when it was taken this far away: it shows another parallax.
+/// Distance, in metres, at which the score for what is far is halved once more: the source shows another parallax.
 const FAR_BASELINE_M: f64 = 0.3;
 
-/// How much of each source stands at each corner of the cells.
+/// The weights of all sources at the corners of the cells.
 pub(super) struct Weights {
-    /// Source by source; those of a corner add up to 1, or 0 where no source shows it.
+    /// Source by source. The weights of a corner add up to 1, or to 0 where no source shows it.
     weights: Vec<Vec<f32>>,
 }
 
 impl Weights {
+    /// Computes the weights from the scores of the sources.
     pub(super) fn new(target: &Target, warps: &[Warp]) -> Self {
         let mut weights: Vec<Vec<f32>> = warps.iter().map(|warp| scores(target, warp)).collect();
         for node in 0..target.node_count() {
@@ -39,18 +40,19 @@ impl Weights {
         Self { weights }
     }
 
-    pub(super) fn of(&self, source: usize, node: usize) -> f32 {
+    /// The weight of a source at a corner.
+    pub(super) fn weight(&self, source: usize, node: usize) -> f32 {
         self.weights[source][node]
     }
 
-    /// How many pixels each source has by its weights.
+    /// The number of pixels that each source contributes, by its weights.
     pub(super) fn pixels(&self) -> impl Iterator<Item = f64> {
         self.weights.iter().map(|weights| weights.iter().map(|weight| f64::from(*weight)).sum::<f64>() * AREA as f64)
     }
 }
 
-/// How good a source is at the corners of the cells: resolution (source pixels to a pixel), distance from its border,
-/// and for what is far how near it was taken. 0 where it shows nothing.
+/// The score of a source at the corners of the cells: its resolution (source pixels per view pixel), its distance from the
+/// border, and how near it was taken. 0 where it shows nothing.
 fn scores(target: &Target, warp: &Warp) -> Vec<f32> {
     let (columns, rows) = target.camera().cells();
     let source = warp.source();
@@ -81,7 +83,7 @@ fn scores(target: &Target, warp: &Warp) -> Vec<f32> {
     (0..target.node_count()).map(score).collect()
 }
 
-/// Whether the source's pixel there shows the world.
+/// Whether the source's pixel there is sure.
 fn shows(source: &Candidate, u: f32, v: f32) -> bool {
     let image = source.image.full();
     image.pixels[(v + 0.5) as usize * image.width + (u + 0.5) as usize][3] == SURE

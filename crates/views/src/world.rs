@@ -1,20 +1,19 @@
-//! What stands where: the ground as far as the field goes, and the goals as second planes. All else is far away.
+//! The known geometry: the ground plane as far as the field goes, and the goals. Everything else is taken to be infinitely far.
 
 use glam::{DVec2, DVec3, Vec3};
 
 use super::camera::AREA;
-use realitysim_geometry::Field;
-use realitysim_geometry::multiversioned;
+use realitysim_geometry::{Field, multiversioned};
 
-/// Known geometry, in `map`.
+/// Known geometry in `map`: an area of ground and the bars of the goals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct World {
-    /// Half extents of what counts as ground: beyond it are walls and people, not floor.
+    /// Half extents of the area that counts as ground, metres. Beyond it are walls and people, not floor.
     ground_half: DVec2,
     bars: Vec<Bar>,
 }
 
-/// A post or crossbar of a goal: a round bar, drawn as the plane through its axis that faces the camera.
+/// A post or crossbar of a goal: a round bar, drawn as the plane through its axis that faces the camera. Metres, in `map`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bar {
     from: DVec3,
@@ -22,40 +21,44 @@ pub(super) struct Bar {
     radius: f64,
 }
 
+/// The kind of surface that a ray meets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Surface {
+    /// The plane z = 0 within the area that counts as ground.
     Ground,
+    /// A post or crossbar.
     Goal,
-    /// Above the horizon or beyond the carpet: taken to be infinitely far, so that only rotation counts.
+    /// Above the horizon or beyond the ground: taken to be infinitely far, so that only rotation matters.
     Far,
 }
 
-/// What a ray meets first.
+/// The first surface that a ray meets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Hit {
-    /// 1/m along the unit ray; 0 is far.
+    /// Inverse of the distance along the unit ray, 1/m; 0 for what is far.
     pub(super) inverse_distance: f64,
     pub(super) surface: Surface,
 }
 
 impl Hit {
-    /// The inverse distance if it is the ground that is met.
+    /// The inverse distance if the ray meets the ground.
     pub(super) fn on_ground(&self) -> Option<f64> {
         (self.surface == Surface::Ground).then_some(self.inverse_distance)
     }
 }
 
-/// Floor around the carpet that still counts as ground.
+/// Width of the floor around the carpet that still counts as ground, metres.
 const APRON_M: f64 = 0.5;
 
 impl World {
+    /// The ground of a field, with its goals if it has any.
     pub fn new(field: &Field) -> Self {
         let radius = field.dimensions().goal.map_or(0.0, |goal| goal.post_diameter_m / 2.0);
         let bars = field.goal_bars().into_iter().map(|[from, to]| Bar { from, to, radius }).collect();
         Self { ground_half: field.carpet_half_extent() + DVec2::splat(APRON_M), bars }
     }
 
-    /// Without goals: as the field of the paper's experiments, or where they have been taken away.
+    /// The ground of a field without goals, as in the paper's experiments or where goals have been removed.
     pub fn without_goals(field: &Field) -> Self {
         Self { bars: Vec::new(), ..Self::new(field) }
     }
@@ -68,7 +71,7 @@ impl World {
         &self.bars
     }
 
-    /// What a unit ray from a place above the ground meets, goals left out.
+    /// The surface that a unit ray from a point above the ground meets, ignoring goals.
     pub(super) fn behind_goals(&self, camera: DVec3, ray: DVec3) -> Hit {
         let inverse_distance = -ray.z / camera.z;
         let far = Hit { inverse_distance: 0.0, surface: Surface::Far };
@@ -79,13 +82,13 @@ impl World {
         if place.abs().cmple(self.ground_half).all() { Hit { inverse_distance, surface: Surface::Ground } } else { far }
     }
 
-    /// How far along a unit ray from this place a post or crossbar stands, metres.
+    /// A function that gives the distance, in metres, at which a unit ray from `camera` meets the nearest post or crossbar.
     pub fn goals_seen_from(&self, camera: DVec3) -> impl Fn(DVec3) -> Option<f64> + use<> {
         let goals = self.goals_from(camera, 0.0);
-        move |ray| goals.met(ray).min_by(f64::total_cmp)
+        move |ray| goals.intersections(ray).min_by(f64::total_cmp)
     }
 
-    /// The goals as seen from a place; bars are `margin` radians wider to each side, so that their soft edges come along.
+    /// The goals as seen from a point. Bars are widened by `margin` radians to each side, to include their soft edges.
     pub(super) fn goals_from(&self, camera: DVec3, margin: f64) -> Goals {
         let seen = |bar: &Bar| {
             let (from, to) = (bar.from - camera, bar.to - camera);
@@ -97,7 +100,7 @@ impl World {
     }
 }
 
-/// The goals from one camera's place.
+/// The goals as seen from the position of one camera.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Goals {
     camera: DVec3,
@@ -105,19 +108,21 @@ pub(super) struct Goals {
     bars: Vec<SeenBar>,
 }
 
+/// A bar with what is precomputed for one camera position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct SeenBar {
     bar: Bar,
-    /// Perpendicular to the plane that holds camera and axis: a ray that is far from that plane passes by.
+    /// Unit normal of the plane through camera and axis. A ray far from that plane misses the bar.
     across: DVec3,
+    /// Largest sine of the angle between that plane and a ray that can meet the bar.
     sine: f64,
 }
 
 impl Goals {
-    /// What a unit ray meets first, `behind` being what it meets if no goal stands there.
-    pub(super) fn before(&self, ray: DVec3, behind: Hit) -> Hit {
+    /// The first surface that a unit ray meets, where `behind` is what it would meet without goals.
+    pub(super) fn nearest_hit(&self, ray: DVec3, behind: Hit) -> Hit {
         let mut hit = behind;
-        for distance in self.met(ray) {
+        for distance in self.intersections(ray) {
             if distance * hit.inverse_distance < 1.0 {
                 hit = Hit { inverse_distance: 1.0 / distance, surface: Surface::Goal };
             }
@@ -125,13 +130,13 @@ impl Goals {
         hit
     }
 
-    /// Whether a bar is met anywhere along the unit ray.
-    pub(super) fn are_met_by(&self, ray: DVec3) -> bool {
-        self.met(ray).next().is_some()
+    /// Whether the unit ray meets a bar at any distance.
+    pub(super) fn intersects(&self, ray: DVec3) -> bool {
+        self.intersections(ray).next().is_some()
     }
 
-    /// The nearest one for a cell's rays, of any length: how many of these lengths away the first bar is; infinite without one.
-    pub(super) fn met_by_all(&self, rays: &[[f32; AREA]; 3]) -> [f32; AREA] {
+    /// For each ray of a cell, of any length: the distance to the first bar in units of the ray's length, or infinity without one.
+    pub(super) fn first_hits(&self, rays: &[[f32; AREA]; 3]) -> [f32; AREA] {
         let goals = self;
         multiversioned!(|goals: &Goals, rays: &[[f32; AREA]; 3]| -> [f32; AREA] {
             let mut met = [f32::INFINITY; AREA];
@@ -149,7 +154,7 @@ impl Goals {
                     let lengths = ray.dot(to_point) / rr;
                     let off = (ray * lengths - to_point).length_squared();
                     let wide = radius + margin * lengths * rr.sqrt();
-                    // Not for NaN, which a ray along the axis and one that nothing draws give.
+                    // The comparison is false for NaN, which rays along the axis and undrawn pixels give.
                     let is_met = (lengths > 0.0) & (off <= wide * wide);
                     *met = if is_met & (lengths < *met) { lengths } else { *met };
                 }
@@ -158,30 +163,31 @@ impl Goals {
         })
     }
 
-    /// For a cell's rays, of any length: whether a bar stands before what lies at this inverse of that length away.
-    pub(super) fn hide_all(&self, rays: &[[f32; AREA]; 3], inverse_distances: &[f32; AREA]) -> [bool; AREA] {
-        let met = self.met_by_all(rays);
-        core::array::from_fn(|i| met[i].is_finite() && met[i] * inverse_distances[i] < 1.0 - BEFORE as f32)
+    /// For each ray of a cell, of any length: whether a bar stands before the point at this inverse distance, in units of that length.
+    pub(super) fn hides_each(&self, rays: &[[f32; AREA]; 3], inverse_distances: &[f32; AREA]) -> [bool; AREA] {
+        let met = self.first_hits(rays);
+        core::array::from_fn(|i| met[i].is_finite() && met[i] * inverse_distances[i] < 1.0 - CONTACT_SHARE as f32)
     }
 
-    /// Whether a bar stands before what lies at this inverse distance along the unit ray.
-    pub(super) fn hide(&self, ray: DVec3, inverse_distance: f64) -> bool {
-        self.met(ray).any(|distance| distance * inverse_distance < 1.0 - BEFORE)
+    /// Whether a bar stands before the point at this inverse distance along the unit ray.
+    pub(super) fn hides(&self, ray: DVec3, inverse_distance: f64) -> bool {
+        self.intersections(ray).any(|distance| distance * inverse_distance < 1.0 - CONTACT_SHARE)
     }
 
-    fn met(&self, ray: DVec3) -> impl Iterator<Item = f64> + '_ {
+    /// The distances at which a unit ray meets bars, in no order.
+    fn intersections(&self, ray: DVec3) -> impl Iterator<Item = f64> + '_ {
         let near = move |seen: &&SeenBar| ray.dot(seen.across).abs() <= seen.sine;
-        self.bars.iter().filter(near).filter_map(move |seen| seen.bar.meets(self.camera, ray, self.margin))
+        self.bars.iter().filter(near).filter_map(move |seen| seen.bar.intersection(self.camera, ray, self.margin))
     }
 }
 
-/// A ray in f32 passes a bar so much nearer or farther than it should.
+/// Tolerance for the rounding of rays to f32, as a sine: rays this close to a bar's limit are still tested.
 const ROUNDING: f32 = 1e-5;
-/// What is nearer than a place by less than this share of the distance belongs to it.
-const BEFORE: f64 = 0.02;
+/// A bar that is nearer than a point by less than this share of the distance does not hide it: the point belongs to the bar.
+const CONTACT_SHARE: f64 = 0.02;
 
 impl SeenBar {
-    /// Whether any of these rays does not pass far from it.
+    /// Whether any of these rays may meet the bar: a coarse test.
     #[inline(always)]
     fn may_be_met(&self, [xs, ys, zs]: &[[f32; AREA]; 3]) -> bool {
         let (across, sine) = (self.across.as_vec3(), self.sine as f32 + ROUNDING);
@@ -196,8 +202,8 @@ impl SeenBar {
 }
 
 impl Bar {
-    /// How far along the unit ray its axis is passed, if it is passed closely enough.
-    fn meets(&self, camera: DVec3, ray: DVec3, margin: f64) -> Option<f64> {
+    /// The distance along the unit ray at which it passes the bar's axis, if it passes closely enough to meet the bar.
+    fn intersection(&self, camera: DVec3, ray: DVec3, margin: f64) -> Option<f64> {
         let axis = self.to - self.from;
         let to_camera = camera - self.from;
         let (ra, aa) = (ray.dot(axis), axis.length_squared());
@@ -207,20 +213,21 @@ impl Bar {
             return None;
         }
         let along = ((ac - ra * rc) / determinant).clamp(0.0, 1.0);
-        // The ray's point nearest to that point of the axis.
+        // The point of the ray that is nearest to that point of the axis.
         let point = self.from + axis * along;
         let distance = ray.dot(point - camera);
         let off = (camera + ray * distance - point).length();
         (distance > 0.0 && off <= self.radius + margin * distance).then_some(distance)
     }
 
+    /// Distance of a point from the bar's axis, metres.
     fn distance(&self, place: DVec3) -> f64 {
         let axis = self.to - self.from;
         let along = ((place - self.from).dot(axis) / axis.length_squared()).clamp(0.0, 1.0);
         place.distance(self.from + axis * along)
     }
 
-    /// Places along it, no farther apart than a few centimetres.
+    /// Points along the axis, at most 4 cm apart.
     pub(super) fn places(&self) -> impl Iterator<Item = DVec3> + '_ {
         let count = libm::ceil(self.from.distance(self.to) / 0.04).max(1.0) as usize;
         (0..=count).map(move |index| self.from.lerp(self.to, index as f64 / count as f64))
@@ -260,22 +267,23 @@ mod tests {
                 DVec3::new(libm::cos(yaw), libm::sin(yaw), libm::tan(pitch)).normalize() * length
             });
             let parts = |axis: usize| core::array::from_fn(|i| rays[i].to_array()[axis] as f32);
-            let all = goals.met_by_all(&[parts(0), parts(1), parts(2)]);
+            let all = goals.first_hits(&[parts(0), parts(1), parts(2)]);
             for (ray, found) in rays.iter().zip(all) {
-                let one = goals.met(ray.normalize()).min_by(f64::total_cmp).map(|distance| distance / ray.length());
+                let one =
+                    goals.intersections(ray.normalize()).min_by(f64::total_cmp).map(|distance| distance / ray.length());
                 met += u32::from(one.is_some());
                 match one {
                     Some(one) if found.is_finite() => {
                         assert!((f64::from(found) / one - 1.0).abs() < 1e-4, "{found} {one}")
                     }
                     None if found.is_infinite() => {}
-                    // At the very edge of a bar.
+                    // The ray grazes the edge of a bar.
                     _ => different += 1,
                 }
             }
         }
         assert!(met > 1000 && different * 1000 < met, "{different} of {met}");
-        assert!(goals.met_by_all(&[[f32::NAN; AREA]; 3]).iter().all(|distance| distance.is_infinite()));
+        assert!(goals.first_hits(&[[f32::NAN; AREA]; 3]).iter().all(|distance| distance.is_infinite()));
     }
 
     #[test]
@@ -289,7 +297,7 @@ mod tests {
         let goals = world.goals_from(camera, 0.0);
         let look = |to: DVec3| {
             let ray = (to - camera).normalize();
-            goals.before(ray, world.behind_goals(camera, ray))
+            goals.nearest_hit(ray, world.behind_goals(camera, ray))
         };
         let ground = look(DVec3::new(2.0, 0.3, 0.0));
         assert_eq!(ground.surface, Surface::Ground);
@@ -301,6 +309,6 @@ mod tests {
         assert_eq!(look(DVec3::new(3.0, 0.1, 0.6)).surface, Surface::Far, "through the goal, above the horizon");
         assert_eq!(look(DVec3::new(9.0, 0.0, 0.0)).surface, Surface::Far, "beyond the carpet");
         let behind = DVec3::new(3.3, 0.86, 0.0) - camera;
-        assert!(goals.hide(behind.normalize(), 1.0 / behind.length()), "a post before the carpet");
+        assert!(goals.hides(behind.normalize(), 1.0 / behind.length()), "a post before the carpet");
     }
 }

@@ -1,8 +1,8 @@
-//! Where the carpet ends.
+//! The border of the visible carpet.
 //!
 //! Seen from any camera the carpet, a rectangle, fills a convex cone of rays, whatever the lens and however wrong
-//! the tilt. So: walk outwards on the ground along every azimuth while the colour stays the carpet's, and take
-//! the convex hull of the ends. Robots and people that hide a part of the edge are bridged by the hull.
+//! the tilt. So the border is found by walking outwards on the ground along every azimuth while the colour is the carpet's, and
+//! taking the convex hull of the ends. The hull bridges robots and people that hide a part of the border.
 
 use core::f64::consts::TAU;
 
@@ -10,29 +10,34 @@ use glam::{DVec2, DVec3, Vec3};
 
 use super::WorkingScale;
 use super::carpet::Surface;
-use realitysim_geometry::multiversioned;
-use realitysim_geometry::{Isometry, Projector};
+use realitysim_geometry::{Isometry, Projector, multiversioned};
 
-/// A convex polygon on the ground of `base_footprint`, counter-clockwise; without corners while no edge can be told.
+/// The outline of the visible carpet: a convex polygon on the ground of `base_footprint`, metres, counter-clockwise.
+///
+/// It has no corners while the border is unknown; everything then counts as inside.
 #[derive(Clone, Debug, Default)]
 pub struct CarpetBorder {
     corners: Vec<DVec2>,
-    /// Where the carpet ends along each azimuth.
+    /// Ends of the carpet along the azimuths.
     ends: Vec<DVec2>,
-    /// Of each edge what [`Self::holds`] asks of a place.
+    /// For each edge the coefficients (of x, of y, constant) of a function that is positive on the inner side of the edge.
     edges: Vec<[f32; 3]>,
 }
 
+/// Number of directions in which the border is looked for.
 const AZIMUTHS: usize = 120;
+/// Range of the first step along an azimuth, metres from the point below the camera.
 const NEAREST_M: f64 = 0.25;
+/// Range of the last step along an azimuth, metres.
 const FARTHEST_M: f64 = 15.0;
+/// Number of steps along an azimuth; their ranges grow geometrically.
 const STEPS: usize = 44;
-/// Places that are held against an edge side by side.
-const AT_ONCE: usize = 32;
-/// The strip at the edge that the narrow blur smears the surroundings into, in pixels.
+/// Number of points that are compared with an edge side by side.
+const BATCH: usize = 32;
+/// Width of the strip at the border into which the narrow blur smears the surroundings, pixels of the full-size image.
 const BLUR_REACH_PX: f64 = 6.0;
 
-/// Directions and ranges in which the edge is looked for: the same for every frame.
+/// Directions and ranges at which the border is looked for, the same for every frame.
 #[derive(Clone, Debug)]
 pub struct Rays {
     directions: Vec<DVec2>,
@@ -52,9 +57,10 @@ impl Default for Rays {
 }
 
 impl Rays {
-    /// Where the lens draws the places at all ranges, NaN for those that it does not: `below` is the place below the camera and
-    /// `along` a direction, in `camera_optical_frame`.
-    fn drawn(&self, projector: &Projector, below: DVec3, along: DVec3) -> [[f32; STEPS]; 2] {
+    /// Projects the ground points at all ranges along one azimuth: u and v of each, NaN outside the field of view.
+    ///
+    /// `below` is the ground point below the camera and `along` the direction, both in `camera_optical_frame`.
+    fn project(&self, projector: &Projector, below: DVec3, along: DVec3) -> [[f32; STEPS]; 2] {
         let (below, along, ranges) = (below.as_vec3(), along.as_vec3(), &self.ranges);
         multiversioned!(|projector: &Projector, below: Vec3, along: Vec3, ranges: &[f64; STEPS]| -> [[f32; STEPS]; 2] {
             let [mut xs, mut ys, mut zs] = [[0.0; STEPS]; 3];
@@ -69,13 +75,13 @@ impl Rays {
 }
 
 impl CarpetBorder {
-    /// No edge can be told.
-    pub fn forget(&mut self) {
+    /// Makes the border unknown.
+    pub fn clear(&mut self) {
         self.corners.clear();
         self.edges.clear();
     }
 
-    /// `surfaces` says what each half-resolution pixel shows.
+    /// Finds the border in one frame; `surfaces` says what each half-resolution pixel shows.
     pub fn find(
         &mut self,
         rays: &Rays,
@@ -90,13 +96,13 @@ impl CarpetBorder {
         let height = footprint_from_optical.translation.z;
         let below = optical_from_footprint.transform_point(foot.extend(0.0));
         let pixels_per_radian = projector.lens().focal();
-        let least_cos = libm::cos(projector.lens().max_angle());
+        let min_cos = libm::cos(projector.lens().max_angle());
         let ends = rays.directions.iter().filter_map(|direction| {
             let along = optical_from_footprint.transform_vector(direction.extend(0.0));
-            if most_cos(below, along) < least_cos {
+            if max_cos_off_axis(below, along) < min_cos {
                 return None;
             }
-            let [us, vs] = rays.drawn(projector, below, along);
+            let [us, vs] = rays.project(projector, below, along);
             let seen = us.into_iter().zip(vs).map(|(u, v)| {
                 let pixel = Some(DVec2::new(u.into(), v.into())).filter(|pixel| projector.lens().contains(*pixel))?;
                 let pixel = (to_working.apply(pixel) + DVec2::splat(0.5)) * 0.5;
@@ -104,42 +110,45 @@ impl CarpetBorder {
                     .get((pixel.y.max(0.0) as usize) * half_width + (pixel.x.max(0.0) as usize).min(half_width - 1))
                     .copied()
             });
-            let range = rays.ranges[last_step(seen)?];
+            let range = rays.ranges[last_carpet_step(seen)?];
             let smear = BLUR_REACH_PX / pixels_per_radian * (height * height + range * range) / height.max(0.05);
             Some(foot + *direction * (range - smear).max(0.0))
         });
         self.ends.clear();
         self.ends.extend(ends);
-        self.surround();
+        self.build_polygon();
     }
 
-    fn surround(&mut self) {
+    /// Makes the polygon of the ends.
+    fn build_polygon(&mut self) {
         convex_hull(&mut self.ends, &mut self.corners);
         if self.corners.len() < 3 {
-            return self.forget();
+            return self.clear();
         }
         let Self { corners, edges, .. } = self;
         edges.clear();
-        edges.extend(around(corners).map(|(a, b)| {
+        edges.extend(edges_of(corners).map(|(a, b)| {
             let along = b - a;
-            // Of the perpendicular product of the edge and the way from its start.
+            // Coefficients of the perpendicular product of the edge and the vector from its start to the point.
             [-along.y, along.x, along.y * a.x - along.x * a.y].map(|part| part as f32)
         }));
     }
 
-    /// None when no edge can be told.
+    /// Corners on the ground of `base_footprint`, metres, counter-clockwise; empty while the border is unknown.
     pub fn corners(&self) -> &[DVec2] {
         &self.corners
     }
 
-    /// Of each place whether it lies inside; one that is no number does not. Where no edge can be told all others do.
-    pub fn holds(&self, ground: &[DVec2], inside: &mut Vec<bool>) {
+    /// Tells for each point on the ground of `base_footprint` whether it lies within the border.
+    ///
+    /// A NaN point never does. All others do while the border is unknown.
+    pub fn find_inside(&self, ground: &[DVec2], inside: &mut Vec<bool>) {
         inside.clear();
         let edges = &self.edges;
         multiversioned!(|edges: &[[f32; 3]], ground: &[DVec2], inside: &mut Vec<bool>| {
-            for ground in ground.chunks(AT_ONCE) {
-                let mut worst = [f32::INFINITY; AT_ONCE];
-                let (mut xs, mut ys) = ([f32::NAN; AT_ONCE], [f32::NAN; AT_ONCE]);
+            for ground in ground.chunks(BATCH) {
+                let mut worst = [f32::INFINITY; BATCH];
+                let (mut xs, mut ys) = ([f32::NAN; BATCH], [f32::NAN; BATCH]);
                 for ((x, y), at) in xs.iter_mut().zip(&mut ys).zip(ground) {
                     (*x, *y) = (at.x as f32, at.y as f32);
                 }
@@ -155,13 +164,13 @@ impl CarpetBorder {
         });
     }
 
-    /// The part of the line y = `y` inside the polygon, as an interval of x; all of it where no edge can be told.
+    /// The part of the line y = `y` (metres) within the border, as an interval of x; the whole line while the border is unknown.
     pub fn row(&self, y: f64) -> Option<(f64, f64)> {
         if self.corners.is_empty() {
             return Some((f64::NEG_INFINITY, f64::INFINITY));
         }
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for (a, b) in around(&self.corners) {
+        for (a, b) in edges_of(&self.corners) {
             if (a.y <= y) != (b.y <= y) {
                 let x = a.x + (b.x - a.x) * (y - a.y) / (b.y - a.y);
                 low = low.min(x);
@@ -172,24 +181,27 @@ impl CarpetBorder {
     }
 }
 
-/// Each corner with the next.
-fn around(corners: &[DVec2]) -> impl Iterator<Item = (DVec2, DVec2)> + '_ {
+/// Pairs each corner with the next, around the polygon.
+fn edges_of(corners: &[DVec2]) -> impl Iterator<Item = (DVec2, DVec2)> + '_ {
     let next = corners.iter().cycle().skip(1);
     corners.iter().copied().zip(next.copied())
 }
 
-/// The cosine of the least angle off the axis under which the camera could see a way along the floor, `below` being at its
-/// foot. Behind the camera there is nothing to project.
-fn most_cos(below: DVec3, along: DVec3) -> f64 {
+/// The largest cosine of the angle off the axis that any ground point along an azimuth has.
+///
+/// `below` is the ground point below the camera and `along` the direction, both in `camera_optical_frame`. An azimuth that lies
+/// wholly outside the field of view need not be projected.
+fn max_cos_off_axis(below: DVec3, along: DVec3) -> f64 {
     let turn = along.z * below.length_squared() / below.z;
     let cos = |range: f64| (below + along * range).normalize_or_zero().z;
     let inner = if turn > NEAREST_M && turn < FARTHEST_M { cos(turn) } else { -1.0 };
     cos(NEAREST_M).max(cos(FARTHEST_M)).max(inner)
 }
 
-/// The step up to which the ray is best explained as carpet: the highest running sum of +1 for carpet, -2 for anything
-/// that does not lie on it.
-fn last_step(seen: impl Iterator<Item = Option<Surface>>) -> Option<usize> {
+/// The step up to which an azimuth is best explained as carpet.
+///
+/// It maximises the running sum of +1 for carpet and -2 for anything that is neither carpet nor white nor dark.
+fn last_carpet_step(seen: impl Iterator<Item = Option<Surface>>) -> Option<usize> {
     let (mut sum, mut best, mut last) = (0, 0, None);
     for (step, surface) in seen.enumerate() {
         match surface {
@@ -204,7 +216,7 @@ fn last_step(seen: impl Iterator<Item = Option<Surface>>) -> Option<usize> {
     last
 }
 
-/// Andrew's monotone chain, counter-clockwise, without collinear points. `points` are left in another order.
+/// Finds the convex hull by Andrew's monotone chain, counter-clockwise, without collinear points. It reorders `points`.
 fn convex_hull(points: &mut Vec<DVec2>, hull: &mut Vec<DVec2>) {
     points.sort_unstable_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     points.dedup();
@@ -242,9 +254,9 @@ mod tests {
         ) {
             let optical = DMat3::from_rotation_x(roll) * DMat3::from_rotation_y(pitch);
             let (below, along) = (optical * DVec3::NEG_Z * height, optical * DVec3::new(azimuth.cos(), azimuth.sin(), 0.0));
-            let most = most_cos(below, along);
+            let largest = max_cos_off_axis(below, along);
             for range in Rays::default().ranges {
-                prop_assert!((below + along * range).normalize().z <= most + 1e-12);
+                prop_assert!((below + along * range).normalize().z <= largest + 1e-12);
             }
         }
     }
@@ -253,10 +265,10 @@ mod tests {
     fn a_square_holds_its_middle_and_its_rows() {
         let square = vec![DVec2::new(1.0, 1.0), DVec2::new(-1.0, 1.0), DVec2::new(-1.0, -1.0), DVec2::new(1.0, -1.0)];
         let mut border = CarpetBorder { ends: square, ..CarpetBorder::default() };
-        border.surround();
+        border.build_polygon();
         assert_eq!(border.corners().len(), 4);
         let mut inside = Vec::new();
-        border.holds(&[DVec2::new(0.9, -0.9), DVec2::new(1.1, 0.0), DVec2::NAN], &mut inside);
+        border.find_inside(&[DVec2::new(0.9, -0.9), DVec2::new(1.1, 0.0), DVec2::NAN], &mut inside);
         assert_eq!(inside, [true, false, false]);
         assert_eq!(border.row(0.5), Some((-1.0, 1.0)));
         assert_eq!(border.row(1.5), None);
@@ -269,7 +281,7 @@ mod tests {
             let mut hull = Vec::new();
             convex_hull(&mut points.clone(), &mut hull);
             for point in &points {
-                let worst = around(&hull).map(|(a, b)| (b - a).perp_dot(*point - a)).fold(f64::INFINITY, f64::min);
+                let worst = edges_of(&hull).map(|(a, b)| (b - a).perp_dot(*point - a)).fold(f64::INFINITY, f64::min);
                 prop_assert!(worst >= -1e-9);
             }
         }

@@ -1,54 +1,64 @@
-//! The carpet's colour, learnt in each frame anew.
+//! The carpet's colour, which is learnt anew in each frame, and what each pixel shows by its colour.
 
 use super::picture::{Chroma, Picture};
 use realitysim_geometry::multiversioned;
 
-/// Hue is Cb and Cr over luma: what stays when the light changes. Here in parts of 2^14.
+/// The colour of the carpet in one frame, and the colours that are taken for white.
+///
+/// A hue is Cb and Cr (relative to neutral) over luma, which stays the same when the light gets brighter or darker. Here it is in
+/// parts of 2^14.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Carpet {
+    /// Median hue of the carpet, (Cb, Cr).
     hue: [i16; 2],
+    /// Largest deviation from `hue` that is still carpet.
     tolerance: i16,
-    /// Least and largest hue of what may be white.
+    /// Smallest and largest hue of what may be white, for Cb and Cr.
     white: [[i16; 2]; 2],
     /// Four times the luma above which something may be white.
     bright: u16,
 }
 
+/// Units of a hue of 1.
 const HUE_UNITS: f32 = 16384.0;
 
-/// Hues beyond 2 are those of what is too dark to have one.
+/// Turns a hue into integer units. It saturates: a pixel with a hue beyond 2 is too dark to have a meaningful one.
 fn hue_units(hue: f32) -> i16 {
-    // Saturates.
     (hue * HUE_UNITS) as i16
 }
 
+/// The colour of one pixel from which the carpet's colour is learnt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
+    /// Luma, 0 to 255.
     pub luma: f32,
+    /// Cb and Cr (relative to neutral) over luma.
     pub hue: [f32; 2],
 }
 
-/// What a pixel may show. The upper bit of the two is set for what is neither carpet nor a line.
+/// What a pixel shows. The upper of the two bits is set for what is neither carpet nor a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Surface {
+    /// The carpet.
     #[default]
     Carpet = 0,
     /// Something white, as the lines are.
     White = 1,
+    /// Something of another colour: robots, people, walls.
     Other = 2,
-    /// Too dark to tell.
+    /// Something too dark to tell its colour.
     Dark = 3,
 }
 
 impl Surface {
-    /// Neither carpet nor a line: robots, people, the robot's own body.
+    /// Whether this is neither carpet nor a line: robots, people, the robot's own body, or too dark to tell.
     #[inline(always)]
     pub fn is_occluder(self) -> bool {
         self as u8 & 2 != 0
     }
 
-    /// From the two lowest bits.
+    /// Decodes a surface from the two lowest bits; the others are ignored.
     #[inline(always)]
     pub fn from_bits(bits: u8) -> Self {
         match bits & 3 {
@@ -60,44 +70,46 @@ impl Surface {
     }
 }
 
-/// Fewer green samples than this: no carpet is in view.
-const FEWEST_SAMPLES: usize = 20;
-/// Darker pixels have no colour worth reading.
-const DARKEST: f32 = 8.0;
-/// White is brighter than the carpet by this factor.
-const BRIGHTER: f32 = 1.15;
-/// And where nothing of the carpet is mixed into it by at least this one.
-const WHITE: f32 = 1.5;
-const FEWEST_WHITE: usize = 6;
-/// A white that is off by less is within what white may be, ...
-const LEAST_CAST: f32 = 0.05;
-/// ... and one by more is no white.
-const MOST_CAST: f32 = 0.4;
+/// Number of green samples below which no carpet is in view.
+const MIN_GREEN_SAMPLES: usize = 20;
+/// Luma below which a pixel's colour means nothing.
+const MIN_LUMA: f32 = 8.0;
+/// Factor over the carpet's luma above which a pixel may be white, also where carpet is mixed into a line.
+const MIXED_WHITE_FACTOR: f32 = 1.15;
+/// Factor over the carpet's luma above which a pixel may be pure white, without carpet mixed into it.
+const PURE_WHITE_FACTOR: f32 = 1.5;
+/// Number of white samples below which no colour cast is learnt.
+const MIN_WHITE_SAMPLES: usize = 6;
+/// Hue of white below which there is no colour cast to correct.
+const MIN_CAST: f32 = 0.05;
+/// Hue above which bright samples are not taken for white in coloured light.
+const LARGEST_CAST: f32 = 0.4;
 
 impl Sample {
-    /// `chroma` relative to neutral.
+    /// Makes a sample of luma, 0 to 255, and Cb and Cr relative to neutral.
     pub fn new(luma: f32, chroma: [f32; 2]) -> Self {
         Self { luma, hue: chroma.map(|value| value / luma.max(1.0)) }
     }
 }
 
-/// Learns a carpet from samples; kept from frame to frame for its buffers.
+/// Learns the carpet's colour from samples. It is kept from frame to frame for its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct Learning {
     samples: Vec<Sample>,
-    /// Those that count at the moment.
+    /// The samples that the current step uses.
     chosen: Vec<Sample>,
     values: Vec<f32>,
 }
 
 impl Learning {
-    /// The median colour of what is greener than gray; `None` if there is too little of it. What is brighter beside it shows how
-    /// the light or the camera's white balance colours white.
+    /// Learns the carpet's hue, the median of the samples that are greener than gray; `None` if there are too few of them.
+    ///
+    /// Bright samples of another hue show how the light or the camera's white balance colours white.
     pub fn learn(&mut self, samples: impl Iterator<Item = Sample>) -> Option<Carpet> {
         self.samples.clear();
-        self.samples.extend(samples.filter(|s| s.luma >= DARKEST));
+        self.samples.extend(samples.filter(|s| s.luma >= MIN_LUMA));
         let is_green = |s: &Sample| s.hue[0] + s.hue[1] < -0.06 && s.hue[0] < 0.03 && s.hue[1] < 0.03;
-        self.choose(is_green, FEWEST_SAMPLES)?;
+        self.select(is_green, MIN_GREEN_SAMPLES)?;
         let hue = [0, 1].map(|c| self.median_of(|s| s.hue[c]));
         let spread = self.median_of(|s| (s.hue[0] - hue[0]).abs().max((s.hue[1] - hue[1]).abs()));
         let luma = self.median_of(|s| s.luma);
@@ -112,26 +124,28 @@ impl Learning {
             [f32::min, f32::max].map(|end| hue_units(ends[1..].iter().copied().fold(ends[0], end)))
         });
         let (hue, tolerance) = (hue.map(hue_units), hue_units(tolerance));
-        Some(Carpet { hue, tolerance, white, bright: (4.0 * BRIGHTER * luma) as u16 })
+        Some(Carpet { hue, tolerance, white, bright: (4.0 * MIXED_WHITE_FACTOR * luma) as u16 })
     }
 
-    /// The hue of white; that of a gray if it is nearly one, or if it does not show.
+    /// Estimates the hue of white (the colour cast); 0 if it is nearly neutral, implausibly large or not in view.
     fn cast(&mut self, carpet: [f32; 2], luma: f32, tolerance: f32) -> [f32; 2] {
         let beside = |s: &Sample| s.hue.iter().zip(carpet).any(|(own, carpet)| (own - carpet).abs() > tolerance);
-        if self.choose(|s| s.luma > WHITE * luma && beside(s), FEWEST_WHITE).is_none() {
+        if self.select(|s| s.luma > PURE_WHITE_FACTOR * luma && beside(s), MIN_WHITE_SAMPLES).is_none() {
             return [0.0; 2];
         }
         let cast = [0, 1].map(|c| self.median_of(|s| s.hue[c]));
-        let is_cast = cast.iter().any(|c| c.abs() > LEAST_CAST) && cast.iter().all(|c| c.abs() < MOST_CAST);
+        let is_cast = cast.iter().any(|c| c.abs() > MIN_CAST) && cast.iter().all(|c| c.abs() < LARGEST_CAST);
         if is_cast { cast } else { [0.0; 2] }
     }
 
-    fn choose(&mut self, which: impl Fn(&Sample) -> bool, fewest: usize) -> Option<()> {
+    /// Selects the samples that fulfil a condition for the next [`Self::median_of`]; `None` if there are fewer than `fewest`.
+    fn select(&mut self, which: impl Fn(&Sample) -> bool, fewest: usize) -> Option<()> {
         self.chosen.clear();
         self.chosen.extend(self.samples.iter().filter(|sample| which(sample)));
         (self.chosen.len() >= fewest).then_some(())
     }
 
+    /// The median of a value over the selected samples.
     fn median_of(&mut self, value: impl Fn(&Sample) -> f32) -> f32 {
         self.values.clear();
         self.values.extend(self.chosen.iter().map(value));
@@ -141,29 +155,30 @@ impl Learning {
 }
 
 impl Carpet {
-    /// Of four pixels with this sum of luma and this Cb and Cr (neutral: 128). In 16 bits, without branches or divisions:
-    /// every pixel passes here.
+    /// Classifies four pixels by the sum of their luma and their common Cb and Cr (neutral: 128).
+    ///
+    /// It computes in 16 bits, without branches or divisions, because every pixel passes here.
     #[inline(always)]
     pub fn classify(&self, four: u16, chroma: [u8; 2]) -> Surface {
-        // Luma and chroma in eighths of a level, after a hue of 2^14 parts has taken its 16 bits.
+        // The product of this luma and a hue in parts of 2^14, less 16 bits, is a chroma in eighths of a level.
         let lit = 8 * four as i16;
         let of_luma = |hue: i16| ((i32::from(lit) * i32::from(hue)) >> 16) as i16;
         let chroma = chroma.map(|value| 8 * (i16::from(value) - 128));
         let tolerance = of_luma(self.tolerance);
         let near = |c: usize| (chroma[c] - of_luma(self.hue[c])).abs() < tolerance;
         let carpet = near(0) & near(1);
-        // A thin line's colour lies between white's and the carpet's.
+        // The colour of a thin line lies between white and the carpet's.
         let between = |c: usize| (chroma[c] >= of_luma(self.white[c][0])) & (chroma[c] <= of_luma(self.white[c][1]));
         let white = between(0) & between(1) & (four > self.bright);
         let plain = if white { Surface::White } else { Surface::Other };
         let surface = if carpet { Surface::Carpet } else { plain };
-        if four < 4 * DARKEST as u16 { Surface::Dark } else { surface }
+        if four < 4 * MIN_LUMA as u16 { Surface::Dark } else { surface }
     }
 
-    /// What each half-resolution pixel shows; `half` holds the sums of each four pixels' luma.
+    /// Classifies each half-resolution pixel; `half` holds the sum of the luma of its four pixels.
     pub fn surfaces(&self, half: &[u16], picture: &Picture, surfaces: &mut Vec<Surface>) {
         surfaces.resize(half.len(), Surface::Carpet);
-        // A chroma plane of an odd width has one column more.
+        // For an odd width the chroma plane has one column more.
         let (width, stride) = ((picture.width / 2).max(1), picture.width.div_ceil(2));
         let Chroma { blue, red } = &picture.chroma;
         let carpet = self;
@@ -178,8 +193,9 @@ impl Carpet {
     }
 }
 
-/// Without colours: whatever is lit may be carpet. Darker pixels show nothing: the black surround of a fisheye's
-/// circle (a sensor's own black is 0 to 3).
+/// Classifies each half-resolution pixel of a picture without usable colour: everything lit may be carpet.
+///
+/// Pixels with a luma below 6 are dark, such as the black surround of a fisheye's circle (a sensor's own black is 0 to 3).
 pub fn lit_surfaces(half: &[u16], surfaces: &mut Vec<Surface>) {
     const BLACK: u16 = 6;
     surfaces.clear();
@@ -190,7 +206,7 @@ pub fn lit_surfaces(half: &[u16], surfaces: &mut Vec<Surface>) {
 mod tests {
     use super::*;
 
-    /// Luma, Cb and Cr.
+    /// Converts R, G, B to luma and (Cb, Cr).
     fn pixel(r: u8, g: u8, b: u8) -> (u8, [u8; 2]) {
         let p = Picture::from_rgb(1, 1, &[r, g, b]).expect("a pixel");
         (p.luma[0], [p.chroma.blue[0], p.chroma.red[0]])
@@ -229,7 +245,7 @@ mod tests {
 
     #[test]
     fn lines_are_white_in_coloured_light_where_they_are_seen_so() {
-        // Too warm, too cold, as of a white balance that was set elsewhere.
+        // Colour casts of a wrong white balance: too warm, and too cold.
         for cast in [[1.2, 0.9, 0.7], [0.65, 0.9, 1.2]] {
             let lit = |rgb: [f64; 3]| {
                 let [r, g, b] = core::array::from_fn(|c| (rgb[c] * cast[c]) as u8);
@@ -248,7 +264,7 @@ mod tests {
             assert_eq!(surface(&learnt, [100.0, 130.0, 100.0]), Surface::White, "mixed with carpet");
             assert_eq!(surface(&learnt, carpet), Surface::Carpet);
             assert_eq!(surface(&learnt, [40.0, 35.0, 40.0]), Surface::Other, "a robot");
-            // A few of them may be a ball.
+            // A few white samples may be a ball.
             let few = (0..100).map(|i| lit(if i < 5 { line } else { carpet }));
             assert_eq!(Learning::default().learn(few), Some(alone));
         }

@@ -1,10 +1,10 @@
-//! Line contrast: by which share of the carpet's brightness a place is brighter than its wider surroundings on it.
+//! Line contrast: how much brighter a pixel is than the carpet around it, as a share of the carpet's brightness.
 //!
-//! A narrow blur (sigma 2.1 px) minus a wide one (sigma 12 px), over the wide one. Plain carpet gives 0 whatever its
-//! brightness and whatever the light's gradient, which is what makes a sum over points a fair measure (docs/paper.md, Eq. 2),
-//! and paint gives the same in sun and shade: light multiplies carpet and paint alike, and the camera's gamma keeps ratios.
-//! The narrow blur runs at half, the wide one at an eighth of the resolution, both in integers; the quotient is one division
-//! in IEEE arithmetic, so that every processor finds the same.
+//! It is a narrow blur (sigma 2.1 px) minus a wide one (sigma 12 px), over the wide one. Plain carpet gives 0 whatever its
+//! brightness and whatever the light's gradient, which makes a sum over points a fair measure (docs/explanation/paper.md, Eq. 2).
+//! Paint gives the same in sun and shade: light multiplies carpet and paint alike, and the camera's gamma keeps ratios.
+//! The narrow blur is computed at a half, the wide one at an eighth of the resolution, both in integers. The quotient is one division
+//! in IEEE arithmetic, so that every processor gives the same bits.
 
 use glam::DVec2;
 
@@ -13,21 +13,24 @@ use super::picture::Picture;
 use realitysim_geometry::multiversion::rounded;
 use realitysim_geometry::multiversioned;
 
-/// Half-resolution maps: pixel (i, j) averages the picture's pixels 2i, 2i+1 x 2j, 2j+1.
+/// Half-resolution images, row by row: pixel (i, j) covers the picture's pixels (2i, 2i + 1) x (2j, 2j + 1).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LineContrast {
+    /// Columns, half those of the picture.
     pub width: usize,
+    /// Rows, half those of the picture.
     pub height: usize,
-    /// Sum of the four pixels.
+    /// Sum of the luma of the four pixels.
     pub half: Vec<u16>,
-    /// Blurred gray in [`UNITS`].
+    /// Narrow blur of the luma, in [`UNITS`].
     pub narrow: Vec<u16>,
-    /// Narrow minus wide as a share of the carpet's brightness, in [`PARTS`], negative where darker than the surroundings;
-    /// the two lowest bits hold what the pixel shows ([`surface`]).
+    /// Line contrast in [`PARTS`], negative where the pixel is darker than its surroundings. The two lowest bits hold what
+    /// the pixel shows ([`surface`]).
     pub contrast: Vec<i16>,
     scratch: Scratch,
 }
 
+/// Intermediate images.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Scratch {
     rows: Vec<u16>,
@@ -35,48 +38,50 @@ struct Scratch {
     counts: Vec<f32>,
     blurred: Vec<f32>,
     levels: Vec<u16>,
-    /// The wide blur, one row a coarse row, one value a half-resolution column.
+    /// The wide blur, with coarse rows and half-resolution columns.
     expanded: Vec<u16>,
 }
 
-/// Parts of a gray level.
+/// Units of a gray level in blurred images.
 pub const UNITS: f32 = 16.0;
-/// Parts of a line contrast of 1: the place is twice as bright as the carpet.
+/// Units of a line contrast of 1, at which a pixel is twice as bright as the carpet.
 pub const PARTS: f32 = 4096.0;
-/// Gray levels that are added to the carpet's brightness before a contrast is a share of it: where little light falls, stray
-/// light and the sensor's noise do not get less with the carpet's own light.
+/// Gray levels that are added to the carpet's brightness in the denominator of a line contrast.
+///
+/// Where little light falls, stray light and the sensor's noise do not fall with the carpet's own light.
 pub const STRAY_LEVELS: f32 = 16.0;
 /// Side of a cell of the coarse image, in half-resolution pixels.
 pub(super) const COARSE: usize = 4;
 
-/// Standard deviations of the two blurs in pixels, halving and quartering included.
+/// Standard deviation of the narrow blur, in pixels of the working image, halving included.
 const NARROW_SIGMA_PX: f64 = 2.1;
+/// Standard deviation of the wide blur, in pixels of the working image, halving and quartering included.
 const WIDE_SIGMA_PX: f64 = 11.8;
-/// The largest response, that of a line 8 px wide.
+/// The largest difference of the two blurs in the middle of a line of height 1, that of a line 8 px wide.
 pub const BEST_RESPONSE: f64 = 0.672;
 
-/// Contrast in the middle of a long line of this width, against that of a line of the best width: 0 to 1.
+/// Contrast in the middle of a long line of this width in working pixels, as a share of that of a line of the best width: 0 to 1.
 pub fn line_response(width_px: f64) -> f64 {
     let within = |sigma: f64| libm::erf(width_px / (2.0 * core::f64::consts::SQRT_2 * sigma));
     ((within(NARROW_SIGMA_PX) - within(WIDE_SIGMA_PX)) / BEST_RESPONSE).clamp(1e-3, 1.0)
 }
 
-/// What a pixel of the contrast map shows.
+/// Decodes what a pixel shows from its line contrast.
 pub fn surface(contrast: i16) -> Surface {
     Surface::from_bits(contrast as u8)
 }
 
-/// Columns and rows of the wide blur's cells in a picture of this size.
+/// Number of columns and rows of the wide blur's coarse cells in a picture of this size.
 pub fn coarse_size(width: usize, height: usize) -> (usize, usize) {
     (width / 2 / COARSE, height / 2 / COARSE)
 }
 
-/// The half-resolution pixel in the middle of a cell.
+/// The half-resolution column or row in the middle of a coarse column or row.
 pub fn coarse_middle(cell: usize) -> usize {
     cell * COARSE + (COARSE - 1) / 2
 }
 
-/// Where the cells lie, row by row, in the picture's pixels.
+/// Iterates over the centres of the coarse cells, row by row, in the picture's pixels.
 pub fn coarse_centres(width: usize, height: usize) -> impl Iterator<Item = DVec2> {
     let (columns, rows) = coarse_size(width, height);
     let centre = |cell: usize| (cell * 2 * COARSE) as f64 + COARSE as f64 - 0.5;
@@ -84,7 +89,7 @@ pub fn coarse_centres(width: usize, height: usize) -> impl Iterator<Item = DVec2
 }
 
 impl LineContrast {
-    /// The part that needs nothing else: half resolution and narrow blur.
+    /// Computes what needs the picture alone: half resolution and narrow blur. Call [`Self::finish`] afterwards.
     pub fn start(&mut self, picture: &Picture) {
         (self.width, self.height) = (picture.width / 2, picture.height / 2);
         if self.width < COARSE || self.height < COARSE {
@@ -101,14 +106,16 @@ impl LineContrast {
         let contrast = self;
         multiversioned!(|contrast: &mut LineContrast, picture: &Picture| {
             let LineContrast { width, half, narrow, scratch, .. } = contrast;
-            halved(picture, *width, half);
-            blurred_rows(half, *width, &mut scratch.rows);
-            blurred_columns(&scratch.rows, *width, narrow);
+            halve(picture, *width, half);
+            blur_rows(half, *width, &mut scratch.rows);
+            blur_columns(&scratch.rows, *width, narrow);
         });
     }
 
+    /// Computes the wide blur and the contrast.
+    ///
     /// `surfaces` says what each half-resolution pixel shows; `on_carpet` has one entry per cell of [`coarse_centres`].
-    /// The wide blur averages only carpet, so that walls beyond the field, robots on it or the black rim of a fisheye
+    /// The wide blur averages only carpet and lines, so that walls beyond the field, robots on it or the black rim of a fisheye
     /// do not look like a change of light.
     pub fn finish(&mut self, surfaces: &[Surface], on_carpet: &[bool]) {
         if self.width == 0 {
@@ -124,24 +131,26 @@ impl LineContrast {
     }
 }
 
+/// Sums the luma of 2 x 2 pixels.
 #[inline(always)]
-fn halved(picture: &Picture, width: usize, half: &mut [u16]) {
+fn halve(picture: &Picture, width: usize, half: &mut [u16]) {
     for (v, target) in half.chunks_exact_mut(width).enumerate() {
         let upper = &picture.luma[2 * v * picture.width..][..2 * width];
         let lower = &picture.luma[(2 * v + 1) * picture.width..][..2 * width];
         let ((upper, _), (lower, _)) = (upper.as_chunks::<2>(), lower.as_chunks::<2>());
         for ((t, a), b) in target.iter_mut().zip(upper).zip(lower) {
-            // Two bytes as one word: its halves are added side by side.
+            // Two bytes are read as one word, and its halves are added.
             let (a, b) = (u16::from_le_bytes(*a), u16::from_le_bytes(*b));
             *t = (a & 255) + (a >> 8) + (b & 255) + (b >> 8);
         }
     }
 }
 
-/// Binomial 1 4 6 4 1, sigma 1 pixel; edges repeat the last pixel. Sums of four in, quarters of gray levels x 16 out:
-/// at most 4 x 255 x 16 / 4.
+/// Blurs along rows by the binomial filter 1 4 6 4 1 (sigma 1 pixel); edges repeat the last pixel.
+///
+/// It turns sums of four pixels into sixteenths of gray levels: at most 4 x 255 x 16 / 4.
 #[inline(always)]
-fn blurred_rows(half: &[u16], width: usize, rows: &mut [u16]) {
+fn blur_rows(half: &[u16], width: usize, rows: &mut [u16]) {
     let tap = |a: u16, b: u16, c: u16, d: u16, e: u16| (a + e + 4 * (b + d) + 6 * c + 2) >> 2;
     for (source, target) in half.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
         let at = |u: isize| source[u.clamp(0, width as isize - 1) as usize];
@@ -163,9 +172,9 @@ fn blurred_rows(half: &[u16], width: usize, rows: &mut [u16]) {
     }
 }
 
-/// At most 16 x 4080 + 8, which 16 bits hold; out come sixteenths of gray levels.
+/// Blurs along columns by the same filter; sixteenths of gray levels in and out. Sums are at most 16 x 4080 + 8, which fits 16 bits.
 #[inline(always)]
-fn blurred_columns(rows: &[u16], width: usize, narrow: &mut [u16]) {
+fn blur_columns(rows: &[u16], width: usize, narrow: &mut [u16]) {
     let height = narrow.len() / width;
     for (v, target) in narrow.chunks_exact_mut(width).enumerate() {
         let row = |dv: isize| &rows[(v as isize + dv).clamp(0, height as isize - 1) as usize * width..][..width];
@@ -176,7 +185,9 @@ fn blurred_columns(rows: &[u16], width: usize, narrow: &mut [u16]) {
     }
 }
 
-/// Mean of the carpet within about 12 pixels; where none is near, that of the cell itself.
+/// Averages the carpet within about 12 pixels of each coarse cell; where there is none, takes the pixel in the middle of the cell.
+///
+/// The result is in `scratch.sums`, in [`UNITS`].
 #[inline(always)]
 fn coarse_means(
     half: &[u16],
@@ -191,7 +202,7 @@ fn coarse_means(
     sums.clear();
     counts.clear();
     blurred.resize(cw * ch, 0.0);
-    // Sums over the rows of a coarse row first: they run along memory.
+    // The rows of a coarse row are summed first, because they are contiguous in memory.
     let (columns, lit) = rows.split_at_mut(width);
     let lit = &mut lit[..width];
     for cv in 0..ch {
@@ -219,7 +230,7 @@ fn coarse_means(
         }
     }
     for (cell, (sum, count)) in sums.iter_mut().zip(counts.iter()).enumerate() {
-        // Sums of four pixels over counts of half-resolution pixels, in units.
+        // A sum of four pixels for each counted half-resolution pixel, in units.
         *sum = if *count > 0.05 {
             *sum / *count * (UNITS / 4.0)
         } else {
@@ -229,7 +240,7 @@ fn coarse_means(
     }
 }
 
-/// Binomial 1 4 6 4 1 both ways, for images of any size.
+/// Blurs a coarse image of any size by the binomial filter 1 4 6 4 1 in both directions; edges repeat the last cell.
 #[inline(always)]
 fn blur_coarse(image: &mut [f32], scratch: &mut [f32], width: usize) {
     let height = image.len() / width;
@@ -254,7 +265,7 @@ fn blur_coarse(image: &mut [f32], scratch: &mut [f32], width: usize) {
     }
 }
 
-/// Between the coarse cells along rows, linearly: their centres lie 1/8, 3/8, 5/8 and 7/8 of a cell from the pixels'.
+/// Interpolates linearly between coarse cells along rows: pixels lie 1/8, 3/8, 5/8 and 7/8 of the way from one centre to the next.
 #[inline(always)]
 fn expand(width: usize, height: usize, scratch: &mut Scratch) {
     let (cw, ch) = (width / COARSE, height / COARSE);
@@ -263,7 +274,7 @@ fn expand(width: usize, height: usize, scratch: &mut Scratch) {
     levels.clear();
     levels.extend(sums.iter().map(|value| (value + 0.5) as u16));
     for (source, target) in levels.chunks_exact(cw).zip(expanded.chunks_exact_mut(width)) {
-        // Half a cell at either end has a neighbour on one side only.
+        // The outer half of the first and last cell has a neighbour on one side only.
         let (start, inner) = target.split_at_mut(COARSE / 2);
         let (cells, end) = inner.split_at_mut((cw - 1) * COARSE);
         start.fill(source[0]);
@@ -275,13 +286,14 @@ fn expand(width: usize, height: usize, scratch: &mut Scratch) {
     }
 }
 
-/// The coarse cell before a half-resolution pixel, and how far the pixel is on the way to the next, in eighths.
+/// The coarse cell before a half-resolution pixel, and how far the pixel lies towards the next cell, in eighths.
 #[inline(always)]
 fn phase(pixel: usize) -> (isize, u16) {
     let eighths = 2 * pixel as isize + 1 - COARSE as isize;
     (eighths.div_euclid(2 * COARSE as isize), eighths.rem_euclid(2 * COARSE as isize) as u16)
 }
 
+/// Computes the line contrast from both blurs and adds the surface bits.
 #[inline(always)]
 fn subtract(narrow: &[u16], expanded: &[u16], surfaces: &[Surface], width: usize, contrast: &mut [i16]) {
     let last = (expanded.len() / width) as isize - 1;
@@ -294,14 +306,14 @@ fn subtract(narrow: &[u16], expanded: &[u16], surfaces: &[Surface], width: usize
             let wide = (upper[u] * (8 - share) + lower[u] * share) >> 3;
             let above = f32::from(narrow[u] as i16 - wide as i16);
             let parts = above * PARTS / (f32::from(wide as i16) + STRAY_LEVELS * UNITS);
-            *t = (signed(parts) & !3) | surfaces[u] as i16;
+            *t = (round_to_i16(parts) & !3) | surfaces[u] as i16;
         }
     }
 }
 
-/// To the nearest of the whole numbers that 16 bits hold.
+/// Rounds to the nearest integer that 16 bits hold.
 #[inline(always)]
-fn signed(parts: f32) -> i16 {
+fn round_to_i16(parts: f32) -> i16 {
     (rounded((parts + 32768.0).clamp(0.0, 65535.0)) ^ 0x8000) as u16 as i16
 }
 
@@ -359,7 +371,7 @@ mod tests {
 
     #[test]
     fn a_contrast_is_rounded_and_never_leaves_its_16_bits() {
-        let values = [-1e9, -32768.0, -2.6, -0.4, 0.0, 2.6, 32767.0, 1e9].map(signed);
+        let values = [-1e9, -32768.0, -2.6, -0.4, 0.0, 2.6, 32767.0, 1e9].map(round_to_i16);
         assert_eq!(values, [i16::MIN, i16::MIN, -3, 0, 0, 3, i16::MAX, i16::MAX]);
     }
 

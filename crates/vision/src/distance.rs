@@ -1,12 +1,14 @@
-//! Distance to the nearest white place (the observation of Eq. 1), exact up to a reach.
+//! The Euclidean distance transform (for the observation of Eq. 1), exact up to a reach.
 
-/// Euclidean distance in cells from every cell to the nearest `white` one; `reach + 1` where none is within `reach`.
+/// Finds the Euclidean distance, in cells, from every cell to the nearest white one; `reach + 1` where none is within `reach`.
+///
+/// `white` has `width` x `height` cells, row by row.
 pub fn nearest(white: &[bool], width: usize, height: usize, reach: usize) -> Vec<f32> {
     if width == 0 || height == 0 {
         return Vec::new();
     }
     let far = (reach + 1) as u32;
-    // Along columns first: how many rows to the nearest white cell above or below.
+    // The first pass runs along columns: the number of rows to the nearest white cell above or below.
     let mut vertical = vec![far; white.len()];
     for row in 0..height {
         for u in 0..width {
@@ -26,7 +28,7 @@ pub fn nearest(white: &[bool], width: usize, height: usize, reach: usize) -> Vec
             vertical[cell] = vertical[cell].min(vertical[cell + width] + 1);
         }
     }
-    // Then along rows: the smallest hypotenuse within reach, over squares padded so that no bound is checked.
+    // The second pass runs along rows: the smallest hypotenuse within reach, over squares that are padded to avoid checks of bounds.
     let far_square = far * far;
     let mut squares = vec![far_square; width + 2 * reach];
     let mut result = Vec::with_capacity(white.len());
@@ -68,7 +70,7 @@ mod tests {
                         .sqrt();
                     let expected = if exact <= reach as f32 { exact } else { (reach + 1) as f32 };
                     let value = got[v * width + u];
-                    // Between reach and reach + 1 either is right: nothing within reach.
+                    // Any value beyond `reach` is right where nothing is within it.
                     prop_assert!(value == expected || (value > reach as f32 && expected > reach as f32));
                 }
             }

@@ -1,71 +1,77 @@
-//! The ground table: a robot-centred square of the floor, each cell saying how much a line is seen there.
+//! The ground table: a robot-centred square of the ground, whose cells say how clearly a line is seen there.
 //!
-//! For one frame the camera's height and tilt are the same for every particle, so lens and tilt are dealt with once,
+//! For one frame the camera's height and tilt are the same for every particle, so the lens and the tilt are accounted for once,
 //! here. A particle then costs a planar rigid motion and a lookup per line point.
 
 use glam::DVec2;
 
-use super::cells::{ByRange, Cells};
 use super::contrast::{LineContrast, PARTS, UNITS};
 use super::ground_map::{BLOCK, BLOCKS, GroundMap};
-use super::{Reading, VisionSettings, WorkingScale, distance};
+use super::ground_table_fill::{Cells, RangeTables};
+use super::{TableQuantity, VisionSettings, WorkingScale, distance};
 use realitysim_geometry::multiversioned;
 
-/// Cells along each side of the table.
+/// Number of cells along each side of the table.
 pub const SIDE: usize = 320;
 
-/// Levels of a packed cell that say "nothing known": neither for nor against a line.
+/// Level of a cell about which nothing is known: it speaks neither for nor against a line.
 pub const NEUTRAL: u8 = 64;
 
-/// One number per cell, packed so that one 32-bit load holds the four neighbours that bilinear
-/// interpolation needs.
+/// A square of `SIDE` x `SIDE` cells on the ground, centred on `base_footprint`, with a level from 0 to 255 in each.
+///
+/// Levels are packed so that one 32-bit load holds the four neighbours that bilinear interpolation needs.
 #[derive(Clone, Debug, Default)]
 pub struct GroundTable {
-    /// SIDE x SIDE cells, each with (this, next x, next y, next x and y) from the low byte up.
+    /// For each cell, row by row, the levels of (this, next x, next y, next x and y), from the low byte up.
     quads: Vec<u32>,
-    /// How far a cell counts as seen, 0 to 255, same layout without packing.
+    /// For each cell, row by row, how much it counts as seen, 0 to 255.
     seen: Vec<u8>,
-    /// Columns (from, to) of each row of blocks outside of which every cell reads neutral.
+    /// For each row of blocks the columns `[from, to)` outside of which every cell is neutral.
     spans: Vec<[u16; 2]>,
+    /// Side of a cell, metres.
     cell_m: f64,
     readings: Readings,
 }
 
-/// How the packed levels are to be read back.
+/// How the levels of a ground table are turned back into values: value = (level - zero) x scale.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Readings {
-    /// Value of one level.
+    /// Value of a step of one level.
     pub scale: f64,
-    /// The level that stands for 0.
+    /// Level that stands for the value 0.
     pub zero: u8,
 }
 
-/// All that tables are made from; kept from frame to frame for its buffers.
+/// Intermediate results of making ground tables, kept from frame to frame for their memory.
 #[derive(Clone, Debug, Default)]
-pub struct Making {
+pub struct TableBuffers {
     map: GroundMap,
     cells: Cells,
     plain: Cells,
-    by_range: ByRange,
+    range_tables: RangeTables,
     levels: Vec<u8>,
 }
 
-/// What does not change from frame to frame.
+/// Scales of the image that do not change from frame to frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Scale {
+    /// Transformation from the full-size image to the working image.
     pub to_working: WorkingScale,
-    /// Of the full-size image.
+    /// Focal length of the full-size image, pixels per radian.
     pub pixels_per_radian: f64,
+    /// Width of the field's painted lines, metres.
     pub line_width_m: f64,
 }
 
-impl Making {
+impl TableBuffers {
+    /// The map from cells to pixels, which the caller fills before [`Self::tables`].
     pub fn map(&mut self) -> &mut GroundMap {
         &mut self.map
     }
 
-    /// Fills the table that the observation model wants, and `lines` with line contrast if that is another. Returns
-    /// the line contrast of a line of the best width.
+    /// Fills `table` with the quantity of the settings, and `lines` with line contrast if that is another quantity.
+    ///
+    /// Returns the frame's full contrast: the line contrast of a line of the best width.
     pub fn tables(
         &mut self,
         image: &LineContrast,
@@ -74,41 +80,47 @@ impl Making {
         table: &mut GroundTable,
         lines: &mut Option<GroundTable>,
     ) -> f32 {
-        let Self { map, cells, plain, by_range, levels } = self;
+        let Self { map, cells, plain, range_tables, levels } = self;
         let Scale { to_working, pixels_per_radian, line_width_m } = scale;
         cells.read(&image.contrast, image.width, image.height, map, to_working);
         cells.hide_blobs(map.cell_m());
-        by_range.fill(map, line_width_m, pixels_per_radian * to_working.factor, settings.tilt_sigma_rad);
-        let full = cells.full_contrast(map, by_range);
-        cells.levels(full, map, by_range, levels, (&mut table.seen, &mut table.spans));
-        if settings.reading == Reading::Contrast {
+        range_tables.fill(map, line_width_m, pixels_per_radian * to_working.factor, settings.tilt_sigma_rad);
+        let full = cells.full_contrast(map, range_tables);
+        cells.levels(full, map, range_tables, levels, (&mut table.seen, &mut table.spans));
+        if settings.reading == TableQuantity::Contrast {
             *lines = None;
-            table.pack(levels, map.cell_m(), SHARES);
+            table.pack(levels, map.cell_m(), CONTRAST_READINGS);
             return full;
         }
         let lines = lines.get_or_insert_default();
         lines.seen.clone_from(&table.seen);
         lines.spans.clone_from(&table.spans);
-        lines.pack(levels, map.cell_m(), SHARES);
+        lines.pack(levels, map.cell_m(), CONTRAST_READINGS);
         match settings.reading {
-            Reading::Contrast => {}
-            Reading::Nearest => {
-                table.pack(&cells.nearest_levels(full, map, by_range, settings.nearest_reach_m), map.cell_m(), SHARES);
+            TableQuantity::Contrast => {}
+            TableQuantity::Nearest => {
+                table.pack(
+                    &cells.nearest_levels(full, map, range_tables, settings.nearest_reach_m),
+                    map.cell_m(),
+                    CONTRAST_READINGS,
+                );
             }
-            Reading::Gray | Reading::NearestPixel => {
+            TableQuantity::Gray | TableQuantity::NearestPixel => {
                 let source = match settings.reading {
-                    Reading::Gray => image.narrow.iter().map(|value| *value as i16).collect::<Vec<i16>>(),
+                    TableQuantity::Gray => image.narrow.iter().map(|value| *value as i16).collect::<Vec<i16>>(),
                     _ => nearest_pixel(image, full),
                 };
                 plain.read(&source, image.width, image.height, map, to_working);
-                table.pack(&plain.plain_levels(cells), map.cell_m(), PLAIN);
+                table.pack(&plain.plain_levels(cells), map.cell_m(), PLAIN_READINGS);
             }
         }
         full
     }
 }
 
-/// Distances in pixels of the working image to the nearest white one, as printed: measured in the image. In units.
+/// Distance of each half-resolution pixel to the nearest white one, in pixels of the working image times [`UNITS`] (Eq. 1 as printed).
+///
+/// A pixel is white if it has at least half of the full contrast.
 fn nearest_pixel(image: &LineContrast, full: f32) -> Vec<i16> {
     const REACH: usize = 127;
     let half = 0.5 * full * PARTS;
@@ -117,50 +129,57 @@ fn nearest_pixel(image: &LineContrast, full: f32) -> Vec<i16> {
     nearest.iter().map(|pixels| (2.0 * UNITS * pixels).min(255.0 * UNITS) as i16).collect()
 }
 
-/// A full line is +1; plain carpet, where a line should be, -1/3.
-const SHARES: Readings = Readings { scale: 1.0 / (255 - NEUTRAL) as f64, zero: NEUTRAL };
-const PLAIN: Readings = Readings { scale: 1.0, zero: 0 };
+/// Readings of line contrast: a full line is +1, plain carpet where a line should be is -1/3.
+const CONTRAST_READINGS: Readings = Readings { scale: 1.0 / (255 - NEUTRAL) as f64, zero: NEUTRAL };
+/// Readings of whole gray levels or pixels.
+const PLAIN_READINGS: Readings = Readings { scale: 1.0, zero: 0 };
 
-/// Lines are wider than this many cells.
+/// Step in cells at which clear lines are sampled; lines are wider.
 const CLEAR_STEP: usize = 2;
-/// Places that the tilt's error moves far do not tell on which line they lie.
-const LEAST_CLEAR: u32 = 96;
+/// Smallest amount (of 255) that a cell counts as seen to be a clear line. A cell that an error of the tilt moves far does not tell
+/// on which line it lies.
+const MIN_CLEAR_SEEN: u32 = 96;
 
 impl GroundTable {
-    /// A table from SIDE x SIDE levels, `NEUTRAL` meaning nothing known; everything counts as seen.
+    /// Makes a table from `SIDE` x `SIDE` levels of line contrast, row by row; every cell counts as seen.
     pub fn from_levels(levels: &[u8], cell_m: f64) -> Self {
         let mut table = Self { seen: vec![255; SIDE * SIDE], spans: vec![[0, SIDE as u16]; BLOCKS], ..Self::default() };
-        table.pack(levels, cell_m, SHARES);
+        table.pack(levels, cell_m, CONTRAST_READINGS);
         table
     }
 
-    /// `spans` must be there already.
+    /// Packs levels; `spans` must be filled already.
     fn pack(&mut self, levels: &[u8], cell_m: f64, readings: Readings) {
         pack(levels, readings.zero, &self.spans, &mut self.quads);
         (self.cell_m, self.readings) = (cell_m, readings);
     }
 
+    /// The packed cells, row by row: levels of (this, next x, next y, next x and y), from the low byte up.
     pub fn quads(&self) -> &[u32] {
         &self.quads
     }
 
+    /// How levels are turned back into values.
     pub fn readings(&self) -> Readings {
         self.readings
     }
 
+    /// Side of a cell, metres.
     pub fn cell_m(&self) -> f64 {
         self.cell_m
     }
 
-    /// Table coordinates (cells, the first cell's centre at 0) of a place on the ground of `base_footprint`.
+    /// The factor and the offset that turn x or y on the ground of `base_footprint` (metres) into a column or row of the table.
+    ///
+    /// The centre of the first cell has the coordinate 0.
     pub fn to_cells(&self) -> (f64, f64) {
         (1.0 / self.cell_m, SIDE as f64 / 2.0 - 0.5)
     }
 
-    /// Whether any cell within `reach_m` of a place of the ground may read other than neutral.
+    /// Whether any cell within `reach_m` of a point on the ground may be other than neutral.
     pub fn may_tell(&self, ground: DVec2, reach_m: f64) -> bool {
         let (scale, offset) = self.to_cells();
-        // Interpolation reaches one cell further.
+        // Interpolation reaches one cell farther.
         let (u, v, reach) = (ground.x * scale + offset, ground.y * scale + offset, reach_m * scale + 2.0);
         let block = |cell: f64| (cell / BLOCK as f64).clamp(0.0, BLOCKS as f64) as usize;
         let rows = block(v - reach)..block(v + reach + BLOCK as f64);
@@ -169,7 +188,7 @@ impl GroundTable {
             .any(|[from, to]| from < to && u + reach >= f64::from(*from) && u - reach <= f64::from(*to))
     }
 
-    /// How far the place counts as seen: 0 (not at all) to 1.
+    /// How much a point on the ground of `base_footprint` counts as seen: 0 (not at all) to 1.
     pub fn seen(&self, ground: DVec2) -> f64 {
         let (scale, offset) = self.to_cells();
         let (u, v) = (libm::round(ground.x * scale + offset), libm::round(ground.y * scale + offset));
@@ -177,7 +196,7 @@ impl GroundTable {
         if inside { f64::from(self.seen[v as usize * SIDE + u as usize]) / 255.0 } else { 0.0 }
     }
 
-    /// The same with every line (or whatever reads highest) wider by `by_m` on each side.
+    /// Makes a copy in which every line, or whatever has the highest levels, is wider by `by_m` on each side.
     pub fn widen(&self, by_m: f64, widened: &mut Self) {
         let reach = (libm::round(by_m / self.cell_m) as usize).clamp(1, SIDE / 4);
         let mut levels: Vec<u8> = self.quads.iter().map(|quad| (quad & 255) as u8).collect();
@@ -202,8 +221,9 @@ impl GroundTable {
         widened.pack(&levels, self.cell_m, self.readings);
     }
 
-    /// Places (ground of `base_footprint`) that show a line clearly, each with how certain it is, 0 to 1. Of line contrast,
-    /// every second cell of each row and column.
+    /// Iterates over the points on the ground of `base_footprint` (metres) that clearly show a line, each with its certainty, 0 to 1.
+    ///
+    /// The table must hold line contrast. Every second cell of each row and column is looked at.
     pub fn clear_lines(&self) -> impl Iterator<Item = (DVec2, f64)> + '_ {
         let (scale, offset) = self.to_cells();
         let rows = (0..SIDE).step_by(CLEAR_STEP);
@@ -213,27 +233,28 @@ impl GroundTable {
             (from..to).step_by(CLEAR_STEP).filter_map(move |column| {
                 let cell = row * SIDE + column;
                 let (level, seen) = (self.quads[cell] & 255, u32::from(self.seen[cell]));
-                // The level is drawn towards neutral as far as the place does not count.
-                let shows =
-                    seen >= LEAST_CLEAR && level >= NEUTRAL.into() && (level - u32::from(NEUTRAL)) * 255 >= 64 * seen;
+                // The less a cell counts as seen, the closer its level is to neutral.
+                let shows = seen >= MIN_CLEAR_SEEN
+                    && level >= NEUTRAL.into()
+                    && (level - u32::from(NEUTRAL)) * 255 >= 64 * seen;
                 shows.then(|| (DVec2::new((column as f64 - offset) / scale, y), f64::from(seen) / 255.0))
             })
         })
     }
 
-    /// Square metres that each of [`Self::clear_lines`] stands for.
+    /// Area of ground that each point of [`Self::clear_lines`] represents, square metres.
     pub fn clear_line_m2(&self) -> f64 {
         let side = CLEAR_STEP as f64 * self.cell_m;
         side * side
     }
 
-    /// The unpacked level of a cell, for pictures and tests.
+    /// The level of a single cell, for pictures and tests.
     pub fn level(&self, column: usize, row: usize) -> u8 {
         (self.quads[row * SIDE + column] & 255) as u8
     }
 }
 
-/// Each value to the other's, if that is higher.
+/// Replaces each value by the other one, if that is higher.
 #[inline(always)]
 fn raise(values: &mut [u8], others: &[u8]) {
     for (value, other) in values.iter_mut().zip(others) {
@@ -241,7 +262,7 @@ fn raise(values: &mut [u8], others: &[u8]) {
     }
 }
 
-/// Neighbours into one word. What lies outside of the spans, the rim, and with it everything outside, reads as `zero`.
+/// Packs each cell with its neighbours into one word. The rim of the table and everything outside of the spans reads as `zero`.
 fn pack(levels: &[u8], zero: u8, spans: &[[u16; 2]], quads: &mut Vec<u32>) {
     quads.resize(SIDE * SIDE, 0);
     let (mut this, mut next) = ([zero; SIDE + 1], [zero; SIDE + 1]);

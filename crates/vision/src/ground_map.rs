@@ -1,4 +1,4 @@
-//! Which pixel shows each cell of the ground table.
+//! The map from the cells of the ground table to the pixels that show them.
 
 use core::ops::Range;
 
@@ -8,24 +8,30 @@ use super::border::CarpetBorder;
 use super::ground::SIDE;
 use realitysim_geometry::{Isometry, Projector};
 
-/// The lens is asked at every fourth cell and interpolated between.
+/// Side of a block in cells. The lens is evaluated at the corners of blocks and interpolated within.
 pub(super) const BLOCK: usize = 4;
-/// Blocks along each side.
+/// Number of blocks along each side of the table.
 pub(super) const BLOCKS: usize = SIDE / BLOCK;
+/// Number of block corners along each side of the table.
 const NODES: usize = BLOCKS + 1;
 
-/// Full-size image coordinates at the nodes of a grid over the table, NaN where the camera does not see.
+/// The pixels of the full-size image that show the corners of the table's blocks.
 #[derive(Clone, Debug, Default)]
 pub struct GroundMap {
+    /// Pixel of each block corner, row by row; NaN where the camera does not see it.
     nodes: Vec<[f32; 2]>,
-    /// Columns of each row that lie on the carpet: from, to (exclusive).
+    /// Columns `[from, to)` of each row of cells that lie within the carpet's border.
     pub(super) columns: Vec<[usize; 2]>,
+    /// Half the side of the table, metres.
     pub(super) range_m: f64,
+    /// Point below the camera on the ground of `base_footprint`, metres.
     pub(super) foot: DVec2,
+    /// Height of the camera above the ground, metres.
     pub(super) height_m: f64,
 }
 
 impl GroundMap {
+    /// Projects the block corners that lie within the carpet's border, for a table of half side `range_m`.
     pub fn fill(
         &mut self,
         projector: &Projector,
@@ -54,7 +60,7 @@ impl GroundMap {
             return;
         }
         for node_row in 0..NODES {
-            // Those that a block on the carpet has as a corner.
+            // Only nodes that are a corner of a block on the carpet are projected.
             let rows = (node_row * BLOCK).saturating_sub(BLOCK)..((node_row + 1) * BLOCK).min(SIDE);
             let from = self.columns[rows.clone()].iter().map(|c| c[0]).min().unwrap_or(0);
             let to = self.columns[rows].iter().map(|c| c[1]).max().unwrap_or(0);
@@ -70,7 +76,7 @@ impl GroundMap {
         }
     }
 
-    /// Blocks of a row of them that may show anything, given the rows of cells, in pairs.
+    /// The blocks that lie on the carpet in any of these rows of cells, widened to whole pairs of blocks.
     pub(super) fn blocks(&self, rows: Range<usize>) -> Range<usize> {
         let from = self.columns[rows.clone()].iter().map(|columns| columns[0]).min().unwrap_or(0);
         let to = self.columns[rows].iter().map(|columns| columns[1]).max().unwrap_or(0);
@@ -78,29 +84,30 @@ impl GroundMap {
         if from < to { from / pair * 2..to.div_ceil(pair) * 2 } else { 0..0 }
     }
 
+    /// Side of a cell, metres.
     pub(super) fn cell_m(&self) -> f64 {
         2.0 * self.range_m / SIDE as f64
     }
 
-    /// Metres from the robot of a row's or column's centre.
+    /// Coordinate of the centre of a row or column on the ground of `base_footprint`, metres.
     pub(super) fn place(&self, index: usize) -> f64 {
         (index as f64 + 0.5) * self.cell_m() - self.range_m
     }
 
-    /// Squared distance on the ground between a block's middle and the point below the camera.
+    /// Squared distance on the ground between the middle of a block and the point below the camera, square metres.
     pub(super) fn square_range(&self, block_row: usize, block_column: usize) -> f64 {
         let middle =
             |block: usize| (block * BLOCK) as f64 * self.cell_m() + 0.5 * BLOCK as f64 * self.cell_m() - self.range_m;
         DVec2::new(middle(block_column), middle(block_row)).distance_squared(self.foot)
     }
 
-    /// Pixels at a block's corners: first row, then second; `None` unless the camera sees all four.
+    /// Pixels of a block's four corners, first row, then second; `None` unless the camera sees all four.
     #[inline(always)]
     pub(super) fn corners(&self, block_row: usize, block_column: usize) -> Option<[[f32; 2]; 4]> {
         let node = block_row * NODES + block_column;
         let corners = [self.nodes[node], self.nodes[node + 1], self.nodes[node + NODES], self.nodes[node + NODES + 1]];
         let sum = (corners[0][0] + corners[1][0]) + (corners[2][0] + corners[3][0]);
-        // One NaN makes the sum one.
+        // A single NaN makes the sum NaN.
         (!sum.is_nan()).then_some(corners)
     }
 }

@@ -1,20 +1,43 @@
-//! From a picture to the ground table: which places around the robot look like a painted line.
+//! From a camera image to what it shows of painted field lines.
 //!
-//! Pure, and ignorant of where the robot is: everything here is in image or robot (`base_footprint`)
-//! coordinates. The chain for one frame is [`Vision::look`].
+//! [`Vision::look`] is the whole chain for one frame. It learns the carpet's colour ([`carpet`]) and finds the carpet's border
+//! ([`border`]), measures how far each pixel stands out from the carpet around it ([`contrast`]), and reads that contrast at each
+//! cell of a square of ground around the robot: the ground table ([`ground`]). [`Observations`] also finds [`Ridge`]s, pixels that look
+//! like paint, and has the image in which lines are located to a fraction of a pixel ([`LineImage`]). [`Turning`] estimates how a camera
+//! turned between two pictures. The crate is pure and does not know where the robot is: coordinates are those of the image or of
+//! `base_footprint`.
+//!
+//! ```rust
+//! use glam::DVec3;
+//! use realitysim_geometry::{Euler, Isometry};
+//! use realitysim_vision::{Picture, TableQuantity, Vision, VisionSettings};
+//!
+//! let lens = realitysim_config::load_lens("fisheye-640").expect("a built-in lens").lens;
+//! let (reading, line_width_m, tilt_sigma_rad) = (TableQuantity::Contrast, 0.05, 0.012);
+//! let settings = VisionSettings { reading, line_width_m, range_m: 0.0, tilt_sigma_rad, nearest_reach_m: 0.25, reduction: 0 };
+//! // A green carpet with a white line that runs straight away from the camera.
+//! let is_line = |pixel: i32| (pixel % 640 - 322).abs() < 5;
+//! let colour = |pixel: i32| if is_line(pixel) { [225u8, 230, 222] } else { [45, 120, 50] };
+//! let picture = Picture::from_rgb(640, 480, &(0..640 * 480).flat_map(colour).collect::<Vec<u8>>()).expect("640 x 480 pixels");
+//! // The camera is half a metre above the ground and looks down by 0.3 rad.
+//! let footprint_from_camera = Isometry::from_euler(Euler { pitch: 0.3, ..Euler::default() }, DVec3::new(0.0, 0.0, 0.5));
+//! let footprint_from_optical = footprint_from_camera * Isometry::link_from_optical();
+//! let seen = Vision::new(&lens, settings).look(&picture, &footprint_from_optical, None);
+//! assert!(seen.lines().clear_lines().any(|(ground, _)| ground.x > 0.5 && ground.y.abs() < 0.1));
+//! ```
 
+mod bilinear;
 pub mod border;
 pub mod carpet;
-mod cells;
 pub mod contrast;
 pub mod distance;
-mod glance;
 pub mod ground;
 pub mod ground_map;
+mod ground_table_fill;
+mod image_summary;
 pub mod line_image;
 pub mod mask;
 pub mod picture;
-mod reading;
 mod ridges;
 mod rotation;
 
@@ -23,9 +46,9 @@ use glam::{DVec2, DVec3};
 pub use border::CarpetBorder;
 use carpet::Carpet;
 pub use contrast::LineContrast;
-pub use glance::Glance;
 pub use ground::{GroundTable, Readings};
 pub use ground_map::GroundMap;
+pub use image_summary::{ImageDefect, ImageSummary};
 pub use line_image::LineImage;
 pub use mask::BodyMask;
 pub use picture::{Chroma, Picture, Reduction};
@@ -33,54 +56,61 @@ use realitysim_geometry::{Isometry, Lens, Projector};
 pub use ridges::Ridge;
 pub use rotation::{Small, Turning};
 
-/// What the ground table is to hold; one per observation model and formula.
+/// The quantity that the ground table holds: one for each observation model and formula (docs/explanation/paper.md).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reading {
-    /// Line contrast, 0 where the carpet is plain (corrected Eq. 2).
+pub enum TableQuantity {
+    /// Line contrast, 0 on plain carpet (corrected Eq. 2).
     Contrast,
-    /// Distance to the nearest white place, in metres on the ground (corrected Eq. 1).
+    /// Distance to the nearest white cell, in metres on the ground (corrected Eq. 1).
     Nearest,
-    /// Blurred gray (Eq. 2 as printed).
+    /// Blurred gray level (Eq. 2 as printed).
     Gray,
-    /// Distance to the nearest white pixel, in pixels (Eq. 1 as printed).
+    /// Distance to the nearest white pixel, in pixels of the image (Eq. 1 as printed).
     NearestPixel,
 }
 
+/// Half the side of an automatic ground table, in heights of the camera.
+///
 /// At a distance of seven heights a line of 5 cm is a third of a pixel wide for 200 pixels a radian.
 const RANGE_OF_HEIGHT: f64 = 7.3;
 
-/// What one frame shows. Its buffers, and those that it was made with, can be used again for another frame.
+/// What one frame shows of the ground. Its buffers can be used again for another frame ([`Vision::look_again`]).
 #[derive(Clone, Debug, Default)]
-pub struct Seen {
-    /// What the observation model asked for.
+pub struct Observations {
+    /// Ground table of the quantity that the observation model weighs particles by ([`VisionSettings::reading`]).
     pub table: GroundTable,
-    /// Line contrast, if that is something else: tells how much of what a pose predicts is there.
+    /// Ground table of line contrast, if `table` holds another quantity. It tells how many of a pose's expected lines are seen.
     pub lines: Option<GroundTable>,
-    /// What refinement measures in.
+    /// The image in which refinement locates lines.
     pub image: LineImage,
-    pub glance: Glance,
+    /// Brightness and fingerprint of the picture.
+    pub summary: ImageSummary,
     contrast: LineContrast,
-    /// Of the working image, and the columns of its rows.
+    /// Chroma of the working image.
     chroma: Chroma,
+    /// Columns of each row of `chroma`.
     chroma_stride: usize,
-    making: ground::Making,
-    /// NaN where no floor is.
+    buffers: ground::TableBuffers,
+    /// Point of the ground (`base_footprint`, metres) that each coarse cell shows; NaN where it shows none.
     floor: Vec<DVec2>,
+    /// Whether the ground point of each coarse cell lies within the carpet's border.
     on_carpet: Vec<bool>,
     reduction: Reduction,
     learning: carpet::Learning,
     border: CarpetBorder,
 }
 
-impl Seen {
+impl Observations {
+    /// The ground table of line contrast, whatever the observation model asked for.
     pub fn lines(&self) -> &GroundTable {
         self.lines.as_ref().unwrap_or(&self.table)
     }
 
-    /// Where lines `line_width_m` wide are seen on the carpet, as far as there is a picture of them, by a camera at `footprint_from_optical` with
-    /// this focal length.
+    /// Finds the pixels that look like paint of lines `line_width_m` wide on the carpet.
+    ///
+    /// `footprint_from_optical` is the pose of the camera in `base_footprint`, `pixels_per_radian` its focal length in the full-size image.
     pub fn ridges(&self, footprint_from_optical: &Isometry, pixels_per_radian: f64, line_width_m: f64) -> Vec<Ridge> {
-        let found = ridges::Ridges {
+        let detector = ridges::RidgeDetector {
             contrast: &self.contrast,
             chroma: &self.chroma,
             chroma_stride: self.chroma_stride,
@@ -93,51 +123,55 @@ impl Seen {
             height_m: footprint_from_optical.translation.z,
             pixels_per_radian: pixels_per_radian * self.image.scale().factor(),
         };
-        found.find()
+        detector.find()
     }
 
-    /// Corners of the carpet as far as it is seen, on the ground of `base_footprint`; none if no edge can be told.
+    /// Corners of the visible carpet's convex outline on the ground of `base_footprint`, metres; empty if the border is unknown.
     pub fn border(&self) -> &[DVec2] {
         self.border.corners()
     }
 }
 
-/// Everything about seeing that does not change from frame to frame.
+/// Image processing for one lens: what does not change from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Vision {
     projector: Projector,
     settings: VisionSettings,
     reduction: usize,
-    /// Rays through the coarse cells of the wide blur, row by row; `None` where the lens draws nothing.
+    /// Rays through the coarse cells of the wide blur, row by row, in `camera_optical_frame`; `None` where the lens draws nothing.
     coarse_rays: Vec<Option<DVec3>>,
     border_rays: border::Rays,
 }
 
+/// Settings of the image processing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisionSettings {
-    pub reading: Reading,
-    /// Of the field's painted lines.
+    /// Quantity that the ground table holds.
+    pub reading: TableQuantity,
+    /// Width of the field's painted lines, metres.
     pub line_width_m: f64,
-    /// Half the side of the ground table; 0: by the camera's height.
+    /// Half the side of the ground table, metres; 0: chosen by the camera's height.
     pub range_m: f64,
-    /// Expected error of the camera's roll and pitch: places that it moves far count less.
+    /// Standard deviation of the camera's roll and pitch, radians. Points on the ground that such an error moves far count less.
     pub tilt_sigma_rad: f64,
-    /// How far on the ground the nearest white place is looked for.
+    /// Largest distance on the ground at which the nearest white cell is looked for, metres.
     pub nearest_reach_m: f64,
-    /// Blocks of this many pixels by as many are averaged before looking; 0: [`automatic_reduction`].
+    /// Side of the blocks of pixels that are averaged into one pixel of the working image; 0: [`automatic_reduction`].
     pub reduction: usize,
 }
 
-/// Cameras with more than about 200 pixels a radian are looked at in a smaller copy: lines a few pixels wide are what
-/// the contrast is made for.
+/// The reduction, 1 to 8, that leaves about 210 pixels a radian.
+///
+/// Line contrast is made for lines that are a few pixels wide, so a camera with more pixels is looked at in a smaller copy.
 pub fn automatic_reduction(lens: &Lens) -> usize {
     (libm::round(lens.focal() / 210.0) as usize).clamp(1, 8)
 }
 
-/// Samples whose colour is learnt from lie within this range of the robot.
+/// The carpet's colour is learnt from the ground within this distance of the robot, metres.
 const LEARN_WITHIN_M: f64 = 2.5;
 
 impl Vision {
+    /// Prepares the image processing for a lens.
     pub fn new(lens: &Lens, settings: VisionSettings) -> Self {
         let reduction = if settings.reduction == 0 { automatic_reduction(lens) } else { settings.reduction };
         let (width, height) = (lens.width() as usize / reduction, lens.height() as usize / reduction);
@@ -147,39 +181,43 @@ impl Vision {
         Self { projector: Projector::new(lens), settings, reduction, coarse_rays, border_rays: border::Rays::default() }
     }
 
+    /// The lens that this was prepared for.
     pub fn lens(&self) -> &Lens {
         self.projector.lens()
     }
 
+    /// The settings that this was prepared with.
     pub fn settings(&self) -> &VisionSettings {
         &self.settings
     }
 
-    /// What one frame shows of the ground, `footprint_from_optical` being the camera's place above the robot's
-    /// footprint; `body` hides the robot itself. A camera that sees no ground gives tables without information.
-    pub fn look(&self, picture: &Picture, footprint_from_optical: &Isometry, body: Option<&BodyMask>) -> Seen {
-        let mut seen = Seen::default();
+    /// Finds what one picture shows of the ground.
+    ///
+    /// `footprint_from_optical` is the pose of the camera in `base_footprint`; `body` masks the pixels that show the robot itself.
+    /// A camera that sees no ground gives tables without information.
+    pub fn look(&self, picture: &Picture, footprint_from_optical: &Isometry, body: Option<&BodyMask>) -> Observations {
+        let mut seen = Observations::default();
         self.look_again(picture, footprint_from_optical, body, &mut seen);
         seen
     }
 
-    /// As [`Self::look`], into the buffers of a frame that is done with.
+    /// Does the same as [`Self::look`], with the buffers of an earlier frame, whose content is replaced.
     pub fn look_again(
         &self,
         picture: &Picture,
         footprint_from_optical: &Isometry,
         body: Option<&BodyMask>,
-        seen: &mut Seen,
+        seen: &mut Observations,
     ) {
-        seen.glance = Glance::of(picture);
-        let Seen {
+        seen.summary = ImageSummary::of(picture);
+        let Observations {
             table,
             lines,
             image,
             contrast,
             chroma,
             chroma_stride,
-            making,
+            buffers,
             floor,
             on_carpet,
             reduction,
@@ -202,24 +240,25 @@ impl Vision {
         if let Some(body) = body {
             hide_body(body, surfaces, contrast.width, scale);
         }
-        border.forget();
+        border.clear();
         if carpet.is_some() {
             let rays = &self.border_rays;
             border.find(rays, surfaces, contrast.width, &self.projector, footprint_from_optical, scale);
         }
-        border.holds(floor, on_carpet);
+        border.find_inside(floor, on_carpet);
         contrast.finish(surfaces, on_carpet);
         let range_m = self.range_m(footprint_from_optical);
-        making.map().fill(&self.projector, footprint_from_optical, range_m, border);
+        buffers.map().fill(&self.projector, footprint_from_optical, range_m, border);
         let scales = ground::Scale {
             to_working: scale,
             pixels_per_radian: self.lens().focal(),
             line_width_m: self.settings.line_width_m,
         };
-        let full_contrast = making.tables(contrast, scales, &self.settings, table, lines);
+        let full_contrast = buffers.tables(contrast, scales, &self.settings, table, lines);
         image.fill(working, scale, full_contrast, on_carpet);
     }
 
+    /// Half the side of the ground table, metres.
     fn range_m(&self, footprint_from_optical: &Isometry) -> f64 {
         match self.settings.range_m {
             0.0 => (RANGE_OF_HEIGHT * footprint_from_optical.translation.z).clamp(3.0, 8.0),
@@ -227,7 +266,7 @@ impl Vision {
         }
     }
 
-    /// Where the ray of each coarse cell meets the floor.
+    /// Intersects the ray of each coarse cell with the ground; NaN where there is no intersection.
     fn find_floor(&self, footprint_from_optical: &Isometry, floor: &mut Vec<DVec2>) {
         let camera = footprint_from_optical.translation;
         let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| footprint_from_optical.transform_vector(axis));
@@ -240,6 +279,7 @@ impl Vision {
         }));
     }
 
+    /// Learns the carpet's colour near the robot; `None` for a gray picture, or if there is too little green.
     fn learn_carpet(
         &self,
         working: &Picture,
@@ -253,7 +293,7 @@ impl Vision {
         let stride = working.width.div_ceil(2);
         let (columns, rows) = contrast::coarse_size(working.width, working.height);
         let sample = |row: usize, column: usize| {
-            // NaN fails.
+            // NaN fails this comparison.
             let near = floor[row * columns + column].length_squared() < LEARN_WITHIN_M * LEARN_WITHIN_M;
             let (u, v) = (contrast::coarse_middle(column), contrast::coarse_middle(row));
             near.then(|| {
@@ -265,7 +305,7 @@ impl Vision {
     }
 }
 
-/// The robot's own body stands before the floor.
+/// Marks the half-resolution pixels that show the robot's own body.
 fn hide_body(body: &BodyMask, surfaces: &mut [carpet::Surface], half_width: usize, scale: WorkingScale) {
     for (index, surface) in surfaces.iter_mut().enumerate() {
         let (u, v) = (index % half_width, index / half_width);
@@ -275,7 +315,7 @@ fn hide_body(body: &BodyMask, surfaces: &mut [carpet::Surface], half_width: usiz
     }
 }
 
-/// From full-size pixels to pixels of the reduced picture.
+/// The transformation from pixel coordinates of the full-size image to those of the working image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WorkingScale {
     factor: f64,
@@ -283,6 +323,7 @@ pub struct WorkingScale {
 }
 
 impl WorkingScale {
+    /// Makes the transformation for a working image whose pixels are means of `reduction` x `reduction` pixels.
     pub fn new(reduction: usize) -> Self {
         let factor = 1.0 / reduction as f64;
         // The centre of the first reduced pixel lies between the full-size pixels that it averages.
@@ -294,10 +335,12 @@ impl WorkingScale {
         self.factor
     }
 
+    /// Turns coordinates of the working image into those of the full-size image.
     pub fn undo(&self, pixel: DVec2) -> DVec2 {
         (pixel - DVec2::splat(self.offset)) / self.factor
     }
 
+    /// Turns coordinates of the full-size image into those of the working image.
     pub fn apply(&self, pixel: DVec2) -> DVec2 {
         pixel * self.factor + DVec2::splat(self.offset)
     }

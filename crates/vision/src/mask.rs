@@ -1,8 +1,8 @@
-//! The robot's own body in its camera's view.
+//! A mask of the robot's own body in its camera's view.
 
 use glam::DVec2;
 
-/// Which pixels of the full-size image show the robot itself; these count as not seen.
+/// The pixels of the full-size image that show the robot itself. They count as not seen.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BodyMask {
     width: usize,
@@ -11,7 +11,9 @@ pub struct BodyMask {
 }
 
 impl BodyMask {
-    /// Dark pixels of a gray image of the camera's size hide, bright ones (128 and more) show.
+    /// Makes a mask from a gray image of the camera's size: dark pixels (below 128) hide the ground, bright ones show it.
+    ///
+    /// `None` if the number of bytes does not fit the size.
     pub fn from_gray(width: usize, height: usize, gray: &[u8]) -> Option<Self> {
         (gray.len() == width.checked_mul(height)?).then(|| Self {
             width,
@@ -20,7 +22,9 @@ impl BodyMask {
         })
     }
 
-    /// Row by row, how many pixels show, hide, show, and so on: what a session keeps.
+    /// Encodes the mask as run lengths, the form that a session keeps.
+    ///
+    /// The numbers alternate between pixels that show and that hide the ground, row by row, beginning with those that show.
     pub fn runs(&self) -> Vec<u32> {
         let (mut runs, mut hides) = (vec![0], false);
         for hidden in &self.hidden {
@@ -33,7 +37,7 @@ impl BodyMask {
         runs
     }
 
-    /// `None` if they are not of as many pixels.
+    /// Decodes the run lengths of [`Self::runs`]; `None` if they do not add up to the number of pixels.
     pub fn from_runs(width: usize, height: usize, runs: &[u32]) -> Option<Self> {
         let count = width.checked_mul(height)?;
         if runs.iter().map(|run| u64::from(*run)).sum::<u64>() != count as u64 {
@@ -44,15 +48,17 @@ impl BodyMask {
         Some(Self { width, height, hidden })
     }
 
-    /// As [`Self::from_gray`] takes it.
+    /// The mask as a gray image like that of [`Self::from_gray`]: 0 hides, 255 shows.
     pub fn to_gray(&self) -> Vec<u8> {
         self.hidden.iter().map(|hidden| if *hidden { 0 } else { 255 }).collect()
     }
 
+    /// Width and height, pixels.
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
 
+    /// Whether the body hides the ground at a pixel; false outside the image.
     pub fn hides(&self, pixel: DVec2) -> bool {
         let (u, v) = (libm::round(pixel.x), libm::round(pixel.y));
         let inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;

@@ -1,21 +1,28 @@
-//! A decoded picture: luma, and chroma at half the resolution where there is colour.
+//! Decoded pictures: luma, and chroma at half the resolution if there is colour.
 
 use realitysim_geometry::multiversioned;
 
-/// Row by row from the top left.
+/// A decoded picture, row by row from the top left.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Picture {
+    /// Number of columns.
     pub width: usize,
+    /// Number of rows.
     pub height: usize,
+    /// Luma of each pixel, `width` x `height`.
     pub luma: Vec<u8>,
-    /// Empty for a gray picture.
+    /// Chroma; empty for a gray picture.
     pub chroma: Chroma,
 }
 
-/// Cb and Cr, 128 is neutral: one for each 2 x 2 pixels, as JPEG and cameras have them.
+/// Chroma planes with one value for each 2 x 2 pixels, as JPEG and cameras have them; 128 is neutral.
+///
+/// A plane has half the columns and rows of the luma, rounded up.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Chroma {
+    /// Cb, row by row.
     pub blue: Vec<u8>,
+    /// Cr, row by row.
     pub red: Vec<u8>,
 }
 
@@ -24,7 +31,7 @@ impl Clone for Chroma {
         Self { blue: self.blue.clone(), red: self.red.clone() }
     }
 
-    /// Into the buffers that are there.
+    /// Copies into the existing buffers.
     fn clone_from(&mut self, other: &Self) {
         self.blue.clone_from(&other.blue);
         self.red.clone_from(&other.red);
@@ -32,12 +39,13 @@ impl Clone for Chroma {
 }
 
 impl Chroma {
+    /// Whether there is no colour.
     pub fn is_empty(&self) -> bool {
         self.blue.is_empty()
     }
 }
 
-/// A smaller copy of a picture, kept from frame to frame for its buffers.
+/// The buffers of [`Picture::reduced`], kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct Reduction {
     picture: Picture,
@@ -45,22 +53,23 @@ pub struct Reduction {
 }
 
 impl Picture {
-    /// `None` if the number of bytes does not fit the size.
+    /// Makes a gray picture; `None` if it is empty or the number of bytes does not fit the size.
     pub fn from_gray(width: usize, height: usize, luma: Vec<u8>) -> Option<Self> {
         let fits = luma.len() == width.checked_mul(height)? && !luma.is_empty();
         fits.then(|| Self { width, height, luma, chroma: Chroma::default() })
     }
 
-    /// From interleaved Y, Cb, Cr as a JPEG holds them.
+    /// Makes a picture from interleaved Y, Cb, Cr as a JPEG holds them; `None` if it is empty or the number of bytes does not fit the size.
     pub fn from_ycbcr(width: usize, height: usize, pixels: &[u8]) -> Option<Self> {
         Self::from_triples(width, height, pixels, |p| *p)
     }
 
-    /// From interleaved R, G, B (JFIF's conversion, in integers).
+    /// Makes a picture from interleaved R, G, B (JFIF's conversion, in integers); `None` as in [`Self::from_ycbcr`].
     pub fn from_rgb(width: usize, height: usize, pixels: &[u8]) -> Option<Self> {
         Self::from_triples(width, height, pixels, |p| ycbcr(p[0], p[1], p[2]))
     }
 
+    /// Makes a picture from interleaved triples, each converted by `ycbcr`; chroma is averaged over 2 x 2 pixels.
     fn from_triples(width: usize, height: usize, pixels: &[u8], ycbcr: impl Fn(&[u8; 3]) -> [u8; 3]) -> Option<Self> {
         if pixels.is_empty() || pixels.len() != width.checked_mul(height)?.checked_mul(3)? {
             return None;
@@ -70,7 +79,7 @@ impl Picture {
         let mut chroma = Chroma::default();
         for pair in triples.chunks(2 * width) {
             let (upper, lower) = pair.split_at(width);
-            // An odd last row or column is its own neighbour.
+            // The last row or column of an odd number is paired with itself.
             let lower = if lower.is_empty() { upper } else { lower };
             for (a, b) in upper.chunks(2).zip(lower.chunks(2)) {
                 let [a0, a1, b0, b1] = [&a[0], &a[a.len() - 1], &b[0], &b[b.len() - 1]].map(&ycbcr);
@@ -84,7 +93,7 @@ impl Picture {
         Some(Self { width, height, luma, chroma })
     }
 
-    /// Interleaved R, G, B (JFIF's conversion).
+    /// The picture as interleaved R, G, B (JFIF's conversion).
     pub fn to_rgb(&self) -> Vec<u8> {
         let level = |value: f32| (value + 0.5).clamp(0.0, 255.0) as u8;
         let half = self.width.div_ceil(2);
@@ -99,7 +108,10 @@ impl Picture {
             .collect()
     }
 
-    /// Averages `factor` x `factor` blocks; what does not fill a block at the right and lower edge is left out.
+    /// Averages blocks of `factor` x `factor` pixels, `factor` up to 8, into a smaller picture.
+    ///
+    /// Pixels at the right and lower edge that do not fill a block are left out. A factor of 1, or one that is larger than the picture,
+    /// returns the picture itself.
     pub fn reduced<'a>(&'a self, factor: usize, into: &'a mut Reduction) -> &'a Picture {
         if factor <= 1 || self.width < factor || self.height < factor {
             return self;
@@ -116,7 +128,7 @@ impl Picture {
     }
 }
 
-/// Means of blocks; those that reach over the edge average what there is.
+/// Averages blocks of a plane of size `from` into one of size `to` (columns, rows); a block over the edge averages the pixels that exist.
 fn reduce(plane: &[u8], from: [usize; 2], to: [usize; 2], factor: usize, into: &mut Vec<u8>, sums: &mut Vec<u16>) {
     into.resize(to[0] * to[1], 0);
     sums.resize(from[0], 0);
@@ -134,7 +146,7 @@ fn reduce(plane: &[u8], from: [usize; 2], to: [usize; 2], factor: usize, into: &
     }
 }
 
-/// Division by a constant is a multiplication: worth a copy of the loop for each.
+/// Does the work of [`reduce`] for one factor, so that the compiler turns the division by a constant into a multiplication.
 fn reduce_by<const FACTOR: usize>(plane: &[u8], from: [usize; 2], to: [usize; 2], into: &mut [u8], sums: &mut [u16]) {
     let mean = |sum: usize, count: usize| ((sum + count / 2) / count.max(1)) as u8;
     for (v, target) in into.chunks_exact_mut(to[0]).enumerate() {
@@ -164,6 +176,7 @@ fn reduce_by<const FACTOR: usize>(plane: &[u8], from: [usize; 2], to: [usize; 2]
     }
 }
 
+/// Converts R, G, B to Y, Cb, Cr: JFIF's conversion in 16-bit fixed point.
 fn ycbcr(r: u8, g: u8, b: u8) -> [u8; 3] {
     let (r, g, b) = (i32::from(r), i32::from(g), i32::from(b));
     let half = 1 << 15;

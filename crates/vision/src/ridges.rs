@@ -1,4 +1,4 @@
-//! Places of a picture that look like paint: they stand out of the carpet to both sides, and go on along a line.
+//! Ridges: pixels that look like paint, because they are brighter than the carpet on both sides and continue along a line.
 
 use glam::DVec2;
 
@@ -6,53 +6,59 @@ use super::carpet::Surface;
 use super::contrast::{COARSE, PARTS, STRAY_LEVELS, UNITS, coarse_size, line_response, surface};
 use super::{Chroma, LineContrast, WorkingScale};
 
-/// A place on a line that is seen.
+/// A pixel of a line that is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ridge {
-    /// Of the full-size image.
+    /// Position in the full-size image, pixels.
     pub pixel: DVec2,
-    /// Length of line that it stands for, in pixels of the working image.
+    /// Length of line that this pixel represents, in pixels of the working image.
     pub length_px: f64,
 }
 
-/// What is needed to find the ridges of one picture.
-pub(super) struct Ridges<'a> {
+/// Finds the ridges of one picture.
+pub(super) struct RidgeDetector<'a> {
     pub(super) contrast: &'a LineContrast,
-    /// Of the working image.
+    /// Chroma of the working image; empty for a gray picture.
     pub(super) chroma: &'a Chroma,
     /// Columns of each row of `chroma`.
     pub(super) chroma_stride: usize,
-    /// On the ground of the robot, of each cell of the coarse image; NaN where no floor is.
+    /// Point on the ground of `base_footprint` (metres) that each coarse cell shows; NaN where it shows none.
     pub(super) floor: &'a [DVec2],
+    /// Whether that point lies within the carpet's border.
     pub(super) on_carpet: &'a [bool],
+    /// Transformation from the full-size to the working image.
     pub(super) scale: WorkingScale,
-    /// Contrast of a line of the best width.
+    /// Line contrast of a line of the best width.
     pub(super) full_contrast: f32,
+    /// Width of the field's painted lines, metres.
     pub(super) line_width_m: f64,
-    /// The point below the camera, and its height.
+    /// Point below the camera on the ground of `base_footprint`, metres.
     pub(super) foot: DVec2,
+    /// Height of the camera above the ground, metres.
     pub(super) height_m: f64,
-    /// Of the working image.
+    /// Focal length in the working image.
     pub(super) pixels_per_radian: f64,
 }
 
-/// A ridge has at least this share of the contrast of a line of its width.
-const CLEAR: f64 = 0.5;
-/// A ridge stands out to both sides by at least this share of its contrast, and its line does so a little farther along.
-const BESIDE: f64 = 0.5;
-/// Contrast that no carpet has.
-const LEAST_CONTRAST: f64 = 0.04;
-/// Paint is paler than the carpet beside it: it lacks at least this share of the carpet's hue. A strip of sunlight keeps its hue.
-const PALER: f64 = 0.2;
-/// A carpet of less hue than this is as good as gray, and tells nothing by its colour.
-const LEAST_HUE: f64 = 0.06;
-/// A hue is averaged over so many working pixels. Of a thinner line that includes carpet, so it must lack less in proportion.
+/// Smallest line contrast of a ridge, as a share of that of a line of its width.
+const MIN_CONTRAST_SHARE: f64 = 0.5;
+/// Smallest contrast of a ridge to both sides, as a share of its line contrast. Its line has as much a little farther along.
+const MIN_FLANK_SHARE: f64 = 0.5;
+/// Smallest line contrast of a ridge. Plain carpet has less.
+const MIN_CONTRAST: f64 = 0.04;
+/// Share of the carpet's hue that paint lacks at least, because it is paler than the carpet. A strip of sunlight keeps the hue.
+const MIN_PALENESS: f64 = 0.2;
+/// Hue of a carpet below which it is as good as gray, so that its colour tells nothing.
+const MIN_HUE: f64 = 0.06;
+/// Width over which a hue is averaged, working pixels. A thinner line is averaged with carpet, and may lack less hue in proportion.
 const HUE_PX: f64 = 6.0;
-/// Thinner lines than this are not looked for: working pixels.
-const THINNEST_PX: f64 = 1.5;
+/// Width of the thinnest lines that are looked for, working pixels.
+const MIN_WIDTH_PX: f64 = 1.5;
+/// Width of the widest lines that are looked for, working pixels.
 const WIDEST_PX: f64 = 24.0;
 
-impl Ridges<'_> {
+impl RidgeDetector<'_> {
+    /// Looks at each half-resolution pixel on the carpet.
     pub(super) fn find(&self) -> Vec<Ridge> {
         let mut ridges = Vec::new();
         let LineContrast { width, height, .. } = *self.contrast;
@@ -67,12 +73,13 @@ impl Ridges<'_> {
                     continue;
                 }
                 let Some(width_px) = self.width_px(self.floor[cell]) else { continue };
-                let least = (CLEAR * f64::from(self.full_contrast) * line_response(width_px)).max(LEAST_CONTRAST);
+                let least =
+                    (MIN_CONTRAST_SHARE * f64::from(self.full_contrast) * line_response(width_px)).max(MIN_CONTRAST);
                 for v in row * COARSE..(row + 1) * COARSE {
                     for u in column * COARSE..(column + 1) * COARSE {
                         if self.is_ridge(u, v, width_px, least) {
                             let pixel = self.scale.undo(DVec2::new(2.0 * u as f64 + 0.5, 2.0 * v as f64 + 0.5));
-                            // Four working pixels, of a line as wide as that and the blur.
+                            // The pixel covers 2 x 2 working pixels of a line that looks at least four wide in the blur.
                             ridges.push(Ridge { pixel, length_px: 4.0 / width_px.max(4.0) });
                         }
                     }
@@ -82,15 +89,18 @@ impl Ridges<'_> {
         ridges
     }
 
-    /// How wide a line there would look: the geometric mean of one along the view and one across it. `None` if that is too thin or too wide.
+    /// Width at which a line would be drawn at a point on the ground, working pixels; `None` if that is too thin or too wide.
+    ///
+    /// It is the geometric mean of the widths along and across the view.
     fn width_px(&self, at: DVec2) -> Option<f64> {
         let slant = libm::hypot(at.distance(self.foot), self.height_m);
         let per_metre = self.pixels_per_radian * libm::sqrt(self.height_m.max(0.01) / (slant * slant * slant));
         let width_px = self.line_width_m * per_metre;
-        // NaN fails.
-        (THINNEST_PX..=WIDEST_PX).contains(&width_px).then_some(width_px)
+        // NaN fails this comparison.
+        (MIN_WIDTH_PX..=WIDEST_PX).contains(&width_px).then_some(width_px)
     }
 
+    /// Whether a half-resolution pixel is a ridge of a line `width_px` wide, with a line contrast of at least `least`.
     fn is_ridge(&self, u: usize, v: usize, width_px: f64, least: f64) -> bool {
         let LineContrast { width, height, narrow, contrast, .. } = self.contrast;
         let at = v * width + u;
@@ -110,10 +120,10 @@ impl Ridges<'_> {
         let across = [(beside, 0), (0, beside), (diagonal, diagonal), (diagonal, -diagonal)];
         let is_paint = |du: isize, dv: isize| {
             let Some(hue) = self.hue(u, v) else { return true };
-            let paler = PALER * (width_px / HUE_PX).min(1.0);
+            let paler = MIN_PALENESS * (width_px / HUE_PX).min(1.0);
             [(du, dv), (-du, -dv)].iter().all(|(du, dv)| {
                 let beside = self.hue((u as isize + du) as usize, (v as isize + dv) as usize).unwrap_or(hue);
-                beside.length() < LEAST_HUE || (beside - hue).dot(beside) >= paler * beside.length_squared()
+                beside.length() < MIN_HUE || (beside - hue).dot(beside) >= paler * beside.length_squared()
             })
         };
         across.iter().any(|(du, dv)| {
@@ -122,13 +132,13 @@ impl Ridges<'_> {
             let (Some(flanks), Some(ends)) = (flanks, ends) else { return false };
             let carpet = flanks.0.max(flanks.1);
             let share = |value: f64| (value - carpet) / (carpet + f64::from(STRAY_LEVELS));
-            share(middle) >= BESIDE * own.max(least)
-                && share(ends.0.min(ends.1)) >= BESIDE * least
+            share(middle) >= MIN_FLANK_SHARE * own.max(least)
+                && share(ends.0.min(ends.1)) >= MIN_FLANK_SHARE * least
                 && is_paint(*du, *dv)
         })
     }
 
-    /// Mean Cb and Cr over luma of the nine half-resolution pixels there. `None` at the image's edge, and of a gray picture.
+    /// Mean (Cb, Cr) over luma of the nine half-resolution pixels around one; `None` at the image's edge and for a gray picture.
     fn hue(&self, u: usize, v: usize) -> Option<DVec2> {
         let LineContrast { width, height, half, .. } = self.contrast;
         let Chroma { blue, red } = self.chroma;
@@ -155,7 +165,7 @@ mod tests {
     const WIDTH: usize = 320;
     const HEIGHT: usize = 240;
 
-    /// Ridges of a picture seen from 0.4 m above a floor that is everywhere 0.4 m away, where lines 5 cm wide look 9 pixels wide.
+    /// Finds ridges in a picture seen from 0.4 m above a floor that is everywhere 0.4 m away, where lines 5 cm wide look 9 pixels wide.
     fn ridges_of(value: impl Fn(usize, usize) -> u8) -> Vec<Ridge> {
         let luma = (0..HEIGHT).flat_map(|v| (0..WIDTH).map(move |u| (u, v))).map(|(u, v)| value(u, v)).collect();
         ridges_in(&Picture::from_gray(WIDTH, HEIGHT, luma).expect("a picture"))
@@ -166,7 +176,7 @@ mod tests {
         contrast.start(picture);
         contrast.finish(&vec![Surface::Carpet; contrast.width * contrast.height], &[]);
         let (columns, rows) = coarse_size(picture.width, picture.height);
-        let found = Ridges {
+        let detector = RidgeDetector {
             contrast: &contrast,
             chroma: &picture.chroma,
             chroma_stride: picture.width.div_ceil(2),
@@ -179,7 +189,7 @@ mod tests {
             height_m: 0.4,
             pixels_per_radian: 120.0,
         };
-        found.find()
+        detector.find()
     }
 
     /// Gray levels of a carpet and of the paint on it.
@@ -194,7 +204,7 @@ mod tests {
             let offset = |at: DVec2| across.dot(at - middle).abs();
             let ridges = ridges_of(|u, v| if offset(DVec2::new(u as f64, v as f64)) <= 4.5 { PAINT } else { CARPET });
             assert!(ridges.iter().all(|ridge| offset(ridge.pixel) <= 5.0), "{degrees}");
-            // The border's cells of 8 pixels, and what lies within reach of it, may be missing.
+            // Ridges in the outermost cells of 8 pixels, and close to them, may be missing.
             let length: f64 = ridges.iter().map(|ridge| ridge.length_px).sum();
             assert!((120.0..330.0).contains(&length), "{degrees}: {length}");
         }
@@ -214,7 +224,7 @@ mod tests {
     #[test]
     fn paint_is_a_line_and_a_strip_of_sunlight_on_green_carpet_is_none() {
         let (carpet, sunny, painted) = ([40, 70, 42], [104, 182, 109], [150, 156, 148]);
-        // Of an odd size as well, whose planes of colour are half a pixel larger.
+        // A picture of odd size is tested as well: its chroma planes are half a pixel larger.
         for (width, height) in [(WIDTH, HEIGHT), (WIDTH + 1, HEIGHT - 1)] {
             let picture = |strip: [u8; 3]| {
                 let pixels =
@@ -230,7 +240,7 @@ mod tests {
     fn what_is_too_far_off_to_tell_is_left_out() {
         let nowhere = DVec2::NAN;
         let contrast = LineContrast::default();
-        let ridges = Ridges {
+        let ridges = RidgeDetector {
             contrast: &contrast,
             chroma: &Chroma::default(),
             chroma_stride: 0,

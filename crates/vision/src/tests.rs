@@ -1,5 +1,6 @@
-//! The ground table against the direct way: each place projected through the exact lens, everything in f64. The table
-//! interpolates the lens between every fourth cell and stores bytes; these tests say what that costs.
+//! Compares the ground table with a direct evaluation, which projects each point through the exact lens, all in f64.
+//!
+//! The table interpolates the lens between every fourth cell and stores bytes. These tests measure what that costs.
 
 use std::sync::OnceLock;
 
@@ -48,13 +49,13 @@ fn lenses() -> [(&'static str, Lens); 3] {
     ]
 }
 
-/// Half a metre above the ground, looking down by 17 degrees, a little tilted.
+/// Pose of the camera in `base_footprint`: half a metre above the ground, looking down by 17 degrees, a little rolled.
 fn place() -> Isometry {
     Isometry::from_euler(Euler { yaw: 0.0, pitch: 0.3, roll: 0.03 }, DVec3::new(0.04, 0.01, 0.49))
         * Isometry::link_from_optical()
 }
 
-/// The field painted through the lens, 16 rays a pixel, with a little noise.
+/// Renders the field through the lens, 16 rays a pixel, with a little noise.
 fn painted(lens: &Lens, robot: &Pose2) -> Picture {
     let (field, map_from_optical) = (field(), robot.to_isometry() * place());
     let camera = map_from_optical.translation;
@@ -89,18 +90,18 @@ fn painted(lens: &Lens, robot: &Pose2) -> Picture {
     Picture::from_rgb(640, 480, &pixels).expect("a picture")
 }
 
-/// Everything that vision knows of one frame, and the same once more in f64.
+/// The observations of one frame, and the means to evaluate them again in f64.
 struct Direct {
     lens: Lens,
-    seen: Seen,
-    /// Line contrast at half resolution.
+    seen: Observations,
+    /// Line contrast at half resolution, row by row.
     contrast: Vec<f64>,
 }
 
 impl Direct {
     fn new(lens: &Lens, robot: &Pose2) -> Self {
         let settings = VisionSettings {
-            reading: Reading::Contrast,
+            reading: TableQuantity::Contrast,
             line_width_m: LINE_WIDTH_M,
             range_m: 0.0,
             tilt_sigma_rad: TILT_SIGMA_RAD,
@@ -118,7 +119,7 @@ impl Direct {
         self.lens.contains(pixel).then_some(pixel)
     }
 
-    /// Bilinear, as the contrast map's own pixels lie.
+    /// Interpolates the half-resolution contrast bilinearly at a full-size pixel.
     fn contrast_at(&self, pixel: DVec2) -> f64 {
         let (width, height) = (self.seen.contrast.width, self.seen.contrast.height);
         let at = (pixel * 0.5 - 0.25).clamp(DVec2::ZERO, DVec2::new((width - 1) as f64, (height - 1) as f64));
@@ -131,7 +132,7 @@ impl Direct {
         row(v) + (row(v + 1) - row(v)) * fv
     }
 
-    /// The level of a place, by the formulas of strength and weight at its exact distance.
+    /// The level of a point on the ground, by the formulas of strength and weight at its exact distance.
     fn level(&self, ground: DVec2) -> Option<f64> {
         let pixel = self.pixel(ground)?;
         let camera = place().translation;
@@ -147,7 +148,7 @@ impl Direct {
         Some(neutral + (share - neutral) * weight)
     }
 
-    /// Cells that the table calls seen, in whole blocks: their places, and column and row.
+    /// Iterates over the cells that the table counts as seen: ground point, column and row.
     fn cells(&self) -> impl Iterator<Item = (DVec2, usize, usize)> {
         let cell_m = self.seen.table.cell_m();
         (0..SIDE * SIDE).filter_map(move |index| {
@@ -160,8 +161,8 @@ impl Direct {
     }
 }
 
-/// [`LineContrast`] without integers: the same blurs, on the same surfaces and carpet.
-fn contrast_in_f64(seen: &Seen) -> Vec<f64> {
+/// Computes [`LineContrast`] in f64: the same blurs, on the same surfaces and carpet.
+fn contrast_in_f64(seen: &Observations) -> Vec<f64> {
     let LineContrast { width, height, half, contrast, .. } = &seen.contrast;
     let (width, height) = (*width, *height);
     let half: Vec<f64> = half.iter().map(|sum| f64::from(*sum) / 4.0).collect();
@@ -201,7 +202,7 @@ fn contrast_in_f64(seen: &Seen) -> Vec<f64> {
     (0..width * height).map(|i| relative(narrow[i] - wide(i), wide(i))).collect()
 }
 
-/// 1 4 6 4 1 both ways, edges repeated.
+/// Blurs by the binomial filter 1 4 6 4 1 in both directions; edges repeat the last pixel.
 fn blurred(image: &[f64], width: usize) -> Vec<f64> {
     let height = image.len() / width;
     let taps = [1.0, 4.0, 6.0, 4.0, 1.0];
@@ -222,13 +223,13 @@ fn blurred(image: &[f64], width: usize) -> Vec<f64> {
 
 const ROBOT: Pose2 = Pose2 { x: -1.1, y: 0.4, yaw: 0.3 };
 
-/// Through each lens; painted once for all tests.
+/// A frame for each lens, rendered once for all tests.
 fn frames() -> &'static [(&'static str, Direct)] {
     static FRAMES: OnceLock<Vec<(&'static str, Direct)>> = OnceLock::new();
     FRAMES.get_or_init(|| lenses().iter().map(|(name, lens)| (*name, Direct::new(lens, &ROBOT))).collect())
 }
 
-/// Between the nodes of the map the lens is interpolated: where a place is drawn, against where the lens draws it.
+/// The map interpolates the lens between its nodes; this compares the pixel of each cell with that of the exact lens.
 #[test]
 fn the_ground_map_draws_places_where_the_lens_does() {
     let ranges = [0.5, 1.0, 2.0];
@@ -248,7 +249,7 @@ fn the_ground_map_draws_places_where_the_lens_does() {
                 let (ground, drawn) = (DVec2::new(map.place(column), map.place(row)), DVec2::new(mix(0), mix(1)));
                 let range = ground.distance(place().translation.truncate());
                 let exact = lens.project(place().inverse().transform_point(ground.extend(0.0))).expect("within");
-                // A pixel of a longer lens is less: there the place on the ground counts.
+                // A pixel of a longer lens is a smaller angle; for it only the error on the ground is measured.
                 for (worst, least) in worst_px.iter_mut().zip(ranges).filter(|_| name != "wide") {
                     *worst = if range >= least { worst.max(exact.distance(drawn)) } else { *worst };
                 }
@@ -266,7 +267,7 @@ fn the_ground_map_draws_places_where_the_lens_does() {
     largest_error(worst_m * 1e3, 7.5, "mm on the ground");
 }
 
-/// Sixteenths of gray levels, and two bits that hold the surface.
+/// The integer computation works in sixteenths of gray levels and loses two bits to the surface.
 #[test]
 fn line_contrast_in_16_bits_is_line_contrast() {
     let (mut largest, mut sum, mut count) = (0.0f64, 0.0, 0.0);
@@ -283,7 +284,7 @@ fn line_contrast_in_16_bits_is_line_contrast() {
     largest_error(1e3 * largest, 10.0, "thousandths of the carpet's brightness");
 }
 
-/// One cell, from image to byte. Where a line's edge is steep, a third of a pixel is many levels; on average it is not.
+/// The levels of single cells. At the steep edge of a line a third of a pixel is many levels, so the root mean square is held as well.
 #[test]
 fn the_table_s_levels_are_those_of_the_direct_way() {
     let (mut beyond, mut squares, mut bias, mut count) = (0.0f64, 0.0, 0.0, 0.0);
@@ -308,7 +309,7 @@ fn the_table_s_levels_are_those_of_the_direct_way() {
     largest_error(rms, 2.5, "levels of 255, rms of all cells");
 }
 
-/// What a particle is weighed by, with alpha 3 and points every 10 cm: a difference of 1 is a factor of e between weights.
+/// The log likelihood of a particle, with alpha 3 and points every 10 cm. A difference of 1 is a factor of e between weights.
 #[test]
 fn the_log_likelihood_of_a_pose_is_that_of_the_direct_way() {
     let points = field().points(440);
@@ -357,7 +358,7 @@ fn ridges_lie_on_painted_lines_as_far_as_four_metres_with_every_lens() {
         let robot = Pose2::new(-1.2, 0.3, 0.2);
         let direct = Direct::new(&lens, &robot);
         let ridges = direct.seen.ridges(&place(), lens.focal(), LINE_WIDTH_M);
-        // Painted places in view, 5 cm of line each, and those that a ridge is near.
+        // Counts painted points in view, one for each 5 cm of line, and those of them that are near a ridge.
         let points =
             field().points((field().strokes().iter().map(|stroke| stroke.length()).sum::<f64>() / 0.05) as usize);
         let (mut in_view, mut found) = (0, 0);

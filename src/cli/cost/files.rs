@@ -1,4 +1,4 @@
-//! What a sweep leaves: cost.csv, cost.svg and cost.toml.
+//! Files that a sweep writes: cost.csv, cost.svg and cost.toml.
 
 use anyhow::Context;
 
@@ -19,7 +19,7 @@ pub fn write(report: &Report, configured: &Settings) -> anyhow::Result<()> {
 const COLUMNS: &str = "model,particles,iterations,adaptive,line_points,image_reduction,refinement,budget_ms,p50_ms,p99_ms,mean_cm,median_cm,\
                        p95_cm,max_cm,scatter_cm,yaw_mean_deg,valid_share,tags_judged,evasive,on_front,recommended,configured\n";
 
-/// Rows that could not be judged have empty errors.
+/// Writes one line for each row; errors are empty where no tag could be judged.
 fn csv(report: &Report) -> String {
     let mut text = COLUMNS.to_owned();
     for line in report.lines() {
@@ -47,11 +47,11 @@ fn csv(report: &Report) -> String {
     text
 }
 
-/// The recommended knobs, and what else of the config differs from the defaults: a config file in itself.
+/// The recommended settings, and those of the config that differ from the defaults, as a config file.
 fn fragment(report: &Report, configured: &Settings) -> anyhow::Result<String> {
     let row = report.recommended();
     let mut settings = row.knobs.set(configured, configured.filter.seed);
-    // A row that was measured without a budget does not take the robot's away.
+    // A row measured without a budget leaves the robot's budget as it is.
     if row.knobs.budget_ms == 0.0 {
         settings.filter.budget_ms = configured.filter.budget_ms;
     }
@@ -72,7 +72,7 @@ fn fragment(report: &Report, configured: &Settings) -> anyhow::Result<String> {
     ))
 }
 
-/// Stated even where they are the defaults: they are the answer.
+/// Keys that are written even when they have their default value, since they are the recommendation.
 const KNOBS: [&str; 7] = [
     "filter.model",
     "filter.particles",

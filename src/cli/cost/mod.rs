@@ -1,4 +1,4 @@
-//! `realitysim cost`
+//! Command `realitysim cost`: measures what accuracy costs in time, and recommends settings.
 
 mod files;
 mod report;
@@ -9,19 +9,19 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::section::Section;
+use super::doc_section::Section;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
-use super::{Outcome, machine, output, paths};
+use super::{Outcome, host_info, output, paths};
 use crate::cli::values::{above_zero, whole};
 use crate::config::{LEAST_BUDGET_MS, Settings};
 use crate::evaluation::capture::{EvaluationError, read_truth};
 use crate::evaluation::compare::truth_at;
-use crate::evaluation::cost::{self, Knobs, Wish};
+use crate::evaluation::cost::{self, Requirements, SweepPoint};
 use crate::evaluation::truth;
 use crate::geometry::{Isometry, Pose2};
-use crate::log_input::scene;
+use crate::log_input::{InputSource, scene_source};
 use crate::recording::ReadoutError;
-use crate::tagging::{Attempt, Footage, FootageOptions};
+use crate::tagging::{FrameCache, FrameCacheOptions, Trial};
 use crate::vision::automatic_reduction;
 use report::{Report, Yardstick};
 
@@ -82,10 +82,10 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;
     paths::make_folder(&arguments.output)?;
     let wish = match (arguments.budget_ms, arguments.accuracy_cm) {
-        (None, None) => Wish { budget_ms: Some(DEFAULT_BUDGET_MS), accuracy_cm: None },
-        (budget_ms, accuracy_cm) => Wish { budget_ms, accuracy_cm },
+        (None, None) => Requirements { budget_ms: Some(DEFAULT_BUDGET_MS), accuracy_cm: None },
+        (budget_ms, accuracy_cm) => Requirements { budget_ms, accuracy_cm },
     };
-    let options = FootageOptions {
+    let options = FrameCacheOptions {
         source: arguments.source.clone(),
         settings: configured.clone(),
         initial: arguments.initial,
@@ -93,7 +93,7 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
         for_s: arguments.for_s,
     };
     let mut progress = output::Progress::new("reading");
-    let footage = Footage::load(&options, &mut |done, total| progress.set(done, total))?;
+    let footage = FrameCache::load(&options, &mut |done, total| progress.set(done, total))?;
     progress.finish();
     if let Some(initial) = &arguments.initial {
         check_initial(initial, &footage.settings().field, footage.field())?;
@@ -130,12 +130,12 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
         frames_judged: footage.stamps_ns().filter(|stamp_ns| truth_at(&truth, *stamp_ns).is_some()).count(),
         seeds,
         automatic_reduction: trials.automatic,
-        configured: Knobs::of(&configured),
+        configured: SweepPoint::of(&configured),
         rows,
         noise_cm,
         wish,
         advice,
-        machine: machine::described(configured.filter.simd),
+        machine: host_info::describe(configured.filter.simd),
         command: command(),
         warnings: busy.into_iter().collect(),
         losses: footage.losses().to_vec(),
@@ -157,14 +157,14 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(if report.advice.fails() { Outcome::NotReached } else { Outcome::of(&report.losses) })
 }
 
-/// The true poses that come with the source, or in the log named; none if there are none.
+/// Returns the true poses of the source, or of the log named for them; an empty list if there are none.
 fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result<Vec<(i64, Isometry)>> {
     let topic = &settings.topics.ground_truth;
     if let Some(log) = &arguments.truth {
         return Ok(read_truth(log, topic)?.found);
     }
-    if arguments.source.extension().is_some_and(|ending| ending == "toml") {
-        return Ok(truth::of_scene(&scene::load(&arguments.source)?));
+    if InputSource::is_scene(&arguments.source) {
+        return Ok(truth::of_scene(&scene_source::load(&arguments.source)?));
     }
     match read_truth(&arguments.source, topic) {
         Err(EvaluationError::Readout(ReadoutError::NoMessages { .. })) => Ok(Vec::new()),
@@ -172,26 +172,26 @@ fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result
     }
 }
 
-/// The frames, the settings to try on them, and how far that has come.
+/// A sweep under way: the frames, the settings to try on them, and its progress.
 struct Trials<'a> {
-    footage: &'a Footage,
-    plan: Vec<Knobs>,
+    footage: &'a FrameCache,
+    plan: Vec<SweepPoint>,
     seeds: Vec<u64>,
     automatic: usize,
     progress: output::Progress,
     done: u64,
     total: u64,
-    /// Why tags were invalid.
+    /// Counts of the reasons for invalid tags.
     reasons: BTreeMap<String, u64>,
     started: Instant,
     waited_s: Option<f64>,
 }
 
 impl<'a> Trials<'a> {
-    fn new(footage: &'a Footage, seeds: u64) -> Self {
+    fn new(footage: &'a FrameCache, seeds: u64) -> Self {
         let settings = footage.settings();
         let automatic = automatic_reduction(footage.lens());
-        let plan = cost::plan(Knobs::of(settings), automatic);
+        let plan = cost::plan(SweepPoint::of(settings), automatic);
         Self {
             total: plan.len() as u64 * seeds * footage.frames() as u64,
             seeds: (0..seeds).map(|index| settings.filter.seed.wrapping_add(index)).collect(),
@@ -202,16 +202,16 @@ impl<'a> Trials<'a> {
             done: 0,
             reasons: BTreeMap::new(),
             started: Instant::now(),
-            waited_s: machine::waited_s(),
+            waited_s: host_info::waited_s(),
         }
     }
 
-    /// The truth if it says something of these frames, else a long run's tags.
+    /// Returns the truth if it covers some of these frames, else the tags of a long run.
     fn yardstick(&mut self, known: Vec<(i64, Isometry)>) -> anyhow::Result<(Yardstick, Vec<(i64, Isometry)>)> {
         if self.footage.stamps_ns().any(|stamp_ns| truth_at(&known, stamp_ns).is_some()) {
             return Ok((Yardstick::GroundTruth, known));
         }
-        let reference = cost::reference(Knobs::of(self.footage.settings()));
+        let reference = cost::reference(SweepPoint::of(self.footage.settings()));
         self.total += self.footage.frames() as u64;
         let run = self.run(&reference, self.seeds.first().copied().unwrap_or_default())?;
         let elsewhere = !known.is_empty();
@@ -219,13 +219,13 @@ impl<'a> Trials<'a> {
     }
 
     fn sweep(&mut self, truth: &[(i64, Isometry)]) -> anyhow::Result<Vec<cost::Row>> {
-        // The first frames of a process pay for memory that later ones find.
+        // The first frames of a process are slower, since they allocate memory that later ones reuse.
         let (plan, seeds) = (self.plan.clone(), self.seeds.clone());
         cost::sweep(&plan, &seeds, truth, &mut |knobs, seed| self.run(knobs, seed))
     }
 
-    /// The best bargains once more, each frame ending in time. They are compared with each other in how many frames they tag: a
-    /// search that takes several frames costs tags, and nothing else keeps the budget.
+    /// Repeats the best rows with the budget in force, so that each frame ends in time. They compete by the number of
+    /// frames tagged: a search that takes several frames costs tags, and nothing else keeps the budget.
     fn sweep_capped(
         &mut self,
         rows: &[cost::Row],
@@ -238,7 +238,7 @@ impl<'a> Trials<'a> {
         cost::sweep(&plan, &seeds, truth, &mut |knobs, seed| self.run(knobs, seed))
     }
 
-    fn run(&mut self, knobs: &Knobs, seed: u64) -> anyhow::Result<Vec<Attempt>> {
+    fn run(&mut self, knobs: &SweepPoint, seed: u64) -> anyhow::Result<Vec<Trial>> {
         let settings = knobs.set(self.footage.settings(), seed);
         let Self { progress, done, total, .. } = self;
         let attempts = self.footage.try_out(&settings, &mut |_| {
@@ -251,14 +251,14 @@ impl<'a> Trials<'a> {
         Ok(attempts)
     }
 
-    /// A warning if the times cannot be trusted.
+    /// Returns a warning if the machine was too busy for the times to be trusted.
     fn finish(&mut self) -> Option<String> {
         self.progress.finish();
-        let waited_s = machine::waited_s().zip(self.waited_s).map(|(now, before)| now - before);
-        machine::busy_warning(waited_s, self.started.elapsed().as_secs_f64())
+        let waited_s = host_info::waited_s().zip(self.waited_s).map(|(now, before)| now - before);
+        host_info::busy_warning(waited_s, self.started.elapsed().as_secs_f64())
     }
 
-    /// Why tags were invalid, the most frequent first.
+    /// The most frequent reasons for invalid tags, at most three.
     fn reasons(&self) -> String {
         let mut reasons: Vec<(&String, &u64)> = self.reasons.iter().collect();
         reasons.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
@@ -267,7 +267,7 @@ impl<'a> Trials<'a> {
     }
 }
 
-/// As it was called, without where the program lies.
+/// The command line without the folder of the program.
 fn command() -> String {
     let arguments = std::env::args().skip(1);
     std::iter::once("realitysim".to_owned()).chain(arguments).collect::<Vec<_>>().join(" ")

@@ -1,53 +1,54 @@
-//! What a sweep has found, for people, programs and documents.
+//! Report of a sweep for people, programs and documents.
 
 use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::evaluation::cost::{self, Advice, Knobs, Row, Wish};
+use crate::evaluation::cost::{self, Advice, Requirements, Row, SweepPoint};
 use crate::localization::Model;
 use crate::recording::Loss;
 
+/// Everything that a sweep found.
 pub struct Report {
     /// Name of the log or scene.
     pub source: String,
     pub frames: usize,
-    /// There were more frames than are held at once.
+    /// The log has more frames than are held in memory.
     pub is_cut: bool,
     pub yardstick: Yardstick,
-    /// Frames with something to be judged by.
+    /// Frames that have a pose to be judged by.
     pub frames_judged: usize,
     pub seeds: usize,
-    /// What `image_reduction = 0` means with this lens.
+    /// Reduction that `image_reduction = 0` stands for with this lens.
     pub automatic_reduction: usize,
-    pub configured: Knobs,
-    /// The fastest first.
+    pub configured: SweepPoint,
+    /// Results by increasing time.
     pub rows: Vec<Row>,
     pub noise_cm: f64,
-    pub wish: Wish,
+    pub wish: Requirements,
     pub advice: Advice,
     pub machine: String,
     pub command: String,
     pub warnings: Vec<String>,
-    /// What of the log could not be used.
+    /// Parts of the log that could not be used.
     pub losses: Vec<Loss>,
     pub wall_s: f64,
     pub output: PathBuf,
 }
 
-/// What errors are distances from.
+/// Poses that errors are measured against.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Yardstick {
     GroundTruth,
-    /// The valid tags of a long run with these settings; `elsewhere`: there is a truth, but of other times.
+    /// The valid tags of a long run with these settings. `elsewhere`: a ground truth exists, but for other times.
     Reference {
-        settings: Knobs,
+        settings: SweepPoint,
         elsewhere: bool,
     },
 }
 
-/// A row and what it is among the others.
+/// A result and its standing among the others.
 #[derive(Serialize)]
 pub struct Line<'a> {
     #[serde(flatten)]
@@ -67,7 +68,7 @@ pub struct Json<'a> {
     seeds: usize,
     rows: Vec<Line<'a>>,
     noise_cm: f64,
-    wish: Wish,
+    wish: Requirements,
     recommended: Recommended<'a>,
     machine: &'a str,
     warnings: &'a [String],
@@ -182,7 +183,7 @@ impl Report {
         )
     }
 
-    /// One sentence on what errors mean here.
+    /// Says in one sentence what the errors are measured against.
     fn judged_by(&self) -> String {
         let Self { source, frames, frames_judged, .. } = self;
         let cut = if self.is_cut { " (there are more: --from and --for choose others)" } else { "" };
@@ -202,12 +203,12 @@ impl Report {
         format!("{frames} frames of {source}{cut}, {by}.")
     }
 
-    fn image(&self, knobs: &Knobs) -> String {
+    fn image(&self, knobs: &SweepPoint) -> String {
         let reduction = if knobs.image_reduction == 0 { self.automatic_reduction } else { knobs.image_reduction };
         format!("1/{reduction}")
     }
 
-    /// The front, the configured row and the recommendation, with where they come from.
+    /// Table of the front, the configured row and the recommendation, with the command and machine that made it.
     pub fn markdown(&self) -> String {
         let shown: Vec<Line> = self.lines().into_iter().filter(|line| line.on_front || line.configured).collect();
         let mut text = format!("    {}\n\n{} {}.\n", self.command, self.judged_by(), self.measured());
@@ -257,7 +258,7 @@ pub fn model_name(model: Model) -> &'static str {
     }
 }
 
-/// With a sign where it is the most.
-fn particles(knobs: &Knobs) -> String {
+/// Number of particles, with a sign for "at most" if it is adaptive.
+fn particles(knobs: &SweepPoint) -> String {
     format!("{}{}", if knobs.adaptive { "\u{2264}" } else { "" }, knobs.particles)
 }

@@ -1,4 +1,4 @@
-//! `realitysim scene apply`
+//! Command `realitysim scene apply`: applies a scene's effects to a stored image.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use crate::cli::values::any_whole;
 use crate::cli::{Outcome, output, paths};
 use crate::config::plain_file;
 use crate::log_input::encode::jpeg;
-use crate::log_input::{decode, scene};
+use crate::log_input::{decode, scene_source};
 use crate::scene::Scene;
 
 /// Apply a scene's effects to a stored image, for tests of vision code
@@ -45,16 +45,16 @@ struct Report<'a> {
     left_out: Vec<&'static str>,
 }
 
-const USUAL_QUALITY: u8 = 90;
+const DEFAULT_JPEG_QUALITY: u8 = 90;
 
 pub fn run(arguments: &ApplyArguments, json: bool) -> anyhow::Result<Outcome> {
     let ApplyArguments { image, output: path, frame, .. } = arguments;
     paths::check_output(path, &[image, Path::new(&arguments.scene)])?;
-    let scene = scene::load(&arguments.scene)?;
+    let scene = scene_source::load(&arguments.scene)?;
     let stored =
         plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| paths::cannot_read(image, error))?;
     let (applied, left_out) = scene.effects_on_images();
-    let written = if applied.is_empty() { stored } else { changed(&scene, &stored, arguments, *frame)? };
+    let written = if applied.is_empty() { stored } else { apply_effects(&scene, &stored, arguments, *frame)? };
     paths::write_bytes(path, &written)?;
     let report = Report { output: path, applied, left_out };
     if json {
@@ -71,7 +71,7 @@ pub fn run(arguments: &ApplyArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::Whole)
 }
 
-fn changed(scene: &Scene, stored: &[u8], arguments: &ApplyArguments, frame: u64) -> anyhow::Result<Vec<u8>> {
+fn apply_effects(scene: &Scene, stored: &[u8], arguments: &ApplyArguments, frame: u64) -> anyhow::Result<Vec<u8>> {
     let shown = || arguments.image.display().to_string();
     let picture = decode::compressed(stored).with_context(shown)?;
     let (width, height) = (picture.width as u32, picture.height as u32);
@@ -85,7 +85,7 @@ fn changed(scene: &Scene, stored: &[u8], arguments: &ApplyArguments, frame: u64)
             image::ImageEncoder::write_image(encoder, &pixels, width, height, image::ExtendedColorType::Rgb8)?;
         }
         "jpg" | "jpeg" => {
-            let quality = scene.file().camera.jpeg_quality.unwrap_or(USUAL_QUALITY);
+            let quality = scene.file().camera.jpeg_quality.unwrap_or(DEFAULT_JPEG_QUALITY);
             written = jpeg(&pixels, picture.width, picture.height, ColorType::Rgb, quality).with_context(shown)?;
         }
         _ => {

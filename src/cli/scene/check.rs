@@ -1,4 +1,4 @@
-//! `realitysim scene check`
+//! Command `realitysim scene check`: checks a scene file and measures what its effects cost.
 
 use std::collections::BTreeMap;
 
@@ -6,11 +6,11 @@ use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
 
-use crate::cli::{Outcome, machine, output};
-use crate::evaluation::calibration::REFERENCE_MS;
+use crate::cli::{Outcome, host_info, output};
+use crate::evaluation::cpu_yardstick::REFERENCE_MS;
 use crate::evaluation::effect_cost::{self, SceneCost};
 use crate::localization::SimdPath;
-use crate::log_input::scene;
+use crate::log_input::scene_source;
 use crate::scene::{Role, Scene};
 
 /// Check a scene file; print its effects, all numbers as drawn, and what each costs per frame
@@ -19,7 +19,7 @@ use crate::scene::{Role, Scene};
 /// now, on this machine, of one thread's processor: the best of five times on six frames, with and without each effect.
 ///
 /// A limit must hold on every machine, so --max-ms is not held against these, but against what they would be on the machine
-/// of docs/scenes.md, by how fast a fixed loop runs here meanwhile.
+/// of docs/reference/scenes.md, by how fast a fixed loop runs here meanwhile.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim scene check replay/scenes/crowded.toml")]
 pub struct CheckArguments {
@@ -42,7 +42,7 @@ struct Report<'a> {
     effects: Vec<EffectReport>,
     bare_ms: f64,
     total_ms: f64,
-    /// Of the calibration loop.
+    /// Time of the calibration loop, milliseconds.
     loop_ms: f64,
     reference_ms: f64,
     max_ms: Option<f64>,
@@ -53,18 +53,18 @@ struct Report<'a> {
 struct EffectReport {
     kind: &'static str,
     role: Option<&'static str>,
-    /// As drawn; what is drawn for each frame as its range.
+    /// Values as drawn; a value that is drawn for each frame is shown as its range.
     values: BTreeMap<String, toml::Value>,
-    /// None: it changes no pixel.
+    /// `None` if the effect changes no pixel.
     ms: Option<f64>,
 }
 
-/// Before a limit of time is taken for broken.
+/// Measurements that must exceed a limit of time until it counts as broken.
 const ATTEMPTS: usize = 3;
 
 pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
-    let scene = scene::load(&arguments.scene)?;
-    let cost = measured(&scene, arguments.max_ms)?;
+    let scene = scene_source::load(&arguments.scene)?;
+    let cost = measure_repeatedly(&scene, arguments.max_ms)?;
     let reference_ms = cost.reference_ms();
     let SceneCost { bare_ms, effects, total_ms, loop_ms } = cost;
     let values = values(&scene)?;
@@ -89,7 +89,7 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
         loop_ms,
         reference_ms,
         max_ms: arguments.max_ms,
-        machine: machine::described(SimdPath::Auto),
+        machine: host_info::describe(SimdPath::Auto),
     };
     if json {
         output::json(&report)?
@@ -109,8 +109,8 @@ pub fn run(arguments: &CheckArguments, json: bool) -> anyhow::Result<Outcome> {
     }
 }
 
-/// What disturbs comes and goes: only what is too slow every time is.
-fn measured(scene: &Scene, max_ms: Option<f64>) -> anyhow::Result<SceneCost> {
+/// Measures the cost of a scene. Disturbances only add time, so the best of several measurements counts.
+fn measure_repeatedly(scene: &Scene, max_ms: Option<f64>) -> anyhow::Result<SceneCost> {
     let mut best = effect_cost::measure(scene)?;
     for _ in 1..ATTEMPTS {
         if max_ms.is_none_or(|max_ms| best.reference_ms() <= max_ms) {
@@ -129,7 +129,7 @@ fn milliseconds(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "it must be a number of milliseconds above 0".to_owned())
 }
 
-/// What each effect's entry says, but for its kind and role.
+/// Values of each effect's entry, without its kind and role.
 fn values(scene: &Scene) -> anyhow::Result<Vec<BTreeMap<String, toml::Value>>> {
     let text = scene.file().resolved().unwrap_or_default();
     let table: toml::Table = toml::from_str(&text).context("the scene cannot be read again")?;
@@ -168,7 +168,7 @@ fn for_people(report: &Report) -> String {
     text
 }
 
-/// A list of figures would fill the screen; a range says between what its numbers are.
+/// Shortens a value for the screen: a list of tables to its length, a range to its ends.
 fn shortened(value: &toml::Value) -> String {
     match value {
         toml::Value::Table(range) if range.contains_key("uniform") => {

@@ -1,4 +1,4 @@
-//! `realitysim scene`
+//! Command `realitysim scene`: checks scene files and applies their effects.
 
 mod apply;
 mod check;

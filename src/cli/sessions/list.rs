@@ -1,4 +1,4 @@
-//! `realitysim sessions list`
+//! Command `realitysim sessions list`: lists all sessions.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::CapturesArguments;
 use crate::cli::{Outcome, output};
 use crate::recording::catalogue::sessions_in;
-use crate::recording::sync::{Known, known_sources};
+use crate::recording::sync::{KnownSource, known_sources};
 use crate::recording::{Counts, ManifestLine, Session, SessionId, receiver_of, receivers_of, saturating_sum};
 
 /// All sessions: start, duration, frames, validity, size, drops, and who has them
@@ -23,7 +23,7 @@ pub struct ListArguments {
 
 const SESSION: &str = "session";
 
-/// A session in a line.
+/// Summary of a session, a line of the list.
 #[derive(Serialize)]
 pub(super) struct Row {
     pub session: String,
@@ -32,40 +32,41 @@ pub(super) struct Row {
     pub robot_id: Option<String>,
     pub started: String,
     pub duration_s: f64,
-    /// Of the finished segments; null if nothing says.
+    /// Sums over the finished segments.
     pub frames: Counts,
     pub valid_share: Option<f64>,
-    /// Finished ones that are here, and their size.
+    /// Finished segments that are here, and their size in bytes.
     pub segments: u64,
     pub bytes: u64,
-    /// Removed here to make room, because another store had them.
+    /// Segments that were removed here to make room, because another store had them.
     pub evicted: u64,
-    /// Bytes of segments that made no sense when they were repaired, and that are not in them.
+    /// Bytes that a repair cut off, since they could not be read.
     pub cut_bytes: u64,
-    /// Listed, and not here as they were written, for no known reason.
+    /// Segments in the manifest that are missing or changed here for no known reason.
     pub missing: u64,
-    /// Of a folder that is synced into: here, and not compared with their hashes since they came or were found damaged.
+    /// In a folder that is synced into: segments that were not compared with their hashes since they came or were found
+    /// damaged.
     pub unverified: u64,
     pub open: bool,
     pub pinned: bool,
-    /// Of the segments that are here: by how many other stores at least one has them.
+    /// Segments here that at least one other store has.
     pub synced: u64,
-    /// How many segments each receiver has, this folder among them.
+    /// Number of segments that each receiver has, this folder among them.
     pub receivers: BTreeMap<String, u64>,
-    /// Of a folder that is synced into: finished segments at the source when it was last looked at.
+    /// In a folder that is synced into: finished segments at the source when it was last seen.
     pub at_source: Option<u64>,
-    /// Who and when that was, and whether more was to come.
+    /// State of the session at its source, if it has one.
     pub source: Option<AtSource>,
     pub set_aside: Vec<String>,
 }
 
-/// A session as it was where it comes from.
+/// State of a session at its source when it was last seen.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub(super) struct AtSource {
-    /// No segment comes any more.
+    /// No more segments will come.
     ended: bool,
     segments: u64,
-    /// UTC, by this machine's clock; null if nobody knows.
+    /// UTC, by this machine's clock; null if unknown.
     seen: Option<String>,
     name: String,
 }
@@ -132,29 +133,29 @@ pub fn run(arguments: &ListArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::Whole)
 }
 
-/// With what is known of sources, and not here.
+/// Rows of all sessions here and of those known to be at sources only, and the folders that were set aside.
 fn rows(folder: &Path) -> anyhow::Result<(Vec<Row>, Vec<String>)> {
     let (sessions, strange) = sessions_in(folder).map_err(|error| crate::cli::paths::cannot_read(folder, error))?;
     let known = known_sources(folder);
     let mut rows: Vec<Row> = sessions.iter().map(|session| row_with_sources(session, folder, &known)).collect();
     for there in known.iter().flat_map(|known| &known.sessions) {
         if !rows.iter().any(|row| row.id == there.id) {
-            rows.push(row_of_what_is_there(there, folder, &known));
+            rows.push(row_of_source_session(there, folder, &known));
         }
     }
     rows.sort_by(|a, b| (&a.started, &a.session).cmp(&(&b.started, &b.session)));
     Ok((rows, strange.iter().map(ToString::to_string).collect()))
 }
 
-/// Of a session that is at a source only.
-pub(super) fn row_of_what_is_there(there: &Session, captures: &Path, known: &[Known]) -> Row {
+/// Row of a session that is at a source only.
+pub(super) fn row_of_source_session(there: &Session, captures: &Path, known: &[KnownSource]) -> Row {
     let nothing_here = Session { segments: BTreeMap::new(), lines: Vec::new(), ..there.clone() };
     let Row { frames, valid_share, duration_s, cut_bytes, .. } = row(there, None);
     Row { frames, valid_share, duration_s, cut_bytes, ..row_with_sources(&nothing_here, captures, known) }
 }
 
-/// Of a session in this folder of captures, with what is known of where it comes from.
-pub(super) fn row_with_sources(session: &Session, captures: &Path, known: &[Known]) -> Row {
+/// Row of a session in this folder, completed by what is known of its sources.
+pub(super) fn row_with_sources(session: &Session, captures: &Path, known: &[KnownSource]) -> Row {
     let own = receiver_of(captures);
     let mut row = row(session, own.as_deref());
     for known in known {
@@ -170,7 +171,7 @@ pub(super) fn row_with_sources(session: &Session, captures: &Path, known: &[Know
                 row.receivers.entry(receiver.clone()).or_insert(acks.len() as u64);
             }
         }
-        // Of several, the one that knows most of it.
+        // Of several sources, the one that knows most of the session counts.
         row.source = row.source.into_iter().chain([source]).max();
     }
     let verified = own.map_or(0, |own| row.receivers.get(&own).copied().unwrap_or(0));
@@ -179,7 +180,7 @@ pub(super) fn row_with_sources(session: &Session, captures: &Path, known: &[Know
     row
 }
 
-/// In columns, the first of this width.
+/// Formats a row in columns, the first of this width.
 pub(super) fn line(row: &Row, width: usize) -> String {
     let valid = row.valid_share.map_or_else(|| "-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
     let dropped = row.frames.all_dropped();
@@ -194,15 +195,15 @@ pub(super) fn line(row: &Row, width: usize) -> String {
     )
 }
 
-/// To the second; what is no time is shown as it is.
+/// Start time to the second; a text that is no time is shown as it is.
 fn start(started: &str) -> String {
     match started.parse::<Timestamp>() {
         Ok(time) => time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
-        Err(_) => output::plain(started).to_string(),
+        Err(_) => output::without_control_characters(started).to_string(),
     }
 }
 
-/// What is to be said of it, shortest first.
+/// State of a session in words, where it is stored first.
 fn state(row: &Row, now: Timestamp) -> String {
     let mut words = Vec::new();
     match &row.source {
@@ -245,7 +246,7 @@ fn state(row: &Row, now: Timestamp) -> String {
     words.join(", ")
 }
 
-/// By a clock that may have been set since.
+/// Age in words. It can be negative, since the clock may have been set since.
 fn ago(seconds: i64) -> String {
     match seconds {
         ..0 => "by a clock that was ahead".to_owned(),

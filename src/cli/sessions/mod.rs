@@ -1,4 +1,4 @@
-//! `realitysim sessions`: what recordings there are, on a robot and on a dev machine alike.
+//! `realitysim sessions`: lists and maintains recorded sessions, on a robot and on a development machine alike.
 
 mod list;
 mod pin;
@@ -37,7 +37,7 @@ enum Command {
     Verify(verify::VerifyArguments),
 }
 
-/// Where sessions are.
+/// Folder in which sessions are looked for.
 #[derive(Args)]
 struct CapturesArguments {
     /// Where captures are kept; without it the service's folder on a robot, `captures` elsewhere
@@ -57,12 +57,12 @@ impl CapturesArguments {
         Err(UsageError(format!("{}: there is no such folder: name the captures with --captures", folder.display())))
     }
 
-    /// A session by its name in the folder or the beginning of it, or by its path.
+    /// Returns a session by its path, its name in the folder, or the beginning of its name.
     fn session(&self, name: &str) -> anyhow::Result<Session> {
         session_at(&self.path(name)?).map_err(|why| UsageError(why.to_string()).into())
     }
 
-    /// Of the sessions named, or of all that are there, whatever state they are in.
+    /// Paths of the named sessions, or of all sessions in any state.
     fn paths(&self, names: &[String]) -> anyhow::Result<Vec<PathBuf>> {
         if names.is_empty() {
             return Ok(sessions_of(&Disk, &self.folder()?));
@@ -74,7 +74,8 @@ impl CapturesArguments {
         }
     }
 
-    /// Folders that were sessions once, as it looks, and that nothing can be done about; of those named, `path` has told.
+    /// Reports folders that look like sessions but lack a usable session.json, so that no command handles them. With names
+    /// given, `path` has reported them.
     fn headless(&self, names: &[String]) -> anyhow::Result<Vec<Loss>> {
         if !names.is_empty() {
             return Ok(Vec::new());
@@ -112,7 +113,7 @@ impl CapturesArguments {
     }
 }
 
-/// The one name that this is, or begins; `None` if there is none.
+/// Returns the only name that equals or begins with the text; `None` if there is none.
 fn full_name<'a>(asked: &str, names: impl Iterator<Item = &'a str> + Clone) -> Result<Option<&'a str>, UsageError> {
     if let Some(exact) = names.clone().find(|name| *name == asked) {
         return Ok(Some(exact));

@@ -1,4 +1,4 @@
-//! `realitysim sessions pin`, `unpin`
+//! Commands `realitysim sessions pin` and `unpin`: protect sessions from deletion, or no longer.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -42,7 +42,7 @@ struct Report {
 }
 
 pub fn pin(arguments: &PinArguments, json: bool) -> anyhow::Result<Outcome> {
-    let sessions = all(&arguments.captures, &arguments.sessions)?;
+    let sessions = find_all(&arguments.captures, &arguments.sessions)?;
     for session in &sessions {
         write_atomically(&session.folder.join(PIN_FILE), b"")?;
     }
@@ -50,7 +50,7 @@ pub fn pin(arguments: &PinArguments, json: bool) -> anyhow::Result<Outcome> {
 }
 
 pub fn unpin(arguments: &UnpinArguments, json: bool) -> anyhow::Result<Outcome> {
-    let sessions = all(&arguments.captures, &arguments.sessions)?;
+    let sessions = find_all(&arguments.captures, &arguments.sessions)?;
     for session in &sessions {
         let path = session.folder.join(PIN_FILE);
         match fs::remove_file(&path) {
@@ -62,8 +62,8 @@ pub fn unpin(arguments: &UnpinArguments, json: bool) -> anyhow::Result<Outcome> 
     report(false, &sessions, json)
 }
 
-/// All of them, before anything is done to one.
-fn all(captures: &CapturesArguments, names: &[String]) -> anyhow::Result<Vec<Session>> {
+/// Finds all sessions before anything is done to one.
+fn find_all(captures: &CapturesArguments, names: &[String]) -> anyhow::Result<Vec<Session>> {
     names.iter().map(|name| captures.session(name)).collect()
 }
 

@@ -1,4 +1,4 @@
-//! `realitysim sessions prune`
+//! Command `realitysim sessions prune`: deletes sessions that another store has.
 
 use std::path::PathBuf;
 

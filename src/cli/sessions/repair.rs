@@ -1,4 +1,4 @@
-//! `realitysim sessions repair`
+//! Command `realitysim sessions repair`: completes sessions that a crash left unfinished.
 
 use clap::Args;
 use serde_json::json;

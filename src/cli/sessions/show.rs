@@ -1,4 +1,4 @@
-//! `realitysim sessions show`
+//! Command `realitysim sessions show`: shows one session in detail.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::list::{Row, line, row_of_what_is_there, row_with_sources};
+use super::list::{Row, line, row_of_source_session, row_with_sources};
 use super::{CapturesArguments, full_name};
 use crate::cli::paths::{check_output, save};
 use crate::cli::settings::UsageError;
@@ -43,7 +43,7 @@ struct Shown {
     coverage: Option<Shape>,
 }
 
-/// A line of the manifest, and what has become of its segment.
+/// A line of the manifest with the state of its segment.
 #[derive(Serialize)]
 struct Listed {
     #[serde(flatten)]
@@ -58,7 +58,7 @@ enum SegmentState {
     /// Removed to make room, because another store had it.
     Evicted,
     Missing,
-    /// Of a session of which nothing is here.
+    /// The session is at a source only.
     Source,
 }
 
@@ -70,12 +70,12 @@ struct Shape {
     headings: Vec<Heading>,
 }
 
-/// Images that look one way.
+/// Coverage by images that look in one range of directions.
 #[derive(Serialize)]
 struct Heading {
     from_deg: f64,
     to_deg: f64,
-    /// Places of which there is one, of so many.
+    /// Cells with an image, and the number of cells.
     filled: usize,
     places: usize,
     map: Vec<String>,
@@ -83,7 +83,7 @@ struct Heading {
 
 pub fn run(arguments: &ShowArguments, json: bool) -> anyhow::Result<Outcome> {
     let Found { session, row, is_here } = find(arguments)?;
-    // A session's own account may be of a version that this program cannot read: the rest is shown all the same.
+    // The session's session.json may have a version that this program cannot read; the rest is shown all the same.
     let info = read_info(&session.folder).ok();
     let grid = info.as_ref().and_then(|info| {
         let counted = || coverage_of(&session, info).filter(|_| is_here);
@@ -112,7 +112,7 @@ struct Found {
     is_here: bool,
 }
 
-/// Here, or else as it is known from a source.
+/// Finds the session here, or else among those known from sources.
 fn find(arguments: &ShowArguments) -> anyhow::Result<Found> {
     let path = arguments.captures.path(&arguments.session)?;
     let why = match session_at(&path) {
@@ -129,7 +129,7 @@ fn find(arguments: &ShowArguments) -> anyhow::Result<Found> {
         known.iter().flat_map(|known| &known.sessions).map(|session| (session.name.as_str(), session)).collect();
     let name = full_name(&arguments.session, there.keys().copied())?;
     let session = *name.and_then(|name| there.get(name)).ok_or(why)?;
-    Ok(Found { session: session.clone(), row: row_of_what_is_there(session, captures, &known), is_here: false })
+    Ok(Found { session: session.clone(), row: row_of_source_session(session, captures, &known), is_here: false })
 }
 
 fn headings(grid: &PoseGrid) -> Vec<Heading> {
@@ -154,7 +154,7 @@ fn listed(session: &Session, is_here: bool) -> Vec<Listed> {
     session.lines.iter().map(|line| Listed { line: line.clone(), state: state(line) }).collect()
 }
 
-/// From the segments that are here: tags whose image is there too.
+/// Counts coverage from the segments that are here, by valid tags whose image is there.
 fn coverage_of(session: &Session, info: &SessionInfo) -> Option<PoseGrid> {
     let field = Field::new(info.field.clone()).ok()?;
     let thinning = &info.settings.recording.thinning;
@@ -179,7 +179,11 @@ fn for_people(shown: &Shown) -> String {
     let Shown { row, manifest, coverage } = shown;
     let mut text = line(row, 0);
     let robot = row.robot_id.as_deref().map_or_else(String::new, |id| format!(" ({id})"));
-    text.push_str(&format!("  id {}, robot {}{robot}\n", row.id.as_str(), output::plain(&row.robot)));
+    text.push_str(&format!(
+        "  id {}, robot {}{robot}\n",
+        row.id.as_str(),
+        output::without_control_characters(&row.robot)
+    ));
     for (receiver, segments) in &row.receivers {
         text.push_str(&format!("  {segments} segments are with {receiver}\n"));
     }

@@ -1,4 +1,4 @@
-//! `realitysim sessions verify`
+//! Command `realitysim sessions verify`: compares segments with the hashes in their manifest.
 
 use clap::Args;
 use serde_json::json;
@@ -30,7 +30,7 @@ pub fn run(arguments: &VerifyArguments, json: bool) -> anyhow::Result<Outcome> {
         match verify(&Disk, &path) {
             Ok(session) => {
                 wrong.extend(session.wrong.iter().cloned());
-                if let Err(error) = take_back(&session) {
+                if let Err(error) = withdraw_acknowledgements(&session) {
                     wrong.push(Loss::new(&path, format!("its acknowledgement could not be taken back: {error}")));
                 }
                 verified.push(session);
@@ -58,8 +58,8 @@ pub fn run(arguments: &VerifyArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::of(&wrong))
 }
 
-/// This folder's own word for what is not sound.
-fn take_back(verified: &Verified) -> Result<(), SyncError> {
+/// Withdraws this folder's acknowledgements of segments that are not sound, if it is synced into.
+fn withdraw_acknowledgements(verified: &Verified) -> Result<(), SyncError> {
     let receives = verified.session.parent().filter(|captures| receiver_of(captures).is_some());
     let (Some(captures), Ok(session), false) = (receives, session_at(&verified.session), verified.wrong.is_empty())
     else {

@@ -4,7 +4,7 @@ use std::fs;
 
 use glam::DVec3;
 use realitysim::config::Settings;
-use realitysim::database::{Gallery, Index, Wanted, coverage};
+use realitysim::database::{ImageDatabase, Index, ViewQuery, coverage};
 use realitysim::geometry::{Euler, Isometry};
 use realitysim::views::Method;
 
@@ -56,7 +56,7 @@ pub fn run(case: &mut Case) -> Outcome {
     if Index::open(&index).is_ok() && !checksum_is_right {
         return Err(Finding::new(Class::Silent, "an index with a wrong checksum is opened"));
     }
-    let Ok(gallery) = Gallery::open(&folder, &Settings::default().views) else { return Ok(Taken::Refused) };
+    let Ok(gallery) = ImageDatabase::open(&folder, &Settings::default().views) else { return Ok(Taken::Refused) };
     if !checksum_is_right {
         // A record's own checksum is that of its image, and says nothing of the pose beside it.
         return Err(Finding::new(Class::Silent, "views are made from an index with a wrong checksum"));
@@ -66,7 +66,7 @@ pub fn run(case: &mut Case) -> Outcome {
     for method in [Method::Exact, Method::Paper, Method::Nearest] {
         let at = DVec3::new(draw.between(-2.2, -1.6), draw.between(-0.1, 0.3), 0.49);
         let euler = Euler { yaw: draw.between(-0.3, 0.5), pitch: 0.3, roll: 0.0 };
-        let wanted = Wanted {
+        let wanted = ViewQuery {
             map_from_link: Isometry::from_euler(euler, at),
             method,
             camera: None,

@@ -8,7 +8,7 @@ use realitysim::config::{Settings, parse_field, parse_lens};
 use realitysim::evaluation::reference::Reference;
 use realitysim::evaluation::suite::Suite;
 use realitysim::geometry::Field;
-use realitysim::log_input::scene::{SceneSource, parse};
+use realitysim::log_input::scene_source::{SceneSource, parse};
 
 use crate::case::{Case, Class, Finding, Outcome, Taken};
 use crate::fields::fields;

@@ -1,13 +1,14 @@
-//! Kalibr's camchain YAML: one entry per camera, named cam0, cam1 and so on.
+//! Kalibr's camchain YAML, which has one entry per camera: `cam0`, `cam1` and so on.
 
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use super::distortion::Keys;
+use super::distortion::DistortionKeys;
 use super::{Content, LensFileError, LensFormat, yaml};
 use realitysim_geometry::LensParameters;
 
+/// One camera of the file, with the keys that are read.
 #[derive(Deserialize)]
 struct Camera {
     rostopic: Option<String>,
@@ -19,8 +20,9 @@ struct Camera {
     resolution: [u32; 2],
 }
 
-const KEYS: Keys = Keys { model: "distortion_model", coefficients: "distortion_coeffs" };
+const KEYS: DistortionKeys = DistortionKeys { model: "distortion_model", coefficients: "distortion_coeffs" };
 
+/// Reads the camera of this name.
 pub(super) fn read(text: &str, wanted: &str) -> Result<Content, LensFileError> {
     let mut cameras: BTreeMap<String, Camera> = yaml(text)?;
     let Some(camera) = cameras.remove(wanted) else {
@@ -28,8 +30,7 @@ pub(super) fn read(text: &str, wanted: &str) -> Result<Content, LensFileError> {
         let expected = format!("the file has {}: choose one by file#camera", known.join(", "));
         return Err(LensFileError::Missing { key: wanted.into(), expected });
     };
-    // Errors name the camera along with the key.
-    parameters(&camera).map_err(|error| within(wanted, error)).map(|parameters| Content {
+    parameters(&camera).map_err(|error| prefix_key(wanted, error)).map(|parameters| Content {
         title: camera.rostopic.unwrap_or_else(|| wanted.into()),
         format: LensFormat::Kalibr,
         parameters,
@@ -51,7 +52,8 @@ fn parameters(camera: &Camera) -> Result<LensParameters, LensFileError> {
     Ok(LensParameters { width, height, fx, fy, cx, cy, model, fov_deg: None })
 }
 
-fn within(camera: &str, error: LensFileError) -> LensFileError {
+/// Puts the name of the camera before the key of an error.
+fn prefix_key(camera: &str, error: LensFileError) -> LensFileError {
     match error {
         LensFileError::Value { key, found, expected } => {
             LensFileError::Value { key: format!("{camera}.{key}"), found, expected }

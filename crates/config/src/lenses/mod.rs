@@ -1,5 +1,7 @@
-//! Lens files of four formats, told apart by their content: this crate's own TOML (`config/cameras/*.toml`; a new
-//! file there is a new camera), ROS camera_calibration YAML, Kalibr camchain YAML and VisualMesh YAML.
+//! Lens files of four formats, told apart by their content: this crate's own TOML, ROS camera_calibration YAML, Kalibr
+//! camchain YAML and VisualMesh YAML.
+//!
+//! Each file in `config/cameras` is built into the program as a camera of that name.
 
 mod distortion;
 mod kalibr;
@@ -25,62 +27,71 @@ const SHIPPED: Shipped = Shipped { kind: "camera", folder: &FOLDER };
 /// A lens file that has been checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LensFile {
-    /// For people: what the file calls its camera.
+    /// Name that the file gives its camera, for people.
     pub title: String,
+    /// Format of the file.
     pub format: LensFormat,
+    /// The checked lens.
     pub lens: Lens,
-    /// Only a VisualMesh file says where its camera was.
+    /// Pose of the camera, which only a VisualMesh file states.
     pub visual_mesh_pose: Option<VisualMeshPose>,
 }
 
+/// A format of lens files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LensFormat {
+    /// This crate's own TOML.
     Own,
+    /// YAML of ROS camera_calibration.
     Ros,
+    /// Camchain YAML of Kalibr.
     Kalibr,
+    /// YAML beside the images of VisualMesh.
     VisualMesh,
 }
 
-/// `Hoc` of a VisualMesh file.
+/// The pose of the camera that a VisualMesh file states as `Hoc`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisualMeshPose {
-    /// From `camera_link` axes (x forward, y left, z up) to a world with z up and the ground at z = 0, its origin
-    /// below the camera. The heading is relative to other images of the same place at best.
+    /// Transformation from `camera_link` (x forward, y left, z up) to a world with z up, the ground at z = 0 and the origin
+    /// below the camera. Its heading can be compared with other images of the same place at best.
     pub world_from_camera_link: Isometry,
 }
 
-/// What the reader of a lens file knows beside the file.
+/// Facts that the reader of a lens file adds to the file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LensWanted<'a> {
-    /// One of a Kalibr file's cameras; without it, `cam0`.
+    /// Name of the camera in a Kalibr file; `None` takes `cam0`.
     pub camera: Option<&'a str>,
-    /// Width and height of the image that the lens is for, pixels.
+    /// Width and height of the image that the lens is for, pixels. A VisualMesh file needs it; the others must agree with it.
     pub image_size: Option<[u32; 2]>,
 }
 
-/// The shipped cameras.
+/// Returns the names of the shipped cameras, in alphabetic order.
 pub fn lens_names() -> Vec<String> {
     SHIPPED.names()
 }
 
-/// The lens in a file, or a shipped one. `file#cam1` is the camera `cam1` of a Kalibr file.
+/// Loads the lens of a file, or a shipped one. `file#cam1` is the camera `cam1` of a Kalibr file.
 pub fn load_lens(path_or_name: &str) -> Result<LensFile, ConfigError> {
     load(path_or_name, None)
 }
 
-/// The lens for an image of this size: a VisualMesh file needs to be told, the others must agree.
+/// Loads the lens for an image of `width` by `height` pixels.
+///
+/// A VisualMesh file does not state its image size, so it can only be loaded this way. Every other format must agree.
 pub fn load_lens_for_image(path_or_name: &str, width: u32, height: u32) -> Result<LensFile, ConfigError> {
     load(path_or_name, Some([width, height]))
 }
 
-/// What a file at `path` means by this: its paths start at its own folder.
+/// Resolves a lens that the file at `path` names: a relative path starts at the folder of that file.
 pub fn lens_seen_from(path: &Path, path_or_name: &str) -> String {
     let (file, camera) = split_camera(path_or_name);
     let seen = SHIPPED.seen_from(path, file);
     camera.map_or_else(|| seen.clone(), |camera| format!("{seen}#{camera}"))
 }
 
-/// The file that is read for it; none of a shipped lens.
+/// Returns the file that [`load_lens`] would read, or `None` if it would take a shipped lens.
 pub fn lens_file(path_or_name: &str) -> Option<PathBuf> {
     SHIPPED.file(split_camera(path_or_name).0)
 }
@@ -91,10 +102,10 @@ fn load(path_or_name: &str, image_size: Option<[u32; 2]>) -> Result<LensFile, Co
     parse_lens(&text, &name, LensWanted { camera, image_size })
 }
 
-/// The same from text; `name` is for messages.
+/// Parses and checks the text of a lens file. Error messages show `name`.
 pub fn parse_lens(text: &str, name: &str, wanted: LensWanted) -> Result<LensFile, ConfigError> {
     let read = || -> Result<LensFile, LensFileError> {
-        let content = read(text, wanted)?;
+        let content = read_content(text, wanted)?;
         if let Some(image) = wanted.image_size {
             let file = [content.parameters.width, content.parameters.height];
             if file != image {
@@ -107,7 +118,7 @@ pub fn parse_lens(text: &str, name: &str, wanted: LensWanted) -> Result<LensFile
     read().map_err(|source| ConfigError::Lens { file: name.to_owned(), source })
 }
 
-/// What a format's reader makes of a file; not checked yet.
+/// The content of a lens file, not checked yet.
 struct Content {
     title: String,
     format: LensFormat,
@@ -115,8 +126,9 @@ struct Content {
     visual_mesh_pose: Option<VisualMeshPose>,
 }
 
-fn read(text: &str, wanted: LensWanted) -> Result<Content, LensFileError> {
-    let format = format(text)?;
+/// Reads a lens file of any format.
+fn read_content(text: &str, wanted: LensWanted) -> Result<Content, LensFileError> {
+    let format = detect_format(text)?;
     if let (Some(camera), false) = (wanted.camera, format == LensFormat::Kalibr) {
         return Err(LensFileError::value("#", camera, "only a Kalibr file has several cameras: leave it out"));
     }
@@ -128,7 +140,8 @@ fn read(text: &str, wanted: LensWanted) -> Result<Content, LensFileError> {
     }
 }
 
-fn format(text: &str) -> Result<LensFormat, LensFileError> {
+/// Tells the format of a lens file by its first line and its keys.
+fn detect_format(text: &str) -> Result<LensFormat, LensFileError> {
     if looks_like_toml(text) {
         return Ok(LensFormat::Own);
     }
@@ -145,17 +158,18 @@ fn format(text: &str) -> Result<LensFormat, LensFileError> {
     }
 }
 
-/// By the first line that says something: `key = value` or `[table]` against `key: value`.
+/// Whether the first line that is neither empty nor a comment is `key = value` or `[table]`, not `key: value`.
 fn looks_like_toml(text: &str) -> bool {
     let line = text.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#')).unwrap_or("");
     line.starts_with('[') || line.split_once('=').is_some_and(|(key, _)| !key.contains(':'))
 }
 
+/// Parses YAML.
 fn yaml<T: DeserializeOwned>(text: &str) -> Result<T, LensFileError> {
     serde_saphyr::from_str(text).map_err(|error| LensFileError::Syntax(error.to_string().trim_end().to_owned()))
 }
 
-/// `path#cam1`; any other `#` belongs to the path.
+/// Splits `path#cam1` into path and camera. Any other `#` belongs to the path.
 fn split_camera(path: &str) -> (&str, Option<&str>) {
     match path.rsplit_once('#') {
         Some((file, camera)) if is_camera_key(camera) => (file, Some(camera)),
@@ -163,7 +177,7 @@ fn split_camera(path: &str) -> (&str, Option<&str>) {
     }
 }
 
-/// Kalibr's names: cam0, cam1 and so on.
+/// Whether a key is a camera's name in a Kalibr file: `cam0`, `cam1` and so on.
 fn is_camera_key(key: &str) -> bool {
     key.strip_prefix("cam").is_some_and(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()))
 }

@@ -1,4 +1,4 @@
-//! This crate's own lens files: `config/cameras/*.toml`.
+//! This crate's own lens format, TOML, as in `config/cameras`.
 
 use serde::Deserialize;
 
@@ -6,7 +6,7 @@ use super::{Content, LensFileError, LensFormat};
 use crate::wording::in_words;
 use realitysim_geometry::{LensModel, LensParameters};
 
-/// Pixels as in [`LensParameters`]: (0, 0) is the centre of the top left pixel.
+/// The keys of the file. Pixel coordinates are those of [`LensParameters`]: (0, 0) is the centre of the top left pixel.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -23,6 +23,7 @@ struct File {
     fov_deg: Option<f64>,
 }
 
+/// Reads a lens file.
 pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
     let file: File = toml::from_str(text).map_err(|error| LensFileError::Syntax(in_words(&error)))?;
     let parameters = LensParameters {
@@ -41,16 +42,16 @@ pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
 fn model(file: &File) -> Result<LensModel, LensFileError> {
     match file.model.as_str() {
         "kannala_brandt" => {
-            absent("d", &file.d, "kannala_brandt takes k")?;
-            Ok(LensModel::KannalaBrandt { k: numbers("k", &file.k, "four numbers, k1 to k4")? })
+            check_absent("d", &file.d, "kannala_brandt takes k")?;
+            Ok(LensModel::KannalaBrandt { k: take_coefficients("k", &file.k, "four numbers, k1 to k4")? })
         }
         "plumb_bob" => {
-            absent("k", &file.k, "plumb_bob takes d")?;
-            Ok(LensModel::PlumbBob { d: numbers("d", &file.d, "five numbers, k1, k2, p1, p2, k3")? })
+            check_absent("k", &file.k, "plumb_bob takes d")?;
+            Ok(LensModel::PlumbBob { d: take_coefficients("d", &file.d, "five numbers, k1, k2, p1, p2, k3")? })
         }
         "equisolid" => {
-            absent("k", &file.k, "equisolid takes no coefficients")?;
-            absent("d", &file.d, "equisolid takes no coefficients")?;
+            check_absent("k", &file.k, "equisolid takes no coefficients")?;
+            check_absent("d", &file.d, "equisolid takes no coefficients")?;
             Ok(LensModel::Equisolid)
         }
         other => {
@@ -60,15 +61,20 @@ fn model(file: &File) -> Result<LensModel, LensFileError> {
     }
 }
 
-/// A coefficient that would be ignored is a mistake in the file.
-fn absent(key: &str, value: &Option<Vec<f64>>, expected: &str) -> Result<(), LensFileError> {
+/// Refuses coefficients that the model would ignore: they are a mistake in the file.
+fn check_absent(key: &str, value: &Option<Vec<f64>>, expected: &str) -> Result<(), LensFileError> {
     match value {
         None => Ok(()),
         Some(found) => Err(LensFileError::value(key, format_args!("{found:?}"), format!("{expected}: remove it"))),
     }
 }
 
-fn numbers<const N: usize>(key: &str, value: &Option<Vec<f64>>, expected: &str) -> Result<[f64; N], LensFileError> {
+/// Takes exactly `N` coefficients.
+fn take_coefficients<const N: usize>(
+    key: &str,
+    value: &Option<Vec<f64>>,
+    expected: &str,
+) -> Result<[f64; N], LensFileError> {
     let Some(found) = value else {
         return Err(LensFileError::Missing { key: key.into(), expected: format!("it must have {expected}") });
     };

@@ -1,11 +1,12 @@
-//! ROS: the YAML files of camera_calibration, and the same facts in a `sensor_msgs/CameraInfo`.
+//! Lenses as ROS describes them: in the YAML files of camera_calibration and in `sensor_msgs/CameraInfo`.
 
 use serde::Deserialize;
 
-use super::distortion::Keys;
+use super::distortion::DistortionKeys;
 use super::{Content, LensFileError, LensFormat, yaml};
 use realitysim_geometry::LensParameters;
 
+/// The keys that are read of the file.
 #[derive(Deserialize)]
 struct File {
     camera_name: Option<String>,
@@ -16,13 +17,21 @@ struct File {
     distortion_coefficients: Option<Matrix>,
 }
 
+/// A matrix, row by row.
 #[derive(Deserialize)]
 struct Matrix {
     data: Vec<f64>,
 }
 
-/// The lens of a `sensor_msgs/CameraInfo`; [`realitysim_geometry::Lens::new`] checks the rest. Images that are binned or
-/// cut (`binning_x`, `roi`) have another lens: the caller refuses them.
+/// Converts the fields of a `sensor_msgs/CameraInfo` to the parameters of a lens.
+///
+/// `width` and `height` are pixels, `k` is the 3 x 3 intrinsic matrix, row by row, and `d` the distortion. The result is not
+/// fully checked: [`realitysim_geometry::Lens::new`] does the rest. A binned or cut image (`binning_x`, `roi`) has another
+/// lens, so the caller must refuse it.
+///
+/// # Errors
+///
+/// Fails if the camera is not calibrated, the matrix has skew, or the distortion model is not supported.
 pub fn lens_from_camera_info(
     width: u32,
     height: u32,
@@ -30,10 +39,11 @@ pub fn lens_from_camera_info(
     d: &[f64],
     k: &[f64; 9],
 ) -> Result<LensParameters, LensFileError> {
-    let keys = Keys { model: "distortion_model", coefficients: "d" };
+    let keys = DistortionKeys { model: "distortion_model", coefficients: "d" };
     parameters([width, height], "k", k, &keys, distortion_model, d)
 }
 
+/// Reads a YAML file of camera_calibration.
 pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
     let file: File = yaml(text)?;
     let key = "camera_matrix.data";
@@ -41,18 +51,19 @@ pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
         let count = format!("{} numbers", file.camera_matrix.data.len());
         return Err(LensFileError::value(key, count, "it must have 9: fx, 0, cx, 0, fy, cy, 0, 0, 1"));
     };
-    let keys = Keys { model: "distortion_model", coefficients: "distortion_coefficients.data" };
+    let keys = DistortionKeys { model: "distortion_model", coefficients: "distortion_coefficients.data" };
     let d = file.distortion_coefficients.map(|matrix| matrix.data).unwrap_or_default();
     let parameters = parameters([file.image_width, file.image_height], key, matrix, &keys, &file.distortion_model, &d)?;
     let title = file.camera_name.unwrap_or_else(|| "ROS camera".into());
     Ok(Content { title, format: LensFormat::Ros, parameters, visual_mesh_pose: None })
 }
 
+/// Checks intrinsics and distortion; `matrix_key` and `keys` name them in errors.
 fn parameters(
     [width, height]: [u32; 2],
     matrix_key: &str,
     matrix: &[f64; 9],
-    keys: &Keys,
+    keys: &DistortionKeys,
     model: &str,
     d: &[f64],
 ) -> Result<LensParameters, LensFileError> {

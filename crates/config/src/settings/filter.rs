@@ -1,102 +1,112 @@
-//! `[filter]`: how a frame is located, and when its tag is valid.
+//! `[filter]`: how the pose of a frame is estimated, and when its tag is valid.
 
 use serde::{Deserialize, Serialize};
 
-use super::within;
+use super::check_range;
 use realitysim_localization::{Formula, Model, SimdPath};
 
-/// No frame can be located in less.
+/// Smallest time budget of a frame, milliseconds; no frame can be located in less.
 pub const LEAST_BUDGET_MS: f64 = 0.1;
 
-/// Where the step between two frames comes from.
+/// The source of the robot's motion between two frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MotionSource {
+    /// Odometry reports each step.
     #[default]
     Odometry,
-    /// Nothing is known but how fast the robot can be.
+    /// Only the greatest speed of the robot is known.
     RandomWalk,
 }
 
+/// Settings of the particle filter, of refinement, and of the checks that make a tag valid.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FilterConfig {
+    /// Observation model: Eq. 2 (`gauss`) or Eq. 1 (`distance`) of the paper.
     pub model: Model,
+    /// Formula of the weights: corrected, or as the paper prints it.
     pub formula: Formula,
-    /// N of the paper.
+    /// Number of particles (N of the paper); while adaptive, the largest number.
     pub particles: usize,
-    /// T of the paper.
+    /// Rounds of weighting and resampling per frame (T of the paper); while adaptive, the largest number.
     pub iterations: usize,
-    /// Fewer particles and iterations where fewer do: [`Self::particles`] and [`Self::iterations`] are the most.
+    /// Whether a frame gets fewer particles (KLD-sampling) and iterations (effective sample size) where these suffice.
     pub adaptive: bool,
-    /// The least, while adaptive.
+    /// Smallest number of particles while adaptive.
     pub particles_min: usize,
-    /// From the decoded image to the tag; what is over is saved by fewer particles. 0: no limit.
+    /// Time from the decoded image to the tag, milliseconds, kept by weighing fewer particles; 0: no limit.
     pub budget_ms: f64,
-    /// About how many points stand for all lines of the field.
+    /// Approximate number of points that stand for all lines of the field.
     pub line_points: usize,
     /// Scale of the exponent of Eq. 1 and 2; each formula has its own default.
     pub alpha: Option<f64>,
+    /// Seed of all random numbers; the same seed gives the same tags.
     pub seed: u64,
+    /// Source of the motion between two frames.
     pub motion: MotionSource,
+    /// Instruction set of the kernels; the tags do not depend on it.
     pub simd: SimdPath,
-    /// Particles at the start, around the initial pose.
+    /// Standard deviation of the particles around an initial pose, in x and in y, metres.
     pub initial_xy_m: f64,
+    /// Standard deviation of the particles around an initial pose, yaw in degrees.
     pub initial_yaw_deg: f64,
-    /// Noise between the iterations of a frame; each adds `jitter_shrink` of the one before.
+    /// Noise after the first resampling of a frame, in x and in y, metres.
     pub jitter_xy_m: f64,
+    /// Noise after the first resampling of a frame, yaw in degrees.
     pub jitter_yaw_deg: f64,
+    /// Noise after each further resampling of a frame, as a share of the noise before it.
     pub jitter_shrink: f64,
-    /// Half the side of the robot-centred ground table; 0: seven times the camera's height, 3 to 8 m.
+    /// Half the side of the robot-centred ground table, metres; 0: 7.3 times the camera's height, 3 to 8 m.
     pub range_m: f64,
-    /// Expected error of roll and pitch; what it moves far counts less.
+    /// Expected error of roll and pitch, degrees; a place that it moves far counts less.
     pub tilt_sigma_deg: f64,
-    /// How far the distance model looks for white.
+    /// Distance within which the distance model looks for white, metres.
     pub nearest_reach_m: f64,
-    /// Images are looked at in a copy that is this many times smaller; 0: as the lens demands.
+    /// Factor by which the image is reduced before it is searched for lines; 0: chosen for the lens.
     pub image_reduction: usize,
-    /// A tag is valid when at least this share of the expected line contrast is found ...
+    /// Unrefined poses: smallest share of the expected line contrast that makes a tag valid, 0 to 1.
     pub valid_share: f64,
-    /// ... on at least this much certain line, in units of 10 cm ...
+    /// Unrefined poses: shortest line in view that makes a tag valid, counted by its certainty, units of 10 cm.
     pub valid_points: f64,
-    /// ... and the particles are this close together.
+    /// Unrefined poses: greatest standard deviation of the particles at which a tag is valid, metres.
     pub valid_spread_m: f64,
     /// Whether the pose is refined by least squares; without it the best particle is the tag.
     pub refinement: bool,
-    /// A refined pose is valid up to this standard deviation along its longer axis.
+    /// Refined poses: greatest standard deviation along the longer axis at which a tag is valid, metres.
     pub valid_refined_m: f64,
-    /// ... and with at least this share of the line seen where the field has one.
+    /// Refined poses: smallest share of the seen line that the field has there and that makes a tag valid, 0 to 1.
     pub valid_explained: f64,
 }
 
 impl FilterConfig {
     pub(super) fn check(&self) -> Result<(), String> {
-        within("filter.particles", self.particles as f64, 1.0, (1 << 20) as f64)?;
-        within("filter.iterations", self.iterations as f64, 1.0, 1000.0)?;
-        within("filter.particles_min", self.particles_min as f64, 1.0, (1 << 20) as f64)?;
+        check_range("filter.particles", self.particles as f64, 1.0, (1 << 20) as f64)?;
+        check_range("filter.iterations", self.iterations as f64, 1.0, 1000.0)?;
+        check_range("filter.particles_min", self.particles_min as f64, 1.0, (1 << 20) as f64)?;
         if self.budget_ms != 0.0 {
-            within("filter.budget_ms", self.budget_ms, LEAST_BUDGET_MS, 10_000.0)?;
+            check_range("filter.budget_ms", self.budget_ms, LEAST_BUDGET_MS, 10_000.0)?;
         }
-        within("filter.line_points", self.line_points as f64, 10.0, 100_000.0)?;
+        check_range("filter.line_points", self.line_points as f64, 10.0, 100_000.0)?;
         if let Some(alpha) = self.alpha {
-            within("filter.alpha (its size)", alpha.abs(), 1e-9, 1e12)?;
+            check_range("filter.alpha (its size)", alpha.abs(), 1e-9, 1e12)?;
         }
-        within("filter.initial_xy_m", self.initial_xy_m, 0.0, 100.0)?;
-        within("filter.initial_yaw_deg", self.initial_yaw_deg, 0.0, 360.0)?;
-        within("filter.jitter_xy_m", self.jitter_xy_m, 0.0, 10.0)?;
-        within("filter.jitter_yaw_deg", self.jitter_yaw_deg, 0.0, 180.0)?;
-        within("filter.jitter_shrink", self.jitter_shrink, 0.0, 1.0)?;
+        check_range("filter.initial_xy_m", self.initial_xy_m, 0.0, 100.0)?;
+        check_range("filter.initial_yaw_deg", self.initial_yaw_deg, 0.0, 360.0)?;
+        check_range("filter.jitter_xy_m", self.jitter_xy_m, 0.0, 10.0)?;
+        check_range("filter.jitter_yaw_deg", self.jitter_yaw_deg, 0.0, 180.0)?;
+        check_range("filter.jitter_shrink", self.jitter_shrink, 0.0, 1.0)?;
         if self.range_m != 0.0 {
-            within("filter.range_m", self.range_m, 0.5, 50.0)?;
+            check_range("filter.range_m", self.range_m, 0.5, 50.0)?;
         }
-        within("filter.tilt_sigma_deg", self.tilt_sigma_deg, 0.0, 45.0)?;
-        within("filter.nearest_reach_m", self.nearest_reach_m, 0.02, 5.0)?;
-        within("filter.image_reduction", self.image_reduction as f64, 0.0, 8.0)?;
-        within("filter.valid_share", self.valid_share, 0.0, 1.0)?;
-        within("filter.valid_points", self.valid_points, 0.0, 1e6)?;
-        within("filter.valid_spread_m", self.valid_spread_m, 0.0, 100.0)?;
-        within("filter.valid_refined_m", self.valid_refined_m, 0.0, 100.0)?;
-        within("filter.valid_explained", self.valid_explained, 0.0, 1.0)?;
+        check_range("filter.tilt_sigma_deg", self.tilt_sigma_deg, 0.0, 45.0)?;
+        check_range("filter.nearest_reach_m", self.nearest_reach_m, 0.02, 5.0)?;
+        check_range("filter.image_reduction", self.image_reduction as f64, 0.0, 8.0)?;
+        check_range("filter.valid_share", self.valid_share, 0.0, 1.0)?;
+        check_range("filter.valid_points", self.valid_points, 0.0, 1e6)?;
+        check_range("filter.valid_spread_m", self.valid_spread_m, 0.0, 100.0)?;
+        check_range("filter.valid_refined_m", self.valid_refined_m, 0.0, 100.0)?;
+        check_range("filter.valid_explained", self.valid_explained, 0.0, 1.0)?;
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
-//! What a robot's config file says (`config/robot.toml`); the command line uses the same keys.
+//! The settings of a robot, as in `config/robot.toml`; the command line uses the same keys.
 //!
-//! Everything has a default that works: an empty file is a good config.
+//! Every key has a default that works, so an empty file is a valid config. docs/reference/formats.md lists keys, ranges and meanings.
 
 mod camera;
 mod filter;
@@ -28,34 +28,46 @@ pub use recording::RecordingSettings;
 pub use thinning::{ThinningMode, ThinningSettings};
 pub use views::ViewsSettings;
 
+/// All settings of a robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
-    /// Goes into the name of the session.
+    /// Name of the robot, which becomes part of the name of each session's folder.
     pub robot: String,
-    /// A shipped field (`config/fields`) or the path of a field file.
+    /// Name of a shipped field (`config/fields`), or path of a field file.
     pub field: String,
+    /// Topics of the measurements.
     pub topics: Topics,
+    /// Names of the coordinate frames.
     pub frames: FrameNames,
+    /// Lens and body masks.
     pub camera: CameraSettings,
+    /// How a live camera is operated.
     pub capture: CaptureSettings,
+    /// Serial ports of microcontrollers.
     pub serial: SerialSettings,
+    /// Where the camera is mounted on the robot.
     pub mount: MountSettings,
+    /// Joints of the head.
     pub head: HeadSettings,
+    /// How frames are located.
     pub filter: FilterConfig,
+    /// Errors of odometry.
     pub motion: MotionModel,
+    /// How sessions are recorded.
     pub recording: RecordingSettings,
+    /// How views are made of a database.
     pub views: ViewsSettings,
 }
 
 impl Settings {
-    /// Paths in the file start at its own folder.
+    /// Loads and checks a config file. Relative paths in it start at its own folder.
     pub fn load(path: &str) -> Result<Self, ConfigError> {
         let source = read(path)?;
         Ok(Self::parse(&source.text, &source.name)?.seen_from(Path::new(path)))
     }
 
-    /// What a file at `path` means by its paths.
+    /// Resolves the relative paths of a config file at `path`: they start at its folder.
     pub fn seen_from(mut self, path: &Path) -> Self {
         self.field = field_seen_from(path, &self.field);
         self.camera.lens = self.camera.lens.map(|lens| lens_seen_from(path, &lens));
@@ -65,7 +77,7 @@ impl Settings {
         self
     }
 
-    /// `name` is for messages.
+    /// Parses and checks the text of a config file. Error messages show `name`.
     pub fn parse(text: &str, name: &str) -> Result<Self, ConfigError> {
         let file = || name.to_owned();
         let settings: Self =
@@ -74,14 +86,18 @@ impl Settings {
         Ok(settings)
     }
 
-    /// Says which key is impossible, and what would be possible.
+    /// Checks every value that has a range.
+    ///
+    /// # Errors
+    ///
+    /// The message names the first key that is out of its range, and the range.
     pub fn check(&self) -> Result<(), String> {
         self.filter.check()?;
         motion::check(&self.motion)?;
         self.camera.check()?;
-        let named =
+        let is_valid_name =
             !self.robot.is_empty() && self.robot.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c));
-        if !named || self.robot.starts_with('.') {
+        if !is_valid_name || self.robot.starts_with('.') {
             return Err(format!(
                 "robot is {:?}: use letters, digits, - and _: it becomes part of a folder's name",
                 self.robot
@@ -95,8 +111,9 @@ impl Settings {
     }
 }
 
-fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), String> {
-    // NaN fails both comparisons.
+/// Checks that a number lies between two bounds, both included.
+fn check_range(key: &str, value: f64, low: f64, high: f64) -> Result<(), String> {
+    // NaN fails both comparisons, so it is refused.
     if value >= low && value <= high { Ok(()) } else { Err(format!("{key} is {value}: it must be {low} to {high}")) }
 }
 
@@ -134,19 +151,19 @@ mod tests {
     fn the_shipped_config_states_every_default() {
         let text = include_str!("../../../../config/robot.toml");
         assert_eq!(Settings::parse(text, "robot.toml").expect("a good config"), Settings::default());
-        // Key by key, so that none is left out; only what has no default cannot stand there.
+        // The tables agree key by key, so none is left out; only keys without a default cannot be in the file.
         let stated: toml::Table = toml::from_str(text).expect("TOML");
         assert_eq!(stated, toml::Table::try_from(Settings::default()).expect("a table"));
     }
 
     #[test]
     fn an_unknown_or_impossible_key_is_named() {
-        let said = |text: &str| Settings::parse(text, "robot.toml").expect_err("refused").to_string();
-        assert!(said("[filter]\nparticels = 5").contains("particels"));
-        assert!(said("[filter]\nparticles = 0").contains("filter.particles is 0: it must be 1 to"));
-        assert!(said("[motion]\nturn_share = nan").contains("motion.turn_share is NaN"));
-        assert!(said("robot = \"../x\"").contains("robot is \"../x\""));
-        assert!(said("[filter]\nmodel = \"gaus\"").contains("gaus"));
+        let error_of = |text: &str| Settings::parse(text, "robot.toml").expect_err("refused").to_string();
+        assert!(error_of("[filter]\nparticels = 5").contains("particels"));
+        assert!(error_of("[filter]\nparticles = 0").contains("filter.particles is 0: it must be 1 to"));
+        assert!(error_of("[motion]\nturn_share = nan").contains("motion.turn_share is NaN"));
+        assert!(error_of("robot = \"../x\"").contains("robot is \"../x\""));
+        assert!(error_of("[filter]\nmodel = \"gaus\"").contains("gaus"));
     }
 
     #[test]

@@ -1,8 +1,9 @@
-//! `[motion]`: what odometry is worth.
+//! `[motion]`: the errors of odometry.
 
-use super::within;
+use super::check_range;
 use realitysim_localization::MotionModel;
 
+/// Checks the ranges of the motion model.
 pub(super) fn check(motion: &MotionModel) -> Result<(), String> {
     for (key, value) in [
         ("motion.distance_share", motion.distance_share),
@@ -13,7 +14,7 @@ pub(super) fn check(motion: &MotionModel) -> Result<(), String> {
         ("motion.walk_m_per_s", motion.walk_m_per_s),
         ("motion.turn_rad_per_s", motion.turn_rad_per_s),
     ] {
-        within(key, value, 0.0, 100.0)?;
+        check_range(key, value, 0.0, 100.0)?;
     }
     Ok(())
 }

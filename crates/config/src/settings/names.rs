@@ -1,41 +1,56 @@
-//! What topics, frames and joints are called.
+//! `[topics]`, `[frames]` and `[head]`: names of topics, coordinate frames and joints.
 
 use serde::{Deserialize, Serialize};
 
-/// Where each measurement comes from, and where tags go.
+/// Topics from which measurements are read.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Topics {
-    /// `sensor_msgs/CompressedImage` or `sensor_msgs/Image`.
+    /// Images: `sensor_msgs/CompressedImage` or `sensor_msgs/Image`.
     pub image: String,
+    /// Calibration of the camera: `sensor_msgs/CameraInfo`; not needed with `camera.lens`.
     pub camera_info: String,
+    /// Attitude against gravity: `sensor_msgs/Imu`.
     pub imu: String,
+    /// Odometry of `base_footprint`: `nav_msgs/Odometry`.
     pub odometry: String,
+    /// Angles of the head's joints: `sensor_msgs/JointState`.
     pub joints: String,
+    /// Transforms that change: `tf2_msgs/TFMessage`.
     pub tf: String,
+    /// Transforms that do not change: `tf2_msgs/TFMessage`.
     pub tf_static: String,
+    /// Announced poses of `base_footprint` in `map`: `geometry_msgs/PoseWithCovarianceStamped`.
     pub initial_pose: String,
-    /// For judging only: never an input.
+    /// True poses of `camera_link`, for evaluation only: never an input, and never copied into a capture.
     pub ground_truth: String,
 }
 
-/// REP 105 names.
+/// Names of the coordinate frames; the defaults are those of REP 105.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FrameNames {
+    /// The field: origin at its centre, x towards one goal, z up.
     pub map: String,
+    /// The frame in which odometry counts.
     pub odom: String,
+    /// The point on the ground below the robot.
     pub base_footprint: String,
+    /// The torso, to which roll and pitch of the IMU apply.
     pub base_link: String,
+    /// The camera with x forward, y left, z up. Tags are poses of this frame.
     pub camera_link: String,
-    /// If the transforms do not know it: the `frame_id` of the images.
+    /// The camera with z forward, x right, y down. If no transform knows it, the `frame_id` of the images is taken.
     pub camera_optical: String,
 }
 
+/// Names of the head's joints in `sensor_msgs/JointState`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HeadSettings {
+    /// Joint that turns the head about the z axis of the torso.
     pub pan_joint: String,
+    /// Joint that then tilts the head about the y axis of the camera; positive looks down.
     pub tilt_joint: String,
 }
 

@@ -1,45 +1,47 @@
-//! `[recording]`: segments, memory, room on the disk.
+//! `[recording]`: the size of segments, memory, and room on the disk.
 
 use serde::{Deserialize, Serialize};
 
+use super::check_range;
 use super::thinning::ThinningSettings;
-use super::within;
 
+/// How sessions are written. `_mb` are MiB.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RecordingSettings {
-    /// A segment ends after this time ...
+    /// Duration after which a segment ends, seconds.
     pub segment_s: u64,
-    /// ... or this size, whichever comes first.
+    /// Size at which a segment ends if it comes first, MiB.
     pub segment_mb: u64,
-    /// How often what was written is forced onto the disk.
+    /// Interval at which written data is forced onto the disk, milliseconds.
     pub sync_interval_ms: u64,
-    /// Memory for frames that wait for the disk; 0: twice what comes in `doctor`'s worst stall.
+    /// Memory for frames that wait for the disk, MiB; 0: twice what arrives in the worst stall that `doctor` measured.
     pub queue_mb: u64,
-    /// Beside it, for odometry, attitude and tags alone.
+    /// Further memory that only odometry, attitude and tags may use, MiB.
     pub reserve_mb: u64,
-    /// Frames are no longer recorded with less than this free on the disk ...
+    /// Free space on the disk below which frames are no longer recorded, MiB.
     pub floor_mb: u64,
-    /// ... or less than this share of it.
+    /// Free space below which frames are no longer recorded, percent of the disk.
     pub floor_percent: f64,
-    /// The most that a session may take; 0: no limit.
+    /// Largest size of a session, MiB; 0: no limit.
     pub session_mb: u64,
-    /// The most that all sessions may take; 0: no limit.
+    /// Largest size of all sessions together, MiB; 0: no limit.
     pub total_mb: u64,
+    /// Which frames are written.
     pub thinning: ThinningSettings,
 }
 
 impl RecordingSettings {
     pub(super) fn check(&self) -> Result<(), String> {
-        within("recording.segment_s", self.segment_s as f64, 1.0, 86_400.0)?;
-        within("recording.segment_mb", self.segment_mb as f64, 1.0, 65_536.0)?;
-        within("recording.queue_mb", self.queue_mb as f64, 0.0, 16_384.0)?;
-        within("recording.reserve_mb", self.reserve_mb as f64, 1.0, 4096.0)?;
-        within("recording.floor_mb", self.floor_mb as f64, 0.0, 1e9)?;
-        within("recording.floor_percent", self.floor_percent, 0.0, 100.0)?;
-        within("recording.session_mb", self.session_mb as f64, 0.0, 1e9)?;
-        within("recording.total_mb", self.total_mb as f64, 0.0, 1e9)?;
-        within("recording.sync_interval_ms", self.sync_interval_ms as f64, 10.0, 60_000.0)?;
+        check_range("recording.segment_s", self.segment_s as f64, 1.0, 86_400.0)?;
+        check_range("recording.segment_mb", self.segment_mb as f64, 1.0, 65_536.0)?;
+        check_range("recording.queue_mb", self.queue_mb as f64, 0.0, 16_384.0)?;
+        check_range("recording.reserve_mb", self.reserve_mb as f64, 1.0, 4096.0)?;
+        check_range("recording.floor_mb", self.floor_mb as f64, 0.0, 1e9)?;
+        check_range("recording.floor_percent", self.floor_percent, 0.0, 100.0)?;
+        check_range("recording.session_mb", self.session_mb as f64, 0.0, 1e9)?;
+        check_range("recording.total_mb", self.total_mb as f64, 0.0, 1e9)?;
+        check_range("recording.sync_interval_ms", self.sync_interval_ms as f64, 10.0, 60_000.0)?;
         self.thinning.check()
     }
 }

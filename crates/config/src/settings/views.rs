@@ -1,42 +1,45 @@
-//! `[views]`: which images of a database make a view.
+//! `[views]`: how the images of a database are chosen for a view.
 
 use serde::{Deserialize, Serialize};
 
-use super::within;
+use super::check_range;
 
-/// How images of a database are chosen for a view, and when one is the answer itself.
+/// How images of a database are chosen for a view, and when a stored image is the view itself.
+///
+/// The squared distance between two poses is the sum of three squares: of their distance, of the angle between their
+/// viewing directions, and of their roll about these, each times its weight.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ViewsSettings {
-    /// At most so many images make a view.
+    /// Largest number of images that make a view.
     pub sources: usize,
-    /// A stored image this near is given out as it is, if lens and size are those asked for ...
+    /// Greatest distance at which a stored image of the lens and size asked for is itself the view, metres.
     pub stored_within_m: f64,
-    /// ... and it looks the same way up to this angle.
+    /// Greatest angle at which a stored image of the lens and size asked for is itself the view, degrees.
     pub stored_within_deg: f64,
-    /// What a metre counts when the nearest images are looked for ...
+    /// Weight of a metre in the distance between two poses.
     pub metre_counts: f64,
-    /// ... a radian between viewing directions ...
+    /// Weight of a radian between two viewing directions.
     pub direction_counts: f64,
-    /// ... and a radian of roll.
+    /// Weight of a radian of roll about the viewing direction.
     pub roll_counts: f64,
-    /// Whether the goals of the field file stood there when the images were taken.
+    /// Whether the goals of the field file were on the field when the images were taken.
     pub goals: bool,
     /// Whether robots, people and balls on the carpet of a recorded image are left out of views.
     pub mask_moving: bool,
-    /// Memory for decoded images.
+    /// Memory for decoded images, MiB.
     pub cache_mb: u64,
 }
 
 impl ViewsSettings {
     pub(super) fn check(&self) -> Result<(), String> {
-        within("views.sources", self.sources as f64, 1.0, 16.0)?;
-        within("views.stored_within_m", self.stored_within_m, 0.0, 1.0)?;
-        within("views.stored_within_deg", self.stored_within_deg, 0.0, 10.0)?;
-        within("views.metre_counts", self.metre_counts, 0.001, 1000.0)?;
-        within("views.direction_counts", self.direction_counts, 0.0, 1000.0)?;
-        within("views.roll_counts", self.roll_counts, 0.0, 1000.0)?;
-        within("views.cache_mb", self.cache_mb as f64, 1.0, 65_536.0)
+        check_range("views.sources", self.sources as f64, 1.0, 16.0)?;
+        check_range("views.stored_within_m", self.stored_within_m, 0.0, 1.0)?;
+        check_range("views.stored_within_deg", self.stored_within_deg, 0.0, 10.0)?;
+        check_range("views.metre_counts", self.metre_counts, 0.001, 1000.0)?;
+        check_range("views.direction_counts", self.direction_counts, 0.0, 1000.0)?;
+        check_range("views.roll_counts", self.roll_counts, 0.0, 1000.0)?;
+        check_range("views.cache_mb", self.cache_mb as f64, 1.0, 65_536.0)
     }
 }
 

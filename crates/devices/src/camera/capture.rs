@@ -1,4 +1,4 @@
-//! The rules of capturing: the newest frame counts, everything else is counted, and an error is a beginning anew.
+//! The rules of capturing: the newest frame is delivered, all others are counted, and after an error the camera is opened again.
 
 use std::io;
 use std::time::Duration;
@@ -9,40 +9,46 @@ use super::PixelFormat;
 use super::driver::{CameraError, CameraOptions, Driver, Negotiated};
 use super::jpeg::is_whole;
 
-/// Which clock a frame's stamp is of.
+/// The event that a frame's stamp is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StampClock {
+    /// The start of the exposure, stamped by the driver.
     StartOfExposure,
+    /// The end of the frame, stamped by the driver.
     EndOfFrame,
-    /// The driver's stamps are of no use: when the frame was taken from it.
+    /// The moment at which the frame was taken from the driver, because the driver's stamp is of no use.
     Arrival,
 }
 
+/// One frame of a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
+    /// Its bytes, in the format that was negotiated.
     pub data: Vec<u8>,
-    /// Monotonic.
+    /// Its stamp by the monotonic clock, nanoseconds.
     pub stamp_ns: i64,
+    /// The event that the stamp is of.
     pub clock: StampClock,
+    /// Its number, given by the driver.
     pub sequence: u32,
 }
 
-/// Why frames that the camera made are not delivered.
+/// Why a frame of the camera is not delivered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Drop {
-    /// The camera or its driver had no buffer: a gap in its numbers.
+    /// The camera or its driver had no free buffer: there is a gap in its numbers.
     Camera,
-    /// A newer one was there already.
+    /// A newer frame was there already.
     Skipped,
-    /// Cut off, or said to be damaged by the driver.
+    /// The frame is incomplete, or the driver says that it is damaged.
     Torn,
-    /// More than `max_rate_hz`.
+    /// The frame came sooner than `max_rate_hz` allows.
     Rate,
 }
 
 impl Drop {
-    /// In counts and logs.
+    /// Returns the word for this reason in counts and logs.
     pub fn cause(self) -> &'static str {
         match self {
             Self::Camera => "camera",
@@ -53,65 +59,83 @@ impl Drop {
     }
 }
 
+/// What happens to a camera.
 #[derive(Debug)]
 pub enum CaptureEvent {
+    /// It was opened.
     Opened(Negotiated),
+    /// It delivered a frame.
     Frame(Frame),
-    /// Could not be opened, or was lost; it is tried again after `retry_in`.
+    /// It could not be opened, or was lost.
     Lost {
+        /// The reason.
         error: CameraError,
+        /// Time after which it is opened again.
         retry_in: Duration,
     },
+    /// This many frames were not delivered, for this reason.
     Dropped(Drop, u64),
 }
 
+/// What to capture.
 #[derive(Clone, Debug)]
 pub struct CaptureRules {
+    /// The camera and what is wanted of it.
     pub options: CameraOptions,
-    /// None: every frame.
+    /// Largest rate of delivered frames, Hz; `None` for every frame.
     pub max_rate_hz: Option<f64>,
 }
 
+/// Time until a lost camera is opened again; it doubles with each failure.
 const FIRST_RETRY: Duration = Duration::from_millis(100);
+/// Longest time between two tries to open a camera.
 const MAX_RETRY: Duration = Duration::from_secs(2);
-/// So long a wait for one frame: a stop is noticed then.
+/// Longest wait for one frame in a step, so that the caller notices a stop in time.
 const WAIT: Duration = Duration::from_millis(100);
-/// A camera that sends nothing for so long (or five frames, if that is longer) is opened anew.
+/// Time without a frame, nanoseconds, after which a camera is opened again; five frames, if that is longer.
 const STALL_NS: i64 = 1_000_000_000;
-/// Buffers that can be full at once: no driver has more.
+/// Largest number of buffers looked through for the newest frame: no driver has more.
 const MAX_BUFFERS: usize = 32;
-/// Room kept for frames to come.
+/// Largest number of buffers kept for frames to come.
 const MAX_SPARE: usize = 4;
-/// A stamp farther from its arrival is of another clock.
+/// Largest age of a frame at its arrival, nanoseconds. An older stamp is of another clock.
 const MAX_AGE_NS: i64 = 10_000_000_000;
-/// Drivers that compute the end of a frame from its start may deliver it before: by less than a frame.
+/// Largest time by which a stamp may be later than the arrival, nanoseconds. Drivers that compute the end of a frame from its start
+/// may deliver the frame before that end, by less than a frame.
 const MAX_AHEAD_NS: i64 = 100_000_000;
 
+/// Captures the frames of one camera.
+///
+/// The caller calls [`step`](Self::step) again and again, and waits for [`idle`](Self::idle) in between.
 pub struct Capture<D> {
     driver: D,
     rules: CaptureRules,
     open: Option<Open>,
+    /// Time until the next try, if opening fails.
     retry: Duration,
-    /// Not before.
+    /// Time before which the camera is not opened.
     retry_at_ns: i64,
-    /// Of the last frame that was delivered: `max_rate_hz` holds over a new beginning.
+    /// Stamp of the last frame that was delivered; kept when the camera is opened again, so that `max_rate_hz` still holds.
     delivered_ns: Option<i64>,
     spare: Spare,
 }
 
-/// Room for frames: a steady stream needs no new memory.
+/// Buffers for frames, so that a steady stream needs no new memory.
 #[derive(Default)]
 struct Spare(Vec<Vec<u8>>);
 
+/// State of an open camera.
 struct Open {
     negotiated: Negotiated,
     last_sequence: Option<u32>,
-    /// Of the last frame that had one of use: none before it can be of the next.
+    /// The last stamp of the driver that was used; the next one must be later.
     last_stamp_ns: Option<i64>,
+    /// Time at which a frame last came.
     heard_ns: i64,
 }
 
 impl<D: Driver> Capture<D> {
+    /// Creates a capture whose camera is opened with the first step.
     pub fn new(driver: D, rules: CaptureRules) -> Self {
         Self {
             driver,
@@ -124,12 +148,12 @@ impl<D: Driver> Capture<D> {
         }
     }
 
-    /// The room of a frame that is not needed any more.
+    /// Takes back the buffer of a frame that is not needed any more.
     pub fn give_back(&mut self, data: Vec<u8>) {
         self.spare.put(data);
     }
 
-    /// Waits a little for what comes next. `now_ns` reads the monotonic clock.
+    /// Opens the camera, or waits up to 100 ms for a frame. `now_ns` reads the monotonic clock; `tell` gets what happens.
     pub fn step(&mut self, now_ns: impl Fn() -> i64, mut tell: impl FnMut(CaptureEvent)) {
         let Some(open) = &mut self.open else {
             self.open(now_ns(), &mut tell);
@@ -142,7 +166,7 @@ impl<D: Driver> Capture<D> {
         let silent_ns = now_ns().saturating_sub(open.heard_ns);
         let device = self.rules.options.device.as_str();
         let error = match failed {
-            // A signal is no fault.
+            // An interruption by a signal is no fault.
             Some(error) if error.kind() == io::ErrorKind::Interrupted => None,
             Some(error) => Some(CameraError::of_io(device, error)),
             None if silent_ns > patience_ns => Some(CameraError::Stalled { device: device.to_owned() }),
@@ -156,7 +180,7 @@ impl<D: Driver> Capture<D> {
         }
     }
 
-    /// How long nothing has to be done, while the camera is away.
+    /// Returns how long the caller may sleep while the camera is away; zero while it is open.
     pub fn idle(&self, now_ns: i64) -> Duration {
         match self.open {
             Some(_) => Duration::ZERO,
@@ -164,6 +188,7 @@ impl<D: Driver> Capture<D> {
         }
     }
 
+    /// Tries to open the camera, if it is time.
     fn open(&mut self, now_ns: i64, tell: &mut impl FnMut(CaptureEvent)) {
         if now_ns < self.retry_at_ns {
             return;
@@ -177,6 +202,7 @@ impl<D: Driver> Capture<D> {
         }
     }
 
+    /// Closes the camera after an error, and sets the time of the next try.
     fn lose(&mut self, error: CameraError, now_ns: i64, tell: &mut impl FnMut(CaptureEvent)) {
         self.driver.close();
         self.open = None;
@@ -185,13 +211,14 @@ impl<D: Driver> Capture<D> {
         self.retry = (self.retry * 2).min(MAX_RETRY);
     }
 
+    /// Delivers a frame, unless it is over the rate.
     fn deliver(&mut self, frame: Frame, tell: &mut impl FnMut(CaptureEvent)) {
-        // A frame, not an opened device, shows that the camera works.
+        // Only a frame shows that the camera works; that it opens does not.
         self.retry = FIRST_RETRY;
         if let (Some(rate), Some(last_ns)) = (self.rules.max_rate_hz, self.delivered_ns) {
-            // A tenth of leeway: stamps are not exact, and a rate of 10 must not become 7.5 of a camera's 30.
-            let least_ns = (0.9e9 / rate) as i64;
-            if (0..least_ns).contains(&frame.stamp_ns.saturating_sub(last_ns)) {
+            // A tenth of leeway, because stamps are not exact: 10 Hz of a camera's 30 Hz must not become 7.5 Hz.
+            let min_ns = (0.9e9 / rate) as i64;
+            if (0..min_ns).contains(&frame.stamp_ns.saturating_sub(last_ns)) {
                 tell(CaptureEvent::Dropped(Drop::Rate, 1));
                 self.spare.put(frame.data);
                 return;
@@ -214,7 +241,9 @@ impl Spare {
     }
 }
 
-/// The newest whole frame of those that are there, the others being counted; and the error that came behind it, if one did.
+/// Returns the newest whole frame of those that are ready, and the error that came after it, if there is one.
+///
+/// The other frames are reported as dropped.
 fn newest(
     driver: &mut impl Driver,
     open: &mut Open,
@@ -239,7 +268,7 @@ fn newest(
         let arrived_ns = now_ns();
         open.heard_ns = arrived_ns;
         let gap = open.last_sequence.map_or(0, |last| info.sequence.wrapping_sub(last).saturating_sub(1));
-        // Some drivers number the first frames twice, and a camera that was reset begins anew: no gap of 4 billion.
+        // A number that repeats or begins anew is no gap: some drivers give the first numbers twice, and cameras are reset.
         if gap > 0 && gap < u32::MAX / 2 {
             tell(CaptureEvent::Dropped(Drop::Camera, u64::from(gap)));
         }
@@ -267,6 +296,7 @@ fn newest(
     (best, None)
 }
 
+/// Returns whether all bytes of a frame are there.
 fn is_complete(data: &[u8], negotiated: &Negotiated) -> bool {
     match negotiated.format.frame_bytes(negotiated.stride, negotiated.height) {
         Some(bytes) => data.len() >= bytes,

@@ -1,10 +1,10 @@
-//! The kernel's side, over the crate `v4l`, whose traps end here.
+//! Drives a Video4Linux camera through the crate `v4l`, whose pitfalls are dealt with here.
 //!
-//! Its `next()` queues a buffer that is still queued after a time-out or an error: it is called only when a buffer is ready, and a
-//! stream that failed is not used again. Its buffers are longer than what the camera wrote: `bytesused` counts. Its `Drop` panics
-//! when the kernel refuses to stop the stream: such a stream is closed by its descriptor.
+//! After a time-out or an error `next()` queues a buffer that is still queued, so it is called only when a buffer is ready, and a
+//! stream that failed is not used again. The buffers are longer than what the camera wrote, so `bytesused` counts. `Drop` panics
+//! when the kernel refuses to stop the stream, so such a stream is closed by its descriptor.
 
-// The ioctls of Video4Linux.
+// The ioctls of Video4Linux need it.
 #![allow(unsafe_code)]
 
 use std::collections::BTreeMap;
@@ -24,16 +24,17 @@ use v4l::{Device, FourCC, Fraction};
 
 use super::{BufferInfo, CameraError, CameraOptions, Driver, Negotiated, PixelFormat};
 
+/// A Video4Linux camera.
 #[derive(Default)]
 pub struct V4l2 {
     open: Option<(Device, Stream<'static>)>,
-    /// A frame was asked for: that starts the stream.
-    streams: bool,
+    /// Whether a frame was asked for, which starts the stream.
+    is_streaming: bool,
 }
 
-/// The one in hand is not being filled; the others give the agent 100 ms at 30 frames a second.
+/// Number of buffers. One is in use by the recorder; the other three give it 100 ms at 30 frames a second.
 const BUFFERS: u32 = 4;
-/// From the start of the stream; later waits happen in [`Driver::wait`].
+/// Longest wait for the first frame of a stream. Later waits happen in [`Driver::wait`].
 const FIRST_FRAME: Duration = Duration::from_secs(2);
 
 impl Driver for V4l2 {
@@ -51,13 +52,13 @@ impl Driver for V4l2 {
             .filter(|known| known.capabilities.contains(Capability::VIDEO_CAPTURE | Capability::STREAMING))
             .ok_or_else(no_capture)?;
         let (format, negotiated) = negotiate(&device, wanted)?;
-        let rate_hz = rate(&device, wanted.rate_hz);
+        let rate_hz = set_rate(&device, wanted.rate_hz);
         let (controls, refused) = set_controls(&device, wanted);
-        // The first look at the buffers tells whether somebody else has them. The first `next()` starts the stream.
+        // Asking for buffers fails if another program has them. The first `next()` starts the stream.
         let mut stream = Stream::with_buffers(&device, Type::VideoCapture, BUFFERS).map_err(failed)?;
         stream.set_timeout(FIRST_FRAME);
         self.open = Some((device, stream));
-        self.streams = false;
+        self.is_streaming = false;
         Ok(Negotiated {
             card: capabilities.card,
             bus: capabilities.bus,
@@ -73,18 +74,18 @@ impl Driver for V4l2 {
 
     fn wait(&mut self, timeout: Duration) -> io::Result<bool> {
         let Some((_, stream)) = &self.open else { return Err(closed()) };
-        // Before, some drivers say that there is an error to be taken, and v4l2loopback that there is nothing, for ever.
-        if !self.streams {
+        // A stream that has not started cannot be polled: some drivers report an error, v4l2loopback never reports a frame.
+        if !self.is_streaming {
             return Ok(true);
         }
         let milliseconds = i32::try_from(timeout.as_millis()).unwrap_or(i32::MAX);
-        // An error of the stream makes it ready too: taking then says which.
+        // An error makes the stream ready, too; taking the frame then returns it.
         Ok(stream.handle().poll(POLLIN, milliseconds)? > 0)
     }
 
     fn take(&mut self, into: &mut Vec<u8>) -> io::Result<BufferInfo> {
         let Some((_, stream)) = &mut self.open else { return Err(closed()) };
-        self.streams = true;
+        self.is_streaming = true;
         let (bytes, meta) = stream.next()?;
         into.clear();
         into.extend_from_slice(&bytes[..bytes.len().min(meta.bytesused as usize)]);
@@ -107,8 +108,8 @@ impl Driver for V4l2 {
                 let descriptor = device.handle().fd();
                 std::mem::forget(stream);
                 std::mem::forget(device);
-                // SAFETY: the descriptor's owners, the handle that both shared, were forgotten above: nobody else closes it.
-                // The mapped buffers stay mapped, which costs a few megabytes once for each such fault.
+                // SAFETY: stream and device, which shared the descriptor, were forgotten above, so nothing else closes it.
+                // The buffers stay mapped, which costs a few megabytes for each such fault.
                 drop(unsafe { OwnedFd::from_raw_fd(descriptor) });
             }
         }
@@ -121,13 +122,15 @@ impl core::ops::Drop for V4l2 {
     }
 }
 
+/// Bit of poll(2): there is something to read.
 const POLLIN: i16 = 1;
 
+/// Error of a camera that is not open.
 fn closed() -> io::Error {
     io::Error::from(io::ErrorKind::NotConnected)
 }
 
-/// The wanted size in the best format that the camera has; what it says is read back and compared.
+/// Sets the wanted size in the best format that the camera has, and checks what it then states.
 fn negotiate(device: &Device, wanted: &CameraOptions) -> Result<(PixelFormat, v4l::Format), CameraError> {
     let failed = |source| CameraError::of_io(&wanted.device, source);
     let offered = device.enum_formats().map_err(failed)?;
@@ -140,7 +143,7 @@ fn negotiate(device: &Device, wanted: &CameraOptions) -> Result<(PixelFormat, v4
     for candidate in candidates {
         let mut code = [b' '; 4];
         code.copy_from_slice(candidate.fourcc().as_bytes());
-        // The driver answers with what is nearest.
+        // The driver answers with the nearest format that it has.
         let got = device.set_format(&v4l::Format::new(width, height, FourCC::new(&code))).map_err(failed)?;
         if (got.width, got.height, got.fourcc.to_string().as_str()) == (width, height, candidate.fourcc()) {
             return Ok((candidate, got));
@@ -154,12 +157,13 @@ fn negotiate(device: &Device, wanted: &CameraOptions) -> Result<(PixelFormat, v4
     })
 }
 
+/// Says in a line what the camera offers.
 fn offers(device: &str) -> String {
     crate::v4l2::offer(Path::new(device)).map_or_else(|_| "nothing".to_owned(), |offer| offer.summary())
 }
 
-/// Some drivers keep a rate of their own; what they say is what counts.
-fn rate(device: &Device, wanted_hz: f64) -> Option<f64> {
+/// Sets the frame rate, and returns the one that the driver states, Hz: some drivers keep a rate of their own.
+fn set_rate(device: &Device, wanted_hz: f64) -> Option<f64> {
     let interval = Fraction::new(1_000, (wanted_hz * 1_000.0).round().max(1.0) as u32);
     let hertz = |p: Parameters| {
         (p.interval.numerator > 0).then(|| f64::from(p.interval.denominator) / f64::from(p.interval.numerator))
@@ -167,12 +171,12 @@ fn rate(device: &Device, wanted_hz: f64) -> Option<f64> {
     device.set_params(&Parameters::new(interval)).or_else(|_| Capture::params(device)).ok().and_then(hertz)
 }
 
-/// What the camera then says, and what it did not take.
+/// Sets the controls. Returns the values that the camera then states, and what it refused, with the reasons.
 fn set_controls(device: &Device, wanted: &CameraOptions) -> (BTreeMap<String, i64>, Vec<String>) {
     let known = device.query_controls().unwrap_or_default();
-    let find = |name: &str| known.iter().find(|control| plain(&control.name) == name);
+    let find = |name: &str| known.iter().find(|control| control_name(&control.name) == name);
     let mut refused = Vec::new();
-    // Twice: an exposure can be set only once the automatic one is off, and nothing says in which order they come.
+    // All are set twice, since one may depend on another: an exposure can be set only while the automatic exposure is off.
     for last in [false, true] {
         for (name, value) in &wanted.controls {
             let result = match find(name) {
@@ -194,7 +198,7 @@ fn set_controls(device: &Device, wanted: &CameraOptions) -> (BTreeMap<String, i6
         _ => None,
     };
     let controls: BTreeMap<String, i64> = wanted.controls.keys().filter_map(read).collect();
-    // Some drivers take what is too much without a word, and make it what they can.
+    // Some drivers accept a value out of range without an error, and change it to one that they can set.
     refused.extend(
         wanted
             .controls
@@ -212,12 +216,13 @@ fn set_controls(device: &Device, wanted: &CameraOptions) -> (BTreeMap<String, i6
     (controls, refused)
 }
 
-/// `Exposure Time, Absolute` becomes `exposure_time_absolute`, as v4l2-ctl shows it.
-fn plain(name: &str) -> String {
+/// Returns a control's name as v4l2-ctl shows it: `Exposure Time, Absolute` becomes `exposure_time_absolute`.
+fn control_name(name: &str) -> String {
     let words = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
     words.map(str::to_ascii_lowercase).collect::<Vec<_>>().join("_")
 }
 
+/// Lists the video devices that there are, 16 at most.
 fn present() -> String {
     let entries = std::fs::read_dir("/dev").into_iter().flatten().filter_map(Result::ok);
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());

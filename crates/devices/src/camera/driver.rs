@@ -1,4 +1,4 @@
-//! What is asked of the kernel.
+//! The interface between the rules of capturing and a camera: options, what was negotiated, errors, and the driver itself.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -11,21 +11,30 @@ use thiserror::Error;
 use crate::permission;
 use realitysim_config::CaptureSettings;
 
-/// Formats that can be recorded, best first.
+/// Pixel formats that can be recorded, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PixelFormat {
+    /// A JPEG for each frame.
     Mjpeg,
+    /// Two pixels in four bytes: Y U Y V.
     Yuyv,
+    /// A plane of Y, then one of U V pairs for each two by two pixels.
     Nv12,
+    /// Gray, 8 bits.
     Grey,
+    /// Bayer mosaic, 8 bits, whose first two rows begin with R G and G B.
     BayerRggb,
+    /// Bayer mosaic, 8 bits, whose first two rows begin with B G and G R.
     BayerBggr,
+    /// Bayer mosaic, 8 bits, whose first two rows begin with G B and R G.
     BayerGbrg,
+    /// Bayer mosaic, 8 bits, whose first two rows begin with G R and B G.
     BayerGrbg,
 }
 
 impl PixelFormat {
+    /// All formats, best first.
     pub const ALL: [Self; 8] = [
         Self::Mjpeg,
         Self::Yuyv,
@@ -37,7 +46,7 @@ impl PixelFormat {
         Self::BayerGrbg,
     ];
 
-    /// As in `videodev2.h`.
+    /// Returns the four-character code of the format in `videodev2.h`.
     pub fn fourcc(self) -> &'static str {
         match self {
             Self::Mjpeg => "MJPG",
@@ -51,11 +60,12 @@ impl PixelFormat {
         }
     }
 
+    /// Returns the format with this four-character code, if it can be recorded.
     pub fn of_fourcc(fourcc: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.fourcc() == fourcc)
     }
 
-    /// Of a whole frame with this many bytes a row; none of a compressed one.
+    /// Returns the size of a whole frame with rows of `stride` bytes, bytes; `None` for a compressed format.
     pub fn frame_bytes(self, stride: u32, height: u32) -> Option<usize> {
         let (stride, height) = (stride as usize, height as usize);
         match self {
@@ -66,21 +76,25 @@ impl PixelFormat {
     }
 }
 
+/// What is wanted of a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraOptions {
+    /// Path of the device, or `unix:PATH`.
     pub device: String,
-    /// Exactly: the lens was calibrated at this size.
+    /// Exact width, pixels: the lens was calibrated at this size.
     pub width: u32,
+    /// Exact height, pixels.
     pub height: u32,
-    /// None: the first of [`PixelFormat::ALL`] that the camera has.
+    /// Pixel format; `None` for the first of [`PixelFormat::ALL`] that the camera has.
     pub format: Option<PixelFormat>,
+    /// Frame rate, Hz.
     pub rate_hz: f64,
-    /// By their names as `v4l2-ctl --list-ctrls` shows them.
+    /// Values of the controls, by their names as `v4l2-ctl --list-ctrls` shows them.
     pub controls: BTreeMap<String, i64>,
 }
 
 impl CameraOptions {
-    /// As configured, for a lens of this size.
+    /// Takes the options from the settings, for a lens of this width and height, pixels.
     pub fn new(capture: &CaptureSettings, (width, height): (u32, u32)) -> Self {
         Self {
             device: capture.device.clone(),
@@ -93,64 +107,129 @@ impl CameraOptions {
     }
 }
 
-/// What the camera agreed to, read back.
+/// What a camera has agreed to, read back from it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Negotiated {
+    /// Name of the camera.
     pub card: String,
+    /// Where it is connected, for example a USB port.
     pub bus: String,
+    /// Pixel format.
     pub format: PixelFormat,
+    /// Width, pixels.
     pub width: u32,
+    /// Height, pixels.
     pub height: u32,
-    /// Bytes a row, where the format has rows.
+    /// Length of a row, bytes, if the format has rows.
     pub stride: u32,
-    /// None where the driver does not say.
+    /// Frame rate, Hz; `None` if the driver does not state it.
     pub rate_hz: Option<f64>,
+    /// Values of the wanted controls.
     pub controls: BTreeMap<String, i64>,
-    /// Controls that it does not have or did not take, and why.
+    /// Controls that the camera does not have or did not take, and why.
     pub refused: Vec<String>,
 }
 
-/// Of one filled buffer.
+/// What the driver says about one filled buffer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BufferInfo {
+    /// Number of the frame.
     pub sequence: u32,
+    /// Stamp of the frame, nanoseconds.
     pub stamp_ns: i64,
-    /// The stamp is of CLOCK_MONOTONIC.
+    /// Whether the stamp is of CLOCK_MONOTONIC.
     pub is_monotonic: bool,
-    /// The stamp is of the start of the exposure, not of the end of the frame.
+    /// Whether the stamp is of the start of the exposure, not of the end of the frame.
     pub is_start_of_exposure: bool,
-    /// The driver says that the pixels are damaged.
+    /// Whether the driver says that the pixels are damaged.
     pub is_damaged: bool,
 }
 
+/// Why a camera cannot be opened, or was lost.
 #[derive(Debug, Error)]
 pub enum CameraError {
+    /// There is no such device.
     #[error("{device}: no such camera; present are {present}")]
-    Missing { device: String, present: String },
+    Missing {
+        /// The device.
+        device: String,
+        /// The devices that there are.
+        present: String,
+    },
+    /// The user may not open it.
     #[error("{device}: no permission: {}", permission::remedy(Path::new(device), "video"))]
-    Permission { device: String },
+    Permission {
+        /// The device.
+        device: String,
+    },
+    /// Another program uses it.
     #[error("{device}: another program streams from it; a camera streams to one program only")]
-    Busy { device: String },
+    Busy {
+        /// The device.
+        device: String,
+    },
+    /// The camera does not have the wanted format or size.
     #[error("{device} has no {wanted}; it offers {offers}")]
-    Format { device: String, wanted: String, offers: String },
+    Format {
+        /// The device.
+        device: String,
+        /// What is wanted.
+        wanted: String,
+        /// What the camera offers.
+        offers: String,
+    },
+    /// The device cannot capture.
     #[error("{device} is no camera that streams; present are {present}")]
-    NoCapture { device: String, present: String },
+    NoCapture {
+        /// The device.
+        device: String,
+        /// The devices that there are.
+        present: String,
+    },
+    /// The folder of the socket does not exist.
     #[error("{device}: there is no folder {folder} for the socket: make it, or name another")]
-    NoFolder { device: String, folder: String },
+    NoFolder {
+        /// The device.
+        device: String,
+        /// The folder.
+        folder: String,
+    },
+    /// Something else is in the place of the socket.
     #[error("{device}: something is there that is no socket: it is left alone; name another place")]
-    NoSocket { device: String },
+    NoSocket {
+        /// The device.
+        device: String,
+    },
+    /// The program was built without the feature `v4l2`.
     #[error("{device}: this program was built without the feature v4l2")]
-    NotBuilt { device: String },
+    NotBuilt {
+        /// The device.
+        device: String,
+    },
+    /// The device was unplugged, or its sender has hung up.
     #[error("{device} went away")]
-    Unplugged { device: String },
+    Unplugged {
+        /// The device.
+        device: String,
+    },
+    /// The open camera sends no frames.
     #[error("{device} is open and sends nothing")]
-    Stalled { device: String },
+    Stalled {
+        /// The device.
+        device: String,
+    },
+    /// Any other error of the operating system.
     #[error("{device}: {source}")]
-    Io { device: String, source: io::Error },
+    Io {
+        /// The device.
+        device: String,
+        /// What the operating system says.
+        source: io::Error,
+    },
 }
 
 impl CameraError {
-    /// In counts and logs.
+    /// Returns the word for this error in counts and logs.
     pub fn cause(&self) -> &'static str {
         match self {
             Self::Missing { .. } => "missing",
@@ -167,7 +246,7 @@ impl CameraError {
         }
     }
 
-    /// What the kernel means by an error of an open device.
+    /// Interprets an error that the kernel gave for a device.
     pub fn of_io(device: &str, source: io::Error) -> Self {
         let device = device.to_owned();
         if source.kind() == io::ErrorKind::TimedOut {
@@ -182,15 +261,15 @@ impl CameraError {
     }
 }
 
-/// One camera. Calls come in the order open, (wait, take)*, close, and again.
+/// The driver of one camera. It is called in the order open, (wait, take)*, close, and so on again.
 pub trait Driver {
-    /// Opens, negotiates, sets the controls and starts the stream.
+    /// Opens the camera, negotiates the format, sets the controls and starts the stream.
     fn open(&mut self, wanted: &CameraOptions) -> Result<Negotiated, CameraError>;
-    /// Whether a filled buffer is there before the time is over.
+    /// Waits for a filled buffer. Returns false if there is none within the time.
     fn wait(&mut self, timeout: Duration) -> io::Result<bool>;
-    /// The oldest filled buffer's used bytes, in place of what `into` holds.
+    /// Takes the oldest filled buffer: its used bytes replace the content of `into`.
     fn take(&mut self, into: &mut Vec<u8>) -> io::Result<BufferInfo>;
-    /// Never fails: there may be nothing left to close.
+    /// Closes the camera. This never fails, since the device may be gone.
     fn close(&mut self);
 }
 

@@ -1,21 +1,25 @@
-//! Whether a camera's JPEG has come whole: a look at its markers (ITU-T T.81, annex B), not at its pixels.
+//! Checks whether a JPEG of a camera is complete, by its markers (ITU-T T.81, annex B) and without decoding its pixels.
 
-/// Smaller is no image.
-const LEAST_BYTES: usize = 128;
-/// Some cameras fill up behind the end of the image.
+/// Smallest size of an image, bytes.
+const MIN_BYTES: usize = 128;
+/// Number of last bytes in which the end of the image is looked for: some cameras add padding after it.
 const PADDING_LOOKED_THROUGH: usize = 4096;
 
-/// Start of image first; the segments up to the scan fit into one another; a frame header before the scan; end of image
-/// last, but for padding.
+/// Returns whether a JPEG is complete.
+///
+/// It must begin with the start of image; its segments must follow one another up to the scan, with a frame header among them;
+/// and it must end with the end of image, apart from padding.
 pub fn is_whole(data: &[u8]) -> bool {
-    data.len() >= LEAST_BYTES && data.starts_with(&[0xff, 0xd8]) && ends(data) && reaches_scan(data)
+    data.len() >= MIN_BYTES && data.starts_with(&[0xff, 0xd8]) && has_end_marker(data) && reaches_scan(data)
 }
 
-fn ends(data: &[u8]) -> bool {
+/// Returns whether the end of image is among the last bytes.
+fn has_end_marker(data: &[u8]) -> bool {
     let tail = &data[data.len().saturating_sub(PADDING_LOOKED_THROUGH)..];
     tail.windows(2).any(|pair| pair == [0xff, 0xd9])
 }
 
+/// Returns whether the segments follow one another up to the scan, with a frame header among them.
 fn reaches_scan(data: &[u8]) -> bool {
     let (mut at, mut has_frame_header) = (2, false);
     loop {

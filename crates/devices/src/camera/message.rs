@@ -1,4 +1,4 @@
-//! A frame as the message that is recorded: MJPEG as it came, raw pixels as they came or as a JPEG.
+//! Makes the message that is recorded of a frame: MJPEG as it came, raw pixels as they came or as a JPEG.
 
 use jpeg_encoder::ColorType;
 
@@ -6,13 +6,21 @@ use super::{Frame, Negotiated, PixelFormat};
 use realitysim_log_input::encode::{EncodeError, jpeg};
 use realitysim_ros2::messages::{CompressedImage, Header, Image};
 
+/// The message of a frame.
 pub enum ImageMessage {
+    /// A JPEG.
     Compressed(CompressedImage),
+    /// Raw pixels.
     Raw(Image),
 }
 
-/// `quality` of the JPEG of a raw camera; none records the pixels themselves. Gray and Bayer pixels are recorded as they are
-/// either way when `quality` is none; a Bayer image is never turned into JPEG, which would mix its colours.
+/// Makes the message of a frame.
+///
+/// `quality`, 1 to 100, is that of the JPEG which raw pixels become; with `None` they are recorded as they are. A Bayer image is
+/// never turned into JPEG, which would mix its colours, and NV12 always is.
+///
+/// # Errors
+/// If the image is too large for a JPEG.
 pub fn image_message(
     frame: Frame,
     camera: &Negotiated,
@@ -39,9 +47,10 @@ pub fn image_message(
     Ok(ImageMessage::Compressed(CompressedImage { header, format: "jpeg".to_owned(), data }))
 }
 
-/// NV12 has no reader among the usual tools: it becomes a JPEG in any case.
+/// Quality of a JPEG where none is wanted: NV12 always becomes a JPEG, because the usual tools cannot read it.
 const LOSSLESS_ENOUGH: u8 = 98;
 
+/// Returns ROS's name of a format that is recorded as raw pixels.
 fn encoding(format: PixelFormat) -> &'static str {
     match format {
         PixelFormat::Mjpeg | PixelFormat::Nv12 => "",
@@ -54,11 +63,12 @@ fn encoding(format: PixelFormat) -> &'static str {
     }
 }
 
+/// Removes the padding of the rows.
 fn rows(data: &[u8], width: u32, height: u32, stride: u32) -> Vec<u8> {
     data.chunks(stride as usize).take(height as usize).flat_map(|row| &row[..width as usize]).copied().collect()
 }
 
-/// Y0 U Y1 V: two pixels share their chroma.
+/// Converts Y0 U Y1 V, where two pixels share their chroma, into Y U V for each pixel.
 fn yuyv(data: &[u8], width: u32, height: u32, stride: u32) -> Vec<u8> {
     let mut pixels = Vec::with_capacity(3 * width as usize * height as usize);
     for row in data.chunks(stride as usize).take(height as usize) {
@@ -69,7 +79,7 @@ fn yuyv(data: &[u8], width: u32, height: u32, stride: u32) -> Vec<u8> {
     pixels
 }
 
-/// A plane of Y, then one of U V pairs for each two by two pixels.
+/// Converts a plane of Y and one of U V pairs, one for each two by two pixels, into Y U V for each pixel.
 fn nv12(data: &[u8], width: u32, height: u32, stride: u32) -> Vec<u8> {
     let (width, height, stride) = (width as usize, height as usize, stride as usize);
     let (luma, chroma) = data.split_at(stride * height);

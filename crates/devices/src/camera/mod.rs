@@ -1,6 +1,6 @@
-//! A live camera: frames with the kernel's stamps, through unplugging, stalls and errors.
+//! Captures frames of a live camera with the kernel's stamps, and goes on after unplugging, stalls and errors.
 //!
-//! [`Capture`] holds the rules; what it asks of the kernel is a [`Driver`], so that each error code can be had in a test.
+//! [`Capture`] has the rules. It talks to the kernel through a [`Driver`], so that tests can produce each error code.
 
 mod capture;
 #[cfg(feature = "v4l2")]
@@ -28,8 +28,9 @@ pub use output::OutputDevice;
 pub use republish::{Republished, Republishing, Sink};
 pub use socket::{SCHEME, SocketCamera};
 
-/// What speaks to this device: a V4L2 node, or `unix:PATH` for frames from another process. With a device to which every frame
-/// is passed on, and a report of that.
+/// Returns the driver of a device: a V4L2 node, or `unix:PATH` for frames from another process.
+///
+/// `republish` names a V4L2 device that every frame is passed on to, and the report that counts these frames.
 pub fn driver_of(device: &str, republish: Option<(&str, Arc<Republished>)>) -> Result<Box<dyn Driver>, CameraError> {
     let camera = camera_of(device)?;
     match republish {
@@ -41,6 +42,7 @@ pub fn driver_of(device: &str, republish: Option<(&str, Arc<Republished>)>) -> R
     }
 }
 
+/// Returns the driver of a device, without passing frames on.
 fn camera_of(device: &str) -> Result<Box<dyn Driver>, CameraError> {
     if device.starts_with(SCHEME) {
         return Ok(Box::new(SocketCamera::default()));

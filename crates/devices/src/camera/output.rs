@@ -1,9 +1,9 @@
-//! A V4L2 device that takes frames: v4l2loopback, or the output of a driver that has one.
+//! Writes frames to a V4L2 device: v4l2loopback, or the output of a driver that has one.
 //!
-//! The crate's own stream queues one buffer at a time, which some drivers never begin with, and cannot set a stamp: these are the
-//! kernel's calls themselves.
+//! The stream of the crate `v4l` queues one buffer at a time, with which some drivers never begin, and cannot set a stamp.
+//! Therefore this module makes the kernel's calls itself.
 
-// The ioctls of Video4Linux.
+// The ioctls of Video4Linux need it.
 #![allow(unsafe_code)]
 
 use std::io;
@@ -18,22 +18,24 @@ use v4l::{Device, FourCC};
 use super::republish::Sink;
 use super::{BufferInfo, Negotiated};
 
-/// Frames into a device of this path.
+/// A V4L2 device that frames are written to.
 pub struct OutputDevice {
     path: String,
     open: Option<Output>,
 }
 
 impl OutputDevice {
+    /// Creates the output; the device is opened with the first frame.
     pub fn new(path: &str) -> Self {
         Self { path: path.to_owned(), open: None }
     }
 
-    fn named(&self, error: &io::Error) -> io::Error {
+    /// Adds the path of the device to an error, and says what the device is not.
+    fn with_path(&self, error: &io::Error) -> io::Error {
         let path = &self.path;
         match error.raw_os_error() {
             Some(code) if code == rustix::io::Errno::NOTTY.raw_os_error() => io::Error::other(format!(
-                "{path} is no video device that takes frames (docs/hardware.md: v4l2loopback)"
+                "{path} is no video device that takes frames (docs/howto/robot.md: v4l2loopback)"
             )),
             _ => io::Error::new(error.kind(), format!("{path}: {error}")),
         }
@@ -42,13 +44,13 @@ impl OutputDevice {
 
 impl Sink for OutputDevice {
     fn open(&mut self, format: &Negotiated) -> io::Result<()> {
-        self.open = Some(Output::open(&self.path, format).map_err(|error| self.named(&error))?);
+        self.open = Some(Output::open(&self.path, format).map_err(|error| self.with_path(&error))?);
         Ok(())
     }
 
     fn write(&mut self, data: &[u8], info: &BufferInfo) -> io::Result<bool> {
         let written = self.open.as_mut().map_or(Ok(false), |output| output.write(data, info));
-        written.map_err(|error| self.named(&error))
+        written.map_err(|error| self.with_path(&error))
     }
 
     fn close(&mut self) {
@@ -56,21 +58,23 @@ impl Sink for OutputDevice {
     }
 }
 
-/// Some drivers begin with two only. A loopback device writes on around its readers, whether they have done with a buffer or not:
-/// the more there are, the later it comes to theirs. As many as v4l2loopback has.
+/// Number of buffers, that of v4l2loopback. Some drivers need at least two. A loopback device overwrites buffers in turn even while
+/// readers use them; the more there are, the later that happens.
 const BUFFERS: u32 = 8;
 
+/// An open device with its mapped buffers.
 struct Output {
     device: Device,
     mapped: Vec<&'static mut [u8]>,
-    /// Buffers that were never queued so far.
+    /// Number of buffers that have been queued at least once.
     fresh: usize,
     /// The buffer that was queued last.
     newest: u32,
-    streams: bool,
+    is_streaming: bool,
 }
 
 impl Output {
+    /// Opens a device in the camera's own format and size.
     fn open(path: &str, camera: &Negotiated) -> io::Result<Self> {
         let device = Device::with_path(path)?;
         let mut code = [b' '; 4];
@@ -84,19 +88,20 @@ impl Output {
                 got.fourcc, got.width, got.height, wanted.fourcc, wanted.width, wanted.height
             )));
         }
-        let mut output = Self { device, mapped: Vec::new(), fresh: 0, newest: 0, streams: false };
+        let mut output = Self { device, mapped: Vec::new(), fresh: 0, newest: 0, is_streaming: false };
         output.map()?;
         Ok(output)
     }
 
+    /// Maps the device's buffers into memory.
     fn map(&mut self) -> io::Result<()> {
         // SAFETY: a plain C struct of numbers, for which zero is a value.
         let mut request: v4l2_requestbuffers = unsafe { core::mem::zeroed() };
         (request.count, request.type_, request.memory) = (BUFFERS, Type::VideoOutput as u32, Memory::Mmap as u32);
-        self.ask(vidioc::VIDIOC_REQBUFS, &mut request)?;
+        self.request(vidioc::VIDIOC_REQBUFS, &mut request)?;
         for index in 0..request.count {
             let mut buffer = buffer(index);
-            self.ask(vidioc::VIDIOC_QUERYBUF, &mut buffer)?;
+            self.request(vidioc::VIDIOC_QUERYBUF, &mut buffer)?;
             let length = buffer.length as usize;
             // SAFETY: offset and length are the driver's own for this buffer; the mapping lives until `drop`, and nobody else
             // of this program has it.
@@ -115,9 +120,9 @@ impl Output {
         Ok(())
     }
 
-    /// False if no buffer is free: nobody reads as fast as the camera sends.
+    /// Writes a frame with its stamp. Returns false if no buffer is free, because readers are slower than the camera.
     fn write(&mut self, data: &[u8], info: &BufferInfo) -> io::Result<bool> {
-        let Some(mut buffer) = self.free()? else { return Ok(false) };
+        let Some(mut buffer) = self.free_buffer()? else { return Ok(false) };
         let place = self.mapped.get_mut(buffer.index as usize).ok_or(io::ErrorKind::InvalidData)?;
         let length = data.len().min(place.len());
         place[..length].copy_from_slice(&data[..length]);
@@ -125,37 +130,38 @@ impl Output {
         buffer.sequence = info.sequence;
         buffer.timestamp =
             timeval { tv_sec: info.stamp_ns / 1_000_000_000, tv_usec: info.stamp_ns % 1_000_000_000 / 1_000 };
-        self.ask(vidioc::VIDIOC_QBUF, &mut buffer)?;
+        self.request(vidioc::VIDIOC_QBUF, &mut buffer)?;
         self.newest = buffer.index;
-        if !self.streams {
-            self.ask(vidioc::VIDIOC_STREAMON, &mut (Type::VideoOutput as u32))?;
-            self.streams = true;
+        if !self.is_streaming {
+            self.request(vidioc::VIDIOC_STREAMON, &mut (Type::VideoOutput as u32))?;
+            self.is_streaming = true;
         }
         Ok(true)
     }
 
-    /// The one that was written longest ago.
-    fn free(&mut self) -> io::Result<Option<v4l2_buffer>> {
+    /// Returns the buffer that was written longest ago, or `None` if none is free.
+    fn free_buffer(&mut self) -> io::Result<Option<v4l2_buffer>> {
         if self.fresh < self.mapped.len() {
             self.fresh += 1;
             return Ok(Some(buffer(self.fresh as u32 - 1)));
         }
         let mut done = buffer(0);
-        match self.ask(vidioc::VIDIOC_DQBUF, &mut done) {
+        match self.request(vidioc::VIDIOC_DQBUF, &mut done) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
             asked => asked?,
         }
         if done.index != self.newest {
             return Ok(Some(buffer(done.index)));
         }
-        // v4l2loopback up to 0.12 gives back the newest, which its readers are reading. It takes any other, though, and knows by itself
-        // which of them it still has: a reader may have asked it for fewer.
+        // v4l2loopback up to 0.12 gives back the newest buffer, which its readers are using, but accepts any other one. QUERYBUF gives
+        // the index that the device really has: a reader may have asked it for fewer buffers.
         let mut next = buffer((self.newest + 1) % self.mapped.len() as u32);
-        self.ask(vidioc::VIDIOC_QUERYBUF, &mut next)?;
+        self.request(vidioc::VIDIOC_QUERYBUF, &mut next)?;
         Ok(Some(buffer(next.index)))
     }
 
-    fn ask<T>(&self, request: vidioc::_IOC_TYPE, what: &mut T) -> io::Result<()> {
+    /// Makes one request to the kernel.
+    fn request<T>(&self, request: vidioc::_IOC_TYPE, what: &mut T) -> io::Result<()> {
         // SAFETY: each request above is given the struct that the kernel's header names for it.
         unsafe { v4l2::ioctl(self.device.handle().fd(), request, core::ptr::from_mut(what).cast()) }
     }
@@ -171,6 +177,7 @@ impl Drop for Output {
     }
 }
 
+/// Returns the kernel's description of the buffer with this index.
 fn buffer(index: u32) -> v4l2_buffer {
     // SAFETY: a plain C struct of numbers and a union of them, for which zero is a value.
     let mut buffer: v4l2_buffer = unsafe { core::mem::zeroed() };

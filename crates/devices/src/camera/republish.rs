@@ -1,6 +1,6 @@
-//! Every frame passed on to a device from which other programs read it: v4l2loopback, or any driver with an output.
+//! Passes every frame on to a device from which other programs read: v4l2loopback, or any driver with an output.
 //!
-//! A camera streams to one program only. What is passed on has its bytes and its stamp, whatever is recorded of it.
+//! A camera streams to one program only. Frames are passed on with their bytes and stamps, whether they are recorded or not.
 
 use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,26 +9,28 @@ use std::time::Duration;
 
 use super::{BufferInfo, CameraError, CameraOptions, Driver, Negotiated};
 
-/// Where frames go to.
+/// A device that frames are passed on to.
 pub trait Sink {
+    /// Opens it for frames of this format.
     fn open(&mut self, format: &Negotiated) -> io::Result<()>;
-    /// False if it has no room: nobody reads as fast as the camera sends.
+    /// Writes a frame. Returns false if there is no room, because readers are slower than the camera.
     fn write(&mut self, data: &[u8], info: &BufferInfo) -> io::Result<bool>;
+    /// Closes it.
     fn close(&mut self);
 }
 
-/// A camera whose frames go two ways.
+/// A camera whose frames also go to a [`Sink`].
 pub struct Republishing<D, S> {
     camera: D,
     sink: S,
     format: Option<Negotiated>,
     is_open: bool,
-    /// Frames still to be missed before the sink is tried again.
+    /// Number of frames that are not passed on before the sink is opened again.
     pause: u32,
     report: Arc<Republished>,
 }
 
-/// What became of the frames. Read from other threads.
+/// Counts of frames that were passed on. Other threads may read it.
 #[derive(Debug, Default)]
 pub struct Republished {
     passed: AtomicU64,
@@ -36,18 +38,20 @@ pub struct Republished {
     lost: Mutex<Option<String>>,
 }
 
-/// Frames between two tries to open the sink.
+/// Number of frames between two tries to open the sink.
 const PAUSE: u32 = 30;
 
 impl<D: Driver, S: Sink> Republishing<D, S> {
+    /// Creates a camera whose frames are passed on to `sink` and counted in `report`.
     pub fn new(camera: D, sink: S, report: Arc<Republished>) -> Self {
         Self { camera, sink, format: None, is_open: false, pause: 0, report }
     }
 
-    fn pass(&mut self, data: &[u8], info: &BufferInfo) {
-        let passed = self.try_to_pass(data, info).unwrap_or_else(|error| {
-            self.report.is(Some(error.to_string()));
-            self.shut();
+    /// Passes a frame on, if that is possible, and counts it.
+    fn pass_on(&mut self, data: &[u8], info: &BufferInfo) {
+        let passed = self.try_pass_on(data, info).unwrap_or_else(|error| {
+            self.report.set_lost(Some(error.to_string()));
+            self.close_sink();
             self.pause = PAUSE;
             false
         });
@@ -55,7 +59,8 @@ impl<D: Driver, S: Sink> Republishing<D, S> {
         count.fetch_add(1, Ordering::Relaxed);
     }
 
-    fn try_to_pass(&mut self, data: &[u8], info: &BufferInfo) -> io::Result<bool> {
+    /// Passes a frame on, opening the sink if necessary. Returns false if it was not passed on.
+    fn try_pass_on(&mut self, data: &[u8], info: &BufferInfo) -> io::Result<bool> {
         let Some(format) = &self.format else { return Ok(false) };
         if self.pause > 0 {
             self.pause -= 1;
@@ -64,12 +69,12 @@ impl<D: Driver, S: Sink> Republishing<D, S> {
         if !self.is_open {
             self.sink.open(format)?;
             self.is_open = true;
-            self.report.is(None);
+            self.report.set_lost(None);
         }
         self.sink.write(data, info)
     }
 
-    fn shut(&mut self) {
+    fn close_sink(&mut self) {
         self.sink.close();
         self.is_open = false;
     }
@@ -78,9 +83,9 @@ impl<D: Driver, S: Sink> Republishing<D, S> {
 impl<D: Driver, S: Sink> Driver for Republishing<D, S> {
     fn open(&mut self, wanted: &CameraOptions) -> Result<Negotiated, CameraError> {
         let negotiated = self.camera.open(wanted)?;
-        // Its readers stay when the camera comes back as it was.
+        // The sink stays open for its readers if the camera comes back with the same format.
         if self.format.as_ref().is_some_and(|format| *format != negotiated) {
-            self.shut();
+            self.close_sink();
             self.pause = 0;
         }
         self.format = Some(negotiated.clone());
@@ -93,7 +98,7 @@ impl<D: Driver, S: Sink> Driver for Republishing<D, S> {
 
     fn take(&mut self, into: &mut Vec<u8>) -> io::Result<BufferInfo> {
         let info = self.camera.take(into)?;
-        self.pass(into, &info);
+        self.pass_on(into, &info);
         Ok(info)
     }
 
@@ -103,22 +108,22 @@ impl<D: Driver, S: Sink> Driver for Republishing<D, S> {
 }
 
 impl Republished {
-    /// Frames passed on.
+    /// Returns the number of frames passed on.
     pub fn passed(&self) -> u64 {
         self.passed.load(Ordering::Relaxed)
     }
 
-    /// Frames not passed on: the device is not there, or nobody empties it.
+    /// Returns the number of frames not passed on, because the device is missing or its readers are too slow.
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }
 
-    /// Why no frame is passed on at the moment.
+    /// Returns why no frame is passed on at the moment; `None` if frames are.
     pub fn lost(&self) -> Option<String> {
         self.lost.lock().ok()?.clone()
     }
 
-    fn is(&self, lost: Option<String>) {
+    fn set_lost(&self, lost: Option<String>) {
         if let Ok(mut place) = self.lost.lock() {
             *place = lost;
         }

@@ -1,4 +1,4 @@
-//! Frames from another process, which has the camera and shares it. Format: docs/formats.md.
+//! Receives frames from another process that has the camera and shares it. docs/reference/formats.md describes the format.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read};
@@ -12,21 +12,24 @@ use crate::stale_socket::clear_away;
 
 use super::{BufferInfo, CameraError, CameraOptions, Driver, Negotiated, PixelFormat};
 
-/// The recorder's end.
+/// The recorder's end of the socket, as a camera.
 #[derive(Default)]
 pub struct SocketCamera {
     listener: Option<UnixListener>,
     sender: Option<UnixStream>,
-    /// Of at most one frame and what came with its last bytes.
+    /// Bytes of at most one frame, and what came with its last bytes.
     buffer: Vec<u8>,
 }
 
-/// What the name of such a device begins with.
+/// Prefix of the name of such a device.
 pub const SCHEME: &str = "unix:";
+/// First bytes of each frame.
 const MAGIC: &[u8; 4] = b"RSF1";
+/// Length of a frame's header, bytes: magic, length, sequence, stamp.
 const HEAD_BYTES: usize = 20;
-/// A larger frame is none.
+/// Largest frame, bytes; a larger one is an error.
 const MAX_FRAME_BYTES: usize = 32 << 20;
+/// Largest number of bytes read at once.
 const READ_BYTES: usize = 1 << 18;
 
 impl Driver for SocketCamera {
@@ -84,7 +87,7 @@ impl Driver for SocketCamera {
                 let read = sender.read(&mut self.buffer[before..]);
                 self.buffer.truncate(before + read.as_ref().copied().unwrap_or(0));
                 match read {
-                    // As when a camera is unplugged.
+                    // A sender that hangs up is treated like a camera that is unplugged.
                     Ok(0) => return Err(rustix::io::Errno::NODEV.into()),
                     Ok(_) => {}
                     Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
@@ -107,7 +110,7 @@ impl Driver for SocketCamera {
         Ok(BufferInfo { sequence, stamp_ns, is_monotonic, is_start_of_exposure: true, is_damaged: false })
     }
 
-    /// The socket stays: its sender may come again.
+    /// Hangs up on the sender. The socket stays, so that the sender may come again.
     fn close(&mut self) {
         self.sender = None;
         self.buffer.clear();
@@ -115,7 +118,7 @@ impl Driver for SocketCamera {
 }
 
 impl SocketCamera {
-    /// With its head; none before that is there.
+    /// Returns the length of the next frame with its header, bytes; `None` until the header is there.
     fn frame_bytes(&self) -> io::Result<Option<usize>> {
         let Some(head) = self.buffer.get(..HEAD_BYTES) else { return Ok(None) };
         let bytes = u32::from_le_bytes([head[4], head[5], head[6], head[7]]) as usize;

@@ -1,4 +1,4 @@
-//! The rules against a driver that does what it is told, every error code among it.
+//! Tests of the rules of capturing against a driver that follows a script, with every error code.
 
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, VecDeque};
@@ -11,12 +11,13 @@ use rustix::io::Errno;
 use super::*;
 use realitysim_ros2::messages::Header;
 
-/// What the kernel does next.
+/// One thing that the kernel does.
 enum Act {
+    /// Opening fails with this error.
     Refuse(CameraError),
-    /// Opened now, it negotiates this.
+    /// Opening succeeds with this format.
     Negotiate(PixelFormat),
-    /// A buffer, filled at this time after the last act.
+    /// A buffer is filled, this long after the last act.
     Frame {
         sequence: u32,
         after_ms: i64,
@@ -24,7 +25,7 @@ enum Act {
         change: fn(&mut BufferInfo),
     },
     Error(Errno),
-    /// Nothing for so long.
+    /// Nothing happens for this long.
     Silence {
         ms: i64,
     },
@@ -35,7 +36,7 @@ struct Script {
     acts: VecDeque<Act>,
     opened: u32,
     closed: u32,
-    tells_no_rate: bool,
+    states_no_rate: bool,
 }
 
 #[derive(Clone)]
@@ -64,7 +65,7 @@ impl Driver for Scripted {
             width: SIZE.0,
             height: SIZE.1,
             stride: SIZE.0,
-            rate_hz: (!script.tells_no_rate).then_some(30.0),
+            rate_hz: (!script.states_no_rate).then_some(30.0),
             controls: BTreeMap::new(),
             refused: Vec::new(),
         })
@@ -129,7 +130,7 @@ fn options(format: Option<PixelFormat>) -> CameraOptions {
     CameraOptions { device: "/dev/x".into(), width, height, format, rate_hz: 30.0, controls: BTreeMap::new() }
 }
 
-/// All that happens until the script is over, and how often the device was opened and closed.
+/// What happened during a script, and how often the device was opened and closed.
 struct Run {
     frames: Vec<Frame>,
     formats: Vec<PixelFormat>,
@@ -140,6 +141,7 @@ struct Run {
     closed: u32,
 }
 
+/// Captures until the script is over.
 fn run(acts: Vec<Act>, max_rate_hz: Option<f64>, format: Option<PixelFormat>) -> Run {
     let now_ns = Rc::new(Cell::new(1_000_000_000_000));
     let script = Rc::new(RefCell::new(Script { acts: acts.into(), ..Script::default() }));
@@ -247,7 +249,7 @@ fn every_frame_that_the_camera_made_is_delivered_or_counted() {
     }
     let run = run(acts, Some(10.0), None);
     let dropped: u64 = run.dropped.values().sum();
-    // From the first number on, which is where the counting begins.
+    // Counting begins with the first number.
     let first = 1;
     assert_eq!(run.frames.len() as u64 + dropped, u64::from(sequence - first + 1), "{:?}", run.dropped);
     assert_eq!(run.dropped.len(), 4, "each cause: {:?}", run.dropped);
@@ -274,13 +276,13 @@ fn stamps_say_whose_they_are() {
     assert_eq!(clocks(|info| info.is_monotonic = false), (StampClock::Arrival, arrived_ns));
     assert_eq!(clocks(|info| info.stamp_ns += 3_000_000_000), (StampClock::Arrival, arrived_ns));
     assert_eq!(clocks(|info| info.stamp_ns = 0), (StampClock::Arrival, arrived_ns));
-    // As the kernel's vivid does: the end of the frame is yet to come.
+    // The kernel's driver vivid delivers a frame before the end that its stamp states.
     let ahead = clocks(|info| (info.stamp_ns, info.is_start_of_exposure) = (info.stamp_ns + 30_000_000, false));
     assert_eq!(ahead, (StampClock::EndOfFrame, arrived_ns + 28_000_000));
 }
 
 #[test]
-fn a_camera_that_comes_back_with_another_format_is_taken_as_what_it_is_now() {
+fn a_camera_may_come_back_with_another_format() {
     let jpeg = jpeg();
     let torn = jpeg[..jpeg.len() / 2].to_vec();
     let compressed = |sequence, data| Act::Frame { sequence, after_ms: 33, data, change: |_| {} };
@@ -290,7 +292,7 @@ fn a_camera_that_comes_back_with_another_format_is_taken_as_what_it_is_now() {
         Act::Refuse(CameraError::Missing { device: "/dev/x".into(), present: "none".into() }),
         Act::Negotiate(PixelFormat::Mjpeg),
         compressed(0, jpeg),
-        // Longer than the gray frame was, and no whole picture.
+        // Longer than a gray frame, but an incomplete JPEG.
         compressed(1, torn),
         Act::Error(Errno::NODEV),
         frame(0, 33),
@@ -323,7 +325,7 @@ fn a_camera_that_does_not_say_its_rate_has_that_which_was_asked_for() {
     slow.rate_hz = 0.5;
     let now_ns = Rc::new(Cell::new(1_000_000_000_000));
     let acts = VecDeque::from([frame(0, 33), Act::Silence { ms: 9_000 }, frame(1, 33)]);
-    let script = Rc::new(RefCell::new(Script { acts, tells_no_rate: true, ..Script::default() }));
+    let script = Rc::new(RefCell::new(Script { acts, states_no_rate: true, ..Script::default() }));
     let driver = Scripted { script: Rc::clone(&script), now_ns: Rc::clone(&now_ns) };
     let mut capture = Capture::new(driver, CaptureRules { options: slow, max_rate_hz: None });
     let mut frames = 0;
@@ -354,7 +356,7 @@ fn a_jpeg_that_is_cut_anywhere_is_torn() {
     for length in 0..whole.len() - 1 {
         assert!(!is_whole(&whole[..length]), "{length} of {}", whole.len());
     }
-    // The whole buffer of a driver that does not say how much of it is used.
+    // The whole buffer, from a driver that does not state how much of it is used.
     assert!(is_whole(&[whole.clone(), vec![0; 1_000]].concat()));
     assert!(!is_whole(&[&[0u8][..], &whole].concat()), "something stands before it");
     let run = run(
@@ -381,7 +383,7 @@ fn no_bytes_make_the_look_at_a_jpeg_panic() {
     }
 }
 
-/// A gray ramp with a colour, in each format, comes out as the same picture.
+/// A gray ramp with one colour gives the same picture in each format.
 #[test]
 fn raw_formats_become_the_same_picture() {
     let (width, height, stride) = (64u32, 48u32, 80u32);
@@ -417,7 +419,7 @@ fn raw_formats_become_the_same_picture() {
         let rgb = image::load_from_memory(&image.data).expect("decodes").to_rgb8();
         for (u, v, pixel) in rgb.enumerate_pixels() {
             let (y, b, r) = (f64::from(luma(u as usize, v as usize)), f64::from(cb) - 128.0, f64::from(cr) - 128.0);
-            // ITU-R BT.601 as in JFIF.
+            // The conversion of ITU-R BT.601, as in JFIF.
             let expected = [y + 1.402 * r, y - 0.344_136 * b - 0.714_136 * r, y + 1.772 * b];
             for (found, expected) in pixel.0.into_iter().zip(expected) {
                 assert!((f64::from(found) - expected).abs() < 6.0, "{format:?} at {u}, {v}: {found} for {expected}");
@@ -429,9 +431,9 @@ fn raw_formats_become_the_same_picture() {
     assert_eq!((raw.encoding.as_str(), raw.step, raw.width), ("mono8", stride, width));
 }
 
-/// What was passed on, and what the sink does: fails to open, is full, breaks.
+/// What was passed on to a sink, and what it does: it may fail to open, be full, or break.
 #[derive(Default)]
-struct Sunk {
+struct SinkState {
     frames: Vec<(u32, i64, Vec<u8>)>,
     opened: u32,
     closed: u32,
@@ -440,7 +442,7 @@ struct Sunk {
     broken: bool,
 }
 
-struct ScriptedSink(Rc<RefCell<Sunk>>);
+struct ScriptedSink(Rc<RefCell<SinkState>>);
 
 impl Sink for ScriptedSink {
     fn open(&mut self, _: &Negotiated) -> io::Result<()> {
@@ -468,8 +470,11 @@ impl Sink for ScriptedSink {
     }
 }
 
-/// A camera of that many frames, passed on; `change` is called before each.
-fn pass_on(count: u32, change: impl Fn(u32, &mut Sunk)) -> (Rc<RefCell<Sunk>>, std::sync::Arc<Republished>, u32) {
+/// Passes on a camera's frames, `count` of them; `change` is called before each.
+fn pass_on(
+    count: u32,
+    change: impl Fn(u32, &mut SinkState),
+) -> (Rc<RefCell<SinkState>>, std::sync::Arc<Republished>, u32) {
     let now_ns = Rc::new(Cell::new(1_000_000_000_000));
     let acts = (0..count).map(|sequence| Act::Frame {
         sequence,
@@ -478,7 +483,7 @@ fn pass_on(count: u32, change: impl Fn(u32, &mut Sunk)) -> (Rc<RefCell<Sunk>>, s
         change: |_| {},
     });
     let script = Rc::new(RefCell::new(Script { acts: acts.collect(), ..Script::default() }));
-    let sunk = Rc::new(RefCell::new(Sunk::default()));
+    let sunk = Rc::new(RefCell::new(SinkState::default()));
     let report = std::sync::Arc::new(Republished::default());
     let camera = Scripted { script: Rc::clone(&script), now_ns: Rc::clone(&now_ns) };
     let driver = Republishing::new(camera, ScriptedSink(Rc::clone(&sunk)), std::sync::Arc::clone(&report));
@@ -506,7 +511,7 @@ fn every_frame_is_passed_on_untouched_whatever_is_recorded_of_it() {
 }
 
 #[test]
-fn a_device_for_others_that_is_missing_full_or_broken_costs_the_recording_nothing() {
+fn a_broken_or_full_republishing_device_costs_no_recorded_frame() {
     let recorded = pass_on(100, |_, _| {}).2;
     let (sunk, report, delivered) = pass_on(100, |frame, sunk| sunk.missing = frame < 50);
     assert_eq!((delivered, sunk.borrow().opened), (recorded, 1));

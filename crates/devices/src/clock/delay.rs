@@ -1,57 +1,69 @@
-//! The constant by which a camera's stamps are later than its exposures, from turns that camera and body both measured.
+//! Estimates the constant by which a camera's stamps are later than its exposures.
 //!
-//! Pictures say how far the camera turned between two frames; so does the body's attitude between the same two times less the
-//! delay. The delay at which both agree best is the one. Only the size of the turns is compared: how the camera is mounted
-//! does not matter.
+//! Pictures tell how far the camera turned between two frames; the attitude of the body tells how far the body turned between
+//! the same two times less the delay. The delay at which both agree best is the estimate. Only the size of the turns is
+//! compared, so it does not matter how the camera is mounted.
 
 use thiserror::Error;
 
-/// What two successive frames say.
+/// The turn of the camera between two successive frames, as their pictures show it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turn {
+    /// Stamp of the first frame, nanoseconds.
     pub from_ns: i64,
+    /// Stamp of the second frame, nanoseconds.
     pub to_ns: i64,
-    /// Radians.
+    /// Size of the turn, radians.
     pub angle: f64,
 }
 
+/// An estimated delay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Delay {
-    /// Stamps are later than exposures by this.
+    /// Time by which stamps are later than exposures, nanoseconds.
     pub delay_ns: i64,
-    /// Two standard deviations.
+    /// Two standard deviations of the delay, and one step of the search, nanoseconds.
     pub uncertainty_ns: i64,
-    /// Of both measurements of the turns, at this delay.
+    /// Correlation of the two measurements of the turns, at this delay.
     pub correlation: f64,
+    /// Number of turns that were compared.
     pub turns: usize,
 }
 
+/// Why no delay can be estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum DelayError {
-    #[error("only {0} pairs of frames with both pictures and attitude: at least {LEAST_TURNS} are needed")]
+    /// There are too few turns that both measured; their number.
+    #[error("only {0} pairs of frames with both pictures and attitude: at least {MIN_TURNS} are needed")]
     Few(usize),
+    /// The body turns too little; its turn rate, degrees per second, root mean square.
     #[error(
         "the body hardly turns ({0:.1} deg/s): turn head or body left and right, at 20 deg/s or more, for ten seconds"
     )]
     Still(f64),
+    /// The two measurements do not agree at any delay; the best correlation.
     #[error(
         "pictures and attitude do not agree at any delay (correlation {0:.2}): stand still and turn only; is the lens right?"
     )]
     Disagree(f64),
+    /// The best delay lies at an end of the range that is searched; milliseconds.
     #[error("the best delay lies at the end of what is tried ({0} ms): are both on one clock?")]
     AtTheEnd(i64),
 }
 
-/// Searched on both sides of zero.
+/// Largest delay that is searched, on both sides of zero, nanoseconds.
 const MAX_DELAY_NS: i64 = 250_000_000;
+/// Step of the search, nanoseconds.
 const STEP_NS: i64 = 1_000_000;
-const LEAST_TURNS: usize = 60;
-/// Degrees a second, root of the mean square.
-const LEAST_TURN: f64 = 5.0;
-/// While the robot walks, what is near moves in the picture without a turn: seen on a made-up walk, 0.88 and 18 ms wrong.
-const LEAST_CORRELATION: f64 = 0.95;
+/// Smallest number of turns that give a delay.
+const MIN_TURNS: usize = 60;
+/// Smallest turn rate of the body, degrees per second, root mean square.
+const MIN_TURN_RATE_DEG_S: f64 = 5.0;
+/// Smallest correlation that is believed. While the robot walks, near things move in the picture without a turn: on a simulated
+/// walk the correlation is 0.88 and the delay wrong by 18 ms.
+const MIN_CORRELATION: f64 = 0.95;
 
-/// `turned` is the angle by which the camera's holder turned between two times, where it was measured.
+/// Estimates the delay. `turned` returns the angle by which the body turned between two times, radians, if it was measured.
 pub fn estimate(turns: &[Turn], turned: impl Fn(i64, i64) -> Option<f64>) -> Result<Delay, DelayError> {
     let mut best: Option<(i64, Fit)> = None;
     let mut fits = Vec::new();
@@ -63,17 +75,17 @@ pub fn estimate(turns: &[Turn], turned: impl Fn(i64, i64) -> Option<f64>) -> Res
         fits.push(fit);
     }
     let (delay_ns, fit) = best.ok_or(DelayError::Few(0))?;
-    if fit.turns < LEAST_TURNS {
+    if fit.turns < MIN_TURNS {
         return Err(DelayError::Few(fit.turns));
     }
-    if fit.degrees_a_second < LEAST_TURN {
+    if fit.degrees_a_second < MIN_TURN_RATE_DEG_S {
         return Err(DelayError::Still(fit.degrees_a_second));
     }
-    if fit.correlation < LEAST_CORRELATION {
+    if fit.correlation < MIN_CORRELATION {
         return Err(DelayError::Disagree(fit.correlation));
     }
     let index = ((delay_ns + MAX_DELAY_NS) / STEP_NS) as usize;
-    // A parabola through a wider neighbourhood: single steps are noisy.
+    // The minimum of a parabola through three points some steps apart, because single steps are noisy.
     let reach = 5;
     let (Some(before), Some(after)) = (index.checked_sub(reach).map(|i| &fits[i]), fits.get(index + reach)) else {
         return Err(DelayError::AtTheEnd(delay_ns / 1_000_000));
@@ -92,17 +104,19 @@ pub fn estimate(turns: &[Turn], turned: impl Fn(i64, i64) -> Option<f64>) -> Res
     })
 }
 
-/// The pictures' turns as a multiple of the body's.
+/// The fit of the pictures' turns, at one delay, by a linear function of the body's turns.
 #[derive(Clone, Copy)]
 struct Fit {
     turns: usize,
     correlation: f64,
-    /// Sum of squares.
+    /// Sum of the squared residuals, rad².
     residual: f64,
+    /// Turn rate of the body, root mean square.
     degrees_a_second: f64,
 }
 
 impl Fit {
+    /// Fits the turns at one delay.
     fn at(turns: &[Turn], delay_ns: i64, turned: &impl Fn(i64, i64) -> Option<f64>) -> Self {
         let (mut n, mut a, mut b, mut aa, mut bb, mut ab, mut rate) = (0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         for turn in turns {
@@ -128,7 +142,7 @@ impl Fit {
 mod tests {
     use super::*;
 
-    /// A head that looks left and right: its angle at a time.
+    /// Returns the angle of a head that looks left and right, at a time.
     fn heading(ns: i64) -> f64 {
         let t = ns as f64 * 1e-9;
         0.5 * libm::sin(2.1 * t) + 0.2 * libm::sin(5.3 * t + 1.0)

@@ -1,8 +1,8 @@
-//! What time it is by the host's clock when a device's clock says something else.
+//! Estimates the offset between a device's clock and that of the host.
 //!
-//! Pure: the host's time is an argument. Two sources, the better one counts: questions and answers (TIMESYNC), and, for a
-//! device that does not answer, the times at which its messages arrive. Both follow a drift of up to `MAX_DRIFT`, forget
-//! what is old, and begin anew when the device's clock was set or the device has started again.
+//! The module is pure: the host's time is an argument. There are two sources, of which the better one is used: questions and
+//! answers (TIMESYNC), and, for a device that does not answer, the times at which its messages arrive. Both follow a drift
+//! of up to 300 ppm, forget old data, and begin anew when the device's clock was set or the device has restarted.
 
 mod arrivals;
 mod delay;
@@ -17,20 +17,23 @@ pub use delay::{Delay, DelayError, Turn, estimate};
 use arrivals::Arrivals;
 use exchanges::Exchanges;
 
-/// Host minus device as a straight line in the device's time.
+/// Host time minus device time as a straight line over device time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Line {
+    /// The device time that the offset is given for.
     at_device_ns: i64,
+    /// Host time minus device time at `at_device_ns`.
     offset_ns: f64,
-    /// Seconds of offset per second of device time.
+    /// Change of the offset, seconds per second of device time.
     drift: f64,
-    /// The offset is this far from the truth at most, as far as one can know, at `at_device_ns`.
+    /// Largest error of the offset at `at_device_ns`, as far as that can be known.
     uncertainty_ns: f64,
-    /// Of `drift`.
+    /// Largest error of `drift`, seconds per second.
     drift_uncertainty: f64,
 }
 
 impl Line {
+    /// Returns the offset at a device time.
     fn at(&self, device_ns: i64) -> Offset {
         let away_ns = device_ns.saturating_sub(self.at_device_ns) as f64;
         Offset {
@@ -40,35 +43,43 @@ impl Line {
     }
 }
 
-/// Host time minus device time, and how far that may be from the truth.
+/// The offset between two clocks, and its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Offset {
+    /// Host time minus device time, nanoseconds.
     pub offset_ns: i64,
+    /// Largest error of the offset, as far as that can be known, nanoseconds.
     pub uncertainty_ns: i64,
 }
 
+/// What an offset is estimated from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
-    /// Questions and answers.
+    /// Questions to the device and its answers.
     Timesync,
-    /// Arrival times only: a delay that every message has cannot be seen.
+    /// Arrival times only: a delay that all messages share cannot be told from an offset.
     Arrivals,
 }
 
-/// For people and logs.
+/// State of a device's clock, for people and logs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ClockStatus {
+    /// What the offset is estimated from.
     pub source: Source,
+    /// Host time minus device time, nanoseconds.
     pub offset_ns: i64,
+    /// Largest error of the offset, as far as that can be known, nanoseconds.
     pub uncertainty_ns: i64,
+    /// Change of the offset, parts per million.
     pub drift_ppm: f64,
-    /// Times that the clock was set or its device started anew.
+    /// Number of times that the clock was set or its device restarted.
     pub restarts: u64,
+    /// Number of answers that were used.
     pub exchanges: u64,
 }
 
-/// Of one device and one of its clocks.
+/// Estimates the offset of one clock of one device.
 #[derive(Clone, Debug, Default)]
 pub struct DeviceClock {
     exchanges: Exchanges,
@@ -77,16 +88,18 @@ pub struct DeviceClock {
     restarts: u64,
 }
 
-/// A quartz is right to 50 ppm, a bad oscillator to 100, and the host's own has an error too.
+/// Largest drift of a device's clock against the host's. A quartz is right to 50 ppm, a bad oscillator to 100 ppm, and the
+/// host's clock has an error, too.
 const MAX_DRIFT: f64 = 300e-6;
-/// A clock that goes back by more than this was set, or its device has started anew. Messages of several kinds are not
-/// always sent in the order of their stamps.
+/// A clock that goes back by more than this, nanoseconds, was set, or its device has restarted. Smaller steps back are normal:
+/// messages of several kinds are not always sent in the order of their stamps.
 const RESTART_NS: i64 = 1_000_000_000;
 
 impl DeviceClock {
-    /// A message with the device's stamp (the earliest that it can mean) has arrived; `host_ns` is when its first byte can have
-    /// left at the latest, which is the arrival less the time on the wire. The stamp may have been rounded down by
-    /// `resolution_ns`.
+    /// Takes the arrival of a message.
+    ///
+    /// `device_ns` is the earliest time that its stamp can mean; the stamp may have been rounded down by `resolution_ns`.
+    /// `host_ns` is the latest time at which its first byte can have left, that is, the arrival less the time on the wire.
     pub fn arrived(&mut self, device_ns: i64, resolution_ns: i64, host_ns: i64) {
         if self.newest_device_ns.is_some_and(|newest| newest.saturating_sub(device_ns) > RESTART_NS) {
             self.restart();
@@ -95,11 +108,12 @@ impl DeviceClock {
             self.restart();
             self.arrivals.push(device_ns, resolution_ns, host_ns);
         }
-        self.note(device_ns);
+        self.remember_newest(device_ns);
     }
 
-    /// The device answered at `device_ns` a question that was sent at `sent_ns` and whose answer came at `received_ns`.
-    /// Answers from the future or to questions too long ago are left out.
+    /// Takes an answer that the device gave at `device_ns`, to a question of `sent_ns`, and that came at `received_ns`.
+    ///
+    /// Answers from the future, and answers that took too long, are left out.
     pub fn exchanged(&mut self, sent_ns: i64, device_ns: i64, received_ns: i64) {
         let went_back = self.newest_device_ns.is_some_and(|newest| newest.saturating_sub(device_ns) > RESTART_NS);
         if went_back {
@@ -109,15 +123,16 @@ impl DeviceClock {
             self.restart();
             self.exchanges.push(sent_ns, device_ns, received_ns);
         }
-        self.note(device_ns);
+        self.remember_newest(device_ns);
     }
 
-    /// The best that is known; none before anything was heard.
+    /// Returns the best estimate of the offset; `None` before anything was heard.
     pub fn offset(&self, device_ns: i64) -> Option<Offset> {
         let (line, _) = self.line()?;
         Some(line.at(device_ns))
     }
 
+    /// Returns the state of the clock; `None` before anything was heard.
     pub fn status(&self) -> Option<ClockStatus> {
         let (line, source) = self.line()?;
         let Offset { offset_ns, uncertainty_ns } = line.at(self.newest_device_ns?);
@@ -131,16 +146,18 @@ impl DeviceClock {
         })
     }
 
+    /// Returns the better line and its source.
     fn line(&self) -> Option<(Line, Source)> {
         let newest = self.newest_device_ns?;
         let exchanged = self.exchanges.line(newest).map(|line| (line, Source::Timesync));
         exchanged.or_else(|| self.arrivals.line().map(|line| (line, Source::Arrivals)))
     }
 
-    fn note(&mut self, device_ns: i64) {
+    fn remember_newest(&mut self, device_ns: i64) {
         self.newest_device_ns = Some(self.newest_device_ns.map_or(device_ns, |newest| newest.max(device_ns)));
     }
 
+    /// Forgets all that was known of the clock.
     fn restart(&mut self) {
         self.restarts += 1;
         self.newest_device_ns = None;

@@ -1,4 +1,4 @@
-//! Simulated devices: the true offset is known and must lie within what the clock claims.
+//! Tests with simulated devices: the true offset is known and must lie within the uncertainty that the clock states.
 
 use super::*;
 use proptest::prelude::*;
@@ -20,7 +20,7 @@ impl Simulated {
         host_ns - self.device_ns(host_ns)
     }
 
-    /// In 0..1, by SplitMix64.
+    /// Draws a number in 0..1 by SplitMix64.
     fn random(&mut self) -> f64 {
         self.noise = self.noise.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.noise ^ (self.noise >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -28,7 +28,7 @@ impl Simulated {
         ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// A delay of at least `least`, mostly little more, now and then much more.
+    /// Draws a delay of at least `least_ms`: mostly little more, sometimes much more.
     fn delay_ns(&mut self, least_ms: f64, jitter_ms: f64) -> i64 {
         let tail = -libm::log(1.0 - self.random());
         let burst = if self.random() < 0.05 { 8.0 } else { 1.0 };
@@ -39,7 +39,7 @@ impl Simulated {
 const SECOND: i64 = 1_000_000_000;
 const START: i64 = 1_000 * SECOND;
 
-/// Four questions a second; every answer comes with chance `answered`.
+/// Asks a question, of which there are four a second; the answer comes with probability `answered`.
 fn question(clock: &mut DeviceClock, device: &mut Simulated, host_ns: i64, jitter_ms: f64, answered: f64) {
     if device.random() > answered {
         return;
@@ -55,14 +55,14 @@ fn error_ns(clock: &DeviceClock, device: &Simulated, host_ns: i64) -> (i64, i64)
     (offset.offset_ns - device.true_offset(host_ns), offset.uncertainty_ns)
 }
 
-/// How a device was simulated, how well its clock was known: errors as shares of what is asked of them.
+/// How well the clock of a simulated device was known: errors as shares of what they may be.
 struct Heard {
-    /// Of the offset, question by question, beyond the half minute at the beginning.
+    /// Errors of the offset, question by question, after the first half minute.
     errors: Vec<f64>,
     drift_error: f64,
 }
 
-/// The law: no error, beyond a delay that cannot be known of, is larger than is claimed.
+/// Checks that no error is larger than the stated uncertainty, apart from a delay that cannot be known.
 fn claimed_error_ms(
     clock: &DeviceClock,
     device: &Simulated,
@@ -75,7 +75,7 @@ fn claimed_error_ms(
     Ok(beyond_ns as f64 / 1e6)
 }
 
-/// Five minutes of questions. Errors are shares of the mean delay of a message, although only a fifth of the questions may be answered.
+/// Asks questions for five minutes. Errors are shares of a message's mean delay, even if only a fifth of the questions is answered.
 fn by_exchanges(ppm: f64, jitter_ms: f64, answered: f64, noise: u64) -> Result<Heard, TestCaseError> {
     let mut device = Simulated { began_ns: START - 77 * SECOND, ppm, noise };
     let mut clock = DeviceClock::default();
@@ -92,7 +92,7 @@ fn by_exchanges(ppm: f64, jitter_ms: f64, answered: f64, noise: u64) -> Result<H
     Ok(Heard { errors, drift_error: (status.drift_ppm + ppm).abs() / (5.0 + 15.0 * jitter_ms) })
 }
 
-/// Two minutes of messages at 100 Hz. Errors are beyond the least delay, which arrivals cannot know of.
+/// Sends messages at 100 Hz for two minutes. Errors are counted beyond the least delay, which arrivals cannot show.
 fn by_arrivals(ppm: f64, jitter_ms: f64, least_ms: f64, noise: u64) -> Result<Heard, TestCaseError> {
     let mut device = Simulated { began_ns: START - 5 * SECOND, ppm, noise };
     let mut clock = DeviceClock::default();
@@ -100,7 +100,7 @@ fn by_arrivals(ppm: f64, jitter_ms: f64, least_ms: f64, noise: u64) -> Result<He
     for step in 0..12_000 {
         let host_ns = START + step * SECOND / 100;
         let delay = device.delay_ns(least_ms, jitter_ms);
-        // Stamped in whole milliseconds, as time_boot_ms is.
+        // Stamps are in whole milliseconds, like time_boot_ms.
         let stamp = device.device_ns(host_ns).div_euclid(1_000_000) * 1_000_000;
         clock.arrived(stamp, 1_000_000, host_ns + delay);
         if step > 1_000 && step % 50 == 0 {
@@ -129,7 +129,7 @@ proptest! {
         by_arrivals(ppm, jitter_ms, least_ms, noise)?;
     }
 
-    /// Whatever a device and its line say.
+    /// No times that a device and its line may give make the estimate panic.
     #[test]
     fn no_times_make_a_clock_panic(times in prop::collection::vec((any::<i64>(), any::<i64>(), any::<i64>()), 0..60)) {
         let mut clock = DeviceClock::default();
@@ -142,7 +142,7 @@ proptest! {
     }
 }
 
-/// How good clocks are is a matter of chance: of 60 devices that are the same in each run, and not of any that may come.
+/// Tests the accuracy over 60 devices that are the same in each run, because the accuracy on one device is a matter of chance.
 #[test]
 fn offset_and_drift_are_found_well_in_jitter_drift_and_loss() {
     let (mut offsets, mut drifts) = (Vec::new(), Vec::new());
@@ -208,7 +208,7 @@ fn a_clock_that_is_set_forward_is_followed() {
     }
 }
 
-/// A hub that hangs, or a recorder that is not let run: all that was sent meanwhile comes at once, as fast as the line is.
+/// A hub hangs, or the recorder is not scheduled: all that was sent meanwhile arrives at once, as fast as the line is.
 #[test]
 fn a_line_that_stands_still_for_seconds_is_no_other_clock() {
     for (with_exchanges, stands_s, apart_ns) in
@@ -222,7 +222,7 @@ fn a_line_that_stands_still_for_seconds_is_no_other_clock() {
             let stands = (6_000..6_000 + 100 * stands_s).contains(&step);
             let delay = device.delay_ns(0.3, 0.2);
             let goes_on_ns = if stands { START + (60 + stands_s) * SECOND } else { 0 };
-            // One after the other.
+            // The messages arrive one after the other.
             let arrives_ns = (host_ns + delay).max(goes_on_ns).max(free_ns);
             free_ns = if step >= 6_000 { arrives_ns + apart_ns } else { 0 };
             clock.arrived(device.device_ns(host_ns), 1_000, arrives_ns);
@@ -264,7 +264,7 @@ fn one_wild_answer_changes_nothing() {
         let host_ns = START + step * SECOND / 4;
         question(&mut clock, &mut device, host_ns, 0.2, 1.0);
         if step % 50 == 25 {
-            // A checksum that was right by chance.
+            // A damaged answer whose checksum is right by chance.
             clock.exchanged(host_ns, device.device_ns(host_ns) + 900_000_000, host_ns + 1_000_000);
         }
     }

@@ -1,4 +1,4 @@
-//! Frames out of a stream of bytes, whatever stands between them.
+//! Finds MAVLink 2 frames in a stream of bytes, whatever is between them.
 
 use mavlink::dialects::common::MavMessage;
 use mavlink::{Message, calculate_crc};
@@ -6,54 +6,67 @@ use serde::Serialize;
 
 use super::Sender;
 
-/// A sound frame. An `id` of none belongs to a type that the dialect does not know, so that nothing can be checked.
+/// A whole frame.
 pub(super) struct Frame<'a> {
     pub sender: Sender,
     pub sequence: u8,
+    /// Number of the message's type, with a right checksum. `None` for a type that the dialect does not know: its checksum
+    /// cannot be checked.
     pub id: Option<u32>,
     pub payload: &'a [u8],
+    /// Length of the whole frame, bytes.
     pub wire_bytes: usize,
 }
 
+/// Counts of the bytes and frames of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
+    /// Bytes that came.
     pub bytes: u64,
     /// Whole frames with a right checksum.
     pub frames: u64,
-    /// Places that look like a frame of a known type, with a wrong checksum.
+    /// Places that look like a frame of a known type but have a wrong checksum.
     pub crc_failures: u64,
     /// Bytes that belong to no frame.
     pub bytes_skipped: u64,
-    /// What stands between two frames and looks like one of a type that the dialect `common` does not know.
+    /// Frames between two others that look like ones of a type that the dialect `common` does not know.
     pub unknown: u64,
 }
 
+/// First byte of a MAVLink 2 frame.
 const START: u8 = 0xfd;
 const HEADER_BYTES: usize = 10;
 const CHECKSUM_BYTES: usize = 2;
 const SIGNATURE_BYTES: usize = 13;
+/// Flag of a frame that ends with a signature.
 const SIGNED: u8 = 0x01;
-/// What a MAVLink 2 frame has besides its payload, unsigned.
+/// Length of an unsigned MAVLink 2 frame besides its payload, bytes.
 pub const FRAME_OVERHEAD_BYTES: usize = HEADER_BYTES + CHECKSUM_BYTES;
 
-/// What has come of a frame so far.
+/// What the bytes from a start marker on turn out to be.
 enum Candidate {
     /// More bytes are needed to tell.
     Open,
+    /// They are no frame.
     NoFrame {
+        /// Whether they look like one of a known type with a wrong checksum.
         crc_failed: bool,
     },
+    /// They begin with a whole frame.
     Whole {
+        /// Length of the frame.
         bytes: usize,
+        /// Whether its type is known and its checksum right.
         known: bool,
     },
 }
 
+/// Cuts a stream of bytes into frames.
 #[derive(Debug, Default)]
 pub(super) struct Framer {
-    /// Less than one frame between two calls.
+    /// Bytes of an unfinished frame: less than one frame between two calls.
     buffer: Vec<u8>,
-    /// The byte before was the last of a frame.
+    /// Whether the byte before the buffer was the last one of a frame.
     follows_frame: bool,
     counts: FrameCounts,
 }
@@ -63,6 +76,7 @@ impl Framer {
         self.counts
     }
 
+    /// Takes the next bytes, and hands every frame that they complete to `take`.
     pub fn push(&mut self, bytes: &[u8], mut take: impl FnMut(Frame)) {
         self.counts.bytes += bytes.len() as u64;
         self.buffer.extend_from_slice(bytes);
@@ -78,12 +92,12 @@ impl Framer {
             self.counts.bytes_skipped += skipped as u64;
             self.follows_frame &= skipped == 0;
             start += skipped;
-            match judge(&self.buffer[start..], self.follows_frame) {
+            match classify(&self.buffer[start..], self.follows_frame) {
                 Candidate::Open => break,
                 Candidate::NoFrame { crc_failed } => {
                     self.counts.crc_failures += u64::from(crc_failed);
                     self.counts.bytes_skipped += 1;
-                    // A real frame may begin within what looked like one.
+                    // A real frame may begin within these bytes.
                     start += 1;
                     self.follows_frame = false;
                 }
@@ -93,7 +107,7 @@ impl Framer {
                     } else {
                         self.counts.unknown += 1;
                     }
-                    take(frame(&self.buffer[start..start + bytes], known));
+                    take(parse_frame(&self.buffer[start..start + bytes], known));
                     start += bytes;
                     self.follows_frame = true;
                 }
@@ -102,6 +116,7 @@ impl Framer {
         self.buffer.drain(..start);
     }
 
+    /// Drops an unfinished frame.
     pub fn drop_unfinished(&mut self) {
         self.counts.bytes_skipped += self.buffer.len() as u64;
         self.buffer.clear();
@@ -109,8 +124,8 @@ impl Framer {
     }
 }
 
-/// What begins at a start marker.
-fn judge(bytes: &[u8], follows_frame: bool) -> Candidate {
+/// Finds out whether a frame begins at a start marker.
+fn classify(bytes: &[u8], follows_frame: bool) -> Candidate {
     let [_, length, flags, ..] = *bytes else { return Candidate::Open };
     if flags & !SIGNED != 0 {
         return Candidate::NoFrame { crc_failed: false };
@@ -121,9 +136,9 @@ fn judge(bytes: &[u8], follows_frame: bool) -> Candidate {
     if bytes.len() < whole {
         return Candidate::Open;
     }
-    let extra = MavMessage::extra_crc(id_of(bytes));
+    let extra = MavMessage::extra_crc(message_id(bytes));
     if extra == 0 {
-        // Its checksum cannot be known. That it stands between frames speaks for it.
+        // The checksum of an unknown type cannot be computed. It counts as a frame if it stands between two frames.
         return match bytes.get(whole) {
             None if follows_frame => Candidate::Open,
             Some(&START) if follows_frame => Candidate::Whole { bytes: whole, known: false },
@@ -138,16 +153,18 @@ fn judge(bytes: &[u8], follows_frame: bool) -> Candidate {
     }
 }
 
-fn frame(bytes: &[u8], known: bool) -> Frame<'_> {
+/// Takes a whole frame apart.
+fn parse_frame(bytes: &[u8], known: bool) -> Frame<'_> {
     Frame {
         sequence: bytes[4],
         sender: Sender { system: bytes[5], component: bytes[6] },
-        id: known.then(|| id_of(bytes)),
+        id: known.then(|| message_id(bytes)),
         payload: &bytes[HEADER_BYTES..HEADER_BYTES + usize::from(bytes[1])],
         wire_bytes: bytes.len(),
     }
 }
 
-fn id_of(bytes: &[u8]) -> u32 {
+/// Returns the number of the message's type.
+fn message_id(bytes: &[u8]) -> u32 {
     u32::from_le_bytes([bytes[7], bytes[8], bytes[9], 0])
 }

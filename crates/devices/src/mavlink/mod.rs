@@ -1,15 +1,15 @@
-//! MAVLink 2 from a serial line: bytes in, measurements out (<https://mavlink.io/en/guide/serialization.html>).
+//! Decodes MAVLink 2 from a serial line: bytes in, measurements out (<https://mavlink.io/en/guide/serialization.html>).
 //!
-//! No I/O, no clock: the same bytes give the same measurements and the same counts, however they were cut into reads.
-//! All vectors and rotations leave this room in the axes of REP 103: body x forward, y left, z up.
+//! There is no I/O and no clock: the same bytes give the same measurements and counts, however they were cut into reads.
+//! All vectors and rotations that leave this module are in the axes of REP 103: body x forward, y left, z up.
 
 mod axes;
 mod framing;
 mod measurement;
-mod numbered;
 mod outgoing;
 mod resets;
 mod robot;
+mod sequence_counter;
 #[cfg(test)]
 mod tests;
 
@@ -26,71 +26,76 @@ use framing::{Frame, Framer};
 use measurement::Unusable;
 use resets::Continuity;
 
-/// Who sent a message: one port may carry several devices.
+/// The sender of a message; one port may carry several devices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub struct Sender {
+    /// MAVLink's number of the system, that is, of the robot.
     pub system: u8,
+    /// MAVLink's number of the component within the system.
     pub component: u8,
 }
 
-/// One sound message.
+/// One message whose checksum is right.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Received {
+    /// The device that sent it.
     pub sender: Sender,
-    /// The whole frame on the wire: at a known baud rate it says how long the message took.
+    /// Length of the whole frame, bytes: at a known baud rate it tells how long the message was on the wire.
     pub wire_bytes: usize,
-    /// When the device measured, by its own clock.
+    /// Time of the measurement by the device's own clock, if the message has one.
     pub time: Option<DeviceTime>,
+    /// What the message says.
     pub content: Content,
 }
 
-/// What a port has carried so far.
+/// Counts of what a port has carried so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct PortCounts {
+    /// Counts of bytes and frames.
     #[serde(flatten)]
     pub frames: FrameCounts,
-    /// Messages that were used, by name.
+    /// Number of messages that were used, by MAVLink's name of the type.
     pub used: BTreeMap<&'static str, u64>,
-    /// Sound messages of known types that nobody here needs.
+    /// Messages with a right checksum, of a known type that is not needed.
     pub not_needed: u64,
-    /// Sound messages whose content cannot be used, by reason.
+    /// Messages with a right checksum whose content cannot be used, by reason.
     pub unusable: BTreeMap<&'static str, u64>,
-    /// Messages that the senders' sequence numbers say are missing: modulo 256, a device that starts anew may count as up
-    /// to 255.
+    /// Messages that are missing by the senders' sequence numbers. These count modulo 256, so a device that restarts may add
+    /// up to 255.
     pub lost: u64,
-    /// Estimates of odometry that jumped and were joined again.
+    /// Number of times that a device's odometry jumped and was joined again.
     pub resets: u64,
-    /// Messages of this program's own name: what it sent came back. They are not used.
+    /// Messages that bear this program's own name, because what it sent came back. They are not used.
     pub echoes: u64,
 }
 
-/// More senders on one port than any robot has: those beyond are noise that happens to have a right checksum.
+/// Largest number of senders on one port, more than any robot has. Further ones are noise whose checksum is right by chance.
 const MAX_SENDERS: usize = 16;
 
-/// Of one port.
+/// Decodes the bytes of one port, and counts what comes of them.
 #[derive(Debug, Default)]
 pub struct Decoder {
     framer: Framer,
-    senders: BTreeMap<Sender, Line>,
+    senders: BTreeMap<Sender, SenderState>,
     counts: PortCounts,
-    /// As which this program sends on the same line.
+    /// The name under which this program sends on the same line.
     own: Option<Sender>,
 }
 
-/// What must be remembered of a sender.
+/// State that is kept for each sender.
 #[derive(Debug, Default)]
-struct Line {
+struct SenderState {
     next_sequence: Option<u8>,
     odometry: Continuity,
 }
 
 impl Decoder {
-    /// Of a line on which this program sends under that name.
+    /// Creates a decoder for a line on which this program sends under the name `own`.
     pub fn beside(own: Sender) -> Self {
         Self { own: Some(own), ..Self::default() }
     }
 
-    /// Hands every measurement that the bytes complete to `take`.
+    /// Takes the next bytes, and hands every message that they complete to `take`.
     pub fn push(&mut self, bytes: &[u8], mut take: impl FnMut(Received)) {
         let Self { framer, senders, counts, own } = self;
         framer.push(bytes, |frame| {
@@ -103,25 +108,28 @@ impl Decoder {
         self.counts.frames = self.framer.counts();
     }
 
+    /// Returns what the port has carried so far.
     pub fn counts(&self) -> &PortCounts {
         &self.counts
     }
 
-    /// The line was interrupted: half a frame will not be completed, and what was lost meanwhile is not the line's loss.
+    /// Tells that the port was closed: an unfinished frame is dropped, and messages missed meanwhile do not count as lost.
     pub fn interrupted(&mut self) {
         self.framer.drop_unfinished();
         self.counts.frames = self.framer.counts();
-        for line in self.senders.values_mut() {
-            line.next_sequence = None;
+        for sender in self.senders.values_mut() {
+            sender.next_sequence = None;
         }
     }
 }
 
-fn read(senders: &mut BTreeMap<Sender, Line>, counts: &mut PortCounts, frame: &Frame) -> Option<Received> {
+/// Reads the message in a frame, and counts what comes of it. `None` if it is not used.
+fn read(senders: &mut BTreeMap<Sender, SenderState>, counts: &mut PortCounts, frame: &Frame) -> Option<Received> {
     let Some(id) = frame.id else {
-        // Nobody can check a message of an unknown type: its number counts only where it is the one that must follow.
-        if let Some(line) = senders.get_mut(&frame.sender).filter(|line| line.next_sequence == Some(frame.sequence)) {
-            line.next_sequence = Some(frame.sequence.wrapping_add(1));
+        // A message of an unknown type cannot be checked: its sequence number counts only if it is the one expected.
+        if let Some(state) = senders.get_mut(&frame.sender).filter(|state| state.next_sequence == Some(frame.sequence))
+        {
+            state.next_sequence = Some(frame.sequence.wrapping_add(1));
         }
         return None;
     };
@@ -129,11 +137,11 @@ fn read(senders: &mut BTreeMap<Sender, Line>, counts: &mut PortCounts, frame: &F
         *counts.unusable.entry("too many senders").or_default() += 1;
         return None;
     }
-    let line = senders.entry(frame.sender).or_default();
-    if let Some(expected) = line.next_sequence {
+    let state = senders.entry(frame.sender).or_default();
+    if let Some(expected) = state.next_sequence {
         counts.lost += u64::from(frame.sequence.wrapping_sub(expected));
     }
-    line.next_sequence = Some(frame.sequence.wrapping_add(1));
+    state.next_sequence = Some(frame.sequence.wrapping_add(1));
     let (name, time, content) = match measurement::read(id, frame.payload) {
         Ok(read) => read,
         Err(Unusable::NotNeeded) => {
@@ -147,7 +155,7 @@ fn read(senders: &mut BTreeMap<Sender, Line>, counts: &mut PortCounts, frame: &F
     };
     let content = match content {
         Content::Odometry(step) => {
-            let (step, jumped) = line.odometry.join(time, step);
+            let (step, jumped) = state.odometry.join(time, step);
             counts.resets += u64::from(jumped);
             Content::Odometry(step)
         }

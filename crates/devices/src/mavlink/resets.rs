@@ -1,34 +1,35 @@
-//! Odometry that goes on through the jumps of the device's estimate.
+//! Joins odometry across the jumps of a device's estimate.
 
 use super::measurement::{DeviceTime, Step};
 use glam::DQuat;
 use realitysim_geometry::Isometry;
 
-/// What turns a device's poses into those of one unbroken path.
+/// Turns the poses that a device sends into those of one unbroken path.
 #[derive(Debug, Default)]
 pub(super) struct Continuity {
     last: Option<Last>,
-    /// `path_from_odom`: of the device's present frame.
+    /// `path_from_odom` of the device's present coordinate frame; `None` before the first jump.
     correction: Option<Isometry>,
 }
 
+/// The last message, on the unbroken path.
 #[derive(Debug)]
 struct Last {
     time: Option<DeviceTime>,
     step: Step,
 }
 
-/// Across a longer silence a twist says nothing about where the robot went.
+/// Longest time over which the last velocity is carried on at a jump, nanoseconds.
 const MAX_BRIDGED_NS: i64 = 500_000_000;
-/// A clock that goes back by more is that of a device that has started anew, whose estimate has too, and whose
-/// `reset_counter` may be what it was.
+/// A clock that goes back by more, nanoseconds, shows that the device has restarted. Its estimate then jumps, too, even if
+/// `reset_counter` stays the same.
 const MAX_BACK_NS: i64 = 500_000_000;
 
 impl Continuity {
-    /// The pose on the unbroken path, and whether the estimate has jumped.
+    /// Returns the message with its pose on the unbroken path, and whether the estimate has jumped.
     ///
-    /// Over a jump the robot is taken to have moved on with the last twist: `reset_counter` says that the estimate jumped,
-    /// not by how much.
+    /// Over a jump the robot is taken to have moved on with the last velocity, because `reset_counter` says only that the
+    /// estimate jumped, not by how much.
     pub fn join(&mut self, time: Option<DeviceTime>, mut step: Box<Step>) -> (Box<Step>, bool) {
         let jumped = self
             .last
@@ -46,7 +47,7 @@ impl Continuity {
     }
 }
 
-/// By the device's clock; 0 where it does not say.
+/// Returns the time since the last message by the device's clock, nanoseconds; 0 where that is not known.
 fn elapsed_ns(last: &Last, now: Option<DeviceTime>) -> i64 {
     match (last.time, now) {
         (Some(before), Some(now)) if before.base == now.base => now.floor_ns.saturating_sub(before.floor_ns),
@@ -54,6 +55,7 @@ fn elapsed_ns(last: &Last, now: Option<DeviceTime>) -> i64 {
     }
 }
 
+/// Returns the motion since the last message at the last velocity; none after a long silence.
 fn motion(last: &Last, now: Option<DeviceTime>) -> Isometry {
     let elapsed_ns = elapsed_ns(last, now);
     if !(0..=MAX_BRIDGED_NS).contains(&elapsed_ns) {

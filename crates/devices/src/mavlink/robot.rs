@@ -1,4 +1,4 @@
-//! The other end of the line: what a robot's microcontroller sends, for playing recordings back to robot software.
+//! Writes what a robot's microcontroller sends, to play recordings back to robot software.
 
 use glam::{DQuat, DVec3};
 use mavlink::dialects::common::{
@@ -6,29 +6,34 @@ use mavlink::dialects::common::{
 };
 
 use super::axes::{ENU_FROM_NED, FLU_FROM_FRD, flu_from_frd};
-use super::numbered::{Numbered, w_first};
+use super::sequence_counter::{NumberedSender, to_wxyz};
 use realitysim_geometry::Isometry;
 
-/// Frames in the name of a robot's autopilot, numbered. Times count from its start, and are never 0.
+/// A sender of numbered frames in the name of a robot's autopilot.
+///
+/// Times count from the start of the microcontroller, nanoseconds. Stamps in microseconds are never 0, which would mean "unknown".
 #[derive(Debug)]
 pub struct RobotSide {
-    sender: Numbered,
+    sender: NumberedSender,
 }
 
+/// MAV_COMP_ID_AUTOPILOT1.
 const AUTOPILOT: u8 = 1;
 
 impl RobotSide {
+    /// Creates the sender of the robot with this MAVLink number.
     pub fn new(system: u8) -> Self {
-        Self { sender: Numbered::new(system, AUTOPILOT, MavType::MAV_TYPE_GENERIC) }
+        Self { sender: NumberedSender::new(system, AUTOPILOT, MavType::MAV_TYPE_GENERIC) }
     }
 
+    /// Returns a HEARTBEAT frame.
     pub fn heartbeat(&mut self) -> Vec<u8> {
         self.sender.heartbeat()
     }
 
-    /// Body (FLU) in the world (ENU); radians per second in the body's axes.
+    /// Returns an ATTITUDE_QUATERNION frame: body (FLU) in the world (ENU), turn rate in the body's axes, radians per second.
     pub fn attitude(&mut self, boot_ns: i64, world_from_body: DQuat, angular_velocity: DVec3) -> Vec<u8> {
-        let [q1, q2, q3, q4] = w_first(ENU_FROM_NED.conjugate() * world_from_body * FLU_FROM_FRD.conjugate());
+        let [q1, q2, q3, q4] = to_wxyz(ENU_FROM_NED.conjugate() * world_from_body * FLU_FROM_FRD.conjugate());
         // The turn from FLU to FRD is its own inverse.
         let rate = flu_from_frd(angular_velocity).as_vec3();
         self.sender.frame(&MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
@@ -44,7 +49,7 @@ impl RobotSide {
         }))
     }
 
-    /// Radians per second in the body's axes (FLU).
+    /// Returns a HIGHRES_IMU frame with a turn rate in the body's axes (FLU), radians per second.
     pub fn turn_rate(&mut self, boot_ns: i64, angular_velocity: DVec3) -> Vec<u8> {
         let rate = flu_from_frd(angular_velocity).as_vec3();
         type F = HighresImuUpdatedFlags;
@@ -58,7 +63,7 @@ impl RobotSide {
         }))
     }
 
-    /// `base_footprint` in `odom`.
+    /// Returns an ODOMETRY frame with the pose of `base_footprint` in `odom`, metres.
     pub fn odometry(&mut self, boot_ns: i64, odom_from_body: &Isometry) -> Vec<u8> {
         let place = odom_from_body.translation.as_vec3();
         self.sender.frame(&MavMessage::ODOMETRY(ODOMETRY_DATA {
@@ -68,7 +73,7 @@ impl RobotSide {
             x: place.x,
             y: place.y,
             z: place.z,
-            q: w_first(odom_from_body.rotation),
+            q: to_wxyz(odom_from_body.rotation),
             pose_covariance: [f32::NAN; 21],
             velocity_covariance: [f32::NAN; 21],
             ..ODOMETRY_DATA::DEFAULT
@@ -76,6 +81,7 @@ impl RobotSide {
     }
 }
 
+/// Converts nanoseconds into microseconds, at least 1.
 fn micros(boot_ns: i64) -> u64 {
     u64::try_from(boot_ns / 1_000).unwrap_or(0).max(1)
 }

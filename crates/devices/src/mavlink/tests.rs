@@ -1,4 +1,4 @@
-//! Laws of the decoder; the axes against rotations of plain vectors.
+//! Tests of the decoder's laws, and of the axes against rotations of plain vectors.
 
 use ::mavlink::dialects::common::*;
 use ::mavlink::{MAVLinkV2MessageRaw, MavHeader};
@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use super::framing::Framer;
 use super::*;
 
-/// A stream of messages as a device sends it.
+/// A device that sends a stream of messages.
 #[derive(Default)]
 struct Device {
     sequence: u8,
@@ -51,7 +51,7 @@ fn one(message: &MavMessage) -> Result<Content, PortCounts> {
     all.pop().map(|received| received.content).ok_or(counts)
 }
 
-/// SplitMix64: the same noise in every run.
+/// Noise by SplitMix64, the same in every run.
 struct Noise(u64);
 
 impl Noise {
@@ -81,7 +81,7 @@ fn every_frame_that_was_not_hit_is_read_and_every_other_is_counted() {
             let mut hit = false;
             for byte in &mut frame {
                 if noise.next() % 100 < percent {
-                    // Never the same byte.
+                    // The new byte always differs from the old one.
                     *byte ^= 1 + (noise.next() % 255) as u8;
                     hit = true;
                 }
@@ -97,8 +97,8 @@ fn every_frame_that_was_not_hit_is_read_and_every_other_is_counted() {
         // One in 65 536 wrong frames has a right checksum.
         assert!(read.len() <= whole.len() + 2, "{percent} %: {} of {}", read.len(), whole.len());
         let (first, last) = (whole[0], whole[whole.len() - 1]);
-        // Where more than 255 in a row are lost, nobody can say how many; a frame whose type was hit may be one of a type
-        // that the dialect does not know.
+        // If more than 255 messages in a row are lost, their number cannot be known. A frame whose type was hit may look like
+        // one of an unknown type.
         if percent <= 3 {
             let (lost, missing) = (counts.lost as usize, last - first + 1 - whole.len());
             assert!(
@@ -128,7 +128,7 @@ fn messages_of_unknown_types_are_passed_over_without_a_loss() {
     let mut device = Device::default();
     let mut stream = device.frame(&imu(0));
     let mut private = device.frame(&imu(1));
-    // Another type: the checksum is then anything.
+    // The type becomes unknown; the checksum does not matter then.
     private[7..10].copy_from_slice(&[0x39, 0xa0, 0x00]);
     stream.extend(private);
     stream.extend(device.frame(&imu(2)));
@@ -187,7 +187,7 @@ fn at_rest_gravity_points_up() {
 
 #[test]
 fn the_head_pans_to_the_left_and_tilts_down() {
-    // FRD: yaw to the right, pitch up.
+    // In FRD axes yaw is positive to the right and pitch is positive upwards.
     let q = DQuat::from_rotation_z(-0.5) * DQuat::from_rotation_y(-0.3);
     let gimbal = GIMBAL_DEVICE_ATTITUDE_STATUS_DATA {
         q: [q.w, q.x, q.y, q.z].map(|part| part as f32),
@@ -202,7 +202,7 @@ fn the_head_pans_to_the_left_and_tilts_down() {
 fn a_reset_of_the_estimate_does_not_move_the_robot() {
     let mut device = Device::default();
     let mut stream = Vec::new();
-    // Walks 1 m/s forward; at the third message the estimate jumps to somewhere else and looks the other way.
+    // The robot walks forward at 1 m/s. At the third message the estimate jumps and looks the other way.
     for (index, (x, y, q, resets)) in
         [(0.0, 0.0, 1.0, 0), (0.1, 0.0, 1.0, 0), (7.0, 5.0, 0.0, 1), (6.9, 5.0, 0.0, 1)].into_iter().enumerate()
     {
@@ -222,7 +222,7 @@ fn a_reset_of_the_estimate_does_not_move_the_robot() {
     }
 }
 
-/// Its counter of resets is what it was: 0, as at every start.
+/// The counter of resets does not tell a restart: it is 0 at every start.
 #[test]
 fn a_device_that_starts_anew_does_not_move_the_robot() {
     let mut device = Device::default();
@@ -243,7 +243,7 @@ fn a_device_that_starts_anew_does_not_move_the_robot() {
 
 #[test]
 fn a_covariance_turns_with_its_axes() {
-    // Of x only, then of yaw only; NED's x is ENU's y.
+    // First a variance of x only, then of yaw only. The x of NED is the y of ENU.
     let mut odometry = odometry(MavFrame::MAV_FRAME_LOCAL_NED, MavFrame::MAV_FRAME_BODY_FRD);
     (odometry.pose_covariance[0], odometry.pose_covariance[1], odometry.pose_covariance[20]) = (4.0, 1.0, 9.0);
     let Ok(Content::Odometry(step)) = one(&MavMessage::ODOMETRY(odometry.clone())) else { panic!("odometry") };
@@ -286,7 +286,7 @@ fn point() -> impl Strategy<Value = DVec3> {
 }
 
 proptest! {
-    /// However the bytes are cut, and whatever they are.
+    /// The counts do not depend on how the bytes are cut into reads, whatever the bytes are.
     #[test]
     fn reads_of_any_size_count_the_same(
         parts in prop::collection::vec(prop_oneof![
@@ -329,7 +329,7 @@ proptest! {
         prop_assert_eq!(in_frames + framer.counts().bytes_skipped, bytes.len() as u64);
     }
 
-    /// What points somewhere in the body points to the same place of the world before and after.
+    /// A vector of the body has the same direction in the world before and after the conversion.
     #[test]
     fn attitudes_turn_vectors_as_before(ned_from_frd in unit(), ahead in point()) {
         let q = [ned_from_frd.w, ned_from_frd.x, ned_from_frd.y, ned_from_frd.z].map(|part| part as f32);
@@ -370,7 +370,7 @@ proptest! {
     }
 }
 
-/// As on a line whose TX and RX are joined: were an echo used, it would look like a device that is there.
+/// On a line whose TX and RX are joined, an echo must not look like a device.
 #[test]
 fn what_this_program_sent_itself_is_not_heard() {
     let own = Outgoing::name(1);

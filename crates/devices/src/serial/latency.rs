@@ -1,6 +1,6 @@
-//! Drivers that keep bytes back for a while, so that the processor is woken less often, told not to.
+//! Asks serial drivers for low latency: some hold bytes back for a while, so that the processor is woken less often.
 
-// One ioctl, of the serial driver.
+// An ioctl of the serial driver needs it.
 #![allow(unsafe_code)]
 
 use std::os::fd::{AsRawFd, BorrowedFd};
@@ -32,17 +32,18 @@ const SET: Opcode = 0x541f;
 /// ASYNC_LOW_LATENCY of linux/tty_flags.h, which every user may set.
 const LOW_LATENCY: i32 = 1 << 13;
 
-/// None where the driver has no such thing. FTDI chips wait for 16 ms by default; their timer's file is the group's if the udev
-/// rules are in place.
+/// Asks the driver of an open port for low latency. Returns whether it agreed; `None` if it has no such setting.
+///
+/// FTDI chips wait for 16 ms by default. The udev rules give the file of their timer to the group.
 pub(super) fn lower_latency(port: &TTYPort, device: &str) -> Option<bool> {
-    match ask(port) {
+    match request_low_latency(port) {
         Some(true) => Some(true),
         _ => shorten_timer(device),
     }
 }
 
-/// Whether the driver says that it does it.
-fn ask(port: &TTYPort) -> Option<bool> {
+/// Sets the driver's flag. Returns whether the driver then states it; `None` if the driver refuses the request.
+fn request_low_latency(port: &TTYPort) -> Option<bool> {
     // SAFETY: the port outlives this borrow of its descriptor.
     let port = unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) };
     // SAFETY: this request fills in a `serial_struct`, of which every pattern of bits is a value.
@@ -54,6 +55,7 @@ fn ask(port: &TTYPort) -> Option<bool> {
     Some(get()?.flags & LOW_LATENCY != 0)
 }
 
+/// Sets the timer of a USB serial chip to 1 ms. Returns whether that worked; `None` if it has no timer.
 fn shorten_timer(device: &str) -> Option<bool> {
     let real = std::fs::canonicalize(device).ok()?;
     let timer = Path::new("/sys/bus/usb-serial/devices").join(real.file_name()?).join("latency_timer");

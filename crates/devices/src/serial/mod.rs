@@ -1,10 +1,12 @@
-//! Odometry, attitude and head from microcontrollers on serial lines.
+//! Reads odometry, attitude and head angles from microcontrollers on serial lines.
+//!
+//! [`run`] opens a port and keeps it open; [`Line`] turns its bytes into measurements.
 
 mod latency;
 mod line;
 mod port;
-mod trouble;
+mod port_health;
 
 pub use line::{Line, LineStatus, Measured, Pose, SenderClock};
 pub use port::{PortEvent, PortOptions, SerialError, run};
-pub use trouble::Trouble;
+pub use port_health::Trouble;

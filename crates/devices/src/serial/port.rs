@@ -1,4 +1,4 @@
-//! The rim: a port that is opened, read, and opened again when it goes away.
+//! Opens and reads a serial port, and opens it again when it goes away.
 
 use std::io::{self, IsTerminal, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
@@ -15,52 +15,96 @@ use super::line::{Line, LineStatus, Measured, Pose};
 use crate::host_clock::monotonic_ns;
 use crate::permission;
 
+/// The port to read.
 #[derive(Clone, Debug)]
 pub struct PortOptions {
+    /// Path of the device.
     pub device: String,
+    /// Baud rate, bits per second.
     pub baud: u32,
     /// MAVLink's number of the robot.
     pub system: u8,
-    /// Poses that are to be sent on this port; what comes while it is not open is left out.
+    /// Poses to be sent on this port; those that come while it is not open are dropped.
     pub poses: Option<Receiver<Pose>>,
 }
 
+/// Why a port cannot be opened, or was lost.
 #[derive(Debug, Error)]
 pub enum SerialError {
+    /// There is no such device.
     #[error("{device}: no such device; present are {present}")]
-    Missing { device: String, present: String },
+    Missing {
+        /// The device.
+        device: String,
+        /// The ports that there are.
+        present: String,
+    },
+    /// The user may not open it.
     #[error("{device}: no permission: {}", permission::remedy(Path::new(device), "dialout"))]
-    Permission { device: String },
+    Permission {
+        /// The device.
+        device: String,
+    },
+    /// It is something else than a serial port.
     #[error("{device} is no serial port; present are {present}")]
-    NoPort { device: String, present: String },
+    NoPort {
+        /// The device.
+        device: String,
+        /// The ports that there are.
+        present: String,
+    },
+    /// Another program has it open.
     #[error("{device}: another program has it open")]
-    Busy { device: String },
+    Busy {
+        /// The device.
+        device: String,
+    },
+    /// Any other error at opening.
     #[error("{device} at {baud} baud: {source}")]
-    Open { device: String, baud: u32, source: serialport::Error },
+    Open {
+        /// The device.
+        device: String,
+        /// Baud rate, bits per second.
+        baud: u32,
+        /// The reason.
+        source: serialport::Error,
+    },
+    /// The open port went away.
     #[error("{device} went away: {source}")]
-    Gone { device: String, source: io::Error },
+    Gone {
+        /// The device.
+        device: String,
+        /// What the operating system says.
+        source: io::Error,
+    },
 }
 
+/// What happens to a port.
 #[derive(Debug)]
 pub enum PortEvent {
-    /// Whether the driver's own waiting could be turned off, where it has such a thing.
+    /// It was opened.
     Opened {
+        /// Whether the driver could be set to low latency; `None` if it has no such setting.
         low_latency: Option<bool>,
     },
-    /// Could not be opened, or went away; it is tried again.
+    /// It could not be opened, or went away; it will be opened again.
     Lost(SerialError),
+    /// A device measured something.
     Measured(Measured),
-    /// Once a second, and once more at the end.
+    /// The state of the line, once a second, and once more at the end.
     Status(LineStatus),
 }
 
-/// How long a read waits: so late a stop is noticed at most, and a question sent.
+/// Longest wait of a read, and so the longest delay of a stop or a question.
 const READ_TIMEOUT: Duration = Duration::from_millis(20);
+/// Time until the port is opened again; it doubles with each failure.
 const FIRST_RETRY: Duration = Duration::from_millis(100);
+/// Longest time between two tries to open the port.
 const MAX_RETRY: Duration = Duration::from_secs(2);
+/// Time between two reports of the line's state.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 
-/// Until `stop`: every measurement of the port, and what becomes of the port.
+/// Reads a port until `stop` is set. `tell` gets every measurement and what happens to the port.
 pub fn run(options: &PortOptions, stop: &AtomicBool, mut tell: impl FnMut(PortEvent)) {
     let mut line = Line::new(options.system, byte_ns(options));
     let mut retry = FIRST_RETRY;
@@ -83,6 +127,7 @@ pub fn run(options: &PortOptions, stop: &AtomicBool, mut tell: impl FnMut(PortEv
     tell(PortEvent::Status(line.status()));
 }
 
+/// Reads an open port until `stop` is set or the port fails, and sends what is due.
 fn read(
     mut port: TTYPort,
     line: &mut Line,
@@ -92,7 +137,7 @@ fn read(
 ) -> io::Result<()> {
     let mut buffer = [0; 4096];
     let mut told = Instant::now();
-    // Of a time when nobody could be told.
+    // Poses of the time when the port was not open are dropped.
     poses.into_iter().flat_map(Receiver::try_iter).for_each(drop);
     while !stop.load(Ordering::Relaxed) {
         match port.read(&mut buffer) {
@@ -107,7 +152,7 @@ fn read(
         }
         if !due.is_empty() {
             match port.write_all(&due) {
-                // Nobody takes our questions: the arrivals must do.
+                // The device takes no questions: its clock is then known from arrivals only.
                 Err(error) if error.kind() == io::ErrorKind::TimedOut => line.was_not_taken(),
                 written => written?,
             }
@@ -120,6 +165,7 @@ fn read(
     Ok(())
 }
 
+/// Opens the port.
 fn open(options: &PortOptions) -> Result<TTYPort, SerialError> {
     let device = options.device.clone();
     serialport::new(device.as_str(), options.baud).timeout(READ_TIMEOUT).open_native().map_err(|source| {
@@ -127,27 +173,30 @@ fn open(options: &PortOptions) -> Result<TTYPort, SerialError> {
         match source.kind() {
             ErrorKind::Io(io::ErrorKind::PermissionDenied) => SerialError::Permission { device },
             _ if !exists => SerialError::Missing { device, present: present() },
-            _ if is_another_thing(&device) => SerialError::NoPort { device, present: present() },
+            _ if is_not_a_terminal(&device) => SerialError::NoPort { device, present: present() },
             ErrorKind::NoDevice | ErrorKind::Io(io::ErrorKind::ResourceBusy) => SerialError::Busy { device },
             _ => SerialError::Open { device, baud: options.baud, source },
         }
     })
 }
 
-/// A file, a folder or a device that is no terminal. A port that cannot be opened may be one.
-fn is_another_thing(device: &str) -> bool {
+/// Returns whether the path is a file, a folder or a device, but no terminal. False if it cannot be opened.
+fn is_not_a_terminal(device: &str) -> bool {
     let flags = (rustix::fs::OFlags::NOCTTY | rustix::fs::OFlags::NONBLOCK).bits() as i32;
     let opened = std::fs::OpenOptions::new().read(true).custom_flags(flags).open(device);
     opened.is_ok_and(|file| !file.is_terminal())
 }
 
+/// Lists the ports that there are, 16 at most.
 fn present() -> String {
     let ports = serialport::available_ports().unwrap_or_default();
     let names: Vec<String> = ports.into_iter().map(|port| port.port_name).take(16).collect();
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// Start, eight bits, stop. On USB with a protocol of its own and on a pty the baud rate means nothing.
+/// Returns the time of a byte on the wire, nanoseconds: start bit, eight bits, stop bit.
+///
+/// It is 0 on USB CDC (ttyACM) and on a pseudoterminal, where the baud rate means nothing.
 fn byte_ns(options: &PortOptions) -> i64 {
     let device = std::fs::canonicalize(&options.device).unwrap_or_default();
     let device = device.to_string_lossy();
@@ -157,6 +206,7 @@ fn byte_ns(options: &PortOptions) -> i64 {
     10_000_000_000 / i64::from(options.baud.max(1))
 }
 
+/// Sleeps for a time, or until `stop` is set.
 fn pause(time: Duration, stop: &AtomicBool) {
     let end = Instant::now() + time;
     while !stop.load(Ordering::Relaxed) && Instant::now() < end {

@@ -1,9 +1,9 @@
-//! The picture of a sweep: the front over the faded cloud.
+//! The chart of a sweep: error over time, the Pareto front drawn over the faded other rows.
 
 use glam::DVec2;
 
-use super::advice::{Advice, Wish};
-use super::front::front;
+use super::pareto_front::front;
+use super::recommendation::{Advice, Requirements};
 use super::row::{FINEST_CM, Row};
 use crate::drawing::chart::{Across, Axis, Chart, Layer, Line, Mark, Note, Rule, Scale};
 use realitysim_localization::Model;
@@ -13,9 +13,11 @@ const PLAIN: &str = "#c2571a";
 const FRONT: &str = "#2a2c2e";
 const CHOSEN: &str = "#b3261e";
 
-/// As SVG; `title` names the log.
-pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Wish, title: &str) -> String {
-    // Against a reference run an error can be 0, which has no place on a logarithmic axis.
+/// Draws a sweep as SVG; `title` names the log.
+///
+/// The recommended row is marked, and budget and accuracy of `wish` are drawn as lines.
+pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Requirements, title: &str) -> String {
+    // Against a run that replaces the truth an error can be 0, which has no place on a logarithmic axis.
     let place = |row: &Row| DVec2::new(row.p99_ms, row.position_cm.mean.max(FINEST_CM));
     let on = front(&rows.iter().map(Row::point).collect::<Vec<_>>());
     let judged: Vec<(&Row, bool)> = rows.iter().zip(on).filter(|(row, _)| row.judged > 0).collect();
@@ -62,13 +64,13 @@ pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Wish, title: &str) ->
         y: axis("mean position error in cm"),
         layers,
         rules: budget.into_iter().chain(accuracy).collect(),
-        notes: on_front.iter().map(|row| Note { at: place(row), words: words(row) }).collect(),
+        notes: on_front.iter().map(|row| Note { at: place(row), words: describe_settings(row) }).collect(),
     };
     chart.to_svg()
 }
 
-/// What colour and mark do not say.
-fn words(row: &Row) -> String {
+/// Describes the settings that colour and mark do not show.
+fn describe_settings(row: &Row) -> String {
     let knobs = &row.knobs;
     let most = if knobs.adaptive { "\u{2264} " } else { "" };
     let mut words = format!("{most}{} \u{d7} {}", knobs.particles, knobs.iterations);

@@ -1,20 +1,20 @@
-//! What accuracy costs in time: settings tried on the same frames, judged, and one of them recommended.
+//! The cost of accuracy: settings of the filter tried on the same frames, judged, and one of them recommended.
 //!
-//! [`plan`] says which settings, [`sweep`] tries and judges them, [`front`] tells which are worth their time,
-//! [`advise`] which to take, [`chart`] draws it. Clocks and frames are the caller's.
+//! [`plan`] lists the settings, [`sweep`](fn@sweep) tries and judges them, [`front`] finds the Pareto-optimal ones,
+//! [`advise`] recommends one, [`chart`](fn@chart) draws all. The caller has the clock and the frames.
 
-mod advice;
-mod capped;
+mod budgeted;
 mod chart;
-mod front;
-mod knobs;
+mod pareto_front;
+mod recommendation;
 mod row;
 mod sweep;
+mod sweep_point;
 
-pub use advice::{Advice, Wish, advise, noise_cm};
-pub use capped::{capped, is_exceeded};
+pub use budgeted::{capped, is_exceeded};
 pub use chart::chart;
-pub use front::{Point, front};
-pub use knobs::{Knobs, plan, reference};
+pub use pareto_front::{Point, front};
+pub use recommendation::{Advice, Requirements, advise, noise_cm};
 pub use row::Row;
 pub use sweep::{Measure, as_truth, sweep};
+pub use sweep_point::{SweepPoint, plan, reference};

@@ -1,42 +1,49 @@
-//! Trying all settings on the same frames, with several seeds.
+//! Runs of all settings on the same frames, with several seeds.
 
-use super::knobs::Knobs;
 use super::row::Row;
+use super::sweep_point::SweepPoint;
 use crate::capture::tagged;
 use realitysim_geometry::Isometry;
-use realitysim_tagging::Attempt;
+use realitysim_tagging::Trial;
 
-/// One of the best tags this much fewer frames than another evades: its errors are those of easier frames.
+/// Difference in the share of valid tags to the best row beyond which a row is evasive: its errors are those of easier
+/// frames.
 const EVASION: f64 = 0.02;
 
-/// Tries one setting with one seed: the caller has frames and a clock.
-pub type Measure<'a, E> = &'a mut dyn FnMut(&Knobs, u64) -> Result<Vec<Attempt>, E>;
+/// Callback that runs one setting with one seed and returns the result of each frame.
+pub type Measure<'a, E> = &'a mut dyn FnMut(&SweepPoint, u64) -> Result<Vec<Trial>, E>;
 
-/// All settings with the first seed, then all with the next: what slows the machine down for a while hits all alike, and
-/// only one of each setting's runs.
+/// Runs every setting with every seed and returns the judged rows, sorted by the 99 % quantile of their times.
+///
+/// All settings run with the first seed, then all with the next: what slows the machine down for a while affects all
+/// settings alike, and only one run of each. `truth` is in order of time.
+///
+/// # Errors
+///
+/// Returns the first error of `measure`.
 pub fn sweep<E>(
-    settings: &[Knobs],
+    settings: &[SweepPoint],
     seeds: &[u64],
     truth: &[(i64, Isometry)],
     measure: Measure<E>,
 ) -> Result<Vec<Row>, E> {
-    let mut runs: Vec<Vec<Vec<Attempt>>> = vec![Vec::new(); settings.len()];
+    let mut runs: Vec<Vec<Vec<Trial>>> = vec![Vec::new(); settings.len()];
     for seed in seeds {
         for (knobs, runs) in settings.iter().zip(&mut runs) {
             runs.push(measure(knobs, *seed)?);
         }
     }
     let mut rows: Vec<Row> = settings.iter().zip(&runs).map(|(knobs, runs)| Row::of(*knobs, runs, truth)).collect();
-    let most = rows.iter().map(|row| row.valid_share).fold(0.0, f64::max);
+    let best_share = rows.iter().map(|row| row.valid_share).fold(0.0, f64::max);
     for row in &mut rows {
-        row.evasive = row.valid_share < most - EVASION;
+        row.evasive = row.valid_share < best_share - EVASION;
     }
     rows.sort_by(|a, b| a.p99_ms.total_cmp(&b.p99_ms));
     Ok(rows)
 }
 
-/// The valid tags of a run, as if they were the truth.
-pub fn as_truth(run: &[Attempt]) -> Vec<(i64, Isometry)> {
+/// Returns the valid tags of a run in the form of a truth: times in nanoseconds and poses, in order of time.
+pub fn as_truth(run: &[Trial]) -> Vec<(i64, Isometry)> {
     let mut truth: Vec<(i64, Isometry)> = run
         .iter()
         .map(|attempt| tagged(&attempt.tag))
@@ -55,22 +62,22 @@ mod tests {
     use realitysim_config::Settings;
     use realitysim_ros2::messages::{FrameTag, Stamp};
 
-    fn run(knobs: &Knobs, seed: u64) -> Vec<Attempt> {
+    fn run(knobs: &SweepPoint, seed: u64) -> Vec<Trial> {
         let attempt = |frame: i64| {
-            // Few particles tag few frames, but those well.
+            // A setting with few particles tags only half of the frames, with small errors.
             let valid = knobs.particles > 50 || frame < 5;
             let mut tag = FrameTag { valid, elapsed_ms: knobs.particles as f64 / 100.0, ..FrameTag::default() };
             tag.header.stamp = Stamp::from_nanoseconds(frame * 100_000_000);
             tag.pose.pose.position.x = if knobs.particles > 50 { 0.01 + seed as f64 * 1e-4 } else { 0.0 };
             tag.pose.pose.orientation.w = 1.0;
-            Attempt { tag, seen: true }
+            Trial { tag, seen: true }
         };
         (0..10).map(attempt).collect()
     }
 
     #[test]
-    fn every_setting_meets_every_seed_and_evasion_is_noticed() {
-        let settings = plan(Knobs::of(&Settings::default()), 1);
+    fn every_setting_runs_with_every_seed_and_evasion_is_noticed() {
+        let settings = plan(SweepPoint::of(&Settings::default()), 1);
         let truth: Vec<(i64, Isometry)> = (0..10).map(|frame| (frame * 100_000_000, Isometry::IDENTITY)).collect();
         let mut asked = Vec::new();
         let rows = sweep::<()>(&settings, &[1, 2], &truth, &mut |knobs, seed| {
@@ -89,7 +96,7 @@ mod tests {
 
     #[test]
     fn only_valid_tags_are_taken_for_the_truth() {
-        let knobs = Knobs { particles: 10, ..Knobs::of(&Settings::default()) };
+        let knobs = SweepPoint { particles: 10, ..SweepPoint::of(&Settings::default()) };
         assert_eq!(as_truth(&run(&knobs, 1)).len(), 5);
     }
 }

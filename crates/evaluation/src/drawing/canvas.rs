@@ -1,4 +1,5 @@
-//! tiny-skia behind the few strokes the pictures need. Positions are pixels with (0, 0) at the picture's corner.
+//! A canvas with the few strokes and shapes that the pictures need, on tiny-skia. Positions are pixels with (0, 0) at
+//! the corner of the picture.
 
 use glam::DVec2;
 use image::{Rgb, RgbImage};
@@ -6,27 +7,32 @@ use tiny_skia::{Color, FillRule, LineCap, LineJoin, Mask, Paint, Path, PathBuild
 
 use super::text;
 
+/// A picture that is drawn on.
 pub(super) struct Canvas {
     pixmap: Pixmap,
     clip: Option<Mask>,
 }
 
+/// Colour and opacity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ink {
     pub(super) colour: [u8; 3],
-    /// 0 to 1.
+    /// Opacity, 0 to 1.
     pub(super) alpha: f64,
 }
 
+/// Ink and shape of a stroke.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pen {
     pub(super) ink: Ink,
+    /// Width, pixels.
     pub(super) width: f64,
-    /// Ends reach half the width farther, round; without it they are cut square.
+    /// Whether ends are round and reach half the width farther. Otherwise they are cut square.
     pub(super) round: bool,
 }
 
-/// The rasteriser counts in 16.16 fixed point; nothing that far outside could be seen anyway.
+/// Largest coordinate that is drawn, pixels. The rasteriser counts in 16.16 fixed point, and nothing so far outside is
+/// visible.
 const FARTHEST: f64 = 16_000.0;
 
 impl Ink {
@@ -34,6 +40,7 @@ impl Ink {
         Self { colour, alpha: 1.0 }
     }
 
+    /// Returns a pen of this ink with round ends.
     pub(super) fn pen(self, width: f64) -> Pen {
         Pen { ink: self, width, round: true }
     }
@@ -49,19 +56,21 @@ impl Ink {
 }
 
 impl Pen {
+    /// Returns this pen with square ends.
     pub(super) fn square(self) -> Self {
         Self { round: false, ..self }
     }
 }
 
 impl Canvas {
-    /// `None` for a size without pixels or beyond what memory could hold.
+    /// Returns a canvas of one colour; `None` for a size without pixels or beyond the memory.
     pub(super) fn filled(width: u32, height: u32, [r, g, b]: [u8; 3]) -> Option<Self> {
         let mut pixmap = Pixmap::new(width, height)?;
         pixmap.fill(Color::from_rgba8(r, g, b, 255));
         Some(Self { pixmap, clip: None })
     }
 
+    /// Returns a canvas with an image; `None` for an image without pixels.
     pub(super) fn on_top_of(image: &RgbImage) -> Option<Self> {
         let mut pixmap = Pixmap::new(image.width(), image.height())?;
         for (to, Rgb([r, g, b])) in pixmap.data_mut().chunks_exact_mut(4).zip(image.pixels()) {
@@ -72,14 +81,14 @@ impl Canvas {
 
     pub(super) fn into_image(self) -> RgbImage {
         let mut image = RgbImage::new(self.pixmap.width(), self.pixmap.height());
-        // Everything started opaque and stayed so: premultiplied and plain colours are the same.
+        // The canvas is opaque throughout, so premultiplied and plain colours are the same.
         for (to, from) in image.pixels_mut().zip(self.pixmap.data().chunks_exact(4)) {
             to.0.copy_from_slice(&from[..3]);
         }
         image
     }
 
-    /// Strokes and shapes, but not text, stay within this rectangle until [`Canvas::unclip`].
+    /// Restricts strokes and shapes, but not text, to a rectangle until [`Canvas::unclip`].
     pub(super) fn clip_to(&mut self, low: DVec2, high: DVec2) {
         self.clip = Mask::new(self.pixmap.width(), self.pixmap.height());
         if let Some((mask, rect)) = self.clip.as_mut().zip(rectangle(low, high)) {
@@ -115,19 +124,19 @@ impl Canvas {
         }
     }
 
-    /// All lines in one go: where they overlap, a transparent pen does not darken twice.
+    /// Draws all lines in one stroke: where they overlap, a transparent pen does not darken twice.
     pub(super) fn stroke(&mut self, lines: &[Vec<DVec2>], pen: Pen) {
         if let Some(path) = polylines(lines) {
             self.stroke_path(&path, pen);
         }
     }
 
-    /// `at` is the left end of the baseline.
+    /// Draws words to the right; `at` is the left end of the baseline.
     pub(super) fn text(&mut self, at: DVec2, size: f64, colour: [u8; 3], words: &str) {
         self.words(Transform::from_translate(at.x as f32, at.y as f32), size, colour, words);
     }
 
-    /// Turned a quarter to the left; `at` is the lower end of the baseline.
+    /// Draws words upwards; `at` is the lower end of the baseline.
     pub(super) fn text_upwards(&mut self, at: DVec2, size: f64, colour: [u8; 3], words: &str) {
         self.words(Transform::from_row(0.0, -1.0, 1.0, 0.0, at.x as f32, at.y as f32), size, colour, words);
     }
@@ -161,7 +170,7 @@ impl Canvas {
 fn polylines(lines: &[Vec<DVec2>]) -> Option<Path> {
     let mut builder = PathBuilder::new();
     for line in lines {
-        let mut points = line.iter().map(|point| near(*point));
+        let mut points = line.iter().map(|point| clamp_to_range(*point));
         let Some(first) = points.next() else { continue };
         builder.move_to(first.x as f32, first.y as f32);
         for point in points {
@@ -172,15 +181,16 @@ fn polylines(lines: &[Vec<DVec2>]) -> Option<Path> {
 }
 
 fn rectangle(low: DVec2, high: DVec2) -> Option<Rect> {
-    let (low, high) = (near(low), near(high));
+    let (low, high) = (clamp_to_range(low), clamp_to_range(high));
     Rect::from_ltrb(low.x as f32, low.y as f32, high.x as f32, high.y as f32)
 }
 
 fn circle(centre: DVec2, radius: f64) -> Option<Path> {
-    let centre = near(centre);
+    let centre = clamp_to_range(centre);
     PathBuilder::from_circle(centre.x as f32, centre.y as f32, radius.min(FARTHEST) as f32)
 }
 
-fn near(point: DVec2) -> DVec2 {
+/// Moves a point to where the rasteriser can count.
+fn clamp_to_range(point: DVec2) -> DVec2 {
     point.clamp(DVec2::splat(-FARTHEST), DVec2::splat(FARTHEST))
 }

@@ -1,4 +1,4 @@
-//! What was seen in one frame, drawn over its picture.
+//! The evidence of one frame, drawn over its picture.
 
 use glam::DVec2;
 use image::RgbImage;
@@ -8,10 +8,10 @@ use super::canvas::{Canvas, Ink};
 use super::overlay::outline;
 use realitysim_geometry::{Field, Isometry, Lens};
 use realitysim_localization::Evidence;
-use realitysim_localization::refinement::offsets::Finding;
+use realitysim_localization::refinement::line_measurement::Finding;
 
-/// Pictures narrower than this are drawn larger, so that marks of a pixel can be told apart.
-const LEAST_WIDTH_PX: u32 = 1_000;
+/// Smallest width of the result, pixels: narrower pictures are enlarged, so that marks of a pixel can be told apart.
+const MIN_WIDTH_PX: u32 = 1_000;
 const OUTLINE: Ink = Ink { colour: [255, 230, 60], alpha: 0.45 };
 const FOUND: Ink = Ink::solid([40, 230, 80]);
 const MISSING: Ink = Ink::solid([240, 40, 50]);
@@ -20,12 +20,14 @@ const PAINTED: Ink = Ink { colour: [60, 200, 255], alpha: 0.35 };
 const UNEXPLAINED: Ink = Ink { colour: [255, 60, 230], alpha: 0.6 };
 const CARPET: Ink = Ink { colour: [255, 160, 40], alpha: 0.9 };
 
-/// What the marks of [`explanation`] mean, for a caption.
+/// Meaning of the marks of [`explanation`], for a caption.
 pub const LEGEND: &str = "green: a line place found, red: missing, gray: hidden or in changing light; blue: shows a line and is painted there, \
      magenta: shows a line and is not; yellow: the field's paint as the pose has it; orange: the carpet's border";
 
-/// The places at which the pose has lines with what the picture shows there, places that show a line with whether the field has one,
-/// the field's paint and the carpet's border.
+/// Draws the evidence of a frame over its picture.
+///
+/// Marks show the places at which the pose has lines and what the picture shows there, and the places that show a line
+/// and whether the field has one. Outlines show the paint of the field and the border of the carpet.
 pub fn explanation(
     picture: &RgbImage,
     lens: &Lens,
@@ -33,12 +35,12 @@ pub fn explanation(
     field: &Field,
     evidence: &Evidence,
 ) -> RgbImage {
-    let times = LEAST_WIDTH_PX.div_ceil(picture.width().max(1)).clamp(1, 8);
+    let times = MIN_WIDTH_PX.div_ceil(picture.width().max(1)).clamp(1, 8);
     let (width, height) = (picture.width() * times, picture.height() * times);
     let large = imageops::resize(picture, width, height, FilterType::CatmullRom);
     let Some(mut canvas) = Canvas::on_top_of(&large) else { return large };
     let scale = f64::from(times);
-    // Pixels are counted from their centres.
+    // Evidence counts pixels from their centres.
     let place = |pixel: DVec2| (pixel + 0.5) * scale;
     for (pixel, is_painted) in &evidence.shown {
         canvas.fill_circle(place(*pixel), 0.45 * scale, if *is_painted { PAINTED } else { UNEXPLAINED });

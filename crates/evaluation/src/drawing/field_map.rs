@@ -1,4 +1,4 @@
-//! The field from above.
+//! Maps of the field from above, with routes, legend and caption.
 
 use glam::DVec2;
 use image::RgbImage;
@@ -16,19 +16,22 @@ const PAINT: Ink = Ink::solid([255, 255, 255]);
 const POST_BORDER: Ink = Ink::solid([45, 50, 45]);
 const NET: Ink = Ink { colour: [255, 255, 255], alpha: 0.45 };
 
-/// Narrower pictures could not be read, wider ones not be kept in memory.
+/// Smallest and largest width of a map, pixels: narrower ones could not be read, wider ones not be kept in memory.
 const WIDTHS_PX: [u32; 2] = [64, 8_192];
-/// In units of the text's size.
+/// Height of a line of text, in units of the size of the text.
 const LINE_HEIGHT: f64 = 1.45;
+/// Length of a sample in the legend, in the same units.
 const SAMPLE_LENGTH: f64 = 2.0;
+/// Space between legend and caption, in the same units.
 const GAP: f64 = 0.5;
-/// More would be a document, not a caption.
+/// Largest number of lines of legend and of caption.
 const MOST_LINES: usize = 40;
 
-/// Field and routes to scale, `size_px` wide (64 to 8192) and as high as field, legend and caption need.
+/// Draws field and routes to scale, `size_px` wide (64 to 8192) and as high as field, legend and caption need.
 ///
-/// x to the right, y up, metres at the border; lines and posts are as thick as in life, but never invisible. Every
-/// route starts at a circle and ends at a cross. Caption lines that are too long are broken between words.
+/// x points to the right, y up, and metres stand at the border. Lines and posts are as thick as in reality, but never
+/// invisible. Every route starts at a circle and ends at a cross. Caption lines that are too long are broken between
+/// words.
 pub fn field_map(field: &Field, routes: &[Route], size_px: u32, caption: &[String]) -> RgbImage {
     let width = size_px.clamp(WIDTHS_PX[0], WIDTHS_PX[1]);
     let plot = Plot::new(field, width);
@@ -96,7 +99,7 @@ fn draw_field(canvas: &mut Canvas, plot: &Plot, field: &Field) {
     }
 }
 
-/// What a sign on the map means.
+/// An entry of the legend.
 #[derive(Clone, Copy)]
 enum Entry<'a> {
     Line(&'a Route),
@@ -113,6 +116,7 @@ impl Entry<'_> {
         }
     }
 
+    /// Returns the width of the sign, pixels.
     fn sign_width(&self, size: f64) -> f64 {
         match self {
             Entry::Line(_) => SAMPLE_LENGTH * size,
@@ -120,7 +124,7 @@ impl Entry<'_> {
         }
     }
 
-    /// With the space to the next one.
+    /// Returns the width of sign, label and the space to the next entry, pixels.
     fn width(&self, size: f64) -> f64 {
         self.sign_width(size) + text::width(size, self.label()) + 1.9 * size
     }
@@ -130,7 +134,7 @@ impl Entry<'_> {
         let middle = baseline + DVec2::new(sign / 2.0, -0.32 * size);
         match self {
             Entry::Line(route) => {
-                // Pale and white lines look on the page as they look on the carpet only with carpet beneath.
+                // With carpet beneath, pale and white lines look in the legend as they do on the map.
                 let half = DVec2::new(sign / 2.0, 0.5 * size);
                 canvas.fill_rectangle(middle - half, middle + half, CARPET);
                 draw_sample(canvas, middle, sign, size, route);
@@ -142,7 +146,7 @@ impl Entry<'_> {
     }
 }
 
-/// One entry after the other, in as many rows as it takes.
+/// Breaks the entries of the legend into rows no wider than `room` pixels.
 fn legend_rows(routes: &[Route], size: f64, room: f64) -> Vec<Vec<Entry<'_>>> {
     if routes.is_empty() {
         return Vec::new();

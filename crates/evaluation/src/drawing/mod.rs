@@ -1,10 +1,11 @@
 //! Pictures for people: the field from above with routes, and painted lines drawn over camera images.
 //!
-//! [`field_map`] shows where the robot was, [`overlay`] whether a pose fits an image, [`side_by_side`] both;
-//! [`chart`] is numbers against numbers. Pure: pictures in and out, no files. Odd input (nothing to draw, NaN, a lens that sees no line) makes a plainer
-//! picture, never an error.
+//! [`field_map`](fn@field_map) shows where the robot was, [`overlay`](fn@overlay) whether a pose fits an image,
+//! [`side_by_side`](fn@side_by_side) both, and [`explanation`](fn@explanation) what was seen in a frame. [`chart`]
+//! draws numbers over numbers.
+//! All functions take and return pictures and read no files. Odd input (nothing to draw, NaN, a lens that sees no line)
+//! makes a plainer picture, never an error.
 
-mod beside;
 mod canvas;
 pub mod chart;
 mod explanation;
@@ -14,34 +15,38 @@ mod paint;
 mod panels;
 mod plot;
 mod routes;
+mod side_by_side;
 mod text;
 
-pub use beside::{beside, side_by_side};
 pub use explanation::{LEGEND, explanation};
 pub use field_map::field_map;
 pub use overlay::overlay;
 pub use panels::panels;
+pub use side_by_side::{beside, side_by_side};
 
 use glam::DVec2;
 
-/// A way over the field, as [`field_map`] draws it.
+/// A route over the field, as [`field_map`](fn@field_map) draws it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Route {
-    /// For the legend.
+    /// Name in the legend.
     pub label: String,
+    /// Colour, RGB.
     pub colour: [u8; 3],
-    /// In `map`. A point that is not finite is a gap: nothing joins its neighbours.
+    /// Points in `map`, metres. A point that is not finite is a gap: nothing joins its neighbours.
     pub points: Vec<DVec2>,
+    /// How the route is drawn.
     pub style: RouteStyle,
-    /// A dot on every point.
+    /// Whether each point gets a dot.
     pub dots: bool,
 }
 
+/// Width and order of a route.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RouteStyle {
-    /// Pale and beneath all others: what should have been found.
+    /// Wide, pale and beneath all others: what should have been found.
     Wide,
-    /// Strong and on top: what was found.
+    /// Thin, strong and on top: what was found.
     #[default]
     Thin,
 }

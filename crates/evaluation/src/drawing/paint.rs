@@ -1,4 +1,4 @@
-//! The field's paint as areas, and their outline: painted lines have a width, square ends and full corners.
+//! The paint of the field as areas with outlines: painted lines have a width, square ends and full corners.
 
 use core::f64::consts::TAU;
 
@@ -7,23 +7,25 @@ use glam::DVec2;
 use realitysim_geometry::Field;
 use realitysim_geometry::field::Stroke;
 
-/// One painted line.
+/// The area of one painted line, metres in `map`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Patch {
     Bar { from: DVec2, to: DVec2, half_width: f64 },
     Ring { centre: DVec2, radius: f64, half_width: f64 },
 }
 
-/// A border of a patch, as a curve from t = 0 to t = 1.
+/// An edge of a patch, as a curve from t = 0 to t = 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Edge {
     Straight { from: DVec2, to: DVec2 },
     Round { centre: DVec2, radius: f64 },
 }
 
-/// Borders of two patches that coincide must count as borders, not as inside each other.
+/// Distance from the border of a patch within which a point counts as on it, metres: coinciding borders of two patches
+/// must not cover each other.
 const ON_BORDER_M: f64 = 1e-9;
 
+/// Returns the painted lines of a field.
 pub(super) fn patches(field: &Field) -> Vec<Patch> {
     let half_width = field.line_width() / 2.0;
     let patch = |stroke| match stroke {
@@ -49,7 +51,7 @@ impl Patch {
         }
     }
 
-    /// Whether the point lies within the paint, not on its border.
+    /// Returns whether a point lies within the paint and not on its border.
     pub(super) fn covers(&self, point: DVec2) -> bool {
         match *self {
             Patch::Bar { from, to, half_width } => {

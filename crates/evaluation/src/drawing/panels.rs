@@ -1,4 +1,4 @@
-//! Several pictures in one, each with words below.
+//! Pages of several pictures, each with words below it.
 
 use glam::DVec2;
 use image::imageops;
@@ -7,11 +7,14 @@ use image::{Rgb, RgbImage};
 use super::canvas::Canvas;
 use super::plot::TEXT;
 
+/// Space between the pictures, pixels.
 const MARGIN_PX: u32 = 8;
+/// Height of the words below a picture, pixels.
 const WORDS_PX: u32 = 26;
+/// Size of the words, pixels.
 const TEXT_SIZE: f64 = 15.0;
 
-/// Row by row, `columns` beside each other, as large as they are.
+/// Arranges pictures and their words row by row in `columns` columns, without scaling.
 pub fn panels(pictures: &[(RgbImage, String)], columns: u32) -> RgbImage {
     let columns = columns.clamp(1, pictures.len().max(1) as u32);
     let widest = pictures.iter().map(|(picture, _)| picture.width()).max().unwrap_or(1);

@@ -1,4 +1,4 @@
-//! The sheet that a field is drawn on: where a point of `map` lies, and the scale at its border.
+//! The sheet that a field is drawn on: the mapping from `map` to pixels, and the axes at its border.
 
 use glam::DVec2;
 
@@ -6,29 +6,33 @@ use super::canvas::{Canvas, Ink};
 use super::text;
 use realitysim_geometry::Field;
 
+/// Colour of text.
 pub(super) const TEXT: [u8; 3] = [55, 60, 66];
+/// Colour of the axes.
 const FRAME: [u8; 3] = [120, 128, 120];
-/// Numbers at the border are at least this far apart, in units of the text's size.
+/// Smallest distance between numbers at the border, in units of the size of the text.
 const NUMBER_SPACING: f64 = 2.8;
 
 /// The carpet on the picture, to scale: x to the right, y up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Plot {
-    /// Left top and right bottom corner of the carpet, pixels.
+    /// Left top corner of the carpet, pixels.
     pub(super) low: DVec2,
+    /// Right bottom corner of the carpet, pixels.
     pub(super) high: DVec2,
     pub(super) pixels_per_metre: f64,
-    /// Of the text, pixels.
+    /// Size of the text, pixels.
     pub(super) text_size: f64,
 }
 
 impl Plot {
+    /// Lays out a field on a picture of the given width.
     pub(super) fn new(field: &Field, width_px: u32) -> Self {
         let width = f64::from(width_px);
         let text_size = width / 46.0;
         let (left, right, top) = (3.9 * text_size, 0.9 * text_size, 0.9 * text_size);
         let carpet = 2.0 * field.carpet_half_extent();
-        // A narrow, long field would make an endless picture: not more than twice as high as wide.
+        // The picture is at most twice as high as wide: a long field that is narrow would make it endless.
         let room = DVec2::new(width - left - right, 2.0 * width);
         let pixels_per_metre = (room / carpet).min_element();
         let size = carpet * pixels_per_metre;
@@ -36,11 +40,12 @@ impl Plot {
         Self { low, high: low + size, pixels_per_metre, text_size }
     }
 
+    /// Returns the pixel of a point in `map`.
     pub(super) fn pixel(&self, map: DVec2) -> DVec2 {
         (self.low + self.high) / 2.0 + DVec2::new(map.x, -map.y) * self.pixels_per_metre
     }
 
-    /// Where the axes and their numbers end.
+    /// Returns where axes and numbers end, pixels from the top.
     pub(super) fn bottom(&self) -> f64 {
         self.high.y + 3.0 * self.text_size
     }
@@ -73,18 +78,20 @@ impl Plot {
     }
 }
 
-/// 1, 2 or 5 times a power of ten, at least `least` metres.
+/// Returns 1, 2 or 5 times a power of ten that is at least `least` metres.
 fn tick_step(least: f64) -> f64 {
     [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0].into_iter().find(|step| *step >= least).unwrap_or(100.0)
 }
 
+/// Returns the multiples of `step` within `half` on both sides of 0.
 fn ticks(half: f64, step: f64) -> Vec<f64> {
     let most = libm::floor(half / step + 1e-9) as i32;
     (-most..=most).map(|count| f64::from(count) * step).collect()
 }
 
+/// Formats a number at the border.
 fn number(value: f64, step: f64) -> String {
     let digits = usize::from(step < 1.0);
-    // A minus as wide as a plus, as in print.
+    // The minus sign is as wide as a plus, as in print.
     format!("{value:.digits$}").replace('-', "\u{2212}")
 }

@@ -1,4 +1,4 @@
-//! A route's line, its dots, and the marks at its ends; the same in small for the legend.
+//! Lines, dots and end marks of routes, on the map and in the legend.
 
 use glam::DVec2;
 
@@ -7,19 +7,19 @@ use super::plot::Plot;
 use super::{Route, RouteStyle};
 
 const WHITE: Ink = Ink::solid([255, 255, 255]);
-/// Of the pale line beneath the others.
+/// Opacity of wide routes.
 const PALE: f64 = 0.6;
-/// Of the circle at a start, in units of the text's size.
+/// Radius of the circle at a start, in units of the size of the text.
 pub(super) const START_RADIUS: f64 = 0.46;
 
-/// Wide ones beneath thin ones, otherwise the first beneath the last.
+/// Draws routes: wide ones beneath thin ones, otherwise in their order.
 pub(super) fn draw(canvas: &mut Canvas, plot: &Plot, routes: &[Route]) {
     for style in [RouteStyle::Wide, RouteStyle::Thin] {
         for route in routes.iter().filter(|route| route.style == style) {
             draw_line(canvas, plot, route);
         }
     }
-    // Marks last, crosses after circles: a way that comes back to its start must hide neither.
+    // Marks are drawn last, crosses after circles: a route that returns to its start must hide neither.
     for style in [RouteStyle::Wide, RouteStyle::Thin] {
         for route in routes.iter().filter(|route| route.style == style) {
             if let Some(first) = route.points.iter().find(|point| point.is_finite()) {
@@ -35,7 +35,7 @@ pub(super) fn draw(canvas: &mut Canvas, plot: &Plot, routes: &[Route]) {
     }
 }
 
-/// A short piece of the line around `middle`.
+/// Draws a short piece of the line of a route around `middle`.
 pub(super) fn draw_sample(canvas: &mut Canvas, middle: DVec2, length: f64, text_size: f64, route: &Route) {
     let half = DVec2::new(length / 2.0, 0.0);
     canvas.stroke(&[vec![middle - half, middle + half]], route.ink().pen(line_width(text_size, route)).square());
@@ -46,6 +46,7 @@ pub(super) fn draw_sample(canvas: &mut Canvas, middle: DVec2, length: f64, text_
     }
 }
 
+/// Draws the circle at the start of a route.
 pub(super) fn draw_start(canvas: &mut Canvas, at: DVec2, text_size: f64, style: RouteStyle, colour: [u8; 3]) {
     let radius = START_RADIUS * text_size;
     let width = 0.14 * text_size;
@@ -58,8 +59,9 @@ pub(super) fn draw_start(canvas: &mut Canvas, at: DVec2, text_size: f64, style: 
     }
 }
 
+/// Draws the cross at the end of a route.
 pub(super) fn draw_end(canvas: &mut Canvas, at: DVec2, text_size: f64, style: RouteStyle, colour: [u8; 3]) {
-    // The thin one fits into the start's circle, the wide one shows around a thin one.
+    // A thin cross fits into the circle of a start, and a wide cross shows around a thin one.
     let (arm, width) = match style {
         RouteStyle::Wide => (0.55 * text_size, 0.34 * text_size),
         RouteStyle::Thin => (0.27 * text_size, 0.16 * text_size),
@@ -81,7 +83,7 @@ fn draw_line(canvas: &mut Canvas, plot: &Plot, route: &Route) {
     canvas.stroke(&runs, route.ink().pen(line_width(plot.text_size, route)));
     let radius = dot_radius(plot.text_size, route.style);
     for run in &runs {
-        // A lone point between two gaps would not show otherwise.
+        // A single point between two gaps has no line.
         if route.dots || run.len() == 1 {
             run.iter().for_each(|point| canvas.fill_circle(*point, radius, route.ink()));
         }
@@ -91,7 +93,7 @@ fn draw_line(canvas: &mut Canvas, plot: &Plot, route: &Route) {
 fn line_width(text_size: f64, route: &Route) -> f64 {
     let share = match route.style {
         RouteStyle::Wide => 0.55,
-        // The dots are what counts then.
+        // With dots, the line is only a guide.
         RouteStyle::Thin if route.dots => 0.08,
         RouteStyle::Thin => 0.13,
     };

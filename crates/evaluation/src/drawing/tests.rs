@@ -19,7 +19,7 @@ fn lens(name: &str) -> Lens {
     load_lens(name).expect("shipped").lens
 }
 
-/// Half a metre above the ground, looking down a little.
+/// Returns a pose half a metre above the ground, looking down by `pitch_deg`.
 fn camera(x: f64, y: f64, yaw_deg: f64, pitch_deg: f64) -> Isometry {
     let euler = Euler { yaw: yaw_deg.to_radians(), pitch: pitch_deg.to_radians(), roll: 0.05 };
     Isometry::from_euler(euler, DVec3::new(x, y, 0.5))
@@ -34,7 +34,7 @@ fn project(lens: &Lens, pose: &Isometry, ground: DVec2) -> Option<DVec2> {
 }
 
 #[test]
-fn the_overlay_lies_where_the_lens_projects_the_borders_of_the_paint() {
+fn the_overlay_lies_on_the_projected_borders_of_the_paint() {
     let (field, pose) = (field(), camera(-1.0, -0.7, 20.0, 20.0));
     for lens in ["fisheye-640", "fisheye-1280", "wide-640"].map(lens) {
         let drawn = overlay(&RgbImage::new(lens.width(), lens.height()), &lens, &pose, &field, RED);
@@ -42,12 +42,12 @@ fn the_overlay_lies_where_the_lens_projects_the_borders_of_the_paint() {
         for point in field.points(400) {
             for side in [-0.5, 0.5] {
                 let border = point.position + point.normal * (side * field.line_width());
-                // Inside of a crossing line there is no border.
+                // There is no border inside of a crossing line.
                 if field.distance_to_centre_line(border) < 0.499 * field.line_width() {
                     continue;
                 }
                 let Some(pixel) = project(&lens, &pose, border).filter(|pixel| lens.contains(*pixel)) else { continue };
-                // The strongest of the four around: an antialiased line shares its colour among them.
+                // The strongest of the four pixels around counts: an antialiased line spreads over them.
                 let (u, v) = (pixel.x as u32, pixel.y as u32);
                 let around = [(u, v), (u + 1, v), (u, v + 1), (u + 1, v + 1)];
                 let red = around.map(|(u, v)| drawn.get_pixel(u, v).0[0]).into_iter().max().unwrap_or(0);
@@ -65,7 +65,7 @@ fn nothing_is_drawn_elsewhere() {
     let drawn = overlay(&RgbImage::new(640, 480), &lens, &pose, &field, RED);
     let map_from_optical = pose * Isometry::link_from_optical();
     for (u, v, pixel) in drawn.enumerate_pixels().filter(|(_, _, pixel)| pixel.0 != BLACK) {
-        // Beyond the rim of the view, half a line may be.
+        // Half the width of a line may lie beyond the rim of the view.
         let Some(ray) = lens.unproject(DVec2::new(f64::from(u), f64::from(v))) else { continue };
         let ray = map_from_optical.transform_vector(ray);
         // Towards the horizon a pixel covers too much ground to judge.
@@ -87,7 +87,7 @@ fn curves_stay_curves_and_breaks_are_breaks() {
             assert!(pair[0].distance(pair[1]) <= 4.6, "{pair:?}");
         }
     }
-    // Some of the field is more than 90 deg off the axis, and shows.
+    // Some visible parts of the field are more than 90 degrees off the optical axis.
     let behind = DVec2::new(0.0, 1.9);
     let pixel = project(&lens, &pose, behind + DVec2::X * 0.025).expect("in view") + 0.5;
     assert!(pose.inverse().transform_point(behind.extend(0.0)).x < 0.0);
@@ -108,11 +108,11 @@ fn the_map_is_to_scale() {
     for (x, y) in [(0.0, 1.0), (2.99, 1.5), (-3.01, -1.5), (1.0, 1.99), (0.6, 0.0), (1.2, 0.04), (-2.4, 1.0)] {
         assert!(white(x, y) && !white(x + 0.06, y + 0.06), "{x} {y}");
     }
-    // The corner is full, and the halfway line as wide as painted.
+    // The corner is filled, and the halfway line is as wide as painted.
     assert!(white(3.015, 2.015) && white(-3.015, -2.015) && !white(3.04, 2.04));
     let across = (0..1000).filter(|step| white(-0.5 + f64::from(*step) / 1000.0, 1.0)).count() as f64 / 1000.0;
     assert!((across - 0.05).abs() < 1.5 / plot.pixels_per_metre, "{across} m");
-    // y is up, x to the right, the middle in the middle.
+    // x points to the right, y up, and the centre of the field is in the middle.
     let tag = field_map(&field, &[route(RouteStyle::Thin, vec![DVec2::new(2.0, 1.0)])], 1000, &[]);
     let at = plot.pixel(DVec2::new(2.0, 1.0)) + DVec2::new(routes::START_RADIUS * plot.text_size, 0.0);
     assert_eq!(tag.get_pixel(at.x as u32, at.y as u32).0, RED);

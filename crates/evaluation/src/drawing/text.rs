@@ -1,4 +1,4 @@
-//! Words as outlines: DejaVu Sans, so that pictures look the same on every computer.
+//! Text as outlines in DejaVu Sans, so that pictures look the same on every computer.
 
 use std::sync::LazyLock;
 
@@ -7,16 +7,17 @@ use skrifa::outline::{DrawSettings, OutlinePen};
 use skrifa::{FontRef, GlyphId, MetadataProvider};
 use tiny_skia::{Path, PathBuilder};
 
-/// Without a font there are no words; the shipped one always loads.
+/// The font. Without it there would be no text; the shipped one always loads.
 static FONT: LazyLock<Option<FontRef<'static>>> = LazyLock::new(|| FontRef::new(dejavu::sans::regular()).ok());
 
-/// Smaller letters are only dirt.
-const SMALLEST: f64 = 4.0;
-/// No picture is wide enough for more.
+/// Smallest size of text, pixels: smaller letters cannot be read and are left out.
+const MIN_SIZE_PX: f64 = 4.0;
+/// Largest number of letters of a line: no picture is wide enough for more.
 const MOST_LETTERS: usize = 1_000;
 
-/// Their outlines; the left end of the baseline is at (0, 0), y points down. `size` is from the highest letter's top to the
-/// lowest one's bottom, pixels.
+/// Returns the outlines of words. The left end of the baseline is at (0, 0), and y points down.
+///
+/// `size` is the height from the top of the highest letter to the bottom of the lowest, pixels.
 pub(super) fn outline(size: f64, words: &str) -> Option<Path> {
     let font = FONT.as_ref()?;
     let Line { letters, em, .. } = line(size, words)?;
@@ -30,12 +31,12 @@ pub(super) fn outline(size: f64, words: &str) -> Option<Path> {
     pen.path.finish()
 }
 
-/// How far the words reach to the right.
+/// Returns the width of words, pixels.
 pub(super) fn width(size: f64, words: &str) -> f64 {
     line(size, words).map_or(0.0, |line| f64::from(line.width))
 }
 
-/// Lines no wider than `room`, broken between words; a longer word has a line of its own and sticks out.
+/// Breaks words into lines no wider than `room` pixels. A longer word gets a line of its own and sticks out.
 pub(super) fn wrap(size: f64, words: &str, room: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in words.split_whitespace() {
@@ -50,17 +51,18 @@ pub(super) fn wrap(size: f64, words: &str, room: f64) -> Vec<String> {
     lines
 }
 
-/// Words set in one line; pixels.
+/// Words set in one line; lengths are pixels.
 struct Line {
-    /// Each with the place where it begins.
+    /// Letters with the position at which each begins.
     letters: Vec<(GlyphId, f32)>,
-    /// The font's size.
+    /// Size of the font.
     em: f32,
     width: f32,
 }
 
+/// Sets words in one line; `None` if they are too small or there is no font.
 fn line(size: f64, words: &str) -> Option<Line> {
-    let font = FONT.as_ref().filter(|_| size >= SMALLEST)?;
+    let font = FONT.as_ref().filter(|_| size >= MIN_SIZE_PX)?;
     let whole = font.metrics(Size::unscaled(), LocationRef::default());
     let em = size as f32 * f32::from(whole.units_per_em) / (whole.ascent - whole.descent);
     let (characters, widths) = (font.charmap(), font.glyph_metrics(Size::new(em), LocationRef::default()));
@@ -73,7 +75,7 @@ fn line(size: f64, words: &str) -> Option<Line> {
     Some(Line { letters, em, width: x })
 }
 
-/// Puts letters one behind the other; fonts have y upwards.
+/// A pen that appends letters to a path. Fonts have y upwards.
 struct Pen {
     path: PathBuilder,
     x: f32,

@@ -1,6 +1,7 @@
-//! Negative controls: the frames of a walk, tagged while something false is said of them. No tag may then be valid and wrong.
+//! Negative controls: the frames of a walk, tagged under a false assumption. No tag may then be both valid and wrong.
 //!
-//! [`falsehoods`] lists what is said, [`Falsehood::tag`] tags the frames under it, [`Control`] is the count.
+//! [`falsehoods`] lists the assumptions, [`Falsehood::tag`] tags the frames under one of them, [`Control`] counts the
+//! result.
 
 mod pictures;
 
@@ -10,32 +11,52 @@ use super::contrast::Quality;
 pub use pictures::{Distortion, Noise};
 use realitysim_config::{Settings, field_names, load_field};
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
-use realitysim_tagging::{Attempt, Claims, Footage, SetupError};
+use realitysim_tagging::{Claims, FrameCache, SetupError, Trial};
 
-/// How far off pictures, mount and lens are said to be: from what a careless calibration leaves to what is clearly wrong, and none so
-/// far that no line is found.
+/// Shifts of the pictures to the right and down, as shares of the height of the picture.
+///
+/// Errors here and below range from what a careless calibration leaves to what is clearly wrong. None is so large that
+/// no line is found.
 const SHIFT_SHARES: [[f64; 2]; 4] = [[0.0, 0.05], [0.0, 0.1], [0.0, -0.1], [0.1, 0.0]];
+/// Factors of the focal length and of the size of the pictures.
 const SCALES: [f64; 4] = [0.9, 0.95, 1.05, 1.1];
+/// Turns of the pictures, degrees clockwise.
 const TURNS_DEG: [f64; 4] = [-6.0, -3.0, 3.0, 6.0];
+/// Errors of the height of the camera, metres upwards.
 const HIGHER_M: [f64; 4] = [-0.10, -0.05, 0.05, 0.10];
 
-/// Something false, said of every frame of a walk.
+/// A false assumption about every frame of a walk.
 #[derive(Clone, Debug)]
 pub enum Falsehood {
-    /// Nothing: what the truth gives, for comparison.
+    /// No falsehood: the result under true assumptions, for comparison.
     Nothing,
     /// The robot walks on another field.
-    Field { name: String, field: Field },
-    /// The lens has so many times its focal length.
-    Focal { scale: f64, lens: Lens },
-    /// The camera stands so much higher, metres.
-    Mount { higher_m: f64 },
-    /// The picture is not that of the camera.
+    Field {
+        /// Name of the shipped field.
+        name: String,
+        /// The field.
+        field: Field,
+    },
+    /// The lens has another focal length.
+    Focal {
+        /// Factor of the focal length.
+        scale: f64,
+        /// Lens with that focal length.
+        lens: Lens,
+    },
+    /// The camera has another height.
+    Mount {
+        /// Error of the height, metres upwards.
+        higher_m: f64,
+    },
+    /// The pictures are not those of the camera.
     Picture(Distortion),
 }
 
-/// All falsehoods that can be said of these frames, after the truth: every shipped field of other dimensions, other focal lengths
-/// and heights, and pictures shifted, scaled, turned, and replaced by noise.
+/// Returns all falsehoods about the frames of a field and a lens, the truth first.
+///
+/// They are every shipped field of other dimensions, other focal lengths and heights, and pictures that are shifted,
+/// scaled, turned, or replaced by noise.
 pub fn falsehoods(field: &Field, lens: &Lens) -> Vec<Falsehood> {
     let mut all = vec![Falsehood::Nothing];
     for name in field_names() {
@@ -60,7 +81,7 @@ pub fn falsehoods(field: &Field, lens: &Lens) -> Vec<Falsehood> {
 }
 
 impl Falsehood {
-    /// For people: what is said, in a few words.
+    /// Describes the falsehood in a few words, for people.
     pub fn name(&self) -> String {
         match self {
             Self::Nothing => "the truth".to_owned(),
@@ -71,18 +92,21 @@ impl Falsehood {
         }
     }
 
+    /// Returns whether this is [`Falsehood::Nothing`].
     pub fn is_true(&self) -> bool {
         matches!(self, Self::Nothing)
     }
 
-    /// Tags the frames as if it were so; with `start_is_unknown` nobody has said where the robot begins.
+    /// Tags the frames as if the falsehood held. With `start_is_unknown` the initial pose is withheld.
+    ///
+    /// `progress` is called with the number of frames that are done.
     pub fn tag(
         &self,
-        footage: &Footage,
+        footage: &FrameCache,
         settings: &Settings,
         start_is_unknown: bool,
         progress: &mut dyn FnMut(usize),
-    ) -> Result<Vec<Attempt>, SetupError> {
+    ) -> Result<Vec<Trial>, SetupError> {
         let distorted = |index: usize, picture: &_| match self {
             Self::Picture(distortion) => distortion.apply(index, picture),
             _ => Clone::clone(picture),
@@ -99,23 +123,28 @@ impl Falsehood {
     }
 }
 
-/// What came of one falsehood.
+/// Result of tagging under one falsehood.
 #[derive(Clone, Debug, Serialize)]
 pub struct Control {
+    /// Description of the falsehood.
     pub said: String,
-    /// It is no falsehood.
+    /// Whether it is the truth, for comparison.
     pub is_true: bool,
+    /// Whether the initial pose was withheld.
     pub start_is_unknown: bool,
+    /// Number of frames.
     pub frames: usize,
+    /// Number of valid tags.
     pub valid: usize,
-    /// Valid, and more than 12 cm off in x and y.
+    /// Number of valid tags that are more than 12 cm off in x and y.
     pub wrong: usize,
-    /// Of the valid tags, the largest error, centimetres.
+    /// Largest error of the valid tags in x and y, centimetres.
     pub max_cm: f64,
 }
 
 impl Control {
-    pub fn of(falsehood: &Falsehood, start_is_unknown: bool, run: &[Attempt], truth: &[(i64, Isometry)]) -> Self {
+    /// Counts the tags of a run. `truth` is in order of time.
+    pub fn of(falsehood: &Falsehood, start_is_unknown: bool, run: &[Trial], truth: &[(i64, Isometry)]) -> Self {
         let Quality { frames, valid, wrong, position_cm, .. } = Quality::of(run, truth);
         let max_cm = position_cm.max;
         Self { said: falsehood.name(), is_true: falsehood.is_true(), start_is_unknown, frames, valid, wrong, max_cm }
@@ -128,7 +157,7 @@ mod tests {
     use realitysim_config::load_lens;
 
     #[test]
-    fn every_other_shipped_field_is_tried_and_the_own_one_is_not() {
+    fn every_shipped_field_but_the_own_one_is_tried() {
         let own = Field::new(load_field("kid-2009").expect("shipped")).expect("checked");
         let lens = load_lens("equisolid-640").expect("shipped").lens;
         let said: Vec<String> = falsehoods(&own, &lens).iter().map(Falsehood::name).collect();

@@ -1,39 +1,51 @@
-//! Pictures that are not those of the camera: moved, scaled, turned, or noise.
+//! Distorted pictures: shifted, scaled, turned, or replaced by noise.
 
 use glam::DVec2;
 
 use realitysim_localization::random::{Purpose, Stream};
 use realitysim_vision::{Chroma, Picture};
 
-/// What is done to each picture of a walk. What comes from beyond the picture's edge is black.
+/// Change that is made to each picture of a walk. Pixels from beyond the edge are black.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Distortion {
-    /// To the right and down, pixels.
-    Shift { by_px: [i32; 2] },
-    /// About the middle.
-    Scale { by: f64 },
-    /// About the middle, clockwise, radians.
-    Turn { by_rad: f64 },
-    /// Nothing of it is left.
+    /// Shifts the picture.
+    Shift {
+        /// Pixels to the right and down.
+        by_px: [i32; 2],
+    },
+    /// Scales the picture about its middle.
+    Scale {
+        /// Factor; more than 1 enlarges.
+        by: f64,
+    },
+    /// Turns the picture about its middle.
+    Turn {
+        /// Angle clockwise, radians.
+        by_rad: f64,
+    },
+    /// Replaces the picture by noise.
     Noise(Noise),
 }
 
+/// Kind of noise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Noise {
-    /// Every pixel is drawn by itself, from black to white.
+    /// Independent pixels, uniform from black to white.
     Uniform,
-    /// As bright as carpet and as lively as turf, with grain a few pixels wide and neutral colour.
+    /// Neutral gray with the brightness of carpet and the contrast of turf, in grains a few pixels wide.
     Blurred,
-    /// Blocks of the picture, each at another's place: light, colours and texture are those of the field.
+    /// Blocks of the picture in random order: brightness, colours and texture are those of the field.
     Scrambled,
 }
 
-/// Pixels of a side of what [`Noise::Scrambled`] moves: even, since two pixels share their colour.
+/// Side of the blocks of [`Noise::Scrambled`], pixels. It is even, since two pixels share their colour.
 const BLOCK: usize = 8;
+/// Side of the square window that noise is averaged over, pixels.
 const GRAIN_PX: usize = 3;
 const SEED: u64 = 0x6661_6c73_6966_7921;
 
 impl Distortion {
+    /// Describes the distortion in a few words, for people.
     pub fn name(&self) -> String {
         match self {
             Self::Shift { by_px: [right, 0] } => format!("pictures {right} px to the right"),
@@ -48,7 +60,7 @@ impl Distortion {
         }
     }
 
-    /// `index` is the frame's: noise is another in each.
+    /// Returns the distorted picture. `index` is that of the frame: noise differs from frame to frame.
     pub fn apply(&self, index: usize, picture: &Picture) -> Picture {
         let middle = DVec2::new(picture.width as f64 - 1.0, picture.height as f64 - 1.0) / 2.0;
         match *self {
@@ -80,7 +92,7 @@ impl Noise {
             Self::Blurred => {
                 let drawn: Vec<f64> = (0..width * height).map(|_| stream.normal()).collect();
                 let grain = blurred(&blurred(&drawn, width, GRAIN_PX, 1), width, GRAIN_PX, width);
-                // The mean of so many varies by its root less.
+                // A mean of n independent values has the standard deviation of one divided by the root of n.
                 let spread = 25.0 * GRAIN_PX as f64;
                 let luma = grain.iter().map(|value| (100.0 + spread * value).clamp(0.0, 255.0) as u8).collect();
                 let neutral = vec![128; picture.chroma.blue.len()];
@@ -91,7 +103,7 @@ impl Noise {
     }
 }
 
-/// Means of `size` neighbours that are `stride` apart in memory.
+/// Averages `size` neighbours that are `stride` apart in memory.
 fn blurred(values: &[f64], width: usize, size: usize, stride: usize) -> Vec<f64> {
     let reach = size / 2;
     let mean = |at: usize| {
@@ -104,7 +116,7 @@ fn blurred(values: &[f64], width: usize, size: usize, stride: usize) -> Vec<f64>
     (0..values.len()).map(mean).collect()
 }
 
-/// `from` says for each pixel of the result where it comes from. Colour has half the resolution.
+/// Resamples a picture; `from` maps each pixel of the result to its source. Colour has half the resolution.
 fn resampled(picture: &Picture, from: impl Fn(DVec2) -> DVec2) -> Picture {
     let Picture { width, height, .. } = *picture;
     let half = [width.div_ceil(2), height.div_ceil(2)];
@@ -114,7 +126,7 @@ fn resampled(picture: &Picture, from: impl Fn(DVec2) -> DVec2) -> Picture {
     Picture { width, height, luma: sampled(&picture.luma, [width, height], 0, &from), chroma: Chroma { blue, red } }
 }
 
-/// Bilinear; `outside` beyond the edges.
+/// Resamples a plane by bilinear interpolation; beyond its edges it is `outside`.
 fn sampled(plane: &[u8], [width, height]: [usize; 2], outside: u8, from: impl Fn(DVec2) -> DVec2) -> Vec<u8> {
     let at = |x: f64, y: f64| {
         let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
@@ -131,7 +143,7 @@ fn sampled(plane: &[u8], [width, height]: [usize; 2], outside: u8, from: impl Fn
     (0..width * height).map(pixel).collect()
 }
 
-/// What does not fill a block at the right and lower edge stays where it is.
+/// Moves the blocks of a picture at random. Incomplete blocks at the right and lower edge stay where they are.
 fn scrambled(picture: &Picture, stream: &mut Stream) -> Picture {
     let [columns, rows] = [picture.width / BLOCK, picture.height / BLOCK];
     let mut order: Vec<usize> = (0..columns * rows).collect();
@@ -182,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scale_and_its_inverse_and_a_turn_and_its_inverse_keep_the_middle() {
+    fn scales_and_turns_and_their_inverses_keep_the_middle() {
         let smooth = Picture { luma: (0..1200).map(|i| (60 + i % 40 + 2 * (i / 40)) as u8).collect(), ..picture() };
         for (there, back) in [
             (Distortion::Scale { by: 0.9 }, Distortion::Scale { by: 1.0 / 0.9 }),
@@ -205,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_another_in_each_frame_and_scrambling_loses_nothing() {
+    fn noise_differs_between_frames_and_scrambling_loses_nothing() {
         let own = picture();
         for noise in [Noise::Uniform, Noise::Blurred, Noise::Scrambled] {
             let [one, same, other] = [0, 0, 1].map(|index| noise.picture(index, &own));

@@ -1,4 +1,4 @@
-//! The paper's figures with our numbers, and its own beside them.
+//! Charts of the paper's figures with the results of this program, and those of the paper beside them.
 
 use glam::DVec2;
 
@@ -9,7 +9,7 @@ use super::{PAPER_DISTANCE, PAPER_GAUSS, PAPER_PARTICLES, PAPER_WALK_CM};
 use crate::drawing::chart::{Across, Axis, Chart, Layer, Line, Mark, Note, Rule, Scale};
 use realitysim_localization::{Formula, Model};
 
-/// File names and contents.
+/// Draws the charts; returns file names and SVG contents.
 pub fn charts(paper: &Paper) -> [(&'static str, String); 3] {
     [
         ("paper-fig9-error.svg", fig9_error(paper)),
@@ -70,7 +70,7 @@ fn fig10(paper: &Paper) -> String {
         .iter()
         .map(|run| {
             let points = run.errors_cm.iter().enumerate();
-            // A frame that hits exactly would have no place on a logarithmic axis.
+            // An error of 0 would have no place on the logarithmic axis.
             layer(
                 &run.method,
                 None,

@@ -1,4 +1,4 @@
-//! Every method on the same frames.
+//! The experiments: every method on the same frames.
 
 use serde::Serialize;
 use thiserror::Error;
@@ -14,76 +14,95 @@ use realitysim_geometry::{Isometry, Pose2, wrap_angle};
 use realitysim_localization::random::{Purpose, Stream};
 use realitysim_log_input::synchroniser::InitialPose;
 use realitysim_scene::Scene;
-use realitysim_tagging::{Attempt, Footage, FootageOptions, ReplayError, SetupError};
+use realitysim_tagging::{FrameCache, FrameCacheOptions, ReplayError, SetupError, Trial};
 
-/// How much is done.
+/// Extent of the experiments.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
+    /// Spacing of the grid, metres.
     pub grid_m: f64,
+    /// Length of the walk, metres.
     pub walk_m: f64,
+    /// Frame rate of the walk, Hz.
     pub walk_hz: f64,
-    /// The walk is tracked this many times: a filter that loses itself does so now and then.
+    /// Number of seeds that the walk is tracked with: a filter loses itself with some seeds only.
     pub walk_seeds: u64,
-    /// Of Fig. 9; Table 2 and Fig. 10 have those of the paper.
+    /// Numbers of particles of Fig. 9. Table 2 and Fig. 10 have that of the paper.
     pub particles: Vec<usize>,
 }
 
 impl Plan {
-    /// As in the paper.
+    /// Returns the extent of the paper.
     pub fn full() -> Self {
         Self { grid_m: 0.3, walk_m: 5.8, walk_hz: 10.0, walk_seeds: 5, particles: vec![50, 100, 200, 400, 800, 1600] }
     }
 
-    /// The same in a few seconds: shows that all works, says little.
+    /// Returns an extent that takes a few seconds: it shows that everything works, but its figures say little.
     pub fn quick() -> Self {
         Self { grid_m: 1.2, walk_m: 1.0, walk_hz: 5.0, walk_seeds: 2, particles: vec![100, 800] }
     }
 }
 
-/// One method over one set of frames. Every frame counts, whatever the filter thinks of it: the paper has no invalid tags.
+/// Result of one method over one set of frames.
+///
+/// Every frame counts, even where the filter calls the tag invalid: the paper has no invalid tags.
 #[derive(Clone, Debug, Serialize)]
 pub struct Run {
+    /// The method.
     #[serde(serialize_with = "name")]
     pub method: Method,
+    /// Number of particles.
     pub particles: usize,
+    /// Position errors in x and y, centimetres.
     pub position_cm: Summary,
+    /// Absolute errors of yaw, degrees.
     pub yaw_deg: Summary,
-    /// From the decoded image to the tag.
+    /// Median time from the decoded image to the tag, milliseconds.
     pub p50_ms: f64,
+    /// 99 % quantile of the same times, milliseconds.
     pub p99_ms: f64,
-    /// Mean error with each seed.
+    /// Mean position error of each seed, centimetres.
     pub seed_means_cm: Vec<f64>,
-    /// Of each frame with the first seed.
+    /// Position error of each frame with the first seed, centimetres.
     #[serde(skip)]
     pub errors_cm: Vec<f64>,
 }
 
+/// Results of the experiments.
 #[derive(Clone, Debug, Serialize)]
 pub struct Paper {
+    /// Spacing of the grid, metres.
     pub grid_m: f64,
-    /// Frames of the still truth set and of the walk.
+    /// Number of frames on the grid.
     pub still_frames: usize,
+    /// Number of frames of the walk.
     pub walk_frames: usize,
+    /// Frame rate of the walk, Hz.
     pub walk_hz: f64,
-    /// Fig. 9 and Table 2.
+    /// Results on the grid: Fig. 9 and Table 2.
     pub still: Vec<Run>,
-    /// Fig. 10.
+    /// Results of the walk: Fig. 10.
     pub walk: Vec<Run>,
 }
 
+/// Reason why the experiments cannot be run.
 #[derive(Debug, Error)]
 pub enum PaperError {
+    /// A scene cannot be made.
     #[error(transparent)]
     Scene(#[from] SceneFailure),
+    /// A scene cannot be rendered.
     #[error(transparent)]
     Footage(#[from] ReplayError),
+    /// The filter cannot be set up.
     #[error(transparent)]
     Setup(#[from] SetupError),
 }
 
-/// What is being done, how far it has come, and how far it goes.
+/// Callback with the name of the step, the number of frames that are done, and that of all frames if it is known.
 pub type Progress<'a> = &'a mut dyn FnMut(&'static str, u64, Option<u64>);
 
+/// Runs the experiments. Other settings than those of the methods are taken from `settings`.
 pub fn reproduce(plan: &Plan, settings: &Settings, progress: Progress) -> Result<Paper, PaperError> {
     let (still_frames, still) = still(plan, settings, progress)?;
     let (walk_frames, walk) = walk(plan, settings, progress)?;
@@ -95,8 +114,8 @@ fn still(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize,
     let mut settings = settings.clone();
     settings.filter.initial_xy_m = START_XY_M;
     settings.filter.initial_yaw_deg = START_YAW_RAD.to_degrees();
-    let starts: Vec<InitialPose> = (0..places).map(|index| start(&scene, index, settings.filter.seed)).collect();
-    // The last place is seen once more when the scene ends.
+    let starts: Vec<InitialPose> = (0..places).map(|index| draw_start(&scene, index, settings.filter.seed)).collect();
+    // The scene ends with a second frame at the last place, which is left out.
     let footage = render(&scene, &settings, Some(places as f64 - 0.5), progress)?.apart(&starts);
     let in_fig9 = plan.particles.iter().flat_map(|particles| METHODS.map(|method| (method, *particles)));
     let wanted: Vec<(Method, usize)> =
@@ -113,14 +132,19 @@ fn walk(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize, 
     Ok((footage.frames(), runs))
 }
 
-fn render(scene: &Scene, settings: &Settings, for_s: Option<f64>, progress: Progress) -> Result<Footage, ReplayError> {
+fn render(
+    scene: &Scene,
+    settings: &Settings,
+    for_s: Option<f64>,
+    progress: Progress,
+) -> Result<FrameCache, ReplayError> {
     let source = scene.file().scene.title.clone().into();
-    let options = FootageOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s };
-    Footage::of_scene(scene, &options, &mut |done, total| progress("rendering", done, total))
+    let options = FrameCacheOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s };
+    FrameCache::of_scene(scene, &options, &mut |done, total| progress("rendering", done, total))
 }
 
 fn runs(
-    footage: &Footage,
+    footage: &FrameCache,
     truth: &[(i64, Isometry)],
     wanted: &[(Method, usize)],
     seeds: u64,
@@ -144,8 +168,8 @@ fn runs(
     Ok(runs)
 }
 
-/// Around the truth at a place of the grid: the same for every method.
-fn start(scene: &Scene, index: usize, seed: u64) -> InitialPose {
+/// Draws a start pose around the truth at a place of the grid, the same for every method.
+fn draw_start(scene: &Scene, index: usize, seed: u64) -> InitialPose {
     let mut draw = Stream::new(seed, Purpose::Start, index as u64, 0, 0);
     let truth = scene.truth(index as f64).map_from_base_footprint;
     let [dx, dy, turn] = [draw.normal(), draw.normal(), draw.normal()];
@@ -155,8 +179,8 @@ fn start(scene: &Scene, index: usize, seed: u64) -> InitialPose {
 }
 
 impl Run {
-    /// `attempts` are one seed each.
-    fn of(method: Method, particles: usize, attempts: &[Vec<Attempt>], truth: &[(i64, Isometry)]) -> Self {
+    /// Summarizes runs of one method, one run per seed.
+    fn of(method: Method, particles: usize, attempts: &[Vec<Trial>], truth: &[(i64, Isometry)]) -> Self {
         let judged: Vec<Vec<(f64, f64)>> =
             attempts.iter().map(|run| run.iter().filter_map(|attempt| errors(attempt, truth)).collect()).collect();
         let (all_cm, all_deg): (Vec<f64>, Vec<f64>) = judged.iter().flatten().copied().unzip();
@@ -176,8 +200,8 @@ impl Run {
     }
 }
 
-/// Of position in cm and of yaw in degrees, whether the filter calls the tag valid or not.
-fn errors(attempt: &Attempt, truth: &[(i64, Isometry)]) -> Option<(f64, f64)> {
+/// Returns the errors of position in centimetres and of yaw in degrees, whether the tag is valid or not.
+fn errors(attempt: &Trial, truth: &[(i64, Isometry)]) -> Option<(f64, f64)> {
     let Tagged { stamp_ns, pose, .. } = tagged(&attempt.tag);
     let wanted = truth_at(truth, stamp_ns)?;
     let off = (pose.translation - wanted.translation).truncate().length();

@@ -1,24 +1,29 @@
-//! The ways to locate that are compared.
+//! The localization methods that the experiments compare.
 
 use super::{PAPER_DISTANCE, PAPER_GAUSS, Reported};
 use realitysim_config::Settings;
 use realitysim_localization::{Formula, Model};
 
+/// A localization method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Method {
+    /// Name for tables and legends.
     pub name: &'static str,
+    /// Observation model.
     pub model: Model,
+    /// Formula of the observation model, as printed or corrected.
     pub formula: Formula,
-    /// Where it is not the formula's own.
+    /// Parameter alpha of the formula, where it differs from the default of the formula.
     pub alpha: Option<f64>,
+    /// Whether poses are refined by least squares.
     pub refinement: bool,
-    /// Drawn over the number of particles; others only stand in the table.
+    /// Whether the method is drawn over the number of particles. Others stand in the table only.
     pub in_fig9: bool,
-    /// What the paper has for it.
+    /// Result that the paper reports for it.
     pub reported: Option<Reported>,
 }
 
-/// The paper's two, as printed and corrected, and what this program does by default.
+/// The two methods of the paper, as printed and corrected, and the default of this program.
 pub const METHODS: [Method; 6] = [
     Method {
         name: "Gauss, as printed",
@@ -77,6 +82,7 @@ pub const METHODS: [Method; 6] = [
 ];
 
 impl Method {
+    /// Returns `base` with the settings of this method and the given number of particles.
     pub fn settings(&self, base: &Settings, particles: usize) -> Settings {
         let mut settings = base.clone();
         let f = &mut settings.filter;
@@ -87,7 +93,7 @@ impl Method {
         f.particles = particles;
         f.adaptive = false;
         if self.formula == Formula::Paper {
-            // The paper has no rules of validity; with them a filter that is lost would be set back onto its way.
+            // The paper has no rules of validity: with them, a lost filter would be put back onto its way.
             f.valid_share = 0.0;
             f.valid_points = 0.0;
             f.valid_spread_m = 100.0;
@@ -101,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_method_is_a_possible_setting() {
+    fn every_method_has_allowed_settings() {
         for method in METHODS {
             assert_eq!(method.settings(&Settings::default(), 50).check(), Ok(()), "{}", method.name);
         }

@@ -1,11 +1,11 @@
-//! The scenes of the experiments: the paper's field and camera, seen standing on a grid and walking along it.
+//! The scenes of the experiments: the paper's field and camera, standing on a grid and walking along the field.
 
 use core::f64::consts::PI;
 
 use realitysim_config::{ConfigError, load_field, load_lens};
 use realitysim_scene::{Scene, SceneError, SceneFile};
 
-/// Everything but the route. Attitude is off as an IMU's is: half a degree always, a quarter at random.
+/// Camera, odometry and IMU of both scenes, in the format of scene files.
 const ROBOT: &str = r#"
 [camera]
 lens = "paper-640"
@@ -22,6 +22,7 @@ rate_hz = 50.0
 rate_hz = 50.0
 "#;
 
+/// Effects of the walk: swaying gait and errors of odometry.
 const WALKING: &str = r#"
 [[effect]]
 kind = "gait_sway"
@@ -38,6 +39,7 @@ yaw_drift_deg_per_m = 0.0
 noise_m_per_m = 0.05
 "#;
 
+/// Errors of IMU and image sensor in both scenes: the attitude is off by half a degree, and by a quarter at random.
 const SENSORS: &str = r#"
 [[effect]]
 kind = "imu_error"
@@ -52,25 +54,32 @@ read_noise_dn = 1.5
 shot_noise_factor = 0.15
 "#;
 
+/// Name of the field.
 const FIELD: &str = "kid-2009";
+/// Seed of both scenes.
 const SEED: u64 = 20_130_601;
 
+/// Reason why a scene of the experiments cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneFailure {
+    /// The scene cannot be built.
     #[error("the experiment's scene: {0}")]
     Scene(#[from] SceneError),
+    /// A shipped field or lens cannot be loaded.
     #[error(transparent)]
     Config(#[from] ConfigError),
 }
 
-/// Standing at every place of a grid about the field's centre, within its lines, with headings that cover the circle: a
-/// frame a second, one at each place.
+/// Returns a scene of a robot standing on a grid, and the number of places.
+///
+/// The grid is centred on the field and lies within its lines. There is one frame a second, one at each place, and the
+/// headings cover the circle.
 pub fn still(spacing_m: f64) -> Result<(Scene, usize), SceneFailure> {
     let field = load_field(FIELD)?;
     let count = |length: f64| (libm::floor(length / spacing_m + 1e-9) as usize).max(1);
     let (columns, rows) = (count(field.length_m), count(field.width_m));
     let place = |index: usize, count: usize| (index as f64 - (count - 1) as f64 / 2.0) * spacing_m;
-    // Steps of the golden angle never come back to a heading.
+    // In steps of the golden angle no heading repeats.
     let golden_deg = 180.0 * (3.0 - libm::sqrt(5.0));
     let poses: Vec<String> = (0..columns * rows)
         .map(|index| {
@@ -83,7 +92,7 @@ pub fn still(spacing_m: f64) -> Result<(Scene, usize), SceneFailure> {
     Ok((scene("Standing on a grid", &route, 1.0, "")?, poses.len()))
 }
 
-/// Straight along the field, 10 cm beside its long axis.
+/// Returns a scene of a straight walk along the field, 10 cm beside its long axis.
 pub fn walk(length_m: f64, rate_hz: f64) -> Result<Scene, SceneFailure> {
     let from = -2.9;
     let to = from + length_m;
@@ -93,6 +102,7 @@ pub fn walk(length_m: f64, rate_hz: f64) -> Result<Scene, SceneFailure> {
     scene("Straight walk", &route, rate_hz, WALKING)
 }
 
+/// Speed of the walk, metres per second.
 pub const WALK_M_PER_S: f64 = 0.25;
 
 fn scene(title: &str, route: &str, rate_hz: f64, motion: &str) -> Result<Scene, SceneFailure> {
@@ -106,8 +116,9 @@ fn scene(title: &str, route: &str, rate_hz: f64, motion: &str) -> Result<Scene, 
     Ok(Scene::build(file, load_field(FIELD)?, lens.lens.parameters().clone())?)
 }
 
-/// How far from the truth a place on the grid is started: standard deviations in x and y each, and of yaw.
+/// Standard deviation in x and in y of the start pose at a place of the grid, metres.
 pub const START_XY_M: f64 = 0.2;
+/// Standard deviation of yaw of the start pose at a place of the grid, radians.
 pub const START_YAW_RAD: f64 = 8.0 * PI / 180.0;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Tags of now against those of then.
+//! Comparison of tags with those of a reference.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,38 +8,49 @@ use serde_json::Value;
 use super::file::{Frames, Reference, ReferenceError};
 use super::identity::{CONTENTS, Identity};
 
+/// Result of a comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct Verdict {
+    /// Whether all tags equal those of the reference, up to its tolerances.
     pub same: bool,
+    /// Number of frames.
     pub frames: usize,
+    /// Number of frames of the reference.
     pub frames_of_reference: usize,
-    /// Frames of which anything differs by more than it may.
+    /// Number of frames with a difference beyond its tolerance, or without a counterpart.
     pub frames_differ: usize,
-    /// Values that are only within their tolerance.
+    /// Number of values that differ, but within their tolerance.
     pub tolerated: usize,
-    /// Only fields that differ, by name.
+    /// Fields that differ, by name.
     pub differences: Vec<Difference>,
-    /// Fields that were compared, by name.
+    /// Names of the fields that were compared.
     pub compared: Vec<String>,
-    /// What is set otherwise than it was: no reason to differ, if tags do not.
+    /// Settings that differ from those of the reference. They do not count as a difference of the tags.
     pub settings: Vec<String>,
 }
 
-/// Of one field.
+/// Difference in one field.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
+    /// Name of the field.
     pub field: String,
+    /// Number of frames in which it differs.
     pub frames: usize,
-    /// None if it is no number.
+    /// Largest difference; `None` if the values are no numbers.
     pub largest: Option<f64>,
+    /// Index of the first frame in which it differs.
     pub first_frame: usize,
-    /// What it was there, and is now.
+    /// Value of the reference and value of the replay in that frame.
     pub first: [Value; 2],
-    /// 0 where none is stated.
+    /// Tolerance of the field; 0 if none is stated.
     pub tolerance: f64,
 }
 
-/// `file` is the reference's, for messages. What is not of the same log, seed and version is not compared.
+/// Compares the tags of a replay with a reference. `file` is the path of the reference, for messages.
+///
+/// # Errors
+///
+/// Refuses replays of another log, seed, start or version, and tags with other fields.
 pub fn compare(
     reference: &Reference,
     file: &str,
@@ -83,6 +94,7 @@ pub fn compare(
     })
 }
 
+/// Compares one field, and adds the frames in which it differs to `differing`.
 fn difference(
     field: &str,
     then: &[Value],
@@ -111,6 +123,7 @@ fn difference(
     found
 }
 
+/// Returns the absolute difference of two numbers; `None` if one is none.
 fn distance(then: &Value, now: &Value) -> Option<f64> {
     then.as_f64().zip(now.as_f64()).map(|(then, now)| (then - now).abs())
 }
@@ -119,11 +132,11 @@ fn is_within(then: &Value, now: &Value, tolerance: f64) -> bool {
     distance(then, now).is_some_and(|distance| distance <= tolerance)
 }
 
-/// `filter.particles is 400, was 800`.
+/// Describes changed settings, each as `filter.particles is 400, was 800`.
 fn changed_settings(then: &Value, now: &Value) -> Vec<String> {
     let (mut before, mut after) = (BTreeMap::new(), BTreeMap::new());
-    leaves(String::new(), then, &mut before);
-    leaves(String::new(), now, &mut after);
+    collect_leaves(String::new(), then, &mut before);
+    collect_leaves(String::new(), now, &mut after);
     for name in CONTENTS.iter().filter(|name| then.get(**name).is_none()) {
         after.retain(|key, _| !key.starts_with(name));
     }
@@ -133,11 +146,12 @@ fn changed_settings(then: &Value, now: &Value) -> Vec<String> {
     changed.map(|key| format!("{key} is {}, was {}", shown(after.get(key)), shown(before.get(key)))).collect()
 }
 
-fn leaves<'a>(name: String, value: &'a Value, found: &mut BTreeMap<String, &'a Value>) {
+/// Collects the leaves of a JSON value by name.
+fn collect_leaves<'a>(name: String, value: &'a Value, found: &mut BTreeMap<String, &'a Value>) {
     match value {
         Value::Object(map) => {
             for (key, value) in map {
-                leaves(if name.is_empty() { key.clone() } else { format!("{name}.{key}") }, value, found);
+                collect_leaves(if name.is_empty() { key.clone() } else { format!("{name}.{key}") }, value, found);
             }
         }
         value => drop(found.insert(name, value)),
@@ -182,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn text_keeps_every_bit() {
+    fn the_text_form_keeps_every_bit() {
         let mut odd = tags(3);
         odd[1].pose.pose.position.x = f64::from_bits(0x3FE5_5555_5555_5557);
         odd[2].evidence = -1.0e-310;
@@ -197,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn what_differs_is_counted_by_field() {
+    fn differences_are_counted_by_field() {
         let reference = reference(&[]);
         let mut now = tags(9);
         now.iter_mut().for_each(|tag| tag.elapsed_ms = 1.0);
@@ -216,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_stated_tolerance_tolerates_and_only_its_field() {
+    fn a_tolerance_holds_for_its_field_alone() {
         let reference = reference(&[("yaw", 0.3)]);
         let mut now = tags(9);
         now[4].yaw += 0.25;
@@ -232,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn what_would_show_nothing_is_no_reference() {
+    fn tags_that_show_nothing_make_no_reference() {
         let invalid: Vec<FrameTag> = tags(3).into_iter().map(|tag| FrameTag { valid: false, ..tag }).collect();
         for (tags, word) in [(Vec::new(), "no frame"), (invalid, "none of 3 tags")] {
             let refused = Reference::new(identity(), BTreeMap::new(), Value::Null, Frames::of(&tags));

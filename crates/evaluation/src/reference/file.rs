@@ -1,4 +1,4 @@
-//! The file: JSON Lines. First what it is of, then a line per frame.
+//! The reference file: JSON Lines, first a head that identifies the replay, then a line per frame.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,45 +11,77 @@ use super::identity::Identity;
 use realitysim_config::plain_file;
 use realitysim_ros2::messages::FrameTag;
 
+/// Reason why a reference cannot be made, read or compared.
 #[derive(Debug, Error)]
 pub enum ReferenceError {
+    /// A file cannot be read.
     #[error("{file}: cannot be read: {message}")]
-    Read { file: String, message: String },
+    Read {
+        /// Path of the file.
+        file: String,
+        /// Error of the operating system.
+        message: String,
+    },
+    /// The file is no reference, or is damaged.
     #[error("{file}: {message}")]
-    Format { file: String, message: String },
+    Format {
+        /// Path of the file.
+        file: String,
+        /// Description of the problem, with its line.
+        message: String,
+    },
+    /// The description of the session cannot be read.
     #[error("{0}")]
     Session(String),
+    /// The reference is of another log, seed, start, version or format.
     #[error("{file}: not compared: {why}. `--bless` makes a new reference")]
-    Other { file: String, why: String },
+    Other {
+        /// Path of the reference.
+        file: String,
+        /// The difference.
+        why: String,
+    },
+    /// There are no frames, or no valid tags.
     #[error("nothing was exercised: {0}")]
     Unexercised(String),
+    /// A tolerance names a field that does not exist or holds no numbers.
     #[error("--tolerance {field}: there is no such field with numbers; there are {known}")]
-    Tolerance { field: String, known: String },
+    Tolerance {
+        /// Name in the tolerance.
+        field: String,
+        /// Names of the fields with numbers.
+        known: String,
+    },
 }
 
-/// The fields of all tags, by name (`pose.pose.position.x`), but for the time that they took.
+/// The fields of all tags by name (`pose.pose.position.x`), without the time that a tag took.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frames {
+    /// Number of frames.
     pub count: usize,
-    /// Each with as many values as there are frames.
+    /// Values of each field, one per frame.
     pub fields: BTreeMap<String, Vec<Value>>,
 }
 
+/// The tags of a replay and what they were made from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reference {
+    /// Log, seed, start and version of the replay.
     pub identity: Identity,
-    /// Field by field how far off is still the same; nothing else is.
+    /// Largest difference of each named field that counts as equal; other fields must be equal bit for bit.
     pub tolerance: BTreeMap<String, f64>,
-    /// With which it was made.
+    /// Settings of the replay, for messages.
     pub settings: Value,
+    /// The tags.
     pub frames: Frames,
 }
 
-/// An hour at 30 Hz takes some ten MiB.
+/// Largest size of a reference file, bytes. An hour at 30 Hz takes some ten MiB.
 pub const MAX_REFERENCE_BYTES: u64 = 256 << 20;
+/// Version of the file format.
 const FORMAT: u32 = 1;
 
-/// The first line.
+/// The first line of the file.
 #[derive(Serialize, Deserialize)]
 struct Head {
     realitysim_reference: u32,
@@ -57,33 +89,35 @@ struct Head {
     identity: Identity,
     frames: usize,
     tolerance: BTreeMap<String, f64>,
-    /// What is the same in every frame.
+    /// Values of the fields that are the same in every frame.
     constant: BTreeMap<String, Value>,
-    /// What the values of each further line are of.
+    /// Names of the fields whose values the further lines hold.
     columns: Vec<String>,
     settings: Value,
 }
 
 impl Frames {
+    /// Takes the fields out of tags.
     pub fn of(tags: &[FrameTag]) -> Self {
         let mut frames = Self { count: tags.len(), ..Self::default() };
         for tag in tags {
-            // Wall clock: it says nothing about what was computed.
+            // Times differ from run to run, whatever was computed.
             let tag = FrameTag { elapsed_ms: 0.0, ..tag.clone() };
-            // A struct of numbers, texts and structs is always JSON.
+            // A struct of numbers, strings and structs always has a JSON form.
             flatten(String::new(), serde_json::to_value(&tag).unwrap_or_default(), &mut frames.fields);
         }
         frames.fields.remove("elapsed_ms");
         frames
     }
 
-    /// How many tags are valid.
+    /// Returns the number of valid tags.
     pub fn valid(&self) -> usize {
         let valid = self.fields.get("valid").into_iter().flatten();
         valid.filter(|value| **value == Value::Bool(true)).count()
     }
 }
 
+/// Appends the leaves of a JSON value to the fields of their names.
 fn flatten(name: String, value: Value, fields: &mut BTreeMap<String, Vec<Value>>) {
     let join = |part: &str| if name.is_empty() { part.to_owned() } else { format!("{name}.{part}") };
     match value {
@@ -96,20 +130,25 @@ fn flatten(name: String, value: Value, fields: &mut BTreeMap<String, Vec<Value>>
 }
 
 impl Reference {
-    /// Refuses what would show nothing.
+    /// Makes a reference.
+    ///
+    /// # Errors
+    ///
+    /// Refuses tags that would show nothing, and tolerances of fields without numbers.
     pub fn new(
         identity: Identity,
         tolerance: BTreeMap<String, f64>,
         settings: Value,
         frames: Frames,
     ) -> Result<Self, ReferenceError> {
-        exercised(&frames)?;
-        if let Some((field, known)) = without_numbers(&tolerance, &frames) {
+        check_exercised(&frames)?;
+        if let Some((field, known)) = find_tolerance_without_numbers(&tolerance, &frames) {
             return Err(ReferenceError::Tolerance { field, known });
         }
         Ok(Self { identity, tolerance, settings, frames })
     }
 
+    /// Returns the text of the reference file.
     pub fn to_text(&self) -> String {
         let is_constant = |values: &Vec<Value>| values.windows(2).all(|pair| pair[0] == pair[1]);
         let fields = &self.frames.fields;
@@ -131,6 +170,7 @@ impl Reference {
         text
     }
 
+    /// Reads and checks a reference file.
     pub fn load(path: &Path) -> Result<Self, ReferenceError> {
         let file = path.display().to_string();
         let text = plain_file::read_text(path, MAX_REFERENCE_BYTES)
@@ -138,7 +178,7 @@ impl Reference {
         Self::parse(&text, &file)
     }
 
-    /// `file` is for messages.
+    /// Parses and checks the text of a reference file. `file` is its path, for messages.
     pub fn parse(text: &str, file: &str) -> Result<Self, ReferenceError> {
         let refuse = |message: String| ReferenceError::Format { file: file.to_owned(), message };
         // An editor may leave empty lines at the end.
@@ -168,13 +208,13 @@ impl Reference {
         if count != head.frames {
             return Err(refuse(format!("{count} frames, and its first line says {}: is it whole?", head.frames)));
         }
-        // Only now: its first line may say any number.
+        // Constants are expanded after the check of the count: the first line may state any number of frames.
         let constant = head.constant.into_iter().map(|(name, value)| (name, vec![value; count]));
         let mut fields: BTreeMap<String, Vec<Value>> = constant.collect();
         fields.extend(head.columns.into_iter().zip(columns));
         let frames = Frames { count, fields };
-        exercised(&frames)?;
-        if let Some((field, known)) = without_numbers(&head.tolerance, &frames) {
+        check_exercised(&frames)?;
+        if let Some((field, known)) = find_tolerance_without_numbers(&head.tolerance, &frames) {
             let message = format!("line 1: tolerance.{field}: there is no such field with numbers; there are {known}");
             return Err(refuse(message));
         }
@@ -185,8 +225,8 @@ impl Reference {
     }
 }
 
-/// The first field with a tolerance that has no numbers, and those that have.
-fn without_numbers(tolerance: &BTreeMap<String, f64>, frames: &Frames) -> Option<(String, String)> {
+/// Returns the first field with a tolerance that does not hold numbers, and the names of those that do.
+fn find_tolerance_without_numbers(tolerance: &BTreeMap<String, f64>, frames: &Frames) -> Option<(String, String)> {
     let is_number = |values: &Vec<Value>| values.iter().all(Value::is_number);
     let field = tolerance.keys().find(|field| !frames.fields.get(*field).is_some_and(is_number))?;
     let numbers = frames.fields.iter().filter(|(_, values)| is_number(values));
@@ -194,8 +234,8 @@ fn without_numbers(tolerance: &BTreeMap<String, f64>, frames: &Frames) -> Option
     Some((field.clone(), known.join(", ")))
 }
 
-/// A log without frames, or without a single valid tag, passes every gate.
-fn exercised(frames: &Frames) -> Result<(), ReferenceError> {
+/// Refuses frames that show nothing: a log without frames or without a valid tag would pass every check.
+fn check_exercised(frames: &Frames) -> Result<(), ReferenceError> {
     match (frames.count, frames.valid()) {
         (0, _) => Err(ReferenceError::Unexercised("there is no frame".to_owned())),
         (count, 0) => Err(ReferenceError::Unexercised(format!("none of {count} tags is valid"))),
@@ -204,6 +244,6 @@ fn exercised(frames: &Frames) -> Result<(), ReferenceError> {
 }
 
 fn line(content: &impl Serialize) -> String {
-    // Names, numbers and texts are always JSON.
+    // Names, numbers and strings always have a JSON form.
     serde_json::to_string(content).unwrap_or_default() + "\n"
 }

@@ -1,4 +1,4 @@
-//! What a reference is of. Only tags of the same are compared.
+//! The identity of a replay. Only tags of the same identity are compared.
 
 use std::io;
 use std::path::Path;
@@ -9,25 +9,28 @@ use serde_json::Value;
 use super::ReferenceError;
 use realitysim_config::plain_file;
 use realitysim_geometry::Pose2;
+use realitysim_log_input::InputSource;
 use realitysim_log_input::log::files_of;
-use realitysim_log_input::scene::MAX_SCENE_BYTES;
+use realitysim_log_input::scene_source::MAX_SCENE_BYTES;
 use realitysim_recording::{SessionInfo, read_info};
 
+/// Program version, input, seed and start of a replay.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
     /// `realitysim` and its version.
     pub software: String,
-    /// For people: the log's or scene's name.
+    /// Name of the log or scene, for people.
     pub source: String,
-    /// BLAKE3 of the log's files, or of the scene with its field and lens.
+    /// BLAKE3 hash of the files of the log, or of the scene with its field and lens.
     pub blake3: String,
+    /// Seed of the filter.
     pub seed: u64,
-    /// In place of what the log announces: x, y in m, yaw in rad.
+    /// Initial pose in place of the one that the log announces: x and y in metres, yaw in radians.
     pub initial: Option<[f64; 3]>,
 }
 
 impl Identity {
-    /// Of a replay and the session that it has made.
+    /// Identifies a replay of `source` by the session that it made.
     pub fn of(source: &Path, session: &Path, initial: Option<Pose2>) -> Result<Self, ReferenceError> {
         let info = read_info(session).map_err(|error| ReferenceError::Session(error.to_string()))?;
         let blake3 = hash(source, &info)
@@ -41,7 +44,7 @@ impl Identity {
         })
     }
 
-    /// What makes it a reference of something else, if anything does.
+    /// Describes the first difference to another replay; `None` if there is none.
     pub fn differs(&self, replayed: &Self) -> Option<String> {
         if self.software != replayed.software {
             return Some(format!("it was made by {}, this is {}", self.software, replayed.software));
@@ -63,18 +66,20 @@ impl Identity {
     }
 }
 
-/// What the names of field and lens stand for. Not in references that were made before these were kept.
+/// Keys of the settings that hold the contents of field and lens. Old references lack them.
 pub(super) const CONTENTS: [&str; 2] = ["field_content", "lens_content"];
 
-/// Of the session. How and under which name it is stored changes no tag.
+/// Returns the settings of a session that can change tags.
+///
+/// How and under which name the session is stored is left out.
 pub fn settings_that_matter(session: &Path) -> Result<Value, ReferenceError> {
-    let told = |message: String| ReferenceError::Session(message);
-    let info = read_info(session).map_err(|error| told(error.to_string()))?;
-    let json = |value: serde_json::Result<Value>| value.map_err(|error| told(error.to_string()));
+    let failed = |message: String| ReferenceError::Session(message);
+    let info = read_info(session).map_err(|error| failed(error.to_string()))?;
+    let json = |value: serde_json::Result<Value>| value.map_err(|error| failed(error.to_string()));
     let mut settings = json(serde_json::to_value(info.settings))?;
     let contents = [json(serde_json::to_value(info.field))?, json(serde_json::to_value(info.lens))?];
     if let Some(settings) = settings.as_object_mut() {
-        // A name stays the same when what it stands for changes.
+        // The name of a field or lens stays the same when its content changes.
         settings.extend(CONTENTS.map(str::to_owned).into_iter().zip(contents));
         settings.remove("recording");
         settings.remove("robot");
@@ -82,10 +87,11 @@ pub fn settings_that_matter(session: &Path) -> Result<Value, ReferenceError> {
     Ok(settings)
 }
 
+/// Hashes the files of a log, or the content of a scene with its field and lens.
 fn hash(source: &Path, info: &SessionInfo) -> io::Result<String> {
     let mut hasher = blake3::Hasher::new();
-    if source.extension().is_some_and(|ending| ending == "toml") {
-        // What it says, not how: comments change nothing. And what its names stand for.
+    if InputSource::is_scene(source) {
+        // The parsed content is hashed: comments and layout change nothing. Field and lens are hashed by content, too.
         let scene: toml::Table =
             toml::from_str(&plain_file::read_text(source, MAX_SCENE_BYTES)?).map_err(io::Error::other)?;
         hasher.update(&serde_json::to_vec(&(scene, &info.field, &info.lens))?);

@@ -1,5 +1,8 @@
-//! A reference: the tags of one replay, kept as text so that every later replay of the same log can be held to them,
+//! References: the tags of one replay, kept as text, so that later replays of the same log can be compared with them
 //! bit for bit.
+//!
+//! [`Frames`] holds the fields of all tags, [`Identity`] says what they were made from, [`Reference`] is both as a
+//! file, and [`compare`](fn@compare) gives a [`Verdict`].
 
 mod compare;
 mod file;

@@ -1,4 +1,4 @@
-//! The suite file: TOML, every key checked before anything runs.
+//! The suite file: TOML, checked completely before anything runs.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -10,82 +10,92 @@ use super::limits::Limits;
 use realitysim_config::plain_file;
 use realitysim_config::wording::in_words;
 
+/// Reason why a suite file is refused.
 #[derive(Debug, Error)]
 #[error("{file}: {message}")]
 pub struct SuiteError {
+    /// Path of the suite file.
     pub file: String,
+    /// Description of the problem, and of what would be right.
     pub message: String,
 }
 
+/// A suite: cases, and settings that they share.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Suite {
-    /// Robot config of all cases.
+    /// Robot configuration of all cases that name none.
     pub config: Option<PathBuf>,
-    /// What holds for every case that does not say otherwise.
+    /// Limits of every case that does not set its own.
     #[serde(default)]
     pub limits: Limits,
+    /// The cases, 1 to 1000.
     #[serde(rename = "case")]
     pub cases: Vec<Case>,
 }
 
-/// One log or scene. Paths are relative to the suite's file.
+/// One log or scene with its limits. Paths in the file are relative to the file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Case {
-    /// Without it the source's name without its ending.
+    /// Name of the case; by default the file name of the source without its extension.
     #[serde(default)]
     pub name: String,
+    /// Log or scene that is replayed, or whose poses are judged.
     pub source: PathBuf,
+    /// Robot configuration.
     pub config: Option<PathBuf>,
-    /// A log with the true poses, if they are not in the source itself.
+    /// Log with the true poses, if they are not in the source itself.
     pub truth: Option<PathBuf>,
-    /// A topic of the source with poses of `camera_link` in `map`: they are judged, and nothing is replayed.
+    /// Topic of the source with poses of `camera_link` in `map`. If given, these are judged and nothing is replayed.
     pub poses: Option<String>,
-    /// Tags of an earlier replay (`replay --check FILE --bless`), which these must be, bit for bit.
+    /// File with the tags of an earlier replay (`replay --check FILE --bless`), which the tags must equal bit for bit.
     pub reference: Option<PathBuf>,
-    /// Tags that say that they are ambiguous are as right in the mirror.
+    /// Whether of an ambiguous tag the nearer of its pose and its mirrored pose is judged.
     #[serde(default)]
     pub up_to_mirror: bool,
-    /// What comes earlier is not judged: seconds after the first frame.
+    /// Start of the judged part, seconds after the first frame.
     #[serde(default)]
     pub from_s: f64,
-    /// Nor is what comes within these: seconds after the first frame.
+    /// Intervals that are not judged, seconds after the first frame.
     #[serde(default)]
     pub except_s: Vec<[f64; 2]>,
-    /// When the pose is there to be found again: seconds after the first frame.
+    /// Times from which on the pose can be found again, seconds after the first frame.
     #[serde(default)]
     pub recovery_from_s: Vec<f64>,
+    /// Limits of this case.
     #[serde(default)]
     pub limits: Limits,
 }
 
-/// As many fit into a table that somebody reads.
+/// Largest number of cases: what fits into a table that somebody reads.
 const MAX_CASES: usize = 1000;
-/// A thousand cases take some hundred KiB.
+/// Largest size of a suite file, bytes. A thousand cases take some hundred KiB.
 const MAX_SUITE_BYTES: u64 = 4 << 20;
 
 impl Suite {
+    /// Reads and checks a suite file.
     pub fn load(path: &Path) -> Result<Self, SuiteError> {
         let text = plain_file::read_text(path, MAX_SUITE_BYTES).map_err(|error| refuse(path, error))?;
         Self::parse(&text, path)
     }
 
-    /// `path` is where the text stands: other paths start there.
+    /// Parses and checks the text of a suite file. `path` is the path of the file, which other paths are relative to.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SuiteError> {
         let mut suite: Self = toml::from_str(text).map_err(|error| refuse(path, in_words(&error)))?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        suite.complete(folder);
-        suite.settle_limits().and_then(|()| suite.check()).map_err(|message| refuse(path, message))?;
+        suite.fill_in(folder);
+        suite.resolve_limits().and_then(|()| suite.check()).map_err(|message| refuse(path, message))?;
         Ok(suite)
     }
 
-    /// All that a run reads.
+    /// Returns all files that a run reads.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         self.cases.iter().flat_map(Case::files)
     }
 
-    fn complete(&mut self, folder: &Path) {
+    /// Fills in names and configurations, and makes paths relative to the working directory.
+    fn fill_in(&mut self, folder: &Path) {
         let near = |path: &mut Option<PathBuf>| *path = path.take().map(|path| folder.join(path));
         near(&mut self.config);
         for case in &mut self.cases {
@@ -100,21 +110,21 @@ impl Suite {
         }
     }
 
-    /// Limits of the suite hold where they can be broken; one that no case could break is refused.
-    fn settle_limits(&mut self) -> Result<(), String> {
+    /// Gives each case the limits of the suite that it can break, and refuses limits that no case could break.
+    fn resolve_limits(&mut self) -> Result<(), String> {
         let suite = self.limits;
         suite.check()?;
-        if let Some(message) = suite.endless(&Limits::default()) {
+        if let Some(message) = suite.unbreakable(&Limits::default()) {
             return Err(message);
         }
         if suite.recovered_within_s.is_some() && self.cases.iter().all(|case| case.recovery_from_s.is_empty()) {
-            return Err(format!("limits.{RECOVERY_FROM_NOTHING}"));
+            return Err(format!("limits.{RECOVERY_LIMIT_WITHOUT_TIMES}"));
         }
         if suite.p99_ratio.is_some() && self.cases.iter().all(|case| case.poses.is_some()) {
-            return Err(format!("limits.{TIME_OF_NOTHING}"));
+            return Err(format!("limits.{TIME_LIMIT_WITHOUT_REPLAY}"));
         }
         for case in &mut self.cases {
-            case.settle_limits(&suite).map_err(|message| format!("case {:?}: {message}", case.name))?;
+            case.resolve_limits(&suite).map_err(|message| format!("case {:?}: {message}", case.name))?;
         }
         Ok(())
     }
@@ -134,9 +144,10 @@ impl Suite {
     }
 }
 
-const RECOVERY_FROM_NOTHING: &str =
+const RECOVERY_LIMIT_WITHOUT_TIMES: &str =
     "recovered_within_s without recovery_from_s: say from when on the pose is there to be found again, or leave it out";
-const TIME_OF_NOTHING: &str = "p99_ratio with poses: nothing is replayed whose time could be taken, so leave it out";
+const TIME_LIMIT_WITHOUT_REPLAY: &str =
+    "p99_ratio with poses: nothing is replayed whose time could be taken, so leave it out";
 
 impl Case {
     fn files(&self) -> impl Iterator<Item = &Path> {
@@ -145,18 +156,19 @@ impl Case {
         named.into_iter().flatten().map(PathBuf::as_path)
     }
 
-    fn settle_limits(&mut self, suite: &Limits) -> Result<(), String> {
+    /// Merges the limits of the suite into those of the case, and refuses limits that the case could not break.
+    fn resolve_limits(&mut self, suite: &Limits) -> Result<(), String> {
         let own = self.limits;
         own.check()?;
-        if let Some(message) = own.endless(suite) {
+        if let Some(message) = own.unbreakable(suite) {
             return Err(message);
         }
-        self.limits = own.over(suite);
+        self.limits = own.merged_over(suite);
         if self.recovery_from_s.is_empty() && self.limits.recovered_within_s.take().is_some() {
-            own.recovered_within_s.map_or(Ok(()), |_| Err(format!("limits.{RECOVERY_FROM_NOTHING}")))?;
+            own.recovered_within_s.map_or(Ok(()), |_| Err(format!("limits.{RECOVERY_LIMIT_WITHOUT_TIMES}")))?;
         }
         if self.poses.is_some() && self.limits.p99_ratio.take().is_some() {
-            own.p99_ratio.map_or(Ok(()), |_| Err(format!("limits.{TIME_OF_NOTHING}")))?;
+            own.p99_ratio.map_or(Ok(()), |_| Err(format!("limits.{TIME_LIMIT_WITHOUT_REPLAY}")))?;
         }
         Ok(())
     }
@@ -231,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_sense_is_named() {
+    fn a_senseless_suite_is_refused_with_the_reason() {
         let case = |rest: &str| format!("[[case]]\nsource = \"a.mcap\"\n{rest}\n");
         for (text, words) in [
             ("", vec!["s/suite.toml", "case"]),

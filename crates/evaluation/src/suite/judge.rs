@@ -1,4 +1,4 @@
-//! The tags of one case against the truth.
+//! Judgement of one case: its tags against the truth.
 
 use serde::Serialize;
 
@@ -6,30 +6,34 @@ use super::file::Case;
 use crate::compare::{Comparison, Tagged, compare, truth_at, up_to_mirror};
 use realitysim_geometry::Isometry;
 
+/// Errors, share of valid tags and recoveries of one case.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Judged {
+    /// Errors of the judged tags.
     #[serde(flatten)]
     pub comparison: Comparison,
-    /// Of the frames that are judged. None: nobody knows how many there were.
+    /// Share of the judged frames that have a valid tag; `None` if the number of frames is not known.
     pub valid_share: Option<f64>,
+    /// Recovery from each time of the case.
     pub recoveries: Vec<Recovery>,
 }
 
-/// How long it took until tags were valid and right again.
+/// Time until tags were valid and right again.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Recovery {
+    /// Time from which on the pose could be found, seconds after the first frame.
     pub from_s: f64,
-    /// None: never.
+    /// Time that the recovery took, seconds; `None` if it never came.
     pub took_s: Option<f64>,
 }
 
-/// A tag is right if it is no farther off than this.
+/// Largest error in x and y of a right tag, centimetres.
 const RIGHT_CM: f64 = 10.0;
-/// So many in a row, or it was luck.
+/// Number of successive right tags that make a recovery: fewer may be chance.
 const IN_A_ROW: usize = 3;
 
 impl Judged {
-    /// None if one of them never came.
+    /// Returns the longest time of a recovery, seconds; `None` if one never came.
     pub fn slowest_recovery_s(&self) -> Option<f64> {
         self.recoveries
             .iter()
@@ -38,7 +42,7 @@ impl Judged {
     }
 }
 
-/// A tag stands for each frame. `truth` is in time order.
+/// Judges the tags of a replay, which has a tag for each frame. `truth` is in order of time.
 pub fn judge(case: &Case, tags: &[Tagged], truth: &[(i64, Isometry)]) -> Judged {
     let first_ns = tags.iter().map(|tag| tag.stamp_ns).min().unwrap_or(0);
     let mut judged = judge_since(case, first_ns, tags, truth);
@@ -47,8 +51,10 @@ pub fn judge(case: &Case, tags: &[Tagged], truth: &[(i64, Isometry)]) -> Judged 
     judged
 }
 
-/// Poses that some process wrote, held to the camera's frames: one without a pose near its time has no valid tag.
-/// All in time order; no frames are given where no log has images.
+/// Judges poses that another program wrote, and counts them against the frames of the camera.
+///
+/// A frame without a pose near its time counts as a frame without a valid tag. All arguments are in order of time;
+/// `frames` (nanoseconds) is empty if no log has images.
 pub fn judge_poses(case: &Case, poses: &[Tagged], frames: &[i64], truth: &[(i64, Isometry)]) -> Judged {
     let Some(first_ns) = frames.first().copied() else {
         let first_ns = poses.first().map_or(0, |pose| pose.stamp_ns);
@@ -63,25 +69,26 @@ pub fn judge_poses(case: &Case, poses: &[Tagged], frames: &[i64], truth: &[(i64,
             .filter_map(near)
             .any(|pose| pose.stamp_ns.abs_diff(frame) <= reach_ns)
     };
-    let bare = |stamp_ns: i64| Tagged {
+    let invalid_tag = |stamp_ns: i64| Tagged {
         stamp_ns,
         valid: false,
         pose: Isometry::IDENTITY,
         covariance: [0.0; 3],
         ambiguous: false,
     };
-    let missing = frames.iter().filter(|frame| !has_pose(**frame)).map(|frame| bare(*frame));
+    let missing = frames.iter().filter(|frame| !has_pose(**frame)).map(|frame| invalid_tag(*frame));
     let mut all: Vec<Tagged> = poses.iter().cloned().chain(missing).collect();
     all.sort_by_key(|tag| tag.stamp_ns);
     let mut judged = judge_since(case, first_ns, &all, truth);
-    let asked: Vec<i64> = frames.iter().copied().filter(|frame| case.judges(seconds(*frame, first_ns))).collect();
-    let with_pose = asked.iter().filter(|frame| has_pose(**frame)).count();
-    judged.comparison.frames = asked.len();
-    judged.valid_share = Some(with_pose as f64 / asked.len().max(1) as f64);
+    let judged_frames: Vec<i64> =
+        frames.iter().copied().filter(|frame| case.judges(seconds(*frame, first_ns))).collect();
+    let with_pose = judged_frames.iter().filter(|frame| has_pose(**frame)).count();
+    judged.comparison.frames = judged_frames.len();
+    judged.valid_share = Some(with_pose as f64 / judged_frames.len().max(1) as f64);
     judged
 }
 
-/// Stamps that tools have rounded.
+/// Distance in time within which stamps count as equal, nanoseconds: some tools round them.
 const SAME_TIME_NS: u64 = 1_000_000;
 
 fn median_step_ns(frames: &[i64]) -> u64 {
@@ -95,12 +102,13 @@ fn seconds(stamp_ns: i64, first_ns: i64) -> f64 {
 }
 
 impl Case {
-    /// `time` is in seconds after the first frame.
+    /// Returns whether the case judges what was taken `time` seconds after the first frame.
     fn judges(&self, time: f64) -> bool {
         time >= self.from_s && !self.except_s.iter().any(|[from, to]| (*from..*to).contains(&time))
     }
 }
 
+/// Judges tags; times of the case count from `first_ns`. The share of valid tags is left open.
 fn judge_since(case: &Case, first_ns: i64, tags: &[Tagged], truth: &[(i64, Isometry)]) -> Judged {
     let seconds = |tag: &Tagged| seconds(tag.stamp_ns, first_ns);
     let tags = if case.up_to_mirror { up_to_mirror(tags, truth) } else { tags.to_vec() };
@@ -115,6 +123,7 @@ fn judge_since(case: &Case, first_ns: i64, tags: &[Tagged], truth: &[(i64, Isome
     Judged { valid_share: None, recoveries: recoveries.collect(), comparison }
 }
 
+/// Returns whether the tag is valid and no farther from the truth than [`RIGHT_CM`].
 fn is_right(tag: &Tagged, truth: &[(i64, Isometry)]) -> bool {
     tag.valid && distance_cm(tag, truth).is_some_and(|distance| distance <= RIGHT_CM)
 }
@@ -142,7 +151,7 @@ mod tests {
         Isometry::from_euler(Euler::default(), DVec3::new(x, 0.0, 0.5))
     }
 
-    /// A tag every tenth of a second, off by so many metres each; below 0: invalid.
+    /// Judges a tag every tenth of a second with the given errors in metres. A negative error makes an invalid tag.
     fn judged(case: &Case, off_m: &[f64]) -> Judged {
         let stamp_ns = |index: usize| index as i64 * 100_000_000;
         let truth: Vec<_> = (0..off_m.len()).map(|index| (stamp_ns(index), at(1.0))).collect();
@@ -161,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_out_is_not_judged() {
+    fn excluded_intervals_are_not_judged() {
         let off = [5.0, 0.0, 3.0, 0.0, -1.0];
         let judged = judged(&case("from_s = 0.1\nexcept_s = [[0.2, 0.3]]"), &off);
         assert_eq!((judged.comparison.frames, judged.comparison.valid), (3, 2));
@@ -171,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn recovered_is_right_three_times_in_a_row() {
+    fn a_recovery_is_three_right_tags_in_a_row() {
         let case = case("recovery_from_s = [0.1]");
         let took = |off: &[f64]| judged(&case, off).slowest_recovery_s();
         assert!((took(&[0.0, 1.0, 0.0, 0.0, 1.0, 0.02, 0.0, 0.0]).expect("recovers") - 0.4).abs() < 1e-9);
@@ -181,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_tag_that_says_so_may_be_in_the_other_half() {
+    fn only_an_ambiguous_tag_may_be_in_the_other_half() {
         let case = case("up_to_mirror = true");
         let truth = [(0, at(1.0))];
         let max = |ambiguous| {
@@ -193,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_holds_up_to_itself_and_nothing_judged_breaks_all() {
+    fn a_value_at_its_limit_keeps_it_and_a_missing_one_breaks_it() {
         let limits = Limits { mean_cm: Some(20.0), ..Limits::default() };
         let names = |off: &[f64]| -> Vec<&'static str> {
             limits.broken(&judged(&case(""), off)).iter().map(|broken| broken.limit).collect()
@@ -204,9 +213,9 @@ mod tests {
         assert_eq!(limits.too_slow(9.0), None);
     }
 
-    /// The errors of 0.1 m lie within an ellipse of one metre, those of 3 m do not.
+    /// With standard deviations of one metre, errors of 0.1 m lie within the ellipse and errors of 3 m do not.
     #[test]
-    fn a_tag_that_does_not_know_how_wrong_it_is_breaks_its_limit() {
+    fn errors_beyond_the_covariance_break_the_ellipse_limit() {
         let held = |allowed: f64, off: &[f64]| {
             let limits = Limits { ellipse95_share: Some(allowed), ..Limits::default() };
             assert!(limits.ask_for_truth());
@@ -216,11 +225,11 @@ mod tests {
         assert!(!held(0.6, &[0.1, 3.0]) && !held(0.5, &[]));
         let suite = Limits { ellipse95_share: Some(0.9), ..Limits::default() };
         let none = Limits { ellipse95_share: Some(0.0), ..Limits::default() };
-        assert_eq!(none.over(&suite), Limits::default());
+        assert_eq!(none.merged_over(&suite), Limits::default());
     }
 
     #[test]
-    fn a_frame_without_a_pose_is_no_valid_one_and_more_poses_than_frames_do_not_make_up_for_it() {
+    fn a_frame_without_pose_is_invalid_however_many_poses_there_are() {
         let case = case("");
         let pose = |ms: i64| Tagged {
             stamp_ns: ms * 1_000_000,
@@ -241,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_few_tags_do_not_pass_for_those_of_all() {
+    fn too_small_a_share_of_judged_tags_breaks_a_limit() {
         let with = |limits: &str| {
             let text = format!("[[case]]\nsource = \"a.mcap\"\nlimits = {{ {limits} }}");
             Suite::parse(&text, "suite.toml".as_ref()).expect("a suite").cases.remove(0)
@@ -264,6 +273,6 @@ mod tests {
         assert!(broken("max_cm = 1, judged_share = 0.8", 8).is_empty());
         assert!(broken("max_cm = 1, judged_share = 0", 1).is_empty());
         assert_eq!(broken("max_cm = 1, judged_share = 1", 9), ["judged_share"]);
-        assert!(broken("valid_share = 1", 0).is_empty(), "no truth is asked for");
+        assert!(broken("valid_share = 1", 0).is_empty(), "no limit needs the truth");
     }
 }

@@ -1,4 +1,7 @@
-//! A suite: logs and scenes, each with limits that its tags must keep. What `realitysim check` runs.
+//! Suites: logs and scenes, each with limits that its tags must keep. What `realitysim check` runs.
+//!
+//! [`Suite`] is the file with its [`Case`]s and [`Limits`], [`run`](fn@run) runs it, [`judge`](fn@judge) and
+//! [`judge_poses`] compare one case with the truth.
 
 mod file;
 mod judge;

@@ -1,4 +1,4 @@
-//! All cases: side by side first, those with a limit of time alone afterwards.
+//! Runs of a suite: all cases in parallel first, then those with a limit on time one at a time.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -18,54 +18,68 @@ use crate::reference::{self, Frames, Identity, Reference, ReferenceError, Verdic
 use crate::truth;
 use realitysim_config::{ConfigError, Settings};
 use realitysim_geometry::Isometry;
-use realitysim_log_input::scene::{self, SceneSourceError};
+use realitysim_log_input::InputSource;
+use realitysim_log_input::scene_source::{self, SceneSourceError};
 use realitysim_recording::{Loss, Readout, ReadoutError, read_tags};
-use realitysim_tagging::{FootageOptions, ReplayError, ReplayOptions, replay};
+use realitysim_tagging::{FrameCacheOptions, ReplayError, ReplayOptions, replay};
 
+/// Options of a run.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Where captures go, a folder for each case.
+    /// Folder for the captures; each case gets a folder in it.
     pub captures: PathBuf,
-    /// Cases at a time.
+    /// Number of cases that run at the same time.
     pub jobs: usize,
 }
 
+/// Result of one case.
 #[derive(Clone, Debug, Serialize)]
 pub struct CaseReport {
+    /// Name of the case.
     pub name: String,
+    /// Log or scene of the case.
     pub source: PathBuf,
+    /// Whether the case kept its limits.
     pub outcome: Outcome,
+    /// Errors, share of valid tags and recoveries.
     #[serde(flatten)]
     pub judged: Judged,
-    /// None without a limit of time.
+    /// 99 % quantile of the time for a frame in units of the calibration loop; `None` without a limit on time.
     pub p99_ratio: Option<f64>,
+    /// Limits that were broken.
     pub broken: Vec<Broken>,
-    /// Against the case's reference, if it has one.
+    /// Comparison with the reference of the case, if it has one.
     pub reference: Option<Verdict>,
-    /// Why there is nothing to judge.
+    /// Reason why the case failed, if it did.
     pub error: Option<String>,
-    /// What of the logs could not be read: it was not judged.
+    /// Parts of the logs that could not be read and were not judged.
     pub lost: Vec<Loss>,
-    /// Why what was judged may not be what it is taken for.
+    /// Reasons why the judged poses may not be what they are taken for.
     pub warnings: Vec<String>,
-    /// Its tags, if it was replayed.
+    /// Folder with the tags, if the case was replayed.
     pub capture: Option<PathBuf>,
+    /// Time for replay and judgement, seconds.
     pub wall_s: f64,
 }
 
+/// Result of a case in one word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
+    /// All limits were kept.
     Kept,
+    /// A limit was broken, or tags differ from the reference.
     Broken,
+    /// The case could not be run or judged.
     Failed,
 }
 
-/// Told whenever something is done: how many cases, of how many, and the one that is.
+/// Receiver of the progress of a run; called from several threads.
 pub trait Watcher: Sync {
+    /// Tells that a case is done, as the `done`th of `total`.
     fn done(&self, done: usize, total: usize, report: &CaseReport);
 
-    /// A case is about to run alone.
+    /// Tells that a case is about to run alone, to be timed.
     fn timing(&self, name: &str);
 }
 
@@ -87,7 +101,7 @@ enum CaseError {
     Reference(#[from] ReferenceError),
 }
 
-/// In the order of the suite.
+/// Runs all cases and returns their reports in the order of the suite.
 pub fn run(suite: &Suite, options: &Options, watcher: &dyn Watcher) -> Vec<CaseReport> {
     let cases = &suite.cases;
     let next = AtomicUsize::new(0);
@@ -145,19 +159,20 @@ fn run_case(case: &Case, captures: &Path) -> CaseReport {
 }
 
 impl CaseReport {
-    /// Nothing stands against it.
+    /// Returns whether all limits were kept and all logs were read completely.
     pub fn passed(&self) -> bool {
         self.outcome == Outcome::Kept && self.lost.is_empty()
     }
 
+    /// Takes what was read from a log, and notes its losses and warnings.
     fn found<T>(&mut self, read: Readout<T>) -> Vec<T> {
-        self.lose(read.losses);
+        self.note_losses(read.losses);
         self.warnings.extend(read.warnings);
         read.found
     }
 
-    /// A file may be read more than once.
-    fn lose(&mut self, losses: Vec<Loss>) {
+    /// Notes losses, each file once: a file may be read more than once.
+    fn note_losses(&mut self, losses: Vec<Loss>) {
         for loss in losses {
             if !self.lost.iter().any(|known| known.file == loss.file) {
                 self.lost.push(loss);
@@ -173,9 +188,9 @@ impl CaseReport {
 
 fn judge_case(case: &Case, captures: &Path, report: &mut CaseReport) -> Result<Judged, CaseError> {
     let settings = settings(case)?;
-    // Before long work. What cannot be read then will not be later.
+    // The reference is read before the long work, so that an unreadable one is refused at once.
     let reference = case.reference.as_deref().map(Reference::load).transpose()?;
-    // A log that is only held to a reference need not know the truth.
+    // A case that is only compared with a reference needs no truth.
     let truth = if case.limits.ask_for_truth() { truth_of(case, &settings, report)? } else { Vec::new() };
     if let Some(topic) = &case.poses {
         let poses = report.found(read_poses(&case.source, topic)?);
@@ -193,7 +208,7 @@ fn judge_case(case: &Case, captures: &Path, report: &mut CaseReport) -> Result<J
     };
     let replayed = replay(&options, &mut |_, _| ())?;
     report.capture = Some(replayed.session.clone());
-    report.lose(replayed.unread());
+    report.note_losses(replayed.unread());
     let tags = read_tags(&replayed.session)?.found;
     if let (Some(reference), Some(path)) = (reference, &case.reference) {
         let identity = Identity::of(&case.source, &replayed.session, None)?;
@@ -209,8 +224,10 @@ fn settings(case: &Case) -> Result<Settings, ConfigError> {
     case.config.as_ref().map_or_else(|| Ok(Settings::default()), |path| Settings::load(&path.to_string_lossy()))
 }
 
-/// Of the log that the judged process was given: the one with the truth, as a rule; else of its output. Where neither has
-/// images that matters only if there is a limit on them.
+/// Reads the times of the frames from the log that the judged program was given: as a rule the one with the truth, else
+/// the source.
+///
+/// Logs without images are an error only if there is a limit on the share of valid frames.
 fn frame_times(case: &Case, settings: &Settings, report: &mut CaseReport) -> Result<Vec<i64>, CaseError> {
     let logs = case.truth.iter().chain([&case.source]);
     let mut refused = None;
@@ -226,22 +243,23 @@ fn frame_times(case: &Case, settings: &Settings, report: &mut CaseReport) -> Res
     }
 }
 
+/// Returns the true poses: those of the scene, or those in the log.
 fn truth_of(case: &Case, settings: &Settings, report: &mut CaseReport) -> Result<Vec<(i64, Isometry)>, CaseError> {
-    if case.truth.is_none() && case.source.extension().is_some_and(|ending| ending == "toml") {
-        return Ok(truth::of_scene(&scene::load(&case.source)?));
+    if case.truth.is_none() && InputSource::is_scene(&case.source) {
+        return Ok(truth::of_scene(&scene_source::load(&case.source)?));
     }
     let log = case.truth.as_ref().unwrap_or(&case.source);
     Ok(report.found(read_truth(log, &settings.topics.ground_truth)?))
 }
 
-/// Nothing else runs meanwhile.
+/// Measures the time for a frame if the case has a limit on it, while no other case runs.
 fn measure_time(case: &Case, report: &mut CaseReport, watcher: &dyn Watcher) {
     if case.limits.p99_ratio.is_none() || report.outcome == Outcome::Failed {
         return;
     }
     watcher.timing(&case.name);
     let measured = settings(case).map_err(CaseError::from).and_then(|settings| {
-        let options = FootageOptions {
+        let options = FrameCacheOptions {
             source: case.source.clone(),
             settings: settings.clone(),
             initial: None,

@@ -1,19 +1,20 @@
-//! How long frames take, in units of a fixed loop: a figure that holds on a slow machine and on a busy one.
+//! Time for a frame in units of the calibration loop: a ratio that is comparable between slow, fast and busy machines.
 
 use std::time::Instant;
 
-use crate::calibration::Calibration;
+use crate::cpu_yardstick::Calibration;
 use crate::statistics::quantile;
 use realitysim_config::Settings;
-use realitysim_tagging::{Footage, FootageOptions, ReplayError};
+use realitysim_tagging::{FrameCache, FrameCacheOptions, ReplayError};
 
-/// The best of so many passes over the frames counts: what disturbs the machine only ever adds.
+/// Number of passes over the frames. The best counts: disturbances only add time.
 const PASSES: usize = 2;
 
-/// 99 of 100 frames take no longer than this many times the calibration loop, of which 99 of 100 runs count as well:
-/// they alternate with the frames, so that whatever else the machine does slows both.
-pub fn p99_ratio(options: &FootageOptions, settings: &Settings) -> Result<f64, ReplayError> {
-    let footage = Footage::load(options, &mut |_, _| ())?;
+/// Measures the 99 % quantile of the time for a frame, divided by that of the calibration loop.
+///
+/// Runs of the loop alternate with the frames, so that whatever else the machine does slows both.
+pub fn p99_ratio(options: &FrameCacheOptions, settings: &Settings) -> Result<f64, ReplayError> {
+    let footage = FrameCache::load(options, &mut |_, _| ())?;
     let settings = Settings { field: footage.settings().field.clone(), ..settings.clone() };
     let calibration = Calibration::new();
     let mut best = f64::INFINITY;

@@ -1,4 +1,4 @@
-//! What the project's own line detector makes of a picture whose camera's pose is known.
+//! Response of the line detector of the project to a picture whose camera pose is known.
 
 use glam::DVec2;
 use serde::Serialize;
@@ -6,9 +6,9 @@ use serde::Serialize;
 use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::SimdPath;
 use realitysim_localization::kernel::{Points, sum_levels};
-use realitysim_vision::{GroundTable, Picture, Reading, Vision, VisionSettings};
+use realitysim_vision::{GroundTable, Picture, TableQuantity, Vision, VisionSettings};
 
-/// The line contrast of [`Vision`], asked where lines should be and where none should be.
+/// The line contrast of [`Vision`], sampled where lines should be and where none should be.
 #[derive(Clone, Debug)]
 pub struct Detector {
     vision: Vision,
@@ -16,34 +16,37 @@ pub struct Detector {
     off_lines: Vec<DVec2>,
 }
 
-/// Shares of places within reach that the camera sees.
+/// Response of the line detector, over the places within reach that the camera sees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Detection {
     /// Mean response on lines, 0 to 1.
     pub response: f64,
-    /// Places on lines that respond less than three tenths of the largest response.
+    /// Share of the places on lines that respond less than three tenths of the largest response.
     pub missed: f64,
-    /// Places away from lines that respond more.
+    /// Share of the places away from lines that respond more than that.
     pub false_lines: f64,
-    /// Places on lines that were asked.
+    /// Number of places on lines.
     pub places: usize,
 }
 
-/// Of the largest response.
-const LEAST: f64 = 0.3;
-/// Nearer than this to the camera's foot point: farther lines are a pixel wide.
+/// Smallest response of a detected line, as a share of the largest response.
+const MIN_RESPONSE: f64 = 0.3;
+/// Largest distance to the foot point of the camera, metres: farther lines are a pixel wide.
 const WITHIN_M: f64 = 3.0;
+/// Number of places on the lines of the field.
 const POINTS: usize = 700;
-/// Between the places without lines, and from these to the next line.
+/// Spacing of the grid of places without lines, metres.
 const SPACING_M: f64 = 0.1;
+/// Smallest distance from these places to the centre of a line, metres.
 const CLEAR_M: f64 = 0.15;
-/// Less is not seen: outside of the picture, beyond the carpet.
-const SEEN: f64 = 0.5;
+/// Smallest value of the ground table at a visible place: outside of the picture or the carpet it is less.
+const MIN_VISIBILITY: f64 = 0.5;
 
 impl Detector {
+    /// Makes a detector for pictures of a lens on a field.
     pub fn new(lens: &Lens, field: &Field) -> Self {
         let settings = VisionSettings {
-            reading: Reading::Contrast,
+            reading: TableQuantity::Contrast,
             line_width_m: field.line_width(),
             range_m: 0.0,
             tilt_sigma_rad: 0.005,
@@ -62,6 +65,7 @@ impl Detector {
         }
     }
 
+    /// Detects lines in a picture from a pose of `camera_link` in `map`.
     pub fn look(&self, picture: &Picture, map_from_link: &Isometry) -> Detection {
         let foot = Pose2::from_isometry(map_from_link);
         let footprint_from_link = foot.to_isometry().inverse() * *map_from_link;
@@ -73,18 +77,18 @@ impl Detector {
         };
         Detection {
             response: on.iter().sum::<f64>() / on.len().max(1) as f64,
-            missed: share(&on, |response| response < LEAST),
-            false_lines: share(&off, |response| response > LEAST),
+            missed: share(&on, |response| response < MIN_RESPONSE),
+            false_lines: share(&off, |response| response > MIN_RESPONSE),
             places: on.len(),
         }
     }
 }
 
-/// 0 to 1, of the places that the camera sees.
+/// Returns the responses at the places that the camera sees, 0 to 1. `places` are in `map`, metres.
 fn responses(table: &GroundTable, places: &[DVec2], foot: &Pose2) -> Vec<f64> {
     let robot_from_map = foot.inverse().to_affine();
     let near = places.iter().filter(|place| place.distance(DVec2::new(foot.x, foot.y)) < WITHIN_M);
-    let seen = near.filter(|place| table.seen(robot_from_map.transform_point2(**place)) > SEEN);
+    let seen = near.filter(|place| table.seen(robot_from_map.transform_point2(**place)) > MIN_VISIBILITY);
     let response = |place: &DVec2| {
         let sum = sum_levels(SimdPath::Auto, table, &Points::new([*place]), foot);
         ((sum + f64::from(table.readings().zero)) / 255.0).clamp(0.0, 1.0)

@@ -1,11 +1,11 @@
-//! Views against rendered truth, at known distances from their sources, with true poses and images without noise.
+//! Views against rendered truth, at given distances from their sources, with true poses and images without noise.
 
 use core::f64::consts::TAU;
 
 use glam::DVec3;
 use serde::Serialize;
 
-use super::lawn::Lawn;
+use super::truth_renderer::TruthRenderer;
 use realitysim_geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
 use realitysim_views::paper::{Correspondences, Posed, correspondences};
 use realitysim_views::quadratic::Quadratic;
@@ -14,28 +14,33 @@ use realitysim_views::{
     Vignetting, Warp, World, similarity, view,
 };
 
-/// How far the sources are from the view.
+/// Offset between a view and its sources.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Displacement {
+    /// Distance on the ground, metres.
     pub metres: f64,
+    /// Difference in yaw, degrees.
     pub yaw_deg: f64,
 }
 
+/// Extent of the experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
+    /// The displacements that are measured.
     pub displacements: Vec<Displacement>,
-    /// Poses for each displacement.
+    /// Number of poses for each displacement.
     pub poses: usize,
 }
 
 impl Plan {
+    /// Returns all displacements, with eight poses each.
     pub fn full() -> Self {
         let rows = [(0.0, 10.0), (0.1, 0.0), (0.1, 10.0), (0.25, 0.0), (0.25, 10.0), (0.25, 30.0), (0.5, 10.0)];
         let displacements = rows.into_iter().map(|(metres, yaw_deg)| Displacement { metres, yaw_deg }).collect();
         Self { displacements, poses: 8 }
     }
 
-    /// The three rows that the paper's map is judged by, and the farthest; one pose each.
+    /// Returns the three displacements that the map of the paper is judged by, and the farthest, with two poses each.
     pub fn quick() -> Self {
         let rows = [(0.0, 10.0), (0.1, 10.0), (0.25, 10.0), (0.5, 10.0)];
         let displacements = rows.into_iter().map(|(metres, yaw_deg)| Displacement { metres, yaw_deg }).collect();
@@ -46,41 +51,55 @@ impl Plan {
 /// Means over the poses of one displacement.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
+    /// The displacement.
     pub displacement: Displacement,
-    /// On the ground that the first source shows.
+    /// Scores of the first source unchanged, over the ground that it shows.
     pub nearest: Scores,
+    /// Scores of the quadratic map of the paper with the first source, over the same ground.
     pub paper: Scores,
+    /// Scores of the exact map with the first source, over the same ground.
     pub exact: Scores,
-    /// Four sources around the view, on the same ground; `compared` is of all ground.
+    /// Scores of the exact map with four sources around the view, over the same ground. `covered` is over all ground.
     pub four: Scores,
-    /// Residual of the quadratic map, pixels: fitted to ground under every eighth pixel, and to a grid of 25 cm.
+    /// Root mean square residual of the quadratic map, pixels, fitted to the ground under every eighth pixel.
     pub residual_px: f64,
+    /// The same residual, pixels, fitted to a grid of 25 cm on the ground.
     pub residual_25cm_px: f64,
-    /// Of the interpolated map against the exact one.
+    /// 99 % quantile of the distance between the interpolated and the exact map, pixels.
     pub map_p99_px: f64,
 }
 
+/// Similarity of a view to the truth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Scores {
+    /// Peak signal-to-noise ratio, dB.
     pub psnr_db: f64,
+    /// Mean structural similarity, at most 1.
     pub ssim: f64,
-    /// Share of the view's ground that is shown.
+    /// Share of the ground in the view that is shown.
     pub covered: f64,
 }
 
-/// As in the project's design brief: an equidistant fisheye of 180 degrees over 640 pixels, 0.55 m high, 30 degrees down.
+/// Returns the lens of the experiment: an equidistant fisheye with 180 degrees over 640 pixels, as in the design brief
+/// of the project.
 pub fn lens() -> LensParameters {
     let model = LensModel::KannalaBrandt { k: [0.0; 4] };
     LensParameters { width: 640, height: 480, fx: 203.7, fy: 203.7, cx: 319.5, cy: 239.5, model, fov_deg: Some(180.0) }
 }
 
+/// Height of the camera, metres.
 const HEIGHT_M: f64 = 0.55;
+/// Pitch of the camera, 30 degrees down, radians.
 const PITCH_RAD: f64 = 30.0 / 180.0 * core::f64::consts::PI;
 
+/// Runs the experiment. `progress` is called with the number of poses that are done and that of all poses.
 pub fn displacements(field: &Field, plan: &Plan, progress: &mut dyn FnMut(u64, u64)) -> Result<Vec<Row>, ViewError> {
     let Ok(lens) = Lens::new(lens()) else { return Ok(Vec::new()) };
-    let bench =
-        Bench { camera: Camera::new(&lens), world: World::without_goals(field), lawn: Lawn::new(field, &lens, false) };
+    let bench = Bench {
+        camera: Camera::new(&lens),
+        world: World::without_goals(field),
+        lawn: TruthRenderer::new(field, &lens, false),
+    };
     let total = (plan.displacements.len() * plan.poses) as u64;
     let mut done = 0;
     let mut rows = Vec::new();
@@ -96,16 +115,18 @@ pub fn displacements(field: &Field, plan: &Plan, progress: &mut dyn FnMut(u64, u
     Ok(rows)
 }
 
+/// Camera, world and renderer of the experiment.
 struct Bench {
     camera: Camera,
     world: World,
-    lawn: Lawn,
+    lawn: TruthRenderer,
 }
 
 impl Bench {
+    /// Measures one pose at one displacement.
     fn row(&self, displacement: Displacement, index: usize) -> Result<Row, ViewError> {
         let Displacement { metres, yaw_deg } = displacement;
-        // Evenly spread, and the same on every machine.
+        // Poses are evenly spread, and the same on every machine.
         let part = |step: f64| ((index as f64 + 0.5) * step).fract();
         let (x, y, yaw) = (4.0 * (part(0.618_034) - 0.5), 2.4 * (part(0.754_878) - 0.5), TAU * part(0.569_840));
         let wanted = pose(x, y, yaw);
@@ -178,6 +199,7 @@ fn pose(x: f64, y: f64, yaw: f64) -> Isometry {
     Isometry::from_euler(Euler { yaw, pitch: PITCH_RAD, roll: 0.0 }, DVec3::new(x, y, HEIGHT_M))
 }
 
+/// Averages the rows of one displacement.
 fn mean(rows: &[Row]) -> Row {
     let count = rows.len().max(1) as f64;
     let of = |value: &dyn Fn(&Row) -> f64| rows.iter().map(value).sum::<f64>() / count;

@@ -1,11 +1,12 @@
-//! How good views are: rendered truth, real pairs of images, and the numbers.
+//! Evaluation of synthesized views: against rendered truth ([`displacements`]), against real pairs of images
+//! ([`pairs`](fn@pairs)), and with the line detector ([`Detector`]).
 
 mod detector;
 mod experiment;
-mod lawn;
 mod pairs;
+mod truth_renderer;
 
 pub use detector::{Detection, Detector};
 pub use experiment::{Displacement, Plan, Row, Scores, displacements};
-pub use lawn::Lawn;
 pub use pairs::{Pair, PairError, pairs};
+pub use truth_renderer::TruthRenderer;

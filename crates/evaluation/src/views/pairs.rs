@@ -1,4 +1,4 @@
-//! Real images of one camera's place turned into each other: VisualMesh images with their lens files.
+//! Real images taken from one position, each warped into the view of another: VisualMesh images with their lens files.
 
 use std::path::{Path, PathBuf};
 
@@ -9,40 +9,54 @@ use realitysim_config::{ConfigError, load_lens_for_image, plain_file};
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
 use realitysim_log_input::decode::MAX_IMAGE_FILE_BYTES;
 use realitysim_views::{
-    Camera, Candidate, Made, Method, NOTHING, Pyramid, Raster, Request, TagError, ViewError, ViewSettings, Vignetting,
-    World, similarity, view,
+    Camera, Candidate, Method, NOTHING, Provenance, Pyramid, Raster, Request, TagError, ViewError, ViewSettings,
+    Vignetting, World, similarity, view,
 };
 
-/// One image as seen through the other.
+/// Similarity of a target image and a source image warped into its view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Pair {
+    /// Number of the source image.
     pub source: u32,
+    /// Number of the target image.
     pub target: u32,
-    /// Pixels that both show.
+    /// Number of pixels that both images show.
     pub overlap: usize,
+    /// Peak signal-to-noise ratio over the overlap, dB.
     pub raw_db: f64,
-    /// After one gain per channel, fitted on the overlap.
+    /// Peak signal-to-noise ratio after one gain per channel, fitted on the overlap, dB.
     pub gain_db: f64,
+    /// Structural similarity after the same gains.
     pub gain_ssim: f64,
 }
 
+/// Reason why pairs cannot be evaluated.
 #[derive(Debug, Error)]
 pub enum PairError {
+    /// The table or an image is unusable.
     #[error("{}: {what}", path.display())]
-    File { path: PathBuf, what: String },
+    File {
+        /// Path of the file.
+        path: PathBuf,
+        /// Description of the problem.
+        what: String,
+    },
+    /// A lens file is unusable.
     #[error(transparent)]
     Lens(#[from] ConfigError),
+    /// The view cannot be made.
     #[error(transparent)]
     View(#[from] ViewError),
 }
 
-/// A pair takes ten bytes.
+/// Largest size of the table of pairs, bytes. A pair takes ten bytes.
 const MAX_PAIRS_BYTES: u64 = 16 << 20;
+/// File name of the table of pairs.
 const TABLE: &str = "same_centre_pairs.csv";
-/// The rim of the fisheye's circle is kept off.
+/// Share of the field of view that is used: the rim of the image circle is left out.
 const INNER: f64 = 0.98;
 
-/// All pairs that the folder's table names.
+/// Evaluates all pairs that the table `same_centre_pairs.csv` in `folder` names.
 pub fn pairs(folder: &Path, field: &Field) -> Result<Vec<Pair>, PairError> {
     let table = folder.join(TABLE);
     let failed = |what: String| PairError::File { path: table.clone(), what };
@@ -87,13 +101,14 @@ impl Image {
     }
 }
 
+/// Warps the source image into the view of the target and compares them.
 fn pair(source: &Image, target: &Image, field: &Field) -> Result<Pair, PairError> {
     let world = World::without_goals(field);
     let image = Pyramid::new(source.pixels.clone());
     let candidate = Candidate {
         id: u64::from(source.id),
         camera: &source.camera,
-        // One place: the heights of the files differ by what they were rounded to.
+        // Both cameras get one position: the heights in the files differ by rounding only.
         map_from_link: Isometry::new(source.pose.rotation, target.pose.translation),
         image: &image,
         tag: TagError::default(),
@@ -108,7 +123,7 @@ fn pair(source: &Image, target: &Image, field: &Field) -> Result<Pair, PairError
         settings: ViewSettings { stored_within_m: -1.0, ..ViewSettings::default() },
     };
     let answer = view(&request, &[candidate])?;
-    debug_assert_eq!(answer.made, Made::Warped);
+    debug_assert_eq!(answer.made, Provenance::Warped);
     let shown: Vec<bool> = answer.image.pixels.iter().map(|pixel| pixel[3] != NOTHING).collect();
     let gain: [f64; 3] = core::array::from_fn(|c| {
         let both = || answer.image.pixels.iter().zip(&target.pixels.pixels).filter(|(a, _)| a[3] != NOTHING);

@@ -1,6 +1,6 @@
-//! Lenses: from a ray in `camera_optical_frame` to a pixel and back.
+//! Lens models: from a ray in `camera_optical_frame` to a pixel and back.
 //!
-//! Pixels as in ROS and OpenCV: (0, 0) is the centre of the top left pixel, u to the right, v down.
+//! Pixel coordinates are those of ROS and OpenCV: (0, 0) is the centre of the top left pixel, u points right, v down.
 
 mod pinhole;
 mod projector;
@@ -14,56 +14,72 @@ use pinhole::PlumbBob;
 pub use projector::Projector;
 use radial::Radial;
 
-/// What the files say about a lens: plain data, checked by [`Lens::new`].
+/// The parameters of a lens as files state them: plain data, which [`Lens::new`] checks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LensParameters {
-    /// Pixels.
+    /// Width of the image, pixels.
     pub width: u32,
+    /// Height of the image, pixels.
     pub height: u32,
-    /// Focal lengths, pixels.
+    /// Horizontal focal length, pixels.
     pub fx: f64,
+    /// Vertical focal length, pixels.
     pub fy: f64,
-    /// Where the axis meets the image, pixels.
+    /// Column of the principal point, pixels.
     pub cx: f64,
+    /// Row of the principal point, pixels.
     pub cy: f64,
+    /// Projection and distortion.
     pub model: LensModel,
-    /// Full angle of view that the model is stated to hold for; without it, as far as the model is monotonic.
+    /// Full field of view for which the model is stated to hold, degrees. `None`: as far as the model is monotonic.
     pub fov_deg: Option<f64>,
 }
 
 impl LensParameters {
-    /// Whether both draw a place on the same pixel, however far from the axis they draw anything.
+    /// Whether both lenses project every ray to the same pixel; stated fields of view are ignored.
     pub fn maps_as(&self, other: &Self) -> bool {
         let bare = |lens: &Self| Self { fov_deg: None, ..lens.clone() };
         bare(self) == bare(other)
     }
 
-    /// Whether an image of `other` is one of this lens: it maps as that one, and is not stated to end nearer to the axis.
+    /// Whether an image of `other` is as good as an image of this lens.
+    ///
+    /// Both must project alike ([`Self::maps_as`]), and the field of view of this lens must not be stated to be smaller.
     pub fn draws_as(&self, other: &Self) -> bool {
-        let ends_before = self.fov_deg.zip(other.fov_deg).is_some_and(|(own, other)| own + SAME_FOV_DEG < other);
+        let ends_before = self.fov_deg.zip(other.fov_deg).is_some_and(|(own, other)| own + FOV_TOLERANCE_DEG < other);
         self.maps_as(other) && !ends_before
     }
 }
 
-/// A circle's edge is not known better than this.
-const SAME_FOV_DEG: f64 = 3.0;
+/// Fields of view that differ by less, in degrees, count as equal: the edge of the image circle is not known better.
+const FOV_TOLERANCE_DEG: f64 = 3.0;
 
-/// The distance from the axis that a ray at angle theta is drawn at, in focal lengths.
+/// A lens model with its distortion coefficients.
+///
+/// The formulas give the distance r of the image point from the principal point, in focal lengths, for a ray at the angle theta off
+/// the axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LensModel {
-    /// theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8): Kannala and Brandt 2006, ROS
-    /// `equidistant`, OpenCV fisheye. All zero is the ideal equidistant lens.
-    KannalaBrandt { k: [f64; 4] },
-    /// 2 sin(theta / 2).
+    /// r = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8): Kannala and Brandt 2006, ROS
+    /// `equidistant`, OpenCV fisheye.
+    KannalaBrandt {
+        /// Coefficients k1 to k4. All zero is the ideal equidistant lens.
+        k: [f64; 4],
+    },
+    /// r = 2 sin(theta / 2), without distortion.
     Equisolid,
-    /// Pinhole with ROS `plumb_bob` distortion (Brown-Conrady): k1, k2, p1, p2, k3.
-    PlumbBob { d: [f64; 5] },
+    /// Pinhole (r = tan theta) with ROS `plumb_bob` distortion (Brown-Conrady).
+    PlumbBob {
+        /// Coefficients k1, k2, p1, p2, k3: k radial, p tangential.
+        d: [f64; 5],
+    },
 }
 
 impl LensParameters {
-    /// The same lens on a sensor with other pixels: width and height as given; where one is `None`, in the proportions that
-    /// there were.
+    /// The parameters for the same lens when its images are scaled to another size, `[width, height]` in pixels.
+    ///
+    /// Where one of the two is `None`, the aspect ratio is kept.
     pub fn resized(&self, size: [Option<u32>; 2]) -> Self {
         let (own, in_proportion) = ([self.width, self.height], |pixels: u32, to: u32, from: u32| {
             ((f64::from(pixels) * f64::from(to) / f64::from(from)).round() as u32).max(1)
@@ -75,7 +91,7 @@ impl LensParameters {
             [Some(width), Some(height)] => [width, height],
         };
         let [x, y] = [f64::from(width) / f64::from(own[0]), f64::from(height) / f64::from(own[1])];
-        // Half a pixel lies before the first pixel's centre.
+        // The image begins half a pixel before the first pixel's centre.
         let centre = |centre: f64, scale: f64| (centre + 0.5) * scale - 0.5;
         Self {
             width,
@@ -89,43 +105,92 @@ impl LensParameters {
     }
 }
 
+/// Parameters that no lens can have.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum LensError {
+    /// The image is empty or larger than [`MAX_SIDE`] or [`MAX_PIXELS`] allow.
     #[error(
         "image size {width} x {height}: both must be between 1 and {MAX_SIDE}, and their product at most {MAX_PIXELS}"
     )]
-    Size { width: u32, height: u32 },
-    #[error("{name} is {value}: a focal length must be a positive number of pixels")]
-    Focal { name: &'static str, value: f64 },
+    Size {
+        /// Width of the image, pixels.
+        width: u32,
+        /// Height of the image, pixels.
+        height: u32,
+    },
+    /// A focal length is not within [`FOCAL_PX`].
+    #[error(
+        "{name} is {value:?}: a focal length must be a positive number of pixels, between {} and {:e}",
+        FOCAL_PX.start(), FOCAL_PX.end()
+    )]
+    Focal {
+        /// Name of the parameter, `fx` or `fy`.
+        name: &'static str,
+        /// The refused value, pixels.
+        value: f64,
+    },
+    /// The principal point is not finite, or farther from the image than any lens puts it.
+    #[error("{name} is {value:?}: a principal point lies within {FARTHEST_CENTRE_PX:e} pixels of the image's corner")]
+    Centre {
+        /// Name of the parameter, `cx` or `cy`.
+        name: &'static str,
+        /// The refused value, pixels.
+        value: f64,
+    },
+    /// A parameter is NaN or infinite.
     #[error("{name} is {value}: it must be a finite number")]
-    NotFinite { name: &'static str, value: f64 },
+    NotFinite {
+        /// Name of the parameter, such as `cx` or `k1`.
+        name: &'static str,
+        /// The refused value.
+        value: f64,
+    },
+    /// The stated field of view is out of the model's range.
     #[error("field of view {fov_deg} deg: it must be above 0 and at most {max_deg} deg for this model")]
-    Fov { fov_deg: f64, max_deg: f64 },
+    Fov {
+        /// The stated full field of view, degrees.
+        fov_deg: f64,
+        /// The largest field of view of the model, degrees.
+        max_deg: f64,
+    },
+    /// The distortion polynomial is not monotonic in the stated field of view.
     #[error(
         "the distortion polynomial turns back at {at_deg:.2} deg off the axis, inside the stated field of view of \
          {fov_deg} deg: check the coefficients, or state a field of view below {:.1} deg", 2.0 * at_deg
     )]
-    NotMonotonic { at_deg: f64, fov_deg: f64 },
+    NotMonotonic {
+        /// Angle off the axis at which the polynomial turns back, degrees.
+        at_deg: f64,
+        /// The stated full field of view, degrees.
+        fov_deg: f64,
+    },
 }
 
-/// Larger images are refused at load.
+/// Largest width and height of an image, pixels. Larger images are refused when they are loaded.
 pub const MAX_SIDE: u32 = 16_384;
-/// More than any camera on a robot has. Decoded, so many pixels take some hundred megabytes.
+/// Focal lengths of lenses, pixels. Products with a longer or shorter one leave the range of numbers.
+pub const FOCAL_PX: core::ops::RangeInclusive<f64> = 0.1..=1e7;
+/// Distance of the principal point from the image's first pixel along each axis, pixels, that no lens exceeds.
+pub const FARTHEST_CENTRE_PX: f64 = 1e7;
+/// Largest number of pixels of an image.
+///
+/// No camera on a robot has more. Decoded, so many pixels take some hundred megabytes.
 pub const MAX_PIXELS: u64 = 1 << 25;
 
-/// Whether an image of this width and height, pixels, is decoded, and a lens for it prepared.
+/// Whether an image of this width and height, in pixels, is within [`MAX_SIDE`] and [`MAX_PIXELS`] and not empty.
 pub fn is_image_size(width: u64, height: u64) -> bool {
     let side = 1..=u64::from(MAX_SIDE);
     side.contains(&width) && side.contains(&height) && width * height <= MAX_PIXELS
 }
 
-/// A lens that has been checked: monotonic up to [`Lens::max_angle`].
+/// A lens whose parameters have been checked. Its projection is monotonic up to [`Lens::max_angle`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lens {
     parameters: LensParameters,
     curve: Curve,
 }
 
+/// The projection of a lens, prepared for evaluation.
 #[derive(Clone, Debug, PartialEq)]
 enum Curve {
     Radial(Radial),
@@ -133,19 +198,24 @@ enum Curve {
 }
 
 impl Lens {
+    /// Checks the parameters and prepares the projection and its inverse.
+    ///
+    /// # Errors
+    /// [`LensError`] if the image size, a coefficient or the field of view is out of range, or if the model is not monotonic within
+    /// the stated field of view. Without a stated field of view, the lens is cut where the model turns back.
     pub fn new(parameters: LensParameters) -> Result<Self, LensError> {
         let p = &parameters;
         if !is_image_size(p.width.into(), p.height.into()) {
             return Err(LensError::Size { width: p.width, height: p.height });
         }
         for (name, value) in [("fx", p.fx), ("fy", p.fy)] {
-            if !(value.is_finite() && value > 0.0) {
+            if !FOCAL_PX.contains(&value) {
                 return Err(LensError::Focal { name, value });
             }
         }
         for (name, value) in [("cx", p.cx), ("cy", p.cy)] {
-            if !value.is_finite() {
-                return Err(LensError::NotFinite { name, value });
+            if !(-FARTHEST_CENTRE_PX..=FARTHEST_CENTRE_PX).contains(&value) {
+                return Err(LensError::Centre { name, value });
             }
         }
         let reach = farthest_corner(p);
@@ -157,24 +227,27 @@ impl Lens {
         Ok(Self { parameters, curve })
     }
 
+    /// The parameters that the lens was made from.
     pub fn parameters(&self) -> &LensParameters {
         &self.parameters
     }
 
+    /// Width of the image, pixels.
     pub fn width(&self) -> u32 {
         self.parameters.width
     }
 
+    /// Height of the image, pixels.
     pub fn height(&self) -> u32 {
         self.parameters.height
     }
 
-    /// Pixels per radian on the axis: the mean of fx and fy.
+    /// Focal length, the mean of fx and fy: pixels per radian on the axis.
     pub fn focal(&self) -> f64 {
         (self.parameters.fx + self.parameters.fy) / 2.0
     }
 
-    /// The largest angle off the axis that the lens sees, radians; above pi/2 it sees behind itself.
+    /// The largest angle off the axis that the lens sees, radians. A lens with more than pi/2 sees behind itself.
     pub fn max_angle(&self) -> f64 {
         match &self.curve {
             Curve::Radial(radial) => radial.max_angle(),
@@ -182,7 +255,8 @@ impl Lens {
         }
     }
 
-    /// The pixel of a ray in `camera_optical_frame` (any length), or `None` outside the field of view.
+    /// Projects a ray of any length in `camera_optical_frame` to a pixel, or `None` outside the field of view.
+    ///
     /// The pixel can lie outside the image: see [`Lens::contains`].
     pub fn project(&self, ray: DVec3) -> Option<DVec2> {
         let normalised = match &self.curve {
@@ -193,7 +267,7 @@ impl Lens {
         Some(DVec2::new(p.cx + p.fx * normalised.x, p.cy + p.fy * normalised.y))
     }
 
-    /// The unit ray of a pixel, or `None` where the lens draws nothing.
+    /// Finds the unit ray of a pixel in `camera_optical_frame`, or `None` where the lens draws nothing.
     pub fn unproject(&self, pixel: DVec2) -> Option<DVec3> {
         let p = &self.parameters;
         let normalised = DVec2::new((pixel.x - p.cx) / p.fx, (pixel.y - p.cy) / p.fy);
@@ -203,7 +277,7 @@ impl Lens {
         }
     }
 
-    /// Whether the pixel's centre lies so that bilinear interpolation finds its four neighbours.
+    /// Whether a pixel lies in the image so that bilinear interpolation finds its four neighbours.
     pub fn contains(&self, pixel: DVec2) -> bool {
         pixel.x >= 0.0
             && pixel.y >= 0.0
@@ -212,13 +286,13 @@ impl Lens {
     }
 }
 
-/// Distance of the image's farthest corner from the axis, in focal lengths.
+/// Distance of the image's farthest corner from the principal point, in focal lengths.
 fn farthest_corner(p: &LensParameters) -> f64 {
     let side = |centre: f64, size: u32| centre.abs().max((f64::from(size) - 1.0 - centre).abs());
     libm::hypot(side(p.cx, p.width) / p.fx, side(p.cy, p.height) / p.fy)
 }
 
-/// Half of a stated field of view in radians, checked against what the model can show.
+/// Half of a stated field of view in radians, checked against the largest of the model, `max_deg`.
 fn half_fov(fov_deg: Option<f64>, max_deg: f64) -> Result<Option<f64>, LensError> {
     match fov_deg {
         None => Ok(None),

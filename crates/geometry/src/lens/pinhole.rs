@@ -1,25 +1,32 @@
-//! Pinhole with `plumb_bob` distortion: radial k1, k2, k3 and tangential p1, p2 (OpenCV's calibration model).
+//! The pinhole model with `plumb_bob` distortion: radial k1, k2, k3 and tangential p1, p2 (OpenCV's calibration model).
 
 use glam::{DVec2, DVec3};
 
 use super::{LensError, half_fov};
 use crate::polynomial;
 
+/// A pinhole with distortion, and the largest angle that it draws.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct PlumbBob {
+    /// Radial coefficients k1, k2, k3.
     k: [f64; 3],
+    /// Tangential coefficients p1, p2.
     p: [f64; 2],
-    /// Largest undistorted radius (tan of the angle off the axis).
+    /// Largest undistorted radius, the tangent of the largest angle off the axis.
     max_radius: f64,
 }
 
-/// Beyond 89.5 deg a pinhole image has no meaning any more.
+/// Largest field of view, degrees. A pinhole image means nothing beyond 89.5 degrees off the axis.
 const MAX_FOV_DEG: f64 = 179.0;
+/// Largest number of Newton steps of one inversion.
 const MAX_STEPS: usize = 50;
-/// How far, in focal lengths, the distorted result may be from the pixel asked for: 1e-11 px at 1000 px.
+/// Largest distance of the distorted result from the requested point, in focal lengths: 1e-11 px at 1000 px.
 const TOLERANCE: f64 = 1e-14;
 
 impl PlumbBob {
+    /// Checks the coefficients k1, k2, p1, p2, k3 and finds the angle up to which the lens draws.
+    ///
+    /// `reach` is the distance of the image's farthest corner from the principal point, in focal lengths.
     pub(super) fn new(d: [f64; 5], reach: f64, fov_deg: Option<f64>) -> Result<Self, LensError> {
         let [k1, k2, p1, p2, k3] = d;
         for (name, value) in ["k1", "k2", "p1", "p2", "k3"].into_iter().zip(d) {
@@ -29,6 +36,7 @@ impl PlumbBob {
         }
         let stated = half_fov(fov_deg, MAX_FOV_DEG)?.map(libm::tan);
         let limit = stated.unwrap_or_else(|| libm::tan((MAX_FOV_DEG / 2.0).to_radians()));
+        // d r_distorted / d r as a polynomial in r^2.
         let slope = [1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3];
         let turn = polynomial::first_non_positive(&slope, limit * limit).map(libm::sqrt);
         if let (Some(at), Some(fov_deg)) = (turn, fov_deg) {
@@ -36,24 +44,26 @@ impl PlumbBob {
         }
         let limit = turn.map_or(limit, |at| at * (1.0 - 1e-6));
         let mut lens = Self { k: [k1, k2, k3], p: [p1, p2], max_radius: limit };
-        // The image's corner, with room for what the tangential terms add.
+        // Up to the image's corner, with room for what the tangential terms add.
         if let Some(corner) = lens.undistorted_radius(reach * (1.0 + 4.0 * (p1.abs() + p2.abs()) * reach)) {
             lens.max_radius = corner;
         }
         Ok(lens)
     }
 
+    /// The largest angle off the axis, radians.
     pub(super) fn max_angle(&self) -> f64 {
         libm::atan(self.max_radius)
     }
 
+    /// Projects a ray to a point in focal lengths from the principal point.
     pub(super) fn project(&self, ray: DVec3) -> Option<DVec2> {
         let point = DVec2::new(ray.x / ray.z, ray.y / ray.z);
         let inside = ray.z > 0.0 && ray.z.is_finite() && point.length() <= self.max_radius * (1.0 + 1e-12);
         inside.then(|| self.distort(point).0)
     }
 
-    /// Newton in two dimensions, started from the exact inverse of the radial part.
+    /// Finds the unit ray of a point in focal lengths: Newton's method in two dimensions, from the exact inverse of the radial part.
     pub(super) fn unproject(&self, target: DVec2) -> Option<DVec3> {
         let r = libm::hypot(target.x, target.y);
         if r == 0.0 && self.p == [0.0; 2] {
@@ -82,7 +92,7 @@ impl PlumbBob {
         (close && inside).then(|| DVec3::new(point.x, point.y, 1.0).normalize())
     }
 
-    /// The distorted point and its Jacobian, row by row.
+    /// The distorted point and the Jacobian of the distortion, row by row.
     fn distort(&self, q: DVec2) -> (DVec2, [f64; 4]) {
         let ([k1, k2, k3], [p1, p2]) = (self.k, self.p);
         let s = q.x * q.x + q.y * q.y;
@@ -102,7 +112,7 @@ impl PlumbBob {
         (value, jacobian)
     }
 
-    /// Inverse of the radial part alone, by bisection-guarded Newton; `None` beyond what the lens can draw.
+    /// Inverts the radial part alone, by Newton's method guarded by bisection; `None` beyond what the lens can draw.
     fn undistorted_radius(&self, distorted: f64) -> Option<f64> {
         let [k1, k2, k3] = self.k;
         let value = |r: f64| {

@@ -1,6 +1,6 @@
-//! A lens prepared for many projections a frame.
+//! Fast projection by a table, for many projections a frame.
 //!
-//! A fisheye draws a ray at `focal x r(theta) / sin(theta)` times its sideways part. That factor is a smooth function of
+//! A fisheye draws a unit ray at `focal x r(theta) / sin(theta)` times its part across the axis. That factor is a smooth function of
 //! cos(theta), tabulated here, so that a projection costs a square root instead of an arc tangent. The error
 //! against [`Lens::project`] is below 1e-3 px for 1000 px a radian (tested).
 
@@ -8,49 +8,55 @@ use glam::{DVec2, DVec3};
 
 use super::{Curve, Lens};
 
+/// A lens with a table of its projection.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Projector {
     lens: Lens,
-    /// At even steps of cos(theta) from `least_cos` up to 1; empty for lenses that are cheap as they are.
+    /// r(theta) / sin(theta) at even steps of cos(theta) from `min_cos` up to 1. Empty for pinholes, which are cheap without a table.
     factors: Vec<f64>,
-    least_cos: f64,
+    /// cos(theta) of the first entry.
+    min_cos: f64,
+    /// Number of entries for a step of 1 in cos(theta).
     nodes_per_unit: f64,
 }
 
+/// Number of entries of the table.
 const NODES: usize = 4096;
 
 impl Projector {
+    /// Tabulates the projection of a lens.
     pub fn new(lens: &Lens) -> Self {
         let lens = lens.clone();
         let Curve::Radial(radial) = &lens.curve else {
-            return Self { lens, factors: Vec::new(), least_cos: 1.0, nodes_per_unit: 0.0 };
+            return Self { lens, factors: Vec::new(), min_cos: 1.0, nodes_per_unit: 0.0 };
         };
         let max_angle = radial.max_angle();
-        // Straight behind, the factor is infinite: the last thousandth of a radian is left to the exact path.
-        let least_cos = libm::cos(max_angle.min(core::f64::consts::PI - 1e-3));
-        let step = (1.0 - least_cos) / (NODES - 1) as f64;
+        // The factor is infinite straight behind the lens: the last thousandth of a radian is left to the exact path.
+        let min_cos = libm::cos(max_angle.min(core::f64::consts::PI - 1e-3));
+        let step = (1.0 - min_cos) / (NODES - 1) as f64;
         let factors = (0..NODES)
             .map(|node| {
-                let angle = libm::acos((least_cos + node as f64 * step).clamp(-1.0, 1.0)).max(1e-9);
+                let angle = libm::acos((min_cos + node as f64 * step).clamp(-1.0, 1.0)).max(1e-9);
                 radial.radius(angle) / libm::sin(angle)
             })
             .collect();
-        Self { least_cos, nodes_per_unit: 1.0 / step, factors, lens }
+        Self { min_cos, nodes_per_unit: 1.0 / step, factors, lens }
     }
 
+    /// The lens that the table was made from.
     pub fn lens(&self) -> &Lens {
         &self.lens
     }
 
-    /// As [`Lens::project`].
+    /// Projects a ray like [`Lens::project`], with the error that the module states.
     pub fn project(&self, ray: DVec3) -> Option<DVec2> {
         let square = ray.length_squared();
         if square == f64::INFINITY {
             return self.lens.project(ray);
         }
         let inverse = 1.0 / libm::sqrt(square);
-        let at = (ray.z * inverse - self.least_cos) * self.nodes_per_unit;
-        // NaN, rays out of the table and lenses without one take the exact path.
+        let at = (ray.z * inverse - self.min_cos) * self.nodes_per_unit;
+        // NaN, rays outside the table and lenses without a table take the exact path.
         if !(at >= 0.0 && at < (NODES - 1) as f64) || self.factors.is_empty() {
             return if at < 0.0 && !self.factors.is_empty() { None } else { self.lens.project(ray) };
         }
@@ -61,8 +67,10 @@ impl Projector {
         Some(DVec2::new(p.cx + p.fx * ray.x * factor, p.cy + p.fy * ray.y * factor))
     }
 
-    /// As [`Self::project`], many rays at a time, to the precision of f32: x, y and z apart, of any length; NaN where the lens
-    /// draws nothing.
+    /// Projects `N` rays at a time like [`Self::project`], with the precision of f32.
+    ///
+    /// The argument holds x, y and z of the rays, which may have any length. The result holds u and v of the pixels, NaN outside the
+    /// field of view.
     #[inline(always)]
     pub fn project_all<const N: usize>(&self, [xs, ys, zs]: &[[f32; N]; 3]) -> [[f32; N]; 2] {
         let mut pixels = [[f32::NAN; N]; 2];
@@ -74,16 +82,16 @@ impl Projector {
             }
             return pixels;
         }
-        // Plain loops, which a compiler turns into vectors, around the one that looks up.
-        let (least_cos, nodes_per_unit) = (self.least_cos as f32, self.nodes_per_unit as f32);
+        // The compiler vectorises the loops before and after the one that reads the table.
+        let (min_cos, nodes_per_unit) = (self.min_cos as f32, self.nodes_per_unit as f32);
         let (mut inverses, mut ats) = ([0f32; N], [0f32; N]);
         for i in 0..N {
             inverses[i] = 1.0 / (xs[i] * xs[i] + ys[i] * ys[i] + zs[i] * zs[i]).sqrt();
-            ats[i] = (zs[i] * inverses[i] - least_cos) * nodes_per_unit;
+            ats[i] = (zs[i] * inverses[i] - min_cos) * nodes_per_unit;
         }
         let mut factors = [f32::NAN; N];
         for (factor, at) in factors.iter_mut().zip(&ats) {
-            // Not for NaN.
+            // NaN fails this comparison.
             if *at >= 0.0 {
                 let node = (*at as usize).min(NODES - 2);
                 let (low, high) = (self.factors[node] as f32, self.factors[node + 1] as f32);
@@ -100,7 +108,7 @@ impl Projector {
         pixels
     }
 
-    /// The pixel if it lies in the image.
+    /// Projects a ray, or gives `None` if the pixel lies outside the image.
     pub fn project_inside(&self, ray: DVec3) -> Option<DVec2> {
         self.project(ray).filter(|pixel| self.lens.contains(*pixel))
     }
@@ -140,7 +148,7 @@ mod tests {
                     let (exact, fast) = (lens.project(ray), projector.project(ray));
                     let [[u], [v]] = projector.project_all(&ray.as_vec3().to_array().map(|part| [part]));
                     match exact {
-                        // Pixels of thousands, in 24 bits.
+                        // Coordinates of some thousand pixels have 24 bits in f32.
                         Some(exact) => {
                             assert!(exact.distance(DVec2::new(u.into(), v.into())) < 2e-2, "{exact} {u} {v}")
                         }

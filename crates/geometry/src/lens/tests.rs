@@ -74,6 +74,9 @@ fn impossible_parameters_are_named() {
         Lens::new(p).expect_err("refused").to_string()
     };
     assert!(with(|p| p.fx = 0.0).contains("fx is 0"));
+    assert!(with(|p| p.fy = 1e308).contains("fy is 1e308"), "an image of a lens like that has infinite errors");
+    assert!(with(|p| p.fy = f64::NAN).contains("fy is NaN"));
+    assert!(with(|p| p.cx = 1e300).contains("cx is 1e300"));
     assert!(with(|p| p.cy = f64::NAN).contains("cy is NaN"));
     assert!(with(|p| p.width = 0).contains("image size 0"));
     assert!(with(|p| p.fov_deg = Some(-3.0)).contains("field of view -3"));

@@ -1,4 +1,4 @@
-//! AVX2: eight points side by side.
+//! The AVX2 path: eight points side by side.
 
 use core::arch::x86_64::*;
 use std::sync::LazyLock;
@@ -6,26 +6,27 @@ use std::sync::LazyLock;
 use super::{CELL_BIT, FULL, LANES, LAST, Placement, word};
 use realitysim_vision::ground::SIDE;
 
-/// How the table is read. Which is faster depends on the processor; the bits are the same.
+/// How the table is read. Which way is faster depends on the processor; the bits are the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LookUp {
-    /// The gather instruction.
+    /// By the gather instruction.
     Gather,
-    /// One load a lane.
+    /// By one load for each lane.
     Loads,
 }
 
 impl LookUp {
+    /// The faster way on this processor.
     pub(super) fn of_this_processor() -> Self {
         static CHOSEN: LazyLock<LookUp> = LazyLock::new(LookUp::chosen);
         *CHOSEN
     }
 
-    /// Intel's with AVX-VNNI (Alder Lake, Sapphire Rapids and later) gather in two thirds of the time of single loads. Those before
-    /// must guard gathers against each other ("Gather Data Sampling", INTEL-SA-00828), which makes them several times
-    /// slower, and AMD's gather one element at a time.
+    /// Chooses the gather instruction on Intel processors with AVX-VNNI (Alder Lake, Sapphire Rapids and later), where it takes two thirds
+    /// of the time of single loads. Earlier ones are patched against "Gather Data Sampling" (INTEL-SA-00828), which makes gathers
+    /// several times slower, and AMD's gather one element at a time.
     fn chosen() -> Self {
-        // Older compilers ask for `unsafe`.
+        // Older compilers require `unsafe` here.
         #[allow(unused_unsafe)]
         // SAFETY: every x86-64 processor has `cpuid`.
         let vendor = unsafe { __cpuid(0) };
@@ -34,6 +35,8 @@ impl LookUp {
     }
 }
 
+/// Sums the interpolated levels of groups of points.
+///
 /// # Safety
 /// The processor must have AVX2 and `quads` must hold SIDE x SIDE words.
 pub(super) unsafe fn sum(look_up: LookUp, quads: &[u32], groups: &[[[i16; 2]; LANES]], placement: Placement) -> u64 {
@@ -46,6 +49,8 @@ pub(super) unsafe fn sum(look_up: LookUp, quads: &[u32], groups: &[[[i16; 2]; LA
     }
 }
 
+/// [`sum`] for one way of reading the table.
+///
 /// # Safety
 /// As for [`sum`].
 #[target_feature(enable = "avx2")]
@@ -55,7 +60,7 @@ unsafe fn sum_with<const GATHER: bool>(quads: &[u32], groups: &[[[i16; 2]; LANES
     let (u0, v0) = (_mm256_set1_epi32(p.u0), _mm256_set1_epi32(p.v0));
     let shift = _mm_cvtsi32_si128(p.shift as i32);
     let (last, side) = (_mm256_set1_epi32(LAST), _mm256_set1_epi32(SIDE as i32));
-    // The byte that holds the six bits within a cell: to all four bytes, and to the lower of each two.
+    // Shuffles that copy the byte with the six fraction bits to all four bytes of a lane, and to the lower byte of each pair.
     let bytes = |of_word: i32| {
         let (a, b) = (of_word, of_word + 0x0404_0404);
         let (c, d) = (of_word + 0x0808_0808, of_word + 0x0c0c_0c0c);
@@ -86,6 +91,8 @@ unsafe fn sum_with<const GATHER: bool>(quads: &[u32], groups: &[[[i16; 2]; LANES
     lanes.iter().map(|lane| u64::from(*lane)).sum()
 }
 
+/// Reads eight words by the gather instruction.
+///
 /// # Safety
 /// The processor must have AVX2 and every lane of `index` lie in `quads`.
 #[target_feature(enable = "avx2")]
@@ -95,6 +102,8 @@ unsafe fn gather(quads: &[u32], index: __m256i) -> __m256i {
     unsafe { _mm256_i32gather_epi32::<4>(quads.as_ptr().cast(), index) }
 }
 
+/// Reads eight words by single loads.
+///
 /// # Safety
 /// As for [`gather`].
 #[target_feature(enable = "avx2")]
@@ -103,7 +112,7 @@ unsafe fn load(quads: &[u32], index: __m256i) -> __m256i {
     let (low, high) = (_mm256_castsi256_si128(index), _mm256_extracti128_si256::<1>(index));
     let (ab, cd) = (_mm_cvtsi128_si64(low) as u64, _mm_extract_epi64::<1>(low) as u64);
     let (ef, gh) = (_mm_cvtsi128_si64(high) as u64, _mm_extract_epi64::<1>(high) as u64);
-    // SAFETY: as the caller says. (An array's `map` would be compiled without AVX2, and called.)
+    // SAFETY: as the caller says. (The `map` of an array would be a call of code compiled without AVX2.)
     unsafe {
         _mm256_setr_epi32(
             word(quads, ab),

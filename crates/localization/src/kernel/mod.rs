@@ -1,9 +1,9 @@
-//! The hot loop: the sum over line points of the bilinearly interpolated ground table, for one pose.
+//! The kernel of the filter: the sum over line points of the bilinearly interpolated ground table, for one pose.
 //!
-//! In whole numbers throughout: places as 16-bit multiples of a unit, rotated by one multiply-add, a 64th of a cell as the
-//! finest step of interpolation. Sums of whole numbers are the same in any order, so all paths give the same bits.
+//! All numbers are integers: points are 16-bit multiples of a unit, rotated by one multiply-add, and interpolation has steps of
+//! a 64th of a cell. Sums of integers are the same in any order, so all paths give the same bits.
 
-// The hot loop: vector instructions behind a check that the processor has them.
+// Vector instructions are used behind a check that the processor has them.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
@@ -23,23 +23,27 @@ use realitysim_geometry::Pose2;
 use realitysim_vision::GroundTable;
 use realitysim_vision::ground::SIDE;
 
-/// Which instructions the kernel uses; the result is the same.
+/// The instructions that the kernel uses. The result is the same for all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SimdPath {
-    /// The fastest that this processor has.
+    /// The fastest path that this processor has.
     #[default]
     Auto,
+    /// No explicit vector instructions.
     Scalar,
+    /// SSE2 of x86-64.
     Sse2,
+    /// AVX2 of x86-64.
     Avx2,
+    /// NEON of aarch64.
     Neon,
 }
 
-/// Points that a look-up leaves out or takes together.
+/// Number of points in a group; a group is selected, and summed up, as a whole.
 pub const LANES: usize = 8;
 
-/// The wanted path if this processor has it, else the next best. Every x86-64 processor has SSE2, every aarch64 one NEON.
+/// The wanted path if this processor has it, else the next best one. Every x86-64 processor has SSE2, every aarch64 one NEON.
 pub fn available(wanted: SimdPath) -> SimdPath {
     #[cfg(target_arch = "x86_64")]
     {
@@ -60,32 +64,34 @@ pub fn available(wanted: SimdPath) -> SimdPath {
     }
 }
 
-/// From places to table cells for one pose: u = cos x + sin y + u0, v = cos y - sin x + v0, all in cells x 2^(14 + `shift`),
-/// modulo 2^32. Whatever lies outside of the table comes out beyond its far rim, which reads neutral.
+/// The transformation from points to table cells for one pose: u = cos x + sin y + u0, v = cos y - sin x + v0.
+///
+/// All are in cells x 2^(14 + `shift`), modulo 2^32. Points outside of the table come out beyond its far rim, which reads neutral.
 #[derive(Clone, Copy)]
 struct Placement {
     cos: i16,
     sin: i16,
     u0: i32,
     v0: i32,
-    /// At least 1, so that what is shifted is no negative number to anybody.
+    /// Right shift of u and v; at least 1, so that the shifted value is no negative number for signed instructions either.
     shift: u32,
 }
 
-/// After shifting, a table coordinate has the cell from this bit up.
+/// Lowest bit of the cell's number in a shifted table coordinate.
 const CELL_BIT: u32 = 14;
-/// The far rim.
+/// Shifted coordinate of the table's far rim.
 const LAST: i32 = (SIDE as i32 - 1) << CELL_BIT;
-/// Interpolation takes 6 bits of the place within a cell; the weights of two neighbours are `FULL` less that, and that.
+/// Lowest of the 6 bits that interpolation takes of the position within a cell, f. The weights of the two neighbours are `FULL` - f and f.
 const FRACTION_BIT: u32 = CELL_BIT - 6;
+/// Largest interpolation weight.
 const FULL: i32 = 63;
-/// What a sum is a multiple of.
+/// Factor of a sum over table levels, from two interpolations.
 const PER_LEVEL: f64 = (FULL * FULL) as f64;
-/// Points summed up in 32 bits, four sums side by side.
-const MOST_AT_ONCE: usize = 8192;
+/// Number of points whose sum is kept in 32 bits: four sums side by side do not overflow.
+const POINTS_PER_SUM: usize = 8192;
 
 impl Placement {
-    /// `None` where none of the points can lie on the table, or the pose is no number.
+    /// `None` if none of the points can lie on the table, or the pose is not finite.
     fn new(table: &GroundTable, points: &Points, pose: &Pose2) -> Option<Self> {
         let (scale, offset) = table.to_cells();
         let (sin, cos) = rotation::sin_cos(pose.yaw);
@@ -97,7 +103,7 @@ impl Placement {
         if !(near.contains(&u) && near.contains(&v)) {
             return None;
         }
-        // As fine as 16 bits hold the rotation, and 32 bits the places on both sides of the table without overlap.
+        // As fine as 16 bits can hold the rotation, and 32 bits the points on both sides of the table without overlap.
         let finest = (f64::from(i16::MAX) / unit).min(4_294_967_296.0 / (2.0 * reach + SIDE as f64 + 2.0));
         let bits = (finest as u32).max(1).ilog2().clamp(CELL_BIT + 1, 30);
         let one = f64::from(1u32 << bits);
@@ -112,6 +118,8 @@ impl Placement {
     }
 }
 
+/// Reads the word at the lower half of `index`.
+///
 /// # Safety
 /// The lower half of `index` must lie in `quads`.
 #[cfg(target_arch = "x86_64")]
@@ -121,7 +129,10 @@ unsafe fn word(quads: &[u32], index: u64) -> i32 {
     unsafe { *quads.get_unchecked((index & 0xffff_ffff) as usize) as i32 }
 }
 
-/// Sum over the points of the table's level less its neutral one, for the robot standing at `pose`.
+/// Sums, over the points, the table's level less its neutral level, for the robot standing at `pose`.
+///
+/// # Panics
+/// If the table does not hold SIDE x SIDE cells.
 pub fn sum_levels(path: SimdPath, table: &GroundTable, points: &Points, pose: &Pose2) -> f64 {
     let quads = table.quads();
     assert_eq!(quads.len(), SIDE * SIDE, "the kernel reads without further checks");
@@ -148,7 +159,7 @@ pub fn sum_levels(path: SimdPath, table: &GroundTable, points: &Points, pose: &P
         };
         of_groups + plain::sum_rest(quads, rest, placement)
     };
-    let sum: u64 = points.places.chunks(MOST_AT_ONCE).map(sum).sum();
+    let sum: u64 = points.places.chunks(POINTS_PER_SUM).map(sum).sum();
     sum as f64 / PER_LEVEL - points.len() as f64 * f64::from(table.readings().zero)
 }
 

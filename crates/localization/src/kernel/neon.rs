@@ -1,10 +1,12 @@
-//! NEON, which every aarch64 processor has: a group in two halves of four points.
+//! The NEON path, which every aarch64 processor has: a group is two halves of four points.
 
 use core::arch::aarch64::*;
 
 use super::{CELL_BIT, FRACTION_BIT, FULL, LANES, LAST, Placement};
 use realitysim_vision::ground::SIDE;
 
+/// Sums the interpolated levels of groups of points.
+///
 /// # Safety
 /// `quads` must hold SIDE x SIDE words.
 #[target_feature(enable = "neon")]
@@ -13,7 +15,7 @@ pub(super) unsafe fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placeme
     let (shift, last) = (vdupq_n_s32(-(p.shift as i32)), vdupq_n_u32(LAST as u32));
     let (low_byte, full) = (vdupq_n_u16(0xff), vdupq_n_u32(FULL as u32));
     let on_table = |cells: int32x4_t| vminq_u32(vshlq_u32(vreinterpretq_u32_s32(cells), shift), last);
-    // Two sums of four lanes: a lane holds at most half the points.
+    // Two sums of four lanes each, so that a lane adds up at most half the points.
     let (mut of_low, mut of_high) = (vdupq_n_u32(0), vdupq_n_u32(0));
     for group in groups {
         // SAFETY: a group is eight pairs of 16 bits.
@@ -28,7 +30,7 @@ pub(super) unsafe fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placeme
             let far_u = vandq_u32(vshrq_n_u32::<{ FRACTION_BIT as i32 }>(u), full);
             let far_v = vandq_u32(vshrq_n_u32::<{ FRACTION_BIT as i32 }>(v), full);
             let (near_u, near_v) = (veorq_u32(far_u, full), veorq_u32(far_v, full));
-            // Along u, both rows of a quad alike; then the rows by their weights along v.
+            // First interpolates both rows of a quad along u, then between the rows along v.
             let both = |weights: uint32x4_t| vreinterpretq_u16_u32(vsliq_n_u32::<16>(weights, weights));
             let rows = vmulq_u16(vandq_u16(quad, low_byte), both(near_u));
             let rows = vmlaq_u16(rows, vshrq_n_u16::<8>(quad), both(far_u));
@@ -40,6 +42,8 @@ pub(super) unsafe fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placeme
     vaddlvq_u32(of_low) + vaddlvq_u32(of_high)
 }
 
+/// Reads four words.
+///
 /// # Safety
 /// Every lane of `index` must lie in `quads`.
 #[target_feature(enable = "neon")]

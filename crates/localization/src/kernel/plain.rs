@@ -1,9 +1,11 @@
-//! The plain path, and the definition of what the others compute.
+//! The plain path, which defines what the other paths compute.
 
 use super::{CELL_BIT, FRACTION_BIT, FULL, LANES, LAST, Placement};
 use realitysim_vision::ground::SIDE;
 
-/// Three plain loops a group: a compiler can make the first and the last of them into whatever vectors a processor has.
+/// Sums the interpolated levels of groups of points.
+///
+/// A group takes three plain loops; the compiler can vectorise the first and the last of them.
 pub(super) fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placement) -> u64 {
     let of_group = |group: &[[i16; 2]; LANES]| {
         let (mut us, mut vs) = ([0u32; LANES], [0u32; LANES]);
@@ -20,7 +22,7 @@ pub(super) fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placement) -> 
     groups.iter().map(of_group).sum()
 }
 
-/// Of fewer points than make a group.
+/// Sums the interpolated levels of points that do not fill a group.
 pub(super) fn sum_rest(quads: &[u32], places: &[[i16; 2]], p: Placement) -> u64 {
     let read = |place: &[i16; 2]| {
         let (u, v) = cells(*place, p);
@@ -29,6 +31,7 @@ pub(super) fn sum_rest(quads: &[u32], places: &[[i16; 2]], p: Placement) -> u64 
     places.iter().map(read).sum()
 }
 
+/// Shifted table coordinates of a point.
 #[inline(always)]
 fn cells([x, y]: [i16; 2], p: Placement) -> (u32, u32) {
     let (x, y, cos, sin) = (i32::from(x), i32::from(y), i32::from(p.cos), i32::from(p.sin));
@@ -36,15 +39,16 @@ fn cells([x, y]: [i16; 2], p: Placement) -> (u32, u32) {
     (cells(x * cos + y * sin, p.u0), cells(y * cos - x * sin, p.v0))
 }
 
+/// The level between the four cells of `quad`, times [`super::PER_LEVEL`].
 #[inline(always)]
 fn interpolated(quad: u32, u: u32, v: u32) -> u32 {
-    // Of a cell and of the next one.
+    // The weights of a cell and of the next one.
     let weights = |cells: u32| {
         let far = cells >> FRACTION_BIT & FULL as u32;
         (FULL as u32 - far, far)
     };
     let [(near_u, far_u), (near_v, far_v)] = [u, v].map(weights);
-    // Two bytes side by side: those of this row and of the next.
+    // Interpolates along u in two halves of a word: this row in the lower half, the next row in the upper.
     let rows = (quad & 0x00ff_00ff) * near_u + (quad >> 8 & 0x00ff_00ff) * far_u;
     (rows & 0xffff) * near_v + (rows >> 16) * far_v
 }

@@ -1,12 +1,13 @@
-//! Sine, cosine and rounding for one pose, as exact as a rotation in 16 bits can tell: each pose needs one of them for all its
-//! points, and `libm`'s are more exact and slower than that.
+//! Sine, cosine and rounding for one pose, as exact as a rotation in 16 bits needs.
+//!
+//! Each pose needs them once for all its points; those of `libm` are more exact than necessary, and slower.
 
 use core::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
-/// Angles beyond are left to `libm`.
+/// Larger angles are left to `libm`, radians.
 const FARTHEST: f64 = 1e4;
 
-/// Within 1e-11 of the true ones (tested). NaN and infinities give NaN.
+/// Sine and cosine of an angle in radians, within 1e-11 of the true values (tested). NaN and infinities give NaN.
 #[inline(always)]
 pub(super) fn sin_cos(angle: f64) -> (f64, f64) {
     // NaN fails.
@@ -17,7 +18,7 @@ pub(super) fn sin_cos(angle: f64) -> (f64, f64) {
     let quarters = round(angle * FRAC_2_PI);
     let r = angle - f64::from(quarters) * FRAC_PI_2;
     let s = r * r;
-    // Taylor's, which ends below 1e-11 within an eighth of a turn.
+    // Taylor series, whose remainder is below 1e-11 within an eighth of a turn.
     let sin = r
         * (1.0 + s * (-1.0 / 6.0 + s * (1.0 / 120.0 + s * (-1.0 / 5040.0 + s * (1.0 / 362_880.0 - s / 39_916_800.0)))));
     let cos = 1.0
@@ -28,10 +29,10 @@ pub(super) fn sin_cos(angle: f64) -> (f64, f64) {
     if quarters & 2 == 0 { (sin, cos) } else { (-sin, -cos) }
 }
 
-/// The nearest whole number modulo 2^32, of values below 2^51; halves go to the even neighbour.
+/// Rounds a value below 2^51 to the nearest integer modulo 2^32; halves go to the even neighbour.
 #[inline(always)]
 pub(super) fn round(value: f64) -> i32 {
-    // Adding pushes everything behind the point out of the mantissa.
+    // Adding this number pushes the fraction out of the mantissa.
     const SHIFT: f64 = 6_755_399_441_055_744.0;
     (value + SHIFT).to_bits() as i32
 }

@@ -1,10 +1,12 @@
-//! SSE2, which every x86-64 processor has: four points side by side.
+//! The SSE2 path, which every x86-64 processor has: four points side by side.
 
 use core::arch::x86_64::*;
 
 use super::{CELL_BIT, FRACTION_BIT, FULL, LANES, LAST, Placement, word};
 use realitysim_vision::ground::SIDE;
 
+/// Sums the interpolated levels of groups of points.
+///
 /// # Safety
 /// `quads` must hold SIDE x SIDE words.
 #[target_feature(enable = "sse2")]
@@ -20,7 +22,7 @@ pub(super) unsafe fn sum(quads: &[u32], groups: &[[[i16; 2]; LANES]], p: Placeme
         let beyond = _mm_cmpgt_epi32(cells, last);
         _mm_or_si128(_mm_and_si128(beyond, last), _mm_andnot_si128(beyond, cells))
     };
-    // Of a cell in the lower half of each word, of the next one in the upper.
+    // The weight of a cell in the lower half of each word, that of the next cell in the upper half.
     let weights = |cells: __m128i| {
         let far = _mm_and_si128(_mm_srli_epi32::<{ FRACTION_BIT as i32 }>(cells), full);
         _mm_xor_si128(_mm_or_si128(far, _mm_slli_epi32::<16>(far)), full)

@@ -2,7 +2,7 @@ use super::*;
 use glam::DVec2;
 use proptest::prelude::*;
 
-/// What a processor lacks is the plain path there.
+/// All paths. One that this processor lacks falls back to the plain path.
 const PATHS: [SimdPath; 4] = [SimdPath::Scalar, SimdPath::Sse2, SimdPath::Avx2, SimdPath::Neon];
 
 fn random_table(seed: u32) -> GroundTable {
@@ -18,7 +18,7 @@ fn random_table(seed: u32) -> GroundTable {
     GroundTable::from_levels(&levels, 0.02)
 }
 
-/// The same sum in f64, straight from the levels.
+/// The same sum in f64, computed from the levels themselves.
 fn oracle(table: &GroundTable, points: &[DVec2], pose: &Pose2) -> f64 {
     let (scale, offset) = table.to_cells();
     let zero = f64::from(table.readings().zero);
@@ -90,7 +90,7 @@ fn the_kernel_in_whole_numbers_agrees_with_f64() {
 }
 
 #[test]
-fn a_pose_that_is_no_number_reads_neutral() {
+fn a_pose_that_is_not_finite_reads_neutral() {
     let table = random_table(5);
     let points = Points::new([DVec2::ZERO, DVec2::ONE]);
     for pose in [Pose2::new(f64::NAN, 0.0, 0.0), Pose2::new(0.0, f64::INFINITY, 1.0), Pose2::new(0.0, 0.0, f64::NAN)] {
@@ -100,11 +100,11 @@ fn a_pose_that_is_no_number_reads_neutral() {
     }
 }
 
-/// The largest sums, more of them than 32 bits hold at once, and a rest that fills no group.
+/// Covers the largest sums, more points than one 32-bit sum takes, and a rest that fills no group.
 #[test]
 fn many_points_on_the_brightest_table_do_not_overflow() {
     let table = GroundTable::from_levels(&[255; SIDE * SIDE], 0.02);
-    for count in [1, LANES - 1, LANES + 3, MOST_AT_ONCE, 3 * MOST_AT_ONCE + 5] {
+    for count in [1, LANES - 1, LANES + 3, POINTS_PER_SUM, 3 * POINTS_PER_SUM + 5] {
         let points = Points::new((0..count).map(|i| DVec2::new((i % 100) as f64 * 0.01, (i / 100) as f64 * 0.001)));
         for path in PATHS {
             let sum = sum_levels(path, &table, &points, &Pose2::default());
@@ -113,7 +113,7 @@ fn many_points_on_the_brightest_table_do_not_overflow() {
     }
 }
 
-/// A pose in another town must not come round the corner of 32 bits.
+/// The coordinates of a far-away pose must not wrap around 32 bits back onto the table.
 #[test]
 fn far_away_nothing_is_read() {
     let table = GroundTable::from_levels(&[255; SIDE * SIDE], 0.02);

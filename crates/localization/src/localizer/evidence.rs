@@ -1,60 +1,67 @@
-//! What speaks for and against the pose of one frame: for people who want to know why a tag is what it is.
+//! Evidence for and against the pose of one frame, for people who want to know why a tag is what it is.
 
 use glam::{DVec2, DVec3};
 use serde::Serialize;
 
-use super::lost::Fitting;
-use super::{Fix, Localizer, Moment};
+use super::relocalization::CandidateRefinement;
+use super::{Fix, FrameSensors, Localizer};
 use crate::filter::{Effort, always};
-use crate::global::{Pace, SearchState, Wanted};
-use crate::painted::{Explained, PaintedMap};
-use crate::refinement::offsets::Inspected;
+use crate::global_search::{Pace, SearchRequest, SearchState};
+use crate::line_distance_map::{ExplainedLines, LineDistanceMap};
+use crate::refinement::line_measurement::Inspected;
 use crate::refinement::{Agreement, Refiner};
 use realitysim_geometry::Isometry;
-use realitysim_vision::Seen;
+use realitysim_vision::Observations;
 
-/// Pixels are those of the full-size image, the first one's centre at (0, 0).
+/// Evidence for and against a pose. Pixels are those of the full-size image, the first one's centre at (0, 0).
 #[derive(Clone, Debug)]
 pub struct Evidence {
+    /// How well the expected lines are where the pose has them.
     pub agreement: Agreement,
-    pub explained: Explained,
+    /// How much of the seen line near the robot the pose explains.
+    pub explained: ExplainedLines,
     /// Share of the lines in view, at any distance, that the field has where the pose puts them.
     pub explained_in_view: f64,
     /// Line contrast of the best lines in view, as a share of the carpet's brightness; infinite if nothing can be a line.
     pub contrast: f64,
     /// Standard deviation of plain carpet where lines are looked for, as a share of its brightness.
     pub noise: f64,
-    /// Each place at which the pose has a line.
+    /// The line places of the pose.
     pub lines: Vec<Inspected>,
-    /// Each place of the floor that shows a line clearly, and whether the field has one there.
+    /// Pixel of each place of the floor that shows a line clearly, and whether the field has one there.
     pub shown: Vec<(DVec2, bool)>,
-    /// Corners of the carpet as far as it is seen; none if its edge cannot be told.
+    /// Outline of the carpet as far as it is seen, pixels; empty if its edge is not found.
     pub carpet: Vec<DVec2>,
-    /// What a search of the whole field finds in this frame alone, best first. Each pose stands for its mirror pose as well.
-    pub tried: Vec<Tried>,
+    /// Poses that a search of the whole field finds in this frame alone, best first. Each stands for its mirror pose as well.
+    pub tried: Vec<TriedPose>,
 }
 
-/// A pose of `base_footprint` that a search has tried.
+/// A pose of `base_footprint` in `map` that a search has tried.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Tried {
+pub struct TriedPose {
+    /// Position along x, metres.
     pub x: f64,
+    /// Position along y, metres.
     pub y: f64,
+    /// Heading, degrees.
     pub yaw_deg: f64,
-    /// By which candidates are ranked: visible lines that fit above half of them, times what is explained of those seen.
+    /// Rank of the pose: the visible lines that fit, less half of the visible lines, times the explained share of the seen line.
     pub worth: f64,
-    /// Line places that fit.
+    /// Number of line places that fit.
     pub fitting: usize,
-    /// Share of the line seen that the field has where the pose puts it.
+    /// Share of the seen line that the field has where the pose puts it.
     pub explained: f64,
 }
 
 impl Evidence {
-    /// Of a pose in what is seen from it: `footprint_from_optical` is the place that it was looked from. Lines are looked for as if the
-    /// lens were as calibrated.
+    /// Collects the evidence for a pose in what a frame shows.
+    ///
+    /// `footprint_from_optical` is the camera's place that the frame's ground table was made with. Lines are looked for as if the lens
+    /// were as calibrated. `agreement`, `explained` and `tried` are left empty.
     pub fn of_pose(
-        seen: &Seen,
+        seen: &Observations,
         refiner: &Refiner,
-        painted: &PaintedMap,
+        painted: &LineDistanceMap,
         footprint_from_optical: Option<&Isometry>,
         map_from_optical: &Isometry,
     ) -> Self {
@@ -72,7 +79,7 @@ impl Evidence {
         }
         Self {
             agreement: Agreement::default(),
-            explained: Explained::default(),
+            explained: ExplainedLines::default(),
             explained_in_view,
             contrast: f64::from(seen.image.full_contrast()),
             noise: f64::from(seen.image.noise()),
@@ -85,41 +92,42 @@ impl Evidence {
 }
 
 impl Localizer {
-    /// Of the frame that `fix` is the answer for.
-    pub fn evidence(&self, moment: &Moment, seen: &Seen, fix: &Fix) -> Evidence {
+    /// Collects the evidence for `fix`, the answer for the frame `seen`.
+    pub fn evidence(&self, moment: &FrameSensors, seen: &Observations, fix: &Fix) -> Evidence {
         let place = moment.footprint_from_optical.as_ref();
         Evidence {
             agreement: fix.agreement,
             explained: fix.explained,
-            tried: self.tried(moment, seen),
+            tried: self.search_afresh(moment, seen),
             ..Evidence::of_pose(seen, &self.refiner, &self.painted, place, &fix.map_from_optical)
         }
     }
 
-    /// By a search that knows nothing of frames before.
-    fn tried(&self, moment: &Moment, seen: &Seen) -> Vec<Tried> {
+    /// Searches the whole field by this frame alone.
+    fn search_afresh(&self, moment: &FrameSensors, seen: &Observations) -> Vec<TriedPose> {
         let mut other = self.clone();
         let mut effort = Effort::default();
         let (mut state, observation) = (SearchState::default(), other.filter.observation());
         let found = other.search.run(
             observation,
             &seen.table,
-            Wanted { candidates: SHOWN, pace: Pace::Hurried },
+            SearchRequest { candidates: SHOWN, pace: Pace::Hurried },
             &mut state,
             &mut effort,
             &mut always,
         );
-        other.state.fitting = Fitting::of(None, &found.unwrap_or_default());
-        other.fit(moment, seen, &mut effort, &mut always);
-        other.state.fitting.tried()
+        other.state.fitting = CandidateRefinement::of(None, &found.unwrap_or_default());
+        other.refine_candidates(moment, seen, &mut effort, &mut always);
+        other.state.fitting.tried_poses()
     }
 }
 
-/// Candidates that are shown.
+/// Number of candidates that are shown.
 const SHOWN: usize = 8;
-/// Pieces of each edge: a lens bends it.
+/// Number of pieces that each edge of the carpet is drawn in, since a lens bends it.
 const PIECES: usize = 12;
 
+/// Projects the outline of the carpet into the image.
 fn border(corners: &[DVec2], place: &Isometry, project: impl Fn(DVec3) -> Option<DVec2>) -> Vec<DVec2> {
     let optical_from_footprint = place.inverse();
     let next = corners.iter().cycle().skip(1);

@@ -1,160 +1,193 @@
-//! From frame to frame: particles find the basin, refinement finds the pose, and both must agree with the lines before
-//! a pose is believed.
+//! Localization from frame to frame.
+//!
+//! Particles find the basin of attraction, refinement finds the pose in it, and both must agree with the lines before the pose is believed.
 
 mod evidence;
-mod lost;
+mod relocalization;
 
-pub use evidence::{Evidence, Tried};
-pub use lost::Fitting;
+pub use evidence::{Evidence, TriedPose};
 use nalgebra::{Matrix6, Vector6};
+pub use relocalization::CandidateRefinement;
 use serde::{Deserialize, Serialize};
 
 use super::estimate::Estimate;
+use super::fall_detection::{FallDetector, FallState};
 use super::filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
-use super::frozen::Frozen;
-use super::global::{Search, SearchState};
-use super::known::Known;
+use super::frozen_image::FrozenImageDetector;
+use super::global_search::{GlobalSearch, SearchState};
+use super::last_known_pose::LastKnownPose;
+use super::line_distance_map::{ExplainedLines, LineDistanceMap};
 use super::observation::{Observation, Support};
-use super::painted::{Explained, PaintedMap};
 use super::particles::Spread;
-use super::posture::{Posture, Stand};
 use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{self, Agreement, OF_LENS, Prior, Refined, Refiner};
-use super::track::{Prediction, Step, Track, TrackModel};
-use super::verdict::{Confidence, Rules, Standing, Validity, agrees, is_contradicted, is_lost, stands};
+use super::rejection::Rejection;
+use super::slow_states::{Prediction, SlowStateFilter, SlowStateModel, Step};
+use super::validation::{PoseValidator, Rules, TrackingState, Validity, agrees, is_contradicted, is_lost, stands};
 use realitysim_geometry::{Field, Isometry, Lens, Physical, Pose2, Twist, wrap_angle};
-use realitysim_vision::Seen;
+use realitysim_vision::{ImageDefect, Observations};
 
+/// Settings of a [`Localizer`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalizerSettings {
+    /// Settings of the particle filter.
     pub filter: FilterSettings,
-    pub track: TrackModel,
-    /// Whether poses are refined; without it the best particle is the answer.
+    /// Noise of the slow states and of the prediction that refinement starts from.
+    pub track: SlowStateModel,
+    /// Whether poses are refined; otherwise the best particle is the answer.
     pub refinement: bool,
-    /// There is no odometry, on purpose.
+    /// Whether there is no odometry, on purpose.
     pub random_walk: bool,
-    /// Around a pose that was announced or found.
+    /// Spread of the particles around a pose that was announced or found.
     pub initial: Spread,
+    /// Limits that a pose must keep to be believed.
     pub valid: Validity,
 }
 
+/// Everything that the next frame depends on; a checkpoint keeps it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LocalizerState {
+    /// State of the particle filter.
     pub filter: FilterState,
-    pub track: Option<Track>,
-    /// Time and odometry of the last frame, or of what came after it that steps count from.
+    /// Pose and slow states that refinement follows, called the track; `None` before the first pose.
+    pub track: Option<SlowStateFilter>,
+    /// Time (ns) and odometry that the next step is measured from: those of the last frame, or later ones.
     pub last: Option<(i64, Option<Pose2>)>,
-    pub standing: Standing,
-    pub posture: Posture,
-    pub frozen: Frozen,
-    /// For how long nothing has said how far the robot walked, seconds.
+    /// What the frames so far say about the pose.
+    pub validator: PoseValidator,
+    /// Follows the robot through falls.
+    pub posture: FallDetector,
+    /// Recognises a camera that repeats its picture.
+    pub frozen: FrozenImageDetector,
+    /// Time for which nothing has measured how far the robot walked, seconds.
     pub adrift_s: f64,
-    pub known: Option<Known>,
+    /// The last pose that was known, carried on since then.
+    pub known: Option<LastKnownPose>,
+    /// Search of the field under way.
     pub search: SearchState,
-    pub fitting: Fitting,
-    /// The pose was found without being told which half of the field it is in.
+    /// Candidates of the last search that are being refined.
+    pub fitting: CandidateRefinement,
+    /// Whether the mirror pose is as likely: the pose was found without knowing which half of the field the robot is in.
     pub ambiguous: bool,
 }
 
 impl Physical for LocalizerState {
     fn is_possible(&self) -> bool {
-        let Self { filter, track, last, standing, posture: _, frozen, adrift_s, known, search, fitting, ambiguous: _ } =
+        let Self { filter, track, last, validator, posture: _, frozen, adrift_s, known, search, fitting, ambiguous: _ } =
             self;
         let odometry = last.and_then(|(_, odometry)| odometry);
         (filter.particles.is_possible() && track.is_possible() && odometry.is_possible())
-            && (standing.is_possible() && frozen.is_possible() && adrift_s.is_possible())
+            && (validator.is_possible() && frozen.is_possible() && adrift_s.is_possible())
             && (known.is_possible() && search.is_possible() && fitting.is_possible())
     }
 }
 
-/// What else than the image is known of a frame.
+/// What sensors other than the camera say at the time of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moment {
+pub struct FrameSensors {
+    /// Time of the frame, nanoseconds.
     pub stamp_ns: i64,
+    /// Pose of `base_footprint` by odometry, if known.
     pub odometry: Option<Pose2>,
-    /// Since the frame before, by gyro.
+    /// Turn of the robot since the last frame by gyro, radians.
     pub turned_rad: Option<f64>,
-    /// How far the torso has rolled and pitched since then, to and fro, by gyro.
+    /// Sum of the torso's roll and pitch, to and fro, since the last frame by gyro, radians.
     pub swayed_rad: Option<f64>,
-    /// How the camera moves, if something says so.
+    /// Motion of the camera, if something measures it.
     pub camera_twist: Option<Twist>,
-    /// It turns as a gyro has told.
+    /// Whether a gyro has measured the rotation in `camera_twist`.
     pub turn_is_felt: bool,
-    /// By IMU, joints and mount.
+    /// Pose of the camera in `base_footprint`, by IMU, joints and mount.
     pub footprint_from_optical: Option<Isometry>,
-    /// Something measures the torso's tilt; without it a walking torso sways unseen.
+    /// Whether the torso's tilt is measured; otherwise a walking torso sways unseen.
     pub tilt_is_measured: bool,
-    /// Between the torso's axis and the vertical, if something measures it.
+    /// Angle between the torso's axis and the vertical, if measured, radians.
     pub lean_rad: Option<f64>,
-    /// What was measured is too old to describe a moving robot.
+    /// Whether a measurement is too old to describe a moving robot.
     pub stale: bool,
 }
 
-/// How a lens differs from its calibration by what has been seen, each with its standard deviation.
+/// Estimated differences of a lens from its calibration, each with its standard deviation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LensOff {
     /// Share by which the focal length is longer.
     pub stretch: (f64, f64),
+    /// Shift of the optical centre along u, pixels.
     pub centre_u_px: (f64, f64),
+    /// Shift of the optical centre along v, pixels.
     pub centre_v_px: (f64, f64),
 }
 
 /// The answer for one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fix {
-    /// Of the particles; poses of `base_footprint`.
+    /// Estimate of the particles: `base_footprint` in `map`.
     pub estimate: Estimate,
+    /// How much of the line that the best particle predicts is seen.
     pub support: Support,
-    /// The refined pose, or where the track puts the camera when nothing could be refined.
+    /// Pose of the camera: refined, or predicted when nothing could be refined.
     pub map_from_optical: Isometry,
-    /// x, y, z, rotation about x, y, z of `map`.
+    /// Covariance of that pose: x, y, z (m) and rotation about x, y, z (rad) of `map`.
     pub covariance: Matrix6<f64>,
+    /// Whether the pose was refined by lines of this frame.
     pub refined: bool,
-    /// The lines say that the camera is not where odometry and IMU have it, by more than these admit.
+    /// Whether lines put the camera farther from where odometry and IMU have it than their errors admit.
     pub surprised: bool,
-    /// The pose is farther from where the robot was last known to be than it can have come.
+    /// Whether the pose is farther from where the robot was last known to be than it can have come.
     pub strays: bool,
-    /// Nothing says how far the robot has walked since the last frame.
+    /// Whether nothing has measured how far the robot walked since the last frame.
     pub adrift: bool,
-    /// Of a pose that is to be confirmed: its lines fit better through another lens, or from a camera that no mount puts there.
+    /// Whether the lines of a candidate fit better through another lens, or from a camera where no mount puts it.
     pub misfits: bool,
+    /// How well the expected lines are where the pose has them.
     pub agreement: Agreement,
-    pub explained: Explained,
-    /// Of a pose that is to be confirmed: the share of the lines in the picture, however far, that are painted where it has them, 0 to 1.
+    /// How much of the seen line near the robot the pose explains.
+    pub explained: ExplainedLines,
+    /// Share of the lines in the picture, at any distance, that are painted where a candidate has them, 0 to 1; 1 if not computed.
     pub explained_in_view: f64,
+    /// What the frame has cost.
     pub effort: Effort,
-    /// The mirror pose is as likely.
+    /// Whether the mirror pose is as likely.
     pub ambiguous: bool,
     /// Why the pose is not to be used; `None` when it is.
-    pub doubt: Option<&'static str>,
+    pub rejection: Option<Rejection>,
 }
 
-/// A restarted robot may have been carried: the cloud is widened by this.
-const RESTART: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
-/// After as long as this a place that was kept over a restart is one among many, in either half of the field: in four seconds a
-/// robot walks a metre, or is picked up.
+/// Spread that is added to the particles at a restart, since the robot may have been carried.
+const RESTART_SPREAD: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
+/// Longest absence of odometry, seconds, after which a pose kept over a restart still counts. In four seconds a robot walks a
+/// metre, or is picked up, and may then be in either half of the field.
 const LONGEST_AWAY_S: f64 = 4.0;
-/// Longer gaps say nothing more about where the robot went.
+/// Longest step between frames, seconds: a longer gap says nothing more about where the robot went.
 const LONGEST_STEP_S: f64 = 5.0;
-/// No humanoid walks this fast: odometry that says so has jumped.
+/// Highest speed, metres per second: no humanoid walks this fast, so odometry that says so has jumped.
 const FASTEST_M_PER_S: f64 = 3.0;
 /// A torso that rolls and pitches faster than this on average walks, or marches on the spot: 5 degrees a second.
 pub(super) const SWAYS_RAD_PER_S: f64 = 0.09;
-/// Who walks goes on walking: for so long steps of which nothing is known add up as if they were one.
+/// Longest time without odometry, seconds, for which unknown steps add up in one direction: a walking robot goes on walking.
 const LONGEST_ADRIFT_S: f64 = 0.5;
-/// A gyro that says more is broken or counts in degrees.
+/// Highest turning rate, radians per second: a gyro that shows more is broken or counts in degrees.
 const FASTEST_RAD_PER_S: f64 = 10.0;
-/// How far a walking torso that nothing measures leans from upright: 2.5 degrees.
+/// Standard deviation of a walking torso's tilt where nothing measures it: 2.5 degrees.
 const UNMEASURED_TILT_RAD: f64 = 0.044;
-/// A best particle farther than this from the predicted pose is refined from as well.
+/// Distance of the best particle from the predicted pose above which refinement starts from both, metres.
 const OTHER_BASIN_M: f64 = 0.12;
+/// The same for the heading, radians.
 const OTHER_BASIN_RAD: f64 = 0.06;
-/// Track and particles that differ by more are not about the same place: the one that fits better wins.
-const APART_M: f64 = 0.4;
-/// A lens whose focal length is off by more was not calibrated.
+/// Distance (m) and turn (rad) between track and particles above which they follow different poses: the one that fits better wins.
+const APART: f64 = 0.4;
+/// Largest deviation of the focal length, as a share, of a lens that was calibrated.
 const MOST_STRETCH: f64 = 0.03;
 /// Squared deviation from the prediction, per unknown, above which the prediction is doubted.
 const SURPRISE: f64 = 3.0;
+
+/// The rejection of a picture in which nothing can be seen for a plain reason.
+fn image_rejection(seen: &Observations) -> Option<Rejection> {
+    seen.summary.defect().map(|defect| match defect {
+        ImageDefect::TooDark => Rejection::TooDark,
+        ImageDefect::Overexposed => Rejection::Overexposed,
+    })
+}
 
 impl LocalizerSettings {
     fn rules<'a>(&'a self, field: &'a Field) -> Rules<'a> {
@@ -162,23 +195,23 @@ impl LocalizerSettings {
     }
 }
 
+/// Localizes one camera on one field, frame by frame.
 #[derive(Clone, Debug)]
 pub struct Localizer {
     field: Field,
     refiner: Refiner,
-    painted: PaintedMap,
+    painted: LineDistanceMap,
     filter: Filter,
-    search: Search,
+    search: GlobalSearch,
     settings: LocalizerSettings,
+    /// The state without that of the filter, which `filter` holds.
     state: LocalizerState,
-    /// How often the state was no state of a robot, and was begun anew.
+    /// Number of times that the state was not finite and was reset.
     begun_anew: u64,
 }
 
-/// Why a frame's pose is not to be used: what came of it was not finite, and everything was forgotten.
-pub const NUMERICAL_FAULT: &str = "numerical_fault";
-
 impl Localizer {
+    /// Makes a localizer that goes on from `state`.
     pub fn new(
         settings: LocalizerSettings,
         field: Field,
@@ -186,11 +219,11 @@ impl Localizer {
         observation: Observation,
         state: LocalizerState,
     ) -> Self {
-        let search = Search::new(&field, lost::SEARCH_MARGIN_M, &observation);
+        let search = GlobalSearch::new(&field, relocalization::SEARCH_MARGIN_M, &observation);
         let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
         Self {
             refiner: Refiner::new(&field, lens),
-            painted: PaintedMap::new(&field),
+            painted: LineDistanceMap::new(&field),
             field,
             filter,
             search,
@@ -200,30 +233,32 @@ impl Localizer {
         }
     }
 
-    /// What a checkpoint keeps.
+    /// The state after the last frame, which a checkpoint keeps.
     pub fn state(&self) -> LocalizerState {
         LocalizerState { filter: self.filter.state().clone(), ..self.state.clone() }
     }
 
+    /// The settings that the localizer was made with.
     pub fn settings(&self) -> &LocalizerSettings {
         &self.settings
     }
 
+    /// The observation model that weighs particles.
     pub fn observation(&self) -> &Observation {
         self.filter.observation()
     }
 
-    /// Weights of particles so far that were NaN or +inf: whoever sees any has found a fault.
+    /// Number of weights of particles so far that were NaN or +inf. Any other number than 0 shows a fault of the program.
     pub fn unusable_weights(&self) -> u64 {
         self.filter.unusable_weights()
     }
 
-    /// Frames so far after which everything was forgotten, since numbers had become none.
+    /// Number of frames so far after which the state was reset, since a number was not finite.
     pub fn begun_anew(&self) -> u64 {
         self.begun_anew
     }
 
-    /// How the lens differs from its calibration.
+    /// Estimated differences of the lens from its calibration; `None` before the first pose.
     pub fn lens_off(&self) -> Option<LensOff> {
         let track = self.state.track.as_ref()?;
         let (Miscalibration { stretch, shift, .. }, [of_stretch, of_u, of_v, _]) = (track.lens(), track.lens_sigmas());
@@ -235,54 +270,57 @@ impl Localizer {
         })
     }
 
-    /// After a restart: the pose is kept, but the robot may have been carried, and odometry counts anew.
+    /// Resumes after a restart: the pose is kept, but the robot may have been carried, and odometry begins anew.
     pub fn resume(&mut self) {
-        if self.state.standing.confidence != Confidence::Nowhere {
-            self.filter.widen(RESTART);
-            self.state.track =
-                self.state.track.as_ref().map(|track| track.moved_to(track.pose(), RESTART.xy_m, RESTART.yaw_rad));
-            self.state.standing.kept();
+        if self.state.validator.tracking != TrackingState::Lost {
+            self.filter.widen(RESTART_SPREAD);
+            self.state.track = self
+                .state
+                .track
+                .as_ref()
+                .map(|track| track.moved_to(track.pose(), RESTART_SPREAD.xy_m, RESTART_SPREAD.yaw_rad));
+            self.state.validator.start_restored();
         }
         self.state.last = self.state.last.map(|(stamp_ns, _)| (stamp_ns, None));
     }
 
-    /// The next step is from where odometry had the robot at that time.
+    /// Sets time and odometry that the next step is measured from.
     pub fn count_from(&mut self, stamp_ns: i64, odometry: Pose2) {
         let last = self.state.last.replace((stamp_ns, Some(odometry)));
         let (last_ns, heard) = last.unzip();
-        if heard.flatten().is_none() && !self.state.standing.was_told() {
+        if heard.flatten().is_none() && !self.state.validator.was_announced() {
             let away_s = last_ns.map_or(f64::INFINITY, |last_ns| stamp_ns.abs_diff(last_ns) as f64 * 1e-9);
-            self.was_away(away_s);
+            self.note_absence(away_s);
         }
     }
 
-    /// For so long nobody has counted the robot's steps.
-    fn was_away(&mut self, seconds: f64) {
+    /// Notes that no odometry was heard for so many seconds.
+    fn note_absence(&mut self, seconds: f64) {
         if seconds > LONGEST_AWAY_S {
-            self.state.standing.was_away();
-            self.state.ambiguous |= self.state.standing.confidence != Confidence::Nowhere;
-            self.state.known.iter_mut().for_each(Known::is_past);
+            self.state.validator.drop_restored();
+            self.state.ambiguous |= self.state.validator.tracking != TrackingState::Lost;
+            self.state.known.iter_mut().for_each(LastKnownPose::expire);
         } else {
-            self.state.known.iter_mut().for_each(|known| known.was_away(seconds));
+            self.state.known.iter_mut().for_each(|known| known.note_absence(seconds));
         }
     }
 
-    /// Somebody says where the robot is.
+    /// Starts over at a pose of `base_footprint` in `map` that somebody has announced.
     pub fn start_at(&mut self, pose: Pose2, spread: Spread) {
-        self.place(pose, spread);
-        self.state.known = Some(Known::told(pose, spread.xy_m));
-        self.state.standing.told();
+        self.restart_at(pose, spread);
+        self.state.known = Some(LastKnownPose::announced(pose, spread.xy_m));
+        self.state.validator.start_announced();
         self.state.ambiguous = false;
     }
 
-    /// One frame of which something was seen. `may_go_on` says when time is up: see [`MayGoOn`].
-    pub fn look(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
+    /// Localizes one frame whose image was looked at. `may_go_on` decides when time is up: see [`MayGoOn`].
+    pub fn look(&mut self, moment: &FrameSensors, seen: &Observations, may_go_on: &mut MayGoOn) -> Fix {
         let fix = self.look_unchecked(moment, seen, may_go_on);
-        self.checked(fix, moment)
+        self.reset_unless_finite(fix, moment)
     }
 
-    /// What is not finite leaves with its frame: neither its pose nor what was remembered of it is used again.
-    fn checked(&mut self, fix: Fix, moment: &Moment) -> Fix {
+    /// Resets the state and rejects the frame if a number of either is not finite, so that it is not used again.
+    fn reset_unless_finite(&mut self, fix: Fix, moment: &FrameSensors) -> Fix {
         let is_sound = self.state.is_possible() && self.filter.state().particles.is_possible();
         if is_sound && fix.is_possible() {
             return fix;
@@ -292,109 +330,112 @@ impl Localizer {
         self.filter.exchange(&mut nothing);
         let last = self.state.last.map(|(stamp_ns, _)| (stamp_ns, None));
         self.state = LocalizerState { last, ..LocalizerState::default() };
-        let mut fix = self.predicted(moment, Estimate::unknown(), Support::default());
-        fix.doubt = Some(NUMERICAL_FAULT);
+        let mut fix = self.predicted_fix(moment, Estimate::unknown(), Support::default());
+        fix.rejection = Some(Rejection::NumericalFault);
         fix
     }
 
-    fn look_unchecked(&mut self, moment: &Moment, seen: &Seen, may_go_on: &mut MayGoOn) -> Fix {
-        if self.lies(moment) {
-            return self.drift(moment, "fallen");
+    /// [`Self::look`] without the check for numbers that are not finite.
+    fn look_unchecked(&mut self, moment: &FrameSensors, seen: &Observations, may_go_on: &mut MayGoOn) -> Fix {
+        if self.detect_fall(moment) {
+            return self.dead_reckon(moment, Rejection::Fallen);
         }
-        if self.state.frozen.judge(moment, seen.glance.fingerprint) {
-            return self.drift(moment, seen.glance.flaw().unwrap_or("image_frozen"));
+        if self.state.frozen.detect_freeze(moment, seen.summary.fingerprint) {
+            return self.dead_reckon(moment, image_rejection(seen).unwrap_or(Rejection::ImageFrozen));
         }
         let mut effort = Effort::default();
-        let mut step = self.step_to(moment);
+        let mut step = self.measure_step(moment);
         let seconds = step.seconds;
-        let mut walked = self.walked(&step);
-        self.carry_on(&step);
+        let mut walked = self.particle_step(&step);
+        self.move_hypotheses(&step);
         if self.must_search() && self.search(moment, seen, walked, &mut effort, may_go_on) {
-            // What was found in this image is where the robot is now.
+            // The pose was found in this image, so it needs no step.
             (step, walked) = (Step::none(), Some(Pose2::default()));
         }
         let estimate = self.filter.step(walked, step.seconds, &seen.table, &mut effort, may_go_on);
         let support = self.filter.observation().support(seen.lines(), &estimate.best);
-        self.predict(&step);
+        self.predict_track(&step);
         let mut fix = self.refine(moment, seen, estimate, support);
         self.reconcile(seen, &fix);
         fix.effort = effort;
         if let Some(place) = &moment.footprint_from_optical {
             fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
-            // Nothing else than confirming a pose asks for it.
-            if matches!(self.state.standing.confidence, Confidence::Unconfirmed(_)) {
+            // Only the confirmation of a candidate needs it.
+            if matches!(self.state.validator.tracking, TrackingState::Candidate { .. }) {
                 let (lens, pose) = (self.refiner.lens(), &fix.map_from_optical);
                 fix.explained_in_view = self.painted.explained_in_view(seen, lens, place, pose);
             }
         }
-        let at = self.state.track.as_ref().map_or(fix.estimate.best, Track::pose);
+        let at = self.state.track.as_ref().map_or(fix.estimate.best, SlowStateFilter::pose);
         fix.strays = self.state.known.is_some_and(|known| known.is_far_from(&at));
         let rules = self.settings.rules(&self.field);
-        fix.doubt = self.state.standing.judge(&rules, moment, &fix, seconds);
-        if matches!(fix.doubt, Some("pose_unknown" | "few_lines" | "lines_disagree")) {
-            fix.doubt = seen.glance.flaw().or(fix.doubt);
+        fix.rejection = self.state.validator.judge(&rules, moment, &fix, seconds);
+        if matches!(fix.rejection, Some(Rejection::PoseUnknown | Rejection::FewLines | Rejection::LinesDisagree)) {
+            fix.rejection = image_rejection(seen).or(fix.rejection);
         }
-        let is_in_view = self.state.standing.is_in_view(&rules, moment, &fix);
-        if let Some(known) = self.state.known.as_mut().filter(|_| is_in_view || fix.doubt.is_none()) {
+        let is_in_view = self.state.validator.is_in_view(&rules, moment, &fix);
+        if let Some(known) = self.state.known.as_mut().filter(|_| is_in_view || fix.rejection.is_none()) {
             self.state.ambiguous |= known.may_be_mirrored();
             fix.ambiguous = self.state.ambiguous;
-            known.is_seen();
+            known.confirm_by_lines();
         }
-        if fix.doubt.is_none() {
-            self.state.known = self.state.track.as_ref().map(|track| Known::at(track.pose()));
+        if fix.rejection.is_none() {
+            self.state.known = self.state.track.as_ref().map(|track| LastKnownPose::at(track.pose()));
         }
         fix
     }
 
-    /// One frame of which nothing could be seen: where odometry puts the robot.
-    pub fn coast(&mut self, moment: &Moment, reason: &'static str) -> Fix {
-        let reason = if self.lies(moment) { "fallen" } else { reason };
-        let fix = self.drift(moment, reason);
-        self.checked(fix, moment)
+    /// Localizes one frame in which nothing could be seen: by odometry alone. The frame is rejected for `reason`, or for a fall.
+    pub fn coast(&mut self, moment: &FrameSensors, reason: Rejection) -> Fix {
+        let reason = if self.detect_fall(moment) { Rejection::Fallen } else { reason };
+        let fix = self.dead_reckon(moment, reason);
+        self.reset_unless_finite(fix, moment)
     }
 
-    /// Where odometry puts the robot at a time of which there is no frame. `None` where the place was not known, or is not
-    /// any more.
-    pub fn foresee(&mut self, moment: &Moment, reason: &'static str) -> Option<Fix> {
+    /// Where odometry puts the robot at a time without a frame. `None` if the pose was not known, or has become too uncertain.
+    pub fn foresee(&mut self, moment: &FrameSensors, reason: Rejection) -> Option<Fix> {
         let fix = self.coast(moment, reason);
-        (fix.doubt != Some(NUMERICAL_FAULT) && self.state.standing.is_known() && !is_lost(&fix.covariance))
-            .then_some(fix)
+        (fix.rejection != Some(Rejection::NumericalFault)
+            && self.state.validator.is_known()
+            && !is_lost(&fix.covariance))
+        .then_some(fix)
     }
 
-    /// Goes on from another state, and hands out its own.
+    /// Swaps the localizer's state with `state`.
     pub fn exchange(&mut self, state: &mut LocalizerState) {
         self.filter.exchange(&mut self.state.filter);
         core::mem::swap(&mut self.state, state);
         self.filter.exchange(&mut self.state.filter);
     }
 
-    /// On the floor, or on its way there or up again. Whoever has got up may be somewhere else.
-    fn lies(&mut self, moment: &Moment) -> bool {
-        let stand = self.state.posture.judge(moment.stamp_ns, moment.lean_rad);
-        if stand == Stand::HasRisen {
-            self.state.standing.confidence = Confidence::Nowhere;
+    /// Whether the robot is falling, lies on the floor or is getting up. After that its pose counts as lost, since it may have moved.
+    fn detect_fall(&mut self, moment: &FrameSensors) -> bool {
+        let stand = self.state.posture.update(moment.stamp_ns, moment.lean_rad);
+        if stand == FallState::HasRisen {
+            self.state.validator.tracking = TrackingState::Lost;
         }
-        let is_down = stand == Stand::Fallen;
+        let is_down = stand == FallState::Fallen;
         if is_down {
-            self.state.known.iter_mut().for_each(Known::fell);
+            self.state.known.iter_mut().for_each(LastKnownPose::note_fall);
         }
         is_down
     }
 
-    fn drift(&mut self, moment: &Moment, reason: &'static str) -> Fix {
-        let step = self.step_to(moment);
-        let walked = self.walked(&step);
-        self.carry_on(&step);
+    /// Carries the pose on by odometry and gyro alone.
+    fn dead_reckon(&mut self, moment: &FrameSensors, reason: Rejection) -> Fix {
+        let step = self.measure_step(moment);
+        let walked = self.particle_step(&step);
+        self.move_hypotheses(&step);
         let estimate = self.filter.coast(walked, step.seconds);
-        self.predict(&step);
-        let mut fix = self.predicted(moment, estimate, Support::default());
+        self.predict_track(&step);
+        let mut fix = self.predicted_fix(moment, estimate, Support::default());
         fix.effort.particles = self.filter.state().particles.len() as u32;
-        fix.doubt = Some(reason);
+        fix.rejection = Some(reason);
         fix
     }
 
-    /// What the sensors say of the robot's step since the last frame.
-    fn step_to(&mut self, moment: &Moment) -> Step {
+    /// The robot's step since the last frame, as far as sensors can be trusted. The next step is measured from this frame.
+    fn measure_step(&mut self, moment: &FrameSensors) -> Step {
         let odometry = moment.odometry.filter(Physical::is_possible);
         let last = self.state.last.replace((moment.stamp_ns, odometry));
         let Some((last_ns, last_odometry)) = last else {
@@ -404,7 +445,7 @@ impl Localizer {
         if self.settings.random_walk {
             return Step { odometry: None, turned_rad: None, seconds };
         }
-        // Odometry that stands still to the last bit says something only if the body is known to stand still too.
+        // Odometry that is the same to the last bit counts only if the torso is known to stand still too.
         let stands = moment.swayed_rad.is_some_and(|swayed| swayed <= SWAYS_RAD_PER_S * seconds);
         let odometry = last_odometry.zip(odometry).filter(|(before, now)| before != now || stands);
         let odometry = odometry.map(|(before, now)| before.inverse().compose(&now));
@@ -413,28 +454,30 @@ impl Localizer {
         Step { odometry: odometry.filter(possible), turned_rad, seconds }
     }
 
-    /// The same for the particles, which follow no gyro of their own.
-    fn walked(&self, step: &Step) -> Option<Pose2> {
-        let turned = self.turned(step);
+    /// The step for the particles: odometry, whose turn is replaced by that of the gyro if there is one.
+    fn particle_step(&self, step: &Step) -> Option<Pose2> {
+        let turned = self.gyro_turn(step);
         step.odometry.map(|odometry| Pose2 { yaw: turned.unwrap_or(odometry.yaw), ..odometry })
     }
 
-    /// By gyro.
-    fn turned(&self, step: &Step) -> Option<f64> {
+    /// The robot's turn by gyro, corrected for its bias, radians.
+    fn gyro_turn(&self, step: &Step) -> Option<f64> {
         step.turned_rad.and_then(|turned| Some(self.state.track.as_ref()?.turned(turned, step.seconds)))
     }
 
-    /// Who falls or is carried turns although no odometry says so.
-    fn carry_on(&mut self, step: &Step) {
-        let turned = self.turned(step);
+    /// Moves the last known pose and the search's candidates by the step. Without odometry they turn by gyro: a robot that falls or is
+    /// carried turns although odometry does not show it.
+    fn move_hypotheses(&mut self, step: &Step) {
+        let turned = self.gyro_turn(step);
         let walked = step.odometry.unwrap_or_default();
         let walked = Pose2 { yaw: turned.unwrap_or(walked.yaw), ..walked };
-        self.state.known.iter_mut().for_each(|known| known.carry_on(&walked, step.seconds, turned.is_some()));
-        self.state.search.carry_on(&walked);
-        self.state.fitting.carry_on(&walked);
+        self.state.known.iter_mut().for_each(|known| known.move_by(&walked, step.seconds, turned.is_some()));
+        self.state.search.move_by(&walked);
+        self.state.fitting.move_by(&walked);
     }
 
-    fn predict(&mut self, step: &Step) {
+    /// Predicts the track. Where odometry is missing, its uncertainty grows by how far the robot can walk.
+    fn predict_track(&mut self, step: &Step) {
         let LocalizerSettings { track: model, filter, random_walk, .. } = &self.settings;
         let before_s = self.state.adrift_s;
         let unheard = step.odometry.is_none() && !random_walk;
@@ -446,22 +489,24 @@ impl Localizer {
         }
     }
 
-    fn place(&mut self, pose: Pose2, spread: Spread) {
+    /// Starts particles and track over around a pose.
+    fn restart_at(&mut self, pose: Pose2, spread: Spread) {
         (self.state.search, self.state.fitting) = Default::default();
         self.filter.restart(pose, spread);
         let Spread { xy_m, yaw_rad } = spread;
         self.state.track = Some(match &self.state.track {
             Some(track) => track.moved_to(pose, xy_m, yaw_rad).with_lens_doubted(&self.settings.track),
-            None => Track::around(pose, xy_m, yaw_rad, &self.settings.track),
+            None => SlowStateFilter::around(pose, xy_m, yaw_rad, &self.settings.track),
         });
     }
 
-    fn refine(&mut self, moment: &Moment, seen: &Seen, estimate: Estimate, support: Support) -> Fix {
+    /// Refines the predicted pose by the lines of the frame, and updates the track with the result.
+    fn refine(&mut self, moment: &FrameSensors, seen: &Observations, estimate: Estimate, support: Support) -> Fix {
         let prediction = self.prediction(moment);
         let (Some(prediction), true) = (prediction, self.settings.refinement) else {
-            return self.predicted(moment, estimate, support);
+            return self.predicted_fix(moment, estimate, support);
         };
-        let track_pose = self.state.track.as_ref().map_or(estimate.best, Track::pose);
+        let track_pose = self.state.track.as_ref().map_or(estimate.best, SlowStateFilter::pose);
         let turned = wrap_angle(estimate.best.yaw - track_pose.yaw).abs();
         let is_elsewhere = estimate.best.distance(&track_pose) > OTHER_BASIN_M || turned > OTHER_BASIN_RAD;
         let other = moment.footprint_from_optical.filter(|_| is_elsewhere).map(|place| {
@@ -471,9 +516,9 @@ impl Localizer {
         let starts = [Vector6::zeros(), other.unwrap_or_default()];
         let starts = &starts[..1 + usize::from(other.is_some())];
         let Some(mut refined) = self.refiner.refine(&seen.image, &prediction.prior, starts) else {
-            return self.predicted(moment, estimate, support);
+            return self.predicted_fix(moment, estimate, support);
         };
-        if self.state.standing.falls_short(&refined.lines)
+        if self.state.validator.has_lost_lines(&refined.lines)
             && let Some(nearby) = self.refiner.refine_nearby(&seen.image, &prediction.prior)
             && nearby.cost < refined.cost
         {
@@ -484,7 +529,7 @@ impl Localizer {
         let slips = agree && self.state.track.as_mut().is_some_and(|track| track.slips(&prediction.prior, &refined));
         let surprised = (slips || surprise(&prediction.prior, &refined.pose_moved()) > SURPRISE) && agree;
         if surprised {
-            // Lines agree with each other but not with the prediction: odometry or IMU were wronger than they claim.
+            // Lines agree with each other but not with the prediction: errors of odometry or IMU are larger than assumed.
             if let Some(track) = &mut self.state.track {
                 track.doubt(&refined.moved);
             }
@@ -496,19 +541,19 @@ impl Localizer {
         }
         let agrees = agrees(&refined.lines);
         if agrees {
-            self.state.standing.agreed(moment.stamp_ns);
+            self.state.validator.note_agreement(moment.stamp_ns);
         }
         if agrees && let Some(track) = &mut self.state.track {
             track.update(&prediction, &refined);
         }
         if !agrees && !is_contradicted(&refined.lines) {
-            // Too little in view to move the pose.
-            let mut fix = self.predicted(moment, estimate, support);
+            // Too little is in view to correct the pose.
+            let mut fix = self.predicted_fix(moment, estimate, support);
             fix.agreement = refined.lines;
             return fix;
         }
-        let misfits = matches!(self.state.standing.confidence, Confidence::Unconfirmed(_))
-            && self.misfits(moment, seen, &prediction.prior, &refined);
+        let misfits = matches!(self.state.validator.tracking, TrackingState::Candidate { .. })
+            && self.fits_better_unbound(moment, seen, &prediction.prior, &refined);
         Fix {
             estimate,
             support,
@@ -520,17 +565,24 @@ impl Localizer {
             adrift: self.state.adrift_s > 0.0,
             misfits,
             agreement: refined.lines,
-            explained: Explained::default(),
+            explained: ExplainedLines::default(),
             explained_in_view: 1.0,
             effort: Effort::default(),
             ambiguous: self.state.ambiguous,
-            doubt: None,
+            rejection: None,
         }
     }
 
-    /// Whether the lines, with lens and mount let go, say that one of them is not what it is said to be: then some pose in the neighbourhood of
-    /// the right one has most lines, each beside where it should be.
-    fn misfits(&mut self, moment: &Moment, seen: &Seen, prior: &Prior, refined: &Refined) -> bool {
+    /// Whether a refinement that leaves lens and mount free contradicts one of them.
+    ///
+    /// If one is not what it is said to be, some pose in the neighbourhood of the right one has most lines, each beside where it should be.
+    fn fits_better_unbound(
+        &mut self,
+        moment: &FrameSensors,
+        seen: &Observations,
+        prior: &Prior,
+        refined: &Refined,
+    ) -> bool {
         let Some(unbound) = self.refiner.refine_unbound(&seen.image, prior, refined) else { return false };
         let stretch = prior.lens.stretch + unbound.moved[OF_LENS];
         let sigma = libm::sqrt(unbound.covariance[(OF_LENS, OF_LENS)]);
@@ -539,25 +591,28 @@ impl Localizer {
         stretch.abs() > MOST_STRETCH.max(2.0 * sigma) || (is_better && !stands(moment, &unbound.map_from_optical))
     }
 
-    fn prediction(&self, moment: &Moment) -> Option<Prediction> {
-        let prediction = self.prediction_by(self.state.track.as_ref()?, moment)?;
-        Some(if self.state.standing.is_tracking() { prediction } else { prediction.with_lens_known() })
+    /// The prediction of the camera's pose by the track; the lens counts as known until the pose is confirmed.
+    fn prediction(&self, moment: &FrameSensors) -> Option<Prediction> {
+        let prediction = self.prediction_of(self.state.track.as_ref()?, moment)?;
+        Some(if self.state.validator.is_tracking() { prediction } else { prediction.with_lens_known() })
     }
 
-    fn prediction_by(&self, track: &Track, moment: &Moment) -> Option<Prediction> {
+    /// The prediction of the camera's pose by a given track.
+    fn prediction_of(&self, track: &SlowStateFilter, moment: &FrameSensors) -> Option<Prediction> {
         let mut prediction = track.prior(&moment.footprint_from_optical?, &self.model(moment));
         prediction.prior.twist = moment.camera_twist.unwrap_or_default();
         prediction.prior.turn_is_felt = moment.turn_is_felt;
         Some(prediction)
     }
 
-    fn model(&self, moment: &Moment) -> TrackModel {
+    /// The noise of the slow states for this frame.
+    fn model(&self, moment: &FrameSensors) -> SlowStateModel {
         let model = self.settings.track;
-        if moment.tilt_is_measured { model } else { TrackModel { tilt_noise_rad: UNMEASURED_TILT_RAD, ..model } }
+        if moment.tilt_is_measured { model } else { SlowStateModel { tilt_noise_rad: UNMEASURED_TILT_RAD, ..model } }
     }
 
-    /// Without refinement: the best particle's camera; or where the track puts it.
-    fn predicted(&self, moment: &Moment, estimate: Estimate, support: Support) -> Fix {
+    /// The answer without refinement by lines: the track's prediction, or the camera of the best particle if poses are not refined.
+    fn predicted_fix(&self, moment: &FrameSensors, estimate: Estimate, support: Support) -> Fix {
         let place = moment.footprint_from_optical.unwrap_or(Isometry::IDENTITY);
         let (map_from_optical, covariance) = match self.prediction(moment).filter(|_| self.settings.refinement) {
             Some(prediction) => (prediction.prior.map_from_optical, prediction.prior.pose_covariance()),
@@ -574,20 +629,19 @@ impl Localizer {
             adrift: self.state.adrift_s > 0.0,
             misfits: false,
             agreement: Agreement::default(),
-            explained: Explained::default(),
+            explained: ExplainedLines::default(),
             explained_in_view: 1.0,
             effort: Effort::default(),
             ambiguous: self.state.ambiguous,
-            doubt: None,
+            rejection: None,
         }
     }
 
-    /// Particles and track follow one robot: where they part, the one that the lines support less starts over around
-    /// the other.
-    fn reconcile(&mut self, seen: &Seen, fix: &Fix) {
+    /// Brings particles and track together: if they follow different poses, the one that lines support less starts over at the other.
+    fn reconcile(&mut self, seen: &Observations, fix: &Fix) {
         let Some(track) = self.state.track.as_ref().filter(|_| self.settings.refinement) else { return };
         let (pose, best) = (track.pose(), fix.estimate.best);
-        if pose.distance(&best) < APART_M && wrap_angle(pose.yaw - best.yaw).abs() < APART_M {
+        if pose.distance(&best) < APART && wrap_angle(pose.yaw - best.yaw).abs() < APART {
             return;
         }
         let own = self.filter.observation().support(seen.lines(), &pose);
@@ -614,7 +668,7 @@ impl Physical for Fix {
     }
 }
 
-/// Squared deviation from the prior per unknown, in its own units: 1 is expected.
+/// Squared Mahalanobis distance of a correction from the prior, per unknown: 1 is expected.
 fn surprise(prior: &Prior, moved: &Vector6<f64>) -> f64 {
     prior.pose_covariance().cholesky().map_or(0.0, |factor| moved.dot(&factor.solve(moved)) / 6.0)
 }

@@ -1,7 +1,7 @@
-//! Counter-based random numbers: the same draw for the same (seed, frame, iteration, particle), whatever the order
-//! or thread that asks.
+//! Counter-based random numbers: a draw depends on (seed, purpose, frame, iteration, particle) only, not on the order or thread
+//! in which draws are made.
 //!
-//! Philox4x32-10, Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
+//! The generator is Philox4x32-10: Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
 
 mod quantile;
 
@@ -11,17 +11,21 @@ use rand::TryRng;
 
 use realitysim_geometry::multiversioned;
 
-/// Keeps the streams of one seed apart.
+/// What random numbers are drawn for; each purpose has streams of its own under one seed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Purpose {
+    /// Particles around an initial pose.
     Start = 0,
+    /// Errors of odometry.
     Motion = 1,
+    /// Noise between the rounds of a frame.
     Jitter = 2,
+    /// Choice of the particles that are copied.
     Resampling = 3,
 }
 
-/// A short stream of its own for one particle in one step.
+/// A short stream of random numbers for one particle in one step.
 #[derive(Clone, Debug)]
 pub struct Stream {
     key: [u32; 2],
@@ -30,10 +34,10 @@ pub struct Stream {
     used: usize,
 }
 
-/// Particles whose numbers are drawn together.
+/// Number of particles whose random numbers are drawn together.
 pub const TOGETHER: usize = 64;
 
-/// Three standard normal numbers for each of the particles from `first` on: those that their streams begin with.
+/// Three standard normal numbers for each of [`TOGETHER`] particles from index `first` on: the first three of each particle's [`Stream`].
 pub fn normals(seed: u64, purpose: Purpose, frame: u64, iteration: u32, first: u32) -> [[f64; TOGETHER]; 3] {
     let Stream { key, counter, .. } = Stream::new(seed, purpose, frame, iteration, first);
     let [xs, ys, zs] = multiversioned!(|key: [u32; 2], counter: [u32; 4]| -> [[f64; TOGETHER]; 3] {
@@ -55,7 +59,7 @@ pub fn normals(seed: u64, purpose: Purpose, frame: u64, iteration: u32, first: u
 }
 
 impl Stream {
-    /// `frame` counts the filter's steps, `index` is a particle or 0.
+    /// Opens the stream of a key. `frame` counts the filter's steps, `index` is that of a particle, or 0.
     pub fn new(seed: u64, purpose: Purpose, frame: u64, iteration: u32, index: u32) -> Self {
         let key = [seed as u32, (seed >> 32) as u32];
         // Blocks within a stream are counted in the iteration's upper half: 65536 iterations, 65536 blocks.
@@ -63,22 +67,23 @@ impl Stream {
         Self { key, counter, block: [0; 4], used: 4 }
     }
 
-    /// Uniform in (0, 1): never 0, so that its logarithm exists.
+    /// Draws a number uniform in (0, 1): never 0, so that its logarithm exists.
     pub fn uniform(&mut self) -> f64 {
         uniform_of(self.word())
     }
 
-    /// A standard normal number: the quantile of a uniform one.
+    /// Draws a standard normal number: the quantile of a uniform one.
     pub fn normal(&mut self) -> f64 {
         quantile::normal(self.uniform())
     }
 
-    /// Uniform in 0..bound, without bias beyond 2^-64.
+    /// Draws an integer uniform in 0..bound, with a bias of 2^-64 at most.
     pub fn below(&mut self, bound: u64) -> u64 {
         let word = (u64::from(self.word()) << 32) | u64::from(self.word());
         ((u128::from(word) * u128::from(bound)) >> 64) as u64
     }
 
+    /// The next 32 bits.
     fn word(&mut self) -> u32 {
         if self.used == 4 {
             self.block = philox4x32_10(self.counter.map(|word| [word]), self.key).map(|[word]| word);
@@ -90,7 +95,7 @@ impl Stream {
     }
 }
 
-/// So that `rand`'s distributions can draw from a stream.
+/// Lets the distributions of `rand` draw from a stream.
 impl TryRng for Stream {
     type Error = Infallible;
 
@@ -111,12 +116,13 @@ impl TryRng for Stream {
     }
 }
 
+/// The middle of the `word`-th of 2^32 equal parts of (0, 1).
 #[inline(always)]
 fn uniform_of(word: u32) -> f64 {
     (f64::from(word) + 0.5) / 4_294_967_296.0
 }
 
-/// Of N counters side by side.
+/// Ten rounds of Philox for N counters side by side.
 #[inline(always)]
 fn philox4x32_10<const N: usize>(mut counters: [[u32; N]; 4], mut key: [u32; 2]) -> [[u32; N]; 4] {
     for _ in 0..10 {
@@ -136,7 +142,7 @@ fn philox4x32_10<const N: usize>(mut counters: [[u32; N]; 4], mut key: [u32; 2])
 mod tests {
     use super::*;
 
-    /// Random123's `kat_vectors`.
+    /// The answers are those of Random123's `kat_vectors`.
     #[test]
     fn known_answers_of_random123() {
         let philox4x32_10 = |counter: [u32; 4], key| philox4x32_10(counter.map(|word| [word]), key).map(|[word]| word);
@@ -156,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn many_at_a_time_are_those_of_each_stream() {
+    fn numbers_drawn_together_are_those_of_each_stream() {
         let [xs, ys, zs] = normals(7, Purpose::Jitter, 5, 2, 100);
         for i in 0..TOGETHER {
             let mut stream = Stream::new(7, Purpose::Jitter, 5, 2, 100 + i as u32);

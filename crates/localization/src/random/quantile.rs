@@ -1,8 +1,9 @@
 //! Quantiles of the normal distribution: Wichura, "Algorithm AS 241", Applied Statistics 37 (1988), PPND16, relative
-//! error about 1e-16. Six times of seven it needs neither a logarithm nor a root.
+//! error about 1e-16. For six probabilities of seven it needs neither a logarithm nor a root.
 
 use realitysim_geometry::multiversioned;
 
+/// Coefficients of numerator and denominator for probabilities near one half.
 const CENTRE: ([f64; 8], [f64; 8]) = (
     [
         3.387_132_872_796_366_5,
@@ -25,6 +26,7 @@ const CENTRE: ([f64; 8], [f64; 8]) = (
         5_226.495_278_852_854,
     ],
 );
+/// Coefficients of numerator and denominator between centre and tails.
 const SIDES: ([f64; 8], [f64; 8]) = (
     [
         1.423_437_110_749_683_5,
@@ -47,6 +49,7 @@ const SIDES: ([f64; 8], [f64; 8]) = (
         1.050_750_071_644_416_9e-9,
     ],
 );
+/// Coefficients of numerator and denominator in the far tails.
 const TAILS: ([f64; 8], [f64; 8]) = (
     [
         6.657_904_643_501_103,
@@ -70,16 +73,16 @@ const TAILS: ([f64; 8], [f64; 8]) = (
     ],
 );
 
-/// Of probabilities up to this far from one half the quantile is a ratio of polynomials.
+/// Distance from one half up to which a probability is central: its quantile is a plain ratio of polynomials.
 const CENTRE_REACH: f64 = 0.425;
 const CENTRE_REACH_SQUARED: f64 = 0.180_625;
 
-/// Of which a standard normal number lies below with probability `p`, 0 < p < 1.
+/// The value that a standard normal number stays below with probability `p`, 0 < p < 1.
 pub(super) fn normal(p: f64) -> f64 {
     if is_central(p) { central(p) } else { outer(p) }
 }
 
-/// The same of many, to the bit: the central ones as vectors.
+/// [`normal`] of many probabilities, with the same bits: central ones are computed by vector instructions.
 pub(super) fn normals<const N: usize>(ps: &[f64; N]) -> [f64; N] {
     let mut normals = multiversioned!(const N: usize, |ps: &[f64; N]| -> [f64; N] {
         let mut normals = [0.0; N];
@@ -88,7 +91,7 @@ pub(super) fn normals<const N: usize>(ps: &[f64; N]) -> [f64; N] {
         }
         normals
     });
-    // Whether one is central is what a processor guesses wrong one time of seven: collected without asking.
+    // A branch on `is_central` would be mispredicted one time of seven, so the indices are collected without one.
     let (mut outer_ones, mut count) = ([0u16; N], 0);
     for (index, p) in ps.iter().enumerate() {
         outer_ones[count] = index as u16;
@@ -105,12 +108,14 @@ fn is_central(p: f64) -> bool {
     (p - 0.5).abs() <= CENTRE_REACH
 }
 
+/// The quantile of a central probability.
 #[inline(always)]
 fn central(p: f64) -> f64 {
     let off = p - 0.5;
     off * ratio(&CENTRE, CENTRE_REACH_SQUARED - off * off)
 }
 
+/// The quantile of a probability that is not central.
 fn outer(p: f64) -> f64 {
     let off = p - 0.5;
     let tail = libm::sqrt(-libm::log(if off < 0.0 { p } else { 1.0 - p }));
@@ -118,6 +123,7 @@ fn outer(p: f64) -> f64 {
     size.copysign(off)
 }
 
+/// The ratio of two polynomials in `x`.
 #[inline(always)]
 fn ratio((above, below): &([f64; 8], [f64; 8]), x: f64) -> f64 {
     let polynomial = |coefficients: &[f64; 8]| coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c);
@@ -145,7 +151,7 @@ mod tests {
         for exponent in 5..=11 {
             let p = libm::pow(10.0, f64::from(-exponent));
             worst = worst.max((below(normal(p)) - p).abs() / p);
-            // Not the mirror exactly: 1 - p is rounded.
+            // Not exactly antisymmetric, since 1 - p is rounded.
             assert!((normal(p) + normal(1.0 - p)).abs() < 1e-4, "{p}");
         }
         assert!(worst < 1e-12, "{worst}");

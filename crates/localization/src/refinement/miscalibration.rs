@@ -1,48 +1,50 @@
-//! How a lens differs from what its calibration says, and how its sensor is read.
+//! Errors of a lens calibration, and the readout time of a rolling shutter.
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use realitysim_geometry::{Lens, Twist};
 
-/// What of a calibration is wrong, as far as a walk shows it.
+/// Errors of a calibration that a walk reveals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Miscalibration {
-    /// Share by which the focal lengths are longer.
+    /// Relative error of the focal lengths: positive if they are longer than calibrated.
     pub stretch: f64,
-    /// Where the axis meets the image, relative to where it is said to, widths of the image.
+    /// Shift of the principal point from its calibrated place, widths of the image.
     pub shift: DVec2,
-    /// From the exposure of the first row to that of the last, seconds.
+    /// Time from the exposure of the first row to that of the last, seconds.
     pub readout_s: f64,
 }
 
-/// How fast a walking torso sways, which neither feet nor gyro tell.
+/// Standard deviation of the speed at which a walking torso sways, which neither feet nor gyro measure.
 pub const UNSEEN_M_PER_S: f64 = 0.15;
-/// How fast it rocks, which only a gyro tells, and by which share it turns otherwise than its feet say.
+/// Standard deviation of the rate at which the torso rocks, which only a gyro measures: a constant part ...
 pub(super) const UNFELT_RAD_PER_S: f64 = 0.4;
+/// ... and a share of the rate that the feet tell.
 const UNFELT_SHARE: f64 = 0.3;
 
 impl Miscalibration {
+    /// A perfect calibration of a global shutter.
     pub const NONE: Self = Self { stretch: 0.0, shift: DVec2::ZERO, readout_s: 0.0 };
 
-    /// Where the lens really draws what it is said to draw at `pixel`.
+    /// The pixel at which the lens really draws what the calibration puts at `pixel`.
     pub fn drawn(&self, lens: &Lens, pixel: DVec2) -> DVec2 {
         pixel + self.stretch * from_centre(lens, pixel) + f64::from(lens.width()) * self.shift
     }
 
-    /// How that changes with stretch and shift: pixels for each unit.
+    /// Derivatives of [`Self::drawn`] by stretch and shift, pixels.
     pub(super) fn gradient(lens: &Lens, pixel: DVec2) -> [DVec2; 3] {
         let width = f64::from(lens.width());
         [from_centre(lens, pixel), width * DVec2::X, width * DVec2::Y]
     }
 }
 
-/// How much faster a camera of this twist may turn about each axis without a gyro, radians per second.
+/// Standard deviation, about each axis, of the rotation that is not measured without a gyro, for a camera of this twist, rad/s.
 pub fn unfelt_rad_per_s(twist: &Twist) -> f64 {
     libm::hypot(UNFELT_RAD_PER_S, UNFELT_SHARE * twist.angular.length())
 }
 
-/// When the row of a pixel is exposed, as share of the readout from the middle row.
+/// Time at which the row of a pixel is exposed, relative to the middle row, as a share of the readout time.
 pub fn row(lens: &Lens, pixel: DVec2) -> f64 {
     (pixel.y + 0.5) / f64::from(lens.height()) - 0.5
 }

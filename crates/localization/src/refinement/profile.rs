@@ -1,40 +1,45 @@
-//! The matched filter that finds a line: luma across it, and how far a band as wide as the line stands out of the carpet beside it.
+//! The matched filter that finds a line in the luma profile across it.
 
 use glam::DVec2;
 
 use realitysim_vision::LineImage;
 use realitysim_vision::contrast::STRAY_LEVELS;
 
-/// A short piece of line as it is expected to be drawn, in pixels of the working image.
+/// A short piece of a line as it is expected to appear, in pixels of the working image.
 pub(super) struct Strip {
-    /// Between the drawn edges.
+    /// The point midway between the drawn edges.
     pub(super) middle: DVec2,
     /// Unit vector across the line.
     pub(super) direction: DVec2,
+    /// Distance between the drawn edges.
     pub(super) width_px: f64,
 }
 
 const MAX_SAMPLES: usize = 160;
 
-/// Luma across an expected line, and how a matched filter answers to it: mean of the line's band less that of the carpet beside it.
+/// Luma across an expected line, and a matched filter on it: the mean over the line's band less that of the carpet beside it.
 pub(super) struct Profile {
-    /// Pixels from sample to sample; the line is expected at sample `half`.
+    /// Distance between samples, pixels. The line is expected at sample `half`.
     step: f32,
     half: usize,
-    /// In samples: half the line, and the strip of carpet beside it; from the line's middle to that strip's far end.
+    /// Half the width of the line, samples.
     band: usize,
+    /// Width of the strip of carpet beside the line, samples.
     flank: usize,
+    /// Distance from the line's middle to the far end of that strip, samples.
     margin: usize,
     count: usize,
+    /// The position of sample `half`, pixels.
     middle: [f32; 2],
+    /// The step from sample to sample, pixels.
     along: [f32; 2],
     values: [f32; MAX_SAMPLES],
-    /// Of all values before.
+    /// Prefix sums of `values`.
     sums: [f32; MAX_SAMPLES + 1],
 }
 
 impl Profile {
-    /// `None` if a part of it lies outside of the image.
+    /// Reads the profile of `strip`, searching `reach_px` to either side. `None` if a part of it lies outside of the image.
     pub(super) fn across(strip: &Strip, image: &LineImage, reach_px: f64) -> Option<Self> {
         let width = strip.width_px as f32;
         let step = (width / 6.0).clamp(0.5, 1.5);
@@ -67,11 +72,12 @@ impl Profile {
         self.half
     }
 
+    /// Distance between samples, pixels.
     pub(super) fn step_px(&self) -> f64 {
         f64::from(self.step)
     }
 
-    /// Where the line's middle may be.
+    /// The samples at which the line's middle may lie.
     pub(super) fn middles(&self) -> core::ops::Range<usize> {
         self.margin..self.count - self.margin
     }
@@ -80,7 +86,7 @@ impl Profile {
         self.sums[to] - self.sums[from]
     }
 
-    /// Mean luma of the carpet on both sides.
+    /// Mean luma of the carpet on both sides of a line at sample `at`.
     pub(super) fn flanks(&self, at: usize) -> (f32, f32) {
         let Self { margin, flank, .. } = *self;
         let per_flank = 1.0 / flank as f32;
@@ -89,8 +95,8 @@ impl Profile {
         (left * per_flank, right * per_flank)
     }
 
-    /// Where the line stands out most, and by which share of the brighter carpet beside it.
-    pub(super) fn best(&self) -> (usize, f64) {
+    /// The sample at which the line stands out most, and by which share of the brighter carpet beside it.
+    pub(super) fn peak(&self) -> (usize, f64) {
         let per_band = 1.0 / (2 * self.band + 1) as f32;
         let (mut best, mut at) = (f32::NEG_INFINITY, self.half);
         for middle in self.middles() {
@@ -105,8 +111,8 @@ impl Profile {
         (at, f64::from(best))
     }
 
-    /// Something stands before the line or the carpet beside it.
-    pub(super) fn hides(&self, image: &LineImage, at: usize) -> bool {
+    /// Whether something stands before the line at sample `at` or before the carpet beside it.
+    pub(super) fn is_hidden(&self, image: &LineImage, at: usize) -> bool {
         let beside = (self.margin - self.flank + self.flank / 2) as f32;
         let steps = at as f32 - self.half as f32;
         [steps, steps - beside, steps + beside]
@@ -114,17 +120,19 @@ impl Profile {
             .any(|steps| image.hides(self.middle[0] + steps * self.along[0], self.middle[1] + steps * self.along[1]))
     }
 
+    /// The centre of a line at about sample `at`, to a fraction of a sample.
     pub(super) fn centroid(&self, at: usize) -> f32 {
         centroid(&self.values[..self.count], at, self.margin - self.flank, self.flanks(at))
     }
 
+    /// Distance of a sample from where the line is expected, pixels.
     pub(super) fn offset_px(&self, sample: f32) -> f64 {
         f64::from(sample - self.half as f32) * f64::from(self.step)
     }
 }
 
-/// Centre of what stands out of the carpet within `reach` samples of the peak, the carpet's brightness going
-/// straight from the left flank's to the right one's.
+/// Centroid of what is brighter than the carpet within `reach` samples of the peak. The carpet's brightness is interpolated
+/// linearly between the two flanks.
 fn centroid(profile: &[f32], peak: usize, reach: usize, (left, right): (f32, f32)) -> f32 {
     let (mut sum, mut moment) = (0.0f32, 0.0f32);
     let (carpet, slope) = (0.5 * (left + right), (right - left) / (2.0 * reach as f32 + 1.0));

@@ -1,8 +1,8 @@
-//! The same ground in two images, found by its texture.
+//! Matching of the same ground in two images by its texture.
 //!
-//! Patches of the later image are looked for where both tags put them in the earlier one: the earlier image is drawn through the ground as
-//! the later camera would see it (to first order over a patch), then shifted until both agree: whole pixels by correlation, the rest by
-//! Lucas and Kanade (1981). Pure.
+//! Patches of the later image are looked for where both tags put them in the earlier one. The earlier image is warped through the
+//! ground plane into the later camera (to first order over a patch) and then shifted until both agree: by whole pixels with
+//! correlation, and by fractions with the method of Lucas and Kanade (1981). The module is pure.
 
 use glam::{DMat2, DVec2, DVec3};
 
@@ -10,35 +10,38 @@ use super::Match;
 use realitysim_geometry::{Isometry, Projector};
 use realitysim_vision::Picture;
 
-/// An image and where its tag puts its camera.
+/// An image with the pose at which its tag puts its camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Look<'a> {
+    /// The image.
     pub picture: &'a Picture,
+    /// Pose of the camera in `map`.
     pub map_from_optical: Isometry,
 }
 
-/// Patches are tried on a grid of this many pixels.
+/// Distance between the patches that are tried, pixels.
 const GRID: usize = 24;
-/// Half the side of a patch, without its middle.
-const HALF: i32 = 5;
-const AREA: usize = ((2 * HALF + 1) * (2 * HALF + 1)) as usize;
-/// How far off both tags may put it, pixels.
-const REACH: i32 = 4;
-/// Of a frame, the ones with the most texture.
+/// Half the side of a patch, pixels, without its middle.
+const HALF_SIDE: i32 = 5;
+const AREA: usize = ((2 * HALF_SIDE + 1) * (2 * HALF_SIDE + 1)) as usize;
+/// Largest error of the tags that is searched, pixels.
+const SEARCH_PX: i32 = 4;
+/// Largest number of matches of a pair of images: those with the most texture.
 const MAX_MATCHES: usize = 60;
-/// Farther on the ground a pixel is too long for texture.
+/// Largest distance of a patch from the camera, metres: beyond it a pixel covers too much ground for texture.
 const FARTHEST_M: f64 = 3.0;
 /// Least texture: smaller eigenvalue of the mean squared gradient, in gray levels squared.
-const TEXTURE: f64 = 6.0;
-/// Correlation from which on both patches show the same.
-const ALIKE: f64 = 0.8;
+const MIN_TEXTURE: f64 = 6.0;
+/// Correlation above which two patches show the same.
+const MIN_CORRELATION: f64 = 0.8;
+/// Largest number of iterations.
 const ROUNDS: usize = 8;
 
-/// Places of the ground that both images show. `hides` tells where a pixel of either shows the robot itself.
+/// Finds points of the ground that both images show. `hides` tells whether a pixel of either image shows the robot itself.
 pub fn matches(projector: &Projector, before: &Look, here: &Look, hides: impl Fn(DVec2) -> bool) -> Vec<Match> {
     let (width, height) = (here.picture.width, here.picture.height);
     let fits = |look: &Look| look.picture.luma.len() == width * height;
-    let edge = (HALF + REACH + 2) as usize;
+    let edge = (HALF_SIDE + SEARCH_PX + 2) as usize;
     if !fits(before) || !fits(here) || width.min(height) <= 2 * edge {
         return Vec::new();
     }
@@ -48,25 +51,27 @@ pub fn matches(projector: &Projector, before: &Look, here: &Look, hides: impl Fn
         .map(|(u, v)| DVec2::new(u as f64, v as f64))
         .filter(|at| !hides(*at))
         .map(|at| (texture(here.picture, at), at))
-        .filter(|(texture, _)| *texture > TEXTURE)
+        .filter(|(texture, _)| *texture > MIN_TEXTURE)
         .collect();
     textured.sort_by(|a, b| b.0.total_cmp(&a.0));
     let found = textured.into_iter().filter_map(|(_, at)| {
-        let seen = Through::new(projector, before, here, at)?;
+        let seen = PatchMap::new(projector, before, here, at)?;
         let known = !hides(seen.before);
         known.then(|| seen.find(before.picture, here.picture, at)).flatten()
     });
     found.take(MAX_MATCHES).collect()
 }
 
-/// Where the earlier image shows what lies around a pixel of the later one.
-struct Through {
+/// An affine map from the surroundings of a pixel of the later image into the earlier image.
+struct PatchMap {
+    /// Pixel of the earlier image.
     before: DVec2,
-    /// Pixels of the earlier image by pixels of the later one.
+    /// Derivative of the earlier image's pixel by the later one's.
     turn: DMat2,
 }
 
-impl Through {
+impl PatchMap {
+    /// Projects the surroundings of pixel `at` through the ground; `None` if it is too far away or not in the earlier image.
     fn new(projector: &Projector, before: &Look, here: &Look, at: DVec2) -> Option<Self> {
         let earlier_from_map = before.map_from_optical.inverse();
         let place = |pixel: DVec2| -> Option<DVec2> {
@@ -76,13 +81,14 @@ impl Through {
             let near = distance > 0.0 && distance < FARTHEST_M;
             near.then(|| projector.project_inside(earlier_from_map.transform_point(from + ray * distance))).flatten()
         };
-        let reach = f64::from(HALF);
+        let reach = f64::from(HALF_SIDE);
         let middle = place(at)?;
         let [x, y] = [DVec2::X, DVec2::Y]
             .map(|axis| Some((place(at + axis * reach)? - place(at - axis * reach)?) / (2.0 * reach)));
         Some(Self { before: middle, turn: DMat2::from_cols(x?, y?) })
     }
 
+    /// Finds where the later image shows the patch of the earlier one.
     fn find(&self, before: &Picture, here: &Picture, at: DVec2) -> Option<Match> {
         let mut wanted = [0.0; AREA];
         for (value, offset) in wanted.iter_mut().zip(offsets()) {
@@ -90,9 +96,9 @@ impl Through {
         }
         let wanted = Patch::new(wanted)?;
         let mut best = (f64::NEG_INFINITY, DVec2::ZERO);
-        for (dx, dy) in (-REACH..=REACH).flat_map(|dy| (-REACH..=REACH).map(move |dx| (dx, dy))) {
+        for (dx, dy) in (-SEARCH_PX..=SEARCH_PX).flat_map(|dy| (-SEARCH_PX..=SEARCH_PX).map(move |dx| (dx, dy))) {
             let shift = DVec2::new(f64::from(dx), f64::from(dy));
-            let alike = Patch::at(here, at + shift).map_or(f64::NEG_INFINITY, |patch| patch.alike(&wanted));
+            let alike = Patch::at(here, at + shift).map_or(f64::NEG_INFINITY, |patch| patch.correlation(&wanted));
             if alike > best.0 {
                 best = (alike, shift);
             }
@@ -106,16 +112,16 @@ impl Through {
             }
         }
         let found = Patch::at(here, at + shift)?;
-        let good = found.alike(&wanted) > ALIKE && (shift - best.1).length() < 1.5;
+        let good = found.correlation(&wanted) > MIN_CORRELATION && (shift - best.1).length() < 1.5;
         good.then_some(Match { before: self.before, here: at + shift })
     }
 }
 
-/// Gray values of mean 0 and length 1.
+/// Gray values of a patch, normalised to mean 0 and length 1.
 struct Patch([f64; AREA]);
 
 impl Patch {
-    /// `None` for one without texture.
+    /// Normalises the values; `None` if they have no texture.
     fn new(mut values: [f64; AREA]) -> Option<Self> {
         let mean = values.iter().sum::<f64>() / AREA as f64;
         values.iter_mut().for_each(|value| *value -= mean);
@@ -132,16 +138,17 @@ impl Patch {
         Self::new(values)
     }
 
-    fn alike(&self, other: &Self) -> f64 {
+    /// Correlation of two patches.
+    fn correlation(&self, other: &Self) -> f64 {
         self.0.iter().zip(&other.0).map(|(a, b)| a * b).sum()
     }
 }
 
 fn offsets() -> impl Iterator<Item = DVec2> {
-    (-HALF..=HALF).flat_map(|y| (-HALF..=HALF).map(move |x| DVec2::new(f64::from(x), f64::from(y))))
+    (-HALF_SIDE..=HALF_SIDE).flat_map(|y| (-HALF_SIDE..=HALF_SIDE).map(move |x| DVec2::new(f64::from(x), f64::from(y))))
 }
 
-/// Gauss-Newton on the shift alone; brightness and contrast are taken from the patches.
+/// One Gauss-Newton step of the shift; brightness and contrast are taken from the patches.
 fn step(picture: &Picture, at: DVec2, wanted: &Patch) -> Option<DVec2> {
     let (mut values, mut slopes) = ([0.0; AREA], [DVec2::ZERO; AREA]);
     for ((value, slope), offset) in values.iter_mut().zip(&mut slopes).zip(offsets()) {
@@ -160,9 +167,10 @@ fn step(picture: &Picture, at: DVec2, wanted: &Patch) -> Option<DVec2> {
     let [a, b, c] = normal;
     let determinant = a * c - b * b;
     let step = DVec2::new(c * right.x - b * right.y, a * right.y - b * right.x) / determinant;
-    (step.is_finite() && step.length() < f64::from(HALF)).then_some(step)
+    (step.is_finite() && step.length() < f64::from(HALF_SIDE)).then_some(step)
 }
 
+/// Smaller eigenvalue of the mean squared gradient around a pixel.
 fn texture(picture: &Picture, at: DVec2) -> f64 {
     let [mut a, mut b, mut c] = [0.0; 3];
     for slope in offsets().filter_map(|offset| gradient(picture, at + offset)) {
@@ -177,7 +185,7 @@ fn gradient(picture: &Picture, at: DVec2) -> Option<DVec2> {
     Some(DVec2::new(across(DVec2::X)?, across(DVec2::Y)?))
 }
 
-/// Bilinear; `None` outside.
+/// Bilinear gray value; `None` outside of the image.
 fn gray(picture: &Picture, at: DVec2) -> Option<f64> {
     let (u, v) = (at.x as usize, at.y as usize);
     if !(at.x >= 0.0 && at.y >= 0.0 && u + 1 < picture.width && v + 1 < picture.height) {
@@ -217,7 +225,7 @@ mod tests {
         Isometry::from_euler(euler, DVec3::new(x, y, 0.5)) * Isometry::link_from_optical()
     }
 
-    /// Smooth blots of some centimetres.
+    /// The brightness of a lawn with smooth blots of some centimetres.
     fn lawn(place: DVec2) -> f64 {
         let corner = |x: f64, y: f64| {
             let number = (x as i64).wrapping_mul(73_856_093) ^ (y as i64).wrapping_mul(19_349_663);
@@ -245,7 +253,7 @@ mod tests {
         let projector = projector();
         let (before, here) = (pose(0.0, 0.0, 0.0), pose(0.06, 0.02, 6.0));
         let pictures = [before, here].map(|pose| picture(&projector, &pose, lawn));
-        // As tags are: a centimetre and half a degree.
+        // The tag is off by what tags are: a centimetre and half a degree.
         let tagged = pose(0.07, 0.02, 6.5);
         let look = |which: usize, map_from_optical| Look { picture: &pictures[which], map_from_optical };
         let found = matches(&projector, &look(0, before), &look(1, tagged), |_| false);

@@ -1,11 +1,11 @@
-//! Tags made better after the walk: every frame's pose and what is constant about the camera, from all frames together.
+//! Offline refinement of a whole walk: every frame's pose and the constants of the camera, from all frames together.
 //!
-//! Pure. A frame's unknowns are the six of its pose's error, as in [`crate::refinement`], and how fast its camera goes and
-//! turns beyond what feet, neck and gyro tell, which matters while rows are read; those of the whole walk are the lens's focal length,
-//! centre and curve, the mount's tilt, the camera's height and the sensor's readout ([`Constants`]). Lines say where a ray lies, IMU
-//! and mount how the camera leans, odometry how far apart two frames are, and the ground's texture how one lies to the next
-//! ([`alignment`]). Gauss-Newton on all of them: the system is block tridiagonal with a border ([`chain`]), so that its solution is
-//! one pass forward and one back, as of a smoother.
+//! The unknowns of a frame are the six of its pose's error, as in [`crate::refinement`], and how its camera moves during the
+//! readout beyond what feet, neck and gyro tell. The unknowns of the walk are focal length, centre and curve of the lens, tilt
+//! of the mount, height of the camera and readout time of the sensor ([`Constants`]). Lines tell where a ray lies, IMU and
+//! mount how the camera leans, odometry how far two frames are apart, and the ground's texture how neighbouring frames lie to
+//! each other ([`alignment`]). The fit is Gauss-Newton. Its system is block tridiagonal with a border ([`chain`]), so that one
+//! pass forwards and one back solve it, as in a smoother. The module is pure.
 
 pub mod alignment;
 pub mod chain;
@@ -16,86 +16,92 @@ mod same_ground;
 use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
-use crate::refinement::offsets::{Eye, Sight};
+use crate::refinement::line_measurement::{CameraModel, LineMeasurement};
 use chain::{Border, Chain, Solution};
-use moving::Moving;
+use moving::MovingCamera;
 use realitysim_geometry::{Isometry, LensError, LensModel, LensParameters, Pose2, Twist};
 
 pub use residuals::Model;
 
-/// A frame of the walk.
+/// One frame of the walk with its measurements.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
+    /// Time of exposure, nanoseconds.
     pub stamp_ns: i64,
-    /// As tagged.
+    /// Pose of the camera in `map` as tagged.
     pub map_from_optical: Isometry,
-    /// By IMU, joints and mount; its heading means nothing.
+    /// Pose of the camera on the robot by IMU, joints and mount. Its heading is not used.
     pub footprint_from_optical: Option<Isometry>,
-    /// `odom` from `base_footprint`.
+    /// Pose of `base_footprint` in `odom`.
     pub odometry: Option<Pose2>,
-    /// Since the frame before, by gyro.
+    /// Rotation since the frame before by gyro, radians.
     pub turned_rad: Option<f64>,
-    /// How the camera moves, as far as feet, neck and gyro tell; not at all if nothing says so.
+    /// Velocity of the camera in its own frame as far as feet, neck and gyro tell; zero if nothing tells.
     pub twist: Twist,
-    /// It turns as a gyro has told.
+    /// Whether the angular part of `twist` was measured by a gyro.
     pub turn_is_felt: bool,
-    /// Places of lines that were found in its image.
+    /// Line places that were found in the image.
     pub places: Vec<Place>,
-    /// Ground that it shares with the frame before.
+    /// Ground that both this frame and the one before show.
     pub overlap: Option<Overlap>,
 }
 
-/// What two neighbouring images show both.
+/// Ground that two neighbouring images show.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Overlap {
-    /// Stamp of the earlier one.
+    /// Time of the earlier image, nanoseconds.
     pub before_ns: i64,
+    /// Points that both show.
     pub matches: Vec<Match>,
 }
 
-/// A place of the ground, pixel by pixel.
+/// A point of the ground in two images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Match {
+    /// Pixel of the earlier image.
     pub before: DVec2,
+    /// Pixel of the later image.
     pub here: DVec2,
 }
 
-/// A place of a line, found in an image.
+/// A line place that was found in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
+    /// Pixel at which the line was found.
     pub pixel: DVec2,
-    /// Of the field's line, in `map`.
+    /// The corresponding point of the field's line, in `map`, metres.
     pub point: DVec3,
-    /// Unit vector along the line.
+    /// Unit vector along the line, in `map`.
     pub tangent: DVec3,
-    /// Standard deviation in units of that of a line whose place is known best, in pixels.
+    /// Standard deviation relative to that of a clear line of the best width.
     pub sigmas: f64,
-    /// Across the line.
+    /// Scale of the image across the line.
     pub pixels_per_rad: f64,
 }
 
-/// Unknowns of the whole walk.
+/// Number of unknowns of the whole walk.
 pub const CONSTANTS: usize = 8;
 
-/// What is the same in every frame, as a correction of what was believed.
+/// Corrections that are the same in every frame, relative to what was believed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Constants {
-    /// Share by which the focal lengths are longer.
+    /// Relative error of the focal lengths: positive if they are longer than believed.
     pub focal_share: f64,
-    /// Pixels.
+    /// Shift of the lens's centre, pixels.
     pub centre: DVec2,
-    /// Added to k1 of a Kannala-Brandt lens; of other lenses 0.
+    /// Correction of k1 of a Kannala-Brandt lens; 0 for other lenses.
     pub k1: f64,
-    /// Turn of the camera about its own x (right) and z (forward) that the mount does not know of, radians.
+    /// Rotation of the camera about its own x axis (right) beyond what the mount says, radians.
     pub tilt_x: f64,
+    /// Rotation of the camera about its own z axis (forward) beyond what the mount says, radians.
     pub tilt_z: f64,
-    /// The camera's height above what was believed, metres.
+    /// Height of the camera above what was believed, metres.
     pub height_m: f64,
-    /// From the exposure of the first row to that of the last, seconds.
+    /// Time from the exposure of the first row to that of the last, seconds.
     pub readout_s: f64,
 }
 
-/// Names and units of [`Constants::values`], for people.
+/// Names and units of [`Constants::values`], for people to read.
 pub const NAMES: [(&str, &str); CONSTANTS] = [
     ("focal length", "share"),
     ("centre u", "px"),
@@ -107,30 +113,34 @@ pub const NAMES: [(&str, &str); CONSTANTS] = [
     ("readout of the sensor", "s"),
 ];
 
-/// The walk after smoothing.
+/// The result of smoothing a walk.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Smoothed {
-    /// By frame.
+    /// Pose of the camera in `map`, by frame.
     pub map_from_optical: Vec<Isometry>,
-    /// Of their errors.
+    /// Covariance of each pose's error.
     pub covariances: Vec<Matrix6<f64>>,
+    /// The constants found.
     pub constants: Constants,
-    /// Standard deviations: before looking, and after.
+    /// Standard deviations of the constants before the fit.
     pub believed: [f64; CONSTANTS],
+    /// Standard deviations of the constants after the fit.
     pub known: [f64; CONSTANTS],
-    /// Root mean square of the line places that fit, pixels.
+    /// Root mean square deviation of the line places that fit, pixels: before and after.
     pub rms_px: [f64; 2],
+    /// Number of Gauss-Newton iterations.
     pub rounds: usize,
 }
 
-/// No step changes more than a tenth of a millimetre or of a milliradian any more.
-const DONE: f64 = 1e-4;
+/// The fit ends when no step is longer than a tenth of a millimetre or of a milliradian.
+const MIN_STEP: f64 = 1e-4;
 const MAX_ROUNDS: usize = 12;
-/// A place of a line is no better than this many times what lines lie off: paint that is worn or crooked is so in every frame, and is
-/// not averaged out.
-const OFF_AS_A_WHOLE: f64 = 2.6;
+/// Smallest standard deviation of a line place, in root mean squares of what lines lie off: worn or crooked paint is the same in
+/// every frame and does not average out.
+const MIN_SIGMA_RMS: f64 = 2.6;
 
 impl Constants {
+    /// The constants in the order of [`NAMES`].
     pub fn values(&self) -> [f64; CONSTANTS] {
         let Self { focal_share, centre, k1, tilt_x, tilt_z, height_m, readout_s } = *self;
         [focal_share, centre.x, centre.y, k1, tilt_x, tilt_z, height_m, readout_s]
@@ -148,7 +158,7 @@ impl Constants {
         }
     }
 
-    /// The lens as it is found to be.
+    /// The `believed` lens with these corrections.
     pub fn lens(&self, believed: &LensParameters) -> LensParameters {
         let longer = 1.0 + self.focal_share;
         let model = match believed.model {
@@ -169,21 +179,25 @@ impl Constants {
 }
 
 impl Place {
-    /// What was measured by this eye at this pose; `None` where its lens draws nothing.
-    pub fn new(sight: &Sight, eye: &Eye, map_from_optical: &Isometry) -> Option<Self> {
-        let Sight { ray, point, tangent, sigmas, pixels_per_rad, row, .. } = *sight;
+    /// The place that was measured by this camera at this pose; `None` where its lens draws nothing.
+    pub fn new(measurement: &LineMeasurement, camera_model: &CameraModel, map_from_optical: &Isometry) -> Option<Self> {
+        let LineMeasurement { ray, point, tangent, sigmas, pixels_per_rad, row, .. } = *measurement;
         let place = ray * point.distance(map_from_optical.translation);
-        let drawn = place + eye.moved_until_read(place, row);
-        Some(Self { pixel: eye.projector.lens().project(drawn)?, point, tangent, sigmas, pixels_per_rad })
+        let drawn = place + camera_model.moved_until_read(place, row);
+        Some(Self { pixel: camera_model.projector.lens().project(drawn)?, point, tangent, sigmas, pixels_per_rad })
     }
 }
 
-/// The poses and constants that fit everything best. Frames come in the order of time.
+/// Finds the poses and constants that fit everything best. Frames are ordered by time.
+///
+/// # Errors
+///
+/// A [`LensError`] if the lens, as believed or corrected, is not valid.
 pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Result<Smoothed, LensError> {
     let mut walk = Walk::start(frames, believed, model)?;
     let first_rms_px = walk.linearised.rms_px;
     walk.descend(frames, believed, model)?;
-    let line_px = OFF_AS_A_WHOLE * walk.linearised.rms_px;
+    let line_px = MIN_SIGMA_RMS * walk.linearised.rms_px;
     if line_px > model.line_px {
         let model = Model { line_px, ..*model };
         walk.linearised = residuals::linearise(frames, &walk.moving, &walk.constants, believed, &model)?;
@@ -208,9 +222,10 @@ pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Res
     })
 }
 
-/// Root mean squares, pixels, over line places that took no part: around the poses and the lens that were believed, and around
-/// those that the other places make of them. Every second place of a frame takes part. What is told by it is not how well the
-/// result fits its own lines, which any result does, but whether it is nearer to the truth.
+/// Root mean square deviations, in pixels, of line places that took no part in the fit: for the poses and the lens that were
+/// believed, and for those fitted to the other places.
+///
+/// Every second place of a frame takes part. Any result fits its own lines; this tells whether it is nearer to the truth.
 pub fn held_out_rms_px(frames: Vec<Frame>, believed: &LensParameters, model: &Model) -> Result<[f64; 2], LensError> {
     let halves = |mut frame: Frame| {
         let places = std::mem::take(&mut frame.places).into_iter().enumerate();
@@ -221,17 +236,17 @@ pub fn held_out_rms_px(frames: Vec<Frame>, believed: &LensParameters, model: &Mo
     };
     let (frames, judges): (Vec<Frame>, Vec<Frame>) = frames.into_iter().map(halves).unzip();
     let smoothed = smooth(&frames, believed, model)?;
-    let before: Vec<Moving> = judges.iter().map(Moving::of).collect();
+    let before: Vec<MovingCamera> = judges.iter().map(MovingCamera::of).collect();
     let after = before.iter().zip(&smoothed.map_from_optical).map(|(moving, pose)| moving.at_pose(*pose));
-    let rms_px = |moving: &[Moving], constants: &Constants| {
+    let rms_px = |moving: &[MovingCamera], constants: &Constants| {
         residuals::linearise(&judges, moving, constants, believed, model).map(|judged| judged.robust_rms_px)
     };
     Ok([rms_px(&before, &Constants::default())?, rms_px(&after.collect::<Vec<_>>(), &smoothed.constants)?])
 }
 
-/// Where the search for it is.
+/// The state of the Gauss-Newton iteration.
 struct Walk {
-    moving: Vec<Moving>,
+    moving: Vec<MovingCamera>,
     constants: Constants,
     linearised: Linearised,
     rounds: usize,
@@ -239,12 +254,13 @@ struct Walk {
 
 impl Walk {
     fn start(frames: &[Frame], believed: &LensParameters, model: &Model) -> Result<Self, LensError> {
-        let moving: Vec<Moving> = frames.iter().map(Moving::of).collect();
+        let moving: Vec<MovingCamera> = frames.iter().map(MovingCamera::of).collect();
         let constants = Constants::default();
         let linearised = residuals::linearise(frames, &moving, &constants, believed, model)?;
         Ok(Self { moving, constants, linearised, rounds: 0 })
     }
 
+    /// Iterates until the steps are small, halving a step that makes the cost larger.
     fn descend(&mut self, frames: &[Frame], believed: &LensParameters, model: &Model) -> Result<(), LensError> {
         for _ in 0..MAX_ROUNDS {
             self.rounds += 1;
@@ -264,7 +280,7 @@ impl Walk {
                 (self.moving, self.constants, self.linearised) = (moving, constants, next);
             }
             let longest = solution.steps.iter().map(|step| step.fixed_rows::<6>(0).norm()).fold(0.0, f64::max);
-            if better <= 0.0 || longest < DONE {
+            if better <= 0.0 || longest < MIN_STEP {
                 break;
             }
         }
@@ -272,17 +288,22 @@ impl Walk {
     }
 }
 
-fn stepped(moving: &[Moving], constants: &Constants, solution: &Solution, share: f64) -> (Vec<Moving>, Constants) {
+fn stepped(
+    moving: &[MovingCamera],
+    constants: &Constants,
+    solution: &Solution,
+    share: f64,
+) -> (Vec<MovingCamera>, Constants) {
     let moved = moving.iter().zip(&solution.steps).map(|(moving, step)| moving.moved(&(step * share)));
     (moved.collect(), constants.plus(&(solution.border * share)))
 }
 
-/// What is needed of a linearised walk.
+/// The normal equations and the cost of a walk about one state.
 struct Linearised {
     chain: Chain,
     cost: f64,
     rms_px: f64,
-    /// Of all places, those that do not fit counted up to a limit.
+    /// Root mean square over all places, where the robust loss bounds those that do not fit.
     robust_rms_px: f64,
 }
 

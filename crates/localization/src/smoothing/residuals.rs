@@ -1,35 +1,42 @@
-//! What the poses of a walk get wrong, and how that changes with them.
+//! Residuals of a walk and their derivatives.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-use super::chain::{Border, Chain, OWN, Own};
-use super::moving::Moving;
+use super::chain::{Border, Chain, FRAME_UNKNOWNS, FrameVector};
+use super::moving::MovingCamera;
 use super::{CONSTANTS, Constants, Frame, Linearised, Place, same_ground};
 use crate::refinement::error_between;
 use crate::refinement::miscalibration::{UNSEEN_M_PER_S, row, unfelt_rad_per_s};
 use realitysim_geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
 
-/// Standard deviations.
+/// Standard deviations of everything that is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
-    /// Of one place of a line of the best width, neighbours' common error included: pixels. More where lines lie off by more.
+    /// A line place of the best width, including the error that neighbours share, pixels. Widened if lines lie off by more.
     pub line_px: f64,
-    /// Of one patch of ground that two neighbouring images show, what all of a pair have in common included: pixels.
+    /// One patch of ground in two neighbouring images, including what all patches of a pair have in common, pixels.
     pub match_px: f64,
-    /// Of a tag, held loosely: what nothing else determines stays where it was.
+    /// Position of a tag, metres. It is loose: what nothing else determines stays where it was.
     pub tag_m: f64,
+    /// Orientation of a tag, radians.
     pub tag_rad: f64,
-    /// Of one frame's lean by IMU and mount, and of its height, beyond what is constant.
+    /// Tilt of one frame by IMU and mount beyond the constants, radians.
     pub tilt_rad: f64,
+    /// Height of one frame beyond the constants, metres.
     pub height_m: f64,
-    /// Of a step between frames: sway of the camera over the feet, share of the distance and of the turn, and what is added with time.
+    /// Sway of the camera over the feet between two frames, metres.
     pub sway_m: f64,
+    /// Step between frames by odometry, as a share of the distance.
     pub step_share: f64,
+    /// Rotation between frames by odometry, as a share of the rotation.
     pub turn_share: f64,
+    /// Rotation between frames by gyro, as a share of the rotation.
     pub gyro_share: f64,
+    /// Drift of the distance between frames.
     pub drift_m_per_s: f64,
+    /// Drift of the rotation between frames.
     pub drift_rad_per_s: f64,
-    /// Of what is constant, as in [`Constants`].
+    /// The constants, in the order of [`Constants::values`].
     pub constants: [f64; CONSTANTS],
 }
 
@@ -55,23 +62,25 @@ impl Default for Model {
 
 /// Scale of the robust loss (Geman-McClure), in standard deviations.
 pub(super) const ROBUST: f64 = 4.0;
-/// Frames farther apart than this do not know each other's odometry.
+/// Odometry does not link frames that are farther apart in time.
 const LONGEST_STEP_NS: i64 = 1_000_000_000;
-/// How well a gyro knows how fast the camera turns.
+/// Standard deviation of the camera's angular rate by gyro.
 const FELT_RAD_PER_S: f64 = 0.02;
-/// No sensor is read faster: what it moves meanwhile has a variance.
-const LEAST_READOUT_S: f64 = 1e-4;
-/// For derivatives by differences.
-pub(super) const SMALL: f64 = 1e-6;
-/// Changes of lens and sensor small enough to be straight, large enough to be exact, by the place in [`Constants::values`].
+/// Smallest readout time that motion during the readout is computed with, so that its variance is not zero.
+const MIN_READOUT_S: f64 = 1e-4;
+/// Step of derivatives by differences.
+pub(super) const DIFFERENCE_STEP: f64 = 1e-6;
+/// Steps of derivatives by lens and sensor, with their index in [`Constants::values`]: small enough for linearity, large enough
+/// for precision.
 const FOCAL_STEP: (usize, f64) = (0, 1e-5);
 const CENTRE_STEPS: [(usize, f64); 2] = [(1, 1e-3), (2, 1e-3)];
 const K1_STEP: (usize, f64) = (3, 1e-5);
 const READOUT_STEP: (usize, f64) = (7, 1e-5);
 
+/// Builds the normal equations and the cost about this state.
 pub(super) fn linearise(
     frames: &[Frame],
-    moving: &[Moving],
+    moving: &[MovingCamera],
     constants: &Constants,
     believed: &LensParameters,
     model: &Model,
@@ -97,10 +106,10 @@ pub(super) fn linearise(
                 fitting += 1;
             }
         }
-        cost += hold_to_tag(&mut chain, i, frame, here, constants, model);
-        cost += lean(&mut chain, i, frame, &here.pose, constants, model);
+        cost += add_tag(&mut chain, i, frame, here, constants, model);
+        cost += add_tilt(&mut chain, i, frame, &here.pose, constants, model);
         if let (Some(next), Some(there)) = (frames.get(i + 1), moving.get(i + 1)) {
-            cost += step(&mut chain, i, [frame, next], [here, there], model);
+            cost += add_step(&mut chain, i, [frame, next], [here, there], model);
             cost += same_ground::add(&mut chain, i, [frame, next], [here, there], &cameras, model);
         }
     }
@@ -115,28 +124,31 @@ pub(super) fn linearise(
     Ok(Linearised { chain, cost, rms_px, robust_rms_px })
 }
 
-/// The camera as it is, and changed a little in each of its constants.
+/// The camera as believed, and with a small change in each of its constants.
 pub(super) struct Cameras {
     pub(super) camera: Camera,
     pub(super) changed: Vec<Changed>,
 }
 
+/// A camera with a change in one constant.
 pub(super) struct Changed {
-    /// Place in [`Constants::values`], and by how much.
+    /// Index in [`Constants::values`].
     pub(super) constant: usize,
+    /// Size of the change.
     pub(super) step: f64,
     pub(super) camera: Camera,
 }
 
+/// Lens and readout time of a sensor.
 pub(super) struct Camera {
     pub(super) lens: Lens,
     readout_s: f64,
 }
 
-/// The angle between a line's plane and the ray on which it was seen, and how that changes.
+/// The residual of a line place, the angle between the line's plane and the ray on which it was seen, with its derivatives.
 struct Line {
     off_rad: f64,
-    by_frame: Own,
+    by_frame: FrameVector,
     by_camera: Border,
 }
 
@@ -152,7 +164,8 @@ impl Cameras {
         Ok(Self { camera: Camera::new(constants, believed)?, changed: changed.collect::<Result<_, LensError>>()? })
     }
 
-    fn line(&self, place: &Place, moving: &Moving) -> Option<Line> {
+    /// The residual of a line place; `None` where the lens draws nothing or the camera lies on the line.
+    fn line(&self, place: &Place, moving: &MovingCamera) -> Option<Line> {
         let seen = self.camera.ray(place.pixel, moving)?;
         let across = (place.point - seen.from).cross(place.tangent);
         let length = across.length();
@@ -169,16 +182,17 @@ impl Cameras {
             by_camera[*constant] = ((other.along - seen.along).dot(normal) + moved.dot(other.from - seen.from)) / step;
         }
         let row = row(&self.camera.lens, place.pixel);
-        let [farther, rounder] = [moved, turned].map(|by| moving.pose.rotation.conjugate() * by * row);
-        let by_frame = own([moved, turned, farther, rounder]);
+        let [extra_motion, rounder] = [moved, turned].map(|by| moving.pose.rotation.conjugate() * by * row);
+        let by_frame = gradient([moved, turned, extra_motion, rounder]);
         Some(Line { off_rad, by_frame, by_camera })
     }
 }
 
 /// A ray in `map`.
 pub(super) struct Ray {
+    /// Position of the camera, metres.
     pub(super) from: DVec3,
-    /// Of length 1.
+    /// Unit vector.
     pub(super) along: DVec3,
 }
 
@@ -187,34 +201,41 @@ impl Camera {
         Ok(Self { lens: Lens::new(constants.lens(believed))?, readout_s: constants.readout_s })
     }
 
-    /// Where the camera is when the row of a pixel is exposed.
-    pub(super) fn pose_at(&self, pixel: DVec2, moving: &Moving) -> Isometry {
+    /// Pose of the camera when the row of a pixel is exposed.
+    pub(super) fn pose_at(&self, pixel: DVec2, moving: &MovingCamera) -> Isometry {
         moving.at(row(&self.lens, pixel), self.readout_s)
     }
 
-    /// On which a pixel sees.
-    pub(super) fn ray(&self, pixel: DVec2, moving: &Moving) -> Option<Ray> {
+    /// The ray on which a pixel sees.
+    pub(super) fn ray(&self, pixel: DVec2, moving: &MovingCamera) -> Option<Ray> {
         let pose = self.pose_at(pixel, moving);
         Some(Ray { from: pose.translation, along: pose.transform_vector(self.lens.unproject(pixel)?) })
     }
 }
 
-/// Where the tag has it, and no farther in the time of the readout than feet, neck and gyro have it.
-fn hold_to_tag(chain: &mut Chain, i: usize, frame: &Frame, here: &Moving, constants: &Constants, model: &Model) -> f64 {
+/// Adds the prior of a frame: its tag, and the motion during the readout that feet, neck and gyro tell. Returns its cost.
+fn add_tag(
+    chain: &mut Chain,
+    i: usize,
+    frame: &Frame,
+    here: &MovingCamera,
+    constants: &Constants,
+    model: &Model,
+) -> f64 {
     let tagged = error_between(&frame.map_from_optical, &here.pose);
-    let Twist { linear, angular } = here.farther;
+    let Twist { linear, angular } = here.extra_motion;
     let rad_per_s = if frame.turn_is_felt { FELT_RAD_PER_S } else { unfelt_rad_per_s(&frame.twist) };
     let [way_m, turn_rad] =
-        [UNSEEN_M_PER_S, rad_per_s].map(|rate| rate * libm::hypot(constants.readout_s, LEAST_READOUT_S));
+        [UNSEEN_M_PER_S, rad_per_s].map(|rate| rate * libm::hypot(constants.readout_s, MIN_READOUT_S));
     let mut cost = 0.0;
-    for k in 0..OWN {
+    for k in 0..FRAME_UNKNOWNS {
         let (off, sigma) = match k {
             0..3 => (tagged[k], model.tag_m),
             3..6 => (tagged[k], model.tag_rad),
             6..9 => (linear[k - 6], way_m),
             _ => (angular[k - 9], turn_rad),
         };
-        let mut row = Own::zeros();
+        let mut row = FrameVector::zeros();
         row[k] = 1.0 / sigma;
         chain.add(i, off / sigma, &row, &Border::zeros());
         cost += 0.5 * (off / sigma) * (off / sigma);
@@ -222,16 +243,16 @@ fn hold_to_tag(chain: &mut Chain, i: usize, frame: &Frame, here: &Moving, consta
     cost
 }
 
-/// A residual's derivatives by what is a frame's own.
-fn own(by: [DVec3; OWN / 3]) -> Own {
-    Own::from_fn(|k, _| by[k / 3][k % 3])
+/// The derivatives of a residual by the unknowns of a frame, from their four parts.
+fn gradient(by: [DVec3; FRAME_UNKNOWNS / 3]) -> FrameVector {
+    FrameVector::from_fn(|k, _| by[k / 3][k % 3])
 }
 
-/// Up as IMU and mount have it in the camera, and the camera's height.
-fn lean(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, constants: &Constants, model: &Model) -> f64 {
+/// Adds the vertical by IMU and mount as seen in the camera, and the camera's height. Returns their cost.
+fn add_tilt(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, constants: &Constants, model: &Model) -> f64 {
     let Some(place) = &frame.footprint_from_optical else { return 0.0 };
     let tilt = DQuat::from_scaled_axis(DVec3::new(constants.tilt_x, 0.0, constants.tilt_z));
-    // What the mount calls up, seen from the camera as it is really mounted.
+    // This is the vertical as the mount has it, turned into the camera as it is really mounted.
     let believed = place.rotation.conjugate() * DVec3::Z;
     let turn = DMat3::from_quat(pose.rotation * tilt);
     let up = turn * believed;
@@ -241,22 +262,22 @@ fn lean(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, constants: 
     for (off, by_turn, by_tilts) in
         [(up.x, DVec3::new(0.0, up.z, -up.y), [by_x.x, by_z.x]), (up.y, DVec3::new(-up.z, 0.0, up.x), [by_x.y, by_z.y])]
     {
-        let row = own([DVec3::ZERO, by_turn / model.tilt_rad, DVec3::ZERO, DVec3::ZERO]);
+        let row = gradient([DVec3::ZERO, by_turn / model.tilt_rad, DVec3::ZERO, DVec3::ZERO]);
         let mut border = Border::zeros();
         (border[4], border[5]) = (by_tilts[0] / model.tilt_rad, by_tilts[1] / model.tilt_rad);
         chain.add(i, off / model.tilt_rad, &row, &border);
         cost += 0.5 * (off / model.tilt_rad) * (off / model.tilt_rad);
     }
     let off = (pose.translation.z - place.translation.z - constants.height_m) / model.height_m;
-    let row = own([DVec3::Z / model.height_m, DVec3::ZERO, DVec3::ZERO, DVec3::ZERO]);
+    let row = gradient([DVec3::Z / model.height_m, DVec3::ZERO, DVec3::ZERO, DVec3::ZERO]);
     let mut border = Border::zeros();
     border[6] = -1.0 / model.height_m;
     chain.add(i, off, &row, &border);
     cost + 0.5 * off * off
 }
 
-/// From one frame's feet to the next one's, against odometry and gyro.
-fn step(chain: &mut Chain, i: usize, frames: [&Frame; 2], moving: [&Moving; 2], model: &Model) -> f64 {
+/// Adds the step of the feet between two frames, compared with odometry and gyro. Returns its cost.
+fn add_step(chain: &mut Chain, i: usize, frames: [&Frame; 2], moving: [&MovingCamera; 2], model: &Model) -> f64 {
     let [from, to] = frames;
     let elapsed_ns = to.stamp_ns - from.stamp_ns;
     let odometry = from.odometry.zip(to.odometry);
@@ -282,20 +303,22 @@ fn step(chain: &mut Chain, i: usize, frames: [&Frame; 2], moving: [&Moving; 2], 
     let turn_share = if to.turned_rad.is_some() { model.gyro_share } else { model.turn_share };
     let sigma_rad = turn_share * turned.abs() + model.drift_rad_per_s * seconds + model.tilt_rad;
     let sigmas = [sigma_m, sigma_m, sigma_rad];
-    let mut rows = [[Own::zeros(); 2]; 3];
+    let mut rows = [[FrameVector::zeros(); 2]; 3];
     for k in 0..6 {
-        let mut small = Own::zeros();
-        small[k] = SMALL;
+        let mut small = FrameVector::zeros();
+        small[k] = DIFFERENCE_STEP;
         let [from, to] = moving.map(|moving| moving.moved(&small).pose);
         let moved = [off(&from, &moving[1].pose), off(&moving[0].pose, &to)];
         for (row, sigma) in (0..3).zip(sigmas) {
-            (0..2).for_each(|which| rows[row][which][k] = wrap_angle(moved[which][row] - here[row]) / (SMALL * sigma));
+            (0..2).for_each(|which| {
+                rows[row][which][k] = wrap_angle(moved[which][row] - here[row]) / (DIFFERENCE_STEP * sigma)
+            });
         }
     }
     let mut cost = 0.0;
     for (row, (off, sigma)) in rows.iter().zip(here.iter().zip(sigmas)) {
         let off = off / sigma;
-        // Feet slip: what is far off counts little.
+        // Feet slip: the robust loss bounds what is far off.
         let square = off * off / (ROBUST * ROBUST);
         let weight = 1.0 / (1.0 + square);
         chain.add_between(i, weight * off, &(row[0] * weight), &(row[1] * weight), &Border::zeros());

@@ -1,18 +1,18 @@
-//! A place of the ground that two neighbouring frames show must lie at one place.
+//! Residuals of ground that two neighbouring frames show, which must lie at one place.
 
 use glam::{DVec2, DVec3};
 
-use super::chain::{Border, Chain, OWN, Own};
-use super::moving::Moving;
-use super::residuals::{Camera, Cameras, Changed, Model, ROBUST, SMALL};
+use super::chain::{Border, Chain, FRAME_UNKNOWNS, FrameVector};
+use super::moving::MovingCamera;
+use super::residuals::{Camera, Cameras, Changed, DIFFERENCE_STEP, Model, ROBUST};
 use super::{Frame, Match};
 
-/// Adds the matches of the frames `i` and `i + 1`; returns their cost.
+/// Adds the matches of the frames `i` and `i + 1` and returns their cost.
 pub(super) fn add(
     chain: &mut Chain,
     i: usize,
     frames: [&Frame; 2],
-    moving: [&Moving; 2],
+    moving: [&MovingCamera; 2],
     cameras: &Cameras,
     model: &Model,
 ) -> f64 {
@@ -23,15 +23,17 @@ pub(super) fn add(
         let Some(ray) = cameras.camera.lens.unproject(shared.here) else { continue };
         let aside = ray.any_orthonormal_pair();
         let scale = cameras.camera.lens.focal() / model.match_px;
-        let off = |moving: [&Moving; 2], camera: &Camera| off(shared, moving, camera, aside).map(|off| off * scale);
+        let off = |moving: [&MovingCamera; 2], camera: &Camera| {
+            ray_error(shared, moving, camera, aside).map(|off| off * scale)
+        };
         let Some(now) = off(moving, &cameras.camera) else { continue };
-        let mut by_frame = [[Own::zeros(); 2]; 2];
-        for k in 0..OWN {
-            let mut small = Own::zeros();
-            small[k] = SMALL;
+        let mut by_frame = [[FrameVector::zeros(); 2]; 2];
+        for k in 0..FRAME_UNKNOWNS {
+            let mut small = FrameVector::zeros();
+            small[k] = DIFFERENCE_STEP;
             let moved = moving.map(|moving| moving.moved(&small));
             for (which, moving) in [[&moved[0], moving[1]], [moving[0], &moved[1]]].into_iter().enumerate() {
-                let slope = (off(moving, &cameras.camera).unwrap_or(now) - now) / SMALL;
+                let slope = (off(moving, &cameras.camera).unwrap_or(now) - now) / DIFFERENCE_STEP;
                 (by_frame[0][which][k], by_frame[1][which][k]) = (slope.x, slope.y);
             }
         }
@@ -40,7 +42,7 @@ pub(super) fn add(
             let slope = (off(moving, camera).unwrap_or(now) - now) / *step;
             (by_camera[0][*constant], by_camera[1][*constant]) = (slope.x, slope.y);
         }
-        // Whoever walks through the picture is far off in both directions.
+        // Something that moves through the picture is far off in both directions: the robust loss takes both together.
         let square = now.length_squared() / (ROBUST * ROBUST);
         let weight = 1.0 / (1.0 + square);
         cost += 0.5 * now.length_squared() / (1.0 + square);
@@ -52,8 +54,14 @@ pub(super) fn add(
     cost
 }
 
-/// Between the ray on which the later image shows the place and the direction in which it must lie, radians along both axes.
-fn off(shared: &Match, [before, here]: [&Moving; 2], camera: &Camera, (x, y): (DVec3, DVec3)) -> Option<DVec2> {
+/// Difference between the ray on which the later image shows the point and the direction in which it must lie, along both axes,
+/// radians.
+fn ray_error(
+    shared: &Match,
+    [before, here]: [&MovingCamera; 2],
+    camera: &Camera,
+    (x, y): (DVec3, DVec3),
+) -> Option<DVec2> {
     let ray = camera.ray(shared.before, before)?;
     let distance = -ray.from.z / ray.along.z;
     if !(distance > 0.0 && distance.is_finite()) {

@@ -1,4 +1,4 @@
-//! A walk with known poses and constants, found again.
+//! Tests in which a walk with known poses and constants is recovered.
 
 use nalgebra::Vector6;
 
@@ -22,17 +22,17 @@ fn lens() -> LensParameters {
     }
 }
 
-/// Even, of mean 0, the same everywhere.
+/// A deterministic sequence, uniform between -1 and 1.
 fn noise(number: usize) -> f64 {
     2.0 * ((number as f64 + 0.5) * 0.618_033_988_75).fract() - 1.0
 }
 
-/// A walk along a curve: what is true, and what was tagged and measured of it.
+/// A walk along a curve: the true poses, and the frames as tagged and measured.
 fn walk(truth: &Constants, noise_px: f64) -> (Vec<Isometry>, Vec<Frame>) {
     swaying_walk(truth, noise_px, DVec3::ZERO)
 }
 
-/// The torso sways as fast as said, and neither feet nor gyro tell.
+/// The same with a torso that sways at this speed, which neither feet nor gyro tell.
 fn swaying_walk(truth: &Constants, noise_px: f64, unseen_m_per_s: DVec3) -> (Vec<Isometry>, Vec<Frame>) {
     let real = Lens::new(truth.lens(&lens())).expect("a lens");
     let lines: Vec<(DVec3, DVec3)> = (0..9)
@@ -106,7 +106,7 @@ fn errors(found: &[Isometry], truth: &[Isometry]) -> (f64, f64) {
     (median(all.iter().map(|x| x.0).collect()), median(all.iter().map(|x| x.1).collect()))
 }
 
-/// In units of what the covariances say: with six unknowns 6 on average.
+/// Mean squared deviation in units of the covariances; 6 is expected for six unknowns.
 fn squared_deviation(found: &Smoothed, truths: &[Isometry]) -> f64 {
     let deviation = |i: usize| {
         let off = error_between(&found.map_from_optical[i], &truths[i]);
@@ -128,7 +128,7 @@ fn a_walk_without_noise_is_found_exactly_with_its_constants() {
         readout_s: 0.016,
     };
     let (truths, frames) = walk(&truth, 0.0);
-    // Nothing else than the lines is to count.
+    // Nothing but the lines is to count.
     let model = Model { line_px: 0.001, ..Model::default() };
     let found = smooth(&frames, &lens(), &model).expect("a lens");
     let (metres, radians) = errors(&found.map_from_optical, &truths);
@@ -145,7 +145,7 @@ fn a_walk_without_noise_is_found_exactly_with_its_constants() {
 }
 
 #[test]
-fn tags_come_ten_times_nearer_to_the_truth_and_their_covariance_is_honest() {
+fn smoothed_tags_are_ten_times_closer_with_consistent_covariance() {
     let truth = Constants { focal_share: 0.003, tilt_x: 0.007, height_m: 0.008, ..Constants::default() };
     let (truths, frames) = walk(&truth, 0.5);
     let before: Vec<Isometry> = frames.iter().map(|frame| frame.map_from_optical).collect();
@@ -157,7 +157,7 @@ fn tags_come_ten_times_nearer_to_the_truth_and_their_covariance_is_honest() {
         "{m_before} to {m_after} m, {rad_before} to {rad_after} rad"
     );
     let mean = squared_deviation(&found, &truths);
-    // This noise is new in each frame, and is allowed for as if it were not.
+    // The noise is independent from frame to frame here, and is allowed for as if it were not.
     assert!((0.1..18.0).contains(&mean), "{mean}");
     assert!(found.rms_px[1] < found.rms_px[0], "{:?}", found.rms_px);
     assert!(
@@ -173,14 +173,14 @@ fn lines_that_took_no_part_tell_better_poses_from_others() {
     let (_, frames) = walk(&Constants { focal_share: 0.004, ..Constants::default() }, 0.3);
     let [before, after] = held_out_rms_px(frames, &lens(), &model).expect("a lens");
     assert!(after < 0.9 * before, "tags and lens are off: {before} to {after} px");
-    // Tags that are the truth, of the right lens: nothing is left to be found but noise.
+    // Tags are the truth and the lens is right: only noise could be fitted.
     let (truths, mut frames) = walk(&Constants::default(), 0.3);
     frames.iter_mut().zip(&truths).for_each(|(frame, truth)| frame.map_from_optical = *truth);
     let [before, after] = held_out_rms_px(frames, &lens(), &model).expect("a lens");
     assert!(after > 0.99 * before, "{before} to {after} px");
 }
 
-/// Every frame sees the same errors, so that no number of them averages these out.
+/// Every frame sees the same errors, so that they do not average out.
 #[test]
 fn lines_that_are_painted_crookedly_leave_all_less_certain() {
     let (truths, mut frames) = walk(&Constants::default(), 0.05);
@@ -237,7 +237,7 @@ fn a_single_frame_and_none_are_walks_too() {
     assert_eq!(smooth(&[], &lens(), &Model::default()).expect("a lens").map_from_optical.len(), 0);
 }
 
-/// Ground that neighbours both show, pixel by pixel.
+/// Adds points of the ground that neighbouring frames show.
 fn with_overlaps(truths: &[Isometry], frames: &mut [Frame], noise_px: f64) {
     let lens = Lens::new(lens()).expect("a lens");
     for i in 1..frames.len() {
@@ -254,7 +254,7 @@ fn with_overlaps(truths: &[Isometry], frames: &mut [Frame], noise_px: f64) {
             let off =
                 |which: usize| DVec2::new(noise(91 * i + 2 * k + which), noise(57 * i + 3 * k + which)) * noise_px;
             let (before, here) = (pixel(&truths[i - 1], place)?, pixel(&truths[i], place)?);
-            // One in ten is something that walks.
+            // One in ten is something that moves.
             let walked = if k % 10 == 3 { DVec2::new(25.0, -20.0) } else { DVec2::ZERO };
             Some(Match { before: before + off(0), here: here + off(1) + walked })
         };
@@ -268,7 +268,7 @@ fn with_overlaps(truths: &[Isometry], frames: &mut [Frame], noise_px: f64) {
 fn overlapping_images_carry_frames_whose_lines_say_little() {
     let (truths, mut frames) = walk(&Constants::default(), 0.5);
     for (i, frame) in frames.iter_mut().enumerate() {
-        // Lines in every fifth frame only, and feet that slip.
+        // Only every fifth frame has lines, and feet slip.
         if i % 5 != 0 {
             frame.places.clear();
         }
@@ -279,7 +279,7 @@ fn overlapping_images_carry_frames_whose_lines_say_little() {
     let together = smooth(&frames, &lens(), &Model::default()).expect("a lens");
     let ((m_alone, rad_alone), (m, rad)) =
         (errors(&alone.map_from_optical, &truths), errors(&together.map_from_optical, &truths));
-    // How two frames lie to each other says little of how both lean.
+    // The relative pose of two frames says little about how both lean.
     assert!(m < 0.3 * m_alone && rad < rad_alone, "{m_alone} to {m} m, {rad_alone} to {rad} rad");
     assert!(m < 0.003, "{m} m");
 }

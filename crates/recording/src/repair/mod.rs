@@ -1,14 +1,14 @@
-//! What a crash, a power cut or a failing disk has left of a session becomes a whole capture.
+//! Repair: makes a whole capture of what a crash, a power cut or a failing disk has left of a session.
 //!
-//! Every step leaves something that the next run can go on from; a second run changes nothing.
+//! Each step leaves a state from which the next run can go on; a second run changes nothing.
 
-mod account;
-mod aside;
-mod listing;
-mod notes;
+mod foreign_segments;
+mod manifest_repair;
+mod quarantine;
+mod repair_journal;
 mod report;
 mod segment;
-mod strangers;
+mod segment_counts;
 mod unfinished;
 
 use std::collections::BTreeMap;
@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-pub(super) use self::aside::is_damaged_name;
-pub(super) use self::notes::NOTES_FILE;
-use self::notes::Notes;
+pub(super) use self::quarantine::is_damaged_name;
+pub(super) use self::repair_journal::JOURNAL_FILE;
+use self::repair_journal::RepairJournal;
 pub use self::report::Repaired;
 pub(super) use self::segment::COPY;
 use super::error::RecordingError;
@@ -31,25 +31,27 @@ use super::segment::{ACTIVE, is_segment_name, segment_index};
 use super::storage::{Kind, Listed, Storage, read_small, write_atomically};
 use realitysim_ros2::mcap_read::survey;
 
-/// A larger session file is none.
+/// Largest `session.json`, bytes.
 const MAX_SESSION_FILE_BYTES: u64 = 4 << 20;
-/// A segment takes some hundred bytes of it.
+/// Largest `metadata.yaml`, bytes: a segment takes some hundred bytes of it.
 const MAX_METADATA_FILE_BYTES: u64 = 64 << 20;
 
-/// Folders of sessions, oldest first, whether they can be read or not; the folder itself if it is one. What is no session is
-/// left alone.
+/// Lists the folders of sessions in a folder of captures, oldest first, whether they can be read or not. If the
+/// folder itself is a session, it is the only one. Other folders are left out.
 pub fn sessions_of(storage: &dyn Storage, captures: &Path) -> Vec<PathBuf> {
     let is_session = |folder: &Path| storage.read(&folder.join(SESSION_FILE)).is_ok();
     if is_session(captures) {
         return vec![captures.to_owned()];
     }
     let entries = storage.list(captures).unwrap_or_default().into_iter();
-    // What is hidden is ours beside sessions, or on its way out.
+    // Hidden folders belong to this program or are being deleted.
     let folders = entries.filter(|entry| entry.kind == Kind::Folder && !entry.name.starts_with('.'));
     folders.map(|entry| captures.join(entry.name)).filter(|folder| is_session(folder)).collect()
 }
 
-/// Finishes what was never finished, lists what is not listed. Files that are not of this program stay as they are.
+/// Finishes segments that were never finished and lists segments that the manifest does not list.
+///
+/// Files of other programs stay as they are. A session that is being recorded is not touched.
 pub fn repair(storage: &dyn Storage, session: &Path) -> Result<Repaired, RecordingError> {
     let mut repaired = Repaired { session: session.to_owned(), ..Repaired::default() };
     let info = read_session(storage, session)?;
@@ -57,19 +59,19 @@ pub fn repair(storage: &dyn Storage, session: &Path) -> Result<Repaired, Recordi
     let Some(_lock) = storage.lock(&path).map_err(|source| RecordingError::Io { path, source })? else {
         return Ok(Repaired { in_use: true, ..repaired });
     };
-    let notes = Notes::read(storage, session);
+    let journal = RepairJournal::read(storage, session);
     let (lines, topics) = (BTreeMap::new(), BTreeMap::new());
-    let mut work = Work { storage, session, info, repaired: &mut repaired, lines, topics, notes };
+    let mut work = SessionRepair { storage, session, info, repaired: &mut repaired, lines, topics, journal };
     work.finish_segments()?;
-    work.tell_what_was_noted()?;
+    work.report_journalled_losses()?;
     work.complete_manifest()?;
     work.complete_metadata()?;
-    work.name_what_is_wrong()?;
-    work.notes.forget()?;
+    work.report_mismatches()?;
+    work.journal.forget()?;
     Ok(repaired)
 }
 
-/// `session.json`, of a format that is known; what else it says may be a later version's.
+/// Reads `session.json` and checks its format version only, since the rest may be of a later program.
 pub(super) fn read_head(storage: &dyn Storage, session: &Path) -> Result<Vec<u8>, RecordingError> {
     #[derive(Deserialize)]
     struct Version {
@@ -87,25 +89,29 @@ pub(super) fn read_head(storage: &dyn Storage, session: &Path) -> Result<Vec<u8>
     }
 }
 
+/// Reads and parses `session.json`.
 fn read_session(storage: &dyn Storage, session: &Path) -> Result<SessionInfo, RecordingError> {
     let bytes = read_head(storage, session)?;
     serde_json::from_slice(&bytes).map_err(|source| RecordingError::Info { path: session.join(SESSION_FILE), source })
 }
 
-struct Work<'a> {
+/// State of the repair of one session.
+struct SessionRepair<'a> {
     storage: &'a dyn Storage,
     session: &'a Path,
     info: SessionInfo,
     repaired: &'a mut Repaired,
-    /// Of segments that were looked through.
+    /// Manifest lines of segments that this repair has read.
     lines: BTreeMap<String, ManifestLine>,
+    /// Messages of these segments, by topic.
     topics: BTreeMap<String, BTreeMap<TopicEntry, u64>>,
-    notes: Notes<'a>,
+    journal: RepairJournal<'a>,
 }
 
-impl Work<'_> {
-    /// By name and size; `verify` reads all.
-    fn name_what_is_wrong(&mut self) -> Result<(), RecordingError> {
+impl SessionRepair<'_> {
+    /// Reports segments whose name or size is not what the manifest says; [`verify`](super::verify::verify) reads
+    /// their content as well.
+    fn report_mismatches(&mut self) -> Result<(), RecordingError> {
         let path = self.session.join(MANIFEST_FILE);
         let lines = manifest_lines(self.storage, self.session).map_err(|source| RecordingError::io(&path, source))?;
         let listed = self.storage.list(self.session).map_err(|source| RecordingError::io(self.session, source))?;
@@ -132,12 +138,13 @@ impl Work<'_> {
         Ok(())
     }
 
+    /// Writes `metadata.yaml` if it is missing, if something was repaired, or if it lists segments that were removed.
     fn complete_metadata(&mut self) -> Result<(), RecordingError> {
         let path = self.session.join(METADATA_FILE);
         let fails = |source| RecordingError::io(&path, source);
         let there = read_small(self.storage, &path, MAX_METADATA_FILE_BYTES).map_err(fails)?;
         let files = self.files(|name| !name.ends_with(ACTIVE))?;
-        // Readers that go by it stumble over segments that were removed.
+        // Readers that go by the file fail at segments that were removed.
         let lists_what_is_gone = |text: &[u8]| {
             let text = String::from_utf8_lossy(text);
             let gone = evicted_segments(self.storage, self.session).into_keys().filter(|name| !files.contains(name));
@@ -164,7 +171,7 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Segments, finished or not, that are plain files of this folder.
+    /// Names of plain files of this folder that are segments, finished or not.
     fn files(&self, wanted: impl Fn(&str) -> bool) -> Result<Vec<String>, RecordingError> {
         let listed = self.storage.list(self.session).map_err(|source| RecordingError::io(self.session, source))?;
         let is_ours = |file: &Listed| file.bytes().is_some() && segment_index(&file.name).is_some();
@@ -172,7 +179,7 @@ impl Work<'_> {
     }
 }
 
-/// By the index.
+/// Messages of a segment by topic, from its index.
 fn topics_of(storage: &dyn Storage, path: &Path) -> Result<BTreeMap<TopicEntry, u64>, RecordingError> {
     let file = storage.read(path).map_err(|source| RecordingError::io(path, source))?;
     let survey = survey(file).map_err(|source| RecordingError::Read { path: path.to_owned(), source })?;

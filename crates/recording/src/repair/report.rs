@@ -1,4 +1,4 @@
-//! What a repair tells.
+//! Report of a repair.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -11,34 +11,37 @@ use super::super::folder::Loss;
 /// What was done to one session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Repaired {
+    /// Folder of the session.
     pub session: PathBuf,
-    /// It is being recorded: nothing was touched.
+    /// Whether the session is being recorded: then nothing was touched.
     pub in_use: bool,
-    /// Segments that got their end.
+    /// Segments that were finished.
     pub finished: Vec<String>,
-    /// Files without a message that were removed.
+    /// Unfinished files without a message that were removed.
     pub removed: Vec<String>,
-    /// Segments that the manifest did not list.
+    /// Segments that were added to the manifest.
     pub listed: Vec<String>,
-    /// The manifest was written anew.
+    /// Whether the manifest was written anew.
     pub manifest_rewritten: bool,
+    /// Whether `metadata.yaml` was written anew.
     pub metadata_rewritten: bool,
-    /// What stays in the folder under another name, for people to look at, and why.
+    /// What stays in the folder, some of it under another name, for people to look at, and why.
     pub set_aside: Vec<SetAside>,
     /// What could not be kept.
     pub lost: Vec<Loss>,
-    /// What is not as the manifest says, and cannot be mended: left as it is.
+    /// What is not as the manifest says and cannot be mended; it is left as it is.
     pub wrong: Vec<Loss>,
 }
 
 impl Repaired {
+    /// Whether the repair changed nothing.
     pub fn changed_nothing(&self) -> bool {
         let wrong = self.wrong.clone();
         *self == Self { session: self.session.clone(), in_use: self.in_use, wrong, ..Self::default() }
     }
 }
 
-/// In words, over several lines.
+/// Says it in words, over several lines.
 impl fmt::Display for Repaired {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { session, in_use, finished, removed, listed, set_aside, lost, wrong, .. } = self;

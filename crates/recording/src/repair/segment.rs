@@ -1,8 +1,8 @@
-//! A segment that was never finished gets its end.
+//! Repair of a segment that was never finished.
 //!
-//! What can be trusted of it goes through the writer again, which says what the whole file is: the same bytes, as far as
-//! they are there, and then index and footer. So only the end of the file is touched. If the bytes differ, the file is of
-//! another writer; if there is more behind what is damaged, it is worth keeping: both are copied instead.
+//! What can be trusted of it goes through the writer again, which gives the whole file: the same bytes, as far as
+//! they are there, and then index and footer. So only the end of the file is touched. The file is copied instead if
+//! the bytes differ, since then another writer made it, or if more can be read behind damage.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -10,76 +10,85 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::super::error::RecordingError;
-use super::super::hashing::Hashing;
+use super::super::hashing::HashingWriter;
 use super::super::manifest::{ManifestLine, TopicEntry};
 use super::super::storage::{Appending, Readable, Storage};
-use super::account::Account;
-use super::aside::{put, set_aside};
-use super::notes::{Cut, Notes};
+use super::quarantine::{rename_durably, set_aside};
+use super::repair_journal::{Cut, RepairJournal};
+use super::segment_counts::SegmentCounts;
 use realitysim_config::Settings;
 use realitysim_ros2::mcap_read::{
     Damage, LogReader, Part, Piece, ReadError, Remains, Selection, examine, metadata_records, remains, sound_pieces,
 };
 use realitysim_ros2::mcap_write::{LogWriter, WriteError};
 
-/// Messages of each topic.
+/// Number of messages of each topic.
 pub(super) type Topics = BTreeMap<TopicEntry, u64>;
 
-/// What became of it.
-pub(super) enum Ended {
-    /// No message is in it.
-    Without(Remains),
+/// Result of finishing a segment.
+pub(super) enum FinishOutcome {
+    /// The segment holds no message.
+    Empty(Remains),
+    /// The segment is whole under its final name.
     Whole {
         line: Box<ManifestLine>,
         topics: Topics,
         damage: Option<String>,
-        /// What it was copied from.
+        /// The file that it was copied from, set aside.
         damaged: Option<PathBuf>,
     },
 }
 
-/// What the file should end with is at most index and footer: some hundred bytes a chunk.
+/// Largest end that is written behind a segment, bytes: index and footer take some hundred bytes a chunk.
 const MAX_END_BYTES: usize = 32 << 20;
-/// Of the copy, until it is whole.
+/// End of the name of a copy until it is whole.
 pub(crate) const COPY: &str = ".repair";
 
-/// Finishes `active` as `NAME`, which is not there; `limit` is where what was given up begins.
+/// Finishes the unfinished segment `active` as `name`, which must not exist. `limit` is its confirmed length, bytes,
+/// if the recorder gave it up.
 pub(super) fn finish(
     storage: &dyn Storage,
     active: &Path,
     name: &str,
     limit: Option<u64>,
     settings: &Settings,
-    notes: &mut Notes,
-) -> Result<Ended, RecordingError> {
+    journal: &mut RepairJournal,
+) -> Result<FinishOutcome, RecordingError> {
     let length = length(storage, active)?.min(limit.unwrap_or(u64::MAX));
     let open = || open_until(storage, active, length);
-    let mut account = Account::new(settings);
-    let sink =
-        Compared { there: BufReader::new(open()?), same: 0, differs: false, end: Vec::new(), hash: Default::default() };
+    let mut account = SegmentCounts::new(settings);
+    let sink = ComparingSink {
+        there: BufReader::new(open()?),
+        same: 0,
+        differs: false,
+        end: Vec::new(),
+        hash: Default::default(),
+    };
     let (sink, sound) = through_writer(open()?, sink, &mut account).map_err(|error| error.at(active))?;
-    let others = salvaged(open()?).map_err(|error| error.at(active))?;
+    let others = count_readable(open()?).map_err(|error| error.at(active))?;
     if account.messages() == 0 && others == 0 {
-        return Ok(Ended::Without(remains(open()?, sound.end).map_err(|error| Trouble::from(error).at(active))?));
+        return Ok(FinishOutcome::Empty(
+            remains(open()?, sound.end).map_err(|error| CopyError::from(error).at(active))?,
+        ));
     }
     let fails = |source| RecordingError::io(active, source);
     let path = active.with_file_name(name);
     let is_prefix = sink.same >= sound.end && sink.end.len() < MAX_END_BYTES;
     if !is_prefix || others > account.messages() {
-        return copy(storage, active, &path, open()?, settings, sound.damage, notes);
+        return copy(storage, active, &path, open()?, settings, sound.damage, journal);
     }
-    let Compared { same, end, hash, .. } = sink;
+    let ComparingSink { same, end, hash, .. } = sink;
     let cut = length.saturating_sub(same);
-    let cut = notes.note(name, Cut { bytes: cut, damage: sound.damage.filter(|_| cut > 0) })?;
+    let cut = journal.note(name, Cut { bytes: cut, damage: sound.damage.filter(|_| cut > 0) })?;
     let file = storage.append(active).map_err(fails)?;
     file.set_len(same).map_err(fails)?;
     Appending(Arc::clone(&file)).write_all(&end).and_then(|()| file.sync()).map_err(fails)?;
-    put(storage, active, &path)?;
+    rename_durably(storage, active, &path)?;
     let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), cut.bytes);
-    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage, damaged: None })
+    Ok(FinishOutcome::Whole { line: Box::new(line), topics, damage: cut.damage, damaged: None })
 }
 
-/// What is said about a finished segment whose line is missing, and what of it makes no sense.
+/// Makes the manifest line of a finished segment that has none, and says what of the segment is damaged.
 pub(super) fn describe(
     storage: &dyn Storage,
     path: &Path,
@@ -90,25 +99,25 @@ pub(super) fn describe(
     let fails = |source| RecordingError::io(path, source);
     let mut hash = blake3::Hasher::new();
     io::copy(&mut storage.read(path).map_err(fails)?, &mut hash).map_err(fails)?;
-    let mut account = Account::new(settings);
-    let mut read = || -> Result<Damage, Trouble> {
+    let mut account = SegmentCounts::new(settings);
+    let mut read = || -> Result<Damage, CopyError> {
         for message in LogReader::open(storage.read(path).map_err(ReadError::from)?, Selection::All)? {
             account.note(&message?);
         }
-        // Attachments too.
+        // This examines attachments as well.
         Ok(examine(storage.read(path).map_err(ReadError::from)?)?.damage)
     };
     let damage = read().map_err(|error| error.at(path))?;
     let cut = damage.bytes_skipped.max(noted.map_or(0, |cut| cut.bytes));
     let (line, topics) = account.line(name, hash.count(), hash.finalize().to_hex().to_string(), cut);
     let said = match noted {
-        Some(cut) => Some(cut.said()),
+        Some(cut) => Some(cut.describe()),
         None => (damage != Damage::default()).then(|| damage.to_string()),
     };
     Ok((line, topics, said))
 }
 
-/// All that can be read, in a new file; the old one is set aside.
+/// Copies everything that can be read into a new file and sets the old one aside.
 fn copy(
     storage: &dyn Storage,
     active: &Path,
@@ -116,14 +125,14 @@ fn copy(
     reader: impl Read + Seek,
     settings: &Settings,
     damage: Option<String>,
-    notes: &mut Notes,
-) -> Result<Ended, RecordingError> {
+    journal: &mut RepairJournal,
+) -> Result<FinishOutcome, RecordingError> {
     let beside = path.with_extension(format!("mcap{COPY}"));
     let fails = |source| RecordingError::io(&beside, source);
     let file = storage.create_over(&beside).map_err(fails)?;
-    let mut account = Account::new(settings);
-    let hashing = Hashing::new(Appending(Arc::clone(&file)));
-    let written = || -> Result<Hashing<Appending>, Trouble> {
+    let mut account = SegmentCounts::new(settings);
+    let hashing = HashingWriter::new(Appending(Arc::clone(&file)));
+    let written = || -> Result<HashingWriter<Appending>, CopyError> {
         let mut writer = LogWriter::new(hashing)?;
         for attachment in realitysim_ros2::mcap_read::attachments(storage.read(active).map_err(ReadError::from)?)?.list
         {
@@ -144,21 +153,22 @@ fn copy(
     file.sync().map_err(fails)?;
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let cut = length(storage, active)?.saturating_sub(bytes).max(1);
-    let cut = notes.note(&name, Cut { bytes: cut, damage })?;
-    // In this order: cut off in between, the next run does the same again.
-    put(storage, &beside, path)?;
+    let cut = journal.note(&name, Cut { bytes: cut, damage })?;
+    // In this order: if power fails in between, the next run does the same again.
+    rename_durably(storage, &beside, path)?;
     let damaged = Some(set_aside(storage, active)?);
     let (line, topics) = account.line(&name, bytes, hash, cut.bytes);
-    Ok(Ended::Whole { line: Box::new(line), topics, damage: cut.damage, damaged })
+    Ok(FinishOutcome::Whole { line: Box::new(line), topics, damage: cut.damage, damaged })
 }
 
+/// Passes the sound beginning of a segment through the writer.
 fn through_writer(
     reader: impl Read + Seek,
-    sink: Compared,
-    account: &mut Account,
-) -> Result<(Compared, realitysim_ros2::mcap_read::Sound), Trouble> {
+    sink: ComparingSink,
+    account: &mut SegmentCounts,
+) -> Result<(ComparingSink, realitysim_ros2::mcap_read::Sound), CopyError> {
     let mut writer = LogWriter::new(sink)?;
-    let sound = sound_pieces(reader, &mut |piece| -> Result<(), Trouble> {
+    let sound = sound_pieces(reader, &mut |piece| -> Result<(), CopyError> {
         match piece {
             Piece::Attachment(attachment) => {
                 writer.attach(&attachment.name, &attachment.media_type, attachment.log_time_ns, &attachment.data)?;
@@ -184,8 +194,8 @@ fn through_writer(
     Ok((writer.finish()?, sound))
 }
 
-/// Messages that a reader gets out of it which passes over what is damaged.
-fn salvaged(reader: impl Read + Seek) -> Result<u64, Trouble> {
+/// Number of messages that a reader gets out of the segment if it passes over what is damaged.
+fn count_readable(reader: impl Read + Seek) -> Result<u64, CopyError> {
     let reader = match LogReader::open(reader, Selection::All) {
         Err(ReadError::NotMcap { .. }) => return Ok(0),
         reader => reader?,
@@ -198,17 +208,18 @@ fn salvaged(reader: impl Read + Seek) -> Result<u64, Trouble> {
     Ok(messages)
 }
 
-/// What the writer says against what is there.
-struct Compared {
-    there: BufReader<Until>,
+/// Sink that compares what the writer gives with the bytes of the file.
+struct ComparingSink {
+    there: BufReader<TruncatedFile>,
+    /// Number of equal bytes.
     same: u64,
     differs: bool,
-    /// What is to stand where they differ.
+    /// Bytes of the writer from the first difference on.
     end: Vec<u8>,
     hash: blake3::Hasher,
 }
 
-impl Write for Compared {
+impl Write for ComparingSink {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.hash.update(bytes);
         let mut equal = 0;
@@ -230,6 +241,7 @@ impl Write for Compared {
     }
 }
 
+/// Fills a buffer as far as the file goes.
 fn read_up_to(reader: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
     let mut done = 0;
     while done < buffer.len() {
@@ -241,24 +253,26 @@ fn read_up_to(reader: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
     Ok(done)
 }
 
-/// A file as if it ended there.
-struct Until {
+/// A file that is read as if it ended at `length`.
+struct TruncatedFile {
     file: Box<dyn Readable>,
     position: u64,
     length: u64,
 }
 
+/// Size of a file, bytes.
 fn length(storage: &dyn Storage, path: &Path) -> Result<u64, RecordingError> {
     let length = storage.read(path).and_then(|mut file| file.seek(SeekFrom::End(0)));
     length.map_err(|source| RecordingError::io(path, source))
 }
 
-fn open_until(storage: &dyn Storage, path: &Path, length: u64) -> Result<Until, RecordingError> {
+/// Opens a file as if it ended at `length`.
+fn open_until(storage: &dyn Storage, path: &Path, length: u64) -> Result<TruncatedFile, RecordingError> {
     let file = storage.read(path).map_err(|source| RecordingError::io(path, source))?;
-    Ok(Until { file, position: 0, length })
+    Ok(TruncatedFile { file, position: 0, length })
 }
 
-impl Read for Until {
+impl Read for TruncatedFile {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let left = usize::try_from(self.length.saturating_sub(self.position)).unwrap_or(usize::MAX);
         let wanted = buffer.len().min(left);
@@ -268,7 +282,7 @@ impl Read for Until {
     }
 }
 
-impl Seek for Until {
+impl Seek for TruncatedFile {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         let to = match to {
             SeekFrom::End(from) => SeekFrom::Start(self.length.saturating_add_signed(from)),
@@ -280,13 +294,14 @@ impl Seek for Until {
     }
 }
 
-/// Of reading or of writing.
-enum Trouble {
+/// Error of reading or of writing.
+enum CopyError {
     Read(ReadError),
     Write(WriteError),
 }
 
-impl Trouble {
+impl CopyError {
+    /// Adds the path.
     fn at(self, path: &Path) -> RecordingError {
         match self {
             Self::Read(source) => RecordingError::Read { path: path.to_owned(), source },
@@ -295,13 +310,13 @@ impl Trouble {
     }
 }
 
-impl From<ReadError> for Trouble {
+impl From<ReadError> for CopyError {
     fn from(error: ReadError) -> Self {
         Self::Read(error)
     }
 }
 
-impl From<WriteError> for Trouble {
+impl From<WriteError> for CopyError {
     fn from(error: WriteError) -> Self {
         Self::Write(error)
     }

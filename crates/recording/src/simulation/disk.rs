@@ -1,8 +1,8 @@
 //! A disk in memory that loses what was not synced, sector by sector, and fails when it is told to.
 //!
-//! Names: those of a folder survive a power cut in the order in which they were made, up to some point (a journal).
-//! Content: of what was not synced any sector may be old, new, or zero where the file grew. A failed sync leaves its
-//! sectors marked as clean, so that a second one reports success and keeps nothing: as ext4, XFS and Btrfs do.
+//! Names: changes of a folder survive a power cut in the order in which they were made, up to some point, as in a
+//! journal. Content: of what was not synced, any sector may be old, new, or zero where the file grew. A failed sync
+//! marks its sectors as clean, so that a second one reports success and keeps nothing, as ext4, XFS and Btrfs do.
 
 use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,33 +12,40 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use super::super::storage::{Kind, Listed, Readable, Space, Storage, StoredFile};
-use super::dice::Dice;
+use super::prng::Dice;
 
+/// Size of a sector, bytes.
 const SECTOR: usize = 512;
 
+/// The disk; its clones are the same disk.
 #[derive(Clone)]
 pub struct SimulatedDisk(Arc<Mutex<World>>);
 
 /// What goes wrong, by the number of the operation.
 #[derive(Clone, Debug, Default)]
 pub struct Trouble {
-    /// These operations fail, each range in its way.
+    /// Operations that fail, and how.
     pub fails: Vec<(std::ops::Range<u64>, Failure)>,
-    /// Here the power goes.
+    /// The operation at which the power fails.
     pub cut_at: Option<u64>,
-    /// One operation in so many takes this long.
+    /// One operation in this many takes this long.
     pub stalls: Option<(u64, Duration)>,
+    /// Size of the disk, bytes.
     pub capacity_bytes: Option<u64>,
+    /// Whether the disk reports that it has no free inodes.
     pub no_inodes: bool,
 }
 
+/// How an operation fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
-    /// Only syncs of files.
+    /// Only syncs of files fail.
     Sync,
+    /// Every operation fails with this error.
     Any(ErrorKind),
 }
 
+/// State of the disk.
 struct World {
     dice: Dice,
     trouble: Trouble,
@@ -46,20 +53,22 @@ struct World {
     clock: Duration,
     is_dead: bool,
     names: BTreeMap<PathBuf, Node>,
-    /// As a power cut would leave them.
+    /// Names as a power cut would leave them.
     safe_names: BTreeMap<PathBuf, Node>,
-    /// Not yet safe, by folder.
+    /// Changes of names that are not yet safe, by folder.
     changes: BTreeMap<PathBuf, Vec<Change>>,
     files: Vec<Content>,
     locks: BTreeSet<PathBuf>,
 }
 
+/// What a name stands for; a file by its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Node {
     Folder,
     File(usize),
 }
 
+/// A change of a name.
 #[derive(Clone)]
 enum Change {
     Put(PathBuf, Node),
@@ -67,10 +76,12 @@ enum Change {
     Move(PathBuf, PathBuf, Node),
 }
 
+/// Content of a file: as it reads now, and as it is safe on the disk.
 #[derive(Clone, Default)]
 struct Content {
     now: Vec<u8>,
     safe: Vec<u8>,
+    /// Sectors that are not safe.
     dirty: BTreeSet<usize>,
     length_is_dirty: bool,
 }
@@ -92,7 +103,7 @@ impl SimulatedDisk {
         })))
     }
 
-    /// The power comes back: what is left is what the disk holds.
+    /// Restores the power: what is left is what the disk holds.
     pub fn restart(&self) {
         let mut world = self.world();
         let World { dice, files, safe_names, changes, .. } = &mut *world;
@@ -114,28 +125,32 @@ impl SimulatedDisk {
         world.trouble = Trouble::default();
     }
 
-    /// Nothing goes wrong any more.
+    /// Ends all trouble.
     pub fn heal(&self) {
         self.world().trouble = Trouble::default();
     }
 
+    /// Sets what goes wrong from now on.
     pub fn trouble(&self, trouble: Trouble) {
         self.world().trouble = trouble;
     }
 
+    /// Whether the power has failed.
     pub fn is_dead(&self) -> bool {
         self.world().is_dead
     }
 
+    /// Number of operations so far.
     pub fn operations(&self) -> u64 {
         self.world().operations
     }
 
+    /// Advances the clock.
     pub fn pass(&self, time: Duration) {
         self.world().clock += time;
     }
 
-    /// Somebody removes this, and all that lies in it.
+    /// Removes a path and everything in it, as somebody else might.
     pub fn remove_all(&self, path: &Path) {
         let mut world = self.world();
         let World { names, safe_names, changes, .. } = &mut *world;
@@ -144,7 +159,7 @@ impl SimulatedDisk {
         changes.retain(|folder, _| !folder.starts_with(path));
     }
 
-    /// Every file with its content.
+    /// All files with their content.
     pub fn snapshot(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let world = self.world();
         let content = |node: &Node| match node {
@@ -182,6 +197,7 @@ fn new_file(world: &mut World) -> Node {
 }
 
 impl World {
+    /// Counts an operation and lets it fail if that is due.
     fn operate(&mut self, is_sync: bool) -> io::Result<()> {
         self.operations += 1;
         self.clock += Duration::from_micros(100);
@@ -265,7 +281,7 @@ impl Content {
         self.length_is_dirty = false;
     }
 
-    /// Some of it may have come through; nobody will try the rest again.
+    /// Fails a sync: some sectors are safe nonetheless, and the others will never be tried again.
     fn fail_to_sync(&mut self, dice: &mut Dice) {
         for sector in std::mem::take(&mut self.dirty) {
             if dice.below(2) == 0 {
@@ -280,6 +296,7 @@ impl Content {
         self.safe[range.clone()].copy_from_slice(&self.now[range]);
     }
 
+    /// Leaves of the content what survives a power cut: each unsafe sector with a probability of `keeps_percent`.
     fn survive(&mut self, dice: &mut Dice, keeps_percent: u64) {
         if self.length_is_dirty {
             let [least, most] = [self.safe.len().min(self.now.len()), self.safe.len().max(self.now.len())];
@@ -434,7 +451,7 @@ impl StoredFile for SimulatedFile {
         let mut world = self.disk.world();
         let done = world.operate(false);
         let free = world.trouble.capacity_bytes.map_or(u64::MAX, |capacity| capacity.saturating_sub(world.used()));
-        // A write that fails may have written something; one that does not may have written less.
+        // A write that fails may have written something; one that succeeds may have written less than asked.
         let most = if done.is_err() { world.dice.below(bytes.len() as u64 + 1) } else { bytes.len() as u64 };
         let written = most.min(free) as usize;
         if !world.is_dead {

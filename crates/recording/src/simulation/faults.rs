@@ -1,5 +1,7 @@
-//! The recorder's thread on a disk that refuses for a while: it is named, what fits into memory is kept, what does not
-//! is counted and told in the log where it happened, and all goes on when the disk does.
+//! The recorder's thread on a disk that refuses for a while.
+//!
+//! The fault is named. What fits into memory is kept; what does not is counted, and a gap in the log says so where it
+//! happened. When the disk works again, so does the recorder.
 
 use std::io::ErrorKind;
 use std::sync::Arc;
@@ -10,15 +12,16 @@ use super::run::{self, CAPTURES, is_frame, session};
 use crate::gap::gaps_in;
 use crate::manifest::SESSION_FILE;
 use crate::repair::repair;
-use crate::session::{Ended, SegmentState, SessionWriter, Writing};
+use crate::session_writer::{Ended, SegmentState, SessionWriter, Writing};
 use crate::verify::verify;
 use realitysim_ros2::mcap_read::{Channel, LogMessage};
 use realitysim_ros2::messages::{CompressedImage, Imu};
 
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Of a made-up frame: a hundred fill the queue.
+/// Size of a made-up frame, bytes: a hundred fill the queue.
 const FRAME_BYTES: usize = 10_000;
 
+/// Feeds a session with frames and measurements.
 struct Feeder {
     session: SessionWriter,
     image: Arc<Channel>,
@@ -45,7 +48,7 @@ impl Feeder {
         }
     }
 
-    /// A frame and five measurements; now and then a frame that is not wanted.
+    /// Feeds a frame and five measurements, and now and then a frame that is thinned out.
     fn feed(&mut self, disk: &SimulatedDisk) {
         disk.pass(Duration::from_millis(33));
         let at_ns = i64::from(self.frames) * 33_000_000;
@@ -68,6 +71,7 @@ impl Feeder {
         }
     }
 
+    /// Feeds until the condition `is` holds; `what` names it in a failure.
     fn feed_until(&mut self, disk: &SimulatedDisk, what: &str, is: impl Fn(&SessionWriter) -> bool) {
         let began = Instant::now();
         while !is(&self.session) {
@@ -124,7 +128,7 @@ fn a_disk_that_refuses_is_named_and_recovered_from() {
     }
 }
 
-/// While it records, somebody removes what is being written: the folder, or the segment alone.
+/// While the session is recorded, somebody removes its folder, or only the segment.
 #[test]
 fn a_folder_that_is_removed_is_told_and_another_begun_at_once() {
     for only_the_segment in [false, true] {
@@ -152,7 +156,7 @@ fn a_folder_that_is_removed_is_told_and_another_begun_at_once() {
     }
 }
 
-/// The frames that are not there are those that a gap at that place counts.
+/// Asserts that the frames that are missing are those that a gap at that place counts.
 fn assert_gaps_stand_where_frames_are_missing(messages: &[LogMessage], dropped: u64, fed: u32) {
     let (mut next, mut missing, mut told) = (0, 0, 0);
     for message in messages {

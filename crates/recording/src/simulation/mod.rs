@@ -1,12 +1,13 @@
-//! The recorder on a disk that fails on purpose: what docs/recording.md promises, for thousands of seeds.
+//! The recorder on a simulated disk that fails on purpose: tests, for thousands of seeds, of what docs/explanation/recording.md
+//! promises.
 
-mod dice;
 mod disk;
+mod disk_full;
 mod faults;
+mod foreign_input;
+mod prng;
 mod queue;
-mod room;
 mod run;
-mod strange;
 
 use std::io::ErrorKind;
 use std::path::Path;
@@ -15,18 +16,18 @@ use std::time::Duration;
 use super::repair::repair;
 use super::storage::Storage;
 use super::verify::verify;
-use dice::Dice;
 use disk::{Failure, SimulatedDisk, Trouble};
+use prng::Dice;
 use run::{CAPTURES, Run, Scripted, script, session};
 
-/// What holds for every disk that works again: the capture is whole, and holds what was confirmed.
+/// Asserts what holds for every disk that works again: the capture is whole and holds what was confirmed.
 fn assert_promises(run: &Run, seed: u64) {
     let Run { disk, .. } = run;
     let Some(session) = session(disk) else {
         assert_eq!(run.confirmed, 0, "seed {seed}: everything is gone");
         return;
     };
-    // At once, by our own readers: torn ends and all.
+    // This program's readers open it at once, with all torn ends.
     let at_once: Vec<u32> = run::read(disk, &session).into_iter().map(|message| message.sequence).collect();
     for sequence in run.confirmed_sequences() {
         assert!(
@@ -57,7 +58,7 @@ fn assert_promises(run: &Run, seed: u64) {
     assert!(disk.snapshot() == before, "seed {seed}: a second repair changed something");
 }
 
-/// The disk came back before the end: nothing at all may be missing, but what was counted as lost.
+/// Asserts for a disk that came back before the end that nothing is missing but what was counted as lost.
 fn assert_nothing_missing(run: &Run, seed: u64) {
     assert_promises(run, seed);
     let frames = session(&run.disk).map_or(0, |session| {
@@ -65,7 +66,7 @@ fn assert_nothing_missing(run: &Run, seed: u64) {
     });
     let counts = run.shared.counts();
     assert!(run.shared.status().conserved, "seed {seed}: {counts:?}");
-    // What is counted as lost may be there all the same, if the disk did not even let its file be cut.
+    // What is counted as lost may be there nonetheless, if the disk did not even let its file be cut.
     assert!(frames >= counts.written, "seed {seed}: {frames}, {counts:?}");
     assert!(counts.is_conserved(), "seed {seed}: {counts:?}");
     if run.is_finished {
@@ -79,7 +80,7 @@ fn assert_nothing_missing(run: &Run, seed: u64) {
     }
 }
 
-/// How many seeds: `REALITYSIM_DISK_SEEDS`.
+/// Number of seeds: `REALITYSIM_DISK_SEEDS`, or `default`.
 fn seeds(default: u64) -> u64 {
     std::env::var("REALITYSIM_DISK_SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(default)
 }
@@ -108,7 +109,7 @@ fn a_power_cut_costs_only_what_was_not_confirmed() {
         run.disk.restart();
         assert_promises(&run, seed);
     }
-    // Nothing is older than the sync interval and one sync.
+    // No entry is older than the sync interval and one sync.
     assert!(worst <= run::SYNC_INTERVAL + Duration::from_millis(50), "{worst:?}");
 }
 
@@ -143,7 +144,7 @@ fn a_sync_that_fails_is_never_tried_again_on_its_file() {
         } else {
             run.disk.heal();
             assert_nothing_missing(&run, seed);
-            // The disk said that all is well: a cut must not show that some of it was not.
+            // The disk has confirmed everything: a power cut must not show that it had not.
             run.disk.restart();
             assert_promises(&run, seed);
         }
@@ -192,7 +193,7 @@ fn a_repair_that_is_cut_off_is_done_by_the_next() {
     }
 }
 
-/// Killed at each of its operations, the repair that follows tells the whole loss, and so does the manifest.
+/// A repair is killed at each of its operations. The next one reports the whole loss, and so does the manifest.
 #[test]
 fn a_repair_that_is_killed_leaves_its_loss_to_the_next_to_tell() {
     let whole = Run::new(3, Trouble::default()).until_the_end();
@@ -247,7 +248,7 @@ fn a_disk_that_is_full_and_emptied_again_loses_nothing_that_fits() {
     }
 }
 
-/// It comes back with little room, and with more to write than fits.
+/// The disk comes back with little room, and more has to be written than fits.
 #[test]
 fn a_disk_that_stays_full_has_as_much_as_fits() {
     for seed in 0..seeds(100) {
@@ -259,7 +260,7 @@ fn a_disk_that_stays_full_has_as_much_as_fits() {
         let run = run.until_the_end();
         assert!(!run.is_finished, "seed {seed}: it has far more");
         let there: usize = run.script[..run.confirmed].iter().map(|entry| entry.data().len()).sum();
-        // Most of so little room goes into what describes session and segments.
+        // Most of the little room goes into what describes session and segments.
         assert!(there > 2_000, "seed {seed}: {there} of {capacity} bytes");
         run.disk.heal();
         assert_nothing_missing(&run, seed);

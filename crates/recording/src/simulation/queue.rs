@@ -1,14 +1,14 @@
-//! What waits for a disk that stands still.
+//! Tests of the queue while the disk stalls.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::entry::{Entry, Kind};
-use crate::shared::{Next, Room, Shared};
+use crate::record_queue::{Next, QueueLimits, RecordQueue};
 use realitysim_ros2::mcap_read::{Channel, LogMessage};
 use realitysim_ros2::messages::{CompressedImage, FrameTag, Header, Imu, Message, Odometry, PoseWithCovarianceStamped};
 
-const ROOM: Room = Room { frames_bytes: 1 << 20, reserve_bytes: 64 << 20 };
+const ROOM: QueueLimits = QueueLimits { frames_bytes: 1 << 20, reserve_bytes: 64 << 20 };
 
 fn message<M: Message>(at_ns: i64, data: Vec<u8>, kind: Kind) -> Entry {
     let channel = Arc::new(Channel::of::<M>(1, "/t", Default::default()));
@@ -19,18 +19,18 @@ fn frame(at_ns: i64) -> Entry {
     message::<CompressedImage>(at_ns, vec![0; 80_000], Kind::Frame)
 }
 
-fn next(shared: &Shared) -> Option<Entry> {
+fn next(shared: &RecordQueue) -> Option<Entry> {
     match shared.next(Duration::ZERO) {
         Next::Write(waiting) => Some(waiting.entry),
         Next::Idle | Next::Closed => None,
     }
 }
 
-/// At the shipped sizes; the reserve is that of config/robot.toml.
+/// The sizes are those of the shipped settings; the reserve is that of config/robot.toml.
 #[test]
 fn a_minute_of_measurements_and_tags_waits_while_frames_are_dropped() {
     let reserve = realitysim_config::RecordingSettings::default().reserve_mb as usize;
-    let shared = Shared::new(Room { reserve_bytes: reserve << 20, ..ROOM });
+    let shared = RecordQueue::new(QueueLimits { reserve_bytes: reserve << 20, ..ROOM });
     let tag = FrameTag { header: Header::at(0, "camera_link"), ..FrameTag::default() };
     for millisecond in 0..60_000_i64 {
         let at_ns = millisecond * 1_000_000;
@@ -57,7 +57,7 @@ fn a_minute_of_measurements_and_tags_waits_while_frames_are_dropped() {
 
 #[test]
 fn memory_is_bounded_whatever_comes() {
-    let shared = Shared::new(Room { frames_bytes: 1 << 20, reserve_bytes: 1 << 20 });
+    let shared = RecordQueue::new(QueueLimits { frames_bytes: 1 << 20, reserve_bytes: 1 << 20 });
     for at_ns in 0..20_000 {
         shared.offer(frame(at_ns), Duration::ZERO);
         shared.offer(message::<Imu>(at_ns, vec![0; 320], Kind::Other), Duration::ZERO);
@@ -71,11 +71,11 @@ fn memory_is_bounded_whatever_comes() {
 
 #[test]
 fn a_gap_stands_between_what_came_before_and_after() {
-    let shared = Shared::new(ROOM);
+    let shared = RecordQueue::new(ROOM);
     (0..20).for_each(|at_ns| shared.offer(frame(at_ns), Duration::ZERO));
     let mut written = 0;
     while let Some(entry) = next(&shared) {
-        shared.written(&entry);
+        shared.count_written(&entry);
         shared.release(&entry);
         written += 1;
     }
@@ -89,7 +89,7 @@ fn a_gap_stands_between_what_came_before_and_after() {
 
 #[test]
 fn a_gap_at_the_end_is_told_too() {
-    let shared = Shared::new(ROOM);
+    let shared = RecordQueue::new(ROOM);
     shared.drop_frames("late", 3, 5, Duration::ZERO);
     shared.close(Duration::ZERO);
     let Some(Entry::Gap(gap)) = next(&shared) else { panic!("a gap") };

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use super::dice::Dice;
 use super::disk::{SimulatedDisk, Trouble};
+use super::prng::Dice;
 use crate::entry::{Beginning, Entry, Kind};
 use crate::folder::manifest_lines;
 use crate::manifest::{Counts, FORMAT_VERSION, SESSION_FILE, SessionInfo};
+use crate::record_queue::{QueueLimits, QueuedEntry, RecordQueue};
 use crate::recorder::{Plan, Recorder};
 use crate::segment::segment_index;
-use crate::shared::{Room, Shared, Waiting};
 use crate::storage::{Kind as Listed, Storage, write_atomically};
 use realitysim_config::{Settings, load_field, load_lens};
 use realitysim_ros2::mcap_read::{Channel, LogMessage, LogReader, Selection};
@@ -22,23 +22,24 @@ pub const CAPTURES: &str = "/captures";
 pub const SYNC_INTERVAL: Duration = Duration::from_millis(200);
 pub const IMAGE: &str = "/camera/image/compressed";
 const LATCHED: &str = "/tf_static";
-/// Between two frames.
+/// Time between two frames.
 const FRAME: Duration = Duration::from_millis(33);
 
+/// The recording, and what the disk has confirmed of it.
 pub struct Run {
     pub disk: SimulatedDisk,
-    pub shared: Arc<Shared>,
+    pub shared: Arc<RecordQueue>,
     pub script: Vec<Scripted>,
     recorder: Option<Recorder>,
     taken: usize,
-    /// So many entries of the script the disk has said that it has.
+    /// Number of entries of the script that the disk has confirmed.
     pub confirmed: usize,
-    /// The oldest that anything was without being confirmed, but while the disk refused.
+    /// Greatest age of an entry that was not confirmed, without the times at which the disk refused.
     pub oldest_unconfirmed: Duration,
     pub is_finished: bool,
 }
 
-/// An entry before it is one: its sequence number is its place.
+/// An entry of a script; its place becomes its sequence number.
 #[derive(Clone)]
 pub enum Scripted {
     Begin(Vec<u8>),
@@ -67,7 +68,8 @@ impl Scripted {
     }
 }
 
-/// A walk: constants, measurements, frames with their tags, some of them thinned out, a segment now and then.
+/// Script of a walk: constants, measurements, frames with their tags, some of them thinned out, and now and then a
+/// segment.
 pub fn script(seed: u64) -> Vec<Scripted> {
     let mut dice = Dice::new(seed);
     let mut bytes = |least: u64, most: u64| {
@@ -95,7 +97,8 @@ pub fn script(seed: u64) -> Vec<Scripted> {
 impl Run {
     pub fn new(seed: u64, trouble: Trouble) -> Self {
         let disk = SimulatedDisk::new(seed, trouble);
-        let shared = Arc::new(Shared::new(Room { frames_bytes: usize::MAX / 4, reserve_bytes: usize::MAX / 4 }));
+        let shared =
+            Arc::new(RecordQueue::new(QueueLimits { frames_bytes: usize::MAX / 4, reserve_bytes: usize::MAX / 4 }));
         let plan = Plan {
             captures: CAPTURES.into(),
             name: "2026-01-01T00-00-00Z-robot".to_owned(),
@@ -126,7 +129,7 @@ impl Run {
         self
     }
 
-    /// Messages that the disk has confirmed.
+    /// Sequence numbers of the messages that the disk has confirmed.
     pub fn confirmed_sequences(&self) -> impl Iterator<Item = u32> {
         let confirmed = self.script[..self.confirmed].iter().enumerate();
         confirmed.filter(|(_, entry)| entry.is_message()).map(|(place, _)| place as u32)
@@ -140,17 +143,18 @@ impl Run {
             self.disk.pass(if entry.is_frame() { FRAME } else { Duration::from_millis(1) });
             let taken = self.disk.now();
             times.push(taken);
-            self.shared.take_at_once(&entry);
+            self.shared.hold_unqueued(&entry);
             self.taken += 1;
-            let mut done = recorder.take(Waiting { entry, taken }).and_then(|()| recorder.sync_if_due());
+            let mut done = recorder.take(QueuedEntry { entry, taken }).and_then(|()| recorder.sync_if_due());
             let was_sound = done.is_ok();
-            // The thread goes on trying while others come; here some tries are enough, and the next entry tries again.
+            // The recorder's thread keeps trying while other entries come. Here a few tries are enough, since the
+            // next entry tries again.
             for _ in 0..3 {
                 if done.is_ok() || self.disk.is_dead() {
                     break;
                 }
                 self.disk.pass(Duration::from_millis(20));
-                done = recorder.go_on();
+                done = recorder.write_pending();
             }
             if !self.disk.is_dead() || was_sound {
                 self.confirmed = self.taken - recorder.kept();
@@ -249,7 +253,7 @@ pub fn is_frame(message: &LogMessage) -> bool {
     message.channel.topic == IMAGE
 }
 
-/// The only session, if it has begun.
+/// The only session, once it has begun.
 pub fn session(disk: &SimulatedDisk) -> Option<PathBuf> {
     let folders = disk.list(Path::new(CAPTURES)).ok()?;
     let mut sessions = folders.into_iter().filter(|entry| entry.kind == Listed::Folder);
@@ -258,7 +262,7 @@ pub fn session(disk: &SimulatedDisk) -> Option<PathBuf> {
     disk.read(&session.join(SESSION_FILE)).is_ok().then_some(session)
 }
 
-/// Every message of the segments, finished or not, in their order.
+/// All messages of the segments, finished or not, in their order.
 pub fn read(disk: &SimulatedDisk, session: &Path) -> Vec<LogMessage> {
     let mut files: Vec<String> = disk.list(session).unwrap().into_iter().map(|file| file.name).collect();
     files.retain(|name| segment_index(name).is_some());
@@ -269,12 +273,12 @@ pub fn read(disk: &SimulatedDisk, session: &Path) -> Vec<LogMessage> {
 pub fn read_file(disk: &SimulatedDisk, path: &Path) -> Vec<LogMessage> {
     match LogReader::open(disk.read(path).unwrap(), Selection::All) {
         Ok(reader) => reader.map(Result::unwrap).collect(),
-        // Nothing of it has reached the disk.
+        // Nothing of the file has reached the disk.
         Err(_) => Vec::new(),
     }
 }
 
-/// Of all segments.
+/// Counts of all segments.
 pub fn counts_of_manifest(disk: &SimulatedDisk, session: &Path) -> Counts {
     let mut sum = Counts::default();
     for line in manifest_lines(disk, session).unwrap() {
@@ -284,12 +288,13 @@ pub fn counts_of_manifest(disk: &SimulatedDisk, session: &Path) -> Counts {
     sum
 }
 
-/// What the manifest says could not be kept.
+/// Bytes that could not be kept, according to the manifest.
 pub fn cut_bytes(disk: &SimulatedDisk, session: &Path) -> u64 {
     manifest_lines(disk, session).unwrap().iter().filter_map(|line| line.cut_bytes).sum()
 }
 
-/// The session of `from`, with only this of its first segment, as if it had never been finished.
+/// Puts the session of `from` onto a disk, with only this content of its first segment, as if that had never been
+/// finished.
 pub fn put(disk: &SimulatedDisk, captures: &str, session: &Path, from: &SimulatedDisk, content: &[u8]) {
     disk.create_folder(Path::new(captures)).unwrap();
     disk.create_folder(session).unwrap();

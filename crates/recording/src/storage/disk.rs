@@ -1,4 +1,4 @@
-//! The real thing.
+//! The file system of this machine as a [`Storage`].
 
 use std::any::Any;
 use std::fs::{self, File, OpenOptions};
@@ -13,21 +13,22 @@ use rustix::io::Errno;
 
 use super::{Kind, Listed, Readable, Space, Storage, StoredFile};
 
-/// The file system of this process.
+/// The file system of this machine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Disk;
 
-/// Read, write and enter, for the group.
+/// Permission bits that let the group read, write and enter.
 const GROUP_WRITES: u32 = 0o070;
 
-/// What is written into is where its name is, and there to be written: no link is followed, no pipe waited for.
+/// Flags for opening a file to write: no link is followed, and no pipe is waited for.
 const STAYS: i32 = OFlags::NOFOLLOW.union(OFlags::NONBLOCK).bits() as i32;
 
-/// So long another process may take to write the same small file.
+/// Longest time to wait for another process that writes the same small file.
 const MAX_WAIT: Duration = Duration::from_secs(10);
-/// Between two looks whether it has done.
+/// Pause between two attempts to lock that file.
 const TURN: Duration = Duration::from_millis(2);
 
+/// Beginning of the clock of [`Storage::now`].
 static BEGAN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
 impl Storage for Disk {
@@ -39,7 +40,7 @@ impl Storage for Disk {
         fs::create_dir(path)?;
         let mode = fs::metadata(path)?.permissions().mode();
         if mode & GROUP_WRITES != GROUP_WRITES {
-            // A stick has no groups, and is no worse without.
+            // A memory stick knows no groups, and works without.
             let _ = fs::set_permissions(path, fs::Permissions::from_mode(mode | GROUP_WRITES));
         }
         Ok(())
@@ -58,12 +59,12 @@ impl Storage for Disk {
         loop {
             let file = OpenOptions::new().write(true).create(true).truncate(false).custom_flags(STAYS).open(path)?;
             match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-                // Another process may have renamed what was opened: it is in use under its new name.
+                // Another process may have renamed the file that was opened: then it is in use under its new name.
                 Ok(()) if StoredFile::is_at(&file, path)? => {
                     File::set_len(&file, 0)?;
                     return Ok(Arc::new(file));
                 }
-                // A file system without locks is no worse than it was.
+                // On a file system without locks, two writers can collide; the file is written nonetheless.
                 Err(Errno::NOLCK | Errno::NOSYS | Errno::OPNOTSUPP) => {
                     File::set_len(&file, 0)?;
                     return Ok(Arc::new(file));
@@ -94,7 +95,7 @@ impl Storage for Disk {
                 Ok(metadata) if metadata.is_file() => Kind::File(metadata.len()),
                 Ok(metadata) if metadata.is_dir() => Kind::Folder,
                 Ok(metadata) if metadata.is_symlink() => Kind::Link,
-                // It vanished since.
+                // The entry has vanished meanwhile.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
                 _ => Kind::Other,
             };
@@ -145,7 +146,7 @@ impl Storage for Disk {
     }
 }
 
-/// For reading; a link, a device, a pipe is refused, not followed and not waited for.
+/// Opens a plain file for reading. A link, a device or a pipe is refused: it is neither followed nor waited for.
 pub fn open_plain(path: &Path) -> io::Result<File> {
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| match error {

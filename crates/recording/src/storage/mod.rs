@@ -1,4 +1,5 @@
-//! What the recorder asks of a disk, so that the same recorder runs on a real one and on one that fails on purpose.
+//! Storage: what the recorder needs of a file system. The same recorder runs on a real disk and on a simulated one
+//! that fails on purpose.
 
 mod disk;
 
@@ -12,85 +13,101 @@ pub use disk::{Disk, open_plain};
 
 use super::error::RecordingError;
 
-/// A file system. Nothing is on the disk before the file, and for its name the folder, was synced.
+/// A file system. Nothing is safe on the disk until the file was synced, and for its name the folder.
 pub trait Storage: Send + Sync {
-    /// Fails if it exists.
+    /// Makes a folder; fails if it exists.
     fn create_folder(&self, path: &Path) -> io::Result<()>;
-    /// One that the folder's group may write into, where the file system knows groups; fails if it exists.
+    /// Makes a folder that its group may write into, where the file system knows groups; fails if it exists.
     fn create_shared_folder(&self, path: &Path) -> io::Result<()>;
-    /// With its parents; one that exists is as good.
+    /// Makes a folder and its parents; one that exists is as good.
     fn create_folders(&self, path: &Path) -> io::Result<()>;
-    /// A new file to append to; fails if it exists.
+    /// Creates a file to append to; fails if it exists.
     fn create(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>>;
-    /// An empty file to append to, whatever was there. Whoever else wants one of this name waits until this one is dropped.
+    /// Creates an empty file to append to, whatever was there. Another caller that wants the same name waits until
+    /// this file is dropped.
     fn create_over(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>>;
-    /// An existing file to append to.
+    /// Opens an existing file to append to.
     fn append(&self, path: &Path) -> io::Result<Arc<dyn StoredFile>>;
-    /// A plain file; a link is not followed.
+    /// Opens a plain file for reading; a link is not followed.
     fn read(&self, path: &Path) -> io::Result<Box<dyn Readable>>;
-    /// What stands in a folder, by name, links not followed. A name that is no text is shown as well as it can be.
+    /// Lists the entries of a folder, by name; links are not followed. A name that is not UTF-8 is shown as well as
+    /// possible.
     fn list(&self, folder: &Path) -> io::Result<Vec<Listed>>;
-    /// Replaces a file that is there.
+    /// Renames a file; a file that has the new name is replaced.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Removes a file.
     fn remove(&self, path: &Path) -> io::Result<()>;
     /// Makes created, renamed and removed names survive a power cut.
     fn sync_folder(&self, folder: &Path) -> io::Result<()>;
-    /// Of the file system that holds this path.
+    /// Room on the file system that holds this path.
     fn space(&self, path: &Path) -> io::Result<Space>;
-    /// Held until it is dropped or the process ends; `None` if another holds it.
+    /// Locks a file or folder without waiting; `None` if another holds the lock. It is held until it is dropped or
+    /// the process ends.
     fn lock(&self, path: &Path) -> io::Result<Option<Box<dyn Any + Send>>>;
-    /// A number of the file system that holds this path, which must be there.
+    /// Number of the file system that holds this path, which must exist.
     fn volume(&self, path: &Path) -> io::Result<u64>;
-    /// A clock that never goes back, from any beginning.
+    /// Time of a clock that never goes back; its beginning is arbitrary.
     fn now(&self) -> Duration;
 }
 
+/// An open file that can be appended to.
 pub trait StoredFile: Send + Sync {
+    /// Appends bytes; returns how many were taken.
     fn write(&self, bytes: &[u8]) -> io::Result<usize>;
-    /// fdatasync: content and length.
+    /// Forces content and length to disk, as fdatasync does.
     fn sync(&self) -> io::Result<()>;
+    /// Sets the length of the file, bytes.
     fn set_len(&self, bytes: u64) -> io::Result<()>;
-    /// Whether it still is the file of this name.
+    /// Whether this path is still that of the file.
     fn is_at(&self, path: &Path) -> io::Result<bool>;
 }
 
+/// A file that can be read.
 pub trait Readable: Read + Seek + Send {}
 impl<T: Read + Seek + Send> Readable for T {}
 
+/// An entry of a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Listed {
+    /// Name of the entry.
     pub name: String,
+    /// What it is.
     pub kind: Kind,
 }
 
-/// What something in a folder is.
+/// What an entry of a folder is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A plain one, of so many bytes.
+    /// A plain file, with its size in bytes.
     File(u64),
+    /// A folder.
     Folder,
+    /// A symbolic link.
     Link,
-    /// Sockets, devices, pipes.
+    /// A socket, device or pipe.
     Other,
 }
 
 impl Listed {
-    /// Of a plain file.
+    /// Size of a plain file, bytes; `None` for anything else.
     pub fn bytes(&self) -> Option<u64> {
         if let Kind::File(bytes) = self.kind { Some(bytes) } else { None }
     }
 }
 
+/// Room on a file system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Space {
+    /// Size of the file system, bytes.
     pub total_bytes: u64,
-    /// To users who are not root.
+    /// Bytes free for users other than root.
     pub free_bytes: u64,
-    /// `u64::MAX` where a file system counts none.
+    /// Free inodes; `u64::MAX` where the file system does not count them.
     pub free_inodes: u64,
 }
 
-/// The old content or the new, never a part: written beside, forced to disk, renamed.
+/// Replaces a file as a whole: a power cut leaves the old content or the new. The new content is written beside it,
+/// forced to disk, and renamed.
 pub fn write_atomically(storage: &dyn Storage, path: &Path, content: &[u8]) -> Result<(), RecordingError> {
     let failed = |source| RecordingError::io(path, source);
     let beside = path.with_extension("new");
@@ -100,7 +117,7 @@ pub fn write_atomically(storage: &dyn Storage, path: &Path, content: &[u8]) -> R
     path.parent().map_or(Ok(()), |folder| storage.sync_folder(folder)).map_err(failed)
 }
 
-/// All of a small file; one that is larger is refused.
+/// Reads a small file; one of more than `max_bytes` is refused.
 pub fn read_whole(storage: &dyn Storage, path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     storage.read(path)?.take(max_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
@@ -110,7 +127,7 @@ pub fn read_whole(storage: &dyn Storage, path: &Path, max_bytes: u64) -> io::Res
     Ok(bytes)
 }
 
-/// The same; `None` if there is none.
+/// Reads a small file as [`read_whole`] does; `None` if there is none.
 pub fn read_small(storage: &dyn Storage, path: &Path, max_bytes: u64) -> io::Result<Option<Vec<u8>>> {
     match read_whole(storage, path, max_bytes) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -118,12 +135,12 @@ pub fn read_small(storage: &dyn Storage, path: &Path, max_bytes: u64) -> io::Res
     }
 }
 
-/// The same of the real disk.
+/// Reads a small file of the real disk as [`read_whole`] does.
 pub fn read_plain(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     read_whole(&Disk, path, max_bytes)
 }
 
-/// A stored file for whoever wants `Write`.
+/// Implements [`Write`] for a stored file.
 pub struct Appending(pub Arc<dyn StoredFile>);
 
 impl Write for Appending {
@@ -140,7 +157,7 @@ impl Write for Appending {
 mod tests {
     use super::*;
 
-    /// As two recorders do with the state of the filter.
+    /// Two recorders replace the state of the filter like this.
     #[test]
     fn two_that_replace_one_file_at_once_are_in_nobody_s_way() {
         let folder = tempfile::tempdir().unwrap();

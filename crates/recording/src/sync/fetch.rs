@@ -1,4 +1,4 @@
-//! What is missing here comes, is verified and put in place; a link that breaks is tried again.
+//! Fetching: transfers what is missing here, verifies it and puts it in place. A link that breaks is tried again.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -6,50 +6,54 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::desk::Desk;
 use super::error::SyncError;
-use super::look::look;
 use super::plan::{Item, Plan};
-use super::round::{Event, Report};
 use super::rsync::{Ended, Rsync};
-use super::store::{Placed, Store};
+use super::scan::scan;
+use super::source_state::SourceState;
+use super::store::{Store, VerifyOutcome};
+use super::sync_pass::{Event, Report};
 use crate::{Session, SetAside, receivers_of};
 
-/// Tries in a row that bring nothing before the link is given up.
+/// Most tries in a row that bring nothing, before the link is given up.
 const MAX_FRUITLESS: u32 = 3;
+/// Pause between two tries.
 const BETWEEN_TRIES: Duration = Duration::from_secs(1);
-/// Times that a file may come with another hash than its manifest's: after that it is the source's.
+/// Most times that a file may come with another hash than its manifest's; after that the source is at fault.
 const MAX_DAMAGED: u32 = 2;
 
-pub(super) struct Work<'a> {
+/// State of one fetch.
+pub(super) struct Fetcher<'a> {
     pub(super) store: &'a Store,
-    pub(super) desk: &'a Desk,
+    pub(super) source_state: &'a SourceState,
     pub(super) rsync: &'a Rsync<'a>,
+    /// Sessions at the source.
     pub(super) there: &'a [Session],
     pub(super) report: Report,
-    /// How often each came damaged, by its path at the source.
+    /// How often each file came damaged, by its path at the source.
     pub(super) damaged: BTreeMap<String, u32>,
-    /// What could not be had, and what was said of it: perhaps it went away while it was being fetched.
+    /// What could not be transferred, and what rsync said of it: it may have been removed meanwhile.
     pub(super) not_had: Vec<(Item, String)>,
-    /// As they were when the source was looked at.
+    /// Sizes and times of the source's files when it was looked at.
     pub(super) stamps: &'a BTreeMap<String, String>,
 }
 
-impl Work<'_> {
+impl Fetcher<'_> {
+    /// Verifies and transfers everything that is planned, until nothing is missing or the link is given up.
     pub(super) fn fetch(&mut self, plan: &Plan, tell: &mut dyn FnMut(Event)) -> Result<(), SyncError> {
         let mut waiting: BTreeMap<String, &Item> = BTreeMap::new();
         let mut order = Vec::new();
         for item in &plan.items {
-            if !item.is_fetched() && self.store.verify(item, self.head_of(item))? == Placed::Verified {
+            if !item.is_fetched() && self.store.verify(item, self.head_of(item))? == VerifyOutcome::Verified {
                 self.report.verified += 1;
                 continue;
             }
-            // What is here and is not what was recorded is fetched like what is not here.
+            // A file that is here but not as recorded is fetched like a missing one.
             let path = format!("{}/{}", item.there, item.line.name);
             order.push(path.clone());
             waiting.insert(path, item);
         }
-        self.leave_out_what_came_damaged(&mut waiting);
+        self.skip_known_damaged(&mut waiting);
         let total: u64 = waiting.values().map(|item| item.line.bytes).sum();
         let (mut fruitless, mut most) = (0, 0);
         let result = loop {
@@ -58,7 +62,7 @@ impl Work<'_> {
                 break Ok(());
             }
             self.make_folders(&paths)?;
-            let ended = self.carry(&paths, &mut waiting, total, tell);
+            let ended = self.run_rsync(&paths, &mut waiting, total, tell);
             let settled = self.settle(&mut waiting, &ended);
             let error = match ended {
                 Err(error) if !error.is_link() => break Err(error),
@@ -68,7 +72,7 @@ impl Work<'_> {
                 Ok(_) => continue,
             };
             settled?;
-            let come = total - staging(&waiting, self.desk, total);
+            let come = total - remaining_bytes(&waiting, self.source_state, total);
             (fruitless, most) = if come > most { (0, come) } else { (fruitless + 1, most) };
             if fruitless >= MAX_FRUITLESS || self.rsync.stop.load(Ordering::Relaxed) {
                 break Err(error);
@@ -77,13 +81,13 @@ impl Work<'_> {
             std::thread::sleep(BETWEEN_TRIES);
         };
         self.report.missing = (waiting.len() + self.not_had.len()) as u64;
-        result.and(self.look_again())
+        result.and(self.recheck_source())
     }
 
-    /// What came damaged from there, and has not changed since, would come damaged again.
-    fn leave_out_what_came_damaged(&mut self, waiting: &mut BTreeMap<String, &Item>) {
+    /// Leaves out files that came damaged and have not changed at the source since: they would come damaged again.
+    fn skip_known_damaged(&mut self, waiting: &mut BTreeMap<String, &Item>) {
         waiting.retain(|path, item| {
-            let is_known = self.store.came_damaged(&self.memory_of(path, item));
+            let is_known = self.store.came_damaged(&self.damage_key(path, item));
             if is_known {
                 self.lose(path, "came damaged before, and is still the same there: not fetched again".to_owned());
             }
@@ -91,18 +95,19 @@ impl Work<'_> {
         });
     }
 
-    /// Of one file as it is at the source now: what it should be, its size and time there.
-    fn memory_of(&self, path: &str, item: &Item) -> String {
+    /// Key of a file as it is at the source now: its path, the hash that it should have, its size and time there.
+    fn damage_key(&self, path: &str, item: &Item) -> String {
         let stamp = self.stamps.get(path).map_or("", String::as_str);
         format!("{}\0{path}\0{}\0{stamp}", self.rsync.source.shown(), item.line.blake3)
     }
 
-    /// What a robot has removed or moved while it was fetched is not lost.
-    fn look_again(&mut self) -> Result<(), SyncError> {
+    /// Looks at the source again for what could not be transferred: what a robot has removed or moved meanwhile is
+    /// not lost.
+    fn recheck_source(&mut self) -> Result<(), SyncError> {
         if self.not_had.is_empty() || self.rsync.stop.load(Ordering::Relaxed) {
             return Ok(());
         }
-        let now = look(self.rsync, self.desk, &mut Report::default())?.sessions;
+        let now = scan(self.rsync, self.source_state, &mut Report::default())?.sessions;
         let mut gone = Vec::new();
         for (item, said) in std::mem::take(&mut self.not_had) {
             let path = format!("{}/{}", item.there, item.line.name);
@@ -129,59 +134,60 @@ impl Work<'_> {
         Err(SyncError::Refused { source_name: self.rsync.source.shown(), said })
     }
 
-    /// One run of rsync; what it takes for done is verified while the rest still comes.
-    fn carry(
+    /// Runs rsync once. Each file that it reports as complete is verified while the rest still comes.
+    fn run_rsync(
         &mut self,
         paths: &[String],
         waiting: &mut BTreeMap<String, &Item>,
         total: u64,
         tell: &mut dyn FnMut(Event),
     ) -> Result<Ended, SyncError> {
-        let (mut trouble, desk) = (None, self.desk);
+        let (mut trouble, source_state) = (None, self.source_state);
         let rsync = self.rsync;
         let waiting = std::cell::RefCell::new(waiting);
         let mut arrived = |path: &str| {
             let item = waiting.borrow().get(path).copied();
-            // Between two folders of one machine it is told by who sends it: it may not have been received yet.
-            let item = item.filter(|item| is_long_enough(&item.staged(desk), item));
+            // Between two folders of one machine the sending side reports the file: it may not be complete here yet.
+            let item = item.filter(|item| is_long_enough(&item.staged(source_state), item));
             if let (Some(item), None) = (item, &trouble) {
-                match self.store.place(&item.staged(desk), item, self.head_of(item)) {
-                    Ok(Placed::Verified) => {
+                match self.store.place(&item.staged(source_state), item, self.head_of(item)) {
+                    Ok(VerifyOutcome::Verified) => {
                         self.count(item);
                         waiting.borrow_mut().remove(path);
                     }
-                    // Perhaps rsync has seen it too and is at it again: looked at once more when it has ended.
-                    Ok(Placed::Damaged) => {}
+                    // rsync may have noticed it too and be transferring it again; it is checked once more when rsync
+                    // has ended.
+                    Ok(VerifyOutcome::Damaged) => {}
                     Err(error) => trouble = Some(error),
                 }
             }
         };
         let mut tick = || {
-            let done = total - staging(&waiting.borrow(), desk, total);
+            let done = total - remaining_bytes(&waiting.borrow(), source_state, total);
             tell(Event::Progress { done, total });
         };
-        let ended = rsync.segments(paths, &desk.incoming, &mut arrived, &mut tick);
+        let ended = rsync.segments(paths, &source_state.incoming, &mut arrived, &mut tick);
         trouble.map_or(ended, Err)
     }
 
-    /// What has come and was not told of, or has come wrong, or cannot come.
+    /// Handles files that came without a report, that came damaged, or that cannot come.
     fn settle(
         &mut self,
         waiting: &mut BTreeMap<String, &Item>,
         ended: &Result<Ended, SyncError>,
     ) -> Result<(), SyncError> {
-        // A run that broke may leave old and new blocks side by side: the next one sorts them out.
+        // A run that broke may leave a mixture of old and new blocks, which the next run corrects.
         let ended_well = matches!(ended, Ok(Ended::Whole | Ended::Partly(_)));
         for (path, item) in waiting.clone() {
-            let staged = item.staged(self.desk);
+            let staged = item.staged(self.source_state);
             if is_long_enough(&staged, item) {
                 match self.store.place(&staged, item, self.head_of(item))? {
-                    Placed::Verified => {
+                    VerifyOutcome::Verified => {
                         self.count(item);
                         waiting.remove(&path);
                         continue;
                     }
-                    Placed::Damaged if ended_well => {
+                    VerifyOutcome::Damaged if ended_well => {
                         fs::remove_file(&staged).map_err(|source| SyncError::Io { path: staged.clone(), source })?;
                         let times = self.damaged.entry(path.clone()).or_default();
                         *times += 1;
@@ -190,11 +196,11 @@ impl Work<'_> {
                         }
                         let why = format!("came {times} times with another hash than its manifest says: damaged there");
                         self.lose(&path, why);
-                        self.store.note_damaged(self.memory_of(&path, item));
+                        self.store.note_damaged(self.damage_key(&path, item));
                         waiting.remove(&path);
                         continue;
                     }
-                    Placed::Damaged => continue,
+                    VerifyOutcome::Damaged => continue,
                 }
             }
             if ended_well {
@@ -202,7 +208,7 @@ impl Work<'_> {
                     Ok(Ended::Partly(said)) => said.as_str(),
                     _ => "shorter than its manifest says",
                 };
-                // What is there and may not be read is not lost.
+                // A file that is there and may not be read is not lost.
                 if said.contains("Permission denied") {
                     self.report.failed.get_or_insert_with(|| format!("{path} may not be read there: {said}"));
                 } else {
@@ -214,37 +220,41 @@ impl Work<'_> {
         Ok(())
     }
 
+    /// Reports a file of the source as lost.
     fn lose(&mut self, path: &str, why: String) {
         self.report.lost.push(SetAside::new(PathBuf::from(self.rsync.source.shown()).join(path), why));
     }
 
+    /// Counts a segment that was fetched.
     fn count(&mut self, item: &Item) {
         self.report.fetched += 1;
         self.report.fetched_bytes += item.line.bytes;
     }
 
+    /// Content of the session's `session.json`; empty if the session is unknown.
     fn head_of(&self, item: &Item) -> &[u8] {
         self.there.iter().find(|session| session.name == item.there).map_or(&[], |session| &session.head_bytes)
     }
 
-    /// rsync makes one folder, not two: and what it makes has the robot's permissions.
+    /// Makes the folders to transfer into: rsync would make only the innermost, with the robot's permissions.
     fn make_folders(&self, paths: &[String]) -> Result<(), SyncError> {
         for path in paths {
-            let folder = self.desk.incoming.join(path.split('/').next().unwrap_or(path));
+            let folder = self.source_state.incoming.join(path.split('/').next().unwrap_or(path));
             fs::create_dir_all(&folder).map_err(|source| SyncError::Io { path: folder, source })?;
         }
         Ok(())
     }
 }
 
+/// Whether a file has at least the size that its manifest says.
 fn is_long_enough(staged: &Path, item: &Item) -> bool {
     fs::metadata(staged).is_ok_and(|metadata| metadata.len() >= item.line.bytes)
 }
 
-/// Bytes that still have to come.
-fn staging(waiting: &BTreeMap<String, &Item>, desk: &Desk, most: u64) -> u64 {
+/// Bytes that still have to come, at most `most`.
+fn remaining_bytes(waiting: &BTreeMap<String, &Item>, source_state: &SourceState, most: u64) -> u64 {
     let missing = |item: &&Item| {
-        let staged = fs::metadata(item.staged(desk)).map_or(0, |metadata| metadata.len());
+        let staged = fs::metadata(item.staged(source_state)).map_or(0, |metadata| metadata.len());
         item.line.bytes.saturating_sub(staged)
     };
     waiting.values().map(missing).sum::<u64>().min(most)

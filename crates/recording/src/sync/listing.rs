@@ -1,19 +1,20 @@
-//! What `rsync --list-only` prints: what lies at a source, folders with sizes, links with what they are.
+//! Parser of what `rsync --list-only` prints: files with sizes, folders, and links.
 
 use crate::catalogue::Kind;
 
+/// An entry of a listing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// From the source's folder, parts separated by `/`; unprintable characters stand as `\#ooo`.
+    /// Path from the source's folder, with `/`; rsync prints unprintable characters as `\#ooo`.
     pub path: String,
+    /// What the entry is.
     pub kind: Kind,
     /// Size and time as they are printed.
     pub stamp: String,
 }
 
-/// One line; `None` if it is none of an entry.
-///
-/// `-rw-r--r--          1,234 2026/11/21 20:53:20 name`, the size with or without separators.
+/// Parses a line such as `-rw-r--r--          1,234 2026/11/21 20:53:20 name`, the size with or without separators;
+/// `None` if the line is not an entry.
 pub fn parse_line(line: &str) -> Option<Entry> {
     let (mode, rest) = line.split_once(' ')?;
     let (size, rest) = rest.trim_start().split_once(' ')?;

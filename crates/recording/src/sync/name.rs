@@ -1,4 +1,4 @@
-//! What a folder of captures is called in acknowledgements.
+//! The name that a folder of captures has as a receiver, in acknowledgements.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -8,12 +8,14 @@ use super::error::{SyncError, io};
 use crate::catalogue::sessions_in;
 use crate::{ACK_ENDING, ACK_FOLDER, RECEIVER_FILE, receiver_of, robot_id, write_atomically};
 
-/// Behind the machine's name.
+/// Hexadecimal digits behind the machine's name.
 const NUMBER_DIGITS: usize = 12;
 
-/// This folder's name to robots: the machine's, with a number that is of its volume and path, since a machine may have several
-/// such folders, and sticks take turns under one path. One that was deleted and is made anew has its old name again: the next
-/// sync takes back what it had said.
+/// Reads or makes the folder's name as a receiver.
+///
+/// It is the machine's name with a number made from machine, volume and path, since a machine may have several such
+/// folders, and several sticks may be used under one path. A folder that was deleted and made anew has its old name
+/// again: its next sync takes back what it had acknowledged.
 pub(super) fn receiver(state: &Path) -> Result<String, SyncError> {
     let path = state.join(RECEIVER_FILE);
     if let Some(name) = state.parent().and_then(receiver_of) {
@@ -32,7 +34,7 @@ pub(super) fn receiver(state: &Path) -> Result<String, SyncError> {
     Ok(name)
 }
 
-/// What a file system bears as its own number, where it lies on a device that has one.
+/// UUID of the file system, if it lies on a device that has one.
 fn volume_of(folder: &Path) -> Option<String> {
     let device = fs::metadata(folder).ok()?.dev();
     let mut volumes = fs::read_dir("/dev/disk/by-uuid").ok()?.flatten();
@@ -40,8 +42,11 @@ fn volume_of(folder: &Path) -> Option<String> {
     Some(found.file_name().to_string_lossy().into_owned())
 }
 
-/// One of the acknowledgements in sessions that came here may be this folder's own, under a name that it had before it was
-/// moved. Which one nobody can say: whoever else has them says so again at its next sync.
+/// Empties the acknowledgements in all sessions that were synced into this folder, except those under its present
+/// name.
+///
+/// One of them may be the folder's own, under a name that it had before it was moved, and it is unknown which one.
+/// The other stores acknowledge again at their next sync.
 fn silence_former_names(captures: &Path, name: &str) -> Result<(), SyncError> {
     let (sessions, _) = sessions_in(captures).map_err(io(captures))?;
     for session in sessions.iter().filter(|session| session.received.is_some()) {

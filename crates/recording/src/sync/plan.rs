@@ -1,4 +1,5 @@
-//! What is to be fetched, from what lies at the source and what lies here. Pure: no file, no clock.
+//! The plan of a sync: what is to be fetched, given what lies at the source and what lies here. It is pure: no file,
+//! no clock.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -6,67 +7,75 @@ use std::path::PathBuf;
 use super::selection::Selection;
 use crate::{Acknowledgement, MANIFEST_FILE, ManifestLine, Session, SessionId, SetAside, receivers_of};
 
-/// One segment.
+/// One segment that is to be fetched or verified.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Item {
+    /// Identity of the session.
     pub session: SessionId,
-    /// The session's folder at the source.
+    /// Name of the session's folder at the source.
     pub there: String,
-    /// And here, to be made if it is not there.
+    /// Name of the session's folder here; it is made if it does not exist.
     pub here: String,
-    /// How far the source is from the recorder.
+    /// Number of copies between the recorder and the source.
     pub hops: u32,
+    /// The segment, as the source's manifest describes it.
     pub line: ManifestLine,
-    pub why: Why,
+    /// What is to be done.
+    pub why: TransferReason,
 }
 
+/// Why a segment is in the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Why {
-    /// Not here.
+pub enum TransferReason {
+    /// The segment is not here.
     Fetch,
-    /// Here, of the right size, but nobody has looked at it.
+    /// The segment is here, has the right size, and has not been verified.
     Verify,
-    /// Here, and not as it was recorded: what is here is moved aside, and it is fetched anew.
+    /// The segment is here and not as it was recorded: it is moved aside and fetched anew.
     Replace,
 }
 
+/// What a sync is to do, and what it cannot do.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
-    /// Oldest first.
+    /// Segments to fetch or to verify, oldest first.
     pub items: Vec<Item>,
-    /// Here and verified already.
+    /// Segments that are here and verified already.
     pub done: Vec<(SessionId, ManifestLine)>,
-    /// Acknowledged once and not here any more: the acknowledgement is taken back. By the session's folder here.
+    /// Acknowledgements to take back, since the segments are not here any more, with the session's folder here.
     pub withdrawn: Vec<(String, Acknowledgement)>,
-    /// The source promises them and does not have them, and no store has said that it does.
+    /// Segments that the source lists and does not have, and that no store has acknowledged.
     pub lost: Vec<SetAside>,
-    /// Gone from the source; these receivers have them.
+    /// Segments that the source does not have any more, with the receivers that have them.
     pub elsewhere: Vec<(PathBuf, Vec<String>)>,
+    /// What is not understood at the source.
     pub set_aside: Vec<SetAside>,
-    /// Finished segments that stay there, since the manifest there, or its contradiction with the one here, is not believed.
+    /// Finished segments that are not fetched, since their manifest is not believed, or contradicts the one here.
     pub left_there: u64,
-    /// Two robots that call themselves the same: sessions' folders here by the robot's number.
+    /// Names that several robots share, each with these robots' numbers and a session's folder of each.
     pub namesakes: BTreeMap<String, Vec<String>>,
-    /// Folders here, by the session's number.
+    /// Folders here, by session.
     pub folders: BTreeMap<SessionId, String>,
 }
 
 impl Plan {
-    /// Whatever is wanted this time: what we have said to be here must be here.
+    /// Takes back acknowledgements of segments that are not here any more, whatever is selected this time.
     fn withdraw_what_is_gone(&mut self, ours: &Session, receiver: &str) {
         let acks = ours.acknowledged.get(receiver).into_iter().flatten();
         let gone = acks.filter(|ack| ours.segments.get(&ack.file) != Some(&ack.bytes));
         self.withdrawn.extend(gone.map(|ack| (ours.name.clone(), ack.clone())));
     }
 
-    /// Still to come over the link.
+    /// Bytes to transfer.
     pub fn bytes(&self) -> u64 {
-        self.items.iter().filter(|item| item.why != Why::Verify).map(|item| item.line.bytes).sum()
+        self.items.iter().filter(|item| item.why != TransferReason::Verify).map(|item| item.line.bytes).sum()
     }
 }
 
-/// `occupied` are all names in this folder, `receiver` is this store; `pruned` are sessions that were thrown away here and are
-/// fetched again only when named.
+/// Plans a sync from the sessions `there` at the source and `here` in this store.
+///
+/// `occupied` are all names in this store's folder, `receiver` is its name. `pruned` are sessions that were deleted
+/// here; they are fetched again only when the selection names them.
 pub fn plan(
     there: &[Session],
     here: &[Session],
@@ -98,8 +107,9 @@ pub fn plan(
         names.push(folder.clone());
         plan.folders.insert(session.id.clone(), folder.clone());
         let unlisted = unlisted(session);
-        plan.set_aside.extend(unlisted.first().map(|first| told_unlisted(session, first, unlisted.len())));
-        // What stands in a damaged line is not listed either. A robot that is about to end its recording is not at fault.
+        plan.set_aside.extend(unlisted.first().map(|first| report_unlisted(session, first, unlisted.len())));
+        // Segments of damaged lines are not listed either. While a robot is about to end its recording, an unlisted
+        // segment is no fault.
         let unlisted = if session.has_ended { unlisted.len() as u64 } else { 0 };
         plan.left_there += session.doubted.max(unlisted);
         for line in session.lines.iter().filter(|line| selection.takes(line)) {
@@ -111,7 +121,7 @@ pub fn plan(
     plan
 }
 
-/// Of folders with the same session, the one with the most whole segments; of equals, the first by name.
+/// Of folders that hold the same session, selects the one with the most whole segments, then the first by name.
 fn best_copies(there: &[Session]) -> BTreeMap<&SessionId, &Session> {
     let whole = |session: &Session| session.lines.iter().filter(|line| session.has(line)).count();
     let mut best: BTreeMap<&SessionId, &Session> = BTreeMap::new();
@@ -124,18 +134,20 @@ fn best_copies(there: &[Session]) -> BTreeMap<&SessionId, &Session> {
     best
 }
 
-/// What a finished session holds beside what its manifest lists: nobody can say whether it is whole.
+/// Segments of a finished session that its manifest does not list: nobody can say whether they are whole.
 fn unlisted(session: &Session) -> Vec<&String> {
     let listed: BTreeSet<&String> = session.lines.iter().map(|line| &line.name).collect();
     session.segments.keys().filter(|name| !session.open && !listed.contains(name)).collect()
 }
 
-fn told_unlisted(session: &Session, first: &str, count: usize) -> SetAside {
+/// Reports segments that the manifest does not list.
+fn report_unlisted(session: &Session, first: &str, count: usize) -> SetAside {
     let more = if count > 1 { format!(" and {} more", count - 1) } else { String::new() };
     let why = format!("{first}{more} in no line of its manifest: not fetched (`sessions repair` there lists them)");
     SetAside::new(session.folder.join(MANIFEST_FILE), why)
 }
 
+/// Plans what to do with one segment.
 fn plan_segment(
     plan: &mut Plan,
     session: &Session,
@@ -165,13 +177,13 @@ fn plan_segment(
             plan.done.push((session.id.clone(), line.clone()));
             return;
         }
-        Some(size) if *size == line.bytes => Why::Verify,
-        Some(_) => Why::Replace,
-        None => Why::Fetch,
+        Some(size) if *size == line.bytes => TransferReason::Verify,
+        Some(_) => TransferReason::Replace,
+        None => TransferReason::Fetch,
     };
     let path = session.folder.join(&line.name);
     match session.segments.get(&line.name) {
-        _ if why == Why::Verify => {}
+        _ if why == TransferReason::Verify => {}
         Some(size) if *size == line.bytes => {}
         Some(size) => {
             let why = format!("has {size} bytes, and its manifest says {}: cut or changed", line.bytes);
@@ -201,14 +213,15 @@ fn plan_segment(
     plan.items.push(Item { session: session.id.clone(), there, here, hops: session.hops(), line: line.clone(), why });
 }
 
-/// The session's own name; if another session has it here, with a piece of its number behind it.
+/// Name of a session's folder here: the session's own, or if another session has it, with digits of its identity
+/// behind it.
 fn free_name(session: &Session, taken: &[String]) -> String {
     let is_free = |name: &String| !taken.contains(name);
     let longer = |digits: usize| format!("{}-{}", session.name, &session.id.as_str()[..digits]);
     Some(session.name.clone()).filter(is_free).or_else(|| Some(longer(6)).filter(is_free)).unwrap_or_else(|| longer(32))
 }
 
-/// Robots' names that more than one machine has, with one folder of each.
+/// Finds names that several robots share.
 fn namesakes<'a>(sessions: impl Iterator<Item = &'a Session>) -> BTreeMap<String, Vec<String>> {
     let mut machines: BTreeMap<&str, BTreeMap<&str, &str>> = BTreeMap::new();
     for session in sessions {
@@ -233,11 +246,12 @@ mod tests {
 
     const OWN: &str = "own";
 
-    /// A segment at the source and here.
+    /// A segment as it lies at the source and here.
     #[derive(Clone, Debug)]
     struct Case {
-        /// Bytes that lie there and here; the manifest says 10.
+        /// Size at the source, bytes; the manifest says 10.
         there: Option<u64>,
+        /// Size here, bytes.
         here: Option<u64>,
         acknowledged: bool,
         elsewhere: bool,
@@ -310,7 +324,7 @@ mod tests {
             let fates = plan.items.len() + plan.done.len() + plan.lost.len() + plan.elsewhere.len();
             prop_assert_eq!(fates, cases.len());
             for item in &plan.items {
-                prop_assert!(item.why == Why::Verify || there.segments.get(&item.line.name) == Some(&10));
+                prop_assert!(item.why == TransferReason::Verify || there.segments.get(&item.line.name) == Some(&10));
             }
             let gone = cases.iter().filter(|case| case.acknowledged && case.here != Some(10)).count();
             prop_assert_eq!(plan.withdrawn.len(), gone, "what is acknowledged is here or taken back");

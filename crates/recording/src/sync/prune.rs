@@ -1,29 +1,32 @@
-//! Which sessions may go to make room. Pure.
+//! The decision which sessions may be deleted to make room. It is pure: no file, no clock.
 
 use serde::Serialize;
 
 use crate::{REFINED_FOLDER, Releasable, Session, releasable, saturating_sum};
 
-/// When to stop, and what may go at all.
+/// What may be deleted, and when it is enough.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Goal {
-    /// Sessions' names; none: all.
+    /// Names of the sessions that may be deleted; empty for all.
     pub sessions: Vec<String>,
-    /// Only what began before (UTC, as `session.json` writes it).
+    /// Only sessions that began before this time (UTC, in the format of `session.json`).
     pub before: Option<String>,
-    /// Enough when so much is gone; none: everything that may go.
+    /// Bytes to free; `None` to delete everything that may be deleted.
     pub bytes: Option<u64>,
-    /// Pinned ones too, last.
+    /// Whether pinned sessions may be deleted as well, after all others.
     pub pinned: bool,
-    /// Also what nobody else is known to have.
+    /// Whether sessions may be deleted that no other store is known to have.
     pub force: bool,
 }
 
-/// Why a session may go.
+/// Why a session may be deleted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Reason {
+    /// The caller asked for it.
     Forced,
+    /// Another store has acknowledged every segment.
     Acknowledged,
+    /// A whole copy was found.
     CopyVerified,
 }
 
@@ -37,29 +40,37 @@ impl Reason {
     }
 }
 
-/// What was found of a session somewhere else.
+/// What was found of a session in another folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Copy {
+    /// The whole session.
     Whole,
-    /// It may be the session itself; why.
+    /// Something that may be the session itself; with the reason.
     Doubted(String),
+    /// Nothing.
     None,
 }
 
 /// What is to become of a session.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Decision {
+    /// Name of the session.
     pub session: String,
+    /// Bytes of its segments.
     pub bytes: u64,
+    /// Whether it is deleted.
     pub goes: bool,
+    /// The reason, in words.
     pub why: String,
-    /// It goes because it was found whole somewhere else, whoever may rely on it.
+    /// Whether it is deleted because a whole copy was found, on whichever stores that copy may rely.
     #[serde(skip)]
     pub relies_on_copy: bool,
 }
 
-/// In the order of [`releasable`], whole sessions only. `own` is this folder's own name as a receiver. `copy_of` says whether a
-/// session was found whole somewhere else just now, and where what was found does not count, why.
+/// Decides on each session, in the order of [`releasable`]; a session is deleted as a whole or stays.
+///
+/// `own` is this folder's own name as a receiver. `copy_of` says whether a session was just found whole in another
+/// folder, and if what was found does not count, why.
 pub fn decide(
     sessions: &[Session],
     own: Option<&str>,
@@ -85,12 +96,13 @@ pub fn decide(
     decisions
 }
 
+/// Whether the goal allows this session at all.
 fn is_asked(session: &Session, goal: &Goal) -> bool {
     (goal.sessions.is_empty() || goal.sessions.contains(&session.name))
         && goal.before.as_ref().is_none_or(|before| session.head.started < *before)
 }
 
-/// Why it may go, or why not.
+/// Says why a session may be deleted, or why not.
 fn verdict(
     Releasable { session, segments }: &Releasable,
     copy_of: &dyn Fn(&Session) -> Copy,
@@ -207,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_session_with_results_in_it_that_are_nowhere_else_goes_only_when_forced() {
+    fn a_session_with_refined_tags_goes_only_when_forced() {
         let mut one = session(1, &["a"]);
         one.note("refined", crate::catalogue::Kind::Folder);
         one.note("manifest.new", crate::catalogue::Kind::File(5));

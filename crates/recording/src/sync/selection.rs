@@ -1,35 +1,43 @@
-//! Which segments are wanted: by session, time, place and validity. Times are the robot's own, as recorded: this machine's
-//! clock is not asked.
+//! Selection of the segments that are wanted: by session, time, place and validity. Times are the robot's own, as
+//! recorded; this machine's clock plays no part.
 
 use crate::ManifestLine;
 
+/// Which segments are wanted; by default all of them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Selection {
-    /// Beginnings of sessions' names; none: all.
+    /// Beginnings of the names of sessions; empty for all.
     pub sessions: Vec<String>,
-    /// Of what was recorded, log time.
+    /// Earliest log time that is wanted, ns.
     pub since_ns: Option<i64>,
+    /// Latest log time that is wanted, ns.
     pub until_ns: Option<i64>,
+    /// Only segments with a valid pose near this disc.
     pub within: Option<Within>,
-    /// Least share of a segment's frames that have a valid tag, 0 to 1.
+    /// Least share of valid tags in a segment, 0 to 1.
     pub valid_share: Option<f64>,
 }
 
 /// A disc on the field, metres in `map`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Within {
+    /// x of the centre, m.
     pub x: f64,
+    /// y of the centre, m.
     pub y: f64,
+    /// Radius, m.
     pub radius: f64,
 }
 
 impl Selection {
+    /// Whether a session of this name is wanted.
     pub fn takes_session(&self, name: &str) -> bool {
         self.sessions.is_empty() || self.sessions.iter().any(|beginning| name.starts_with(beginning.as_str()))
     }
 
+    /// Whether a segment is wanted.
     pub fn takes(&self, line: &ManifestLine) -> bool {
-        // Without a message it is of no time.
+        // A segment without a message has no time.
         let is_asked = |bound: Option<i64>, is_within: &dyn Fn(i64, (i64, i64)) -> bool| {
             bound.is_none_or(|bound| line.times().is_some_and(|times| is_within(bound, times)))
         };
@@ -40,7 +48,7 @@ impl Selection {
     }
 }
 
-/// Whether the box around the segment's valid poses comes as near as that. Without valid poses nothing is known to be near.
+/// Whether the box around the segment's valid poses reaches into the disc. A segment without valid poses does not.
 fn touches(disc: Within, line: &ManifestLine) -> bool {
     line.poses.is_some_and(|poses| {
         let beyond = |at: f64, [low, high]: [f64; 2]| (low - at).max(at - high).max(0.0);
@@ -48,7 +56,7 @@ fn touches(disc: Within, line: &ManifestLine) -> bool {
     })
 }
 
-/// Of the tags; `None` without any.
+/// Share of valid tags in a segment, 0 to 1; `None` without tags.
 pub fn valid_share(line: &ManifestLine) -> Option<f64> {
     line.frames.valid_share()
 }

@@ -1,23 +1,23 @@
-//! `robot:`, `user@host:dir` or a folder.
+//! Sources of recordings: `robot:`, `user@host:dir` or a folder.
 
 use std::path::Path;
 
 use super::error::SyncError;
 
-/// Where a service keeps its captures (systemd/realitysim.service).
+/// Folder of captures of the service (systemd/realitysim.service).
 pub const SERVICE_CAPTURES: &str = "/var/lib/realitysim/captures";
 
-/// Where recordings come from.
+/// Where recordings are synced from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Source {
     /// `user@host`, or `None` for a folder of this machine.
     pub host: Option<String>,
-    /// A folder of captures.
+    /// The folder of captures.
     pub folder: String,
 }
 
 impl Source {
-    /// As rsync and scp read it: what has a colon before any slash is a host.
+    /// Parses a source as rsync and scp do: a colon before any slash ends a host.
     pub fn parse(text: &str) -> Result<Self, SyncError> {
         let refused = |why: &str| Err(SyncError::Source(format!("{text:?} is no source: {why}")));
         let host_and_folder = text.split_once(':').filter(|(host, _)| !host.contains('/'));
@@ -37,20 +37,23 @@ impl Source {
         Ok(Self { host: Some(host.to_owned()), folder: folder.to_owned() })
     }
 
-    /// As an argument of rsync; `within` has a slash at its end if what lies in it is meant.
+    /// Argument of rsync for a path within the source. `within` ends with a slash if the content of that folder is
+    /// meant.
     pub fn argument(&self, within: &str) -> String {
         let folder = self.folder.trim_end_matches('/');
         match &self.host {
             Some(host) => format!("{host}:{folder}/{within}"),
-            // A name with a colon would be taken for a host's.
+            // The path is made absolute, since rsync takes a name with a colon for a host's.
             None => format!("{}/{within}", std::path::absolute(folder).unwrap_or_else(|_| folder.into()).display()),
         }
     }
 
+    /// Whether the source is on another machine.
     pub fn is_remote(&self) -> bool {
         self.host.is_some()
     }
 
+    /// The source as people write it.
     pub fn shown(&self) -> String {
         match &self.host {
             Some(host) => format!("{host}:{}", self.folder),
@@ -58,7 +61,7 @@ impl Source {
         }
     }
 
-    /// A folder's name that stands for it, readable and its own.
+    /// Name of a folder that stands for the source: readable, and different for each source.
     pub fn key(&self) -> String {
         let full = match &self.host {
             Some(_) => self.shown(),

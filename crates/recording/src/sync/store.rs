@@ -1,7 +1,8 @@
-//! The folder of captures that recordings come into. What bears its final name here was verified, on the disk, before.
+//! The folder of captures that recordings are synced into. A file that has its final name here was verified on the
+//! disk before.
 //!
-//! Of its own it has `.sync/`: the receiver's name, what was pruned, and of each source what is known of it (`known/`) and
-//! what is not whole yet (`incoming/`).
+//! The folder `.sync/` holds the receiver's name, what was pruned, and for each source what is known of it (`known/`)
+//! and what is not whole yet (`incoming/`).
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
@@ -13,63 +14,69 @@ use std::sync::{Mutex, PoisonError};
 use rustix::fs::{Mode, OFlags};
 use serde::{Deserialize, Serialize};
 
-use super::desk::Desk;
 use super::error::{SyncError, io};
 use super::name::receiver;
-use super::plan::{Item, Why};
+use super::plan::{Item, TransferReason};
 use super::source::Source;
+use super::source_state::SourceState;
 use crate::catalogue::{session_at, sessions_in};
 use crate::storage::{open_plain, read_plain};
 use crate::{
-    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, MANIFEST_FILE, METADATA_FILE, ManifestLine, RECEIVED_FILE,
-    Received, SESSION_FILE, SYNC_FOLDER, Session, SetAside, Turn, session_holding, silence, sync_folder,
+    ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, FolderLock, MANIFEST_FILE, METADATA_FILE, ManifestLine,
+    RECEIVED_FILE, Received, SESSION_FILE, SYNC_FOLDER, Session, SetAside, session_holding, silence, sync_folder,
     write_atomically,
 };
 
+/// File in `.sync/` that lists sessions that were deleted here.
 const PRUNED_FILE: &str = "pruned.jsonl";
-/// What is copied beside segments.
+/// Largest file beside segments that is copied, bytes.
 pub(super) const MAX_SMALL_BYTES: u64 = 64 << 20;
-/// Names tried for what is moved aside.
+/// Most names tried for a file that is moved aside.
 const MAX_ASIDE: u32 = 10_000;
-/// Damaged files that are remembered: those beyond are fetched in each round.
+/// Most damaged files that are remembered; further ones are fetched in each round.
 const MAX_DAMAGED_FILES: usize = 10_000;
 
+/// A folder of captures as a receiver.
 #[derive(Debug)]
 pub struct Store {
     captures: PathBuf,
     state: PathBuf,
     receiver: String,
-    /// Of this process: what came with another hash than it should have, as its source had it then.
+    /// Files that came with a wrong hash during this process, as their sources had them then.
     damaged: Mutex<BTreeSet<String>>,
 }
 
-/// What became of a file that came.
+/// Result of verifying a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Placed {
+pub enum VerifyOutcome {
+    /// The file is as recorded, and acknowledged.
     Verified,
-    /// Its hash is another; it is not put in place.
+    /// The file has another hash; it is not put in place.
     Damaged,
 }
 
-/// A session that was thrown away here.
+/// A session that was deleted here.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pruned {
+    /// Identity of the session.
     pub id: String,
+    /// Name of its folder.
     pub name: String,
 }
 
 impl Store {
+    /// Opens a folder of captures, and makes it if it does not exist. A folder within a session is refused.
     pub fn open(captures: &Path) -> Result<Self, SyncError> {
         if let Some(session) = session_holding(captures) {
             return Err(SyncError::IntoCapture { captures: captures.to_owned(), session });
         }
         fs::create_dir_all(captures).map_err(io(captures))?;
-        let turn = Turn::in_folder(captures).map_err(io(captures))?;
+        let turn = FolderLock::in_folder(captures).map_err(io(captures))?;
         Self::in_turn(captures, &[turn])
     }
 
-    /// By whoever has the folder's turn, among others perhaps.
-    pub(super) fn in_turn(captures: &Path, _turns: &[Turn]) -> Result<Self, SyncError> {
+    /// Opens a folder of captures whose lock the caller holds; `_turns` proves that.
+    pub(super) fn in_turn(captures: &Path, _turns: &[FolderLock]) -> Result<Self, SyncError> {
         let state = captures.join(SYNC_FOLDER);
         fs::create_dir_all(&state).map_err(io(&state))?;
         real_folder(&state)?;
@@ -77,23 +84,27 @@ impl Store {
         Ok(Self { captures: captures.to_owned(), state, receiver, damaged: Mutex::default() })
     }
 
+    /// Name of this folder as a receiver.
     pub fn receiver(&self) -> &str {
         &self.receiver
     }
 
+    /// The folder of captures.
     pub fn captures(&self) -> &Path {
         &self.captures
     }
 
+    /// Sessions in the folder, and what is no session.
     pub fn sessions(&self) -> Result<(Vec<Session>, Vec<SetAside>), SyncError> {
         sessions_in(&self.captures).map_err(io(&self.captures))
     }
 
-    /// What was thrown away here is not fetched again unasked.
+    /// Sessions that were deleted here; they are not fetched again unasked.
     pub fn pruned(&self) -> Vec<Pruned> {
         pruned_in(&self.state)
     }
 
+    /// Notes that a session is being deleted here.
     pub(super) fn note_pruned(&self, session: &Session) -> Result<(), SyncError> {
         let note = Pruned { id: session.id.as_str().to_owned(), name: session.name.clone() };
         let line = serde_json::to_string(&note).map_err(crate::RecordingError::from)?;
@@ -101,11 +112,12 @@ impl Store {
         append(&path, &(line + "\n")).map_err(io(&path))
     }
 
-    pub fn desk(&self, source: &Source) -> Result<Desk, SyncError> {
-        Desk::open(&self.state, source)
+    /// Opens the place of a source and locks it.
+    pub fn open_source_state(&self, source: &Source) -> Result<SourceState, SyncError> {
+        SourceState::open(&self.state, source)
     }
 
-    /// A file that came damaged, as its source had it.
+    /// Remembers a file that came damaged, with its state at the source.
     pub fn note_damaged(&self, file: String) {
         let mut damaged = self.damaged.lock().unwrap_or_else(PoisonError::into_inner);
         if damaged.len() < MAX_DAMAGED_FILES {
@@ -113,55 +125,58 @@ impl Store {
         }
     }
 
+    /// Whether a file in this state came damaged before.
     pub fn came_damaged(&self, file: &str) -> bool {
         self.damaged.lock().unwrap_or_else(PoisonError::into_inner).contains(file)
     }
 
-    /// Bytes free for us on the disk.
+    /// Free bytes on the disk; `None` if the disk does not say.
     pub fn free_bytes(&self) -> Option<u64> {
         let stat = rustix::fs::statvfs(&self.captures).ok()?;
         Some(stat.f_bavail.saturating_mul(stat.f_frsize))
     }
 
-    /// Forces the file onto the disk, reads it back, compares, and only then gives it its name, a line in the manifest, and
-    /// an acknowledgement: whatever stops us in between, nothing is acknowledged that is not there.
-    pub fn place(&self, staged: &Path, item: &Item, head: &[u8]) -> Result<Placed, SyncError> {
+    /// Verifies a file that has come and puts it in place.
+    ///
+    /// The file is forced onto the disk, read back and compared. Only then it gets its name, a line in the manifest,
+    /// and an acknowledgement: wherever this is interrupted, nothing is acknowledged that is not there.
+    pub fn place(&self, staged: &Path, item: &Item, head: &[u8]) -> Result<VerifyOutcome, SyncError> {
         if !is_as_recorded(staged, &item.line).map_err(io(staged))? {
-            return Ok(Placed::Damaged);
+            return Ok(VerifyOutcome::Damaged);
         }
         let _turn = self.turn()?;
         let folder = self.session_folder(item, head)?;
         let path = folder.join(&item.line.name);
         if fs::symlink_metadata(&path).is_ok() {
-            // Another sync, of another source, was faster: it is never away under its name.
+            // Another sync, from another source, was faster; the file keeps its name all the time.
             if is_as_recorded(&path, &item.line).is_ok_and(|whole| whole) {
                 sync_folder(&folder)?;
                 self.vouch(&folder, &item.line)?;
                 fs::remove_file(staged).map_err(io(staged))?;
-                return Ok(Placed::Verified);
+                return Ok(VerifyOutcome::Verified);
             }
             move_aside(&path)?;
         }
         fs::rename(staged, &path).map_err(io(&path))?;
         sync_folder(&folder)?;
         self.vouch(&folder, &item.line)?;
-        Ok(Placed::Verified)
+        Ok(VerifyOutcome::Verified)
     }
 
-    /// Of a file that is in its place already.
-    pub fn verify(&self, item: &Item, head: &[u8]) -> Result<Placed, SyncError> {
+    /// Verifies a file that is in its place already.
+    pub fn verify(&self, item: &Item, head: &[u8]) -> Result<VerifyOutcome, SyncError> {
         let _turn = self.turn()?;
         let folder = self.session_folder(item, head)?;
         let path = folder.join(&item.line.name);
         if !is_as_recorded(&path, &item.line).map_err(io(&path))? {
-            return Ok(Placed::Damaged);
+            return Ok(VerifyOutcome::Damaged);
         }
         sync_folder(&folder)?;
         self.vouch(&folder, &item.line)?;
-        Ok(Placed::Verified)
+        Ok(VerifyOutcome::Verified)
     }
 
-    /// What describes a session whose segments are all here.
+    /// Copies what describes a session whose segments are all here.
     pub fn complete(&self, here: &str, known: &Path) -> Result<(), SyncError> {
         let _turn = self.turn()?;
         let folder = self.captures.join(here);
@@ -176,7 +191,7 @@ impl Store {
         Ok(())
     }
 
-    /// Where our acknowledgements of a session stand; the same text goes back to the source.
+    /// Path of this store's acknowledgements of a session; the same file is copied to the source.
     pub fn acknowledgements(&self, here: &str) -> PathBuf {
         self.captures.join(here).join(ACK_FOLDER).join(format!("{}{ACK_ENDING}", self.receiver))
     }
@@ -192,18 +207,21 @@ impl Store {
         Ok(write_atomically(&path, text.as_bytes())?)
     }
 
-    /// Another folder's word for a session is not relied on here any more.
+    /// Stops relying on another store's acknowledgements of a session.
     pub fn no_longer_rely_on(&self, session: &Session, receiver: &str) -> Result<(), SyncError> {
         let _turn = self.turn()?;
         self.disown(session, receiver)
     }
 
+    /// Does the same for a caller that holds the lock.
     fn disown(&self, session: &Session, receiver: &str) -> Result<(), SyncError> {
         if receiver == self.receiver { Ok(()) } else { Ok(silence(session, receiver)?) }
     }
 
-    /// Another folder's copy of the session goes, and relies on what is here. From now on what is here is at least as far from
-    /// the recorder as that one was, and relies on nobody: who still has it says so again, if it is farther away than this.
+    /// Prepares a session for the deletion of another store's copy that relies on it.
+    ///
+    /// From then on it is at least as far from the recorder as the copy, which was `hops` away, and relies on nobody.
+    /// A store that still has the session acknowledges again if it is farther from the recorder.
     pub(super) fn be_relied_on(&self, session: &Session, hops: u32) -> Result<(), SyncError> {
         for receiver in session.acknowledged.keys() {
             silence(session, receiver)?;
@@ -212,14 +230,15 @@ impl Store {
         note_received(&session.folder, &received)
     }
 
-    /// Whatever bears a name here: nothing else may get it.
+    /// All names in the folder, which no new session may get.
     pub fn occupied(&self) -> Vec<String> {
         let entries = fs::read_dir(&self.captures).into_iter().flatten().flatten();
         entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
     }
 
-    /// The session's folder, made if it is not there; never another session's, never through a link. Another name than was
-    /// planned if another sync was faster.
+    /// Finds the session's folder, or makes it; never another session's, never through a link.
+    ///
+    /// Its name differs from the planned one if another sync was faster.
     fn session_folder(&self, item: &Item, head: &[u8]) -> Result<PathBuf, SyncError> {
         let Item { here: name, session: id, hops, .. } = item;
         let received = Received { hops: hops.saturating_add(1), receiver: self.receiver.clone() };
@@ -234,14 +253,16 @@ impl Store {
         }
         if let Some(ours) = there {
             match &ours.received {
-                // It came here in another way. As long as it relies on nobody else, it may as well have come from there. In any
-                // case it is noted whose word is about to be given, lest it be taken for another's where it is moved to.
+                // The session came here without a sync. As long as it relies on no other store, it may as well have
+                // come from that source. In any case this store is noted as the receiver, so that its
+                // acknowledgements are not taken for another's if the session is moved.
                 None => {
                     let relies = ours.acknowledged.keys().any(|who| *who != self.receiver);
                     let hops = if relies { 0 } else { received.hops };
                     note_received(&ours.folder, &Received { hops, ..received })?;
                 }
-                // It was moved or copied here from the folder that received it, whose word of then is this copy's own.
+                // The session was moved or copied here from the folder that received it, whose acknowledgement stands
+                // for this very copy.
                 Some(old) if old.receiver != self.receiver => {
                     self.disown(&ours, &old.receiver)?;
                     note_received(&ours.folder, &Received { hops: old.hops.max(received.hops), ..received })?;
@@ -253,7 +274,7 @@ impl Store {
         if fs::symlink_metadata(&folder).is_ok() {
             folder = self.captures.join(format!("{name}-{}", id.as_str()));
         }
-        // Whole under its name or not at all: a cut in between leaves no folder that is nobody's.
+        // The folder is prepared under another name, so that a power cut leaves no folder without an owner.
         let beside = self.state.join(format!("new-{}", id.as_str()));
         fs::create_dir_all(&beside).map_err(io(&beside))?;
         write_atomically(&beside.join(SESSION_FILE), head)?;
@@ -264,6 +285,7 @@ impl Store {
         Ok(folder)
     }
 
+    /// Lists a segment in the manifest and acknowledges it.
     fn vouch(&self, folder: &Path, line: &ManifestLine) -> Result<(), SyncError> {
         let found = session_at(folder).map_err(|why| io(folder)(io::Error::other(why.why)))?;
         if !found.lines.contains(line) {
@@ -271,7 +293,7 @@ impl Store {
             let text = |line: &ManifestLine| serde_json::to_string(line).map(|text| text + "\n");
             let failed = crate::RecordingError::from;
             if found.lines.iter().any(|known| known.name == line.name) {
-                // Of the same bytes: `sessions repair` has made a line of its own. The recorder knows more than that.
+                // `sessions repair` has made a line for the same bytes. The recorder's line says more.
                 let lines = found.lines.iter().map(|known| if known.name == line.name { line } else { known });
                 let all: Result<String, _> = lines.map(text).collect();
                 write_atomically(&path, all.map_err(failed)?.as_bytes())?;
@@ -293,36 +315,39 @@ impl Store {
         append_within(folder, ACK_FOLDER, &name, &ack.to_line()).map_err(io(&path))
     }
 
-    fn turn(&self) -> Result<Turn, SyncError> {
-        Turn::in_folder(&self.captures).map_err(io(&self.captures))
+    /// Locks the folder of captures.
+    fn turn(&self) -> Result<FolderLock, SyncError> {
+        FolderLock::in_folder(&self.captures).map_err(io(&self.captures))
     }
 }
 
+/// Reads the list of sessions that were deleted here.
 fn pruned_in(state: &Path) -> Vec<Pruned> {
     let bytes = read_plain(&state.join(PRUNED_FILE), MAX_SMALL_BYTES).unwrap_or_default();
     String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
 }
 
+/// Writes `received.json`.
 fn note_received(session: &Path, received: &Received) -> Result<(), SyncError> {
     let text = serde_json::to_vec(received).map_err(crate::RecordingError::from)?;
     Ok(write_atomically(&session.join(RECEIVED_FILE), &text)?)
 }
 
-/// Size and hash as the manifest says, of what is on the disk and not only in memory.
+/// Whether a file has the size and the hash that its manifest says, on the disk and not only in memory.
 pub fn is_as_recorded(path: &Path, line: &ManifestLine) -> io::Result<bool> {
     let file = open_plain(path)?;
     if file.metadata()?.len() != line.bytes {
         return Ok(false);
     }
     file.sync_all()?;
-    // Where the file system does not know it, memory is what is compared.
+    // Where the file system does not support this, the content in memory is compared.
     let _ = rustix::fs::fadvise(&file, 0, None, rustix::fs::Advice::DontNeed);
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(&file)?;
     Ok(hasher.finalize().to_hex().as_str() == line.blake3.to_ascii_lowercase())
 }
 
-/// `0000.mcap` becomes `0000.mcap.aside-1`: what somebody changed is theirs.
+/// Renames `0000.mcap` to `0000.mcap.aside-1` and so on: a file that somebody changed is theirs.
 fn move_aside(path: &Path) -> Result<(), SyncError> {
     for number in 1..=MAX_ASIDE {
         let mut aside = path.as_os_str().to_owned();
@@ -334,13 +359,17 @@ fn move_aside(path: &Path) -> Result<(), SyncError> {
     Err(io(path)(io::Error::from(io::ErrorKind::AlreadyExists)))
 }
 
-/// Behind a whole last line, and onto the disk. What a cut has torn goes; on a full disk nothing is torn.
+/// Appends a line behind the last whole line and forces it to disk.
+///
+/// A line that a power cut has torn is removed. If the disk is full, no torn line stays behind.
 fn append(path: &Path, text: &str) -> io::Result<()> {
     append_to(own_file(path)?, text)
 }
 
-/// The same of `folder/inner/name`. Each part is opened within what was opened before it and followed through no link: a
-/// link that is put in place of a folder meanwhile leads nowhere.
+/// Appends a line to `folder/inner/name` as [`append`] does.
+///
+/// Each part of the path is opened within the part before it and through no link, so that a link that replaces a
+/// folder meanwhile leads nowhere.
 fn append_within(folder: &Path, inner: &str, name: &str, text: &str) -> io::Result<()> {
     let as_folder = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
     let as_file =
@@ -355,6 +384,7 @@ fn append_within(folder: &Path, inner: &str, name: &str, text: &str) -> io::Resu
     Ok(rustix::fs::fsync(&inner)?)
 }
 
+/// Appends a line to an open file as [`append`] does.
 fn append_to(mut file: File, text: &str) -> io::Result<()> {
     let mut old = Vec::new();
     Read::by_ref(&mut file).take(MAX_SMALL_BYTES).read_to_end(&mut old)?;
@@ -377,24 +407,27 @@ fn append_to(mut file: File, text: &str) -> io::Result<()> {
     written
 }
 
+/// Opens or creates a file of this program to read and append; a link is not followed.
 pub(super) fn own_file(path: &Path) -> io::Result<File> {
     let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits();
     OpenOptions::new().read(true).append(true).create(true).custom_flags(flags as i32).open(path)
 }
 
+/// Checks that a path is a folder, and not a link to one.
 pub(super) fn real_folder(path: &Path) -> Result<(), SyncError> {
     let metadata = fs::symlink_metadata(path).map_err(io(path))?;
     if metadata.is_dir() { Ok(()) } else { Err(io(path)(io::Error::other("a link or a file, not a folder: not used"))) }
 }
 
 impl Item {
-    /// Where it is while it is not whole.
-    pub(super) fn staged(&self, desk: &Desk) -> PathBuf {
-        desk.incoming.join(&self.there).join(&self.line.name)
+    /// Path of the file while it is not whole.
+    pub(super) fn staged(&self, source_state: &SourceState) -> PathBuf {
+        source_state.incoming.join(&self.there).join(&self.line.name)
     }
 
+    /// Whether the segment has to be transferred.
     pub(super) fn is_fetched(&self) -> bool {
-        self.why != Why::Verify
+        self.why != TransferReason::Verify
     }
 }
 
@@ -402,7 +435,7 @@ impl Item {
 mod tests {
     use super::*;
 
-    /// Whenever it was put there: nothing asks for links beforehand.
+    /// A link is refused whenever it was put there: nothing looks for links beforehand.
     #[test]
     fn nothing_is_appended_through_a_link() {
         let folder = tempfile::tempdir().expect("a folder");

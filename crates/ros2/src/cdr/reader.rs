@@ -1,24 +1,24 @@
-//! Reads CDR of either byte order. Borrows; allocates nothing that the bytes at hand do not justify.
+//! Reads CDR of either byte order. Strings and bytes are borrowed from the message.
 
 use super::{CdrError, ENCAPSULATION_BYTES};
 
-/// A message larger than this is refused: no camera frame comes near it.
+/// Largest message that is read or written, bytes; no camera frame comes near it.
 pub const MAX_MESSAGE_BYTES: usize = 128 << 20;
 
-/// Middleware pads messages to a multiple of 4 or 8; more bytes than that belong to another type.
+/// Largest number of bytes behind the last field. Middleware pads messages to a multiple of 4 or 8; more bytes mean another type.
 const MAX_PADDING_BYTES: usize = 7;
 
-/// A position in a CDR message.
+/// A cursor in a CDR message. Each method reads the next field and fails if the message ends within it.
 #[derive(Clone, Debug)]
 pub struct CdrReader<'a> {
-    /// What follows the encapsulation header.
+    /// The message behind its encapsulation header.
     body: &'a [u8],
     position: usize,
     big_endian: bool,
 }
 
 impl<'a> CdrReader<'a> {
-    /// Reads the encapsulation header.
+    /// Begins to read a message: its encapsulation header says the byte order.
     pub fn new(message: &'a [u8]) -> Result<Self, CdrError> {
         if message.len() > MAX_MESSAGE_BYTES {
             return Err(CdrError::TooLarge { limit: MAX_MESSAGE_BYTES, found: message.len() });
@@ -32,22 +32,23 @@ impl<'a> CdrReader<'a> {
         }
     }
 
-    /// The message must end here, save for padding.
+    /// Checks that the message ends here, except for padding.
     pub fn finish(self) -> Result<(), CdrError> {
         let found = self.remaining();
         if found > MAX_PADDING_BYTES { Err(CdrError::Trailing { found }) } else { Ok(()) }
     }
 
-    /// Bytes that are left.
+    /// Returns how many bytes are left.
     pub fn remaining(&self) -> usize {
         self.body.len() - self.position
     }
 
-    /// Offset in the message, header included.
+    /// Returns the offset of the cursor in the message, header included.
     fn offset(&self) -> usize {
         self.position + ENCAPSULATION_BYTES
     }
 
+    /// Takes the next bytes; `what` names them in an error.
     fn take(&mut self, what: &'static str, needed: usize) -> Result<&'a [u8], CdrError> {
         let rest = &self.body[self.position..];
         match rest.split_at_checked(needed) {
@@ -59,7 +60,7 @@ impl<'a> CdrReader<'a> {
         }
     }
 
-    /// A number of N bytes, aligned to N, in little-endian order.
+    /// Reads a number of N bytes, aligned to N, and returns its bytes in little-endian order.
     pub(super) fn number<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N], CdrError> {
         let padding = self.position.next_multiple_of(N) - self.position;
         let found = self.remaining();
@@ -75,14 +76,17 @@ impl<'a> CdrReader<'a> {
         Ok(number)
     }
 
+    /// Reads a uint8.
     pub fn u8(&mut self) -> Result<u8, CdrError> {
         self.number("uint8").map(u8::from_le_bytes)
     }
 
+    /// Reads a uint32.
     pub fn u32(&mut self) -> Result<u32, CdrError> {
         self.number("uint32").map(u32::from_le_bytes)
     }
 
+    /// Reads a bool, which must be 0 or 1.
     pub fn bool(&mut self) -> Result<bool, CdrError> {
         let offset = self.offset();
         match self.u8()? {
@@ -92,7 +96,7 @@ impl<'a> CdrReader<'a> {
         }
     }
 
-    /// A string, without its final NUL. Like the middleware, takes one that has none.
+    /// Reads a string and drops its final NUL. As in the middleware, the NUL may be missing.
     pub fn str(&mut self) -> Result<&'a str, CdrError> {
         let length = self.u32()? as usize;
         let offset = self.offset();
@@ -104,19 +108,20 @@ impl<'a> CdrReader<'a> {
         })
     }
 
-    /// A sequence of bytes.
+    /// Reads a sequence of bytes.
     pub fn bytes(&mut self) -> Result<&'a [u8], CdrError> {
         let count = self.sequence(1)?;
         self.raw(count)
     }
 
-    /// The next `count` bytes.
+    /// Reads the next `count` bytes.
     pub fn raw(&mut self, count: usize) -> Result<&'a [u8], CdrError> {
         self.take("bytes", count)
     }
 
-    /// The element count of a sequence whose elements take at least `element_bytes` each; refused if the rest of
-    /// the message cannot hold them.
+    /// Reads the element count of a sequence whose elements take at least `element_bytes` each.
+    ///
+    /// The count is refused if the rest of the message cannot hold so many, so it never makes a caller allocate too much.
     pub fn sequence(&mut self, element_bytes: usize) -> Result<usize, CdrError> {
         let count = self.u32()? as usize;
         let found = self.remaining();

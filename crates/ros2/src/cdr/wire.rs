@@ -1,19 +1,22 @@
-//! Which Rust types stand for which fields.
+//! The Rust types of message fields: how each is read from CDR and written to it.
 
 use super::{CdrError, CdrReader, CdrWriter};
 
 /// A field type of a ROS message.
 pub trait Wire: Sized {
-    /// The fewest bytes that a value takes, padding not counted.
+    /// Smallest size of a value on the wire, bytes, without padding.
     const MIN_BYTES: usize;
 
+    /// Reads one value.
     fn read(reader: &mut CdrReader<'_>) -> Result<Self, CdrError>;
 
+    /// Writes one value.
     fn write(&self, writer: &mut CdrWriter<'_>);
 
-    /// `count` values in a row; the reader has checked that the message can hold them.
+    /// Reads `count` values in a row. The caller has checked that the message can hold them ([`CdrReader::sequence`]).
     fn read_many(reader: &mut CdrReader<'_>, count: usize) -> Result<Vec<Self>, CdrError> {
-        // In memory an element may be larger than on the wire: reserve what the bytes justify, grow by what is read.
+        // In memory an element may be larger than on the wire. The vector reserves no more bytes than the message has left,
+        // and grows as elements are read.
         let mut values = Vec::with_capacity(count.min(reader.remaining() / size_of::<Self>().max(1)));
         for _ in 0..count {
             values.push(Self::read(reader)?);
@@ -21,6 +24,7 @@ pub trait Wire: Sized {
         Ok(values)
     }
 
+    /// Writes values in a row, without a count.
     fn write_many(values: &[Self], writer: &mut CdrWriter<'_>) {
         for value in values {
             value.write(writer);
@@ -28,6 +32,7 @@ pub trait Wire: Sized {
     }
 }
 
+/// Implements [`Wire`] for number types.
 macro_rules! number {
     ($($number:ty, $name:literal;)*) => {$(
         impl Wire for $number {
@@ -130,7 +135,7 @@ impl<const N: usize> Wire for [f64; N] {
     }
 }
 
-/// Declares a message struct whose fields go over the wire in the order in which they stand.
+/// Declares a message struct whose fields are encoded in the order of their declaration.
 macro_rules! wire_struct {
     ($(#[$attribute:meta])* pub struct $name:ident {
         $($(#[$field_attribute:meta])* pub $field:ident: $type:ty,)*
@@ -167,11 +172,12 @@ pub(crate) use wire_struct;
 #[cfg(test)]
 pub(crate) use sample::{Sample, SampleSource};
 
-/// Values of every message for the property tests, drawn from numbers that the test provides.
+/// Arbitrary values of every message for property tests, made of numbers that the test draws.
 #[cfg(test)]
 mod sample {
     use std::vec;
 
+    /// The drawn numbers.
     pub(crate) struct SampleSource(vec::IntoIter<u64>);
 
     impl SampleSource {
@@ -179,12 +185,13 @@ mod sample {
             Self(numbers.into_iter())
         }
 
-        /// Zero when the numbers run out, so that every message ends.
+        /// Returns the next number, or 0 when none is left, so that every message ends.
         fn next(&mut self) -> u64 {
             self.0.next().unwrap_or_default()
         }
     }
 
+    /// A type of which arbitrary values can be made.
     pub(crate) trait Sample {
         fn sample(source: &mut SampleSource) -> Self;
     }
@@ -201,7 +208,7 @@ mod sample {
     integers!(u8 u32 i32 u64 i64);
 
     impl Sample for f64 {
-        /// Not a number only equals itself as bytes: the tests compare those.
+        /// The value may be NaN, which equals itself only as bytes; the tests compare bytes.
         fn sample(source: &mut SampleSource) -> Self {
             f64::from_bits(source.next())
         }

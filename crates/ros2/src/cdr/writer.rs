@@ -2,10 +2,10 @@
 
 use super::ENCAPSULATION_BYTES;
 
-/// Identifies little-endian CDR.
+/// Encapsulation header of little-endian CDR.
 const HEADER: [u8; ENCAPSULATION_BYTES] = [0, 1, 0, 0];
 
-/// Appends fields to a message.
+/// Writes a message, field by field, into a buffer.
 #[derive(Debug)]
 pub struct CdrWriter<'a> {
     message: &'a mut Vec<u8>,
@@ -19,19 +19,19 @@ impl<'a> CdrWriter<'a> {
         Self { message: buffer }
     }
 
-    /// A number of N bytes, aligned to N.
+    /// Writes a number of N bytes, aligned to N.
     pub(super) fn number<const N: usize>(&mut self, little_endian: [u8; N]) {
         let position = self.message.len() - ENCAPSULATION_BYTES;
         self.message.resize(ENCAPSULATION_BYTES + position.next_multiple_of(N), 0);
         self.message.extend_from_slice(&little_endian);
     }
 
+    /// Writes a uint32.
     pub fn u32(&mut self, value: u32) {
         self.number(value.to_le_bytes());
     }
 
-    /// A string. CDR strings end at the first NUL: anything behind one would be lost on other readers, so is not
-    /// written.
+    /// Writes a string up to its first NUL: other readers end a string there.
     pub fn str(&mut self, text: &str) {
         let text = text.split('\0').next().unwrap_or_default();
         self.count(text.len() + 1);
@@ -39,17 +39,18 @@ impl<'a> CdrWriter<'a> {
         self.raw(&[0]);
     }
 
-    /// A sequence of bytes.
+    /// Writes a sequence of bytes.
     pub fn bytes(&mut self, bytes: &[u8]) {
         self.count(bytes.len());
         self.raw(bytes);
     }
 
+    /// Writes bytes without a count.
     pub fn raw(&mut self, bytes: &[u8]) {
         self.message.extend_from_slice(bytes);
     }
 
-    /// A sequence's element count. Messages are refused long before they hold 2^32 elements.
+    /// Writes the element count of a sequence. Messages are refused long before they hold 2^32 elements.
     pub fn count(&mut self, count: usize) {
         self.u32(u32::try_from(count).unwrap_or(u32::MAX));
     }

@@ -1,4 +1,4 @@
-//! Attachments and metadata: small things beside the messages.
+//! Attachments and metadata records, which a log holds beside its messages.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -13,54 +13,62 @@ use super::lengths::parse_record;
 use super::source::{Record, Source};
 use super::summary::Summary;
 
-/// Larger attachments are left out.
+/// Largest attachment that is read or written, bytes.
 pub const MAX_ATTACHMENT_BYTES: u64 = 64 << 20;
 
-/// All attachments that are read together.
+/// Largest size of all attachments that are read together, bytes.
 const MAX_ATTACHMENTS_BYTES: u64 = 4 * MAX_ATTACHMENT_BYTES;
 
-/// Larger metadata records are left out; with more of them than this many bytes, the later ones.
+/// Largest size of all metadata records that are read together, bytes; a record beyond it is left out.
 pub(super) const MAX_METADATA_BYTES: u64 = 16 << 20;
 
-/// No more places are remembered: chunks of a megabyte make a terabyte.
+/// Largest number of records that a walk remembers; as many chunks of a megabyte make a terabyte.
 const MAX_WALKED_RECORDS: usize = 1 << 20;
 
-/// A file inside the log.
+/// An attachment: a file inside the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Attachment {
+    /// Name of the file.
     pub name: String,
+    /// MIME type of the data.
     pub media_type: String,
+    /// Time at which it was logged, nanoseconds.
     pub log_time_ns: i64,
+    /// Content of the file.
     pub data: Vec<u8>,
 }
 
-/// Key-value pairs about the log as a whole.
+/// A metadata record: key-value pairs about the log as a whole.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MetadataRecord {
+    /// Name of the record.
     pub name: String,
+    /// Values by key.
     pub values: BTreeMap<String, String>,
 }
 
 /// The attachments of a log, as far as they are sound and not too large.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Attachments {
+    /// Attachments in the order of the file.
     pub list: Vec<Attachment>,
+    /// Damage of attachments, and of the records between them.
     pub damage: Damage,
 }
 
-/// Reads all attachments, whether the log was finished or not.
+/// Reads all attachments of a log, finished or not.
 pub fn attachments<R: Read + Seek>(reader: R) -> Result<Attachments, ReadError> {
     let mut source = Source::open(reader)?;
     let mut damage = Damage { torn: !source.ends_with_magic()?, ..Damage::default() };
-    // Damage of the summary hides no attachment: the walk finds them.
+    // Damage of the summary is not counted: without a summary a walk finds the attachments.
     let summary = Summary::read(&mut source, &mut Channels::new(Selection::default()), &mut Damage::default())?;
-    let records = side_records(summary.as_ref(), &mut source, &mut damage)?;
-    let list = sound_attachments(&mut source, &records, &mut damage)?;
+    let records = find_side_records(summary.as_ref(), &mut source, &mut damage)?;
+    let list = read_sound_attachments(&mut source, &records, &mut damage)?;
     Ok(Attachments { list, damage })
 }
 
-/// The attachments among these records.
-pub(super) fn sound_attachments<R: Read + Seek>(
+/// Reads the attachments among these records, and counts those that are damaged or too large.
+pub(super) fn read_sound_attachments<R: Read + Seek>(
     source: &mut Source<R>,
     records: &[Record],
     damage: &mut Damage,
@@ -74,7 +82,7 @@ pub(super) fn sound_attachments<R: Read + Seek>(
             total -= record.length;
             Err(format!("attachment: expected at most {MAX_ATTACHMENT_BYTES} bytes, found {}", record.length))
         } else if source.read_at(record.body(), record.length, &mut body)? {
-            parse(&body)
+            parse_attachment(&body)
         } else {
             Err("attachment: found the end of the file".to_owned())
         };
@@ -86,8 +94,8 @@ pub(super) fn sound_attachments<R: Read + Seek>(
     Ok(list)
 }
 
-/// Where attachments and metadata stand: where the summary says, or else by a walk over the heads of all records.
-pub(super) fn side_records<R: Read + Seek>(
+/// Finds the records of attachments and metadata: by the summary, or else by a walk over the heads of all records.
+pub(super) fn find_side_records<R: Read + Seek>(
     summary: Option<&Summary>,
     source: &mut Source<R>,
     damage: &mut Damage,
@@ -97,11 +105,11 @@ pub(super) fn side_records<R: Read + Seek>(
     {
         return Ok(records);
     }
-    walk(source, &[op::ATTACHMENT, op::METADATA], damage)
+    walk_records(source, &[op::ATTACHMENT, op::METADATA], damage)
 }
 
-/// Where records of these kinds stand in the data; their bodies are not read.
-pub(super) fn walk<R: Read + Seek>(
+/// Finds the records of some kinds by a walk over the heads of all records; their bodies are not read.
+pub(super) fn walk_records<R: Read + Seek>(
     source: &mut Source<R>,
     opcodes: &[u8],
     damage: &mut Damage,
@@ -131,12 +139,12 @@ pub(super) fn walk<R: Read + Seek>(
     Ok(found)
 }
 
-/// The name of an attachment, its bytes not read.
-pub(super) fn attachment_name<R: Read + Seek>(
+/// Reads the name of an attachment, but not its data.
+pub(super) fn read_attachment_name<R: Read + Seek>(
     source: &mut Source<R>,
     record: &Record,
 ) -> Result<Option<String>, ReadError> {
-    /// Two times and two strings.
+    /// Largest size of the fields before the data, bytes: two times and two strings.
     const MAX_HEAD_BYTES: u64 = 64 << 10;
     let mut head = Vec::new();
     source.read_at(record.body(), record.length.min(MAX_HEAD_BYTES), &mut head)?;
@@ -148,8 +156,8 @@ pub(super) fn attachment_name<R: Read + Seek>(
     })())
 }
 
-/// The metadata among these records.
-pub(super) fn metadata<R: Read + Seek>(
+/// Reads the metadata among these records, and counts those that are damaged or too large.
+pub(super) fn read_metadata<R: Read + Seek>(
     source: &mut Source<R>,
     records: &[Record],
     damage: &mut Damage,
@@ -173,7 +181,8 @@ pub(super) fn metadata<R: Read + Seek>(
     Ok(found)
 }
 
-pub(super) fn parse(body: &[u8]) -> Result<Attachment, String> {
+/// Parses the body of an attachment record and verifies its checksum.
+pub(super) fn parse_attachment(body: &[u8]) -> Result<Attachment, String> {
     let mut fields = Fields::new(body);
     let mut parse = || {
         let log_time_ns = nanoseconds(fields.u64()?);

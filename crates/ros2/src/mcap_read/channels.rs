@@ -1,4 +1,4 @@
-//! What topics a log has, and which of them are wanted.
+//! The channels that a log defines, and the selection of topics to read.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -8,22 +8,26 @@ use mcap::records::{self, Record, op};
 use super::lengths::parse_record;
 use crate::messages::Message;
 
-/// All definitions of a log together: real ones take some kilobytes.
+/// Largest size of all definitions of a log together, bytes; those of real logs take some kilobytes.
 const MAX_DEFINITIONS_BYTES: usize = 64 << 20;
 
-/// Which topics to read.
+/// The topics to read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Selection {
+    /// Every topic.
     #[default]
     All,
+    /// The topics of these names.
     Topics(BTreeSet<String>),
 }
 
 impl Selection {
+    /// Selects topics by their names.
     pub fn topics<T: Into<String>>(topics: impl IntoIterator<Item = T>) -> Self {
         Self::Topics(topics.into_iter().map(Into::into).collect())
     }
 
+    /// Whether a topic is selected.
     pub(super) fn wants(&self, topic: &str) -> bool {
         match self {
             Self::All => true,
@@ -32,25 +36,27 @@ impl Selection {
     }
 }
 
-/// One topic of a log, as one writer described it: a topic may have several channels.
+/// A channel of a log: a topic as one writer described it. A topic may have several channels.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Channel {
+    /// Number of the channel in its log.
     pub id: u16,
+    /// Name of the topic.
     pub topic: String,
-    /// `package/msg/Name`; empty if the log does not say.
+    /// Type of the messages, `package/msg/Name`; empty if the log does not say.
     pub type_name: String,
-    /// `cdr` in ROS 2 logs.
+    /// Encoding of the messages: `cdr` in ROS 2 logs.
     pub message_encoding: String,
-    /// `ros2msg` or `ros2idl` in ROS 2 logs; empty if there is no definition.
+    /// Form of the definition: `ros2msg` or `ros2idl` in ROS 2 logs; empty if there is none.
     pub schema_encoding: String,
-    /// The definition of the type, nested types included.
+    /// Definition of the type, nested types included.
     pub definition: Arc<[u8]>,
-    /// rosbag2 keeps the quality of service here.
+    /// Metadata of the channel, where rosbag2 keeps the quality of service.
     pub metadata: BTreeMap<String, String>,
 }
 
 impl Channel {
-    /// Of messages that this program writes.
+    /// Makes a channel for a message type of this crate.
     pub fn of<M: Message>(id: u16, topic: &str, metadata: BTreeMap<String, String>) -> Self {
         Self {
             id,
@@ -65,12 +71,12 @@ impl Channel {
 }
 
 impl Channel {
-    /// Whether messages are CDR of a type that is defined in a form of ROS 2.
+    /// Whether the messages are CDR and their type is defined in a form of ROS 2.
     pub fn is_ros2(&self) -> bool {
         self.message_encoding == "cdr" && matches!(self.schema_encoding.as_str(), "ros2msg" | "ros2idl")
     }
 
-    /// The quality of service as rosbag2 writes it; empty if the log does not say.
+    /// Returns the quality of service in YAML, as rosbag2 writes it; empty if the log does not say.
     pub fn qos_profiles(&self) -> &str {
         self.metadata.get(super::QOS_KEY).map(String::as_str).unwrap_or_default()
     }
@@ -84,12 +90,13 @@ impl Channel {
     }
 }
 
-/// A schema or channel record, parsed but not yet believed.
+/// A schema or channel record, parsed but not yet entered into [`Channels`].
 pub(super) enum Definition {
     Schema { id: u16, schema: Schema },
     Channel(records::Channel),
 }
 
+/// The type of a channel.
 #[derive(Clone, PartialEq, Eq)]
 pub(super) struct Schema {
     name: String,
@@ -98,7 +105,7 @@ pub(super) struct Schema {
 }
 
 impl Definition {
-    /// `None` of a schema.
+    /// Returns the number of a channel, or `None` for a schema.
     pub fn channel_id(&self) -> Option<u16> {
         match self {
             Self::Schema { .. } => None,
@@ -106,7 +113,7 @@ impl Definition {
         }
     }
 
-    /// `None` if the record is neither.
+    /// Parses a record; `None` if it is neither a schema nor a channel.
     pub fn parse(opcode: u8, body: &[u8]) -> Result<Option<Self>, String> {
         if !matches!(opcode, op::SCHEMA | op::CHANNEL) {
             return Ok(None);
@@ -123,11 +130,13 @@ impl Definition {
     }
 }
 
-/// The definitions read so far.
+/// The schemas and channels read so far.
 pub(super) struct Channels {
     selection: Selection,
     schemas: HashMap<u16, Schema>,
+    /// Channels by number, and whether each is selected.
     channels: HashMap<u16, (Arc<Channel>, bool)>,
+    /// Size of all definitions together.
     bytes: usize,
 }
 
@@ -136,7 +145,7 @@ impl Channels {
         Self { selection, schemas: HashMap::new(), channels: HashMap::new(), bytes: 0 }
     }
 
-    /// A later definition of the same number replaces the earlier.
+    /// Enters a definition. It replaces an earlier one of the same number.
     pub fn define(&mut self, definition: Definition) -> Result<(), String> {
         match definition {
             Definition::Schema { id, schema } => {
@@ -158,6 +167,7 @@ impl Channels {
         Ok(())
     }
 
+    /// Joins a channel record with its schema.
     fn resolve(&self, record: records::Channel) -> Channel {
         let schema = self.schemas.get(&record.schema_id).cloned();
         let schema = schema.unwrap_or_else(|| Schema {
@@ -176,6 +186,7 @@ impl Channels {
         }
     }
 
+    /// Counts bytes of definitions, up to the limit.
     fn spend(&mut self, bytes: usize) -> Result<(), String> {
         if self.bytes + bytes > MAX_DEFINITIONS_BYTES {
             return Err(format!("expected at most {MAX_DEFINITIONS_BYTES} bytes of definitions"));
@@ -184,15 +195,17 @@ impl Channels {
         Ok(())
     }
 
+    /// Returns the channel of a number.
     pub fn get(&self, id: u16) -> Option<&Arc<Channel>> {
         self.channels.get(&id).map(|(channel, _)| channel)
     }
 
-    /// `None` if the channel is not known.
+    /// Whether a channel is selected; `None` if it is not known.
     pub fn wanted(&self, id: u16) -> Option<bool> {
         self.channels.get(&id).map(|(_, wanted)| *wanted)
     }
 
+    /// Returns all channels, selected or not.
     pub fn iter(&self) -> impl Iterator<Item = &Arc<Channel>> {
         self.channels.values().map(|(channel, _)| channel)
     }

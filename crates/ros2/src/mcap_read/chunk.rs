@@ -1,4 +1,4 @@
-//! One chunk: unpacked, checked, its messages listed. Nothing of it is released before all of it is sound.
+//! A chunk of a log: decompressed, verified, its messages listed. No message is delivered before the whole chunk is sound.
 
 use std::sync::Arc;
 
@@ -12,25 +12,28 @@ use super::fields::Fields;
 use super::source::RECORD_HEAD_BYTES;
 use super::unpacking::Unpacking;
 
-/// Larger chunks are refused, packed or unpacked: writers close theirs at about a megabyte, or behind one message.
+/// Largest chunk, compressed or not, bytes. Writers close theirs at about a megabyte, or behind one large message.
 pub(super) const MAX_CHUNK_BYTES: u64 = 256 << 20;
 
+/// A sound chunk whose selected messages are delivered one after the other.
 pub(super) struct Chunk {
-    /// Message records (without opcode and length) stand somewhere in here.
+    /// Bytes that contain the bodies of the message records.
     bytes: Vec<u8>,
+    /// Selected messages.
     entries: Vec<Entry>,
+    /// Index of the next entry.
     next: usize,
-    /// Where `bytes` begin in the file, if they stand there as they are.
+    /// File offset of `bytes`; `None` if the chunk is compressed.
     place: Option<u64>,
 }
 
-/// A message, and where its data begin in the file unless they are compressed.
-pub(super) type Placed = (LogMessage, Option<u64>);
+/// A message and the file offset of its data; `None` if it is compressed.
+pub(super) type PlacedMessage = (LogMessage, Option<u64>);
 
-/// Channel, sequence number and two times.
+/// Length of the head of a message record, bytes: channel, sequence number and two times.
 pub(super) const MESSAGE_HEAD_BYTES: u64 = 22;
 
-/// One message record.
+/// The log time, channel and position in [`Chunk::bytes`] of a message record.
 #[derive(Clone, Copy)]
 struct Entry {
     log_time: u64,
@@ -39,19 +42,24 @@ struct Entry {
     channel: u16,
 }
 
+/// The fields of a chunk record.
 pub(super) struct Header<'a> {
+    /// Size of the records when decompressed.
     unpacked_bytes: u64,
-    /// 0 if the writer made none.
+    /// Checksum of the decompressed records; 0 if the writer made none.
     crc: u32,
+    /// Name of the compression; empty if there is none.
     pub compression: &'a str,
+    /// The records, compressed or not.
     records: &'a [u8],
+    /// Offset of `records` in the body of the chunk.
     records_start: usize,
-    /// Bytes of the record that no field accounts for.
+    /// Number of bytes behind the records, which no field accounts for.
     surplus: usize,
 }
 
 impl Chunk {
-    /// Takes the body of the chunk record that starts at `offset` of the file.
+    /// Decompresses and verifies the chunk record at `offset` of the file. Returns `None` if it is damaged.
     pub fn unpack(
         body: Vec<u8>,
         offset: u64,
@@ -60,10 +68,10 @@ impl Chunk {
         damage: &mut Damage,
     ) -> Option<Self> {
         let bytes = RECORD_HEAD_BYTES + body.len() as u64;
-        let unpacked = header(&body).and_then(|header| {
+        let unpacked = parse_header(&body).and_then(|header| {
             let surplus = header.surplus;
             if header.compression.is_empty() {
-                return Ok((list_plain(&header)?, surplus));
+                return Ok((list_uncompressed(&header)?, surplus));
             }
             unpacking.admit(header.records.len() as u64, header.unpacked_bytes)?;
             Ok((decompress(&header, &body)?, surplus))
@@ -97,31 +105,34 @@ impl Chunk {
         Some(Self { bytes: listing.unpacked.unwrap_or(body), entries, next: 0, place })
     }
 
-    /// Puts the messages in the order of their log times; those of one time stay as they are.
+    /// Sorts the messages by log time; messages of the same time keep their order.
     pub fn sort(&mut self) {
         self.entries.sort_by_key(|entry| entry.log_time);
     }
 
-    /// Of the next message.
+    /// Returns the log time of the next message.
     pub fn log_time(&self) -> Option<u64> {
         self.entries.get(self.next).map(|entry| entry.log_time)
     }
 
+    /// Returns how much memory the chunk takes, bytes.
     pub fn memory(&self) -> usize {
         self.bytes.len() + self.entries.len() * size_of::<Entry>()
     }
 
-    pub fn next(&mut self, channels: &Channels) -> Option<Placed> {
+    /// Delivers the next message.
+    pub fn next(&mut self, channels: &Channels) -> Option<PlacedMessage> {
         let entry = *self.entries.get(self.next)?;
         self.next += 1;
         let start = entry.start as usize;
-        let message = message(self.bytes.get(start..start + entry.length as usize)?, channels.get(entry.channel)?)?;
+        let message =
+            parse_message(self.bytes.get(start..start + entry.length as usize)?, channels.get(entry.channel)?)?;
         Some((message, self.place.map(|place| place + u64::from(entry.start) + MESSAGE_HEAD_BYTES)))
     }
 }
 
-/// The message in the body of a message record.
-pub(super) fn message(body: &[u8], channel: &Arc<Channel>) -> Option<LogMessage> {
+/// Parses the body of a message record.
+pub(super) fn parse_message(body: &[u8], channel: &Arc<Channel>) -> Option<LogMessage> {
     let mut fields = Fields::new(body);
     fields.u16()?;
     Some(LogMessage {
@@ -133,13 +144,13 @@ pub(super) fn message(body: &[u8], channel: &Arc<Channel>) -> Option<LogMessage>
     })
 }
 
-/// Times that no clock shows (after the year 2262) become the last that can be told.
+/// Converts a time of MCAP. A time after the year 2262 becomes the last one that `i64` can hold.
 pub(super) fn nanoseconds(time: u64) -> i64 {
     i64::try_from(time).unwrap_or(i64::MAX)
 }
 
 impl<'a> Header<'a> {
-    /// Of an uncompressed chunk.
+    /// Returns the records of an uncompressed chunk after verifying their checksum.
     pub fn checked_records(&self) -> Result<&'a [u8], String> {
         let found = self.records.len() as u64;
         if found != self.unpacked_bytes {
@@ -153,7 +164,8 @@ impl<'a> Header<'a> {
     }
 }
 
-pub(super) fn header(body: &[u8]) -> Result<Header<'_>, String> {
+/// Parses the body of a chunk record.
+pub(super) fn parse_header(body: &[u8]) -> Result<Header<'_>, String> {
     let mut fields = Fields::new(body);
     let mut parse = || {
         fields.u64()?;
@@ -170,16 +182,17 @@ pub(super) fn header(body: &[u8]) -> Result<Header<'_>, String> {
     Ok(Header { unpacked_bytes, crc, compression, records, records_start, surplus: left - packed })
 }
 
+/// The content of a chunk.
 #[derive(Default)]
 struct Listing {
     definitions: Vec<Definition>,
     entries: Vec<Entry>,
-    /// Unless the messages are where the record has them.
+    /// Bodies of the message records of a compressed chunk; `None` if the chunk is not compressed.
     unpacked: Option<Vec<u8>>,
 }
 
 impl Listing {
-    /// `start` is where `body` will be found later.
+    /// Adds a record whose body begins at `start` of [`Chunk::bytes`].
     fn add(&mut self, opcode: u8, body: &[u8], start: usize) -> Result<(), String> {
         if opcode != op::MESSAGE {
             self.definitions.extend(Definition::parse(opcode, body)?);
@@ -191,7 +204,7 @@ impl Listing {
             fields.u32()?;
             let log_time = fields.u64()?;
             fields.u64()?;
-            // Chunks are smaller than 4 GiB.
+            // Both conversions succeed, because chunks are smaller than 4 GiB.
             Some(Entry { log_time, start: start.try_into().ok()?, length: body.len().try_into().ok()?, channel })
         };
         self.entries.push(parse().ok_or("one of its messages is too short")?);
@@ -199,7 +212,8 @@ impl Listing {
     }
 }
 
-fn list_plain(header: &Header<'_>) -> Result<Listing, String> {
+/// Lists the records of an uncompressed chunk.
+fn list_uncompressed(header: &Header<'_>) -> Result<Listing, String> {
     let records = header.checked_records()?;
     let mut listing = Listing::default();
     let mut fields = Fields::new(records);
@@ -213,6 +227,7 @@ fn list_plain(header: &Header<'_>) -> Result<Listing, String> {
     Ok(listing)
 }
 
+/// Decompresses a chunk, verifies its checksum and lists its records.
 fn decompress(header: &Header<'_>, body: &[u8]) -> Result<Listing, String> {
     let limit = body.len().max(header.unpacked_bytes as usize);
     let options = LinearReaderOptions::default()

@@ -1,57 +1,65 @@
-//! What reading can find: a file that is no log, or a log that is damaged.
+//! Errors of reading: a file that is no log, or a log that is damaged.
 
 use std::fmt;
 use std::io;
 
 use thiserror::Error;
 
-/// The first bytes of every MCAP file, and its last.
+/// The bytes with which every MCAP file begins, and with which a finished one ends.
 pub(super) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
 /// Why a log cannot be read at all. Damage inside a log is no error: see [`Damage`].
 #[derive(Debug, Error)]
 pub enum ReadError {
+    /// The file is no MCAP.
     #[error("expected an MCAP file, found {found}")]
-    NotMcap { found: String },
+    NotMcap {
+        /// Description of the file, as far as its first bytes tell.
+        found: String,
+    },
+    /// The file cannot be read.
     #[error("cannot read the log: {0}")]
     Io(#[from] io::Error),
 }
 
-/// What a reader could not trust and left out.
+/// Damage of a log: what a reader could not trust and left out.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Damage {
-    /// The file does not end as an MCAP file must: its writer was stopped, or its tail was lost.
+    /// Whether the file does not end as an MCAP file must: its writer was stopped, or its tail is lost.
     pub torn: bool,
-    /// Chunks whose checksum or structure is wrong: none of their messages were delivered.
+    /// Number of chunks whose checksum or structure is wrong. None of their messages was delivered.
     pub bad_chunks: u64,
-    /// Records outside of chunks, or messages in sound chunks, that make no sense.
+    /// Number of records outside of chunks, or messages in sound chunks, that cannot be parsed.
     pub bad_records: u64,
-    /// Messages of sound chunks whose channel was defined in a part that is lost.
+    /// Number of messages whose channel was defined in a part that is lost.
     pub orphan_messages: u64,
-    /// Messages delivered after one with a later log time, though the log has an index.
+    /// Number of messages that were delivered after one with a later log time, although the log has an index.
     pub out_of_order: u64,
-    /// Bytes of the file that were not used because of all this.
+    /// Number of bytes of the file that were not used because of damage.
     pub bytes_skipped: u64,
-    /// The first thing that was found wrong.
+    /// Description of the first damage that was found.
     pub first_error: Option<String>,
 }
 
 impl Damage {
-    /// Nothing was wrong.
+    /// Whether the log is sound.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 
+    /// Keeps the description of damage if it is the first.
     pub(super) fn note(&mut self, error: impl FnOnce() -> String) {
         self.first_error.get_or_insert_with(error);
     }
 
+    /// Counts a chunk at `offset` whose `bytes` are not used.
     pub(super) fn bad_chunk(&mut self, offset: u64, bytes: u64, error: &str) {
         self.bad_chunks += 1;
         self.bytes_skipped += bytes;
         self.note(|| format!("chunk at byte {offset}: {error}"));
     }
 
+    /// Counts a record at `offset` of which `bytes` are not used.
     pub(super) fn bad_record(&mut self, offset: u64, bytes: u64, error: &str) {
         self.bad_records += 1;
         self.bytes_skipped += bytes;
@@ -59,7 +67,7 @@ impl Damage {
     }
 }
 
-/// In words, most important first.
+/// Describes the damage in words, the most important first.
 impl fmt::Display for Damage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut parts = Vec::new();
@@ -88,7 +96,7 @@ impl fmt::Display for Damage {
     }
 }
 
-/// Checks the first bytes of a file (16 are enough). A file that was cut inside them is a torn MCAP.
+/// Checks the first bytes of a file. A file that was cut within the magic bytes counts as a torn MCAP.
 pub(super) fn check_magic(first: &[u8]) -> Result<(), ReadError> {
     let compared = first.len().min(MAGIC.len());
     if compared > 0 && first[..compared] == MAGIC[..compared] {
@@ -97,6 +105,7 @@ pub(super) fn check_magic(first: &[u8]) -> Result<(), ReadError> {
     Err(ReadError::NotMcap { found: describe(first) })
 }
 
+/// Describes a file that is no MCAP by its first bytes.
 fn describe(first: &[u8]) -> String {
     let known: [(&[u8], &str); 7] = [
         (b"SQLite format 3", "a SQLite database (a rosbag2 .db3 file? rosbags-convert turns it into MCAP)"),

@@ -1,6 +1,6 @@
-//! The fields of MCAP records: little-endian, not aligned, strings with a 32-bit length.
+//! Reads the fields of MCAP records: little-endian numbers without alignment, strings behind a 32-bit length.
 
-/// Reads fields off a record; each is `None` where the record ends too early.
+/// A cursor in a record. Each method reads the next field, and returns `None` where the record ends too early.
 pub(super) struct Fields<'a> {
     rest: &'a [u8],
     taken: usize,
@@ -11,7 +11,7 @@ impl<'a> Fields<'a> {
         Self { rest: record, taken: 0 }
     }
 
-    /// Bytes read so far.
+    /// Returns how many bytes have been read.
     pub fn taken(&self) -> usize {
         self.taken
     }
@@ -43,17 +43,18 @@ impl<'a> Fields<'a> {
         self.number().map(u64::from_le_bytes)
     }
 
-    /// A length that fits the record.
+    /// Reads a 64-bit length.
     pub fn length(&mut self) -> Option<usize> {
         usize::try_from(self.u64()?).ok()
     }
 
+    /// Reads a string, which must be UTF-8.
     pub fn string(&mut self) -> Option<&'a str> {
         let length = usize::try_from(self.u32()?).ok()?;
         str::from_utf8(self.bytes(length)?).ok()
     }
 
-    /// All that is left.
+    /// Takes all bytes that are left.
     pub fn rest(&mut self) -> &'a [u8] {
         self.taken += self.rest.len();
         std::mem::take(&mut self.rest)

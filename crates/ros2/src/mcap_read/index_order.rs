@@ -1,32 +1,37 @@
-//! Reading by the index: in the order of log times, across chunks that overlap.
+//! Reads a log by its index, in the order of log times, across chunks that overlap.
 
 use std::io::{Read, Seek};
 
 use mcap::records::{ChunkIndex, op};
 
 use super::channels::Channels;
-use super::chunk::{Chunk, MAX_CHUNK_BYTES, Placed};
+use super::chunk::{Chunk, MAX_CHUNK_BYTES, PlacedMessage};
 use super::error::{Damage, ReadError};
 use super::source::{RECORD_HEAD_BYTES, Source};
 use super::unpacking::Unpacking;
 
-/// How much of overlapping chunks to hold. Beyond that, order gives way: no message is lost.
+/// Memory for overlapping chunks, bytes. Beyond it messages may come out of order, but none is lost.
 const MAX_OPEN_BYTES: usize = 384 << 20;
 
+/// The state of reading a log by its index.
 pub(super) struct IndexOrder {
-    /// By the log time of their first message, the next one last.
+    /// Chunks that are not open yet, sorted by the log time of their first message, the earliest last.
     waiting: Vec<ChunkIndex>,
+    /// Chunks in memory, each with its file offset.
     open: Vec<(u64, Chunk)>,
+    /// Latest log time delivered so far.
     last_log_time: u64,
+    /// [`MAX_OPEN_BYTES`], or less in tests.
     max_open_bytes: usize,
     unpacking: Unpacking,
 }
 
 impl IndexOrder {
+    /// Begins with the chunks that may hold a selected message.
     pub fn new(mut chunks: Vec<ChunkIndex>, channels: &Channels) -> Self {
         chunks.retain(|chunk| {
             let mut ids = chunk.message_index_offsets.keys();
-            // Without message indexes, a chunk may hold anything; an unknown channel may be defined in the chunk.
+            // A chunk without message indexes may hold any channel, and may itself define an unknown one.
             chunk.message_index_offsets.is_empty() || ids.any(|&id| channels.wanted(id).unwrap_or(true))
         });
         chunks.sort_by_key(|chunk| std::cmp::Reverse((chunk.message_start_time, chunk.chunk_start_offset)));
@@ -39,14 +44,15 @@ impl IndexOrder {
         }
     }
 
+    /// Delivers the message with the earliest log time.
     pub fn next<R: Read + Seek>(
         &mut self,
         source: &mut Source<R>,
         channels: &mut Channels,
         damage: &mut Damage,
-    ) -> Result<Option<Placed>, ReadError> {
+    ) -> Result<Option<PlacedMessage>, ReadError> {
         loop {
-            let earliest = self.earliest();
+            let earliest = self.find_earliest();
             let held: usize = self.open.iter().map(|(_, chunk)| chunk.memory()).sum();
             let load = self.waiting.pop_if(|next| match earliest {
                 None => true,
@@ -76,14 +82,15 @@ impl IndexOrder {
         }
     }
 
-    /// Log time, chunk offset and place of the open chunk whose turn it is.
-    fn earliest(&mut self) -> Option<(u64, u64, usize)> {
+    /// Returns log time, file offset and index in `open` of the chunk with the earliest message.
+    fn find_earliest(&mut self) -> Option<(u64, u64, usize)> {
         self.open.retain(|(_, chunk)| chunk.log_time().is_some());
         let heads = self.open.iter().enumerate();
         heads.filter_map(|(i, (offset, chunk))| Some((chunk.log_time()?, *offset, i))).min()
     }
 }
 
+/// Reads a chunk that the index lists, and sorts its messages; `None` if it is damaged.
 fn load_chunk<R: Read + Seek>(
     index: &ChunkIndex,
     source: &mut Source<R>,
@@ -133,7 +140,7 @@ mod tests {
 
     use super::super::{LogReader, Order, Selection};
 
-    /// Chunks of two messages each: one of its own time, one from the far future.
+    /// Makes a log of chunks that overlap: each has an early message and one from the far future.
     fn far_reaching_chunks() -> Vec<u8> {
         let mut writer = WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
         let channel = writer.add_channel(0, "/a", "cdr", &BTreeMap::new()).unwrap();
@@ -155,16 +162,16 @@ mod tests {
             let mut reader = LogReader::open(Cursor::new(&log), Selection::All).unwrap();
             let Order::LogTime(order) = &mut reader.order else { panic!("not indexed") };
             order.max_open_bytes = limit;
-            let mut most = 0;
+            let mut max_open = 0;
             let mut times = Vec::new();
             while let Some(message) = reader.next() {
                 times.push(message.unwrap().log_time_ns);
                 let Order::LogTime(order) = &reader.order else { panic!("not indexed") };
-                most = most.max(order.open.len());
+                max_open = max_open.max(order.open.len());
             }
             assert_eq!(times.is_sorted(), ordered);
             assert_eq!(reader.damage().out_of_order == 0, ordered);
-            assert!(ordered || most < 8, "{most}");
+            assert!(ordered || max_open < 8, "{max_open}");
             times.sort_unstable();
             assert_eq!(times, (0..20).chain(981..1001).collect::<Vec<i64>>());
         }

@@ -1,66 +1,70 @@
-//! Records as the library parses them, once each text in them is known to fit: its parser takes as much memory as a text's
-//! length says, up to four gigabytes, before it looks whether there is a text.
+//! Parses records with the MCAP library after checking the lengths of their strings.
+//!
+//! The library's parser allocates as much memory as the length of a string claims, up to four gigabytes, before it looks
+//! whether the record holds so much.
 
 use mcap::records::{Record, op};
 
 use super::fields::Fields;
 
+/// Parses the body of a record.
 pub(super) fn parse_record(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
-    texts_fit(opcode, &mut Fields::new(body)).ok_or("a record that ends within a text or before it")?;
+    check_string_lengths(opcode, &mut Fields::new(body)).ok_or("a record that ends within a text or before it")?;
     mcap::parse_record(opcode, body).map_err(|error| error.to_string())
 }
 
-/// `None` if one does not.
-fn texts_fit(opcode: u8, fields: &mut Fields) -> Option<()> {
+/// Returns `None` if a string of the record claims more bytes than the record holds.
+fn check_string_lengths(opcode: u8, fields: &mut Fields) -> Option<()> {
     match opcode {
         op::SCHEMA => {
             fields.bytes(2)?;
-            text(fields)?;
-            text(fields)
+            skip_string(fields)?;
+            skip_string(fields)
         }
         op::CHANNEL => {
             fields.bytes(4)?;
-            text(fields)?;
-            text(fields)?;
-            texts(fields)
+            skip_string(fields)?;
+            skip_string(fields)?;
+            skip_string_map(fields)
         }
         op::METADATA => {
-            text(fields)?;
-            texts(fields)
+            skip_string(fields)?;
+            skip_string_map(fields)
         }
         op::METADATA_INDEX => {
             fields.bytes(16)?;
-            text(fields)
+            skip_string(fields)
         }
         op::ATTACHMENT_INDEX => {
             fields.bytes(40)?;
-            text(fields)?;
-            text(fields)
+            skip_string(fields)?;
+            skip_string(fields)
         }
         op::CHUNK_INDEX => {
             fields.bytes(32)?;
-            // Pairs of a channel and an offset, whole ones whatever the length says.
+            // The map holds pairs of a channel and an offset; the parser reads whole pairs, whatever the length says.
             let length = usize::try_from(fields.u32()?).ok()?;
             fields.bytes(length.checked_next_multiple_of(10)?)?;
             fields.bytes(8)?;
-            text(fields)
+            skip_string(fields)
         }
         _ => Some(()),
     }
 }
 
-fn text(fields: &mut Fields) -> Option<()> {
+/// Skips a string.
+fn skip_string(fields: &mut Fields) -> Option<()> {
     let length = usize::try_from(fields.u32()?).ok()?;
     fields.bytes(length).map(|_| ())
 }
 
-/// Names and values, for as many bytes as stand before them.
-fn texts(fields: &mut Fields) -> Option<()> {
+/// Skips a map of strings, which stands behind its length in bytes.
+fn skip_string_map(fields: &mut Fields) -> Option<()> {
     let length = usize::try_from(fields.u32()?).ok()?;
     let from = fields.taken();
     while fields.taken() - from < length {
-        text(fields)?;
-        text(fields)?;
+        skip_string(fields)?;
+        skip_string(fields)?;
     }
     Some(())
 }
@@ -74,7 +78,7 @@ mod tests {
 
     use super::*;
 
-    /// Every kind of record that holds texts, as another program writes them.
+    /// Writes a log with every kind of record that holds strings, and returns its records.
     fn records() -> Vec<(u8, Vec<u8>)> {
         let mut writer = WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).expect("begun");
         let schema = writer.add_schema("package/msg/Name", "ros2msg", b"int32 x").expect("written");
@@ -104,13 +108,13 @@ mod tests {
 
     #[test]
     fn a_length_that_no_record_can_hold_takes_no_memory() {
-        let holds_texts =
+        let holds_strings =
             [op::SCHEMA, op::CHANNEL, op::METADATA, op::METADATA_INDEX, op::ATTACHMENT_INDEX, op::CHUNK_INDEX];
         let records = records();
-        for opcode in holds_texts {
+        for opcode in holds_strings {
             let (_, body) = records.iter().find(|(other, _)| *other == opcode).expect("one of every kind");
             assert!(parse_record(opcode, body).is_ok(), "{opcode:#04x}");
-            // The library's parser would look for memory first, and say something else.
+            // The library's parser would allocate first, and then fail with another error.
             let mut noticed = 0;
             for at in 0..body.len() - 4 {
                 let mut damaged = body.clone();

@@ -1,4 +1,4 @@
-//! Reading any ROS 2 MCAP: chunked or not, compressed or not, with or without an index, torn or damaged.
+//! Reads any ROS 2 log in MCAP: chunked or not, compressed or not, with or without an index, torn or damaged.
 
 mod attachments;
 mod channels;
@@ -34,34 +34,38 @@ use index_order::IndexOrder;
 use source::Source;
 use summary::Summary;
 
-/// Where rosbag2 keeps a channel's quality of service.
+/// Key of a channel's metadata under which rosbag2 keeps the quality of service.
 pub(super) const QOS_KEY: &str = "offered_qos_profiles";
 
-/// A message as it was logged. Whether it can be decoded is for its channel to say.
+/// A message as it was logged. Its channel says how it is encoded.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogMessage {
+    /// Topic, type and encoding.
     pub channel: Arc<Channel>,
-    /// As its writer counted; 0 where writers do not.
+    /// Number that the writer counted; 0 where writers do not count.
     pub sequence: u32,
-    /// When it was logged.
+    /// Time at which it was logged, nanoseconds.
     pub log_time_ns: i64,
-    /// When it was published; where the writer did not know, the log time.
+    /// Time at which it was published, nanoseconds; the log time where the writer did not know.
     pub publish_time_ns: i64,
+    /// The encoded message.
     pub data: Vec<u8>,
 }
 
-/// The messages of a log, one chunk in memory at a time (more where they overlap).
+/// An iterator over the messages of a log, with one chunk in memory at a time (more where chunks overlap).
 ///
-/// With a sound index they come in the order of their log times, otherwise in that of the file. A message comes only
-/// after the checksum of its chunk was found right, if there is one. After an I/O error the log ends.
+/// With a sound index, messages come in the order of their log times, otherwise in the order of the file. The checksum of a
+/// chunk, if there is one, is verified before any of its messages comes. After an I/O error the iterator ends.
 pub struct LogReader<R> {
     source: Source<R>,
     channels: Channels,
     damage: Damage,
     order: Order,
+    /// File offset of the last message's data.
     place: Option<u64>,
 }
 
+/// The order in which a log is read.
 enum Order {
     LogTime(IndexOrder),
     File(FileOrder),
@@ -79,6 +83,11 @@ impl Order {
 }
 
 impl<R: Read + Seek> LogReader<R> {
+    /// Opens a log to read the selected topics.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the file is no MCAP or cannot be read. Damage is no error: see [`Self::damage`].
     pub fn open(reader: R, selection: Selection) -> Result<Self, ReadError> {
         let mut source = Source::open(reader)?;
         let (mut channels, mut damage) = (Channels::new(selection), Damage::default());
@@ -93,12 +102,12 @@ impl<R: Read + Seek> LogReader<R> {
         Ok(Self { source, channels, damage, order, place: None })
     }
 
-    /// What was found wrong so far; all there is once the log has ended.
+    /// Returns the damage found so far; it is complete once the iterator has ended.
     pub fn damage(&self) -> &Damage {
         &self.damage
     }
 
-    /// Where in the file the data of the message given out last begin; `None` if they are compressed there.
+    /// Returns the offset in the file at which the data of the last message begins; `None` if it is compressed.
     pub fn place(&self) -> Option<u64> {
         self.place
     }
@@ -108,7 +117,7 @@ impl<R: Read + Seek> LogReader<R> {
         matches!(self.order, Order::LogTime(_))
     }
 
-    /// The channels met so far, selected or not; all of them from the start if the log has an index.
+    /// Returns the channels found so far, selected or not. With an index, all are known from the start.
     pub fn channels(&self) -> impl Iterator<Item = &Arc<Channel>> {
         self.channels.iter()
     }

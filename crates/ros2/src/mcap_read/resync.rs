@@ -1,4 +1,4 @@
-//! Finding the way back into a log behind what makes no sense: to the next chunk, by its shape.
+//! Finds the next chunk behind a damaged part of a log, by its shape, and judges files that give no message.
 
 use std::io::{self, Read, Seek};
 
@@ -8,24 +8,24 @@ use super::error::{MAGIC, ReadError};
 use super::fields::Fields;
 use super::source::{RECORD_HEAD_BYTES, Record, Source};
 
-/// Start, end, size and checksum of a chunk stand before the name of its compression.
+/// Offset of the name of the compression in a chunk, bytes: start, end, size and checksum stand before it.
 const CHUNK_COMPRESSION_AT: usize = 28;
 
-/// Enough for the head of a chunk whose compression has a name of usual length.
+/// Length of the start of a body that shows whether it is a chunk, bytes: enough for a compression with a name of usual length.
 pub(super) const CHUNK_HEAD_BYTES: u64 = 96;
 
-/// Looked through at once.
+/// Size of the blocks in which a file is searched, bytes.
 const BLOCK_BYTES: u64 = 1 << 20;
 
-/// The header of a log names a profile and a library; a larger one is none.
+/// Largest header of a log, bytes: it only names a profile and a library.
 const MAX_LOG_HEAD_BYTES: u64 = 4096;
 
-/// The first whole record at or behind this byte that has the opcode and the shape of a chunk.
+/// Finds the first whole record at or behind `from` that has the opcode and the shape of a chunk.
 pub(super) fn next_chunk<R: Read + Seek>(source: &mut Source<R>, from: u64) -> io::Result<Option<Record>> {
     const HEAD_BYTES: usize = (RECORD_HEAD_BYTES + CHUNK_HEAD_BYTES) as usize;
     let (mut block, mut start) = (Vec::new(), from);
     while start < source.length() {
-        // Heads that begin in this block end behind it.
+        // A head that begins in this block may end behind it.
         let bytes = (BLOCK_BYTES + HEAD_BYTES as u64).min(source.length() - start);
         if !source.read_at(start, bytes, &mut block)? {
             return Ok(None);
@@ -48,7 +48,9 @@ pub(super) fn next_chunk<R: Read + Seek>(source: &mut Source<R>, from: u64) -> i
     Ok(None)
 }
 
-/// Whether its sizes agree with each other: 64 bits that are right by chance nowhere. `head` is how its body starts.
+/// Whether the sizes in a record agree as those of a chunk do, 64 bits that hardly agree by chance.
+///
+/// `head` is the start of the record's body.
 pub(super) fn has_chunk_shape(record: &Record, head: &[u8]) -> bool {
     let mut fields = Fields::new(head);
     let mut packed = || {
@@ -59,18 +61,21 @@ pub(super) fn has_chunk_shape(record: &Record, head: &[u8]) -> bool {
     packed().is_some_and(|packed| packed > 0 && packed.checked_add(fields.taken() as u64) == Some(record.length))
 }
 
-/// What a file is that gives no message.
+/// The content of a file that gives no message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Remains {
-    /// Empty, zeros, or the beginning of a log, and nothing behind it but zeros.
+    /// The file is empty, all zeros, or the beginning of a log with nothing but zeros behind it.
     Nothing,
-    /// The beginning of a log, and behind it so many bytes of what was begun.
-    Torn { bytes: u64 },
-    /// No log, or one with more in it than that.
+    /// The file is the beginning of a log and an unfinished record.
+    Torn {
+        /// Bytes of the unfinished record.
+        bytes: u64,
+    },
+    /// The file is no log, or a log that holds more.
     Other,
 }
 
-/// Looks at a file out of which no reader gets a message, and of which the first `sound` bytes are sound.
+/// Judges a file out of which no reader gets a message, and whose first `sound` bytes are sound.
 pub fn remains<R: Read + Seek>(mut reader: R, sound: u64) -> Result<Remains, ReadError> {
     reader.rewind()?;
     if is_zero(&mut reader)? {
@@ -84,7 +89,7 @@ pub fn remains<R: Read + Seek>(mut reader: R, sound: u64) -> Result<Remains, Rea
     match source.record_at(position)? {
         Ok(record) if record.opcode == op::HEADER => position = record.end().max(sound),
         Ok(_) => return Ok(Remains::Other),
-        Err(_) => return torn_head(&mut source, position),
+        Err(_) => return judge_torn_head(&mut source, position),
     }
     if next_chunk(&mut source, position)?.is_some() {
         return Ok(Remains::Other);
@@ -105,7 +110,8 @@ pub fn remains<R: Read + Seek>(mut reader: R, sound: u64) -> Result<Remains, Rea
     }
 }
 
-fn torn_head<R: Read + Seek>(source: &mut Source<R>, position: u64) -> Result<Remains, ReadError> {
+/// Judges a file that ends within the header of the log, which begins at `position`.
+fn judge_torn_head<R: Read + Seek>(source: &mut Source<R>, position: u64) -> Result<Remains, ReadError> {
     let mut head = Vec::new();
     source.read_at(position, RECORD_HEAD_BYTES.min(source.length().saturating_sub(position)), &mut head)?;
     let mut fields = Fields::new(&head);
@@ -117,6 +123,7 @@ fn torn_head<R: Read + Seek>(source: &mut Source<R>, position: u64) -> Result<Re
     Ok(if is_nothing { Remains::Nothing } else { Remains::Other })
 }
 
+/// Whether the file holds only zeros from `position` on.
 fn is_zero_from<R: Read + Seek>(source: &mut Source<R>, mut position: u64) -> io::Result<bool> {
     let mut block = Vec::new();
     while position < source.length() {
@@ -129,6 +136,7 @@ fn is_zero_from<R: Read + Seek>(source: &mut Source<R>, mut position: u64) -> io
     Ok(true)
 }
 
+/// Whether the rest of a reader holds only zeros, or nothing.
 fn is_zero(reader: &mut impl Read) -> io::Result<bool> {
     let mut block = vec![0; BLOCK_BYTES as usize];
     loop {

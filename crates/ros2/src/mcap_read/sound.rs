@@ -1,43 +1,51 @@
-//! What of a torn log can be trusted, record by record from its beginning: for finishing it.
+//! Reads the sound beginning of a torn log, record by record, so that the log can be finished.
 
 use std::io::{Read, Seek};
 use std::sync::Arc;
 
 use mcap::records::{Record as Parsed, op};
 
-use super::attachments::{Attachment, MAX_ATTACHMENT_BYTES, MetadataRecord, parse};
+use super::attachments::{Attachment, MAX_ATTACHMENT_BYTES, MetadataRecord, parse_attachment};
 use super::channels::{Channel, Channels, Definition, Selection};
-use super::chunk::{MAX_CHUNK_BYTES, header, message};
+use super::chunk::{MAX_CHUNK_BYTES, parse_header, parse_message};
 use super::error::{MAGIC, ReadError};
 use super::fields::Fields;
 use super::lengths::parse_record;
 use super::source::{Record, Source};
 use super::{LogMessage, MAX_METADATA_BYTES};
 
-/// A part of a log, in the order of the file.
+/// A sound record of a log.
 pub enum Piece {
+    /// An attachment whose checksum is right.
     Attachment(Attachment),
+    /// A metadata record.
     Metadata(MetadataRecord),
-    /// Of an uncompressed chunk whose checksum is right.
+    /// The parts of an uncompressed chunk whose checksum is right.
     Chunk(Vec<Part>),
 }
 
+/// A part of a chunk.
 pub enum Part {
-    /// Defined here.
+    /// The definition of a channel.
     Channel(Arc<Channel>),
+    /// A message.
     Message(LogMessage),
 }
 
-/// How far a log can be trusted.
+/// How much of a log, from its beginning, is sound.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Sound {
-    /// Where the last piece ends.
+    /// File offset of the end of the last sound piece, bytes.
     pub end: u64,
-    /// What is wrong behind it; `None` if the data end there as they should.
+    /// Description of the damage behind it; `None` if the data section ends as it should.
     pub damage: Option<String>,
 }
 
-/// Hands out everything up to the first record that makes no sense.
+/// Passes every piece of a log to `take`, in the order of the file, up to the first record that is damaged.
+///
+/// # Errors
+///
+/// Fails if the file cannot be read, or as `take` does.
 pub fn sound_pieces<R, E>(reader: R, take: &mut dyn FnMut(Piece) -> Result<(), E>) -> Result<Sound, E>
 where
     R: Read + Seek,
@@ -62,7 +70,7 @@ where
             _ if is_first => return Ok(Sound { damage: Some("expected the header of the file".to_owned()), ..sound }),
             op::MESSAGE_INDEX => {}
             op::DATA_END | op::FOOTER => return Ok(sound),
-            _ => match piece(&record, &mut source, &mut channels)? {
+            _ => match read_piece(&record, &mut source, &mut channels)? {
                 Ok(piece) => {
                     take(piece)?;
                     sound.end = position;
@@ -74,7 +82,8 @@ where
     Ok(Sound { damage: Some("it was never finished".to_owned()), ..sound })
 }
 
-fn piece<R: Read + Seek>(
+/// Reads the piece of a record, or says what is wrong with it.
+fn read_piece<R: Read + Seek>(
     record: &Record,
     source: &mut Source<R>,
     channels: &mut Channels,
@@ -93,8 +102,8 @@ fn piece<R: Read + Seek>(
         return Ok(Err("found the end of the file".to_owned()));
     }
     let read = match record.opcode {
-        op::CHUNK => parts(&body, channels).map(Piece::Chunk),
-        op::ATTACHMENT => parse(&body).map(Piece::Attachment),
+        op::CHUNK => parse_chunk(&body, channels).map(Piece::Chunk),
+        op::ATTACHMENT => parse_attachment(&body).map(Piece::Attachment),
         _ => match parse_record(op::METADATA, &body) {
             Ok(Parsed::Metadata(found)) => {
                 Ok(Piece::Metadata(MetadataRecord { name: found.name, values: found.metadata }))
@@ -106,8 +115,9 @@ fn piece<R: Read + Seek>(
     Ok(read.map_err(|error| format!("record at byte {}: {error}", record.offset)))
 }
 
-fn parts(body: &[u8], channels: &mut Channels) -> Result<Vec<Part>, String> {
-    let header = header(body)?;
+/// Verifies an uncompressed chunk and parses its parts.
+fn parse_chunk(body: &[u8], channels: &mut Channels) -> Result<Vec<Part>, String> {
+    let header = parse_header(body)?;
     if !header.compression.is_empty() {
         return Err("it is compressed".to_owned());
     }
@@ -123,7 +133,7 @@ fn parts(body: &[u8], channels: &mut Channels) -> Result<Vec<Part>, String> {
         if opcode == op::MESSAGE {
             let id = Fields::new(body).u16().ok_or("one of its messages is too short")?;
             let channel = channels.get(id).ok_or("one of its messages is of an unknown topic")?;
-            parts.push(Part::Message(message(body, channel).ok_or("one of its messages is too short")?));
+            parts.push(Part::Message(parse_message(body, channel).ok_or("one of its messages is too short")?));
         } else if let Some(definition) = Definition::parse(opcode, body)? {
             let id = definition.channel_id();
             channels.define(definition)?;

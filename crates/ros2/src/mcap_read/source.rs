@@ -1,51 +1,58 @@
-//! The file as a row of records, each with an opcode and a length.
+//! Reads a file as a sequence of records, each with an opcode and a length.
 
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
 use super::error::{MAGIC, ReadError, check_magic};
 
-/// Read ahead: small records come out of memory, large ones pass it by. A walk over the heads of large records reads
-/// this much at each.
+/// Size of the read-ahead buffer, bytes. Small records come out of it, large ones are read directly. A walk over the heads of
+/// large records reads this much at each.
 const BUFFER_BYTES: usize = 16 << 10;
 
-/// Opcode and length.
+/// Length of the head of a record, bytes: opcode and length.
 pub(super) const RECORD_HEAD_BYTES: u64 = 9;
 
-/// As many first bytes as it takes to recognise other file formats.
+/// Number of first bytes by which other file formats are recognized.
 const RECOGNISED_BYTES: u64 = 32;
 
+/// A file of records.
 pub(super) struct Source<R> {
     reader: BufReader<R>,
+    /// File offset of the reader.
     position: u64,
+    /// Length of the file, bytes.
     length: u64,
 }
 
-/// Where a record stands.
+/// The head of a record, and where it stands in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Record {
+    /// Kind of the record.
     pub opcode: u8,
-    /// Of the opcode.
+    /// File offset of the opcode.
     pub offset: u64,
-    /// Bytes behind opcode and length.
+    /// Length of the body, bytes.
     pub length: u64,
 }
 
 impl Record {
+    /// Returns the file offset of the body.
     pub fn body(&self) -> u64 {
         self.offset + RECORD_HEAD_BYTES
     }
 
+    /// Returns the file offset behind the record.
     pub fn end(&self) -> u64 {
         self.body() + self.length
     }
 
+    /// Returns the length of the whole record, bytes.
     pub fn bytes(&self) -> u64 {
         RECORD_HEAD_BYTES + self.length
     }
 }
 
 impl<R: Read + Seek> Source<R> {
-    /// Fails if the file is no MCAP.
+    /// Opens a file; fails if it is no MCAP.
     pub fn open(reader: R) -> Result<Self, ReadError> {
         let mut reader = BufReader::with_capacity(BUFFER_BYTES, reader);
         let length = reader.seek(SeekFrom::End(0))?;
@@ -57,6 +64,7 @@ impl<R: Read + Seek> Source<R> {
         Ok(source)
     }
 
+    /// Returns the length of the file, bytes.
     pub fn length(&self) -> u64 {
         self.length
     }
@@ -71,7 +79,7 @@ impl<R: Read + Seek> Source<R> {
         Ok(self.read_at(self.length - magic_bytes, magic_bytes, &mut last)? && last == MAGIC)
     }
 
-    /// Replaces what the buffer holds by `length` bytes of the file; false if it has fewer there.
+    /// Replaces the content of the buffer by `length` bytes of the file; returns false if the file has fewer there.
     pub fn read_at(&mut self, offset: u64, length: u64, buffer: &mut Vec<u8>) -> io::Result<bool> {
         buffer.clear();
         if offset.checked_add(length).is_none_or(|end| end > self.length) {
@@ -89,7 +97,7 @@ impl<R: Read + Seek> Source<R> {
         Ok(read == capacity)
     }
 
-    /// The record that starts there, or why there is none.
+    /// Reads the head of the record at `offset`, or says why there is none.
     pub fn record_at(&mut self, offset: u64) -> io::Result<Result<Record, String>> {
         let mut head = Vec::new();
         if !self.read_at(offset, RECORD_HEAD_BYTES, &mut head)? {

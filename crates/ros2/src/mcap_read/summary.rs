@@ -1,4 +1,4 @@
-//! The summary at the end of a finished file: what is where.
+//! The summary section at the end of a finished file, which lists its records.
 
 use std::io::{Read, Seek};
 
@@ -10,22 +10,27 @@ use super::fields::Fields;
 use super::lengths::parse_record;
 use super::source::{RECORD_HEAD_BYTES, Record, Source};
 
-/// A summary that is larger is not used: an hour of chunks takes about a megabyte.
+/// Largest summary that is used, bytes; that of an hour of chunks takes about a megabyte.
 const MAX_SUMMARY_BYTES: u64 = 256 << 20;
 
-/// Footer record and final magic.
+/// Length of the footer record and the final magic, bytes.
 const TAIL_BYTES: u64 = RECORD_HEAD_BYTES + 20 + MAGIC.len() as u64;
 
+/// The indexes and statistics of a summary.
 #[derive(Default)]
 pub(super) struct Summary {
+    /// Where the chunks are.
     pub chunks: Vec<ChunkIndex>,
+    /// Where the attachments are.
     pub attachments: Vec<AttachmentIndex>,
+    /// Where the metadata records are.
     pub metadata: Vec<MetadataIndex>,
+    /// Counts of records and messages.
     pub statistics: Option<Statistics>,
 }
 
 impl Summary {
-    /// The summary, its definitions entered into `channels`; `None` if there is none or it is not sound.
+    /// Reads the summary and enters its definitions into `channels`; `None` if there is none or it is not sound.
     pub fn read<R: Read + Seek>(
         source: &mut Source<R>,
         channels: &mut Channels,
@@ -66,6 +71,7 @@ impl Summary {
         }
     }
 
+    /// Parses the records of the summary section.
     fn parse(section: &[u8], channels: &mut Channels) -> Result<Self, String> {
         let mut summary = Self::default();
         let mut fields = Fields::new(section);
@@ -96,7 +102,7 @@ impl Summary {
         Ok(summary)
     }
 
-    /// Where attachments and metadata stand, if the summary leads to all of them.
+    /// Returns the records of attachments and metadata, or `None` if the summary does not lead to all of them.
     pub fn side_records<R: Read + Seek>(&self, source: &mut Source<R>) -> Result<Option<Vec<Record>>, ReadError> {
         let listed = (self.attachments.len() as u64, self.metadata.len() as u64);
         let counted = self.statistics.as_ref().map(|s| (u64::from(s.attachment_count), u64::from(s.metadata_count)));
@@ -114,7 +120,7 @@ impl Summary {
         Ok(Some(records))
     }
 
-    /// Notes where an attachment or metadata is listed and is not.
+    /// Counts attachments and metadata that are not where the summary lists them.
     pub fn check_side_places<R: Read + Seek>(
         &self,
         source: &mut Source<R>,
@@ -133,6 +139,7 @@ impl Summary {
         Ok(())
     }
 
+    /// Returns offset and opcode of each attachment and metadata record that the summary lists, in the order of the file.
     fn side_places(&self) -> Vec<(u64, u8)> {
         let attachments = self.attachments.iter().map(|a| (a.offset, op::ATTACHMENT));
         let mut places: Vec<_> = attachments.chain(self.metadata.iter().map(|m| (m.offset, op::METADATA))).collect();
@@ -140,8 +147,10 @@ impl Summary {
         places
     }
 
-    /// Whether the index leads to every message. Writers may leave it out, put messages outside of chunks, or define
-    /// channels only in the chunk that comes first in the file, which need not come first in time.
+    /// Whether the index leads to every message.
+    ///
+    /// It does not if the writer left parts of it out, put messages outside of chunks, or defined channels only in the chunk
+    /// that is first in the file: that chunk need not be first in time.
     pub fn leads_to_all_messages<R: Read + Seek>(
         &self,
         channels: &Channels,
@@ -172,10 +181,10 @@ impl Summary {
             while position < start {
                 match source.record_at(position)? {
                     Ok(record) if matches!(record.opcode, op::CHUNK | op::MESSAGE) => return Ok(false),
-                    // The definitions and indexes of the summary stand behind the end of the data.
+                    // Only the definitions and indexes of the summary follow the end of the data.
                     Ok(record) if record.opcode == op::DATA_END => return Ok(true),
                     Ok(record) => position = record.end(),
-                    // A damaged record between sound ones: the index knows better.
+                    // A damaged record lies between sound ones, so the walk goes on where the index says.
                     Err(_) => position = start,
                 }
             }

@@ -1,4 +1,4 @@
-//! What a log holds: from its summary if that says enough, otherwise, or on demand, by reading all of it.
+//! Lists what a log holds: by its summary if that says enough, otherwise, or on demand, by reading all of it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek};
@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use mcap::records::{ChunkIndex, Record as Parsed, op};
 
-use super::attachments::{MetadataRecord, attachment_name, metadata, side_records, sound_attachments, walk};
+use super::attachments::{
+    MetadataRecord, find_side_records, read_attachment_name, read_metadata, read_sound_attachments, walk_records,
+};
 use super::channels::{Channel, Channels, Selection};
 use super::chunk::nanoseconds;
 use super::error::{Damage, ReadError};
@@ -16,46 +18,52 @@ use super::source::{Record, Source};
 use super::summary::Summary;
 use super::{LogReader, Order};
 
-/// A larger message index is not used: the messages are counted instead.
+/// Largest message index that is used, bytes; beyond it the messages are counted by reading them.
 const MAX_MESSAGE_INDEX_BYTES: u64 = 64 << 20;
 
-/// What a log holds.
+/// The topics, attachments and metadata of a log, and its damage.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Survey {
-    /// By name.
+    /// Topics, sorted by name.
     pub topics: Vec<Topic>,
-    /// Names, in the order of the file.
+    /// Names of the attachments, in the order of the file.
     pub attachments: Vec<String>,
-    /// In the order of the file.
+    /// Metadata records, in the order of the file.
     pub metadata: Vec<MetadataRecord>,
-    /// How chunks are compressed: `none`, `zstd`, `lz4` or what else the file says; empty without chunks.
+    /// Compressions of the chunks: `none`, `zstd`, `lz4` or another name in the file; empty without chunks.
     pub compressions: BTreeSet<String>,
     /// Whether messages can be read in the order of their log times.
     pub indexed: bool,
-    /// Chunks that carry no checksum: [`examine`] cannot see a wrong value in them. Not counted by [`survey`].
+    /// Number of chunks without a checksum, in which [`examine`] cannot see a wrong value. [`survey`] does not count them.
     pub unprotected_chunks: u64,
-    /// If the log has an index, [`survey`] finds only that of what it looks at, which chunks are not.
+    /// Damage that was found. If the log has an index, [`survey`] does not read the chunks, so it finds no damage in them.
     pub damage: Damage,
 }
 
 /// One topic of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Topic {
+    /// Name of the topic.
     pub topic: String,
-    /// `package/msg/Name`; empty if the log does not say.
+    /// Type of the messages, `package/msg/Name`; empty if the log does not say.
     pub type_name: String,
+    /// Encoding of the messages: `cdr` in ROS 2 logs.
     pub message_encoding: String,
+    /// Form of the type's definition: `ros2msg` or `ros2idl` in ROS 2 logs; empty if there is none.
     pub schema_encoding: String,
-    /// Whether late subscribers got the last message.
+    /// Whether late subscribers got the last message (transient local).
     pub latched: bool,
-    /// Of its first channel; empty if the log does not say.
+    /// Quality of service of the first channel in YAML; empty if the log does not say.
     pub qos_profiles: String,
+    /// Number of messages.
     pub messages: u64,
+    /// Log time of the first message, nanoseconds.
     pub first_log_time_ns: Option<i64>,
+    /// Log time of the last message, nanoseconds.
     pub last_log_time_ns: Option<i64>,
 }
 
-/// Messages of one channel, and the first and last of their log times.
+/// The number of messages of a channel, and the first and last of their log times.
 #[derive(Clone, Copy, Default)]
 struct Tally {
     messages: u64,
@@ -63,29 +71,31 @@ struct Tally {
 }
 
 impl Tally {
-    fn span(&mut self, first: i64, last: i64) {
+    /// Extends the span of log times.
+    fn extend(&mut self, first: i64, last: i64) {
         self.times = Some(self.times.map_or((first, last), |(from, to)| (from.min(first), to.max(last))));
     }
 }
 
-/// Finds out what a log holds, by its index if it has one.
+/// Lists what a log holds, by its index if it has one.
 pub fn survey<R: Read + Seek>(reader: R) -> Result<Survey, ReadError> {
-    look(reader, false)
+    survey_log(reader, false)
 }
 
-/// The same by reading every chunk and attachment: whatever a reader would have to leave out is found.
+/// Lists what a log holds by reading every chunk and attachment, so that all damage is found.
 pub fn examine<R: Read + Seek>(reader: R) -> Result<Survey, ReadError> {
-    look(reader, true)
+    survey_log(reader, true)
 }
 
-fn look<R: Read + Seek>(reader: R, everything: bool) -> Result<Survey, ReadError> {
+/// Lists what a log holds. `reads_all` demands that every chunk and attachment is read.
+fn survey_log<R: Read + Seek>(reader: R, reads_all: bool) -> Result<Survey, ReadError> {
     let mut source = Source::open(reader)?;
     let (mut channels, mut damage) = (Channels::new(Selection::All), Damage::default());
     damage.torn = !source.ends_with_magic()?;
     let summary = Summary::read(&mut source, &mut channels, &mut damage)?;
-    // A walk finds the same damage to the row of records as the reading does: counted once.
-    let records = side_records(summary.as_ref(), &mut source, &mut Damage::default())?;
-    if let (true, Some(summary)) = (everything, &summary) {
+    // A walk would find the same damage between records as the reading below, so it is not counted here.
+    let records = find_side_records(summary.as_ref(), &mut source, &mut Damage::default())?;
+    if let (true, Some(summary)) = (reads_all, &summary) {
         summary.check_side_places(&mut source, &mut damage)?;
     }
     let index = match summary {
@@ -93,26 +103,28 @@ fn look<R: Read + Seek>(reader: R, everything: bool) -> Result<Survey, ReadError
         _ => None,
     };
     let mut survey = Survey { indexed: index.is_some(), ..Survey::default() };
-    survey.metadata = metadata(&mut source, &records, &mut damage)?;
+    survey.metadata = read_metadata(&mut source, &records, &mut damage)?;
     for record in records.iter().filter(|record| record.opcode == op::ATTACHMENT) {
-        survey.attachments.extend(attachment_name(&mut source, record)?);
+        survey.attachments.extend(read_attachment_name(&mut source, record)?);
     }
     let tallies = match &index {
-        Some(index) if !everything => tally_by_index(index, &mut source)?,
+        Some(index) if !reads_all => tally_by_index(index, &mut source)?,
         _ => None,
     };
     match (tallies, index) {
         (Some(tallies), Some(index)) => {
             survey.compressions = index.chunks.iter().map(|chunk| compression_name(&chunk.compression)).collect();
-            survey.topics = topics(channels.iter(), &tallies);
+            survey.topics = merge_topics(channels.iter(), &tallies);
         }
         (_, index) => {
-            if everything {
-                sound_attachments(&mut source, &records, &mut damage)?;
+            if reads_all {
+                read_sound_attachments(&mut source, &records, &mut damage)?;
             }
-            for chunk in walk(&mut source, &[op::CHUNK], &mut Damage::default())? {
-                let Some(ChunkHead { has_checksum, compression }) = chunk_head(&mut source, &chunk)? else { continue };
-                survey.unprotected_chunks += u64::from(everything && !has_checksum);
+            for chunk in walk_records(&mut source, &[op::CHUNK], &mut Damage::default())? {
+                let Some(ChunkHead { has_checksum, compression }) = read_chunk_head(&mut source, &chunk)? else {
+                    continue;
+                };
+                survey.unprotected_chunks += u64::from(reads_all && !has_checksum);
                 survey.compressions.insert(compression);
             }
             let order = index.map_or_else(Order::by_file, |index| Order::by_index(index.chunks, &channels));
@@ -122,9 +134,9 @@ fn look<R: Read + Seek>(reader: R, everything: bool) -> Result<Survey, ReadError
                 let message = message?;
                 let tally = tallies.entry(message.channel.id).or_default();
                 tally.messages += 1;
-                tally.span(message.log_time_ns, message.log_time_ns);
+                tally.extend(message.log_time_ns, message.log_time_ns);
             }
-            survey.topics = topics(reader.channels(), &tallies);
+            survey.topics = merge_topics(reader.channels(), &tallies);
             damage = reader.damage;
         }
     }
@@ -132,16 +144,16 @@ fn look<R: Read + Seek>(reader: R, everything: bool) -> Result<Survey, ReadError
     Ok(survey)
 }
 
-/// The metadata records of a log, finished or not, as far as they are sound.
+/// Reads the metadata records of a log, finished or not, as far as they are sound.
 pub fn metadata_records<R: Read + Seek>(reader: R) -> Result<Vec<MetadataRecord>, ReadError> {
     let mut source = Source::open(reader)?;
     let summary = Summary::read(&mut source, &mut Channels::new(Selection::default()), &mut Damage::default())?;
-    let records = side_records(summary.as_ref(), &mut source, &mut Damage::default())?;
-    metadata(&mut source, &records, &mut Damage::default())
+    let records = find_side_records(summary.as_ref(), &mut source, &mut Damage::default())?;
+    read_metadata(&mut source, &records, &mut Damage::default())
 }
 
-/// Counts from the statistics, times from the message indexes of the chunks where they are decided; `None` if the
-/// file has not got those.
+/// Takes the counts from the statistics, and the times from the message indexes of those chunks that can hold the first and
+/// the last message; `None` if the file lacks these.
 fn tally_by_index<R: Read + Seek>(
     summary: &Summary,
     source: &mut Source<R>,
@@ -159,7 +171,7 @@ fn tally_by_index<R: Read + Seek>(
                     break;
                 }
                 let Some((first, last)) = indexed_times(chunk, channel, *offset, source)? else { return Ok(None) };
-                tally.span(first, last);
+                tally.extend(first, last);
             }
             chunks.sort_by_key(|(chunk, _)| std::cmp::Reverse(chunk.message_end_time));
             for (chunk, offset) in &chunks {
@@ -167,7 +179,7 @@ fn tally_by_index<R: Read + Seek>(
                     break;
                 }
                 let Some((first, last)) = indexed_times(chunk, channel, *offset, source)? else { return Ok(None) };
-                tally.span(first, last);
+                tally.extend(first, last);
             }
             if tally.times.is_none() {
                 return Ok(None);
@@ -178,7 +190,7 @@ fn tally_by_index<R: Read + Seek>(
     Ok(Some(tallies))
 }
 
-/// First and last log time of a channel in a chunk, if the message index is plausible.
+/// Reads the first and last log time of a channel in a chunk; `None` if the message index is not plausible.
 fn indexed_times<R: Read + Seek>(
     chunk: &ChunkIndex,
     channel: u16,
@@ -200,7 +212,8 @@ fn indexed_times<R: Read + Seek>(
     Ok(times().min().zip(times().max()))
 }
 
-fn topics<'a>(channels: impl Iterator<Item = &'a Arc<Channel>>, tallies: &BTreeMap<u16, Tally>) -> Vec<Topic> {
+/// Merges channels of the same topic, type and encoding.
+fn merge_topics<'a>(channels: impl Iterator<Item = &'a Arc<Channel>>, tallies: &BTreeMap<u16, Tally>) -> Vec<Topic> {
     let mut found: BTreeMap<(&str, &str, &str), Topic> = BTreeMap::new();
     for channel in channels {
         let key = (channel.topic.as_str(), channel.type_name.as_str(), channel.message_encoding.as_str());
@@ -226,17 +239,20 @@ fn topics<'a>(channels: impl Iterator<Item = &'a Arc<Channel>>, tallies: &BTreeM
     found.into_values().collect()
 }
 
+/// Names a compression; MCAP has an empty name for none.
 fn compression_name(name: &str) -> String {
     if name.is_empty() { "none".to_owned() } else { name.to_owned() }
 }
 
+/// The fields of a chunk that tell its protection and compression.
 struct ChunkHead {
     has_checksum: bool,
     compression: String,
 }
 
-fn chunk_head<R: Read + Seek>(source: &mut Source<R>, chunk: &Record) -> Result<Option<ChunkHead>, ReadError> {
-    /// Two times, a size, a checksum, and the name of the compression.
+/// Reads the head of a chunk, but not its records.
+fn read_chunk_head<R: Read + Seek>(source: &mut Source<R>, chunk: &Record) -> Result<Option<ChunkHead>, ReadError> {
+    /// Length of the head, bytes: two times, a size, a checksum, and the name of the compression.
     const HEAD_BYTES: u64 = 8 + 8 + 8 + 4 + 4 + 32;
     let mut head = Vec::new();
     source.read_at(chunk.body(), chunk.length.min(HEAD_BYTES), &mut head)?;

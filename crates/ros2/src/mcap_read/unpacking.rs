@@ -1,11 +1,11 @@
-//! How much a log may unpack to: a few hundred kilobytes of it can claim gigabytes of zeros.
+//! Limits how much a log may decompress to: a few hundred kilobytes can claim gigabytes of zeros.
 
-/// What any log may unpack to, beside [`MAX_EXPANSION`] for what it is made of.
+/// Bytes that any log may decompress to, in addition to what [`MAX_EXPANSION`] allows.
 const MAX_UNPACKED_BYTES: u64 = 512 << 20;
-/// Bytes unpacked for each byte of the file. Pictures of one colour are packed by some hundreds.
+/// Bytes that each compressed byte may decompress to. Images of one colour are compressed by a factor of some hundreds.
 const MAX_EXPANSION: u64 = 1000;
 
-/// The compressed chunks of one file so far.
+/// The total size of the compressed chunks of one file so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Unpacking {
     packed_bytes: u64,
@@ -13,7 +13,8 @@ pub(super) struct Unpacking {
 }
 
 impl Unpacking {
-    /// Takes in a chunk before it is unpacked, by what its header says: what it unpacks to otherwise is an error of its own.
+    /// Admits a chunk before it is decompressed, by the sizes in its header. A chunk that decompresses to another size fails
+    /// later.
     pub(super) fn admit(&mut self, packed_bytes: u64, unpacked_bytes: u64) -> Result<(), String> {
         let packed_bytes = self.packed_bytes.saturating_add(packed_bytes);
         let unpacked_bytes = self.unpacked_bytes.saturating_add(unpacked_bytes);
@@ -31,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_expands_without_measure_is_refused_and_what_a_camera_makes_is_not() {
+    fn a_decompression_bomb_is_refused_and_camera_images_are_not() {
         let mut zeros = Unpacking::default();
         let taken = (0..100).filter(|_| zeros.admit(16 << 10, 256 << 20).is_ok()).count();
         assert_eq!(taken, 2, "of 25 GiB in 1.6 MB");

@@ -1,7 +1,7 @@
-//! From the types of geometry to messages and back.
+//! Converts the types of geometry to messages and back.
 //!
-//! What a message says may be anything a robot's software has written into it. A number is read with
-//! [`settled`], so that no denormal and no signed zero reaches a product; what is not finite stays so, for the caller to refuse with
+//! The software of a robot may have written any number into a message. Each number is read with [`settled`], so that no
+//! denormal number and no signed zero reaches a product. A number that is not finite stays as it is: the caller refuses it with
 //! [`Physical::is_possible`].
 
 use glam::{DQuat, DVec3};
@@ -11,7 +11,7 @@ use realitysim_geometry::physical::settled;
 use realitysim_geometry::{Isometry, LensModel, LensParameters, Physical};
 
 impl Header {
-    /// `stamp_ns` counts nanoseconds since the epoch of whatever clock stamps the log.
+    /// Makes a header; `stamp_ns` is nanoseconds since the epoch of the clock that stamps the log.
     pub fn at(stamp_ns: i64, frame_id: &str) -> Self {
         Self { stamp: Stamp::from_nanoseconds(stamp_ns), frame_id: frame_id.to_owned() }
     }
@@ -60,7 +60,7 @@ impl From<Point> for DVec3 {
 }
 
 impl From<Quaternion> for DQuat {
-    /// The quaternion as it was written: not normalised.
+    /// The result is not normalized.
     fn from(q: Quaternion) -> Self {
         Self::from_array([q.x, q.y, q.z, q.w].map(settled))
     }
@@ -68,19 +68,21 @@ impl From<Quaternion> for DQuat {
 
 impl From<Pose> for Isometry {
     fn from(pose: Pose) -> Self {
-        rigid(pose.orientation.into(), pose.position.into())
+        make_isometry(pose.orientation.into(), pose.position.into())
     }
 }
 
 impl From<Transform> for Isometry {
     fn from(transform: Transform) -> Self {
-        rigid(transform.rotation.into(), transform.translation.into())
+        make_isometry(transform.rotation.into(), transform.translation.into())
     }
 }
 
-/// A quaternion of zeros, which many drivers send for "not rotated", is taken for no rotation. One that is not [`Physical`] stays as it
-/// is, so that the whole pose can be refused.
-fn rigid(rotation: DQuat, translation: DVec3) -> Isometry {
+/// Makes a rigid transformation.
+///
+/// A quaternion of zeros means no rotation: many drivers send it so. A quaternion that is not [`Physical`] stays as it is, so
+/// that the caller can refuse the whole pose.
+fn make_isometry(rotation: DQuat, translation: DVec3) -> Isometry {
     if rotation.is_possible() || rotation == DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0) {
         Isometry::new(rotation, translation)
     } else {
@@ -89,7 +91,9 @@ fn rigid(rotation: DQuat, translation: DVec3) -> Isometry {
 }
 
 impl CameraInfo {
-    /// The calibration message of a lens. ROS knows no equisolid lens: it goes by its own name, which only this program reads.
+    /// Makes the calibration message of a lens.
+    ///
+    /// ROS has no name for an equisolid lens. The message calls it `equisolid`, which only this program reads.
     pub fn of_lens(lens: &LensParameters, header: Header) -> Self {
         let (distortion_model, d) = match lens.model {
             LensModel::KannalaBrandt { k } => ("equidistant", k.to_vec()),

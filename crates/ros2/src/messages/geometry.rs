@@ -1,4 +1,4 @@
-//! geometry_msgs, tf2_msgs and nav_msgs.
+//! Messages of `geometry_msgs`, `tf2_msgs` and `nav_msgs`.
 
 use serde::{Serialize, Serializer};
 
@@ -8,142 +8,165 @@ use crate::cdr::wire_struct;
 use realitysim_geometry::longest_axis;
 
 wire_struct! {
-    /// geometry_msgs/Point, metres.
+    /// `geometry_msgs/Point`: a position, metres.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
     pub struct Point {
+        /// X, metres.
         pub x: f64,
+        /// Y, metres.
         pub y: f64,
+        /// Z, metres.
         pub z: f64,
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/Vector3.
+    /// `geometry_msgs/Vector3`: a vector whose unit depends on the message around it.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
     pub struct Vector3 {
+        /// Component along x.
         pub x: f64,
+        /// Component along y.
         pub y: f64,
+        /// Component along z.
         pub z: f64,
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/Quaternion.
+    /// `geometry_msgs/Quaternion`: a rotation, w + x i + y j + z k.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct Quaternion {
+        /// Coefficient of i.
         pub x: f64,
+        /// Coefficient of j.
         pub y: f64,
+        /// Coefficient of k.
         pub z: f64,
+        /// Real part.
         pub w: f64,
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/Pose.
+    /// `geometry_msgs/Pose`: position and attitude.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
     pub struct Pose {
+        /// Position, metres.
         pub position: Point,
+        /// Attitude.
         pub orientation: Quaternion,
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/PoseStamped: in `header.frame_id`.
+    /// `geometry_msgs/PoseStamped`: a pose at a time.
     #[derive(Clone, Debug, Default, PartialEq, Serialize)]
     pub struct PoseStamped {
+        /// Time of the pose, and coordinate frame in which it is given.
         pub header: Header,
+        /// The pose.
         pub pose: Pose,
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/PoseWithCovariance.
+    /// `geometry_msgs/PoseWithCovariance`: a pose and its uncertainty.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct PoseWithCovariance {
+        /// The most probable pose.
         pub pose: Pose,
-        /// Row by row over x, y, z (metres) and rotations about x, y, z (radians), all about fixed axes.
+        /// Covariance, 6 x 6, row by row, of x, y, z (metres) and the rotations about the fixed axes x, y, z (radians).
         #[serde(serialize_with = "as_slice")]
         pub covariance: [f64; 36],
     }
 }
 
 impl PoseWithCovariance {
-    /// Standard deviation of x, y along its longer axis, metres.
+    /// Returns the standard deviation of x, y along its longer axis, metres.
     pub fn sigma_xy_m(&self) -> f64 {
         longest_axis(self.covariance[0], self.covariance[1], self.covariance[7])
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/PoseWithCovarianceStamped: in `header.frame_id`.
+    /// `geometry_msgs/PoseWithCovarianceStamped`: a pose and its uncertainty at a time.
     #[derive(Clone, Debug, Default, PartialEq, Serialize)]
     pub struct PoseWithCovarianceStamped {
+        /// Time of the pose, and coordinate frame in which it is given.
         pub header: Header,
+        /// The pose.
         pub pose: PoseWithCovariance,
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/Twist.
+    /// `geometry_msgs/Twist`: a velocity.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
     pub struct Twist {
-        /// Metres per second.
+        /// Linear velocity, metres per second.
         pub linear: Vector3,
-        /// Radians per second.
+        /// Angular velocity, radians per second.
         pub angular: Vector3,
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/TwistWithCovariance.
+    /// `geometry_msgs/TwistWithCovariance`: a velocity and its uncertainty.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct TwistWithCovariance {
+        /// The most probable velocity.
         pub twist: Twist,
-        /// Row by row, ordered as that of [`PoseWithCovariance`].
+        /// Covariance, 6 x 6, row by row, ordered as that of [`PoseWithCovariance`].
         #[serde(serialize_with = "as_slice")]
         pub covariance: [f64; 36],
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/Transform: a point of the child frame, rotated, then translated, is in the parent frame.
+    /// `geometry_msgs/Transform`: rotates, then translates a point of the child frame to give it in the parent frame.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
     pub struct Transform {
-        /// Metres.
+        /// Translation, metres.
         pub translation: Vector3,
+        /// Rotation.
         pub rotation: Quaternion,
     }
 }
 
 wire_struct! {
-    /// geometry_msgs/TransformStamped: `header.frame_id` from `child_frame_id`.
+    /// `geometry_msgs/TransformStamped`: the transform from `child_frame_id` to `header.frame_id` at a time.
     #[derive(Clone, Debug, Default, PartialEq, Serialize)]
     pub struct TransformStamped {
+        /// Time of the transform, and parent frame.
         pub header: Header,
+        /// Child frame.
         pub child_frame_id: String,
+        /// The transform.
         pub transform: Transform,
     }
 }
 
 wire_struct! {
-    /// tf2_msgs/TFMessage.
+    /// `tf2_msgs/TFMessage`: transforms of `/tf` or `/tf_static`.
     #[derive(Clone, Debug, Default, PartialEq, Serialize)]
     pub struct TFMessage {
+        /// The transforms.
         pub transforms: Vec<TransformStamped>,
     }
 }
 
 wire_struct! {
-    /// nav_msgs/Odometry.
+    /// `nav_msgs/Odometry`: pose and velocity as odometry measures them.
     #[derive(Clone, Debug, Default, PartialEq, Serialize)]
     pub struct Odometry {
-        /// `frame_id` is usually `odom`.
+        /// Time of the measurement; `frame_id` is usually `odom`.
         pub header: Header,
-        /// Usually `base_footprint` or `base_link`.
+        /// Frame that moves, usually `base_footprint` or `base_link`.
         pub child_frame_id: String,
-        /// Of `child_frame_id` in `header.frame_id`.
+        /// Pose of `child_frame_id` in `header.frame_id`.
         pub pose: PoseWithCovariance,
-        /// In `child_frame_id`.
+        /// Velocity, given in `child_frame_id`.
         pub twist: TwistWithCovariance,
     }
 }
@@ -166,7 +189,7 @@ message!(Odometry is "nav_msgs" / "Odometry",
     needs "geometry_msgs/TwistWithCovariance", needs "geometry_msgs/Twist", needs "geometry_msgs/Vector3");
 
 impl Default for Quaternion {
-    /// No rotation.
+    /// Returns the quaternion of no rotation.
     fn default() -> Self {
         Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
     }
@@ -184,7 +207,7 @@ impl Default for TwistWithCovariance {
     }
 }
 
-/// Serde knows arrays of up to 32 elements only.
+/// Serializes the array as a slice, because serde implements arrays only up to 32 elements.
 fn as_slice<S: Serializer>(values: &[f64; 36], serializer: S) -> Result<S::Ok, S::Error> {
     values.as_slice().serialize(serializer)
 }

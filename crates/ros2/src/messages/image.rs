@@ -1,4 +1,4 @@
-//! sensor_msgs/CompressedImage and sensor_msgs/Image, owned and borrowed.
+//! The messages `sensor_msgs/CompressedImage` and `sensor_msgs/Image`, owned and borrowed.
 
 use serde::Serialize;
 
@@ -7,34 +7,35 @@ use super::time::Header;
 use crate::cdr::{CdrError, CdrReader, CdrWriter, Wire, wire_struct};
 
 wire_struct! {
-    /// sensor_msgs/CompressedImage.
+    /// `sensor_msgs/CompressedImage`: an image as a JPEG or PNG.
     #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
     pub struct CompressedImage {
-        /// `stamp` is the exposure, `frame_id` the optical frame (z forward, x right, y down).
+        /// `stamp` is the time of the exposure, `frame_id` the optical frame (z forward, x right, y down).
         pub header: Header,
-        /// `jpeg`, `png`, or `rgb8; jpeg compressed bgr8` as image_transport writes.
+        /// Format: `jpeg`, `png`, or `rgb8; jpeg compressed bgr8` as image_transport writes.
         pub format: String,
+        /// Bytes of the JPEG or PNG.
         pub data: Vec<u8>,
     }
 }
 
 wire_struct! {
-    /// sensor_msgs/Image.
+    /// `sensor_msgs/Image`: an image as raw pixels.
     #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
     pub struct Image {
-        /// `stamp` is the exposure, `frame_id` the optical frame (z forward, x right, y down).
+        /// `stamp` is the time of the exposure, `frame_id` the optical frame (z forward, x right, y down).
         pub header: Header,
-        /// Rows.
+        /// Height, pixels.
         pub height: u32,
-        /// Columns.
+        /// Width, pixels.
         pub width: u32,
-        /// `rgb8`, `mono8`, `yuv422_yuy2`, ...
+        /// Pixel format: `rgb8`, `mono8`, `yuv422_yuy2`, ...
         pub encoding: String,
-        /// Not 0 if pixels of more than 8 bits are big-endian.
+        /// Whether pixels of more than 8 bits are big-endian: 0 if not.
         pub is_bigendian: u8,
         /// Bytes from one row to the next.
         pub step: u32,
-        /// `height` times `step` bytes.
+        /// Pixels, `height` times `step` bytes.
         pub data: Vec<u8>,
     }
 }
@@ -42,27 +43,38 @@ wire_struct! {
 message!(CompressedImage is "sensor_msgs" / "CompressedImage", needs "std_msgs/Header", needs "builtin_interfaces/Time");
 message!(Image is "sensor_msgs" / "Image", needs "std_msgs/Header", needs "builtin_interfaces/Time");
 
-/// A [`CompressedImage`] whose pixels stay where they are.
+/// A [`CompressedImage`] that borrows its bytes from the encoded message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CompressedImageView<'a> {
+    /// `stamp` is the time of the exposure, `frame_id` the optical frame (z forward, x right, y down).
     pub header: Header,
+    /// Format, as in [`CompressedImage::format`].
     pub format: &'a str,
+    /// Bytes of the JPEG or PNG.
     pub data: &'a [u8],
 }
 
-/// An [`Image`] whose pixels stay where they are.
+/// An [`Image`] that borrows its pixels from the encoded message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ImageView<'a> {
+    /// `stamp` is the time of the exposure, `frame_id` the optical frame (z forward, x right, y down).
     pub header: Header,
+    /// Height, pixels.
     pub height: u32,
+    /// Width, pixels.
     pub width: u32,
+    /// Pixel format, as in [`Image::encoding`].
     pub encoding: &'a str,
+    /// Whether pixels of more than 8 bits are big-endian: 0 if not.
     pub is_bigendian: u8,
+    /// Bytes from one row to the next.
     pub step: u32,
+    /// Pixels, `height` times `step` bytes.
     pub data: &'a [u8],
 }
 
 impl<'a> CompressedImageView<'a> {
+    /// Decodes a message without copying its image.
     pub fn decode(bytes: &'a [u8]) -> Result<Self, CdrError> {
         let mut reader = CdrReader::new(bytes)?;
         let header = Header::read(&mut reader)?;
@@ -71,7 +83,7 @@ impl<'a> CompressedImageView<'a> {
         Ok(view)
     }
 
-    /// Replaces what the buffer holds.
+    /// Encodes the message into a buffer, whose content it replaces.
     pub fn encode_into(&self, buffer: &mut Vec<u8>) {
         let mut writer = CdrWriter::new(buffer);
         self.header.write(&mut writer);
@@ -79,12 +91,14 @@ impl<'a> CompressedImageView<'a> {
         writer.bytes(self.data);
     }
 
+    /// Copies the image into a message of its own.
     pub fn to_message(&self) -> CompressedImage {
         CompressedImage { header: self.header.clone(), format: self.format.to_owned(), data: self.data.to_vec() }
     }
 }
 
 impl<'a> ImageView<'a> {
+    /// Decodes a message without copying its image.
     pub fn decode(bytes: &'a [u8]) -> Result<Self, CdrError> {
         let mut reader = CdrReader::new(bytes)?;
         let view = Self {
@@ -100,7 +114,7 @@ impl<'a> ImageView<'a> {
         Ok(view)
     }
 
-    /// Replaces what the buffer holds.
+    /// Encodes the message into a buffer, whose content it replaces.
     pub fn encode_into(&self, buffer: &mut Vec<u8>) {
         let mut writer = CdrWriter::new(buffer);
         self.header.write(&mut writer);
@@ -112,6 +126,7 @@ impl<'a> ImageView<'a> {
         writer.bytes(self.data);
     }
 
+    /// Copies the image into a message of its own.
     pub fn to_message(&self) -> Image {
         Image {
             header: self.header.clone(),

@@ -1,4 +1,4 @@
-//! The ROS 2 messages that logs hold. Field names, order and units are ROS's (REP 103: metres, radians, seconds).
+//! The ROS 2 messages that logs hold. Names, order and units of fields are those of ROS (REP 103: metres, radians, seconds).
 
 mod conversion;
 mod diagnostics;
@@ -20,14 +20,15 @@ pub use image::{CompressedImage, CompressedImageView, Image, ImageView};
 pub use sensors::{CameraInfo, Imu, JointState, RegionOfInterest};
 pub use time::{Header, Stamp};
 
-/// A message that can stand on a topic of its own.
+/// A message type that a topic can have.
 pub trait Message: Wire {
-    /// `package/msg/Name`.
+    /// Name of the type: `package/msg/Name`.
     const TYPE: &'static str;
 
-    /// The definition in `ros2msg` form, nested types included, so that any reader can decode the log.
+    /// Definition of the type in the form `ros2msg`, nested types included, so that any reader can decode the log.
     const DEFINITION: &'static str;
 
+    /// Decodes a message, which must take all the bytes but padding.
     fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
         let mut reader = CdrReader::new(bytes)?;
         let message = Self::read(&mut reader)?;
@@ -35,11 +36,12 @@ pub trait Message: Wire {
         Ok(message)
     }
 
-    /// Replaces what the buffer holds.
+    /// Encodes the message into a buffer, whose content it replaces.
     fn encode_into(&self, buffer: &mut Vec<u8>) {
         self.write(&mut CdrWriter::new(buffer));
     }
 
+    /// Encodes the message into a new buffer.
     fn encode(&self) -> Vec<u8> {
         let mut buffer = Vec::new();
         self.encode_into(&mut buffer);

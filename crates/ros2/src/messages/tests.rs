@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::cdr::{Sample, SampleSource};
 
-/// Encoding, decoding and encoding again gives the same bytes; none of them can be spared.
+/// Checks that encoding, decoding and encoding again gives the same bytes, and that no message cut short decodes.
 fn round_trip<M: Message + Sample>(numbers: Vec<u64>) {
     let bytes = M::sample(&mut SampleSource::new(numbers)).encode();
     let decoded = M::decode(&bytes).unwrap();
@@ -13,7 +13,8 @@ fn round_trip<M: Message + Sample>(numbers: Vec<u64>) {
     }
 }
 
-fn arbitrary_bytes_are_no_trouble<M: Message>(bytes: &[u8]) {
+/// Checks that decoding arbitrary bytes neither panics nor makes a message much larger than they are.
+fn decode_arbitrary_bytes<M: Message>(bytes: &[u8]) {
     if let Ok(message) = M::decode(bytes) {
         assert!(message.encode().len() <= bytes.len() * 8 + 64);
     }
@@ -47,7 +48,7 @@ proptest! {
     #[test]
     fn no_bytes_make_a_decoder_panic(mut bytes in prop::collection::vec(any::<u8>(), 4..600), order in 0u8..2) {
         bytes[..4].copy_from_slice(&[0, order, 0, 0]);
-        for_each_message!(arbitrary_bytes_are_no_trouble(&bytes));
+        for_each_message!(decode_arbitrary_bytes(&bytes));
     }
 }
 

@@ -1,4 +1,4 @@
-//! Stamps and headers.
+//! The messages `builtin_interfaces/Time` and `std_msgs/Header`.
 
 use serde::Serialize;
 
@@ -7,7 +7,7 @@ use crate::cdr::wire_struct;
 const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
 
 wire_struct! {
-    /// builtin_interfaces/Time: time since the epoch of whatever clock the log uses.
+    /// `builtin_interfaces/Time`: time since the epoch of the clock that stamps the log.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
     pub struct Stamp {
         /// Seconds, rounded down.
@@ -18,21 +18,23 @@ wire_struct! {
 }
 
 wire_struct! {
-    /// std_msgs/Header.
+    /// `std_msgs/Header`: time and coordinate frame of the data of a message.
     #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
     pub struct Header {
-        /// When the data was taken, not when it was logged.
+        /// Time at which the data was taken, not logged.
         pub stamp: Stamp,
-        /// The frame in which the data is given.
+        /// Coordinate frame in which the data is given.
         pub frame_id: String,
     }
 }
 
 impl Stamp {
+    /// The earliest time that ROS can express, in 1901.
     pub const MIN: Self = Self { sec: i32::MIN, nanosec: 0 };
+    /// The latest time that ROS can express, in January 2038.
     pub const MAX: Self = Self { sec: i32::MAX, nanosec: 999_999_999 };
 
-    /// Times that ROS cannot express (before 1901, after January 2038) become the nearest that it can.
+    /// Converts nanoseconds. A time that ROS cannot express becomes [`Self::MIN`] or [`Self::MAX`].
     pub fn from_nanoseconds(nanoseconds: i64) -> Self {
         let seconds = nanoseconds.div_euclid(NANOSECONDS_PER_SECOND);
         match i32::try_from(seconds) {
@@ -42,6 +44,7 @@ impl Stamp {
         }
     }
 
+    /// Converts the stamp to nanoseconds.
     pub fn to_nanoseconds(self) -> i64 {
         i64::from(self.sec) * NANOSECONDS_PER_SECOND + i64::from(self.nanosec)
     }

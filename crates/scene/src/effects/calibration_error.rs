@@ -1,54 +1,61 @@
-//! What the robot believes about its camera is not what is so: the announced lens and mount are off the true ones.
+//! A wrong calibration: the announced lens and mount differ from the true ones.
 
 use glam::DVec2;
 use serde::Deserialize;
 
 use super::Role;
-use crate::check::{refuse, within};
+use crate::check::{check_range, refuse};
 use crate::{Mount, SceneError};
 use realitysim_geometry::{Euler, Isometry, Lens, LensParameters};
 
-/// Added to the truth where it is announced (`CameraInfo`, `/tf_static`). Images and true poses stay what they are.
+/// Errors that are added to the true calibration when it is announced (`CameraInfo`, `/tf_static`).
+///
+/// Images and true poses do not change.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationError {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
-    /// Of fx and fy.
+    /// Error of fx and fy, percent.
     #[serde(default)]
     pub focal_percent: f64,
-    /// Of cx and cy.
+    /// Error of cx and cy, pixels.
     #[serde(default)]
     pub centre_px: [f64; 2],
-    /// Of the camera in the torso: above 0 the right side is announced lower, the view lower, the view farther left.
+    /// Error of the roll of the camera in the torso, degrees. Above 0 its right side is announced too low.
     #[serde(default)]
     pub mount_roll_deg: f64,
+    /// Error of the pitch of the camera in the torso, degrees. Above 0 it is announced as looking too far down.
     #[serde(default)]
     pub mount_pitch_deg: f64,
+    /// Error of the yaw of the camera in the torso, degrees. Above 0 it is announced as looking too far left.
     #[serde(default)]
     pub mount_yaw_deg: f64,
-    /// Of the torso above the ground.
+    /// Error of the height of the torso above the ground, metres.
     #[serde(default)]
     pub height_m: f64,
 }
 
 impl CalibrationError {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
-        within(format_args!("{key}.focal_percent"), self.focal_percent, -20.0..=20.0, "-20 to 20 percent")?;
+        check_range(format_args!("{key}.focal_percent"), self.focal_percent, -20.0..=20.0, "-20 to 20 percent")?;
         for (axis, value) in ["x", "y"].iter().zip(self.centre_px) {
             let key = format_args!("{key}.centre_px ({axis})").to_string();
-            within(key, value, -100.0..=100.0, "-100 to 100 pixels")?;
+            check_range(key, value, -100.0..=100.0, "-100 to 100 pixels")?;
         }
         for (name, angle) in [
             ("mount_roll_deg", self.mount_roll_deg),
             ("mount_pitch_deg", self.mount_pitch_deg),
             ("mount_yaw_deg", self.mount_yaw_deg),
         ] {
-            within(format_args!("{key}.{name}"), angle, -20.0..=20.0, "-20 to 20 degrees")?;
+            check_range(format_args!("{key}.{name}"), angle, -20.0..=20.0, "-20 to 20 degrees")?;
         }
-        within(format_args!("{key}.height_m"), self.height_m, -0.2..=0.2, "-0.2 to 0.2 m")
+        check_range(format_args!("{key}.height_m"), self.height_m, -0.2..=0.2, "-0.2 to 0.2 m")
     }
 
-    pub(super) fn is_none(&self) -> bool {
+    /// Whether the values change nothing.
+    pub(super) fn has_no_effect(&self) -> bool {
         let Self {
             role: _,
             focal_percent,
@@ -61,7 +68,7 @@ impl CalibrationError {
         [*focal_percent, *x, *y, *mount_roll_deg, *mount_pitch_deg, *mount_yaw_deg, *height_m] == [0.0; 7]
     }
 
-    /// A lens that could not be is refused.
+    /// The announced lens. Returns an error if the errors make the lens impossible.
     pub(crate) fn lens(&self, key: &str, lens: &LensParameters) -> Result<LensParameters, SceneError> {
         let scale = 1.0 + self.focal_percent / 100.0;
         let centre = DVec2::new(lens.cx, lens.cy) + DVec2::from(self.centre_px);
@@ -73,6 +80,7 @@ impl CalibrationError {
         }
     }
 
+    /// The announced static transforms.
     pub(crate) fn mount(&self, mount: &Mount) -> Mount {
         let mut announced = *mount;
         announced.base_footprint_from_base_link.translation.z += self.height_m;

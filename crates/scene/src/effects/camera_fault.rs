@@ -1,34 +1,38 @@
-//! A camera whose cable comes loose: frames are missing for a while, and the last one before is torn.
+//! A loose camera cable: frames are missing for a while, and the last one before the gap is incomplete.
 
 use serde::Deserialize;
 
 use super::{Role, Span};
 use crate::SceneError;
-use crate::check::within;
+use crate::check::check_range;
 use crate::stream::{Purpose, Stream};
 
+/// A camera that is unplugged for a while.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraFault {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
-    /// Meanwhile there is no frame.
+    /// Span of time without frames.
     pub unplugged: Span,
 }
 
 impl CameraFault {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
         let Span { from_s, for_s } = self.unplugged;
-        within(format_args!("{key}.unplugged.from_s"), from_s, 0.0..=7200.0, "0 to 7200 s after the start")?;
-        within(format_args!("{key}.unplugged.for_s"), for_s, 0.001..=7200.0, "0.001 to 7200 s")
+        check_range(format_args!("{key}.unplugged.from_s"), from_s, 0.0..=7200.0, "0 to 7200 s after the start")?;
+        check_range(format_args!("{key}.unplugged.for_s"), for_s, 0.001..=7200.0, "0.001 to 7200 s")
     }
 
+    /// Whether the camera is unplugged at `time`, seconds.
     pub(crate) fn is_unplugged(&self, time: f64) -> bool {
-        self.unplugged.holds(time)
+        self.unplugged.contains(time)
     }
 
-    /// How much of a frame arrives, if not all of it: it was under way when the cable came loose.
-    pub(crate) fn arrives(&self, time: f64, next_time: f64, seed: u64, frame: u64) -> Option<f64> {
-        let is_torn = time < self.unplugged.from_s && self.unplugged.holds(next_time);
+    /// Share of a frame that arrives (0.2 to 0.9), if the cable came loose between it and the next frame.
+    pub(crate) fn arriving_share(&self, time: f64, next_time: f64, seed: u64, frame: u64) -> Option<f64> {
+        let is_torn = time < self.unplugged.from_s && self.unplugged.contains(next_time);
         is_torn.then(|| Stream::new(seed, Purpose::CameraFault, frame).between(0.2, 0.9))
     }
 }

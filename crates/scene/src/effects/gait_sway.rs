@@ -1,4 +1,4 @@
-//! The torso rocks from foot to foot: roll and sideways once in two steps, pitch and up-down once a step.
+//! Sway of the torso with the gait. Roll and lateral motion repeat every two steps, pitch and vertical motion every step.
 
 use core::f64::consts::{PI, TAU};
 
@@ -6,23 +6,28 @@ use serde::Deserialize;
 
 use super::{Role, ease};
 use crate::SceneError;
-use crate::check::within;
+use crate::check::check_range;
 use crate::stream::{Purpose, Stream};
 
-/// Amplitudes, half of peak to peak.
+/// Sway of the torso. Amplitudes are half of peak to peak.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GaitSway {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
+    /// Amplitude of the roll, degrees.
     pub roll_deg: f64,
+    /// Amplitude of the pitch, degrees.
     pub pitch_deg: f64,
+    /// Amplitude of the sideways motion, metres.
     pub lateral_m: f64,
+    /// Amplitude of the vertical motion, metres.
     pub vertical_m: f64,
-    /// Steps per second, left and right counted.
+    /// Steps per second, left and right together.
     pub step_hz: f64,
 }
 
-/// How far the torso is off upright: metres and radians.
+/// Deviation of the torso from its upright pose, radians and metres.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Sway {
     pub(crate) roll: f64,
@@ -31,34 +36,38 @@ pub(crate) struct Sway {
     pub(crate) vertical: f64,
 }
 
+/// The sway as a function of time.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SwayModel {
     amplitude: Sway,
     step_hz: f64,
-    /// The step that the walk begins in.
+    /// Phase of the gait at the start, radians.
     phase: f64,
-    /// The walk's end, seconds.
+    /// End of the walk, seconds.
     end: f64,
 }
 
-/// The first and last steps grow into and out of the gait.
+/// Time over which the sway fades in at the start and out at the end, seconds.
 const FADE_S: f64 = 0.5;
-/// Pitch lags the up-down motion: the torso nods after the foot lands.
+/// Lag of the pitch behind the vertical motion, radians. The torso nods after the foot lands.
 const PITCH_LAG: f64 = 0.6;
 
 impl GaitSway {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
-        within(format_args!("{key}.roll_deg"), self.roll_deg, 0.0..=30.0, "an amplitude of 0 to 30 degrees")?;
-        within(format_args!("{key}.pitch_deg"), self.pitch_deg, 0.0..=30.0, "an amplitude of 0 to 30 degrees")?;
-        within(format_args!("{key}.lateral_m"), self.lateral_m, 0.0..=0.2, "an amplitude of 0 to 0.2 m")?;
-        within(format_args!("{key}.vertical_m"), self.vertical_m, 0.0..=0.04, "an amplitude of 0 to 0.04 m")?;
-        within(format_args!("{key}.step_hz"), self.step_hz, 0.1..=10.0, "0.1 to 10 steps per second")
+        check_range(format_args!("{key}.roll_deg"), self.roll_deg, 0.0..=30.0, "an amplitude of 0 to 30 degrees")?;
+        check_range(format_args!("{key}.pitch_deg"), self.pitch_deg, 0.0..=30.0, "an amplitude of 0 to 30 degrees")?;
+        check_range(format_args!("{key}.lateral_m"), self.lateral_m, 0.0..=0.2, "an amplitude of 0 to 0.2 m")?;
+        check_range(format_args!("{key}.vertical_m"), self.vertical_m, 0.0..=0.04, "an amplitude of 0 to 0.04 m")?;
+        check_range(format_args!("{key}.step_hz"), self.step_hz, 0.1..=10.0, "0.1 to 10 steps per second")
     }
 
+    /// Whether all amplitudes are 0.
     pub(super) fn is_still(&self) -> bool {
         [self.roll_deg, self.pitch_deg, self.lateral_m, self.vertical_m] == [0.0; 4]
     }
 
+    /// The sway of a walk that ends at `end` seconds. The seed gives the phase.
     pub(crate) fn model(&self, seed: u64, end: f64) -> SwayModel {
         SwayModel {
             amplitude: Sway {
@@ -75,13 +84,14 @@ impl GaitSway {
 }
 
 impl SwayModel {
+    /// Sway at `time`, seconds along the route.
     pub(crate) fn at(&self, time: f64) -> Sway {
         let strength = ease(time / FADE_S) * ease((self.end - time) / FADE_S);
         let stride = PI * self.step_hz * time + self.phase;
         let a = &self.amplitude;
         Sway {
             roll: strength * a.roll * libm::sin(stride),
-            // The hips move over the standing foot while the torso leans the same way.
+            // The hips move over the supporting foot while the torso leans the same way.
             lateral: -strength * a.lateral * libm::sin(stride),
             pitch: strength * a.pitch * libm::sin(2.0 * stride - PITCH_LAG),
             vertical: strength * a.vertical * libm::cos(2.0 * stride),

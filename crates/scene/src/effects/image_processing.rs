@@ -1,31 +1,37 @@
-//! What a camera makes of its sensor's values: colours from a mosaic of single-coloured pixels, and sharpening.
+//! Image processing in the camera: interpolation of the colour mosaic (demosaicing), and sharpening.
 
 use serde::Deserialize;
 
 use super::Role;
 use crate::SceneError;
-use crate::check::within;
+use crate::check::check_range;
 
+/// Demosaicing and sharpening in the camera.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImageProcessing {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
-    /// Each pixel has seen one colour, in Bayer's pattern RGGB; the others are the means of its neighbours.
+    /// If true, each pixel measures one colour of the Bayer pattern RGGB, and the others are the means of its neighbours.
     pub colour_filter: bool,
-    /// What is taken away from a pixel of the mean of the nine around it, and given to itself: edges get a halo.
+    /// Multiple of the difference between a pixel and the mean of its 3 x 3 neighbourhood that is added to the pixel.
+    ///
+    /// Edges get a halo.
     pub sharpening: f64,
 }
 
 impl ImageProcessing {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
-        within(format_args!("{key}.sharpening"), self.sharpening, 0.0..=3.0, "0 to 3")
+        check_range(format_args!("{key}.sharpening"), self.sharpening, 0.0..=3.0, "0 to 3")
     }
 
-    pub(super) fn is_none(&self) -> bool {
+    /// Whether the values change nothing.
+    pub(super) fn has_no_effect(&self) -> bool {
         !self.colour_filter && self.sharpening == 0.0
     }
 
-    /// RGB, `width` pixels a row.
+    /// Processes RGB pixels, `width` per row. The pixels at the border stay as they are.
     pub(crate) fn apply(&self, width: usize, pixels: &mut [u8]) {
         if self.colour_filter {
             demosaic(width, pixels);
@@ -50,17 +56,18 @@ impl ImageProcessing {
     }
 }
 
-/// The colour that a pixel sees.
-fn filter(u: usize, v: usize) -> usize {
+/// Channel that a pixel of the Bayer mosaic measures: 0 red, 1 green, 2 blue.
+fn bayer_channel(u: usize, v: usize) -> usize {
     [[0, 1], [1, 2]][v % 2][u % 2]
 }
 
+/// Keeps one channel of each pixel and interpolates the others bilinearly.
 fn demosaic(width: usize, pixels: &mut [u8]) {
     let height = pixels.len() / 3 / width;
     let seen: Vec<u16> = pixels
         .chunks_exact(3)
         .enumerate()
-        .map(|(at, pixel)| u16::from(pixel[filter(at % width, at / width)]))
+        .map(|(at, pixel)| u16::from(pixel[bayer_channel(at % width, at / width)]))
         .collect();
     for v in 1..height.max(1) - 1 {
         for u in 1..width.max(1) - 1 {
@@ -87,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_of_one_colour_stays_as_it_is() {
+    fn a_plain_image_is_not_changed() {
         let plain: Vec<u8> = [90, 120, 60].repeat(80);
         let mut pixels = plain.clone();
         ImageProcessing { role: None, colour_filter: true, sharpening: 2.0 }.apply(10, &mut pixels);
@@ -95,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slope_of_light_comes_back_from_the_mosaic() {
+    fn a_brightness_gradient_is_recovered_from_the_mosaic() {
         let slope: Vec<u8> = (0..12 * 9).flat_map(|at| [(4 * (at % 12) + 6 * (at / 12)) as u8; 3]).collect();
         let mut pixels = slope.clone();
         ImageProcessing { role: None, colour_filter: true, sharpening: 0.0 }.apply(12, &mut pixels);

@@ -1,42 +1,47 @@
-//! Light that is not the renderer's even, white daylight: dusk, a bright side of the hall, coloured lamps.
+//! Light that differs from the even, white daylight of the renderer: dusk, a bright side of the hall, coloured lamps.
 //!
-//! Works on image values, before the sensor. A camera in the dark first exposes longer, which costs no noise, and then
-//! amplifies what it has, its noise with it. Light in a scene does not change with time, so an automatic exposure has
-//! settled long ago: `camera_gain` is the amplification that it has settled at.
+//! The effect scales image values before the noise of the sensor. A camera in the dark first exposes longer, which adds no
+//! noise, and then amplifies the signal together with its noise. Light in a scene does not change with time, so an
+//! automatic exposure has settled: `camera_gain` is the amplification at which it has settled.
 
 use serde::Deserialize;
 
 use super::Role;
 use crate::SceneError;
-use crate::check::within;
+use crate::check::check_range;
 
+/// Light of the hall.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Light {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
-    /// Image values are this times those of daylight. Of values, not of lux: with a camera's usual gamma 0.12 is
-    /// about a hundredth of the light.
+    /// Factor of the image values, compared with daylight.
+    ///
+    /// It is a factor of values, not of lux: with the usual gamma of a camera 0.12 is about a hundredth of the light.
     pub gain: f64,
-    /// How the light grows along x and y of `map`, as a share of that at the field's centre.
+    /// Growth of the light per metre along x and y of `map`, as a share of the light at the centre of the field.
     #[serde(default)]
     pub gradient_per_m: [f64; 2],
-    /// Red, green and blue of the lamps; white is 1, 1, 1.
+    /// Red, green and blue of the lamps. White is 1, 1, 1.
     #[serde(default = "white")]
     pub colour: [f64; 3],
-    /// What the camera multiplies the sensor's signal with, noise included.
+    /// Amplification of the sensor's signal in the camera, noise included.
     #[serde(default = "unity")]
     pub camera_gain: f64,
 }
 
+/// The light, prepared for the pixel loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LightModel {
+    /// Factors of red, green and blue at the centre of the field.
     gain: [f32; 3],
     gradient_per_m: [f32; 2],
     camera_gain: f64,
 }
 
-/// However strong the gradient: some light comes from everywhere, and no lamp is that much brighter.
-const RANGE: [f32; 2] = [0.1, 3.0];
+/// Bounds of the gradient's factor. Some light comes from everywhere, and no lamp is more than three times as bright.
+const GRADIENT_BOUNDS: [f32; 2] = [0.1, 3.0];
 
 fn white() -> [f64; 3] {
     [1.0; 3]
@@ -47,24 +52,27 @@ fn unity() -> f64 {
 }
 
 impl Light {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
-        within(format_args!("{key}.gain"), self.gain, 0.01..=3.0, "0.01 to 3 times the image values of daylight")?;
+        check_range(format_args!("{key}.gain"), self.gain, 0.01..=3.0, "0.01 to 3 times the image values of daylight")?;
         for (axis, value) in ["x", "y"].iter().zip(self.gradient_per_m) {
             let key = format_args!("{key}.gradient_per_m ({axis})").to_string();
-            within(key, value, -1.0..=1.0, "-1 to 1 per metre")?;
+            check_range(key, value, -1.0..=1.0, "-1 to 1 per metre")?;
         }
         for (channel, value) in ["red", "green", "blue"].iter().zip(self.colour) {
             let key = format_args!("{key}.colour ({channel})").to_string();
-            within(key, value, 0.0..=2.0, "0 to 2, where white is 1")?;
+            check_range(key, value, 0.0..=2.0, "0 to 2, where white is 1")?;
         }
-        within(format_args!("{key}.camera_gain"), self.camera_gain, 1.0..=16.0, "an amplification of 1 to 16")
+        check_range(format_args!("{key}.camera_gain"), self.camera_gain, 1.0..=16.0, "an amplification of 1 to 16")
     }
 
+    /// Whether the values change nothing.
     pub(super) fn is_daylight(&self) -> bool {
         let Self { role: _, gain, gradient_per_m, colour, camera_gain } = self;
         (*gain, *camera_gain) == (1.0, 1.0) && *gradient_per_m == [0.0; 2] && *colour == white()
     }
 
+    /// Prepares the light for the pixel loop.
     pub(crate) fn model(&self) -> LightModel {
         LightModel {
             gain: self.colour.map(|channel| (self.gain * self.camera_gain * channel) as f32),
@@ -75,11 +83,12 @@ impl Light {
 }
 
 impl LightModel {
+    /// Amplification of the signal in the camera.
     pub(crate) fn camera_gain(&self) -> f64 {
         self.camera_gain
     }
 
-    /// To an image of which nobody knows where it was taken.
+    /// Applies the light to an RGB image of unknown pose, without the gradient.
     pub(crate) fn apply(&self, pixels: &mut [u8]) {
         for pixel in pixels.chunks_exact_mut(3) {
             for (value, gain) in pixel.iter_mut().zip(self.gain) {
@@ -88,10 +97,10 @@ impl LightModel {
         }
     }
 
-    /// Red, green and blue above (x, y), as factors of the colour by daylight.
+    /// Factors of red, green and blue at (x, y) in `map`, compared with daylight.
     pub(crate) fn at(&self, [x, y]: [f32; 2]) -> [f32; 3] {
         let [along_x, along_y] = self.gradient_per_m;
-        let share = (1.0 + along_x * x + along_y * y).clamp(RANGE[0], RANGE[1]);
+        let share = (1.0 + along_x * x + along_y * y).clamp(GRADIENT_BOUNDS[0], GRADIENT_BOUNDS[1]);
         self.gain.map(|gain| gain * share)
     }
 }

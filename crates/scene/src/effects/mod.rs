@@ -1,6 +1,6 @@
-//! What makes a scene imperfect, one effect a file. An effect that the file does not list does not exist.
+//! The effects that make a scene imperfect, one per file. An effect that the scene file does not list changes nothing.
 //!
-//! Every effect draws from its own stream, so that adding one never changes what another does.
+//! Every effect draws from its own random stream, so that adding one never changes what another does.
 
 mod bright_window;
 mod calibration_error;
@@ -46,11 +46,11 @@ pub use worn_lines::WornLines;
 
 pub(super) use fall::Tumble;
 pub(super) use gait_sway::{Sway, SwayModel};
-pub(super) use kidnapping::Carrying;
+pub(super) use kidnapping::Interruption;
 pub(super) use light::LightModel;
 pub(super) use obstacles::{Crowd, Member};
 pub(super) use sensor_noise::NoiseModel;
-pub(super) use serial_noise::Fate;
+pub(super) use serial_noise::DeliveryOutcome;
 
 use serde::Deserialize;
 
@@ -59,42 +59,66 @@ use super::check::refuse;
 use super::ranges::Range;
 use realitysim_geometry::Field;
 
-/// One `[[effect]]` of the scene file.
+/// One `[[effect]]` of the scene file. The key `kind` selects the variant.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Effect {
+    /// The torso rocks with the gait.
     GaitSway(GaitSway),
+    /// The head pans and tilts.
     HeadMotion(HeadMotion),
+    /// Somebody carries the robot to another pose.
     Kidnapping(Kidnapping),
+    /// The robot is pushed over and stands up again.
     Fall(Fall),
+    /// The light differs from even, white daylight.
     Light(Light),
+    /// A window in the wall is brighter than the sensor can measure.
     BrightWindow(BrightWindow),
+    /// Robots, people and other figures stand or walk around.
     Obstacles(Obstacles),
+    /// The ground is artificial turf instead of flat carpet.
     Turf(Turf),
+    /// The paint of the lines is worn.
     WornLines(WornLines),
+    /// Patches of sunlight lie on the floor.
     SunPatches(SunPatches),
+    /// Exposure takes time, and rows are read one after the other.
     Shutter(Shutter),
+    /// The lens scatters light and has lateral chromatic aberration.
     Optics(Optics),
+    /// The automatic exposure swings.
     ExposureHunting(ExposureHunting),
+    /// The image sensor adds noise.
     SensorNoise(SensorNoise),
+    /// The camera interpolates a colour mosaic and sharpens the image.
     ImageProcessing(ImageProcessing),
+    /// The camera is unplugged for a while.
     CameraFault(CameraFault),
+    /// The odometry has errors.
     OdometryError(OdometryError),
+    /// The IMU has errors.
     ImuError(ImuError),
+    /// The announced lens and mount differ from the true ones.
     CalibrationError(CalibrationError),
+    /// The serial line loses or corrupts messages.
     SerialNoise(SerialNoise),
 }
 
-/// Why an effect is in the scene: its task needs it, or it is there to keep the scene from being too clean.
+/// The reason why an effect is in a scene. It is for people only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
+    /// The task of the scene needs the effect.
     Base,
+    /// The effect only keeps the scene from being too clean.
     Filler,
 }
 
-/// What may differ from frame to frame: what nothing else is built on, and no clock counts on. The way of a camera or a
-/// figure is one piece, paint stays as it is, a lens is announced once, and a fault begins once.
+/// Effects and their keys whose values may differ from frame to frame.
+///
+/// These are values that nothing else is built on and no clock depends on. The path of a camera or a figure is
+/// continuous, paint stays as it is, a lens is announced once, and a fault begins once.
 const MAY_CHANGE: [(&str, &[&str]); 8] = [
     ("head_motion", &["encoder_noise_deg"]),
     ("light", &["gain", "gradient_per_m", "colour", "camera_gain"]),
@@ -106,10 +130,10 @@ const MAY_CHANGE: [(&str, &[&str]); 8] = [
     ("serial_noise", &["lost_share", "corrupt_share"]),
 ];
 
-/// Refuses a number that cannot be drawn for each frame, and names those that can.
+/// Returns an error if the value cannot be drawn for each frame. The error names the keys that can.
 pub(super) fn check_may_change(range: &Range) -> Result<(), SceneError> {
     let allowed = MAY_CHANGE.iter().find(|(kind, _)| *kind == range.kind).map_or(&[][..], |(_, keys)| keys);
-    // Of a list each element for itself.
+    // For an element of a list, the key of the list counts.
     let key = range.name.split('[').next().unwrap_or_default();
     if allowed.contains(&key) {
         return Ok(());
@@ -119,9 +143,11 @@ pub(super) fn check_may_change(range: &Range) -> Result<(), SceneError> {
     Err(refuse(&range.key, "drawn per frame", expected))
 }
 
-/// What acts on the same thing, in the order in which it applies: the gait, the head upon it, and what interrupts both;
-/// turf, paint, sunlight on it, the hall's light, the window and its sunlight, who stands before all that, the shutter, the lens, the exposure, the
-/// sensor, and what the camera makes of it; the yaw that odometry makes, and the IMU that tells it. All others have a thing of their own.
+/// Effects that act on the same thing, in the order in which they apply. All other effects are independent of each other.
+///
+/// The first chain is the motion of the camera: gait, head, and what interrupts both. The second is the image: turf, paint,
+/// sunlight on it, light of the hall, the window and its sunlight, figures in front of all that, shutter, lens, exposure,
+/// sensor, and processing in the camera. The third is the yaw: measured by the odometry and reported by the IMU, too.
 const CHAINS: [&[&str]; 3] = [
     &["gait_sway", "head_motion", "kidnapping", "fall"],
     &[
@@ -140,6 +166,7 @@ const CHAINS: [&[&str]; 3] = [
     &["odometry_error", "imu_error"],
 ];
 
+/// Physical stage at which an effect acts. A scene file lists effects in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
     Motion,
@@ -150,6 +177,7 @@ enum Stage {
 }
 
 impl Effect {
+    /// Name of the effect, as `kind` in the scene file.
     pub fn name(&self) -> &'static str {
         match self {
             Effect::GaitSway(_) => "gait_sway",
@@ -175,6 +203,7 @@ impl Effect {
         }
     }
 
+    /// Role of the effect, if the file states one.
     pub fn role(&self) -> Option<Role> {
         match self {
             Effect::GaitSway(effect) => effect.role,
@@ -200,7 +229,7 @@ impl Effect {
         }
     }
 
-    /// Whether it changes pixels of a frame whose camera stands where it stands. Others cost no time in a frame.
+    /// Whether the effect changes pixels of a frame for a given camera pose. Other effects cost no rendering time.
     pub fn acts_on_image(&self) -> bool {
         match self {
             Effect::Light(_)
@@ -226,7 +255,7 @@ impl Effect {
         }
     }
 
-    /// What it would need in order to do anything, if it does nothing.
+    /// If the effect does nothing with its values: what it would need in order to do something.
     pub(super) fn lacks(&self) -> Option<&'static str> {
         let (does_nothing, needed) = match self {
             Effect::GaitSway(effect) => (effect.is_still(), "an amplitude above 0"),
@@ -242,16 +271,16 @@ impl Effect {
             }
             Effect::Optics(effect) => (effect.is_perfect(), "stray_light or lateral_colour_px above 0"),
             Effect::ExposureHunting(effect) => (effect.amplitude == 0.0, "an amplitude above 0"),
-            Effect::ImageProcessing(effect) => (effect.is_none(), "colour_filter, or sharpening above 0"),
+            Effect::ImageProcessing(effect) => (effect.has_no_effect(), "colour_filter, or sharpening above 0"),
             Effect::SensorNoise(effect) => (
                 effect.read_noise_dn == 0.0 && effect.shot_noise_factor == 0.0,
                 "read_noise_dn or shot_noise_factor above 0",
             ),
             Effect::OdometryError(effect) => {
-                (effect.is_none(), "at least one of its keys other than 0, or freeze, missing or jump")
+                (effect.has_no_effect(), "at least one of its keys other than 0, or freeze, missing or jump")
             }
-            Effect::ImuError(effect) => (effect.is_none(), "at least one of its keys other than 0"),
-            Effect::CalibrationError(effect) => (effect.is_none(), "at least one of its keys other than 0"),
+            Effect::ImuError(effect) => (effect.has_no_effect(), "at least one of its keys other than 0"),
+            Effect::CalibrationError(effect) => (effect.has_no_effect(), "at least one of its keys other than 0"),
             Effect::SerialNoise(effect) => {
                 (effect.lost_share == 0.0 && effect.corrupt_share == 0.0, "lost_share or corrupt_share above 0")
             }
@@ -266,7 +295,7 @@ impl Effect {
         does_nothing.then_some(needed)
     }
 
-    /// Whether the camera moves while it exposes a frame.
+    /// Whether the effect moves the camera while a frame is exposed.
     pub(super) fn moves_camera(&self) -> bool {
         match self {
             Effect::GaitSway(effect) => !effect.is_still(),
@@ -294,6 +323,7 @@ impl Effect {
         }
     }
 
+    /// Checks the values of the effect. `key` is its key in the file, for example `effect[1]`.
     fn check(&self, key: &str, field: &Field) -> Result<(), SceneError> {
         match self {
             Effect::GaitSway(effect) => effect.check(key),
@@ -320,6 +350,7 @@ impl Effect {
     }
 }
 
+/// Checks the values of all effects, that each kind is listed once, and that they are in physical order.
 pub(super) fn check(effects: &[Effect], field: &Field) -> Result<(), SceneError> {
     for (index, effect) in effects.iter().enumerate() {
         let key = format!("effect[{index}]");
@@ -350,7 +381,7 @@ pub(super) fn check(effects: &[Effect], field: &Field) -> Result<(), SceneError>
     Ok(())
 }
 
-/// From 0 to 1 without a jump in velocity or acceleration.
+/// Transition from 0 to 1 for `x` from 0 to 1, without a jump in velocity or acceleration ("smootherstep").
 fn ease(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (10.0 + x * (6.0 * x - 15.0))

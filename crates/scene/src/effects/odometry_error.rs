@@ -1,88 +1,104 @@
-//! Odometry that measures steps too long or too short, drifts in yaw and scatters; and that stands still, jumps or
-//! falls silent.
+//! Errors of the odometry: scale, yaw drift and noise, and faults in which it freezes, jumps or sends nothing.
 
 use serde::Deserialize;
 
 use super::Role;
 use crate::SceneError;
-use crate::check::within;
+use crate::check::check_range;
 use crate::stream::{Purpose, Stream};
 use realitysim_geometry::Pose2;
 
+/// Errors of the odometry.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OdometryError {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
-    /// Above 0 the odometry claims more way than the robot has walked.
+    /// Error of the measured distance, percent. Above 0 the odometry reports more than the robot has walked.
     pub scale_percent: f64,
-    /// To the left, per metre walked.
+    /// Drift of the yaw to the left, degrees per metre walked.
     pub yaw_drift_deg_per_m: f64,
-    /// Standard deviation of every sample's step in x and in y, per metre of the step's length.
+    /// Standard deviation of each step in x and in y, metres per metre of its length.
     pub noise_m_per_m: f64,
-    /// Meanwhile it repeats its last pose; what was walked meanwhile is lost.
+    /// Span in which the odometry repeats its last pose. The distance walked meanwhile is lost.
     pub freeze: Option<Span>,
-    /// Meanwhile no message comes; what was walked meanwhile is in the next one.
+    /// Span without messages. The distance walked meanwhile is in the next message.
     pub missing: Option<Span>,
+    /// A single jump of the pose.
     pub jump: Option<Jump>,
 }
 
-/// Seconds since the scene's start.
+/// A span of time.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Span {
+    /// Begin, seconds since the start of the scene.
     pub from_s: f64,
+    /// Duration, seconds.
     pub for_s: f64,
 }
 
-/// Once the pose moves by this, as the robot sees it: x ahead, y to the left.
+/// A single jump of the measured pose, in coordinates of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Jump {
+    /// Time of the jump, seconds since the start of the scene.
     pub at_s: f64,
+    /// Jump forwards, metres.
     pub x_m: f64,
+    /// Jump to the left, metres.
     pub y_m: f64,
+    /// Turn to the left, degrees.
     pub yaw_deg: f64,
 }
 
 impl OdometryError {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
-        within(format_args!("{key}.scale_percent"), self.scale_percent, -90.0..=100.0, "-90 to 100 percent")?;
+        check_range(format_args!("{key}.scale_percent"), self.scale_percent, -90.0..=100.0, "-90 to 100 percent")?;
         let drift = self.yaw_drift_deg_per_m;
-        within(format_args!("{key}.yaw_drift_deg_per_m"), drift, -90.0..=90.0, "-90 to 90 degrees per metre")?;
-        within(format_args!("{key}.noise_m_per_m"), self.noise_m_per_m, 0.0..=2.0, "0 to 2 m per metre")?;
+        check_range(format_args!("{key}.yaw_drift_deg_per_m"), drift, -90.0..=90.0, "-90 to 90 degrees per metre")?;
+        check_range(format_args!("{key}.noise_m_per_m"), self.noise_m_per_m, 0.0..=2.0, "0 to 2 m per metre")?;
         for (name, span) in [("freeze", self.freeze), ("missing", self.missing)] {
             if let Some(span) = span {
-                within(format_args!("{key}.{name}.from_s"), span.from_s, 0.0..=7200.0, "0 to 7200 s after the start")?;
-                within(format_args!("{key}.{name}.for_s"), span.for_s, 0.001..=7200.0, "0.001 to 7200 s")?;
+                check_range(
+                    format_args!("{key}.{name}.from_s"),
+                    span.from_s,
+                    0.0..=7200.0,
+                    "0 to 7200 s after the start",
+                )?;
+                check_range(format_args!("{key}.{name}.for_s"), span.for_s, 0.001..=7200.0, "0.001 to 7200 s")?;
             }
         }
         let Some(jump) = self.jump else { return Ok(()) };
-        // At the very start there is nothing that it could jump from.
-        within(format_args!("{key}.jump.at_s"), jump.at_s, 0.001..=7200.0, "0.001 to 7200 s after the start")?;
-        within(format_args!("{key}.jump.x_m"), jump.x_m, -100.0..=100.0, "-100 to 100 m")?;
-        within(format_args!("{key}.jump.y_m"), jump.y_m, -100.0..=100.0, "-100 to 100 m")?;
-        within(format_args!("{key}.jump.yaw_deg"), jump.yaw_deg, -360.0..=360.0, "-360 to 360 degrees")
+        // At the very start there is no earlier sample to jump from.
+        check_range(format_args!("{key}.jump.at_s"), jump.at_s, 0.001..=7200.0, "0.001 to 7200 s after the start")?;
+        check_range(format_args!("{key}.jump.x_m"), jump.x_m, -100.0..=100.0, "-100 to 100 m")?;
+        check_range(format_args!("{key}.jump.y_m"), jump.y_m, -100.0..=100.0, "-100 to 100 m")?;
+        check_range(format_args!("{key}.jump.yaw_deg"), jump.yaw_deg, -360.0..=360.0, "-360 to 360 degrees")
     }
 
-    pub(super) fn is_none(&self) -> bool {
+    /// Whether the values change nothing.
+    pub(super) fn has_no_effect(&self) -> bool {
         let Self { role: _, scale_percent, yaw_drift_deg_per_m, noise_m_per_m, freeze, missing, jump } = self;
-        let is_no_jump = |jump: &Jump| [jump.x_m, jump.y_m, jump.yaw_deg] == [0.0; 3];
+        let is_zero = |jump: &Jump| [jump.x_m, jump.y_m, jump.yaw_deg] == [0.0; 3];
         [*scale_percent, *yaw_drift_deg_per_m, *noise_m_per_m] == [0.0; 3]
             && freeze.is_none()
             && missing.is_none()
-            && jump.as_ref().is_none_or(is_no_jump)
+            && jump.as_ref().is_none_or(is_zero)
     }
 
+    /// Factor of the measured distance.
     pub(crate) fn scale(&self) -> f64 {
         1.0 + self.scale_percent / 100.0
     }
 
-    /// Radians per metre.
+    /// Drift of the yaw, radians per metre walked.
     pub(crate) fn yaw_drift(&self) -> f64 {
         self.yaw_drift_deg_per_m.to_radians()
     }
 
-    /// What the odometry makes of the true step since its last sample, `walked` metres along the way.
+    /// The measured step for the true `step` since the last sample. `walked` is its length along the path, metres.
     pub(crate) fn measured(&self, step: &Pose2, walked: f64, seed: u64, index: u64) -> Pose2 {
         let mut stream = Stream::new(seed, Purpose::OdometryError, index);
         let deviation = self.noise_m_per_m * walked;
@@ -93,27 +109,31 @@ impl OdometryError {
         }
     }
 
+    /// Whether the odometry repeats its last pose at `time`.
     pub(crate) fn is_frozen(&self, time: f64) -> bool {
-        self.freeze.is_some_and(|span| span.holds(time))
+        self.freeze.is_some_and(|span| span.contains(time))
     }
 
+    /// Whether no message is sent at `time`.
     pub(crate) fn is_silent(&self, time: f64) -> bool {
-        self.missing.is_some_and(|span| span.holds(time))
+        self.missing.is_some_and(|span| span.contains(time))
     }
 
-    /// Between one sample and the next.
-    pub(crate) fn jumped(&self, before: f64, now: f64) -> Option<Pose2> {
+    /// The jump, if it happens after the sample at `before` and not after the one at `now`.
+    pub(crate) fn jump_between(&self, before: f64, now: f64) -> Option<Pose2> {
         let jump = self.jump.filter(|jump| before < jump.at_s && jump.at_s <= now)?;
         Some(Pose2::new(jump.x_m, jump.y_m, jump.yaw_deg.to_radians()))
     }
 }
 
 impl Span {
+    /// Whether two spans have a time in common.
     pub(crate) fn overlaps(&self, other: &Self) -> bool {
         self.from_s < other.from_s + other.for_s && other.from_s < self.from_s + self.for_s
     }
 
-    pub(super) fn holds(&self, time: f64) -> bool {
+    /// Whether `time` is within the span.
+    pub(super) fn contains(&self, time: f64) -> bool {
         (self.from_s..self.from_s + self.for_s).contains(&time)
     }
 }

@@ -1,48 +1,53 @@
-//! What a cheap lens adds: light that strays over the whole picture, and colours that are not equally large.
+//! Flaws of a cheap lens: stray light over the whole picture, and lateral chromatic aberration.
 
 use serde::Deserialize;
 
 use super::Role;
 use crate::SceneError;
-use crate::check::within;
+use crate::check::check_range;
 
+/// Flaws of the lens.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Optics {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
     /// Share of the light that is spread evenly over the picture.
     pub stray_light: f64,
-    /// At the farthest corner, by how many pixels red is drawn too far out and blue too far in.
+    /// Shift of red outwards and of blue inwards at the farthest corner, pixels. It is proportional to the radius.
     pub lateral_colour_px: f64,
 }
 
 impl Optics {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
-        within(format_args!("{key}.stray_light"), self.stray_light, 0.0..=0.5, "0 to 0.5 of the light")?;
-        within(format_args!("{key}.lateral_colour_px"), self.lateral_colour_px, 0.0..=5.0, "0 to 5 pixels")
+        check_range(format_args!("{key}.stray_light"), self.stray_light, 0.0..=0.5, "0 to 0.5 of the light")?;
+        check_range(format_args!("{key}.lateral_colour_px"), self.lateral_colour_px, 0.0..=5.0, "0 to 5 pixels")
     }
 
+    /// Whether the values change nothing.
     pub(super) fn is_perfect(&self) -> bool {
         self.stray_light == 0.0 && self.lateral_colour_px == 0.0
     }
 
-    /// RGB, `width` pixels a row, seen through a lens whose axis meets the picture at `centre`.
+    /// Applies the flaws to RGB pixels, `width` per row. `centre` is the pixel on the optical axis.
     pub(crate) fn apply(&self, width: usize, centre: [f64; 2], pixels: &mut [u8]) {
         if self.lateral_colour_px > 0.0 {
             self.scale_colours(width, centre, pixels);
         }
         if self.stray_light > 0.0 {
-            self.spread(pixels);
+            self.add_stray_light(pixels);
         }
     }
 
+    /// Enlarges red and shrinks blue about the centre, with bilinear interpolation.
     fn scale_colours(&self, width: usize, centre: [f64; 2], pixels: &mut [u8]) {
         let height = pixels.len() / 3 / width;
         let farthest = |at: f64, count: usize| at.max(count as f64 - 1.0 - at);
         let corner = libm::hypot(farthest(centre[0], width), farthest(centre[1], height));
         let sharp = pixels.to_vec();
         for (channel, outwards) in [(0, 1.0), (2, -1.0)] {
-            // What is drawn too far out is found nearer to the centre.
+            // The source of a pixel that is shifted outwards lies nearer to the centre.
             let scale = 1.0 - outwards * self.lateral_colour_px / corner;
             let source = |at: usize, centre: f64, count: usize| {
                 let from = (centre + (at as f64 - centre) * scale).clamp(0.0, count as f64 - 1.0);
@@ -64,7 +69,8 @@ impl Optics {
         }
     }
 
-    fn spread(&self, pixels: &mut [u8]) {
+    /// Mixes every pixel with the mean colour of the picture.
+    fn add_stray_light(&self, pixels: &mut [u8]) {
         let sums = pixels
             .chunks_exact(3)
             .fold([0u64; 3], |sums, pixel| core::array::from_fn(|channel| sums[channel] + u64::from(pixel[channel])));
@@ -93,8 +99,8 @@ mod tests {
     }
 
     #[test]
-    fn red_is_drawn_out_and_blue_in_by_so_many_pixels_at_the_corner() {
-        // A white column 40 pixels right of the centre, in a picture whose corner is 50 away along the middle row.
+    fn red_is_shifted_outwards_and_blue_inwards_as_stated() {
+        // The picture has a white column 40 pixels right of the centre, and its corners are 50 pixels from the centre.
         let (width, height, centre) = (101, 3, [50.0, 1.0]);
         let mut pixels: Vec<u8> =
             (0..width * height).flat_map(|at| [if at % width == 90 { 200 } else { 0 }; 3]).collect();

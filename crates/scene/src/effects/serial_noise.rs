@@ -1,48 +1,52 @@
-//! A noisy line from the motor controller: odometry, IMU and joint messages are lost, or arrive with a wrong bit.
+//! A noisy serial line from the motor controller: odometry, IMU and joint messages are lost or have a flipped bit.
 
 use serde::Deserialize;
 
 use super::Role;
 use crate::SceneError;
-use crate::check::within;
+use crate::check::check_range;
 use crate::stream::{Purpose, Stream};
 
-/// A driver drops what its checksum refuses; what slips through is in the log as a message with one bit flipped.
+/// Losses on the serial line. The driver drops messages whose checksum is wrong, and lets some corrupt ones through.
+///
+/// A corrupt message is in the log with one bit flipped.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SerialNoise {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
-    /// Of the messages.
+    /// Share of the messages that are lost.
     pub lost_share: f64,
-    /// Of those that are left.
+    /// Share of the remaining messages that are corrupt.
     #[serde(default)]
     pub corrupt_share: f64,
 }
 
-/// What becomes of one message.
+/// The fate of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Fate {
+pub(crate) enum DeliveryOutcome {
     Whole,
     Lost,
-    /// With a number that says which bit.
+    /// One bit is flipped. The number selects the bit.
     Corrupt(u64),
 }
 
 impl SerialNoise {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
-        within(format_args!("{key}.lost_share"), self.lost_share, 0.0..=0.95, "0 to 0.95 of the messages")?;
-        within(format_args!("{key}.corrupt_share"), self.corrupt_share, 0.0..=0.5, "0 to 0.5 of the messages")
+        check_range(format_args!("{key}.lost_share"), self.lost_share, 0.0..=0.95, "0 to 0.95 of the messages")?;
+        check_range(format_args!("{key}.corrupt_share"), self.corrupt_share, 0.0..=0.5, "0 to 0.5 of the messages")
     }
 
-    /// `line` tells the senders apart.
-    pub(crate) fn fate(&self, seed: u64, line: u64, index: u64) -> Fate {
+    /// Draws what happens to message `index` of the sender `line`.
+    pub(crate) fn delivery_outcome(&self, seed: u64, line: u64, index: u64) -> DeliveryOutcome {
         let mut stream = Stream::new(seed, Purpose::SerialNoise, line << 48 | index);
         if stream.uniform() < self.lost_share {
-            Fate::Lost
+            DeliveryOutcome::Lost
         } else if stream.uniform() < self.corrupt_share {
-            Fate::Corrupt(stream.next_u64())
+            DeliveryOutcome::Corrupt(stream.next_u64())
         } else {
-            Fate::Whole
+            DeliveryOutcome::Whole
         }
     }
 }

@@ -1,4 +1,4 @@
-//! A shutter that stays open while the camera moves, and a sensor that is read row by row.
+//! Motion blur and rolling shutter: the camera moves while rows are exposed and read one after the other.
 
 use core::ops::Range;
 
@@ -6,42 +6,54 @@ use serde::Deserialize;
 
 use super::Role;
 use crate::SceneError;
-use crate::check::within;
+use crate::check::check_range;
 
-/// A frame's stamp is the middle of the middle row's exposure.
+/// Exposure over time. The stamp of a frame is the middle of the exposure of its middle row.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shutter {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
-    /// Of each row.
+    /// Exposure time of each row, ms.
     pub exposure_ms: f64,
-    /// From the first row to the last; 0: all rows at once (global shutter).
+    /// Time from the first row to the last, ms. 0 means that all rows are exposed at once (global shutter).
     pub readout_ms: f64,
 }
 
-/// Pictures that one exposure is made of: as many as the camera moves pixels, up to this.
+/// Maximum number of pictures that are averaged for one exposure. Below it there is one picture per pixel of motion.
 const MOST_PICTURES: usize = 12;
-/// Rows that are exposed together: their part of a readout moves by less than a pixel.
+/// Number of rows that are rendered at the same time. In their share of the readout the image moves by less than a pixel.
 const BAND_ROWS: usize = 8;
 
 impl Shutter {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
         let exposure = self.exposure_ms;
-        within(format_args!("{key}.exposure_ms"), exposure, 0.01..=200.0, "0.01 to 200 ms: no light comes in 0 ms")?;
-        within(format_args!("{key}.readout_ms"), self.readout_ms, 0.0..=200.0, "0 (global shutter) to 200 ms")
+        check_range(
+            format_args!("{key}.exposure_ms"),
+            exposure,
+            0.01..=200.0,
+            "0.01 to 200 ms: no light comes in 0 ms",
+        )?;
+        check_range(format_args!("{key}.readout_ms"), self.readout_ms, 0.0..=200.0, "0 (global shutter) to 200 ms")
     }
 
-    /// Rows that are exposed together.
+    /// Ranges of rows that are exposed together.
     pub(crate) fn bands(&self, height: usize) -> impl Iterator<Item = Range<usize>> + use<> {
         let rows = if self.readout_ms == 0.0 { height } else { BAND_ROWS };
         (0..height).step_by(rows.max(1)).map(move |row| row..(row + rows).min(height))
     }
 
-    /// When a band is looked at, in seconds from the frame's stamp. `turning` is in pixels per second.
-    pub(crate) fn times(&self, band: &Range<usize>, height: usize, turning: f64) -> impl Iterator<Item = f64> + use<> {
+    /// Times at which a band of rows is rendered, seconds from the stamp of the frame. `speed` is in pixels per second.
+    pub(crate) fn sample_times(
+        &self,
+        band: &Range<usize>,
+        height: usize,
+        speed: f64,
+    ) -> impl Iterator<Item = f64> + use<> {
         let (exposure, readout) = (self.exposure_ms / 1e3, self.readout_ms / 1e3);
         let middle = (band.start + band.end) as f64 / (2 * height) as f64 - 0.5;
-        let count = (libm::ceil(turning * exposure) as usize).clamp(1, MOST_PICTURES);
+        let count = (libm::ceil(speed * exposure) as usize).clamp(1, MOST_PICTURES);
         (0..count).map(move |which| readout * middle + exposure * ((which as f64 + 0.5) / count as f64 - 0.5))
     }
 }

@@ -1,30 +1,33 @@
-//! Sunlight that falls through windows onto the floor: bright patches with soft edges.
+//! Sunlight through windows: bright patches with soft edges on the floor.
 
 use serde::Deserialize;
 
 use super::Role;
 use crate::SceneError;
-use crate::check::within;
+use crate::check::check_range;
 
+/// A grid of panes of sunlight on the floor. The seed selects its direction and the lit panes.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SunPatches {
+    /// Why the scene has this effect, for people.
     pub role: Option<Role>,
-    /// Image values in the sun are this times those beside it.
+    /// Factor of the image values in the sun.
     pub gain: f64,
-    /// Share of the floor's panes of light that the sun comes through.
+    /// Share of the panes that the sun comes through.
     pub share: f64,
-    /// Length of a pane; it is half as wide.
+    /// Length of a pane, metres. Its width is half of that.
     pub length_m: f64,
-    /// Over which its light fades.
+    /// Width of the soft edge of a pane, metres.
     pub edge_m: f64,
 }
 
 impl SunPatches {
+    /// Checks the values. `key` is the key of the effect in the file, for error messages.
     pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
-        within(format_args!("{key}.gain"), self.gain, 1.0..=4.0, "1 to 4 times the image values beside it")?;
-        within(format_args!("{key}.share"), self.share, 0.0..=1.0, "0 to 1")?;
-        within(format_args!("{key}.length_m"), self.length_m, 0.2..=10.0, "0.2 to 10 m")?;
-        within(format_args!("{key}.edge_m"), self.edge_m, 0.01..=2.0, "0.01 to 2 m")
+        check_range(format_args!("{key}.gain"), self.gain, 1.0..=4.0, "1 to 4 times the image values beside it")?;
+        check_range(format_args!("{key}.share"), self.share, 0.0..=1.0, "0 to 1")?;
+        check_range(format_args!("{key}.length_m"), self.length_m, 0.2..=10.0, "0.2 to 10 m")?;
+        check_range(format_args!("{key}.edge_m"), self.edge_m, 0.01..=2.0, "0.01 to 2 m")
     }
 }

@@ -1,15 +1,16 @@
-//! What a robot or a person is made of.
+//! The bodies of figures, composed of convex solids.
 
 use super::super::effects::{FigureShape, Member};
-use super::sheet::Colour;
+use super::macro_texture::Colour;
 use super::solid::{Hit, Solid};
 
-/// In the figure's own frame: x ahead, y left, z up from the ground.
+/// The body of a figure, in its own coordinate frame: x ahead, y left, z up from the ground, metres.
 #[derive(Clone, Debug)]
 pub(super) struct Body {
     pub(super) parts: Vec<Part>,
 }
 
+/// A solid of one colour. Limbs swing with the steps.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Part {
     solid: Solid,
@@ -17,11 +18,12 @@ pub(super) struct Part {
     limb: Option<Limb>,
 }
 
-/// Swings about an axis across the body at this height: what is below goes ahead, or back for a negative swing.
+/// The swing of a limb about an axis across the body. For a positive swing the part below the axis moves ahead.
 #[derive(Clone, Copy, Debug)]
 struct Limb {
+    /// Height of the axis, metres.
     height: f32,
-    /// Of the stride: +1 or -1 for left or right, less for arms.
+    /// Share of the stride: +1 or -1 for left or right legs, less for arms.
     share: f32,
 }
 
@@ -30,10 +32,11 @@ const HAIR: Colour = [58.0, 46.0, 38.0];
 const SHOES: Colour = [40.0, 38.0, 40.0];
 const JOINTS: Colour = [34.0, 34.0, 38.0];
 
-/// Metres per metre below the hip at the widest of a step.
+/// Displacement of a leg at the widest point of a step, metres per metre below the hip.
 const STRIDE: f32 = 0.28;
 
 impl Body {
+    /// The body of a figure.
     pub(super) fn new(member: &Member) -> Self {
         let (height, width) = (member.height as f32, member.width as f32);
         let (colour, accent) = (member.colour.map(|c| c as f32), member.accent.map(|c| c as f32));
@@ -51,17 +54,19 @@ impl Body {
 }
 
 impl Part {
-    /// `swing` is -1 to 1.
+    /// Intersection with a ray in coordinates of the figure. `swing` is the phase of the step, -1 to 1.
     #[inline]
     pub(super) fn hit(&self, origin: [f32; 3], ray: [f32; 3], swing: f32) -> Option<Hit> {
         let Some(limb) = self.limb else { return self.solid.hit(origin, ray) };
-        // Sheared so that the limb stands upright again; lengths along the ray stay what they are.
+        // The ray is sheared so that the limb is upright again. Distances along the ray do not change.
         let slope = STRIDE * limb.share * swing;
         let ahead = origin[0] - slope * (limb.height - origin[2]);
         self.solid.hit([ahead, origin[1], origin[2]], [ray[0] + slope * ray[2], ray[1], ray[2]])
     }
 
-    /// Centres and radii of balls around the part: one above the other, since legs are long and thin.
+    /// Centres and radii of bounding balls that together contain the part.
+    ///
+    /// They are stacked vertically, because legs are long and thin.
     pub(super) fn balls(&self, swing: f32) -> Vec<([f32; 3], f32)> {
         let (centre, half) = self.solid.extent();
         let count = (half[2] / half[0].max(half[1]).max(1e-3)).clamp(1.0, 8.0) as usize;
@@ -78,14 +83,14 @@ impl Part {
     }
 }
 
-/// Sizes as shares of the height; widths of `width`.
+/// Builds a body from parts whose sizes are shares of the height and, for y, of the width.
 struct Builder {
     height: f32,
     width: f32,
     parts: Vec<Part>,
 }
 
-/// Which solid fills the space between `low` and `high`.
+/// The solid that fills a box-shaped space.
 #[derive(Clone, Copy)]
 enum Form {
     Box,
@@ -94,7 +99,7 @@ enum Form {
 }
 
 impl Builder {
-    /// `x` and `z` from and to in heights, `y` from and to in widths.
+    /// Adds a part. `x` and `z` are from and to in heights, `y` in widths. `limb` is height of the axis and share of the stride.
     fn part(&mut self, form: Form, [x, y, z]: [[f32; 2]; 3], colour: Colour, limb: Option<(f32, f32)>) {
         let ranges = [x.map(|v| v * self.height), y.map(|v| v * self.width), z.map(|v| v * self.height)];
         let (centre, half) = (ranges.map(|[a, b]| (a + b) / 2.0), ranges.map(|[a, b]| (b - a) / 2.0));
@@ -163,7 +168,7 @@ mod tests {
     use crate::SceneFile;
     use crate::effects::Effect;
 
-    /// Of every shape one, with its body.
+    /// One body of every shape except the ball.
     fn bodies() -> Vec<Body> {
         let shapes = ["robot", "person", "cylinder", "box"];
         let list = shapes.map(|shape| format!("{{ shape = \"{shape}\", position_m = [0, 0], height_m = 1.2 }}"));

@@ -1,56 +1,61 @@
-//! Figures in front of the hall: the nearest first, edges by finer rays, a soft shadow where they stand.
+//! Drawing of figures in front of the hall: nearest surfaces, antialiased edges, and soft shadows on the ground.
 
 use core::ops::Range;
 
 use super::super::effects::{Crowd, Member};
 use super::body::Body;
 use super::fixed::byte;
-use super::placed::{Placed, View};
+use super::macro_texture::Colour;
+use super::posed_figure::{PlacedFigure, View};
 use super::rays::RayTable;
-use super::sheet::Colour;
 use super::solid::Hit;
 use super::tiles::{Tile, Tiles};
 
+/// The figures of a scene, prepared for drawing.
 #[derive(Clone, Debug)]
 pub(super) struct CrowdView {
     members: Vec<(Member, Body)>,
     tiles: Tiles,
 }
 
-/// Which part of which figure a pixel's centre shows, and its colour.
-struct Front {
+/// For each pixel the part of a figure that its centre shows, and its colour.
+struct FrontBuffer {
     width: usize,
     height: usize,
-    /// 0 is nobody.
+    /// Figure * [`PARTS_PER_FIGURE`] + part + 1, or 0 if the pixel shows no figure.
     ids: Vec<u16>,
     colours: Vec<[u8; 3]>,
 }
 
-/// What can be seen in some pixels: figures and, of them, parts.
+/// Indices of figures, each with indices of its parts, that may be visible in some pixels.
 type Parts = Vec<(usize, Vec<usize>)>;
 
-struct Busy<'a> {
+/// A tile in which figures or their shadows may be visible.
+struct OccupiedTile<'a> {
     tile: &'a Tile,
     parts: Parts,
-    /// Figures whose shadow may fall here.
+    /// Figures whose shadow may fall into the tile.
     shadows: Vec<usize>,
 }
 
-/// Ids are figure * this + part + 1.
-const PARTS: usize = 64;
-/// A pixel on an edge is looked at by this many rays squared.
-const FINER: usize = 4;
-/// How dark a shadow is in its middle.
-const SHADOW: f32 = 0.5;
+/// Factor of the figure in the ids of [`FrontBuffer`]. No figure has more parts.
+const PARTS_PER_FIGURE: usize = 64;
+/// A pixel on an edge is sampled by the square of this number of rays.
+const SUBSAMPLES_PER_SIDE: usize = 4;
+/// Share of the light that is missing in the middle of a shadow.
+const SHADOW_DEPTH: f32 = 0.5;
 
 impl CrowdView {
+    /// Prepares the figures for images with these rays.
     pub(super) fn new(crowd: &Crowd, rays: &RayTable) -> Self {
         let members = crowd.members.iter().map(|member| (member.clone(), Body::new(member))).collect();
         Self { members, tiles: Tiles::new(rays) }
     }
 
-    /// Over a picture of the empty hall, in these rows of it. What lies farther along a pixel's ray than `limit` says is
-    /// hidden by something that the picture shows. Returns which pixels show somebody.
+    /// Draws the figures at `time` (seconds) over some rows of a picture of the empty hall.
+    ///
+    /// `limit` gives for a pixel (column, row) the distance along its ray, metres, beyond which figures are hidden by
+    /// something in the picture. Returns for every pixel of the image whether it shows a figure.
     pub(super) fn draw(
         &self,
         time: f64,
@@ -59,27 +64,27 @@ impl CrowdView {
         limit: impl Fn(usize, usize) -> f32,
         pixels: &mut [u8],
     ) -> Vec<bool> {
-        let placed: Vec<Placed> =
-            self.members.iter().map(|(member, body)| Placed::new(member, body, time, view)).collect();
-        let mut front = Front::new(view.rays);
-        let busy: Vec<Busy> = self
+        let placed: Vec<PlacedFigure> =
+            self.members.iter().map(|(member, body)| PlacedFigure::new(member, body, time, view)).collect();
+        let mut front = FrontBuffer::new(view.rays);
+        let occupied: Vec<OccupiedTile> = self
             .tiles
             .iter()
             .filter(|tile| rows.contains(&tile.rows.start))
-            .filter_map(|tile| Busy::new(tile, &placed))
+            .filter_map(|tile| OccupiedTile::new(tile, &placed))
             .collect();
-        for busy in &busy {
-            front.look(busy, &placed, view, &limit);
+        for tile in &occupied {
+            front.trace(tile, &placed, view, &limit);
         }
-        for busy in &busy {
-            front.put(busy, &placed, view, &limit, pixels);
+        for tile in &occupied {
+            front.composite(tile, &placed, view, &limit, pixels);
         }
         front.ids.iter().map(|id| *id != 0).collect()
     }
 }
 
-impl<'a> Busy<'a> {
-    fn new(tile: &'a Tile, placed: &[Placed]) -> Option<Self> {
+impl<'a> OccupiedTile<'a> {
+    fn new(tile: &'a Tile, placed: &[PlacedFigure]) -> Option<Self> {
         let (mut parts, mut shadows) = (Parts::new(), Vec::new());
         for (which, figure) in placed.iter().enumerate() {
             if tile.may_see(&figure.shadow) {
@@ -96,28 +101,34 @@ impl<'a> Busy<'a> {
         (!parts.is_empty() || !shadows.is_empty()).then_some(Self { tile, parts, shadows })
     }
 
-    /// Columns of a row that the lens draws on.
+    /// Columns of the tile in a row that the lens sees.
     fn columns(&self, rays: &RayTable, row: usize) -> core::ops::Range<usize> {
-        let (seen, own) = (rays.seen(row), &self.tile.columns);
+        let (seen, own) = (rays.visible_columns(row), &self.tile.columns);
         own.start.max(seen.start)..own.end.min(seen.end)
     }
 }
 
-impl Front {
+impl FrontBuffer {
     fn new(rays: &RayTable) -> Self {
         let (width, height) = (rays.width(), rays.height());
         Self { width, height, ids: vec![0; width * height], colours: vec![[0; 3]; width * height] }
     }
 
-    /// What the centres of a tile's pixels show.
-    fn look(&mut self, busy: &Busy, placed: &[Placed], view: &View, limit: &impl Fn(usize, usize) -> f32) {
-        if busy.parts.is_empty() {
+    /// Finds what the pixel centres of a tile show.
+    fn trace(
+        &mut self,
+        occupied: &OccupiedTile,
+        placed: &[PlacedFigure],
+        view: &View,
+        limit: &impl Fn(usize, usize) -> f32,
+    ) {
+        if occupied.parts.is_empty() {
             return;
         }
-        for row in busy.tile.rows.clone() {
-            for column in busy.columns(view.rays, row) {
+        for row in occupied.tile.rows.clone() {
+            for column in occupied.columns(view.rays, row) {
                 let ray = view.in_map(view.rays.at(column, row));
-                if let Some((id, colour)) = nearest(&busy.parts, placed, ray, limit(column, row)) {
+                if let Some((id, colour)) = nearest(&occupied.parts, placed, ray, limit(column, row)) {
                     self.ids[row * self.width + column] = id;
                     self.colours[row * self.width + column] = colour.map(byte);
                 }
@@ -125,39 +136,39 @@ impl Front {
         }
     }
 
-    /// A tile of the final picture.
-    fn put(
+    /// Draws a tile into the final picture, with edges and shadows.
+    fn composite(
         &self,
-        busy: &Busy,
-        placed: &[Placed],
+        occupied: &OccupiedTile,
+        placed: &[PlacedFigure],
         view: &View,
         limit: &impl Fn(usize, usize) -> f32,
         pixels: &mut [u8],
     ) {
-        for row in busy.tile.rows.clone() {
-            for column in busy.columns(view.rays, row) {
+        for row in occupied.tile.rows.clone() {
+            for column in occupied.columns(view.rays, row) {
                 let at = row * self.width + column;
                 let Some(pixel) = pixels.get_mut(3 * at..3 * at + 3) else { continue };
-                let around = self.around(column, row);
+                let around = self.neighbourhood(column, row);
                 let inside = around.iter().all(|id| *id == self.ids[at]);
                 if inside && self.ids[at] != 0 {
                     pixel.copy_from_slice(&self.colours[at]);
                     continue;
                 }
                 let limit = limit(column, row);
-                // What ends before the ground has no shadow of the ground.
+                // A ray that ends before the ground shows no shadow on it.
                 if limit == f32::INFINITY {
-                    shade(pixel, &busy.shadows, placed, view, column, row);
+                    apply_shadows(pixel, &occupied.shadows, placed, view, column, row);
                 }
                 if !inside {
-                    mix(pixel, &parts_of(&around), placed, view, (column, row), limit);
+                    blend_edge(pixel, &parts_of(&around), placed, view, (column, row), limit);
                 }
             }
         }
     }
 
     /// The ids of a pixel and its eight neighbours.
-    fn around(&self, column: usize, row: usize) -> [u16; 9] {
+    fn neighbourhood(&self, column: usize, row: usize) -> [u16; 9] {
         core::array::from_fn(|which| {
             let near = |at: usize, step: usize, count: usize| (at + step).saturating_sub(1).min(count - 1);
             self.ids[near(row, which / 3, self.height) * self.width + near(column, which % 3, self.width)]
@@ -165,7 +176,7 @@ impl Front {
     }
 }
 
-/// Between neighbours nothing else than the neighbours is looked for.
+/// The parts among the ids of a neighbourhood. On an edge only these are sampled.
 fn parts_of(ids: &[u16; 9]) -> Parts {
     let mut sorted = *ids;
     sorted.sort_unstable();
@@ -176,7 +187,7 @@ fn parts_of(ids: &[u16; 9]) -> Parts {
             continue;
         }
         before = id;
-        let (figure, part) = ((usize::from(id) - 1) / PARTS, (usize::from(id) - 1) % PARTS);
+        let (figure, part) = ((usize::from(id) - 1) / PARTS_PER_FIGURE, (usize::from(id) - 1) % PARTS_PER_FIGURE);
         match found.last_mut() {
             Some((last, parts)) if *last == figure => parts.push(part),
             _ => found.push((figure, vec![part])),
@@ -185,11 +196,12 @@ fn parts_of(ids: &[u16; 9]) -> Parts {
     found
 }
 
-fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3], limit: f32) -> Option<(u16, Colour)> {
+/// The first hit of a ray nearer than `limit`: id and colour.
+fn nearest(parts: &Parts, placed: &[PlacedFigure], ray: [f32; 3], limit: f32) -> Option<(u16, Colour)> {
     let mut first: Option<(usize, usize, Hit)> = None;
     for (which, parts) in parts {
         let figure = &placed[*which];
-        let ray = figure.turned(ray);
+        let ray = figure.to_figure(ray);
         for &part in parts {
             if let Some(hit) = figure.body.parts[part].hit(figure.camera, ray, figure.swing)
                 && hit.t < first.as_ref().map_or(limit, |(_, _, nearest)| nearest.t)
@@ -200,32 +212,39 @@ fn nearest(parts: &Parts, placed: &[Placed], ray: [f32; 3], limit: f32) -> Optio
     }
     let (which, part, hit) = first?;
     let figure = &placed[which];
-    Some(((which * PARTS + part + 1) as u16, figure.colour(part, &hit, figure.turned(ray))))
+    Some(((which * PARTS_PER_FIGURE + part + 1) as u16, figure.colour(part, &hit, figure.to_figure(ray))))
 }
 
-/// A pixel on an edge: figures over what it shows already.
-fn mix(pixel: &mut [u8], parts: &Parts, placed: &[Placed], view: &View, (column, row): (usize, usize), limit: f32) {
+/// Blends figures over the colour of a pixel on an edge, by finer rays.
+fn blend_edge(
+    pixel: &mut [u8],
+    parts: &Parts,
+    placed: &[PlacedFigure],
+    view: &View,
+    (column, row): (usize, usize),
+    limit: f32,
+) {
     let [left, right] = [column, column + 2].map(|c| view.rays.padded(c, row + 1));
     let [above, below] = [row, row + 2].map(|r| view.rays.padded(column + 1, r));
     let middle = view.rays.at(column, row);
     let (mut sum, mut covered) = ([0.0; 3], 0.0);
-    for finer in 0..FINER * FINER {
-        let offset = |index: usize| (index as f32 + 0.5) / FINER as f32 - 0.5;
-        let (u, v) = (offset(finer % FINER), offset(finer / FINER));
+    for sample in 0..SUBSAMPLES_PER_SIDE * SUBSAMPLES_PER_SIDE {
+        let offset = |index: usize| (index as f32 + 0.5) / SUBSAMPLES_PER_SIDE as f32 - 0.5;
+        let (u, v) = (offset(sample % SUBSAMPLES_PER_SIDE), offset(sample / SUBSAMPLES_PER_SIDE));
         let ray = core::array::from_fn(|i| middle[i] + 0.5 * (u * (right[i] - left[i]) + v * (below[i] - above[i])));
         if let Some((_, colour)) = nearest(parts, placed, view.in_map(ray), limit) {
             covered += 1.0;
             sum = core::array::from_fn(|channel| sum[channel] + colour[channel].clamp(0.0, 255.0));
         }
     }
-    let rays = (FINER * FINER) as f32;
+    let rays = (SUBSAMPLES_PER_SIDE * SUBSAMPLES_PER_SIDE) as f32;
     for (value, sum) in pixel.iter_mut().zip(sum) {
         *value = byte((sum + (rays - covered) * f32::from(*value)) / rays);
     }
 }
 
-/// Under a figure less light reaches the ground.
-fn shade(pixel: &mut [u8], shadows: &[usize], placed: &[Placed], view: &View, column: usize, row: usize) {
+/// Darkens a pixel that shows ground near the feet of figures.
+fn apply_shadows(pixel: &mut [u8], shadows: &[usize], placed: &[PlacedFigure], view: &View, column: usize, row: usize) {
     if shadows.is_empty() {
         return;
     }
@@ -238,10 +257,10 @@ fn shade(pixel: &mut [u8], shadows: &[usize], placed: &[Placed], view: &View, co
     let mut gain = 1.0;
     for which in shadows {
         let figure = &placed[*which];
-        let (x, y) = (ground[0] - figure.place[0], ground[1] - figure.place[1]);
+        let (x, y) = (ground[0] - figure.position[0], ground[1] - figure.position[1]);
         let inside = 1.0 - (x * x + y * y) / (figure.shadow_m * figure.shadow_m);
         if inside > 0.0 {
-            gain *= 1.0 - SHADOW * inside * inside;
+            gain *= 1.0 - SHADOW_DEPTH * inside * inside;
         }
     }
     if gain < 1.0 {

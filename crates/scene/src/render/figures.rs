@@ -1,15 +1,16 @@
-//! A scene's figures alone, for pictures that something else has made.
+//! Drawing of the figures of a scene onto images that something else has made.
 
 use glam::DMat3;
 
 use super::super::Scene;
 use super::crowd::CrowdView;
-use super::placed::View;
+use super::posed_figure::View;
 use super::rays::RayTable;
 use realitysim_geometry::{Isometry, Lens};
 
-/// Robots, people and balls of a scene before a lens of any kind. Making it takes some tens of milliseconds; it serves
-/// any number of pictures.
+/// The figures of a scene (robots, people, balls), prepared for drawing through any lens.
+///
+/// Preparation takes some tens of milliseconds and serves any number of images.
 #[derive(Clone, Debug)]
 pub struct Figures {
     scene: Scene,
@@ -18,7 +19,7 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// `None` if the scene places nobody.
+    /// Prepares the figures for `lens`. `None` if the scene has no figures.
     pub fn new(scene: &Scene, lens: &Lens) -> Option<Self> {
         let crowd = scene.crowd.as_ref()?;
         let rays = RayTable::new(lens);
@@ -26,9 +27,10 @@ impl Figures {
         Some(Self { scene: scene.clone(), rays, crowd })
     }
 
-    /// Into R, G, B of the lens's size, as they stand in this frame and look by daylight, each with a soft shadow. `limit`
-    /// gives for a pixel (column, row) how far along its ray, in metres, something stands that hides what is behind it;
-    /// infinity if nothing does. Returns which pixels show a figure.
+    /// Draws the figures of frame `frame` by daylight, each with a soft shadow, into RGB pixels of the size of the lens.
+    ///
+    /// `limit` gives for a pixel (column, row) the distance along its ray, metres, at which something hides what is behind
+    /// it, or infinity. Returns for each pixel whether it shows a figure.
     pub fn draw(
         &self,
         frame: u64,

@@ -1,51 +1,54 @@
-//! Per row: the rays turned into `map`, where they meet the ground, and how that point moves from pixel to pixel.
+//! Intersection of pixel rays with the ground, row by row, and the footprint of each pixel on the ground.
 
 use super::rays::RayTable;
 
-/// One padded row of rays in `map`.
+/// One row of rays rotated into `map`, with one extra pixel at each end.
 pub(super) struct Turned {
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
 }
 
-/// Where a row's rays meet the plane z = 0. Meaningless for rays that do not look down.
+/// Points at which the rays of a row meet the plane z = 0. They have no meaning for rays that do not point down.
+///
+/// The fields are those of [`GroundPoint`], one value per column.
 pub(super) struct GroundRow {
     x: Vec<f32>,
     y: Vec<f32>,
-    /// Step from column to column: metres per pixel.
     xu: Vec<f32>,
     yu: Vec<f32>,
-    /// Step from row to row.
     xv: Vec<f32>,
     yv: Vec<f32>,
-    /// How the ray's downward component changes per pixel.
     down_u: Vec<f32>,
     down_v: Vec<f32>,
     size2: Vec<f32>,
     reach: Vec<f32>,
 }
 
-/// The ground under one pixel.
+/// The point on the ground that a pixel shows, and its footprint.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct GroundPoint {
+    /// Position in `map`, metres.
     pub(super) x: f32,
     pub(super) y: f32,
+    /// Step of the position from column to column, metres per pixel.
     pub(super) xu: f32,
     pub(super) yu: f32,
+    /// Step of the position from row to row, metres per pixel.
     pub(super) xv: f32,
     pub(super) yv: f32,
     /// Downward component of the unit ray, above 0.
     pub(super) down: f32,
+    /// Change of the downward component from column to column and from row to row.
     pub(super) down_u: f32,
     pub(super) down_v: f32,
-    /// Square of the footprint's size in metres: the sum over both steps.
+    /// Square of the size of the footprint, square metres: the sum of squares of both steps.
     pub(super) size2: f32,
-    /// The pixel sees nothing that is farther away than this, metres.
+    /// Radius around the point outside of which the pixel sees nothing, metres.
     pub(super) reach: f32,
 }
 
-/// A tent reaches one pixel in any direction; the rest is for the change of footprint within it.
+/// Reach of a pixel in footprints. The tent filter reaches one pixel, the rest allows for the change of the footprint within it.
 const FOOTPRINTS: f32 = 1.5;
 
 impl Turned {
@@ -54,7 +57,7 @@ impl Turned {
         Self { x: row(), y: row(), z: row() }
     }
 
-    /// `rotation` column by column.
+    /// Rotates a row of rays into `map`. `rotation` is a 3 x 3 matrix, column by column.
     pub(super) fn turn(&mut self, rays: &RayTable, padded_row: usize, rotation: &[f32; 9]) {
         let [x, y, z] = rays.padded_row(padded_row);
         let r = rotation;
@@ -81,8 +84,10 @@ impl GroundRow {
         Self { x, y, xu, yu, xv, yv, down_u: row(), down_v: row(), size2: row(), reach: row() }
     }
 
-    /// With t = -c.z / d.z the point is c + t d, and its derivative t (d' - d d'.z / d.z).
-    // Never inlined: only on its own it becomes vector instructions.
+    /// Intersects a row with the ground. The rows above and below give the derivatives.
+    ///
+    /// With t = -c.z / d.z the point is c + t d, and its derivative is t (d' - d d'.z / d.z).
+    // Never inlined: the compiler vectorizes the loop only in a function of its own.
     #[inline(never)]
     pub(super) fn meet(&mut self, above: &Turned, here: &Turned, below: &Turned, camera: &[f32; 3]) {
         let n = self.x.len();
@@ -111,7 +116,7 @@ impl GroundRow {
             down_u[i] = -0.5 * zu;
             down_v[i] = -0.5 * zv;
         }
-        // On its own: with more outputs the loop above would no longer become vector instructions.
+        // A second loop, because the compiler does not vectorize the one above if it has more outputs.
         for i in 0..n {
             let s = xu[i] * xu[i] + yu[i] * yu[i] + xv[i] * xv[i] + yv[i] * yv[i];
             size2[i] = s;
@@ -120,6 +125,7 @@ impl GroundRow {
     }
 
     #[inline]
+    /// The point of one column. `down` is the downward component of its ray.
     pub(super) fn point(&self, column: usize, down: f32) -> GroundPoint {
         GroundPoint {
             x: self.x[column],
@@ -138,11 +144,11 @@ impl GroundRow {
 }
 
 impl GroundPoint {
-    /// How many pixels lie between this pixel and the line at signed distance `s` on the ground, whose distance
-    /// grows along the unit vector (nx, ny); and how many pixels a metre is there.
+    /// Signed distance in pixels from this pixel to a line on the ground, and pixels per metre there.
     ///
-    /// s times the ray's downward component is linear in the ray, because camera and line span a plane. So it is
-    /// nearly linear in pixels, which s itself is not: towards the horizon s runs away within a pixel.
+    /// `s` is the signed distance to the line in metres, which grows along the unit vector (nx, ny). The product of s and
+    /// the downward component of the ray is linear in the ray, because camera and line span a plane. So it is nearly
+    /// linear in pixels. s itself is not: towards the horizon it grows without bound within a pixel.
     #[inline]
     pub(super) fn pixels_to(&self, s: f32, nx: f32, ny: f32) -> (f32, f32) {
         let gu = s * self.down_u + self.down * (nx * self.xu + ny * self.yu);
@@ -152,8 +158,10 @@ impl GroundPoint {
     }
 }
 
-/// What a pixel at this signed distance from an edge sees of the side towards +: the integral of a tent two pixels
-/// wide. Unlike a box, whose thin lines snap to whole pixels, the tent keeps their centre exact, as real optics do.
+/// Share of a pixel that lies on the positive side of an edge at signed distance `pixels`.
+///
+/// It is the integral of a tent filter two pixels wide. A box filter would snap thin lines to whole pixels. The tent keeps
+/// their centre exact, as real optics do.
 #[inline]
 pub(super) fn tent_integral(pixels: f32) -> f32 {
     let t = pixels.clamp(-1.0, 1.0);

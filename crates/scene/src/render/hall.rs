@@ -1,25 +1,28 @@
-//! The hall around the carpet, a box: floor, four walls and a ceiling with lamps.
+//! The hall around the carpet. It is a box with a floor, four walls and a ceiling with lamps.
 
 use glam::DVec2;
 
 use super::super::stream::{Purpose, Stream};
-use super::sheet::{Canvas, Colour, Sheet};
+use super::macro_texture::{Canvas, Colour, Sheet};
 
+/// The hall with its textures. The origin of `map` is in the middle of its floor.
 #[derive(Clone, Debug)]
 pub(super) struct Hall {
-    /// Half extents of the floor.
+    /// Half extents of the floor in x and y, metres.
     pub(super) half: [f32; 2],
     floor: Sheet,
-    /// The four walls unrolled: x along them, y from the floor up.
+    /// The four walls side by side: x along them, y from the floor up.
     walls: Sheet,
     ceiling: Sheet,
 }
 
-/// From the carpet's edge to the wall.
+/// Distance from the edge of the carpet to the wall, metres.
 const AISLE_M: f64 = 6.0;
+/// Height of the ceiling above the floor, metres.
 const HEIGHT_M: f64 = 6.5;
 
 impl Hall {
+    /// Draws the textures of a hall around a carpet with these half extents.
     pub(super) fn new(carpet_half: DVec2, seed: u64) -> Self {
         let half = carpet_half + DVec2::splat(AISLE_M);
         let stream = |part| Stream::new(seed, Purpose::Hall, part);
@@ -31,7 +34,7 @@ impl Hall {
         }
     }
 
-    /// x and y of where a ray ends on floor, walls or ceiling.
+    /// x and y of the point at which a ray ends on floor, walls or ceiling.
     #[inline]
     pub(super) fn end_of(&self, camera: &[f32; 3], direction: [f32; 3]) -> [f32; 2] {
         let [dx, dy, dz] = direction;
@@ -42,18 +45,19 @@ impl Hall {
         [camera[0] + t * dx, camera[1] + t * dy]
     }
 
+    /// Colour of the floor at (x, y) in `map`.
     #[inline]
     pub(super) fn floor(&self, x: f32, y: f32) -> Colour {
         self.floor.sample(x + self.half[0], y + self.half[1])
     }
 
-    /// What a ray meets that does not end on the floor.
+    /// Colour of wall or ceiling for a ray that does not end on the floor.
     #[inline]
     pub(super) fn above_floor(&self, camera: &[f32; 3], direction: [f32; 3]) -> Colour {
         let [hx, hy] = self.half;
         let [cx, cy, cz] = *camera;
         let [dx, dy, dz] = direction;
-        // Towards a wall that the ray is parallel to it is infinitely far.
+        // The distance to a wall that is parallel to the ray is practically infinite.
         let to_x = (hx - cx * dx.signum()) / dx.abs().max(1e-9);
         let to_y = (hy - cy * dy.signum()) / dy.abs().max(1e-9);
         let to_ceiling = if dz > 1e-6 { (HEIGHT_M as f32 - cz) / dz } else { f32::INFINITY };
@@ -75,7 +79,7 @@ fn floor(half: DVec2, stream: &mut Stream) -> Sheet {
     let mut canvas = Canvas::new(2.0 * half.x, 2.0 * half.y, 0.08, [104.0, 90.0, 74.0]);
     canvas.mottle(stream, 3.0, 0.10);
     canvas.mottle(stream, 0.7, 0.05);
-    // Lamps shine back from the varnish in the middle of the hall more than along the walls.
+    // The varnish reflects the lamps more in the middle of the hall than along the walls.
     canvas.paint(|x, y, colour| {
         let edge = (x.min(2.0 * half.x - x)).min(y.min(2.0 * half.y - y));
         let gain = 0.72 + 0.28 * (edge / 3.0).clamp(0.0, 1.0);
@@ -84,7 +88,7 @@ fn floor(half: DVec2, stream: &mut Stream) -> Sheet {
     canvas.finish()
 }
 
-/// Clothes, boxes, banners: anything but the carpet's green.
+/// Colours of clothes, boxes and banners: anything but the green of the carpet.
 const CLUTTER: [[f64; 3]; 10] = [
     [52.0, 50.0, 56.0],
     [128.0, 52.0, 46.0],
@@ -104,7 +108,7 @@ fn walls(half: DVec2, stream: &mut Stream) -> Sheet {
     canvas.rectangle([0.0, 0.0], [length, 1.1], [134.0, 122.0, 110.0]);
     canvas.mottle(stream, 5.0, 0.10);
     windows(&mut canvas, stream, length);
-    // Doors and banners first, what stands in front of the wall over them.
+    // Doors and banners are drawn first, and what stands in front of the wall is drawn over them.
     let mut place = |count: f64, low: [f64; 2], high: [f64; 2], wide: [f64; 2], dim: f64| {
         for _ in 0..(count * length) as usize {
             let x = stream.between(0.0, length);
@@ -119,7 +123,7 @@ fn walls(half: DVec2, stream: &mut Stream) -> Sheet {
     place(0.35, [0.0, 0.0], [0.6, 1.1], [0.5, 1.8], 0.9);
     place(0.45, [0.0, 0.2], [1.2, 1.85], [0.3, 0.55], 1.0);
     canvas.blur(2);
-    // The lower wall is in the shade of what stands before it; the skirting is dark.
+    // The lower wall is in the shade of what stands in front of it.
     canvas.paint(|_, height, colour| {
         let gain = 0.62 + 0.38 * (height / 1.2).clamp(0.0, 1.0);
         *colour = colour.map(|value| value * gain);
@@ -127,7 +131,7 @@ fn walls(half: DVec2, stream: &mut Stream) -> Sheet {
     canvas.finish()
 }
 
-/// A band of high windows along parts of the walls, between pillars.
+/// Paints a band of high windows along parts of the walls, between pillars.
 fn windows(canvas: &mut Canvas, stream: &mut Stream, length: f64) {
     let mut x = stream.between(0.0, 3.0);
     while x < length {

@@ -1,4 +1,4 @@
-//! Which painted lines can show in a pixel: grids of candidates, coarser ones for larger footprints.
+//! Search for the painted lines that a pixel may show: grids of candidates, with coarser ones for larger footprints.
 
 use glam::DVec2;
 
@@ -7,34 +7,36 @@ use super::footprint::GroundPoint;
 use super::shape::Shape;
 use realitysim_geometry::Field;
 
+/// The painted lines of a field with grids for the search.
 #[derive(Clone, Debug)]
 pub(super) struct LineMap {
     shapes: Vec<Shape>,
     half_extent: [f32; 2],
-    /// Each twice as coarse as the one before.
+    /// Grids from fine to coarse, each twice as coarse as the one before.
     grids: Vec<Grid>,
 }
 
-/// For each cell the shapes that a pixel in it can touch.
+/// For each cell the indices of the shapes that a pixel in it may touch.
 #[derive(Clone, Debug)]
 struct Grid {
     cells_per_metre: f32,
     columns: usize,
     rows: usize,
-    /// One more than cells: cell i owns `items[starts[i]..starts[i + 1]]`.
+    /// Cell i has `items[starts[i]..starts[i + 1]]`. There is one start more than there are cells.
     starts: Vec<u32>,
     items: Vec<u8>,
-    /// Footprints up to this size are served, metres.
+    /// Largest reach of a pixel for which the grid is valid, metres.
     reach: f32,
 }
 
-/// The finest grid's cells have a side of this, or more on large fields.
+/// Side of a cell of the finest grid, metres. It is larger on large fields.
 const FINEST_M: f64 = 0.08;
+/// Maximum number of cells along a side of the finest grid.
 const MOST_CELLS_PER_SIDE: f64 = 256.0;
 
 impl LineMap {
     pub(super) fn new(field: &Field) -> Self {
-        // u8 indices: fields have some 20 strokes.
+        // Indices are u8. Fields have some 20 strokes.
         let mut shapes = Shape::all(field);
         shapes.truncate(256);
         let half = field.carpet_half_extent();
@@ -45,18 +47,18 @@ impl LineMap {
             grids.push(Grid::new(&shapes, half, side));
             side *= 2.0;
         }
-        // Whatever the footprint, everything is a candidate.
+        // In the coarsest grid every shape is a candidate, for footprints of any size.
         grids.push(Grid { reach: f32::INFINITY, ..Grid::new(&shapes, half, 4.0 * longest) });
         Self { shapes, half_extent: half.as_vec2().to_array(), grids }
     }
 
-    /// The part of the pixel that is painted. The pixel must be on or near the carpet.
+    /// Share of the pixel that is painted, 0 to 1. The pixel must be on or near the carpet.
     #[inline]
     pub(super) fn coverage(&self, p: &GroundPoint) -> f32 {
         let Some(grid) = self.grids.iter().find(|grid| p.reach <= grid.reach) else { return 0.0 };
         let mut bare = 1.0;
         for &which in grid.candidates(p.x + self.half_extent[0], p.y + self.half_extent[1]) {
-            // Lines that cross do so at right angles: what one leaves bare the other covers in proportion.
+            // Crossing lines are perpendicular, so their covered shares are independent of each other.
             bare *= 1.0 - self.shapes[usize::from(which)].coverage(p);
         }
         1.0 - bare
@@ -79,7 +81,7 @@ impl Grid {
         Self { cells_per_metre: (1.0 / side) as f32, columns, rows, starts, items, reach }
     }
 
-    /// Just outside the carpet the nearest cell's candidates serve as well.
+    /// Candidates at (x, y), metres from the corner of the carpet. Outside the carpet they are those of the nearest cell.
     #[inline]
     fn candidates(&self, x: f32, y: f32) -> &[u8] {
         let index =

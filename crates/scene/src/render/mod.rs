@@ -1,8 +1,8 @@
-//! What the camera sees: textured carpet with painted lines, the hall's floor, walls and ceiling, whoever stands
-//! there. No goals.
+//! Rendering of camera images: textured carpet with painted lines, floor, walls and ceiling of the hall, and figures.
+//! Goals are not drawn.
 //!
-//! One ray per pixel, known from the lens once and for all; per frame the rays are turned and met with the ground.
-//! Everything is filtered by the pixel's footprint, so that nothing shimmers and lines stay exact below a pixel.
+//! The lens gives one ray per pixel, computed once. For each frame the rays are rotated and intersected with the ground.
+//! Textures and lines are filtered by the footprint of the pixel. So nothing shimmers, and lines are exact below a pixel.
 
 mod body;
 mod crowd;
@@ -12,10 +12,10 @@ mod footprint;
 mod hall;
 mod light;
 mod lines;
-mod placed;
+mod macro_texture;
+mod posed_figure;
 mod rays;
 mod shape;
-mod sheet;
 mod solid;
 mod surface;
 mod tile;
@@ -29,14 +29,14 @@ use core::ops::Range;
 use glam::DMat3;
 
 use super::Scene;
-use super::changing::Changing;
 use super::effects::{LightModel, Shutter};
+use super::per_frame::Changing;
 use crowd::CrowdView;
 pub use figures::Figures;
 use fixed::byte;
 use footprint::{GroundRow, Turned};
-use light::lit;
-use placed::View;
+use light::illuminate;
+use posed_figure::View;
 use rays::RayTable;
 use realitysim_geometry::Isometry;
 use surface::{GroundEffects, World};
@@ -44,8 +44,9 @@ use turf::{Sunlight, TurfLook};
 use wear::Wear;
 use window::Window;
 
-/// The camera at one moment of a frame.
+/// The state of camera and light at one moment of a frame.
 struct Shot<'a> {
+    /// `map_from_camera_link`.
     pose: Isometry,
     /// Seconds since the scene's start.
     time: f64,
@@ -53,10 +54,10 @@ struct Shot<'a> {
     window: Option<&'a Window>,
 }
 
-/// Shorter than any exposure that shows something.
-const TURNING_S: f64 = 1e-3;
+/// Step of the numerical derivative of the camera's rotation, seconds. It is shorter than any exposure that shows motion blur.
+const DIFFERENCE_S: f64 = 1e-3;
 
-/// Can be shared between threads: rendering changes nothing.
+/// Renders the camera images of a scene. It can be shared between threads, because rendering changes nothing in it.
 #[derive(Clone, Debug)]
 pub struct Renderer {
     scene: Scene,
@@ -66,7 +67,7 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Takes a moment: it prepares rays and textures.
+    /// Prepares rays and textures, which takes a moment.
     pub fn new(scene: &Scene) -> Self {
         let rays = RayTable::new(scene.lens());
         let seed = scene.file().scene.seed;
@@ -78,22 +79,25 @@ impl Renderer {
         Self { scene: scene.clone(), rays, world, crowd }
     }
 
+    /// Width of the images, pixels.
     pub fn width(&self) -> u32 {
         self.rays.width() as u32
     }
 
+    /// Height of the images, pixels.
     pub fn height(&self) -> u32 {
         self.rays.height() as u32
     }
 
-    /// The frame of this index as the camera delivers it: RGB, rows from the top, no padding.
-    /// `pixels` is resized to fit. Black is where the lens sees nothing.
+    /// Renders frame `index` as the camera delivers it: RGB, rows from the top, no padding.
+    ///
+    /// `pixels` is resized to fit. Pixels outside the view of the lens are black.
     pub fn render(&self, index: u64, pixels: &mut Vec<u8>) {
         let truth = self.scene.truth(self.scene.frame_time_s(index));
         self.render_from(&truth.map_from_camera_link, index, pixels);
     }
 
-    /// As if the frame of this index had been taken from another pose.
+    /// Renders frame `index` as if it had been taken from another pose.
     pub fn render_from(&self, map_from_camera_link: &Isometry, index: u64, pixels: &mut Vec<u8>) {
         let now = self.scene.at_frame(index);
         self.expose(&now, map_from_camera_link, index, pixels);
@@ -105,11 +109,12 @@ impl Renderer {
         }
     }
 
-    /// What reaches the sensor, without the sensor's own effects.
+    /// Renders frame `index` from a pose without the effects of the sensor: no noise and no image processing.
     pub fn render_clean(&self, map_from_camera_link: &Isometry, index: u64, pixels: &mut Vec<u8>) {
         self.expose(&self.scene.at_frame(index), map_from_camera_link, index, pixels);
     }
 
+    /// Renders a frame with all effects up to the exposure.
     fn expose(&self, now: &Changing, map_from_camera_link: &Isometry, index: u64, pixels: &mut Vec<u8>) {
         let (width, height) = (self.rays.width(), self.rays.height());
         pixels.resize(width * height * 3, 0);
@@ -120,7 +125,7 @@ impl Renderer {
             None => self.draw(&shot, 0..height, pixels),
             Some(shutter) => self.expose_bands(shutter, &shot, pixels),
         };
-        window::veil(pixels, veil);
+        window::add_veil(pixels, veil);
         if let Some(optics) = &self.scene.optics {
             let lens = self.scene.lens().parameters();
             optics.apply(width, [lens.cx, lens.cy], pixels);
@@ -130,7 +135,9 @@ impl Renderer {
         }
     }
 
-    /// The empty hall by daylight, whatever the scene lists: what everything else is measured against.
+    /// Renders the empty hall by daylight, as a baseline for the cost of effects.
+    ///
+    /// Only the effects on the ground (turf, worn lines, sun patches) are kept.
     pub fn render_bare(&self, map_from_camera_link: &Isometry, pixels: &mut Vec<u8>) {
         let (width, height) = (self.rays.width(), self.rays.height());
         pixels.resize(width * height * 3, 0);
@@ -140,11 +147,11 @@ impl Renderer {
         self.draw_hall(&view, 0..height, pixels);
     }
 
-    /// Some rows of the picture of one moment. Returns what the lens scatters over the whole picture.
+    /// Draws some rows at one moment. Returns the image value that the lens scatters over the whole picture.
     fn draw(&self, shot: &Shot, rows: Range<usize>, pixels: &mut [u8]) -> f32 {
         let rotation = DMat3::from_quat(shot.pose.rotation).to_cols_array().map(|value| value as f32);
         let camera = shot.pose.translation.as_vec3();
-        // From inside the ground nothing could be seen; a pose there is nonsense, but must not harm.
+        // A camera below the ground makes no sense, but must not break anything.
         let camera = [camera.x, camera.y, camera.z.max(1e-3)];
         let view = View { rays: &self.rays, rotation: &rotation, camera: &camera, light: shot.light };
         let stride = self.rays.width() * 3;
@@ -157,20 +164,20 @@ impl Renderer {
         veil
     }
 
-    /// Every band of rows is the mean of the pictures of its exposure.
+    /// Draws every band of rows as the mean of several pictures during its exposure. Returns the mean scattered value.
     fn expose_bands(&self, shutter: &Shutter, shot: &Shot, pixels: &mut [u8]) -> f32 {
         let (height, stride) = (self.rays.height(), self.rays.width() * 3);
         let time = shot.time;
         let truth = self.scene.truth(time);
         let asked_from_true = shot.pose * truth.map_from_camera_link.inverse();
-        let turning = self.turning(time) * self.scene.lens().parameters().fx;
+        let pixel_speed = self.angular_speed(time) * self.scene.lens().parameters().fx;
         let mut sums = vec![0u16; height * stride];
         let (mut veil, mut bands) = (0.0, 0);
         for band in shutter.bands(height) {
             let sums = &mut sums[..band.len() * stride];
             sums.fill(0);
             let mut count = 0u16;
-            for offset in shutter.times(&band, height, turning) {
+            for offset in shutter.sample_times(&band, height, pixel_speed) {
                 let at = time + offset;
                 let pose = asked_from_true * self.scene.truth(at).map_from_camera_link;
                 veil += self.draw(&Shot { pose, time: at, ..*shot }, band.clone(), pixels);
@@ -185,18 +192,20 @@ impl Renderer {
         veil / bands.max(1) as f32
     }
 
-    /// How fast the camera turns about this time, rad/s.
-    fn turning(&self, time: f64) -> f64 {
-        let [before, after] = [-TURNING_S, TURNING_S].map(|step| self.scene.truth(time + step).map_from_camera_link);
+    /// Angular speed of the camera at `time`, rad/s.
+    fn angular_speed(&self, time: f64) -> f64 {
+        let [before, after] =
+            [-DIFFERENCE_S, DIFFERENCE_S].map(|step| self.scene.truth(time + step).map_from_camera_link);
         let turned = before.rotation.conjugate() * after.rotation;
-        // The vector part is the sine of half the angle, and exact for small ones.
+        // The length of the vector part is the sine of half the angle, which is exact for small angles.
         let half = libm::asin(turned.xyz().length().min(1.0));
-        2.0 * half / (2.0 * TURNING_S)
+        2.0 * half / (2.0 * DIFFERENCE_S)
     }
 
+    /// Draws some rows of the hall with its ground. `pixels` holds these rows only.
     fn draw_hall(&self, view: &View, rows: Range<usize>, pixels: &mut [u8]) {
         let width = self.rays.width();
-        // Copies: what stands elsewhere might change with every pixel written, for all that the compiler knows.
+        // Local copies, because the compiler cannot know that writing a pixel does not change the originals.
         let (rotation, camera) = (*view.rotation, *view.camera);
         let [mut above, mut here, mut below] = core::array::from_fn(|_| Turned::new(width));
         let mut ground = GroundRow::new(width);
@@ -207,13 +216,13 @@ impl Renderer {
             core::mem::swap(&mut here, &mut below);
             below.turn(&self.rays, row + 2, &rotation);
             ground.meet(&above, &here, &below, &camera);
-            let seen = self.rays.seen(row);
+            let seen = self.rays.visible_columns(row);
             line[..seen.start * 3].fill(0);
             line[seen.end * 3..].fill(0);
             for (column, pixel) in seen.clone().zip(line[seen.start * 3..seen.end * 3].chunks_exact_mut(3)) {
                 let ray = here.direction(column);
                 let colour = self.world.colour(&camera, ray, &ground, column);
-                let colour = lit(view.light, colour, || self.world.hall.end_of(&camera, ray));
+                let colour = illuminate(view.light, colour, || self.world.hall.end_of(&camera, ray));
                 pixel[0] = byte(colour[0]);
                 pixel[1] = byte(colour[1]);
                 pixel[2] = byte(colour[2]);

@@ -1,4 +1,4 @@
-//! The lens as a table: one unit ray per pixel, in `camera_link`.
+//! The lens as a table of unit rays, one per pixel, in `camera_link`.
 
 use core::ops::Range;
 
@@ -6,7 +6,8 @@ use glam::{DVec2, DVec3};
 
 use realitysim_geometry::{Isometry, Lens};
 
-/// One pixel wider than the image on all sides, because differences of neighbours give the footprint.
+/// Unit rays of all pixels. The table is one pixel wider than the image on all sides, because the footprint of a pixel is
+/// computed from differences of its neighbours.
 #[derive(Clone, Debug)]
 pub(super) struct RayTable {
     width: usize,
@@ -14,11 +15,12 @@ pub(super) struct RayTable {
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
-    /// Per row the columns that the lens draws on. A lens's view is convex, so these have no gap.
-    seen: Vec<Range<usize>>,
+    /// Columns in each row that the lens sees. The view of a lens is convex, so they have no gap.
+    visible_columns: Vec<Range<usize>>,
 }
 
 impl RayTable {
+    /// Computes the rays of a lens.
     pub(super) fn new(lens: &Lens) -> Self {
         let (width, height) = (lens.width() as usize, lens.height() as usize);
         let stride = width + 2;
@@ -29,11 +31,12 @@ impl RayTable {
                 lens.unproject(pixel).map(|ray| link_from_optical.transform_vector(ray))
             })
             .collect();
-        let seen = (0..height).map(|row| seen_columns(&rays[(row + 1) * stride + 1..][..width])).collect();
+        let visible_columns =
+            (0..height).map(|row| find_visible_columns(&rays[(row + 1) * stride + 1..][..width])).collect();
         let filled: Vec<DVec3> =
             (0..rays.len()).map(|at| rays[at].unwrap_or_else(|| extrapolated(&rays, at, stride))).collect();
         let axis = |pick: fn(&DVec3) -> f64| filled.iter().map(|ray| pick(ray) as f32).collect();
-        Self { width, height, x: axis(|r| r.x), y: axis(|r| r.y), z: axis(|r| r.z), seen }
+        Self { width, height, x: axis(|r| r.x), y: axis(|r| r.y), z: axis(|r| r.z), visible_columns }
     }
 
     pub(super) fn width(&self) -> usize {
@@ -44,8 +47,9 @@ impl RayTable {
         self.height
     }
 
-    pub(super) fn seen(&self, row: usize) -> Range<usize> {
-        self.seen[row].clone()
+    /// Columns of a row that the lens sees.
+    pub(super) fn visible_columns(&self, row: usize) -> Range<usize> {
+        self.visible_columns[row].clone()
     }
 
     /// The ray of one pixel.
@@ -54,14 +58,14 @@ impl RayTable {
         self.padded(column + 1, row + 1)
     }
 
-    /// The same counted from the padding: (0, 0) is left of and above the image.
+    /// The ray of one pixel with indices of the padded table: (0, 0) is left of and above the image.
     #[inline]
     pub(super) fn padded(&self, column: usize, row: usize) -> [f32; 3] {
         let at = row * (self.width + 2) + column;
         [self.x[at], self.y[at], self.z[at]]
     }
 
-    /// x, y and z of the padded row (0 is above the image).
+    /// x, y and z of all rays in a row of the padded table (0 is above the image).
     pub(super) fn padded_row(&self, row: usize) -> [&[f32]; 3] {
         let stride = self.width + 2;
         let range = row * stride..(row + 1) * stride;
@@ -69,13 +73,14 @@ impl RayTable {
     }
 }
 
-fn seen_columns(row: &[Option<DVec3>]) -> Range<usize> {
+/// Range from the first to the last ray that exists.
+fn find_visible_columns(row: &[Option<DVec3>]) -> Range<usize> {
     let first = row.iter().position(Option::is_some).unwrap_or(0);
     let end = row.iter().rposition(Option::is_some).map_or(first, |last| last + 1);
     first..end
 }
 
-/// Just outside the view the rays go on as they did just inside.
+/// Ray just outside the view, extrapolated linearly from two rays inside.
 fn extrapolated(rays: &[Option<DVec3>], at: usize, stride: usize) -> DVec3 {
     let ray = |index: Option<usize>| index.and_then(|index| rays.get(index).copied().flatten());
     let steps = [1, stride];

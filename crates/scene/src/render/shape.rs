@@ -1,4 +1,4 @@
-//! Painted lines and rectangles, and how much of a pixel they cover.
+//! Painted lines and rectangles, and the share of a pixel that they cover.
 
 use glam::DVec2;
 
@@ -6,24 +6,17 @@ use super::footprint::{GroundPoint, tent_integral};
 use realitysim_geometry::Field;
 use realitysim_geometry::field::Stroke;
 
-/// A painted line of known width.
+/// A painted line. Lengths are metres, positions are in `map`.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Shape {
-    /// `along` is a unit vector; ends are square.
-    Bar {
-        centre: [f32; 2],
-        along: [f32; 2],
-        half_length: f32,
-        half_width: f32,
-    },
-    Ring {
-        centre: [f32; 2],
-        radius: f32,
-        half_width: f32,
-    },
+    /// A straight line with square ends. `along` is a unit vector.
+    Bar { centre: [f32; 2], along: [f32; 2], half_length: f32, half_width: f32 },
+    /// A circle.
+    Ring { centre: [f32; 2], radius: f32, half_width: f32 },
 }
 
 impl Shape {
+    /// All painted lines of a field.
     pub(super) fn all(field: &Field) -> Vec<Shape> {
         let half_width = (field.line_width() / 2.0) as f32;
         let shape = |stroke| match stroke {
@@ -40,7 +33,7 @@ impl Shape {
         field.painted().into_iter().map(shape).collect()
     }
 
-    /// Whether any paint lies within `margin` of the square around `centre`.
+    /// Whether paint may lie within `margin` of the square around `centre`. It may be true for paint slightly farther away.
     pub(super) fn near(&self, centre: [f32; 2], half_side: f32, margin: f32) -> bool {
         let reach = half_side * core::f32::consts::SQRT_2 + margin;
         match *self {
@@ -57,7 +50,7 @@ impl Shape {
         }
     }
 
-    /// The part of the pixel that is painted, 0 to 1.
+    /// Share of the pixel that the line covers, 0 to 1.
     #[inline]
     pub(super) fn coverage(&self, p: &GroundPoint) -> f32 {
         let reach = p.reach;
@@ -70,7 +63,7 @@ impl Shape {
                     return 0.0;
                 }
                 let across = band(p, s, along[1], -along[0], half_width);
-                // Far from both ends the length does not matter.
+                // Far from both ends the length has no effect.
                 if t.abs() < half_length - reach {
                     across
                 } else {
@@ -91,7 +84,7 @@ impl Shape {
     }
 }
 
-/// The part of the pixel between -`half` and +`half`, for a pixel at `s`.
+/// Share of a pixel at signed distance `s` that lies between -`half` and +`half`. The distance grows along (nx, ny).
 #[inline]
 fn band(p: &GroundPoint, s: f32, nx: f32, ny: f32, half: f32) -> f32 {
     let (pixels, per_metre) = p.pixels_to(s, nx, ny);
@@ -99,7 +92,7 @@ fn band(p: &GroundPoint, s: f32, nx: f32, ny: f32, half: f32) -> f32 {
     tent_integral(pixels + half) - tent_integral(pixels - half)
 }
 
-/// The part of the pixel inside the rectangle around the origin.
+/// Share of the pixel inside the rectangle around the origin with these half sides.
 #[inline]
 pub(super) fn inside_rectangle(p: &GroundPoint, half_x: f32, half_y: f32) -> f32 {
     let reach = p.reach;

@@ -1,37 +1,29 @@
-//! Convex solids and where a ray enters them.
+//! Convex solids and their intersection with rays.
 
-/// Upright and aligned with the axes of the figure that it belongs to: metres.
+/// A solid, upright and aligned with the axes of its figure. Centre and half sizes in x, y and z are metres.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Solid {
-    /// `half` in x, y and z.
-    Box {
-        centre: [f32; 3],
-        half: [f32; 3],
-    },
-    /// An upright cylinder of elliptic section.
-    Pillar {
-        centre: [f32; 3],
-        half: [f32; 3],
-    },
-    Ball {
-        centre: [f32; 3],
-        half: [f32; 3],
-    },
+    /// A box.
+    Box { centre: [f32; 3], half: [f32; 3] },
+    /// An upright cylinder with elliptic section.
+    Pillar { centre: [f32; 3], half: [f32; 3] },
+    /// An ellipsoid.
+    Ball { centre: [f32; 3], half: [f32; 3] },
 }
 
-/// A ray's first point on a solid.
+/// The point at which a ray enters a solid.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
-    /// Of the ray's length.
+    /// Distance along the ray, in lengths of the ray vector.
     pub(super) t: f32,
-    /// Outwards, not normalised.
+    /// Outward normal, not normalised.
     pub(super) normal: [f32; 3],
 }
 
-/// Nearer than this nothing is drawn: the camera would be inside the thing.
-const NEAREST_M: f32 = 0.02;
-/// In place of 0 where a ray runs along an axis: large quotients, but no NaN.
-const LEAST: f32 = 1e-9;
+/// Minimum distance at which a solid is drawn. Nearer than that the camera would be inside.
+const MIN_DISTANCE_M: f32 = 0.02;
+/// Replaces smaller divisors where a ray runs along an axis. Quotients become large, but not NaN.
+const MIN_DIVISOR: f32 = 1e-9;
 
 impl Solid {
     /// Centre and half sizes.
@@ -40,7 +32,7 @@ impl Solid {
         (centre, half)
     }
 
-    /// Where a ray from outside enters.
+    /// The point at which a ray from outside enters the solid.
     #[inline]
     pub(super) fn hit(&self, origin: [f32; 3], ray: [f32; 3]) -> Option<Hit> {
         let from = |centre: [f32; 3]| core::array::from_fn(|i| origin[i] - centre[i]);
@@ -52,10 +44,10 @@ impl Solid {
     }
 }
 
-/// Where the ray is between -`half` and +`half` of one axis.
+/// Range of t in which the ray is between -`half` and +`half` along one axis.
 #[inline]
 fn slab(o: f32, d: f32, half: f32) -> (f32, f32) {
-    let inverse = 1.0 / if d.abs() < LEAST { LEAST } else { d };
+    let inverse = 1.0 / if d.abs() < MIN_DIVISOR { MIN_DIVISOR } else { d };
     let (a, b) = ((-half - o) * inverse, (half - o) * inverse);
     (a.min(b), a.max(b))
 }
@@ -64,7 +56,7 @@ fn slab(o: f32, d: f32, half: f32) -> (f32, f32) {
 fn hit_box(o: [f32; 3], d: [f32; 3], half: [f32; 3]) -> Option<Hit> {
     let [x, y, z] = core::array::from_fn(|i| slab(o[i], d[i], half[i]));
     let enters = x.0.max(y.0).max(z.0);
-    if !is_seen(enters, x.1.min(y.1).min(z.1)) {
+    if !is_visible(enters, x.1.min(y.1).min(z.1)) {
         return None;
     }
     let mut normal = [0.0; 3];
@@ -85,7 +77,7 @@ fn hit_pillar(o: [f32; 3], d: [f32; 3], half: [f32; 3]) -> Option<Hit> {
     let (round_in, round_out) = roots(dx * dx + dy * dy, ox * dx + oy * dy, ox * ox + oy * oy - 1.0)?;
     let flat = slab(o[2], d[2], half[2]);
     let enters = round_in.max(flat.0);
-    if !is_seen(enters, round_out.min(flat.1)) {
+    if !is_visible(enters, round_out.min(flat.1)) {
         return None;
     }
     let normal = if round_in > flat.0 {
@@ -102,23 +94,23 @@ fn hit_ball(o: [f32; 3], d: [f32; 3], half: [f32; 3]) -> Option<Hit> {
     let (o, d) = (scaled(o), scaled(d));
     let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let (enters, _) = roots(dot(d, d), dot(o, d), dot(o, o) - 1.0)?;
-    if !is_seen(enters, enters) {
+    if !is_visible(enters, enters) {
         return None;
     }
     Some(Hit { t: enters, normal: core::array::from_fn(|i| (o[i] + enters * d[i]) / half[i]) })
 }
 
-/// Not for a NaN.
+/// Whether the range from `enters` to `leaves` is a visible hit. It is false for NaN.
 #[inline]
-fn is_seen(enters: f32, leaves: f32) -> bool {
-    enters <= leaves && enters >= NEAREST_M
+fn is_visible(enters: f32, leaves: f32) -> bool {
+    enters <= leaves && enters >= MIN_DISTANCE_M
 }
 
-/// Between which t is a t^2 + 2 b t + c below 0?
+/// Range of t in which a t^2 + 2 b t + c is below 0.
 #[inline]
 fn roots(a: f32, b: f32, c: f32) -> Option<(f32, f32)> {
-    if a < LEAST {
-        // Along the axis: inside for ever or never.
+    if a < MIN_DIVISOR {
+        // The ray runs along the axis: it is always inside or never.
         return (c < 0.0).then_some((f32::NEG_INFINITY, f32::INFINITY));
     }
     let discriminant = b * b - a * c;
@@ -140,7 +132,7 @@ mod tests {
         [Solid::Box { centre, half: HALF }, Solid::Pillar { centre, half: HALF }, Solid::Ball { centre, half: HALF }]
     }
 
-    /// Below 0 inside, 0 on the surface.
+    /// Implicit function of the solid: below 0 inside, 0 on the surface.
     fn outside(solid: &Solid, p: [f32; 3]) -> f32 {
         let [x, y, z] = [p[0] / HALF[0], p[1] / HALF[1], (p[2] - 0.5) / HALF[2]];
         match solid {
@@ -163,7 +155,7 @@ mod tests {
             for solid in solids() {
                 prop_assume!(outside(&solid, from) > 0.1);
                 let hit = solid.hit(from, ray);
-                // Aimed at its inside it cannot be missed.
+                // A ray that is aimed at the inside cannot miss.
                 prop_assert!(hit.is_some() || outside(&solid, towards) > -1e-3);
                 if let Some(hit) = hit {
                     let at: [f32; 3] = core::array::from_fn(|i| from[i] + hit.t * ray[i]);
@@ -176,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn rays_along_an_axis_and_rays_of_nonsense_do_no_harm() {
+    fn rays_along_an_axis_and_rays_of_nan_are_handled() {
         for solid in solids() {
             assert!(solid.hit([-2.0, 0.0, 0.5], [1.0, 0.0, 0.0]).is_some());
             assert!(solid.hit([0.0, 0.0, 3.0], [0.0, 0.0, -1.0]).is_some());

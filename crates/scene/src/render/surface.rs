@@ -1,4 +1,4 @@
-//! The colour of what a ray meets.
+//! The colour of the surface that a ray meets.
 
 use glam::DVec2;
 
@@ -6,13 +6,14 @@ use super::super::stream::{Purpose, Stream};
 use super::footprint::{GroundPoint, GroundRow};
 use super::hall::Hall;
 use super::lines::LineMap;
+use super::macro_texture::{Canvas, Colour, Sheet};
 use super::shape::inside_rectangle;
-use super::sheet::{Canvas, Colour, Sheet};
 use super::tile::Tile;
 use super::turf::{Sunlight, TurfLook};
 use super::wear::Wear;
 use realitysim_geometry::Field;
 
+/// Carpet, lines and hall with their textures.
 #[derive(Clone, Debug)]
 pub(super) struct World {
     carpet_half: [f32; 2],
@@ -23,7 +24,7 @@ pub(super) struct World {
     pub(super) hall: Hall,
 }
 
-/// What a scene's effects change of the ground.
+/// The effects of a scene on the ground.
 #[derive(Clone, Debug)]
 pub(super) struct GroundEffects {
     pub(super) turf: Option<TurfLook>,
@@ -31,16 +32,19 @@ pub(super) struct GroundEffects {
     pub(super) sun: Option<Sunlight>,
 }
 
+/// Colour of new paint.
 const PAINT: Colour = [222.0, 226.0, 222.0];
-/// Rays this close to the horizon do not reach the floor within any hall.
-const LEAST_DOWN: f32 = 1e-4;
+/// Minimum downward component of a unit ray that reaches the floor within any hall.
+const MIN_DOWN: f32 = 1e-4;
+/// Texels per metre of the fibres.
 const TEXELS_PER_METRE: f32 = 256.0;
-/// How much of the fibres' contrast shows on carpet, paint and the hall's floor.
+/// Contrast of the fibres on carpet, paint and floor: relative change of brightness per unit of the tile.
 const CARPET_GAIN: f32 = 0.75 / 128.0;
 const PAINT_GAIN: f32 = 0.18 / 128.0;
 const FLOOR_GAIN: f32 = 0.12 / 128.0;
 
 impl World {
+    /// Prepares textures and lines. The seed draws the textures.
     pub(super) fn new(field: &Field, effects: GroundEffects, seed: u64) -> Self {
         let half = field.carpet_half_extent();
         Self {
@@ -53,11 +57,11 @@ impl World {
         }
     }
 
-    /// 0 to 255 per channel.
+    /// Colour that a pixel shows, 0 to 255 per channel. `ray` is its unit ray in `map`, `ground` has the points of its row.
     #[inline]
     pub(super) fn colour(&self, camera: &[f32; 3], ray: [f32; 3], ground: &GroundRow, column: usize) -> Colour {
         let down = -ray[2];
-        if down < LEAST_DOWN {
+        if down < MIN_DOWN {
             return self.hall.above_floor(camera, ray);
         }
         let p = ground.point(column, down);
@@ -65,19 +69,19 @@ impl World {
         if on_floor == 0.0 {
             return self.hall.above_floor(camera, ray);
         }
-        // Half of the sum of squares is the mean of both axes' squares.
+        // Half of the sum of squares is the mean of the squares of both axes.
         let fibre = self.fibres.sample(p.x, p.y, 0.5 * p.size2) - 128.0;
         let on_carpet = inside_rectangle(&p, self.carpet_half[0], self.carpet_half[1]);
         let mut colour = [0.0; 3];
         if on_carpet > 0.0 {
             let base = self.carpet.sample(p.x + self.carpet_half[0], p.y + self.carpet_half[1]);
             let turf = self.effects.turf.as_ref();
-            let [aside_x, aside_y] = turf.map_or([0.0; 2], |turf| turf.stray(p.x, p.y, p.size2));
+            let [aside_x, aside_y] = turf.map_or([0.0; 2], |turf| turf.paint_displacement(p.x, p.y, p.size2));
             let mut paint = self.lines.coverage(&GroundPoint { x: p.x + aside_x, y: p.y + aside_y, ..p });
             if let Some(wear) = &self.effects.wear
                 && paint > 0.0
             {
-                paint *= wear.left(&p);
+                paint *= wear.remaining_paint(&p);
             }
             let (gain, paint_gain) = (1.0 + CARPET_GAIN * fibre, paint * (1.0 + PAINT_GAIN * fibre));
             let bare_gain = (1.0 - paint) * gain;
@@ -95,7 +99,7 @@ impl World {
             colour = mix(self.hall.floor(p.x, p.y).map(|value| value * gain), colour, on_carpet);
         }
         if let Some(sun) = &self.effects.sun {
-            colour = sun.on(p.x, p.y, colour);
+            colour = sun.illuminate(p.x, p.y, colour);
         }
         if on_floor < 1.0 {
             colour = mix(self.hall.above_floor(camera, ray), colour, on_floor);
@@ -109,7 +113,7 @@ fn mix(a: Colour, b: Colour, share: f32) -> Colour {
     [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share]
 }
 
-/// Lanes of pile brushed to and fro, worn and stained in patches.
+/// Texture of the carpet: lanes of pile brushed in alternating directions, worn and stained in patches.
 fn carpet(half: DVec2, seed: u64) -> Sheet {
     let stream = |part: u64| Stream::new(seed, Purpose::Carpet, 100 + part);
     let mut canvas = Canvas::new(2.0 * half.x, 2.0 * half.y, 0.05, [66.0, 122.0, 62.0]);

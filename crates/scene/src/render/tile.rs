@@ -1,15 +1,17 @@
-//! Fine texture that repeats: value noise of many scales, with mip levels so that distance averages it away.
+//! Repeating fine texture: value noise of several scales, with mip levels so that it averages out at a distance.
 
 use super::super::stream::{Purpose, Stream};
 use super::fixed::{ONE, fixed};
 
+/// A square texture of values around 128 that repeats in both directions.
 #[derive(Clone, Debug)]
 pub(super) struct Tile {
-    /// Each half the size of the one before, down to a single value.
+    /// Mip levels, each half the size of the one before, down to a single value.
     levels: Vec<Level>,
     texels_per_metre: f32,
 }
 
+/// A mip level: `side` x `side` values, row by row.
 #[derive(Clone, Debug)]
 struct Level {
     side: usize,
@@ -17,18 +19,20 @@ struct Level {
     values: Vec<u8>,
 }
 
-/// Standard deviation of a tile's values.
+/// Standard deviation of the values of a tile.
 pub(super) const SPREAD: f32 = 27.7;
-/// Five of six values lie within so much of 128.
+/// Five of six values differ from 128 by less than this.
 pub(super) const REACH: f32 = 40.0;
 
-/// A power of two: coordinates wrap by masking.
+/// Side of the finest level in texels, a power of two, so that coordinates wrap by masking.
 const SIDE: usize = 1024;
+/// Bits of the mantissa of an `f32`.
 const MANTISSA_BITS: u32 = 23;
-/// Of single values around 128.
+/// Scale of the noise in image values.
 const AMPLITUDE: f64 = 46.0;
 
 impl Tile {
+    /// Draws a tile.
     pub(super) fn new(seed: u64, purpose: Purpose, texels_per_metre: f32) -> Self {
         let mut levels = vec![Level { side: SIDE, texels_per_metre, values: noise(seed, purpose) }];
         while let Some(finer) = levels.last().filter(|level| level.side > 1) {
@@ -38,19 +42,20 @@ impl Tile {
         Self { levels, texels_per_metre }
     }
 
-    /// Of its finest values.
+    /// Mean of the finest level.
     pub(super) fn mean(&self) -> f32 {
         let values = &self.levels[0].values;
         values.iter().map(|value| u64::from(*value)).sum::<u64>() as f32 / values.len() as f32
     }
 
-    /// Around 128; `size2` is the square of the footprint in metres. Between two levels a mix of both, so that no
-    /// border between levels shows.
-    // Always, like the levels' own: the pixel loop is a tenth slower with calls here.
+    /// Value at (x, y), metres, averaged over a footprint whose squared size is `size2`, square metres.
+    ///
+    /// Two mip levels are interpolated, so that no border between levels shows.
+    // Always inlined, like `Level::sample`: the pixel loop is a tenth slower with calls here.
     #[inline(always)]
     pub(super) fn sample(&self, x: f32, y: f32, size2: f32) -> f32 {
         let texels2 = size2 * self.texels_per_metre * self.texels_per_metre;
-        // A float's bits are its logarithm, linear between powers of two; half of it, because texels2 is a square.
+        // The bits of a float are its logarithm, linear between powers of two. It is halved because texels2 is a square.
         let level = (texels2.to_bits() as i32 - 1f32.to_bits() as i32) >> 1;
         let last = self.levels.len() - 1;
         if level <= 0 {
@@ -77,6 +82,7 @@ impl Level {
         sum as i32 as f32 * (1.0 / (ONE * ONE) as f32)
     }
 
+    /// The next coarser level, the mean of 2 x 2 values.
     fn halved(&self) -> Level {
         let side = self.side / 2;
         let at = |row: usize, column: usize| u32::from(self.values[row * self.side + column]);
@@ -89,9 +95,10 @@ impl Level {
     }
 }
 
-/// (cell side in texels, share of the amplitude): fibres, tufts, pile direction, soft patches.
+/// Scales of the noise: side of a cell in texels, share of the amplitude. From fibres over tufts and pile to soft patches.
 const OCTAVES: [(usize, f64); 5] = [(1, 0.42), (2, 0.30), (8, 0.16), (32, 0.18), (128, 0.16)];
 
+/// The finest level of a tile.
 fn noise(seed: u64, purpose: Purpose) -> Vec<u8> {
     let mut sum = vec![0.0; SIDE * SIDE];
     for (octave, (cell, share)) in OCTAVES.into_iter().enumerate() {
@@ -100,6 +107,7 @@ fn noise(seed: u64, purpose: Purpose) -> Vec<u8> {
     sum.into_iter().map(|value| libm::round(128.0 + 2.0 * AMPLITUDE * value).clamp(0.0, 255.0) as u8).collect()
 }
 
+/// Adds value noise of one scale: random values on a lattice, smoothly interpolated.
 fn add_octave(sum: &mut [f64], stream: &mut Stream, cell: usize, share: f64) {
     let cells = SIDE / cell;
     let lattice: Vec<f64> = (0..cells * cells).map(|_| stream.between(-share, share)).collect();
@@ -125,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_spread_as_far_as_they_are_said_to() {
+    fn values_have_the_stated_mean_spread_and_reach() {
         for seed in 0..5 {
             let tile = Tile::new(seed, Purpose::Turf, 256.0);
             let values: Vec<f32> = tile.levels[0].values.iter().map(|value| f32::from(*value)).collect();

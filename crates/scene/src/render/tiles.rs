@@ -1,15 +1,16 @@
-//! The image in squares of rays, so that a thing is only looked for where it can be.
+//! Partition of the image into square tiles, so that a figure is searched only where it can be visible.
 
 use core::ops::Range;
 
 use super::rays::RayTable;
 
+/// All tiles of the image that the lens sees.
 #[derive(Clone, Debug)]
 pub(super) struct Tiles {
     tiles: Vec<Tile>,
 }
 
-/// Some neighbouring pixels and a cone around their rays.
+/// A tile of neighbouring pixels with a cone around their rays.
 #[derive(Clone, Debug)]
 pub(super) struct Tile {
     pub(super) columns: Range<usize>,
@@ -17,24 +18,26 @@ pub(super) struct Tile {
     cone: Cone,
 }
 
-/// A ball, as the camera sees it.
+/// A bounding ball as the camera sees it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ball {
-    /// None around the camera.
+    /// Cone around the ball, or `None` if the camera is inside the ball.
     cone: Option<Cone>,
 }
 
+/// A circular cone with its apex at the camera.
 #[derive(Clone, Copy, Debug)]
 struct Cone {
-    /// In `camera_link`, of unit length.
+    /// Unit vector in `camera_link`.
     axis: [f32; 3],
-    /// Of the angle between axis and mantle, at most a right angle.
+    /// Cosine and sine of the half-angle, which is at most a right angle.
     cos: f32,
     sin: f32,
 }
 
+/// Side of a tile, pixels.
 const SIDE: usize = 8;
-/// A pixel is looked at beyond its centre, and rays are not exact: so much more than to the outermost centre.
+/// Margin of the cone around the outermost pixel centres, because pixels have an extent and rays are not exact.
 const MARGIN_PIXELS: f32 = 1.5;
 
 impl Tiles {
@@ -56,10 +59,10 @@ impl Tiles {
 }
 
 impl Tile {
-    /// None where the lens sees nothing.
+    /// The tile, or `None` if the lens sees nothing there.
     fn new(rays: &RayTable, columns: Range<usize>, rows: Range<usize>) -> Option<Self> {
         let sees = |row: usize| {
-            let seen = rays.seen(row);
+            let seen = rays.visible_columns(row);
             seen.start.max(columns.start) < seen.end.min(columns.end)
         };
         if !rows.clone().any(sees) {
@@ -67,7 +70,7 @@ impl Tile {
         }
         let axis = normalised(rays.at((columns.start + columns.end) / 2, (rows.start + rows.end) / 2));
         let angle = |column: usize, row: usize| angle_between(axis, normalised(rays.padded(column, row)));
-        // One pixel around all of them, in the padded table's counting.
+        // All pixels of the tile and one pixel around it, in indices of the padded table.
         let (right, bottom) = (columns.end + 1, rows.end + 1);
         let mut widest = 0f32;
         for row in rows.start..=bottom {
@@ -80,20 +83,20 @@ impl Tile {
         Some(Self { columns, rows, cone: Cone { axis, cos: libm::cosf(angle), sin: libm::sinf(angle) } })
     }
 
-    /// Whether a pixel can see any of it.
+    /// Whether a pixel of the tile may see a part of the ball.
     #[inline]
     pub(super) fn may_see(&self, ball: &Ball) -> bool {
         let Some(ball) = &ball.cone else { return true };
-        // Both angles together are at most half a turn: there the cosine falls throughout.
+        // The sum of both angles is at most 180 degrees, where the cosine is monotonic.
         dot(self.cone.axis, ball.axis) >= self.cone.cos * ball.cos - self.cone.sin * ball.sin
     }
 }
 
 impl Ball {
-    /// `centre` in `camera_link`, in metres like `radius`.
+    /// A ball with its `centre` in `camera_link`, metres.
     pub(super) fn new(centre: [f32; 3], radius: f32) -> Self {
         let distance = dot(centre, centre).sqrt();
-        // Not for a NaN.
+        // The comparison is false for NaN.
         let cone = (distance > radius).then(|| {
             let sin = radius / distance;
             Cone { axis: centre.map(|value| value / distance), cos: (1.0 - sin * sin).sqrt(), sin }
@@ -104,7 +107,7 @@ impl Ball {
 
 fn angle_between(a: [f32; 3], b: [f32; 3]) -> f32 {
     let difference: [f32; 3] = core::array::from_fn(|i| a[i] - b[i]);
-    // Unlike the arc cosine exact for small angles.
+    // Unlike the arc cosine, this is exact for small angles.
     2.0 * libm::asinf((0.5 * dot(difference, difference).sqrt()).min(1.0))
 }
 

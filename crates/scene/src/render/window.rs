@@ -1,33 +1,37 @@
-//! A bright window, its light on the floor, and its veil over the picture.
+//! Drawing of a bright window, its sunlight on the floor, and its veil of scattered light over the picture.
 
 use super::super::effects::{BrightWindow, Wall};
 use super::fixed::byte;
 use super::footprint::Turned;
-use super::placed::View;
+use super::posed_figure::View;
 
+/// A bright window, prepared for drawing. Lengths are metres.
 #[derive(Clone, Debug)]
 pub(super) struct Window {
-    /// 0: the wall is at an end of the field, 1: at a side.
+    /// Axis of `map` across the wall: 0 for a wall at an end of the field, 1 for one at a side.
     axis: usize,
-    /// Where the wall is on this axis.
+    /// Position of the wall on this axis.
     wall: f32,
-    /// Along the wall, and up.
+    /// Extent along the wall.
     along: [f32; 2],
+    /// Heights of the lower and the upper edge.
     up: [f32; 2],
     hall_half: [f32; 2],
+    /// Image value of the window, which may exceed 255.
     value: f32,
     glare: f32,
-    /// How far from the wall the sunlight begins and ends.
+    /// Distances from the wall at which the sunlight on the floor begins and ends.
     sun: Option<[f32; 2]>,
     sun_gain: f32,
 }
 
-/// White paint's image value.
+/// Image value of white paint.
 const WHITE: f32 = 222.0;
-/// The sun is no point: its light's edges are this soft.
+/// Width of the soft edges of the sunlight, metres. The sun is not a point.
 const SOFT_M: f32 = 0.04;
 
 impl Window {
+    /// Prepares the window for a hall with these half extents.
     pub(super) fn new(effect: &BrightWindow, hall_half: [f32; 2]) -> Self {
         let (axis, sign) = match effect.wall {
             Wall::XPlus => (0, 1.0),
@@ -51,20 +55,20 @@ impl Window {
         }
     }
 
-    /// Over a picture of the empty hall. Returns what the lens scatters, in image values.
+    /// Draws window and sunlight over some rows of a picture of the empty hall. Returns the scattered light in image values.
     pub(super) fn draw(&self, view: &View, rows: core::ops::Range<usize>, pixels: &mut [u8]) -> f32 {
         let width = view.rays.width();
         let mut turned = Turned::new(width);
         let (mut bright, mut seen_pixels) = (0usize, 0usize);
         for row in rows.clone() {
             turned.turn(view.rays, row + 1, view.rotation);
-            let seen = view.rays.seen(row);
+            let seen = view.rays.visible_columns(row);
             seen_pixels += seen.len();
             let line = &mut pixels[(row - rows.start) * width * 3..][..width * 3];
             for column in seen {
                 let ray = turned.direction(column);
                 let pixel = &mut line[3 * column..3 * column + 3];
-                if self.is_in(view.camera, ray) {
+                if self.is_in_window(view.camera, ray) {
                     bright += 1;
                     pixel.fill(byte(self.value));
                 } else if let Some(gain) = self.sunlight(view.camera, ray) {
@@ -75,18 +79,19 @@ impl Window {
         self.glare * self.value * bright as f32 / seen_pixels.max(1) as f32
     }
 
-    fn is_in(&self, camera: &[f32; 3], ray: [f32; 3]) -> bool {
+    /// Whether a ray ends in the window.
+    fn is_in_window(&self, camera: &[f32; 3], ray: [f32; 3]) -> bool {
         let ahead = ray[self.axis] * self.wall.signum();
         if ahead <= 1e-6 {
             return false;
         }
         let t = (self.wall - camera[self.axis]).abs() / ahead;
         let (along, up) = (camera[1 - self.axis] + t * ray[1 - self.axis], camera[2] + t * ray[2]);
-        // Beyond the corner it is another wall.
+        // Beyond the corner of the hall the ray meets another wall.
         along.abs() < self.hall_half[1 - self.axis] && inside(along, self.along) && inside(up, self.up)
     }
 
-    /// How much brighter the floor is where this ray ends; None off the floor and where the sun does not shine.
+    /// Factor of the brightness of the floor where a ray ends. `None` off the floor and where the sun does not shine.
     fn sunlight(&self, camera: &[f32; 3], ray: [f32; 3]) -> Option<f32> {
         let sun = self.sun?;
         if ray[2] > -1e-4 {
@@ -103,8 +108,8 @@ impl Window {
     }
 }
 
-/// Light that the lens spreads over everything.
-pub(super) fn veil(pixels: &mut [u8], value: f32) {
+/// Adds scattered light, an image value, to all pixels.
+pub(super) fn add_veil(pixels: &mut [u8], value: f32) {
     if value > 0.0 {
         pixels.iter_mut().for_each(|pixel| *pixel = byte(f32::from(*pixel) + value));
     }
@@ -114,7 +119,7 @@ fn inside(value: f32, [low, high]: [f32; 2]) -> bool {
     (low..=high).contains(&value)
 }
 
-/// 1 inside, 0 outside, a ramp between.
+/// 1 inside the range, 0 outside, and a ramp of [`SOFT_M`] between.
 fn soft(value: f32, [low, high]: [f32; 2]) -> f32 {
     let inside = (value - low).min(high - value);
     (inside / SOFT_M + 0.5).clamp(0.0, 1.0)

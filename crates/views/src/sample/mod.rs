@@ -1,6 +1,6 @@
-//! Pixels between pixels: bilinear, in whole numbers, so that every processor gives the same.
+//! Bilinear reading between pixels, in integers, so that every processor gives the same result.
 
-// The bilinear kernel: vector instructions behind a check that the processor has them.
+// Vector instructions, behind a check that the processor has them.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
@@ -9,14 +9,15 @@ mod x86;
 use super::camera::AREA;
 use super::raster::Raster;
 
-/// Weights are sixty-fourths: finer than any map is right.
+/// Weights are multiples of 1/64, finer than any map is accurate.
 const WEIGHT_BITS: u32 = 6;
+/// A weight of 1.
 const ONE: u32 = 1 << WEIGHT_BITS;
 
 /// The pixels of a cell.
 pub(super) type Pixels = [[u8; 4]; AREA];
 
-/// Reads between the pixels' centres; black and [`super::NOTHING`] beyond the outermost ones, and for NaN.
+/// Reads at the coordinates `u`, `v` of a cell's pixels. Black and [`super::NOTHING`] outside of the image, and for NaN.
 pub(super) fn read_cell(image: &Raster, u: &[f32; AREA], v: &[f32; AREA]) -> Pixels {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
@@ -27,14 +28,14 @@ pub(super) fn read_cell(image: &Raster, u: &[f32; AREA], v: &[f32; AREA]) -> Pix
     core::array::from_fn(|i| read(image, u[i], v[i]))
 }
 
-/// One pixel: what the vector path computes as well, to the bit.
+/// Reads one pixel. The vector path computes the same bits.
 #[inline]
 pub(super) fn read(image: &Raster, u: f32, v: f32) -> [u8; 4] {
     let (right, bottom) = ((image.width - 1) as f32, (image.height - 1) as f32);
     if !(u >= 0.0 && v >= 0.0 && u <= right && v <= bottom) {
         return [0; 4];
     }
-    // Not below 0: the addition of one half rounds.
+    // The values are not negative: adding one half rounds.
     let (u, v) = ((u * ONE as f32 + 0.5) as u32, (v * ONE as f32 + 0.5) as u32);
     let column = (u >> WEIGHT_BITS).min(image.width as u32 - 2);
     let row = (v >> WEIGHT_BITS).min(image.height as u32 - 2);

@@ -1,4 +1,4 @@
-//! AVX2: eight places at a time, each pixel's four channels together. Same sums as the plain path.
+//! The bilinear kernel for AVX2: eight pixels at a time, the four channels of each together. Same sums as the portable path.
 
 use core::arch::x86_64::*;
 
@@ -9,6 +9,8 @@ use super::{ONE, Pixels, WEIGHT_BITS};
 const LANES: usize = 8;
 const BITS: i32 = WEIGHT_BITS as i32;
 
+/// Reads the pixels of a cell.
+///
 /// # Safety
 /// The processor must have AVX2, and `image` `width` x `height` pixels, at least two each way.
 #[target_feature(enable = "avx2")]
@@ -21,14 +23,14 @@ pub(super) unsafe fn read_cell(image: &Raster, us: &[f32; AREA], vs: &[f32; AREA
     for ((us, vs), out) in us.chunks_exact(LANES).zip(vs.chunks_exact(LANES)).zip(pixels.chunks_exact_mut(LANES)) {
         // SAFETY: both chunks hold eight floats.
         let (u, v) = unsafe { (_mm256_loadu_ps(us.as_ptr()), _mm256_loadu_ps(vs.as_ptr())) };
-        // False for NaN.
+        // The comparison is false for NaN.
         let within =
             |x, last| _mm256_and_ps(_mm256_cmp_ps::<_CMP_GE_OQ>(x, zero), _mm256_cmp_ps::<_CMP_LE_OQ>(x, last));
         let inside = _mm256_and_ps(within(u, right), within(v, bottom));
         if _mm256_movemask_ps(inside) == 0 {
             continue;
         }
-        // What is outside reads the first pixel, and is left out below.
+        // Coordinates outside read the first pixel and are cleared below.
         let fixed = |x| _mm256_cvttps_epi32(_mm256_add_ps(_mm256_mul_ps(_mm256_and_ps(x, inside), one), half));
         let (u, v) = (fixed(u), fixed(v));
         let whole = |x, most: i32| _mm256_min_epi32(_mm256_srli_epi32::<BITS>(x), _mm256_set1_epi32(most));
@@ -43,7 +45,7 @@ pub(super) unsafe fn read_cell(image: &Raster, us: &[f32; AREA], vs: &[f32; AREA
         let across = beside(rest(u, column), word);
         let down = beside(rest(v, row), byte);
         let down = _mm256_or_si256(down, _mm256_sll_epi32(down, word));
-        // SAFETY: column and row are at most two less than the image's sides, so that both pairs lie in it.
+        // SAFETY: column and row are at most the image's sides less two, so that both pairs lie in it.
         let mixed = unsafe { eight_pixels(image, lanes(index), across, down) };
         let mixed = _mm256_and_si256(mixed, _mm256_castps_si256(inside));
         // SAFETY: the chunk holds eight pixels of four bytes.
@@ -52,6 +54,7 @@ pub(super) unsafe fn read_cell(image: &Raster, us: &[f32; AREA], vs: &[f32; AREA
     pixels
 }
 
+/// The eight 32-bit lanes of a vector.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn lanes(vector: __m256i) -> [i32; LANES] {
@@ -61,14 +64,14 @@ fn lanes(vector: __m256i) -> [i32; LANES] {
     lanes
 }
 
-/// Pixels 0 to 3 are made in the lower half of the vectors, 4 to 7 in the upper one, two of each at a time.
+/// Reads eight pixels. Pixels 0 to 3 are made in the lower half of the vectors, 4 to 7 in the upper one, two of each at a time.
 ///
 /// # Safety
 /// Each index and the next pixel, and both below them, must be pixels of the image.
 #[inline]
 #[target_feature(enable = "avx2")]
 unsafe fn eight_pixels(image: &Raster, at: [i32; LANES], across: __m256i, down: __m256i) -> __m256i {
-    // SAFETY: two pixels of four bytes each, which the caller vouches for.
+    // SAFETY: two pixels of four bytes each, which the caller guarantees.
     let pair = |at: usize| unsafe { _mm_loadl_epi64(image.pixels.as_ptr().add(at).cast()) };
     let pairs = |first: usize, below: usize| {
         let two = |i: usize| _mm_unpacklo_epi64(pair(at[i] as usize + below), pair(at[i + 1] as usize + below));
@@ -84,7 +87,7 @@ unsafe fn eight_pixels(image: &Raster, at: [i32; LANES], across: __m256i, down: 
     _mm256_packus_epi16(low, high)
 }
 
-/// One pixel in each half: of upper and lower bytes beside each other, with the weights that `LANE` picks.
+/// One pixel in each half, from upper and lower bytes side by side, with the weights that `LANE` picks.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn mixed<const LANE: i32>(columns: __m256i, across: __m256i, down: __m256i) -> __m256i {

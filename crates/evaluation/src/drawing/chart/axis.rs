@@ -1,19 +1,24 @@
-//! From values to shares of an axis, and the round values along it.
+//! Axes of charts: the mapping from values to shares of an axis, and its ticks.
 
-/// An axis and what it counts.
+/// An axis.
 #[derive(Clone, Debug)]
 pub struct Axis {
+    /// Quantity and unit.
     pub label: String,
+    /// Scale of the axis.
     pub scale: Scale,
 }
 
+/// Scale of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
+    /// Linear scale.
     Even,
+    /// Logarithmic scale, for positive values.
     Logarithmic,
 }
 
-/// The part of an axis that is shown.
+/// The interval of values that an axis shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Span {
     scale: Scale,
@@ -21,19 +26,21 @@ pub(super) struct Span {
     high: f64,
 }
 
+/// A tick of an axis.
 pub(super) struct Tick {
+    /// Value at which the tick stands.
     pub value: f64,
-    /// Empty where only a line is drawn.
+    /// Number beside the tick; empty where only a line is drawn.
     pub number: String,
 }
 
-/// Free room on each side, as a share of what the data span.
+/// Free room on each side, as a share of the range of the data.
 const ROOM: f64 = 0.07;
-/// A logarithmic axis shows at least this ratio: less would have no round value on it.
-const LEAST_RATIO: f64 = 4.0;
+/// Smallest ratio of the ends of a logarithmic axis: a smaller one could contain no round value.
+const MIN_RATIO: f64 = 4.0;
 
 impl Span {
-    /// Holds all values that the scale can show.
+    /// Returns an interval that contains all values that the scale can show.
     pub(super) fn of(scale: Scale, values: impl Iterator<Item = f64>) -> Self {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for value in values.filter(|value| can_show(scale, *value)) {
@@ -49,14 +56,14 @@ impl Span {
                 Self { scale, low: if low >= 0.0 { (low - room).max(0.0) } else { low - room }, high: high + room }
             }
             Scale::Logarithmic => {
-                let widen = libm::sqrt((LEAST_RATIO / (high / low)).max(1.0));
+                let widen = libm::sqrt((MIN_RATIO / (high / low)).max(1.0));
                 let room = widen * libm::pow(high / low, ROOM);
                 Self { scale, low: low / room, high: high * room }
             }
         }
     }
 
-    /// 0 at the low end, 1 at the high one; none for a value that is not on the axis.
+    /// Returns 0 at the low end and 1 at the high end; `None` for a value outside of the axis.
     pub(super) fn share(&self, value: f64) -> Option<f64> {
         if !can_show(self.scale, value) {
             return None;
@@ -85,7 +92,7 @@ impl Span {
         (first..=last).map(|count| Tick { value: count as f64 * step, number: number(count as f64 * step) }).collect()
     }
 
-    /// 1 to 9 of each decade as lines; 1, 2 and 5 bear numbers, within a decade all, over many decades only 1.
+    /// Returns 1 to 9 of each decade. Within a decade all bear numbers, else 1, 2 and 5, and over many decades 1 only.
     fn logarithmic_ticks(&self) -> Vec<Tick> {
         let decades = libm::log10(self.high / self.low);
         let (first, last) = (libm::floor(libm::log10(self.low)) as i32, libm::ceil(libm::log10(self.high)) as i32);
@@ -107,7 +114,7 @@ fn can_show(scale: Scale, value: f64) -> bool {
     value.is_finite() && (scale == Scale::Even || value > 0.0)
 }
 
-/// As short as it is exact.
+/// Formats a number as short as it is exact, with up to six decimals.
 fn number(value: f64) -> String {
     let text = format!("{value:.6}");
     let text = text.trim_end_matches('0').trim_end_matches('.');

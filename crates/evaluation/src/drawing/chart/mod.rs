@@ -1,6 +1,6 @@
-//! A chart as SVG: curves, clouds of points and limits over two axes, each even or logarithmic.
+//! Charts as SVG: curves, clouds of points and limits over two axes, each linear or logarithmic.
 //!
-//! Words are measured in DejaVu Sans; Verdana, which is about as wide, stands in where it is missing.
+//! Words are measured in DejaVu Sans. Where that font is missing, Verdana, which is about as wide, replaces it.
 
 mod axis;
 mod labels;
@@ -11,88 +11,119 @@ use glam::DVec2;
 use super::text;
 use axis::Span;
 pub use axis::{Axis, Scale};
-use labels::Placed;
+use labels::LabelLayout;
 use svg::Svg;
 
-/// Every picture has the same size: they stand under each other in documents.
+/// Width of a chart, pixels. All charts have one size, since they stand below each other in documents.
 const WIDTH: f64 = 900.0;
+/// Height of a chart, pixels.
 const HEIGHT: f64 = 560.0;
+/// Margins around the data, pixels.
 const LEFT: f64 = 74.0;
 const RIGHT: f64 = 22.0;
 const BOTTOM: f64 = 62.0;
+/// Size of the title, pixels.
 const TITLE: f64 = 17.0;
+/// Size of other words, pixels.
 const WORDS: f64 = 13.0;
 const MARK_RADIUS: f64 = 4.5;
+/// Length of a line in the legend, pixels.
 const SAMPLE: f64 = 30.0;
 
 const INK: &str = "#37393c";
 const GRID: &str = "#e3e6e8";
 const FRAME: &str = "#8a9095";
 
+/// A chart.
 #[derive(Clone, Debug)]
 pub struct Chart {
+    /// Title above the chart.
     pub title: String,
+    /// Horizontal axis.
     pub x: Axis,
+    /// Vertical axis.
     pub y: Axis,
-    /// Later ones lie on top.
+    /// Data; later layers lie on top.
     pub layers: Vec<Layer>,
+    /// Limits.
     pub rules: Vec<Rule>,
+    /// Words beside points.
     pub notes: Vec<Note>,
 }
 
-/// Points that belong together. Those that an axis cannot show (NaN, or not above 0 where it is logarithmic) are left
-/// out.
+/// Points that belong together.
+///
+/// Those that an axis cannot show (NaN, or not above 0 on a logarithmic axis) are left out.
 #[derive(Clone, Debug)]
 pub struct Layer {
-    /// For the legend.
+    /// Name in the legend; `None` leaves the layer out of it.
     pub name: Option<String>,
-    /// As SVG writes it.
+    /// Colour as SVG writes it.
     pub colour: &'static str,
+    /// Mark at each point.
     pub mark: Option<Mark>,
+    /// Line through the points.
     pub line: Option<Line>,
-    /// 0 to 1.
+    /// Opacity, 0 to 1.
     pub opacity: f64,
+    /// Points in units of the axes.
     pub points: Vec<DVec2>,
 }
 
+/// Shape of a mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
+    /// Filled circle.
     Disc,
+    /// Circle.
     Ring,
+    /// Filled square.
     Square,
+    /// Filled square on its corner.
     Diamond,
-    /// Twice as large: this is the one.
+    /// Circle of twice the size, for a single point that stands out.
     Target,
 }
 
+/// Style of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Line {
+    /// Continuous line.
     Solid,
+    /// Dashed line.
     Dashed,
 }
 
-/// A limit, all across the chart.
+/// A limit, drawn as a line across the whole chart.
 #[derive(Clone, Debug)]
 pub struct Rule {
+    /// Axis that the limit is a value of.
     pub across: Across,
+    /// Value of the limit.
     pub at: f64,
+    /// Name beside the line.
     pub name: String,
 }
 
+/// Axis of a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Across {
+    /// Horizontal axis: the line is vertical.
     X,
+    /// Vertical axis: the line is horizontal.
     Y,
 }
 
 /// Words beside a point.
 #[derive(Clone, Debug)]
 pub struct Note {
+    /// The point, in units of the axes.
     pub at: DVec2,
+    /// The words.
     pub words: String,
 }
 
-/// Where the data lie on the sheet.
+/// The part of the sheet that shows the data.
 struct Frame {
     x: Span,
     y: Span,
@@ -100,11 +131,13 @@ struct Frame {
 }
 
 impl Frame {
+    /// Returns the pixel of a point; `None` if an axis cannot show it.
     fn place(&self, point: DVec2) -> Option<DVec2> {
         let (x, y) = (self.x.share(point.x)?, self.y.share(point.y)?);
         Some(DVec2::new(LEFT + x * self.width(), self.bottom() - y * (self.bottom() - self.top)))
     }
 
+    /// Returns the width of words, pixels.
     fn width(&self) -> f64 {
         WIDTH - LEFT - RIGHT
     }
@@ -115,7 +148,7 @@ impl Frame {
 }
 
 impl Chart {
-    /// One below the other, as one SVG.
+    /// Returns charts below each other as one SVG.
     pub fn stacked(charts: &[Self]) -> String {
         let title = charts.first().map_or("", |chart| &chart.title);
         let mut svg = Svg::new(WIDTH, HEIGHT * charts.len() as f64, title);
@@ -125,6 +158,7 @@ impl Chart {
         svg.finish()
     }
 
+    /// Returns the chart as SVG.
     pub fn to_svg(&self) -> String {
         let mut svg = Svg::new(WIDTH, HEIGHT, &self.title);
         svg.words(DVec2::new(LEFT, 26.0), TITLE, INK, &self.title);
@@ -137,7 +171,7 @@ impl Chart {
         let frame =
             Frame { x: Span::of(self.x.scale, along(Across::X)), y: Span::of(self.y.scale, along(Across::Y)), top };
         self.draw_axes(&mut svg, &frame);
-        let mut taken = Placed::within(DVec2::new(LEFT, top), DVec2::new(WIDTH - RIGHT, frame.bottom()));
+        let mut taken = LabelLayout::within(DVec2::new(LEFT, top), DVec2::new(WIDTH - RIGHT, frame.bottom()));
         for rule in &self.rules {
             draw_rule(&mut svg, &frame, rule, &mut taken);
         }
@@ -146,7 +180,7 @@ impl Chart {
         }
         for note in &self.notes {
             let Some(at) = frame.place(note.at) else { continue };
-            let (corner, leader) = taken.find_room(at, DVec2::new(width(&note.words), WORDS));
+            let (corner, leader) = taken.place_label(at, DVec2::new(width(&note.words), WORDS));
             if leader {
                 let end = corner + DVec2::new(if corner.x > at.x { -2.0 } else { width(&note.words) }, -4.0);
                 svg.line(at, end, FRAME, 0.7, None);
@@ -156,7 +190,7 @@ impl Chart {
         svg.finish()
     }
 
-    /// In as many rows as it takes; says where it ends.
+    /// Draws the legend in as many rows as it takes, and returns where it ends, pixels from the top.
     fn draw_legend(&self, svg: &mut Svg) -> f64 {
         let (mut at, mut any) = (DVec2::new(LEFT, 50.0), false);
         for layer in &self.layers {
@@ -216,7 +250,7 @@ impl Chart {
     }
 }
 
-fn draw_rule(svg: &mut Svg, frame: &Frame, rule: &Rule, taken: &mut Placed) {
+fn draw_rule(svg: &mut Svg, frame: &Frame, rule: &Rule, taken: &mut LabelLayout) {
     const RULE: &str = "#b3261e";
     let (right, bottom) = (LEFT + frame.width(), frame.bottom());
     let width = width(&rule.name);
@@ -241,12 +275,12 @@ fn draw_rule(svg: &mut Svg, frame: &Frame, rule: &Rule, taken: &mut Placed) {
     }
 }
 
-fn draw_layer(svg: &mut Svg, frame: &Frame, layer: &Layer, taken: &mut Placed) {
+fn draw_layer(svg: &mut Svg, frame: &Frame, layer: &Layer, taken: &mut LabelLayout) {
     let places: Vec<DVec2> = layer.points.iter().filter_map(|point| frame.place(*point)).collect();
     svg.fade(layer.opacity);
     if let Some(line) = layer.line {
         svg.polyline(&places, layer.colour, 2.0, dashes(line));
-        // Words across a curve are hard to read; a few places along it keep them off.
+        // Words across a curve are hard to read: places along it are taken.
         for pair in places.windows(2) {
             for step in 1..8 {
                 let at = pair[0].lerp(pair[1], f64::from(step) / 8.0);
@@ -257,7 +291,7 @@ fn draw_layer(svg: &mut Svg, frame: &Frame, layer: &Layer, taken: &mut Placed) {
     if let Some(mark) = layer.mark {
         for place in &places {
             draw_mark(svg, *place, mark, layer.colour);
-            // Faded ones are a background, over which words may stand.
+            // Faded marks are a background that words may cover.
             if layer.opacity > 0.5 {
                 let half = DVec2::splat(MARK_RADIUS);
                 taken.occupy(*place + DVec2::new(-half.x, half.y), 2.0 * half);
@@ -284,7 +318,7 @@ fn draw_mark(svg: &mut Svg, at: DVec2, mark: Mark, colour: &str) {
 }
 
 fn width(words: &str) -> f64 {
-    // What a picture's letters count as their size is the font's height; SVG counts in its em.
+    // Pictures state the size of text as the height of the font, SVG as its em.
     const HEIGHT_OF_EM: f64 = 1.164;
     text::width(HEIGHT_OF_EM * WORDS, words)
 }
@@ -326,7 +360,7 @@ mod tests {
         let svg = chart(vec![DVec2::new(1.0, 2.0), DVec2::new(10.0, 0.5)]).to_svg();
         assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n"));
         assert!(svg.contains("a &lt; b &amp; &quot;c&quot;") && !svg.contains("a < b"));
-        // One of the legend and two of the layer.
+        // Each layer with circles has one in the legend and two at its points.
         assert_eq!(svg.matches("<circle").count(), 3 * 3);
         assert_eq!(svg.matches(">note</text>").count(), 2);
     }

@@ -1,15 +1,18 @@
-//! The few elements of SVG that a chart needs. Coordinates are pixels from the left top, rounded to hundredths.
+//! Writer of the few SVG elements that a chart needs. Coordinates are pixels from the left top corner, rounded to
+//! hundredths.
 
 use std::fmt::Write;
 
 use glam::DVec2;
 
+/// An SVG document that is being written.
 pub(super) struct Svg {
     text: String,
     faded: bool,
 }
 
 impl Svg {
+    /// Starts a white picture with a title.
     pub(super) fn new(width: f64, height: f64, title: &str) -> Self {
         let mut text = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
@@ -20,17 +23,18 @@ impl Svg {
         Self { text, faded: false }
     }
 
+    /// Returns the text of the document.
     pub(super) fn finish(mut self) -> String {
         self.text.push_str("</svg>\n");
         self.text
     }
 
-    /// A whole picture, so far below the top.
+    /// Inserts a whole picture at `y` pixels below the top.
     pub(super) fn nest(&mut self, y: f64, picture: &str) {
         self.text.push_str(&picture.replacen("<svg ", &format!("<svg y=\"{y}\" "), 1));
     }
 
-    /// Until [`Self::unfade`] all is drawn with this opacity.
+    /// Draws everything until [`Self::unfade`] with this opacity.
     pub(super) fn fade(&mut self, opacity: f64) {
         if opacity < 1.0 {
             self.add(format_args!("<g opacity=\"{opacity}\">"));
@@ -45,7 +49,7 @@ impl Svg {
         }
     }
 
-    /// `at` is the left end of the baseline.
+    /// Writes words; `at` is the left end of the baseline.
     pub(super) fn words(&mut self, at: DVec2, size: f64, colour: &str, words: &str) {
         let (x, y) = (round(at.x), round(at.y));
         self.add(format_args!(
@@ -54,7 +58,7 @@ impl Svg {
         ));
     }
 
-    /// From the baseline's left end upwards.
+    /// Writes words upwards; `at` is the lower end of the baseline.
     pub(super) fn words_upwards(&mut self, at: DVec2, size: f64, colour: &str, words: &str) {
         let (x, y) = (round(at.x), round(at.y));
         self.add(format_args!(
@@ -108,6 +112,7 @@ impl Svg {
     }
 }
 
+/// Formats points for the attribute `points`.
 fn list(points: &[DVec2]) -> String {
     points.iter().map(|point| format!("{},{}", round(point.x), round(point.y))).collect::<Vec<_>>().join(" ")
 }
@@ -116,6 +121,7 @@ fn round(value: f64) -> f64 {
     libm::round(value * 100.0) / 100.0
 }
 
+/// Escapes the characters that have a meaning in XML.
 fn escaped(words: &str) -> String {
     words.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,4 +1,4 @@
-//! Nothing that callers can hand over may end in a panic.
+//! Odd input to the drawing functions: none of it may end in a panic.
 
 use super::*;
 
@@ -9,7 +9,7 @@ fn odd_points() -> Vec<DVec2> {
 
 fn odd_poses() -> Vec<Isometry> {
     let mut poses: Vec<Isometry> = [f64::NAN, f64::INFINITY, 1e300, 1e9].map(|x| camera(x, 0.0, 30.0, 10.0)).to_vec();
-    // In, on and below the ground, on a line's border, straight down and up.
+    // These poses lie below, on and above the ground on the border of a line, and look straight down and up, too.
     for z in [-1.0, 0.0, 1e-300, 1e-6, 1e3] {
         for pitch in [-90.0, 0.0, 90.0, f64::NAN] {
             let pose = camera(0.025, 0.5, 10.0, pitch);

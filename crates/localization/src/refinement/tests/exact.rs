@@ -1,16 +1,16 @@
-//! Steps and poses against 256 bits.
+//! Comparison of steps and poses with a computation in 256 bits.
 
 use super::*;
 use realitysim_test_support::exact::{Exact, exact, rounded};
 use realitysim_test_support::measured::largest_error;
 
-/// The same problem once more in 256 bits, written down differently: rotations by Rodrigues' formula, derivatives
-/// by central differences, dense normal equations.
+/// The same problem in 256 bits, written differently: rotations by Rodrigues' formula, derivatives by central differences,
+/// dense normal equations.
 struct Oracle<'a, const N: usize> {
     prior: &'a Prior,
     /// Lower triangular factor of the prior's covariance.
     spread: [[Exact; N]; N],
-    sights: &'a [Sight],
+    measurements: &'a [LineMeasurement],
     scale: f64,
     noise: Noise,
 }
@@ -43,7 +43,7 @@ fn turned(v: &Vector, turn: &Vector) -> Vector {
 }
 
 impl<'a, const N: usize> Oracle<'a, N> {
-    fn new(prior: &'a Prior, sights: &'a [Sight], scale: f64, noise: Noise) -> Self {
+    fn new(prior: &'a Prior, measurements: &'a [LineMeasurement], scale: f64, noise: Noise) -> Self {
         let mut spread: [[Exact; N]; N] = core::array::from_fn(|_| core::array::from_fn(|_| exact(0.0)));
         for i in 0..N {
             for j in 0..=i {
@@ -51,10 +51,10 @@ impl<'a, const N: usize> Oracle<'a, N> {
                 spread[i][j] = if i == j { rest.sqrt() } else { rest / &spread[j][j] };
             }
         }
-        Self { prior, spread, sights, scale, noise }
+        Self { prior, spread, measurements, scale, noise }
     }
 
-    /// Deviations in standard deviations of one measurement, before any loss; `y` in those of the prior.
+    /// Deviations in standard deviations of one measurement, before the loss; `y` is in those of the prior.
     fn deviations(&self, y: &[Exact; N]) -> Vec<Exact> {
         let moved: [Exact; N] =
             core::array::from_fn(|i| (0..=i).fold(exact(0.0), |sum, j| sum + &self.spread[i][j] * &y[j]));
@@ -64,12 +64,12 @@ impl<'a, const N: usize> Oracle<'a, N> {
         let length = [q.x, q.y, q.z, q.w].map(exact).iter().fold(exact(0.0), |sum, x| sum + x * x).sqrt();
         let axis = [q.x, q.y, q.z].map(|x| exact(x) / &length);
         let w = exact(q.w) / &length;
-        self.sights
+        self.measurements
             .iter()
-            .map(|sight| {
+            .map(|measurement| {
                 // q v q*: v + 2 w (a x v) + 2 a x (a x v).
-                let mut ray = vector(sight.ray);
-                for (bend, by) in sight.bends.iter().zip(moved.iter().skip(6)) {
+                let mut ray = vector(measurement.ray);
+                for (bend, by) in measurement.ray_by_lens.iter().zip(moved.iter().skip(6)) {
                     let bend = vector(*bend);
                     ray = core::array::from_fn(|i| &ray[i] + &bend[i] * by);
                 }
@@ -78,18 +78,18 @@ impl<'a, const N: usize> Oracle<'a, N> {
                 let two = exact(2.0);
                 let ray: Vector = core::array::from_fn(|i| &ray[i] + &two * &w * &once[i] + &two * &twice[i]);
                 let ray = turned(&ray, &turn);
-                let point = vector(sight.point);
+                let point = vector(measurement.point);
                 let off: Vector = core::array::from_fn(|i| &point[i] - &start[i] - &moved[i]);
-                let across = cross(&off, &vector(sight.tangent));
+                let across = cross(&off, &vector(measurement.tangent));
                 let residual = dot(&ray, &across) / dot(&across, &across).sqrt();
-                residual * exact(sight.pixels_per_rad) / (exact(self.noise.sigma_px) * exact(sight.sigmas))
+                residual * exact(measurement.pixels_per_rad) / (exact(self.noise.sigma_px) * exact(measurement.sigmas))
             })
             .collect()
     }
 
-    /// The Gauss-Newton step with the loss's weights held, as y.
+    /// The Gauss-Newton step in y, with the weights of the loss held fixed.
     fn step(&self, y: &[Exact; N]) -> [Exact; N] {
-        // Exact enough that the error of central differences, h^2, is below 1e-35.
+        // Small enough that the error of central differences, h^2, is below 1e-35.
         let h = exact(2f64.powi(-60));
         let here = self.deviations(y);
         let columns: Vec<Vec<Exact>> = (0..N)
@@ -122,7 +122,7 @@ impl<'a, const N: usize> Oracle<'a, N> {
                 row
             })
             .collect();
-        // Gauss without pivots: the matrix is positive definite.
+        // Gaussian elimination without pivots: the matrix is positive definite.
         for i in 0..N {
             let (above, below) = rows.split_at_mut(i + 1);
             for row in below {
@@ -153,10 +153,10 @@ fn a_refinement_step_agrees_with_256_bits() {
         let off = Vector6::from_fn(|i, _| normal(seed + 100, i))
             .component_mul(&Vector6::new(0.1, 0.1, 0.01, 0.01, 0.01, 0.05));
         let truth = moved_pose(&start.map_from_optical, &off);
-        let sights = sights(&truth, &corner(), pixel_noise(seed));
+        let measurements = measurements(&truth, &corner(), pixel_noise(seed));
         let noise = Noise::USUAL;
-        let found = solve::step(&start, &sights, &Vector6::zeros(), SCALES[0], noise).expect("a step");
-        let truth = Oracle::<6>::new(&start, &sights, SCALES[0], noise).step(&zero());
+        let found = solve::step(&start, &measurements, &Vector6::zeros(), SCALES[0], noise).expect("a step");
+        let truth = Oracle::<6>::new(&start, &measurements, SCALES[0], noise).step(&zero());
         let size = truth.iter().map(|y| rounded(y).abs()).fold(0.0, f64::max);
         let errors = found.iter().zip(&truth).map(|(found, truth)| rounded(&(exact(*found) - truth)).abs() / size);
         largest = errors.fold(largest, f64::max);
@@ -164,7 +164,7 @@ fn a_refinement_step_agrees_with_256_bits() {
     largest_error(largest, 2e-14, "of the step");
 }
 
-/// The last step, of the lens and of the pose that follows it: what all ten unknowns would do beyond what six do.
+/// The last step is that of the lens and of the pose that follows it: what all ten unknowns do beyond what six do.
 #[test]
 fn a_step_of_the_lens_agrees_with_256_bits() {
     let mut largest = 0.0f64;
@@ -172,11 +172,11 @@ fn a_step_of_the_lens_agrees_with_256_bits() {
         let start = prior_with_lens(camera(0.1 * seed as f64, 0.05, 0.2));
         let off = Vector6::from_fn(|i, _| normal(seed + 100, i))
             .component_mul(&Vector6::new(0.1, 0.1, 0.01, 0.01, 0.01, 0.05));
-        let sights = sights(&moved_pose(&start.map_from_optical, &off), &corner(), pixel_noise(seed));
+        let measurements = measurements(&moved_pose(&start.map_from_optical, &off), &corner(), pixel_noise(seed));
         let noise = Noise::USUAL;
-        let found = solve::joint(&start, &sights, &Vector6::zeros(), SCALES[0], [noise; 2]).expect("a step");
-        let together = Oracle::<10>::new(&start, &sights, SCALES[0], noise).step(&zero());
-        let pose_alone = Oracle::<6>::new(&start, &sights, SCALES[0], noise).step(&zero());
+        let found = solve::joint(&start, &measurements, &Vector6::zeros(), SCALES[0], [noise; 2]).expect("a step");
+        let together = Oracle::<10>::new(&start, &measurements, SCALES[0], noise).step(&zero());
+        let pose_alone = Oracle::<6>::new(&start, &measurements, SCALES[0], noise).step(&zero());
         let following = |i: usize| pose_alone.get(i).map_or(together[i].clone(), |alone| &together[i] - alone);
         let truth: [Exact; 10] = core::array::from_fn(following);
         let size = truth.iter().map(|y| rounded(y).abs()).fold(0.0, f64::max);
@@ -188,7 +188,7 @@ fn a_step_of_the_lens_agrees_with_256_bits() {
     largest_error(largest, 2e-13, "of the step of the lens");
 }
 
-/// Where iterating ends, against the place where the oracle's steps end.
+/// The end of the iteration agrees with the end of the oracle's.
 #[test]
 fn the_refined_pose_is_where_256_bits_put_it() {
     let mut largest = 0.0f64;
@@ -197,9 +197,10 @@ fn the_refined_pose_is_where_256_bits_put_it() {
         let off = Vector6::from_fn(|i, _| normal(seed + 200, i))
             .component_mul(&Vector6::new(0.1, 0.1, 0.01, 0.01, 0.01, 0.05));
         let truth = moved_pose(&start.map_from_optical, &off);
-        let sights = sights(&truth, &corner(), pixel_noise(seed + 10));
-        let found = solve::solve(&start, &sights, &Vector6::zeros(), SCALES[0], Noise::USUAL).expect("a solution");
-        let oracle = Oracle::<6>::new(&start, &sights, SCALES[0], Noise::USUAL);
+        let measurements = measurements(&truth, &corner(), pixel_noise(seed + 10));
+        let found =
+            solve::solve(&start, &measurements, &Vector6::zeros(), SCALES[0], Noise::USUAL).expect("a solution");
+        let oracle = Oracle::<6>::new(&start, &measurements, SCALES[0], Noise::USUAL);
         let mut y = zero();
         for _ in 0..12 {
             let step = oracle.step(&y);
@@ -207,7 +208,7 @@ fn the_refined_pose_is_where_256_bits_put_it() {
         }
         let spread = start.pose_covariance().cholesky().expect("a prior").l();
         let minimum = spread * Vector6::from_fn(|i, _| rounded(&y[i]));
-        let (_, covariance, _) = solved(&start, &sights);
+        let (_, covariance, _) = solved(&start, &measurements);
         let miss = found.moved - minimum;
         largest = (0..6).map(|i| miss[i].abs() / covariance[(i, i)].sqrt()).fold(largest, f64::max);
     }

@@ -1,9 +1,10 @@
-//! Whether what is found is as far off as it says.
+//! Tests whether errors are as large as the covariances say.
 
 use super::*;
+use crate::refinement::paint_displacement;
 
-/// The 95 % ellipse holds 90 to 99 % of the truth where errors along a line are correlated, as those of images are. Where
-/// they are independent it is too wide, by the allowance for what lines share ([`solve::SHARED`]); without that it is right.
+/// The 95 % ellipse holds the truth in 90 to 99 % of draws where errors along a line are correlated, as in images. For
+/// independent errors it is too wide, by the allowance for what lines share ([`solve::SHARED_FACTOR`]); without that it is right.
 #[test]
 fn the_ellipse_holds_the_truth_as_often_as_it_says() {
     const DRAWS: u64 = 1500;
@@ -14,25 +15,25 @@ fn the_ellipse_holds_the_truth_as_often_as_it_says() {
         for seed in 0..DRAWS {
             let off = factor * Vector6::from_fn(|i, _| normal(seed + 10_000, i));
             let truth = moved_pose(&start.map_from_optical, &off);
-            // An autoregressive process along the lines.
+            // Noise along the lines is an autoregressive process.
             let mut last = 0.25 * normal(seed + 20_000, 0);
             let noise = |index: usize| {
                 last = correlation * last + (1.0 - correlation * correlation).sqrt() * 0.25 * normal(seed, index);
                 last
             };
-            let (solution, covariance, condition) = solved(&start, &sights(&truth, &corner(), noise));
+            let (solution, covariance, condition) = solved(&start, &measurements(&truth, &corner(), noise));
             assert_sound(&start, &solution, &covariance, condition);
             let error = error_between(&moved_pose(&start.map_from_optical, &solution.moved), &truth);
             let plane: Matrix2<f64> = covariance.fixed_view::<2, 2>(0, 0).into();
             let xy = Vector2::new(error[0], error[1]);
-            // Squared deviations, each against its 95 % quantile.
+            // Squared deviations relative to their 95 % quantiles.
             let squares = [
                 xy.dot(&(plane.try_inverse().expect("regular") * xy)) / 5.991,
                 error[5] * error[5] / covariance[(5, 5)] / 3.841,
             ];
             for (i, square) in squares.into_iter().enumerate() {
                 stated[i] += usize::from(square < 1.0);
-                bare[i] += usize::from(square * solve::SHARED < 1.0);
+                bare[i] += usize::from(square * solve::SHARED_FACTOR < 1.0);
             }
             nees += error.dot(&(covariance.try_inverse().expect("regular") * error)) / 6.0 / DRAWS as f64;
         }
@@ -45,10 +46,10 @@ fn the_ellipse_holds_the_truth_as_often_as_it_says() {
     }
 }
 
-/// Lenses as wrong as their calibration says, and poses as wrong as the prior: both are found as well as the covariance says, and the
-/// pose is off by less than if the lens were taken for right.
+/// Lenses are as wrong as their calibration allows and poses as wrong as the prior. Both are found as precisely as the covariance
+/// says, and the pose is better than if the lens were taken for right.
 #[test]
-fn what_a_lens_has_wrong_is_found_with_the_pose_and_its_covariance_is_honest() {
+fn errors_of_lens_and_pose_are_found_with_consistent_covariance() {
     const DRAWS: u64 = 800;
     let start = prior_with_lens(camera(0.0, 0.0, 0.1));
     let ignorant = prior(start.map_from_optical);
@@ -59,10 +60,10 @@ fn what_a_lens_has_wrong_is_found_with_the_pose_and_its_covariance_is_honest() {
         let off: Errors = factor * Errors::from_fn(|i, _| normal(seed + 30_000, i));
         let truth = moved_pose(&start.map_from_optical, &pose_part(&off));
         let wrong = Miscalibration { stretch: off[6], shift: DVec2::new(off[7], off[8]), readout_s: off[9] };
-        let mut seen = sights(&truth, &corner(), pixel_noise(seed));
-        for sight in &mut seen {
-            sight.ray = misread(&lens, &wrong, sight.ray).expect("in view");
-            sight.bends = bends(sight.ray);
+        let mut seen = measurements(&truth, &corner(), pixel_noise(seed));
+        for measurement in &mut seen {
+            measurement.ray = misread(&lens, &wrong, measurement.ray).expect("in view");
+            measurement.ray_by_lens = ray_by_lens(measurement.ray);
         }
         let noise = Noise { sigma_px: 0.25, correlated: 1.0 };
         let [.., scale] = SCALES;
@@ -91,10 +92,10 @@ fn what_a_lens_has_wrong_is_found_with_the_pose_and_its_covariance_is_honest() {
     assert!(ignorant < 0.7 && off_m < off_if_ignorant_m, "{ignorant} {off_m} {off_if_ignorant_m}");
 }
 
-/// Its torso sways as nothing tells while row after row is read, and rocks: the pose in the middle row's time is found as well as the
-/// covariance says, and better than by one who takes what is seen for one moment's.
+/// The torso sways and rocks unmeasured while rows are read. The pose at the middle row's time is found as precisely as the
+/// covariance says, and better than without a model of that motion.
 #[test]
-fn where_a_camera_was_that_swayed_unseen_while_rows_were_read_is_known_as_well_as_it_says() {
+fn a_pose_during_unmeasured_sway_has_a_consistent_covariance() {
     for rocks_rad_per_s in [0.0, UNFELT_RAD_PER_S] {
         let [knowing, ignorant] = swayed_unseen(rocks_rad_per_s);
         println!("rocks by {rocks_rad_per_s} rad/s: {knowing:.3?}; taken for one moment's: {ignorant:.3?}");
@@ -103,7 +104,7 @@ fn where_a_camera_was_that_swayed_unseen_while_rows_were_read_is_known_as_well_a
     }
 }
 
-/// Lines painted beside where the description has them: what is stated beside the noise is what they move the pose by, no more and no less.
+/// For lines painted beside their place, `by_paint` covers what they move the pose by.
 #[test]
 fn lines_painted_elsewhere_move_the_pose_as_far_as_is_said() {
     const DRAWS: u64 = 800;
@@ -120,13 +121,13 @@ fn lines_painted_elsewhere_move_the_pose_as_far_as_is_said() {
             .into_iter()
             .enumerate()
             .map(|(line, places)| {
-                let aside = places[0].1.cross(DVec3::Z) * (solve::PAINT_M * normal(seed + 90_000, line));
+                let aside = places[0].1.cross(DVec3::Z) * (paint_displacement::PAINT_M * normal(seed + 90_000, line));
                 places.into_iter().map(|(point, tangent)| (point + aside, tangent)).collect()
             })
             .collect();
-        let mut seen = sights(&truth, &painted, |index| SIGMA_PX * normal(seed, index));
-        for (sight, (point, _)) in seen.iter_mut().zip(corner().concat()) {
-            sight.point = point;
+        let mut seen = measurements(&truth, &painted, |index| SIGMA_PX * normal(seed, index));
+        for (measurement, (point, _)) in seen.iter_mut().zip(corner().concat()) {
+            measurement.point = point;
         }
         let solution = solve::solve(&start, &seen, &Vector6::zeros(), SCALES[0], noise).expect("a solution");
         let joint = solve::joint(&start, &seen, &solution.moved, scale, [noise; 2]).expect("a covariance");
@@ -147,16 +148,18 @@ fn lines_painted_elsewhere_move_the_pose_as_far_as_is_said() {
     assert!(held_by_noise_alone < 0.8, "{held_by_noise_alone}");
 }
 
-/// How honest a pose is on average.
+/// Average consistency of poses with their covariances.
 #[derive(Clone, Copy, Debug, Default)]
 struct Honesty {
     /// Share of the 95 % ellipses that hold the truth.
     held: f64,
+    /// Normalised estimation error squared, divided by the number of unknowns.
     nees: f64,
+    /// Mean error of the position, metres.
     off_m: f64,
 }
 
-/// By one who knows that the camera moved, with a gyro if it does not rock, and by one who does not.
+/// Results with and without a model of the motion. There is a gyro if the camera does not rock.
 fn swayed_unseen(rocks_rad_per_s: f64) -> [Honesty; 2] {
     const DRAWS: u64 = 800;
     const READOUT_S: f64 = 0.025;
@@ -174,12 +177,12 @@ fn swayed_unseen(rocks_rad_per_s: f64) -> [Honesty; 2] {
         let truth = moved_pose(&of_a_moment.map_from_optical, &off);
         let draw = |from: u64| DVec3::from_array(core::array::from_fn(|i| normal(seed + from, i)));
         let (sways, rocks) = (UNSEEN_M_PER_S * draw(60_000), rocks_rad_per_s * draw(70_000));
-        let mut seen = sights(&truth, &corner(), |index| SIGMA_PX * normal(seed, index));
-        for sight in &mut seen {
-            sight.row = row(&lens, lens.project(sight.ray).expect("in view"));
-            sight.distance = sight.point.distance(truth.translation);
-            let place = sight.ray * sight.distance;
-            sight.ray = (place - (sways + rocks.cross(place)) * READOUT_S * sight.row).normalize();
+        let mut seen = measurements(&truth, &corner(), |index| SIGMA_PX * normal(seed, index));
+        for measurement in &mut seen {
+            measurement.row = row(&lens, lens.project(measurement.ray).expect("in view"));
+            measurement.distance = measurement.point.distance(truth.translation);
+            let place = measurement.ray * measurement.distance;
+            measurement.ray = (place - (sways + rocks.cross(place)) * READOUT_S * measurement.row).normalize();
         }
         for (honesty, prior) in honesty.iter_mut().zip([&swaying, &of_a_moment]) {
             let solution = solve::solve(prior, &seen, &Vector6::zeros(), SCALES[0], noise).expect("a solution");

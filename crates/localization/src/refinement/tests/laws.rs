@@ -1,4 +1,4 @@
-//! What holds of any prior and any lines.
+//! Properties that hold for any prior and any lines.
 
 use proptest::prelude::*;
 
@@ -9,13 +9,13 @@ fn tilted(turn: f64) -> DQuat {
 }
 
 proptest! {
-    /// Whatever the lines say, at a fixed pose and fixed noise another one never makes the pose less certain.
+    /// At a fixed pose and fixed noise, another line never makes the pose less certain, whatever it says.
     #[test]
     fn more_lines_never_widen_the_covariance(seed in 0u64..1000, few in 1usize..40) {
         let start = prior_with_lens(camera(0.0, 0.0, 0.0));
-        let all = sights(&start.map_from_optical, &corner(), pixel_noise(seed));
-        let covariance = |sights: &[Sight]| {
-            solve::joint(&start, sights, &Vector6::zeros(), SCALES[1], [Noise::USUAL; 2]).expect("a covariance").covariance
+        let all = measurements(&start.map_from_optical, &corner(), pixel_noise(seed));
+        let covariance = |measurements: &[LineMeasurement]| {
+            solve::joint(&start, measurements, &Vector6::zeros(), SCALES[1], [Noise::USUAL; 2]).expect("a covariance").covariance
         };
         let (less, more) = (covariance(&all[..few]), covariance(&all));
         let factor = less.cholesky().expect("positive definite").l().try_inverse().expect("regular");
@@ -23,7 +23,7 @@ proptest! {
         prop_assert!(ratio.max() <= 1.0 + 1e-9, "{}", ratio);
     }
 
-    /// Field and robot elsewhere together: the same errors of the pose, in turned axes.
+    /// Moving field and robot together gives the same errors of the pose, in rotated axes.
     #[test]
     fn rotating_and_shifting_field_and_robot_together_changes_nothing(
         x in -20.0..20.0f64, y in -20.0..20.0f64, turn in -3.1..3.1f64, seed in 0u64..1000,
@@ -31,13 +31,13 @@ proptest! {
         let moved_by = Isometry::new(tilted(turn), DVec3::new(x, y, 0.0));
         let start = prior(camera(0.1, 0.0, 0.2));
         let truth = moved_pose(&start.map_from_optical, &Vector6::new(0.04, -0.03, 0.004, 0.005, -0.004, 0.02));
-        let here = sights(&truth, &corner(), pixel_noise(seed));
-        let there: Vec<Sight> = here
+        let here = measurements(&truth, &corner(), pixel_noise(seed));
+        let there: Vec<LineMeasurement> = here
             .iter()
-            .map(|sight| Sight {
-                point: moved_by.transform_point(sight.point),
-                tangent: moved_by.transform_vector(sight.tangent),
-                ..*sight
+            .map(|measurement| LineMeasurement {
+                point: moved_by.transform_point(measurement.point),
+                tangent: moved_by.transform_vector(measurement.tangent),
+                ..*measurement
             })
             .collect();
         let mut axes = Matrix6::zeros();
@@ -55,7 +55,7 @@ proptest! {
         prop_assert!((axes * a_covariance * axes.transpose() - b_covariance).amax() < 1e-9);
     }
 
-    /// Any prior, any lines: a covariance that is one, and no number that is none.
+    /// For any prior and any lines the covariance is positive definite and every number finite.
     #[test]
     fn the_covariance_is_positive_definite_always(
         seed in any::<u64>(), count in 0usize..45, sizes in proptest::array::uniform6(-5.0..1.0f64),
@@ -66,7 +66,7 @@ proptest! {
         let mixed = Matrix6::from_fn(|i, j| 10f64.powf(sizes[i]) * (normal(seed, 6 * i + j) + f64::from(u8::from(i == j))));
         let covariance = mixed * mixed.transpose();
         start = Prior::of_pose(start.map_from_optical, &(covariance + Matrix6::identity() * (1e-9 * covariance.trace())));
-        let seen = sights(&start.map_from_optical, &corner(), |index| off_px * normal(seed ^ 1, index));
+        let seen = measurements(&start.map_from_optical, &corner(), |index| off_px * normal(seed ^ 1, index));
         let found = solve::solve(&start, &seen[..count], &Vector6::zeros(), SCALES[0], Noise::USUAL);
         let solution = found.expect("a covariance has a factor");
         let joint =

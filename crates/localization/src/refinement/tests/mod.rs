@@ -1,10 +1,10 @@
-//! Least squares on sights made up from a known pose: no image, so that the truth is exact.
+//! Tests of the least squares on measurements made up from a known pose: without an image, so that the truth is exact.
 
 use glam::{DQuat, DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix6, SymmetricEigen, Vector2, Vector6};
 
+use super::line_measurement::LineMeasurement;
 use super::miscalibration::{Miscalibration, UNFELT_RAD_PER_S, UNSEEN_M_PER_S, row};
-use super::offsets::Sight;
 use super::solve::{self, Noise, Solution};
 use super::{Errors, Prior, SCALES, error_between, moved_pose, pose_block, pose_part};
 use crate::random::{Purpose, Stream};
@@ -17,7 +17,7 @@ mod poor_views;
 
 const PIXELS_PER_RAD: f64 = 205.0;
 
-/// Half a metre above the carpet, looking 20 degrees down.
+/// A camera half a metre above the carpet, looking 20 degrees down.
 fn camera(x: f64, y: f64, yaw: f64) -> Isometry {
     Isometry::from_euler(Euler { yaw, pitch: 0.35, roll: 0.02 }, DVec3::new(x, y, 0.49)) * Isometry::link_from_optical()
 }
@@ -27,7 +27,7 @@ fn prior(map_from_optical: Isometry) -> Prior {
     Prior::of_pose(map_from_optical, &Matrix6::from_diagonal(&sigmas.component_mul(&sigmas)))
 }
 
-/// The same with a lens that is calibrated to half a percent and a pixel or so.
+/// The same prior with a lens that is calibrated to half a percent and about a pixel.
 fn prior_with_lens(map_from_optical: Isometry) -> Prior {
     let mut prior = prior(map_from_optical);
     for (index, sigma) in [(6, 0.005), (7, 0.002), (8, 0.002), (9, 0.015)] {
@@ -37,7 +37,7 @@ fn prior_with_lens(map_from_optical: Isometry) -> Prior {
     prior
 }
 
-/// Places are rays of these tests: what is a metre away.
+/// Velocity of the camera. The tests project rays as if they were points a metre away.
 const MOVING: Twist = Twist { linear: DVec3::new(0.1, 0.0, 0.3), angular: DVec3::new(0.3, -0.2, 0.4) };
 
 fn lens() -> Lens {
@@ -47,20 +47,20 @@ fn lens() -> Lens {
     Lens::new(LensParameters { width: 640, height: 480, fx, fy, cx: 319.5, cy: 239.5, model, fov_deg }).expect("a lens")
 }
 
-/// What is seen through a lens that is off, by one who does not know.
+/// The ray that someone who believes the calibration sees through a lens that is off by `off`.
 fn misread(lens: &Lens, off: &Miscalibration, ray: DVec3) -> Option<DVec3> {
     let late_s = off.readout_s * row(lens, lens.project(ray)?);
     lens.unproject(off.drawn(lens, lens.project(ray + MOVING.passing(ray) * late_s)?))
 }
 
-/// The places of a straight line, every 10 cm.
+/// Points of a straight line, 10 cm apart.
 fn line(from: DVec3, to: DVec3) -> Vec<(DVec3, DVec3)> {
     let count = (from.distance(to) / 0.1).round() as usize;
     let tangent = (to - from).normalize();
     (0..=count).map(|i| (from.lerp(to, i as f64 / count as f64), tangent)).collect()
 }
 
-/// A corner and a line across, as before a penalty area.
+/// A corner and a line across, as at a penalty area.
 fn corner() -> Vec<Vec<(DVec3, DVec3)>> {
     vec![
         line(DVec3::new(1.5, -1.0, 0.0), DVec3::new(1.5, 1.2, 0.0)),
@@ -69,20 +69,24 @@ fn corner() -> Vec<Vec<(DVec3, DVec3)>> {
     ]
 }
 
-/// What a camera sees of them: each ray off its line by `noise(index)` pixels across, and anywhere along it.
-fn sights(truth: &Isometry, lines: &[Vec<(DVec3, DVec3)>], mut noise: impl FnMut(usize) -> f64) -> Vec<Sight> {
-    let mut sights = Vec::new();
+/// Measurements of the lines as a camera sees them: each ray is off its line by `noise(index)` pixels across and arbitrary along it.
+fn measurements(
+    truth: &Isometry,
+    lines: &[Vec<(DVec3, DVec3)>],
+    mut noise: impl FnMut(usize) -> f64,
+) -> Vec<LineMeasurement> {
+    let mut measurements = Vec::new();
     for (line, places) in lines.iter().enumerate() {
         for (index, (point, tangent)) in places.iter().enumerate() {
             let along = 0.03 * ((index % 3) as f64 - 1.0);
             let to = (*point + *tangent * along - truth.translation).normalize();
             let across = (*point - truth.translation).cross(*tangent).normalize();
-            let ray = (to + across * (noise(sights.len()) / PIXELS_PER_RAD)).normalize();
-            sights.push(Sight {
+            let ray = (to + across * (noise(measurements.len()) / PIXELS_PER_RAD)).normalize();
+            measurements.push(LineMeasurement {
                 ray: truth.rotation.conjugate() * ray,
                 row: 0.0,
                 distance: 1.0,
-                bends: bends(truth.rotation.conjugate() * ray),
+                ray_by_lens: ray_by_lens(truth.rotation.conjugate() * ray),
                 point: *point,
                 tangent: *tangent,
                 sigmas: 1.0,
@@ -93,11 +97,11 @@ fn sights(truth: &Isometry, lines: &[Vec<(DVec3, DVec3)>], mut noise: impl FnMut
             });
         }
     }
-    sights
+    measurements
 }
 
-/// By central differences.
-fn bends(ray: DVec3) -> [DVec3; 4] {
+/// Derivatives by central differences.
+fn ray_by_lens(ray: DVec3) -> [DVec3; 4] {
     let lens = lens();
     let small = |by: f64| {
         [
@@ -108,7 +112,7 @@ fn bends(ray: DVec3) -> [DVec3; 4] {
         ]
     };
     let (more, less) = (small(1e-6), small(-1e-6));
-    // Who takes the lens for longer takes what is seen for nearer to the axis.
+    // A lens believed to be longer puts what is seen nearer to the axis.
     let bend = |i: usize| Some((misread(&lens, &less[i], ray)? - misread(&lens, &more[i], ray)?) / 2e-6);
     core::array::from_fn(|i| bend(i).unwrap_or_default())
 }
@@ -121,14 +125,14 @@ fn pixel_noise(seed: u64) -> impl FnMut(usize) -> f64 {
     move |index| 0.25 * normal(seed, index)
 }
 
-/// As a frame is refined: wide loss, then narrow, with the noise that the frame shows.
-fn solved(prior: &Prior, sights: &[Sight]) -> (Solution, Matrix6<f64>, f64) {
+/// Solves as a frame is refined: a wide loss, then a narrow one with the noise that the frame shows.
+fn solved(prior: &Prior, measurements: &[LineMeasurement]) -> (Solution, Matrix6<f64>, f64) {
     let [_, wide, narrow] = SCALES;
-    let first = solve::solve(prior, sights, &Vector6::zeros(), wide, Noise::USUAL).expect("a solution");
+    let first = solve::solve(prior, measurements, &Vector6::zeros(), wide, Noise::USUAL).expect("a solution");
     let noise = Noise { correlated: Noise::USUAL.correlated, ..first.residuals.noise() };
-    let second = solve::solve(prior, sights, &first.moved, narrow, noise).expect("a solution");
+    let second = solve::solve(prior, measurements, &first.moved, narrow, noise).expect("a solution");
     let noise = second.residuals.noise();
-    let joint = solve::joint(prior, sights, &second.moved, narrow, [noise; 2]).expect("a covariance");
+    let joint = solve::joint(prior, measurements, &second.moved, narrow, [noise; 2]).expect("a covariance");
     (second, pose_block(&joint.covariance), joint.condition)
 }
 
@@ -136,7 +140,7 @@ fn assert_sound(prior: &Prior, solution: &Solution, covariance: &Matrix6<f64>, c
     assert!(solution.moved.iter().all(|value| value.is_finite()) && solution.cost.is_finite());
     assert!(covariance == &covariance.transpose() && covariance.cholesky().is_some(), "{covariance}");
     assert!((1.0 - 1e-12..1e12).contains(&condition), "{condition}");
-    // Never more uncertain than before looking: the difference has no negative eigenvalue.
+    // The result is never less certain than the prior: the difference has no negative eigenvalue.
     let spread = prior.pose_covariance().cholesky().expect("a prior").l();
     let inverse = spread.try_inverse().expect("regular");
     let relative = SymmetricEigen::new(inverse * covariance * inverse.transpose()).eigenvalues;

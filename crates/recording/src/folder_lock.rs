@@ -1,0 +1,36 @@
+//! The lock of a folder of captures.
+//!
+//! Recorder, sync and prune delete segments because of acknowledgements, and give and take acknowledgements. Each of
+//! them reads, decides and acts while it holds this lock: what was read before may no longer be true.
+
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+
+/// Exclusive lock of a folder of captures, held until it is dropped or the process ends.
+#[derive(Debug)]
+pub struct FolderLock(#[expect(dead_code, reason = "the lock ends with the open file")] File);
+
+impl FolderLock {
+    /// Waits for the lock of one folder.
+    pub fn in_folder(captures: &Path) -> io::Result<Self> {
+        let folder = File::open(captures)?;
+        folder.lock()?;
+        Ok(Self(folder))
+    }
+
+    /// Waits for the locks of several folders. All callers lock them in the same order, by device and inode, so that
+    /// no two wait for each other.
+    pub fn in_folders(captures: &[&Path]) -> io::Result<Vec<Self>> {
+        let open = |folder: &&Path| {
+            let file = File::open(folder)?;
+            let is = file.metadata()?;
+            Ok(((is.dev(), is.ino()), file))
+        };
+        let mut folders = captures.iter().map(open).collect::<io::Result<Vec<_>>>()?;
+        folders.sort_by_key(|(identity, _)| *identity);
+        folders.dedup_by_key(|(identity, _)| *identity);
+        folders.into_iter().map(|(_, file)| file.lock().map(|()| Self(file))).collect()
+    }
+}

@@ -1,0 +1,433 @@
+//! Locates a single image: lens, tilt and height of the camera are known, x, y and yaw on the field are searched.
+
+use glam::DVec3;
+use nalgebra::{Matrix6, Vector6};
+use serde::Serialize;
+
+use realitysim_geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
+use realitysim_localization::filter::always;
+use realitysim_localization::global_search::{self, Candidate, GlobalSearch, Pace, SearchRequest, SearchState};
+use realitysim_localization::kernel::Points;
+use realitysim_localization::line_distance_map::LineDistanceMap;
+use realitysim_localization::observation::default_alpha;
+use realitysim_localization::refinement::{Agreement, Prior, Refiner, error_between};
+use realitysim_localization::{
+    Effort, Evidence, Filter, FilterSettings, FilterState, Formula, Model, MotionModel, Observation, Sampling,
+    SimdPath, Spread, Support, TriedPose, observation,
+};
+use realitysim_vision::{BodyMask, Observations, Picture, Vision, VisionSettings};
+
+/// What is known about the camera before the image is looked at.
+#[derive(Clone, Debug)]
+pub struct ImagePrior {
+    /// The lens.
+    pub lens: Lens,
+    /// Attitude of `camera_link`; yaw is ignored.
+    pub attitude: Euler,
+    /// Standard deviation of roll and pitch of the attitude.
+    pub tilt_sigma_rad: f64,
+    /// Height of `camera_link` above the carpet.
+    pub height_m: f64,
+    /// Approximate pose of `camera_link` in `map`; without it the whole field is searched.
+    pub initial: Option<Pose2>,
+    /// Pixels that show the robot's own body.
+    pub body: Option<BodyMask>,
+}
+
+/// What an image shows of the ground, which is the same for every field.
+pub struct Look<'a> {
+    picture: &'a Picture,
+    vision: Vision,
+    /// The observations with each attitude that is tried, the given one first.
+    views: Vec<View>,
+}
+
+/// The observations with one attitude of the camera.
+struct View {
+    footprint_from_link: Isometry,
+    seen: Observations,
+}
+
+/// A pose that explains the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseHypothesis {
+    /// Pose of `camera_link` in `map`.
+    pub map_from_link: Isometry,
+    /// Whether the pose is fitted to the lines to a fraction of a pixel. Otherwise it is as the search found it.
+    pub refined: bool,
+    /// How far the lines agree with the pose.
+    pub lines: Agreement,
+    /// Share of the lines seen that the field has where the pose puts them.
+    pub explained: f64,
+    /// Share of the expected line contrast that was found, 0 to 1.
+    pub share: f64,
+    /// Length of painted line in view, each piece weighted by its certainty, in units of 10 cm.
+    pub weight: f64,
+    /// Log likelihood of the lines, and of the tilt as far as it differs from the given one.
+    pub log_likelihood: f64,
+}
+
+/// The result of locating an image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageLocation {
+    /// The poses found, best first; empty if the image shows no line on the ground. The mirror image of each pose explains the
+    /// image as well.
+    pub found: Vec<PoseHypothesis>,
+    /// Whether the whole field was searched, because no approximate pose was given.
+    pub searched: bool,
+}
+
+/// How far the best pose may be trusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FitQuality {
+    /// The pose explains the lines, and no other pose does so nearly as well.
+    Good,
+    /// The pose explains the lines, but a pose elsewhere does so too, or the evidence is too weak to trust it.
+    Doubtful,
+    /// The lines are not explained, or there are hardly any: the pose means nothing.
+    None,
+}
+
+/// Least share of the expected line contrast for a pose to mean something.
+pub const LEAST_SHARE: f64 = 0.4;
+/// Least [`PoseHypothesis::weight`] for a pose to mean something, in units of 10 cm of line.
+pub const LEAST_WEIGHT: f64 = 8.0;
+/// Least digits against chance ([`Agreement::digits`]) of a pose that means something, near an initial pose.
+///
+/// A search of the whole field with all tilts and heights tries some 10^11 poses, one near an initial pose some 10^4.
+const MIN_DIGITS: f64 = 4.0;
+/// Least digits against chance of a pose that means something, after a search of the whole field.
+const MIN_DIGITS_IF_SEARCHED: f64 = 8.0;
+/// Digits against chance from which a pose near an initial pose is trusted.
+const TRUSTED_DIGITS: f64 = 8.0;
+/// Digits against chance from which a pose is trusted after a search of the whole field.
+const TRUSTED_DIGITS_IF_SEARCHED: f64 = 15.0;
+/// Least product of the share of expected lines that fit and the share of seen lines that are expected, for a trusted pose.
+/// With a wrong pose or lens, lines lie beside where they are expected.
+const TRUSTED_BOTH_WAYS: f64 = 0.75;
+/// Decrease of [`TRUSTED_BOTH_WAYS`] for each pixel beyond the first of the width of a line that is seen half the time.
+const BOTH_WAYS_LESS_PER_PX: f64 = 0.1;
+/// Difference in log likelihood by which the best pose must exceed every other.
+const CLEAR_BY: f64 = 2.0;
+
+/// Poses closer than this, in metres and radians, are the same.
+const SAME_M: f64 = 0.4;
+const SAME_RAD: f64 = 0.3;
+
+/// Most poses that are returned.
+const KEPT: usize = 5;
+/// Standard deviation of the tilt of one view: what remains to the next view, and the error of the lens file.
+const TILT_SIGMA_RAD: f64 = 0.005;
+/// Step between the attitudes that are tried.
+const TILT_STEP_RAD: f64 = 0.03;
+/// Range of the attitudes that are tried around the given one, standard deviations.
+const TILT_SIGMAS: f64 = 1.25;
+/// Width of the lines on every field that is played on.
+const LINE_WIDTH_M: f64 = 0.05;
+/// Number of points that stand for all lines of the field.
+const LINE_POINTS: usize = 700;
+/// Width of the band around the carpet in which poses are searched too.
+const SEARCH_MARGIN_M: f64 = 0.5;
+/// Standard deviations of a pose that the search found, before it is refined, and of the given height.
+const START_M: f64 = 0.15;
+const START_RAD: f64 = 0.05;
+const HEIGHT_M: f64 = 0.005;
+/// Smallest standard deviation of the tilt, also if it is known exactly: field and lens differ a little from their files.
+const MIN_TILT_SIGMA_RAD: f64 = 0.0005;
+/// Fewest line places that must fit a refined pose.
+const MIN_FITTING: usize = 15;
+/// Least share of the expected line places that must fit a refined pose. Fields differ from their files, and refinement
+/// moves a pose no farther than its basin.
+const MIN_FITTING_SHARE: f64 = 0.25;
+/// Spread of the particles around an initial pose.
+const INITIAL: Spread = Spread { xy_m: 0.3, yaw_rad: 0.15 };
+const INITIAL_PARTICLES: usize = 2000;
+const INITIAL_ITERATIONS: usize = 8;
+
+impl ImagePrior {
+    /// Pose of `camera_link` in `base_footprint`, the point of the carpet below the camera with the camera's heading.
+    ///
+    /// `roll` and `pitch` are added to those of the attitude, radians.
+    fn footprint_from_link(&self, [roll, pitch]: [f64; 2]) -> Isometry {
+        let tilt = Euler { yaw: 0.0, pitch: self.attitude.pitch + pitch, roll: self.attitude.roll + roll };
+        Isometry::from_euler(tilt, DVec3::new(0.0, 0.0, self.height_m))
+    }
+
+    /// Looks at a picture with the given attitude and, if that may be wrong, with others around it.
+    pub fn look<'a>(&self, picture: &'a Picture) -> Look<'a> {
+        let settings = VisionSettings {
+            reading: observation::reading(Model::Gauss, Formula::Corrected),
+            line_width_m: LINE_WIDTH_M,
+            range_m: 0.0,
+            tilt_sigma_rad: TILT_SIGMA_RAD,
+            nearest_reach_m: 0.25,
+            reduction: 0,
+        };
+        let vision = Vision::new(&self.lens, settings);
+        let views = tilts(self.tilt_sigma_rad).into_iter().map(|more| {
+            let footprint_from_link = self.footprint_from_link(more);
+            let seen = vision.look(picture, &(footprint_from_link * Isometry::link_from_optical()), self.body.as_ref());
+            View { footprint_from_link, seen }
+        });
+        Look { picture, views: views.collect(), vision: vision.clone() }
+    }
+
+    /// Finds the poses on a field that explain what the image shows. `seed` is for the particles around an initial pose.
+    pub fn locate(&self, look: &Look, field: &Field, seed: u64) -> ImageLocation {
+        let alpha = default_alpha(Formula::Corrected);
+        let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
+        let mut search = GlobalSearch::new(field, SEARCH_MARGIN_M, &observation);
+        let mut refiner = Refiner::new(field, &self.lens);
+        let painted = LineDistanceMap::new(field);
+        let mut found = Vec::new();
+        for view in &look.views {
+            let candidates = match self.initial {
+                None => {
+                    let (mut state, mut effort) = (SearchState::default(), Effort::default());
+                    let found = search.run(
+                        &observation,
+                        &view.seen.table,
+                        SearchRequest { candidates: KEPT, pace: Pace::Hurried },
+                        &mut state,
+                        &mut effort,
+                        &mut always,
+                    );
+                    found.unwrap_or_default()
+                }
+                Some(initial) => vec![search_around(&observation, &view.seen, initial, seed)],
+            };
+            found.extend(candidates.iter().map(|candidate| {
+                let start = candidate.pose.to_isometry() * view.footprint_from_link;
+                let unrefined = self.weighed(look, &observation, &painted, start, None);
+                let Some((pose, lines)) = self.refined(&mut refiner, &view.seen, &candidate.pose, &start) else {
+                    return unrefined;
+                };
+                let refined = self.weighed(look, &observation, &painted, pose, Some(lines));
+                // On a field that differs from its file, a refined pose may show less contrast than the one that it came from.
+                // The better of both is used to judge the pose.
+                let PoseHypothesis { share, weight, log_likelihood, .. } =
+                    if refined.log_likelihood >= unrefined.log_likelihood { refined } else { unrefined };
+                PoseHypothesis { share, weight, log_likelihood, ..refined }
+            }));
+        }
+        found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+        let found = found.into_iter();
+        let mut found = without_mirrors(found.filter(|found| found.weight > 0.0));
+        found.truncate(KEPT);
+        ImageLocation { found, searched: self.initial.is_none() }
+    }
+
+    /// The evidence for the best pose, with all poses found as the poses that were tried; `None` if none was found.
+    ///
+    /// Tried poses are those of the point below `camera_link`; their worth is the log likelihood.
+    pub fn evidence(&self, look: &Look, field: &Field, located: &ImageLocation) -> Option<Evidence> {
+        let best = located.found.first()?;
+        let map_from_optical = best.map_from_link * Isometry::link_from_optical();
+        let footprint_from_optical = best.place().to_isometry().inverse() * map_from_optical;
+        let seen = look.vision.look(look.picture, &footprint_from_optical, self.body.as_ref());
+        let (refiner, painted) = (Refiner::new(field, &self.lens), LineDistanceMap::new(field));
+        let tried = located.found.iter().map(|found| {
+            let Pose2 { x, y, yaw } = found.place();
+            let PoseHypothesis { log_likelihood: worth, explained, .. } = *found;
+            TriedPose { x, y, yaw_deg: yaw.to_degrees(), worth, fitting: found.lines.fitting, explained }
+        });
+        Some(Evidence {
+            agreement: best.lines,
+            explained: painted.explained(seen.lines(), &footprint_from_optical, &map_from_optical),
+            tried: tried.collect(),
+            ..Evidence::of_pose(&seen, &refiner, &painted, Some(&footprint_from_optical), &map_from_optical)
+        })
+    }
+
+    /// Refines a pose of `camera_link` to the lines near it; `None` if too few of them fit.
+    fn refined(
+        &self,
+        refiner: &mut Refiner,
+        seen: &Observations,
+        place: &Pose2,
+        start: &Isometry,
+    ) -> Option<(Isometry, Agreement)> {
+        let optical = Isometry::link_from_optical();
+        let given = place.to_isometry() * self.footprint_from_link([0.0; 2]) * optical;
+        let tilt = self.tilt_sigma_rad.max(MIN_TILT_SIGMA_RAD);
+        let sigmas = |tilt: f64| Vector6::new(START_M, START_M, HEIGHT_M, tilt, tilt, START_RAD);
+        let covariance = |sigmas: Vector6<f64>| Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
+        let prior = Prior::of_pose(given, &covariance(sigmas(tilt)));
+        let reach = covariance(sigmas(tilt.min(0.6 * TILT_STEP_RAD)));
+        let start = error_between(&given, &(*start * optical));
+        let refined = refiner.refine_within(&seen.image, &prior, &start, &reach)?;
+        let lines = refined.lines;
+        let agrees = lines.fitting >= MIN_FITTING && lines.share > MIN_FITTING_SHARE;
+        agrees.then(|| (refined.map_from_optical * optical.inverse(), lines))
+    }
+
+    /// Judges a pose by the image, whose ground is computed as seen from that pose.
+    fn weighed(
+        &self,
+        look: &Look,
+        observation: &Observation,
+        painted: &LineDistanceMap,
+        map_from_link: Isometry,
+        lines: Option<Agreement>,
+    ) -> PoseHypothesis {
+        let optical = Isometry::link_from_optical();
+        let place = Pose2::from_isometry(&map_from_link);
+        let footprint_from_optical = place.to_isometry().inverse() * map_from_link * optical;
+        let seen = look.vision.look(look.picture, &footprint_from_optical, self.body.as_ref());
+        let Support { share, weight, .. } = observation.support(seen.lines(), &place);
+        let explained = painted.explained(seen.lines(), &footprint_from_optical, &(map_from_link * optical)).share;
+        let tilt = map_from_link.euler();
+        let sigma = self.tilt_sigma_rad.max(MIN_TILT_SIGMA_RAD);
+        let off = |found: f64, given: f64| wrap_angle(found - given) / sigma;
+        let (roll, pitch) = (off(tilt.roll, self.attitude.roll), off(tilt.pitch, self.attitude.pitch));
+        // A distribution with heavy tails, because a given tilt is either right or far off.
+        let unlikely = libm::log(1.0 + 0.5 * (roll * roll + pitch * pitch));
+        let log_likelihood = observation.log_likelihood(&seen.table, &place) - unlikely;
+        let (refined, lines) = (lines.is_some(), lines.unwrap_or_default());
+        PoseHypothesis { map_from_link, refined, lines, explained, share, weight, log_likelihood }
+    }
+}
+
+/// The changes of roll and pitch that are tried, radians, in order of their size; the first is no change.
+fn tilts(sigma_rad: f64) -> Vec<[f64; 2]> {
+    let most = TILT_SIGMAS * sigma_rad;
+    let steps = libm::round(most / TILT_STEP_RAD) as i32;
+    let mut tilts: Vec<[i32; 2]> = (-steps..=steps)
+        .flat_map(|roll| (-steps..=steps).map(move |pitch| [roll, pitch]))
+        .filter(|[roll, pitch]| roll * roll + pitch * pitch <= steps * steps + 1)
+        .collect();
+    tilts.sort_by_key(|[roll, pitch]| roll * roll + pitch * pitch);
+    tilts.into_iter().map(|tilt| tilt.map(|steps| f64::from(steps) * TILT_STEP_RAD)).collect()
+}
+
+/// Removes poses that are near an earlier one or near its mirror image. Near the halfway line a search finds both.
+fn without_mirrors(found: impl Iterator<Item = PoseHypothesis>) -> Vec<PoseHypothesis> {
+    let mut kept: Vec<PoseHypothesis> = Vec::new();
+    for candidate in found {
+        let mirror = candidate.place().mirrored();
+        let is_known = |known: &PoseHypothesis| {
+            let near = |pose: &Pose2| {
+                let place = known.place();
+                place.distance(pose) < SAME_M && wrap_angle(place.yaw - pose.yaw).abs() < SAME_RAD
+            };
+            near(&mirror) || near(&candidate.place())
+        };
+        if !kept.iter().any(is_known) {
+            kept.push(candidate);
+        }
+    }
+    kept
+}
+
+impl ImageLocation {
+    /// The second best pose, if it explains the image nearly as well as the best one.
+    pub fn rival(&self) -> Option<&PoseHypothesis> {
+        let [best, next, ..] = &self.found[..] else { return None };
+        (best.log_likelihood - next.log_likelihood < CLEAR_BY).then_some(next)
+    }
+
+    /// How far the best pose may be trusted.
+    pub fn fit(&self) -> FitQuality {
+        match self.found[..] {
+            [best, ..] if !best.means_something(self.searched) => FitQuality::None,
+            [_, ..] if self.rival().is_some() => FitQuality::Doubtful,
+            [best, ..] if best.is_trusted(self.searched) => FitQuality::Good,
+            [_, ..] => FitQuality::Doubtful,
+            [] => FitQuality::None,
+        }
+    }
+}
+
+impl PoseHypothesis {
+    /// The pose projected onto the ground: x, y and yaw of `camera_link` in `map`.
+    pub fn place(&self) -> Pose2 {
+        Pose2::from_isometry(&self.map_from_link)
+    }
+
+    fn means_something(&self, searched: bool) -> bool {
+        let digits = if searched { MIN_DIGITS_IF_SEARCHED } else { MIN_DIGITS };
+        self.share >= LEAST_SHARE && self.weight >= LEAST_WEIGHT && self.lines.digits >= digits
+    }
+
+    fn is_trusted(&self, searched: bool) -> bool {
+        let digits = if searched { TRUSTED_DIGITS_IF_SEARCHED } else { TRUSTED_DIGITS };
+        let both_ways = self.lines.share.min(self.lines.foremost) * self.explained;
+        let faint = BOTH_WAYS_LESS_PER_PX * self.lines.fainter_px();
+        self.lines.digits >= digits && both_ways >= TRUSTED_BOTH_WAYS - faint
+    }
+}
+
+/// The best candidate near an initial pose: a particle filter on the one image, then a climb to the maximum.
+fn search_around(observation: &Observation, seen: &Observations, initial: Pose2, seed: u64) -> Candidate {
+    let settings = FilterSettings {
+        sampling: Sampling { particles: INITIAL_PARTICLES, iterations: INITIAL_ITERATIONS, adaptive: false, fewest: 0 },
+        motion: MotionModel::default(),
+        jitter: Spread { xy_m: 0.05, yaw_rad: 0.03 },
+        jitter_shrink: 0.7,
+        seed,
+    };
+    let mut filter = Filter::new(settings, observation.clone(), FilterState::default());
+    filter.restart(initial, INITIAL);
+    let still = Some(Pose2::default());
+    let best = filter.step(still, 0.0, &seen.table, &mut Effort::default(), &mut always).best;
+    let start = Candidate { pose: best, log_likelihood: observation.log_likelihood(&seen.table, &best) };
+    global_search::climb(observation, &seen.table, start, &mut Points::default(), &mut Effort::default())
+}
+
+#[cfg(test)]
+mod tests {
+    use core::f64::consts::PI;
+
+    use super::*;
+
+    /// A hypothesis at which every measure is good.
+    fn found(x: f64, y: f64, yaw: f64, log_likelihood: f64) -> PoseHypothesis {
+        let lines = Agreement { digits: 60.0, share: 0.9, foremost: 0.9, ..Agreement::default() };
+        let map_from_link = Pose2::new(x, y, yaw).to_isometry();
+        PoseHypothesis { map_from_link, refined: true, lines, explained: 0.9, share: 0.9, weight: 30.0, log_likelihood }
+    }
+
+    #[test]
+    fn a_pose_stands_for_its_mirror_and_for_its_neighbours() {
+        let (one, mirror) = (found(0.05, 0.02, 1.0, 9.0), found(-0.05, -0.02, 1.0 - PI, 9.0));
+        let (neighbour, other) = (found(0.1, 0.1, 1.1, 8.5), found(2.0, 0.02, 1.0, 8.0));
+        assert_eq!(without_mirrors([one, mirror, neighbour, other].into_iter()), [one, other]);
+    }
+
+    #[test]
+    fn a_fit_needs_contrast_line_digits_and_no_rival() {
+        let fit = |found: &[PoseHypothesis], searched| ImageLocation { found: found.to_vec(), searched }.fit();
+        let best = found(1.0, 1.0, 0.0, 9.0);
+        assert_eq!(fit(&[], true), FitQuality::None);
+        assert_eq!(fit(&[best], true), FitQuality::Good);
+        assert_eq!(fit(&[best, found(2.0, 1.0, 0.0, 4.0)], true), FitQuality::Good);
+        assert_eq!(fit(&[best, found(2.0, 1.0, 0.0, 8.5)], true), FitQuality::Doubtful);
+        assert_eq!(fit(&[PoseHypothesis { share: 0.3, ..best }], true), FitQuality::None);
+        assert_eq!(fit(&[PoseHypothesis { weight: 3.0, ..best }], true), FitQuality::None);
+        let digits = |digits| PoseHypothesis { lines: Agreement { digits, ..best.lines }, ..best };
+        let fits = [3.0, 6.0, 10.0, 20.0].map(|many| [true, false].map(|searched| fit(&[digits(many)], searched)));
+        assert_eq!(fits[0], [FitQuality::None, FitQuality::None], "by chance");
+        assert_eq!(fits[1], [FitQuality::None, FitQuality::Doubtful], "by chance, on a whole field");
+        assert_eq!(fits[2], [FitQuality::Doubtful, FitQuality::Good]);
+        assert_eq!(fits[3], [FitQuality::Good, FitQuality::Good]);
+        assert_eq!(
+            fit(&[PoseHypothesis { explained: 0.6, ..best }], true),
+            FitQuality::Doubtful,
+            "lines that the field does not have"
+        );
+    }
+
+    #[test]
+    fn tilts_surround_the_given_one_as_far_as_it_may_be_wrong() {
+        assert_eq!(tilts(0.0), [[0.0, 0.0]]);
+        for sigma_rad in [0.02, 0.035, 0.087] {
+            let tilts = tilts(sigma_rad);
+            assert_eq!(tilts[0], [0.0, 0.0], "the given one first");
+            let sum = tilts.iter().fold([0.0, 0.0], |sum, tilt| [sum[0] + tilt[0], sum[1] + tilt[1]]);
+            assert!(sum[0].abs() < 1e-12 && sum[1].abs() < 1e-12, "as many to each side");
+            let most = tilts.iter().map(|tilt| tilt[0]).fold(0.0, f64::max);
+            assert!((most - TILT_SIGMAS * sigma_rad).abs() <= 0.5 * TILT_STEP_RAD, "{sigma_rad}: {most}");
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! The documents lead somewhere: every link to a file or heading of the repository has its target.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+#[test]
+fn every_link_of_a_document_has_its_target() {
+    let mut broken = Vec::new();
+    let documents = documents();
+    assert!(documents.len() > 15, "the documents were not found");
+    for document in &documents {
+        let text = fs::read_to_string(document).expect("a document");
+        for target in links(&text) {
+            let (path, anchor) = target.split_once('#').unwrap_or((target, ""));
+            let folder = document.parent().expect("a file stands in a folder");
+            let file = if path.is_empty() { document.clone() } else { folder.join(path) };
+            let is_there = file.exists() && (anchor.is_empty() || headings(&file).contains(anchor));
+            if !is_there {
+                broken.push(format!("{}: {target}", document.display()));
+            }
+        }
+    }
+    assert!(broken.is_empty(), "{}", broken.join("\n"));
+}
+
+/// The documents that `docs/SUMMARY.md`, the table of contents of the site, leads to: all of `docs`.
+#[test]
+fn the_table_of_contents_names_every_document() {
+    let summary = fs::read_to_string("docs/SUMMARY.md").expect("docs/SUMMARY.md");
+    let named: BTreeSet<PathBuf> = links(&summary).map(|target| Path::new("docs").join(target)).collect();
+    let mut there = BTreeSet::new();
+    collect(Path::new("docs"), &mut there);
+    there.remove(Path::new("docs/SUMMARY.md"));
+    let left_out: Vec<&PathBuf> = there.difference(&named).collect();
+    assert!(left_out.is_empty(), "docs/SUMMARY.md lacks {left_out:?}");
+}
+
+fn documents() -> BTreeSet<PathBuf> {
+    let own = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "STYLE.md", "clients/python/README.md"];
+    let mut all: BTreeSet<PathBuf> = own.iter().map(PathBuf::from).collect();
+    collect(Path::new("docs"), &mut all);
+    all
+}
+
+fn collect(folder: &Path, all: &mut BTreeSet<PathBuf>) {
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            collect(&path, all);
+        } else if path.extension().is_some_and(|ending| ending == "md") {
+            all.insert(path);
+        }
+    }
+}
+
+/// Targets of links and pictures within the repository. What stands in a block of code is no link.
+fn links(text: &str) -> impl Iterator<Item = &str> {
+    let prose = text.lines().filter(|line| !line.starts_with("    "));
+    prose
+        .flat_map(|line| line.split("](").skip(1))
+        .filter_map(|rest| rest.split(')').next())
+        .filter(|target| !target.is_empty() && !target.contains("://") && !target.starts_with("mailto:"))
+}
+
+/// Headings as the anchors that renderers of Markdown make of them.
+fn headings(file: &Path) -> BTreeSet<String> {
+    let text = fs::read_to_string(file).unwrap_or_default();
+    let heading = |line: &str| {
+        let kept = line.trim_start_matches('#').trim().chars().filter_map(|letter| match letter {
+            ' ' => Some('-'),
+            letter if letter.is_alphanumeric() || letter == '-' || letter == '_' => Some(letter.to_ascii_lowercase()),
+            _ => None,
+        });
+        kept.collect()
+    };
+    text.lines().filter(|line| line.starts_with('#')).map(heading).collect()
+}
