@@ -19,8 +19,7 @@ thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
-// An allocator is unsafe by its trait.
-#[allow(unsafe_code)]
+#[allow(unsafe_code, reason = "an allocator is unsafe by its trait")]
 // SAFETY: every call is passed on to the system's allocator as it came.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {

@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use realitysim::localization::Rejection;
+
 #[test]
 fn every_link_of_a_document_has_its_target() {
     let mut broken = Vec::new();
@@ -22,6 +24,17 @@ fn every_link_of_a_document_has_its_target() {
         }
     }
     assert!(broken.is_empty(), "{}", broken.join("\n"));
+}
+
+/// Each reason of an invalid tag has its row among those of the `reason` of a tag, and each row names a reason.
+#[test]
+fn every_rejection_is_documented() {
+    let text = fs::read_to_string("docs/reference/formats.md").expect("docs/reference/formats.md");
+    let table = text.lines().skip_while(|line| !line.starts_with("| `reason` | meaning |")).skip(2);
+    let rows = table.take_while(|line| line.starts_with('|')).filter_map(|line| line.split('|').nth(1));
+    let documented: BTreeSet<&str> = rows.flat_map(|names| names.split('`').skip(1).step_by(2)).collect();
+    let all: BTreeSet<&str> = Rejection::ALL.iter().map(|rejection| rejection.as_str()).collect();
+    assert_eq!(documented, all);
 }
 
 /// The documents that `docs/SUMMARY.md`, the table of contents of the site, leads to: all of `docs`.

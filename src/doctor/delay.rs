@@ -13,7 +13,7 @@ use crate::log_input::decode;
 use crate::log_input::measurement::{self, Measurement};
 use crate::recording::read_info;
 use crate::tagging::error::ReplayError;
-use crate::tagging::input_source::{self, OpenLog};
+use crate::tagging::open_input::{self, OpenLog};
 use crate::vision::Turning;
 
 /// Result of `realitysim doctor --estimate-delay`.
@@ -53,7 +53,7 @@ const MAX_FRAMES: usize = 2700;
 pub fn estimate_delay(path: &Path, settings: &Settings) -> Result<DelayReport, DelayReportError> {
     let log = newest_capture(path)?;
     let configured_ns = read_info(&log).ok().and_then(|info| info.live).map_or(0, |live| live.camera_delay_ns) as f64;
-    let opened = input_source::log(&log, settings)?;
+    let opened = open_input::log(&log, settings)?;
     let rotations = Rotations::of(opened)?;
     let found = estimate(&rotations.turns, |from, to| rotations.carrier_turn(from, to))
         .map_err(|source| DelayReportError::Delay { log: log.clone(), source })?;

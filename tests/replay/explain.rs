@@ -23,6 +23,7 @@ fn a_frame_is_explained_in_words_numbers_and_a_picture() {
     let evidence = &said["evidence"];
     let number = |key: &str| evidence[key].as_f64().expect("a number");
     assert!(number("digits") > 10.0 && number("foremost") > 0.9 && number("contrast") > number("noise"), "{evidence}");
+    assert!(number("explained_in_view") > 0.97, "ridges lie on painted lines, however far: {evidence}");
     let count = |finding: &str| {
         let lines = evidence["lines"].as_array().expect("lines");
         lines.iter().filter(|line| line["finding"] == finding).count()

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use super::checkpoint::Checkpoint;
 use super::error::ReplayError;
-use super::input_source::{self, OpenLog};
+use super::open_input::{self, OpenLog};
 use super::perception_pool::decode_picture;
 use super::replay::Progress;
 use super::setup::Setup;
@@ -61,10 +61,10 @@ pub struct Sight {
 pub fn explain(options: &ExplainOptions, progress: Progress) -> Result<Explanation, ReplayError> {
     if InputSource::is_scene(&options.source) {
         let scene = scene_source::load(&options.source)?;
-        let (setup, messages) = input_source::scene(&scene, &options.source, &options.settings)?;
+        let (setup, messages) = open_input::scene(&scene, &options.source, &options.settings)?;
         return ReplayToFrame::new(options, setup, None).through(messages, progress);
     }
-    let OpenLog { setup, mut messages, checkpoint, .. } = input_source::log(&options.source, &options.settings)?;
+    let OpenLog { setup, mut messages, checkpoint, .. } = open_input::log(&options.source, &options.settings)?;
     ReplayToFrame::new(options, setup, checkpoint)
         .through(messages.by_ref().map(|message| message.map_err(ReplayError::from)), progress)
 }

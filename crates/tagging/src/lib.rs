@@ -2,7 +2,7 @@
 //!
 //! [`pipeline`] is the chain itself. It synchronises messages ([`realitysim_log_input`]), looks at images on several
 //! threads, runs the localizer frame after frame ([`Tagger`]) and hands messages and tags to the recorder. [`replay()`]
-//! feeds it from a log or a scene ([`input_source`]); the live recorder feeds it from devices. [`checkpoint`] stores the
+//! feeds it from a log or a scene ([`open_input`]); the live recorder feeds it from devices. [`checkpoint`] stores the
 //! filter's state so that each segment replays alone, and [`dead_reckoning`] predicts poses while no frame comes.
 //! Other uses of the same parts: [`single_image`] locates one image, [`explanation`] shows what a tag follows from,
 //! [`frame_cache`] tries settings on the same frames again, [`offline_refinement`] refines a whole capture afterwards.
@@ -50,10 +50,10 @@ pub mod error;
 pub mod explanation;
 mod filter_stats;
 pub mod frame_cache;
-pub mod input_source;
 pub mod inter_session;
 pub mod log_scan;
 pub mod offline_refinement;
+pub mod open_input;
 mod perception_pool;
 pub mod pipeline;
 pub mod replay;

@@ -12,7 +12,7 @@ use nalgebra::{Matrix6, Vector6};
 use thiserror::Error;
 
 use super::error::ReplayError;
-use super::input_source::{self, OpenLog};
+use super::open_input::{self, OpenLog};
 use super::perception_pool::decode_picture;
 use realitysim_geometry::{Isometry, Lens, LensError, LensParameters, Projector};
 use realitysim_localization::refinement::LinePoints;
@@ -176,7 +176,7 @@ fn measure_lines(
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<(Vec<Frame>, Vec<Loss>), RefineError> {
     let OpenLog { setup, mut messages, checkpoint, frames: count, lost, .. } =
-        input_source::log(capture, &info.settings)?;
+        open_input::log(capture, &info.settings)?;
     let known = checkpoint.map_or_else(|| setup.synchroniser.clone(), |checkpoint| checkpoint.synchroniser);
     let mut synchroniser = Synchroniser::new(setup.settings.frames.clone(), known);
     synchroniser.expect(setup.expected);

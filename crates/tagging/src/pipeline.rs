@@ -495,7 +495,7 @@ impl Pipeline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::input_source;
+    use crate::open_input;
     use realitysim_log_input::scene_source;
 
     const SCENE: &str = include_str!("../../../tests/replay/scene.toml");
@@ -513,7 +513,7 @@ mod tests {
         // With segments of one second the disk has confirmed at least the first of two segments.
         let mut settings = Settings::default();
         settings.recording.segment_s = 1;
-        let (setup, messages) = input_source::scene(&scene, &path, &settings).expect("opened");
+        let (setup, messages) = open_input::scene(&scene, &path, &settings).expect("opened");
         let captures = folder.path().join("captures");
         let recording = Recording {
             captures: captures.clone(),

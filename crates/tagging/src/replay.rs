@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use super::budget::Decisions;
 use super::checkpoint::Checkpoint;
 use super::error::ReplayError;
-use super::input_source::{self, BEGAN_ANEW, OpenLog};
+use super::open_input::{self, BEGAN_ANEW, OpenLog};
 use super::pipeline::{Pipeline, Recorded, Recording};
 use super::report::{ReplayReport, file_damage};
 use super::setup::Setup;
@@ -52,7 +52,7 @@ pub fn replay(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 
 fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
     let OpenLog { setup, mut messages, checkpoint, frames, lost, warnings, decided } =
-        input_source::log(&options.source, &options.settings)?;
+        open_input::log(&options.source, &options.settings)?;
     let mut run = Run::new(options, setup, checkpoint, decided);
     run.report.lost.extend(lost);
     run.report.warnings.extend(warnings);
@@ -64,7 +64,7 @@ fn replay_log(options: &ReplayOptions, progress: Progress) -> Result<ReplayRepor
 
 fn replay_scene(options: &ReplayOptions, progress: Progress) -> Result<ReplayReport, ReplayError> {
     let scene = scene_source::load(&options.source)?;
-    let (setup, messages) = input_source::scene(&scene, &options.source, &options.settings)?;
+    let (setup, messages) = open_input::scene(&scene, &options.source, &options.settings)?;
     let total = Some(scene.frame_count());
     Run::new(options, setup, None, Decisions::new()).through(messages, &mut |done| progress(done, total))
 }

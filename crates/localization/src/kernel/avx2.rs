@@ -26,8 +26,7 @@ impl LookUp {
     /// of the time of single loads. Earlier ones are patched against "Gather Data Sampling" (INTEL-SA-00828), which makes gathers
     /// several times slower, and AMD's gather one element at a time.
     fn chosen() -> Self {
-        // Older compilers require `unsafe` here.
-        #[allow(unused_unsafe)]
+        #[allow(unused_unsafe, reason = "older compilers require `unsafe` here")]
         // SAFETY: every x86-64 processor has `cpuid`.
         let vendor = unsafe { __cpuid(0) };
         let is_intel = [vendor.ebx, vendor.edx, vendor.ecx].map(u32::to_le_bytes).as_flattened() == b"GenuineIntel";

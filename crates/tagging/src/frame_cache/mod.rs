@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use super::budget::{Budget, Decisions};
 use super::error::ReplayError;
-use super::input_source::{self, OpenLog};
+use super::open_input::{self, OpenLog};
 use super::perception_pool::{PerceptionError, decode_picture};
 use super::replay::Progress;
 use super::setup::{FramePerception, SetupError};
@@ -110,7 +110,7 @@ impl FrameCache {
 
     /// Loads frames from a scene. `options.source` is only its name for error texts.
     pub fn of_scene(scene: &Scene, options: &FrameCacheOptions, progress: Progress) -> Result<Self, ReplayError> {
-        let (setup, messages) = input_source::scene(scene, &options.source, &options.settings)?;
+        let (setup, messages) = open_input::scene(scene, &options.source, &options.settings)?;
         let mut keeper = FrameCollector::new(options, setup, None);
         keeper.take_all(messages, &mut |done| progress(done, Some(scene.frame_count())))?;
         keeper.finish(&options.source)
@@ -118,7 +118,7 @@ impl FrameCache {
 
     fn of_log(options: &FrameCacheOptions, progress: Progress) -> Result<Self, ReplayError> {
         let OpenLog { setup, mut messages, checkpoint, frames, lost, .. } =
-            input_source::log(&options.source, &options.settings)?;
+            open_input::log(&options.source, &options.settings)?;
         let mut keeper = FrameCollector::new(options, setup, checkpoint);
         let read = messages.by_ref().map(|message| message.map_err(ReplayError::from));
         keeper.take_all(read, &mut |done| progress(done, Some(frames)))?;
