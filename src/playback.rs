@@ -116,8 +116,8 @@ pub fn play(options: &PlayOptions, stop: &AtomicBool) -> Result<Played, PlayErro
     match &options.source {
         PlaySource::Capture(path) => play_capture(options, path, stop),
         PlaySource::Trajectory { poses, database, settings } => {
-            let gallery = ImageDatabase::open(database, settings)?;
-            play_trajectory(options, poses, &gallery, stop)
+            let database = ImageDatabase::open(database, settings)?;
+            play_trajectory(options, poses, &database, stop)
         }
     }
 }
@@ -181,7 +181,7 @@ fn jpeg(rgb: &[u8], width: usize, height: usize) -> Option<Vec<u8>> {
 fn play_trajectory(
     options: &PlayOptions,
     poses: &[(f64, Isometry)],
-    gallery: &ImageDatabase,
+    database: &ImageDatabase,
     stop: &AtomicBool,
 ) -> Result<Played, PlayError> {
     let mut player: Option<Player> = None;
@@ -195,7 +195,7 @@ fn play_trajectory(
             may_be_stored: true,
             without: Vec::new(),
         };
-        let shown = match (gallery.view(&wanted), &mut player) {
+        let shown = match (database.view(&wanted), &mut player) {
             (Ok(shown), _) => shown,
             // Counted as a frame that a camera drops: the walk goes on.
             (Err(DatabaseError::View(_) | DatabaseError::Image { .. }), Some(player)) => {

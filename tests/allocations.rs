@@ -131,10 +131,10 @@ fn tagging_a_frame_allocates_the_names_in_its_tag_and_nothing_else() {
         from_s: 0.0,
         for_s: Some(4.0),
     };
-    let footage = FrameCache::load(&options, &mut |_, _| {}).expect("a scene of the shelf");
+    let cache = FrameCache::load(&options, &mut |_, _| {}).expect("a scene of the shelf");
     let (mut counts, mut last) = (Vec::with_capacity(100), 0);
-    footage
-        .try_out(footage.settings(), &mut |_| {
+    cache
+        .try_out(cache.settings(), &mut |_| {
             let now = ALLOCATIONS.get();
             counts.push(now - last);
             last = now;

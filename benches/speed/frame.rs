@@ -16,11 +16,11 @@ pub fn run(quick: bool) {
         from_s: 0.0,
         for_s: Some(if quick { 2.0 } else { 15.0 }),
     };
-    let footage = FrameCache::load(&options, &mut |_, _| {}).expect("a scene of the shelf");
+    let cache = FrameCache::load(&options, &mut |_, _| {}).expect("a scene of the shelf");
     let times = |adaptive: bool, simd: SimdPath| {
-        let mut settings = footage.settings().clone();
+        let mut settings = cache.settings().clone();
         (settings.filter.adaptive, settings.filter.simd) = (adaptive, simd);
-        let attempts = footage.try_out(&settings, &mut |_| {}).expect("possible settings");
+        let attempts = cache.try_out(&settings, &mut |_| {}).expect("possible settings");
         Times::of(attempts.iter().map(|attempt| attempt.tag.elapsed_ms).collect())
     };
     times(true, SimdPath::Auto);

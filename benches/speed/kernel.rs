@@ -4,7 +4,7 @@ use core::f64::consts::TAU;
 
 use glam::{DVec2, DVec3};
 use realitysim::geometry::Pose2;
-use realitysim::localization::global_search::{Candidate, GlobalSearch, Pace, SearchRequest, SearchState};
+use realitysim::localization::global_search::{Candidate, GlobalSearch, SearchRate, SearchRequest, SearchState};
 use realitysim::localization::kernel::{Points, available, sum_levels};
 use realitysim::localization::observation::default_alpha;
 use realitysim::localization::{Effort, Formula, Observation, Particles, SimdPath, Spread};
@@ -96,7 +96,7 @@ fn search(bench: &mut Bench, view: &View) {
             .max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
     };
     bench.compare("search of the field, coarse to fine; every 10 cm and 3 deg", None, everywhere, || {
-        let wanted = SearchRequest { candidates: 4, pace: Pace::Hurried };
+        let wanted = SearchRequest { candidates: 4, rate: SearchRate::Fast };
         search.run(&observation, table, wanted, &mut SearchState::default(), &mut Effort::default(), &mut |_| true)
     });
 }

@@ -4,7 +4,7 @@
 //! OpenCV's `remap` does the same map in the same run, taking turns, if `REALITYSIM_PYTHON` names an interpreter that has it
 //! (`opencv-python-headless`): times differ from machine to machine, and with what else it does; their ratio does not.
 
-mod gallery;
+mod database;
 mod opencv;
 mod scale;
 mod setting;
@@ -41,7 +41,7 @@ fn main() {
     let _ = writeln!(text);
     speed::run(rounds, &mut text);
     let _ = writeln!(text);
-    gallery::run(rounds, &mut text);
+    database::run(rounds, &mut text);
     print!("{text}");
     if let Some(path) = write {
         let document = std::fs::read_to_string(&path).expect("the document");

@@ -10,7 +10,7 @@ use super::values::whole;
 use super::{Outcome, output, paths};
 use crate::evaluation::Summary;
 use crate::evaluation::reference::Difference;
-use crate::evaluation::suite::{self, Broken, CaseReport, LEAST, Options, Suite, Watcher};
+use crate::evaluation::suite::{self, Broken, CaseReport, LOWER_LIMITS, Options, Suite, Watcher};
 
 /// Run a suite of logs and scenes and hold their tags to limits
 ///
@@ -134,7 +134,7 @@ fn verdict(case: &CaseReport) -> &'static str {
 fn faults(case: &CaseReport) -> Vec<String> {
     let broken = case.broken.iter().map(|Broken { limit, value, allowed }| {
         let value = value.map_or_else(|| "not there".to_owned(), |value| format!("{value:.4}"));
-        let bound = if LEAST.contains(limit) { "at least" } else { "at most" };
+        let bound = if LOWER_LIMITS.contains(limit) { "at least" } else { "at most" };
         let c = &case.judged.comparison;
         let why = match *limit {
             "judged_share" => {

@@ -75,17 +75,17 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
                 UsageError(format!("{name}: it has no effect of the kind worn_lines, whose share is varied")).into()
             );
         };
-        let footage = FrameCache::of_scene(&faded, &options, &mut |_, _| {})?;
+        let cache = FrameCache::of_scene(&faded, &options, &mut |_, _| {})?;
         let truth = truth::of_scene(&faded);
         let (contrasts, noises): (Vec<f64>, Vec<f64>) =
-            footage.contrasts()?.into_iter().map(|[contrast, noise]| (contrast, noise)).unzip();
+            cache.contrasts()?.into_iter().map(|[contrast, noise]| (contrast, noise)).unzip();
         // The contrast of faint lines is computed from the paint; a measurement in images where they cannot be found is
         // worse.
         let full = *full_contrast.get_or_insert_with(|| Summary::of(&contrasts).median);
-        let total = (PAINT.len() * variants.len() * footage.frames()) as u64;
+        let total = (PAINT.len() * variants.len() * cache.frames()) as u64;
         let tags = variants.iter().map(|variant| {
-            let tuned = variant.knobs.set(footage.settings(), settings.filter.seed);
-            let run = footage.try_out(&tuned, &mut |_| {
+            let tuned = variant.sweep_point.set(cache.settings(), settings.filter.seed);
+            let run = cache.try_out(&tuned, &mut |_| {
                 done += 1;
                 progress.set(done, Some(total));
             })?;
@@ -94,7 +94,7 @@ pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome>
         let tags = tags.collect::<anyhow::Result<Vec<_>>>()?;
         let noise = Summary::of(&noises).median;
         let contrast_to_noise = if noise > 0.0 { paint * full / noise } else { 0.0 };
-        let places = Detection::of(&footage.responses(&truth)?);
+        let places = Detection::of(&cache.responses(&truth)?);
         steps.push(Step { paint, contrast_to_noise, tags, places });
     }
     progress.finish();

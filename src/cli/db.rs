@@ -253,17 +253,17 @@ fn report_checked(checked: &Checked, json: bool) -> anyhow::Result<Outcome> {
 }
 
 fn coverage(arguments: &CoverageArguments, json: bool) -> anyhow::Result<Outcome> {
-    let gallery = ImageDatabase::open(&arguments.db, &Settings::default().views)?;
-    let half = gallery.field().carpet_half_extent() / arguments.cell;
+    let database = ImageDatabase::open(&arguments.db, &Settings::default().views)?;
+    let half = database.field().carpet_half_extent() / arguments.cell;
     let cells = 4.0 * half.x * half.y * f64::from(arguments.headings);
     if cells > MAX_CELLS {
         let what = format!("--cell and --headings make {cells:.0} cells: at most {MAX_CELLS:.0} are counted");
         return Err(UsageError(what).into());
     }
-    let found = database::coverage(gallery.index(), gallery.field(), arguments.cell, usize::from(arguments.headings));
+    let found = database::coverage(database.index(), database.field(), arguments.cell, usize::from(arguments.headings));
     if let Some(path) = &arguments.output {
         check_output(path, &[&arguments.db])?;
-        save(&database::coverage_picture(&found, gallery.field()), path)?;
+        save(&database::coverage_picture(&found, database.field()), path)?;
     }
     if json {
         output::json(&found)?;

@@ -343,7 +343,7 @@ fn report(explained: &Explained) -> Value {
                 json!({"pixel": [line.pixel.x, line.pixel.y], "visibility": line.visibility, "finding": finding, "found": found})
             })
             .collect();
-        let unexplained = shown.iter().filter(|(_, is_painted)| !is_painted).count();
+        let unexplained = shown.iter().filter(|(_, is_on_line)| !is_on_line).count();
         report["evidence"] = json!({
             "contrast": contrast.is_finite().then_some(contrast), "noise": noise,
             "expected": agreement.expected, "fitting": agreement.fitting, "share": agreement.share,

@@ -98,25 +98,25 @@ fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, thre
         for_s: arguments.for_s,
     };
     let truth = truth_of(path, settings)?;
-    let footage = FrameCache::load(&options, &mut |_, _| {})?;
-    let falsehoods = falsehoods(footage.field(), footage.lens());
+    let cache = FrameCache::load(&options, &mut |_, _| {})?;
+    let falsehoods = falsehoods(cache.field(), cache.lens());
     let tasks: Vec<(&Falsehood, bool)> =
         [false, true].iter().flat_map(|unknown| falsehoods.iter().map(|said| (said, *unknown))).collect();
     let source = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
     let mut progress = output::Progress::new("tagging");
-    let total = (tasks.len() * footage.frames()) as u64;
+    let total = (tasks.len() * cache.frames()) as u64;
     let (next, found) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let (say, heard) = mpsc::channel();
     thread::scope(|scope| {
         for _ in 0..threads.min(tasks.len()) {
             let say = say.clone();
-            let (tasks, next, found, footage, truth) = (&tasks, &next, &found, &footage, &truth);
+            let (tasks, next, found, cache, truth) = (&tasks, &next, &found, &cache, &truth);
             scope.spawn(move || {
                 loop {
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     let Some((said, unknown)) = tasks.get(index) else { return };
                     // The receiver may be gone; the frames are tagged all the same.
-                    let run = said.tag(footage, footage.settings(), *unknown, &mut |_| {
+                    let run = said.tag(cache, cache.settings(), *unknown, &mut |_| {
                         let _ = say.send(());
                     });
                     let control = run.map(|run| Control::of(said, *unknown, &run, truth));
@@ -131,7 +131,7 @@ fn controls(arguments: &FalsifyArguments, path: &Path, settings: &Settings, thre
     let mut found = found.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
     found.sort_by_key(|(index, _)| *index);
     let controls = found.into_iter().map(|(_, control)| control).collect::<Result<Vec<_>, _>>()?;
-    Ok(Source { source, frames: footage.frames(), controls })
+    Ok(Source { source, frames: cache.frames(), controls })
 }
 
 fn truth_of(path: &Path, settings: &Settings) -> anyhow::Result<Vec<(i64, Isometry)>> {

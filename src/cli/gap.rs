@@ -78,8 +78,8 @@ pub fn run(arguments: &GapArguments, json: bool) -> anyhow::Result<Outcome> {
     if let Some(path) = &arguments.output {
         check_output(path, &[&arguments.db])?;
     }
-    let gallery = ImageDatabase::open(&arguments.db, &settings.views)?;
-    let count = gallery.index().len();
+    let database = ImageDatabase::open(&arguments.db, &settings.views)?;
+    let count = database.index().len();
     anyhow::ensure!(count > 0, crate::database::DatabaseError::Empty);
     let frames = usize::from(arguments.frames).min(count);
     let mut rows: Vec<Vec<Row>> = vec![Vec::new(); FORMS.len()];
@@ -87,15 +87,15 @@ pub fn run(arguments: &GapArguments, json: bool) -> anyhow::Result<Outcome> {
     let mut pictures = Vec::new();
     for frame in 0..frames {
         let number = (2 * frame + 1) * count / (2 * frames);
-        let forms = forms(&gallery, number, arguments.apart)?;
+        let forms = forms(&database, number, arguments.apart)?;
         let Some((camera, pose, images)) = forms else { continue };
-        let world = World::without_goals(gallery.field());
+        let world = World::without_goals(database.field());
         let target = Target::new(&camera, &pose, &world);
         let (width, height) = (camera.width(), camera.height());
         let ground = (0..width * height).map(|i| target.surface(i % width, i / width));
         let judge = Judge {
             arguments,
-            own: Detector::new(camera.lens(), gallery.field()),
+            own: Detector::new(camera.lens(), database.field()),
             ground: ground.map(|surface| surface == Some(crate::views::Surface::Ground)).collect(),
             recorded: &images[0],
             pose,
@@ -131,14 +131,14 @@ pub fn run(arguments: &GapArguments, json: bool) -> anyhow::Result<Outcome> {
 type Forms = (Arc<Camera>, Isometry, Vec<Raster>);
 
 /// Makes all forms of one image. `None` if no view can be made, since no other image is near.
-fn forms(gallery: &ImageDatabase, number: usize, apart: f64) -> anyhow::Result<Option<Forms>> {
-    let record = gallery.index().record(number);
-    let (pose, camera) = (record.pose(), gallery.camera(&record).context("an image of an unknown source")?);
-    let recorded = gallery.image(number).map_err(anyhow::Error::msg)?;
+fn forms(database: &ImageDatabase, number: usize, apart: f64) -> anyhow::Result<Option<Forms>> {
+    let record = database.index().record(number);
+    let (pose, camera) = (record.pose(), database.camera(&record).context("an image of an unknown source")?);
+    let recorded = database.image(number).map_err(anyhow::Error::msg)?;
     // 512 neighbours are far more than a walk has within that distance.
-    let near = gallery.index().nearest(&pose, 512, &gallery.metric());
+    let near = database.index().nearest(&pose, 512, &database.metric());
     let held_out = |at: &crate::database::Neighbour| {
-        gallery.index().record(at.number).pose().translation.distance(pose.translation) < apart
+        database.index().record(at.number).pose().translation.distance(pose.translation) < apart
     };
     let mut without: Vec<usize> = near.iter().filter(|at| held_out(at)).map(|at| at.number).collect();
     without.push(number);
@@ -153,7 +153,7 @@ fn forms(gallery: &ImageDatabase, number: usize, apart: f64) -> anyhow::Result<O
             may_be_stored: true,
             without: without.clone(),
         };
-        match gallery.view(&wanted) {
+        match database.view(&wanted) {
             Ok(shown) => images.push(shown.answer.image),
             Err(crate::database::DatabaseError::View(_) | crate::database::DatabaseError::Image { .. }) => {
                 return Ok(None);
@@ -161,7 +161,7 @@ fn forms(gallery: &ImageDatabase, number: usize, apart: f64) -> anyhow::Result<O
             Err(error) => return Err(error.into()),
         }
     }
-    images.push(rendered(gallery, camera, &pose)?);
+    images.push(rendered(database, camera, &pose)?);
     Ok(Some((Arc::clone(camera), pose, images)))
 }
 
@@ -186,9 +186,9 @@ poses = [[0.0, 0.0, 0.0]]
 hold_s = 1.0
 "#;
 
-fn rendered(gallery: &ImageDatabase, camera: &Camera, pose: &Isometry) -> anyhow::Result<Raster> {
+fn rendered(database: &ImageDatabase, camera: &Camera, pose: &Isometry) -> anyhow::Result<Raster> {
     let lens = camera.lens().parameters().clone();
-    let scene = Scene::build(SceneFile::from_toml(SCENE)?, gallery.field().dimensions().clone(), lens)?;
+    let scene = Scene::build(SceneFile::from_toml(SCENE)?, database.field().dimensions().clone(), lens)?;
     let mut rgb = Vec::new();
     Renderer::new(&scene).render_clean(pose, 0, &mut rgb);
     Raster::from_rgb(camera.width(), camera.height(), &rgb, camera.shows())

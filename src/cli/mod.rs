@@ -37,6 +37,7 @@ mod sessions;
 mod settings;
 mod sim;
 mod soak;
+mod status_text;
 mod sync;
 mod tag;
 mod values;

@@ -12,7 +12,7 @@ use super::values::any_number;
 use crate::config::{load_lens_for_image, plain_file};
 use crate::geometry::{Euler, Pose2};
 use crate::log_input::{body_mask, decode};
-use crate::tagging::single_image::{ImagePrior, LEAST_SHARE, LEAST_WEIGHT, PoseHypothesis};
+use crate::tagging::single_image::{ImagePrior, MIN_SHARE, MIN_WEIGHT, PoseHypothesis};
 use crate::vision::Picture;
 
 #[derive(Args)]
@@ -99,7 +99,7 @@ pub fn rgb(picture: &Picture) -> anyhow::Result<RgbImage> {
 pub fn explain_no_pose(best: Option<&PoseHypothesis>) -> String {
     let found = match best {
         None => "there is no line of a field where the ground is in view".to_owned(),
-        Some(best) if best.share >= LEAST_SHARE && best.weight >= LEAST_WEIGHT => {
+        Some(best) if best.share >= MIN_SHARE && best.weight >= MIN_WEIGHT => {
             "the best pose's lines lie where chance would put some as well".to_owned()
         }
         Some(best) => format!(
@@ -107,8 +107,8 @@ pub fn explain_no_pose(best: Option<&PoseHypothesis>) -> String {
              needed",
             100.0 * best.share,
             0.1 * best.weight,
-            100.0 * LEAST_SHARE,
-            0.1 * LEAST_WEIGHT
+            100.0 * MIN_SHARE,
+            0.1 * MIN_WEIGHT
         ),
     };
     format!("{found}: check the image, --lens, --attitude, --height and --field")

@@ -4,15 +4,14 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use serde_json::Value;
 
 use super::settings::{SettingsArguments, UsageError, check_initial, planar_pose};
+use super::status_text::status_text;
 use super::values::whole;
 use super::{Outcome, output};
 use crate::config::load_field;
 use crate::geometry::{Field, Pose2};
-use crate::live::{RecordOptions, ask, poses, record, stop_flag};
-use crate::localization::Rejection;
+use crate::live::{RecordOptions, Status, ask, poses, record, stop_flag};
 
 /// Control socket of the service; a user's own recorder may have another.
 const SOCKET: &str = "/run/realitysim/control.sock";
@@ -61,23 +60,21 @@ pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
     if json {
         output::json(&status)?;
     } else {
-        output::lines(&for_people(&status))?;
+        output::lines(&status_text(&status))?;
     }
     Ok(if recorder_lost_data(&status) { Outcome::DataLost } else { Outcome::Whole })
 }
 
 /// Whether recorded data was lost in any of the recorder's sessions. Frames that the camera dropped do not count, data that
 /// could not be written does.
-fn recorder_lost_data(status: &Value) -> bool {
-    let earlier = &status["earlier"];
-    let lost = |counts: &Value| counts["lost"].as_object().is_some_and(|causes| !causes.is_empty());
-    let refused = |recorder: &Value| recorder["frames_refused"].as_u64() > Some(0);
-    !status["unfinished"].is_null()
-        || earlier["unfinished"].as_u64() > Some(0)
-        || lost(&status["counts"])
-        || lost(&earlier["counts"])
-        || refused(&status["recorder"])
-        || refused(earlier)
+fn recorder_lost_data(status: &Status) -> bool {
+    let earlier = &status.earlier;
+    status.unfinished.is_some()
+        || earlier.unfinished > 0
+        || !status.counts.lost.is_empty()
+        || !earlier.counts.lost.is_empty()
+        || status.recorder.frames_refused > 0
+        || earlier.frames_refused > 0
 }
 
 /// Commands to a running recorder.
@@ -155,7 +152,9 @@ pub fn send_command(command: &RecorderCommand, json: bool) -> anyhow::Result<Out
     if json {
         output::json(&answer)?;
     } else if matches!(command, RecorderCommand::Status(_)) {
-        output::lines(&for_people(&answer))?;
+        let status: Status = serde_json::from_value(answer.clone())
+            .map_err(|error| anyhow::anyhow!("{}: the recorder is of another version: {error}", at.socket.display()))?;
+        output::lines(&status_text(&status))?;
     } else if let Some(session) = answer["session"].as_str() {
         output::lines(session)?;
     }
@@ -179,184 +178,4 @@ fn unreachable_recorder(at: &SocketArguments, error: &std::io::Error) -> anyhow:
         }
         _ => anyhow::anyhow!("{socket}: {error}"),
     }
-}
-
-fn for_people(status: &Value) -> String {
-    let text = |key: &str| status[key].as_str().unwrap_or("-").to_owned();
-    let counts = &status["counts"];
-    let number = |key: &str| counts[key].as_u64().unwrap_or(0);
-    let mut lines = vec![
-        format!("{}  {}", text("state"), text("session")),
-        format!(
-            "{} captured, {} written, {} tagged, {} valid",
-            number("captured"),
-            number("written"),
-            number("tagged"),
-            number("valid")
-        ),
-    ];
-    let earlier = &status["earlier"];
-    if let Some(sessions @ 1..) = earlier["sessions"].as_u64() {
-        let number = |key: &str| earlier["counts"][key].as_u64().unwrap_or(0);
-        lines.push(format!(
-            "before it {sessions} sessions: {} captured, {} written, {} tagged, {} valid; {} not whole",
-            number("captured"),
-            number("written"),
-            number("tagged"),
-            number("valid"),
-            earlier["unfinished"]
-        ));
-    }
-    let dropped = counts["dropped"].as_object().into_iter().flatten();
-    let dropped: Vec<String> = dropped.map(|(cause, count)| format!("{count} {cause}")).collect();
-    if !dropped.is_empty() {
-        lines.push(format!("dropped: {}", dropped.join(", ")));
-    }
-    lines.extend(recorder_for_people(&status["recorder"]));
-    match status["camera_lost"].as_str() {
-        Some(cause) => lines.push(format!("camera: away ({cause})")),
-        None => lines.push(format!("camera: {}", status["camera"]["card"].as_str().unwrap_or("none yet"))),
-    }
-    let rate = |key: &str| status["rates"][key].as_f64().unwrap_or(0.0);
-    let budget = |key: &str| status["budget"][key].as_f64().unwrap_or(0.0);
-    let allowed = match budget("budget_ms") {
-        0.0 => String::new(),
-        allowed => format!(" of {allowed} ms"),
-    };
-    lines.push(format!(
-        "last second: {:.1} captured, {:.1} written, {:.1} tagged; {} of 16 frames wait to be taken",
-        rate("captured_hz"),
-        rate("written_hz"),
-        rate("tagged_hz"),
-        status["camera_waiting"]
-    ));
-    if status["validity"]["frames"].as_u64().is_none_or(|frames| frames == 0) {
-        lines.push("tags: none yet".to_owned());
-    } else {
-        lines.push(format!("tags: {:.1} ms each, 1 % over {:.1} ms{allowed}", budget("p50_ms"), budget("p99_ms")));
-        lines.push(format!("valid: {} of the last {}", status["validity"]["valid"], status["validity"]["frames"]));
-        let filter = |key: &str| status["filter"][key].as_f64().unwrap_or(0.0);
-        lines.push(format!(
-            "filter: {:.0} particles, spread {:.1} cm, time was up in {:.0} % of the frames",
-            filter("particles"),
-            100.0 * filter("spread_m"),
-            100.0 * filter("capped")
-        ));
-    }
-    if let Some(passed_on) = status["republished"].as_object() {
-        let lost = passed_on["lost"].as_str().map_or(String::new(), |why| format!(" ({why})"));
-        let device = passed_on["device"].as_str().unwrap_or("-");
-        lines.push(format!("{device}: {} passed on, {} missed{lost}", passed_on["passed"], passed_on["missed"]));
-    }
-    for (device, port) in status["ports"].as_object().into_iter().flatten() {
-        if let Some(why) = port["closed"].as_str() {
-            lines.push(format!("{device}: {why}"));
-            continue;
-        }
-        if let Some(said) = port["trouble"]["said"].as_str() {
-            lines.push(format!("{device}: TROUBLE: {said}"));
-        }
-        lines.push(format!(
-            "{device}: {} messages, {} lost, {} checksums wrong, {} bytes skipped",
-            port["frames"], port["lost"], port["crc_failures"], port["bytes_skipped"]
-        ));
-        for clock in port["clocks"].as_array().into_iter().flatten() {
-            lines.push(format!(
-                "  {}.{}: clock {:.6} s behind to {:.2} ms by {}, drift {:.1} ppm",
-                clock["system"],
-                clock["component"],
-                clock["offset_ns"].as_f64().unwrap_or(0.0) * 1e-9,
-                clock["uncertainty_ns"].as_f64().unwrap_or(0.0) * 1e-6,
-                clock["source"].as_str().unwrap_or("-"),
-                clock["drift_ppm"].as_f64().unwrap_or(0.0)
-            ));
-        }
-    }
-    if let Some(thinned @ 1..) = counts["thinned"].as_u64() {
-        lines.push(format!("{thinned} thinned out, as recording.thinning asks"));
-    }
-    let coverage = &status["coverage"];
-    if let Some(map) = coverage["map"].as_array() {
-        let number = |key: &str| coverage[key].as_u64().unwrap_or(0);
-        lines.push(format!(
-            "images of {} of {} poses (cells of {} m, {} headings: a digit says of how many, # of all, . of none)",
-            number("filled"),
-            number("cells"),
-            coverage["cell_m"],
-            number("sectors")
-        ));
-        lines.extend(map.iter().filter_map(Value::as_str).map(|row| format!("  {row}")));
-    }
-    if let Some(tag) = status["last_tag"].as_object() {
-        let float = |key: &str| tag[key].as_f64().unwrap_or(f64::NAN);
-        let reason = tag["reason"].as_str();
-        let is_predicted = reason == Some(Rejection::NoFrame.as_str());
-        let what = match reason {
-            Some(_) if is_predicted && tag["ambiguous"] == true => {
-                "predicted, for want of frames; the mirror pose is as likely".to_owned()
-            }
-            Some(_) if is_predicted => "predicted, for want of frames".to_owned(),
-            Some(reason) if tag["valid"] != true => format!("{reason}, {:.1} ms", float("elapsed_ms")),
-            _ if tag["ambiguous"] == true => format!("valid up to the mirror, {:.1} ms", float("elapsed_ms")),
-            _ => format!("valid, {:.1} ms", float("elapsed_ms")),
-        };
-        let age = match float("age_s") {
-            old if old >= 1.0 => format!(", {old:.0} s ago"),
-            _ => String::new(),
-        };
-        lines.push(format!(
-            "x {:.2} m, y {:.2} m (±{:.1} cm), yaw {:.1} deg: {what}{age}",
-            float("x_m"),
-            float("y_m"),
-            100.0 * float("sigma_m"),
-            float("yaw_rad").to_degrees(),
-        ));
-    }
-    lines.join("\n")
-}
-
-/// Describes the recorder's queue, what a power cut would cost, and the state of the disk.
-fn recorder_for_people(recorder: &Value) -> Vec<String> {
-    let ms = |key: &str| recorder[key].as_f64().unwrap_or(0.0);
-    let mebibytes = |key: &str| recorder[key].as_f64().unwrap_or(0.0) / f64::from(1 << 20);
-    let conserved = if recorder["conserved"] == true {
-        "captured = written + thinned + dropped + waiting"
-    } else {
-        "FRAMES ARE UNACCOUNTED FOR"
-    };
-    let mut lines = vec![
-        format!(
-            "recorder: {} frames wait for the disk, {:.1} of {:.0} MiB; {:.0} MiB of the disk free; {conserved}",
-            recorder["frames_waiting"],
-            mebibytes("queue_bytes"),
-            mebibytes("queue_limit_bytes"),
-            mebibytes("free_bytes")
-        ),
-        match recorder["fault"].is_null() {
-            true => format!(
-                "a power cut costs at most {:.2} s (worst stall {:.0} ms; worst so far {:.2} s)",
-                ms("loss_bound_ms") / 1e3,
-                ms("worst_stall_ms"),
-                ms("worst_unsynced_ms") / 1e3
-            ),
-            false => "a power cut costs all that waits for the disk: it refuses".to_owned(),
-        },
-    ];
-    if let Some(cause) = recorder["stopped"]["cause"].as_str() {
-        let what = if recorder["stopped"]["frames_only"] == true { "frames are not" } else { "nothing is" };
-        lines.push(format!("DISK: {cause}: {what} recorded"));
-    }
-    if let Some(fault) = recorder["fault"].as_object() {
-        lines.push(format!(
-            "DISK: {}: {}",
-            fault["cause"].as_str().unwrap_or("-"),
-            fault["said"].as_str().unwrap_or("-")
-        ));
-    }
-    let faults = recorder["faults"].as_object().into_iter().flatten();
-    let faults: Vec<String> = faults.map(|(cause, count)| format!("{count} {cause}")).collect();
-    if !faults.is_empty() {
-        lines.push(format!("disk errors: {}; {} segments given up", faults.join(", "), recorder["segments_given_up"]));
-    }
-    lines
 }

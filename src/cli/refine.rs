@@ -157,8 +157,8 @@ fn view_psnr(capture: &Path, views: usize) -> anyhow::Result<Option<Summary>> {
         added => added?,
     };
     let settings = crate::config::ViewsSettings { goals: false, ..Settings::default().views };
-    let gallery = ImageDatabase::open(&db, &settings)?;
-    let found = leave_one_out(&gallery, views, &mut |_| ())?;
+    let database = ImageDatabase::open(&db, &settings)?;
+    let found = leave_one_out(&database, views, &mut |_| ())?;
     Ok((!found.is_empty()).then(|| Summary::of(&found)))
 }
 

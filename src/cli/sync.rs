@@ -186,7 +186,7 @@ fn print_report(report: &Report, store: &Store, json: bool) -> anyhow::Result<()
     for it in &report.lost {
         output::say(&format!("lost: {it}"));
     }
-    for (robot, machines) in &report.namesakes {
+    for (robot, machines) in &report.shared_names {
         let robot = output::without_control_characters(robot);
         eprintln!(
             "realitysim: {} robots call themselves {robot}: {} (give each its own `robot = ` in its config)",

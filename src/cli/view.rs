@@ -19,7 +19,7 @@ use crate::geometry::{Euler, Isometry, Lens};
 use crate::log_input::scene_source;
 use crate::scene::ViewOverlay;
 use crate::views::{
-    Camera, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method, NOTHING, Provenance,
+    Camera, FAR_M, MAX_FAR_M, MAX_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MIN_HEIGHT_M, Method, NOTHING, Provenance,
     Raster, UNSURE, World,
 };
 
@@ -43,7 +43,7 @@ pub struct ViewArguments {
     #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = place())]
     y: f64,
     /// Height of camera_link above the ground, metres
-    #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = number(LEAST_HEIGHT_M..=MOST_HEIGHT_M))]
+    #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = number(MIN_HEIGHT_M..=MAX_HEIGHT_M))]
     z: f64,
     /// Heading of camera_link in map, degrees
     #[arg(long, value_name = "DEG", allow_hyphen_values = true, value_parser = turn())]
@@ -170,26 +170,26 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     let mut wanted = view_query(arguments);
     let scene = arguments.scene.as_deref().map(scene_source::load).transpose()?;
-    let gallery = ImageDatabase::open(&arguments.db, &settings.views)?;
-    wanted.camera = camera(arguments, &gallery, &wanted)?;
-    let mut shown = gallery.view(&wanted)?;
+    let database = ImageDatabase::open(&arguments.db, &settings.views)?;
+    wanted.camera = camera(arguments, &database, &wanted)?;
+    let mut shown = database.view(&wanted)?;
     let overlay = scene.map(|scene| ViewOverlay::new(&scene, shown.camera.lens(), arguments.figures == Figures::Draw));
     let apply = |shown: &mut ViewResult| {
-        overlay.as_ref().map_or_else(Vec::new, |overlay| apply(overlay, arguments.frame, gallery.world(), shown))
+        overlay.as_ref().map_or_else(Vec::new, |overlay| apply(overlay, arguments.frame, database.world(), shown))
     };
     if let Some(overlay) = &overlay {
-        overlay.check(gallery.field())?;
+        overlay.check(database.field())?;
     }
     let effects = apply(&mut shown);
     if arguments.side_by_side {
-        save(&side_by_side_panels(&gallery, &wanted, &shown, apply)?, &arguments.output)?;
+        save(&side_by_side_panels(&database, &wanted, &shown, apply)?, &arguments.output)?;
     } else {
         write(&shown, &arguments.output)?;
     }
     if let Some(path) = &arguments.mask {
         save(&mask(&shown.answer.image), path)?;
     }
-    let report = Report { effects, ..report(&gallery, &shown, arguments) };
+    let report = Report { effects, ..report(&database, &shown, arguments) };
     if json {
         output::json(&report)?;
     } else {
@@ -223,13 +223,13 @@ fn view_query(arguments: &ViewArguments) -> ViewQuery {
 /// Camera with the lens and size asked for; `None` stands for that of the nearest image.
 fn camera(
     arguments: &ViewArguments,
-    gallery: &ImageDatabase,
+    database: &ImageDatabase,
     wanted: &ViewQuery,
 ) -> anyhow::Result<Option<Arc<Camera>>> {
     let size = [arguments.width, arguments.height];
     let given = arguments.lens.as_deref().map(load_lens).transpose()?.map(|file| file.lens.parameters().clone());
     let nearest = || {
-        let camera = gallery.nearest_camera(&wanted.map_from_link);
+        let camera = database.nearest_camera(&wanted.map_from_link);
         camera.map(|camera| camera.lens().parameters().clone())
     };
     let lens = match (given, size) {
@@ -278,7 +278,7 @@ fn mask(raster: &Raster) -> RgbImage {
 
 /// Puts four panels together: nearest image, paper's view, exact view, and the exact view's mask.
 fn side_by_side_panels<T>(
-    gallery: &ImageDatabase,
+    database: &ImageDatabase,
     wanted: &ViewQuery,
     exact: &ViewResult,
     apply: impl Fn(&mut ViewResult) -> T,
@@ -288,7 +288,7 @@ fn side_by_side_panels<T>(
         [("nearest image", Method::Nearest), ("paper (Eq. 3-4)", Method::Paper), ("exact", Method::Exact)]
     {
         let camera = Some(Arc::clone(&exact.camera));
-        let shown = gallery.view(&ViewQuery { method, camera, ..wanted.clone() });
+        let shown = database.view(&ViewQuery { method, camera, ..wanted.clone() });
         let (image, caption) = match shown {
             Ok(mut shown) => {
                 apply(&mut shown);
@@ -322,11 +322,11 @@ fn side_by_side_panels<T>(
     Ok(drawing::panels(&panels, 2))
 }
 
-fn report(gallery: &ImageDatabase, shown: &ViewResult, arguments: &ViewArguments) -> Report {
+fn report(database: &ImageDatabase, shown: &ViewResult, arguments: &ViewArguments) -> Report {
     let answer = &shown.answer;
     let source = |used: &crate::views::UsedSource| {
-        let record = gallery.index().record(used.id as usize);
-        let source = gallery.catalogue().sources.get(record.source as usize);
+        let record = database.index().record(used.id as usize);
+        let source = database.catalogue().sources.get(record.source as usize);
         Source {
             file: source.and_then(|source| source.file(record.file)).unwrap_or_default(),
             offset: record.offset,

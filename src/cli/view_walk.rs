@@ -22,7 +22,7 @@ use crate::evaluation::{Summary, drawing};
 use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
 use crate::log_input::encode::jpeg;
 use crate::tagging::single_image::ImagePrior;
-use crate::views::{LEAST_HEIGHT_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
+use crate::views::{MAX_HEIGHT_M, MAX_TURN_DEG, MIN_HEIGHT_M, Method};
 use crate::vision::Picture;
 
 /// Walk through a database: views along a straight way, as in Fig. 11 and 12 of the paper
@@ -43,7 +43,7 @@ pub struct ViewWalkArguments {
     #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
     to: Option<Pose2>,
     /// Height of camera_link; without it the mean of the database's
-    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = number(LEAST_HEIGHT_M..=MOST_HEIGHT_M))]
+    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = number(MIN_HEIGHT_M..=MAX_HEIGHT_M))]
     z: Option<f64>,
     /// Degrees, above 0 looks down; without it the mean of the database's
     #[arg(long, value_name = "DEG", allow_hyphen_values = true, value_parser = number(-MAX_TURN_DEG..=MAX_TURN_DEG))]
@@ -100,10 +100,10 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     let folder = &arguments.output;
     check_output(folder, &[&arguments.db])?;
     make_folder(folder)?;
-    let gallery = ImageDatabase::open(&arguments.db, &settings.views)?;
-    anyhow::ensure!(!gallery.index().is_empty(), crate::database::DatabaseError::Empty);
-    let (from, to) = end_poses(arguments, &gallery);
-    let (mean_z, mean_pitch) = mean_height_and_pitch(&gallery);
+    let database = ImageDatabase::open(&arguments.db, &settings.views)?;
+    anyhow::ensure!(!database.index().is_empty(), crate::database::DatabaseError::Empty);
+    let (from, to) = end_poses(arguments, &database);
+    let (mean_z, mean_pitch) = mean_height_and_pitch(&database);
     let (z, pitch) = (arguments.z.unwrap_or(mean_z), arguments.pitch.map_or(mean_pitch, f64::to_radians));
     let frames = usize::from(arguments.frames);
     let (mut steps, mut jpegs, mut thumbs, mut camera) = (Vec::new(), Vec::new(), Vec::new(), None);
@@ -125,7 +125,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
             may_be_stored: true,
             without: Vec::new(),
         };
-        let shown = gallery.view(&wanted)?;
+        let shown = database.view(&wanted)?;
         let image = &shown.answer.image;
         let (width, height, rgb) = (image.width, image.height, image.to_rgb());
         jpegs.push(jpeg(&rgb, width, height, ColorType::Rgb, JPEG_QUALITY)?);
@@ -138,7 +138,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
             body: None,
         };
         let picture = Picture::from_rgb(width, height, &rgb).context("a view without pixels")?;
-        let located = known.locate(&known.look(&picture), gallery.field(), 1);
+        let located = known.locate(&known.look(&picture), database.field(), 1);
         let found = located.found.first().filter(|found| found.refined).map(|found| found.place());
         let made = match shown.answer.made {
             crate::views::Provenance::Stored => "stored",
@@ -184,17 +184,17 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     Ok(Outcome::Whole)
 }
 
-fn end_poses(arguments: &ViewWalkArguments, gallery: &ImageDatabase) -> (Pose2, Pose2) {
-    let d = gallery.field().dimensions();
+fn end_poses(arguments: &ViewWalkArguments, database: &ImageDatabase) -> (Pose2, Pose2) {
+    let d = database.field().dimensions();
     let paper = |x: f64, y: f64, yaw: f64| Pose2 { x: 0.5 * x - d.length_m / 2.0, y: 0.5 * y - d.width_m / 2.0, yaw };
     (arguments.from.unwrap_or(paper(0.0, 3.0, 0.0)), arguments.to.unwrap_or(paper(8.0, 6.0, 4.0)))
 }
 
 /// Mean height (m) and pitch (rad) of the database's images.
-fn mean_height_and_pitch(gallery: &ImageDatabase) -> (f64, f64) {
-    let count = gallery.index().len() as f64;
+fn mean_height_and_pitch(database: &ImageDatabase) -> (f64, f64) {
+    let count = database.index().len() as f64;
     let (mut z, mut pitch) = (0.0, 0.0);
-    for record in gallery.index().records() {
+    for record in database.index().records() {
         let [x, y, qz, w] = record.rotation.map(f64::from);
         z += f64::from(record.place[2]) / count;
         pitch += Euler::from_rotation(DQuat::from_xyzw(x, y, qz, w)).pitch / count;

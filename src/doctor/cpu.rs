@@ -27,7 +27,7 @@ pub(super) fn check_headroom(settings: &Settings) -> Option<Finding> {
     };
     let tried = FrameCache::of_scene(&scene, &options, &mut |_, _| {})
         .map_err(|error| error.to_string())
-        .and_then(|footage| footage.try_out(settings, &mut |_| {}).map_err(|error| error.to_string()));
+        .and_then(|cache| cache.try_out(settings, &mut |_| {}).map_err(|error| error.to_string()));
     let attempts = match tried {
         Ok(attempts) => attempts,
         Err(error) => return Some(bad(what, error, "see the message")),

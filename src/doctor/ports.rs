@@ -145,7 +145,10 @@ mod tests {
     use super::*;
 
     fn counts(used: &[(&'static str, u64)]) -> PortCounts {
-        PortCounts { used: used.iter().copied().collect(), ..PortCounts::default() }
+        PortCounts {
+            used: used.iter().map(|(name, count)| ((*name).into(), *count)).collect(),
+            ..PortCounts::default()
+        }
     }
 
     #[test]

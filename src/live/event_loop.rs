@@ -13,7 +13,7 @@ use super::messages::{Messages, Names};
 use super::notifications::Announced;
 use super::port_events::PortUpdate;
 use super::rates::Meters;
-use super::status::{CoverageStatus, Status};
+use super::status::{CoverageStatus, RecorderState, Status};
 use super::watchdog::{Rounds, Watchdog};
 use super::{RecordError, RecordOptions};
 use crate::config::Settings;
@@ -31,8 +31,6 @@ use crate::tagging::pipeline::Pipeline;
 /// Time for which the ports are heard before the first session begins: clocks settle, and it becomes known what the robot
 /// measures.
 const INITIAL_LISTENING: Duration = Duration::from_millis(1500);
-/// State before the first session.
-const LISTENING: &str = "listening";
 /// Longest wait for an event, and so for a command.
 pub(super) const TICK: Duration = Duration::from_millis(50);
 
@@ -89,7 +87,7 @@ impl<'a> LiveRecorder<'a> {
             had_session: false,
             tags: None,
             heard: Expected::default(),
-            status: Status { state: LISTENING, ..Status::default() },
+            status: Status::default(),
             meters: Meters::default(),
             last_log_ns: i64::MIN,
             status_logged_ns: i64::MIN,
@@ -111,7 +109,7 @@ impl<'a> LiveRecorder<'a> {
         while listened.elapsed() < listen && !stop.load(Ordering::Relaxed) {
             self.step(events, say)?;
         }
-        let wanted = self.status.state == LISTENING && !stop.load(Ordering::Relaxed);
+        let wanted = self.status.state == RecorderState::Listening && !stop.load(Ordering::Relaxed);
         let began = if wanted { self.begin_session(say) } else { Ok(()) };
         let went_on = began.and_then(|()| {
             // Notifies systemd; without a supervisor that asked for it this does nothing.
@@ -171,12 +169,12 @@ impl<'a> LiveRecorder<'a> {
                     camera.width,
                     camera.height
                 ));
-                self.status.camera = json!(camera);
+                self.status.camera = Some(camera);
                 self.status.camera_lost = None;
             }
             DeviceEvent::CameraLost { cause, said } => {
                 say(&format!("{said}; it is tried again"));
-                self.status.camera_lost = Some(cause);
+                self.status.camera_lost = Some(cause.to_owned());
                 self.log_event("camera", cause, &said)?;
             }
             DeviceEvent::Dropped { cause, count } => {
@@ -242,8 +240,7 @@ impl<'a> LiveRecorder<'a> {
         let done = match order.what {
             ControlCommand::Status => {
                 self.refresh_status();
-                let grid = self.session.as_ref().map(|session| session.coverage().clone());
-                self.status.coverage = grid.map(|grid| CoverageStatus { map: grid.text(), grid });
+                self.status.coverage = self.session.as_ref().map(|session| CoverageStatus::from(session.coverage()));
                 Ok(json!(self.status))
             }
             ControlCommand::Mark(_) if self.session.is_none() => {

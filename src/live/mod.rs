@@ -18,11 +18,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, bounded};
-use serde_json::{Value, json};
 use thiserror::Error;
 
 pub use control::{ask, poses};
-pub use status::Status;
+pub use port_events::Port;
+pub use status::{LastTag, RecorderState, Status};
 
 use crate::config::{ConfigError, Settings, load_lens};
 use crate::devices::host_clock::{monotonic_ns, utc_offset_ns};
@@ -76,7 +76,7 @@ pub enum RecordError {
 const MAX_REPAIRS_TOLD: usize = 64;
 
 /// Records until `stop` and returns the last status. `say` gets messages for people as they come up.
-pub fn record(options: &RecordOptions, stop: &AtomicBool, say: &mut dyn FnMut(&str)) -> Result<Value, RecordError> {
+pub fn record(options: &RecordOptions, stop: &AtomicBool, say: &mut dyn FnMut(&str)) -> Result<Status, RecordError> {
     if let Some(session) = session_holding(&options.captures) {
         return Err(RecordError::IntoCapture { captures: options.captures.clone(), session });
     }
@@ -98,8 +98,8 @@ pub fn record(options: &RecordOptions, stop: &AtomicBool, say: &mut dyn FnMut(&s
     drop(events);
     devices.join();
     recorded?;
-    status.state = "ended";
-    Ok(json!(status))
+    status.state = RecorderState::Ended;
+    Ok(status)
 }
 
 /// Parameters of the configured lens.

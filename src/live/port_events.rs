@@ -2,13 +2,13 @@
 
 use std::collections::VecDeque;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::devices::mavlink::PortCounts;
 use crate::devices::serial::{LineStatus, Trouble};
 
 /// State of one serial port; part of `realitysim status`.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Port {
     /// Why the port is not open, if it is not.
     pub closed: Option<String>,
@@ -16,19 +16,20 @@ pub struct Port {
     pub trouble: Option<PortTrouble>,
     #[serde(flatten)]
     pub line: Option<LineStatus>,
+    /// The fault that `trouble` describes.
+    #[serde(skip)]
+    fault: Option<Trouble>,
     /// Counts of the last seconds, one entry each, the newest last.
     #[serde(skip)]
     history: VecDeque<PortCounts>,
 }
 
 /// A lasting fault of an open port.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PortTrouble {
     /// `silent`, `no_messages`, `echo`, `unusable`, `lost` or `noisy`.
-    pub cause: &'static str,
+    pub cause: String,
     pub said: String,
-    #[serde(skip)]
-    is: Trouble,
 }
 
 /// Seconds that a fault must last until it is reported: a heartbeat comes once a second.
@@ -41,7 +42,7 @@ impl Port {
     pub fn set_closed(&mut self, closed: Option<String>) -> bool {
         let news = self.closed != closed;
         self.closed = closed;
-        self.trouble = None;
+        (self.trouble, self.fault) = (None, None);
         self.history.clear();
         news
     }
@@ -49,10 +50,10 @@ impl Port {
     /// Takes the port's counts, once a second. Returns the changes to report.
     pub fn update(&mut self, line: LineStatus) -> Vec<PortUpdate> {
         let mut news = self.restarted_clocks(&line);
-        let last = self.trouble.take();
+        let last = self.fault.take();
         let found = self.trouble_within(MIN_TROUBLE_S, &line).or_else(|| {
             let lasting = self.trouble_within(MIN_QUIET_S, &line)?;
-            last.as_ref().is_some_and(|last| lasting.is_like(&last.is)).then_some(lasting)
+            last.as_ref().is_some_and(|last| lasting.is_like(last)).then_some(lasting)
         });
         if self.history.len() >= MIN_QUIET_S {
             self.history.pop_front();
@@ -60,15 +61,17 @@ impl Port {
         self.history.push_back(line.counts.clone());
         self.line = Some(line);
 
-        self.trouble = found.map(|is| PortTrouble { cause: is.cause(), said: is.to_string(), is });
-        match (&last, &self.trouble) {
-            (Some(last), Some(now)) if now.is.is_like(&last.is) => {}
+        match (&last, &found) {
+            (Some(last), Some(now)) if now.is_like(last) => {}
             (_, Some(now)) => {
-                news.push(PortUpdate { event: now.cause, said: format!("{}: {}", now.said, now.is.remedy()) });
+                news.push(PortUpdate { event: now.cause(), said: format!("{now}: {}", now.remedy()) });
             }
             (Some(_), None) => news.push(PortUpdate { event: "recovered", said: "all is well again".to_owned() }),
             (None, None) => {}
         }
+        self.trouble = (found.as_ref())
+            .map(|trouble| PortTrouble { cause: trouble.cause().to_owned(), said: trouble.to_string() });
+        self.fault = found;
         news
     }
 

@@ -2,14 +2,14 @@
 
 use std::collections::VecDeque;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::recording::Counts;
 use crate::ros2::messages::FrameTag;
 use crate::tagging::durations::Durations;
 
 /// Rates over the last second, from the session's counts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Rates {
     pub captured_hz: f64,
     pub written_hz: f64,
@@ -17,7 +17,7 @@ pub struct Rates {
 }
 
 /// Time from the decoded image to the tag, milliseconds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BudgetUse {
     /// Configured budget; 0 without one.
     pub budget_ms: f64,
@@ -27,14 +27,14 @@ pub struct BudgetUse {
 }
 
 /// Valid tags among the last `RECENT_FRAMES` frames.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Validity {
     pub frames: usize,
     pub valid: usize,
 }
 
 /// Effort of the particle filter over the same frames as [`Validity`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FilterUse {
     /// Mean number of particles.
     pub particles: f64,

@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 use super::event_loop::LiveRecorder;
 use super::messages::{Messages, initial_pose, transforms};
 use super::notifications::Announced;
+use super::status::RecorderState;
 use super::{RecordError, RecordOptions};
 use crate::geometry::{LensParameters, Pose2};
 use crate::log_input::measurement::{self, Measurement};
@@ -56,14 +57,14 @@ impl LiveRecorder<'_> {
                 robot_id: Some(robot_id()),
                 utc_offset_ns: self.clock_ns,
                 camera_delay_ns: (self.options.settings.capture.delay_ms * 1e6) as i64,
-                camera: self.status.camera.clone(),
+                camera: json!(self.status.camera),
             }),
             tags: Some(send),
             writing: Writing::Behind { bytes_per_s },
         };
         self.session = Some(Pipeline::new(setup, InitialState { warm, ..InitialState::default() }, recording));
         self.tags = Some(tags);
-        self.status.state = "recording";
+        self.status.state = RecorderState::Recording;
         let [transforms, info] = constants;
         self.log(transforms)?;
         self.log(info)?;
@@ -100,7 +101,7 @@ impl LiveRecorder<'_> {
     /// Ends the session and completes its capture as far as the disk allows; `sessions repair` can do the rest later.
     pub(super) fn end_session(&mut self, say: &mut dyn FnMut(&str)) {
         self.refresh_status();
-        self.status.state = "stopped";
+        self.status.state = RecorderState::Stopped;
         let Some(session) = self.session.take() else { return };
         let (recorded, ended, between) = session.pause();
         self.between = Some(between);

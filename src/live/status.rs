@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use serde::Serialize;
-use serde_json::Value;
+use serde::{Deserialize, Serialize};
 
 use super::port_events::Port;
 use super::rates::{BudgetUse, FilterUse, Rates, Validity};
-use crate::devices::camera::StampClock;
+use crate::devices::camera::{Negotiated, StampClock};
 use crate::devices::serial::LineStatus;
 use crate::geometry::{PoseGrid, longest_axis};
 use crate::recording::{Counts, RecorderStatus};
@@ -17,10 +16,10 @@ use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Header,
 use crate::ros2::topics::DIAGNOSTICS_PREFIX;
 
 /// Answer to `realitysim status`, also the result of `realitysim record`.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Status {
-    /// `listening` (before the first session), `recording`, `stopped` or `ended`.
-    pub state: &'static str,
+    pub state: RecorderState,
     pub session: Option<PathBuf>,
     pub counts: Counts,
     pub recorder: RecorderStatus,
@@ -31,9 +30,9 @@ pub struct Status {
     /// Messages about sessions of earlier recorders that were repaired.
     pub repaired: Vec<String>,
     /// Format, size and controls that the camera agreed to.
-    pub camera: Value,
+    pub camera: Option<Negotiated>,
     /// Cause of the camera's absence, while it is absent.
-    pub camera_lost: Option<&'static str>,
+    pub camera_lost: Option<String>,
     pub stamp_clock: Option<StampClock>,
     /// Rates over the last second.
     pub rates: Rates,
@@ -51,8 +50,23 @@ pub struct Status {
     pub coverage: Option<CoverageStatus>,
 }
 
+/// What a recorder does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecorderState {
+    /// It hears the ports before its first session.
+    #[default]
+    Listening,
+    /// A session is under way.
+    Recording,
+    /// The session has ended, and the recorder goes on running.
+    Stopped,
+    /// The recorder has ended.
+    Ended,
+}
+
 /// Sums over earlier sessions of the same process.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Earlier {
     pub sessions: u64,
     pub counts: Counts,
@@ -62,16 +76,33 @@ pub struct Earlier {
 }
 
 /// Coverage of the pose grid, as numbers and as a map.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct CoverageStatus {
-    #[serde(flatten)]
-    pub grid: PoseGrid,
+    /// Side of a cell, metres.
+    pub cell_m: f64,
+    /// Headings that are told apart.
+    pub sectors: usize,
+    pub columns: usize,
+    pub rows: usize,
+    /// Columns x rows x sectors.
+    pub cells: usize,
+    /// Cells with at least one image.
+    pub filled: usize,
+    /// Images whose camera was off the carpet.
+    pub outside: usize,
     /// The field from above, a letter for each cell, made by `PoseGrid::text`.
     pub map: Vec<String>,
 }
 
+impl From<&PoseGrid> for CoverageStatus {
+    fn from(grid: &PoseGrid) -> Self {
+        let &PoseGrid { cell_m, sectors, columns, rows, cells, filled, outside, .. } = grid;
+        Self { cell_m, sectors, columns, rows, cells, filled, outside, map: grid.text() }
+    }
+}
+
 /// Frames passed on to another video device.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PassedOn {
     pub device: String,
     pub passed: u64,
@@ -81,7 +112,7 @@ pub struct PassedOn {
 }
 
 /// Summary of the latest tag.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LastTag {
     pub sequence: u64,
     pub valid: bool,
@@ -96,7 +127,7 @@ pub struct LastTag {
     pub elapsed_ms: f64,
     /// Time since the tag came, seconds.
     pub age_s: f64,
-    #[serde(skip)]
+    #[serde(skip, default = "Instant::now")]
     came: Instant,
 }
 
@@ -192,4 +223,63 @@ pub fn event_report(now_ns: i64, robot: &str, about: &str, what: &str, said: &st
 
 fn value(key: &str, value: impl ToString) -> KeyValue {
     KeyValue { key: key.to_owned(), value: value.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::devices::camera::{Negotiated, PixelFormat};
+    use crate::devices::clock::{ClockStatus, Source};
+    use crate::devices::mavlink::{PortCounts, Sender, TimeBase};
+    use crate::devices::serial::SenderClock;
+    use crate::recording::{Fault, Stopped};
+
+    #[test]
+    fn a_status_read_from_its_text_says_the_same() {
+        let clock = ClockStatus {
+            source: Source::Arrivals,
+            offset_ns: -5,
+            uncertainty_ns: 70_000,
+            drift_ppm: 1.5,
+            restarts: 2,
+            exchanges: 3,
+        };
+        let line = LineStatus {
+            counts: PortCounts { used: [("ODOMETRY".into(), 7)].into(), lost: 3, ..PortCounts::default() },
+            unsent: 1,
+            clocks: vec![SenderClock { sender: Sender { system: 1, component: 2 }, base: TimeBase::Boot, clock }],
+        };
+        let mut status = Status {
+            state: RecorderState::Recording,
+            session: Some("captures/a".into()),
+            unfinished: Some("a reason".to_owned()),
+            camera: Some(Negotiated {
+                card: "a camera".to_owned(),
+                bus: "usb-1".to_owned(),
+                format: PixelFormat::Nv12,
+                width: 640,
+                height: 480,
+                stride: 640,
+                rate_hz: Some(30.0),
+                controls: [("exposure".to_owned(), 5)].into(),
+                refused: Vec::new(),
+            }),
+            camera_lost: Some("unplugged".to_owned()),
+            stamp_clock: Some(StampClock::EndOfFrame),
+            republished: Some(PassedOn { device: "/dev/video9".to_owned(), passed: 5, missed: 1, lost: None }),
+            coverage: Some(CoverageStatus::from(&PoseGrid::new(glam::DVec2::new(2.0, 1.0), 0.5, 4))),
+            ..Status::default()
+        };
+        status.recorder.fault = Some(Fault { cause: "disk_full".to_owned(), said: "no space".to_owned() });
+        status.recorder.stopped = Some(Stopped { cause: "disk_full".to_owned(), frames_only: true });
+        status.port("/dev/ttyUSB0").update(line);
+        status.port("/dev/ttyUSB1").set_closed(Some("gone".to_owned()));
+        status.set_last_tag(&FrameTag { sequence: 4, valid: true, ..FrameTag::default() });
+        let text = serde_json::to_value(&status).expect("a status is JSON");
+        let read: Status = serde_json::from_value(text.clone()).expect("a status");
+        assert_eq!(serde_json::to_value(&read).expect("JSON"), text);
+        // A recorder of another version may say less.
+        let little: Status = serde_json::from_value(serde_json::json!({ "state": "stopped" })).expect("a status");
+        assert_eq!(little.state, RecorderState::Stopped);
+    }
 }

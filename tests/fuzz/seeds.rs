@@ -169,7 +169,7 @@ fn checkpoints() {
     let empty = Checkpoint {
         tagger: Default::default(),
         synchroniser: Default::default(),
-        foresight: Default::default(),
+        dead_reckoning: Default::default(),
         frames: 0,
     };
     keep("checkpoint", "sound-empty", body(&empty));

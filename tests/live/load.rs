@@ -11,8 +11,8 @@ use crate::replay::support::{Room, read_log};
 /// Of Linux on every machine this is built for.
 const USER_HZ: f64 = 100.0;
 
-const MOST_OF_A_CORE: f64 = 0.25;
-const MOST_MB: f64 = 150.0;
+const MAX_CORE_SHARE: f64 = 0.25;
+const MAX_MEMORY_MB: f64 = 150.0;
 
 #[test]
 #[ignore = "a measurement, for a machine that does nothing else: `./dev load`"]
@@ -46,7 +46,7 @@ fn thirty_frames_a_second_of_640_by_480() {
             "of_a_core": share, "peak_mb": peak_mb, "tagging": status["budget"],
         })
     );
-    assert!(share < MOST_OF_A_CORE && peak_mb < MOST_MB, "{share} of a core, {peak_mb} MB");
+    assert!(share < MAX_CORE_SHARE && peak_mb < MAX_MEMORY_MB, "{share} of a core, {peak_mb} MB");
     assert!(counts["valid"].as_u64() > Some(frames * 9 / 10), "{status}");
     assert!(recorder.ends().status.success());
 }

@@ -10,7 +10,7 @@ use crate::replay::no_frames::{PREDICTED, PREDICTIONS, with_a_gap};
 use crate::replay::support::{INITIAL, TAG, decode_all, read_capture, walk};
 
 #[test]
-fn whoever_listens_hears_predictions_while_there_are_no_frames_and_that_they_are() {
+fn listeners_hear_predictions_without_frames_and_that_they_are_such() {
     let robot = Robot::of(&with_a_gap());
     let mut recorder = Recorder::start(Some(robot.tty()));
     let (frames, socket) = (robot.frames(), recorder.room.path("camera.sock"));
@@ -84,7 +84,7 @@ fn slower(messages: &[LogMessage], times: i64) -> Vec<LogMessage> {
 }
 
 #[test]
-fn between_two_sessions_odometry_goes_on_and_a_place_can_be_told_at_any_time() {
+fn between_sessions_odometry_goes_on_and_a_pose_can_be_announced() {
     let robot = Robot::of(&slower(&walk().messages, 3));
     let mut recorder = Recorder::start(Some(robot.tty()));
     let socket = recorder.room.path("camera.sock");

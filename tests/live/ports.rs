@@ -54,7 +54,7 @@ fn a_port_that_is_silent_garbled_or_useless_is_named_until_it_is_right() {
 }
 
 #[test]
-fn a_socket_for_frames_that_cannot_be_made_is_named_and_nothing_is_removed_for_it() {
+fn a_camera_socket_that_cannot_be_made_is_named_and_removes_nothing() {
     let room = Room::new();
     room.write_scene("scene.toml", |text| text);
     room.write("diary.txt", "mine");

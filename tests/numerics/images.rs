@@ -64,11 +64,11 @@ fn pure_noise_says_nothing() {
 fn stripes_that_look_like_lines_everywhere_say_nothing_wrong() {
     for apart in [0.15, 0.3, 0.6] {
         survives(&format!("stripes every {apart} m"), |robot| {
-            robot.painted(|at| if (at.x / apart).fract().abs() < 0.05 / apart { PAINT } else { CARPET })
+            robot.rendered(|at| if (at.x / apart).fract().abs() < 0.05 / apart { PAINT } else { CARPET })
         });
         survives(&format!("a grid every {apart} m"), |robot| {
             let near = |x: f64| (x / apart).fract().abs() < 0.05 / apart;
-            robot.painted(|at| if near(at.x) || near(at.y) { PAINT } else { CARPET })
+            robot.rendered(|at| if near(at.x) || near(at.y) { PAINT } else { CARPET })
         });
     }
 }
@@ -77,14 +77,14 @@ fn stripes_that_look_like_lines_everywhere_say_nothing_wrong() {
 fn a_single_line_is_no_reason_to_jump() {
     for (x, slope) in [(0.8, 0.0), (1.6, 0.3), (0.0, 4.0)] {
         survives("a single line", |robot| {
-            robot.painted(|at| if (at.x - x - slope * at.y).abs() < 0.025 { PAINT } else { CARPET })
+            robot.rendered(|at| if (at.x - x - slope * at.y).abs() < 0.025 { PAINT } else { CARPET })
         });
     }
 }
 
 #[test]
 fn a_carpet_without_lines_says_nothing() {
-    survives("no line", |robot| robot.painted(|_| CARPET));
+    survives("no line", |robot| robot.rendered(|_| CARPET));
 }
 
 #[test]

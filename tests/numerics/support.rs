@@ -115,7 +115,7 @@ impl Robot {
     }
 
     /// A picture whose every pixel on the ground has the colour that `ground` gives it; the rest is dark gray.
-    pub fn painted(&self, ground: impl Fn(DVec2) -> [u8; 3]) -> Picture {
+    pub fn rendered(&self, ground: impl Fn(DVec2) -> [u8; 3]) -> Picture {
         let optical = self.place * Isometry::link_from_optical();
         let (width, height) = (self.lens.width() as usize, self.lens.height() as usize);
         let colour = |index: usize| {
@@ -148,7 +148,7 @@ impl Robot {
             // Something measures that it stands: odometry that does not change is believed.
             swayed_rad: Some(0.0),
             camera_twist: None,
-            turn_is_felt: true,
+            turn_is_measured: true,
             stale: false,
             initial_pose: None,
             anchor: None,
@@ -176,9 +176,9 @@ impl Robot {
     }
 
     /// What it makes of odometry alone.
-    pub fn foresee(&mut self, ahead: &mut LocalizerState) -> Option<FrameTag> {
+    pub fn predict_ahead(&mut self, ahead: &mut LocalizerState) -> Option<FrameTag> {
         let told = self.told();
-        let tag = self.tagger.foresee(self.stamp_ns, &told, ahead, Rejection::NoFrame);
+        let tag = self.tagger.predict_ahead(self.stamp_ns, &told, ahead, Rejection::NoFrame);
         tag.iter().for_each(assert_sound);
         tag
     }

@@ -155,9 +155,9 @@ fn a_gyro_at_its_limit_misleads_nobody() {
 fn odometry_that_freezes_while_the_robot_walks_misleads_nobody() {
     let mut robot = robot();
     for _ in 0..25 {
-        let standing = robot.odometry;
+        let last_odometry = robot.odometry;
         walk(&mut robot);
-        robot.odometry = standing;
+        robot.odometry = last_odometry;
         robot.step();
     }
     for _ in 0..15 {
@@ -235,7 +235,7 @@ fn quaternions_unnormalised_or_with_the_other_sign_are_the_same_rotation() {
 /// Minutes without a frame, of walking and of nonsense from odometry: predictions say less and less, then nothing, and
 /// who does not go on from them is the same to the bit as if nobody had asked.
 #[test]
-fn a_prediction_over_minutes_knows_less_and_less_and_changes_only_its_copy() {
+fn a_prediction_over_minutes_grows_uncertain_and_changes_only_its_copy() {
     for broken in [None, Some(Pose2::new(f64::NAN, 0.0, 0.0)), Some(Pose2::new(1e300, -1e300, 1e300))] {
         let mut robot = robot();
         let mut asked_nothing = robot.clone();
@@ -249,7 +249,7 @@ fn a_prediction_over_minutes_knows_less_and_less_and_changes_only_its_copy() {
             if step % 7 == 3 && broken.is_some() {
                 robot.odometry = broken;
             }
-            let tag = robot.foresee(&mut ahead);
+            let tag = robot.predict_ahead(&mut ahead);
             robot.odometry = odometry;
             let Some(tag) = tag else { continue };
             let now_m = longest_axis(tag.pose.covariance[0], tag.pose.covariance[1], tag.pose.covariance[7]);

@@ -215,7 +215,7 @@ fn a_mount_that_vanishes_for_a_while_is_named_and_recovered_from() {
 }
 
 #[test]
-fn a_session_s_folder_that_is_removed_is_told_and_the_frames_after_it_are_kept() {
+fn a_removed_session_folder_is_reported_and_later_frames_are_kept() {
     let room = Room::new();
     let mut soak = Soak::start(&room, "--seconds 6 --rate 30 --frame-kb 20");
     soak.waits_for("it writes", |state| state["frames_synced"].as_u64() > Some(10));
@@ -246,7 +246,7 @@ fn a_session_that_is_being_recorded_is_left_alone() {
 
 /// The stream of the issue, for a few seconds; `./dev soak` takes ten minutes, at under 10 % of a core.
 #[test]
-fn the_recorder_keeps_up_with_sixty_frames_and_five_hundred_measurements_a_second() {
+fn the_recorder_keeps_up_with_60_frames_and_500_measurements_a_second() {
     let room = Room::new();
     let run = room.run(&format!("soak -o {CAPTURES} --seconds 4 --json {ROOM_ENOUGH}")).succeeds();
     let report = run.json();
@@ -309,7 +309,7 @@ fn on_a_small_disk(room: &Room, size: u32, script: &str) -> Option<Output> {
 }
 
 #[test]
-fn a_real_disk_that_is_full_for_a_while_costs_nothing_that_fits_into_memory() {
+fn a_real_disk_full_for_a_while_loses_nothing_that_fits_into_memory() {
     let room = Room::new();
     let script = format!(
         "dd if=/dev/zero of={CAPTURES}/filler bs=1M count=10 status=none\n(sleep 2; rm {CAPTURES}/filler) &\n\
@@ -345,7 +345,7 @@ fn a_real_disk_that_fills_up_stops_frames_and_keeps_tags() {
 }
 
 #[test]
-fn a_real_disk_without_inodes_is_survived_and_recorded_on_when_there_are_some_again() {
+fn a_real_disk_without_inodes_is_survived_until_there_are_some_again() {
     let room = Room::new();
     let script = format!(
         "mount -o remount,nr_inodes=60 {CAPTURES} || exit 77\n\

@@ -70,7 +70,7 @@ fn an_image_that_does_not_decode_is_kept_and_its_tag_invalid() {
 }
 
 #[test]
-fn a_frame_that_is_broken_as_a_message_has_a_tag_as_long_as_its_stamp_is_whole() {
+fn a_broken_frame_message_has_a_tag_as_long_as_its_stamp_is_whole() {
     type Change = fn(&mut Vec<u8>);
     let changes: [(&str, Change); 4] = [
         ("cut behind its stamp", |data| data.truncate(12)),

@@ -81,7 +81,7 @@ fn the_session_file_says_with_what_it_was_made() {
 }
 
 #[test]
-fn a_second_session_at_the_same_time_gets_a_suffix_and_nothing_unfinished_remains() {
+fn a_second_session_of_the_same_time_gets_a_suffix_and_is_finished() {
     let room = Room::with_walk();
     let names: Vec<String> =
         (0..3).map(|_| room.replay("log.mcap").session.file_name().unwrap().to_str().unwrap().to_owned()).collect();

@@ -175,7 +175,7 @@ fn a_case_is_held_to_its_reference() {
 }
 
 #[test]
-fn a_case_s_reference_of_another_log_seed_or_version_is_named_and_not_compared() {
+fn a_reference_of_another_log_seed_or_version_is_named_not_compared() {
     let room = room_with(&case("log.mcap", "reference = \"tags.jsonl\""));
     room.write_scene("scene.toml", |text| text);
     room.run("replay scene.toml --check tags.jsonl --bless").succeeds();

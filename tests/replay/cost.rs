@@ -61,7 +61,7 @@ fn a_sweep_recommends_a_row_of_the_front_and_its_config_is_accepted() {
 }
 
 #[test]
-fn a_budget_that_the_robot_has_stays_in_the_config_although_rows_are_measured_without() {
+fn the_budget_of_the_config_stays_although_rows_are_measured_without() {
     let room = Room::with_walk();
     let run = room.run(&format!("cost log.mcap {SHORT} --budget-ms 1000 -o out --set filter.budget_ms=50 --json"));
     assert_eq!(number(&run.succeeds().json()["recommended"], "budget_ms"), 0.0);
@@ -75,9 +75,9 @@ fn frames_that_are_kept_get_the_tags_of_a_replay() {
     let settings = Settings::default();
     let source = room.path("log.mcap");
     let options = FrameCacheOptions { source, settings: settings.clone(), initial: None, from_s: 0.0, for_s: None };
-    let footage = FrameCache::load(&options, &mut |_, _| {}).unwrap();
+    let cache = FrameCache::load(&options, &mut |_, _| {}).unwrap();
     for _ in 0..2 {
-        let attempts = footage.try_out(&settings, &mut |_| {}).unwrap();
+        let attempts = cache.try_out(&settings, &mut |_| {}).unwrap();
         let tags: Vec<FrameTag> = (attempts.into_iter().zip(&walk().tags))
             .map(|(attempt, tag)| FrameTag {
                 sequence: tag.sequence,

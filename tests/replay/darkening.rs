@@ -69,12 +69,12 @@ fn a_lens_that_darkens_is_measured_and_its_views_are_the_better_for_it() {
     let wanted = [0.05, 0.1, -5.0];
     let (truth, ground) = picture(&lawn, &camera, wanted, &dark);
     let truth: Vec<[u8; 4]> = truth.pixels().map(|pixel| [pixel.0[0], pixel.0[1], pixel.0[2], SURE]).collect();
-    let psnr = |gallery: &ImageDatabase, width: Option<u32>| {
+    let psnr = |database: &ImageDatabase, width: Option<u32>| {
         let camera = width.map(|_| std::sync::Arc::new(Camera::new(&lens)));
         let (method, max_distance_m, without) = (Method::Exact, f64::INFINITY, Vec::new());
         let asked =
             ViewQuery { map_from_link: pose(wanted), method, camera, max_distance_m, may_be_stored: true, without };
-        let shown = gallery.view(&asked).expect("a view").answer.image;
+        let shown = database.view(&asked).expect("a view").answer.image;
         let both: Vec<bool> = shown.pixels.iter().map(|pixel| pixel[3] == SURE).collect();
         similarity(&truth, &shown.pixels, 320, &ground, &both).psnr_db
     };

@@ -28,8 +28,8 @@ pub fn walked() -> (Room, Vec<LogMessage>) {
     (room, images)
 }
 
-fn at(gallery: &ImageDatabase, number: usize) -> (String, i64) {
-    let record = gallery.index().record(number);
+fn at(database: &ImageDatabase, number: usize) -> (String, i64) {
+    let record = database.index().record(number);
     let (pose, euler) = (record.pose(), record.pose().euler());
     let [yaw, pitch, roll] = [euler.yaw, euler.pitch, euler.roll].map(f64::to_degrees);
     let p = pose.translation;
@@ -43,9 +43,9 @@ pub fn open(room: &Room) -> ImageDatabase {
 #[test]
 fn a_stored_image_comes_out_byte_for_byte() {
     let (room, images) = walked();
-    let gallery = open(&room);
-    for number in [0, gallery.index().len() / 2, gallery.index().len() - 1] {
-        let (pose, stamp_ns) = at(&gallery, number);
+    let database = open(&room);
+    for number in [0, database.index().len() / 2, database.index().len() - 1] {
+        let (pose, stamp_ns) = at(&database, number);
         let run = room.run(&format!("view --db db {pose} -o out.jpg --json")).succeeds();
         assert_eq!(run.json()["made"], "stored");
         let stamp = |message: &LogMessage| {
@@ -212,17 +212,17 @@ fn a_walk_through_a_database_is_smooth_and_leaves_its_pictures() {
 #[test]
 fn what_changed_or_vanished_after_indexing_is_told_and_the_rest_is_used() {
     let (room, _) = walked();
-    let gallery = open(&room);
-    let record = gallery.index().record(3);
-    let file = gallery.catalogue().sources[0].file(record.file).expect("its file");
+    let database = open(&room);
+    let record = database.index().record(3);
+    let file = database.catalogue().sources[0].file(record.file).expect("its file");
     let mut bytes = fs::read(&file).expect("a segment");
     bytes[record.offset as usize + 500] ^= 1;
     fs::write(&file, &bytes).expect("written");
     let run = room.run("db verify --db db --json");
     assert_eq!(run.code, Some(3));
-    assert_eq!(run.json()["sound"].as_u64(), Some(gallery.index().len() as u64 - 1));
+    assert_eq!(run.json()["sound"].as_u64(), Some(database.index().len() as u64 - 1));
     assert!(run.stderr.contains("changed since it was indexed"), "{run:?}");
-    let (pose, _) = at(&gallery, 3);
+    let (pose, _) = at(&database, 3);
     let run = room.run(&format!("view --db db {pose} -o out.png --json"));
     assert_eq!(run.code, Some(3), "made of its neighbours");
     assert!(run.json()["made"] != "stored" && run.json()["unreadable"].to_string().contains("changed"), "{run:?}");
@@ -235,11 +235,11 @@ fn what_changed_or_vanished_after_indexing_is_told_and_the_rest_is_used() {
 #[test]
 fn a_capture_that_is_away_leaves_the_others_their_views_and_comes_back() {
     let (room, _) = walked();
-    let gallery = open(&room);
-    let (first, count) = (gallery.catalogue().sources[0].path.clone(), gallery.index().len());
+    let database = open(&room);
+    let (first, count) = (database.catalogue().sources[0].path.clone(), database.index().len());
     let second = room.replay("log.mcap").session;
     room.run(&format!("db add {} --db db", second.display())).succeeds();
-    let place = gallery.index().record(count / 2).pose().translation;
+    let place = database.index().record(count / 2).pose().translation;
     let pose = format!("--x {} --y {} --z {} --yaw 20 --pitch 17", place.x, place.y + 0.05, place.z);
     let away = room.path("away");
     fs::rename(&first, &away).expect("moved");
@@ -309,8 +309,8 @@ fn images_of_a_walk_are_chosen_such_that_they_complete_each_other() {
 #[test]
 fn a_view_by_the_lens_of_its_images_ends_where_they_do() {
     let (room, _) = walked();
-    let gallery = open(&room);
-    let lens = &gallery.catalogue().sources[0].lens;
+    let database = open(&room);
+    let lens = &database.catalogue().sources[0].lens;
     let fov_deg = lens.fov_deg.expect("found");
     assert!((195.0..=201.0).contains(&fov_deg), "{fov_deg}");
     let looks = "--x -1.53 --y 0.2 --z 0.496 --yaw 120 --pitch 17";
@@ -337,7 +337,7 @@ fn a_view_by_the_lens_of_its_images_ends_where_they_do() {
     }
     // The same lens, whose file says 200 degrees.
     room.write("lens.toml", LENS);
-    let (pose, _) = at(&gallery, 0);
+    let (pose, _) = at(&database, 0);
     let report = room.run(&format!("view --db db {pose} --lens lens.toml -o out.jpg --json"));
     assert_eq!(report.succeeds().json()["made"], "stored");
 }
@@ -345,7 +345,7 @@ fn a_view_by_the_lens_of_its_images_ends_where_they_do() {
 /// A hundred images along a line look one way, two from farther off look elsewhere: of all that are near by the metric these
 /// are the last, and by those alone 55, 43, 34 and 35 % were shown.
 #[test]
-fn the_one_image_that_looks_there_is_found_among_a_hundred_nearer_ones_that_do_not() {
+fn the_one_image_that_looks_there_is_found_among_a_hundred_nearer_ones() {
     let room = Room::new();
     fs::create_dir(room.path("one")).expect("a folder");
     let picture =
@@ -372,17 +372,17 @@ fn goals_stand_where_images_show_them() {
     let replayed = room.replay("near.mcap");
     let session = replayed.session.display().to_string();
     room.run(&format!("db add {session} --db db")).succeeds();
-    let gallery = open(&room);
-    assert!(!gallery.catalogue().sources[0].goals, "none was drawn");
-    let world = World::new(gallery.field());
+    let database = open(&room);
+    assert!(!database.catalogue().sources[0].goals, "none was drawn");
+    let world = World::new(database.field());
     fs::create_dir(room.path("painted")).expect("a folder");
     room.write("painted/camera_info.yaml", CAMERA_INFO);
     let mut poses = POSES.to_owned();
     for message in read_capture(&replayed.session).iter().filter(|message| message.channel.topic == IMAGE) {
         let stored = CompressedImage::decode(&message.data).expect("an image");
         let stamp_ns = stored.header.stamp.to_nanoseconds();
-        let record = gallery.index().records().find(|record| record.stamp_ns == stamp_ns).expect("indexed");
-        let target = Target::new(gallery.camera(&record).expect("known"), &record.pose(), &world);
+        let record = database.index().records().find(|record| record.stamp_ns == stamp_ns).expect("indexed");
+        let target = Target::new(database.camera(&record).expect("known"), &record.pose(), &world);
         let mut picture = image::load_from_memory(&stored.data).expect("a picture").into_rgb8();
         for (u, v, pixel) in picture.enumerate_pixels_mut() {
             if target.surface(u as usize, v as usize) == Some(Surface::Goal) {
@@ -504,7 +504,7 @@ fn a_folder_whose_first_image_is_torn_gives_the_others() {
 }
 
 #[test]
-fn a_gallery_goes_on_while_the_database_changes() {
+fn an_open_database_is_usable_while_it_is_changed() {
     let (room, _) = walked();
     let before = open(&room);
     let count = before.index().len();
@@ -565,9 +565,9 @@ fn whoever_opens_a_database_that_changes_has_the_old_one_or_the_new() {
     std::thread::scope(|scope| {
         let changing = scope.spawn(change);
         while !changing.is_finished() {
-            let gallery =
+            let database =
                 ImageDatabase::open(&room.path("db"), &Settings::default().views).expect("the old one or the new");
-            assert!((1..=2).contains(&gallery.index().len()));
+            assert!((1..=2).contains(&database.index().len()));
             opened += 1;
         }
     });

@@ -18,12 +18,12 @@ fn what_stands_in_a_recorded_image_is_marked_unless_the_config_says_no() {
     room.run(&format!("db add {session} --db db")).succeeds();
     let mut settings = Settings::default().views;
     let seen = |settings: &realitysim::config::ViewsSettings| {
-        let gallery = ImageDatabase::open(&room.path("db"), settings).expect("a database");
-        let pose = gallery.index().record(3).pose();
+        let database = ImageDatabase::open(&room.path("db"), settings).expect("a database");
+        let pose = database.index().record(3).pose();
         let (method, camera, max_distance_m) = (Method::Exact, None, f64::INFINITY);
         let asked =
             ViewQuery { map_from_link: pose, method, camera, max_distance_m, may_be_stored: true, without: Vec::new() };
-        let stored = gallery.view(&asked).expect("a view");
+        let stored = database.view(&asked).expect("a view");
         let marked = stored.answer.image.pixels.iter().filter(|pixel| pixel[3] == UNSURE).count();
         (marked, stored.stored.is_some(), stored.answer.sure_share)
     };

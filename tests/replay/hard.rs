@@ -162,7 +162,7 @@ fn odometry_that_freezes_jumps_or_falls_silent_gives_no_wrong_tags() {
 
 /// A lens of 75 degrees and no IMU: nothing but the lines says that the robot walks on, and they do not say it along them.
 #[test]
-fn odometry_that_freezes_before_a_narrow_lens_without_a_gyro_gives_no_wrong_tags() {
+fn frozen_odometry_with_a_narrow_lens_and_no_gyro_gives_no_wrong_tags() {
     let room = Room::new();
     room.write_scene("scene.toml", |text| {
         let without = |text: String, from: &str| {

@@ -41,7 +41,7 @@ fn sigma_m(tag: &FrameTag) -> f64 {
 }
 
 #[test]
-fn while_no_frames_come_odometry_says_where_the_camera_is_and_that_it_does() {
+fn without_frames_odometry_predicts_the_pose_and_says_so() {
     let room = Room::with_log(&with_a_gap());
     let replayed = room.replay("log.mcap");
     assert_eq!(replayed.run.code, Some(0), "{:?}", replayed.run);
@@ -66,7 +66,7 @@ fn while_no_frames_come_odometry_says_where_the_camera_is_and_that_it_does() {
 }
 
 #[test]
-fn a_part_that_begins_while_there_are_no_frames_goes_on_predicting_from_there() {
+fn a_part_that_begins_without_frames_predicts_as_the_whole_does() {
     let room = Room::with_log(&with_a_gap());
     let whole = room.replay("log.mcap --set recording.segment_s=1");
     let files = segments(&whole.session);
@@ -140,7 +140,7 @@ fn stamp_ns(header: &Header) -> i64 {
 }
 
 #[test]
-fn before_a_late_camera_s_first_frame_odometry_carries_on_the_place_that_was_told() {
+fn before_the_first_frame_odometry_carries_on_the_announced_pose() {
     let messages = with_a_late_camera(&walk().messages);
     let begins_ns = stamp_ns(&decode_all::<Odometry>(&messages, ODOMETRY)[0].header);
     let room = Room::with_log(&messages);

@@ -106,7 +106,7 @@ fn is_found(field: &str, lens: &str, poses: &str, places: usize) {
 
 /// A torso that sways, and nothing that measures it: from where it was told to be, lines a metre away fit nearly as well.
 #[test]
-fn lines_that_lead_away_from_where_it_was_told_to_be_are_not_believed_at_once() {
+fn lines_that_lead_away_from_an_announced_pose_are_not_believed_at_once() {
     let odometry = "[[effect]]\nkind = \"odometry_error\"\nscale_percent = 20.0\nyaw_drift_deg_per_m = 3.0\nnoise_m_per_m = 0.08\n";
     let start = "{ x_m = -0.05, y_m = 0.05, yaw_deg = 2.0 }";
     let route = "kind = \"walk\"\nwaypoints = [[0.59, 0.68], [1.42, 1.24]]\nspeed_m_s = 0.25\nturn_deg_s = 35";
@@ -194,7 +194,7 @@ fn a_second_look_does_not_take_the_right_pose_for_the_wrong_one_beside_it() {
 
 /// Lines nearly as many as at the right place, in the hands or after: a robot that was found is tried against the field again.
 #[test]
-fn who_was_carried_to_a_view_that_looks_like_another_is_not_believed_to_be_there() {
+fn a_robot_carried_to_a_view_like_another_is_not_believed_to_be_there() {
     let carried = "[[effect]]\nkind = \"kidnapping\"\nat_s = 3.0\nduration_s = 1.5\nto_m = [-0.91, -0.69]\nto_yaw_deg = 148\nlift_m = 0.3\n";
     let put = "[[effect]]\nkind = \"kidnapping\"\nat_s = 3.0\nduration_s = 0.0\nto_m = [1.44, 0.43]\nto_yaw_deg = 69\n";
     let walk = |waypoints: &str, speed: f64| {
@@ -221,7 +221,7 @@ fn who_was_carried_to_a_view_that_looks_like_another_is_not_believed_to_be_there
 /// Two thirds of the lines seem to fit where it is believed to be, and a fifth of those in view belong elsewhere: neither alone
 /// is too little.
 #[test]
-fn lines_that_are_missing_and_lines_too_many_speak_against_a_pose_together() {
+fn missing_lines_and_surplus_lines_together_speak_against_a_pose() {
     const LENS: &str = "title = \"150 degrees\"\nwidth = 640\nheight = 480\nfx = 260.0\nfy = 260.0\ncx = 325.0\ncy = 238.0\n\
                         model = \"kannala_brandt\"\nk = [-0.03, 0.006, -0.001, 0.0]\nfov_deg = 150.0\n";
     let route = "kind = \"still\"\nposes = [[0.99, -0.6, -98.9], [0.61, 0.75, 86.6]]\nhold_s = 2.5";
@@ -309,7 +309,7 @@ fn odometry_that_stands_still_while_the_body_walks_is_not_believed() {
 /// One number of odometry stands still from the first frame on, before a camera of 320 x 240, whose lines do not contradict a centimetre a frame:
 /// tags used to fall behind with the prediction, 17 cm in a second, and be valid.
 #[test]
-fn odometry_of_which_one_number_stands_still_is_not_followed_before_a_coarse_camera() {
+fn odometry_with_one_frozen_number_is_not_followed_with_a_coarse_camera() {
     let truth: Vec<PoseStamped> = decode_all(&walk().messages, TRUTH);
     let truth = |stamp: i64| truth.iter().find(|truth| truth.header.stamp.to_nanoseconds() == stamp).expect("a truth");
     for number in 0..3 {

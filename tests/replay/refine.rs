@@ -51,11 +51,11 @@ fn refined_tags_are_nearer_to_the_truth_and_nothing_recorded_is_touched() {
     assert_eq!(again["after"]["position_cm"], report["after"]["position_cm"]);
     // The database takes the refined ones.
     room.run(&format!("db add {session} --db db")).succeeds();
-    let gallery = realitysim::database::ImageDatabase::open(&room.path("db"), &settings.views).expect("a database");
+    let database = realitysim::database::ImageDatabase::open(&room.path("db"), &settings.views).expect("a database");
     let info = fs::read(replayed.session.join("refined/refined.json")).expect("written");
     let info: serde_json::Value = serde_json::from_slice(&info).expect("JSON");
     let refined: LensParameters = serde_json::from_value(info["lens"].clone()).expect("a lens");
-    assert!(gallery.catalogue().sources[0].lens.maps_as(&refined));
+    assert!(database.catalogue().sources[0].lens.maps_as(&refined));
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use realitysim::evaluation::cpu_yardstick::REFERENCE_MS;
+use realitysim::evaluation::cpu_calibration::REFERENCE_MS;
 use realitysim::ros2::messages::DiagnosticArray;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;

@@ -167,7 +167,7 @@ impl std::io::Seek for Counting<'_> {
 }
 
 #[test]
-fn chunks_that_are_none_and_lead_to_the_end_of_the_file_are_not_tried_for_ever() {
+fn false_chunks_that_span_to_the_end_of_a_file_cost_bounded_reading() {
     const FAKES: u64 = 5_000;
     const EACH: u64 = 49;
     let mut log = LogWriter::new(Vec::new()).unwrap().finish().unwrap();

@@ -225,7 +225,7 @@ fn both_ends_of_a_range_are_held_to_the_route_whatever_is_drawn() {
 
 /// Where the ends allow it and what is between them does not.
 #[test]
-fn what_is_between_the_ends_of_a_range_is_held_to_the_route_whatever_is_drawn() {
+fn a_range_is_held_to_the_route_between_its_ends_whatever_is_drawn() {
     let open = |low: f64, high: f64| format!("{{ uniform = [{low}, {high}], per = \"episode\" }}");
     let taken =
         |at: &str, yaw: &str| format!("kind = \"kidnapping\"\nto_m = [-2.5, 1.5]\nto_yaw_deg = {yaw}\nat_s = {at}");

@@ -367,7 +367,7 @@ fn what_would_never_come_about_is_refused() {
 }
 
 #[test]
-fn a_shutter_that_is_open_longer_than_a_frame_or_sees_no_motion_is_refused() {
+fn a_shutter_longer_than_a_frame_or_without_motion_is_refused() {
     let shutter = |exposure: f64, readout: f64| {
         format!("kind = \"shutter\"\nexposure_ms = {exposure:?}\nreadout_ms = {readout:?}")
     };

@@ -69,7 +69,7 @@ fn light_on_a_stored_image_is_that_of_the_frame_up_to_rounding() {
 
 /// The camera amplifies its noise with the picture, whichever of the two is applied to what.
 #[test]
-fn light_and_noise_on_a_stored_image_are_those_of_the_frame_up_to_rounding() {
+fn light_and_noise_on_a_stored_image_equal_those_of_a_rendered_one() {
     let (both, day) = (build(&[LIGHT, NOISE]), build(&[]));
     let mut stored = clean(&day);
     both.apply_to_image(FRAME, &mut stored);

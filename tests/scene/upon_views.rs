@@ -77,7 +77,7 @@ fn scene_on(field: &FieldDimensions, figures: &str) -> Scene {
 }
 
 #[test]
-fn a_goal_of_the_view_hides_who_stands_behind_it_and_not_who_stands_before_it() {
+fn a_goal_of_the_view_hides_only_figures_behind_it() {
     let goal = Some(Goal { width_m: 1.5, height_m: 0.9, depth_m: 0.5, post_diameter_m: 0.1 });
     let dimensions = FieldDimensions { goal, ..kid_2009() };
     let field = Field::new(dimensions.clone()).expect("a field");

@@ -119,7 +119,7 @@ fn a_cylinder_stands_where_the_lens_says() {
 }
 
 #[test]
-fn the_nearer_figure_hides_the_farther_one_in_whatever_order_they_are_listed() {
+fn the_nearer_figure_hides_the_farther_one_in_any_order() {
     let [red, blue] = [(-1.8, "[255, 0, 0]"), (-1.0, "[0, 0, 255]")].map(|(x, colour)| {
         format!("{{ shape = \"box\", position_m = [{x:?}, 0.1], yaw_deg = 20, height_m = 0.7, colour = {colour} }}")
     });

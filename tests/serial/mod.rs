@@ -139,7 +139,7 @@ fn what_pymavlink_sends_is_measured_on_the_host_s_clock() {
     let counts = &heard.status.counts;
     let sent: std::collections::BTreeMap<String, u64> = serde_json::from_value(said["sent"].clone()).expect("counts");
     let used: std::collections::BTreeMap<String, u64> =
-        counts.used.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect();
+        counts.used.iter().map(|(name, count)| (name.to_string(), *count)).collect();
     assert_eq!(used, sent);
     assert_eq!((counts.lost, counts.frames.crc_failures, counts.frames.bytes_skipped), (0, 0, 0));
     assert!(heard.losses.is_empty(), "{:?}", heard.losses);

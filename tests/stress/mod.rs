@@ -13,7 +13,7 @@ use outcome::{Outcome, outcome};
 /// Seconds; `./dev stress` asks for more.
 const USUAL_S: u64 = 5;
 /// Attempts at a shorter case that fails as well.
-const MOST_ATTEMPTS: usize = 80;
+const MAX_ATTEMPTS: usize = 80;
 
 fn wanted(name: &str, usual: u64) -> u64 {
     std::env::var(name).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{name}={text}: a whole number")))
@@ -46,7 +46,7 @@ fn random_scenes_faults_and_settings_break_nothing() {
 /// Leaves out one thing after the other as long as something still breaks.
 fn shortest(mut case: Case, mut fault: String, breaks: impl Fn(&Case) -> Option<String>) -> (Case, String) {
     let mut attempts = 0;
-    'again: while attempts < MOST_ATTEMPTS {
+    'again: while attempts < MAX_ATTEMPTS {
         for shorter in case.shorter() {
             attempts += 1;
             if let Some(found) = breaks(&shorter) {

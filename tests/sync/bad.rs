@@ -89,7 +89,7 @@ fn another_version_or_no_session_at_all() {
 
 /// Segments that were recorded once, and that nobody can say anything of.
 #[test]
-fn a_session_without_a_head_costs_the_exit_code_and_is_named_by_verify_and_repair() {
+fn a_session_without_a_head_fails_sync_verify_and_repair_by_name() {
     let Some(site) = Site::new() else { return };
     site.session("robot", "good", &[noise(1, 1_000)]);
     let folder = site.session("robot", "strange", &[noise(2, 1_000), noise(3, 1_000)]);

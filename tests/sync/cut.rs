@@ -38,7 +38,7 @@ fn everything_comes_over_ssh_is_acknowledged_and_comes_once() {
 }
 
 #[test]
-fn a_link_that_is_cut_at_random_bytes_loses_nothing_and_acknowledges_nothing_that_is_not_here() {
+fn a_link_cut_at_random_bytes_acknowledges_only_what_has_arrived() {
     let Some(site) = Site::with_ssh() else { return };
     robot_with_two_sessions(&site);
     // Each round has up to nine calls of ssh; they are cut anywhere, some in the greeting, most in the middle of a segment.
@@ -56,7 +56,7 @@ fn a_link_that_is_cut_at_random_bytes_loses_nothing_and_acknowledges_nothing_tha
 }
 
 #[test]
-fn what_goes_away_while_it_is_fetched_is_not_called_lost_where_somebody_has_it() {
+fn what_vanishes_during_a_fetch_is_not_lost_where_another_has_it() {
     let Some(site) = Site::with_ssh() else { return };
     for (name, during, code, says) in [
         ("gone", "rm -r S", 1, "moved or gone there meanwhile: run it again"),
@@ -76,7 +76,7 @@ fn what_goes_away_while_it_is_fetched_is_not_called_lost_where_somebody_has_it()
 }
 
 #[test]
-fn what_came_damaged_is_not_fetched_again_as_long_as_it_stays_the_same_there() {
+fn a_damaged_segment_is_not_fetched_again_until_it_changes() {
     let Some(site) = Site::new() else { return };
     let path = site.session("robot", "s", &[noise(1, 1_000)]).join("0000.mcap");
     let mut damaged = noise(1, 1_000);
@@ -129,7 +129,7 @@ fn bytes_flipped_on_the_way_are_never_believed() {
 }
 
 #[test]
-fn a_sync_that_is_killed_anywhere_leaves_what_is_true_and_the_next_ends_it() {
+fn a_sync_killed_anywhere_claims_nothing_false_and_the_next_ends_it() {
     let Some(site) = Site::with_ssh() else { return };
     robot_with_two_sessions(&site);
     for delay_ms in draws(7, 10, 1_500) {
@@ -167,7 +167,7 @@ fn a_robot_that_records_meanwhile_is_followed() {
 }
 
 #[test]
-fn a_disk_that_is_full_acknowledges_nothing_more_and_the_rest_comes_when_there_is_room() {
+fn a_full_disk_acknowledges_nothing_more_until_there_is_room_again() {
     let Some(site) = Site::with_ssh() else { return };
     site.session("robot", "small", &[noise(1, 200_000)]);
     site.session("robot", "z-large", &[noise(2, 3_000_000)]);
@@ -202,7 +202,7 @@ fn what_has_no_room_is_not_begun() {
 }
 
 #[test]
-fn a_disk_that_fills_up_in_the_middle_of_a_transfer_tears_nothing_and_the_rest_comes_when_there_is_room() {
+fn a_disk_that_fills_up_during_a_transfer_tears_nothing() {
     let Some(site) = Site::with_ssh() else { return };
     site.session("robot", "s", &(0..3).map(|index| noise(index, 2_000_000)).collect::<Vec<_>>());
     let disk = site.path("disk");
@@ -236,7 +236,7 @@ fn a_disk_that_fills_up_in_the_middle_of_a_transfer_tears_nothing_and_the_rest_c
 }
 
 #[test]
-fn a_slow_transfer_tells_how_far_it_is_how_fast_and_how_long_it_still_takes() {
+fn a_slow_transfer_tells_its_progress_its_rate_and_the_time_left() {
     let Some(site) = Site::with_ssh() else { return };
     site.session("robot", "s", &[noise(1, 3_000_000)]);
     site.mangles(&["pass", "pass", "slow 150"].map(str::to_owned));

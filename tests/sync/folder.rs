@@ -116,7 +116,7 @@ fn what_a_crash_left_unacknowledged_is_verified_and_not_copied() {
 }
 
 #[test]
-fn what_is_changed_here_is_moved_aside_and_what_is_deleted_is_no_longer_acknowledged() {
+fn changed_files_are_moved_aside_and_deleted_ones_not_acknowledged() {
     let Some(site) = Site::new() else { return };
     five(&site);
     site.sync("robot", "dev", &[]).ends(0);

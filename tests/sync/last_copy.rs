@@ -23,7 +23,7 @@ fn prune_all(site: &Site, folders: &[&str]) -> usize {
 }
 
 #[test]
-fn a_folder_that_was_lost_and_is_nearer_to_the_recorder_now_is_relied_on_no_longer() {
+fn a_folder_lost_and_now_nearer_to_the_recorder_is_no_longer_relied_on() {
     let Some(site) = Site::new() else { return };
     two(&site, "s");
     for (from, to) in [("robot", "m"), ("m", "a"), ("a", "c")] {
@@ -36,7 +36,7 @@ fn a_folder_that_was_lost_and_is_nearer_to_the_recorder_now_is_relied_on_no_long
 }
 
 #[test]
-fn a_session_that_is_moved_to_another_folder_takes_its_former_folder_s_word_for_its_own() {
+fn a_moved_session_takes_the_word_of_its_former_folder_for_its_own() {
     let Some(site) = Site::new() else { return };
     two(&site, "s");
     two(&site, "t");
@@ -151,7 +151,7 @@ fn a_copy_that_was_relied_on_relies_on_nobody_who_may_have_gone_for_it() {
 }
 
 #[test]
-fn a_recorder_s_folder_takes_no_word_of_its_own_for_another_s_after_its_session_was_moved() {
+fn after_a_move_a_recorder_folder_takes_no_own_word_for_another_s() {
     let Some(site) = Site::new() else { return };
     two(&site, "s");
     site.sync("robot", "d", &[]).ends(0);
@@ -248,7 +248,7 @@ fn what_a_killed_prune_left_goes_with_the_next() {
 }
 
 #[test]
-fn a_word_for_what_two_manifests_contradict_each_other_about_is_taken_back() {
+fn an_acknowledgement_that_two_manifests_contradict_is_taken_back() {
     let Some(site) = Site::new() else { return };
     two(&site, "s");
     site.sync("robot", "dev", &[]).ends(0);

@@ -22,7 +22,7 @@ fn all_end(syncs: Vec<Child>) {
 }
 
 #[test]
-fn robots_whose_clocks_are_hours_apart_are_synced_by_several_machines_at_once_while_they_record() {
+fn several_machines_sync_recording_robots_with_clocks_hours_apart() {
     let Some(site) = Site::with_ssh() else { return };
     let folders: Vec<_> = ROBOTS
         .iter()

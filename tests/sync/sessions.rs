@@ -58,7 +58,7 @@ fn only_what_another_store_has_is_pruned_and_a_dry_run_changes_nothing() {
 }
 
 #[test]
-fn what_is_pruned_here_is_no_longer_acknowledged_and_not_fetched_again_unasked() {
+fn what_is_pruned_is_not_acknowledged_nor_fetched_again_unasked() {
     let Some(site) = Site::new() else { return };
     site.session("robot", "a", &[noise(1, 1_000)]);
     site.sync("robot", "dev", &[]).ends(0);

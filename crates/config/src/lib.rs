@@ -37,7 +37,7 @@ pub use lenses::{
     load_lens, load_lens_for_image, parse_lens,
 };
 pub use settings::{
-    BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, FrameNames, HeadSettings, LEAST_BUDGET_MS,
-    MotionSource, MountSettings, RecordingSettings, SerialPortSettings, SerialSettings, Settings, ThinningMode,
-    ThinningSettings, Topics, ViewsSettings,
+    BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, FrameNames, HeadSettings, MIN_BUDGET_MS, MotionSource,
+    MountSettings, RecordingSettings, SerialPortSettings, SerialSettings, Settings, ThinningMode, ThinningSettings,
+    Topics, ViewsSettings,
 };

@@ -16,7 +16,7 @@ const SAMPLED_IMAGES: usize = 80;
 const MIN_PLACES: u64 = 300;
 /// Least share of these places that must show a bar. It is low because bars may be hidden or as bright as the wall behind,
 /// and not 0 because walls have edges too.
-const MIN_STANDING_SHARE: f64 = 0.4;
+const MIN_DETECTED_SHARE: f64 = 0.4;
 
 /// Whether the images show goals; `None` if too few of the expected places are in view to tell.
 pub(super) fn are_present(
@@ -41,8 +41,8 @@ pub(super) fn are_present(
     let step = records.len().div_ceil(SAMPLED_IMAGES).max(1);
     let seen = records.iter().step_by(step).filter_map(seen_in).fold(GoalBars::default(), |sum, seen| GoalBars {
         places: sum.places + seen.places,
-        standing: sum.standing + seen.standing,
+        detected: sum.detected + seen.detected,
     });
-    let present = seen.standing as f64 >= MIN_STANDING_SHARE * seen.places as f64;
+    let present = seen.detected as f64 >= MIN_DETECTED_SHARE * seen.places as f64;
     Ok((seen.places >= MIN_PLACES).then_some(present))
 }

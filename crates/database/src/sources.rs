@@ -22,7 +22,7 @@ use realitysim_recording::{
 };
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::messages::{CompressedImageView, FrameTag};
-use realitysim_views::{LEAST_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M};
+use realitysim_views::{MAX_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MIN_HEIGHT_M};
 use realitysim_vision::BodyMask;
 
 /// A source that was read, with its images.
@@ -407,7 +407,7 @@ fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
     };
     within("x", x, -MAX_PLACE_M..=MAX_PLACE_M)?;
     within("y", y, -MAX_PLACE_M..=MAX_PLACE_M)?;
-    within("z", z, LEAST_HEIGHT_M..=MOST_HEIGHT_M)?;
+    within("z", z, MIN_HEIGHT_M..=MAX_HEIGHT_M)?;
     for (name, angle) in [("yaw_deg", yaw), ("pitch_deg", pitch), ("roll_deg", roll)] {
         within(name, angle, -MAX_TURN_DEG..=MAX_TURN_DEG)?;
     }

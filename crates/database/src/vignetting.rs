@@ -76,7 +76,7 @@ fn partners(records: &[Record]) -> Vec<(&Record, &Record)> {
         let first = &records[(2 * which + 1) * count / (2 * PAIRS)];
         let pose = first.pose();
         let others = (0..PARTNERS.min(count)).map(|step| &records[step * count / PARTNERS.min(count)]);
-        let wish = |other: &Record| {
+        let cost = |other: &Record| {
             let place = other.pose();
             let (apart_m, turned) = (place.translation.distance(pose.translation), angle_between(&place, &pose));
             let differs = BETWEEN_RAD.contains(&turned) || apart_m > AHEAD_M;
@@ -84,7 +84,7 @@ fn partners(records: &[Record]) -> Vec<(&Record, &Record)> {
             (differs && apart_m < PAIR_DISTANCE_M && turned < *BETWEEN_RAD.end())
                 .then(|| apart_m + (turned - 0.6).abs())
         };
-        let best = others.filter_map(|other| Some((wish(other)?, other))).min_by(|a, b| a.0.total_cmp(&b.0));
+        let best = others.filter_map(|other| Some((cost(other)?, other))).min_by(|a, b| a.0.total_cmp(&b.0));
         best.map(|(_, second)| (first, second))
     };
     (0..PAIRS.min(count)).filter_map(pair).collect()

@@ -72,12 +72,12 @@ impl CameraOffer {
     /// Returns the formats in one line: `YUYV 640x480 (30, 15), 320x240 (30); MJPG ...`, rates in Hz.
     pub fn summary(&self) -> String {
         let size = |size: &SizeOffer| {
-            let rates: Vec<String> = size.rates_hz.iter().take(MOST_IN_A_LINE).map(|hz| format!("{hz:.0}")).collect();
+            let rates: Vec<String> = size.rates_hz.iter().take(MAX_PER_LINE).map(|hz| format!("{hz:.0}")).collect();
             format!("{}x{} ({})", size.width, size.height, rates.join(", "))
         };
         let format = |format: &FormatOffer| {
-            let more = if format.sizes.len() > MOST_IN_A_LINE { ", ..." } else { "" };
-            let sizes: Vec<String> = format.sizes.iter().take(MOST_IN_A_LINE).map(size).collect();
+            let more = if format.sizes.len() > MAX_PER_LINE { ", ..." } else { "" };
+            let sizes: Vec<String> = format.sizes.iter().take(MAX_PER_LINE).map(size).collect();
             format!("{} {}{more}", format.fourcc, sizes.join(", "))
         };
         if self.formats.is_empty() {
@@ -88,10 +88,10 @@ impl CameraOffer {
 }
 
 /// Largest number of sizes of a format, and of rates of a size, in that line.
-const MOST_IN_A_LINE: usize = 12;
+const MAX_PER_LINE: usize = 12;
 
 /// Largest number of sizes or rates that are listed: some drivers offer every multiple of 8.
-const MOST: usize = 64;
+const MAX_LISTED: usize = 64;
 
 /// Asks the camera at this path what it offers.
 pub fn offer(path: &Path) -> Result<CameraOffer, CameraError> {
@@ -104,7 +104,7 @@ pub fn offer(path: &Path) -> Result<CameraOffer, CameraError> {
         .into_iter()
         .map(|format| {
             let sizes = device.enum_framesizes(format.fourcc).unwrap_or_default();
-            let sizes = sizes.into_iter().flat_map(|size| size.size.to_discrete()).take(MOST);
+            let sizes = sizes.into_iter().flat_map(|size| size.size.to_discrete()).take(MAX_LISTED);
             FormatOffer {
                 fourcc: format.fourcc.to_string(),
                 description: format.description,
@@ -131,7 +131,7 @@ fn rates(device: &Device, fourcc: v4l::FourCC, width: u32, height: u32) -> Vec<f
             FrameIntervalEnum::Stepwise(steps) => vec![rate(steps.max), rate(steps.min)],
         })
         .flatten()
-        .take(MOST)
+        .take(MAX_LISTED)
         .collect()
 }
 

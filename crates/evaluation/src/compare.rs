@@ -54,7 +54,7 @@ pub struct Comparison {
 }
 
 /// Largest distance in time between a tag and a true pose that judges it, nanoseconds.
-const LONGEST_GAP_NS: i64 = 200_000_000;
+const MAX_GAP_NS: i64 = 200_000_000;
 /// 95 % quantile of the chi-square distribution with two degrees of freedom.
 const CHI_SQUARE_95: f64 = 5.991_464_547_107_979;
 
@@ -124,7 +124,7 @@ pub fn truth_at(truth: &[(i64, Isometry)], stamp_ns: i64) -> Option<Isometry> {
     let after = truth.partition_point(|(stamp, _)| *stamp < stamp_ns);
     let near = |index: Option<usize>| {
         let (stamp, pose) = truth.get(index?)?;
-        (stamp.abs_diff(stamp_ns) <= LONGEST_GAP_NS as u64).then_some((*stamp, *pose))
+        (stamp.abs_diff(stamp_ns) <= MAX_GAP_NS as u64).then_some((*stamp, *pose))
     };
     match (near(after.checked_sub(1)), near(Some(after))) {
         (Some((t0, a)), Some((t1, b))) => Some(a.interpolate(&b, (stamp_ns - t0) as f64 / (t1 - t0).max(1) as f64)),

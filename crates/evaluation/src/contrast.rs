@@ -30,23 +30,26 @@ pub struct Variant {
     pub name: &'static str,
     /// Settings of the filter.
     #[serde(flatten)]
-    pub knobs: SweepPoint,
+    pub sweep_point: SweepPoint,
 }
 
 /// Returns both observation models with and without refinement, and the default model with four times the particles and
 /// twice the line points.
 pub fn variants(configured: SweepPoint) -> [Variant; 6] {
     let of = |model, refinement| SweepPoint { model, refinement, ..configured };
-    let more =
-        |knobs: SweepPoint| SweepPoint { particles: 4 * knobs.particles, line_points: 2 * knobs.line_points, ..knobs };
+    let more = |sweep_point: SweepPoint| SweepPoint {
+        particles: 4 * sweep_point.particles,
+        line_points: 2 * sweep_point.line_points,
+        ..sweep_point
+    };
     let (gauss, plain) = (of(Model::Gauss, true), of(Model::Gauss, false));
     [
-        Variant { name: "gauss, refined", knobs: gauss },
-        Variant { name: "gauss, refined, more", knobs: more(gauss) },
-        Variant { name: "distance, refined", knobs: of(Model::Distance, true) },
-        Variant { name: "gauss, best particle", knobs: plain },
-        Variant { name: "gauss, best particle, more", knobs: more(plain) },
-        Variant { name: "distance, best particle", knobs: of(Model::Distance, false) },
+        Variant { name: "gauss, refined", sweep_point: gauss },
+        Variant { name: "gauss, refined, more", sweep_point: more(gauss) },
+        Variant { name: "distance, refined", sweep_point: of(Model::Distance, true) },
+        Variant { name: "gauss, best particle", sweep_point: plain },
+        Variant { name: "gauss, best particle, more", sweep_point: more(plain) },
+        Variant { name: "distance, best particle", sweep_point: of(Model::Distance, false) },
     ]
 }
 

@@ -6,7 +6,7 @@
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
-use super::cpu_yardstick::{Calibration, REFERENCE_MS};
+use super::cpu_calibration::{Calibration, REFERENCE_MS};
 use realitysim_scene::{Renderer, Scene, SceneError};
 
 /// Rendering times of a scene, milliseconds of processor time for a frame.

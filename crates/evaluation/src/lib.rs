@@ -26,7 +26,7 @@ pub mod capture;
 pub mod compare;
 pub mod contrast;
 pub mod cost;
-pub mod cpu_yardstick;
+pub mod cpu_calibration;
 pub mod drawing;
 pub mod effect_cost;
 pub mod falsify;

@@ -144,13 +144,13 @@ impl Field {
     /// The strokes as they are painted, with square ends.
     ///
     /// An end that meets another line is extended by half a line's width, to that line's far edge, so that corners are full.
-    pub fn painted(&self) -> Vec<Stroke> {
+    pub fn painted_strokes(&self) -> Vec<Stroke> {
         let half_width = self.line_width() / 2.0;
         let meets = |which: usize, end: DVec2| {
             let mut strokes = self.strokes.iter().enumerate();
             strokes.any(|(other, stroke)| other != which && stroke.distance(end) < half_width / 2.0)
         };
-        let painted = |(which, stroke): (usize, &Stroke)| match *stroke {
+        let extended = |(which, stroke): (usize, &Stroke)| match *stroke {
             Stroke::Segment { from, to } => {
                 let along = (to - from).normalize_or(DVec2::X);
                 let reach = |end| if meets(which, end) { half_width } else { 0.0 };
@@ -158,7 +158,7 @@ impl Field {
             }
             circle => circle,
         };
-        self.strokes.iter().enumerate().map(painted).collect()
+        self.strokes.iter().enumerate().map(extended).collect()
     }
 
     /// Width of the painted lines, metres.
@@ -360,7 +360,7 @@ mod tests {
     fn corners_are_painted_full_and_free_ends_are_not_longer() {
         let field = Field::new(kid_size_2013()).expect("a good field");
         let ends: Vec<(DVec2, DVec2)> = field
-            .painted()
+            .painted_strokes()
             .iter()
             .filter_map(|stroke| match *stroke {
                 Stroke::Segment { from, to } => Some((from, to)),

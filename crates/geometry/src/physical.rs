@@ -10,11 +10,11 @@ use super::{Isometry, Pose2};
 /// Largest magnitude of a measurement that is believed, in metres, radians or radians per second.
 ///
 /// Coordinates of a map projection reach a million metres.
-pub const MOST: f64 = 2e6;
+pub const MAX_MAGNITUDE: f64 = 2e6;
 /// Largest length of anything on a robot, and largest height of a camera above the ground, metres.
-pub const LONGEST_MOUNT_M: f64 = 100.0;
+pub const MAX_MOUNT_M: f64 = 100.0;
 /// Smallest magnitude that is told from zero. Its square is still far above the smallest normal number.
-pub const LEAST: f64 = 1e-30;
+pub const MIN_MAGNITUDE: f64 = 1e-30;
 /// Lengths of a quaternion whose direction is still defined.
 const QUATERNION_LENGTHS: core::ops::Range<f64> = 1e-12..1e12;
 
@@ -24,14 +24,14 @@ pub trait Physical {
     fn is_possible(&self) -> bool;
 }
 
-/// Replaces a number of smaller magnitude than [`LEAST`], denormal ones included, by zero; other numbers stay as they are.
+/// Replaces a number of smaller magnitude than [`MIN_MAGNITUDE`], denormal ones included, by zero; other numbers stay as they are.
 pub fn settled(value: f64) -> f64 {
-    if value.abs() < LEAST && value != 0.0 { 0.0 } else { value }
+    if value.abs() < MIN_MAGNITUDE && value != 0.0 { 0.0 } else { value }
 }
 
 impl Physical for f64 {
     fn is_possible(&self) -> bool {
-        self.abs() <= MOST
+        self.abs() <= MAX_MAGNITUDE
     }
 }
 

@@ -45,14 +45,14 @@ pub struct Effort {
 /// Decides whether a frame may go on; the argument is the number of poses weighed so far.
 ///
 /// It is called before every [`BLOCK`] poses, so that it may ask a clock. Equal answers give equal results.
-pub type MayGoOn<'a> = dyn FnMut(u32) -> bool + 'a;
+pub type TimeCheck<'a> = dyn FnMut(u32) -> bool + 'a;
 
-/// A [`MayGoOn`] without a limit.
+/// A [`TimeCheck`] without a limit.
 pub fn always(_weighed: u32) -> bool {
     true
 }
 
-/// Poses weighed between two calls of [`MayGoOn`]: some ten microseconds of work.
+/// Poses weighed between two calls of [`TimeCheck`]: some ten microseconds of work.
 pub const BLOCK: usize = 64;
 
 /// Everything that the next frame depends on.
@@ -137,20 +137,20 @@ impl Filter {
         seconds: f64,
         table: &GroundTable,
         effort: &mut Effort,
-        may_go_on: &mut MayGoOn,
+        has_time: &mut TimeCheck,
     ) -> Estimate {
         let FilterSettings { sampling, jitter, jitter_shrink, seed, .. } = self.settings;
         self.predict(step, seconds);
         let mut scale = 1.0;
         let mut round = 0;
         loop {
-            self.weigh(table, effort, may_go_on);
+            self.weigh(table, effort, has_time);
             let Workspace { weights, bins, .. } = &mut self.workspace;
             weights::normalise_into(&self.state.particles.log_weights, weights);
             self.unusable_weights += weights.unusable as u64;
             let draws = sampling.needed(&self.state.particles, weights, bins);
             let settled = sampling.is_settled(round as usize + 1, weights);
-            effort.capped |= !settled && !may_go_on(effort.weighed);
+            effort.capped |= !settled && !has_time(effort.weighed);
             let last = effort.capped || settled;
             let result = last.then(|| estimate(&self.state.particles, weights));
             self.resample(draws, round);
@@ -184,7 +184,7 @@ impl Filter {
     }
 
     /// Weighs the particles. Those for which there is no time are dropped at regular intervals, so that the rest represents the whole set.
-    fn weigh(&mut self, table: &GroundTable, effort: &mut Effort, may_go_on: &mut MayGoOn) {
+    fn weigh(&mut self, table: &GroundTable, effort: &mut Effort, has_time: &mut TimeCheck) {
         let Particles { poses, log_weights } = &mut self.state.particles;
         let near = &mut self.workspace.near;
         self.observation.look_near(table, poses, near);
@@ -192,7 +192,7 @@ impl Filter {
         let mut weighed = 0;
         for block in 0..blocks {
             // The first block is weighed in any case.
-            if block > 0 && !may_go_on(effort.weighed) {
+            if block > 0 && !has_time(effort.weighed) {
                 effort.capped = true;
                 break;
             }

@@ -38,7 +38,7 @@ const SWAYED_RAD: f64 = 0.02;
 /// Slower turns may be noise and bias of the gyro while the robot stands, radians per second.
 const TURNS_RAD_PER_S: f64 = 0.05;
 /// A longer step of odometry between two frames is a jump of its origin and not counted, metres.
-const LONGEST_STEP_M: f64 = 0.3;
+const JUMP_THRESHOLD_M: f64 = 0.3;
 
 impl FrozenImageDetector {
     /// Takes one frame and returns whether its picture is stale: the same as before although the robot has moved since.
@@ -54,7 +54,7 @@ impl FrozenImageDetector {
             return false;
         }
         let step = before.zip(moment.odometry).map(|(then, now)| (then.distance(&now), wrap_angle(now.yaw - then.yaw)));
-        if let Some((walked_m, turned_rad)) = step.filter(|(walked_m, _)| *walked_m <= LONGEST_STEP_M) {
+        if let Some((walked_m, turned_rad)) = step.filter(|(walked_m, _)| *walked_m <= JUMP_THRESHOLD_M) {
             self.walked_m += walked_m;
             let turned_rad = moment.turned_rad.unwrap_or(turned_rad);
             self.turned_rad += if turned_rad.abs() > TURNS_RAD_PER_S * seconds { turned_rad } else { 0.0 };
@@ -76,7 +76,7 @@ mod tests {
             turned_rad: Some(turned_rad),
             swayed_rad: Some(swayed_rad),
             camera_twist: None,
-            turn_is_felt: true,
+            turn_is_measured: true,
             footprint_from_optical: None,
             tilt_is_measured: true,
             lean_rad: None,

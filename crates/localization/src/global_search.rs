@@ -7,7 +7,7 @@ use core::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-use super::filter::{Effort, MayGoOn};
+use super::filter::{Effort, TimeCheck};
 use super::kernel::Points;
 use super::observation::Observation;
 use realitysim_geometry::{Field, Physical, Pose2, wrap_angle};
@@ -54,11 +54,11 @@ impl Physical for SearchState {
 
 /// How much of a search is done in each frame at least, whatever the clock says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pace {
+pub enum SearchRate {
     /// The robot is lost: the whole grid is tried within 15 frames.
-    Hurried,
+    Fast,
     /// A pose is believed: a fixed, small part is tried in each frame, so that frames take little longer than without a search.
-    Leisurely,
+    Background,
 }
 
 /// What a search is to find, and how fast.
@@ -67,23 +67,23 @@ pub struct SearchRequest {
     /// Number of poses wanted, at most.
     pub candidates: usize,
     /// How much is done in each frame.
-    pub pace: Pace,
+    pub rate: SearchRate,
 }
 
-impl Pace {
+impl SearchRate {
     /// Positions to try in each frame at least, of a grid of `count`.
     fn min_places(self, count: usize) -> usize {
         match self {
-            Self::Hurried => count.div_ceil(GRID_FRAMES),
-            Self::Leisurely => PLACES_AT_LEISURE,
+            Self::Fast => count.div_ceil(GRID_FRAMES),
+            Self::Background => BACKGROUND_PLACES,
         }
     }
 
     /// Poses to climb from in each frame at least.
     fn min_climbed(self) -> usize {
         match self {
-            Self::Hurried => MIN_CLIMBED,
-            Self::Leisurely => CLIMBED_AT_LEISURE,
+            Self::Fast => MIN_CLIMBED,
+            Self::Background => BACKGROUND_CLIMBED,
         }
     }
 }
@@ -112,18 +112,18 @@ const HEADINGS_TOGETHER: usize = 8;
 const WIDENED_M: f64 = 0.07;
 /// On the grid one in so many line points is used.
 const SPARSE_STEP: usize = 3;
-/// Number of frames within which a hurried search has tried the grid, whatever the clock says: 1.5 s at 10 Hz.
+/// Number of frames within which a fast search has tried the grid, whatever the clock says: 1.5 s at 10 Hz.
 const GRID_FRAMES: usize = 15;
-/// Positions of the grid that a leisurely search tries in a frame: 6,000 poses.
-const PLACES_AT_LEISURE: usize = 75;
+/// Positions of the grid that a background search tries in a frame: 6,000 poses.
+const BACKGROUND_PLACES: usize = 75;
 /// Number of the best grid poses that are kept.
 const KEPT_ON_GRID: usize = 600;
 /// Number of distinct grid poses that are climbed from.
 const CLIMBED: usize = 60;
-/// Number of poses that a hurried search climbs from in a frame, whatever the clock says.
+/// Number of poses that a fast search climbs from in a frame, whatever the clock says.
 const MIN_CLIMBED: usize = 6;
-/// Number of poses that a leisurely search climbs from in a frame.
-const CLIMBED_AT_LEISURE: usize = 3;
+/// Number of poses that a background search climbs from in a frame.
+const BACKGROUND_CLIMBED: usize = 3;
 /// Poses closer than this, and turned by less than [`SAME_RAD`], are the same candidate, metres.
 const SAME_M: f64 = 0.4;
 /// See [`SAME_M`]; radians.
@@ -167,20 +167,20 @@ impl GlobalSearch {
         &mut self,
         observation: &Observation,
         table: &GroundTable,
-        SearchRequest { candidates, pace }: SearchRequest,
+        SearchRequest { candidates, rate }: SearchRequest,
         state: &mut SearchState,
         effort: &mut Effort,
-        may_go_on: &mut MayGoOn,
+        has_time: &mut TimeCheck,
     ) -> Option<Vec<Candidate>> {
         table.widen(WIDENED_M, &mut self.widened);
-        if state.climbed.is_none() && !self.try_grid(pace, state, effort, may_go_on) {
+        if state.climbed.is_none() && !self.try_grid(rate, state, effort, has_time) {
             return None;
         }
         let SearchState { found, climbed, .. } = state;
         let climbed = climbed.get_or_insert(0);
         // `found` is sorted, so the best poses come first.
         for (index, candidate) in found.iter_mut().skip(*climbed as usize).enumerate() {
-            if index >= pace.min_climbed() && !may_go_on(effort.weighed) {
+            if index >= rate.min_climbed() && !has_time(effort.weighed) {
                 effort.capped = true;
                 return None;
             }
@@ -198,9 +198,15 @@ impl GlobalSearch {
     }
 
     /// Tries positions of the grid until time is up. Returns whether all have been tried: then `state` holds the best distinct poses.
-    fn try_grid(&mut self, pace: Pace, state: &mut SearchState, effort: &mut Effort, may_go_on: &mut MayGoOn) -> bool {
+    fn try_grid(
+        &mut self,
+        rate: SearchRate,
+        state: &mut SearchState,
+        effort: &mut Effort,
+        has_time: &mut TimeCheck,
+    ) -> bool {
         let SearchState { tried, found, .. } = state;
-        let (mut done, least) = (0, pace.min_places(self.places.len()));
+        let (mut done, least) = (0, rate.min_places(self.places.len()));
         for [x, y] in self.places.get(*tried as usize..).unwrap_or_default() {
             let mut headings: [Candidate; TURNS] = core::array::from_fn(|turn| {
                 let pose = Pose2::new(*x, *y, wrap_angle(TAU * turn as f64 / TURNS as f64));
@@ -217,7 +223,7 @@ impl GlobalSearch {
             effort.weighed += TURNS as u32;
             *tried += 1;
             done += 1;
-            if done >= least && !may_go_on(effort.weighed) {
+            if done >= least && !has_time(effort.weighed) {
                 effort.capped = true;
                 keep_best(found, KEPT_ON_GRID);
                 return false;

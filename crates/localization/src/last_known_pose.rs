@@ -33,7 +33,7 @@ const SLIPS_RAD: f64 = 0.35;
 const ANNOUNCED_SIGMAS: f64 = 3.0;
 /// Time without gyro or lines after which the robot may face the other way, seconds. To lift a robot, turn it round and put it down
 /// elsewhere takes 1.5 s at least.
-const LONGEST_UNFOLLOWED_S: f64 = 1.0;
+const UNFOLLOWED_LIMIT_S: f64 = 1.0;
 /// Speed at which the robot may have walked while no odometry was heard, metres per second.
 const WALKS_M_PER_S: f64 = 0.4;
 /// Rate at which the robot may have turned while no odometry was heard, radians per second.
@@ -74,7 +74,7 @@ impl LastKnownPose {
 
     /// Whether the robot may have been carried to its mirror pose unnoticed.
     pub fn may_be_mirrored(&self) -> bool {
-        self.unfollowed_s > LONGEST_UNFOLLOWED_S
+        self.unfollowed_s > UNFOLLOWED_LIMIT_S
     }
 
     /// Notes that the robot has fallen.

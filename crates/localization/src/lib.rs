@@ -56,7 +56,7 @@ pub mod validation;
 pub mod weights;
 
 pub use estimate::Estimate;
-pub use filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
+pub use filter::{Effort, Filter, FilterSettings, FilterState, TimeCheck};
 pub use kernel::SimdPath;
 pub use localizer::{Evidence, Fix, FrameSensors, LensOff, Localizer, LocalizerSettings, LocalizerState, TriedPose};
 pub use motion::MotionModel;

@@ -45,7 +45,7 @@ const CELL_M: f64 = 0.04;
 /// The map covers this much beyond the carpet's edge, where there are no lines, metres.
 const MARGIN_M: f64 = 0.5;
 /// Larger distances are stored as this one, metres.
-const FARTHEST_M: f64 = 2.5;
+const DISTANCE_LIMIT_M: f64 = 2.5;
 /// Stored units per metre.
 const PER_METRE: f64 = 100.0;
 /// Area that is taken as explained beforehand: a metre of line, square metres.
@@ -69,7 +69,7 @@ impl LineDistanceMap {
         for row in 0..rows {
             for column in 0..columns {
                 let at = corner + DVec2::new(column as f64, row as f64) * CELL_M;
-                let distance = field.distance_to_centre_line(at).min(FARTHEST_M);
+                let distance = field.distance_to_centre_line(at).min(DISTANCE_LIMIT_M);
                 distances.push(libm::round(distance * PER_METRE) as u8);
             }
         }
@@ -84,10 +84,10 @@ impl LineDistanceMap {
         let (u, v) = ((at.x - self.corner.x) / CELL_M + 0.5, (at.y - self.corner.y) / CELL_M + 0.5);
         // NaN fails.
         if !(u >= 0.0 && v >= 0.0) || u as usize >= self.columns {
-            return FARTHEST_M;
+            return DISTANCE_LIMIT_M;
         }
         let index = v as usize * self.columns + u as usize;
-        self.distances.get(index).map_or(FARTHEST_M, |distance| f64::from(*distance) / PER_METRE)
+        self.distances.get(index).map_or(DISTANCE_LIMIT_M, |distance| f64::from(*distance) / PER_METRE)
     }
 
     /// How much of the line that the ground table `lines` shows is explained by the pose `map_from_optical`.
@@ -100,9 +100,9 @@ impl LineDistanceMap {
         map_from_optical: &Isometry,
     ) -> ExplainedLines {
         let (mut shown, mut explained) = (0.0, 0.0);
-        self.each_shown(lines, footprint_from_optical, map_from_optical, |_, weight, is_painted| {
+        self.each_shown(lines, footprint_from_optical, map_from_optical, |_, weight, is_on_line| {
             shown += weight;
-            explained += if is_painted { weight } else { 0.0 };
+            explained += if is_on_line { weight } else { 0.0 };
         });
         let m2 = lines.clear_line_m2();
         ExplainedLines { shown_m2: shown * m2, share: (explained * m2 + PRIOR_M2) / (shown * m2 + PRIOR_M2) }
@@ -245,8 +245,8 @@ mod tests {
 
     #[test]
     fn the_right_pose_explains_every_line_in_view_and_a_wrong_one_few() {
-        let painted = LineDistanceMap::new(&field());
-        let share = |ridges: &[Ridge], at| painted.share_of(ridges, &lens(), WorkingScale::new(1), &at);
+        let line_distances = LineDistanceMap::new(&field());
+        let share = |ridges: &[Ridge], at| line_distances.share_of(ridges, &lens(), WorkingScale::new(1), &at);
         for (x, y, yaw) in [(0.5, 0.3, 0.2), (-2.0, 1.0, 2.5), (3.0, -1.5, 0.4)] {
             let ridges = seen_from(&camera(x, y, yaw));
             assert!(ridges.len() > 60, "{}", ridges.len());
@@ -260,8 +260,9 @@ mod tests {
 
     #[test]
     fn lines_above_the_horizon_are_unexplained_and_no_lines_are_no_evidence() {
-        let painted = LineDistanceMap::new(&field());
-        let share = |ridges: &[Ridge]| painted.share_of(ridges, &lens(), WorkingScale::new(1), &camera(0.0, 0.0, 0.0));
+        let line_distances = LineDistanceMap::new(&field());
+        let share =
+            |ridges: &[Ridge]| line_distances.share_of(ridges, &lens(), WorkingScale::new(1), &camera(0.0, 0.0, 0.0));
         assert_eq!(share(&[]), 1.0);
         let sky = Ridge { pixel: DVec2::new(320.0, 10.0), length_px: PRIOR_PX };
         assert_eq!(share(&[sky]), 0.5);
@@ -292,7 +293,7 @@ mod tests {
     #[test]
     fn the_bars_of_a_goal_are_left_out() {
         let field = Field::new(load_field("kid-2020").expect("shipped")).expect("checked");
-        let painted = LineDistanceMap::new(&field);
+        let line_distances = LineDistanceMap::new(&field);
         let goal = field.dimensions().goal.expect("kid-2020 has goals");
         let (line_x, half_m) = (field.dimensions().length_m / 2.0, goal.width_m / 2.0);
         for side in [1.0, -1.0] {
@@ -300,10 +301,13 @@ mod tests {
             let beyond = |at: DVec3| camera + (at - camera) * (camera.z / (camera.z - at.z));
             let post = DVec3::new(line_x * side, half_m, 0.2);
             let back = DVec3::new((line_x + goal.depth_m) * side, 0.4, 0.0);
-            assert!(painted.may_be_goal(camera, beyond(post), 0.02) && painted.may_be_goal(camera, back, 0.02));
-            assert!(!painted.may_be_goal(camera, DVec3::new(3.5 * side, 0.4, 0.0), 0.02), "before the goal");
-            assert!(!painted.may_be_goal(camera, beyond(post + DVec3::Y * 0.5), 0.02), "beside it");
-            assert!(!painted.may_be_goal(camera, DVec3::new((line_x + 0.3) * side, 0.4, 0.0), 0.02), "in it");
+            assert!(
+                line_distances.may_be_goal(camera, beyond(post), 0.02)
+                    && line_distances.may_be_goal(camera, back, 0.02)
+            );
+            assert!(!line_distances.may_be_goal(camera, DVec3::new(3.5 * side, 0.4, 0.0), 0.02), "before the goal");
+            assert!(!line_distances.may_be_goal(camera, beyond(post + DVec3::Y * 0.5), 0.02), "beside it");
+            assert!(!line_distances.may_be_goal(camera, DVec3::new((line_x + 0.3) * side, 0.4, 0.0), 0.02), "in it");
         }
     }
 }

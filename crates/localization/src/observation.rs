@@ -82,7 +82,7 @@ struct Cloud {
 impl Cloud {
     /// `None` if the poses are too far apart for the bounds to be of use.
     fn around(poses: &[Pose2]) -> Option<Self> {
-        const WIDEST_RAD: f64 = 0.8;
+        const YAW_SPREAD_LIMIT_RAD: f64 = 0.8;
         let first = poses.first()?;
         let count = poses.len() as f64;
         let (mut x, mut y, mut turn) = (0.0, 0.0, 0.0);
@@ -99,7 +99,11 @@ impl Cloud {
             yaw_rad = yaw_rad.max(wrap_angle(pose.yaw - middle.yaw).abs());
         }
         // NaN fails.
-        (yaw_rad < WIDEST_RAD && square.is_finite()).then(|| Self { middle, xy_m: libm::sqrt(square), yaw_rad })
+        (yaw_rad < YAW_SPREAD_LIMIT_RAD && square.is_finite()).then(|| Self {
+            middle,
+            xy_m: libm::sqrt(square),
+            yaw_rad,
+        })
     }
 }
 

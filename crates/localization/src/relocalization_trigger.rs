@@ -26,7 +26,7 @@ pub struct RelocalizationTrigger {
     /// Time for which frames have been doubted.
     doubted_s: f64,
     /// Number of frames in a row whose lines and odometry showed different motions.
-    surprised: u32,
+    contradictions: u32,
     /// Number of searches that the pose still needs, since it was found by search or the robot may have been put elsewhere.
     owed: u32,
     /// The share before the robot may have been put elsewhere, until that is decided.
@@ -43,15 +43,15 @@ const USUAL_S: f64 = 8.0;
 /// First pause between two searches, seconds. It doubles after each search that finds nothing better.
 const FIRST_PAUSE_S: f64 = 1.0;
 /// Longest pause between two searches, seconds.
-const LONGEST_PAUSE_S: f64 = 16.0;
+const PAUSE_LIMIT_S: f64 = 16.0;
 /// Drop of the mean share below the usual one that resets the pause.
 const MEAN_DROP: f64 = 0.1;
 /// Drop of a single frame's share below the mean that is a loss of lines.
 const FRAME_DROP: f64 = 0.07;
 /// Time of doubted frames that calls for a search, seconds.
 const DOUBTED_S: f64 = 1.5;
-/// Number of surprising frames in a row that calls for a search.
-const SURPRISED: u32 = 3;
+/// Number of frames in a row with different motions that calls for a search.
+const MIN_CONTRADICTIONS: u32 = 3;
 /// Number of searches owed to a pose that was found by search.
 const OWED_IF_FOUND: u32 = 3;
 /// Number of searches owed when the robot may have been put elsewhere.
@@ -68,7 +68,7 @@ impl Default for RelocalizationTrigger {
             waited_s: 0.0,
             pause_s: FIRST_PAUSE_S,
             doubted_s: 0.0,
-            surprised: 0,
+            contradictions: 0,
             owed: 0,
             put_from: None,
         }
@@ -95,14 +95,14 @@ impl RelocalizationTrigger {
     /// Takes a frame, `seconds` after the last one.
     ///
     /// `shares` are its share of fitting line places and the same if all lines were clear, or `None` if too few places are expected.
-    /// `doubted`: its pose was rejected as uncertain. `surprised`: its lines and odometry showed different motions.
-    pub fn note_frame(&mut self, seconds: f64, shares: Option<[f64; 2]>, doubted: bool, surprised: bool) {
+    /// `doubted`: its pose was rejected as uncertain. `contradicts`: its lines and odometry showed different motions.
+    pub fn note_frame(&mut self, seconds: f64, shares: Option<[f64; 2]>, doubted: bool, contradicts: bool) {
         let share = shares.map(|[share, _]| share);
         self.waited_s += seconds;
         self.doubted_s = if doubted { self.doubted_s + seconds } else { 0.0 };
-        self.surprised = if surprised { self.surprised + 1 } else { 0 };
+        self.contradictions = if contradicts { self.contradictions + 1 } else { 0 };
         // Lines are missing, and the others lie where no step leads: the robot may have been put elsewhere.
-        if surprised && share.is_some_and(|share| self.is_drop(share)) {
+        if contradicts && share.is_some_and(|share| self.is_drop(share)) {
             self.owed = OWED_IF_PUT;
             self.waited_s = self.waited_s.max(self.pause_s);
             self.put_from = self.put_from.or(self.share);
@@ -139,23 +139,24 @@ impl RelocalizationTrigger {
     pub fn is_due(&self) -> bool {
         let is_odd = self.owed > 0 || self.clear_share < CONVINCING || self.doubted_s >= DOUBTED_S;
         let pause_s = if self.owed > 0 { PAUSE_IF_OWED_S } else { self.pause_s };
-        (is_odd && self.waited_s >= pause_s) || (self.surprised >= SURPRISED && self.waited_s >= FIRST_PAUSE_S)
+        (is_odd && self.waited_s >= pause_s)
+            || (self.contradictions >= MIN_CONTRADICTIONS && self.waited_s >= FIRST_PAUSE_S)
     }
 
     /// Whether a search is urgent: lines have just disappeared or show another motion than odometry, or the pose is new.
     pub fn is_urgent(&self) -> bool {
-        self.owed > 0 || self.surprised >= SURPRISED || self.has_dropped()
+        self.owed > 0 || self.contradictions >= MIN_CONTRADICTIONS || self.has_dropped()
     }
 
     /// Notes a search that has found nothing better.
     pub fn note_fruitless_search(&mut self) {
-        (self.waited_s, self.doubted_s, self.surprised) = (0.0, 0.0, 0);
+        (self.waited_s, self.doubted_s, self.contradictions) = (0.0, 0.0, 0);
         self.usual = self.share.unwrap_or(self.usual);
         if self.owed > 0 {
             self.owed -= 1;
             self.put_from = self.put_from.filter(|_| self.owed > 0);
         } else {
-            self.pause_s = (2.0 * self.pause_s).min(LONGEST_PAUSE_S);
+            self.pause_s = (2.0 * self.pause_s).min(PAUSE_LIMIT_S);
         }
     }
 }
@@ -205,10 +206,10 @@ mod tests {
 
     #[test]
     fn a_robot_that_seems_put_elsewhere_is_searched_for_at_once_and_again() {
-        let put = |share: f64, surprised: bool| {
+        let put = |share: f64, contradicts: bool| {
             let mut trigger = RelocalizationTrigger::default();
             (0..30).for_each(|_| trigger.note_frame(0.1, Some([0.98; 2]), false, false));
-            trigger.note_frame(0.1, Some([share; 2]), false, surprised);
+            trigger.note_frame(0.1, Some([share; 2]), false, contradicts);
             (trigger.is_due() && trigger.is_urgent(), trigger)
         };
         assert!(put(0.86, true).0 && !put(0.86, false).0 && !put(0.96, true).0, "fewer lines, and where no step leads");

@@ -18,35 +18,35 @@ pub struct Copies {
     /// How often each particle is copied.
     pub counts: Vec<u32>,
     /// Integer weights.
-    quanta: Vec<u64>,
+    integer_weights: Vec<u64>,
 }
 
 /// Draws `draws` particles by their weights, with one random number of `stream`. The counts in `copies` sum to `draws`.
 pub fn residual(weights: &Weights, draws: usize, stream: &mut Stream, copies: &mut Copies) {
     assert!(weights.relative.len() <= MAX_PARTICLES && draws <= MAX_PARTICLES, "at most 2^23 particles");
-    let Copies { counts, quanta } = copies;
-    quantise(weights, quanta);
+    let Copies { counts, integer_weights } = copies;
+    quantise(weights, integer_weights);
     counts.clear();
-    if !quanta.is_empty() {
-        let total = quanta.iter().sum();
-        count(quanta, total, draws, stream.below(total), counts);
+    if !integer_weights.is_empty() {
+        let total = integer_weights.iter().sum();
+        count(integer_weights, total, draws, stream.below(total), counts);
     }
 }
 
 /// Converts relative weights to integers, 2^40 for the best particle.
-fn quantise(weights: &Weights, quanta: &mut Vec<u64>) {
-    quanta.clear();
-    quanta.extend(weights.relative.iter().map(|relative| (ONE * relative + 0.5) as u64));
+fn quantise(weights: &Weights, integer_weights: &mut Vec<u64>) {
+    integer_weights.clear();
+    integer_weights.extend(weights.relative.iter().map(|relative| (ONE * relative + 0.5) as u64));
 }
 
 /// Counts the copies of each particle. `offset` is the first of the evenly spaced sampling places, in 0..`total`.
-fn count(quanta: &[u64], total: u64, draws: usize, offset: u64, counts: &mut Vec<u32>) {
+fn count(integer_weights: &[u64], total: u64, draws: usize, offset: u64, counts: &mut Vec<u32>) {
     // One more copy wherever the running sum of remainders passes offset, offset + S, offset + 2 S, ...
     let mut next = u128::from(offset);
     let mut sum = 0u128;
-    counts.extend(quanta.iter().map(|quantum| {
+    counts.extend(integer_weights.iter().map(|integer_weight| {
         // 23 bits times 41 bits fit into 64.
-        let wanted = draws as u64 * quantum;
+        let wanted = draws as u64 * integer_weight;
         sum += u128::from(wanted % total);
         let one_more = sum > next;
         if one_more {
@@ -70,9 +70,9 @@ mod tests {
     }
 
     fn quantised(log_weights: &[f64]) -> Vec<u64> {
-        let mut quanta = Vec::new();
-        quantise(&normalise(log_weights), &mut quanta);
-        quanta
+        let mut integer_weights = Vec::new();
+        quantise(&normalise(log_weights), &mut integer_weights);
+        integer_weights
     }
 
     fn stream(seed: u64) -> Stream {
@@ -111,12 +111,12 @@ mod tests {
         assert!(tenths < 1.0, "{tenths}");
         for particles in 1..200u64 {
             let logs: Vec<f64> = (0..particles).map(|i| -((i * 37 % 11) as f64) / 3.0).collect();
-            let quanta = quantised(&logs);
-            let total: u64 = quanta.iter().sum();
+            let integer_weights = quantised(&logs);
+            let total: u64 = integer_weights.iter().sum();
             for draws in [1, 7, particles as usize, 1000] {
                 for offset in [0, 1, total / 2, total - 1] {
                     let mut counts = Vec::new();
-                    count(&quanta, total, draws, offset, &mut counts);
+                    count(&integer_weights, total, draws, offset, &mut counts);
                     assert_eq!(counts.iter().sum::<u32>() as usize, draws, "{particles} {draws} {offset}");
                 }
             }
@@ -129,13 +129,13 @@ mod tests {
         use realitysim_test_support::exact::{exact, rounded};
         const DRAWS: usize = 800;
         let logs: Vec<f64> = (0..DRAWS).map(|i| -40.0 * stream(i as u64).uniform().powi(3)).collect();
-        let quanta = quantised(&logs);
-        let total: u64 = quanta.iter().sum();
+        let integer_weights = quantised(&logs);
+        let total: u64 = integer_weights.iter().sum();
         let shares: Vec<_> = logs.iter().map(|log| exact(*log).exp()).collect();
         let sum = shares.iter().fold(exact(0.0), |sum, share| sum + share);
-        let errors = quanta.iter().zip(&shares).map(|(quantum, share)| {
+        let errors = integer_weights.iter().zip(&shares).map(|(integer_weight, share)| {
             // Integers of 40 bits are exact in f64.
-            let expected = exact(DRAWS as f64) * exact(*quantum as f64) / exact(total as f64);
+            let expected = exact(DRAWS as f64) * exact(*integer_weight as f64) / exact(total as f64);
             rounded(&(expected - exact(DRAWS as f64) * share / &sum)).abs()
         });
         let largest = errors.fold(0.0, f64::max);

@@ -17,9 +17,9 @@ pub(super) struct RateSources {
 }
 
 /// Largest speed of the feet, metres per second. Odometry that is faster has jumped, and counts as standing.
-const FASTEST_FEET_M_PER_S: f64 = 3.0;
+const FEET_SPEED_LIMIT_M_PER_S: f64 = 3.0;
 /// Largest turn rate of a camera, radians per second. In a faster turn no image shows lines.
-const FASTEST_RAD_PER_S: f64 = 15.0;
+const TURN_RATE_LIMIT_RAD_PER_S: f64 = 15.0;
 
 /// Computes the velocity of `camera_optical_frame` along its own axes; `None` if it is not finite or turns too fast.
 pub(super) fn camera_twist(now: &CameraPlace, sources: &RateSources) -> Option<Twist> {
@@ -28,14 +28,14 @@ pub(super) fn camera_twist(now: &CameraPlace, sources: &RateSources) -> Option<T
     let optical_from_footprint = now.footprint_from_optical.rotation.conjugate();
     let neck_moved = neck.inverse() * now.base_from_optical;
     let walking = DVec3::new(feet.x, feet.y, 0.0) / feet_s;
-    let walking = if walking.length() <= FASTEST_FEET_M_PER_S { walking } else { DVec3::ZERO };
+    let walking = if walking.length() <= FEET_SPEED_LIMIT_M_PER_S { walking } else { DVec3::ZERO };
     let twist = Twist {
         linear: optical_from_footprint * walking
             + optical_from_base * torso_rate.cross(now.base_from_optical.translation)
             + neck_moved.translation / neck_s,
         angular: optical_from_base * torso_rate + neck_moved.rotation.to_scaled_axis() / neck_s,
     };
-    (twist.angular.length() <= FASTEST_RAD_PER_S && twist.linear.is_finite()).then_some(twist)
+    (twist.angular.length() <= TURN_RATE_LIMIT_RAD_PER_S && twist.linear.is_finite()).then_some(twist)
 }
 
 #[cfg(test)]

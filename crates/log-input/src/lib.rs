@@ -3,24 +3,19 @@
 //! A source is an iterator of [`LogMessage`](realitysim_ros2::mcap_read::LogMessage)s: [`log::LogSource`] reads MCAP files,
 //! [`scene_source::SceneSource`] renders a scene into the messages that a robot would have logged. What follows is the
 //! same for both. [`topic_resolution`] finds out which topic carries which measurement, [`measurement::read`] decodes one
-//! message, and a [`synchroniser::Synchroniser`] gives out each frame with the robot's state at its exposure.
+//! message, and a [`FrameAssembler`] gives out each frame with the robot's state at its exposure.
 //! [`decode`] and [`encode`] convert between a frame's bytes and its pixels.
 //!
 //! ```rust
 //! use realitysim_config::{FrameNames, HeadSettings, Topics};
 //! use realitysim_log_input::scene_source::{self, SceneSource};
-//! use realitysim_log_input::{measurement, synchroniser::Synchroniser};
+//! use realitysim_log_input::{FrameAssembler, synchroniser::Synchroniser};
 //!
 //! let scene = scene_source::load("../../replay/scenes/demo.toml")?;
-//! let mut synchroniser = Synchroniser::new(FrameNames::default(), Default::default());
-//! let mut frames = Vec::new();
-//! for message in SceneSource::new(&scene).take(100) {
-//!     let message = message?;
-//!     let measured = measurement::read(&message, &Topics::default(), &HeadSettings::default())?;
-//!     synchroniser.push(&message, measured);
-//!     frames.extend(std::iter::from_fn(|| synchroniser.pop()));
-//! }
-//! let robot = &frames[0].robot;
+//! let synchroniser = Synchroniser::new(FrameNames::default(), Default::default());
+//! let mut assembler = FrameAssembler::new(Topics::default(), HeadSettings::default(), synchroniser, false);
+//! let frame = assembler.frames_of(SceneSource::new(&scene)).next().expect("a scene has frames")?;
+//! let robot = &frame.robot;
 //! assert!(robot.odometry.is_some(), "where the robot's own odometry had it");
 //! let camera = robot.place.clone()?;
 //! assert!(camera.footprint_from_optical.translation.z > 0.3, "metres above the ground");
@@ -32,6 +27,7 @@ mod camera_twist;
 pub mod decode;
 pub mod encode;
 pub mod file_kind;
+mod frames;
 pub mod history;
 mod input_source;
 pub mod log;
@@ -42,4 +38,5 @@ pub mod topic_resolution;
 pub mod transforms;
 
 pub use body_mask::{body_mask, mask};
+pub use frames::{FrameAssembler, Frames};
 pub use input_source::InputSource;

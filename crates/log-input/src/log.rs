@@ -53,15 +53,15 @@ pub enum LogError {
 }
 
 /// Largest number of folders that an error lists.
-const MOST_NAMED: usize = 5;
+const MAX_NAMED: usize = 5;
 
 /// Says what to name instead of a folder without logs; `within` are the folders in it that hold some.
 fn instead_of(within: &[PathBuf]) -> String {
     let [first, ..] = within else {
         return "name an MCAP file, a ROS 2 bag's folder or a capture's".to_owned();
     };
-    let names: Vec<String> = within.iter().take(MOST_NAMED).map(|path| path.display().to_string()).collect();
-    let more = match within.len().saturating_sub(MOST_NAMED) {
+    let names: Vec<String> = within.iter().take(MAX_NAMED).map(|path| path.display().to_string()).collect();
+    let more = match within.len().saturating_sub(MAX_NAMED) {
         0 => String::new(),
         more => format!(" and {more} more"),
     };

@@ -202,7 +202,7 @@ fn stamp_of_torn(data: &[u8]) -> Option<Stamp> {
 }
 
 /// Largest variance that is believed, m² or rad²: a standard deviation of 100 m or 100 rad is wider than any field.
-const MOST_VARIANCE: f64 = 1e4;
+const MAX_VARIANCE: f64 = 1e4;
 /// Share by which the square of a covariance may exceed the product of its variances because of rounding.
 const ROUNDING_SHARE: f64 = 1e-6;
 
@@ -212,7 +212,7 @@ impl StatedDeviations {
     fn from_covariance(covariance: &[f64; 36]) -> Self {
         let [xx, xy, yx, yy, yaw] = [0, 1, 6, 7, 35].map(|index| settled(covariance[index]));
         let variances = [xx, yy, yaw];
-        let is_covariance = variances.iter().all(|variance| (0.0..=MOST_VARIANCE).contains(variance))
+        let is_covariance = variances.iter().all(|variance| (0.0..=MAX_VARIANCE).contains(variance))
             && [xy, yx].iter().all(|both| both * both <= xx * yy * (1.0 + ROUNDING_SHARE));
         if !is_covariance {
             Self::Impossible

@@ -47,7 +47,7 @@ pub struct RobotState {
     /// Velocity of `camera_optical_frame` along its own axes, by gyro, odometry and joints, if they are known.
     pub camera_twist: Option<Twist>,
     /// Whether a gyro measured how the camera turns; otherwise `camera_twist` has the turn of the feet by odometry.
-    pub turn_is_felt: bool,
+    pub turn_is_measured: bool,
     /// Whether the odometry, an attitude, a joint angle or a transform that was used is older than [`STALE_NS`].
     pub stale: bool,
     /// The pose that was announced since the last frame.
@@ -378,7 +378,7 @@ impl Synchroniser {
             turned_rad: since_ns.and_then(|since_ns| state.turn_rate.integral(since_ns, stamp_ns)),
             swayed_rad: since_ns.and_then(|since_ns| state.sway_rate.integral(since_ns, stamp_ns)),
             camera_twist,
-            turn_is_felt: torso_rate.is_some() && camera_twist.is_some(),
+            turn_is_measured: torso_rate.is_some() && camera_twist.is_some(),
             stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
             initial_pose: None,
             anchor: None,

@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use super::history::{History, Pushed};
 use realitysim_config::FrameNames;
-use realitysim_geometry::physical::LONGEST_MOUNT_M;
+use realitysim_geometry::physical::MAX_MOUNT_M;
 use realitysim_geometry::{Euler, Isometry, Physical};
 
 /// The transforms between coordinate frames, constant ones and the recent past of moving ones.
@@ -101,7 +101,7 @@ pub enum ChainError {
     },
     /// A transform is not finite or too long.
     #[error(
-        "the transform to {frame} holds a number that is not finite, or leads more than {LONGEST_MOUNT_M} m away: /tf_static must \
+        "the transform to {frame} holds a number that is not finite, or leads more than {MAX_MOUNT_M} m away: /tf_static must \
          give its place in metres"
     )]
     Impossible {
@@ -325,7 +325,7 @@ impl TransformTree {
 
 /// Returns whether a part of a robot can be mounted on another part like this: finite, and at most 100 m away.
 fn is_mount(transform: &Isometry) -> bool {
-    transform.is_possible() && transform.translation.length() <= LONGEST_MOUNT_M
+    transform.is_possible() && transform.translation.length() <= MAX_MOUNT_M
 }
 
 /// Tilts the torso as the IMU says: roll and pitch replace those of the constant, yaw stays.

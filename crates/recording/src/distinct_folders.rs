@@ -21,7 +21,7 @@ pub fn is_probe(name: &std::ffi::OsStr) -> bool {
 
 /// Why the content of one folder does not count as a copy of the other's.
 #[derive(Debug, Error)]
-pub enum NotApart {
+pub enum NotDistinct {
     /// Both paths lead to the same folder.
     #[error("{} is {} by another way: a file that is written into one appears in the other", .0.display(), .1.display())]
     Same(PathBuf, PathBuf),
@@ -39,13 +39,13 @@ pub enum NotApart {
 
 /// Proves that two folders are different storage: writes a probe file into each and looks for it in the other.
 ///
-/// The error is [`NotApart::Same`] if the probe appears, and [`NotApart::Unproven`] if a folder cannot be written or
+/// The error is [`NotDistinct::Same`] if the probe appears, and [`NotDistinct::Unproven`] if a folder cannot be written or
 /// read.
-pub fn prove_apart(a: &Path, b: &Path) -> Result<(), NotApart> {
+pub fn prove_distinct(a: &Path, b: &Path) -> Result<(), NotDistinct> {
     let folders = || [a.to_owned(), b.to_owned()];
     let unproven = |folder: &Path| {
         let folder = folder.to_owned();
-        move |source| NotApart::Unproven { folders: folders(), folder, source }
+        move |source| NotDistinct::Unproven { folders: folders(), folder, source }
     };
     for (from, to) in [(a, b), (b, a)] {
         let mut probes = tempfile::Builder::new();
@@ -59,7 +59,7 @@ pub fn prove_apart(a: &Path, b: &Path) -> Result<(), NotApart> {
         };
         let mut names = std::fs::read_dir(to).map_err(unproven(to))?;
         if is_there || names.any(|entry| entry.is_ok_and(|entry| entry.file_name() == name)) {
-            return Err(NotApart::Same(a.to_owned(), b.to_owned()));
+            return Err(NotDistinct::Same(a.to_owned(), b.to_owned()));
         }
     }
     Ok(())
@@ -78,18 +78,18 @@ mod tests {
     #[test]
     fn two_folders_are_apart_and_one_is_not_and_nothing_is_left() {
         let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        prove_apart(a.path(), b.path()).unwrap();
+        prove_distinct(a.path(), b.path()).unwrap();
         let link = b.path().join("link");
         std::os::unix::fs::symlink(a.path(), &link).unwrap();
-        assert!(matches!(prove_apart(a.path(), &link), Err(NotApart::Same(..))));
-        assert!(matches!(prove_apart(&link, a.path()), Err(NotApart::Same(..))));
+        assert!(matches!(prove_distinct(a.path(), &link), Err(NotDistinct::Same(..))));
+        assert!(matches!(prove_distinct(&link, a.path()), Err(NotDistinct::Same(..))));
         assert_eq!((files_in(a.path()), files_in(b.path())), (0, 1));
     }
 
     #[test]
     fn what_cannot_be_written_into_proves_nothing() {
         let a = tempfile::tempdir().unwrap();
-        let said = prove_apart(a.path(), &a.path().join("none")).unwrap_err().to_string();
+        let said = prove_distinct(a.path(), &a.path().join("none")).unwrap_err().to_string();
         assert!(said.starts_with("nobody can tell whether") && said.contains("none: No such file"), "{said}");
     }
 }

@@ -7,7 +7,7 @@ use realitysim_ros2::mcap_read::LogMessage;
 /// One thing that the recorder has to write or to count.
 pub(super) enum Entry {
     /// The beginning of a segment, with the filter's state.
-    Begin(Beginning),
+    Begin(SegmentStart),
     /// A message of the log.
     Message(LogMessage, Kind),
     /// A place where something could not be written.
@@ -22,7 +22,7 @@ pub(super) enum Entry {
 
 /// Beginning of a segment: the attachment with the filter's state.
 #[derive(Clone)]
-pub(super) struct Beginning {
+pub(super) struct SegmentStart {
     /// Log time of the beginning, ns.
     pub log_time_ns: i64,
     /// Name of the attachment.

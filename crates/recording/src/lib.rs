@@ -73,7 +73,7 @@ pub use catalogue::{Received, Session, SetAside};
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
 pub use deletion_rules::{Releasable, releasable};
 pub use disk_latency::{DISK_FILE, DiskMeasured};
-pub use distinct_folders::{NotApart, is_probe, prove_apart};
+pub use distinct_folders::{NotDistinct, is_probe, prove_distinct};
 pub use error::{REMOVED, RecordingError, cannot_be_made};
 pub use folder::{Loss, missing_parts, read_info, session_holding};
 pub use folder_lock::FolderLock;

@@ -162,7 +162,7 @@ impl RecordQueue {
         state.note_thinned(&entry);
         let log_time_ns = entry.log_time_ns();
         if let Some(cause) = self.refusal(&state, &entry) {
-            state.refuse(&entry, cause, log_time_ns);
+            state.refuse(&entry, &cause, log_time_ns);
         } else {
             if let Some(log_time_ns) = log_time_ns
                 && state
@@ -188,17 +188,17 @@ impl RecordQueue {
     }
 
     /// Cause why an entry is refused; `None` if it is taken.
-    fn refusal(&self, state: &State, entry: &Entry) -> Option<&'static str> {
+    fn refusal(&self, state: &State, entry: &Entry) -> Option<String> {
         let held = state.frames_bytes + state.others_bytes + entry.bytes();
-        let cause = || state.status.fault.as_ref().map_or(QUEUE_FULL, |fault| fault.cause);
+        let cause = || state.status.fault.as_ref().map_or_else(|| QUEUE_FULL.to_owned(), |fault| fault.cause.clone());
         match (entry, state.allowed) {
             // A state file is soon replaced by a newer one, so it may be left out. The beginning of a segment must
             // not be lost.
             (Entry::Begin(_), Allowed::All | Allowed::NoFrames(_)) => None,
             (Entry::State(..), Allowed::All) => (held > self.room.frames_bytes).then(cause),
-            (Entry::State(..), Allowed::NoFrames(why)) => Some(why),
-            (_, Allowed::Nothing(why)) => Some(why),
-            (Entry::Message(_, Kind::Frame), Allowed::NoFrames(why)) => Some(why),
+            (Entry::State(..), Allowed::NoFrames(why)) => Some(why.to_owned()),
+            (_, Allowed::Nothing(why)) => Some(why.to_owned()),
+            (Entry::Message(_, Kind::Frame), Allowed::NoFrames(why)) => Some(why.to_owned()),
             (Entry::Message(_, Kind::Frame), _) => (state.frames_bytes + entry.bytes() > self.room.frames_bytes
                 || held > self.room.frames_bytes + self.room.reserve_bytes)
                 .then(cause),

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::acknowledgement::ACK_FOLDER;
-use super::entry::{Beginning, Entry, Gap, Kind};
+use super::entry::{Entry, Gap, Kind, SegmentStart};
 use super::error::{REMOVED, RecordingError};
 use super::gap::GapMessages;
 use super::identity::SessionId;
@@ -88,11 +88,11 @@ pub(super) struct Recorder {
 }
 
 /// What has become of a folder that the recorder has made.
-enum Whereabouts {
+enum FolderState {
     /// The folder is there.
-    Here,
+    Present,
     /// The folder of all captures is gone as well, and may come back.
-    Away,
+    Unreachable,
     /// Somebody has removed or moved the session's folder.
     Removed,
 }
@@ -311,7 +311,7 @@ impl Recorder {
 
     /// Begins a segment: identity of the session, state of the filter, ends of segments that were given up, latched
     /// messages.
-    fn begin_segment(&mut self, folder: &Path, beginning: Option<&Beginning>) -> Result<(), RecordingError> {
+    fn begin_segment(&mut self, folder: &Path, beginning: Option<&SegmentStart>) -> Result<(), RecordingError> {
         let created = Segment::create(&self.storage, folder, self.next_index);
         // A file that is in the way, left by an attempt that failed halfway, uses up the number as well.
         if created.is_ok() || created.as_ref().is_err_and(RecordingError::already_exists) {
@@ -321,7 +321,7 @@ impl Recorder {
         if let Some(id) = &self.plan.info.id {
             segment.belongs_to(id)?;
         }
-        if let Some(Beginning { log_time_ns, name, state }) = beginning {
+        if let Some(SegmentStart { log_time_ns, name, state }) = beginning {
             segment.attach(name, *log_time_ns, state)?;
         }
         for cut in &self.cuts {
@@ -472,12 +472,12 @@ impl Recorder {
         }
         let Some(folder) = self.folder.clone() else { return Err(error) };
         match self.find_folder(&folder) {
-            Whereabouts::Removed => {
+            FolderState::Removed => {
                 self.begin_new_session();
                 Err(RecordingError::Removed(folder))
             }
-            Whereabouts::Away => Err(RecordingError::io(&folder, io::ErrorKind::NotFound.into())),
-            Whereabouts::Here => {
+            FolderState::Unreachable => Err(RecordingError::io(&folder, io::ErrorKind::NotFound.into())),
+            FolderState::Present => {
                 if is_segment_removed {
                     let content = std::mem::take(&mut self.open_content);
                     self.report_removed(content);
@@ -492,7 +492,7 @@ impl Recorder {
     /// If it is gone while the folder of all captures is there, on the same file system, somebody has removed or
     /// moved it. If the folder of all captures is gone as well, it may come back, as a disk that was unplugged does,
     /// and is waited for.
-    fn find_folder(&mut self, folder: &Path) -> Whereabouts {
+    fn find_folder(&mut self, folder: &Path) -> FolderState {
         let (storage, captures) = (self.storage.as_ref(), &self.plan.captures);
         let is_missing =
             |error: io::Error| matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory);
@@ -503,7 +503,7 @@ impl Recorder {
         };
         if !is_gone {
             self.away_since = None;
-            return Whereabouts::Here;
+            return FolderState::Present;
         }
         let now = storage.now();
         let away_since = *self.away_since.get_or_insert(now);
@@ -512,7 +512,7 @@ impl Recorder {
             Ok(volume) => Some(volume) == self.volume,
             Err(_) => near == self.volume && now.saturating_sub(away_since) >= PATIENCE,
         };
-        if is_removed { Whereabouts::Removed } else { Whereabouts::Away }
+        if is_removed { FolderState::Removed } else { FolderState::Unreachable }
     }
 
     /// Begins another session, with an identity of its own: if the old folder was only moved, there are two sessions.

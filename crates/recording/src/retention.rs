@@ -89,8 +89,8 @@ impl SpaceCheck {
         status.free_bytes = self.free_bytes;
         status.stopped = match self.allowed {
             Allowed::All => None,
-            Allowed::NoFrames(cause) => Some(Stopped { cause, frames_only: true }),
-            Allowed::Nothing(cause) => Some(Stopped { cause, frames_only: false }),
+            Allowed::NoFrames(cause) => Some(Stopped { cause: cause.to_owned(), frames_only: true }),
+            Allowed::Nothing(cause) => Some(Stopped { cause: cause.to_owned(), frames_only: false }),
         };
         status.evicted_segments += self.evicted.len() as u64;
         status.evicted_bytes += self.evicted.iter().map(|evicted| evicted.bytes).sum::<u64>();

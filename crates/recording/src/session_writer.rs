@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::entry::{Beginning, Entry, Kind};
+use super::entry::{Entry, Kind, SegmentStart};
 use super::error::RecordingError;
 use super::gap::own_channel;
 use super::manifest::{Counts, SessionInfo};
@@ -155,7 +155,7 @@ impl SessionWriter {
         let SegmentState { log_time_ns, name, state } = state;
         (self.first_ns, self.bytes) = (self.last_ns.max(log_time_ns), 0);
         self.shared.note_segment_begun();
-        self.put(Entry::Begin(Beginning { log_time_ns, name: name.to_owned(), state }))
+        self.put(Entry::Begin(SegmentStart { log_time_ns, name: name.to_owned(), state }))
     }
 
     /// Records a message of the source with its bytes unchanged. Latched messages (calibration, constant transforms)

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// State of a recorder at one moment.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RecorderStatus {
     /// Folder of the session. It is not serialized: `status` shows it in a place of its own.
     #[serde(skip)]
@@ -47,19 +47,19 @@ pub struct RecorderStatus {
 }
 
 /// Why nothing can be written at the moment.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fault {
     /// Name of the cause, as in [`RecordingError::cause`](crate::RecordingError::cause).
-    pub cause: &'static str,
+    pub cause: String,
     /// Text of the error.
     pub said: String,
 }
 
 /// Why the recorder leaves out frames, or everything.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stopped {
     /// Name of the cause, as `disk_full` or `total_quota`.
-    pub cause: &'static str,
+    pub cause: String,
     /// Whether only frames are left out: tags and measurements are still recorded.
     pub frames_only: bool,
 }

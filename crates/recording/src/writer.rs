@@ -123,7 +123,7 @@ impl WriterThread {
 
     /// Shows a fault in the status; one that is shown already is not counted again.
     fn note_fault(&self, error: &RecordingError) {
-        let fault = Fault { cause: self.cause_of(error), said: error.to_string() };
+        let fault = Fault { cause: self.cause_of(error).to_owned(), said: error.to_string() };
         let known = self.shared.status().fault;
         if known.as_ref() != Some(&fault) {
             self.shared.set_fault(Some(fault));

@@ -6,10 +6,10 @@ use core::ops::RangeInclusive;
 use glam::DVec2;
 use thiserror::Error;
 
+use super::effects;
 use super::file::{CameraSection, InitialPose, Route, SceneFile, Still, Walk};
 use super::key_lines::KeyLines;
 use super::ranges::{Per, Range, Template};
-use super::{consistency, effects};
 use realitysim_geometry::{Field, FieldError, LensError};
 
 /// Reason why a scene file is refused.
@@ -65,7 +65,7 @@ const MAX_DURATION_S: f64 = 7200.0;
 /// Maximum distance of the robot from the carpet, metres. Farther out it would walk into the clutter of the hall.
 const MAX_OFF_CARPET_M: f64 = 1.0;
 
-/// Checks every value of a scene file by itself, and then its consistency.
+/// Checks every value of a scene file by itself, and then the effects against the rest of the file.
 pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
     check_camera(&file.camera)?;
     match &file.route {
@@ -83,7 +83,7 @@ pub(super) fn check(file: &SceneFile, field: &Field) -> Result<(), SceneError> {
         check_range("scene.initial_pose.yaw_deg", error.yaw_deg, -180.0..=180.0, "-180 to 180 degrees off")?;
     }
     effects::check(&file.effects, field)?;
-    consistency::check(file)
+    effects::check_in(file)
 }
 
 /// Number of samples between the ends of every range that are checked.

@@ -140,6 +140,11 @@ pub struct PoseError {
 }
 
 impl SceneFile {
+    /// Whether the file has an effect of this name.
+    pub(super) fn lists(&self, effect: &str) -> bool {
+        self.effects.iter().any(|listed| listed.name() == effect)
+    }
+
     /// Reads a scene file. Numbers that the text leaves open (`{ uniform = [..], per = .. }`) are drawn from its seed.
     ///
     /// An error states the line and what would be right. Values are checked later, by [`Scene::build`](super::Scene::build).

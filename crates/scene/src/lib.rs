@@ -29,7 +29,6 @@
 //! ```
 
 mod check;
-mod consistency;
 pub mod effects;
 mod error_spans;
 mod events;
@@ -106,7 +105,7 @@ impl Scene {
         let lens = Lens::new(lens)?;
         // The ends of ranges are checked before the drawn values, so that a message has the number that is in the file.
         check::check_ranges(&file, |file| Self::assemble(file, field.clone(), lens.clone()).map(drop))?;
-        consistency::check_effects_do_something(&file.effects)?;
+        effects::check_effects_do_something(&file.effects)?;
         let template = file.template.clone();
         Self::assemble(file, field, lens).map_err(|error| match &template {
             Some(template) => error.with_drawn_values(template, |range| template.value(range, 0)),
@@ -138,10 +137,10 @@ impl Scene {
             changing: Changing::default(),
         };
         for (index, effect) in scene.file.effects.clone().iter().enumerate() {
-            scene.add(&format!("effect[{index}]"), effect)?;
+            effect.add_to(&mut scene, &format!("effect[{index}]"))?;
         }
         check::check_duration(scene.duration_s())?;
-        consistency::check_times(&scene.file, scene.duration_s())?;
+        effects::check_times(&scene.file.effects, scene.duration_s())?;
         Ok(scene)
     }
 
@@ -165,30 +164,6 @@ impl Scene {
             effect.share = 1.0 - left;
         }
         Self::build(file, self.field.dimensions().clone(), self.lens.parameters().clone()).map(Some)
-    }
-
-    /// Adds one effect. Effects are added in physical order, so that each finds those that it builds on.
-    fn add(&mut self, key: &str, effect: &Effect) -> Result<(), SceneError> {
-        let seed = self.file.scene.seed;
-        match effect {
-            Effect::GaitSway(effect) => self.sway = Some(effect.model(seed, self.motion.duration())),
-            Effect::Kidnapping(effect) => self.interruption = Some(effect.model(key, &self.motion, &self.field)?),
-            Effect::Fall(effect) => self.interruption = Some(effect.model(key, &self.motion, &self.field)?),
-            Effect::CameraFault(effect) => self.camera_fault = Some(effect.clone()),
-            Effect::Obstacles(effect) => self.crowd = Some(effect.model(seed, &self.field, &self.sampled_path())),
-            Effect::WornLines(effect) => self.worn_lines = Some(effect.clone()),
-            Effect::ImageProcessing(effect) => self.image_processing = Some(effect.clone()),
-            Effect::ExposureHunting(effect) => self.exposure_hunting = Some(effect.clone()),
-            Effect::Optics(effect) => self.optics = Some(effect.clone()),
-            Effect::SunPatches(effect) => self.sun_patches = Some(effect.clone()),
-            Effect::Turf(effect) => self.turf = Some(effect.clone()),
-            Effect::CalibrationError(effect) => {
-                self.announced_lens = effect.lens(key, self.lens.parameters())?;
-                self.calibration_error = Some(effect.clone());
-            }
-            other => self.changing.add(other, seed),
-        }
-        Ok(())
     }
 
     /// Values that were drawn once for the whole scene.

@@ -3,9 +3,7 @@
 use std::borrow::Cow;
 
 use super::Scene;
-use super::effects::{
-    BrightWindow, Effect, HeadMotion, ImuError, LightModel, NoiseModel, OdometryError, SerialNoise, Shutter,
-};
+use super::effects::{BrightWindow, HeadMotion, ImuError, LightModel, NoiseModel, OdometryError, SerialNoise, Shutter};
 use super::file::SceneFile;
 use super::ranges::Per;
 
@@ -22,42 +20,6 @@ pub(super) struct Changing {
     pub(super) serial_noise: Option<SerialNoise>,
 }
 
-impl Changing {
-    /// Adds an effect or replaces the one of the same kind. Other effects are ignored.
-    ///
-    /// Effects are added in physical order, so that each finds those that it builds on.
-    pub(super) fn add(&mut self, effect: &Effect, seed: u64) {
-        match effect {
-            Effect::HeadMotion(effect) => self.head = Some(effect.clone()),
-            Effect::Light(effect) => self.light = Some(effect.model()),
-            Effect::BrightWindow(effect) => self.window = Some(effect.clone()),
-            Effect::Shutter(effect) => self.shutter = Some(effect.clone()),
-            Effect::SensorNoise(effect) => {
-                let amplified = self.light.as_ref().map_or(1.0, LightModel::camera_gain);
-                self.noise = Some(match &self.noise {
-                    None => effect.model(seed, amplified),
-                    Some(known) => known.with(effect, amplified),
-                });
-            }
-            Effect::OdometryError(effect) => self.odometry_error = Some(effect.clone()),
-            Effect::ImuError(effect) => self.imu_error = Some(effect.clone()),
-            Effect::SerialNoise(effect) => self.serial_noise = Some(effect.clone()),
-            Effect::GaitSway(_)
-            | Effect::Kidnapping(_)
-            | Effect::Fall(_)
-            | Effect::Obstacles(_)
-            | Effect::WornLines(_)
-            | Effect::Turf(_)
-            | Effect::SunPatches(_)
-            | Effect::Optics(_)
-            | Effect::ExposureHunting(_)
-            | Effect::ImageProcessing(_)
-            | Effect::CalibrationError(_)
-            | Effect::CameraFault(_) => {}
-        }
-    }
-}
-
 impl Scene {
     /// The effects with the values that are drawn for this frame. If no value is drawn per frame, nothing is copied.
     pub(super) fn at_frame(&self, frame: u64) -> Cow<'_, Changing> {
@@ -68,7 +30,7 @@ impl Scene {
         let effects = SceneFile::effects_with(template, |range| template.value(range, frame)).unwrap_or_default();
         let mut now = self.changing.clone();
         // A scene that was reduced to its first effects still has the text of all.
-        effects.iter().take(self.file.effects.len()).for_each(|effect| now.add(effect, self.file.scene.seed));
+        effects.iter().take(self.file.effects.len()).for_each(|effect| effect.set_in(&mut now, self.file.scene.seed));
         Cow::Owned(now)
     }
 }

@@ -14,7 +14,7 @@ use tokio::sync::OwnedSemaphorePermit;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::time::sleep;
 
-use super::connections::Seat;
+use super::connections::ConnectionSlot;
 use super::encode::Form;
 use super::parameters::{Parameters, ViewRequest};
 use super::response::{PROBLEM, Reply};
@@ -83,13 +83,13 @@ impl Batch {
     pub(super) fn stream(
         self,
         service: Arc<Service>,
-        seat: Arc<Seat>,
+        slot: Arc<ConnectionSlot>,
         batch: OwnedSemaphorePermit,
         forms: Vec<Form>,
     ) -> Reply {
         let (send, receive) = channel(MAX_AHEAD);
         tokio::spawn(async move {
-            make_parts(&service, &seat, self.asked, forms, &send).await;
+            make_parts(&service, &slot, self.asked, forms, &send).await;
             drop(batch);
         });
         let mut reply = Response::new(Parts(receive).boxed());
@@ -131,7 +131,7 @@ fn interpolate(from: &ViewRequest, to: &ViewRequest, count: usize) -> Vec<ViewRe
 /// Makes the views and sends them as parts. Ends early when the client has hung up.
 async fn make_parts(
     service: &Arc<Service>,
-    seat: &Arc<Seat>,
+    slot: &Arc<ConnectionSlot>,
     asked: Vec<Result<ViewRequest, HttpProblem>>,
     forms: Vec<Form>,
     send: &Sender<Bytes>,
@@ -148,7 +148,7 @@ async fn make_parts(
         };
         let mut bytes = part(picture);
         let held = loop {
-            match seat.hold(bytes) {
+            match slot.hold(bytes) {
                 Ok(held) => break held,
                 Err(refused) => bytes = refused,
             }

@@ -59,24 +59,24 @@ enum Network {
 }
 
 /// The place of one connection; it becomes free when this is dropped.
-pub(super) struct Seat {
+pub(super) struct ConnectionSlot {
     connections: Arc<Connections>,
     number: u64,
     gone: Arc<Notify>,
 }
 
 /// A request that counts as active while this is held.
-pub(super) struct ActiveRequest(Arc<Seat>);
+pub(super) struct ActiveRequest(Arc<ConnectionSlot>);
 
 /// Bytes of an answer that a client has not taken yet.
 struct Unsent {
     bytes: Vec<u8>,
-    seat: Arc<Seat>,
+    slot: Arc<ConnectionSlot>,
 }
 
 impl Connections {
     /// Gives a new connection a place; `None` if every place is taken by a connection with a request or an unsent answer.
-    pub(super) fn admit(self: &Arc<Self>, address: IpAddr) -> Option<Arc<Seat>> {
+    pub(super) fn admit(self: &Arc<Self>, address: IpAddr) -> Option<Arc<ConnectionSlot>> {
         let network = Network::of(address);
         let mut table = self.table();
         let of_network = table.peers.values().filter(|peer| peer.network == network).count();
@@ -97,7 +97,7 @@ impl Connections {
             gone: Arc::clone(&gone),
         };
         table.peers.insert(number, peer);
-        Some(Arc::new(Seat { connections: Arc::clone(self), number, gone }))
+        Some(Arc::new(ConnectionSlot { connections: Arc::clone(self), number, gone }))
     }
 
     /// Returns the number of connections.
@@ -148,7 +148,7 @@ impl Table {
     }
 }
 
-impl Seat {
+impl ConnectionSlot {
     /// Begins a request.
     pub(super) fn request(self: &Arc<Self>) -> ActiveRequest {
         if let Some(peer) = self.connections.table().peers.get_mut(&self.number) {
@@ -175,7 +175,7 @@ impl Seat {
             peer.unsent_bytes += bytes.len();
             table.unsent_bytes += bytes.len();
         }
-        Ok(Bytes::from_owner(Unsent { bytes, seat: Arc::clone(self) }))
+        Ok(Bytes::from_owner(Unsent { bytes, slot: Arc::clone(self) }))
     }
 
     /// Counts bytes that the client has taken.
@@ -191,7 +191,7 @@ impl Seat {
     }
 }
 
-impl Drop for Seat {
+impl Drop for ConnectionSlot {
     fn drop(&mut self) {
         self.connections.table().disconnect(self.number);
     }
@@ -213,8 +213,8 @@ impl AsRef<[u8]> for Unsent {
 
 impl Drop for Unsent {
     fn drop(&mut self) {
-        let mut table = self.seat.connections.table();
-        if let Some(peer) = table.peers.get_mut(&self.seat.number) {
+        let mut table = self.slot.connections.table();
+        if let Some(peer) = table.peers.get_mut(&self.slot.number) {
             peer.unsent_bytes -= self.bytes.len();
             table.unsent_bytes -= self.bytes.len();
         }
@@ -238,8 +238,8 @@ impl Network {
 mod tests {
     use super::*;
 
-    fn is_away(seat: &Seat) -> bool {
-        !seat.connections.table().peers.contains_key(&seat.number)
+    fn is_away(slot: &ConnectionSlot) -> bool {
+        !slot.connections.table().peers.contains_key(&slot.number)
     }
 
     fn address(number: u8) -> IpAddr {
@@ -251,31 +251,31 @@ mod tests {
     #[test]
     fn a_newcomer_takes_the_place_of_the_oldest_idle_connection() {
         let connections = Arc::<Connections>::default();
-        let seats: Vec<_> = (0..MAX_CONNECTIONS).map(|_| connections.admit(HERE).expect("a place")).collect();
-        let asked: Vec<_> = seats[..2].iter().map(Seat::request).collect();
+        let slots: Vec<_> = (0..MAX_CONNECTIONS).map(|_| connections.admit(HERE).expect("a place")).collect();
+        let asked: Vec<_> = slots[..2].iter().map(ConnectionSlot::request).collect();
         let newcomer = connections.admit(HERE).expect("a place");
-        let away: Vec<usize> = (0..seats.len()).filter(|i| is_away(&seats[*i])).collect();
+        let away: Vec<usize> = (0..slots.len()).filter(|i| is_away(&slots[*i])).collect();
         assert_eq!((away, connections.len()), (vec![2], MAX_CONNECTIONS));
         drop(asked);
         let another = connections.admit(HERE).expect("a place");
-        assert!(is_away(&seats[0]) && !is_away(&newcomer) && !is_away(&another));
-        drop(seats);
+        assert!(is_away(&slots[0]) && !is_away(&newcomer) && !is_away(&another));
+        drop(slots);
         assert_eq!(connections.len(), 2, "who leaves is counted once");
     }
 
     #[test]
     fn nobody_is_sent_away_who_waits_for_an_answer() {
         let connections = Arc::<Connections>::default();
-        let seats: Vec<_> = (0..MAX_CONNECTIONS).map(|_| connections.admit(HERE).expect("a place")).collect();
-        let asked: Vec<_> = seats.iter().map(Seat::request).collect();
+        let slots: Vec<_> = (0..MAX_CONNECTIONS).map(|_| connections.admit(HERE).expect("a place")).collect();
+        let asked: Vec<_> = slots.iter().map(ConnectionSlot::request).collect();
         assert!(connections.admit(HERE).is_none());
-        let held = seats[7].hold(vec![0; 10]).expect("room");
+        let held = slots[7].hold(vec![0; 10]).expect("room");
         drop(asked);
         let _newcomers: Vec<_> = (0..MAX_CONNECTIONS - 1).map(|_| connections.admit(HERE).expect("a place")).collect();
-        assert!(!is_away(&seats[7]) && connections.len() == MAX_CONNECTIONS, "it has not taken all of its answer");
+        assert!(!is_away(&slots[7]) && connections.len() == MAX_CONNECTIONS, "it has not taken all of its answer");
         drop(held);
         connections.admit(HERE).expect("a place");
-        assert!(is_away(&seats[7]));
+        assert!(is_away(&slots[7]));
     }
 
     #[test]
@@ -285,7 +285,7 @@ mod tests {
         let other = connections.admit(address(2)).expect("a place");
         let one_more = connections.admit(address(1)).expect("a place");
         assert!(is_away(&many[0]) && !is_away(&other) && !is_away(&one_more));
-        let asked: Vec<_> = many[1..].iter().chain([&one_more]).map(Seat::request).collect();
+        let asked: Vec<_> = many[1..].iter().chain([&one_more]).map(ConnectionSlot::request).collect();
         assert!(connections.admit(address(1)).is_none(), "all of its own are at work");
         connections.admit(address(3)).expect("a place");
         drop(asked);

@@ -41,7 +41,7 @@ pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<For
         MaskWanted::None => &[Form::Jpeg, Form::Png, Form::Raw],
         MaskWanted::Alpha | MaskWanted::Only => &[Form::Png, Form::Raw],
     };
-    let mut wished: Vec<(u16, Form)> = Vec::new();
+    let mut weighted: Vec<(u16, Form)> = Vec::new();
     for range in accept.unwrap_or("*/*").split(',') {
         let mut parts = range.split(';').map(str::trim);
         let name = parts.next().unwrap_or_default().to_ascii_lowercase();
@@ -51,11 +51,11 @@ pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<For
             name == "*/*" || name == form.media_type() || name.strip_suffix("/*") == Some(kind)
         };
         let thousandths = (quality.clamp(0.0, 1.0) * 1000.0) as u16;
-        wished.extend(possible.iter().filter(fits).map(|form| (thousandths, *form)));
+        weighted.extend(possible.iter().filter(fits).map(|form| (thousandths, *form)));
     }
-    wished.retain(|(quality, _)| *quality > 0);
-    wished.sort_by_key(|(quality, _)| core::cmp::Reverse(*quality));
-    let mut forms: Vec<Form> = wished.into_iter().map(|(_, form)| form).collect();
+    weighted.retain(|(quality, _)| *quality > 0);
+    weighted.sort_by_key(|(quality, _)| core::cmp::Reverse(*quality));
+    let mut forms: Vec<Form> = weighted.into_iter().map(|(_, form)| form).collect();
     let mut seen = Vec::new();
     forms.retain(|form| {
         !seen.contains(form) && {

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::HttpProblem;
 use realitysim_geometry::{Euler, Isometry};
-use realitysim_views::{LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method};
+use realitysim_views::{MAX_FAR_M, MAX_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MIN_HEIGHT_M, Method};
 
 /// Name of every parameter of a view, and what is valid for it.
 pub const PARAMETERS: [(&str, &str); 17] = [
@@ -152,7 +152,7 @@ impl Parameters {
         let place = DVec3::new(
             self.needed("x", -MAX_PLACE_M, MAX_PLACE_M)?,
             self.needed("y", -MAX_PLACE_M, MAX_PLACE_M)?,
-            self.needed("z", LEAST_HEIGHT_M, MOST_HEIGHT_M)?,
+            self.needed("z", MIN_HEIGHT_M, MAX_HEIGHT_M)?,
         );
         let yaw = self.needed("yaw_deg", -MAX_TURN_DEG, MAX_TURN_DEG)?.to_radians();
         let euler = Euler { yaw, pitch: turn("pitch_deg")?, roll: turn("roll_deg")? };

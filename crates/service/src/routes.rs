@@ -12,7 +12,7 @@ use hyper::{Request, StatusCode};
 use tokio::time::timeout;
 
 use super::batch::Batch;
-use super::connections::Seat;
+use super::connections::ConnectionSlot;
 use super::encode::{Form, accepted};
 use super::guard::{Guard, list, text};
 use super::parameters::{MaskWanted, Parameters, ViewRequest};
@@ -43,14 +43,14 @@ impl Service {
 pub(super) async fn answer(
     service: Arc<Service>,
     guard: Guard,
-    seat: Arc<Seat>,
+    slot: Arc<ConnectionSlot>,
     request: Request<Incoming>,
 ) -> Result<Reply, Infallible> {
-    let active = seat.request();
+    let active = slot.request();
     let route = ROUTES.into_iter().find(|route| *route == request.uri().path());
     let reply = match (guard.check(&request), route) {
         (Err(refusal), _) => Err(refusal),
-        (Ok(()), Some(route)) => dispatch(&service, &seat, route, request).await,
+        (Ok(()), Some(route)) => dispatch(&service, &slot, route, request).await,
         (Ok(()), None) => {
             let what = format!("there is no such path: there are {}", ROUTES.join(", "));
             Err(HttpProblem::new(StatusCode::NOT_FOUND, what))
@@ -64,7 +64,7 @@ pub(super) async fn answer(
 /// Hands an admitted request to its route.
 async fn dispatch(
     service: &Arc<Service>,
-    seat: &Arc<Seat>,
+    slot: &Arc<ConnectionSlot>,
     route: &'static str,
     request: Request<Incoming>,
 ) -> Result<Reply, HttpProblem> {
@@ -74,9 +74,9 @@ async fn dispatch(
     }
     let parameters = Parameters::from_query(request.uri().query().unwrap_or_default())?;
     match route {
-        "/v1/view" => view(service, seat, &parameters, &request).await,
-        "/v1/views" => views(service, seat, &parameters, request).await,
-        "/v1/coverage" => coverage(service, seat, parameters, &request).await,
+        "/v1/view" => view(service, slot, &parameters, &request).await,
+        "/v1/views" => views(service, slot, &parameters, request).await,
+        "/v1/coverage" => coverage(service, slot, parameters, &request).await,
         "/v1/info" => {
             parameters.only(&[])?;
             Ok(json_reply(&service.views.info()))
@@ -88,20 +88,20 @@ async fn dispatch(
 
 /// Returns the metrics as text.
 fn metrics(service: &Service) -> String {
-    let gallery = service.views.gallery();
+    let database = service.views.database();
     service.metrics.text(&[
         ("connections", "Connections that are open", service.connections.len()),
         ("requests_inside", "Requests at work or waiting for a thread", service.admission.inside()),
         ("unsent_bytes", "Memory of answers that clients have not taken yet", service.connections.unsent_bytes()),
-        ("images", "Images in the database", gallery.index().len()),
-        ("decoded_bytes", "Memory of decoded images", gallery.decoded_bytes()),
+        ("images", "Images in the database", database.index().len()),
+        ("decoded_bytes", "Memory of decoded images", database.decoded_bytes()),
     ])
 }
 
 /// Answers `/v1/view`.
 async fn view(
     service: &Arc<Service>,
-    seat: &Arc<Seat>,
+    slot: &Arc<ConnectionSlot>,
     parameters: &Parameters,
     request: &Request<Incoming>,
 ) -> Result<Reply, HttpProblem> {
@@ -109,21 +109,21 @@ async fn view(
     let forms = accepted(list(request, &ACCEPT).as_deref(), asked.mask)?;
     let shared = Arc::clone(service);
     let picture = service.admission.enter().await?.run(move || shared.picture(&asked, &forms)).await??;
-    let mut reply = bytes(StatusCode::OK, picture.form.media_type(), hold_answer(seat, picture.bytes)?);
+    let mut reply = bytes(StatusCode::OK, picture.form.media_type(), hold_answer(slot, picture.bytes)?);
     put_headers(&mut reply, &picture.headers);
     Ok(reply)
 }
 
 /// Counts the bytes of an answer until the client has taken them; refuses it if there is no room.
-fn hold_answer(seat: &Arc<Seat>, bytes: Vec<u8>) -> Result<Bytes, HttpProblem> {
+fn hold_answer(slot: &Arc<ConnectionSlot>, bytes: Vec<u8>) -> Result<Bytes, HttpProblem> {
     let what = "clients have not taken too many answers yet: come back in a second";
-    seat.hold(bytes).map_err(|_| HttpProblem::new(StatusCode::SERVICE_UNAVAILABLE, what))
+    slot.hold(bytes).map_err(|_| HttpProblem::new(StatusCode::SERVICE_UNAVAILABLE, what))
 }
 
 /// Answers `/v1/views`: a batch.
 async fn views(
     service: &Arc<Service>,
-    seat: &Arc<Seat>,
+    slot: &Arc<ConnectionSlot>,
     parameters: &Parameters,
     request: Request<Incoming>,
 ) -> Result<Reply, HttpProblem> {
@@ -156,13 +156,13 @@ async fn views(
     };
     let forms = accepted(accept.as_deref(), alpha(MaskWanted::None))?;
     let begun = service.admission.begin_batch().await?;
-    Ok(batch.stream(Arc::clone(service), Arc::clone(seat), begun, forms))
+    Ok(batch.stream(Arc::clone(service), Arc::clone(slot), begun, forms))
 }
 
 /// Answers `/v1/coverage` with JSON, or with a picture if the client asks for PNG.
 async fn coverage(
     service: &Arc<Service>,
-    seat: &Arc<Seat>,
+    slot: &Arc<ConnectionSlot>,
     parameters: Parameters,
     request: &Request<Incoming>,
 ) -> Result<Reply, HttpProblem> {
@@ -170,7 +170,7 @@ async fn coverage(
     let shared = Arc::clone(service);
     let work = move || shared.views.coverage(&parameters, picture);
     let (content, kind) = service.admission.enter().await?.run(work).await??;
-    Ok(bytes(StatusCode::OK, kind, hold_answer(seat, content)?))
+    Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
 }
 
 /// Reopens the database if it has changed. Returns what to report: the new number of images, or an error.
@@ -179,7 +179,7 @@ pub(super) fn refresh(service: &Service) -> Option<String> {
         Ok(false) => None,
         Ok(true) => {
             service.metrics.reloads.fetch_add(1, Ordering::Relaxed);
-            Some(format!("the database has changed: {} images", service.views.gallery().index().len()))
+            Some(format!("the database has changed: {} images", service.views.database().index().len()))
         }
         Err(error) => {
             service.metrics.failed_reloads.fetch_add(1, Ordering::Relaxed);

@@ -18,7 +18,7 @@ use tokio::time::{sleep, timeout};
 
 use super::Service;
 use super::admission::AdmissionControl;
-use super::connections::Seat;
+use super::connections::ConnectionSlot;
 use super::guard::Guard;
 use super::metrics::Metrics;
 use super::routes::{answer, refresh};
@@ -82,7 +82,7 @@ const MAX_HEAD_BYTES: usize = 16 << 10;
 /// Largest number of headers of a request.
 const MAX_HEADERS: usize = 64;
 /// Time that requests under way have to be answered when the service ends.
-const MAX_LAST_WORDS: Duration = Duration::from_secs(5);
+const MAX_SHUTDOWN_TIME: Duration = Duration::from_secs(5);
 /// Time between two looks for changes of the database.
 const LOOK_FOR_CHANGES_EVERY: Duration = Duration::from_millis(500);
 /// Time between two looks at the stop flag.
@@ -126,7 +126,7 @@ pub fn serve(
     runtime.block_on(async {
         let failed = |source| ServeError::Listen { address: listen, source };
         let listener = TcpListener::bind(listen).await.map_err(failed)?;
-        ready(listener.local_addr().map_err(failed)?, service.views.gallery().index().len());
+        ready(listener.local_addr().map_err(failed)?, service.views.database().index().len());
         let changes = tokio::spawn(follow_changes(Arc::clone(&service), say));
         let connections = Arc::clone(&service.connections);
         let (end, ended) = watch::channel(false);
@@ -134,8 +134,8 @@ pub fn serve(
             tokio::select! {
                 () = wait_for_stop(stop) => break,
                 (stream, address) = accept(&listener) => match connections.admit(address.ip()) {
-                    Some(seat) => {
-                        tokio::spawn(serve_connection(Arc::clone(&service), guard.clone(), stream, seat, ended.clone()));
+                    Some(slot) => {
+                        tokio::spawn(serve_connection(Arc::clone(&service), guard.clone(), stream, slot, ended.clone()));
                     }
                     // The answer is sent only if the socket takes it at once.
                     None => drop(stream.try_write(NO_CONNECTION_FREE)),
@@ -150,7 +150,7 @@ pub fn serve(
                 sleep(LOOK_FOR_LAST_EVERY).await;
             }
         };
-        let _ = timeout(MAX_LAST_WORDS, all_gone).await;
+        let _ = timeout(MAX_SHUTDOWN_TIME, all_gone).await;
         Ok(())
     })
 }
@@ -171,14 +171,14 @@ async fn serve_connection(
     service: Arc<Service>,
     guard: Guard,
     stream: TcpStream,
-    seat: Arc<Seat>,
+    slot: Arc<ConnectionSlot>,
     mut ended: watch::Receiver<bool>,
 ) {
     let _ = stream.set_nodelay(true);
-    let stream = TokioIo::new(WriteTimeout::new(stream, Arc::clone(&seat)));
-    let own_seat = Arc::clone(&seat);
+    let stream = TokioIo::new(WriteTimeout::new(stream, Arc::clone(&slot)));
+    let own_slot = Arc::clone(&slot);
     let answering =
-        service_fn(move |request| answer(Arc::clone(&service), guard.clone(), Arc::clone(&own_seat), request));
+        service_fn(move |request| answer(Arc::clone(&service), guard.clone(), Arc::clone(&own_slot), request));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(MAX_HEAD_TIME)
@@ -189,7 +189,7 @@ async fn serve_connection(
     // An error of a connection needs no handling: its client has got an answer, or it has gone.
     tokio::select! {
         _ = connection.as_mut() => {}
-        () = seat.disconnected() => {}
+        () = slot.disconnected() => {}
         _ = ended.changed() => {
             connection.as_mut().graceful_shutdown();
             let _ = connection.await;

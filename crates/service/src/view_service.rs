@@ -21,7 +21,7 @@ use realitysim_views::{Camera, Provenance, ViewError};
 /// Makes views, and keeps what is expensive to prepare for them.
 pub(super) struct ViewService {
     /// The database as it is now.
-    gallery: RwLock<Arc<ImageDatabase>>,
+    database: RwLock<Arc<ImageDatabase>>,
     /// Lenses that clients may name.
     lenses: BTreeMap<String, LensParameters>,
     /// Scenes that clients may name.
@@ -66,26 +66,26 @@ impl ViewService {
         scenes: BTreeMap<String, Scene>,
         max_distance_m: f64,
     ) -> Result<Self, DatabaseError> {
-        let gallery = RwLock::new(Arc::new(ImageDatabase::open(folder, settings)?));
-        Ok(Self { gallery, lenses, scenes, cameras: Mutex::default(), stages: Mutex::default(), max_distance_m })
+        let database = RwLock::new(Arc::new(ImageDatabase::open(folder, settings)?));
+        Ok(Self { database, lenses, scenes, cameras: Mutex::default(), stages: Mutex::default(), max_distance_m })
     }
 
     /// Returns the database as it is now. Callers keep it while it is replaced.
-    pub(super) fn gallery(&self) -> Arc<ImageDatabase> {
-        Arc::clone(&self.gallery.read().unwrap_or_else(PoisonError::into_inner))
+    pub(super) fn database(&self) -> Arc<ImageDatabase> {
+        Arc::clone(&self.database.read().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Reopens the database if it has changed. Returns whether it had.
     pub(super) fn refresh(&self) -> Result<bool, DatabaseError> {
-        let Some(new) = self.gallery().reopened()? else { return Ok(false) };
-        *self.gallery.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(new);
+        let Some(new) = self.database().reopened()? else { return Ok(false) };
+        *self.database.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(new);
         Ok(true)
     }
 
     /// Makes a view and encodes it in the best of the accepted forms.
     pub(super) fn picture(&self, asked: &ViewRequest, forms: &[Form]) -> Result<Picture, HttpProblem> {
-        let gallery = self.gallery();
-        let camera = self.camera(&gallery, asked)?;
+        let database = self.database();
+        let camera = self.camera(&database, asked)?;
         if let Some(name) = &asked.scene {
             named("scene", name, &self.scenes)?;
         }
@@ -98,9 +98,9 @@ impl ViewService {
             may_be_stored: asked.scene.is_none(),
             without: Vec::new(),
         };
-        let mut shown = gallery.view(&wanted).map_err(|error| refusal(&error))?;
+        let mut shown = database.view(&wanted).map_err(|error| refusal(&error))?;
         let effects = match &asked.scene {
-            Some(name) => self.apply(&gallery, name, asked, &mut shown)?,
+            Some(name) => self.apply(&database, name, asked, &mut shown)?,
             None => Vec::new(),
         };
         let untouched = effects.is_empty() && asked.mask == MaskWanted::None;
@@ -109,7 +109,7 @@ impl ViewService {
             Some(bytes) => (Form::of(&bytes), (bytes, 3)),
             None => (forms[0], encode::encode(&shown.answer.image, forms[0], asked.mask, asked.quality)?),
         };
-        let mut headers = provenance(&gallery, &shown, channels);
+        let mut headers = provenance(&database, &shown, channels);
         if !effects.is_empty() {
             headers.push(("realitysim-effects", effects.join(", ")));
         }
@@ -118,12 +118,12 @@ impl ViewService {
     }
 
     /// Returns the camera that is asked for; `None` for that of the nearest image.
-    fn camera(&self, gallery: &ImageDatabase, asked: &ViewRequest) -> Result<Option<Arc<Camera>>, HttpProblem> {
+    fn camera(&self, database: &ImageDatabase, asked: &ViewRequest) -> Result<Option<Arc<Camera>>, HttpProblem> {
         if asked.lens.is_none() && asked.size == [None; 2] {
             return Ok(None);
         }
         let own = || {
-            let camera = gallery.nearest_camera(&asked.map_from_link);
+            let camera = database.nearest_camera(&asked.map_from_link);
             camera.map(|camera| camera.lens().parameters().clone()).ok_or_else(|| refusal(&DatabaseError::Empty))
         };
         let lens = match &asked.lens {
@@ -159,15 +159,15 @@ impl ViewService {
     /// Applies a scene to a view. Returns the names of the effects that were applied.
     fn apply(
         &self,
-        gallery: &ImageDatabase,
+        database: &ImageDatabase,
         name: &str,
         asked: &ViewRequest,
         shown: &mut ViewResult,
     ) -> Result<Vec<&'static str>, HttpProblem> {
         let scene = named("scene", name, &self.scenes)?;
         let stage = self.stage(name, scene, asked.figures, shown.camera.lens());
-        stage.check(gallery.field()).map_err(|error| HttpProblem::wrong(format!("scene is {name:?}: {error}")))?;
-        stage.apply(asked.frame, &shown.camera, gallery.world(), &mut shown.answer);
+        stage.check(database.field()).map_err(|error| HttpProblem::wrong(format!("scene is {name:?}: {error}")))?;
+        stage.apply(asked.frame, &shown.camera, database.world(), &mut shown.answer);
         Ok(stage.effects())
     }
 
@@ -201,16 +201,16 @@ impl ViewService {
 
     /// Returns what the service has: sources, lenses, scenes, field.
     pub(super) fn info(&self) -> Value {
-        let gallery = self.gallery();
+        let database = self.database();
         let names = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
-        let sources = gallery.catalogue().sources.iter().enumerate().map(|(number, source)| {
+        let sources = database.catalogue().sources.iter().enumerate().map(|(number, source)| {
             json!({ "number": number, "name": names(&source.path), "images": source.images, "lens": source.lens })
         });
         json!({
             "version": env!("CARGO_PKG_VERSION"),
-            "images": gallery.index().len(),
-            "index": gallery.catalogue().index,
-            "field": gallery.field().dimensions(),
+            "images": database.index().len(),
+            "index": database.catalogue().index,
+            "field": database.field().dimensions(),
             "sources": sources.collect::<Vec<Value>>(),
             "lenses": self.lenses,
             "scenes": self.scenes.iter().map(|(name, scene)| (name.clone(), json!(scene.effects_on_views())))
@@ -228,16 +228,16 @@ impl ViewService {
         parameters.only(&["cell_m", "headings"])?;
         let cell_m = parameters.number("cell_m", 0.02, 5.0)?.unwrap_or(0.25);
         let headings = parameters.whole("headings", 1, 360)?.unwrap_or(24);
-        let gallery = self.gallery();
-        let half = gallery.field().carpet_half_extent();
+        let database = self.database();
+        let half = database.field().carpet_half_extent();
         let cells = (2.0 * half.x / cell_m).ceil() * (2.0 * half.y / cell_m).ceil() * f64::from(headings);
         if cells > MAX_CELLS {
             let what = format!("cell_m and headings make {cells:.0} cells: at most {MAX_CELLS:.0} are counted");
             return Err(HttpProblem::wrong(what));
         }
-        let found = coverage(gallery.index(), gallery.field(), cell_m, headings as usize);
+        let found = coverage(database.index(), database.field(), cell_m, headings as usize);
         if picture {
-            let image = coverage_picture(&found, gallery.field());
+            let image = coverage_picture(&found, database.field());
             let (width, height) = image.dimensions();
             let pixels = image.into_raw().as_chunks::<3>().0.iter().map(|[r, g, b]| [*r, *g, *b, 255]).collect();
             let raster = realitysim_views::Raster { width: width as usize, height: height as usize, pixels };
@@ -272,10 +272,10 @@ pub(super) fn made(made: Provenance) -> &'static str {
 }
 
 /// Returns the headers that describe a view.
-fn provenance(gallery: &ImageDatabase, shown: &ViewResult, channels: usize) -> Vec<(&'static str, String)> {
+fn provenance(database: &ImageDatabase, shown: &ViewResult, channels: usize) -> Vec<(&'static str, String)> {
     let answer = &shown.answer;
     let source = |used: &realitysim_views::UsedSource| {
-        let record = gallery.index().record(used.id as usize);
+        let record = database.index().record(used.id as usize);
         json!({
             "source": record.source,
             "stamp_ns": record.stamp_ns,
@@ -293,7 +293,7 @@ fn provenance(gallery: &ImageDatabase, shown: &ViewResult, channels: usize) -> V
         ("realitysim-width", answer.image.width.to_string()),
         ("realitysim-height", answer.image.height.to_string()),
         ("realitysim-channels", channels.to_string()),
-        ("realitysim-index", gallery.catalogue().index.to_string()),
+        ("realitysim-index", database.catalogue().index.to_string()),
     ];
     if let Some(pixels) = answer.expected_error_of_known_px() {
         headers.push(("realitysim-expected-error-px", format!("{pixels:.3}")));

@@ -11,7 +11,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep, sleep};
 
-use super::connections::Seat;
+use super::connections::ConnectionSlot;
 
 /// Longest wait of a write until the first byte is taken, and for all bytes together beyond what [`MIN_RATE_BYTES_S`] allows for.
 const MAX_STALL: Duration = Duration::from_secs(10);
@@ -21,7 +21,7 @@ const MIN_RATE_BYTES_S: f64 = 65_536.0;
 /// A connection that fails with `TimedOut` if its client takes bytes too slowly.
 pub(super) struct WriteTimeout {
     stream: TcpStream,
-    seat: Arc<Seat>,
+    slot: Arc<ConnectionSlot>,
     credit: Credit,
     /// Ends when the credit of the write that waits is used up.
     exhausted: Pin<Box<Sleep>>,
@@ -44,9 +44,9 @@ impl Credit {
 }
 
 impl WriteTimeout {
-    pub(super) fn new(stream: TcpStream, seat: Arc<Seat>) -> Self {
+    pub(super) fn new(stream: TcpStream, slot: Arc<ConnectionSlot>) -> Self {
         let (credit, exhausted) = (Credit(MAX_STALL), Box::pin(sleep(MAX_STALL)));
-        Self { stream, seat, credit, exhausted, waits_since: None }
+        Self { stream, slot, credit, exhausted, waits_since: None }
     }
 
     /// Applies the limit to the result of a write.
@@ -57,7 +57,7 @@ impl WriteTimeout {
             }
             if let Ok(bytes) = taken {
                 self.credit = self.credit.after_taking(bytes);
-                self.seat.record_taken(bytes);
+                self.slot.record_taken(bytes);
             }
             return Poll::Ready(taken);
         }

@@ -76,7 +76,7 @@ impl Budget {
 
 impl Allowance {
     /// Whether the frame may weigh more poses after `weighed` of them. Once it answers no, it always does.
-    pub fn may_go_on(&mut self, weighed: u32) -> bool {
+    pub fn has_time(&mut self, weighed: u32) -> bool {
         if self.stopped_at.is_some() {
             return false;
         }
@@ -107,7 +107,7 @@ mod tests {
     #[test]
     fn without_a_limit_nothing_is_stopped() {
         let mut allowance = Budget::new(0.0, Decisions::from([(7, Some(64))])).frame(7, 1e9);
-        assert!((0..100).all(|round| allowance.may_go_on(1 << round.min(31))));
+        assert!((0..100).all(|round| allowance.has_time(1 << round.min(31))));
         assert_eq!(allowance.stopped_at(), None);
     }
 
@@ -115,10 +115,10 @@ mod tests {
     fn a_recorded_decision_holds_whatever_the_clock_says() {
         let mut budget = Budget::new(1e-3, Decisions::from([(7, Some(192)), (8, None)]));
         let mut stopped = budget.frame(7, 1e9);
-        assert_eq!([64, 128, 192, 256].map(|weighed| stopped.may_go_on(weighed)), [true, true, false, false]);
+        assert_eq!([64, 128, 192, 256].map(|weighed| stopped.has_time(weighed)), [true, true, false, false]);
         assert_eq!(stopped.stopped_at(), Some(192));
-        assert!(budget.frame(8, 1e9).may_go_on(u32::MAX), "it was not stopped");
-        assert!(!budget.frame(9, 1e9).may_go_on(64), "nothing was recorded: the clock counts");
+        assert!(budget.frame(8, 1e9).has_time(u32::MAX), "it was not stopped");
+        assert!(!budget.frame(9, 1e9).has_time(64), "nothing was recorded: the clock counts");
     }
 
     #[test]
@@ -126,20 +126,20 @@ mod tests {
         let mut budget = Budget::new(100.0, Decisions::new());
         let mut first = budget.frame(1, 0.0);
         std::thread::sleep(Duration::from_millis(60));
-        assert!(first.may_go_on(64));
+        assert!(first.has_time(64));
         budget.learn(&first);
         let mut second = budget.frame(2, 0.0);
         std::thread::sleep(Duration::from_millis(50));
-        assert!(!second.may_go_on(64), "another stride of 60 ms ends after 110");
+        assert!(!second.has_time(64), "another stride of 60 ms ends after 110");
     }
 
     #[test]
     fn what_a_frame_needs_at_its_end_is_kept_back() {
         let mut budget = Budget::new(50.0, Decisions::new());
         let mut first = budget.frame(1, 0.0);
-        assert!(first.may_go_on(64));
+        assert!(first.has_time(64));
         std::thread::sleep(Duration::from_millis(60));
         budget.learn(&first);
-        assert!(!budget.frame(2, 0.0).may_go_on(64), "the rest alone takes longer than the whole");
+        assert!(!budget.frame(2, 0.0).has_time(64), "the rest alone takes longer than the whole");
     }
 }

@@ -19,7 +19,7 @@ pub struct Checkpoint {
     /// Recent measurements and known transforms.
     pub synchroniser: SynchroniserState,
     /// Dead reckoning in progress, if no frame has come for some time.
-    pub foresight: DeadReckoning,
+    pub dead_reckoning: DeadReckoning,
     /// Number of frames tagged in the session so far.
     pub frames: u64,
 }
@@ -91,8 +91,8 @@ impl Checkpoint {
 
 impl Physical for Checkpoint {
     fn is_possible(&self) -> bool {
-        let Self { tagger, synchroniser, foresight, frames: _ } = self;
-        tagger.is_possible() && synchroniser.is_possible() && foresight.is_possible()
+        let Self { tagger, synchroniser, dead_reckoning, frames: _ } = self;
+        tagger.is_possible() && synchroniser.is_possible() && dead_reckoning.is_possible()
     }
 }
 
@@ -115,7 +115,7 @@ mod tests {
         Checkpoint {
             tagger: LocalizerState { filter, ..LocalizerState::default() },
             synchroniser: SynchroniserState::default(),
-            foresight: DeadReckoning::default(),
+            dead_reckoning: DeadReckoning::default(),
             frames: 12,
         }
     }
@@ -132,7 +132,7 @@ mod tests {
             |checkpoint| checkpoint.tagger.filter.particles.poses[1].y = f64::NAN,
             |checkpoint| checkpoint.tagger.filter.particles.log_weights[2] = f64::NAN,
             |checkpoint| checkpoint.tagger.last = Some((7, Some(Pose2::new(1e300, 0.0, 0.0)))),
-            |checkpoint| checkpoint.tagger.adrift_s = f64::INFINITY,
+            |checkpoint| checkpoint.tagger.odometry_gap_s = f64::INFINITY,
         ];
         for (index, spoil) in spoil.into_iter().enumerate() {
             let mut checkpoint = checkpoint();

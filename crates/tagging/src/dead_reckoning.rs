@@ -90,6 +90,6 @@ impl DeadReckoning {
         robot.place.as_ref().ok()?;
         let ahead = self.ahead.get_or_insert_with(|| Propagated { since, stamp_ns, localizer: tagger.state() });
         ahead.stamp_ns = stamp_ns;
-        tagger.foresee(stamp_ns, &robot, &mut ahead.localizer, Rejection::NoFrame)
+        tagger.predict_ahead(stamp_ns, &robot, &mut ahead.localizer, Rejection::NoFrame)
     }
 }

@@ -71,7 +71,7 @@ pub struct DiagnosisInput<'a> {
     /// The field.
     pub field: &'a Field,
     /// Vision, lens and body masks.
-    pub eyes: &'a FramePerception,
+    pub perception: &'a FramePerception,
     /// Number of threads to use.
     pub threads: usize,
 }
@@ -251,7 +251,7 @@ impl DiagnosisInput<'_> {
     ///
     /// `None` if the image or the field cannot be read, or no pose is found.
     fn locate(&self, change: &Change, sample: &Sample) -> Option<(FitQuality, f64)> {
-        let given = self.eyes.vision.lens();
+        let given = self.perception.vision.lens();
         let lens = match change {
             Change::Lens(name) => load_lens(name).ok()?.lens,
             Change::Focal(times) => {
@@ -273,7 +273,7 @@ impl DiagnosisInput<'_> {
             _ => None,
         };
         let picture = decode_picture(&sample.message, &lens).ok()?;
-        let body = self.eyes.body(sample.head).cloned();
+        let body = self.perception.body(sample.head).cloned();
         let attitude = Euler { yaw: 0.0, pitch, roll };
         let known = ImagePrior { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
         let located =
@@ -283,7 +283,7 @@ impl DiagnosisInput<'_> {
 
     /// The changes of the lens that are tried: the shipped lenses with as many pixels, and other focal lengths.
     fn lenses(&self) -> Vec<Change> {
-        let own = self.eyes.vision.lens();
+        let own = self.perception.vision.lens();
         let is_possible = |name: &String| {
             load_lens(name).is_ok_and(|file| {
                 let lens = file.lens.parameters();

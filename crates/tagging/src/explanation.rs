@@ -16,8 +16,8 @@ use realitysim_config::Settings;
 use realitysim_geometry::{Field, Isometry, Lens, Pose2};
 use realitysim_localization::filter::always;
 use realitysim_localization::{Evidence, LocalizerState, Rejection};
-use realitysim_log_input::synchroniser::{Frame, InitialPose, Synchroniser};
-use realitysim_log_input::{InputSource, measurement, scene_source};
+use realitysim_log_input::synchroniser::{Frame, InitialPose};
+use realitysim_log_input::{FrameAssembler, InputSource, scene_source};
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_ros2::messages::FrameTag;
 use realitysim_vision::{Observations, Picture};
@@ -73,74 +73,59 @@ pub fn explain(options: &ExplainOptions, progress: Progress) -> Result<Explanati
 struct ReplayToFrame<'a> {
     options: &'a ExplainOptions,
     setup: Setup,
-    synchroniser: Synchroniser,
+    assembler: FrameAssembler,
     tagger: Tagger,
     seen: Observations,
-    frames: u64,
 }
 
 impl<'a> ReplayToFrame<'a> {
     /// Starts from the checkpoint of a capture's segment if there is one.
     fn new(options: &'a ExplainOptions, setup: Setup, checkpoint: Option<Checkpoint>) -> Self {
-        let (state, known) = match checkpoint {
-            Some(checkpoint) => (checkpoint.tagger, checkpoint.synchroniser),
-            None => (LocalizerState::default(), setup.synchroniser.clone()),
-        };
-        let mut synchroniser = Synchroniser::new(setup.settings.frames.clone(), known);
-        synchroniser.expect(setup.expected);
-        let mut tagger = Tagger::new(&setup.settings, setup.field.clone(), setup.eyes.vision.lens(), state);
+        let (state, known) = checkpoint.map_or_else(
+            || (LocalizerState::default(), None),
+            |checkpoint| (checkpoint.tagger, Some(checkpoint.synchroniser)),
+        );
+        let assembler = setup.assembler(known, options.initial.is_some());
+        let mut tagger = Tagger::new(&setup.settings, setup.field.clone(), setup.perception.vision.lens(), state);
         if let Some(map_from_footprint) = options.initial {
             tagger.start_at(&InitialPose { map_from_footprint, xy_m: None, yaw_rad: None });
         }
-        Self { options, setup, synchroniser, tagger, seen: Observations::default(), frames: 0 }
+        Self { options, setup, assembler, tagger, seen: Observations::default() }
     }
 
     fn through(
-        mut self,
+        self,
         messages: impl Iterator<Item = Result<LogMessage, ReplayError>>,
         progress: Progress,
     ) -> Result<Explanation, ReplayError> {
-        for message in messages {
-            let message = message?;
-            if message.channel.topic == self.setup.topics.ground_truth {
-                continue;
+        let Self { options, setup, mut assembler, tagger, seen } = self;
+        let mut tracking = Tracking { setup, tagger, seen };
+        let mut frames = 0;
+        for frame in assembler.frames_of(messages) {
+            let frame = frame?;
+            frames += 1;
+            progress(frames, Some(options.frame + 1));
+            if frames == options.frame + 1 {
+                return Ok(tracking.explain(options.frame, &frame));
             }
-            match measurement::read(&message, &self.setup.topics, &self.setup.settings.head) {
-                Ok(measurement::Measurement::InitialPose { .. }) if self.options.initial.is_some() => {}
-                Ok(input) => self.synchroniser.push(&message, input),
-                // A replay reports messages that cannot be read.
-                Err(_) => {}
-            }
-            if let Some(explanation) = self.process_ready_frames(progress) {
-                return Ok(explanation);
-            }
+            tracking.track(&frame);
         }
-        self.synchroniser.finish();
-        let source = self.options.source.display();
-        self.process_ready_frames(progress).ok_or_else(|| {
-            let told = format!(
-                "{source}: there is no frame {}; they are 0 to {}",
-                self.options.frame,
-                self.frames.saturating_sub(1)
-            );
-            ReplayError::NoFrame(if self.frames == 0 { format!("{source}: there is none") } else { told })
-        })
+        let source = options.source.display();
+        Err(ReplayError::NoFrame(match frames {
+            0 => format!("{source}: there is none"),
+            _ => format!("{source}: there is no frame {}; they are 0 to {}", options.frame, frames - 1),
+        }))
     }
+}
 
-    /// Tags the frames whose measurements are complete; returns the explanation once the wanted frame is reached.
-    fn process_ready_frames(&mut self, progress: Progress) -> Option<Explanation> {
-        while let Some(frame) = self.synchroniser.pop() {
-            let is_asked_for = self.frames == self.options.frame;
-            self.frames += 1;
-            progress(self.frames, Some(self.options.frame + 1));
-            if is_asked_for {
-                return Some(self.explain(&frame));
-            }
-            self.track(&frame);
-        }
-        None
-    }
+/// The filter on its way to the wanted frame.
+struct Tracking {
+    setup: Setup,
+    tagger: Tagger,
+    seen: Observations,
+}
 
+impl Tracking {
     /// Tags a frame before the wanted one.
     fn track(&mut self, frame: &Frame) {
         match self.look(frame) {
@@ -152,14 +137,15 @@ impl<'a> ReplayToFrame<'a> {
     /// Looks at a frame's image; what it shows goes into `seen`.
     fn look(&mut self, frame: &Frame) -> Result<Picture, Rejection> {
         let Ok(place) = &frame.robot.place else { return Err(Rejection::NoTransform) };
-        let vision = &self.setup.eyes.vision;
+        let vision = &self.setup.perception.vision;
         let picture = decode_picture(&frame.message, vision.lens()).map_err(|unseen| unseen.rejection())?;
-        let body = self.setup.eyes.body(frame.robot.head);
+        let body = self.setup.perception.body(frame.robot.head);
         vision.look_again(&picture, &place.footprint_from_optical, body, &mut self.seen);
         Ok(picture)
     }
 
-    fn explain(&mut self, frame: &Frame) -> Explanation {
+    /// Tags the wanted frame and keeps what led to the tag. `number` counts frames from 0.
+    fn explain(&mut self, number: u64, frame: &Frame) -> Explanation {
         let (mut tag, sight) = match self.look(frame) {
             Ok(picture) => {
                 let (tag, evidence) = self.tagger.explain(frame.stamp_ns, &frame.robot, &self.seen);
@@ -167,11 +153,11 @@ impl<'a> ReplayToFrame<'a> {
             }
             Err(reason) => (self.tagger.tag_blind(frame.stamp_ns, &frame.robot, reason), None),
         };
-        tag.sequence = self.options.frame;
+        tag.sequence = number;
         Explanation {
             map_from_camera: Isometry::from(tag.pose.pose),
             tag,
-            lens: self.setup.eyes.vision.lens().clone(),
+            lens: self.setup.perception.vision.lens().clone(),
             field: self.setup.field.clone(),
             sight,
         }

@@ -83,9 +83,9 @@ mod tests {
 
     #[test]
     fn a_budget_that_cannot_be_kept_is_told_with_what_was_reached() {
-        let mut tally = FilterStats::default();
-        (0..10).for_each(|_| tally.note(&tag(3.0, true), 1.0));
-        let status = tally.diagnostics("r", 1.0);
+        let mut stats = FilterStats::default();
+        (0..10).for_each(|_| stats.note(&tag(3.0, true), 1.0));
+        let status = stats.diagnostics("r", 1.0);
         assert_eq!(status.level, DiagnosticStatus::WARN);
         assert!(status.message.contains("budget of 1 ms cannot be kept"), "{}", status.message);
         let of = |key: &str| status.values.iter().find(|pair| pair.key == key).map(|pair| pair.value.clone());
@@ -98,12 +98,12 @@ mod tests {
 
     #[test]
     fn each_report_is_of_the_time_since_the_last() {
-        let mut tally = FilterStats::default();
-        (0..10).for_each(|_| tally.note(&tag(3.0, true), 1.0));
-        tally.diagnostics("r", 1.0);
-        (0..10).for_each(|_| tally.note(&tag(0.9, false), 1.0));
-        let status = tally.diagnostics("r", 1.0);
+        let mut stats = FilterStats::default();
+        (0..10).for_each(|_| stats.note(&tag(3.0, true), 1.0));
+        stats.diagnostics("r", 1.0);
+        (0..10).for_each(|_| stats.note(&tag(0.9, false), 1.0));
+        let status = stats.diagnostics("r", 1.0);
         assert_eq!((status.level, status.message.as_str()), (DiagnosticStatus::OK, "within the budget"));
-        assert_eq!(tally.diagnostics("r", 0.0).message, "no budget");
+        assert_eq!(stats.diagnostics("r", 0.0).message, "no budget");
     }
 }

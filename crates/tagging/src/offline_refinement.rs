@@ -22,8 +22,7 @@ use realitysim_localization::smoothing::alignment::{Look, matches};
 use realitysim_localization::smoothing::{
     CONSTANTS, Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, held_out_rms_px, smooth,
 };
-use realitysim_log_input::measurement;
-use realitysim_log_input::synchroniser::{Frame as SensorFrame, Synchroniser};
+use realitysim_log_input::synchroniser::Frame as SensorFrame;
 use realitysim_recording::{
     Loss, REFINED_FOLDER, REFINED_INFO, REFINED_TAGS, Readout, ReadoutError, RecordingError, RefinedConstant,
     RefinedInfo, SESSION_FILE, SessionInfo, captures_within, read_info, read_tags, write_atomically,
@@ -177,9 +176,7 @@ fn measure_lines(
 ) -> Result<(Vec<Frame>, Vec<Loss>), RefineError> {
     let OpenLog { setup, mut messages, checkpoint, frames: count, lost, .. } =
         open_input::log(capture, &info.settings)?;
-    let known = checkpoint.map_or_else(|| setup.synchroniser.clone(), |checkpoint| checkpoint.synchroniser);
-    let mut synchroniser = Synchroniser::new(setup.settings.frames.clone(), known);
-    synchroniser.expect(setup.expected);
+    let mut assembler = setup.assembler(checkpoint.map(|checkpoint| checkpoint.synchroniser), false);
     let (points, projector) = (LinePoints::new(&setup.field), Projector::new(&Lens::new(found.lens(&info.lens))?));
     let off = Miscalibration { readout_s: found.readout_s, ..Miscalibration::NONE };
     let square = |sigma: f64| sigma * sigma;
@@ -194,10 +191,11 @@ fn measure_lines(
         let Some(pose) = poses.get(&frame.stamp_ns).filter(|_| frames.len() < MAX_FRAMES) else { return };
         let (mut places, mut overlap) = (Vec::new(), None);
         let twist = frame.robot.camera_twist.unwrap_or_default();
-        if let (Ok(place), Ok(picture)) = (&frame.robot.place, decode_picture(&frame.message, setup.eyes.vision.lens()))
+        if let (Ok(place), Ok(picture)) =
+            (&frame.robot.place, decode_picture(&frame.message, setup.perception.vision.lens()))
         {
-            let body = setup.eyes.body(frame.robot.head);
-            setup.eyes.vision.look_again(&picture, &place.footprint_from_optical, body, &mut seen);
+            let body = setup.perception.body(frame.robot.head);
+            setup.perception.vision.look_again(&picture, &place.footprint_from_optical, body, &mut seen);
             let eye = CameraModel { projector: &projector, off: &off, twist: &twist };
             measure(&points, &seen.image, eye, pose, &covariance, &mut sights);
             let every = sights.len().div_ceil(MAX_PLACES).max(1);
@@ -217,27 +215,14 @@ fn measure_lines(
             odometry: frame.robot.odometry,
             turned_rad: frame.robot.turned_rad,
             twist,
-            turn_is_felt: frame.robot.turn_is_felt,
+            turn_is_measured: frame.robot.turn_is_measured,
             places,
             overlap,
         });
     };
-    for message in messages.by_ref() {
-        let message = message.map_err(ReplayError::from)?;
-        if message.channel.topic == setup.topics.ground_truth {
-            continue;
-        }
-        // Messages that cannot be read were reported when the capture was made.
-        if let Ok(input) = measurement::read(&message, &setup.topics, &setup.settings.head) {
-            synchroniser.push(&message, input);
-        }
-        while let Some(frame) = synchroniser.pop() {
-            take(frame, &mut frames);
-        }
-    }
-    synchroniser.finish();
-    while let Some(frame) = synchroniser.pop() {
-        take(frame, &mut frames);
+    // Messages that cannot be read were reported when the capture was made.
+    for frame in assembler.frames_of(messages.by_ref()) {
+        take(frame.map_err(ReplayError::from)?, &mut frames);
     }
     frames.sort_by_key(|frame| frame.stamp_ns);
     frames.dedup_by_key(|frame| frame.stamp_ns);

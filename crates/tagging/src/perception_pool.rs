@@ -65,7 +65,7 @@ struct Job {
 
 /// A pool of threads that takes frames and gives them back with what their images show, in the same order.
 pub struct PerceptionPool {
-    eyes: Arc<FramePerception>,
+    perception: Arc<FramePerception>,
     jobs: Option<Sender<Job>>,
     workers: Vec<std::thread::JoinHandle<()>>,
     pending: VecDeque<Receiver<PerceivedFrame>>,
@@ -75,10 +75,10 @@ pub struct PerceptionPool {
 
 impl PerceptionPool {
     /// A pool of `threads` threads. With one thread, the work is done in the caller's.
-    pub fn new(eyes: Arc<FramePerception>, threads: usize) -> Self {
+    pub fn new(perception: Arc<FramePerception>, threads: usize) -> Self {
         if threads <= 1 {
             return Self {
-                eyes,
+                perception,
                 jobs: None,
                 workers: Vec::new(),
                 pending: VecDeque::new(),
@@ -90,22 +90,22 @@ impl PerceptionPool {
         let (jobs, queue) = bounded::<Job>(limit);
         let workers = (0..threads)
             .map(|_| {
-                let (eyes, queue) = (Arc::clone(&eyes), queue.clone());
+                let (perception, queue) = (Arc::clone(&perception), queue.clone());
                 std::thread::spawn(move || {
                     for job in queue {
                         // Sending fails only if the replay has been given up.
-                        let _ = job.reply.send(perceive(&eyes, job.frame, job.spare));
+                        let _ = job.reply.send(perceive(&perception, job.frame, job.spare));
                     }
                 })
             })
             .collect();
-        Self { eyes, jobs: Some(jobs), workers, pending: VecDeque::new(), limit, spares: Vec::new() }
+        Self { perception, jobs: Some(jobs), workers, pending: VecDeque::new(), limit, spares: Vec::new() }
     }
 
     /// Takes a frame and, once enough are under way, hands back the oldest.
     pub fn push(&mut self, frame: Frame) -> Option<PerceivedFrame> {
         let spare = self.spares.pop().unwrap_or_default();
-        let Some(jobs) = &self.jobs else { return Some(perceive(&self.eyes, frame, spare)) };
+        let Some(jobs) = &self.jobs else { return Some(perceive(&self.perception, frame, spare)) };
         let (reply, result) = bounded(1);
         // Sending cannot fail: the workers live as long as this end of the channel.
         let _ = jobs.send(Job { frame, spare, reply });
@@ -137,16 +137,16 @@ impl Drop for PerceptionPool {
 }
 
 /// Decodes a frame's image and looks at it. `seen` gives the buffers.
-fn perceive(eyes: &FramePerception, frame: Frame, mut seen: Observations) -> PerceivedFrame {
+fn perceive(perception: &FramePerception, frame: Frame, mut seen: Observations) -> PerceivedFrame {
     let Ok(place) = frame.robot.place.clone() else {
         return PerceivedFrame { frame, seen: Err(PerceptionError::NoPlace), look_ms: 0.0 };
     };
-    let picture = match decode_picture(&frame.message, eyes.vision.lens()) {
+    let picture = match decode_picture(&frame.message, perception.vision.lens()) {
         Ok(picture) => picture,
         Err(unseen) => return PerceivedFrame { frame, seen: Err(unseen), look_ms: 0.0 },
     };
     let start = Instant::now();
-    eyes.vision.look_again(&picture, &place.footprint_from_optical, eyes.body(frame.robot.head), &mut seen);
+    perception.vision.look_again(&picture, &place.footprint_from_optical, perception.body(frame.robot.head), &mut seen);
     PerceivedFrame { look_ms: start.elapsed().as_secs_f64() * 1e3, frame, seen: Ok(seen) }
 }
 

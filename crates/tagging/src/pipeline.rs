@@ -24,8 +24,7 @@ use super::warm_start::InitialState;
 use super::warnings::{self, AttitudeSource};
 use realitysim_config::{Settings, Topics};
 use realitysim_geometry::{Field, FieldDimensions, Isometry, LensParameters, PoseGrid};
-use realitysim_log_input::measurement;
-use realitysim_log_input::synchroniser::Synchroniser;
+use realitysim_log_input::{FrameAssembler, measurement};
 use realitysim_recording::storage::Disk;
 use realitysim_recording::{
     Counts, Ended, LiveInfo, RecorderStatus, STATE_FILE, SegmentState, SessionId, SessionInfo, SessionWriter, Thinning,
@@ -60,7 +59,7 @@ pub struct Recorded {
     /// State of the recorder at the end.
     pub recorder: RecorderStatus,
     /// Statistics of the tags and of the messages that could not be used.
-    pub tally: RunStats,
+    pub stats: RunStats,
     /// Findings that a user will want to know, as sentences.
     pub warnings: Vec<String>,
 }
@@ -74,23 +73,21 @@ pub struct Pipeline {
     body_masks: Vec<Vec<u32>>,
     dimensions: FieldDimensions,
     attitude: AttitudeSource,
-    synchroniser: Synchroniser,
-    perception: PerceptionPool,
+    assembler: FrameAssembler,
+    perception_pool: PerceptionPool,
     tagger: Tagger,
     budget: Budget,
     session: Option<SessionWriter>,
     thinning: Thinning,
-    /// The caller gave the initial pose, so poses announced in the log are ignored.
-    initial_is_given: bool,
     /// The next tag's number: frames tagged so far, those before the checkpoint included.
     sequence: u64,
-    tally: RunStats,
+    stats: RunStats,
     last_state_ns: i64,
     last_diagnostics_ns: i64,
     /// Frames held back until no frame is under way, so that a segment or the saved state can end between two frames.
     held: VecDeque<LogMessage>,
     dead_reckoning: DeadReckoning,
-    eyes: Arc<FramePerception>,
+    perception: Arc<FramePerception>,
     /// Samples for the diagnosis at the end; only in a replay, because a robot has no time for it.
     unplaced: Option<UnplacedFrames>,
 }
@@ -105,38 +102,35 @@ const NO_STAMP: &str = "no_stamp";
 impl Pipeline {
     /// A pipeline that has not taken a message. The session's folder is made with the first message.
     pub fn new(setup: Setup, start: InitialState, recording: Recording) -> Self {
-        let Setup { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude } = setup;
+        let (known, dead_reckoning) = start.checkpoint.as_ref().map_or_else(Default::default, |checkpoint| {
+            (Some(checkpoint.synchroniser.clone()), checkpoint.dead_reckoning.clone())
+        });
+        let assembler = setup.assembler(known, start.initial.is_some());
+        let Setup { settings, topics, lens, dimensions, field, perception, attitude, .. } = setup;
         let thinning = settings.recording.thinning.clone();
         let grid = PoseGrid::new(field.carpet_half_extent(), thinning.cell_m, usize::from(thinning.headings));
-        let tagger = start.tagger(&settings, field, eyes.vision.lens());
+        let tagger = start.tagger(&settings, field, perception.vision.lens());
         let budget = Budget::new(settings.filter.budget_ms, start.decided);
         let sequence = start.checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.frames);
-        let (state, dead_reckoning) = start.checkpoint.map_or_else(
-            || (synchroniser, DeadReckoning::default()),
-            |checkpoint| (checkpoint.synchroniser, checkpoint.foresight),
-        );
-        let mut synchroniser = Synchroniser::new(settings.frames.clone(), state);
-        synchroniser.expect(expected);
         Self {
             topics,
             lens,
-            body_masks: eyes.body_masks(),
+            body_masks: perception.body_masks(),
             dimensions,
             attitude,
-            synchroniser,
-            perception: PerceptionPool::new(Arc::clone(&eyes), recording.threads),
+            assembler,
+            perception_pool: PerceptionPool::new(Arc::clone(&perception), recording.threads),
             tagger,
             budget,
             session: None,
             thinning: Thinning::new(thinning, grid),
-            initial_is_given: start.initial.is_some(),
             sequence,
-            tally: RunStats::default(),
+            stats: RunStats::default(),
             last_state_ns: i64::MIN,
             last_diagnostics_ns: i64::MIN,
             held: VecDeque::new(),
             dead_reckoning,
-            eyes,
+            perception,
             unplaced: recording.live.is_none().then(UnplacedFrames::default),
             settings,
             recording,
@@ -164,7 +158,7 @@ impl Pipeline {
         self.pause_if_due(log_time_ns)?;
         let held_back = self.must_pause(log_time_ns) || !self.held.is_empty();
         if held_back && measurement::is_frame(&message.channel, &self.topics) {
-            self.synchroniser.advance(log_time_ns);
+            self.assembler.synchroniser.advance(log_time_ns);
             self.held.push_back(message);
         } else {
             self.record(message)?;
@@ -210,8 +204,8 @@ impl Pipeline {
     /// Like [`Self::finish`], and returns what follows odometry until another session begins.
     pub fn pause(mut self) -> (Option<Recorded>, Result<(), AgentError>, IdleOdometry) {
         let (recorded, ended) = self.conclude();
-        let Self { topics, settings, synchroniser, tagger, dead_reckoning, .. } = self;
-        (recorded, ended, IdleOdometry { topics, head: settings.head, synchroniser, tagger, dead_reckoning })
+        let Self { topics, assembler, tagger, dead_reckoning, .. } = self;
+        (recorded, ended, IdleOdometry { topics, assembler, tagger, dead_reckoning })
     }
 
     fn conclude(&mut self) -> (Option<Recorded>, Result<(), AgentError>) {
@@ -228,41 +222,41 @@ impl Pipeline {
         }
         self.count_measurements();
         let warnings = self.warnings();
-        let tally = core::mem::take(&mut self.tally);
-        (Some(Recorded { session, counts, recorder, tally, warnings }), ended)
+        let stats = core::mem::take(&mut self.stats);
+        (Some(Recorded { session, counts, recorder, stats, warnings }), ended)
     }
 
     /// The warnings of the run. They count the tags that were made, also those that the disk has not kept.
     fn warnings(&self) -> Vec<String> {
-        let Self { tally, settings, .. } = self;
+        let Self { stats, settings, .. } = self;
         let Settings { field, filter, frames, topics, .. } = settings;
-        let heard = self.synchroniser.knows_attitude();
+        let heard = self.assembler.synchroniser.knows_attitude();
         let all = [
-            self.attitude.warning(tally.without_tilt, tally.tags, heard, frames),
-            warnings::unplaced(field, &tally.invalid, tally.tags, || self.cause()),
-            warnings::no_picture(&tally.invalid, tally.tags),
-            warnings::never_upright(&topics.imu, &tally.invalid, tally.tags),
-            warnings::small_budget(filter.budget_ms, &tally.effort, tally.tags),
+            self.attitude.warning(stats.without_tilt, stats.tags, heard, frames),
+            warnings::unplaced(field, &stats.invalid, stats.tags, || self.cause()),
+            warnings::no_picture(&stats.invalid, stats.tags),
+            warnings::never_upright(&topics.imu, &stats.invalid, stats.tags),
+            warnings::small_budget(filter.budget_ms, &stats.effort, stats.tags),
             self.tagger.lens_off().as_ref().and_then(warnings::wrong_lens),
-            warnings::impossible_measurements(tally.impossible_measurements),
-            warnings::unusable_weights(tally.unusable_weights),
-            warnings::begun_anew(tally.begun_anew),
+            warnings::impossible_measurements(stats.impossible_measurements),
+            warnings::unusable_weights(stats.unusable_weights),
+            warnings::begun_anew(stats.begun_anew),
         ];
         all.into_iter().flatten().collect()
     }
 
     /// The most probable cause of frames that could not be placed on the field.
     fn cause(&self) -> String {
-        let Self { settings, topics, eyes, .. } = self;
+        let Self { settings, topics, perception, .. } = self;
         let Some((unplaced, field)) = self.unplaced.as_ref().zip(Field::new(self.dimensions.clone()).ok()) else {
             return warnings::possible_causes(settings.filter.budget_ms);
         };
-        let given = DiagnosisInput { settings, topics, field: &field, eyes, threads: self.recording.threads };
+        let given = DiagnosisInput { settings, topics, field: &field, perception, threads: self.recording.threads };
         given.cause(unplaced).unwrap_or_else(|| "these are too few to find out why".to_owned())
     }
 
     fn end(&mut self) -> Result<(), AgentError> {
-        self.synchroniser.finish();
+        self.assembler.synchroniser.finish();
         self.process_ready_frames()?;
         self.release_held()?;
         self.process_ready_frames()?;
@@ -270,36 +264,35 @@ impl Pipeline {
         if self.session.is_some() { self.save_state() } else { Ok(()) }
     }
 
-    /// Writes a message and passes its measurement to the synchroniser.
+    /// Writes a message and passes its measurement to the assembler of frames.
     fn record(&mut self, message: LogMessage) -> Result<(), AgentError> {
         let topics = &self.topics;
         let is_frame = measurement::is_frame(&message.channel, topics);
         let latched = message.channel.topic == topics.tf_static || message.channel.topic == topics.camera_info;
-        let input = measurement::read(&message, topics, &self.settings.head);
+        let input = self.assembler.read(&message);
         // With thinning, a frame is written or dropped when its tag is known; one that can have no tag is written at once.
         let waits = is_frame && input.is_ok() && self.thinning.thins();
         if let (Some(session), false) = (&mut self.session, waits) {
             session.pass(&message, is_frame, latched)?;
         }
         match input {
-            Ok(measurement::Measurement::InitialPose { .. }) if self.initial_is_given => {}
-            Ok(input) => self.synchroniser.push(&message, input),
+            Ok(input) => self.assembler.push(&message, input),
             Err(error) if is_frame => {
-                self.tally.note_bad_frame(&message, &error);
+                self.stats.note_bad_frame(&message, &error);
                 if let Some(session) = &mut self.session {
                     session.leave_untagged(NO_STAMP)?;
                 }
             }
-            Err(_) => self.tally.bad_messages += 1,
+            Err(_) => self.stats.bad_messages += 1,
         }
         Ok(())
     }
 
     /// Sends frames whose measurements are complete to the perception threads, and tags those that come back.
     fn process_ready_frames(&mut self) -> Result<(), AgentError> {
-        while let Some(mut frame) = self.synchroniser.pop() {
-            self.dead_reckoning.end_with(&mut frame, &mut self.tagger, &self.synchroniser);
-            if let Some(looked) = self.perception.push(frame) {
+        while let Some(mut frame) = self.assembler.pop() {
+            self.dead_reckoning.end_with(&mut frame, &mut self.tagger, &self.assembler.synchroniser);
+            if let Some(looked) = self.perception_pool.push(frame) {
                 self.tag(looked)?;
             }
         }
@@ -308,17 +301,20 @@ impl Pipeline {
 
     /// Writes a pose predicted from odometry if no frame has come for long enough.
     fn predict_if_due(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
-        if !(self.synchroniser.is_idle() && self.held.is_empty()) {
+        if !(self.assembler.synchroniser.is_idle() && self.held.is_empty()) {
             return Ok(());
         }
-        let Some(stamp_ns) = self.dead_reckoning.next_due_ns(&self.synchroniser, log_time_ns) else { return Ok(()) };
+        let Some(stamp_ns) = self.dead_reckoning.next_due_ns(&self.assembler.synchroniser, log_time_ns) else {
+            return Ok(());
+        };
         self.drain()?;
-        let Some(mut tag) = self.dead_reckoning.predict(stamp_ns, &mut self.tagger, &self.synchroniser) else {
+        let Some(mut tag) = self.dead_reckoning.predict(stamp_ns, &mut self.tagger, &self.assembler.synchroniser)
+        else {
             return Ok(());
         };
         tag.sequence = self.sequence;
         self.add_clocks_and_send(&mut tag, stamp_ns);
-        self.tally.predicted += 1;
+        self.stats.predicted += 1;
         match &mut self.session {
             Some(session) => Ok(session.predicted_tag(log_time_ns, &tag)?),
             None => Ok(()),
@@ -337,7 +333,7 @@ impl Pipeline {
 
     /// Tags all frames that the perception threads still have.
     fn drain(&mut self) -> Result<(), AgentError> {
-        while let Some(looked) = self.perception.pop() {
+        while let Some(looked) = self.perception_pool.pop() {
             self.tag(looked)?;
         }
         Ok(())
@@ -350,11 +346,11 @@ impl Pipeline {
         let mut allowance = self.budget.frame(frame.stamp_ns, look_ms);
         let mut tag = match &seen {
             Ok(seen) => {
-                let mut may_go_on = |weighed| allowance.may_go_on(weighed);
-                self.tagger.tag(frame.stamp_ns, &frame.robot, seen, &mut may_go_on)
+                let mut has_time = |weighed| allowance.has_time(weighed);
+                self.tagger.tag(frame.stamp_ns, &frame.robot, seen, &mut has_time)
             }
             Err(unseen) => {
-                self.tally.note_unseen(&frame, unseen, self.sequence);
+                self.stats.note_unseen(&frame, unseen, self.sequence);
                 self.tagger.tag_blind(frame.stamp_ns, &frame.robot, unseen.rejection())
             }
         };
@@ -366,13 +362,13 @@ impl Pipeline {
             unplaced.note(&frame);
         }
         if let Ok(seen) = seen {
-            self.perception.give_back(seen);
+            self.perception_pool.give_back(seen);
         }
         self.add_clocks_and_send(&mut tag, frame.stamp_ns);
         self.sequence += 1;
-        self.tally.unusable_weights = self.tagger.unusable_weights();
-        self.tally.begun_anew = self.tagger.begun_anew();
-        self.tally.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
+        self.stats.unusable_weights = self.tagger.unusable_weights();
+        self.stats.begun_anew = self.tagger.begun_anew();
+        self.stats.note_tag(&frame.robot, &tag, self.settings.filter.budget_ms);
         let log_time_ns = frame.message.log_time_ns;
         let pose = tag.valid.then(|| Isometry::from(tag.pose.pose));
         let keeps = self.thinning.keeps(frame.stamp_ns, pose.as_ref(), tag.pose.sigma_xy_m());
@@ -406,7 +402,7 @@ impl Pipeline {
     /// If measurements arrive later than the next frame, there is always a frame waiting. Therefore further frames are
     /// held back until there is none, which takes milliseconds.
     fn pause_if_due(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
-        if !self.must_pause(log_time_ns) || !self.synchroniser.is_idle() {
+        if !self.must_pause(log_time_ns) || !self.assembler.synchroniser.is_idle() {
             return Ok(());
         }
         self.drain()?;
@@ -437,8 +433,8 @@ impl Pipeline {
     fn checkpoint(&self) -> Result<Vec<u8>, AgentError> {
         let checkpoint = Checkpoint {
             tagger: self.tagger.state(),
-            synchroniser: self.synchroniser.state().clone(),
-            foresight: self.dead_reckoning.clone(),
+            synchroniser: self.assembler.synchroniser.state().clone(),
+            dead_reckoning: self.dead_reckoning.clone(),
             frames: self.sequence,
         };
         checkpoint.encode().map_err(|source| AgentError::Checkpoint { path: STATE_FILE.into(), source })
@@ -474,8 +470,8 @@ impl Pipeline {
     }
 
     fn count_measurements(&mut self) {
-        self.tally.late_measurements = self.synchroniser.too_late();
-        self.tally.impossible_measurements = self.synchroniser.impossible();
+        self.stats.late_measurements = self.assembler.synchroniser.too_late();
+        self.stats.impossible_measurements = self.assembler.synchroniser.impossible();
     }
 
     fn report_diagnostics(&mut self, log_time_ns: i64) -> Result<(), AgentError> {
@@ -487,7 +483,7 @@ impl Pipeline {
         let Some(session) = &mut self.session else { return Ok(()) };
         let Settings { robot, filter, .. } = &self.settings;
         let report =
-            self.tally.diagnostics(log_time_ns, robot, &session.counts(), session.status().conserved, filter.budget_ms);
+            self.stats.diagnostics(log_time_ns, robot, &session.counts(), session.status().conserved, filter.budget_ms);
         Ok(session.diagnostics(log_time_ns, &report)?)
     }
 }
@@ -540,8 +536,8 @@ mod tests {
         let warning = recorded.warnings.iter().find(|warning| warning.contains("as if the torso stood upright"));
         let warning = warning.unwrap_or_else(|| panic!("{:?}", recorded.warnings));
         assert!(recorded.counts.tagged < frames, "the disk has lost some: {:?}", recorded.counts);
-        assert!(recorded.tally.tags >= frames && frames > 3, "{} of {frames}", recorded.tally.tags);
-        let all = recorded.tally.tags;
+        assert!(recorded.stats.tags >= frames && frames > 3, "{} of {frames}", recorded.stats.tags);
+        let all = recorded.stats.tags;
         assert!(warning.starts_with(&format!("{all} of {all} frames")), "{warning}");
     }
 }

@@ -120,7 +120,7 @@ impl Run {
             (Err(error), _, None) => return Err(error),
             (Err(error), _, Some(session)) => return Err(ReplayError::Broken { source: Box::new(error), session }),
         };
-        let Recorded { counts, tally, warnings, .. } = recorded;
+        let Recorded { counts, stats, warnings, .. } = recorded;
         let mut report = self.report;
         report.warnings.extend(warnings);
         Ok(ReplayReport {
@@ -129,18 +129,18 @@ impl Run {
             tagged: counts.tagged,
             valid: counts.valid,
             thinned: counts.thinned,
-            filter_ms: tally.effort.durations.quantiles(),
-            capped: tally.effort.capped,
-            over_budget: tally.effort.over_budget,
+            filter_ms: stats.effort.durations.quantiles(),
+            capped: stats.effort.capped,
+            over_budget: stats.effort.over_budget,
             wall_s: started.elapsed().as_secs_f64(),
-            invalid: tally.invalid,
-            first_invalid: tally.first_invalid,
+            invalid: stats.invalid,
+            first_invalid: stats.first_invalid,
             untagged: counts.untagged,
-            predicted: tally.predicted,
-            bad_messages: tally.bad_messages,
-            late_measurements: tally.late_measurements,
-            impossible_measurements: tally.impossible_measurements,
-            first_bad_image: tally.first_bad_image,
+            predicted: stats.predicted,
+            bad_messages: stats.bad_messages,
+            late_measurements: stats.late_measurements,
+            impossible_measurements: stats.impossible_measurements,
+            first_bad_image: stats.first_bad_image,
             ..report
         })
     }

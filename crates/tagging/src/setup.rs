@@ -9,9 +9,10 @@ use super::warnings::AttitudeSource;
 use realitysim_config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens};
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
 use realitysim_localization::observation;
+use realitysim_log_input::FrameAssembler;
 use realitysim_log_input::body_mask;
 use realitysim_log_input::log::LogError;
-use realitysim_log_input::synchroniser::{Expected, SynchroniserState};
+use realitysim_log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
 use realitysim_log_input::topic_resolution::TopicError;
 use realitysim_log_input::transforms::{ChainError, Head};
 use realitysim_ros2::messages::CameraInfo;
@@ -78,7 +79,7 @@ pub struct Setup {
     /// The field.
     pub field: Field,
     /// Vision and body masks, shared by threads.
-    pub eyes: Arc<FramePerception>,
+    pub perception: Arc<FramePerception>,
     /// Kinds of measurements that the source has, so that frames wait for them.
     pub expected: Expected,
     /// State with the constant transforms.
@@ -88,14 +89,23 @@ pub struct Setup {
 }
 
 impl Setup {
+    /// What makes frames of the source's messages. `state` is that of a checkpoint, where the source begins with one. With
+    /// `initial_is_given`, poses that are announced in the messages are ignored.
+    pub fn assembler(&self, state: Option<SynchroniserState>, initial_is_given: bool) -> FrameAssembler {
+        let state = state.unwrap_or_else(|| self.synchroniser.clone());
+        let mut synchroniser = Synchroniser::new(self.settings.frames.clone(), state);
+        synchroniser.expect(self.expected);
+        FrameAssembler::new(self.topics.clone(), self.settings.head.clone(), synchroniser, initial_is_given)
+    }
+
     /// Loads and checks lens, field and body masks for a source.
     pub fn new(settings: Settings, prelude: StreamInfo) -> Result<Self, SetupError> {
         let lens = lens(&settings, &prelude)?;
         let (field, dimensions) = field(&settings)?;
-        let eyes = Arc::new(FramePerception::new(&settings, &lens, field.line_width())?);
+        let perception = Arc::new(FramePerception::new(&settings, &lens, field.line_width())?);
         let StreamInfo { topics, expected, synchroniser, attitude, .. } = prelude;
         let lens = lens.parameters().clone();
-        Ok(Self { settings, topics, lens, dimensions, field, eyes, expected, synchroniser, attitude })
+        Ok(Self { settings, topics, lens, dimensions, field, perception, expected, synchroniser, attitude })
     }
 }
 

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use realitysim_geometry::{Euler, Field, Isometry, Lens, Pose2, wrap_angle};
 use realitysim_localization::filter::always;
-use realitysim_localization::global_search::{self, Candidate, GlobalSearch, Pace, SearchRequest, SearchState};
+use realitysim_localization::global_search::{self, Candidate, GlobalSearch, SearchRate, SearchRequest, SearchState};
 use realitysim_localization::kernel::Points;
 use realitysim_localization::line_distance_map::LineDistanceMap;
 use realitysim_localization::observation::default_alpha;
@@ -90,9 +90,9 @@ pub enum FitQuality {
 }
 
 /// Least share of the expected line contrast for a pose to mean something.
-pub const LEAST_SHARE: f64 = 0.4;
+pub const MIN_SHARE: f64 = 0.4;
 /// Least [`PoseHypothesis::weight`] for a pose to mean something, in units of 10 cm of line.
-pub const LEAST_WEIGHT: f64 = 8.0;
+pub const MIN_WEIGHT: f64 = 8.0;
 /// Least digits against chance ([`Agreement::digits`]) of a pose that means something, near an initial pose.
 ///
 /// A search of the whole field with all tilts and heights tries some 10^11 poses, one near an initial pose some 10^4.
@@ -179,7 +179,7 @@ impl ImagePrior {
         let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
         let mut search = GlobalSearch::new(field, SEARCH_MARGIN_M, &observation);
         let mut refiner = Refiner::new(field, &self.lens);
-        let painted = LineDistanceMap::new(field);
+        let line_distances = LineDistanceMap::new(field);
         let mut found = Vec::new();
         for view in &look.views {
             let candidates = match self.initial {
@@ -188,7 +188,7 @@ impl ImagePrior {
                     let found = search.run(
                         &observation,
                         &view.seen.table,
-                        SearchRequest { candidates: KEPT, pace: Pace::Hurried },
+                        SearchRequest { candidates: KEPT, rate: SearchRate::Fast },
                         &mut state,
                         &mut effort,
                         &mut always,
@@ -199,11 +199,11 @@ impl ImagePrior {
             };
             found.extend(candidates.iter().map(|candidate| {
                 let start = candidate.pose.to_isometry() * view.footprint_from_link;
-                let unrefined = self.weighed(look, &observation, &painted, start, None);
+                let unrefined = self.weighed(look, &observation, &line_distances, start, None);
                 let Some((pose, lines)) = self.refined(&mut refiner, &view.seen, &candidate.pose, &start) else {
                     return unrefined;
                 };
-                let refined = self.weighed(look, &observation, &painted, pose, Some(lines));
+                let refined = self.weighed(look, &observation, &line_distances, pose, Some(lines));
                 // On a field that differs from its file, a refined pose may show less contrast than the one that it came from.
                 // The better of both is used to judge the pose.
                 let PoseHypothesis { share, weight, log_likelihood, .. } =
@@ -226,7 +226,7 @@ impl ImagePrior {
         let map_from_optical = best.map_from_link * Isometry::link_from_optical();
         let footprint_from_optical = best.place().to_isometry().inverse() * map_from_optical;
         let seen = look.vision.look(look.picture, &footprint_from_optical, self.body.as_ref());
-        let (refiner, painted) = (Refiner::new(field, &self.lens), LineDistanceMap::new(field));
+        let (refiner, line_distances) = (Refiner::new(field, &self.lens), LineDistanceMap::new(field));
         let tried = located.found.iter().map(|found| {
             let Pose2 { x, y, yaw } = found.place();
             let PoseHypothesis { log_likelihood: worth, explained, .. } = *found;
@@ -234,9 +234,9 @@ impl ImagePrior {
         });
         Some(Evidence {
             agreement: best.lines,
-            explained: painted.explained(seen.lines(), &footprint_from_optical, &map_from_optical),
+            explained: line_distances.explained(seen.lines(), &footprint_from_optical, &map_from_optical),
             tried: tried.collect(),
-            ..Evidence::of_pose(&seen, &refiner, &painted, Some(&footprint_from_optical), &map_from_optical)
+            ..Evidence::of_pose(&seen, &refiner, &line_distances, Some(&footprint_from_optical), &map_from_optical)
         })
     }
 
@@ -267,7 +267,7 @@ impl ImagePrior {
         &self,
         look: &Look,
         observation: &Observation,
-        painted: &LineDistanceMap,
+        line_distances: &LineDistanceMap,
         map_from_link: Isometry,
         lines: Option<Agreement>,
     ) -> PoseHypothesis {
@@ -276,7 +276,8 @@ impl ImagePrior {
         let footprint_from_optical = place.to_isometry().inverse() * map_from_link * optical;
         let seen = look.vision.look(look.picture, &footprint_from_optical, self.body.as_ref());
         let Support { share, weight, .. } = observation.support(seen.lines(), &place);
-        let explained = painted.explained(seen.lines(), &footprint_from_optical, &(map_from_link * optical)).share;
+        let explained =
+            line_distances.explained(seen.lines(), &footprint_from_optical, &(map_from_link * optical)).share;
         let tilt = map_from_link.euler();
         let sigma = self.tilt_sigma_rad.max(MIN_TILT_SIGMA_RAD);
         let off = |found: f64, given: f64| wrap_angle(found - given) / sigma;
@@ -347,7 +348,7 @@ impl PoseHypothesis {
 
     fn means_something(&self, searched: bool) -> bool {
         let digits = if searched { MIN_DIGITS_IF_SEARCHED } else { MIN_DIGITS };
-        self.share >= LEAST_SHARE && self.weight >= LEAST_WEIGHT && self.lines.digits >= digits
+        self.share >= MIN_SHARE && self.weight >= MIN_WEIGHT && self.lines.digits >= digits
     }
 
     fn is_trusted(&self, searched: bool) -> bool {

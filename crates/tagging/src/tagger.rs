@@ -5,8 +5,8 @@ use realitysim_geometry::{Field, Isometry, Lens};
 use realitysim_localization::filter::always;
 use realitysim_localization::observation::default_alpha;
 use realitysim_localization::{
-    Evidence, FilterSettings, Fix, Formula, FrameSensors, LensOff, Localizer, LocalizerSettings, LocalizerState,
-    MayGoOn, Model, Observation, Rejection, Sampling, SlowStateModel, Spread, Validity,
+    Evidence, FilterSettings, Fix, Formula, FrameSensors, LensOff, Localizer, LocalizerSettings, LocalizerState, Model,
+    Observation, Rejection, Sampling, SlowStateModel, Spread, TimeCheck, Validity,
 };
 use realitysim_log_input::synchroniser::{InitialPose, OdometryOrigin, RobotState};
 use realitysim_ros2::messages::{FrameTag, Header, Pose, Stamp};
@@ -102,10 +102,16 @@ impl Tagger {
 
     /// Tags a frame whose image could be used. The caller fills in `sequence`, clocks and times.
     ///
-    /// `may_go_on` gets the number of poses weighed so far and says whether there is time for more.
-    pub fn tag(&mut self, stamp_ns: i64, robot: &RobotState, seen: &Observations, may_go_on: &mut MayGoOn) -> FrameTag {
+    /// `has_time` gets the number of poses weighed so far and says whether there is time for more.
+    pub fn tag(
+        &mut self,
+        stamp_ns: i64,
+        robot: &RobotState,
+        seen: &Observations,
+        has_time: &mut TimeCheck,
+    ) -> FrameTag {
         self.apply_new_start(robot);
-        let fix = self.localizer.look(&sensors_at(stamp_ns, robot), seen, may_go_on);
+        let fix = self.localizer.look(&sensors_at(stamp_ns, robot), seen, has_time);
         self.compose(stamp_ns, robot, &fix)
     }
 
@@ -125,12 +131,12 @@ impl Tagger {
         self.compose(stamp_ns, robot, &fix)
     }
 
-    /// Predicts the camera's pose at a time without a frame, as an invalid tag; see [`Localizer::foresee`].
+    /// Predicts the camera's pose at a time without a frame, as an invalid tag; see [`Localizer::predict_ahead`].
     ///
     /// `ahead` is the state that the prediction propagates, in place of the tagger's own. It begins as a copy of
     /// [`state`](Self::state), and a frame may [go on from](Self::go_on_from) it. `None` if the pose is not known well
     /// enough.
-    pub fn foresee(
+    pub fn predict_ahead(
         &mut self,
         stamp_ns: i64,
         robot: &RobotState,
@@ -139,7 +145,7 @@ impl Tagger {
     ) -> Option<FrameTag> {
         self.localizer.exchange(ahead);
         self.apply_new_start(robot);
-        let fix = self.localizer.foresee(&sensors_at(stamp_ns, robot), reason);
+        let fix = self.localizer.predict_ahead(&sensors_at(stamp_ns, robot), reason);
         self.localizer.exchange(ahead);
         Some(self.compose(stamp_ns, robot, &fix?))
     }
@@ -226,7 +232,7 @@ fn sensors_at(stamp_ns: i64, robot: &RobotState) -> FrameSensors {
         turned_rad: robot.turned_rad,
         swayed_rad: robot.swayed_rad,
         camera_twist: robot.camera_twist,
-        turn_is_felt: robot.turn_is_felt,
+        turn_is_measured: robot.turn_is_measured,
         footprint_from_optical: robot.place.as_ref().ok().map(|place| place.footprint_from_optical),
         tilt_is_measured: robot.place.as_ref().is_ok_and(|place| place.tilt_is_measured),
         lean_rad: robot.place.as_ref().ok().and_then(|place| place.lean_rad),

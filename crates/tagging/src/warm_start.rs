@@ -76,5 +76,5 @@ pub fn last_state(captures: &Path) -> Result<Option<WarmState>, String> {
     let mut bytes = Vec::new();
     file.take(MAX_BYTES as u64).read_to_end(&mut bytes).map_err(|error| why(error.to_string()))?;
     let saved = Checkpoint::decode(&bytes).map_err(|error| why(error.to_string()))?;
-    Ok(Some(WarmState::new(saved.foresight, saved.tagger, &saved.synchroniser)))
+    Ok(Some(WarmState::new(saved.dead_reckoning, saved.tagger, &saved.synchroniser)))
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::filter_stats::FilterStats;
 use super::report::Quantiles;
 use realitysim_config::FrameNames;
-use realitysim_geometry::physical::MOST;
+use realitysim_geometry::physical::MAX_MAGNITUDE;
 use realitysim_localization::{LensOff, Rejection};
 use realitysim_log_input::synchroniser::GONE_NS;
 use realitysim_ros2::messages::{Imu, Message};
@@ -142,7 +142,7 @@ pub fn unusable_weights(count: u64) -> Option<String> {
 pub fn impossible_measurements(count: u64) -> Option<String> {
     (count > 0).then(|| {
         format!(
-            "{count} measurements hold numbers that are not finite, beyond {MOST:e} (metres, radians, radians per second), or \
+            "{count} measurements hold numbers that are not finite, beyond {MAX_MAGNITUDE:e} (metres, radians, radians per second), or \
              no covariance: they were recorded, but not used"
         )
     })
@@ -192,8 +192,8 @@ impl AttitudeSource {
         } else {
             format!("{topic} is not of type {kind}: choose one with topics.imu: {}", all.join(", "))
         };
-        let standing = "as if the torso stood upright, which costs several times the accuracy";
-        Some(format!("{unknown} of {frames} frames were tagged {standing}: {why}"))
+        let consequence = "as if the torso stood upright, which costs several times the accuracy";
+        Some(format!("{unknown} of {frames} frames were tagged {consequence}: {why}"))
     }
 }
 

@@ -32,7 +32,7 @@ pub struct PlaceMask(u128);
 
 const MAX_PLACES: usize = u128::BITS as usize;
 /// An image taken from more than this many times the view's own distance is too coarse for the view ...
-const COARSEST: f64 = 3.0;
+const DISTANCE_RATIO_LIMIT: f64 = 3.0;
 /// ... unless it was taken from within this many metres.
 const NEAR_M: f64 = 0.5;
 /// Cosine of the angle within which points lie to one side: 45 degrees.
@@ -54,7 +54,7 @@ impl CoverageMask {
                 None => Place::Far(ray),
                 Some(inverse_distance) => {
                     let at = (map_from_optical.translation + ray / inverse_distance).with_z(0.0);
-                    Place::Ground { at, seen_within_m: COARSEST * inverse_distance.recip().max(NEAR_M) }
+                    Place::Ground { at, seen_within_m: DISTANCE_RATIO_LIMIT * inverse_distance.recip().max(NEAR_M) }
                 }
             }
         };

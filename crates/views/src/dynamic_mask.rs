@@ -43,7 +43,7 @@ const MIN_NEIGHBOURS: usize = 5;
 /// Obstacles are widened by this many pixels of the thumbnail, because their edges are soft.
 const DILATION: usize = 2;
 /// If a larger share of the carpet seems hidden, its colour was not learnt correctly and nothing is marked.
-const MOST_HIDDEN: f64 = 0.6;
+const HIDDEN_SHARE_LIMIT: f64 = 0.6;
 /// An obstacle that reaches the visible end of the carpet is extended above it up to this height, metres: a robot's.
 const HEIGHT_M: f64 = 1.0;
 /// An obstacle reaches the end of the carpet if it comes within this many rows of the thumbnail.
@@ -206,7 +206,7 @@ impl Thumbnail {
         let solid: Vec<bool> = (0..found.len()).map(|index| found[index] && self.is_solid(&found, index)).collect();
         let hidden = solid.iter().filter(|obstacle| **obstacle).count();
         let carpet = self.places.iter().filter(|place| matches!(place, Place::Carpet { .. })).count();
-        let is_plausible = hidden > 0 && (hidden as f64) < MOST_HIDDEN * carpet as f64;
+        let is_plausible = hidden > 0 && (hidden as f64) < HIDDEN_SHARE_LIMIT * carpet as f64;
         is_plausible.then(|| self.widened(&solid))
     }
 

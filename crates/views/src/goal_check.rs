@@ -14,11 +14,11 @@ pub struct GoalBars {
     /// Points that were looked at.
     pub places: u64,
     /// Those brighter or darker than what is seen to both sides, as a bar is and wall, carpet and hall are not.
-    pub standing: u64,
+    pub detected: u64,
 }
 
 /// Bars farther away than this, in metres, are not looked at ...
-const FARTHEST_M: f64 = 6.0;
+const RANGE_LIMIT_M: f64 = 6.0;
 /// ... nor those of a smaller radius in the image.
 const MIN_RADIUS_PX: f64 = 1.2;
 /// Distance from the bar's edge at which its surroundings are sampled.
@@ -38,7 +38,7 @@ impl GoalBars {
             for (place, next) in places.iter().zip(&places[1..]) {
                 if let Some(differs) = stands_out(camera, image, place, next, bar.radius()) {
                     seen.places += 1;
-                    seen.standing += u64::from(differs);
+                    seen.detected += u64::from(differs);
                 }
             }
         }
@@ -50,7 +50,7 @@ impl GoalBars {
 fn stands_out(camera: &Camera, image: &Raster, place: &DVec3, next: &DVec3, radius_m: f64) -> Option<bool> {
     let distance = place.length();
     let radius_px = camera.lens().focal() * radius_m / distance;
-    if distance > FARTHEST_M || radius_px < MIN_RADIUS_PX {
+    if distance > RANGE_LIMIT_M || radius_px < MIN_RADIUS_PX {
         return None;
     }
     let pixel = camera.projector().project_inside(*place)?;

@@ -56,7 +56,7 @@ pub use photometry::{Gain, Vignetting};
 pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
 pub use similarity::{Similarity, similarity};
 pub use synthesized_view::{
-    Candidate, FAR_M, LEAST_HEIGHT_M, MAX_FAR_M, MAX_PLACE_M, MAX_TURN_DEG, MOST_HEIGHT_M, Method, Provenance, Request,
+    Candidate, FAR_M, MAX_FAR_M, MAX_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MIN_HEIGHT_M, Method, Provenance, Request,
     SynthesizedView, TagError, UsedSource, ViewError, ViewSettings, angle_between, check_pose,
 };
 pub use target_rays::Target;

@@ -30,7 +30,7 @@ pub enum Correspondences {
 /// The choice of points in the paper.
 pub const PAPER: Correspondences = Correspondences::OnGround { spacing_m: 0.25 };
 /// Ground farther away than this many camera heights is left out: it is a streak below the horizon.
-const FARTHEST_HEIGHTS: f64 = 30.0;
+const RANGE_LIMIT_HEIGHTS: f64 = 30.0;
 
 /// A camera at a pose.
 #[derive(Clone, Copy, Debug)]
@@ -88,7 +88,7 @@ pub fn correspondences(from: &Posed, to: &Posed, world: &World, how: Corresponde
             let place = |(u, v): (usize, usize)| {
                 let ray = from_pose.transform_vector(camera.ray(u, v)?);
                 let hit = world.behind_goals(from_pose.translation, ray);
-                let near = hit.inverse_distance * from_pose.translation.z * FARTHEST_HEIGHTS > 1.0;
+                let near = hit.inverse_distance * from_pose.translation.z * RANGE_LIMIT_HEIGHTS > 1.0;
                 let on_ground = near && hit.surface == Surface::Ground;
                 on_ground.then(|| (from_pose.translation + ray / hit.inverse_distance).with_z(0.0))
             };

@@ -32,13 +32,13 @@ impl Gain {
 /// Darker values are noise.
 const MIN_VALUE: u8 = 6;
 /// Brighter values are clipped.
-const BRIGHTEST: u8 = 249;
+const CLIPPING_THRESHOLD: u8 = 249;
 /// Every n-th corner of the view's cells is compared. The corners used still spread over the view, since rows have odd lengths.
 const CORNER_STEP: usize = 2;
 /// Fewer common points give no gain.
 const MIN_PLACES: usize = 25;
 /// Largest gain: no two exposures of a day differ by more.
-const MOST_GAIN: f64 = 8.0;
+const GAIN_LIMIT: f64 = 8.0;
 /// A gain that differs less from 1 is ignored: less than half a step of a bright pixel.
 const MIN_CHANGE: f64 = 0.002;
 /// Pyramid level that brightness is read at, a quarter of the size: a mean over grain and noise.
@@ -95,7 +95,7 @@ fn gain_between(places: &[(usize, [f64; 3])], other: (&Warp, &Candidate)) -> Opt
         });
         count += 1;
     }
-    let rgb: [f64; 3] = core::array::from_fn(|c| (wanted[c] / found[c]).clamp(1.0 / MOST_GAIN, MOST_GAIN));
+    let rgb: [f64; 3] = core::array::from_fn(|c| (wanted[c] / found[c]).clamp(1.0 / GAIN_LIMIT, GAIN_LIMIT));
     let shows = rgb.iter().any(|gain| (gain - 1.0).abs() > MIN_CHANGE);
     (count >= MIN_PLACES && shows).then_some(Gain { rgb })
 }
@@ -106,7 +106,7 @@ pub(super) fn reading((warp, source): (&Warp, &Candidate), node: usize) -> Optio
     let (image, level) = source.image.level(PYRAMID_LEVEL);
     let scale = 1.0 / (1 << level) as f32;
     let [r, g, b, sure] = read(image, (u + 0.5) * scale - 0.5, (v + 0.5) * scale - 0.5);
-    let fits = sure == SURE && [r, g, b].iter().all(|value| (MIN_VALUE..=BRIGHTEST).contains(value));
+    let fits = sure == SURE && [r, g, b].iter().all(|value| (MIN_VALUE..=CLIPPING_THRESHOLD).contains(value));
     let light = source.vignetting.at(source.camera.lens(), f64::from(u), f64::from(v));
     fits.then(|| [r, g, b].map(|value| f64::from(value) / light))
 }

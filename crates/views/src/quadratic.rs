@@ -9,7 +9,7 @@ use thiserror::Error;
 const TERMS: usize = 6;
 /// Largest condition number of the normalised system that is accepted. Views of a field have a tenth of it; points on a
 /// line have far more.
-const MOST_CONDITION: f64 = 1e3;
+const CONDITION_LIMIT: f64 = 1e3;
 
 /// A quadratic map from pixels to pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,7 +43,7 @@ pub enum FitError {
     /// The points do not determine the polynomial.
     #[error(
         "the common points of the ground lie on a line or curve that leaves the map open (condition number \
-         {condition:.1e}, at most {MOST_CONDITION:.0e} is usable)"
+         {condition:.1e}, at most {CONDITION_LIMIT:.0e} is usable)"
     )]
     Degenerate {
         /// Condition number of the normalised system.
@@ -102,7 +102,7 @@ impl Quadratic {
         let triangle: Matrix6<f64> = qr.r().fixed_view::<TERMS, TERMS>(0, 0).into_owned();
         let singular = triangle.singular_values();
         let condition = singular.max() / singular.min().max(f64::MIN_POSITIVE);
-        if condition.is_nan() || condition > MOST_CONDITION {
+        if condition.is_nan() || condition > CONDITION_LIMIT {
             return Err(FitError::Degenerate { condition });
         }
         let turned: SMatrix<f64, TERMS, 2> = (qr.q().transpose() * right).fixed_view::<TERMS, 2>(0, 0).into_owned();

@@ -144,7 +144,7 @@ pub enum ViewError {
     NotFinite,
     /// The requested camera is too low or too high.
     #[error(
-        "the camera asked for is {z:.3} m above the ground: views are made from {LEAST_HEIGHT_M} to {MOST_HEIGHT_M} m"
+        "the camera asked for is {z:.3} m above the ground: views are made from {MIN_HEIGHT_M} to {MAX_HEIGHT_M} m"
     )]
     Height {
         /// Requested height, metres.
@@ -191,9 +191,9 @@ pub enum ViewError {
 }
 
 /// Smallest height of a requested camera, metres: below it, rays graze the ground.
-pub const LEAST_HEIGHT_M: f64 = 0.02;
+pub const MIN_HEIGHT_M: f64 = 0.02;
 /// Largest height of a requested camera, metres: no camera in a hall hangs higher.
-pub const MOST_HEIGHT_M: f64 = 20.0;
+pub const MAX_HEIGHT_M: f64 = 20.0;
 /// Largest absolute x and y of a requested camera, metres: no hall is larger.
 pub const MAX_PLACE_M: f64 = 100.0;
 /// Largest absolute angle that a request may state, degrees: ten turns.
@@ -218,7 +218,7 @@ pub fn check_pose(map_from_link: &Isometry) -> Result<(), ViewError> {
     if x.abs().max(y.abs()) > MAX_PLACE_M {
         return Err(ViewError::Place { x, y });
     }
-    if (LEAST_HEIGHT_M..=MOST_HEIGHT_M).contains(&z) { Ok(()) } else { Err(ViewError::Height { z }) }
+    if (MIN_HEIGHT_M..=MAX_HEIGHT_M).contains(&z) { Ok(()) } else { Err(ViewError::Height { z }) }
 }
 
 impl Request<'_> {

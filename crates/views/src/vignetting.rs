@@ -27,7 +27,7 @@ const MIN_PLACES_IN_PAIR: usize = 60;
 /// Fewer points over all pairs give no result.
 const MIN_PLACES: usize = 2000;
 /// The widest radius that is trusted is the one within which this share of all points lies.
-const WIDEST_SHARE: f64 = 0.98;
+const TRUSTED_RADIUS_SHARE: f64 = 0.98;
 /// A lens that darkens less than this at the widest radius is taken to darken nothing ...
 const MIN_DARKENING: f64 = 0.04;
 /// ... as is one whose darkening is fewer standard deviations away from zero.
@@ -65,7 +65,7 @@ pub fn darkening(pairs: &[Vec<Overlap>]) -> Option<Vignetting> {
         return None;
     }
     radii.sort_by(f64::total_cmp);
-    let widest = radii[(radii.len() as f64 * WIDEST_SHARE) as usize];
+    let widest = radii[(radii.len() as f64 * TRUSTED_RADIUS_SHARE) as usize];
     // Too many terms for the radii at hand give polynomials that no lens has: fewer terms are tried then.
     (1..=3).rev().find_map(|terms| {
         let (vignetting, sigma) = fit(&pairs, terms, widest)?;

@@ -27,14 +27,14 @@ pub struct CarpetBorder {
 /// Number of directions in which the border is looked for.
 const AZIMUTHS: usize = 120;
 /// Range of the first step along an azimuth, metres from the point below the camera.
-const NEAREST_M: f64 = 0.25;
+const FIRST_RANGE_M: f64 = 0.25;
 /// Range of the last step along an azimuth, metres.
-const FARTHEST_M: f64 = 15.0;
+const LAST_RANGE_M: f64 = 15.0;
 /// Number of steps along an azimuth; their ranges grow geometrically.
 const STEPS: usize = 44;
 /// Number of points that are compared with an edge side by side.
 const BATCH: usize = 32;
-/// Width of the strip at the border into which the narrow blur smears the surroundings, pixels of the full-size image.
+/// Width of the strip at the border into which the narrow blur smears the surroundings, pixels of the working image.
 const BLUR_REACH_PX: f64 = 6.0;
 
 /// Directions and ranges at which the border is looked for, the same for every frame.
@@ -50,8 +50,8 @@ impl Default for Rays {
             let (sin, cos) = libm::sincos(TAU * azimuth as f64 / AZIMUTHS as f64);
             DVec2::new(cos, sin)
         });
-        let growth = libm::pow(FARTHEST_M / NEAREST_M, 1.0 / (STEPS - 1) as f64);
-        let ranges = core::array::from_fn(|step| NEAREST_M * libm::pow(growth, step as f64));
+        let growth = libm::pow(LAST_RANGE_M / FIRST_RANGE_M, 1.0 / (STEPS - 1) as f64);
+        let ranges = core::array::from_fn(|step| FIRST_RANGE_M * libm::pow(growth, step as f64));
         Self { directions: directions.collect(), ranges }
     }
 }
@@ -95,7 +95,7 @@ impl CarpetBorder {
         let foot = footprint_from_optical.translation.truncate();
         let height = footprint_from_optical.translation.z;
         let below = optical_from_footprint.transform_point(foot.extend(0.0));
-        let pixels_per_radian = projector.lens().focal();
+        let pixels_per_radian = projector.lens().focal() * to_working.factor();
         let min_cos = libm::cos(projector.lens().max_angle());
         let ends = rays.directions.iter().filter_map(|direction| {
             let along = optical_from_footprint.transform_vector(direction.extend(0.0));
@@ -194,8 +194,8 @@ fn edges_of(corners: &[DVec2]) -> impl Iterator<Item = (DVec2, DVec2)> + '_ {
 fn max_cos_off_axis(below: DVec3, along: DVec3) -> f64 {
     let turn = along.z * below.length_squared() / below.z;
     let cos = |range: f64| (below + along * range).normalize_or_zero().z;
-    let inner = if turn > NEAREST_M && turn < FARTHEST_M { cos(turn) } else { -1.0 };
-    cos(NEAREST_M).max(cos(FARTHEST_M)).max(inner)
+    let inner = if turn > FIRST_RANGE_M && turn < LAST_RANGE_M { cos(turn) } else { -1.0 };
+    cos(FIRST_RANGE_M).max(cos(LAST_RANGE_M)).max(inner)
 }
 
 /// The step up to which an azimuth is best explained as carpet.

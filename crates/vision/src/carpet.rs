@@ -83,7 +83,7 @@ const MIN_WHITE_SAMPLES: usize = 6;
 /// Hue of white below which there is no colour cast to correct.
 const MIN_CAST: f32 = 0.05;
 /// Hue above which bright samples are not taken for white in coloured light.
-const LARGEST_CAST: f32 = 0.4;
+const CAST_LIMIT: f32 = 0.4;
 
 impl Sample {
     /// Makes a sample of luma, 0 to 255, and Cb and Cr relative to neutral.
@@ -134,7 +134,7 @@ impl Learning {
             return [0.0; 2];
         }
         let cast = [0, 1].map(|c| self.median_of(|s| s.hue[c]));
-        let is_cast = cast.iter().any(|c| c.abs() > MIN_CAST) && cast.iter().all(|c| c.abs() < LARGEST_CAST);
+        let is_cast = cast.iter().any(|c| c.abs() > MIN_CAST) && cast.iter().all(|c| c.abs() < CAST_LIMIT);
         if is_cast { cast } else { [0.0; 2] }
     }
 

@@ -55,7 +55,7 @@ const HUE_PX: f64 = 6.0;
 /// Width of the thinnest lines that are looked for, working pixels.
 const MIN_WIDTH_PX: f64 = 1.5;
 /// Width of the widest lines that are looked for, working pixels.
-const WIDEST_PX: f64 = 24.0;
+const WIDTH_LIMIT_PX: f64 = 24.0;
 
 impl RidgeDetector<'_> {
     /// Looks at each half-resolution pixel on the carpet.
@@ -97,7 +97,7 @@ impl RidgeDetector<'_> {
         let per_metre = self.pixels_per_radian * libm::sqrt(self.height_m.max(0.01) / (slant * slant * slant));
         let width_px = self.line_width_m * per_metre;
         // NaN fails this comparison.
-        (MIN_WIDTH_PX..=WIDEST_PX).contains(&width_px).then_some(width_px)
+        (MIN_WIDTH_PX..=WIDTH_LIMIT_PX).contains(&width_px).then_some(width_px)
     }
 
     /// Whether a half-resolution pixel is a ridge of a line `width_px` wide, with a line contrast of at least `least`.

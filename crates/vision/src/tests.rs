@@ -56,7 +56,7 @@ fn place() -> Isometry {
 }
 
 /// Renders the field through the lens, 16 rays a pixel, with a little noise.
-fn painted(lens: &Lens, robot: &Pose2) -> Picture {
+fn rendered_field(lens: &Lens, robot: &Pose2) -> Picture {
     let (field, map_from_optical) = (field(), robot.to_isometry() * place());
     let camera = map_from_optical.translation;
     let colour = |pixel: DVec2| {
@@ -108,7 +108,7 @@ impl Direct {
             nearest_reach_m: 0.25,
             reduction: 1,
         };
-        let seen = Vision::new(lens, settings).look(&painted(lens, robot), &place(), None);
+        let seen = Vision::new(lens, settings).look(&rendered_field(lens, robot), &place(), None);
         assert!(seen.image.full_contrast() > 0.2 && seen.image.full_contrast() < 2.0);
         let contrast = contrast_in_f64(&seen);
         Self { lens: lens.clone(), seen, contrast }

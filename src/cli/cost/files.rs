@@ -23,7 +23,8 @@ const COLUMNS: &str = "model,particles,iterations,adaptive,line_points,image_red
 fn csv(report: &Report) -> String {
     let mut text = COLUMNS.to_owned();
     for line in report.lines() {
-        let Row { knobs, p50_ms, p99_ms, position_cm: p, scatter_cm, yaw_deg, valid_share, judged, evasive } = line.row;
+        let Row { sweep_point, p50_ms, p99_ms, position_cm: p, scatter_cm, yaw_deg, valid_share, judged, evasive } =
+            line.row;
         let errors = if *judged > 0 {
             format!("{:.4},{:.4},{:.4},{:.4},{scatter_cm:.4},{:.4}", p.mean, p.median, p.p95, p.max, yaw_deg.mean)
         } else {
@@ -31,14 +32,14 @@ fn csv(report: &Report) -> String {
         };
         text.push_str(&format!(
             "{},{},{},{},{},{},{},{},{p50_ms:.4},{p99_ms:.4},{errors},{valid_share:.4},{judged},{evasive},{},{},{}\n",
-            model_name(knobs.model),
-            knobs.particles,
-            knobs.iterations,
-            knobs.adaptive,
-            knobs.line_points,
-            knobs.image_reduction,
-            knobs.refinement,
-            knobs.budget_ms,
+            model_name(sweep_point.model),
+            sweep_point.particles,
+            sweep_point.iterations,
+            sweep_point.adaptive,
+            sweep_point.line_points,
+            sweep_point.image_reduction,
+            sweep_point.refinement,
+            sweep_point.budget_ms,
             line.on_front,
             line.recommended,
             line.configured,
@@ -50,9 +51,9 @@ fn csv(report: &Report) -> String {
 /// The recommended settings, and those of the config that differ from the defaults, as a config file.
 fn fragment(report: &Report, configured: &Settings) -> anyhow::Result<String> {
     let row = report.recommended();
-    let mut settings = row.knobs.set(configured, configured.filter.seed);
+    let mut settings = row.sweep_point.set(configured, configured.filter.seed);
     // A row measured without a budget leaves the robot's budget as it is.
-    if row.knobs.budget_ms == 0.0 {
+    if row.sweep_point.budget_ms == 0.0 {
         settings.filter.budget_ms = configured.filter.budget_ms;
     }
     let mut table = toml::Table::try_from(&settings).context("the settings cannot be written as TOML")?;
@@ -73,7 +74,7 @@ fn fragment(report: &Report, configured: &Settings) -> anyhow::Result<String> {
 }
 
 /// Keys that are written even when they have their default value, since they are the recommendation.
-const KNOBS: [&str; 7] = [
+const SWEPT_KEYS: [&str; 7] = [
     "filter.model",
     "filter.particles",
     "filter.iterations",
@@ -94,7 +95,9 @@ fn remove_defaults(table: &mut toml::Table, defaults: &toml::Table, path: &str) 
                     empty.push(key.clone());
                 }
             }
-            (value, default) if default == Some(value) && !KNOBS.contains(&path.as_str()) => empty.push(key.clone()),
+            (value, default) if default == Some(value) && !SWEPT_KEYS.contains(&path.as_str()) => {
+                empty.push(key.clone())
+            }
             _ => {}
         }
     }

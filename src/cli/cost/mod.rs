@@ -13,7 +13,7 @@ use super::doc_section::Section;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::{Outcome, host_info, output, paths};
 use crate::cli::values::{above_zero, whole};
-use crate::config::{LEAST_BUDGET_MS, Settings};
+use crate::config::{MIN_BUDGET_MS, Settings};
 use crate::evaluation::capture::{EvaluationError, read_truth};
 use crate::evaluation::compare::truth_at;
 use crate::evaluation::cost::{self, Requirements, SweepPoint};
@@ -23,7 +23,7 @@ use crate::log_input::{InputSource, scene_source};
 use crate::recording::ReadoutError;
 use crate::tagging::{FrameCache, FrameCacheOptions, Trial};
 use crate::vision::automatic_reduction;
-use report::{Report, Yardstick};
+use report::{Report, TruthSource};
 
 /// Find out what accuracy costs in time, and which settings to use
 ///
@@ -81,7 +81,7 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     let inputs = named.iter().chain([&arguments.source]).chain(&arguments.truth).map(PathBuf::as_path);
     paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;
     paths::make_folder(&arguments.output)?;
-    let wish = match (arguments.budget_ms, arguments.accuracy_cm) {
+    let requirements = match (arguments.budget_ms, arguments.accuracy_cm) {
         (None, None) => Requirements { budget_ms: Some(DEFAULT_BUDGET_MS), accuracy_cm: None },
         (budget_ms, accuracy_cm) => Requirements { budget_ms, accuracy_cm },
     };
@@ -93,18 +93,18 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
         for_s: arguments.for_s,
     };
     let mut progress = output::Progress::new("reading");
-    let footage = FrameCache::load(&options, &mut |done, total| progress.set(done, total))?;
+    let cache = FrameCache::load(&options, &mut |done, total| progress.set(done, total))?;
     progress.finish();
     if let Some(initial) = &arguments.initial {
-        check_initial(initial, &footage.settings().field, footage.field())?;
+        check_initial(initial, &cache.settings().field, cache.field())?;
     }
     let known = known_truth(arguments, &configured)?;
 
-    let mut trials = Trials::new(&footage, arguments.seeds);
-    let (yardstick, truth) = trials.yardstick(known)?;
+    let mut trials = Trials::new(&cache, arguments.seeds);
+    let (truth_source, truth) = trials.truth_source(known)?;
     let mut rows = trials.sweep(&truth)?;
     if let Some(budget_ms) =
-        wish.budget_ms.filter(|asked| *asked >= LEAST_BUDGET_MS && cost::is_exceeded(&rows, *asked))
+        requirements.budget_ms.filter(|asked| *asked >= MIN_BUDGET_MS && cost::is_exceeded(&rows, *asked))
     {
         rows.extend(trials.sweep_capped(&rows, budget_ms, &truth)?);
         rows.sort_by(|a, b| a.p99_ms.total_cmp(&b.p99_ms));
@@ -113,32 +113,32 @@ pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
 
     let seeds = arguments.seeds as usize;
     let noise_cm = cost::noise_cm(&rows, seeds);
-    let advice = cost::advise(&rows, noise_cm, &wish);
+    let advice = cost::advise(&rows, noise_cm, &requirements);
     let Some(advice) = advice else {
         anyhow::bail!(
             "{}: no setting gave a valid tag that could be judged on these {} frames ({}): nothing to compare",
             arguments.source.display(),
-            footage.frames(),
+            cache.frames(),
             trials.reasons()
         );
     };
     let report = Report {
         source: name_of(&arguments.source),
-        frames: footage.frames(),
-        is_cut: footage.is_cut(),
-        yardstick,
-        frames_judged: footage.stamps_ns().filter(|stamp_ns| truth_at(&truth, *stamp_ns).is_some()).count(),
+        frames: cache.frames(),
+        is_cut: cache.is_cut(),
+        truth_source,
+        frames_judged: cache.stamps_ns().filter(|stamp_ns| truth_at(&truth, *stamp_ns).is_some()).count(),
         seeds,
         automatic_reduction: trials.automatic,
         configured: SweepPoint::of(&configured),
         rows,
         noise_cm,
-        wish,
+        requirements,
         advice,
         machine: host_info::describe(configured.filter.simd),
         command: command(),
         warnings: busy.into_iter().collect(),
-        losses: footage.losses().to_vec(),
+        losses: cache.losses().to_vec(),
         wall_s: started.elapsed().as_secs_f64(),
         output: arguments.output.clone(),
     };
@@ -174,7 +174,7 @@ fn known_truth(arguments: &CostArguments, settings: &Settings) -> anyhow::Result
 
 /// A sweep under way: the frames, the settings to try on them, and its progress.
 struct Trials<'a> {
-    footage: &'a FrameCache,
+    cache: &'a FrameCache,
     plan: Vec<SweepPoint>,
     seeds: Vec<u64>,
     automatic: usize,
@@ -188,14 +188,14 @@ struct Trials<'a> {
 }
 
 impl<'a> Trials<'a> {
-    fn new(footage: &'a FrameCache, seeds: u64) -> Self {
-        let settings = footage.settings();
-        let automatic = automatic_reduction(footage.lens());
+    fn new(cache: &'a FrameCache, seeds: u64) -> Self {
+        let settings = cache.settings();
+        let automatic = automatic_reduction(cache.lens());
         let plan = cost::plan(SweepPoint::of(settings), automatic);
         Self {
-            total: plan.len() as u64 * seeds * footage.frames() as u64,
+            total: plan.len() as u64 * seeds * cache.frames() as u64,
             seeds: (0..seeds).map(|index| settings.filter.seed.wrapping_add(index)).collect(),
-            footage,
+            cache,
             plan,
             automatic,
             progress: output::Progress::new("sweeping"),
@@ -207,21 +207,21 @@ impl<'a> Trials<'a> {
     }
 
     /// Returns the truth if it covers some of these frames, else the tags of a long run.
-    fn yardstick(&mut self, known: Vec<(i64, Isometry)>) -> anyhow::Result<(Yardstick, Vec<(i64, Isometry)>)> {
-        if self.footage.stamps_ns().any(|stamp_ns| truth_at(&known, stamp_ns).is_some()) {
-            return Ok((Yardstick::GroundTruth, known));
+    fn truth_source(&mut self, known: Vec<(i64, Isometry)>) -> anyhow::Result<(TruthSource, Vec<(i64, Isometry)>)> {
+        if self.cache.stamps_ns().any(|stamp_ns| truth_at(&known, stamp_ns).is_some()) {
+            return Ok((TruthSource::GroundTruth, known));
         }
-        let reference = cost::reference(SweepPoint::of(self.footage.settings()));
-        self.total += self.footage.frames() as u64;
+        let reference = cost::reference(SweepPoint::of(self.cache.settings()));
+        self.total += self.cache.frames() as u64;
         let run = self.run(&reference, self.seeds.first().copied().unwrap_or_default())?;
         let elsewhere = !known.is_empty();
-        Ok((Yardstick::Reference { settings: reference, elsewhere }, cost::as_truth(&run)))
+        Ok((TruthSource::Reference { settings: reference, elsewhere }, cost::as_truth(&run)))
     }
 
     fn sweep(&mut self, truth: &[(i64, Isometry)]) -> anyhow::Result<Vec<cost::Row>> {
         // The first frames of a process are slower, since they allocate memory that later ones reuse.
         let (plan, seeds) = (self.plan.clone(), self.seeds.clone());
-        cost::sweep(&plan, &seeds, truth, &mut |knobs, seed| self.run(knobs, seed))
+        cost::sweep(&plan, &seeds, truth, &mut |sweep_point, seed| self.run(sweep_point, seed))
     }
 
     /// Repeats the best rows with the budget in force, so that each frame ends in time. They compete by the number of
@@ -233,15 +233,15 @@ impl<'a> Trials<'a> {
         truth: &[(i64, Isometry)],
     ) -> anyhow::Result<Vec<cost::Row>> {
         let plan = cost::capped(rows, budget_ms);
-        self.total += (plan.len() * self.seeds.len() * self.footage.frames()) as u64;
+        self.total += (plan.len() * self.seeds.len() * self.cache.frames()) as u64;
         let seeds = self.seeds.clone();
-        cost::sweep(&plan, &seeds, truth, &mut |knobs, seed| self.run(knobs, seed))
+        cost::sweep(&plan, &seeds, truth, &mut |sweep_point, seed| self.run(sweep_point, seed))
     }
 
-    fn run(&mut self, knobs: &SweepPoint, seed: u64) -> anyhow::Result<Vec<Trial>> {
-        let settings = knobs.set(self.footage.settings(), seed);
+    fn run(&mut self, sweep_point: &SweepPoint, seed: u64) -> anyhow::Result<Vec<Trial>> {
+        let settings = sweep_point.set(self.cache.settings(), seed);
         let Self { progress, done, total, .. } = self;
-        let attempts = self.footage.try_out(&settings, &mut |_| {
+        let attempts = self.cache.try_out(&settings, &mut |_| {
             *done += 1;
             progress.set(*done, Some(*total));
         })?;

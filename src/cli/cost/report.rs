@@ -15,7 +15,7 @@ pub struct Report {
     pub frames: usize,
     /// The log has more frames than are held in memory.
     pub is_cut: bool,
-    pub yardstick: Yardstick,
+    pub truth_source: TruthSource,
     /// Frames that have a pose to be judged by.
     pub frames_judged: usize,
     pub seeds: usize,
@@ -25,7 +25,7 @@ pub struct Report {
     /// Results by increasing time.
     pub rows: Vec<Row>,
     pub noise_cm: f64,
-    pub wish: Requirements,
+    pub requirements: Requirements,
     pub advice: Advice,
     pub machine: String,
     pub command: String,
@@ -39,7 +39,7 @@ pub struct Report {
 /// Poses that errors are measured against.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum Yardstick {
+pub enum TruthSource {
     GroundTruth,
     /// The valid tags of a long run with these settings. `elsewhere`: a ground truth exists, but for other times.
     Reference {
@@ -63,12 +63,13 @@ pub struct Json<'a> {
     source: &'a str,
     frames: usize,
     frames_cut: bool,
-    judged_by: Yardstick,
+    judged_by: TruthSource,
     frames_judged: usize,
     seeds: usize,
     rows: Vec<Line<'a>>,
     noise_cm: f64,
-    wish: Requirements,
+    #[serde(rename = "wish")]
+    requirements: Requirements,
     recommended: Recommended<'a>,
     machine: &'a str,
     warnings: &'a [String],
@@ -97,7 +98,7 @@ impl Report {
             row,
             on_front,
             recommended: index == self.advice.row,
-            configured: row.knobs == self.configured,
+            configured: row.sweep_point == self.configured,
         };
         self.rows.iter().zip(on).enumerate().map(line).collect()
     }
@@ -110,7 +111,7 @@ impl Report {
             self.rows.len(),
             self.seeds
         );
-        cost::chart(&self.rows, Some(&self.advice), &self.wish, &title)
+        cost::chart(&self.rows, Some(&self.advice), &self.requirements, &title)
     }
 
     pub fn as_json(&self) -> Json<'_> {
@@ -120,12 +121,12 @@ impl Report {
             source: &self.source,
             frames: self.frames,
             frames_cut: self.is_cut,
-            judged_by: self.yardstick,
+            judged_by: self.truth_source,
             frames_judged: self.frames_judged,
             seeds: self.seeds,
             rows: self.lines(),
             noise_cm: self.noise_cm,
-            wish: self.wish,
+            requirements: self.requirements,
             recommended: Recommended { row: self.recommended(), why, keeps_budget, reaches_accuracy },
             machine: &self.machine,
             warnings: &self.warnings,
@@ -143,7 +144,7 @@ impl Report {
         for line in self.lines() {
             text.push_str(&self.row_for_people(&line));
         }
-        let is_capped = self.rows.iter().any(|row| row.knobs.budget_ms > 0.0);
+        let is_capped = self.rows.iter().any(|row| row.sweep_point.budget_ms > 0.0);
         let capped = if is_capped { "capped: with filter.budget_ms, as no other row keeps the budget\n  " } else { "" };
         text.push_str(&format!(
             "\n  * Pareto front   > recommended   = as configured   - tags too few frames to be compared\n  \
@@ -157,7 +158,7 @@ impl Report {
     }
 
     fn row_for_people(&self, line: &Line) -> String {
-        let Row { knobs, p50_ms, p99_ms, position_cm, scatter_cm, valid_share, judged, evasive, .. } = line.row;
+        let Row { sweep_point, p50_ms, p99_ms, position_cm, scatter_cm, valid_share, judged, evasive, .. } = line.row;
         let sign = |is: bool, sign: char| if is { sign } else { ' ' };
         let errors = if *judged > 0 {
             format!("{:>9.2} {:>7.2} {:>6.2}", position_cm.mean, position_cm.p95, scatter_cm)
@@ -170,16 +171,16 @@ impl Report {
             sign(line.on_front, '*'),
             sign(line.configured, '='),
             sign(*evasive, '-'),
-            model_name(knobs.model),
-            particles(knobs),
-            knobs.iterations,
-            knobs.line_points,
-            self.image(knobs),
-            if knobs.refinement { "yes" } else { "no" },
+            model_name(sweep_point.model),
+            particles(sweep_point),
+            sweep_point.iterations,
+            sweep_point.line_points,
+            self.image(sweep_point),
+            if sweep_point.refinement { "yes" } else { "no" },
             p50_ms,
             p99_ms,
             100.0 * valid_share,
-            if knobs.budget_ms > 0.0 { "  capped" } else { "" },
+            if sweep_point.budget_ms > 0.0 { "  capped" } else { "" },
         )
     }
 
@@ -187,12 +188,12 @@ impl Report {
     fn judged_by(&self) -> String {
         let Self { source, frames, frames_judged, .. } = self;
         let cut = if self.is_cut { " (there are more: --from and --for choose others)" } else { "" };
-        let by = match self.yardstick {
-            Yardstick::GroundTruth if frames_judged == frames => "judged by the ground truth".to_owned(),
-            Yardstick::GroundTruth => {
+        let by = match self.truth_source {
+            TruthSource::GroundTruth if frames_judged == frames => "judged by the ground truth".to_owned(),
+            TruthSource::GroundTruth => {
                 format!("judged by the ground truth, which covers {frames_judged} of them: only these count")
             }
-            Yardstick::Reference { settings, elsewhere } => {
+            TruthSource::Reference { settings, elsewhere } => {
                 let why = if elsewhere { "the ground truth is of other times" } else { "there is no ground truth" };
                 format!(
                     "judged by a long run of the filter itself ({settings}), valid on {frames_judged} of them, because {why}: \
@@ -203,8 +204,9 @@ impl Report {
         format!("{frames} frames of {source}{cut}, {by}.")
     }
 
-    fn image(&self, knobs: &SweepPoint) -> String {
-        let reduction = if knobs.image_reduction == 0 { self.automatic_reduction } else { knobs.image_reduction };
+    fn image(&self, sweep_point: &SweepPoint) -> String {
+        let reduction =
+            if sweep_point.image_reduction == 0 { self.automatic_reduction } else { sweep_point.image_reduction };
         format!("1/{reduction}")
     }
 
@@ -219,23 +221,23 @@ impl Report {
         text.push_str("| | model | particles x T | line points | image | refined | p50 ms | p99 ms | mean cm | p95 cm | valid |\n");
         text.push_str("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n");
         for line in &shown {
-            let Row { knobs, p50_ms, p99_ms, position_cm, valid_share, .. } = line.row;
+            let Row { sweep_point, p50_ms, p99_ms, position_cm, valid_share, .. } = line.row;
             let what = [
                 (line.recommended, "**recommended**"),
                 (line.configured, "configured"),
                 (line.on_front, "front"),
-                (knobs.budget_ms > 0.0, "capped"),
+                (sweep_point.budget_ms > 0.0, "capped"),
             ];
             let what: Vec<&str> = what.iter().filter(|(is, _)| *is).map(|(_, name)| *name).collect();
             text.push_str(&format!(
                 "| {} | {} | {} x {} | {} | {} | {} | {p50_ms:.2} | {p99_ms:.2} | {:.2} | {:.2} | {:.1} % |\n",
                 what.join(", "),
-                model_name(knobs.model),
-                particles(knobs),
-                knobs.iterations,
-                knobs.line_points,
-                self.image(knobs),
-                if knobs.refinement { "yes" } else { "no" },
+                model_name(sweep_point.model),
+                particles(sweep_point),
+                sweep_point.iterations,
+                sweep_point.line_points,
+                self.image(sweep_point),
+                if sweep_point.refinement { "yes" } else { "no" },
                 position_cm.mean,
                 position_cm.p95,
                 100.0 * valid_share,
@@ -259,6 +261,6 @@ pub fn model_name(model: Model) -> &'static str {
 }
 
 /// Number of particles, with a sign for "at most" if it is adaptive.
-fn particles(knobs: &SweepPoint) -> String {
-    format!("{}{}", if knobs.adaptive { "\u{2264}" } else { "" }, knobs.particles)
+fn particles(sweep_point: &SweepPoint) -> String {
+    format!("{}{}", if sweep_point.adaptive { "\u{2264}" } else { "" }, sweep_point.particles)
 }

@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::cli::{Outcome, host_info, output};
-use crate::evaluation::cpu_yardstick::REFERENCE_MS;
+use crate::evaluation::cpu_calibration::REFERENCE_MS;
 use crate::evaluation::effect_cost::{self, SceneCost};
 use crate::localization::SimdPath;
 use crate::log_input::scene_source;

@@ -56,7 +56,7 @@ pub fn run(case: &mut Case) -> Outcome {
     if Index::open(&index).is_ok() && !checksum_is_right {
         return Err(Finding::new(Class::Silent, "an index with a wrong checksum is opened"));
     }
-    let Ok(gallery) = ImageDatabase::open(&folder, &Settings::default().views) else { return Ok(Taken::Refused) };
+    let Ok(database) = ImageDatabase::open(&folder, &Settings::default().views) else { return Ok(Taken::Refused) };
     if !checksum_is_right {
         // A record's own checksum is that of its image, and says nothing of the pose beside it.
         return Err(Finding::new(Class::Silent, "views are made from an index with a wrong checksum"));
@@ -74,7 +74,7 @@ pub fn run(case: &mut Case) -> Outcome {
             may_be_stored: draw.chance(0.5),
             without: Vec::new(),
         };
-        let Ok(shown) = gallery.view(&wanted) else { continue };
+        let Ok(shown) = database.view(&wanted) else { continue };
         any = true;
         let answer = &shown.answer;
         let numbers = [answer.valid_share, answer.sure_share, answer.expected_error_px];
@@ -83,6 +83,6 @@ pub fn run(case: &mut Case) -> Outcome {
             return Err(Finding::new(Class::NotFinite, format!("a view by {method:?} says {wild} of itself")));
         }
     }
-    let _ = coverage(gallery.index(), gallery.field(), 0.5, 8);
+    let _ = coverage(database.index(), database.field(), 0.5, 8);
     Ok(if any { Taken::Accepted } else { Taken::Refused })
 }

@@ -26,7 +26,7 @@ pub const CALIBRATED: &str = "image_width: 320\nimage_height: 240\ncamera_name: 
     [102.5, 0, 160.75, 0, 102.5, 117.75, 0, 0, 1]\ndistortion_model: equidistant\ndistortion_coefficients:\n  rows: 1\n  cols: \
     4\n  data: [-0.012, 0.003, -0.0008, 0.0]\n";
 /// Whoever asks for more waits longer: no fault.
-const MOST_WEIGHED: usize = 20_000;
+const MAX_PARTICLE_ITERATIONS: usize = 20_000;
 
 /// Numbers in what only explains the rest change nothing.
 fn without_comments(text: &str) -> String {
@@ -52,7 +52,7 @@ pub fn settings(case: &mut Case) -> Outcome {
         return Err(Finding::new(Class::Silent, format!("taken, and then not: {what}")));
     }
     let filter = &settings.filter;
-    if filter.particles.saturating_mul(filter.iterations) > MOST_WEIGHED {
+    if filter.particles.saturating_mul(filter.iterations) > MAX_PARTICLE_ITERATIONS {
         return Ok(Taken::Accepted);
     }
     walk_with(case, settings, false)

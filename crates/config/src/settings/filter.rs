@@ -6,7 +6,7 @@ use super::check_range;
 use realitysim_localization::{Formula, Model, SimdPath};
 
 /// Smallest time budget of a frame, milliseconds; no frame can be located in less.
-pub const LEAST_BUDGET_MS: f64 = 0.1;
+pub const MIN_BUDGET_MS: f64 = 0.1;
 
 /// The source of the robot's motion between two frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -85,7 +85,7 @@ impl FilterConfig {
         check_range("filter.iterations", self.iterations as f64, 1.0, 1000.0)?;
         check_range("filter.particles_min", self.particles_min as f64, 1.0, (1 << 20) as f64)?;
         if self.budget_ms != 0.0 {
-            check_range("filter.budget_ms", self.budget_ms, LEAST_BUDGET_MS, 10_000.0)?;
+            check_range("filter.budget_ms", self.budget_ms, MIN_BUDGET_MS, 10_000.0)?;
         }
         check_range("filter.line_points", self.line_points as f64, 10.0, 100_000.0)?;
         if let Some(alpha) = self.alpha {

@@ -21,7 +21,7 @@ use super::{ConfigError, field_seen_from, lens_seen_from};
 use realitysim_localization::MotionModel;
 
 pub use camera::{BodyMaskFile, CameraSettings};
-pub use filter::{FilterConfig, LEAST_BUDGET_MS, MotionSource};
+pub use filter::{FilterConfig, MIN_BUDGET_MS, MotionSource};
 pub use live::{CaptureSettings, MountSettings, SerialPortSettings, SerialSettings};
 pub use names::{FrameNames, HeadSettings, Topics};
 pub use recording::RecordingSettings;

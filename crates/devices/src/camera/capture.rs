@@ -3,14 +3,14 @@
 use std::io;
 use std::time::Duration;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::PixelFormat;
 use super::driver::{CameraError, CameraOptions, Driver, Negotiated};
 use super::jpeg::is_whole;
 
 /// The event that a frame's stamp is of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StampClock {
     /// The start of the exposure, stamped by the driver.

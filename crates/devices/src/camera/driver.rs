@@ -5,14 +5,14 @@ use std::io;
 use std::path::Path;
 use std::time::Duration;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::permission;
 use realitysim_config::CaptureSettings;
 
 /// Pixel formats that can be recorded, best first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PixelFormat {
     /// A JPEG for each frame.
@@ -108,7 +108,7 @@ impl CameraOptions {
 }
 
 /// What a camera has agreed to, read back from it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Negotiated {
     /// Name of the camera.
     pub card: String,

@@ -67,7 +67,10 @@ impl Driver for SocketCamera {
             return Ok(true);
         }
         let Some(listener) = &self.listener else { return Err(io::ErrorKind::NotConnected.into()) };
-        let patience = Timespec { tv_sec: 0, tv_nsec: timeout.subsec_nanos().into() };
+        let patience = Timespec {
+            tv_sec: timeout.as_secs().try_into().unwrap_or(i64::MAX),
+            tv_nsec: timeout.subsec_nanos().into(),
+        };
         match &mut self.sender {
             None => {
                 poll(&mut [PollFd::new(listener, PollFlags::IN)], Some(&patience))?;

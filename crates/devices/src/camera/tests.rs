@@ -240,11 +240,12 @@ fn every_frame_that_the_camera_made_is_delivered_or_counted() {
     let mut sequence = 0;
     for _ in 0..2_000 {
         noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        let dice = noise >> 40;
-        sequence += 1 + u32::from(dice.is_multiple_of(7)) * (dice % 5) as u32;
-        let bytes = if dice.is_multiple_of(11) { 31 } else { 32 };
-        let change: fn(&mut BufferInfo) = if dice.is_multiple_of(13) { |info| info.is_damaged = true } else { |_| {} };
-        let after_ms = if dice.is_multiple_of(3) { 0 } else { 33 };
+        let random = noise >> 40;
+        sequence += 1 + u32::from(random.is_multiple_of(7)) * (random % 5) as u32;
+        let bytes = if random.is_multiple_of(11) { 31 } else { 32 };
+        let change: fn(&mut BufferInfo) =
+            if random.is_multiple_of(13) { |info| info.is_damaged = true } else { |_| {} };
+        let after_ms = if random.is_multiple_of(3) { 0 } else { 33 };
         acts.push(Act::Frame { sequence, after_ms, data: vec![0; bytes], change });
     }
     let run = run(acts, Some(10.0), None);
@@ -446,23 +447,23 @@ struct ScriptedSink(Rc<RefCell<SinkState>>);
 
 impl Sink for ScriptedSink {
     fn open(&mut self, _: &Negotiated) -> io::Result<()> {
-        let mut sunk = self.0.borrow_mut();
-        if sunk.missing {
+        let mut sink = self.0.borrow_mut();
+        if sink.missing {
             return Err(io::ErrorKind::NotFound.into());
         }
-        sunk.opened += 1;
+        sink.opened += 1;
         Ok(())
     }
 
     fn write(&mut self, data: &[u8], info: &BufferInfo) -> io::Result<bool> {
-        let mut sunk = self.0.borrow_mut();
-        if sunk.broken {
+        let mut sink = self.0.borrow_mut();
+        if sink.broken {
             return Err(Errno::IO.into());
         }
-        if !sunk.full {
-            sunk.frames.push((info.sequence, info.stamp_ns, data.to_vec()));
+        if !sink.full {
+            sink.frames.push((info.sequence, info.stamp_ns, data.to_vec()));
         }
-        Ok(!sunk.full)
+        Ok(!sink.full)
     }
 
     fn close(&mut self) {
@@ -483,27 +484,27 @@ fn pass_on(
         change: |_| {},
     });
     let script = Rc::new(RefCell::new(Script { acts: acts.collect(), ..Script::default() }));
-    let sunk = Rc::new(RefCell::new(SinkState::default()));
+    let sink = Rc::new(RefCell::new(SinkState::default()));
     let report = std::sync::Arc::new(Republished::default());
     let camera = Scripted { script: Rc::clone(&script), now_ns: Rc::clone(&now_ns) };
-    let driver = Republishing::new(camera, ScriptedSink(Rc::clone(&sunk)), std::sync::Arc::clone(&report));
+    let driver = Republishing::new(camera, ScriptedSink(Rc::clone(&sink)), std::sync::Arc::clone(&report));
     let mut capture = Capture::new(driver, CaptureRules { options: options(None), max_rate_hz: Some(5.0) });
     let mut delivered = 0;
     while !script.borrow().acts.is_empty() {
-        change(count - script.borrow().acts.len() as u32, &mut sunk.borrow_mut());
+        change(count - script.borrow().acts.len() as u32, &mut sink.borrow_mut());
         capture.step(|| now_ns.get(), |event| delivered += u32::from(matches!(event, CaptureEvent::Frame(_))));
     }
-    (sunk, report, delivered)
+    (sink, report, delivered)
 }
 
 #[test]
 fn every_frame_is_passed_on_untouched_whatever_is_recorded_of_it() {
-    let (sunk, report, delivered) = pass_on(30, |_, _| {});
+    let (sink, report, delivered) = pass_on(30, |_, _| {});
     assert!(delivered < 10, "{delivered}: most are over the rate");
-    let sunk = sunk.borrow();
-    let sequences: Vec<u32> = sunk.frames.iter().map(|(sequence, ..)| *sequence).collect();
+    let sink = sink.borrow();
+    let sequences: Vec<u32> = sink.frames.iter().map(|(sequence, ..)| *sequence).collect();
     assert_eq!(sequences, (0..30).collect::<Vec<u32>>(), "torn ones and those over the rate too");
-    for (sequence, stamp_ns, data) in &sunk.frames {
+    for (sequence, stamp_ns, data) in &sink.frames {
         assert_eq!(*stamp_ns, 1_000_000_000_000 + (i64::from(*sequence) + 1) * 33_000_000 - 2_000_000);
         assert!(data.iter().all(|value| *value == *sequence as u8));
     }
@@ -513,13 +514,13 @@ fn every_frame_is_passed_on_untouched_whatever_is_recorded_of_it() {
 #[test]
 fn a_broken_or_full_republishing_device_costs_no_recorded_frame() {
     let recorded = pass_on(100, |_, _| {}).2;
-    let (sunk, report, delivered) = pass_on(100, |frame, sunk| sunk.missing = frame < 50);
-    assert_eq!((delivered, sunk.borrow().opened), (recorded, 1));
+    let (sink, report, delivered) = pass_on(100, |frame, sink| sink.missing = frame < 50);
+    assert_eq!((delivered, sink.borrow().opened), (recorded, 1));
     assert_eq!(report.passed() + report.missed(), 100);
     assert!(report.passed() >= 20 && report.lost().is_none(), "tried again: {report:?}");
-    let (_, report, delivered) = pass_on(100, |_, sunk| sunk.full = true);
+    let (_, report, delivered) = pass_on(100, |_, sink| sink.full = true);
     assert_eq!((delivered, report.passed(), report.missed(), report.lost()), (recorded, 0, 100, None));
-    let (sunk, report, delivered) = pass_on(100, |frame, sunk| sunk.broken = frame >= 50);
+    let (sink, report, delivered) = pass_on(100, |frame, sink| sink.broken = frame >= 50);
     assert_eq!((delivered, report.passed()), (recorded, 50));
-    assert!(report.lost().is_some() && sunk.borrow().closed >= 1, "{report:?}");
+    assert!(report.lost().is_some() && sink.borrow().closed >= 1, "{report:?}");
 }

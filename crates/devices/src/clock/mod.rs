@@ -10,7 +10,7 @@ mod exchanges;
 #[cfg(test)]
 mod tests;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 pub use delay::{Delay, DelayError, Turn, estimate};
 
@@ -53,7 +53,7 @@ pub struct Offset {
 }
 
 /// What an offset is estimated from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
     /// Questions to the device and its answers.
@@ -62,8 +62,18 @@ pub enum Source {
     Arrivals,
 }
 
+impl Source {
+    /// Name of the source, as in the status.
+    pub fn name(self) -> &'static str {
+        match self {
+            Source::Timesync => "timesync",
+            Source::Arrivals => "arrivals",
+        }
+    }
+}
+
 /// State of a device's clock, for people and logs.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClockStatus {
     /// What the offset is estimated from.
     pub source: Source,

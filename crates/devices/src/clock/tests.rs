@@ -146,11 +146,11 @@ proptest! {
 #[test]
 fn offset_and_drift_are_found_well_in_jitter_drift_and_loss() {
     let (mut offsets, mut drifts) = (Vec::new(), Vec::new());
-    let mut dice = Simulated { began_ns: 0, ppm: 0.0, noise: 17 };
+    let mut generator = Simulated { began_ns: 0, ppm: 0.0, noise: 17 };
     for device in 0..60 {
-        let (ppm, jitter_ms) = (200.0 * dice.random() - 100.0, 0.05 + 2.95 * dice.random());
-        let exchanges = by_exchanges(ppm, jitter_ms, 0.2 + 0.8 * dice.random(), device);
-        let arrivals = by_arrivals(ppm, jitter_ms, 0.1 + 1.9 * dice.random(), device);
+        let (ppm, jitter_ms) = (200.0 * generator.random() - 100.0, 0.05 + 2.95 * generator.random());
+        let exchanges = by_exchanges(ppm, jitter_ms, 0.2 + 0.8 * generator.random(), device);
+        let arrivals = by_arrivals(ppm, jitter_ms, 0.1 + 1.9 * generator.random(), device);
         for heard in [exchanges, arrivals] {
             let heard = heard.expect("no error is larger than is claimed");
             offsets.extend(heard.errors);

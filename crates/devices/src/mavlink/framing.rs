@@ -2,7 +2,7 @@
 
 use mavlink::dialects::common::MavMessage;
 use mavlink::{Message, calculate_crc};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::Sender;
 
@@ -19,7 +19,7 @@ pub(super) struct Frame<'a> {
 }
 
 /// Counts of the bytes and frames of a line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameCounts {
     /// Bytes that came.
     pub bytes: u64,

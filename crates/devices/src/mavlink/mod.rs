@@ -13,9 +13,10 @@ mod sequence_counter;
 #[cfg(test)]
 mod tests;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 pub use framing::{FRAME_OVERHEAD_BYTES, FrameCounts};
 pub use measurement::{Attitude, Content, DeviceTime, Head, Inertial, Step, TimeBase};
@@ -27,7 +28,7 @@ use measurement::Unusable;
 use resets::Continuity;
 
 /// The sender of a message; one port may carry several devices.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Sender {
     /// MAVLink's number of the system, that is, of the robot.
     pub system: u8,
@@ -49,17 +50,17 @@ pub struct Received {
 }
 
 /// Counts of what a port has carried so far.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortCounts {
     /// Counts of bytes and frames.
     #[serde(flatten)]
     pub frames: FrameCounts,
     /// Number of messages that were used, by MAVLink's name of the type.
-    pub used: BTreeMap<&'static str, u64>,
+    pub used: BTreeMap<Cow<'static, str>, u64>,
     /// Messages with a right checksum, of a known type that is not needed.
     pub not_needed: u64,
     /// Messages with a right checksum whose content cannot be used, by reason.
-    pub unusable: BTreeMap<&'static str, u64>,
+    pub unusable: BTreeMap<Cow<'static, str>, u64>,
     /// Messages that are missing by the senders' sequence numbers. These count modulo 256, so a device that restarts may add
     /// up to 255.
     pub lost: u64,
@@ -134,7 +135,7 @@ fn read(senders: &mut BTreeMap<Sender, SenderState>, counts: &mut PortCounts, fr
         return None;
     };
     if !senders.contains_key(&frame.sender) && senders.len() >= MAX_SENDERS {
-        *counts.unusable.entry("too many senders").or_default() += 1;
+        *counts.unusable.entry("too many senders".into()).or_default() += 1;
         return None;
     }
     let state = senders.entry(frame.sender).or_default();
@@ -149,7 +150,7 @@ fn read(senders: &mut BTreeMap<Sender, SenderState>, counts: &mut PortCounts, fr
             return None;
         }
         Err(Unusable::Because(reason)) => {
-            *counts.unusable.entry(reason).or_default() += 1;
+            *counts.unusable.entry(reason.into()).or_default() += 1;
             return None;
         }
     };
@@ -161,6 +162,6 @@ fn read(senders: &mut BTreeMap<Sender, SenderState>, counts: &mut PortCounts, fr
         }
         content => content,
     };
-    *counts.used.entry(name).or_default() += 1;
+    *counts.used.entry(name.into()).or_default() += 1;
     Some(Received { sender: frame.sender, wire_bytes: frame.wire_bytes, time, content })
 }

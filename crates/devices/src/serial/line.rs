@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::clock::{ClockStatus, DeviceClock};
 use crate::mavlink::{Content, Decoder, Outgoing, PortCounts, Sender, TimeBase};
@@ -31,7 +31,7 @@ pub struct Pose {
 }
 
 /// State of a line, for people and logs.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LineStatus {
     /// What the port has carried so far.
     #[serde(flatten)]
@@ -43,7 +43,7 @@ pub struct LineStatus {
 }
 
 /// State of one clock of one device.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SenderClock {
     /// The device.
     #[serde(flatten)]

@@ -1,11 +1,12 @@
 //! Finds out what is wrong with an open port, by what it has carried in a while.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use crate::mavlink::PortCounts;
 
 /// What is wrong with a port.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Trouble {
     /// No byte came.
     Silent,
@@ -22,7 +23,7 @@ pub enum Trouble {
     /// Messages came with a right checksum and a content that cannot be used.
     Unusable {
         /// Why they cannot be used.
-        reason: &'static str,
+        reason: String,
         /// Number of such messages.
         messages: u64,
     },
@@ -62,9 +63,9 @@ impl Trouble {
         if echoes > 0 {
             return Some(Self::Echo { messages: echoes });
         }
-        let new = |(reason, count): (&&'static str, &u64)| {
+        let new = |(reason, count): (&Cow<'static, str>, &u64)| {
             let messages = count.saturating_sub(before.unusable.get(reason).copied().unwrap_or(0));
-            (messages > 0).then_some(Self::Unusable { reason, messages })
+            (messages > 0).then(|| Self::Unusable { reason: reason.to_string(), messages })
         };
         if let Some(unusable) = now.unusable.iter().find_map(new) {
             return Some(unusable);
@@ -153,14 +154,14 @@ mod tests {
         let heard_itself = PortCounts { echoes: 4, ..counts(20_000, 200, 5_000, 50) };
         assert_eq!(since(&heard_itself), Some(Trouble::Echo { messages: 4 }));
         let mut now = counts(20_000, 200, 5_000, 50);
-        now.unusable.insert("no quaternion", 3);
+        now.unusable.insert("no quaternion".into(), 3);
         let unusable = since(&now).expect("unusable");
-        assert_eq!(unusable, Trouble::Unusable { reason: "no quaternion", messages: 3 });
+        assert_eq!(unusable, Trouble::Unusable { reason: "no quaternion".to_owned(), messages: 3 });
         assert_eq!(
             Trouble::since(&now, &PortCounts { frames: counts(30_000, 300, 5_000, 0).frames, ..now.clone() }),
             None
         );
-        now.unusable.insert("no quaternion", 9);
+        now.unusable.insert("no quaternion".into(), 9);
         let later = since(&now).expect("unusable");
         assert!(later.is_like(&unusable) && later != unusable && !later.is_like(&Trouble::Silent));
     }

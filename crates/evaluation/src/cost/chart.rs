@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::pareto_front::front;
 use super::recommendation::{Advice, Requirements};
-use super::row::{FINEST_CM, Row};
+use super::row::{ERROR_RESOLUTION_CM, Row};
 use crate::drawing::chart::{Across, Axis, Chart, Layer, Line, Mark, Note, Rule, Scale};
 use realitysim_localization::Model;
 
@@ -15,10 +15,10 @@ const CHOSEN: &str = "#b3261e";
 
 /// Draws a sweep as SVG; `title` names the log.
 ///
-/// The recommended row is marked, and budget and accuracy of `wish` are drawn as lines.
-pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Requirements, title: &str) -> String {
+/// The recommended row is marked, and budget and accuracy of `requirements` are drawn as lines.
+pub fn chart(rows: &[Row], advice: Option<&Advice>, requirements: &Requirements, title: &str) -> String {
     // Against a run that replaces the truth an error can be 0, which has no place on a logarithmic axis.
-    let place = |row: &Row| DVec2::new(row.p99_ms, row.position_cm.mean.max(FINEST_CM));
+    let place = |row: &Row| DVec2::new(row.p99_ms, row.position_cm.mean.max(ERROR_RESOLUTION_CM));
     let on = front(&rows.iter().map(Row::point).collect::<Vec<_>>());
     let judged: Vec<(&Row, bool)> = rows.iter().zip(on).filter(|(row, _)| row.judged > 0).collect();
     let on_front: Vec<&Row> = judged.iter().filter(|(_, on)| *on).map(|(row, _)| *row).collect();
@@ -38,7 +38,7 @@ pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Requirements, title: 
         points: on_front.iter().map(|row| place(row)).collect(),
     });
     for (name, model, refinement, colour, mark) in kinds {
-        let of_kind = |row: &&Row| row.knobs.model == model && row.knobs.refinement == refinement;
+        let of_kind = |row: &&Row| row.sweep_point.model == model && row.sweep_point.refinement == refinement;
         let cloud: Vec<DVec2> =
             judged.iter().filter(|(_, on)| !on).map(|(row, _)| *row).filter(of_kind).map(place).collect();
         let points: Vec<DVec2> = on_front.iter().copied().filter(of_kind).map(place).collect();
@@ -55,8 +55,8 @@ pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Requirements, title: 
             points: vec![place(row)],
         });
     }
-    let budget = wish.budget_ms.map(|at| Rule { across: Across::X, at, name: format!("budget {at} ms") });
-    let accuracy = wish.accuracy_cm.map(|at| Rule { across: Across::Y, at, name: format!("{at} cm wanted") });
+    let budget = requirements.budget_ms.map(|at| Rule { across: Across::X, at, name: format!("budget {at} ms") });
+    let accuracy = requirements.accuracy_cm.map(|at| Rule { across: Across::Y, at, name: format!("{at} cm wanted") });
     let axis = |label: &str| Axis { label: label.to_owned(), scale: Scale::Logarithmic };
     let chart = Chart {
         title: title.to_owned(),
@@ -71,16 +71,16 @@ pub fn chart(rows: &[Row], advice: Option<&Advice>, wish: &Requirements, title: 
 
 /// Describes the settings that colour and mark do not show.
 fn describe_settings(row: &Row) -> String {
-    let knobs = &row.knobs;
-    let most = if knobs.adaptive { "\u{2264} " } else { "" };
-    let mut words = format!("{most}{} \u{d7} {}", knobs.particles, knobs.iterations);
-    if knobs.line_points != 350 {
-        words.push_str(&format!(", {} points", knobs.line_points));
+    let sweep_point = &row.sweep_point;
+    let most = if sweep_point.adaptive { "\u{2264} " } else { "" };
+    let mut words = format!("{most}{} \u{d7} {}", sweep_point.particles, sweep_point.iterations);
+    if sweep_point.line_points != 350 {
+        words.push_str(&format!(", {} points", sweep_point.line_points));
     }
-    if knobs.image_reduction > 0 {
-        words.push_str(&format!(", image 1/{}", knobs.image_reduction));
+    if sweep_point.image_reduction > 0 {
+        words.push_str(&format!(", image 1/{}", sweep_point.image_reduction));
     }
-    if knobs.budget_ms > 0.0 {
+    if sweep_point.budget_ms > 0.0 {
         words.push_str(", capped");
     }
     words

@@ -53,14 +53,14 @@ pub fn noise_cm(rows: &[Row], seeds: usize) -> f64 {
 }
 
 /// Recommends a row; `None` if no row counts.
-pub fn advise(rows: &[Row], noise_cm: f64, wish: &Requirements) -> Option<Advice> {
+pub fn advise(rows: &[Row], noise_cm: f64, requirements: &Requirements) -> Option<Advice> {
     let points: Vec<Point> = rows.iter().map(Row::point).collect();
-    let (row, reason) = choose(&points, noise_cm, wish)?;
+    let (row, reason) = choose(&points, noise_cm, requirements)?;
     let point = points[row];
-    let keeps_budget = wish.budget_ms.map(|budget_ms| point.time_ms <= budget_ms);
-    let reaches_accuracy = wish.accuracy_cm.map(|accuracy_cm| point.error_cm <= accuracy_cm);
-    let mut why = format!("{}: {}.", rows[row].knobs, explain(&points, row, reason, noise_cm, wish));
-    if rows[row].knobs.budget_ms > 0.0 {
+    let keeps_budget = requirements.budget_ms.map(|budget_ms| point.time_ms <= budget_ms);
+    let reaches_accuracy = requirements.accuracy_cm.map(|accuracy_cm| point.error_cm <= accuracy_cm);
+    let mut why = format!("{}: {}.", rows[row].sweep_point, explain(&points, row, reason, noise_cm, requirements));
+    if rows[row].sweep_point.budget_ms > 0.0 {
         let [capped, most] = [rows[row].valid_share, rows.iter().map(|row| row.valid_share).fold(0.0, f64::max)]
             .map(|share| 100.0 * share);
         why.push_str(&format!(
@@ -87,14 +87,14 @@ enum Reason {
 ///
 /// It lies on the Pareto front: each set of which it is the cheapest also contains whatever dominates one of its
 /// points.
-fn choose(points: &[Point], noise_cm: f64, wish: &Requirements) -> Option<(usize, Reason)> {
+fn choose(points: &[Point], noise_cm: f64, requirements: &Requirements) -> Option<(usize, Reason)> {
     let all: Vec<usize> = (0..points.len()).filter(|index| points[*index].counts()).collect();
     let within = |of: &[usize], time_ms: f64, error_cm: f64| -> Vec<usize> {
         let holds = |index: &&usize| points[**index].time_ms <= time_ms && points[**index].error_cm <= error_cm;
         of.iter().filter(holds).copied().collect()
     };
-    let affordable = within(&all, wish.budget_ms.unwrap_or(f64::INFINITY), f64::INFINITY);
-    if let Some(accuracy_cm) = wish.accuracy_cm {
+    let affordable = within(&all, requirements.budget_ms.unwrap_or(f64::INFINITY), f64::INFINITY);
+    if let Some(accuracy_cm) = requirements.accuracy_cm {
         let reaching = within(&affordable, f64::INFINITY, accuracy_cm);
         if let Some(row) = cheapest(points, &reaching) {
             return Some((row, Reason::Reaches));
@@ -127,9 +127,9 @@ fn order(a: (f64, f64), b: (f64, f64)) -> core::cmp::Ordering {
 }
 
 /// Explains the choice in a sentence.
-fn explain(points: &[Point], row: usize, reason: Reason, noise_cm: f64, wish: &Requirements) -> String {
+fn explain(points: &[Point], row: usize, reason: Reason, noise_cm: f64, requirements: &Requirements) -> String {
     let Point { time_ms, error_cm } = points[row];
-    let (budget, accuracy) = (wish.budget_ms.unwrap_or(0.0), wish.accuracy_cm.unwrap_or(0.0));
+    let (budget, accuracy) = (requirements.budget_ms.unwrap_or(0.0), requirements.accuracy_cm.unwrap_or(0.0));
     let has = format!("{error_cm:.2} cm at {time_ms:.1} ms (p99)");
     match reason {
         Reason::Reaches => format!("the cheapest row that reaches {accuracy} cm, with {has}"),
@@ -142,12 +142,15 @@ fn explain(points: &[Point], row: usize, reason: Reason, noise_cm: f64, wish: &R
             )
         }
         Reason::Fastest => {
-            let missed =
-                if wish.accuracy_cm.is_some() { format!(" and none reaches {accuracy} cm") } else { String::new() };
+            let missed = if requirements.accuracy_cm.is_some() {
+                format!(" and none reaches {accuracy} cm")
+            } else {
+                String::new()
+            };
             format!("no row keeps {budget} ms{missed}; this is the fastest, with {has}")
         }
         Reason::AsGoodAs(best) => {
-            let limit = wish.budget_ms.map_or(String::new(), |budget| format!(" under {budget} ms"));
+            let limit = requirements.budget_ms.map_or(String::new(), |budget| format!(" under {budget} ms"));
             let mut text = if best == row {
                 format!("the most accurate row{limit}, with {has}, and none cheaper is within noise ({noise_cm:.2} cm)")
             } else {
@@ -157,7 +160,7 @@ fn explain(points: &[Point], row: usize, reason: Reason, noise_cm: f64, wish: &R
                      {error_cm:.2} cm at {time_ms:.1} ms"
                 )
             };
-            if wish.accuracy_cm.is_some() {
+            if requirements.accuracy_cm.is_some() {
                 let reaching = points.iter().filter(|point| point.counts() && point.error_cm <= accuracy);
                 let late = reaching.map(|point| point.time_ms).fold(f64::INFINITY, f64::min);
                 text = match late.is_finite() {
@@ -213,12 +216,12 @@ mod tests {
                 .into_iter()
                 .map(|(time, error, counts)| point(time.round(), if counts { error.round() } else { f64::INFINITY }))
                 .collect();
-            let wish = Requirements { budget_ms: budget, accuracy_cm: accuracy };
-            match choose(&points, noise, &wish) {
+            let requirements = Requirements { budget_ms: budget, accuracy_cm: accuracy };
+            match choose(&points, noise, &requirements) {
                 Some((row, reason)) => {
                     prop_assert!(front(&points)[row]);
                     // The explanation holds finite numbers only.
-                    let text = explain(&points, row, reason, noise, &wish);
+                    let text = explain(&points, row, reason, noise, &requirements);
                     prop_assert!(!text.contains("inf") && !text.contains("NaN"), "{}", text);
                     let affordable = |p: &&Point| p.counts() && p.time_ms <= budget.unwrap_or(f64::INFINITY);
                     if points.iter().filter(affordable).count() > 0 {

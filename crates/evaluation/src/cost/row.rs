@@ -16,7 +16,7 @@ use realitysim_tagging::Trial;
 pub struct Row {
     /// The setting.
     #[serde(flatten)]
-    pub knobs: SweepPoint,
+    pub sweep_point: SweepPoint,
     /// Median time from the decoded image to the tag, milliseconds.
     ///
     /// Each frame counts with the fastest of its runs: the seeds hardly change the work, so the machine is what makes
@@ -39,11 +39,11 @@ pub struct Row {
 }
 
 /// Resolution of the errors that are compared, centimetres: smaller differences do not make a row better.
-pub(super) const FINEST_CM: f64 = 0.01;
+pub(super) const ERROR_RESOLUTION_CM: f64 = 0.01;
 
 impl Row {
     /// Judges the runs of one setting over the same frames, one run per seed. `truth` is in order of time.
-    pub fn of(knobs: SweepPoint, runs: &[Vec<Trial>], truth: &[(i64, Isometry)]) -> Self {
+    pub fn of(sweep_point: SweepPoint, runs: &[Vec<Trial>], truth: &[(i64, Isometry)]) -> Self {
         let (mut position, mut yaw) = (Vec::new(), Vec::new());
         let (mut frames, mut valid, mut judged) = (0, 0, 0);
         for run in runs {
@@ -59,7 +59,7 @@ impl Row {
         }
         let milliseconds = fastest_frame_times(runs);
         Self {
-            knobs,
+            sweep_point,
             p50_ms: quantile(&milliseconds, 0.5),
             p99_ms: quantile(&milliseconds, 0.99),
             scatter_cm: standard_deviation(&position.iter().map(|summary| summary.mean).collect::<Vec<_>>()),
@@ -76,7 +76,7 @@ impl Row {
     /// The error is infinite for rows without judged tags and for evasive rows, which do not count.
     pub fn point(&self) -> Point {
         let counts = self.judged > 0 && !self.evasive;
-        let error_cm = libm::round(self.position_cm.mean / FINEST_CM) * FINEST_CM;
+        let error_cm = libm::round(self.position_cm.mean / ERROR_RESOLUTION_CM) * ERROR_RESOLUTION_CM;
         Point { time_ms: self.p99_ms, error_cm: if counts { error_cm } else { f64::INFINITY } }
     }
 }
@@ -163,16 +163,16 @@ mod tests {
         let at = Isometry::IDENTITY * Isometry::new(glam::DQuat::IDENTITY, glam::DVec3::new(-1.0, 0.0, 0.0));
         let mut run = vec![attempt(0, 1.0, 1.0, true)];
         let truth = [(0, at)];
-        let knobs = SweepPoint::of(&Settings::default());
-        assert!((Row::of(knobs, std::slice::from_ref(&run), &truth).position_cm.mean - 200.0).abs() < 1e-9);
+        let sweep_point = SweepPoint::of(&Settings::default());
+        assert!((Row::of(sweep_point, std::slice::from_ref(&run), &truth).position_cm.mean - 200.0).abs() < 1e-9);
         run[0].tag.ambiguous = true;
-        assert!(Row::of(knobs, &[run], &truth).position_cm.mean < 1e-9);
+        assert!(Row::of(sweep_point, &[run], &truth).position_cm.mean < 1e-9);
     }
 
     #[test]
     fn a_row_without_judged_tags_does_not_count() {
         let row = Row::of(SweepPoint::of(&Settings::default()), &[vec![attempt(0, 0.0, 1.0, false)]], &[]);
         assert!(!row.point().counts());
-        assert!(!Row::of(row.knobs, &[], &[]).point().counts());
+        assert!(!Row::of(row.sweep_point, &[], &[]).point().counts());
     }
 }

@@ -29,11 +29,12 @@ pub fn sweep<E>(
 ) -> Result<Vec<Row>, E> {
     let mut runs: Vec<Vec<Vec<Trial>>> = vec![Vec::new(); settings.len()];
     for seed in seeds {
-        for (knobs, runs) in settings.iter().zip(&mut runs) {
-            runs.push(measure(knobs, *seed)?);
+        for (sweep_point, runs) in settings.iter().zip(&mut runs) {
+            runs.push(measure(sweep_point, *seed)?);
         }
     }
-    let mut rows: Vec<Row> = settings.iter().zip(&runs).map(|(knobs, runs)| Row::of(*knobs, runs, truth)).collect();
+    let mut rows: Vec<Row> =
+        settings.iter().zip(&runs).map(|(sweep_point, runs)| Row::of(*sweep_point, runs, truth)).collect();
     let best_share = rows.iter().map(|row| row.valid_share).fold(0.0, f64::max);
     for row in &mut rows {
         row.evasive = row.valid_share < best_share - EVASION;
@@ -62,13 +63,13 @@ mod tests {
     use realitysim_config::Settings;
     use realitysim_ros2::messages::{FrameTag, Stamp};
 
-    fn run(knobs: &SweepPoint, seed: u64) -> Vec<Trial> {
+    fn run(sweep_point: &SweepPoint, seed: u64) -> Vec<Trial> {
         let attempt = |frame: i64| {
             // A setting with few particles tags only half of the frames, with small errors.
-            let valid = knobs.particles > 50 || frame < 5;
-            let mut tag = FrameTag { valid, elapsed_ms: knobs.particles as f64 / 100.0, ..FrameTag::default() };
+            let valid = sweep_point.particles > 50 || frame < 5;
+            let mut tag = FrameTag { valid, elapsed_ms: sweep_point.particles as f64 / 100.0, ..FrameTag::default() };
             tag.header.stamp = Stamp::from_nanoseconds(frame * 100_000_000);
-            tag.pose.pose.position.x = if knobs.particles > 50 { 0.01 + seed as f64 * 1e-4 } else { 0.0 };
+            tag.pose.pose.position.x = if sweep_point.particles > 50 { 0.01 + seed as f64 * 1e-4 } else { 0.0 };
             tag.pose.pose.orientation.w = 1.0;
             Trial { tag, seen: true }
         };
@@ -80,23 +81,23 @@ mod tests {
         let settings = plan(SweepPoint::of(&Settings::default()), 1);
         let truth: Vec<(i64, Isometry)> = (0..10).map(|frame| (frame * 100_000_000, Isometry::IDENTITY)).collect();
         let mut asked = Vec::new();
-        let rows = sweep::<()>(&settings, &[1, 2], &truth, &mut |knobs, seed| {
-            asked.push((*knobs, seed));
-            Ok(run(knobs, seed))
+        let rows = sweep::<()>(&settings, &[1, 2], &truth, &mut |sweep_point, seed| {
+            asked.push((*sweep_point, seed));
+            Ok(run(sweep_point, seed))
         });
         let rows = rows.expect("measured");
         assert_eq!((rows.len(), asked.len()), (settings.len(), 2 * settings.len()));
         assert!(asked[..settings.len()].iter().all(|(_, seed)| *seed == 1));
         assert!(rows.windows(2).all(|pair| pair[0].p99_ms <= pair[1].p99_ms));
         for row in &rows {
-            assert_eq!(row.evasive, row.knobs.particles <= 50, "{row:?}");
+            assert_eq!(row.evasive, row.sweep_point.particles <= 50, "{row:?}");
         }
         assert_eq!(sweep(&settings, &[1], &truth, &mut |_, _| Err("broken")).expect_err("passed on"), "broken");
     }
 
     #[test]
     fn only_valid_tags_are_taken_for_the_truth() {
-        let knobs = SweepPoint { particles: 10, ..SweepPoint::of(&Settings::default()) };
-        assert_eq!(as_truth(&run(&knobs, 1)).len(), 5);
+        let sweep_point = SweepPoint { particles: 10, ..SweepPoint::of(&Settings::default()) };
+        assert_eq!(as_truth(&run(&sweep_point, 1)).len(), 5);
     }
 }

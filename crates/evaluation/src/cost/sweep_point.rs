@@ -83,7 +83,7 @@ impl fmt::Display for SweepPoint {
 }
 
 /// Largest value that `[filter] image_reduction` allows.
-const COARSEST: usize = 8;
+const REDUCTION_LIMIT: usize = 8;
 
 /// Lists the settings of a sweep: the configured one first, then about forty others.
 ///
@@ -100,9 +100,10 @@ pub fn plan(configured: SweepPoint, automatic: usize) -> Vec<SweepPoint> {
     };
     let refined = SweepPoint { refinement: true, ..base };
     let plain = SweepPoint { refinement: false, particles: 800, ..base };
-    let distance = |knobs: SweepPoint| SweepPoint { model: Model::Distance, ..knobs };
+    let distance = |sweep_point: SweepPoint| SweepPoint { model: Model::Distance, ..sweep_point };
     let usual = if configured.image_reduction == 0 { automatic } else { configured.image_reduction };
-    let coarser = |knobs: SweepPoint| SweepPoint { image_reduction: (2 * usual).min(COARSEST), ..knobs };
+    let coarser =
+        |sweep_point: SweepPoint| SweepPoint { image_reduction: (2 * usual).min(REDUCTION_LIMIT), ..sweep_point };
 
     let mut rows = vec![configured];
     rows.extend([25, 50, 100, 200, 400, 800, 1600].map(|particles| SweepPoint { particles, ..refined }));
@@ -117,10 +118,10 @@ pub fn plan(configured: SweepPoint, automatic: usize) -> Vec<SweepPoint> {
     rows.extend([100, 700].map(|line_points| SweepPoint { line_points, ..plain }));
     rows.extend([refined, plain, SweepPoint { particles: 800, ..refined }].map(coarser));
     if usual > 1 {
-        rows.extend([refined, plain].map(|knobs| SweepPoint { image_reduction: usual / 2, ..knobs }));
+        rows.extend([refined, plain].map(|sweep_point| SweepPoint { image_reduction: usual / 2, ..sweep_point }));
     }
-    let sparing = SweepPoint { particles: 50, iterations: 2, line_points: 150, ..refined };
-    rows.extend([sparing, coarser(sparing), SweepPoint { particles: 25, iterations: 1, line_points: 100, ..refined }]);
+    let cheap = SweepPoint { particles: 50, iterations: 2, line_points: 150, ..refined };
+    rows.extend([cheap, coarser(cheap), SweepPoint { particles: 25, iterations: 1, line_points: 100, ..refined }]);
 
     let mut unique: Vec<SweepPoint> = Vec::new();
     for row in rows {

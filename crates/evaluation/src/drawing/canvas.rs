@@ -33,7 +33,7 @@ pub(super) struct Pen {
 
 /// Largest coordinate that is drawn, pixels. The rasteriser counts in 16.16 fixed point, and nothing so far outside is
 /// visible.
-const FARTHEST: f64 = 16_000.0;
+const MAX_COORDINATE_PX: f64 = 16_000.0;
 
 impl Ink {
     pub(super) const fn solid(colour: [u8; 3]) -> Self {
@@ -146,7 +146,7 @@ impl Canvas {
             let bounds = path.bounds();
             if [bounds.left(), bounds.top(), bounds.right(), bounds.bottom()]
                 .iter()
-                .all(|edge| f64::from(edge.abs()) < FARTHEST)
+                .all(|edge| f64::from(edge.abs()) < MAX_COORDINATE_PX)
             {
                 let ink = Ink::solid(colour).paint();
                 self.pixmap.fill_path(&path, &ink, FillRule::Winding, Transform::identity(), None);
@@ -187,10 +187,10 @@ fn rectangle(low: DVec2, high: DVec2) -> Option<Rect> {
 
 fn circle(centre: DVec2, radius: f64) -> Option<Path> {
     let centre = clamp_to_range(centre);
-    PathBuilder::from_circle(centre.x as f32, centre.y as f32, radius.min(FARTHEST) as f32)
+    PathBuilder::from_circle(centre.x as f32, centre.y as f32, radius.min(MAX_COORDINATE_PX) as f32)
 }
 
 /// Moves a point to where the rasteriser can count.
 fn clamp_to_range(point: DVec2) -> DVec2 {
-    point.clamp(DVec2::splat(-FARTHEST), DVec2::splat(FARTHEST))
+    point.clamp(DVec2::splat(-MAX_COORDINATE_PX), DVec2::splat(MAX_COORDINATE_PX))
 }

@@ -16,7 +16,7 @@ const OUTLINE: Ink = Ink { colour: [255, 230, 60], alpha: 0.45 };
 const FOUND: Ink = Ink::solid([40, 230, 80]);
 const MISSING: Ink = Ink::solid([240, 40, 50]);
 const HIDDEN: Ink = Ink { colour: [150, 150, 150], alpha: 0.8 };
-const PAINTED: Ink = Ink { colour: [60, 200, 255], alpha: 0.35 };
+const EXPLAINED: Ink = Ink { colour: [60, 200, 255], alpha: 0.35 };
 const UNEXPLAINED: Ink = Ink { colour: [255, 60, 230], alpha: 0.6 };
 const CARPET: Ink = Ink { colour: [255, 160, 40], alpha: 0.9 };
 
@@ -42,8 +42,8 @@ pub fn explanation(
     let scale = f64::from(times);
     // Evidence counts pixels from their centres.
     let place = |pixel: DVec2| (pixel + 0.5) * scale;
-    for (pixel, is_painted) in &evidence.shown {
-        canvas.fill_circle(place(*pixel), 0.45 * scale, if *is_painted { PAINTED } else { UNEXPLAINED });
+    for (pixel, is_on_line) in &evidence.shown {
+        canvas.fill_circle(place(*pixel), 0.45 * scale, if *is_on_line { EXPLAINED } else { UNEXPLAINED });
     }
     let size = DVec2::new(f64::from(width), f64::from(height));
     canvas.stroke(&outline(size, lens, map_from_camera_link, field), OUTLINE.pen(1.0));

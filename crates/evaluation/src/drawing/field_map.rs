@@ -25,7 +25,7 @@ const SAMPLE_LENGTH: f64 = 2.0;
 /// Space between legend and caption, in the same units.
 const GAP: f64 = 0.5;
 /// Largest number of lines of legend and of caption.
-const MOST_LINES: usize = 40;
+const MAX_LINES: usize = 40;
 
 /// Draws field and routes to scale, `size_px` wide (64 to 8192) and as high as field, legend and caption need.
 ///
@@ -38,7 +38,7 @@ pub fn field_map(field: &Field, routes: &[Route], size_px: u32, caption: &[Strin
     let size = plot.text_size;
     let (left, right) = (plot.low.x.min(3.9 * size), f64::from(width) - 0.9 * size);
     let legend = legend_rows(routes, size, right - left);
-    let caption = caption.iter().flat_map(|line| text::wrap(size, line, right - left)).take(MOST_LINES);
+    let caption = caption.iter().flat_map(|line| text::wrap(size, line, right - left)).take(MAX_LINES);
     let caption: Vec<String> = caption.collect();
     let lines = (legend.len() + caption.len()) as f64;
     let gap = if legend.is_empty() || caption.is_empty() { 0.0 } else { GAP * size };
@@ -164,6 +164,6 @@ fn legend_rows(routes: &[Route], size: f64, room: f64) -> Vec<Vec<Entry<'_>>> {
         }
         used += width;
     }
-    rows.truncate(MOST_LINES);
+    rows.truncate(MAX_LINES);
     rows
 }

@@ -50,7 +50,7 @@ pub(super) fn outline(size: DVec2, lens: &Lens, map_from_camera_link: &Isometry,
             let mut trace =
                 Trace { camera: &camera, patches: &patches, which, edge, line_width, lines: &mut lines, open: false };
             let (start, end) = (trace.sample(0.0), trace.sample(1.0));
-            trace.follow(start, end, MOST_HALVINGS);
+            trace.follow(start, end, MAX_HALVINGS);
         }
     }
     lines
@@ -81,14 +81,14 @@ impl Camera<'_> {
 /// Distance that lines go on beyond the image, so that their ends do not show, pixels.
 const BEYOND_PX: f64 = 16.0;
 /// Longest straight piece, pixels: a fisheye bends it by less than 0.05 px.
-const LONGEST_PX: f64 = 4.0;
+const SPLIT_THRESHOLD_PX: f64 = 4.0;
 /// Shortest distance between points, pixels: closer points only cost time.
-const SHORTEST_PX: f64 = 0.5;
+const MIN_SPACING_PX: f64 = 0.5;
 /// Longest piece that is not halved, per distance to the camera: it spans less than 3 degrees, about [`BEYOND_PX`].
-const LONGEST_PER_DISTANCE: f64 = 0.05;
+const SPLIT_THRESHOLD_PER_DISTANCE: f64 = 0.05;
 /// Largest number of halvings of an edge: they divide the longest line of the largest field to a hundredth of a
 /// millimetre.
-const MOST_HALVINGS: u32 = 24;
+const MAX_HALVINGS: u32 = 24;
 
 /// State of the conversion of one edge to polylines.
 struct Trace<'a> {
@@ -120,7 +120,7 @@ impl Trace<'_> {
 
     /// Halves a piece of the edge until it is straight in the image, or until the point where it appears is found.
     fn follow(&mut self, a: Sample, b: Sample, halvings: u32) {
-        let far = |p: DVec2, q: DVec2| p.distance(q) > LONGEST_PX;
+        let far = |p: DVec2, q: DVec2| p.distance(q) > SPLIT_THRESHOLD_PX;
         let needs_split = match (a.seen, b.seen) {
             (Some(p), Some(q)) => far(p, q),
             (None, None) => false,
@@ -143,7 +143,7 @@ impl Trace<'_> {
     /// Returns whether a crossing line or a corner of the image could lie between two samples.
     fn is_coarse(&self, a: f64, b: f64) -> bool {
         let distance = self.edge.at((a + b) / 2.0).extend(0.0).distance(self.camera.position);
-        let longest = (LONGEST_PER_DISTANCE * distance).clamp(1e-4, self.line_width / 2.0);
+        let longest = (SPLIT_THRESHOLD_PER_DISTANCE * distance).clamp(1e-4, self.line_width / 2.0);
         self.edge.length() * (b - a) > longest
     }
 
@@ -152,7 +152,7 @@ impl Trace<'_> {
         match self.lines.last_mut().filter(|_| self.open) {
             Some(line) => {
                 if let [.., before, last] = line.as_mut_slice()
-                    && before.distance(*last) < SHORTEST_PX
+                    && before.distance(*last) < MIN_SPACING_PX
                 {
                     *last = q;
                 } else {

@@ -32,7 +32,7 @@ pub(super) fn patches(field: &Field) -> Vec<Patch> {
         Stroke::Segment { from, to } => Patch::Bar { from, to, half_width },
         Stroke::Circle { centre, radius } => Patch::Ring { centre, radius, half_width },
     };
-    field.painted().into_iter().map(patch).collect()
+    field.painted_strokes().into_iter().map(patch).collect()
 }
 
 impl Patch {

@@ -17,7 +17,7 @@ const MARGIN_PX: u32 = 14;
 const TEXT_SIZE: f64 = 19.0;
 const LINE_PX: u32 = 27;
 /// Largest number of lines of a caption.
-const MOST_LINES: usize = 4;
+const MAX_LINES: usize = 4;
 const PAGE: [u8; 3] = [255, 255, 255];
 
 /// Joins two pictures without scaling, with aligned upper edges.
@@ -34,7 +34,7 @@ pub fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
 /// A field map 720 px wide fits beside a camera image almost without scaling, so that its letters stay sharp.
 pub fn side_by_side(left: &RgbImage, right: &RgbImage, caption: &str) -> RgbImage {
     let mut lines = text::wrap(TEXT_SIZE, caption, f64::from(WIDTH_PX - 2 * MARGIN_PX));
-    lines.truncate(MOST_LINES);
+    lines.truncate(MAX_LINES);
     let below = if lines.is_empty() { 0 } else { lines.len() as u32 * LINE_PX };
     let shape = |image: &RgbImage| f64::from(image.width()) / f64::from(image.height().max(1));
     let room = f64::from(WIDTH_PX - 3 * MARGIN_PX);

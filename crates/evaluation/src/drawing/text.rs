@@ -13,7 +13,7 @@ static FONT: LazyLock<Option<FontRef<'static>>> = LazyLock::new(|| FontRef::new(
 /// Smallest size of text, pixels: smaller letters cannot be read and are left out.
 const MIN_SIZE_PX: f64 = 4.0;
 /// Largest number of letters of a line: no picture is wide enough for more.
-const MOST_LETTERS: usize = 1_000;
+const MAX_LETTERS: usize = 1_000;
 
 /// Returns the outlines of words. The left end of the baseline is at (0, 0), and y points down.
 ///
@@ -67,7 +67,7 @@ fn line(size: f64, words: &str) -> Option<Line> {
     let em = size as f32 * f32::from(whole.units_per_em) / (whole.ascent - whole.descent);
     let (characters, widths) = (font.charmap(), font.glyph_metrics(Size::new(em), LocationRef::default()));
     let (mut letters, mut x) = (Vec::new(), 0.0);
-    for letter in words.chars().filter(|letter| !letter.is_control()).take(MOST_LETTERS) {
+    for letter in words.chars().filter(|letter| !letter.is_control()).take(MAX_LETTERS) {
         let id = characters.map(letter).unwrap_or(GlyphId::NOTDEF);
         letters.push((id, x));
         x += widths.advance_width(id).unwrap_or(0.0);

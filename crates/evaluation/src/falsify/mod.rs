@@ -102,7 +102,7 @@ impl Falsehood {
     /// `progress` is called with the number of frames that are done.
     pub fn tag(
         &self,
-        footage: &FrameCache,
+        cache: &FrameCache,
         settings: &Settings,
         start_is_unknown: bool,
         progress: &mut dyn FnMut(usize),
@@ -119,7 +119,7 @@ impl Falsehood {
             Self::Mount { higher_m } => claims.higher_m = *higher_m,
             Self::Picture(_) => claims.picture = Some(&distorted),
         }
-        footage.try_out_claiming(settings, &claims, progress)
+        cache.try_out_claiming(settings, &claims, progress)
     }
 }
 

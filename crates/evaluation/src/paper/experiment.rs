@@ -93,7 +93,7 @@ pub enum PaperError {
     Scene(#[from] SceneFailure),
     /// A scene cannot be rendered.
     #[error(transparent)]
-    Footage(#[from] ReplayError),
+    Replay(#[from] ReplayError),
     /// The filter cannot be set up.
     #[error(transparent)]
     Setup(#[from] SetupError),
@@ -116,20 +116,20 @@ fn still(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize,
     settings.filter.initial_yaw_deg = START_YAW_RAD.to_degrees();
     let starts: Vec<InitialPose> = (0..places).map(|index| draw_start(&scene, index, settings.filter.seed)).collect();
     // The scene ends with a second frame at the last place, which is left out.
-    let footage = render(&scene, &settings, Some(places as f64 - 0.5), progress)?.apart(&starts);
+    let cache = render(&scene, &settings, Some(places as f64 - 0.5), progress)?.apart(&starts);
     let in_fig9 = plan.particles.iter().flat_map(|particles| METHODS.map(|method| (method, *particles)));
     let wanted: Vec<(Method, usize)> =
         in_fig9.filter(|(method, particles)| method.in_fig9 || *particles == super::PAPER_PARTICLES).collect();
-    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, 1, "standing", progress)?;
-    Ok((footage.frames(), runs))
+    let runs = runs(&cache, &truth::of_scene(&scene), &wanted, 1, "standing", progress)?;
+    Ok((cache.frames(), runs))
 }
 
 fn walk(plan: &Plan, settings: &Settings, progress: Progress) -> Result<(usize, Vec<Run>), PaperError> {
     let scene = scenes::walk(plan.walk_m, plan.walk_hz)?;
-    let footage = render(&scene, settings, None, progress)?;
+    let cache = render(&scene, settings, None, progress)?;
     let wanted = METHODS.map(|method| (method, super::PAPER_PARTICLES));
-    let runs = runs(&footage, &truth::of_scene(&scene), &wanted, plan.walk_seeds, "walking", progress)?;
-    Ok((footage.frames(), runs))
+    let runs = runs(&cache, &truth::of_scene(&scene), &wanted, plan.walk_seeds, "walking", progress)?;
+    Ok((cache.frames(), runs))
 }
 
 fn render(
@@ -144,21 +144,21 @@ fn render(
 }
 
 fn runs(
-    footage: &FrameCache,
+    cache: &FrameCache,
     truth: &[(i64, Isometry)],
     wanted: &[(Method, usize)],
     seeds: u64,
     what: &'static str,
     progress: Progress,
 ) -> Result<Vec<Run>, SetupError> {
-    let (mut done, total) = (0, (wanted.len() * footage.frames()) as u64 * seeds);
+    let (mut done, total) = (0, (wanted.len() * cache.frames()) as u64 * seeds);
     let mut runs = Vec::new();
     for (method, particles) in wanted {
         let mut attempts = Vec::new();
         for seed in 0..seeds {
-            let mut settings = method.settings(footage.settings(), *particles);
+            let mut settings = method.settings(cache.settings(), *particles);
             settings.filter.seed = settings.filter.seed.wrapping_add(seed);
-            attempts.push(footage.try_out(&settings, &mut |_| {
+            attempts.push(cache.try_out(&settings, &mut |_| {
                 done += 1;
                 progress(what, done, Some(total));
             })?);

@@ -43,7 +43,7 @@ pub struct Limits {
 /// Smallest share of the valid tags that must be judged by default: errors of a few tags say nothing about all.
 const MIN_JUDGED_SHARE: f64 = 0.9;
 /// Names of the limits from below; all others are from above.
-pub const LEAST: [&str; 3] = ["ellipse95_share", "valid_share", "judged_share"];
+pub const LOWER_LIMITS: [&str; 3] = ["ellipse95_share", "valid_share", "judged_share"];
 /// Names of the limits that are shares, 0 to 1.
 const SHARES: [&str; 4] = ["ellipse95_share", "valid_share", "most_valid_share", "judged_share"];
 

@@ -11,5 +11,5 @@ mod timing;
 
 pub use file::{Case, Suite, SuiteError};
 pub use judge::{Judged, Recovery, judge, judge_poses};
-pub use limits::{Broken, LEAST, Limits};
+pub use limits::{Broken, LOWER_LIMITS, Limits};
 pub use run::{CaseReport, Options, Outcome, Watcher, run};

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use crate::cpu_yardstick::Calibration;
+use crate::cpu_calibration::Calibration;
 use crate::statistics::quantile;
 use realitysim_config::Settings;
 use realitysim_tagging::{FrameCache, FrameCacheOptions, ReplayError};
@@ -14,13 +14,13 @@ const PASSES: usize = 2;
 ///
 /// Runs of the loop alternate with the frames, so that whatever else the machine does slows both.
 pub fn p99_ratio(options: &FrameCacheOptions, settings: &Settings) -> Result<f64, ReplayError> {
-    let footage = FrameCache::load(options, &mut |_, _| ())?;
-    let settings = Settings { field: footage.settings().field.clone(), ..settings.clone() };
+    let cache = FrameCache::load(options, &mut |_, _| ())?;
+    let settings = Settings { field: cache.settings().field.clone(), ..settings.clone() };
     let calibration = Calibration::new();
     let mut best = f64::INFINITY;
     for _ in 0..PASSES {
-        let mut loops_ms = Vec::with_capacity(footage.frames());
-        let attempts = footage.try_out(&settings, &mut |_| {
+        let mut loops_ms = Vec::with_capacity(cache.frames());
+        let attempts = cache.try_out(&settings, &mut |_| {
             let started = Instant::now();
             calibration.run();
             loops_ms.push(started.elapsed().as_secs_f64() * 1e3);

@@ -148,7 +148,7 @@ impl Texture {
         for (octave, (cell, strength)) in OCTAVES.into_iter().enumerate() {
             add_octave(&mut noise, columns, octave as u32, cell, strength);
         }
-        let strokes = field.painted();
+        let strokes = field.painted_strokes();
         let half_width = field.line_width() / 2.0;
         let texels = noise.iter().enumerate().map(|(index, noise)| {
             let place = DVec2::new((index % columns) as f64 + 0.5, (index / columns) as f64 + 0.5) * TEXEL_M - half;

@@ -130,7 +130,7 @@ pub enum LensError {
         value: f64,
     },
     /// The principal point is not finite, or farther from the image than any lens puts it.
-    #[error("{name} is {value:?}: a principal point lies within {FARTHEST_CENTRE_PX:e} pixels of the image's corner")]
+    #[error("{name} is {value:?}: a principal point lies within {MAX_CENTRE_OFFSET_PX:e} pixels of the image's corner")]
     Centre {
         /// Name of the parameter, `cx` or `cy`.
         name: &'static str,
@@ -171,7 +171,7 @@ pub const MAX_SIDE: u32 = 16_384;
 /// Focal lengths of lenses, pixels. Products with a longer or shorter one leave the range of numbers.
 pub const FOCAL_PX: core::ops::RangeInclusive<f64> = 0.1..=1e7;
 /// Distance of the principal point from the image's first pixel along each axis, pixels, that no lens exceeds.
-pub const FARTHEST_CENTRE_PX: f64 = 1e7;
+pub const MAX_CENTRE_OFFSET_PX: f64 = 1e7;
 /// Largest number of pixels of an image.
 ///
 /// No camera on a robot has more. Decoded, so many pixels take some hundred megabytes.
@@ -214,7 +214,7 @@ impl Lens {
             }
         }
         for (name, value) in [("cx", p.cx), ("cy", p.cy)] {
-            if !(-FARTHEST_CENTRE_PX..=FARTHEST_CENTRE_PX).contains(&value) {
+            if !(-MAX_CENTRE_OFFSET_PX..=MAX_CENTRE_OFFSET_PX).contains(&value) {
                 return Err(LensError::Centre { name, value });
             }
         }

@@ -5,13 +5,13 @@
 use core::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
 /// Larger angles are left to `libm`, radians.
-const FARTHEST: f64 = 1e4;
+const ANGLE_LIMIT_RAD: f64 = 1e4;
 
 /// Sine and cosine of an angle in radians, within 1e-11 of the true values (tested). NaN and infinities give NaN.
 #[inline(always)]
 pub(super) fn sin_cos(angle: f64) -> (f64, f64) {
     // NaN fails.
-    let near = angle.abs() < FARTHEST;
+    let near = angle.abs() < ANGLE_LIMIT_RAD;
     if !near {
         return libm::sincos(angle);
     }

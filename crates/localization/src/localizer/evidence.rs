@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::relocalization::CandidateRefinement;
 use super::{Fix, FrameSensors, Localizer};
 use crate::filter::{Effort, always};
-use crate::global_search::{Pace, SearchRequest, SearchState};
+use crate::global_search::{SearchRate, SearchRequest, SearchState};
 use crate::line_distance_map::{ExplainedLines, LineDistanceMap};
 use crate::refinement::line_measurement::Inspected;
 use crate::refinement::{Agreement, Refiner};
@@ -61,7 +61,7 @@ impl Evidence {
     pub fn of_pose(
         seen: &Observations,
         refiner: &Refiner,
-        painted: &LineDistanceMap,
+        line_distances: &LineDistanceMap,
         footprint_from_optical: Option<&Isometry>,
         map_from_optical: &Isometry,
     ) -> Self {
@@ -70,11 +70,11 @@ impl Evidence {
         let mut shown = Vec::new();
         let (mut carpet, mut explained_in_view) = (Vec::new(), 1.0);
         if let Some(place) = footprint_from_optical {
-            painted.each_shown(seen.lines(), place, map_from_optical, |ray, _, is_painted| {
+            line_distances.each_shown(seen.lines(), place, map_from_optical, |ray, _, is_on_line| {
                 let pixel = lens.project(optical_from_map.transform_vector(ray));
-                shown.extend(pixel.map(|pixel| (pixel, is_painted)));
+                shown.extend(pixel.map(|pixel| (pixel, is_on_line)));
             });
-            explained_in_view = painted.explained_in_view(seen, lens, place, map_from_optical);
+            explained_in_view = line_distances.explained_in_view(seen, lens, place, map_from_optical);
             carpet = border(seen.border(), place, |place: DVec3| lens.project(place));
         }
         Self {
@@ -99,7 +99,7 @@ impl Localizer {
             agreement: fix.agreement,
             explained: fix.explained,
             tried: self.search_afresh(moment, seen),
-            ..Evidence::of_pose(seen, &self.refiner, &self.painted, place, &fix.map_from_optical)
+            ..Evidence::of_pose(seen, &self.refiner, &self.line_distances, place, &fix.map_from_optical)
         }
     }
 
@@ -111,7 +111,7 @@ impl Localizer {
         let found = other.search.run(
             observation,
             &seen.table,
-            SearchRequest { candidates: SHOWN, pace: Pace::Hurried },
+            SearchRequest { candidates: SHOWN, rate: SearchRate::Fast },
             &mut state,
             &mut effort,
             &mut always,

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::estimate::Estimate;
 use super::fall_detection::{FallDetector, FallState};
-use super::filter::{Effort, Filter, FilterSettings, FilterState, MayGoOn};
+use super::filter::{Effort, Filter, FilterSettings, FilterState, TimeCheck};
 use super::frozen_image::FrozenImageDetector;
 use super::global_search::{GlobalSearch, SearchState};
 use super::last_known_pose::LastKnownPose;
@@ -60,7 +60,7 @@ pub struct LocalizerState {
     /// Recognises a camera that repeats its picture.
     pub frozen: FrozenImageDetector,
     /// Time for which nothing has measured how far the robot walked, seconds.
-    pub adrift_s: f64,
+    pub odometry_gap_s: f64,
     /// The last pose that was known, carried on since then.
     pub known: Option<LastKnownPose>,
     /// Search of the field under way.
@@ -73,11 +73,22 @@ pub struct LocalizerState {
 
 impl Physical for LocalizerState {
     fn is_possible(&self) -> bool {
-        let Self { filter, track, last, validator, posture: _, frozen, adrift_s, known, search, fitting, ambiguous: _ } =
-            self;
+        let Self {
+            filter,
+            track,
+            last,
+            validator,
+            posture: _,
+            frozen,
+            odometry_gap_s,
+            known,
+            search,
+            fitting,
+            ambiguous: _,
+        } = self;
         let odometry = last.and_then(|(_, odometry)| odometry);
         (filter.particles.is_possible() && track.is_possible() && odometry.is_possible())
-            && (validator.is_possible() && frozen.is_possible() && adrift_s.is_possible())
+            && (validator.is_possible() && frozen.is_possible() && odometry_gap_s.is_possible())
             && (known.is_possible() && search.is_possible() && fitting.is_possible())
     }
 }
@@ -96,7 +107,7 @@ pub struct FrameSensors {
     /// Motion of the camera, if something measures it.
     pub camera_twist: Option<Twist>,
     /// Whether a gyro has measured the rotation in `camera_twist`.
-    pub turn_is_felt: bool,
+    pub turn_is_measured: bool,
     /// Pose of the camera in `base_footprint`, by IMU, joints and mount.
     pub footprint_from_optical: Option<Isometry>,
     /// Whether the torso's tilt is measured; otherwise a walking torso sways unseen.
@@ -132,11 +143,11 @@ pub struct Fix {
     /// Whether the pose was refined by lines of this frame.
     pub refined: bool,
     /// Whether lines put the camera farther from where odometry and IMU have it than their errors admit.
-    pub surprised: bool,
+    pub contradicts_prediction: bool,
     /// Whether the pose is farther from where the robot was last known to be than it can have come.
     pub strays: bool,
     /// Whether nothing has measured how far the robot walked since the last frame.
-    pub adrift: bool,
+    pub lacks_odometry: bool,
     /// Whether the lines of a candidate fit better through another lens, or from a camera where no mount puts it.
     pub misfits: bool,
     /// How well the expected lines are where the pose has them.
@@ -157,17 +168,17 @@ pub struct Fix {
 const RESTART_SPREAD: Spread = Spread { xy_m: 0.3, yaw_rad: 0.3 };
 /// Longest absence of odometry, seconds, after which a pose kept over a restart still counts. In four seconds a robot walks a
 /// metre, or is picked up, and may then be in either half of the field.
-const LONGEST_AWAY_S: f64 = 4.0;
+const ABSENCE_LIMIT_S: f64 = 4.0;
 /// Longest step between frames, seconds: a longer gap says nothing more about where the robot went.
-const LONGEST_STEP_S: f64 = 5.0;
+const MAX_STEP_S: f64 = 5.0;
 /// Highest speed, metres per second: no humanoid walks this fast, so odometry that says so has jumped.
-const FASTEST_M_PER_S: f64 = 3.0;
+const SPEED_LIMIT_M_PER_S: f64 = 3.0;
 /// A torso that rolls and pitches faster than this on average walks, or marches on the spot: 5 degrees a second.
 pub(super) const SWAYS_RAD_PER_S: f64 = 0.09;
 /// Longest time without odometry, seconds, for which unknown steps add up in one direction: a walking robot goes on walking.
-const LONGEST_ADRIFT_S: f64 = 0.5;
+const ODOMETRY_GAP_LIMIT_S: f64 = 0.5;
 /// Highest turning rate, radians per second: a gyro that shows more is broken or counts in degrees.
-const FASTEST_RAD_PER_S: f64 = 10.0;
+const TURN_RATE_LIMIT_RAD_PER_S: f64 = 10.0;
 /// Standard deviation of a walking torso's tilt where nothing measures it: 2.5 degrees.
 const UNMEASURED_TILT_RAD: f64 = 0.044;
 /// Distance of the best particle from the predicted pose above which refinement starts from both, metres.
@@ -177,9 +188,9 @@ const OTHER_BASIN_RAD: f64 = 0.06;
 /// Distance (m) and turn (rad) between track and particles above which they follow different poses: the one that fits better wins.
 const APART: f64 = 0.4;
 /// Largest deviation of the focal length, as a share, of a lens that was calibrated.
-const MOST_STRETCH: f64 = 0.03;
+const STRETCH_LIMIT: f64 = 0.03;
 /// Squared deviation from the prediction, per unknown, above which the prediction is doubted.
-const SURPRISE: f64 = 3.0;
+const INNOVATION_THRESHOLD: f64 = 3.0;
 
 /// The rejection of a picture in which nothing can be seen for a plain reason.
 fn image_rejection(seen: &Observations) -> Option<Rejection> {
@@ -200,7 +211,7 @@ impl LocalizerSettings {
 pub struct Localizer {
     field: Field,
     refiner: Refiner,
-    painted: LineDistanceMap,
+    line_distances: LineDistanceMap,
     filter: Filter,
     search: GlobalSearch,
     settings: LocalizerSettings,
@@ -223,7 +234,7 @@ impl Localizer {
         let filter = Filter::new(settings.filter.clone(), observation, state.filter.clone());
         Self {
             refiner: Refiner::new(&field, lens),
-            painted: LineDistanceMap::new(&field),
+            line_distances: LineDistanceMap::new(&field),
             field,
             filter,
             search,
@@ -296,7 +307,7 @@ impl Localizer {
 
     /// Notes that no odometry was heard for so many seconds.
     fn note_absence(&mut self, seconds: f64) {
-        if seconds > LONGEST_AWAY_S {
+        if seconds > ABSENCE_LIMIT_S {
             self.state.validator.drop_restored();
             self.state.ambiguous |= self.state.validator.tracking != TrackingState::Lost;
             self.state.known.iter_mut().for_each(LastKnownPose::expire);
@@ -313,9 +324,9 @@ impl Localizer {
         self.state.ambiguous = false;
     }
 
-    /// Localizes one frame whose image was looked at. `may_go_on` decides when time is up: see [`MayGoOn`].
-    pub fn look(&mut self, moment: &FrameSensors, seen: &Observations, may_go_on: &mut MayGoOn) -> Fix {
-        let fix = self.look_unchecked(moment, seen, may_go_on);
+    /// Localizes one frame whose image was looked at. `has_time` decides when time is up: see [`TimeCheck`].
+    pub fn look(&mut self, moment: &FrameSensors, seen: &Observations, has_time: &mut TimeCheck) -> Fix {
+        let fix = self.look_unchecked(moment, seen, has_time);
         self.reset_unless_finite(fix, moment)
     }
 
@@ -336,7 +347,7 @@ impl Localizer {
     }
 
     /// [`Self::look`] without the check for numbers that are not finite.
-    fn look_unchecked(&mut self, moment: &FrameSensors, seen: &Observations, may_go_on: &mut MayGoOn) -> Fix {
+    fn look_unchecked(&mut self, moment: &FrameSensors, seen: &Observations, has_time: &mut TimeCheck) -> Fix {
         if self.detect_fall(moment) {
             return self.dead_reckon(moment, Rejection::Fallen);
         }
@@ -348,22 +359,22 @@ impl Localizer {
         let seconds = step.seconds;
         let mut walked = self.particle_step(&step);
         self.move_hypotheses(&step);
-        if self.must_search() && self.search(moment, seen, walked, &mut effort, may_go_on) {
+        if self.must_search() && self.search(moment, seen, walked, &mut effort, has_time) {
             // The pose was found in this image, so it needs no step.
             (step, walked) = (Step::none(), Some(Pose2::default()));
         }
-        let estimate = self.filter.step(walked, step.seconds, &seen.table, &mut effort, may_go_on);
+        let estimate = self.filter.step(walked, step.seconds, &seen.table, &mut effort, has_time);
         let support = self.filter.observation().support(seen.lines(), &estimate.best);
         self.predict_track(&step);
         let mut fix = self.refine(moment, seen, estimate, support);
         self.reconcile(seen, &fix);
         fix.effort = effort;
         if let Some(place) = &moment.footprint_from_optical {
-            fix.explained = self.painted.explained(seen.lines(), place, &fix.map_from_optical);
+            fix.explained = self.line_distances.explained(seen.lines(), place, &fix.map_from_optical);
             // Only the confirmation of a candidate needs it.
             if matches!(self.state.validator.tracking, TrackingState::Candidate { .. }) {
                 let (lens, pose) = (self.refiner.lens(), &fix.map_from_optical);
-                fix.explained_in_view = self.painted.explained_in_view(seen, lens, place, pose);
+                fix.explained_in_view = self.line_distances.explained_in_view(seen, lens, place, pose);
             }
         }
         let at = self.state.track.as_ref().map_or(fix.estimate.best, SlowStateFilter::pose);
@@ -393,7 +404,7 @@ impl Localizer {
     }
 
     /// Where odometry puts the robot at a time without a frame. `None` if the pose was not known, or has become too uncertain.
-    pub fn foresee(&mut self, moment: &FrameSensors, reason: Rejection) -> Option<Fix> {
+    pub fn predict_ahead(&mut self, moment: &FrameSensors, reason: Rejection) -> Option<Fix> {
         let fix = self.coast(moment, reason);
         (fix.rejection != Some(Rejection::NumericalFault)
             && self.state.validator.is_known()
@@ -441,7 +452,7 @@ impl Localizer {
         let Some((last_ns, last_odometry)) = last else {
             return Step::none();
         };
-        let seconds = (moment.stamp_ns.saturating_sub(last_ns) as f64 * 1e-9).clamp(0.0, LONGEST_STEP_S);
+        let seconds = (moment.stamp_ns.saturating_sub(last_ns) as f64 * 1e-9).clamp(0.0, MAX_STEP_S);
         if self.settings.random_walk {
             return Step { odometry: None, turned_rad: None, seconds };
         }
@@ -449,8 +460,8 @@ impl Localizer {
         let stands = moment.swayed_rad.is_some_and(|swayed| swayed <= SWAYS_RAD_PER_S * seconds);
         let odometry = last_odometry.zip(odometry).filter(|(before, now)| before != now || stands);
         let odometry = odometry.map(|(before, now)| before.inverse().compose(&now));
-        let possible = |step: &Pose2| libm::hypot(step.x, step.y) <= FASTEST_M_PER_S * seconds.max(0.1);
-        let turned_rad = moment.turned_rad.filter(|turned| turned.abs() <= FASTEST_RAD_PER_S * seconds);
+        let possible = |step: &Pose2| libm::hypot(step.x, step.y) <= SPEED_LIMIT_M_PER_S * seconds.max(0.1);
+        let turned_rad = moment.turned_rad.filter(|turned| turned.abs() <= TURN_RATE_LIMIT_RAD_PER_S * seconds);
         Step { odometry: odometry.filter(possible), turned_rad, seconds }
     }
 
@@ -479,9 +490,9 @@ impl Localizer {
     /// Predicts the track. Where odometry is missing, its uncertainty grows by how far the robot can walk.
     fn predict_track(&mut self, step: &Step) {
         let LocalizerSettings { track: model, filter, random_walk, .. } = &self.settings;
-        let before_s = self.state.adrift_s;
+        let before_s = self.state.odometry_gap_s;
         let unheard = step.odometry.is_none() && !random_walk;
-        self.state.adrift_s = if unheard { (before_s + step.seconds).min(LONGEST_ADRIFT_S) } else { 0.0 };
+        self.state.odometry_gap_s = if unheard { (before_s + step.seconds).min(ODOMETRY_GAP_LIMIT_S) } else { 0.0 };
         let reach_m = filter.motion.walk_m_per_s * libm::sqrt(step.seconds * (step.seconds + 2.0 * before_s));
         let reach_rad = filter.motion.turn_rad_per_s * step.seconds;
         if let Some(track) = &mut self.state.track {
@@ -527,8 +538,10 @@ impl Localizer {
         let mut prediction = prediction;
         let agree = agrees(&refined.lines);
         let slips = agree && self.state.track.as_mut().is_some_and(|track| track.slips(&prediction.prior, &refined));
-        let surprised = (slips || surprise(&prediction.prior, &refined.pose_moved()) > SURPRISE) && agree;
-        if surprised {
+        let contradicts_prediction = (slips
+            || normalized_innovation_squared(&prediction.prior, &refined.pose_moved()) > INNOVATION_THRESHOLD)
+            && agree;
+        if contradicts_prediction {
             // Lines agree with each other but not with the prediction: errors of odometry or IMU are larger than assumed.
             if let Some(track) = &mut self.state.track {
                 track.doubt(&refined.moved);
@@ -560,9 +573,9 @@ impl Localizer {
             map_from_optical: refined.map_from_optical,
             covariance: refined.pose_covariance(),
             refined: true,
-            surprised,
+            contradicts_prediction,
             strays: false,
-            adrift: self.state.adrift_s > 0.0,
+            lacks_odometry: self.state.odometry_gap_s > 0.0,
             misfits,
             agreement: refined.lines,
             explained: ExplainedLines::default(),
@@ -588,7 +601,7 @@ impl Localizer {
         let sigma = libm::sqrt(unbound.covariance[(OF_LENS, OF_LENS)]);
         let is_better = agrees(&unbound.lines)
             && unbound.lines.share * unbound.lines.foremost >= refined.lines.share * refined.lines.foremost;
-        stretch.abs() > MOST_STRETCH.max(2.0 * sigma) || (is_better && !stands(moment, &unbound.map_from_optical))
+        stretch.abs() > STRETCH_LIMIT.max(2.0 * sigma) || (is_better && !stands(moment, &unbound.map_from_optical))
     }
 
     /// The prediction of the camera's pose by the track; the lens counts as known until the pose is confirmed.
@@ -601,7 +614,7 @@ impl Localizer {
     fn prediction_of(&self, track: &SlowStateFilter, moment: &FrameSensors) -> Option<Prediction> {
         let mut prediction = track.prior(&moment.footprint_from_optical?, &self.model(moment));
         prediction.prior.twist = moment.camera_twist.unwrap_or_default();
-        prediction.prior.turn_is_felt = moment.turn_is_felt;
+        prediction.prior.turn_is_measured = moment.turn_is_measured;
         Some(prediction)
     }
 
@@ -624,9 +637,9 @@ impl Localizer {
             map_from_optical,
             covariance,
             refined: false,
-            surprised: false,
+            contradicts_prediction: false,
             strays: false,
-            adrift: self.state.adrift_s > 0.0,
+            lacks_odometry: self.state.odometry_gap_s > 0.0,
             misfits: false,
             agreement: Agreement::default(),
             explained: ExplainedLines::default(),
@@ -669,6 +682,6 @@ impl Physical for Fix {
 }
 
 /// Squared Mahalanobis distance of a correction from the prior, per unknown: 1 is expected.
-fn surprise(prior: &Prior, moved: &Vector6<f64>) -> f64 {
+fn normalized_innovation_squared(prior: &Prior, moved: &Vector6<f64>) -> f64 {
     prior.pose_covariance().cholesky().map_or(0.0, |factor| moved.dot(&factor.solve(moved)) / 6.0)
 }

@@ -6,8 +6,8 @@ use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
 use super::{FrameSensors, Localizer, TriedPose};
-use crate::filter::{Effort, MayGoOn};
-use crate::global_search::{Candidate, Pace, SearchRequest};
+use crate::filter::{Effort, TimeCheck};
+use crate::global_search::{Candidate, SearchRate, SearchRequest};
 use crate::particles::Spread;
 use crate::refinement::Refined;
 use crate::slow_states::SlowStateFilter;
@@ -62,7 +62,7 @@ impl Localizer {
         seen: &Observations,
         walked: Option<Pose2>,
         effort: &mut Effort,
-        may_go_on: &mut MayGoOn,
+        has_time: &mut TimeCheck,
     ) -> bool {
         let tracking = self.state.validator.tracking;
         let is_tracking = matches!(tracking, TrackingState::Tracking { .. }) && !self.state.validator.is_lost();
@@ -72,36 +72,36 @@ impl Localizer {
             self.state.validator.tracking = TrackingState::Lost;
         }
         let before = Effort { ..*effort };
-        let is_hurried = !is_tracking || self.state.validator.is_urgent();
-        // A leisurely search does in each frame what must be done in one, and no more.
-        let pace = if is_hurried { Pace::Hurried } else { Pace::Leisurely };
-        let mut may_go_on = |weighed: u32| is_hurried && may_go_on(weighed);
+        let is_fast = !is_tracking || self.state.validator.is_urgent();
+        // A background search does in each frame what must be done in one, and no more.
+        let rate = if is_fast { SearchRate::Fast } else { SearchRate::Background };
+        let mut has_time = |weighed: u32| is_fast && has_time(weighed);
         if !self.state.fitting.is_under_way() {
             let (table, state) = (&seen.table, &mut self.state.search);
             let observation = self.filter.observation();
             let found = self.search.run(
                 observation,
                 table,
-                SearchRequest { candidates: CANDIDATES, pace },
+                SearchRequest { candidates: CANDIDATES, rate },
                 state,
                 effort,
-                &mut may_go_on,
+                &mut has_time,
             );
-            // A leisurely search leaves nothing out, so it does not count as capped.
-            effort.capped &= is_hurried || before.capped;
+            // A background search leaves nothing out, so it does not count as capped.
+            effort.capped &= is_fast || before.capped;
             let Some(found) = found else { return false };
             let now = |track: &SlowStateFilter| track.pose().compose(&walked.unwrap_or_default());
             let believed = self.state.track.as_ref().map(now).filter(|_| has_pose && self.settings.refinement);
             self.state.fitting = CandidateRefinement::of(believed, &found);
-            if !is_hurried {
+            if !is_fast {
                 return false;
             }
         }
         let best = match self.settings.refinement {
             false => self.best_supported(seen),
             true => {
-                if !self.refine_candidates(moment, seen, effort, &mut may_go_on) {
-                    effort.capped |= is_hurried;
+                if !self.refine_candidates(moment, seen, effort, &mut has_time) {
+                    effort.capped |= is_fast;
                     return false;
                 }
                 self.choose_pose(is_tracking)
@@ -163,19 +163,19 @@ impl Localizer {
         moment: &FrameSensors,
         seen: &Observations,
         effort: &mut Effort,
-        may_go_on: &mut MayGoOn,
+        has_time: &mut TimeCheck,
     ) -> bool {
         let Some(place) = moment.footprint_from_optical else { return false };
         let mut index = 0;
         while let Some(pose) = self.state.fitting.left.pop_front() {
             index += 1;
-            // A refinement counts as one pose, so that no two calls of `may_go_on` have the same argument.
+            // A refinement counts as one pose, so that no two calls of `has_time` have the same argument.
             effort.weighed += 1;
             if let Some(Refined { lines, map_from_optical, .. }) = self.refine_candidate(moment, seen, &pose)
                 // A picture without lines fits everywhere, best where none are expected, which is no evidence.
                 && agrees(&lines)
             {
-                let explained = self.painted.explained(seen.lines(), &place, &map_from_optical).share;
+                let explained = self.line_distances.explained(seen.lines(), &place, &map_from_optical).share;
                 let worth = lines.visible * (lines.share - THRESHOLDS.contradicted_share) * explained;
                 let pose = Pose2::from_isometry(&(map_from_optical * place.inverse()));
                 let convinces = convinces(&lines, explained, self.settings.valid.explained);
@@ -189,7 +189,7 @@ impl Localizer {
                     is_whole,
                 });
             }
-            if index >= MIN_REFINED && !may_go_on(effort.weighed) {
+            if index >= MIN_REFINED && !has_time(effort.weighed) {
                 break;
             }
         }

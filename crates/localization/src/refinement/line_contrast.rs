@@ -22,12 +22,12 @@ const MIN_CONTRAST: f64 = 0.12;
 /// Smallest contrast of a line, in standard deviations of plain carpet.
 const MIN_CONTRAST_TO_NOISE: f64 = 1.2;
 /// Largest difference of the carpet on both sides of a line, as a share of the expected contrast.
-const MOST_SLOPE: f64 = 0.35;
+const SLOPE_LIMIT: f64 = 0.35;
 /// Carpet that is lit at all is brighter than this share of the step from carpet to line. The gray values of lit carpet are
 /// about as large as the step itself.
 const MIN_LIT_SHARE: f64 = 0.2;
 /// Largest step that this share is taken of, gray levels: very clear paint asks for no brighter carpet.
-const MOST_UNLIT_LEVELS: f64 = 100.0;
+const LIT_STEP_LIMIT_LEVELS: f64 = 100.0;
 
 impl Paint {
     /// The paint of a picture, or `None` if nothing in it can be a line.
@@ -64,6 +64,6 @@ impl Paint {
     pub(super) fn are_carpet(&self, (left, right): (f32, f32)) -> bool {
         let (left, right) = (f64::from(left), f64::from(right));
         let step = self.contrast * (0.5 * (left + right) + f64::from(STRAY_LEVELS));
-        (left - right).abs() < MOST_SLOPE * step && left.max(right) > MIN_LIT_SHARE * step.min(MOST_UNLIT_LEVELS)
+        (left - right).abs() < SLOPE_LIMIT * step && left.max(right) > MIN_LIT_SHARE * step.min(LIT_STEP_LIMIT_LEVELS)
     }
 }

@@ -77,7 +77,7 @@ const MIN_SPACING_PX: f64 = 4.0;
 const REACH_SIGMAS: f64 = 2.5;
 /// ... within these limits.
 const MIN_REACH_PX: f64 = 2.5;
-const MOST_REACH_PX: f64 = 24.0;
+const REACH_LIMIT_PX: f64 = 24.0;
 /// Below about this width, a line is located the less precisely the thinner it is: less of it stands out of noise and blur.
 const THIN_PX: f64 = 2.4;
 /// Above about this width, a line is located the less precisely the wider it is: its profile holds more texture.
@@ -373,7 +373,7 @@ impl Expected {
         let shift = -tangent.cross(ray) / length;
         let gradient = nalgebra::Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
         let sigma = libm::sqrt(gradient.dot(&(covariance * gradient)).max(0.0));
-        (REACH_SIGMAS * sigma * self.pixels_per_rad()).clamp(MIN_REACH_PX, MOST_REACH_PX)
+        (REACH_SIGMAS * sigma * self.pixels_per_rad()).clamp(MIN_REACH_PX, REACH_LIMIT_PX)
     }
 
     /// The measurement of this place from what was found.

@@ -19,9 +19,9 @@ pub struct Miscalibration {
 /// Standard deviation of the speed at which a walking torso sways, which neither feet nor gyro measure.
 pub const UNSEEN_M_PER_S: f64 = 0.15;
 /// Standard deviation of the rate at which the torso rocks, which only a gyro measures: a constant part ...
-pub(super) const UNFELT_RAD_PER_S: f64 = 0.4;
+pub(super) const UNMEASURED_RAD_PER_S: f64 = 0.4;
 /// ... and a share of the rate that the feet tell.
-const UNFELT_SHARE: f64 = 0.3;
+const UNMEASURED_SHARE: f64 = 0.3;
 
 impl Miscalibration {
     /// A perfect calibration of a global shutter.
@@ -40,8 +40,8 @@ impl Miscalibration {
 }
 
 /// Standard deviation, about each axis, of the rotation that is not measured without a gyro, for a camera of this twist, rad/s.
-pub fn unfelt_rad_per_s(twist: &Twist) -> f64 {
-    libm::hypot(UNFELT_RAD_PER_S, UNFELT_SHARE * twist.angular.length())
+pub fn unmeasured_rad_per_s(twist: &Twist) -> f64 {
+    libm::hypot(UNMEASURED_RAD_PER_S, UNMEASURED_SHARE * twist.angular.length())
 }
 
 /// Time at which the row of a pixel is exposed, relative to the middle row, as a share of the readout time.

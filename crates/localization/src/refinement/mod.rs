@@ -23,7 +23,7 @@ use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
 use false_alarms::ChanceTest;
 use line_measurement::{CameraModel, Counts, Inspected, LineMeasurement, Response};
-use miscalibration::{Miscalibration, UNSEEN_M_PER_S, unfelt_rad_per_s};
+use miscalibration::{Miscalibration, UNSEEN_M_PER_S, unmeasured_rad_per_s};
 use realitysim_geometry::{Field, Isometry, Lens, Projector, Twist};
 use realitysim_vision::LineImage;
 
@@ -51,7 +51,7 @@ pub struct Prior {
     /// Velocity of the camera while the sensor is read row by row, in `camera_optical_frame`.
     pub twist: Twist,
     /// Whether the angular part of `twist` was measured by a gyro.
-    pub turn_is_felt: bool,
+    pub turn_is_measured: bool,
     /// Covariance of the errors of pose and lens.
     pub covariance: ErrorCovariance,
 }
@@ -266,8 +266,13 @@ impl Prior {
     pub fn of_pose(map_from_optical: Isometry, pose: &Matrix6<f64>) -> Self {
         let mut covariance = ErrorCovariance::zeros();
         covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(pose);
-        let mut prior =
-            Self { map_from_optical, lens: Miscalibration::NONE, twist: Twist::ZERO, turn_is_felt: true, covariance };
+        let mut prior = Self {
+            map_from_optical,
+            lens: Miscalibration::NONE,
+            twist: Twist::ZERO,
+            turn_is_measured: true,
+            covariance,
+        };
         prior.take_lens_as_known();
         prior
     }
@@ -297,9 +302,9 @@ impl Prior {
     }
 
     /// Variance, about each axis, of the rotation during the readout beyond what is believed, if there is no gyro.
-    fn unfelt_turn_rad2(&self) -> f64 {
+    fn unmeasured_turn_rad2(&self) -> f64 {
         let (readout_s, variance_s2) = (self.lens.readout_s, self.covariance[(READOUT, READOUT)]);
-        let turns = unfelt_rad_per_s(&self.twist);
+        let turns = unmeasured_rad_per_s(&self.twist);
         turns * turns * (readout_s * readout_s + variance_s2)
     }
 }

@@ -13,7 +13,7 @@ pub(super) struct Triangular<const N: usize, const W: usize> {
 const AT_ONCE: usize = 32;
 
 /// A column with a smaller sum of squares is taken for zero: entries of 1e-140 beside the prior's 1.
-const SMALLEST_SQUARE: f64 = 1e-280;
+const MIN_SQUARE_SUM: f64 = 1e-280;
 
 /// Collects rows into blocks and reduces each to a triangle.
 pub(super) struct Rows<const N: usize, const W: usize> {
@@ -99,7 +99,7 @@ impl<const N: usize, const W: usize> Triangular<N, W> {
             let (square, corner) = (products[column], self.r[column][column]);
             // Squares that underflow change no digit beside the prior's rows, whose entries are 1; divided by, they would give
             // infinities.
-            if square < SMALLEST_SQUARE {
+            if square < MIN_SQUARE_SUM {
                 continue;
             }
             let length = libm::sqrt(corner * corner + square);

@@ -77,7 +77,7 @@ pub(super) const SHARED_FACTOR: f64 = 2.0;
 /// Factor for lines that are off as a whole: such a line counts as one measurement, and lines share errors among each other.
 const WHOLE_LINE_FACTOR: f64 = 2.0;
 /// Largest correlation of neighbours.
-const MOST_CORRELATION: f64 = 0.85;
+const CORRELATION_LIMIT: f64 = 0.85;
 /// Cost of an expected line that is not seen, as much as that of one far off.
 pub(super) const MISS_COST: f64 = 0.5;
 
@@ -142,7 +142,7 @@ pub(super) fn joint(
     noises: [Noise; 2],
 ) -> Option<Joint> {
     let way = Cholesky::new(prior.unseen_way_m2())?.unpack();
-    if prior.turn_is_felt {
+    if prior.turn_is_measured {
         return joint_with::<3, WITH_WAY, 16>(prior, &way, measurements, moved, scale, noises);
     }
     joint_without_gyro(prior, &way, measurements, moved, scale, noises)
@@ -159,7 +159,7 @@ fn joint_without_gyro(
     scale: f64,
     noises: [Noise; 2],
 ) -> Option<Joint> {
-    let mut motion = Matrix6::identity() * libm::sqrt(prior.unfelt_turn_rad2());
+    let mut motion = Matrix6::identity() * libm::sqrt(prior.unmeasured_turn_rad2());
     motion.fixed_view_mut::<3, 3>(0, 0).copy_from(way);
     joint_with::<6, WITH_MOTION, 24>(prior, &motion, measurements, moved, scale, noises)
 }
@@ -251,7 +251,7 @@ impl Residuals {
         let variance = self.squared_px / count.max(1.0);
         let products = self.products_px / self.pairs.max(1) as f64;
         // Errors fade along the line like an autoregressive process: of n, n (1 - rho) / (1 + rho) are independent.
-        let rho = (products / variance.max(1e-12)).clamp(0.0, MOST_CORRELATION);
+        let rho = (products / variance.max(1e-12)).clamp(0.0, CORRELATION_LIMIT);
         let weight = self.pairs as f64 / (self.pairs as f64 + USUAL_PAIRS);
         let whole = self.line_sums_px / self.squared_px.max(1e-12);
         let correlated = weight * (WHOLE_LINE_FACTOR * whole).max(SHARED_FACTOR * (1.0 + rho) / (1.0 - rho))

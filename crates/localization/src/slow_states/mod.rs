@@ -14,7 +14,7 @@ pub use slip::Slip;
 
 use super::refinement::miscalibration::Miscalibration;
 use super::refinement::{ErrorCovariance, Errors, OF_LENS, Prior, Refined, UNKNOWNS};
-use realitysim_geometry::physical::MOST;
+use realitysim_geometry::physical::MAX_MAGNITUDE;
 use realitysim_geometry::{Isometry, Physical, Pose2, Twist, wrap_angle};
 
 /// Number of states: x, y, yaw of `base_footprint`; errors of the torso's roll and pitch, of the mount's roll and pitch, and of
@@ -127,9 +127,9 @@ const FULL_UPDATE_SHARE: f64 = 0.5;
 /// Gyro and odometry contradict each other beyond this many standard deviations of odometry.
 const APART_SIGMAS: f64 = 4.0;
 /// Largest relative error of odometry: beyond it odometry is broken, not scaled.
-const MOST_SCALE: f64 = 0.5;
+const SCALE_ERROR_LIMIT: f64 = 0.5;
 /// Largest error of the calibration: beyond it the calibration is that of another lens.
-const MOST_LENS: f64 = 0.05;
+const LENS_ERROR_LIMIT: f64 = 0.05;
 
 /// Motion of the robot since the last frame, by its sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -200,7 +200,7 @@ impl Physical for SlowStateFilter {
     fn is_possible(&self) -> bool {
         // A variance may be as large as the square of the largest number.
         let is_covariance = self.covariance.diagonal().iter().all(|variance| *variance >= 0.0)
-            && self.covariance.iter().all(|value| value.abs() <= MOST * MOST);
+            && self.covariance.iter().all(|value| value.abs() <= MAX_MAGNITUDE * MAX_MAGNITUDE);
         self.mean.as_slice().is_possible() && is_covariance && self.unlearnt_s >= 0.0 && self.slip.is_possible()
     }
 }
@@ -403,7 +403,13 @@ impl SlowStateFilter {
         covariance += scatter;
         covariance = (covariance + covariance.transpose()) * 0.5;
         Prediction {
-            prior: Prior { map_from_optical, lens: self.lens(), twist: Twist::ZERO, turn_is_felt: true, covariance },
+            prior: Prior {
+                map_from_optical,
+                lens: self.lens(),
+                twist: Twist::ZERO,
+                turn_is_measured: true,
+                covariance,
+            },
             sensitivity,
             scatter,
         }
@@ -433,8 +439,10 @@ impl SlowStateFilter {
         self.unlearnt_s = 0.0;
         self.mean += (gain * refined.moved).component_mul(&(State::repeat(1.0) - left));
         self.mean[YAW] = wrap_angle(self.mean[YAW]);
-        let most =
-            [DISTANCE, TURN].map(|index| (index, MOST_SCALE)).into_iter().chain(LENS.map(|index| (index, MOST_LENS)));
+        let most = [DISTANCE, TURN]
+            .map(|index| (index, SCALE_ERROR_LIMIT))
+            .into_iter()
+            .chain(LENS.map(|index| (index, LENS_ERROR_LIMIT)));
         for (index, most) in most {
             self.mean[index] = self.mean[index].clamp(-most, most);
         }
@@ -448,11 +456,11 @@ impl SlowStateFilter {
 
     /// The share of a frame's information that is not taken, for each state. `narrowed` is what the covariance would lose by it.
     fn untaken_shares(&self, narrowed: &Covariance) -> State {
-        let news = (self.unlearnt_s / SHARED_ERROR_S).min(1.0);
+        let new_share = (self.unlearnt_s / SHARED_ERROR_S).min(1.0);
         let mut left = State::zeros();
         for index in LENS {
             let share = narrowed[(index, index)] / self.covariance[(index, index)];
-            left[index] = if share > FULL_UPDATE_SHARE { 0.0 } else { 1.0 - news };
+            left[index] = if share > FULL_UPDATE_SHARE { 0.0 } else { 1.0 - new_share };
         }
         left
     }

@@ -29,7 +29,7 @@ const SEARCH_PX: i32 = 4;
 /// Largest number of matches of a pair of images: those with the most texture.
 const MAX_MATCHES: usize = 60;
 /// Largest distance of a patch from the camera, metres: beyond it a pixel covers too much ground for texture.
-const FARTHEST_M: f64 = 3.0;
+const RANGE_LIMIT_M: f64 = 3.0;
 /// Least texture: smaller eigenvalue of the mean squared gradient, in gray levels squared.
 const MIN_TEXTURE: f64 = 6.0;
 /// Correlation above which two patches show the same.
@@ -78,7 +78,7 @@ impl PatchMap {
             let ray: DVec3 = here.map_from_optical.transform_vector(projector.lens().unproject(pixel)?);
             let from = here.map_from_optical.translation;
             let distance = -from.z / ray.z;
-            let near = distance > 0.0 && distance < FARTHEST_M;
+            let near = distance > 0.0 && distance < RANGE_LIMIT_M;
             near.then(|| projector.project_inside(earlier_from_map.transform_point(from + ray * distance))).flatten()
         };
         let reach = f64::from(HALF_SIDE);

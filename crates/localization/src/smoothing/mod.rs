@@ -9,7 +9,7 @@
 
 pub mod alignment;
 pub mod chain;
-mod moving;
+mod moving_camera;
 mod residuals;
 mod same_ground;
 
@@ -18,7 +18,7 @@ use nalgebra::Matrix6;
 
 use crate::refinement::line_measurement::{CameraModel, LineMeasurement};
 use chain::{Border, Chain, Solution};
-use moving::MovingCamera;
+use moving_camera::MovingCamera;
 use realitysim_geometry::{Isometry, LensError, LensModel, LensParameters, Pose2, Twist};
 
 pub use residuals::Model;
@@ -39,7 +39,7 @@ pub struct Frame {
     /// Velocity of the camera in its own frame as far as feet, neck and gyro tell; zero if nothing tells.
     pub twist: Twist,
     /// Whether the angular part of `twist` was measured by a gyro.
-    pub turn_is_felt: bool,
+    pub turn_is_measured: bool,
     /// Line places that were found in the image.
     pub places: Vec<Place>,
     /// Ground that both this frame and the one before show.

@@ -3,10 +3,10 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::chain::{Border, Chain, FRAME_UNKNOWNS, FrameVector};
-use super::moving::MovingCamera;
+use super::moving_camera::MovingCamera;
 use super::{CONSTANTS, Constants, Frame, Linearised, Place, same_ground};
 use crate::refinement::error_between;
-use crate::refinement::miscalibration::{UNSEEN_M_PER_S, row, unfelt_rad_per_s};
+use crate::refinement::miscalibration::{UNSEEN_M_PER_S, row, unmeasured_rad_per_s};
 use realitysim_geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
 
 /// Standard deviations of everything that is fitted.
@@ -63,9 +63,9 @@ impl Default for Model {
 /// Scale of the robust loss (Geman-McClure), in standard deviations.
 pub(super) const ROBUST: f64 = 4.0;
 /// Odometry does not link frames that are farther apart in time.
-const LONGEST_STEP_NS: i64 = 1_000_000_000;
+const STEP_LIMIT_NS: i64 = 1_000_000_000;
 /// Standard deviation of the camera's angular rate by gyro.
-const FELT_RAD_PER_S: f64 = 0.02;
+const MEASURED_RAD_PER_S: f64 = 0.02;
 /// Smallest readout time that motion during the readout is computed with, so that its variance is not zero.
 const MIN_READOUT_S: f64 = 1e-4;
 /// Step of derivatives by differences.
@@ -224,7 +224,7 @@ fn add_tag(
 ) -> f64 {
     let tagged = error_between(&frame.map_from_optical, &here.pose);
     let Twist { linear, angular } = here.extra_motion;
-    let rad_per_s = if frame.turn_is_felt { FELT_RAD_PER_S } else { unfelt_rad_per_s(&frame.twist) };
+    let rad_per_s = if frame.turn_is_measured { MEASURED_RAD_PER_S } else { unmeasured_rad_per_s(&frame.twist) };
     let [way_m, turn_rad] =
         [UNSEEN_M_PER_S, rad_per_s].map(|rate| rate * libm::hypot(constants.readout_s, MIN_READOUT_S));
     let mut cost = 0.0;
@@ -286,7 +286,7 @@ fn add_step(chain: &mut Chain, i: usize, frames: [&Frame; 2], moving: [&MovingCa
     else {
         return 0.0;
     };
-    if !(0..=LONGEST_STEP_NS).contains(&elapsed_ns) {
+    if !(0..=STEP_LIMIT_NS).contains(&elapsed_ns) {
         return 0.0;
     }
     let seconds = elapsed_ns as f64 * 1e-9;

@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 
 use super::chain::{Border, Chain, FRAME_UNKNOWNS, FrameVector};
-use super::moving::MovingCamera;
+use super::moving_camera::MovingCamera;
 use super::residuals::{Camera, Cameras, Changed, DIFFERENCE_STEP, Model, ROBUST};
 use super::{Frame, Match};
 

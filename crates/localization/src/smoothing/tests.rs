@@ -84,7 +84,7 @@ fn swaying_walk(truth: &Constants, noise_px: f64, unseen_m_per_s: DVec3) -> (Vec
             odometry: Some(Pose2::new(3.0, 1.0, 0.4).compose(&feet)),
             turned_rad: None,
             twist,
-            turn_is_felt: true,
+            turn_is_measured: true,
             places,
             overlap: None,
         });

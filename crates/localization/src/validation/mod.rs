@@ -209,7 +209,7 @@ impl PoseValidator {
             seconds,
             shares,
             matches!(rejection, Some(Rejection::Spread | Rejection::FewLines)),
-            fix.surprised,
+            fix.contradicts_prediction,
         );
         let contradicted = match rejection {
             Some(Rejection::LinesDisagree | Rejection::NotStanding | Rejection::OffField) => true,
@@ -256,7 +256,7 @@ impl PoseValidator {
             };
         }
         // Lines and odometry show different motions: the robot is carried, or the pose is wrong.
-        if fix.surprised && !self.was_announced {
+        if fix.contradicts_prediction && !self.was_announced {
             return FrameVerdict::Surprises { needed: self.confirmations() };
         }
         let is_whole_frame = self.was_announced || !rules.refinement;
@@ -336,7 +336,7 @@ impl PoseValidator {
 
     /// Whether the lines in view are certainly those of the confirmed pose, even if sensors are missing.
     pub fn is_in_view(&self, rules: &Rules, moment: &FrameSensors, fix: &Fix) -> bool {
-        let is_certain = (self.is_well_established(fix) && !fix.surprised) || !rules.refinement;
+        let is_certain = (self.is_well_established(fix) && !fix.contradicts_prediction) || !rules.refinement;
         self.is_tracking() && is_certain && self.rejection_by_lines(rules, moment, fix).is_none()
     }
 
@@ -350,8 +350,8 @@ impl PoseValidator {
     /// Whether lines stand out where the pose has them about as much as in the frames before.
     fn is_usual(&self, fix: &Fix) -> bool {
         let is_new = !self.was_announced && self.proven_s < THRESHOLDS.proven_s;
-        let less = match (fix.adrift, is_new) {
-            (true, _) => THRESHOLDS.usual_margin_adrift,
+        let less = match (fix.lacks_odometry, is_new) {
+            (true, _) => THRESHOLDS.usual_margin_without_odometry,
             (false, true) => THRESHOLDS.usual_margin_new,
             (false, false) => THRESHOLDS.usual_margin,
         };
@@ -480,7 +480,7 @@ pub fn convinces(lines: &Agreement, explained: f64, least_explained: f64) -> boo
 fn agrees_both_ways(fix: &Fix) -> bool {
     let lines = &fix.agreement;
     let faint = THRESHOLDS.both_ways_per_px * lines.fainter_px();
-    let least = if fix.adrift { THRESHOLDS.both_ways_adrift } else { THRESHOLDS.both_ways - faint };
+    let least = if fix.lacks_odometry { THRESHOLDS.both_ways_without_odometry } else { THRESHOLDS.both_ways - faint };
     lines.expected < THRESHOLDS.min_expected || lines.share.min(lines.foremost) * fix.explained.share >= least
 }
 
@@ -584,9 +584,9 @@ mod tests {
             map_from_optical: Isometry::IDENTITY,
             covariance: Matrix6::identity() * 1e-4,
             refined: true,
-            surprised: false,
+            contradicts_prediction: false,
             strays: false,
-            adrift: false,
+            lacks_odometry: false,
             misfits: false,
             agreement: Agreement {
                 expected: 100,
@@ -623,7 +623,7 @@ mod tests {
             turned_rad: None,
             swayed_rad: None,
             camera_twist: None,
-            turn_is_felt: false,
+            turn_is_measured: false,
             footprint_from_optical: None,
             tilt_is_measured: true,
             lean_rad: None,

@@ -119,7 +119,7 @@ pub struct ValidationThresholds {
     /// Drop of the share of lines that stand out most below the usual one that contradicts a confirmed pose.
     pub usual_margin: f64,
     /// The same drop where nothing but lines has followed the pose since the last frame.
-    pub usual_margin_adrift: f64,
+    pub usual_margin_without_odometry: f64,
     /// The same drop for a pose that is found by search.
     pub usual_margin_found: f64,
     /// The same drop for a pose that has not been confirmed for long: where a goal's surroundings have led to a wrong pose, the
@@ -129,7 +129,7 @@ pub struct ValidationThresholds {
     pub both_ways: f64,
     /// The same product where nothing but lines tells where the robot has gone since the last frame: half a metre farther
     /// on, other lines fit too.
-    pub both_ways_adrift: f64,
+    pub both_ways_without_odometry: f64,
     /// Reduction of [`Self::both_ways`] for each pixel of the line width that is seen half the time, beyond the first.
     pub both_ways_per_px: f64,
     /// Reduction of the share that must be explained, where a confirmed pose has nearly all the lines that it expects.
@@ -202,11 +202,11 @@ pub const THRESHOLDS: ValidationThresholds = ValidationThresholds {
     faint_share_per_px: 0.12,
     usual_rate: 0.05,
     usual_margin: 0.3,
-    usual_margin_adrift: 0.1,
+    usual_margin_without_odometry: 0.1,
     usual_margin_found: 0.07,
     usual_margin_new: 0.15,
     both_ways: 0.6,
-    both_ways_adrift: 0.75,
+    both_ways_without_odometry: 0.75,
     both_ways_per_px: 0.04,
     held_fast_relief: 0.2,
     well_explained: 0.95,

@@ -18,7 +18,7 @@ use super::repair_journal::{Cut, RepairJournal};
 use super::segment_counts::SegmentCounts;
 use realitysim_config::Settings;
 use realitysim_ros2::mcap_read::{
-    Damage, LogReader, Part, Piece, ReadError, Remains, Selection, examine, metadata_records, remains, sound_pieces,
+    Damage, FileTail, LogReader, Part, Piece, ReadError, Selection, examine, file_tail, metadata_records, sound_pieces,
 };
 use realitysim_ros2::mcap_write::{LogWriter, WriteError};
 
@@ -28,7 +28,7 @@ pub(super) type Topics = BTreeMap<TopicEntry, u64>;
 /// Result of finishing a segment.
 pub(super) enum FinishOutcome {
     /// The segment holds no message.
-    Empty(Remains),
+    Empty(FileTail),
     /// The segment is whole under its final name.
     Whole {
         line: Box<ManifestLine>,
@@ -68,7 +68,7 @@ pub(super) fn finish(
     let others = count_readable(open()?).map_err(|error| error.at(active))?;
     if account.messages() == 0 && others == 0 {
         return Ok(FinishOutcome::Empty(
-            remains(open()?, sound.end).map_err(|error| CopyError::from(error).at(active))?,
+            file_tail(open()?, sound.end).map_err(|error| CopyError::from(error).at(active))?,
         ));
     }
     let fails = |source| RecordingError::io(active, source);

@@ -12,7 +12,7 @@ use super::SessionRepair;
 use super::quarantine::set_aside;
 use super::repair_journal::Cut;
 use super::segment::{FinishOutcome, finish};
-use realitysim_ros2::mcap_read::{Remains, metadata_records};
+use realitysim_ros2::mcap_read::{FileTail, metadata_records};
 
 impl SessionRepair<'_> {
     /// Finishes, sets aside or removes every unfinished segment.
@@ -34,7 +34,7 @@ impl SessionRepair<'_> {
             }
             let limit = cuts.get(&name).copied();
             match finish(self.storage, &path, &name, limit, &self.info.settings, &mut self.journal)? {
-                FinishOutcome::Empty(remains) => self.discard_empty(&path, &name, remains)?,
+                FinishOutcome::Empty(file_tail) => self.discard_empty(&path, &name, file_tail)?,
                 FinishOutcome::Whole { line, topics, damage, damaged } => {
                     if let Some(bytes) = line.cut_bytes {
                         let said = Cut { bytes, damage }.describe();
@@ -53,16 +53,16 @@ impl SessionRepair<'_> {
 
     /// Handles a segment without a message. If it is only the beginning of a log, it is removed; anything else is set
     /// aside, since it may be worth looking at.
-    fn discard_empty(&mut self, path: &Path, name: &str, remains: Remains) -> Result<(), RecordingError> {
+    fn discard_empty(&mut self, path: &Path, name: &str, file_tail: FileTail) -> Result<(), RecordingError> {
         let segment = self.session.join(name);
-        match remains {
-            Remains::Nothing => {}
-            Remains::Torn { bytes } => {
+        match file_tail {
+            FileTail::Nothing => {}
+            FileTail::Torn { bytes } => {
                 let damage = Some("it held nothing that was whole".to_owned());
                 let cut = self.journal.note(name, Cut { bytes, damage })?;
                 self.repaired.lost.push(Loss::new(&segment, cut.describe()));
             }
-            Remains::Other => {
+            FileTail::Other => {
                 let bytes = self.storage.list(self.session).map_err(|source| RecordingError::io(path, source))?;
                 let bytes = bytes.iter().find(|there| path.ends_with(&there.name)).and_then(Listed::bytes).unwrap_or(0);
                 let damage = Some("no message in it can be read: it is set aside".to_owned());

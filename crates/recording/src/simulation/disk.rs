@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use super::super::storage::{Kind, Listed, Readable, Space, Storage, StoredFile};
-use super::prng::Dice;
+use super::prng::Prng;
 
 /// Size of a sector, bytes.
 const SECTOR: usize = 512;
@@ -47,7 +47,7 @@ pub enum Failure {
 
 /// State of the disk.
 struct World {
-    dice: Dice,
+    prng: Prng,
     trouble: Trouble,
     operations: u64,
     clock: Duration,
@@ -90,7 +90,7 @@ impl SimulatedDisk {
     pub fn new(seed: u64, trouble: Trouble) -> Self {
         let names = BTreeMap::from([(PathBuf::from("/"), Node::Folder)]);
         Self(Arc::new(Mutex::new(World {
-            dice: Dice::new(seed),
+            prng: Prng::new(seed),
             trouble,
             operations: 0,
             clock: Duration::ZERO,
@@ -106,14 +106,14 @@ impl SimulatedDisk {
     /// Restores the power: what is left is what the disk holds.
     pub fn restart(&self) {
         let mut world = self.world();
-        let World { dice, files, safe_names, changes, .. } = &mut *world;
+        let World { prng, files, safe_names, changes, .. } = &mut *world;
         for changes in changes.values() {
-            let kept = dice.below(changes.len() as u64 + 1) as usize;
+            let kept = prng.below(changes.len() as u64 + 1) as usize;
             changes[..kept].iter().for_each(|change| change.apply(safe_names));
         }
-        let keeps = [0, 50, 95, 100][dice.below(4) as usize];
+        let keeps = [0, 50, 95, 100][prng.below(4) as usize];
         for file in files {
-            file.survive(dice, keeps);
+            file.survive(prng, keeps);
         }
         let folders: BTreeSet<PathBuf> =
             safe_names.iter().filter(|(_, node)| **node == Node::Folder).map(|(path, _)| path.clone()).collect();
@@ -202,7 +202,7 @@ impl World {
         self.operations += 1;
         self.clock += Duration::from_micros(100);
         if let Some((one_in, time)) = self.trouble.stalls
-            && self.dice.below(one_in) == 0
+            && self.prng.below(one_in) == 0
         {
             self.clock += time;
         }
@@ -282,9 +282,9 @@ impl Content {
     }
 
     /// Fails a sync: some sectors are safe nonetheless, and the others will never be tried again.
-    fn fail_to_sync(&mut self, dice: &mut Dice) {
+    fn fail_to_sync(&mut self, prng: &mut Prng) {
         for sector in std::mem::take(&mut self.dirty) {
-            if dice.below(2) == 0 {
+            if prng.below(2) == 0 {
                 self.safe.resize(self.safe.len().max(self.now.len().min((sector + 1) * SECTOR)), 0);
                 self.save(sector);
             }
@@ -297,18 +297,18 @@ impl Content {
     }
 
     /// Leaves of the content what survives a power cut: each unsafe sector with a probability of `keeps_percent`.
-    fn survive(&mut self, dice: &mut Dice, keeps_percent: u64) {
+    fn survive(&mut self, prng: &mut Prng, keeps_percent: u64) {
         if self.length_is_dirty {
             let [least, most] = [self.safe.len().min(self.now.len()), self.safe.len().max(self.now.len())];
-            let length = match dice.below(3) {
+            let length = match prng.below(3) {
                 0 => self.safe.len(),
                 1 => self.now.len(),
-                _ => least + dice.below((most - least) as u64 + 1) as usize,
+                _ => least + prng.below((most - least) as u64 + 1) as usize,
             };
             self.safe.resize(length, 0);
         }
         for sector in std::mem::take(&mut self.dirty) {
-            if dice.below(100) < keeps_percent && sector * SECTOR < self.safe.len() {
+            if prng.below(100) < keeps_percent && sector * SECTOR < self.safe.len() {
                 let end = ((sector + 1) * SECTOR).min(self.safe.len()).min(self.now.len());
                 let range = sector * SECTOR..end.max(sector * SECTOR);
                 self.safe[range.clone()].copy_from_slice(&self.now[range]);
@@ -452,7 +452,7 @@ impl StoredFile for SimulatedFile {
         let done = world.operate(false);
         let free = world.trouble.capacity_bytes.map_or(u64::MAX, |capacity| capacity.saturating_sub(world.used()));
         // A write that fails may have written something; one that succeeds may have written less than asked.
-        let most = if done.is_err() { world.dice.below(bytes.len() as u64 + 1) } else { bytes.len() as u64 };
+        let most = if done.is_err() { world.prng.below(bytes.len() as u64 + 1) } else { bytes.len() as u64 };
         let written = most.min(free) as usize;
         if !world.is_dead {
             world.files[self.id].write(&bytes[..written]);
@@ -464,10 +464,10 @@ impl StoredFile for SimulatedFile {
     fn sync(&self) -> io::Result<()> {
         let mut world = self.disk.world();
         let done = world.operate(true);
-        let World { files, dice, is_dead, .. } = &mut *world;
+        let World { files, prng, is_dead, .. } = &mut *world;
         match &done {
             Ok(()) => files[self.id].sync(),
-            Err(_) if !*is_dead => files[self.id].fail_to_sync(dice),
+            Err(_) if !*is_dead => files[self.id].fail_to_sync(prng),
             Err(_) => {}
         }
         done

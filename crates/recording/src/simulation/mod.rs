@@ -17,7 +17,7 @@ use super::repair::repair;
 use super::storage::Storage;
 use super::verify::verify;
 use disk::{Failure, SimulatedDisk, Trouble};
-use prng::Dice;
+use prng::Prng;
 use run::{CAPTURES, Run, Scripted, script, session};
 
 /// Asserts what holds for every disk that works again: the capture is whole and holds what was confirmed.
@@ -102,8 +102,8 @@ fn a_sound_disk_keeps_everything() {
 fn a_power_cut_costs_only_what_was_not_confirmed() {
     let mut worst = Duration::ZERO;
     for seed in 0..seeds(2500) {
-        let mut dice = Dice::new(seed ^ 0xc07);
-        let trouble = Trouble { cut_at: Some(1 + dice.below(90)), ..Trouble::default() };
+        let mut prng = Prng::new(seed ^ 0xc07);
+        let trouble = Trouble { cut_at: Some(1 + prng.below(90)), ..Trouble::default() };
         let run = Run::new(seed, trouble).until_the_end();
         worst = worst.max(run.oldest_unconfirmed);
         run.disk.restart();
@@ -133,10 +133,10 @@ fn an_error_at_any_operation_is_survived() {
 #[test]
 fn a_sync_that_fails_is_never_tried_again_on_its_file() {
     for seed in 0..seeds(1000) {
-        let mut dice = Dice::new(seed ^ 0xf5);
-        let at = 1 + dice.below(70);
-        let fails = vec![(at..at + 1 + dice.below(30), Failure::Sync)];
-        let cut_at = (dice.below(2) == 0).then(|| at + 1 + dice.below(60));
+        let mut prng = Prng::new(seed ^ 0xf5);
+        let at = 1 + prng.below(70);
+        let fails = vec![(at..at + 1 + prng.below(30), Failure::Sync)];
+        let cut_at = (prng.below(2) == 0).then(|| at + 1 + prng.below(60));
         let run = Run::new(seed, Trouble { fails, cut_at, ..Trouble::default() }).until_the_end();
         if cut_at.is_some() {
             run.disk.restart();
@@ -154,15 +154,15 @@ fn a_sync_that_fails_is_never_tried_again_on_its_file() {
 #[test]
 fn errors_stalls_and_a_power_cut_together_break_no_promise() {
     for seed in 0..seeds(1500) {
-        let mut dice = Dice::new(seed ^ 0xa11);
+        let mut prng = Prng::new(seed ^ 0xa11);
         let mut fails = Vec::new();
-        for _ in 0..dice.below(4) {
-            let at = 1 + dice.below(80);
+        for _ in 0..prng.below(4) {
+            let at = 1 + prng.below(80);
             let kinds = [Failure::Sync, Failure::Any(ErrorKind::Other), Failure::Any(ErrorKind::StorageFull)];
-            fails.push((at..at + 1 + dice.below(20), kinds[dice.below(3) as usize]));
+            fails.push((at..at + 1 + prng.below(20), kinds[prng.below(3) as usize]));
         }
-        let stalls = (dice.below(2) == 0).then(|| (1 + dice.below(20), Duration::from_millis(dice.below(900))));
-        let cut_at = (dice.below(3) > 0).then(|| 1 + dice.below(120));
+        let stalls = (prng.below(2) == 0).then(|| (1 + prng.below(20), Duration::from_millis(prng.below(900))));
+        let cut_at = (prng.below(3) > 0).then(|| 1 + prng.below(120));
         let run = Run::new(seed, Trouble { fails, cut_at, stalls, ..Trouble::default() }).until_the_end();
         if run.disk.is_dead() {
             run.disk.restart();
@@ -177,12 +177,12 @@ fn errors_stalls_and_a_power_cut_together_break_no_promise() {
 #[test]
 fn a_repair_that_is_cut_off_is_done_by_the_next() {
     for seed in 0..seeds(600) {
-        let mut dice = Dice::new(seed ^ 0x4e9);
-        let trouble = Trouble { cut_at: Some(10 + dice.below(80)), ..Trouble::default() };
+        let mut prng = Prng::new(seed ^ 0x4e9);
+        let trouble = Trouble { cut_at: Some(10 + prng.below(80)), ..Trouble::default() };
         let run = Run::new(seed, trouble).until_the_end();
         run.disk.restart();
         for _ in 0..3 {
-            let cut_at = Some(run.disk.operations() + 1 + dice.below(12));
+            let cut_at = Some(run.disk.operations() + 1 + prng.below(12));
             run.disk.trouble(Trouble { cut_at, ..Trouble::default() });
             if let Some(session) = session(&run.disk) {
                 let _ = repair(&run.disk, &session);
@@ -237,8 +237,8 @@ fn a_repair_that_is_killed_leaves_its_loss_to_the_next_to_tell() {
 #[test]
 fn a_disk_that_is_full_and_emptied_again_loses_nothing_that_fits() {
     for seed in 0..seeds(300) {
-        let mut dice = Dice::new(seed ^ 0xf11);
-        let trouble = Trouble { capacity_bytes: Some(4000 + dice.below(60_000)), ..Trouble::default() };
+        let mut prng = Prng::new(seed ^ 0xf11);
+        let trouble = Trouble { capacity_bytes: Some(4000 + prng.below(60_000)), ..Trouble::default() };
         let mut run = Run::new(seed, trouble);
         run.feed_half();
         run.disk.heal();
@@ -255,7 +255,7 @@ fn a_disk_that_stays_full_has_as_much_as_fits() {
         let refuses = vec![(0..u64::MAX, Failure::Any(ErrorKind::Other))];
         let mut run = Run::new(seed, Trouble { fails: refuses, ..Trouble::default() });
         run.feed_half();
-        let capacity = 24_000 + Dice::new(seed ^ 0xca9).below(8_000);
+        let capacity = 24_000 + Prng::new(seed ^ 0xca9).below(8_000);
         run.disk.trouble(Trouble { capacity_bytes: Some(capacity), ..Trouble::default() });
         let run = run.until_the_end();
         assert!(!run.is_finished, "seed {seed}: it has far more");

@@ -1,9 +1,9 @@
 //! Pseudorandom numbers from a seed (SplitMix64, Steele et al. 2014).
 
 /// The generator.
-pub struct Dice(u64);
+pub struct Prng(u64);
 
-impl Dice {
+impl Prng {
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }

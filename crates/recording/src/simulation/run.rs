@@ -5,8 +5,8 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use super::disk::{SimulatedDisk, Trouble};
-use super::prng::Dice;
-use crate::entry::{Beginning, Entry, Kind};
+use super::prng::Prng;
+use crate::entry::{Entry, Kind, SegmentStart};
 use crate::folder::manifest_lines;
 use crate::manifest::{Counts, FORMAT_VERSION, SESSION_FILE, SessionInfo};
 use crate::record_queue::{QueueLimits, QueuedEntry, RecordQueue};
@@ -71,10 +71,10 @@ impl Scripted {
 /// Script of a walk: constants, measurements, frames with their tags, some of them thinned out, and now and then a
 /// segment.
 pub fn script(seed: u64) -> Vec<Scripted> {
-    let mut dice = Dice::new(seed);
+    let mut prng = Prng::new(seed);
     let mut bytes = |least: u64, most: u64| {
-        let length = least + dice.below(most - least + 1);
-        (0..length).map(|_| dice.next() as u8).collect::<Vec<u8>>()
+        let length = least + prng.below(most - least + 1);
+        (0..length).map(|_| prng.next() as u8).collect::<Vec<u8>>()
     };
     let mut all = vec![Scripted::Begin(bytes(50, 300)), Scripted::Message(Kind::Latched, bytes(60, 60))];
     let frames = 24 + bytes(0, 16).len();
@@ -188,7 +188,7 @@ fn entry(place: usize, scripted: &Scripted) -> Entry {
     let log_time_ns = 1_000_000_000 + place as i64 * 1_000_000;
     match scripted {
         Scripted::Begin(state) => {
-            Entry::Begin(Beginning { log_time_ns, name: "filter_state".to_owned(), state: state.clone() })
+            Entry::Begin(SegmentStart { log_time_ns, name: "filter_state".to_owned(), state: state.clone() })
         }
         Scripted::Thinned => Entry::Thinned,
         Scripted::Message(kind, data) => {

@@ -14,7 +14,7 @@ use super::error::{SyncError, io};
 use super::prune::{Copy, Decision, Goal, decide};
 use super::store::{Store, is_as_recorded};
 use crate::catalogue::{session_at, sessions_in};
-use crate::{FolderLock, Session, is_probe, prove_apart, receiver_of, silence, sync_folder};
+use crate::{FolderLock, Session, is_probe, prove_distinct, receiver_of, silence, sync_folder};
 
 /// What may be deleted from a folder of captures, and why.
 ///
@@ -106,7 +106,7 @@ impl<'a> Removal<'a> {
         let relied_on = self.found.get(&session.folder).filter(|_| relies_on_copy);
         let is_as_found = || relied_on.is_none_or(FoundCopy::is_as_found);
         // The folders may be others than before: a disk may be unplugged and another appear under its name.
-        let is_apart = relied_on.is_none_or(|copy| prove_apart(&session.folder, &copy.folder).is_ok());
+        let is_apart = relied_on.is_none_or(|copy| prove_distinct(&session.folder, &copy.folder).is_ok());
         if !session_at(&session.folder).is_ok_and(|now| now == *session) || !is_as_found() || !is_apart {
             return Ok(None);
         }
@@ -174,7 +174,7 @@ fn finish_earlier(captures: &Path) -> Result<(), SyncError> {
 fn copy_in(session: &Session, copy: &Path) -> Result<Option<FoundCopy>, String> {
     let Ok((others, _)) = sessions_in(copy) else { return Ok(None) };
     let Some(other) = others.into_iter().find(|other| other.id == session.id) else { return Ok(None) };
-    prove_apart(&session.folder, &other.folder).map_err(|why| why.to_string())?;
+    prove_distinct(&session.folder, &other.folder).map_err(|why| why.to_string())?;
     let files = whole_in(session, &other);
     Ok(files.map(|files| FoundCopy { folder: other.folder, files }))
 }

@@ -53,7 +53,7 @@ pub struct Plan {
     /// Finished segments that are not fetched, since their manifest is not believed, or contradicts the one here.
     pub left_there: u64,
     /// Names that several robots share, each with these robots' numbers and a session's folder of each.
-    pub namesakes: BTreeMap<String, Vec<String>>,
+    pub shared_names: BTreeMap<String, Vec<String>>,
     /// Folders here, by session.
     pub folders: BTreeMap<SessionId, String>,
 }
@@ -117,7 +117,7 @@ pub fn plan(
         }
     }
     plan.items.sort_by(|a, b| (a.line.times(), &a.there, &a.line.name).cmp(&(b.line.times(), &b.there, &b.line.name)));
-    plan.namesakes = namesakes(there.iter().chain(here));
+    plan.shared_names = shared_names(there.iter().chain(here));
     plan
 }
 
@@ -222,7 +222,7 @@ fn free_name(session: &Session, taken: &[String]) -> String {
 }
 
 /// Finds names that several robots share.
-fn namesakes<'a>(sessions: impl Iterator<Item = &'a Session>) -> BTreeMap<String, Vec<String>> {
+fn shared_names<'a>(sessions: impl Iterator<Item = &'a Session>) -> BTreeMap<String, Vec<String>> {
     let mut machines: BTreeMap<&str, BTreeMap<&str, &str>> = BTreeMap::new();
     for session in sessions {
         if let Some(id) = session.head.robot_id() {

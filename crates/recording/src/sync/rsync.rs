@@ -25,7 +25,7 @@ const SILENCE_S: &str = "--timeout=60";
 /// Option for the largest small file that is fetched along with its session.
 const MAX_SMALL_FILE: &str = "--max-size=64m";
 /// Most bytes of rsync's complaints that are kept.
-const MAX_SAID_BYTES: u64 = 64 << 10;
+const MAX_STDERR_BYTES: u64 = 64 << 10;
 /// Most lines of rsync's output that wait.
 const MAX_LINES: usize = 1024;
 /// Time between two calls of `tick` while rsync prints nothing.
@@ -206,7 +206,7 @@ fn first_complaint(complaints: &str) -> String {
 /// Reads what rsync says. The beginning is kept; the rest is read and dropped, so that rsync does not block.
 fn read_complaints(mut stderr: impl Read) -> String {
     let mut bytes = Vec::new();
-    let _ = stderr.by_ref().take(MAX_SAID_BYTES).read_to_end(&mut bytes);
+    let _ = stderr.by_ref().take(MAX_STDERR_BYTES).read_to_end(&mut bytes);
     let _ = std::io::copy(&mut stderr, &mut std::io::sink());
     String::from_utf8_lossy(&bytes).into_owned()
 }

@@ -151,7 +151,7 @@ impl Store {
             // Another sync, from another source, was faster; the file keeps its name all the time.
             if is_as_recorded(&path, &item.line).is_ok_and(|whole| whole) {
                 sync_folder(&folder)?;
-                self.vouch(&folder, &item.line)?;
+                self.acknowledge_segment(&folder, &item.line)?;
                 fs::remove_file(staged).map_err(io(staged))?;
                 return Ok(VerifyOutcome::Verified);
             }
@@ -159,7 +159,7 @@ impl Store {
         }
         fs::rename(staged, &path).map_err(io(&path))?;
         sync_folder(&folder)?;
-        self.vouch(&folder, &item.line)?;
+        self.acknowledge_segment(&folder, &item.line)?;
         Ok(VerifyOutcome::Verified)
     }
 
@@ -172,7 +172,7 @@ impl Store {
             return Ok(VerifyOutcome::Damaged);
         }
         sync_folder(&folder)?;
-        self.vouch(&folder, &item.line)?;
+        self.acknowledge_segment(&folder, &item.line)?;
         Ok(VerifyOutcome::Verified)
     }
 
@@ -210,11 +210,11 @@ impl Store {
     /// Stops relying on another store's acknowledgements of a session.
     pub fn no_longer_rely_on(&self, session: &Session, receiver: &str) -> Result<(), SyncError> {
         let _turn = self.turn()?;
-        self.disown(session, receiver)
+        self.stop_relying_on(session, receiver)
     }
 
     /// Does the same for a caller that holds the lock.
-    fn disown(&self, session: &Session, receiver: &str) -> Result<(), SyncError> {
+    fn stop_relying_on(&self, session: &Session, receiver: &str) -> Result<(), SyncError> {
         if receiver == self.receiver { Ok(()) } else { Ok(silence(session, receiver)?) }
     }
 
@@ -264,7 +264,7 @@ impl Store {
                 // The session was moved or copied here from the folder that received it, whose acknowledgement stands
                 // for this very copy.
                 Some(old) if old.receiver != self.receiver => {
-                    self.disown(&ours, &old.receiver)?;
+                    self.stop_relying_on(&ours, &old.receiver)?;
                     note_received(&ours.folder, &Received { hops: old.hops.max(received.hops), ..received })?;
                 }
                 _ => {}
@@ -286,7 +286,7 @@ impl Store {
     }
 
     /// Lists a segment in the manifest and acknowledges it.
-    fn vouch(&self, folder: &Path, line: &ManifestLine) -> Result<(), SyncError> {
+    fn acknowledge_segment(&self, folder: &Path, line: &ManifestLine) -> Result<(), SyncError> {
         let found = session_at(folder).map_err(|why| io(folder)(io::Error::other(why.why)))?;
         if !found.lines.contains(line) {
             let path = folder.join(MANIFEST_FILE);

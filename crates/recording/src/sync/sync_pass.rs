@@ -17,7 +17,7 @@ use super::selection::Selection;
 use super::source::Source;
 use super::source_state::SourceState;
 use super::store::Store;
-use crate::{ACK_FOLDER, NotApart, Session, SessionId, SetAside, prove_apart};
+use crate::{ACK_FOLDER, NotDistinct, Session, SessionId, SetAside, prove_distinct};
 
 /// What to sync, and how.
 #[derive(Clone, Debug)]
@@ -92,7 +92,8 @@ pub struct Report {
     /// What is not understood and left alone.
     pub set_aside: Vec<SetAside>,
     /// Names that several robots share, with a description of each robot.
-    pub namesakes: BTreeMap<String, Vec<String>>,
+    #[serde(rename = "namesakes")]
+    pub shared_names: BTreeMap<String, Vec<String>>,
     /// Duration of the pass, s.
     pub wall_s: f64,
     /// Why the pass ended early; `None` if it did not.
@@ -165,7 +166,7 @@ pub fn round(
     report.lost.append(&mut plan.lost);
     report.elsewhere.append(&mut plan.elsewhere);
     report.set_aside.append(&mut plan.set_aside);
-    report.namesakes = std::mem::take(&mut plan.namesakes);
+    report.shared_names = std::mem::take(&mut plan.shared_names);
     let (damaged, not_had) = (BTreeMap::new(), Vec::new());
     let mut work = Fetcher {
         store,
@@ -278,9 +279,9 @@ fn acknowledge(
     if let (false, Some(ours)) = (options.source.is_remote(), ours) {
         let there = Path::new(&options.source.folder).join(&session.name);
         // Where only `ack/` may be written, a probe in that folder proves as much.
-        let apart = prove_apart(&there, &ours.folder).or_else(|why| match why {
-            NotApart::Unproven { .. } => prove_apart(&there.join(ACK_FOLDER), &ours.folder.join(ACK_FOLDER)),
-            same @ NotApart::Same(..) => Err(same),
+        let apart = prove_distinct(&there, &ours.folder).or_else(|why| match why {
+            NotDistinct::Unproven { .. } => prove_distinct(&there.join(ACK_FOLDER), &ours.folder.join(ACK_FOLDER)),
+            same @ NotDistinct::Same(..) => Err(same),
         });
         if let Err(why) = apart {
             return refused(format!("{}: nothing is acknowledged: {why}", session.name));

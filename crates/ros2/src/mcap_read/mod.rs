@@ -21,7 +21,7 @@ use std::sync::Arc;
 pub use attachments::{Attachment, Attachments, MAX_ATTACHMENT_BYTES, MetadataRecord, attachments};
 pub use channels::{Channel, Selection};
 pub use error::{Damage, ReadError};
-pub use resync::{Remains, remains};
+pub use resync::{FileTail, file_tail};
 pub use sound::{Part, Piece, Sound, sound_pieces};
 pub use survey::{Survey, Topic, examine, metadata_records, survey};
 

@@ -63,7 +63,7 @@ pub(super) fn has_chunk_shape(record: &Record, head: &[u8]) -> bool {
 
 /// The content of a file that gives no message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Remains {
+pub enum FileTail {
     /// The file is empty, all zeros, or the beginning of a log with nothing but zeros behind it.
     Nothing,
     /// The file is the beginning of a log and an unfinished record.
@@ -76,42 +76,42 @@ pub enum Remains {
 }
 
 /// Judges a file out of which no reader gets a message, and whose first `sound` bytes are sound.
-pub fn remains<R: Read + Seek>(mut reader: R, sound: u64) -> Result<Remains, ReadError> {
+pub fn file_tail<R: Read + Seek>(mut reader: R, sound: u64) -> Result<FileTail, ReadError> {
     reader.rewind()?;
     if is_zero(&mut reader)? {
-        return Ok(Remains::Nothing);
+        return Ok(FileTail::Nothing);
     }
     let mut source = match Source::open(reader) {
-        Err(ReadError::NotMcap { .. }) => return Ok(Remains::Other),
+        Err(ReadError::NotMcap { .. }) => return Ok(FileTail::Other),
         source => source?,
     };
     let mut position = MAGIC.len() as u64;
     match source.record_at(position)? {
         Ok(record) if record.opcode == op::HEADER => position = record.end().max(sound),
-        Ok(_) => return Ok(Remains::Other),
+        Ok(_) => return Ok(FileTail::Other),
         Err(_) => return judge_torn_head(&mut source, position),
     }
     if next_chunk(&mut source, position)?.is_some() {
-        return Ok(Remains::Other);
+        return Ok(FileTail::Other);
     }
     while position < source.length() {
         match source.record_at(position)? {
-            Ok(Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(Remains::Nothing),
+            Ok(Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(FileTail::Nothing),
             Ok(record) if matches!(record.opcode, op::ATTACHMENT | op::METADATA | op::MESSAGE_INDEX) => {
                 position = record.end();
             }
-            Ok(_) => return Ok(Remains::Other),
+            Ok(_) => return Ok(FileTail::Other),
             Err(_) => break,
         }
     }
     match is_zero_from(&mut source, position)? {
-        true => Ok(Remains::Nothing),
-        false => Ok(Remains::Torn { bytes: source.length() - position }),
+        true => Ok(FileTail::Nothing),
+        false => Ok(FileTail::Torn { bytes: source.length() - position }),
     }
 }
 
 /// Judges a file that ends within the header of the log, which begins at `position`.
-fn judge_torn_head<R: Read + Seek>(source: &mut Source<R>, position: u64) -> Result<Remains, ReadError> {
+fn judge_torn_head<R: Read + Seek>(source: &mut Source<R>, position: u64) -> Result<FileTail, ReadError> {
     let mut head = Vec::new();
     source.read_at(position, RECORD_HEAD_BYTES.min(source.length().saturating_sub(position)), &mut head)?;
     let mut fields = Fields::new(&head);
@@ -120,7 +120,7 @@ fn judge_torn_head<R: Read + Seek>(source: &mut Source<R>, position: u64) -> Res
         (Some(opcode), length) => opcode == op::HEADER && length.is_none_or(|length| length <= MAX_LOG_HEAD_BYTES),
     };
     let is_nothing = is_begun || is_zero_from(source, position)?;
-    Ok(if is_nothing { Remains::Nothing } else { Remains::Other })
+    Ok(if is_nothing { FileTail::Nothing } else { FileTail::Other })
 }
 
 /// Whether the file holds only zeros from `position` on.

@@ -65,12 +65,12 @@ pub struct Topic {
 
 /// The number of messages of a channel, and the first and last of their log times.
 #[derive(Clone, Copy, Default)]
-struct Tally {
+struct ChannelCounts {
     messages: u64,
     times: Option<(i64, i64)>,
 }
 
-impl Tally {
+impl ChannelCounts {
     /// Extends the span of log times.
     fn extend(&mut self, first: i64, last: i64) {
         self.times = Some(self.times.map_or((first, last), |(from, to)| (from.min(first), to.max(last))));
@@ -107,14 +107,14 @@ fn survey_log<R: Read + Seek>(reader: R, reads_all: bool) -> Result<Survey, Read
     for record in records.iter().filter(|record| record.opcode == op::ATTACHMENT) {
         survey.attachments.extend(read_attachment_name(&mut source, record)?);
     }
-    let tallies = match &index {
-        Some(index) if !reads_all => tally_by_index(index, &mut source)?,
+    let channel_counts = match &index {
+        Some(index) if !reads_all => count_by_index(index, &mut source)?,
         _ => None,
     };
-    match (tallies, index) {
-        (Some(tallies), Some(index)) => {
+    match (channel_counts, index) {
+        (Some(channel_counts), Some(index)) => {
             survey.compressions = index.chunks.iter().map(|chunk| compression_name(&chunk.compression)).collect();
-            survey.topics = merge_topics(channels.iter(), &tallies);
+            survey.topics = merge_topics(channels.iter(), &channel_counts);
         }
         (_, index) => {
             if reads_all {
@@ -129,14 +129,14 @@ fn survey_log<R: Read + Seek>(reader: R, reads_all: bool) -> Result<Survey, Read
             }
             let order = index.map_or_else(Order::by_file, |index| Order::by_index(index.chunks, &channels));
             let mut reader = LogReader { source, channels, damage, order, place: None };
-            let mut tallies: BTreeMap<u16, Tally> = BTreeMap::new();
+            let mut channel_counts: BTreeMap<u16, ChannelCounts> = BTreeMap::new();
             for message in &mut reader {
                 let message = message?;
-                let tally = tallies.entry(message.channel.id).or_default();
-                tally.messages += 1;
-                tally.extend(message.log_time_ns, message.log_time_ns);
+                let counts = channel_counts.entry(message.channel.id).or_default();
+                counts.messages += 1;
+                counts.extend(message.log_time_ns, message.log_time_ns);
             }
-            survey.topics = merge_topics(reader.channels(), &tallies);
+            survey.topics = merge_topics(reader.channels(), &channel_counts);
             damage = reader.damage;
         }
     }
@@ -154,40 +154,40 @@ pub fn metadata_records<R: Read + Seek>(reader: R) -> Result<Vec<MetadataRecord>
 
 /// Takes the counts from the statistics, and the times from the message indexes of those chunks that can hold the first and
 /// the last message; `None` if the file lacks these.
-fn tally_by_index<R: Read + Seek>(
+fn count_by_index<R: Read + Seek>(
     summary: &Summary,
     source: &mut Source<R>,
-) -> Result<Option<BTreeMap<u16, Tally>>, ReadError> {
+) -> Result<Option<BTreeMap<u16, ChannelCounts>>, ReadError> {
     let Some(statistics) = &summary.statistics else { return Ok(None) };
-    let mut tallies = BTreeMap::new();
+    let mut channel_counts = BTreeMap::new();
     for (&channel, &messages) in &statistics.channel_message_counts {
-        let mut tally = Tally { messages, times: None };
+        let mut counts = ChannelCounts { messages, times: None };
         let mut chunks: Vec<(&ChunkIndex, u64)> = Vec::new();
         chunks.extend(summary.chunks.iter().filter_map(|c| Some((c, *c.message_index_offsets.get(&channel)?))));
         if messages > 0 {
             chunks.sort_by_key(|(chunk, _)| chunk.message_start_time);
             for (chunk, offset) in &chunks {
-                if tally.times.is_some_and(|(first, _)| nanoseconds(chunk.message_start_time) >= first) {
+                if counts.times.is_some_and(|(first, _)| nanoseconds(chunk.message_start_time) >= first) {
                     break;
                 }
                 let Some((first, last)) = indexed_times(chunk, channel, *offset, source)? else { return Ok(None) };
-                tally.extend(first, last);
+                counts.extend(first, last);
             }
             chunks.sort_by_key(|(chunk, _)| std::cmp::Reverse(chunk.message_end_time));
             for (chunk, offset) in &chunks {
-                if tally.times.is_some_and(|(_, last)| nanoseconds(chunk.message_end_time) <= last) {
+                if counts.times.is_some_and(|(_, last)| nanoseconds(chunk.message_end_time) <= last) {
                     break;
                 }
                 let Some((first, last)) = indexed_times(chunk, channel, *offset, source)? else { return Ok(None) };
-                tally.extend(first, last);
+                counts.extend(first, last);
             }
-            if tally.times.is_none() {
+            if counts.times.is_none() {
                 return Ok(None);
             }
         }
-        tallies.insert(channel, tally);
+        channel_counts.insert(channel, counts);
     }
-    Ok(Some(tallies))
+    Ok(Some(channel_counts))
 }
 
 /// Reads the first and last log time of a channel in a chunk; `None` if the message index is not plausible.
@@ -213,7 +213,10 @@ fn indexed_times<R: Read + Seek>(
 }
 
 /// Merges channels of the same topic, type and encoding.
-fn merge_topics<'a>(channels: impl Iterator<Item = &'a Arc<Channel>>, tallies: &BTreeMap<u16, Tally>) -> Vec<Topic> {
+fn merge_topics<'a>(
+    channels: impl Iterator<Item = &'a Arc<Channel>>,
+    channel_counts: &BTreeMap<u16, ChannelCounts>,
+) -> Vec<Topic> {
     let mut found: BTreeMap<(&str, &str, &str), Topic> = BTreeMap::new();
     for channel in channels {
         let key = (channel.topic.as_str(), channel.type_name.as_str(), channel.message_encoding.as_str());
@@ -229,9 +232,9 @@ fn merge_topics<'a>(channels: impl Iterator<Item = &'a Arc<Channel>>, tallies: &
             last_log_time_ns: None,
         });
         topic.latched |= channel.is_latched();
-        let tally = tallies.get(&channel.id).copied().unwrap_or_default();
-        topic.messages = topic.messages.saturating_add(tally.messages);
-        if let Some((first, last)) = tally.times {
+        let counts = channel_counts.get(&channel.id).copied().unwrap_or_default();
+        topic.messages = topic.messages.saturating_add(counts.messages);
+        if let Some((first, last)) = counts.times {
             topic.first_log_time_ns = Some(topic.first_log_time_ns.map_or(first, |time| time.min(first)));
             topic.last_log_time_ns = Some(topic.last_log_time_ns.map_or(last, |time| time.max(last)));
         }

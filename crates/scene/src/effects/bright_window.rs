@@ -5,9 +5,11 @@
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role};
 use crate::SceneError;
 use crate::check::check_range;
+use crate::per_frame::Changing;
+use realitysim_geometry::Field;
 
 /// A bright window. Lengths are metres.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -58,9 +60,12 @@ fn sun_gain() -> f64 {
     1.8
 }
 
-impl BrightWindow {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for BrightWindow {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.centre_m"), self.centre_m, -100.0..=100.0, "-100 to 100 m along the wall")?;
         check_range(format_args!("{key}.width_m"), self.width_m, 0.1..=50.0, "0.1 to 50 m")?;
         check_range(format_args!("{key}.sill_m"), self.sill_m, 0.0..=6.0, "0 to 6 m above the floor")?;
@@ -76,5 +81,9 @@ impl BrightWindow {
             "2 to 80 degrees above the horizon",
         )?;
         check_range(format_args!("{key}.sun_gain"), self.sun_gain, 1.0..=5.0, "1 to 5 times the light without it")
+    }
+
+    fn set_in(&self, changing: &mut Changing, _: u64) {
+        changing.window = Some(self.clone());
     }
 }

@@ -3,7 +3,7 @@
 use glam::DVec2;
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role};
 use crate::check::{check_range, refuse};
 use crate::{Mount, SceneError};
 use realitysim_geometry::{Euler, Isometry, Lens, LensParameters};
@@ -36,9 +36,12 @@ pub struct CalibrationError {
     pub height_m: f64,
 }
 
-impl CalibrationError {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for CalibrationError {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.focal_percent"), self.focal_percent, -20.0..=20.0, "-20 to 20 percent")?;
         for (axis, value) in ["x", "y"].iter().zip(self.centre_px) {
             let key = format_args!("{key}.centre_px ({axis})").to_string();
@@ -54,6 +57,18 @@ impl CalibrationError {
         check_range(format_args!("{key}.height_m"), self.height_m, -0.2..=0.2, "-0.2 to 0.2 m")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        self.has_no_effect().then_some("at least one of its keys other than 0")
+    }
+
+    fn add_to(&self, scene: &mut Scene, key: &str) -> Result<(), SceneError> {
+        scene.announced_lens = self.lens(key, scene.lens.parameters())?;
+        scene.calibration_error = Some(self.clone());
+        Ok(())
+    }
+}
+
+impl CalibrationError {
     /// Whether the values change nothing.
     pub(super) fn has_no_effect(&self) -> bool {
         let Self {
@@ -95,3 +110,5 @@ impl CalibrationError {
         announced
     }
 }
+use crate::Scene;
+use realitysim_geometry::Field;

@@ -2,10 +2,12 @@
 
 use serde::Deserialize;
 
-use super::{Role, Span};
+use super::{EffectKind, Role, Span};
+use crate::Scene;
 use crate::SceneError;
 use crate::check::check_range;
 use crate::stream::{Purpose, Stream};
+use realitysim_geometry::Field;
 
 /// A camera that is unplugged for a while.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -17,14 +19,28 @@ pub struct CameraFault {
     pub unplugged: Span,
 }
 
-impl CameraFault {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for CameraFault {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         let Span { from_s, for_s } = self.unplugged;
         check_range(format_args!("{key}.unplugged.from_s"), from_s, 0.0..=7200.0, "0 to 7200 s after the start")?;
         check_range(format_args!("{key}.unplugged.for_s"), for_s, 0.001..=7200.0, "0.001 to 7200 s")
     }
 
+    fn add_to(&self, scene: &mut Scene, _: &str) -> Result<(), SceneError> {
+        scene.camera_fault = Some(self.clone());
+        Ok(())
+    }
+
+    fn begins(&self) -> Vec<(&'static str, f64)> {
+        vec![("unplugged.from_s", self.unplugged.from_s)]
+    }
+}
+
+impl CameraFault {
     /// Whether the camera is unplugged at `time`, seconds.
     pub(crate) fn is_unplugged(&self, time: f64) -> bool {
         self.unplugged.contains(time)

@@ -2,9 +2,11 @@
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role};
+use crate::Scene;
 use crate::SceneError;
 use crate::check::check_range;
+use realitysim_geometry::Field;
 
 /// Swing of the automatic exposure.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -18,13 +20,27 @@ pub struct ExposureHunting {
     pub period_s: f64,
 }
 
-impl ExposureHunting {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for ExposureHunting {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.amplitude"), self.amplitude, 0.0..=0.8, "0 to 0.8 of the mean")?;
         check_range(format_args!("{key}.period_s"), self.period_s, 0.1..=60.0, "0.1 to 60 s")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        (self.amplitude == 0.0).then_some("an amplitude above 0")
+    }
+
+    fn add_to(&self, scene: &mut Scene, _: &str) -> Result<(), SceneError> {
+        scene.exposure_hunting = Some(self.clone());
+        Ok(())
+    }
+}
+
+impl ExposureHunting {
     /// Scales the RGB values of a picture that is taken at `time_s`, seconds since the start.
     pub(crate) fn apply(&self, time_s: f64, pixels: &mut [u8]) {
         let gain = 1.0 + self.amplitude * libm::sin(core::f64::consts::TAU * time_s / self.period_s);

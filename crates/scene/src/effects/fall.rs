@@ -3,9 +3,11 @@
 use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
-use super::{Interruption, Role, ease};
+use super::{EffectKind, Interruption, Role, ease, require};
+use crate::Scene;
 use crate::SceneError;
 use crate::check::check_range;
+use crate::file::SceneFile;
 use crate::motion::Motion;
 use realitysim_geometry::{Field, Isometry, Pose2};
 
@@ -79,9 +81,12 @@ fn rise_s() -> f64 {
     3.0
 }
 
-impl Fall {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for Fall {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.at_s"), self.at_s, 0.0..=7200.0, "0 to 7200 s after the start")?;
         check_range(format_args!("{key}.fall_s"), self.fall_s, 0.2..=10.0, "0.2 to 10 s: nobody falls faster")?;
         check_range(format_args!("{key}.lie_s"), self.lie_s, 0.0..=60.0, "0 to 60 s")?;
@@ -93,6 +98,18 @@ impl Fall {
         check_range(format_args!("{key}.turned_deg"), self.turned_deg, -180.0..=180.0, "-180 to 180 degrees")
     }
 
+    fn needs(&self, file: &SceneFile) -> Result<(), &'static str> {
+        require(!file.lists("kidnapping"), "a walk is interrupted once, and kidnapping does so already")?;
+        require(file.lists("gait_sway"), "it needs gait_sway: a robot that stands still is not pushed over")
+    }
+
+    fn add_to(&self, scene: &mut Scene, key: &str) -> Result<(), SceneError> {
+        scene.interruption = Some(self.model(key, &scene.motion, &scene.field)?);
+        Ok(())
+    }
+}
+
+impl Fall {
     /// The interruption of `motion`. Returns an error if the rest of the route leaves the field.
     pub(crate) fn model(&self, key: &str, motion: &Motion, field: &Field) -> Result<Interruption, SceneError> {
         let [x, y] = self.moved_m;

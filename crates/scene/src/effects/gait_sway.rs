@@ -4,10 +4,14 @@ use core::f64::consts::{PI, TAU};
 
 use serde::Deserialize;
 
-use super::{Role, ease};
+use super::{EffectKind, NEEDS_WALK, Role, ease, require};
+use crate::Scene;
 use crate::SceneError;
 use crate::check::check_range;
+use crate::file::Route;
+use crate::file::SceneFile;
 use crate::stream::{Purpose, Stream};
+use realitysim_geometry::Field;
 
 /// Sway of the torso. Amplitudes are half of peak to peak.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -52,9 +56,12 @@ const FADE_S: f64 = 0.5;
 /// Lag of the pitch behind the vertical motion, radians. The torso nods after the foot lands.
 const PITCH_LAG: f64 = 0.6;
 
-impl GaitSway {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for GaitSway {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.roll_deg"), self.roll_deg, 0.0..=30.0, "an amplitude of 0 to 30 degrees")?;
         check_range(format_args!("{key}.pitch_deg"), self.pitch_deg, 0.0..=30.0, "an amplitude of 0 to 30 degrees")?;
         check_range(format_args!("{key}.lateral_m"), self.lateral_m, 0.0..=0.2, "an amplitude of 0 to 0.2 m")?;
@@ -62,6 +69,25 @@ impl GaitSway {
         check_range(format_args!("{key}.step_hz"), self.step_hz, 0.1..=10.0, "0.1 to 10 steps per second")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        self.is_still().then_some("an amplitude above 0")
+    }
+
+    fn needs(&self, file: &SceneFile) -> Result<(), &'static str> {
+        require(matches!(file.route, Route::Walk(_)), NEEDS_WALK)
+    }
+
+    fn moves_camera(&self) -> bool {
+        !self.is_still()
+    }
+
+    fn add_to(&self, scene: &mut Scene, _: &str) -> Result<(), SceneError> {
+        scene.sway = Some(self.model(scene.file.scene.seed, scene.motion.duration()));
+        Ok(())
+    }
+}
+
+impl GaitSway {
     /// Whether all amplitudes are 0.
     pub(super) fn is_still(&self) -> bool {
         [self.roll_deg, self.pitch_deg, self.lateral_m, self.vertical_m] == [0.0; 4]

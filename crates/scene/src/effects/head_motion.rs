@@ -4,11 +4,14 @@ use core::f64::consts::TAU;
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role, require};
 use crate::SceneError;
 use crate::check::check_range;
+use crate::file::SceneFile;
+use crate::per_frame::Changing;
 use crate::stream::{Purpose, Stream};
 use realitysim_geometry::Euler;
+use realitysim_geometry::Field;
 
 /// Motion of the head. Both joints swing as a sine and start in the middle. Amplitudes are half of peak to peak.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -38,9 +41,12 @@ pub struct Joints {
     pub tilt: f64,
 }
 
-impl HeadMotion {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for HeadMotion {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         let pan = self.pan_amplitude_deg;
         check_range(format_args!("{key}.pan_amplitude_deg"), pan, 0.0..=170.0, "an amplitude of 0 to 170 degrees")?;
         let tilt = self.tilt_amplitude_deg;
@@ -57,6 +63,24 @@ impl HeadMotion {
         check_range(format_args!("{key}.encoder_noise_deg"), noise, 0.0..=30.0, "0 to 30 degrees")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        (self.is_still() && self.encoder_noise_deg == 0.0).then_some("an amplitude or encoder_noise_deg above 0")
+    }
+
+    fn needs(&self, file: &SceneFile) -> Result<(), &'static str> {
+        require(file.imu.is_some(), "joints are sent at the rate of the section [imu], which is absent")
+    }
+
+    fn moves_camera(&self) -> bool {
+        !self.is_still()
+    }
+
+    fn set_in(&self, changing: &mut Changing, _: u64) {
+        changing.head = Some(self.clone());
+    }
+}
+
+impl HeadMotion {
     /// Whether neither joint moves.
     pub(super) fn is_still(&self) -> bool {
         self.pan_amplitude_deg == 0.0 && self.tilt_amplitude_deg == 0.0

@@ -2,9 +2,11 @@
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role};
+use crate::Scene;
 use crate::SceneError;
 use crate::check::check_range;
+use realitysim_geometry::Field;
 
 /// Demosaicing and sharpening in the camera.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -20,12 +22,26 @@ pub struct ImageProcessing {
     pub sharpening: f64,
 }
 
-impl ImageProcessing {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for ImageProcessing {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.sharpening"), self.sharpening, 0.0..=3.0, "0 to 3")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        self.has_no_effect().then_some("colour_filter, or sharpening above 0")
+    }
+
+    fn add_to(&self, scene: &mut Scene, _: &str) -> Result<(), SceneError> {
+        scene.image_processing = Some(self.clone());
+        Ok(())
+    }
+}
+
+impl ImageProcessing {
     /// Whether the values change nothing.
     pub(super) fn has_no_effect(&self) -> bool {
         !self.colour_filter && self.sharpening == 0.0

@@ -3,12 +3,15 @@
 use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role, require};
 use crate::SceneError;
 use crate::check::check_range;
 use crate::events::Imu;
+use crate::file::SceneFile;
+use crate::per_frame::Changing;
 use crate::stream::{Purpose, Stream};
 use realitysim_geometry::Euler;
+use realitysim_geometry::Field;
 
 /// Errors of the IMU.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -28,9 +31,12 @@ pub struct ImuError {
     pub mount_roll_deg: Option<f64>,
 }
 
-impl ImuError {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for ImuError {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.roll_bias_deg"), self.roll_bias_deg, -30.0..=30.0, "-30 to 30 degrees")?;
         check_range(format_args!("{key}.pitch_bias_deg"), self.pitch_bias_deg, -30.0..=30.0, "-30 to 30 degrees")?;
         check_range(format_args!("{key}.noise_deg"), self.noise_deg, 0.0..=30.0, "0 to 30 degrees")?;
@@ -40,6 +46,20 @@ impl ImuError {
         check_range(format_args!("{key}.mount_roll_deg"), roll, -180.0..=180.0, "-180 to 180 degrees")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        self.has_no_effect().then_some("at least one of its keys other than 0")
+    }
+
+    fn needs(&self, file: &SceneFile) -> Result<(), &'static str> {
+        require(file.imu.is_some(), "it needs the section [imu], which is absent")
+    }
+
+    fn set_in(&self, changing: &mut Changing, _: u64) {
+        changing.imu_error = Some(self.clone());
+    }
+}
+
+impl ImuError {
     /// Whether the values change nothing.
     pub(super) fn has_no_effect(&self) -> bool {
         let Self { role: _, roll_bias_deg, pitch_bias_deg, noise_deg, gyro_noise_deg_s, mount_roll_deg } = self;

@@ -2,9 +2,12 @@
 
 use serde::Deserialize;
 
-use super::{Role, Tumble, ease};
+use super::{EffectKind, NEEDS_WALK, Role, Tumble, ease, require};
+use crate::Scene;
 use crate::SceneError;
 use crate::check::{check_on_field, check_range, refuse};
+use crate::file::Route;
+use crate::file::SceneFile;
 use crate::motion::{Motion, Travel};
 use realitysim_geometry::{Field, Isometry, Pose2, wrap_angle};
 
@@ -46,9 +49,12 @@ pub(crate) struct Interruption {
 /// Interval at which the rest of the route is checked to be on the field, seconds.
 const CHECK_EVERY_S: f64 = 0.25;
 
-impl Kidnapping {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str, field: &Field) -> Result<(), SceneError> {
+impl EffectKind for Kidnapping {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, field: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.at_s"), self.at_s, 0.0..=7200.0, "0 to 7200 s after the start")?;
         check_range(format_args!("{key}.duration_s"), self.duration_s, 0.0..=60.0, "0 to 60 s")?;
         check_on_field(format_args!("{key}.to_m"), self.to_m, field)?;
@@ -60,6 +66,17 @@ impl Kidnapping {
         Ok(())
     }
 
+    fn needs(&self, file: &SceneFile) -> Result<(), &'static str> {
+        require(matches!(file.route, Route::Walk(_)), NEEDS_WALK)
+    }
+
+    fn add_to(&self, scene: &mut Scene, key: &str) -> Result<(), SceneError> {
+        scene.interruption = Some(self.model(key, &scene.motion, &scene.field)?);
+        Ok(())
+    }
+}
+
+impl Kidnapping {
     /// The interruption of `motion`. Returns an error if the rest of the route leaves the field.
     pub(crate) fn model(&self, key: &str, motion: &Motion, field: &Field) -> Result<Interruption, SceneError> {
         let end = motion.duration();

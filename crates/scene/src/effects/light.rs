@@ -6,9 +6,11 @@
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role};
 use crate::SceneError;
 use crate::check::check_range;
+use crate::per_frame::Changing;
+use realitysim_geometry::Field;
 
 /// Light of the hall.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -51,9 +53,12 @@ fn unity() -> f64 {
     1.0
 }
 
-impl Light {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for Light {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.gain"), self.gain, 0.01..=3.0, "0.01 to 3 times the image values of daylight")?;
         for (axis, value) in ["x", "y"].iter().zip(self.gradient_per_m) {
             let key = format_args!("{key}.gradient_per_m ({axis})").to_string();
@@ -66,6 +71,16 @@ impl Light {
         check_range(format_args!("{key}.camera_gain"), self.camera_gain, 1.0..=16.0, "an amplification of 1 to 16")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        self.is_daylight().then_some("a gain or camera_gain other than 1, a gradient or a colour other than white")
+    }
+
+    fn set_in(&self, changing: &mut Changing, _: u64) {
+        changing.light = Some(self.model());
+    }
+}
+
+impl Light {
     /// Whether the values change nothing.
     pub(super) fn is_daylight(&self) -> bool {
         let Self { role: _, gain, gradient_per_m, colour, camera_gain } = self;

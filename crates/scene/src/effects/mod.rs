@@ -1,6 +1,6 @@
 //! The effects that make a scene imperfect, one per file. An effect that the scene file does not list changes nothing.
 //!
-//! Every effect draws from its own random stream, so that adding one never changes what another does.
+//! A kind of effect is one file in this folder, which implements [`EffectKind`], and one line in the [`registry`]. Every effect draws from its own random stream, so that adding one never changes what another does.
 
 mod bright_window;
 mod calibration_error;
@@ -54,55 +54,164 @@ pub(super) use serial_noise::DeliveryOutcome;
 
 use serde::Deserialize;
 
-use super::SceneError;
 use super::check::refuse;
+use super::file::SceneFile;
+use super::per_frame::Changing;
 use super::ranges::Range;
+use super::{Scene, SceneError};
 use realitysim_geometry::Field;
 
-/// One `[[effect]]` of the scene file. The key `kind` selects the variant.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-pub enum Effect {
+/// Makes the enum of all effects and the table of their kinds.
+///
+/// A line states the type, the name in the file, the stage, the subject, and the keys whose values may differ from frame to
+/// frame (`per = "frame"`). These are values that nothing else is built on and no clock depends on: the path of a camera or
+/// a figure is continuous, paint stays as it is, a lens is announced once, and a fault begins once.
+macro_rules! registry {
+    ($($(#[$meaning:meta])* $kind:ident, $name:literal, $stage:ident, $subject:ident, $per_frame:expr;)*) => {
+        /// One `[[effect]]` of the scene file. The key `kind` selects the variant.
+        #[derive(Clone, Debug, PartialEq, Deserialize)]
+        #[serde(tag = "kind")]
+        pub enum Effect {
+            $($(#[$meaning])* #[serde(rename = $name)] $kind($kind),)*
+        }
+
+        /// All kinds in the order in which they apply.
+        const KINDS: &[Kind] = &[$(
+            Kind { name: $name, stage: Stage::$stage, subject: Subject::$subject, per_frame_keys: &$per_frame },
+        )*];
+
+        impl Effect {
+            /// Name of the effect, as `kind` in the scene file.
+            pub fn name(&self) -> &'static str {
+                match self { $(Effect::$kind(_) => $name,)* }
+            }
+
+            fn kind(&self) -> &dyn EffectKind {
+                match self { $(Effect::$kind(effect) => effect,)* }
+            }
+        }
+    };
+}
+
+registry! {
     /// The torso rocks with the gait.
-    GaitSway(GaitSway),
+    GaitSway, "gait_sway", Motion, CameraMotion, [];
     /// The head pans and tilts.
-    HeadMotion(HeadMotion),
+    HeadMotion, "head_motion", Motion, CameraMotion, ["encoder_noise_deg"];
     /// Somebody carries the robot to another pose.
-    Kidnapping(Kidnapping),
+    Kidnapping, "kidnapping", Motion, CameraMotion, [];
     /// The robot is pushed over and stands up again.
-    Fall(Fall),
-    /// The light differs from even, white daylight.
-    Light(Light),
-    /// A window in the wall is brighter than the sensor can measure.
-    BrightWindow(BrightWindow),
-    /// Robots, people and other figures stand or walk around.
-    Obstacles(Obstacles),
+    Fall, "fall", Motion, CameraMotion, [];
     /// The ground is artificial turf instead of flat carpet.
-    Turf(Turf),
+    Turf, "turf", World, Image, [];
     /// The paint of the lines is worn.
-    WornLines(WornLines),
+    WornLines, "worn_lines", World, Image, [];
     /// Patches of sunlight lie on the floor.
-    SunPatches(SunPatches),
+    SunPatches, "sun_patches", World, Image, [];
+    /// The light differs from even, white daylight.
+    Light, "light", World, Image, ["gain", "gradient_per_m", "colour", "camera_gain"];
+    /// A window in the wall is brighter than the sensor can measure.
+    BrightWindow, "bright_window", World, Image, ["brightness", "glare", "sun_gain"];
+    /// Robots, people and other figures stand or walk around.
+    Obstacles, "obstacles", World, Image, [];
     /// Exposure takes time, and rows are read one after the other.
-    Shutter(Shutter),
+    Shutter, "shutter", Exposure, Image, ["exposure_ms"];
     /// The lens scatters light and has lateral chromatic aberration.
-    Optics(Optics),
+    Optics, "optics", Exposure, Image, [];
     /// The automatic exposure swings.
-    ExposureHunting(ExposureHunting),
+    ExposureHunting, "exposure_hunting", Exposure, Image, [];
     /// The image sensor adds noise.
-    SensorNoise(SensorNoise),
+    SensorNoise, "sensor_noise", Sensor, Image, ["read_noise_dn", "shot_noise_factor"];
     /// The camera interpolates a colour mosaic and sharpens the image.
-    ImageProcessing(ImageProcessing),
-    /// The camera is unplugged for a while.
-    CameraFault(CameraFault),
+    ImageProcessing, "image_processing", Sensor, Image, [];
     /// The odometry has errors.
-    OdometryError(OdometryError),
+    OdometryError, "odometry_error", Sensor, Yaw, ["scale_percent", "noise_m_per_m"];
     /// The IMU has errors.
-    ImuError(ImuError),
+    ImuError, "imu_error", Sensor, Yaw, ["roll_bias_deg", "pitch_bias_deg", "noise_deg", "gyro_noise_deg_s"];
     /// The announced lens and mount differ from the true ones.
-    CalibrationError(CalibrationError),
+    CalibrationError, "calibration_error", Sensor, Calibration, [];
+    /// The camera is unplugged for a while.
+    CameraFault, "camera_fault", Wire, CameraWire, [];
     /// The serial line loses or corrupts messages.
-    SerialNoise(SerialNoise),
+    SerialNoise, "serial_noise", Wire, SerialWire, ["lost_share", "corrupt_share"];
+}
+
+/// What every kind of effect implements.
+trait EffectKind {
+    /// Why the scene has this effect, if the file says so.
+    fn role(&self) -> Option<Role>;
+
+    /// Checks the values. `key` is the key of the effect in the file, for example `effect[1]`.
+    fn check(&self, key: &str, field: &Field) -> Result<(), SceneError>;
+
+    /// Checks the values against the rest of the file.
+    fn check_in(&self, _key: &str, _file: &SceneFile) -> Result<(), SceneError> {
+        Ok(())
+    }
+
+    /// Fails with a sentence if the scene lacks what the effect acts on, so that it would change nothing.
+    fn needs(&self, _file: &SceneFile) -> Result<(), &'static str> {
+        Ok(())
+    }
+
+    /// What the effect would need in order to do something, if it does nothing with its values.
+    fn lacks(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// The keys of the times at which its faults begin, with the times, seconds since the start of the scene.
+    fn begins(&self) -> Vec<(&'static str, f64)> {
+        Vec::new()
+    }
+
+    /// Whether it moves the camera while a frame is exposed.
+    fn moves_camera(&self) -> bool {
+        false
+    }
+
+    /// Adds the effect to a scene, which has all that come before it in physical order.
+    fn add_to(&self, scene: &mut Scene, _key: &str) -> Result<(), SceneError> {
+        let seed = scene.file.scene.seed;
+        self.set_in(&mut scene.changing, seed);
+        Ok(())
+    }
+
+    /// Sets the values of one frame. Kinds whose values never change within a scene do nothing.
+    fn set_in(&self, _changing: &mut Changing, _seed: u64) {}
+}
+
+/// Facts about a kind of effect that hold for all its values: a line of the [`registry`].
+struct Kind {
+    name: &'static str,
+    stage: Stage,
+    subject: Subject,
+    per_frame_keys: &'static [&'static str],
+}
+
+/// Physical stage at which an effect acts. A scene file lists effects in this order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Stage {
+    Motion,
+    World,
+    Exposure,
+    Sensor,
+    Wire,
+}
+
+/// The thing that an effect acts on. Effects on the same thing apply in the order of the [`registry`]; effects on different
+/// things are independent of each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Subject {
+    /// The motion of the camera: gait, head, and what interrupts both.
+    CameraMotion,
+    /// The image: turf, paint, sunlight on it, light of the hall, the window and its sunlight, figures in front of all that,
+    /// shutter, lens, exposure, sensor, and processing in the camera.
+    Image,
+    /// The yaw: measured by the odometry and reported by the IMU, too.
+    Yaw,
+    Calibration,
+    CameraWire,
+    SerialWire,
 }
 
 /// The reason why an effect is in a scene. It is for people only.
@@ -115,24 +224,42 @@ pub enum Role {
     Filler,
 }
 
-/// Effects and their keys whose values may differ from frame to frame.
-///
-/// These are values that nothing else is built on and no clock depends on. The path of a camera or a figure is
-/// continuous, paint stays as it is, a lens is announced once, and a fault begins once.
-const MAY_CHANGE: [(&str, &[&str]); 8] = [
-    ("head_motion", &["encoder_noise_deg"]),
-    ("light", &["gain", "gradient_per_m", "colour", "camera_gain"]),
-    ("bright_window", &["brightness", "glare", "sun_gain"]),
-    ("shutter", &["exposure_ms"]),
-    ("sensor_noise", &["read_noise_dn", "shot_noise_factor"]),
-    ("odometry_error", &["scale_percent", "noise_m_per_m"]),
-    ("imu_error", &["roll_bias_deg", "pitch_bias_deg", "noise_deg", "gyro_noise_deg_s"]),
-    ("serial_noise", &["lost_share", "corrupt_share"]),
-];
+impl Effect {
+    /// Role of the effect, if the file states one.
+    pub fn role(&self) -> Option<Role> {
+        self.kind().role()
+    }
+
+    /// Whether the effect changes pixels of a frame for a given camera pose. Other effects cost no rendering time.
+    pub fn acts_on_image(&self) -> bool {
+        KINDS[self.rank()].subject == Subject::Image
+    }
+
+    /// Adds the effect to a scene, which has all that come before it in physical order.
+    pub(super) fn add_to(&self, scene: &mut Scene, key: &str) -> Result<(), SceneError> {
+        self.kind().add_to(scene, key)
+    }
+
+    /// Whether the effect moves the camera while a frame is exposed.
+    fn moves_camera(&self) -> bool {
+        self.kind().moves_camera()
+    }
+
+    /// Sets the values of one frame.
+    pub(super) fn set_in(&self, changing: &mut Changing, seed: u64) {
+        self.kind().set_in(changing, seed);
+    }
+
+    /// Place of the kind in the order in which effects apply.
+    fn rank(&self) -> usize {
+        KINDS.iter().position(|kind| kind.name == self.name()).unwrap_or_default()
+    }
+}
 
 /// Returns an error if the value cannot be drawn for each frame. The error names the keys that can.
 pub(super) fn check_may_change(range: &Range) -> Result<(), SceneError> {
-    let allowed = MAY_CHANGE.iter().find(|(kind, _)| *kind == range.kind).map_or(&[][..], |(_, keys)| keys);
+    let kind = KINDS.iter().find(|kind| kind.name == range.kind);
+    let allowed = kind.map_or(&[][..], |kind| kind.per_frame_keys);
     // For an element of a list, the key of the list counts.
     let key = range.name.split('[').next().unwrap_or_default();
     if allowed.contains(&key) {
@@ -143,242 +270,86 @@ pub(super) fn check_may_change(range: &Range) -> Result<(), SceneError> {
     Err(refuse(&range.key, "drawn per frame", expected))
 }
 
-/// Effects that act on the same thing, in the order in which they apply. All other effects are independent of each other.
-///
-/// The first chain is the motion of the camera: gait, head, and what interrupts both. The second is the image: turf, paint,
-/// sunlight on it, light of the hall, the window and its sunlight, figures in front of all that, shutter, lens, exposure,
-/// sensor, and processing in the camera. The third is the yaw: measured by the odometry and reported by the IMU, too.
-const CHAINS: [&[&str]; 3] = [
-    &["gait_sway", "head_motion", "kidnapping", "fall"],
-    &[
-        "turf",
-        "worn_lines",
-        "sun_patches",
-        "light",
-        "bright_window",
-        "obstacles",
-        "shutter",
-        "optics",
-        "exposure_hunting",
-        "sensor_noise",
-        "image_processing",
-    ],
-    &["odometry_error", "imu_error"],
-];
-
-/// Physical stage at which an effect acts. A scene file lists effects in this order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Stage {
-    Motion,
-    World,
-    Exposure,
-    Sensor,
-    Wire,
-}
-
-impl Effect {
-    /// Name of the effect, as `kind` in the scene file.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Effect::GaitSway(_) => "gait_sway",
-            Effect::HeadMotion(_) => "head_motion",
-            Effect::Kidnapping(_) => "kidnapping",
-            Effect::Fall(_) => "fall",
-            Effect::BrightWindow(_) => "bright_window",
-            Effect::Shutter(_) => "shutter",
-            Effect::CameraFault(_) => "camera_fault",
-            Effect::SerialNoise(_) => "serial_noise",
-            Effect::Light(_) => "light",
-            Effect::Obstacles(_) => "obstacles",
-            Effect::WornLines(_) => "worn_lines",
-            Effect::ImageProcessing(_) => "image_processing",
-            Effect::ExposureHunting(_) => "exposure_hunting",
-            Effect::Optics(_) => "optics",
-            Effect::SunPatches(_) => "sun_patches",
-            Effect::Turf(_) => "turf",
-            Effect::SensorNoise(_) => "sensor_noise",
-            Effect::OdometryError(_) => "odometry_error",
-            Effect::ImuError(_) => "imu_error",
-            Effect::CalibrationError(_) => "calibration_error",
-        }
-    }
-
-    /// Role of the effect, if the file states one.
-    pub fn role(&self) -> Option<Role> {
-        match self {
-            Effect::GaitSway(effect) => effect.role,
-            Effect::HeadMotion(effect) => effect.role,
-            Effect::Kidnapping(effect) => effect.role,
-            Effect::Fall(effect) => effect.role,
-            Effect::BrightWindow(effect) => effect.role,
-            Effect::Shutter(effect) => effect.role,
-            Effect::CameraFault(effect) => effect.role,
-            Effect::SerialNoise(effect) => effect.role,
-            Effect::Light(effect) => effect.role,
-            Effect::Obstacles(effect) => effect.role,
-            Effect::WornLines(effect) => effect.role,
-            Effect::ImageProcessing(effect) => effect.role,
-            Effect::ExposureHunting(effect) => effect.role,
-            Effect::Optics(effect) => effect.role,
-            Effect::SunPatches(effect) => effect.role,
-            Effect::Turf(effect) => effect.role,
-            Effect::SensorNoise(effect) => effect.role,
-            Effect::OdometryError(effect) => effect.role,
-            Effect::ImuError(effect) => effect.role,
-            Effect::CalibrationError(effect) => effect.role,
-        }
-    }
-
-    /// Whether the effect changes pixels of a frame for a given camera pose. Other effects cost no rendering time.
-    pub fn acts_on_image(&self) -> bool {
-        match self {
-            Effect::Light(_)
-            | Effect::BrightWindow(_)
-            | Effect::Obstacles(_)
-            | Effect::Turf(_)
-            | Effect::WornLines(_)
-            | Effect::SunPatches(_)
-            | Effect::Shutter(_)
-            | Effect::Optics(_)
-            | Effect::ExposureHunting(_)
-            | Effect::SensorNoise(_)
-            | Effect::ImageProcessing(_) => true,
-            Effect::GaitSway(_)
-            | Effect::HeadMotion(_)
-            | Effect::Kidnapping(_)
-            | Effect::Fall(_)
-            | Effect::CameraFault(_)
-            | Effect::OdometryError(_)
-            | Effect::ImuError(_)
-            | Effect::CalibrationError(_)
-            | Effect::SerialNoise(_) => false,
-        }
-    }
-
-    /// If the effect does nothing with its values: what it would need in order to do something.
-    pub(super) fn lacks(&self) -> Option<&'static str> {
-        let (does_nothing, needed) = match self {
-            Effect::GaitSway(effect) => (effect.is_still(), "an amplitude above 0"),
-            Effect::HeadMotion(effect) => {
-                (effect.is_still() && effect.encoder_noise_deg == 0.0, "an amplitude or encoder_noise_deg above 0")
-            }
-            Effect::Light(effect) => {
-                (effect.is_daylight(), "a gain or camera_gain other than 1, a gradient or a colour other than white")
-            }
-            Effect::WornLines(effect) => (effect.share == 0.0, "a share above 0"),
-            Effect::SunPatches(effect) => {
-                (effect.gain == 1.0 || effect.share == 0.0, "a gain above 1 and a share above 0")
-            }
-            Effect::Optics(effect) => (effect.is_perfect(), "stray_light or lateral_colour_px above 0"),
-            Effect::ExposureHunting(effect) => (effect.amplitude == 0.0, "an amplitude above 0"),
-            Effect::ImageProcessing(effect) => (effect.has_no_effect(), "colour_filter, or sharpening above 0"),
-            Effect::SensorNoise(effect) => (
-                effect.read_noise_dn == 0.0 && effect.shot_noise_factor == 0.0,
-                "read_noise_dn or shot_noise_factor above 0",
-            ),
-            Effect::OdometryError(effect) => {
-                (effect.has_no_effect(), "at least one of its keys other than 0, or freeze, missing or jump")
-            }
-            Effect::ImuError(effect) => (effect.has_no_effect(), "at least one of its keys other than 0"),
-            Effect::CalibrationError(effect) => (effect.has_no_effect(), "at least one of its keys other than 0"),
-            Effect::SerialNoise(effect) => {
-                (effect.lost_share == 0.0 && effect.corrupt_share == 0.0, "lost_share or corrupt_share above 0")
-            }
-            Effect::Kidnapping(_)
-            | Effect::Fall(_)
-            | Effect::BrightWindow(_)
-            | Effect::Obstacles(_)
-            | Effect::Turf(_)
-            | Effect::Shutter(_)
-            | Effect::CameraFault(_) => (false, ""),
-        };
-        does_nothing.then_some(needed)
-    }
-
-    /// Whether the effect moves the camera while a frame is exposed.
-    pub(super) fn moves_camera(&self) -> bool {
-        match self {
-            Effect::GaitSway(effect) => !effect.is_still(),
-            Effect::HeadMotion(effect) => !effect.is_still(),
-            _ => false,
-        }
-    }
-
-    fn stage(&self) -> Stage {
-        match self {
-            Effect::GaitSway(_) | Effect::HeadMotion(_) | Effect::Kidnapping(_) | Effect::Fall(_) => Stage::Motion,
-            Effect::Turf(_)
-            | Effect::WornLines(_)
-            | Effect::SunPatches(_)
-            | Effect::Light(_)
-            | Effect::BrightWindow(_)
-            | Effect::Obstacles(_) => Stage::World,
-            Effect::Shutter(_) | Effect::Optics(_) | Effect::ExposureHunting(_) => Stage::Exposure,
-            Effect::SensorNoise(_)
-            | Effect::ImageProcessing(_)
-            | Effect::OdometryError(_)
-            | Effect::ImuError(_)
-            | Effect::CalibrationError(_) => Stage::Sensor,
-            Effect::CameraFault(_) | Effect::SerialNoise(_) => Stage::Wire,
-        }
-    }
-
-    /// Checks the values of the effect. `key` is its key in the file, for example `effect[1]`.
-    fn check(&self, key: &str, field: &Field) -> Result<(), SceneError> {
-        match self {
-            Effect::GaitSway(effect) => effect.check(key),
-            Effect::HeadMotion(effect) => effect.check(key),
-            Effect::Kidnapping(effect) => effect.check(key, field),
-            Effect::Fall(effect) => effect.check(key),
-            Effect::BrightWindow(effect) => effect.check(key),
-            Effect::Shutter(effect) => effect.check(key),
-            Effect::CameraFault(effect) => effect.check(key),
-            Effect::SerialNoise(effect) => effect.check(key),
-            Effect::Light(effect) => effect.check(key),
-            Effect::Obstacles(effect) => effect.check(key, field),
-            Effect::WornLines(effect) => effect.check(key),
-            Effect::ImageProcessing(effect) => effect.check(key),
-            Effect::ExposureHunting(effect) => effect.check(key),
-            Effect::Optics(effect) => effect.check(key),
-            Effect::SunPatches(effect) => effect.check(key),
-            Effect::Turf(effect) => effect.check(key),
-            Effect::SensorNoise(effect) => effect.check(key),
-            Effect::OdometryError(effect) => effect.check(key),
-            Effect::ImuError(effect) => effect.check(key),
-            Effect::CalibrationError(effect) => effect.check(key),
-        }
-    }
-}
-
 /// Checks the values of all effects, that each kind is listed once, and that they are in physical order.
 pub(super) fn check(effects: &[Effect], field: &Field) -> Result<(), SceneError> {
     for (index, effect) in effects.iter().enumerate() {
         let key = format!("effect[{index}]");
-        effect.check(&key, field)?;
+        effect.kind().check(&key, field)?;
         let before = &effects[..index];
         if before.iter().any(|other| other.name() == effect.name()) {
             let expected = "an effect of this kind is listed already; each kind acts once";
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }
-        for chain in CHAINS {
-            let place = |effect: &Effect| chain.iter().position(|name| *name == effect.name());
-            let Some(own) = place(effect) else { continue };
-            if let Some(later) = before.iter().find(|other| place(other) > Some(own) && other.stage() == effect.stage())
-            {
-                let expected = format!("it applies before {}: list {}, in this order", later.name(), chain.join(", "));
-                return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
-            }
+        let Kind { stage, subject, .. } = KINDS[effect.rank()];
+        let same = |kind: &&Kind| kind.stage == stage && kind.subject == subject;
+        let later = before.iter().find(|other| other.rank() > effect.rank() && same(&&KINDS[other.rank()]));
+        if let Some(later) = later {
+            let order: Vec<&str> = KINDS.iter().filter(|kind| kind.subject == subject).map(|kind| kind.name).collect();
+            let expected = format!("it applies before {}: list {}, in this order", later.name(), order.join(", "));
+            return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }
-        if before.iter().any(|other| other.stage() > effect.stage()) {
-            let expected = "list effects in physical order: what moves the robot (gait_sway, head_motion, kidnapping, \
-                            fall), then what it sees (turf, worn_lines, sun_patches, light, bright_window, obstacles), \
-                            then how it is exposed (shutter, optics, exposure_hunting), then what sensors add \
-                            (sensor_noise, image_processing, odometry_error, imu_error, calibration_error), then \
-                            what the wires do (camera_fault, serial_noise)";
+        if before.iter().any(|other| KINDS[other.rank()].stage > stage) {
+            let of = |stage: Stage| {
+                let names: Vec<&str> = KINDS.iter().filter(|kind| kind.stage == stage).map(|kind| kind.name).collect();
+                names.join(", ")
+            };
+            let expected = format!(
+                "list effects in physical order: what moves the robot ({}), then what it sees ({}), then how it is exposed \
+                 ({}), then what sensors add ({}), then what the wires do ({})",
+                of(Stage::Motion),
+                of(Stage::World),
+                of(Stage::Exposure),
+                of(Stage::Sensor),
+                of(Stage::Wire)
+            );
             return Err(refuse(format_args!("{key}.kind"), effect.name(), expected));
         }
     }
     Ok(())
+}
+
+/// Checks that each effect has what it acts on, and that effects and the rest of the file do not contradict each other.
+pub(super) fn check_in(file: &SceneFile) -> Result<(), SceneError> {
+    for (index, effect) in file.effects.iter().enumerate() {
+        let refused = |expected| refuse(format_args!("effect[{index}].kind"), effect.name(), expected);
+        effect.kind().needs(file).map_err(refused)?;
+    }
+    let mut keyed = file.effects.iter().enumerate();
+    keyed.try_for_each(|(index, effect)| effect.kind().check_in(&format!("effect[{index}]"), file))
+}
+
+/// Checks that no fault begins after `end`, the end of the scene in seconds.
+pub(super) fn check_times(effects: &[Effect], end: f64) -> Result<(), SceneError> {
+    for (index, effect) in effects.iter().enumerate() {
+        if let Some((key, time)) = effect.kind().begins().into_iter().find(|(_, time)| !(*time < end)) {
+            let expected = format!("below {end:.2} s, where the scene ends");
+            return Err(refuse(format_args!("effect[{index}].{key}"), time, expected));
+        }
+    }
+    Ok(())
+}
+
+/// Checks that every effect changes something with its values.
+///
+/// This is not checked at the ends of ranges, which may be values that change nothing.
+pub(super) fn check_effects_do_something(effects: &[Effect]) -> Result<(), SceneError> {
+    for (index, effect) in effects.iter().enumerate() {
+        if let Some(needed) = effect.kind().lacks() {
+            let value = format!("a {} of nothing", effect.name());
+            let expected = format!("it does nothing: leave the entry out, or have {needed}");
+            return Err(refuse(format_args!("effect[{index}]"), value, expected));
+        }
+    }
+    Ok(())
+}
+
+/// What several kinds need.
+const NEEDS_WALK: &str = "it needs a route that is walked, this one stands still";
+const NEEDS_ODOMETRY_OR_IMU: &str = "it needs the section [odometry] or [imu], both are absent";
+
+/// Fails with `otherwise` unless the condition holds.
+fn require(holds: bool, otherwise: &'static str) -> Result<(), &'static str> {
+    if holds { Ok(()) } else { Err(otherwise) }
 }
 
 /// Transition from 0 to 1 for `x` from 0 to 1, without a jump in velocity or acceleration ("smootherstep").

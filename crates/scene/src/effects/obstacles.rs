@@ -5,7 +5,8 @@ use core::ops::RangeInclusive;
 use glam::DVec2;
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role};
+use crate::Scene;
 use crate::SceneError;
 use crate::check::{check_range, refuse};
 use crate::stream::{Purpose, Stream};
@@ -107,9 +108,12 @@ const BALL: [f64; 3] = [226.0, 224.0, 218.0];
 const SHIRT: [f64; 3] = [70.0, 84.0, 112.0];
 const TROUSERS: [f64; 3] = [48.0, 48.0, 58.0];
 
-impl Obstacles {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str, field: &Field) -> Result<(), SceneError> {
+impl EffectKind for Obstacles {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, field: &Field) -> Result<(), SceneError> {
         let most = MAX_FIGURES as f64;
         check_range(format_args!("{key}.random"), self.random as f64, 0.0..=most, &format!("0 to {MAX_FIGURES}"))?;
         let count = self.figures.len() + self.random as usize;
@@ -121,6 +125,13 @@ impl Obstacles {
         self.figures.iter().enumerate().try_for_each(check)
     }
 
+    fn add_to(&self, scene: &mut Scene, _: &str) -> Result<(), SceneError> {
+        scene.crowd = Some(self.model(scene.file.scene.seed, &scene.field, &scene.sampled_path()));
+        Ok(())
+    }
+}
+
+impl Obstacles {
     /// The figures of the scene. Random figures keep clear of `robot_path`, points in `map`.
     pub(crate) fn model(&self, seed: u64, field: &Field, robot_path: &[DVec2]) -> Crowd {
         let mut members: Vec<Member> = self.figures.iter().map(Figure::member).collect();
@@ -273,7 +284,7 @@ const MIN_DISTANCE_TO_PATH_M: f64 = 0.6;
 /// Minimum distance of a random figure from the start of every other figure, metres.
 const MIN_DISTANCE_TO_FIGURES_M: f64 = 0.5;
 /// Maximum number of positions tried for a random figure. If none is free, the figure stands beside the carpet.
-const MOST_DRAWS: usize = 200;
+const MAX_DRAWS: usize = 200;
 /// Distance from the carpet of figures for which the field has no room, metres.
 const BESIDE_M: f64 = 0.8;
 
@@ -294,7 +305,7 @@ fn random_figure(stream: &mut Stream, field: &Field, robot_path: &[DVec2], other
     let half = field.carpet_half_extent();
     let place = |stream: &mut Stream| DVec2::new(stream.between(-half.x, half.x), stream.between(-half.y, half.y));
     let mut ends = [DVec2::new(stream.between(-half.x, half.x), half.y + BESIDE_M); 2];
-    for _ in 0..MOST_DRAWS {
+    for _ in 0..MAX_DRAWS {
         let first = place(stream);
         let second = if walks { place(stream) } else { first };
         let clear = |point: &DVec2, reach: f64| distance_to_leg([first, second], *point) > reach;

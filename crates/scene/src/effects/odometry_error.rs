@@ -2,10 +2,13 @@
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, NEEDS_ODOMETRY_OR_IMU, Role, require};
 use crate::SceneError;
-use crate::check::check_range;
+use crate::check::{check_range, refuse};
+use crate::file::SceneFile;
+use crate::per_frame::Changing;
 use crate::stream::{Purpose, Stream};
+use realitysim_geometry::Field;
 use realitysim_geometry::Pose2;
 
 /// Errors of the odometry.
@@ -52,9 +55,12 @@ pub struct Jump {
     pub yaw_deg: f64,
 }
 
-impl OdometryError {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for OdometryError {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.scale_percent"), self.scale_percent, -90.0..=100.0, "-90 to 100 percent")?;
         let drift = self.yaw_drift_deg_per_m;
         check_range(format_args!("{key}.yaw_drift_deg_per_m"), drift, -90.0..=90.0, "-90 to 90 degrees per metre")?;
@@ -78,6 +84,41 @@ impl OdometryError {
         check_range(format_args!("{key}.jump.yaw_deg"), jump.yaw_deg, -360.0..=360.0, "-360 to 360 degrees")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        self.has_no_effect().then_some("at least one of its keys other than 0, or freeze, missing or jump")
+    }
+
+    fn needs(&self, file: &SceneFile) -> Result<(), &'static str> {
+        // The yaw of the IMU comes from the odometry, so the error shows there, too.
+        require(file.odometry.is_some() || file.imu.is_some(), NEEDS_ODOMETRY_OR_IMU)
+    }
+
+    fn set_in(&self, changing: &mut Changing, _: u64) {
+        changing.odometry_error = Some(self.clone());
+    }
+
+    fn check_in(&self, key: &str, _: &SceneFile) -> Result<(), SceneError> {
+        let Some((freeze, missing)) = self.freeze.zip(self.missing) else { return Ok(()) };
+        if !freeze.overlaps(&missing) {
+            return Ok(());
+        }
+        let expected = format!(
+            "odometry cannot be frozen and missing at the same time, and it is frozen from {} to {} s",
+            freeze.from_s,
+            freeze.from_s + freeze.for_s
+        );
+        Err(refuse(format_args!("{key}.missing.from_s"), format!("{} s", missing.from_s), expected))
+    }
+
+    fn begins(&self) -> Vec<(&'static str, f64)> {
+        let freeze = self.freeze.map(|span| ("freeze.from_s", span.from_s));
+        let missing = self.missing.map(|span| ("missing.from_s", span.from_s));
+        let jump = self.jump.map(|jump| ("jump.at_s", jump.at_s));
+        [freeze, missing, jump].into_iter().flatten().collect()
+    }
+}
+
+impl OdometryError {
     /// Whether the values change nothing.
     pub(super) fn has_no_effect(&self) -> bool {
         let Self { role: _, scale_percent, yaw_drift_deg_per_m, noise_m_per_m, freeze, missing, jump } = self;

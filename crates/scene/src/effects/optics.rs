@@ -2,9 +2,11 @@
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role};
+use crate::Scene;
 use crate::SceneError;
 use crate::check::check_range;
+use realitysim_geometry::Field;
 
 /// Flaws of the lens.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -18,13 +20,27 @@ pub struct Optics {
     pub lateral_colour_px: f64,
 }
 
-impl Optics {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for Optics {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.stray_light"), self.stray_light, 0.0..=0.5, "0 to 0.5 of the light")?;
         check_range(format_args!("{key}.lateral_colour_px"), self.lateral_colour_px, 0.0..=5.0, "0 to 5 pixels")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        self.is_perfect().then_some("stray_light or lateral_colour_px above 0")
+    }
+
+    fn add_to(&self, scene: &mut Scene, _: &str) -> Result<(), SceneError> {
+        scene.optics = Some(self.clone());
+        Ok(())
+    }
+}
+
+impl Optics {
     /// Whether the values change nothing.
     pub(super) fn is_perfect(&self) -> bool {
         self.stray_light == 0.0 && self.lateral_colour_px == 0.0

@@ -4,10 +4,12 @@ use std::sync::Arc;
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, LightModel, Role};
 use crate::SceneError;
 use crate::check::check_range;
+use crate::per_frame::Changing;
 use crate::stream::{self, Purpose, Stream};
+use realitysim_geometry::Field;
 
 /// Noise of the image sensor. Values are in digital numbers (DN), the 0 to 255 of the image.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -38,13 +40,31 @@ const DEVIATION_CAP_DN: f64 = 500.0;
 /// Number of 12 bit table indices that 64 bits hold.
 const DRAWS_PER_HASH: usize = 5;
 
-impl SensorNoise {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for SensorNoise {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.read_noise_dn"), self.read_noise_dn, 0.0..=50.0, "0 to 50 DN")?;
         check_range(format_args!("{key}.shot_noise_factor"), self.shot_noise_factor, 0.0..=3.0, "0 to 3")
     }
 
+    fn lacks(&self) -> Option<&'static str> {
+        (self.read_noise_dn == 0.0 && self.shot_noise_factor == 0.0)
+            .then_some("read_noise_dn or shot_noise_factor above 0")
+    }
+
+    fn set_in(&self, changing: &mut Changing, seed: u64) {
+        let camera_gain = changing.light.as_ref().map_or(1.0, LightModel::camera_gain);
+        changing.noise = Some(match &changing.noise {
+            None => self.model(seed, camera_gain),
+            Some(model) => model.with(self, camera_gain),
+        });
+    }
+}
+
+impl SensorNoise {
     /// Prepares the tables. `camera_gain` multiplies signal and noise alike, so the same image value has more noise.
     pub(crate) fn model(&self, seed: u64, camera_gain: f64) -> NoiseModel {
         let normal =

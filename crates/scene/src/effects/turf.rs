@@ -2,9 +2,11 @@
 
 use serde::Deserialize;
 
-use super::Role;
+use super::{EffectKind, Role};
+use crate::Scene;
 use crate::SceneError;
 use crate::check::check_range;
+use realitysim_geometry::Field;
 
 /// Look of artificial turf.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -22,12 +24,20 @@ pub struct Turf {
     pub ragged_mm: f64,
 }
 
-impl Turf {
-    /// Checks the values. `key` is the key of the effect in the file, for error messages.
-    pub(super) fn check(&self, key: &str) -> Result<(), SceneError> {
+impl EffectKind for Turf {
+    fn role(&self) -> Option<Role> {
+        self.role
+    }
+
+    fn check(&self, key: &str, _: &Field) -> Result<(), SceneError> {
         check_range(format_args!("{key}.blades"), self.blades, 0.0..=1.0, "0 (flat carpet) to 1")?;
         check_range(format_args!("{key}.glint_share"), self.glint_share, 0.0..=0.1, "0 to 0.1 of the ground")?;
         check_range(format_args!("{key}.paint"), self.paint, 0.0..=1.0, "0 (thin and greyish) to 1 (well painted)")?;
         check_range(format_args!("{key}.ragged_mm"), self.ragged_mm, 0.0..=20.0, "0 to 20 mm")
+    }
+
+    fn add_to(&self, scene: &mut Scene, _: &str) -> Result<(), SceneError> {
+        scene.turf = Some(self.clone());
+        Ok(())
     }
 }

@@ -30,9 +30,9 @@ struct Grid {
 }
 
 /// Side of a cell of the finest grid, metres. It is larger on large fields.
-const FINEST_M: f64 = 0.08;
+const MIN_CELL_M: f64 = 0.08;
 /// Maximum number of cells along a side of the finest grid.
-const MOST_CELLS_PER_SIDE: f64 = 256.0;
+const MAX_CELLS_PER_SIDE: f64 = 256.0;
 
 impl LineMap {
     pub(super) fn new(field: &Field) -> Self {
@@ -42,7 +42,7 @@ impl LineMap {
         let half = field.carpet_half_extent();
         let longest = 2.0 * half.max_element();
         let mut grids = Vec::new();
-        let mut side = FINEST_M.max(longest / MOST_CELLS_PER_SIDE);
+        let mut side = MIN_CELL_M.max(longest / MAX_CELLS_PER_SIDE);
         while side < longest {
             grids.push(Grid::new(&shapes, half, side));
             side *= 2.0;

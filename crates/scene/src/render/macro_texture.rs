@@ -29,7 +29,7 @@ pub(super) struct Canvas {
 const LANE: u32 = 21;
 
 /// Maximum number of texels along a side. Textures of huge surfaces get coarser.
-const MOST_TEXELS_PER_SIDE: f64 = 4096.0;
+const MAX_TEXELS_PER_SIDE: f64 = 4096.0;
 
 impl Sheet {
     /// Colour at (x, y), metres from the corner. Beyond the edges the colour is that of the edge.
@@ -56,7 +56,7 @@ impl Sheet {
 impl Canvas {
     /// A canvas of one colour. Texels have a side of `texel_m`, or more on a huge surface.
     pub(super) fn new(width_m: f64, height_m: f64, texel_m: f64, colour: [f64; 3]) -> Self {
-        let texel_m = texel_m.max(width_m.max(height_m) / MOST_TEXELS_PER_SIDE);
+        let texel_m = texel_m.max(width_m.max(height_m) / MAX_TEXELS_PER_SIDE);
         let count = |metres: f64| (libm::ceil(metres / texel_m) as usize).max(2);
         let (columns, rows) = (count(width_m), count(height_m));
         Self { columns, rows, texel_m, colours: vec![colour; columns * rows] }

@@ -30,7 +30,7 @@ impl Shape {
                 Shape::Ring { centre: centre.as_vec2().to_array(), radius: radius as f32, half_width }
             }
         };
-        field.painted().into_iter().map(shape).collect()
+        field.painted_strokes().into_iter().map(shape).collect()
     }
 
     /// Whether paint may lie within `margin` of the square around `centre`. It may be true for paint slightly farther away.

@@ -82,8 +82,8 @@ impl TurfLook {
         core::array::from_fn(|c| {
             let bare = base[c] * TINT[c] * gain;
             // Paint has the structure of the blades under it, but with less contrast.
-            let painted = self.paint[c] * (0.5 + 0.5 * gain);
-            bare + (painted - bare) * paint + glint
+            let coated = self.paint[c] * (0.5 + 0.5 * gain);
+            bare + (coated - bare) * paint + glint
         })
     }
 

@@ -10,8 +10,8 @@ use crate::perception_pool::PerceptionError;
 use crate::setup::Setup;
 use crate::tagger::Tagger;
 use realitysim_localization::LocalizerState;
-use realitysim_log_input::measurement;
-use realitysim_log_input::synchroniser::{Frame, Synchroniser};
+use realitysim_log_input::FrameAssembler;
+use realitysim_log_input::synchroniser::Frame;
 use realitysim_recording::Loss;
 use realitysim_ros2::mcap_read::LogMessage;
 use realitysim_vision::Observations;
@@ -19,13 +19,13 @@ use realitysim_vision::Observations;
 /// Most frames of a cache. The filter needs consecutive frames, and this many are enough to compare settings.
 const MAX_FRAMES: usize = 300;
 /// Most bytes of decoded pictures in a cache.
-const MAX_FOOTAGE_BYTES: usize = 1 << 30;
+const MAX_CACHED_BYTES: usize = 1 << 30;
 
 /// Takes messages and keeps the frames of a window of time. Frames before the window are tracked, so that the pose is known
 /// at its first frame.
 pub(super) struct FrameCollector {
     setup: Setup,
-    synchroniser: Synchroniser,
+    assembler: FrameAssembler,
     start: Start,
     lead_in: Option<Tagger>,
     seen: Observations,
@@ -35,27 +35,24 @@ pub(super) struct FrameCollector {
     last_ns: i64,
     cached: Vec<CachedFrame>,
     bytes: usize,
-    frames: u64,
     /// A limit of frames or bytes was reached within the window.
     full: bool,
     /// No further frame is kept.
     past: bool,
-    bad_messages: u64,
 }
 
 impl FrameCollector {
     pub(super) fn new(options: &FrameCacheOptions, setup: Setup, checkpoint: Option<Checkpoint>) -> Self {
-        let (state, known) = match checkpoint {
-            Some(checkpoint) => (checkpoint.tagger, checkpoint.synchroniser),
-            None => (LocalizerState::default(), setup.synchroniser.clone()),
-        };
+        let (state, known) = checkpoint.map_or_else(
+            || (LocalizerState::default(), None),
+            |checkpoint| (checkpoint.tagger, Some(checkpoint.synchroniser)),
+        );
         let start = Start { state, initial: options.initial };
-        let mut synchroniser = Synchroniser::new(setup.settings.frames.clone(), known);
-        synchroniser.expect(setup.expected);
+        let assembler = setup.assembler(known, options.initial.is_some());
         let nanoseconds = |seconds: f64| (seconds * 1e9) as i64;
         Self {
             setup,
-            synchroniser,
+            assembler,
             start,
             lead_in: None,
             seen: Observations::default(),
@@ -65,10 +62,8 @@ impl FrameCollector {
             last_ns: i64::MIN,
             cached: Vec::new(),
             bytes: 0,
-            frames: 0,
             full: false,
             past: false,
-            bad_messages: 0,
         }
     }
 
@@ -77,46 +72,29 @@ impl FrameCollector {
         messages: impl Iterator<Item = Result<LogMessage, ReplayError>>,
         progress: &mut dyn FnMut(u64),
     ) -> Result<(), ReplayError> {
-        for message in messages {
-            let message = message?;
-            if message.channel.topic == self.setup.topics.ground_truth {
-                continue;
-            }
-            match measurement::read(&message, &self.setup.topics, &self.setup.settings.head) {
-                Ok(measurement::Measurement::InitialPose { .. }) if self.start.initial.is_some() => {}
-                Ok(input) => self.synchroniser.push(&message, input),
-                Err(_) => self.bad_messages += 1,
-            }
-            self.take_ready_frames(progress);
-            if self.past {
-                return Ok(());
-            }
-        }
-        self.synchroniser.finish();
-        self.take_ready_frames(progress);
-        Ok(())
-    }
-
-    /// Takes the frames whose measurements are complete.
-    fn take_ready_frames(&mut self, progress: &mut dyn FnMut(u64)) {
-        while let Some(frame) = self.synchroniser.pop() {
-            self.frames += 1;
+        let (mut messages, mut frames) = (messages.fuse(), 0);
+        while let Some(frame) = self.assembler.frames_of(&mut messages).next().transpose()? {
+            frames += 1;
             self.take(frame);
-            progress(self.frames);
+            progress(frames);
+            if self.past {
+                break;
+            }
         }
+        Ok(())
     }
 
     fn take(&mut self, frame: Frame) {
         self.last_ns = frame.stamp_ns;
         let since_ns = frame.stamp_ns.saturating_sub(*self.first_ns.get_or_insert(frame.stamp_ns));
         if since_ns < self.from_ns {
-            let Setup { settings, field, eyes, .. } = &self.setup;
-            let lens = eyes.vision.lens();
+            let Setup { settings, field, perception, .. } = &self.setup;
+            let lens = perception.vision.lens();
             let tagger = self.lead_in.get_or_insert_with(|| self.start.tagger(settings, field, lens));
             CachedFrame::new(frame, lens).tag(
                 0,
                 &Claims::default(),
-                eyes,
+                perception,
                 tagger,
                 &mut Budget::default(),
                 &mut self.seen,
@@ -127,19 +105,20 @@ impl FrameCollector {
         if self.past {
             return;
         }
-        if self.cached.len() >= MAX_FRAMES || self.bytes >= MAX_FOOTAGE_BYTES {
+        if self.cached.len() >= MAX_FRAMES || self.bytes >= MAX_CACHED_BYTES {
             (self.full, self.past) = (true, true);
             return;
         }
-        let frame = CachedFrame::new(frame, self.setup.eyes.vision.lens());
+        let frame = CachedFrame::new(frame, self.setup.perception.vision.lens());
         self.bytes += frame.bytes();
         self.cached.push(frame);
     }
 
     fn losses(&self, source: &Path) -> Vec<Loss> {
         let mut losses = Vec::new();
-        if self.bad_messages > 0 {
-            let what = format!("{} messages are not what their type says", self.bad_messages);
+        let unreadable = self.assembler.unreadable();
+        if unreadable > 0 {
+            let what = format!("{unreadable} messages are not what their type says");
             Loss::new(source, what).join(&mut losses);
         }
         let broken = || self.cached.iter().filter_map(|frame| frame.picture.as_ref().err());
@@ -167,9 +146,9 @@ impl FrameCollector {
             Some(tagger) => Start { state: tagger.state(), initial: None },
             None => self.start,
         };
-        let Setup { settings, field, eyes, .. } = self.setup;
+        let Setup { settings, field, perception, .. } = self.setup;
         Ok(FrameCache {
-            lens: eyes.vision.lens().clone(),
+            lens: perception.vision.lens().clone(),
             settings,
             field,
             start,

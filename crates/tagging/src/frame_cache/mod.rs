@@ -122,12 +122,12 @@ impl FrameCache {
         let mut keeper = FrameCollector::new(options, setup, checkpoint);
         let read = messages.by_ref().map(|message| message.map_err(ReplayError::from));
         keeper.take_all(read, &mut |done| progress(done, Some(frames)))?;
-        let mut footage = keeper.finish(&options.source)?;
-        lost.into_iter().for_each(|loss| loss.join(&mut footage.losses));
+        let mut cache = keeper.finish(&options.source)?;
+        lost.into_iter().for_each(|loss| loss.join(&mut cache.losses));
         for (file, damage) in messages.damage() {
-            Loss::of_damage(file, damage).join(&mut footage.losses);
+            Loss::of_damage(file, damage).join(&mut cache.losses);
         }
-        Ok(footage)
+        Ok(cache)
     }
 
     /// The same frames, each on its own: tracking starts over at each frame, at the pose given for it.
@@ -180,14 +180,19 @@ impl FrameCache {
     /// `truth` holds stamps in nanoseconds, in order, and poses of `camera_link` in `map`. Frames without a true pose are
     /// left out.
     pub fn responses(&self, truth: &[(i64, Isometry)]) -> Result<Vec<Response>, SetupError> {
-        let eyes = FramePerception::new(&self.settings, &self.lens, self.field.line_width())?;
+        let perception = FramePerception::new(&self.settings, &self.lens, self.field.line_width())?;
         let refiner = Refiner::new(&self.field, &self.lens);
         let mut seen = Observations::default();
         let mut responses = Vec::new();
         for CachedFrame { robot, picture, stamp_ns } in &self.frames {
             let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
             let Ok(at) = truth.binary_search_by_key(stamp_ns, |(stamp, _)| *stamp) else { continue };
-            eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
+            perception.vision.look_again(
+                picture,
+                &place.footprint_from_optical,
+                perception.body(robot.head),
+                &mut seen,
+            );
             responses.extend(refiner.responses(&seen.image, &(truth[at].1 * Isometry::link_from_optical())));
         }
         Ok(responses)
@@ -196,12 +201,17 @@ impl FrameCache {
     /// Contrast of the best lines in view and noise of plain carpet for each frame that shows lines, as shares of the
     /// carpet's brightness.
     pub fn contrasts(&self) -> Result<Vec<[f64; 2]>, SetupError> {
-        let eyes = FramePerception::new(&self.settings, &self.lens, self.field.line_width())?;
+        let perception = FramePerception::new(&self.settings, &self.lens, self.field.line_width())?;
         let mut seen = Observations::default();
         let mut contrasts = Vec::new();
         for CachedFrame { robot, picture, .. } in &self.frames {
             let (Ok(picture), Ok(place)) = (picture, &robot.place) else { continue };
-            eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), &mut seen);
+            perception.vision.look_again(
+                picture,
+                &place.footprint_from_optical,
+                perception.body(robot.head),
+                &mut seen,
+            );
             let found = [seen.image.full_contrast(), seen.image.noise()].map(f64::from);
             contrasts.extend(found.iter().all(|value| value.is_finite()).then_some(found));
         }
@@ -221,7 +231,7 @@ impl FrameCache {
         progress: &mut dyn FnMut(usize),
     ) -> Result<Vec<Trial>, SetupError> {
         let (field, lens) = (claims.field.unwrap_or(&self.field), claims.lens.unwrap_or(&self.lens));
-        let eyes = FramePerception::new(settings, lens, field.line_width())?;
+        let perception = FramePerception::new(settings, lens, field.line_width())?;
         let start = if claims.start_is_unknown { Start::default() } else { self.start.clone() };
         let mut tracking = start.tagger(settings, field, lens);
         let mut seen = Observations::default();
@@ -233,7 +243,7 @@ impl FrameCache {
                 own.filter.seed = settings.filter.seed.wrapping_add(index as u64);
                 tracking = start.tagger(&own, field, lens);
             }
-            attempts.push(frame.tag(index, claims, &eyes, &mut tracking, &mut budget, &mut seen));
+            attempts.push(frame.tag(index, claims, &perception, &mut tracking, &mut budget, &mut seen));
             progress(index + 1);
         }
         Ok(attempts)
@@ -288,7 +298,7 @@ impl CachedFrame {
         &self,
         index: usize,
         claims: &Claims,
-        eyes: &FramePerception,
+        perception: &FramePerception,
         tagger: &mut Tagger,
         budget: &mut Budget,
         seen: &mut Observations,
@@ -302,10 +312,10 @@ impl CachedFrame {
         let start = Instant::now();
         let (mut tag, is_seen) = match (&picture, &robot.place) {
             (Ok(picture), Ok(place)) => {
-                eyes.vision.look_again(picture, &place.footprint_from_optical, eyes.body(robot.head), seen);
+                perception.vision.look_again(picture, &place.footprint_from_optical, perception.body(robot.head), seen);
                 let looked_ms = start.elapsed().as_secs_f64() * 1e3;
                 let mut allowance = budget.frame(*stamp_ns, looked_ms);
-                let tag = tagger.tag(*stamp_ns, robot, seen, &mut |weighed| allowance.may_go_on(weighed));
+                let tag = tagger.tag(*stamp_ns, robot, seen, &mut |weighed| allowance.has_time(weighed));
                 budget.learn(&allowance);
                 (tag, true)
             }

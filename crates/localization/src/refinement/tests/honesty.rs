@@ -96,7 +96,7 @@ fn errors_of_lens_and_pose_are_found_with_consistent_covariance() {
 /// covariance says, and better than without a model of that motion.
 #[test]
 fn a_pose_during_unmeasured_sway_has_a_consistent_covariance() {
-    for rocks_rad_per_s in [0.0, UNFELT_RAD_PER_S] {
+    for rocks_rad_per_s in [0.0, UNMEASURED_RAD_PER_S] {
         let [knowing, ignorant] = swayed_unseen(rocks_rad_per_s);
         println!("rocks by {rocks_rad_per_s} rad/s: {knowing:.3?}; taken for one moment's: {ignorant:.3?}");
         assert!((0.90..=0.99).contains(&knowing.held) && (0.7..1.4).contains(&knowing.nees), "{knowing:?}");
@@ -168,7 +168,7 @@ fn swayed_unseen(rocks_rad_per_s: f64) -> [Honesty; 2] {
     let of_a_moment = prior(camera(0.0, 0.0, 0.1));
     let mut swaying = of_a_moment.clone();
     swaying.lens.readout_s = READOUT_S;
-    swaying.turn_is_felt = rocks_rad_per_s == 0.0;
+    swaying.turn_is_measured = rocks_rad_per_s == 0.0;
     let factor = of_a_moment.pose_covariance().cholesky().expect("a prior").l();
     let noise = Noise { sigma_px: SIGMA_PX, correlated: 1.0 };
     let mut honesty = [Honesty::default(); 2];

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix6, SymmetricEigen, Vector2, Vector6};
 
 use super::line_measurement::LineMeasurement;
-use super::miscalibration::{Miscalibration, UNFELT_RAD_PER_S, UNSEEN_M_PER_S, row};
+use super::miscalibration::{Miscalibration, UNMEASURED_RAD_PER_S, UNSEEN_M_PER_S, row};
 use super::solve::{self, Noise, Solution};
 use super::{Errors, Prior, SCALES, error_between, moved_pose, pose_block, pose_part};
 use crate::random::{Purpose, Stream};

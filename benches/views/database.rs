@@ -47,9 +47,9 @@ pub fn run(rounds: usize, text: &mut String) {
         let pose = between(i);
         Isometry { rotation: glam::DQuat::from_rotation_z(2.1) * pose.rotation, ..pose }
     };
-    let timed = |gallery: &ImageDatabase, pose: Isometry, jpeg: bool| {
+    let timed = |database: &ImageDatabase, pose: Isometry, jpeg: bool| {
         let started = Instant::now();
-        let shown = gallery.view(&wanted(pose)).expect("a view");
+        let shown = database.view(&wanted(pose)).expect("a view");
         if jpeg {
             let mut bytes = Vec::new();
             let encoder = jpeg_encoder::Encoder::new(&mut bytes, 90);
