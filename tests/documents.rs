@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use realitysim::localization::Rejection;
 
@@ -47,6 +48,33 @@ fn the_table_of_contents_names_every_document() {
     there.remove(Path::new("docs/SUMMARY.md"));
     let left_out: Vec<&PathBuf> = there.difference(&named).collect();
     assert!(left_out.is_empty(), "docs/SUMMARY.md lacks {left_out:?}");
+}
+
+/// The commands of the tutorial, one after the other in an empty folder, and what it says that they print.
+#[test]
+fn the_tutorial_runs_as_it_is_written() {
+    let text = fs::read_to_string("docs/tutorial.md").expect("docs/tutorial.md");
+    let folder = tempfile::tempdir().expect("a folder");
+    std::os::unix::fs::symlink(fs::canonicalize("replay").expect("replay"), folder.path().join("replay"))
+        .expect("a link");
+    let program = Path::new(env!("CARGO_BIN_EXE_realitysim")).parent().expect("a folder").display().to_string();
+    let path = format!("{program}:{}", std::env::var("PATH").unwrap_or_default());
+    let mut printed = String::new();
+    for command in
+        text.lines().filter_map(|line| line.strip_prefix("    ")).filter(|line| line.starts_with("realitysim "))
+    {
+        let mut shell = Command::new("sh");
+        let output = shell.args(["-c", command]).current_dir(&folder).env("PATH", &path).output().expect("sh");
+        assert!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
+        printed += &String::from_utf8_lossy(&output.stdout);
+        printed += &String::from_utf8_lossy(&output.stderr);
+    }
+    for said in ["469 frames, 469 tagged, 469 valid", "captures/2025-10-09T08-53-20Z-robot", "the 95 % ellipse holds"] {
+        assert!(text.contains(said) && printed.contains(said), "{said}: {printed}");
+    }
+    for picture in ["frame200.png", "view.png"] {
+        assert!(folder.path().join(picture).is_file(), "{picture}");
+    }
 }
 
 fn documents() -> BTreeSet<PathBuf> {

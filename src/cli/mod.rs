@@ -272,6 +272,43 @@ mod tests {
         });
     }
 
+    /// Command lines of the program in a document: lines of its blocks of code, up to a pipe, a redirection or a remark.
+    fn command_lines(document: &str) -> Vec<String> {
+        let joined = document.replace("\\\n", " ");
+        let lines = joined.lines().filter_map(|line| line.strip_prefix("    ")).map(str::trim);
+        let lines = lines.filter(|line| line.starts_with("realitysim "));
+        lines.map(|line| line.split(['|', '>', '#', '&', ';']).next().unwrap_or_default().trim().to_owned()).collect()
+    }
+
+    /// Values may be placeholders (`LOG`, `S`), so that only commands and the names of arguments are checked.
+    #[test]
+    fn every_command_line_of_the_documents_names_what_there_is() {
+        let mut folders = vec![std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("docs")];
+        let (mut wrong, mut count) = (Vec::new(), 0);
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(&folder).expect("a folder") {
+                let path = entry.expect("an entry").path();
+                if path.is_dir() {
+                    folders.push(path);
+                    continue;
+                }
+                if path.extension().is_none_or(|ending| ending != "md") {
+                    continue;
+                }
+                for line in command_lines(&std::fs::read_to_string(&path).expect("a document")) {
+                    count += 1;
+                    use clap::error::ErrorKind;
+                    let Err(error) = Arguments::try_parse_from(line.split_whitespace()) else { continue };
+                    if matches!(error.kind(), ErrorKind::UnknownArgument | ErrorKind::InvalidSubcommand) {
+                        wrong.push(format!("{}: {line}: {error}", path.display()));
+                    }
+                }
+            }
+        }
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+        assert!(count > 40, "{count}");
+    }
+
     #[test]
     fn the_system_s_words_are_translated() {
         let missing = std::fs::read("there/is/none").expect_err("not there");

@@ -231,7 +231,15 @@ impl PoseValidator {
         let confirmed =
             matches!(self.tracking, TrackingState::Tracking { contradictions: 0 }) && !self.trigger.may_be_elsewhere();
         let rejection = rejection.or((!confirmed).then_some(Rejection::Unconfirmed));
-        if rejection.is_none() && fix.agreement.expected >= THRESHOLDS.min_expected {
+        let tells_the_usual = match rejection {
+            None => fix.agreement.expected >= THRESHOLDS.min_expected,
+            // Where the lines contradict the mount and nothing else, they still tell how such lines look in this picture.
+            Some(Rejection::NotStanding) => {
+                fix.agreement.digits >= THRESHOLDS.frame_digits && fix.explained.share >= THRESHOLDS.well_explained
+            }
+            Some(_) => false,
+        };
+        if tells_the_usual {
             let foremost = fix.agreement.foremost;
             self.usual_foremost =
                 Some(self.usual_foremost.map_or(foremost, |usual| usual + THRESHOLDS.usual_rate * (foremost - usual)));
