@@ -35,7 +35,7 @@ class Protobuf:
     def time(self, stamp):
         return {"seconds": stamp.sec, "nanos": stamp.nanosec}
 
-    def make(self, name, **fields):
+    def make(self, name, /, **fields):
         modules = {
             "CameraCalibration": CameraCalibration_pb2,
             "CompressedImage": CompressedImage_pb2,
@@ -77,7 +77,7 @@ class Sdk:
     def time(self, stamp):
         return sdk.Timestamp(sec=stamp.sec, nsec=stamp.nanosec)
 
-    def make(self, name, **fields):
+    def make(self, name, /, **fields):
         return getattr(sdk, name)(**fields)
 
     def write(self, topic, message, time):

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::foxglove::FoxgloveType;
+use super::foxglove::{FoxgloveError, FoxgloveType};
 use realitysim_ros2::mcap_read::{Channel, LogMessage};
 
 /// Converts the messages of one file, channel by channel.
@@ -38,19 +38,17 @@ impl Treatment {
 }
 
 impl MessageConverter {
-    /// Converts a message. `true` says that its bytes are no longer those of the file.
-    ///
-    /// A message of Foxglove's schemas that cannot be converted becomes an empty one, which no reader of its ROS 2 type takes for
-    /// a message: it is counted as a bad one, like a torn ROS 2 message.
-    pub fn convert(&mut self, message: LogMessage) -> (LogMessage, bool) {
-        match self.treatment(&message.channel) {
+    /// Converts a message. `true` says that its bytes are no longer those of the file. Fails if the bytes of a message of
+    /// Foxglove's schemas are not what its type says.
+    pub fn convert(&mut self, message: LogMessage) -> Result<(LogMessage, bool), FoxgloveError> {
+        Ok(match self.treatment(&message.channel) {
             Treatment::Keep => (message, false),
             Treatment::Rename(channel) => (LogMessage { channel, ..message }, false),
             Treatment::Convert(kind, channel) => {
-                let data = kind.to_ros2(message.data).unwrap_or_default();
+                let data = kind.to_ros2(message.data)?;
                 (LogMessage { channel, data, ..message }, true)
             }
-        }
+        })
     }
 
     fn treatment(&mut self, channel: &Arc<Channel>) -> Treatment {

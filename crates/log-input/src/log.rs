@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use thiserror::Error;
 
@@ -124,7 +125,7 @@ fn sqlite_bag_in(folder: &Path) -> io::Result<Option<PathBuf>> {
 /// Iterator over the messages of several MCAP files, one file after the other.
 ///
 /// Messages of Foxglove's schemas come as the ROS 2 messages that say the same ([`foxglove`](crate::foxglove)), and types as
-/// rosbag2 spells them.
+/// rosbag2 spells them. A message of Foxglove's that cannot be converted is left out and counts as damage.
 pub struct LogSource {
     files: std::vec::IntoIter<PathBuf>,
     open: Option<OpenFile>,
@@ -140,6 +141,8 @@ struct OpenFile {
     converter: MessageConverter,
     /// Whether the bytes of the last message are not those of the file.
     is_converted: bool,
+    /// Messages that could not be converted, and were left out.
+    unconverted: Damage,
 }
 
 impl LogSource {
@@ -166,9 +169,13 @@ impl LogSource {
     }
 
     fn close(&mut self) {
-        let Some(OpenFile { path, reader, .. }) = self.open.take() else { return };
-        if !reader.damage().is_none() {
-            self.damage.push((path, reader.damage().clone()));
+        let Some(OpenFile { path, reader, unconverted, .. }) = self.open.take() else { return };
+        let mut damage = reader.damage().clone();
+        damage.bad_records += unconverted.bad_records;
+        damage.bytes_skipped += unconverted.bytes_skipped;
+        damage.first_error = damage.first_error.or(unconverted.first_error);
+        if !damage.is_none() {
+            self.damage.push((path, damage));
         }
     }
 }
@@ -183,7 +190,8 @@ impl Iterator for LogSource {
                 match open(&path, self.selection.clone()) {
                     Ok(reader) => {
                         let converter = MessageConverter::default();
-                        self.open = Some(OpenFile { path, reader, converter, is_converted: false });
+                        let unconverted = Damage::default();
+                        self.open = Some(OpenFile { path, reader, converter, is_converted: false, unconverted });
                     }
                     Err(error) => match unwritten_segment(&error) {
                         Some(damage) => self.damage.push((path, damage)),
@@ -196,9 +204,20 @@ impl Iterator for LogSource {
             match open.reader.next() {
                 Some(Ok(message)) if !self.with_outputs && is_output(&message) => {}
                 Some(Ok(message)) => {
-                    let (message, is_converted) = open.converter.convert(message);
-                    open.is_converted = is_converted;
-                    return Some(Ok(message));
+                    let (channel, time_ns) = (Arc::clone(&message.channel), message.log_time_ns);
+                    let bytes = message.data.len() as u64;
+                    match open.converter.convert(message) {
+                        Ok((message, is_converted)) => {
+                            open.is_converted = is_converted;
+                            return Some(Ok(message));
+                        }
+                        Err(error) => {
+                            open.unconverted.bad_records += 1;
+                            open.unconverted.bytes_skipped += bytes;
+                            let what = || format!("{}, logged at {time_ns} ns: {error}", channel.topic);
+                            open.unconverted.first_error.get_or_insert_with(what);
+                        }
+                    }
                 }
                 Some(Err(source)) => {
                     let error = LogError::Read { path: open.path.clone(), source };
